@@ -1,0 +1,89 @@
+"""What the verbs share: errors become sentences on stderr and exit codes, progress goes to stderr."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Any
+
+
+@contextmanager
+def exit_codes() -> Iterator[None]:
+    """Turn errors of the input into one sentence and the documented exit code. A bug keeps its traceback (1)."""
+    from ffcomp.errors import FfcompError
+    from gcode.errors import GcodeError
+    from models.errors import MachineFileError
+
+    try:
+        yield
+    except FfcompError as error:
+        fail(str(error), error.exit_code)
+    except GcodeError as error:
+        fail(str(error), 4)
+    except MachineFileError as error:
+        fail(str(error), 5)
+    except KeyboardInterrupt:
+        fail("Interrupted; no file was changed.", 130)
+    except OSError as error:
+        fail(f"{error.filename or 'A file'}: {error.strerror or error}.", 2)
+
+
+def fail(sentence: str, code: int) -> None:
+    print(f"ffcomp: {sentence}", file=sys.stderr)
+    raise SystemExit(code)
+
+
+def say(sentence: str, quiet: bool = False) -> None:
+    """A message: never on stdout, which is for results."""
+    if not quiet:
+        print(sentence, file=sys.stderr)
+
+
+def print_json(result: dict[str, Any]) -> None:
+    print(json.dumps(result, ensure_ascii=False))
+
+
+class Progress:
+    """A bar with the time left on a terminal, a line a tenth elsewhere (a slicer's log), nothing when quiet."""
+
+    def __init__(self, total_s: float, quiet: bool) -> None:
+        self.total_s, self.quiet = max(total_s, 1e-9), quiet
+        self.live = sys.stderr.isatty() and not os.environ.get("SLIC3R_PP_HOST")
+        self.started = time.monotonic()
+        self.said = 0
+
+    def __enter__(self) -> Progress:
+        if self.live and not self.quiet:
+            from rich.console import Console
+            from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+            from rich.progress import Progress as Bar
+
+            columns = (TextColumn("compensating"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
+            self.bar = Bar(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True)
+            self.bar.start()
+            self.task = self.bar.add_task("", total=self.total_s)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.live and not self.quiet:
+            self.bar.stop()
+
+    def __call__(self, done_s: float) -> None:
+        if self.quiet:
+            return
+        if self.live:
+            self.bar.update(self.task, completed=done_s)
+            return
+        tenth = int(10 * done_s / self.total_s)
+        if tenth > self.said:
+            self.said = tenth
+            spent = time.monotonic() - self.started
+            left = spent * (self.total_s / done_s - 1)
+            print(f"ffcomp: {min(10 * tenth, 100)} %, {max(left, 0):.0f} s left", file=sys.stderr)

@@ -1,0 +1,135 @@
+"""`ffcomp compensate`: the main job."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+Printed = Annotated[Path, typer.Argument(help="The sliced print; changed in place unless -o is given.", metavar="FILE")]
+MachineName = Annotated[
+    str, typer.Option("--machine", "-m", help="A machine's name (see: ffcomp machines list) or the path of its file.")
+]
+Output = Annotated[Path | None, typer.Option("--output-file", "-o", help="Write here; the input stays as it is.")]
+Kind = Annotated[str, typer.Option("--output", help="What to write: gcode.")]
+Offset = Annotated[
+    str,
+    typer.Option(
+        "--offset-mm",
+        metavar="X,Y",
+        help="Added to every position: for a print made for a bed with its origin in a corner, e.g. -110,-110.",
+    ),
+]
+Flavor = Annotated[str, typer.Option(help="klipper, marlin or reprapfirmware; by default the file says it.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Do everything, write nothing.")]
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no messages but errors.")]
+Force = Annotated[bool, typer.Option("--force", help="Compensate a file that is already stamped.")]
+Predict = Annotated[bool, typer.Option(help="Simulate before and after with the design model.")]
+
+
+def compensate(
+    file: Printed,
+    machine: MachineName,
+    output_file: Output = None,
+    output: Kind = "gcode",
+    offset_mm: Offset = "0,0",
+    flavor: Flavor = "",
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+    force: Force = False,
+    predict: Predict = True,
+) -> None:
+    """Write commands whose response is the path that the slicer wanted.
+
+    The print is planned as the firmware plans it, turned into carriage paths, and inverted through the machine's
+    vibration model. What is not a move passes through byte for byte.
+
+    Example: ffcomp compensate sample_prints/ringing_tower.gcode --machine mp-delta-pro -o out.gcode
+    """
+    from ffcomp.cli.common import exit_codes, print_json, say
+
+    with exit_codes():
+        if output != "gcode":
+            raise typer.BadParameter(f"--output {output}: this version writes gcode.")
+        result = _compensate(file, machine, output_file, _offset(offset_mm), flavor, dry_run, quiet, force, predict)
+        if as_json:
+            print_json(result)
+        elif "already" in result:
+            say(result["already"], quiet)
+        elif not quiet:
+            _report(result, dry_run)
+
+
+def _offset(text: str) -> tuple[float, float]:
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"--offset-mm {text!r}: two numbers with a comma between them, in mm.") from None
+    return x, y
+
+
+def _compensate(
+    file: Path,
+    machine_name: str,
+    output_file: Path | None,
+    offset: tuple[float, float],
+    flavor: str,
+    dry_run: bool,
+    quiet: bool,
+    force: bool,
+    predict: bool,
+) -> dict[str, Any]:
+    from ffcomp.job import Job, already_processed
+
+    from ffcomp.cli.common import Progress, say
+    from gcode.container import read_bytes
+    from models.machine_file import load_machine
+
+    machine = load_machine(machine_name)
+    data = read_bytes(file)
+    stamp = already_processed(data)
+    if stamp is not None and not force:
+        return {
+            "schema": "ffcomp-compensate/1",
+            "input": str(file),
+            "output": str(file),
+            "already": f"{file}: already processed by ffcomp v{stamp.version} for machine {stamp.machine}; nothing changed.",
+        }
+    job = Job(data, str(file), machine, offset=offset, flavor=flavor, predict=predict)
+    target = output_file or file
+    for warning in job.program.warnings:
+        say(f"ffcomp: {warning}", quiet)
+    with Progress(job.print_time_s, quiet) as progress:
+        job.write(None if dry_run else target, progress)
+    return {**job.result(), "output": None if dry_run else str(target)}
+
+
+def _report(result: dict[str, Any], dry_run: bool) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(stderr=True)
+    table = Table("", "tracking rms", "without delay", "contour rms", "contour p99", "peak command")
+    for name, track in result["predicted"].items():
+        table.add_row(
+            name,
+            f"{track['tracking_rms_um']:.1f} µm",
+            f"{track['tracking_rms_no_delay_um']:.1f} µm",
+            f"{track['contour_rms_um']:.2f} µm",
+            f"{track['contour_p99_um']:.1f} µm",
+            f"{track['peak_command_acceleration_mm_per_s2'] / 1e3:.1f} m/s²",
+        )
+    if result["predicted"]:
+        console.print(table)
+    speed = result["print_time_s"] / max(result["compute_time_s"], 1e-9)
+    console.print(
+        f"{result['moves']} moves, {result['print_time_s']:.1f} s of print "
+        f"(was {result['original_print_time_s']:.1f} s) in {result['segments']} segments; "
+        f"{result['compute_time_s']:.1f} s, {speed:.0f} times faster than printing.",
+        highlight=False,
+    )
+    if not dry_run:
+        console.print(f"Look at it: ffcomp show {result['output']}", highlight=False)

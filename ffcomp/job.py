@@ -1,0 +1,110 @@
+"""One file to be compensated: read, checked, written, reported. What the command line and integrations call."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from ffcomp import __version__
+from ffcomp.invert.fbs import Inverter, Settings
+from ffcomp.pipeline import Summary, compensate, plan_program
+from ffcomp.predict import Prediction
+from gcode.container import replace_atomically
+from gcode.dialects import FLAVORS, detect_flavor
+from gcode.errors import UnsupportedGcode
+from gcode.metadata import Stamp, find_stamp, stamp_line
+from gcode.reader import read_program
+from models.machine import Machine
+
+STAMP_REACH = 1 << 20  # bytes at either end in which a stamp is looked for
+
+
+def already_processed(data: bytes) -> Stamp | None:
+    """The stamp of an earlier run, if there is one."""
+    return find_stamp(data[:STAMP_REACH], data[-STAMP_REACH:])
+
+
+class Job:
+    """A G-code file and the machine it is for."""
+
+    def __init__(
+        self,
+        data: bytes,
+        path: str,
+        machine: Machine,
+        *,
+        offset: tuple[float, float] = (0.0, 0.0),
+        flavor: str = "",
+        predict: bool = True,
+        settings: Settings | None = None,
+    ) -> None:
+        self.started = time.perf_counter()
+        self.path, self.machine = path, machine
+        self.program = read_program(data, path, offset_mm=offset)
+        self.flavor = flavor or detect_flavor(self.program.lines)
+        if self.flavor not in FLAVORS:
+            raise UnsupportedGcode(f"The flavor {flavor!r} is none of {', '.join(sorted(FLAVORS))}.", path=path)
+        self.planned = plan_program(self.program, machine)
+        self.print_time_s = self.planned.trajectory.end_t
+        self.inverter = Inverter(machine, settings or Settings())
+        self.summary = Summary()
+        if predict:
+            self.summary.prediction = Prediction(self.inverter, self.print_time_s)
+        self.compute_time_s = 0.0
+
+    def write(self, target: Path | None, progress: Callable[[float], None] = lambda done_s: None) -> None:
+        """Compensate into `target` (None: nowhere), which is replaced whole at the end or not at all."""
+        lines = self.lines(progress)
+        if target is None:
+            for _ in lines:
+                pass
+        else:
+            replace_atomically(target, lines)
+        self.compute_time_s = time.perf_counter() - self.started
+
+    def lines(self, progress: Callable[[float], None] = lambda done_s: None) -> Iterator[bytes]:
+        """The compensated file, stamped in head and tail."""
+        stamp = stamp_line(__version__, self.machine.name, self.machine.sha256, self.flavor)
+        body = compensate(self.planned, self.machine, self.inverter, self.flavor, self.summary, progress)
+        return _stamped(body, stamp)
+
+    def result(self) -> dict[str, Any]:
+        """The JSON object of `compensate`."""
+        summary = self.summary
+        tracks = summary.prediction.tracks() if summary.prediction else {}
+        return {
+            "schema": "ffcomp-compensate/1",
+            "input": self.path,
+            "machine": {"name": self.machine.name, "sha256": self.machine.sha256},
+            "flavor": self.flavor,
+            "print_time_s": summary.print_time_s,
+            "original_print_time_s": summary.original_print_time_s,
+            "compute_time_s": self.compute_time_s,
+            "moves": summary.moves,
+            "segments": summary.segments,
+            "windows": summary.windows,
+            "limited_windows": summary.limited_windows,
+            "warnings": [*self.program.warnings, *summary.warnings],
+            "predicted": {name: asdict(track) for name, track in tracks.items()},
+            "predicted_over_s": summary.prediction.covered_s if summary.prediction else 0.0,
+        }
+
+
+def _stamped(lines: Iterator[bytes], stamp: bytes) -> Iterator[bytes]:
+    """The stamp after the first line (slicers are known by it), and before the last (which may lack its newline)."""
+    first = next(lines, b"")
+    yield first if first.endswith(b"\n") else first + b"\n"
+    ending = b"\r\n" if first.endswith(b"\r\n") else b"\n"
+    stamp = stamp.rstrip(b"\n") + ending
+    yield stamp
+    last = None
+    for line in lines:
+        if last is not None:
+            yield last
+        last = line
+    yield stamp
+    if last is not None:
+        yield last

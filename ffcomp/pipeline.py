@@ -1,0 +1,216 @@
+"""The whole order, on one page: G-code text in, compensated G-code text out.
+
+    program     gcode.reader          lines → moves and events
+    trajectory  ffcomp.plan           moves → the firmware's own plan: when each move accelerates, cruises, brakes
+    runs        ffcomp.runs           the plan cut where the nozzle rests
+    vertices    ffcomp.invert         each run → the command whose response is the run
+    lines       ffcomp.writer         commands and events → text, limits opened and closed around it
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.errors import LimitsError, NothingToDo
+from ffcomp.invert.fbs import Inverter, Reference, RunResult, Settings
+from ffcomp.plan.limits import DeltaReach, FirmwareLimits
+from ffcomp.plan.lookahead import plan_moves, stops_and_waits
+from ffcomp.plan.trajectory import Trajectory
+from ffcomp.predict import Prediction
+from ffcomp.runs import Run, Timing, reference, split_runs, timing
+from ffcomp.writer import Mark, Writer
+from gcode.errors import GcodeError
+from gcode.limits import MotionLimits
+from gcode.program import Event, Program
+from models.errors import UnreachableError
+from models.kinematics.delta import check_reach
+from models.machine import Machine
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass
+class Summary:
+    """What a compensation did; filled in while it runs."""
+
+    moves: int = 0
+    segments: int = 0
+    windows: int = 0
+    limited_windows: int = 0
+    original_print_time_s: float = 0.0
+    print_time_s: float = 0.0
+    warnings: list[str] = field(default_factory=list)
+    prediction: Prediction | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """A program with the firmware's plan for it."""
+
+    program: Program
+    trajectory: Trajectory
+    runs: list[Run]
+
+
+def firmware_limits(machine: Machine) -> FirmwareLimits:
+    """What the printer's own configuration allows, as the machine file states it."""
+    own, geometry = machine.limits, machine.kinematics
+    return FirmwareLimits(
+        velocity_mm_per_s=own.velocity_mm_per_s,
+        acceleration_mm_per_s2=own.acceleration_mm_per_s2,
+        square_corner_velocity_mm_per_s=own.square_corner_velocity_mm_per_s,
+        delta=DeltaReach(
+            float(geometry.delta_radii_mm.max()),
+            float(geometry.arm_lengths_mm.min()),
+            0.5 / machine.steps.steps_per_mm,
+        ),
+    )
+
+
+def plan_program(program: Program, machine: Machine) -> Planned:
+    """Check that every move can be reached, and plan them all."""
+    moves = program.moves
+    if not len(moves):
+        raise NothingToDo(f"{program.path or 'The file'} holds no move whose start is known: nothing to compensate.")
+    for ends in (moves.start, moves.end):
+        try:
+            check_reach(machine.kinematics, ends[:, :3])
+        except UnreachableError as error:
+            line = int(moves.line[error.indices[0]]) + 1
+            raise GcodeError(f"{error} Does the file need --offset-mm?", line, program.path) from error
+    stop_before, wait_before = stops_and_waits(program)
+    trajectory = plan_moves(
+        moves, firmware_limits(machine), stop_before=stop_before, wait_before=wait_before
+    )
+    return Planned(program, trajectory, split_runs(trajectory, stop_before))
+
+
+def compensate(
+    planned: Planned,
+    machine: Machine,
+    inverter: Inverter,
+    flavor: str,
+    summary: Summary,
+    progress: Callable[[float], None] = lambda done_s: None,
+) -> Iterator[bytes]:
+    """The lines of the compensated file, in order. `summary` is complete when they are exhausted.
+
+    progress : called with the print-seconds done so far.
+    """
+    program, trajectory, settings = planned.program, planned.trajectory, inverter.settings
+    own = machine.limits
+    limits = MotionLimits(
+        own.velocity_mm_per_s, own.acceleration_mm_per_s2, own.square_corner_velocity_mm_per_s, 0.5
+    )
+    writer = Writer(program, flavor, limits, settings.output)
+    events = iter(program.events)
+    event = next(events, None)
+    state, rested = np.zeros(0), -np.inf  # the plant's state, and the plan's time at which it was so
+    summary.moves = len(program.moves)
+    summary.original_print_time_s = summary.print_time_s = float(trajectory.end_t)
+    for run in planned.runs:
+        stopped = False
+        while event is not None and event.move <= run.first:
+            yield from writer.event(event)
+            stopped |= event.move == run.first and event.kind.name in ("STOP", "RAW_MOVE")
+            event = next(events, None)
+        if not run.travels:
+            yield from writer.extrude(run.first)
+            continue
+        when = timing(run, settings)
+        wanted = reference(trajectory, run, when, settings)
+        hold = run.begin_t - rested
+        state = (
+            inverter.rest_state(wanted.nozzle[0])
+            if stopped or hold > 0.5 or not state.size
+            else inverter.hold(state, wanted.nozzle[0], hold)
+        )
+        result = inverter.run(wanted, state)
+        state, rested = result.state, run.end_t
+        inside: list[Event] = []
+        while event is not None and event.move < run.last:
+            inside.append(event)
+            event = next(events, None)
+        e, marks = _place(program, trajectory, run, when, wanted, inside, settings.segment_s)
+        yield from writer.run(run.first, result.vertices, e, marks, settings.segment_s)
+        _account(summary, run, when, wanted, result, trajectory, settings)
+        progress(float(rested))
+    while event is not None:
+        yield from writer.event(event)
+        event = next(events, None)
+    yield from writer.close()
+    summary.segments = writer.segments
+
+
+def _place(
+    program: Program,
+    trajectory: Trajectory,
+    run: Run,
+    when: Timing,
+    wanted: Reference,
+    inside: list[Event],
+    segment_s: float,
+) -> tuple[FloatArray, list[Mark]]:
+    """Filament at the knots, and the knot at which each line of the original goes out.
+
+    A line goes out at the knot nearest to its move's planned time, and the filament at that knot is made what it was at
+    the line: so the filament between two lines is kept to the last digit.
+    """
+    moves = program.moves
+    n = when.knots
+    e = float(moves.start[run.first, 3]) + np.concatenate([[0.0], np.cumsum(wanted.extrusion[:n])])
+    e[n] = moves.end[run.last - 1, 3]
+    lines = _lines_of(program, run, inside)
+    marks: list[Mark] = []
+    fixed: dict[int, float] = {}  # knot → filament, where coordinates change
+    knot = 0
+    for line, move, event in lines:
+        at = round((float(trajectory.start_t[move]) - when.t0) / segment_s)
+        knot = min(max(knot, at), n)
+        if event is not None and move > run.first:
+            filament = float(moves.start[move, 3])
+            if knot in fixed and abs(fixed[knot] - filament) > 1e-9 and knot < n:
+                knot += 1
+            if event.frame != int(moves.frame[move - 1]):
+                fixed[knot] = filament
+            e[knot] = filament
+        marks.append(Mark(knot, line, event))
+    for at, filament in fixed.items():
+        e[at] = filament
+    return e, marks
+
+
+def _lines_of(program: Program, run: Run, inside: list[Event]) -> list[tuple[int, int, Event | None]]:
+    """(line, move, event) of every original line in a run, in file order; a move's own line has no event."""
+    own = program.moves.line[run.first : run.last]
+    new = np.flatnonzero(np.diff(own, prepend=-1))  # the chords of an arc share a line
+    moves = [(int(own[i]), run.first + int(i), None) for i in new]
+    return sorted([*moves, *((event.line, event.move, event) for event in inside)], key=lambda each: each[0])
+
+
+def _account(
+    summary: Summary,
+    run: Run,
+    when: Timing,
+    wanted: Reference,
+    result: RunResult,
+    trajectory: Trajectory,
+    settings: Settings,
+) -> None:
+    summary.windows += result.windows
+    summary.limited_windows += result.limited
+    summary.print_time_s += when.knots * settings.segment_s - (run.end_t - run.begin_t)
+    if result.excess > 1.0 + 1e-3:
+        summary.warnings.append(
+            f"Between {when.t0:.3f} and {when.t0 + when.knots * settings.segment_s:.3f} s a carriage is asked for "
+            f"{result.excess:.2f} times its limit."
+        )
+    if summary.prediction is not None:
+        summary.prediction.add(trajectory, run, when, wanted, result)
+
+
+__all__ = ["LimitsError", "Planned", "Summary", "compensate", "firmware_limits", "plan_program"]

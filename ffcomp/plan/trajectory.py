@@ -1,0 +1,127 @@
+"""The planned motion: a trapezoid of speed per move, on the straight line of the move, exact at any time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_POSITION, _VELOCITY, _ACCELERATION = 0, 1, 2
+_NEAR_MOVES = 8  # how far to step through the moves before searching
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """n planned moves in time order. mm, s, mm/s, mm/s².
+
+    Between two moves there may be a gap (a dwell, a wait): the nozzle rests there at the end of the earlier
+    move. Before the first move it rests at its origin, after the last one at its end. Speed and acceleration at
+    an instant are those just after it.
+    """
+
+    start_t: FloatArray  # (n,) s, when the move begins
+    accel_t: FloatArray  # (n,) s
+    cruise_t: FloatArray  # (n,) s
+    decel_t: FloatArray  # (n,) s
+    start_v: FloatArray  # (n,) mm/s along the path
+    cruise_v: FloatArray  # (n,)
+    end_v: FloatArray  # (n,)
+    acceleration: FloatArray  # (n,) mm/s² along the path, of the accel and decel phases
+    origin: FloatArray  # (n, 4) mm, columns X Y Z E: where the move begins
+    direction: FloatArray  # (n, 4) mm per mm of path, columns X Y Z E; extruder-only: XYZ zero and E ±1
+
+    def __len__(self) -> int:
+        return len(self.start_t)
+
+    @property
+    def duration(self) -> FloatArray:
+        """How long each move takes, (n,) s."""
+        return self.accel_t + self.cruise_t + self.decel_t
+
+    @property
+    def end_t(self) -> float:
+        """When the last move ends, s; 0 if there is none."""
+        return float(self.start_t[-1] + self.duration[-1]) if len(self) else 0.0
+
+    def move_at(self, t: ArrayLike) -> IntArray:
+        """The move under way at each time t, or the last one before it; the first one before it has begun."""
+        return np.maximum(np.searchsorted(self.start_t, t, side="right") - 1, 0)
+
+    def position(self, t: ArrayLike) -> FloatArray:
+        """t (k,) s, best sorted → (k, 4) mm, columns X Y Z E."""
+        return self._sample(t, _POSITION)
+
+    def velocity(self, t: ArrayLike) -> FloatArray:
+        """t (k,) s, best sorted → (k, 4) mm/s, columns X Y Z E."""
+        return self._sample(t, _VELOCITY)
+
+    def acceleration_at(self, t: ArrayLike) -> FloatArray:
+        """t (k,) s, best sorted → (k, 4) mm/s², columns X Y Z E."""
+        return self._sample(t, _ACCELERATION)
+
+    def _sample(self, t: ArrayLike, derivative: int) -> FloatArray:
+        if not len(self):
+            raise ValueError("A trajectory without moves has no place at any time; plan at least one move.")
+        phases = (self.accel_t, self.cruise_t, self.decel_t, self.start_v, self.cruise_v, self.acceleration)
+        times = np.ascontiguousarray(t, dtype=np.float64)
+        return _sample(times, derivative, self.start_t, phases, self.origin, self.direction)
+
+
+@njit(cache=True)
+def _move_near(start_t: FloatArray, t: float, i: int) -> int:
+    """The last move that begins at or before t (the first one if none does), sought from move i on."""
+    if t < start_t[i] or (i + _NEAR_MOVES < len(start_t) and start_t[i + _NEAR_MOVES] <= t):
+        return max(int(np.searchsorted(start_t, t, side="right")) - 1, 0)
+    while i + 1 < len(start_t) and start_t[i + 1] <= t:
+        i += 1
+    return i
+
+
+@njit(cache=True)
+def _distance(t1: float, t2: float, t3: float, start_v: float, cruise_v: float, acceleration: float) -> float:
+    """Path covered after the times t1, t2, t3 spent speeding up, cruising and braking, mm."""
+    rise = (start_v + 0.5 * acceleration * t1) * t1
+    return rise + cruise_v * (t2 + t3) - 0.5 * acceleration * t3 * t3
+
+
+@njit(cache=True)
+def _along(derivative: int, since: float, i: int, phases: tuple[FloatArray, ...]) -> float:
+    """Distance, speed or acceleration along move i at the time `since` its beginning."""
+    accel_t, cruise_t, decel_t, start_v, cruise_v, acceleration = phases
+    t1 = min(max(since, 0.0), accel_t[i])
+    t2 = min(max(since - accel_t[i], 0.0), cruise_t[i])
+    left = since - accel_t[i] - cruise_t[i]
+    t3 = min(max(left, 0.0), decel_t[i])
+    if derivative == _POSITION:
+        return _distance(t1, t2, t3, start_v[i], cruise_v[i], acceleration[i])
+    if since < 0.0 or left >= decel_t[i]:
+        return 0.0
+    if derivative == _VELOCITY:
+        return cruise_v[i] - acceleration[i] * (t3 if left > 0.0 else accel_t[i] - t1)
+    return acceleration[i] * ((1.0 if since < accel_t[i] else 0.0) - (1.0 if left >= 0.0 else 0.0))
+
+
+@njit(cache=True)
+def _sample(
+    t: FloatArray,
+    derivative: int,
+    start_t: FloatArray,
+    phases: tuple[FloatArray, ...],
+    origin: FloatArray,
+    direction: FloatArray,
+) -> FloatArray:
+    out = np.empty((len(t), 4))
+    i = 0
+    for k in range(len(t)):
+        i = _move_near(start_t, t[k], i)
+        along = _along(derivative, t[k] - start_t[i], i, phases)
+        for c in range(4):
+            out[k, c] = direction[i, c] * along
+            if derivative == _POSITION:
+                out[k, c] += origin[i, c]
+    return out

@@ -1,0 +1,186 @@
+"""What the firmware plays when it is given our G1 segments, in closed form.
+
+A segment of length d must last S seconds. The firmware enters it at the junction speed, ramps at its acceleration to the
+segment's own speed c (its F), and ramps down to the next junction. Distance d in time S asks for
+
+    d = c S − [(c − v₀)² + (c − v₁)²] / 2a                     v₀, v₁ <= c the junction speeds, a the acceleration
+
+which is a quadratic in c: with F = 60 c every duration comes out exact. Junction speeds follow the firmware's own rules
+(Klipper and Kalico: the smaller of both speeds, the junction deviation, the centripetal and the extruder limit).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+SWEEPS = 12  # of the fixed point between neighbouring speeds; it contracts by about Δv/(a S), 0.1 here
+
+
+@dataclass(frozen=True, slots=True)
+class OutputLimits:
+    """The limits our segments are played under (the header opens them, the footer closes them)."""
+
+    velocity_mm_per_s: float = 1000.0
+    acceleration_mm_per_s2: float = 100_000.0
+    square_corner_velocity_mm_per_s: float = 100.0
+    z_acceleration_mm_per_s2: float = 10_000.0  # the printer's own: a G-code file cannot raise it
+    instantaneous_corner_velocity_mm_per_s: float = 1.0  # extruder; Klipper's default
+    retract_acceleration_mm_per_s2: float = 2600.0  # of the filament, on moves that pull it back; the printer's own
+
+
+@dataclass(frozen=True, slots=True)
+class Played:
+    """Speeds of n segments as the firmware will play them."""
+
+    cruise: FloatArray  # (n,) mm/s: what F asks for
+    junction: FloatArray  # (n + 1,) mm/s
+    acceleration: FloatArray  # (n,) mm/s²
+    duration: FloatArray  # (n,) s; S wherever the acceleration allows it
+
+
+def played(vertices: FloatArray, extrusion: FloatArray, segment_s: float, limits: OutputLimits) -> Played:
+    """Speeds that make each segment last `segment_s`, from rest to rest.
+
+    Parameters
+    ----------
+    vertices : (n + 1, 3) mm, columns X Y Z
+    extrusion : (n,) mm of filament in each segment
+    """
+    return Played(
+        *_played(
+            vertices,
+            extrusion,
+            segment_s,
+            limits.acceleration_mm_per_s2,
+            limits.square_corner_velocity_mm_per_s,
+            limits.z_acceleration_mm_per_s2,
+            limits.instantaneous_corner_velocity_mm_per_s,
+            limits.retract_acceleration_mm_per_s2,
+            limits.velocity_mm_per_s,
+        )
+    )
+
+
+@njit(cache=True)
+def _played(
+    vertices: FloatArray,
+    extrusion: FloatArray,
+    segment_s: float,
+    acceleration: float,
+    corner_v: float,
+    z_acceleration: float,
+    extruder_corner_v: float,
+    retract_acceleration: float,
+    top_v: float,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    n = len(vertices) - 1
+    d = np.empty(n)
+    a = np.empty(n)
+    unit = np.zeros((n, 3))
+    ratio = np.zeros(n)
+    for k in range(n):
+        dx = vertices[k + 1, 0] - vertices[k, 0]
+        dy = vertices[k + 1, 1] - vertices[k, 1]
+        dz = vertices[k + 1, 2] - vertices[k, 2]
+        d[k] = np.sqrt(dx * dx + dy * dy + dz * dz)
+        a[k] = acceleration
+        if d[k] > 1e-9:
+            unit[k, 0], unit[k, 1], unit[k, 2] = dx / d[k], dy / d[k], dz / d[k]
+            ratio[k] = extrusion[k] / d[k]
+            if abs(dz) > 1e-12:
+                a[k] = min(a[k], z_acceleration * d[k] / abs(dz))
+            if ratio[k] < 0.0:
+                a[k] = min(a[k], -retract_acceleration / ratio[k])
+    limit = _junction_limits(d, a, unit, ratio, corner_v**2 * (np.sqrt(2.0) - 1.0) / acceleration, extruder_corner_v)
+    cruise = d / segment_s
+    junction = np.zeros(n + 1)
+    for _ in range(SWEEPS):
+        for k in range(1, n):
+            junction[k] = min(limit[k], cruise[k - 1], cruise[k])
+        for k in range(n):
+            cruise[k] = min(top_v, _speed(d[k], segment_s, a[k], junction[k], junction[k + 1]))
+    duration = np.full(n, segment_s)
+    for k in range(n):
+        c = cruise[k]
+        if c > 0.0:
+            v0, v1 = min(junction[k], c), min(junction[k + 1], c)
+            duration[k] = (d[k] + ((c - v0) ** 2 + (c - v1) ** 2) / (2 * a[k])) / c
+    return cruise, junction, a, duration
+
+
+@njit(cache=True, inline="always")
+def _speed(d: float, t: float, a: float, v0: float, v1: float) -> float:
+    """The c of the module's docstring; where the ramps cannot make it in time, the fastest there is."""
+    if d <= 1e-9:
+        return 0.0
+    b = t + (v0 + v1) / a
+    root = b * b - 4.0 / a * (d + (v0 * v0 + v1 * v1) / (2.0 * a))
+    return 0.5 * a * (b - np.sqrt(root)) if root > 0.0 else np.sqrt(a * d + 0.5 * (v0 * v0 + v1 * v1))
+
+
+@njit(cache=True)
+def _junction_limits(
+    d: FloatArray, a: FloatArray, unit: FloatArray, ratio: FloatArray, deviation: float, extruder_corner_v: float
+) -> FloatArray:
+    """Largest speed at each junction by angle (junction deviation, centripetal) and by the extruder's jump. mm/s."""
+    n = len(d)
+    limit = np.zeros(n + 1)
+    for k in range(1, n):
+        if d[k] <= 1e-9 or d[k - 1] <= 1e-9:
+            continue
+        dot = unit[k, 0] * unit[k - 1, 0] + unit[k, 1] * unit[k - 1, 1] + unit[k, 2] * unit[k - 1, 2]
+        sine = np.sqrt(max(0.5 * (1.0 + dot), 0.0))  # of half the angle between the two segments
+        cosine = np.sqrt(max(0.5 * (1.0 - dot), 0.0))
+        v2 = 1e12
+        if sine < 1.0 and cosine > 0.0:
+            by_deviation = sine / (1.0 - sine) * deviation * min(a[k], a[k - 1])
+            by_circle = 0.5 * sine / cosine * min(d[k] * a[k], d[k - 1] * a[k - 1])
+            v2 = min(by_deviation, by_circle)
+        jump = abs(ratio[k] - ratio[k - 1])
+        if jump > 0.0 and (ratio[k] != 0.0 or ratio[k - 1] != 0.0):
+            v2 = min(v2, (extruder_corner_v / jump) ** 2)
+        limit[k] = np.sqrt(v2)
+    return limit
+
+
+@njit(cache=True)
+def sample_segments(
+    vertices: FloatArray,
+    cruise: FloatArray,
+    junction: FloatArray,
+    acceleration: FloatArray,
+    duration: FloatArray,
+    substeps: int,
+) -> FloatArray:
+    """Nozzle command at `substeps` equal parts of every segment: (n·substeps + 1, 3) mm, as the firmware ramps through."""
+    n = len(cruise)
+    out = np.empty((n * substeps + 1, 3))
+    for k in range(n):
+        c, a, t_all = cruise[k], acceleration[k], duration[k]
+        v0, v1 = min(junction[k], c), min(junction[k + 1], c)
+        t_up, t_down = (c - v0) / a, (c - v1) / a
+        dx = np.sqrt(
+            (vertices[k + 1, 0] - vertices[k, 0]) ** 2
+            + (vertices[k + 1, 1] - vertices[k, 1]) ** 2
+            + (vertices[k + 1, 2] - vertices[k, 2]) ** 2
+        )
+        for s in range(substeps):
+            t = t_all * s / substeps
+            left = t_all - t
+            if t < t_up:
+                f = v0 * t + 0.5 * a * t * t
+            elif left < t_down:
+                f = dx - v1 * left - 0.5 * a * left * left
+            else:
+                f = v0 * t_up + 0.5 * a * t_up * t_up + c * (t - t_up)
+            f = f / dx if dx > 0.0 else 0.0
+            for i in range(3):
+                out[k * substeps + s, i] = vertices[k, i] + f * (vertices[k + 1, i] - vertices[k, i])
+    out[n * substeps] = vertices[n]
+    return out

@@ -1,0 +1,191 @@
+"""The compensated file, line by line: what is not ours passes through at its move's time, moves become segments.
+
+Our segments stand in blocks. A block opens with the limits our segments need and closes with the limits (and the feed)
+the file had, before anything that moves by itself: homing, macros, waits. Each move that we replace stays in the file
+as a comment `;~` at its place, so the original can be read out of the result again (`original_lines`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.played import OutputLimits, played
+from gcode.dialects import close_limits, open_limits
+from gcode.emit import MoveWriter
+from gcode.limits import MotionLimits
+from gcode.program import Event, EventKind, Frame, Program
+
+FloatArray = NDArray[np.float64]
+
+OURS = b" ; ffcomp"  # ends every line of ours that is not a move
+WAS = b";~"  # before a move of the original
+STILL_MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*[0-3](?!\d)", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A line of the original that goes out at knot `knot` of a run."""
+
+    knot: int
+    line: int
+    event: Event | None  # None: a move, kept as a comment
+
+
+class Writer:
+    """Turns runs and events, given in the file's order, into lines."""
+
+    def __init__(self, program: Program, flavor: str, own: MotionLimits, output: OutputLimits) -> None:
+        self.program, self.flavor, self.own, self.output = program, flavor, own, output
+        self.moves = MoveWriter()
+        self.frame = 0
+        self.open = False
+        self.in_force = MotionLimits()
+        self.ending = b"\r\n" if program.lines and program.lines[0].endswith(b"\r\n") else b"\n"
+        self.segments = 0
+
+    # -- what is not a run
+
+    def event(self, event: Event) -> Iterator[bytes]:
+        """A line that is not a move of ours, between runs."""
+        if event.kind in (EventKind.STOP, EventKind.RAW_MOVE):
+            yield from self.close()
+        line = self.program.lines[event.line]
+        if self.open and STILL_MOVE.match(line):  # a G1 that only sets the feed: ours always say theirs
+            yield from self._original(event.line)
+        else:
+            yield line
+        self._take_frame(event.frame)
+        if self.open and event.touches_limits:
+            yield from self._limits(self._opening())
+
+    def close(self) -> Iterator[bytes]:
+        """End a block: the file's limits and feed are in force again."""
+        if self.open:
+            self.open = False
+            yield from self._limits(close_limits(self.flavor, _first_known(self.in_force, self.own)))
+            frame = self.program.frames[self.frame]
+            feed = 60 * frame.feed_mm_per_s / frame.feed_factor / frame.unit_mm
+            yield b"G1 F%.6g" % feed + OURS + self.ending
+
+    def extrude(self, move: int) -> Iterator[bytes]:
+        """An extruder-only move, as it was but for its feed, which is always said."""
+        moves = self.program.moves
+        yield from self._original(int(moves.line[move]))
+        yield from self._begin(move)
+        x, y, z, e = moves.end[move]
+        yield self._finish(self.moves.move(x, y, z, e, 60 * moves.speed[move]))
+
+    # -- a run
+
+    def run(self, first: int, vertices: FloatArray, e: FloatArray, marks: list[Mark], segment_s: float) -> Iterator[bytes]:
+        """The segments of one run.
+
+        Parameters
+        ----------
+        first : the run's first move
+        vertices : (n + 1, 3) mm, columns X Y Z
+        e : (n + 1,) mm, filament at the vertices
+        marks : lines of the original, by knot
+        """
+        frame = self.program.frames[int(self.program.moves.frame[first])]
+        yield from self._begin(first)
+        vertices = _rounded(vertices, frame)
+        feeds = 60 * played(vertices, np.diff(e), segment_s, self.output).cruise
+        waiting, rest, begun = iter(marks), 0, False
+        mark = next(waiting, None)
+        points = vertices.tolist()
+        for k, (feed, filament) in enumerate(zip(feeds.tolist(), e[1:].tolist(), strict=True)):
+            while mark is not None and mark.knot <= k:
+                yield from self._mark(mark)
+                mark = next(waiting, None)
+            line = self.moves.move(*points[k + 1], filament, feed)
+            if not line:
+                rest += 1
+                continue
+            if rest and begun:
+                yield b"G4 P%.6g" % (1e3 * rest * segment_s) + OURS + self.ending
+            rest, begun = 0, True
+            self.segments += 1
+            yield self._finish(line)
+        while mark is not None:
+            yield from self._mark(mark)
+            mark = next(waiting, None)
+
+    def _begin(self, move: int) -> Iterator[bytes]:
+        """Open a block if none is open, and take over the state at `move`."""
+        moves = self.program.moves
+        self.in_force = MotionLimits(
+            float(moves.velocity_limit[move]),
+            float(moves.acceleration[move]),
+            float(moves.square_corner_velocity[move]),
+            float(moves.minimum_cruise_ratio[move]),
+        )
+        if not self.open:
+            self.open = True
+            yield from self._limits(self._opening())
+            self.frame = int(moves.frame[move])
+            x, y, z, e = moves.start[move]
+            self.moves.reset(self.program.frames[self.frame], (x, y, z), e)
+        self._take_frame(int(moves.frame[move]))
+
+    def _mark(self, mark: Mark) -> Iterator[bytes]:
+        if mark.event is None:
+            yield from self._original(mark.line)
+        else:
+            yield from self.event(mark.event)
+
+    def _original(self, line: int) -> Iterator[bytes]:
+        text = self.program.lines[line]
+        yield WAS + text if text.endswith(b"\n") else WAS + text + self.ending
+
+    def _take_frame(self, frame: int) -> None:
+        if frame != self.frame:
+            self.frame = frame
+            if self.open:
+                self.moves.take(self.program.frames[frame])
+
+    def _opening(self) -> list[bytes]:
+        o = self.output
+        return open_limits(
+            self.flavor, o.velocity_mm_per_s, o.acceleration_mm_per_s2, o.square_corner_velocity_mm_per_s
+        )
+
+    def _limits(self, lines: Iterable[bytes]) -> Iterator[bytes]:
+        for line in lines:
+            yield line.rstrip(b"\n") + OURS + self.ending
+
+    def _finish(self, line: bytes) -> bytes:
+        return line if self.ending == b"\n" else line.replace(b"\n", self.ending)
+
+
+def _rounded(vertices: FloatArray, frame: Frame) -> FloatArray:
+    """The vertices as the file will state them: 4 decimals in the file's own coordinates and unit."""
+    base, unit = np.array(frame.base[:3]), frame.unit_mm
+    decimals = 4 if unit == 1.0 else 6
+    return np.round((vertices - base) / unit, decimals) * unit + base
+
+
+def _first_known(file: MotionLimits, own: MotionLimits) -> MotionLimits:
+    """The file's limits, and the machine's own where the file has set none."""
+    pairs = ((getattr(file, name), getattr(own, name)) for name in MotionLimits.__dataclass_fields__)
+    return MotionLimits(*(mine if theirs != theirs else theirs for theirs, mine in pairs))
+
+
+def original_lines(lines: Iterable[bytes]) -> Iterator[bytes]:
+    """The file as it was before compensation (`gcode.metadata`'s stamps left out)."""
+    inside = False
+    for line in lines:
+        ours = line.rstrip().endswith(OURS)
+        if ours:
+            inside = not line.startswith(b"G1 F")
+        elif line.startswith(WAS):
+            yield line[len(WAS) :]
+        elif line.startswith(b"; Processed by ffcomp") or (inside and line.startswith(b"G1 ")):
+            continue
+        else:
+            yield line

@@ -1,0 +1,338 @@
+"""What each command that is not a move does: to the modal state, and to the motion around it.
+
+Read it from the bottom: `EFFECTS` is the table, name → function. A function changes the state it is given and says
+whether the motion may go on through it (PASS), must rest (STOP, DWELL), and whether the place afterwards is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import isnan
+from typing import NamedTuple
+
+from gcode.errors import GcodeError, UnsupportedGcode
+from gcode.program import EventKind
+from gcode.state import AXES, INCH_MM, Modal
+from gcode.words import Command
+
+
+class Effect(NamedTuple):
+    kind: EventKind
+    dwell_s: float = 0.0
+    touches_limits: bool = False
+    warning: str = ""
+
+
+Handler = Callable[[Modal, Command], Effect]
+
+PASS = Effect(EventKind.PASS)
+STOP = Effect(EventKind.STOP)
+LIMITS = Effect(EventKind.PASS, touches_limits=True)
+
+
+def apply(modal: Modal, command: Command) -> Effect:
+    """The effect of one command; unknown ones stop the motion, for they may move the machine."""
+    if handler := EFFECTS.get(command.name):
+        return handler(modal, command)
+    if command.name.startswith("T") and not command.name[1:2].isalpha():
+        return _tool(modal, command)
+    if command.name.startswith("EXCLUDE_OBJECT"):
+        return PASS
+    return _unknown(modal, command)
+
+
+def _pass(modal: Modal, command: Command) -> Effect:
+    return PASS
+
+
+def _rest(modal: Modal, command: Command) -> Effect:
+    """The machine waits, or does something at the place where it is."""
+    return STOP
+
+
+def _move_away(modal: Modal, command: Command) -> Effect:
+    """The machine moves by rules of its own."""
+    modal.forget()
+    return STOP
+
+
+def _home(modal: Modal, command: Command) -> Effect:
+    modal.home()
+    return STOP
+
+
+def _unknown(modal: Modal, command: Command) -> Effect:
+    if command.name.startswith("M") and command.name[1:2].isdigit():
+        return Effect(EventKind.STOP, warning=f"{command.name} is not known; the motion rests while it runs.")
+    modal.forget()
+    rule = "the motion rests, and nothing is compensated until the file names a place again"
+    return Effect(EventKind.STOP, warning=f"{command.name} is not known and may move the machine; {rule}.")
+
+
+def _refuse(modal: Modal, command: Command) -> Effect:
+    what = "depends on offsets, volumes or conditions that only the firmware knows"
+    raise UnsupportedGcode(f"{command.name} {what}; slice without it.", command.line)
+
+
+def _tool(modal: Modal, command: Command) -> Effect:
+    if modal.tool not in ("", command.name):
+        modal.forget()
+    modal.tool = command.name
+    return STOP
+
+
+def _dwell(modal: Modal, command: Command) -> Effect:
+    words = command.numbers()
+    seconds = words.get("P", 0.0) / 1000
+    if "S" in words and modal.flavor != "klipper":
+        seconds = words["S"]
+    if seconds < 0:
+        raise GcodeError(f"G4 waits {seconds:g} s; a wait cannot be negative.", command.line)
+    return Effect(EventKind.DWELL, seconds)
+
+
+def _retraction_or_tool_setting(modal: Modal, command: Command) -> Effect:
+    """G10 alone retracts by an amount set in the firmware; with P, S, R or L it sets a tool's values."""
+    return PASS if command.letters() & set("PSRL") else STOP
+
+
+# -- modes -----------------------------------------------------------------------------------------------------
+
+
+def _inches(modal: Modal, command: Command) -> Effect:
+    modal.unit = INCH_MM
+    return PASS
+
+
+def _millimetres(modal: Modal, command: Command) -> Effect:
+    modal.unit = 1.0
+    return PASS
+
+
+def _absolute(modal: Modal, command: Command) -> Effect:
+    modal.absolute = True
+    return PASS
+
+
+def _relative(modal: Modal, command: Command) -> Effect:
+    modal.absolute = False
+    return PASS
+
+
+def _absolute_e(modal: Modal, command: Command) -> Effect:
+    modal.absolute_e = True
+    return PASS
+
+
+def _relative_e(modal: Modal, command: Command) -> Effect:
+    modal.absolute_e = False
+    return PASS
+
+
+def _plane(modal: Modal, command: Command) -> Effect:
+    """G18's first axis is Z by NIST RS274/NGC (so do Marlin and RepRapFirmware), X in Klipper: a mirrored arc."""
+    middle = "XZ" if modal.flavor == "klipper" else "ZX"
+    modal.plane = {"G17": "XY", "G18": middle, "G19": "YZ"}[command.name]
+    return PASS
+
+
+def _rename(modal: Modal, command: Command) -> Effect:
+    words = command.numbers()
+    modal.rename(words)
+    if set(words) & set(AXES) == {"E"}:
+        return PASS
+    if any(isnan(number) for number in modal.base):
+        rule = "moves pass through uncompensated until the machine homes"
+        return Effect(EventKind.STOP, warning=f"{command.name} names a place that is not known; {rule}.")
+    return STOP
+
+
+def _percent(command: Command) -> float | None:
+    share = command.numbers().get("S")
+    if share is not None and share <= 0:
+        raise GcodeError(f"{command.name} S{share:g} is no factor; a percentage must be above zero.", command.line)
+    return None if share is None else share / 100
+
+
+def _feed_factor(modal: Modal, command: Command) -> Effect:
+    if (factor := _percent(command)) is not None:
+        modal.set_feed_factor(factor)
+    return PASS
+
+
+def _flow(modal: Modal, command: Command) -> Effect:
+    if (flow := _percent(command)) is not None:
+        modal.set_flow(flow)
+    return PASS
+
+
+def _gcode_offset(modal: Modal, command: Command) -> Effect:
+    for axis, letter in enumerate(AXES):
+        to, by = command.field_number(letter), command.field_number(f"{letter}_ADJUST")
+        if to is not None:
+            modal.offset_axis(axis, to)
+        elif by is not None:
+            modal.offset_axis(axis, modal.homing[axis] + by)
+    return _moving(modal, command)
+
+
+def _moving(modal: Modal, command: Command) -> Effect:
+    if command.field_number("MOVE"):
+        modal.forget()
+    return STOP
+
+
+def _save_state(modal: Modal, command: Command) -> Effect:
+    modal.save(command.fields().get("NAME", "default"))
+    return STOP
+
+
+def _restore_state(modal: Modal, command: Command) -> Effect:
+    name = command.fields().get("NAME", "default")
+    if name not in modal.saved:
+        rule = "SAVE_GCODE_STATE must come first"
+        raise GcodeError(f"RESTORE_GCODE_STATE names the state {name!r}, which was never saved; {rule}.", command.line)
+    modal.restore(modal.saved[name])
+    return _moving(modal, command)
+
+
+# -- limits ----------------------------------------------------------------------------------------------------
+
+
+def _acceleration(modal: Modal, command: Command) -> Effect:
+    """M204 as in Klipper: S, or the smaller of P and T when both are there."""
+    words = command.numbers()
+    if "S" in words:
+        modal.set_limits(acceleration=_positive(words["S"], command) * modal.unit)
+    elif "P" in words and "T" in words:
+        modal.set_limits(acceleration=_positive(min(words["P"], words["T"]), command) * modal.unit)
+    return LIMITS
+
+
+def _positive(value: float, command: Command) -> float:
+    if value <= 0:
+        raise GcodeError(f"{command.name} sets a limit of {value:g}; limits must be above zero.", command.line)
+    return value
+
+
+def _smallest_xy(modal: Modal, command: Command) -> float | None:
+    words = command.numbers()
+    named = [_positive(words[letter], command) for letter in "XY" if letter in words]
+    return min(named) * modal.unit if named else None
+
+
+def _not_in_klipper(handler: Handler) -> Handler:
+    """Klipper reads these codes and does nothing."""
+
+    def effect(modal: Modal, command: Command) -> Effect:
+        return PASS if modal.flavor == "klipper" else handler(modal, command)
+
+    return effect
+
+
+@_not_in_klipper
+def _axis_acceleration(modal: Modal, command: Command) -> Effect:
+    if (value := _smallest_xy(modal, command)) is not None:
+        modal.set_caps(acceleration=value)
+    return LIMITS
+
+
+@_not_in_klipper
+def _axis_velocity(modal: Modal, command: Command) -> Effect:
+    if (value := _smallest_xy(modal, command)) is not None:
+        modal.set_caps(velocity=value / 60 if modal.flavor == "reprapfirmware" else value)
+    return LIMITS
+
+
+@_not_in_klipper
+def _jerk(modal: Modal, command: Command) -> Effect:
+    """M205: at a right angle each axis jumps by the whole speed, so the axis jerk is the corner velocity."""
+    if (value := _smallest_xy(modal, command)) is not None:
+        modal.set_limits(square_corner_velocity=value)
+    return LIMITS
+
+
+@_not_in_klipper
+def _jerk_per_minute(modal: Modal, command: Command) -> Effect:
+    if (value := _smallest_xy(modal, command)) is not None:
+        modal.set_limits(square_corner_velocity=value / 60)
+    return LIMITS
+
+
+def _velocity_limit(modal: Modal, command: Command) -> Effect:
+    names = {"VELOCITY": "velocity", "ACCEL": "acceleration", "SQUARE_CORNER_VELOCITY": "square_corner_velocity"}
+    asked = {name: command.field_number(key) for key, name in names.items()}
+    modal.set_limits(**{name: _positive(value, command) for name, value in asked.items() if value is not None})
+    if (ratio := _cruise_ratio(modal, command)) is not None:
+        modal.set_limits(minimum_cruise_ratio=ratio)
+    return LIMITS
+
+
+def _cruise_ratio(modal: Modal, command: Command) -> float | None:
+    ratio, to_decel = command.field_number("MINIMUM_CRUISE_RATIO"), command.field_number("ACCEL_TO_DECEL")
+    if ratio is None and to_decel is not None and not isnan(modal.limits.acceleration):
+        ratio = 1 - to_decel / _positive(modal.limits.acceleration, command)
+    return None if ratio is None else min(1.0, max(0.0, ratio))
+
+
+def _reset_limits(modal: Modal, command: Command) -> Effect:
+    modal.reset_limits()
+    return LIMITS
+
+
+def _volumetric(modal: Modal, command: Command) -> Effect:
+    """M200 D0 keeps E in mm; any other diameter makes it mm³."""
+    return _refuse(modal, command) if command.numbers().get("D") else PASS
+
+
+_PASSING = """
+    G40 G49 G54 G80 G94 M20 M21 M27 M31 M42 M73 M75 M76 M77 M78 M85 M92 M104 M105 M106 M107 M108 M110 M111 M112
+    M113 M114 M115 M117 M118 M119 M140 M141 M150 M155 M163 M207 M208 M209 M211 M218 M300 M301 M302 M304 M413
+    M486 M503 M550 M555 M562 M568 M572 M603 M851 M862.1 M862.2 M862.3 M862.4 M862.5 M862.6 M900 M907
+    ACTION_NOTIFICATION DISPLAY_STATUS RESPOND SAVE_VARIABLE SET_DISPLAY_GROUP SET_DISPLAY_TEXT SET_FAN_SPEED
+    SET_FILAMENT_SENSOR SET_GCODE_VARIABLE SET_HEATER_TEMPERATURE SET_IDLE_TIMEOUT SET_LED SET_LED_TEMPLATE SET_PIN
+    SET_PRESSURE_ADVANCE SET_PRINT_STATS_INFO SET_RETRACTION SET_TEMPERATURE_FAN_TARGET TURN_OFF_HEATERS
+    UPDATE_DELAYED_GCODE
+""".split()
+_RESTING = """
+    G11 M0 M1 M3 M4 M5 M17 M25 M80 M109 M116 M190 M191 M226 M280 M303 M400 M420 M575 M593 M600 M601 M602
+    PAUSE RESUME MANUAL_STEPPER SET_INPUT_SHAPER SYNC_EXTRUDER_MOTION TEMPERATURE_WAIT
+""".split()
+_MOVING_AWAY = """
+    G12 G27 G29 G30 G31 G32 G33 G34 G38.2 G38.3 G38.4 G38.5 M2 M18 M30 M48 M81 M84 M98 M125 M206 M401 M402 M428
+    M524 M665 M666 M701 M702 ACTIVATE_EXTRUDER SET_KINEMATIC_POSITION
+    BED_MESH_CALIBRATE BED_MESH_CLEAR BED_MESH_OFFSET BED_MESH_PROFILE CANCEL_PRINT CLEAN_NOZZLE DELTA_CALIBRATE
+    END_PRINT PRINT_END PRINT_START PROBE QUAD_GANTRY_LEVEL START_PRINT TIMELAPSE_TAKE_FRAME Z_TILT_ADJUST
+""".split()
+_REFUSED = "G53 G55 G56 G57 G58 G59 G59.1 G59.2 G59.3 IF ELIF ELSE WHILE BREAK CONTINUE VAR GLOBAL ABORT".split()
+
+EFFECTS: dict[str, Handler] = {
+    **dict.fromkeys(_PASSING, _pass),
+    **dict.fromkeys(_RESTING, _rest),
+    **dict.fromkeys(_MOVING_AWAY, _move_away),
+    **dict.fromkeys(_REFUSED, _refuse),
+    "G4": _dwell,
+    "G10": _retraction_or_tool_setting,
+    **dict.fromkeys(("G17", "G18", "G19"), _plane),
+    "G20": _inches,
+    "G21": _millimetres,
+    "G28": _home,
+    "G90": _absolute,
+    "G91": _relative,
+    "G92": _rename,
+    "M82": _absolute_e,
+    "M83": _relative_e,
+    "M200": _volumetric,
+    "M201": _axis_acceleration,
+    "M203": _axis_velocity,
+    "M204": _acceleration,
+    "M205": _jerk,
+    "M220": _feed_factor,
+    "M221": _flow,
+    "M566": _jerk_per_minute,
+    "RESET_VELOCITY_LIMIT": _reset_limits,
+    "RESTORE_GCODE_STATE": _restore_state,
+    "SAVE_GCODE_STATE": _save_state,
+    "SET_GCODE_OFFSET": _gcode_offset,
+    "SET_VELOCITY_LIMIT": _velocity_limit,
+}

