@@ -22,12 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from ffcomp.invert.kernels import basis_response, interpolate, simulate
+from ffcomp.invert.kernels import basis_response
 from ffcomp.invert.limits import CommandLimits, excess, limited_step
 from ffcomp.played import OutputLimits, played, sample_segments
+from ffcomp.schedule import interpolate, models_along, respond, rest_state, simulate
 from models.kinematics.delta import forward, inverse, jacobian_rate_term
 from models.machine import Machine
-from models.plant import STATES, PlantTable, Q, W, plant_table
+from models.plant import plant_table
 
 FloatArray = NDArray[np.float64]
 
@@ -40,10 +41,10 @@ class Settings:
     rows_per_segment: int = 2  # where the error is weighed
     substeps: int = 8  # of the simulation, per segment
     commit: int = 64  # segments kept of each window
-    preview: int = 32  # segments looked ahead, thrown away
-    bandwidth_hz: float = 110.0  # where accuracy is given up for a gentler command
+    preview: int = 24  # segments looked ahead, thrown away
+    bandwidth_hz: float = 100.0  # where accuracy is given up for a gentler command
     lead_s: float = 0.008  # how long before the path's start the command may begin
-    tail_s: float = 0.024  # how long after the path's end the command comes to rest
+    tail_s: float = 0.004  # how long after the path's end the command comes to rest
     corrections: int = 1  # passes through the plant with the segments as they are played
     output: OutputLimits = field(default_factory=OutputLimits)
 
@@ -83,12 +84,7 @@ class Inverter:
 
     def rest_state(self, nozzle: FloatArray) -> FloatArray:
         """The state at rest with the nozzle at (3,) mm."""
-        q = inverse(self.machine.kinematics, nozzle[None])[0]
-        state = np.zeros(STATES)
-        drive = self.machine.carriage.drive
-        state[W] = q / drive.d0_per_s2 if drive else 0.0
-        state[Q] = q
-        return state
+        return rest_state(self.machine, nozzle)
 
     def hold(self, state: FloatArray, nozzle: FloatArray, duration_s: float) -> FloatArray:
         """The state after the command has rested at (3,) mm for a while: what still rings, rings on."""
@@ -96,7 +92,7 @@ class Inverter:
         intervals = round(duration_s / s.segment_s)
         if intervals <= 0:
             return state
-        models = _models(self.coarse, np.repeat(nozzle[None, :2], intervals, axis=0))
+        models = models_along(self.coarse, np.repeat(nozzle[None, :2], intervals, axis=0))
         command = np.repeat(
             inverse(self.machine.kinematics, nozzle[None]), intervals * s.rows_per_segment + 1, axis=0
         )
@@ -105,10 +101,8 @@ class Inverter:
 
     def uncompensated(self, reference: Reference) -> FloatArray:
         """Where the nozzle would go if the path itself were commanded: (n·substeps, 3) mm after every substep."""
-        run = _Run(self, reference, self.rest_state(reference.nozzle[0]))
-        models = _models(self.fine, run.place)
-        q, _ = simulate(*models, self.settings.substeps, run.state, run.wanted, run.centripetal, 1)
-        return forward(self.machine.kinematics, q)
+        state = self.rest_state(reference.nozzle[0])
+        return respond(self.machine, self.fine, reference.nozzle, reference.velocity, state, self.settings.substeps)[0]
 
     def run(self, reference: Reference, state: FloatArray) -> RunResult:
         """Solve one run window by window."""
@@ -195,7 +189,7 @@ class _Window:
     def solve(self) -> tuple[FloatArray, FloatArray]:
         """Set the run's γ for this window; returns the committed response (mm) and the state at its end."""
         run, s = self.run, self.run.inverter.settings
-        models = _models(run.inverter.fine, self.place)
+        models = models_along(run.inverter.fine, self.place)
         response, states = self.simulate(models, self.straight())
         if self.unknowns > 0:
             system = self.system()
@@ -210,7 +204,7 @@ class _Window:
     def system(self) -> _System:
         run, s = self.run, self.run.inverter.settings
         table = run.inverter.coarse
-        a, b0, b1, _ = _models(table, self.place)
+        a, b0, b1, _ = models_along(table, self.place)
         j = interpolate(table.jacobian, table.x0_mm, table.pitch_mm, table.nodes, self.place)
         phi = basis_response(a, b0, b1, j, self.unknowns, s.rows_per_segment)
         hessian = phi.T @ phi + run.inverter.effort * _second_differences(self.unknowns)
@@ -277,17 +271,6 @@ class _Window:
         centripetal = run.centripetal[self.at * s : self.end * s + 1]
         q, states = simulate(*models, s, run.state, command, centripetal, 1)
         return forward(run.inverter.machine.kinematics, q), states
-
-
-def _models(table: PlantTable, place: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A, B₀, B₁, B_f along the path."""
-    p, grid = table.plant, (table.x0_mm, table.pitch_mm, table.nodes, place)
-    return (
-        interpolate(p.a, *grid),
-        interpolate(p.b0, *grid),
-        interpolate(p.b1, *grid),
-        interpolate(p.b_centripetal, *grid),
-    )
 
 
 def _second_differences(unknowns: int) -> FloatArray:

@@ -33,8 +33,8 @@ class DeltaReach(NamedTuple):
         """Distance from the centre where a carriage can be asked for `ratio` times the nozzle's speed, mm.
 
         A carriage stands sqrt(L² - rho²) above the lower joint of an arm that leans out by rho. The chord of
-        slope `ratio` over one step in rho has its centre at ratio sqrt(L²/(ratio² + 1) - half²), its far end half
-        a step further.
+        slope `ratio` over one step in rho has its centre at ratio sqrt(L²/(ratio² + 1) - half²), its far end
+        half a step further.
         """
         lean = ratio * math.sqrt(self.arm_length_mm**2 / (ratio**2 + 1.0) - self.half_step_mm**2)
         return lean + self.half_step_mm - self.radius_mm

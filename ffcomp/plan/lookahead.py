@@ -212,7 +212,7 @@ def _ceilings(start: FloatArray, smooth: FloatArray, smooth_gain: FloatArray, ca
     """Highest v² on each move, (n,): the top of the smooth profile's hill that the move belongs to.
 
     Backwards: moves that brake all along wait (`braking` counts them) until the top before them is known. They
-    may not rise above any junction since that top. Moves that speed up all along take the top that follows.
+    rise above no junction since then. Moves that speed up all along take the top that follows.
     """
     n = len(cap)
     ceiling = np.empty(n)

@@ -20,8 +20,8 @@ class Trajectory:
     """n planned moves in time order. mm, s, mm/s, mm/s².
 
     Between two moves there may be a gap (a dwell, a wait): the nozzle rests there at the end of the earlier
-    move. Before the first move it rests at its origin, after the last one at its end. Speed and acceleration at
-    an instant are those just after it.
+    move. Before the first move it rests at its origin, after the last one at its end. Speed and acceleration
+    at an instant are those just after it.
     """
 
     start_t: FloatArray  # (n,) s, when the move begins
@@ -67,7 +67,15 @@ class Trajectory:
     def _sample(self, t: ArrayLike, derivative: int) -> FloatArray:
         if not len(self):
             raise ValueError("A trajectory without moves has no place at any time; plan at least one move.")
-        phases = (self.accel_t, self.cruise_t, self.decel_t, self.start_v, self.cruise_v, self.acceleration)
+        phases = (
+            self.accel_t,
+            self.cruise_t,
+            self.decel_t,
+            self.start_v,
+            self.cruise_v,
+            self.end_v,
+            self.acceleration,
+        )
         times = np.ascontiguousarray(t, dtype=np.float64)
         return _sample(times, derivative, self.start_t, phases, self.origin, self.direction)
 
@@ -83,27 +91,30 @@ def _move_near(start_t: FloatArray, t: float, i: int) -> int:
 
 
 @njit(cache=True)
-def _distance(t1: float, t2: float, t3: float, start_v: float, cruise_v: float, acceleration: float) -> float:
-    """Path covered after the times t1, t2, t3 spent speeding up, cruising and braking, mm."""
-    rise = (start_v + 0.5 * acceleration * t1) * t1
-    return rise + cruise_v * (t2 + t3) - 0.5 * acceleration * t3 * t3
-
-
-@njit(cache=True)
-def _along(derivative: int, since: float, i: int, phases: tuple[FloatArray, ...]) -> float:
-    """Distance, speed or acceleration along move i at the time `since` its beginning."""
-    accel_t, cruise_t, decel_t, start_v, cruise_v, acceleration = phases
-    t1 = min(max(since, 0.0), accel_t[i])
-    t2 = min(max(since - accel_t[i], 0.0), cruise_t[i])
-    left = since - accel_t[i] - cruise_t[i]
-    t3 = min(max(left, 0.0), decel_t[i])
+def _along(
+    derivative: int,
+    since: float,
+    accel_t: float,
+    cruise_t: float,
+    decel_t: float,
+    start_v: float,
+    cruise_v: float,
+    end_v: float,
+    acceleration: float,
+) -> float:
+    """Distance, speed or acceleration along a move at the time `since` its beginning."""
+    t1 = min(max(since, 0.0), accel_t)
+    t2 = min(max(since - accel_t, 0.0), cruise_t)
+    t3 = min(max(since - accel_t - cruise_t, 0.0), decel_t)
     if derivative == _POSITION:
-        return _distance(t1, t2, t3, start_v[i], cruise_v[i], acceleration[i])
-    if since < 0.0 or left >= decel_t[i]:
-        return 0.0
+        rise = (start_v + 0.5 * acceleration * t1) * t1
+        return rise + cruise_v * (t2 + t3) - 0.5 * acceleration * t3 * t3
+    over = since >= accel_t + cruise_t + decel_t
     if derivative == _VELOCITY:
-        return cruise_v[i] - acceleration[i] * (t3 if left > 0.0 else accel_t[i] - t1)
-    return acceleration[i] * ((1.0 if since < accel_t[i] else 0.0) - (1.0 if left >= 0.0 else 0.0))
+        return end_v if over else start_v + acceleration * (t1 - t3)
+    if over or since < 0.0 or (since >= accel_t and since < accel_t + cruise_t):
+        return 0.0
+    return acceleration if since < accel_t else -acceleration
 
 
 @njit(cache=True)
@@ -115,11 +126,14 @@ def _sample(
     origin: FloatArray,
     direction: FloatArray,
 ) -> FloatArray:
+    # NOTE: single numbers are handed to `_along`: arrays would be reference-counted at every sample.
+    accel_t, cruise_t, decel_t, start_v, cruise_v, end_v, acceleration = phases
     out = np.empty((len(t), 4))
     i = 0
     for k in range(len(t)):
         i = _move_near(start_t, t[k], i)
-        along = _along(derivative, t[k] - start_t[i], i, phases)
+        phase = (accel_t[i], cruise_t[i], decel_t[i], start_v[i], cruise_v[i], end_v[i], acceleration[i])
+        along = _along(derivative, t[k] - start_t[i], *phase)
         for c in range(4):
             out[k, c] = direction[i, c] * along
             if derivative == _POSITION:
