@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
@@ -42,7 +43,7 @@ class Job:
         settings: Settings | None = None,
     ) -> None:
         self.started = time.perf_counter()
-        self.path, self.machine = path, machine
+        self.path, self.machine, self.offset = path, machine, offset
         self.program = read_program(data, path, offset_mm=offset)
         self.flavor = flavor or detect_flavor(self.program.lines)
         if self.flavor not in FLAVORS:
@@ -69,7 +70,7 @@ class Job:
         """The compensated file, stamped in head and tail."""
         stamp = stamp_line(__version__, self.machine.name, self.machine.sha256, self.flavor)
         body = compensate(self.planned, self.machine, self.inverter, self.flavor, self.summary, progress)
-        return _stamped(body, stamp)
+        return _stamped(body, stamp, offset_line(self.offset))
 
     def result(self) -> dict[str, Any]:
         """The JSON object of `compensate`."""
@@ -93,13 +94,26 @@ class Job:
         }
 
 
-def _stamped(lines: Iterator[bytes], stamp: bytes) -> Iterator[bytes]:
+def offset_line(offset: tuple[float, float]) -> bytes:
+    """Says what was added to every position, so that the original can be laid over the result; empty for nothing."""
+    return b"; ffcomp offset_mm=%.6g,%.6g\n" % offset if any(offset) else b""
+
+
+def find_offset(head: bytes) -> tuple[float, float]:
+    """The offset that `offset_line` wrote; zero if it wrote none."""
+    found = re.search(rb"^; ffcomp offset_mm=([-+.\de]+),([-+.\de]+)", head, re.MULTILINE)
+    return (float(found[1]), float(found[2])) if found else (0.0, 0.0)
+
+
+def _stamped(lines: Iterator[bytes], stamp: bytes, offset: bytes) -> Iterator[bytes]:
     """The stamp after the first line (slicers are known by it), and before the last (which may lack its newline)."""
     first = next(lines, b"")
     yield first if first.endswith(b"\n") else first + b"\n"
     ending = b"\r\n" if first.endswith(b"\r\n") else b"\n"
     stamp = stamp.rstrip(b"\n") + ending
     yield stamp
+    if offset:
+        yield offset.rstrip(b"\n") + ending
     last = None
     for line in lines:
         if last is not None:

@@ -42,6 +42,7 @@ class Writer:
     def __init__(self, program: Program, flavor: str, own: MotionLimits, output: OutputLimits) -> None:
         self.program, self.flavor, self.own, self.output = program, flavor, own, output
         self.moves = MoveWriter()
+        self.at: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)  # mm, X Y Z E, where the file has the toolhead
         self.frame = 0
         self.open = False
         self.in_force = MotionLimits()
@@ -78,7 +79,7 @@ class Writer:
         yield from self._original(int(moves.line[move]))
         yield from self._begin(move)
         x, y, z, e = moves.end[move]
-        yield self._finish(self.moves.move(x, y, z, e, 60 * moves.speed[move]))
+        yield self._finish(self._to(x, y, z, e, float(moves.speed[move])))
 
     # -- a run
 
@@ -95,15 +96,15 @@ class Writer:
         frame = self.program.frames[int(self.program.moves.frame[first])]
         yield from self._begin(first)
         vertices = _rounded(vertices, frame)
-        feeds = 60 * played(vertices, np.diff(e), segment_s, self.output).cruise
+        speeds = played(vertices, np.diff(e), segment_s, self.output).cruise
         waiting, rest, begun = iter(marks), 0, False
         mark = next(waiting, None)
         points = vertices.tolist()
-        for k, (feed, filament) in enumerate(zip(feeds.tolist(), e[1:].tolist(), strict=True)):
+        for k, (speed, filament) in enumerate(zip(speeds.tolist(), e[1:].tolist(), strict=True)):
             while mark is not None and mark.knot <= k:
                 yield from self._mark(mark)
                 mark = next(waiting, None)
-            line = self.moves.move(*points[k + 1], filament, feed)
+            line = self._to(*points[k + 1], filament, speed)
             if not line:
                 rest += 1
                 continue
@@ -129,8 +130,8 @@ class Writer:
             self.open = True
             yield from self._limits(self._opening())
             self.frame = int(moves.frame[move])
-            x, y, z, e = moves.start[move]
-            self.moves.reset(self.program.frames[self.frame], (x, y, z), e)
+            self.at = tuple(moves.start[move].tolist())
+            self._tell_frame()
         self._take_frame(int(moves.frame[move]))
 
     def _mark(self, mark: Mark) -> Iterator[bytes]:
@@ -147,7 +148,14 @@ class Writer:
         if frame != self.frame:
             self.frame = frame
             if self.open:
-                self.moves.take(self.program.frames[frame])
+                self._tell_frame()
+
+    def _tell_frame(self) -> None:
+        self.moves.reset(self.program.frames[self.frame], self.at[:3], self.at[3])
+
+    def _to(self, x: float, y: float, z: float, e: float, speed: float) -> bytes:
+        self.at = (x, y, z, e)
+        return self.moves.move(x, y, z, e, speed)
 
     def _opening(self) -> list[bytes]:
         o = self.output
@@ -185,7 +193,7 @@ def original_lines(lines: Iterable[bytes]) -> Iterator[bytes]:
             inside = not line.startswith(b"G1 F")
         elif line.startswith(WAS):
             yield line[len(WAS) :]
-        elif line.startswith(b"; Processed by ffcomp") or (inside and line.startswith(b"G1 ")):
+        elif line.startswith((b"; Processed by ffcomp", b"; ffcomp offset_mm=")) or (inside and line.startswith(b"G1 ")):
             continue
         else:
             yield line

@@ -1,7 +1,7 @@
 """G2 and G3 as chords: circles in a plane, helical along its normal, given by centre (I J K) or radius (R).
 
-A chord over the angle φ of a circle of radius r leaves it by the sagitta s = r (1 − cos φ/2), so the largest angle
-for a tolerance is φ = 2 arccos(1 − s/r).
+A chord over the angle φ of a circle of radius r leaves it by the sagitta s = r (1 − cos φ/2), so the largest
+angle for a tolerance is φ = 2 arccos(1 − s/r).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _OFF_CIRCLE_MM, _OFF_CIRCLE_SHARE, _ROUNDING_MM = 0.5, 0.01, 0.02
 
 @dataclass(frozen=True, slots=True)
 class Arc:
-    """A circular arc in the plane of two axes; it ends on `end` exactly, by a spiral where radii differ a little."""
+    """An arc in the plane of two axes; it ends on `end` exactly, by a spiral where radii differ a little."""
 
     start: Point2  # mm
     end: Point2  # mm
@@ -56,7 +56,8 @@ class Arc:
         -------
         points : (n, 3), columns first axis mm, second axis mm, share of the way (0, 1]
         """
-        share = np.arange(1, self._chord_count(tolerance, longest) + 1) / self._chord_count(tolerance, longest)
+        count = self._chord_count(tolerance, longest)
+        share = np.arange(1, count + 1) / count
         first, last = self.radii
         angle = self._angle(self.start) + self.sweep * share
         radius = first + (last - first) * share
@@ -72,25 +73,31 @@ class Arc:
         return max(1, ceil(sweep / min(angle, _COARSEST_ANGLE) - 1e-9), ceil(sweep * radius / longest - 1e-9))
 
 
-def arc_by_centre(start: Point2, end: Point2, offset: Point2, clockwise: bool, line: int | None = None) -> Arc:
+def arc_by_centre(
+    start: Point2, end: Point2, offset: Point2, clockwise: bool, line: int | None = None
+) -> Arc:
     """The arc whose centre lies `offset` (I, J) from the start."""
     arc = Arc(start, end, (start[0] + offset[0], start[1] + offset[1]), clockwise)
     first, last = arc.radii
     if first < _SAME_POINT_MM:
-        raise GcodeError("The arc's centre is its start (I, J and K are zero); a radius must be positive.", line)
+        raise GcodeError("The arc's centre is its start (I, J, K are zero); a radius must be positive.", line)
     if abs(last - first) > _allowance(first):
         where = f"the arc starts {first:.3f} mm from its centre and ends {last:.3f} mm from it"
-        raise GcodeError(f"{where}; the two may differ by {_allowance(first):.3f} mm at most.".capitalize(), line)
+        raise GcodeError(
+            f"{where}; the two may differ by {_allowance(first):.3f} mm at most.".capitalize(), line
+        )
     return arc
 
 
 def arc_by_radius(start: Point2, end: Point2, radius: float, clockwise: bool, line: int | None = None) -> Arc:
-    """The arc of the given radius: the shorter of the two, the longer when R is negative (NIST RS274/NGC 3.5.3)."""
+    """The arc of this radius: the shorter of two, the longer when R is negative (NIST RS274/NGC 3.5.3)."""
     chord = _distance(start, end)
     if chord < _SAME_POINT_MM:
         raise GcodeError("An arc given by R ends where it starts; a full circle needs I and J.", line)
     if chord / 2 > abs(radius) + _allowance(abs(radius)):
-        raise GcodeError(f"R{radius:g} cannot span {chord:.3f} mm; a radius is half the chord at least.", line)
+        raise GcodeError(
+            f"R{radius:g} cannot span {chord:.3f} mm; a radius is at least half the chord.", line
+        )
     # The centre stands on the chord's bisector, to the left of the way for a short counter-clockwise arc.
     height = copysign(sqrt(max(0.0, radius * radius - chord * chord / 4)), radius) * (-1 if clockwise else 1)
     along = ((end[0] - start[0]) / chord, (end[1] - start[1]) / chord)
@@ -99,7 +106,7 @@ def arc_by_radius(start: Point2, end: Point2, radius: float, clockwise: bool, li
 
 
 def _allowance(radius: float) -> float:
-    """How far an end may lie off the circle: rounding always, 1 % of the radius, never above half a millimetre."""
+    """How far an end may lie off the circle: rounding always, 1 % of the radius, never above 0.5 mm."""
     return min(_OFF_CIRCLE_MM, max(_ROUNDING_MM, _OFF_CIRCLE_SHARE * radius))
 
 

@@ -1,11 +1,13 @@
 """What each command that is not a move does: to the modal state, and to the motion around it.
 
-Read it from the bottom: `EFFECTS` is the table, name → function. A function changes the state it is given and says
-whether the motion may go on through it (PASS), must rest (STOP, DWELL), and whether the place afterwards is known.
+Read it from the bottom: `EFFECTS` is the table, name → function. A function changes the state it gets and
+says whether the motion may go on through the command (PASS) or must rest (STOP, DWELL); a command after which
+nobody knows the place makes the state forget it.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from math import isnan
 from typing import NamedTuple
@@ -25,6 +27,9 @@ class Effect(NamedTuple):
 
 Handler = Callable[[Modal, Command], Effect]
 
+_TOOL_NAME = re.compile(r"T(-?\d+|\?)")
+_M_CODE = re.compile(r"M\d+(\.\d+)?")
+
 PASS = Effect(EventKind.PASS)
 STOP = Effect(EventKind.STOP)
 LIMITS = Effect(EventKind.PASS, touches_limits=True)
@@ -34,7 +39,7 @@ def apply(modal: Modal, command: Command) -> Effect:
     """The effect of one command; unknown ones stop the motion, for they may move the machine."""
     if handler := EFFECTS.get(command.name):
         return handler(modal, command)
-    if command.name.startswith("T") and not command.name[1:2].isalpha():
+    if _TOOL_NAME.fullmatch(command.name):
         return _tool(modal, command)
     if command.name.startswith("EXCLUDE_OBJECT"):
         return PASS
@@ -62,11 +67,11 @@ def _home(modal: Modal, command: Command) -> Effect:
 
 
 def _unknown(modal: Modal, command: Command) -> Effect:
-    if command.name.startswith("M") and command.name[1:2].isdigit():
-        return Effect(EventKind.STOP, warning=f"{command.name} is not known; the motion rests while it runs.")
+    if _M_CODE.fullmatch(command.name):
+        return Effect(EventKind.STOP, warning=f"{command.name} is not known; the motion rests while it runs")
     modal.forget()
     rule = "the motion rests, and nothing is compensated until the file names a place again"
-    return Effect(EventKind.STOP, warning=f"{command.name} is not known and may move the machine; {rule}.")
+    return Effect(EventKind.STOP, warning=f"{command.name} is not known and may move the machine; {rule}")
 
 
 def _refuse(modal: Modal, command: Command) -> Effect:
@@ -96,7 +101,7 @@ def _retraction_or_tool_setting(modal: Modal, command: Command) -> Effect:
     return PASS if command.letters() & set("PSRL") else STOP
 
 
-# -- modes -----------------------------------------------------------------------------------------------------
+# -- modes --
 
 
 def _inches(modal: Modal, command: Command) -> Effect:
@@ -130,7 +135,7 @@ def _relative_e(modal: Modal, command: Command) -> Effect:
 
 
 def _plane(modal: Modal, command: Command) -> Effect:
-    """G18's first axis is Z by NIST RS274/NGC (so do Marlin and RepRapFirmware), X in Klipper: a mirrored arc."""
+    """G18's first axis is Z by NIST RS274/NGC, Marlin and RepRapFirmware, X in Klipper: a mirrored arc."""
     middle = "XZ" if modal.flavor == "klipper" else "ZX"
     modal.plane = {"G17": "XY", "G18": middle, "G19": "YZ"}[command.name]
     return PASS
@@ -143,14 +148,16 @@ def _rename(modal: Modal, command: Command) -> Effect:
         return PASS
     if any(isnan(number) for number in modal.base):
         rule = "moves pass through uncompensated until the machine homes"
-        return Effect(EventKind.STOP, warning=f"{command.name} names a place that is not known; {rule}.")
+        return Effect(EventKind.STOP, warning=f"{command.name} names a place that is not known; {rule}")
     return STOP
 
 
 def _percent(command: Command) -> float | None:
     share = command.numbers().get("S")
     if share is not None and share <= 0:
-        raise GcodeError(f"{command.name} S{share:g} is no factor; a percentage must be above zero.", command.line)
+        raise GcodeError(
+            f"{command.name} S{share:g} is no factor; a percentage must be above zero.", command.line
+        )
     return None if share is None else share / 100
 
 
@@ -167,17 +174,17 @@ def _flow(modal: Modal, command: Command) -> Effect:
 
 
 def _gcode_offset(modal: Modal, command: Command) -> Effect:
+    fields = command.field_numbers()
     for axis, letter in enumerate(AXES):
-        to, by = command.field_number(letter), command.field_number(f"{letter}_ADJUST")
-        if to is not None:
-            modal.offset_axis(axis, to)
-        elif by is not None:
-            modal.offset_axis(axis, modal.homing[axis] + by)
+        if letter in fields:
+            modal.offset_axis(axis, fields[letter])
+        elif f"{letter}_ADJUST" in fields:
+            modal.offset_axis(axis, modal.homing[axis] + fields[f"{letter}_ADJUST"])
     return _moving(modal, command)
 
 
 def _moving(modal: Modal, command: Command) -> Effect:
-    if command.field_number("MOVE"):
+    if command.fields().get("MOVE", "0") != "0":
         modal.forget()
     return STOP
 
@@ -191,12 +198,14 @@ def _restore_state(modal: Modal, command: Command) -> Effect:
     name = command.fields().get("NAME", "default")
     if name not in modal.saved:
         rule = "SAVE_GCODE_STATE must come first"
-        raise GcodeError(f"RESTORE_GCODE_STATE names the state {name!r}, which was never saved; {rule}.", command.line)
+        raise GcodeError(
+            f"RESTORE_GCODE_STATE names the state {name!r}, which was never saved; {rule}.", command.line
+        )
     modal.restore(modal.saved[name])
     return _moving(modal, command)
 
 
-# -- limits ----------------------------------------------------------------------------------------------------
+# -- limits --
 
 
 def _acceleration(modal: Modal, command: Command) -> Effect:
@@ -211,7 +220,9 @@ def _acceleration(modal: Modal, command: Command) -> Effect:
 
 def _positive(value: float, command: Command) -> float:
     if value <= 0:
-        raise GcodeError(f"{command.name} sets a limit of {value:g}; limits must be above zero.", command.line)
+        raise GcodeError(
+            f"{command.name} sets a limit of {value:g}; limits must be above zero.", command.line
+        )
     return value
 
 
@@ -260,19 +271,23 @@ def _jerk_per_minute(modal: Modal, command: Command) -> Effect:
 
 
 def _velocity_limit(modal: Modal, command: Command) -> Effect:
-    names = {"VELOCITY": "velocity", "ACCEL": "acceleration", "SQUARE_CORNER_VELOCITY": "square_corner_velocity"}
-    asked = {name: command.field_number(key) for key, name in names.items()}
-    modal.set_limits(**{name: _positive(value, command) for name, value in asked.items() if value is not None})
-    if (ratio := _cruise_ratio(modal, command)) is not None:
-        modal.set_limits(minimum_cruise_ratio=ratio)
+    fields = command.field_numbers()
+    for key in fields.keys() & _LIMIT_FIELDS.keys():
+        _positive(fields[key], command)
+    modal.set_limits(**{name: fields[key] for key, name in _LIMIT_FIELDS.items() if key in fields})
+    ratio = fields.get("MINIMUM_CRUISE_RATIO")
+    if ratio is None and "ACCEL_TO_DECEL" in fields:
+        ratio = 1 - _positive(fields["ACCEL_TO_DECEL"], command) / modal.limits.acceleration
+    if ratio is not None and not isnan(ratio):
+        modal.set_limits(minimum_cruise_ratio=min(1.0, max(0.0, ratio)))
     return LIMITS
 
 
-def _cruise_ratio(modal: Modal, command: Command) -> float | None:
-    ratio, to_decel = command.field_number("MINIMUM_CRUISE_RATIO"), command.field_number("ACCEL_TO_DECEL")
-    if ratio is None and to_decel is not None and not isnan(modal.limits.acceleration):
-        ratio = 1 - to_decel / _positive(modal.limits.acceleration, command)
-    return None if ratio is None else min(1.0, max(0.0, ratio))
+_LIMIT_FIELDS = {
+    "VELOCITY": "velocity",
+    "ACCEL": "acceleration",
+    "SQUARE_CORNER_VELOCITY": "square_corner_velocity",
+}
 
 
 def _reset_limits(modal: Modal, command: Command) -> Effect:
@@ -285,26 +300,34 @@ def _volumetric(modal: Modal, command: Command) -> Effect:
     return _refuse(modal, command) if command.numbers().get("D") else PASS
 
 
-_PASSING = """
-    G40 G49 G54 G80 G94 M20 M21 M27 M31 M42 M73 M75 M76 M77 M78 M85 M92 M104 M105 M106 M107 M108 M110 M111 M112
-    M113 M114 M115 M117 M118 M119 M140 M141 M150 M155 M163 M207 M208 M209 M211 M218 M300 M301 M302 M304 M413
-    M486 M503 M550 M555 M562 M568 M572 M603 M851 M862.1 M862.2 M862.3 M862.4 M862.5 M862.6 M900 M907
-    ACTION_NOTIFICATION DISPLAY_STATUS RESPOND SAVE_VARIABLE SET_DISPLAY_GROUP SET_DISPLAY_TEXT SET_FAN_SPEED
-    SET_FILAMENT_SENSOR SET_GCODE_VARIABLE SET_HEATER_TEMPERATURE SET_IDLE_TIMEOUT SET_LED SET_LED_TEMPLATE SET_PIN
-    SET_PRESSURE_ADVANCE SET_PRINT_STATS_INFO SET_RETRACTION SET_TEMPERATURE_FAN_TARGET TURN_OFF_HEATERS
+def _names(text: str) -> list[str]:
+    return text.split()
+
+
+_PASSING = _names("""
+    G40 G49 G54 G80 G94 M20 M21 M27 M31 M42 M73 M75 M76 M77 M78 M85 M92 M104 M105 M106 M107 M108
+    M110 M111 M112 M113 M114 M115 M117 M118 M119 M140 M141 M150 M155 M163 M207 M208 M209 M211 M218
+    M300 M301 M302 M304 M413 M486 M503 M550 M555 M562 M568 M572 M603 M851 M862.1 M862.2 M862.3
+    M862.4 M862.5 M862.6 M900 M907 ACTION_NOTIFICATION DISPLAY_STATUS RESPOND SAVE_VARIABLE
+    SET_DISPLAY_GROUP SET_DISPLAY_TEXT SET_FAN_SPEED SET_FILAMENT_SENSOR SET_GCODE_VARIABLE
+    SET_HEATER_TEMPERATURE SET_IDLE_TIMEOUT SET_LED SET_LED_TEMPLATE SET_PIN SET_PRESSURE_ADVANCE
+    SET_PRINT_STATS_INFO SET_RETRACTION SET_TEMPERATURE_FAN_TARGET TURN_OFF_HEATERS
     UPDATE_DELAYED_GCODE
-""".split()
-_RESTING = """
-    G11 M0 M1 M3 M4 M5 M17 M25 M80 M109 M116 M190 M191 M226 M280 M303 M400 M420 M575 M593 M600 M601 M602
-    PAUSE RESUME MANUAL_STEPPER SET_INPUT_SHAPER SYNC_EXTRUDER_MOTION TEMPERATURE_WAIT
-""".split()
-_MOVING_AWAY = """
-    G12 G27 G29 G30 G31 G32 G33 G34 G38.2 G38.3 G38.4 G38.5 M2 M18 M30 M48 M81 M84 M98 M125 M206 M401 M402 M428
-    M524 M665 M666 M701 M702 ACTIVATE_EXTRUDER SET_KINEMATIC_POSITION
-    BED_MESH_CALIBRATE BED_MESH_CLEAR BED_MESH_OFFSET BED_MESH_PROFILE CANCEL_PRINT CLEAN_NOZZLE DELTA_CALIBRATE
-    END_PRINT PRINT_END PRINT_START PROBE QUAD_GANTRY_LEVEL START_PRINT TIMELAPSE_TAKE_FRAME Z_TILT_ADJUST
-""".split()
-_REFUSED = "G53 G55 G56 G57 G58 G59 G59.1 G59.2 G59.3 IF ELIF ELSE WHILE BREAK CONTINUE VAR GLOBAL ABORT".split()
+""")
+_RESTING = _names("""
+    G11 M0 M1 M3 M4 M5 M17 M25 M80 M109 M116 M190 M191 M226 M280 M303 M400 M420 M575 M593 M600 M601
+    M602 PAUSE RESUME MANUAL_STEPPER SET_INPUT_SHAPER SYNC_EXTRUDER_MOTION TEMPERATURE_WAIT
+""")
+_MOVING_AWAY = _names("""
+    G12 G27 G29 G30 G31 G32 G33 G34 G38.2 G38.3 G38.4 G38.5 M2 M18 M30 M48 M81 M84 M98 M125 M206
+    M401 M402 M428 M524 M665 M666 M701 M702 ACTIVATE_EXTRUDER SET_KINEMATIC_POSITION
+    BED_MESH_CALIBRATE BED_MESH_CLEAR BED_MESH_OFFSET BED_MESH_PROFILE CANCEL_PRINT CLEAN_NOZZLE
+    DELTA_CALIBRATE END_PRINT PRINT_END PRINT_START PROBE QUAD_GANTRY_LEVEL START_PRINT
+    TIMELAPSE_TAKE_FRAME Z_TILT_ADJUST
+""")
+_REFUSED = _names("""
+    G53 G55 G56 G57 G58 G59 G59.1 G59.2 G59.3 IF ELIF ELSE WHILE BREAK CONTINUE VAR GLOBAL ABORT
+""")
 
 EFFECTS: dict[str, Handler] = {
     **dict.fromkeys(_PASSING, _pass),

@@ -1,4 +1,4 @@
-"""Files on disk: what is inside them by their first bytes, and replacing one so that it is never half written."""
+"""Files on disk: what their first bytes say they are, and replacing one so that it is never half written."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from gcode.errors import GcodeError, UnsupportedGcode
 
 _FOREIGN = {
-    b"GCDE": "binary G-code (.bgcode); export plain text: switch 'Supports binary G-code' off in the printer settings",
+    b"GCDE": "binary G-code; switch 'Supports binary G-code' off in the slicer's printer settings",
     b"PK\x03\x04": "a zip archive (.3mf, .ufp); export plain G-code instead",
     b"\x1f\x8b": "compressed by gzip; unpack it first",
 }
@@ -31,7 +31,7 @@ def read_bytes(path: str | Path) -> bytes:
 def replace_atomically(path: str | Path, data: Iterable[bytes]) -> None:
     """Write `data` in place of the file, which holds the old or the new content at every moment.
 
-    A symbolic link stays one (the file behind it is replaced), permission bits stay, and a failure leaves nothing.
+    A symbolic link stays one (the file behind it is replaced), permission bits stay, failures leave nothing.
     """
     target = Path(path).resolve()
     draft = target.with_name(f".{target.name[:200]}.{secrets.token_hex(4)}.tmp")

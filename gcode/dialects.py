@@ -1,7 +1,7 @@
 """Which firmware and slicer a file was made for, and each firmware's words for motion limits.
 
-A slicer's word for the firmware can be wrong (Cura says `FLAVOR:Marlin` to most Klipper printers), a Klipper command
-in the file cannot: commands are believed first.
+A slicer's word for the firmware can be wrong (Cura says `FLAVOR:Marlin` to most Klipper printers), a Klipper
+command in the file cannot: commands are believed first.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _FLAVORS = {
     b"reprapfirmware": REPRAPFIRMWARE,
     b"rrf": REPRAPFIRMWARE,
 }
-_CURA_RRF = re.compile(rb"^;FLAVOR:RepRap\b", re.MULTILINE)  # Cura's short name; Slic3r's `reprap` is old Marlin
+_CURA_RRF = re.compile(rb"^;FLAVOR:RepRap\b", re.MULTILINE)  # Cura's name; Slic3r's `reprap` is old Marlin
 
 _SLICERS = {
     "OrcaSlicer": rb"OrcaSlicer",
@@ -41,7 +41,7 @@ _HEAD_LINES = 200
 
 
 def detect_flavor(lines: Iterable[bytes]) -> str:
-    """"klipper", "marlin" or "reprapfirmware"; Marlin's dialect when nothing says otherwise."""
+    """ "klipper", "marlin" or "reprapfirmware"; Marlin's dialect when nothing says otherwise."""
     text = b"".join(lines)
     if _KLIPPER_COMMAND.search(text):
         return KLIPPER
@@ -59,7 +59,7 @@ def detect_slicer(lines: list[bytes]) -> str:
 
 
 def open_limits(flavor: str, velocity: float, acceleration: float, corner: float) -> list[bytes]:
-    """Lines that make the firmware follow our segments: mm/s, mm/s², mm/s at a right angle; no cruise ratio."""
+    """Lines that let the firmware follow our segments: mm/s, mm/s², mm/s (right angle); no cruise ratio."""
     return _WRITERS[flavor](MotionLimits(velocity, acceleration, corner, 0.0))
 
 

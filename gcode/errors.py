@@ -1,7 +1,7 @@
 """What can be wrong with a G-code file, said with its place and the rule.
 
-    GcodeError                a line we cannot follow (file, line, rule)
-    └── UnsupportedGcode      well-formed, but something we refuse to guess about
+GcodeError                a line we cannot follow (file, line, rule)
+└── UnsupportedGcode      well-formed, but something we refuse to guess about
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""What a G-code file says, as data: its lines byte for byte, its moves as column arrays, its other lines as events.
+"""What a G-code file says, as data: lines byte for byte, moves as column arrays, other lines as events.
 
 Units, once for the whole package: positions mm, E mm of filament, speeds mm/s, accelerations mm/s², times s.
-Positions are *toolhead* coordinates (G92 offsets, flow and feed factors, units and relative modes resolved); a
-move's `Frame` is what turns them back into the numbers of the file.
+Positions are *toolhead* coordinates (G92 offsets, flow and feed factors, units and relative modes resolved);
+a move's `Frame` is what turns them back into the numbers of the file.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class EventKind(Enum):
     PASS = "pass"  # nothing: it goes out at its move's time (comments, fans, temperatures, G92 E, M82, ...)
     DWELL = "dwell"  # G4: rest for `dwell_s`; the line itself goes out
     STOP = "stop"  # the motion rests before and after it (homing, probing, waits, pauses, unknown macros)
-    RAW_MOVE = "raw move"  # a move from a place we do not know: passed through, the firmware plans it; also a stop
+    RAW_MOVE = "raw move"  # from or to a place not known: passed through, the firmware plans it; also a stop
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,14 +33,17 @@ class Event:
     kind: EventKind
     frame: int  # index into Program.frames: the state in force AFTER the line
     dwell_s: float = 0.0
-    touches_limits: bool = False  # changes velocity, acceleration or corner limits (M201-M205, M566, SET_VELOCITY_LIMIT)
+    touches_limits: bool = (
+        False  # changes velocity, acceleration or corner limits (M201-M205, M566, SET_VELOCITY_LIMIT)
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class Frame:
     """How toolhead coordinates are written in the file here (the modal state a writer needs).
 
-    X_file = (x - base_x) / unit_mm ;  E_file = (e - base_e) / flow / unit_mm ;  F_file = 60 v / feed_factor / unit_mm
+    X_file = (x - base_x) / unit_mm ;  E_file = (e - base_e) / flow / unit_mm ;
+    F_file = 60 v / feed_factor / unit_mm
     """
 
     base: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # x y z e, mm
@@ -49,12 +52,12 @@ class Frame:
     absolute_e: bool = True  # M82 / M83 (G91 counts as in Klipper: E too is relative then)
     flow: float = 1.0  # M221
     feed_factor: float = 1.0  # M220
-    feed_mm_per_s: float = 25.0  # modal speed in force, feed factor included (Klipper's default until the first F)
+    feed_mm_per_s: float = 25.0  # speed in force, feed factor included (Klipper's default until the first F)
 
 
 @dataclass(frozen=True, slots=True)
 class Moves:
-    """n moves, arcs already as chords. A move begins where `start` says: not always where the last one ended."""
+    """n moves, arcs as chords. A move begins where `start` says: not always where the last one ended."""
 
     line: IntArray  # (n,) index into Program.lines (the chords of an arc share one)
     start: FloatArray  # (n, 4) mm, columns X Y Z E

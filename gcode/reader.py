@@ -1,7 +1,7 @@
 """Text → Program: one pass over the lines, following the modal state.
 
-Nearly every line of a print is a plain `G1 X… Y… E…`; `_Reader._run_of_plain_moves` follows whole runs of them with
-the state in local variables (about five times faster than the general way, which reads everything else).
+Nearly every line of a print is a plain `G1 X… Y… E…`; `_Reader._run_of_plain_moves` follows runs of them with
+the state in local variables (about ten times faster than the general way, which reads everything else).
 """
 
 from __future__ import annotations
@@ -22,15 +22,18 @@ from gcode.state import DEFAULT_FEED_MM_PER_S, Modal, Vector4
 from gcode.words import Command, commands, shown
 
 MOTIONS = frozenset(("G0", "G1", "G2", "G3"))
-SETTINGS = frozenset("G17 G18 G19 G20 G21 G40 G49 G54 G80 G90 G91 G94".split())
+SETTINGS = frozenset(["G17", "G18", "G19", "G20", "G21", "G40", "G49", "G54", "G80", "G90", "G91", "G94"])
 _MOTION_WORDS = {"G0": "XYZEF", "G1": "XYZEF", "G2": "XYZEFIJKR", "G3": "XYZEFIJKR"}
 _IGNORED_WORDS = "SPHNO"  # laser power, priorities, endstop flags: they do not change where the nozzle goes
 STILL_MM2 = 1e-18  # squared displacement below which nothing moves: 1e-9 mm, as in Klipper
 
 _N = rb"([-+]?\d{1,6}(?:\.\d*)?|[-+]?\.\d+)"
 _PLAIN_MOVE = re.compile(
-    rb"G[01](?: F%b)?(?: X%b)?(?: Y%b)?(?: Z%b)?(?: E%b)?(?: F%b)?[ \t]*(?:;[^\r\n]*)?[\r\n]*" % ((_N,) * 6)
+    rb"G[01](?: F%b)?(?: Z%b)?(?: X%b)?(?: Y%b)?(?: Z%b)?(?: E%b)?(?: F%b)?[ \t]*(?:;[^\r\n]*)?[\r\n]*"
+    % ((_N,) * 7)
 )
+_FEED_ALONE = re.compile(rb"G[01] F%b\s*" % _N)
+_PLAIN_STARTS = (b"G1", b"G0")
 _QUIET = re.compile(rb"\s*(?:;.*)?", re.DOTALL)
 
 
@@ -51,8 +54,8 @@ def read_program(
     start : (x, y, z) mm or None
         Where the nozzle is before the first line; None: not known until the file names a place.
     offset_mm : (x, y) mm
-        Added to the toolhead's XY, for prints made for a bed whose origin is elsewhere. `Frame.base` leaves it out:
-        a writer emits the printer's coordinates. Where G92 names a place, that place keeps its new name.
+        Added to the toolhead's XY, for prints made for a bed with its origin elsewhere. `Frame.base` leaves
+        it out: a writer emits the printer's coordinates. Where G92 names a place, that place keeps its name.
     arc_tolerance_mm : float
         Largest distance between an arc and its chords.
 
@@ -101,6 +104,7 @@ class _Reader:
         self.events: list[Event] = []
         self.frames: list[Frame] = []
         self.frame_numbers: dict[Frame, int] = {}
+        self.feed_frames: dict[tuple[int, bytes], int] = {}  # (frame, F word) → the frame after it
         self.frame = self._frame_number()
         self.limits: list[MotionLimits] = [MACHINE_LIMITS]
         self.limit_numbers: dict[MotionLimits, int] = {MACHINE_LIMITS: 0}
@@ -110,17 +114,17 @@ class _Reader:
     def program(self) -> Program:
         at = 0
         while at < len(self.lines):
-            at = self._run_of_plain_moves(at)
-            if at < len(self.lines):
+            after = self._run_of_plain_moves(at) if self.lines[at][:2] in _PLAIN_STARTS else at
+            if after == at:
                 self._line(at)
-                at += 1
+            at = max(after, at + 1)
         moves = self.table.moves(self.frames, self.limits)
         return Program(self.path, self.lines, moves, self.events, self.frames, list(self.warnings.values()))
 
-    # -- the fast way --------------------------------------------------------------------------------------------
+    # -- the fast way --
 
     def _run_of_plain_moves(self, at: int) -> int:
-        """Follow `G0`/`G1` lines in the usual form from line `at`; returns the first line that needs more care."""
+        """Follow `G0`/`G1` lines in the usual form from line `at`; returns the first that needs more care."""
         modal, lines, table = self.modal, self.lines, self.table
         match_plain, ends_extend = _PLAIN_MOVE.fullmatch, table.ends.extend
         add_line, add_frame, add_limit = table.lines.append, table.frames.append, table.limits.append
@@ -134,7 +138,10 @@ class _Reader:
             match = match_plain(lines[at])
             if match is None:
                 break
-            early_f, to_x, to_y, to_z, to_e, late_f = match.groups()
+            early_f, early_z, to_x, to_y, late_z, to_e, late_f = match.groups()
+            if (early_f and late_f) or (early_z and late_z):
+                break
+            to_z = early_z or late_z
             new_x = x if to_x is None else float(to_x) * unit + (x if relative else base_x)
             new_y = y if to_y is None else float(to_y) * unit + (y if relative else base_y)
             new_z = z if to_z is None else float(to_z) * unit + (z if relative else base_z)
@@ -143,8 +150,6 @@ class _Reader:
             if not dx * dx + dy * dy + dz * dz + de * de > STILL_MM2:  # still, or from or to an unknown place
                 break
             if early_f or late_f:
-                if early_f and late_f:
-                    break
                 frame = self._frame_for_feed(early_f or late_f, at)
             x, y, z, e = new_x, new_y, new_z, new_e
             ends_extend((x, y, z, e))
@@ -159,15 +164,24 @@ class _Reader:
         return at
 
     def _frame_for_feed(self, number: bytes, at: int) -> int:
-        self.modal.set_feed({"F": float(number)}, at + 1)
-        self.frame = self._frame_number()
-        return self.frame
+        """The present frame with another speed; prints use few speeds many times, so pairs are remembered."""
+        key = self.frame, number
+        known = self.feed_frames.get(key)
+        if known is None:
+            self.modal.set_feed({"F": float(number)}, at + 1)
+            known = self.feed_frames[key] = self._frame_number()
+        self.modal.feed = self.frames[known].feed_mm_per_s
+        self.frame = known
+        return known
 
-    # -- the general way -----------------------------------------------------------------------------------------
+    # -- the general way --
 
     def _line(self, at: int) -> None:
         if _QUIET.fullmatch(self.lines[at]):
             self._event(at, Effect(EventKind.PASS))
+            return
+        if feed := _FEED_ALONE.fullmatch(self.lines[at]):
+            self._feed_alone(at, feed.group(1))
             return
         said = commands(self.lines[at], at + 1)
         if len(said) > 1:
@@ -177,13 +191,20 @@ class _Reader:
         else:
             self._command(at, said)
 
+    def _feed_alone(self, at: int, number: bytes) -> None:
+        self.modal.motion = self.lines[at][:2].decode()
+        self._frame_for_feed(number, at)
+        self._travel(at, self.modal.position[:], None)
+
     def _settings(self, at: int, said: list[Command]) -> None:
         """`G17 G21 G90` on one line; a move among them could not be replaced without losing the rest."""
         names = [command.name for command in said]
         if not SETTINGS.issuperset(names):
             rule = "only modes (G17, G21, G90, …) may share a line"
             raise UnsupportedGcode(f"The line holds {' and '.join(names)}; {rule}.", at + 1)
-        self._warn("several", at, f"{' '.join(names)} share a line, of which Klipper and Marlin obey only the first")
+        self._warn(
+            "several", at, f"{' '.join(names)} share a line, of which Klipper and Marlin obey only the first"
+        )
         for command in said:
             apply(self.modal, command)
         self._settle()
@@ -193,7 +214,7 @@ class _Reader:
         before = self.modal.position[:]
         effect = apply(self.modal, said[0]) if said else Effect(EventKind.PASS)
         if effect.warning:
-            self._warn(said[0].name, at, effect.warning.removesuffix("."))
+            self._warn(said[0].name, at, effect.warning)
         if self.modal.position != before:
             self.table.jumps[len(self.table.lines)] = self.modal.position[:]
         self._settle()
@@ -203,9 +224,11 @@ class _Reader:
         """A move in any form: unusual spelling, arcs, no displacement, unknown places."""
         modal = self.modal
         words = command.numbers()
-        modal.motion = command.name or modal.motion
+        modal.motion = command.name or modal.motion or ("G1" if words.keys() == {"F"} else "")
         if not modal.motion:
-            raise GcodeError(f"{shown(command.args)} has no command; the first move must say G0 or G1.", at + 1)
+            raise GcodeError(
+                f"{shown(command.args)} has no command; the first move must say G0 or G1.", at + 1
+            )
         self._check_words(modal.motion, words, at)
         modal.set_feed(words, at + 1)
         self._settle()
@@ -240,10 +263,10 @@ class _Reader:
         self.table.frames.append(self.frame)
         self.table.limits.append(self.limit)
 
-    # -- arcs ----------------------------------------------------------------------------------------------------
+    # -- arcs --
 
     def _arc(self, motion: str, words: dict[str, float], end: Vector4, at: int) -> Arc | None:
-        """The circle in the active plane; None where start or end is not known, so that the move passes through."""
+        """The circle in the active plane; None where start or end is not known: the move passes through."""
         modal = self.modal
         u, v, _ = modal.arc_axes()
         here, there = (modal.position[u], modal.position[v]), (end[u], end[v])
@@ -266,7 +289,7 @@ class _Reader:
             self._move(at, point)
         self.table.ends[-4:] = end
 
-    # -- book-keeping --------------------------------------------------------------------------------------------
+    # -- book-keeping --
 
     def _event(self, at: int, effect: Effect) -> None:
         moves = len(self.table.lines)

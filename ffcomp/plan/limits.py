@@ -58,30 +58,27 @@ class FirmwareLimits:
     delta: DeltaReach | None = None  # None: no slow zones
 
     def __post_init__(self) -> None:
-        wrong = [f.name for f in fields(self) if not self._is_allowed(f.name)]
-        if wrong:
-            raise ValueError(" ".join(self._complaint(name) for name in wrong))
-
-    def _is_allowed(self, name: str) -> bool:
-        value = getattr(self, name)
-        if value is None or name == "delta":
-            return True
-        if name == "minimum_cruise_ratio":
-            return 0.0 <= value < 1.0
-        return value >= 0.0 if "corner_velocity" in name else value > 0.0
-
-    def _complaint(self, name: str) -> str:
-        rule = "positive"
-        if name == "minimum_cruise_ratio":
-            rule = "at least 0 and below 1"
-        elif "corner_velocity" in name:
-            rule = "zero or more"
-        return f"The firmware limit {name} is {getattr(self, name)}; it must be {rule}."
+        complaints = [_complaint(field.name, getattr(self, field.name)) for field in fields(self)]
+        if any(complaints):
+            raise ValueError(" ".join(filter(None, complaints)))
 
     @property
     def extrusion_ratio(self) -> float:
         """Filament per path in the thickest line expected: four nozzle squares over the filament's area."""
         return 16.0 * self.nozzle_diameter_mm**2 / (math.pi * self.filament_diameter_mm**2)
+
+
+def _complaint(name: str, value: float | None) -> str:
+    """What is wrong with a firmware limit; empty if nothing is."""
+    if value is None or name == "delta":
+        return ""
+    if name == "minimum_cruise_ratio":
+        allowed, rule = 0.0 <= value < 1.0, "at least zero and below one"
+    elif name.endswith("corner_velocity_mm_per_s"):
+        allowed, rule = value >= 0.0, "zero or more"
+    else:
+        allowed, rule = value > 0.0, "above zero"
+    return "" if allowed else f"The firmware limit {name} is {value:g}; it must be {rule}."
 
 
 @dataclass(frozen=True, slots=True)

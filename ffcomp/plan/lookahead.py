@@ -1,4 +1,4 @@
-r"""The firmware's own plan: how fast each move begins, cruises and ends, looking ahead without a horizon.
+"""The firmware's own plan: how fast each move begins, cruises and ends, looking ahead without a horizon.
 
 Everything is solved in squared speeds: at constant acceleration a they grow linearly along the path,
 v² = v0² + 2 a d. The rules are Klipper's and Kalico's, checked against the running host in the tests:
@@ -211,7 +211,7 @@ def _stopping_at_the_end(limit: FloatArray, gain: FloatArray) -> FloatArray:
 def _ceilings(start: FloatArray, smooth: FloatArray, smooth_gain: FloatArray, cap: FloatArray) -> FloatArray:
     """Highest v² on each move, (n,): the top of the smooth profile's hill that the move belongs to.
 
-    Backwards: moves that brake all along wait (`braking` counts them) until the top before them is known. They
+    Backwards: moves that brake all along wait (`braking` counts them) until the top before them is known, and
     rise above no junction since then. Moves that speed up all along take the top that follows.
     """
     n = len(cap)

@@ -1,10 +1,32 @@
-"""Random but repeatable G-code for the planner's tests: everything a planner is asked to do, in one file."""
+"""What the planner's tests plan: moves through given points, and random but repeatable G-code."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gcode.program import Moves
+
+FloatArray = NDArray[np.float64]
 
 RADIUS_MM = 139.0  # of the random places: reaches into both slow zones of the oracle's printer
+
+
+def moves_through(points: ArrayLike, speed: ArrayLike = 100.0, **columns: ArrayLike) -> Moves:
+    """Moves from each point (n+1, 2 to 4) to the next; columns of `Moves` not named are the machine's own."""
+    places = np.atleast_2d(np.asarray(points, dtype=np.float64))
+    places = np.pad(places, ((0, 0), (0, 4 - places.shape[1])))
+    n = len(places) - 1
+    whole: dict[str, Any] = {"line": np.arange(n), "start": places[:-1], "end": places[1:]}
+    whole |= {
+        "speed": np.broadcast_to(np.asarray(speed, dtype=np.float64), (n,)),
+        "frame": np.zeros(n, dtype=np.int64),
+    }
+    for name in ("velocity_limit", "acceleration", "square_corner_velocity", "minimum_cruise_ratio"):
+        whole[name] = np.broadcast_to(np.asarray(columns.get(name, np.nan), dtype=np.float64), (n,))
+    return Moves(**whole)
 
 
 def random_program(seed: int, sections: int) -> bytes:
@@ -27,7 +49,7 @@ class _Writer:
     def nothing(self) -> None:
         """No extra line."""
 
-    def go(self, to: np.ndarray, filament: float = 0.0, feed: float | None = None) -> None:
+    def go(self, to: FloatArray, filament: float = 0.0, feed: float | None = None) -> None:
         reach = max(1.0, float(np.hypot(*to[:2])) / RADIUS_MM)
         self.at = np.array([to[0] / reach, to[1] / reach, np.clip(to[2], 0.0, 60.0)])
         words = [f"{axis}{value:.4f}" for axis, value in zip("XYZ", self.at, strict=True)]
@@ -55,8 +77,12 @@ class _Writer:
     def print_lines(self) -> None:
         for _ in range(30):
             step = self.rng.normal(scale=self.rng.choice([0.01, 1.0, 30.0]), size=2)
-            to = self.at + [*step, 0.0]
-            self.go(to, filament=0.05 * float(np.hypot(*step)), feed=self.feed() if self.rng.random() < 0.2 else None)
+            to = self.at + np.array([*step, 0.0])
+            self.go(
+                to,
+                filament=0.05 * float(np.hypot(*step)),
+                feed=self.feed() if self.rng.random() < 0.2 else None,
+            )
 
     def curve(self) -> None:
         """Many short moves that bend a little; the filament per mm wavers, as rounded numbers make it."""
@@ -64,14 +90,16 @@ class _Writer:
         bend = self.rng.normal(scale=0.15)
         for i in range(60):
             angle += bend
-            to = self.at + [length * np.cos(angle), length * np.sin(angle), 0.0]
+            to = self.at + length * np.array([np.cos(angle), np.sin(angle), 0.0])
             self.go(to, filament=round(0.05 * length, 3), feed=self.feed() if i == 0 else None)
 
     def zigzag(self) -> None:
         """Straight back and forth: exact reversals, and exact continuations."""
         step = np.array([*self.rng.uniform(-3, 3, size=2).round(1), 0.0])
         for i in range(20):
-            self.go(self.at + step * self.rng.choice([-1.0, 1.0, 1.0]), feed=self.feed() if i % 5 == 0 else None)
+            self.go(
+                self.at + step * self.rng.choice([-1.0, 1.0, 1.0]), feed=self.feed() if i % 5 == 0 else None
+            )
 
     def travel(self) -> None:
         """Far moves, also along the rim, some of them retracting on the way."""

@@ -1,0 +1,68 @@
+"""`ffcomp show`: look at a compensated print."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+
+def show(
+    file: Annotated[Path, typer.Argument(help="A print that ffcomp has compensated.")],
+    output_file: Annotated[
+        Path | None, typer.Option("--output-file", "-o", help="The picture: .png, .svg or .pdf; default FILE.png.")
+    ] = None,
+    machine: Annotated[
+        str, typer.Option("--machine", "-m", help="A machine's name or file; default: the one in the file's stamp.")
+    ] = "",
+    z_mm: Annotated[float | None, typer.Option(help="The layer to show; default: where it shakes most.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """Draw what was wanted, what the machine would have done, and what it will do now.
+
+    Both prints are simulated with the design model from what the file says; the picture and its numbers follow from it.
+
+    Example: ffcomp show out.gcode
+    """
+    from ffcomp.cli.common import exit_codes, print_json
+
+    with exit_codes():
+        result = _show(file, output_file or file.with_name(file.name + ".png"), machine, z_mm)
+        if as_json:
+            print_json(result)
+        else:
+            print(result["verdict"])
+            print(result["picture"])
+
+
+def _show(file: Path, picture: Path, machine_name: str, z_mm: float | None) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    from ffcomp import __version__
+    from ffcomp.errors import NothingToDo
+    from ffcomp.job import STAMP_REACH, already_processed, find_offset
+    from ffcomp.look import look
+    from ffcomp.report.show import draw, numbers, verdict
+    from gcode.container import read_bytes
+    from models.machine_file import find_by_sha256, load_machine
+
+    data = read_bytes(file)
+    stamp = already_processed(data)
+    if stamp is None:
+        raise NothingToDo(f"{file}: not compensated by ffcomp; first: ffcomp compensate {file} --machine NAME.")
+    machine = load_machine(machine_name or str(find_by_sha256(stamp.sha256, stamp.machine)))
+    seen = look(data, str(file), machine, find_offset(data[:STAMP_REACH]))
+    footer = (
+        f"design model of {machine.name}, machine file sha256 {machine.sha256[:8]}; G-code planned as the firmware does; "
+        f"ffcomp v{__version__}"
+    )
+    draw(seen, f"{file.name} on {machine.name}", footer, picture, z_mm)
+    return {
+        "schema": "ffcomp-show/1",
+        "input": str(file),
+        "machine": {"name": machine.name, "sha256": machine.sha256},
+        "picture": str(picture),
+        "verdict": verdict(seen),
+        "contour_um": {"uncompensated": asdict(numbers(seen.before)), "compensated": asdict(numbers(seen.after))},
+    }

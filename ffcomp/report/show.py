@@ -1,0 +1,150 @@
+"""The picture of `ffcomp show`: wanted, without and with compensation, close up, over a layer, along the time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from numpy.typing import NDArray
+
+matplotlib.use("Agg")
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from ffcomp.look import Curve, Look
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+WANTED, BEFORE, AFTER = "#222222", "#d55e00", "#0072b2"
+CLOSE_UP_MM = 2.5  # half the width of the close-up
+LAYER_MM = 0.15  # half the height of what counts as one layer
+SETTLE_S = 0.5  # at the beginning: the nozzle may come from anywhere
+
+
+@dataclass(frozen=True, slots=True)
+class Numbers:
+    """Contour error, µm."""
+
+    rms: float
+    p99: float
+    worst: float
+
+
+def numbers(curve: Curve) -> Numbers:
+    um = 1e3 * curve.contour
+    return Numbers(float(np.sqrt(np.mean(um**2))), float(np.percentile(um, 99)), float(um.max()))
+
+
+def verdict(look: Look) -> str:
+    before, after = numbers(look.before), numbers(look.after)
+    return (
+        f"Contour error {before.rms:.1f} → {after.rms:.2f} µm rms ({before.rms / after.rms:.0f} times less), "
+        f"99 % of the print within {before.p99:.0f} → {after.p99:.1f} µm"
+    )
+
+
+def draw(look: Look, title: str, footer: str, target: Path, z_mm: float | None = None) -> None:
+    """Write the picture; the suffix of `target` names the format.
+
+    z_mm : the layer to show; None: the one with the largest uncompensated error.
+    """
+    worst = _worst_place(look.before, z_mm)
+    figure = Figure(figsize=(16, 8.4), layout="constrained")
+    figure.suptitle(f"{title}\n{verdict(look)}", fontsize=13, x=0.01, ha="left")
+    rooms = figure.subplot_mosaic([["close", "before", "after"], ["time"] * 3], height_ratios=[2.2, 1])
+    _close_up(rooms["close"], look, worst)
+    _layer_maps(figure, rooms["before"], rooms["after"], look, worst)
+    _along_time(rooms["time"], look, worst)
+    figure.supxlabel(footer, fontsize=8, color="#666666")
+    figure.savefig(target, dpi=130)
+
+
+def _worst_place(curve: Curve, z_mm: float | None) -> FloatArray:
+    """The wanted place (3,) mm, after the start, where the error without compensation is largest."""
+    candidates = curve.t > curve.t[0] + SETTLE_S
+    if z_mm is not None:
+        candidates &= np.abs(curve.wanted[:, 2] - z_mm) < LAYER_MM
+    if not candidates.any():
+        candidates = np.ones(len(curve.t), dtype=np.bool_)
+    return curve.wanted[int(np.argmax(np.where(candidates, curve.contour, -1.0)))]
+
+
+def _close_up(axes: Axes, look: Look, place: FloatArray) -> None:
+    """The worst corner in its layer: parts of the curves that pass through the window."""
+    for curve, colour, label, width in (
+        (look.before, BEFORE, "what the machine would have done", 1.6),
+        (look.after, AFTER, "what it will do now", 2.2),
+    ):
+        inside = _near(curve, place, 2 * CLOSE_UP_MM)
+        _lines(axes, curve.nozzle, inside, colour, width, label)
+    path = np.abs(look.path[:, 2] - place[2]) < LAYER_MM
+    _lines(axes, look.path, path, WANTED, 0.8, "what was wanted")
+    axes.set(
+        xlim=(place[0] - CLOSE_UP_MM, place[0] + CLOSE_UP_MM),
+        ylim=(place[1] - CLOSE_UP_MM, place[1] + CLOSE_UP_MM),
+        xlabel="X, mm",
+        ylabel="Y, mm",
+        aspect="equal",
+        title=f"Where it shakes most: X {place[0]:.1f}, Y {place[1]:.1f}, Z {place[2]:.2f} mm",
+    )
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=1, frameon=False)
+    _scale_bar(axes, place)
+
+
+def _scale_bar(axes: Axes, place: FloatArray) -> None:
+    x, y = place[0] - 0.9 * CLOSE_UP_MM, place[1] - 0.9 * CLOSE_UP_MM
+    axes.plot([x, x + 0.5], [y, y], color=WANTED, linewidth=3, solid_capstyle="butt")
+    axes.text(x + 0.25, y + 0.05 * CLOSE_UP_MM, "500 µm", ha="center", backgroundcolor="#ffffffcc")
+
+
+def _layer_maps(figure: Figure, above: Axes, below: Axes, look: Look, place: FloatArray) -> None:
+    """The whole layer, coloured by error, both on one scale."""
+    norm = LogNorm(0.5, max(500.0, 1e3 * float(look.before.contour.max())))
+    for axes, curve, name in ((above, look.before, "without"), (below, look.after, "with compensation")):
+        inside = np.abs(curve.wanted[:, 2] - place[2]) < LAYER_MM
+        points = curve.nozzle[:, :2]
+        joined = inside[1:] & inside[:-1]
+        pieces = np.stack([points[:-1], points[1:]], axis=1)[joined]
+        lines = LineCollection(list(pieces), cmap="viridis_r", norm=norm, linewidths=1.2)
+        lines.set_array(np.maximum(1e3 * curve.contour[1:][joined], 0.5))
+        axes.add_collection(lines)
+        axes.autoscale_view()
+        axes.set(aspect="equal", title=f"The layer {name}")
+        axes.tick_params(labelsize=7)
+    figure.colorbar(ScalarMappable(norm, "viridis_r"), ax=[above, below], label="contour error, µm")
+
+
+def _along_time(axes: Axes, look: Look, place: FloatArray) -> None:
+    for curve, colour, name in ((look.before, BEFORE, "without"), (look.after, AFTER, "with")):
+        inside = np.flatnonzero(np.abs(curve.wanted[:, 2] - place[2]) < LAYER_MM)
+        if inside.size:
+            part = slice(int(inside[0]), int(inside[-1]) + 1)
+            n = numbers(curve)
+            label = f"{name} compensation: {n.rms:.2f} µm rms, {n.p99:.1f} µm p99, {n.worst:.0f} µm at worst"
+            axes.semilogy(
+                curve.t[part] - curve.t[part][0],
+                np.maximum(1e3 * curve.contour[part], 0.01),
+                color=colour,
+                linewidth=0.6,
+                label=label,
+            )
+    axes.set(xlabel="time in this layer, s", ylabel="contour error, µm", ylim=(0.05, None))
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False, title="Over the whole print")
+
+
+def _near(curve: Curve, place: FloatArray, reach: float) -> BoolArray:
+    away = np.abs(curve.wanted - place)
+    return (away[:, 2] < LAYER_MM) & (away[:, :2].max(axis=1) < reach)
+
+
+def _lines(axes: Axes, points: FloatArray, keep: BoolArray, colour: str, width: float, label: str) -> None:
+    """The kept points joined, with a gap wherever one is missing."""
+    shown = np.where(keep[:, None], points[:, :2], np.nan)
+    axes.plot(shown[:, 0], shown[:, 1], color=colour, linewidth=width, label=label)

@@ -1,0 +1,27 @@
+"""Real files from outside the project; tests that need them skip where they are absent."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[3] / "shared" / "data")) / "gcode"
+PRINTS = (
+    "ender3_ringing_tower.gcode",
+    "flsun_v400_retract-tower.gcode",
+    "gcodepreview_benchy_arcs.gcode",
+    "gcodepreview_vase.gcode",
+    "kossel_mks-pwc.gcode",
+    "makreeltje_cura_slicer.gcode",
+    "makreeltje_orca_slicer.gcode",
+)
+ODD = sorted(path.name for path in (ROOT / "odd").glob("*")) or ["no odd files"]
+
+
+def real(name: str) -> bytes:
+    path = ROOT / name
+    if not path.exists():
+        pytest.skip(f"{name} is not there; set FFCOMP_DATA to the folder of outside data")
+    return path.read_bytes()

@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gcode.errors import GcodeError
+from gcode.words import commands, comment
+
+
+def names(line: bytes) -> list[str]:
+    return [command.name for command in commands(line, 1)]
+
+
+@pytest.mark.parametrize(
+    ("line", "name", "numbers"),
+    [
+        (b"G0X-5Y0Z0F200\n", "G0", {"X": -5, "Y": 0, "Z": 0, "F": 200}),
+        (b"G0 X -5 Y 0 Z 0 F 200\n", "G0", {"X": -5, "Y": 0, "Z": 0, "F": 200}),
+        (b"g01 x1.5 e-.25 ; go\r\n", "G1", {"X": 1.5, "E": -0.25}),
+        (b"G1 X1. Y+2 (left) Z3 (open", "G1", {"X": 1, "Y": 2, "Z": 3}),
+        (b"(first) G2 I1 J2", "G2", {"I": 1, "J": 2}),
+        (b"X5 Y3", "", {"X": 5, "Y": 3}),
+        (b"\xef\xbb\xbfG28 X0\n", "G28", {"X": 0}),
+        (b"G38.20 Z-5\n", "G38.2", {"Z": -5}),
+    ],
+)
+def test_a_line_is_a_name_and_its_numbers(line: bytes, name: str, numbers: dict[str, float]) -> None:
+    (command,) = commands(line, 1)
+    assert (command.name, command.numbers()) == (name, numbers)
+
+
+@pytest.mark.parametrize("line", [b"", b"\r\n", b"  ; G1 X1\n", b"(G1 X1)\n", b"%\n", b"N3 (only a note)\n"])
+def test_lines_without_a_command(line: bytes) -> None:
+    assert commands(line, 1) == []
+
+
+def test_several_modes_share_a_line_but_a_text_keeps_its_words() -> None:
+    assert names(b"N1 G17 G20 G90 (G91) G94 G54\n") == ["G17", "G20", "G90", "G94", "G54"]
+    assert names(b"M117 Layer G1 of M2\n") == ["M117"]
+    assert names(b'G29 P"mesh G1.csv"\n') == ["G29"]
+
+
+def test_klipper_fields() -> None:
+    (command,) = commands(b'set_velocity_limit ACCEL=3000 NAME="a b" x=1;y\n', 1)
+    assert command.name == "SET_VELOCITY_LIMIT"
+    assert command.fields() == {"ACCEL": "3000", "NAME": "a b", "X": "1"}
+
+
+def test_macros_whose_names_look_like_words() -> None:
+    assert names(b"E3D_PURGE\n") == ["E3D_PURGE"]
+    assert names(b"G29_FAST A=1\n") == ["G29_FAST"]
+    assert names(b"@pause\n") == ["@PAUSE"]
+
+
+def test_comment_keeps_its_bytes() -> None:
+    assert comment(b"G1 X1 ; caf\xe9;x\r\n") == b" caf\xe9;x"
+
+
+@given(st.integers(0, 99999), st.integers(-999, 999))
+def test_checksums_are_checked(number: int, x: int) -> None:
+    body = b"N%d G1 X%d" % (number, x)
+    right = 0
+    for byte in body:
+        right ^= byte
+    assert commands(body + b"*%d\n" % right, 7)[0].numbers() == {"X": x}
+    with pytest.raises(GcodeError, match="checksum") as caught:
+        commands(body + b"*%d ; noise\n" % (right ^ 1), 7)
+    assert caught.value.line == 7
+
+
+@pytest.mark.parametrize(
+    ("line", "rule"),
+    [
+        (b"G1 X Y1", "word X without a number"),
+        (b"G1 X1 X2", "word X twice"),
+        (b"G1 X1e30", "exponent"),
+        (b"G1 X1e5 Y2", "exponent"),
+        (b"G1 X9999999", "out of range"),
+        (b"G1 X1 #2", "letter and a number"),
+        (b"G1 X--1", "without a number"),
+        (b"^%~n,B", "cannot be read as a command"),
+        (b"8!Q(6", "cannot be read as a command"),
+    ],
+)
+def test_mistakes_are_sentences_with_their_line(line: bytes, rule: str) -> None:
+    with pytest.raises(GcodeError, match=rule) as caught:
+        commands(line, 42)[0].numbers()
+    assert caught.value.line == 42
+    assert str(caught.value).endswith(".")
+
+
+def test_a_tight_extruder_word_is_no_exponent() -> None:
+    assert commands(b"G1X1Y2E3", 1)[0].numbers() == {"X": 1, "Y": 2, "E": 3}
+
+
+@given(st.binary(max_size=60))
+def test_any_bytes_are_read_or_refused(line: bytes) -> None:
+    try:
+        read = [(command.name, command.numbers(), command.fields()) for command in commands(line, 3)]
+    except GcodeError as error:
+        place = error.line
+    else:
+        place = 3
+        assert all(name or words for name, words, _ in read)
+    assert place == 3
