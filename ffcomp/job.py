@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from ffcomp import __version__
-from ffcomp.invert.fbs import Inverter, Settings
+from ffcomp.invert.fbs import Inverter
+from ffcomp.invert.settings import Settings
 from ffcomp.pipeline import Summary, compensate, plan_program
 from ffcomp.predict import Prediction
 from gcode.container import replace_atomically

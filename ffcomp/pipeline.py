@@ -16,12 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.errors import LimitsError, NothingToDo
-from ffcomp.invert.fbs import Inverter, Reference, RunResult, Settings
+from ffcomp.invert.fbs import Inverter, RunResult
+from ffcomp.invert.settings import Settings
 from ffcomp.plan.limits import DeltaReach, FirmwareLimits
 from ffcomp.plan.lookahead import plan_moves, stops_and_waits
 from ffcomp.plan.trajectory import Trajectory
 from ffcomp.predict import Prediction
-from ffcomp.runs import Run, Timing, reference, split_runs, timing
+from ffcomp.runs import Reference, Run, split_runs
+from ffcomp.schedule import rest_state
 from ffcomp.writer import Mark, Writer
 from gcode.errors import GcodeError
 from gcode.limits import MotionLimits
@@ -106,7 +108,7 @@ def compensate(
     limits = MotionLimits(
         own.velocity_mm_per_s, own.acceleration_mm_per_s2, own.square_corner_velocity_mm_per_s, 0.5
     )
-    writer = Writer(program, flavor, limits, settings.output)
+    writer = Writer(program, flavor, limits, settings)
     events = iter(program.events)
     event = next(events, None)
     state, rested = np.zeros(0), -np.inf  # the plant's state, and the plan's time at which it was so
@@ -121,23 +123,24 @@ def compensate(
         if not run.travels:
             yield from writer.extrude(run.first)
             continue
-        when = timing(run, settings)
-        wanted = reference(trajectory, run, when, settings)
+        wanted = Reference(trajectory, run, settings)
+        start = trajectory.origin[run.first, :3]
         hold = run.begin_t - rested
         state = (
-            inverter.rest_state(wanted.nozzle[0])
+            rest_state(machine, start)
             if stopped or hold > 0.5 or not state.size
-            else inverter.hold(state, wanted.nozzle[0], hold)
+            else inverter.hold(state, start, hold)
         )
-        result = inverter.run(wanted, state)
+        predicted = summary.prediction is not None and summary.prediction.wants(wanted)
+        result = inverter.run(wanted, state, keep_response=predicted)
         state, rested = result.state, run.end_t
         inside: list[Event] = []
         while event is not None and event.move < run.last:
             inside.append(event)
             event = next(events, None)
-        e, marks = _place(program, trajectory, run, when, wanted, inside, settings.segment_s)
-        yield from writer.run(run.first, result.vertices, e, marks, settings.segment_s)
-        _account(summary, run, when, wanted, result, trajectory, settings)
+        e, marks = _place(program, trajectory, run, wanted, inside, settings.segment_s)
+        yield from writer.run(run.first, result.vertices, e, marks)
+        _account(summary, run, wanted, result, trajectory, settings, predicted)
         progress(float(rested))
     while event is not None:
         yield from writer.event(event)
@@ -150,7 +153,6 @@ def _place(
     program: Program,
     trajectory: Trajectory,
     run: Run,
-    when: Timing,
     wanted: Reference,
     inside: list[Event],
     segment_s: float,
@@ -161,15 +163,15 @@ def _place(
     the line: so the filament between two lines is kept to the last digit.
     """
     moves = program.moves
-    n = when.knots
-    e = float(moves.start[run.first, 3]) + np.concatenate([[0.0], np.cumsum(wanted.extrusion[:n])])
+    n = wanted.knots
+    e = wanted.extrusion()
     e[n] = moves.end[run.last - 1, 3]
     lines = _lines_of(program, run, inside)
     marks: list[Mark] = []
     fixed: dict[int, float] = {}  # knot → filament, where coordinates change
     knot = 0
     for line, move, event in lines:
-        at = round((float(trajectory.start_t[move]) - when.t0) / segment_s)
+        at = round((float(trajectory.start_t[move]) - wanted.t0) / segment_s)
         knot = min(max(knot, at), n)
         if event is not None and move > run.first:
             filament = float(moves.start[move, 3])
@@ -195,22 +197,22 @@ def _lines_of(program: Program, run: Run, inside: list[Event]) -> list[tuple[int
 def _account(
     summary: Summary,
     run: Run,
-    when: Timing,
     wanted: Reference,
     result: RunResult,
     trajectory: Trajectory,
     settings: Settings,
+    predicted: bool,
 ) -> None:
     summary.windows += result.windows
     summary.limited_windows += result.limited
-    summary.print_time_s += when.knots * settings.segment_s - (run.end_t - run.begin_t)
+    summary.print_time_s += wanted.knots * settings.segment_s - (run.end_t - run.begin_t)
     if result.excess > 1.0 + 1e-3:
         summary.warnings.append(
-            f"Between {when.t0:.3f} and {when.t0 + when.knots * settings.segment_s:.3f} s a carriage is asked for "
+            f"Between {wanted.t0:.3f} and {wanted.t0 + wanted.knots * settings.segment_s:.3f} s a carriage is asked for "
             f"{result.excess:.2f} times its limit."
         )
-    if summary.prediction is not None:
-        summary.prediction.add(trajectory, run, when, wanted, result)
+    if summary.prediction is not None and predicted:
+        summary.prediction.add(trajectory, run, wanted, result)
 
 
 __all__ = ["LimitsError", "Planned", "Summary", "compensate", "firmware_limits", "plan_program"]

@@ -18,6 +18,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 SWEEPS = 12  # of the fixed point between neighbouring speeds; it contracts by about Δv/(a S), 0.1 here
 
@@ -44,19 +46,20 @@ class Played:
     duration: FloatArray  # (n,) s; S wherever the acceleration allows it
 
 
-def played(vertices: FloatArray, extrusion: FloatArray, segment_s: float, limits: OutputLimits) -> Played:
-    """Speeds that make each segment last `segment_s`, from rest to rest.
+def played(vertices: FloatArray, extrusion: FloatArray, lasting: FloatArray, limits: OutputLimits) -> Played:
+    """Speeds that make each segment last as long as it should, from rest to rest.
 
     Parameters
     ----------
     vertices : (n + 1, 3) mm, columns X Y Z
     extrusion : (n,) mm of filament in each segment
+    lasting : (n,) s, the S of each segment
     """
     return Played(
         *_played(
             vertices,
             extrusion,
-            segment_s,
+            lasting,
             limits.acceleration_mm_per_s2,
             limits.square_corner_velocity_mm_per_s,
             limits.z_acceleration_mm_per_s2,
@@ -71,7 +74,7 @@ def played(vertices: FloatArray, extrusion: FloatArray, segment_s: float, limits
 def _played(
     vertices: FloatArray,
     extrusion: FloatArray,
-    segment_s: float,
+    lasting: FloatArray,
     acceleration: float,
     corner_v: float,
     z_acceleration: float,
@@ -98,14 +101,14 @@ def _played(
             if ratio[k] < 0.0:
                 a[k] = min(a[k], -retract_acceleration / ratio[k])
     limit = _junction_limits(d, a, unit, ratio, corner_v**2 * (np.sqrt(2.0) - 1.0) / acceleration, extruder_corner_v)
-    cruise = d / segment_s
+    cruise = d / lasting
     junction = np.zeros(n + 1)
     for _ in range(SWEEPS):
         for k in range(1, n):
             junction[k] = min(limit[k], cruise[k - 1], cruise[k])
         for k in range(n):
-            cruise[k] = min(top_v, _speed(d[k], segment_s, a[k], junction[k], junction[k + 1]))
-    duration = np.full(n, segment_s)
+            cruise[k] = min(top_v, _speed(d[k], lasting[k], a[k], junction[k], junction[k + 1]))
+    duration = lasting.copy()
     for k in range(n):
         c = cruise[k]
         if c > 0.0:
@@ -184,3 +187,45 @@ def sample_segments(
                 out[k * substeps + s, i] = vertices[k, i] + f * (vertices[k + 1, i] - vertices[k, i])
     out[n * substeps] = vertices[n]
     return out
+
+
+@njit(cache=True)
+def merge(vertices: FloatArray, e: FloatArray, pinned: BoolArray, tolerance: float, longest: int) -> IntArray:
+    """Knots that are enough: between two of them the command runs straight and evenly, so one segment will do.
+
+    Parameters
+    ----------
+    vertices : (n + 1, 3) mm, evenly spaced in time;  e : (n + 1,) mm of filament
+    pinned : (n + 1,) knots that must stay
+    tolerance : mm, of position; a hundredth of it for filament
+    longest : how many segments may become one
+
+    Returns
+    -------
+    (m,) indices of the knots to keep, first and last among them
+    """
+    n = len(vertices) - 1
+    kept = [0]
+    first = 0
+    while first < n:
+        last = first + 1
+        while last < n and not pinned[last] and last - first < longest:
+            if not _straight(vertices, e, first, last + 1, tolerance):
+                break
+            last += 1
+        kept.append(last)
+        first = last
+    return np.array(kept)
+
+
+@njit(cache=True)
+def _straight(vertices: FloatArray, e: FloatArray, first: int, last: int, tolerance: float) -> bool:
+    count = last - first
+    for k in range(first + 1, last):
+        f = (k - first) / count
+        for i in range(3):
+            if abs(vertices[first, i] + f * (vertices[last, i] - vertices[first, i]) - vertices[k, i]) > tolerance:
+                return False
+        if abs(e[first] + f * (e[last] - e[first]) - e[k]) > 0.01 * tolerance + 1e-5:
+            return False
+    return True

@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.invert.fbs import Inverter, Reference, RunResult
+from ffcomp.invert.fbs import Inverter, RunResult
 from ffcomp.metrics import Track, peak_acceleration, track
 from ffcomp.plan.trajectory import Trajectory
-from ffcomp.runs import Run, Timing
-from models.kinematics.delta import inverse
+from ffcomp.runs import Reference, Run
+from ffcomp.schedule import respond, rest_state
 
 FloatArray = NDArray[np.float64]
 
@@ -44,36 +44,40 @@ class Prediction:
         self.path: list[FloatArray] = []
         self.before, self.after = _Motion(), _Motion()
 
-    def add(self, trajectory: Trajectory, run: Run, when: Timing, wanted: Reference, result: RunResult) -> None:
-        """Take one compensated run in, if it is this run's turn."""
-        s = self.inverter.settings
-        length = when.knots * s.segment_s
+    def wants(self, wanted: Reference) -> bool:
+        """Is it this run's turn? (Ask once for each run.)"""
+        length = wanted.knots * self.inverter.settings.segment_s
+        due = self.covered_s <= self.share * self.seen_s
         self.seen_s += length
-        if self.covered_s > self.share * self.seen_s:
-            return
+        return due
+
+    def add(self, trajectory: Trajectory, run: Run, wanted: Reference, result: RunResult) -> None:
+        """Take one compensated run in."""
+        inverter, s = self.inverter, self.inverter.settings
+        length = wanted.knots * s.segment_s
         self.covered_s += length
         every = max(1, round(SAMPLE_S * s.substeps / s.segment_s))
-        m = when.knots * s.substeps
-        kept = slice(every, m + 1, every)
+        nozzle, velocity = wanted.substeps(0, wanted.knots)
         # one after the other in space too: only differences count, and a jump between runs would look like an error
-        shift = self.place - wanted.nozzle[0]
-        self.wanted.append(wanted.nozzle[kept] + shift)
+        shift = self.place - nozzle[0]
+        self.wanted.append(nozzle[every::every] + shift)
         self.place = self.wanted[-1][-1]
-        self._add_path(trajectory, run, when, shift)
-        plain = self.inverter.uncompensated(wanted)[:m]
-        knots = wanted.nozzle[: m + 1 : s.substeps]
+        self._add_path(trajectory, run, wanted.t0, shift)
+        state = rest_state(inverter.machine, nozzle[0])
+        plain, _ = respond(inverter.machine, inverter.fine, nozzle, velocity, state, s.substeps)
+        knots = nozzle[:: s.substeps]
         for motion, actual, command in ((self.before, plain, knots), (self.after, result.response, result.vertices)):
             motion.actual.append(actual[every - 1 :: every] + shift)
-            bend = peak_acceleration(inverse(self.inverter.machine.kinematics, command), s.segment_s, s.segment_s)
+            bend = peak_acceleration(inverter.delta.inverse(command), s.segment_s, s.segment_s)
             motion.peak = max(motion.peak, bend)
         self.clock += length
 
-    def _add_path(self, trajectory: Trajectory, run: Run, when: Timing, shift: FloatArray) -> None:
+    def _add_path(self, trajectory: Trajectory, run: Run, t0: float, shift: FloatArray) -> None:
         part = slice(run.first, run.last)
         corners = np.vstack([trajectory.origin[part, :3], trajectory.position(np.array([run.end_t]))[:, :3]])
         due = np.append(trajectory.start_t[part], run.end_t)
         self.path.append(corners + shift)
-        self.path_t.append(self.clock + due - when.t0)
+        self.path_t.append(self.clock + due - t0)
 
     def tracks(self) -> dict[str, Track]:
         """"uncompensated" and "compensated", each judged over the runs that were taken in."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.invert.fbs import Reference, Settings
+from ffcomp.invert.settings import Settings
 from ffcomp.plan.trajectory import Trajectory
 
 FloatArray = NDArray[np.float64]
@@ -44,29 +44,50 @@ def split_runs(trajectory: Trajectory, stop_before: NDArray[np.bool_]) -> list[R
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class Timing:
-    """Where a run's knots lie on the plan's clock."""
+class Reference:
+    """The wanted motion of one run on its own knots, S seconds apart; sampled where it is asked for.
 
-    t0: float  # s, plan time of knot 0 (before the run begins: the command may start earlier than the path)
-    knots: int  # segments of the run
+    Knot 0 lies before the run begins, for the plant answers late and the command must start before the path; the last
+    knot lies after its end. Outside the run the nozzle rests.
+    """
 
+    def __init__(self, trajectory: Trajectory, run: Run, settings: Settings) -> None:
+        length = settings.lead_s + (run.end_t - run.begin_t) + settings.tail_s
+        self.t0 = run.begin_t - settings.lead_s  # s on the plan's clock
+        self.knots = int(np.ceil(length / settings.segment_s - 1e-9))  # segments of the run
+        self._trajectory, self._run = trajectory, run
+        self._segment_s, self._substep_s = settings.segment_s, settings.segment_s / settings.substeps
+        self._substeps = settings.substeps
 
-def timing(run: Run, settings: Settings) -> Timing:
-    """The knots of a run: some before it begins, for the plant answers late, and some after its end."""
-    length = settings.lead_s + (run.end_t - run.begin_t) + settings.tail_s
-    return Timing(run.begin_t - settings.lead_s, int(np.ceil(length / settings.segment_s - 1e-9)))
+    def substeps(self, first: int, last: int) -> tuple[FloatArray, FloatArray]:
+        """Nozzle (m, 3) mm and velocity (m, 3) mm/s at every substep from knot `first` to knot `last`, both included."""
+        count = (last - first) * self._substeps + 1
+        t = self.t0 + first * self._segment_s + np.arange(count) * self._substep_s
+        return self.nozzle(t), self._velocity(t)
 
+    def nozzle(self, t: FloatArray) -> FloatArray:
+        """(m, 3) mm at times (m,) s of the plan's clock."""
+        return np.ascontiguousarray(self._position(t)[:, :3])
 
-def reference(trajectory: Trajectory, run: Run, when: Timing, settings: Settings) -> Reference:
-    """The wanted motion of a run at the substeps of its segments, and the rest after it."""
-    segments = when.knots + settings.preview
-    t = when.t0 + np.arange(segments * settings.substeps + 1) * (settings.segment_s / settings.substeps)
-    position = trajectory.position(np.clip(t, run.begin_t, run.end_t))
-    velocity = trajectory.velocity(t)[:, :3] * ((t >= run.begin_t) & (t < run.end_t))[:, None]
-    return Reference(
-        np.ascontiguousarray(position[:, :3]),
-        np.ascontiguousarray(velocity),
-        np.diff(position[:: settings.substeps, 3]),
-        settings.preview,
-    )
+    def at_knots(self, knots: NDArray[np.int64]) -> FloatArray:
+        """The nozzle at these knots, (m, 3) mm; there are knots before the first and after the last, at rest."""
+        return self.nozzle(self.t0 + knots * self._segment_s)
+
+    def extrusion(self) -> FloatArray:
+        """Filament at the knots, (knots + 1,) mm."""
+        return self._position(self._knot_times())[:, 3].copy()
+
+    def bends(self) -> FloatArray:
+        """By how much the nozzle's velocity changes in each segment, (knots,) mm/s."""
+        velocity = self._velocity(self._knot_times())
+        return np.sqrt((np.diff(velocity, axis=0) ** 2).sum(axis=1))
+
+    def _knot_times(self) -> FloatArray:
+        return self.t0 + np.arange(self.knots + 1) * self._segment_s
+
+    def _position(self, t: FloatArray) -> FloatArray:
+        return self._trajectory.position(np.clip(t, self._run.begin_t, self._run.end_t))
+
+    def _velocity(self, t: FloatArray) -> FloatArray:
+        inside = (t >= self._run.begin_t) & (t < self._run.end_t)
+        return self._trajectory.velocity(t)[:, :3] * inside[:, None]

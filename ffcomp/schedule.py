@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from models.kinematics.delta import forward, inverse, jacobian_rate_term
 from models.machine import Machine
-from models.plant import STATES, PlantTable, Q, W
+from models.plant import QD, STATES, WD, PlantTable, Q, W
 
 FloatArray = NDArray[np.float64]
 
@@ -24,6 +24,20 @@ def rest_state(machine: Machine, nozzle: FloatArray) -> FloatArray:
     drive = machine.carriage.drive
     state[W] = q / drive.d0_per_s2 if drive else 0.0
     state[Q] = q
+    return state
+
+
+def moving_state(machine: Machine, nozzle: FloatArray, velocity: FloatArray, delay_s: float) -> FloatArray:
+    """The state (18,) in steady motion: the carriages are on the path, their command leads it by the delay."""
+    step = 1e-4  # s, for the carriages' velocities
+    q, ahead, later = inverse(machine.kinematics, nozzle + np.array([[0.0], [delay_s], [step]]) * velocity)
+    rate = (later - q) / step
+    state = np.zeros(STATES)
+    state[Q], state[QD] = q, rate
+    drive = machine.carriage.drive
+    if drive:
+        state[WD] = rate / drive.d0_per_s2
+        state[W] = (ahead - drive.d2_per_s * state[WD]) / drive.d0_per_s2
     return state
 
 

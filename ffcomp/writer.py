@@ -14,13 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.played import OutputLimits, played
+from ffcomp.invert.settings import Settings
+from ffcomp.played import merge, played
 from gcode.dialects import close_limits, open_limits
 from gcode.emit import MoveWriter
 from gcode.limits import MotionLimits
 from gcode.program import Event, EventKind, Frame, Program
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 OURS = b" ; ffcomp"  # ends every line of ours that is not a move
 WAS = b";~"  # before a move of the original
@@ -39,8 +41,8 @@ class Mark:
 class Writer:
     """Turns runs and events, given in the file's order, into lines."""
 
-    def __init__(self, program: Program, flavor: str, own: MotionLimits, output: OutputLimits) -> None:
-        self.program, self.flavor, self.own, self.output = program, flavor, own, output
+    def __init__(self, program: Program, flavor: str, own: MotionLimits, settings: Settings) -> None:
+        self.program, self.flavor, self.own, self.settings = program, flavor, own, settings
         self.moves = MoveWriter()
         self.at: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)  # mm, X Y Z E, where the file has the toolhead
         self.frame = 0
@@ -83,7 +85,7 @@ class Writer:
 
     # -- a run
 
-    def run(self, first: int, vertices: FloatArray, e: FloatArray, marks: list[Mark], segment_s: float) -> Iterator[bytes]:
+    def run(self, first: int, vertices: FloatArray, e: FloatArray, marks: list[Mark]) -> Iterator[bytes]:
         """The segments of one run.
 
         Parameters
@@ -96,26 +98,35 @@ class Writer:
         frame = self.program.frames[int(self.program.moves.frame[first])]
         yield from self._begin(first)
         vertices = _rounded(vertices, frame)
-        speeds = played(vertices, np.diff(e), segment_s, self.output).cruise
-        waiting, rest, begun = iter(marks), 0, False
+        knots = self._enough(vertices, e, marks)
+        vertices, e, lasting = vertices[knots], e[knots], np.diff(knots) * self.settings.segment_s
+        speeds = played(vertices, np.diff(e), lasting, self.settings.output).cruise
+        waiting, rest, begun = iter(marks), 0.0, False
         mark = next(waiting, None)
-        points = vertices.tolist()
-        for k, (speed, filament) in enumerate(zip(speeds.tolist(), e[1:].tolist(), strict=True)):
-            while mark is not None and mark.knot <= k:
+        columns = (knots[:-1], vertices[1:], e[1:], speeds, lasting)
+        for knot, (x, y, z), filament, speed, duration in zip(*(c.tolist() for c in columns), strict=True):
+            while mark is not None and mark.knot <= knot:
                 yield from self._mark(mark)
                 mark = next(waiting, None)
-            line = self._to(*points[k + 1], filament, speed)
+            line = self._to(x, y, z, filament, speed)
             if not line:
-                rest += 1
+                rest += duration
                 continue
             if rest and begun:
-                yield b"G4 P%.6g" % (1e3 * rest * segment_s) + OURS + self.ending
-            rest, begun = 0, True
+                yield b"G4 P%.6g" % (1e3 * rest) + OURS + self.ending
+            rest, begun = 0.0, True
             self.segments += 1
             yield self._finish(line)
         while mark is not None:
             yield from self._mark(mark)
             mark = next(waiting, None)
+
+    def _enough(self, vertices: FloatArray, e: FloatArray, marks: list[Mark]) -> IntArray:
+        """The knots worth writing: all where the command bends, few where it runs straight and evenly."""
+        s = self.settings
+        pinned = np.zeros(len(vertices), dtype=np.bool_)
+        pinned[[mark.knot for mark in marks]] = True
+        return merge(vertices, e, pinned, 1e-3 * s.merge_um, max(1, round(s.longest_merged_s / s.segment_s)))
 
     def _begin(self, move: int) -> Iterator[bytes]:
         """Open a block if none is open, and take over the state at `move`."""
@@ -158,7 +169,7 @@ class Writer:
         return self.moves.move(x, y, z, e, speed)
 
     def _opening(self) -> list[bytes]:
-        o = self.output
+        o = self.settings.output
         return open_limits(
             self.flavor, o.velocity_mm_per_s, o.acceleration_mm_per_s2, o.square_corner_velocity_mm_per_s
         )

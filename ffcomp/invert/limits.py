@@ -79,7 +79,7 @@ def limited_step(
             eps_abs=1e-5,
             eps_rel=1e-5,
             max_iter=20_000,
-            polishing=True,
+            polishing=False,
         )
         result = solver.solve(raise_error=False)
         status = result.info.status

@@ -1,28 +1,110 @@
-"""The delta's equations for one point, compiled: for loops that cannot wait for arrays. See `delta.py`."""
+"""The delta's equations compiled, for loops that cannot wait for arrays of arrays. See `delta.py` for the maths.
+
+`towers` (3, 2) mm are DeltaGeometry.towers_mm, `arms_squared` (3,) mm². Points out of reach become NaN.
+"""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
-from models.machine import FloatArray
+from models.machine import DeltaGeometry, FloatArray
 
 
 @njit(cache=True)
 def inverse_point(
     x: float, y: float, z: float, towers: FloatArray, arms_squared: FloatArray, effector_height: float
 ) -> tuple[float, float, float]:
-    """Carriage heights A B C, mm, of one nozzle position; NaN where an arm is too short.
-
-    Parameters
-    ----------
-    towers : (3, 2) mm, columns X Y (DeltaGeometry.towers_mm).
-    arms_squared : (3,) mm².
-    """
+    """Carriage heights A B C, mm, of one nozzle position."""
     base = z + effector_height
     return (
         base + math.sqrt(arms_squared[0] - (x - towers[0, 0]) ** 2 - (y - towers[0, 1]) ** 2),
         base + math.sqrt(arms_squared[1] - (x - towers[1, 0]) ** 2 - (y - towers[1, 1]) ** 2),
         base + math.sqrt(arms_squared[2] - (x - towers[2, 0]) ** 2 - (y - towers[2, 1]) ** 2),
     )
+
+
+@njit(cache=True)
+def _inverse(xyz: FloatArray, towers: FloatArray, arms_squared: FloatArray, effector_height: float) -> FloatArray:
+    out = np.empty((len(xyz), 3))
+    for n in range(len(xyz)):
+        a, b, c = inverse_point(xyz[n, 0], xyz[n, 1], xyz[n, 2], towers, arms_squared, effector_height)
+        out[n, 0], out[n, 1], out[n, 2] = a, b, c
+    return out
+
+
+@njit(cache=True)
+def _forward(q: FloatArray, towers: FloatArray, arms_squared: FloatArray, effector_height: float) -> FloatArray:
+    """As `delta.forward`: two plane equations for r_xy = u + v r_z seen from joint A, then a quadratic in r_z."""
+    bx, by = towers[1, 0] - towers[0, 0], towers[1, 1] - towers[0, 1]
+    cx, cy = towers[2, 0] - towers[0, 0], towers[2, 1] - towers[0, 1]
+    det = bx * cy - by * cx
+    out = np.empty((len(q), 3))
+    for n in range(len(q)):
+        rise_b, rise_c = q[n, 1] - q[n, 0], q[n, 2] - q[n, 0]
+        off_b = 0.5 * (bx * bx + by * by + rise_b * rise_b + arms_squared[0] - arms_squared[1])
+        off_c = 0.5 * (cx * cx + cy * cy + rise_c * rise_c + arms_squared[0] - arms_squared[2])
+        ux, uy = (off_b * cy - off_c * by) / det, (off_c * bx - off_b * cx) / det
+        vx, vy = (rise_c * by - rise_b * cy) / det, (rise_b * cx - rise_c * bx) / det
+        a, b = 1.0 + vx * vx + vy * vy, ux * vx + uy * vy
+        rz = -(b + math.sqrt(b * b - a * (ux * ux + uy * uy - arms_squared[0]))) / a
+        out[n, 0] = towers[0, 0] + ux + vx * rz
+        out[n, 1] = towers[0, 1] + uy + vy * rz
+        out[n, 2] = q[n, 0] - effector_height + rz
+    return out
+
+
+@njit(cache=True)
+def _rate_term(xyz: FloatArray, velocity: FloatArray, towers: FloatArray, arms_squared: FloatArray) -> FloatArray:
+    """As `delta.jacobian_rate_term`: −S⁻¹ |ṡ_i|² by cofactors."""
+    out = np.empty((len(xyz), 3))
+    s, w = np.empty((3, 3)), np.empty(3)
+    for n in range(len(xyz)):
+        vx, vy, vz = velocity[n, 0], velocity[n, 1], velocity[n, 2]
+        for i in range(3):
+            x, y = xyz[n, 0] - towers[i, 0], xyz[n, 1] - towers[i, 1]
+            h = math.sqrt(arms_squared[i] - x * x - y * y)
+            s[i, 0], s[i, 1], s[i, 2] = x, y, -h
+            sink = (x * vx + y * vy) / h  # ż − q̇_i
+            w[i] = vx * vx + vy * vy + sink * sink
+        c0 = s[1, 1] * s[2, 2] - s[1, 2] * s[2, 1]
+        c1 = s[1, 2] * s[2, 0] - s[1, 0] * s[2, 2]
+        c2 = s[1, 0] * s[2, 1] - s[1, 1] * s[2, 0]
+        det = s[0, 0] * c0 + s[0, 1] * c1 + s[0, 2] * c2
+        d0, d1, d2 = w[0], w[1], w[2]
+        out[n, 0] = -(
+            d0 * c0
+            + s[0, 1] * (s[1, 2] * d2 - d1 * s[2, 2])
+            + s[0, 2] * (d1 * s[2, 1] - s[1, 1] * d2)
+        ) / det
+        out[n, 1] = -(
+            s[0, 0] * (d1 * s[2, 2] - s[1, 2] * d2)
+            + d0 * c1
+            + s[0, 2] * (s[1, 0] * d2 - d1 * s[2, 0])
+        ) / det
+        out[n, 2] = -(
+            s[0, 0] * (s[1, 1] * d2 - d1 * s[2, 1])
+            + s[0, 1] * (d1 * s[2, 0] - s[1, 0] * d2)
+            + d0 * c2
+        ) / det
+    return out
+
+
+class FastDelta:
+    """`inverse`, `forward` and `jacobian_rate_term` of one geometry, compiled and unchecked: (n, 3) in and out."""
+
+    def __init__(self, geometry: DeltaGeometry) -> None:
+        self._towers = np.ascontiguousarray(geometry.towers_mm)
+        self._arms = np.ascontiguousarray(geometry.arm_lengths_mm**2)
+        self._height = float(geometry.effector_height_mm)
+
+    def inverse(self, xyz: FloatArray) -> FloatArray:
+        return _inverse(xyz, self._towers, self._arms, self._height)
+
+    def forward(self, q: FloatArray) -> FloatArray:
+        return _forward(q, self._towers, self._arms, self._height)
+
+    def rate_term(self, xyz: FloatArray, velocity: FloatArray) -> FloatArray:
+        return _rate_term(xyz, velocity, self._towers, self._arms)

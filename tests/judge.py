@@ -1,0 +1,371 @@
+"""Judging a whole print: what a firmware plays, through the independent plant, against the path that was wanted.
+
+The wanted motion is the firmware's plan of the original file. A method is a nozzle command over time (the plan
+itself, the plan shaped, the segments of the compensated file as our planner or as the Kalico host plans them) and a
+`Clock`, which says at what time of the wanted plan each instant of it is: compensated runs begin a little earlier
+and end a little later than the path does, and nothing may hide in that.
+
+All methods are judged alike: contour error to the wanted path's segments, tracking raw and with the best constant
+delay removed, and beside them the largest acceleration that any carriage is asked for over one segment's time. The
+first `SETTLE_S` of a print are left out: before them the file's own first moves run uncompensated, and still ring.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp import shapers
+from ffcomp.invert.fbs import Inverter, RunResult
+from ffcomp.invert.settings import Settings
+from ffcomp.metrics import contour_error, peak_acceleration, tracking
+from ffcomp.pipeline import Planned, Summary, compensate, plan_program
+from ffcomp.plan.trajectory import Trajectory
+from ffcomp.runs import Reference
+from gcode.reader import read_program
+from models.machine import Machine
+from models.machine_file import load_machine
+from tests.plant import delta_plant
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Position = Callable[[FloatArray], FloatArray]  # t : (k,) s → (k, 3) mm
+
+ROOT = Path(__file__).parents[1]
+MACHINE_FILE = ROOT / "models" / "library" / "mp-delta-pro.toml"
+PRINTS = ("ringing_tower", "lobed_vase", "far_star")
+
+STEP_S = 1 / 12800  # of the plant's integration
+KEEP_EVERY = 8  # steps between two samples that are judged
+CHUNK_STEPS = 40_000
+SETTLE_S = 0.5
+EFFORT_S = 0.004  # one segment: the span over which accelerations of commands are taken
+EFFORT_SAMPLE_S = 0.001
+FIRMWARE_KNOWS = re.compile(rb"\s*(G0|G1|G4|G90|G91|G92|M82|M83|M204|SET_VELOCITY_LIMIT)\b", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """m stretches of a played motion. Stretch i begins at played_t[i], which is plan_t[i] on the wanted plan's clock;
+    the wanted path itself moves only from begin_t[i] to end_t[i] of that clock, and rests around it."""
+
+    played_t: FloatArray  # (m,) s
+    plan_t: FloatArray  # (m,) s
+    begin_t: FloatArray  # (m,) s
+    end_t: FloatArray  # (m,) s
+
+    def plan_time(self, t: FloatArray) -> FloatArray:
+        """The wanted plan's time at each played time, (k,) s → (k,) s."""
+        i = np.maximum(np.searchsorted(self.played_t, t, side="right") - 1, 0)
+        return np.clip(self.plan_t[i] + (t - self.played_t[i]), self.begin_t[i], self.end_t[i])
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """What is played: the nozzle's command at any time from begin_t to end_t, and where on the wanted plan that is."""
+
+    position: Position
+    begin_t: float  # s
+    end_t: float  # s
+    clock: Clock
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What the plant made of a motion, at m samples that count."""
+
+    due: FloatArray  # (m,) s, when on the wanted plan's clock
+    wanted: FloatArray  # (m, 3) mm, the nozzle as planned
+    late: FloatArray  # (m, 3) mm, the same `delay_s` earlier: the constant delay that explains most of the error
+    nozzle: FloatArray  # (m, 3) mm, the nozzle as it was
+    delay_s: float
+    peak_m_per_s2: float  # largest acceleration any carriage is asked for
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """µm, and m/s² of command."""
+
+    tracking_rms_um: float
+    tracking_rms_no_delay_um: float
+    delay_s: float
+    contour_rms_um: float
+    contour_p99_um: float
+    contour_max_um: float
+    peak_m_per_s2: float
+
+
+class Original:
+    """A print to be judged: its file, the firmware's plan for it, and the machine it runs on."""
+
+    def __init__(self, data: bytes, path: str, machine_file: Path = MACHINE_FILE) -> None:
+        self.data = data
+        self.machine: Machine = load_machine(machine_file)
+        self.plant: dict[str, Any] = delta_plant.load_machine(machine_file)
+        self.planned: Planned = plan_program(read_program(data, path), self.machine)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        return self.planned.trajectory
+
+    @cached_property
+    def corners(self) -> tuple[FloatArray, FloatArray]:
+        """When each corner of the path is due (n + 1,) s, and where it is (n + 1, 3) mm."""
+        plan = self.trajectory
+        end = plan.position(np.array([plan.end_t]))
+        return np.append(plan.start_t, plan.end_t), np.vstack([plan.origin, end])[:, :3]
+
+    @cached_property
+    def motion(self) -> Motion:
+        """The plan as it stands."""
+        return motion_of(self.trajectory, own_clock(self.trajectory))
+
+
+def sample_print(name: str, until_s: float = np.inf) -> Original:
+    """A sample print, or its moves that begin before `until_s` of the plan."""
+    path = ROOT / "sample_prints" / f"{name}.gcode"
+    whole = Original(path.read_bytes(), path.name)
+    moves = int(np.searchsorted(whole.trajectory.start_t, until_s))
+    if moves == len(whole.trajectory):
+        return whole
+    program = whole.planned.program
+    return Original(b"".join(program.lines[: program.moves.line[moves]]), path.name)
+
+
+# ---- motions -------------------------------------------------------------------------------------
+
+
+def motion_of(trajectory: Trajectory, clock: Clock) -> Motion:
+    begin, end = float(trajectory.start_t[0]), trajectory.end_t
+    return Motion(lambda t: trajectory.position(np.clip(t, begin, end))[:, :3], begin, end, clock)
+
+
+def own_clock(trajectory: Trajectory) -> Clock:
+    """Of the wanted plan itself."""
+    begin, end = trajectory.start_t[:1], np.array([trajectory.end_t])
+    return Clock(begin, begin, begin, end)
+
+
+def shaped(motion: Motion, shaper: shapers.Shaper) -> Motion:
+    def position(t: FloatArray) -> FloatArray:
+        return shapers.shape(motion.position, t, shaper, shaper)
+
+    return Motion(position, motion.begin_t, motion.end_t, motion.clock)
+
+
+# ---- our own -------------------------------------------------------------------------------------
+
+
+class _Watched(Inverter):
+    """Keeps what it answers, and the line of the output at which each answer begins."""
+
+    def __init__(self, machine: Machine, settings: Settings, lines: list[bytes]) -> None:
+        super().__init__(machine, settings)
+        self.lines, self.begins_at, self.vertices = lines, list[int](), list[FloatArray]()
+
+    def run(self, reference: Reference, state: FloatArray, keep_response: bool = False) -> RunResult:
+        result = super().run(reference, state, keep_response)
+        self.begins_at.append(len(self.lines))
+        self.vertices.append(result.vertices)
+        return result
+
+
+@dataclass(frozen=True, slots=True)
+class Compensated:
+    """A compensated file, and where in it the runs of the original are."""
+
+    text: bytes
+    begins_at: IntArray  # (m,) line at which each run begins
+    plan_t: FloatArray  # (m,) plan time of each run's knot 0
+    begin_t: FloatArray  # (m,) plan time at which its path begins
+    end_t: FloatArray  # (m,) and ends
+    vertices: list[FloatArray]  # m × (knots + 1, 3) mm
+    segment_s: float
+    summary: Summary
+
+
+def compensated(original: Original, settings: Settings | None = None) -> Compensated:
+    """The original print, compensated for its machine, in Klipper's flavor."""
+    settings, lines, summary = settings or Settings(), list[bytes](), Summary()
+    inverter = _Watched(original.machine, settings, lines)
+    for line in compensate(original.planned, original.machine, inverter, "klipper", summary):
+        lines.append(line)  # one by one: the inverter looks how many there are
+    runs = [run for run in original.planned.runs if run.travels]
+    return Compensated(
+        b"".join(lines),
+        np.array(inverter.begins_at),
+        np.array([run.begin_t - settings.lead_s for run in runs]),
+        np.array([run.begin_t for run in runs]),
+        np.array([run.end_t for run in runs]),
+        inverter.vertices,
+        settings.segment_s,
+        summary,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Segments:
+    """The compensated file as our own planner plans it; `first` are the moves with which runs begin."""
+
+    trajectory: Trajectory  # of the moves that travel
+    run: IntArray  # (m,) the runs that have segments
+    first: IntArray  # (m,) move at which each of them begins
+    plan_t: FloatArray  # (m,) plan time at which that move begins
+
+    def clock(self, ours: Compensated, start_t: FloatArray) -> Clock:
+        """For these segments when segment k begins at start_t[k], whoever planned them."""
+        return Clock(start_t[self.first], self.plan_t, ours.begin_t[self.run], ours.end_t[self.run])
+
+
+def segments(original: Original, ours: Compensated) -> Segments:
+    """Read the compensated file as a firmware would, and find the runs in it."""
+    planned = plan_program(read_program(ours.text, "compensated"), original.machine)
+    travels = np.any(planned.trajectory.direction[:, :3] != 0.0, axis=1)
+    trajectory = pick(planned.trajectory, travels)
+    firsts = np.searchsorted(planned.program.moves.line[travels], ours.begins_at)
+    run = np.flatnonzero(np.diff(firsts, append=len(trajectory)))
+    ends = trajectory.origin + trajectory.direction * _length(trajectory)[:, None]
+    at = [_knot(ours.vertices[i], ends[firsts[i], :3]) for i in run]
+    return Segments(trajectory, run, firsts[run], ours.plan_t[run] + ours.segment_s * np.array(at))
+
+
+def _knot(vertices: FloatArray, first_end: FloatArray) -> int:
+    """The knot at which a run's first written segment begins: segments that go nowhere are not written."""
+    there = np.abs(np.round(vertices[1:], 4) - first_end).max(axis=1) < 1e-6
+    return int(np.flatnonzero(there)[0])
+
+
+def _length(trajectory: Trajectory) -> FloatArray:
+    """(n,) mm: mean speed times duration, phase by phase."""
+    t = trajectory
+    up, down = 0.5 * (t.start_v + t.cruise_v) * t.accel_t, 0.5 * (t.cruise_v + t.end_v) * t.decel_t
+    return up + t.cruise_v * t.cruise_t + down
+
+
+def pick(trajectory: Trajectory, which: NDArray[np.bool_] | slice) -> Trajectory:
+    names = Trajectory.__dataclass_fields__
+    return Trajectory(**{name: np.ascontiguousarray(getattr(trajectory, name)[which]) for name in names})
+
+
+# ---- the Kalico host's plan ----------------------------------------------------------------------
+
+
+def for_kalico(text: bytes) -> bytes:
+    """Only what a bare host without heaters and endstops knows."""
+    return b"".join(line for line in text.splitlines(keepends=True) if FIRMWARE_KNOWS.match(line))
+
+
+def kalico_trajectory(moves: FloatArray, like: Trajectory) -> Trajectory:
+    """The host's last moves, one for each move of `like`, which must be the same moves in space."""
+    own = moves[len(moves) - len(like) :]
+    apart = np.abs(own[:, 4:10] - np.hstack([like.origin[:, :3], like.direction[:, :3]])).max()
+    assert len(moves) >= len(like) and apart < 1e-4, f"The host moves elsewhere: {apart:.3g}"
+    accel_t, cruise_t, decel_t, start_v, cruise_v, acceleration = own[:, [1, 2, 3, 10, 11, 12]].T
+    end_v = cruise_v - acceleration * decel_t
+    place, direction = (np.column_stack([own[:, i : i + 3], np.zeros(len(own))]) for i in (4, 7))
+    return Trajectory(
+        *(np.ascontiguousarray(c) for c in (own[:, 0], accel_t, cruise_t, decel_t, start_v, cruise_v, end_v)),
+        np.ascontiguousarray(acceleration),
+        place,
+        direction,
+    )
+
+
+# ---- judgement -----------------------------------------------------------------------------------
+
+
+def play(plant: dict[str, Any], motion: Motion, step_s: float = STEP_S) -> tuple[FloatArray, FloatArray]:
+    """The nozzle's answer to a motion, from rest: t (m,) s, nozzle (m, 3) mm."""
+    steps = int((motion.end_t - motion.begin_t) / step_s) // KEEP_EVERY * KEEP_EVERY
+    parts, state = [], None
+    for first in range(0, steps, CHUNK_STEPS):
+        count = min(CHUNK_STEPS, steps - first)
+        t = motion.begin_t + (2 * first + np.arange(2 * count + 1)) * (step_s / 2)
+        command = delta_plant.carriages_of(plant, motion.position(t))
+        answer = delta_plant.simulate(plant, command, step_s, keep_every=KEEP_EVERY, start=state)
+        state = answer["state"]
+        parts.append(answer["nozzle_mm"][1:])
+    return motion.begin_t + KEEP_EVERY * step_s * np.arange(1, steps // KEEP_EVERY + 1), np.concatenate(parts)
+
+
+def peak_m_per_s2(plant: dict[str, Any], motion: Motion) -> float:
+    """The largest acceleration a carriage is asked for: second difference over one segment's time."""
+    t = np.arange(motion.begin_t, motion.end_t, EFFORT_SAMPLE_S)
+    carriages = delta_plant.carriages_of(plant, motion.position(t))
+    return peak_acceleration(carriages, EFFORT_SAMPLE_S, EFFORT_S) / 1e3
+
+
+def answer(original: Original, motion: Motion, step_s: float = STEP_S) -> Answer:
+    """Play a motion on the plant, and find where it should have been."""
+    t, nozzle = play(original.plant, motion, step_s)
+    counted = t >= motion.clock.played_t[0] + SETTLE_S
+    t, nozzle = t[counted], nozzle[counted]
+
+    def planned(at: FloatArray) -> FloatArray:
+        return np.ascontiguousarray(original.trajectory.position(motion.clock.plan_time(at))[:, :3])
+
+    wanted = planned(t)
+    delay_s = tracking(wanted, nozzle, KEEP_EVERY * step_s).delay_s
+    due, effort = motion.clock.plan_time(t), peak_m_per_s2(original.plant, motion)
+    return Answer(due, wanted, planned(t - delay_s), nozzle, delay_s, effort)
+
+
+def score(original: Original, found: Answer, beyond_mm: float = 0.0) -> Score:
+    """Judge an answer, where the wanted nozzle is `beyond_mm` or more from the middle of the bed."""
+    there = np.hypot(found.wanted[:, 0], found.wanted[:, 1]) >= beyond_mm
+    if not there.any():
+        raise ValueError(f"The print never is {beyond_mm} mm from the middle of the bed.")
+    nozzle = found.nozzle[there]
+    contour = contour_error(*original.corners, found.due[there], nozzle)
+    return Score(
+        _rms_um(np.linalg.norm(nozzle - found.wanted[there], axis=1)),
+        _rms_um(np.linalg.norm(nozzle - found.late[there], axis=1)),
+        found.delay_s,
+        _rms_um(contour),
+        float(np.percentile(contour, 99)) * 1e3,
+        float(contour.max()) * 1e3,
+        found.peak_m_per_s2,
+    )
+
+
+def judge(original: Original, motion: Motion, step_s: float = STEP_S) -> Score:
+    """`score` of `answer`, over the whole bed."""
+    return score(original, answer(original, motion, step_s))
+
+
+def _rms_um(error_mm: FloatArray) -> float:
+    return float(np.sqrt(np.mean(error_mm**2))) * 1e3
+
+
+@dataclass(frozen=True, slots=True)
+class Tuned:
+    """The best shaper of its kind on one very motion, x and y alike."""
+
+    frequency_hz: float
+    damping_ratio: float
+    score: Score
+
+
+def best_shaper(
+    original: Original,
+    motion: Motion,
+    kind: str,
+    frequencies_hz: Iterable[float],
+    damping_ratios: Iterable[float] = (shapers.DAMPING_RATIO,),
+    step_s: float = STEP_S,
+) -> Tuned:
+    """The one with the least contour error of all that are tried."""
+    make = shapers.SHAPERS[kind]
+    tried = (
+        Tuned(f, zeta, judge(original, shaped(motion, make(f, zeta)), step_s))
+        for f in frequencies_hz
+        for zeta in damping_ratios
+    )
+    return min(tried, key=lambda each: each.score.contour_rms_um)
