@@ -1,11 +1,11 @@
 """What can go wrong beyond the input files, and the exit code each error ends in.
 
-    FfcompError
-    ├── NothingToDo      3   the file holds nothing to compensate
-    ├── LimitsError      6   a limit of the machine cannot be met
-    └── SolverError      7   a solver did not find the answer it was asked for
+FfcompError
+├── NothingToDo      3   the file holds nothing to compensate
+├── LimitsError      6   a limit of the machine cannot be met
+└── SolverError      7   a solver did not find the answer it was asked for
 
-    (gcode.errors.GcodeError 4 · models.errors.MachineFileError 5)
+(gcode.errors.GcodeError 4 · models.errors.MachineFileError 5)
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from typing import Any
 from ffcomp import __version__
 from ffcomp.invert.fbs import Inverter
 from ffcomp.invert.settings import Settings
-from ffcomp.pipeline import Summary, compensate, plan_program
+from ffcomp.pipeline import Summary, compensate, plan_program, settings_for
 from ffcomp.predict import Prediction
 from gcode.container import replace_atomically
 from gcode.dialects import FLAVORS, detect_flavor
@@ -51,7 +51,7 @@ class Job:
             raise UnsupportedGcode(f"The flavor {flavor!r} is none of {', '.join(sorted(FLAVORS))}.", path=path)
         self.planned = plan_program(self.program, machine)
         self.print_time_s = self.planned.trajectory.end_t
-        self.inverter = Inverter(machine, settings or Settings())
+        self.inverter = Inverter(machine, settings or settings_for(machine))
         self.summary = Summary()
         if predict:
             self.summary.prediction = Prediction(self.inverter, self.print_time_s)

@@ -20,9 +20,7 @@ from scipy.optimize import minimize_scalar
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-WINDOW_S = (
-    0.05  # a sample may belong to where the path is within this time: other lines and layers are not its own
-)
+WINDOW_S = 0.05  # a sample may belong to where the path is within this time: other lines and layers are not its own
 LONGEST_DELAY_S = 0.02
 EFFORT_SPAN_S = 1e-3  # a jump of speed at a corner counts as spread over this time, whatever the sampling
 SCAN_SAMPLES = 20_000  # enough of them to see in which millisecond the best delay lies
@@ -116,9 +114,7 @@ def contour_error(
     actual_t : (m,) s, in any order;  actual_xyz : (m, 3) mm.
     """
     if len(path_t) < 2 or np.any(np.diff(path_t) < 0):
-        raise ValueError(
-            f"A wanted path needs two corners or more, at times that never fall; it has {len(path_t)}."
-        )
+        raise ValueError(f"A wanted path needs two corners or more, at times that never fall; it has {len(path_t)}.")
     first, last = path_t[:-1], path_t[1:]
     # before the path begins its first segment counts, after its end the last one
     low = np.minimum(np.searchsorted(last, actual_t - window_s, side="left"), len(last) - 1)
@@ -155,9 +151,7 @@ def _distance2(path: FloatArray, k: int, x: float, y: float, z: float) -> float:
 # ---- tracking ------------------------------------------------------------------------------------
 
 
-def tracking(
-    wanted: FloatArray, actual: FloatArray, dt: float, longest_delay_s: float = LONGEST_DELAY_S
-) -> Tracking:
+def tracking(wanted: FloatArray, actual: FloatArray, dt: float, longest_delay_s: float = LONGEST_DELAY_S) -> Tracking:
     """Errors of two motions : (m, 3) mm sampled every dt, and the constant delay that explains most of them.
 
     The delay τ minimises the mean of |actual(t) - wanted(t - τ)|², continuously: the wanted motion is
@@ -185,9 +179,7 @@ def _best_delay(wanted: FloatArray, actual: FloatArray, dt: float, longest: floa
     def cost(tau: float) -> float:
         return float(_mean_square(wanted, actual, tau / dt, 1))
 
-    found = minimize_scalar(
-        cost, bounds=(valley - step, valley + step), method="bounded", options={"xatol": 1e-10}
-    )
+    found = minimize_scalar(cost, bounds=(valley - step, valley + step), method="bounded", options={"xatol": 1e-10})
     if not found.success:
         raise RuntimeError(f"The search for the delay near {valley:.4f} s has not ended: {found.message}")
     return float(found.x)

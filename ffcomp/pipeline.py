@@ -1,10 +1,10 @@
 """The whole order, on one page: G-code text in, compensated G-code text out.
 
-    program     gcode.reader          lines → moves and events
-    trajectory  ffcomp.plan           moves → the firmware's own plan: when each move accelerates, cruises, brakes
-    runs        ffcomp.runs           the plan cut where the nozzle rests
-    vertices    ffcomp.invert         each run → the command whose response is the run
-    lines       ffcomp.writer         commands and events → text, limits opened and closed around it
+program     gcode.reader          lines → moves and events
+trajectory  ffcomp.plan           moves → the firmware's own plan: when each move accelerates, cruises, brakes
+runs        ffcomp.runs           the plan cut where the nozzle rests
+vertices    ffcomp.invert         each run → the command whose response is the run
+lines       ffcomp.writer         commands and events → text, limits opened and closed around it
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from ffcomp.invert.settings import Settings
 from ffcomp.plan.limits import DeltaReach, FirmwareLimits
 from ffcomp.plan.lookahead import plan_moves, stops_and_waits
 from ffcomp.plan.trajectory import Trajectory
+from ffcomp.played import OutputLimits
 from ffcomp.predict import Prediction
 from ffcomp.runs import Reference, Run, split_runs
 from ffcomp.schedule import rest_state
@@ -73,6 +74,16 @@ def firmware_limits(machine: Machine) -> FirmwareLimits:
     )
 
 
+def settings_for(machine: Machine) -> Settings:
+    """The settings for a machine: what no G-code file can raise is taken from its own limits."""
+    limits = firmware_limits(machine)
+    output = OutputLimits(
+        z_acceleration_mm_per_s2=limits.acceleration_mm_per_s2,
+        retract_acceleration_mm_per_s2=limits.acceleration_mm_per_s2 * limits.extrusion_ratio,
+    )
+    return Settings(output=output)
+
+
 def plan_program(program: Program, machine: Machine) -> Planned:
     """Check that every move can be reached, and plan them all."""
     moves = program.moves
@@ -85,9 +96,7 @@ def plan_program(program: Program, machine: Machine) -> Planned:
             line = int(moves.line[error.indices[0]]) + 1
             raise GcodeError(f"{error} Does the file need --offset-mm?", line, program.path) from error
     stop_before, wait_before = stops_and_waits(program)
-    trajectory = plan_moves(
-        moves, firmware_limits(machine), stop_before=stop_before, wait_before=wait_before
-    )
+    trajectory = plan_moves(moves, firmware_limits(machine), stop_before=stop_before, wait_before=wait_before)
     return Planned(program, trajectory, split_runs(trajectory, stop_before))
 
 
@@ -105,9 +114,7 @@ def compensate(
     """
     program, trajectory, settings = planned.program, planned.trajectory, inverter.settings
     own = machine.limits
-    limits = MotionLimits(
-        own.velocity_mm_per_s, own.acceleration_mm_per_s2, own.square_corner_velocity_mm_per_s, 0.5
-    )
+    limits = MotionLimits(own.velocity_mm_per_s, own.acceleration_mm_per_s2, own.square_corner_velocity_mm_per_s, 0.5)
     writer = Writer(program, flavor, limits, settings)
     events = iter(program.events)
     event = next(events, None)
@@ -127,9 +134,7 @@ def compensate(
         start = trajectory.origin[run.first, :3]
         hold = run.begin_t - rested
         state = (
-            rest_state(machine, start)
-            if stopped or hold > 0.5 or not state.size
-            else inverter.hold(state, start, hold)
+            rest_state(machine, start) if stopped or hold > 0.5 or not state.size else inverter.hold(state, start, hold)
         )
         predicted = summary.prediction is not None and summary.prediction.wants(wanted)
         result = inverter.run(wanted, state, keep_response=predicted)

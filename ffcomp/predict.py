@@ -80,11 +80,11 @@ class Prediction:
         self.path_t.append(self.clock + due - t0)
 
     def tracks(self) -> dict[str, Track]:
-        """"uncompensated" and "compensated", each judged over the runs that were taken in."""
+        """ "uncompensated" and "compensated", each judged over the runs that were taken in."""
         if not self.wanted:
             return {}
         wanted = np.concatenate(self.wanted)
-        t = SAMPLE_S * np.arange(1, len(wanted) + 1)
+        t = SAMPLE_S * np.arange(1, len(wanted) + 1, dtype=np.float64)
         path_t, path = np.concatenate(self.path_t), np.concatenate(self.path)
         return {
             name: track(t, wanted, np.concatenate(motion.actual), path_t, path, motion.peak)

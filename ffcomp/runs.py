@@ -60,9 +60,9 @@ class Reference:
         self._substeps = settings.substeps
 
     def substeps(self, first: int, last: int) -> tuple[FloatArray, FloatArray]:
-        """Nozzle (m, 3) mm and velocity (m, 3) mm/s at every substep from knot `first` to knot `last`, both included."""
+        """Nozzle (m, 3) mm and velocity (m, 3) mm/s at every substep between two knots, both included."""
         count = (last - first) * self._substeps + 1
-        t = self.t0 + first * self._segment_s + np.arange(count) * self._substep_s
+        t = self.t0 + first * self._segment_s + np.arange(count, dtype=np.float64) * self._substep_s
         return self.nozzle(t), self._velocity(t)
 
     def nozzle(self, t: FloatArray) -> FloatArray:
@@ -71,7 +71,7 @@ class Reference:
 
     def at_knots(self, knots: NDArray[np.int64]) -> FloatArray:
         """The nozzle at these knots, (m, 3) mm; there are knots before the first and after the last, at rest."""
-        return self.nozzle(self.t0 + knots * self._segment_s)
+        return self.nozzle(self.t0 + knots.astype(np.float64) * self._segment_s)
 
     def extrusion(self) -> FloatArray:
         """Filament at the knots, (knots + 1,) mm."""
@@ -83,7 +83,7 @@ class Reference:
         return np.sqrt((np.diff(velocity, axis=0) ** 2).sum(axis=1))
 
     def _knot_times(self) -> FloatArray:
-        return self.t0 + np.arange(self.knots + 1) * self._segment_s
+        return self.t0 + np.arange(self.knots + 1, dtype=np.float64) * self._segment_s
 
     def _position(self, t: FloatArray) -> FloatArray:
         return self._trajectory.position(np.clip(t, self._run.begin_t, self._run.end_t))

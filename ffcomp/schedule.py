@@ -76,9 +76,7 @@ def respond(
     n = (len(nozzle) - 1) // substeps
     middle = nozzle[substeps // 2 :: substeps, :2][:n]
     centripetal = jacobian_rate_term(geometry, nozzle, velocity)
-    q, states = simulate(
-        *models_along(table, middle), substeps, state, inverse(geometry, nozzle), centripetal, 1
-    )
+    q, states = simulate(*models_along(table, middle), substeps, state, inverse(geometry, nozzle), centripetal, 1)
     return forward(geometry, q), states[-1]
 
 

@@ -51,14 +51,10 @@ def zv(frequency_hz: float, damping_ratio: float = DAMPING_RATIO) -> Shaper:
 def mzv(frequency_hz: float, damping_ratio: float = DAMPING_RATIO) -> Shaper:
     decay, period = _decay_and_period(frequency_hz, damping_ratio)
     outer, inner = 1 - 1 / np.sqrt(2), np.sqrt(2) - 1
-    return _centred(
-        "mzv", [outer, inner * decay**0.75, outer * decay**1.5], [0.0, 0.375 * period, 0.75 * period]
-    )
+    return _centred("mzv", [outer, inner * decay**0.75, outer * decay**1.5], [0.0, 0.375 * period, 0.75 * period])
 
 
-def ei(
-    frequency_hz: float, damping_ratio: float = DAMPING_RATIO, tolerated: float = TOLERATED_VIBRATION
-) -> Shaper:
+def ei(frequency_hz: float, damping_ratio: float = DAMPING_RATIO, tolerated: float = TOLERATED_VIBRATION) -> Shaper:
     decay, period = _decay_and_period(frequency_hz, damping_ratio)
     outer, inner = (1 + tolerated) / 4, (1 - tolerated) / 2
     return _centred("ei", [outer, inner * decay, outer * decay**2], [0.0, period / 2, period])
@@ -95,9 +91,7 @@ def _decay_and_period(frequency_hz: float, damping_ratio: float) -> tuple[float,
 
 def _centred(name: str, pulses: ArrayLike, times: ArrayLike) -> Shaper:
     amplitude = np.asarray(pulses, dtype=float) / np.sum(pulses)
-    return Shaper(
-        name, amplitude, np.asarray(times, dtype=float) - amplitude @ np.asarray(times, dtype=float)
-    )
+    return Shaper(name, amplitude, np.asarray(times, dtype=float) - amplitude @ np.asarray(times, dtype=float))
 
 
 def shape(

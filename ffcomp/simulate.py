@@ -57,7 +57,7 @@ def _section(
     last = np.nextafter(end, -np.inf)  # at `end` itself the next stretch may have begun
     while begin < end:
         steps = min(CHUNK_STEPS, SUBSTEPS * int(np.ceil((end - begin) / STEP_S / SUBSTEPS)))
-        t = begin + STEP_S * np.arange(steps + 1)
+        t = begin + STEP_S * np.arange(steps + 1, dtype=np.float64)
         place = np.ascontiguousarray(trajectory.position(np.minimum(t, last))[:, :3])
         velocity = trajectory.velocity(t)[:, :3] * (t < end)[:, None]
         response, state = respond(machine, table, place, velocity, state, SUBSTEPS)

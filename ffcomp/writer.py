@@ -204,7 +204,9 @@ def original_lines(lines: Iterable[bytes]) -> Iterator[bytes]:
             inside = not line.startswith(b"G1 F")
         elif line.startswith(WAS):
             yield line[len(WAS) :]
-        elif line.startswith((b"; Processed by ffcomp", b"; ffcomp offset_mm=")) or (inside and line.startswith(b"G1 ")):
+        elif line.startswith((b"; Processed by ffcomp", b"; ffcomp offset_mm=")):
+            continue  # the stamp
+        elif inside and line.startswith(b"G1 "):
             continue
         else:
             yield line

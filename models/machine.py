@@ -115,12 +115,8 @@ class Machine:
     limits: MotionLimits
     steps: Steps = Steps()
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # effect name -> its parameters
-    uncertainty: Mapping[str, float] = field(
-        default_factory=dict
-    )  # "table.key" or "default" -> relative s.d.
-    provenance: Mapping[str, Any] = field(
-        default_factory=dict
-    )  # "table.key" -> where the number is from; free
+    uncertainty: Mapping[str, float] = field(default_factory=dict)  # "table.key" or "default" -> relative s.d.
+    provenance: Mapping[str, Any] = field(default_factory=dict)  # "table.key" -> where the number is from; free
     sha256: str = ""  # of the file's bytes; empty: made in memory
     path: str = ""
 

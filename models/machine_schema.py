@@ -99,13 +99,9 @@ class EffectorTable(Table):
 class LimitsTable(Table):
     velocity_mm_per_s: float = Field(ge=1, le=1e4)
     acceleration_mm_per_s2: float = Field(ge=10, le=1e6)
-    square_corner_velocity_mm_per_s: float = Field(
-        DEFAULT_LIMITS.square_corner_velocity_mm_per_s, ge=0, le=1000
-    )
+    square_corner_velocity_mm_per_s: float = Field(DEFAULT_LIMITS.square_corner_velocity_mm_per_s, ge=0, le=1000)
     carriage_velocity_mm_per_s: float = Field(DEFAULT_LIMITS.carriage_velocity_mm_per_s, ge=1, le=1e4)
-    carriage_acceleration_mm_per_s2: float = Field(
-        DEFAULT_LIMITS.carriage_acceleration_mm_per_s2, ge=10, le=1e7
-    )
+    carriage_acceleration_mm_per_s2: float = Field(DEFAULT_LIMITS.carriage_acceleration_mm_per_s2, ge=10, le=1e7)
 
 
 class StepsTable(Table):

@@ -5,10 +5,10 @@ State of 18, in physical coordinates so that matrices of neighbouring places can
 
     [ w, ẇ, q, q̇, η, η̇ ]
 
-    w   drive filter:            ẅ = u_d − d₂ ẇ − d₀ w,   u = d₀ w + d₁ ẇ                         (Eq. 34)
-    q   carriages:               m q̈ = k (u − q) + c (u̇ − q̇) − b q̇ − F_q                          (Eqs. 32, 44)
-    η   extruder against nozzle: η̈ = −Ẍ − (B η̇ + K η)/m₂                                          (Eqs. 53-55, η = X₂ − X)
-    load of the effector:        F_q = Γ (m₁ Ẍ − B η̇ − K η),   Ẍ = J q̈ + J̇ q̇                       (Eqs. 25, 50-52)
+    w   drive filter:            ẅ = u_d − d₂ ẇ − d₀ w,   u = d₀ w + d₁ ẇ                     (Eq. 34)
+    q   carriages:               m q̈ = k (u − q) + c (u̇ − q̇) − b q̇ − F_q                      (Eqs. 32, 44)
+    η   extruder against nozzle: η̈ = −Ẍ − (B η̇ + K η)/m₂                                      (Eqs. 53-55, η = X₂ − X)
+    load of the effector:        F_q = Γ (m₁ Ẍ − B η̇ − K η),   Ẍ = J q̈ + J̇ q̇                   (Eqs. 25, 50-52)
 
 Γ = Jᵀ by virtual work, or the rows J_iᵀ P_i of Eq. 25. The centripetal term J̇ q̇ of the planned motion is a known
 input. Only accelerations and relative displacements of the effector enter, so the model holds for large motion.
@@ -84,7 +84,7 @@ def _mechanics(machine: Machine, j: FloatArray, gamma: FloatArray) -> Continuous
     a[:, ETAD, ETA] -= spring / m2
     a[:, ETAD, ETAD] -= damper / m2
 
-    def driven(rows: FloatArray, direct: FloatArray | float = 0.0) -> FloatArray:
+    def driven(rows: NDArray[np.floating], direct: FloatArray | float = 0.0) -> FloatArray:
         columns = np.zeros((g, STATES, 3))
         columns[:, QD] = rows
         columns[:, ETAD] = -(j @ rows) - direct

@@ -13,9 +13,9 @@ first `SETTLE_S` of a print are left out: before them the file's own first moves
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +29,11 @@ from ffcomp.metrics import contour_error, peak_acceleration, tracking
 from ffcomp.pipeline import Planned, Summary, compensate, plan_program
 from ffcomp.plan.trajectory import Trajectory
 from ffcomp.runs import Reference
+from gcode.program import Program
 from gcode.reader import read_program
 from models.machine import Machine
 from models.machine_file import load_machine
+from tests.kalico import kalico_plan
 from tests.plant import delta_plant
 
 FloatArray = NDArray[np.float64]
@@ -48,7 +50,8 @@ CHUNK_STEPS = 40_000
 SETTLE_S = 0.5
 EFFORT_S = 0.004  # one segment: the span over which accelerations of commands are taken
 EFFORT_SAMPLE_S = 0.001
-FIRMWARE_KNOWS = re.compile(rb"\s*(G0|G1|G4|G90|G91|G92|M82|M83|M204|SET_VELOCITY_LIMIT)\b", re.IGNORECASE)
+# Without heaters and endstops the host refuses the other commands of a print.
+HOST_KNOWS = re.compile(rb"\s*(G0|G1|G4|G90|G91|G92|M82|M83|M204|SET_VELOCITY_LIMIT)\b", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +118,12 @@ class Original:
     def trajectory(self) -> Trajectory:
         return self.planned.trajectory
 
+    @property
+    def corner_velocity_mm_per_s(self) -> float:
+        """What the file asks for from its first move on (Marlin's M205, which Kalico does not know), or the machine's."""
+        asked = float(self.planned.program.moves.square_corner_velocity[0])
+        return self.machine.limits.square_corner_velocity_mm_per_s if np.isnan(asked) else asked
+
     @cached_property
     def corners(self) -> tuple[FloatArray, FloatArray]:
         """When each corner of the path is due (n + 1,) s, and where it is (n + 1, 3) mm."""
@@ -128,15 +137,28 @@ class Original:
         return motion_of(self.trajectory, own_clock(self.trajectory))
 
 
-def sample_print(name: str, until_s: float = np.inf) -> Original:
-    """A sample print, or its moves that begin before `until_s` of the plan."""
+def sample_print(name: str, from_s: float = 0.0, until_s: float = np.inf) -> Original:
+    """A sample print, or the part of it that the plan has between two times; it begins with a retraction."""
     path = ROOT / "sample_prints" / f"{name}.gcode"
     whole = Original(path.read_bytes(), path.name)
-    moves = int(np.searchsorted(whole.trajectory.start_t, until_s))
-    if moves == len(whole.trajectory):
-        return whole
-    program = whole.planned.program
-    return Original(b"".join(program.lines[: program.moves.line[moves]]), path.name)
+    last = int(np.searchsorted(whole.trajectory.start_t, until_s))
+    first = 0
+    if from_s > 0.0:
+        pulls_back = whole.trajectory.direction[:, 3] == -1.0
+        first = int(np.flatnonzero(pulls_back & (whole.trajectory.start_t >= from_s))[0])
+    return Original(b"".join(_cut(whole.planned.program, first, last)), path.name)
+
+
+def _cut(program: Program, first: int, last: int) -> Iterator[bytes]:
+    """The file without its moves before `first`, and without anything from the move `last` on."""
+    moves, frame = program.moves, program.frames[int(program.moves.frame[first])]
+    dropped = set(moves.line[:first].tolist())
+    end = int(moves.line[last]) if last < len(moves) else len(program.lines)
+    for at, line in enumerate(program.lines[:end]):
+        if first and frame.absolute_e and at == moves.line[first]:
+            yield b"G92 E%.5f\n" % (moves.start[first, 3] - frame.base[3])
+        if at not in dropped:
+            yield line
 
 
 # ---- motions -------------------------------------------------------------------------------------
@@ -231,22 +253,20 @@ def segments(original: Original, ours: Compensated) -> Segments:
     trajectory = pick(planned.trajectory, travels)
     firsts = np.searchsorted(planned.program.moves.line[travels], ours.begins_at)
     run = np.flatnonzero(np.diff(firsts, append=len(trajectory)))
-    ends = trajectory.origin + trajectory.direction * _length(trajectory)[:, None]
-    at = [_knot(ours.vertices[i], ends[firsts[i], :3]) for i in run]
+    ends = planned.program.moves.end[travels, :3]
+    at = [_knot(ours.vertices[i], ends[firsts[i]]) for i in run]
     return Segments(trajectory, run, firsts[run], ours.plan_t[run] + ours.segment_s * np.array(at))
+
+
+def segments_motion(ours: Compensated, own: Segments) -> Motion:
+    """The compensated file played straight from our own plan of it."""
+    return motion_of(own.trajectory, own.clock(ours, own.trajectory.start_t))
 
 
 def _knot(vertices: FloatArray, first_end: FloatArray) -> int:
     """The knot at which a run's first written segment begins: segments that go nowhere are not written."""
     there = np.abs(np.round(vertices[1:], 4) - first_end).max(axis=1) < 1e-6
     return int(np.flatnonzero(there)[0])
-
-
-def _length(trajectory: Trajectory) -> FloatArray:
-    """(n,) mm: mean speed times duration, phase by phase."""
-    t = trajectory
-    up, down = 0.5 * (t.start_v + t.cruise_v) * t.accel_t, 0.5 * (t.cruise_v + t.end_v) * t.decel_t
-    return up + t.cruise_v * t.cruise_t + down
 
 
 def pick(trajectory: Trajectory, which: NDArray[np.bool_] | slice) -> Trajectory:
@@ -257,25 +277,48 @@ def pick(trajectory: Trajectory, which: NDArray[np.bool_] | slice) -> Trajectory
 # ---- the Kalico host's plan ----------------------------------------------------------------------
 
 
-def for_kalico(text: bytes) -> bytes:
-    """Only what a bare host without heaters and endstops knows."""
-    return b"".join(line for line in text.splitlines(keepends=True) if FIRMWARE_KNOWS.match(line))
+@dataclass(frozen=True, slots=True)
+class Replanned:
+    """What the Kalico host makes of a file: its moves that are also moves of ours, and how it would play them."""
+
+    trajectory: Trajectory
+    motion: Motion
 
 
-def kalico_trajectory(moves: FloatArray, like: Trajectory) -> Trajectory:
-    """The host's last moves, one for each move of `like`, which must be the same moves in space."""
-    own = moves[len(moves) - len(like) :]
-    apart = np.abs(own[:, 4:10] - np.hstack([like.origin[:, :3], like.direction[:, :3]])).max()
-    assert len(moves) >= len(like) and apart < 1e-4, f"The host moves elsewhere: {apart:.3g}"
-    accel_t, cruise_t, decel_t, start_v, cruise_v, acceleration = own[:, [1, 2, 3, 10, 11, 12]].T
+def original_through_kalico(original: Original) -> Replanned:
+    travels = np.any(original.trajectory.direction[:, :3] != 0.0, axis=1)
+    own = pick(original.trajectory, travels)
+    played = kalico_trajectory(original, original.data, own)
+    runs = [run for run in original.planned.runs if run.travels]
+    firsts = np.searchsorted(np.flatnonzero(travels), [run.first for run in runs])
+    begin_t, end_t = np.array([run.begin_t for run in runs]), np.array([run.end_t for run in runs])
+    return Replanned(played, motion_of(played, Clock(played.start_t[firsts], begin_t, begin_t, end_t)))
+
+
+def ours_through_kalico(original: Original, ours: Compensated, own: Segments) -> Replanned:
+    played = kalico_trajectory(original, ours.text, own.trajectory)
+    return Replanned(played, motion_of(played, own.clock(ours, played.start_t)))
+
+
+def kalico_trajectory(original: Original, text: bytes, own: Trajectory) -> Trajectory:
+    """The host's last moves, one for each of `own`: the first ones in a file start where no plan of ours knows."""
+    geometry, limits = original.machine.kinematics, original.machine.limits
+    moves = kalico_plan(
+        b"".join(line for line in text.splitlines(keepends=True) if HOST_KNOWS.match(line)),
+        max_velocity=limits.velocity_mm_per_s,
+        max_accel=limits.acceleration_mm_per_s2,
+        scv=original.corner_velocity_mm_per_s,
+        delta_radius=float(geometry.delta_radii_mm.max()),
+        arm_length=float(geometry.arm_lengths_mm.min()),
+    )["moves"][-len(own) :]
+    apart = np.abs(moves[:, 4:7] - own.origin[:, :3]).max()
+    if apart > 1e-6:
+        raise ValueError(f"The host's moves begin up to {apart:.3g} mm away from ours: they are not the same.")
+    accel_t, cruise_t, decel_t, start_v, cruise_v, acceleration = moves[:, [1, 2, 3, 10, 11, 12]].T
     end_v = cruise_v - acceleration * decel_t
-    place, direction = (np.column_stack([own[:, i : i + 3], np.zeros(len(own))]) for i in (4, 7))
-    return Trajectory(
-        *(np.ascontiguousarray(c) for c in (own[:, 0], accel_t, cruise_t, decel_t, start_v, cruise_v, end_v)),
-        np.ascontiguousarray(acceleration),
-        place,
-        direction,
-    )
+    along = (moves[:, 0], accel_t, cruise_t, decel_t, start_v, cruise_v, end_v, acceleration)
+    origin, direction = (np.column_stack([moves[:, i : i + 3], np.zeros(len(moves))]) for i in (4, 7))
+    return Trajectory(*(np.ascontiguousarray(each) for each in along), origin, direction)
 
 
 # ---- judgement -----------------------------------------------------------------------------------
@@ -369,3 +412,25 @@ def best_shaper(
         for zeta in damping_ratios
     )
     return min(tried, key=lambda each: each.score.contour_rms_um)
+
+
+# ---- what the tests share ------------------------------------------------------------------------
+
+PARTS_S = {"ringing_tower": (75.0, 92.0), "lobed_vase": (75.0, 92.0), "far_star": (180.0, 197.0)}
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A part of a sample print, compensated."""
+
+    original: Original
+    ours: Compensated
+    segments: Segments
+
+
+@cache
+def case(name: str) -> Case:
+    """A part of some 17 s: 200 mm/s at 5 and 8 m/s² (tower), 150 at 4 on a spiral (vase), 200 at 10 far out (star)."""
+    original = sample_print(name, *PARTS_S[name])
+    ours = compensated(original)
+    return Case(original, ours, segments(original, ours))

@@ -30,16 +30,21 @@ app.command()(show)
 app.command()(restore)
 app.add_typer(machines, name="machines")
 
+
 def _version(asked: bool) -> None:
     if asked:
         print(f"ffcomp {__version__}")
         raise typer.Exit
 
+
 @app.callback()
 def options(
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Say it and stop.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Say it and stop.")
+    ] = False,
 ) -> None:
     """Options that stand before the verb."""
+
 
 def main() -> None:
     """The console script."""

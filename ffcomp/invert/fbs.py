@@ -310,4 +310,4 @@ def _between(vertices: FloatArray, substeps: int) -> FloatArray:
 def _second_differences(unknowns: int) -> FloatArray:
     """D²ᵀ D² for `unknowns` knots of three carriages with given knots on both sides."""
     d = np.diff(np.eye(unknowns + 4), 2, axis=0)[:, 2:-2]
-    return np.kron(d.T @ d, np.eye(3))
+    return np.asarray(np.kron(d.T @ d, np.eye(3)), dtype=np.float64)

@@ -62,7 +62,7 @@ def _rate_term(xyz: FloatArray, velocity: FloatArray, towers: FloatArray, arms_s
     out = np.empty((len(xyz), 3))
     s, w = np.empty((3, 3)), np.empty(3)
     for n in range(len(xyz)):
-        vx, vy, vz = velocity[n, 0], velocity[n, 1], velocity[n, 2]
+        vx, vy = velocity[n, 0], velocity[n, 1]
         for i in range(3):
             x, y = xyz[n, 0] - towers[i, 0], xyz[n, 1] - towers[i, 1]
             h = math.sqrt(arms_squared[i] - x * x - y * y)
@@ -74,21 +74,9 @@ def _rate_term(xyz: FloatArray, velocity: FloatArray, towers: FloatArray, arms_s
         c2 = s[1, 0] * s[2, 1] - s[1, 1] * s[2, 0]
         det = s[0, 0] * c0 + s[0, 1] * c1 + s[0, 2] * c2
         d0, d1, d2 = w[0], w[1], w[2]
-        out[n, 0] = -(
-            d0 * c0
-            + s[0, 1] * (s[1, 2] * d2 - d1 * s[2, 2])
-            + s[0, 2] * (d1 * s[2, 1] - s[1, 1] * d2)
-        ) / det
-        out[n, 1] = -(
-            s[0, 0] * (d1 * s[2, 2] - s[1, 2] * d2)
-            + d0 * c1
-            + s[0, 2] * (s[1, 0] * d2 - d1 * s[2, 0])
-        ) / det
-        out[n, 2] = -(
-            s[0, 0] * (s[1, 1] * d2 - d1 * s[2, 1])
-            + s[0, 1] * (d1 * s[2, 0] - s[1, 0] * d2)
-            + d0 * c2
-        ) / det
+        out[n, 0] = -(d0 * c0 + s[0, 1] * (s[1, 2] * d2 - d1 * s[2, 2]) + s[0, 2] * (d1 * s[2, 1] - s[1, 1] * d2)) / det
+        out[n, 1] = -(s[0, 0] * (d1 * s[2, 2] - s[1, 2] * d2) + d0 * c1 + s[0, 2] * (s[1, 0] * d2 - d1 * s[2, 0])) / det
+        out[n, 2] = -(s[0, 0] * (s[1, 1] * d2 - d1 * s[2, 1]) + s[0, 1] * (d1 * s[2, 0] - s[1, 0] * d2) + d0 * c2) / det
     return out
 
 

@@ -1,0 +1,243 @@
+"""The inversion against brute force, closed forms and a second solver."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ffcomp.invert.fbs import Inverter, _Run, _Window, steady_delay
+from ffcomp.invert.kernels import basis_response
+from ffcomp.invert.limits import CommandLimits, excess, limited_step
+from ffcomp.invert.settings import Settings
+from ffcomp.pipeline import firmware_limits
+from ffcomp.plan.lookahead import plan_moves
+from ffcomp.runs import Reference, split_runs
+from ffcomp.schedule import interpolate, models_along, respond, rest_state, simulate
+from gcode.reader import read_program
+from models.machine import Machine
+from models.machine_file import load_machine
+from models.receptance import nozzle_frf
+
+FloatArray = NDArray[np.float64]
+
+SETTINGS = Settings(corrections=0, frozen_mm=1e-9)  # the bare least squares, with the models along the path
+CORNER = b"G1 X-60 Y20 F9000\nG1 X-50 Y20\nG1 X-50 Y24\nG1 X-57 Y26\n"
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine("mp-delta-pro")
+
+
+@pytest.fixture(scope="module")
+def inverter(machine: Machine) -> Inverter:
+    return Inverter(machine, SETTINGS)
+
+
+def reference_of(
+    gcode: bytes, machine: Machine, settings: Settings, start: tuple[float, float, float] = (-60, 20, 0.3)
+) -> Reference:
+    program = read_program(gcode, start=start)
+    stops = np.zeros(len(program.moves), dtype=np.bool_)
+    trajectory = plan_moves(
+        program.moves, firmware_limits(machine), stop_before=stops, wait_before=np.zeros(len(stops))
+    )
+    (run,) = split_runs(trajectory, stops)
+    return Reference(trajectory, run, settings)
+
+
+def window_of(inverter: Inverter, reference: Reference) -> _Window:
+    run = _Run(inverter, reference, rest_state(inverter.machine, reference.at_knots(np.array([0]))[0]), True)
+    return _Window(run, 0, run.last)
+
+
+def test_a_column_of_phi_is_the_simulated_response_to_one_hat(inverter: Inverter, machine: Machine) -> None:
+    """Superposition, by brute force: raise one coefficient of one carriage and simulate."""
+    window = window_of(inverter, reference_of(CORNER, machine, SETTINGS))
+    system = window.system(window.place)
+    rows = SETTINGS.rows_per_segment
+    models = models_along(inverter.coarse, window.place)
+    table = inverter.coarse
+    j = interpolate(table.jacobian, table.x0_mm, table.pitch_mm, table.nodes, window.place)
+    for unknown, carriage in ((0, 0), (7, 2), (window.unknowns - 1, 1)):
+        command = np.zeros((len(window.place) * rows + 1, 3))
+        knot = (unknown + 1) * rows
+        hat = 1 - np.abs(np.arange(-rows, rows + 1)) / rows
+        command[knot - rows : knot + rows + 1, carriage] = hat[: len(command) - knot + rows]
+        q, _ = simulate(*models, rows, np.zeros(18), command, np.zeros_like(command), 1)
+        nozzle = np.einsum("nij,nkj->nki", j, q.reshape(len(j), rows, 3)).reshape(-1, 3)
+        np.testing.assert_allclose(system.phi[:, 3 * unknown + carriage], nozzle.ravel(), atol=1e-12)
+
+
+def test_a_window_is_the_problem_that_cvxpy_solves(inverter: Inverter, machine: Machine) -> None:
+    """The same problem, written as in the module's docstring, by a second solver."""
+    window = window_of(inverter, reference_of(CORNER, machine, SETTINGS))
+    run, s = window.run, SETTINGS
+    start, _ = run.respond(window.nozzle, window.velocity, window.as_played())
+    stride = s.substeps // s.rows_per_segment
+    error = (window.nozzle[1:] - start)[stride - 1 :: stride].ravel()
+    phi = window.system(window.place).phi
+    gamma = cp.Variable((window.unknowns + 4, 3))
+    second = gamma[2:] - 2 * gamma[1:-1] + gamma[:-2]
+    fit = cp.sum_squares(error - phi @ cp.reshape(gamma[2:-2], (3 * window.unknowns,), order="C"))
+    rest = [gamma[:2] == 0, gamma[-2:] == 0]
+    problem = cp.Problem(cp.Minimize(1e6 * (fit + inverter.effort * cp.sum_squares(second))), rest)
+    problem.solve(solver=cp.CLARABEL)
+    assert problem.status == cp.OPTIMAL
+    window.solve()
+    ours = run.gamma[1 : window.unknowns + 1]
+    assert np.abs(ours).max() > 0.05  # mm: there is something to be found
+    np.testing.assert_allclose(ours, gamma.value[2:-2], atol=2e-5)
+
+
+def test_a_limited_step_is_the_one_cvxpy_finds() -> None:
+    rng = np.random.default_rng(5)
+    n = 12
+    a = rng.normal(size=(60, 3 * n))
+    hessian, gradient = a.T @ a, rng.normal(size=3 * n) * 40
+    command = np.cumsum(np.cumsum(rng.normal(0, 0.02, (n + 4, 3)), axis=0), axis=0)
+    plan = command.copy()
+    limits = CommandLimits(step_mm=0.5, bend_mm=0.15)
+    free = np.linalg.solve(hessian, gradient).reshape(-1, 3)
+    tried = command.copy()
+    tried[2:-2] += free
+    assert excess(tried, limits) > 1.5  # the limits bind
+    step = limited_step(hessian, gradient, command, plan, limits)
+
+    d = cp.Variable((n, 3))
+    u = cp.vstack([command[:2], command[2:-2] + d, command[-2:]])
+    flat = cp.reshape(d, (3 * n,), order="C")
+    held = [
+        cp.abs(u[1:] - u[:-1]) <= np.maximum(limits.step_mm, np.abs(np.diff(plan, axis=0))),
+        cp.abs(u[2:] - 2 * u[1:-1] + u[:-2]) <= np.maximum(limits.bend_mm, np.abs(np.diff(plan, 2, axis=0))),
+    ]
+    objective = 0.5 * cp.sum_squares(a @ flat) - gradient @ flat
+    cp.Problem(cp.Minimize(objective), held).solve(solver=cp.CLARABEL)
+    np.testing.assert_allclose(step.reshape(-1, 3), d.value, atol=2e-4)
+    tried[2:-2] = command[2:-2] + step.reshape(-1, 3)
+    assert excess(tried, limits) < max(1.001, excess(plan, limits) * 1.001)
+
+
+def test_a_run_begins_and_ends_at_rest_on_the_path(inverter: Inverter, machine: Machine) -> None:
+    reference = reference_of(CORNER, machine, SETTINGS)
+    result = inverter.run(reference, rest_state(machine, np.array([-60.0, 20, 0.3])))
+    np.testing.assert_allclose(result.vertices[0], [-60, 20, 0.3], atol=1e-10)
+    np.testing.assert_allclose(result.vertices[-1], [-57, 26, 0.3], atol=1e-10)
+
+
+def test_short_windows_give_what_long_ones_give(machine: Machine) -> None:
+    """The state that is carried, and the preview, are enough: the cut leaves no trace."""
+    answers = []
+    for commit in (8, 20, 400):
+        settings = replace(Settings(), commit=commit, preview=40)
+        reference = reference_of(CORNER, machine, settings)
+        state = rest_state(machine, np.array([-60.0, 20, 0.3]))
+        answers.append(Inverter(machine, settings).run(reference, state).vertices)
+    np.testing.assert_allclose(answers[0], answers[2], atol=5e-4)  # half a µm
+    np.testing.assert_allclose(answers[1], answers[2], atol=5e-4)
+
+
+@pytest.mark.parametrize("frozen_mm", [1e-9, 10.0])
+def test_the_response_is_the_path(machine: Machine, frozen_mm: float) -> None:
+    settings = replace(Settings(), frozen_mm=frozen_mm)
+    inverter = Inverter(machine, settings)
+    reference = reference_of(CORNER, machine, settings)
+    state = rest_state(machine, np.array([-60.0, 20, 0.3]))
+    result = inverter.run(reference, state, keep_response=True)
+    nozzle, velocity = reference.substeps(0, reference.knots)
+    plain, _ = respond(machine, inverter.fine, nozzle, velocity, state, settings.substeps)
+    error = np.sqrt(np.mean(np.sum((result.response - nozzle[1:]) ** 2, axis=1)))
+    without = np.sqrt(np.mean(np.sum((plain - nozzle[1:]) ** 2, axis=1)))
+    assert error < without / 60
+    assert result.excess < 1.0 and result.limited == 0
+
+
+def test_a_limit_between_plan_and_free_answer_is_held(machine: Machine) -> None:
+    """The free answer asks for more acceleration than the plan; the QP keeps the half of that."""
+    settings = replace(Settings(), bandwidth_hz=112.0, lead_s=0.004)  # a late start asks for much
+    state = rest_state(machine, np.array([-60.0, 20, 0.3]))
+    reference = reference_of(CORNER, machine, settings)
+    inverter = Inverter(machine, settings)
+    free = inverter.run(reference, state)
+    plan = inverter.delta.inverse(reference.at_knots(np.arange(reference.knots + 1)))
+    asked, given = (np.abs(np.diff(u, 2, axis=0)).max() for u in (inverter.delta.inverse(free.vertices), plan))
+    assert asked > 1.05 * given, "the free answer must ask for more than the plan, or this tests nothing"
+    limit = 0.5 * (asked + given) / settings.segment_s**2
+    gentle = replace(machine, limits=replace(machine.limits, carriage_acceleration_mm_per_s2=limit))
+    held = Inverter(gentle, settings).run(reference, state, keep_response=True)
+    assert held.limited > 0
+    assert held.excess < 1.002
+    nozzle, _ = reference.substeps(0, reference.knots)
+    assert np.abs(held.response - nozzle[1:]).max() < 0.05  # it still follows
+
+
+def test_a_machine_turned_by_120_degrees_gives_the_turned_answer(machine: Machine) -> None:
+    """Towers are alike; only the extruder's axes do not turn, so it is made the same in x and y."""
+    k, b = machine.effector.extruder_stiffness_n_per_m, machine.effector.extruder_damping_n_s_per_m
+    round_one = replace(
+        machine,
+        effector=replace(
+            machine.effector,
+            extruder_stiffness_n_per_m=np.array([k[0], k[0], k[2]]),
+            extruder_damping_n_s_per_m=np.array([b[0], b[0], b[2]]),
+        ),
+    )
+    inverter = Inverter(round_one, Settings())
+    c, s = np.cos(2 * np.pi / 3), np.sin(2 * np.pi / 3)
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    points = np.array([[-60, 20, 0.3], [-50, 20, 0.3], [-50, 24, 0.3], [-57, 26, 0.3]])
+    answers = []
+    for corners in (points, points @ turn.T):
+        gcode = b"".join(b"G1 X%.9f Y%.9f F9000\n" % (x, y) for x, y, _ in corners[1:])
+        reference = reference_of(gcode, round_one, Settings(), tuple(corners[0]))
+        answers.append(inverter.run(reference, rest_state(round_one, corners[0])).vertices)
+    # the table over the bed is square: its interpolation does not turn exactly
+    np.testing.assert_allclose(answers[1], answers[0] @ turn.T, atol=2e-3)
+
+
+def test_a_stiff_machine_is_left_alone(machine: Machine) -> None:
+    """Infinite stiffness, ideal drive: the command is the plan, within a µm."""
+    carriage = replace(machine.carriage, belt_stiffness_n_per_m=1e10, drive=None, guide_damping_n_s_per_m=0.0)
+    stiff = replace(machine, carriage=carriage)
+    inverter = Inverter(stiff, Settings())
+    reference = reference_of(CORNER, stiff, Settings())
+    result = inverter.run(reference, rest_state(stiff, np.array([-60.0, 20, 0.3])))
+    plan = reference.at_knots(np.arange(reference.knots + 1))
+    # a polyline cannot follow an accelerating path between its knots: a S²/8, and spreads what it cannot do
+    assert np.abs(result.vertices - plan).max() < 0.06
+    straight = [k for k, bend in enumerate(reference.bends()) if bend < 1e-9 and 10 < k < reference.knots - 10]
+    assert straight
+
+
+def test_the_steady_delay_is_the_slope_of_the_phase(machine: Machine) -> None:
+    f = 0.01
+    g = nozzle_frf(machine, np.array([40.0, -30.0]), np.array([f]))[0]
+    assert -np.angle(g[0, 0]) / (2 * np.pi * f) == pytest.approx(steady_delay(machine), rel=1e-6)
+
+
+def test_steady_motion_is_handed_over_without_a_trace(machine: Machine) -> None:
+    """A long slow line is solved at its ends only; the nozzle stays on the path all along."""
+    inverter = Inverter(machine, Settings())
+    reference = reference_of(b"G1 X60 Y-10 F1200\n", machine, Settings())
+    state = rest_state(machine, np.array([-60.0, 20, 0.3]))
+    result = inverter.run(reference, state, keep_response=True)
+    nozzle, _ = reference.substeps(0, reference.knots)
+    assert result.windows < reference.knots / Settings().commit / 4  # most of it was not solved
+    assert np.abs(result.response - nozzle[1:]).max() < 1e-2  # mm, where it starts and stops
+    middle = slice(len(nozzle) // 3, 2 * len(nozzle) // 3)
+    assert np.abs(result.response[middle] - nozzle[1:][middle]).max() < 2e-4
+
+
+def test_phi_needs_no_more_than_its_models() -> None:
+    """A plant that does nothing but pass the command on: Φ is the hats themselves."""
+    a = np.zeros((3, 18, 18))
+    b0, b1 = np.zeros((3, 18, 3)), np.zeros((3, 18, 3))
+    b1[:, 6:9] = np.eye(3)
+    phi = basis_response(a, b0, b1, np.repeat(np.eye(3)[None], 3, axis=0), 2, 2)
+    hat = np.array([0.5, 1, 0.5, 0, 0, 0])
+    np.testing.assert_allclose(phi[0::3, 0], hat)
+    np.testing.assert_allclose(phi[1::3, 4], np.roll(hat, 2))

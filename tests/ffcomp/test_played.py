@@ -1,0 +1,103 @@
+"""What we say the firmware plays is what the planner (equal to Kalico's) plans."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ffcomp.plan.limits import FirmwareLimits
+from ffcomp.plan.lookahead import plan_moves
+from ffcomp.played import OutputLimits, merge, played, sample_segments
+from gcode.program import Moves
+
+FloatArray = NDArray[np.float64]
+
+S = 0.004
+
+
+def wave(n: int = 200, seed: int = 3) -> tuple[FloatArray, FloatArray]:
+    """A smooth path from rest to rest at up to 150 mm/s and 12 m/s², and filament to go with it."""
+    t = np.linspace(0, 1, n + 1)
+    rng = np.random.default_rng(seed)
+    swell = np.sin(np.pi * t) ** 2
+    xyz = np.stack([20 * swell, 15 * swell * np.sin(7 * t), 0.3 + 0.002 * np.sin(40 * t)], axis=1)
+    return np.round(xyz, 4), 0.03 * np.concatenate([[0], np.cumsum(np.abs(rng.normal(0.1, 0.001, n)))])
+
+
+def plan(vertices: FloatArray, e: FloatArray, speed: FloatArray, limits: OutputLimits):  # type: ignore[no-untyped-def]
+    n = len(speed)
+    ends = np.column_stack([vertices, e])
+    moves = Moves(
+        np.arange(n), ends[:-1], ends[1:], speed, np.zeros(n, dtype=np.int64), *(np.full(n, np.nan) for _ in range(4))
+    )
+    firmware = FirmwareLimits(
+        velocity_mm_per_s=limits.velocity_mm_per_s,
+        acceleration_mm_per_s2=limits.acceleration_mm_per_s2,
+        square_corner_velocity_mm_per_s=limits.square_corner_velocity_mm_per_s,
+        minimum_cruise_ratio=0.0,
+        z_acceleration_mm_per_s2=limits.z_acceleration_mm_per_s2,
+        extruder_acceleration_mm_per_s2=limits.retract_acceleration_mm_per_s2,
+    )
+    return plan_moves(moves, firmware, stop_before=np.zeros(n, dtype=np.bool_), wait_before=np.zeros(n))
+
+
+@pytest.mark.parametrize("acceleration", [50_000.0, 100_000.0, 400_000.0])
+def test_durations_come_out_exact_under_the_planner(acceleration: float) -> None:
+    limits = OutputLimits(acceleration_mm_per_s2=acceleration)
+    vertices, e = wave()
+    speeds = played(vertices, np.diff(e), np.full(200, S), limits)
+    trajectory = plan(vertices, e, speeds.cruise, limits)
+    np.testing.assert_allclose(trajectory.duration, S, atol=2e-9)
+    t = np.arange(200 * 8) * S / 8
+    ours = sample_segments(
+        vertices, speeds.cruise, speeds.junction, speeds.acceleration, speeds.duration, 8
+    )
+    np.testing.assert_allclose(trajectory.position(t)[:, :3], ours[:-1], atol=1e-6)
+
+
+def test_without_the_correction_the_ramps_eat_time() -> None:
+    """The naive F = d/S is late: that is what the quadratic is for."""
+    limits = OutputLimits(acceleration_mm_per_s2=50_000.0)
+    vertices, e = wave()
+    naive = np.linalg.norm(np.diff(vertices, axis=0), axis=1) / S
+    assert plan(vertices, e, naive, limits).end_t > 200 * S + 2e-4
+
+
+def test_segments_of_different_lengths_keep_their_times() -> None:
+    limits = OutputLimits()
+    vertices, e = wave()
+    knots = merge(vertices, e, np.zeros(201, dtype=np.bool_), 5e-3, 10)
+    assert len(knots) < 150
+    lasting = np.diff(knots) * S
+    speeds = played(vertices[knots], np.diff(e[knots]), lasting, limits)
+    trajectory = plan(vertices[knots], e[knots], speeds.cruise, limits)
+    np.testing.assert_allclose(trajectory.duration, lasting, atol=2e-9)
+
+
+def test_what_cannot_be_done_in_time_says_so() -> None:
+    """A metre in 4 ms from rest: the duration is what the acceleration allows, not S."""
+    limits = OutputLimits()
+    vertices = np.array([[0.0, 0, 0], [1000.0, 0, 0]])
+    speeds = played(vertices, np.zeros(1), np.full(1, S), limits)
+    assert speeds.duration[0] > 0.1
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-3, 1e-2])
+def test_merged_segments_stay_within_the_tolerance(tolerance: float) -> None:
+    vertices, e = wave(400)
+    pinned = np.zeros(401, dtype=np.bool_)
+    pinned[[57, 58, 211]] = True
+    knots = merge(vertices, e, pinned, tolerance, 25)
+    assert knots[0] == 0 and knots[-1] == 400 and {57, 58, 211} <= set(knots.tolist())
+    assert np.diff(knots).max() <= 25 and np.diff(knots).min() >= 1
+    k = np.arange(401)
+    for axis in range(3):
+        assert np.abs(np.interp(k, knots, vertices[knots, axis]) - vertices[:, axis]).max() <= tolerance + 1e-12
+    assert np.abs(np.interp(k, knots, e[knots]) - e).max() <= 0.01 * tolerance + 1e-5 + 1e-12
+
+
+def test_a_straight_even_line_becomes_as_few_segments_as_allowed() -> None:
+    vertices = np.linspace([0.0, 0, 0], [10.0, 5, 0], 101)
+    knots = merge(vertices, np.linspace(0, 1, 101), np.zeros(101, dtype=np.bool_), 1e-4, 25)
+    assert knots.tolist() == [0, 25, 50, 75, 100]
