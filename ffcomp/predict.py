@@ -20,7 +20,7 @@ from ffcomp.schedule import respond, rest_state
 FloatArray = NDArray[np.float64]
 
 LONGEST_S = 300.0  # of print time that is simulated for the prediction
-SAMPLE_S = 1e-3
+SAMPLE_S = 1e-3  # about
 
 
 @dataclass
@@ -37,6 +37,9 @@ class Prediction:
     def __init__(self, inverter: Inverter, print_time_s: float) -> None:
         self.inverter = inverter
         self.share = min(1.0, LONGEST_S / max(print_time_s, 1e-9))
+        s = inverter.settings
+        self.every = max(1, round(SAMPLE_S * s.substeps / s.segment_s))  # substeps from sample to sample
+        self.sample_s = self.every * s.segment_s / s.substeps
         self.clock = self.seen_s = self.covered_s = 0.0
         self.place = np.zeros(3)
         self.wanted: list[FloatArray] = []
@@ -56,7 +59,7 @@ class Prediction:
         inverter, s = self.inverter, self.inverter.settings
         length = wanted.knots * s.segment_s
         self.covered_s += length
-        every = max(1, round(SAMPLE_S * s.substeps / s.segment_s))
+        every = self.every
         nozzle, velocity = wanted.substeps(0, wanted.knots)
         # one after the other in space too: only differences count, and a jump between runs would look like an error
         shift = self.place - nozzle[0]
@@ -84,7 +87,7 @@ class Prediction:
         if not self.wanted:
             return {}
         wanted = np.concatenate(self.wanted)
-        t = SAMPLE_S * np.arange(1, len(wanted) + 1, dtype=np.float64)
+        t = self.sample_s * np.arange(1, len(wanted) + 1, dtype=np.float64)
         path_t, path = np.concatenate(self.path_t), np.concatenate(self.path)
         return {
             name: track(t, wanted, np.concatenate(motion.actual), path_t, path, motion.peak)

@@ -172,7 +172,7 @@ def test_a_limit_between_plan_and_free_answer_is_held(machine: Machine) -> None:
     assert held.limited > 0
     assert held.excess < 1.002
     nozzle, _ = reference.substeps(0, reference.knots)
-    assert np.abs(held.response - nozzle[1:]).max() < 0.05  # it still follows
+    assert np.abs(held.response - nozzle[1:]).max() < 0.1  # it still follows
 
 
 def test_a_machine_turned_by_120_degrees_gives_the_turned_answer(machine: Machine) -> None:
