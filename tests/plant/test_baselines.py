@@ -45,7 +45,7 @@ def judged(shaper: shapers.Shaper | None) -> metrics.Track:
     command = plant.carriages_of(MACHINE, planned)
     nozzle = plant.simulate(MACHINE, command, H)["nozzle_mm"]
     wanted = square_with_diagonals(halves[::2])
-    return metrics.track(halves[::2], wanted, nozzle, corner_t, CORNERS, command[::2])
+    return metrics.track(halves[::2], wanted, nozzle, corner_t, CORNERS, metrics.peak_acceleration(command[::2], H))
 
 
 def test_the_planned_motion_stops_in_every_corner() -> None:
