@@ -107,7 +107,7 @@ def find_offset(head: bytes) -> tuple[float, float]:
 
 
 def _stamped(lines: Iterator[bytes], stamp: bytes, offset: bytes) -> Iterator[bytes]:
-    """The stamp after the first line (slicers are known by it), and before the last (which may lack its newline)."""
+    """The stamp after the first line (slicers are known by it) and at the end, before a last line without newline."""
     first = next(lines, b"")
     yield first if first.endswith(b"\n") else first + b"\n"
     ending = b"\r\n" if first.endswith(b"\r\n") else b"\n"
@@ -115,11 +115,10 @@ def _stamped(lines: Iterator[bytes], stamp: bytes, offset: bytes) -> Iterator[by
     yield stamp
     if offset:
         yield offset.rstrip(b"\n") + ending
-    last = None
+    last = b""
     for line in lines:
-        if last is not None:
-            yield last
-        last = line
-    yield stamp
-    if last is not None:
         yield last
+        last = line
+    complete = last.endswith(b"\n")
+    yield last if complete else stamp
+    yield stamp if complete else last

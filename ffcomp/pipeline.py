@@ -31,7 +31,7 @@ from gcode.limits import MotionLimits
 from gcode.program import Event, Program
 from models.errors import UnreachableError
 from models.kinematics.delta import check_reach
-from models.machine import Machine
+from models.machine import DeltaGeometry, Machine
 from models.receptance import modes
 
 FloatArray = NDArray[np.float64]
@@ -159,7 +159,10 @@ def compensate(
             inside.append(event)
             event = next(events, None)
         e, marks = _place(program, trajectory, run, wanted, inside, settings.segment_s)
-        yield from writer.run(run.first, result.vertices, e, marks)
+        inside_reach = keep_inside(
+            machine.kinematics, result.vertices, moves_z=program.moves.end[run.first : run.last, 2]
+        )
+        yield from writer.run(run.first, inside_reach, e, marks)
         _account(summary, run, wanted, result, trajectory, settings, predicted)
         progress(float(rested))
     while event is not None:
@@ -167,6 +170,21 @@ def compensate(
         event = next(events, None)
     yield from writer.close()
     summary.segments = writer.segments
+
+
+def keep_inside(geometry: DeltaGeometry, vertices: FloatArray, moves_z: FloatArray) -> FloatArray:
+    """The command where the firmware lets it go: it aborts a print over a µm outside the radius or below the bed.
+
+    vertices : (n, 3) mm;  moves_z : (m,) mm, heights that the path itself goes to
+    """
+    if not np.isfinite(vertices).all():
+        raise LimitsError("The command leaves the arms' reach; the path runs too close to it.")
+    radius = np.hypot(vertices[:, 0], vertices[:, 1])
+    shrink = np.minimum(1.0, (geometry.print_radius_mm - 1e-4) / np.maximum(radius, 1e-9))
+    floor, ceiling = min(0.0, float(moves_z.min())), max(geometry.print_height_mm, float(moves_z.max()))
+    inside = vertices * shrink[:, None]
+    inside[:, 2] = np.clip(vertices[:, 2], floor, ceiling)
+    return inside
 
 
 def _place(
