@@ -1,7 +1,7 @@
 """What the firmware plays when it is given our G1 segments, in closed form.
 
-A segment of length d must last S seconds. The firmware enters it at the junction speed, ramps at its acceleration to the
-segment's own speed c (its F), and ramps down to the next junction. Distance d in time S asks for
+A segment of length d must last S seconds. The firmware enters it at the junction speed, ramps at its acceleration to
+the segment's own speed c (its F), and ramps down to the next junction. Distance d in time S asks for
 
     d = c S − [(c − v₀)² + (c − v₁)²] / 2a                     v₀, v₁ <= c the junction speeds, a the acceleration
 
@@ -161,7 +161,7 @@ def sample_segments(
     duration: FloatArray,
     substeps: int,
 ) -> FloatArray:
-    """Nozzle command at `substeps` equal parts of every segment: (n·substeps + 1, 3) mm, as the firmware ramps through."""
+    """Nozzle command at `substeps` equal parts of every segment, ramps included: (n·substeps + 1, 3) mm."""
     n = len(cruise)
     out = np.empty((n * substeps + 1, 3))
     for k in range(n):

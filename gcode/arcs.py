@@ -73,9 +73,7 @@ class Arc:
         return max(1, ceil(sweep / min(angle, _COARSEST_ANGLE) - 1e-9), ceil(sweep * radius / longest - 1e-9))
 
 
-def arc_by_centre(
-    start: Point2, end: Point2, offset: Point2, clockwise: bool, line: int | None = None
-) -> Arc:
+def arc_by_centre(start: Point2, end: Point2, offset: Point2, clockwise: bool, line: int | None = None) -> Arc:
     """The arc whose centre lies `offset` (I, J) from the start."""
     arc = Arc(start, end, (start[0] + offset[0], start[1] + offset[1]), clockwise)
     first, last = arc.radii
@@ -83,9 +81,7 @@ def arc_by_centre(
         raise GcodeError("The arc's centre is its start (I, J, K are zero); a radius must be positive.", line)
     if abs(last - first) > _allowance(first):
         where = f"the arc starts {first:.3f} mm from its centre and ends {last:.3f} mm from it"
-        raise GcodeError(
-            f"{where}; the two may differ by {_allowance(first):.3f} mm at most.".capitalize(), line
-        )
+        raise GcodeError(f"{where}; the two may differ by {_allowance(first):.3f} mm at most.".capitalize(), line)
     return arc
 
 
@@ -95,9 +91,7 @@ def arc_by_radius(start: Point2, end: Point2, radius: float, clockwise: bool, li
     if chord < _SAME_POINT_MM:
         raise GcodeError("An arc given by R ends where it starts; a full circle needs I and J.", line)
     if chord / 2 > abs(radius) + _allowance(abs(radius)):
-        raise GcodeError(
-            f"R{radius:g} cannot span {chord:.3f} mm; a radius is at least half the chord.", line
-        )
+        raise GcodeError(f"R{radius:g} cannot span {chord:.3f} mm; a radius is at least half the chord.", line)
     # The centre stands on the chord's bisector, to the left of the way for a short counter-clockwise arc.
     height = copysign(sqrt(max(0.0, radius * radius - chord * chord / 4)), radius) * (-1 if clockwise else 1)
     along = ((end[0] - start[0]) / chord, (end[1] - start[1]) / chord)

@@ -155,9 +155,7 @@ def _rename(modal: Modal, command: Command) -> Effect:
 def _percent(command: Command) -> float | None:
     share = command.numbers().get("S")
     if share is not None and share <= 0:
-        raise GcodeError(
-            f"{command.name} S{share:g} is no factor; a percentage must be above zero.", command.line
-        )
+        raise GcodeError(f"{command.name} S{share:g} is no factor; a percentage must be above zero.", command.line)
     return None if share is None else share / 100
 
 
@@ -198,9 +196,7 @@ def _restore_state(modal: Modal, command: Command) -> Effect:
     name = command.fields().get("NAME", "default")
     if name not in modal.saved:
         rule = "SAVE_GCODE_STATE must come first"
-        raise GcodeError(
-            f"RESTORE_GCODE_STATE names the state {name!r}, which was never saved; {rule}.", command.line
-        )
+        raise GcodeError(f"RESTORE_GCODE_STATE names the state {name!r}, which was never saved; {rule}.", command.line)
     modal.restore(modal.saved[name])
     return _moving(modal, command)
 
@@ -220,9 +216,7 @@ def _acceleration(modal: Modal, command: Command) -> Effect:
 
 def _positive(value: float, command: Command) -> float:
     if value <= 0:
-        raise GcodeError(
-            f"{command.name} sets a limit of {value:g}; limits must be above zero.", command.line
-        )
+        raise GcodeError(f"{command.name} sets a limit of {value:g}; limits must be above zero.", command.line)
     return value
 
 

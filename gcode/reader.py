@@ -29,8 +29,7 @@ STILL_MM2 = 1e-18  # squared displacement below which nothing moves: 1e-9 mm, as
 
 _N = rb"([-+]?\d{1,6}(?:\.\d*)?|[-+]?\.\d+)"
 _PLAIN_MOVE = re.compile(
-    rb"G[01](?: F%b)?(?: Z%b)?(?: X%b)?(?: Y%b)?(?: Z%b)?(?: E%b)?(?: F%b)?[ \t]*(?:;[^\r\n]*)?[\r\n]*"
-    % ((_N,) * 7)
+    rb"G[01](?: F%b)?(?: Z%b)?(?: X%b)?(?: Y%b)?(?: Z%b)?(?: E%b)?(?: F%b)?[ \t]*(?:;[^\r\n]*)?[\r\n]*" % ((_N,) * 7)
 )
 _FEED_ALONE = re.compile(rb"G[01] F%b\s*" % _N)
 _PLAIN_STARTS = (b"G1", b"G0")
@@ -202,9 +201,7 @@ class _Reader:
         if not SETTINGS.issuperset(names):
             rule = "only modes (G17, G21, G90, …) may share a line"
             raise UnsupportedGcode(f"The line holds {' and '.join(names)}; {rule}.", at + 1)
-        self._warn(
-            "several", at, f"{' '.join(names)} share a line, of which Klipper and Marlin obey only the first"
-        )
+        self._warn("several", at, f"{' '.join(names)} share a line, of which Klipper and Marlin obey only the first")
         for command in said:
             apply(self.modal, command)
         self._settle()
@@ -226,9 +223,7 @@ class _Reader:
         words = command.numbers()
         modal.motion = command.name or modal.motion or ("G1" if words.keys() == {"F"} else "")
         if not modal.motion:
-            raise GcodeError(
-                f"{shown(command.args)} has no command; the first move must say G0 or G1.", at + 1
-            )
+            raise GcodeError(f"{shown(command.args)} has no command; the first move must say G0 or G1.", at + 1)
         self._check_words(modal.motion, words, at)
         modal.set_feed(words, at + 1)
         self._settle()

@@ -69,9 +69,7 @@ class Modal:
         """The part of the state that a writer needs."""
         x, y, z, e = self.base
         absolute_e = self.absolute_e and self.absolute
-        return Frame(
-            (x, y, z, e), self.unit, self.absolute, absolute_e, self.flow, self.feed_factor, self.feed
-        )
+        return Frame((x, y, z, e), self.unit, self.absolute, absolute_e, self.flow, self.feed_factor, self.feed)
 
     def forget(self) -> None:
         """Nobody knows where the toolhead is: homing, probing, a macro."""

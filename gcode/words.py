@@ -88,9 +88,7 @@ def numbers(args: bytes, name: str, line: int) -> dict[str, float]:
     while at < len(text):
         match = _WORD.match(text, at)
         if match is None:
-            raise GcodeError(
-                f"{name} has {shown(text[at:])}, which is not a word (a letter and a number).", line
-            )
+            raise GcodeError(f"{name} has {shown(text[at:])}, which is not a word (a letter and a number).", line)
         letter, number = match.group(1).decode().upper(), match.group(2)
         if number is None:
             raise GcodeError(f"{name} has the word {letter} without a number; every word needs one.", line)

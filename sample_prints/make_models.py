@@ -36,9 +36,7 @@ def loft(outer: FloatArray, inner: FloatArray | None = None) -> FloatArray:
 
 def write_stl(path: Path, triangles: FloatArray) -> None:
     """Binary STL; slicers work out the normals themselves."""
-    record = np.zeros(
-        len(triangles), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("tag", "<u2")]
-    )
+    record = np.zeros(len(triangles), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("tag", "<u2")])
     record["corners"] = triangles
     path.write_bytes(b"ffcomp sample print".ljust(80) + struct.pack("<I", len(record)) + record.tobytes())
 

@@ -40,9 +40,7 @@ def test_the_stl_holds_the_model(tmp_path: Path) -> None:
     triangles = make_models.far_star()
     make_models.write_stl(tmp_path / "star.stl", triangles)
     content = (tmp_path / "star.stl").read_bytes()
-    assert int.from_bytes(content[80:84], "little") == len(triangles) and len(content) == 84 + 50 * len(
-        triangles
-    )
+    assert int.from_bytes(content[80:84], "little") == len(triangles) and len(content) == 84 + 50 * len(triangles)
     assert np.frombuffer(content[96:132], "<f4").reshape(3, 3) == pytest.approx(triangles[0])
 
 

@@ -1,4 +1,4 @@
-"""The `ffcomp` command: verbs are mounted here; each lives in a file of its own and imports what it needs when it runs."""
+"""The `ffcomp` command: verbs are mounted here; each has its own file and imports what it needs when it runs."""
 
 from __future__ import annotations
 

@@ -82,9 +82,8 @@ def _compensate(
     force: bool,
     predict: bool,
 ) -> dict[str, Any]:
-    from ffcomp.job import Job, already_processed
-
     from ffcomp.cli.common import Progress, say
+    from ffcomp.job import Job, already_processed
     from gcode.container import read_bytes
     from models.machine_file import load_machine
 

@@ -54,7 +54,7 @@ def _show(file: Path, picture: Path, machine_name: str, z_mm: float | None) -> d
     machine = load_machine(machine_name or str(find_by_sha256(stamp.sha256, stamp.machine)))
     seen = look(data, str(file), machine, find_offset(data[:STAMP_REACH]))
     footer = (
-        f"design model of {machine.name}, machine file sha256 {machine.sha256[:8]}; G-code planned as the firmware does; "
+        f"design model of {machine.name}, machine file sha256 {machine.sha256[:8]}; planned as the firmware does; "
         f"ffcomp v{__version__}"
     )
     draw(seen, f"{file.name} on {machine.name}", footer, picture, z_mm)

@@ -1,7 +1,7 @@
 """Filtered B-splines on the scheduled plant: the command whose response is the wanted path.
 
-The basis is what is played: the firmware plays our G1 segments, so the command is a spline of degree 1 with a knot at the
-end of every segment. One run (from rest to rest) is solved in windows; the state is carried from each to the next.
+The basis is what is played: the firmware plays our G1 segments, so the command is a spline of degree 1 with a knot at
+the end of every segment. One run (from rest to rest) is solved in windows; the state is carried from each to the next.
 
 In error coordinates q_d = q* + N γ (q*: the wanted carriage path, N: the hats of the spline), each window minimises
 

@@ -275,6 +275,4 @@ def _check_waits(wait_before: FloatArray) -> None:
     wrong = ~(np.isfinite(wait_before) & (wait_before >= 0.0))
     if wrong.any():
         i = int(np.argmax(wrong))
-        raise ValueError(
-            f"The wait before move {i} is {wait_before[i]} s; it must be finite and not negative."
-        )
+        raise ValueError(f"The wait before move {i} is {wait_before[i]} s; it must be finite and not negative.")

@@ -91,9 +91,9 @@ def test_before_and_after_the_path_its_ends_count() -> None:
 
 def test_a_rest_is_a_corner_given_twice() -> None:
     t, corners = np.array([0.0, 0.1, 3.1, 3.2]), CORNER[[0, 1, 1, 2]]
-    assert metrics.contour_error(
-        t, corners, np.array([1.6]), CORNER[1:2] + np.array([0.0, 0.0, 0.7])
-    ) == pytest.approx(0.7)
+    assert metrics.contour_error(t, corners, np.array([1.6]), CORNER[1:2] + np.array([0.0, 0.0, 0.7])) == pytest.approx(
+        0.7
+    )
 
 
 @settings(max_examples=50, deadline=None)
@@ -155,9 +155,7 @@ def test_an_error_that_no_delay_explains_stays() -> None:
 
 def test_a_machine_at_rest_has_no_delay() -> None:
     still = np.tile([1.0, 2.0, 3.0], (100, 1))
-    assert metrics.tracking(still, still + np.array([3.0, 4.0, 0.0]), 1e-3) == metrics.Tracking(
-        5.0, 5.0, 0.0, 5.0
-    )
+    assert metrics.tracking(still, still + np.array([3.0, 4.0, 0.0]), 1e-3) == metrics.Tracking(5.0, 5.0, 0.0, 5.0)
 
 
 def test_motions_of_different_length_are_refused() -> None:

@@ -42,9 +42,7 @@ def test_ei_leaves_its_tolerance_at_the_design_frequency(hz: float, zeta: float)
 
 
 @pytest.mark.parametrize(("name", "band", "zeros"), [("ei", (0.81, 1.19), 2), ("2hump_ei", (0.65, 1.35), 3)])
-def test_ei_humps_touch_the_tolerance_and_nowhere_pass_it(
-    name: str, band: tuple[float, float], zeros: int
-) -> None:
+def test_ei_humps_touch_the_tolerance_and_nowhere_pass_it(name: str, band: tuple[float, float], zeros: int) -> None:
     """Undamped, over nearly the documented ±20 % (EI) and -40…+45 % (two humps): at most 5 %."""
     hz = np.linspace(*band, 4001)
     left = shapers.residual_vibration(shapers.SHAPERS[name](1.0, 0.0), hz, 0.0)
@@ -53,9 +51,7 @@ def test_ei_humps_touch_the_tolerance_and_nowhere_pass_it(
     assert len(dips) == zeros and np.all(left[dips + 1] < 1e-3)
 
 
-@pytest.mark.parametrize(
-    ("name", "duration_ms"), [("zv", 11.2), ("mzv", 16.8), ("ei", 22.3), ("2hump_ei", 33.5)]
-)
+@pytest.mark.parametrize(("name", "duration_ms"), [("zv", 11.2), ("mzv", 16.8), ("ei", 22.3), ("2hump_ei", 33.5)])
 def test_durations_at_45_hz_are_those_of_the_firmware(name: str, duration_ms: float) -> None:
     assert shapers.SHAPERS[name](45.0, 0.1).duration_s * 1e3 == pytest.approx(duration_ms, abs=0.06)
 
@@ -70,16 +66,11 @@ def test_the_residual_is_that_of_a_simulated_oscillator() -> None:
     left = abs(np.sum(shaper.amplitude * np.exp(pole * since)))
     t = np.linspace(0, 1 / hz, 2001)
     ringing = np.array(
-        [
-            sum(a * _step_error(s + x, zeta, omega) for a, s in zip(shaper.amplitude, since, strict=True))
-            for x in t
-        ]
+        [sum(a * _step_error(s + x, zeta, omega) for a, s in zip(shaper.amplitude, since, strict=True)) for x in t]
     )
     plain = _step_error(t, zeta, omega)
     envelope = np.exp(-zeta * omega * t)
-    assert np.max(np.abs(ringing / envelope)) == pytest.approx(
-        left * np.max(np.abs(plain / envelope)), rel=1e-3
-    )
+    assert np.max(np.abs(ringing / envelope)) == pytest.approx(left * np.max(np.abs(plain / envelope)), rel=1e-3)
     assert shapers.residual_vibration(shaper, np.array([hz]), zeta)[0] == pytest.approx(left)
 
 

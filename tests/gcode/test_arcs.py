@@ -63,16 +63,12 @@ def test_a_full_circle_goes_once_round(clockwise: bool) -> None:
 
 
 @given(radii, angles, st.floats(0.2, 2 * pi - 0.2), st.booleans())
-def test_radius_and_centre_give_the_same_arc(
-    radius: float, begin: float, sweep: float, clockwise: bool
-) -> None:
+def test_radius_and_centre_give_the_same_arc(radius: float, begin: float, sweep: float, clockwise: bool) -> None:
     start = on_circle(radius, begin)
     end = on_circle(radius, begin + (-sweep if clockwise else sweep))
     arc = arc_by_radius(start, end, radius if sweep <= pi else -radius, clockwise)
     # At half a turn the centre depends on the root of a rounding error.
-    assert (
-        hypot(*arc.centre) < 1e-3 * radius if abs(sweep - pi) > 0.01 else hypot(*arc.centre) < 0.02 * radius
-    )
+    assert hypot(*arc.centre) < 1e-3 * radius if abs(sweep - pi) > 0.01 else hypot(*arc.centre) < 0.02 * radius
     assert isclose(abs(arc.sweep), sweep, abs_tol=0.05)
 
 

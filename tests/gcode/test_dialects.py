@@ -67,7 +67,5 @@ def test_limits_are_read_back_as_written(flavor: str) -> None:
 @pytest.mark.parametrize("flavor", ["klipper", "marlin", "reprapfirmware"])
 def test_unknown_limits_are_not_written(flavor: str) -> None:
     assert close_limits(flavor, MotionLimits()) == []
-    assert all(
-        b"nan" not in line for line in close_limits(flavor, MotionLimits(velocity=1.5, acceleration=math.nan))
-    )
+    assert all(b"nan" not in line for line in close_limits(flavor, MotionLimits(velocity=1.5, acceleration=math.nan)))
     assert len(shaper_off(flavor)) == 1

@@ -402,9 +402,7 @@ other_text = st.sampled_from(
 rare_text = st.sampled_from(
     ["T0", "M220 S90", "M221 S95", "G20", "G21", "G4 P1", "SAVE_GCODE_STATE", "PAUSE", "SET_GCODE_OFFSET X=1"]
 )
-program_text = st.lists(
-    st.tuples(moves_text | other_text | rare_text, st.sampled_from(["\n", "\r\n"])), max_size=40
-)
+program_text = st.lists(st.tuples(moves_text | other_text | rare_text, st.sampled_from(["\n", "\r\n"])), max_size=40)
 
 
 @given(program_text, st.booleans())
@@ -417,9 +415,7 @@ def test_random_programs_are_kept_whole(lines: list[tuple[str, str]], known: boo
 def test_the_fast_and_the_general_way_agree(lines: list[tuple[str, str]]) -> None:
     """A round comment sends a move the general way."""
     fast = "".join(text + ending for text, ending in lines).encode("latin-1")
-    general = "".join(text + "(slowly)" * text.startswith("G") + ending for text, ending in lines).encode(
-        "latin-1"
-    )
+    general = "".join(text + "(slowly)" * text.startswith("G") + ending for text, ending in lines).encode("latin-1")
     one, other = read_program(fast, start=HOME), read_program(general, start=HOME)
     np.testing.assert_array_equal(one.moves.end, other.moves.end)
     np.testing.assert_array_equal(one.moves.start, other.moves.start)

@@ -128,9 +128,7 @@ def test_rate_term_is_what_carriage_accelerations_leave() -> None:
 
 def test_rate_term_grows_with_the_square_of_speed() -> None:
     x, v, _ = _curve(np.linspace(0, 2, 20))
-    np.testing.assert_allclose(
-        jacobian_rate_term(CROOKED, x, 3 * v), 9 * jacobian_rate_term(CROOKED, x, v), rtol=1e-10
-    )
+    np.testing.assert_allclose(jacobian_rate_term(CROOKED, x, 3 * v), 9 * jacobian_rate_term(CROOKED, x, v), rtol=1e-10)
 
 
 def test_compiled_inverse_is_the_same() -> None:

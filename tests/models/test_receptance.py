@@ -127,9 +127,7 @@ def _rod_loads(machine: Machine, xy: np.ndarray, force: np.ndarray) -> np.ndarra
 
 @pytest.mark.parametrize("force_map", ["virtual_work", "paper"])
 @pytest.mark.parametrize("xy", PLACES)
-def test_slow_commands_are_followed_exactly(
-    printer: Machine, force_map: str, xy: tuple[float, float]
-) -> None:
+def test_slow_commands_are_followed_exactly(printer: Machine, force_map: str, xy: tuple[float, float]) -> None:
     machine = replace(printer, effector=replace(printer.effector, force_map=force_map))
     np.testing.assert_allclose(carriage_frf(machine, np.array(xy), np.zeros(1))[0], np.eye(3), atol=1e-14)
 
@@ -188,9 +186,7 @@ def test_the_frf_blows_up_at_the_poles(printer: Machine, force_map: str) -> None
         carriage = machine.carriage
         damping = carriage.belt_damping_n_s_per_m + carriage.guide_damping_n_s_per_m
         own = carriage.moving_mass_kg * pole**2 + damping * pole + carriage.belt_stiffness_n_per_m
-        singular = np.linalg.svd(
-            own * np.eye(3) + gamma * effector_impedance(machine, s) @ j, compute_uv=False
-        )
+        singular = np.linalg.svd(own * np.eye(3) + gamma * effector_impedance(machine, s) @ j, compute_uv=False)
         assert singular[-1] < 1e-9 * singular[0] + 1e-5
 
 

@@ -300,9 +300,7 @@ def simulate(
     """
     command = np.ascontiguousarray(command_q_mm, dtype=float) / 1e3
     if command.ndim != 2 or command.shape[1] != 3 or len(command) % 2 == 0:
-        raise ValueError(
-            f"The command has shape {command.shape}; it must be (2 n + 1, 3), a row each half step."
-        )
+        raise ValueError(f"The command has shape {command.shape}; it must be (2 n + 1, 3), a row each half step.")
     p = plant_of(machine, gravity=gravity)
     state = rest_state(p, command[0]) if start is None else np.array(start, dtype=float)
     speed = _speed(command, h_s / 2) if p.ideal_drive else command  # a real drive never asks for the speed

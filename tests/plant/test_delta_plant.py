@@ -65,9 +65,7 @@ CONSERVATIVE = changed(
 )  # so soft that the nozzle swings by centimetres: every nonlinear term is at work
 
 
-IDEAL_DRIVE = changed(
-    carriage={"belt_damping_n_s_per_m": 300.0, "drive": None}
-)  # here the command's speed counts
+IDEAL_DRIVE = changed(carriage={"belt_damping_n_s_per_m": 300.0, "drive": None})  # here the command's speed counts
 DRIVES = pytest.mark.parametrize("machine", [MACHINE, IDEAL_DRIVE], ids=["drive", "ideal drive"])
 
 
@@ -83,9 +81,7 @@ def nothing_hidden() -> Path:
     root = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[3] / "shared" / "data"))
     folder = root / "runs" / "nothing-hidden"
     if not folder.is_dir():
-        pytest.skip(
-            f"the labelled runs are not here: {folder} does not exist (FFCOMP_DATA names their folder)"
-        )
+        pytest.skip(f"the labelled runs are not here: {folder} does not exist (FFCOMP_DATA names their folder)")
     return folder
 
 
@@ -126,9 +122,7 @@ def test_the_mean_of_four_repeats_leaves_half_the_noise(nothing_hidden: Path) ->
 
 
 def test_carriage_height_above_the_centre_is_pythagoras() -> None:
-    assert plant.carriages_of(MACHINE, [[0.0, 0.0, 30.0]]) == pytest.approx(
-        80.0 + np.sqrt(300.0**2 - 140.0**2)
-    )
+    assert plant.carriages_of(MACHINE, [[0.0, 0.0, 30.0]]) == pytest.approx(80.0 + np.sqrt(300.0**2 - 140.0**2))
 
 
 def test_towers_go_counter_clockwise_from_x() -> None:
@@ -144,9 +138,7 @@ def test_a_nozzle_out_of_reach_is_named_with_its_tower() -> None:
 
 
 def test_each_tower_may_have_its_own_arm_and_radius() -> None:
-    machine = changed(
-        kinematics={"arm_lengths_mm": [300.0, 310.0, 305.0], "delta_radii_mm": [140.0, 141.0, 139.0]}
-    )
+    machine = changed(kinematics={"arm_lengths_mm": [300.0, 310.0, 305.0], "delta_radii_mm": [140.0, 141.0, 139.0]})
     expected = 50.0 + np.sqrt(np.array([300.0, 310.0, 305.0]) ** 2 - np.array([140.0, 141.0, 139.0]) ** 2)
     assert plant.carriages_of(machine, [[0.0, 0.0, 0.0]])[0] == pytest.approx(expected)
 
@@ -305,9 +297,7 @@ def test_modes_of_a_rigid_effector_at_the_centre(direction: tuple[int, int, int]
     assert ring_down_hz(machine, np.array(direction, dtype=float)) == pytest.approx(expected, rel=1e-4)
 
 
-def closed_form(
-    machine: dict[str, Any], xyz_mm: tuple[float, float, float], s: complex
-) -> NDArray[np.complex128]:
+def closed_form(machine: dict[str, Any], xyz_mm: tuple[float, float, float], s: complex) -> NDArray[np.complex128]:
     """G = [(m s² + (c+b) s + k) I + JᵀWJ]⁻¹ (c s + k) G_e : (3, 3), carriages' commands → carriages.
 
     W = M₁s² + D - D (m₂s² + D)⁻¹ D with D = Bs + K; J by inverting differences of the inverse kinematics.
@@ -324,9 +314,7 @@ def closed_form(
     return np.linalg.inv(inertia + jacobian.T @ np.diag(w) @ jacobian) * ((p.belt_c * s + p.belt_k) * drive)
 
 
-def measured_response(
-    machine: dict[str, Any], xyz_mm: tuple[float, float, float], hz: float
-) -> NDArray[np.complex128]:
+def measured_response(machine: dict[str, Any], xyz_mm: tuple[float, float, float], hz: float) -> NDArray[np.complex128]:
     """Complex amplitudes of the carriages : (3,), for 1 µm on motor B, fitted after the transient died."""
     h, command = 1 / 12800, at_rest(machine, xyz_mm, 12800)
     omega = 2 * np.pi * hz

@@ -97,9 +97,7 @@ class _Writer:
         """Straight back and forth: exact reversals, and exact continuations."""
         step = np.array([*self.rng.uniform(-3, 3, size=2).round(1), 0.0])
         for i in range(20):
-            self.go(
-                self.at + step * self.rng.choice([-1.0, 1.0, 1.0]), feed=self.feed() if i % 5 == 0 else None
-            )
+            self.go(self.at + step * self.rng.choice([-1.0, 1.0, 1.0]), feed=self.feed() if i % 5 == 0 else None)
 
     def travel(self) -> None:
         """Far moves, also along the rim, some of them retracting on the way."""

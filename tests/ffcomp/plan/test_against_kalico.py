@@ -21,9 +21,7 @@ from tests.ffcomp.plan.programs import random_program
 
 DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[4] / "shared" / "data")) / "gcode"
 MOTION = re.compile(rb"\s*(G[0-4]|G9[0-2]|M82|M83|M204|SET_VELOCITY_LIMIT)\b", re.IGNORECASE)
-STEP_MM = (
-    40.0 / 200
-)  # whole steps: the host has far fewer to write than with microsteps, the plan is the same
+STEP_MM = 40.0 / 200  # whole steps: the host has far fewer to write than with microsteps, the plan is the same
 
 pytestmark = pytest.mark.kalico
 

@@ -12,9 +12,7 @@ from ffcomp.plan.limits import DeltaReach, FirmwareLimits, bounds_of, lines_of
 from tests.ffcomp.plan.programs import moves_through
 
 LIMITS = FirmwareLimits(velocity_mm_per_s=300.0, acceleration_mm_per_s2=3000.0)
-FILAMENT = (
-    16.0 * 0.4**2 / (math.pi * 1.75**2)
-)  # of the firmware's speed, what it lets the filament do by default
+FILAMENT = 16.0 * 0.4**2 / (math.pi * 1.75**2)  # of the firmware's speed, what it lets the filament do by default
 
 
 def bounds(
@@ -65,9 +63,7 @@ def test_the_smooth_acceleration_is_a_share_of_the_files_not_of_the_moves() -> N
 
 
 def test_the_file_replaces_the_machines_limits() -> None:
-    moves = moves_through(
-        [[0, 0], [9, 0], [9, 9]], 1000.0, velocity_limit=[400, np.nan], acceleration=[9000, np.nan]
-    )
+    moves = moves_through([[0, 0], [9, 0], [9, 9]], 1000.0, velocity_limit=[400, np.nan], acceleration=[9000, np.nan])
     found = bounds_of(moves, lines_of(moves), LIMITS)
     assert found.speed.tolist() == [400.0, 300.0]
     assert found.acceleration.tolist() == [9000.0, 3000.0]

@@ -37,9 +37,7 @@ points = st.lists(
 speeds = st.lists(st.floats(1.0, 400.0), min_size=11, max_size=11)
 
 
-def plan(
-    moves: Moves, limits: FirmwareLimits = LIMITS, stops: ArrayLike = False, waits: ArrayLike = 0.0
-) -> Trajectory:
+def plan(moves: Moves, limits: FirmwareLimits = LIMITS, stops: ArrayLike = False, waits: ArrayLike = 0.0) -> Trajectory:
     n = len(moves)
     return plan_moves(
         moves,
@@ -189,12 +187,8 @@ def test_junctions_are_passed_as_fast_as_a_linear_programme_allows(
         return
     moves = moves_through(path, v[: len(path) - 1])
     corner, gain = junction_limits(moves, LIMITS)
-    steps = np.diff(np.eye(len(corner) + 2), axis=0)[
-        :, 1:-1
-    ]  # change of v² over each move; rest at both ends
-    best = linprog(
-        -np.ones(len(corner)), np.vstack([steps, -steps]), [*gain, *gain], bounds=[(0, c) for c in corner]
-    )
+    steps = np.diff(np.eye(len(corner) + 2), axis=0)[:, 1:-1]  # change of v² over each move; rest at both ends
+    best = linprog(-np.ones(len(corner)), np.vstack([steps, -steps]), [*gain, *gain], bounds=[(0, c) for c in corner])
     assert best.status == 0, best.message
     assert plan(moves).start_v[1:] ** 2 == pytest.approx(best.x, rel=1e-6, abs=1e-5)
 
@@ -253,14 +247,10 @@ def test_the_way_back_is_the_same_backwards(path: list[tuple[float, float]], v: 
 
 @given(points, st.floats(0.3, 3.0), st.floats(0.0, 0.9))
 @settings(deadline=None, max_examples=40)
-def test_the_plan_scales_with_length_and_time(
-    path: list[tuple[float, float]], scale: float, ratio: float
-) -> None:
+def test_the_plan_scales_with_length_and_time(path: list[tuple[float, float]], scale: float, ratio: float) -> None:
     """k² longer ways at k times the speed and the same acceleration take k times as long."""
     limits = dataclasses.replace(LIMITS, minimum_cruise_ratio=ratio)
-    larger = dataclasses.replace(
-        limits, velocity_mm_per_s=300.0 * scale, square_corner_velocity_mm_per_s=5.0 * scale
-    )
+    larger = dataclasses.replace(limits, velocity_mm_per_s=300.0 * scale, square_corner_velocity_mm_per_s=5.0 * scale)
     small = through(path, 80.0, limits)
     large = through(scale**2 * np.array(path), 80.0 * scale, larger)
     assert large.duration == pytest.approx(scale * small.duration, rel=1e-6, abs=1e-9)
@@ -337,7 +327,5 @@ def test_impossible_moves_are_named_with_their_line(column: str, value: float, m
 
 
 def test_a_negative_wait_is_refused() -> None:
-    with pytest.raises(
-        ValueError, match=r"The wait before move 1 is -0\.5 s; it must be finite and not negative\."
-    ):
+    with pytest.raises(ValueError, match=r"The wait before move 1 is -0\.5 s; it must be finite and not negative\."):
         plan(moves_through([[0, 0], [1, 0], [2, 0]]), waits=[0.0, -0.5])

@@ -16,9 +16,7 @@ from tests.ffcomp.plan.programs import moves_through, random_program
 def motion() -> Trajectory:
     program = read_program(random_program(11, 20), start=(0.0, 0.0, 10.0))
     stops, waits = stops_and_waits(program)
-    return plan_moves(
-        program.moves, FirmwareLimits(300.0, 3000.0), stop_before=stops, wait_before=waits, start_t=2.0
-    )
+    return plan_moves(program.moves, FirmwareLimits(300.0, 3000.0), stop_before=stops, wait_before=waits, start_t=2.0)
 
 
 def simple(waits: list[float]) -> Trajectory:
@@ -69,9 +67,7 @@ def test_the_path_has_no_jumps(motion: Trajectory) -> None:
 def test_it_rests_before_between_and_after() -> None:
     line = simple([0.3, 0.4])
     t = np.array([-1.0, 0.1, 0.6, 0.89, 1.2, 9.0])
-    assert line.position(t)[:, :2] == pytest.approx(
-        np.array([[0, 0], [0, 0], [1, 0], [1, 0], [1, 1], [1, 1]])
-    )
+    assert line.position(t)[:, :2] == pytest.approx(np.array([[0, 0], [0, 0], [1, 0], [1, 0], [1, 1], [1, 1]]))
     assert not line.velocity(t).any()
     assert not line.acceleration_at(t).any()
 
