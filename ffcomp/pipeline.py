@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ffcomp.errors import LimitsError, NothingToDo
 from ffcomp.invert.fbs import Inverter, RunResult
 from ffcomp.invert.settings import Settings
+from ffcomp.marks import timeline
 from ffcomp.plan.limits import DeltaReach, FirmwareLimits
 from ffcomp.plan.lookahead import plan_moves, stops_and_waits
 from ffcomp.plan.trajectory import Trajectory
@@ -25,7 +26,7 @@ from ffcomp.played import OutputLimits
 from ffcomp.predict import Prediction
 from ffcomp.runs import Reference, Run, split_runs
 from ffcomp.schedule import rest_state
-from ffcomp.writer import Mark, Writer
+from ffcomp.writer import Writer
 from gcode.errors import GcodeError
 from gcode.limits import MotionLimits
 from gcode.program import Event, Program
@@ -158,11 +159,11 @@ def compensate(
         while event is not None and event.move < run.last:
             inside.append(event)
             event = next(events, None)
-        e, marks = _place(program, trajectory, run, wanted, inside, settings.segment_s)
+        line_up = timeline(program, trajectory, run, wanted, inside)
         inside_reach = keep_inside(
             machine.kinematics, result.vertices, moves_z=program.moves.end[run.first : run.last, 2]
         )
-        yield from writer.run(run.first, inside_reach, e, marks)
+        yield from writer.run(run.first, inside_reach, line_up)
         _account(summary, run, wanted, result, trajectory, settings, predicted)
         progress(float(rested))
     while event is not None:
@@ -185,51 +186,6 @@ def keep_inside(geometry: DeltaGeometry, vertices: FloatArray, moves_z: FloatArr
     inside = vertices * shrink[:, None]
     inside[:, 2] = np.clip(vertices[:, 2], floor, ceiling)
     return inside
-
-
-def _place(
-    program: Program,
-    trajectory: Trajectory,
-    run: Run,
-    wanted: Reference,
-    inside: list[Event],
-    segment_s: float,
-) -> tuple[FloatArray, list[Mark]]:
-    """Filament at the knots, and the knot at which each line of the original goes out.
-
-    A line goes out at the knot nearest to its move's planned time, and the filament at that knot is made what it was at
-    the line: so the filament between two lines is kept to the last digit.
-    """
-    moves = program.moves
-    n = wanted.knots
-    e = wanted.extrusion()
-    e[n] = moves.end[run.last - 1, 3]
-    lines = _lines_of(program, run, inside)
-    marks: list[Mark] = []
-    fixed: dict[int, float] = {}  # knot → filament, where coordinates change
-    knot = 0
-    for line, move, event in lines:
-        at = round((float(trajectory.start_t[move]) - wanted.t0) / segment_s)
-        knot = min(max(knot, at), n)
-        if event is not None and move > run.first:
-            filament = float(moves.start[move, 3])
-            if knot in fixed and abs(fixed[knot] - filament) > 1e-9 and knot < n:
-                knot += 1
-            if event.frame != int(moves.frame[move - 1]):
-                fixed[knot] = filament
-            e[knot] = filament
-        marks.append(Mark(knot, line, event))
-    for at, filament in fixed.items():
-        e[at] = filament
-    return e, marks
-
-
-def _lines_of(program: Program, run: Run, inside: list[Event]) -> list[tuple[int, int, Event | None]]:
-    """(line, move, event) of every original line in a run, in file order; a move's own line has no event."""
-    own = program.moves.line[run.first : run.last]
-    new = np.flatnonzero(np.diff(own, prepend=-1))  # the chords of an arc share a line
-    moves = [(int(own[i]), run.first + int(i), None) for i in new]
-    return sorted([*moves, *((event.line, event.move, event) for event in inside)], key=lambda each: each[0])
 
 
 def _account(

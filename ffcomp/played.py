@@ -190,27 +190,30 @@ def sample_segments(
 
 
 @njit(cache=True)
-def merge(vertices: FloatArray, e: FloatArray, pinned: BoolArray, tolerance: float, longest: int) -> IntArray:
-    """Knots that are enough: between two of them the command runs straight and evenly, so one segment will do.
+def merge(
+    at: FloatArray, points: FloatArray, e: FloatArray, pinned: BoolArray, tolerance: float, longest: float
+) -> IntArray:
+    """Points that are enough: between two of them the command runs straight and evenly, so one segment will do.
 
     Parameters
     ----------
-    vertices : (n + 1, 3) mm, evenly spaced in time;  e : (n + 1,) mm of filament
-    pinned : (n + 1,) knots that must stay
+    at : (n,) times of the points, in any unit
+    points : (n, 3) mm;  e : (n,) mm of filament
+    pinned : (n,) points that must stay
     tolerance : mm, of position; a hundredth of it for filament
-    longest : how many segments may become one
+    longest : how long a segment may become by joining, in the unit of `at`
 
     Returns
     -------
-    (m,) indices of the knots to keep, first and last among them
+    (m,) indices of the points to keep, first and last among them
     """
-    n = len(vertices) - 1
+    n = len(points) - 1
     kept = [0]
     first = 0
     while first < n:
         last = first + 1
-        while last < n and not pinned[last] and last - first < longest:
-            if not _straight(vertices, e, first, last + 1, tolerance):
+        while last < n and not pinned[last] and at[last + 1] - at[first] <= longest:
+            if not _straight(at, points, e, first, last + 1, tolerance):
                 break
             last += 1
         kept.append(last)
@@ -219,12 +222,11 @@ def merge(vertices: FloatArray, e: FloatArray, pinned: BoolArray, tolerance: flo
 
 
 @njit(cache=True)
-def _straight(vertices: FloatArray, e: FloatArray, first: int, last: int, tolerance: float) -> bool:
-    count = last - first
+def _straight(at: FloatArray, points: FloatArray, e: FloatArray, first: int, last: int, tolerance: float) -> bool:
     for k in range(first + 1, last):
-        f = (k - first) / count
+        f = (at[k] - at[first]) / (at[last] - at[first])
         for i in range(3):
-            if abs(vertices[first, i] + f * (vertices[last, i] - vertices[first, i]) - vertices[k, i]) > tolerance:
+            if abs(points[first, i] + f * (points[last, i] - points[first, i]) - points[k, i]) > tolerance:
                 return False
         if abs(e[first] + f * (e[last] - e[first]) - e[k]) > 0.01 * tolerance + 1e-5:
             return False

@@ -73,6 +73,10 @@ class Reference:
         """The nozzle at these knots, (m, 3) mm; there are knots before the first and after the last, at rest."""
         return self.nozzle(self.t0 + knots.astype(np.float64) * self._segment_s)
 
+    def knot_of(self, t: float) -> float:
+        """The place of a time of the plan's clock among the knots."""
+        return (t - self.t0) / self._segment_s
+
     def extrusion(self) -> FloatArray:
         """Filament at the knots, (knots + 1,) mm."""
         return self._position(self._knot_times())[:, 3].copy()

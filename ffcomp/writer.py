@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.invert.settings import Settings
+from ffcomp.marks import Mark, Timeline
 from ffcomp.played import merge, played
 from gcode.dialects import close_limits, open_limits
 from gcode.emit import MoveWriter
@@ -27,15 +27,6 @@ IntArray = NDArray[np.int64]
 OURS = b" ; ffcomp"  # ends every line of ours that is not a move
 WAS = b";~"  # before a move of the original
 STILL_MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*[0-3](?!\d)", re.IGNORECASE)
-
-
-@dataclass(frozen=True, slots=True)
-class Mark:
-    """A line of the original that goes out at knot `knot` of a run."""
-
-    knot: int
-    line: int
-    event: Event | None  # None: a move, kept as a comment
 
 
 class Writer:
@@ -85,27 +76,27 @@ class Writer:
 
     # -- a run
 
-    def run(self, first: int, vertices: FloatArray, e: FloatArray, marks: list[Mark]) -> Iterator[bytes]:
+    def run(self, first: int, vertices: FloatArray, line_up: Timeline) -> Iterator[bytes]:
         """The segments of one run.
 
         Parameters
         ----------
         first : the run's first move
-        vertices : (n + 1, 3) mm, columns X Y Z
-        e : (n + 1,) mm, filament at the vertices
-        marks : lines of the original, by knot
+        vertices : (n + 1, 3) mm, columns X Y Z, at the run's knots
+        line_up : the points at which segments may end, and the original's lines between them
         """
-        frame = self.program.frames[int(self.program.moves.frame[first])]
         yield from self._begin(first)
-        vertices = _rounded(vertices, frame)
-        knots = self._enough(vertices, e, marks)
-        vertices, e, lasting = vertices[knots], e[knots], np.diff(knots) * self.settings.segment_s
-        speeds = played(vertices, np.diff(e), lasting, self.settings.output).cruise
-        waiting, rest, begun = iter(marks), 0.0, False
+        knots = np.arange(len(vertices), dtype=np.float64)
+        points = np.stack([np.interp(line_up.at, knots, axis) for axis in vertices.T], axis=1)
+        points = _rounded(points, self.program.frames[int(self.program.moves.frame[first])])
+        kept = self._enough(points, line_up)
+        points, e, lasting = points[kept], line_up.e[kept], np.diff(line_up.at[kept]) * self.settings.segment_s
+        speeds = played(points, np.diff(e), lasting, self.settings.output).cruise
+        waiting, rest, begun = iter(line_up.marks), 0.0, False
         mark = next(waiting, None)
-        columns = (knots[:-1], vertices[1:], e[1:], speeds, lasting)
-        for knot, (x, y, z), filament, speed, duration in zip(*(c.tolist() for c in columns), strict=True):
-            while mark is not None and mark.knot <= knot:
+        columns = (kept[:-1], points[1:], e[1:], speeds, lasting)
+        for point, (x, y, z), filament, speed, duration in zip(*(c.tolist() for c in columns), strict=True):
+            while mark is not None and mark.point <= point:
                 yield from self._mark(mark)
                 mark = next(waiting, None)
             line = self._to(x, y, z, filament, speed)
@@ -121,12 +112,12 @@ class Writer:
             yield from self._mark(mark)
             mark = next(waiting, None)
 
-    def _enough(self, vertices: FloatArray, e: FloatArray, marks: list[Mark]) -> IntArray:
-        """The knots worth writing: all where the command bends, few where it runs straight and evenly."""
+    def _enough(self, points: FloatArray, line_up: Timeline) -> IntArray:
+        """The points worth writing: all where the command bends, few where it runs straight and evenly."""
         s = self.settings
-        pinned = np.zeros(len(vertices), dtype=np.bool_)
-        pinned[[mark.knot for mark in marks]] = True
-        return merge(vertices, e, pinned, 1e-3 * s.merge_um, max(1, round(s.longest_merged_s / s.segment_s)))
+        pinned = np.zeros(len(points), dtype=np.bool_)
+        pinned[[mark.point for mark in line_up.marks]] = True
+        return merge(line_up.at, points, line_up.e, pinned, 1e-3 * s.merge_um, s.longest_merged_s / s.segment_s)
 
     def _begin(self, move: int) -> Iterator[bytes]:
         """Open a block if none is open, and take over the state at `move`."""

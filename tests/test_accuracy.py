@@ -52,6 +52,17 @@ def test_the_command_is_one_that_motors_follow(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", judge.PRINTS)
+def test_every_run_takes_the_time_it_was_solved_for(name: str) -> None:
+    """Segments that their limits make late shift all that follows: each run must last a whole number of knots."""
+    case = judge.case(name)
+    plan, first = case.segments.trajectory, case.segments.first
+    last = np.append(first[1:], len(plan)) - 1
+    lasts_s = plan.start_t[last] + plan.duration[last] - plan.start_t[first]
+    knots = lasts_s / case.ours.settings.segment_s
+    assert np.abs(knots - np.round(knots)).max() * case.ours.settings.segment_s < 20e-6
+
+
+@pytest.mark.parametrize("name", judge.PRINTS)
 def test_the_parts_are_printed_at_speed(name: str) -> None:
     """100-200 mm/s at 3-10 m/s²: what is asked for, and what is reached."""
     original = judge.case(name).original
@@ -79,7 +90,7 @@ def test_a_path_that_is_followed_exactly_has_no_error() -> None:
     wanted = np.ascontiguousarray(original.trajectory.position(due)[:, :3])
     exact = judge.Answer(due, wanted, wanted, wanted, 0.0, 1.0)
     assert judge.score(original, exact).contour_max_um < 1e-6
-    lifted = judge.Answer(due, wanted, wanted, wanted + [0.0, 0.0, 0.01], 0.0, 1.0)
+    lifted = judge.Answer(due, wanted, wanted, wanted + np.array([0.0, 0.0, 0.01]), 0.0, 1.0)
     found = judge.score(original, lifted)
     assert found.tracking_rms_um == pytest.approx(10.0)
     assert found.contour_rms_um == pytest.approx(10.0, rel=0.01)

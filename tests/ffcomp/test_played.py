@@ -65,7 +65,7 @@ def test_without_the_correction_the_ramps_eat_time() -> None:
 def test_segments_of_different_lengths_keep_their_times() -> None:
     limits = OutputLimits()
     vertices, e = wave()
-    knots = merge(vertices, e, np.zeros(201, dtype=np.bool_), 5e-3, 10)
+    knots = merge(np.arange(201.0), vertices, e, np.zeros(201, dtype=np.bool_), 5e-3, 10)
     assert len(knots) < 150
     lasting = np.diff(knots) * S
     speeds = played(vertices[knots], np.diff(e[knots]), lasting, limits)
@@ -86,7 +86,7 @@ def test_merged_segments_stay_within_the_tolerance(tolerance: float) -> None:
     vertices, e = wave(400)
     pinned = np.zeros(401, dtype=np.bool_)
     pinned[[57, 58, 211]] = True
-    knots = merge(vertices, e, pinned, tolerance, 25)
+    knots = merge(np.arange(401.0), vertices, e, pinned, tolerance, 25)
     assert knots[0] == 0 and knots[-1] == 400 and {57, 58, 211} <= set(knots.tolist())
     assert np.diff(knots).max() <= 25 and np.diff(knots).min() >= 1
     k = np.arange(401)
@@ -97,5 +97,5 @@ def test_merged_segments_stay_within_the_tolerance(tolerance: float) -> None:
 
 def test_a_straight_even_line_becomes_as_few_segments_as_allowed() -> None:
     vertices = np.linspace([0.0, 0, 0], [10.0, 5, 0], 101)
-    knots = merge(vertices, np.linspace(0, 1, 101), np.zeros(101, dtype=np.bool_), 1e-4, 25)
+    knots = merge(np.arange(101.0), vertices, np.linspace(0, 1, 101), np.zeros(101, dtype=np.bool_), 1e-4, 25)
     assert knots.tolist() == [0, 25, 50, 75, 100]
