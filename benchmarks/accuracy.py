@@ -40,21 +40,21 @@ FAR_MM = 100.0
 INTRODUCTION = f"""# Accuracy
 
 Made by `python benchmarks/accuracy.py > docs/ACCURACY.md` (Python {platform.python_version()}, machine file
-`{judge.MACHINE_FILE.name}`); the whole sample prints, nothing picked out but the first {judge.SETTLE_S:g} s, in which what
-the file does before its first known move still rings.
+`{judge.MACHINE_FILE.name}`). The whole sample prints, without the first {judge.SETTLE_S:g} s: what the file does
+before its first known move still rings in them.
 
 The judge is `tests/plant/delta_plant.py`: a nonlinear delta with equations of its own (Lagrange, in the nozzle's
-position, with every velocity term), integrated by Runge-Kutta at {1 / judge.STEP_S:.0f} steps a second, without weight (the
-static sag belongs to calibration). It shares no line with the model that the command is designed with, but it has the
-same parameters: what follows is the error of the method, not of a badly known machine.
+position, with every velocity term), integrated by Runge-Kutta at {1 / judge.STEP_S:.0f} steps a second,
+without weight (the static sag belongs to calibration). It shares no line with the model that the command is
+designed with, but it has the same parameters: what follows is the error of the method, not of a badly known machine.
 
 - **tracking**: nozzle against plan at equal times; in brackets with the best constant delay removed.
 - **contour**: distance to the segments of the wanted path; p99 and max of the same.
 - **none / this**: how many times smaller than uncompensated, tracking with the delay removed.
 - **peak**: largest acceleration any carriage is asked for, by second difference over one segment
   ({judge.EFFORT_S * 1e3:g} ms). The row "none" is what the plan itself asks; the machine's limit is 30 m/s².
-- **ZV, MZV, EI**: with the best frequency (to 1 Hz) and damping ratio ({" or ".join(f"{z:g}" for z in DAMPING_RATIOS)}) on this
-  very print, x and y alike; z is not shaped, as in the firmwares, and so their largest errors are at z moves.
+- **ZV, MZV, EI**: with the best frequency (to 1 Hz) and damping ratio
+  ({" or ".join(f"{z:g}" for z in DAMPING_RATIOS)}) on this very print, x and y alike; z is not shaped, as in the firmwares, and so their largest errors are at z moves.
 - **through Kalico**: the file as the real Kalico host plans it, and its plan played on the same plant.
 """
 ABOUT_ABLATION = """## What each ingredient is worth

@@ -39,7 +39,7 @@ def timeline(program: Program, trajectory: Trajectory, run: Run, wanted: Referen
     """Lay the events inside a run, and its moves, on its knots.
 
     A line that stands where filament flows cuts its segment at the very moment, so that the filament between two lines
-    is kept to the last digit and the flow stays even; others wait for the nearest knot.
+    is kept to the last digit and the flow stays even; others go out at the knot before.
     """
     e = wanted.extrusion()
     e[-1] = program.moves.end[run.last - 1, 3]
@@ -49,10 +49,11 @@ def timeline(program: Program, trajectory: Trajectory, run: Run, wanted: Referen
     lines = _lines_of(program, run, inside)
     for _, move, event in lines:
         at = min(max(wanted.knot_of(float(trajectory.start_t[move])), last), float(wanted.knots))
-        knot = round(at)
         flows = abs(e[min(int(at) + 1, wanted.knots)] - e[int(at)]) > FLOWS_MM
-        if event is None or not flows or abs(at - knot) < NEAR:
-            at = max(float(knot), last)
+        if event is None or not flows:
+            at = max(float(int(at)), last)  # never later than its time: what follows may need its exact place
+        elif abs(at - round(at)) < NEAR:
+            at = max(float(round(at)), last)
         if event is not None and move > run.first:
             filament = float(program.moves.start[move, 3])
             if at == last and abs(exact[at] - filament) > FLOWS_MM and (places and at < wanted.knots):
