@@ -54,8 +54,11 @@ designed with, but it has the same parameters: what follows is the error of the 
 - **peak**: largest acceleration any carriage is asked for, by second difference over one segment
   ({judge.EFFORT_S * 1e3:g} ms). The row "none" is what the plan itself asks; the machine's limit is 30 m/s².
 - **ZV, MZV, EI**: with the best frequency (to 1 Hz) and damping ratio
-  ({" or ".join(f"{z:g}" for z in DAMPING_RATIOS)}) on this very print, x and y alike; z is not shaped, as in the firmwares, and so their largest errors are at z moves.
-- **through Kalico**: the file as the real Kalico host plans it, and its plan played on the same plant.
+  ({" or ".join(f"{z:g}" for z in DAMPING_RATIOS)}) on this very print, x and y alike; z is not shaped, as
+  in the firmwares, and so their largest errors are at z moves. (Shaping z too, MZV on the first 92 s of the tower
+  goes from 8.7 to 6.7 µm contour rms and from 224 to 45 µm at the worst.)
+- **through Kalico**: the file as the real Kalico host plans it, and its plan played on the same plant. The star is
+  written for Marlin; Kalico does not know its `M205`, so that corner velocity stands in the printer's configuration.
 """
 ABOUT_ABLATION = """## What each ingredient is worth
 

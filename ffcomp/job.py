@@ -42,6 +42,7 @@ class Job:
         flavor: str = "",
         predict: bool = True,
         settings: Settings | None = None,
+        inverter: Inverter | None = None,
     ) -> None:
         self.started = time.perf_counter()
         self.path, self.machine, self.offset = path, machine, offset
@@ -51,7 +52,7 @@ class Job:
             raise UnsupportedGcode(f"The flavor {flavor!r} is none of {', '.join(sorted(FLAVORS))}.", path=path)
         self.planned = plan_program(self.program, machine)
         self.print_time_s = self.planned.trajectory.end_t
-        self.inverter = Inverter(machine, settings or settings_for(machine))
+        self.inverter = inverter or Inverter(machine, settings or settings_for(machine))
         self.summary = Summary()
         if predict:
             self.summary.prediction = Prediction(self.inverter, self.print_time_s)

@@ -29,7 +29,7 @@ from ffcomp.schedule import rest_state
 from ffcomp.writer import Writer
 from gcode.errors import GcodeError
 from gcode.limits import MotionLimits
-from gcode.program import Event, Program
+from gcode.program import Event, EventKind, Program
 from models.errors import UnreachableError
 from models.kinematics.delta import check_reach
 from models.machine import DeltaGeometry, Machine
@@ -129,84 +129,79 @@ def compensate(
     progress : called with the print-seconds done so far.
     """
     program, trajectory, settings = planned.program, planned.trajectory, inverter.settings
-    own = machine.limits
-    limits = MotionLimits(own.velocity_mm_per_s, own.acceleration_mm_per_s2, own.square_corner_velocity_mm_per_s, 0.5)
-    writer = Writer(program, flavor, limits, settings)
-    events = iter(program.events)
-    event = next(events, None)
+    writer = Writer(program, flavor, _own_limits(machine), settings)
+    events = _Queue(program.events)
     state, rested = np.zeros(0), -np.inf  # the plant's state, and the plan's time at which it was so
     summary.moves = len(program.moves)
     summary.original_print_time_s = summary.print_time_s = float(trajectory.end_t)
     for run in planned.runs:
-        stopped = False
-        while event is not None and event.move <= run.first:
+        before = events.up_to(run.first)
+        for event in before:
             yield from writer.event(event)
-            stopped |= event.move == run.first and event.kind.name in ("STOP", "RAW_MOVE")
-            event = next(events, None)
         if not run.travels:
             yield from writer.extrude(run.first)
             continue
-        wanted = Reference(trajectory, run, settings)
         start = trajectory.origin[run.first, :3]
-        hold = run.begin_t - rested
-        state = (
-            rest_state(machine, start) if stopped or hold > 0.5 or not state.size else inverter.hold(state, start, hold)
-        )
+        moved = any(event.kind in (EventKind.STOP, EventKind.RAW_MOVE) for event in before)
+        known = state.size and not moved
+        state = inverter.hold(state, start, run.begin_t - rested) if known else rest_state(machine, start)
+        wanted = Reference(trajectory, run, settings)
         predicted = summary.prediction is not None and summary.prediction.wants(wanted)
         result = inverter.run(wanted, state, keep_response=predicted)
         state, rested = result.state, run.end_t
-        inside: list[Event] = []
-        while event is not None and event.move < run.last:
-            inside.append(event)
-            event = next(events, None)
-        line_up = timeline(program, trajectory, run, wanted, inside)
-        inside_reach = keep_inside(
-            machine.kinematics, result.vertices, moves_z=program.moves.end[run.first : run.last, 2]
-        )
-        yield from writer.run(run.first, inside_reach, line_up)
-        _account(summary, run, wanted, result, trajectory, settings, predicted)
-        progress(float(rested))
-    while event is not None:
+        line_up = timeline(program, trajectory, run, wanted, events.up_to(run.last - 1))
+        heights = program.moves.end[run.first : run.last, 2]
+        yield from writer.run(run.first, keep_inside(machine.kinematics, result.vertices, heights), line_up)
+        _account(summary, run, int(program.moves.line[run.first]) + 1, wanted, result, settings.segment_s)
+        if summary.prediction is not None and predicted:
+            summary.prediction.add(trajectory, run, wanted, result)
+        progress(rested)
+    for event in events.up_to(len(program.moves)):
         yield from writer.event(event)
-        event = next(events, None)
     yield from writer.close()
     summary.segments = writer.segments
 
 
-def keep_inside(geometry: DeltaGeometry, vertices: FloatArray, moves_z: FloatArray) -> FloatArray:
+class _Queue:
+    """Events in the file's order, taken out as the moves go by."""
+
+    def __init__(self, events: list[Event]) -> None:
+        self._events, self._taken = events, 0
+
+    def up_to(self, move: int) -> list[Event]:
+        """Those that stand before this move or an earlier one, and have not been taken yet."""
+        first = self._taken
+        while self._taken < len(self._events) and self._events[self._taken].move <= move:
+            self._taken += 1
+        return self._events[first : self._taken]
+
+
+def _own_limits(machine: Machine) -> MotionLimits:
+    """What is put back where the file itself has set nothing."""
+    own = machine.limits
+    return MotionLimits(own.velocity_mm_per_s, own.acceleration_mm_per_s2, own.square_corner_velocity_mm_per_s, 0.5)
+
+
+def keep_inside(geometry: DeltaGeometry, vertices: FloatArray, heights: FloatArray) -> FloatArray:
     """The command where the firmware lets it go: it aborts a print over a µm outside the radius or below the bed.
 
-    vertices : (n, 3) mm;  moves_z : (m,) mm, heights that the path itself goes to
+    vertices : (n, 3) mm;  heights : (m,) mm, of the path itself
     """
     if not np.isfinite(vertices).all():
         raise LimitsError("The command leaves the arms' reach; the path runs too close to it.")
     radius = np.hypot(vertices[:, 0], vertices[:, 1])
     shrink = np.minimum(1.0, (geometry.print_radius_mm - 1e-4) / np.maximum(radius, 1e-9))
-    floor, ceiling = min(0.0, float(moves_z.min())), max(geometry.print_height_mm, float(moves_z.max()))
+    floor, ceiling = min(0.0, float(heights.min())), max(geometry.print_height_mm, float(heights.max()))
     inside = vertices * shrink[:, None]
     inside[:, 2] = np.clip(vertices[:, 2], floor, ceiling)
     return inside
 
 
-def _account(
-    summary: Summary,
-    run: Run,
-    wanted: Reference,
-    result: RunResult,
-    trajectory: Trajectory,
-    settings: Settings,
-    predicted: bool,
-) -> None:
+def _account(summary: Summary, run: Run, line: int, wanted: Reference, result: RunResult, segment_s: float) -> None:
     summary.windows += result.windows
     summary.limited_windows += result.limited
-    summary.print_time_s += wanted.knots * settings.segment_s - (run.end_t - run.begin_t)
+    summary.print_time_s += wanted.knots * segment_s - (run.end_t - run.begin_t)
     if result.excess > 1.0 + 1e-3:
         summary.warnings.append(
-            f"Between {wanted.t0:.3f} and {wanted.t0 + wanted.knots * settings.segment_s:.3f} s a carriage is asked for "
-            f"{result.excess:.2f} times its limit."
+            f"line {line}: in the motion that begins here a carriage is asked for {result.excess:.2f} times its limit."
         )
-    if summary.prediction is not None and predicted:
-        summary.prediction.add(trajectory, run, wanted, result)
-
-
-__all__ = ["LimitsError", "Planned", "Summary", "compensate", "firmware_limits", "plan_program"]

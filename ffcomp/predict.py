@@ -65,7 +65,7 @@ class Prediction:
         shift = self.place - nozzle[0]
         self.wanted.append(nozzle[every::every] + shift)
         self.place = self.wanted[-1][-1]
-        self._add_path(trajectory, run, wanted.t0, shift)
+        self._add_path(trajectory, run, wanted, shift)
         state = rest_state(inverter.machine, nozzle[0])
         plain, _ = respond(inverter.machine, inverter.fine, nozzle, velocity, state, s.substeps)
         knots = nozzle[:: s.substeps]
@@ -75,12 +75,12 @@ class Prediction:
             motion.peak = max(motion.peak, bend)
         self.clock += length
 
-    def _add_path(self, trajectory: Trajectory, run: Run, t0: float, shift: FloatArray) -> None:
+    def _add_path(self, trajectory: Trajectory, run: Run, wanted: Reference, shift: FloatArray) -> None:
         part = slice(run.first, run.last)
-        corners = np.vstack([trajectory.origin[part, :3], trajectory.position(np.array([run.end_t]))[:, :3]])
+        corners = np.vstack([trajectory.origin[part, :3], wanted.nozzle(np.array([run.end_t]))])
         due = np.append(trajectory.start_t[part], run.end_t)
         self.path.append(corners + shift)
-        self.path_t.append(self.clock + due - t0)
+        self.path_t.append(self.clock + due - wanted.t0)
 
     def tracks(self) -> dict[str, Track]:
         """ "uncompensated" and "compensated", each judged over the runs that were taken in."""

@@ -90,7 +90,8 @@ class Reference:
         return self.t0 + np.arange(self.knots + 1, dtype=np.float64) * self._segment_s
 
     def _position(self, t: FloatArray) -> FloatArray:
-        return self._trajectory.position(np.clip(t, self._run.begin_t, self._run.end_t))
+        # at end_t itself the next run may have begun, somewhere else
+        return self._trajectory.position(np.clip(t, self._run.begin_t, np.nextafter(self._run.end_t, -np.inf)))
 
     def _velocity(self, t: FloatArray) -> FloatArray:
         inside = (t >= self._run.begin_t) & (t < self._run.end_t)

@@ -186,6 +186,11 @@ def _first_known(file: MotionLimits, own: MotionLimits) -> MotionLimits:
     return MotionLimits(*(mine if theirs != theirs else theirs for theirs, mine in pairs))
 
 
+def original(data: bytes) -> bytes:
+    """The file as it was before compensation."""
+    return b"".join(original_lines(data.splitlines(keepends=True)))
+
+
 def original_lines(lines: Iterable[bytes]) -> Iterator[bytes]:
     """The file as it was before compensation (`gcode.metadata`'s stamps left out)."""
     inside = False

@@ -322,11 +322,21 @@ def kalico_trajectory(original: Original, text: bytes, own: Trajectory) -> Traje
     apart = np.abs(moves[:, 4:7] - own.origin[:, :3]).max()
     if apart > 1e-6:
         raise ValueError(f"The host's moves begin up to {apart:.3g} mm away from ours: they are not the same.")
-    accel_t, cruise_t, decel_t, start_v, cruise_v, acceleration = moves[:, [1, 2, 3, 10, 11, 12]].T
-    end_v = cruise_v - acceleration * decel_t
-    along = (moves[:, 0], accel_t, cruise_t, decel_t, start_v, cruise_v, end_v, acceleration)
+    accel_t, decel_t, cruise_v, acceleration = moves[:, [1, 3, 11, 12]].T
     origin, direction = (np.column_stack([moves[:, i : i + 3], np.zeros(len(moves))]) for i in (4, 7))
-    return Trajectory(*(np.ascontiguousarray(each) for each in along), origin, direction)
+    columns = {
+        "start_t": moves[:, 0],
+        "accel_t": accel_t,
+        "cruise_t": moves[:, 2],
+        "decel_t": decel_t,
+        "start_v": moves[:, 10],
+        "cruise_v": cruise_v,
+        "end_v": cruise_v - acceleration * decel_t,
+        "acceleration": acceleration,
+        "origin": origin,
+        "direction": direction,
+    }
+    return Trajectory(**{name: np.ascontiguousarray(column) for name, column in columns.items()})
 
 
 # ---- judgement -----------------------------------------------------------------------------------
@@ -335,15 +345,18 @@ def kalico_trajectory(original: Original, text: bytes, own: Trajectory) -> Traje
 def play(plant: dict[str, Any], motion: Motion, step_s: float = STEP_S) -> tuple[FloatArray, FloatArray]:
     """The nozzle's answer to a motion, from rest: t (m,) s, nozzle (m, 3) mm."""
     steps = int((motion.end_t - motion.begin_t) / step_s) // KEEP_EVERY * KEEP_EVERY
-    parts, state = [], None
+    parts: list[FloatArray] = []
+    state = None
     for first in range(0, steps, CHUNK_STEPS):
         count = min(CHUNK_STEPS, steps - first)
-        t = motion.begin_t + (2 * first + np.arange(2 * count + 1)) * (step_s / 2)
+        t = motion.begin_t + (2 * first + np.arange(2 * count + 1, dtype=np.float64)) * (step_s / 2)
         command = delta_plant.carriages_of(plant, motion.position(t))
         answer = delta_plant.simulate(plant, command, step_s, keep_every=KEEP_EVERY, start=state)
         state = answer["state"]
         parts.append(answer["nozzle_mm"][1:])
-    return motion.begin_t + KEEP_EVERY * step_s * np.arange(1, steps // KEEP_EVERY + 1), np.concatenate(parts)
+    return motion.begin_t + KEEP_EVERY * step_s * np.arange(
+        1, steps // KEEP_EVERY + 1, dtype=np.float64
+    ), np.concatenate(parts)
 
 
 def peak_m_per_s2(plant: dict[str, Any], motion: Motion) -> float:
@@ -424,12 +437,13 @@ def best_shaper(
 
 # ---- what the tests share ------------------------------------------------------------------------
 
+WHOLE_S = (0.0, np.inf)
 PARTS_S = {"ringing_tower": (75.0, 92.0), "lobed_vase": (75.0, 108.0), "far_star": (180.0, 197.0)}
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A part of a sample print, compensated."""
+    """A sample print or a part of one, and what was made of it."""
 
     original: Original
     ours: Compensated
@@ -437,8 +451,13 @@ class Case:
 
 
 @cache
-def case(name: str) -> Case:
-    """A part of some 20 s: 200 mm/s at 5 and 8 m/s² (tower), 150 at 4 on a spiral (vase), 200 at 10 far out (star)."""
-    original = sample_print(name, *PARTS_S[name])
+def case(name: str, when_s: tuple[float, float]) -> Case:
+    """A sample print, or a part of it, compensated."""
+    original = sample_print(name, *when_s)
     ours = compensated(original)
     return Case(original, ours, segments(original, ours))
+
+
+def part(name: str) -> Case:
+    """Some 20 s: 200 mm/s at 5 and 8 m/s² (tower), 150 at 4 on a spiral (vase), 200 at 10 far out (star)."""
+    return case(name, PARTS_S[name])

@@ -83,7 +83,8 @@ def _compensate(
     predict: bool,
 ) -> dict[str, Any]:
     from ffcomp.cli.common import Progress, say
-    from ffcomp.job import Job, already_processed
+    from ffcomp.job import STAMP_REACH, Job, already_processed, find_offset
+    from ffcomp.writer import original
     from gcode.container import read_bytes
     from models.machine_file import load_machine
 
@@ -95,8 +96,10 @@ def _compensate(
             "schema": "ffcomp-compensate/1",
             "input": str(file),
             "output": str(file),
-            "already": f"{file}: already processed by ffcomp v{stamp.version} for machine {stamp.machine}; nothing changed.",
+            "already": f"{file}: already processed by ffcomp v{stamp.version} for {stamp.machine}; nothing changed.",
         }
+    if stamp is not None:  # --force: compensate the original that is still in the file, not the compensation
+        data, offset = original(data), offset if any(offset) else find_offset(data[:STAMP_REACH])
     job = Job(data, str(file), machine, offset=offset, flavor=flavor, predict=predict)
     target = output_file or file
     for warning in job.program.warnings:

@@ -1,0 +1,182 @@
+"""What is written, for programs of every kind: nothing lost, nothing moved, limits opened and closed around it."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from ffcomp.invert.fbs import Inverter
+from ffcomp.job import Job
+from ffcomp.pipeline import settings_for
+from ffcomp.plan.lookahead import plan_moves, stops_and_waits
+from ffcomp.pipeline import firmware_limits
+from ffcomp.writer import OURS, WAS, original
+from gcode.program import Program
+from gcode.reader import read_program
+from models.machine import Machine
+from models.machine_file import load_machine
+
+MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*[0-3](?!\d)", re.IGNORECASE)
+
+
+@cache
+def machine() -> Machine:
+    return load_machine("mp-delta-pro")
+
+
+@cache
+def inverter() -> Inverter:
+    return Inverter(machine(), settings_for(machine()))
+
+
+def compensated(data: bytes, **options: object) -> bytes:
+    job = Job(data, "print.gcode", machine(), predict=False, inverter=inverter(), **options)  # type: ignore[arg-type]
+    return b"".join(job.lines())
+
+
+def others(data: bytes) -> list[bytes]:
+    """The lines that are neither moves nor ours, in order."""
+    lines = data.splitlines(keepends=True)
+    ours = (b"; Processed by ffcomp", b"; ffcomp offset_mm=", WAS)
+    return [a for a in lines if not MOVE.match(a) and not a.startswith(ours) and not a.rstrip().endswith(OURS)]
+
+
+def ends(program: Program) -> np.ndarray:
+    return program.moves.end[-1]
+
+
+START = b"G28\nG90\nM83\nG1 Z0.3 F6000\nG1 X10 Y10 F9000\n"
+
+lines = st.lists(
+    st.one_of(
+        st.tuples(st.integers(-40, 40), st.integers(-40, 40)).map(lambda p: b"G1 X%d Y%d F6000\n" % p),
+        st.tuples(st.integers(-40, 40), st.integers(-40, 40), st.integers(1, 900)).map(
+            lambda p: b"G1 X%d Y%d E.%03d F4800\n" % p
+        ),
+        st.integers(1, 30).map(lambda z: b"G1 Z%d.25\n" % z),
+        st.sampled_from(
+            [
+                b"G1 E-2 F2400\n",
+                b"G1 E2 F2400\n",
+                b"; a comment\n",
+                b";LAYER:3\n",
+                b"M106 S128\n",
+                b"G4 P50\n",
+                b"M204 S3000\n",
+                b"SET_VELOCITY_LIMIT ACCEL=4000\n",
+                b"M220 S80\n",
+                b"M221 S95\n",
+                b"G92 E0\n",
+                b"M82\nG92 E0\n",
+                b"M83\n",
+                b"G91\nG1 X3 Y-2 E.1\nG90\n",
+                b"M400\n",
+                b"M117 50 %\n",
+                b"G2 X12 Y8 I3 J3 E.3\n",
+                b"G1 F5000\n",
+                b"\n",
+            ]
+        ),
+    ),
+    min_size=1,
+    max_size=25,
+)
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(body=lines, crlf=st.booleans())
+def test_any_program_keeps_its_lines_its_filament_and_its_places(body: list[bytes], crlf: bool) -> None:
+    data = START + b"G1 X20 Y10\n" + b"".join(line for line in body if b"G2 " not in line)
+    data = data.replace(b"\n", b"\r\n") if crlf else data
+    out = compensated(data)
+    assert original(out) == data
+    assert others(out) == others(data)
+    before, after = read_program(data), read_program(out)
+    np.testing.assert_allclose(ends(after)[:3], ends(before)[:3], atol=1e-4)
+    total = [float(np.sum(p.moves.end[:, 3] - p.moves.start[:, 3])) for p in (before, after)]
+    assert total[0] == pytest.approx(total[1], abs=1e-4)
+    assert np.isfinite(after.moves.end).all() and (after.moves.speed > 0).all()
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(body=lines)
+def test_segments_stand_only_between_opened_limits(body: list[bytes]) -> None:
+    out = compensated(START + b"G1 X20 Y10\n" + b"".join(line for line in body if b"G2 " not in line) + b"M400\n")
+    is_open = False
+    lines = out.splitlines(keepends=True)
+    for line in lines[lines.index(b"G1 X10 Y10 F9000\n") + 1 :]:  # up to here nobody knows where the nozzle is
+        if line.rstrip().endswith(OURS):
+            is_open = not line.startswith(b"G1 F")
+        elif line.startswith(b"G1 "):
+            assert is_open, line
+        elif line.startswith(b"M400"):
+            assert not is_open
+
+
+def test_filament_is_exact_between_any_two_lines_of_a_spiral() -> None:
+    """Comments in the middle of an extrusion: what lies between them is kept, though the nozzle never stops."""
+    t = np.linspace(0, 4 * np.pi, 400)
+    x, y = 20 * np.cos(t), 20 * np.sin(t)
+    body = [b"G1 X%.3f Y%.3f Z%.3f E%.5f\n" % (a, b, 0.3 + c / 50, 0.03) for a, b, c in zip(x, y, t, strict=True)]
+    for place in (350, 201, 200, 77):
+        body.insert(place, b";LAYER:%d\n" % place)
+    out = compensated(START + b"".join(body))
+    sums = []
+    for data in (START + b"".join(body), out):
+        program = read_program(data)
+        marks = [e.move for e in program.events if program.lines[e.line].startswith(b";LAYER")]
+        gone = np.concatenate([[0], np.cumsum(program.moves.end[:, 3] - program.moves.start[:, 3])])
+        sums.append(np.diff(gone[marks]))
+    np.testing.assert_allclose(sums[1], sums[0], atol=1e-4)
+
+
+def test_the_file_lasts_as_long_as_it_should() -> None:
+    """Planned as a firmware plans it, every segment takes its time: the sum is what the summary says."""
+    data = START + b"".join(
+        b"G1 X%d Y%d E.4 F9000\n" % (20 * np.cos(k) + k / 3, 20 * np.sin(k)) for k in range(40)
+    )
+    job = Job(data, "x", machine(), predict=False, inverter=inverter())
+    program = read_program(b"".join(job.lines()))
+    stop_before, wait_before = stops_and_waits(program)
+    plan = plan_moves(program.moves, firmware_limits(machine()), stop_before=stop_before, wait_before=wait_before)
+    lead_and_tail = 0.012  # rests at a run's ends are not written
+    assert plan.end_t == pytest.approx(job.summary.print_time_s, abs=lead_and_tail * len(job.planned.runs))
+
+
+def test_a_stop_comes_to_rest_on_the_path_and_the_limits_are_back() -> None:
+    data = START + b"M204 S2500\nG1 X30 Y20 F9000\nG28\nG1 Z5 F600\nG1 X0 Y0 F6000\nG1 X5 Y5\n"
+    out = compensated(data + b"SET_VELOCITY_LIMIT ACCEL=2500\n")
+    text = out.splitlines()
+    at = text.index(b"G28", 3)
+    reach = read_program(out).moves.end
+    assert reach[:, :2].min() > -1e-3 and reach[:, 2].max() < 5 + 1e-3  # it does not run ahead to where homing will be
+    assert text[at - 1].startswith(b"G1 F9000") and text[at - 1].endswith(OURS)
+    assert b"ACCEL=2500" in text[at - 2] and text[at - 2].endswith(OURS)
+    last = [line for line in text[:at] if line.startswith(b"G1 ") and not line.endswith(OURS)][-1]
+    moves = read_program(out).moves
+    assert last
+    assert np.abs(moves.end[moves.line < at, :3][-1] - [30, 20, 0.3]).max() < 1e-4
+    assert text[at + 1] == b"G1 Z5 F600"  # nobody knows where homing leaves the nozzle: the firmware plans this
+
+
+def test_bytes_that_are_no_text_survive() -> None:
+    odd = b"; caf\xe9 \xc3\xa9 \xff\nM117 \xb5m\n"
+    assert others(compensated(START + odd + b"G1 X20 Y5\n" + odd))[3:] == others(START + odd + odd)[3:]
+
+
+def test_an_offset_moves_every_place_and_is_remembered() -> None:
+    data = START.replace(b"X10 Y10", b"X110 Y120") + b"G1 X140 Y130 E1\n"
+    out = compensated(data, offset=(-120.0, -110.0))
+    assert b"; ffcomp offset_mm=-120,-110\n" in out
+    np.testing.assert_allclose(ends(read_program(out))[:2], [20, 20], atol=1e-4)
+    assert original(out) == data
+
+
+def test_inches_stay_inches() -> None:
+    out = compensated(b"G20\nG90\nG1 X0 Y0 Z0.1 F300\nG1 X1 Y0.5\n")
+    assert read_program(out).moves.end[-1, 0] == pytest.approx(25.4, abs=2e-3)
