@@ -13,8 +13,9 @@ from gcode.program import Event, Program
 
 FloatArray = NDArray[np.float64]
 
-NEAR = 0.05  # of a segment: so near to a knot, a line goes out at the knot
+NEAR = 0.1  # of a segment: so near to a knot, a line goes out at the knot; shorter pieces cannot be played in time
 FLOWS_MM = 1e-6  # filament per segment from which on the exact place of a line matters
+SPREAD = 10  # segments' worth of flow over which a difference of filament is spread
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,32 +40,63 @@ def timeline(program: Program, trajectory: Trajectory, run: Run, wanted: Referen
     """Lay the events inside a run, and its moves, on its knots.
 
     A line that stands where filament flows cuts its segment at the very moment, so that the filament between two lines
-    is kept to the last digit and the flow stays even; others go out at the knot before.
+    is kept; other lines go out at the knot before.
     """
     e = wanted.extrusion()
     e[-1] = program.moves.end[run.last - 1, 3]
-    places: list[float] = []
-    exact = {float(k): filament for k, filament in enumerate(e.tolist())}
-    last = 0.0
     lines = _lines_of(program, run, inside)
+    places: list[float] = []
     for _, move, event in lines:
-        at = min(max(wanted.knot_of(float(trajectory.start_t[move])), last), float(wanted.knots))
+        at = min(max(wanted.knot_of(float(trajectory.start_t[move])), 0.0), float(wanted.knots))
         flows = abs(e[min(int(at) + 1, wanted.knots)] - e[int(at)]) > FLOWS_MM
         if event is None or not flows:
-            at = max(float(int(at)), last)  # never later than its time: what follows may need its exact place
+            at = float(int(at))  # never later than its time: what follows may need its exact place
         elif abs(at - round(at)) < NEAR:
-            at = max(float(round(at)), last)
-        if event is not None and move > run.first:
-            filament = float(program.moves.start[move, 3])
-            if at == last and abs(exact[at] - filament) > FLOWS_MM and (places and at < wanted.knots):
-                at = min(at + NEAR, float(wanted.knots))  # two lines at one point with filament between them
-            exact[at] = filament
-        places.append(at)
-        last = at
-    points = sorted(exact)
-    index = {at: i for i, at in enumerate(points)}
-    marks = [Mark(index[at], line, event) for at, (line, _, event) in zip(places, lines, strict=True)]
-    return Timeline(np.array(points), np.array([exact[at] for at in points]), marks)
+            at = float(round(at))
+        places.append(max(at, places[-1] if places else 0.0))
+    points = np.union1d(np.arange(wanted.knots + 1, dtype=np.float64), np.array(places))
+    known = {
+        at: float(program.moves.start[move, 3])
+        for at, (_, move, event) in zip(places, lines, strict=True)
+        if event is not None and move > run.first and (at == int(at) or _renames(program, move, event))
+    }
+    marks = [
+        Mark(int(np.searchsorted(points, at)), line, event) for at, (line, _, event) in zip(places, lines, strict=True)
+    ]
+    return Timeline(points, _filament(e, points, known), marks)
+
+
+def _renames(program: Program, move: int, event: Event) -> bool:
+    """Do coordinates have other names after this line (G92, M221, G20)? Then its filament must be met."""
+    before, after = program.frames[int(program.moves.frame[move - 1])], program.frames[event.frame]
+    return (before.base, before.unit_mm, before.flow) != (after.base, after.unit_mm, after.flow)
+
+
+def _filament(e: FloatArray, points: FloatArray, known: dict[float, float]) -> FloatArray:
+    """Filament at the points, (m,) mm: what is known of it is met exactly, and the flow stays even.
+
+    Between knots the command runs evenly, the plan need not: the difference, a ten-thousandth of a millimetre, is spread
+    over the flow around it. Met in one short segment it would be a jump of flow, and firmwares slow down at those.
+
+    Parameters
+    ----------
+    e : (n + 1,) mm at the knots;  points : (m,) in knots;  known : point → mm
+    """
+    knots = np.arange(len(e), dtype=np.float64)
+    even = np.interp(points, knots, e)
+    if not known:
+        return even
+    flow = np.abs(np.diff(e))
+    gone = np.concatenate([[0.0], np.cumsum(flow)])  # where nothing flows, nothing is spread
+    reach = SPREAD * float(np.median(flow[flow > FLOWS_MM])) if (flow > FLOWS_MM).any() else 1.0
+    at = np.array(sorted(known))
+    place = np.interp(at, knots, gone)
+    missing = np.array([known[a] for a in at.tolist()]) - np.interp(at, knots, e)
+    away = np.concatenate([place - reach, place + reach, [0.0, gone[-1]]])
+    away = away[np.abs(away[:, None] - place[None]).min(axis=1) >= reach * (1 - 1e-9)]
+    nodes, values = np.concatenate([place, away]), np.concatenate([missing, np.zeros(len(away))])
+    order = np.argsort(nodes, kind="stable")
+    return even + np.interp(np.interp(points, knots, gone), nodes[order], values[order])
 
 
 def _lines_of(program: Program, run: Run, inside: list[Event]) -> list[tuple[int, int, Event | None]]:
