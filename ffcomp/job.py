@@ -71,7 +71,7 @@ class Job:
     def lines(self, progress: Callable[[float], None] = lambda done_s: None) -> Iterator[bytes]:
         """The compensated file, stamped in head and tail."""
         stamp = stamp_line(__version__, self.machine.name, self.machine.sha256, self.flavor)
-        body = compensate(self.planned, self.machine, self.inverter, self.flavor, self.summary, progress)
+        body = compensate(self.planned, self.machine, self.inverter, self.flavor, self.summary, progress, self.offset)
         return _stamped(body, stamp, offset_line(self.offset))
 
     def result(self) -> dict[str, Any]:

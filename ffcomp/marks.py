@@ -15,6 +15,7 @@ FloatArray = NDArray[np.float64]
 
 NEAR = 0.1  # of a segment: so near to a knot, a line goes out at the knot; shorter pieces cannot be played in time
 FLOWS_MM = 1e-6  # filament per segment from which on the exact place of a line matters
+STEEPEST = 0.1  # by which share the flow may be changed between two lines to meet both
 SPREAD = 10  # segments' worth of flow over which a difference of filament is spread
 
 
@@ -55,21 +56,22 @@ def timeline(program: Program, trajectory: Trajectory, run: Run, wanted: Referen
             at = float(round(at))
         places.append(max(at, places[-1] if places else 0.0))
     points = np.union1d(np.arange(wanted.knots + 1, dtype=np.float64), np.array(places))
-    known = {
-        at: float(program.moves.start[move, 3])
-        for at, (_, move, event) in zip(places, lines, strict=True)
-        if event is not None and move > run.first and (at == int(at) or _renames(program, move, event))
-    }
+    flowing: dict[float, float] = {}  # point → filament, in the middle of a flow
+    turning: dict[float, float] = {}  # where it begins or ends
+    for at, (_, move, event) in zip(places, lines, strict=True):
+        if event is not None and move > run.first:
+            kind = flowing if _extrudes(program, move - 1) and _extrudes(program, move) else turning
+            kind[at] = float(program.moves.start[move, 3])
+    filament = _filament(e, points, flowing)
+    filament[np.searchsorted(points, list(turning))] = list(turning.values())
     marks = [
         Mark(int(np.searchsorted(points, at)), line, event) for at, (line, _, event) in zip(places, lines, strict=True)
     ]
-    return Timeline(points, _filament(e, points, known), marks)
+    return Timeline(points, filament, marks)
 
 
-def _renames(program: Program, move: int, event: Event) -> bool:
-    """Do coordinates have other names after this line (G92, M221, G20)? Then its filament must be met."""
-    before, after = program.frames[int(program.moves.frame[move - 1])], program.frames[event.frame]
-    return (before.base, before.unit_mm, before.flow) != (after.base, after.unit_mm, after.flow)
+def _extrudes(program: Program, move: int) -> bool:
+    return bool(program.moves.end[move, 3] != program.moves.start[move, 3])
 
 
 def _filament(e: FloatArray, points: FloatArray, known: dict[float, float]) -> FloatArray:
@@ -92,6 +94,9 @@ def _filament(e: FloatArray, points: FloatArray, known: dict[float, float]) -> F
     at = np.array(sorted(known))
     place = np.interp(at, knots, gone)
     missing = np.array([known[a] for a in at.tolist()]) - np.interp(at, knots, e)
+    steep = np.abs(np.diff(missing)) > STEEPEST * np.diff(place) + FLOWS_MM
+    gentle = np.concatenate([[True], ~steep])  # two lines close together: the first is met, the flow stays even
+    place, missing = place[gentle], missing[gentle]
     away = np.concatenate([place - reach, place + reach, [0.0, gone[-1]]])
     away = away[np.abs(away[:, None] - place[None]).min(axis=1) >= reach * (1 - 1e-9)]
     nodes, values = np.concatenate([place, away]), np.concatenate([missing, np.zeros(len(away))])

@@ -123,13 +123,15 @@ def compensate(
     flavor: str,
     summary: Summary,
     progress: Callable[[float], None] = lambda done_s: None,
+    offset: tuple[float, float] = (0.0, 0.0),
 ) -> Iterator[bytes]:
     """The lines of the compensated file, in order. `summary` is complete when they are exhausted.
 
-    progress : called with the print-seconds done so far.
+    progress : called with the print-seconds done so far
+    offset : mm, what the program's positions were shifted by when they were read
     """
     program, trajectory, settings = planned.program, planned.trajectory, inverter.settings
-    writer = Writer(program, flavor, _own_limits(machine), settings)
+    writer = Writer(program, flavor, _own_limits(machine), settings, offset)
     events = _Queue(program.events)
     state, rested = np.zeros(0), -np.inf  # the plant's state, and the plan's time at which it was so
     summary.moves = len(program.moves)

@@ -32,8 +32,16 @@ STILL_MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*[0-3](?!\d)", re.IGNORECASE)
 class Writer:
     """Turns runs and events, given in the file's order, into lines."""
 
-    def __init__(self, program: Program, flavor: str, own: MotionLimits, settings: Settings) -> None:
+    def __init__(
+        self,
+        program: Program,
+        flavor: str,
+        own: MotionLimits,
+        settings: Settings,
+        offset: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
         self.program, self.flavor, self.own, self.settings = program, flavor, own, settings
+        self.offset = offset
         self.moves = MoveWriter()
         self.at: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)  # mm, X Y Z E, where the file has the toolhead
         self.frame = 0
@@ -51,6 +59,9 @@ class Writer:
         line = self.program.lines[event.line]
         if self.open and STILL_MOVE.match(line):  # a G1 that only sets the feed: ours always say theirs
             yield from self._original(event.line)
+        elif event.kind is EventKind.RAW_MOVE and any(self.offset):
+            yield from self._original(event.line)
+            yield self._shifted(line)
         else:
             yield line
         self._take_frame(event.frame)
@@ -73,6 +84,20 @@ class Writer:
         yield from self._begin(move)
         x, y, z, e = moves.end[move]
         yield self._finish(self._to(x, y, z, e, float(moves.speed[move])))
+
+    def _shifted(self, line: bytes) -> bytes:
+        """A move that the firmware plans itself, to where the offset puts it."""
+        frame = self.program.frames[self.frame]
+        code = line.partition(b";")[0].strip()
+        if not frame.absolute:
+            return code + OURS + self.ending
+        shift = {b"X": self.offset[0] / frame.unit_mm, b"Y": self.offset[1] / frame.unit_mm}
+
+        def moved(word: re.Match[bytes]) -> bytes:
+            axis = word[1].upper()
+            return axis + (b"%.4f" % (float(word[2]) + shift[axis])).rstrip(b"0").rstrip(b".")
+
+        return re.sub(rb"([XYxy])\s*([-+]?\d*\.?\d+)", moved, code) + OURS + self.ending
 
     # -- a run
 
@@ -150,6 +175,7 @@ class Writer:
         if frame != self.frame:
             self.frame = frame
             if self.open:
+                self.at = self.moves.place
                 self._tell_frame()
 
     def _tell_frame(self) -> None:
@@ -197,7 +223,7 @@ def original_lines(lines: Iterable[bytes]) -> Iterator[bytes]:
     for line in lines:
         ours = line.rstrip().endswith(OURS)
         if ours:
-            inside = not line.startswith(b"G1 F")
+            inside = (inside or not line.startswith(b"G")) and not line.startswith(b"G1 F")
         elif line.startswith(WAS):
             yield line[len(WAS) :]
         elif line.startswith((b"; Processed by ffcomp", b"; ffcomp offset_mm=")):

@@ -36,6 +36,11 @@ class MoveWriter:
         self._last = self._counts(x, y, z, e)
         self._last_f = -1
 
+    @property
+    def place(self) -> tuple[float, ...]:
+        """Where the lines written so far have the toolhead: X Y Z E, mm. Given to `reset`, no rounding is lost."""
+        return tuple(n / per + b for n, per, b in zip(self._last, self._per_mm, self._base, strict=True))
+
     def _counts(self, x: float, y: float, z: float, e: float) -> tuple[int, int, int, int]:
         (base_x, base_y, base_z, base_e), (per_x, per_y, per_z, per_e) = self._base, self._per_mm
         return (

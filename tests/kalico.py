@@ -54,26 +54,20 @@ def kalico_plan(gcode: bytes, **options: Any) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="kalico-") as work:
         source, out = Path(work, "x.gcode"), Path(work, "out.npz")
         source.write_bytes(_LEAD_IN + gcode)
-        _run(
-            ["--kalico-python", _python(), str(source), "-o", str(out), "--work", work, *_arguments(options)]
-        )
+        _run(["--kalico-python", _python(), str(source), "-o", str(out), "--work", work, *_arguments(options)])
         with np.load(out) as result:
             return _without_lead_in(dict(result))
 
 
 def _run(arguments: list[str]) -> None:
-    done = subprocess.run(
-        [sys.executable, str(_oracle()), *arguments], capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([sys.executable, str(_oracle()), *arguments], capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"The Kalico host refused the file: {done.stderr[-3000:]}"
 
 
 def _python() -> str:
     python = os.environ.get("KALICO_PYTHON", "")
     if not python:
-        pytest.skip(
-            f"KALICO_PYTHON names no Kalico: install it in {_INSTALL}, and name that environment's python."
-        )
+        pytest.skip(f"KALICO_PYTHON names no Kalico: install it in {_INSTALL}, and name that environment's python.")
     return python
 
 
