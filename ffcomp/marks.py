@@ -77,7 +77,7 @@ def _extrudes(program: Program, move: int) -> bool:
 def _filament(e: FloatArray, points: FloatArray, known: dict[float, float]) -> FloatArray:
     """Filament at the points, (m,) mm: what is known of it is met exactly, and the flow stays even.
 
-    Between knots the command runs evenly, the plan need not: the difference, a ten-thousandth of a millimetre, is spread
+    Between knots the command runs evenly, the plan need not: the difference, a ten-thousandth of a mm, is spread
     over the flow around it. Met in one short segment it would be a jump of flow, and firmwares slow down at those.
 
     Parameters

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from ffcomp.invert.fbs import Inverter
 from ffcomp.job import Job
-from ffcomp.pipeline import settings_for
+from ffcomp.pipeline import firmware_limits, settings_for
 from ffcomp.plan.lookahead import plan_moves, stops_and_waits
-from ffcomp.pipeline import firmware_limits
 from ffcomp.writer import OURS, WAS, original
 from gcode.program import Program
 from gcode.reader import read_program
