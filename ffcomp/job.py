@@ -14,8 +14,9 @@ from ffcomp.invert.fbs import Inverter
 from ffcomp.invert.settings import Settings
 from ffcomp.pipeline import Summary, compensate, plan_program, settings_for
 from ffcomp.predict import Prediction
+from ffcomp.writer import OURS
 from gcode.container import replace_atomically
-from gcode.dialects import FLAVORS, detect_flavor
+from gcode.dialects import FLAVORS, detect_flavor, shaper_off
 from gcode.errors import UnsupportedGcode
 from gcode.metadata import Stamp, find_stamp, stamp_line
 from gcode.reader import read_program
@@ -42,6 +43,7 @@ class Job:
         flavor: str = "",
         predict: bool = True,
         settings: Settings | None = None,
+        shaper_off: bool = False,
         inverter: Inverter | None = None,
     ) -> None:
         self.started = time.perf_counter()
@@ -53,6 +55,7 @@ class Job:
         self.planned = plan_program(self.program, machine)
         self.print_time_s = self.planned.trajectory.end_t
         self.inverter = inverter or Inverter(machine, settings or settings_for(machine))
+        self.shaper_off = shaper_off
         self.summary = Summary()
         if predict:
             self.summary.prediction = Prediction(self.inverter, self.print_time_s)
@@ -72,6 +75,8 @@ class Job:
         """The compensated file, stamped in head and tail."""
         stamp = stamp_line(__version__, self.machine.name, self.machine.sha256, self.flavor)
         body = compensate(self.planned, self.machine, self.inverter, self.flavor, self.summary, progress, self.offset)
+        if self.shaper_off:
+            body = _with_shaper_off(body, self.flavor)
         return _stamped(body, stamp, offset_line(self.offset))
 
     def result(self) -> dict[str, Any]:
@@ -94,6 +99,17 @@ class Job:
             "predicted": {name: asdict(track) for name, track in tracks.items()},
             "predicted_over_s": summary.prediction.covered_s if summary.prediction else 0.0,
         }
+
+
+def _with_shaper_off(lines: Iterator[bytes], flavor: str) -> Iterator[bytes]:
+    """The firmware's own shaper is switched off where our first block opens."""
+    waiting = True
+    for line in lines:
+        if waiting and line.rstrip().endswith(OURS):
+            waiting = False
+            ending = b"\r\n" if line.endswith(b"\r\n") else b"\n"
+            yield from (off.rstrip(b"\n") + OURS + ending for off in shaper_off(flavor))
+        yield line
 
 
 def offset_line(offset: tuple[float, float]) -> bytes:

@@ -38,7 +38,8 @@ from models.receptance import modes
 FloatArray = NDArray[np.float64]
 
 
-LOWEST_BANDWIDTH_HZ, HIGHEST_BANDWIDTH_HZ = 60.0, 115.0
+LOWEST_BANDWIDTH_HZ, HIGHEST_BANDWIDTH = 60.0, 0.46  # the latter of the segments' rate
+SEGMENTS_PER_SECOND = 250.0
 
 
 @dataclass
@@ -79,25 +80,26 @@ def firmware_limits(machine: Machine) -> FirmwareLimits:
     )
 
 
-def settings_for(machine: Machine) -> Settings:
+def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SECOND) -> Settings:
     """The settings for a machine: what no G-code file can raise is taken from its own limits."""
     limits = firmware_limits(machine)
     output = OutputLimits(
         z_acceleration_mm_per_s2=limits.acceleration_mm_per_s2,
         retract_acceleration_mm_per_s2=limits.acceleration_mm_per_s2 * limits.extrusion_ratio,
     )
-    return Settings(output=output, bandwidth_hz=_bandwidth(machine))
+    segment_s = 1.0 / segments_per_second
+    return Settings(output=output, segment_s=segment_s, bandwidth_hz=_bandwidth(machine, segment_s))
 
 
-def _bandwidth(machine: Machine) -> float:
-    """A good quarter above the fastest mode that rings and that knots can follow, within what 4 ms segments can do.
+def _bandwidth(machine: Machine, segment_s: float) -> float:
+    """A good quarter above the fastest mode that rings and that knots can follow, within what the segments can do.
 
     Measured on the sample prints: below it the mode is left ringing, above it only the command's acceleration grows.
     """
     found = modes(machine, np.zeros(2))
-    rings = (found.damping_ratios < 0.1) & (found.frequencies_hz < 0.5 / Settings().segment_s)
+    rings = (found.damping_ratios < 0.1) & (found.frequencies_hz < 0.5 / segment_s)
     fastest = float(found.frequencies_hz[rings].max(initial=0.0))
-    return min(max(1.28 * fastest, LOWEST_BANDWIDTH_HZ), HIGHEST_BANDWIDTH_HZ)
+    return min(max(1.28 * fastest, LOWEST_BANDWIDTH_HZ), HIGHEST_BANDWIDTH / segment_s)
 
 
 def plan_program(program: Program, machine: Machine) -> Planned:

@@ -75,6 +75,18 @@ def test_json_is_one_object_with_the_documented_keys(small: Path, tmp_path: Path
     assert small.read_bytes() == SMALL and target.is_file()
 
 
+def test_fewer_segments_and_the_firmwares_shaper(small: Path) -> None:
+    answer = ffcomp(
+        "compensate", "-m", "mp-delta-pro", "--max-segments-per-second", "160", "--shaper-off", "--json", small
+    )
+    assert answer.returncode == 0, answer.stderr
+    result = json.loads(answer.stdout)
+    assert result["segments"] <= 160 * result["print_time_s"] + 1
+    text = small.read_bytes()
+    assert text.count(b"M593 F0 ; ffcomp\n") == 1 and text.index(b"M593") < text.index(b"M204 P")
+    assert ffcomp("restore", small).returncode == 0 and small.read_bytes() == SMALL
+
+
 def test_a_dry_run_writes_nothing(small: Path) -> None:
     answer = ffcomp("compensate", "-m", "mp-delta-pro", small, "--dry-run", "--json")
     assert json.loads(answer.stdout)["output"] is None

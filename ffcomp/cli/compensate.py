@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+if TYPE_CHECKING:
+    from ffcomp.job import Job
+    from gcode.metadata import Stamp
 
 Printed = Annotated[Path, typer.Argument(help="The sliced print; changed in place unless -o is given.", metavar="FILE")]
 MachineName = Annotated[
@@ -26,6 +30,22 @@ DryRun = Annotated[bool, typer.Option("--dry-run", help="Do everything, write no
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no messages but errors.")]
 Force = Annotated[bool, typer.Option("--force", help="Compensate a file that is already stamped.")]
+Rate = Annotated[
+    float,
+    typer.Option(
+        "--max-segments-per-second",
+        min=125.0,
+        max=500.0,
+        help="How dense the segments may get where the nozzle changes its motion; fewer follow less of the vibration.",
+    ),
+]
+ShaperOff = Annotated[
+    bool,
+    typer.Option(
+        "--shaper-off",
+        help="Switch the firmware's input shaper off in the file (Klipper: only with an [input_shaper] section).",
+    ),
+]
 Predict = Annotated[bool, typer.Option(help="Simulate before and after with the design model.")]
 
 
@@ -40,6 +60,8 @@ def compensate(
     as_json: AsJson = False,
     quiet: Quiet = False,
     force: Force = False,
+    max_segments_per_second: Rate = 250.0,
+    shaper_off: ShaperOff = False,
     predict: Predict = True,
 ) -> None:
     """Write commands whose response is the path that the slicer wanted.
@@ -54,13 +76,18 @@ def compensate(
     with exit_codes():
         if output != "gcode":
             raise typer.BadParameter(f"--output {output}: this version writes gcode.")
-        result = _compensate(file, machine, output_file, _offset(offset_mm), flavor, dry_run, quiet, force, predict)
+        data, stamp = _read(file)
+        if stamp is not None and not force:
+            already = f"{file}: already processed by ffcomp v{stamp.version} for {stamp.machine}; nothing changed."
+            result = {"schema": "ffcomp-compensate/1", "input": str(file), "output": str(file), "already": already}
+            say(already, quiet)
+        else:
+            options = {"flavor": flavor, "shaper_off": shaper_off, "predict": predict}
+            job = _job(data, file, machine, _offset(offset_mm), max_segments_per_second, stamp is not None, options)
+            result = _write(job, None if dry_run else output_file or file, quiet)
+            _report(result, quiet)
         if as_json:
             print_json(result)
-        elif "already" in result:
-            say(result["already"], quiet)
-        elif not quiet:
-            _report(result, dry_run)
 
 
 def _offset(text: str) -> tuple[float, float]:
@@ -71,45 +98,50 @@ def _offset(text: str) -> tuple[float, float]:
     return x, y
 
 
-def _compensate(
+def _read(file: Path) -> tuple[bytes, Stamp | None]:
+    from ffcomp.job import already_processed
+    from gcode.container import read_bytes
+
+    data = read_bytes(file)
+    return data, already_processed(data)
+
+
+def _job(
+    data: bytes,
     file: Path,
     machine_name: str,
-    output_file: Path | None,
     offset: tuple[float, float],
-    flavor: str,
-    dry_run: bool,
-    quiet: bool,
-    force: bool,
-    predict: bool,
-) -> dict[str, Any]:
-    from ffcomp.cli.common import Progress, say
-    from ffcomp.job import STAMP_REACH, Job, already_processed, find_offset
+    rate: float,
+    restore: bool,
+    options: dict[str, Any],
+) -> Job:
+    """Everything that can be wrong with the input shows here, before anything is written."""
+    from ffcomp.job import STAMP_REACH, Job, find_offset
+    from ffcomp.pipeline import settings_for
     from ffcomp.writer import original
-    from gcode.container import read_bytes
     from models.machine_file import load_machine
 
     machine = load_machine(machine_name)
-    data = read_bytes(file)
-    stamp = already_processed(data)
-    if stamp is not None and not force:
-        return {
-            "schema": "ffcomp-compensate/1",
-            "input": str(file),
-            "output": str(file),
-            "already": f"{file}: already processed by ffcomp v{stamp.version} for {stamp.machine}; nothing changed.",
-        }
-    if stamp is not None:  # --force: compensate the original that is still in the file, not the compensation
-        data, offset = original(data), offset if any(offset) else find_offset(data[:STAMP_REACH])
-    job = Job(data, str(file), machine, offset=offset, flavor=flavor, predict=predict)
-    target = output_file or file
+    if restore:  # --force: compensate the original that is still in the file, not the compensation
+        offset = offset if any(offset) else find_offset(data[:STAMP_REACH])
+        data = original(data)
+    return Job(data, str(file), machine, offset=offset, settings=settings_for(machine, rate), **options)
+
+
+def _write(job: Job, target: Path | None, quiet: bool) -> dict[str, Any]:
+    from ffcomp.cli.common import Progress, say
+
     for warning in job.program.warnings:
         say(f"ffcomp: {warning}", quiet)
     with Progress(job.print_time_s, quiet) as progress:
-        job.write(None if dry_run else target, progress)
-    return {**job.result(), "output": None if dry_run else str(target)}
+        job.write(target, progress)
+    return {**job.result(), "output": None if target is None else str(target)}
 
 
-def _report(result: dict[str, Any], dry_run: bool) -> None:
+def _report(result: dict[str, Any], quiet: bool) -> None:
+    """The predicted gain and the cost, on stderr."""
+    if quiet:
+        return
     from rich.console import Console
     from rich.table import Table
 
@@ -133,5 +165,5 @@ def _report(result: dict[str, Any], dry_run: bool) -> None:
         f"{result['compute_time_s']:.1f} s, {speed:.0f} times faster than printing.",
         highlight=False,
     )
-    if not dry_run:
+    if result["output"] is not None:
         console.print(f"Look at it: ffcomp show {result['output']}", highlight=False)
