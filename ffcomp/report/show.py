@@ -62,7 +62,7 @@ def draw(look: Look, title: str, footer: str, target: Path, z_mm: float | None =
     _layer_maps(figure, rooms["before"], rooms["after"], look, worst)
     _along_time(rooms["time"], look, worst)
     figure.supxlabel(footer, fontsize=8, color="#666666")
-    figure.savefig(target, dpi=130)
+    figure.savefig(target, dpi=100)
 
 
 def _worst_place(curve: Curve, z_mm: float | None) -> FloatArray:
