@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ffcomp.invert.settings import Settings
 from ffcomp.marks import Mark, Timeline
 from ffcomp.played import merge, played
-from gcode.dialects import close_limits, open_limits
+from gcode.dialects import KLIPPER, close_limits, open_limits
 from gcode.emit import MoveWriter
 from gcode.limits import MotionLimits
 from gcode.program import Event, EventKind, Frame, Program
@@ -47,6 +47,7 @@ class Writer:
         self.frame = 0
         self.open = False
         self.in_force = MotionLimits()
+        self.said: dict[bytes, bytes] = {}
         self.ending = b"\r\n" if program.lines and program.lines[0].endswith(b"\r\n") else b"\n"
         self.segments = 0
 
@@ -65,6 +66,8 @@ class Writer:
         else:
             yield line
         self._take_frame(event.frame)
+        if event.touches_limits:
+            self._remember(line)
         if self.open and event.touches_limits:
             yield from self._limits(self._opening())
 
@@ -72,7 +75,7 @@ class Writer:
         """End a block: the file's limits and feed are in force again."""
         if self.open:
             self.open = False
-            yield from self._limits(close_limits(self.flavor, _first_known(self.in_force, self.own)))
+            yield from self._limits(self._closing())
             frame = self.program.frames[self.frame]
             feed = 60 * frame.feed_mm_per_s / frame.feed_factor / frame.unit_mm
             yield b"G1 F%.6g" % feed + OURS + self.ending
@@ -184,6 +187,18 @@ class Writer:
     def _to(self, x: float, y: float, z: float, e: float, speed: float) -> bytes:
         self.at = (x, y, z, e)
         return self.moves.move(x, y, z, e, speed)
+
+    def _remember(self, line: bytes) -> None:
+        """The file's last word on each limit: a command with other letters sets other limits."""
+        code = line.partition(b";")[0].strip()
+        letters = b"".join(sorted(set(re.findall(rb"[A-Z]", code.upper()))))
+        self.said[code.split()[0].upper() + letters] = code
+
+    def _closing(self) -> list[bytes]:
+        """The limits that the file has set, over the machine's own."""
+        if self.flavor == KLIPPER:
+            return close_limits(self.flavor, _first_known(self.in_force, self.own))
+        return [*close_limits(self.flavor, self.own), *self.said.values()]
 
     def _opening(self) -> list[bytes]:
         o = self.settings.output

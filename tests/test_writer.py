@@ -161,6 +161,16 @@ def test_a_stop_comes_to_rest_on_the_path_and_the_limits_are_back() -> None:
     assert text[at + 1] == b"G1 Z5 F600"  # nobody knows where homing leaves the nozzle: the firmware plans this
 
 
+def test_marlins_own_caps_come_back_as_the_file_set_them() -> None:
+    limits = b"M201 X500 Y600\nM203 X200 Y200\nM204 P800 T900\nM205 X8 Y8\nM201 X700 Y600\n"
+    out = compensated(START + limits + b"G1 X30 Y20 F9000\nG28\n").splitlines()
+    at = out.index(b"G28", 3)
+    closing = [line.removesuffix(OURS) for line in out[at - 9 : at - 1]]
+    opened = max(i for i, line in enumerate(out[:at]) if line.startswith(b"M204 P100000"))
+    assert b"M204 P10000 T10000" in closing and opened < at - 9  # the machine's own first,
+    assert closing[-4:] == [b"M201 X700 Y600", b"M203 X200 Y200", b"M204 P800 T900", b"M205 X8 Y8"]  # then the file's
+
+
 def test_bytes_that_are_no_text_survive() -> None:
     odd = b"; caf\xe9 \xc3\xa9 \xff\nM117 \xb5m\n"
     assert others(compensated(START + odd + b"G1 X20 Y5\n" + odd))[3:] == others(START + odd + odd)[3:]
