@@ -52,7 +52,7 @@ class Job:
         self.flavor = flavor or detect_flavor(self.program.lines)
         if self.flavor not in FLAVORS:
             raise UnsupportedGcode(f"The flavor {flavor!r} is none of {', '.join(sorted(FLAVORS))}.", path=path)
-        self.planned = plan_program(self.program, machine)
+        self.planned = plan_program(self.program, machine, offset)
         self.print_time_s = self.planned.trajectory.end_t
         self.inverter = inverter or Inverter(machine, settings or settings_for(machine))
         self.shaper_off = shaper_off

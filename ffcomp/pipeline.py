@@ -102,8 +102,11 @@ def _bandwidth(machine: Machine, segment_s: float) -> float:
     return min(max(1.28 * fastest, LOWEST_BANDWIDTH_HZ), HIGHEST_BANDWIDTH / segment_s)
 
 
-def plan_program(program: Program, machine: Machine) -> Planned:
-    """Check that every move can be reached, and plan them all."""
+def plan_program(program: Program, machine: Machine, offset: tuple[float, float] = (0.0, 0.0)) -> Planned:
+    """Check that every move can be reached, and plan them all.
+
+    offset : mm, what the program's positions were shifted by when they were read
+    """
     moves = program.moves
     if not len(moves):
         raise NothingToDo(f"{program.path or 'The file'} holds no move whose start is known: nothing to compensate.")
@@ -112,10 +115,28 @@ def plan_program(program: Program, machine: Machine) -> Planned:
             check_reach(machine.kinematics, ends[:, :3])
         except UnreachableError as error:
             line = int(moves.line[error.indices[0]]) + 1
-            raise GcodeError(f"{error} Does the file need --offset-mm?", line, program.path) from error
+            advice = _offset_that_fits(moves.end[:, :2] - offset, machine.kinematics.print_radius_mm)
+            raise GcodeError(f"{error} {advice}", line, program.path) from error
     stop_before, wait_before = stops_and_waits(program)
     trajectory = plan_moves(moves, firmware_limits(machine), stop_before=stop_before, wait_before=wait_before)
     return Planned(program, trajectory, split_runs(trajectory, stop_before))
+
+
+def _offset_that_fits(xy: FloatArray, radius: float) -> str:
+    """Whether shifting the print would bring it inside the circle, and by how much.
+
+    The smallest circle round all places, by steps towards the farthest of them (Badoiu & Clarkson, 2003).
+    """
+    places = np.unique(np.round(xy, 1), axis=0)
+    centre = 0.5 * (places.min(axis=0) + places.max(axis=0))
+    for step in range(1, 400):
+        away = np.hypot(*(places - centre).T)
+        centre = centre + (places[int(np.argmax(away))] - centre) / (step + 1)
+    x, y = np.round(-centre)
+    needed = float(np.hypot(*(xy + (x, y)).T).max())
+    if needed > radius:
+        return f"The print needs a radius of {needed:.0f} mm wherever it is put: no offset helps."
+    return f"A print made for a bed with its origin in a corner? --offset-mm {x:.0f},{y:.0f} brings it inside."
 
 
 def compensate(

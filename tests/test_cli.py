@@ -103,6 +103,7 @@ def test_a_dry_run_writes_nothing(small: Path) -> None:
         (b"; only comments\nM117 hello\n", [], 3, "nothing to compensate"),
         (SMALL + b"G1 X1e30\n", [], 4, ":10: "),
         (SMALL + b"G1 X400\n", [], 4, ":10: "),
+        (SMALL.replace(b"X", b"X1").replace(b"Y", b"Y1"), [], 4, "--offset-mm -129,-121 brings it inside"),
         (SMALL, ["--machine", "mp-delta-por"], 5, "Did you mean"),
         (SMALL, ["--flavor", "marlyn"], 4, "marlyn"),
         (SMALL, ["--offset-mm", "1;2"], 2, "offset"),
