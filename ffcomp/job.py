@@ -48,7 +48,7 @@ class Job:
     ) -> None:
         self.started = time.perf_counter()
         self.path, self.machine, self.offset = path, machine, offset
-        self.program = read_program(data, path, offset_mm=offset)
+        self.program = read_program(data, path, offset_mm=offset, flavor=flavor or None)
         self.flavor = flavor or detect_flavor(self.program.lines)
         if self.flavor not in FLAVORS:
             raise UnsupportedGcode(f"The flavor {flavor!r} is none of {', '.join(sorted(FLAVORS))}.", path=path)

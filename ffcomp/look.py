@@ -42,11 +42,13 @@ class Look:
     after: Curve
 
 
-def look(data: bytes, path: str, machine: Machine, offset: tuple[float, float] = (0.0, 0.0)) -> Look:
+def look(
+    data: bytes, path: str, machine: Machine, offset: tuple[float, float] = (0.0, 0.0), flavor: str | None = None
+) -> Look:
     """Simulate the original and the compensated print with the design model."""
     lines = data.splitlines(keepends=True)
-    original = read_program(b"".join(original_lines(lines)), path, offset_mm=offset)
-    compensated = read_program(data, path)
+    original = read_program(b"".join(original_lines(lines)), path, offset_mm=offset, flavor=flavor)
+    compensated = read_program(data, path, flavor=flavor)
     wanted, played = _plan(original, machine), _plan(compensated, machine)
     path_t, corners = _corners(wanted)
     clock, own = _clocks(original, wanted, compensated, played)

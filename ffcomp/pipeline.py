@@ -133,7 +133,7 @@ def _offset_that_fits(xy: FloatArray, radius: float) -> str:
         away = np.hypot(*(places - centre).T)
         centre = centre + (places[int(np.argmax(away))] - centre) / (step + 1)
     x, y = np.round(-centre)
-    needed = float(np.hypot(*(xy + (x, y)).T).max())
+    needed = float(np.hypot(*(xy + np.array([x, y])).T).max())
     if needed > radius:
         return f"The print needs a radius of {needed:.0f} mm wherever it is put: no offset helps."
     return f"A print made for a bed with its origin in a corner? --offset-mm {x:.0f},{y:.0f} brings it inside."

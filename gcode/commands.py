@@ -205,9 +205,17 @@ def _restore_state(modal: Modal, command: Command) -> Effect:
 
 
 def _acceleration(modal: Modal, command: Command) -> Effect:
-    """M204 as in Klipper: S, or the smaller of P and T when both are there."""
+    """M204: Klipper takes S, or the smaller of P and T if both are there; others P for printing, T for travel."""
     words = command.numbers()
-    if "S" in words:
+    if modal.flavor != "klipper" and ("P" in words or "T" in words):
+        if "P" in words:
+            modal.set_limits(acceleration=_positive(words["P"], command) * modal.unit)
+        if "T" in words:
+            modal.set_limits(travel_acceleration=_positive(words["T"], command) * modal.unit)
+    elif "S" in words and modal.flavor != "klipper":
+        both = _positive(words["S"], command) * modal.unit
+        modal.set_limits(acceleration=both, travel_acceleration=both)
+    elif "S" in words:
         modal.set_limits(acceleration=_positive(words["S"], command) * modal.unit)
     elif "P" in words and "T" in words:
         modal.set_limits(acceleration=_positive(min(words["P"], words["T"]), command) * modal.unit)

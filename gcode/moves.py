@@ -31,17 +31,22 @@ class MoveTable:
         frame = np.array(self.frames, dtype=np.int64)
         limit = np.array(self.limits, dtype=np.int64)
         columns = np.array(
-            [(a.velocity, a.acceleration, a.square_corner_velocity, a.minimum_cruise_ratio) for a in limits]
+            [
+                (a.velocity, a.acceleration, a.travel_acceleration, a.square_corner_velocity, a.minimum_cruise_ratio)
+                for a in limits
+            ]
         )
-        velocity, acceleration, corner, cruise_ratio = columns[limit].T
+        velocity, acceleration, travel, corner, cruise_ratio = columns[limit].T
+        start = self._starts(end)
+        travels = (end[:, 3] == start[:, 3]) & ~np.isnan(travel)
         return Moves(
             line=np.array(self.lines, dtype=np.int64),
-            start=self._starts(end),
+            start=start,
             end=end,
             speed=np.array([a.feed_mm_per_s for a in frames])[frame],
             frame=frame,
             velocity_limit=velocity,
-            acceleration=acceleration,
+            acceleration=np.where(travels, travel, acceleration),
             square_corner_velocity=corner,
             minimum_cruise_ratio=cruise_ratio,
         )

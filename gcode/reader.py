@@ -43,6 +43,7 @@ def read_program(
     start: tuple[float, float, float] | None = None,
     offset_mm: tuple[float, float] = (0.0, 0.0),
     arc_tolerance_mm: float = ARC_TOLERANCE_MM,
+    flavor: str | None = None,
 ) -> Program:
     """Read a file's bytes.
 
@@ -57,6 +58,8 @@ def read_program(
         it out: a writer emits the printer's coordinates. Where G92 names a place, that place keeps its name.
     arc_tolerance_mm : float
         Largest distance between an arc and its chords.
+    flavor : str or None
+        "klipper", "marlin" or "reprapfirmware"; None: as the file says.
 
     Raises
     ------
@@ -64,7 +67,7 @@ def read_program(
         A line that cannot be followed, with its number.
     """
     try:
-        return _Reader(data, path, start, offset_mm, arc_tolerance_mm).program()
+        return _Reader(data, path, start, offset_mm, arc_tolerance_mm, flavor).program()
     except GcodeError as error:
         raise error.located(path) from None
 
@@ -75,10 +78,16 @@ def read_file(
     start: tuple[float, float, float] | None = None,
     offset_mm: tuple[float, float] = (0.0, 0.0),
     arc_tolerance_mm: float = ARC_TOLERANCE_MM,
+    flavor: str | None = None,
 ) -> Program:
     """Read a plain-text G-code file; see `read_program`."""
     return read_program(
-        read_bytes(path), str(path), start=start, offset_mm=offset_mm, arc_tolerance_mm=arc_tolerance_mm
+        read_bytes(path),
+        str(path),
+        start=start,
+        offset_mm=offset_mm,
+        arc_tolerance_mm=arc_tolerance_mm,
+        flavor=flavor,
     )
 
 
@@ -92,10 +101,11 @@ class _Reader:
         start: tuple[float, float, float] | None,
         offset: tuple[float, float],
         arc_tolerance: float,
+        flavor: str | None,
     ) -> None:
         self.path, self.arc_tolerance = path, arc_tolerance
         self.lines = data.splitlines(keepends=True)
-        self.modal = Modal(offset=offset, flavor=detect_flavor(self.lines))
+        self.modal = Modal(offset=offset, flavor=flavor or detect_flavor(self.lines))
         self.table = MoveTable()
         if start is not None:
             self.modal.position[:3] = start

@@ -173,7 +173,8 @@ class Modal:
     def _bound(self) -> None:
         velocity = _smaller(self.own.velocity, self.caps.velocity)
         acceleration = _smaller(self.own.acceleration, self.caps.acceleration)
-        self.limits = replace(self.own, velocity=velocity, acceleration=acceleration)
+        travel = _smaller(self.own.travel_acceleration, self.caps.acceleration)
+        self.limits = replace(self.own, velocity=velocity, acceleration=acceleration, travel_acceleration=travel)
 
 
 def _smaller(a: float, b: float) -> float:

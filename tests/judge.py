@@ -112,7 +112,7 @@ class Original:
         self.data = data
         self.machine: Machine = load_machine(machine_file)
         self.plant: dict[str, Any] = delta_plant.load_machine(machine_file)
-        self.planned: Planned = plan_program(read_program(data, path), self.machine)
+        self.planned: Planned = plan_program(read_program(data, path, flavor="klipper"), self.machine)
 
     @property
     def trajectory(self) -> Trajectory:
@@ -256,7 +256,7 @@ class Segments:
 
 def segments(original: Original, ours: Compensated) -> Segments:
     """Read the compensated file as a firmware would, and find the runs in it."""
-    planned = plan_program(read_program(ours.text, "compensated"), original.machine)
+    planned = plan_program(read_program(ours.text, "compensated", flavor="klipper"), original.machine)
     travels = np.any(planned.trajectory.direction[:, :3] != 0.0, axis=1)
     trajectory = pick(planned.trajectory, travels)
     firsts = np.searchsorted(planned.program.moves.line[travels], ours.begins_at)

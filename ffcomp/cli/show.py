@@ -52,7 +52,7 @@ def _show(file: Path, picture: Path, machine_name: str, z_mm: float | None) -> d
     if stamp is None:
         raise NothingToDo(f"{file}: not compensated by ffcomp; first: ffcomp compensate {file} --machine NAME.")
     machine = load_machine(machine_name or str(find_by_sha256(stamp.sha256, stamp.machine)))
-    seen = look(data, str(file), machine, find_offset(data[:STAMP_REACH]))
+    seen = look(data, str(file), machine, find_offset(data[:STAMP_REACH]), stamp.flavor)
     footer = (
         f"design model of {machine.name}, machine file sha256 {machine.sha256[:8]}; planned as the firmware does; "
         f"ffcomp v{__version__}"

@@ -340,6 +340,14 @@ def test_klipper_limits() -> None:
     assert [event.touches_limits for event in program.events] == [True, True, True, True, False, True]
 
 
+def test_marlin_travels_with_its_own_acceleration() -> None:
+    program = read(
+        "; gcode_flavor = marlin2", "M83", "G1 X0 F60", "M204 P800 T2500", "G1 X1 E1", "G1 X2", "M204 P900", "G1 X3 E1",
+        "M204 T1000", "G1 X4", "M204 S700", "G1 X5", "G1 X6 E1", "M201 X600 Y900", "G1 X7",
+    )  # fmt: skip
+    np.testing.assert_equal(program.moves.acceleration[-7:], [800, 2500, 900, 1000, 700, 700, 600])
+
+
 def test_marlin_limits_bound_one_another() -> None:
     program = read(
         "; gcode_flavor = marlin2",
