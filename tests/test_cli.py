@@ -151,6 +151,23 @@ def test_permissions_and_links_stay(tmp_path: Path, small: Path) -> None:
     assert stat.S_IMODE(small.stat().st_mode) == 0o640
 
 
+def test_frequency_responses_anywhere(tmp_path: Path) -> None:
+    pictures = [tmp_path / "bode.png", tmp_path / "map.svg"]
+    answer = ffcomp(
+        "frf", "-m", "mp-delta-pro", "--at", "0,0", "--at", "-80,10", "--figure", pictures[0], "--map", pictures[1]
+    )
+    assert answer.returncode == 0, answer.stderr
+    first, second = (json.loads(line) for line in answer.stdout.splitlines())
+    assert first["schema"] == "ffcomp-frf/1" and second["position_mm"] == [-80.0, 10.0, 0.0]
+    assert len(first["frequency_hz"]) == 400
+    for i in range(3):
+        for j in range(3):  # at 0.5 Hz every carriage does what it is told, and leaves the others alone
+            assert first["carriage"][i][j]["magnitude"][0] == pytest.approx(float(i == j), abs=2e-3)
+    assert first["carriage"] != second["carriage"]
+    assert pictures[0].read_bytes().startswith(b"\x89PNG") and b"<svg" in pictures[1].read_bytes()
+    assert ffcomp("frf", "-m", "mp-delta-pro", "--at", "200,0").returncode == 2
+
+
 def test_an_interrupt_leaves_the_file_whole(tmp_path: Path) -> None:
     path = tmp_path / "long.gcode"
     moves = b"".join(b"G1 X%d Y%d E.1\n" % (k % 40, k * 7 % 40) for k in range(60_000))

@@ -13,6 +13,7 @@ import typer  # noqa: E402
 
 from ffcomp import __version__  # noqa: E402
 from ffcomp.cli.compensate import compensate  # noqa: E402
+from ffcomp.cli.frf import frf  # noqa: E402
 from ffcomp.cli.machines import app as machines  # noqa: E402
 from ffcomp.cli.restore import restore  # noqa: E402
 from ffcomp.cli.show import show  # noqa: E402
@@ -28,6 +29,7 @@ app.command()(compensate)
 app.command()(show)
 
 app.command()(restore)
+app.command()(frf)
 app.add_typer(machines, name="machines")
 
 
