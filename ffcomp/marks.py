@@ -94,14 +94,19 @@ def _filament(e: FloatArray, points: FloatArray, known: dict[float, float]) -> F
     at = np.array(sorted(known))
     place = np.interp(at, knots, gone)
     missing = np.array([known[a] for a in at.tolist()]) - np.interp(at, knots, e)
-    steep = np.abs(np.diff(missing)) > STEEPEST * np.diff(place) + FLOWS_MM
-    gentle = np.concatenate([[True], ~steep])  # two lines close together: the first is met, the flow stays even
-    place, missing = place[gentle], missing[gentle]
-    away = np.concatenate([place - reach, place + reach, [0.0, gone[-1]]])
-    away = away[np.abs(away[:, None] - place[None]).min(axis=1) >= reach * (1 - 1e-9)]
-    nodes, values = np.concatenate([place, away]), np.concatenate([missing, np.zeros(len(away))])
-    order = np.argsort(nodes, kind="stable")
-    return even + np.interp(np.interp(points, knots, gone), nodes[order], values[order])
+    nodes, values = [0.0], [0.0]
+    for s, m in zip(place.tolist(), missing.tolist(), strict=True):
+        # lines close together, or close to the run's end: one is met, the flow stays even
+        since, left = s - nodes[-1], float(gone[-1]) - s
+        if abs(m - values[-1]) <= STEEPEST * since + FLOWS_MM and abs(m) <= STEEPEST * left + FLOWS_MM:
+            if since > 2 * reach:
+                nodes += [nodes[-1] + reach, s - reach]
+                values += [0.0, 0.0]
+            nodes.append(s)
+            values.append(m)
+    nodes += [min(nodes[-1] + reach, gone[-1]), gone[-1]]
+    values += [0.0, 0.0]
+    return even + np.interp(np.interp(points, knots, gone), nodes, values)
 
 
 def _lines_of(program: Program, run: Run, inside: list[Event]) -> list[tuple[int, int, Event | None]]:
