@@ -37,14 +37,17 @@ class Timeline:
     marks: list[Mark]
 
 
-def timeline(program: Program, trajectory: Trajectory, run: Run, wanted: Reference, inside: list[Event]) -> Timeline:
-    """Lay the events inside a run, and its moves, on its knots.
+def timeline(
+    program: Program, trajectory: Trajectory, run: Run, wanted: Reference, vertices: FloatArray, inside: list[Event]
+) -> Timeline:
+    """Lay the events inside a run, and its moves, on its knots, whose vertices are (n + 1, 3) mm.
 
     A line that stands where filament flows cuts its segment at the very moment, so that the filament between two lines
     is kept; other lines go out at the knot before.
     """
     e = wanted.extrusion()
     e[-1] = program.moves.end[run.last - 1, 3]
+    e = _even_wipes(e, vertices)
     lines = _lines_of(program, run, inside)
     places: list[float] = []
     for _, move, event in lines:
@@ -68,6 +71,25 @@ def timeline(program: Program, trajectory: Trajectory, run: Run, wanted: Referen
         Mark(int(np.searchsorted(points, at)), line, event) for at, (line, _, event) in zip(places, lines, strict=True)
     ]
     return Timeline(points, filament, marks)
+
+
+def _even_wipes(e: FloatArray, vertices: FloatArray) -> FloatArray:
+    """Filament that is pulled back while the nozzle moves, shared out by the command's path: (n + 1,) mm at the knots.
+
+    When exactly a retraction pulls does not matter; but firmwares hold its acceleration down and slow down wherever it
+    changes against the path, and a wipe pulls so hard that every unevenness would cost time.
+    """
+    falls = np.flatnonzero(np.diff(e) < -FLOWS_MM)
+    if not falls.size:
+        return e
+    even = e.copy()
+    gone = np.concatenate([[0.0], np.cumsum(np.sqrt((np.diff(vertices, axis=0) ** 2).sum(axis=1)))])
+    for wipe in np.split(falls, np.flatnonzero(np.diff(falls) > 1) + 1):
+        part = slice(int(wipe[0]), int(wipe[-1]) + 2)
+        s = gone[part] - gone[part.start]
+        if s[-1] > 0.0:
+            even[part] = e[part.start] + (e[part.stop - 1] - e[part.start]) * s / s[-1]
+    return even
 
 
 def _extrudes(program: Program, move: int) -> bool:

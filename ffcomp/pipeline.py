@@ -174,9 +174,10 @@ def compensate(
         predicted = summary.prediction is not None and summary.prediction.wants(wanted)
         result = inverter.run(wanted, state, keep_response=predicted)
         state, rested = result.state, run.end_t
-        line_up = timeline(program, trajectory, run, wanted, events.up_to(run.last - 1))
         heights = program.moves.end[run.first : run.last, 2]
-        yield from writer.run(run.first, keep_inside(machine.kinematics, result.vertices, heights), line_up)
+        vertices = keep_inside(machine.kinematics, result.vertices, heights)
+        line_up = timeline(program, trajectory, run, wanted, vertices, events.up_to(run.last - 1))
+        yield from writer.run(run.first, vertices, line_up)
         _account(summary, run, int(program.moves.line[run.first]) + 1, wanted, result, settings.segment_s)
         if summary.prediction is not None and predicted:
             summary.prediction.add(trajectory, run, wanted, result)

@@ -187,3 +187,18 @@ def test_an_offset_moves_every_place_and_is_remembered() -> None:
 def test_inches_stay_inches() -> None:
     out = compensated(b"G20\nG90\nG1 X0 Y0 Z0.1 F300\nG1 X1 Y0.5\n")
     assert read_program(out).moves.end[-1, 0] == pytest.approx(25.4, abs=2e-3)
+
+
+def test_a_wipe_costs_no_time() -> None:
+    """Filament pulled back while moving: firmwares hold its acceleration down, so it must flow evenly."""
+    wipe = b"G1 X%d Y20 E1 F9000\nG1 X%d Y16 E-.8\nG1 E-1 F2400\nG1 X%d Y18 F9000\nG1 E1.8 F2400\n"
+    data = START + b"".join(wipe % (k, k, k + 1) for k in range(10, 20))
+    job = Job(data, "x", machine(), predict=False, inverter=inverter())
+    program = read_program(b"".join(job.lines()), flavor=job.flavor)
+    stop_before, wait_before = stops_and_waits(program)
+    plan = plan_moves(program.moves, firmware_limits(machine()), stop_before=stop_before, wait_before=wait_before)
+    assert plan.end_t == pytest.approx(job.summary.print_time_s, rel=0.015)  # 9 % when it follows the clock
+    falls = program.moves.end[:, 3] < program.moves.start[:, 3]
+    moving = np.abs(program.moves.end[:, :3] - program.moves.start[:, :3]).max(axis=1) > 0
+    pulled = (program.moves.end[:, 3] - program.moves.start[:, 3])[falls & moving]
+    assert float(pulled.sum()) == pytest.approx(-8.0, abs=0.05)
