@@ -1,0 +1,1 @@
+"""Measurements: runs, frequency responses and accelerometer captures, from files to arrays."""
