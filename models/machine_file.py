@@ -162,3 +162,38 @@ def starting_text(name: str, source: Path) -> str:
         f"# {name}, started from the machine file {source.stem!r}. Every number is that machine's, and its\n"
         f"# provenance with it, until you change both.\n\n{tomlkit.dumps(document)}"
     )
+
+
+def updated_text(
+    source: Path,
+    values: Mapping[str, Any],
+    *,
+    name: str | None = None,
+    uncertainty: Mapping[str, float] | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> str:
+    """The text of `source` with numbers replaced; comments, order and everything else stay.
+
+    Parameters
+    ----------
+    values : `table.key` or, for one element of a list, `table.key[i]` -> the new value, in the file's units.
+    uncertainty, provenance : entries to add to those tables, replacing what is there under the same key.
+    """
+    document = tomlkit.parse(source.read_bytes().decode("utf-8"))
+    if name is not None:
+        document["name"] = name
+    for key, value in values.items():
+        path, _, index = key.removesuffix("]").partition("[")
+        *tables, last = path.split(".")
+        table: Any = document
+        for part in tables:
+            table = table.setdefault(part, tomlkit.table())
+        if index:
+            table[last][int(index)] = value
+        else:
+            table[last] = value
+    for title, entries_ in (("uncertainty", uncertainty), ("provenance", provenance)):
+        table = document.setdefault(title, tomlkit.table())
+        for key, value in (entries_ or {}).items():
+            table[key] = value
+    return tomlkit.dumps(document)

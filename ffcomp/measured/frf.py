@@ -35,6 +35,12 @@ class FrequencyResponse:
     added_mass_kg: float = 0.0  # on the carriage
     coherence: FloatArray | None = None  # (k,) if it was measured
     source: str = ""  # file name
+    clock: str = ""  # responses with the same clock share one unknown delay; empty: measured with the command's own
+
+    @property
+    def s(self) -> ComplexArray:
+        """(k,) jω, 1/s."""
+        return np.asarray(2j * np.pi * self.frequency_hz, dtype=np.complex128)
 
     def between(self, lowest_hz: float, highest_hz: float) -> FrequencyResponse:
         """The same response in a band, both ends included."""

@@ -1,0 +1,117 @@
+"""What a machine file says a measured frequency response should have been."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NoReturn
+
+import numpy as np
+
+from ffcomp.errors import MeasurementError
+from ffcomp.measured.frf import ComplexArray, FloatArray, FrequencyResponse
+from models.carriage import belt, command_frf, drive_frf, impedance
+from models.effector import effector_impedance, load_map
+from models.kinematics.delta import jacobian
+from models.machine import Machine
+
+CARRIAGES, AXES = "ABC", "xyz"
+
+
+def predicted(machine: Machine, responses: Sequence[FrequencyResponse]) -> list[ComplexArray]:
+    """One array of shape (k,) a response, in its units.
+
+    Raises
+    ------
+    MeasurementError
+        For a response whose input, output or setup the model does not have.
+    """
+    benches: dict[tuple[object, ...], _Assembly] = {}
+    return [_one(machine, response, benches) for response in responses]
+
+
+def _one(machine: Machine, response: FrequencyResponse, benches: dict[tuple[object, ...], _Assembly]) -> ComplexArray:
+    s = response.s
+    if response.setup == "effector":
+        return _effector(machine, response, s)
+    if response.setup in ("carriage", "carriage+mass"):
+        return np.asarray(_carriage(machine, response, s) * _differentiated(response, s))
+    place = response.position_mm or (0.0, 0.0, 0.0)
+    key = (place[:2], response.frequency_hz.tobytes())
+    if key not in benches:
+        benches[key] = _assembly(machine, np.array(place[:2]), s)
+    return np.asarray(benches[key].response(response) * _differentiated(response, s))
+
+
+def _differentiated(response: FrequencyResponse, s: ComplexArray) -> ComplexArray:
+    kind = response.output.split("_")[0]
+    if kind not in ("pos", "acc"):
+        _refuse(response, f"The output is {response.output!r}; it must begin with 'pos_' or 'acc_'.")
+    return s**2 if kind == "acc" else np.ones_like(s)
+
+
+def _carriage(machine: Machine, response: FrequencyResponse, s: ComplexArray) -> ComplexArray:
+    """Eqs. 31 and 37, position to position."""
+    if not response.input.startswith("cmd_"):
+        _refuse(response, f"A carriage by itself is driven by its command, not by {response.input!r}.")
+    mass = machine.carriage.mass_kg + response.added_mass_kg
+    return command_frf(replace(machine.carriage, mass_kg=mass), s)
+
+
+def _effector(machine: Machine, response: FrequencyResponse, s: ComplexArray) -> ComplexArray:
+    """Eq. 45: a free effector, struck along one axis, without the arms' halves."""
+    kind, axis = response.input.split("_")[0], response.input.split("_")[-1]
+    if kind != "force" or axis not in AXES or response.output != f"acc_{axis}":
+        _refuse(
+            response, f"An effector by itself is struck: force_x to acc_x, not {response.input} to {response.output}."
+        )
+    effector, j = machine.effector, AXES.index(axis)
+    mount = effector.extruder_damping_n_s_per_m[j] * s + effector.extruder_stiffness_n_per_m[j]
+    m1, m2 = effector.nozzle_mass_kg, effector.extruder_mass_kg
+    return np.asarray((m2 * s**2 + mount) / (m1 * m2 * s**2 + (m1 + m2) * mount))
+
+
+@dataclass(frozen=True, eq=False)
+class _Assembly:
+    """The printer at one place: left · Z⁻¹ · right, with Z the carriages' impedance of Eq. 29."""
+
+    compliance: ComplexArray  # (k, 3, 3) m/N, force on the carriages to their position
+    drive: ComplexArray  # (k,) N/m, command to force: (c s + k) G_e
+    j: FloatArray  # (3, 3)
+    gamma: FloatArray  # (3, 3)
+
+    def response(self, measured: FrequencyResponse) -> ComplexArray:
+        left = self._carriages_of(measured, measured.output.split("_", 1)[1])
+        right, factor = self._force_of(measured)
+        return np.asarray(np.einsum("i,kij,j->k", left, self.compliance, right) * factor)
+
+    def _carriages_of(self, measured: FrequencyResponse, name: str) -> FloatArray:
+        """Row that makes the output of the carriages' positions."""
+        if name in CARRIAGES:
+            return np.eye(3)[CARRIAGES.index(name)]
+        if name in AXES:
+            return self.j[AXES.index(name)]
+        _refuse(measured, f"There is no carriage or axis {name!r}.")
+
+    def _force_of(self, measured: FrequencyResponse) -> tuple[FloatArray, ComplexArray | float]:
+        """Column of forces on the carriages, and what it is multiplied by."""
+        kind, _, name = measured.input.partition("_")
+        if kind == "cmd" and name in CARRIAGES:
+            return np.eye(3)[CARRIAGES.index(name)], self.drive
+        if kind == "cmd" and name in AXES:
+            return np.asarray(np.linalg.inv(self.j)[:, AXES.index(name)]), self.drive
+        if kind == "force" and name in AXES:
+            return self.gamma[:, AXES.index(name)], 1.0
+        _refuse(measured, f"There is no input {measured.input!r}; there are cmd_A, cmd_x, force_x and their like.")
+
+
+def _assembly(machine: Machine, xy: FloatArray, s: ComplexArray) -> _Assembly:
+    j, gamma = jacobian(machine.kinematics, xy[None])[0], load_map(machine, xy[None])[0]
+    load = (gamma * effector_impedance(machine, s)[:, None, :]) @ j
+    stiffness = load + impedance(machine.carriage, s)[:, None, None] * np.eye(3)
+    drive = belt(machine.carriage, s) * drive_frf(machine.carriage.drive, s)
+    return _Assembly(np.linalg.inv(stiffness), drive, j, gamma)
+
+
+def _refuse(response: FrequencyResponse, rule: str) -> NoReturn:
+    raise MeasurementError(response.source or "response", [rule])
