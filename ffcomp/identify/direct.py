@@ -10,7 +10,7 @@ measured value once, needs no fit of coefficients, and works at any place.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,7 +44,10 @@ PRIOR_SD = 1.0  # of a logarithm nobody knows anything about: a factor of e
 SIGNED_UNIT = 100.0  # 1/s, the size of one step of d1
 DELAY_UNIT_S = 1e-3
 BLOCK_HZ = 5.0  # the model's error keeps its sign over about so wide a band
+COARSE = 0.3  # model error of the coarse fit
+NEAR = 0.1  # of it, as an excess: the responses are explained to 10 %, and only refinement is left
 STARTS = (1.0, 0.75, 1.33, 0.6, 1.7)  # factors on every frequency of the starting machine
+RANDOM_STARTS = 30
 SMALLEST_MODEL_ERROR = 1e-4
 
 
@@ -58,6 +61,7 @@ class Fitted:
     weak: Mapping[str, Mapping[str, float]]  # ill-determined number -> the others it moves with (correlation)
     delays_s: Mapping[str, Estimate]  # of each clock
     misfit: float  # χ² by degree of freedom against the measured noise alone
+    bic: float  # Bayesian information criterion: of two models of the same responses the smaller one is preferred
     model_error: float  # ε
     responses: Sequence[FrequencyResponse]
     predictions: Sequence[ComplexArray]  # of the fitted machine, delays included
@@ -79,7 +83,7 @@ def fit_machine(
     known : name -> (value, standard uncertainty), of machine-file numbers or of TOTAL_MASS.
     unknowns : what is fitted; every other number stays the starting machine's.
     starts : numbers to begin with in place of the starting machine's, one try each. By default the starting
-        machine and four that are slower or faster throughout.
+        machine, four that are slower or faster throughout, and then random ones, until one comes near.
 
     Raises
     ------
@@ -185,19 +189,43 @@ def _total_mass(start: Machine, numbers: Mapping[str, float]) -> float:
 def _best_start(
     problem: _Problem, starts: Sequence[Mapping[str, float]], progress: Callable[[str], None]
 ) -> FloatArray:
-    """From several machines the one that a coarse fit likes best.
+    """From several machines the one that a coarse fit likes best; the first that comes near ends the search.
 
     The coarse fit weighs every value alike (model error 30 %), so that no sharp resonance traps it.
     """
-    tries = [_with(problem, numbers) for numbers in starts] or [_faster(problem, factor) for factor in STARTS]
+    tries = [_with(problem, numbers) for numbers in starts] or list(_tries(problem))
     best, least = problem.weak_mean, np.inf
     for number, start in enumerate(tries, 1):
-        theta = _least_squares(problem, start, 0.3, evaluations=30)
-        cost = float(np.sum(problem.residual(theta, 0.3) ** 2))
-        progress(f"start {number} of {len(tries)}: {cost:.4g}")
-        if np.isfinite(cost) and cost < least:
-            best, least = theta, cost
+        theta = _least_squares(problem, start, COARSE, evaluations=30)
+        excess = _excess(problem, _errors(problem, theta), COARSE)
+        progress(f"start {number}: {100 * COARSE * np.sqrt(max(excess, 0.0)):.0f} % of the responses unexplained")
+        if excess < least:
+            best, least = theta, excess
+        if least < NEAR and not starts:
+            break
     return best
+
+
+def _tries(problem: _Problem) -> Iterator[FloatArray]:
+    """The starting machine, slower and faster ones, then random ones (the same in every call)."""
+    for factor in STARTS:
+        yield _faster(problem, factor)
+    rng = np.random.default_rng(0)
+    for _ in range(RANDOM_STARTS):
+        theta = _faster(problem, float(np.exp(rng.uniform(-0.5, 0.5))))
+        yield theta + rng.uniform(-1.0, 1.0, len(theta))
+
+
+def _errors(problem: _Problem, theta: FloatArray) -> list[FloatArray]:
+    """|H − Ĥ|² of each response."""
+    return [np.abs(h - v) ** 2 for h, v in zip(problem.model(theta), problem.values, strict=True)]
+
+
+def _excess(problem: _Problem, errors: Sequence[FloatArray], epsilon: float) -> float:
+    """What the errors have beyond the measured noise, as a share of σ² + ε²|H|², on average."""
+    pairs = zip(errors, problem.responses, strict=True)
+    over = sum(float(np.sum((e - _variance(r, 0.0)) / _variance(r, epsilon))) for e, r in pairs)
+    return over / sum(map(len, problem.values))
 
 
 def _with(problem: _Problem, numbers: Mapping[str, float]) -> FloatArray:
@@ -249,7 +277,7 @@ def _jacobian(problem: _Problem, theta: FloatArray, epsilon: float, step: float 
 def _model_error(problem: _Problem, theta: FloatArray) -> float:
     """The ε that makes Σ|H − Ĥ|²/(σ² + ε²|H|²) its expected value; 0 if the noise explains it already."""
     count = sum(map(len, problem.values)) - len(theta) / 2
-    errors = [np.abs(h - v) ** 2 for h, v in zip(problem.model(theta), problem.values, strict=True)]
+    errors = _errors(problem, theta)
 
     def excess(epsilon: float) -> float:
         pairs = zip(errors, problem.responses, strict=True)
@@ -277,19 +305,27 @@ def _result(problem: _Problem, theta: FloatArray, epsilon: float) -> Fitted:
     estimates[TOTAL_MASS] = _total_estimate(problem, numbers, covariance)
     share = {name: float(min(1.0, covariance[i, i] / PRIOR_SD**2)) for i, name in enumerate(problem.names)}
     clocks = zip(problem.clocks, theta[len(problem.names) :], sd[len(problem.names) :], strict=True)
-    errors = [np.abs(h - v) ** 2 for h, v in zip(problem.model(theta), problem.values, strict=True)]
+    errors = _errors(problem, theta)
     chi = sum(float(np.sum(e / _variance(r, 0.0))) for e, r in zip(errors, problem.responses, strict=True))
+    count = sum(map(len, problem.values))
     return Fitted(
         problem.machine(theta),
         estimates,
         share,
         _weak(problem, covariance),
         {clock: normal(DELAY_UNIT_S * t, DELAY_UNIT_S * s) for clock, t, s in clocks},
-        chi / (sum(map(len, problem.values)) - len(theta) / 2),
+        chi / (count - len(theta) / 2),
+        _deviance(problem, errors, epsilon) + len(theta) * float(np.log(2 * count)),
         epsilon,
         problem.responses,
         problem.model(theta),
     )
+
+
+def _deviance(problem: _Problem, errors: Sequence[FloatArray], epsilon: float) -> float:
+    """−2 ln of the likelihood of circular complex noise, but for a constant."""
+    pairs = [(e, _variance(r, epsilon)) for e, r in zip(errors, problem.responses, strict=True)]
+    return 2 * sum(float(np.sum(e / v + np.log(v))) for e, v in pairs)
 
 
 def _covariance(problem: _Problem, theta: FloatArray, epsilon: float) -> FloatArray:
