@@ -1,0 +1,242 @@
+"""Signals that excite one coordinate of a printer, as the firmware plays them: polylines with a knot every S seconds.
+
+Straight lines between knots pass a frequency f on by sinc²(f S), for what happens between the knots is a convolution
+with a triangle of that width. Twice differentiating in steps of S has the same gain: a sine of amplitude A at the
+knots is played, at its own frequency, as one of amplitude sinc²(f S) A, and
+
+    A (2 sin(π f S) / S)²  =  sinc²(f S) A (2π f)²
+
+is the amplitude both of its second difference and of the acceleration that is played. So the signals are designed by
+their second differences, and no frequency is weaker in the machine than it was asked for. Images stand at |f ± n/S|.
+
+mm, s, mm/s, mm/s²; one period of a signal is (knots,) mm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import ceil, floor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.errors import LimitsError
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+ComplexArray = NDArray[np.complex128]
+
+HIGHEST_SHARE = 0.45  # of the segments' rate: nearer to half of it, the image at 1/S − f is as strong as the signal
+FASTEST_RATE = 500.0  # segments a second that firmwares' hosts follow
+MARKER_S, QUIET_S = 1.0, 0.4  # the chirp a capture is lined up by; the rest after a chirp, in which modes decay
+RAMP_S = 0.5  # over which a signal that never rests is faded in and out
+EDGE_S = 0.25  # the same for chirps
+CREST_PASSES = 150
+CLIP_FROM, CLIP_TO = 0.75, 0.97  # of the peak
+CORNER_STEP = 1.1
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """Frequencies that fit into a period a whole number of times, on `knots` knots."""
+
+    lowest_hz: float
+    highest_hz: float
+    period_s: float
+    knots: int  # per period
+
+    @property
+    def segment_s(self) -> float:
+        """S, the time between two knots."""
+        return self.period_s / self.knots
+
+    @property
+    def lines(self) -> IntArray:
+        """(m,) how often each frequency of the band fits into the period."""
+        first, last = ceil(self.lowest_hz * self.period_s - 1e-9), floor(self.highest_hz * self.period_s + 1e-9)
+        return np.arange(first, last + 1)
+
+    @property
+    def frequencies_hz(self) -> FloatArray:
+        """(m,) Hz."""
+        return self.lines / self.period_s
+
+
+def band(lowest_hz: float, highest_hz: float, period_s: float, segments_per_second: float) -> Band:
+    """A band with as many knots as asked for, or more if its highest frequency needs them.
+
+    Raises
+    ------
+    LimitsError
+        A band that is empty, or that needs more segments than a firmware's host can follow.
+    """
+    rate = max(segments_per_second, highest_hz / HIGHEST_SHARE)
+    if rate > FASTEST_RATE:
+        raise LimitsError(
+            f"{highest_hz:g} Hz needs {rate:.0f} segments a second; firmwares follow {FASTEST_RATE:.0f}, "
+            f"which is enough for {HIGHEST_SHARE * FASTEST_RATE:.0f} Hz."
+        )
+    found = Band(lowest_hz, highest_hz, period_s, ceil(rate * period_s - 1e-9))
+    if not 0.0 < lowest_hz < highest_hz or not found.lines.size:
+        raise LimitsError(
+            f"The band from {lowest_hz:g} to {highest_hz:g} Hz must rise from above zero and hold a multiple of "
+            f"{1.0 / period_s:g} Hz, as all frequencies of a period of {period_s:g} s are."
+        )
+    return found
+
+
+def played_gain(frequency_hz: FloatArray, segment_s: float) -> FloatArray:
+    """sinc²(f S), the share of a sine at the knots that straight lines between them pass on."""
+    return np.asarray(np.sinc(frequency_hz * segment_s) ** 2)
+
+
+def second_difference_gain(frequency_hz: FloatArray, segment_s: float) -> FloatArray:
+    """(2 sin(π f S) / S)² = sinc²(f S) (2π f)², 1/s²: from a sine's amplitude at the knots to its acceleration's."""
+    return played_gain(frequency_hz, segment_s) * (2.0 * np.pi * frequency_hz) ** 2
+
+
+# One period
+
+
+def multisine(band: Band, corner_hz: float, seed: int) -> FloatArray:
+    """All lines at once with random phases, their second difference flat above the corner: (knots,).
+
+    The phases are moved to where peaks are low: the signal is clipped, its phases are kept and its amplitudes put back,
+    again and again (Van der Ouderaa, Schoukens & Renneboog, IEEE Trans. Instrum. Meas. 37, 1988, 207-212).
+    """
+    weight = _weight(band.frequencies_hz, corner_hz)
+    phase = np.random.default_rng(seed).uniform(-np.pi, np.pi, len(weight))
+    spectrum = np.zeros(band.knots // 2 + 1, dtype=np.complex128)
+    spectrum[band.lines] = weight * np.exp(1j * phase)
+    for share in np.linspace(CLIP_FROM, CLIP_TO, CREST_PASSES):
+        wave = np.fft.irfft(spectrum, band.knots)
+        top = share * np.abs(wave).max()
+        clipped = np.fft.rfft(np.clip(wave, -top, top))[band.lines]
+        spectrum[band.lines] = weight * np.exp(1j * np.angle(clipped))
+    spectrum[band.lines] /= -second_difference_gain(band.frequencies_hz, band.segment_s)
+    return np.asarray(np.fft.irfft(spectrum, band.knots))
+
+
+def linear_sweep(band: Band, corner_hz: float, seed: int) -> FloatArray:
+    """A sine whose frequency rises evenly, and a rest: (knots,). All frequencies get the same time."""
+    t, active_s = _active(band)
+    rise = (band.highest_hz - band.lowest_hz) / active_s
+    frequency = band.lowest_hz + rise * t
+    return _chirp(band, corner_hz, frequency, (band.lowest_hz + 0.5 * rise * t) * t)
+
+
+def log_sweep(band: Band, corner_hz: float, seed: int) -> FloatArray:
+    """A sine whose frequency rises by the same factor in the same time, and a rest: (knots,). Low ones get more."""
+    t, active_s = _active(band)
+    rate = np.log(band.highest_hz / band.lowest_hz) / active_s
+    frequency = band.lowest_hz * np.exp(rate * t)
+    return _chirp(band, corner_hz, frequency, (frequency - band.lowest_hz) / rate)
+
+
+KINDS: dict[str, Callable[[Band, float, int], FloatArray]] = {
+    "multisine": multisine,
+    "sweep": linear_sweep,
+    "log-sweep": log_sweep,
+}
+
+
+def _weight(frequency_hz: FloatArray, corner_hz: float) -> FloatArray:
+    """Flat acceleration above the corner, flat velocity below."""
+    return np.minimum(1.0, frequency_hz / corner_hz)
+
+
+def _active(band: Band) -> tuple[FloatArray, float]:
+    """Times at the knots of a chirp, and how long it lasts; it rests where the time has come to its end."""
+    active_s = band.period_s - QUIET_S
+    return np.minimum(band.segment_s * np.arange(band.knots), active_s), active_s
+
+
+def _chirp(band: Band, corner_hz: float, frequency_hz: FloatArray, turns: FloatArray) -> FloatArray:
+    """The sine of so many turns, from rest to rest."""
+    t, active_s = _active(band)
+    edge_s = min(EDGE_S, 0.4 * active_s)
+    window = smooth_step(t / edge_s) * smooth_step((active_s - t) / edge_s)
+    amplitude = _weight(frequency_hz, corner_hz) / second_difference_gain(frequency_hz, band.segment_s)
+    return window * amplitude * np.sin(2.0 * np.pi * turns)
+
+
+def smooth_step(x: FloatArray) -> FloatArray:
+    """From 0 to 1 over 0 <= x <= 1, velocity and acceleration zero at both ends."""
+    s = np.clip(x, 0.0, 1.0)
+    return s**3 * (10.0 + s * (6.0 * s - 15.0))
+
+
+def scaled(kind: str, band: Band, acceleration: float, velocity: float, seed: int) -> FloatArray:
+    """One period whose second difference peaks at `acceleration` mm/s²: (knots,) mm.
+
+    Where its speed would pass `velocity` mm/s, the low frequencies give way: the corner below which velocity and not
+    acceleration is even rises until it does not.
+    """
+    corner = band.lowest_hz
+    while corner <= band.highest_hz:
+        wave = KINDS[kind](band, corner, seed)
+        wave *= acceleration / peak_acceleration(wave, band.segment_s)
+        fastest = float(np.abs(np.diff(wave, append=wave[0])).max()) / band.segment_s
+        if fastest <= velocity:
+            return wave
+        corner *= CORNER_STEP
+    fits = 0.99 * acceleration * velocity / fastest
+    raise LimitsError(
+        f"An acceleration of {acceleration:.0f} mm/s² from {band.lowest_hz:g} to {band.highest_hz:g} Hz needs "
+        f"{fastest:.0f} mm/s and may have {velocity:.0f}; {fits:.0f} mm/s² would fit."
+    )
+
+
+def peak_acceleration(wave: FloatArray, segment_s: float) -> float:
+    """The largest second difference of one period, mm/s²."""
+    return float(np.abs(np.roll(wave, -1) - 2.0 * wave + np.roll(wave, 1)).max()) / segment_s**2
+
+
+# From rest to rest
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Excitation:
+    """What one coordinate does in one experiment: marker, transient, whole periods, rest."""
+
+    displacement_mm: FloatArray  # (n + 1,) at the knots, zero at both ends
+    marker_knots: int  # how many segments the marker has
+    first_knot: int  # where the first period to be measured begins
+    periods: int
+
+
+def excitation(kind: str, band: Band, periods: int, acceleration: float, velocity: float, seed: int) -> Excitation:
+    """The marker, then the signal, which has settled before the first of its `periods` begins.
+
+    The marker is a chirp and a rest. A multisine is faded in over the end of a period, and one whole period goes by
+    before the first that counts; a sweep rests before and after by itself.
+    """
+    s = band.segment_s
+    knots = round((MARKER_S + QUIET_S) / s)
+    marker = scaled("sweep", replace(band, period_s=knots * s, knots=knots), acceleration, velocity, seed)
+    wave = scaled(kind, band, acceleration, velocity, seed)
+    ramp, settling = (round(RAMP_S / s), band.knots) if kind == "multisine" else (0, 0)
+    at = np.arange(-ramp - settling, periods * band.knots + ramp + 1)
+    faded = smooth_step((at - at[0]) / max(ramp, 1)) * smooth_step((at[-1] - at) / max(ramp, 1))
+    return Excitation(np.concatenate([marker, faded * wave[at % band.knots]]), knots, knots + ramp + settling, periods)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Lines:
+    """The frequencies of a periodic command: Σ amplitude cos(2π f t + phase), t from the start of a period."""
+
+    frequency_hz: FloatArray  # (m,)
+    amplitude_mm: FloatArray  # (m,) as it is played
+    phase_rad: FloatArray  # (m,)
+
+    @property
+    def complex_mm(self) -> ComplexArray:
+        """(m,) amplitude and phase in one."""
+        return np.asarray(self.amplitude_mm * np.exp(1j * self.phase_rad), dtype=np.complex128)
+
+
+def lines_of(moved: FloatArray, band: Band) -> Lines:
+    """What one period, (k,) mm in even steps of time, holds inside its band."""
+    spectrum = 2.0 / len(moved) * np.fft.rfft(moved)[band.lines]
+    return Lines(band.frequencies_hz, np.abs(spectrum), np.angle(spectrum))

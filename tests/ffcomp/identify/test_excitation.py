@@ -1,0 +1,207 @@
+"""The signals have the spectra they were designed for, as straight lines between their knots play them."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ffcomp.errors import LimitsError
+from ffcomp.identify.excitation import (
+    KINDS,
+    QUIET_S,
+    FloatArray,
+    band,
+    excitation,
+    lines_of,
+    played_gain,
+    scaled,
+    second_difference_gain,
+    smooth_step,
+)
+
+FINE = 64  # samples between two knots
+WIDE = band(5.0, 110.0, 4.0, 250.0)
+
+
+def polyline(wave: FloatArray) -> FloatArray:
+    """One period (knots,) with straight lines between the knots: (FINE · knots,)."""
+    closed = np.append(wave, wave[0])
+    return np.interp(np.arange(FINE * len(wave)) / FINE, np.arange(len(closed)), closed)
+
+
+def differences(wave: FloatArray, segment_s: float) -> tuple[FloatArray, FloatArray]:
+    """Velocity and acceleration of a period from knot to knot, (knots,) each."""
+    velocity = np.diff(wave, append=wave[0]) / segment_s
+    return velocity, np.diff(velocity, prepend=velocity[-1]) / segment_s
+
+
+@given(st.integers(1, 112))
+@settings(max_examples=20, deadline=None)
+def test_straight_lines_pass_a_sine_on_by_sinc_squared(turns: int) -> None:
+    """Amplitude at its own frequency, and at its first image 1/S − f: the closed forms."""
+    n = 250
+    spectrum = 2.0 / (n * FINE) * np.abs(np.fft.rfft(polyline(np.cos(2 * np.pi * turns * np.arange(n) / n + 0.3))))
+    both = np.array([turns, n - turns])
+    # what is left is the sampled spectrum's own aliasing, of images beyond FINE/2 segments' rates
+    np.testing.assert_allclose(spectrum[both], played_gain(both / 1.0, 1.0 / n), rtol=3e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize(("lowest", "highest", "rate", "knots"), [(5, 110, 250, 1000), (5, 150, 250, 1334)])
+def test_a_band_has_the_knots_its_highest_frequency_needs(lowest: int, highest: int, rate: int, knots: int) -> None:
+    found = band(lowest, highest, 4.0, rate)
+    assert found.knots == knots
+    assert found.highest_hz * found.segment_s <= 0.45
+    assert found.frequencies_hz[[0, -1]].tolist() == [lowest, highest]
+    np.testing.assert_allclose(np.diff(found.frequencies_hz), 0.25)
+
+
+def test_what_no_host_can_follow_is_refused_with_what_fits() -> None:
+    with pytest.raises(LimitsError, match="enough for 225 Hz") as refused:
+        band(5.0, 300.0, 4.0, 250.0)
+    assert "300 Hz needs 667 segments" in str(refused.value)
+    assert band(5.0, 225.0, 4.0, 250.0).knots == 2000
+
+
+@pytest.mark.parametrize(("lowest", "highest"), [(20.0, 10.0), (10.0, 10.0), (10.1, 10.2), (0.0, 50.0)])
+def test_an_empty_band_is_refused(lowest: float, highest: float) -> None:
+    with pytest.raises(LimitsError, match=r"hold a multiple of 0\.25 Hz"):
+        band(lowest, highest, 4.0, 250.0)
+
+
+def test_a_multisine_accelerates_evenly_at_its_lines_and_nowhere_else() -> None:
+    """In the machine, not only at the knots: the polyline's own spectrum, line by line."""
+    wave = scaled("multisine", WIDE, 4000.0, 500.0, seed=3)
+    spectrum = 2.0 / (WIDE.knots * FINE) * np.fft.rfft(polyline(wave))
+    acceleration = np.abs(spectrum[WIDE.lines]) * (2 * np.pi * WIDE.frequencies_hz) ** 2
+    np.testing.assert_allclose(acceleration, acceleration.mean(), rtol=2e-3)
+    others = np.setdiff1d(np.arange(WIDE.knots // 2), WIDE.lines)
+    assert np.abs(spectrum[others]).max() < 1e-9 * np.abs(spectrum).max()
+
+
+def test_a_multisine_has_low_peaks() -> None:
+    """Its acceleration peaks at less than 1.3 times its rms; random phases alone give more than 3."""
+    for seed in range(3):
+        _, acceleration = differences(scaled("multisine", WIDE, 1.0, 500.0, seed), WIDE.segment_s)
+        assert np.abs(acceleration).max() < 1.3 * acceleration.std()
+        rng = np.random.default_rng(seed)
+        spectrum = np.zeros(WIDE.knots // 2 + 1, dtype=np.complex128)
+        spectrum[WIDE.lines] = np.exp(2j * np.pi * rng.uniform(size=len(WIDE.lines)))
+        random = np.fft.irfft(spectrum)
+        assert np.abs(random).max() > 3 * random.std()
+
+
+def test_seeds_repeat_and_differ() -> None:
+    one, again, other = (scaled("multisine", WIDE, 1.0, 500.0, seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one, again)
+    assert abs(np.corrcoef(one, other)[0, 1]) < 0.5
+
+
+@pytest.mark.parametrize("kind", ["sweep", "log-sweep"])
+def test_sweeps_go_from_rest_to_rest_inside_their_band(kind: str) -> None:
+    wave = scaled(kind, WIDE, 4000.0, 500.0, seed=0)
+    velocity, acceleration = differences(wave, WIDE.segment_s)
+    quiet = round(QUIET_S / WIDE.segment_s)
+    assert wave[0] == 0.0 and np.abs(velocity[0]) < 0.1
+    assert np.abs(wave[-quiet + 2 :]).max() == 0.0
+    power = np.abs(np.fft.rfft(acceleration)) ** 2
+    assert power[WIDE.lines].sum() > 0.99 * power.sum()
+
+
+def test_a_linear_sweep_accelerates_evenly_over_its_band() -> None:
+    lines = lines_of(scaled("sweep", WIDE, 4000.0, 500.0, seed=0), WIDE)
+    acceleration = lines.amplitude_mm * second_difference_gain(lines.frequency_hz, WIDE.segment_s)
+    inner = (lines.frequency_hz > 15.0) & (lines.frequency_hz < 100.0)
+    assert acceleration[inner].min() > 0.7 * acceleration[inner].max()
+
+
+def test_a_log_sweep_gives_each_octave_the_same_power() -> None:
+    """Acceleration's power per line falls as 1/f: equal time for equal factors."""
+    slow = band(5.0, 110.0, 20.0, 250.0)
+    lines = lines_of(scaled("log-sweep", slow, 4000.0, 500.0, seed=0), slow)
+    power = (lines.amplitude_mm * second_difference_gain(lines.frequency_hz, slow.segment_s)) ** 2
+    octaves = [power[(lines.frequency_hz >= f) & (lines.frequency_hz < 2 * f)].sum() for f in (8.0, 16.0, 32.0)]
+    np.testing.assert_allclose(octaves, octaves[0], rtol=0.1)
+
+
+@pytest.mark.parametrize("kind", list(KINDS))
+@pytest.mark.parametrize("velocity", [500.0, 30.0])
+def test_peaks_are_as_asked_for(kind: str, velocity: float) -> None:
+    wave = scaled(kind, WIDE, 4000.0, velocity, seed=1)
+    speed, acceleration = differences(wave, WIDE.segment_s)
+    assert np.abs(acceleration).max() == pytest.approx(4000.0)
+    assert np.abs(speed).max() <= velocity
+
+
+def test_where_speed_is_short_the_low_frequencies_give_way() -> None:
+    free, slow = (lines_of(scaled("multisine", WIDE, 4000.0, v, seed=1), WIDE).amplitude_mm for v in (500.0, 30.0))
+    ratio = slow / free
+    assert ratio[0] < 0.5 * ratio[-1]
+    assert ratio[-1] > 1.0
+    flat = WIDE.frequencies_hz > 60.0
+    np.testing.assert_allclose(ratio[flat], ratio[-1])
+
+
+def test_too_little_speed_is_refused_with_what_fits() -> None:
+    with pytest.raises(LimitsError, match="would fit") as refused:
+        scaled("sweep", WIDE, 4000.0, 1.0, seed=1)
+    fits = float(re.findall(r"([\d.]+) mm/s² would fit", str(refused.value))[0])
+    scaled("sweep", WIDE, fits, 1.0, seed=1)
+
+
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_lines_say_what_a_period_is(kind: str) -> None:
+    """Their sum is the period but for what lies outside the band."""
+    wave = scaled(kind, WIDE, 4000.0, 500.0, seed=1)
+    lines = lines_of(wave, WIDE)
+    t = WIDE.segment_s * np.arange(WIDE.knots)
+    total = np.cos(2 * np.pi * np.outer(t, lines.frequency_hz) + lines.phase_rad) @ lines.amplitude_mm
+    outside = np.fft.rfft(wave)
+    outside[WIDE.lines] = 0.0
+    np.testing.assert_allclose(wave - total, np.fft.irfft(outside, WIDE.knots), atol=1e-9)
+    if kind == "multisine":
+        assert np.abs(outside).max() < 1e-9
+
+
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_an_excitation_rests_at_both_ends_and_repeats_between(kind: str) -> None:
+    made = excitation(kind, WIDE, 3, 4000.0, 150.0, seed=1)
+    u, n = made.displacement_mm, WIDE.knots
+    assert u[0] == u[-1] == 0.0
+    assert np.abs(np.diff(u)[[0, -1]]).max() / WIDE.segment_s < 0.5
+    first, second, third = (u[made.first_knot + k * n : made.first_knot + (k + 1) * n] for k in range(3))
+    np.testing.assert_allclose(second[:-200], first[:-200], atol=1e-12)
+    np.testing.assert_allclose(third[:-200], first[:-200], atol=1e-12)
+    assert np.abs(np.diff(u, 2)).max() / WIDE.segment_s**2 < 1.01 * 4000.0
+
+
+def test_a_multisine_settles_for_a_whole_period_first() -> None:
+    made, n = excitation("multisine", WIDE, 2, 4000.0, 150.0, seed=1), WIDE.knots
+    u, first = made.displacement_mm, made.first_knot
+    np.testing.assert_allclose(u[first - n : first], u[first : first + n], atol=1e-12)
+
+
+def test_the_marker_is_a_chirp_that_is_seen_once() -> None:
+    """Correlated with the whole command, in acceleration, it stands out."""
+    made = excitation("multisine", WIDE, 2, 4000.0, 150.0, seed=1)
+    acceleration = np.diff(made.displacement_mm, 2)
+    marker = acceleration[: made.marker_knots - 2]
+    likeness = np.abs(np.correlate(acceleration, marker))
+    assert np.argmax(likeness) == 0
+    assert likeness[0] > 2.5 * likeness[20:].max()
+
+
+@given(st.floats(-1.0, 2.0))
+def test_smooth_steps_are_symmetric_and_rise(x: float) -> None:
+    rise = smooth_step(np.array([x, 1.0 - x, x + 0.01]))
+    assert rise[0] + rise[1] == pytest.approx(1.0)
+    assert rise[2] >= rise[0]
+
+
+def test_smooth_steps_begin_gently() -> None:
+    """As x³: neither velocity nor acceleration jumps."""
+    small = np.array([0.01, 0.02])
+    assert np.log2(np.divide(*smooth_step(small)[::-1])) == pytest.approx(3.0, abs=0.05)

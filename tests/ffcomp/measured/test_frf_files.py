@@ -1,0 +1,225 @@
+"""Frequency responses in files: round trips, what the variance is made of, and what cannot be used."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from ffcomp.errors import MeasurementError
+from ffcomp.measured.frf import FrequencyResponse
+from ffcomp.measured.frf_files import read_frfs, write_frf
+
+FREQUENCY = np.arange(1, 160) * 0.75
+
+
+def response(noise: float = 1e-3, seed: int = 0, **changes: object) -> FrequencyResponse:
+    ratio = FREQUENCY / 43.0
+    value = 1 / (1 - ratio**2 + 0.2j * ratio)
+    generator = np.random.default_rng(seed)
+    value = value + noise / np.sqrt(2) * (generator.standard_normal(159) + 1j * generator.standard_normal(159))
+    plain = FrequencyResponse("cmd_A", "pos_A", FREQUENCY, value, np.full(159, noise**2))
+    return replace(plain, **changes)  # type: ignore[arg-type]
+
+
+RESPONSES = [
+    response(position_mm=(10.0, -20.5, 30.0), clock="logger", coherence=np.linspace(0.9, 1, 159)),
+    response(input="force_x", output="acc_x", setup="effector"),
+    response(setup="carriage+mass", added_mass_kg=0.125),
+    response(input="cmd_x", output="pos_y", position_mm=(0.0, 0.0, 5.0)),
+]
+
+
+def same(read: FrequencyResponse, written: FrequencyResponse, digits: float) -> None:
+    names = ("input", "output", "setup", "position_mm", "added_mass_kg", "clock")
+    assert [getattr(read, name) for name in names] == [getattr(written, name) for name in names]
+    np.testing.assert_allclose(read.frequency_hz, written.frequency_hz, rtol=1e-6)
+    np.testing.assert_allclose(read.value, written.value, rtol=digits)
+    np.testing.assert_allclose(read.variance, written.variance, rtol=digits)
+    assert (read.coherence is None) == (written.coherence is None)
+    if read.coherence is not None and written.coherence is not None:
+        np.testing.assert_allclose(read.coherence, written.coherence, rtol=digits)
+
+
+@pytest.mark.parametrize("written", RESPONSES)
+def test_csv_round_trip(tmp_path: Path, written: FrequencyResponse) -> None:
+    path = tmp_path / "a.whatever"
+    write_frf(path, written)
+    (read,) = read_frfs(path)
+    same(read, written, 1e-10)
+    assert read.source == "a.whatever"
+
+
+def test_universal_round_trip(tmp_path: Path) -> None:
+    pytest.importorskip("pyuff")
+    from ffcomp.measured.uff import write_universal
+
+    path = tmp_path / "a.csv"  # the name says nothing
+    write_universal(path, RESPONSES)
+    read = read_frfs(path)
+    assert len(read) == len(RESPONSES)
+    for one, written in zip(read, RESPONSES, strict=True):
+        same(one, written, 1e-10)
+
+
+def test_a_label_that_does_not_fit_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("pyuff")
+    from ffcomp.measured.uff import write_universal
+
+    with pytest.raises(MeasurementError, match="An ID line has 80 characters"):
+        write_universal(tmp_path / "a.uff", [response(clock="c" * 90)])
+
+
+def foreign_set(**changes: object) -> dict[str, object]:
+    """A hammer on the effector, as another program would write it."""
+    plain = {"type": 58, "func_type": 4, "rsp_node": 12, "rsp_dir": 2, "ref_node": 12, "ref_dir": -2}
+    kinds = {"abscissa_spec_data_type": 18, "ordinate_spec_data_type": 12, "orddenom_spec_data_type": 13}
+    numbers = {"x": FREQUENCY, "data": response().value, "binary": 0}
+    return plain | kinds | numbers | changes
+
+
+def test_universal_files_of_others(tmp_path: Path) -> None:
+    pyuff = pytest.importorskip("pyuff")
+    path = tmp_path / "hammer.uff"
+    coherence = foreign_set(func_type=6, data=np.full(159, 0.99))
+    sets = [
+        foreign_set(ordinate_axis_units_lab="g", orddenom_axis_units_lab="N"),
+        coherence,
+        foreign_set(
+            rsp_node=3, rsp_dir=3, ref_node=3, ref_dir=3, ordinate_spec_data_type=11, orddenom_spec_data_type=8
+        ),
+    ]
+    pyuff.UFF(str(path)).write_sets(sets, mode="overwrite")
+    hammer, belt = read_frfs(path)
+    assert (hammer.input, hammer.output, belt.input, belt.output) == ("force_y", "acc_y", "cmd_C", "acc_C")
+    np.testing.assert_allclose(hammer.value, -9.80665 * response().value, rtol=1e-9)  # −y hit, +y measured, in g
+    np.testing.assert_allclose(belt.value, 2j * np.pi * FREQUENCY * response().value, rtol=1e-9)
+    assert hammer.coherence is not None and belt.coherence is None
+
+
+def test_universal_files_in_millimetres(tmp_path: Path) -> None:
+    pyuff = pytest.importorskip("pyuff")
+    path = tmp_path / "mm.uff"
+    units = {"type": 164, "units_code": 5, "units_description": "mm", "temp_mode": 1}
+    factors = {"length": 1000.0, "force": 1000.0, "temp": 1.0, "temp_offset": 0.0}
+    pyuff.UFF(str(path)).write_sets([units | factors, foreign_set(ref_dir=2)], mode="overwrite")
+    (read,) = read_frfs(path)
+    np.testing.assert_allclose(read.value, response().value, rtol=1e-9)  # (mm/s²)/mN is (m/s²)/N
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"func_type": 1}, "no frequency response"),
+        ({"ordinate_spec_data_type": 0}, "Data set 1: its output cannot be told from its direction and data type 0"),
+        ({"ref_dir": 5}, "Data set 1: its input cannot be told"),
+        ({"ordinate_axis_units_lab": "furlong"}, "Data set 1: unit 'furlong' is unknown"),
+        ({"x": FREQUENCY[:5], "data": response().value[:5]}, "There are 5 lines above 0 Hz; at least 10"),
+    ],
+)
+def test_universal_files_that_cannot_be_used(tmp_path: Path, changes: dict[str, object], words: str) -> None:
+    pyuff = pytest.importorskip("pyuff")
+    path = tmp_path / "bad.uff"
+    pyuff.UFF(str(path)).write_sets([foreign_set(**changes)], mode="overwrite")
+    with pytest.raises(MeasurementError, match=words):
+        read_frfs(path)
+
+
+def test_without_pyuff_the_sentence_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.uff"
+    path.write_text("    -1\n    58\n", encoding="utf-8")
+    monkeypatch.setitem(sys.modules, "pyuff", None)
+    with pytest.raises(MeasurementError, match=r"pip install 'ffcomp\[uff\]'"):
+        read_frfs(path)
+
+
+def csv(tmp_path: Path, extra: dict[str, np.ndarray], comments: str = "") -> Path:
+    one = response(0.02, seed=5)
+    table = {"frequency_hz": one.frequency_hz, "real": one.value.real, "imag": one.value.imag} | extra
+    rows = "\n".join(",".join(f"{v:.9g}" for v in row) for row in np.column_stack(list(table.values())))
+    path = tmp_path / "frf.csv"
+    path.write_text(f"# input: cmd_A\n# output: pos_A\n{comments}{','.join(table)}\n{rows}\n", encoding="utf-8")
+    return path
+
+
+def test_variance_from_roughness_is_the_noise(tmp_path: Path) -> None:
+    (read,) = read_frfs(csv(tmp_path, {}))
+    away = (FREQUENCY < 30) | (FREQUENCY > 60)  # a quadratic through 6 Hz follows the flanks, not the peak
+    assert read.variance[away].mean() == pytest.approx(0.02**2, rel=0.25)
+    assert read.variance[~away].mean() > 0.02**2
+
+
+def test_variance_from_coherence_and_averages(tmp_path: Path) -> None:
+    coherence = {"coherence": np.full(159, 0.8)}
+    (read,) = read_frfs(csv(tmp_path, coherence, "# averages: 10\n"))
+    np.testing.assert_allclose(read.variance, np.abs(read.value) ** 2 * 0.25 / 10)
+
+
+def test_variance_from_coherence_alone_has_the_size_of_the_roughness(tmp_path: Path) -> None:
+    power = np.abs(response(0.0).value) ** 2
+    (read,) = read_frfs(csv(tmp_path, {"coherence": power / (power + 4 * 0.02**2)}))  # four averages of output noise
+    assert np.median(read.variance) == pytest.approx(0.02**2, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("# input: cmd_A", "", "Label 'input' is missing"),
+        ("# input: cmd_A", "# input: cmd_a", "The input 'cmd_a' is unknown; did you mean 'cmd_A'?"),
+        ("# input: cmd_A", "# input: cmd_A\n# positon_mm: 1, 2, 3", "did you mean 'position_mm'?"),
+        ("# input: cmd_A", "# input: cmd_A\n# position_mm: 1, 2", "it must be 3 finite numbers."),
+        ("# input: cmd_A", "# input: cmd_A\n# added_mass_kg: -1", "a mass that was added is not negative"),
+        ("# input: cmd_A", "# input: cmd_A\n# averages: 0", "'averages' is 0"),
+        ("# input: cmd_A", "# input: cmd_A\n# setup: carrige", "did you mean 'carriage'?"),
+        ("imag", "imaginary", "Column 'imaginary' is unknown; did you mean 'imag'?"),
+        ("imag", "imaginary", "Column imag is missing."),
+        ("\n0.75,", "\n75,", "must rise from line to line"),
+        ("\n0.75,", "\n,", "some of its numbers are missing"),
+        ("\n0.75,", "\nzero,", "column frequency_hz: 'zero'"),
+    ],
+)
+def test_files_that_cannot_be_used(tmp_path: Path, old: str, new: str, words: str) -> None:
+    path = csv(tmp_path, {})
+    path.write_text(path.read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(MeasurementError) as caught:
+        read_frfs(path)
+    assert words in str(caught.value) and "frf.csv: " in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("extra", "words"),
+    [
+        ({"coherence": np.full(159, 1.2)}, "Coherence lies between 0 and 1, but goes from 1.2 to 1.2."),
+        ({"variance": np.full(159, -1.0)}, "A variance is not negative"),
+        ({"real": np.zeros(159), "imag": np.zeros(159)}, "zero at every frequency"),
+    ],
+)
+def test_numbers_that_cannot_be(tmp_path: Path, extra: dict[str, np.ndarray], words: str) -> None:
+    with pytest.raises(MeasurementError, match=words):
+        read_frfs(csv(tmp_path, extra))
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_broken_universal_files_are_errors_in_sentences_or_read(tmp_path: Path, data: st.DataObject) -> None:
+    pytest.importorskip("pyuff")
+    from ffcomp.measured.uff import write_universal
+
+    path = tmp_path / "broken.uff"
+    short = response().between(0, 15)
+    write_universal(path, [short])
+    content = bytearray(path.read_bytes())
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(content) - 1))
+        content[at : at + data.draw(st.integers(0, 90))] = data.draw(
+            st.sampled_from([b"", b"x", b"\n", b"-1", b"\xff"])
+        )
+    path.write_bytes(content)
+    with contextlib.suppress(MeasurementError):
+        assert all(isinstance(one, FrequencyResponse) for one in read_frfs(path))

@@ -1,0 +1,166 @@
+"""Files of accelerometers on printers: every dialect, the names' labels, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from ffcomp.errors import MeasurementError
+from ffcomp.measured.klipper import Capture, G, Resonances, read_capture, read_vibration
+
+LINES = np.arange(30) * 1.6
+PSD = 1e3 * np.exp(-(((LINES - 25) / 8) ** 2)) + 1
+SHAPERS = "zv(46.4),mzv(47.6)"
+
+
+def spectra(path: Path, header: str, *, holes: int = 0, per_hz: bool = False, shapers: int = 0) -> Path:
+    rows = [
+        [f"{f:.1f}", *[f"{p:.3e}"] * 3, f"{3 * p:.3e}", *["75.0"] * per_hz, *[""] * holes, *["0.500"] * shapers]
+        for f, p in zip(LINES, PSD, strict=True)
+    ]
+    path.write_text(header + "\n" + "\n".join(",".join(row) for row in rows) + "\n", encoding="utf-8")
+    return path
+
+
+FOUR = "freq,psd_x,psd_y,psd_z,psd_xyz"
+
+
+@pytest.mark.parametrize(
+    ("header", "extra", "normalised"),
+    [
+        (FOUR, {}, False),
+        (f"{FOUR},shapers:,{SHAPERS}", {"holes": 1, "shapers": 2}, True),
+        (f"{FOUR},{SHAPERS}", {"shapers": 2}, True),
+        (f"{FOUR},accel_per_hz", {"per_hz": True}, False),
+        (f"{FOUR},accel_per_hz,{SHAPERS}", {"per_hz": True, "shapers": 2}, True),
+    ],
+)
+def test_the_dialects_of_spectra(tmp_path: Path, header: str, extra: dict[str, int], normalised: bool) -> None:
+    path = spectra(tmp_path / "mine__calibration_data_y_10.000_-20.500_5.000_late.csv", header, **extra)  # type: ignore[arg-type]
+    found = read_vibration(path)
+    assert isinstance(found, Resonances)
+    assert (found.normalised, found.axis, found.position_mm) == (normalised, "y", (10.0, -20.5, 5.0))
+    assert list(found.psd) == ["x", "y", "z", "xyz"]
+    assert found.accel_per_hz == (75.0 if extra.get("per_hz") else None)
+    np.testing.assert_allclose(found.psd["xyz"], 3 * PSD, rtol=1e-3)
+    frequency, power = found.power("x")
+    undone = PSD[-len(power) :] * ((frequency + 0.1) if normalised else 1.0)
+    np.testing.assert_allclose(power, undone, rtol=1e-3)
+
+
+def test_spectra_of_several_points(tmp_path: Path) -> None:
+    path = tmp_path / "calibration_data_x_now.csv"
+    rows = "\n".join(f"{f:.1f},{p:.3e},{2 * p:.3e},,0.5" for f, p in zip(LINES, PSD, strict=True))
+    names = "resonances_x_1.000_2.000_3.000_now,resonances_x_4.000_5.000_6.000_now"
+    path.write_text(f"freq,{names},shapers:,zv(40.0)\n{rows}\n", encoding="utf-8")
+    found = read_vibration(path)
+    assert isinstance(found, Resonances)
+    assert list(found.psd) == names.split(",") and found.normalised and found.position_mm is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("1.6,", "-1.6,", "Column freq must not be negative, rise"),
+        ("1.6,", ",", "Column freq must not be negative, rise"),
+        ("1.6,1", "1.6,-1", "a power is not negative"),
+        ("1.6,1", "1.6,x", "row 3, column psd_x: 'x"),
+        ("1.6,", "1.6,3,", "Every row needs 5 fields"),
+    ],
+)
+def test_spectra_that_cannot_be_used(tmp_path: Path, old: str, new: str, words: str) -> None:
+    path = spectra(tmp_path / "resonances_x_a.csv", FOUR)
+    path.write_text(path.read_text(encoding="utf-8").replace("\n" + old, "\n" + new, 1), encoding="utf-8")
+    with pytest.raises(MeasurementError) as caught:
+        read_vibration(path)
+    assert words in str(caught.value)
+
+
+def capture_text(scale: float = 1000.0, rate: float = 3200.0, count: int = 3200, clip: float = np.inf) -> str:
+    generator = np.random.default_rng(0)
+    values = np.clip(generator.standard_normal((count, 3)) * 3 + [0, 0, G], -clip, clip) * scale
+    rows = "\n".join(f"{1000 + k / rate:.6f},{x:.6f},{y:.6f},{z:.6f}" for k, (x, y, z) in enumerate(values))
+    return f"#time,accel_x,accel_y,accel_z\n{rows}\n"
+
+
+def test_a_capture_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "raw_data_axis=1.000,-0.500_adxl345_nozzle_0.000_10.000_20.000_test.csv"
+    path.write_text(capture_text(), encoding="utf-8")
+    found = read_capture(path)
+    assert (found.axis, found.position_mm) == ("axis=1.000,-0.500", (0.0, 10.0, 20.0))
+    assert found.sample_rate_hz == pytest.approx(3200, rel=1e-5) and found.time_s[0] == pytest.approx(1000)
+    assert found.acceleration.mean(axis=0)[2] == pytest.approx(G, abs=0.2)
+
+
+def test_rows_that_a_capture_lost_are_gaps(tmp_path: Path) -> None:
+    lines = capture_text().splitlines(keepends=True)
+    path = tmp_path / "raw_data_x_a.csv"
+    path.write_text("".join(lines[:500] + lines[520:]), encoding="utf-8")
+    found = read_capture(path)
+    assert list(np.flatnonzero(np.isnan(found.acceleration[:, 0]))) == list(range(499, 519))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            capture_text(scale=1.0),
+            "The acceleration is 0.0112 m/s² rms; a sensor on Earth measures",
+        ),
+        (capture_text(scale=0.1 / G), "The acceleration is 0.000"),
+        (capture_text(scale=1e6), "The acceleration is 1.12e+04 m/s² rms"),
+        (capture_text(clip=6.0), "Column acc_z stands at its highest value 6 in "),
+        (capture_text(count=1000), "must last at least 0.5 s"),
+        (capture_text(rate=400), "The sample rate in column time is 400 Hz"),
+        ("#time,accel_x,accel_y,accel_z\n", "There are no rows"),
+        ("#time,accel_x,accel_y\n1,2,3\n", "The first line must be"),
+        ("freq,psd_x\n0,1\n", "There are 1 frequencies"),
+        ("seq sample x y z\n00 0 1 2 3\n", "The sample rate is missing"),
+    ],
+)
+def test_captures_that_cannot_be_used(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "raw_data_x_a.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(MeasurementError) as caught:
+        read_capture(path)
+    assert words in str(caught.value)
+
+
+def test_spectra_are_no_capture(tmp_path: Path) -> None:
+    with pytest.raises(MeasurementError, match="a record of acceleration in time is needed"):
+        read_capture(spectra(tmp_path / "resonances_x_a.csv", FOUR))
+
+
+def test_real_spectra(data: Path) -> None:
+    paths = sorted((data / "vibration" / "klipper_resonances_bassco").glob("*.csv"))
+    assert len(paths) == 15
+    for path in paths:
+        found = read_vibration(path)
+        assert isinstance(found, Resonances)
+        assert found.normalised == ("calibration" in path.name) and found.axis == path.name.split("_20")[0][-1]
+        np.testing.assert_allclose(found.psd["x"] + found.psd["y"] + found.psd["z"], found.psd["xyz"], rtol=2e-3)
+
+
+def test_real_captures(data: Path) -> None:
+    paths = sorted((data / "vibration" / "py3dpaxxel").glob("*.tsv"))
+    assert len(paths) == 6
+    for path, hertz in zip(paths, (10, 20, 30, 40, 50, 60), strict=True):
+        found = read_vibration(path)
+        assert isinstance(found, Capture)
+        assert (found.axis, found.excitation_hz, len(found.time_s)) == ("x", hertz, 3840)
+        assert np.linalg.norm(found.acceleration.mean(axis=0)) == pytest.approx(G, rel=0.05)  # mg, gravity inside
+
+
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_broken_files_are_errors_in_sentences(tmp_path: Path, data: st.DataObject) -> None:
+    start = data.draw(st.sampled_from(["#time,accel_x,accel_y,accel_z\n", "freq,psd_x\n", "seq sample x y z\n"]))
+    path = tmp_path / "broken.csv"
+    body = data.draw(st.text(alphabet="0123456789,.-+e \n#abODR", max_size=120))
+    path.write_text(start + body, encoding="utf-8")
+    with pytest.raises(MeasurementError):
+        read_vibration(path)

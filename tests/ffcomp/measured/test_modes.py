@@ -1,0 +1,145 @@
+"""Modes from spectra: known ones are found again, with true uncertainties; real files end in a verdict."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import chirp, lfilter
+
+from ffcomp.errors import MeasurementError
+from ffcomp.measured.modes import fit_modes, modes_of
+
+RATE = 1600.0
+
+
+def mode(frequency: float, zeta: float) -> tuple[list[float], list[float]]:
+    """A digital mode with unit gain at rest: numerator and denominator."""
+    radius = np.exp(-zeta * 2 * np.pi * frequency / RATE)
+    angle = 2 * np.pi * frequency * np.sqrt(1 - zeta**2) / RATE
+    denominator = [1.0, -2 * radius * np.cos(angle), radius**2]
+    return [sum(denominator)], denominator
+
+
+def swept(modes: list[tuple[float, float]], noise: float, seed: int, length_s: float = 128.0) -> np.ndarray:
+    """What a sweep at 1 Hz/s with acceleration proportional to frequency makes of modes side by side, m/s²."""
+    t = np.arange(int(length_s * RATE)) / RATE
+    command = 0.06 * (5 + t) * chirp(t, 5.0, length_s, 5.0 + length_s)
+    answer = np.sum([lfilter(*mode(*one), command) for one in modes], axis=0)
+    return answer + noise * np.random.default_rng(seed).standard_normal(len(t))
+
+
+def spectrum(record: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """As Klipper makes it: segments of 1024, Kaiser window of β = 6, half overlapping."""
+    taper = np.kaiser(1024, 6.0)
+    cuts = np.array([record[k : k + 1024] for k in range(0, len(record) - 1023, 512)])
+    power = 2 * (np.abs(np.fft.rfft((cuts - cuts.mean(axis=1, keepdims=True)) * taper)) ** 2).mean(axis=0)
+    return np.arange(513) * RATE / 1024, power / (RATE * taper @ taper)
+
+
+@pytest.mark.parametrize("truth", [[(43.0, 0.05)], [(30.0, 0.02)], [(38.0, 0.06), (82.0, 0.04)]])
+def test_known_modes_are_found_again(truth: list[tuple[float, float]]) -> None:
+    found = fit_modes(*spectrum(swept(truth, 0.5, 1)))
+    clear = sorted(one.frequency_hz for one in found.modes if one.clear and one.power > 0.05)
+    np.testing.assert_allclose(clear, [frequency for frequency, _ in truth], rtol=0.002)
+    for frequency, zeta in truth:
+        one = min(found.modes, key=lambda m: abs(m.frequency_hz - frequency))
+        assert one.damping_ratio == pytest.approx(zeta, rel=0.05)  # the window alone is as wide as a mode of 0.04 here
+    assert found.verdict.startswith("Clear: ")
+
+
+def test_the_uncertainty_of_a_noisy_spectrum_is_true() -> None:
+    scores = []
+    generator = np.random.default_rng(0)
+    frequency = np.arange(1, 90) * 1.5625
+    ratio = frequency / 45.0
+    smooth = (frequency / 50) ** 2 * (1 / ((1 - ratio**2) ** 2 + (0.2 * ratio) ** 2) + 0.2)
+    for _ in range(20):
+        found = fit_modes(frequency, smooth * generator.gamma(30, 1 / 30, len(frequency)))
+        one = found.modes[0]
+        scores.append((one.frequency_hz - 45.0) / one.frequency_sd_hz)
+    assert 0.5 < np.std(scores) < 1.6
+
+
+def test_a_flat_spectrum_has_no_mode() -> None:
+    frequency = np.arange(1, 90) * 1.5625
+    found = fit_modes(frequency, np.random.default_rng(1).gamma(100, 0.01, 89) * frequency**2)
+    assert not any(one.clear for one in found.modes)
+    assert found.verdict.startswith(("No mode stands out", "No clear mode"))
+
+
+def test_a_motors_tone_is_told_from_a_mode() -> None:
+    t = np.arange(int(40 * RATE)) / RATE
+    noise = np.random.default_rng(2).standard_normal(len(t))
+    record = lfilter(*mode(45.0, 0.06), noise) + 0.5 * np.sin(2 * np.pi * 90.0 * t)
+    found = fit_modes(*spectrum(record), excitation_exponent=0.0)
+    near = {round(one.frequency_hz / 45): one.tone for one in found.modes if one.power > 0.05}
+    assert near[1] is False and near[2] is True
+
+
+def test_too_few_lines_are_refused() -> None:
+    with pytest.raises(MeasurementError, match="There are 10 lines with power between 10 and 130 Hz"):
+        fit_modes(np.linspace(20, 40, 10), np.ones(10), source="few.csv")
+
+
+def raw_data(path: Path, record: np.ndarray) -> Path:
+    rows = "\n".join(f"{k / RATE:.6f},{1000 * a:.3f},{(k * 7) % 13},9806.{k % 7}" for k, a in enumerate(record))
+    path.write_text("#time,accel_x,accel_y,accel_z\n" + rows + "\n", encoding="utf-8")
+    return path
+
+
+def test_a_swept_capture_and_its_parts_agree(tmp_path: Path) -> None:
+    path = raw_data(tmp_path / "raw_data_x_test.csv", swept([(43.0, 0.05)], 0.5, 3, 80.0))
+    found = modes_of(path)
+    assert found.signal == "x" and found.source == str(path)
+    assert found.modes[0].frequency_hz == pytest.approx(43.0, rel=0.01)
+    assert found.modes[0].damping_ratio == pytest.approx(0.05, rel=0.3)
+    assert 0 < found.modes[0].frequency_sd_hz < 1.0
+
+
+def test_a_capture_full_of_holes_is_refused(tmp_path: Path) -> None:
+    path = raw_data(tmp_path / "raw_data_x_test.csv", swept([(43.0, 0.05)], 0.5, 3, 3.0))
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    path.write_text("".join(line for k, line in enumerate(lines) if k == 0 or k % 500), encoding="utf-8")
+    with pytest.raises(MeasurementError, match=r"no stretch of 0\.64 s without gaps"):
+        modes_of(path)
+
+
+def test_a_signal_that_is_not_there(data: Path) -> None:
+    path = next((data / "vibration" / "klipper_resonances_bassco").glob("*resonances_x*.csv"))
+    with pytest.raises(MeasurementError, match="There is no spectrum 'w'; there are x, y, z, xyz"):
+        modes_of(path, "w")
+
+
+PEAKS = {  # Hz: the highest line of the shaken axis, by eye
+    "v24__resonances_y_20230306_224919": 42.0,
+    "v24__calibration_data_y_20230306_225431": 42.0,
+    "switchwire__resonances_y_20211024_200336": 36.5,
+    "ender3__resonances_y_20210630_230110": 39.0,
+    "v24__calibration_data_x_20230306_225431": 52.0,
+}
+
+
+@pytest.mark.parametrize(("name", "peak"), PEAKS.items())
+def test_real_spectra_have_their_main_mode(data: Path, name: str, peak: float) -> None:
+    found = modes_of(data / "vibration" / "klipper_resonances_bassco" / f"{name}.csv")
+    assert found.modes[0].frequency_hz == pytest.approx(peak, rel=0.05)
+    assert found.modes[0].clear
+
+
+def test_every_real_file_ends_in_a_verdict(data: Path) -> None:
+    paths = [p for p in (data / "vibration").glob("*/*") if p.suffix in (".csv", ".tsv")]
+    assert len(paths) == 21
+    found = [modes_of(path) for path in paths]
+    assert all(one.verdict.endswith(".") and np.isfinite(one.misfit) for one in found)
+    spectra = [one for one in found if one.source.endswith(".csv")]
+    assert sum(any(m.clear for m in one.modes) for one in spectra) == 15
+
+
+def test_the_same_machine_twice(data: Path) -> None:
+    """A spectrum as measured and the calibration that Klipper made of it tell of one and the same mode."""
+    folder = data / "vibration" / "klipper_resonances_bassco"
+    raw, normalised = (modes_of(folder / f"{name}.csv").modes[0] for name in list(PEAKS)[:2])
+    assert raw.frequency_hz == pytest.approx(normalised.frequency_hz, rel=0.02)
+    assert raw.damping_ratio == pytest.approx(normalised.damping_ratio, rel=0.2)
