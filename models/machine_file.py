@@ -164,6 +164,17 @@ def starting_text(name: str, source: Path) -> str:
     )
 
 
+def check_text(text: str, path: str) -> None:
+    """Refuse a machine file's text that could not be loaded; `path` only serves to say which one.
+
+    Raises
+    ------
+    MachineFileError
+        With every mistake in it.
+    """
+    _parsed(text.encode("utf-8"), path)
+
+
 def updated_text(
     source: Path,
     values: Mapping[str, Any],

@@ -6,7 +6,6 @@ pydantic finds the mistakes; it is imported nowhere else.
 from __future__ import annotations
 
 import difflib
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import pairwise
 from typing import Annotated, Any, Literal
@@ -14,7 +13,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from models.effect_names import EFFECT_PARAMETERS
+from models.effects.catalogue import CATALOGUE
 from models.errors import MachineFileError
 from models.machine import DeltaGeometry, FloatArray, MotionLimits, Steps, constant
 
@@ -221,24 +220,22 @@ def _arm_problems(table: KinematicsTable) -> Iterator[str]:
 
 
 def _effect_problems(name: str, table: Mapping[str, Any]) -> Iterator[str]:
-    if name not in EFFECT_PARAMETERS:
-        yield f"effects.{name} is not an effect ffcomp knows.{did_you_mean(name, EFFECT_PARAMETERS)}"
+    if name not in CATALOGUE:
+        yield f"effects.{name} is not an effect ffcomp knows.{did_you_mean(name, CATALOGUE)}"
         return
-    parameters = EFFECT_PARAMETERS[name]
+    effect = CATALOGUE[name]
     for key, value in table.items():
-        if parameters is not None and key not in parameters:
-            yield f"effects.{name}.{key} is not a parameter of this effect.{did_you_mean(key, parameters)}"
-        elif key != "direction" and not all(map(_is_number, value if isinstance(value, list) else [value])):
-            yield f"effects.{name}.{key} = {value!r} must be a finite number, or a list of them."
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        if key not in effect.by_name:
+            yield f"effects.{name}.{key} is not a parameter of this effect.{did_you_mean(key, effect.by_name)}"
+        elif rule := effect.parameter(key).problem(value):
+            yield f"effects.{name}.{key} = {value!r} {rule}."
+    for key in effect.missing(table):
+        yield f"effects.{name}.{key} is missing; {effect.parameter(key).meaning}."
 
 
 def _effect_keys() -> Iterator[str]:
-    for effect, parameters in EFFECT_PARAMETERS.items():
-        yield from (f"effects.{effect}.{parameter}" for parameter in parameters or ())
+    for name, effect in CATALOGUE.items():
+        yield from (f"effects.{name}.{parameter}" for parameter in effect.by_name)
 
 
 def _table_of(annotation: Any) -> type[Table] | None:

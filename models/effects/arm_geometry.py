@@ -1,0 +1,35 @@
+"""Arms or towers not quite as long or as far as the file says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from models.effects.effect import Effect, Parameter
+from models.machine import FloatArray, Machine, constant
+
+
+def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
+    geometry = machine.kinematics
+    true = replace(
+        geometry,
+        arm_lengths_mm=constant(geometry.arm_lengths_mm + values["arm_length_mm"]),
+        delta_radii_mm=constant(geometry.delta_radii_mm + values["delta_radius_mm"]),
+    )
+    return replace(machine, kinematics=true)
+
+
+EFFECT = Effect(
+    name="arm_geometry",
+    title="Arms and towers off their nominal sizes",
+    kind="parameter",
+    physics="The carriages are commanded by the nominal geometry and move the nozzle by the true one.",
+    equation="L → L + ΔL, R → R + ΔR",
+    parameters=(
+        Parameter("arm_length_mm", "mm", "ΔL", (-50, 50), (-2, 2), 0.2, size="per_tower"),
+        Parameter("delta_radius_mm", "mm", "ΔR", (-50, 50), (-2, 2), 0.2, size="per_tower"),
+    ),
+    in_data="Wrong sizes and a bowed first layer; accelerations change by parts in a thousand.",
+    rivals={"sensor_misalignment": "A measured print, not accelerations: they can hardly tell the two."},
+    fold=fold,
+)

@@ -1,0 +1,23 @@
+"""A belt whose stiffness depends on its stretch."""
+
+from __future__ import annotations
+
+from models.effects.effect import Effect, Parameter
+
+EFFECT = Effect(
+    name="belt_hardening",
+    title="Belts that harden or soften as they stretch",
+    kind="force",
+    physics="Teeth settle and fibres straighten: the belt's force is not quite in proportion to its stretch.",
+    equation="F = k s + k₃ s³, s = u − q; k₃ < 0: constant beyond its peak",
+    parameters=(
+        Parameter(
+            "cubic_n_per_m3", "N/m³", "k₃; negative softens", (-1e15, 1e15), (-5e11, 2e12), 1e11, size="per_tower"
+        ),
+    ),
+    in_data="Resonances shift with amplitude; a sine answers with its third harmonic.",
+    rivals={
+        "torque_angle": "Its cubic part is the same, k₃ = −k/(6a²); only a larger stretch separates the two.",
+        "belt_stiffness": "Two amplitudes: only here the stiffness depends on them.",
+    },
+)

@@ -1,0 +1,34 @@
+"""Belts stiffer or softer than the file says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from models.effects.effect import Effect, Parameter, same_or_each
+from models.machine import FloatArray, Machine
+
+
+def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
+    carriage = machine.carriage
+    stiffness = same_or_each(carriage.belt_stiffness_n_per_m * (1 + values["relative_change"]))
+    return replace(machine, carriage=replace(carriage, belt_stiffness_n_per_m=stiffness))
+
+
+EFFECT = Effect(
+    name="belt_stiffness",
+    title="Belts tighter or slacker than the file says",
+    kind="parameter",
+    physics="Tension, wear and temperature change how much a belt gives way.",
+    equation="k → k (1 + r)",
+    parameters=(
+        Parameter("relative_change", "", "r, of belt stiffness", (-0.9, 10), (-0.3, 0.3), 0.02, size="per_tower"),
+    ),
+    in_data="Resonances shift together; with one tower's belt, those that move this tower.",
+    rivals={
+        "effector_mass": "Two places on the bed: mass shifts the modes in other proportions.",
+        "belt_position_stiffness": "Two heights: only there the shift depends on the carriage's height.",
+        "torque_angle": "Two amplitudes: a belt's stiffness is the same for both.",
+    },
+    fold=fold,
+)

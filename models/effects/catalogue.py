@@ -1,0 +1,99 @@
+"""Every effect by name, and what a machine's `[effects]` do to its numbers and to its recorded signals."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+from models import effects
+from models.effects.effect import Effect, Signals
+from models.machine import FloatArray, Machine
+
+NOT_EFFECTS = {"catalogue", "effect"}  # the files of this folder that declare none
+
+
+def _found() -> Iterator[Effect]:
+    for file in pkgutil.iter_modules(effects.__path__):
+        if file.name not in NOT_EFFECTS:
+            yield importlib.import_module(f"{effects.__name__}.{file.name}").EFFECT
+
+
+CATALOGUE: Mapping[str, Effect] = {effect.name: effect for effect in _found()}
+
+
+def effect_named(name: str) -> Effect:
+    """The effect of that name.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    if name not in CATALOGUE:
+        raise ValueError(f"effects.{name} is not an effect ffcomp knows; it knows {', '.join(CATALOGUE)}.")
+    return CATALOGUE[name]
+
+
+def values_of(machine: Machine, name: str) -> dict[str, FloatArray] | None:
+    """The parameters of one effect of a machine as arrays (see `Parameter.numbers`); None if it is not there.
+
+    An amplitude that is left out has its neutral value; an effect without any is not there.
+
+    Raises
+    ------
+    ValueError
+        If an amplitude is given without the parameters that shape it, or a parameter is unknown.
+    """
+    effect, table = effect_named(name), machine.effects.get(name)
+    if unknown := set(table or ()) - set(effect.by_name):
+        raise ValueError(
+            f"effects.{name}.{min(unknown)} is not a parameter of this effect: {', '.join(effect.by_name)}."
+        )
+    if table is None or (effect.amplitudes and not any(a.name in table for a in effect.amplitudes)):
+        return None
+    if missing := effect.missing(table):
+        raise ValueError(f"effects.{name}.{missing[0]} is missing; without it this effect has no shape.")
+    return {
+        p.name: p.numbers(table.get(p.name, p.neutral if p.size != "vector3" else [p.neutral] * 3))
+        for p in effect.parameters
+    }
+
+
+def with_effect(machine: Machine, name: str, **parameters: Any) -> Machine:
+    """The machine with one effect more, or with another value of one it has."""
+    return replace(machine, effects={**machine.effects, effect_named(name).name: parameters})
+
+
+def without_effects(machine: Machine, *names: str) -> Machine:
+    """The machine without these effects, or without any if none is named."""
+    kept = {name: table for name, table in machine.effects.items() if names and name not in names}
+    return replace(machine, effects=kept)
+
+
+def effective_machine(machine: Machine) -> Machine:
+    """The machine with every effect folded in that only changes its numbers; the others stay in its `effects`.
+
+    A value per tower makes the carriage's number an array (3,), A B C. Without such an effect the machine itself
+    is returned, so that what is cached for it stays of use.
+    """
+    folded = [name for name in machine.effects if effect_named(name).kind == "parameter"]
+    if not folded:
+        return machine
+    effective = without_effects(machine, *folded)
+    for name in folded:
+        fold, values = CATALOGUE[name].fold, values_of(machine, name)
+        if fold is not None and values is not None:
+            effective = fold(effective, values)
+    return effective
+
+
+def measured(machine: Machine, true: Signals) -> Signals:
+    """What the machine's sensors record of a true motion: its sensor effects, in the order of its `effects`."""
+    for name in machine.effects:
+        measure, values = effect_named(name).measure, values_of(machine, name)
+        if measure is not None and values is not None:
+            true = measure(true, values)
+    return true

@@ -1,0 +1,31 @@
+"""More on the nozzle holder than the file says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from models.effects.effect import Effect, Parameter
+from models.machine import FloatArray, Machine
+
+
+def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
+    effector = machine.effector
+    heavier = replace(effector, nozzle_mass_kg=effector.nozzle_mass_kg + float(values["added_kg"]))
+    return replace(machine, effector=heavier)
+
+
+EFFECT = Effect(
+    name="effector_mass",
+    title="More on the nozzle holder",
+    kind="parameter",
+    physics="A fan, a duct, a probe or a bundle of cables moves along with the nozzle holder.",
+    equation="m₁ → m₁ + Δm",
+    parameters=(Parameter("added_kg", "kg", "Δm", (-1, 10), (-0.1, 0.3), 0.01),),
+    in_data="Lower resonances, all towers alike; the belts sag a little more.",
+    rivals={
+        "belt_stiffness": "Two places on the bed: stiffness shifts all modes in one proportion, mass does not.",
+        "effector.extruder_mass_kg": "The mode of the extruder on its mount: mass on the holder lifts it.",
+    },
+    fold=fold,
+)

@@ -1,0 +1,39 @@
+"""An extruder held more loosely or firmly than the file says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from models.effects.effect import Effect, Parameter
+from models.machine import FloatArray, Machine, constant
+
+
+def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
+    effector = machine.effector
+    mount = replace(
+        effector,
+        extruder_stiffness_n_per_m=constant(
+            effector.extruder_stiffness_n_per_m * (1 + values["relative_stiffness_change"])
+        ),
+        extruder_damping_n_s_per_m=constant(
+            effector.extruder_damping_n_s_per_m * (1 + values["relative_damping_change"])
+        ),
+    )
+    return replace(machine, effector=mount)
+
+
+EFFECT = Effect(
+    name="extruder_mount",
+    title="The extruder's mount, loose or stiff",
+    kind="parameter",
+    physics="Screws and printed brackets hold the extruder; they loosen, or are tightened.",
+    equation="K → K (1 + r_k), B → B (1 + r_b), per axis",
+    parameters=(
+        Parameter("relative_stiffness_change", "", "r_k, of x, y, z", (-0.95, 20), (-0.5, 0.5), 0.02, size="vector3"),
+        Parameter("relative_damping_change", "", "r_b, of x, y, z", (-1, 50), (-0.5, 1), 0.05, size="vector3"),
+    ),
+    in_data="The resonance of one axis of the nozzle shifts or broadens; the carriages hardly notice.",
+    rivals={"effector.extruder_mass_kg": "The antiresonance and the mode together: mass shifts both, stiffness one."},
+    fold=fold,
+)

@@ -1,0 +1,32 @@
+"""More viscous friction in the guides."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from models.effects.effect import Effect, Parameter, same_or_each
+from models.machine import FloatArray, Machine
+
+
+def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
+    carriage = machine.carriage
+    damping = same_or_each(carriage.guide_damping_n_s_per_m + values["added_n_s_per_m"])
+    return replace(machine, carriage=replace(carriage, guide_damping_n_s_per_m=damping))
+
+
+EFFECT = Effect(
+    name="guide_damping",
+    title="Guides with more viscous friction",
+    kind="parameter",
+    physics="Grease shears between carriage and rail: a force in proportion to speed.",
+    equation="b → b + Δb",
+    parameters=(Parameter("added_n_s_per_m", "N s/m", "Δb", (-1000, 10000), (-10, 50), 1.0, size="per_tower"),),
+    in_data="Lower, broader resonances, and a carriage that lags in proportion to its speed.",
+    rivals={
+        "command_delay": "Several speeds and frequencies: a delay keeps the resonance's height.",
+        "coulomb_friction": "Two speeds: dry friction does not grow with speed.",
+        "carriage.belt_damping_n_s_per_m": "Long moves at constant speed: the belt's damper is not stretched there.",
+    },
+    fold=fold,
+)

@@ -1,0 +1,30 @@
+"""A motor that yields more than in proportion as the load pulls it off its step."""
+
+from __future__ import annotations
+
+from models.effects.effect import Effect, Parameter
+
+EFFECT = Effect(
+    name="torque_angle",
+    title="Motors near their holding torque",
+    kind="force",
+    physics="A stepper's torque is a sine of the angle between rotor and field: soft near its peak.",
+    equation="F = k a sin(s/a), s = u − q",
+    parameters=(
+        Parameter(
+            "amplitude_mm",
+            "mm",
+            "a: a quarter wave is π a / 2; four full steps are 2 π a",
+            (0.01, 100),
+            (0.1, 2),
+            0.5,
+            size="per_tower",
+            power=-2,
+        ),
+    ),
+    in_data="Nothing at normal current; near the peak force k a, softer resonances and lost steps (slips of 2 π a).",
+    rivals={
+        "belt_hardening": "The same to third order; only a larger stretch separates the two.",
+        "belt_backlash": "Small motions: play softens them, the sine does not.",
+    },
+)

@@ -1,0 +1,314 @@
+"""The virtual printer: commanded carriage heights in, the whole nonlinear machine's motion out.
+
+Full delta kinematics with J̇ q̇, gravity, drives, belts, guides, arms' halves, the extruder on its mount, and any of
+the effects of `models/effects` that the machine lists, together. The equations stand in `printer_kernels.py`.
+
+Lengths mm, velocities mm/s, accelerations m/s² (as accelerometers are read), time s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from models import printer_kernels as kernels
+from models.effector import load_distribution, load_map
+from models.effects.catalogue import effect_named, effective_machine, values_of
+from models.effects.effect import Signals
+from models.errors import UnreachableError
+from models.kinematics.delta import forward, jacobian
+from models.machine import DeltaGeometry, FloatArray, Machine
+
+GRAVITY_M_PER_S2 = 9.80665
+SMOOTH_STEP_S = 1 / 6400  # a quarter of a nanometre on a violent motion
+KINKED_STEP_S = 1 / 12800  # with play or dry friction; with strong friction down to
+FINEST_STEP_S = 1 / 25600
+SPLINE_ROWS = 24  # a cubic spline forgets a row's neighbours by 0.27 a row: 1e-14 after these
+
+CREEP_M_PER_S = 5e-4
+# friction / (speed x inertia) x step; guides and joints together below 2.78, where a Runge-Kutta step of order 4 grows
+GUIDE_STIFFNESS, JOINT_STIFFNESS = 1.9, 0.8
+LOOSEST_REST_M = 1e-9
+BORDER_MM = 1e-6
+
+Hold = Literal["cubic", "linear"]
+
+
+@dataclass(frozen=True, eq=False)
+class PrinterState:
+    """Where a simulation ended, to go on from."""
+
+    t_s: float
+    values: FloatArray  # (30,) SI, see printer_kernels
+    history: FloatArray  # (k, 3) mm, the command's last rows, the border row among them
+
+
+@dataclass(frozen=True, eq=False)
+class PrinterMotion:
+    """n samples, at the times of the command's rows. Accelerations are plain second derivatives: zero at rest."""
+
+    t_s: FloatArray  # (n,)
+    carriage_mm: FloatArray  # (n, 3) columns A B C
+    carriage_velocity: FloatArray  # (n, 3) mm/s
+    carriage_acceleration: FloatArray  # (n, 3) m/s²
+    nozzle_mm: FloatArray  # (n, 3) columns X Y Z, seen from the bed
+    nozzle_velocity: FloatArray  # (n, 3) mm/s, seen from the bed
+    nozzle_acceleration: FloatArray  # (n, 3) m/s², seen from the ground: a swaying frame is felt
+    motor_mm: FloatArray  # (n, 3) where each motor holds its end of the belt
+    state: PrinterState
+
+    @property
+    def signals(self) -> Signals:
+        """The accelerations, as perfect sensors would record them."""
+        return Signals(self.t_s, self.carriage_acceleration, self.nozzle_acceleration)
+
+
+def simulate_printer(
+    machine: Machine,
+    command: FloatArray,
+    dt_s: float,
+    *,
+    start: PrinterState | None = None,
+    substeps: int | None = None,
+    gravity: bool = True,
+    hold: Hold = "cubic",
+    ahead: FloatArray | None = None,
+) -> PrinterMotion:
+    """Play a command on the printer, with all effects of `machine.effects` but those of the sensors.
+
+    Parameters
+    ----------
+    command : (n, 3) mm, columns A B C: commanded carriage heights every `dt_s`, from the inverse kinematics of the
+        machine's own, nominal geometry (an `arm_geometry` effect is not known to the firmware). Before the first
+        row, the printer rests under it.
+    start : the `state` of the chunk before, whose last row is this chunk's first. None: from rest.
+    substeps : integration steps from row to row. None: as many as `longest_step` asks for.
+    hold : how the command runs between rows: "cubic" spline, or "linear" for played straight segments.
+    ahead : (k, 3) mm, rows of the command that follow this chunk. A cubic spline needs some 20 of them to run over
+        the border as if there were none.
+
+    Raises
+    ------
+    ValueError
+        If the command has another shape, or the effects are not complete.
+    UnreachableError
+        If the motion leaves the arms' reach; its indices are rows of the command.
+    """
+    _check(command, dt_s, start)
+    p = printer_numbers(machine, gravity=gravity)
+    steps = substeps or math.ceil(dt_s / longest_step(p) * (1 - 1e-9))
+    _limit_stiffness(p, dt_s / steps)
+    before = command[:0] if start is None else start.history[:-1]
+    rows = np.concatenate([before, command, command[:0] if ahead is None else ahead])
+    last = len(before) + len(command) - 1
+    values = rest_values(machine, command[0], p) if start is None else start.values.copy()
+    pieces = HOLDS[hold](rows / 1e3, dt_s)[:last]
+    samples = kernels.run(values, pieces, len(before), dt_s, steps, p)
+    begin = 0.0 if start is None else start.t_s
+    t = begin + dt_s * np.arange(len(command), dtype=np.float64)
+    _check_reach(samples, t)
+    kept = math.ceil(float(np.max(p.delay)) / dt_s) + SPLINE_ROWS + 1
+    return _motion(t, samples, PrinterState(float(t[-1]), values, rows[: last + 1][-kept:].copy()))
+
+
+def printer_numbers(machine: Machine, *, gravity: bool = True) -> kernels.Numbers:
+    """The machine and its effects as the kernels' record, SI."""
+    for name in machine.effects:
+        effect_named(name)  # refuses an unknown one
+    effective = effective_machine(machine)
+    parts = {
+        **_geometry(effective.kinematics),
+        **_carriages(effective),
+        **_effector(effective),
+        **_belt_effects(effective),
+        **_motor_effects(effective),
+        **_friction_effects(effective),
+        **_frame_effect(effective),
+        "gravity": GRAVITY_M_PER_S2 if gravity else 0.0,
+    }
+    record = np.zeros(1, dtype=kernels.NUMBERS)
+    for name, value in parts.items():
+        record[name][0] = value
+    return record.view(np.recarray)[0]
+
+
+Part = dict[str, FloatArray | float | bool]
+
+
+def _geometry(geometry: DeltaGeometry) -> Part:
+    towers, arms = geometry.towers_mm / 1e3, geometry.arm_lengths_mm / 1e3
+    to_towers = towers[1:] - towers[0]
+    return {
+        "towers": towers,
+        "arms_squared": arms**2,
+        "height": geometry.effector_height_mm / 1e3,
+        "to_plane": np.linalg.inv(to_towers),
+        "offset": (np.sum(to_towers**2, axis=1) + arms[0] ** 2 - arms[1:] ** 2) / 2,
+    }
+
+
+def _carriages(machine: Machine) -> Part:
+    carriage, drive = machine.carriage, machine.carriage.drive
+    return {
+        "carriage_mass": carriage.moving_mass_kg,
+        "belt_k": carriage.belt_stiffness_n_per_m,
+        "belt_c": carriage.belt_damping_n_s_per_m,
+        "guide_b": carriage.guide_damping_n_s_per_m,
+        "ideal_drive": drive is None,
+        "drive": np.zeros(3) if drive is None else np.array([drive.d0_per_s2, drive.d1_per_s, drive.d2_per_s]),
+    }
+
+
+def _effector(machine: Machine) -> Part:
+    effector = machine.effector
+    paper = effector.force_map == "paper"
+    return {
+        "shares": load_distribution(machine.kinematics, effector) if paper else np.stack([np.eye(3)] * 3),
+        "holder_mass": machine.nozzle_side_mass_kg,
+        "extruder_mass": effector.extruder_mass_kg,
+        "mount_k": effector.extruder_stiffness_n_per_m,
+        "mount_b": effector.extruder_damping_n_s_per_m,
+    }
+
+
+def _belt_effects(machine: Machine) -> Part:
+    part: Part = {"give": np.inf}
+    if (values := values_of(machine, "belt_hardening")) is not None:
+        cubic = values["cubic_n_per_m3"]
+        softening = machine.carriage.belt_stiffness_n_per_m / np.maximum(-3 * cubic, 1e-300)
+        part |= {"cubic": cubic, "give": np.where(cubic < 0, np.sqrt(softening), np.inf)}
+    if (values := values_of(machine, "belt_position_stiffness")) is not None:
+        part |= {"slope": values["slope_per_m"], "centre": values["q_centre_mm"] / 1e3}
+    if (values := values_of(machine, "belt_backlash")) is not None:
+        part["half_play"] = values["width_mm"] / 2e3
+    if (values := values_of(machine, "torque_angle")) is not None:
+        part["bend"] = 1e3 / values["amplitude_mm"]
+    return part
+
+
+def _motor_effects(machine: Machine) -> Part:
+    part: Part = {}
+    if (values := values_of(machine, "command_delay")) is not None:
+        part["delay"] = values["delay_s"]
+    if (values := values_of(machine, "cogging")) is not None:
+        part |= {"ripple": values["amplitude_mm"] / 1e3, "wave": 2e3 * np.pi / values["pitch_mm"]}
+    return part
+
+
+def _friction_effects(machine: Machine) -> Part:
+    part: Part = {"least_inertia": _least_inertia(machine), "creep": CREEP_M_PER_S, "joint_creep": CREEP_M_PER_S}
+    dry = np.zeros(3)
+    if (values := values_of(machine, "coulomb_friction")) is not None:
+        dry = dry + values["force_n"]
+    if (values := values_of(machine, "stribeck_friction")) is not None:
+        dry = dry + values["force_n"]
+        part |= {"sticking": values["extra_force_n"], "fading": 1e3 / values["velocity_mm_per_s"]}
+    if (values := values_of(machine, "joint_friction")) is not None:
+        part["joint_dry"] = float(values["force_n"])
+    return part | {"dry": dry}
+
+
+def _least_inertia(machine: Machine) -> float:
+    """kg: the least that a combination of forces on the carriages moves, at the centre and on the rim."""
+    reach = machine.kinematics.print_radius_mm
+    angles = np.arange(0, 2 * np.pi, np.pi / 6)
+    places = np.vstack([np.zeros((1, 2)), reach * np.column_stack([np.cos(angles), np.sin(angles)])])
+    load = machine.nozzle_side_mass_kg * load_map(machine, places) @ jacobian(machine.kinematics, places)
+    return float(np.linalg.eigvals(machine.carriage.moving_mass_kg * np.eye(3) + load).real.min())
+
+
+def longest_step(p: kernels.Numbers) -> float:
+    """The step, s, that serves this printer: short where dry friction turns over, or play ends with a knock."""
+    friction = float(np.max(p.dry + p.sticking))
+    if friction == p.joint_dry == np.max(p.half_play) == 0:
+        return SMOOTH_STEP_S
+    gentle = CREEP_M_PER_S * GUIDE_STIFFNESS * p.least_inertia / max(friction, 1e-9)
+    return float(np.clip(gentle, FINEST_STEP_S, KINKED_STEP_S))
+
+
+def _limit_stiffness(p: kernels.Numbers, step_s: float) -> None:
+    """Dry friction turns over within CREEP_M_PER_S of rest, or as near as the step allows."""
+    p.creep = np.maximum(CREEP_M_PER_S, (p.dry + p.sticking) * step_s / (GUIDE_STIFFNESS * p.least_inertia))
+    p.joint_creep = max(CREEP_M_PER_S, p.joint_dry * step_s / (JOINT_STIFFNESS * p.holder_mass))
+
+
+def _frame_effect(machine: Machine) -> Part:
+    values = values_of(machine, "frame_mode")
+    if values is None:
+        return {}
+    omega = 2 * np.pi * float(values["frequency_hz"])
+    sway = np.zeros((2, 2))
+    sway[: len(values["direction"])] = values["direction"]
+    return {
+        "sway": sway,
+        "sway_share": machine.nozzle_side_mass_kg / (float(values["mass_kg"]) + machine.nozzle_side_mass_kg),
+        "sway_k": omega**2,
+        "sway_b": 2 * float(values["damping_ratio"]) * omega,
+    }
+
+
+def rest_values(machine: Machine, command: FloatArray, p: kernels.Numbers) -> FloatArray:
+    """The state : (30,) SI in which the printer rests under the command : (3,) mm, belts stretched by weight."""
+    forward(effective_machine(machine).kinematics, command[None])  # refuses carriages the arms cannot join
+    values = np.zeros(kernels.STATES)
+    values[kernels.V : kernels.V + 3] = values[kernels.Q : kernels.Q + 3] = command / 1e3
+    if not kernels.rest(values, p) < LOOSEST_REST_M:
+        raise ValueError(f"The printer cannot rest with its carriages at {command} mm: its motors do not hold it.")
+    return values
+
+
+def _cubic(rows: FloatArray, dt_s: float) -> FloatArray:
+    """(n − 1, 3, 4): the cubic of each interval and column, highest power first; not-a-knot at both ends."""
+    from scipy.interpolate import CubicSpline  # 0.3 s to import: only when a spline is asked for
+
+    spline = CubicSpline(dt_s * np.arange(len(rows)), rows)
+    return np.ascontiguousarray(spline.c.transpose(1, 2, 0))
+
+
+def _linear(rows: FloatArray, dt_s: float) -> FloatArray:
+    """(n − 1, 3, 4), as `_cubic`, of straight lines."""
+    pieces = np.zeros((len(rows) - 1, 3, 4))
+    pieces[:, :, 2], pieces[:, :, 3] = np.diff(rows, axis=0) / dt_s, rows[:-1]
+    return pieces
+
+
+HOLDS: Mapping[Hold, Callable[[FloatArray, float], FloatArray]] = {"cubic": _cubic, "linear": _linear}
+
+
+def _check(command: FloatArray, dt_s: float, start: PrinterState | None) -> None:
+    if command.ndim != 2 or command.shape[1] != 3 or len(command) < 2:
+        raise ValueError(f"The command has shape {command.shape}; it must be (n, 3) with at least two rows.")
+    if not np.all(np.isfinite(command)):
+        row = int(np.argmin(np.isfinite(command).all(axis=1)))
+        raise ValueError(f"Row {row} of the command is {command[row]} mm; every carriage height must be finite.")
+    if not dt_s > 0:
+        raise ValueError(f"The time from row to row is {dt_s} s; it must be greater than zero.")
+    if start is not None and np.abs(command[0] - start.history[-1]).max() > BORDER_MM:
+        rule = f"it must repeat the last row of the chunk before, {start.history[-1]} mm."
+        raise ValueError(f"The first row of the command is {command[0]} mm; {rule}")
+
+
+def _check_reach(samples: FloatArray, t: FloatArray) -> None:
+    lost = np.flatnonzero(~np.isfinite(samples).all(axis=(1, 2)))
+    if lost.size:
+        rule = f"At t = {t[lost[0]]:.4f} s the simulated nozzle has left the reach of its arms."
+        raise UnreachableError(rule, lost)
+
+
+def _motion(t: FloatArray, samples: FloatArray, state: PrinterState) -> PrinterMotion:
+    millimetres = 1e3
+    return PrinterMotion(
+        t_s=t,
+        carriage_mm=samples[:, 0] * millimetres,
+        carriage_velocity=samples[:, 1] * millimetres,
+        carriage_acceleration=samples[:, 2].copy(),
+        nozzle_mm=samples[:, 3] * millimetres,
+        nozzle_velocity=samples[:, 4] * millimetres,
+        nozzle_acceleration=samples[:, 5].copy(),
+        motor_mm=samples[:, 6] * millimetres,
+        state=state,
+    )

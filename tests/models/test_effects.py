@@ -1,0 +1,291 @@
+"""The catalogue of effects: complete, consistent, checked in machine files, and folded into machines."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models import effects
+from models.effects.catalogue import (
+    CATALOGUE,
+    NOT_EFFECTS,
+    effective_machine,
+    measured,
+    values_of,
+    with_effect,
+    without_effects,
+)
+from models.effects.effect import Effect, Parameter, Signals
+from models.errors import MachineFileError
+from models.machine import Machine
+from models.machine_file import LIBRARY, load_machine
+from models.parameters import value_of
+from models.plant import continuous_plant
+
+NAMED_BY_THE_FORMAT = {
+    "coulomb_friction": {"force_n"},
+    "stribeck_friction": {"force_n", "extra_force_n", "velocity_mm_per_s"},
+    "guide_damping": {"added_n_s_per_m"},
+    "belt_stiffness": {"relative_change"},
+    "belt_hardening": {"cubic_n_per_m3"},
+    "belt_position_stiffness": {"slope_per_m", "q_centre_mm"},
+    "belt_backlash": {"width_mm"},
+    "command_delay": {"delay_s"},
+    "cogging": {"amplitude_mm", "pitch_mm"},
+    "torque_angle": {"amplitude_mm"},
+    "effector_mass": {"added_kg"},
+    "center_of_mass": {"offset_mm"},
+    "extruder_mount": {"relative_stiffness_change", "relative_damping_change"},
+    "joint_friction": {"force_n"},
+    "frame_mode": {"mass_kg", "frequency_hz", "damping_ratio", "direction"},
+    "arm_geometry": {"arm_length_mm", "delta_radius_mm"},
+}
+ONLY_NAMED = {"force_map", "sensor_gain", "sensor_misalignment", "sensor_time_offset", "sensor_clock_drift"}
+
+EFFECTS = [pytest.param(effect, id=name) for name, effect in CATALOGUE.items()]
+PARAMETERS = [pytest.param(p, id=f"{e.name}.{p.name}") for e in CATALOGUE.values() for p in e.parameters]
+
+
+def test_every_name_of_the_format_is_there() -> None:
+    assert set(CATALOGUE) >= {*NAMED_BY_THE_FORMAT, *ONLY_NAMED}
+    for name, parameters in NAMED_BY_THE_FORMAT.items():
+        assert set(CATALOGUE[name].by_name) == parameters
+
+
+def test_an_effect_has_the_name_of_its_file() -> None:
+    files = {path.stem for path in Path(effects.__path__[0]).glob("*.py")} - {"__init__", *NOT_EFFECTS}
+    assert set(CATALOGUE) == files
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_kind_and_hooks_agree(effect: Effect) -> None:
+    assert (effect.fold is not None) == (effect.kind == "parameter")
+    assert (effect.measure is not None) == (effect.kind == "sensor")
+    assert effect.amplitudes or not effect.parameters
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_rivals_exist(effect: Effect, printer: Machine) -> None:
+    assert effect.name not in effect.rivals
+    for rival in effect.rivals:
+        if rival not in CATALOGUE:
+            value_of(printer, rival)
+
+
+@pytest.mark.parametrize("parameter", PARAMETERS)
+def test_ranges_are_in_order(parameter: Parameter) -> None:
+    assert parameter.bounds[0] <= parameter.typical[0] < parameter.typical[1] <= parameter.bounds[1]
+    assert 0 < parameter.probe <= parameter.typical[1]
+    if parameter.role == "amplitude":
+        assert parameter.bounds[0] <= parameter.probe <= parameter.bounds[1]
+        assert parameter.neutral == np.inf or parameter.bounds[0] <= parameter.neutral <= parameter.bounds[1]
+
+
+# --- In machine files
+
+MINIMAL = (LIBRARY / "mp-delta-pro.toml").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def load(tmp_path: Path):
+    def load(more: str) -> Machine:
+        path = tmp_path / "printer.toml"
+        path.write_text(MINIMAL + more, encoding="utf-8")
+        return load_machine(path)
+
+    return load
+
+
+EVERY_EFFECT = """
+[effects.stribeck_friction]
+force_n = 1
+extra_force_n = [1, 2, 3]
+velocity_mm_per_s = 10
+[effects.center_of_mass]
+offset_mm = [1, 2.5, -3]
+[effects.frame_mode]
+mass_kg = 12
+frequency_hz = 25
+damping_ratio = 0.02
+direction = [0.6, 0.8]
+[effects.force_map]
+[effects.sensor_time_offset]
+offset_s = -0.02
+"""
+
+
+def test_a_file_may_list_effects(load) -> None:
+    machine = load(EVERY_EFFECT)
+    values = values_of(machine, "stribeck_friction")
+    assert values is not None
+    np.testing.assert_array_equal(values["force_n"], [1, 1, 1])
+    np.testing.assert_array_equal(values["extra_force_n"], [1, 2, 3])
+    frame = values_of(machine, "frame_mode")
+    assert frame is not None
+    np.testing.assert_array_equal(frame["direction"], [[0.6, 0.8]])
+    assert values_of(machine, "cogging") is None
+
+
+@pytest.mark.parametrize(
+    ("more", "sentence"),
+    [
+        ("[effects.coulomb_friction]\nforce_n = -1", "coulomb_friction.force_n = -1 must be at least 0 (N)."),
+        ("[effects.coulomb_friction]\nforce_n = [1, 2, 300]", "[1, 2, 300] must be at most 200 (N)."),
+        (
+            "[effects.coulomb_friction]\nforce_n = [1, 2]",
+            "must be a finite number (N), or a list of three, one a tower.",
+        ),
+        ("[effects.coulomb_friction]\nforce_n = inf", "coulomb_friction.force_n = inf must be a finite number (N)"),
+        ("[effects.effector_mass]\nadded_kg = [1, 1, 1]", "added_kg = [1, 1, 1] must be a finite number (kg)."),
+        ("[effects.center_of_mass]\noffset_mm = 1", "offset_mm = 1 must be a list of three finite numbers (mm)."),
+        ("[effects.frame_mode]\ndirection = [1, 1]", "direction = [1, 1] must be 'x', 'y', 'both', or a unit vector"),
+        ("[effects.frame_mode]\ndirection = 'z'", "direction = 'z' must be 'x', 'y', 'both', or a unit vector [x, y]."),
+        ("[effects.cogging]\namplitude_mm = 0.1", "effects.cogging.pitch_mm is missing; p: command from ripple"),
+        ("[effects.force_map]\nshare = 0.3", "effects.force_map.share is not a parameter of this effect."),
+        (
+            "[effects.frame_mod]\nmass_kg = 1",
+            "effects.frame_mod is not an effect ffcomp knows. Did you mean 'frame_mode'?",
+        ),
+    ],
+)
+def test_mistakes_are_sentences(load, more: str, sentence: str) -> None:
+    with pytest.raises(MachineFileError) as caught:
+        load(more)
+    assert any(sentence in problem for problem in caught.value.problems)
+
+
+def test_uncertainty_may_name_any_parameter(tmp_path: Path) -> None:
+    path = tmp_path / "printer.toml"
+    path.write_text(MINIMAL.replace("[uncertainty]\n", '[uncertainty]\n"effects.frame_mode.mass_kg" = 0.5\n'))
+    assert load_machine(path).uncertainty["effects.frame_mode.mass_kg"] == 0.5
+
+
+def test_mistakes_in_memory_are_refused(printer: Machine) -> None:
+    with pytest.raises(ValueError, match=r"effects\.friction is not an effect"):
+        with_effect(printer, "friction", force_n=1.0)
+    with pytest.raises(ValueError, match=r"cogging\.pitch_mm is missing"):
+        values_of(with_effect(printer, "cogging", amplitude_mm=0.1), "cogging")
+    with pytest.raises(ValueError, match=r"coulomb_friction\.force is not a parameter of this effect: force_n"):
+        values_of(with_effect(printer, "coulomb_friction", force=1.0), "coulomb_friction")
+
+
+# --- Folded into the machine
+
+
+def test_without_parameter_effects_the_machine_is_itself(printer: Machine) -> None:
+    assert effective_machine(printer) is printer
+    rough = with_effect(printer, "coulomb_friction", force_n=1.0)
+    assert effective_machine(rough) is rough
+
+
+FOLDED = [
+    ("guide_damping", {"added_n_s_per_m": 3.0}, "carriage.guide_damping_n_s_per_m", 18.76 + 3),
+    ("belt_stiffness", {"relative_change": -0.1}, "carriage.belt_stiffness_n_per_m", 0.9 * 1.039e5),
+    ("effector_mass", {"added_kg": 0.08}, "effector.nozzle_mass_kg", 0.536 + 0.08),
+    ("center_of_mass", {"offset_mm": [1.0, 2.0, 3.0]}, "effector.center_of_mass_mm[1]", -16.52 + 2),
+    (
+        "extruder_mount",
+        {"relative_stiffness_change": [0.5, 0.0, 0.0]},
+        "effector.extruder_stiffness_n_per_m[0]",
+        1.5 * 3.31e3,
+    ),
+    (
+        "extruder_mount",
+        {"relative_damping_change": [0.0, 0.0, 1.0]},
+        "effector.extruder_damping_n_s_per_m[2]",
+        2 * 19.6,
+    ),
+    ("arm_geometry", {"arm_length_mm": [0.0, -1.0, 0.0]}, "kinematics.arm_lengths_mm[1]", 299.0),
+    ("arm_geometry", {"delta_radius_mm": 0.5}, "kinematics.delta_radii_mm[2]", 140.5),
+]
+
+
+@pytest.mark.parametrize(("name", "table", "number", "value"), FOLDED)
+def test_effects_fold_into_the_machines_numbers(printer: Machine, name, table, number, value) -> None:
+    folded = effective_machine(with_effect(printer, name, **table))
+    assert value_of(folded, number) == pytest.approx(value, rel=1e-12)
+    assert folded.effects == {}
+
+
+def test_the_force_map_turns_over(printer: Machine, as_printed: Machine) -> None:
+    for machine in (printer, as_printed):
+        there = effective_machine(with_effect(machine, "force_map"))
+        assert {machine.effector.force_map, there.effector.force_map} == {"virtual_work", "paper"}
+
+
+def test_a_value_per_tower_reaches_the_linear_plant(printer: Machine) -> None:
+    """q̈ of a carriage pulled by its own belt grows by its own belt's change, and by no other's."""
+    place = np.array([[30.0, -20.0]])
+    changed = effective_machine(with_effect(printer, "belt_stiffness", relative_change=[0.0, 0.1, 0.0]))
+    before, after = (continuous_plant(m, place).a[0, 9:12, 6:9] for m in (printer, changed))
+    np.testing.assert_allclose(after / before, np.tile([1.0, 1.1, 1.0], (3, 1)), rtol=1e-12)
+
+
+def test_other_effects_stay(printer: Machine) -> None:
+    machine = with_effect(
+        with_effect(printer, "effector_mass", added_kg=0.1), "cogging", amplitude_mm=0.1, pitch_mm=1.0
+    )
+    assert list(effective_machine(machine).effects) == ["cogging"]
+    assert list(without_effects(machine, "cogging").effects) == ["effector_mass"]
+    assert without_effects(machine).effects == {}
+
+
+# --- Sensors
+
+
+@pytest.fixture
+def signals() -> Signals:
+    t = np.arange(0, 0.5, 1 / 3200)
+    waves = np.stack([np.sin(60 * t), np.cos(80 * t), np.sin(100 * t)], axis=1)
+    return Signals(t, waves, 2 * waves[:, ::-1])
+
+
+def test_perfect_sensors_tell_the_truth(printer: Machine, signals: Signals) -> None:
+    assert measured(printer, signals) is signals
+
+
+def test_gains_are_of_each_channel(printer: Machine, signals: Signals) -> None:
+    table = {"carriage_relative_change": [0.1, 0.0, 0.0], "nozzle_relative_change": [0.0, -0.2, 0.0]}
+    seen = measured(with_effect(printer, "sensor_gain", **table), signals)
+    np.testing.assert_allclose(seen.carriage, signals.carriage * [1.1, 1, 1])
+    np.testing.assert_allclose(seen.nozzle, signals.nozzle * [1, 0.8, 1])
+
+
+def test_a_sensor_turned_by_a_right_angle_swaps_axes(printer: Machine, signals: Signals) -> None:
+    seen = measured(with_effect(printer, "sensor_misalignment", angles_deg=[0.0, 0.0, 90.0]), signals)
+    x, y, z = signals.nozzle.T
+    np.testing.assert_allclose(seen.nozzle, np.stack([y, -x, z], axis=1), atol=1e-12)
+    assert seen.carriage is signals.carriage
+
+
+def test_any_turn_keeps_lengths(printer: Machine, signals: Signals) -> None:
+    seen = measured(with_effect(printer, "sensor_misalignment", angles_deg=[10.0, -20.0, 30.0]), signals)
+    lengths = [np.linalg.norm(s.nozzle, axis=1) for s in (seen, signals)]
+    np.testing.assert_allclose(*lengths, rtol=1e-12)
+    assert np.abs(seen.nozzle - signals.nozzle).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("name", "table", "true_time"),
+    [
+        ("sensor_time_offset", {"offset_s": 0.0123}, lambda t: t - 0.0123),
+        ("sensor_clock_drift", {"relative_drift": 0.02}, lambda t: t / 1.02),
+    ],
+)
+def test_clocks_shift_and_stretch(printer: Machine, signals: Signals, name: str, table, true_time) -> None:
+    seen = measured(with_effect(printer, name, **table), signals)
+    inside = true_time(signals.t_s) > 0.01
+    expected = np.sin(60 * true_time(signals.t_s))
+    np.testing.assert_allclose(seen.carriage[inside, 0], expected[inside], atol=1e-6)
+
+
+def test_sensor_effects_act_in_the_order_of_the_file(printer: Machine, signals: Signals) -> None:
+    gain = ("sensor_gain", {"nozzle_relative_change": [1.0, 0.0, 0.0]})
+    turn = ("sensor_misalignment", {"angles_deg": [0.0, 0.0, 90.0]})
+    x, y, _ = signals.nozzle.T
+    for order, expected in (((gain, turn), (y, -2 * x)), ((turn, gain), (2 * y, -x))):
+        machine = replace(printer, effects=dict(order))
+        np.testing.assert_allclose(measured(machine, signals).nozzle.T[:2], expected, atol=1e-12)

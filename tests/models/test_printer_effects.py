@@ -1,0 +1,455 @@
+"""Each effect of the virtual printer against what physics says of it, and all of them together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from models.effects.catalogue import CATALOGUE, effective_machine, with_effect
+from models.effects.effect import Effect
+from models.kinematics.delta import forward, inverse
+from models.machine import Machine, constant
+from models.printer import GRAVITY_M_PER_S2, PrinterMotion, simulate_printer
+from models.printer_kernels import GUIDE
+
+RATE_HZ = 1600
+CENTRE = np.array([[0.0, 0.0, 40.0]])
+
+
+def on_z(machine: Machine, lift_mm: np.ndarray, **options: Any) -> PrinterMotion:
+    """All three carriages alike, from the centre of the bed: the nozzle moves straight up and down."""
+    return simulate_printer(machine, inverse(machine.kinematics, CENTRE) + lift_mm[:, None], 1 / RATE_HZ, **options)
+
+
+def times(seconds: float) -> np.ndarray:
+    return np.arange(round(seconds * RATE_HZ) + 1) / RATE_HZ
+
+
+def steady(machine: Machine, speed_mm_per_s: float, seconds: float = 0.6) -> PrinterMotion:
+    """Upwards at one speed, gently begun: the rate rises as a half cosine over 0.2 s."""
+    t = times(seconds)
+    x = np.clip(t / 0.2, 0, 1)
+    lift = speed_mm_per_s * (np.maximum(t - 0.2, 0) + 0.1 * (x - np.sin(np.pi * x) / np.pi))
+    return on_z(machine, lift, gravity=False)
+
+
+def shaking(machine: Machine, **options: Any) -> PrinterMotion:
+    """A third of a second of motion with everything in it; the towers do different things."""
+    t = times(0.3)[:, None]
+    path = np.hstack([8 * np.sin(40 * t) + 0.2 * np.sin(300 * t), 6 * np.sin(47 * t), 3 * np.sin(55 * t)])
+    q = inverse(machine.kinematics, CENTRE + [[15, -20, 0]] + path * (1 - np.exp(-((12 * t) ** 2))))
+    return simulate_printer(machine, q, 1 / RATE_HZ, **options)
+
+
+def stretch_m(motion: PrinterMotion) -> np.ndarray:
+    return (motion.motor_mm - motion.carriage_mm) / 1e3
+
+
+def weight(machine: Machine) -> float:
+    """N on each belt at rest at the centre."""
+    effector = machine.nozzle_side_mass_kg + machine.effector.extruder_mass_kg
+    return GRAVITY_M_PER_S2 * (machine.carriage.moving_mass_kg + effector / 3)
+
+
+def rest_stretch(machine: Machine) -> np.ndarray:
+    return stretch_m(on_z(machine, np.zeros(3)))[-1]
+
+
+# --- Friction
+
+
+def belt_work(motion: PrinterMotion, machine: Machine, period: slice) -> float:
+    """J that one belt's spring does over a period."""
+    force = machine.carriage.belt_stiffness_n_per_m * stretch_m(motion)[period, 0]
+    return float(np.sum(force * motion.carriage_velocity[period, 0])) / 1e3 / RATE_HZ
+
+
+@pytest.mark.parametrize(
+    ("name", "share"), [("coulomb_friction", 1.0), ("joint_friction", 1 / 3)], ids=["guides", "joints"]
+)
+def test_dry_friction_takes_4fa_a_cycle(printer: Machine, name: str, share: float) -> None:
+    t = times(1.0)
+    lift = 10 * np.cos(4 * np.pi * t) - 10
+    rough = with_effect(printer, name, force_n=3.0)
+    second = slice(RATE_HZ // 2, RATE_HZ)
+    work = [belt_work(on_z(machine, lift, gravity=False), machine, second) for machine in (rough, printer)]
+    assert work[0] - work[1] == pytest.approx(4 * share * 3.0 * 0.010, rel=0.02)
+
+
+@pytest.mark.parametrize("speed", [1.0, 100.0])
+def test_dry_friction_is_the_same_at_every_speed(printer: Machine, speed: float) -> None:
+    rough, smooth = steady(with_effect(printer, "coulomb_friction", force_n=3.0), speed), steady(printer, speed)
+    more = printer.carriage.belt_stiffness_n_per_m * (stretch_m(rough) - stretch_m(smooth))[-1]
+    np.testing.assert_allclose(more, 3.0, rtol=0.03)
+
+
+@pytest.mark.parametrize(("speed", "strain"), [(0.05, 3 / 1.3), (5.0, 3 / 31), (100.0, 3 / 601)])
+def test_dry_friction_forgets_its_strain_at_speed(printer: Machine, speed: float, strain: float) -> None:
+    """κ (r − |r| φ/φ_m − r² φ) = 0 at φ = φ_m/(1 + φ_m r), r = speed / 0.5 mm/s: quick reversals are not held back."""
+    rough = steady(with_effect(printer, "coulomb_friction", force_n=1.0), speed, 1.2 if speed > 1 else 4.0)
+    np.testing.assert_allclose(rough.state.values[GUIDE : GUIDE + 3], strain, rtol=0.02)
+
+
+def test_friction_holds_a_carriage_off_its_command(printer: Machine) -> None:
+    """After a move up and after a move down to one height the carriages rest apart, and stay there."""
+    rough = with_effect(printer, "coulomb_friction", force_n=3.0)
+    t = times(1.2)
+    move = np.where(t < 0.3, (1 - np.cos(np.pi * t / 0.3)) / 2, 1.0)
+    up, down = (on_z(rough, 5 * sign * (move - 1), gravity=False) for sign in (1, -1))
+    apart = down.carriage_mm[:, 0] - up.carriage_mm[:, 0]
+    hysteresis = 2e3 * 3.0 / printer.carriage.belt_stiffness_n_per_m
+    assert 0.5 * hysteresis < apart[-1] < 1.01 * hysteresis
+    assert apart[-1] == pytest.approx(apart[-RATE_HZ // 4], rel=0.01)
+
+
+def test_sticking_friction_fades_with_speed(printer: Machine) -> None:
+    sticky = with_effect(printer, "stribeck_friction", force_n=2.0, extra_force_n=1.5, velocity_mm_per_s=20.0)
+    for speed in (1.0, 20.0, 100.0):
+        more = stretch_m(steady(sticky, speed, 1.0)) - stretch_m(steady(printer, speed, 1.0))
+        expected = 2.0 + 1.5 * np.exp(-((speed / 20) ** 2))
+        force = printer.carriage.belt_stiffness_n_per_m * more[-RATE_HZ // 4 :].mean(axis=0)
+        np.testing.assert_allclose(force, expected, rtol=0.04)
+
+
+def test_strong_friction_stays_stable(printer: Machine) -> None:
+    motion = shaking(
+        with_effect(with_effect(printer, "coulomb_friction", force_n=60.0), "joint_friction", force_n=40.0)
+    )
+    assert np.abs(motion.carriage_mm - motion.motor_mm).max() < 5
+    assert np.abs(motion.nozzle_acceleration).max() < 500
+
+
+# --- Belts and motors
+
+
+def test_viscous_friction_lags_by_its_force(printer: Machine) -> None:
+    slow = with_effect(printer, "guide_damping", added_n_s_per_m=[0.0, 10.0, 20.0])
+    lag = stretch_m(steady(slow, 100.0))[-1] - stretch_m(steady(printer, 100.0))[-1]
+    np.testing.assert_allclose(printer.carriage.belt_stiffness_n_per_m * lag, [0, 1, 2], atol=0.01)
+
+
+def test_a_hardening_belt_obeys_its_cubic(printer: Machine) -> None:
+    for cubic in (1e13, -5e12):
+        s = rest_stretch(with_effect(printer, "belt_hardening", cubic_n_per_m3=cubic))
+        force = printer.carriage.belt_stiffness_n_per_m * s + cubic * s**3
+        np.testing.assert_allclose(force, weight(printer), rtol=1e-6)
+
+
+def test_an_overloaded_soft_belt_keeps_its_peak_force(printer: Machine) -> None:
+    """At constant speed through more viscous friction than the belt can pull, the carriage falls behind in balance."""
+    k, cubic = printer.carriage.belt_stiffness_n_per_m, -2e13
+    peak = 2 / 3 * k * np.sqrt(k / (-3 * cubic))
+    soft = with_effect(printer, "belt_hardening", cubic_n_per_m3=cubic)
+    speed = 120.0  # mm/s: 3.2 N at the guides' damping alone
+    motion = steady(with_effect(soft, "guide_damping", added_n_s_per_m=30.0), speed)
+    behind = speed - motion.carriage_velocity[-1]
+    resisting = (printer.carriage.guide_damping_n_s_per_m + 30.0) * motion.carriage_velocity[-1] / 1e3
+    np.testing.assert_allclose(resisting, peak + printer.carriage.belt_damping_n_s_per_m * behind / 1e3, rtol=0.01)
+    assert behind.min() > 10
+
+
+def test_a_belt_is_stiffer_above_its_centre(printer: Machine) -> None:
+    q = inverse(printer.kinematics, CENTRE)[0]
+    s = rest_stretch(
+        with_effect(printer, "belt_position_stiffness", slope_per_m=2.0, q_centre_mm=list(q - [100, 0, -50]))
+    )
+    k = weight(printer) / s
+    np.testing.assert_allclose(k / printer.carriage.belt_stiffness_n_per_m, [1.2, 1.0, 0.9], rtol=2e-4)
+
+
+def test_play_is_a_hysteresis_of_its_width(printer: Machine) -> None:
+    loose = with_effect(printer, "belt_backlash", width_mm=0.1)
+    t = times(2.0)
+    motion, tight = (on_z(machine, 3 * np.sin(np.pi * t) ** 3, gravity=False) for machine in (loose, printer))
+    more = 1e3 * (stretch_m(motion) - stretch_m(tight))[:, 0]
+    going_up, going_down = (np.abs(t - centre) < 0.03 for centre in (1 / 3, 2 / 3))
+    np.testing.assert_allclose(more[going_up].mean() - more[going_down].mean(), 0.1, rtol=0.02)
+
+
+def test_play_under_weight_only_moves_the_rest(printer: Machine) -> None:
+    s = rest_stretch(with_effect(printer, "belt_backlash", width_mm=[0.0, 0.1, 0.2]))
+    sag = weight(printer) / printer.carriage.belt_stiffness_n_per_m
+    np.testing.assert_allclose(s - sag, [0, 0.05e-3, 0.1e-3], atol=1e-7)
+
+
+def test_a_delay_shifts_everything(printer: Machine) -> None:
+    rows = 5
+    on_time = shaking(printer)
+    late = shaking(with_effect(printer, "command_delay", delay_s=rows / RATE_HZ))
+    np.testing.assert_allclose(late.nozzle_mm[rows:], on_time.nozzle_mm[:-rows], atol=1e-9)
+    np.testing.assert_allclose(late.nozzle_acceleration[rows:], on_time.nozzle_acceleration[:-rows], atol=1e-6)
+
+
+def test_a_delay_of_one_tower_leaves_the_other_motors_alone(printer: Machine) -> None:
+    late = shaking(with_effect(printer, "command_delay", delay_s=[0.0, 0.002, 0.0]))
+    on_time = shaking(printer)
+    same = np.abs(late.motor_mm - on_time.motor_mm).max(axis=0) == 0
+    assert list(same) == [True, False, True]
+
+
+@pytest.mark.parametrize("hold", ["cubic", "linear"])
+def test_a_delay_reaches_over_chunks(printer: Machine, hold) -> None:
+    late = with_effect(printer, "command_delay", delay_s=0.0301)
+    t = times(0.3)
+    lift = 5 * np.sin(20 * t) ** 2
+    whole, first = on_z(late, lift, hold=hold), on_z(late, lift[:201], hold=hold, ahead=rows_after(late, lift, 201))
+    second = on_z(late, lift[200:], hold=hold, start=first.state)
+    np.testing.assert_allclose(second.nozzle_mm, whole.nozzle_mm[200:], atol=1e-9)
+
+
+def rows_after(machine: Machine, lift: np.ndarray, row: int) -> np.ndarray:
+    return inverse(machine.kinematics, CENTRE) + lift[row : row + 40, None]
+
+
+def test_cogging_is_a_wave_of_the_motor(printer: Machine) -> None:
+    """At 2 mm/s and 0.8 mm a wave, 2.5 Hz, the carriages follow the ripple to 1 %."""
+    rippled = steady(with_effect(printer, "cogging", amplitude_mm=0.02, pitch_mm=0.8), 2.0, 1.4)
+    ripple = (rippled.carriage_mm - steady(printer, 2.0, 1.4).carriage_mm)[RATE_HZ // 2 :, 0]
+    assert np.ptp(ripple) / 2 == pytest.approx(0.02, rel=0.01)
+    rising = np.flatnonzero((ripple[:-1] < 0) & (ripple[1:] >= 0))
+    np.testing.assert_allclose(np.diff(rising) / RATE_HZ, 0.8 / 2.0, rtol=0.02)
+
+
+def test_cogging_of_an_ideal_drive_is_a_rippled_command(printer: Machine) -> None:
+    """Fast enough for the belt's damper to feel the rate of the ripple."""
+    direct = replace(printer, carriage=replace(printer.carriage, drive=None))
+    t = np.arange(0, 0.4, 1e-4)
+    q = inverse(direct.kinematics, CENTRE) + (20 * (1 - np.cos(6 * t)))[:, None]
+    rippled = simulate_printer(with_effect(direct, "cogging", amplitude_mm=0.02, pitch_mm=0.8), q, 1e-4)
+    ripple = 0.02 * np.sin(2 * np.pi * q / 0.8)
+    offset = ripple[0]  # so that the command begins where the motor holds
+    commanded = simulate_printer(direct, q + ripple - offset, 1e-4)
+    np.testing.assert_allclose(rippled.motor_mm - offset, commanded.motor_mm, atol=1e-9)
+    np.testing.assert_allclose(rippled.carriage_mm - offset, commanded.carriage_mm, atol=1e-4)
+
+
+def test_a_motors_torque_is_a_sine_of_its_lag(printer: Machine) -> None:
+    k, a = printer.carriage.belt_stiffness_n_per_m, 0.06e-3
+    s = rest_stretch(with_effect(printer, "torque_angle", amplitude_mm=1e3 * a))
+    np.testing.assert_allclose(s, a * np.arcsin(weight(printer) / (k * a)), rtol=1e-6)
+    assert s[0] > 1.05 * rest_stretch(printer)[0]
+
+
+def test_a_motor_that_is_too_weak_does_not_hold(printer: Machine) -> None:
+    soft = with_effect(printer, "belt_hardening", cubic_n_per_m3=-1e13)
+    weak = with_effect(printer, "torque_angle", amplitude_mm=0.9e3 * weight(printer) / 1.039e5)
+    for machine in (weak, soft):
+        with pytest.raises(ValueError, match="its motors do not hold it"):
+            rest_stretch(machine)
+
+
+def test_a_lost_step_is_a_whole_wave(printer: Machine) -> None:
+    """A jerk beyond the peak of the sine makes the carriages slip, by whole multiples of 2 π a."""
+    a = 0.1
+    jerk = np.concatenate([np.zeros(20), np.full(1200, 3.0)])  # more than anything can follow
+    slipped = on_z(with_effect(printer, "torque_angle", amplitude_mm=a), jerk, hold="linear", gravity=False)
+    waves = (slipped.motor_mm[-1] - slipped.carriage_mm[-1]) / (2 * np.pi * a)
+    np.testing.assert_allclose(waves, np.round(waves), atol=1e-3)
+    assert np.round(waves).min() >= 1
+
+
+# --- Masses, mounts, geometry
+
+
+def test_more_mass_sags_more(printer: Machine) -> None:
+    heavy = with_effect(printer, "effector_mass", added_kg=0.3)
+    more = rest_stretch(heavy) - rest_stretch(printer)
+    np.testing.assert_allclose(more * 1.039e5, 0.1 * GRAVITY_M_PER_S2, rtol=1e-6)
+
+
+def test_a_softer_belt_sags_more(printer: Machine) -> None:
+    soft = with_effect(printer, "belt_stiffness", relative_change=[-0.2, 0.0, 0.25])
+    np.testing.assert_allclose(rest_stretch(soft) / rest_stretch(printer), [1.25, 1, 0.8], rtol=2e-4)
+
+
+def test_the_true_geometry_places_the_nozzle(printer: Machine) -> None:
+    off = with_effect(printer, "arm_geometry", arm_length_mm=[0.5, 0.0, -0.5], delta_radius_mm=0.3)
+    motion = on_z(off, np.zeros(3), gravity=False)
+    nominal = inverse(printer.kinematics, CENTRE)
+    np.testing.assert_allclose(motion.nozzle_mm[-1], forward(effective_machine(off).kinematics, nominal)[0], atol=1e-9)
+    assert np.abs(motion.nozzle_mm[-1] - CENTRE[0]).max() > 0.1
+
+
+def test_rods_carry_an_offset_mass_among_themselves(printer: Machine) -> None:
+    """By virtual work the carriages cannot feel where the centre of mass is; by Eqs. 22-27 they do."""
+    lopsided = with_effect(printer, "center_of_mass", offset_mm=[15.0, -10.0, 5.0])
+    np.testing.assert_array_equal(shaking(lopsided).nozzle_mm, shaking(printer).nozzle_mm)
+    papers = [with_effect(machine, "force_map") for machine in (lopsided, printer)]
+    there, here = (shaking(machine).nozzle_mm for machine in papers)
+    assert np.abs(there - here).max() > 1e-3
+
+
+def test_a_loose_extruder_rings_slower(printer: Machine) -> None:
+    """The nozzle's own vibration along x, after a jerk, has the frequency the softened mount predicts."""
+    firm = replace(
+        printer,
+        carriage=replace(printer.carriage, belt_stiffness_n_per_m=1e8, belt_damping_n_s_per_m=1e3, drive=None),
+        effector=replace(printer.effector, extruder_damping_n_s_per_m=constant([0.5] * 3)),
+    )
+    soft = with_effect(firm, "extruder_mount", relative_stiffness_change=[-0.5, 0.0, 0.0])
+    t = times(0.6)
+    push = inverse(firm.kinematics, CENTRE + np.column_stack([0.5 * np.minimum(t / 0.003, 1), 0 * t, 0 * t]))
+    motion = simulate_printer(soft, push, 1 / RATE_HZ, hold="linear", gravity=False, substeps=16)
+    x = motion.nozzle_acceleration[100:, 0]
+    spectrum = np.abs(np.fft.rfft(x * np.hanning(len(x)), 65536))
+    expected = np.sqrt(0.5 * 3.31e3 / 0.115) / (2 * np.pi)
+    assert np.argmax(spectrum) * RATE_HZ / 65536 == pytest.approx(expected, rel=0.02)
+
+
+# --- The frame
+
+
+@pytest.mark.parametrize("frequency", [12.0, 20.0, 31.0])
+def test_the_frame_answers_as_a_mass_on_a_spring(printer: Machine, frequency: float) -> None:
+    """With Ẍ the nozzle's motion on the frame, a/Ẍ = M_f (s² + 2ζωs + ω²)/((M_f + M₁) s² + M_f (2ζωs + ω²)).
+
+    At the frame's own frequency that is a dip: the ground hardly feels the nozzle.
+    """
+    effector = replace(printer.effector, extruder_mass_kg=1e-4, extruder_damping_n_s_per_m=constant([0.1] * 3))
+    frame = {"mass_kg": 4.0, "frequency_hz": 20.0, "damping_ratio": 0.05, "direction": "x"}
+    machine = with_effect(replace(printer, effector=effector), "frame_mode", **frame)
+    t = times(2.0)
+    path = CENTRE + np.column_stack([np.sin(2 * np.pi * frequency * t) * np.minimum(t / 0.5, 1), 0 * t, 0 * t])
+    motion = simulate_printer(machine, inverse(machine.kinematics, path), 1 / RATE_HZ, gravity=False, substeps=16)
+    last = slice(-RATE_HZ - 1, -1)  # whole periods of every frequency here
+    wave = np.exp(-2j * np.pi * frequency * t[last])
+    s, omega = 2j * np.pi * frequency, 2 * np.pi * 20
+    relative = s * np.sum(motion.nozzle_velocity[last, 0] * wave) / 1e3
+    m, sway = machine.nozzle_side_mass_kg, 2 * 0.05 * omega * s + omega**2
+    expected = 4.0 * (s**2 + sway) / ((4.0 + m) * s**2 + 4.0 * sway)
+    assert np.sum(motion.nozzle_acceleration[last, 0] * wave) / relative == pytest.approx(expected, rel=2e-3)
+
+
+def test_a_free_frame_lightens_the_nozzle(printer: Machine) -> None:
+    """Sideways the belts swing the reduced mass M₁ M_f/(M₁ + M_f): ω² = k/(m + M σ²), σ² = ⅔ (h/R)² at the centre."""
+    geometry, carriage = printer.kinematics, printer.carriage
+    effector = replace(printer.effector, extruder_mass_kg=1e-4, extruder_damping_n_s_per_m=constant([0.1] * 3))
+    belts = replace(carriage, drive=None, belt_damping_n_s_per_m=0.0, guide_damping_n_s_per_m=0.5)
+    frame = {"mass_kg": 1.0, "frequency_hz": 0.5, "damping_ratio": 0.0, "direction": "both"}
+    machine = with_effect(replace(printer, effector=effector, carriage=belts), "frame_mode", **frame)
+    t = times(1.0)
+    push = CENTRE + np.column_stack([0.1 * np.minimum(t / 0.005, 1), 0 * t, 0 * t])
+    motion = simulate_printer(machine, inverse(geometry, push), 1 / RATE_HZ, hold="linear", gravity=False, substeps=16)
+    spectrum = np.abs(np.fft.rfft(motion.nozzle_velocity[50:, 0] * np.hanning(len(t) - 50), 1 << 16))
+    height2 = geometry.arm_lengths_mm[0] ** 2 - geometry.delta_radii_mm[0] ** 2
+    sigma2 = 2 / 3 * height2 / geometry.delta_radii_mm[0] ** 2
+    reduced = machine.nozzle_side_mass_kg / (machine.nozzle_side_mass_kg + 1.0)
+    expected = np.sqrt(carriage.belt_stiffness_n_per_m / (carriage.moving_mass_kg + reduced * sigma2)) / (2 * np.pi)
+    assert np.argmax(spectrum) * RATE_HZ / (1 << 16) == pytest.approx(expected, rel=0.01)
+
+
+def test_a_frame_sways_only_along_its_direction(printer: Machine) -> None:
+    frame = {"mass_kg": 5.0, "frequency_hz": 15.0, "damping_ratio": 0.05}
+    still = shaking(printer)
+    for direction, axis in (([0.0, 1.0], 1), ("x", 0)):
+        motion = shaking(with_effect(printer, "frame_mode", **frame, direction=direction))
+        on_the_bed = CubicSpline(motion.t_s, motion.nozzle_velocity)(motion.t_s, 1) / 1e3
+        sway = motion.nozzle_acceleration - on_the_bed
+        power = np.sqrt((sway[20:-20] ** 2).mean(axis=0))
+        assert power[axis] > 20 * np.delete(power, axis).max()
+        assert np.abs(motion.nozzle_mm - still.nozzle_mm).max() > 1e-3
+
+
+# --- All of them
+
+TABLES: dict[str, dict[str, Any]] = {
+    "coulomb_friction": {"force_n": [1.0, 2.0, 3.0]},
+    "stribeck_friction": {"force_n": 0.5, "extra_force_n": 1.0, "velocity_mm_per_s": 10.0},
+    "guide_damping": {"added_n_s_per_m": [1.0, 2.0, 3.0]},
+    "belt_stiffness": {"relative_change": [0.1, 0.0, -0.1]},
+    "belt_hardening": {"cubic_n_per_m3": 1e12},
+    "belt_position_stiffness": {"slope_per_m": 0.3, "q_centre_mm": 350.0},
+    "belt_backlash": {"width_mm": [0.02, 0.05, 0.03]},
+    "command_delay": {"delay_s": [0.001, 0.002, 0.0013]},
+    "cogging": {"amplitude_mm": [0.01, 0.02, 0.01], "pitch_mm": [0.8, 0.8, 0.2]},
+    "torque_angle": {"amplitude_mm": 2.0},
+    "effector_mass": {"added_kg": 0.1},
+    "center_of_mass": {"offset_mm": [5.0, 0.0, 0.0]},
+    "extruder_mount": {"relative_stiffness_change": [-0.2, 0.1, 0.0], "relative_damping_change": [0.1, 0.2, 0.3]},
+    "joint_friction": {"force_n": 1.0},
+    "frame_mode": {"mass_kg": 20.0, "frequency_hz": 20.0, "damping_ratio": 0.03, "direction": "both"},
+    "arm_geometry": {"arm_length_mm": [0.5, 0.0, 0.0], "delta_radius_mm": 0.3},
+    "force_map": {},
+}
+MOVING = [effect for effect in CATALOGUE.values() if effect.kind != "sensor"]
+
+
+@pytest.fixture
+def everything(printer: Machine) -> Machine:
+    machine = printer
+    for name, table in TABLES.items():
+        machine = with_effect(machine, name, **table)
+    return machine
+
+
+def test_the_tables_hold_every_effect() -> None:
+    assert set(TABLES) == {effect.name for effect in MOVING}
+
+
+@pytest.mark.parametrize("effect", [effect for effect in MOVING if effect.amplitudes], ids=lambda e: e.name)
+def test_without_amplitude_there_is_no_effect(printer: Machine, effect: Effect) -> None:
+    neutral = {p.name: np.full(3, p.neutral) if p.size == "vector3" else p.neutral for p in effect.amplitudes}
+    machine = with_effect(printer, effect.name, **{**TABLES[effect.name], **neutral})
+    bare = shaking(printer)
+    motion = shaking(machine)
+    for field in ("carriage_mm", "nozzle_mm", "carriage_acceleration", "nozzle_acceleration", "motor_mm"):
+        np.testing.assert_array_equal(getattr(motion, field), getattr(bare, field))
+
+
+@pytest.mark.parametrize("effect", MOVING, ids=lambda e: e.name)
+def test_every_probe_shows(everything: Machine, effect: Effect) -> None:
+    """A step of a parameter by its probe moves a carriage or the nozzle, and not by millimetres."""
+    base = shaking(everything)
+    for parameter in effect.parameters:
+        if parameter.size == "direction":
+            continue
+        value = np.asarray(everything.effects[effect.name].get(parameter.name)) + parameter.probe
+        table = {**everything.effects[effect.name], parameter.name: value}
+        moved = np.abs(shaking(with_effect(everything, effect.name, **table)).nozzle_mm - base.nozzle_mm).max()
+        assert 1e-7 < moved < 0.5, parameter.name
+
+
+def test_all_effects_together_stay_stable(everything: Machine) -> None:
+    t = times(1.5)
+    stop = (1 - np.cos(np.pi * np.minimum(t, 1.0)))[:, None]
+    path = CENTRE + np.hstack([40 * np.sin(9 * stop), 30 * np.sin(11 * stop), 5 * np.sin(30 * stop)])
+    motion = simulate_printer(everything, inverse(everything.kinematics, path), 1 / RATE_HZ)
+    assert np.abs(motion.nozzle_acceleration).max() < 200
+    assert np.abs(motion.nozzle_mm - path).max() < 5
+    assert np.abs(motion.carriage_velocity[-RATE_HZ // 10 :]).max() < 0.1
+    assert np.abs(motion.nozzle_acceleration[-RATE_HZ // 10 :]).max() < 0.5
+
+
+def test_a_turn_of_120_degrees_turns_towers_effects_too(printer: Machine, everything: Machine) -> None:
+    effector = replace(
+        printer.effector,
+        extruder_stiffness_n_per_m=constant([5e3, 5e3, 1e5]),
+        extruder_damping_n_s_per_m=constant([30, 30, 20]),
+        center_of_mass_mm=constant([0, 0, 15]),
+    )
+    level = ("extruder_mount", "center_of_mass")  # these would have to be turned in the plane
+    tables = {name: table for name, table in everything.effects.items() if name not in level}
+    rolled = {
+        name: {key: [v[2], v[0], v[1]] if isinstance(v, list) else v for key, v in table.items()}
+        for name, table in tables.items()
+    }
+    here, there = (replace(printer, effector=effector, effects=each) for each in (tables, rolled))
+    t = times(0.3)[:, None]
+    command = 340 + np.hstack([3 * np.sin(40 * t), 2 * np.sin(50 * t), 1 * np.sin(33 * t)]) * np.sin(5 * t)
+    motion = simulate_printer(here, command, 1 / RATE_HZ)
+    turned = simulate_printer(there, np.roll(command, 1, axis=1), 1 / RATE_HZ)
+    np.testing.assert_allclose(turned.carriage_mm, np.roll(motion.carriage_mm, 1, axis=1), atol=1e-6)
+    np.testing.assert_allclose(np.hypot(*turned.nozzle_mm[:, :2].T), np.hypot(*motion.nozzle_mm[:, :2].T), atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["coulomb_friction", "belt_backlash", "joint_friction"])
+def test_the_chosen_step_is_fine_enough_for_kinks(printer: Machine, name: str) -> None:
+    machine = with_effect(printer, name, **TABLES[name])
+    chosen, fine = shaking(machine), shaking(machine, substeps=64)
+    assert np.abs(chosen.nozzle_mm - fine.nozzle_mm).max() < 1e-3
+    error = np.sqrt(((chosen.nozzle_acceleration - fine.nozzle_acceleration) ** 2).mean())
+    assert error < 0.02 * np.sqrt((fine.nozzle_acceleration**2).mean())
