@@ -9,11 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.identify.direct import DAMPING, DRIVE, STIFFNESS, TOTAL_MASS, Fitted, fit_machine
+from ffcomp.identify.direct import DAMPING, DRIVE, STIFFNESS, TOTAL_MASS, UNKNOWNS, Fitted, fit_machine
 from ffcomp.identify.estimates import Estimate
+from ffcomp.identify.from_modes import Started
+from ffcomp.identify.stepwise import Stepwise
 from ffcomp.measured.frf import FrequencyResponse
 from models.machine import Drive, Machine
 from models.machine_file import updated_text
+from models.parameters import value_of, with_values
 
 UNDETERMINED = 0.25  # of the weak prior's variance: above it the data say next to nothing, and the old number stays
 DRIVE_COSTS = 10.0  # BIC by which a drive filter must be better than an ideal drive to be kept
@@ -87,8 +90,6 @@ def _without_command(
 
 
 def _with_old(fitted: Fitted, start: Machine, kept: Sequence[str]) -> Fitted:
-    from models.parameters import value_of, with_values
-
     old = {name: value_of(start, name) for name in kept if name not in DRIVE or start.carriage.drive is not None}
     return replace(fitted, machine=with_values(fitted.machine, old))
 
@@ -171,3 +172,31 @@ def _summary(source: Path, found: Identified, data: Sequence[str], when: str) ->
         "model_error_share": float(f"{fitted.model_error:.3g}"),
         "kept_from_the_starting_file": list(found.kept),
     }
+
+
+def stepwise_file_text(source: Path, found: Stepwise, data: Sequence[str], when: str) -> str:
+    """The same for the paper's step-by-step method; `found.machine.name` is the new file's."""
+    machine = found.machine
+    names = [n for n in UNKNOWNS if machine.carriage.drive is not None or n not in DRIVE]
+    origin = f"identified {when} by ffcomp identify fit --method stepwise"
+    provenance: dict[str, Any] = {name.partition("[")[0]: origin for name in names}
+    steps = {step.title: float(f"{step.consistency:.4g}") for step in found.steps}
+    provenance["identified"] = {
+        "date": when,
+        "started_from": source.stem,
+        "data": list(data),
+        "chi_squared_per_degree_of_freedom": steps,
+    }
+    values = {name: float(f"{value_of(machine, name):.6g}") for name in names}
+    return updated_text(source, values, name=machine.name, provenance=provenance)
+
+
+def modes_file_text(source: Path, started: Started, name: str, data: Sequence[str], when: str) -> str:
+    """The same for a start from resonances."""
+    origin = f"scaled {when} by ffcomp identify fit until the resonances are the measured ones"
+    predicted = [float(f"{f:.4g}") for f in started.predicted_hz]
+    identified = {"date": when, "started_from": source.stem, "data": list(data), "resonances_hz": predicted}
+    values = {key: _rounded(e) for key, e in started.estimates.items()}
+    uncertainty = {key: float(f"{e.relative_sd:.2g}") for key, e in started.estimates.items()}
+    provenance = {**dict.fromkeys(started.estimates, origin), "identified": identified}
+    return updated_text(source, values, name=name, uncertainty=uncertainty, provenance=provenance)

@@ -44,7 +44,12 @@ class Alignment:
 
 
 def align(
-    time_s: FloatArray, measured: FloatArray, expected_time_s: FloatArray, expected: FloatArray, source: str = ""
+    time_s: FloatArray,
+    measured: FloatArray,
+    expected_time_s: FloatArray,
+    expected: FloatArray,
+    source: str = "",
+    repeats_s: float = np.inf,
 ) -> Alignment:
     """Offset and clock ratio of a record, with standard uncertainties; MeasurementError without a clear match.
 
@@ -58,6 +63,8 @@ def align(
     expected_time_s : (N,) uniform.
     expected : (N, m) m/s², the same axes.
     source : the file, for the error's sentence.
+    repeats_s : the motion's own period, if it has one. Places a whole number of periods apart look alike in a few
+        seconds; beginning and end of the whole record then decide between them.
     """
     _check(time_s, measured, expected, source)
     highest = _highest_frequency(expected, expected_time_s)
@@ -65,11 +72,14 @@ def align(
     since = time_s - time_s[0]
     record = _in_band(measured, time_s, highest)
     window = _loudest(record, since, _FIRST_WINDOW_S)
-    place = _search(since[window], record[window], wanted, source)
+    place = _search(since[window], record[window], wanted, source, repeats_s)
     while True:
         place, covariance, correlation = _refine(since[window], record[window], wanted, place)
         if window.stop - window.start == len(since):
-            break
+            moved = _right_period(since, record, wanted, place, repeats_s)
+            if moved[0] == place[0]:
+                break
+            place = moved
         window = _twice(window, len(since))
     if correlation < _CLEAR_CORRELATION:
         raise MeasurementError(source, [_no_match(correlation)])
@@ -94,7 +104,23 @@ class _Expectation:
         return np.asarray(spline(np.where(inside, t, self.time_s[0]), derivative) * inside[:, None])
 
 
-def _search(since: FloatArray, record: FloatArray, wanted: _Expectation, source: str) -> FloatArray:
+def _right_period(
+    since: FloatArray, record: FloatArray, wanted: _Expectation, place: FloatArray, repeats_s: float
+) -> FloatArray:
+    """The place (2,), moved by the whole periods that suit the whole record best."""
+    if not np.isfinite(repeats_s):
+        return place
+    length = float(wanted.time_s[-1] - wanted.time_s[0])
+    moves = repeats_s * np.arange(-int(length / repeats_s), int(length / repeats_s) + 1)
+    t = place[0] + place[1] * since
+    inside = [wanted.at(np.clip(t + move, wanted.time_s[0], wanted.time_s[-1])) for move in moves]
+    scores = [float(np.sum(e * record)) / np.sqrt(float(np.sum(e**2)) + 1e-300) for e in inside]
+    return np.array([place[0] + moves[int(np.argmax(scores))], place[1]])
+
+
+def _search(
+    since: FloatArray, record: FloatArray, wanted: _Expectation, source: str, repeats_s: float
+) -> FloatArray:
     """The best (offset, ratio) on a grid of clock ratios and all offsets; (2,)"""
     frequency, bandwidth, highest = _content(wanted.value, float(wanted.time_s[1] - wanted.time_s[0]))
     thin = max(1, int(1 / (_SEARCH_SAMPLES * highest * (since[1] - since[0]))))
@@ -109,7 +135,10 @@ def _search(since: FloatArray, record: FloatArray, wanted: _Expectation, source:
     top = int(curve.argmax())
     if curve[top] < _CLEAR_CORRELATION / 2:
         raise MeasurementError(source, [_no_match(float(curve[top]))])
-    apart = np.abs(offsets - offsets[top]) > 0.5 / frequency
+    away = np.abs(offsets - offsets[top])
+    if np.isfinite(repeats_s):
+        away = np.abs(away - repeats_s * np.round(away / repeats_s))
+    apart = away > 0.5 / frequency
     if apart.any():
         rival = int(np.flatnonzero(apart)[curve[apart].argmax()])
         independent = 2 * bandwidth * length * record.shape[1]

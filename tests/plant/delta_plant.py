@@ -18,6 +18,11 @@ Each motor turns its command u_d into u = (d_1 s + d_0)/(s² + d_2 s + d_0) u_d.
 work, whatever the file's `force_map` says; the holder never tilts, so its centre of mass does no work and
 does not enter.
 
+A printer is never quite even. A machine dictionary may hold a table `towers`, three values each, that stand in
+place of the common ones (`carriage_mass_kg`, `belt_stiffness_n_per_m`, `belt_damping_n_s_per_m`,
+`guide_damping_n_s_per_m`), and dry friction in the guides, `friction_n`, which falls with speed from
+1 + `stiction` times that much (Stribeck) and turns over within 1 mm/s: F (1 + e exp(-(v/v_s)²)) tanh(v/v_0).
+
 Timing: `command_q_mm[i]` is the command at t = i h/2 exactly, so that classical Runge-Kutta of order 4
 reads it at its own nodes t, t + h/2, t + h and nothing is held or interpolated. Inside SI; mm at the edges.
 """
@@ -45,12 +50,14 @@ PLANT = np.dtype(
         ("towers", "f8", (3, 2)),  # m, the carriages' joints seen from the effector's: effective radius
         ("arms", "f8", 3),  # m
         ("height", "f8"),  # m, joint plane above the nozzle tip
-        ("carriage_mass", "f8"),  # kg, m = m_c + m_f/2
+        ("carriage_mass", "f8", 3),  # kg, m = m_c + m_f/2
         ("holder_mass", "f8"),  # kg, M = m_1 + 3 m_f/2
         ("extruder_mass", "f8"),  # kg, m_2
-        ("belt_k", "f8"),  # N/m
-        ("belt_c", "f8"),  # N s/m
-        ("guide_b", "f8"),  # N s/m
+        ("belt_k", "f8", 3),  # N/m
+        ("belt_c", "f8", 3),  # N s/m
+        ("guide_b", "f8", 3),  # N s/m
+        ("friction", "f8", 3),  # N
+        ("stiction", "f8"),  # surplus at rest, as a share
         ("extruder_k", "f8", 3),  # N/m
         ("extruder_b", "f8", 3),  # N s/m
         ("ideal_drive", "?"),  # u = u_d
@@ -59,6 +66,7 @@ PLANT = np.dtype(
     ]
 )
 Plant: TypeAlias = np.record
+CREEP_M_PER_S, STRIBECK_M_PER_S = 1e-3, 5e-3  # v_0 and v_s of the friction
 
 
 def load_machine(path: Path | str) -> dict[str, Any]:
@@ -77,16 +85,22 @@ def plant_of(machine: dict[str, Any], *, gravity: bool = False) -> Plant:
     radii = _per_tower(geometry, "delta_radii_mm", "delta_radius_mm") / 1e3
     loose = effector["extruder_mass_kg"] == 0.0  # no extruder: a unit mass that no spring ties to anything
     spring = 0.0 if loose else 1.0
+
+    def each(key: str, common: float) -> FloatArray:
+        return np.array(machine.get("towers", {}).get(key, [common] * 3), dtype=float)
+
     numbers = {
         "towers": radii[:, None] * np.column_stack([np.cos(angles), np.sin(angles)]),
         "arms": _per_tower(geometry, "arm_lengths_mm", "arm_length_mm") / 1e3,
         "height": geometry["effector_height_mm"] / 1e3,
-        "carriage_mass": carriage["mass_kg"] + half_arms,
+        "carriage_mass": each("carriage_mass_kg", carriage["mass_kg"]) + half_arms,
         "holder_mass": effector["nozzle_mass_kg"] + 3 * half_arms,
         "extruder_mass": 1.0 if loose else float(effector["extruder_mass_kg"]),
-        "belt_k": float(carriage["belt_stiffness_n_per_m"]),
-        "belt_c": float(carriage["belt_damping_n_s_per_m"]),
-        "guide_b": float(carriage["guide_damping_n_s_per_m"]),
+        "belt_k": each("belt_stiffness_n_per_m", carriage["belt_stiffness_n_per_m"]),
+        "belt_c": each("belt_damping_n_s_per_m", carriage["belt_damping_n_s_per_m"]),
+        "guide_b": each("guide_damping_n_s_per_m", carriage["guide_damping_n_s_per_m"]),
+        "friction": each("friction_n", 0.0),
+        "stiction": float(machine.get("towers", {}).get("stiction", 0.0)),
         "extruder_k": spring * np.asarray(effector["extruder_stiffness_n_per_m"], dtype=float),
         "extruder_b": spring * np.asarray(effector["extruder_damping_n_s_per_m"], dtype=float),
         "ideal_drive": not drive,
@@ -184,6 +198,15 @@ def _motor(y: FloatArray, ud: FloatArray, dud: FloatArray, i: int, p: Plant) -> 
 
 
 @njit(cache=True)
+def _friction(v: float, i: int, p: Plant) -> float:
+    """Dry friction of guide i, N."""
+    if p.friction[i] == 0.0:
+        return 0.0
+    level = p.friction[i] * (1.0 + p.stiction * np.exp(-((v / STRIBECK_M_PER_S) ** 2)))
+    return level * np.tanh(v / CREEP_M_PER_S)
+
+
+@njit(cache=True)
 def _tower(y: FloatArray, i: int, p: Plant) -> tuple[float, float, float, float, float]:
     """(A_i0, A_i1, q_i, q̇_i, a_i) of tower i."""
     dx, dy = y[0] - p.towers[i, 0], y[1] - p.towers[i, 1]
@@ -216,13 +239,13 @@ def _rate(
     for i in range(3):
         ax, ay, q, dq, bend = _tower(y, i, p)
         u, du, ddv = _motor(y, ud, dud, i, p)
-        pull = p.belt_k * (u - q) + p.belt_c * (du - dq) - p.guide_b * dq
-        pull -= p.carriage_mass * (bend + p.gravity)
+        pull = p.belt_k[i] * (u - q) + p.belt_c[i] * (du - dq) - p.guide_b[i] * dq - _friction(dq, i, p)
+        pull -= p.carriage_mass[i] * (bend + p.gravity)
         row = (ax, ay, 1.0)
         for j in range(3):
             force[j] += row[j] * pull
             for k in range(3):
-                mass[j, k] += p.carriage_mass * row[j] * row[k]
+                mass[j, k] += p.carriage_mass[i] * row[j] * row[k]
         dy[12 + i], dy[15 + i] = y[15 + i], ddv
     _solve3(mass, force, acc)
     for j in range(3):

@@ -174,9 +174,9 @@ def energy(p: plant.Plant, state: FloatArray, u: FloatArray) -> float:
 
     x, v, eta, eta_v = (state[part] for part in (plant.X, plant.V, plant.ETA, plant.ETA_V))
     q, dq = carriages(x), (carriages(x + 1e-6 * v) - carriages(x - 1e-6 * v)) / 2e-6
-    kinetic = p.carriage_mass * dq @ dq + p.holder_mass * v @ v + p.extruder_mass * (v + eta_v) @ (v + eta_v)
-    strain = p.belt_k * (u - q) @ (u - q) + eta @ (p.extruder_k * eta)
-    heights = p.carriage_mass * q.sum() + p.holder_mass * x[2] + p.extruder_mass * (x[2] + eta[2])
+    kinetic = dq @ (p.carriage_mass * dq) + p.holder_mass * v @ v + p.extruder_mass * (v + eta_v) @ (v + eta_v)
+    strain = (u - q) @ (p.belt_k * (u - q)) + eta @ (p.extruder_k * eta)
+    heights = p.carriage_mass @ q + p.holder_mass * x[2] + p.extruder_mass * (x[2] + eta[2])
     return float(kinetic / 2 + strain / 2 + p.gravity * heights)
 
 
@@ -308,7 +308,7 @@ def closed_form(machine: dict[str, Any], xyz_mm: tuple[float, float, float], s: 
     jacobian = np.linalg.inv((around[:3] - around[3:]).T / 2e-3)
     d = p.extruder_b * s + p.extruder_k
     w = p.holder_mass * s**2 + d - d**2 / (p.extruder_mass * s**2 + d)
-    inertia = (p.carriage_mass * s**2 + (p.belt_c + p.guide_b) * s + p.belt_k) * np.eye(3)
+    inertia = np.diag(p.carriage_mass * s**2 + (p.belt_c + p.guide_b) * s + p.belt_k)
     d0, d1, d2 = p.drive
     drive = 1.0 if p.ideal_drive else (d1 * s + d0) / (s**2 + d2 * s + d0)
     return np.linalg.inv(inertia + jacobian.T @ np.diag(w) @ jacobian) * ((p.belt_c * s + p.belt_k) * drive)

@@ -1,0 +1,334 @@
+"""`ffcomp identify`: from measurements to a machine file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ffcomp.cli.identify_plan import plan as write_plan
+
+if TYPE_CHECKING:
+    from ffcomp.identify.gather import Gathered
+    from ffcomp.identify.workflow import Identified
+    from models.machine import Machine
+
+app = typer.Typer(
+    no_args_is_help=True,
+    help="Tune a machine file to measurements.\n\n"
+    "With an accelerometer and no laboratory: ffcomp identify plan, run its G-code, ffcomp identify fit. "
+    "With frequency responses of your own: ffcomp identify fit responses.csv … (CSV or UFF 58).",
+)
+app.command("plan")(write_plan)
+
+Data = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="DATA...",
+        help="Frequency responses (CSV, UFF 58), measured runs (CSV), captures of a plan, or Klipper's "
+        "resonances_*.csv and raw_data_*.csv.",
+    ),
+]
+MachineName = Annotated[
+    str, typer.Option("--machine", "-m", help="The machine to start from: its kinematics must be your printer's.")
+]
+Output = Annotated[Path | None, typer.Option("--output", "-o", help="The machine file to write.")]
+PlanFile = Annotated[
+    Path | None, typer.Option("--plan", help="The account that `identify plan` wrote, for its captures.")
+]
+Known = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="KEY=VALUE±SD",
+        help="What you know: effector.total_mass_kg=0.651±0.001 (a kitchen scale), or any number of the machine file. "
+        "Without ± one percent is taken.",
+    ),
+]
+Method = Annotated[str, typer.Option(help="direct (recommended), or stepwise, the paper's (needs all four benches).")]
+Name = Annotated[str | None, typer.Option(help="Of the new machine; default: the output file's.")]
+FigureFile = Annotated[Path | None, typer.Option("--figure", help="Draw measured beside fitted: .png, .svg, .pdf.")]
+Lowest = Annotated[float, typer.Option(min=0.1, help="Values below are left out.")]
+Highest = Annotated[float, typer.Option(min=1.0, help="Values above are left out.")]
+AxesMap = Annotated[
+    str, typer.Option(metavar="X,Y,Z", help="The printer's axes in the accelerometer's own, such as x,-z,y.")
+]
+Force = Annotated[bool, typer.Option(help="Overwrite the output.")]
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")]
+
+
+@app.command("fit")
+def fit(
+    data: Data,
+    machine: MachineName,
+    output: Output = None,
+    plan: PlanFile = None,
+    known: Known = None,
+    method: Method = "direct",
+    name: Name = None,
+    figure: FigureFile = None,
+    lowest_hz: Lowest = 2.0,
+    highest_hz: Highest = 400.0,
+    axes_map: AxesMap = "x,y,z",
+    force: Force = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find the numbers of a machine file from measurements, with their uncertainties, and say what is weak.
+
+    Example: ffcomp identify fit carriage.csv hammer.uff centre-*.csv -m mp-delta-pro
+    --known effector.total_mass_kg=0.651±0.001 -o my-printer.toml --figure fit.png
+    """
+    from ffcomp.cli.common import exit_codes, print_json, say
+
+    numbers = dict(_known(text) for text in known or [])
+    if method not in ("direct", "stepwise"):
+        raise typer.BadParameter(f"--method {method!r}: it is direct or stepwise.")
+    if output is not None and output.exists() and not force:
+        raise typer.BadParameter(f"{output} exists already; give another --output, or --force.")
+    with exit_codes():
+        from ffcomp.identify.gather import gather
+        from ffcomp.identify.plan_files import load_plan
+        from models.machine_file import load_machine
+
+        start = load_machine(machine)
+
+        def progress(sentence: str) -> None:
+            say(f"ffcomp: {sentence}", quiet)
+
+        account = None if plan is None else load_plan(plan)
+        axes = axes_map.split(",")
+        band = (lowest_hz, highest_hz)
+        gathered = gather(data, start, band_hz=band, plan=account, axes=axes, progress=progress)
+        for sentence in gathered.skipped:
+            say(f"ffcomp: {sentence}", quiet)
+        outcome = _Outcome(start, gathered, data, numbers, output, name)
+        result = outcome.from_responses(method, progress) if gathered.responses else outcome.from_modes()
+        if figure is not None and outcome.identified is not None:
+            from ffcomp.report.identify import draw_fit
+
+            draw_fit(outcome.identified, figure)
+            say(f"ffcomp: {figure}", quiet)
+        if as_json:
+            print_json(result)
+        else:
+            _print(result)
+
+
+def _known(text: str) -> tuple[str, tuple[float, float]]:
+    """KEY=VALUE±SD, also with +- ."""
+    key, _, number = text.partition("=")
+    value, _, sd = number.replace("+-", "±").partition("±")
+    try:
+        found = float(value)
+        return key.strip(), (found, float(sd) if sd else 0.01 * abs(found))
+    except ValueError:
+        raise typer.BadParameter(f"--known {text!r}: it reads KEY=VALUE±SD, with numbers.") from None
+
+
+class _Outcome:
+    """What a fit leads to: a result to print, and a file."""
+
+    def __init__(
+        self,
+        start: Machine,
+        gathered: Gathered,
+        data: list[Path],
+        known: dict[str, tuple[float, float]],
+        output: Path | None,
+        name: str | None,
+    ) -> None:
+        self.start, self.gathered, self.known, self.output = start, gathered, known, output
+        self.name = name or (output.stem if output else start.name)
+        self.hashes = [_hash(path) for path in data]
+        self.identified: Identified | None = None
+
+    def from_responses(self, method: str, progress: Any) -> dict[str, Any]:
+        from datetime import date
+
+        from ffcomp.identify.workflow import identify, machine_file_text
+
+        if method == "stepwise":
+            return self._stepwise()
+        found = identify(self.start, self.gathered.responses, self.known, progress)
+        self.identified = found
+        text = machine_file_text(Path(self.start.path), found, self.name, self.hashes, date.today().isoformat())
+        return {
+            **self._head(),
+            "method": "direct",
+            "numbers": {key: _estimate(e) for key, e in found.fitted.estimates.items()},
+            "delays_s": {key: _estimate(e) for key, e in found.fitted.delays_s.items()},
+            "kept": list(found.kept),
+            "weak": {key: dict(others) for key, others in found.fitted.weak.items()},
+            "advice": list(found.advice),
+            "misfit": found.fitted.misfit,
+            "model_error": found.fitted.model_error,
+            "responses": _fit_quality(found),
+            "output": self._written(text),
+        }
+
+    def _stepwise(self) -> dict[str, Any]:
+        from dataclasses import replace
+        from datetime import date
+
+        from ffcomp.identify.direct import TOTAL_MASS
+        from ffcomp.identify.stepwise import identify_stepwise
+        from ffcomp.identify.workflow import stepwise_file_text
+
+        if TOTAL_MASS not in self.known:
+            raise typer.BadParameter(f"--method stepwise needs the effector's weight: --known {TOTAL_MASS}=KG±SD.")
+        found = identify_stepwise(self.start, self.gathered.responses, *self.known[TOTAL_MASS])
+        named = replace(found, machine=replace(found.machine, name=self.name))
+        text = stepwise_file_text(Path(self.start.path), named, self.hashes, date.today().isoformat())
+        return {
+            **self._head(),
+            "method": "stepwise",
+            "steps": [
+                {
+                    "step": step.title,
+                    "chi_squared_per_degree_of_freedom": step.consistency,
+                    "numbers": {key: _estimate(e) for key, e in step.found.estimates().items()},
+                }
+                for step in found.steps
+            ],
+            "advice": [],
+            "output": self._written(text),
+        }
+
+    def from_modes(self) -> dict[str, Any]:
+        """Only resonances are known: a table of modes, and a starting file if one is asked for."""
+        from datetime import date
+
+        from ffcomp.identify.from_modes import starting_machine
+        from ffcomp.identify.gather import resonances_of
+        from ffcomp.identify.workflow import modes_file_text
+
+        spectra = [
+            {
+                "file": fit.source,
+                "signal": fit.signal,
+                "verdict": fit.verdict,
+                "modes": [_mode(m) for m in fit.modes],
+            }
+            for fit in self.gathered.spectra
+        ]
+        result: dict[str, Any] = {**self._head(), "method": "modes", "spectra": spectra, "output": None}
+        result["advice"] = [
+            "Spectra hold no phase and no command: they say where it resonates, not why. For a model that can be "
+            "compensated with, run `ffcomp identify plan` and bring its captures."
+        ]
+        if self.output is not None:
+            started = starting_machine(self.start, resonances_of(self.gathered.spectra))
+            when = date.today().isoformat()
+            text = modes_file_text(Path(self.start.path), started, self.name, self.hashes, when)
+            result["numbers"] = {key: _estimate(e) for key, e in started.estimates.items()}
+            result["output"] = self._written(text)
+        return result
+
+    def _head(self) -> dict[str, Any]:
+        return {
+            "schema": "ffcomp-identify-fit/1",
+            "started_from": {"name": self.start.name, "sha256": self.start.sha256},
+            "data": self.hashes,
+            "skipped": self.gathered.skipped,
+        }
+
+    def _written(self, text: str) -> str | None:
+        from gcode.container import replace_atomically
+        from models.machine_file import check_text
+
+        check_text(text, str(self.output or self.name))  # never leave a file behind that cannot be read
+        if self.output is None:
+            return None
+        replace_atomically(self.output, [line.encode() for line in text.splitlines(keepends=True)])
+        return str(self.output)
+
+
+def _hash(path: Path) -> str:
+    import hashlib
+
+    return f"{path.name} sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}"
+
+
+def _estimate(e: Any) -> dict[str, float]:
+    return {"value": float(e.value), "sd": float(e.sd), "low": float(e.low), "high": float(e.high)}
+
+
+def _mode(m: Any) -> dict[str, Any]:
+    return {
+        "frequency_hz": m.frequency_hz,
+        "frequency_sd_hz": m.frequency_sd_hz,
+        "damping_ratio": m.damping_ratio,
+        "damping_ratio_sd": m.damping_ratio_sd,
+        "power": m.power,
+        "clear": m.clear,
+    }
+
+
+def _fit_quality(found: Identified) -> list[dict[str, Any]]:
+    import numpy as np
+
+    rows = []
+    for r, h in zip(found.fitted.responses, found.fitted.predictions, strict=True):
+        error = float(np.sqrt(np.sum(np.abs(r.value - h) ** 2) / np.sum(np.abs(r.value) ** 2)))
+        noise = float(np.sqrt(np.sum(r.variance) / np.sum(np.abs(r.value) ** 2)))
+        rows.append(
+            {
+                "source": r.source,
+                "setup": r.setup,
+                "input": r.input,
+                "output": r.output,
+                "position_mm": r.position_mm,
+                "points": len(r.frequency_hz),
+                "relative_error": error,
+                "relative_noise": noise,
+            }
+        )
+    return rows
+
+
+def _print(result: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    for step in result.get("steps", []):
+        console.print(_numbers(Table(title=step["step"]), step["numbers"], ()))
+    for spectrum in result.get("spectra", []):
+        title = f"{Path(spectrum['file']).name}, {spectrum['signal']}: {spectrum['verdict']}"
+        console.print(title, highlight=False, soft_wrap=True)
+        for m in spectrum["modes"]:
+            text = "  {frequency_hz:6.1f} ± {frequency_sd_hz:.1f} Hz, ζ {damping_ratio:.3f} ± {damping_ratio_sd:.3f}"
+            remark = "" if m["clear"] else "  (uncertain)"
+            console.print(text.format(**m) + remark, highlight=False)
+    if "numbers" in result:
+        console.print(_numbers(Table(), result["numbers"], result.get("kept", ())))
+    if "misfit" in result:
+        console.print(_verdict(result), highlight=False, soft_wrap=True)
+    for sentence in result["advice"]:
+        console.print(sentence, highlight=False, soft_wrap=True)
+    if result["output"]:
+        sentence = f"{result['output']}: written. Look: ffcomp machines show {result['output']}"
+        console.print(sentence, highlight=False, soft_wrap=True)
+
+
+def _numbers(table: Any, numbers: dict[str, dict[str, float]], kept: Any) -> Any:
+    for column in ("number", "value", "±", "90 % interval", ""):
+        table.add_column(column)
+    for key, e in numbers.items():
+        remark = "kept: the data do not say" if key in kept else ""
+        percent = f"{100 * e['sd'] / abs(e['value']):.2g} %" if e["value"] else ""
+        table.add_row(key, f"{e['value']:.5g}", percent, f"{e['low']:.4g} … {e['high']:.4g}", remark)
+    return table
+
+
+def _verdict(result: dict[str, Any]) -> str:
+    share = 100 * result["model_error"]
+    count = len(result["responses"])
+    if not share:
+        return f"The model explains all {count} responses to their noise (misfit {result['misfit']:.2f})."
+    return (
+        f"The model explains the {count} responses to {share:.1f} % of each value; the noise alone would leave less "
+        f"(misfit {result['misfit']:.3g})."
+    )

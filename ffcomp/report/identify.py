@@ -1,0 +1,74 @@
+"""Measured frequency responses beside the fitted model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import matplotlib
+import numpy as np
+
+matplotlib.use("Agg")
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ffcomp import __version__
+from ffcomp.identify.workflow import Identified
+
+if TYPE_CHECKING:
+    from ffcomp.measured.frf import ComplexArray, FrequencyResponse
+
+MEASURED, FITTED, NOISE = "#8a8f98", "#d55e00", "#0072b2"
+COLUMNS = 4
+
+
+def draw_fit(found: Identified, target: Path) -> None:
+    """One panel a response: measured values, the fit through them, and the standard deviation of the noise."""
+    fitted = found.fitted
+    pairs = list(zip(fitted.responses, fitted.predictions, strict=True))
+    columns = min(COLUMNS, len(pairs))
+    rows = -(-len(pairs) // columns)
+    figure = Figure(figsize=(4.2 * columns + 0.4, 3.6 * rows + 0.9), layout="constrained")
+    figure.suptitle(f"{found.machine.name} · {_verdict(found)}\nffcomp {__version__}", x=0.01, ha="left", fontsize=11)
+    for box, (response, model) in zip(figure.subfigures(rows, columns, squeeze=False).ravel(), pairs, strict=False):
+        upper, lower = box.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+        _magnitude(upper, response, model)
+        _phase(lower, response, model)
+    figure.savefig(target, dpi=110)
+
+
+def _verdict(found: Identified) -> str:
+    fitted = found.fitted
+    if not fitted.model_error:
+        return f"the model explains every response to its noise (misfit {fitted.misfit:.2f})"
+    return f"the model explains the responses to {100 * fitted.model_error:.1f} % of each value"
+
+
+def _magnitude(axes: Axes, response: FrequencyResponse, model: ComplexArray) -> None:
+    f = response.frequency_hz
+    axes.semilogy(f, np.abs(response.value), ".", color=MEASURED, markersize=3, label="measured")
+    axes.semilogy(f, np.abs(model), color=FITTED, linewidth=1.4, label="fitted")
+    axes.semilogy(f, np.sqrt(response.variance), color=NOISE, linewidth=0.8, alpha=0.7, label="its noise")
+    axes.set_title(_title(response), fontsize=9)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=7, loc="best")
+
+
+def _phase(axes: Axes, response: FrequencyResponse, model: ComplexArray) -> None:
+    """The measured phase on the model's branch."""
+    f = response.frequency_hz
+    wanted = np.unwrap(np.angle(model))
+    real = wanted + np.angle(response.value * np.exp(-1j * wanted))
+    axes.plot(f, np.degrees(real), ".", color=MEASURED, markersize=3)
+    axes.plot(f, np.degrees(wanted), color=FITTED, linewidth=1.4)
+    axes.set_xlabel("Hz", fontsize=8)
+    axes.set_ylabel("phase, °", fontsize=8)
+    axes.grid(alpha=0.3)
+
+
+def _title(response: FrequencyResponse) -> str:
+    place: Sequence[float] = response.position_mm or ()
+    at = f" at ({', '.join(f'{x:g}' for x in place[:2])}) mm" if place else ""
+    setup = {"assembly": "", "carriage": "carriage alone: ", "carriage+mass": "carriage with mass: "}
+    return f"{setup.get(response.setup, 'effector: ')}{response.input} → {response.output}{at}"
