@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -270,7 +271,8 @@ def _fit_quality(found: Identified) -> list[dict[str, Any]]:
     import numpy as np
 
     rows = []
-    for r, h in zip(found.fitted.responses, found.fitted.predictions, strict=True):
+    fitted = found.fitted
+    for r, h, share in zip(fitted.responses, fitted.predictions, fitted.model_errors, strict=True):
         error = float(np.sqrt(np.sum(np.abs(r.value - h) ** 2) / np.sum(np.abs(r.value) ** 2)))
         noise = float(np.sqrt(np.sum(r.variance) / np.sum(np.abs(r.value) ** 2)))
         rows.append(
@@ -283,44 +285,39 @@ def _fit_quality(found: Identified) -> list[dict[str, Any]]:
                 "points": len(r.frequency_hz),
                 "relative_error": error,
                 "relative_noise": noise,
+                "model_error": float(share),
             }
         )
     return rows
 
 
 def _print(result: dict[str, Any]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console()
     for step in result.get("steps", []):
-        console.print(_numbers(Table(title=step["step"]), step["numbers"], ()))
+        print(f"\n{step['step']} (redundant equations: χ² {step['chi_squared_per_degree_of_freedom']:.2f} a degree)")
+        _print_numbers(step["numbers"], ())
     for spectrum in result.get("spectra", []):
-        title = f"{Path(spectrum['file']).name}, {spectrum['signal']}: {spectrum['verdict']}"
-        console.print(title, highlight=False, soft_wrap=True)
+        print(f"{Path(spectrum['file']).name}, {spectrum['signal']}: {spectrum['verdict']}")
         for m in spectrum["modes"]:
             text = "  {frequency_hz:6.1f} ± {frequency_sd_hz:.1f} Hz, ζ {damping_ratio:.3f} ± {damping_ratio_sd:.3f}"
-            remark = "" if m["clear"] else "  (uncertain)"
-            console.print(text.format(**m) + remark, highlight=False)
+            print(text.format(**m) + ("" if m["clear"] else "  (uncertain)"))
     if "numbers" in result:
-        console.print(_numbers(Table(), result["numbers"], result.get("kept", ())))
+        _print_numbers(result["numbers"], result.get("kept", ()))
     if "misfit" in result:
-        console.print(_verdict(result), highlight=False, soft_wrap=True)
+        print(_verdict(result))
     for sentence in result["advice"]:
-        console.print(sentence, highlight=False, soft_wrap=True)
+        print(sentence)
     if result["output"]:
-        sentence = f"{result['output']}: written. Look: ffcomp machines show {result['output']}"
-        console.print(sentence, highlight=False, soft_wrap=True)
+        print(f"{result['output']}: written. Look: ffcomp machines show {result['output']}")
 
 
-def _numbers(table: Any, numbers: dict[str, dict[str, float]], kept: Any) -> Any:
-    for column in ("number", "value", "±", "90 % interval", ""):
-        table.add_column(column)
+def _print_numbers(numbers: dict[str, dict[str, float]], kept: Sequence[str]) -> None:
+    """Aligned text that stays whole when piped."""
+    width = max(map(len, numbers))
     for key, e in numbers.items():
-        remark = "kept: the data do not say" if key in kept else ""
-        percent = f"{100 * e['sd'] / abs(e['value']):.2g} %" if e["value"] else ""
-        table.add_row(key, f"{e['value']:.5g}", percent, f"{e['low']:.4g} … {e['high']:.4g}", remark)
-    return table
+        percent = f"± {100 * e['sd'] / abs(e['value']):.2g} %" if e["value"] else ""
+        remark = "  kept as it was: the data do not say" if key in kept else ""
+        interval = f"{e['low']:.4g} … {e['high']:.4g}"
+        print(f"{key:{width}}  {e['value']:<12.5g} {percent:10} 90 %: {interval}{remark}")
 
 
 def _verdict(result: dict[str, Any]) -> str:

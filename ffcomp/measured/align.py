@@ -118,9 +118,7 @@ def _right_period(
     return np.array([place[0] + moves[int(np.argmax(scores))], place[1]])
 
 
-def _search(
-    since: FloatArray, record: FloatArray, wanted: _Expectation, source: str, repeats_s: float
-) -> FloatArray:
+def _search(since: FloatArray, record: FloatArray, wanted: _Expectation, source: str, repeats_s: float) -> FloatArray:
     """The best (offset, ratio) on a grid of clock ratios and all offsets; (2,)"""
     frequency, bandwidth, highest = _content(wanted.value, float(wanted.time_s[1] - wanted.time_s[0]))
     thin = max(1, int(1 / (_SEARCH_SAMPLES * highest * (since[1] - since[0]))))

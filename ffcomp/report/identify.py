@@ -50,6 +50,7 @@ def _magnitude(axes: Axes, response: FrequencyResponse, model: ComplexArray) -> 
     axes.semilogy(f, np.abs(response.value), ".", color=MEASURED, markersize=3, label="measured")
     axes.semilogy(f, np.abs(model), color=FITTED, linewidth=1.4, label="fitted")
     axes.semilogy(f, np.sqrt(response.variance), color=NOISE, linewidth=0.8, alpha=0.7, label="its noise")
+    axes.set_ylim(bottom=float(np.min(np.sqrt(response.variance))) / 3)  # what is below the noise is not shown
     axes.set_title(_title(response), fontsize=9)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=7, loc="best")

@@ -86,9 +86,7 @@ def carriage(machine: dict[str, Any], tower: int, added_kg: float, wave: tuple[F
 
 
 @njit(cache=True)
-def _carriage(
-    command: FloatArray, h: float, every: int, i: int, mass: float, p: delta_plant.Plant
-) -> FloatArray:
+def _carriage(command: FloatArray, h: float, every: int, i: int, mass: float, p: delta_plant.Plant) -> FloatArray:
     """Runge-Kutta of (q, q̇, v, v̇); q around its rest."""
     steps = (len(command) - 1) // 2
     out = np.empty(steps // every + 1)
