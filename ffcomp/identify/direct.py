@@ -47,7 +47,7 @@ BLOCK_HZ = 5.0  # the model's error keeps its sign over about so wide a band
 COARSE = 0.3  # model error of the coarse fit
 FINE = 0.05  # of what decides between fits that are both near
 OTHER_MOUNTS = (0.02, 50.0)  # factors on a mount's stiffness
-NEAR = 0.2  # of the values may be off by more than 30 % where the search for a start ends
+NEAR = 0.1  # of the values may be far off where the search for a start ends
 STARTS = (1.0, 0.75, 1.33, 0.6, 1.7)  # factors on every frequency of the starting machine
 RANDOM_STARTS = 30
 ROUNDS = 10  # of fitting and weighing anew
@@ -254,9 +254,9 @@ def _errors(problem: _Problem, theta: FloatArray) -> list[FloatArray]:
 
 
 def _far_share(problem: _Problem, theta: FloatArray) -> float:
-    """Share of the values that are off by more than the coarse model error and the noise together."""
+    """Share of the values that are off by more than twice the coarse model error and the noise together."""
     pairs = zip(_errors(problem, theta), problem.responses, strict=True)
-    far = sum(int(np.sum(e > _variance(r, COARSE))) for e, r in pairs)
+    far = sum(int(np.sum(e > 4 * _variance(r, COARSE))) for e, r in pairs)
     return far / sum(map(len, problem.values))
 
 

@@ -100,6 +100,8 @@ def _with_old(fitted: Fitted, start: Machine, kept: Sequence[str]) -> Fitted:
 def _advice(fitted: Fitted, kept: Sequence[str]) -> list[str]:
     """A sentence for each group of numbers that is weak or was not reached at all."""
     poor = {*fitted.weak, *kept}
+    if poor & set(MASSES):  # what is weak only as the masses are needs no measurement of its own
+        poor -= {n for n, others in fitted.weak.items() if n not in (*kept, *MASSES) and set(others) & set(MASSES)}
     highest = max(float(r.frequency_hz[-1]) for r in fitted.responses)
     sentences = []
     if poor & set(MASSES):
