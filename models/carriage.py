@@ -1,9 +1,11 @@
-"""Sub-model 1: one carriage on its belt, without the effector (paper, Eqs. 30-34 and 44).
+"""Sub-model 1: one carriage on its belt, without the effector (paper, Eqs. 30-44).
 
 `s` is the Laplace variable, 1/s, of any shape; results have its shape.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +15,19 @@ from models.machine import Carriage, Drive
 ComplexArray = NDArray[np.complex128]
 
 
+def with_added_mass(carriage: Carriage, added_mass_kg: float) -> Carriage:
+    """The same carriage with a mass screwed on, m' = m + m_add: `command_frf` is then G'_qd of Eq. 37."""
+    return replace(carriage, mass_kg=carriage.mass_kg + added_mass_kg)
+
+
+def damping(carriage: Carriage) -> float:
+    """c + b, N s/m: belt and guide, which the carriage feels as one."""
+    return carriage.belt_damping_n_s_per_m + carriage.guide_damping_n_s_per_m
+
+
 def impedance(carriage: Carriage, s: ComplexArray) -> ComplexArray:
     """m s² + (c + b) s + k, N/m: the carriage's characteristic polynomial (Eq. 44)."""
-    damping = carriage.belt_damping_n_s_per_m + carriage.guide_damping_n_s_per_m
-    return carriage.moving_mass_kg * s**2 + damping * s + carriage.belt_stiffness_n_per_m
+    return carriage.moving_mass_kg * s**2 + damping(carriage) * s + carriage.belt_stiffness_n_per_m
 
 
 def belt(carriage: Carriage, s: ComplexArray) -> ComplexArray:

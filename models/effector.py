@@ -27,13 +27,32 @@ def effector_impedance(machine: Machine, s: ComplexArray) -> ComplexArray:
     -------
     (k, 3) N/m, columns X Y Z: nozzle position to force.
     """
+    return s[:, None] ** 2 * _apparent_mass(machine.effector, machine.nozzle_side_mass_kg, s)
+
+
+def struck_frf(machine: Machine, s: ComplexArray, with_arms: bool = False) -> ComplexArray:
+    """Force on the nozzle holder to its acceleration, the effector hanging free, per axis (Eq. 45).
+
+    Parameters
+    ----------
+    s : (k,) 1/s.
+    with_arms : the arms' lower halves ride along, and this is s²/W; else it is Eq. 45, the effector by itself.
+
+    Returns
+    -------
+    (k, 3) 1/kg, columns X Y Z.
+    """
+    nozzle_side = machine.nozzle_side_mass_kg if with_arms else machine.effector.nozzle_mass_kg
+    return 1 / _apparent_mass(machine.effector, nozzle_side, s)
+
+
+def _apparent_mass(effector: Effector, nozzle_side_kg: float, s: ComplexArray) -> ComplexArray:
+    """W(s)/s², (k, 3) kg: what the effector seems to weigh when it is shaken."""
     s = s[:, None]
-    effector = machine.effector
     mount = effector.extruder_damping_n_s_per_m * s + effector.extruder_stiffness_n_per_m
     # Eq. 61 with its two mount terms joined: Bs + K − (Bs+K)²/(M₂s²+Bs+K) = M₂s² (Bs+K)/(M₂s²+Bs+K),
     # which keeps its digits where stiffness cancels stiffness, at low frequency.
-    extruder = effector.extruder_mass_kg * s**2
-    return machine.nozzle_side_mass_kg * s**2 + extruder * mount / (extruder + mount)
+    return nozzle_side_kg + effector.extruder_mass_kg * mount / (effector.extruder_mass_kg * s**2 + mount)
 
 
 def load_map(machine: Machine, xy: FloatArray) -> FloatArray:

@@ -1,6 +1,6 @@
 """Receptance coupling: carriages and effector joined into one position-dependent model (paper, Eqs. 26-29).
 
-    G(s) = [(m s² + (c+b) s + k) I + Γ W(s) J]⁻¹ (c s + k) G_e(s)
+    G(s) = Z(s)⁻¹ (c s + k) G_e(s),   Z(s) = (m s² + (c+b) s + k) I + Γ W(s) J
 
 which is Eq. 29 multiplied through by the carriage's impedance. Its poles come from the same equations written
 with masses, in the carriages q and the extruder's displacement relative to the nozzle holder, η = X₂ − X:
@@ -12,13 +12,17 @@ with masses, in the carriages q and the extruder's displacement relative to the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
-from models.carriage import ComplexArray, belt, drive_frf, impedance
+from models.carriage import ComplexArray, belt, damping, drive_frf, impedance
 from models.effector import effector_impedance, load_map
 from models.kinematics.delta import jacobian
 from models.machine import FloatArray, Machine
+
+Output = Literal["carriage", "nozzle", "acceleration"]  # what answers; acceleration: of the nozzle holder, s² X
+Input = Literal["carriage", "nozzle"]  # what is commanded: three carriages, or the nozzle's three axes
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +31,25 @@ class Modes:
 
     frequencies_hz: FloatArray  # (k,) undamped natural frequencies; k = 6 unless a mode is overdamped
     damping_ratios: FloatArray  # (k,)
+    shapes: ComplexArray  # (k, 6) amplitudes of q_A q_B q_C η_x η_y η_z, length 1
+
+
+def receptance(machine: Machine, xy: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
+    """Z⁻¹ at one place, motors held: forces on the carriages to their positions.
+
+    Parameters
+    ----------
+    xy : (2,) mm, columns X Y.
+    frequency_hz : (k,) Hz.
+
+    Returns
+    -------
+    (k, 3, 3) m/N, rows position of carriage A B C, columns force on carriage A B C.
+    """
+    j, gamma = jacobian(machine.kinematics, xy[None])[0], load_map(machine, xy[None])[0]
+    s = _s(frequency_hz)
+    load = (gamma * effector_impedance(machine, s)[:, None, :]) @ j
+    return np.linalg.inv(load + impedance(machine.carriage, s)[:, None, None] * np.eye(3))
 
 
 def carriage_frf(machine: Machine, xy: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
@@ -41,18 +64,37 @@ def carriage_frf(machine: Machine, xy: FloatArray, frequency_hz: FloatArray) -> 
     -------
     (k, 3, 3), rows real carriage A B C, columns commanded carriage A B C.
     """
-    j, gamma = jacobian(machine.kinematics, xy[None])[0], load_map(machine, xy[None])[0]
-    s = np.asarray(2j * np.pi * frequency_hz, dtype=np.complex128)
-    load = (gamma * effector_impedance(machine, s)[:, None, :]) @ j
-    stiffness = load + impedance(machine.carriage, s)[:, None, None] * np.eye(3)
+    s = _s(frequency_hz)
     drive = belt(machine.carriage, s) * drive_frf(machine.carriage.drive, s)
-    return np.linalg.inv(stiffness) * drive[:, None, None]
+    return receptance(machine, xy, frequency_hz) * drive[:, None, None]
 
 
 def nozzle_frf(machine: Machine, xy: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
-    """J G J⁻¹ at one place: commanded to real nozzle position, for small motion; see `carriage_frf`."""
+    """J G J⁻¹ at one place: commanded to real nozzle position, for small motion; see `assembly_frf`."""
+    return assembly_frf(machine, xy, frequency_hz, "nozzle", "nozzle")
+
+
+def assembly_frf(
+    machine: Machine, xy: FloatArray, frequency_hz: FloatArray, of: Output = "carriage", per: Input = "carriage"
+) -> ComplexArray:
+    """The whole printer at one place, for small motion: G, J G, G J⁻¹, J G J⁻¹, or one of them times s².
+
+    Parameters
+    ----------
+    xy : (2,) mm, columns X Y.
+    frequency_hz : (k,) Hz.
+
+    Returns
+    -------
+    (k, 3, 3) mm/mm, of acceleration 1/s²; rows what answers (A B C or X Y Z), columns what is commanded.
+    """
+    g = carriage_frf(machine, xy, frequency_hz)
     j = jacobian(machine.kinematics, xy[None])[0]
-    return j @ carriage_frf(machine, xy, frequency_hz) @ np.linalg.inv(j)
+    if of != "carriage":
+        g = j @ g
+    if per == "nozzle":
+        g = g @ np.linalg.inv(j)
+    return g * _s(frequency_hz)[:, None, None] ** 2 if of == "acceleration" else g
 
 
 def poles(machine: Machine, xy: FloatArray) -> ComplexArray:
@@ -66,25 +108,47 @@ def poles(machine: Machine, xy: FloatArray) -> ComplexArray:
     -------
     (n, 12) 1/s.
     """
-    mass, damping, stiffness = _matrices(machine, xy)
-    state = np.zeros((len(xy), 12, 12))
-    state[:, :6, 6:] = np.eye(6)
-    state[:, 6:, :6] = -np.linalg.solve(mass, np.broadcast_to(stiffness, mass.shape))
-    state[:, 6:, 6:] = -np.linalg.solve(mass, np.broadcast_to(damping, mass.shape))
-    return np.linalg.eigvals(state).astype(np.complex128)
+    return np.linalg.eigvals(_state_matrix(machine, xy)).astype(np.complex128)
 
 
 def modes(machine: Machine, xy: FloatArray) -> Modes:
-    """Natural frequencies and damping ratios at one place.
+    """Natural frequencies, damping ratios and shapes at one place.
 
     Parameters
     ----------
     xy : (2,) mm, columns X Y.
     """
-    every = poles(machine, xy[None])[0]
-    upper = every[every.imag > 0]
-    upper = upper[np.argsort(np.abs(upper))]
-    return Modes(np.abs(upper) / (2 * np.pi), -upper.real / np.abs(upper))
+    return modes_at(machine, xy[None])[0]
+
+
+def modes_at(machine: Machine, xy: FloatArray) -> list[Modes]:
+    """`modes` at many places at once: a list of n for xy (n, 2) mm, columns X Y."""
+    values, vectors = np.linalg.eig(_state_matrix(machine, xy))
+    return [_vibrations(pole, vector[:6]) for pole, vector in zip(values, vectors, strict=True)]
+
+
+def _vibrations(pole: ComplexArray, shape: ComplexArray) -> Modes:
+    """Of 12 poles (12,) and their shapes (6, 12), those that swing."""
+    upper = np.flatnonzero(pole.imag > 0)
+    upper = upper[np.argsort(np.abs(pole[upper]))]
+    natural = np.abs(pole[upper])
+    swinging = shape[:, upper].T
+    length = np.linalg.norm(swinging, axis=1, keepdims=True)
+    return Modes(natural / (2 * np.pi), -pole[upper].real / natural, swinging / length)
+
+
+def _s(frequency_hz: FloatArray) -> ComplexArray:
+    return np.asarray(2j * np.pi * frequency_hz, dtype=np.complex128)
+
+
+def _state_matrix(machine: Machine, xy: FloatArray) -> FloatArray:
+    """d/dt of (q, η, q̇, η̇), (n, 12, 12)."""
+    mass, damper, stiffness = _matrices(machine, xy)
+    state = np.zeros((len(xy), 12, 12))
+    state[:, :6, 6:] = np.eye(6)
+    state[:, 6:, :6] = -np.linalg.solve(mass, np.broadcast_to(stiffness, mass.shape))
+    state[:, 6:, 6:] = -np.linalg.solve(mass, np.broadcast_to(damper, mass.shape))
+    return state
 
 
 def _matrices(machine: Machine, xy: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -95,7 +159,6 @@ def _matrices(machine: Machine, xy: FloatArray) -> tuple[FloatArray, FloatArray,
     carriages = carriage.moving_mass_kg * np.eye(3) + (machine.nozzle_side_mass_kg + extruder) * gamma @ j
     relative = np.broadcast_to(extruder * np.eye(3), j.shape)
     mass = np.block([[carriages, extruder * gamma], [extruder * j, relative]])
-    viscous = carriage.belt_damping_n_s_per_m + carriage.guide_damping_n_s_per_m
-    damping = np.diag([*[viscous] * 3, *effector.extruder_damping_n_s_per_m])
+    damper = np.diag([*[damping(carriage)] * 3, *effector.extruder_damping_n_s_per_m])
     stiffness = np.diag([*[carriage.belt_stiffness_n_per_m] * 3, *effector.extruder_stiffness_n_per_m])
-    return mass, damping, stiffness
+    return mass, damper, stiffness

@@ -1,14 +1,35 @@
-"""`ffcomp frf`: how the machine answers, anywhere on its bed."""
+"""`ffcomp frf`: how the machine answers, anywhere on its bed, and how it answered when it was measured."""
 
 from __future__ import annotations
 
+import json
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 if TYPE_CHECKING:
+    from ffcomp.measured.frf import FrequencyResponse
+    from ffcomp.responses import Compared, Station, Study, View
     from models.machine import FloatArray, Machine
+    from models.mode_map import ModeMap
+
+
+class Of(StrEnum):
+    carriage = "carriage"
+    nozzle = "nozzle"
+    acceleration = "acceleration"
+    carriage_alone = "carriage-alone"
+    effector_alone = "effector-alone"
+
+
+class Per(StrEnum):
+    carriage = "carriage"
+    nozzle = "nozzle"
+
+
+MOST_LINES = 100_000  # of one response: more is a slip of the finger
 
 
 def frf(
@@ -16,14 +37,40 @@ def frf(
     at: Annotated[
         list[str] | None, typer.Option(metavar="X,Y", help="A place on the bed, mm; may be given several times.")
     ] = None,
+    of: Annotated[
+        Of | None,
+        typer.Option(
+            help="What answers: the carriages (default), the nozzle, the nozzle's acceleration; or one carriage with "
+            "the effector off (sub-model 1), or the effector off its arms, struck (sub-model 2)."
+        ),
+    ] = None,
+    per: Annotated[
+        Per | None, typer.Option(help="What is commanded: the carriages, or the nozzle. Default: as --of.")
+    ] = None,
+    measured: Annotated[
+        list[Path] | None,
+        typer.Option(help="A file of measured responses (CSV, UFF), compared and drawn beside; may be given again."),
+    ] = None,
+    added_mass_kg: Annotated[
+        list[float] | None, typer.Option(min=0.0, help="With --of carriage-alone: screwed on; may be given again.")
+    ] = None,
+    with_arms: Annotated[
+        bool, typer.Option("--with-arms", help="With --of effector-alone: the arms' lower halves ride along.")
+    ] = False,
+    lowest_hz: Annotated[
+        float | None, typer.Option(min=0.0, help="The frequencies begin here. Default: one step.")
+    ] = None,
     highest_hz: Annotated[float, typer.Option(min=1.0, help="The frequencies end here.")] = 200.0,
     step_hz: Annotated[float, typer.Option(min=0.01, help="Distance of the frequencies.")] = 0.5,
-    figure: Annotated[Path | None, typer.Option(help="Draw Bode figures of the carriages: .png, .svg, .pdf.")] = None,
+    figure: Annotated[Path | None, typer.Option(help="Draw a Bode figure: .png, .svg, .pdf.")] = None,
+    full: Annotated[bool, typer.Option("--full", help="Draw all nine responses, not only the diagonal.")] = False,
     bed_map: Annotated[
-        Path | None, typer.Option("--map", help="Draw each mode's frequency and damping over the bed.")
+        list[Path] | None,
+        typer.Option("--map", help="Each mode over the bed: .png, .svg, .pdf; .json for the numbers."),
     ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="The answer is JSON anyway.")] = False,
 ) -> None:
-    """Frequency responses of the model: commanded to real carriage position, 3 × 3, by receptance coupling.
+    """Frequency responses of the model by receptance coupling, anywhere on the bed.
 
     Prints one JSON object a place (ffcomp-frf/1). Pictures on request.
 
@@ -32,24 +79,52 @@ def frf(
     from ffcomp.cli.common import exit_codes, print_json, say
 
     with exit_codes():
-        import numpy as np
-
+        from ffcomp.measured.frf_files import read_frfs
+        from ffcomp.responses import study
         from models.machine_file import load_machine
 
         loaded = load_machine(machine)
-        places = [_place(text, loaded) for text in at or ["0,0"]]
-        frequencies = np.arange(step_hz, highest_hz + 0.5 * step_hz, step_hz)
-        for place in places:
-            print_json(_answer(loaded, place, frequencies))
-        if figure is not None or bed_map is not None:
-            from ffcomp.report.frf import draw_bode, draw_map
+        responses = [response for path in measured or [] for response in read_frfs(path)]
+        view = _view(of, per, responses, added_mass_kg or [], with_arms)
+        places = [_place(text, loaded) for text in at or ([] if responses else ["0,0"])]
+        frequencies = _frequencies(lowest_hz, highest_hz, step_hz)
+        found = study(loaded, view, frequencies, places, responses, added_mass_kg or [], with_arms)
+        for sentence in found.left_out:
+            say(f"ffcomp: {sentence}")
+        for station in found.stations:
+            print_json(_answer(found, station))
+        _draw(found, figure, full, bed_map or [])
 
-            if figure is not None:
-                draw_bode(loaded, places, frequencies, figure)
-                say(f"ffcomp: {figure}")
-            if bed_map is not None:
-                draw_map(loaded, bed_map)
-                say(f"ffcomp: {bed_map}")
+
+def _view(of: Of | None, per: Per | None, measured: list[FrequencyResponse], masses: list[float], arms: bool) -> View:
+    """What was asked for; else what the first measurement is of; else the carriages."""
+    from ffcomp.responses import View, view_of
+
+    if of is None and per is None and measured:
+        view = view_of(measured[0])
+    else:
+        answers = of or Of.carriage
+        commanded = per or (Per.nozzle if answers in (Of.nozzle, Of.acceleration) else Per.carriage)
+        view = View(answers.value, commanded.value)
+    if per is not None and not view.depends_on_place:
+        raise typer.BadParameter(f"--per {per.value}: --of {view.of} is no response of the whole printer.")
+    if masses and view.of != "carriage-alone":
+        raise typer.BadParameter(f"--added-mass-kg goes on a bare carriage: --of carriage-alone, not {view.of}.")
+    if arms and view.of != "effector-alone":
+        raise typer.BadParameter(f"--with-arms is for the effector by itself: --of effector-alone, not {view.of}.")
+    return view
+
+
+def _frequencies(lowest: float | None, highest: float, step: float) -> FloatArray:
+    """(k,) Hz, both ends included."""
+    import numpy as np
+
+    start = step if lowest is None else lowest
+    if start > highest:
+        raise typer.BadParameter(f"--lowest-hz {start:g} lies above --highest-hz {highest:g}.")
+    if (highest - start) / step > MOST_LINES:
+        raise typer.BadParameter(f"--step-hz {step:g}: more than {MOST_LINES} frequencies; take a larger step.")
+    return np.arange(start, highest + 0.5 * step, step)
 
 
 def _place(text: str, machine: Machine) -> FloatArray:
@@ -69,21 +144,106 @@ def _place(text: str, machine: Machine) -> FloatArray:
     return np.array([x, y])
 
 
-def _answer(machine: Machine, place: FloatArray, frequencies: FloatArray) -> dict[str, Any]:
+def _draw(found: Study, figure: Path | None, full: bool, maps: list[Path]) -> None:
+    from ffcomp.cli.common import say
+
+    if figure is not None:
+        from ffcomp.report.frf import draw_bode
+
+        draw_bode(found, figure, full)
+        say(f"ffcomp: {figure}")
+    for target in maps:
+        _write_map(found.machine, target)
+        say(f"ffcomp: {target}")
+
+
+def _write_map(machine: Machine, target: Path) -> None:
+    from models.mode_map import mode_map
+
+    modes = mode_map(machine)
+    if target.suffix == ".json":
+        target.write_text(json.dumps(_map_answer(machine, modes)), encoding="utf-8")
+        return
+    from ffcomp.report.frf import draw_map
+
+    draw_map(machine, modes, target)
+
+
+def _map_answer(machine: Machine, modes: ModeMap) -> dict[str, Any]:
+    """Row i, column k: the place X = x_mm[i], Y = x_mm[k]; null off the bed."""
+    return {
+        "schema": "ffcomp-frf-map/1",
+        "machine": {"name": machine.name, "sha256": machine.sha256},
+        "force_map": machine.effector.force_map,
+        "x_mm": modes.x_mm.tolist(),
+        "y_mm": modes.x_mm.tolist(),
+        "modes": [
+            {
+                "number": mode + 1,
+                "kind": kind,
+                "frequency_hz": _rows(modes, modes.frequency_hz[:, :, mode]),
+                "damping_ratio": _rows(modes, modes.damping_ratio[:, :, mode]),
+            }
+            for mode, kind in enumerate(modes.kinds)
+        ],
+    }
+
+
+def _rows(modes: ModeMap, table: FloatArray) -> list[list[float | None]]:
     import numpy as np
 
-    from models.receptance import carriage_frf
+    good = modes.on_bed & np.isfinite(table)
+    return [
+        [round(v, 6) if ok else None for v, ok in zip(*row, strict=True)]
+        for row in zip(table.tolist(), good.tolist(), strict=True)
+    ]
 
-    g = carriage_frf(machine, place, frequencies)
-    phase = np.degrees(np.unwrap(np.angle(g), axis=0))
-    rows = range(3)
+
+def _answer(found: Study, station: Station) -> dict[str, Any]:
+    import numpy as np
+
+    from ffcomp.responses import verdict
+
+    view = found.view
+    rows, columns = range(station.value.shape[1]), range(station.value.shape[2])
+    phase, carriage_phase = (np.degrees(np.unwrap(np.angle(g), axis=0)) for g in (station.value, station.carriage))
     return {
         "schema": "ffcomp-frf/1",
-        "machine": {"name": machine.name, "sha256": machine.sha256},
-        "position_mm": [*place.tolist(), 0.0],
-        "frequency_hz": frequencies.tolist(),
-        "carriage": [
-            [{"magnitude": np.abs(g[:, i, j]).tolist(), "phase_deg": phase[:, i, j].tolist()} for j in rows]
-            for i in rows
+        "machine": {"name": found.machine.name, "sha256": found.machine.sha256},
+        "force_map": found.machine.effector.force_map,
+        "position_mm": [*station.xy.tolist(), 0.0],
+        "frequency_hz": found.frequency_hz.tolist(),
+        "carriage": [[_bode(station.carriage, carriage_phase, i, k) for k in range(3)] for i in range(3)],
+        "response": {
+            "of": view.of,
+            "per": view.per if view.depends_on_place else None,
+            "unit": view.unit,
+            "rows": list(view.rows),
+            "columns": list(view.columns),
+            "values": [[_bode(station.value, phase, i, k) for k in columns] for i in rows],
+        },
+        "added_mass_kg": station.added_mass_kg,
+        "modes": [
+            {"number": m.number, "frequency_hz": m.frequency_hz, "damping_ratio": m.damping_ratio, "kind": m.kind}
+            for m in station.modes
         ],
+        "measured": [_compared_answer(each) for each in station.compared],
+        "verdict": verdict(found),
+    }
+
+
+def _bode(g: Any, phase: Any, i: int, k: int) -> dict[str, list[float]]:
+    return {"magnitude": abs(g[:, i, k]).tolist(), "phase_deg": phase[:, i, k].tolist()}
+
+
+def _compared_answer(each: Compared) -> dict[str, Any]:
+    return {
+        "source": each.response.source,
+        "input": each.response.input,
+        "output": each.response.output,
+        "lines": len(each.frequency_hz),
+        "band_hz": [float(each.frequency_hz[0]), float(each.frequency_hz[-1])],
+        "magnitude_accuracy_percent": each.magnitude_percent,
+        "phase_accuracy_percent": each.phase_percent,
+        "log_error_db": each.log_error_db,
     }

@@ -9,13 +9,16 @@ import json
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 if TYPE_CHECKING:
+    from models.consistency import Quantity
     from models.machine import FloatArray, Machine
+    from models.soundness import Extreme, Soundness
 
 USAGE, BAD_MACHINE = 2, 5  # exit codes, the same for the whole program
 
@@ -64,21 +67,28 @@ def show_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
 
 @app.command("check")
 def check_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
-    """Find every mistake in a machine file, numbers that disagree, and vibrations that would grow."""
-    from models.consistency import inconsistencies, unstable_places
+    """Find every mistake in a machine file, numbers that disagree, and vibrations that would grow or make energy."""
+    from models.consistency import inconsistencies, redundant
     from models.machine_file import load_machine
+    from models.soundness import soundness, unstable_places
 
     with _machine_errors(as_json):
         loaded = load_machine(machine)
-    problems, notes = _instability(unstable_places(loaded)), inconsistencies(loaded)
+    quantities, sound = redundant(loaded), soundness(loaded)
+    disagreements = inconsistencies(loaded)
+    problems, notes = _instability(unstable_places(loaded)), [*disagreements, *_energy_notes(loaded, sound)]
     if as_json:
-        _print_json("machine-check", machine=_identity(loaded), problems=problems, notes=notes)
+        consistency = [_quantity_json(quantity) for quantity in quantities]
+        found = {"problems": problems, "notes": notes, "consistency": consistency, "soundness": asdict(sound)}
+        _print_json("machine-check", machine=_identity(loaded), **found)
     for problem in problems:
         print(f"{loaded.path}: {problem}", file=sys.stderr)
     if problems:
         raise typer.Exit(BAD_MACHINE)
     if not as_json:
-        print(*(f"note: {note}" for note in notes), _verdict(loaded, notes), sep="\n")
+        _print_consistency(quantities)
+        _print_soundness(sound)
+        print(*(f"note: {note}" for note in notes), _verdict(loaded, sound, len(disagreements)), sep="\n")
 
 
 @app.command("new")
@@ -123,9 +133,79 @@ def _identity(machine: Machine) -> dict[str, str]:
     return {"name": machine.name, "sha256": machine.sha256, "path": machine.path}
 
 
-def _verdict(machine: Machine, notes: Sequence[str]) -> str:
-    agreement = f"{len(notes)} numbers disagree with measured ones" if notes else "no numbers disagree"
-    return f"{machine.name}: the file is valid, its vibrations decay all over the bed, {agreement}."
+def _verdict(machine: Machine, sound: Soundness, disagreements: int) -> str:
+    agreement = f"{disagreements} numbers disagree with measured ones" if disagreements else "no numbers disagree"
+    energy = "it makes no energy" if sound.is_passive else "it can make energy"
+    return f"{machine.name}: the file is valid, its vibrations decay all over the bed, {energy}, {agreement}."
+
+
+def _quantity_json(quantity: Quantity) -> dict[str, Any]:
+    return {
+        "key": quantity.key,
+        "unit": quantity.unit,
+        "of_file": quantity.of_file,
+        "file_uses": quantity.the_file_uses,
+        "values": [
+            {"equation": way.equation, "value": way.value, "difference_percent": 100 * way.difference}
+            for way in quantity.others
+        ],
+        "spread_percent": 100 * quantity.spread,
+    }
+
+
+def _print_consistency(quantities: Sequence[Quantity]) -> None:
+    """Each number that can be had in more than one way: all of them, and how far apart."""
+    if not quantities:
+        print("Nothing in [provenance.measured] to compare the numbers with.\n")
+        return
+    for quantity in quantities:
+        print(f"{quantity.key}, {quantity.unit}: spread {100 * quantity.spread:.1f} %")
+        rows = [["the file", f"{quantity.of_file:.4g}", "", quantity.the_file_uses]]
+        for way in quantity.others:
+            equation, _, formula = way.equation.partition(": ")
+            rows.append([equation, f"{way.value:.4g}", f"{100 * way.difference:+z.1f} %", formula])
+        _print_table(["  by", "value", "difference", "from"], [["  " + row[0], *row[1:]] for row in rows])
+        print()
+
+
+def _print_soundness(sound: Soundness) -> None:
+    load = f"{sound.least_load.value:.3f} to {sound.most_load.value:.3f}"
+    rows = [
+        ["slowest decay", f"{sound.growth_per_s.value:.1f} 1/s", _where(sound.growth_per_s)],
+        ["passive: smallest dissipation", _percent(sound.dissipation), _where(sound.dissipation)],
+        ["reciprocal: largest skew part of Y", _percent(sound.asymmetry), _where(sound.asymmetry)],
+        ["largest skew part of the load", _percent(sound.load_asymmetry), _where(sound.load_asymmetry)],
+        ["load against virtual work's", load, f"{_where(sound.least_load)}; {_where(sound.most_load)}"],
+    ]
+    _print_table(["the model over the bed", "worst", "where"], rows)
+    print()
+
+
+def _percent(extreme: Extreme) -> str:
+    return f"{100 * extreme.value:.2g} %"
+
+
+def _where(extreme: Extreme) -> str:
+    place = f"X = {extreme.x_mm:.0f}, Y = {extreme.y_mm:.0f} mm"
+    return place if extreme.frequency_hz is None else f"{place}, {extreme.frequency_hz:.0f} Hz"
+
+
+def _energy_notes(machine: Machine, sound: Soundness) -> list[str]:
+    """What the force map does to the books of energy; nothing, by virtual work."""
+    force_map, notes = f"The force map {machine.effector.force_map!r}", []
+    if not sound.is_reciprocal:
+        notes.append(
+            f"{force_map} is not reciprocal: the skew part of the carriages' receptance is up to "
+            f"{_percent(sound.asymmetry)} of it, at {_where(sound.asymmetry)}; the carriages feel "
+            f"{sound.least_load.value:.2f} to {sound.most_load.value:.2f} of the effector that virtual work gives them."
+        )
+    if not sound.is_passive:
+        notes.append(
+            f"{force_map} is not passive: at {_where(sound.dissipation)} a force can get out up to "
+            f"{_percent(replace(sound.dissipation, value=-sound.dissipation.value))} of the power it moves, "
+            "from nowhere; compensate with 'virtual_work'."
+        )
+    return notes
 
 
 def _instability(places: FloatArray) -> list[str]:

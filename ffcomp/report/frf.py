@@ -1,90 +1,369 @@
-"""Pictures of the model: Bode figures of the carriages, and the modes over the bed."""
+"""Pictures of the model: Bode figures with what was measured beside, and the modes over the bed.
+
+Sizes are inches throughout, so that text keeps its room however many panels there are.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
 matplotlib.use("Agg")
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Rectangle
+from matplotlib.patheffects import AbstractPathEffect, withStroke
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
+from ffcomp import __version__
+from ffcomp.identify.accuracy import phases_deg
+from ffcomp.responses import RINGS, Compared, NumberedMode, Station, Study, verdict
 from models.machine import Machine
-from models.receptance import carriage_frf, modes
+from models.mode_map import ModeMap
 
 FloatArray = NDArray[np.float64]
 
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#222222")
-MAP_PITCH_MM = 6.0
-OVERDAMPED = 0.5  # modes damped more than this do not ring, and are not drawn
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#6a4c93", "#222222")
+BAND, PAPER, INK, SOFT, FAINT = "#1f2a37", "#ffffff", "#1f2a37", "#6b7280", "#a3a9b3"
+NUMBERED_STATIONS = 3  # more, and only the first one's modes are numbered above the panels
+
+UNCOUPLED = 1e-9  # of a station's largest response: less is rounding
+
+MARGIN, BAND_HEIGHT = 0.75, 1.05
+PANEL_WIDTH, WIDE_PANEL, MAGNITUDE_HEIGHT, PHASE_HEIGHT = 4.5, 9.0, 2.7, 1.4
+ABOVE, BETWEEN, BELOW, ASIDE = 0.3, 0.12, 0.6, 0.55  # room round a panel
+LABEL_HEIGHT, ROW_HEIGHT = 0.2, 0.27  # of a row of mode numbers, of a line of the table
+MODE_WIDTH, STATION_WIDTH = 1.38, 2.3  # of the table's columns
 
 
-def _title(machine: Machine) -> str:
-    return f"{machine.name} · machine file sha256 {machine.sha256[:8]} · load map: {machine.effector.force_map}"
-
-
-def draw_bode(machine: Machine, places: list[FloatArray], frequencies: FloatArray, target: Path) -> None:
-    """Magnitude and phase of A to A, B to B and C to C at the places, as in the paper's Figs. 11-13."""
-    figure = Figure(figsize=(15, 7.5), layout="constrained")
-    figure.suptitle(f"Commanded to real carriage position\n{_title(machine)}", x=0.01, ha="left")
-    axes = figure.subplots(2, 3, sharex=True, sharey="row")
-    for place, colour in zip(places, COLOURS * len(places), strict=False):
-        g = carriage_frf(machine, place, frequencies)
-        for tower in range(3):
-            own = g[:, tower, tower]
-            label = f"({place[0]:g}, {place[1]:g}) mm"
-            axes[0, tower].semilogy(frequencies, np.abs(own), color=colour, label=label)
-            axes[1, tower].plot(frequencies, np.degrees(np.unwrap(np.angle(own))), color=colour)
-    for tower, name in enumerate("ABC"):
-        axes[0, tower].set(title=f"{name} to {name}")
-        axes[1, tower].set(xlabel="frequency, Hz")
-        for room in axes[:, tower]:
-            room.grid(alpha=0.3)
-    axes[0, 0].set(ylabel="magnitude, mm/mm")
-    axes[1, 0].set(ylabel="phase, °")
-    axes[0, 2].legend(title="nozzle at", loc="upper right")
+def draw_bode(found: Study, target: Path, full: bool = False) -> None:
+    """A panel of magnitude and phase a response, modes numbered above, and a table of them below."""
+    pairs = found.view.all_pairs if full else found.view.pairs
+    columns = min(3, len(pairs))
+    rows = len(pairs) // columns
+    panel = PANEL_WIDTH if columns > 1 else WIDE_PANEL
+    labels = LABEL_HEIGHT * len(_numbered(found))
+    cell = ABOVE + labels + MAGNITUDE_HEIGHT + BETWEEN + PHASE_HEIGHT + BELOW
+    content = columns * panel + (columns - 1) * ASIDE
+    width = max(2 * MARGIN + content, 2 * 0.35 + _table_width(found))
+    height = BAND_HEIGHT + rows * cell + ROW_HEIGHT * _lines(found) + 0.35
+    figure = Figure(figsize=(width, height), facecolor=PAPER)
+    _band(figure, found.view.title, verdict(found), found.machine)
+    left = (width - content) / 2 + 0.15
+    for number, pair in enumerate(pairs):
+        x = left + (number % columns) * (panel + ASIDE)
+        y = height - BAND_HEIGHT - (number // columns) * cell - ABOVE - labels - MAGNITUDE_HEIGHT
+        upper = _axes(figure, x, y, panel, MAGNITUDE_HEIGHT)
+        lower = _axes(figure, x, y - BETWEEN - PHASE_HEIGHT, panel, PHASE_HEIGHT)
+        _panel(upper, lower, found, pair, first=number % columns == 0)
+    _table(figure, found)
     figure.savefig(target, dpi=110)
 
 
-def draw_map(machine: Machine, target: Path) -> None:
-    """Frequency (colour) and damping (lines) of every mode that rings, over the bed."""
-    x, places = _grid(machine)
-    frequency, damping = _modes_over(machine, places, len(x))
-    count = frequency.shape[2]
-    figure = Figure(figsize=(4.6 * count, 5.4), layout="constrained")
-    span = [f"{np.nanmin(f):.0f}-{np.nanmax(f):.0f}" for f in np.moveaxis(frequency, 2, 0)]
-    figure.suptitle(f"Modes over the bed: {', '.join(span)} Hz\n{_title(machine)}", x=0.01, ha="left")
-    for mode, axes in enumerate(figure.subplots(1, count, squeeze=False)[0]):
-        colours = axes.contourf(x, x, frequency[:, :, mode].T, levels=24, cmap="viridis")
-        figure.colorbar(colours, ax=axes, label="Hz", location="bottom")
-        lines = axes.contour(x, x, 100 * damping[:, :, mode].T, levels=5, colors="white", linewidths=0.7)
-        axes.clabel(lines, fmt="%.1f %%", fontsize=7)
-        towers = machine.kinematics.towers_mm
-        reach = 1.08 * machine.kinematics.print_radius_mm
-        for name, tower in zip("ABC", towers, strict=True):
-            axes.text(*(tower / np.hypot(*tower) * reach), name, ha="center", va="center", weight="bold")
-        axes.set(aspect="equal", title=f"mode {mode + 1}", xlabel="X, mm", xlim=(-1.15 * reach, 1.15 * reach))
-        axes.set(ylim=(-1.15 * reach, 1.15 * reach))
+# --- The parts of every figure
+
+
+def _axes(figure: Figure, x: float, y: float, width: float, height: float) -> Axes:
+    """Axes in inches from the lower left corner."""
+    w, h = figure.get_size_inches()
+    axes = figure.add_axes((x / w, y / h, width / w, height / h))
+    axes.tick_params(labelsize=8, color=SOFT, labelcolor=INK)
+    for spine in axes.spines.values():
+        spine.set_color("#c5cad3")
+    return axes
+
+
+def _band(figure: Figure, title: str, said: str, machine: Machine) -> None:
+    """Title, verdict, and which machine file and program this is of."""
+    width, height = figure.get_size_inches()
+    share = BAND_HEIGHT / height
+    figure.add_artist(Rectangle((0, 1 - share), 1, share, color=BAND, transform=figure.transFigure, zorder=-1))
+    of = f"{machine.name}  ·  machine file sha256 {machine.sha256[:12]}"
+    by = f"load map {machine.effector.force_map}  ·  ffcomp {__version__}"
+    lines = ((0.31, title, 14, "bold", "#ffffff"), (0.6, said, 11, "normal", "#ffd08a"))
+    for down, text, size, weight, colour in (*lines, (0.85, f"{of}  ·  {by}", 8.5, "normal", "#b9c2cf")):
+        y = 1 - down / height
+        figure.text(0.35 / width, y, text, fontsize=size, weight=weight, color=colour, va="center")
+
+
+# --- Bode panels
+
+
+def _panel(upper: Axes, lower: Axes, found: Study, pair: tuple[int, int], first: bool) -> None:
+    for number, (station, colour) in enumerate(zip(found.stations, _colours(found), strict=True)):
+        _curves(upper, lower, found.frequency_hz, station, pair, colour)
+        _accuracy(upper, [each for each in station.compared if each.pair == pair], number, colour)
+    view = found.view
+    name = view.rows[pair[0]] if not view.depends_on_place else f"{view.columns[pair[1]]} to {view.rows[pair[0]]}"
+    upper.set_yscale("log")
+    _decades(upper)
+    upper.set_xticklabels([])
+    upper.text(0.02, 0.04, name, transform=upper.transAxes, fontsize=12, weight="bold", color=INK)
+    for axes in (upper, lower):
+        axes.set_xlim(found.frequency_hz[0], found.frequency_hz[-1])
+        axes.grid(color="#e6e9ee", linewidth=0.8)
+        axes.set_axisbelow(True)
+    lower.set_xlabel("frequency, Hz", fontsize=9, color=INK)
+    lower.locator_params(axis="y", nbins=5)
+    if first:
+        upper.set_ylabel(f"magnitude, {view.unit}", fontsize=9, color=INK)
+        lower.set_ylabel("phase, °", fontsize=9, color=INK)
+    for row, (station, colour) in enumerate(reversed(_numbered(found))):
+        here = [mode for mode in station.modes if mode.axis in (None, view.rows[pair[0]])]
+        _mode_numbers(upper, here, colour, row)
+
+
+def _decades(axes: Axes) -> None:
+    """At least one decade of magnitude, labelled 0.01, 0.1, 1, 10 and not in powers while they are short."""
+    low, high = axes.get_ylim()
+    if high < 10 * low:
+        middle = np.sqrt(low * high)
+        axes.set_ylim(middle / np.sqrt(10), middle * np.sqrt(10))
+    axes.yaxis.set_major_locator(LogLocator(numticks=7))
+    short = FuncFormatter(lambda v, _: f"{v:g}" if 1e-3 <= v < 1e4 else f"$10^{{{round(np.log10(v))}}}$")
+    axes.yaxis.set_major_formatter(short)
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _colours(found: Study) -> list[str]:
+    return [COLOURS[i % len(COLOURS)] for i in range(len(found.stations))]
+
+
+def _numbered(found: Study) -> list[tuple[Station, str]]:
+    """The stations whose modes are numbered above the panels."""
+    shown = list(zip(found.stations, _colours(found), strict=True))
+    return shown if len(shown) <= NUMBERED_STATIONS else shown[:1]
+
+
+def _curves(
+    upper: Axes, lower: Axes, frequency_hz: FloatArray, station: Station, pair: tuple[int, int], colour: str
+) -> None:
+    value = station.value[:, *pair]
+    if np.abs(value).max() < UNCOUPLED * np.abs(station.value).max():
+        upper.text(0.5, 0.5, "does not answer here", transform=upper.transAxes, ha="center", color=colour, fontsize=9)
+        return
+    upper.plot(frequency_hz, np.abs(value), color=colour, linewidth=1.7, zorder=3)
+    lower.plot(frequency_hz, np.degrees(np.unwrap(np.angle(value))), color=colour, linewidth=1.7, zorder=3)
+    for each in station.compared:
+        if each.pair == pair:
+            _measured(upper, lower, each, colour)
+
+
+def _measured(upper: Axes, lower: Axes, each: Compared, colour: str) -> None:
+    """Dots, on the phase branch of the model."""
+    dots: dict[str, Any] = {"color": colour, "markersize": 2.6, "alpha": 0.45, "markeredgewidth": 0, "zorder": 2}
+    upper.plot(each.frequency_hz, np.abs(each.measured), "o", **dots)
+    lower.plot(each.frequency_hz, phases_deg(each.measured, each.predicted)[0], "o", **dots)
+
+
+def _accuracy(axes: Axes, compared: list[Compared], line: int, colour: str) -> None:
+    """In the corner: how well the model meets the dots of this colour."""
+    if compared:
+        magnitude, phase = _means(compared)
+        axes.text(
+            0.98, 0.96 - 0.075 * line, f"{magnitude:.0f} % in magnitude, {phase:.0f} % in phase", color=colour,
+            transform=axes.transAxes, ha="right", va="top", fontsize=8, weight="bold", backgroundcolor="#ffffffb0",
+        )  # fmt: skip
+
+
+def _mode_numbers(axes: Axes, modes: list[NumberedMode], colour: str, row: int) -> None:
+    """Numbers above the panel, pushed apart where modes are close, each with a line down to its frequency."""
+    low, high = axes.get_xlim()
+    shown = [m for m in modes if m.rings and low <= m.frequency_hz <= high]
+    shown.sort(key=lambda mode: mode.frequency_hz)
+    at = np.array([(m.frequency_hz - low) / (high - low) for m in shown])
+    inch, width = 1 / MAGNITUDE_HEIGHT, MAGNITUDE_HEIGHT * axes.bbox.width / axes.bbox.height
+    foot, head = 1.0, 1.0 + (0.16 + LABEL_HEIGHT * row) * inch
+    for mode, x, label in zip(shown, at, _spread(at, 0.2 / width), strict=True):
+        line: dict[str, Any] = {"color": colour, "linewidth": 0.7, "transform": axes.transAxes, "clip_on": False}
+        axes.plot([x, x, label], [0.0, foot, head - 0.06 * inch], alpha=0.45, **line)
+        circle = {"boxstyle": "circle,pad=0.18", "facecolor": colour, "edgecolor": "none"}
+        axes.text(
+            label, head, mode.sign, transform=axes.transAxes, ha="center", va="center",
+            fontsize=6.5, color="#ffffff", weight="bold", bbox=circle,
+        )  # fmt: skip
+
+
+def _spread(at: FloatArray, gap: float) -> FloatArray:
+    """Rising places, moved as little as it takes to be `gap` apart: each crowd is centred on its mean."""
+    crowds = [[x] for x in at.tolist()]
+    k = 1
+    while k < len(crowds):
+        before, after = crowds[k - 1], crowds[k]
+        room = np.mean(after) - np.mean(before) - gap * (len(before) + len(after)) / 2
+        if room < 0:
+            crowds[k - 1 : k + 1] = [before + after]
+            k = max(k - 1, 1)
+        else:
+            k += 1
+    return np.array([np.mean(crowd) + gap * (i - (len(crowd) - 1) / 2) for crowd in crowds for i in range(len(crowd))])
+
+
+# --- The table under the panels
+
+
+def _signs(found: Study) -> list[str]:
+    """The table's columns: every mode of any station."""
+    signs = [mode.sign for station in found.stations for mode in station.modes]
+    return sorted(dict.fromkeys(signs), key=lambda sign: (not sign.isdigit(), sign))
+
+
+def _lines(found: Study) -> int:
+    """Of the table; the kinds of modes get a line of their own where there is room."""
+    return 1 + len(found.stations) * (2 if len(found.stations) <= NUMBERED_STATIONS else 1)
+
+
+def _table_width(found: Study) -> float:
+    return STATION_WIDTH + MODE_WIDTH * len(_signs(found)) + (2.6 if found.compared else 0.0)
+
+
+def _table(figure: Figure, found: Study) -> None:
+    """A line a station: its colour, each mode's frequency and damping ratio, and how well it was predicted."""
+    width, height = figure.get_size_inches()
+    top = ROW_HEIGHT * _lines(found) + 0.1
+    left = (width - _table_width(found)) / 2 + 0.1
+    column = {sign: STATION_WIDTH + MODE_WIDTH * i for i, sign in enumerate(_signs(found))}
+    last = STATION_WIDTH + MODE_WIDTH * len(column)
+    step = (_lines(found) - 1) // len(found.stations)
+
+    def say(x: float, line: float, text: str, colour: str = INK, weight: str = "normal", size: float = 8.5) -> None:
+        y = top - ROW_HEIGHT * line
+        figure.text((left + x) / width, y / height, text, fontsize=size, color=colour, weight=weight, va="center")
+
+    say(0, 0, "line: model" + (", dots: measured" if found.compared else ""), SOFT)
+    for sign, x in column.items():
+        say(x, 0, "D  drive" if sign == "D" else f"mode {sign}", INK, "bold")
+    if found.compared:
+        say(last, 0, "accuracy: magnitude, phase", INK, "bold")
+    for number, (station, colour) in enumerate(zip(found.stations, _colours(found), strict=True)):
+        line = 1 + number * step
+        say(0, line, f"━  {station.label}", colour, "bold")
+        for mode in station.modes:
+            say(column[mode.sign], line, _mode_text(mode), INK if mode.rings else FAINT)
+            if step == 2 and mode.number is not None:
+                say(column[mode.sign], line + 0.72, mode.kind, SOFT, size=7)
+        if station.compared:
+            say(last, line, _accuracy_text(station.compared))
+
+
+def _mode_text(mode: NumberedMode) -> str:
+    return f"{mode.frequency_hz:.1f} Hz, ζ {100 * mode.damping_ratio:.1f} %"
+
+
+def _accuracy_text(compared: Sequence[Compared]) -> str:
+    magnitude, phase = _means(compared)
+    return f"{magnitude:.0f} %, {phase:.0f} % of {len(compared)} response{'s' * (len(compared) > 1)}"
+
+
+def _means(compared: Sequence[Compared]) -> tuple[float, float]:
+    """Mean accuracy in magnitude and in phase, %."""
+    magnitudes, phases = zip(*((each.magnitude_percent, each.phase_percent) for each in compared), strict=True)
+    return float(np.mean(magnitudes)), float(np.mean(phases))
+
+
+# --- Modes over the bed
+
+MAP_SIZE, MAP_ASIDE, MAP_BELOW, MAP_ABOVE = 3.7, 0.85, 1.1, 0.75
+SMALLEST_SPAN = 0.02  # of a frequency
+TICKS = 11  # lines of direction across the bed
+
+
+def draw_map(machine: Machine, found: ModeMap, target: Path) -> None:
+    """Every mode's frequency (colour), damping ratio (lines) and direction in the plane (strokes) over the bed."""
+    count = len(found.kinds)
+    columns = min(3, count)
+    rows = -(-count // columns)
+    width = 0.8 + columns * (MAP_SIZE + MAP_ASIDE)
+    height = BAND_HEIGHT + rows * (MAP_ABOVE + MAP_SIZE + MAP_BELOW) + 0.15
+    figure = Figure(figsize=(width, height), facecolor=PAPER)
+    key = "colour: frequency  ·  white lines: damping ratio  ·  strokes: the direction it shakes in; none: up and down"
+    figure.text(0.5, 0.17 / height, key, ha="center", va="center", fontsize=8.5, color=SOFT)
+    _band(figure, "Modes over the bed", map_verdict(found), machine)
+    for mode in range(count):
+        x = 0.8 + (mode % columns) * (MAP_SIZE + MAP_ASIDE)
+        y = height - BAND_HEIGHT - (mode // columns + 1) * (MAP_ABOVE + MAP_SIZE + MAP_BELOW) + MAP_BELOW
+        axes = _axes(figure, x, y, MAP_SIZE, MAP_SIZE)
+        bar = _axes(figure, x + 0.25, y - 0.55, MAP_SIZE - 0.5, 0.1)
+        _map_panel(axes, bar, machine, found, mode)
     figure.savefig(target, dpi=110)
 
 
-def _grid(machine: Machine) -> tuple[FloatArray, FloatArray]:
-    """Axis (k,) mm, and the places (k, k, 2) mm of the square round the bed."""
-    reach = machine.kinematics.print_radius_mm
-    x = np.linspace(-reach, reach, 2 * int(np.ceil(reach / MAP_PITCH_MM)) + 1)
-    return x, np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1)
+def map_verdict(found: ModeMap) -> str:
+    """Which mode moves most over the bed, in words."""
+    rings = [m for m in range(len(found.kinds)) if np.nanmean(found.damping_ratio[:, :, m]) < RINGS]
+    if not rings:
+        return "Nothing rings: every mode is damped by more than 30 %."
+    span = {m: (np.nanmin(found.frequency_hz[:, :, m]), np.nanmax(found.frequency_hz[:, :, m])) for m in rings}
+    worst = max(rings, key=lambda m: span[m][1] / span[m][0])
+    low, high = span[worst]
+    return (
+        f"Mode {worst + 1} ({found.kinds[worst]}) moves most: {low:.0f} to {high:.0f} Hz, by "
+        f"{100 * (high / low - 1):.0f} %; a shaper tuned at one place is wrong at the others."
+        if high / low > 1.05
+        else f"No mode that rings moves by more than {100 * (high / low - 1):.0f} %."
+    )
 
 
-def _modes_over(machine: Machine, places: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
-    """Frequencies (Hz) and damping ratios of the modes that ring at the centre, (k, k, m); NaN outside the bed."""
-    centre = modes(machine, np.zeros(2))
-    rings = np.flatnonzero(centre.damping_ratios < OVERDAMPED)
-    frequency = np.full((k, k, len(rings)), np.nan)
-    damping = frequency.copy()
-    for i, j in np.argwhere(np.hypot(*np.moveaxis(places, 2, 0)) <= machine.kinematics.print_radius_mm + 1e-9):
-        found = modes(machine, places[i, j])
-        if len(found.frequencies_hz) == len(centre.frequencies_hz):
-            frequency[i, j], damping[i, j] = found.frequencies_hz[rings], found.damping_ratios[rings]
-    return frequency, damping
+def _map_panel(axes: Axes, bar: Axes, machine: Machine, found: ModeMap, mode: int) -> None:
+    frequency, damping = found.frequency_hz[:, :, mode], 100 * found.damping_ratio[:, :, mode]
+    x, round_bed = found.x_mm, Circle((0, 0), found.x_mm[-1], transform=axes.transData)
+    levels = _levels(frequency)
+    colours = axes.contourf(x, x, frequency.T, levels=levels, cmap="viridis")
+    lines = axes.contour(x, x, damping.T, levels=5, colors="#ffffff", linewidths=0.8)
+    dark: list[AbstractPathEffect] = [withStroke(linewidth=1.6, foreground="#00000066")]
+    lines.set(path_effects=dark)
+    for label in axes.clabel(lines, fmt="%.3g %%", fontsize=7):
+        label.set_path_effects(dark)
+        label.set_clip_path(round_bed)
+    for drawn in (colours, lines):
+        drawn.set_clip_path(round_bed)
+    _directions(axes, found, mode)
+    _towers(axes, machine)
+    digits = max(0, 1 - int(np.floor(np.log10(levels[-1] - levels[0]))))
+    scale = axes.figure.colorbar(colours, cax=bar, orientation="horizontal", format=f"%.{digits}f")
+    scale.locator = MaxNLocator(5)
+    scale.update_ticks()
+    scale.outline.set_visible(False)
+    bar.set_xlabel("frequency, Hz", fontsize=8, color=INK)
+    low, high, zeta = np.nanmin(frequency), np.nanmax(frequency), float(np.nanmean(damping))
+    quiet = "" if zeta < 100 * RINGS else ": hardly rings"
+    axes.text(0, 1.08, f"{mode + 1}  {found.kinds[mode]}", transform=axes.transAxes, fontsize=12, weight="bold")
+    said = f"{low:.1f}-{high:.1f} Hz, ζ {zeta:.1f} %{quiet}"
+    axes.text(0, 1.025, said, transform=axes.transAxes, fontsize=9, color=SOFT)
+
+
+def _levels(frequency: FloatArray) -> FloatArray:
+    """25 levels of colour, over at least SMALLEST_SPAN, so that a frequency that stays shows one colour."""
+    low, high = float(np.nanmin(frequency)), float(np.nanmax(frequency))
+    half = max(high - low, SMALLEST_SPAN * high) / 2 * (1 + 1e-6)
+    return np.linspace((low + high) / 2 - half, (low + high) / 2 + half, 25)
+
+
+def _towers(axes: Axes, machine: Machine) -> None:
+    towers, reach = machine.kinematics.towers_mm, machine.kinematics.print_radius_mm
+    for name, tower in zip("ABC", towers, strict=True):
+        x, y = 1.1 * reach * tower / np.hypot(*tower)
+        axes.text(x, y, name, ha="center", va="center", weight="bold", fontsize=11, color=INK)
+    limit = (-1.2 * reach, 1.2 * reach)
+    axes.set(aspect="equal", xlim=limit, ylim=limit)
+    axes.set_xlabel("X, mm", fontsize=8, labelpad=1, color=INK)
+    axes.set_ylabel("Y, mm", fontsize=8, labelpad=1, color=INK)
+
+
+def _directions(axes: Axes, found: ModeMap, mode: int) -> None:
+    """Strokes along the horizontal part of what moves most, nozzle holder or extruder; a point where it is upright."""
+    every = max(1, len(found.x_mm) // TICKS)
+    at = np.arange(len(found.x_mm) // 2 % every, len(found.x_mm), every)
+    motion = np.where(found.on_bed[..., None], found.motion[:, :, mode], np.nan)[np.ix_(at, at)]
+    part = motion[..., 3:] if found.kinds[mode].startswith("extruder") else motion[..., :3]
+    flat = part[..., :2] * np.exp(-0.5j * np.angle(np.sum(part[..., :2] ** 2, axis=-1, keepdims=True)))  # longest real
+    length = np.linalg.norm(part, axis=-1, keepdims=True)
+    stroke = 0.35 * (found.x_mm[every] - found.x_mm[0]) * flat.real / length
+    x, y = np.meshgrid(found.x_mm[at], found.x_mm[at], indexing="ij")
+    ends = np.stack([np.stack([x, y], axis=-1) - stroke, np.stack([x, y], axis=-1) + stroke])
+    axes.plot(*ends.reshape(2, -1, 2).transpose(2, 0, 1), color="#00000099", linewidth=1.4, solid_capstyle="round")

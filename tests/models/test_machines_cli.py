@@ -73,8 +73,21 @@ def test_check_notes_what_disagrees(run) -> None:
     assert result.exit_code == 0
     checked = json.loads(result.stdout)
     assert checked["problems"] == []
-    assert len(checked["notes"]) == 5
-    assert run("check", "mp-delta-pro-as-printed").stdout.count("note: ") == 5
+    assert len(checked["notes"]) == 7  # five numbers, and the map that is neither reciprocal nor passive
+    text = run("check", "mp-delta-pro-as-printed").stdout
+    assert text.count("note: ") == 7
+    assert "it can make energy, 5 numbers disagree" in text.splitlines()[-1]
+
+
+def test_check_shows_every_value(run) -> None:
+    checked = json.loads(run("check", "mp-delta-pro-as-printed", "--json").stdout)
+    mass = checked["consistency"][0]
+    assert mass["file_uses"].startswith("Eq. 30") and mass["of_file"] == pytest.approx(0.195)
+    assert [way["equation"][:6] for way in mass["values"]] == ["Eq. 41", "Eq. 36", "Eq. 40"]
+    assert mass["values"][0]["difference_percent"] == pytest.approx(-15.9, abs=0.05)
+    assert checked["soundness"]["dissipation"]["value"] < -0.2
+    rows = [line.split()[:5] for line in run("check", "mp-delta-pro-as-printed").stdout.splitlines()]
+    assert ["Eq.", "41", "0.164", "-15.9", "%"] in rows
 
 
 def test_check_of_a_broken_file(run, broken: Path) -> None:

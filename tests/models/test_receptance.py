@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.carriage import command_frf, drive_frf, force_frf
-from models.effector import effector_impedance, load_distribution, load_map
+from models.carriage import command_frf, drive_frf, force_frf, impedance, with_added_mass
+from models.effector import effector_impedance, load_distribution, load_map, struck_frf
 from models.kinematics.delta import inverse, jacobian
 from models.machine import Machine, constant
 from models.plant import STATES, Q, continuous_plant
-from models.receptance import carriage_frf, modes, nozzle_frf, poles
+from models.receptance import assembly_frf, carriage_frf, modes, nozzle_frf, poles, receptance
 
 FREQUENCIES = np.geomspace(0.5, 400, 60)
 S = 2j * np.pi * FREQUENCIES
@@ -29,6 +29,14 @@ def test_carriage_frf_is_equation_33(as_printed: Machine) -> None:
     mechanical = (5.31 / m * S + omega**2) / (S**2 + 2 * zeta * omega * S + omega**2)
     electrical = (-212.1 * S + 1.43e5) / (S**2 + 36.2 * S + 1.43e5)
     np.testing.assert_allclose(command_frf(carriage, S), mechanical * electrical, rtol=1e-12)
+
+
+def test_an_added_mass_is_equation_38(as_printed: Machine) -> None:
+    m, k = 0.195 + 0.2, 1.21e5
+    omega, zeta = np.sqrt(k / m), (5.31 + 13.4) / (2 * np.sqrt(k * m))
+    loaded = replace(with_added_mass(as_printed.carriage, 0.2), drive=None)
+    expected = (5.31 / m * S + omega**2) / (S**2 + 2 * zeta * omega * S + omega**2)
+    np.testing.assert_allclose(command_frf(loaded, S), expected, rtol=1e-12)
 
 
 def test_a_load_at_rest_stretches_the_belt(printer: Machine) -> None:
@@ -58,6 +66,20 @@ def test_slow_motion_feels_every_mass(printer: Machine) -> None:
     s = np.array([0.01j])
     total = 0.536 + 0.115 + 1.5 * 0.032
     np.testing.assert_allclose(effector_impedance(printer, s) / s**2, [[total] * 3], rtol=1e-4)
+
+
+@pytest.mark.parametrize("with_arms", [True, False])
+def test_a_struck_effector_is_equation_45(as_printed: Machine, with_arms: bool) -> None:
+    m1, m2 = 0.542 + 0.048 * with_arms, 0.109
+    b, k = np.array([20.4, 40.5, 19.6]), np.array([3.31e3, 7.04e3, 1.29e5])
+    s = S[:, None]
+    verbatim = (m2 * s**2 + b * s + k) / (m1 * m2 * s**2 + (m1 + m2) * (b * s + k))
+    np.testing.assert_allclose(struck_frf(as_printed, S, with_arms), verbatim, rtol=1e-12)
+
+
+def test_with_its_arms_it_is_the_load_of_the_assembly(printer: Machine) -> None:
+    load = effector_impedance(printer, S)
+    np.testing.assert_allclose(struck_frf(printer, S, with_arms=True), S[:, None] ** 2 / load, rtol=1e-12)
 
 
 def test_effector_resonates_where_equation_48_says(as_printed: Machine) -> None:
@@ -98,13 +120,19 @@ def test_the_papers_map_with_table_1_carries_a_quarter_and_is_not_symmetric(as_p
     assert np.abs(paper - paper.T).max() > 0.05 * np.abs(paper).max()
 
 
-@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (10.21, -16.52, 19.31), (-25.0, 4.0, 60.0)])
-def test_six_rods_carry_the_virtual_work_load(rigid, offset: tuple[float, ...], bed: np.ndarray) -> None:
-    """Three forces and three moments give six axial rod forces; their pull is what the carriages feel."""
-    machine = rigid(offset=offset)
-    force = np.array([2.0, -3.0, 5.0])
+@pytest.mark.parametrize("seed", range(6))
+def test_six_rods_carry_the_virtual_work_load(rigid, seed: int, bed: np.ndarray) -> None:
+    """Three forces and three moments give six axial rod forces; their pull is what the carriages feel.
+
+    For the load of the flexible effector, W X at any frequency, in any direction, with any centre of mass.
+    """
+    generator = np.random.default_rng(seed)
+    machine = rigid(offset=tuple(generator.uniform(-60, 60, 3)))
+    w = effector_impedance(machine, S[[30]])[0].real
+    force = w * generator.normal(size=3)
     wanted = load_map(machine, bed) @ force
-    np.testing.assert_allclose([_rod_loads(machine, xy, force) for xy in bed], wanted, atol=1e-11)
+    rods = [_rod_loads(machine, xy, force) for xy in bed]
+    np.testing.assert_allclose(rods / np.abs(wanted).max(), wanted / np.abs(wanted).max(), rtol=0, atol=1e-12)
 
 
 def _rod_loads(machine: Machine, xy: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -156,6 +184,53 @@ def test_nozzle_and_carriages_tell_the_same_story(printer: Machine, xy: tuple[fl
     j = jacobian(printer.kinematics, place[None])[0]
     nozzle, carriages = nozzle_frf(printer, place, FREQUENCIES), carriage_frf(printer, place, FREQUENCIES)
     np.testing.assert_allclose(nozzle @ j, j @ carriages, atol=1e-11)
+
+
+@pytest.mark.parametrize("xy", PLACES)
+def test_every_output_per_every_input(printer: Machine, xy: tuple[float, float]) -> None:
+    place, f = np.array(xy), FREQUENCIES
+    j = jacobian(printer.kinematics, place[None])[0]
+    g, to_carriages = carriage_frf(printer, place, f), np.linalg.inv(j)
+    s2 = (S**2)[:, None, None]
+    expected = {
+        ("carriage", "carriage"): g,
+        ("carriage", "nozzle"): g @ to_carriages,
+        ("nozzle", "carriage"): j @ g,
+        ("acceleration", "carriage"): s2 * (j @ g),
+        ("acceleration", "nozzle"): s2 * nozzle_frf(printer, place, f),
+    }
+    for (of, per), wanted in expected.items():
+        np.testing.assert_allclose(assembly_frf(printer, place, f, of, per), wanted, rtol=1e-12)
+
+
+def test_a_force_and_a_command_move_the_carriages_alike(printer: Machine) -> None:
+    """The command is a force of the belt, (c s + k) G_e per mm."""
+    place = np.array([30.0, -100.0])
+    carriage = printer.carriage
+    belt = (carriage.belt_damping_n_s_per_m * S + carriage.belt_stiffness_n_per_m) * drive_frf(carriage.drive, S)
+    wanted = carriage_frf(printer, place, FREQUENCIES)
+    np.testing.assert_allclose(receptance(printer, place, FREQUENCIES) * belt[:, None, None], wanted, rtol=1e-12)
+
+
+@pytest.mark.parametrize("force_map", ["virtual_work", "paper"])
+def test_shapes_are_free_vibrations(printer: Machine, force_map: str) -> None:
+    """(λ² m_c + …) q = −load, with the carriages' part of each shape: Z(λ) q = 0."""
+    machine = replace(printer, effector=replace(printer.effector, force_map=force_map))
+    place = np.array([50.0, -60.0])
+    found = modes(machine, place)
+    zeta = found.damping_ratios
+    every = 2 * np.pi * found.frequencies_hz * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    j, gamma = jacobian(machine.kinematics, place[None])[0], load_map(machine, place[None])[0]
+    for pole, shape in zip(every, found.shapes, strict=True):
+        w = effector_impedance(machine, np.array([pole]))[0]
+        z = impedance(machine.carriage, np.array([pole]))[0] * np.eye(3) + gamma * w @ j
+        assert np.linalg.norm(z @ shape[:3]) < 1e-9 * np.linalg.norm(z, 2)
+        nozzle = j @ shape[:3]
+        m2, effector = machine.effector.extruder_mass_kg, machine.effector
+        mount = effector.extruder_damping_n_s_per_m * pole + effector.extruder_stiffness_n_per_m
+        np.testing.assert_allclose(
+            m2 * pole**2 * (nozzle + shape[3:]), -mount * shape[3:], atol=1e-6 * np.abs(mount).max()
+        )
 
 
 @pytest.mark.parametrize("xy", PLACES)

@@ -1,0 +1,278 @@
+"""`ffcomp frf`: which responses, against which measurements, in JSON and in pictures."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from ffcomp.cli.app import app
+from ffcomp.identify.predict import predicted
+from ffcomp.measured.frf import FrequencyResponse
+from ffcomp.measured.frf_files import write_frf
+from ffcomp.report.frf import _spread, draw_bode, draw_map, map_verdict
+from ffcomp.responses import View, study, verdict, view_of
+from models.carriage import command_frf, with_added_mass
+from models.effector import struck_frf
+from models.machine import Machine
+from models.machine_file import load_machine
+from models.mode_map import mode_map
+from models.receptance import assembly_frf, modes
+
+FREQUENCIES = np.arange(2.0, 125.1, 0.5)
+PNG = b"\x89PNG"
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine("mp-delta-pro")
+
+
+def measured(machine: Machine, given: str, answers: str, factor: complex = 1.0, **said) -> FrequencyResponse:
+    """What the machine would have answered, times a factor."""
+    said.setdefault("source", f"{given}-{answers}.csv")
+    nothing = np.ones(len(FREQUENCIES), dtype=complex)
+    empty = FrequencyResponse(given, answers, FREQUENCIES, nothing, np.full(len(FREQUENCIES), 1e-6), **said)
+    return replace(empty, value=factor * predicted(machine, [empty])[0])
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(app, ["frf", "-m", "mp-delta-pro", *map(str, arguments)])
+
+
+def answers(*arguments: object) -> list[dict]:
+    result = run(*arguments)
+    assert result.exit_code == 0, result.output
+    return [json.loads(line) for line in result.stdout.splitlines()]
+
+
+def complex_of(bode: dict) -> np.ndarray:
+    return np.array(bode["magnitude"]) * np.exp(1j * np.radians(bode["phase_deg"]))
+
+
+# --- JSON
+
+
+def test_the_schema_stays_whatever_is_asked(machine: Machine) -> None:
+    """`carriage` is always Eq. 29 at the place; what --of names stands beside it."""
+    for of in ("carriage", "nozzle", "acceleration", "carriage-alone", "effector-alone"):
+        (answer,) = answers("--of", of, "--at", "0,0", "--step-hz", 5, "--json")
+        assert answer["schema"] == "ffcomp-frf/1"
+        frequency = np.array(answer["frequency_hz"])
+        g = assembly_frf(machine, np.zeros(2), frequency)
+        for i in range(3):
+            np.testing.assert_allclose(complex_of(answer["carriage"][i][i]), g[:, i, i], rtol=1e-9)
+        assert answer["response"]["of"] == of
+
+
+@pytest.mark.parametrize("of", ["carriage", "nozzle", "acceleration"])
+@pytest.mark.parametrize("per", ["carriage", "nozzle"])
+def test_responses_of_the_printer(machine: Machine, of, per) -> None:
+    (answer,) = answers("--of", of, "--per", per, "--at", "-40,25", "--lowest-hz", 10, "--step-hz", 10)
+    response, wanted = (
+        answer["response"],
+        assembly_frf(machine, np.array([-40.0, 25.0]), np.arange(10, 201, 10.0), of, per),
+    )
+    assert (response["rows"][0], response["columns"][0]) == (
+        "A" if of == "carriage" else "x",
+        "A" if per == "carriage" else "x",
+    )
+    found = np.array([[complex_of(bode) for bode in row] for row in response["values"]])
+    np.testing.assert_allclose(np.moveaxis(found, 2, 0), wanted, rtol=1e-9, atol=1e-12 * np.abs(wanted).max())
+
+
+def test_sub_model_1_with_masses(machine: Machine) -> None:
+    found = answers("--of", "carriage-alone", "--added-mass-kg", 0, "--added-mass-kg", 0.2, "--step-hz", 10)
+    assert [each["added_mass_kg"] for each in found] == [0.0, 0.2]
+    s = 2j * np.pi * np.array(found[1]["frequency_hz"])
+    wanted = command_frf(with_added_mass(machine.carriage, 0.2), s)
+    np.testing.assert_allclose(complex_of(found[1]["response"]["values"][0][0]), wanted, rtol=1e-9)
+    k, m = machine.carriage.belt_stiffness_n_per_m, 0.395
+    assert found[1]["modes"][0]["frequency_hz"] == pytest.approx(np.sqrt(k / m) / (2 * np.pi))
+    drive = found[1]["modes"][1]
+    assert drive["number"] is None and drive["frequency_hz"] == pytest.approx(np.sqrt(1.43e5) / (2 * np.pi))
+
+
+@pytest.mark.parametrize("arms", [[], ["--with-arms"]])
+def test_sub_model_2(machine: Machine, arms: list[str]) -> None:
+    (answer,) = answers("--of", "effector-alone", *arms, "--step-hz", 10)
+    s = 2j * np.pi * np.array(answer["frequency_hz"])
+    found = complex_of(answer["response"]["values"][2][2])
+    np.testing.assert_allclose(found, struck_frf(machine, s, bool(arms))[:, 2], rtol=1e-9)
+    assert answer["modes"][2]["kind"] == "along z"
+
+
+def test_modes_carry_the_maps_numbers() -> None:
+    centre, side = answers("--at", "0,0", "--at", "-80,0", "--step-hz", 20)
+    assert [mode["number"] for mode in centre["modes"]] == [1, 2, 3, 4, 5, 6, None]
+    kinds = [mode["kind"] for mode in centre["modes"][:6]]
+    assert [mode["kind"] for mode in side["modes"][:6]] == kinds
+    assert side["modes"][3]["frequency_hz"] < side["modes"][2]["frequency_hz"]  # by order they would be swapped
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--of", "carriage-alone", "--per", "nozzle"], "no response of the whole printer"),
+        (["--added-mass-kg", "0.1"], "--of carriage-alone, not carriage"),
+        (["--with-arms"], "--of effector-alone, not carriage"),
+        (["--lowest-hz", "300"], "--lowest-hz 300 lies above --highest-hz 200"),
+        (["--highest-hz", "1e5", "--step-hz", "0.01"], "more than 100000 frequencies"),
+        (["--at", "200,0"], "print radius"),
+        (["--at", "here"], "two numbers"),
+    ],
+)
+def test_what_cannot_be_is_said(arguments: list[str], words: str) -> None:
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert words in " ".join(result.stderr.replace("│", " ").split())
+
+
+# --- Measurements
+
+
+def test_a_measurement_finds_its_view_place_and_accuracy(machine: Machine, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    write_frf(path, measured(machine, "cmd_A", "pos_A", 1.25, position_mm=(-80.0, 0.0, 30.0)))
+    (answer,) = answers("--measured", path)
+    assert answer["position_mm"][:2] == [-80.0, 0.0]
+    (each,) = answer["measured"]
+    assert each["magnitude_accuracy_percent"] == pytest.approx(80.0)
+    assert each["phase_accuracy_percent"] == pytest.approx(100.0)
+    assert each["log_error_db"] == pytest.approx(20 * np.log10(1.25))
+    assert (each["lines"], each["band_hz"]) == (247, [2.0, 125.0])
+    assert "80 % accurate in magnitude, 100 % in phase" in answer["verdict"] and "fair" in answer["verdict"]
+
+
+@pytest.mark.parametrize(
+    ("given", "answering", "setup", "of"),
+    [
+        ("cmd_B", "acc_B", "assembly", "carriage"),
+        ("cmd_x", "acc_y", "assembly", "nozzle"),
+        ("cmd_C", "acc_C", "carriage", "carriage-alone"),
+        ("cmd_A", "pos_A", "carriage+mass", "carriage-alone"),
+        ("force_z", "acc_z", "effector", "effector-alone"),
+    ],
+)
+def test_every_kind_of_measurement_is_met_by_its_own_machine(machine: Machine, given, answering, setup, of) -> None:
+    """In the view's unit: accelerations per position are turned into positions, and a wrong factor stays wrong."""
+    mass = 0.2 if setup == "carriage+mass" else 0.0
+    place = (60.0, -20.0, 30.0) if setup == "assembly" else None
+    response = measured(machine, given, answering, 1.25, setup=setup, added_mass_kg=mass, position_mm=place)
+    view = view_of(response)
+    assert view.of == of
+    found = study(machine, view, FREQUENCIES, [], [response])
+    (station,) = found.stations
+    (each,) = station.compared
+    np.testing.assert_allclose(each.measured, 1.25 * station.value[:, *each.pair], rtol=1e-9)
+    assert each.magnitude_percent == pytest.approx(80.0) and each.phase_percent == pytest.approx(100.0)
+
+
+def test_an_acceleration_may_be_looked_at_as_one(machine: Machine) -> None:
+    response = measured(machine, "cmd_x", "acc_x")
+    found = study(machine, View("acceleration", "nozzle"), FREQUENCIES, [], [response])
+    np.testing.assert_allclose(found.compared[0].measured, response.value)
+
+
+def test_what_does_not_belong_is_said(machine: Machine) -> None:
+    responses = [measured(machine, "cmd_x", "pos_x"), measured(machine, "force_x", "acc_x")]
+    found = study(machine, View(), FREQUENCIES, [np.zeros(2)], responses)
+    assert not found.compared
+    assert "look at it with --of nozzle --per nozzle" in found.left_out[0]
+    assert "answers no command" in found.left_out[1]
+
+
+def test_a_measurement_off_the_bed_is_refused(tmp_path: Path, machine: Machine) -> None:
+    path = tmp_path / "off.csv"
+    write_frf(path, replace(measured(machine, "cmd_A", "pos_A"), position_mm=(134.0, 134.0, 30.0)))
+    result = run("--measured", path)
+    assert result.exit_code == 5 and "print radius" in result.stderr
+
+
+def test_places_and_measured_places_are_joined(machine: Machine) -> None:
+    at = measured(machine, "cmd_A", "pos_A", position_mm=(40.0, 69.0, 30.0))
+    near = measured(machine, "cmd_B", "pos_B", position_mm=(40.2, 69.1, 30.0))
+    found = study(machine, View(), FREQUENCIES, [np.zeros(2)], [at, near])
+    assert [len(station.compared) for station in found.stations] == [0, 2]
+
+
+@pytest.mark.parametrize(("factor", "grade"), [(1.02, "close"), (1.2, "fair"), (1.5, "poor: identify the machine")])
+def test_the_verdict_grades(machine: Machine, factor: float, grade: str) -> None:
+    responses = [measured(machine, f"cmd_{c}", f"pos_{c}", factor) for c in "ABC"]
+    assert grade in verdict(study(machine, View(), FREQUENCIES, [], responses))
+
+
+def test_the_verdict_on_a_model_names_its_worst_peak(machine: Machine) -> None:
+    said = verdict(study(machine, View(), FREQUENCIES, [np.array([100.0, 0.0])]))
+    g = np.abs(assembly_frf(machine, np.array([100.0, 0.0]), FREQUENCIES)[:, 0, 0])
+    assert f"A answers {g.max():.1f} times its command, at {FREQUENCIES[g.argmax()]:.0f} Hz" in said
+
+
+# --- Pictures
+
+
+def test_bode_figures(machine: Machine, tmp_path: Path) -> None:
+    responses = [measured(machine, f"cmd_{c}", f"pos_{c}", 1.1, position_mm=(0.0, 0.0, 30.0)) for c in "ABC"]
+    found = study(machine, View(), FREQUENCIES, [np.array([-80.0, 0.0])], responses)
+    target = tmp_path / "bode.svg"
+    draw_bode(found, target)
+    text = target.read_text(encoding="utf-8")
+    for words in ("A to A", "91 % in magnitude", machine.sha256[:12], "at (-80, 0) mm", "D  drive", "ffcomp"):
+        assert words in text
+    assert "C to B" not in text
+    draw_bode(found, target, full=True)
+    assert "C to B" in target.read_text(encoding="utf-8")
+
+
+def test_what_does_not_couple_is_not_drawn_as_noise(machine: Machine, tmp_path: Path) -> None:
+    target = tmp_path / "full.svg"
+    draw_bode(study(machine, View("nozzle", "nozzle"), FREQUENCIES, [np.zeros(2)]), target, full=True)
+    assert target.read_text(encoding="utf-8").count("does not answer here") == 6
+
+
+@pytest.mark.parametrize("suffix", ["png", "pdf"])
+def test_figures_of_the_sub_models(machine: Machine, tmp_path: Path, suffix: str) -> None:
+    for of in ("carriage-alone", "effector-alone"):
+        target = tmp_path / f"{of}.{suffix}"
+        assert run("--of", of, "--figure", target).exit_code == 0
+        assert target.read_bytes().startswith({"png": PNG, "pdf": b"%PDF"}[suffix])
+
+
+def test_many_places_keep_one_row_of_numbers(machine: Machine, tmp_path: Path) -> None:
+    places = [np.array([10.0 * k, 0.0]) for k in range(7)]
+    target = tmp_path / "many.svg"
+    draw_bode(study(machine, View(), FREQUENCIES, places), target)
+    text = target.read_text(encoding="utf-8")
+    assert all(f"at ({10 * k}, 0) mm" in text for k in range(7))
+    assert "extruder, mostly x" not in text  # kinds only where there is room
+
+
+def test_the_map_in_pictures_and_numbers(tmp_path: Path) -> None:
+    picture, numbers = tmp_path / "map.png", tmp_path / "map.json"
+    assert run("--step-hz", 50, "--map", picture, "--map", numbers).exit_code == 0
+    assert picture.read_bytes().startswith(PNG)
+    told = json.loads(numbers.read_text())
+    assert told["schema"] == "ffcomp-frf-map/1"
+    half = len(told["x_mm"]) // 2
+    centre = [mode["frequency_hz"][half][half] for mode in told["modes"]]
+    np.testing.assert_allclose(centre, modes(load_machine("mp-delta-pro"), np.zeros(2)).frequencies_hz, atol=1e-6)
+    assert told["modes"][0]["frequency_hz"][0][0] is None  # a corner: no bed
+
+
+def test_the_maps_verdict_names_the_mode_that_moves(machine: Machine, tmp_path: Path) -> None:
+    over = mode_map(machine, 15.0)
+    assert map_verdict(over).startswith("Mode 3 (mostly x) moves most: 39 to 58 Hz")
+    draw_map(machine, over, tmp_path / "map.svg")
+    text = (tmp_path / "map.svg").read_text(encoding="utf-8")
+    assert "hardly rings" in text and "strokes" in text
+
+
+def test_mode_numbers_are_pushed_apart() -> None:
+    at = np.array([0.1, 0.11, 0.115, 0.5, 0.9])
+    apart = _spread(at, 0.05)
+    assert np.diff(apart).min() >= 0.05 - 1e-12
+    assert apart[:3].mean() == pytest.approx(at[:3].mean()) and apart[3:].tolist() == at[3:].tolist()

@@ -1,0 +1,80 @@
+"""Stability, reciprocity, passivity: by construction with virtual work, by luck with the paper's map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models.machine import Machine, constant
+from models.machine_file import LIBRARY, load_machine
+from models.receptance import poles, receptance
+from models.soundness import bed, soundness, unstable_places
+
+NAMES = sorted(path.stem for path in LIBRARY.glob("*.toml"))
+
+
+def with_map(machine: Machine, force_map: str) -> Machine:
+    return replace(machine, effector=replace(machine.effector, force_map=force_map))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_virtual_work_keeps_the_books(name: str) -> None:
+    sound = soundness(with_map(load_machine(name), "virtual_work"))
+    assert sound.is_stable and sound.is_passive and sound.is_reciprocal
+    assert sound.dissipation.value > 1e-4  # not merely by rounding
+    assert max(sound.asymmetry.value, sound.load_asymmetry.value) < 1e-13
+    assert sound.least_load.value == pytest.approx(1) and sound.most_load.value == pytest.approx(1)
+
+
+def test_the_papers_map_with_table_1_is_stable_but_makes_energy(as_printed: Machine) -> None:
+    sound = soundness(as_printed)
+    assert sound.is_stable and sound.growth_per_s.value < -3.0
+    assert not sound.is_passive and sound.dissipation.value == pytest.approx(-0.228, abs=0.005)
+    assert not sound.is_reciprocal and sound.asymmetry.value == pytest.approx(0.45, abs=0.01)
+    assert sound.load_asymmetry.value == pytest.approx(0.31, abs=0.01)
+    assert sound.least_load.value < 0 < 0.4 < sound.most_load.value
+
+
+def test_where_energy_comes_from_it_really_does(as_printed: Machine) -> None:
+    """The force that Soundness says gets work out of the machine: its mean power, ½ Re(F* v), is below zero."""
+    worst = soundness(as_printed).dissipation
+    assert worst.frequency_hz is not None
+    y = receptance(as_printed, np.array([worst.x_mm, worst.y_mm]), np.array([worst.frequency_hz]))[0]
+    mobility = 2j * np.pi * worst.frequency_hz * y
+    values, vectors = np.linalg.eigh((mobility + mobility.conj().T) / 2)
+    force = vectors[:, 0]
+    power = 0.5 * np.real(force.conj() @ (mobility @ force))
+    assert power == pytest.approx(values[0] / 2) and power < 0
+    assert values[0] / np.linalg.norm(mobility, 2) == pytest.approx(worst.value, rel=1e-3)
+
+
+def test_a_centred_mass_is_a_third_of_the_load(as_printed: Machine) -> None:
+    centred = replace(as_printed, effector=replace(as_printed.effector, center_of_mass_mm=constant([0.0, 0.0, 0.0])))
+    sound = soundness(centred)
+    assert sound.least_load.value == pytest.approx(1 / 3) and sound.most_load.value == pytest.approx(1 / 3)
+    assert sound.is_passive and sound.is_reciprocal
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_vibrations_of_the_library_decay_all_over_the_bed(name: str) -> None:
+    machine = load_machine(name)
+    assert unstable_places(machine).shape == (0, 2)
+    assert poles(machine, np.zeros((1, 2))).real.max() < -3.0  # 1/s: not merely by rounding
+
+
+def test_a_map_that_conserves_no_energy_can_shake_itself_to_pieces(as_printed: Machine) -> None:
+    far = replace(as_printed.effector, center_of_mass_mm=constant([35.0, -60.0, 120.0]))
+    machine = replace(as_printed, effector=far)
+    places, sound = unstable_places(machine), soundness(machine)
+    assert len(places) > 0 and not sound.is_stable
+    worst = np.array([[sound.growth_per_s.x_mm, sound.growth_per_s.y_mm]])
+    assert poles(machine, worst).real.max() == pytest.approx(sound.growth_per_s.value, rel=1e-3)
+    assert len(unstable_places(with_map(machine, "virtual_work"))) == 0
+
+
+def test_the_bed_is_the_bed(printer: Machine) -> None:
+    xy = bed(printer, radii=4, directions=8)
+    assert xy.shape == (1 + 3 * 8, 2) and not xy[0].any()
+    assert np.hypot(*xy.T).max() == pytest.approx(135.0)

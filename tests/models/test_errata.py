@@ -1,0 +1,212 @@
+"""The paper's numbers and equations that do not hold, each worked out again. Its Table I is typed in here once.
+
+What is wrong by the paper's own measurements is seen by `models.consistency` (test_consistency.py); rods against
+shares of force, and the sign of Eq. 13 along a helix, are in test_receptance.py and test_delta.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models.effector import effector_impedance, load_map
+from models.kinematics.delta import inverse, jacobian, jacobian_rate_term
+from models.machine import Machine, constant
+from models.receptance import assembly_frf, carriage_frf, modes, poles
+
+M_C, M_F, M_1, M_2, M_ADD = 0.179, 0.032, 0.542, 0.109, 0.2
+C, B, K = 5.31, 13.4, 1.21e5
+OMEGA, LOADED, ZETA, LOADED_ZETA = 730.0, 490.0, 0.092, 0.077
+ZERO, POLE = 1519.0, 1674.0
+STIFFNESS = {"x": 3.31e3, "y": 7.04e3, "z": 1.29e5}
+M = M_C + M_F / 2
+PAPERS_PLACES = np.array([[0.0, 0.0], [-80.0, 0.0], [40.0, -69.0], [40.0, 69.0]])
+
+
+def with_arms(machine: Machine, length: float) -> Machine:
+    return replace(machine, kinematics=replace(machine.kinematics, arm_lengths_mm=constant([length] * 3)))
+
+
+# --- Numbers
+
+
+def test_the_moving_mass_is_three_masses() -> None:
+    by_equation_41 = LOADED**2 / (OMEGA**2 - LOADED**2) * M_ADD
+    np.testing.assert_allclose([M, by_equation_41, K / OMEGA**2], [0.195, 0.164, 0.227], atol=5e-4)
+
+
+def test_the_stiffness_is_not_that_of_equation_36() -> None:
+    assert pytest.approx(1.04e5, rel=2e-3) == M * OMEGA**2
+    assert pytest.approx(1.04e5, rel=0.1) != K
+
+
+def test_the_damping_ratios_are_not_those_of_the_dampers() -> None:
+    """Printed 0.092 and 0.077; Eqs. 35 and 39 with the printed c + b give 0.066 and 0.048."""
+    computed = (C + B) / (2 * OMEGA * M), (C + B) / (2 * LOADED * (M + M_ADD))
+    np.testing.assert_allclose(computed, [0.066, 0.048], atol=5e-4)
+    np.testing.assert_allclose([2 * ZETA * OMEGA * M, 2 * LOADED_ZETA * LOADED * (M + M_ADD)], [26.2, 29.8], atol=0.05)
+    assert pytest.approx(18.71) == C + B
+
+
+def test_the_hammers_masses() -> None:
+    m1 = (ZERO / POLE) ** 2 * (M_1 + M_2)
+    np.testing.assert_allclose([m1, M_1 + M_2 - m1], [0.536, 0.115], atol=5e-4)
+
+
+def test_the_hammer_met_a_stiffness_that_no_axis_has() -> None:
+    met = M_2 * ZERO**2
+    assert met == pytest.approx(2.5e5, rel=0.01)
+    assert met / STIFFNESS["z"] == pytest.approx(1.95, abs=0.01)
+    assert met / STIFFNESS["x"] > 70
+
+
+# --- The drive
+
+
+def test_the_drives_zero_lies_in_the_right_half_plane(as_printed: Machine) -> None:
+    drive = as_printed.carriage.drive
+    assert drive is not None
+    (zero,) = np.roots([drive.d1_per_s, drive.d0_per_s2])
+    assert zero == pytest.approx(674, abs=0.5)
+
+
+def test_the_drives_delay(as_printed: Machine) -> None:
+    """−dφ/dω at zero: (d₂ − d₁)/d₀ by the drive, 1.5 ms of it |d₁|/d₀ by its zero; b/k more by the guide."""
+    drive = as_printed.carriage.drive
+    assert drive is not None
+    assert abs(drive.d1_per_s) / drive.d0_per_s2 == pytest.approx(1.5e-3, abs=2e-5)
+    slow = np.array([0.01])
+    g = np.diag(carriage_frf(as_printed, np.zeros(2), slow)[0])
+    delay = -np.angle(g) / (2 * np.pi * slow)
+    np.testing.assert_allclose(delay, (drive.d2_per_s - drive.d1_per_s) / drive.d0_per_s2 + B / K, rtol=1e-4)
+
+
+# --- Equations
+
+
+def test_equation_13_has_the_wrong_sign(as_printed: Machine) -> None:
+    """Its velocity term, worked out from s_i, ṡ_i, T as printed, is minus what finite differences find."""
+    geometry = as_printed.kinematics
+    x, v, step = np.array([35.0, -20.0, 40.0]), np.array([120.0, 70.0, -30.0]), 1e-3
+    q = inverse(geometry, x + np.array([-step, 0.0, step])[:, None] * v)
+    rate, curvature = (q[2] - q[0]) / (2 * step), (q[0] - 2 * q[1] + q[2]) / step**2
+    j = jacobian(geometry, x[None])[0]
+    left = -j @ curvature  # Ẍ − J q̈ of a straight line at constant speed
+    s = np.column_stack([x[:2] - geometry.towers_mm, x[2] + geometry.effector_height_mm - q[1]])
+    p = np.array([0.0, 0.0, -1.0])
+    s_rate = v + rate[:, None] * p
+    printed = np.linalg.solve(s, (s_rate @ j + np.diag(s_rate @ p)) @ rate)
+    np.testing.assert_allclose(printed, -left, rtol=1e-4)
+    np.testing.assert_allclose(jacobian_rate_term(geometry, x[None], v[None])[0], left, rtol=1e-4)
+
+
+def test_equation_68_has_an_alpha_too_many() -> None:
+    """D(s) = (m s² + (c+b) s + k)(m₂s² + b_j s + k_j) + α N(s), N of Eq. 67: what α multiplies, by polynomials."""
+    for b_j, k_j, alpha in ((20.4, 3.31e3, 0.3), (40.5, 7.04e3, -0.7), (19.6, 1.29e5, 1.1)):
+        extruder = [M_2, b_j, k_j]
+        load = np.polymul([M_1 * M_2, (M_1 + M_2) * b_j, (M_1 + M_2) * k_j], [1, 0, 0])
+        whole = np.polyadd(np.polymul([M, C + B, K], extruder), alpha * load)
+        total = M + alpha * (M_1 + M_2)
+        cubic = total * b_j + M_2 * (C + B)
+        square = total * k_j + M_2 * K + (C + B) * b_j
+        right = [(M + alpha * M_1) * M_2, cubic, square, (C + B) * k_j + b_j * K, k_j * K]
+        np.testing.assert_allclose(whole, right, rtol=1e-12)
+        printed = square + (alpha - 1) * (C + B) * b_j
+        assert abs(printed - whole[2]) == pytest.approx(abs(1 - alpha) * (C + B) * b_j, rel=1e-6)
+
+
+def test_the_determinant_of_the_assembly_is_equation_68_three_times_over(rigid) -> None:
+    """At the centre of a centred machine α is J's singular value squared: det Z is the product of three such D."""
+    machine = rigid()
+    effector = replace(
+        machine.effector,
+        extruder_stiffness_n_per_m=constant([9e3] * 3),
+        extruder_damping_n_s_per_m=constant([20.0] * 3),
+    )
+    carriage = replace(machine.carriage, belt_damping_n_s_per_m=C, guide_damping_n_s_per_m=B)
+    machine = replace(machine, carriage=carriage, effector=effector)
+    alphas = np.linalg.svd(jacobian(machine.kinematics, np.zeros((1, 2)))[0], compute_uv=False) ** 2
+    expected = np.concatenate([np.roots(_corrected(alpha, 20.0, 9e3)) for alpha in alphas])
+    found = poles(machine, np.zeros((1, 2)))[0]
+    np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(expected), rtol=1e-6)
+
+
+def _corrected(alpha: float, b_j: float, k_j: float) -> list[float]:
+    """Eq. 68 with its s² term put right, of a carriage of 0.195 kg."""
+    total = M + alpha * (M_1 + M_2)
+    return [
+        (M + alpha * M_1) * M_2,
+        total * b_j + M_2 * (C + B),
+        total * k_j + M_2 * K + (C + B) * b_j,
+        (C + B) * k_j + b_j * K,
+        k_j * K,
+    ]
+
+
+def test_y_motion_at_the_centre_leaves_carriage_a_alone(as_printed: Machine, printer: Machine) -> None:
+    """So of the nine responses of Eq. 65 one is nothing, and eight can be fitted."""
+    to_carriages = np.linalg.inv(jacobian(as_printed.kinematics, np.zeros((1, 2)))[0])
+    assert np.sum(np.abs(to_carriages) > 1e-12) == 8
+    assert to_carriages[0, 1] == pytest.approx(0, abs=1e-12)
+    moved = assembly_frf(printer, np.zeros(2), np.geomspace(1, 200, 20), "carriage", "nozzle")
+    assert np.abs(moved[:, 0, 1]).max() < 1e-12 * np.abs(moved).max()
+
+
+# --- The force map
+
+
+def test_the_papers_load_at_the_centre(as_printed: Machine) -> None:
+    """With Table I's offsets a carriage feels 0.22-0.28 of what virtual work gives, where the paper identified."""
+    for length in (290.0, 300.0):
+        machine = with_arms(as_printed, length)
+        j = jacobian(machine.kinematics, PAPERS_PLACES[:1])[0]
+        load = load_map(machine, PAPERS_PLACES[:1])[0] @ j
+        ratio = np.diag(load) / np.diag(j.T @ j)
+        assert np.all((ratio > 0.22) & (ratio < 0.28))
+
+
+def test_the_papers_load_is_not_symmetric(as_printed: Machine) -> None:
+    """Skew part over the whole, at the paper's four places: 6 to 19 %."""
+    for length in (290.0, 300.0):
+        machine = with_arms(as_printed, length)
+        load = load_map(machine, PAPERS_PLACES) @ jacobian(machine.kinematics, PAPERS_PLACES)
+        skew = np.linalg.norm(load - load.swapaxes(1, 2), axis=(1, 2)) / 2 / np.linalg.norm(load, axis=(1, 2))
+        assert skew.min() > 0.06 and 0.17 < skew.max() < 0.19
+
+
+def test_eq_25_makes_the_rigid_modes_too_fast(rigid) -> None:
+    """43.5, 43.5, 86 Hz by virtual work, 75, 75, 107 Hz by Eq. 25: by closed form and by eigenvalues of M⁻¹K."""
+    offset, total = (10.21, -16.52, 19.31), M_1 + M_2
+    for force_map, expected in (("virtual_work", [43.5, 43.5, 86.25]), ("paper", [75.0, 75.1, 107.1])):
+        machine = rigid(force_map, offset)
+        mass = (
+            M * np.eye(3)
+            + total * load_map(machine, np.zeros((1, 2)))[0] @ jacobian(machine.kinematics, np.zeros((1, 2)))[0]
+        )
+        own = np.sort(np.sqrt(K / np.linalg.eigvals(mass).real)) / (2 * np.pi)
+        np.testing.assert_allclose(own, expected, atol=0.1)
+        np.testing.assert_allclose(modes(machine, np.zeros(2)).frequencies_hz[:3], own, rtol=1e-6)
+
+
+def test_a_uniform_effector_in_closed_form(rigid) -> None:
+    """W = w I: G = V diag(c s + k)/(m s² + (c+b) s + k + w σ_r²) Vᵀ, with J = U S Vᵀ."""
+    machine = rigid()
+    machine = replace(
+        machine,
+        carriage=replace(machine.carriage, belt_damping_n_s_per_m=C, guide_damping_n_s_per_m=B),
+        effector=replace(
+            machine.effector,
+            extruder_stiffness_n_per_m=constant([8e4] * 3),
+            extruder_damping_n_s_per_m=constant([15.0] * 3),
+        ),
+    )
+    frequency = np.geomspace(1, 300, 30)
+    s = 2j * np.pi * frequency
+    w = effector_impedance(machine, s)[:, 0]
+    for place in PAPERS_PLACES:
+        _, sigma, v = np.linalg.svd(jacobian(machine.kinematics, place[None])[0])
+        each = (C * s + K)[:, None] / ((M * s**2 + (C + B) * s + K)[:, None] + w[:, None] * sigma**2)
+        closed = np.einsum("ra,kr,rb->kab", v, each, v)
+        np.testing.assert_allclose(carriage_frf(machine, place, frequency), closed, atol=1e-11)
