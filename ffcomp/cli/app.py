@@ -14,6 +14,7 @@ import typer  # noqa: E402
 from ffcomp import __version__  # noqa: E402
 from ffcomp.cli.compensate import compensate  # noqa: E402
 from ffcomp.cli.frf import frf  # noqa: E402
+from ffcomp.cli.gap import gap  # noqa: E402
 from ffcomp.cli.identify import app as identify  # noqa: E402
 from ffcomp.cli.machines import app as machines  # noqa: E402
 from ffcomp.cli.restore import restore  # noqa: E402
@@ -30,6 +31,7 @@ app.command()(compensate)
 app.command()(show)
 app.command()(restore)
 app.command()(frf)
+app.command()(gap)
 app.add_typer(identify, name="identify")
 app.add_typer(machines, name="machines")
 

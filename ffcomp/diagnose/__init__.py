@@ -1,0 +1,11 @@
+"""Where simulation and measurement disagree, and which physical effect is missing.
+
+plant      what the engine asks of a machine: recordings, numbers that may move, candidate effects, a simulation
+noise      the noise floor, and the whitener that puts every signal and frequency on its scale
+fit        Gauss-Newton on the whitened output error, with priors, evidence and intervals
+screen     one simulation a candidate: what is it worth, and for what can it be taken
+engine     the whole diagnosis, step by step
+where      maps of the excess
+delta      the printer as a plant
+axis       a force-driven axis as a plant
+"""

@@ -1,0 +1,174 @@
+"""A force-driven axis as a plant: force in, position out; the EMPS benchmark is one.
+
+    M q̈ = F − F_v q̇ − F_0 − (what is missing)
+
+EMPS: A. Janot, M. Gautier and M. Brunot, "Data Set and Reference Models of EMPS", Nonlinear System Identification
+Benchmarks, 2019. Unlike the printer it has no command and no spring: the measured force drives it, and whatever is
+missing adds up in its position without bound. So the simulation begins anew every second, with the measured position
+and speed (multiple shooting; Bock 1981): its error is what one second of a missing force does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+
+from ffcomp.diagnose.plant import Candidate, Number, Recording
+from ffcomp.errors import MeasurementError
+from ffcomp.measured.frf import FloatArray
+
+SMOOTH_M_PER_S = 1e-4  # below this speed dry friction turns over smoothly
+SUBSTEPS = 4
+SHOT_S = 1.0
+SPEED_SPAN_S = 0.02  # the speed a shot begins with is the slope over so much of the measured position
+
+MASS, VISCOUS, OFFSET = "axis.mass_kg", "axis.viscous_n_s_per_m", "axis.offset_n"
+
+
+@dataclass(frozen=True, eq=False)
+class ForceDriven:
+    """One recording of an axis."""
+
+    name: str
+    time_s: FloatArray  # (n,)
+    force_n: FloatArray  # (n,)
+    position_mm: FloatArray  # (n,)
+
+
+def read_emps(path: str | Path) -> ForceDriven:
+    """One of the benchmark's MATLAB files: motor voltage times gain is force, `qm` the measured position."""
+    from scipy.io import loadmat
+
+    data = loadmat(path)
+    missing = [key for key in ("t", "vir", "qm", "gtau") if key not in data]
+    if missing:
+        raise MeasurementError(str(path), [f"The variable {missing[0]!r} is missing; an EMPS file has it."])
+    t, voltage, q = (np.asarray(data[key], dtype=float).ravel() for key in ("t", "vir", "qm"))
+    force = float(data["gtau"].ravel()[0]) * voltage
+    if "pulses_N" in data:
+        force = force + np.asarray(data["pulses_N"], dtype=float).ravel()
+    return ForceDriven(Path(path).stem, t, force, q * 1e3)
+
+
+class Axis:
+    """The plant. Rough guesses are enough to begin: the priors are wide."""
+
+    band_hz = (0.02, 50.0)
+
+    def __init__(self, runs: Sequence[ForceDriven], mass_kg: float, viscous_n_s_per_m: float) -> None:
+        self.runs = runs
+        self.recordings = [_recording(run) for run in runs]
+        self.speeds = [r.speed[:, 0] / 1e3 for r in self.recordings]
+        self.numbers = (
+            Number(MASS, mass_kg, 0.5 * mass_kg, 0.05 * mass_kg),
+            Number(VISCOUS, viscous_n_s_per_m, viscous_n_s_per_m, 0.0),
+            Number(OFFSET, 0.0, 10.0),
+        )
+        self.candidates = CANDIDATES
+
+    def simulate(self, values: Mapping[str, float], only: Sequence[int] | None = None) -> list[FloatArray]:
+        given = {**{n.name: n.start for n in self.numbers}, **values}
+        chosen = range(len(self.runs)) if only is None else only
+        return [self._one(i, given) for i in chosen]
+
+    def _one(self, i: int, v: Mapping[str, float]) -> FloatArray:
+        run = self.runs[i]
+        numbers = np.array([v.get(name, neutral) for name, neutral in _NUMBERS])
+        dt = float(run.time_s[-1] - run.time_s[0]) / (len(run.time_s) - 1)
+        shot = round(SHOT_S / dt)
+        q = _run(run.force_n, dt, SUBSTEPS, shot, run.position_mm / 1e3, self.speeds[i], numbers)
+        return (q * 1e3)[:, None]
+
+
+def _recording(run: ForceDriven) -> Recording:
+    rate = (len(run.time_s) - 1) / float(run.time_s[-1] - run.time_s[0])
+    from scipy.signal import savgol_filter
+
+    span = 2 * round(SPEED_SPAN_S * rate / 2) + 1
+    speed = savgol_filter(run.position_mm, span, 2, deriv=1, delta=1 / rate)
+    return Recording(run.name, run.name, (0.0,), rate, ("pos_q",), run.position_mm[:, None], speed[:, None])
+
+
+_FRICTION = "effects.coulomb_friction.force_n"
+_STRIBECK = tuple(f"effects.stribeck_friction.{p}" for p in ("force_n", "extra_force_n", "velocity_mm_per_s"))
+_SPRING = "effects.spring.stiffness_n_per_m"
+_DRAG = "effects.quadratic_drag.force_n_s2_per_m2"
+_COGGING = tuple(f"effects.cogging_force.{p}" for p in ("sine_n", "cosine_n", "pitch_mm"))
+_ASYMMETRY = "effects.one_sided_friction.force_n"
+_NUMBERS = (
+    (MASS, 1.0),
+    (VISCOUS, 0.0),
+    (OFFSET, 0.0),
+    (_FRICTION, 0.0),
+    *zip(_STRIBECK, (0.0, 0.0, 10.0), strict=True),
+    (_SPRING, 0.0),
+    (_DRAG, 0.0),
+    *zip(_COGGING, (0.0, 0.0, 20.0), strict=True),
+    (_ASYMMETRY, 0.0),
+)
+
+CANDIDATES = (
+    Candidate("coulomb_friction", (Number(_FRICTION, 0.0, 20.0, 0.0, 500.0),), {_FRICTION: 2.0}),
+    Candidate(
+        "stribeck_friction",
+        (Number(_STRIBECK[0], 0.0, 20.0, 0.0, 500.0), Number(_STRIBECK[1], 0.0, 10.0, 0.0, 500.0)),
+        {_STRIBECK[0]: 2.0, _STRIBECK[1]: 2.0},
+        (Number(_STRIBECK[2], 10.0, 10.0, 0.5, 200.0),),
+    ),
+    Candidate("spring", (Number(_SPRING, 0.0, 100.0),), {_SPRING: 5.0}),
+    Candidate("quadratic_drag", (Number(_DRAG, 0.0, 500.0),), {_DRAG: 20.0}),
+    Candidate(
+        "cogging_force",
+        (Number(_COGGING[0], 0.0, 5.0), Number(_COGGING[1], 0.0, 5.0)),
+        {_COGGING[0]: 0.5, _COGGING[1]: 0.5},
+        (Number(_COGGING[2], 20.0, 5.0, 1.0, 200.0),),
+        tuple({_COGGING[2]: pitch} for pitch in (5.0, 10.0, 20.0, 40.0)),
+    ),
+    Candidate("one_sided_friction", (Number(_ASYMMETRY, 0.0, 5.0),), {_ASYMMETRY: 0.5}),
+)
+
+
+@njit(cache=True, nogil=True)
+def _acceleration(q: float, v: float, force: float, p: FloatArray) -> float:
+    side = np.tanh(v / SMOOTH_M_PER_S)
+    dry = p[3] + p[4] + p[5] * np.exp(-((1e3 * v / p[6]) ** 2))
+    held = p[1] * v + p[2] + dry * side + p[12] * (side * side - side) / 2
+    held += p[7] * q + p[8] * v * abs(v)
+    phase = 2 * np.pi * 1e3 * q / p[11]
+    held += p[9] * np.sin(phase) + p[10] * np.cos(phase)
+    return float((force - held) / p[0])
+
+
+@njit(cache=True, nogil=True)
+def _run(
+    force: FloatArray,
+    dt: float,
+    substeps: int,
+    shot: int,
+    position: FloatArray,
+    speed: FloatArray,
+    p: FloatArray,
+) -> FloatArray:
+    """(n,) m: midpoint steps, the force straight between its samples, begun anew every `shot` samples."""
+    out = np.empty(len(force))
+    h = dt / substeps
+    q, v = position[0], speed[0]
+    for i in range(len(force)):
+        if i % shot == 0:
+            q, v = position[i], speed[i]
+        out[i] = q
+        if i == len(force) - 1:
+            break
+        for k in range(substeps):
+            f = force[i] + (k + 0.5) / substeps * (force[i + 1] - force[i])
+            middle = v + h / 2 * _acceleration(q, v, f, p)
+            v_next = v + h * _acceleration(q + h / 2 * v, middle, f, p)
+            if v * v_next < 0.0 and abs(f - p[2]) < p[3] + p[4] + p[5]:
+                v_next = 0.0  # dry friction holds what it has stopped
+            q += h * (v + v_next) / 2
+            v = v_next
+    return out

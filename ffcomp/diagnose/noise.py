@@ -1,0 +1,170 @@
+"""The noise floor, and the whitener: a residual in which every number has variance one if only noise is left.
+
+Repeats of one experiment differ by noise alone: half the spectrum of their difference is the floor. Without repeats
+it is taken from what is left where the model has nothing to say, above its band; that is weaker, and said so.
+Whitening happens in the frequency domain, which is zero-phase, holds the band exactly, and treats measurement and
+simulation alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.diagnose.plant import Recording
+from ffcomp.measured.frf import ComplexArray, FloatArray
+
+BAND_HZ = (1.0, 200.0)
+TAPER_S = 0.1  # faded in and out at both ends
+SEGMENT_S = 0.64  # of the averaged spectra: 1.6 Hz lines
+SMOOTHING_HZ = 5.0
+FLOOR_BAND = (1.1, 0.95)  # from 1.1 × the band's end to 0.95 × the Nyquist frequency
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseFloor:
+    """One-sided power spectral density of each signal's noise, unit²/Hz."""
+
+    frequency_hz: FloatArray  # (k,)
+    density: Mapping[str, FloatArray]  # signal -> (k,)
+    from_repeats: bool
+
+    def at(self, signal: str, frequency_hz: FloatArray) -> FloatArray:
+        return np.interp(frequency_hz, self.frequency_hz, self.density[signal])
+
+
+def noise_from_repeats(recordings: Sequence[Recording]) -> NoiseFloor | None:
+    """None if nothing was measured twice."""
+    pairs = [(a, b) for a, b in pairwise(sorted(recordings, key=_by_repeat)) if _repeat(a, b)]
+    if not pairs:
+        return None
+    grid = np.arange(0.0, min(r.rate_hz for r, _ in pairs) / 2 + 1e-9, 1 / SEGMENT_S)
+    density = {}
+    for signal in sorted({name for a, b in pairs for name in a.signals if name in b.signals}):
+        both = [(a, b) for a, b in pairs if signal in a.signals and signal in b.signals]
+        spectra = [_density(_column(a, signal) - _column(b, signal), a.rate_hz, grid) / 2 for a, b in both]
+        density[signal] = _smooth(np.mean(spectra, axis=0), grid)
+    for signal in {name for r in recordings for name in r.signals} - set(density):
+        alike = [d for name, d in density.items() if name[:3] == signal[:3]]
+        density[signal] = np.mean(alike, axis=0)
+    return NoiseFloor(grid, density, True)
+
+
+def noise_from_residual(
+    recordings: Sequence[Recording], errors: Sequence[FloatArray], band_hz: tuple[float, float]
+) -> NoiseFloor:
+    """White at the level that is left above the model's band. errors : (n, m) a recording, measured − simulated."""
+    grid = np.arange(0.0, min(r.rate_hz for r in recordings) / 2 + 1e-9, 1 / SEGMENT_S)
+    high = (grid > FLOOR_BAND[0] * band_hz[1]) & (grid < FLOOR_BAND[1] * grid[-1])
+    density = {}
+    for signal in sorted({name for r in recordings for name in r.signals}):
+        columns = [
+            (e[:, r.signals.index(signal)], r.rate_hz)
+            for r, e in zip(recordings, errors, strict=True)
+            if signal in r.signals
+        ]
+        spectrum = np.mean([_density(filled(column), rate, grid) for column, rate in columns], axis=0)
+        density[signal] = np.full(len(grid), np.median(spectrum[high]))
+    return NoiseFloor(grid, density, False)
+
+
+def _by_repeat(recording: Recording) -> tuple[str, str]:
+    return recording.repeat_of, recording.name
+
+
+def _repeat(a: Recording, b: Recording) -> bool:
+    return a.repeat_of == b.repeat_of and len(a.measured) == len(b.measured)
+
+
+def _column(recording: Recording, signal: str) -> FloatArray:
+    return filled(recording.measured[:, recording.signals.index(signal)])
+
+
+def filled(values: FloatArray) -> FloatArray:
+    """Gaps bridged by straight lines."""
+    gap = ~np.isfinite(values)
+    if not gap.any():
+        return values
+    t = np.arange(len(values))
+    return np.where(gap, np.interp(t, t[~gap], values[~gap]), values)
+
+
+def _density(x: FloatArray, rate_hz: float, grid: FloatArray) -> FloatArray:
+    from scipy.signal import welch
+
+    frequency, density = welch(x, rate_hz, nperseg=min(len(x), round(SEGMENT_S * rate_hz)))
+    return np.interp(grid, frequency, density)
+
+
+def _smooth(density: FloatArray, grid: FloatArray) -> FloatArray:
+    """Averaged over SMOOTHING_HZ: the floor has no lines."""
+    half = max(1, round(SMOOTHING_HZ / 2 / (grid[1] - grid[0])))
+    kernel = np.ones(2 * half + 1)
+    return np.convolve(density, kernel, "same") / np.convolve(np.ones_like(density), kernel, "same")
+
+
+@dataclass(frozen=True, eq=False)
+class Whitener:
+    """Errors of all recordings → one vector of variance one; rows of recording i are `rows[i]`."""
+
+    recordings: Sequence[Recording]
+    floor: NoiseFloor
+    rows: Sequence[slice]
+    band_hz: tuple[float, float]
+
+    def __call__(self, signals: Sequence[FloatArray], only: Sequence[int] | None = None) -> FloatArray:
+        """(rows,) from one (n, m) a recording (or of those in `only`)."""
+        chosen = range(len(self.recordings)) if only is None else only
+        parts = [self._whitened(self.recordings[i], x) for i, x in zip(chosen, signals, strict=True)]
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    def _whitened(self, recording: Recording, x: FloatArray) -> FloatArray:
+        spectrum, frequency = self.spectrum(recording, x)
+        power = self.power(recording)
+        scale = np.stack([np.sqrt(self.floor.at(s, frequency) * power) for s in recording.signals])
+        white = spectrum / scale
+        return np.concatenate([white.real.ravel(), white.imag.ravel()])
+
+    def power(self, recording: Recording) -> float:
+        """Of a real or imaginary part of the transform, per unit²/Hz of density."""
+        window = _taper(len(recording.measured), recording.rate_hz)
+        return float(np.sum(window**2)) * recording.rate_hz / 4
+
+    def spectrum(self, recording: Recording, x: FloatArray) -> tuple[ComplexArray, FloatArray]:
+        """(m, k) transform of the faded signals inside the band, and (k,) Hz."""
+        frequency, keep = lines(recording, self.band_hz)
+        faded = x * _taper(len(x), recording.rate_hz)[:, None]
+        gaps = ~np.isfinite(recording.measured)
+        faded = np.where(gaps, 0.0, faded)  # no one knows what was there: neither side has it
+        return np.fft.rfft(faded, axis=0)[keep].T, frequency
+
+    def frequencies(self) -> FloatArray:
+        """(rows,) Hz of every entry of the vector."""
+        parts = [np.tile(lines(r, self.band_hz)[0], 2 * len(r.signals)) for r in self.recordings]
+        return np.concatenate(parts)
+
+
+def whitener(recordings: Sequence[Recording], floor: NoiseFloor, band_hz: tuple[float, float] = BAND_HZ) -> Whitener:
+    sizes = [2 * len(r.signals) * len(lines(r, band_hz)[0]) for r in recordings]
+    ends = np.cumsum([0, *sizes])
+    return Whitener(recordings, floor, [slice(a, b) for a, b in pairwise(ends.tolist())], band_hz)
+
+
+def lines(recording: Recording, band_hz: tuple[float, float]) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """(k,) Hz inside the band, and where they are among all of the transform's."""
+    frequency = np.fft.rfftfreq(len(recording.measured), 1 / recording.rate_hz)
+    keep = (frequency >= band_hz[0]) & (frequency <= band_hz[1])
+    return np.asarray(frequency[keep]), keep
+
+
+def _taper(n: int, rate_hz: float) -> FloatArray:
+    """(n,) from 0 to 1 and back over TAPER_S (Tukey's window)."""
+    ramp = min(round(TAPER_S * rate_hz), n // 2)
+    edge = (1 - np.cos(np.pi * (np.arange(ramp) + 0.5) / ramp)) / 2
+    window = np.ones(n)
+    window[:ramp], window[n - ramp :] = edge, edge[::-1]
+    return window

@@ -1,0 +1,81 @@
+"""What the diagnosis asks of a machine: one small interface, whatever is driven and measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from ffcomp.measured.frf import FloatArray
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number that a fit may move, with what is believed of it before the data: normal about `start`."""
+
+    name: str  # as in the machine file: carriage.belt_stiffness_n_per_m, effects.coulomb_friction.force_n
+    start: float
+    sd: float
+    low: float = float("-inf")
+    high: float = float("inf")
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect that may be missing. Its amplitudes vanish at their `start`; its shapes begin at one of `grid`."""
+
+    name: str
+    amplitudes: tuple[Number, ...]
+    probe: Mapping[str, float]  # amplitudes at which its signature is taken
+    shapes: tuple[Number, ...] = ()
+    grid: tuple[Mapping[str, float], ...] = ({},)
+
+    @property
+    def numbers(self) -> tuple[Number, ...]:
+        return (*self.amplitudes, *self.shapes)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What was measured in one run: n samples of m signals, all in one unit a signal; NaN where nothing was."""
+
+    name: str
+    repeat_of: str  # recordings that share it repeat one experiment
+    place: tuple[float, ...]  # where on the bed (or the axis), mm: what generalises is tested by place
+    rate_hz: float
+    signals: tuple[str, ...]
+    measured: FloatArray  # (n, m)
+    speed: FloatArray  # (n, m) of the part each signal is measured on, in the wanted motion; for the maps
+
+
+class Impossible(ValueError):
+    """A machine of such numbers does not hold together; a fit must not go there."""
+
+
+class Plant(Protocol):
+    """A machine, its recordings, and how it would have answered with other numbers."""
+
+    @property
+    def band_hz(self) -> tuple[float, float]:
+        """Where measurement and model are compared."""
+        ...
+
+    @property
+    def recordings(self) -> Sequence[Recording]: ...
+
+    @property
+    def numbers(self) -> Sequence[Number]:
+        """What may be retuned within its uncertainty: not a missing effect."""
+        ...
+
+    @property
+    def candidates(self) -> Sequence[Candidate]: ...
+
+    def simulate(self, values: Mapping[str, float], only: Sequence[int] | None = None) -> list[FloatArray]:
+        """(n, m) for each recording (or those in `only`); what `values` does not name stays as it is.
+
+        Raises
+        ------
+        Impossible
+        """
+        ...
