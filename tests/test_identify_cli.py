@@ -19,8 +19,8 @@ from ffcomp.identify.plan_files import load_plan
 from ffcomp.identify.predict import predicted
 from ffcomp.measured.frf_files import write_frf
 from models.machine_file import LIBRARY, load_machine
-from models.parameters import value_of
-from tests.ffcomp.identify.bench import measured, paper_bench
+from models.parameters import value_of, with_values
+from tests.ffcomp.identify.bench import measured, paper_bench, towers_bench
 from tests.plant import delta_plant
 from tests.plant.study import PLACES, measure_bench, measure_places, uneven
 
@@ -104,6 +104,22 @@ def test_frequency_responses_both_ways(tmp_path: Path) -> None:
         assert value_of(load_machine(out), "carriage.mass_kg") == pytest.approx(0.179, rel=0.02)
     again = call("fit", *files, "-m", TRUTH_FILE, "-o", tmp_path / "direct.toml")
     assert again.exit_code == 2 and "exists already" in again.output
+
+
+def test_decoupling_says_which_part_is_wrong(tmp_path: Path) -> None:
+    heavy = with_values(TRUTH, {"effector.nozzle_mass_kg": 0.65})
+    for name, machine, wrong in (("right", TRUTH, []), ("heavy", heavy, ["effector x", "effector y", "effector z"])):
+        files = []
+        for i, response in enumerate(measured(machine, towers_bench(-80.0, 0.0), 40.0, 0)):
+            files.append(tmp_path / f"{name}-{i}.csv")
+            write_frf(files[-1], response)
+        answer = call("decouple", *files, "-m", TRUTH_FILE, "--json")
+        assert answer.exit_code == 0, answer.output
+        (place,) = json.loads(answer.stdout)["places"]
+        assert place["position_mm"] == [-80.0, 0.0, 30.0]
+        assert [part["part"] for part in place["parts"] if not part["holds"]] == wrong
+    few = call("decouple", files[0], "-m", TRUTH_FILE)
+    assert few.exit_code == 5 and "nine responses" in few.output
 
 
 def test_tables_two_and_three_of_the_paper() -> None:

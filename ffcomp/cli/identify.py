@@ -117,6 +117,58 @@ def fit(
             _print(result)
 
 
+@app.command("decouple")
+def decouple(
+    data: Data,
+    machine: MachineName,
+    lowest_hz: Lowest = 2.0,
+    highest_hz: Highest = 125.0,
+    as_json: AsJson = False,
+) -> None:
+    """Recover what the effector puts on the carriages, and say which part of the machine file is wrong.
+
+    Needs all nine responses cmd_A … cmd_C to pos_A … pos_C (or acc_) of a place: each carriage excited by itself and
+    all three measured. The carriages' own numbers (sub-model 1) are taken from the machine file.
+
+    Example: ffcomp identify decouple towers-centre.uff --machine my-delta.toml
+    """
+    from ffcomp.cli.common import exit_codes, print_json
+
+    with exit_codes():
+        from ffcomp.identify.decouple import decouple as turned_round
+        from ffcomp.identify.decouple import judge_parts
+        from ffcomp.identify.gather import gather
+        from models.machine_file import load_machine
+
+        loaded = load_machine(machine)
+        responses = gather(data, loaded, band_hz=(lowest_hz, highest_hz)).responses
+        places = list(dict.fromkeys(r.position_mm for r in responses if r.setup == "assembly")) or [None]
+        answers = [
+            {
+                "position_mm": place,
+                "parts": [
+                    {"part": p.name, "statement": p.statement, "error": p.error, "noise": p.noise, "holds": p.holds}
+                    for p in judge_parts(turned_round(loaded, [r for r in responses if r.position_mm == place]))
+                ],
+            }
+            for place in places
+        ]
+        if as_json:
+            print_json({"schema": "ffcomp-identify-decouple/1", "machine": loaded.name, "places": answers})
+        else:
+            _print_parts(answers)
+
+
+def _print_parts(answers: list[dict[str, Any]]) -> None:
+    for answer in answers:
+        place = ", ".join(f"{x:g}" for x in (answer["position_mm"] or (0, 0))[:2])
+        wrong = [part["part"] for part in answer["parts"] if not part["holds"]]
+        print(f"at ({place}) mm: " + (f"wrong: {', '.join(wrong)}" if wrong else "every part holds"))
+        for part in answer["parts"]:
+            mark = "holds" if part["holds"] else "WRONG"
+            print(f"  {mark}  {100 * part['error']:6.1f} % (noise {100 * part['noise']:.1f} %)  {part['statement']}")
+
+
 def _known(text: str) -> tuple[str, tuple[float, float]]:
     """KEY=VALUE±SD, also with +- ."""
     key, _, number = text.partition("=")

@@ -19,7 +19,7 @@ import numpy as np
 
 from ffcomp.diagnose.fit import Bench, Fit, bench, clipped, derivatives, fit, values_at
 from ffcomp.diagnose.noise import NoiseFloor, noise_from_repeats, noise_from_residual, whitener
-from ffcomp.diagnose.plant import Candidate, Number, Plant
+from ffcomp.diagnose.plant import Candidate, Impossible, Number, Plant
 from ffcomp.diagnose.screen import Screened, likeness, screen
 from ffcomp.identify.estimates import NINETY_PERCENT, Estimate
 from ffcomp.measured.frf import FloatArray
@@ -320,7 +320,10 @@ def _excess_at(desk: Bench, fitted: Fit, members: Sequence[int]) -> float:
     j, r = fitted.jacobian[inside], fitted.residual[inside]
     step = np.linalg.solve(np.eye(len(fitted.z)) + j.T @ j, j.T @ r - fitted.z)
     z = clipped(fitted.numbers, fitted.z + step)
-    simulated = desk.plant.simulate(values_at(fitted.numbers, z), members)
+    try:
+        simulated = desk.plant.simulate(values_at(fitted.numbers, z), members)
+    except Impossible:  # the others alone lead nowhere: then what was fitted to all of them has to do
+        simulated = desk.plant.simulate(fitted.values, members)
     left = desk.measured[rows] - desk.whiten(simulated, members)
     return float(left @ left) / len(left) - 1
 

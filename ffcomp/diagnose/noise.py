@@ -22,6 +22,7 @@ BAND_HZ = (1.0, 200.0)
 TAPER_S = 0.1  # faded in and out at both ends
 SEGMENT_S = 0.64  # of the averaged spectra: 1.6 Hz lines
 SMOOTHING_HZ = 5.0
+SMOOTHED_LINES = 4.6  # independent ones in that: dividing by a floor of n averages makes noise 1 + 1/n too large
 FLOOR_BAND = (1.1, 0.95)  # from 1.1 × the band's end to 0.95 × the Nyquist frequency
 
 
@@ -47,7 +48,8 @@ def noise_from_repeats(recordings: Sequence[Recording]) -> NoiseFloor | None:
     for signal in sorted({name for a, b in pairs for name in a.signals if name in b.signals}):
         both = [(a, b) for a, b in pairs if signal in a.signals and signal in b.signals]
         spectra = [_density(_column(a, signal) - _column(b, signal), a.rate_hz, grid) / 2 for a, b in both]
-        density[signal] = _smooth(np.mean(spectra, axis=0), grid)
+        averages = sum(len(a.measured) / a.rate_hz for a, _ in both) / SEGMENT_S * SMOOTHED_LINES
+        density[signal] = _smooth(np.mean(spectra, axis=0), grid) * (1 + 1 / averages)
     for signal in {name for r in recordings for name in r.signals} - set(density):
         alike = [d for name, d in density.items() if name[:3] == signal[:3]]
         density[signal] = np.mean(alike, axis=0)
