@@ -11,7 +11,7 @@ import numpy as np
 from ffcomp.errors import MeasurementError
 from ffcomp.measured.frf import ComplexArray, FloatArray, FrequencyResponse
 from models.carriage import belt, command_frf, drive_frf, impedance
-from models.effector import effector_impedance, load_map
+from models.effector import effector_impedance, load_map, struck_frf
 from models.kinematics.delta import jacobian
 from models.machine import Machine
 
@@ -65,10 +65,7 @@ def _effector(machine: Machine, response: FrequencyResponse, s: ComplexArray) ->
         _refuse(
             response, f"An effector by itself is struck: force_x to acc_x, not {response.input} to {response.output}."
         )
-    effector, j = machine.effector, AXES.index(axis)
-    mount = effector.extruder_damping_n_s_per_m[j] * s + effector.extruder_stiffness_n_per_m[j]
-    m1, m2 = effector.nozzle_mass_kg, effector.extruder_mass_kg
-    return np.asarray((m2 * s**2 + mount) / (m1 * m2 * s**2 + (m1 + m2) * mount))
+    return struck_frf(machine, s)[:, AXES.index(axis)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -97,7 +97,7 @@ def _band(figure: Figure, title: str, said: str, machine: Machine) -> None:
 def _panel(upper: Axes, lower: Axes, found: Study, pair: tuple[int, int], first: bool) -> None:
     for number, (station, colour) in enumerate(zip(found.stations, _colours(found), strict=True)):
         _curves(upper, lower, found.frequency_hz, station, pair, colour)
-        _accuracy(upper, [each for each in station.compared if each.pair == pair], number, colour)
+        _accuracy(lower, [each for each in station.compared if each.pair == pair], number, colour)
     view = found.view
     name = view.rows[pair[0]] if not view.depends_on_place else f"{view.columns[pair[1]]} to {view.rows[pair[0]]}"
     upper.set_yscale("log")
@@ -124,7 +124,8 @@ def _decades(axes: Axes) -> None:
     if high < 10 * low:
         middle = np.sqrt(low * high)
         axes.set_ylim(middle / np.sqrt(10), middle * np.sqrt(10))
-    axes.yaxis.set_major_locator(LogLocator(numticks=7))
+    low, high = axes.get_ylim()
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0,) if high > 100 * low else (1.0, 2.0, 5.0), numticks=7))
     short = FuncFormatter(lambda v, _: f"{v:g}" if 1e-3 <= v < 1e4 else f"$10^{{{round(np.log10(v))}}}$")
     axes.yaxis.set_major_formatter(short)
     axes.yaxis.set_minor_formatter(NullFormatter())
@@ -162,11 +163,11 @@ def _measured(upper: Axes, lower: Axes, each: Compared, colour: str) -> None:
 
 
 def _accuracy(axes: Axes, compared: list[Compared], line: int, colour: str) -> None:
-    """In the corner: how well the model meets the dots of this colour."""
+    """In the corner that a falling phase leaves free: how well the model meets the dots of this colour."""
     if compared:
         magnitude, phase = _means(compared)
         axes.text(
-            0.98, 0.96 - 0.075 * line, f"{magnitude:.0f} % in magnitude, {phase:.0f} % in phase", color=colour,
+            0.98, 0.93 - 0.14 * line, f"{magnitude:.0f} % in magnitude, {phase:.0f} % in phase", color=colour,
             transform=axes.transAxes, ha="right", va="top", fontsize=8, weight="bold", backgroundcolor="#ffffffb0",
         )  # fmt: skip
 
