@@ -177,6 +177,7 @@ def test_an_interrupt_leaves_the_file_whole(tmp_path: Path) -> None:
         cwd=ROOT,
         stderr=subprocess.PIPE,
         text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background jobs ignore it
     )
     for _ in range(600):  # until it has begun to write
         if any(p.suffix == ".tmp" for p in tmp_path.iterdir()):
