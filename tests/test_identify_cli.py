@@ -106,6 +106,17 @@ def test_frequency_responses_both_ways(tmp_path: Path) -> None:
     assert again.exit_code == 2 and "exists already" in again.output
 
 
+def test_the_wrong_force_map_is_found_out(tmp_path: Path) -> None:
+    files = []
+    for i, response in enumerate(measured(TRUTH, towers_bench(-80.0, 0.0, np.arange(4.0, 125.0, 2.0)), 40.0, 0)):
+        files.append(tmp_path / f"{i}.csv")
+        write_frf(files[-1], response)
+    printed = LIBRARY / "mp-delta-pro-as-printed.toml"  # Eq. 25's map
+    result = good("fit", *files, "-m", printed, "--known", f"{TOTAL_MASS}=0.651")
+    assert "force_map = 'virtual_work'" in result["advice"][0]
+    assert max(r["model_error"] for r in result["responses"]) > 0.1
+
+
 def test_decoupling_says_which_part_is_wrong(tmp_path: Path) -> None:
     heavy = with_values(TRUTH, {"effector.nozzle_mass_kg": 0.65})
     for name, machine, wrong in (("right", TRUTH, []), ("heavy", heavy, ["effector x", "effector y", "effector z"])):

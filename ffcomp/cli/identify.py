@@ -373,11 +373,14 @@ def _print_numbers(numbers: dict[str, dict[str, float]], kept: Sequence[str]) ->
 
 
 def _verdict(result: dict[str, Any]) -> str:
-    share = 100 * result["model_error"]
-    count = len(result["responses"])
-    if not share:
-        return f"The model explains all {count} responses to their noise (misfit {result['misfit']:.2f})."
+    """How many responses are explained, and which one worst."""
+    responses = result["responses"]
+    left = [r for r in responses if r["model_error"] > 0]
+    if not left:
+        return f"The model explains all {len(responses)} responses to their noise (misfit {result['misfit']:.2f})."
+    worst = max(left, key=lambda r: float(r["model_error"]))
     return (
-        f"The model explains the {count} responses to {share:.1f} % of each value; the noise alone would leave less "
-        f"(misfit {result['misfit']:.3g})."
+        f"The model explains {len(responses) - len(left)} of {len(responses)} responses to their noise, the others to "
+        f"{100 * min(r['model_error'] for r in left):.1f}-{100 * worst['model_error']:.1f} % of their values; worst "
+        f"{worst['input']} to {worst['output']}."
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from models.machine_file import updated_text
 from models.parameters import value_of, with_values
 
 UNDETERMINED = 0.25  # of the weak prior's variance: above it the data say next to nothing, and the old number stays
+FAR = 0.10  # model error of a response from which the load's map is doubted
+FORCE_MAP_COSTS = 100.0  # BIC
 DRIVE_COSTS = 10.0  # BIC by which a drive filter must be better than an ideal drive to be kept
 NEUTRAL_DRIVE = Drive(4.0e5, 0.0, 250.0)  # 100 Hz, where a search for a drive begins
 MASSES = ("carriage.mass_kg", "effector.nozzle_mass_kg", "effector.extruder_mass_kg")
@@ -60,7 +62,29 @@ def identify(
     fitted = fit(start, responses, known, progress)
     kept = tuple(name for name, share in fitted.prior_share.items() if share > UNDETERMINED)
     restored = _with_old(fitted, start, kept)
-    return Identified(restored, kept, tuple(_advice(restored, kept)))
+    advice = [*_other_force_map(fitted, known, progress), *_advice(restored, kept)]
+    return Identified(restored, kept, tuple(advice))
+
+
+def _other_force_map(
+    fitted: Fitted, known: Mapping[str, tuple[float, float]] | None, progress: Callable[[str], None]
+) -> list[str]:
+    """Where the model is far from a response of the whole printer: does the other way to share the load meet it?"""
+    far = any(r.setup == "assembly" and e > FAR for r, e in zip(fitted.responses, fitted.model_errors, strict=True))
+    if not far:
+        return []
+    effector = fitted.machine.effector
+    other: Literal["paper", "virtual_work"] = "paper" if effector.force_map == "virtual_work" else "virtual_work"
+    progress(f"the same with force_map = {other!r}")
+    turned = replace(fitted.machine, effector=replace(effector, force_map=other))
+    tried = fit_machine(turned, fitted.responses, known, progress=progress)
+    if tried.bic > fitted.bic - FORCE_MAP_COSTS:
+        return []
+    return [
+        f"With force_map = {other!r} in the starting file the responses are met far better (their errors fall from "
+        f"{100 * float(np.max(fitted.model_errors)):.0f} to {100 * float(np.max(tried.model_errors)):.1f} % at the "
+        "worst): change it there and fit again."
+    ]
 
 
 def _with_drive(

@@ -39,10 +39,13 @@ def draw_fit(found: Identified, target: Path) -> None:
 
 
 def _verdict(found: Identified) -> str:
-    fitted = found.fitted
-    if not fitted.model_error:
-        return f"the model explains every response to its noise (misfit {fitted.misfit:.2f})"
-    return f"the model explains the responses to {100 * fitted.model_error:.1f} % of each value"
+    errors = found.fitted.model_errors
+    if not errors.any():
+        return f"the model explains every response to its noise (misfit {found.fitted.misfit:.2f})"
+    exact = int(np.sum(errors == 0))
+    return (
+        f"the model explains {exact} of {len(errors)} responses to their noise, the worst to {100 * errors.max():.1f} %"
+    )
 
 
 def _magnitude(axes: Axes, response: FrequencyResponse, model: ComplexArray) -> None:
