@@ -25,7 +25,7 @@ def test_amplitudes_sum_to_one_and_the_mean_delay_is_zero(name: str, hz: float, 
     assert np.all(shaper.amplitude > 0) and np.all(np.diff(shaper.time) > 0)
 
 
-@given(st.sampled_from(["zv", "mzv", "2hump_ei"]), frequencies, dampings)
+@given(st.sampled_from(["zv", "mzv", "zvd", "2hump_ei"]), frequencies, dampings)
 def test_nothing_vibrates_at_the_design_frequency(name: str, hz: float, zeta: float) -> None:
     shaper = shapers.SHAPERS[name](hz, zeta)
     assert shapers.residual_vibration(shaper, np.array([hz]), zeta)[0] < 1e-12
@@ -41,9 +41,19 @@ def test_ei_leaves_its_tolerance_at_the_design_frequency(hz: float, zeta: float)
     assert shapers.residual_vibration(shapers.ei(hz, 0.0), np.array([hz]), 0.0)[0] == pytest.approx(0.05)
 
 
-@pytest.mark.parametrize(("name", "band", "zeros"), [("ei", (0.81, 1.19), 2), ("2hump_ei", (0.65, 1.35), 3)])
+@given(frequencies, dampings)
+def test_zvd_has_no_slope_at_its_frequency(hz: float, zeta: float) -> None:
+    """Two zv in a row: the vibration grows with the square of the frequency's error."""
+    near = shapers.residual_vibration(shapers.zvd(hz, zeta), hz * np.array([1.01, 1.02]), zeta)
+    assert near[1] / near[0] == pytest.approx(4.0, rel=0.08)
+
+
+@pytest.mark.parametrize(
+    ("name", "band", "zeros"),
+    [("ei", (0.81, 1.19), 2), ("2hump_ei", (0.65, 1.35), 3), ("3hump_ei", (0.56, 1.44), 4)],
+)
 def test_ei_humps_touch_the_tolerance_and_nowhere_pass_it(name: str, band: tuple[float, float], zeros: int) -> None:
-    """Undamped, over nearly the documented ±20 % (EI) and -40…+45 % (two humps): at most 5 %."""
+    """Undamped, over nearly the documented ±20 % (EI), -40…+45 % (two humps) and -50…+60 % (three): at most 5 %."""
     hz = np.linspace(*band, 4001)
     left = shapers.residual_vibration(shapers.SHAPERS[name](1.0, 0.0), hz, 0.0)
     assert np.max(left) == pytest.approx(0.05, abs=2e-5)
@@ -51,7 +61,10 @@ def test_ei_humps_touch_the_tolerance_and_nowhere_pass_it(name: str, band: tuple
     assert len(dips) == zeros and np.all(left[dips + 1] < 1e-3)
 
 
-@pytest.mark.parametrize(("name", "duration_ms"), [("zv", 11.2), ("mzv", 16.8), ("ei", 22.3), ("2hump_ei", 33.5)])
+@pytest.mark.parametrize(
+    ("name", "duration_ms"),
+    [("zv", 11.2), ("mzv", 16.8), ("zvd", 22.3), ("ei", 22.3), ("2hump_ei", 33.5), ("3hump_ei", 44.7)],
+)
 def test_durations_at_45_hz_are_those_of_the_firmware(name: str, duration_ms: float) -> None:
     assert shapers.SHAPERS[name](45.0, 0.1).duration_s * 1e3 == pytest.approx(duration_ms, abs=0.06)
 

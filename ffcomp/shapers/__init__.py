@@ -1,0 +1,41 @@
+"""Input shapers, the baselines every firmware offers: a few pulses that let a vibration cancel itself.
+
+The planned Cartesian path is convolved with the pulses, x_s(t) = Σ A_i x(t - (T_i - T̄)) with T̄ = Σ A_i T_i,
+and only then turned into carriage paths, as Klipper does on a delta: taking T̄ off leaves no delay at
+constant speed, so a `Shaper` holds the times with T̄ taken off already.
+"""
+
+from ffcomp.shapers.bed import dominant_frequencies, over_the_bed
+from ffcomp.shapers.motion import Position, scheduled_shape, shape
+from ffcomp.shapers.pulses import (
+    DAMPING_RATIO,
+    SHAPERS,
+    TOLERATED_VIBRATION,
+    Shaper,
+    ei,
+    mzv,
+    residual_vibration,
+    three_hump_ei,
+    two_hump_ei,
+    zv,
+    zvd,
+)
+
+__all__ = [
+    "DAMPING_RATIO",
+    "SHAPERS",
+    "TOLERATED_VIBRATION",
+    "Position",
+    "Shaper",
+    "dominant_frequencies",
+    "ei",
+    "mzv",
+    "over_the_bed",
+    "residual_vibration",
+    "scheduled_shape",
+    "shape",
+    "three_hump_ei",
+    "two_hump_ei",
+    "zv",
+    "zvd",
+]

@@ -1,0 +1,140 @@
+"""Shapers whose frequency follows the place: as fixed ones where it is constant, better ones where it is not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ffcomp import shapers
+from models.machine import Machine, constant
+from models.machine_file import load_machine
+
+FloatArray = NDArray[np.float64]
+
+T = np.linspace(-0.2, 1.2, 1401)
+LENGTH_MM, SPEED, ACCELERATION = 100.0, 150.0, 3000.0
+
+
+def there_and_rest(t: FloatArray) -> FloatArray:
+    """From X = 0 to LENGTH_MM by a trapezoid of speed, and along Y half as far."""
+    ramp = SPEED / ACCELERATION
+    total = LENGTH_MM / SPEED + ramp
+    since = np.clip(t, 0.0, total)
+    up, down = np.minimum(since, ramp), np.maximum(since - (total - ramp), 0.0)
+    along = ACCELERATION / 2 * up**2 + SPEED * np.maximum(since - ramp, 0.0) - ACCELERATION / 2 * down**2
+    return np.column_stack([along, along / 2, np.full_like(along, 7.0)])
+
+
+def rising(xy: FloatArray) -> FloatArray:
+    """35 Hz to 60 Hz along X; half as much more along Y."""
+    hz = 35.0 + 0.25 * xy[:, 0]
+    return np.column_stack([hz, 35.0 + (hz - 35.0) / 2])
+
+
+@pytest.mark.parametrize("kind", shapers.SHAPERS)
+def test_a_constant_frequency_is_the_fixed_shaper(kind: str) -> None:
+    make = shapers.SHAPERS[kind]
+    fixed = shapers.shape(there_and_rest, T, x=make(43.0, 0.07), y=make(58.0, 0.07))
+    ours = shapers.scheduled_shape(there_and_rest, T, lambda xy: np.full(xy.shape, [43.0, 58.0]), kind, 0.07)
+    assert np.abs(ours - fixed).max() < 1e-10
+
+
+def test_every_moment_is_that_of_the_places_own_shaper() -> None:
+    ours = shapers.scheduled_shape(there_and_rest, T, rising, "ei")
+    for k in range(150, 1000, 50):
+        x_hz, y_hz = rising(there_and_rest(T[k : k + 1])[:, :2])[0]
+        here = shapers.shape(there_and_rest, T[k : k + 1], x=shapers.ei(x_hz), y=shapers.ei(y_hz))[0]
+        assert ours[k] == pytest.approx(here, abs=1e-10)
+
+
+def test_rest_stays_rest_and_z_as_planned() -> None:
+    ours, plan = shapers.scheduled_shape(there_and_rest, T, rising, "2hump_ei"), there_and_rest(T)
+    still = (T < -0.06) | (T > LENGTH_MM / SPEED + SPEED / ACCELERATION + 0.06)
+    assert np.abs(ours[still] - plan[still]).max() < 1e-12
+    assert np.array_equal(ours[:, 2], plan[:, 2])
+
+
+def left_after_the_move(position: shapers.Position) -> float:
+    """Amplitude (mm) at rest of x'' + 2ζω x' + ω² x = ω² u whose ω is that of the place u, ζ = 0.03; by leapfrog."""
+    step = 2e-5
+    t = np.arange(-0.1, 0.9, step)
+    u = position(t)[:, 0]
+    omega = 2 * np.pi * rising(np.column_stack([u, u]))[:, 0]
+    x, v = u[0], 0.0
+    for w, target in zip(omega, u, strict=True):
+        v += step * (w**2 * (target - x) - 0.06 * w * v)
+        x += step * v
+    return float(np.hypot(x - u[-1], v / omega[-1]))
+
+
+def test_where_the_vibration_changes_the_scheduled_shaper_leaves_least() -> None:
+    def scheduled(t: FloatArray) -> FloatArray:
+        return shapers.scheduled_shape(there_and_rest, t, rising, "mzv", 0.03)
+
+    def fixed(hz: float) -> Callable[[FloatArray], FloatArray]:
+        return lambda t: shapers.shape(there_and_rest, t, x=shapers.mzv(hz, 0.03))
+
+    assert left_after_the_move(scheduled) < 0.2 * left_after_the_move(fixed(47.5))
+
+
+def test_a_frequency_that_is_none_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"every place, not 0\.0 Hz"):
+        shapers.scheduled_shape(there_and_rest, T, lambda xy: 0.0 * xy, "zv")
+
+
+# ---- the machine ---------------------------------------------------------------------------------
+
+
+def rigid() -> Machine:
+    """Hardly damped, an ideal drive, an extruder that does not flex, arms without mass."""
+    machine = load_machine("kossel")
+    carriage = replace(
+        machine.carriage, arm_pair_mass_kg=0.0, drive=None, belt_damping_n_s_per_m=0.1, guide_damping_n_s_per_m=0.1
+    )
+    effector = replace(
+        machine.effector,
+        extruder_stiffness_n_per_m=constant([1e9] * 3),
+        center_of_mass_mm=constant([0.0] * 3),
+        force_map="virtual_work",
+    )
+    return replace(machine, carriage=carriage, effector=effector)
+
+
+def test_at_the_centre_the_dominant_mode_is_the_closed_form() -> None:
+    """ω = √(k/(m + M σ²)), σ² = ⅔ (h/R)², h² = L² - R²: the effector swings sideways."""
+    machine = rigid()
+    length, radius = machine.kinematics.arm_lengths_mm[0], machine.kinematics.delta_radii_mm[0]
+    sigma_squared = 2 / 3 * (length**2 - radius**2) / radius**2
+    load = machine.nozzle_side_mass_kg + machine.effector.extruder_mass_kg
+    omega = np.sqrt(machine.carriage.belt_stiffness_n_per_m / (machine.carriage.mass_kg + load * sigma_squared))
+    assert shapers.dominant_frequencies(machine, np.zeros(2)) == pytest.approx([omega / (2 * np.pi)] * 2, rel=1e-3)
+
+
+def test_the_mirrored_place_has_the_same_frequencies() -> None:
+    """kossel has a tower on the y axis: left and right are alike."""
+    machine = load_machine("kossel")
+    left, right = (shapers.dominant_frequencies(machine, np.array([x, 30.0])) for x in (-40.0, 40.0))
+    assert left == pytest.approx(right)
+    assert left != pytest.approx(shapers.dominant_frequencies(machine, np.array([40.0, -30.0])), rel=0.01)
+
+
+def test_between_the_nodes_a_linear_frequency_is_met_and_outside_the_rim_holds() -> None:
+    machine = load_machine("kossel")
+    reach = machine.kinematics.print_radius_mm
+    of_place = shapers.over_the_bed(machine, lambda xy: 50.0 + np.array([0.1, -0.2]) * xy, pitch_mm=20.0)
+    inside = np.array([[3.0, 4.0], [-51.0, 17.0], [0.0, -60.0]])
+    assert of_place(inside) == pytest.approx(50.0 + np.array([0.1, -0.2]) * inside)
+    far = np.column_stack([reach * np.linspace(1.0, 9.0, 4001), np.zeros(4001)])
+    assert of_place(far) == pytest.approx(np.full((4001, 2), [50.0 + 0.1 * reach, 50.0]))
+
+
+def test_the_table_holds_the_machines_frequencies() -> None:
+    machine = load_machine("kossel")
+    of_place = shapers.over_the_bed(machine, lambda xy: shapers.dominant_frequencies(machine, xy), pitch_mm=15.0)
+    for place in ([0.0, 0.0], [-22.0, 41.0], [20.0, -64.0]):
+        exact = shapers.dominant_frequencies(machine, np.array(place))
+        assert of_place(np.array([place]))[0] == pytest.approx(exact, rel=0.01)
