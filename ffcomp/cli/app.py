@@ -13,6 +13,7 @@ import typer  # noqa: E402
 
 from ffcomp import __version__  # noqa: E402
 from ffcomp.cli.compensate import compensate  # noqa: E402
+from ffcomp.cli.diagnose import diagnose  # noqa: E402
 from ffcomp.cli.frf import frf  # noqa: E402
 from ffcomp.cli.gap import gap  # noqa: E402
 from ffcomp.cli.identify import app as identify  # noqa: E402
@@ -32,6 +33,7 @@ app.command()(show)
 app.command()(restore)
 app.command()(frf)
 app.command()(gap)
+app.command()(diagnose)
 app.add_typer(identify, name="identify")
 app.add_typer(machines, name="machines")
 

@@ -194,7 +194,7 @@ class _Outcome:
     ) -> None:
         self.start, self.gathered, self.known, self.output = start, gathered, known, output
         self.name = name or (output.stem if output else start.name)
-        self.hashes = [_hash(path) for path in data]
+        self.hashes = [hash_of(path) for path in data]
         self.identified: Identified | None = None
 
     def from_responses(self, method: str, progress: Any) -> dict[str, Any]:
@@ -298,7 +298,7 @@ class _Outcome:
         return str(self.output)
 
 
-def _hash(path: Path) -> str:
+def hash_of(path: Path) -> str:
     import hashlib
 
     return f"{path.name} sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 
 from ffcomp.diagnose.delta import Delta, effect_tables
 from ffcomp.diagnose.engine import diagnose
+from ffcomp.diagnose.outcome import better_file, outcome
+from ffcomp.diagnose.where import find_gap
 from ffcomp.measured.run import Run
 from models.machine_file import LIBRARY, load_machine
 from tests.plant import delta_plant
@@ -49,11 +52,21 @@ def test_nothing_hidden_is_called_none() -> None:
     assert verdict({}).verdict == "none"
 
 
-def test_hidden_friction_is_named_with_its_force() -> None:
-    found = verdict({"towers": {"friction_n": [3.0, 3.0, 3.0]}})
+def test_hidden_friction_is_named_with_its_force(tmp_path: Path) -> None:
+    plant = Delta(load_machine(TRUTH), made_runs({"towers": {"friction_n": [3.0, 3.0, 3.0]}}, 0.15, 0), CANDIDATES)
+    found = diagnose(plant)
     assert (found.verdict, found.named.names) == ("effects", ("coulomb_friction",))
     assert found.intervals["effects.coulomb_friction.force_n"].value == pytest.approx(3.0, rel=0.1)
     assert all(place.after < 0.15 * place.before for place in found.places)
+
+    told = outcome(plant, found)
+    assert told.after.nrms < 0.2 * told.before.nrms and told.confidence["coulomb_friction"] > 0.99
+    better = tmp_path / "better.toml"
+    better.write_text(better_file(TRUTH, "better", told, ["x.csv sha256:0"], "2026-11-21"), encoding="utf-8")
+    machine = load_machine(better)
+    assert machine.effects["coulomb_friction"]["force_n"] == pytest.approx(3.0, rel=0.1)
+    closed = find_gap(found.bench.whiten, found.noise, Delta(machine, plant.runs, ()).simulate({})).whole
+    assert closed.nrms == pytest.approx(told.after.nrms, rel=0.05)  # the file says what the fit found
 
 
 def test_an_effect_outside_the_candidates_is_unknown() -> None:

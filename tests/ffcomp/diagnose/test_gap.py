@@ -93,3 +93,17 @@ def test_a_run_that_is_none_is_refused(tmp_path: Path) -> None:
     bad.write_text("t_s,cmd_A_mm\n0,1\n", encoding="utf-8")
     answer = CliRunner().invoke(app, ["gap", str(bad), "-m", "kossel"])
     assert answer.exit_code == 5 and "run.csv" in answer.output
+
+
+def test_diagnose_says_none_where_nothing_is_hidden(tmp_path: Path) -> None:
+    folder = RUNS / "nothing-hidden"
+    if not folder.is_dir():
+        pytest.skip("the runs from outside are not beside the project (nothing-hidden)")
+    files = [str(folder / "runs" / f"{name}.csv") for name in ("infill-centre-1", "infill-centre-2", "infill-front")]
+    better = tmp_path / "better.toml"
+    machine = str(folder / "machine.toml")
+    answer = CliRunner().invoke(app, ["diagnose", *files, "-m", machine, "-o", str(better), "--json", "--quiet"])
+    assert answer.exit_code == 0, answer.output
+    told = json.loads(answer.stdout)
+    assert (told["schema"], told["verdict"], told["effects"]) == ("ffcomp-diagnose/1", "none", [])
+    assert told["machine"] is None and not better.exists()

@@ -1,0 +1,128 @@
+"""`ffcomp diagnose`: which physical effect is missing from the machine file?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from ffcomp.diagnose.outcome import Outcome
+
+Runs = Annotated[list[Path], typer.Argument(metavar="RUNS...", help="Measured runs (CSV); -1, -2 … are repeats.")]
+MachineName = Annotated[str, typer.Option("--machine", "-m", help="A machine's name or the path of its file.")]
+Output = Annotated[
+    Path | None, typer.Option("--output", "-o", help="The better machine file; written only if an effect is named.")
+]
+Force = Annotated[bool, typer.Option(help="Overwrite the output.")]
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout (ffcomp-diagnose/1).")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")]
+
+
+def diagnose(
+    runs: Runs,
+    machine: MachineName,
+    output: Output = None,
+    force: Force = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find the effect that is missing from the machine file, with its size, or say that none is or that none fits.
+
+    What the file's own numbers can explain within their uncertainty is retuning, not an effect. An effect is named only
+    if it explains the gap at places it was not fitted to.
+
+    Example: ffcomp diagnose runs/*.csv --machine my-delta.toml -o better.toml
+    """
+    from ffcomp.cli.common import exit_codes, print_json, say
+
+    if output is not None and output.exists() and not force:
+        raise typer.BadParameter(f"{output} exists already; give another --output, or --force.")
+    with exit_codes():
+        import time
+        from datetime import date
+
+        from ffcomp.cli.identify import hash_of
+        from ffcomp.diagnose.delta import Delta
+        from ffcomp.diagnose.engine import diagnose as searched
+        from ffcomp.diagnose.outcome import better_file, outcome
+        from ffcomp.measured.run import read_run
+        from gcode.container import replace_atomically
+        from models.machine_file import check_text, load_machine
+
+        began = time.monotonic()
+        loaded = load_machine(machine)
+        plant = Delta(loaded, [read_run(path) for path in runs])
+        found = outcome(plant, searched(plant, lambda sentence: say(f"ffcomp: {sentence}", quiet)))
+        written = None
+        if output is not None and found.verdict == "effects":
+            hashes = [hash_of(path) for path in runs]
+            text = better_file(Path(loaded.path), output.stem, found, hashes, date.today().isoformat())
+            check_text(text, str(output))
+            replace_atomically(output, [line.encode() for line in text.splitlines(keepends=True)])
+            written = str(output)
+        if as_json:
+            print_json(_result(found, written, time.monotonic() - began))
+        else:
+            _print(found, written)
+
+
+def _result(found: Outcome, written: str | None, seconds: float) -> dict[str, Any]:
+    named = found.effects if found.verdict == "effects" else {}
+    return {
+        "schema": "ffcomp-diagnose/1",
+        "verdict": found.verdict,
+        "effects": [
+            {
+                "name": name,
+                "parameters": _parameters(found, name),
+                "confidence": found.confidence[name],
+                "evidence": found.gained,
+            }
+            for name in named
+        ],
+        "refused": {"effects": list(found.effects), "because": list(found.refused)} if found.refused else None,
+        "retuned": {key: {"from": a, "to": b} for key, (a, b) in found.retuned.items()},
+        "confusable_with": [{"name": name, "separate_by": how} for name, how in found.confusable_with],
+        "gap": {
+            "before": found.before.nrms,
+            "after": found.after.nrms,
+            "noise": found.before.noise_nrms,
+            "held_out": {"before": found.held_out[0], "after": found.held_out[1], "noise": found.before.noise_nrms},
+        },
+        "machine": written,
+        "seconds": seconds,
+    }
+
+
+def _parameters(found: Outcome, effect: str) -> dict[str, dict[str, float]]:
+    prefix = f"effects.{effect}."
+    return {
+        name.removeprefix(prefix): {"value": float(e.value), "low": float(e.low), "high": float(e.high)}
+        for name, e in found.intervals.items()
+        if name.startswith(prefix)
+    }
+
+
+def _print(found: Outcome, written: str | None) -> None:
+    from models.effects.catalogue import CATALOGUE
+
+    size = f"{100 * found.before.nrms:.2f} % of the signals (noise {100 * found.before.noise_nrms:.2f} %)"
+    if found.verdict == "none":
+        print(f"Nothing is missing: the gap of {size} is noise, or retuning within the stated uncertainties.")
+    elif found.verdict == "unknown":
+        print(f"There is a gap of {size}, and nothing known explains it.")
+        if found.refused:
+            print(f"Nearest: {', '.join(found.effects)}; refused because {'; '.join(found.refused)}.")
+    else:
+        print(f"The gap of {size} shrinks to {100 * found.after.nrms:.2f} % with:")
+        for name in found.effects:
+            print(f"  {name}: {CATALOGUE[name].title.lower()}")
+            for key, e in _parameters(found, name).items():
+                print(f"    {key} = {e['value']:.4g}   (90 %: {e['low']:.4g} to {e['high']:.4g})")
+        print("At places it was not fitted to: {:.2f} → {:.2f} %.".format(*(100 * x for x in found.held_out)))
+    for name, how in found.confusable_with if found.verdict == "effects" else ():
+        print(f"Looks alike: {name}. To tell them apart: {how}")
+    if written:
+        print(f"{written}: written. Compare with new runs: ffcomp gap NEW-RUNS --machine {written}")
