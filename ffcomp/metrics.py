@@ -122,7 +122,7 @@ def contour_error(
     return _nearest(np.ascontiguousarray(path_xyz), np.ascontiguousarray(actual_xyz), low, high)
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def _nearest(path: FloatArray, points: FloatArray, low: IntArray, high: IntArray) -> FloatArray:
     """Distance : (m,) of each point to the nearest of its segments low ≤ k < high."""
     out = np.empty(len(points))
@@ -135,7 +135,7 @@ def _nearest(path: FloatArray, points: FloatArray, low: IntArray, high: IntArray
     return out
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def _distance2(path: FloatArray, k: int, x: float, y: float, z: float) -> float:
     """Squared distance of a point to segment k; the foot of the perpendicular is clipped to its ends."""
     ux, uy, uz = path[k + 1, 0] - path[k, 0], path[k + 1, 1] - path[k, 1], path[k + 1, 2] - path[k, 2]
@@ -185,7 +185,7 @@ def _best_delay(wanted: FloatArray, actual: FloatArray, dt: float, longest: floa
     return float(found.x)
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def _mean_square(wanted: FloatArray, actual: FloatArray, shift: float, every: int) -> float:
     """Mean of |actual_i - wanted(i - shift)|² over every so many i; Lagrange's cubic between samples."""
     total, count, top = 0.0, 0, len(wanted) - 1

@@ -147,11 +147,13 @@ def compensate(
     summary: Summary,
     progress: Callable[[float], None] = lambda done_s: None,
     offset: tuple[float, float] = (0.0, 0.0),
+    watch: Callable[[Run, RunResult], None] = lambda run, result: None,
 ) -> Iterator[bytes]:
     """The lines of the compensated file, in order. `summary` is complete when they are exhausted.
 
     progress : called with the print-seconds done so far
     offset : mm, what the program's positions were shifted by when they were read
+    watch : called with every run and its answer before the first of its lines goes out
     """
     program, trajectory, settings = planned.program, planned.trajectory, inverter.settings
     writer = Writer(program, flavor, _own_limits(machine), settings, offset)
@@ -174,6 +176,7 @@ def compensate(
         predicted = summary.prediction is not None and summary.prediction.wants(wanted)
         result = inverter.run(wanted, state, keep_response=predicted)
         state, rested = result.state, run.end_t
+        watch(run, result)
         heights = program.moves.end[run.first : run.last, 2]
         vertices = keep_inside(machine.kinematics, result.vertices, heights)
         line_up = timeline(program, trajectory, run, wanted, vertices, events.up_to(run.last - 1))

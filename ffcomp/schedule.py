@@ -88,7 +88,7 @@ def _corner(x: float, x0: float, pitch: float, nodes: int) -> tuple[int, float]:
     return i, s - i
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def interpolate(table: FloatArray, x0: float, pitch: float, nodes: int, place: FloatArray) -> FloatArray:
     """Bilinear interpolation of matrices: table (nodes², r, c), place (n, 2) mm -> (n, r, c)."""
     out = np.empty((len(place), table.shape[1], table.shape[2]))
@@ -108,7 +108,7 @@ def interpolate(table: FloatArray, x0: float, pitch: float, nodes: int, place: F
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def simulate(
     a: FloatArray,
     b0: FloatArray,

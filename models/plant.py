@@ -18,7 +18,8 @@ mm for lengths; stiffness N/m over mass kg is 1/s² all the same.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,6 +150,17 @@ class PlantTable:
     nodes: int  # per axis; node (ix, iy) is place ix * nodes + iy
     plant: DiscretePlant
     jacobian: FloatArray  # (nodes², 3, 3)
+
+    def frozen(self) -> PlantTable:
+        """As if the plant were everywhere what it is in the middle of the bed; the kinematics stay what they are."""
+        middle = len(self.jacobian) // 2
+        values = {each.name: getattr(self.plant, each.name) for each in fields(self.plant)}
+        same: dict[str, Any] = {
+            name: np.repeat(value[middle : middle + 1], len(value), axis=0)
+            for name, value in values.items()
+            if np.ndim(value)
+        }
+        return replace(self, plant=replace(self.plant, **same))
 
 
 def plant_table(machine: Machine, step_s: float, pitch_mm: float = 10.0) -> PlantTable:

@@ -51,8 +51,8 @@ def print_json(result: dict[str, Any]) -> None:
 class Progress:
     """A bar with the time left on a terminal, a line a tenth elsewhere (a slicer's log), nothing when quiet."""
 
-    def __init__(self, total_s: float, quiet: bool) -> None:
-        self.total_s, self.quiet = max(total_s, 1e-9), quiet
+    def __init__(self, total_s: float, quiet: bool, what: str = "compensating") -> None:
+        self.total_s, self.quiet, self.what = max(total_s, 1e-9), quiet, what
         self.live = sys.stderr.isatty() and not os.environ.get("SLIC3R_PP_HOST")
         self.started = time.monotonic()
         self.said = 0
@@ -63,10 +63,10 @@ class Progress:
             from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
             from rich.progress import Progress as Bar
 
-            columns = (TextColumn("compensating"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
+            columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
             self.bar = Bar(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True)
             self.bar.start()
-            self.task = self.bar.add_task("", total=self.total_s)
+            self.task = self.bar.add_task(self.what, total=self.total_s)
         return self
 
     def __exit__(
@@ -87,3 +87,16 @@ class Progress:
             spent = time.monotonic() - self.started
             left = spent * (self.total_s / done_s - 1)
             print(f"ffcomp: {min(10 * tenth, 100)} %, {max(left, 0):.0f} s left", file=sys.stderr)
+
+    def phase(self, what: str, share: float) -> None:
+        """Several things one after the other: what is being done now, and how much of it is done (0 to 1)."""
+        if self.quiet:
+            return
+        if self.live:
+            if what != self.what:  # each phase has its own clock
+                self.what = what
+                self.bar.reset(self.task, total=1.0, description=what)
+            self.bar.update(self.task, completed=share)
+        elif what != self.what:
+            self.what = what
+            print(f"ffcomp: {what} …", file=sys.stderr)

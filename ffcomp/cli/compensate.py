@@ -83,14 +83,17 @@ def compensate(
             say(already, quiet)
         else:
             options = {"flavor": flavor, "shaper_off": shaper_off, "predict": predict}
-            job = _job(data, file, machine, _offset(offset_mm), max_segments_per_second, stamp is not None, options)
+            job = _job(
+                data, file, machine, parsed_offset(offset_mm), max_segments_per_second, stamp is not None, options
+            )
             result = _write(job, None if dry_run else output_file or file, quiet)
             _report(result, quiet)
         if as_json:
             print_json(result)
 
 
-def _offset(text: str) -> tuple[float, float]:
+def parsed_offset(text: str) -> tuple[float, float]:
+    """`X,Y` in mm."""
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
@@ -116,7 +119,7 @@ def _job(
     options: dict[str, Any],
 ) -> Job:
     """Everything that can be wrong with the input shows here, before anything is written."""
-    from ffcomp.job import STAMP_REACH, Job, find_offset
+    from ffcomp.job import STAMP_REACH, Job
     from ffcomp.pipeline import settings_for
     from ffcomp.writer import original
     from models.machine_file import load_machine

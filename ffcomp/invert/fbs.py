@@ -36,7 +36,7 @@ from ffcomp.runs import Reference
 from ffcomp.schedule import interpolate, models_along, moving_state, rest_state, simulate
 from models.kinematics.kernels import FastDelta
 from models.machine import Machine
-from models.plant import plant_table
+from models.plant import PlantTable, plant_table
 
 FloatArray = NDArray[np.float64]
 
@@ -57,8 +57,8 @@ class Inverter:
     def __init__(self, machine: Machine, settings: Settings) -> None:
         self.machine, self.settings = machine, settings
         self.delta = FastDelta(machine.kinematics)
-        self.fine = plant_table(machine, settings.segment_s / settings.substeps)
-        self.coarse = plant_table(machine, settings.segment_s / settings.rows_per_segment)
+        self.fine = _table(machine, settings, settings.substeps)
+        self.coarse = _table(machine, settings, settings.rows_per_segment)
         self.effort = effort_weight(machine, settings)
         self._systems: OrderedDict[tuple[int, ...], _System] = OrderedDict()
         own, knot_s = machine.limits, settings.segment_s
@@ -97,6 +97,12 @@ class Inverter:
     def run(self, reference: Reference, state: FloatArray, keep_response: bool = False) -> RunResult:
         """Solve one run window by window, from the plant's state (18,) at its first knot."""
         return _Run(self, reference, state, keep_response).solve()
+
+
+def _table(machine: Machine, settings: Settings, steps: int) -> PlantTable:
+    """The plant over the bed, for that many steps a segment."""
+    table = plant_table(machine, settings.segment_s / steps)
+    return table.frozen() if settings.one_model else table
 
 
 def effort_weight(machine: Machine, settings: Settings) -> float:

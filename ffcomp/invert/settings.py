@@ -22,6 +22,7 @@ class Settings:
     frozen_kept: int = 64  # of these systems, 2 MB each
     memory: int = 60  # segments after which the plant has forgotten (1 % is left after 240 ms)
     quiet_mm_per_s: float = 0.25  # change of velocity in a segment below which steady motion needs no solving
+    one_model: bool = False  # the bed's middle everywhere, as methods do that know no place
     merge_um: float = 0.2  # segments are joined while what is played stays this close to what was solved
     longest_merged_s: float = 0.1  # and no longer than this, so that the firmware's clock is kept in short steps
     output: OutputLimits = field(default_factory=OutputLimits)

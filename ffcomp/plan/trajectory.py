@@ -80,7 +80,7 @@ class Trajectory:
         return _sample(times, derivative, self.start_t, phases, self.origin, self.direction)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _move_near(start_t: FloatArray, t: float, i: int) -> int:
     """The last move that begins at or before t (the first one if none does), sought from move i on."""
     if t < start_t[i] or (i + _NEAR_MOVES < len(start_t) and start_t[i + _NEAR_MOVES] <= t):
@@ -90,7 +90,7 @@ def _move_near(start_t: FloatArray, t: float, i: int) -> int:
     return i
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _along(
     derivative: int,
     since: float,
@@ -117,7 +117,7 @@ def _along(
     return acceleration if since < accel_t else -acceleration
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _sample(
     t: FloatArray,
     derivative: int,

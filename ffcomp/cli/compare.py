@@ -1,0 +1,258 @@
+"""`ffcomp compare`: how much better will this print be, where, and than what."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from ffcomp.compare.engine import Request
+    from ffcomp.compare.result import Comparison
+    from ffcomp.compare.stretch import Sampling
+
+Printed = Annotated[Path, typer.Argument(help="The sliced print; it is only read.", metavar="FILE")]
+MachineName = Annotated[
+    str, typer.Option("--machine", "-m", help="What every method believes: a machine's name or the path of its file.")
+]
+Plant = Annotated[
+    str,
+    typer.Option(
+        help="The printer that judges, with its effects: a machine file. Default: --machine, as a nonlinear virtual printer."
+    ),
+]
+Mismatch = Annotated[
+    str,
+    typer.Option(
+        metavar="SHARE",
+        help="Judge again on drawn printers whose masses, stiffnesses, dampings and drives are all off, e.g. 10% "
+        "(standard deviation).",
+    ),
+]
+Seeds = Annotated[int, typer.Option(min=1, max=1000, help="How many printers --mismatch draws.")]
+Layers = Annotated[
+    str, typer.Option(metavar="FIRST:LAST", help="Only these layers, counted from 0, both included: 10:20, 5:, :3.")
+]
+Sample = Annotated[
+    str,
+    typer.Option(
+        metavar="SHARE",
+        help="Judge this share of the time, in stretches spread evenly: 5%. Default: 2 minutes at most.",
+    ),
+]
+Report = Annotated[
+    Path | None, typer.Option("--report", "-r", help="Write the whole comparison as one HTML page, readable offline.")
+]
+Figures = Annotated[Path | None, typer.Option(help="Write every figure as PNG and SVG into this folder.")]
+Quality = Annotated[
+    float,
+    typer.Option(
+        "--quality-um",
+        min=0.0,
+        help="Find the highest acceleration at which each method keeps 99 % of its contour error below this; 0: no.",
+    ),
+]
+Offset = Annotated[
+    str, typer.Option("--offset-mm", metavar="X,Y", help="Added to every position, as in ffcomp compensate.")
+]
+Flavor = Annotated[str, typer.Option(help="klipper, marlin or reprapfirmware; by default the file says it.")]
+Rate = Annotated[
+    float, typer.Option("--max-segments-per-second", min=125.0, max=500.0, help="As in ffcomp compensate.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout (ffcomp-compare/1).")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no table.")]
+
+
+def compare(
+    file: Printed,
+    machine: MachineName,
+    plant: Plant = "",
+    mismatch: Mismatch = "",
+    seeds: Seeds = 20,
+    layers: Layers = "",
+    sample: Sample = "",
+    report: Report = None,
+    figures: Figures = None,
+    quality_um: Quality = 25.0,
+    offset_mm: Offset = "0,0",
+    flavor: Flavor = "",
+    max_segments_per_second: Rate = 250.0,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Judge every method on your print: none, every input shaper at its best, inversion with one model, and ours.
+
+    Commands are planned with --machine and judged on a virtual printer (--plant), never on the model that made them.
+    Shapers get the frequencies that a firmware's calibration would find, and the best that a search finds with the
+    printer known. The table says how far off the wanted path the nozzle is, and how fast each method could go.
+
+    Example: ffcomp compare sample_prints/ringing_tower.gcode -m mp-delta-pro --sample 10% --report report.html
+    """
+    from ffcomp.cli.common import exit_codes, print_json
+
+    request = _request(mismatch, seeds, _sampling(layers, sample), quality_um)
+    with _threads_die_with_us(), exit_codes():
+        _check_targets(report, figures)
+        found = _compare(file, machine, plant, request, offset_mm, flavor, max_segments_per_second, quiet)
+        written = _write(found, report, figures)
+        if as_json:
+            from ffcomp.compare.answer import as_json as answer
+
+            print_json({**answer(found), "report": _text(report), "figures": [str(path) for path in written]})
+        elif not quiet:
+            _print(found, report, written)
+
+
+class _threads_die_with_us:
+    """An interruption does not wait for searches that run in threads; nothing of theirs is on disk."""
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, SystemExit) and error.code == 130:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(130)
+
+
+def _share(text: str, option: str) -> float:
+    """`10%` or `0.1`."""
+    try:
+        value = float(text[:-1]) / 100 if text.endswith("%") else float(text)
+    except ValueError:
+        raise typer.BadParameter(f"{option} {text!r}: a share such as 10% or 0.1.") from None
+    if not 0.0 < value <= 1.0:
+        raise typer.BadParameter(f"{option} {text}: a share above 0 and up to 100%.")
+    return value
+
+
+def _sampling(layers: str, sample: str) -> Sampling:
+    from ffcomp.compare.stretch import Sampling
+
+    first, colon, last = layers.partition(":")
+    try:
+        begin = int(first) if first else 0
+        end = (int(last) if last else None) if colon else (begin if layers else None)
+    except ValueError:
+        raise typer.BadParameter(
+            f"--layers {layers!r}: two layer numbers with a colon between them, e.g. 10:20."
+        ) from None
+    if begin < 0 or (end is not None and end < begin):
+        raise typer.BadParameter(f"--layers {layers}: the first layer is 0, and the last must not be before the first.")
+    return Sampling(begin, end, _share(sample, "--sample") if sample else None)
+
+
+def _request(mismatch: str, seeds: int, sampling: Sampling, quality_um: float) -> Request:
+    from ffcomp.compare.engine import Request
+
+    off = _share(mismatch, "--mismatch") if mismatch else 0.0
+    if off > 0.3:
+        raise typer.BadParameter(f"--mismatch {mismatch}: up to 30 %; beyond it drawn masses come near to zero.")
+    return Request(sampling, off, seeds if off else 0, quality_um)
+
+
+def _check_targets(report: Path | None, figures: Path | None) -> None:
+    """What cannot be written is said before the work, not after it."""
+    for path in (report, figures):
+        parent = None if path is None else path.resolve().parent
+        if parent is not None and not parent.is_dir():
+            raise FileNotFoundError(2, "No such folder", str(parent))
+    if figures is not None and figures.exists() and not figures.is_dir():
+        raise NotADirectoryError(20, "Not a folder", str(figures))
+    if report is not None and report.is_dir():
+        raise IsADirectoryError(21, "Is a folder, not a file to write", str(report))
+
+
+def _compare(
+    file: Path, machine: str, plant: str, request: Request, offset: str, flavor: str, rate: float, quiet: bool
+) -> Comparison:
+    from ffcomp.cli.common import Progress
+    from ffcomp.cli.compensate import parsed_offset
+    from ffcomp.compare.engine import compare as engine
+    from ffcomp.pipeline import settings_for
+    from gcode.container import read_bytes
+    from models.machine_file import load_machine
+
+    data, believed = read_bytes(file), load_machine(machine)
+    true = load_machine(plant) if plant else None
+    options: dict[str, Any] = {"offset": parsed_offset(offset), "flavor": flavor}
+    with Progress(1.0, quiet, "comparing") as progress:
+        settings = settings_for(believed, rate)
+        return engine(data, str(file), believed, true, request, settings=settings, progress=progress.phase, **options)
+
+
+def _write(found: Comparison, report: Path | None, figures: Path | None) -> list[Path]:
+    written: list[Path] = []
+    if figures is not None:
+        from ffcomp.report.compare.figures import write_figures
+
+        figures.mkdir(exist_ok=True)
+        written = write_figures(found, figures)
+    if report is not None:
+        from ffcomp.report.compare.html import write_report
+
+        write_report(found, report)
+    return written
+
+
+def _text(path: Path | None) -> str | None:
+    return None if path is None else str(path)
+
+
+def _print(found: Comparison, report: Path | None, written: list[Path]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from ffcomp.report.compare.verdict import verdict
+
+    console = Console()
+    for sentence in verdict(found):
+        console.print(sentence, highlight=False)
+    table = Table("method", *_columns(found), title=None)
+    family = ""
+    for method in found.methods.values():
+        if method.family != family:
+            table.add_section()
+            family = method.family
+        style = "bold" if method.name in (found.ours, found.best_fixed) else ""
+        table.add_row(method.label, *_cells(found, method.name), style=style)
+    console.print(table)
+    console.print(
+        "µm; contour: distance to the wanted path, over all moves. peak: carriage acceleration asked for, m/s²."
+    )
+    if report is not None:
+        console.print(f"Report: {report}", highlight=False)
+    if written:
+        console.print(f"{len(written)} figures in {written[0].parent}", highlight=False)
+
+
+def _columns(found: Comparison) -> list[str]:
+    columns = ["contour rms", "p99", "max", "extruding rms", "tracking rms, no delay", "ringing", "peak"]
+    if found.mismatch:
+        columns += ["mismatch: median", "worst"]
+    if found.quality_bound_um:
+        columns += [f"m/s² for p99 < {found.quality_bound_um:g} µm", "print time"]
+    return columns
+
+
+def _cells(found: Comparison, name: str) -> list[str]:
+    method = found.methods[name]
+    t, over = method.track, "" if method.peaks.within_limits else " !"
+    cells = [
+        f"{t.contour_rms_um:.2f}",
+        f"{t.contour_p99_um:.1f}",
+        f"{t.contour_max_um:.0f}",
+        f"{method.extruding.contour_rms_um:.2f}",
+        f"{t.tracking_rms_no_delay_um:.2f}",
+        f"{method.residual_rms_um:.2f}",
+        f"{method.peaks.acceleration_mm_per_s2 / 1e3:.1f}{over}",
+    ]
+    if found.mismatch and method.spread is not None:
+        cells += [f"{method.spread.median_um:.2f}", f"{method.spread.worst_um:.2f}"]
+    if (quality := method.equal_quality) is not None:
+        sign = "> " if quality.capped else "" if quality.reached else "< "
+        cells += [f"{sign}{quality.acceleration_mm_per_s2 / 1e3:.2f}", f"{quality.print_time_s:.0f} s"]
+    return cells

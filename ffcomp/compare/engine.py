@@ -1,0 +1,319 @@
+"""The whole comparison, on one page: a print, a machine file that is believed, a printer that is true.
+
+print       compare.stretch     which part of the print is looked at
+ways        compare.ways        every method, tuned as well as it can be
+played      compare.play        each command through the virtual printer
+judged      compare.judge       against the wanted path
+spread      compare.plants      again, on printers drawn around the true one
+quality     compare.quality     how fast each method may go for the same quality
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp import __version__
+from ffcomp.compare import ways as every
+from ffcomp.compare.judge import SAMPLE_S, SETTLE_S, Judgement, Played, by, contour, judge, track
+from ffcomp.compare.motion import Motion
+from ffcomp.compare.plants import check_same_kinematics, drawn, dynamic_numbers
+from ffcomp.compare.play import JOBS, STEP_S, peaks, play
+from ffcomp.compare.quality import equal_quality, within_limits
+from ffcomp.compare.result import BedMap, Comparison, Layer, Method, Party, Peaks, Spread
+from ffcomp.compare.stretch import Print, Sampling, Stretch
+from ffcomp.compare.tuning import LinearPrinter
+from ffcomp.compare.ways import OURS, Way
+from ffcomp.invert.settings import Settings
+from ffcomp.pipeline import Summary, settings_for
+from models.machine import Machine
+
+FEW_S, FEW_PIECE_S = 30.0, 5.0  # of print time on which shapers are tuned and accelerations tried
+BED_PITCH_MM = 10.0
+
+FloatArray = NDArray[np.float64]
+T = TypeVar("T")
+Progress = Callable[[str, float], None]  # what is being done, and how much of it (0 to 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What is to be compared."""
+
+    sampling: Sampling = field(default_factory=Sampling)
+    mismatch: float = 0.0  # relative standard deviation of the drawn plants' numbers
+    seeds: int = 0  # how many plants are drawn
+    quality_bound_um: float = 25.0  # None is not asked for: 0
+
+
+def compare(
+    data: bytes,
+    path: str,
+    machine: Machine,
+    plant: Machine | None = None,
+    request: Request | None = None,
+    *,
+    settings: Settings | None = None,
+    offset: tuple[float, float] = (0.0, 0.0),
+    flavor: str = "",
+    progress: Progress = lambda what, done: None,
+) -> Comparison:
+    """Judge every method on one print.
+
+    Parameters
+    ----------
+    data, path : the G-code file
+    machine : what the methods believe
+    plant : the printer that is true; None: the machine itself
+    """
+    started = time.perf_counter()
+    request, plant, settings = request or Request(), plant or machine, settings or settings_for(machine)
+    check_same_kinematics(machine, plant)
+    printed = Print(data, path, machine, offset, flavor)
+    stretches, sampled = printed.stretches(request.sampling)
+    few = _few(printed, request.sampling, stretches)
+    ways = _ways(machine, plant, few, settings, progress)
+    answers = _answers(ways, stretches, plant, progress)
+    judged = {way.name: _method(way, answers[way.name], printed.labels.features) for way in ways}
+    best = min((m for m in judged.values() if m.family == "best fixed"), key=lambda m: m.track.contour_rms_um).name
+    if request.seeds:
+        judged = _with_spread(judged, ways, best, answers, few, plant, request, progress)
+    if request.quality_bound_um:
+        judged = _with_quality(judged, ways, printed, plant, few, request.quality_bound_um, progress)
+    return Comparison(
+        print_name=path,
+        print_sha256=hashlib.sha256(data).hexdigest(),
+        print_time_s=printed.print_time_s,
+        layers_total=printed.labels.layers,
+        sampling=sampled,
+        machine=_party(machine),
+        plant=_party(plant),
+        mismatch=_mismatch(plant, request),
+        settings=_settings(settings),
+        version=__version__,
+        layers=_layers(printed, judged[OURS]),
+        features=printed.labels.features,
+        methods=judged,
+        best_fixed=best,
+        ours=OURS,
+        sample_s=SAMPLE_S,
+        bed=_bed(plant),
+        limits={
+            "carriage_velocity_mm_per_s": machine.limits.carriage_velocity_mm_per_s,
+            "carriage_acceleration_mm_per_s2": machine.limits.carriage_acceleration_mm_per_s2,
+        },
+        quality_bound_um=request.quality_bound_um,
+        seconds=time.perf_counter() - started,
+    )
+
+
+# ---- the methods ---------------------------------------------------------------------------------
+
+
+def _few(printed: Print, sampling: Sampling, stretches: Sequence[Stretch]) -> list[Stretch]:
+    seconds = sum(each.trajectory.end_t for each in stretches)
+    share = min(1.0, FEW_S / seconds) * (1.0 if sampling.share is None else sampling.share)
+    return printed.stretches(replace(sampling, share=share), FEW_PIECE_S)[0]
+
+
+def _ways(
+    machine: Machine, plant: Machine, few: Sequence[Stretch], settings: Settings, progress: Progress
+) -> list[Way]:
+    """Every method, tuned; the searches share the processors."""
+    linear = LinearPrinter(plant, few)
+    of_place = every.mode_frequencies(plant)
+    tasks: list[Callable[[], list[Way]]] = [
+        *(lambda kind=kind: list(every.best_fixed(linear, (kind,))) for kind in every.KINDS),
+        lambda: list(every.calibrated(plant)),
+        lambda: list(every.scheduled(linear, of_place)),
+        lambda: list(every.inversion(machine, settings)),
+    ]
+    found = _all(tasks, "tuning every method", progress)
+    ways = [every.none(), *(way for each in found for way in each)]
+    families = ("none", "calibrated", "best fixed", "scheduled", "inversion")
+    return sorted(ways, key=lambda way: families.index(way.family))
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    played: list[Played]
+    peaks: Peaks
+    print_time_s: float
+    warnings: tuple[str, ...]
+
+
+def _answers(
+    ways: Sequence[Way], stretches: Sequence[Stretch], plant: Machine, progress: Progress
+) -> dict[str, _Answer]:
+    tasks = [lambda way=way: _answer(way, stretches, plant) for way in ways]
+    return dict(zip([way.name for way in ways], _all(tasks, "printing", progress), strict=True))
+
+
+def _answer(way: Way, stretches: Sequence[Stretch], plant: Machine) -> _Answer:
+    played, asked, summaries = [], [], []
+    for stretch in stretches:
+        motion, summary = way.motion(stretch)
+        t, (nozzle,) = play([plant], motion, stretch.machine)
+        played.append(Played(stretch, motion, t, nozzle))
+        asked.append(peaks(motion, stretch.machine))
+        summaries.append(summary)
+    velocity, acceleration = (float(most) for most in np.max(asked, axis=0))
+    within = within_limits(velocity, acceleration, stretches[0].machine)
+    longer = sum(s.print_time_s - s.original_print_time_s for s in summaries if s is not None)
+    seconds = sum(each.trajectory.end_t for each in stretches) + longer
+    return _Answer(played, Peaks(velocity, acceleration, within), seconds, _warnings(summaries))
+
+
+def _warnings(summaries: Sequence[Summary | None]) -> tuple[str, ...]:
+    return tuple(sentence for summary in summaries if summary is not None for sentence in summary.warnings)
+
+
+def _method(way: Way, answer: _Answer, features: Sequence[str]) -> Method:
+    judged: Judgement = judge(answer.played)
+    s, peak = judged.samples, answer.peaks.acceleration_mm_per_s2
+    everywhere = np.ones(len(s.due), dtype=np.bool_)
+    return Method(
+        name=way.name,
+        label=way.label,
+        family=way.family,
+        tuning=way.tuning,
+        track=track(judged, everywhere, answer.print_time_s, peak),
+        extruding=track(judged, s.extruding, answer.print_time_s, peak),
+        by_layer=by(s.layer, s.contour),
+        by_feature={features[k]: error for k, error in by(s.feature, s.contour).items()},
+        residual_rms_um=judged.residual_rms_um,
+        peaks=answer.peaks,
+        samples=s,
+        warnings=answer.warnings,
+    )
+
+
+# ---- other plants, other speeds ------------------------------------------------------------------
+
+
+def _with_spread(
+    methods: dict[str, Method],
+    ways: Sequence[Way],
+    best: str,
+    answers: dict[str, _Answer],
+    few: Sequence[Stretch],
+    plant: Machine,
+    request: Request,
+    progress: Progress,
+) -> dict[str, Method]:
+    """Every method again, as it was tuned, on the drawn plants; the best fixed shaper tuned anew on each as well."""
+    plants = drawn(plant, request.mismatch, request.seeds)
+    found = dict(methods)
+    for k, way in enumerate(ways):
+        progress("printing on drawn plants", k / (len(ways) + 1))
+        played = [(each.stretch, each.motion) for each in answers[way.name].played]
+        found[way.name] = replace(methods[way.name], spread=Spread(tuple(_rms_on(plants, played))))
+    progress("tuning shapers on drawn plants", len(ways) / (len(ways) + 1))
+    kind = best
+    stretches = [each.stretch for each in answers[best].played]
+    tasks = [lambda p=p: _retuned(kind, p, few, stretches) for p in plants]
+    retuned = tuple(_all(tasks, "tuning shapers on drawn plants", progress))
+    found[best] = replace(found[best], retuned=Spread(retuned))
+    return found
+
+
+def _rms_on(plants: Sequence[Machine], played: Sequence[tuple[Stretch, Motion]]) -> list[float]:
+    errors: list[list[FloatArray]] = [[] for _ in plants]
+    for stretch, motion in played:
+        t, nozzles = play(plants, motion, stretch.machine)
+        for each, nozzle in zip(errors, nozzles, strict=True):
+            each.append(contour([Played(stretch, motion, t, nozzle)]))
+    return [float(np.sqrt(np.mean(np.concatenate(each) ** 2))) * 1e3 for each in errors]
+
+
+def _retuned(kind: str, plant: Machine, few: Sequence[Stretch], stretches: Sequence[Stretch]) -> float:
+    (way,) = every.best_fixed(LinearPrinter(plant, few), (kind,))
+    return _rms_on([plant], [(stretch, way.motion(stretch)[0]) for stretch in stretches])[0]
+
+
+def _with_quality(
+    methods: dict[str, Method],
+    ways: Sequence[Way],
+    printed: Print,
+    plant: Machine,
+    few: Sequence[Stretch],
+    bound_um: float,
+    progress: Progress,
+) -> dict[str, Method]:
+    tasks = [lambda way=way: equal_quality(way, printed, plant, few, bound_um) for way in ways]
+    found = _all(tasks, "seeking equal quality", progress)
+    return {
+        way.name: replace(methods[way.name], equal_quality=quality) for way, quality in zip(ways, found, strict=True)
+    }
+
+
+def _all(tasks: Sequence[Callable[[], T]], what: str, progress: Progress) -> list[T]:
+    """Do the tasks side by side; an interruption waits only for those under way."""
+    progress(what, 0.0)
+    pool = ThreadPoolExecutor(JOBS)
+    try:
+        futures = [pool.submit(task) for task in tasks]
+        found = []
+        for k, future in enumerate(futures):
+            found.append(future.result())
+            progress(what, (k + 1) / len(tasks))
+        return found
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+# ---- what is said about it -----------------------------------------------------------------------
+
+
+def _party(machine: Machine) -> Party:
+    return Party(machine.name, machine.sha256, tuple(machine.effects))
+
+
+def _mismatch(plant: Machine, request: Request) -> str:
+    if not request.seeds:
+        return ""
+    return (
+        f"{request.seeds} plants whose {len(dynamic_numbers(plant))} dynamic numbers (masses, stiffnesses, dampings, "
+        f"drive) are each off by a normal draw with a standard deviation of {request.mismatch:.0%} (seeds 0 to "
+        f"{request.seeds - 1}); every method keeps its tuning."
+    )
+
+
+def _settings(settings: Settings) -> dict[str, str]:
+    return {
+        "segments per second, at most": f"{1 / settings.segment_s:.0f}",
+        "bandwidth of the inversion": f"{settings.bandwidth_hz:.0f} Hz",
+        "virtual printer": f"Runge-Kutta, {1 / STEP_S:.0f} steps a second or more, with gravity; sag taken out",
+        "judged": f"{1 / SAMPLE_S:.0f} times a second, but for the first {SETTLE_S:g} s of each stretch",
+        "shapers tuned on": f"{FEW_S:.0f} s of the print, contour rms, plant known",
+    }
+
+
+def _layers(printed: Print, method: Method) -> tuple[Layer, ...]:
+    s, moves = method.samples, printed.program.moves
+    begins, ends = (
+        printed.planned.trajectory.start_t,
+        printed.planned.trajectory.start_t + printed.planned.trajectory.duration,
+    )
+    found = []
+    for number in sorted(method.by_layer):
+        own = np.flatnonzero(printed.labels.layer == number)
+        z = float(np.median(s.wanted[s.layer == number, 2])) if len(moves) else 0.0
+        found.append(Layer(number, z, float(begins[own[0]]), float(ends[own[-1]])))
+    return tuple(found)
+
+
+def _bed(plant: Machine) -> BedMap:
+    reach = plant.kinematics.print_radius_mm
+    axis = np.linspace(-reach, reach, 2 * int(np.ceil(reach / BED_PITCH_MM)) + 1)
+    places = np.stack(np.meshgrid(axis, axis), axis=-1)
+    frequency = every.mode_frequencies(plant)(places.reshape(-1, 2)).reshape(places.shape)
+    frequency[np.hypot(places[..., 0], places[..., 1]) > 1.001 * reach] = np.nan
+    return BedMap(axis, axis, frequency)

@@ -1,0 +1,69 @@
+"""The printers that judge: the one that is named, and those drawn around it whose numbers are all a little off."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from models.errors import MachineFileError
+from models.machine import Machine
+from models.parameters import value_of, with_values
+
+FARTHEST = 2.5  # standard deviations; farther draws are drawn again
+CARRIAGE = ("mass_kg", "belt_stiffness_n_per_m", "belt_damping_n_s_per_m", "guide_damping_n_s_per_m")
+DRIVE = ("d0_per_s2", "d1_per_s", "d2_per_s")
+EFFECTOR = ("nozzle_mass_kg", "extruder_mass_kg")
+MOUNT = ("extruder_stiffness_n_per_m", "extruder_damping_n_s_per_m")
+
+
+def dynamic_numbers(machine: Machine) -> list[str]:
+    """The numbers of the machine file that decide how it vibrates; its geometry is calibrated, not guessed."""
+    names = [f"carriage.{key}" for key in CARRIAGE]
+    if machine.carriage.drive is not None:
+        names += [f"carriage.drive.{key}" for key in DRIVE]
+    return names + [f"effector.{key}" for key in EFFECTOR] + [f"effector.{key}[{i}]" for key in MOUNT for i in range(3)]
+
+
+def drawn(machine: Machine, relative_sd: float, seeds: int) -> list[Machine]:
+    """Machines whose dynamic numbers are all off, each by its own draw from a normal distribution.
+
+    Parameters
+    ----------
+    relative_sd : standard deviation of number / nominal
+    seeds : seed k gives machine k, whatever else is drawn
+    """
+    names = dynamic_numbers(machine)
+    found = []
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        off = rng.standard_normal(len(names))
+        while np.any(far := np.abs(off) > FARTHEST):
+            off[far] = rng.standard_normal(int(far.sum()))
+        values = {name: value_of(machine, name) * (1 + relative_sd * d) for name, d in zip(names, off, strict=True)}
+        found.append(with_values(machine, values))
+    return found
+
+
+def check_same_kinematics(machine: Machine, plant: Machine) -> None:
+    """A plant whose towers stand elsewhere is another printer: its error would be that of the geometry.
+
+    Raises
+    ------
+    MachineFileError
+        If the plant's geometry is not about the machine's.
+    """
+    problems = []
+    for key, allowed in ALLOWED.items():
+        own, other = (np.atleast_1d(getattr(m.kinematics, key)) for m in (machine, plant))
+        if np.abs(own - other).max() > allowed:
+            given = f"kinematics.{key} is {_shown(other)}, but {_shown(own)} in {machine.path or machine.name}"
+            rule = f"a plant must have the machine's kinematics, within {allowed:g}"
+            problems.append(f"{given}: {rule}. For another calibration there is the effect arm_geometry.")
+    if problems:
+        raise MachineFileError(plant.path or plant.name, problems)
+
+
+ALLOWED = {"arm_lengths_mm": 1.0, "delta_radii_mm": 1.0, "tower_angles_deg": 0.5, "effector_height_mm": 1.0}
+
+
+def _shown(values: np.ndarray) -> str:
+    return ", ".join(f"{v:g}" for v in values)

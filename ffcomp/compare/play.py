@@ -1,0 +1,105 @@
+"""Motions through virtual printers: the nozzle that comes of a command, on one plant or on many at once."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.compare.motion import Motion
+from ffcomp.metrics import peak_acceleration
+from models import printer_kernels as kernels
+from models.effects.catalogue import effective_machine
+from models.kinematics.delta import forward
+from models.kinematics.kernels import FastDelta
+from models.machine import Machine
+from models.printer import PrinterState, printer_numbers, rest_values, simulate_printer
+
+FloatArray = NDArray[np.float64]
+
+STEP_S = 1 / 6400  # from row to row of the command, straight between them: 0.03 µm at 10 m/s²
+KEEP_EVERY = 4  # rows between two samples that are judged
+CHUNK_ROWS = 64_000
+EFFORT_S, EFFORT_SAMPLE_S = 0.004, 0.001  # accelerations of commands are second differences over one segment
+JOBS = os.cpu_count() or 1
+
+_SAG_PLACES = 7  # per axis, over the square in the bed's circle
+_SAG_POWERS = [(i, j) for i in range(5) for j in range(5 - i)]
+
+
+def play(
+    plants: Sequence[Machine], motion: Motion, believed: Machine, progress: Callable[[float], None] = lambda s: None
+) -> tuple[FloatArray, list[FloatArray]]:
+    """The nozzle of every plant under one command, from rest.
+
+    The command reaches the carriages through the inverse kinematics that the firmware believes in. What the weight
+    bends is taken out, as a calibrated printer's bed levelling does it.
+
+    Parameters
+    ----------
+    progress : called with the print-seconds (times plants) of every chunk that is done
+
+    Returns
+    -------
+    t : (m,) s;  nozzle : one (m, 3) mm a plant
+    """
+    delta = FastDelta(believed.kinematics)
+    rows = int((motion.end_t - motion.begin_t) / STEP_S) // KEEP_EVERY * KEEP_EVERY
+    states: list[PrinterState | None] = [None] * len(plants)
+    found: list[list[FloatArray]] = [[] for _ in plants]
+
+    def advance(i: int) -> None:
+        done = simulate_printer(plants[i], command, STEP_S, start=states[i], hold="linear")
+        states[i] = done.state
+        found[i].append(done.nozzle_mm[KEEP_EVERY::KEEP_EVERY])
+        progress((len(command) - 1) * STEP_S)
+
+    with ThreadPoolExecutor(min(JOBS, len(plants))) as pool:
+        for first in range(0, rows, CHUNK_ROWS):
+            count = min(CHUNK_ROWS, rows - first)
+            t = motion.begin_t + STEP_S * np.arange(first, first + count + 1, dtype=np.float64)
+            command = delta.inverse(np.ascontiguousarray(motion.position(t)))
+            list(pool.map(advance, range(len(plants))))
+    t = motion.begin_t + KEEP_EVERY * STEP_S * np.arange(1, rows // KEEP_EVERY + 1, dtype=np.float64)
+    whole = [np.concatenate(parts) for parts in found]
+    return t, [nozzle - sag(plant, nozzle) for plant, nozzle in zip(plants, whole, strict=True)]
+
+
+def peaks(motion: Motion, believed: Machine) -> tuple[float, float]:
+    """The largest speed, mm/s, and acceleration, mm/s², that any carriage is asked for, over one segment's time."""
+    t = np.arange(motion.begin_t, motion.end_t, EFFORT_SAMPLE_S)
+    carriages = FastDelta(believed.kinematics).inverse(np.ascontiguousarray(motion.position(t)))
+    span = round(EFFORT_S / EFFORT_SAMPLE_S)
+    speed = float(np.abs(carriages[span:] - carriages[:-span]).max(initial=0.0)) / EFFORT_S
+    return speed, peak_acceleration(carriages, EFFORT_SAMPLE_S, EFFORT_S)
+
+
+def sag(plant: Machine, nozzle: FloatArray) -> FloatArray:
+    """How far weight alone bends the resting printer at places (m, 3) mm → (m, 3) mm."""
+    reach = plant.kinematics.print_radius_mm
+    return np.asarray(_powers(nozzle[:, :2] / reach) @ _sag_coefficients(plant))
+
+
+def _powers(xy: FloatArray) -> FloatArray:
+    return np.column_stack([xy[:, 0] ** i * xy[:, 1] ** j for i, j in _SAG_POWERS])
+
+
+@lru_cache(maxsize=64)
+def _sag_coefficients(plant: Machine) -> FloatArray:
+    """Of a polynomial of the fourth order over the bed, (15, 3) mm."""
+    reach = plant.kinematics.print_radius_mm / np.sqrt(2)
+    axis = np.linspace(-reach, reach, _SAG_PLACES)
+    places = np.stack(np.meshgrid(axis, axis, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
+    commands = FastDelta(plant.kinematics).inverse(places)
+    heavy, weightless = (printer_numbers(plant, gravity=g) for g in (True, False))
+    kinematics = effective_machine(plant).kinematics
+    bent, straight = (
+        forward(kinematics, 1e3 * np.array([rest_values(plant, c, p)[kernels.Q : kernels.Q + 3] for c in commands]))
+        for p in (heavy, weightless)
+    )
+    powers = _powers(places[:, :2] / plant.kinematics.print_radius_mm)
+    return np.asarray(np.linalg.lstsq(powers, bent - straight, rcond=None)[0])

@@ -1,0 +1,71 @@
+"""What the slicer's comments call each move: its layer, and the kind of line it belongs to."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gcode.program import Program
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+
+UNNAMED = "other"
+_LAYER = re.compile(rb";\s*(?:LAYER_CHANGE|CHANGE_LAYER|LAYER:\s*-?\d+|layer \d+)\b", re.IGNORECASE)
+_FEATURE = re.compile(rb";\s*(?:TYPE:|FEATURE:|feature )\s*(.+?)\s*$", re.IGNORECASE)
+_FEW_MOVES = 3.0  # a height with fewer moves than this on average is a place on a slope, not a layer
+_SLOPE_MM = 0.2  # which is then cut into layers of this height
+
+
+@dataclass(frozen=True, slots=True)
+class Labels:
+    layer: IntArray  # (n,) of each move, from 0; what comes before the first layer counts to it
+    feature: IntArray  # (n,) index into `features`
+    features: tuple[str, ...]
+
+    @property
+    def layers(self) -> int:
+        return int(self.layer.max(initial=-1)) + 1
+
+
+def labels(program: Program) -> Labels:
+    """Layers and features of the moves; without layer comments, layers are the heights at which plastic flows."""
+    moves = len(program.moves)
+    layer_at, feature_at = [], [(0, UNNAMED)]
+    for event in program.events:
+        line = program.lines[event.line]
+        if not line.startswith(b";"):
+            continue
+        if _LAYER.match(line):
+            layer_at.append(event.move)
+        elif match := _FEATURE.match(line):
+            feature_at.append((event.move, match[1].decode("utf-8", "replace")))
+    features = tuple(dict.fromkeys(name for _, name in feature_at))
+    begins, names = zip(*feature_at, strict=True)
+    current = np.searchsorted(np.array(begins), np.arange(moves), side="right") - 1
+    feature = np.array([features.index(name) for name in names], dtype=np.int64)[current]
+    layer = _counted(np.array(layer_at), moves) if layer_at else _by_height(program)
+    return Labels(layer, feature, features)
+
+
+def _counted(begins: IntArray, moves: int) -> IntArray:
+    return np.maximum(np.searchsorted(begins, np.arange(moves), side="right") - 1, 0).astype(np.int64)
+
+
+def _by_height(program: Program) -> IntArray:
+    """Layers by the height of the last extruding move that set a new one."""
+    end, start = program.moves.end, program.moves.start
+    extrudes = (end[:, 3] > start[:, 3]) & np.any(end[:, :3] != start[:, :3], axis=1)
+    height = np.round(end[:, 2], 3)
+    heights = np.unique(height[extrudes])
+    if not heights.size:
+        return np.zeros(len(end), dtype=np.int64)
+    if extrudes.sum() < _FEW_MOVES * heights.size:
+        height = np.floor(height / _SLOPE_MM)
+        heights = np.unique(height[extrudes])
+    known = np.where(extrudes, np.searchsorted(heights, height), -1)
+    last = np.maximum.accumulate(np.where(extrudes, np.arange(len(end)), -1))
+    return np.where(last >= 0, known[np.maximum(last, 0)], 0).astype(np.int64)
