@@ -9,7 +9,7 @@ Lengths mm, velocities mm/s, accelerations m/s² (as accelerometers are read), t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -29,7 +29,6 @@ KINKED_STEP_S = 1 / 12800  # with play or dry friction; with strong friction dow
 FINEST_STEP_S = 1 / 25600
 SPLINE_ROWS = 24  # a cubic spline forgets a row's neighbours by 0.27 a row: 1e-14 after these
 
-CREEP_M_PER_S = 5e-4
 # friction / (speed x inertia) x step; guides and joints together below 2.78, where a Runge-Kutta step of order 4 grows
 GUIDE_STIFFNESS, JOINT_STIFFNESS = 1.9, 0.8
 LOOSEST_REST_M = 1e-9
@@ -200,16 +199,27 @@ def _motor_effects(machine: Machine) -> Part:
 
 
 def _friction_effects(machine: Machine) -> Part:
-    part: Part = {"least_inertia": _least_inertia(machine), "creep": CREEP_M_PER_S, "joint_creep": CREEP_M_PER_S}
-    dry = np.zeros(3)
-    if (values := values_of(machine, "coulomb_friction")) is not None:
-        dry = dry + values["force_n"]
-    if (values := values_of(machine, "stribeck_friction")) is not None:
-        dry = dry + values["force_n"]
+    part: Part = {"least_inertia": _least_inertia(machine), "creep": np.ones(3), "joint_creep": 1.0}
+    found = [values_of(machine, name) for name in ("coulomb_friction", "stribeck_friction")]
+    guides = [values for values in found if values is not None]
+    if guides:
+        part |= {"dry": sum(values["force_n"] for values in guides), **_turning_over(guides)}
+    if (values := found[1]) is not None:
         part |= {"sticking": values["extra_force_n"], "fading": 1e3 / values["velocity_mm_per_s"]}
     if (values := values_of(machine, "joint_friction")) is not None:
-        part["joint_dry"] = float(values["force_n"])
-    return part | {"dry": dry}
+        creep, hold = float(values["creep_mm_per_s"]) / 1e3, float(values["hold_per_s"])
+        part |= {"joint_dry": float(values["force_n"]), "joint_creep": creep, "joint_hold": hold}
+    return part
+
+
+def _turning_over(guides: Sequence[Mapping[str, FloatArray]]) -> Part:
+    """v₀ and κ of the guides; where two kinds of friction act, each counts as much as its force."""
+    share = np.array([np.maximum(values["force_n"] + values.get("extra_force_n", 0.0), 1e-12) for values in guides])
+    creep, hold = (
+        np.sum(share * [values[key] for values in guides], axis=0) / share.sum(axis=0)
+        for key in ("creep_mm_per_s", "hold_per_s")
+    )
+    return {"creep": creep / 1e3, "hold": hold}
 
 
 def _least_inertia(machine: Machine) -> float:
@@ -226,14 +236,14 @@ def longest_step(p: kernels.Numbers) -> float:
     friction = float(np.max(p.dry + p.sticking))
     if friction == p.joint_dry == np.max(p.half_play) == 0:
         return SMOOTH_STEP_S
-    gentle = CREEP_M_PER_S * GUIDE_STIFFNESS * p.least_inertia / max(friction, 1e-9)
+    gentle = float(np.min(p.creep)) * GUIDE_STIFFNESS * p.least_inertia / max(friction, 1e-9)
     return float(np.clip(gentle, FINEST_STEP_S, KINKED_STEP_S))
 
 
 def _limit_stiffness(p: kernels.Numbers, step_s: float) -> None:
-    """Dry friction turns over within CREEP_M_PER_S of rest, or as near as the step allows."""
-    p.creep = np.maximum(CREEP_M_PER_S, (p.dry + p.sticking) * step_s / (GUIDE_STIFFNESS * p.least_inertia))
-    p.joint_creep = max(CREEP_M_PER_S, p.joint_dry * step_s / (JOINT_STIFFNESS * p.holder_mass))
+    """Dry friction turns over as near to rest as its creep speed says, or as the step allows."""
+    p.creep = np.maximum(p.creep, (p.dry + p.sticking) * step_s / (GUIDE_STIFFNESS * p.least_inertia))
+    p.joint_creep = max(p.joint_creep, p.joint_dry * step_s / (JOINT_STIFFNESS * p.holder_mass))
 
 
 def _frame_effect(machine: Machine) -> Part:

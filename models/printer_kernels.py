@@ -23,7 +23,7 @@ Dry friction of force ℓ has a memory φ of how far it has been strained. With 
 In quick motion φ vanishes and this is ℓ tanh(q̇/v₀), odd about the reversal. Below v₀ strain builds up over v₀/κ, ten
 micrometres as in rolling guides, and then holds a carriage truly at rest under any load up to ℓ tanh φ_m. Steady
 sliding, however slow, feels at least 0.93 ℓ. (Dahl's presliding, 1968, that lets go at speed.) It is smooth, and as
-stiff as ℓ/v₀: `printer.py` chooses v₀.
+stiff as ℓ/v₀: `printer.py` sees to the step. With κ = 0 nothing ever holds: any load creeps.
 """
 
 from __future__ import annotations
@@ -41,7 +41,6 @@ from models.machine import FloatArray
 V, VD, Q, QD, ETA, ETAD, D, DD, GUIDE, JOINT = range(0, 30, 3)
 STATES = 30
 
-STRAIN_RATE_PER_S = 50.0  # κ
 MOST_STRAIN = 3.0  # φ_m
 
 REST_PASSES = 2000
@@ -85,9 +84,11 @@ NUMBERS = np.dtype(
         ("dry", "f8", 3),  # N, coulomb_friction and stribeck_friction
         ("sticking", "f8", 3),  # N, surplus at rest
         ("fading", "f8", 3),  # s/m, 1/v_s
-        ("creep", "f8", 3),  # m/s, v₀ of the guides, of the run's step
+        ("creep", "f8", 3),  # m/s, v₀ of the guides: wider where the run's step is too long for it
+        ("hold", "f8", 3),  # 1/s, κ of the guides
         ("joint_dry", "f8"),  # N, joint_friction
         ("joint_creep", "f8"),  # m/s
+        ("joint_hold", "f8"),  # 1/s
         ("least_inertia", "f8"),  # kg, that a force on one carriage moves, anywhere
         ("sway", "f8", (2, 2)),  # unit vectors along x and y, rows; frame_mode
         ("sway_share", "f8"),  # μ = M₁/(M_f + M₁)
@@ -145,9 +146,9 @@ def belt_force(stretch: float, rate: float, height: float, i: int, p: Numbers) -
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def strain_rate(ratio: float, speed: float, strain: float) -> float:
-    """φ̇ along one direction: `ratio` = r along it, `speed` = |r|."""
-    return STRAIN_RATE_PER_S * (ratio - (speed / MOST_STRAIN + speed * speed) * strain) / (1.0 + speed * speed)
+def strain_rate(hold: float, ratio: float, speed: float, strain: float) -> float:
+    """φ̇ along one direction: `hold` = κ, `ratio` = r along it, `speed` = |r|."""
+    return hold * (ratio - (speed / MOST_STRAIN + speed * speed) * strain) / (1.0 + speed * speed)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -159,7 +160,7 @@ def guide_friction(y: FloatArray, i: int, p: Numbers, dy: FloatArray) -> float:
     if level == 0.0:
         return 0.0
     ratio = speed / p.creep[i]
-    dy[GUIDE + i] = strain_rate(ratio, abs(ratio), y[GUIDE + i])
+    dy[GUIDE + i] = strain_rate(p.hold[i], ratio, abs(ratio), y[GUIDE + i])
     return level * math.tanh(ratio + y[GUIDE + i])
 
 
@@ -170,7 +171,7 @@ def joint_friction(y: FloatArray, p: Numbers, w: Work, dy: FloatArray) -> None:
     speed = over * math.sqrt(w.xd[0] * w.xd[0] + w.xd[1] * w.xd[1] + w.xd[2] * w.xd[2])
     squared = 0.0
     for a in range(3):
-        dy[JOINT + a] = strain_rate(over * w.xd[a], speed, y[JOINT + a])
+        dy[JOINT + a] = strain_rate(p.joint_hold, over * w.xd[a], speed, y[JOINT + a])
         w.friction[a] = over * w.xd[a] + y[JOINT + a]
         squared += w.friction[a] * w.friction[a]
     size = math.sqrt(squared)

@@ -21,7 +21,7 @@ MachineName = Annotated[
 Plant = Annotated[
     str,
     typer.Option(
-        help="The printer that judges, with its effects: a machine file. Default: --machine, as a nonlinear virtual printer."
+        help="The printer that judges, with its effects: a machine file. Default: as --machine says, but nonlinear."
     ),
 ]
 Mismatch = Annotated[

@@ -119,7 +119,7 @@ def _job(
     options: dict[str, Any],
 ) -> Job:
     """Everything that can be wrong with the input shows here, before anything is written."""
-    from ffcomp.job import STAMP_REACH, Job
+    from ffcomp.job import STAMP_REACH, Job, find_offset
     from ffcomp.pipeline import settings_for
     from ffcomp.writer import original
     from models.machine_file import load_machine

@@ -12,7 +12,7 @@ from models import effects
 from models.effects.effect import Effect, Signals
 from models.machine import FloatArray, Machine
 
-NOT_EFFECTS = {"catalogue", "effect"}  # the files of this folder that declare none
+NOT_EFFECTS = {"catalogue", "dry", "effect"}  # the files of this folder that declare none
 
 
 def _found() -> Iterator[Effect]:
@@ -40,7 +40,8 @@ def effect_named(name: str) -> Effect:
 def values_of(machine: Machine, name: str) -> dict[str, FloatArray] | None:
     """The parameters of one effect of a machine as arrays (see `Parameter.numbers`); None if it is not there.
 
-    An amplitude that is left out has its neutral value; an effect without any is not there.
+    An amplitude that is left out has its neutral value, a shape its default; an effect without any amplitude is not
+    there.
 
     Raises
     ------
@@ -56,10 +57,7 @@ def values_of(machine: Machine, name: str) -> dict[str, FloatArray] | None:
         return None
     if missing := effect.missing(table):
         raise ValueError(f"effects.{name}.{missing[0]} is missing; without it this effect has no shape.")
-    return {
-        p.name: p.numbers(table.get(p.name, p.neutral if p.size != "vector3" else [p.neutral] * 3))
-        for p in effect.parameters
-    }
+    return {p.name: p.numbers(table.get(p.name, p.absent)) for p in effect.parameters}
 
 
 def with_effect(machine: Machine, name: str, **parameters: Any) -> Machine:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from models.effects.dry import turning_over
 from models.effects.effect import Effect, Parameter
 
 EFFECT = Effect(
@@ -10,7 +11,10 @@ EFFECT = Effect(
     kind="force",
     physics="The guide holds a carriage back with the same force at every speed, and holds it fast at rest.",
     equation="F = F_C sgn(q̇); at rest any |F| ≤ F_C",
-    parameters=(Parameter("force_n", "N", "friction of each guideway", (0, 200), (0.5, 10), 0.5, size="per_tower"),),
+    parameters=(
+        Parameter("force_n", "N", "friction of each guideway", (0, 200), (0.5, 10), 0.5, size="per_tower"),
+        *turning_over("per_tower"),
+    ),
     in_data="Acceleration jumps by up to 2 F_C/m when a carriage turns back; slow moves suffer as much as fast ones.",
     rivals={
         "stribeck_friction": "Slow moves: only Stribeck friction falls with speed.",

@@ -39,11 +39,18 @@ class Parameter:
     size: Size = "scalar"
     role: Literal["amplitude", "shape"] = "amplitude"
     power: int = 1
+    default: float | None = None  # of a shape that a machine file need not give
 
     @property
     def neutral(self) -> float:
-        """The value of an amplitude without effect; also what one left out of the file means."""
+        """The value of an amplitude without effect."""
         return 0.0 if self.power > 0 else math.inf
+
+    @property
+    def absent(self) -> Any:
+        """What a parameter means that is left out of the file."""
+        value = self.neutral if self.default is None else self.default
+        return [value] * 3 if self.size == "vector3" else value
 
     def numbers(self, value: Any) -> FloatArray:
         """The value as arrays are wanted: scalar (); per tower or vector (3,); direction (1 or 2, 2) unit vectors."""
@@ -128,10 +135,10 @@ class Effect:
         return tuple(parameter for parameter in self.parameters if parameter.role == "shape")
 
     def missing(self, table: Mapping[str, Any]) -> list[str]:
-        """Shape parameters a table must still give: all of them once it gives an amplitude."""
+        """Shape parameters a table must still give: all without a default, once it gives an amplitude."""
         if not any(amplitude.name in table for amplitude in self.amplitudes):
             return []
-        return [shape.name for shape in self.shapes if shape.name not in table]
+        return [shape.name for shape in self.shapes if shape.default is None and shape.name not in table]
 
 
 def same_or_each(values: FloatArray) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from models.effects.dry import turning_over
 from models.effects.effect import Effect, Parameter
 
 EFFECT = Effect(
@@ -23,6 +24,7 @@ EFFECT = Effect(
             size="per_tower",
             role="shape",
         ),
+        *turning_over("per_tower"),
     ),
     in_data="As dry friction, with a spike at each start; very slow moves go in jerks.",
     rivals={"coulomb_friction": "Moves slower than v_s: only here the friction rises towards rest."},

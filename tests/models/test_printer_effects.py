@@ -407,7 +407,7 @@ def test_every_probe_shows(everything: Machine, effect: Effect) -> None:
     for parameter in effect.parameters:
         if parameter.size == "direction":
             continue
-        value = np.asarray(everything.effects[effect.name].get(parameter.name)) + parameter.probe
+        value = np.asarray(everything.effects[effect.name].get(parameter.name, parameter.absent)) + parameter.probe
         table = {**everything.effects[effect.name], parameter.name: value}
         moved = np.abs(shaking(with_effect(everything, effect.name, **table)).nozzle_mm - base.nozzle_mm).max()
         assert 1e-7 < moved < 0.5, parameter.name
