@@ -13,7 +13,7 @@ from __future__ import annotations
 import os
 import platform
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,8 +23,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp import shapers
-from ffcomp.invert.fbs import Inverter
+from ffcomp.compare.ours import Compensated, Segments, segments_motion
 from ffcomp.pipeline import settings_for
+from ffcomp.plan.trajectory import Trajectory
 from tests import judge
 
 COARSE_HZ = np.arange(34.0, 72.0, 2.0)
@@ -100,7 +101,7 @@ def whole_print(name: str) -> Iterator[str]:
 def our_rows(original: judge.Original, plan: judge.Answer, none: judge.Score) -> Iterator[str]:
     ours = judge.compensated(original)
     own = judge.segments(original, ours)
-    answer = judge.answer(original, judge.segments_motion(ours, own))
+    answer = judge.answer(original, segments_motion(ours, own))
     longer = own.trajectory.end_t / original.trajectory.end_t - 1
     about = f"{len(own.trajectory) / own.trajectory.end_t:.0f} | {longer:+.2%}"
     yield row("**ours**", judge.score(original, answer), none, about)
@@ -117,9 +118,9 @@ def our_rows(original: judge.Original, plan: judge.Answer, none: judge.Score) ->
 
 def kalico_row(
     original: judge.Original,
-    ours: judge.Compensated,
-    own: judge.Segments,
-    before: judge.Trajectory,
+    ours: Compensated,
+    own: Segments,
+    before: Trajectory,
     none: judge.Score,
 ) -> str:
     after = judge.ours_through_kalico(original, ours, own)
@@ -148,35 +149,17 @@ def tuned(name: str, original: judge.Original, kind: str) -> judge.Tuned:
     return replace(fine, score=judge.judge(original, judge.shaped(original.motion, shaper)))
 
 
-def centre_everywhere(inverter: Inverter) -> None:
-    """As if the machine were the same all over the bed."""
-    for name in ("fine", "coarse"):
-        table = getattr(inverter, name)
-        middle = len(table.jacobian) // 2
-        fields = {f: getattr(table.plant, f) for f in table.plant.__dataclass_fields__}
-        same = {
-            f: np.repeat(each[middle : middle + 1], len(each), axis=0)
-            for f, each in fields.items()
-            if isinstance(each, np.ndarray)
-        }
-        setattr(inverter, name, replace(table, plant=replace(table.plant, **same)))
-
-
-def as_it_is(inverter: Inverter) -> None:
-    """Nothing is spoiled."""
-
-
-ABLATIONS: dict[str, tuple[dict[str, Any], Callable[[Inverter], None]]] = {
-    "as it is": ({}, as_it_is),
-    "model of the centre everywhere": ({"frozen_mm": 1e-6}, centre_everywhere),
-    "no correction with what is played": ({"corrections": 0}, as_it_is),
-    "two corrections": ({"corrections": 2}, as_it_is),
-    "segments of 5 ms": ({"segment_s": 0.005}, as_it_is),
-    "bandwidth 80 Hz": ({"bandwidth_hz": 80.0}, as_it_is),
-    "bandwidth 110 Hz": ({"bandwidth_hz": 110.0}, as_it_is),
-    "bandwidth 120 Hz": ({"bandwidth_hz": 120.0}, as_it_is),
-    "every window with its own model": ({"frozen_mm": 1e-6}, as_it_is),
-    "no segments joined": ({"merge_um": 0.0}, as_it_is),
+ABLATIONS: dict[str, dict[str, Any]] = {
+    "as it is": {},
+    "model of the centre everywhere": {"one_model": True},
+    "no correction with what is played": {"corrections": 0},
+    "two corrections": {"corrections": 2},
+    "segments of 5 ms": {"segment_s": 0.005},
+    "bandwidth 80 Hz": {"bandwidth_hz": 80.0},
+    "bandwidth 110 Hz": {"bandwidth_hz": 110.0},
+    "bandwidth 120 Hz": {"bandwidth_hz": 120.0},
+    "every window with its own model": {"frozen_mm": 1e-6},
+    "no segments joined": {"merge_um": 0.0},
 }
 
 
@@ -189,12 +172,12 @@ def ablation(name: str) -> Iterator[str]:
     yield "|---" * (HEAD.count("|") - 1) + "|"
     yield row("none", none, none)
     usual = settings_for(original.machine)
-    for label, (changed, spoil) in ABLATIONS.items():
-        ours = judge.compensated(original, replace(usual, **changed), spoil)
+    for label, changed in ABLATIONS.items():
+        ours = judge.compensated(original, replace(usual, **changed))
         own = judge.segments(original, ours)
         longer = own.trajectory.end_t / original.trajectory.end_t - 1
         about = f"{len(own.trajectory) / own.trajectory.end_t:.0f} | {longer:+.2%}"
-        yield row(label, judge.judge(original, judge.segments_motion(ours, own)), none, about)
+        yield row(label, judge.judge(original, segments_motion(ours, own)), none, about)
     yield ""
 
 

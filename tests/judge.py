@@ -13,7 +13,7 @@ first `SETTLE_S` of a print are left out: before them the file's own first moves
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -23,12 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp import shapers
-from ffcomp.invert.fbs import Inverter, RunResult
+from ffcomp.compare import ours
+from ffcomp.compare.motion import Clock, Motion, motion_of, own_clock
+from ffcomp.compare.motion import shaped as shaped_apart
+from ffcomp.compare.ours import Compensated, Segments, pick
+from ffcomp.invert.fbs import Inverter
 from ffcomp.invert.settings import Settings
 from ffcomp.metrics import contour_error, peak_acceleration, tracking
-from ffcomp.pipeline import Planned, Summary, compensate, plan_program, settings_for
+from ffcomp.pipeline import Planned, plan_program, settings_for
 from ffcomp.plan.trajectory import Trajectory
-from ffcomp.runs import Reference
 from gcode.program import Program
 from gcode.reader import read_program
 from models.machine import Machine
@@ -38,7 +41,6 @@ from tests.plant import delta_plant
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-Position = Callable[[FloatArray], FloatArray]  # t : (k,) s → (k, 3) mm
 
 ROOT = Path(__file__).parents[1]
 MACHINE_FILE = ROOT / "models" / "library" / "mp-delta-pro.toml"
@@ -52,32 +54,6 @@ EFFORT_S = 0.004  # one segment: the span over which accelerations of commands a
 EFFORT_SAMPLE_S = 0.001
 # Without heaters and endstops the host refuses the other commands of a print.
 HOST_KNOWS = re.compile(rb"\s*(G0|G1|G4|G90|G91|G92|M82|M83|M204|SET_VELOCITY_LIMIT)\b", re.IGNORECASE)
-
-
-@dataclass(frozen=True, slots=True)
-class Clock:
-    """m stretches of a played motion. Stretch i begins at played_t[i], which is plan_t[i] on the wanted plan's clock;
-    the wanted path itself moves only from begin_t[i] to end_t[i] of that clock, and rests around it."""
-
-    played_t: FloatArray  # (m,) s
-    plan_t: FloatArray  # (m,) s
-    begin_t: FloatArray  # (m,) s
-    end_t: FloatArray  # (m,) s
-
-    def plan_time(self, t: FloatArray) -> FloatArray:
-        """The wanted plan's time at each played time, (k,) s → (k,) s."""
-        i = np.maximum(np.searchsorted(self.played_t, t, side="right") - 1, 0)
-        return np.clip(self.plan_t[i] + (t - self.played_t[i]), self.begin_t[i], self.end_t[i])
-
-
-@dataclass(frozen=True, slots=True)
-class Motion:
-    """What is played: the nozzle's command at any time from begin_t to end_t, and where on the wanted plan that is."""
-
-    position: Position
-    begin_t: float  # s
-    end_t: float  # s
-    clock: Clock
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,122 +140,20 @@ def _cut(program: Program, first: int, last: int) -> Iterator[bytes]:
 # ---- motions -------------------------------------------------------------------------------------
 
 
-def motion_of(trajectory: Trajectory, clock: Clock) -> Motion:
-    begin, end = float(trajectory.start_t[0]), trajectory.end_t
-    return Motion(lambda t: trajectory.position(np.clip(t, begin, end))[:, :3], begin, end, clock)
-
-
-def own_clock(trajectory: Trajectory) -> Clock:
-    """Of the wanted plan itself."""
-    begin, end = trajectory.start_t[:1], np.array([trajectory.end_t])
-    return Clock(begin, begin, begin, end)
-
-
 def shaped(motion: Motion, shaper: shapers.Shaper) -> Motion:
-    def position(t: FloatArray) -> FloatArray:
-        return shapers.shape(motion.position, t, shaper, shaper)
-
-    return Motion(position, motion.begin_t, motion.end_t, motion.clock)
+    """x and y alike."""
+    return shaped_apart(motion, shaper, shaper)
 
 
-# ---- our own -------------------------------------------------------------------------------------
+def compensated(original: Original, settings: Settings | None = None) -> Compensated:
+    """The original print, compensated for its machine as the command line does it, in Klipper's flavor."""
+    inverter = Inverter(original.machine, settings or settings_for(original.machine))
+    return ours.compensated(original.planned, original.machine, inverter, "klipper")
 
 
-class _Watched(Inverter):
-    """Keeps what it answers, and the line of the output at which each answer begins."""
-
-    def __init__(self, machine: Machine, settings: Settings, lines: list[bytes]) -> None:
-        super().__init__(machine, settings)
-        self.lines, self.begins_at, self.vertices = lines, list[int](), list[FloatArray]()
-
-    def run(self, reference: Reference, state: FloatArray, keep_response: bool = False) -> RunResult:
-        result = super().run(reference, state, keep_response)
-        self.begins_at.append(len(self.lines))
-        self.vertices.append(result.vertices)
-        return result
-
-
-@dataclass(frozen=True, slots=True)
-class Compensated:
-    """A compensated file, and where in it the runs of the original are."""
-
-    text: bytes
-    begins_at: IntArray  # (m,) line at which each run begins
-    plan_t: FloatArray  # (m,) plan time of each run's knot 0
-    begin_t: FloatArray  # (m,) plan time at which its path begins
-    end_t: FloatArray  # (m,) and ends
-    vertices: list[FloatArray]  # m × (knots + 1, 3) mm
-    settings: Settings
-    summary: Summary
-
-
-def compensated(
-    original: Original,
-    settings: Settings | None = None,
-    change: Callable[[Inverter], None] = lambda inverter: None,
-) -> Compensated:
-    """The original print, compensated for its machine as the command line does it, in Klipper's flavor.
-
-    change : may spoil the inverter before it is used, to see what a part of it is worth.
-    """
-    settings, lines, summary = settings or settings_for(original.machine), list[bytes](), Summary()
-    inverter = _Watched(original.machine, settings, lines)
-    change(inverter)
-    for line in compensate(original.planned, original.machine, inverter, "klipper", summary):
-        lines.append(line)  # one by one: the inverter looks how many there are
-    runs = [run for run in original.planned.runs if run.travels]
-    return Compensated(
-        b"".join(lines),
-        np.array(inverter.begins_at),
-        np.array([run.begin_t - settings.lead_s for run in runs]),
-        np.array([run.begin_t for run in runs]),
-        np.array([run.end_t for run in runs]),
-        inverter.vertices,
-        settings,
-        summary,
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class Segments:
-    """The compensated file as our own planner plans it; `first` are the moves with which runs begin."""
-
-    trajectory: Trajectory  # of the moves that travel
-    run: IntArray  # (m,) the runs that have segments
-    first: IntArray  # (m,) move at which each of them begins
-    plan_t: FloatArray  # (m,) plan time at which that move begins
-
-    def clock(self, ours: Compensated, start_t: FloatArray) -> Clock:
-        """For these segments when segment k begins at start_t[k], whoever planned them."""
-        return Clock(start_t[self.first], self.plan_t, ours.begin_t[self.run], ours.end_t[self.run])
-
-
-def segments(original: Original, ours: Compensated) -> Segments:
+def segments(original: Original, found: Compensated) -> Segments:
     """Read the compensated file as a firmware would, and find the runs in it."""
-    planned = plan_program(read_program(ours.text, "compensated", flavor="klipper"), original.machine)
-    travels = np.any(planned.trajectory.direction[:, :3] != 0.0, axis=1)
-    trajectory = pick(planned.trajectory, travels)
-    firsts = np.searchsorted(planned.program.moves.line[travels], ours.begins_at)
-    run = np.flatnonzero(np.diff(firsts, append=len(trajectory)))
-    ends = planned.program.moves.end[travels, :3]
-    at = [_knot(ours.vertices[i], ends[firsts[i]]) for i in run]
-    return Segments(trajectory, run, firsts[run], ours.plan_t[run] + ours.settings.segment_s * np.array(at))
-
-
-def segments_motion(ours: Compensated, own: Segments) -> Motion:
-    """The compensated file played straight from our own plan of it."""
-    return motion_of(own.trajectory, own.clock(ours, own.trajectory.start_t))
-
-
-def _knot(vertices: FloatArray, first_end: FloatArray) -> int:
-    """The knot at which a run's first written segment begins: segments that go nowhere are not written."""
-    there = np.abs(np.round(vertices[1:], 4) - first_end).max(axis=1) < 1e-6
-    return int(np.flatnonzero(there)[0])
-
-
-def pick(trajectory: Trajectory, which: NDArray[np.bool_] | slice) -> Trajectory:
-    names = Trajectory.__dataclass_fields__
-    return Trajectory(**{name: np.ascontiguousarray(getattr(trajectory, name)[which]) for name in names})
+    return ours.segments(found, original.machine)
 
 
 # ---- the Kalico host's plan ----------------------------------------------------------------------
@@ -303,9 +177,9 @@ def original_through_kalico(original: Original) -> Replanned:
     return Replanned(played, motion_of(played, Clock(played.start_t[firsts], begin_t, begin_t, end_t)))
 
 
-def ours_through_kalico(original: Original, ours: Compensated, own: Segments) -> Replanned:
-    played = kalico_trajectory(original, ours.text, own.trajectory)
-    return Replanned(played, motion_of(played, own.clock(ours, played.start_t)))
+def ours_through_kalico(original: Original, found: Compensated, own: Segments) -> Replanned:
+    played = kalico_trajectory(original, found.text, own.trajectory)
+    return Replanned(played, motion_of(played, own.clock(found, played.start_t)))
 
 
 def kalico_trajectory(original: Original, text: bytes, own: Trajectory) -> Trajectory:

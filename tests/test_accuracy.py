@@ -7,6 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
+from ffcomp.compare.motion import Clock, motion_of
+from ffcomp.compare.ours import segments_motion
 from tests import judge
 
 FAR_MM = 100.0  # the star's arms reach 110 mm, 81 % of the bed's radius
@@ -26,7 +28,7 @@ def both(name: str) -> tuple[judge.Answer, judge.Answer]:
     """The plant's answers to the plan itself and to the compensated file."""
     case = case_of(name)
     plain = judge.answer(case.original, case.original.motion)
-    return plain, judge.answer(case.original, judge.segments_motion(case.ours, case.segments))
+    return plain, judge.answer(case.original, segments_motion(case.ours, case.segments))
 
 
 @pytest.mark.parametrize("name", judge.PRINTS)
@@ -84,11 +86,11 @@ def test_the_parts_are_printed_at_speed(name: str) -> None:
 def test_a_wrong_clock_would_be_seen() -> None:
     """The judge itself: the same command, said to be 1 ms later, has a delay of 1 ms and is told off for it."""
     case = case_of("ringing_tower")
-    motion = judge.segments_motion(case.ours, case.segments)
+    motion = segments_motion(case.ours, case.segments)
     right = judge.judge(case.original, motion)
     clock = motion.clock
-    late = judge.Clock(clock.played_t, clock.plan_t + 1e-3, clock.begin_t, clock.end_t)
-    wrong = judge.judge(case.original, judge.motion_of(case.segments.trajectory, late))
+    late = Clock(clock.played_t, clock.plan_t + 1e-3, clock.begin_t, clock.end_t)
+    wrong = judge.judge(case.original, motion_of(case.segments.trajectory, late))
     assert wrong.delay_s == pytest.approx(right.delay_s + 1e-3, abs=2e-5)
     assert wrong.tracking_rms_um > 20 * right.tracking_rms_um
 
