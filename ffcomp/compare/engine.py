@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from ffcomp import __version__
 from ffcomp.compare import ways as every
 from ffcomp.compare.judge import SAMPLE_S, SETTLE_S, Judgement, Played, by, contour, judge, track
-from ffcomp.compare.motion import Motion
 from ffcomp.compare.plants import check_same_kinematics, drawn, dynamic_numbers
 from ffcomp.compare.play import JOBS, STEP_S, peaks, play
 from ffcomp.compare.quality import equal_quality, within_limits
@@ -35,7 +34,8 @@ from ffcomp.invert.settings import Settings
 from ffcomp.pipeline import Summary, settings_for
 from models.machine import Machine
 
-FEW_S, FEW_PIECE_S = 30.0, 5.0  # of print time on which shapers are tuned and accelerations tried
+SOME_S = 60.0  # of print time that is printed on every drawn plant
+FEW_S, FEW_PIECE_S = 30.0, 5.0  # on which shapers are tuned and accelerations tried
 BED_PITCH_MM = 10.0
 
 FloatArray = NDArray[np.float64]
@@ -78,13 +78,15 @@ def compare(
     check_same_kinematics(machine, plant)
     printed = Print(data, path, machine, offset, flavor)
     stretches, sampled = printed.stretches(request.sampling)
-    few = _few(printed, request.sampling, stretches)
+    some, _ = printed.stretches(request.sampling, at_most_s=SOME_S)
+    few, _ = printed.stretches(request.sampling, FEW_PIECE_S, FEW_S)
     ways = _ways(machine, plant, few, settings, progress)
     answers = _answers(ways, stretches, plant, progress)
     judged = {way.name: _method(way, answers[way.name], printed.labels.features) for way in ways}
     best = min((m for m in judged.values() if m.family == "best fixed"), key=lambda m: m.track.contour_rms_um).name
     if request.seeds:
-        judged = _with_spread(judged, ways, best, answers, few, plant, request, progress)
+        plants = drawn(plant, request.mismatch, request.seeds)
+        judged = _with_spread(judged, ways, best, some, few, plants, progress)
     if request.quality_bound_um:
         judged = _with_quality(judged, ways, printed, plant, few, request.quality_bound_um, progress)
     return Comparison(
@@ -115,12 +117,6 @@ def compare(
 
 
 # ---- the methods ---------------------------------------------------------------------------------
-
-
-def _few(printed: Print, sampling: Sampling, stretches: Sequence[Stretch]) -> list[Stretch]:
-    seconds = sum(each.trajectory.end_t for each in stretches)
-    share = min(1.0, FEW_S / seconds) * (1.0 if sampling.share is None else sampling.share)
-    return printed.stretches(replace(sampling, share=share), FEW_PIECE_S)[0]
 
 
 def _ways(
@@ -202,31 +198,27 @@ def _with_spread(
     methods: dict[str, Method],
     ways: Sequence[Way],
     best: str,
-    answers: dict[str, _Answer],
+    stretches: Sequence[Stretch],
     few: Sequence[Stretch],
-    plant: Machine,
-    request: Request,
+    plants: Sequence[Machine],
     progress: Progress,
 ) -> dict[str, Method]:
     """Every method again, as it was tuned, on the drawn plants; the best fixed shaper tuned anew on each as well."""
-    plants = drawn(plant, request.mismatch, request.seeds)
     found = dict(methods)
     for k, way in enumerate(ways):
-        progress("printing on drawn plants", k / (len(ways) + 1))
-        played = [(each.stretch, each.motion) for each in answers[way.name].played]
-        found[way.name] = replace(methods[way.name], spread=Spread(tuple(_rms_on(plants, played))))
-    progress("tuning shapers on drawn plants", len(ways) / (len(ways) + 1))
-    kind = best
-    stretches = [each.stretch for each in answers[best].played]
-    tasks = [lambda p=p: _retuned(kind, p, few, stretches) for p in plants]
+        progress("printing on drawn plants", k / len(ways))
+        found[way.name] = replace(methods[way.name], spread=Spread(tuple(_rms_on(plants, way, stretches))))
+    tasks = [lambda p=p: _retuned(methods[best].name, p, few, stretches) for p in plants]
     retuned = tuple(_all(tasks, "tuning shapers on drawn plants", progress))
     found[best] = replace(found[best], retuned=Spread(retuned))
     return found
 
 
-def _rms_on(plants: Sequence[Machine], played: Sequence[tuple[Stretch, Motion]]) -> list[float]:
+def _rms_on(plants: Sequence[Machine], way: Way, stretches: Sequence[Stretch]) -> list[float]:
+    """Contour rms of one method on every plant, µm."""
     errors: list[list[FloatArray]] = [[] for _ in plants]
-    for stretch, motion in played:
+    for stretch in stretches:
+        motion, _ = way.motion(stretch)
         t, nozzles = play(plants, motion, stretch.machine)
         for each, nozzle in zip(errors, nozzles, strict=True):
             each.append(contour([Played(stretch, motion, t, nozzle)]))
@@ -235,7 +227,7 @@ def _rms_on(plants: Sequence[Machine], played: Sequence[tuple[Stretch, Motion]])
 
 def _retuned(kind: str, plant: Machine, few: Sequence[Stretch], stretches: Sequence[Stretch]) -> float:
     (way,) = every.best_fixed(LinearPrinter(plant, few), (kind,))
-    return _rms_on([plant], [(stretch, way.motion(stretch)[0]) for stretch in stretches])[0]
+    return _rms_on([plant], way, stretches)[0]
 
 
 def _with_quality(
@@ -282,7 +274,7 @@ def _mismatch(plant: Machine, request: Request) -> str:
     return (
         f"{request.seeds} plants whose {len(dynamic_numbers(plant))} dynamic numbers (masses, stiffnesses, dampings, "
         f"drive) are each off by a normal draw with a standard deviation of {request.mismatch:.0%} (seeds 0 to "
-        f"{request.seeds - 1}); every method keeps its tuning."
+        f"{request.seeds - 1}); every method keeps its tuning; {SOME_S:.0f} s of the print on each."
     )
 
 

@@ -104,16 +104,20 @@ class Print:
     def print_time_s(self) -> float:
         return self.planned.trajectory.end_t
 
-    def stretches(self, sampling: Sampling, piece_s: float = PIECE_S) -> tuple[list[Stretch], str]:
+    def stretches(
+        self, sampling: Sampling, piece_s: float = PIECE_S, at_most_s: float = np.inf
+    ) -> tuple[list[Stretch], str]:
         """The parts to be judged, and a sentence that says which they are.
 
         piece_s : how long the stretches of a sampled print are, s
+        at_most_s : how long they all are together, s
         """
         first, last = self._layers(sampling)
         start_t = np.append(self.planned.trajectory.start_t, self.print_time_s)
         seconds = float(start_t[last] - start_t[first])
         whole = first == 0 and last == len(self.program.moves)
         wanted = min(LONGEST_S, seconds) if sampling.share is None else sampling.share * seconds
+        wanted = min(wanted, at_most_s)
         what = "the whole print" if whole else _layers_named(sampling)
         if wanted >= seconds - piece_s / 2:
             found = [self._whole()] if whole else [self._part(first, last)]
