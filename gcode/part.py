@@ -1,47 +1,40 @@
-"""A part of a print as a file of its own: what was set before it is set first, then its lines follow as they are."""
+"""A part of a program as a program of its own, and the lines that set what was in force where it begins."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
+from dataclasses import fields, replace
 
-from gcode.program import Event, EventKind, Program
-
-_MOVES_OR_SAYS = re.compile(rb"\s*(?:;|$|(?:N\d+\s*)?G0?[0-3]\b)", re.IGNORECASE)
+from gcode.program import Moves, Program
 
 
-def part(program: Program, first: int, last: int) -> bytes:
-    """The text of the moves first..last-1, which must begin and end with a line (arcs stay whole).
+def part(program: Program, first: int, last: int) -> Program:
+    """The moves first..last-1 with their lines and the events between them; frames stay those of the whole.
 
-    The nozzle goes to where the first of them begins; modes, speed, filament and limits are those in force there.
+    Arcs must stay whole: neither `first` nor `last` may be a later chord of the same line.
     """
     moves = program.moves
     begin = int(moves.line[first])
     end = int(moves.line[last]) if last < len(moves) else len(program.lines)
-    lines = [*_settings(program, begin), *_place(program, first), *program.lines[begin:end]]
-    return b"".join(line if line.endswith(b"\n") else line + b"\n" for line in lines)
+    columns = {each.name: getattr(moves, each.name)[first:last] for each in fields(Moves)}
+    own = Moves(**{**columns, "line": columns["line"] - begin})
+    events = [
+        replace(event, line=event.line - begin, move=event.move - first)
+        for event in program.events
+        if begin <= event.line < end
+    ]
+    return replace(program, lines=program.lines[begin:end], moves=own, events=events)
 
 
-def _settings(program: Program, end: int) -> Iterator[bytes]:
-    """The lines before `end` that set something and move nothing."""
-    for event in program.events:
-        if event.line < end and _sets(event, program.lines[event.line]):
-            yield program.lines[event.line]
-
-
-def _sets(event: Event, line: bytes) -> bool:
-    """Not a comment, nor a move that went nowhere: from elsewhere it would go somewhere."""
-    return event.kind is EventKind.PASS and not _MOVES_OR_SAYS.match(line)
-
-
-def _place(program: Program, first: int) -> Iterator[bytes]:
+def preamble(program: Program, move: int) -> bytes:
+    """What a reader that knows where the nozzle is must be told to go on from this move: modes, names, feed."""
     moves = program.moves
-    frame = program.frames[int(moves.frame[first])]
-    at = moves.start[first]
-    x, y, z = ((at[i] - frame.base[i]) / frame.unit_mm for i in range(3))
-    e = (at[3] - frame.base[3]) / frame.flow / frame.unit_mm
-    yield b"G90\n"
-    yield b"G1 X%.9f Y%.9f Z%.9f F%.9f\n" % (x, y, z, 60 * frame.feed_mm_per_s / frame.feed_factor / frame.unit_mm)
-    if not frame.absolute:
-        yield b"G91\n"
-    yield b"%b\nG92 E%.9f\n" % (b"M82" if frame.absolute_e else b"M83", e)
+    frame = program.frames[int(moves.frame[move])]
+    x, y, z = ((moves.start[move, i] - frame.base[i]) / frame.unit_mm for i in range(3))
+    e = (moves.start[move, 3] - frame.base[3]) / frame.flow / frame.unit_mm
+    return (
+        b"%b\nM220 S%.9g\nM221 S%.9g\n"
+        % (b"G21" if frame.unit_mm == 1.0 else b"G20", 1e2 * frame.feed_factor, 1e2 * frame.flow)
+        + b"G92 X%.9f Y%.9f Z%.9f E%.9f\n" % (x, y, z, e)
+        + b"G1 F%.9f\n" % (60 * frame.feed_mm_per_s / frame.feed_factor / frame.unit_mm)
+        + b"%b\n%b\n" % (b"G90" if frame.absolute else b"G91", b"M82" if frame.absolute_e else b"M83")
+    )

@@ -7,6 +7,8 @@ with masses, in the carriages q and the extruder's displacement relative to the 
 
     ⎡ m I + Γ M₁ J + Γ M₂ J   Γ M₂ ⎤ ⎡q̈⎤   ⎡(c+b) I  0⎤ ⎡q̇⎤   ⎡k I  0⎤ ⎡q⎤
     ⎣         M₂ J             M₂  ⎦ ⎣η̈⎦ + ⎣   0     B⎦ ⎣η̇⎦ + ⎣ 0   K⎦ ⎣η⎦ = 0
+
+The carriages' k, c and b may be three numbers, A B C (`effective_machine` makes them so).
 """
 
 from __future__ import annotations
@@ -49,7 +51,7 @@ def receptance(machine: Machine, xy: FloatArray, frequency_hz: FloatArray) -> Co
     j, gamma = jacobian(machine.kinematics, xy[None])[0], load_map(machine, xy[None])[0]
     s = _s(frequency_hz)
     load = (gamma * effector_impedance(machine, s)[:, None, :]) @ j
-    return np.linalg.inv(load + impedance(machine.carriage, s)[:, None, None] * np.eye(3))
+    return np.linalg.inv(load + impedance(machine.carriage, s[:, None])[:, :, None] * np.eye(3))
 
 
 def carriage_frf(machine: Machine, xy: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
@@ -64,9 +66,9 @@ def carriage_frf(machine: Machine, xy: FloatArray, frequency_hz: FloatArray) -> 
     -------
     (k, 3, 3), rows real carriage A B C, columns commanded carriage A B C.
     """
-    s = _s(frequency_hz)
+    s = _s(frequency_hz)[:, None]  # against carriages that may differ
     drive = belt(machine.carriage, s) * drive_frf(machine.carriage.drive, s)
-    return receptance(machine, xy, frequency_hz) * drive[:, None, None]
+    return receptance(machine, xy, frequency_hz) * drive[:, None, :]
 
 
 def nozzle_frf(machine: Machine, xy: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
@@ -159,6 +161,6 @@ def _matrices(machine: Machine, xy: FloatArray) -> tuple[FloatArray, FloatArray,
     carriages = carriage.moving_mass_kg * np.eye(3) + (machine.nozzle_side_mass_kg + extruder) * gamma @ j
     relative = np.broadcast_to(extruder * np.eye(3), j.shape)
     mass = np.block([[carriages, extruder * gamma], [extruder * j, relative]])
-    damper = np.diag([*[damping(carriage)] * 3, *effector.extruder_damping_n_s_per_m])
-    stiffness = np.diag([*[carriage.belt_stiffness_n_per_m] * 3, *effector.extruder_stiffness_n_per_m])
+    damper = np.diag([*np.broadcast_to(damping(carriage), 3), *effector.extruder_damping_n_s_per_m])
+    stiffness = np.diag([*np.broadcast_to(carriage.belt_stiffness_n_per_m, 3), *effector.extruder_stiffness_n_per_m])
     return mass, damper, stiffness

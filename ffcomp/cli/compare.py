@@ -55,6 +55,14 @@ Quality = Annotated[
         help="Find the highest acceleration at which each method keeps 99 % of its contour error below this; 0: no.",
     ),
 ]
+Only = Annotated[
+    str,
+    typer.Option(
+        metavar="NAMES",
+        help="Only these methods beside none and ours: e.g. mzv,ei-calibrated; quicker. There are zv, mzv, zvd, ei, "
+        "2hump_ei, 3hump_ei, each also with -calibrated and -scheduled, and fbs-lti.",
+    ),
+]
 Offset = Annotated[
     str, typer.Option("--offset-mm", metavar="X,Y", help="Added to every position, as in ffcomp compensate.")
 ]
@@ -77,6 +85,7 @@ def compare(
     report: Report = None,
     figures: Figures = None,
     quality_um: Quality = 25.0,
+    only: Only = "",
     offset_mm: Offset = "0,0",
     flavor: Flavor = "",
     max_segments_per_second: Rate = 250.0,
@@ -93,7 +102,7 @@ def compare(
     """
     from ffcomp.cli.common import exit_codes, print_json
 
-    request = _request(mismatch, seeds, _sampling(layers, sample), quality_um)
+    request = _request(mismatch, seeds, _sampling(layers, sample), quality_um, only)
     with _threads_die_with_us(), exit_codes():
         _check_targets(report, figures)
         found = _compare(file, machine, plant, request, offset_mm, flavor, max_segments_per_second, quiet)
@@ -145,13 +154,18 @@ def _sampling(layers: str, sample: str) -> Sampling:
     return Sampling(begin, end, _share(sample, "--sample") if sample else None)
 
 
-def _request(mismatch: str, seeds: int, sampling: Sampling, quality_um: float) -> Request:
-    from ffcomp.compare.engine import Request
+def _request(mismatch: str, seeds: int, sampling: Sampling, quality_um: float, only: str) -> Request:
+    from ffcomp.compare.engine import Request, names
 
     off = _share(mismatch, "--mismatch") if mismatch else 0.0
     if off > 0.3:
         raise typer.BadParameter(f"--mismatch {mismatch}: up to 30 %; beyond it drawn masses come near to zero.")
-    return Request(sampling, off, seeds if off else 0, quality_um)
+    request = Request(sampling, off, seeds if off else 0, quality_um, tuple(filter(None, only.split(","))))
+    try:
+        names(request)
+    except ValueError as error:
+        raise typer.BadParameter(f"--only {only}: {error}") from None
+    return request
 
 
 def _check_targets(report: Path | None, figures: Path | None) -> None:

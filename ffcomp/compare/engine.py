@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -50,7 +51,8 @@ class Request:
     sampling: Sampling = field(default_factory=Sampling)
     mismatch: float = 0.0  # relative standard deviation of the drawn plants' numbers
     seeds: int = 0  # how many plants are drawn
-    quality_bound_um: float = 25.0  # None is not asked for: 0
+    quality_bound_um: float = 25.0  # 0: equal quality is not asked for
+    only: tuple[str, ...] = ()  # of `ways.NAMES`; the uncompensated print and ours are judged in any case
 
 
 def compare(
@@ -80,7 +82,7 @@ def compare(
     stretches, sampled = printed.stretches(request.sampling)
     some, _ = printed.stretches(request.sampling, at_most_s=SOME_S)
     few, _ = printed.stretches(request.sampling, FEW_PIECE_S, FEW_S)
-    ways = _ways(machine, plant, few, settings, progress)
+    ways = _ways(machine, plant, few, settings, names(request), progress)
     answers = _answers(ways, stretches, plant, progress)
     judged = {way.name: _method(way, answers[way.name], printed.labels.features) for way in ways}
     best = min((m for m in judged.values() if m.family == "best fixed"), key=lambda m: m.track.contour_rms_um).name
@@ -116,25 +118,43 @@ def compare(
     )
 
 
+def names(request: Request) -> Collection[str]:
+    """Raises ValueError for a name that no method has, or if there is no best fixed shaper to compare with."""
+    unknown = [name for name in request.only if name not in every.NAMES]
+    if unknown:
+        raise ValueError(f"No method is named {unknown[0]!r}; there are {', '.join(every.NAMES)}.")
+    if request.only and not set(request.only) & set(every.KINDS):
+        raise ValueError(f"Name at least one shaper to compare with: {', '.join(every.KINDS)}.")
+    return {"none", OURS, *request.only} if request.only else every.NAMES
+
+
 # ---- the methods ---------------------------------------------------------------------------------
 
 
 def _ways(
-    machine: Machine, plant: Machine, few: Sequence[Stretch], settings: Settings, progress: Progress
+    machine: Machine,
+    plant: Machine,
+    few: Sequence[Stretch],
+    settings: Settings,
+    names: Collection[str],
+    progress: Progress,
 ) -> list[Way]:
-    """Every method, tuned; the searches share the processors."""
-    linear = LinearPrinter(plant, few)
-    of_place = every.mode_frequencies(plant)
-    tasks: list[Callable[[], list[Way]]] = [
-        *(lambda kind=kind: list(every.best_fixed(linear, (kind,))) for kind in every.KINDS),
-        lambda: list(every.calibrated(plant)),
-        lambda: list(every.scheduled(linear, of_place)),
-        lambda: list(every.inversion(machine, settings)),
-    ]
-    found = _all(tasks, "tuning every method", progress)
-    ways = [every.none(), *(way for each in found for way in each)]
-    families = ("none", "calibrated", "best fixed", "scheduled", "inversion")
-    return sorted(ways, key=lambda way: families.index(way.family))
+    """The methods asked for, tuned; the searches share the processors."""
+    linear, of_place = LinearPrinter(plant, few), every.mode_frequencies(plant)
+
+    def way(name: str) -> Way:
+        kind = name.removesuffix(every.CALIBRATED).removesuffix(every.SCHEDULED)
+        if name == "none":
+            return every.none()
+        if name in (every.ONE_MODEL, OURS):
+            return every.inversion(machine, settings, name)
+        if name.endswith(every.CALIBRATED):
+            return every.calibrated(plant, kind)
+        if name.endswith(every.SCHEDULED):
+            return every.scheduled(linear, of_place, kind)
+        return every.best_fixed(linear, kind)
+
+    return _all([partial(way, name) for name in every.NAMES if name in names], "tuning every method", progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +168,7 @@ class _Answer:
 def _answers(
     ways: Sequence[Way], stretches: Sequence[Stretch], plant: Machine, progress: Progress
 ) -> dict[str, _Answer]:
-    tasks = [lambda way=way: _answer(way, stretches, plant) for way in ways]
+    tasks = [partial(_answer, way, stretches, plant) for way in ways]
     return dict(zip([way.name for way in ways], _all(tasks, "printing", progress), strict=True))
 
 
@@ -208,7 +228,7 @@ def _with_spread(
     for k, way in enumerate(ways):
         progress("printing on drawn plants", k / len(ways))
         found[way.name] = replace(methods[way.name], spread=Spread(tuple(_rms_on(plants, way, stretches))))
-    tasks = [lambda p=p: _retuned(methods[best].name, p, few, stretches) for p in plants]
+    tasks = [partial(_retuned, best, each, few, stretches) for each in plants]
     retuned = tuple(_all(tasks, "tuning shapers on drawn plants", progress))
     found[best] = replace(found[best], retuned=Spread(retuned))
     return found
@@ -226,8 +246,7 @@ def _rms_on(plants: Sequence[Machine], way: Way, stretches: Sequence[Stretch]) -
 
 
 def _retuned(kind: str, plant: Machine, few: Sequence[Stretch], stretches: Sequence[Stretch]) -> float:
-    (way,) = every.best_fixed(LinearPrinter(plant, few), (kind,))
-    return _rms_on([plant], way, stretches)[0]
+    return _rms_on([plant], every.best_fixed(LinearPrinter(plant, few), kind), stretches)[0]
 
 
 def _with_quality(
@@ -239,7 +258,7 @@ def _with_quality(
     bound_um: float,
     progress: Progress,
 ) -> dict[str, Method]:
-    tasks = [lambda way=way: equal_quality(way, printed, plant, few, bound_um) for way in ways]
+    tasks = [partial(equal_quality, way, printed, plant, few, bound_um) for way in ways]
     found = _all(tasks, "seeking equal quality", progress)
     return {
         way.name: replace(methods[way.name], equal_quality=quality) for way, quality in zip(ways, found, strict=True)

@@ -82,13 +82,19 @@ class Segments:
         return Clock(start_t[self.first], self.plan_t, ours.begin_t[self.run], ours.end_t[self.run])
 
 
-def segments(ours: Compensated, machine: Machine, offset: tuple[float, float] = (0.0, 0.0)) -> Segments:
-    """Read the compensated file as a firmware would, and find the runs in it."""
-    program = read_program(ours.text, "compensated", flavor=ours.flavor, offset_mm=offset)
-    planned = plan_program(program, machine, offset)
+def segments(
+    ours: Compensated, machine: Machine, before: bytes = b"", start: tuple[float, float, float] | None = None
+) -> Segments:
+    """Read the compensated file as a firmware would, and find the runs in it.
+
+    before : lines that set what was in force where it begins, if it is part of a print
+    start : mm, where the nozzle is then
+    """
+    program = read_program(before + ours.text, "compensated", start=start, flavor=ours.flavor)
+    planned = plan_program(program, machine)
     travels = np.any(planned.trajectory.direction[:, :3] != 0.0, axis=1)
     trajectory = pick(planned.trajectory, travels)
-    firsts = np.searchsorted(program.moves.line[travels], ours.begins_at)
+    firsts = np.searchsorted(program.moves.line[travels], ours.begins_at + before.count(b"\n"))
     run = np.flatnonzero(np.diff(firsts, append=len(trajectory)))
     ends = program.moves.end[travels, :3]
     at = [_knot(ours.vertices[i], ends[firsts[i]]) for i in run]

@@ -15,7 +15,7 @@ from ffcomp.pipeline import Planned, plan_program
 from ffcomp.plan.trajectory import Trajectory
 from gcode.dialects import detect_flavor
 from gcode.labels import Labels, labels
-from gcode.part import part
+from gcode.part import part, preamble
 from gcode.program import Program
 from gcode.reader import read_program
 from models.machine import Machine
@@ -46,7 +46,9 @@ class Stretch:
     offset: tuple[float, float]
     layer: IntArray  # (n,) of each move
     feature: IntArray  # (n,) of each move
-    begin_t: float  # s, on the whole print's clock
+    begin_t: float = 0.0  # s, on the whole print's clock
+    before: bytes = b""  # lines that set what is in force where it begins
+    start: tuple[float, float, float] | None = None  # mm, where the nozzle is then; None: as the file says
 
     @property
     def trajectory(self) -> Trajectory:
@@ -166,17 +168,22 @@ class Print:
 
     def _whole(self) -> Stretch:
         kinds = self.labels
-        return Stretch(self.machine, self.planned, self.flavor, self.offset, kinds.layer, kinds.feature, 0.0)
+        return Stretch(self.machine, self.planned, self.flavor, self.offset, kinds.layer, kinds.feature)
 
     def _part(self, first: int, last: int) -> Stretch:
-        text = part(self.program, first, last)
-        program = read_program(text, self.path, offset_mm=self.offset, flavor=self.flavor)
-        if len(program.moves) != last - first:
-            raise RuntimeError(f"The part of moves {first} to {last} of {self.path} has {len(program.moves)} moves.")
-        planned, kinds = plan_program(program, self.machine, self.offset), self.labels
-        begin_t = float(self.planned.trajectory.start_t[first])
-        layer, feature = kinds.layer[first:last], kinds.feature[first:last]
-        return Stretch(self.machine, planned, self.flavor, self.offset, layer, feature, begin_t)
+        planned = plan_program(part(self.program, first, last), self.machine, self.offset)
+        x, y, z, _ = self.program.moves.start[first]
+        return Stretch(
+            self.machine,
+            planned,
+            self.flavor,
+            self.offset,
+            self.labels.layer[first:last],
+            self.labels.feature[first:last],
+            float(self.planned.trajectory.start_t[first]),
+            preamble(self.program, first),
+            (float(x), float(y), float(z)),
+        )
 
 
 def _layers_named(sampling: Sampling) -> str:

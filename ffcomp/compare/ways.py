@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ffcomp import shapers
-from ffcomp.calibrate import Fixed
 from ffcomp.compare.motion import Motion, shaped, shaped_by_place
 from ffcomp.compare.ours import compensated, segments, segments_motion
 from ffcomp.compare.result import Family
@@ -22,7 +21,16 @@ from models.effects.catalogue import effective_machine
 from models.machine import Machine
 
 KINDS = ("zv", "mzv", "zvd", "ei", "2hump_ei", "3hump_ei")
-OURS = "fbs-lpv"
+CALIBRATED, SCHEDULED = "-calibrated", "-scheduled"  # behind a kind
+ONE_MODEL, OURS = "fbs-lti", "fbs-lpv"
+NAMES = (
+    "none",
+    *(kind + CALIBRATED for kind in KINDS),
+    *KINDS,
+    *(kind + SCHEDULED for kind in KINDS),
+    ONE_MODEL,
+    OURS,
+)  # in the order of the table
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,62 +42,50 @@ class Way:
     family: Family
     tuning: str
     motion: Callable[[Stretch], tuple[Motion, Summary | None]]
-    fixed: Fixed | None = None  # of a fixed shaper that was sought
-    kind: str = ""  # of a shaper
 
 
 def none() -> Way:
     return Way("none", "no compensation", "none", "The firmware's plan as it stands.", lambda s: (s.motion, None))
 
 
-def calibrated(plant: Machine) -> Iterator[Way]:
-    """Shapers as the firmware's own resonance test at the bed's middle would set them."""
-    for kind in KINDS:
-        frequency, x, y = calibrated_shapers(effective_machine(plant), kind)
-        tuning = (
-            f"x {frequency[0]:.1f} Hz, y {frequency[1]:.1f} Hz: Klipper's calibration from a resonance test at 0, 0."
-        )
-        yield Way(f"{kind}-calibrated", f"{kind.upper()}, calibrated", "calibrated", tuning, _shaping(x, y), kind=kind)
+def calibrated(plant: Machine, kind: str) -> Way:
+    """A shaper as the firmware's own resonance test at the bed's middle would set it."""
+    frequency, x, y = calibrated_shapers(effective_machine(plant), kind)
+    tuning = f"x {frequency[0]:.1f} Hz, y {frequency[1]:.1f} Hz: Klipper's calibration from a resonance test at 0, 0."
+    label = f"{kind.upper()}, calibrated"
+    return Way(kind + CALIBRATED, label, "calibrated", tuning, _shaping(x, y))
 
 
-def best_fixed(linear: LinearPrinter, kinds: tuple[str, ...] = KINDS) -> Iterator[Way]:
-    """Shapers at the fixed frequencies that serve this very print best."""
-    for kind in kinds:
-        yield fixed_way(kind, linear.best_fixed(kind))
-
-
-def fixed_way(kind: str, found: Fixed) -> Way:
+def best_fixed(linear: LinearPrinter, kind: str) -> Way:
+    """A shaper at the fixed frequencies that serve this very print best."""
+    found = linear.best_fixed(kind)
     x, y = found.frequency_hz
     tuning = (
         f"x {x:.1f} Hz, y {y:.1f} Hz, damping ratio {found.damping_ratio:g}: the least contour rms on this print, "
         "sought with the plant known."
     )
-    return Way(kind, f"{kind.upper()}, best fixed", "best fixed", tuning, _shaping(found.x, found.y), found, kind)
+    return Way(kind, f"{kind.upper()}, best fixed", "best fixed", tuning, _shaping(found.x, found.y))
 
 
-def scheduled(linear: LinearPrinter, of_place: FrequencyOfPlace) -> Iterator[Way]:
-    """Shapers whose frequency follows the mode over the bed: no firmware has them."""
-    for kind in KINDS:
-        factor = linear.best_factor(kind, of_place)
-        tuning = (
-            f"{factor:.2f} times the frequency of the plant's dominant mode at each place, the best of twelve factors."
-        )
-        motion = _by_place(scaled(of_place, factor), kind)
-        yield Way(f"{kind}-scheduled", f"{kind.upper()}, scheduled", "scheduled", tuning, motion, kind=kind)
+def scheduled(linear: LinearPrinter, of_place: FrequencyOfPlace, kind: str) -> Way:
+    """A shaper whose frequency follows the mode over the bed: no firmware has it."""
+    factor = linear.best_factor(kind, of_place)
+    tuning = f"{factor:.2f} times the frequency of the plant's dominant mode at each place, the best of twelve factors."
+    motion = _by_place(scaled(of_place, factor), kind)
+    return Way(kind + SCHEDULED, f"{kind.upper()}, scheduled", "scheduled", tuning, motion)
 
 
-def inversion(machine: Machine, settings: Settings) -> Iterator[Way]:
-    """Filtered B-splines with the model of the bed's middle, and with the model of each place: ours."""
-    about = (
-        f"{1 / settings.segment_s:.0f} segments/s at most, bandwidth {settings.bandwidth_hz:.0f} Hz; the compensated "
-        "G-code, read again and planned as the firmware plans it."
+def inversion(machine: Machine, settings: Settings, name: str) -> Way:
+    """Filtered B-splines with the model of the bed's middle, or with the model of each place: ours."""
+    one_model = name == ONE_MODEL
+    label = "inversion, one model" if one_model else "ffcomp, scheduled inversion"
+    model = "at 0, 0 for the whole bed" if one_model else "at each place"
+    tuning = (
+        f"The machine file's model {model}; {1 / settings.segment_s:.0f} segments/s at most, bandwidth "
+        f"{settings.bandwidth_hz:.0f} Hz; the compensated G-code, read again and planned as the firmware plans it."
     )
-    for name, label, one_model, model in (
-        ("fbs-lti", "inversion, one model", True, "The machine file's model at 0, 0 for the whole bed"),
-        (OURS, "ffcomp, scheduled inversion", False, "The machine file's model at each place"),
-    ):
-        inverter = Inverter(machine, replace(settings, one_model=one_model))
-        yield Way(name, label, "inversion", f"{model}; {about}", _inverting(inverter))
+    inverter = Inverter(machine, replace(settings, one_model=one_model))
+    return Way(name, label, "inversion", tuning, _inverting(inverter))
 
 
 Player = Callable[[Stretch], tuple[Motion, Summary | None]]
@@ -106,7 +102,7 @@ def _by_place(of_place: FrequencyOfPlace, kind: str) -> Player:
 def _inverting(inverter: Inverter) -> Player:
     def motion(stretch: Stretch) -> tuple[Motion, Summary | None]:
         ours = compensated(stretch.planned, stretch.machine, inverter, stretch.flavor, stretch.offset)
-        return segments_motion(ours, segments(ours, stretch.machine, stretch.offset)), ours.summary
+        return segments_motion(ours, segments(ours, stretch.machine, stretch.before, stretch.start)), ours.summary
 
     return motion
 

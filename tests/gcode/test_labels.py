@@ -1,0 +1,43 @@
+"""Layers and features, as the slicers' comments name them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gcode.labels import UNNAMED, labels
+from gcode.reader import read_program
+
+PRUSA = (";LAYER_CHANGE\n;Z:0.2\n", ";TYPE:External perimeter\n", "External perimeter")
+CURA = (";LAYER:0\n", ";TYPE:WALL-OUTER\n", "WALL-OUTER")
+BAMBU = ("; CHANGE_LAYER\n", "; FEATURE: Outer wall\n", "Outer wall")
+SIMPLIFY = ("; layer 1, Z = 0.200\n", "; feature outer perimeter\n", "outer perimeter")
+
+
+@pytest.mark.parametrize("spelling", [PRUSA, CURA, BAMBU, SIMPLIFY])
+def test_every_slicers_words(spelling: tuple[str, str, str]) -> None:
+    layer, feature, name = spelling
+    text = f"G90\nM83\nG1 X0 Y0 Z0.2 F6000\nG1 X1\n{layer}G1 X2\n{feature}G1 X3 E1\nG1 X4 E1\n{layer}G1 X5 E1\n"
+    found = labels(read_program(text.encode()))
+    assert found.features == (UNNAMED, name)
+    assert found.feature.tolist() == [0, 0, 1, 1, 1]
+    assert found.layer.tolist() == [0, 0, 0, 0, 1]
+    assert found.layers == 2
+
+
+def test_without_comments_layers_are_heights() -> None:
+    square = "G1 X10 E1\nG1 Y10 E1\nG1 X0 E1\nG1 Y0 E1\n"
+    text = "G90\nM83\nG1 X0 Y0 Z0.2 F6000\n" + square + "G1 Z0.6\nG1 Z0.4\n" + square
+    assert labels(read_program(text.encode())).layer.tolist() == [0, 0, 0, 0, 0, 0, 1, 1, 1, 1]
+
+
+def test_a_slope_without_comments_is_cut_into_layers() -> None:
+    turns = "".join(f"G1 X{10 * np.cos(t):.3f} Y{10 * np.sin(t):.3f} Z{0.2 + t / 60:.4f} E1\n" for t in range(1, 61))
+    found = labels(read_program(("G90\nM83\nG1 X10 Y0 Z0.2 F6000\n" + turns).encode()))
+    assert 5 <= found.layers <= 6  # 1 mm
+    assert np.all(np.diff(found.layer) >= 0)
+
+
+def test_nothing_extruded_is_one_layer() -> None:
+    found = labels(read_program(b"G90\nG1 X0 Y0 Z1 F6000\nG1 X5\nG1 Z3\n"))
+    assert found.layers == 1 and found.features == (UNNAMED,)
