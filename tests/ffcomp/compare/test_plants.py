@@ -1,0 +1,64 @@
+"""Drawn printers, and plants that are another printer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ffcomp.compare.plants import FARTHEST, check_same_kinematics, drawn, dynamic_numbers
+from models.errors import MachineFileError
+from models.machine import constant
+from models.machine_file import load_machine
+from models.parameters import value_of
+
+MACHINE = load_machine("mp-delta-pro")
+
+
+def test_a_seed_always_draws_the_same_printer() -> None:
+    few, many = drawn(MACHINE, 0.1, 2), drawn(MACHINE, 0.1, 5)
+    for name in dynamic_numbers(MACHINE):
+        assert [value_of(m, name) for m in few] == [value_of(m, name) for m in many[:2]]
+
+
+def test_every_dynamic_number_is_off_by_the_standard_deviation() -> None:
+    plants = drawn(MACHINE, 0.1, 400)
+    for name in dynamic_numbers(MACHINE):
+        off = np.array([value_of(m, name) for m in plants]) / value_of(MACHINE, name) - 1
+        assert np.std(off) == pytest.approx(0.1, rel=0.15)
+        assert abs(np.mean(off)) < 0.02 and np.abs(off).max() <= 0.1 * FARTHEST + 1e-12
+    assert all(m.kinematics is MACHINE.kinematics for m in plants)
+
+
+def test_no_dynamic_number_is_forgotten() -> None:
+    names = set(dynamic_numbers(MACHINE))
+    tables = ("carriage", "carriage.drive", "effector")
+    parts = (MACHINE.carriage, MACHINE.carriage.drive, MACHINE.effector)
+    keys = {f"{t}.{k}" for t, part in zip(tables, parts, strict=True) for k in part.__dataclass_fields__}
+    left = keys - names - {name[:-3] for name in names}
+    assert left == {
+        "carriage.drive",
+        "carriage.arm_pair_mass_kg",  # weighed, as the geometry is measured
+        "effector.joint_radius_mm",
+        "effector.center_of_mass_mm",
+        "effector.force_map",
+    }
+
+
+def test_a_machine_without_drive_has_none_to_draw() -> None:
+    plain = replace(MACHINE, carriage=replace(MACHINE.carriage, drive=None))
+    assert drawn(plain, 0.1, 1)[0].carriage.drive is None
+
+
+def test_another_printer_is_refused_by_key_and_rule() -> None:
+    other = replace(MACHINE.kinematics, arm_lengths_mm=constant([250.0] * 3), effector_height_mm=20.0)
+    with pytest.raises(MachineFileError) as error:
+        check_same_kinematics(MACHINE, replace(MACHINE, kinematics=other, path="other.toml"))
+    assert len(error.value.problems) == 2
+    assert "other.toml: kinematics.arm_lengths_mm is 250, 250, 250, but 300, 300, 300" in str(error.value)
+
+
+def test_a_plant_calibrated_a_little_otherwise_is_the_same_printer() -> None:
+    near = replace(MACHINE.kinematics, delta_radii_mm=constant(MACHINE.kinematics.delta_radii_mm + 0.3))
+    check_same_kinematics(MACHINE, replace(MACHINE, kinematics=near))
