@@ -50,19 +50,19 @@ def look(
     original = read_program(b"".join(original_lines(lines)), path, offset_mm=offset, flavor=flavor)
     compensated = read_program(data, path, flavor=flavor)
     wanted, played = _plan(original, machine), _plan(compensated, machine)
-    path_t, corners = _corners(wanted)
+    path_t, wanted_path = corners(wanted)
     clock, own = _clocks(original, wanted, compensated, played)
     before_t, before = simulate(machine, wanted)
     after_t, after = simulate(machine, played)
     return Look(
-        corners,
+        wanted_path,
         path_t,
-        Curve(before_t, before, wanted.position(before_t)[:, :3], contour_error(path_t, corners, before_t, before)),
+        Curve(before_t, before, wanted.position(before_t)[:, :3], contour_error(path_t, wanted_path, before_t, before)),
         Curve(
             after_t,
             after,
             wanted.position(np.interp(after_t, clock, own))[:, :3],
-            contour_error(np.interp(path_t, own, clock), corners, after_t, after),
+            contour_error(np.interp(path_t, own, clock), wanted_path, after_t, after),
         ),
     )
 
@@ -72,7 +72,7 @@ def _plan(program: Program, machine: Machine) -> Trajectory:
     return plan_moves(program.moves, firmware_limits(machine), stop_before=stop_before, wait_before=wait_before)
 
 
-def _corners(plan: Trajectory) -> tuple[FloatArray, FloatArray]:
+def corners(plan: Trajectory) -> tuple[FloatArray, FloatArray]:
     """Where the path's straight moves begin and end, and when: a rest is a corner twice."""
     end_t = plan.start_t + plan.duration
     ends = plan.position(np.nextafter(end_t, -np.inf))[:, :3]
@@ -86,13 +86,13 @@ def _clocks(
     """Times at which the same move begins: in the compensated file, and in the original."""
     notes = np.array([e.move for e in compensated.events if compensated.lines[e.line].startswith(WAS)], dtype=np.int64)
     first = np.flatnonzero(np.diff(original.moves.line, prepend=-1))  # of each line that moves
-    noted = _noted(original, compensated)
+    noted = noted_moves(original, compensated)
     moving = noted >= 0
     begins = np.append(played.start_t, played.end_t)[notes[moving]]
     return np.append(begins, played.end_t), np.append(wanted.start_t[first[noted[moving]]], wanted.end_t)
 
 
-def _noted(original: Program, compensated: Program) -> NDArray[np.int64]:
+def noted_moves(original: Program, compensated: Program) -> NDArray[np.int64]:
     """Which of the original's moving lines each note stands for; -1 for a line that only sets a feed."""
     order = {line: i for i, line in enumerate(sorted(set(original.moves.line.tolist())))}
     kept = [line for line in compensated.lines if line.startswith(WAS)]

@@ -13,6 +13,7 @@ from gcode.program import Event, Program
 
 FloatArray = NDArray[np.float64]
 
+ROUNDING = 1e-9  # of a segment
 NEAR = 0.1  # of a segment: so near to a knot, a line goes out at the knot; shorter pieces cannot be played in time
 FLOWS_MM = 1e-6  # filament per segment from which on the exact place of a line matters
 STEEPEST = 0.1  # by which share the flow may be changed between two lines to meet both
@@ -52,6 +53,7 @@ def timeline(
     places: list[float] = []
     for _, move, event in lines:
         at = min(max(wanted.knot_of(float(trajectory.start_t[move])), 0.0), float(wanted.knots))
+        at = max(at, float(int(at + ROUNDING)))  # a knot that rounding has put just before itself
         flows = abs(e[min(int(at) + 1, wanted.knots)] - e[int(at)]) > FLOWS_MM
         if event is None or not flows:
             at = float(int(at))  # never later than its time: what follows may need its exact place

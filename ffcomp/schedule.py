@@ -10,7 +10,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from models.kinematics.delta import forward, inverse, jacobian_rate_term
+from models.kinematics.delta import inverse
+from models.kinematics.kernels import FastDelta
 from models.machine import Machine
 from models.plant import QD, STATES, WD, PlantTable, Q, W
 
@@ -72,12 +73,13 @@ def respond(
     -------
     (n·substeps, 3) mm after every step;  (18,)
     """
-    geometry = machine.kinematics
+    delta = FastDelta(machine.kinematics)
+    nozzle = np.ascontiguousarray(nozzle)
     n = (len(nozzle) - 1) // substeps
     middle = nozzle[substeps // 2 :: substeps, :2][:n]
-    centripetal = jacobian_rate_term(geometry, nozzle, velocity)
-    q, states = simulate(*models_along(table, middle), substeps, state, inverse(geometry, nozzle), centripetal, 1)
-    return forward(geometry, q), states[-1]
+    centripetal = delta.rate_term(nozzle, np.ascontiguousarray(velocity))
+    q, states = simulate(*models_along(table, middle), substeps, state, delta.inverse(nozzle), centripetal, 1)
+    return delta.forward(q), states[-1]
 
 
 @njit(cache=True, inline="always")

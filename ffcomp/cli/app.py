@@ -12,6 +12,7 @@ for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 import typer  # noqa: E402
 
 from ffcomp import __version__  # noqa: E402
+from ffcomp.cli.compare import compare  # noqa: E402
 from ffcomp.cli.compensate import compensate  # noqa: E402
 from ffcomp.cli.diagnose import diagnose  # noqa: E402
 from ffcomp.cli.frf import frf  # noqa: E402
@@ -20,6 +21,7 @@ from ffcomp.cli.identify import app as identify  # noqa: E402
 from ffcomp.cli.machines import app as machines  # noqa: E402
 from ffcomp.cli.restore import restore  # noqa: E402
 from ffcomp.cli.show import show  # noqa: E402
+from ffcomp.cli.simulate import simulate  # noqa: E402
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -31,6 +33,8 @@ app = typer.Typer(
 app.command()(compensate)
 app.command()(show)
 app.command()(restore)
+app.command()(compare)
+app.command()(simulate)
 app.command()(frf)
 app.command()(gap)
 app.command()(diagnose)

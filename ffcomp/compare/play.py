@@ -8,10 +8,11 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from ffcomp.compare.motion import Motion
-from ffcomp.metrics import peak_acceleration
+from ffcomp.virtual.command import peaks as command_peaks
 from models import printer_kernels as kernels
 from models.effects.catalogue import effective_machine
 from models.kinematics.delta import forward
@@ -24,11 +25,10 @@ FloatArray = NDArray[np.float64]
 STEP_S = 1 / 6400  # from row to row of the command, straight between them: 0.03 µm at 10 m/s²
 KEEP_EVERY = 4  # rows between two samples that are judged
 CHUNK_ROWS = 64_000
-EFFORT_S, EFFORT_SAMPLE_S = 0.004, 0.001  # accelerations of commands are second differences over one segment
 JOBS = os.cpu_count() or 1
 
 _SAG_RINGS, _SAG_ANGLES = 9, 18
-_SAG_POWERS = [(i, j) for i in range(9) for j in range(9 - i)]
+SAG_ORDER = 8
 
 
 def play(
@@ -71,21 +71,34 @@ def play(
 
 def peaks(motion: Motion, believed: Machine) -> tuple[float, float]:
     """The largest speed, mm/s, and acceleration, mm/s², that any carriage is asked for, over one segment's time."""
-    t = np.arange(motion.begin_t, motion.end_t, EFFORT_SAMPLE_S)
-    carriages = FastDelta(believed.kinematics).inverse(np.ascontiguousarray(motion.position(t)))
-    span = round(EFFORT_S / EFFORT_SAMPLE_S)
-    speed = float(np.abs(carriages[span:] - carriages[:-span]).max(initial=0.0)) / EFFORT_S
-    return speed, peak_acceleration(carriages, EFFORT_SAMPLE_S, EFFORT_S)
+    delta = FastDelta(believed.kinematics)
+
+    def carriages(t: FloatArray) -> FloatArray:
+        return delta.inverse(np.ascontiguousarray(motion.position(t)))
+
+    return command_peaks(carriages, motion.begin_t, motion.end_t)
 
 
 def sag(plant: Machine, nozzle: FloatArray) -> FloatArray:
     """How far weight alone bends the resting printer at places (m, 3) mm → (m, 3) mm."""
     reach = plant.kinematics.print_radius_mm
-    return np.asarray(_powers(nozzle[:, :2] / reach) @ _sag_coefficients(plant))
+    return np.asarray(_powers(np.ascontiguousarray(nozzle[:, :2] / reach)) @ _sag_coefficients(plant))
 
 
+@njit(cache=True, nogil=True)
 def _powers(xy: FloatArray) -> FloatArray:
-    return np.column_stack([xy[:, 0] ** i * xy[:, 1] ** j for i, j in _SAG_POWERS])
+    """x^i y^j for all i + j up to SAG_ORDER : (m, 45) of (m, 2)."""
+    out = np.empty((len(xy), (SAG_ORDER + 1) * (SAG_ORDER + 2) // 2))
+    for m in range(len(xy)):
+        k, of_x = 0, 1.0
+        for i in range(SAG_ORDER + 1):
+            both = of_x
+            for _ in range(SAG_ORDER + 1 - i):
+                out[m, k] = both
+                both *= xy[m, 1]
+                k += 1
+            of_x *= xy[m, 0]
+    return out
 
 
 @lru_cache(maxsize=64)

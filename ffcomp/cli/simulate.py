@@ -1,0 +1,178 @@
+"""`ffcomp simulate`: any command through the virtual printer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from ffcomp.virtual.command import Command
+    from ffcomp.virtual.simulation import Request, Simulated
+    from models.machine import Machine
+
+File = Annotated[
+    Path, typer.Argument(help="A print (sliced or compensated) or a step-timing archive (.npz).", metavar="FILE")
+]
+MachineName = Annotated[
+    str, typer.Option("--machine", "-m", help="What the firmware believes: a machine's name or the path of its file.")
+]
+Plant = Annotated[
+    str, typer.Option(help="The printer that moves, with its effects: a machine file. Default: the same as --machine.")
+]
+Output = Annotated[
+    Path | None, typer.Option("--output-file", "-o", help="Write a measured run (CSV), as ffcomp gap reads it.")
+]
+Rate = Annotated[float, typer.Option(metavar="HZ", help="Samples per second that are judged and written.")]
+From = Annotated[
+    float,
+    typer.Option(
+        "--from", metavar="SECONDS", help="Of the command's clock. For ffcomp gap a run should begin where it rests."
+    ),
+]
+To = Annotated[float, typer.Option("--to", metavar="SECONDS", help="Of the command's clock; default: the end.")]
+Signals = Annotated[str, typer.Option(help="Sensors of the written run: acc, pos, or both with a comma.")]
+Gravity = Annotated[bool, typer.Option(help="Weight bends the belts and the extruder's mount.")]
+Offset = Annotated[
+    str, typer.Option("--offset-mm", metavar="X,Y", help="Added to every position, as in ffcomp compensate.")
+]
+Flavor = Annotated[str, typer.Option(help="klipper, marlin or reprapfirmware; by default the file says it.")]
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout (ffcomp-simulate/1).")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no messages but errors.")]
+
+
+def simulate(
+    file: File,
+    machine: MachineName,
+    plant: Plant = "",
+    output_file: Output = None,
+    rate: Rate = 1600.0,
+    from_s: From = 0.0,
+    to_s: To = float("inf"),
+    signals: Signals = "acc,pos",
+    gravity: Gravity = True,
+    offset_mm: Offset = "0,0",
+    flavor: Flavor = "",
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Play a print or step timings on the nonlinear printer: full kinematics, weight, drives, extruder, effects.
+
+    G-code is planned as the firmware plans it; of step timings the microsteps themselves are played. What comes out
+    is judged against the wanted path and can be written as if it had been measured.
+
+    Example: ffcomp simulate sample_prints/ringing_tower.gcode -m mp-delta-pro --from 80 --to 90 -o run.csv
+    """
+    from ffcomp.cli.common import exit_codes, print_json
+
+    with exit_codes():
+        request = _request(rate, from_s, to_s, gravity, signals)
+        _check_target(file, output_file)
+        result = _simulate(file, machine, plant, output_file, request, offset_mm, flavor, quiet)
+        if as_json:
+            print_json(result)
+        elif not quiet:
+            _print(result)
+
+
+def _request(rate: float, from_s: float, to_s: float, gravity: bool, signals: str) -> Request:
+    from ffcomp.measured.clock import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
+    from ffcomp.virtual.run_file import KINDS
+    from ffcomp.virtual.simulation import Request
+
+    if not LOWEST_RATE_HZ <= rate <= HIGHEST_RATE_HZ:
+        raise typer.BadParameter(f"--rate {rate:g}: between {LOWEST_RATE_HZ:g} and {HIGHEST_RATE_HZ:g} Hz.")
+    if not 0.0 <= from_s < to_s:
+        raise typer.BadParameter(f"--from {from_s:g} --to {to_s:g}: two times in s, the first not below 0, in order.")
+    kinds = tuple(dict.fromkeys(signals.split(",")))
+    if not set(kinds) <= set(KINDS):
+        raise typer.BadParameter(f"--signals {signals!r}: {', '.join(KINDS)}, or both with a comma between them.")
+    return Request(rate, from_s, to_s, gravity, kinds)
+
+
+def _check_target(file: Path, target: Path | None) -> None:
+    if target is not None and target.resolve() == file.resolve():
+        raise typer.BadParameter(f"-o {target}: this is the command itself; the run needs a file of its own.")
+
+
+def _simulate(
+    file: Path,
+    machine_name: str,
+    plant_name: str,
+    target: Path | None,
+    request: Request,
+    offset: str,
+    flavor: str,
+    quiet: bool,
+) -> dict[str, Any]:
+    from ffcomp.cli.common import Progress, say
+    from ffcomp.cli.compensate import parsed_offset
+    from ffcomp.virtual.simulation import read_command, simulate_command
+    from models.machine_file import load_machine
+
+    machine = load_machine(machine_name)
+    plant = load_machine(plant_name) if plant_name else machine
+    command, warnings = read_command(file, machine, parsed_offset(offset), flavor)
+    for warning in warnings:
+        say(f"ffcomp: {warning}", quiet)
+    parts = command.between(request.from_s, request.to_s)
+    if target is not None and len(parts) > 1:
+        times = ", ".join(f"{begin:.3f} to {end:.3f} s" for _, begin, end in parts)
+        raise typer.BadParameter(
+            f"-o {target}: something else moves the nozzle in between ({times}), and a run is one motion; choose with "
+            "--from and --to."
+        )
+    with Progress(sum(end - begin for _, begin, end in parts), quiet, "simulating") as progress:
+        options: dict[str, Any] = {"path": str(file), "target": target, "progress": progress}
+        found = simulate_command(command, machine, plant, request, **options)
+    return {
+        "schema": "ffcomp-simulate/1",
+        "input": str(file),
+        "output": None if target is None else str(target),
+        **_result(found, command, machine, plant, request),
+        "warnings": warnings,
+    }
+
+
+def _result(found: Simulated, command: Command, machine: Machine, plant: Machine, request: Request) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    return {
+        "machine": {"name": machine.name, "sha256": machine.sha256},
+        "plant": {"name": plant.name, "sha256": plant.sha256},
+        "effects": list(plant.effects),
+        "gravity": request.gravity,
+        "rate_hz": request.rate_hz,
+        "rows": found.rows,
+        "simulated_s": found.simulated_s,
+        "wall_s": found.seconds,
+        "print_s_per_wall_s": found.simulated_s / found.seconds,
+        "reference": command.reference,
+        "track": asdict(found.track),
+        "peak_carriage_velocity_mm_per_s": found.peak_carriage_velocity_mm_per_s,
+    }
+
+
+def _print(result: dict[str, Any]) -> None:
+    track = result["track"]
+    print(
+        f"{result['simulated_s']:.1f} s of motion on {result['plant']['name']} (effects: "
+        f"{', '.join(result['effects']) or 'none'}), {result['wall_s']:.1f} s: {result['print_s_per_wall_s']:.0f} "
+        "times faster than printing."
+    )
+    print(f"Against {result['reference']}:")
+    print(
+        f"  contour   rms {track['contour_rms_um']:.2f} µm, 99 % below {track['contour_p99_um']:.1f} µm, "
+        f"largest {track['contour_max_um']:.1f} µm"
+    )
+    print(
+        f"  tracking  rms {track['tracking_rms_um']:.1f} µm, of it {track['tracking_rms_no_delay_um']:.2f} µm beside a "
+        f"delay of {1e3 * track['delay_s']:.3f} ms"
+    )
+    print(
+        f"  carriages asked for {result['peak_carriage_velocity_mm_per_s']:.0f} mm/s and "
+        f"{track['peak_command_acceleration_mm_per_s2'] / 1e3:.1f} m/s² at most"
+    )
+    if result["output"] is not None:
+        print(f"{result['rows']} samples at {result['rate_hz']:g} Hz: {result['output']}")

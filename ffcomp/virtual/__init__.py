@@ -1,0 +1,1 @@
+"""Any command through the virtual printer: G-code as a firmware plays it, or step timings."""

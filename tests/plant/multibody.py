@@ -1,0 +1,342 @@
+"""The printer as bodies and joints in MuJoCo: an engine nobody here wrote, and arms that really have mass.
+
+Only the parts' numbers come from the machine; no equation of `models` or of `delta_plant` is used. Each carriage is a
+body on a vertical slide whose spring and damper are the belt's and the guide's; each rod is a body with a ball
+joint at its carriage and a `connect` constraint at the effector; the extruder is a body on three sprung slides. What
+the motor does is a force k u + c u̇ on the carriage, u and u̇ from the drive's transfer function.
+
+    arms "lumped"   each rod's mass sits in two points, half at each end: what `models` assume
+    arms "uniform"  each rod is a thin uniform rod
+    effector "sliding"        translates only, one rod a tower
+    effector "parallelograms" free in all six, held by two rods a tower; its centre of mass is where the file says
+
+A model is built at a place: in its reference pose the printer stands there and all springs are at ease. m, s, kg.
+
+MuJoCo's constraints give way: with impedance d and time constant T, an error r of a constraint obeys
+r̈ + 2ṙ/T + r/T² = (1 − d) (what r̈ were without it) for d near 1 (MuJoCo documentation, "Computation").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.signal import StateSpace, lsim
+
+from models.machine import Drive, Machine
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+GRAVITY_M_PER_S2 = 9.80665
+STEP_S = 1 / 12800
+IMPEDANCE = 0.9999  # the most that MuJoCo allows
+TIGHT_STEPS = 2.0  # T in steps; the least that MuJoCo allows
+ROD_RADIUS_M = 3e-3  # decides a rod's inertia about its own axis, about which nothing turns it
+HALF_PAIR_M = 0.025  # between the two rods of a parallelogram, halved; no answer depends on it
+EFFECTOR_GYRATION_M = 0.03  # radius of gyration; no answer depends on it
+LIGHT = "1e-4 1e-4 1e-4"  # kg m², of bodies that never turn
+NUDGE_M, NUDGE_M_PER_S = 1e-6, 1e-3
+FASTEST_MODE_PER_S = 4000.0  # between the machine's poles and those of the constraints, 1/T
+SETTLED_M = 1e-12
+
+Arms = Literal["lumped", "uniform"]
+Effector = Literal["sliding", "parallelograms"]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What is built, and how exactly it is computed."""
+
+    arms: Arms = "lumped"
+    effector: Effector = "sliding"
+    gravity: bool = False
+    step_s: float = STEP_S
+    impedance: float = IMPEDANCE
+    damped: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Multibody:
+    """A printer standing at a place."""
+
+    model: Any  # mujoco.MjModel
+    machine: Machine
+    home_m: FloatArray  # (3,) nozzle, X Y Z
+    home_q_m: FloatArray  # (3,) carriages, A B C
+
+    @property
+    def nozzle_at(self) -> int:
+        """Where the nozzle's x, y, z stand in `qpos`."""
+        return int(self.model.jnt_qposadr[self.model.body("effector").jntadr[0]])
+
+    @property
+    def carriages_at(self) -> list[int]:
+        """Where q_A, q_B, q_C stand in `qpos`."""
+        return [int(self.model.joint(f"q_{tower}").qposadr[0]) for tower in "ABC"]
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """n + 1 samples, a step apart, the first at rest."""
+
+    t_s: FloatArray  # (n + 1,)
+    nozzle_mm: FloatArray  # (n + 1, 3) columns X Y Z
+    carriage_mm: FloatArray  # (n + 1, 3) columns A B C
+
+
+# ---- the machine's parts as MuJoCo reads them ----------------------------------------------------
+
+
+def build(machine: Machine, place_mm: FloatArray, choice: Choice = Choice()) -> Multibody:
+    """The printer with its nozzle at `place_mm` : (3,) mm, at ease."""
+    home = np.asarray(place_mm, dtype=float) / 1e3
+    geometry = machine.kinematics
+    away = home[:2] - geometry.towers_mm / 1e3
+    heights = home[2] + geometry.effector_height_mm / 1e3
+    home_q = heights + np.sqrt((geometry.arm_lengths_mm / 1e3) ** 2 - np.sum(away**2, axis=1))
+    text = "\n".join(_document(machine, home, home_q, choice))
+    return Multibody(mujoco.MjModel.from_xml_string(text), machine, home, home_q)
+
+
+def _document(machine: Machine, home: FloatArray, home_q: FloatArray, choice: Choice) -> Iterator[str]:
+    gravity = GRAVITY_M_PER_S2 if choice.gravity else 0.0
+    solref = f"{TIGHT_STEPS * choice.step_s!r} 1"
+    solimp = f"{choice.impedance} {choice.impedance} 1"
+    yield "<mujoco><compiler angle='radian' autolimits='false'/>"
+    yield f"<option timestep='{choice.step_s!r}' gravity='0 0 {-gravity}' integrator='RK4' solver='Newton'"
+    yield "tolerance='1e-15'><flag contact='disable' energy='enable'/></option>"
+    yield f"<default><equality solref='{solref}' solimp='{solimp}'/></default><worldbody>"
+    joints = list(_joints(machine, home, home_q, choice))
+    for tower, height in zip("ABC", home_q, strict=True):
+        yield from _carriage(machine, tower, [j for j in joints if j.tower == tower], height, choice)
+    yield from _effector(machine, home, joints, choice)
+    yield "</worldbody><equality>"
+    yield from (f"<connect site1='low_{j.name}' site2='seat_{j.name}'/>" for j in joints)
+    yield "</equality><actuator>"
+    yield from (f"<motor joint='q_{tower}'/>" for tower in "ABC")
+    yield "</actuator></mujoco>"
+
+
+@dataclass(frozen=True, eq=False)
+class Rod:
+    """One rod in the reference pose, from its joint on the carriage to its joint on the effector."""
+
+    tower: str
+    name: str
+    mass_kg: float
+    upper_m: FloatArray  # (3,)
+    lower_m: FloatArray  # (3,)
+    seat_m: FloatArray  # (3,) the lower joint seen from the nozzle tip
+
+
+def _joints(machine: Machine, home: FloatArray, home_q: FloatArray, choice: Choice) -> Iterator[Rod]:
+    geometry, ring = machine.kinematics, machine.effector.joint_radius_mm / 1e3
+    aside = (-HALF_PAIR_M, HALF_PAIR_M) if choice.effector == "parallelograms" else (0.0,)
+    parts = zip("ABC", geometry.tower_angles_rad, geometry.delta_radii_mm / 1e3, home_q, strict=True)
+    for tower, angle, radius, height in parts:
+        outward, tangent = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([-np.sin(angle), np.cos(angle), 0.0])
+        for n, offset in enumerate(aside):
+            seat = ring * outward + offset * tangent + [0.0, 0.0, geometry.effector_height_mm / 1e3]
+            upper = (radius + ring) * outward + offset * tangent + [0.0, 0.0, height]
+            yield Rod(tower, f"{tower}{n}", machine.carriage.arm_pair_mass_kg / len(aside), upper, home + seat, seat)
+
+
+def _carriage(machine: Machine, tower: str, rods: list[Rod], height: float, choice: Choice) -> Iterator[str]:
+    carriage = machine.carriage
+    damping = carriage.belt_damping_n_s_per_m + carriage.guide_damping_n_s_per_m
+    axis = _sprung("z", f"q_{tower}", carriage.belt_stiffness_n_per_m, damping, choice)
+    middle = np.mean([rod.upper_m for rod in rods], axis=0)
+    yield f"<body name='carriage_{tower}' pos='{_row(middle)}'>{axis}"
+    yield f"<inertial pos='0 0 0' mass='{carriage.mass_kg}' diaginertia='{LIGHT}'/>"
+    for rod in rods:
+        yield from _rod(rod, middle, choice.arms)
+    yield "</body>"
+
+
+def _rod(rod: Rod, carriage: FloatArray, arms: Arms) -> Iterator[str]:
+    """A body whose z axis runs down the rod; its inertia about the middle is m L²/12, or m L²/4 for two points."""
+    along = rod.lower_m - rod.upper_m
+    length = float(np.linalg.norm(along))
+    across = rod.mass_kg * length**2 / (12 if arms == "uniform" else 4)
+    inertia = _row(np.array([across, across, rod.mass_kg * ROD_RADIUS_M**2 / 2]))
+    yield f"<body name='rod_{rod.name}' pos='{_row(rod.upper_m - carriage)}' zaxis='{_row(along)}'><joint type='ball'/>"
+    yield f"<inertial pos='0 0 {length / 2!r}' mass='{rod.mass_kg}' diaginertia='{inertia}'/>"
+    yield f"<site name='low_{rod.name}' pos='0 0 {length!r}'/></body>"
+
+
+def _effector(machine: Machine, home: FloatArray, rods: list[Rod], choice: Choice) -> Iterator[str]:
+    """The nozzle holder, its origin at the nozzle tip, and the extruder on its mount at the centre of mass."""
+    effector, plane = machine.effector, np.array([0.0, 0.0, machine.kinematics.effector_height_mm / 1e3])
+    centre = _row(plane + effector.center_of_mass_mm / 1e3)
+    inertia = _row(np.full(3, effector.nozzle_mass_kg * EFFECTOR_GYRATION_M**2))
+    yield f"<body name='effector' pos='{_row(home)}'>"
+    if choice.effector == "parallelograms":
+        yield "<freejoint/>"
+    else:
+        yield from (_sprung(axis, axis, 0.0, 0.0, choice) for axis in "xyz")
+    yield f"<inertial pos='{centre}' mass='{effector.nozzle_mass_kg}' diaginertia='{inertia}'/>"
+    yield from (f"<site name='seat_{rod.name}' pos='{_row(rod.seat_m)}'/>" for rod in rods)
+    yield f"<body name='extruder' pos='{centre}'>"
+    mount = zip("xyz", effector.extruder_stiffness_n_per_m, effector.extruder_damping_n_s_per_m, strict=True)
+    yield from (_sprung(axis, f"eta_{axis}", k, b, choice) for axis, k, b in mount)
+    yield f"<inertial pos='0 0 0' mass='{effector.extruder_mass_kg}' diaginertia='{LIGHT}'/></body></body>"
+
+
+def _sprung(axis: str, name: str, stiffness: float, damping: float, choice: Choice) -> str:
+    direction = _row(np.eye(3)["xyz".index(axis)])
+    damper = damping if choice.damped else 0.0
+    return f"<joint name='{name}' type='slide' axis='{direction}' stiffness='{stiffness}' damping='{damper}'/>"
+
+
+def _row(values: FloatArray) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+# ---- small motion --------------------------------------------------------------------------------
+
+
+def modes(printer: Multibody) -> ComplexArray:
+    """The poles (k,) 1/s in the upper half-plane, slowest first, of the machine at rest; motors held.
+
+    d q̈/d(q, q̇) by central differences of what MuJoCo computes, constraints included. Their own poles, near -1/T, and
+    the rods' idle turning about themselves are left out.
+    """
+    model, data = printer.model, _at_rest(printer)
+    n = model.nv
+    rate = np.zeros((2 * n, 2 * n))
+    rate[:n, n:] = np.eye(n)
+    rate[n:, :n] = _by_position(model, data)
+    rate[n:, n:] = _by_speed(model, data)
+    found = np.linalg.eigvals(rate).astype(np.complex128)
+    swings = found[(found.imag > 1.0) & (np.abs(found) < FASTEST_MODE_PER_S)]
+    return swings[np.argsort(np.abs(swings))]
+
+
+def rest_mm(printer: Multibody) -> tuple[FloatArray, FloatArray]:
+    """Nozzle (3,) and carriages (3,), mm, where the machine rests with its motors at home."""
+    qpos = _at_rest(printer).qpos[None]
+    return _nozzle_mm(printer, qpos)[0], _carriages_mm(printer, qpos)[0]
+
+
+def _at_rest(printer: Multibody) -> Any:
+    """MuJoCo's data with all forces in balance, by Newton's method."""
+    model = printer.model
+    data = mujoco.MjData(model)
+    for _ in range(20):
+        unbalanced = _acceleration(model, data)
+        step = np.linalg.lstsq(_by_position(model, data), -unbalanced, rcond=1e-12)[0]
+        mujoco.mj_integratePos(model, data.qpos, step, 1.0)
+        if np.max(np.abs(step)) < SETTLED_M:
+            return data
+    raise ValueError(f"The printer at {printer.home_m * 1e3} mm finds no rest: it still moves by {step} (m, rad).")
+
+
+def _by_position(model: Any, data: Any) -> FloatArray:
+    """∂q̈/∂q : (nv, nv)"""
+    columns, home = np.empty((model.nv, model.nv)), data.qpos.copy()
+    for i, direction in enumerate(np.eye(model.nv)):
+        sides = []
+        for way in (NUDGE_M, -NUDGE_M):
+            data.qpos[:] = home
+            mujoco.mj_integratePos(model, data.qpos, direction, way)
+            sides.append(_acceleration(model, data))
+        columns[:, i] = (sides[0] - sides[1]) / (2 * NUDGE_M)
+    data.qpos[:] = home
+    return columns
+
+
+def _by_speed(model: Any, data: Any) -> FloatArray:
+    """∂q̈/∂q̇ : (nv, nv)"""
+    columns = np.empty((model.nv, model.nv))
+    for i in range(model.nv):
+        sides = []
+        for way in (NUDGE_M_PER_S, -NUDGE_M_PER_S):
+            data.qvel[i] = way
+            sides.append(_acceleration(model, data))
+        data.qvel[i] = 0.0
+        columns[:, i] = (sides[0] - sides[1]) / (2 * NUDGE_M_PER_S)
+    return columns
+
+
+def _acceleration(model: Any, data: Any) -> FloatArray:
+    mujoco.mj_forward(model, data)
+    return np.array(data.qacc)
+
+
+# ---- motion --------------------------------------------------------------------------------------
+
+
+def play(machine: Machine, nozzle_mm: FloatArray, command_mm: FloatArray, dt_s: float, choice: Choice) -> Answer:
+    """Play a command from rest, as `simulate_printer` does.
+
+    Parameters
+    ----------
+    nozzle_mm : (3,) mm, where the nozzle is told to be at first.
+    command_mm : (n, 3) mm, columns A B C, a row each `dt_s`; a cubic spline in between.
+    """
+    printer = build(machine, nozzle_mm, choice)
+    force = _motor_force(printer, command_mm / 1e3 - printer.home_q_m, dt_s)
+    data = _at_rest(printer)
+    start = np.concatenate([[0.0], data.qpos, data.qvel])
+    states, _ = rollout.rollout(printer.model, data, start[None], force[None])
+    qpos = np.vstack([start[1 : 1 + printer.model.nq], states[0, :, 1 : 1 + printer.model.nq]])
+    t = printer.model.opt.timestep * np.arange(len(qpos))
+    return Answer(t, _nozzle_mm(printer, qpos), _carriages_mm(printer, qpos))
+
+
+def _motor_force(printer: Multibody, told: FloatArray, dt_s: float) -> FloatArray:
+    """k u + c u̇ in the middle of each step, (steps, 3) N, for commands (n, 3) m from home."""
+    carriage, half = printer.machine.carriage, printer.model.opt.timestep / 2
+    u, speed = motor_motion(printer.machine, told, dt_s, half)
+    return (carriage.belt_stiffness_n_per_m * u + carriage.belt_damping_n_s_per_m * speed)[1::2]
+
+
+def motor_motion(machine: Machine, told: FloatArray, dt_s: float, step_s: float) -> tuple[FloatArray, FloatArray]:
+    """u and u̇ : (m, 3) each `step_s`, the drive's answer from rest to commands (n, 3) each `dt_s`."""
+    assert machine.carriage.drive is not None
+    rows = dt_s * np.arange(len(told))
+    t = step_s * np.arange(round(rows[-1] / step_s) + 1)
+    drive = _drive(machine.carriage.drive)
+    moved = np.stack([lsim(drive, column, t)[1] for column in CubicSpline(rows, told)(t).T], axis=-1)
+    return moved[:, 0], moved[:, 1]
+
+
+def _drive(drive: Drive) -> StateSpace:
+    """(d₁ s + d₀)/(s² + d₂ s + d₀) in controllable form, with u and u̇ as its two outputs."""
+    d0, d1, d2 = drive.d0_per_s2, drive.d1_per_s, drive.d2_per_s
+    return StateSpace([[0, 1], [-d0, -d2]], [[0], [1]], [[d0, d1], [-d0 * d1, d0 - d1 * d2]], [[0], [d1]])
+
+
+def _nozzle_mm(printer: Multibody, qpos: FloatArray) -> FloatArray:
+    at = slice(printer.nozzle_at, printer.nozzle_at + 3)
+    return 1e3 * (printer.home_m + qpos[:, at] - printer.model.qpos0[at])
+
+
+def _carriages_mm(printer: Multibody, qpos: FloatArray) -> FloatArray:
+    return 1e3 * (printer.home_q_m + qpos[:, printer.carriages_at])
+
+
+# ---- energy --------------------------------------------------------------------------------------
+
+
+def energy_drift(printer: Multibody, push_m_per_s: float, seconds: float) -> float:
+    """Largest change of energy after a push, relative to the push's; for a printer without damping."""
+    model, data = printer.model, _at_rest(printer)
+    mujoco.mj_forward(model, data)
+    constraints = np.array(data.efc_J).reshape(data.nefc, model.nv)
+    data.qvel[model.jnt_dofadr[model.body("effector").jntadr[0]]] = push_m_per_s
+    data.qvel -= np.linalg.lstsq(constraints, constraints @ data.qvel, rcond=None)[0]
+    before = float(np.sum(data.energy))
+    energies = []
+    for _ in range(round(seconds / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+        energies.append(float(np.sum(data.energy)))
+    given = energies[0] - before
+    return float(np.max(np.abs(np.array(energies) - energies[0]))) / given
