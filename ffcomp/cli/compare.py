@@ -225,18 +225,18 @@ def _print(found: Comparison, report: Path | None, written: list[Path]) -> None:
     console = Console()
     for sentence in verdict(found):
         console.print(sentence, highlight=False)
-    table = Table("method", *_columns(found), title=None)
+    table = Table("method", box=None, padding=(0, 1, 0, 0))
+    for column in _columns(found):
+        table.add_column(column, justify="right", no_wrap=True)
     family = ""
     for method in found.methods.values():
-        if method.family != family:
-            table.add_section()
-            family = method.family
+        if family and method.family != family:
+            table.add_row()
+        family = method.family
         style = "bold" if method.name in (found.ours, found.best_fixed) else ""
-        table.add_row(method.label, *_cells(found, method.name), style=style)
+        table.add_row(method.name, *_cells(found, method.name), style=style)
     console.print(table)
-    console.print(
-        "µm; contour: distance to the wanted path, over all moves. peak: carriage acceleration asked for, m/s²."
-    )
+    console.print(_legend(found), highlight=False)
     if report is not None:
         console.print(f"Report: {report}", highlight=False)
     if written:
@@ -244,29 +244,42 @@ def _print(found: Comparison, report: Path | None, written: list[Path]) -> None:
 
 
 def _columns(found: Comparison) -> list[str]:
-    columns = ["contour rms", "p99", "max", "extruding rms", "tracking rms, no delay", "ringing", "peak"]
+    columns = ["rms", "p99", "max", "track", "ring", "peak"]
     if found.mismatch:
-        columns += ["mismatch: median", "worst"]
+        columns += ["off", "worst"]
     if found.quality_bound_um:
-        columns += [f"m/s² for p99 < {found.quality_bound_um:g} µm", "print time"]
+        columns += ["m/s²", "time"]
     return columns
+
+
+def _legend(found: Comparison) -> str:
+    """What the columns are."""
+    parts = [
+        "µm. rms, p99, max: distance to the wanted path, over all moves; track: at equal times, constant delay "
+        "removed; ring: what still swings in straight cruise; peak: m/s² asked of a carriage ('!': beyond its limit)."
+    ]
+    if found.mismatch:
+        parts.append("off, worst: rms on printers that are off, median and worst.")
+    if found.quality_bound_um:
+        bound = f"{found.quality_bound_um:g} µm"
+        parts.append(f"m/s², time: the highest acceleration that keeps p99 below {bound}, and its print time, s.")
+    return " ".join(parts)
 
 
 def _cells(found: Comparison, name: str) -> list[str]:
     method = found.methods[name]
-    t, over = method.track, "" if method.peaks.within_limits else " !"
+    t, over = method.track, "" if method.peaks.within_limits else "!"
     cells = [
         f"{t.contour_rms_um:.2f}",
         f"{t.contour_p99_um:.1f}",
         f"{t.contour_max_um:.0f}",
-        f"{method.extruding.contour_rms_um:.2f}",
-        f"{t.tracking_rms_no_delay_um:.2f}",
-        f"{method.residual_rms_um:.2f}",
+        f"{t.tracking_rms_no_delay_um:.1f}",
+        f"{method.residual_rms_um:.1f}",
         f"{method.peaks.acceleration_mm_per_s2 / 1e3:.1f}{over}",
     ]
     if found.mismatch and method.spread is not None:
-        cells += [f"{method.spread.median_um:.2f}", f"{method.spread.worst_um:.2f}"]
+        cells += [f"{method.spread.median_um:.1f}", f"{method.spread.worst_um:.1f}"]
     if (quality := method.equal_quality) is not None:
-        sign = "> " if quality.capped else "" if quality.reached else "< "
-        cells += [f"{sign}{quality.acceleration_mm_per_s2 / 1e3:.2f}", f"{quality.print_time_s:.0f} s"]
+        sign = ">" if quality.capped else "" if quality.reached else "<"
+        cells += [f"{sign}{quality.acceleration_mm_per_s2 / 1e3:.1f}", f"{quality.print_time_s:.0f}"]
     return cells

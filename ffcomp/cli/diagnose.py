@@ -17,6 +17,9 @@ Output = Annotated[
 ]
 Force = Annotated[bool, typer.Option(help="Overwrite the output.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout (ffcomp-diagnose/1).")]
+NoRepeats = Annotated[
+    bool, typer.Option("--without-repeats", help="Guess the noise where nothing was measured twice: weaker evidence.")
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")]
 
 
@@ -25,6 +28,7 @@ def diagnose(
     machine: MachineName,
     output: Output = None,
     force: Force = False,
+    without_repeats: NoRepeats = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -46,6 +50,7 @@ def diagnose(
         from ffcomp.cli.identify import hash_of
         from ffcomp.diagnose.delta import Delta
         from ffcomp.diagnose.engine import diagnose as searched
+        from ffcomp.diagnose.intake import check_repeats
         from ffcomp.diagnose.outcome import better_file, outcome
         from ffcomp.measured.run import read_run
         from gcode.container import replace_atomically
@@ -53,7 +58,10 @@ def diagnose(
 
         began = time.monotonic()
         loaded = load_machine(machine)
-        plant = Delta(loaded, [read_run(path) for path in runs])
+        measured = [read_run(path) for path in runs]
+        plant = Delta(loaded, measured)
+        if not without_repeats:
+            check_repeats(measured)
         found = outcome(plant, searched(plant, lambda sentence: say(f"ffcomp: {sentence}", quiet)))
         written = None
         if output is not None and found.verdict == "effects":
@@ -83,6 +91,7 @@ def _result(found: Outcome, written: str | None, seconds: float) -> dict[str, An
             for name in named
         ],
         "refused": {"effects": list(found.effects), "because": list(found.refused)} if found.refused else None,
+        "invisible": list(found.invisible),
         "retuned": {key: {"from": a, "to": b} for key, (a, b) in found.retuned.items()},
         "confusable_with": [{"name": name, "separate_by": how} for name, how in found.confusable_with],
         "gap": {
@@ -124,5 +133,7 @@ def _print(found: Outcome, written: str | None) -> None:
         print("At places it was not fitted to: {:.2f} → {:.2f} %.".format(*(100 * x for x in found.held_out)))
     for name, how in found.confusable_with if found.verdict == "effects" else ():
         print(f"Looks alike: {name}. To tell them apart: {how}")
+    if found.invisible:
+        print(f"These runs could not show: {', '.join(found.invisible)}.")
     if written:
         print(f"{written}: written. Compare with new runs: ffcomp gap NEW-RUNS --machine {written}")
