@@ -1,0 +1,33 @@
+"""What all dry friction shares: how it turns over when the motion does, and how it takes hold at rest."""
+
+from __future__ import annotations
+
+from models.effects.effect import Parameter, Size
+
+
+def turning_over(size: Size) -> tuple[Parameter, Parameter]:
+    """The two shapes of F = ℓ tanh(v/v₀ + φ) (printer_kernels.py), which a machine file need not give."""
+    return (
+        Parameter(
+            "creep_mm_per_s",
+            "mm/s",
+            "v₀: much slower than this, friction falls with speed",
+            (0.05, 50),
+            (0.2, 5),
+            0.05,
+            size,
+            "shape",
+            default=0.5,
+        ),
+        Parameter(
+            "hold_per_s",
+            "1/s",
+            "κ: how quickly it takes hold of what rests; 0: never, all loads creep",
+            (0, 1000),
+            (0, 100),
+            5.0,
+            size,
+            "shape",
+            default=50.0,
+        ),
+    )
