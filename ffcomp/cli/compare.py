@@ -224,7 +224,7 @@ def _print(found: Comparison, report: Path | None, written: list[Path]) -> None:
 
     console = Console()
     for sentence in verdict(found):
-        console.print(sentence, highlight=False)
+        console.print(sentence, highlight=False, markup=False)
     table = Table("method", box=None, padding=(0, 1, 0, 0))
     for column in _columns(found):
         table.add_column(column, justify="right", no_wrap=True)
@@ -238,9 +238,9 @@ def _print(found: Comparison, report: Path | None, written: list[Path]) -> None:
     console.print(table)
     console.print(_legend(found), highlight=False)
     if report is not None:
-        console.print(f"Report: {report}", highlight=False)
+        console.print(f"Report: {report}", highlight=False, markup=False)
     if written:
-        console.print(f"{len(written)} figures in {written[0].parent}", highlight=False)
+        console.print(f"{len(written)} figures in {written[0].parent}", highlight=False, markup=False)
 
 
 def _columns(found: Comparison) -> list[str]:

@@ -31,10 +31,12 @@ from ffcomp.compare.result import BedMap, Comparison, Layer, Method, Party, Peak
 from ffcomp.compare.stretch import Print, Sampling, Stretch
 from ffcomp.compare.tuning import LinearPrinter
 from ffcomp.compare.ways import OURS, Way
+from ffcomp.errors import NothingToDo
 from ffcomp.invert.settings import Settings
 from ffcomp.pipeline import Summary, settings_for
 from models.machine import Machine
 
+SHORTEST_S = 3 * SETTLE_S
 SOME_S = 60.0  # of print time that is printed on every drawn plant
 FEW_S, FEW_PIECE_S = 30.0, 5.0  # on which shapers are tuned and accelerations tried
 BED_PITCH_MM = 10.0
@@ -80,6 +82,8 @@ def compare(
     check_same_kinematics(machine, plant)
     printed = Print(data, path, machine, offset, flavor)
     stretches, sampled = printed.stretches(request.sampling)
+    if max(each.trajectory.end_t for each in stretches) < SHORTEST_S:
+        raise NothingToDo(f"{path}: what is to be judged lasts less than {SHORTEST_S:g} s: nothing to compare.")
     some, _ = printed.stretches(request.sampling, at_most_s=SOME_S)
     few, _ = printed.stretches(request.sampling, FEW_PIECE_S, FEW_S)
     ways = _ways(machine, plant, few, settings, names(request), progress)

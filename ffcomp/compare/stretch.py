@@ -127,6 +127,8 @@ class Print:
         found = [self._part(a, b) for a, b in self._pieces(first, last, wanted, piece_s)]
         judged = sum(each.trajectory.end_t for each in found)
         told = f"{len(found)} stretches of some {judged / len(found):.0f} s, spread evenly over {what}"
+        if len(found) == 1:
+            told = f"One stretch in the middle of {what}"
         return found, f"{told}: {judged:.0f} of {seconds:.0f} s ({judged / seconds:.0%}) were judged."
 
     def _layers(self, sampling: Sampling) -> tuple[int, int]:

@@ -1,0 +1,87 @@
+"""A corner from near: what was wanted, what comes of it, and how far off it is along the way."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+
+from ffcomp.compare.result import Comparison
+from ffcomp.report.compare.places import Pass, Place
+from ffcomp.report.compare.style import WANTED, colour_of, grid, plain_decades
+from ffcomp.report.compare.words import clipped, nick, um
+
+LEAST_UM = 0.1  # below it the error along the way is not drawn
+
+
+def draw_places(box: Figure | SubFigure, found: Comparison, places: list[Place]) -> None:
+    """The places side by side, each with its error along the way underneath."""
+    columns = np.atleast_2d(box.subplots(2, len(places), height_ratios=(2.3, 1), squeeze=False))
+    for number, place in enumerate(places):
+        _seen(columns[0, number], found, place)
+        _along(columns[1, number], found, place)
+
+
+def _seen(axes: Axes, found: Comparison, place: Place) -> None:
+    x, y, z = place.at
+    for line in place.neighbours:
+        axes.plot(*line.T, color="#d5d9e0", linewidth=1.2, zorder=1)
+    for each in place.passes:
+        colour, above = colour_of(found, each.method), 4 if each.method.name == found.ours else 3
+        axes.plot(*each.nozzle[:, :2].T, color=colour, linewidth=1.8, label=_label(each), zorder=above)
+    wanted = place.passes[0].wanted[:, :2].T
+    axes.plot(*wanted, color=WANTED, linewidth=0.9, linestyle=(0, (5, 2)), label="wanted", zorder=5)
+    _arrow(axes, place)
+    _scale_bar(axes, place)
+    half = place.half_mm
+    axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal", xticks=[], yticks=[])
+    axes.set_title(
+        f"X {x:.1f}  Y {y:.1f}  Z {z:.2f} mm\nlayer {place.layer}, {clipped(place.feature)}", parse_math=False
+    )
+    look: dict[str, Any] = {"frameon": False, "fontsize": 8, "handlelength": 1.4, "columnspacing": 1.2}
+    title = {"title": "largest error here", "title_fontsize": 8}
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=2, **look, **title)
+
+
+def _label(each: Pass) -> str:
+    worst = float(each.contour_um.max(initial=0.0))
+    return f"{clipped(nick(each.method), 20)}: {um(worst)} µm"
+
+
+def _arrow(axes: Axes, place: Place) -> None:
+    """Which way the nozzle goes: on the wanted path, half way in."""
+    each = place.passes[0]
+    k = int(np.argmin(np.abs(each.along_mm + 0.62 * place.half_mm)))
+    step = each.wanted[min(k + 1, len(each.wanted) - 1), :2] - each.wanted[k, :2]
+    if (length := float(np.hypot(*step))) > 0.0:
+        tail, look = each.wanted[k], {"arrowstyle": "-|>", "color": WANTED, "lw": 0.9, "mutation_scale": 11}
+        tip = tail[:2] + 0.12 * place.half_mm * step / length
+        axes.annotate("", (tip[0], tip[1]), (tail[0], tail[1]), zorder=6, arrowprops=look)
+
+
+def _scale_bar(axes: Axes, place: Place) -> None:
+    half = place.half_mm
+    length = max((n for n in (0.02, 0.05, 0.1, 0.2, 0.5) if n <= 0.4 * half), default=0.02)
+    x, y = place.at[0] - 0.92 * half, place.at[1] - 0.92 * half
+    axes.plot([x, x + length], [y, y], color=WANTED, linewidth=3, solid_capstyle="butt", zorder=7)
+    axes.text(
+        x + length / 2,
+        y + 0.05 * half,
+        f"{1e3 * length:g} µm",
+        ha="center",
+        fontsize=8,
+        zorder=7,
+        bbox={"facecolor": "#ffffffd0", "edgecolor": "none", "pad": 1},
+    )
+
+
+def _along(axes: Axes, found: Comparison, place: Place) -> None:
+    for each in place.passes:
+        axes.semilogy(each.along_mm, np.maximum(each.contour_um, LEAST_UM), color=colour_of(found, each.method), lw=1.3)
+    axes.axvline(0.0, color=WANTED, linewidth=0.8, linestyle=":")
+    axes.set(xlabel="mm along the path from the corner", ylabel="off the path, µm", ylim=(LEAST_UM, None))
+    axes.set_xlim(-1.2 * place.half_mm, 1.5 * place.half_mm)
+    plain_decades(axes.yaxis)
+    grid(axes)

@@ -1,0 +1,156 @@
+"""The page: one file that opens offline. All text that comes from files is escaped, and nothing is fetched."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.resources import files
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+
+from ffcomp.compare.result import Comparison, Error
+from ffcomp.report.compare import table
+from ffcomp.report.compare.captions import HOW_TO_READ
+from ffcomp.report.compare.figures import Drawing, close_ups, drawings, svg
+from ffcomp.report.compare.glossary import GLOSSARY
+from ffcomp.report.compare.packed import LOWEST_UM, packed, thinned_out
+from ffcomp.report.compare.style import colour_of
+from ffcomp.report.compare.verdict import verdict
+from ffcomp.report.compare.words import contour_p99_um, contour_rms_um, duration, extrudes, file_name, shown, um
+from gcode.container import replace_atomically
+
+COLOURS = 64
+DARKEST = 0.18  # of the colour map: below, lines would not show on the viewer's dark ground
+
+
+def write_report(comparison: Comparison, target: Path) -> None:
+    """The whole comparison as one HTML file; what stood there before stays until the new one is complete."""
+    replace_atomically(target, _page(comparison))
+
+
+def _page(found: Comparison) -> Iterator[bytes]:
+    script = _resource("viewer.js") + "\n" + _resource("page.js")
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters |= {"um": um, "duration": duration}
+    template = environment.from_string(_resource("report.html.jinja"))
+    yield template.render(
+        found=found,
+        name=file_name(found),
+        today=datetime.now(UTC).strftime("%Y-%m-%d"),
+        css=Markup(_resource("report.css")),
+        script=Markup(script),
+        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii"),
+        data=_json(packed(found)),
+        thinned_out=thinned_out(found),
+        colours=_json(_colours()),
+        ticks=_ticks(found),
+        sentences=[_tied(sentence) for sentence in verdict(found)],
+        tiles=_tiles(found),
+        extrudes=extrudes(found),
+        shown=shown(found),
+        close_ups=[_image(each) for each in close_ups(found)],
+        how_to_read=HOW_TO_READ,
+        figures={each.name: _image(each) for each in drawings(found) if each.name != "close-up"},
+        columns=table.columns(found),
+        groups=[(name, len(list(them))) for name, them in groupby(c.group for c in table.columns(found))],
+        families=_families(found),
+        layers=_layers(found),
+        features=_features(found),
+        warnings=[(m.label, each) for m in found.methods.values() for each in dict.fromkeys(m.warnings)],
+        glossary=GLOSSARY,
+    ).encode()
+
+
+def _tied(sentence: str) -> str:
+    """A number and its unit stay on one line."""
+    return re.sub(r"(?<=\d) (?=(%|µm|Hz|mm/s|m/s²|s|min|h)\b|%|m/s²)", "\N{NO-BREAK SPACE}", sentence)
+
+
+def _resource(name: str) -> str:
+    return files("ffcomp.report.compare").joinpath(name).read_text(encoding="utf-8")
+
+
+def _json(value: Any) -> Markup:
+    """Inside a <script> element, which only `</` could end."""
+    return Markup(json.dumps(value, ensure_ascii=True, separators=(",", ":")).replace("<", "\\u003c"))
+
+
+def _colours() -> list[str]:
+    """From dark purple (on the path) to bright yellow (far off), even to the eye."""
+    colours = matplotlib.colormaps["inferno"]
+    shares = [DARKEST + (1 - DARKEST) * k / (COLOURS - 1) for k in range(COLOURS)]
+    return [matplotlib.colors.to_hex(colours(share)) for share in shares]
+
+
+def _ticks(found: Comparison) -> list[tuple[float, str]]:
+    """Where on the colour bar, in %, powers of ten stand."""
+    highest = max(1e3 * float(method.samples.contour.max()) for method in shown(found))
+    decades = math.log10(max(highest, 1.0) / LOWEST_UM)
+    return [(100 * k / decades, f"{LOWEST_UM * 10**k:g}") for k in range(math.floor(decades) + 1)]
+
+
+@dataclass(frozen=True, slots=True)
+class Image:
+    title: str
+    said: str
+    data: str  # base64 of SVG
+    width: int
+    height: int
+
+
+def _image(drawing: Drawing) -> Image:
+    data = base64.b64encode(svg(drawing)).decode("ascii")
+    return Image(drawing.title, drawing.said, data, round(96 * drawing.width), round(96 * drawing.height))
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """One of the three big numbers on top."""
+
+    label: str
+    rms: str
+    p99: str
+    colour: str
+    share: float  # of the largest of them, %
+
+
+def _tiles(found: Comparison) -> list[Tile]:
+    values = [contour_rms_um(found, method) for method in shown(found)]
+    most = max(max(values), 1e-9)
+    return [
+        Tile(m.label, um(v), um(contour_p99_um(found, m)), colour_of(found, m), 100 * v / most)
+        for m, v in zip(shown(found), values, strict=True)
+    ]
+
+
+def _families(found: Comparison) -> list[tuple[str, list[table.Row]]]:
+    by_family = groupby(table.rows(found), lambda row: row.method.family)
+    return [(table.FAMILY_WORDS[family], list(rows)) for family, rows in by_family]
+
+
+def _layers(found: Comparison) -> list[tuple[int, str, list[str]]]:
+    return [
+        (layer.number, f"{layer.z_mm:.2f}", [_rms(m.by_layer.get(layer.number)) for m in shown(found)])
+        for layer in found.layers
+    ]
+
+
+def _features(found: Comparison) -> list[tuple[str, str, list[str]]]:
+    share = found.methods["none"].by_feature
+    names = sorted(share, key=lambda name: -share[name].share)
+    return [(name, f"{share[name].share:.1%}", [_rms(m.by_feature.get(name)) for m in shown(found)]) for name in names]
+
+
+def _rms(error: Error | None) -> str:
+    return "–" if error is None else um(error.rms_um)

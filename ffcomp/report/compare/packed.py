@@ -1,0 +1,172 @@
+"""The samples as the page's viewer gets them: thinned out, in few bytes, as base64.
+
+Points that lie on a straight line between their neighbours, in the wanted path and in the error alike, go first; each
+point that stays has the largest error of those it stands for, so that no peak is lost. All are whole numbers, see
+`COLUMNS`. Of each column the steps from point to point are written, first the low bytes of all of them, then the next
+ones, so that zlib finds much to leave out: some 9 bytes a point of 20.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.compare.result import Comparison, Method
+from ffcomp.report.compare.off_path import contour_vectors, unbroken
+from ffcomp.report.compare.words import nick, shown, um
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+POINTS = 240_000  # of all methods together: some 2.9 MB of text
+ERROR_WEIGHT = 20.0  # an error counts so much more than the same length along the path
+FINEST_MM = 1e-4  # what bends less is straight
+LOWEST_UM = 0.1  # end of the scale of errors
+COLUMNS = (
+    ("foot", "<u2", 3),  # × grain_mm + origin_mm: the nearest point of the wanted path
+    ("away", "<i2", 3),  # × step_mm: from there to the nozzle
+    ("due", "<u4", 1),  # × DUE_S
+    ("layer", "<u2", 1),  # index into the judged layers
+    ("error", "u1", 1),  # logarithmic, LOWEST_UM at 0, highest_um at 255
+    ("kind", "u1", 1),  # feature, + EXTRUDING, + BREAK
+)
+DUE_S = 1e-4
+EXTRUDING, BREAK, FEATURES = 128, 64, 63  # plastic flows; not joined with the point before; the last feature
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """How numbers become integers, the same for all methods."""
+
+    origin_mm: FloatArray  # (3,)
+    grain_mm: float
+    step_mm: float
+    highest_um: float
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """One method's samples as they are drawn."""
+
+    method: Method
+    foot: FloatArray  # (m, 3) mm
+    away: FloatArray  # (m, 3) mm
+
+
+def packed(found: Comparison) -> dict[str, Any]:
+    """All that the viewer knows, ready for JSON."""
+    traces = [_trace(method, found.sample_s) for method in shown(found)]
+    scale = _scale(traces)
+    numbers = [layer.number for layer in found.layers]
+    return {
+        "origin": scale.origin_mm.tolist(),
+        "grain": scale.grain_mm,
+        "step": scale.step_mm,
+        "tick": DUE_S,
+        "lowest": LOWEST_UM,
+        "highest": scale.highest_um,
+        "features": list(found.features[: FEATURES + 1]),
+        "layers": [{"number": layer.number, "z": layer.z_mm} for layer in found.layers],
+        "reach": None if found.bed is None else float(found.bed.x_mm[-1]),
+        "methods": [_method(trace, scale, numbers, POINTS // len(traces)) for trace in traces],
+    }
+
+
+def _trace(method: Method, sample_s: float) -> Trace:
+    away = contour_vectors(method.samples, sample_s)
+    return Trace(method, method.samples.nozzle - away, away)
+
+
+def thinned_out(found: Comparison) -> str:
+    """A sentence on what the viewer leaves out; empty if nothing."""
+    share = min(1.0, POINTS / sum(len(method.samples.due) for method in shown(found)))
+    if share == 1.0:
+        return ""
+    return (
+        f"The view holds {share:.0%} of the samples: those on straight lines between others are left out, and each "
+        "that stays is coloured by the largest error of those it stands for."
+    )
+
+
+def _scale(traces: list[Trace]) -> Scale:
+    low = np.min([trace.foot.min(axis=0) for trace in traces], axis=0)
+    high = np.max([trace.foot.max(axis=0) for trace in traces], axis=0)
+    longest = max(float(np.abs(trace.away).max()) for trace in traces)
+    highest = 1e3 * max(float(trace.method.samples.contour.max()) for trace in traces)
+    return Scale(low, max(float((high - low).max()), 1.0) / 65535, max(longest, 1e-3) / 32767, max(highest, 1.0))
+
+
+def _method(trace: Trace, scale: Scale, numbers: list[int], limit: int) -> dict[str, Any]:
+    method, s = trace.method, trace.method.samples
+    kept, joined = thin(trace, limit)
+    worst = np.maximum.reduceat(s.contour, kept)
+    layer_of = {number: index for index, number in enumerate(numbers)}
+    columns = {
+        "foot": np.round((trace.foot[kept] - scale.origin_mm) / scale.grain_mm),
+        "away": np.round(trace.away[kept] / scale.step_mm),
+        "due": np.round(s.due[kept] / DUE_S),
+        "layer": [layer_of[number] for number in s.layer[kept].tolist()],
+        "error": np.round(255 * log_share(1e3 * worst, scale.highest_um)),
+        "kind": np.minimum(s.feature[kept], FEATURES) + EXTRUDING * s.extruding[kept] + BREAK * ~joined,
+    }
+    data = b"".join(_steps(np.asarray(columns[name]).astype(form)) for name, form, _ in COLUMNS)
+    return {
+        "label": method.label,
+        "short": nick(method),
+        "count": len(kept),
+        "byLayer": [um(method.by_layer[n].rms_um) if n in method.by_layer else "–" for n in numbers],
+        "data": base64.b64encode(zlib.compress(data, 9)).decode("ascii"),
+    }
+
+
+def _steps(column: NDArray[Any]) -> bytes:
+    """Differences from point to point, which may wrap, byte plane after byte plane."""
+    whole = column.reshape(len(column), -1)
+    steps = np.diff(whole, axis=0, prepend=np.zeros_like(whole[:1]))
+    planes = np.ascontiguousarray(steps.T).view(np.uint8).reshape(whole.shape[1], len(whole), -1)
+    return planes.transpose(0, 2, 1).tobytes()
+
+
+def log_share(error_um: FloatArray, highest_um: float) -> FloatArray:
+    """0 at LOWEST_UM and below, 1 at highest_um."""
+    share = np.log(np.maximum(error_um, LOWEST_UM) / LOWEST_UM) / np.log(highest_um / LOWEST_UM)
+    return np.asarray(np.minimum(share, 1.0))
+
+
+def thin(trace: Trace, limit: int) -> tuple[IntArray, BoolArray]:
+    """The samples that stay, in order, `limit` of them or a few more; whether each is joined with the one before."""
+    samples = trace.method.samples
+    starts = np.array([piece.start for piece in unbroken(samples.due)])
+    significance = _significance(np.column_stack([trace.foot, ERROR_WEIGHT * trace.away]))
+    changes = (np.diff(samples.layer) != 0) | (np.diff(samples.extruding) != 0) | (np.diff(samples.feature) != 0)
+    significance[np.flatnonzero(changes) + 1] = np.inf
+    significance[starts] = significance[starts - 1] = np.inf  # ends of pieces; before the first is the very last
+    kept = np.arange(len(significance))
+    if len(kept) > limit:
+        threshold = np.partition(significance, -limit)[-limit]
+        kept = np.flatnonzero(significance >= max(threshold, FINEST_MM))
+    return kept, ~np.isin(kept, starts)
+
+
+def _significance(points: FloatArray) -> FloatArray:
+    """(m,) : how far each point (m, 6) is from the straight line that would replace it; infinite if nothing may.
+
+    A binary hierarchy: level k has every 2^k-th sample. A point's significance is its distance to the middle of its
+    two neighbours on the coarsest level that has it, and never less than that of the finer points that lean on it.
+    """
+    found = np.full(len(points), np.inf)
+    step = 1
+    while 2 * step < len(points):
+        middle = np.arange(step, len(points) - step, 2 * step)
+        bend = np.linalg.norm(points[middle] - (points[middle - step] + points[middle + step]) / 2, axis=1)
+        if step > 1:
+            bend = np.maximum(bend, np.maximum(found[middle - step // 2], found[middle + step // 2]))
+        found[middle] = bend
+        step *= 2
+    return found

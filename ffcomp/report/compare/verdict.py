@@ -1,0 +1,185 @@
+"""What the comparison says, in plain sentences, the bad news as plainly as the good."""
+
+from __future__ import annotations
+
+from ffcomp.compare.result import Comparison, EqualQuality, Method
+from ffcomp.report.compare.words import (
+    contour_p99_um,
+    contour_rms_um,
+    duration,
+    extrudes,
+    fastest_shaper,
+    metres,
+    nick,
+    shapers,
+    times,
+    um,
+)
+
+ALIKE = 1.05  # two errors closer than this are called the same
+
+
+def verdict(found: Comparison) -> list[str]:
+    """The most important first: how much better than nothing, than a shaper, and what to be careful about."""
+    ours, none, best = (found.methods[name] for name in (found.ours, "none", found.best_fixed))
+    return [
+        _against_none(found, none, ours),
+        _against_best(found, best, ours),
+        *_against_all(found, ours),
+        *_mismatch(found, best, ours),
+        *_equal_quality(found, none, ours),
+        *_limits(found, ours),
+        *_warnings(ours),
+        found.sampling,
+        _judge(found),
+    ]
+
+
+def _against_none(found: Comparison, none: Method, ours: Method) -> str:
+    before, after = contour_rms_um(found, none), contour_rms_um(found, ours)
+    where = (
+        "Where plastic flows, the" if extrudes(found) else "No plastic flows in what was judged; over all moves, the"
+    )
+    numbers = (
+        f"{where} nozzle is {um(before)} µm (rms) off the wanted path without compensation and {um(after)} µm with "
+        "ffcomp"
+    )
+    tails = (
+        f"99 % of the time it stays within {um(contour_p99_um(found, ours))} µm, without compensation within "
+        f"{um(contour_p99_um(found, none))} µm"
+    )
+    if after > ALIKE * before:
+        return f"{numbers}: ffcomp makes this print worse, do not use it here; {tails}."
+    if before <= ALIKE * after:
+        return f"{numbers}: no difference worth the trouble; {tails}."
+    return f"{numbers}: {times(before / after)} less; {tails}."
+
+
+def _against_best(found: Comparison, best: Method, ours: Method) -> str:
+    theirs, own = contour_rms_um(found, best), contour_rms_um(found, ours)
+    usual = _calibrated(found)
+    said = f"The best fixed input shaper ({nick(best)}, {_short(best.tuning)}) leaves {um(theirs)} µm"
+    if own > ALIKE * theirs:
+        return f"{said}: {times(own / theirs)} less than ffcomp. Use the shaper.{usual}"
+    if theirs <= ALIKE * own:
+        return f"{said}, the same as ffcomp.{usual}"
+    return f"{said}: {times(theirs / own)} as much as ffcomp.{usual}"
+
+
+def _calibrated(found: Comparison) -> str:
+    """What owners have: the best of the shapers that a firmware's own calibration sets."""
+    usual = [method for method in found.methods.values() if method.family == "calibrated"]
+    if not usual:
+        return ""
+    first = min(usual, key=lambda method: contour_rms_um(found, method))
+    least = um(contour_rms_um(found, first))
+    return f" Set by the firmware's own resonance test, shapers leave {least} µm ({nick(first)})."
+
+
+def _short(tuning: str) -> str:
+    """What was chosen, without the explanation how."""
+    return tuning.split(": ")[0].rstrip(".")
+
+
+def _against_all(found: Comparison, ours: Method) -> list[str]:
+    """A method beside the two above that does better than ours is named."""
+    first = min(found.methods.values(), key=lambda method: contour_rms_um(found, method))
+    own, least = contour_rms_um(found, ours), contour_rms_um(found, first)
+    if first.name in (found.ours, found.best_fixed, "none") or own <= ALIKE * least:
+        return []
+    return [f"The least error of all has {first.label}: {um(least)} µm."]
+
+
+def _mismatch(found: Comparison, best: Method, ours: Method) -> list[str]:
+    """Against the shaper that stands it best, and against the best one tuned again."""
+    own = ours.spread
+    if own is None:
+        return []
+    judged = [(method.spread, f"{method.label}, as tuned") for method in shapers(found) if method.spread is not None]
+    against = sorted(judged, key=lambda each: each[0].median_um)[:1]
+    if best.retuned is not None:
+        against.append((best.retuned, f"{nick(best)} tuned again on each"))
+    said = (
+        f"On {len(own.contour_rms_um)} printers that are not as the machine file says, over all moves: "
+        f"{um(own.median_um)} µm in the median and {um(own.worst_um)} µm at worst with ffcomp"
+    )
+    said += "".join(f"; {um(spread.median_um)} and {um(spread.worst_um)} µm with {name}" for spread, name in against)
+    if any(own.median_um > ALIKE * spread.median_um for spread, _ in against):
+        return [f"{said}. With such an uncertainty the shaper is better: measure the machine first."]
+    if any(own.worst_um > ALIKE * spread.worst_um for spread, _ in against):
+        return [f"{said}. In the median ffcomp is ahead or level, at worst the shaper is better."]
+    return [f"{said}."]
+
+
+def _equal_quality(found: Comparison, none: Method, ours: Method) -> list[str]:
+    own, rival = ours.equal_quality, fastest_shaper(found)
+    if own is None:
+        return []
+    parts, saved = [f"ffcomp {_speed(own)}"], ""
+    if rival is not None and rival.equal_quality is not None:
+        parts.append(f"the fastest shaper ({rival.label}) {_speed(rival.equal_quality)}")
+        saved = _saved(rival.equal_quality, own)
+    if none.equal_quality is not None:
+        parts.append(f"no compensation {_speed(none.equal_quality)}")
+    bound = f"If 99 % of the contour error must stay below {found.quality_bound_um:g} µm"
+    return [f"{bound}: {'; '.join(parts)}.{saved}"]
+
+
+def _speed(quality: EqualQuality) -> str:
+    acceleration, whole = metres(quality.acceleration_mm_per_s2), duration(quality.print_time_s)
+    if not quality.reached:
+        return f"misses it even at {acceleration}"
+    if quality.capped:
+        return f"keeps it even at {acceleration}, the highest that was tried (whole print {whole})"
+    return f"keeps it up to {acceleration} (whole print {whole})"
+
+
+def _saved(theirs: EqualQuality, own: EqualQuality) -> str:
+    """Time against the shaper; only where both keep the bound."""
+    if not (own.reached and theirs.reached):
+        return ""
+    share = 1 - own.print_time_s / theirs.print_time_s
+    if abs(share) < 0.005:
+        return " That saves no time on this print."
+    word = "less" if share > 0 else "more"
+    return f" With ffcomp that is {100 * abs(share):.0f} % {word} print time than with the shaper."
+
+
+def _limits(found: Comparison, ours: Method) -> list[str]:
+    beyond = [method for method in found.methods.values() if not method.peaks.within_limits]
+    if ours in beyond:
+        return [
+            f"ffcomp asks the carriages for {ours.peaks.velocity_mm_per_s:.0f} mm/s and "
+            f"{metres(ours.peaks.acceleration_mm_per_s2)}, more than the machine file allows{_allowed(found)}: its "
+            "accuracy here is not to be had; lower the print's speed or acceleration."
+        ]
+    if beyond:
+        names = ", ".join(method.label for method in beyond)
+        return [f"Beyond the limits of the carriages{_allowed(found)}: {names}. Their accuracy is not to be had."]
+    return []
+
+
+def _allowed(found: Comparison) -> str:
+    velocity = found.limits.get("carriage_velocity_mm_per_s")
+    acceleration = found.limits.get("carriage_acceleration_mm_per_s2")
+    if velocity is None or acceleration is None:
+        return ""
+    return f" ({velocity:.0f} mm/s, {metres(acceleration)})"
+
+
+def _warnings(ours: Method) -> list[str]:
+    return [f"Warning: {sentence}" for sentence in dict.fromkeys(ours.warnings)]
+
+
+def _judge(found: Comparison) -> str:
+    effects = f", with {', '.join(found.plant.effects)}" if found.plant.effects else ""
+    if found.plant.sha256 == found.machine.sha256:
+        drawn = "" if found.mismatch else "; --mismatch 10% shows by how much"
+        return (
+            "All of this is simulated, and the virtual printer has the very numbers of the machine file that ffcomp "
+            f"plans with{effects}. A real printer differs from its file, so in reality it will be less good{drawn}."
+        )
+    return (
+        f"All of this is simulated: every method believes {found.machine.name}, the virtual printer that judges is "
+        f"{found.plant.name}{effects}."
+    )
