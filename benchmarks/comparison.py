@@ -1,6 +1,7 @@
 """Every method on the sample prints and on a print from outside, with machines that are not as their files say.
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/comparison.py > docs/COMPARISON.md     some half an hour on two cores
+    … comparison.py far_star lobed_vase                     only these tables
 
 The print from outside is read from ../shared/data/gcode (or FFCOMP_DATA); without it, its table is left out.
 """
@@ -69,9 +70,12 @@ Made by `python benchmarks/comparison.py > docs/COMPARISON.md` (Python {platform
 """
 
 
-def main() -> None:
-    print(INTRODUCTION)
+def main(names: list[str]) -> None:
+    if not names:
+        print(INTRODUCTION)
     for path, name in CASES:
+        if names and path.stem not in names:
+            continue
         if path.exists():
             for line in case(path, load_machine(name)):
                 print(line, flush=True)
@@ -177,4 +181,4 @@ def _said(what: str, share: float) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ffcomp import shapers
 from ffcomp.compare import ours
-from ffcomp.compare.motion import Clock, Motion, motion_of, own_clock
+from ffcomp.compare.motion import Clock, Motion, motion_of, path_corners, planned_motion
 from ffcomp.compare.motion import shaped as shaped_apart
 from ffcomp.compare.ours import Compensated, Segments, pick
 from ffcomp.invert.fbs import Inverter
@@ -103,14 +103,12 @@ class Original:
     @cached_property
     def corners(self) -> tuple[FloatArray, FloatArray]:
         """When each corner of the path is due (n + 1,) s, and where it is (n + 1, 3) mm."""
-        plan = self.trajectory
-        end = plan.position(np.array([plan.end_t]))
-        return np.append(plan.start_t, plan.end_t), np.vstack([plan.origin, end])[:, :3]
+        return path_corners(self.trajectory)
 
     @cached_property
     def motion(self) -> Motion:
         """The plan as it stands."""
-        return motion_of(self.trajectory, own_clock(self.trajectory))
+        return planned_motion(self.trajectory)
 
 
 def sample_print(name: str, from_s: float = 0.0, until_s: float = np.inf) -> Original:

@@ -54,6 +54,17 @@ def own_clock(trajectory: Trajectory) -> Clock:
     return Clock(begin, begin, begin, end)
 
 
+def planned_motion(trajectory: Trajectory) -> Motion:
+    """The wanted plan itself, on its own clock."""
+    return motion_of(trajectory, own_clock(trajectory))
+
+
+def path_corners(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
+    """When each corner of the path is due (n + 1,) s, and where it is (n + 1, 3) mm."""
+    end = trajectory.position(np.array([trajectory.end_t]))
+    return np.append(trajectory.start_t, trajectory.end_t), np.vstack([trajectory.origin, end])[:, :3]
+
+
 def shaped(motion: Motion, x: shapers.Shaper, y: shapers.Shaper) -> Motion:
     """The motion as a firmware with input shapers plays it: each axis convolved, no delay at constant speed."""
     return _changed(motion, lambda t: shapers.shape(motion.position, t, x, y))

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compare.motion import Motion, motion_of, own_clock
+from ffcomp.compare.motion import Motion, path_corners, planned_motion
 from ffcomp.errors import NothingToDo
 from ffcomp.pipeline import Planned, plan_program
 from ffcomp.plan.trajectory import Trajectory
@@ -57,14 +57,12 @@ class Stretch:
     @cached_property
     def corners(self) -> tuple[FloatArray, FloatArray]:
         """When each corner of the path is due (n + 1,) s, and where it is (n + 1, 3) mm."""
-        plan = self.trajectory
-        end = plan.position(np.array([plan.end_t]))
-        return np.append(plan.start_t, plan.end_t), np.vstack([plan.origin, end])[:, :3]
+        return path_corners(self.trajectory)
 
     @cached_property
     def motion(self) -> Motion:
         """The plan as it stands."""
-        return motion_of(self.trajectory, own_clock(self.trajectory))
+        return planned_motion(self.trajectory)
 
     @property
     def extrudes(self) -> NDArray[np.bool_]:

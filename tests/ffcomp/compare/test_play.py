@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from ffcomp.compare.motion import motion_of, own_clock
+from ffcomp.compare.motion import planned_motion
 from ffcomp.compare.ours import segments_motion
 from ffcomp.compare.play import peaks, play, sag
 from ffcomp.metrics import contour_error
@@ -63,7 +63,7 @@ def rms(x: np.ndarray) -> float:
 
 def test_chunks_and_company_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     trajectory = judge.part("ringing_tower").original.trajectory
-    motion = motion_of(trajectory, own_clock(trajectory))
+    motion = planned_motion(trajectory)
     short = type(motion)(motion.position, 0.0, 2.0, motion.clock)
     stiff = with_effect(MACHINE, "belt_stiffness", relative_change=0.2)
     _, (alone,) = play([MACHINE], short, MACHINE)
