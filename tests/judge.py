@@ -24,14 +24,14 @@ from numpy.typing import NDArray
 
 from ffcomp import shapers
 from ffcomp.compare import ours
-from ffcomp.compare.motion import Clock, Motion, motion_of, path_corners, planned_motion
-from ffcomp.compare.motion import shaped as shaped_apart
 from ffcomp.compare.ours import Compensated, Segments, pick
+from ffcomp.compare.shaped import shaped as shaped_apart
 from ffcomp.invert.fbs import Inverter
 from ffcomp.invert.settings import Settings
 from ffcomp.metrics import contour_error, peak_acceleration, tracking
 from ffcomp.pipeline import Planned, plan_program, settings_for
 from ffcomp.plan.trajectory import Trajectory
+from ffcomp.virtual.motion import Clock, Motion, motion_of, path_corners, planned_motion
 from gcode.program import Program
 from gcode.reader import read_program
 from models.machine import Machine

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from ffcomp import __version__
 from ffcomp.compare import ways as every
 from ffcomp.compare.judge import SAMPLE_S, SETTLE_S, Judgement, Played, by, contour, judge, track
-from ffcomp.compare.plants import check_same_kinematics, drawn, dynamic_numbers
+from ffcomp.compare.plants import drawn, dynamic_numbers
 from ffcomp.compare.play import JOBS, STEP_S, peaks, play
 from ffcomp.compare.quality import equal_quality, within_limits
 from ffcomp.compare.result import BedMap, Comparison, Layer, Method, Party, Peaks, Spread
@@ -34,6 +34,7 @@ from ffcomp.compare.ways import OURS, Way
 from ffcomp.errors import NothingToDo
 from ffcomp.invert.settings import Settings
 from ffcomp.pipeline import Summary, settings_for
+from ffcomp.virtual.same_printer import check_same_kinematics
 from models.machine import Machine
 
 SHORTEST_S = 3 * SETTLE_S

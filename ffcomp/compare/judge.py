@@ -13,12 +13,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compare.motion import Motion
 from ffcomp.compare.play import KEEP_EVERY, STEP_S
 from ffcomp.compare.result import Error, Samples
 from ffcomp.compare.stretch import Stretch
 from ffcomp.errors import NothingToDo
 from ffcomp.metrics import Track, contour_error, tracking
+from ffcomp.virtual.motion import Motion
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compare.motion import Clock, Motion, motion_of
 from ffcomp.invert.fbs import Inverter, RunResult
 from ffcomp.invert.settings import Settings
 from ffcomp.pipeline import Planned, Summary, compensate, plan_program
 from ffcomp.plan.trajectory import Trajectory
 from ffcomp.runs import Run
+from ffcomp.virtual.motion import Clock, Motion, motion_of
 from gcode.reader import read_program
 from models.machine import Machine
 

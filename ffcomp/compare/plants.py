@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.errors import MachineFileError
 from models.machine import Machine
 from models.parameters import value_of, with_values
 
@@ -41,29 +40,3 @@ def drawn(machine: Machine, relative_sd: float, seeds: int) -> list[Machine]:
         values = {name: value_of(machine, name) * (1 + relative_sd * d) for name, d in zip(names, off, strict=True)}
         found.append(with_values(machine, values))
     return found
-
-
-def check_same_kinematics(machine: Machine, plant: Machine) -> None:
-    """A plant whose towers stand elsewhere is another printer: its error would be that of the geometry.
-
-    Raises
-    ------
-    MachineFileError
-        If the plant's geometry is not about the machine's.
-    """
-    problems = []
-    for key, allowed in ALLOWED.items():
-        own, other = (np.atleast_1d(getattr(m.kinematics, key)) for m in (machine, plant))
-        if np.abs(own - other).max() > allowed:
-            given = f"kinematics.{key} is {_shown(other)}, but {_shown(own)} in {machine.path or machine.name}"
-            rule = f"a plant must have the machine's kinematics, within {allowed:g}"
-            problems.append(f"{given}: {rule}. For another calibration there is the effect arm_geometry.")
-    if problems:
-        raise MachineFileError(plant.path or plant.name, problems)
-
-
-ALLOWED = {"arm_lengths_mm": 1.0, "delta_radii_mm": 1.0, "tower_angles_deg": 0.5, "effector_height_mm": 1.0}
-
-
-def _shown(values: np.ndarray) -> str:
-    return ", ".join(f"{v:g}" for v in values)

@@ -5,20 +5,16 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from ffcomp.compare.motion import Motion
 from ffcomp.virtual.command import peaks as command_peaks
-from models import printer_kernels as kernels
-from models.effects.catalogue import effective_machine
-from models.kinematics.delta import forward
+from ffcomp.virtual.motion import Motion
+from ffcomp.virtual.sag import sag
 from models.kinematics.kernels import FastDelta
 from models.machine import Machine
-from models.printer import PrinterState, printer_numbers, rest_values, simulate_printer
+from models.printer import PrinterState, simulate_printer
 
 FloatArray = NDArray[np.float64]
 
@@ -26,9 +22,6 @@ STEP_S = 1 / 6400  # from row to row of the command, straight between them: 0.03
 KEEP_EVERY = 4  # rows between two samples that are judged
 CHUNK_ROWS = 64_000
 JOBS = os.cpu_count() or 1
-
-_SAG_RINGS, _SAG_ANGLES = 9, 18
-SAG_ORDER = 8
 
 
 def play(
@@ -77,44 +70,3 @@ def peaks(motion: Motion, believed: Machine) -> tuple[float, float]:
         return delta.inverse(np.ascontiguousarray(motion.position(t)))
 
     return command_peaks(carriages, motion.begin_t, motion.end_t)
-
-
-def sag(plant: Machine, nozzle: FloatArray) -> FloatArray:
-    """How far weight alone bends the resting printer at places (m, 3) mm → (m, 3) mm."""
-    reach = plant.kinematics.print_radius_mm
-    return np.asarray(_powers(np.ascontiguousarray(nozzle[:, :2] / reach)) @ _sag_coefficients(plant))
-
-
-@njit(cache=True, nogil=True)
-def _powers(xy: FloatArray) -> FloatArray:
-    """x^i y^j for all i + j up to SAG_ORDER : (m, 45) of (m, 2)."""
-    out = np.empty((len(xy), (SAG_ORDER + 1) * (SAG_ORDER + 2) // 2))
-    for m in range(len(xy)):
-        k, of_x = 0, 1.0
-        for i in range(SAG_ORDER + 1):
-            both = of_x
-            for _ in range(SAG_ORDER + 1 - i):
-                out[m, k] = both
-                both *= xy[m, 1]
-                k += 1
-            of_x *= xy[m, 0]
-    return out
-
-
-@lru_cache(maxsize=64)
-def _sag_coefficients(plant: Machine) -> FloatArray:
-    """Of a polynomial of the eighth order over the bed, (45, 3) mm; 10 nm off at the most."""
-    reach = plant.kinematics.print_radius_mm
-    radius, angle = np.meshgrid(
-        reach * np.sqrt(np.linspace(0.0, 1.0, _SAG_RINGS)), 2 * np.pi / _SAG_ANGLES * np.arange(_SAG_ANGLES)
-    )
-    places = np.column_stack([(radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel(), 0 * radius.ravel()])
-    commands = FastDelta(plant.kinematics).inverse(places)
-    heavy, weightless = (printer_numbers(plant, gravity=g) for g in (True, False))
-    kinematics = effective_machine(plant).kinematics
-    bent, straight = (
-        forward(kinematics, 1e3 * np.array([rest_values(plant, c, p)[kernels.Q : kernels.Q + 3] for c in commands]))
-        for p in (heavy, weightless)
-    )
-    powers = _powers(places[:, :2] / reach)
-    return np.asarray(np.linalg.lstsq(powers, bent - straight, rcond=None)[0])

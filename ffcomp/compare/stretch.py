@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compare.motion import Motion, path_corners, planned_motion
 from ffcomp.errors import NothingToDo
 from ffcomp.pipeline import Planned, plan_program
 from ffcomp.plan.trajectory import Trajectory
+from ffcomp.virtual.motion import Motion, path_corners, planned_motion
 from gcode.dialects import detect_flavor
 from gcode.labels import Labels, labels
 from gcode.part import part, preamble

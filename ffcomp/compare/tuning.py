@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from ffcomp import shapers
 from ffcomp.calibrate import Fixed, best_fixed, calibrated_frequencies
 from ffcomp.compare.judge import SETTLE_S
-from ffcomp.compare.motion import Motion, shaped, shaped_by_place
+from ffcomp.compare.shaped import shaped, shaped_by_place
 from ffcomp.compare.stretch import Stretch
 from ffcomp.metrics import contour_error
 from ffcomp.schedule import respond, rest_state
 from ffcomp.shapers.motion import FrequencyOfPlace
+from ffcomp.virtual.motion import Motion
 from models.effects.catalogue import effective_machine
 from models.machine import Machine
 from models.plant import plant_table

@@ -8,15 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ffcomp import shapers
-from ffcomp.compare.motion import Motion, shaped, shaped_by_place
 from ffcomp.compare.ours import compensated, segments, segments_motion
 from ffcomp.compare.result import Family
+from ffcomp.compare.shaped import shaped, shaped_by_place
 from ffcomp.compare.stretch import Stretch
 from ffcomp.compare.tuning import LinearPrinter, calibrated_shapers, scaled
 from ffcomp.invert.fbs import Inverter
 from ffcomp.invert.settings import Settings
 from ffcomp.pipeline import Summary
 from ffcomp.shapers.motion import FrequencyOfPlace
+from ffcomp.virtual.motion import Motion
 from models.effects.catalogue import effective_machine
 from models.machine import Machine
 

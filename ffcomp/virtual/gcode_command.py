@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compare.motion import Clock, own_clock
 from ffcomp.invert.settings import Settings
 from ffcomp.job import STAMP_REACH, already_processed, find_offset
 from ffcomp.look import corners, noted_moves
@@ -18,6 +17,7 @@ from ffcomp.plan.trajectory import Trajectory
 from ffcomp.runs import Run
 from ffcomp.simulate import sections
 from ffcomp.virtual.command import Command, Goal, Stretch
+from ffcomp.virtual.motion import Clock, own_clock
 from ffcomp.writer import WAS, original
 from gcode.program import Program
 from gcode.reader import read_program

@@ -8,10 +8,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compare.play import sag
 from ffcomp.metrics import Track, contour_error, tracking
 from ffcomp.virtual.command import Stretch, peaks
 from ffcomp.virtual.play import Piece
+from ffcomp.virtual.sag import sag
 from models.machine import Machine
 
 FloatArray = NDArray[np.float64]

@@ -9,7 +9,6 @@ from math import inf
 from pathlib import Path
 
 from ffcomp import __version__
-from ffcomp.compare.plants import check_same_kinematics
 from ffcomp.errors import NothingToDo
 from ffcomp.metrics import Track
 from ffcomp.virtual.command import Command
@@ -17,6 +16,7 @@ from ffcomp.virtual.gcode_command import read_gcode
 from ffcomp.virtual.judge import Judge
 from ffcomp.virtual.play import Piece, play
 from ffcomp.virtual.run_file import KINDS, run_lines
+from ffcomp.virtual.same_printer import check_same_kinematics
 from ffcomp.virtual.steps_command import steps_command
 from ffcomp.virtual.steps_file import is_step_archive, read_steps
 from gcode.container import read_bytes, replace_atomically

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffcomp.compare.plants import FARTHEST, check_same_kinematics, drawn, dynamic_numbers
+from ffcomp.compare.plants import FARTHEST, drawn, dynamic_numbers
+from ffcomp.virtual.same_printer import check_same_kinematics
 from models.errors import MachineFileError
 from models.machine import constant
 from models.machine_file import load_machine

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from ffcomp.compare.motion import planned_motion
 from ffcomp.compare.ours import segments_motion
-from ffcomp.compare.play import peaks, play, sag
+from ffcomp.compare.play import peaks, play
 from ffcomp.metrics import contour_error
+from ffcomp.virtual.motion import planned_motion
+from ffcomp.virtual.sag import sag
 from models.effects.catalogue import with_effect
 from models.machine_file import load_machine
 from tests import judge

@@ -8,9 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp import shapers
 from ffcomp.plan.trajectory import Trajectory
-from ffcomp.shapers.motion import FrequencyOfPlace
 
 FloatArray = NDArray[np.float64]
 Position = Callable[[FloatArray], FloatArray]  # t : (k,) s → (k, 3) mm
@@ -63,17 +61,3 @@ def path_corners(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
     """When each corner of the path is due (n + 1,) s, and where it is (n + 1, 3) mm."""
     end = trajectory.position(np.array([trajectory.end_t]))
     return np.append(trajectory.start_t, trajectory.end_t), np.vstack([trajectory.origin, end])[:, :3]
-
-
-def shaped(motion: Motion, x: shapers.Shaper, y: shapers.Shaper) -> Motion:
-    """The motion as a firmware with input shapers plays it: each axis convolved, no delay at constant speed."""
-    return _changed(motion, lambda t: shapers.shape(motion.position, t, x, y))
-
-
-def shaped_by_place(motion: Motion, frequency_of_place: FrequencyOfPlace, kind: str) -> Motion:
-    """The motion shaped with the frequency of the place where the plan is at each time."""
-    return _changed(motion, lambda t: shapers.scheduled_shape(motion.position, t, frequency_of_place, kind))
-
-
-def _changed(motion: Motion, position: Position) -> Motion:
-    return Motion(position, motion.begin_t, motion.end_t, motion.clock)

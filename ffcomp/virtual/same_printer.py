@@ -1,0 +1,33 @@
+"""Whether a plant is the printer that a machine file is about."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from models.errors import MachineFileError
+from models.machine import Machine
+
+ALLOWED = {"arm_lengths_mm": 1.0, "delta_radii_mm": 1.0, "tower_angles_deg": 0.5, "effector_height_mm": 1.0}
+
+
+def check_same_kinematics(machine: Machine, plant: Machine) -> None:
+    """A plant whose towers stand elsewhere is another printer: its error would be that of the geometry.
+
+    Raises
+    ------
+    MachineFileError
+        If the plant's geometry is not about the machine's.
+    """
+    problems = []
+    for key, allowed in ALLOWED.items():
+        own, other = (np.atleast_1d(getattr(m.kinematics, key)) for m in (machine, plant))
+        if np.abs(own - other).max() > allowed:
+            given = f"kinematics.{key} is {_shown(other)}, but {_shown(own)} in {machine.path or machine.name}"
+            rule = f"a plant must have the machine's kinematics, within {allowed:g}"
+            problems.append(f"{given}: {rule}. For another calibration there is the effect arm_geometry.")
+    if problems:
+        raise MachineFileError(plant.path or plant.name, problems)
+
+
+def _shown(values: np.ndarray) -> str:
+    return ", ".join(f"{v:g}" for v in values)
