@@ -58,6 +58,17 @@ def test_people_get_a_verdict_and_a_table(small: Path) -> None:
     assert max(map(len, answer.stdout.splitlines())) <= 80
 
 
+def test_a_compensated_file_is_compared_as_what_it_was(small: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.gcode"
+    done = CliRunner().invoke(app, ["compensate", str(small), "-m", "mp-delta-pro", "-q", "-o", str(out)])
+    assert done.exit_code == 0, done.output
+    options = ("-m", "mp-delta-pro", "--only", "mzv", "--quality-um", "0", "--layers", "1", "--json")
+    before, after = (call(path, *options) for path in (small, out))
+    assert "compensated already" in after.stderr and "compensated already" not in before.stderr
+    first, second = (json.loads(each.stdout)["methods"] for each in (before, after))
+    assert first == second
+
+
 @pytest.mark.parametrize(
     ("text", "options", "code", "words"),
     [

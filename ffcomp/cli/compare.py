@@ -183,16 +183,22 @@ def _check_targets(report: Path | None, figures: Path | None) -> None:
 def _compare(
     file: Path, machine: str, plant: str, request: Request, offset: str, flavor: str, rate: float, quiet: bool
 ) -> Comparison:
-    from ffcomp.cli.common import Progress
+    from ffcomp.cli.common import Progress, say
     from ffcomp.cli.compensate import parsed_offset
     from ffcomp.compare.engine import compare as engine
+    from ffcomp.job import STAMP_REACH, already_processed, find_offset
     from ffcomp.pipeline import settings_for
+    from ffcomp.writer import original
     from gcode.container import read_bytes
     from models.machine_file import load_machine
 
-    data, believed = read_bytes(file), load_machine(machine)
+    data, believed, shift = read_bytes(file), load_machine(machine), parsed_offset(offset)
     true = load_machine(plant) if plant else None
-    options: dict[str, Any] = {"offset": parsed_offset(offset), "flavor": flavor}
+    if already_processed(data) is not None:
+        say(f"ffcomp: {file} is compensated already: what is compared is the original that it holds.", quiet)
+        shift = shift if any(shift) else find_offset(data[:STAMP_REACH])
+        data = original(data)
+    options: dict[str, Any] = {"offset": shift, "flavor": flavor}
     with Progress(1.0, quiet, "comparing") as progress:
         settings = settings_for(believed, rate)
         return engine(data, str(file), believed, true, request, settings=settings, progress=progress.phase, **options)
