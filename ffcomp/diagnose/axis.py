@@ -5,7 +5,8 @@
 EMPS: A. Janot, M. Gautier and M. Brunot, "Data Set and Reference Models of EMPS", Nonlinear System Identification
 Benchmarks, 2019. Unlike the printer it has no command and no spring: the measured force drives it, and whatever is
 missing adds up in its position without bound. So the simulation begins anew every second, with the measured position
-and speed (multiple shooting; Bock 1981): its error is what one second of a missing force does.
+and speed (multiple shooting; Bock 1981): its error is what one second of a missing force does. An axis has one place
+only; what generalises is tested by stretches of time instead, of some seconds each.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from ffcomp.measured.frf import FloatArray
 SMOOTH_M_PER_S = 1e-4  # below this speed dry friction turns over smoothly
 SUBSTEPS = 4
 SHOT_S = 1.0
+STRETCH_SHOTS = 4  # in a stretch of time
 SPEED_SPAN_S = 0.02  # the speed a shot begins with is the slope over so much of the measured position
 
 MASS, VISCOUS, OFFSET = "axis.mass_kg", "axis.viscous_n_s_per_m", "axis.offset_n"
@@ -37,6 +39,10 @@ class ForceDriven:
     time_s: FloatArray  # (n,)
     force_n: FloatArray  # (n,)
     position_mm: FloatArray  # (n,)
+
+    @property
+    def rate_hz(self) -> float:
+        return (len(self.time_s) - 1) / float(self.time_s[-1] - self.time_s[0])
 
 
 def read_emps(path: str | Path) -> ForceDriven:
@@ -60,9 +66,9 @@ class Axis:
     band_hz = (0.02, 50.0)
 
     def __init__(self, runs: Sequence[ForceDriven], mass_kg: float, viscous_n_s_per_m: float) -> None:
-        self.runs = runs
-        self.recordings = [_recording(run) for run in runs]
-        self.speeds = [r.speed[:, 0] / 1e3 for r in self.recordings]
+        whole = [(run, _speed(run)) for run in runs]
+        self.stretches = [(_cut(run, part), speed[part]) for run, speed in whole for part in _parts(run)]
+        self.recordings = [_recording(run, speed) for run, speed in self.stretches]
         self.numbers = (
             Number(MASS, mass_kg, 0.5 * mass_kg, 0.05 * mass_kg),
             Number(VISCOUS, viscous_n_s_per_m, viscous_n_s_per_m, 0.0),
@@ -70,30 +76,48 @@ class Axis:
         )
         self.candidates = CANDIDATES
 
-    def simulate(self, values: Mapping[str, float], only: Sequence[int] | None = None) -> list[FloatArray]:
+    def simulate(
+        self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
+    ) -> list[FloatArray]:
+        del coarse  # it is quick anyway
         given = {**{n.name: n.start for n in self.numbers}, **values}
-        chosen = range(len(self.runs)) if only is None else only
+        chosen = range(len(self.stretches)) if only is None else only
         return [self._one(i, given) for i in chosen]
 
     def _one(self, i: int, v: Mapping[str, float]) -> FloatArray:
-        run = self.runs[i]
+        run, speed = self.stretches[i]
         numbers = np.array([v.get(name, neutral) for name, neutral in _NUMBERS])
-        dt = float(run.time_s[-1] - run.time_s[0]) / (len(run.time_s) - 1)
-        shot = round(SHOT_S / dt)
-        q = _run(run.force_n, dt, SUBSTEPS, shot, run.position_mm / 1e3, self.speeds[i], numbers)
+        shot = round(SHOT_S * run.rate_hz)
+        q = _run(run.force_n, 1 / run.rate_hz, SUBSTEPS, shot, run.position_mm / 1e3, speed / 1e3, numbers)
         return (q * 1e3)[:, None]
 
 
-def _recording(run: ForceDriven) -> Recording:
-    rate = (len(run.time_s) - 1) / float(run.time_s[-1] - run.time_s[0])
+def _speed(run: ForceDriven) -> FloatArray:
+    """(n,) mm/s"""
     from scipy.signal import savgol_filter
 
-    span = 2 * round(SPEED_SPAN_S * rate / 2) + 1
-    speed = savgol_filter(run.position_mm, span, 2, deriv=1, delta=1 / rate)
-    return Recording(run.name, run.name, (0.0,), rate, ("pos_q",), run.position_mm[:, None], speed[:, None])
+    span = 2 * round(SPEED_SPAN_S * run.rate_hz / 2) + 1
+    return np.asarray(savgol_filter(run.position_mm, span, 2, deriv=1, delta=1 / run.rate_hz))
 
 
-_FRICTION = "effects.coulomb_friction.force_n"
+def _parts(run: ForceDriven) -> list[slice]:
+    """Whole stretches; what is left at the end makes the last one longer."""
+    rows = STRETCH_SHOTS * round(SHOT_S * run.rate_hz)
+    starts = range(0, max(len(run.time_s) - rows, 0) + 1, rows)
+    return [slice(a, a + rows) for a in starts[:-1]] + [slice(starts[-1], None)]
+
+
+def _cut(run: ForceDriven, part: slice) -> ForceDriven:
+    return ForceDriven(run.name, run.time_s[part], run.force_n[part], run.position_mm[part])
+
+
+def _recording(run: ForceDriven, speed: FloatArray) -> Recording:
+    name = f"{run.name} from {run.time_s[0]:g} s"
+    place = (float(run.time_s[0]),)
+    return Recording(name, name, place, run.rate_hz, ("pos_q",), run.position_mm[:, None], speed[:, None])
+
+
+FRICTION = "effects.coulomb_friction.force_n"
 _STRIBECK = tuple(f"effects.stribeck_friction.{p}" for p in ("force_n", "extra_force_n", "velocity_mm_per_s"))
 _SPRING = "effects.spring.stiffness_n_per_m"
 _DRAG = "effects.quadratic_drag.force_n_s2_per_m2"
@@ -103,7 +127,7 @@ _NUMBERS = (
     (MASS, 1.0),
     (VISCOUS, 0.0),
     (OFFSET, 0.0),
-    (_FRICTION, 0.0),
+    (FRICTION, 0.0),
     *zip(_STRIBECK, (0.0, 0.0, 10.0), strict=True),
     (_SPRING, 0.0),
     (_DRAG, 0.0),
@@ -112,7 +136,7 @@ _NUMBERS = (
 )
 
 CANDIDATES = (
-    Candidate("coulomb_friction", (Number(_FRICTION, 0.0, 20.0, 0.0, 500.0),), {_FRICTION: 2.0}),
+    Candidate("coulomb_friction", (Number(FRICTION, 0.0, 20.0, 0.0, 500.0),), {FRICTION: 2.0}),
     Candidate(
         "stribeck_friction",
         (Number(_STRIBECK[0], 0.0, 20.0, 0.0, 500.0), Number(_STRIBECK[1], 0.0, 10.0, 0.0, 500.0)),

@@ -10,11 +10,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from ffcomp.diagnose.fit import WORKERS
+from ffcomp.diagnose.intake import carriages_of
 from ffcomp.diagnose.noise import BAND_HZ
 from ffcomp.diagnose.plant import Candidate, Impossible, Number, Recording
 from ffcomp.identify.direct import UNKNOWNS
@@ -23,12 +26,15 @@ from ffcomp.measured.run import Run
 from models.effects.catalogue import CATALOGUE, measured
 from models.effects.effect import Effect, Parameter
 from models.errors import UnreachableError
-from models.kinematics.delta import forward, inverse
+from models.kinematics.delta import forward
 from models.machine import Machine
 from models.parameters import value_of, with_values
 from models.printer import SMOOTH_STEP_S, PrinterMotion, longest_step, printer_numbers, simulate_printer
 
 STEP_S = 1 / 3200  # of a printer without dry friction or play: some nanometres off
+COARSE_STEP_S = 1 / 6400  # of one with them, where only the effects' order is asked for
+KEPT = 2 * WORKERS  # motions
+REACH = 5.0  # standard deviations by which a number may be retuned: what must move further is an effect
 FULL_STEPS = (1.0, 4.0)  # cogging repeats every full step, or every four
 GRID = 3  # starting values of a shape that is known by its range only
 MANY = {"frequency_hz": 6}  # shapes whose signature changes quickly
@@ -45,37 +51,44 @@ class Delta:
 
     def __init__(self, machine: Machine, runs: Sequence[Run], names: Sequence[str] = tuple(CATALOGUE)) -> None:
         self.machine, self.runs = machine, runs
-        self.commands = [self._carriages(run) for run in runs]
+        self.commands = [carriages_of(machine, run) for run in runs]
         self.recordings = [_recording(machine, run, c) for run, c in zip(runs, self.commands, strict=True)]
+        self.kept: dict[tuple[object, ...], dict[int, PrinterMotion]] = {}
         self.same_command = [_first_equal(self.commands, i) for i in range(len(runs))]
         self.numbers = tuple(_numbers(machine))
         self.candidates = tuple(_candidate(machine, CATALOGUE[n]) for n in names if n not in machine.effects)
 
-    def _carriages(self, run: Run) -> FloatArray:
-        """(n, 3) mm: what the motors were told. A nozzle command goes through the file's kinematics, as in firmware."""
-        if run.command_space == "carriage":
-            return run.command
-        return inverse(self.machine.kinematics, run.command)
-
-    def simulate(self, values: Mapping[str, float], only: Sequence[int] | None = None) -> list[FloatArray]:
+    def simulate(
+        self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
+    ) -> list[FloatArray]:
         machine = self.machine_with(values)
         chosen = range(len(self.runs)) if only is None else only
-        played: dict[int, PrinterMotion] = {}
-        answers = []
-        for i in chosen:
-            first = self.same_command[i]
-            if first not in played:
-                played[first] = self._played(machine, first)
-            answers.append(_signals(machine, played[first], self.recordings[i].signals))
-        return answers
+        needed = sorted({self.same_command[i] for i in chosen})
+        played = self._motions(_without_sensors(values), needed, coarse)
+        return [_signals(machine, played[self.same_command[i]], self.recordings[i].signals) for i in chosen]
 
-    def _played(self, machine: Machine, i: int) -> PrinterMotion:
-        dt = 1 / self.recordings[i].rate_hz
-        smooth = longest_step(printer_numbers(machine)) == SMOOTH_STEP_S
-        substeps = math.ceil(dt / STEP_S * (1 - 1e-9)) if smooth else None
+    def _motions(self, values: Mapping[str, float], needed: Sequence[int], coarse: bool) -> dict[int, PrinterMotion]:
+        """The last few are kept: what only changes the sensors needs no other motion."""
+        key = (tuple(sorted(values.items())), tuple(needed), coarse)
+        if key not in self.kept:
+            motions = self._played(values, needed, coarse)
+            while len(self.kept) >= KEPT:
+                self.kept.pop(next(iter(self.kept)), None)
+            self.kept[key] = dict(zip(needed, motions, strict=True))
+        return self.kept.get(key) or self._motions(values, needed, coarse)
+
+    def _played(self, values: Mapping[str, float], needed: Sequence[int], coarse: bool) -> list[PrinterMotion]:
+        machine = self.machine_with(values)
+
+        def play(i: int) -> PrinterMotion:
+            dt = 1 / self.recordings[i].rate_hz
+            return simulate_printer(machine, self.commands[i], dt, substeps=math.ceil(dt / step_s * (1 - 1e-9)))
+
         try:
-            return simulate_printer(machine, self.commands[i], dt, substeps=substeps)
-        except UnreachableError as error:
+            step_s = _step_s(machine, coarse)
+            with ThreadPoolExecutor(WORKERS) as pool:
+                return list(pool.map(play, needed))
+        except (UnreachableError, ValueError) as error:  # arms too short, or belts that hold nothing
             raise Impossible(str(error)) from error
 
     def machine_with(self, values: Mapping[str, float]) -> Machine:
@@ -83,6 +96,22 @@ class Delta:
         plain = {name: value for name, value in values.items() if not name.startswith("effects.")}
         machine = with_values(self.machine, plain)
         return replace(machine, effects={**machine.effects, **effect_tables(values)})
+
+
+def _without_sensors(values: Mapping[str, float]) -> dict[str, float]:
+    return {name: x for name, x in values.items() if not _is_sensor(name)}
+
+
+def _is_sensor(name: str) -> bool:
+    match = _NAME.fullmatch(name)
+    return match is not None and CATALOGUE[match["effect"]].kind == "sensor"
+
+
+def _step_s(machine: Machine, coarse: bool) -> float:
+    longest = longest_step(printer_numbers(machine))
+    if longest == SMOOTH_STEP_S:
+        return STEP_S
+    return max(longest, COARSE_STEP_S) if coarse else longest
 
 
 def _first_equal(commands: Sequence[FloatArray], i: int) -> int:
@@ -104,7 +133,7 @@ def effect_tables(values: Mapping[str, float]) -> dict[str, dict[str, Any]]:
         elif index is None:
             table[key] = _machine_value(effect.parameter(key), value)
         else:
-            table.setdefault(key, [0.0, 0.0, 0.0])[int(index)] = value
+            table.setdefault(key, [0.0, 0.0, 0.0])[int(index)] = _machine_value(effect.parameter(key), value, True)
     return {name: _without_whole(table) for name, table in tables.items() if _acts(CATALOGUE[name], table)}
 
 
@@ -118,11 +147,13 @@ def _acts(effect: Effect, table: Mapping[str, Any]) -> bool:
     return any(np.any(np.asarray(table[a.name]) != a.neutral) for a in effect.amplitudes if a.name in table)
 
 
-def _machine_value(parameter: Parameter, value: float) -> Any:
+def _machine_value(parameter: Parameter, value: float, of_three: bool = False) -> Any:
     if parameter.size == "direction":
         return "both" if value > BOTH / 2 else [round(float(f(value)), 6) for f in (np.cos, np.sin)]
     if parameter.power == 1:
         return value
+    if of_three and parameter.power < 0:  # a list has no room for infinity: the largest value does nothing either
+        return min(float(max(value, 1e-300) ** (1 / parameter.power)), parameter.bounds[1])
     return float(value ** (1 / parameter.power)) if value > 0 else parameter.neutral
 
 
@@ -137,35 +168,42 @@ def _numbers(machine: Machine) -> list[Number]:
         table_key = name.partition("[")[0]
         relative = machine.uncertainty.get(table_key, machine.uncertainty.get("default", 0.02))
         if value and relative:
-            low = float("-inf") if value < 0 else 0.05 * value
-            numbers.append(Number(name, value, relative * abs(value), low))
+            sd = relative * abs(value)
+            low = value - REACH * sd
+            numbers.append(Number(name, value, sd, low if value < 0 else max(low, 0.05 * value), value + REACH * sd))
     return numbers
 
 
 def _candidate(machine: Machine, effect: Effect) -> Candidate:
-    amplitudes = [n for p in effect.amplitudes for n in _amplitude(effect, p)]
-    probe = {n.name: v for p in effect.amplitudes for n, v in zip(_amplitude(effect, p), _probes(p), strict=True)}
-    if not amplitudes:
+    if not effect.amplitudes:
         name = f"effects.{effect.name}.{WHOLE}"
-        amplitudes, probe = [Number(name, 0.0, 1.0, 0.0, 1.0)], {name: 1.0}
-    shapes = [_shape(effect, p, machine) for p in effect.shapes]
-    return Candidate(effect.name, tuple(amplitudes), probe, tuple(shapes), tuple(_grid(effect, machine)))
+        return Candidate(effect.name, (Number(name, 0.0, 1.0, 1.0, 1.0),), {name: 1.0}, switch=True)
+    alike = _of(machine, effect, each=False)
+    if all(p.size != "per_tower" for p in effect.amplitudes):
+        return alike
+    return replace(alike, each=_of(machine, effect, each=True))
 
 
-def _amplitude(effect: Effect, p: Parameter) -> list[Number]:
-    """One number, or one an axis; a value per tower begins alike in all."""
+def _of(machine: Machine, effect: Effect, each: bool) -> Candidate:
+    """each : a value for each tower, or one that all share."""
+    amplitudes = [n for p in effect.amplitudes for n in _amplitude(effect, p, each)]
+    probe = {n.name: _linear(p, p.probe) for p in effect.amplitudes for n in _amplitude(effect, p, each)}
+    shapes = [_shape(effect, p, machine) for p in effect.shapes if p.default is None]
+    finer = [Number(_full(effect, p), p.default, p.typical[1] / 2, *p.bounds) for p in effect.shapes if p.default]
+    return Candidate(effect.name, tuple(amplitudes), probe, tuple(shapes), tuple(_grid(effect, machine)), tuple(finer))
+
+
+def _full(effect: Effect, p: Parameter) -> str:
+    return f"effects.{effect.name}.{p.name}"
+
+
+def _amplitude(effect: Effect, p: Parameter, each: bool) -> list[Number]:
+    """One number, or one an axis, or one a tower."""
     low, high = sorted(_linear(p, b) for b in p.bounds)
     width = max(abs(_linear(p, t)) for t in p.typical if t)
-    names = [f"effects.{effect.name}.{p.name}{suffix}" for suffix in _suffixes(p)]
+    three = p.size == "vector3" or (each and p.size == "per_tower")
+    names = [_full(effect, p) + suffix for suffix in (("[0]", "[1]", "[2]") if three else ("",))]
     return [Number(name, 0.0, width, 0.0 if p.power < 0 else low, high) for name in names]
-
-
-def _suffixes(p: Parameter) -> tuple[str, ...]:
-    return ("[0]", "[1]", "[2]") if p.size == "vector3" else ("",)
-
-
-def _probes(p: Parameter) -> list[float]:
-    return [_linear(p, p.probe)] * len(_suffixes(p))
 
 
 def _linear(p: Parameter, value: float) -> float:
@@ -173,7 +211,7 @@ def _linear(p: Parameter, value: float) -> float:
 
 
 def _shape(effect: Effect, p: Parameter, machine: Machine) -> Number:
-    name = f"effects.{effect.name}.{p.name}"
+    name = _full(effect, p)
     if p.size == "direction":
         return Number(name, 0.0, 1.0, -np.pi, BOTH)
     low, high = p.typical
@@ -198,7 +236,9 @@ def _grid(effect: Effect, machine: Machine) -> list[dict[str, float]]:
     """Every combination of the shapes' starting values."""
     grid: list[dict[str, float]] = [{}]
     for p in effect.shapes:
-        name = f"effects.{effect.name}.{p.name}"
+        if p.default is not None:
+            continue
+        name = _full(effect, p)
         grid = [{**point, name: value} for point in grid for value in _starts(effect, p, machine)]
     return grid
 

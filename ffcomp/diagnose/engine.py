@@ -1,7 +1,7 @@
-"""The diagnosis, step by step: noise floor, base fit, gap, screening, refits, gates.
+"""The diagnosis, step by step: noise floor, base fit, gap, screening, contest, further effects, gates.
 
-A gap is what neither noise nor retuning within the stated uncertainties explains. An effect is named only if it
-passes every gate:
+A gap is what neither noise nor retuning within reach of the stated uncertainties explains. An effect is named only if
+it passes every gate:
 
     a gap exists · it is worth its cost (evidence) · little of the gap is left · little is left at every place the
     numbers were not fitted to · its interval excludes none, and its value is possible
@@ -11,57 +11,40 @@ What fails is `unknown`: a gap that nothing explains is never called no gap.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import combinations
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ffcomp.diagnose.fit import Bench, Fit, bench, clipped, derivatives, fit, values_at
+from ffcomp.diagnose.fit import Bench, Fit, bench, derivatives, fit
+from ffcomp.diagnose.gates import Place, held_out, intervals_of, look_alikes, refusals, rivals_of, superfluous
 from ffcomp.diagnose.noise import NoiseFloor, noise_from_repeats, noise_from_residual, whitener
-from ffcomp.diagnose.plant import Candidate, Impossible, Number, Plant
-from ffcomp.diagnose.screen import Screened, likeness, screen
-from ffcomp.identify.estimates import NINETY_PERCENT, Estimate
+from ffcomp.diagnose.plant import Plant
+from ffcomp.diagnose.screen import Screened, screen
+from ffcomp.diagnose.search import (
+    Hypothesis,
+    Progress,
+    contest,
+    further,
+    gap_of,
+    polished,
+    settled,
+    simplest,
+    sparing,
+    swapped,
+    thorough,
+    unsettled,
+    without,
+    worth,
+)
+from ffcomp.identify.estimates import Estimate
 from ffcomp.measured.frf import FloatArray
 
-EXISTS = 0.05  # the share of the noise by which a gap must stand above it
-WORTH = 10.0  # −2 ln Z
-RIVAL = 20.0
-LEFT = 0.15  # of the gap may be left
-NEAR_NOISE = 0.10  # of the noise: what is left is called nothing
-FURTHER = 0.10  # of what remains must a further effect remove
+EXISTS = 0.05  # the share of the noise by which a gap must stand above it, or
+SURE = 4.0  # standard deviations of what short runs and few repeats may seem to show
+SHOWS = 30.0  # −2 ln Z that a candidate must promise, where the gap is smaller than that
+POOR = 0.15  # of the gap left by one effect: then pairs are tried
 MOST = 3  # effects at once
-REFITTED = 6  # candidates that are fitted fully
-SCALES = (1.0, 0.5, 0.25, 0.1, 0.03, -0.1, -0.5)  # of a linear estimate
-POLISHED = 3
-PAIRED = 5  # candidates whose pairs are tried
-
-Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """Some effects together, all numbers fitted."""
-
-    effects: tuple[Candidate, ...]
-    fit: Fit
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(sorted(c.name for c in self.effects))
-
-
-@dataclass(frozen=True)
-class Place:
-    """A place left out of the fit: the gap there before and after, as shares of its noise (χ² by row, less one)."""
-
-    place: tuple[float, ...]
-    before: float
-    after: float
-
-    @property
-    def explained(self) -> bool:
-        return self.after < max(LEFT * self.before, NEAR_NOISE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +53,7 @@ class Diagnosis:
     named: Hypothesis | None  # the effects of an `effects` verdict
     best: Hypothesis | None  # the best that was tried, whatever the verdict
     base: Fit
+    final: Fit  # of the best: only what the data ask for retuned; else the base
     bench: Bench
     noise: NoiseFloor
     screened: Sequence[Screened]
@@ -77,7 +61,20 @@ class Diagnosis:
     rivals: Sequence[Hypothesis]  # as likely as what is named
     places: Sequence[Place]
     refused: tuple[str, ...]  # which gates the best hypothesis failed, in words
-    intervals: Mapping[str, Estimate] = field(default_factory=dict)  # of the best hypothesis' amplitudes and shapes
+    intervals: Mapping[str, Estimate] = field(default_factory=dict)  # of all numbers of the best hypothesis
+
+    @property
+    def invisible(self) -> list[str]:
+        """Effects of which these runs could not show a usual size."""
+        return [s.candidate.name for s in self.screened if not s.visible]
+
+    @property
+    def confusable(self) -> list[str]:
+        """Who else it could be: as likely, or alike to first order."""
+        if self.best is None:
+            return []
+        likely = [name for h in self.rivals for name in h.names if name not in self.best.names]
+        return list(dict.fromkeys([*likely, *(name for name, _ in look_alikes(self.best, self.screened))]))
 
 
 def diagnose(plant: Plant, progress: Progress = lambda _: None) -> Diagnosis:
@@ -85,16 +82,48 @@ def diagnose(plant: Plant, progress: Progress = lambda _: None) -> Diagnosis:
     noise = noise_floor(plant)
     if not noise.from_repeats:
         progress("no repeats: the noise floor is taken from above the model's band")
-    whiten = whitener(plant.recordings, noise, plant.band_hz)
-    desk = bench(plant, whiten)
+    desk = bench(plant, whitener(plant.recordings, noise, plant.band_hz))
+    chance = SURE * _spread(desk) if noise.from_repeats else 0.0
+    desk = replace(desk, slack=max(desk.slack, chance))
     progress("fitting the machine's own numbers")
     nominal = _nominal(desk)
-    base = fit(desk, nominal.numbers, nominal.z, nominal.jacobian)
-    gap = _gap(base)
-    progress(f"left after retuning: {gap:+.3f} of the noise")
-    if gap < EXISTS:
-        return Diagnosis("none", None, None, base, desk, noise, (), (), (), (), ())
-    return _searched(desk, nominal, base, noise, progress)
+    base = fit(desk, nominal.numbers, nominal.z, nominal.jacobian, iterations=12)
+    progress(f"left after retuning: {gap_of(base):+.3f} of the noise")
+    least = max(EXISTS, chance) if noise.from_repeats else desk.slack
+    small = gap_of(base) < least
+    # A large gap is looked at from the file's own numbers: with the right effect they need no retuning, and a fit
+    # that stretched them to mimic it leads astray.
+    start = base if small else nominal
+    progress(f"screening {len(plant.candidates)} effects")
+    screened = screen(replace(desk, coarse=True), start, list(plant.candidates))
+    if small and (not screened or screened[0].evidence > -SHOWS):
+        return _nothing(desk, base, noise, screened)
+    best, tried = _searched(desk, start, base, screened, progress)
+    retuned = _retuned(desk, best)
+    if gap_of(retuned) < least and not worth(best.fit, retuned, 0.0):
+        return _nothing(desk, retuned, noise, screened)
+    judged = _judged(desk, base, best, noise, screened, tried)
+    # where there was hardly a gap, an effect that fails a gate leaves nothing unexplained
+    return _nothing(desk, base, noise, screened) if small and judged.refused else judged
+
+
+def _nothing(desk: Bench, base: Fit, noise: NoiseFloor, screened: Sequence[Screened]) -> Diagnosis:
+    return Diagnosis("none", None, None, base, base, desk, noise, screened, (), (), (), ())
+
+
+def _retuned(desk: Bench, best: Hypothesis) -> Fit:
+    """The machine's numbers alone, from where the best hypothesis has taken them: perhaps they needed no effect."""
+    own = len(best.fit.numbers) - sum(len(c.numbers) for c in best.effects)
+    numbers, z = best.fit.numbers[:own], best.fit.z[:own]
+    return fit(desk, numbers, z, best.fit.jacobian[:, :own], iterations=4)
+
+
+def _spread(desk: Bench) -> float:
+    """Standard deviation of the gap if there is none: of the residual's mean square, and of the floor it is held to."""
+    recordings, rows = desk.whiten.recordings, desk.whiten.rows
+    alike = [sum(a.repeat_of == b.repeat_of for b in recordings) for a in recordings]
+    apart = sum((part.stop - part.start) * (1 - 1 / n) for part, n in zip(rows, alike, strict=True))
+    return float(np.sqrt(2 / len(desk.measured) + 2 / apart))
 
 
 def _nominal(desk: Bench) -> Fit:
@@ -115,237 +144,64 @@ def noise_floor(plant: Plant, simulated: Sequence[FloatArray] | None = None) -> 
     return noise_from_residual(plant.recordings, errors, plant.band_hz)
 
 
-def _gap(fitted: Fit) -> float:
-    """How far the cost stands above noise alone, as a share of it."""
-    return fitted.cost / len(fitted.residual) - 1
-
-
-# ---- search --------------------------------------------------------------------------------------
-
-
-def _searched(desk: Bench, nominal: Fit, base: Fit, noise: NoiseFloor, progress: Progress) -> Diagnosis:
-    """Candidates are screened and refitted from the machine file's own numbers, not from the retuned ones: with the
-    right effect they need no retuning, and a base fit that stretched them to mimic it leads astray."""
-    candidates = list(desk.plant.candidates)
-    progress(f"screening {len(candidates)} effects")
-    screened = screen(desk, nominal, candidates)
-    tried = _polished(desk, [refitted(desk, nominal, (s,), progress) for s in screened[:REFITTED]], progress)
-    best = min(tried, key=lambda h: h.fit.evidence)
-    while _gap(best.fit) > max(NEAR_NOISE / 2, FURTHER * _gap(base)) and len(best.effects) < MOST:
-        further = _further(desk, nominal, best, candidates, screened, progress)
-        tried += further
-        step = min(further, key=lambda h: h.fit.evidence, default=best)
-        if not _worth(step.fit, best.fit):
+def _searched(
+    desk: Bench, start: Fit, base: Fit, screened: Sequence[Screened], progress: Progress
+) -> tuple[Hypothesis, list[Hypothesis]]:
+    """The best hypothesis, and all that were tried."""
+    tried = contest(desk, start, screened, progress)
+    best = simplest(min(tried, key=lambda h: h.fit.evidence), tried)
+    while len(best.effects) < MOST and unsettled(desk, best):
+        best = thorough(desk, best, progress)
+        if not unsettled(desk, best):
             break
-        best = step
-    best = _pruned(desk, base, best, tried)
+        poor = best.gap > POOR * gap_of(base)
+        more = further(desk, start, best, screened, poor, progress)
+        tried += more
+        step = min(more, key=lambda h: h.fit.evidence, default=best)
+        if not worth(step.fit, best.fit):
+            break
+        best = settled(desk, step, progress)
+        tried += swapped(desk, best, screened, tried, progress)
+        best = simplest(best, tried)
+    best = _needed(desk, polished(desk, best, progress), progress)
+    return best, tried
+
+
+def _needed(desk: Bench, best: Hypothesis, progress: Progress) -> Hypothesis:
+    """Without effects that turn out to be nothing."""
+    intervals = intervals_of(desk, best.fit, best.fit.values)
+    idle = [c for c in best.effects if superfluous(c, intervals)]
+    if not idle or len(idle) == len(best.effects):
+        return best
+    smaller = without(desk, best, idle[0], progress)
+    return best if worth(best.fit, smaller.fit) else _needed(desk, polished(desk, smaller, progress), progress)
+
+
+def _judged(
+    desk: Bench,
+    base: Fit,
+    best: Hypothesis,
+    noise: NoiseFloor,
+    screened: Sequence[Screened],
+    tried: Sequence[Hypothesis],
+) -> Diagnosis:
+    final = sparing(desk, best)
+    intervals = intervals_of(desk, best.fit, final.values)
     places = held_out(desk, base, best.fit)
-    intervals = intervals_of(desk, best)
-    refused = tuple(_refusals(base, best, places, intervals))
-    rivals = [h for h in tried if h.names != best.names and len(h.effects) == len(best.effects) and _rival(h, best)]
-    named = None if refused else best
+    refused = tuple(refusals(base, best, places, intervals, desk.slack))
+    ranked = sorted([best, *(h for h in tried if h.names != best.names)], key=lambda h: h.fit.evidence)
     return Diagnosis(
         "unknown" if refused else "effects",
-        named,
+        None if refused else best,
         best,
         base,
+        final,
         desk,
         noise,
         screened,
-        sorted(tried, key=lambda h: h.fit.evidence),
-        rivals,
+        ranked,
+        rivals_of(best, ranked),
         places,
         refused,
         intervals,
     )
-
-
-def refitted(desk: Bench, base: Fit, chosen: Sequence[Screened], progress: Progress) -> Hypothesis:
-    """All numbers together, beginning at the linear estimates."""
-    effects = tuple(s.candidate for s in chosen)
-    added = tuple(n for c in effects for n in c.numbers)
-    numbers = (*base.numbers, *added)
-    start = _best_scale(desk, base, numbers, chosen)
-    first = len(base.numbers)
-    renew = list(range(first, len(numbers)))
-    found = fit(desk, numbers, start, _with_columns(desk, base, numbers, start, renew), renew, iterations=8)
-    progress(f"{' + '.join(c.name for c in effects)}: {_gap(found):+.3f} of the noise is left")
-    return Hypothesis(effects, found)
-
-
-def _polished(desk: Bench, tried: Sequence[Hypothesis], progress: Progress) -> list[Hypothesis]:
-    """The best few fitted to the end, all derivatives taken anew: what separates rivals is in the last per cent."""
-    ranked = sorted(tried, key=lambda h: h.fit.evidence)
-    polished = []
-    for h in ranked[:POLISHED]:
-        found = fit(desk, h.fit.numbers, h.fit.z, iterations=12)
-        progress(f"{' + '.join(h.names)}, polished: {_gap(found):+.3f} of the noise is left")
-        polished.append(Hypothesis(h.effects, found))
-    return [*polished, *ranked[POLISHED:]]
-
-
-def _with_columns(
-    desk: Bench, base: Fit, numbers: Sequence[Number], start: FloatArray, renew: Sequence[int]
-) -> FloatArray:
-    z = clipped(numbers, start)
-    residual = desk.residual(values_at(numbers, z))
-    return np.hstack([base.jacobian, derivatives(desk, numbers, z, residual, renew)])
-
-
-def _best_scale(desk: Bench, base: Fit, numbers: Sequence[Number], chosen: Sequence[Screened]) -> FloatArray:
-    """The linear estimates, or the fraction of them that really helps most: a strong effect is not linear."""
-    starts = [clipped(numbers, np.concatenate([base.z, *(_start(s, scale) for s in chosen)])) for scale in SCALES]
-    residuals = desk.residuals([values_at(numbers, start) for start in starts])
-    return starts[int(np.argmin([r @ r for r in residuals]))]
-
-
-def _start(s: Screened, scale: float = 1.0) -> FloatArray:
-    """z of the amplitudes by the linear estimate, kept within what is typical, and of the shapes as screened."""
-    amplitudes = scale * np.clip(s.estimate, -2.0, 2.0)
-    shapes = [(s.shape.get(n.name, n.start) - n.start) / n.sd for n in s.candidate.shapes]
-    return np.concatenate([amplitudes, shapes])
-
-
-def _further(
-    desk: Bench,
-    base: Fit,
-    best: Hypothesis,
-    candidates: Sequence[Candidate],
-    screened: Sequence[Screened],
-    progress: Progress,
-) -> list[Hypothesis]:
-    """The best hypothesis with one effect more, and, the first time, the pairs of the best screened."""
-    others = [c for c in candidates if c.name not in best.names]
-    again = screen(desk, best.fit, others)
-    grown = [_grown(desk, best, s, progress) for s in again[:2]]
-    if len(best.effects) > 1:
-        return grown
-    pairs = [p for p in combinations(screened[:PAIRED], 2) if {s.candidate.name for s in p} not in _names(grown)]
-    likely = sorted(pairs, key=lambda p: _pair_evidence(base, p))[:2]
-    return grown + [refitted(desk, base, pair, progress) for pair in likely]
-
-
-def _names(hypotheses: Sequence[Hypothesis]) -> list[set[str]]:
-    return [set(h.names) for h in hypotheses]
-
-
-def _grown(desk: Bench, best: Hypothesis, s: Screened, progress: Progress) -> Hypothesis:
-    numbers = (*best.fit.numbers, *s.candidate.numbers)
-    start = np.concatenate([best.fit.z, _start(s)])
-    retuned = sum(len(c.numbers) for c in best.effects)
-    renew = list(range(len(best.fit.numbers) - retuned, len(numbers)))
-    columns = _with_columns(desk, best.fit, numbers, start, range(len(best.fit.numbers), len(numbers)))
-    found = fit(desk, numbers, start, columns, renew, iterations=8)
-    progress(f"{' + '.join([*best.names, s.candidate.name])}: {_gap(found):+.3f} of the noise is left")
-    return Hypothesis((*best.effects, s.candidate), found)
-
-
-def _pair_evidence(base: Fit, pair: Sequence[Screened]) -> float:
-    signature = np.hstack([s.signature for s in pair])
-    cross = base.jacobian.T @ signature
-    schur = np.eye(signature.shape[1]) + signature.T @ signature - cross.T @ np.linalg.solve(base.information, cross)
-    slope = signature.T @ base.residual
-    return float(-slope @ np.linalg.solve(schur, slope) + np.linalg.slogdet(schur)[1])
-
-
-def _pruned(desk: Bench, base: Fit, best: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
-    """Without the effects that are not needed: a smaller hypothesis that is nearly as good wins."""
-    smaller = [h for h in tried if set(h.names) < set(best.names)]
-    for h in sorted(smaller, key=lambda h: h.fit.evidence):
-        if not _worth(best.fit, h.fit):
-            return h
-    return best
-
-
-def _worth(fitted: Fit, before: Fit) -> bool:
-    """Is the larger model worth its cost, and does it remove a good part of what remains?"""
-    misfit = max(1.0, fitted.chi_squared / len(fitted.residual))
-    remains = before.cost - len(before.residual)
-    return (before.evidence - fitted.evidence) / misfit > WORTH and before.cost - fitted.cost > FURTHER * remains
-
-
-def _rival(h: Hypothesis, best: Hypothesis) -> bool:
-    misfit = max(1.0, best.fit.chi_squared / len(best.fit.residual))
-    return (h.fit.evidence - best.fit.evidence) / misfit < RIVAL
-
-
-# ---- gates ---------------------------------------------------------------------------------------
-
-
-def _refusals(base: Fit, best: Hypothesis, places: Sequence[Place], intervals: Mapping[str, Estimate]) -> list[str]:
-    misfit = max(1.0, best.fit.chi_squared / len(best.fit.residual))
-    refusals = []
-    if (base.evidence - best.fit.evidence) / misfit < WORTH:
-        refusals.append("it is not worth its cost against retuning alone")
-    if _gap(best.fit) > max(LEFT * _gap(base), NEAR_NOISE):
-        refusals.append(f"{100 * _gap(best.fit) / _gap(base):.0f} % of the gap are left")
-    for place in places:
-        if not place.explained:
-            at = ", ".join(f"{x:.0f}" for x in place.place)
-            refusals.append(f"at ({at}) mm, left out of the fit, {100 * place.after / place.before:.0f} % are left")
-    for candidate in best.effects:
-        if all(_includes(intervals[a.name], a.start) for a in candidate.amplitudes):
-            refusals.append(f"the interval of {candidate.name} includes no effect at all")
-    return refusals
-
-
-def _includes(interval: Estimate, value: float) -> bool:
-    return interval.low <= value <= interval.high
-
-
-def held_out(desk: Bench, base: Fit, best: Fit) -> list[Place]:
-    """Each place in turn left out: both fits moved to the optimum of the others, to first order, then simulated there.
-
-    With a single place the recordings take turns instead: weaker, but better than nothing.
-    """
-    return [
-        Place(place, _excess_at(desk, base, members), _excess_at(desk, best, members))
-        for place, members in groups(desk.plant).items()
-    ]
-
-
-def groups(plant: Plant) -> dict[tuple[float, ...], list[int]]:
-    places: dict[tuple[float, ...], list[int]] = {}
-    for i, recording in enumerate(plant.recordings):
-        places.setdefault(recording.place, []).append(i)
-    if len(places) > 1:
-        return places
-    return {(float(i),): [i] for i in range(len(plant.recordings))}
-
-
-def _excess_at(desk: Bench, fitted: Fit, members: Sequence[int]) -> float:
-    rows = desk.rows_at(members)
-    inside = np.ones(len(fitted.residual), dtype=bool)
-    inside[rows] = False
-    j, r = fitted.jacobian[inside], fitted.residual[inside]
-    step = np.linalg.solve(np.eye(len(fitted.z)) + j.T @ j, j.T @ r - fitted.z)
-    z = clipped(fitted.numbers, fitted.z + step)
-    try:
-        simulated = desk.plant.simulate(values_at(fitted.numbers, z), members)
-    except Impossible:  # the others alone lead nowhere: then what was fitted to all of them has to do
-        simulated = desk.plant.simulate(fitted.values, members)
-    left = desk.measured[rows] - desk.whiten(simulated, members)
-    return float(left @ left) / len(left) - 1
-
-
-def intervals_of(desk: Bench, hypothesis: Hypothesis) -> dict[str, Estimate]:
-    """90 % intervals of every number of the effects."""
-    fitted = hypothesis.fit
-    covariance = fitted.covariance(desk.whiten.frequencies(), desk.whiten.rows)
-    sd = np.sqrt(np.diag(covariance))
-    found = {}
-    for n, z, s in zip(fitted.numbers, fitted.z, sd, strict=True):
-        value, spread = n.start + n.sd * float(z), n.sd * float(s)
-        low, high = max(n.low, value - NINETY_PERCENT * spread), min(n.high, value + NINETY_PERCENT * spread)
-        found[n.name] = Estimate(value, spread, low, high)
-    return found
-
-
-def confusable(diagnosis: Diagnosis, limit: float = 0.8) -> list[tuple[str, float]]:
-    """Candidates whose signature is like that of a named effect: name and cos²."""
-    if diagnosis.best is None:
-        return []
-    ours = [s for s in diagnosis.screened if s.candidate.name in diagnosis.best.names]
-    others = [s for s in diagnosis.screened if s.candidate.name not in diagnosis.best.names]
-    alike = {o.candidate.name: max((likeness(o, s) for s in ours), default=0.0) for o in others}
-    return sorted(((name, c) for name, c in alike.items() if c > limit), key=lambda pair: -pair[1])

@@ -11,7 +11,8 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -19,10 +20,12 @@ from ffcomp.diagnose.noise import Whitener
 from ffcomp.diagnose.plant import Impossible, Number, Plant
 from ffcomp.measured.frf import FloatArray
 
-STEP = 0.01  # of a prior's standard deviation, for derivatives: the simulation has no noise of its own
-NEAR_COST = 0.5  # of −2 ln: less than this gained, and the fit is done
-SMALL_GAIN = 1e-6  # or less than this share
-TRUSTED = 0.7  # of the promised gain, or the derivatives are taken anew
+STEP = 0.01  # of a prior's standard deviation, for derivatives: the simulation has no noise of its own; or so much
+STIR, LEAST_STEP = 30.0, 1e-5  # less that the answer changes by 30 standard deviations of the noise: resonances bend
+NEAR_COST = 0.3  # of −2 ln, times the misfit: less than this to be gained, and the fit is done
+SMALL_GAIN = 1e-7  # or less than this share
+SLIP = 1e-4  # relative error of a derivative: what cancels to less says nothing
+WELL_KNOWN, GUESSED = 0.1, 3.0  # share of the noise to which its floor is known: from repeats, or without any
 HUGE = 1e6  # standard deviations
 BLOCK_HZ = 5.0  # of the sandwich: what a wrong shape leaves keeps its sign over a few Hz
 WORKERS = min(8, os.cpu_count() or 1)
@@ -35,13 +38,17 @@ class Bench:
     plant: Plant
     whiten: Whitener
     measured: FloatArray  # (rows,) whitened
+    coarse: bool = False  # quicker simulations
+    given: Mapping[str, float] = field(default_factory=dict)  # values of numbers that are not fitted
+    slack: float = WELL_KNOWN  # of the noise: what is left is called nothing; as well as the noise is known
 
     def residual(self, values: Mapping[str, float]) -> FloatArray:
         """(rows,) measured − simulated, whitened; huge where the plant is impossible."""
         try:
-            return self.measured - self.whiten(self.plant.simulate(values))
+            residual = self.measured - self.whiten(self.plant.simulate({**self.given, **values}, coarse=self.coarse))
         except Impossible:
             return np.full(len(self.measured), HUGE)
+        return residual if np.isfinite(residual @ residual) else np.full(len(self.measured), HUGE)
 
     def residuals(self, many: Sequence[Mapping[str, float]]) -> list[FloatArray]:
         """The same for many, on every core."""
@@ -54,7 +61,8 @@ class Bench:
 
 
 def bench(plant: Plant, whiten: Whitener) -> Bench:
-    return Bench(plant, whiten, whiten([r.measured for r in plant.recordings]))
+    slack = WELL_KNOWN if whiten.floor.from_repeats else GUESSED
+    return Bench(plant, whiten, whiten([r.measured for r in plant.recordings]), slack=slack)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +86,7 @@ class Fit:
     def cost(self) -> float:
         return self.chi_squared + float(self.z @ self.z)
 
-    @property
+    @cached_property
     def information(self) -> FloatArray:
         return np.eye(len(self.z)) + self.jacobian.T @ self.jacobian
 
@@ -87,9 +95,18 @@ class Fit:
         """−2 ln Z, but for what every hypothesis shares: the smaller the likelier."""
         return self.cost + float(np.linalg.slogdet(self.information)[1])
 
+    @property
+    def _sure_information(self) -> FloatArray:
+        """The information less what errors of the derivatives alone may seem to know."""
+        length = np.maximum(np.linalg.norm(self.jacobian, axis=0), 1e-300)
+        unit = self.jacobian / length
+        known, along = np.linalg.eigh(unit.T @ unit)
+        sure = (along * np.maximum(known - len(known) * SLIP**2, 0.0)) @ along.T
+        return np.asarray(np.eye(len(self.z)) + sure * np.outer(length, length))
+
     def covariance(self, frequency_hz: FloatArray, rows: Sequence[slice]) -> FloatArray:
         """(p, p) of z: the sandwich over blocks of 5 Hz of each recording, never below the inverse information."""
-        bread = np.linalg.inv(self.information)
+        bread = np.linalg.inv(self._sure_information)
         meat = np.eye(len(self.z))
         for part in rows:
             block = (frequency_hz[part] // BLOCK_HZ).astype(np.int64)
@@ -120,24 +137,34 @@ def derivatives(
     residual: FloatArray,
     which: Sequence[int],
     central: bool = False,
+    sizes: FloatArray | None = None,
 ) -> FloatArray:
     """(rows, len(which)) of the simulation by z: one-sided, away from the nearer bound, or central where there is room.
 
     Central differences cost twice as much, and are worth it at the end of a fit: numbers that do the same (a heavier
     machine on stiffer belts) cancel only in exact derivatives.
+
+    sizes : (p,) about how much the residual changes with each z, which sets the steps.
     """
-    behind = [_shifted(numbers, z, i, -STEP) for i in which]
-    ahead = [_shifted(numbers, z, i, STEP) for i in which]
-    pairs = [
-        (b if (central or a[i] == z[i]) and b[i] != z[i] else z, a)
-        for i, b, a in zip(which, behind, ahead, strict=True)
-    ]
+    steps = np.full(len(z), STEP) if sizes is None else np.clip(STIR / np.maximum(sizes, 1e-300), LEAST_STEP, STEP)
+    pairs = [_either_side(numbers, z, i, steps[i], central) for i in which]
     residuals = iter(bench.residuals([values_at(numbers, x) for pair in pairs for x in pair if x is not z]))
     columns = []
     for i, (low, high) in zip(which, pairs, strict=True):
         below = residual if low is z else next(residuals)
-        columns.append((below - next(residuals)) / (high[i] - low[i]))
+        above = residual if high is z else next(residuals)
+        columns.append((below - above) / max(high[i] - low[i], LEAST_STEP))
     return np.stack(columns, axis=1)
+
+
+def _either_side(
+    numbers: Sequence[Number], z: FloatArray, i: int, step: float, central: bool
+) -> tuple[FloatArray, FloatArray]:
+    """z with number i a step lower and higher; z itself where a bound is in the way, or one side is enough."""
+    behind, ahead = _shifted(numbers, z, i, -step), _shifted(numbers, z, i, step)
+    high = ahead if ahead[i] > z[i] else z
+    low = behind if behind[i] < z[i] and (central or high is z) else z
+    return low, high
 
 
 def _shifted(numbers: Sequence[Number], z: FloatArray, i: int, step: float) -> FloatArray:
@@ -153,6 +180,9 @@ def fit(
     jacobian: FloatArray | None = None,
     renew: Sequence[int] = (),
     iterations: int = 6,
+    small: float = SMALL_GAIN,
+    again: bool = True,
+    exact: bool = False,
 ) -> Fit:
     """Minimise |r|² + |z|² from `start`.
 
@@ -161,32 +191,44 @@ def fit(
     start : (p,) z.
     jacobian : (rows, p) to begin with; None to find all of it, by central differences.
     renew : columns to find anew at every step: those of numbers that act nonlinearly.
+    small : the share of the cost that must still be gained for another step.
+    again : where no step helps, find all columns anew and go on.
+    exact : find all of the jacobian anew by central differences, with steps as fine as the given one asks for.
     """
     numbers = tuple(numbers)
     z = clipped(numbers, start)
     residual = bench.residual(values_at(numbers, z))
     everything: Sequence[int] = range(len(z))
     fresh = jacobian is None
-    if jacobian is None:
-        jacobian = derivatives(bench, numbers, z, residual, everything, central=True)
+    if jacobian is None or exact:
+        sizes = None if jacobian is None else np.linalg.norm(jacobian, axis=0)
+        jacobian = derivatives(bench, numbers, z, residual, everything, central=True, sizes=sizes)
+        fresh = True
     cost, damping = float(residual @ residual + z @ z), 0.0
     for _ in range(iterations):
-        better = _stepped(bench, numbers, z, residual, jacobian, cost, damping)
-        if better is None and fresh:
+        least = max(NEAR_COST * max(1.0, cost / len(residual)), small * cost)
+        done = promise(Fit(numbers, z, residual, jacobian)) < least
+        better = None if done else _stepped(bench, numbers, z, residual, jacobian, cost, damping)
+        if better is None and (fresh or not again):
             break
         if better is not None:
-            gained, promised = cost - better[2], cost - _linear_cost(z, residual, jacobian, better[0])
             jacobian = _secant(jacobian, better[0] - z, residual - better[1])
             z, residual, cost, damping = better
-            if gained < max(NEAR_COST, SMALL_GAIN * cost) and (fresh or gained > TRUSTED * promised):
-                break
-        # where no step helped any more, the columns that were kept are too old
+        # where no step helps any more, the columns that were kept are too old
         fresh = better is None
         which = everything if fresh else renew
         if len(which):
             jacobian = jacobian.copy()
-            jacobian[:, list(which)] = derivatives(bench, numbers, z, residual, which)
+            sizes = np.linalg.norm(jacobian, axis=0)
+            jacobian[:, list(which)] = derivatives(bench, numbers, z, residual, which, fresh and exact, sizes)
     return Fit(numbers, z, residual, jacobian)
+
+
+def promise(fitted: Fit) -> float:
+    """What the best step would gain if all were linear."""
+    gradient = fitted.jacobian.T @ fitted.residual - fitted.z
+    step = bounded_step(fitted.numbers, fitted.z, fitted.information, gradient)
+    return float(2 * gradient @ step - step @ fitted.information @ step)
 
 
 def _secant(jacobian: FloatArray, step: FloatArray, change: FloatArray) -> FloatArray:
@@ -194,10 +236,19 @@ def _secant(jacobian: FloatArray, step: FloatArray, change: FloatArray) -> Float
     return np.asarray(jacobian + np.outer(change - jacobian @ step, step) / (step @ step))
 
 
-def _linear_cost(z: FloatArray, residual: FloatArray, jacobian: FloatArray, to: FloatArray) -> float:
-    """What the linear model promised at `to`."""
-    r = residual - jacobian @ (to - z)
-    return float(r @ r + to @ to)
+def bounded_step(numbers: Sequence[Number], z: FloatArray, normal: FloatArray, gradient: FloatArray) -> FloatArray:
+    """(p,) least of ½ sᵀNs − gᵀs with z + s inside the bounds: what leaves them is held there, the others solve on."""
+    step, free = np.zeros(len(z)), np.ones(len(z), dtype=bool)
+    while free.any():
+        held = normal[np.ix_(free, ~free)] @ step[~free]
+        step[free] = np.linalg.solve(normal[np.ix_(free, free)], gradient[free] - held)
+        inside = clipped(numbers, z + step) - z
+        left = free & (np.abs(inside - step) > 1e-12 * (1 + np.abs(step)))
+        step[left] = inside[left]
+        if not left.any():
+            break
+        free &= ~left
+    return step
 
 
 def _stepped(
@@ -213,8 +264,7 @@ def _stepped(
     gradient = jacobian.T @ residual - z
     normal = np.eye(len(z)) + jacobian.T @ jacobian
     for grown in (damping, max(10 * damping, 1e-2), max(100 * damping, 1e-1), max(1e3 * damping, 1.0)):
-        step = np.linalg.solve(normal + grown * np.diag(np.diag(normal)), gradient)
-        trial = clipped(numbers, z + step)
+        trial = clipped(numbers, z + bounded_step(numbers, z, normal + grown * np.diag(np.diag(normal)), gradient))
         r = bench.residual(values_at(numbers, trial))
         trial_cost = float(r @ r + trial @ trial)
         if trial_cost < cost:

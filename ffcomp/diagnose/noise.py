@@ -133,13 +133,13 @@ class Whitener:
 
     def power(self, recording: Recording) -> float:
         """Of a real or imaginary part of the transform, per unit²/Hz of density."""
-        window = _taper(len(recording.measured), recording.rate_hz)
+        window = taper(len(recording.measured), recording.rate_hz)
         return float(np.sum(window**2)) * recording.rate_hz / 4
 
     def spectrum(self, recording: Recording, x: FloatArray) -> tuple[ComplexArray, FloatArray]:
         """(m, k) transform of the faded signals inside the band, and (k,) Hz."""
         frequency, keep = lines(recording, self.band_hz)
-        faded = x * _taper(len(x), recording.rate_hz)[:, None]
+        faded = x * taper(len(x), recording.rate_hz)[:, None]
         gaps = ~np.isfinite(recording.measured)
         faded = np.where(gaps, 0.0, faded)  # no one knows what was there: neither side has it
         return np.fft.rfft(faded, axis=0)[keep].T, frequency
@@ -163,7 +163,7 @@ def lines(recording: Recording, band_hz: tuple[float, float]) -> tuple[FloatArra
     return np.asarray(frequency[keep]), keep
 
 
-def _taper(n: int, rate_hz: float) -> FloatArray:
+def taper(n: int, rate_hz: float) -> FloatArray:
     """(n,) from 0 to 1 and back over TAPER_S (Tukey's window)."""
     ramp = min(round(TAPER_S * rate_hz), n // 2)
     edge = (1 - np.cos(np.pi * (np.arange(ramp) + 0.5) / ramp)) / 2

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ffcomp.diagnose.delta import WHOLE, Delta, effect_tables
-from ffcomp.diagnose.engine import Diagnosis, confusable
+from ffcomp.diagnose.engine import Diagnosis
 from ffcomp.diagnose.where import Size, find_gap
 from ffcomp.identify.estimates import Estimate
 from models.effects.catalogue import CATALOGUE
@@ -34,11 +34,12 @@ class Outcome:
     gained: float  # −2 ln Z against retuning alone
     confidence: Mapping[str, float]  # of each effect against the best that was tried without it
     refused: Sequence[str]
+    invisible: Sequence[str]  # effects of which the runs could not show a usual size
 
 
 def outcome(plant: Delta, found: Diagnosis) -> Outcome:
     """Translate; the best hypothesis is told even if it was refused."""
-    fitted = found.best.fit if found.best is not None else found.base
+    fitted = found.final
     tables = effect_tables(fitted.values) if found.best is not None else {}
     names = [n for n in fitted.numbers if not n.name.startswith("effects.")]
     retuned = {
@@ -53,13 +54,14 @@ def outcome(plant: Delta, found: Diagnosis) -> Outcome:
         tables,
         {name: _in_file_terms(name, e) for name, e in found.intervals.items() if name.startswith("effects.")},
         retuned,
-        [(name, _apart(tables, name)) for name, _ in confusable(found)],
+        [(name, _apart(tables, name)) for name in found.confusable],
         noise,
         after,
         _held_out(found, noise.noise_nrms),
         found.base.evidence - fitted.evidence,
         {name: _confidence(found, name) for name in tables},
         found.refused,
+        found.invisible,
     )
 
 

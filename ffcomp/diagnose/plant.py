@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from ffcomp.measured.frf import FloatArray
@@ -29,10 +29,18 @@ class Candidate:
     probe: Mapping[str, float]  # amplitudes at which its signature is taken
     shapes: tuple[Number, ...] = ()
     grid: tuple[Mapping[str, float], ...] = ({},)
+    finer: tuple[Number, ...] = ()  # shapes that have a usual value: fitted only once the effect is chosen
+    each: Candidate | None = None  # the same effect with a number for each tower
+    switch: bool = False  # there or not: its one amplitude is 1 or 0
 
     @property
     def numbers(self) -> tuple[Number, ...]:
         return (*self.amplitudes, *self.shapes)
+
+    @property
+    def shaped(self) -> Candidate:
+        """With its finer shapes free."""
+        return replace(self, shapes=(*self.shapes, *self.finer), finer=())
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +49,7 @@ class Recording:
 
     name: str
     repeat_of: str  # recordings that share it repeat one experiment
-    place: tuple[float, ...]  # where on the bed (or the axis), mm: what generalises is tested by place
+    place: tuple[float, ...]  # on the bed, mm; of an axis the stretch of time, s: what generalises is tested by place
     rate_hz: float
     signals: tuple[str, ...]
     measured: FloatArray  # (n, m)
@@ -71,8 +79,12 @@ class Plant(Protocol):
     @property
     def candidates(self) -> Sequence[Candidate]: ...
 
-    def simulate(self, values: Mapping[str, float], only: Sequence[int] | None = None) -> list[FloatArray]:
+    def simulate(
+        self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
+    ) -> list[FloatArray]:
         """(n, m) for each recording (or those in `only`); what `values` does not name stays as it is.
+
+        coarse : quicker, with kinks rounded off: good enough to choose who is looked at closely.
 
         Raises
         ------

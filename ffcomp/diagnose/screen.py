@@ -9,14 +9,16 @@ their priors, and the base fit at its optimum:
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ffcomp.diagnose.fit import Bench, Fit
-from ffcomp.diagnose.plant import Candidate
+from ffcomp.diagnose.fit import Bench, Fit, bounded_step, promise
+from ffcomp.diagnose.plant import Candidate, Number
 from ffcomp.measured.frf import FloatArray
+
+SEEN = 3.0  # standard deviations: of an effect of a usual size, to be seen at all
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,52 +31,77 @@ class Screened:
     estimate: FloatArray  # (a,) linear estimate, in the same units
     gain: float  # of −2 ln likelihood, to first order
     evidence: float  # change of −2 ln Z, to first order: negative is better
+    strength: float  # standard deviations by which an effect of a usual size stands out, retuning allowed
     projected: FloatArray  # (rows,) the best combination of the signature, less what retuning can do, length one
+
+    @property
+    def visible(self) -> bool:
+        return self.strength > SEEN
 
 
 def screen(bench: Bench, base: Fit, candidates: Sequence[Candidate]) -> list[Screened]:
-    """Every candidate with the best of its shapes, best first."""
-    tries = [(c, shape) for c in candidates for shape in c.grid]
-    probes = [{**base.values, **c.probe, **shape} for c, shape in tries if len(c.amplitudes) == 1]
-    residuals = iter(bench.residuals(probes))
+    """Every candidate with the best of its shapes, alike in all towers or not, best first."""
+    alike = _best(base, candidates, _signatures(bench, base, [(c, shape) for c in candidates for shape in c.grid]))
+    split = [(s.candidate.each, s.shape) for s in alike.values() if s.candidate.each is not None]
+    each = _best(base, candidates, _signatures(bench, base, split))
+    found = [min((x[c.name] for x in (alike, each) if c.name in x), key=lambda s: s.evidence) for c in candidates]
+    return sorted(found, key=lambda s: s.evidence)
+
+
+Tried = tuple[Candidate, Mapping[str, float], FloatArray]
+
+
+def _best(base: Fit, candidates: Sequence[Candidate], tries: Iterator[Tried]) -> dict[str, Screened]:
     found: dict[str, Screened] = {}
-    for candidate, shape in tries:
-        if len(candidate.amplitudes) == 1:
-            signature = _column(base, next(residuals), candidate, 0)[:, None]
-        else:
-            signature = _columns(bench, base, candidate, shape)
+    for candidate, shape, signature in tries:
         one = _scored(base, candidate, shape, signature)
         if candidate.name not in found or one.evidence < found[candidate.name].evidence:
             found[candidate.name] = one
-    return sorted(found.values(), key=lambda s: s.evidence)
+    return found
 
 
-def _column(base: Fit, residual: FloatArray, candidate: Candidate, i: int) -> FloatArray:
-    amplitude = candidate.amplitudes[i]
-    step = (candidate.probe[amplitude.name] - amplitude.start) / amplitude.sd
-    return np.asarray((base.residual - residual) / step)
-
-
-def _columns(bench: Bench, base: Fit, candidate: Candidate, shape: Mapping[str, float]) -> FloatArray:
+def _signatures(bench: Bench, base: Fit, tries: Sequence[tuple[Candidate, Mapping[str, float]]]) -> Iterator[Tried]:
     """One probe an amplitude, the others without effect."""
+    probes = [{}, *(_probe(c, a.name, shape) for c, shape in tries for a in c.amplitudes)]
+    residuals = iter(bench.residuals([{**base.values, **probe} for probe in probes]))
+    reference = next(residuals)
+    for candidate, shape in tries:
+        columns = [
+            (reference - next(residuals)) * (a.sd / (candidate.probe[a.name] - a.start)) for a in candidate.amplitudes
+        ]
+        yield candidate, shape, np.stack(columns, axis=1)
+
+
+def _probe(candidate: Candidate, amplitude: str, shape: Mapping[str, float]) -> dict[str, float]:
     rest = {a.name: a.start for a in candidate.amplitudes}
-    probes = [{**base.values, **rest, a.name: candidate.probe[a.name], **shape} for a in candidate.amplitudes]
-    columns = [_column(base, r, candidate, i) for i, r in enumerate(bench.residuals(probes))]
-    return np.stack(columns, axis=1)
+    return {**rest, amplitude: candidate.probe[amplitude], **shape}
 
 
 def _scored(base: Fit, candidate: Candidate, shape: Mapping[str, float], signature: FloatArray) -> Screened:
     cross = base.jacobian.T @ signature
     retuned = np.linalg.solve(base.information, cross)
-    schur = np.eye(signature.shape[1]) + signature.T @ signature - cross.T @ retuned
-    slope = signature.T @ base.residual - retuned.T @ (base.jacobian.T @ base.residual - base.z)
-    estimate = np.linalg.solve(schur, slope)
-    gain = float(slope @ estimate)
-    left = (signature - base.jacobian @ retuned) @ estimate
+    added = np.eye(signature.shape[1]) + signature.T @ signature
+    schur = added - cross.T @ retuned
+    step, gain = _joint_step(base, signature, cross, added)
+    estimate = step[len(base.z) :]
+    left = signature @ estimate + base.jacobian @ step[: len(base.z)]
+    left = left - base.jacobian @ np.linalg.solve(base.information, base.jacobian.T @ left)
     length = float(np.linalg.norm(left))
     evidence = -gain + float(np.linalg.slogdet(schur)[1])
+    strength = float(np.sqrt(max(np.trace(schur) - len(schur), 0.0)))
     projected = np.asarray(left / length if length else left)
-    return Screened(candidate, shape, signature, np.asarray(estimate), gain, evidence, projected)
+    return Screened(candidate, shape, signature, estimate, gain, evidence, strength, projected)
+
+
+def _joint_step(base: Fit, signature: FloatArray, cross: FloatArray, added: FloatArray) -> tuple[FloatArray, float]:
+    """The best step of the machine's numbers, inside their bounds, and of the amplitudes; and what it gains beyond
+    the best of the numbers alone."""
+    free = tuple(Number(f"amplitude {i}", 0.0, 1.0) for i in range(signature.shape[1]))
+    normal = np.block([[base.information, cross], [cross.T, added]])
+    gradient = np.concatenate([base.jacobian.T @ base.residual - base.z, signature.T @ base.residual])
+    z = np.concatenate([base.z, np.zeros(len(free))])
+    step = bounded_step((*base.numbers, *free), z, normal, gradient)
+    return step, float(2 * gradient @ step - step @ normal @ step) - promise(base)
 
 
 def likeness(a: Screened, b: Screened) -> float:

@@ -1,0 +1,131 @@
+"""Gates: what a hypothesis must pass before its effects are named; held-out places, intervals, look-alikes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ffcomp.diagnose.fit import Bench, Fit, bounded_step, clipped, values_at
+from ffcomp.diagnose.plant import Candidate, Impossible, Number, Plant
+from ffcomp.diagnose.screen import Screened, likeness
+from ffcomp.diagnose.search import WORTH, Hypothesis, gap_of, misfit
+from ffcomp.identify.estimates import NINETY_PERCENT, Estimate
+
+LEFT = 0.15  # of the gap may be left
+RIVAL = 20.0  # −2 ln Z
+ALIKE = 0.8  # cos² from which one effect can be taken for another
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place left out of the fit: the gap there before and after, as shares of its noise (χ² by row, less one)."""
+
+    place: tuple[float, ...]
+    before: float
+    after: float
+    rows: int
+
+    def explained(self, slack: float) -> bool:
+        """slack : of the noise, as well as it is known."""
+        return self.after < max(LEFT * self.before, slack)
+
+
+def refusals(
+    base: Fit, best: Hypothesis, places: Sequence[Place], intervals: Mapping[str, Estimate], slack: float
+) -> list[str]:
+    """Which gates a hypothesis fails, in words; none if it is to be believed."""
+    refused = []
+    if (base.evidence - best.fit.evidence) / misfit(best.fit) < WORTH:
+        refused.append("it is not worth its cost against retuning alone")
+    if best.gap > max(LEFT * gap_of(base), slack):
+        refused.append(f"{100 * best.gap / gap_of(base):.0f} % of the gap are left")
+    refused += [_unexplained(place, slack) for place in places if not place.explained(slack)]
+    if sum((p.before - p.after) * p.rows for p in places) < WORTH:
+        refused.append("what was left out of the fit is simulated no better with it")
+    for candidate in best.effects:
+        if superfluous(candidate, intervals):
+            refused.append(f"the interval of {candidate.name} includes no effect at all")
+    return refused
+
+
+def _unexplained(place: Place, slack: float) -> str:
+    at = ", ".join(f"{x:.0f}" for x in place.place)
+    if place.before <= slack:
+        return f"at ({at}), left out of the fit, it makes things worse"
+    return f"at ({at}), left out of the fit, {100 * place.after / place.before:.0f} % are left"
+
+
+def superfluous(candidate: Candidate, intervals: Mapping[str, Estimate]) -> bool:
+    """Its intervals include no effect at all."""
+    return not candidate.switch and all(_includes(intervals[a.name], a.start) for a in candidate.amplitudes)
+
+
+def _includes(interval: Estimate, value: float) -> bool:
+    return interval.low <= value <= interval.high
+
+
+def held_out(desk: Bench, base: Fit, best: Fit) -> list[Place]:
+    """Each place in turn left out: both fits moved to the optimum of the others, to first order, then simulated there.
+
+    With a single place the recordings take turns instead: weaker, but better than nothing.
+    """
+    return [
+        Place(place, _excess_at(desk, base, members), _excess_at(desk, best, members), len(desk.rows_at(members)))
+        for place, members in groups(desk.plant).items()
+    ]
+
+
+def groups(plant: Plant) -> dict[tuple[float, ...], list[int]]:
+    places: dict[tuple[float, ...], list[int]] = {}
+    for i, recording in enumerate(plant.recordings):
+        places.setdefault(recording.place, []).append(i)
+    if len(places) > 1:
+        return places
+    return {(float(i),): [i] for i in range(len(plant.recordings))}
+
+
+def _excess_at(desk: Bench, fitted: Fit, members: Sequence[int]) -> float:
+    rows = desk.rows_at(members)
+    inside = np.ones(len(fitted.residual), dtype=bool)
+    inside[rows] = False
+    j, r = fitted.jacobian[inside], fitted.residual[inside]
+    normal, slope = np.eye(len(fitted.z)) + j.T @ j, j.T @ r - fitted.z
+    z = clipped(fitted.numbers, fitted.z + bounded_step(fitted.numbers, fitted.z, normal, slope))
+    try:
+        simulated = desk.plant.simulate(values_at(fitted.numbers, z), members)
+    except Impossible:  # the others alone lead nowhere: then what was fitted to all of them has to do
+        simulated = desk.plant.simulate(fitted.values, members)
+    left = desk.measured[rows] - desk.whiten(simulated, members)
+    return float(left @ left) / len(left) - 1
+
+
+def intervals_of(desk: Bench, fitted: Fit, values: Mapping[str, float]) -> dict[str, Estimate]:
+    """90 % intervals of every number about the values that are named, as wide as all numbers together leave them."""
+    covariance = fitted.covariance(desk.whiten.frequencies(), desk.whiten.rows)
+    sd = np.sqrt(np.diag(covariance))
+    return {
+        n.name: _interval(n, values.get(n.name, n.start), n.sd * float(s))
+        for n, s in zip(fitted.numbers, sd, strict=True)
+    }
+
+
+def _interval(n: Number, value: float, spread: float) -> Estimate:
+    low, high = max(n.low, value - NINETY_PERCENT * spread), min(n.high, value + NINETY_PERCENT * spread)
+    return Estimate(value, spread, low, high)
+
+
+def rivals_of(best: Hypothesis, tried: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Other effects, as many, nearly as likely."""
+    scale = misfit(best.fit)
+    others = [h for h in tried if h.names != best.names and len(h.effects) == len(best.effects)]
+    return [h for h in others if (h.fit.evidence - best.fit.evidence) / scale < RIVAL]
+
+
+def look_alikes(best: Hypothesis, screened: Sequence[Screened], limit: float = ALIKE) -> list[tuple[str, float]]:
+    """Candidates whose signature is like that of a named effect: name and cos²."""
+    ours = [s for s in screened if s.candidate.name in best.names]
+    others = [s for s in screened if s.candidate.name not in best.names and s.visible]
+    alike = {o.candidate.name: max((likeness(o, s) for s in ours), default=0.0) for o in others}
+    return sorted(((name, c) for name, c in alike.items() if c > limit), key=lambda pair: -pair[1])

@@ -1,0 +1,164 @@
+"""The parts of the diagnosis by themselves: bounded steps, derivatives, what runs must be; and a measured axis."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ffcomp.diagnose.axis import CANDIDATES, FRICTION, MASS, OFFSET, VISCOUS, Axis, read_emps
+from ffcomp.diagnose.engine import diagnose
+from ffcomp.diagnose.fit import Bench, bounded_step, derivatives, fit
+from ffcomp.diagnose.intake import carriages_of, check_repeats
+from ffcomp.diagnose.noise import NoiseFloor, whitener
+from ffcomp.diagnose.plant import Candidate, Number, Recording
+from ffcomp.errors import MeasurementError
+from ffcomp.measured.run import Run
+from models.effects.catalogue import with_effect
+from models.kinematics.delta import inverse
+from models.machine_file import load_machine
+from models.printer import printer_numbers
+from models.printer_kernels import STATES, guide_friction
+
+EMPS = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[2] / "shared" / "data")) / "emps" / "DATA_EMPS.mat"
+
+# ---- fit -----------------------------------------------------------------------------------------
+
+BOX = tuple(Number(f"n{i}", 0.0, 1.0, -1.0, 1.0) for i in range(3))
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.floats(-5, 5), min_size=3, max_size=3), st.integers(0, 10**6))
+def test_a_bounded_step_stays_inside_and_gains_no_less_than_the_free_step_cut_off(
+    slope: list[float], seed: int
+) -> None:
+    half = np.random.default_rng(seed).standard_normal((5, 3))
+    normal, gradient = np.eye(3) + half.T @ half, np.array(slope)
+    step = bounded_step(BOX, np.zeros(3), normal, gradient)
+    assert np.all(np.abs(step) <= 1 + 1e-12)
+    free = np.linalg.solve(normal, gradient)
+    if np.abs(free).max() < 1:
+        np.testing.assert_allclose(step, free)
+    assert gradient @ step - step @ normal @ step / 2 >= -1e-9  # never worse than standing still
+
+
+@dataclass
+class Line:
+    """y = (a + b) t² + a³ t, a toy plant."""
+
+    band_hz: tuple[float, float] = (1.0, 40.0)
+    recordings: Sequence[Recording] = ()
+    numbers: Sequence[Number] = (Number("a", 1.0, 0.5), Number("b", 0.0, 0.5, 0.0, 2.0))
+    candidates: Sequence[Candidate] = field(default_factory=tuple)
+
+    def simulate(
+        self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
+    ) -> list[np.ndarray]:
+        a, b = values.get("a", 1.0), values.get("b", 0.0)
+        t = np.arange(200)[:, None] / 200
+        return [np.asarray((a + b) * t**2 + a**3 * t) for _ in self.recordings]
+
+
+def toy(a: float, b: float) -> Bench:
+    plant = Line()
+    blank = Recording("x", "x", (0.0,), 200.0, ("acc_A",), np.zeros((200, 1)), np.zeros((200, 1)))
+    plant.recordings = [blank]
+    measured = plant.simulate({"a": a, "b": b})
+    plant.recordings = [replace(blank, measured=measured[0])]
+    floor = NoiseFloor(np.array([0.0, 100.0]), {"acc_A": np.full(2, 1e-10)}, True)
+    whiten = whitener(plant.recordings, floor, plant.band_hz)
+    return Bench(plant, whiten, whiten(measured))
+
+
+def test_derivatives_are_exact_where_central_and_zero_for_a_number_that_cannot_move() -> None:
+    bench, z = toy(1.0, 0.0), np.array([0.3, 0.0])
+    numbers = (Number("a", 1.0, 0.5), Number("fixed", 0.0, 1.0, 0.0, 0.0))
+    residual = bench.residual({"a": 1.15})
+    rough = derivatives(bench, numbers, z, residual, [0, 1])
+    sizes = np.linalg.norm(rough, axis=0)
+    fine = derivatives(bench, numbers, z, residual, [0, 1], central=True, sizes=sizes)
+    t = np.arange(200)[:, None] / 200
+    exact = bench.whiten([0.5 * (t**2 + 3 * 1.15**2 * t)])
+    assert np.linalg.norm(fine[:, 0] - exact) < 1e-5 * np.linalg.norm(exact)
+    assert not fine[:, 1].any() and not rough[:, 1].any()
+
+
+def test_a_fit_finds_both_numbers() -> None:
+    bench = toy(1.2, 0.3)
+    found = fit(bench, bench.plant.numbers, np.zeros(2), iterations=12)
+    assert found.values["a"] == pytest.approx(1.2, abs=1e-3)
+    assert found.values["b"] == pytest.approx(0.3, abs=3e-3)
+
+
+# ---- dry friction's shapes -----------------------------------------------------------------------
+
+
+def test_friction_that_never_holds_is_a_plain_hyperbolic_tangent() -> None:
+    shape = {"force_n": 2.0, "creep_mm_per_s": 4.0, "hold_per_s": 0.0}
+    machine = with_effect(load_machine("mp-delta-pro"), "coulomb_friction", **shape)
+    p, y, dy = printer_numbers(machine), np.zeros(STATES), np.zeros(STATES)
+    for speed in (-0.01, -1e-4, 2e-3, 0.3):
+        y[3 * 3 : 3 * 3 + 3] = speed
+        assert guide_friction(y, 1, p, dy) == pytest.approx(2.0 * np.tanh(speed / 4e-3), rel=1e-12)
+    assert not dy.any()  # no memory
+
+
+def test_two_kinds_of_friction_turn_over_as_their_forces_weigh() -> None:
+    machine = with_effect(load_machine("mp-delta-pro"), "coulomb_friction", force_n=3.0, creep_mm_per_s=1.0)
+    both = with_effect(
+        machine, "stribeck_friction", force_n=1.0, extra_force_n=0.0, velocity_mm_per_s=5.0, creep_mm_per_s=3.0
+    )
+    np.testing.assert_allclose(printer_numbers(both).creep, 1.5e-3)
+
+
+# ---- what runs must be ---------------------------------------------------------------------------
+
+
+def run_at(place: tuple[float, float, float], name: str = "x-1.csv") -> Run:
+    t = np.arange(1600) / 1600.0
+    q = np.repeat(inverse(load_machine("mp-delta-pro").kinematics, np.array([place])), len(t), axis=0)
+    blank = {"acc_A": np.zeros(len(t))}
+    return Run(name, t, q, "carriage", blank, {}, np.zeros(len(t), dtype=bool), {})
+
+
+def test_a_run_of_another_machine_is_refused_with_where_and_why() -> None:
+    machine = load_machine("mp-delta-pro")
+    fine = run_at((30.0, 20.0, 50.0))
+    np.testing.assert_array_equal(carriages_of(machine, fine), fine.command)
+    for lift, words in ((400.0, "print volume"), (np.array([0.0, 0.0, 900.0]), "arm")):
+        with pytest.raises(MeasurementError, match=words) as error:
+            carriages_of(machine, replace(fine, command=fine.command + lift))
+        assert "another machine" in str(error.value) and error.value.exit_code == 5
+
+
+def test_runs_without_a_repeat_are_refused() -> None:
+    one, other = run_at((0, 0, 30), "a-1.csv"), run_at((0, 0, 30), "b-1.csv")
+    with pytest.raises(MeasurementError, match="None of the 2 runs repeats another"):
+        check_repeats([one, other])
+    check_repeats([one, run_at((0, 0, 30), "a-2.csv")])
+
+
+# ---- a measured axis -----------------------------------------------------------------------------
+
+
+def test_the_emps_axis_is_found_to_have_dry_friction() -> None:
+    """Published: M 95.1 kg, F_v 203.5 N s/m, F_c 20.4 N, offset −3.2 N (Janot, Gautier and Brunot, 2019)."""
+    if not EMPS.is_file():
+        pytest.skip("the EMPS data set is not beside the project")
+    found = diagnose(Axis([read_emps(EMPS)], 50.0, 100.0))
+    assert not found.noise.from_repeats
+    assert found.named is not None and found.named.names == ("coulomb_friction",)
+    published: dict[str, Any] = {MASS: 95.1, VISCOUS: 203.5, FRICTION: 20.4}
+    for name, value in published.items():
+        assert found.final.values[name] == pytest.approx(value, rel=0.08), name
+    assert found.final.values[OFFSET] == pytest.approx(-3.2, abs=1.0)
+    before, after = (sum(getattr(place, when) for place in found.places) for when in ("before", "after"))
+    assert len(found.places) == 6 and after < 0.1 * before  # in stretches of time left out of the fit
+    assert {c.name for c in CANDIDATES} > {"coulomb_friction"}

@@ -1,0 +1,136 @@
+"""The engine on our own printer as the truth: the right name among rivals, values, pairs, shapes, what is invisible.
+
+Whether it also names what another simulator hides is tested elsewhere; here the search itself is.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ffcomp.diagnose.delta import Delta
+from ffcomp.diagnose.engine import Diagnosis, diagnose
+from ffcomp.diagnose.outcome import outcome
+from ffcomp.diagnose.picture import picture
+from ffcomp.measured.run import Run
+from models.effects.catalogue import with_effect
+from models.kinematics.delta import inverse
+from models.machine import Machine
+from models.machine_file import load_machine
+
+RATE_HZ, SECONDS, NOISE = 1600.0, 0.8, 0.15
+PLACES = ((0.0, 0.0, 30.0), (-60.0, 20.0, 30.0), (20.0, 60.0, 120.0))
+SENSORS = tuple(f"acc_{axis}" for axis in "ABCxyz")
+
+
+@functools.cache
+def believed() -> Machine:
+    return replace(load_machine("mp-delta-pro"), uncertainty={"default": 0.02})
+
+
+def command(place: tuple[float, float, float], rng: np.random.Generator) -> np.ndarray:
+    """All towers shaken by tones, on top of a slow sweep."""
+    t = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
+    f = rng.uniform(3, 120, (14, 3))
+    size = rng.uniform(25, 90) / (2 * np.pi * f) ** 1.5
+    tones = np.sum(size * np.sin(2 * np.pi * f * t[:, None, None] + rng.uniform(0, 6.28, f.shape)), axis=1)
+    slow = np.sin(2 * np.pi * 0.9 * t)[:, None] * np.array([12.0, -7.0, 4.0])
+    fade = np.minimum(1, np.minimum(t, t[-1] - t) / 0.25)[:, None]
+    return np.asarray(inverse(believed().kinematics, np.array([place])) + (tones + slow) * fade)
+
+
+def runs_of(truth: Machine, noise: float = NOISE) -> list[Run]:
+    """Two repeats at each place."""
+    rng = np.random.default_rng(7)
+    t = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
+    none, runs = np.zeros(len(t), dtype=bool), []
+    for i, place in enumerate(PLACES):
+        q = command(place, rng)
+        blank = dict.fromkeys(SENSORS, np.zeros(len(t)))
+        true = Delta(truth, [Run("x.csv", t, q, "carriage", blank, {}, none, {})], ()).simulate({})[0]
+        for repeat in (1, 2):
+            felt = dict(zip(SENSORS, (true + noise * rng.standard_normal(true.shape)).T, strict=True))
+            runs.append(Run(f"p{i}-{repeat}.csv", t, q, "carriage", felt, {}, none, {}))
+    return runs
+
+
+def found(candidates: tuple[str, ...], **hidden: dict[str, Any]) -> tuple[Delta, Diagnosis]:
+    truth = believed()
+    for name, table in hidden.items():
+        truth = with_effect(truth, name, **table)
+    plant = Delta(believed(), runs_of(truth), candidates)
+    return plant, diagnose(plant)
+
+
+CASES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
+    "guide_damping": ({"added_n_s_per_m": 12.0}, ("command_delay", "effector_mass")),
+    "effector_mass": ({"added_kg": 0.12}, ("belt_stiffness", "force_map")),
+    "sensor_gain": ({"carriage_relative_change": [0.05, 0.0, 0.0]}, ("effector_mass",)),
+    "force_map": ({}, ("effector_mass",)),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_hidden_effect_is_named_among_rivals(name: str) -> None:
+    hidden, rivals = CASES[name]
+    plant, diagnosis = found((name, *rivals), **{name: hidden})
+    assert diagnosis.verdict == "effects", diagnosis.refused
+    told = outcome(plant, diagnosis)
+    assert list(told.effects) == [name]
+    for key, value in hidden.items():
+        np.testing.assert_allclose(np.array(told.effects[name][key]), value, rtol=0.03, atol=0.002)
+    assert told.retuned == {}  # the file was right, so nothing else had to move
+    assert all(place.after < 0.1 for place in diagnosis.places)
+
+
+def test_a_belt_of_one_tower_is_named_with_a_number_for_each() -> None:
+    _, diagnosis = found(("belt_stiffness", "guide_damping"), belt_stiffness={"relative_change": [-0.25, 0.0, 0.0]})
+    assert diagnosis.named is not None and diagnosis.named.names == ("belt_stiffness",)
+    values = [diagnosis.final.values[f"effects.belt_stiffness.relative_change[{i}]"] for i in range(3)]
+    np.testing.assert_allclose(values, [-0.25, 0.0, 0.0], atol=0.005)
+
+
+def test_two_hidden_effects_are_both_named() -> None:
+    _, diagnosis = found(
+        ("belt_stiffness", "guide_damping", "command_delay"),
+        belt_stiffness={"relative_change": -0.2},
+        guide_damping={"added_n_s_per_m": 12.0},
+    )
+    assert diagnosis.named is not None and diagnosis.named.names == ("belt_stiffness", "guide_damping")
+    assert diagnosis.final.values["effects.belt_stiffness.relative_change"] == pytest.approx(-0.2, rel=0.02)
+    assert diagnosis.final.values["effects.guide_damping.added_n_s_per_m"] == pytest.approx(12.0, rel=0.03)
+
+
+def test_what_no_candidate_explains_is_unknown_and_pictured() -> None:
+    plant, diagnosis = found(("command_delay", "guide_damping"), cogging={"amplitude_mm": 0.03, "pitch_mm": 0.8})
+    assert diagnosis.verdict == "unknown" and diagnosis.refused and diagnosis.named is None
+    shown = picture(plant, diagnosis)
+    splits = {split.title: split for split in shown.splits}
+    cycle = splits["motor's step cycle"]  # ripple follows the motor's position
+    assert len(cycle.labels) == 16 and min(cycle.before) > 10
+    assert not any(row.named for row in shown.evidence)
+    measured, simulated = shown.overlays[0].measured, shown.overlays[0].before
+    assert np.std(measured - simulated) > 5 * shown.overlays[0].noise_rms
+
+
+def test_what_cannot_be_seen_is_said_to_be_invisible_and_noise_pictures_as_nothing() -> None:
+    plant, diagnosis = found(("center_of_mass", "guide_damping"))
+    assert diagnosis.verdict == "none"
+    assert diagnosis.invisible == ["center_of_mass"]  # by virtual work the carriages do not feel it
+    for split in picture(plant, diagnosis).splits:
+        inner = np.array(split.after[1:-1] if "time" in split.title else split.after)  # the ends are faded out
+        assert np.abs(inner).max() < 0.6, split.title  # where an effect is, hundreds
+
+
+def test_friction_keeps_its_name_and_force_when_it_turns_over_in_another_way() -> None:
+    """Creeping friction is not our usual one, which holds; the shape is found once the name is."""
+    hidden = {"force_n": 2.0, "creep_mm_per_s": 2.0, "hold_per_s": 0.0}
+    _, diagnosis = found(("coulomb_friction", "guide_damping"), coulomb_friction=hidden)
+    assert diagnosis.named is not None and diagnosis.named.names == ("coulomb_friction",)
+    values = {name.rpartition(".")[2]: value for name, value in diagnosis.final.values.items()}
+    assert values["force_n"] == pytest.approx(2.0, rel=0.02)
+    assert values["creep_mm_per_s"] == pytest.approx(2.0, rel=0.1)
