@@ -162,3 +162,16 @@ def test_the_emps_axis_is_found_to_have_dry_friction() -> None:
     before, after = (sum(getattr(place, when) for place in found.places) for when in ("before", "after"))
     assert len(found.places) == 6 and after < 0.1 * before  # in stretches of time left out of the fit
     assert {c.name for c in CANDIDATES} > {"coulomb_friction"}
+
+
+def test_numbers_that_do_the_same_share_a_step() -> None:
+    """A normal matrix that is singular to rounding: the step still goes down, and no farther than needed."""
+    from ffcomp.diagnose.fit import _solved
+
+    column = 1e9 * np.ones((50, 1)) + np.arange(50)[:, None]
+    jacobian = np.hstack([column, column, np.arange(50.0)[:, None]])
+    normal = np.eye(3) + jacobian.T @ jacobian
+    step = _solved(normal, jacobian.T @ np.arange(50.0))
+    assert np.all(np.isfinite(step))
+    assert step[0] == pytest.approx(step[1], rel=1e-3, abs=1e-6)
+    assert step[2] == pytest.approx(1.0, rel=1e-3)

@@ -21,6 +21,7 @@ from ffcomp.diagnose.plant import Impossible, Number, Plant
 from ffcomp.measured.frf import FloatArray
 
 STEP = 0.01  # of a prior's standard deviation, for derivatives: the simulation has no noise of its own; or so much
+ALIKE = 1e-12  # of the diagonal: what keeps the normal matrix of numbers that cannot be told apart regular
 STIR, LEAST_STEP = 30.0, 1e-5  # less that the answer changes by 30 standard deviations of the noise: resonances bend
 NEAR_COST = 0.3  # of −2 ln, times the misfit: less than this to be gained, and the fit is done
 SMALL_GAIN = 1e-7  # or less than this share
@@ -241,7 +242,7 @@ def bounded_step(numbers: Sequence[Number], z: FloatArray, normal: FloatArray, g
     step, free = np.zeros(len(z)), np.ones(len(z), dtype=bool)
     while free.any():
         held = normal[np.ix_(free, ~free)] @ step[~free]
-        step[free] = np.linalg.solve(normal[np.ix_(free, free)], gradient[free] - held)
+        step[free] = _solved(normal[np.ix_(free, free)], gradient[free] - held)
         inside = clipped(numbers, z + step) - z
         left = free & (np.abs(inside - step) > 1e-12 * (1 + np.abs(step)))
         step[left] = inside[left]
@@ -249,6 +250,13 @@ def bounded_step(numbers: Sequence[Number], z: FloatArray, normal: FloatArray, g
             break
         free &= ~left
     return step
+
+
+def _solved(normal: FloatArray, right: FloatArray) -> FloatArray:
+    """N⁻¹ b of a positive definite N, scaled to a diagonal of ones: two numbers that do quite the same share a step."""
+    scale = 1 / np.sqrt(np.diag(normal))
+    alike = normal * np.outer(scale, scale) + ALIKE * np.eye(len(normal))
+    return np.asarray(scale * np.linalg.solve(alike, scale * right))
 
 
 def _stepped(
