@@ -56,7 +56,7 @@ class Job:
         self.print_time_s = self.planned.trajectory.end_t
         self.inverter = inverter or Inverter(machine, settings or settings_for(machine))
         self.shaper_off = shaper_off
-        self.summary = Summary()
+        self.summary = Summary(warnings=_not_modelled(self.inverter))
         if predict:
             self.summary.prediction = Prediction(self.inverter, self.print_time_s)
         self.compute_time_s = 0.0
@@ -99,6 +99,12 @@ class Job:
             "predicted": {name: asdict(track) for name, track in tracks.items()},
             "predicted_over_s": summary.prediction.covered_s if summary.prediction else 0.0,
         }
+
+
+def _not_modelled(inverter: Inverter) -> list[str]:
+    """A sentence, if the machine file lists effects that the command does not allow for."""
+    names = ", ".join(inverter.not_modelled)
+    return [f"The machine file lists effects that are not compensated: {names}."] if names else []
 
 
 def _with_shaper_off(lines: Iterator[bytes], flavor: str) -> Iterator[bytes]:

@@ -30,6 +30,7 @@ from ffcomp.writer import Writer
 from gcode.errors import GcodeError
 from gcode.limits import MotionLimits
 from gcode.program import Event, EventKind, Program
+from models.effects.catalogue import design_machine
 from models.errors import UnreachableError
 from models.kinematics.delta import check_reach
 from models.machine import DeltaGeometry, Machine
@@ -96,7 +97,7 @@ def _bandwidth(machine: Machine, segment_s: float) -> float:
 
     Measured on the sample prints: below it the mode is left ringing, above it only the command's acceleration grows.
     """
-    found = modes(machine, np.zeros(2))
+    found = modes(design_machine(machine)[0], np.zeros(2))
     rings = (found.damping_ratios < 0.1) & (found.frequencies_hz < 0.5 / segment_s)
     fastest = float(found.frequencies_hz[rings].max(initial=0.0))
     return min(max(1.28 * fastest, LOWEST_BANDWIDTH_HZ), HIGHEST_BANDWIDTH / segment_s)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ffcomp.plan.trajectory import Trajectory
 from ffcomp.schedule import respond, rest_state
+from models.effects.catalogue import design_machine
 from models.machine import Machine
 from models.plant import PlantTable, plant_table
 
@@ -31,6 +32,7 @@ def simulate(
     t : (m,) s on the plan's clock, rising in steps of 1 ms (but for places where the nozzle was moved by others)
     nozzle : (m, 3) mm
     """
+    machine, _ = design_machine(machine)
     table = plant_table(machine, STEP_S)
     parts = []
     for begin, end in sections(trajectory):

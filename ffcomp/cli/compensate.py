@@ -134,7 +134,7 @@ def _job(
 def _write(job: Job, target: Path | None, quiet: bool) -> dict[str, Any]:
     from ffcomp.cli.common import Progress, say
 
-    for warning in job.program.warnings:
+    for warning in (*job.program.warnings, *job.summary.warnings):
         say(f"ffcomp: {warning}", quiet)
     with Progress(job.print_time_s, quiet) as progress:
         job.write(target, progress)

@@ -34,6 +34,7 @@ from ffcomp.invert.settings import Settings
 from ffcomp.played import played, sample_segments
 from ffcomp.runs import Reference
 from ffcomp.schedule import interpolate, models_along, moving_state, rest_state, simulate
+from models.effects.catalogue import design_machine
 from models.kinematics.kernels import FastDelta
 from models.machine import Machine
 from models.plant import PlantTable, plant_table
@@ -55,6 +56,7 @@ class Inverter:
     """Inverts one machine; the tables over its bed are made once."""
 
     def __init__(self, machine: Machine, settings: Settings) -> None:
+        machine, self.not_modelled = design_machine(machine)
         self.machine, self.settings = machine, settings
         self.delta = FastDelta(machine.kinematics)
         self.fine = _table(machine, settings, settings.substeps)
@@ -118,11 +120,11 @@ def effort_weight(machine: Machine, settings: Settings) -> float:
 
 
 def steady_delay(machine: Machine) -> float:
-    """τ of G(s) ≈ I − τ s: how far the machine lags behind a steady motion, s. The same everywhere on the bed."""
+    """τ of G(s) ≈ I − τ s: how far the machine lags behind a steady motion, s, on average of its towers."""
     carriage = machine.carriage
     drive = carriage.drive
     lag = carriage.guide_damping_n_s_per_m / carriage.belt_stiffness_n_per_m
-    return lag + ((drive.d2_per_s - drive.d1_per_s) / drive.d0_per_s2 if drive else 0.0)
+    return float(np.mean(lag)) + ((drive.d2_per_s - drive.d1_per_s) / drive.d0_per_s2 if drive else 0.0)
 
 
 class _Run:

@@ -88,6 +88,18 @@ def effective_machine(machine: Machine) -> Machine:
     return effective
 
 
+def design_machine(machine: Machine) -> tuple[Machine, tuple[str, ...]]:
+    """The machine as the linear design model knows it, and its effects that the model cannot hold.
+
+    Geometry stays that of the firmware, which turns the nozzle's path into carriage paths; sensors' effects are none of
+    the machine's.
+    """
+    effective = effective_machine(machine)
+    known = effective if effective is machine else replace(effective, kinematics=machine.kinematics)
+    left = [n for n in machine.effects if effect_named(n).kind not in ("parameter", "sensor") or n == "arm_geometry"]
+    return known, tuple(left)
+
+
 def measured(machine: Machine, true: Signals) -> Signals:
     """What the machine's sensors record of a true motion: its sensor effects, in the order of its `effects`."""
     for name in machine.effects:
