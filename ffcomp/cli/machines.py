@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ffcomp.cli.machines_diff import diff_machines
+
 if TYPE_CHECKING:
     from models.consistency import Quantity
     from models.machine import FloatArray, Machine
@@ -22,7 +24,8 @@ if TYPE_CHECKING:
 
 USAGE, BAD_MACHINE = 2, 5  # exit codes, the same for the whole program
 
-app = typer.Typer(help="List, show, check and start machine files.", no_args_is_help=True)
+app = typer.Typer(help="List, show, check, start and tell apart machine files.", no_args_is_help=True)
+app.command("diff")(diff_machines)
 
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 NameOrPath = Annotated[str, typer.Argument(help="A machine's name, or the path of its TOML file.")]
