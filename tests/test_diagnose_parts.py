@@ -13,8 +13,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ffcomp.diagnose.axis import CANDIDATES, FRICTION, MASS, OFFSET, VISCOUS, Axis, read_emps
-from ffcomp.diagnose.engine import diagnose
 from ffcomp.diagnose.fit import Bench, bounded_step, derivatives, fit
 from ffcomp.diagnose.intake import carriages_of, check_repeats
 from ffcomp.diagnose.noise import NoiseFloor, whitener
@@ -145,33 +143,29 @@ def test_runs_without_a_repeat_are_refused() -> None:
     check_repeats([one, run_at((0, 0, 30), "a-2.csv")])
 
 
-# ---- a measured axis -----------------------------------------------------------------------------
-
-
-def test_the_emps_axis_is_found_to_have_dry_friction() -> None:
-    """Published: M 95.1 kg, F_v 203.5 N s/m, F_c 20.4 N, offset −3.2 N (Janot, Gautier and Brunot, 2019)."""
-    if not EMPS.is_file():
-        pytest.skip("the EMPS data set is not beside the project")
-    found = diagnose(Axis([read_emps(EMPS)], 50.0, 100.0))
-    assert not found.noise.from_repeats
-    assert found.named is not None and found.named.names == ("coulomb_friction",)
-    published: dict[str, Any] = {MASS: 95.1, VISCOUS: 203.5, FRICTION: 20.4}
-    for name, value in published.items():
-        assert found.final.values[name] == pytest.approx(value, rel=0.08), name
-    assert found.final.values[OFFSET] == pytest.approx(-3.2, abs=1.0)
-    before, after = (sum(getattr(place, when) for place in found.places) for when in ("before", "after"))
-    assert len(found.places) == 6 and after < 0.1 * before  # in stretches of time left out of the fit
-    assert {c.name for c in CANDIDATES} > {"coulomb_friction"}
-
-
 def test_numbers_that_do_the_same_share_a_step() -> None:
     """A normal matrix that is singular to rounding: the step still goes down, and no farther than needed."""
-    from ffcomp.diagnose.fit import _solved
-
     column = 1e9 * np.ones((50, 1)) + np.arange(50)[:, None]
     jacobian = np.hstack([column, column, np.arange(50.0)[:, None]])
     normal = np.eye(3) + jacobian.T @ jacobian
-    step = _solved(normal, jacobian.T @ np.arange(50.0))
+    step = bounded_step([Number(str(i), 0.0, 1.0) for i in range(3)], np.zeros(3), normal, jacobian.T @ np.arange(50.0))
     assert np.all(np.isfinite(step))
     assert step[0] == pytest.approx(step[1], rel=1e-3, abs=1e-6)
     assert step[2] == pytest.approx(1.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_bounded_step_is_the_best_inside_the_bounds(seed: int) -> None:
+    """At the least of a convex parabola in a box, the slope points outward at every wall and is zero elsewhere."""
+    rng = np.random.default_rng(seed)
+    numbers = [Number(str(i), 0.0, 1.0, -1.0, 1.0) for i in range(12)]
+    jacobian = rng.normal(size=(60, 12)) @ rng.normal(size=(12, 12))
+    normal, gradient = np.eye(12) + jacobian.T @ jacobian, jacobian.T @ rng.normal(size=60) * 300
+    z = rng.uniform(-1, 1, 12)
+    step = bounded_step(numbers, z, normal, gradient)
+    slope, at = gradient - normal @ step, z + step
+    assert np.all(np.abs(at) <= 1 + 1e-12)
+    inside = np.abs(at) < 1 - 1e-9
+    assert np.abs(slope[inside]).max(initial=0.0) < 1e-6 * np.abs(gradient).max()
+    assert np.all(slope[~inside] * at[~inside] > -1e-6 * np.abs(gradient).max())
+    assert (~inside).any()  # the parabola is long enough to reach them

@@ -18,7 +18,7 @@ import numpy as np
 
 from ffcomp.diagnose.fit import WORKERS
 from ffcomp.diagnose.intake import carriages_of
-from ffcomp.diagnose.noise import BAND_HZ
+from ffcomp.diagnose.noise import BAND_HZ, filled
 from ffcomp.diagnose.plant import Candidate, Impossible, Number, Recording
 from ffcomp.identify.direct import UNKNOWNS
 from ffcomp.measured.frf import FloatArray
@@ -32,7 +32,8 @@ from models.parameters import value_of, with_values
 from models.printer import SMOOTH_STEP_S, PrinterMotion, longest_step, printer_numbers, simulate_printer
 
 STEP_S = 1 / 3200  # of a printer without dry friction or play: some nanometres off
-COARSE_STEP_S = 1 / 6400  # of one with them, where only the effects' order is asked for
+COARSE_STEP_S, COARSE_KINKED_STEP_S = 1 / 1600, 1 / 3200  # where only the effects' order is asked for
+ENOUGH_HZ = 1600.0  # rows a second: eight times the band's end; what was recorded faster is thinned
 KEPT = 2 * WORKERS  # motions
 REACH = 5.0  # standard deviations by which a number may be retuned: what must move further is an effect
 FULL_STEPS = (1.0, 4.0)  # cogging repeats every full step, or every four
@@ -51,7 +52,7 @@ class Delta:
 
     def __init__(self, machine: Machine, runs: Sequence[Run], names: Sequence[str] = tuple(CATALOGUE)) -> None:
         self.machine, self.runs = machine, runs
-        self.commands = [carriages_of(machine, run) for run in runs]
+        self.commands = [carriages_of(machine, run)[:: _every(run)] for run in runs]
         self.recordings = [_recording(machine, run, c) for run, c in zip(runs, self.commands, strict=True)]
         self.kept: dict[tuple[object, ...], dict[int, PrinterMotion]] = {}
         self.same_command = [_first_equal(self.commands, i) for i in range(len(runs))]
@@ -110,8 +111,8 @@ def _is_sensor(name: str) -> bool:
 def _step_s(machine: Machine, coarse: bool) -> float:
     longest = longest_step(printer_numbers(machine))
     if longest == SMOOTH_STEP_S:
-        return STEP_S
-    return max(longest, COARSE_STEP_S) if coarse else longest
+        return COARSE_STEP_S if coarse else STEP_S
+    return max(longest, COARSE_KINKED_STEP_S) if coarse else longest
 
 
 def _first_equal(commands: Sequence[FloatArray], i: int) -> int:
@@ -246,15 +247,33 @@ def _grid(effect: Effect, machine: Machine) -> list[dict[str, float]]:
 # ---- recordings ----------------------------------------------------------------------------------
 
 
+def _every(run: Run) -> int:
+    return max(1, int(run.sample_rate_hz / ENOUGH_HZ * (1 + 1e-6)))
+
+
 def _recording(machine: Machine, run: Run, command: FloatArray) -> Recording:
+    """command : (n, 3) mm, carriages, thinned as the recording is."""
     signals = (*run.acceleration, *run.position)
-    values = [*run.acceleration.values(), *run.position.values()]
+    every = _every(run)
+    values = [_thinned(x, every) for x in (*run.acceleration.values(), *run.position.values())]
     nozzle = forward(machine.kinematics, command)
     place = tuple(float(5 * round(x / 5)) for x in (np.min(nozzle, axis=0) + np.max(nozzle, axis=0))[:2] / 2)
-    rate = run.sample_rate_hz
+    rate = run.sample_rate_hz / every
     moving = {**dict(zip("ABC", command.T, strict=True)), **dict(zip("xyz", nozzle.T, strict=True))}
     speed = np.stack([np.gradient(moving[s[4:]], 1 / rate) for s in signals], axis=1)
     return Recording(run.source, run.repeat_of, place, rate, signals, np.stack(values, axis=1), speed)
+
+
+def _thinned(x: FloatArray, every: int) -> FloatArray:
+    """Every so many rows, what is too fast for them taken out (zero-phase); gaps stay gaps."""
+    if every == 1:
+        return x
+    from scipy.signal import resample_poly
+
+    gap = ~np.isfinite(x)
+    gaps = np.convolve(gap, np.ones(2 * every + 1), "same")[::every] > 0
+    smooth = resample_poly(filled(x), 1, every, padtype="line")
+    return np.where(gaps, np.nan, smooth)
 
 
 def _signals(machine: Machine, motion: PrinterMotion, names: Sequence[str]) -> FloatArray:

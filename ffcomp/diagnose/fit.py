@@ -28,6 +28,7 @@ SMALL_GAIN = 1e-7  # or less than this share
 SLIP = 1e-4  # relative error of a derivative: what cancels to less says nothing
 WELL_KNOWN, GUESSED = 0.1, 3.0  # share of the noise to which its floor is known: from repeats, or without any
 HUGE = 1e6  # standard deviations
+MOST_PASSES = 1000  # of the search for the bounds that hold a step
 BLOCK_HZ = 5.0  # of the sandwich: what a wrong shape leaves keeps its sign over a few Hz
 WORKERS = min(8, os.cpu_count() or 1)
 
@@ -238,25 +239,26 @@ def _secant(jacobian: FloatArray, step: FloatArray, change: FloatArray) -> Float
 
 
 def bounded_step(numbers: Sequence[Number], z: FloatArray, normal: FloatArray, gradient: FloatArray) -> FloatArray:
-    """(p,) least of ½ sᵀNs − gᵀs with z + s inside the bounds: what leaves them is held there, the others solve on."""
-    step, free = np.zeros(len(z)), np.ones(len(z), dtype=bool)
-    while free.any():
-        held = normal[np.ix_(free, ~free)] @ step[~free]
-        step[free] = _solved(normal[np.ix_(free, free)], gradient[free] - held)
-        inside = clipped(numbers, z + step) - z
-        left = free & (np.abs(inside - step) > 1e-12 * (1 + np.abs(step)))
-        step[left] = inside[left]
-        if not left.any():
-            break
-        free &= ~left
+    """(p,) least of ½ sᵀNs − gᵀs with z + s inside the bounds, N positive definite.
+
+    As least squares, |Lᵀs − L⁻¹g|² with N = L Lᵀ scaled to a diagonal of ones, so that numbers that do quite the same
+    share a step (bounded-variable least squares: Stark & Parker, Comp. Stat. 10, 1995).
+    """
+    from scipy.linalg import solve_triangular
+    from scipy.optimize import lsq_linear
+
+    low, high = (clipped(numbers, np.full(len(z), end)) - z for end in (-np.inf, np.inf))
+    free = high > low
+    step = np.zeros(len(z))
+    if not free.any():
+        return step
+    scale = 1 / np.sqrt(np.diag(normal)[free])
+    alike = normal[np.ix_(free, free)] * np.outer(scale, scale) + ALIKE * np.eye(len(scale))
+    lower = np.linalg.cholesky(alike)
+    right = solve_triangular(lower, scale * gradient[free], lower=True)
+    bounds = (np.minimum(low[free], 0.0) / scale, np.maximum(high[free], 0.0) / scale)
+    step[free] = scale * lsq_linear(lower.T, right, bounds, "bvls", tol=1e-14, max_iter=MOST_PASSES).x
     return step
-
-
-def _solved(normal: FloatArray, right: FloatArray) -> FloatArray:
-    """N⁻¹ b of a positive definite N, scaled to a diagonal of ones: two numbers that do quite the same share a step."""
-    scale = 1 / np.sqrt(np.diag(normal))
-    alike = normal * np.outer(scale, scale) + ALIKE * np.eye(len(normal))
-    return np.asarray(scale * np.linalg.solve(alike, scale * right))
 
 
 def _stepped(
