@@ -28,12 +28,15 @@ def gap(runs: Runs, machine: MachineName, as_json: AsJson = False) -> None:
     with exit_codes():
         from ffcomp.diagnose.delta import Delta
         from ffcomp.diagnose.engine import noise_floor
+        from ffcomp.diagnose.intake import check_alike
         from ffcomp.diagnose.noise import whitener
         from ffcomp.diagnose.where import find_gap
         from ffcomp.measured.run import read_run
         from models.machine_file import load_machine
 
-        plant = Delta(load_machine(machine), [read_run(path) for path in runs], ())
+        loaded, measured = load_machine(machine), [read_run(path) for path in runs]
+        plant = Delta(loaded, measured, ())
+        check_alike(measured)
         simulated = plant.simulate({})
         floor = noise_floor(plant, simulated)
         found = find_gap(whitener(plant.recordings, floor, plant.band_hz), floor, simulated)

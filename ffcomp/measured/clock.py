@@ -13,6 +13,7 @@ from ffcomp.measured.table import IntArray
 
 LOWEST_RATE_HZ, HIGHEST_RATE_HZ = 800.0, 25600.0
 SHORTEST_S = 0.5
+_UNITS = {"ms": 1e3, "µs": 1e6, "ns": 1e9}  # in a second
 _LARGEST_JITTER = 0.25  # of a sample period: beyond it, which sample is missing is a guess
 _NEGLIGIBLE_JITTER = 0.01  # of a sample period: 0.5° of phase at 200 Hz and 1600 Hz sampling
 
@@ -92,7 +93,7 @@ def _bad_rate(period_s: float, count: int, length_s: float) -> list[str]:
     if not LOWEST_RATE_HZ * 0.999 <= rate <= HIGHEST_RATE_HZ * 1.001:
         problems.append(
             f"The sample rate in column t_s is {rate:.6g} Hz; it must lie between {LOWEST_RATE_HZ:g} and "
-            f"{HIGHEST_RATE_HZ:g} Hz (t_s is in seconds)."
+            f"{HIGHEST_RATE_HZ:g} Hz.{_other_unit(rate)}"
         )
     if length_s + period_s < SHORTEST_S:
         problems.append(
@@ -100,6 +101,14 @@ def _bad_rate(period_s: float, count: int, length_s: float) -> list[str]:
             "printer rings for 0.2 s."
         )
     return problems
+
+
+def _other_unit(rate_hz: float) -> str:
+    """The unit in which the rate would be right, as a sentence; '' if none."""
+    for unit, per_second in _UNITS.items():
+        if LOWEST_RATE_HZ * 0.999 <= rate_hz * per_second <= HIGHEST_RATE_HZ * 1.001:
+            return f" It looks as if the time were in {unit}, not in s: multiply it by {1 / per_second:g}."
+    return ""
 
 
 def _uneven(periods: FloatArray, time_s: FloatArray, row: IntArray) -> list[str]:
@@ -111,6 +120,6 @@ def _uneven(periods: FloatArray, time_s: FloatArray, row: IntArray) -> list[str]
     k = off[0]
     return [
         f"The rate must be nearly constant (each interval within {_LARGEST_JITTER:.0%} of a sample period of a whole "
-        f"number of them), but column t_s steps by {periods[k]:.3g} periods at row {row[k + 1]}, t = "
+        f"number of them), but column t_s steps by {periods[k]:.5g} periods at row {row[k + 1]}, t = "
         f"{time_s[k + 1]:.9g} s ({len(off)} such rows)."
     ]

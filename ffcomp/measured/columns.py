@@ -34,6 +34,11 @@ def closest(name: str, known: Sequence[str]) -> str | None:
 
 def check_header(columns: Sequence[str]) -> list[str]:
     """What is wrong with a run's header, in full sentences."""
+    if not any(name in KNOWN for name in columns) and None in [_meant(name) for name in columns]:
+        return [
+            f"The first line, {','.join(columns)[:60]!r}, names no column of a run; a run has t_s, its command "
+            "(cmd_A_mm, … or cmd_x_mm, …) and what sensors measured (acc_*_m_per_s2, pos_*_mm)."
+        ]
     problems = [_unknown(name) for name in dict.fromkeys(columns) if name not in KNOWN]
     twice = [name for name in dict.fromkeys(columns) if columns.count(name) > 1]
     problems += [f"Column {name!r} is there {columns.count(name)} times; one is needed." for name in twice]
@@ -57,8 +62,13 @@ def _command(columns: Sequence[str]) -> list[str]:
     return [f"Column {name} is missing; a command needs {', '.join(wanted)}." for name in missing]
 
 
+def _meant(name: str) -> re.Match[str] | None:
+    """What a name with another unit, or none, says of itself."""
+    return re.fullmatch(rf"(?:(cmd|acc|pos)_([{_AXES}])|t)(?:_(\w+))?", name)
+
+
 def _unknown(name: str) -> str:
-    unit = re.fullmatch(rf"(?:(cmd|acc|pos)_([{_AXES}])|t)(?:_(\w+))?", name)
+    unit = _meant(name)
     if not name:
         return "A column has no name; every column of the header needs one."
     if unit:

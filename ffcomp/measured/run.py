@@ -20,13 +20,20 @@ from ffcomp.errors import MeasurementError
 from ffcomp.measured.clock import Clock, clock_of
 from ffcomp.measured.columns import check_header, signal_of
 from ffcomp.measured.frf import FloatArray
-from ffcomp.measured.sensors import broken_sensor, wrong_scale
+from ffcomp.measured.sensors import broken_sensor, with_gravity, wrong_scale
 from ffcomp.measured.table import Table, read_table, read_text
 
 CommandSpace = Literal["carriage", "nozzle"]
 AXES: dict[CommandSpace, str] = {"carriage": "ABC", "nozzle": "xyz"}
 
 _LONGEST_COMMAND_GAP_S = 0.02  # a cubic through a longer hole would invent motion
+
+_CAPTURE = "#time,accel_x"  # Klipper's
+_NO_COMMAND = (
+    "It is an accelerometer's capture, and does not say what was commanded; a run holds both. Put its accelerations "
+    "(in m/s², without gravity, along the printer's axes) beside the command at the same times; "
+    "`ffcomp simulate PRINT.gcode -o run.csv` writes such a file with the command of a print."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,16 +71,20 @@ def read_run(path: str | Path) -> Run:
     Rows that are missing altogether (their times are whole sample periods apart) are gaps too. A clock with jitter
     is resampled to a uniform one by cubic splines.
     """
-    table = read_table(path, read_text(path))
+    text = read_text(path)
+    if text.lstrip().lower().startswith(_CAPTURE):
+        raise MeasurementError(str(path), [_NO_COMMAND])
+    table = read_table(path, text)
     problems = [*table.problems, *check_header(table.columns)]
     clock, clock_problems = _clock(table)
-    problems += clock_problems
+    problems += clock_problems or _holes(table, clock)
     signals = _signals(table)
     problems += [text for name in signals for text in broken_sensor(name, table.column(name), table.row)]
     if problems or clock is None:
         raise MeasurementError(str(path), problems)
     run, problems = _assemble(str(path), table, clock)
     problems += wrong_scale(run.command, run.inputs, run.acceleration, run.sample_rate_hz) if not problems else []
+    problems = problems or with_gravity(run.acceleration)
     if problems:
         raise MeasurementError(str(path), problems)
     return run
@@ -85,6 +96,18 @@ def _clock(table: Table) -> tuple[Clock | None, list[str]]:
     time_s = table.column("t_s")
     timed = np.isfinite(time_s)
     return clock_of(time_s[timed], table.row[timed])
+
+
+def _holes(table: Table, clock: Clock | None) -> list[str]:
+    """Rows that are missing altogether, for longer than a command may."""
+    if clock is None or np.diff(clock.index).max() * clock.period_s <= _LONGEST_COMMAND_GAP_S:
+        return []
+    k = int(np.diff(clock.index).argmax())
+    row = table.row[np.isfinite(table.column("t_s"))][k + 1]
+    return [
+        f"The time jumps from {clock.time_s[k]:.6g} s to {clock.time_s[k + 1]:.6g} s at row {row}; rows may be missing "
+        f"for at most {_LONGEST_COMMAND_GAP_S:g} s, for what was commanded there cannot be known. Cut the run there."
+    ]
 
 
 def _signals(table: Table) -> list[str]:

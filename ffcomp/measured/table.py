@@ -17,6 +17,8 @@ IntArray = NDArray[np.int64]
 
 _NAMED_MISTAKES = 5  # of one kind; a broken file has thousands, and nobody reads them
 
+_NO_TEXT = "the file is not a text file. Save it as CSV with the encoding UTF-8."
+
 
 @dataclass(frozen=True, eq=False)
 class Table:
@@ -42,18 +44,21 @@ def read_text(path: str | Path) -> str:
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise MeasurementError(str(path), [f"Byte {error.start} is not UTF-8: the file is not a text file."]) from error
+        raise MeasurementError(str(path), [f"Byte {error.start} is not UTF-8: {_NO_TEXT}"]) from error
     if "\0" in text:
-        raise MeasurementError(str(path), [f"Byte {text.index(chr(0))} is zero: the file is not a text file."])
+        raise MeasurementError(str(path), [f"Byte {text.index(chr(0))} is zero: {_NO_TEXT}"])
     return text
 
 
 def read_table(path: str | Path, text: str) -> Table:
     """`# key: value` lines, a header line, then rows of numbers."""
     lines = text.splitlines()
-    head = next((k for k, line in enumerate(lines) if line.strip() and not line.startswith("#")), None)
+    head = next((k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None)
     if head is None:
         raise MeasurementError(str(path), ["There is no header line naming the columns, only comments."])
+    if "," not in lines[head] and len(lines[head].split(";")) > 2:
+        rule = "The header line separates its columns by semicolons; write commas between fields, and decimal points."
+        raise MeasurementError(str(path), [rule])
     columns = tuple(name.strip() for name in lines[head].split(","))
     return rows_of(path, lines, head + 1, columns, comments_of(lines[:head]))
 
@@ -73,7 +78,7 @@ def rows_of(
     delimiter: str | None = ",",
 ) -> Table:
     """The rows from lines[first] on; `delimiter` None is any white space."""
-    kept = [k for k in range(first, len(lines)) if lines[k].strip() and not lines[k].startswith("#")]
+    kept = [k for k in range(first, len(lines)) if lines[k].strip() and not lines[k].lstrip().startswith("#")]
     if not kept:
         raise MeasurementError(str(path), ["There are no rows after the header line."])
     body, row = [lines[k] for k in kept], np.array(kept, dtype=np.int64) + 1

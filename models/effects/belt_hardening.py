@@ -15,7 +15,10 @@ EFFECT = Effect(
             "cubic_n_per_m3", "N/m³", "k₃; negative softens", (-1e15, 1e15), (-5e11, 2e12), 1e11, size="per_tower"
         ),
     ),
-    in_data="Resonances shift with amplitude; a sine answers with its third harmonic.",
+    in_data=(
+        "Resonances shift with amplitude; a sine answers with harmonics: the third, and, as the weight has stretched "
+        "the belts already, the second."
+    ),
     rivals={
         "torque_angle": "Its cubic part is the same, k₃ = −k/(6a²); only a larger stretch separates the two.",
         "belt_stiffness": "Two amplitudes: only here the stiffness depends on them.",

@@ -155,9 +155,8 @@ def infinite(columns: Columns) -> None:
         (unknown_command, "Column cmd_C_mm is missing for 0.0625 s from t = 0.1875 s"),
         (late_command, "Column cmd_C_mm must be known in the first and in the last row"),
         (clipped, "Column acc_B_m_per_s2 stands at its lowest value -1.1 in "),
-        (in_g, "Column acc_B_m_per_s2 is 0.1"),
-        (in_g, "It looks as if it were in g, not in m/s²."),
-        (in_mm, "It looks as if it were in mm/s², not in m/s²."),
+        (in_g, "Column acc_B_m_per_s2 looks 9.81 times too small, as if it were in g, not in m/s²"),
+        (in_mm, "Column acc_B_m_per_s2 looks 1000 times too large, as if it were in mm/s², not in m/s²"),
         (infinite, "row 6, column acc_B_m_per_s2: inf"),
     ],
 )
