@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    from ffcomp.diagnose.delta import Delta
+    from ffcomp.diagnose.engine import Diagnosis
     from ffcomp.diagnose.outcome import Outcome
 
 Runs = Annotated[list[Path], typer.Argument(metavar="RUNS...", help="Measured runs (CSV); -1, -2 … are repeats.")]
@@ -15,7 +17,11 @@ MachineName = Annotated[str, typer.Option("--machine", "-m", help="A machine's n
 Output = Annotated[
     Path | None, typer.Option("--output", "-o", help="The better machine file; written only if an effect is named.")
 ]
-Force = Annotated[bool, typer.Option(help="Overwrite the output.")]
+Report = Annotated[
+    Path | None,
+    typer.Option("--report", "-r", help="Write the diagnosis with its figures as one HTML page, readable offline."),
+]
+Force = Annotated[bool, typer.Option(help="Overwrite what --output and --report name.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout (ffcomp-diagnose/1).")]
 NoRepeats = Annotated[
     bool, typer.Option("--without-repeats", help="Guess the noise where nothing was measured twice: weaker evidence.")
@@ -27,6 +33,7 @@ def diagnose(
     runs: Runs,
     machine: MachineName,
     output: Output = None,
+    report: Report = None,
     force: Force = False,
     without_repeats: NoRepeats = False,
     as_json: AsJson = False,
@@ -37,24 +44,20 @@ def diagnose(
     What the file's own numbers can explain within their uncertainty is retuning, not an effect. An effect is named only
     if it explains the gap at places it was not fitted to.
 
-    Example: ffcomp diagnose runs/*.csv --machine my-delta.toml -o better.toml
+    Example: ffcomp diagnose runs/*.csv --machine my-delta.toml -o better.toml --report diagnosis.html
     """
     from ffcomp.cli.common import exit_codes, print_json, say
 
-    if output is not None and output.exists() and not force:
-        raise typer.BadParameter(f"{output} exists already; give another --output, or --force.")
+    _check_targets(output, report, force)
     with exit_codes():
         import time
-        from datetime import date
 
-        from ffcomp.cli.identify import hash_of
         from ffcomp.diagnose.delta import Delta
         from ffcomp.diagnose.engine import diagnose as searched
         from ffcomp.diagnose.intake import check_repeats
-        from ffcomp.diagnose.outcome import better_file, outcome
+        from ffcomp.diagnose.outcome import outcome
         from ffcomp.measured.run import read_run
-        from gcode.container import replace_atomically
-        from models.machine_file import check_text, load_machine
+        from models.machine_file import load_machine
 
         began = time.monotonic()
         loaded = load_machine(machine)
@@ -62,21 +65,94 @@ def diagnose(
         plant = Delta(loaded, measured)
         if not without_repeats:
             check_repeats(measured)
-        found = outcome(plant, searched(plant, lambda sentence: say(f"ffcomp: {sentence}", quiet)))
-        written = None
-        if output is not None and found.verdict == "effects":
-            hashes = [hash_of(path) for path in runs]
-            text = better_file(Path(loaded.path), output.stem, found, hashes, date.today().isoformat())
-            check_text(text, str(output))
-            replace_atomically(output, [line.encode() for line in text.splitlines(keepends=True)])
-            written = str(output)
+        search = searched(plant, lambda sentence: say(f"ffcomp: {sentence}", quiet))
+        found = outcome(plant, search)
+        better = output if found.verdict == "effects" else None
+        files = _better(plant, found, better, runs) | _page(plant, search, found, better, report, runs, began)
+        _write(files)
         if as_json:
-            print_json(_result(found, written, time.monotonic() - began))
+            print_json(_result(found, _text(better), _text(report), time.monotonic() - began))
         else:
-            _print(found, written)
+            _print(found, better, report)
 
 
-def _result(found: Outcome, written: str | None, seconds: float) -> dict[str, Any]:
+def _check_targets(output: Path | None, report: Path | None, force: bool) -> None:
+    """What cannot be written is said before the work, not after it."""
+    for path, option in ((output, "--output"), (report, "--report")):
+        if path is None:
+            continue
+        if path.is_dir() or not path.resolve().parent.is_dir():
+            raise typer.BadParameter(f"{path}: {option} names a file in a folder that exists.")
+        if path.exists() and not force:
+            raise typer.BadParameter(f"{path} exists already; give another {option}, or --force.")
+    if output is not None and report is not None and output.resolve() == report.resolve():
+        raise typer.BadParameter(f"{report}: --report and --output must be two files.")
+
+
+def _better(plant: Delta, found: Outcome, target: Path | None, runs: list[Path]) -> dict[Path, bytes]:
+    """The better machine file, if it is asked for and an effect is named."""
+    if target is None:
+        return {}
+    from datetime import date
+
+    from ffcomp.cli.identify import hash_of
+    from ffcomp.diagnose.outcome import better_file
+    from models.machine_file import check_text
+
+    hashes = [hash_of(path) for path in runs]
+    text = better_file(Path(plant.machine.path), target.stem, found, hashes, date.today().isoformat())
+    check_text(text, str(target))
+    return {target: text.encode()}
+
+
+def _page(
+    plant: Delta,
+    search: Diagnosis,
+    found: Outcome,
+    better: Path | None,
+    target: Path | None,
+    runs: list[Path],
+    began: float,
+) -> dict[Path, bytes]:
+    """The report, if it is asked for."""
+    if target is None:
+        return {}
+    import time
+    from datetime import date
+
+    from ffcomp import __version__
+    from ffcomp.cli.identify import hash_of
+    from ffcomp.diagnose.experiment import propose
+    from ffcomp.diagnose.picture import picture
+    from ffcomp.report.diagnose.html import page
+    from ffcomp.report.diagnose.told import Origin, Told
+
+    drawn, proposals = picture(plant, search), propose(plant, search)
+    origin = Origin(
+        machine=plant.machine.name,
+        machine_file=hash_of(Path(plant.machine.path)),
+        runs=[hash_of(path) for path in runs],
+        date=date.today().isoformat(),
+        version=__version__,
+        seconds=time.monotonic() - began,
+        written="" if better is None else better.name,
+    )
+    return {target: page(Told(found, drawn, proposals, origin))}
+
+
+def _write(files: dict[Path, bytes]) -> None:
+    """All are complete before the first is written."""
+    from gcode.container import replace_atomically
+
+    for path, content in files.items():
+        replace_atomically(path, [content])
+
+
+def _text(path: Path | None) -> str | None:
+    return None if path is None else str(path)
+
+
+def _result(found: Outcome, written: str | None, report: str | None, seconds: float) -> dict[str, Any]:
     named = found.effects if found.verdict == "effects" else {}
     return {
         "schema": "ffcomp-diagnose/1",
@@ -101,6 +177,7 @@ def _result(found: Outcome, written: str | None, seconds: float) -> dict[str, An
             "held_out": {"before": found.held_out[0], "after": found.held_out[1], "noise": found.before.noise_nrms},
         },
         "machine": written,
+        "report": report,
         "seconds": seconds,
     }
 
@@ -114,7 +191,7 @@ def _parameters(found: Outcome, effect: str) -> dict[str, dict[str, float]]:
     }
 
 
-def _print(found: Outcome, written: str | None) -> None:
+def _print(found: Outcome, written: Path | None, report: Path | None) -> None:
     from models.effects.catalogue import CATALOGUE
 
     size = f"{100 * found.before.nrms:.2f} % of the signals (noise {100 * found.before.noise_nrms:.2f} %)"
@@ -137,3 +214,5 @@ def _print(found: Outcome, written: str | None) -> None:
         print(f"These runs could not show: {', '.join(found.invisible)}.")
     if written:
         print(f"{written}: written. Compare with new runs: ffcomp gap NEW-RUNS --machine {written}")
+    if report:
+        print(f"Report: {report}")

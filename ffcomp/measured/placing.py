@@ -17,14 +17,14 @@ from ffcomp.measured.frf import FloatArray
 _BAND_HZ = (2.0, 20.0)  # no offsets and drifts, and far below the first mode
 _FADED = 0.1  # of the run, at both ends together
 _AS_NAMED = 0.6  # correlation with its own command from which nothing is said
-_REVERSED = -0.7
-_ANOTHERS = 0.9  # correlation with another's command, if it is not its own
+_REVERSED = -0.9
+_ANOTHERS = 0.95  # correlation with another's command, if it is not its own
 _DISTINCT = 0.8  # correlation of two commands from which they cannot be told apart
-_EXPLAINED = 0.85  # of a sensor's square, by all commands of its kind together
-_DEAD, _MUCH = 0.05, 0.3  # of what is expected is there; of the largest that is expected, to be missed
+_EXPLAINED = 0.95  # of a sensor's square, by all commands of its kind together
+_DEAD, _MUCH = 0.02, 0.3  # of what is expected is there; of the largest that is expected, to be missed
 _STUCK_S, _EDGE_S = 0.1, 0.025  # of one and the same value; at its ends nothing is asked for
 _SHAKEN = 0.3  # of its whole range must the command move in that time
-_LATE_S, _LATE = 0.025, 0.75  # from when a record is late and no sensor slow; and how well it must fit then
+_LATE_S, _LATE = 0.025, 0.9  # from when a record is late and no sensor slow; and how well it must fit then
 
 
 def misplaced(measured: Mapping[str, FloatArray], expected: Mapping[str, FloatArray], rate_hz: float) -> list[str]:

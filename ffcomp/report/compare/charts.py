@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
@@ -16,14 +15,15 @@ from scipy.ndimage import distance_transform_edt
 
 from ffcomp.compare.result import Comparison, Method, Spread
 from ffcomp.report.compare.spectrum import HIGHEST_HZ, resonance_band, spectrum
-from ffcomp.report.compare.style import BAND, FAMILIES, INK, colour_of, grid, plain_decades
+from ffcomp.report.compare.style import FAMILIES, colour_of
 from ffcomp.report.compare.words import clipped, duration, shown, um
+from ffcomp.report.drawing import Box
+from ffcomp.report.style import BAND, INK, grid, plain_decades
 
 BEYOND = "#b00020"  # more than the machine allows
 FLOOR_UM = 1e-3  # zeros have no place on a logarithmic axis
 MAP_GRAINS = 120  # dots across the bed map that say where the print was
 
-Box = Figure | SubFigure
 FloatArray = NDArray[np.float64]
 
 

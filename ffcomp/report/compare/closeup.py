@@ -10,8 +10,9 @@ from matplotlib.figure import Figure, SubFigure
 
 from ffcomp.compare.result import Comparison
 from ffcomp.report.compare.places import Pass, Place
-from ffcomp.report.compare.style import WANTED, colour_of, grid, plain_decades
+from ffcomp.report.compare.style import WANTED, colour_of
 from ffcomp.report.compare.words import clipped, nick, um
+from ffcomp.report.style import grid, plain_decades
 
 LEAST_UM = 0.1  # below it the error along the way is not drawn
 

@@ -2,40 +2,26 @@
 
 from __future__ import annotations
 
-import io
-import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import matplotlib
-from matplotlib.figure import Figure, SubFigure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.figure import Figure
 
 from ffcomp.compare.result import Comparison
 from ffcomp.report.compare import charts
 from ffcomp.report.compare.captions import HOW_TO_READ, said
 from ffcomp.report.compare.closeup import draw_places
 from ffcomp.report.compare.places import Place, worst_places
-from ffcomp.report.compare.style import RC, band
+from ffcomp.report.compare.style import band
+from ffcomp.report.drawing import Drawing, file_of, layout, svg
+from ffcomp.report.style import RC
 from gcode.container import replace_atomically
 
+__all__ = ["close_ups", "drawings", "svg", "write_figures"]
+
 BAND_INCHES, ROW_INCHES = 0.95, 0.24
-DPI = 150
-
-
-@dataclass(frozen=True, eq=False)
-class Drawing:
-    """One figure, ready to be drawn into any box."""
-
-    name: str  # of the files
-    title: str
-    said: str  # its verdict in one line
-    how_to_read: str
-    width: float  # inches
-    height: float
-    draw: Callable[[Figure | SubFigure], None]
 
 
 def drawings(found: Comparison) -> list[Drawing]:
@@ -83,35 +69,15 @@ def write_figures(comparison: Comparison, folder: Path) -> list[Path]:
             figure = _with_band(drawing, comparison)
             for form in ("png", "svg"):
                 target = folder / f"{drawing.name}.{form}"
-                replace_atomically(target, [_bytes(figure, form)])
+                replace_atomically(target, [file_of(figure, form)])
                 written.append(target)
     return written
 
 
-def svg(drawing: Drawing) -> bytes:
-    """The figure alone: on the page, heading and caption are text."""
-    with matplotlib.rc_context(RC):
-        figure = Figure(figsize=(drawing.width, drawing.height), layout=_layout())
-        drawing.draw(figure)
-        return _bytes(figure, "svg")
-
-
 def _with_band(drawing: Drawing, found: Comparison) -> Figure:
     width = max(drawing.width, 10.5)  # the band's lines need it
-    figure = Figure(figsize=(width, BAND_INCHES + drawing.height), layout=_layout(), facecolor="#ffffff")
+    figure = Figure(figsize=(width, BAND_INCHES + drawing.height), layout=layout(), facecolor="#ffffff")
     boxes = figure.subfigures(2, 1, height_ratios=(BAND_INCHES, drawing.height), squeeze=False)
     band(boxes[0, 0], drawing.title, drawing.said, found)
     drawing.draw(boxes[1, 0])
     return figure
-
-
-def _layout() -> ConstrainedLayoutEngine:
-    return ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.1)
-
-
-def _bytes(figure: Figure, form: str) -> bytes:
-    file = io.BytesIO()
-    with warnings.catch_warnings():  # a print's name may be written in any script: what the font lacks is a box
-        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        figure.savefig(file, format=form, dpi=DPI, metadata={"Date": None} if form == "svg" else None)
-    return file.getvalue()

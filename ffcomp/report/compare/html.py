@@ -1,4 +1,4 @@
-"""The page: one file that opens offline. All text that comes from files is escaped, and nothing is fetched."""
+"""The page of the comparison."""
 
 from __future__ import annotations
 
@@ -6,28 +6,26 @@ import base64
 import hashlib
 import json
 import math
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from importlib.resources import files
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import matplotlib
-from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from ffcomp.compare.result import Comparison, Error
 from ffcomp.report.compare import table
 from ffcomp.report.compare.captions import HOW_TO_READ
-from ffcomp.report.compare.figures import Drawing, close_ups, drawings, svg
+from ffcomp.report.compare.figures import close_ups, drawings
 from ffcomp.report.compare.glossary import GLOSSARY
 from ffcomp.report.compare.packed import LOWEST_UM, packed, thinned_out
 from ffcomp.report.compare.style import colour_of
 from ffcomp.report.compare.verdict import verdict
 from ffcomp.report.compare.words import contour_p99_um, contour_rms_um, duration, extrudes, file_name, shown, um
+from ffcomp.report.drawing import Drawing, Image, image, svg
+from ffcomp.report.page import rendered, resource, tied
 from gcode.container import replace_atomically
 
 COLOURS = 64
@@ -40,22 +38,19 @@ def write_report(comparison: Comparison, target: Path) -> None:
 
 
 def _page(found: Comparison) -> Iterator[bytes]:
-    script = _resource("viewer.js") + "\n" + _resource("page.js")
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {"um": um, "duration": duration}
-    template = environment.from_string(_resource("report.html.jinja"))
-    yield template.render(
+    script = resource("compare/viewer.js") + "\n" + resource("compare/page.js")
+    yield rendered(
+        "compare",
+        {"um": um, "duration": duration},
         found=found,
         name=file_name(found),
-        today=datetime.now(UTC).strftime("%Y-%m-%d"),
-        css=Markup(_resource("report.css")),
         script=Markup(script),
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii"),
         data=_json(packed(found)),
         thinned_out=thinned_out(found),
         colours=_json(_colours()),
         ticks=_ticks(found),
-        sentences=[_tied(sentence) for sentence in verdict(found)],
+        sentences=[tied(sentence) for sentence in verdict(found)],
         tiles=_tiles(found),
         extrudes=extrudes(found),
         shown=shown(found),
@@ -69,16 +64,7 @@ def _page(found: Comparison) -> Iterator[bytes]:
         features=_features(found),
         warnings=[(m.label, each) for m in found.methods.values() for each in dict.fromkeys(m.warnings)],
         glossary=GLOSSARY,
-    ).encode()
-
-
-def _tied(sentence: str) -> str:
-    """A number and its unit stay on one line."""
-    return re.sub(r"(?<=\d) (?=(%|µm|Hz|mm/s|m/s²|s|min|h)\b|%|m/s²)", "\N{NO-BREAK SPACE}", sentence)
-
-
-def _resource(name: str) -> str:
-    return files("ffcomp.report.compare").joinpath(name).read_text(encoding="utf-8")
+    )
 
 
 def _json(value: Any) -> Markup:
@@ -100,18 +86,8 @@ def _ticks(found: Comparison) -> list[tuple[float, str]]:
     return [(100 * k / decades, f"{LOWEST_UM * 10**k:g}") for k in range(math.floor(decades) + 1)]
 
 
-@dataclass(frozen=True, slots=True)
-class Image:
-    title: str
-    said: str
-    data: str  # base64 of SVG
-    width: int
-    height: int
-
-
 def _image(drawing: Drawing) -> Image:
-    data = base64.b64encode(svg(drawing)).decode("ascii")
-    return Image(drawing.title, drawing.said, data, round(96 * drawing.width), round(96 * drawing.height))
+    return image(drawing, svg(drawing))
 
 
 @dataclass(frozen=True, slots=True)

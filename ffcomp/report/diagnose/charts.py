@@ -1,0 +1,187 @@
+"""The figures of a diagnosis: what the excess depends on, the bed, overlays, spectra, likeness."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Circle
+from matplotlib.ticker import NullLocator
+
+from ffcomp.diagnose.gates import Place
+from ffcomp.diagnose.picture import Alike, Overlay, Spectrum, Split
+from ffcomp.measured.frf import FloatArray
+from ffcomp.report.diagnose.words import digits, times_noise
+from ffcomp.report.drawing import Box
+from ffcomp.report.style import AFTER, BEFORE, INK, SOFT, grid, plain_decades
+
+NOISE = "#c9ced8"
+MEASURED = "#222222"
+FEW = 6  # steps, each with a tick of its own
+LEAST_SHOWN = 0.5  # of the noise
+DECADES_BELOW = 1e-4  # of a spectrum's top: below it is the band's edge, or rounding
+LONGEST_NAME = 26
+ROOM_MM = 12.0  # around the bed
+LARGEST_SPOT = 0.2  # of the bed's radius
+SMALL_SCALE = 5.0  # the least magnitude that has the largest spot: noise alone stays small
+CLOSE = 0.4  # of it: there the labels of two places need room
+
+
+# ---- what the excess depends on ------------------------------------------------------------------
+
+
+def draw_split(box: Box, split: Split) -> None:
+    axes = box.subplots()
+    before, after = (np.maximum([times_noise(x) for x in part], LEAST_SHOWN) for part in (split.before, split.after))
+    if split.spans:
+        _steps(axes, split, before, after)
+    else:
+        _dumbbells(axes, split.labels, before, after)
+
+
+def _steps(axes: Axes, split: Split, before: FloatArray, after: FloatArray) -> None:
+    """Labels that follow one another, all equally wide; their edges are the ticks."""
+    at = np.arange(len(before) + 1)
+    axes.axhline(1.0, color=NOISE, linewidth=4, zorder=0)
+    axes.stairs(before, at, baseline=None, color=BEFORE, linewidth=2)
+    axes.stairs(after, at, baseline=None, color=AFTER, linewidth=2)
+    edges = [split.spans[0][0], *(b for _, b in split.spans)]
+    every = 1 if len(before) <= FEW else 2 if len(before) <= 2 * FEW else len(before) // 4
+    axes.set_xticks(at[::every], [f"{edge:g}" for edge in edges[::every]])
+    axes.set(xlabel=f"{split.title}, {split.unit}", ylabel="error, times the noise", xlim=(0, at[-1]))
+    _times_scale(axes, "y", before, after)
+
+
+def _dumbbells(axes: Axes, labels: Sequence[str], before: FloatArray, after: FloatArray) -> None:
+    rows = np.arange(len(labels))
+    axes.axvline(1.0, color=NOISE, linewidth=4, zorder=0)
+    axes.hlines(rows, np.minimum(before, after), np.maximum(before, after), color=SOFT, linewidth=1, alpha=0.6)
+    axes.plot(before, rows, "o", color=BEFORE, markersize=7)
+    axes.plot(after, rows, "o", color=AFTER, markersize=7)
+    axes.set_yticks(rows, [_short(label) for label in labels], parse_math=False)
+    axes.set(xlabel="error, times the noise", ylim=(len(labels) - 0.5, -0.5))
+    axes.tick_params(axis="y", length=0)
+    _times_scale(axes, "x", before, after)
+
+
+def _short(label: str) -> str:
+    return label if len(label) <= LONGEST_NAME else f"…{label[1 - LONGEST_NAME :]}"
+
+
+def _times_scale(axes: Axes, which: str, *values: FloatArray) -> None:
+    """Logarithmic, and never so fine that chance looks like a difference."""
+    low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
+    limits = (min(0.8 * low, 0.7), max(1.3 * high, 2.0))
+    axes.set(**{f"{which}scale": "log", f"{which}lim": limits})
+    axis = getattr(axes, f"{which}axis")
+    plain_decades(axis)
+    axis.set_minor_locator(NullLocator())
+    grid(axes)
+
+
+def draw_bed(box: Box, split: Split, radius_mm: float) -> None:
+    """A circle a place, its radius growing with the logarithm of the error: before around after."""
+    axes = box.subplots()
+    axes.add_patch(Circle((0, 0), radius_mm, facecolor="#f5f7fa", edgecolor=NOISE, linewidth=1.5))
+    axes.plot(0, 0, "+", color=SOFT, markersize=10)
+    both = [[times_noise(x) for x in part] for part in (split.before, split.after)]
+    scale = LARGEST_SPOT * radius_mm / max(SMALL_SCALE, *(_magnitude(x) for part in both for x in part))
+    for (x, y, *_), before, after in sorted(zip(split.at, *both, strict=True), key=lambda each: -each[1]):
+        for value, colour, alpha in ((before, BEFORE, 0.55), (after, AFTER, 1.0)):
+            axes.add_patch(Circle((x, y), scale * _magnitude(value), color=colour, alpha=alpha, linewidth=0))
+        below = any(np.hypot(x - u, y - v) < CLOSE * radius_mm and (v, u) > (y, x) for u, v, *_ in split.at)
+        spot = scale * _magnitude(max(before, after))
+        _label(axes, (x, y - spot if below else y + spot), f"{digits(before, 2)} → {digits(after, 2)}", below)
+    reach = max(radius_mm, *(abs(c) for place in split.at for c in place[:2])) + ROOM_MM
+    axes.set(aspect="equal", xlim=(-reach, reach), ylim=(-reach, reach), xlabel="X, mm", ylabel="Y, mm")
+    grid(axes)
+
+
+def _label(axes: Axes, at: tuple[float, float], text: str, below: bool) -> None:
+    axes.annotate(
+        text,
+        at,
+        (0, -2 if below else 2),
+        textcoords="offset points",
+        ha="center",
+        va="top" if below else "bottom",
+        fontsize=8,
+        bbox={"facecolor": "#ffffffb0", "edgecolor": "none", "pad": 1},
+    )
+
+
+def _magnitude(times: float) -> float:
+    """Of the circle's radius: 1 for the noise, one more for each doubling."""
+    return 1.0 + max(np.log2(max(times, 1.0)), 0.0)
+
+
+def draw_places(box: Box, places: Sequence[Place], labels: Sequence[str]) -> None:
+    before, after = (
+        np.maximum([times_noise(getattr(p, what)) for p in places], LEAST_SHOWN) for what in ("before", "after")
+    )
+    _dumbbells(box.subplots(), labels, before, after)
+
+
+# ---- curves --------------------------------------------------------------------------------------
+
+
+def draw_overlay(box: Box, overlay: Overlay, unit: str) -> None:
+    """Above what was measured and simulated, below what is left of it, with the noise's rms as a band."""
+    above, below = box.subplots(2, 1, sharex=True, height_ratios=(1.4, 1))
+    t = overlay.time_s
+    above.plot(t, overlay.before, color=BEFORE, linewidth=1.2)
+    above.fill_between(t, *_around(overlay.measured, overlay.noise_rms), color=NOISE, linewidth=0)
+    above.plot(t, overlay.measured, color=MEASURED, linewidth=2.2)
+    above.plot(t, overlay.after, color=AFTER, linewidth=1.2, linestyle=(0, (4, 2)))
+    below.axhspan(-overlay.noise_rms, overlay.noise_rms, color=NOISE, linewidth=0)
+    below.plot(t, overlay.measured - overlay.before, color=BEFORE, linewidth=1.2)
+    below.plot(t, overlay.measured - overlay.after, color=AFTER, linewidth=1.2)
+    above.set(ylabel=unit, xlim=(t[0], t[-1]))
+    below.set(xlabel="time in the run, s", ylabel=f"error, {unit}")
+    for axes in (above, below):
+        grid(axes)
+
+
+def _around(x: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:
+    return x - half, x + half
+
+
+def draw_spectrum(box: Box, spectrum: Spectrum) -> None:
+    axes = box.subplots()
+    f = spectrum.frequency_hz
+    top = max(float(x.max()) for x in (spectrum.measured, spectrum.before))
+    low = max(min(float(x.min()) for x in (spectrum.noise, spectrum.after)), DECADES_BELOW * top)
+    axes.fill_between(f, spectrum.noise, low / 10, color=NOISE, linewidth=0)
+    axes.loglog(f, spectrum.measured, color=MEASURED, linewidth=2)
+    axes.loglog(f, spectrum.before, color=BEFORE, linewidth=1.5)
+    axes.loglog(f, spectrum.after, color=AFTER, linewidth=1.5)
+    axes.set(
+        xlabel="frequency, Hz", ylabel=f"{spectrum.unit}/√Hz", xlim=(f[0], f[-1]), ylim=(low / 2, 2 * top)
+    )  # fmt: skip
+    plain_decades(axes.xaxis)
+    plain_decades(axes.yaxis)
+    grid(axes)
+
+
+# ---- who can be taken for whom -------------------------------------------------------------------
+
+
+def draw_alike(box: Box, alike: Alike, named: Sequence[str]) -> None:
+    axes = box.subplots()
+    names, count = alike.names, len(alike.names)
+    picture = axes.imshow(alike.cos2, cmap="Blues", vmin=0, vmax=1)
+    for i in range(count):
+        for k in range(count):
+            if i != k and alike.cos2[i, k] >= 0.1:
+                colour = "#ffffff" if alike.cos2[i, k] > 0.6 else INK
+                axes.text(k, i, f"{alike.cos2[i, k]:.1f}".lstrip("0"), ha="center", va="center", size=7, color=colour)
+    axes.set_xticks(range(count), names, rotation=60, ha="right", rotation_mode="anchor")
+    axes.set_yticks(range(count), names)
+    for axis in (axes.get_xticklabels(), axes.get_yticklabels()):
+        for label in axis:
+            label.set_fontweight("bold" if label.get_text() in named else "normal")
+    axes.tick_params(length=0)
+    for side in axes.spines.values():
+        side.set_visible(False)
+    box.colorbar(picture, ax=axes, label="cos²", shrink=0.6)

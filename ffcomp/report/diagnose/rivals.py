@@ -1,0 +1,41 @@
+"""Who else it could be, in words, with what tells them apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ffcomp.report.diagnose.told import Told
+from ffcomp.report.diagnose.words import title
+from models.effects.catalogue import CATALOGUE
+
+WORTH_TELLING = 0.3  # cos²
+MOST = 5
+
+
+@dataclass(frozen=True, slots=True)
+class LookAlike:
+    effect: str
+    other: str
+    title: str
+    cos2: str
+    apart: str  # how to tell them apart; '' if the catalogue does not say
+
+
+def look_alikes(told: Told) -> list[LookAlike]:
+    """For each effect of the best hypothesis, the visible ones most like it."""
+    alike, own = told.picture.alike, tuple(told.outcome.effects)
+    found = []
+    for name in own:
+        if name not in alike.names:
+            continue
+        row = alike.cos2[alike.names.index(name)]
+        others = [(alike.names[i], float(row[i])) for i in np.argsort(-row) if alike.names[i] not in own]
+        found += [_one(name, other, c) for other, c in others[:MOST] if c > WORTH_TELLING]
+    return found
+
+
+def _one(name: str, other: str, cos2: float) -> LookAlike:
+    apart = CATALOGUE[name].rivals.get(other) or CATALOGUE[other].rivals.get(name) or ""
+    return LookAlike(name, other, title(other), f"{cos2:.2f}", apart)

@@ -1,0 +1,43 @@
+"""What the report is told: what was found, as numbers and as a picture, and what it rests on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ffcomp.diagnose.experiment import Proposal
+from ffcomp.diagnose.outcome import Outcome, Size
+from ffcomp.diagnose.picture import Picture
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where everything comes from; files by name and hash, not by folder."""
+
+    machine: str  # its name
+    machine_file: str  # `my-delta.toml sha256:…`
+    runs: Sequence[str]  # `a-1.csv sha256:…`
+    date: str
+    version: str
+    seconds: float  # of computing
+    written: str = ""  # the better machine file, if there is one
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    outcome: Outcome
+    picture: Picture
+    proposals: Sequence[Proposal]
+    origin: Origin
+
+
+def explained(before: Size, after: Size) -> float:
+    """Share of the gap above the noise, in power, that is gone."""
+    gap, left = (size.nrms**2 - size.noise_nrms**2 for size in (before, after))
+    return 1 - max(left, 0.0) / gap if gap > 0 else 0.0
+
+
+def explained_elsewhere(found: Picture) -> float:
+    """The same at places that were left out of the fit in turn."""
+    before, after = (sum(getattr(p, what) * p.rows for p in found.places) for what in ("before", "after"))
+    return 1 - max(after, 0.0) / before if before > 0 else 0.0

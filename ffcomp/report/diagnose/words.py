@@ -1,0 +1,72 @@
+"""Numbers, units and names as people read them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from ffcomp.identify.estimates import Estimate
+from models.effects.catalogue import CATALOGUE
+
+INFINITELY = 1e6  # beyond that nobody wants the digits
+
+
+def digits(value: float, places: int = 3) -> str:
+    """Significant ones: 0.0801, 4.5, 63, 4010."""
+    if value == 0 or not math.isfinite(value):
+        return f"{value:g}"
+    return f"{value:.{max(places - 1 - math.floor(math.log10(abs(value))), 0)}f}"
+
+
+def percent(share: float) -> str:
+    """`3.4 %`, `87 %`."""
+    return f"{100 * share:.0f} %" if abs(share) >= 0.0995 else f"{digits(100 * share, 2)} %"
+
+
+def most_of(share: float) -> str:
+    """A share of a gap: rounding must not make 99.96 % everything."""
+    if share >= 0.9995:
+        return "more than 99.9 %"
+    return f"{100 * share:.1f} %" if share > 0.985 else percent(share)
+
+
+def times_noise(excess: float) -> float:
+    """How large the error is, in rms, of the noise."""
+    return math.sqrt(max(1 + excess, 0.0))
+
+
+def times(value: float) -> str:
+    return f"{digits(value, 2)} times" if value < 99.5 else f"{value:.0f} times"
+
+
+def interval(e: Estimate, unit: str = "") -> str:
+    """`0.0801 kg (90 %: 0.0795 to 0.0807)`, with the digits that the width deserves."""
+    width = max(e.high - e.low, 1e-4 * abs(e.value), 1e-12)
+    places = max(1 - math.floor(math.log10(width)), 0)
+    value, low, high = (f"{x:.{places}f}" for x in (e.value, e.low, e.high))
+    return f"{value}{f' {unit}' if unit else ''} (90 %: {low} to {high})"
+
+
+def evidence(value: float) -> str:
+    """−2 ln Z: whole numbers, in powers of ten where they are huge."""
+    if abs(value) < 1e5:
+        return f"{round(value)}"
+    mantissa, _, power = f"{value:.1e}".partition("e")
+    return f"{mantissa}·10{str(int(power)).translate(str.maketrans('0123456789', '⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
+
+
+def title(effect: str) -> str:
+    """`more on the nozzle holder`: to stand inside a sentence."""
+    words = CATALOGUE[effect].title
+    return words[0].lower() + words[1:]
+
+
+def joined(parts: Sequence[str], last: str = "and") -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    if len(parts) < 2:
+        return "".join(parts)
+    return f"{', '.join(parts[:-1])} {last} {parts[-1]}"
+
+
+def together(effects: Sequence[str]) -> str:
+    return " + ".join(effects) if effects else "nothing added, only retuned"

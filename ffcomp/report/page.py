@@ -1,0 +1,38 @@
+"""What every page of ffcomp is made with: one file that opens offline, all text from files escaped, nothing fetched."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from datetime import UTC, datetime
+from importlib.resources import files
+from typing import Any
+
+from jinja2 import Environment, FunctionLoader, StrictUndefined
+from markupsafe import Markup
+
+FOLDER = "ffcomp.report"
+
+
+def rendered(report: str, filters: dict[str, Callable[..., str]], **values: Any) -> bytes:
+    """The page of one report: `REPORT/report.html.jinja`, with the styles of all pages and its own."""
+    environment = Environment(
+        loader=FunctionLoader(resource),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= filters
+    css = Markup(resource("page.css") + resource(f"{report}/report.css"))
+    template = environment.get_template(f"{report}/report.html.jinja")
+    return template.render(css=css, today=datetime.now(UTC).strftime("%Y-%m-%d"), **values).encode()
+
+
+def resource(name: str) -> str:
+    return files(FOLDER).joinpath(name).read_text(encoding="utf-8")
+
+
+def tied(sentence: str) -> str:
+    """A number and its unit stay on one line."""
+    return re.sub(r"(?<=\d) (?=(%|µm|mm|kg|N|Hz|mm/s|m/s²|s|min|h)\b|%|m/s²)", "\N{NO-BREAK SPACE}", sentence)
