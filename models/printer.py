@@ -9,8 +9,9 @@ Lengths mm, velocities mm/s, accelerations m/s² (as accelerometers are read), t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Literal
 
 import numpy as np
@@ -21,7 +22,7 @@ from models.effects.catalogue import effect_named, effective_machine, values_of
 from models.effects.effect import Signals
 from models.errors import UnreachableError
 from models.kinematics.delta import forward, jacobian
-from models.machine import DeltaGeometry, FloatArray, Machine
+from models.machine import DeltaGeometry, Drive, FloatArray, Machine
 
 GRAVITY_M_PER_S2 = 9.80665
 SMOOTH_STEP_S = 1 / 6400  # a quarter of a nanometre on a violent motion
@@ -33,6 +34,8 @@ SPLINE_ROWS = 24  # a cubic spline forgets a row's neighbours by 0.27 a row: 1e-
 GUIDE_STIFFNESS, JOINT_STIFFNESS = 1.9, 0.8
 LOOSEST_REST_M = 1e-9
 BORDER_MM = 1e-6
+
+UNITS = np.array([1e3, 1e3, 1.0, 1e3, 1e3, 1.0, 1e3])  # of PrinterMotion's arrays, in their order
 
 Hold = Literal["cubic", "linear"]
 
@@ -98,36 +101,115 @@ def simulate_printer(
         If the motion leaves the arms' reach; its indices are rows of the command.
     """
     _check(command, dt_s, start)
+    rows = command if start is None else np.concatenate([start.history[:-1], command])
+    pieces = HOLDS[hold](rows, command[:0] if ahead is None else ahead, dt_s)
+    task = _task(machine, command, pieces, dt_s, substeps, gravity, start)
+    (motion,) = _played([task], dt_s)
+    if isinstance(motion, UnreachableError):
+        raise motion
+    return motion
+
+
+def simulate_printers(
+    machines: Sequence[Machine],
+    commands: Sequence[FloatArray],
+    dt_s: float,
+    *,
+    substeps: int | None = None,
+    gravity: bool = True,
+    hold: Hold = "cubic",
+) -> list[PrinterMotion | ValueError]:
+    """Many simulations from rest, several at once in the processor's vectors: the i-th machine plays the i-th command.
+
+    Each gives what `simulate_printer` gives, whatever the others do. Where that would raise, its ValueError or
+    UnreachableError stands in the list instead. Those with as many steps from row to row go together, best when their
+    commands are of one length.
+    """
+    found: dict[int, PrinterMotion | ValueError] = {}
+    tasks: dict[int, _Task] = {}
+    pieces: dict[int, FloatArray] = {}  # many machines play one command: its spline is made once
+    commands = list(commands)  # an array of them would make a new object of each at every look
+    for i, (machine, command) in enumerate(zip(machines, commands, strict=True)):
+        try:
+            if id(command) not in pieces:
+                _check(command, dt_s)
+                pieces[id(command)] = HOLDS[hold](command, command[:0], dt_s)
+            tasks[i] = _task(machine, command, pieces[id(command)], dt_s, substeps, gravity)
+        except ValueError as error:
+            found[i] = error
+    for together in _batches(tasks):
+        found |= zip(together, _played([tasks[i] for i in together], dt_s), strict=True)
+    return [found[i] for i in range(len(machines))]
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """One simulation, ready for a lane."""
+
+    numbers: kernels.Numbers
+    steps: int  # from row to row
+    pieces: FloatArray  # (n, 3, 4), see `kernels.Said`
+    first: int  # row of the command at which it begins
+    begin_s: float
+    values: FloatArray  # (30,) SI, then
+    history: FloatArray  # (k, 3) mm, see `PrinterState`
+
+
+def _task(
+    machine: Machine,
+    command: FloatArray,
+    pieces: FloatArray,
+    dt_s: float,
+    substeps: int | None,
+    gravity: bool,
+    start: PrinterState | None = None,
+) -> _Task:
+    """A machine under a command : (n, 3) mm with its `pieces`."""
     p = printer_numbers(machine, gravity=gravity)
     steps = substeps or math.ceil(dt_s / longest_step(p) * (1 - 1e-9))
     _limit_stiffness(p, dt_s / steps)
-    before = command[:0] if start is None else start.history[:-1]
-    rows = np.concatenate([before, command, command[:0] if ahead is None else ahead])
-    last = len(before) + len(command) - 1
-    values = rest_values(machine, command[0], p) if start is None else start.values.copy()
-    pieces = HOLDS[hold](rows / 1e3, dt_s)[:last]
-    samples = kernels.run(values, pieces, len(before), dt_s, steps, p)
-    begin = 0.0 if start is None else start.t_s
-    t = begin + dt_s * np.arange(len(command), dtype=np.float64)
-    _check_reach(samples, t)
     kept = math.ceil(float(np.max(p.delay)) / dt_s) + SPLINE_ROWS + 1
-    return _motion(t, samples, PrinterState(float(t[-1]), values, rows[: last + 1][-kept:].copy()))
+    if start is None:
+        return _Task(p, steps, pieces, 0, 0.0, rest_values(machine, command[0], p), command[-kept:].copy())
+    history = np.concatenate([start.history[:-1], command])[-kept:]
+    return _Task(p, steps, pieces, len(start.history) - 1, start.t_s, start.values, history)
+
+
+def _batches(tasks: Mapping[int, _Task]) -> Iterator[list[int]]:
+    """Names of tasks that go side by side: with as many steps from row to row, and of about one length."""
+    order = sorted(tasks, key=lambda i: (tasks[i].steps, len(tasks[i].pieces)))
+    for _, group in groupby(order, lambda i: tasks[i].steps):
+        names = list(group)
+        yield from (names[n : n + kernels.LANES] for n in range(0, len(names), kernels.LANES))
+
+
+def _played(tasks: Sequence[_Task], dt_s: float) -> list[PrinterMotion | UnreachableError]:
+    """At most LANES of them, with as many steps and the same first row."""
+    values, numbers = np.array([task.values for task in tasks]), kernels.table([task.numbers for task in tasks])
+    commands = {id(task.pieces): task.pieces for task in tasks}
+    ends = dict(zip(commands, np.cumsum([len(pieces) for pieces in commands.values()]), strict=True))
+    spans = [(ends[id(task.pieces)] - len(task.pieces), ends[id(task.pieces)]) for task in tasks]
+    first, steps = tasks[0].first, tasks[0].steps
+    pieces = np.concatenate(list(commands.values())) if len(commands) > 1 else tasks[0].pieces
+    samples = kernels.run(values, numbers, pieces, np.array(spans, dtype=np.int64), first, dt_s, steps, UNITS)
+    lanes = zip(tasks, zip(*samples, strict=True), values, strict=True)
+    return [_motion(task, own, end, dt_s) for task, own, end in lanes]
 
 
 def printer_numbers(machine: Machine, *, gravity: bool = True) -> kernels.Numbers:
     """The machine and its effects as the kernels' record, SI."""
     for name in machine.effects:
         effect_named(name)  # refuses an unknown one
-    effective = effective_machine(machine)
+    effective, g = effective_machine(machine), GRAVITY_M_PER_S2 if gravity else 0.0
     parts = {
         **_geometry(effective.kinematics),
-        **_carriages(effective),
+        **_carriages(effective, g),
         **_effector(effective),
         **_belt_effects(effective),
         **_motor_effects(effective),
         **_friction_effects(effective),
         **_frame_effect(effective),
-        "gravity": GRAVITY_M_PER_S2 if gravity else 0.0,
+        "gravity": g,
     }
     record = np.zeros(1, dtype=kernels.NUMBERS)
     for name, value in parts.items():
@@ -150,16 +232,20 @@ def _geometry(geometry: DeltaGeometry) -> Part:
     }
 
 
-def _carriages(machine: Machine) -> Part:
-    carriage, drive = machine.carriage, machine.carriage.drive
+def _carriages(machine: Machine, gravity: float) -> Part:
+    carriage = machine.carriage
     return {
         "carriage_mass": carriage.moving_mass_kg,
+        "weight": carriage.moving_mass_kg * gravity,
         "belt_k": carriage.belt_stiffness_n_per_m,
         "belt_c": carriage.belt_damping_n_s_per_m,
         "guide_b": carriage.guide_damping_n_s_per_m,
-        "ideal_drive": drive is None,
-        "drive": np.zeros(3) if drive is None else np.array([drive.d0_per_s2, drive.d1_per_s, drive.d2_per_s]),
+        **(_drive(carriage.drive) if carriage.drive else {"ideal_drive": True}),
     }
+
+
+def _drive(drive: Drive) -> Part:
+    return {"d0": drive.d0_per_s2, "lead": drive.d1_per_s / drive.d0_per_s2, "d2": drive.d2_per_s}
 
 
 def _effector(machine: Machine) -> Part:
@@ -264,32 +350,32 @@ def _frame_effect(machine: Machine) -> Part:
 def rest_values(machine: Machine, command: FloatArray, p: kernels.Numbers) -> FloatArray:
     """The state : (30,) SI in which the printer rests under the command : (3,) mm, belts stretched by weight."""
     forward(effective_machine(machine).kinematics, command[None])  # refuses carriages the arms cannot join
-    values = np.zeros(kernels.STATES)
-    values[kernels.V : kernels.V + 3] = values[kernels.Q : kernels.Q + 3] = command / 1e3
-    if not kernels.rest(values, p) < LOOSEST_REST_M:
+    states = np.zeros((1, kernels.STATES))
+    states[0, kernels.V : kernels.V + 3] = states[0, kernels.Q : kernels.Q + 3] = command / 1e3
+    (moved,) = kernels.rest(states, kernels.table([p]))
+    if not moved < LOOSEST_REST_M:
         raise ValueError(f"The printer cannot rest with its carriages at {command} mm: its motors do not hold it.")
-    return values
+    return states[0]
 
 
-def _cubic(rows: FloatArray, dt_s: float) -> FloatArray:
-    """(n − 1, 3, 4): the cubic of each interval and column, highest power first; not-a-knot at both ends."""
-    from scipy.interpolate import CubicSpline  # 0.3 s to import: only when a spline is asked for
-
-    spline = CubicSpline(dt_s * np.arange(len(rows)), rows)
-    return np.ascontiguousarray(spline.c.transpose(1, 2, 0))
+def _cubic(rows: FloatArray, ahead: FloatArray, dt_s: float) -> FloatArray:
+    return kernels.cubics(np.concatenate([rows, ahead]) / 1e3, dt_s)[: len(rows)]
 
 
-def _linear(rows: FloatArray, dt_s: float) -> FloatArray:
-    """(n − 1, 3, 4), as `_cubic`, of straight lines."""
-    pieces = np.zeros((len(rows) - 1, 3, 4))
-    pieces[:, :, 2], pieces[:, :, 3] = np.diff(rows, axis=0) / dt_s, rows[:-1]
+def _linear(rows: FloatArray, ahead: FloatArray, dt_s: float) -> FloatArray:
+    pieces = np.zeros((len(rows), 3, 4))
+    pieces[:-1, :, 2] = np.diff(rows / 1e3, axis=0) / dt_s
+    pieces[-1, :, 2] = pieces[-2, :, 2]
+    pieces[:, :, 3] = rows / 1e3
     return pieces
 
 
-HOLDS: Mapping[Hold, Callable[[FloatArray, float], FloatArray]] = {"cubic": _cubic, "linear": _linear}
+# From rows : (n, 3) mm and those ahead, (n, 3, 4) as in `kernels.Said`: a piece of each interval, and a last one that
+# only goes on from the end of the one before.
+HOLDS: Mapping[Hold, Callable[[FloatArray, FloatArray, float], FloatArray]] = {"cubic": _cubic, "linear": _linear}
 
 
-def _check(command: FloatArray, dt_s: float, start: PrinterState | None) -> None:
+def _check(command: FloatArray, dt_s: float, start: PrinterState | None = None) -> None:
     if command.ndim != 2 or command.shape[1] != 3 or len(command) < 2:
         raise ValueError(f"The command has shape {command.shape}; it must be (n, 3) with at least two rows.")
     if not np.all(np.isfinite(command)):
@@ -302,23 +388,15 @@ def _check(command: FloatArray, dt_s: float, start: PrinterState | None) -> None
         raise ValueError(f"The first row of the command is {command[0]} mm; {rule}")
 
 
-def _check_reach(samples: FloatArray, t: FloatArray) -> None:
-    lost = np.flatnonzero(~np.isfinite(samples).all(axis=(1, 2)))
-    if lost.size:
+def _motion(
+    task: _Task, samples: Sequence[FloatArray], values: FloatArray, dt_s: float
+) -> PrinterMotion | UnreachableError:
+    """samples : seven of (n, 3), and values : (30,) the last state, SI, from the kernels."""
+    own = [each[: len(task.pieces) - task.first] for each in samples]
+    t = task.begin_s + dt_s * np.arange(len(own[0]), dtype=np.float64)
+    if not np.isfinite([each[-1] for each in own]).all():  # what is lost is not found again
+        lost = np.flatnonzero(~np.isfinite(np.hstack(own)).all(axis=1))
         rule = f"At t = {t[lost[0]]:.4f} s the simulated nozzle has left the reach of its arms."
-        raise UnreachableError(rule, lost)
-
-
-def _motion(t: FloatArray, samples: FloatArray, state: PrinterState) -> PrinterMotion:
-    millimetres = 1e3
-    return PrinterMotion(
-        t_s=t,
-        carriage_mm=samples[:, 0] * millimetres,
-        carriage_velocity=samples[:, 1] * millimetres,
-        carriage_acceleration=samples[:, 2].copy(),
-        nozzle_mm=samples[:, 3] * millimetres,
-        nozzle_velocity=samples[:, 4] * millimetres,
-        nozzle_acceleration=samples[:, 5].copy(),
-        motor_mm=samples[:, 6] * millimetres,
-        state=state,
-    )
+        return UnreachableError(rule, lost)
+    end = PrinterState(float(t[-1]), values, task.history)
+    return PrinterMotion(t, own[0], own[1], own[2], own[3], own[4], own[5], own[6], end)

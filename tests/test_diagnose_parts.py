@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,16 +13,14 @@ from hypothesis import strategies as st
 from ffcomp.diagnose.fit import Bench, bounded_step, derivatives, fit
 from ffcomp.diagnose.intake import carriages_of, check_repeats
 from ffcomp.diagnose.noise import NoiseFloor, whitener
-from ffcomp.diagnose.plant import Candidate, Number, Recording
+from ffcomp.diagnose.plant import Candidate, Number, Plant, Recording
 from ffcomp.errors import MeasurementError
 from ffcomp.measured.run import Run
+from models import printer_kernels as kernels
 from models.effects.catalogue import with_effect
 from models.kinematics.delta import inverse
 from models.machine_file import load_machine
 from models.printer import printer_numbers
-from models.printer_kernels import STATES, guide_friction
-
-EMPS = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[2] / "shared" / "data")) / "emps" / "DATA_EMPS.mat"
 
 # ---- fit -----------------------------------------------------------------------------------------
 
@@ -48,7 +43,7 @@ def test_a_bounded_step_stays_inside_and_gains_no_less_than_the_free_step_cut_of
 
 
 @dataclass
-class Line:
+class Line(Plant):
     """y = (a + b) t² + a³ t, a toy plant."""
 
     band_hz: tuple[float, float] = (1.0, 40.0)
@@ -101,11 +96,13 @@ def test_a_fit_finds_both_numbers() -> None:
 def test_friction_that_never_holds_is_a_plain_hyperbolic_tangent() -> None:
     shape = {"force_n": 2.0, "creep_mm_per_s": 4.0, "hold_per_s": 0.0}
     machine = with_effect(load_machine("mp-delta-pro"), "coulomb_friction", **shape)
-    p, y, dy = printer_numbers(machine), np.zeros(STATES), np.zeros(STATES)
+    m = kernels.laid_out(np.zeros((1, kernels.STATES)), kernels.table([printer_numbers(machine)]))
+    rows = m.reshape(kernels.ROWS, kernels.LANES)
     for speed in (-0.01, -1e-4, 2e-3, 0.3):
-        y[3 * 3 : 3 * 3 + 3] = speed
-        assert guide_friction(y, 1, p, dy) == pytest.approx(2.0 * np.tanh(speed / 4e-3), rel=1e-12)
-    assert not dy.any()  # no memory
+        rows[kernels.NOW + kernels.QD : kernels.NOW + kernels.QD + 3, 0] = speed
+        kernels.guide_friction(m)
+        assert rows[kernels.GUIDES + 1, 0] == pytest.approx(2.0 * np.tanh(speed / 4e-3), rel=1e-12)
+        assert rows[kernels.RATE + kernels.GUIDE + 1, 0] == 0  # no memory
 
 
 def test_two_kinds_of_friction_turn_over_as_their_forces_weigh() -> None:

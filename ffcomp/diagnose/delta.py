@@ -8,44 +8,46 @@ fitted as an angle.
 from __future__ import annotations
 
 import math
+import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ffcomp.diagnose.fit import WORKERS
 from ffcomp.diagnose.intake import carriages_of
 from ffcomp.diagnose.noise import BAND_HZ, filled
-from ffcomp.diagnose.plant import Candidate, Impossible, Number, Recording
+from ffcomp.diagnose.plant import Candidate, Impossible, Number, Plant, Recording
 from ffcomp.identify.direct import UNKNOWNS
 from ffcomp.measured.frf import FloatArray
 from ffcomp.measured.run import Run
 from models.effects.catalogue import CATALOGUE, measured
 from models.effects.effect import Effect, Parameter
-from models.errors import UnreachableError
 from models.kinematics.delta import forward
 from models.machine import Machine
 from models.parameters import value_of, with_values
-from models.printer import SMOOTH_STEP_S, PrinterMotion, longest_step, printer_numbers, simulate_printer
+from models.printer import SMOOTH_STEP_S, PrinterMotion, longest_step, printer_numbers, simulate_printers
+from models.printer_kernels import LANES
 
 STEP_S = 1 / 3200  # of a printer without dry friction or play: some nanometres off
 COARSE_STEP_S, COARSE_KINKED_STEP_S = 1 / 1600, 1 / 3200  # where only the effects' order is asked for
 ENOUGH_HZ = 1600.0  # rows a second: eight times the band's end; what was recorded faster is thinned
-KEPT = 2 * WORKERS  # motions
+KEPT, AT_ONCE = 4, 24  # machines whose motions are held
+WORKERS = min(8, os.cpu_count() or 1)
 REACH = 5.0  # standard deviations by which a number may be retuned: what must move further is an effect
 FULL_STEPS = (1.0, 4.0)  # cogging repeats every full step, or every four
 GRID = 3  # starting values of a shape that is known by its range only
-MANY = {"frequency_hz": 6}  # shapes whose signature changes quickly
+MANY = {"frequency_hz": 20}  # shapes whose signature changes quickly
 BOTH = 9.0  # in place of an angle: alike in x and y
 WHOLE = "whole"  # the one number of an effect that is there or not
 
+_Key = tuple[tuple[tuple[str, float], ...], tuple[int, ...], bool]
 _NAME = re.compile(r"effects\.(?P<effect>\w+)\.(?P<parameter>\w+)(\[(?P<index>\d)\])?")
 
 
-class Delta:
+class Delta(Plant):
     """A machine file and its runs."""
 
     band_hz = BAND_HZ
@@ -54,43 +56,72 @@ class Delta:
         self.machine, self.runs = machine, runs
         self.commands = [carriages_of(machine, run)[:: _every(run)] for run in runs]
         self.recordings = [_recording(machine, run, c) for run, c in zip(runs, self.commands, strict=True)]
-        self.kept: dict[tuple[object, ...], dict[int, PrinterMotion]] = {}
-        self.same_command = [_first_equal(self.commands, i) for i in range(len(runs))]
         self.numbers = tuple(_numbers(machine))
         self.candidates = tuple(_candidate(machine, CATALOGUE[n]) for n in names if n not in machine.effects)
+        self.same_command = [_first_equal(self.commands, i) for i in range(len(runs))]
+        self.kept: dict[_Key, dict[int, PrinterMotion]] = {}
 
     def simulate(
         self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
     ) -> list[FloatArray]:
-        machine = self.machine_with(values)
+        found = next(iter(self.simulate_many([values], only, coarse=coarse)))
+        if isinstance(found, Impossible):
+            raise found
+        return found
+
+    def simulate_many(
+        self, many: Sequence[Mapping[str, float]], only: Sequence[int] | None = None, *, coarse: bool = False
+    ) -> Iterator[list[FloatArray] | Impossible]:
+        """Some at a time, all their runs together."""
         chosen = range(len(self.runs)) if only is None else only
         needed = sorted({self.same_command[i] for i in chosen})
-        played = self._motions(_without_sensors(values), needed, coarse)
-        return [_signals(machine, played[self.same_command[i]], self.recordings[i].signals) for i in chosen]
+        for first in range(0, len(many), AT_ONCE):
+            part = many[first : first + AT_ONCE]
+            for values, motions in zip(part, self._motions(part, needed, coarse), strict=True):
+                yield motions if isinstance(motions, Impossible) else self._answer(values, motions, chosen)
 
-    def _motions(self, values: Mapping[str, float], needed: Sequence[int], coarse: bool) -> dict[int, PrinterMotion]:
-        """The last few are kept: what only changes the sensors needs no other motion."""
-        key = (tuple(sorted(values.items())), tuple(needed), coarse)
-        if key not in self.kept:
-            motions = self._played(values, needed, coarse)
-            while len(self.kept) >= KEPT:
-                self.kept.pop(next(iter(self.kept)), None)
-            self.kept[key] = dict(zip(needed, motions, strict=True))
-        return self.kept.get(key) or self._motions(values, needed, coarse)
-
-    def _played(self, values: Mapping[str, float], needed: Sequence[int], coarse: bool) -> list[PrinterMotion]:
+    def _answer(
+        self, values: Mapping[str, float], motions: Mapping[int, PrinterMotion], chosen: Sequence[int]
+    ) -> list[FloatArray]:
         machine = self.machine_with(values)
+        return [_signals(machine, motions[self.same_command[i]], self.recordings[i].signals) for i in chosen]
 
-        def play(i: int) -> PrinterMotion:
-            dt = 1 / self.recordings[i].rate_hz
-            return simulate_printer(machine, self.commands[i], dt, substeps=math.ceil(dt / step_s * (1 - 1e-9)))
+    def _motions(
+        self, many: Sequence[Mapping[str, float]], needed: Sequence[int], coarse: bool
+    ) -> list[dict[int, PrinterMotion] | Impossible]:
+        """By index of the run. The last few are kept: what only changes the sensors needs no other motion."""
+        plain = [_without_sensors(values) for values in many]
+        keys = [(tuple(sorted(values.items())), tuple(needed), coarse) for values in plain]
+        new = {key: values for key, values in zip(keys, plain, strict=True) if key not in self.kept}
+        found: dict[_Key, dict[int, PrinterMotion] | Impossible] = {k: self.kept[k] for k in keys if k in self.kept}
+        found |= dict(zip(new, self._played(list(new.values()), needed, coarse), strict=True))
+        answers = [found[key] for key in keys]
+        fresh = {key: motions for key, motions in found.items() if not isinstance(motions, Impossible)}
+        self.kept = dict([*self.kept.items(), *fresh.items()][-KEPT:])
+        return answers
 
-        try:
-            step_s = _step_s(machine, coarse)
-            with ThreadPoolExecutor(WORKERS) as pool:
-                return list(pool.map(play, needed))
-        except (UnreachableError, ValueError) as error:  # arms too short, or belts that hold nothing
-            raise Impossible(str(error)) from error
+    def _played(
+        self, many: Sequence[Mapping[str, float]], needed: Sequence[int], coarse: bool
+    ) -> list[dict[int, PrinterMotion] | Impossible]:
+        """On every core, side by side what takes equal steps."""
+        machines = [self.machine_with(values) for values in many]
+        alike: dict[_Steps, list[tuple[int, int]]] = {}
+        for i in sorted(needed, key=lambda i: len(self.commands[i])):
+            for n, machine in enumerate(machines):
+                alike.setdefault(_steps(machine, self.recordings[i].rate_hz, coarse), []).append((n, i))
+        packs = [(steps, tasks[k : k + LANES]) for steps, tasks in alike.items() for k in range(0, len(tasks), LANES)]
+
+        def play(pack: tuple[_Steps, Sequence[tuple[int, int]]]) -> Sequence[PrinterMotion | ValueError]:
+            steps, tasks = pack
+            commands = [self.commands[i] for _, i in tasks]
+            return simulate_printers([machines[n] for n, _ in tasks], commands, steps.row_s, substeps=steps.substeps)
+
+        motions: list[dict[int, PrinterMotion | ValueError]] = [{} for _ in machines]
+        with ThreadPoolExecutor(WORKERS) as pool:
+            for (_, tasks), found in zip(packs, pool.map(play, packs), strict=True):
+                for (n, i), motion in zip(tasks, found, strict=True):
+                    motions[n][i] = motion
+        return [_whole(by_run) for by_run in motions]
 
     def machine_with(self, values: Mapping[str, float]) -> Machine:
         """The machine file's machine with these numbers and effects."""
@@ -108,11 +139,29 @@ def _is_sensor(name: str) -> bool:
     return match is not None and CATALOGUE[match["effect"]].kind == "sensor"
 
 
-def _step_s(machine: Machine, coarse: bool) -> float:
+@dataclass(frozen=True)
+class _Steps:
+    """How a run is integrated."""
+
+    row_s: float
+    substeps: int
+
+
+def _steps(machine: Machine, rate_hz: float, coarse: bool) -> _Steps:
     longest = longest_step(printer_numbers(machine))
     if longest == SMOOTH_STEP_S:
-        return COARSE_STEP_S if coarse else STEP_S
-    return max(longest, COARSE_KINKED_STEP_S) if coarse else longest
+        longest = COARSE_STEP_S if coarse else STEP_S
+    elif coarse:
+        longest = max(longest, COARSE_KINKED_STEP_S)
+    return _Steps(1 / rate_hz, math.ceil(1 / rate_hz / longest * (1 - 1e-9)))
+
+
+def _whole(motions: Mapping[int, PrinterMotion | ValueError]) -> dict[int, PrinterMotion] | Impossible:
+    """Arms too short, or belts that hold nothing, in a single run are enough."""
+    failed = [m for m in motions.values() if isinstance(m, ValueError)]
+    if failed:
+        return Impossible(str(failed[0]))
+    return {i: m for i, m in motions.items() if isinstance(m, PrinterMotion)}
 
 
 def _first_equal(commands: Sequence[FloatArray], i: int) -> int:

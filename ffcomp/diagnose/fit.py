@@ -8,9 +8,7 @@ Laplace's approximation, with J the derivative of the residual by z (MacKay, Neu
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -30,7 +28,6 @@ WELL_KNOWN, GUESSED = 0.1, 3.0  # share of the noise to which its floor is known
 HUGE = 1e6  # standard deviations
 MOST_PASSES = 1000  # of the search for the bounds that hold a step
 BLOCK_HZ = 5.0  # of the sandwich: what a wrong shape leaves keeps its sign over a few Hz
-WORKERS = min(8, os.cpu_count() or 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,16 +43,16 @@ class Bench:
 
     def residual(self, values: Mapping[str, float]) -> FloatArray:
         """(rows,) measured − simulated, whitened; huge where the plant is impossible."""
-        try:
-            residual = self.measured - self.whiten(self.plant.simulate({**self.given, **values}, coarse=self.coarse))
-        except Impossible:
-            return np.full(len(self.measured), HUGE)
-        return residual if np.isfinite(residual @ residual) else np.full(len(self.measured), HUGE)
+        return next(self.residuals([values]))
 
-    def residuals(self, many: Sequence[Mapping[str, float]]) -> list[FloatArray]:
-        """The same for many, on every core."""
-        with ThreadPoolExecutor(WORKERS) as pool:
-            return list(pool.map(self.residual, many))
+    def residuals(self, many: Sequence[Mapping[str, float]]) -> Iterator[FloatArray]:
+        """The same for many, one after the other."""
+        for simulated in self.plant.simulate_many([{**self.given, **v} for v in many], coarse=self.coarse):
+            if isinstance(simulated, Impossible):
+                yield np.full(len(self.measured), HUGE)
+            else:
+                residual = self.measured - self.whiten(simulated)
+                yield residual if np.isfinite(residual @ residual) else np.full(len(self.measured), HUGE)
 
     def rows_at(self, recordings: Sequence[int]) -> FloatArray:
         """Indices of the rows of some recordings."""
@@ -150,7 +147,7 @@ def derivatives(
     """
     steps = np.full(len(z), STEP) if sizes is None else np.clip(STIR / np.maximum(sizes, 1e-300), LEAST_STEP, STEP)
     pairs = [_either_side(numbers, z, i, steps[i], central) for i in which]
-    residuals = iter(bench.residuals([values_at(numbers, x) for pair in pairs for x in pair if x is not z]))
+    residuals = bench.residuals([values_at(numbers, x) for pair in pairs for x in pair if x is not z])
     columns = []
     for i, (low, high) in zip(which, pairs, strict=True):
         below = residual if low is z else next(residuals)

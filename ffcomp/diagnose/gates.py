@@ -12,6 +12,7 @@ from ffcomp.diagnose.plant import Candidate, Impossible, Number, Plant
 from ffcomp.diagnose.screen import Screened, likeness
 from ffcomp.diagnose.search import WORTH, Hypothesis, gap_of, misfit
 from ffcomp.identify.estimates import NINETY_PERCENT, Estimate
+from ffcomp.measured.frf import FloatArray
 
 LEFT = 0.15  # of the gap may be left
 RIVAL = 20.0  # −2 ln Z
@@ -20,12 +21,13 @@ ALIKE = 0.8  # cos² from which one effect can be taken for another
 
 @dataclass(frozen=True)
 class Place:
-    """A place left out of the fit: the gap there before and after, as shares of its noise (χ² by row, less one)."""
+    """A place left out of the fit: the gap there, as shares of its noise (χ² by row, less one)."""
 
     place: tuple[float, ...]
-    before: float
-    after: float
+    before: float  # with its numbers retuned at the other places
+    after: float  # with the effects as well
     rows: int
+    power: tuple[float, ...]  # in the band: of the error with the file as it is, with the effects; of the signals
 
     def explained(self, slack: float) -> bool:
         """slack : of the noise, as well as it is known."""
@@ -71,10 +73,15 @@ def held_out(desk: Bench, base: Fit, best: Fit) -> list[Place]:
 
     With a single place the recordings take turns instead: weaker, but better than nothing.
     """
-    return [
-        Place(place, _excess_at(desk, base, members), _excess_at(desk, best, members), len(desk.rows_at(members)))
-        for place, members in groups(desk.plant).items()
-    ]
+    found = []
+    for place, members in groups(desk.plant).items():
+        filed = desk.plant.simulate({}, members)
+        before, after = _left_out(desk, base, members), _left_out(desk, best, members)
+        nothing = [np.zeros_like(y) for y in filed]
+        power = tuple(_power(desk, y, members) for y in (filed, after, nothing))
+        gaps = _excess(desk, before, members), _excess(desk, after, members)
+        found.append(Place(place, *gaps, rows=len(desk.rows_at(members)), power=power))
+    return found
 
 
 def groups(plant: Plant) -> dict[tuple[float, ...], list[int]]:
@@ -86,19 +93,31 @@ def groups(plant: Plant) -> dict[tuple[float, ...], list[int]]:
     return {(float(i),): [i] for i in range(len(plant.recordings))}
 
 
-def _excess_at(desk: Bench, fitted: Fit, members: Sequence[int]) -> float:
-    rows = desk.rows_at(members)
+def _left_out(desk: Bench, fitted: Fit, members: Sequence[int]) -> list[FloatArray]:
+    """These recordings simulated, (n, m) each, with the optimum of the others."""
     inside = np.ones(len(fitted.residual), dtype=bool)
-    inside[rows] = False
+    inside[desk.rows_at(members)] = False
     j, r = fitted.jacobian[inside], fitted.residual[inside]
     normal, slope = np.eye(len(fitted.z)) + j.T @ j, j.T @ r - fitted.z
     z = clipped(fitted.numbers, fitted.z + bounded_step(fitted.numbers, fitted.z, normal, slope))
     try:
-        simulated = desk.plant.simulate(values_at(fitted.numbers, z), members)
+        return desk.plant.simulate(values_at(fitted.numbers, z), members)
     except Impossible:  # the others alone lead nowhere: then what was fitted to all of them has to do
-        simulated = desk.plant.simulate(fitted.values, members)
-    left = desk.measured[rows] - desk.whiten(simulated, members)
+        return desk.plant.simulate(fitted.values, members)
+
+
+def _excess(desk: Bench, simulated: Sequence[FloatArray], members: Sequence[int]) -> float:
+    left = desk.measured[desk.rows_at(members)] - desk.whiten(simulated, members)
     return float(left @ left) / len(left) - 1
+
+
+def _power(desk: Bench, simulated: Sequence[FloatArray], members: Sequence[int]) -> float:
+    """Of the error, not whitened."""
+    parts = [
+        desk.whiten.spectrum(recording, recording.measured - y)[0]
+        for recording, y in zip([desk.plant.recordings[i] for i in members], simulated, strict=True)
+    ]
+    return float(sum(np.sum(np.abs(part) ** 2) for part in parts))
 
 
 def intervals_of(desk: Bench, fitted: Fit, values: Mapping[str, float]) -> dict[str, Estimate]:

@@ -99,10 +99,11 @@ def _apart(tables: Mapping[str, Any], other: str) -> str:
 
 
 def _held_out(found: Diagnosis, noise: float) -> tuple[float, float]:
+    """nrms over all places, each left out of the fit in turn: with the file as it is, and with what was found."""
     if not found.places:
         return noise, noise
-    before, after = (float(np.mean([getattr(p, what) for p in found.places])) for what in ("before", "after"))
-    return noise * float(np.sqrt(max(1 + before, 0.0))), noise * float(np.sqrt(max(1 + after, 0.0)))
+    filed, after, signals = np.sum([p.power for p in found.places], axis=0)
+    return float(np.sqrt(filed / signals)), float(np.sqrt(after / signals))
 
 
 def better_file(source: Path, name: str, found: Outcome, data: Sequence[str], when: str) -> str:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 from ffcomp.measured.frf import FloatArray
 
@@ -60,25 +60,15 @@ class Impossible(ValueError):
     """A machine of such numbers does not hold together; a fit must not go there."""
 
 
-class Plant(Protocol):
+class Plant(ABC):
     """A machine, its recordings, and how it would have answered with other numbers."""
 
-    @property
-    def band_hz(self) -> tuple[float, float]:
-        """Where measurement and model are compared."""
-        ...
+    band_hz: tuple[float, float]  # where measurement and model are compared
+    recordings: Sequence[Recording]
+    numbers: Sequence[Number]  # what may be retuned within its uncertainty: not a missing effect
+    candidates: Sequence[Candidate]
 
-    @property
-    def recordings(self) -> Sequence[Recording]: ...
-
-    @property
-    def numbers(self) -> Sequence[Number]:
-        """What may be retuned within its uncertainty: not a missing effect."""
-        ...
-
-    @property
-    def candidates(self) -> Sequence[Candidate]: ...
-
+    @abstractmethod
     def simulate(
         self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
     ) -> list[FloatArray]:
@@ -90,4 +80,13 @@ class Plant(Protocol):
         ------
         Impossible
         """
-        ...
+
+    def simulate_many(
+        self, many: Sequence[Mapping[str, float]], only: Sequence[int] | None = None, *, coarse: bool = False
+    ) -> Iterator[list[FloatArray] | Impossible]:
+        """The same for many; a plant that is quicker with many at once has its own way."""
+        for values in many:
+            try:
+                yield self.simulate(values, only, coarse=coarse)
+            except Impossible as error:
+                yield error

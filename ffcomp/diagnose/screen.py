@@ -63,7 +63,7 @@ def _best(base: Fit, candidates: Sequence[Candidate], tries: Iterator[Tried]) ->
 def _signatures(bench: Bench, base: Fit, tries: Sequence[tuple[Candidate, Mapping[str, float]]]) -> Iterator[Tried]:
     """One probe an amplitude, the others without effect."""
     probes = [{}, *(_probe(c, a.name, shape) for c, shape in tries for a in c.amplitudes)]
-    residuals = iter(bench.residuals([{**base.values, **probe} for probe in probes]))
+    residuals = bench.residuals([{**base.values, **probe} for probe in probes])
     reference = next(residuals)
     for candidate, shape in tries:
         columns = [

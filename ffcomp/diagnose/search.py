@@ -17,8 +17,8 @@ WORTH = 10.0  # −2 ln Z
 FURTHER = 0.4  # of what remains must a further effect remove
 SHAPE = 0.1  # of what remains must a freer shape of the same effect remove
 NEAR = 0.05  # of the noise, added where gaps are compared
-SCALES, FEW_SCALES = (1.0, 0.5, 0.25, 0.1, 0.03, -0.1, -0.5), (1.0, 0.2)  # of a linear estimate, and, where that
-USUAL, FEW_USUAL = (0.6, 0.2, 0.1, 0.05, 0.01, -0.05, -0.3), (0.6, 0.1, 0.02, -0.1)  # may lead astray, of a usual size
+SCALES = (1.0, 0.5, 0.25, 0.1, 0.03, -0.1, -0.5)  # of a linear estimate, and, where that may lead astray,
+USUAL = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01, -0.03, -0.1, -0.25, -0.5, -1.0)  # of a usual size
 REFITTED, SURPRISING = 6, 3  # candidates that are fitted: by their linear promise, and by what they really do
 LARGE = 1.0  # gap, of the noise, from which effects may be too strong to be linear
 QUICK = 1e-2  # share of the cost that must still be gained for another step while the order is looked for
@@ -84,8 +84,9 @@ def lineup(desk: Bench, start: Fit, screened: Sequence[Screened], large: bool) -
     seen = [s for s in screened if s.visible]
     if not large:
         return [entry(desk, start, (s,)) for s in seen[:REFITTED]]
-    first = [entry(desk, start, (s,), SCALES[:4], USUAL) for s in seen[:REFITTED]]
-    others = [entry(desk, start, (s,), FEW_SCALES, FEW_USUAL) for s in seen[REFITTED:]]
+    first, others = (
+        [entry(desk, start, (s,), SCALES[:4], USUAL) for s in x] for x in (seen[:REFITTED], seen[REFITTED:])
+    )
     surprising = sorted([*first, *others], key=lambda e: e.cost)[:SURPRISING]
     return [*(e for e in surprising if e in others), *first]
 
@@ -113,20 +114,29 @@ def _alone(desk: Bench, start: Fit) -> Bench:
     return replace(desk, given={**desk.given, **start.values})
 
 
-def contest(desk: Bench, start: Fit, screened: Sequence[Screened], progress: Progress) -> list[Hypothesis]:
-    """The screened ones fitted quickly, the best of them fitted well, those nearly as good in their best shape."""
+def contest(desk: Bench, starts: Sequence[tuple[Fit, Sequence[Screened]]], progress: Progress) -> list[Hypothesis]:
+    """The screened ones fitted quickly, the best of them fitted well, those nearly as good in their best shape.
+
+    starts : fits of the machine's numbers to begin at, each with what was screened there.
+    """
     quick = replace(desk, coarse=True)
     begun: list[Hypothesis] = []
-    for e in lineup(quick, start, screened, gap_of(start) > LARGE):
-        bar = min((h.gap for h in begun), default=np.inf)
-        begun.append(refitted(quick, start, e, progress, bar))
+    for start, screened in starts:
+        for e in lineup(quick, start, screened, gap_of(start) > LARGE):
+            bar = min((h.gap for h in begun), default=np.inf)
+            begun.append(refitted(quick, start, e, progress, bar))
     begun.sort(key=lambda h: h.fit.evidence)
-    field = sorted((_pursued(quick, h, begun[0]) for h in begun), key=lambda h: h.fit.evidence)
+    field = sorted((_pursued(quick, h, begun[0]) for h in _distinct(begun)), key=lambda h: h.fit.evidence)
     close = [h for h in field[:CONTENDERS] if _nearly(h, field[0], CONTENDER)]
     fitted = [_either(desk, h, progress) for h in close]
     best = min(fitted, key=lambda h: h.fit.evidence)
     shaped = [settled(desk, h, progress) if _nearly(h, best, CLOSE) else h for h in fitted]
     return shaped + [h for h in field if h not in close]
+
+
+def _distinct(ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The best of each kind."""
+    return [h for i, h in enumerate(ranked) if h.names not in [before.names for before in ranked[:i]]]
 
 
 def _pursued(desk: Bench, h: Hypothesis, best: Hypothesis) -> Hypothesis:

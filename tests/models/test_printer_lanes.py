@@ -1,0 +1,169 @@
+"""Printers simulated side by side: each lane as if it were alone."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline
+
+from models import printer_kernels as kernels
+from models.effects.catalogue import with_effect
+from models.errors import UnreachableError
+from models.kinematics.delta import inverse
+from models.machine import DeltaGeometry, Machine
+from models.printer import PrinterMotion, simulate_printer, simulate_printers
+
+RATE_HZ = 1600
+FIELDS = (
+    "t_s",
+    "carriage_mm",
+    "carriage_velocity",
+    "carriage_acceleration",
+    "nozzle_mm",
+    "nozzle_velocity",
+    "nozzle_acceleration",
+    "motor_mm",
+)
+EFFECTS: dict[str, dict[str, Any]] = {
+    "coulomb_friction": {"force_n": [1.0, 2.0, 3.0]},
+    "stribeck_friction": {"force_n": 0.5, "extra_force_n": 1.0, "velocity_mm_per_s": 10.0},
+    "joint_friction": {"force_n": 1.0},
+    "belt_backlash": {"width_mm": [0.02, 0.05, 0.03]},
+    "belt_hardening": {"cubic_n_per_m3": [-1e11, 0.0, 1e11]},
+    "belt_position_stiffness": {"slope_per_m": [0.3, -0.2, 0.0], "q_centre_mm": 350.0},
+    "command_delay": {"delay_s": [0.001, 0.02, 0.0013]},
+    "cogging": {"amplitude_mm": [0.01, 0.02, 0.0], "pitch_mm": [0.8, 0.8, 0.2]},
+    "torque_angle": {"amplitude_mm": 2.0},
+    "frame_mode": {"mass_kg": 5.0, "frequency_hz": 20.0, "damping_ratio": 0.03, "direction": "both"},
+    "center_of_mass": {"offset_mm": [5.0, 0.0, 0.0]},
+    "arm_geometry": {"arm_length_mm": [0.5, 0.0, 0.0], "delta_radius_mm": 0.3},
+}
+
+
+def swinging(geometry: DeltaGeometry, seconds: float = 0.3, reach_mm: float = 30.0) -> np.ndarray:
+    """(n, 3) mm, from rest."""
+    t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    x = reach_mm * np.sin(2 * np.pi * 3 * t) + 0.5 * np.sin(2 * np.pi * 33 * t)
+    path = np.column_stack([x, 20 * np.sin(2 * np.pi * 4 * t), 30 + 2 * np.sin(2 * np.pi * 11 * t)])
+    return inverse(geometry, path * np.minimum(t / 0.1, 1)[:, None] ** 2)
+
+
+def assert_alike(ours: PrinterMotion | ValueError, alone: PrinterMotion) -> None:
+    assert isinstance(ours, PrinterMotion)
+    for field in FIELDS:
+        expected = getattr(alone, field)
+        np.testing.assert_allclose(getattr(ours, field), expected, rtol=0, atol=1e-11 * np.abs(expected).max())
+    assert ours.state.t_s == alone.state.t_s
+    np.testing.assert_allclose(ours.state.values, alone.state.values, rtol=0, atol=1e-11)
+    np.testing.assert_array_equal(ours.state.history, alone.state.history)
+
+
+@pytest.fixture
+def mixture(printer: Machine) -> list[Machine]:
+    """Eighteen printers, hardly two of a kind."""
+    paper = with_effect(with_effect(printer, "force_map"), "center_of_mass", offset_mm=[15.0, -10.0, 5.0])
+    ideal = replace(printer, carriage=replace(printer.carriage, drive=None))
+    changed = {name: with_effect(printer, name, **table) for name, table in EFFECTS.items()}
+    every = paper
+    for name, table in EFFECTS.items():
+        every = with_effect(every, name, **table)
+    several = with_effect(changed["coulomb_friction"], "command_delay", delay_s=0.004)
+    return [*changed.values(), printer, paper, ideal, every, several, with_effect(ideal, "belt_backlash", width_mm=0.1)]
+
+
+@pytest.mark.parametrize("hold", ["cubic", "linear"])
+def test_neighbours_change_nothing(mixture: list[Machine], hold) -> None:
+    command = swinging(mixture[0].kinematics)
+    together = simulate_printers(mixture, [command] * len(mixture), 1 / RATE_HZ, hold=hold, substeps=8)
+    for machine, ours in zip(mixture, together, strict=True):
+        assert_alike(ours, simulate_printer(machine, command, 1 / RATE_HZ, hold=hold, substeps=8))
+
+
+def test_each_takes_the_steps_it_would_take_alone(mixture: list[Machine]) -> None:
+    command = swinging(mixture[0].kinematics, 0.1)
+    together = simulate_printers(mixture, [command] * len(mixture), 1 / RATE_HZ, gravity=False)
+    for machine, ours in zip(mixture, together, strict=True):
+        assert_alike(ours, simulate_printer(machine, command, 1 / RATE_HZ, gravity=False))
+
+
+def test_commands_of_all_lengths(mixture: list[Machine]) -> None:
+    """The short ones end in the middle of a motion, and can go on from there."""
+    lengths = [0.05 + 0.02 * (7 * i % 18) for i in range(len(mixture))]
+    commands = [swinging(mixture[0].kinematics, seconds, 20.0 + seconds) for seconds in lengths]
+    together = simulate_printers(mixture, commands, 1 / RATE_HZ, substeps=8, hold="linear")
+    for machine, command, ours in zip(mixture, commands, together, strict=True):
+        assert_alike(ours, simulate_printer(machine, command, 1 / RATE_HZ, substeps=8, hold="linear"))
+        assert isinstance(ours, PrinterMotion)
+    ours, rest_of_it = together[0], commands[0][-1] + np.zeros((200, 1))
+    onward = simulate_printer(mixture[0], rest_of_it, 1 / RATE_HZ, start=ours.state, substeps=8, hold="linear")
+    whole = np.concatenate([commands[0], rest_of_it[1:]])
+    expected = simulate_printer(mixture[0], whole, 1 / RATE_HZ, substeps=8, hold="linear").nozzle_mm
+    np.testing.assert_allclose(np.concatenate([ours.nozzle_mm[:-1], onward.nozzle_mm]), expected, atol=1e-9)
+
+
+def test_commands_in_one_array(printer: Machine) -> None:
+    commands = np.stack([swinging(printer.kinematics, 0.05, reach) for reach in range(10, 19)])
+    for command, ours in zip(commands, simulate_printers([printer] * 9, commands, 1 / RATE_HZ), strict=True):
+        assert_alike(ours, simulate_printer(printer, command, 1 / RATE_HZ))
+
+
+def test_a_failure_harms_nobody(printer: Machine) -> None:
+    """Lost reach, motors that hold nothing, arms too short, and a command of another shape."""
+    good = swinging(printer.kinematics)
+    wild, blind = good.copy(), good.copy()
+    wild[100:] += np.linspace(0, 1, len(good) - 100)[:, None] * [400.0, -400.0, 0.0]
+    blind[7, 1] = np.nan
+    weak = with_effect(printer, "torque_angle", amplitude_mm=1e-3)
+    short = with_effect(printer, "arm_geometry", arm_length_mm=-150.0)
+    machines = [printer, printer, weak, short, printer, printer, printer]
+    commands = [good, wild, good, good, blind, good[:, :2], good]
+    first, *bad, last = simulate_printers(machines, commands, 1 / RATE_HZ)
+    alone = simulate_printer(printer, good, 1 / RATE_HZ)
+    assert_alike(first, alone)
+    assert_alike(last, alone)
+    for machine, command, ours in zip(machines[1:-1], commands[1:-1], bad, strict=True):
+        assert isinstance(ours, ValueError)
+        with pytest.raises(type(ours), match=f"^{re.escape(str(ours))}$"):
+            simulate_printer(machine, command, 1 / RATE_HZ)
+    assert isinstance(bad[0], UnreachableError)
+    np.testing.assert_array_equal(bad[0].indices, np.arange(bad[0].indices[0], len(wild)))
+
+
+def test_nothing_to_do() -> None:
+    assert simulate_printers([], [], 1 / RATE_HZ) == []
+
+
+def test_a_machine_without_a_command(printer: Machine) -> None:
+    with pytest.raises(ValueError, match="shorter"):
+        simulate_printers([printer], [], 1 / RATE_HZ)
+
+
+@given(st.floats(allow_nan=False))
+def test_our_hyperbolic_tangent(x: float) -> None:
+    assert kernels.tanh(x) == pytest.approx(math.tanh(x), rel=2e-14, abs=1e-300)
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5, 40])
+def test_our_spline(n: int) -> None:
+    rows = np.random.default_rng(n).normal(size=(n, 3))
+    pieces = kernels.cubics(rows, 0.3)
+    expected = CubicSpline(0.3 * np.arange(n), rows)
+    np.testing.assert_allclose(pieces[:-1], expected.c.transpose(1, 2, 0), atol=1e-11)
+    end = np.stack([0 * rows[-1], 0 * rows[-1], expected(0.3 * (n - 1), 1), rows[-1]], axis=-1)
+    np.testing.assert_allclose(pieces[-1], end, atol=1e-12)
+
+
+def test_rows_of_the_array_do_not_overlap() -> None:
+    """Every name's rows begin where those of another end."""
+    sizes = {"CUBIC": 12, "J": 9, "BASE": 30, "NOW": 30, "RATE": 30, "SUM": 30}
+    names = "BASE NOW RATE SUM TIME CUBIC TOLD TOLD_RATE RIPPLE RIPPLE_RATE MOTOR MOTOR_RATE STRETCH SPRING"
+    names += " LEVEL GUIDES PULL BENDING X XD ACC JOINTS F0 RHO J"
+    ends = [(getattr(kernels, name), getattr(kernels, name) + sizes.get(name, 3)) for name in names.split()]
+    assert [end for _, end in ends] == [begin for begin, _ in ends[1:]] + [kernels.PRINTER]
