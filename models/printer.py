@@ -281,6 +281,8 @@ def _motor_effects(machine: Machine) -> Part:
         part["delay"] = values["delay_s"]
     if (values := values_of(machine, "cogging")) is not None:
         part |= {"ripple": values["amplitude_mm"] / 1e3, "wave": 2e3 * np.pi / values["pitch_mm"]}
+        part |= {"second_sine": values["second_sine"], "second_cosine": values["second_cosine"]}
+        part["ahead"] = np.radians(values["phase_deg"])
     return part
 
 
@@ -292,6 +294,7 @@ def _friction_effects(machine: Machine) -> Part:
         part |= {"dry": sum(values["force_n"] for values in guides), **_turning_over(guides)}
     if (values := found[1]) is not None:
         part |= {"sticking": values["extra_force_n"], "fading": 1e3 / values["velocity_mm_per_s"]}
+        part["fading_power"] = values["exponent"] / 2
     if (values := values_of(machine, "joint_friction")) is not None:
         creep, hold = float(values["creep_mm_per_s"]) / 1e3, float(values["hold_per_s"])
         part |= {"joint_dry": float(values["force_n"]), "joint_creep": creep, "joint_hold": hold}

@@ -91,9 +91,13 @@ NUMBERS = np.dtype(
         ("delay", "f8", 3),  # s, command_delay
         ("ripple", "f8", 3),  # m, cogging
         ("wave", "f8", 3),  # rad/m
+        ("ahead", "f8", 3),  # rad, of the ripple
+        ("second_sine", "f8", 3),  # of twice the wave, shares of the ripple
+        ("second_cosine", "f8", 3),
         ("dry", "f8", 3),  # N, coulomb_friction and stribeck_friction
         ("sticking", "f8", 3),  # N, surplus at rest
         ("fading", "f8", 3),  # s/m, 1/v_s
+        ("fading_power", "f8", 3),  # δ/2
         ("creep", "f8", 3),  # m/s, v₀ of the guides: wider where the run's step is too long for it
         ("hold", "f8", 3),  # 1/s, κ of the guides
         ("joint_dry", "f8"),  # N, joint_friction
@@ -132,8 +136,9 @@ CARRIAGE_MASS, WEIGHT, BELT_K, BELT_C, GUIDE_B = _rows("carriage_mass", "weight"
 IDEAL, D0, LEAD, D2, SHARES = _rows("ideal_drive", "d0", "lead", "d2", "shares")
 HOLDER_MASS, EXTRUDER_MASS, MOUNT_K, MOUNT_B = _rows("holder_mass", "extruder_mass", "mount_k", "mount_b")
 GRAVITY, HARDENING, GIVE, SLOPE, CENTRE, HALF_PLAY = _rows("gravity", "cubic", "give", "slope", "centre", "half_play")
-BEND, DELAY, COGGING, WAVE = _rows("bend", "delay", "ripple", "wave")
-DRY, STICKING, FADING = _rows("dry", "sticking", "fading")
+BEND, DELAY, COGGING, WAVE, AHEAD = _rows("bend", "delay", "ripple", "wave", "ahead")
+SECOND_SINE, SECOND_COSINE = _rows("second_sine", "second_cosine")
+DRY, STICKING, FADING, FADING_POWER = _rows("dry", "sticking", "fading", "fading_power")
 CREEP, HOLD, JOINT_DRY, JOINT_CREEP, JOINT_HOLD = _rows("creep", "hold", "joint_dry", "joint_creep", "joint_hold")
 SWAY, SWAY_SHARE, SWAY_K, SWAY_B = _rows("sway", "sway_share", "sway_k", "sway_b")
 
@@ -336,12 +341,13 @@ def cogging(m: FloatArray) -> None:
     for n in range(3 * LANES):
         amplitude, wave = m[COGGING * LANES + n], m[WAVE * LANES + n]
         if amplitude != 0.0:
-            phase = wave * m[TOLD * LANES + n]
-            m[RIPPLE * LANES + n] = amplitude * math.sin(phase)
-            m[RIPPLE_RATE * LANES + n] = amplitude * wave * math.cos(phase) * m[TOLD_RATE * LANES + n]
-
-
-# --- Towers
+            phase = wave * m[TOLD * LANES + n] + m[AHEAD * LANES + n]
+            sine, cosine = math.sin(phase), math.cos(phase)
+            up, down = m[SECOND_SINE * LANES + n], m[SECOND_COSINE * LANES + n]
+            twice_sine, twice_cosine = 2.0 * sine * cosine, 1.0 - 2.0 * sine * sine
+            m[RIPPLE * LANES + n] = amplitude * (sine + up * twice_sine + down * twice_cosine)
+            slope = cosine + 2.0 * (up * twice_cosine - down * twice_sine)
+            m[RIPPLE_RATE * LANES + n] = amplitude * wave * slope * m[TOLD_RATE * LANES + n]
 
 
 @compiled
@@ -378,9 +384,12 @@ def strain_rate(hold: float, ratio: float, speed: float, strain: float) -> float
 
 @compiled
 def fading(m: FloatArray) -> None:
-    """ℓ with its surplus near rest, exp −(q̇/v_s)²; e to the −2x is (1 − tanh x)/(1 + tanh x)."""
+    """ℓ with its surplus near rest, exp −|q̇/v_s|^δ; e to the −2x is (1 − tanh x)/(1 + tanh x)."""
     for n in range(3 * LANES):
-        faded = tanh(0.5 * (_at(m, NOW + QD, n) * _at(m, FADING, n)) ** 2)
+        squared, power = (_at(m, NOW + QD, n) * _at(m, FADING, n)) ** 2, _at(m, FADING_POWER, n)
+        m[LEVEL * LANES + n] = squared if power == 1.0 else squared**power
+    for n in range(3 * LANES):
+        faded = tanh(0.5 * _at(m, LEVEL, n))
         m[LEVEL * LANES + n] = _at(m, DRY, n) + _at(m, STICKING, n) * (1.0 - faded) / (1.0 + faded)
 
 

@@ -199,7 +199,7 @@ def _acts(effect: Effect, table: Mapping[str, Any]) -> bool:
 
 def _machine_value(parameter: Parameter, value: float, of_three: bool = False) -> Any:
     if parameter.size == "direction":
-        return "both" if value > BOTH / 2 else [round(float(f(value)), 6) for f in (np.cos, np.sin)]
+        return "both" if value == BOTH else [round(float(f(value)), 6) for f in (np.cos, np.sin)]
     if parameter.power == 1:
         return value
     if of_three and parameter.power < 0:  # a list has no room for infinity: the largest value does nothing either
@@ -229,18 +229,33 @@ def _candidate(machine: Machine, effect: Effect) -> Candidate:
         name = f"effects.{effect.name}.{WHOLE}"
         return Candidate(effect.name, (Number(name, 0.0, 1.0, 1.0, 1.0),), {name: 1.0}, switch=True)
     alike = _of(machine, effect, each=False)
+    if any(p.size == "direction" for p in effect.shapes):
+        return replace(alike, other=replace(alike, shapes=tuple(_in_both(n) for n in alike.shapes)))
     if all(p.size != "per_tower" for p in effect.amplitudes):
         return alike
-    return replace(alike, each=_of(machine, effect, each=True))
+    return replace(alike, other=_of(machine, effect, each=True))
+
+
+def _in_both(shape: Number) -> Number:
+    """A direction that is none."""
+    return replace(shape, start=BOTH, low=BOTH, high=BOTH) if shape.name.endswith(".direction") else shape
 
 
 def _of(machine: Machine, effect: Effect, each: bool) -> Candidate:
     """each : a value for each tower, or one that all share."""
     amplitudes = [n for p in effect.amplitudes for n in _amplitude(effect, p, each)]
     probe = {n.name: _linear(p, p.probe) for p in effect.amplitudes for n in _amplitude(effect, p, each)}
-    shapes = [_shape(effect, p, machine) for p in effect.shapes if p.default is None]
-    finer = [Number(_full(effect, p), p.default, p.typical[1] / 2, *p.bounds) for p in effect.shapes if p.default]
+    shapes = [_shape(effect, p, machine) for p in effect.shapes if _searched(p)]
+    finer = [_finer(effect, p, p.default) for p in effect.shapes if p.default is not None and not p.starts]
     return Candidate(effect.name, tuple(amplitudes), probe, tuple(shapes), tuple(_grid(effect, machine)), tuple(finer))
+
+
+def _searched(p: Parameter) -> bool:
+    return p.default is None or bool(p.starts)
+
+
+def _finer(effect: Effect, p: Parameter, usual: float) -> Number:
+    return Number(_full(effect, p), usual, p.typical[1] / 2, *p.bounds)
 
 
 def _full(effect: Effect, p: Parameter) -> str:
@@ -263,15 +278,17 @@ def _linear(p: Parameter, value: float) -> float:
 def _shape(effect: Effect, p: Parameter, machine: Machine) -> Number:
     name = _full(effect, p)
     if p.size == "direction":
-        return Number(name, 0.0, 1.0, -np.pi, BOTH)
+        return Number(name, 0.0, 2.0, -2 * np.pi, 2 * np.pi)
     low, high = p.typical
     middle = _starts(effect, p, machine)[0]
     return Number(name, middle, max(high - low, abs(middle)) / 2, *p.bounds)
 
 
 def _starts(effect: Effect, p: Parameter, machine: Machine) -> list[float]:
+    if p.starts:
+        return list(p.starts)
     if p.size == "direction":
-        return [0.0, np.pi / 2, BOTH]
+        return [0.0, np.pi / 4, np.pi / 2, 3 * np.pi / 4]
     if (effect.name, p.name) == ("cogging", "pitch_mm"):
         return [steps / machine.steps.full_steps_per_mm for steps in FULL_STEPS]
     low, high = p.typical
@@ -286,7 +303,7 @@ def _grid(effect: Effect, machine: Machine) -> list[dict[str, float]]:
     """Every combination of the shapes' starting values."""
     grid: list[dict[str, float]] = [{}]
     for p in effect.shapes:
-        if p.default is not None:
+        if not _searched(p):
             continue
         name = _full(effect, p)
         grid = [{**point, name: value} for point in grid for value in _starts(effect, p, machine)]

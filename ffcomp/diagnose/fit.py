@@ -267,13 +267,16 @@ def _stepped(
     cost: float,
     damping: float,
 ) -> tuple[FloatArray, FloatArray, float, float] | None:
-    """One step, damped more and more until it helps (Levenberg 1944, Marquardt 1963); None if nothing does."""
+    """One step; if it does not help, the best of some that are damped more and more (Levenberg 1944, Marquardt 1963);
+    None if nothing helps."""
     gradient = jacobian.T @ residual - z
     normal = np.eye(len(z)) + jacobian.T @ jacobian
-    for grown in (damping, max(10 * damping, 1e-2), max(100 * damping, 1e-1), max(1e3 * damping, 1.0)):
-        trial = clipped(numbers, z + bounded_step(numbers, z, normal + grown * np.diag(np.diag(normal)), gradient))
-        r = bench.residual(values_at(numbers, trial))
-        trial_cost = float(r @ r + trial @ trial)
-        if trial_cost < cost:
-            return trial, r, trial_cost, grown / 10 if grown > 1e-3 else 0.0
+    for dampings in ((damping,), tuple(max(damping, 1e-3) * grown for grown in (10.0, 100.0, 1e3, 1e4, 1e5))):
+        steps = [bounded_step(numbers, z, normal + d * np.diag(np.diag(normal)), gradient) for d in dampings]
+        trials = [clipped(numbers, z + step) for step in steps]
+        residuals = list(bench.residuals([values_at(numbers, trial) for trial in trials]))
+        costs = [float(r @ r + trial @ trial) for r, trial in zip(residuals, trials, strict=True)]
+        best = int(np.argmin(costs))
+        if costs[best] < cost:
+            return trials[best], residuals[best], costs[best], dampings[best] / 10 if dampings[best] > 1e-3 else 0.0
     return None

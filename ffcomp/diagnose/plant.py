@@ -30,7 +30,7 @@ class Candidate:
     shapes: tuple[Number, ...] = ()
     grid: tuple[Mapping[str, float], ...] = ({},)
     finer: tuple[Number, ...] = ()  # shapes that have a usual value: fitted only once the effect is chosen
-    each: Candidate | None = None  # the same effect with a number for each tower
+    other: Candidate | None = None  # the same effect with a number for each tower, or alike in all directions
     switch: bool = False  # there or not: its one amplitude is 1 or 0
 
     @property

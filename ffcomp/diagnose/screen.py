@@ -40,12 +40,21 @@ class Screened:
 
 
 def screen(bench: Bench, base: Fit, candidates: Sequence[Candidate]) -> list[Screened]:
-    """Every candidate with the best of its shapes, alike in all towers or not, best first."""
+    """Every candidate with the best of its shapes and in the better of its forms, best first."""
     alike = _best(base, candidates, _signatures(bench, base, [(c, shape) for c in candidates for shape in c.grid]))
-    split = [(s.candidate.each, s.shape) for s in alike.values() if s.candidate.each is not None]
-    each = _best(base, candidates, _signatures(bench, base, split))
-    found = [min((x[c.name] for x in (alike, each) if c.name in x), key=lambda s: s.evidence) for c in candidates]
+    others = [(c.other, shape) for c in candidates if c.other is not None for shape in _other_shapes(c, alike[c.name])]
+    other = _best(base, candidates, _signatures(bench, base, others))
+    found = [min((x[c.name] for x in (alike, other) if c.name in x), key=lambda s: s.evidence) for c in candidates]
     return sorted(found, key=lambda s: s.evidence)
+
+
+def _other_shapes(c: Candidate, best: Screened) -> list[Mapping[str, float]]:
+    """Where other amplitudes are asked for, the best shape so far; where another shape is, those of the others."""
+    held = {n.name: n.start for n in (c.other or c).shapes if n.low == n.high}
+    if not held:
+        return [best.shape]
+    distinct = {tuple(({**shape, **held}).items()) for shape in c.grid}
+    return [dict(shape) for shape in sorted(distinct)]
 
 
 Tried = tuple[Candidate, Mapping[str, float], FloatArray]

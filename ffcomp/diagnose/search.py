@@ -269,12 +269,12 @@ def _shapes(s: Screened) -> FloatArray:
 def settled(desk: Bench, h: Hypothesis, progress: Progress) -> Hypothesis:
     """With the shapes that effects usually have set free, and a number for each tower, where that pays; with one for
     all towers where three do not."""
-    for change, note in (("finer", " in its own shape"), ("each", ", each tower its own"), ("alike", ", towers alike")):
+    for change, note in (("finer", " in its own shape"), ("other", ", in its other form"), ("first", ", in its first")):
         effects = _changed(desk, h, change)
         if effects == h.effects:
             continue
         found = refined(desk, _begun(effects, h), progress, note, h.fit.jacobian[:, : _own(h)])
-        smaller, larger = (found, h) if change == "alike" else (h, found)
+        smaller, larger = (found, h) if change == "first" else (h, found)
         if worth(larger.fit, smaller.fit, SHAPE) == (larger is found):
             h = found
     return h
@@ -283,23 +283,23 @@ def settled(desk: Bench, h: Hypothesis, progress: Progress) -> Hypothesis:
 def _changed(desk: Bench, h: Hypothesis, change: str) -> tuple[Candidate, ...]:
     """The effects in another form; as they are if what is left is nothing anyway."""
     by_name = {c.name: c for c in desk.plant.candidates}
-    if change == "alike":
-        return tuple(_alike(c, by_name[c.name]) for c in h.effects)
+    if change == "first":
+        return tuple(_first(c, by_name[c.name]) for c in h.effects)
     if largest_excess(desk, h.fit) < desk.slack:
         return h.effects
-    return tuple(c.shaped if change == "finer" else _each(c) for c in h.effects)
+    return tuple(c.shaped if change == "finer" else _other(c) for c in h.effects)
 
 
-def _each(candidate: Candidate) -> Candidate:
-    if candidate.each is None:
+def _other(candidate: Candidate) -> Candidate:
+    if candidate.other is None:
         return candidate
-    return candidate.each if candidate.finer else candidate.each.shaped
+    return candidate.other if candidate.finer else candidate.other.shaped
 
 
-def _alike(candidate: Candidate, alike: Candidate) -> Candidate:
-    if candidate.each is not None or alike.each is None:
+def _first(candidate: Candidate, first: Candidate) -> Candidate:
+    if candidate.other is not None or first.other is None:
         return candidate
-    return alike if candidate.finer or not alike.finer else alike.shaped
+    return first if candidate.finer or not first.finer else first.shaped
 
 
 def _begun(effects: tuple[Candidate, ...], h: Hypothesis) -> Hypothesis:

@@ -10,7 +10,7 @@ EFFECT = Effect(
     title="Sticking guides: dry friction with a surplus at rest",
     kind="force",
     physics="Grease and seals stick at rest; the surplus over dry friction fades as the lubricant is drawn in.",
-    equation="F = (F_C + F_extra exp(−(q̇/v_s)²)) sgn(q̇)   (Armstrong-Hélouvry, Dupont & Canudas de Wit, 1994)",
+    equation="F = (F_C + F_extra exp(−|q̇/v_s|^δ)) sgn(q̇)   (Armstrong-Hélouvry, Dupont & Canudas de Wit, 1994)",
     parameters=(
         Parameter("force_n", "N", "friction at speed", (0, 200), (0.5, 10), 0.5, size="per_tower"),
         Parameter("extra_force_n", "N", "surplus at rest", (0, 200), (0.2, 5), 0.5, size="per_tower"),
@@ -23,6 +23,9 @@ EFFECT = Effect(
             2.0,
             size="per_tower",
             role="shape",
+        ),
+        Parameter(
+            "exponent", "", "δ: how suddenly it fades", (0.3, 6), (0.5, 2), 0.1, "per_tower", "shape", default=2.0
         ),
         *turning_over("per_tower"),
     ),
