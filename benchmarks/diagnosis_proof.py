@@ -377,8 +377,16 @@ def number(value: Any) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
-def parameters(told: dict[str, dict[str, float]]) -> str:
-    return ", ".join(f"{key} {x['value']:.3g} [{x['low']:.3g} to {x['high']:.3g}]" for key, x in told.items())
+def parameters(told: dict[str, dict[str, Any]]) -> str:
+    return ", ".join(
+        f"{key} {digits(x['value'])} [{digits(x['low'])} to {digits(x['high'])}]" for key, x in told.items()
+    )
+
+
+def digits(value: Any) -> str:
+    if isinstance(value, list):
+        return " / ".join(digits(x) for x in value)
+    return value if isinstance(value, str) else f"{value:.3g}"
 
 
 def prints(found: Sequence[Proof]) -> Iterator[str]:

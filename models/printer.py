@@ -263,9 +263,9 @@ def _effector(machine: Machine) -> Part:
 def _belt_effects(machine: Machine) -> Part:
     part: Part = {"give": np.inf}
     if (values := values_of(machine, "belt_hardening")) is not None:
-        cubic = values["cubic_n_per_m3"]
-        softening = machine.carriage.belt_stiffness_n_per_m / np.maximum(-3 * cubic, 1e-300)
-        part |= {"cubic": cubic, "give": np.where(cubic < 0, np.sqrt(softening), np.inf)}
+        cubic, quintic = values["cubic_n_per_m3"], values["quintic_n_per_m5"]
+        give = _give(machine.carriage.belt_stiffness_n_per_m, cubic, quintic)
+        part |= {"cubic": cubic, "quintic": quintic, "give": give}
     if (values := values_of(machine, "belt_position_stiffness")) is not None:
         part |= {"slope": values["slope_per_m"], "centre": values["q_centre_mm"] / 1e3}
     if (values := values_of(machine, "belt_backlash")) is not None:
@@ -273,6 +273,15 @@ def _belt_effects(machine: Machine) -> Part:
     if (values := values_of(machine, "torque_angle")) is not None:
         part["bend"] = 1e3 / values["amplitude_mm"]
     return part
+
+
+def _give(stiffness: FloatArray | float, cubic: FloatArray, quintic: FloatArray) -> FloatArray:
+    """(3,) m: the least stretch s > 0 with k + 3 k₃ s² + 5 k₅ s⁴ = 0; infinite where a belt never softens so far."""
+    inside = 9 * cubic**2 - 20 * stiffness * quintic
+    # 2 k/(−3 k₃ + √…): the smaller root of the two, and the only one without a fifth power
+    below = -3 * cubic + np.sqrt(np.maximum(inside, 0.0))
+    softens = (inside >= 0) & (below > 0)
+    return np.where(softens, np.sqrt(2 * stiffness / np.where(softens, below, 1.0)), np.inf)
 
 
 def _motor_effects(machine: Machine) -> Part:

@@ -82,7 +82,8 @@ NUMBERS = np.dtype(
         ("gravity", "f8"),  # m/s²
         # effects; zero, or what does nothing, where absent
         ("cubic", "f8", 3),  # N/m³, belt_hardening
-        # m, stretch at which a softening belt pulls its most, √(k/(−3 k₃)): beyond, no more, no less
+        ("quintic", "f8", 3),  # N/m⁵
+        # m, stretch at which a softening belt pulls its most, k + 3 k₃ s² + 5 k₅ s⁴ = 0: beyond, no more, no less
         ("give", "f8", 3),
         ("slope", "f8", 3),  # 1/m, belt_position_stiffness
         ("centre", "f8", 3),  # m
@@ -135,7 +136,8 @@ TOWERS, ARMS_SQUARED, HEIGHT, TO_PLANE, OFFSET = _rows("towers", "arms_squared",
 CARRIAGE_MASS, WEIGHT, BELT_K, BELT_C, GUIDE_B = _rows("carriage_mass", "weight", "belt_k", "belt_c", "guide_b")
 IDEAL, D0, LEAD, D2, SHARES = _rows("ideal_drive", "d0", "lead", "d2", "shares")
 HOLDER_MASS, EXTRUDER_MASS, MOUNT_K, MOUNT_B = _rows("holder_mass", "extruder_mass", "mount_k", "mount_b")
-GRAVITY, HARDENING, GIVE, SLOPE, CENTRE, HALF_PLAY = _rows("gravity", "cubic", "give", "slope", "centre", "half_play")
+GRAVITY, HARDENING, QUINTIC, GIVE = _rows("gravity", "cubic", "quintic", "give")
+SLOPE, CENTRE, HALF_PLAY = _rows("slope", "centre", "half_play")
 BEND, DELAY, COGGING, WAVE, AHEAD = _rows("bend", "delay", "ripple", "wave", "ahead")
 SECOND_SINE, SECOND_COSINE = _rows("second_sine", "second_cosine")
 DRY, STICKING, FADING, FADING_POWER = _rows("dry", "sticking", "fading", "fading_power")
@@ -408,7 +410,9 @@ def belts(m: FloatArray) -> None:
     for n in range(3 * LANES):
         q, qd, stretch = _at(m, NOW + Q, n), _at(m, NOW + QD, n), _at(m, STRETCH, n)
         k = _at(m, BELT_K, n) * (1.0 + _at(m, SLOPE, n) * (q - _at(m, CENTRE, n)))
-        spring = k * _at(m, SPRING, n) + _at(m, HARDENING, n) * stretch * stretch * stretch
+        squared = stretch * stretch
+        harder = _at(m, HARDENING, n) + _at(m, QUINTIC, n) * squared
+        spring = k * _at(m, SPRING, n) + harder * stretch * squared
         belt = spring + _at(m, BELT_C, n) * (_at(m, MOTOR_RATE, n) - qd)
         belt = 0.0 if abs(_at(m, MOTOR, n) - q) < _at(m, HALF_PLAY, n) else belt
         m[PULL * LANES + n] = belt - _at(m, GUIDE_B, n) * qd - _at(m, GUIDES, n) - _at(m, WEIGHT, n)
@@ -720,7 +724,8 @@ def _yield(m: FloatArray, l: int) -> float:
     moved = 0.0
     for i in range(3):
         above = _at(m, SLOPE + i, l) * (_at(m, NOW + Q + i, l) - _at(m, CENTRE + i, l))
-        harder = 3.0 * _at(m, HARDENING + i, l) * _at(m, STRETCH + i, l) ** 2
+        squared = _at(m, STRETCH + i, l) ** 2
+        harder = (3.0 * _at(m, HARDENING + i, l) + 5.0 * _at(m, QUINTIC + i, l) * squared) * squared
         move = _at(m, PULL + i, l) / (_at(m, BELT_K + i, l) * (1.0 + max(above, 0.0)) + max(harder, 0.0))
         m[(NOW + Q + i) * LANES + l] += move
         if not abs(move) <= moved:  # NaN too

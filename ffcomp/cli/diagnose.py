@@ -160,7 +160,7 @@ def _result(found: Outcome, written: str | None, report: str | None, seconds: fl
         "effects": [
             {
                 "name": name,
-                "parameters": _parameters(found, name),
+                "parameters": found.parameters(name),
                 "confidence": found.confidence[name],
                 "evidence": found.gained,
             }
@@ -182,13 +182,10 @@ def _result(found: Outcome, written: str | None, report: str | None, seconds: fl
     }
 
 
-def _parameters(found: Outcome, effect: str) -> dict[str, dict[str, float]]:
-    prefix = f"effects.{effect}."
-    return {
-        name.removeprefix(prefix): {"value": float(e.value), "low": float(e.low), "high": float(e.high)}
-        for name, e in found.intervals.items()
-        if name.startswith(prefix)
-    }
+def _digits(value: Any) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(_digits(x) for x in value)}]"
+    return value if isinstance(value, str) else f"{value:.4g}"
 
 
 def _print(found: Outcome, written: Path | None, report: Path | None) -> None:
@@ -205,8 +202,8 @@ def _print(found: Outcome, written: Path | None, report: Path | None) -> None:
         print(f"The gap of {size} shrinks to {100 * found.after.nrms:.2f} % with:")
         for name in found.effects:
             print(f"  {name}: {CATALOGUE[name].title.lower()}")
-            for key, e in _parameters(found, name).items():
-                print(f"    {key} = {e['value']:.4g}   (90 %: {e['low']:.4g} to {e['high']:.4g})")
+            for key, e in found.parameters(name).items():
+                print(f"    {key} = {_digits(e['value'])}   (90 %: {_digits(e['low'])} to {_digits(e['high'])})")
         print("At places it was not fitted to: {:.2f} → {:.2f} %.".format(*(100 * x for x in found.held_out)))
     for name, how in found.confusable_with if found.verdict == "effects" else ():
         print(f"Looks alike: {name}. To tell them apart: {how}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +36,14 @@ class Outcome:
     confidence: Mapping[str, float]  # of each effect against the best that was tried without it
     refused: Sequence[str]
     invisible: Sequence[str]  # effects of which the runs could not show a usual size
+
+    def parameters(self, effect: str) -> dict[str, dict[str, Any]]:
+        """Of one effect, by the machine file's keys: value, low, high; lists where the file has lists."""
+        prefix, found = f"effects.{effect}.", dict[str, list[Estimate]]()
+        for name, e in self.intervals.items():
+            if name.startswith(prefix):
+                found.setdefault(name.removeprefix(prefix).partition("[")[0], []).append(e)
+        return {key: _told(effect, key, own, self.effects[effect][key]) for key, own in found.items() if key != WHOLE}
 
 
 def outcome(plant: Delta, found: Diagnosis) -> Outcome:
@@ -87,6 +96,16 @@ def _in_file_terms(name: str, e: Estimate) -> Estimate:
         return e
     value, ends = e.value ** (1 / power), [max(x, 1e-12) ** (1 / power) for x in (e.low, e.high)]
     return Estimate(value, value * e.sd / e.value / abs(power), min(ends), max(ends))
+
+
+def _told(effect: str, key: str, own: Sequence[Estimate], table: Any) -> dict[str, Any]:
+    """table : what the machine file gets."""
+    if CATALOGUE[effect].parameter(key).size == "direction":
+        ends = [[round(math.cos(x), 6), round(math.sin(x), 6)] for x in (own[0].low, own[0].high)]
+        low, high = (table, table) if isinstance(table, str) else ends
+        return {"value": table, "low": low, "high": high}
+    each = {what: [float(getattr(e, what)) for e in own] for what in ("value", "low", "high")}
+    return {what: values if len(values) > 1 else values[0] for what, values in each.items()}
 
 
 def _apart(tables: Mapping[str, Any], other: str) -> str:

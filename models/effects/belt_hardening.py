@@ -9,10 +9,13 @@ EFFECT = Effect(
     title="Belts that harden or soften as they stretch",
     kind="force",
     physics="Teeth settle and fibres straighten: the belt's force is not quite in proportion to its stretch.",
-    equation="F = k s + k₃ s³, s = u − q; k₃ < 0: constant beyond its peak",
+    equation="F = k s + k₃ s³ + k₅ s⁵, s = u − q; constant beyond its peak, if it has one",
     parameters=(
         Parameter(
             "cubic_n_per_m3", "N/m³", "k₃; negative softens", (-1e15, 1e15), (-5e11, 2e12), 1e11, size="per_tower"
+        ),
+        Parameter(
+            "quintic_n_per_m5", "N/m⁵", "k₅", (-1e24, 1e24), (-1e18, 2e18), 1e17, "per_tower", "shape", default=0.0
         ),
     ),
     in_data=(

@@ -171,17 +171,19 @@ def _numbers_of(j: Judged) -> Iterator[NumberError]:
         for key, true in table.items():
             if key == "direction" or key in INEXACT.get(name, ()):
                 continue
-            each = true if isinstance(true, list) or key in told[name] else [true] * 3
-            for part, value in _parts(key, each):
-                found = told[name].get(part, told[name].get(key))
-                if found is not None and value != 0.0:  # none has a size to be off by
-                    inside = found["low"] <= value <= found["high"]
-                    yield NumberError(f"{name}.{part}", found["value"] / value - 1, inside)
+            found = told[name].get(key)
+            if found is not None:
+                yield from _compared(f"{name}.{key}", true, found)
 
 
-def _parts(key: str, true: Any) -> list[tuple[str, float]]:
-    """Three numbers by key[0], key[1], key[2], as verdicts tell them; one number by its key."""
-    return [(f"{key}[{n}]", float(x)) for n, x in enumerate(true)] if isinstance(true, list) else [(key, float(true))]
+def _compared(key: str, true: Any, found: Mapping[str, Any]) -> Iterator[NumberError]:
+    """One number, or three by key[0], key[1], key[2]; one stands for three equal ones."""
+    several = any(isinstance(x, list) for x in (true, found["value"]))
+    parts = [np.broadcast_to(x, 3 if several else 1) for x in (true, found["value"], found["low"], found["high"])]
+    for n, (value, said, low, high) in enumerate(zip(*parts, strict=True)):
+        if value != 0.0:  # none has a size to be off by
+            name = f"{key}[{n}]" if several else key
+            yield NumberError(name, float(said / value - 1), bool(low <= value <= high))
 
 
 def confusion(judged: Sequence[Judged]) -> dict[str, Counter[str]]:
