@@ -23,6 +23,7 @@ ALIKE = 1e-12  # of the diagonal: what keeps the normal matrix of numbers that c
 STIR, LEAST_STEP = 30.0, 1e-5  # less that the answer changes by 30 standard deviations of the noise: resonances bend
 NEAR_COST = 0.3  # of −2 ln, times the misfit: less than this to be gained, and the fit is done
 SMALL_GAIN = 1e-7  # or less than this share
+TRUST = 0.3  # of what a step promised
 SLIP = 1e-4  # relative error of a derivative: what cancels to less says nothing
 WELL_KNOWN, GUESSED = 0.1, 3.0  # share of the noise to which its floor is known: from repeats, or without any
 HUGE = 1e6  # standard deviations
@@ -206,15 +207,15 @@ def fit(
     cost, damping = float(residual @ residual + z @ z), 0.0
     for _ in range(iterations):
         least = max(NEAR_COST * max(1.0, cost / len(residual)), small * cost)
-        done = promise(Fit(numbers, z, residual, jacobian)) < least
-        better = None if done else _stepped(bench, numbers, z, residual, jacobian, cost, damping)
+        promised = promise(Fit(numbers, z, residual, jacobian))
+        better = None if promised < least else _stepped(bench, numbers, z, residual, jacobian, cost, damping)
         if better is None and (fresh or not again):
             break
+        # where no step helps any more, or one gains far less than it promised, the columns that were kept are too old
+        fresh = better is None or cost - better[2] < TRUST * promised
         if better is not None:
             jacobian = _secant(jacobian, better[0] - z, residual - better[1])
             z, residual, cost, damping = better
-        # where no step helps any more, the columns that were kept are too old
-        fresh = better is None
         which = everything if fresh else renew
         if len(which):
             jacobian = jacobian.copy()

@@ -180,7 +180,7 @@ def refined(
     if known is not None:
         columns = np.hstack([known, columns])
     renew = everything[-added:] if added <= FEW else ()
-    found = fit(desk, h.fit.numbers, h.fit.z, columns, renew, iterations=6, again=False)
+    found = fit(desk, h.fit.numbers, h.fit.z, columns, renew, iterations=10, small=QUICK)
     return _told(Hypothesis(h.effects, found), progress, note)
 
 
@@ -212,7 +212,7 @@ def _either(desk: Bench, h: Hypothesis, progress: Progress) -> Hypothesis:
 
 def thorough(desk: Bench, h: Hypothesis, progress: Progress) -> Hypothesis:
     """Fitted to the end: what another effect is worth must not be what this fit had not yet found."""
-    begun = _either(desk, h, progress)
+    begun = refined(desk, h, progress)
     found = fit(desk, begun.fit.numbers, begun.fit.z, begun.fit.jacobian, iterations=8, small=QUICK / 10)
     return _told(Hypothesis(h.effects, found), progress, " to the end")
 
@@ -343,11 +343,12 @@ def further(
     desk: Bench, start: Fit, best: Hypothesis, screened: Sequence[Screened], poor: bool, progress: Progress
 ) -> list[Hypothesis]:
     """The best hypothesis with one effect more; and where a single one explains poorly, the pairs of the screened."""
-    quick = replace(desk, coarse=True)
-    state = grounded(quick, best) if best.gap > LARGE or _stretched(best) else best
-    again = screen(quick, state.fit, [c for c in desk.plant.candidates if c.name not in best.names])
-    begun = _likely(quick, state, again) if state.gap > LARGE else lineup(quick, state.fit, again[:GROWN], large=False)
-    grown = [_grown(quick, state, e, progress) for e in begun]
+    quick, others = replace(desk, coarse=True), [c for c in desk.plant.candidates if c.name not in best.names]
+    begun = [(best, e) for e in lineup(quick, best.fit, screen(quick, best.fit, others)[:GROWN], large=False)]
+    if best.gap > LARGE or _stretched(best):
+        state = grounded(quick, best)
+        begun += [(state, e) for e in _likely(quick, state, screen(quick, state.fit, others))]
+    grown = _distinct(sorted((_grown(quick, *one, progress) for one in begun), key=lambda h: h.fit.evidence))
     if poor and len(best.effects) == 1:
         pairs = [p for p in combinations(screened[:PAIRED], 2) if {s.candidate.name for s in p} not in _names(grown)]
         likely = sorted(pairs, key=lambda p: _pair_evidence(start, p))[:2]
