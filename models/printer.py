@@ -269,7 +269,7 @@ def _belt_effects(machine: Machine) -> Part:
     if (values := values_of(machine, "belt_position_stiffness")) is not None:
         part |= {"slope": values["slope_per_m"], "centre": values["q_centre_mm"] / 1e3}
     if (values := values_of(machine, "belt_backlash")) is not None:
-        part["half_play"] = values["width_mm"] / 2e3
+        part |= {"half_play": values["width_mm"] / 2e3, "landing": values["landing_s_per_m"]}
     if (values := values_of(machine, "torque_angle")) is not None:
         part["bend"] = 1e3 / values["amplitude_mm"]
     return part

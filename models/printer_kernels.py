@@ -88,6 +88,7 @@ NUMBERS = np.dtype(
         ("slope", "f8", 3),  # 1/m, belt_position_stiffness
         ("centre", "f8", 3),  # m
         ("half_play", "f8", 3),  # m, belt_backlash
+        ("landing", "f8", 3),  # s/m, of its flanks
         ("bend", "f8", 3),  # 1/m, 1/a of torque_angle
         ("delay", "f8", 3),  # s, command_delay
         ("ripple", "f8", 3),  # m, cogging
@@ -137,7 +138,7 @@ CARRIAGE_MASS, WEIGHT, BELT_K, BELT_C, GUIDE_B = _rows("carriage_mass", "weight"
 IDEAL, D0, LEAD, D2, SHARES = _rows("ideal_drive", "d0", "lead", "d2", "shares")
 HOLDER_MASS, EXTRUDER_MASS, MOUNT_K, MOUNT_B = _rows("holder_mass", "extruder_mass", "mount_k", "mount_b")
 GRAVITY, HARDENING, QUINTIC, GIVE = _rows("gravity", "cubic", "quintic", "give")
-SLOPE, CENTRE, HALF_PLAY = _rows("slope", "centre", "half_play")
+SLOPE, CENTRE, HALF_PLAY, LANDING = _rows("slope", "centre", "half_play", "landing")
 BEND, DELAY, COGGING, WAVE, AHEAD = _rows("bend", "delay", "ripple", "wave", "ahead")
 SECOND_SINE, SECOND_COSINE = _rows("second_sine", "second_cosine")
 DRY, STICKING, FADING, FADING_POWER = _rows("dry", "sticking", "fading", "fading_power")
@@ -413,7 +414,8 @@ def belts(m: FloatArray) -> None:
         squared = stretch * stretch
         harder = _at(m, HARDENING, n) + _at(m, QUINTIC, n) * squared
         spring = k * _at(m, SPRING, n) + harder * stretch * squared
-        belt = spring + _at(m, BELT_C, n) * (_at(m, MOTOR_RATE, n) - qd)
+        damping = _at(m, BELT_C, n) + k * abs(stretch) * _at(m, LANDING, n)
+        belt = spring + damping * (_at(m, MOTOR_RATE, n) - qd)
         belt = 0.0 if abs(_at(m, MOTOR, n) - q) < _at(m, HALF_PLAY, n) else belt
         m[PULL * LANES + n] = belt - _at(m, GUIDE_B, n) * qd - _at(m, GUIDES, n) - _at(m, WEIGHT, n)
         m[(RATE + Q) * LANES + n] = qd

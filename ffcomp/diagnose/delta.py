@@ -41,6 +41,7 @@ FULL_STEPS = (1.0, 4.0)  # cogging repeats every full step, or every four
 GRID = 3  # starting values of a shape that is known by its range only
 MANY = {"frequency_hz": 20}  # shapes whose signature changes quickly
 BOTH = 9.0  # in place of an angle: alike in x and y
+LEAST, SPREAD = 1e-3, 1.5  # of what is known by its order of magnitude: counts as none; ln's standard deviation
 WHOLE = "whole"  # the one number of an effect that is there or not
 
 _Key = tuple[tuple[tuple[str, float], ...], tuple[int, ...], bool]
@@ -198,6 +199,8 @@ def _acts(effect: Effect, table: Mapping[str, Any]) -> bool:
 
 
 def _machine_value(parameter: Parameter, value: float, of_three: bool = False) -> Any:
+    if parameter.logarithmic:
+        return math.exp(value)
     if parameter.size == "direction":
         return "both" if value == BOTH else [round(float(f(value)), 6) for f in (np.cos, np.sin)]
     if parameter.power == 1:
@@ -255,6 +258,9 @@ def _searched(p: Parameter) -> bool:
 
 
 def _finer(effect: Effect, p: Parameter, usual: float) -> Number:
+    if p.logarithmic:
+        low, high = (math.log(max(x, LEAST)) for x in p.bounds)
+        return Number(_full(effect, p), math.log(usual), SPREAD, low, high)
     return Number(_full(effect, p), usual, p.typical[1] / 2, *p.bounds)
 
 

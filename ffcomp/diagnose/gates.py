@@ -14,7 +14,8 @@ from ffcomp.diagnose.search import WORTH, Hypothesis, gap_of, misfit
 from ffcomp.identify.estimates import NINETY_PERCENT, Estimate
 from ffcomp.measured.frf import FloatArray
 
-LEFT = 0.15  # of the gap may be left
+LEFT = 0.15  # of the gap may be left; at one place
+LEFT_NEAR, NEAR = 0.3, 0.44  # as much, if the error is then within 1.2 times the noise
 RIVAL = 20.0  # −2 ln Z
 ALIKE = 0.8  # cos² from which one effect can be taken for another
 
@@ -31,7 +32,7 @@ class Place:
 
     def explained(self, slack: float) -> bool:
         """slack : of the noise, as well as it is known."""
-        return self.after < max(LEFT * self.before, slack)
+        return self.after < max(LEFT * self.before, slack, min(LEFT_NEAR * self.before, NEAR))
 
 
 def refusals(

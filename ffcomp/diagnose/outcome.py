@@ -91,6 +91,8 @@ def _in_file_terms(name: str, e: Estimate) -> Estimate:
     """Back from value ** power, which turns an interval round if the power is negative."""
     _, effect, key = name.split(".")
     key = key.partition("[")[0]
+    if key != WHOLE and CATALOGUE[effect].parameter(key).logarithmic:
+        return Estimate(math.exp(e.value), e.sd * math.exp(e.value), math.exp(e.low), math.exp(e.high))
     power = 1 if key == WHOLE else CATALOGUE[effect].parameter(key).power
     if power == 1 or e.value <= 0:
         return e

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
@@ -27,6 +27,7 @@ CONTENDER, CLOSE = 30.0, 5.0  # times what the best leaves
 FEW = 4  # numbers whose derivatives are renewed at every step
 STRETCHED = 3.0  # mean square of z that retuning may cost before another effect is looked for
 KIN = 0.5  # cos² of two signatures from which one effect may stand in for the other
+SPREAD = (0.0, 1.0, 2.0, 3.0, 4.0)  # standard deviations from the usual, at which a shape is tried
 GROWN = 3  # effects that are tried as one more
 PAIRED = 5  # candidates whose pairs are tried
 
@@ -273,7 +274,10 @@ def settled(desk: Bench, h: Hypothesis, progress: Progress) -> Hypothesis:
         effects = _changed(desk, h, change)
         if effects == h.effects:
             continue
-        found = refined(desk, _begun(effects, h), progress, note, h.fit.jacobian[:, : _own(h)])
+        begun = _begun(effects, h)
+        if change == "finer":
+            begun = _placed(desk, begun, h)
+        found = refined(desk, begun, progress, note, h.fit.jacobian[:, : _own(h)])
         smaller, larger = (found, h) if change == "first" else (h, found)
         if worth(larger.fit, smaller.fit, SHAPE) == (larger is found):
             h = found
@@ -309,6 +313,26 @@ def _begun(effects: tuple[Candidate, ...], h: Hypothesis) -> Hypothesis:
     known = {n.name: float(z) for n, z in zip(h.fit.numbers, h.fit.z, strict=True)}
     z = clipped(numbers, np.array([_known(n, known) for n in numbers]))
     return Hypothesis(effects, Fit(numbers, z, h.fit.residual, h.fit.jacobian))
+
+
+def _placed(desk: Bench, begun: Hypothesis, before: Hypothesis) -> Hypothesis:
+    """The numbers that are new, effect by effect, where they really help most: far from there, nothing may point the
+    way."""
+    numbers, z = begun.fit.numbers, begun.fit.z
+    for effect in begun.effects:
+        new = [i for i, n in enumerate(numbers) if n in effect.numbers and n not in before.fit.numbers]
+        steps = SPREAD if len(new) < 3 else SPREAD[::2]
+        tries = [z, *(_moved(numbers, z, new, shift) for shift in product(steps, repeat=len(new)))]
+        residuals = desk.residuals([values_at(numbers, x) for x in tries])
+        costs = [float(r @ r + x @ x) for r, x in zip(residuals, tries, strict=True)]
+        z = tries[int(np.argmin(costs))]
+    return Hypothesis(begun.effects, replace(begun.fit, z=z))
+
+
+def _moved(numbers: Sequence[Number], z: FloatArray, which: Sequence[int], shift: Sequence[float]) -> FloatArray:
+    moved = z.copy()
+    moved[list(which)] += shift
+    return clipped(numbers, moved)
 
 
 def _known(n: Number, known: Mapping[str, float]) -> float:

@@ -40,6 +40,7 @@ class Parameter:
     role: Literal["amplitude", "shape"] = "amplitude"
     power: int = 1
     default: float | None = None  # of a shape that a machine file need not give
+    logarithmic: bool = False  # a shape that is known by its order of magnitude only
     starts: tuple[float, ...] = ()  # of a shape: where a search must begin, if its usual range does not tell
 
     @property
