@@ -27,6 +27,7 @@ from ffcomp.diagnose.search import (
     contest,
     further,
     gap_of,
+    plainest,
     polished,
     settled,
     simplest,
@@ -168,7 +169,7 @@ def _searched(
         tried += swapped(desk, best, screened, tried, progress)
         best = simplest(best, tried)
     best = _needed(desk, polished(desk, best, progress), progress)
-    return best, tried
+    return plainest(desk, best, tried, progress), tried
 
 
 def _needed(desk: Bench, best: Hypothesis, progress: Progress) -> Hypothesis:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffcomp.diagnose.fit import Bench, Fit, bounded_step, clipped, values_at
-from ffcomp.diagnose.plant import Candidate, Impossible, Number, Plant
+from ffcomp.diagnose.plant import Candidate, Number, Plant
 from ffcomp.diagnose.screen import Screened, likeness
 from ffcomp.diagnose.search import WORTH, Hypothesis, gap_of, misfit
 from ffcomp.identify.estimates import NINETY_PERCENT, Estimate
@@ -17,6 +17,7 @@ from ffcomp.measured.frf import FloatArray
 LEFT = 0.15  # of the gap may be left; at one place
 LEFT_NEAR, NEAR = 0.3, 0.44  # as much, if the error is then within 1.2 times the noise
 RIVAL = 20.0  # −2 ln Z
+SHARES = (1.0, 0.5, 0.2, 0.05, 0.0)  # of a step
 ALIKE = 0.8  # cos² from which one effect can be taken for another
 
 
@@ -95,16 +96,17 @@ def groups(plant: Plant) -> dict[tuple[float, ...], list[int]]:
 
 
 def _left_out(desk: Bench, fitted: Fit, members: Sequence[int]) -> list[FloatArray]:
-    """These recordings simulated, (n, m) each, with the optimum of the others."""
+    """These recordings simulated, (n, m) each, as the others alone would have it: as far along the step to their
+    optimum, to first order, as serves them best."""
     inside = np.ones(len(fitted.residual), dtype=bool)
     inside[desk.rows_at(members)] = False
     j, r = fitted.jacobian[inside], fitted.residual[inside]
     normal, slope = np.eye(len(fitted.z)) + j.T @ j, j.T @ r - fitted.z
-    z = clipped(fitted.numbers, fitted.z + bounded_step(fitted.numbers, fitted.z, normal, slope))
-    try:
-        return desk.plant.simulate(values_at(fitted.numbers, z), members)
-    except Impossible:  # the others alone lead nowhere: then what was fitted to all of them has to do
-        return desk.plant.simulate(fitted.values, members)
+    step = bounded_step(fitted.numbers, fitted.z, normal, slope)
+    trials = [clipped(fitted.numbers, fitted.z + share * step) for share in SHARES]
+    residuals = desk.residuals([values_at(fitted.numbers, z) for z in trials])
+    costs = [float(x[inside] @ x[inside] + z @ z) for x, z in zip(residuals, trials, strict=True)]
+    return desk.plant.simulate(values_at(fitted.numbers, trials[int(np.argmin(costs))]), members)
 
 
 def _excess(desk: Bench, simulated: Sequence[FloatArray], members: Sequence[int]) -> float:

@@ -442,6 +442,17 @@ def simplest(best: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
     return best
 
 
+def plainest(desk: Bench, best: Hypothesis, tried: Sequence[Hypothesis], progress: Progress) -> Hypothesis:
+    """Another with as many effects and fewer numbers, if it turns out as good once it is fitted as well."""
+    rivals = [h for h in tried if h.names != best.names and len(h.effects) == len(best.effects)]
+    plainer = [h for h in rivals if len(h.fit.numbers) < len(best.fit.numbers) and h.gap < best.gap + NEAR]
+    for h in sorted(plainer, key=lambda h: h.fit.evidence)[:1]:
+        found = polished(desk, h, progress)
+        if not worth(best.fit, found.fit):
+            return found
+    return best
+
+
 def _within(h: Hypothesis, best: Hypothesis) -> bool:
     return set(h.names) < set(best.names)
 
