@@ -15,7 +15,12 @@ if TYPE_CHECKING:
 Runs = Annotated[list[Path], typer.Argument(metavar="RUNS...", help="Measured runs (CSV); -1, -2 … are repeats.")]
 MachineName = Annotated[str, typer.Option("--machine", "-m", help="A machine's name or the path of its file.")]
 Output = Annotated[
-    Path | None, typer.Option("--output", "-o", help="The better machine file; written only if an effect is named.")
+    Path | None,
+    typer.Option(
+        "--output",
+        "-o",
+        help="The better machine file; written if an effect is named, or if retuning alone closes a gap.",
+    ),
 ]
 Report = Annotated[
     Path | None,
@@ -54,7 +59,7 @@ def diagnose(
 
         from ffcomp.diagnose.delta import Delta
         from ffcomp.diagnose.engine import diagnose as searched
-        from ffcomp.diagnose.intake import check_repeats
+        from ffcomp.diagnose.intake import check_alike, check_repeats
         from ffcomp.diagnose.outcome import outcome
         from ffcomp.measured.run import read_run
         from models.machine_file import load_machine
@@ -63,11 +68,12 @@ def diagnose(
         loaded = load_machine(machine)
         measured = [read_run(path) for path in runs]
         plant = Delta(loaded, measured)
+        check_alike(measured)
         if not without_repeats:
             check_repeats(measured)
         search = searched(plant, lambda sentence: say(f"ffcomp: {sentence}", quiet))
         found = outcome(plant, search)
-        better = output if found.verdict == "effects" else None
+        better = output if found.mends else None
         files = _better(plant, found, better, runs) | _page(plant, search, found, better, report, runs, began)
         _write(files)
         if as_json:
@@ -194,6 +200,8 @@ def _print(found: Outcome, written: Path | None, report: Path | None) -> None:
     size = f"{100 * found.before.nrms:.2f} % of the signals (noise {100 * found.before.noise_nrms:.2f} %)"
     if found.verdict == "none":
         print(f"Nothing is missing: the gap of {size} is noise, or retuning within the stated uncertainties.")
+        if found.mends:
+            print(f"With {len(found.retuned)} of the file's numbers retuned, {100 * found.after.nrms:.2f} % are left.")
     elif found.verdict == "unknown":
         print(f"There is a gap of {size}, and nothing known explains it.")
         if found.refused:

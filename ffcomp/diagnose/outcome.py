@@ -17,6 +17,7 @@ from ffcomp.identify.estimates import Estimate
 from models.effects.catalogue import CATALOGUE
 from models.machine_file import updated_text
 
+GAP, CLOSED = 0.1, 0.5  # of the noise, to be a gap; of the gap, to be closed by retuning
 MOVED = 0.1  # standard deviations of its uncertainty from which a number is said to be retuned
 
 
@@ -36,6 +37,14 @@ class Outcome:
     confidence: Mapping[str, float]  # of each effect against the best that was tried without it
     refused: Sequence[str]
     invisible: Sequence[str]  # effects of which the runs could not show a usual size
+
+    @property
+    def mends(self) -> bool:
+        """Is a machine file worth writing: with effects, or with numbers retuned that close a gap without any?"""
+        if self.verdict != "none":
+            return self.verdict == "effects"
+        gap, left = self.before.nrms - self.before.noise_nrms, self.after.nrms - self.before.noise_nrms
+        return gap > GAP * self.before.noise_nrms and left < CLOSED * gap
 
     def parameters(self, effect: str) -> dict[str, dict[str, Any]]:
         """Of one effect, by the machine file's keys: value, low, high; lists where the file has lists."""
