@@ -19,7 +19,7 @@ Output = Annotated[
     typer.Option(
         "--output",
         "-o",
-        help="The better machine file; written if an effect is named, or if retuning alone closes a gap.",
+        help="The better machine file; written if an effect is named or retuning closes a gap.",
     ),
 ]
 Report = Annotated[
