@@ -22,6 +22,7 @@ from ffcomp.diagnose.noise import NoiseFloor, noise_from_repeats, noise_from_res
 from ffcomp.diagnose.plant import Plant
 from ffcomp.diagnose.screen import Screened, screen
 from ffcomp.diagnose.search import (
+    LARGE,
     Hypothesis,
     Progress,
     contest,
@@ -32,6 +33,7 @@ from ffcomp.diagnose.search import (
     settled,
     simplest,
     sparing,
+    stretched,
     swapped,
     thorough,
     unsettled,
@@ -95,13 +97,15 @@ def diagnose(plant: Plant, progress: Progress = lambda _: None) -> Diagnosis:
     progress(f"screening {len(plant.candidates)} effects")
     quick = replace(desk, coarse=True)
     screened = screen(quick, base, list(plant.candidates))
-    if small and (not screened or screened[0].evidence > -SHOWS):
+    if small and not stretched(base) and (not screened or screened[0].evidence > -SHOWS):
         return _nothing(desk, base, noise, screened)
     starts = [(base, screened)]
-    if not small:
+    if not small or stretched(base):
         # Also from the file's own numbers: with the right effect they need no retuning, and a fit that stretched them
         # to mimic it leads astray; but where they are far off, it is their error that is seen from there.
         starts = [(nominal, screen(quick, nominal, list(plant.candidates))), *starts]
+    if stretched(base) and gap_of(base) < LARGE:
+        starts = starts[:1]  # numbers that nobody believes explain all: with them every effect looks as good
     best, tried = _searched(desk, starts, base, progress)
     retuned = _retuned(desk, best)
     if gap_of(retuned) < least and not worth(best.fit, retuned, 0.0):

@@ -10,7 +10,7 @@ import numpy as np
 from ffcomp.diagnose.fit import Bench, Fit, bounded_step, clipped, values_at
 from ffcomp.diagnose.plant import Candidate, Number, Plant
 from ffcomp.diagnose.screen import Screened, likeness
-from ffcomp.diagnose.search import WORTH, Hypothesis, gap_of, misfit
+from ffcomp.diagnose.search import WORTH, Hypothesis, gap_of, misfit, stretched
 from ffcomp.identify.estimates import NINETY_PERCENT, Estimate
 from ffcomp.measured.frf import FloatArray
 
@@ -46,7 +46,8 @@ def refusals(
     if best.gap > max(LEFT * gap_of(base), slack):
         refused.append(f"{100 * best.gap / gap_of(base):.0f} % of the gap are left")
     refused += [_unexplained(place, slack) for place in places if not place.explained(slack)]
-    if sum((p.before - p.after) * p.rows for p in places) < WORTH:
+    # where retuning alone explains the data as well, but by numbers that nobody believes, there is nothing to gain
+    if not stretched(base) and sum((p.before - p.after) * p.rows for p in places) < WORTH:
         refused.append("what was left out of the fit is simulated no better with it")
     for candidate in best.effects:
         if superfluous(candidate, intervals):

@@ -350,8 +350,13 @@ def unsettled(desk: Bench, h: Hypothesis) -> bool:
 
 
 def _stretched(h: Hypothesis) -> bool:
-    own = h.fit.z[: _own(h)]
-    return float(own @ own) > STRETCHED * len(own)
+    return stretched(h.fit, _own(h))
+
+
+def stretched(fitted: Fit, own: int | None = None) -> bool:
+    """Did the machine's numbers, the first `own`, have to move further than their uncertainties make likely?"""
+    z = fitted.z[:own]
+    return float(z @ z) > STRETCHED * len(z)
 
 
 def largest_excess(desk: Bench, fitted: Fit) -> float:
