@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ffcomp import __version__
-from ffcomp.invert.fbs import Inverter
+from ffcomp.invert.inverter import Inverter
 from ffcomp.invert.settings import Settings
 from ffcomp.pipeline import Summary, compensate, plan_program, settings_for
 from ffcomp.predict import Prediction

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.errors import LimitsError, NothingToDo
-from ffcomp.invert.fbs import Inverter, RunResult
+from ffcomp.invert.inverter import Inverter, RunResult
 from ffcomp.invert.settings import Settings
 from ffcomp.marks import timeline
 from ffcomp.plan.limits import DeltaReach, FirmwareLimits

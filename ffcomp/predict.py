@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.invert.fbs import Inverter, RunResult
+from ffcomp.invert.inverter import Inverter, RunResult
 from ffcomp.metrics import Track, peak_acceleration, track
 from ffcomp.plan.trajectory import Trajectory
 from ffcomp.runs import Reference, Run
-from ffcomp.schedule import respond, rest_state
+from ffcomp.schedule import rest_state
 
 FloatArray = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ class Prediction:
         self.place = self.wanted[-1][-1]
         self._add_path(trajectory, run, wanted, shift)
         state = rest_state(inverter.machine, nozzle[0])
-        plain, _ = respond(inverter.machine, inverter.fine, nozzle, velocity, state, s.substeps)
+        plain, _ = inverter.fine.respond(nozzle, velocity, state, s.substeps)
         knots = nozzle[:: s.substeps]
         for motion, actual, command in ((self.before, plain, knots), (self.after, result.response, result.vertices)):
             motion.actual.append(actual[every - 1 :: every] + shift)

@@ -17,6 +17,8 @@ from models.plant import QD, STATES, WD, PlantTable, Q, W
 
 FloatArray = NDArray[np.float64]
 
+SAME_MM = 0.5  # so near to a place its model still serves
+
 
 def rest_state(machine: Machine, nozzle: FloatArray) -> FloatArray:
     """The state (18,) at rest with the nozzle at (3,) mm."""
@@ -42,6 +44,70 @@ def moving_state(machine: Machine, nozzle: FloatArray, velocity: FloatArray, del
     return state
 
 
+class Schedule:
+    """The plant over the bed, packed for the loop that plays commands on it."""
+
+    def __init__(self, machine: Machine, table: PlantTable) -> None:
+        self.delta, self.table = FastDelta(machine.kinematics), table
+        self._mechanics, self._drive = _packed(table)
+
+    def play(
+        self,
+        nozzle: FloatArray,
+        velocity: FloatArray,
+        command: FloatArray,
+        state: FloatArray,
+        substeps: int,
+    ) -> tuple[FloatArray, FloatArray]:
+        """What the carriages do when they are commanded to `command` while the nozzle is meant to be at `nozzle`.
+
+        Parameters
+        ----------
+        nozzle, velocity : (n·substeps + 1, 3) mm and mm/s at the table's steps
+        command : (n·substeps + 1, 3) mm, carriage heights, linear between the steps
+        state : (18,) at the first sample
+        substeps : steps for which one model serves
+
+        Returns
+        -------
+        carriages (n·substeps, 3) mm after every step; states (n + 1, 18) at the knots
+        """
+        n = (len(nozzle) - 1) // substeps
+        middle = np.ascontiguousarray(nozzle[substeps // 2 :: substeps, :2][:n])
+        table = self.table
+        centripetal = self.delta.rate_term(nozzle, velocity)
+        grid = (table.x0_mm, table.pitch_mm, table.nodes)
+        return simulate(self._mechanics, self._drive, *grid, middle, substeps, state, command, centripetal)
+
+    def respond(
+        self, nozzle: FloatArray, velocity: FloatArray, state: FloatArray, substeps: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Where the nozzle goes when it is told to go along `nozzle`, (n·substeps, 3) mm, and the state it ends in."""
+        nozzle = np.ascontiguousarray(nozzle)
+        command = self.delta.inverse(nozzle)
+        q, states = self.play(nozzle, np.ascontiguousarray(velocity), command, state, substeps)
+        return self.delta.forward(q), states[-1]
+
+
+def _packed(table: PlantTable) -> tuple[FloatArray, FloatArray]:
+    """The table as the loop wants it: what depends on place, and the drives, which do not.
+
+    Returns
+    -------
+    (nodes², 27, 12): for the twelve states behind the drives, the columns of the other states (behind the drives first,
+        then the drives'), of u(t), u(t + h) and J̇ q̇
+    (3, 8): of each tower's drive (w, ẇ): both rows of A, then of B₀ and B₁
+    """
+    p = table.plant
+    columns = (p.a[:, 6:, 6:], p.a[:, 6:, :6], p.b0[:, 6:], p.b1[:, 6:], p.b_centripetal[:, 6:])
+    mechanics = np.concatenate([np.swapaxes(each, 1, 2) for each in columns], axis=1)
+    drive = np.empty((3, 8))
+    for i in range(3):
+        pair = [i, 3 + i]
+        drive[i] = np.concatenate([p.a[0][np.ix_(pair, pair)].ravel(), p.b0[0][pair, i], p.b1[0][pair, i]])
+    return np.ascontiguousarray(mechanics), drive
+
+
 def models_along(table: PlantTable, place: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """A (n, 18, 18), B₀, B₁ and B_f (n, 18, 3) at the places (n, 2) mm of n intervals."""
     p, grid = table.plant, (table.x0_mm, table.pitch_mm, table.nodes, np.ascontiguousarray(place))
@@ -51,35 +117,6 @@ def models_along(table: PlantTable, place: FloatArray) -> tuple[FloatArray, Floa
         interpolate(p.b1, *grid),
         interpolate(p.b_centripetal, *grid),
     )
-
-
-def respond(
-    machine: Machine,
-    table: PlantTable,
-    nozzle: FloatArray,
-    velocity: FloatArray,
-    state: FloatArray,
-    substeps: int,
-) -> tuple[FloatArray, FloatArray]:
-    """Where the nozzle goes when it is told to go along `nozzle`, and the state it ends in.
-
-    Parameters
-    ----------
-    nozzle, velocity : (n·substeps + 1, 3) mm and mm/s at the table's steps
-    state : (18,) at the first sample
-    substeps : steps for which one model serves
-
-    Returns
-    -------
-    (n·substeps, 3) mm after every step;  (18,)
-    """
-    delta = FastDelta(machine.kinematics)
-    nozzle = np.ascontiguousarray(nozzle)
-    n = (len(nozzle) - 1) // substeps
-    middle = nozzle[substeps // 2 :: substeps, :2][:n]
-    centripetal = delta.rate_term(nozzle, np.ascontiguousarray(velocity))
-    q, states = simulate(*models_along(table, middle), substeps, state, delta.inverse(nozzle), centripetal, 1)
-    return delta.forward(q), states[-1]
 
 
 @njit(cache=True, inline="always")
@@ -112,45 +149,73 @@ def interpolate(table: FloatArray, x0: float, pitch: float, nodes: int, place: F
 
 @njit(cache=True, nogil=True)
 def simulate(
-    a: FloatArray,
-    b0: FloatArray,
-    b1: FloatArray,
-    bf: FloatArray,
+    mechanics: FloatArray,
+    drive: FloatArray,
+    x0: float,
+    pitch: float,
+    nodes: int,
+    place: FloatArray,
     substeps: int,
     state: FloatArray,
     command: FloatArray,
     centripetal: FloatArray,
-    keep_every: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Run the scheduled plant over n intervals of `substeps` steps each.
 
-    a (n, 18, 18), b0 b1 bf (n, 18, 3): one discrete model an interval.   state (18,): at the first sample.
-    command (n·substeps + 1, 3) mm: carriage heights asked for, linear between samples.
+    mechanics (nodes², 27, 12), drive (3, 8): see `_packed`.   place (n, 2) mm, of the intervals.
+    state (18,): at the first sample.   command (n·substeps + 1, 3) mm: carriage heights asked for, linear between.
     centripetal (n·substeps + 1, 3) mm/s²: J̇ q̇ of the planned motion.
-    Returns carriages (m, 3) mm after every `keep_every`-th step, and the states (n + 1, 18) at the knots.
+    Returns carriages (n·substeps, 3) mm after every step, and the states (n + 1, 18) at the knots.
     """
-    n = len(a)
-    x = state.copy()
-    y = np.empty(18)
-    knots = np.empty((n + 1, 18))
-    knots[0] = x
-    kept = np.empty((n * substeps // keep_every, 3))
+    n = len(place)
+    w, x, y = state[:6].copy(), state[6:].copy(), np.empty(12)
+    model = np.empty((27, 12))
+    kept, knots = np.empty((n * substeps, 3)), np.empty((n + 1, 18))
+    knots[0] = state
+    at_x, at_y = np.inf, np.inf
     step = 0
     for k in range(n):
-        ak, p0, p1, pf = a[k], b0[k], b1[k], bf[k]
+        if not (abs(place[k, 0] - at_x) < SAME_MM and abs(place[k, 1] - at_y) < SAME_MM):
+            at_x, at_y = place[k, 0], place[k, 1]
+            i, fx = _corner(at_x, x0, pitch, nodes)
+            j, fy = _corner(at_y, x0, pitch, nodes)
+            at = i * nodes + j
+            w00, w01, w10, w11 = (1 - fx) * (1 - fy), (1 - fx) * fy, fx * (1 - fy), fx * fy
+            for c in range(27):
+                for r in range(12):
+                    model[c, r] = (
+                        w00 * mechanics[at, c, r]
+                        + w01 * mechanics[at + 1, c, r]
+                        + w10 * mechanics[at + nodes, c, r]
+                        + w11 * mechanics[at + nodes + 1, c, r]
+                    )
+        # NOTE: column by column, so that the rows of a column fill the processor's vectors
         for _ in range(substeps):
-            for r in range(18):
-                s = 0.0
-                for c in range(18):
-                    s += ak[r, c] * x[c]
-                for c in range(3):
-                    s += p0[r, c] * command[step, c] + p1[r, c] * command[step + 1, c]
-                    s += 0.5 * pf[r, c] * (centripetal[step, c] + centripetal[step + 1, c])
-                y[r] = s
-            x, y = y, x
+            for r in range(12):
+                y[r] = 0.0
+            for c in range(12):
+                v = x[c]
+                for r in range(12):
+                    y[r] += v * model[c, r]
+            for c in range(6):
+                v = w[c]
+                for r in range(12):
+                    y[r] += v * model[12 + c, r]
+            for c in range(3):
+                before, after = command[step, c], command[step + 1, c]
+                turning = 0.5 * (centripetal[step, c] + centripetal[step + 1, c])
+                for r in range(12):
+                    y[r] += before * model[18 + c, r] + after * model[21 + c, r] + turning * model[24 + c, r]
+                w0, w1 = w[c], w[3 + c]
+                w[c] = drive[c, 0] * w0 + drive[c, 1] * w1 + drive[c, 4] * before + drive[c, 6] * after
+                w[3 + c] = drive[c, 2] * w0 + drive[c, 3] * w1 + drive[c, 5] * before + drive[c, 7] * after
+            for r in range(12):
+                x[r] = y[r]
+            for c in range(3):
+                kept[step, c] = x[c]
             step += 1
-            if step % keep_every == 0:
-                for c in range(3):
-                    kept[step // keep_every - 1, c] = x[6 + c]
-        knots[k + 1] = x
+        for r in range(6):
+            knots[k + 1, r] = w[r]
+        for r in range(12):
+            knots[k + 1, 6 + r] = x[r]
     return kept, knots

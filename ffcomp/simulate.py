@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.plan.trajectory import Trajectory
-from ffcomp.schedule import respond, rest_state
+from ffcomp.schedule import Schedule, rest_state
 from models.effects.catalogue import design_machine
 from models.machine import Machine
-from models.plant import PlantTable, plant_table
+from models.plant import plant_table
 
 FloatArray = NDArray[np.float64]
 
@@ -33,10 +33,10 @@ def simulate(
     nozzle : (m, 3) mm
     """
     machine, _ = design_machine(machine)
-    table = plant_table(machine, STEP_S)
+    schedule = Schedule(machine, plant_table(machine, STEP_S))
     parts = []
     for begin, end in sections(trajectory):
-        for part in _section(machine, table, trajectory, begin, end):
+        for part in _section(machine, schedule, trajectory, begin, end):
             parts.append(part)
             progress(float(part[0][-1]))
     return np.concatenate([t for t, _ in parts]), np.concatenate([nozzle for _, nozzle in parts])
@@ -53,7 +53,7 @@ def sections(trajectory: Trajectory) -> list[tuple[float, float]]:
 
 
 def _section(
-    machine: Machine, table: PlantTable, trajectory: Trajectory, begin: float, end: float
+    machine: Machine, schedule: Schedule, trajectory: Trajectory, begin: float, end: float
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     state = rest_state(machine, trajectory.position([begin])[0, :3])
     last = np.nextafter(end, -np.inf)  # at `end` itself the next stretch may have begun
@@ -62,6 +62,6 @@ def _section(
         t = begin + STEP_S * np.arange(steps + 1, dtype=np.float64)
         place = np.ascontiguousarray(trajectory.position(np.minimum(t, last))[:, :3])
         velocity = trajectory.velocity(t)[:, :3] * (t < end)[:, None]
-        response, state = respond(machine, table, place, velocity, state, SUBSTEPS)
+        response, state = schedule.respond(place, velocity, state, SUBSTEPS)
         yield t[KEEP_EVERY::KEEP_EVERY], response[KEEP_EVERY - 1 :: KEEP_EVERY]
         begin = float(t[-1])

@@ -26,7 +26,7 @@ from ffcomp import shapers
 from ffcomp.compare import ours
 from ffcomp.compare.ours import Compensated, Segments, pick
 from ffcomp.compare.shaped import shaped as shaped_apart
-from ffcomp.invert.fbs import Inverter
+from ffcomp.invert.inverter import Inverter
 from ffcomp.invert.settings import Settings
 from ffcomp.metrics import contour_error, peak_acceleration, tracking
 from ffcomp.pipeline import Planned, plan_program, settings_for

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import NothingToDo
-from ffcomp.invert.fbs import Inverter
+from ffcomp.invert.inverter import Inverter
 from ffcomp.job import Job, already_processed
 from ffcomp.pipeline import settings_for
 from ffcomp.writer import STILL_MOVE, original

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ffcomp.invert.fbs import Inverter
+from ffcomp.invert.inverter import Inverter
 from ffcomp.job import Job
 from ffcomp.pipeline import firmware_limits, settings_for
 from ffcomp.plan.lookahead import plan_moves, stops_and_waits

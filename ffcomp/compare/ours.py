@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.invert.fbs import Inverter, RunResult
+from ffcomp.invert.inverter import Inverter, RunResult
 from ffcomp.invert.settings import Settings
 from ffcomp.pipeline import Planned, Summary, compensate, plan_program
 from ffcomp.plan.trajectory import Trajectory

@@ -17,7 +17,7 @@ from ffcomp.compare.judge import SETTLE_S
 from ffcomp.compare.shaped import shaped, shaped_by_place
 from ffcomp.compare.stretch import Stretch
 from ffcomp.metrics import contour_error
-from ffcomp.schedule import respond, rest_state
+from ffcomp.schedule import Schedule, rest_state
 from ffcomp.shapers.motion import FrequencyOfPlace
 from ffcomp.virtual.motion import Motion
 from models.effects.catalogue import effective_machine
@@ -38,7 +38,7 @@ class LinearPrinter:
 
     def __init__(self, plant: Machine, stretches: Sequence[Stretch]) -> None:
         self.machine = effective_machine(plant)
-        self.table = plant_table(self.machine, STEP_S)
+        self.schedule = Schedule(self.machine, plant_table(self.machine, STEP_S))
         self.stretches = [each for each in stretches if each.trajectory.end_t > 2 * SETTLE_S]
 
     def contour_rms_um(self, motions: Sequence[Motion]) -> float:
@@ -52,7 +52,7 @@ class LinearPrinter:
         command = np.ascontiguousarray(motion.position(t))
         velocity = np.gradient(command, STEP_S, axis=0)
         state = rest_state(self.machine, command[0])
-        nozzle, _ = respond(self.machine, self.table, command, velocity, state, SUBSTEPS)
+        nozzle, _ = self.schedule.respond(command, velocity, state, SUBSTEPS)
         counted = slice(round(SETTLE_S / STEP_S), None, KEEP_EVERY)
         return contour_error(*stretch.corners, t[1:][counted], nozzle[counted])
 

@@ -13,7 +13,7 @@ from ffcomp.compare.result import Family
 from ffcomp.compare.shaped import shaped, shaped_by_place
 from ffcomp.compare.stretch import Stretch
 from ffcomp.compare.tuning import LinearPrinter, calibrated_shapers, scaled
-from ffcomp.invert.fbs import Inverter
+from ffcomp.invert.inverter import Inverter
 from ffcomp.invert.settings import Settings
 from ffcomp.pipeline import Summary
 from ffcomp.shapers.motion import FrequencyOfPlace

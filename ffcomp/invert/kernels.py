@@ -7,6 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 
 @njit(cache=True)
@@ -44,3 +45,71 @@ def basis_response(
                         jacobian[k, i, 0] * x[col, 6] + jacobian[k, i, 1] * x[col, 7] + jacobian[k, i, 2] * x[col, 8]
                     )
     return phi
+
+
+@njit(cache=True, nogil=True)
+def sweep_back(
+    steady: FloatArray, ending: FloatArray, node: IntArray, error: FloatArray, bend: FloatArray, s: FloatArray
+) -> FloatArray:
+    """What the errors to come ask for now: ψ (n, 3) of `preview`, from the last interval to the first.
+
+    steady (g, 33, 27), ending (m, 33, 27): gains.   node (n,): which of them; beyond g counts into `ending`.
+    error (n, 6) mm, at the interval's rows; bend (n, 3) mm.   s (24,): at the last interval's end, overwritten.
+    """
+    n, g = len(node), len(steady)
+    psi = np.empty((n, 3))
+    out = np.empty(27)
+    for k in range(n - 1, -1, -1):
+        gain = steady[node[k]] if node[k] < g else ending[node[k] - g]
+        for r in range(27):
+            out[r] = 0.0
+        for c in range(24):
+            v = s[c]
+            for r in range(27):
+                out[r] += v * gain[c, r]
+        for c in range(6):
+            v = error[k, c]
+            for r in range(27):
+                out[r] += v * gain[24 + c, r]
+        for c in range(3):
+            v = bend[k, c]
+            for r in range(27):
+                out[r] += v * gain[30 + c, r]
+        for r in range(24):
+            s[r] = out[r]
+        for r in range(3):
+            psi[k, r] = out[24 + r]
+    return psi
+
+
+@njit(cache=True, nogil=True)
+def sweep_forward(
+    steady: FloatArray, ending: FloatArray, node: IntArray, psi: FloatArray, z: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The change of the command: γ (n, 3) at the ends of the intervals, and the plant's answers x (n, 18) there.
+
+    z (24,): at the first knot, overwritten.
+    """
+    n, g = len(node), len(steady)
+    gamma = np.empty((n, 3))
+    states = np.empty((n, 18))
+    out = np.empty(24)
+    for k in range(n):
+        gain = steady[node[k]] if node[k] < g else ending[node[k] - g]
+        for r in range(24):
+            out[r] = 0.0
+        for c in range(24):
+            v = z[c]
+            for r in range(24):
+                out[r] += v * gain[c, r]
+        for c in range(3):
+            v = psi[k, c]
+            for r in range(24):
+                out[r] += v * gain[24 + c, r]
+        for r in range(24):
+            z[r] = out[r]
+        for r in range(18):
+            states[k, r] = z[r]
+        for r in range(3):
+            gamma[k, r] = z[18 + r]
+    return gamma, states

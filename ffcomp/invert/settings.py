@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from ffcomp.played import OutputLimits
 
@@ -11,17 +12,15 @@ from ffcomp.played import OutputLimits
 class Settings:
     segment_s: float = 0.004  # S, one G1
     rows_per_segment: int = 2  # where the error is weighed
-    substeps: int = 8  # of the simulation, per segment
-    commit: int = 64  # segments kept of each window
-    preview: int = 24  # segments looked ahead, thrown away
+    substeps: int = 4  # of the simulation, per segment
+    commit: int = 64  # segments kept of each window of the exact inverse
+    preview: int = 24  # segments looked ahead there, thrown away
     bandwidth_hz: float = 100.0  # where accuracy is given up for a gentler command
     lead_s: float = 0.008  # how long before the path's start the command may begin
     tail_s: float = 0.004  # how long after the path's end the command comes to rest
     corrections: int = 1  # passes through the plant with the segments as they are played
-    frozen_mm: float = 10.0  # a window that keeps this near to a node of such a grid is solved with the node's model
-    frozen_kept: int = 64  # of these systems, 2 MB each
+    inverse: Literal["fast", "exact"] = "fast"
     memory: int = 60  # segments after which the plant has forgotten (1 % is left after 240 ms)
-    quiet_mm_per_s: float = 0.25  # change of velocity in a segment below which steady motion needs no solving
     one_model: bool = False  # the bed's middle everywhere, as methods do that know no place
     merge_um: float = 0.2  # segments are joined while what is played stays this close to what was solved
     longest_merged_s: float = 0.1  # and no longer than this, so that the firmware's clock is kept in short steps

@@ -1,22 +1,25 @@
-"""The inversion against brute force, closed forms and a second solver."""
+"""The exact inverse against brute force, closed forms and a second solver."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import cvxpy as cp
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.invert.fbs import Inverter, _Run, _Window, steady_delay
+from ffcomp.invert.exact import Window
+from ffcomp.invert.inverter import Inverter, steady_delay
 from ffcomp.invert.kernels import basis_response
 from ffcomp.invert.limits import CommandLimits, excess, limited_step
+from ffcomp.invert.play import Playing
 from ffcomp.invert.settings import Settings
 from ffcomp.pipeline import firmware_limits
 from ffcomp.plan.lookahead import plan_moves
 from ffcomp.runs import Reference, split_runs
-from ffcomp.schedule import interpolate, models_along, respond, rest_state, simulate
+from ffcomp.schedule import interpolate, models_along, rest_state
 from gcode.reader import read_program
 from models.machine import Machine
 from models.machine_file import load_machine
@@ -24,7 +27,8 @@ from models.receptance import nozzle_frf
 
 FloatArray = NDArray[np.float64]
 
-SETTINGS = Settings(corrections=0, frozen_mm=1e-9)  # the bare least squares, with the models along the path
+SETTINGS = Settings(inverse="exact", corrections=0)  # the bare least squares
+EXACT = replace(SETTINGS, corrections=1)
 CORNER = b"G1 X-60 Y20 F9000\nG1 X-50 Y20\nG1 X-50 Y24\nG1 X-57 Y26\n"
 
 
@@ -50,37 +54,46 @@ def reference_of(
     return Reference(trajectory, run, settings)
 
 
-def window_of(inverter: Inverter, reference: Reference) -> _Window:
-    run = _Run(inverter, reference, rest_state(inverter.machine, reference.at_knots(np.array([0]))[0]), True)
-    return _Window(run, 0, run.last)
+def window_of(inverter: Inverter, reference: Reference) -> Window:
+    run = Playing(inverter, reference)
+    return Window(run, 0, rest_state(inverter.machine, reference.at_knots(np.array([0]))[0]))
+
+
+def simulated(models: tuple[FloatArray, ...], rows: int, command: FloatArray) -> FloatArray:
+    """Carriages (n, 3) mm after each step, one model for every `rows` steps; from rest at zero."""
+    x, carriages = np.zeros(18), []
+    for step in range(len(command) - 1):
+        a, b0, b1 = (each[step // rows] for each in models[:3])
+        x = a @ x + b0 @ command[step] + b1 @ command[step + 1]
+        carriages.append(x[6:9])
+    return np.array(carriages)
 
 
 def test_a_column_of_phi_is_the_simulated_response_to_one_hat(inverter: Inverter, machine: Machine) -> None:
     """Superposition, by brute force: raise one coefficient of one carriage and simulate."""
     window = window_of(inverter, reference_of(CORNER, machine, SETTINGS))
-    system = window.system(window.place)
+    phi, place = window.phi(), window.stretch.place
     rows = SETTINGS.rows_per_segment
-    models = models_along(inverter.coarse, window.place)
+    models = models_along(inverter.coarse, place)
     table = inverter.coarse
-    j = interpolate(table.jacobian, table.x0_mm, table.pitch_mm, table.nodes, window.place)
+    j = interpolate(table.jacobian, table.x0_mm, table.pitch_mm, table.nodes, place)
     for unknown, carriage in ((0, 0), (7, 2), (window.unknowns - 1, 1)):
-        command = np.zeros((len(window.place) * rows + 1, 3))
+        command = np.zeros((len(place) * rows + 1, 3))
         knot = (unknown + 1) * rows
         hat = 1 - np.abs(np.arange(-rows, rows + 1)) / rows
         command[knot - rows : knot + rows + 1, carriage] = hat[: len(command) - knot + rows]
-        q, _ = simulate(*models, rows, np.zeros(18), command, np.zeros_like(command), 1)
+        q = simulated(models, rows, command)
         nozzle = np.einsum("nij,nkj->nki", j, q.reshape(len(j), rows, 3)).reshape(-1, 3)
-        np.testing.assert_allclose(system.phi[:, 3 * unknown + carriage], nozzle.ravel(), atol=1e-12)
+        np.testing.assert_allclose(phi[:, 3 * unknown + carriage], nozzle.ravel(), atol=1e-12)
 
 
 def test_a_window_is_the_problem_that_cvxpy_solves(inverter: Inverter, machine: Machine) -> None:
     """The same problem, written as in the module's docstring, by a second solver."""
     window = window_of(inverter, reference_of(CORNER, machine, SETTINGS))
-    run, s = window.run, SETTINGS
-    start, _ = run.respond(window.nozzle, window.velocity, window.as_played())
-    stride = s.substeps // s.rows_per_segment
-    error = (window.nozzle[1:] - start)[stride - 1 :: stride].ravel()
-    phi = window.system(window.place).phi
+    run = window.run
+    start, _ = window.stretch.respond(window.state)
+    error = window.stretch.error(start).ravel()
+    phi = window.phi()
     gamma = cp.Variable((window.unknowns + 4, 3))
     second = gamma[2:] - 2 * gamma[1:-1] + gamma[:-2]
     fit = cp.sum_squares(error - phi @ cp.reshape(gamma[2:-2], (3 * window.unknowns,), order="C"))
@@ -133,7 +146,7 @@ def test_short_windows_give_what_long_ones_give(machine: Machine) -> None:
     """The state that is carried, and the preview, are enough: the cut leaves no trace."""
     answers = []
     for commit in (8, 20, 400):
-        settings = replace(Settings(), commit=commit, preview=40)
+        settings = replace(EXACT, commit=commit, preview=40)
         reference = reference_of(CORNER, machine, settings)
         state = rest_state(machine, np.array([-60.0, 20, 0.3]))
         answers.append(Inverter(machine, settings).run(reference, state).vertices)
@@ -141,15 +154,15 @@ def test_short_windows_give_what_long_ones_give(machine: Machine) -> None:
     np.testing.assert_allclose(answers[1], answers[2], atol=5e-4)
 
 
-@pytest.mark.parametrize("frozen_mm", [1e-9, 10.0])
-def test_the_response_is_the_path(machine: Machine, frozen_mm: float) -> None:
-    settings = replace(Settings(), frozen_mm=frozen_mm)
+@pytest.mark.parametrize("inverse", ["exact", "fast"])
+def test_the_response_is_the_path(machine: Machine, inverse: Literal["exact", "fast"]) -> None:
+    settings = replace(EXACT, inverse=inverse)
     inverter = Inverter(machine, settings)
     reference = reference_of(CORNER, machine, settings)
     state = rest_state(machine, np.array([-60.0, 20, 0.3]))
     result = inverter.run(reference, state, keep_response=True)
     nozzle, velocity = reference.substeps(0, reference.knots)
-    plain, _ = respond(machine, inverter.fine, nozzle, velocity, state, settings.substeps)
+    plain, _ = inverter.fine.respond(nozzle, velocity, state, settings.substeps)
     error = np.sqrt(np.mean(np.sum((result.response - nozzle[1:]) ** 2, axis=1)))
     without = np.sqrt(np.mean(np.sum((plain - nozzle[1:]) ** 2, axis=1)))
     assert error < without / 60
@@ -158,7 +171,7 @@ def test_the_response_is_the_path(machine: Machine, frozen_mm: float) -> None:
 
 def test_a_limit_between_plan_and_free_answer_is_held(machine: Machine) -> None:
     """The free answer asks for more acceleration than the plan; the QP keeps the half of that."""
-    settings = replace(Settings(), bandwidth_hz=112.0, lead_s=0.004)  # a late start asks for much
+    settings = replace(EXACT, bandwidth_hz=112.0, lead_s=0.004)  # a late start asks for much
     state = rest_state(machine, np.array([-60.0, 20, 0.3]))
     reference = reference_of(CORNER, machine, settings)
     inverter = Inverter(machine, settings)
@@ -217,19 +230,6 @@ def test_the_steady_delay_is_the_slope_of_the_phase(machine: Machine) -> None:
     f = 0.01
     g = nozzle_frf(machine, np.array([40.0, -30.0]), np.array([f]))[0]
     assert -np.angle(g[0, 0]) / (2 * np.pi * f) == pytest.approx(steady_delay(machine), rel=1e-6)
-
-
-def test_steady_motion_is_handed_over_without_a_trace(machine: Machine) -> None:
-    """A long slow line is solved at its ends only; the nozzle stays on the path all along."""
-    inverter = Inverter(machine, Settings())
-    reference = reference_of(b"G1 X60 Y-10 F1200\n", machine, Settings())
-    state = rest_state(machine, np.array([-60.0, 20, 0.3]))
-    result = inverter.run(reference, state, keep_response=True)
-    nozzle, _ = reference.substeps(0, reference.knots)
-    assert result.windows < reference.knots / Settings().commit / 4  # most of it was not solved
-    assert np.abs(result.response - nozzle[1:]).max() < 1e-2  # mm, where it starts and stops
-    middle = slice(len(nozzle) // 3, 2 * len(nozzle) // 3)
-    assert np.abs(result.response[middle] - nozzle[1:][middle]).max() < 2e-4
 
 
 def test_phi_needs_no_more_than_its_models() -> None:

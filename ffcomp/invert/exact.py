@@ -1,0 +1,117 @@
+"""The exact inverse, window by window: filtered B-splines on the plant scheduled at every knot. The reference.
+
+The basis is what is played: the firmware plays our G1 segments, so the command is a spline of degree 1 with a knot at
+the end of every segment. One run (from rest to rest) is solved in windows; the state is carried from each to the next.
+
+In error coordinates q_d = q* + N γ (q*: the wanted carriage path, N: the hats of the spline), each window minimises
+
+    ‖ e₀ − Φ γ ‖² + ρ ‖ D² γ ‖²                                 Φ = J G N: the basis filtered through the plant
+
+by QR. e₀ is the nozzle's error with γ = 0 from the carried state; D² γ S⁻² is the acceleration asked for beyond the
+plan's. Then the very segments are played through the plant (ramps, chords, J̇ q̇) and the same factors remove what error
+is left. γ is zero at both ends of a run: rest stays rest, and hand-over is exact.
+
+Duan, Yoon & Okwudire, A limited-preview filtered B-spline approach to tracking control, Mechatronics 56 (2018) 287-296.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr, solve_triangular
+
+from ffcomp.invert.kernels import basis_response
+from ffcomp.invert.limits import excess, limited_step
+from ffcomp.invert.play import Playing, Stretch
+from ffcomp.schedule import interpolate, models_along
+
+FloatArray = NDArray[np.float64]
+
+
+def solve(run: Playing, state: FloatArray) -> tuple[FloatArray, FloatArray, int, int]:
+    """All windows of a run, from the plant's state (18,) at its first knot.
+
+    Returns
+    -------
+    the nozzle's response (n·substeps, 3) mm, the state (18,) at the end, windows solved, windows with a limit
+    """
+    responses, limited, windows, at = [np.empty((0, 3))], 0, 0, 0
+    while at < run.last:
+        window = Window(run, at, state)
+        response, state = window.solve()
+        responses.append(response)
+        windows, limited, at = windows + 1, limited + window.limited, window.commit_end
+    return np.concatenate(responses), state, windows, limited
+
+
+class Window:
+    """One least-squares problem: the knots after `at`."""
+
+    def __init__(self, run: Playing, at: int, state: FloatArray) -> None:
+        s = run.inverter.settings
+        self.run, self.at, self.state, self.limited = run, at, state, 0
+        self.commit_end = min(at + s.commit, run.last)
+        if run.last - self.commit_end < s.preview // 2:
+            self.commit_end = run.last  # a short remainder joins this window
+        end = min(self.commit_end + s.preview, run.n)
+        self.unknowns = min(end, run.last - 1) - at
+        self.stretch = Stretch(run, at, end)
+
+    def solve(self) -> tuple[FloatArray, FloatArray]:
+        """Set the run's γ for this window; returns the committed response (mm) and the state at its end."""
+        run, s, stretch = self.run, self.run.inverter.settings, self.stretch
+        response, states = stretch.respond(self.state)
+        if self.unknowns > 0:
+            phi, effort = self.phi(), _second_differences(self.unknowns) * np.sqrt(run.inverter.effort)
+            q, r = qr(np.concatenate([phi, effort]), mode="economic", check_finite=False)
+            for _ in range(1 + s.corrections):
+                left = np.concatenate([stretch.error(response).ravel(), -self._effort().ravel()])
+                self._improve(solve_triangular(r, q.T @ left, check_finite=False), phi, effort, left)
+                response, states = stretch.respond(self.state)
+        kept = self.commit_end - self.at
+        run.vertices[self.at : self.commit_end + 1] = stretch.vertices()[: kept + 1]
+        return response[: kept * s.substeps], states[kept]
+
+    def phi(self) -> FloatArray:
+        """Φ (rows, 3 unknowns) with the models at the places of its intervals."""
+        inverter = self.run.inverter
+        table, place = inverter.coarse, self.stretch.place
+        a, b0, b1, _ = models_along(table, place)
+        j = interpolate(table.jacobian, table.x0_mm, table.pitch_mm, table.nodes, place)
+        return basis_response(a, b0, b1, j, self.unknowns, inverter.settings.rows_per_segment)
+
+    def _improve(self, step: FloatArray, phi: FloatArray, effort: FloatArray, left: FloatArray) -> None:
+        """γ += the least-squares answer to the error that is left, within the limits."""
+        limits = self.run.inverter.limits
+        command, plan = self.around()
+        tried = command.copy()
+        tried[2:-2] += step.reshape(-1, 3)
+        if excess(tried[1:-1], limits) > 1.0:
+            self.limited = 1
+            rows = np.concatenate([phi, effort])
+            step = limited_step(rows.T @ rows, rows.T @ left, command, plan, limits)
+        self.run.gamma[self.at + 1 : self.at + 1 + self.unknowns] += step.reshape(-1, 3)
+
+    def around(self) -> tuple[FloatArray, FloatArray]:
+        """Command and plan at the unknown knots and two on either side, each (unknowns + 4, 3) mm."""
+        run, knots = self.run, np.arange(self.at - 1, self.at + self.unknowns + 3)
+        plan = run.inverter.delta.inverse(run.reference.at_knots(knots))
+        return plan + run.gamma[np.clip(knots, 0, run.n)], plan
+
+    def _effort(self) -> FloatArray:
+        """√ρ D² γ as it stands, (unknowns + 2, 3)."""
+        gamma, first = self.run.gamma, self.at + 1
+        around = np.zeros((self.unknowns + 4, 3))
+        low = max(first - 2, 0)
+        known = gamma[low : first + self.unknowns + 2]
+        around[low - first + 2 : low - first + 2 + len(known)] = known
+        return np.asarray(np.sqrt(self.run.inverter.effort) * np.diff(around, 2, axis=0))
+
+
+@lru_cache(maxsize=8)
+def _second_differences(unknowns: int) -> FloatArray:
+    """D² of `unknowns` knots of three carriages, with given knots on both sides."""
+    d = np.diff(np.eye(unknowns + 4), 2, axis=0)[:, 2:-2]
+    return np.asarray(np.kron(d, np.eye(3)), dtype=np.float64)

@@ -1,0 +1,106 @@
+"""The fast inverse of a run: the gains of `preview.py`, corrected by what the scheduled plant really does.
+
+A run is taken in stretches. The coefficients begin as what a steady motion needs, γ = τ q̇*; the segments are played
+through the plant scheduled along the path, with the firmware's ramps; the error that comes out is swept backwards and
+forwards once; and again. The gains are those of the nearest node of the grid, the plant is the one at the very place:
+what the first sweep misses for that, the second one finds.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.invert.kernels import sweep_back, sweep_forward
+from ffcomp.invert.play import Playing, Stretch
+from ffcomp.invert.preview import AUGMENTED, BACKWARD, FORWARD, REST_ROWS, TO_THE_END, Gains, Preview
+
+FloatArray = NDArray[np.float64]
+
+STRETCH = 512  # knots solved at a time
+NO_END = Gains(np.empty((0, *BACKWARD)), np.empty((0, *FORWARD)))
+MOST_PASSES = 5
+CLOSE_MM = 5e-3  # a change of the command so small leaves a tenth of it to the next
+SIGHT = 40  # knots in sight after them: what comes later asks for less than a millionth now
+
+
+def solve(run: Playing, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray, int]:
+    """All coefficients of a run, from the plant's state (18,) at its first knot.
+
+    Returns
+    -------
+    the nozzle's response (n·substeps, 3) mm, empty if not asked for; the state (18,) at the end; stretches solved
+    """
+    responses, at, stretches = [np.empty((0, 3))], 0, 0
+    while at < run.last:
+        stop = at + STRETCH if run.last - at > STRETCH + SIGHT else run.last
+        part = _Part(run, at, stop)
+        response, state = part.solve(state, keep_response)
+        responses.append(response)
+        at, stretches = stop, stretches + 1
+    return np.concatenate(responses), state, stretches
+
+
+class _Part:
+    """The knots at+1 … stop of a run, with those in sight."""
+
+    def __init__(self, run: Playing, at: int, stop: int) -> None:
+        self.run, self.at, self.stop = run, at, stop
+        whole = stop == run.last
+        self.stretch = Stretch(run, at, stop + (REST_ROWS if whole else SIGHT))
+        gains = run.inverter.preview
+        self.node, self.steady = gains.at(self.stretch.place)
+        self.ending = _to_rest(gains, self.node, len(self.steady.backward)) if whole else NO_END
+        self._begin()
+
+    def _begin(self) -> None:
+        """γ = τ q̇* where nothing is known yet."""
+        run, stretch = self.run, self.stretch
+        last = min(stretch.end, run.last - 1)
+        n = last - self.at
+        if n > 0:
+            s = run.inverter.settings.substeps
+            knots = slice(s, (n + 1) * s, s)
+            ahead = stretch.nozzle[knots] + stretch.velocity[knots] * run.inverter.delay_s
+            run.gamma[self.at + 1 : last + 1] = run.inverter.delta.inverse(ahead) - stretch.wanted[1 : n + 1]
+
+    def solve(self, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray]:
+        run, s, kept = self.run, self.run.inverter.settings, self.stop - self.at
+        for done in range(MOST_PASSES):
+            response, states = self.stretch.respond(state)
+            answer, change = self._improve(self.stretch.error(response))
+            if done >= s.corrections and change < CLOSE_MM:
+                break
+        run.vertices[self.at : self.stop + 1] = self.stretch.vertices()[: kept + 1]
+        if keep_response:
+            response, states = self.stretch.respond(state)
+            return response[: kept * s.substeps], states[kept]
+        return response[:0], states[kept] + answer[kept - 1]
+
+    def _improve(self, error: FloatArray) -> tuple[FloatArray, float]:
+        """γ += the answer to the error (rows, 3) mm that is left.
+
+        Returns
+        -------
+        what the plant makes of the change, (n, 18); the largest change, mm
+        """
+        run, stretch, steady = self.run, self.stretch, self.steady
+        n = stretch.end - stretch.at
+        gamma = run.gamma[stretch.at : stretch.end + 1]
+        before = run.gamma[stretch.at - 1 : stretch.at] if stretch.at else np.zeros((1, 3))
+        bend = np.diff(np.concatenate([before, gamma]), 2, axis=0)
+        psi = sweep_back(
+            steady.backward, self.ending.backward, self.node, error.reshape(n, -1), bend, np.zeros(AUGMENTED)
+        )
+        change, states = sweep_forward(steady.forward, self.ending.forward, self.node, psi, np.zeros(AUGMENTED))
+        gamma[1:] += change
+        return states, float(np.abs(change).max())
+
+
+def _to_rest(gains: Preview, node: NDArray[np.int64], steady: int) -> Gains:
+    """The gains before the run's end; from there on `node` (n,) points to them, counted after the steady ones."""
+    felt = TO_THE_END + REST_ROWS
+    n = min(felt, len(node))
+    ending = gains.end(int(node[-1]))
+    node[len(node) - n :] = steady + np.arange(felt - n, felt)
+    return ending

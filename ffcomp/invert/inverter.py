@@ -1,0 +1,111 @@
+"""One machine's inverse: the tables over its bed, made once, and every run through them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.invert import exact, fast
+from ffcomp.invert.limits import CommandLimits, excess
+from ffcomp.invert.play import Playing
+from ffcomp.invert.preview import Preview
+from ffcomp.invert.settings import Settings
+from ffcomp.runs import Reference
+from ffcomp.schedule import Schedule, rest_state
+from models.effects.catalogue import design_machine
+from models.kinematics.delta import jacobian
+from models.kinematics.kernels import FastDelta
+from models.machine import Machine
+from models.plant import DiscretePlant, PlantTable, continuous_plant, discretise, plant_table
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    vertices: FloatArray  # (n + 1, 3) mm: the nozzle command at the knots
+    state: FloatArray  # (18,): of the plant at the last knot
+    response: FloatArray  # (n·substeps, 3) mm: where the nozzle will be by the design model; empty if not asked for
+    windows: int
+    limited: int  # windows in which a limit had to be enforced
+    excess: float  # how many times its limit a carriage is asked for at the worst; up to 1 is allowed
+
+
+class Inverter:
+    """Inverts one machine."""
+
+    def __init__(self, machine: Machine, settings: Settings) -> None:
+        machine, self.not_modelled = design_machine(machine)
+        self.machine, self.settings = machine, settings
+        self.delta = FastDelta(machine.kinematics)
+        self.fine = Schedule(machine, _table(machine, settings, settings.substeps))
+        self.coarse = _table(machine, settings, settings.rows_per_segment)
+        self.effort = effort_weight(machine, settings)
+        self.delay_s = steady_delay(machine)
+        own, knot_s = machine.limits, settings.segment_s
+        self.limits = CommandLimits(
+            own.carriage_velocity_mm_per_s * knot_s, own.carriage_acceleration_mm_per_s2 * knot_s**2
+        )
+
+    @cached_property
+    def preview(self) -> Preview:
+        """The gains of the fast inverse."""
+        s = self.settings
+        return Preview(self._plant_at, self.machine.kinematics.print_radius_mm, s.rows_per_segment, self.effort)
+
+    def _plant_at(self, xy: FloatArray) -> tuple[DiscretePlant, FloatArray]:
+        """The plant for half a segment at places (g, 2) mm, and the nozzle's Jacobian there."""
+        s = self.settings
+        place = np.zeros_like(xy) if s.one_model else xy
+        plant = discretise(continuous_plant(self.machine, place), s.segment_s / s.rows_per_segment)
+        return plant, jacobian(self.machine.kinematics, xy)
+
+    def hold(self, state: FloatArray, nozzle: FloatArray, duration_s: float) -> FloatArray:
+        """The state after the command has rested at (3,) mm for a while: what still rings, rings on."""
+        s = self.settings
+        intervals = round(duration_s / s.segment_s)
+        if intervals > 2 * s.memory:
+            return rest_state(self.machine, nozzle)
+        if intervals <= 0:
+            return state
+        still = np.repeat(nozzle[None], intervals * s.substeps + 1, axis=0)
+        return self.fine.respond(still, np.zeros_like(still), state, s.substeps)[1]
+
+    def run(self, reference: Reference, state: FloatArray, keep_response: bool = False) -> RunResult:
+        """Solve one run, from the plant's state (18,) at its first knot."""
+        run, limited = Playing(self, reference), 0
+        if self.settings.inverse == "exact":
+            response, state, windows, limited = exact.solve(run, state)
+        else:
+            response, state, windows = fast.solve(run, state, keep_response)
+        worst = excess(self.delta.inverse(run.vertices), self.limits)
+        return RunResult(run.vertices, state, response, windows, limited, worst)
+
+
+def _table(machine: Machine, settings: Settings, steps: int) -> PlantTable:
+    """The plant over the bed, for that many steps a segment."""
+    table = plant_table(machine, settings.segment_s / steps)
+    return table.frozen() if settings.one_model else table
+
+
+def effort_weight(machine: Machine, settings: Settings) -> float:
+    """ρ for which accuracy and effort weigh alike at the bandwidth: ρ |D²(ω)|² = mean |G(ω)|² at the centre."""
+    from models.receptance import nozzle_frf
+
+    f = settings.bandwidth_hz
+    g = nozzle_frf(machine, np.zeros(2), np.array([f]))[0]
+    hat = np.sinc(f * settings.segment_s) ** 2  # the hats' own spectrum
+    second_difference = (2 * np.sin(np.pi * f * settings.segment_s)) ** 2
+    gain2 = float(np.trace((g.conj().T @ g).real)) / 3 * hat**2
+    return gain2 * settings.rows_per_segment / second_difference**2
+
+
+def steady_delay(machine: Machine) -> float:
+    """τ of G(s) ≈ I − τ s: how far the machine lags behind a steady motion, s, on average of its towers."""
+    carriage = machine.carriage
+    drive = carriage.drive
+    lag = carriage.guide_damping_n_s_per_m / carriage.belt_stiffness_n_per_m
+    return float(np.mean(lag)) + ((drive.d2_per_s - drive.d1_per_s) / drive.d0_per_s2 if drive else 0.0)

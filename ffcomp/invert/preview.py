@@ -1,0 +1,218 @@
+"""The fast inverse: the same least squares, solved by dynamic programming with gains that depend on place only.
+
+In error coordinates q_d = q* + N γ the least squares of `exact.py` over a whole run is an optimal tracking problem
+(linear-quadratic, with preview). Its state holds the answer x to γ and the last two coefficients, its control is
+
+    w_k = γ_{k+1} − 2 γ_k + γ_{k−1}          z_k = (x_k, γ_k, γ_{k−1})          z_{k+1} = 𝒜 z_k + ℬ w_k
+
+and the cost of one interval ‖ē_k − C̄ z_k − D̄ w_k‖² + ρ ‖w_k + d_k‖², with ē the nozzle's error at the interval's rows
+and d the second difference that the command already has. Because J depends on the place alone, the Riccati equation is
+solved once for every place of a grid. What is left for each knot is one product with a 33 × 27 matrix backwards (the
+preview: what the errors to come ask for now) and one with 27 × 24 forwards. At a run's end the command must rest: there
+the gains are those of the finite problem, counted from the end, for the place where it ends.
+
+    s_k = (𝒜 − ℬF)ᵀ s_{k+1} + (C̄ − D̄F)ᵀ ē_k + ρ Fᵀ d_k         ψ_k = R⁻¹ (ℬᵀ s_{k+1} + D̄ᵀ ē_k − ρ d_k)
+    w_k = ψ_k − F z_k                                           R = ρ I + D̄ᵀD̄ + ℬᵀPℬ,  F = R⁻¹ (D̄ᵀC̄ + ℬᵀP𝒜)
+
+Anderson & Moore, Optimal Control: Linear Quadratic Methods, 1990, ch. 4 and 10; the Riccati equation by structured
+doubling (Chu, Fan, Lin & Wang, Int. J. Control 77 (2004) 767-788).
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from threading import Lock
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.plant import STATES, DiscretePlant
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+PlantAt = Callable[[FloatArray], tuple[DiscretePlant, FloatArray]]  # places (g, 2) mm -> plant, jacobian (g, 3, 3)
+
+AXES = 3
+AUGMENTED = STATES + 2 * AXES  # z
+BACKWARD, FORWARD = (AUGMENTED + 9, AUGMENTED + 3), (AUGMENTED + 3, AUGMENTED)  # of one place, with two rows
+PITCH_MM = 5.0  # of the grid: what the nearest node misses, the correction finds
+AT_A_TIME = 256  # places
+FORGOTTEN = 1e-9
+TO_THE_END = 40  # knots before a run's end from which on the end is felt
+ENDS_KEPT = 256  # places, 0.5 MB each
+REST_ROWS = 24  # knots after the end whose ringing counts
+
+
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """One interval at g places: z⁺ = 𝒜 z + ℬ w, rows C̄ z + D̄ w of the nozzle."""
+
+    a: FloatArray  # (g, 24, 24)
+    b: FloatArray  # (g, 24, 3)
+    c: FloatArray  # (g, rows, 24)
+    d: FloatArray  # (g, rows, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Gains:
+    """What both sweeps multiply with, transposed so that every column of a product lies together in memory."""
+
+    backward: FloatArray  # (g, 24 + rows + 3, 27): (s, ē, d) -> (s, ψ)
+    forward: FloatArray  # (g, 24 + 3, 24): (z, ψ) -> z
+
+    def with_room(self, places: int) -> Gains:
+        """The same, with at least so many places."""
+        if places <= len(self.backward):
+            return self
+        more = max(places, 2 * len(self.backward)) - len(self.backward)
+        return Gains(
+            *(np.concatenate([each, np.zeros((more, *each.shape[1:]))]) for each in (self.backward, self.forward))
+        )
+
+
+class Preview:
+    """The gains of one machine over its bed, worked out for the nodes that a path comes by."""
+
+    def __init__(self, plant_at: PlantAt, reach_mm: float, rows_per_segment: int, effort: float) -> None:
+        self._plant_at, self._rows, self.effort = plant_at, rows_per_segment, effort
+        self._half = int(np.ceil(reach_mm / PITCH_MM)) + 1
+        self._slot = np.full((2 * self._half + 1) ** 2, -1)  # where in the arrays a node's gains are; -1: nowhere yet
+        self._problem: list[_Problem] = []  # of each slot, one place
+        self._steady = Gains(np.empty((0, *BACKWARD)), np.empty((0, *FORWARD)))
+        self._ends: OrderedDict[int, Gains] = OrderedDict()
+        self._working = Lock()
+
+    def at(self, place: FloatArray) -> tuple[IntArray, Gains]:
+        """Which gains serve at places (n, 2) mm: numbers (n,) into those returned."""
+        i, j = np.clip(np.rint(place / PITCH_MM), -self._half, self._half).astype(np.int64).T + self._half
+        node = i * (2 * self._half + 1) + j
+        with self._working:
+            missing = np.unique(node[self._slot[node] < 0])
+            for some in np.array_split(missing, np.ceil(len(missing) / AT_A_TIME)) if len(missing) else ():
+                self._work_out(some)
+            return self._slot[node], self._steady
+
+    def _work_out(self, node: IntArray) -> None:
+        across = 2 * self._half + 1
+        xy = PITCH_MM * (np.stack([node // across, node % across], axis=1) - self._half)
+        problem = _problem(*self._plant_at(xy), self._rows)
+        found = _gains(problem, _riccati(problem, self.effort), self.effort)
+        known = len(self._problem)
+        self._problem += [_Problem(*parts) for parts in zip(problem.a, problem.b, problem.c, problem.d, strict=True)]
+        self._steady = self._steady.with_room(len(self._problem))
+        self._steady.backward[known : len(self._problem)] = found.backward
+        self._steady.forward[known : len(self._problem)] = found.forward
+        self._slot[node] = np.arange(known, len(self._problem))
+
+    def end(self, slot: int) -> Gains:
+        """The gains of the last `TO_THE_END` intervals of a run that ends in a place, first to last.
+
+        The interval that ends the run has no choice left, nor have those after it: their gains are zero.
+        """
+        with self._working:
+            if slot in self._ends:
+                self._ends.move_to_end(slot)
+                return self._ends[slot]
+            found = self._ends[slot] = self._finite(self._problem[slot])
+            if len(self._ends) > ENDS_KEPT:
+                self._ends.popitem(last=False)
+            return found
+
+    def _finite(self, p: _Problem) -> Gains:
+        a, b, c, d = p.a, p.b, p.c, p.d
+        resting = _resting()
+        value = np.zeros((AUGMENTED, AUGMENTED))
+        steps = []
+        for k in range(TO_THE_END + REST_ROWS):
+            if k <= REST_ROWS:  # γ⁺ = 0, whatever came before
+                f = resting
+                closed, seen = a - b @ f, c - d @ f
+                value = seen.T @ seen + self.effort * f.T @ f + closed.T @ value @ closed
+                psi = np.zeros((AXES, AUGMENTED + len(c) + AXES))
+            else:
+                f, psi, value = _step(a, b, c, d, value, self.effort)
+            steps.append(_packed(a, b, c, d, f, psi, self.effort))
+        steps.reverse()
+        return Gains(*(np.ascontiguousarray(np.stack(each)) for each in zip(*steps, strict=True)))
+
+
+def _resting() -> FloatArray:
+    """F for which γ_{k+1} = 0: w = −2 γ_k + γ_{k−1}."""
+    f = np.zeros((AXES, AUGMENTED))
+    f[:, STATES : STATES + AXES], f[:, STATES + AXES :] = 2 * np.eye(AXES), -np.eye(AXES)
+    return f
+
+
+def _problem(p: DiscretePlant, jacobian: FloatArray, rows: int) -> _Problem:
+    """The interval of `rows` steps of the plant, at all of its places; jacobian (g, 3, 3)."""
+    g = len(jacobian)
+    x, now, before = slice(0, STATES), slice(STATES, STATES + AXES), slice(STATES + AXES, AUGMENTED)
+    eye = np.eye(AXES)
+    # the command at the interval's two ends, as rows of (z, w)
+    first, last = np.zeros((AXES, AUGMENTED + AXES)), np.zeros((AXES, AUGMENTED + AXES))
+    first[:, now] = eye
+    last[:, now], last[:, before], last[:, AUGMENTED:] = 2 * eye, -eye, eye
+    state = np.zeros((g, STATES, AUGMENTED + AXES))
+    state[:, :, x] = np.eye(STATES)
+    seen = []
+    for row in range(rows):
+        u0, u1 = (first + (last - first) * share for share in (row / rows, (row + 1) / rows))
+        state = p.a @ state + p.b0 @ u0 + p.b1 @ u1
+        seen.append(jacobian @ state[:, 6:9])
+    step = np.zeros((g, AUGMENTED, AUGMENTED + AXES))
+    step[:, x], step[:, now], step[:, before] = state, last, first
+    output = np.concatenate(seen, axis=1)
+    split = AUGMENTED
+    return _Problem(step[..., :split], step[..., split:], output[..., :split], output[..., split:])
+
+
+def _riccati(p: _Problem, effort: float) -> FloatArray:
+    """P (g, 24, 24) of the problem without an end."""
+    r = effort * np.eye(AXES) + _t(p.d) @ p.d
+    cross = np.linalg.solve(r, _t(p.d) @ p.c)
+    a = p.a - p.b @ cross
+    h = _t(p.c) @ p.c - _t(p.c) @ p.d @ cross
+    g = p.b @ np.linalg.solve(r, _t(p.b))
+    eye = np.eye(AUGMENTED)
+    while np.abs(a).max() > FORGOTTEN:  # a: what is left of a state after 1, 2, 4, … knots
+        solved = np.linalg.solve(eye + g @ h, np.concatenate([a, g @ _t(a)], axis=2))
+        ahead, spread = solved[..., :AUGMENTED], solved[..., AUGMENTED:]
+        h = h + _t(a) @ h @ ahead
+        g = g + a @ spread
+        a = a @ ahead
+        h, g = 0.5 * (h + _t(h)), 0.5 * (g + _t(g))
+    return h
+
+
+def _step(
+    a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, value: FloatArray, effort: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """F, the rows of ψ and P at the beginning of an interval at whose end it is `value`. Last axes matrices."""
+    bp = _t(b) @ value
+    r = effort * np.eye(AXES) + _t(d) @ d + bp @ b
+    f = np.linalg.solve(r, _t(d) @ c + bp @ a)
+    weights = np.broadcast_to(-effort * np.eye(AXES), (*r.shape[:-2], AXES, AXES))
+    psi = np.linalg.solve(r, np.concatenate([_t(b), _t(d), weights], axis=-1))
+    closed, seen = a - b @ f, c - d @ f
+    return f, psi, _t(seen) @ seen + effort * _t(f) @ f + _t(closed) @ value @ closed
+
+
+def _gains(p: _Problem, value: FloatArray, effort: float) -> Gains:
+    f, psi, _ = _step(p.a, p.b, p.c, p.d, value, effort)
+    return Gains(*_packed(p.a, p.b, p.c, p.d, f, psi, effort))
+
+
+def _packed(
+    a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, f: FloatArray, psi: FloatArray, effort: float
+) -> tuple[FloatArray, FloatArray]:
+    closed, seen = a - b @ f, c - d @ f
+    preview = np.concatenate([closed, seen, effort * f], axis=-2)  # rows: of s, ē, d
+    backward = np.concatenate([preview, _t(psi)], axis=-1)
+    forward = np.concatenate([_t(closed), _t(b)], axis=-2)
+    return np.ascontiguousarray(backward), np.ascontiguousarray(forward)
+
+
+def _t(matrix: FloatArray) -> FloatArray:
+    return np.swapaxes(matrix, -1, -2)
