@@ -49,10 +49,10 @@ class Round:
 def compensate_once(name: str, machine: Machine, target: Path) -> Round:
     path = ROOT / "sample_prints" / f"{name}.gcode"
     wall, process = time.perf_counter(), time.process_time()
-    job = Job(path.read_bytes(), path.name, machine, predict=False)
+    job = Job(path, path.name, machine, predict=False)
     job.write(target)
     wall, process = time.perf_counter() - wall, time.process_time() - process
-    return Round(job.print_time_s, wall, process, job.summary.segments)
+    return Round(job.summary.original_print_time_s, wall, process, job.summary.segments)
 
 
 def measure(rounds: int) -> tuple[Round, dict[str, Round]]:

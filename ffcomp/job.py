@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from ffcomp import __version__
+from ffcomp.chapters import Chapter, chapters
+from ffcomp.errors import NothingToDo
 from ffcomp.invert.inverter import Inverter
 from ffcomp.invert.settings import Settings
-from ffcomp.pipeline import Summary, compensate, plan_program, settings_for
-from ffcomp.predict import Prediction
-from ffcomp.writer import OURS
-from gcode.container import replace_atomically
-from gcode.dialects import FLAVORS, detect_flavor, shaper_off
+from ffcomp.pipeline import Summary, compensate, plan_program, settings_for, solutions
+from ffcomp.plan.limits import lines_of
+from ffcomp.predict import LONGEST_S, Prediction
+from ffcomp.writer import OURS, original_blocks
+from gcode.container import blocks_of, ends_of, replace_atomically
+from gcode.dialects import FLAVORS, flavor_by_ends, shaper_off
 from gcode.errors import UnsupportedGcode
 from gcode.metadata import Stamp, find_stamp, stamp_line
-from gcode.reader import read_program
+from gcode.reader import read_parts
 from models.machine import Machine
 
 STAMP_REACH = 1 << 20  # bytes at either end in which a stamp is looked for
+
+_Done = tuple[Iterator[bytes], int, Summary]  # a chapter's lines, its size in bytes, what was done
 
 
 def already_processed(data: bytes) -> Stamp | None:
@@ -30,12 +38,69 @@ def already_processed(data: bytes) -> Stamp | None:
     return find_stamp(data[:STAMP_REACH], data[-STAMP_REACH:])
 
 
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """All that is the same for every chapter of a file."""
+
+    machine: Machine
+    settings: Settings
+    flavor: str
+    offset: tuple[float, float]
+    share: float  # of the print that is simulated for the prediction
+
+    def lines(
+        self, chapter: Chapter, inverter: Inverter, summary: Summary, progress: Callable[[float], None]
+    ) -> Iterator[bytes]:
+        """The compensated lines of a chapter."""
+        machine, settings, offset = self.machine, self.settings, self.offset
+        prediction = Prediction(inverter, self.share) if self.share else None
+        planned = plan_program(chapter.program, machine, offset, settings.s_curve)
+        state = None
+        if chapter.before is not None:
+            past = plan_program(chapter.before, machine, offset, settings.s_curve)
+            for known in solutions(past, machine, inverter, None, lambda wanted: False):
+                state = known.result.state
+        summary.warnings += chapter.program.warnings
+        if not chapter.last:
+            moves = len(chapter.program.moves)
+            waits = sum(event.dwell_s for event in chapter.program.events if event.move == moves)
+            summary.original_print_time_s += waits
+            summary.print_time_s += waits
+        yield from compensate(
+            planned,
+            machine,
+            inverter,
+            self.flavor,
+            summary,
+            progress,
+            offset,
+            state=state,
+            said=chapter.said,
+            prediction=prediction,
+        )
+        summary.predicted = prediction.samples if prediction else None
+
+
+_own_inverter: tuple[bytes, Inverter] | None = None  # a worker's, from chapter to chapter
+
+
+def _work(chapter: Chapter, recipe: Recipe) -> tuple[bytes, Summary]:
+    """A chapter in a process of its own."""
+    global _own_inverter
+    key = pickle.dumps((recipe.machine, recipe.settings))
+    if _own_inverter is None or _own_inverter[0] != key:
+        _own_inverter = key, Inverter(recipe.machine, recipe.settings)
+    inverter = _own_inverter[1]
+    summary = Summary()
+    return b"".join(recipe.lines(chapter, inverter, summary, lambda done_s: None)), summary
+
+
 class Job:
-    """A G-code file and the machine it is for."""
+    """A G-code file and the machine it is for. The file is read while it is written, chapter by chapter."""
 
     def __init__(
         self,
-        data: bytes,
+        source: bytes | Path,
         path: str,
         machine: Machine,
         *,
@@ -45,24 +110,27 @@ class Job:
         settings: Settings | None = None,
         shaper_off: bool = False,
         inverter: Inverter | None = None,
+        restore: bool = False,
+        jobs: int = 1,
     ) -> None:
+        """`restore`: the file is a compensated one, and what is compensated is the original that it keeps."""
         self.started = time.perf_counter()
-        self.path, self.machine, self.offset = path, machine, offset
-        self.program = read_program(data, path, offset_mm=offset, flavor=flavor or None)
-        self.flavor = flavor or detect_flavor(self.program.lines)
+        self.source, self.path, self.machine, self.offset = source, path, machine, offset
+        self.restore, self.jobs, self.predict, self.shaper_off = restore, jobs, predict, shaper_off
+        head, tail, self.size = ends_of(source)
+        self.flavor = flavor or flavor_by_ends(head, tail)
         if self.flavor not in FLAVORS:
             raise UnsupportedGcode(f"The flavor {flavor!r} is none of {', '.join(sorted(FLAVORS))}.", path=path)
-        self.planned = plan_program(self.program, machine, offset)
-        self.print_time_s = self.planned.trajectory.end_t
-        self.inverter = inverter or Inverter(machine, settings or settings_for(machine))
-        self.shaper_off = shaper_off
+        self.settings = settings or settings_for(machine)
+        self.inverter = inverter or Inverter(machine, self.settings)
         self.summary = Summary(warnings=_not_modelled(self.inverter))
-        if predict:
-            self.summary.prediction = Prediction(self.inverter, self.print_time_s)
         self.compute_time_s = 0.0
 
-    def write(self, target: Path | None, progress: Callable[[float], None] = lambda done_s: None) -> None:
-        """Compensate into `target` (None: nowhere), which is replaced whole at the end or not at all."""
+    def write(self, target: Path | None, progress: Callable[[float], None] = lambda share: None) -> None:
+        """Compensate into `target` (None: nowhere), which is replaced whole at the end or not at all.
+
+        progress : called with the share of the file that is done, 0 to 1
+        """
         lines = self.lines(progress)
         if target is None:
             for _ in lines:
@@ -71,18 +139,71 @@ class Job:
             replace_atomically(target, lines)
         self.compute_time_s = time.perf_counter() - self.started
 
-    def lines(self, progress: Callable[[float], None] = lambda done_s: None) -> Iterator[bytes]:
-        """The compensated file, stamped in head and tail."""
+    def lines(self, progress: Callable[[float], None] = lambda share: None) -> Iterator[bytes]:
+        """The compensated file, stamped in head and tail, in pieces of whole lines."""
         stamp = stamp_line(__version__, self.machine.name, self.machine.sha256, self.flavor)
-        body = compensate(self.planned, self.machine, self.inverter, self.flavor, self.summary, progress, self.offset)
+        body = self._body(progress)
         if self.shaper_off:
             body = _with_shaper_off(body, self.flavor)
         return _stamped(body, stamp, offset_line(self.offset))
 
+    def _chapters(self) -> Iterator[Chapter]:
+        blocks = blocks_of(self.source)
+        if self.restore:
+            blocks = original_blocks(blocks)
+        return chapters(read_parts(blocks, self.path, flavor=self.flavor, offset_mm=self.offset))
+
+    def _body(self, progress: Callable[[float], None]) -> Iterator[bytes]:
+        whole = self._chapters()
+        first = next(whole, None)
+        if first is None:
+            raise NothingToDo(f"{self.path or 'The file'} holds no line: nothing to compensate.")
+        share = _share(first, self.size) if self.predict else 0.0
+        recipe = Recipe(self.machine, self.settings, self.flavor, self.offset, share)
+        together = chain([first], whole)
+        done = 0
+        for lines, size, summary in (
+            self._one_by_one(together, recipe) if self.jobs == 1 else self._side_by_side(together, recipe)
+        ):
+            yield from lines
+            self._take(summary)
+            done += size
+            progress(min(done / max(self.size, 1), 1.0))
+
+    def _one_by_one(self, together: Iterator[Chapter], recipe: Recipe) -> Iterator[_Done]:
+        for chapter in together:
+            summary = Summary()
+            yield recipe.lines(chapter, self.inverter, summary, lambda done_s: None), _size(chapter), summary
+
+    def _side_by_side(self, together: Iterator[Chapter], recipe: Recipe) -> Iterator[_Done]:
+        from joblib import Parallel, delayed
+
+        sizes: deque[int] = deque()
+
+        def tasks() -> Iterator[Any]:
+            for chapter in together:
+                sizes.append(_size(chapter))
+                yield delayed(_work)(chapter, recipe)
+
+        pool = Parallel(n_jobs=self.jobs, return_as="generator", batch_size=1, pre_dispatch="2 * n_jobs")
+        for text, summary in pool(tasks()):
+            yield iter((text,)), sizes.popleft(), summary
+
+    def _take(self, chapter: Summary) -> None:
+        """Add up what was done."""
+        mine = self.summary
+        for name in ("moves", "segments", "windows", "limited_windows", "original_print_time_s", "print_time_s"):
+            setattr(mine, name, getattr(mine, name) + getattr(chapter, name))
+        mine.warnings += [each for each in chapter.warnings if each not in mine.warnings]
+        if mine.predicted is None:
+            mine.predicted = chapter.predicted
+        elif chapter.predicted is not None:
+            mine.predicted.join(chapter.predicted)
+
     def result(self) -> dict[str, Any]:
         """The JSON object of `compensate`."""
         summary = self.summary
-        tracks = summary.prediction.tracks() if summary.prediction else {}
+        tracks = summary.predicted.tracks() if summary.predicted else {}
         return {
             "schema": "ffcomp-compensate/1",
             "input": self.path,
@@ -95,10 +216,21 @@ class Job:
             "segments": summary.segments,
             "windows": summary.windows,
             "limited_windows": summary.limited_windows,
-            "warnings": [*self.program.warnings, *summary.warnings],
+            "warnings": summary.warnings,
             "predicted": {name: asdict(track) for name, track in tracks.items()},
-            "predicted_over_s": summary.prediction.covered_s if summary.prediction else 0.0,
+            "predicted_over_s": summary.predicted.covered_s if summary.predicted else 0.0,
         }
+
+
+def _size(chapter: Chapter) -> int:
+    return sum(map(len, chapter.program.lines))
+
+
+def _share(first: Chapter, size: int) -> float:
+    """How much of the print may be simulated, by what its first chapter takes at least."""
+    moves = first.program.moves
+    quickest = float((lines_of(moves).length / moves.speed).sum()) * size / max(_size(first), 1)
+    return min(1.0, LONGEST_S / max(quickest, 1e-9))
 
 
 def _not_modelled(inverter: Inverter) -> list[str]:
@@ -107,15 +239,19 @@ def _not_modelled(inverter: Inverter) -> list[str]:
     return [f"The machine file lists effects that are not compensated: {names}."] if names else []
 
 
-def _with_shaper_off(lines: Iterator[bytes], flavor: str) -> Iterator[bytes]:
+def _with_shaper_off(pieces: Iterator[bytes], flavor: str) -> Iterator[bytes]:
     """The firmware's own shaper is switched off where our first block opens."""
     waiting = True
-    for line in lines:
-        if waiting and line.rstrip().endswith(OURS):
+    for piece in pieces:
+        at = piece.find(OURS) if waiting else -1
+        if at >= 0:
             waiting = False
-            ending = b"\r\n" if line.endswith(b"\r\n") else b"\n"
+            begin = piece.rfind(b"\n", 0, at) + 1
+            ending = b"\r\n" if piece[: piece.find(b"\n", at) + 1].endswith(b"\r\n") else b"\n"
+            yield piece[:begin]
             yield from (off.rstrip(b"\n") + OURS + ending for off in shaper_off(flavor))
-        yield line
+            piece = piece[begin:]
+        yield piece
 
 
 def offset_line(offset: tuple[float, float]) -> bytes:
@@ -129,19 +265,21 @@ def find_offset(head: bytes) -> tuple[float, float]:
     return (float(found[1]), float(found[2])) if found else (0.0, 0.0)
 
 
-def _stamped(lines: Iterator[bytes], stamp: bytes, offset: bytes) -> Iterator[bytes]:
+def _stamped(pieces: Iterator[bytes], stamp: bytes, offset: bytes) -> Iterator[bytes]:
     """The stamp after the first line (slicers are known by it) and at the end, before a last line without newline."""
-    first = next(lines, b"")
-    yield first if first.endswith(b"\n") else first + b"\n"
-    ending = b"\r\n" if first.endswith(b"\r\n") else b"\n"
+    first, newline, rest = next(pieces, b"").partition(b"\n")
+    yield first + b"\n"
+    ending = b"\r\n" if first.endswith(b"\r") else b"\n"
     stamp = stamp.rstrip(b"\n") + ending
     yield stamp
     if offset:
         yield offset.rstrip(b"\n") + ending
-    last = b""
-    for line in lines:
-        yield last
-        last = line
-    complete = last.endswith(b"\n")
-    yield last if complete else stamp
-    yield stamp if complete else last
+    kept = rest
+    for piece in filter(None, pieces):
+        yield kept
+        kept = piece
+    complete, _, last = kept.rpartition(b"\n")
+    if kept and (complete or not last):
+        yield complete + b"\n"
+    yield stamp
+    yield last

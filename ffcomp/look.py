@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ffcomp.metrics import contour_error
 from ffcomp.pipeline import firmware_limits
 from ffcomp.plan.lookahead import plan_moves, stops_and_waits
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.plan.trajectory import PlannedMotion
 from ffcomp.simulate import simulate
 from ffcomp.writer import WAS, original_lines
 from gcode.program import Program
@@ -67,12 +67,12 @@ def look(
     )
 
 
-def _plan(program: Program, machine: Machine) -> Trajectory:
+def _plan(program: Program, machine: Machine) -> PlannedMotion:
     stop_before, wait_before = stops_and_waits(program)
     return plan_moves(program.moves, firmware_limits(machine), stop_before=stop_before, wait_before=wait_before)
 
 
-def corners(plan: Trajectory) -> tuple[FloatArray, FloatArray]:
+def corners(plan: PlannedMotion) -> tuple[FloatArray, FloatArray]:
     """Where the path's straight moves begin and end, and when: a rest is a corner twice."""
     end_t = plan.start_t + plan.duration
     ends = plan.position(np.nextafter(end_t, -np.inf))[:, :3]
@@ -81,7 +81,7 @@ def corners(plan: Trajectory) -> tuple[FloatArray, FloatArray]:
 
 
 def _clocks(
-    original: Program, wanted: Trajectory, compensated: Program, played: Trajectory
+    original: Program, wanted: PlannedMotion, compensated: Program, played: PlannedMotion
 ) -> tuple[FloatArray, FloatArray]:
     """Times at which the same move begins: in the compensated file, and in the original."""
     notes = np.array([e.move for e in compensated.events if compensated.lines[e.line].startswith(WAS)], dtype=np.int64)

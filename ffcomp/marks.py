@@ -1,104 +1,258 @@
-"""Where the lines of the original go out in a run: at their move's time, with the filament that had gone by then."""
+"""Where the lines of the original go out in a run: at their move's time, with the filament that had gone by then.
+
+A long run is laid out and written piece by piece. No segment is joined across a knot whose number is a multiple of CUT,
+and what is asked of the filament reaches no further than that: so pieces that end there say, with a little of what lies
+around them in sight, what the whole run says.
+"""
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.plan.trajectory import PlannedMotion
 from ffcomp.runs import Reference, Run
 from gcode.program import Event, Program
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 ROUNDING = 1e-9  # of a segment
 NEAR = 0.1  # of a segment: so near to a knot, a line goes out at the knot; shorter pieces cannot be played in time
 FLOWS_MM = 1e-6  # filament per segment from which on the exact place of a line matters
 STEEPEST = 0.1  # by which share the flow may be changed between two lines to meet both
 SPREAD = 10  # segments' worth of flow over which a difference of filament is spread
+CUT = 256  # knots
+PIECE = 64 * CUT
 
 
 @dataclass(frozen=True, slots=True)
-class Mark:
-    """A line of the original that goes out at a point of the run."""
+class Piece:
+    """The part of a run that is written at one go: knots, all of them multiples of CUT or the run's ends.
 
-    point: int  # index into Timeline.at
-    line: int
-    event: Event | None  # None: a move, kept as a comment
+    The context around it is not written, but decides how fast its ends are passed.
+    """
+
+    first: int  # its context begins here
+    begin: int  # its first segment begins here,
+    end: int  # and its last one ends here
+    last: int  # its context ends here
+
+    @staticmethod
+    def whole(knots: int) -> Piece:
+        """A run of so many segments at one go."""
+        return Piece(0, 0, knots, knots)
+
+
+def pieces(knots: int, length: int = PIECE) -> list[Piece]:
+    """A run of so many segments, in pieces of `length`, a multiple of CUT."""
+    if length % CUT:
+        raise ValueError(f"A piece of {length} segments would end between two cuts; its length must divide by {CUT}.")
+    edges = [*range(0, max(knots, 1), length), knots]
+    return [Piece(max(a - CUT, 0), a, b, min(b + CUT, knots)) for a, b in pairwise(edges)]
 
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """The points of a run between which segments are written: all its knots, and places where lines cut a segment."""
+    """The points between which segments are written, all knots and the places where lines cut a segment; and the lines.
 
-    at: FloatArray  # (m,) in knots, strictly rising from 0 to the last
+    m points, k lines of the original in the file's order.
+    """
+
+    piece: Piece
+    at: FloatArray  # (m,) in knots of the run, strictly rising from piece.first to piece.last
     e: FloatArray  # (m,) mm of filament
-    marks: list[Mark]
+    point: IntArray  # (k,) index into `at`: where the line goes out
+    line: IntArray  # (k,) index into Program.lines
+    event: IntArray  # (k,) index into `events`; -1: a move, kept as a comment
+    events: list[Event]
+
+    def cuts(self) -> IntArray:
+        """The points no segment is joined across: those with a line, and every CUT-th knot."""
+        cut = np.arange(-(-self.piece.first // CUT) * CUT, self.piece.last + 1, CUT)
+        return np.concatenate([self.point, np.searchsorted(self.at, cut)])
+
+
+@dataclass(frozen=True, slots=True)
+class _Lines:
+    """k lines of the original in the file's order."""
+
+    line: IntArray  # (k,)
+    move: IntArray  # (k,) the move they stand before, or are
+    event: IntArray  # (k,) index into the events, -1: none
 
 
 def timeline(
-    program: Program, trajectory: Trajectory, run: Run, wanted: Reference, vertices: FloatArray, inside: list[Event]
+    program: Program,
+    trajectory: PlannedMotion,
+    run: Run,
+    wanted: Reference,
+    vertices: FloatArray,
+    inside: list[Event],
+    piece: Piece | None = None,
 ) -> Timeline:
-    """Lay the events inside a run, and its moves, on its knots, whose vertices are (n + 1, 3) mm.
+    """Lay the events inside a run, and its moves, on its knots.
 
     A line that stands where filament flows cuts its segment at the very moment, so that the filament between two lines
     is kept; other lines go out at the knot before.
+
+    Parameters
+    ----------
+    vertices : (n + 1, 3) mm, columns X Y Z, at the knots piece.first … piece.last
+    inside : all events of the run, in the file's order
+    piece : what is laid out; by default the whole run
     """
-    e = wanted.extrusion()
-    e[-1] = program.moves.end[run.last - 1, 3]
-    e = _even_wipes(e, vertices)
-    lines = _lines_of(program, run, inside)
-    places: list[float] = []
-    for _, move, event in lines:
-        at = min(max(wanted.knot_of(float(trajectory.start_t[move])), 0.0), float(wanted.knots))
-        at = max(at, float(int(at + ROUNDING)))  # a knot that rounding has put just before itself
-        flows = abs(e[min(int(at) + 1, wanted.knots)] - e[int(at)]) > FLOWS_MM
-        if event is None or not flows:
-            at = float(int(at))  # never later than its time: what follows may need its exact place
-        elif abs(at - round(at)) < NEAR:
-            at = float(round(at))
-        places.append(max(at, places[-1] if places else 0.0))
-    points = np.union1d(np.arange(wanted.knots + 1, dtype=np.float64), np.array(places))
-    flowing: dict[float, float] = {}  # point → filament, in the middle of a flow
-    turning: dict[float, float] = {}  # where it begins or ends
-    for at, (_, move, event) in zip(places, lines, strict=True):
-        if event is not None and move > run.first:
-            kind = flowing if _extrudes(program, move - 1) and _extrudes(program, move) else turning
-            kind[at] = float(program.moves.start[move, 3])
-    filament = _filament(e, points, flowing)
-    filament[np.searchsorted(points, list(turning))] = list(turning.values())
-    marks = [
-        Mark(int(np.searchsorted(points, at)), line, event) for at, (line, _, event) in zip(places, lines, strict=True)
-    ]
-    return Timeline(points, filament, marks)
+    piece = piece or Piece.whole(wanted.knots)
+    e = wanted.extrusion(piece.first, piece.last)
+    if piece.last == wanted.knots:
+        e[-1] = program.moves.end[run.last - 1, 3]
+    lines, events, at = _lines_of(program, trajectory, run, wanted, inside, piece)
+    places = _places(at, lines.event >= 0, e, piece.first)
+    _even_wipes(e, vertices, piece.first)
+    between = np.unique(places[places != np.floor(places)])
+    knots = np.arange(piece.first, piece.last + 1, dtype=np.float64)
+    points = np.insert(knots, (between - piece.first).astype(np.int64) + 1, between) if between.size else knots
+    index = np.ceil(places).astype(np.int64) - piece.first + np.searchsorted(between, places)
+    filament = _filament(program, run, e, points, lines, places, index, piece.first)
+    return Timeline(piece, points, filament, index, lines.line, lines.event, events)
 
 
-def _even_wipes(e: FloatArray, vertices: FloatArray) -> FloatArray:
-    """Filament that is pulled back while the nozzle moves, shared out by the command's path: (n + 1,) mm at the knots.
+def _lines_of(
+    program: Program, trajectory: PlannedMotion, run: Run, wanted: Reference, inside: list[Event], piece: Piece
+) -> tuple[_Lines, list[Event], FloatArray]:
+    """The original's lines whose time lies in a piece or its context, the events among them, and their times in knots.
+
+    Before a run's first knot and after its last there may be lines too.
+    """
+    begun = trajectory.start_t[run.first : run.last]
+    first, last = run.first, run.last
+    if piece.first > 0:
+        first += bisect_left(begun, float(piece.first), key=wanted.knot_of)
+    if piece.last < wanted.knots:
+        last = run.first + bisect_left(begun, float(piece.last), key=wanted.knot_of)
+    own = program.moves.line[first:last]
+    before = program.moves.line[first - 1] if first > run.first else -1
+    new = np.flatnonzero(np.diff(own, prepend=before))  # the chords of an arc share a line
+    line, move, event = own[new], first + new, np.full(len(new), -1)
+    among = inside[_before(inside, first) : _before(inside, last)]
+    if among:
+        line = np.concatenate([line, np.array([each.line for each in among])])
+        move = np.concatenate([move, np.array([each.move for each in among])])
+        event = np.concatenate([event, np.arange(len(among))])
+        order = np.argsort(line)
+        line, move, event = line[order], move[order], event[order]
+    at = np.array([wanted.knot_of(t) for t in trajectory.start_t[move].tolist()])
+    return _Lines(line, move, event), among, at
+
+
+def _before(events: list[Event], move: int) -> int:
+    """How many events stand before lines of this move."""
+    return bisect_left(events, move, key=lambda event: event.move)
+
+
+@njit(cache=True, nogil=True)
+def _places(at: FloatArray, stands: BoolArray, e: FloatArray, first: int) -> FloatArray:
+    """Where lines go out, (k,) in knots, rising.
+
+    Parameters
+    ----------
+    at : (k,) their times in knots
+    stands : (k,) whether it stands between moves (an event) or is one
+    e : (n + 1,) mm of filament at the knots from `first` on
+    """
+    places = np.empty(len(at))
+    last = first + len(e) - 1
+    latest = 0.0
+    for i in range(len(at)):
+        place = min(max(at[i], 0.0), float(last))
+        place = max(place, np.floor(place + ROUNDING))  # a knot that rounding has put just before itself
+        knot = int(place)
+        flows = abs(e[min(knot + 1, last) - first] - e[knot - first]) > FLOWS_MM
+        if not stands[i] or not flows:
+            place = float(knot)  # never later than its time: what follows may need its exact place
+        elif abs(place - np.rint(place)) < NEAR:
+            place = np.rint(place)
+        latest = max(latest, place)
+        places[i] = latest
+    return places
+
+
+@njit(cache=True, nogil=True)
+def _even_wipes(e: FloatArray, vertices: FloatArray, first: int) -> None:
+    """Share out filament that is pulled back while the nozzle moves by the command's path, in place.
 
     When exactly a retraction pulls does not matter; but firmwares hold its acceleration down and slow down wherever it
     changes against the path, and a wipe pulls so hard that every unevenness would cost time.
+
+    Parameters
+    ----------
+    e : (n + 1,) mm of filament at the knots, the first of which has the number `first`
+    vertices : (n + 1, 3) mm
     """
-    falls = np.flatnonzero(np.diff(e) < -FLOWS_MM)
-    if not falls.size:
-        return e
-    even = e.copy()
-    gone = np.concatenate([[0.0], np.cumsum(np.sqrt((np.diff(vertices, axis=0) ** 2).sum(axis=1)))])
-    for wipe in np.split(falls, np.flatnonzero(np.diff(falls) > 1) + 1):
-        part = slice(int(wipe[0]), int(wipe[-1]) + 2)
-        s = gone[part] - gone[part.start]
-        if s[-1] > 0.0:
-            even[part] = e[part.start] + (e[part.stop - 1] - e[part.start]) * s / s[-1]
-    return even
+    n = len(e) - 1
+    begin = 0
+    while begin < n:
+        end = begin
+        while end < n and e[end + 1] - e[end] < -FLOWS_MM and (end == begin or (first + end) % CUT):
+            end += 1
+        if end > begin + 1:
+            gone = np.zeros(end - begin + 1)
+            for k in range(begin, end):
+                step = vertices[k + 1] - vertices[k]
+                gone[k + 1 - begin] = gone[k - begin] + np.sqrt((step * step).sum())
+            if gone[-1] > 0.0:
+                e[begin : end + 1] = e[begin] + (e[end] - e[begin]) * gone / gone[-1]
+        begin = max(end, begin + 1)
 
 
-def _extrudes(program: Program, move: int) -> bool:
-    return bool(program.moves.end[move, 3] != program.moves.start[move, 3])
+def _filament(
+    program: Program,
+    run: Run,
+    e: FloatArray,
+    points: FloatArray,
+    lines: _Lines,
+    places: FloatArray,
+    index: IntArray,
+    first: int,
+) -> FloatArray:
+    """Filament at the points, (m,) mm, with what the original's events say of it.
+
+    Parameters
+    ----------
+    e : (n + 1,) mm at the knots from `first` on;  points : (m,) in knots
+    places, index : (k,) where the lines go out, in knots and as points
+    """
+    events = (lines.event >= 0) & (lines.move > run.first)
+    if not events.any():
+        return _interpolated(points, e, first)
+    start, end = program.moves.start[:, 3], program.moves.end[:, 3]
+    move, at, point = lines.move[events], places[events], index[events]
+    flows = (end[move - 1] != start[move - 1]) & (end[move] != start[move])
+    known, which = _last_of_each(at[flows])
+    filament = _met(e, points, known, start[move[flows][which]], first)
+    _, turning = _last_of_each(at[~flows])  # where a flow begins or ends
+    filament[point[~flows][turning]] = start[move[~flows][turning]]
+    return filament
 
 
-def _filament(e: FloatArray, points: FloatArray, known: dict[float, float]) -> FloatArray:
+def _interpolated(points: FloatArray, e: FloatArray, first: int) -> FloatArray:
+    """Values at the points (m,) in knots, from those at the knots from `first` on."""
+    return np.interp(points, first + np.arange(len(e), dtype=np.float64), e)
+
+
+def _last_of_each(rising: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Each value once, and the index of its last occurrence."""
+    which = np.flatnonzero(np.diff(rising, append=np.inf))
+    return rising[which], which
+
+
+def _met(e: FloatArray, points: FloatArray, at: FloatArray, known: FloatArray, first: int) -> FloatArray:
     """Filament at the points, (m,) mm: what is known of it is met exactly, and the flow stays even.
 
     Between knots the command runs evenly, the plan need not: the difference, a ten-thousandth of a mm, is spread
@@ -106,36 +260,40 @@ def _filament(e: FloatArray, points: FloatArray, known: dict[float, float]) -> F
 
     Parameters
     ----------
-    e : (n + 1,) mm at the knots;  points : (m,) in knots;  known : point → mm
+    e : (n + 1,) mm at the knots from `first` on;  points : (m,) in knots
+    at : (j,) in knots, rising;  known : (j,) mm of filament there, in the middle of a flow
     """
-    knots = np.arange(len(e), dtype=np.float64)
-    even = np.interp(points, knots, e)
-    if not known:
+    even = _interpolated(points, e, first)
+    if not at.size:
         return even
     flow = np.abs(np.diff(e))
     gone = np.concatenate([[0.0], np.cumsum(flow)])  # where nothing flows, nothing is spread
-    reach = SPREAD * float(np.median(flow[flow > FLOWS_MM])) if (flow > FLOWS_MM).any() else 1.0
-    at = np.array(sorted(known))
-    place = np.interp(at, knots, gone)
-    missing = np.array([known[a] for a in at.tolist()]) - np.interp(at, knots, e)
-    nodes, values = [0.0], [0.0]
-    for s, m in zip(place.tolist(), missing.tolist(), strict=True):
+    place = _interpolated(at, gone, first)
+    missing = known - _interpolated(at, e, first)
+    between = (at // CUT).astype(np.int64).tolist()  # which cuts
+    usual = {cut: _usual(flow, cut * CUT - first) for cut in set(between)}
+    reaches = [SPREAD * usual[cut] for cut in between]
+    nodes, values, behind = [0.0], [0.0], reaches[0]
+    for s, m, reach in zip(place.tolist(), missing.tolist(), reaches, strict=True):
         # lines close together, or close to the run's end: one is met, the flow stays even
         since, left = s - nodes[-1], float(gone[-1]) - s
         if abs(m - values[-1]) <= STEEPEST * since + FLOWS_MM and abs(m) <= STEEPEST * left + FLOWS_MM:
-            if since > 2 * reach:
-                nodes += [nodes[-1] + reach, s - reach]
+            if since > behind + reach:
+                nodes += [nodes[-1] + behind, s - reach]
                 values += [0.0, 0.0]
             nodes.append(s)
             values.append(m)
-    nodes += [min(nodes[-1] + reach, gone[-1]), gone[-1]]
+            behind = reach
+    nodes += [min(nodes[-1] + behind, gone[-1]), gone[-1]]
     values += [0.0, 0.0]
-    return even + np.interp(np.interp(points, knots, gone), nodes, values)
+    return even + np.interp(_interpolated(points, gone, first), nodes, values)
 
 
-def _lines_of(program: Program, run: Run, inside: list[Event]) -> list[tuple[int, int, Event | None]]:
-    """(line, move, event) of every original line in a run, in file order; a move's own line has no event."""
-    own = program.moves.line[run.first : run.last]
-    new = np.flatnonzero(np.diff(own, prepend=-1))  # the chords of an arc share a line
-    moves = [(int(own[i]), run.first + int(i), None) for i in new]
-    return sorted([*moves, *((event.line, event.move, event) for event in inside)], key=lambda each: each[0])
+def _usual(flow: FloatArray, cut: int) -> float:
+    """Filament in the middling segment from one cut to the next, mm, of those in which any flows.
+
+    flow : (n,) mm in each segment;  cut : the first segment after the cut
+    """
+    flowing = flow[cut : cut + CUT]
+    flowing = flowing[flowing > FLOWS_MM]
+    return float(np.median(flowing)) if flowing.size else 0.1

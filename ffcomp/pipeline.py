@@ -9,7 +9,7 @@ lines       ffcomp.writer         commands and events → text, limits opened an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 from ffcomp.errors import LimitsError, NothingToDo
 from ffcomp.invert.inverter import Inverter, RunResult
 from ffcomp.invert.settings import Settings
-from ffcomp.marks import timeline
+from ffcomp.marks import pieces, timeline
+from ffcomp.plan.junctions import junction_limits
 from ffcomp.plan.limits import DeltaReach, FirmwareLimits
 from ffcomp.plan.lookahead import plan_moves, stops_and_waits
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.plan.s_curve import SCurve, s_curve
+from ffcomp.plan.trajectory import PlannedMotion
 from ffcomp.played import OutputLimits
-from ffcomp.predict import Prediction
+from ffcomp.predict import Prediction, Samples
 from ffcomp.runs import Reference, Run, split_runs
 from ffcomp.schedule import rest_state
 from ffcomp.writer import Writer
@@ -33,6 +35,7 @@ from gcode.program import Event, EventKind, Program
 from models.effects.catalogue import design_machine
 from models.errors import UnreachableError
 from models.kinematics.delta import check_reach
+from models.kinematics.kernels import FastDelta
 from models.machine import DeltaGeometry, Machine
 from models.receptance import modes
 
@@ -54,7 +57,7 @@ class Summary:
     original_print_time_s: float = 0.0
     print_time_s: float = 0.0
     warnings: list[str] = field(default_factory=list)
-    prediction: Prediction | None = None
+    predicted: Samples | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +65,7 @@ class Planned:
     """A program with the firmware's plan for it."""
 
     program: Program
-    trajectory: Trajectory
+    trajectory: PlannedMotion
     runs: list[Run]
 
 
@@ -106,10 +109,13 @@ def _bandwidth(machine: Machine, segment_s: float) -> float:
     return min(max(1.28 * fastest, LOWEST_BANDWIDTH_HZ), HIGHEST_BANDWIDTH / segment_s)
 
 
-def plan_program(program: Program, machine: Machine, offset: tuple[float, float] = (0.0, 0.0)) -> Planned:
+def plan_program(
+    program: Program, machine: Machine, offset: tuple[float, float] = (0.0, 0.0), smooth: bool = False
+) -> Planned:
     """Check that every move can be reached, and plan them all.
 
     offset : mm, what the program's positions were shifted by when they were read
+    smooth : with S-curves, within a percent of the firmware's time
     """
     moves = program.moves
     if not len(moves):
@@ -118,11 +124,20 @@ def plan_program(program: Program, machine: Machine, offset: tuple[float, float]
         try:
             check_reach(machine.kinematics, ends[:, :3])
         except UnreachableError as error:
-            line = int(moves.line[error.indices[0]]) + 1
+            line = program.first_line + int(moves.line[error.indices[0]]) + 1
             advice = _offset_that_fits(moves.end[:, :2] - offset, machine.kinematics.print_radius_mm)
             raise GcodeError(f"{error} {advice}", line, program.path) from error
     stop_before, wait_before = stops_and_waits(program)
-    trajectory = plan_moves(moves, firmware_limits(machine), stop_before=stop_before, wait_before=wait_before)
+    limits = firmware_limits(machine)
+    trajectory: PlannedMotion
+    try:
+        trajectory = plan = plan_moves(moves, limits, stop_before=stop_before, wait_before=wait_before)
+    except GcodeError as error:
+        raise error.located(program.path, program.first_line) from None
+    if smooth:
+        allowed = junction_limits(moves, limits, stop_before | (wait_before > 0.0))
+        most = SCurve(limit_mm_per_s2=machine.limits.acceleration_mm_per_s2)
+        trajectory = s_curve(plan, FastDelta(machine.kinematics).inverse, most, allowed_v=allowed)
     return Planned(program, trajectory, split_runs(trajectory, stop_before))
 
 
@@ -143,6 +158,53 @@ def _offset_that_fits(xy: FloatArray, radius: float) -> str:
     return f"A print made for a bed with its origin in a corner? --offset-mm {x:.0f},{y:.0f} brings it inside."
 
 
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """A run that travels, and the command whose response it is."""
+
+    run: Run
+    wanted: Reference
+    result: RunResult
+
+
+def solutions(
+    planned: Planned, machine: Machine, inverter: Inverter, state: FloatArray | None, keep: Callable[[Reference], bool]
+) -> Iterator[Solved]:
+    """The runs that travel, one after the other: what rings when one ends is known to the next.
+
+    Parameters
+    ----------
+    state : (18,) of the plant as the first run begins; None: at rest
+    keep : asked once for each run whether its response is wanted
+    """
+    trajectory, rested = planned.trajectory, 0.0
+    moved = _moved_before(planned)
+    for run in planned.runs:
+        if not run.travels:
+            continue
+        start = trajectory.origin[run.first, :3]
+        if state is None or moved[run.first]:
+            state = rest_state(machine, start)
+        else:
+            state = inverter.hold(state, start, run.begin_t - rested)
+        wanted = Reference(trajectory, run, inverter.settings)
+        result = inverter.run(wanted, state, keep_response=keep(wanted))
+        state, rested = result.state, run.end_t
+        yield Solved(run, wanted, result)
+
+
+def _moved_before(planned: Planned) -> dict[int, bool]:
+    """For the first move of each run that travels: has something else moved the nozzle since the run before?"""
+    others = {e.move for e in planned.program.events if e.kind in (EventKind.STOP, EventKind.RAW_MOVE)}
+    found, pending, last = {}, False, -1
+    for run in planned.runs:
+        pending = pending or any(move in others for move in range(last + 1, run.first + 1))
+        last = run.first
+        if run.travels:
+            found[run.first], pending, last = pending, False, run.last - 1
+    return found
+
+
 def compensate(
     planned: Planned,
     machine: Machine,
@@ -152,47 +214,51 @@ def compensate(
     progress: Callable[[float], None] = lambda done_s: None,
     offset: tuple[float, float] = (0.0, 0.0),
     watch: Callable[[Run, RunResult], None] = lambda run, result: None,
+    state: FloatArray | None = None,
+    said: Mapping[bytes, bytes] | None = None,
+    prediction: Prediction | None = None,
 ) -> Iterator[bytes]:
-    """The lines of the compensated file, in order. `summary` is complete when they are exhausted.
+    """The lines of the compensated file, in order; one piece may hold many. `summary` is complete at their end.
 
     progress : called with the print-seconds done so far
     offset : mm, what the program's positions were shifted by when they were read
     watch : called with every run and its answer before the first of its lines goes out
+    state : (18,) of the plant as the program begins; None: at rest
+    said : what earlier lines of the file have said of limits (`writer.limits_said`)
+    prediction : is given the runs that it wants
     """
     program, trajectory, settings = planned.program, planned.trajectory, inverter.settings
-    writer = Writer(program, flavor, _own_limits(machine), settings, offset)
+    writer = Writer(program, flavor, _own_limits(machine), settings, offset, said)
     events = _Queue(program.events)
-    state, rested = np.zeros(0), -np.inf  # the plant's state, and the plan's time at which it was so
-    summary.moves = len(program.moves)
-    summary.original_print_time_s = summary.print_time_s = float(trajectory.end_t)
+    summary.moves += len(program.moves)
+    summary.original_print_time_s += float(trajectory.end_t)
+    summary.print_time_s += float(trajectory.end_t)
+    keep = prediction.wants if prediction is not None else lambda wanted: False
+    answers = solutions(planned, machine, inverter, state, keep)
     for run in planned.runs:
-        before = events.up_to(run.first)
-        for event in before:
+        for event in events.up_to(run.first):
             yield from writer.event(event)
         if not run.travels:
             yield from writer.extrude(run.first)
             continue
-        start = trajectory.origin[run.first, :3]
-        moved = any(event.kind in (EventKind.STOP, EventKind.RAW_MOVE) for event in before)
-        known = state.size and not moved
-        state = inverter.hold(state, start, run.begin_t - rested) if known else rest_state(machine, start)
-        wanted = Reference(trajectory, run, settings)
-        predicted = summary.prediction is not None and summary.prediction.wants(wanted)
-        result = inverter.run(wanted, state, keep_response=predicted)
-        state, rested = result.state, run.end_t
-        watch(run, result)
+        answer = next(answers)
+        watch(run, answer.result)
         heights = program.moves.end[run.first : run.last, 2]
-        vertices = keep_inside(machine.kinematics, result.vertices, heights)
-        line_up = timeline(program, trajectory, run, wanted, vertices, events.up_to(run.last - 1))
-        yield from writer.run(run.first, vertices, line_up)
-        _account(summary, run, int(program.moves.line[run.first]) + 1, wanted, result, settings.segment_s)
-        if summary.prediction is not None and predicted:
-            summary.prediction.add(trajectory, run, wanted, result)
-        progress(rested)
+        vertices = keep_inside(machine.kinematics, answer.result.vertices, heights)
+        inside = events.up_to(run.last - 1)
+        for piece in pieces(answer.wanted.knots):
+            part = vertices[piece.first : piece.last + 1]
+            line_up = timeline(program, trajectory, run, answer.wanted, part, inside, piece)
+            yield from writer.run(run.first, part, line_up)
+        line = program.first_line + int(program.moves.line[run.first]) + 1
+        _account(summary, answer, line, settings.segment_s)
+        if prediction is not None and len(answer.result.response):
+            prediction.add(trajectory, run, answer.wanted, answer.result)
+        progress(run.end_t)
     for event in events.up_to(len(program.moves)):
         yield from writer.event(event)
     yield from writer.close()
-    summary.segments = writer.segments
+    summary.segments += writer.segments
 
 
 class _Queue:
@@ -230,10 +296,11 @@ def keep_inside(geometry: DeltaGeometry, vertices: FloatArray, heights: FloatArr
     return inside
 
 
-def _account(summary: Summary, run: Run, line: int, wanted: Reference, result: RunResult, segment_s: float) -> None:
+def _account(summary: Summary, answer: Solved, line: int, segment_s: float) -> None:
+    run, result = answer.run, answer.result
     summary.windows += result.windows
     summary.limited_windows += result.limited
-    summary.print_time_s += wanted.knots * segment_s - (run.end_t - run.begin_t)
+    summary.print_time_s += answer.wanted.knots * segment_s - (run.end_t - run.begin_t)
     if result.excess > 1.0 + 1e-3:
         summary.warnings.append(
             f"line {line}: in the motion that begins here a carriage is asked for {result.excess:.2f} times its limit."

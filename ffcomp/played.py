@@ -21,7 +21,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-SWEEPS = 12  # of the fixed point between neighbouring speeds; it contracts by about Δv/(a S), 0.1 here
+SWEEPS = 12  # at most, of the fixed point between neighbouring speeds; it contracts by about Δv/(a S), 0.1 or less
+SETTLED_MM_PER_S = 1e-12  # a junction that moves less no longer moves the segments beside it
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +71,7 @@ def played(vertices: FloatArray, extrusion: FloatArray, lasting: FloatArray, lim
     )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _played(
     vertices: FloatArray,
     extrusion: FloatArray,
@@ -101,13 +102,7 @@ def _played(
             if ratio[k] < 0.0:
                 a[k] = min(a[k], -retract_acceleration / ratio[k])
     limit = _junction_limits(d, a, unit, ratio, corner_v**2 * (np.sqrt(2.0) - 1.0) / acceleration, extruder_corner_v)
-    cruise = d / lasting
-    junction = np.zeros(n + 1)
-    for _ in range(SWEEPS):
-        for k in range(1, n):
-            junction[k] = min(limit[k], cruise[k - 1], cruise[k])
-        for k in range(n):
-            cruise[k] = min(top_v, _speed(d[k], lasting[k], a[k], junction[k], junction[k + 1]))
+    cruise, junction = _settle(d, lasting, a, limit, top_v)
     duration = lasting.copy()
     for k in range(n):
         c = cruise[k]
@@ -117,7 +112,31 @@ def _played(
     return cruise, junction, a, duration
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, nogil=True)
+def _settle(
+    d: FloatArray, lasting: FloatArray, a: FloatArray, limit: FloatArray, top_v: float
+) -> tuple[FloatArray, FloatArray]:
+    """Each segment's speed (n,) and the junctions' (n + 1,) that agree with each other, mm/s."""
+    n = len(d)
+    cruise = d / lasting
+    junction = np.zeros(n + 1)
+    stale = np.ones(n, dtype=np.bool_)  # segments with a junction that has moved
+    for _ in range(SWEEPS):
+        for k in range(1, n):
+            v = min(limit[k], cruise[k - 1], cruise[k])
+            if abs(v - junction[k]) > SETTLED_MM_PER_S:
+                junction[k] = v
+                stale[k - 1] = stale[k] = True
+        if not stale.any():
+            break
+        for k in range(n):
+            if stale[k]:
+                cruise[k] = min(top_v, _speed(d[k], lasting[k], a[k], junction[k], junction[k + 1]))
+                stale[k] = False
+    return cruise, junction
+
+
+@njit(cache=True, nogil=True, inline="always")
 def _speed(d: float, t: float, a: float, v0: float, v1: float) -> float:
     """The c of the module's docstring; where the ramps cannot make it in time, the fastest there is."""
     if d <= 1e-9:
@@ -127,7 +146,7 @@ def _speed(d: float, t: float, a: float, v0: float, v1: float) -> float:
     return 0.5 * a * (b - np.sqrt(root)) if root > 0.0 else np.sqrt(a * d + 0.5 * (v0 * v0 + v1 * v1))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _junction_limits(
     d: FloatArray, a: FloatArray, unit: FloatArray, ratio: FloatArray, deviation: float, extruder_corner_v: float
 ) -> FloatArray:
@@ -152,7 +171,7 @@ def _junction_limits(
     return limit
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def sample_segments(
     vertices: FloatArray,
     cruise: FloatArray,
@@ -189,7 +208,7 @@ def sample_segments(
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def merge(
     at: FloatArray, points: FloatArray, e: FloatArray, pinned: BoolArray, tolerance: float, longest: float
 ) -> IntArray:
@@ -221,7 +240,7 @@ def merge(
     return np.array(kept)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _straight(at: FloatArray, points: FloatArray, e: FloatArray, first: int, last: int, tolerance: float) -> bool:
     for k in range(first + 1, last):
         f = (at[k] - at[first]) / (at[last] - at[first])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ffcomp.invert.inverter import Inverter, RunResult
 from ffcomp.metrics import Track, peak_acceleration, track
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.plan.trajectory import PlannedMotion
 from ffcomp.runs import Reference, Run
 from ffcomp.schedule import rest_state
 
@@ -31,56 +31,31 @@ class _Motion:
     peak: float = 0.0  # mm/s², of the carriages' commands over one segment
 
 
-class Prediction:
-    """Collects runs while they are compensated; `tracks` judges them at the end."""
+@dataclass
+class Samples:
+    """What was simulated, run after run."""
 
-    def __init__(self, inverter: Inverter, print_time_s: float) -> None:
-        self.inverter = inverter
-        self.share = min(1.0, LONGEST_S / max(print_time_s, 1e-9))
-        s = inverter.settings
-        self.every = max(1, round(SAMPLE_S * s.substeps / s.segment_s))  # substeps from sample to sample
-        self.sample_s = self.every * s.segment_s / s.substeps
-        self.clock = self.seen_s = self.covered_s = 0.0
-        self.place = np.zeros(3)
-        self.wanted: list[FloatArray] = []
-        self.path_t: list[FloatArray] = []
-        self.path: list[FloatArray] = []
-        self.before, self.after = _Motion(), _Motion()
+    sample_s: float
+    clock: float = 0.0  # s
+    covered_s: float = 0.0
+    place: FloatArray = field(default_factory=lambda: np.zeros(3))  # mm, where the last run has ended
+    wanted: list[FloatArray] = field(default_factory=list)  # (m, 3) mm
+    path_t: list[FloatArray] = field(default_factory=list)  # s
+    path: list[FloatArray] = field(default_factory=list)  # (k, 3) mm
+    before: _Motion = field(default_factory=_Motion)
+    after: _Motion = field(default_factory=_Motion)
 
-    def wants(self, wanted: Reference) -> bool:
-        """Is it this run's turn? (Ask once for each run.)"""
-        length = wanted.knots * self.inverter.settings.segment_s
-        due = self.covered_s <= self.share * self.seen_s
-        self.seen_s += length
-        return due
-
-    def add(self, trajectory: Trajectory, run: Run, wanted: Reference, result: RunResult) -> None:
-        """Take one compensated run in."""
-        inverter, s = self.inverter, self.inverter.settings
-        length = wanted.knots * s.segment_s
-        self.covered_s += length
-        every = self.every
-        nozzle, velocity = wanted.substeps(0, wanted.knots)
-        # one after the other in space too: only differences count, and a jump between runs would look like an error
-        shift = self.place - nozzle[0]
-        self.wanted.append(nozzle[every::every] + shift)
-        self.place = self.wanted[-1][-1]
-        self._add_path(trajectory, run, wanted, shift)
-        state = rest_state(inverter.machine, nozzle[0])
-        plain, _ = inverter.fine.respond(nozzle, velocity, state, s.substeps)
-        knots = nozzle[:: s.substeps]
-        for motion, actual, command in ((self.before, plain, knots), (self.after, result.response, result.vertices)):
-            motion.actual.append(actual[every - 1 :: every] + shift)
-            bend = peak_acceleration(inverter.delta.inverse(command), s.segment_s, s.segment_s)
-            motion.peak = max(motion.peak, bend)
-        self.clock += length
-
-    def _add_path(self, trajectory: Trajectory, run: Run, wanted: Reference, shift: FloatArray) -> None:
-        part = slice(run.first, run.last)
-        corners = np.vstack([trajectory.origin[part, :3], wanted.nozzle(np.array([run.end_t]))])
-        due = np.append(trajectory.start_t[part], run.end_t)
-        self.path.append(corners + shift)
-        self.path_t.append(self.clock + due - wanted.t0)
+    def join(self, later: Samples) -> None:
+        """Take in what another has collected of what comes after."""
+        self.wanted += [each + self.place for each in later.wanted]
+        self.path += [each + self.place for each in later.path]
+        self.path_t += [each + self.clock for each in later.path_t]
+        for mine, theirs in ((self.before, later.before), (self.after, later.after)):
+            mine.actual += [each + self.place for each in theirs.actual]
+            mine.peak = max(mine.peak, theirs.peak)
+        self.place = self.place + later.place
+        self.clock += later.clock
+        self.covered_s += later.covered_s
 
     def tracks(self) -> dict[str, Track]:
         """ "uncompensated" and "compensated", each judged over the runs that were taken in."""
@@ -93,3 +68,49 @@ class Prediction:
             name: track(t, wanted, np.concatenate(motion.actual), path_t, path, motion.peak)
             for name, motion in (("uncompensated", self.before), ("compensated", self.after))
         }
+
+
+class Prediction:
+    """Collects samples of runs while they are compensated."""
+
+    def __init__(self, inverter: Inverter, share: float) -> None:
+        """share : of the print that is simulated, 0 to 1"""
+        self.inverter, self.share = inverter, share
+        s = inverter.settings
+        self.every = max(1, round(SAMPLE_S * s.substeps / s.segment_s))  # substeps from sample to sample
+        self.samples = Samples(self.every * s.segment_s / s.substeps)
+        self.seen_s = 0.0
+
+    def wants(self, wanted: Reference) -> bool:
+        """Is it this run's turn? (Ask once for each run.)"""
+        length = wanted.knots * self.inverter.settings.segment_s
+        due = self.samples.covered_s <= self.share * self.seen_s
+        self.seen_s += length
+        return due
+
+    def add(self, trajectory: PlannedMotion, run: Run, wanted: Reference, result: RunResult) -> None:
+        """Take one compensated run in."""
+        inverter, s, found, every = self.inverter, self.inverter.settings, self.samples, self.every
+        length = wanted.knots * s.segment_s
+        found.covered_s += length
+        nozzle, velocity = wanted.substeps(0, wanted.knots)
+        # one after the other in space too: only differences count, and a jump between runs would look like an error
+        shift = found.place - nozzle[0]
+        found.wanted.append(nozzle[every::every] + shift)
+        found.place = found.wanted[-1][-1]
+        self._add_path(trajectory, run, wanted, shift)
+        state = rest_state(inverter.machine, nozzle[0])
+        plain, _ = inverter.fine.respond(nozzle, velocity, state, s.substeps)
+        knots = nozzle[:: s.substeps]
+        for motion, actual, command in ((found.before, plain, knots), (found.after, result.response, result.vertices)):
+            motion.actual.append(actual[every - 1 :: every] + shift)
+            bend = peak_acceleration(inverter.delta.inverse(command), s.segment_s, s.segment_s)
+            motion.peak = max(motion.peak, bend)
+        found.clock += length
+
+    def _add_path(self, trajectory: PlannedMotion, run: Run, wanted: Reference, shift: FloatArray) -> None:
+        part, found = slice(run.first, run.last), self.samples
+        corners = np.vstack([trajectory.origin[part, :3], wanted.nozzle(np.array([run.end_t]))])
+        due = np.append(trajectory.start_t[part], run.end_t)
+        found.path.append(corners + shift)
+        found.path_t.append(found.clock + due - wanted.t0)

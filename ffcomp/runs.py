@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.invert.settings import Settings
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.plan.trajectory import PlannedMotion
 
 FloatArray = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ class Run:
     end_t: float
 
 
-def split_runs(trajectory: Trajectory, stop_before: NDArray[np.bool_]) -> list[Run]:
+def split_runs(trajectory: PlannedMotion, stop_before: NDArray[np.bool_]) -> list[Run]:
     """The plan's runs in order; moves that go nowhere and take no time belong to the run they stand in."""
     travels = np.any(trajectory.direction[:, :3] != 0.0, axis=1)
     extrudes = ~travels & (trajectory.direction[:, 3] != 0.0)
@@ -51,7 +51,7 @@ class Reference:
     knot lies after its end. Outside the run the nozzle rests.
     """
 
-    def __init__(self, trajectory: Trajectory, run: Run, settings: Settings) -> None:
+    def __init__(self, trajectory: PlannedMotion, run: Run, settings: Settings) -> None:
         length = settings.lead_s + (run.end_t - run.begin_t) + settings.tail_s
         self.t0 = run.begin_t - settings.lead_s  # s on the plan's clock
         self.knots = int(np.ceil(length / settings.segment_s - 1e-9))  # segments of the run
@@ -77,17 +77,10 @@ class Reference:
         """The place of a time of the plan's clock among the knots."""
         return (t - self.t0) / self._segment_s
 
-    def extrusion(self) -> FloatArray:
-        """Filament at the knots, (knots + 1,) mm."""
-        return self._position(self._knot_times())[:, 3].copy()
-
-    def bends(self) -> FloatArray:
-        """By how much the nozzle's velocity changes in each segment, (knots,) mm/s."""
-        velocity = self._velocity(self._knot_times())
-        return np.sqrt((np.diff(velocity, axis=0) ** 2).sum(axis=1))
-
-    def _knot_times(self) -> FloatArray:
-        return self.t0 + np.arange(self.knots + 1, dtype=np.float64) * self._segment_s
+    def extrusion(self, first: int = 0, last: int | None = None) -> FloatArray:
+        """Filament at the knots first … last (all of them), (n,) mm."""
+        knots = np.arange(first, (self.knots if last is None else last) + 1, dtype=np.float64)
+        return self._position(self.t0 + knots * self._segment_s)[:, 3].copy()
 
     def _position(self, t: FloatArray) -> FloatArray:
         # at end_t itself the next run may have begun, somewhere else

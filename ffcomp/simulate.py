@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.plan.trajectory import PlannedMotion
 from ffcomp.schedule import Schedule, rest_state
 from models.effects.catalogue import design_machine
 from models.machine import Machine
@@ -23,7 +23,7 @@ JUMP_MM = 1e-3  # a move that begins elsewhere: something else has moved the noz
 
 
 def simulate(
-    machine: Machine, trajectory: Trajectory, progress: Callable[[float], None] = lambda done_s: None
+    machine: Machine, trajectory: PlannedMotion, progress: Callable[[float], None] = lambda done_s: None
 ) -> tuple[FloatArray, FloatArray]:
     """The nozzle under a plan, from its first move to its last.
 
@@ -42,7 +42,7 @@ def simulate(
     return np.concatenate([t for t, _ in parts]), np.concatenate([nozzle for _, nozzle in parts])
 
 
-def sections(trajectory: Trajectory) -> list[tuple[float, float]]:
+def sections(trajectory: PlannedMotion) -> list[tuple[float, float]]:
     """Begin and end (s) of the stretches in which every move begins where the last one ended."""
     end_t = trajectory.start_t + trajectory.duration
     just_before_end = np.nextafter(end_t, -np.inf)
@@ -53,7 +53,7 @@ def sections(trajectory: Trajectory) -> list[tuple[float, float]]:
 
 
 def _section(
-    machine: Machine, schedule: Schedule, trajectory: Trajectory, begin: float, end: float
+    machine: Machine, schedule: Schedule, trajectory: PlannedMotion, begin: float, end: float
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     state = rest_state(machine, trajectory.position([begin])[0, :3])
     last = np.nextafter(end, -np.inf)  # at `end` itself the next stretch may have begun

@@ -8,24 +8,31 @@ as a comment `;~` at its place, so the original can be read out of the result ag
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from operator import itemgetter
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from ffcomp.invert.settings import Settings
-from ffcomp.marks import Mark, Timeline
+from ffcomp.marks import Timeline
 from ffcomp.played import merge, played
+from gcode.blocks import whole_lines
 from gcode.dialects import KLIPPER, close_limits, open_limits
 from gcode.emit import MoveWriter
 from gcode.limits import MotionLimits
-from gcode.program import Event, EventKind, Frame, Program
+from gcode.program import Event, EventKind, Program
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 OURS = b" ; ffcomp"  # ends every line of ours that is not a move
 WAS = b";~"  # before a move of the original
+_Line = int | Event | bytes  # a move of the original (index into its lines), another line of it, a line of ours
 STILL_MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*[0-3](?!\d)", re.IGNORECASE)
 
 
@@ -39,17 +46,18 @@ class Writer:
         own: MotionLimits,
         settings: Settings,
         offset: tuple[float, float] = (0.0, 0.0),
+        said: Mapping[bytes, bytes] | None = None,
     ) -> None:
         self.program, self.flavor, self.own, self.settings = program, flavor, own, settings
         self.offset = offset
         self.moves = MoveWriter()
-        self.at: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)  # mm, X Y Z E, where the file has the toolhead
         self.frame = 0
         self.open = False
         self.in_force = MotionLimits()
-        self.said: dict[bytes, bytes] = {}
+        self.said: dict[bytes, bytes] = dict(said or {})  # the file's last word on each limit
         self.ending = b"\r\n" if program.lines and program.lines[0].endswith(b"\r\n") else b"\n"
         self.segments = 0
+        self.begun, self.rest = False, 0.0  # whether the run has moved, and for how long it has not since, s
 
     # -- what is not a run
 
@@ -59,15 +67,15 @@ class Writer:
             yield from self.close()
         line = self.program.lines[event.line]
         if self.open and STILL_MOVE.match(line):  # a G1 that only sets the feed: ours always say theirs
-            yield from self._original(event.line)
+            yield self._original(event.line)
         elif event.kind is EventKind.RAW_MOVE and any(self.offset):
-            yield from self._original(event.line)
+            yield self._original(event.line)
             yield self._shifted(line)
         else:
             yield line
         self._take_frame(event.frame)
         if event.touches_limits:
-            self._remember(line)
+            self.said |= _said(line)
         if self.open and event.touches_limits:
             yield from self._limits(self._opening())
 
@@ -83,10 +91,10 @@ class Writer:
     def extrude(self, move: int) -> Iterator[bytes]:
         """An extruder-only move, as it was but for its feed, which is always said."""
         moves = self.program.moves
-        yield from self._original(int(moves.line[move]))
+        yield self._original(int(moves.line[move]))
         yield from self._begin(move)
         x, y, z, e = moves.end[move]
-        yield self._finish(self._to(x, y, z, e, float(moves.speed[move])))
+        yield self._finish(self.moves.move(x, y, z, e, float(moves.speed[move])))
 
     def _shifted(self, line: bytes) -> bytes:
         """A move that the firmware plans itself, to where the offset puts it."""
@@ -105,47 +113,91 @@ class Writer:
     # -- a run
 
     def run(self, first: int, vertices: FloatArray, line_up: Timeline) -> Iterator[bytes]:
-        """The segments of one run.
+        """The segments of one run, or of its next piece: many lines in one bytes object.
 
         Parameters
         ----------
         first : the run's first move
-        vertices : (n + 1, 3) mm, columns X Y Z, at the run's knots
+        vertices : (n + 1, 3) mm, columns X Y Z, at the knots of the piece and its context
         line_up : the points at which segments may end, and the original's lines between them
         """
-        yield from self._begin(first)
-        knots = np.arange(len(vertices), dtype=np.float64)
-        points = np.stack([np.interp(line_up.at, knots, axis) for axis in vertices.T], axis=1)
-        points = _rounded(points, self.program.frames[int(self.program.moves.frame[first])])
-        kept = self._enough(points, line_up)
-        points, e, lasting = points[kept], line_up.e[kept], np.diff(line_up.at[kept]) * self.settings.segment_s
-        speeds = played(points, np.diff(e), lasting, self.settings.output).cruise
-        waiting, rest, begun = iter(line_up.marks), 0.0, False
-        mark = next(waiting, None)
-        columns = (kept[:-1], points[1:], e[1:], speeds, lasting)
-        for point, (x, y, z), filament, speed, duration in zip(*(c.tolist() for c in columns), strict=True):
-            while mark is not None and mark.point <= point:
-                yield from self._mark(mark)
-                mark = next(waiting, None)
-            line = self._to(x, y, z, filament, speed)
-            if not line:
-                rest += duration
-                continue
-            if rest and begun:
-                yield b"G4 P%.6g" % (1e3 * rest) + OURS + self.ending
-            rest, begun = 0.0, True
-            self.segments += 1
-            yield self._finish(line)
-        while mark is not None:
-            yield from self._mark(mark)
-            mark = next(waiting, None)
+        if line_up.piece.begin == 0:
+            yield from self._begin(first)
+            self.rest, self.begun = 0.0, False
+        segments = self._segments(first, vertices, line_up)
+        lines = segments.lines(line_up)
+        text: list[bytes] = []
+        since = 0
+        for a, b in pairwise([0, *self._turns(lines), len(lines)]):
+            until = lines[b][0] if b < len(lines) else len(segments.e)
+            text += self._stretch(segments.part(since, until), [(k - since, line) for k, line in lines[a:b]])
+            since = until
+        if any(text):
+            yield b"".join(text)
 
-    def _enough(self, points: FloatArray, line_up: Timeline) -> IntArray:
-        """The points worth writing: all where the command bends, few where it runs straight and evenly."""
-        s = self.settings
-        pinned = np.zeros(len(points), dtype=np.bool_)
-        pinned[[mark.point for mark in line_up.marks]] = True
-        return merge(line_up.at, points, line_up.e, pinned, 1e-3 * s.merge_um, s.longest_merged_s / s.segment_s)
+    def _segments(self, first: int, vertices: FloatArray, line_up: Timeline) -> _Segments:
+        """What is worth writing of a piece: all where the command bends, little where it runs straight and evenly."""
+        s, piece, at = self.settings, line_up.piece, line_up.at
+        frame = self.program.frames[int(self.program.moves.frame[first])]
+        points = _stated(vertices, at, piece.first, np.array(frame.base[:3]), frame.unit_mm)
+        pinned = np.zeros(len(at), dtype=np.bool_)
+        pinned[line_up.cuts()] = True
+        kept = merge(at, points, line_up.e, pinned, 1e-3 * s.merge_um, s.longest_merged_s / s.segment_s)
+        at, points, e = at[kept], points[kept], line_up.e[kept]
+        lasting = (at[1:] - at[:-1]) * s.segment_s
+        speeds = played(points, e[1:] - e[:-1], lasting, s.output).cruise
+        begin, end = np.searchsorted(at, [piece.begin, piece.end]).tolist()
+        return _Segments(kept[:-1], points[1:], e[1:], speeds, lasting).part(begin, end)
+
+    def _turns(self, lines: list[tuple[int, _Line]]) -> Iterator[int]:
+        """Which of the lines change how numbers are written."""
+        frame = self.frame
+        for k, (_, line) in enumerate(lines):
+            if isinstance(line, Event) and line.frame != frame:
+                frame = line.frame
+                yield k
+
+    def _stretch(self, segments: _Segments, lines: list[tuple[int, _Line]]) -> Iterator[bytes]:
+        """Segments with the lines between them, of which only the first may change how numbers are written."""
+        before = bisect_right(lines, 0, key=itemgetter(0))
+        for _, line in lines[:before]:
+            yield from self._line(line)
+        block, ends = self.moves.block(segments.points, segments.e, segments.speeds)
+        starts, done = [0, *ends.tolist()], 0
+        rests = self._rests(np.diff(ends, prepend=0), segments.lasting)
+        lines = lines[before:]
+        for k, line in sorted([*lines, *rests], key=itemgetter(0)) if rests else lines:
+            if starts[k] > done:
+                yield self._finish(block[done : starts[k]])
+                done = starts[k]
+            yield from self._line(line)
+        yield self._finish(block[done:])
+
+    def _rests(self, lengths: IntArray, lasting: FloatArray) -> list[tuple[int, bytes]]:
+        """Segments that need no line are waited for before the next one that does; not at a run's ends.
+
+        lengths : (n,) of each segment's line;  lasting : (n,) s
+        """
+        written = np.flatnonzero(lengths)
+        self.segments += len(written)
+        if not len(written):
+            self.rest = sum(lasting.tolist(), self.rest)
+            return []
+        free = np.concatenate([[0], written[:-1] + 1])  # from when on nothing is written
+        late = written > free
+        late[0] |= self.rest > 0.0
+        waits = []
+        for k in np.flatnonzero(late).tolist():
+            rest = sum(lasting[free[k] : written[k]].tolist(), self.rest if k == 0 else 0.0)
+            if k > 0 or self.begun:
+                waits.append((int(written[k]), b"G4 P%.6g" % (1e3 * rest) + OURS + self.ending))
+        self.begun, self.rest = True, sum(lasting[written[-1] + 1 :].tolist())
+        return waits
+
+    def _line(self, line: _Line) -> Iterable[bytes]:
+        if isinstance(line, Event):
+            return self.event(line)
+        return (self._original(line),) if isinstance(line, int) else (line,)
 
     def _begin(self, move: int) -> Iterator[bytes]:
         """Open a block if none is open, and take over the state at `move`."""
@@ -160,39 +212,21 @@ class Writer:
             self.open = True
             yield from self._limits(self._opening())
             self.frame = int(moves.frame[move])
-            self.at = tuple(moves.start[move].tolist())
-            self._tell_frame()
+            self._tell_frame(moves.start[move].tolist())
         self._take_frame(int(moves.frame[move]))
 
-    def _mark(self, mark: Mark) -> Iterator[bytes]:
-        if mark.event is None:
-            yield from self._original(mark.line)
-        else:
-            yield from self.event(mark.event)
-
-    def _original(self, line: int) -> Iterator[bytes]:
+    def _original(self, line: int) -> bytes:
         text = self.program.lines[line]
-        yield WAS + text if text.endswith(b"\n") else WAS + text + self.ending
+        return WAS + text if text.endswith(b"\n") else WAS + text + self.ending
 
     def _take_frame(self, frame: int) -> None:
         if frame != self.frame:
             self.frame = frame
             if self.open:
-                self.at = self.moves.place
-                self._tell_frame()
+                self._tell_frame(self.moves.place)
 
-    def _tell_frame(self) -> None:
-        self.moves.reset(self.program.frames[self.frame], self.at[:3], self.at[3])
-
-    def _to(self, x: float, y: float, z: float, e: float, speed: float) -> bytes:
-        self.at = (x, y, z, e)
-        return self.moves.move(x, y, z, e, speed)
-
-    def _remember(self, line: bytes) -> None:
-        """The file's last word on each limit: a command with other letters sets other limits."""
-        code = line.partition(b";")[0].strip()
-        letters = b"".join(sorted(set(re.findall(rb"[A-Z]", code.upper()))))
-        self.said[code.split()[0].upper() + letters] = code
+    def _tell_frame(self, place: Sequence[float]) -> None:
+        self.moves.reset(self.program.frames[self.frame], place[:3], place[3])
 
     def _closing(self) -> list[bytes]:
         """The limits that the file has set, over the machine's own."""
@@ -214,11 +248,49 @@ class Writer:
         return line if self.ending == b"\n" else line.replace(b"\n", self.ending)
 
 
-def _rounded(vertices: FloatArray, frame: Frame) -> FloatArray:
-    """The vertices as the file will state them: 4 decimals in the file's own coordinates and unit."""
-    base, unit = np.array(frame.base[:3]), frame.unit_mm
-    decimals = 4 if unit == 1.0 else 6
-    return np.round((vertices - base) / unit, decimals) * unit + base
+@dataclass(frozen=True, slots=True)
+class _Segments:
+    """n segments that are written, and the points of the timeline at which they begin."""
+
+    begins: IntArray  # (n,) index into Timeline.at
+    points: FloatArray  # (n, 3) mm, columns X Y Z, their ends
+    e: FloatArray  # (n,) mm of filament at their ends
+    speeds: FloatArray  # (n,) mm/s
+    lasting: FloatArray  # (n,) s
+
+    def part(self, begin: int, end: int) -> _Segments:
+        s = slice(begin, end)
+        return _Segments(self.begins[s], self.points[s], self.e[s], self.speeds[s], self.lasting[s])
+
+    def lines(self, line_up: Timeline) -> list[tuple[int, _Line]]:
+        """The lines of the original that go out among them, each with the segment it stands before."""
+        piece, place = line_up.piece, line_up.at[line_up.point]
+        own = (place >= piece.begin) & ((place < piece.end) | (piece.end == piece.last))
+        before = np.searchsorted(self.begins, line_up.point[own])
+        columns = (before, line_up.line[own], line_up.event[own])
+        return [
+            (k, line_up.events[n] if n >= 0 else line)
+            for k, line, n in zip(*(c.tolist() for c in columns), strict=True)
+        ]
+
+
+@njit(cache=True, nogil=True)
+def _stated(vertices: FloatArray, at: FloatArray, first: int, base: FloatArray, unit: float) -> FloatArray:
+    """The command at the points, as the file will state it: 4 decimals in its own coordinates and unit. (m, 3) mm
+
+    vertices : (n + 1, 3) mm at the knots from `first` on;  at : (m,) in knots;  base : (3,) mm;  unit : mm
+    """
+    counts = 1e4 if unit == 1.0 else 1e6
+    points = np.empty((len(at), 3))
+    for k in range(len(at)):
+        knot = int(at[k])
+        f = at[k] - knot
+        for i in range(3):
+            place = vertices[knot - first, i]
+            if f > 0.0:
+                place += f * (vertices[knot + 1 - first, i] - place)
+            points[k, i] = np.rint((place - base[i]) / unit * counts) / counts * unit + base[i]
+    return points
 
 
 def _first_known(file: MotionLimits, own: MotionLimits) -> MotionLimits:
@@ -227,9 +299,30 @@ def _first_known(file: MotionLimits, own: MotionLimits) -> MotionLimits:
     return MotionLimits(*(mine if theirs != theirs else theirs for theirs, mine in pairs))
 
 
+def limits_said(program: Program, before: Mapping[bytes, bytes]) -> dict[bytes, bytes]:
+    """The file's last word on each limit at the end of a program; see `Writer.said`."""
+    said = dict(before)
+    for event in program.events:
+        if event.touches_limits:
+            said |= _said(program.lines[event.line])
+    return said
+
+
+def _said(line: bytes) -> dict[bytes, bytes]:
+    """What a line says, by what it is about: a command with other letters sets other limits."""
+    code = line.partition(b";")[0].strip()
+    letters = b"".join(sorted(set(re.findall(rb"[A-Z]", code.upper()))))
+    return {code.split()[0].upper() + letters: code}
+
+
 def original(data: bytes) -> bytes:
     """The file as it was before compensation."""
     return b"".join(original_lines(data.splitlines(keepends=True)))
+
+
+def original_blocks(blocks: Iterable[bytes]) -> Iterator[bytes]:
+    """The same of a file that comes in blocks of bytes, cut anywhere."""
+    return original_lines(line for part in whole_lines(blocks) for line in part.splitlines(keepends=True))
 
 
 def original_lines(lines: Iterable[bytes]) -> Iterator[bytes]:

@@ -56,21 +56,23 @@ class Arc:
         -------
         points : (n, 3), columns first axis mm, second axis mm, share of the way (0, 1]
         """
-        count = self._chord_count(tolerance, longest)
-        share = np.arange(1, count + 1) / count
         first, last = self.radii
-        angle = self._angle(self.start) + self.sweep * share
+        sweep = self.sweep
+        count = _chord_count(max(first, last), abs(sweep), tolerance, longest)
+        share = np.arange(1, count + 1) / count
+        angle = self._angle(self.start) + sweep * share
         radius = first + (last - first) * share
-        points = np.column_stack(
-            (self.centre[0] + radius * np.cos(angle), self.centre[1] + radius * np.sin(angle), share)
-        )
+        points = np.empty((count, 3))
+        points[:, 0] = self.centre[0] + radius * np.cos(angle)
+        points[:, 1] = self.centre[1] + radius * np.sin(angle)
+        points[:, 2] = share
         points[-1, :2] = self.end
         return points
 
-    def _chord_count(self, tolerance: float, longest: float) -> int:
-        radius, sweep = max(self.radii), abs(self.sweep)
-        angle = 2 * acos(1 - tolerance / radius) if radius > tolerance else _COARSEST_ANGLE
-        return max(1, ceil(sweep / min(angle, _COARSEST_ANGLE) - 1e-9), ceil(sweep * radius / longest - 1e-9))
+
+def _chord_count(radius: float, sweep: float, tolerance: float, longest: float) -> int:
+    angle = 2 * acos(1 - tolerance / radius) if radius > tolerance else _COARSEST_ANGLE
+    return max(1, ceil(sweep / min(angle, _COARSEST_ANGLE) - 1e-9), ceil(sweep * radius / longest - 1e-9))
 
 
 def arc_by_centre(start: Point2, end: Point2, offset: Point2, clockwise: bool, line: int | None = None) -> Arc:

@@ -331,6 +331,7 @@ _REFUSED = _names("""
     G53 G55 G56 G57 G58 G59 G59.1 G59.2 G59.3 IF ELIF ELSE WHILE BREAK CONTINUE VAR GLOBAL ABORT
 """)
 
+PASSING_M_CODES = frozenset(int(name[1:]) for name in _PASSING if re.fullmatch(r"M\d+", name))
 EFFECTS: dict[str, Handler] = {
     **dict.fromkeys(_PASSING, _pass),
     **dict.fromkeys(_RESTING, _rest),

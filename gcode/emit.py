@@ -12,11 +12,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from gcode.emit_kernels import E_DECIMALS, F_DECIMALS, LONGEST_LINE, XYZ_DECIMALS, write_moves
 from gcode.program import Frame
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
-XYZ_COUNTS, E_COUNTS, F_COUNTS = 10_000, 100_000, 1_000  # per unit of the file
+XYZ_COUNTS, E_COUNTS, F_COUNTS = 10**XYZ_DECIMALS, 10**E_DECIMALS, 10**F_DECIMALS  # per unit of the file
 
 
 class MoveWriter:
@@ -28,64 +30,44 @@ class MoveWriter:
     def reset(self, frame: Frame, xyz: Sequence[float], e: float) -> None:
         """The firmware is in this state: toolhead at `xyz`, filament at `e`, mm. The next move says F."""
         unit, unit_e = frame.unit_mm, frame.unit_mm * frame.flow
-        self._base = frame.base
-        self._per_mm = (XYZ_COUNTS / unit, XYZ_COUNTS / unit, XYZ_COUNTS / unit, E_COUNTS / unit_e)
+        per_mm = (XYZ_COUNTS / unit, XYZ_COUNTS / unit, XYZ_COUNTS / unit, E_COUNTS / unit_e)
         self._f_counts = 60 * F_COUNTS / frame.feed_factor / unit
-        self._absolute, self._absolute_e = frame.absolute, frame.absolute_e
-        x, y, z = xyz
-        self._last = self._counts(x, y, z, e)
-        self._last_f = -1
+        self._relative = not frame.absolute, not frame.absolute_e
+        counts = [round((at - base) * per) for at, base, per in zip((*xyz, e), frame.base, per_mm, strict=True)]
+        self._state = np.array([*counts, -1], dtype=np.int64)  # of X Y Z E F; F has none yet
+        self._base, self._per_mm = np.array(frame.base), np.array(per_mm)
 
     @property
     def place(self) -> tuple[float, ...]:
         """Where the lines written so far have the toolhead: X Y Z E, mm. Given to `reset`, no rounding is lost."""
-        return tuple(n / per + b for n, per, b in zip(self._last, self._per_mm, self._base, strict=True))
-
-    def _counts(self, x: float, y: float, z: float, e: float) -> tuple[int, int, int, int]:
-        (base_x, base_y, base_z, base_e), (per_x, per_y, per_z, per_e) = self._base, self._per_mm
-        return (
-            round((x - base_x) * per_x),
-            round((y - base_y) * per_y),
-            round((z - base_z) * per_z),
-            round((e - base_e) * per_e),
-        )
+        return tuple((self._state[:4] / self._per_mm + self._base).tolist())
 
     def move(self, x: float, y: float, z: float, e: float, speed: float) -> bytes:
         """One line to this place (mm) at `speed` mm/s; empty when nothing moves by a count."""
-        return self._write(*self._counts(x, y, z, e), round(speed * self._f_counts))
+        return self.block(np.array([[x, y, z]]), np.array([e]), np.array([speed]))[0]
 
     def moves(self, points: FloatArray, speeds: FloatArray) -> list[bytes]:
         """Many lines at once; those that say nothing are left out.
 
         points : (n, 4) mm, columns X Y Z E;  speeds : (n,) mm/s
         """
-        counts = np.rint((points - self._base) * self._per_mm).astype(np.int64)
-        feeds = np.rint(speeds * self._f_counts).astype(np.int64)
-        written = map(self._write, *counts.T.tolist(), feeds.tolist())
-        return [line for line in written if line]
+        return self.block(points[:, :3], points[:, 3], speeds)[0].splitlines(keepends=True)
 
-    def _write(self, x: int, y: int, z: int, e: int, f: int) -> bytes:
-        last_x, last_y, last_z, last_e = self._last
-        from_x, from_y, from_z = (0, 0, 0) if self._absolute else (last_x, last_y, last_z)
-        line = b"G1"
-        if x != last_x:
-            line += b" X%.10g" % ((x - from_x) / XYZ_COUNTS)
-        if y != last_y:
-            line += b" Y%.10g" % ((y - from_y) / XYZ_COUNTS)
-        if z != last_z:
-            line += b" Z%.10g" % ((z - from_z) / XYZ_COUNTS)
-        if e != last_e:
-            line += b" E" + _plain(e if self._absolute_e else e - last_e)
-        if line == b"G1":
-            return b""
-        self._last = x, y, z, e
-        if f != self._last_f:
-            self._last_f = f
-            line += b" F%.10g" % (max(f, 1) / F_COUNTS)  # F0 would be an error
-        return line + b"\n"
+    def block(self, xyz: FloatArray, e: FloatArray, speeds: FloatArray) -> tuple[bytes, IntArray]:
+        """Many lines in one piece, and where each ends in it, (n,) bytes; a line that says nothing is empty.
 
-
-def _plain(counts: int) -> bytes:
-    """E without an exponent, which %g uses below 0.0001."""
-    text = b"%.12g" % (counts / E_COUNTS)
-    return text if b"e" not in text else (b"%.5f" % (counts / E_COUNTS)).rstrip(b"0")
+        xyz : (n, 3) mm;  e : (n,) mm of filament;  speeds : (n,) mm/s
+        """
+        out = np.empty(len(e) * LONGEST_LINE, dtype=np.uint8)
+        ends = write_moves(
+            np.ascontiguousarray(xyz),
+            np.ascontiguousarray(e),
+            np.ascontiguousarray(speeds),
+            self._base,
+            self._per_mm,
+            self._f_counts,
+            self._relative,
+            self._state,
+            out,
+        )
+        return out[: ends[-1]].tobytes() if len(ends) else b"", ends

@@ -28,9 +28,9 @@ class GcodeError(ValueError):
         place = ":".join(p for p in (self.path, "" if self.line is None else str(self.line)) if p)
         return f"{place}: {self.rule}" if place else self.rule
 
-    def located(self, path: str) -> GcodeError:
-        """The same error with the file's name filled in."""
-        return type(self)(self.rule, self.line, path)
+    def located(self, path: str, lines_before: int = 0) -> GcodeError:
+        """The same error with the file's name filled in, and its line counted from the file's beginning."""
+        return type(self)(self.rule, None if self.line is None else self.line + lines_before, path)
 
 
 class UnsupportedGcode(GcodeError):

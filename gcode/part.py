@@ -18,11 +18,12 @@ def part(program: Program, first: int, last: int) -> Program:
     columns = {each.name: getattr(moves, each.name)[first:last] for each in fields(Moves)}
     own = Moves(**{**columns, "line": columns["line"] - begin})
     events = [
-        replace(event, line=event.line - begin, move=event.move - first)
+        event._replace(line=event.line - begin, move=event.move - first)
         for event in program.events
         if begin <= event.line < end
     ]
-    return replace(program, lines=program.lines[begin:end], moves=own, events=events)
+    lines, first_line = program.lines[begin:end], program.first_line + begin
+    return replace(program, lines=lines, moves=own, events=events, first_line=first_line)
 
 
 def preamble(program: Program, move: int) -> bytes:

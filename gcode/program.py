@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,7 @@ class EventKind(Enum):
     RAW_MOVE = "raw move"  # from or to a place not known: passed through, the firmware plans it; also a stop
 
 
-@dataclass(frozen=True, slots=True)
-class Event:
+class Event(NamedTuple):
     line: int  # index into Program.lines
     move: int  # how many moves of Program.moves come before it
     kind: EventKind
@@ -81,3 +81,4 @@ class Program:
     events: list[Event]  # in file order; every line is the line of a move or of exactly one event
     frames: list[Frame]
     warnings: list[str]  # sentences with line numbers
+    first_line: int = 0  # number in the file, from 0, of lines[0]: not 0 in a later part of a file read in parts

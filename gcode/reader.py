@@ -1,39 +1,41 @@
-"""Text → Program: one pass over the lines, following the modal state.
+"""Text → Program: one pass over the lines, following the modal state, over the whole file or part by part.
 
-Nearly every line of a print is a plain `G1 X… Y… E…`; `_Reader._run_of_plain_moves` follows runs of them with
-the state in local variables (about ten times faster than the general way, which reads everything else).
+Nearly every line of a print is a plain `G1 X… Y… E…` or a comment; `gcode.plain` follows runs of them straight from
+the bytes (some thirty times faster than the general way, which reads everything else).
 """
 
 from __future__ import annotations
 
-import re
-from math import isnan
+from collections.abc import Iterable, Iterator
+from math import isnan, nan
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from gcode.arcs import ARC_TOLERANCE_MM, Arc, arc_by_centre, arc_by_radius
-from gcode.commands import Effect, apply
+from gcode.blocks import PART_BYTES, whole_lines
+from gcode.commands import LIMITS, PASS, PASSING_M_CODES, Effect, apply
 from gcode.container import read_bytes
 from gcode.dialects import detect_flavor
 from gcode.errors import GcodeError, UnsupportedGcode
-from gcode.limits import MACHINE_LIMITS, MotionLimits
-from gcode.moves import MoveTable
-from gcode.program import Event, EventKind, Frame, Program
-from gcode.state import DEFAULT_FEED_MM_PER_S, Modal, Vector4
+from gcode.limits import MotionLimits
+from gcode.moves import EventTable, MoveTable
+from gcode.plain import STILL_MM2, ByteArray, Cursor, Modes, follow
+from gcode.program import EventKind, Frame, Program
+from gcode.state import DEFAULT_FEED_MM_PER_S, FrameValues, Modal, Vector4
 from gcode.words import Command, commands, shown
 
 MOTIONS = frozenset(("G0", "G1", "G2", "G3"))
 SETTINGS = frozenset(["G17", "G18", "G19", "G20", "G21", "G40", "G49", "G54", "G80", "G90", "G91", "G94"])
 _MOTION_WORDS = {"G0": "XYZEF", "G1": "XYZEF", "G2": "XYZEFIJKR", "G3": "XYZEFIJKR"}
+_ARC_WORDS = frozenset("XYZIJKR")
 _IGNORED_WORDS = "SPHNO"  # laser power, priorities, endstop flags: they do not change where the nozzle goes
-STILL_MM2 = 1e-18  # squared displacement below which nothing moves: 1e-9 mm, as in Klipper
+_QUIET_STARTS = (b"G1", b"G0", b"G92 E", b"M", b";", b"\n", b"\r", b" ", b"\t")
+_STATES_AT_A_TIME = 4096
+_PASSING = np.isin(np.arange(1 + max(PASSING_M_CODES)), list(PASSING_M_CODES))
 
-_N = rb"([-+]?\d{1,6}(?:\.\d*)?|[-+]?\.\d+)"
-_PLAIN_MOVE = re.compile(
-    rb"G[01](?: F%b)?(?: Z%b)?(?: X%b)?(?: Y%b)?(?: Z%b)?(?: E%b)?(?: F%b)?[ \t]*(?:;[^\r\n]*)?[\r\n]*" % ((_N,) * 7)
-)
-_FEED_ALONE = re.compile(rb"G[01] F%b\s*" % _N)
-_PLAIN_STARTS = (b"G1", b"G0")
-_QUIET = re.compile(rb"\s*(?:;.*)?", re.DOTALL)
+LimitState = tuple[MotionLimits, MotionLimits, float]  # own, caps, unit: what a command that sets limits depends on
 
 
 def read_program(
@@ -66,10 +68,40 @@ def read_program(
     GcodeError
         A line that cannot be followed, with its number.
     """
-    try:
-        return _Reader(data, path, start, offset_mm, arc_tolerance_mm, flavor).program()
-    except GcodeError as error:
-        raise error.located(path) from None
+    reader = _Reader(path, start, offset_mm, arc_tolerance_mm, flavor or detect_flavor([data]))
+    return reader.program(data)
+
+
+def read_parts(
+    blocks: Iterable[bytes],
+    path: str = "",
+    *,
+    flavor: str,
+    start: tuple[float, float, float] | None = None,
+    offset_mm: tuple[float, float] = (0.0, 0.0),
+    arc_tolerance_mm: float = ARC_TOLERANCE_MM,
+    part_bytes: int = PART_BYTES,
+) -> Iterator[Program]:
+    """Read a file of any length in parts: consecutive programs that together say what `read_program` says.
+
+    Each part has only its own lines, moves, events, frames and warnings, and all its indices count from its own
+    beginning; `Program.first_line` says where in the file that is. Its first frame is the one in force there. Errors
+    and warnings name the lines of the file. A file without lines has no parts.
+
+    Parameters
+    ----------
+    blocks : bytes of any sizes, cut anywhere
+        The file: `iter(lambda: file.read(1 << 20), b"")`.
+    flavor : str
+        "klipper", "marlin" or "reprapfirmware"; `gcode.dialects.flavor_by_ends` finds it without the whole file.
+    part_bytes : int
+        Size of a part, but for the rest of its last line. 1 MiB are some 30,000 lines.
+
+    Other parameters, and errors, are those of `read_program`; an error comes when its part is read.
+    """
+    reader = _Reader(path, start, offset_mm, arc_tolerance_mm, flavor)
+    for data in whole_lines(blocks, part_bytes):
+        yield reader.program(data)
 
 
 def read_file(
@@ -92,138 +124,161 @@ def read_file(
 
 
 class _Reader:
-    """The state of one pass: the modal state, and the tables that grow."""
+    """The modal state, which goes on from part to part, and the tables of the part that is read."""
 
     def __init__(
         self,
-        data: bytes,
         path: str,
         start: tuple[float, float, float] | None,
         offset: tuple[float, float],
         arc_tolerance: float,
-        flavor: str | None,
+        flavor: str,
     ) -> None:
         self.path, self.arc_tolerance = path, arc_tolerance
-        self.lines = data.splitlines(keepends=True)
-        self.modal = Modal(offset=offset, flavor=flavor or detect_flavor(self.lines))
-        self.table = MoveTable()
+        self.modal = Modal(offset=offset, flavor=flavor)
         if start is not None:
-            self.modal.position[:3] = start
-            self.table.jumps[0] = list(self.modal.position)
-        self.events: list[Event] = []
-        self.frames: list[Frame] = []
-        self.frame_numbers: dict[Frame, int] = {}
-        self.feed_frames: dict[tuple[int, bytes], int] = {}  # (frame, F word) → the frame after it
-        self.frame = self._frame_number()
-        self.limits: list[MotionLimits] = [MACHINE_LIMITS]
-        self.limit_numbers: dict[MotionLimits, int] = {MACHINE_LIMITS: 0}
-        self.limit = 0
-        self.warnings: dict[str, str] = {}  # what it is about → sentence
+            self.modal.position[:3] = [float(coordinate) for coordinate in start]
+        self.warned: set[str] = set()  # what sentences were about
+        self.first_line = 0
+        self.lines: list[bytes] = []
+        self.modes: Modes | None = None  # None: to be found anew, for a command may have changed them
+        self.new_states = np.empty((_STATES_AT_A_TIME, 2))
 
-    def program(self) -> Program:
-        at = 0
+    def program(self, data: bytes) -> Program:
+        """Read the next part of the file."""
+        self._begin(data)
+        try:
+            self._follow(data)
+        except GcodeError as error:
+            raise error.located(self.path) from None
+        frame_of_state = np.array(self.states, dtype=np.int64)
+        moves = self.moves.moves(frame_of_state, self.frames, self.limits)
+        events = self.events.events(frame_of_state)
+        return Program(self.path, self.lines, moves, events, self.frames, self.warnings, self.first_line)
+
+    def _begin(self, data: bytes) -> None:
+        self.first_line += len(self.lines)
+        self.lines = data.splitlines(keepends=True)
+        self.moves = MoveTable(len(self.lines), self.modal.position)
+        self.events = EventTable(np.empty((len(self.lines), 3), dtype=np.int64))
+        self.frames: list[Frame] = []
+        self.frame_numbers: dict[FrameValues, int] = {}
+        self.known_frames: dict[tuple[float, ...], dict[tuple[float, float], int]] = {}  # modes → feed, E → frame
+        self.frame = self._frame_number()
+        self.states = [self.frame]  # frames in force one after another; the last is in force now
+        self.limits = [self.modal.limits]
+        self.limit_numbers = {self.modal.limits: 0}
+        self.limit = 0
+        self.known_limits: dict[bytes, dict[LimitState, tuple[MotionLimits, MotionLimits, MotionLimits]]] = {}
+        self.warnings: list[str] = []
+
+    def _follow(self, data: bytes) -> None:
+        text = np.frombuffer(data + b"\n", dtype=np.uint8)
+        at = byte = 0
         while at < len(self.lines):
-            after = self._run_of_plain_moves(at) if self.lines[at][:2] in _PLAIN_STARTS else at
-            if after == at:
+            stuck = True
+            if self.lines[at].startswith(_QUIET_STARTS):
+                at, byte, stuck = self._quiet_lines(text, at, byte)
+            if stuck:
                 self._line(at)
-            at = max(after, at + 1)
-        moves = self.table.moves(self.frames, self.limits)
-        return Program(self.path, self.lines, moves, self.events, self.frames, list(self.warnings.values()))
+                byte += len(self.lines[at])
+                at += 1
 
     # -- the fast way --
 
-    def _run_of_plain_moves(self, at: int) -> int:
-        """Follow `G0`/`G1` lines in the usual form from line `at`; returns the first that needs more care."""
-        modal, lines, table = self.modal, self.lines, self.table
-        match_plain, ends_extend = _PLAIN_MOVE.fullmatch, table.ends.extend
-        add_line, add_frame, add_limit = table.lines.append, table.frames.append, table.limits.append
-        limit, frame = self.limit, self.frame
-        relative, relative_e = not modal.is_absolute(0), not modal.is_absolute(3)
-        unit, unit_e = modal.scale(0), modal.scale(3)
-        base_x, base_y, base_z, base_e = (a + b for a, b in zip(modal.base, modal.shift, strict=True))
+    def _quiet_lines(self, text: ByteArray, at: int, byte: int) -> tuple[int, int, bool]:
+        """Follow quiet lines from line `at`; returns the next line, its byte, and whether it needs more care."""
+        modal, first_move, states = self.modal, self.moves.count, len(self.states)
+        self.moves.make_room(len(self.lines) - at)
+        feed, origin_e = modal.feed if modal.feed_known else nan, modal.base[3] + modal.shift[3]
         x, y, z, e = modal.position
-        first, last = at, len(lines)
-        while at < last:
-            match = match_plain(lines[at])
-            if match is None:
-                break
-            early_f, early_z, to_x, to_y, late_z, to_e, late_f = match.groups()
-            if (early_f and late_f) or (early_z and late_z):
-                break
-            to_z = early_z or late_z
-            new_x = x if to_x is None else float(to_x) * unit + (x if relative else base_x)
-            new_y = y if to_y is None else float(to_y) * unit + (y if relative else base_y)
-            new_z = z if to_z is None else float(to_z) * unit + (z if relative else base_z)
-            new_e = e if to_e is None else float(to_e) * unit_e + (e if relative_e else base_e)
-            dx, dy, dz, de = new_x - x, new_y - y, new_z - z, new_e - e
-            if not dx * dx + dy * dy + dz * dz + de * de > STILL_MM2:  # still, or from or to an unknown place
-                break
-            if early_f or late_f:
-                frame = self._frame_for_feed(early_f or late_f, at)
-            x, y, z, e = new_x, new_y, new_z, new_e
-            ends_extend((x, y, z, e))
-            add_line(at)
-            add_frame(frame)
-            add_limit(limit)
-            at += 1
-        if at > first:
-            modal.position = [x, y, z, e]
-            modal.motion = lines[at - 1][:2].decode()
-            self._warn_of_default_feed(first)
-        return at
+        counts = byte, at, first_move, self.events.count, states, states - 1
+        here = Cursor(*counts, x, y, z, e, feed, origin_e, motion=-1, stuck=False)
+        tables = self.moves.ends, self.moves.rows, self.events.rows, self.new_states
+        self.modes = self.modes or _modes(modal)
+        there = follow(text, _PASSING, here, self.modes, self.limit, *tables)
+        if there.moves > first_move and not modal.feed_known:
+            self._warn_if_no_feed_at(first_move)
+        if there.states > here.states:
+            self._take_states(self.new_states[: there.states - here.states].tolist(), there.state)
+        self.moves.count, self.events.count = there.moves, there.events
+        modal.position = [there.x, there.y, there.z, there.e]
+        if there.motion >= 0:
+            modal.motion = f"G{there.motion}"
+        return there.line, there.byte, there.stuck
 
-    def _frame_for_feed(self, number: bytes, at: int) -> int:
-        """The present frame with another speed; prints use few speeds many times, so pairs are remembered."""
-        key = self.frame, number
-        known = self.feed_frames.get(key)
-        if known is None:
-            self.modal.set_feed({"F": float(number)}, at + 1)
-            known = self.feed_frames[key] = self._frame_number()
-        self.modal.feed = self.frames[known].feed_mm_per_s
-        self.frame = known
-        return known
+    def _warn_if_no_feed_at(self, first_move: int) -> None:
+        line, state, _ = self.moves.rows[first_move].tolist()
+        if state < len(self.states) or isnan(self.new_states[state - len(self.states), 0]):
+            self._warn_of_default_feed(line)
+
+    def _take_states(self, states: list[list[float]], in_force: int) -> None:
+        """States that differ in feed and E's origin only; prints use few feeds many times: frames are remembered."""
+        modal = self.modal
+        modes = (*modal.base[:3], modal.unit, modal.absolute, modal.absolute_e, modal.flow, modal.feed_factor)
+        known = self.known_frames.setdefault(modes, {})
+        for feed, origin_e in states:
+            modal.base[3] = origin_e
+            if not isnan(feed):
+                modal.feed, modal.feed_known = feed, True
+            key = feed, origin_e
+            if key not in known:
+                known[key] = self._frame_number()
+            self.states.append(known[key])
+        self.frame = self.states[in_force]
+        self.states.append(self.frame)
+        present = self.frames[self.frame]
+        modal.base[3], modal.feed = present.base[3], present.feed_mm_per_s
 
     # -- the general way --
 
     def _line(self, at: int) -> None:
-        if _QUIET.fullmatch(self.lines[at]):
-            self._event(at, Effect(EventKind.PASS))
+        if self.lines[at] in self.known_limits and self._limits_as_before(at):
             return
-        if feed := _FEED_ALONE.fullmatch(self.lines[at]):
-            self._feed_alone(at, feed.group(1))
-            return
-        said = commands(self.lines[at], at + 1)
+        said = commands(self.lines[at], self._number(at))
         if len(said) > 1:
             self._settings(at, said)
-        elif said and (said[0].name in MOTIONS or not said[0].name):
+        elif not said:
+            self._event(at, PASS)
+        elif said[0].name in MOTIONS or not said[0].name:
             self._motion(at, said[0])
         else:
-            self._command(at, said)
-
-    def _feed_alone(self, at: int, number: bytes) -> None:
-        self.modal.motion = self.lines[at][:2].decode()
-        self._frame_for_feed(number, at)
-        self._travel(at, self.modal.position[:], None)
+            self._command(at, said[0])
 
     def _settings(self, at: int, said: list[Command]) -> None:
         """`G17 G21 G90` on one line; a move among them could not be replaced without losing the rest."""
         names = [command.name for command in said]
         if not SETTINGS.issuperset(names):
             rule = "only modes (G17, G21, G90, …) may share a line"
-            raise UnsupportedGcode(f"The line holds {' and '.join(names)}; {rule}.", at + 1)
+            raise UnsupportedGcode(f"The line holds {' and '.join(names)}; {rule}.", self._number(at))
         self._warn("several", at, f"{' '.join(names)} share a line, of which Klipper and Marlin obey only the first")
+        self.modes = None
         for command in said:
             apply(self.modal, command)
         self._settle()
-        self._event(at, Effect(EventKind.PASS))
+        self._event(at, PASS)
 
-    def _command(self, at: int, said: list[Command]) -> None:
-        before = self.modal.position[:]
-        effect = apply(self.modal, said[0]) if said else Effect(EventKind.PASS)
+    def _limits_as_before(self, at: int) -> bool:
+        """Follow a line that sets limits, if it has been met under the same ones: slicers alternate between few."""
+        modal = self.modal
+        known = self.known_limits[self.lines[at]].get((modal.own, modal.caps, modal.unit))
+        if known is not None:
+            modal.own, modal.caps, modal.limits = known
+            self._settle_limits()
+            self._event(at, LIMITS)
+        return known is not None
+
+    def _command(self, at: int, command: Command) -> None:
+        self.modes = None
+        before, limits_before = self.modal.position[:], (self.modal.own, self.modal.caps, self.modal.unit)
+        effect = apply(self.modal, command)
         if effect.warning:
-            self._warn(said[0].name, at, effect.warning)
+            self._warn(command.name, at, effect.warning)
         if self.modal.position != before:
-            self.table.jumps[len(self.table.lines)] = self.modal.position[:]
+            self.moves.jumps[self.moves.count] = self.modal.position[:]
+        if effect is LIMITS:
+            limits_after = self.modal.own, self.modal.caps, self.modal.limits
+            self.known_limits.setdefault(self.lines[at], {})[limits_before] = limits_after
         self._settle()
         self._event(at, effect)
 
@@ -233,26 +288,27 @@ class _Reader:
         words = command.numbers()
         modal.motion = command.name or modal.motion or ("G1" if words.keys() == {"F"} else "")
         if not modal.motion:
-            raise GcodeError(f"{shown(command.args)} has no command; the first move must say G0 or G1.", at + 1)
+            rule = "the first move must say G0 or G1"
+            raise GcodeError(f"{shown(command.args)} has no command; {rule}.", self._number(at))
         self._check_words(modal.motion, words, at)
-        modal.set_feed(words, at + 1)
+        modal.set_feed(words, self._number(at))
         self._settle()
         end = modal.target(words)
-        arc = modal.motion in ("G2", "G3") and bool(words.keys() & set("XYZIJKR"))
+        arc = modal.motion in ("G2", "G3") and not _ARC_WORDS.isdisjoint(words)
         self._travel(at, end, self._arc(modal.motion, words, end, at) if arc else None)
 
     def _check_words(self, motion: str, words: dict[str, float], at: int) -> None:
         for letter in words:
             if letter not in _MOTION_WORDS[motion] and letter not in _IGNORED_WORDS:
                 rule = f"a move has the words {' '.join(_MOTION_WORDS[motion])}"
-                raise GcodeError(f"{motion} has the word {letter}{words[letter]:g}; {rule}.", at + 1)
+                raise GcodeError(f"{motion} has the word {letter}{words[letter]:g}; {rule}.", self._number(at))
 
     def _travel(self, at: int, end: Vector4, arc: Arc | None) -> None:
         start = self.modal.position
         travelled = sum((b - a) ** 2 for a, b in zip(start, end, strict=True))
         self.modal.position = end
         if isnan(travelled):
-            self.table.jumps[len(self.table.lines)] = end
+            self.moves.jumps[self.moves.count] = end
             self._event(at, Effect(EventKind.RAW_MOVE))
         elif arc is not None:
             self._chords(at, start, end, arc)
@@ -260,13 +316,10 @@ class _Reader:
             self._warn_of_default_feed(at)
             self._move(at, end)
         else:
-            self._event(at, Effect(EventKind.PASS))
+            self._event(at, PASS)
 
-    def _move(self, at: int, end: Vector4) -> None:
-        self.table.ends.extend(end)
-        self.table.lines.append(at)
-        self.table.frames.append(self.frame)
-        self.table.limits.append(self.limit)
+    def _move(self, at: int, ends: ArrayLike) -> None:
+        self.moves.add(at, len(self.states) - 1, self.limit, ends)
 
     # -- arcs --
 
@@ -278,31 +331,39 @@ class _Reader:
         if any(isnan(number) for number in (*here, *there)):
             return None
         if "R" in words:
-            return arc_by_radius(here, there, words["R"] * modal.unit, motion == "G2", at + 1)
+            return arc_by_radius(here, there, words["R"] * modal.unit, motion == "G2", self._number(at))
         offset = words.get("IJK"[u], 0.0) * modal.unit, words.get("IJK"[v], 0.0) * modal.unit
-        return arc_by_centre(here, there, offset, motion == "G2", at + 1)
+        return arc_by_centre(here, there, offset, motion == "G2", self._number(at))
 
     def _chords(self, at: int, start: Vector4, end: Vector4, arc: Arc) -> None:
         """Chords share height and filament evenly: all are equally long."""
         u, v, normal = self.modal.arc_axes()
-        point = [0.0] * 4
+        chords = arc.chords(self.arc_tolerance)
+        points = np.empty((len(chords), 4))
+        points[:, (u, v)] = chords[:, :2]
+        points[:, normal] = start[normal] + (end[normal] - start[normal]) * chords[:, 2]
+        points[:, 3] = start[3] + (end[3] - start[3]) * chords[:, 2]
+        points[-1] = end
         self._warn_of_default_feed(at)
-        for first, second, share in arc.chords(self.arc_tolerance).tolist():
-            point[u], point[v] = first, second
-            for axis in (normal, 3):
-                point[axis] = start[axis] + (end[axis] - start[axis]) * share
-            self._move(at, point)
-        self.table.ends[-4:] = end
+        self._move(at, points)
 
     # -- book-keeping --
 
+    def _number(self, at: int) -> int:
+        """The number of a line in the file, from 1."""
+        return self.first_line + at + 1
+
     def _event(self, at: int, effect: Effect) -> None:
-        moves = len(self.table.lines)
-        self.events.append(Event(at, moves, effect.kind, self.frame, effect.dwell_s, effect.touches_limits))
+        self.events.add(at, self.moves.count, len(self.states) - 1, effect)
 
     def _settle(self) -> None:
         """Give the present frame and limits their numbers."""
         self.frame = self._frame_number()
+        if self.frame != self.states[-1]:
+            self.states.append(self.frame)
+        self._settle_limits()
+
+    def _settle_limits(self) -> None:
         limits = self.modal.limits
         if limits is not self.limits[self.limit]:
             self.limit = self.limit_numbers.setdefault(limits, len(self.limits))
@@ -310,16 +371,24 @@ class _Reader:
                 self.limits.append(limits)
 
     def _frame_number(self) -> int:
-        frame = self.modal.frame()
-        number = self.frame_numbers.setdefault(frame, len(self.frames))
+        values = self.modal.frame_values()
+        number = self.frame_numbers.setdefault(values, len(self.frames))
         if number == len(self.frames):
-            self.frames.append(frame)
+            self.frames.append(Frame(*values))
         return number
 
     def _warn(self, about: str, at: int, sentence: str) -> None:
-        self.warnings.setdefault(about, f"line {at + 1}: {sentence}.")
+        if about not in self.warned:
+            self.warned.add(about)
+            self.warnings.append(f"line {self._number(at)}: {sentence}.")
 
     def _warn_of_default_feed(self, at: int) -> None:
-        if not self.modal.feed_known and "feed" not in self.warnings:
+        if not self.modal.feed_known:
             speed = f"{DEFAULT_FEED_MM_PER_S:g} mm/s are taken until the first F"
             self._warn("feed", at, f"the first move has no speed; {speed}")
+
+
+def _modes(modal: Modal) -> Modes:
+    x, y, z, _ = (base + shift for base, shift in zip(modal.base, modal.shift, strict=True))
+    relative, relative_e = not modal.is_absolute(0), not modal.is_absolute(3)
+    return Modes(x, y, z, relative, relative_e, modal.scale(0), modal.scale(3), modal.feed_factor)

@@ -20,6 +20,7 @@ AXES = "XYZE"
 FIRST_AXES = {"XY": (0, 1, 2), "ZX": (2, 0, 1), "XZ": (0, 2, 1), "YZ": (1, 2, 0)}
 
 Vector4 = list[float]
+FrameValues = tuple[tuple[float, float, float, float], float, bool, bool, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +68,13 @@ class Modal:
 
     def frame(self) -> Frame:
         """The part of the state that a writer needs."""
+        return Frame(*self.frame_values())
+
+    def frame_values(self) -> FrameValues:
+        """The values of `frame`, in its order: many times quicker to look up than the frame itself."""
         x, y, z, e = self.base
         absolute_e = self.absolute_e and self.absolute
-        return Frame((x, y, z, e), self.unit, self.absolute, absolute_e, self.flow, self.feed_factor, self.feed)
+        return (x, y, z, e), self.unit, self.absolute, absolute_e, self.flow, self.feed_factor, self.feed
 
     def forget(self) -> None:
         """Nobody knows where the toolhead is: homing, probing, a macro."""

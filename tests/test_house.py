@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("gcode", "models", "ffcomp")
 FORBIDDEN = {
-    "gcode": {"models", "ffcomp", "scipy", "numba", "matplotlib", "typer", "rich", "pydantic"},
+    "gcode": {"models", "ffcomp", "scipy", "matplotlib", "typer", "rich", "pydantic"},
     "models": {"gcode", "ffcomp", "matplotlib", "typer", "rich"},
     "ffcomp": set[str](),
 }

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from ffcomp.errors import NothingToDo
 from ffcomp.pipeline import plan_program
+from ffcomp.steps.pieces import trajectory_pieces
+from ffcomp.steps.reader import MotorSteps, StepsError, is_step_archive, read_steps
+from ffcomp.steps.sink import Board, StepSink
 from ffcomp.virtual.command import Command
 from ffcomp.virtual.gcode_command import gcode_command
 from ffcomp.virtual.play import ROW_S, play
 from ffcomp.virtual.simulation import Request, read_command, simulate_command
 from ffcomp.virtual.steps_command import AT_REST_S, smoothed, staircase, steps_command
-from ffcomp.virtual.steps_file import MotorSteps, StepsError, is_step_archive, read_steps
 from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.reader import read_program
 from models.machine import Machine, constant
@@ -159,6 +161,21 @@ def test_a_print_as_steps_moves_the_nozzle_as_its_gcode_does(
     stepped, smooth = (simulate_command(each, MACHINE, MACHINE, Request()).track for each in (steps, whole))
     assert stepped.contour_rms_um == pytest.approx(smooth.contour_rms_um, rel=0.05)
     assert stepped.delay_s == pytest.approx(smooth.delay_s, abs=2e-5)
+    assert not warnings
+
+
+@pytest.mark.parametrize("error_s", [None, 12.5e-6])
+def test_the_archive_that_is_written_plays_the_plan(error_s: float | None, tmp_path: Path) -> None:
+    """Through `read_command`, as `ffcomp simulate` does: no more apart than the microsteps are, compressed or not."""
+    trajectory = plan_program(read_program(SHORT, start=kalico.START_MM), MACHINE).trajectory
+    with StepSink(MACHINE, Board(extruder_steps_per_mm=415.0), tmp_path / "steps", error_s) as sink:
+        for pieces in trajectory_pieces(trajectory):
+            sink.pieces(pieces)
+        sink.finish()
+    steps, warnings = read_command(tmp_path / "steps", MACHINE)
+    distance = apart_um(steps, planned())
+    assert distance.max() < 24.0
+    assert np.sqrt(np.mean(distance**2)) < 7.0
     assert not warnings
 
 

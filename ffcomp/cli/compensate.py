@@ -47,6 +47,13 @@ ShaperOff = Annotated[
     ),
 ]
 Predict = Annotated[bool, typer.Option(help="Simulate before and after with the design model.")]
+Inverse = Annotated[
+    str, typer.Option(help="fast, or exact: the reference it is measured against, a hundred times slower.")
+]
+SCurve = Annotated[
+    bool, typer.Option("--s-curve", help="Ramps with limited jerk: lower peaks, within a percent of the time.")
+]
+Jobs = Annotated[int, typer.Option("--jobs", "-j", help="Processes to work with; the result is the same.", min=1)]
 
 
 def compensate(
@@ -63,6 +70,9 @@ def compensate(
     max_segments_per_second: Rate = 250.0,
     shaper_off: ShaperOff = False,
     predict: Predict = True,
+    inverse: Inverse = "fast",
+    s_curve: SCurve = False,
+    jobs: Jobs = 1,
 ) -> None:
     """Write commands whose response is the path that the slicer wanted.
 
@@ -76,16 +86,18 @@ def compensate(
     with exit_codes():
         if output != "gcode":
             raise typer.BadParameter(f"--output {output}: this version writes gcode.")
-        data, stamp = _read(file)
+        if inverse not in ("fast", "exact"):
+            raise typer.BadParameter(f"--inverse {inverse}: fast or exact.")
+        stamp = _stamp(file)
         if stamp is not None and not force:
             already = f"{file}: already processed by ffcomp v{stamp.version} for {stamp.machine}; nothing changed."
             result = {"schema": "ffcomp-compensate/1", "input": str(file), "output": str(file), "already": already}
             say(already, quiet)
         else:
-            options = {"flavor": flavor, "shaper_off": shaper_off, "predict": predict}
-            job = _job(
-                data, file, machine, parsed_offset(offset_mm), max_segments_per_second, stamp is not None, options
-            )
+            options = {"flavor": flavor, "shaper_off": shaper_off, "predict": predict, "jobs": jobs}
+            changes = {"inverse": inverse, "s_curve": s_curve}
+            offset = parsed_offset(offset_mm)
+            job = _job(file, machine, offset, max_segments_per_second, changes, stamp is not None, options)
             result = _write(job, None if dry_run else output_file or file, quiet)
             _report(result, quiet)
         if as_json:
@@ -101,43 +113,46 @@ def parsed_offset(text: str) -> tuple[float, float]:
     return x, y
 
 
-def _read(file: Path) -> tuple[bytes, Stamp | None]:
-    from ffcomp.job import already_processed
-    from gcode.container import read_bytes
+def _stamp(file: Path) -> Stamp | None:
+    """The stamp of an earlier run, if the file has one."""
+    from gcode.container import ends_of
+    from gcode.metadata import find_stamp
 
-    data = read_bytes(file)
-    return data, already_processed(data)
+    head, tail, _ = ends_of(file)
+    return find_stamp(head, tail)
 
 
 def _job(
-    data: bytes,
     file: Path,
     machine_name: str,
     offset: tuple[float, float],
     rate: float,
+    changes: dict[str, Any],
     restore: bool,
     options: dict[str, Any],
 ) -> Job:
-    """Everything that can be wrong with the input shows here, before anything is written."""
-    from ffcomp.job import STAMP_REACH, Job, find_offset
+    """`restore`: compensate the original that is still in the file, not the compensation."""
+    from dataclasses import replace
+
+    from ffcomp.job import Job, find_offset
     from ffcomp.pipeline import settings_for
-    from ffcomp.writer import original
+    from gcode.container import ends_of
     from models.machine_file import load_machine
 
     machine = load_machine(machine_name)
-    if restore:  # --force: compensate the original that is still in the file, not the compensation
-        offset = offset if any(offset) else find_offset(data[:STAMP_REACH])
-        data = original(data)
-    return Job(data, str(file), machine, offset=offset, settings=settings_for(machine, rate), **options)
+    if restore and not any(offset):
+        offset = find_offset(ends_of(file)[0])
+    settings = replace(settings_for(machine, rate), **changes)
+    return Job(file, str(file), machine, offset=offset, settings=settings, restore=restore, **options)
 
 
 def _write(job: Job, target: Path | None, quiet: bool) -> dict[str, Any]:
     from ffcomp.cli.common import Progress, say
 
-    for warning in (*job.program.warnings, *job.summary.warnings):
-        say(f"ffcomp: {warning}", quiet)
-    with Progress(job.print_time_s, quiet) as progress:
+    with Progress(1.0, quiet) as progress:
         job.write(target, progress)
+    for warning in job.summary.warnings:
+        say(f"ffcomp: {warning}", quiet)
     return {**job.result(), "output": None if target is None else str(target)}
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ffcomp.invert.inverter import Inverter, RunResult
 from ffcomp.invert.settings import Settings
 from ffcomp.pipeline import Planned, Summary, compensate, plan_program
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.plan.trajectory import PlannedMotion, Trajectory
 from ffcomp.runs import Run
 from ffcomp.virtual.motion import Clock, Motion, motion_of
 from gcode.reader import read_program
@@ -46,17 +46,19 @@ def compensated(
 ) -> Compensated:
     """The file as the command line writes it."""
     settings, summary = inverter.settings, Summary()
-    lines: list[bytes] = []
+    text: list[bytes] = []
+    lines = 0
     seen: list[tuple[int, FloatArray]] = []
 
     def watch(run: Run, result: RunResult) -> None:
-        seen.append((len(lines), result.vertices))
+        seen.append((lines, result.vertices))
 
-    for line in compensate(planned, machine, inverter, flavor, summary, progress, offset, watch):
-        lines.append(line)  # one by one: `watch` looks how many there are
+    for piece in compensate(planned, machine, inverter, flavor, summary, progress, offset, watch):
+        text.append(piece)
+        lines += piece.count(b"\n")  # `watch` looks how many there are
     runs = [run for run in planned.runs if run.travels]
     return Compensated(
-        b"".join(lines),
+        b"".join(text),
         np.array([at for at, _ in seen], dtype=np.int64),
         np.array([run.begin_t - settings.lead_s for run in runs]),
         np.array([run.begin_t for run in runs]),
@@ -112,7 +114,7 @@ def _knot(vertices: FloatArray, first_end: FloatArray) -> int:
     return int(np.flatnonzero(there)[0])
 
 
-def pick(trajectory: Trajectory, which: NDArray[np.bool_] | slice) -> Trajectory:
-    """Some of a plan's moves."""
+def pick(trajectory: PlannedMotion, which: NDArray[np.bool_] | slice) -> Trajectory:
+    """Some of a firmware's plan's moves."""
     names = Trajectory.__dataclass_fields__
     return Trajectory(**{name: np.ascontiguousarray(getattr(trajectory, name)[which]) for name in names})

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ffcomp.errors import NothingToDo
 from ffcomp.pipeline import Planned, plan_program
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.plan.trajectory import PlannedMotion
 from ffcomp.virtual.motion import Motion, path_corners, planned_motion
 from gcode.dialects import detect_flavor
 from gcode.labels import Labels, labels
@@ -51,7 +51,7 @@ class Stretch:
     start: tuple[float, float, float] | None = None  # mm, where the nozzle is then; None: as the file says
 
     @property
-    def trajectory(self) -> Trajectory:
+    def trajectory(self) -> PlannedMotion:
         return self.planned.trajectory
 
     @cached_property

@@ -24,6 +24,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Lock
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,7 +97,7 @@ class Preview:
 
     def _work_out(self, node: IntArray) -> None:
         across = 2 * self._half + 1
-        xy = PITCH_MM * (np.stack([node // across, node % across], axis=1) - self._half)
+        xy = PITCH_MM * (np.stack([node // across, node % across], axis=1) - self._half).astype(np.float64)
         problem = _problem(*self._plant_at(xy), self._rows)
         found = _gains(problem, _riccati(problem, self.effort), self.effort)
         known = len(self._problem)
@@ -192,9 +193,9 @@ def _step(
     """F, the rows of ψ and P at the beginning of an interval at whose end it is `value`. Last axes matrices."""
     bp = _t(b) @ value
     r = effort * np.eye(AXES) + _t(d) @ d + bp @ b
-    f = np.linalg.solve(r, _t(d) @ c + bp @ a)
+    f = np.asarray(np.linalg.solve(r, _t(d) @ c + bp @ a), dtype=np.float64)
     weights = np.broadcast_to(-effort * np.eye(AXES), (*r.shape[:-2], AXES, AXES))
-    psi = np.linalg.solve(r, np.concatenate([_t(b), _t(d), weights], axis=-1))
+    psi: FloatArray = np.linalg.solve(r, np.concatenate([_t(b), _t(d), weights], axis=-1))
     closed, seen = a - b @ f, c - d @ f
     return f, psi, _t(seen) @ seen + effort * _t(f) @ f + _t(closed) @ value @ closed
 
@@ -214,5 +215,5 @@ def _packed(
     return np.ascontiguousarray(backward), np.ascontiguousarray(forward)
 
 
-def _t(matrix: FloatArray) -> FloatArray:
+def _t(matrix: NDArray[Any]) -> NDArray[Any]:
     return np.swapaxes(matrix, -1, -2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,27 +12,24 @@ from numpy.typing import ArrayLike, NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_POSITION, _VELOCITY, _ACCELERATION = 0, 1, 2
+POSITION, VELOCITY, ACCELERATION = 0, 1, 2  # which derivative is sampled
 _NEAR_MOVES = 8  # how far to step through the moves before searching
 
 
-@dataclass(frozen=True, slots=True)
-class Trajectory:
-    """n planned moves in time order. mm, s, mm/s, mm/s².
+class PlannedMotion(ABC):
+    """n planned moves in time order, whatever the time law along each. mm, s.
 
     Between two moves there may be a gap (a dwell, a wait): the nozzle rests there at the end of the earlier
     move. Before the first move it rests at its origin, after the last one at its end. Speed and acceleration
     at an instant are those just after it.
     """
 
+    __slots__ = ()
+
     start_t: FloatArray  # (n,) s, when the move begins
     accel_t: FloatArray  # (n,) s
     cruise_t: FloatArray  # (n,) s
     decel_t: FloatArray  # (n,) s
-    start_v: FloatArray  # (n,) mm/s along the path
-    cruise_v: FloatArray  # (n,)
-    end_v: FloatArray  # (n,)
-    acceleration: FloatArray  # (n,) mm/s² along the path, of the accel and decel phases
     origin: FloatArray  # (n, 4) mm, columns X Y Z E: where the move begins
     direction: FloatArray  # (n, 4) mm per mm of path, columns X Y Z E; extruder-only: XYZ zero and E ±1
 
@@ -54,19 +52,42 @@ class Trajectory:
 
     def position(self, t: ArrayLike) -> FloatArray:
         """t (k,) s, best sorted → (k, 4) mm, columns X Y Z E."""
-        return self._sample(t, _POSITION)
+        return self._sampled(t, POSITION)
 
     def velocity(self, t: ArrayLike) -> FloatArray:
         """t (k,) s, best sorted → (k, 4) mm/s, columns X Y Z E."""
-        return self._sample(t, _VELOCITY)
+        return self._sampled(t, VELOCITY)
 
     def acceleration_at(self, t: ArrayLike) -> FloatArray:
         """t (k,) s, best sorted → (k, 4) mm/s², columns X Y Z E."""
-        return self._sample(t, _ACCELERATION)
+        return self._sampled(t, ACCELERATION)
 
-    def _sample(self, t: ArrayLike, derivative: int) -> FloatArray:
+    def _sampled(self, t: ArrayLike, derivative: int) -> FloatArray:
         if not len(self):
             raise ValueError("A trajectory without moves has no place at any time; plan at least one move.")
+        return self._sample(np.ascontiguousarray(t, dtype=np.float64), derivative)
+
+    @abstractmethod
+    def _sample(self, t: FloatArray, derivative: int) -> FloatArray:
+        """A derivative of the place, (k, 4), at times t (k,) s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory(PlannedMotion):
+    """n planned moves in time order, each a trapezoid of speed. mm, s, mm/s, mm/s²."""
+
+    start_t: FloatArray  # (n,) s, when the move begins
+    accel_t: FloatArray  # (n,) s
+    cruise_t: FloatArray  # (n,) s
+    decel_t: FloatArray  # (n,) s
+    start_v: FloatArray  # (n,) mm/s along the path
+    cruise_v: FloatArray  # (n,)
+    end_v: FloatArray  # (n,)
+    acceleration: FloatArray  # (n,) mm/s² along the path, of the accel and decel phases
+    origin: FloatArray  # (n, 4) mm, columns X Y Z E: where the move begins
+    direction: FloatArray  # (n, 4) mm per mm of path, columns X Y Z E; extruder-only: XYZ zero and E ±1
+
+    def _sample(self, t: FloatArray, derivative: int) -> FloatArray:
         phases = (
             self.accel_t,
             self.cruise_t,
@@ -76,12 +97,11 @@ class Trajectory:
             self.end_v,
             self.acceleration,
         )
-        times = np.ascontiguousarray(t, dtype=np.float64)
-        return _sample(times, derivative, self.start_t, phases, self.origin, self.direction)
+        return _sample(t, derivative, self.start_t, phases, self.origin, self.direction)
 
 
 @njit(cache=True, nogil=True)
-def _move_near(start_t: FloatArray, t: float, i: int) -> int:
+def move_near(start_t: FloatArray, t: float, i: int) -> int:
     """The last move that begins at or before t (the first one if none does), sought from move i on."""
     if t < start_t[i] or (i + _NEAR_MOVES < len(start_t) and start_t[i + _NEAR_MOVES] <= t):
         return max(int(np.searchsorted(start_t, t, side="right")) - 1, 0)
@@ -106,11 +126,11 @@ def _along(
     t1 = min(max(since, 0.0), accel_t)
     t2 = min(max(since - accel_t, 0.0), cruise_t)
     t3 = min(max(since - accel_t - cruise_t, 0.0), decel_t)
-    if derivative == _POSITION:
+    if derivative == POSITION:
         rise = (start_v + 0.5 * acceleration * t1) * t1
         return rise + cruise_v * (t2 + t3) - 0.5 * acceleration * t3 * t3
     over = since >= accel_t + cruise_t + decel_t
-    if derivative == _VELOCITY:
+    if derivative == VELOCITY:
         return end_v if over else start_v + acceleration * (t1 - t3)
     if over or since < 0.0 or (since >= accel_t and since < accel_t + cruise_t):
         return 0.0
@@ -131,11 +151,11 @@ def _sample(
     out = np.empty((len(t), 4))
     i = 0
     for k in range(len(t)):
-        i = _move_near(start_t, t[k], i)
+        i = move_near(start_t, t[k], i)
         phase = (accel_t[i], cruise_t[i], decel_t[i], start_v[i], cruise_v[i], end_v[i], acceleration[i])
         along = _along(derivative, t[k] - start_t[i], *phase)
         for c in range(4):
             out[k, c] = direction[i, c] * along
-            if derivative == _POSITION:
+            if derivative == POSITION:
                 out[k, c] += origin[i, c]
     return out

@@ -13,7 +13,7 @@ from ffcomp.invert.settings import Settings
 from ffcomp.job import STAMP_REACH, already_processed, find_offset
 from ffcomp.look import corners, noted_moves
 from ffcomp.pipeline import Planned, plan_program
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.plan.trajectory import PlannedMotion
 from ffcomp.runs import Run
 from ffcomp.simulate import sections
 from ffcomp.virtual.command import Command, Goal, Stretch
@@ -62,13 +62,13 @@ def compensated_command(planned: Planned, wanted: Planned, machine: Machine) -> 
     return _command(planned.trajectory, wanted.trajectory, _clock(planned, wanted), machine, ORIGINAL)
 
 
-def _command(played: Trajectory, wanted: Trajectory, clock: Clock, machine: Machine, reference: str) -> Command:
+def _command(played: PlannedMotion, wanted: PlannedMotion, clock: Clock, machine: Machine, reference: str) -> Command:
     stretches = [_stretch(played, begin, end, wanted, clock, machine) for begin, end in sections(played)]
     return Command(stretches, "cubic", reference)
 
 
 def _stretch(
-    played: Trajectory, begin_s: float, end_s: float, wanted: Trajectory, clock: Clock, machine: Machine
+    played: PlannedMotion, begin_s: float, end_s: float, wanted: PlannedMotion, clock: Clock, machine: Machine
 ) -> Stretch:
     delta = FastDelta(machine.kinematics)
     last = np.nextafter(end_s, -np.inf)  # at the end itself the next stretch may have begun

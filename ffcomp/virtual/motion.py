@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.plan.trajectory import PlannedMotion
 
 FloatArray = NDArray[np.float64]
 Position = Callable[[FloatArray], FloatArray]  # t : (k,) s → (k, 3) mm
@@ -40,24 +40,24 @@ class Motion:
     clock: Clock
 
 
-def motion_of(trajectory: Trajectory, clock: Clock) -> Motion:
+def motion_of(trajectory: PlannedMotion, clock: Clock) -> Motion:
     """A plan, played as it stands."""
     begin, end = float(trajectory.start_t[0]), trajectory.end_t
     return Motion(lambda t: trajectory.position(np.clip(t, begin, end))[:, :3], begin, end, clock)
 
 
-def own_clock(trajectory: Trajectory) -> Clock:
+def own_clock(trajectory: PlannedMotion) -> Clock:
     """Of the wanted plan itself."""
     begin, end = trajectory.start_t[:1], np.array([trajectory.end_t])
     return Clock(begin, begin, begin, end)
 
 
-def planned_motion(trajectory: Trajectory) -> Motion:
+def planned_motion(trajectory: PlannedMotion) -> Motion:
     """The wanted plan itself, on its own clock."""
     return motion_of(trajectory, own_clock(trajectory))
 
 
-def path_corners(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
+def path_corners(trajectory: PlannedMotion) -> tuple[FloatArray, FloatArray]:
     """When each corner of the path is due (n + 1,) s, and where it is (n + 1, 3) mm."""
     end = trajectory.position(np.array([trajectory.end_t]))
     return np.append(trajectory.start_t, trajectory.end_t), np.vstack([trajectory.origin, end])[:, :3]

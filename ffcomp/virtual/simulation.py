@@ -11,6 +11,7 @@ from pathlib import Path
 from ffcomp import __version__
 from ffcomp.errors import NothingToDo
 from ffcomp.metrics import Track
+from ffcomp.steps.reader import is_step_archive, read_steps
 from ffcomp.virtual.command import Command
 from ffcomp.virtual.gcode_command import read_gcode
 from ffcomp.virtual.judge import Judge
@@ -18,7 +19,6 @@ from ffcomp.virtual.play import Piece, play
 from ffcomp.virtual.run_file import KINDS, run_lines
 from ffcomp.virtual.same_printer import check_same_kinematics
 from ffcomp.virtual.steps_command import steps_command
-from ffcomp.virtual.steps_file import is_step_archive, read_steps
 from gcode.container import read_bytes, replace_atomically
 from gcode.errors import GcodeError
 from models.errors import UnreachableError

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.errors import NothingToDo
+from ffcomp.steps.reader import MOTORS, MotorSteps, StepsError
 from ffcomp.virtual.command import Command, Goal, OfTime, Stretch
-from ffcomp.virtual.steps_file import MOTORS, MotorSteps, StepsError
 from models.errors import UnreachableError
 from models.kinematics.delta import forward
 from models.kinematics.kernels import FastDelta

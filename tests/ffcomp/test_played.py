@@ -73,6 +73,22 @@ def test_segments_of_different_lengths_keep_their_times() -> None:
     np.testing.assert_allclose(trajectory.duration, lasting, atol=2e-9)
 
 
+@pytest.mark.parametrize("rough", [0.0, 0.01, 0.1])
+def test_speeds_and_junctions_agree_with_each_other(rough: float) -> None:
+    """What the sweeps come to rest at: each speed follows from its junctions, and each junction from both speeds."""
+    limits = OutputLimits(acceleration_mm_per_s2=50_000.0, square_corner_velocity_mm_per_s=1e6)
+    vertices, _ = wave()
+    vertices[1:-1] += np.random.default_rng(1).normal(0, rough, (199, 3))
+    speeds = played(vertices, np.zeros(200), np.full(200, S), limits)
+    d = np.linalg.norm(np.diff(vertices, axis=0), axis=1)
+    c, v0, v1 = speeds.cruise, speeds.junction[:-1], speeds.junction[1:]
+    asked = c * S - ((c - v0) ** 2 + (c - v1) ** 2) / (2 * speeds.acceleration)
+    in_time = speeds.duration < S + 1e-9
+    assert in_time.mean() > 0.5
+    np.testing.assert_allclose(asked[in_time], d[in_time], atol=S * 1e-9)
+    assert (speeds.junction[1:-1] <= np.minimum(c[:-1], c[1:]) + 1e-9).all()
+
+
 def test_what_cannot_be_done_in_time_says_so() -> None:
     """A metre in 4 ms from rest: the duration is what the acceleration allows, not S."""
     limits = OutputLimits()

@@ -23,6 +23,10 @@ from tests.gcode.data import real
         ([b";FLAVOR:Marlin\n", b"; START_PRINT\n"], "marlin"),
         ([b"M566 X600\n"], "reprapfirmware"),
         ([b"G32\n"], "reprapfirmware"),
+        ([b"; M566 X600\n", b"M5660\n", b"G1 X1\n"], "marlin"),
+        ([b"; M566\n", b"  M566 X600\r\n"], "reprapfirmware"),
+        ([b"; by_hand\n", b"; Flavor\n", b"; GCODE_FLAVOR: RRF\n"], "reprapfirmware"),
+        ([b"; by_hand SET_PIN\n", b"\tSET_PIN PIN=a"], "klipper"),
     ],
 )
 def test_flavor(lines: list[bytes], flavor: str) -> None:

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gcode.emit import MoveWriter
@@ -66,6 +68,63 @@ def test_many_at_once_are_the_same_lines(points: list[list[float]], frame: Frame
     one, many = writer(frame), writer(frame)
     single = [line for x, y, z, e in points if (line := one.move(x, y, z, e, 30.0))]
     assert many.moves(np.array(points), np.full(len(points), 30.0)) == single
+
+
+class Said:
+    """The same lines, one number at a time, with Python's own formatting."""
+
+    def __init__(self, frame: Frame) -> None:
+        self.frame = frame
+        self.last: list[int] = [round(-base * per) for base, per in zip(frame.base, self.per_mm(), strict=True)]
+        self.last_f = -1
+
+    def per_mm(self) -> tuple[float, ...]:
+        unit = self.frame.unit_mm
+        return (10_000 / unit, 10_000 / unit, 10_000 / unit, 100_000 / (unit * self.frame.flow))
+
+    def line(self, place: list[float], speed: float) -> bytes:
+        frame, words = self.frame, ""
+        counts = [round((x - base) * per) for x, base, per in zip(place, frame.base, self.per_mm(), strict=True)]
+        for axis, now, was, decimals in zip("XYZE", counts, self.last, (4, 4, 4, 5), strict=True):
+            absolute = frame.absolute_e if axis == "E" else frame.absolute
+            if now != was:
+                words += f" {axis}{self.number(now if absolute else now - was, decimals)}"
+        self.last = counts
+        if not words:
+            return b""
+        f = round(speed * (60_000 / frame.feed_factor / frame.unit_mm))
+        if f != self.last_f:
+            words += f" F{self.number(max(f, 1), 3)}"
+            self.last_f = f
+        return f"G1{words}\n".encode()
+
+    @staticmethod
+    def number(counts: int, decimals: int) -> str:
+        text = f"{counts / 10**decimals:.{decimals}f}"
+        return text.rstrip("0").rstrip(".")
+
+
+far = st.one_of(st.floats(-300, 300), st.floats(-1e6, 1e6), st.integers(-3000, 3000).map(lambda k: k * 1e-4))
+places = st.lists(st.tuples(far, far, far, far, st.floats(0, 1000)), min_size=1, max_size=30)
+
+
+@given(places, frames, st.booleans())
+@example([(1e6, -1e6, 999999.9999, 99999.99999, 0.0), (0.0001, -0.0001, -0.5, 1e-5, 1e-9)], Frame(), True)
+def test_every_number_is_written_as_python_would(
+    rows: list[tuple[float, float, float, float, float]], frame: Frame, relative_e: bool
+) -> None:
+    frame = replace(frame, absolute_e=not relative_e)
+    said, many = Said(frame), writer(frame)
+    table = np.array(rows)
+    text, ends = many.block(table[:, :3], table[:, 3], table[:, 4])
+    expected = [said.line([x, y, z, e], speed) for x, y, z, e, speed in rows]
+    assert text == b"".join(expected)
+    assert ends.tolist() == np.cumsum([len(line) for line in expected]).tolist()
+
+
+def test_a_number_that_is_none_is_refused() -> None:
+    with pytest.raises(ValueError, match="not finite"):
+        writer().move(1.0, float("nan"), 0.0, 0.0, 10.0)
 
 
 @given(st.lists(coordinates, min_size=1, max_size=20))

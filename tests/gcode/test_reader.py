@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from gcode.errors import GcodeError, UnsupportedGcode
@@ -321,6 +321,8 @@ def test_a_missing_speed_is_told() -> None:
     program = read("G1 X1", "G1 X2")
     assert program.moves.speed.tolist() == [25, 25]
     assert len(program.warnings) == 1 and "25 mm/s" in program.warnings[0]
+    assert read("G92 E0", "G1 X1", "G1 X2 F600").warnings[0].startswith("line 2: ")
+    assert read("G1 F1500", "G92 E1", "G1 X1").warnings == []
 
 
 # -- limits --
@@ -408,7 +410,8 @@ other_text = st.sampled_from(
     ["", "; caf\xe9 \x00", "M106 S255", "G91", "G90", "M82", "M83", "G92 E0", "G92 X0 Y5", "G28", "G1 F1200"]
 )
 rare_text = st.sampled_from(
-    ["T0", "M220 S90", "M221 S95", "G20", "G21", "G4 P1", "SAVE_GCODE_STATE", "PAUSE", "SET_GCODE_OFFSET X=1"]
+    """T0|M220 S90|M221 S95|G20|G21|G4 P1|SAVE_GCODE_STATE|PAUSE|SET_GCODE_OFFSET X=1|M204 S500|M106.5|M0107|M862.1 P0.4
+    G92 E-1.5|G92 E1 X2|G1X1Y2E.5|G0\tX+1|G1 E5. ; out""".replace("\n    ", "|").split("|")
 )
 program_text = st.lists(st.tuples(moves_text | other_text | rare_text, st.sampled_from(["\n", "\r\n"])), max_size=40)
 
@@ -421,15 +424,23 @@ def test_random_programs_are_kept_whole(lines: list[tuple[str, str]], known: boo
 
 @given(program_text)
 def test_the_fast_and_the_general_way_agree(lines: list[tuple[str, str]]) -> None:
-    """A round comment sends a move the general way."""
+    """A round comment sends a line the general way."""
     fast = "".join(text + ending for text, ending in lines).encode("latin-1")
-    general = "".join(text + "(slowly)" * text.startswith("G") + ending for text, ending in lines).encode("latin-1")
+    slowed = [(text + "(slowly)" * text.startswith(("G", "M")), ending) for text, ending in lines]
+    general = "".join(text + ending for text, ending in slowed).encode("latin-1")
     one, other = read_program(fast, start=HOME), read_program(general, start=HOME)
     np.testing.assert_array_equal(one.moves.end, other.moves.end)
     np.testing.assert_array_equal(one.moves.start, other.moves.start)
     np.testing.assert_array_equal(one.moves.speed, other.moves.speed)
     assert one.events == other.events
     assert one.frames == other.frames or any(math.isnan(b) for f in one.frames for b in f.base)
+
+
+@given(st.from_regex(rb"[-+]?(\d{0,6}\.\d{1,12}|\d{1,6}\.?)", fullmatch=True))
+@example(b"936138.6031371453")  # 16 digits: its quotient of integers is another double
+def test_a_number_is_the_double_nearest_to_its_decimal(text: bytes) -> None:
+    moves = read_program(b"G1 Y1 X" + text + b" F60\n", start=HOME).moves
+    assert moves.end[0, 0] == float(text)
 
 
 @given(st.binary(max_size=200))

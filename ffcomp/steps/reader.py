@@ -7,7 +7,8 @@ For each motor m in a, b, c (and e, which moves no carriage and is only checked)
     m_interval, m_count, m_add, m_direction    or rows of steps: step j = 1 … count of a row comes
                              j interval + add j (j − 1)/2 ticks after the last step of the row before (or after tick 0)
 
-and once `clock_hz`.
+and once `clock_hz`; where there are rows, `error_s`, by which none of their steps is farther off. Lines of G-code to
+run meanwhile: events_tick, events_line.
 """
 
 from __future__ import annotations
@@ -82,6 +83,14 @@ def read_steps(path: str | Path) -> dict[str, MotorSteps]:
         raise error.located(str(path)) from None
 
 
+def read_events(path: str | Path) -> tuple[FloatArray, list[bytes]]:
+    """When each G-code line is to run, (n,) s, and the lines; none in an archive that does not speak of them."""
+    with np.load(path, allow_pickle=False) as archive:
+        if "events_tick" not in archive:
+            return np.zeros(0), []
+        return archive["events_tick"] / _number(archive, "clock_hz"), archive["events_line"].tolist()
+
+
 def _motors(arrays: Mapping[str, NDArray[Any]]) -> dict[str, MotorSteps]:
     named = [motor for motor in MOTORS + FOLLOWING if motor in MOTORS or f"{motor}_direction" in arrays]
     needed = ["clock_hz", *(key for motor in named for key in _keys(motor, arrays))]
@@ -119,7 +128,7 @@ def _expanded(motor: str, arrays: Mapping[str, NDArray[Any]], direction: IntArra
     if (steps := int(count.sum())) > MOST_STEPS:
         raise StepsError(f"{motor}_count adds up to {steps} steps; at most {MOST_STEPS} can be played.")
     lasts = count * interval + add * (count * (count - 1) // 2)
-    before = np.concatenate([[0], np.cumsum(lasts)[:-1]]).astype(np.int64)
+    before = np.cumsum(lasts) - lasts
     first = np.cumsum(count) - count
     j = np.arange(1, steps + 1, dtype=np.int64) - np.repeat(first, count)
     each = [np.repeat(values, count) for values in (before, interval, add, direction)]

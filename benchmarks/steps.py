@@ -1,0 +1,148 @@
+"""How fast steps are made, how small they get, and how far off they are: exact, compressed, and sampled.
+
+    python benchmarks/steps.py [PRINT ...] [--error-us E] [--rounds N] [--sample-us S]
+
+Each print's plan becomes the steps of three carriages and the filament, on one core; the best of N rounds (3) counts.
+`exact` and `compressed` are the whole way from the plan to an archive. `sampled` is what one would write in NumPy at
+first, and it writes no file: the plan every S µs (20), inverse kinematics, whole microsteps, and straight lines between
+samples. Errors are against the exact steps, which are off by half a tick; those of the sampled way are against exact
+steps without the filter of rapid turns, of motors with as many steps.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.pipeline import plan_program
+from ffcomp.plan.trajectory import Trajectory
+from ffcomp.steps.pieces import trajectory_pieces
+from ffcomp.steps.reader import MotorSteps, read_steps
+from ffcomp.steps.sink import Board, MotorTotal, StepSink
+from gcode.reader import read_program
+from models.kinematics.delta import inverse
+from models.machine_file import load_machine
+
+FloatArray = NDArray[np.float64]
+
+ROOT = Path(__file__).parents[1]
+PRINTS = [ROOT / "sample_prints" / f"{name}.gcode" for name in ("ringing_tower", "lobed_vase", "far_star")]
+MACHINE = load_machine("mp-delta-pro")
+BOARD = Board(extruder_steps_per_mm=415.0)
+BLOCK_SAMPLES = 200_000
+
+
+def written(plan: Trajectory, target: Path, error_s: float | None, board: Board = BOARD) -> dict[str, MotorTotal]:
+    with StepSink(MACHINE, board, target, error_s) as sink:
+        for pieces in trajectory_pieces(plan):
+            sink.pieces(pieces)
+        return sink.finish()
+
+
+def sampled(plan: Trajectory, sample_s: float) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Step times (n,) s and ways (n,) ±1, of each motor."""
+    step_mm = np.array([1 / MACHINE.steps.steps_per_mm] * 3 + [1 / BOARD.extruder_steps_per_mm])
+    start = _places(plan, np.array([plan.start_t[0]]))
+    found: list[list[tuple[FloatArray, FloatArray]]] = [[], [], [], []]
+    samples = int((plan.end_t - plan.start_t[0]) / sample_s) + 2
+    for first in range(0, samples, BLOCK_SAMPLES):
+        t = plan.start_t[0] + sample_s * np.arange(first, min(first + BLOCK_SAMPLES + 1, samples + 1))
+        steps = (_places(plan, t) - start) / step_mm
+        for motor in range(4):
+            found[motor].append(_crossed(t, steps[:, motor]))
+    return {
+        name: (np.concatenate([t for t, _ in parts]), np.concatenate([way for _, way in parts]))
+        for name, parts in zip("abce", found, strict=True)
+    }
+
+
+def _places(plan: Trajectory, t: FloatArray) -> FloatArray:
+    place = plan.position(t)
+    return np.column_stack([inverse(MACHINE.kinematics, place[:, :3]), place[:, 3]])
+
+
+def _crossed(t: FloatArray, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Where lines between samples cross the middles between whole numbers."""
+    level = np.rint(steps).astype(np.int64)
+    each = np.abs(np.diff(level))
+    at = np.repeat(np.arange(len(each)), each)
+    nth = np.arange(len(at)) - np.repeat(np.cumsum(each) - each, each)
+    way = np.sign(np.diff(level))[at]
+    border = level[at] + way * (nth + 0.5)
+    return t[at] + (border - steps[at]) / (steps[at + 1] - steps[at]) * (t[1] - t[0]), way.astype(np.float64)
+
+
+def best(work: Callable[[], object], rounds: int) -> float:
+    """Seconds of this process."""
+    found = []
+    for _ in range(rounds):
+        begin = time.process_time()
+        work()
+        found.append(time.process_time() - begin)
+    return min(found)
+
+
+def worst_us(found: dict[str, MotorSteps], exact: dict[str, MotorSteps]) -> str:
+    return f"{1e6 * max(np.abs(found[m].time_s - exact[m].time_s).max() for m in exact):.2f}"
+
+
+def sampled_worst_us(found: dict[str, tuple[FloatArray, FloatArray]], exact: dict[str, MotorSteps]) -> str:
+    """And how many steps are too many or too few."""
+    missed = sum(abs(len(t) - len(exact[m].time_s)) for m, (t, _) in found.items())
+    same = [m for m, (t, _) in found.items() if len(t) == len(exact[m].time_s)]
+    worst = max((np.abs(found[m][0] - exact[m].time_s).max() for m in same), default=np.nan)
+    return f"{1e6 * worst:.1f}, {missed} steps wrong"
+
+
+def row(name: str, way: str, seconds: float, steps: int, plan_s: float, entries: int, size: int, worst: str) -> None:
+    speed, pace = steps / seconds / 1e6, plan_s / seconds
+    ratio = f"{steps / entries:.1f}" if entries else "-"
+    file = f"{size / 1e6:.1f}" if size else "-"
+    print(f"| {name} | {way} | {seconds:.2f} | {speed:.1f} | {pace:.0f} | {ratio} | {file} | {worst} |")
+
+
+def measure(path: Path, error_s: float, sample_s: float, rounds: int) -> None:
+    plan = plan_program(read_program(path.read_bytes(), path.name), MACHINE).trajectory
+    with tempfile.TemporaryDirectory() as folder:
+        exact, rows = Path(folder, "exact"), Path(folder, "rows")
+        totals = written(plan, rows, error_s)
+        steps = sum(total.steps for total in totals.values())
+        spent = best(lambda: written(plan, exact, None), rounds)
+        truth = read_steps(exact)
+        row(path.stem, "exact", spent, steps, plan.end_t, 0, exact.stat().st_size, f"{0.5e6 / BOARD.clock_hz:.2f}")
+        spent = best(lambda: written(plan, rows, error_s), rounds)
+        entries = sum(total.rows for total in totals.values())
+        off = worst_us(read_steps(rows), truth)
+        row("", f"compressed, {1e6 * error_s:g} µs", spent, steps, plan.end_t, entries, rows.stat().st_size, off)
+        written(plan, exact, None, replace(BOARD, shortest_turn_s=0.0))
+        unfiltered = read_steps(exact)
+    spent = best(lambda: sampled(plan, sample_s), 1)  # slow enough to be measured at once
+    off = sampled_worst_us(sampled(plan, sample_s), unfiltered)
+    row("", f"sampled, {1e6 * sample_s:g} µs", spent, steps, plan.end_t, 0, 0, off)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Steps a second: exact, compressed and sampled.")
+    parser.add_argument("prints", nargs="*", type=Path, default=PRINTS)
+    parser.add_argument("--error-us", type=float, default=12.5, help="of compressed steps")
+    parser.add_argument("--sample-us", type=float, default=20.0, help="of the sampled way")
+    parser.add_argument("--rounds", type=int, default=3)
+    options = parser.parse_args()
+    print("| print | way | s | million steps/s | print-seconds/s | steps a row | MB | worst error, µs |")
+    print("|---|---|---|---|---|---|---|---|")
+    for path in options.prints:
+        measure(path, options.error_us * 1e-6, options.sample_us * 1e-6, options.rounds)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,295 @@
+"""A nozzle path in, an archive of step timings out, as it comes: memory does not grow with the print."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.errors import LimitsError
+from ffcomp.steps.archive import Column, TextColumn, number_npy, write_archive
+from ffcomp.steps.compress import Compressor, Rows
+from ffcomp.steps.crossings import (
+    LATEST,
+    LATEST_TICK,
+    STATE_SIZE,
+    SWALLOWED,
+    Arm,
+    Columns,
+    last_step,
+    step_times,
+)
+from ffcomp.steps.pieces import Pieces
+from ffcomp.steps.reader import FOLLOWING, MOTORS, StepsError
+from models.kinematics.delta import inverse
+from models.machine import DeltaGeometry, Machine
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+WayArray = NDArray[np.int8]
+
+BLOCK_PIECES = 1024  # at a time: a few megabytes of steps
+JUMP_MM = 1e-3  # between two pieces: less than this is rounding
+OVERLAP_S = 1e-7
+MOST_ERROR_S = 25e-6  # FORMATS.md
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """What the electronics that will play the steps are like.
+
+    Motors do not wait for each other: only the pulses of one motor keep their distance.
+    """
+
+    extruder_steps_per_mm: float  # of filament; the machine file knows the carriages' own
+    clock_hz: float = 16_000_000.0  # of the ticks; a board's own, if the rows are sent to one
+    pulse_spacing_s: float = 2e-6  # 1 µs high and 1 µs low, as an A4988 asks; a DRV8825 needs 3.8 µs, a TMC 0.2
+    direction_setup_s: float = 5e-6  # from the last step one way to the first one the other way
+    shortest_turn_s: float = 750e-6  # a step taken back sooner is left out, as Klipper does
+    most_late_s: float = 25e-6  # by which a pulse may be put off for its spacing, before that is an error
+
+    def ticks(self, seconds: float) -> int:
+        return max(round(seconds * self.clock_hz), 1)
+
+
+@dataclass(frozen=True, slots=True)
+class MotorTotal:
+    """What became of one motor's steps."""
+
+    steps: int
+    rows: int  # after compression; 0: none
+    swallowed: int  # steps left out because they turned back at once
+    latest_s: float  # the longest that a pulse was put off for its spacing
+
+
+class _Part(Protocol):
+    """Where one motor's steps go."""
+
+    columns: dict[str, Column]
+
+    def add(self, tick: IntArray, way: WayArray) -> None: ...
+    def finish(self) -> None: ...
+
+
+class _Exact:
+    """Every step, as it is."""
+
+    def __init__(self, folder: Path) -> None:
+        self.columns = {"tick": Column(np.int64, folder), "direction": Column(np.int8, folder)}
+
+    def add(self, tick: IntArray, way: WayArray) -> None:
+        self.columns["tick"].append(tick)
+        self.columns["direction"].append(way)
+
+    def finish(self) -> None:
+        """Nothing is kept back."""
+
+
+class _Compressed:
+    """Rows of steps."""
+
+    def __init__(self, folder: Path, slack: int, spacing: int) -> None:
+        types = {"interval": np.int64, "count": np.uint16, "add": np.int16, "direction": np.int8}
+        self.columns = {name: Column(dtype, folder) for name, dtype in types.items()}
+        self._compressor = Compressor(slack, spacing)
+
+    def add(self, tick: IntArray, way: WayArray) -> None:
+        self._append(self._compressor.add(tick, way))
+
+    def finish(self) -> None:
+        self._append(self._compressor.finish())
+
+    def _append(self, rows: Rows) -> None:
+        interval, count, add, way = rows
+        self.columns["interval"].append(interval)
+        self.columns["count"].append(count)
+        self.columns["add"].append(add)
+        self.columns["direction"].append(way)
+
+
+class _Motor:
+    """One motor between chunks."""
+
+    def __init__(self, name: str, machine: Machine, board: Board, part: _Part) -> None:
+        self.name, self.part, self._board = name, part, board
+        self._arm = _arm(machine.kinematics, name)
+        per_mm = board.extruder_steps_per_mm if name == FOLLOWING else machine.steps.steps_per_mm
+        self.start_mm, self.step_mm, self.steps = 0.0, 1.0 / per_mm, 0
+        self._rules = (
+            board.ticks(board.shortest_turn_s),
+            board.ticks(board.pulse_spacing_s),
+            board.ticks(board.direction_setup_s),
+        )
+        self._state = np.zeros(STATE_SIZE, dtype=np.int64)
+
+    def add(self, pieces: Pieces) -> None:
+        chunk = cast(Columns, tuple(map(np.ascontiguousarray, pieces.columns)))
+        grid = self.start_mm, self.step_mm
+        self._take(*step_times(chunk, self._arm, grid, self._board.clock_hz, self._rules, self._state))
+
+    def finish(self) -> None:
+        self._take(*last_step(self._rules, self._state))
+        self.part.finish()
+
+    def _take(self, tick: IntArray, way: WayArray) -> None:
+        self._check_pace()
+        self.steps += len(tick)
+        self.part.add(tick, way)
+
+    def _check_pace(self) -> None:
+        late, most = self._state[LATEST] / self._board.clock_hz, self._board.most_late_s
+        if late > most:
+            at, rate = self._state[LATEST_TICK] / self._board.clock_hz, 1.0 / self._board.pulse_spacing_s
+            asked = f"Motor {self.name} is asked for more than {rate:.0f} steps a second at t = {at:.3f} s"
+            raise LimitsError(
+                f"{asked}: a pulse would come {late * 1e6:.0f} µs late, at most {most * 1e6:.0f} µs are allowed. "
+                f"Use fewer microsteps than {1.0 / self.step_mm:g} a millimetre, or a shorter pulse spacing."
+            )
+
+    def total(self) -> MotorTotal:
+        late = float(self._state[LATEST]) / self._board.clock_hz
+        rows = self.part.columns["count"].length if "count" in self.part.columns else 0
+        return MotorTotal(self.steps, rows, int(self._state[SWALLOWED]), late)
+
+
+def _arm(geometry: DeltaGeometry, motor: str) -> Arm:
+    """Of a motor: its tower's x, y mm, L² mm² and H_ez mm; zeros stand for the filament."""
+    if motor == FOLLOWING:
+        return 0.0, 0.0, 0.0, 0.0
+    k = MOTORS.index(motor)
+    x, y = geometry.towers_mm[k]
+    return float(x), float(y), float(geometry.arm_lengths_mm[k] ** 2), float(geometry.effector_height_mm)
+
+
+def _shown(place: FloatArray) -> str:
+    return " ".join(f"{axis} = {mm:.4f}" for axis, mm in zip("XYZE", place, strict=True)) + " mm"
+
+
+class StepSink:
+    """Writes the archive of FORMATS.md, section 5: `steps`, or `klipper-steps` if an error is allowed.
+
+        with StepSink(machine, Board(extruder_steps_per_mm=415.0), target) as sink:
+            for pieces in trajectory_pieces(trajectory):
+                sink.pieces(pieces)
+            sink.event(12.5, b"M106 S255")
+            totals = sink.finish()
+
+    Time runs on one clock from 0 s; between pieces the nozzle rests. The target is replaced by `finish`, whole, and
+    without it nothing is left behind, whatever happens.
+
+    Parameters
+    ----------
+    target : the archive
+    error_s : None writes every step exactly. Otherwise rows of steps, none of them off by more than this or by a
+        quarter of the way to its neighbours. 12.5 µs is a window as wide as Klipper's, which is 25 µs on one side.
+        The archive says it, as `error_s`.
+    """
+
+    def __init__(self, machine: Machine, board: Board, target: str | Path, error_s: float | None = None) -> None:
+        if error_s is not None and not 0.0 <= error_s <= MOST_ERROR_S:
+            raise ValueError(f"error_s is {error_s:g} s; steps may be off by 0 to {MOST_ERROR_S:g} s.")
+        self._target, self._board, self._geometry = Path(target), board, machine.kinematics
+        self._error_s = error_s
+        folder = self._target.resolve().parent
+        self._motors = [_Motor(name, machine, board, self._part(folder, error_s)) for name in MOTORS + FOLLOWING]
+        self._event_tick, self._event_line = Column(np.int64, folder), TextColumn(folder)
+        self._end_t = 0.0
+        self._end: FloatArray | None = None  # (4,) mm, where the last piece ended
+        self._last_event_t = 0.0
+
+    def _part(self, folder: Path, error_s: float | None) -> _Part:
+        if error_s is None:
+            return _Exact(folder)
+        return _Compressed(folder, int(error_s * self._board.clock_hz), self._board.ticks(self._board.pulse_spacing_s))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def pieces(self, pieces: Pieces) -> None:
+        """The next stretch of path; how a path is cut into calls changes nothing.
+
+        Raises
+        ------
+        StepsError
+            If the path jumps or time runs backwards.
+        UnreachableError
+            If an arm is too short for the path.
+        LimitsError
+            If pulses would follow each other faster than the board allows.
+        """
+        for first in range(0, len(pieces), BLOCK_PIECES):
+            self._block(pieces[first : first + BLOCK_PIECES])
+
+    def _block(self, block: Pieces) -> None:
+        ends = block.end
+        heights = inverse(self._geometry, np.vstack([block.origin[:1, :3], ends[:, :3]]))
+        if self._end is None:
+            self._begin(heights[0], float(block.origin[0, 3]))
+        self._check_joints(block, ends)
+        for motor in self._motors:
+            motor.add(block)
+        self._end, self._end_t = ends[-1], float(block.start_t[-1] + block.duration[-1])
+
+    def _begin(self, heights: FloatArray, filament: float) -> None:
+        for motor, start_mm in zip(self._motors, (*heights.tolist(), filament), strict=True):
+            motor.start_mm = start_mm
+
+    def _check_joints(self, block: Pieces, ends: FloatArray) -> None:
+        """Each piece begins where and when the one before it ended, or later."""
+        before = np.vstack([block.origin[0] if self._end is None else self._end, ends[:-1]])
+        jumps = np.flatnonzero(np.abs(block.origin - before).max(axis=1) > JUMP_MM)
+        if jumps.size:
+            k = jumps[0]
+            jump = f"from {_shown(before[k])} to {_shown(block.origin[k])}"
+            raise StepsError(
+                f"At t = {block.start_t[k]:.4f} s the path jumps {jump}; steps go on from where motors are."
+            )
+        ended = np.concatenate([[self._end_t], (block.start_t + block.duration)[:-1]])
+        early = np.flatnonzero(block.start_t < ended - OVERLAP_S)
+        if early.size:
+            k = early[0]
+            raise StepsError(f"A piece begins at t = {block.start_t[k]:.7f} s, before {ended[k]:.7f} s; time goes on.")
+
+    def event(self, t: float, line: bytes) -> None:
+        """A G-code line to run at the time t, s, no earlier than the event before it."""
+        if t < self._last_event_t:
+            last = self._last_event_t
+            raise StepsError(f"An event at t = {t:g} s comes after one at {last:g} s; events are given in order.")
+        self._last_event_t = t
+        self._event_tick.append(np.array([round(t * self._board.clock_hz)]))
+        self._event_line.append(line.rstrip(b"\r\n"))
+
+    def finish(self) -> dict[str, MotorTotal]:
+        """Writes the archive; what became of each motor's steps, by its letter."""
+        for motor in self._motors:
+            motor.finish()
+        write_archive(self._target, dict(self._members()))
+        self.close()
+        return {motor.name: motor.total() for motor in self._motors}
+
+    def _members(self) -> Iterator[tuple[str, Iterator[bytes]]]:
+        yield "clock_hz", number_npy(self._board.clock_hz)
+        if self._error_s is not None:
+            yield "error_s", number_npy(self._error_s)
+        for motor in self._motors:
+            yield f"{motor.name}_start_mm", number_npy(motor.start_mm)
+            yield f"{motor.name}_step_mm", number_npy(motor.step_mm)
+            yield from ((f"{motor.name}_{key}", column.npy()) for key, column in motor.part.columns.items())
+        yield "events_tick", self._event_tick.npy()
+        yield "events_line", self._event_line.npy()
+
+    def close(self) -> None:
+        """Gives up what was gathered; after `finish` there is nothing left of it."""
+        for motor in self._motors:
+            for column in motor.part.columns.values():
+                column.close()
+        self._event_tick.close()
+        self._event_line.close()

@@ -1,0 +1,104 @@
+"""Moves as text, many at once: compiled, for Python would spend longer on a line than all other stages together."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+ByteArray = NDArray[np.uint8]
+
+XYZ_DECIMALS, E_DECIMALS, F_DECIMALS = 4, 5, 3
+LONGEST_LINE = 128  # bytes: five words of a 64-bit count each, with sign and point, are 118
+_AXES = np.frombuffer(b"XYZE", dtype=np.uint8)
+_SPACE, _MINUS, _POINT, _ZERO, _NEWLINE, _G, _F = b" -.0\nGF"
+
+
+@njit(cache=True, nogil=True)
+def write_moves(
+    xyz: FloatArray,
+    e: FloatArray,
+    speed: FloatArray,
+    base: FloatArray,
+    per_mm: FloatArray,
+    f_counts: float,
+    relative: tuple[bool, bool],
+    state: IntArray,
+    out: ByteArray,
+) -> IntArray:
+    """Write n `G1` lines one after the other; returns where each one ends in `out`, (n,) bytes.
+
+    Parameters
+    ----------
+    xyz : (n, 3) mm;  e : (n,) mm of filament;  speed : (n,) mm/s
+    base : (4,) mm, what is taken off X Y Z E;  per_mm : (4,) counts of the last decimal in a mm
+    f_counts : counts of F's last decimal in a mm/s
+    relative : whether X Y Z are differences, and whether E is
+    state : (5,) counts of X Y Z E F that the firmware has; taken along
+    out : (at least n LONGEST_LINE,) bytes
+    """
+    ends = np.empty(len(e), dtype=np.int64)
+    now = np.empty(4, dtype=np.int64)
+    at = 0
+    for k in range(len(e)):
+        if not np.isfinite(xyz[k].sum() + e[k] + speed[k]):
+            raise ValueError("A move to or at a number that is not finite cannot be written.")
+        for i in range(3):
+            now[i] = np.int64(np.rint((xyz[k, i] - base[i]) * per_mm[i]))
+        now[3] = np.int64(np.rint((e[k] - base[3]) * per_mm[3]))
+        if now[0] != state[0] or now[1] != state[1] or now[2] != state[2] or now[3] != state[3]:
+            feed = np.int64(np.rint(speed[k] * f_counts))
+            at = _write_move(now, feed, relative, state, out, at)
+        ends[k] = at
+    return ends
+
+
+@njit(cache=True, nogil=True)
+def _write_move(
+    now: IntArray, feed: np.int64, relative: tuple[bool, bool], state: IntArray, out: ByteArray, at: int
+) -> int:
+    """One line with the words that have changed; returns where the next one begins."""
+    out[at], out[at + 1] = _G, _ZERO + 1
+    at += 2
+    for i in range(4):
+        if now[i] != state[i]:
+            differs = relative[0] if i < 3 else relative[1]
+            counts = now[i] - state[i] if differs else now[i]
+            at = _write_word(_AXES[i], counts, XYZ_DECIMALS if i < 3 else E_DECIMALS, out, at)
+            state[i] = now[i]
+    if feed != state[4]:
+        at = _write_word(_F, max(feed, np.int64(1)), F_DECIMALS, out, at)  # F0 would be an error
+        state[4] = feed
+    out[at] = _NEWLINE
+    return at + 1
+
+
+@njit(cache=True, nogil=True)
+def _write_word(letter: int, counts: np.int64, decimals: int, out: ByteArray, at: int) -> int:
+    """A letter and counts / 10^decimals in as few digits as it takes."""
+    out[at], out[at + 1] = _SPACE, letter
+    at += 2
+    if counts < 0:
+        out[at] = _MINUS
+        at += 1
+        counts = -counts
+    while decimals > 0 and counts % 10 == 0:
+        counts //= 10
+        decimals -= 1
+    digits, more = 1, counts // 10
+    while more > 0:
+        digits += 1
+        more //= 10
+    digits = max(digits, decimals + 1)  # 5 counts of four decimals are 0.0005
+    end = at + digits + (1 if decimals > 0 else 0)
+    place = end - 1
+    for digit in range(digits):
+        if digit == decimals and decimals > 0:
+            out[place] = _POINT
+            place -= 1
+        out[place] = _ZERO + counts % 10
+        counts //= 10
+        place -= 1
+    return end

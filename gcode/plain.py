@@ -1,0 +1,231 @@
+"""The quiet bulk of a print, followed straight from its bytes: plain `G0` and `G1`, `G92 E0`, M codes that
+change nothing, comments, empty lines.
+
+A plain line is `G0` or `G1` with each of the words X Y Z E F at most once, in capitals, as plain decimals of at most
+15 digits, 6 of them before the point. It says the same as it does to `gcode.words` and `gcode.state`, bit for bit: an
+integer below 10^15 and a power of ten up to 10^22 are exact in binary, so that their quotient is the double nearest to
+the decimal (Clinger 1990, "How to read floating point numbers accurately", section 4), and sums have the same order.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+ByteArray = NDArray[np.uint8]
+BoolArray = NDArray[np.bool_]
+
+STILL_MM2 = 1e-18  # squared displacement below which nothing moves: 1e-9 mm, as in Klipper
+
+_TAB, _NEWLINE, _RETURN, _SPACE, _PLUS, _MINUS, _POINT, _SEMICOLON, _TWO, _G, _M = b"\t\n\r +-.;2GM"
+_E, _F = 3, 4  # columns among the words
+_RECENT = 16
+_DIGITS_BEFORE_POINT, _DIGITS = 6, 15
+_POWERS = np.array([10.0**k for k in range(_DIGITS + 1)])
+_COLUMN = np.full(256, -1, dtype=np.int64)  # of each letter among the words
+_COLUMN[list(b"XYZEF")] = range(5)
+
+
+class Modes(NamedTuple):
+    """What numbers mean: the part of the modal state that no plain line changes."""
+
+    origin_x: float  # mm, added to an absolute coordinate
+    origin_y: float
+    origin_z: float
+    relative: bool
+    relative_e: bool
+    unit: float  # mm of toolhead per unit of the file
+    unit_e: float  # mm of filament per unit of the file
+    feed_factor: float
+
+
+class Cursor(NamedTuple):
+    """Where the reading is; every count is of what the tables hold."""
+
+    byte: int
+    line: int
+    moves: int
+    events: int
+    states: int  # states: feed, names of places and modes
+    state: int  # the number of the one in force
+    x: float  # mm, of the toolhead; NaN: not known
+    y: float
+    z: float
+    e: float
+    feed: float  # mm/s; NaN: no line has said one yet
+    origin_e: float  # mm, added to an absolute E: what G92 E changes
+    motion: int  # of the last plain move followed: 0 or 1; -1: there was none
+    stuck: bool  # the line needs more care than it gets here
+
+
+# NOTE: A call that hands an array on counts its references, which costs as much as reading a number: hence few and
+# long functions here. Rows are written number by number because a tuple stored whole takes 2 s to compile.
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def follow(
+    text: ByteArray, passing: BoolArray, here: Cursor, modes: Modes, limit: int,
+    ends: FloatArray, moves: IntArray, events: IntArray, states: FloatArray,
+) -> Cursor:  # fmt: skip
+    """Follow quiet lines until one needs more care, `states` is full, or the text ends.
+
+    Parameters
+    ----------
+    text : the bytes of whole lines, and one more newline that belongs to none
+    passing : (k,), whether each M code changes nothing
+    limit : the number of the limits in force
+    ends : (n, 4) mm, columns X Y Z E: where each move ends; rows are written from `here.moves` on
+    moves : (n, 3), columns line, state, limit
+    events : (m, 3), columns line, moves before it, state; rows are written from `here.events` on
+    states : (k, 2), columns feed mm/s, origin of E mm, of each new state; written from its beginning on
+    """
+    at, line, move, event, known, state, x, y, z, e, feed, origin_e, motion, _ = here
+    words = np.empty(5)
+    told, stuck = 0, False
+    while at < len(text) - 1 and told < len(states):
+        code = at
+        travelled = 0.0
+        number = text[at + 1] - 48
+        if text[at] == _G and number in (0, 1):
+            code = _read_words(text, at + 2, words)
+            new_x = _coordinate(words[0], modes.unit, x, modes.origin_x, modes.relative)
+            new_y = _coordinate(words[1], modes.unit, y, modes.origin_y, modes.relative)
+            new_z = _coordinate(words[2], modes.unit, z, modes.origin_z, modes.relative)
+            new_e = _coordinate(words[3], modes.unit_e, e, origin_e, modes.relative_e)
+            dx, dy, dz, de = new_x - x, new_y - y, new_z - z, new_e - e
+            travelled = dx * dx + dy * dy + dz * dz + de * de
+            stuck = code < 0 or words[_F] <= 0 or np.isnan(travelled)  # NaN: from or to an unknown place
+            if stuck:
+                break
+            wanted = words[_F] / 60 * modes.unit * modes.feed_factor
+            if not np.isnan(wanted) and wanted != feed:
+                feed = wanted
+                new = _state(states, told, feed, origin_e)
+                told, state = max(told, new + 1), known + new
+            x, y, z, e, motion = new_x, new_y, new_z, new_e, number
+        elif text[at] == _G and number == 9 and text[at + 2] == _TWO:
+            code = _read_words(text, at + 3, words)
+            stuck = code < 0 or not _names_e_only(words)
+            if stuck:
+                break
+            origin_e = e - words[_E] * modes.unit_e
+            new = _state(states, told, feed, origin_e)
+            told, state = max(told, new + 1), known + new
+        elif text[at] == _M:
+            code = _read_m_code(text, at + 1, passing)
+            stuck = code < 0
+            if stuck:
+                break
+        else:
+            while text[code] in (_SPACE, _TAB):
+                code += 1
+            stuck = not _ends_code(text[code])
+            if stuck:
+                break
+        if travelled > STILL_MM2:
+            ends[move, 0], ends[move, 1], ends[move, 2], ends[move, 3] = x, y, z, e
+            moves[move, 0], moves[move, 1], moves[move, 2] = line, state, limit
+            move += 1
+        else:
+            events[event, 0], events[event, 1], events[event, 2] = line, move, state
+            event += 1
+        at = code
+        while text[at] not in (_NEWLINE, _RETURN):
+            at += 1
+        at += 2 if text[at] == _RETURN and text[at + 1] == _NEWLINE else 1
+        line += 1
+    return Cursor(at, line, move, event, known + told, state, x, y, z, e, feed, origin_e, motion, stuck)
+
+
+@njit(nogil=True, error_model="numpy")
+def _state(states: FloatArray, told: int, feed: float, origin_e: float) -> int:
+    """The row of this state: one of the last few, for prints go to and fro between feeds, or a new one."""
+    for row in range(told - 1, max(told - _RECENT, 0) - 1, -1):
+        if states[row, 0] == feed and states[row, 1] == origin_e:
+            return row
+    states[told, 0], states[told, 1] = feed, origin_e
+    return told
+
+
+@njit(nogil=True, error_model="numpy")
+def _read_words(text: ByteArray, at: int, words: FloatArray) -> int:
+    """Numbers of X Y Z E F, NaN for what is not said; returns where the code ends, -1 where it is not plain."""
+    for column in range(len(words)):
+        words[column] = np.nan
+    while True:
+        while text[at] in (_SPACE, _TAB):
+            at += 1
+        if _ends_code(text[at]):
+            return at
+        column = _COLUMN[text[at]]
+        if column < 0 or not np.isnan(words[column]):
+            return -1
+        at += 1
+        sign = text[at]
+        if sign in (_MINUS, _PLUS):
+            at += 1
+        begin, mantissa = at, 0
+        digit = _digit(text[at])
+        while digit >= 0:
+            mantissa = 10 * mantissa + digit
+            at += 1
+            digit = _digit(text[at])
+        whole, decimals = at - begin, 0
+        if text[at] == _POINT:
+            at += 1
+            begin = at
+            digit = _digit(text[at])
+            while digit >= 0:
+                mantissa = 10 * mantissa + digit
+                at += 1
+                digit = _digit(text[at])
+            decimals = at - begin
+        if whole > _DIGITS_BEFORE_POINT or not 0 < whole + decimals <= _DIGITS:
+            return -1
+        size = mantissa / _POWERS[decimals]
+        words[column] = -size if sign == _MINUS else size
+
+
+@njit(nogil=True, error_model="numpy")
+def _names_e_only(words: FloatArray) -> bool:
+    named = 0
+    for word in words:
+        named += not np.isnan(word)
+    return named == 1 and not np.isnan(words[_E])
+
+
+@njit(nogil=True, error_model="numpy")
+def _read_m_code(text: ByteArray, at: int, passing: BoolArray) -> int:
+    """Where the number of an M code that changes nothing ends, whatever the rest of its line says; -1 for others."""
+    code, digit = 0, _digit(text[at])
+    while digit >= 0 and code < len(passing):
+        code = 10 * code + digit
+        at += 1
+        digit = _digit(text[at])
+    known = code < len(passing) and passing[code]
+    return at if known and (_ends_code(text[at]) or text[at] in (_SPACE, _TAB)) else -1
+
+
+@njit(nogil=True, error_model="numpy")
+def _digit(byte: int) -> int:
+    """0 to 9; -1 for any other byte."""
+    digit = byte - 48
+    return digit if 0 <= digit <= 9 else -1
+
+
+@njit(nogil=True, error_model="numpy")
+def _ends_code(byte: int) -> bool:
+    """Whether a line, or the part of it before its comment, ends with this byte."""
+    return byte in (_SEMICOLON, _NEWLINE, _RETURN)
+
+
+@njit(nogil=True, error_model="numpy")
+def _coordinate(word: float, unit: float, place: float, origin: float, relative: bool) -> float:
+    if np.isnan(word):
+        return place
+    return word * unit + (place if relative else origin)

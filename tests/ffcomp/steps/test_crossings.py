@@ -1,0 +1,228 @@
+"""Exact steps: closed forms, and on random paths the rule itself, with inverse kinematics as the judge."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from ffcomp.steps.crossings import STATE_SIZE, SWALLOWED, _rise, _turn, last_step, step_times
+from ffcomp.steps.pieces import Pieces, knot_pieces
+from models.kinematics.delta import inverse
+from models.machine_file import load_machine
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+GEOMETRY = load_machine("mp-delta-pro").kinematics
+CLOCK_HZ = 16e6
+STEP_MM = 0.0125
+NO_FILTER = (1, 1, 1)
+TURN_S = 750e-6
+
+
+def path(start: FloatArray, *legs: tuple[FloatArray, float, float, float]) -> Pieces:
+    """Legs one after the other: (direction (4,), start speed, acceleration, duration)."""
+    begins = np.cumsum([0.0, *(leg[3] for leg in legs)])[:-1]
+    length = np.array([(v + 0.5 * a * lasts) * lasts for _, v, a, lasts in legs])
+    direction = np.array([leg[0] for leg in legs])
+    ends = start + np.cumsum(direction * length[:, None], axis=0)
+    columns = [np.array([leg[k] for leg in legs]) for k in (3, 1, 2)]
+    return Pieces(begins, columns[0], np.vstack([start, ends[:-1]]), direction, columns[1], columns[2])
+
+
+def steps(
+    pieces: Pieces, motor: int = 0, rules: tuple[int, int, int] = NO_FILTER, at_once: int = 10_000
+) -> tuple[IntArray, IntArray, IntArray]:
+    """One motor's ticks and directions; motor 3 is the filament. And its memory."""
+    x, y = GEOMETRY.towers_mm[min(motor, 2)]
+    arm = (x, y, float(GEOMETRY.arm_lengths_mm[min(motor, 2)] ** 2), GEOMETRY.effector_height_mm)
+    start = inverse(GEOMETRY, pieces.origin[:1, :3])[0, motor] if motor < 3 else pieces.origin[0, 3]
+    state = np.zeros(STATE_SIZE, dtype=np.int64)
+    found = [
+        step_times(
+            tuple(map(np.ascontiguousarray, pieces[k : k + at_once].columns)),
+            arm if motor < 3 else (0.0, 0.0, 0.0, 0.0),
+            (float(start), STEP_MM),
+            CLOCK_HZ,
+            rules,
+            state,
+        )
+        for k in range(0, len(pieces), at_once)
+    ]
+    tick, way = zip(*found, last_step(rules, state), strict=True)
+    return np.concatenate(tick), np.concatenate(way).astype(np.int64), state
+
+
+UP = np.array([0.0, 0.0, 1.0, 0.0])
+ORIGIN = np.array([3.0, -5.0, 20.0, 0.0])
+
+
+@pytest.mark.parametrize("motor", [0, 1, 2, 3])
+def test_constant_speed(motor: int) -> None:
+    """Straight up, and filament: step k of v t at (k + 1/2) step / v."""
+    direction = UP if motor < 3 else np.array([0.0, 0.0, 0.0, 1.0])
+    tick, way, _ = steps(path(ORIGIN, (direction, 37.0, 0.0, 0.5)), motor)
+    heights = (np.arange(int(37.0 * 0.5 / STEP_MM + 0.5)) + 0.5) * STEP_MM
+    assert np.abs(tick - heights / 37.0 * CLOCK_HZ).max() <= 0.501
+    assert len(tick) == len(heights) and np.all(way == 1)
+
+
+def test_from_rest_to_rest() -> None:
+    """a t²/2 down, then the same mirrored: √(2 h / a), and as long before the end."""
+    down, a, lasts = -UP, 2000.0, 0.05
+    tick, way, _ = steps(path(ORIGIN, (down, 0.0, a, lasts), (down, a * lasts, -a, lasts)))
+    heights = (np.arange(int(a * lasts**2 / 2 / STEP_MM + 0.5)) + 0.5) * STEP_MM
+    half = np.sqrt(2 * heights / a)
+    expected = np.concatenate([half, 2 * lasts - half[::-1]]) * CLOCK_HZ
+    assert np.abs(tick - expected).max() <= 0.51
+    assert np.all(way == -1)
+
+
+def test_a_carriage_turns_where_the_nozzle_passes_its_tower() -> None:
+    """h = √(L² − r² − (v t)²) along a line across the tower's foot: up to t = 0 and down again, mirrored."""
+    foot = GEOMETRY.towers_mm[0]
+    outward = foot / np.linalg.norm(foot)
+    across = np.array([-outward[1], outward[0], 0.0, 0.0])
+    nearest = np.array([*(0.5 * foot), 20.0, 0.0])
+    reach, speed = 50.0, 80.0
+    tick, way, _ = steps(path(nearest - reach * across, (across, speed, 0.0, 2 * reach / speed)))
+    arm, away = GEOMETRY.arm_lengths_mm[0], np.linalg.norm(foot) / 2
+    lowest, highest = np.sqrt(arm**2 - away**2 - reach**2), np.sqrt(arm**2 - away**2)
+    borders = lowest + (np.arange(int((highest - lowest) / STEP_MM + 0.5)) + 0.5) * STEP_MM
+    before = np.sqrt(arm**2 - away**2 - borders**2) / speed
+    expected = (reach / speed + np.concatenate([-before, before[::-1]])) * CLOCK_HZ
+    assert np.abs(tick - expected).max() <= 0.51
+    assert np.array_equal(way, np.repeat([1, -1], len(borders)))
+
+
+@given(st.floats(-1.0, 1.0), st.floats(1e-3, 1.0), st.floats(-140.0, 140.0))
+def test_a_carriage_is_highest_at_its_turn(slope: float, a: float, along: float) -> None:
+    """d_z = (b + a s)/g(s) there, and a little before and after it the carriage is lower."""
+    b, g = along * np.sqrt(a), 250.0
+    turn = _turn(slope, a, b, g)
+    height = np.sqrt(g * g - 2 * b * turn - a * turn * turn)
+    assert (b + a * turn) / height == pytest.approx(slope, abs=1e-9)
+    top, aside = _rise(turn, slope, a, b, g), 0.1 * height * np.sqrt(a)
+    assert all(_rise(turn + away, slope, a, b, g) < top for away in (-aside, aside))
+
+
+def test_at_rest_nothing_steps() -> None:
+    """Standing for 10 s delays what comes after it, and standing on a border never flutters."""
+    half_step = STEP_MM / 2
+    still = (UP, 0.0, 0.0, 10.0)
+    tick, way, _ = steps(path(ORIGIN, (UP, half_step, 0.0, 1.0), still, (UP, half_step, 0.0, 1.0), still))
+    assert len(tick) == 1 and way[0] == 1
+    rounding = np.array([0.0, *(half_step + 1e-10 * (-1.0) ** np.arange(20))])
+    on_border = knot_pieces(0.0, 1.0, ORIGIN[:3] + UP[:3] * rounding[:, None], np.zeros(21))
+    assert len(steps(on_border)[0]) == 1
+    flat = np.array([1.0, 0.0, 0.0, 0.0])
+    level = path(ORIGIN, still, (flat, 10.0, 0.0, 1.0), still)
+    assert len(steps(level, motor=3)[0]) == 0
+
+
+@pytest.mark.parametrize(("peak", "time_s", "left"), [(0.7, 0.5 * TURN_S, 0), (0.7, 5 * TURN_S, 2), (1.2, TURN_S, 2)])
+def test_a_step_that_turns_back_at_once_is_left_out(peak: float, time_s: float, left: int) -> None:
+    """Up and down by `peak` microsteps: unless it takes longer, or the microstep itself is reached, nothing steps."""
+    speed = 2 * peak * STEP_MM / time_s
+    rules = (round(TURN_S * CLOCK_HZ), 1, 1)
+    tick, way, state = steps(path(ORIGIN, (UP, speed, 0.0, time_s / 2), (-UP, speed, 0.0, time_s / 2)), rules=rules)
+    assert way.tolist() == [1, -1][:left]
+    assert state[SWALLOWED] == 2 - left
+    assert len(tick) == left
+
+
+def test_going_back_in_two_pieces_is_as_soon() -> None:
+    """That the command is still on its way to the microstep it left does not mean that it reached the other one."""
+    speed, rules = STEP_MM / (0.2 * TURN_S), (round(TURN_S * CLOCK_HZ), 1, 1)
+    legs = [(way * UP, speed, 0.0, part * STEP_MM / speed) for way, part in ((-1, 0.6), (1, 0.05), (1, 0.5))]
+    tick, _, state = steps(path(ORIGIN, *legs), rules=rules)
+    assert len(tick) == 0 and state[SWALLOWED] == 2
+
+
+def test_pulses_keep_their_distance() -> None:
+    """Twice too fast for ten steps, and the electronics catch up afterwards."""
+    spacing = 1000
+    fast, slow = 2 * STEP_MM * CLOCK_HZ / spacing, 0.5 * STEP_MM * CLOCK_HZ / spacing
+    pieces = path(ORIGIN, (UP, slow, 0.0, 0.01), (UP, fast, 0.0, 10 * STEP_MM / fast), (UP, slow, 0.0, 0.01))
+    exact, (tick, _, _) = steps(pieces)[0], steps(pieces, rules=(1, spacing, spacing))
+    assert np.diff(exact).min() == spacing // 2
+    assert np.diff(tick).min() == spacing
+    assert np.all(tick >= exact) and tick[-1] == exact[-1]
+
+
+# ---- random paths --------------------------------------------------------------------------------
+
+speeds, angles = st.floats(0.0, 400.0), st.floats(0.0, 2 * np.pi)
+
+
+@st.composite
+def random_path(draw: st.DrawFn) -> Pieces:
+    """Straight lines in any direction, with any acceleration that does not turn them round; some at rest."""
+    legs = []
+    for _ in range(draw(st.integers(1, 4))):
+        turned, climb = draw(angles), draw(st.sampled_from([0.0, 0.0, 1e-7, 0.3, -0.8, 1.0, -1.0]))
+        flat = np.sqrt(max(1 - climb**2, 0.0))
+        start, end = draw(speeds), draw(speeds)
+        lasts = 40.0 / (start + end + 400.0) * draw(st.floats(0.01, 1.0))
+        direction = np.array([flat * np.cos(turned), flat * np.sin(turned), climb, draw(st.floats(-0.1, 0.1))])
+        legs.append((direction, start, (end - start) / lasts, lasts))
+    return path(np.array([draw(st.floats(-40, 40)), draw(st.floats(-40, 40)), 60.0, 5.0]), *legs)
+
+
+def place_at(pieces: Pieces, t: FloatArray, motor: int) -> FloatArray:
+    """(k,) mm"""
+    at = np.clip(np.searchsorted(pieces.start_t, t, side="right") - 1, 0, None)
+    since = np.minimum(t - pieces.start_t[at], pieces.duration[at])
+    along = (pieces.start_v[at] + 0.5 * pieces.acceleration[at] * since) * since
+    places = pieces.origin[at] + pieces.direction[at] * along[:, None]
+    return inverse(GEOMETRY, places[:, :3])[:, motor] if motor < 3 else places[:, 3]
+
+
+def halved(pieces: Pieces, share: float) -> Pieces:
+    """The same path, each piece in two."""
+    first = pieces.duration * share
+    later_v = np.maximum(pieces.start_v + pieces.acceleration * first, 0.0)
+    before = replace(pieces, duration=first)
+    begins, rest = pieces.start_t + first, pieces.duration - first
+    after = Pieces(begins, rest, before.end, pieces.direction, later_v, pieces.acceleration)
+    both = [np.stack(pair, axis=1) for pair in zip(before.columns, after.columns, strict=True)]
+    return Pieces(*(column.reshape(-1, *column.shape[2:]) for column in both))
+
+
+@settings(max_examples=60, deadline=None)
+@given(random_path(), st.integers(0, 3), st.floats(0.05, 0.95))
+def test_steps_come_just_when_the_command_is_half_way(pieces: Pieces, motor: int, share: float) -> None:
+    """At a step the command is on the border; between steps it is never more than half a microstep away."""
+    for path_ in (pieces, halved(pieces, share)):
+        tick, way, _ = steps(path_, motor)
+        end_t = float(pieces.start_t[-1] + pieces.duration[-1])
+        level = place_at(pieces, np.zeros(1), motor)[0] + STEP_MM * np.concatenate([[0], np.cumsum(way)])
+        t, border = tick / CLOCK_HZ, (level[1:] + level[:-1]) / 2
+        per_tick_mm = 2 * 900.0 / CLOCK_HZ  # carriages move less than twice as fast as the nozzle here
+        assert np.all(np.diff(tick) > 0)
+        assert np.abs(place_at(pieces, t, motor) - border).max(initial=0.0) < per_tick_mm
+        dense = np.linspace(0.0, end_t, 20_001)
+        held = level[np.searchsorted(t, dense, side="right")]
+        assert np.abs(place_at(pieces, dense, motor) - held).max() < STEP_MM / 2 + per_tick_mm
+
+
+@settings(max_examples=30, deadline=None)
+@given(random_path(), st.integers(1, 3))
+def test_chunks_change_nothing(pieces: Pieces, at_once: int) -> None:
+    rules = (round(TURN_S * CLOCK_HZ), 32, 80)
+    whole, cut = steps(pieces, 1, rules), steps(pieces, 1, rules, at_once)
+    for one, other in zip(whole, cut, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_knots_are_lines_at_constant_speed() -> None:
+    vertices = np.array([[0.0, 0.0, 5.0], [1.0, 2.0, 5.0], [1.0, 2.0, 5.0], [0.5, 2.0, 5.5]])
+    pieces = knot_pieces(0.25, 0.004, vertices, np.array([0.0, 0.1, 0.3, 0.2]))
+    np.testing.assert_allclose(pieces.end[:, :3], vertices[1:], atol=1e-12)
+    np.testing.assert_allclose(pieces.end[:, 3], [0.1, 0.3, 0.2], atol=1e-12)
+    np.testing.assert_allclose(pieces.start_t, [0.25, 0.254, 0.258], atol=1e-15)

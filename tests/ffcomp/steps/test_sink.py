@@ -1,0 +1,185 @@
+"""The archive: its keys, what reads back, and that nothing is left of a failure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ffcomp.errors import LimitsError
+from ffcomp.pipeline import plan_program
+from ffcomp.plan.trajectory import Trajectory
+from ffcomp.steps import compress, sink
+from ffcomp.steps.pieces import Pieces, knot_pieces, trajectory_pieces
+from ffcomp.steps.reader import StepsError, is_step_archive, read_events, read_steps
+from ffcomp.steps.sink import Board, MotorTotal, StepSink
+from gcode.reader import read_program
+from models.errors import UnreachableError
+from models.kinematics.delta import inverse
+from models.machine_file import load_machine
+
+MACHINE = load_machine("mp-delta-pro")
+BOARD = Board(extruder_steps_per_mm=415.0)
+GCODE = (
+    b"G1 X30 Y12 E2 F9000\nG1 X28 Y30 E3\nG1 E1 F2400\nG1 X-20 Y-20 Z10.3 F12000\nG4 P100\nG1 E3\nG1 X0 Y0 E5 F9000\n"
+)
+EVENTS = [(0.0, b"M106 S255\n"), (0.3, b"; caf\xe9\r\n"), (0.3, b""), (2.5, b"M117 a much longer line than those")]
+
+
+def planned() -> Trajectory:
+    return plan_program(read_program(GCODE, start=(0.0, 0.0, 10.0)), MACHINE).trajectory
+
+
+def written(path: Path, error_s: float | None = None, at_once: int = 10_000) -> dict[str, MotorTotal]:
+    with StepSink(MACHINE, BOARD, path, error_s) as out:
+        for t, line in EVENTS:
+            out.event(t, line)
+        for pieces in trajectory_pieces(planned(), 0.1):
+            for first in range(0, len(pieces), at_once):
+                out.pieces(pieces[first : first + at_once])
+        return out.finish()
+
+
+@pytest.mark.parametrize("error_s", [None, 12.5e-6])
+def test_the_keys_are_those_of_the_format(error_s: float | None, tmp_path: Path) -> None:
+    path = tmp_path / "steps"
+    written(path, error_s)
+    types = {"direction": np.int8, "start_mm": np.float64, "step_mm": np.float64}
+    times = {"tick": np.int64} if error_s is None else {"interval": np.int64, "count": np.uint16, "add": np.int16}
+    expected = {f"{motor}_{key}": dtype for motor in "abce" for key, dtype in (times | types).items()}
+    expected |= {"clock_hz": np.float64, "events_tick": np.int64, "events_line": np.bytes_}
+    expected |= {} if error_s is None else {"error_s": np.float64}
+    assert is_step_archive(path)
+    with np.load(path, allow_pickle=False) as archive:
+        assert set(archive.files) == set(expected)
+        assert all(np.issubdtype(archive[key].dtype, dtype) for key, dtype in expected.items())
+        assert archive["clock_hz"] == BOARD.clock_hz and archive["e_step_mm"] == 1 / 415.0
+
+
+def test_what_was_written_is_the_plan(tmp_path: Path) -> None:
+    """At every step the plan is half-way between the two microsteps; the filament too."""
+    written(tmp_path / "steps")
+    plan, motors = planned(), read_steps(tmp_path / "steps")
+    assert list(motors) == ["a", "b", "c", "e"]
+    for k, motor in enumerate(motors.values()):
+        place = plan.position(motor.time_s - 0.1)
+        height = inverse(MACHINE.kinematics, place[:, :3])[:, k] if k < 3 else place[:, 3]
+        border = (motor.level_mm[1:] + motor.level_mm[:-1]) / 2
+        assert len(border) > 900
+        assert np.abs(height - border).max() < 1e-4
+    assert abs(motors["e"].level_mm[-1] - 5.0) <= 0.5 / 415.0
+
+
+def test_rows_are_the_same_steps_within_the_error(tmp_path: Path) -> None:
+    exact, rows = written(tmp_path / "exact"), written(tmp_path / "rows", 12.5e-6)
+    before, after = read_steps(tmp_path / "exact"), read_steps(tmp_path / "rows")
+    for motor, one in before.items():
+        np.testing.assert_array_equal(after[motor].direction, one.direction)
+        assert np.abs(after[motor].time_s - one.time_s).max() <= 12.5e-6 + 1e-12
+        assert exact[motor].steps == rows[motor].steps == len(one.time_s)
+        assert exact[motor].rows == 0 and 0 < rows[motor].rows * 8 < len(one.time_s)
+
+
+@pytest.mark.parametrize("error_s", [None, 12.5e-6])
+def test_how_the_path_is_cut_changes_no_byte(
+    error_s: float | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written(tmp_path / "whole", error_s)
+    monkeypatch.setattr(sink, "BLOCK_PIECES", 3)
+    monkeypatch.setattr(compress, "BATCH_STEPS", 100)
+    written(tmp_path / "cut", error_s, at_once=4)
+    assert (tmp_path / "whole").read_bytes() == (tmp_path / "cut").read_bytes()
+
+
+def test_events_come_back_byte_for_byte(tmp_path: Path) -> None:
+    written(tmp_path / "steps")
+    times, lines = read_events(tmp_path / "steps")
+    np.testing.assert_allclose(times, [t for t, _ in EVENTS], atol=1 / BOARD.clock_hz)
+    assert lines == [line.rstrip(b"\r\n") for _, line in EVENTS]
+
+
+def test_an_archive_without_events_has_none(tmp_path: Path) -> None:
+    np.savez(tmp_path / "steps.npz", clock_hz=1e6)
+    assert read_events(tmp_path / "steps.npz")[1] == []
+
+
+def knots(*vertices: tuple[float, float, float], begin_s: float = 0.1, spacing_s: float = 0.5) -> Pieces:
+    return knot_pieces(begin_s, spacing_s, np.array(vertices), np.zeros(len(vertices)))
+
+
+def test_a_path_of_nothing_is_an_archive_of_no_steps(tmp_path: Path) -> None:
+    with StepSink(MACHINE, BOARD, tmp_path / "steps", 25e-6) as out:
+        out.pieces(knots((1, 2, 5), (1, 2, 5)))
+        assert all(total.steps == 0 for total in out.finish().values())
+    assert all(len(motor.time_s) == 0 for motor in read_steps(tmp_path / "steps").values())
+
+
+def write_all(target: Path, chunks: Iterable[Pieces]) -> None:
+    with StepSink(MACHINE, BOARD, target) as out:
+        for pieces in chunks:
+            out.pieces(pieces)
+        out.finish()
+
+
+WRONG = {
+    "the path jumps from X = 1.0000": (
+        StepsError,
+        [knots((0, 0, 5), (1, 0, 5)), knots((1, 0.1, 5), (2, 0, 5), begin_s=0.7)],
+    ),
+    r"t = 0.5000000 s, before 0.6": (
+        StepsError,
+        [knots((0, 0, 5), (1, 0, 5)), knots((1, 0, 5), (2, 0, 5), begin_s=0.5)],
+    ),
+    r"t = -0.0080000 s, before 0.0": (StepsError, [knots((0, 0, 5), (1, 0, 5), begin_s=-0.008)]),
+    "farther from a tower than its arm": (UnreachableError, [knots((0, 0, 5), (300, 300, 5))]),
+    "Motor a is asked for more than 500000 steps": (LimitsError, [knots((0, 0, 5), (0, 0, 105), spacing_s=0.01)]),
+}
+
+
+@pytest.mark.parametrize("sentence", WRONG)
+def test_what_motors_cannot_do_is_said_and_leaves_nothing(sentence: str, tmp_path: Path) -> None:
+    error, chunks = WRONG[sentence]
+    target = tmp_path / "steps"
+    target.write_bytes(b"old")
+    with pytest.raises(error, match=sentence):
+        write_all(target, chunks)
+    assert target.read_bytes() == b"old"
+    assert [each.name for each in tmp_path.iterdir()] == ["steps"]
+
+
+def interrupted() -> Iterator[Pieces]:
+    yield knots((0, 0, 5), (1, 0, 5))
+    raise KeyboardInterrupt
+
+
+def test_an_interruption_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        write_all(tmp_path / "steps", interrupted())
+    assert not list(tmp_path.iterdir())
+
+
+def test_events_are_given_in_order(tmp_path: Path) -> None:
+    with StepSink(MACHINE, BOARD, tmp_path / "steps") as out:
+        out.event(2.0, b"M400")
+        with pytest.raises(StepsError, match="at t = 1 s comes after one at 2 s"):
+            out.event(1.0, b"M400")
+
+
+def test_a_little_too_fast_is_put_off_and_reported(tmp_path: Path) -> None:
+    """Three microsteps at twice the pace that a board can follow: the third is as late as two half pulses."""
+    pace = BOARD.pulse_spacing_s
+    vertices = np.array([[0, 0, 5.0], [0, 0, 5.0 + 3 / MACHINE.steps.steps_per_mm]])
+    with StepSink(MACHINE, BOARD, tmp_path / "steps") as out:
+        out.pieces(knot_pieces(0.1, 1.5 * pace, vertices, np.zeros(2)))
+        total = out.finish()["a"]
+    assert total.steps == 3
+    assert total.latest_s == pytest.approx(2 * 0.5 * pace, abs=2e-7)
+    assert np.diff(read_steps(tmp_path / "steps")["a"].time_s).min() == pytest.approx(pace)
+
+
+@pytest.mark.parametrize("error_s", [-1e-9, 26e-6])
+def test_the_error_is_that_of_the_format(error_s: float, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"may be off by 0 to 2\.5e-05 s"):
+        StepSink(MACHINE, BOARD, tmp_path / "steps", error_s)

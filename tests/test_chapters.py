@@ -1,0 +1,137 @@
+"""A long print in chapters: what comes out is what comes out in one piece, however many work at it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ffcomp import job as jobs
+from ffcomp.chapters import REMEMBERED_S, Chapter, chapters
+from ffcomp.job import Job
+from ffcomp.pipeline import plan_program
+from ffcomp.writer import original
+from gcode.cutting import join, split
+from gcode.errors import GcodeError
+from gcode.program import Program
+from gcode.reader import read_parts, read_program
+from models.machine import Machine
+from models.machine_file import load_machine
+
+PRINTS = Path(__file__).parents[1] / "sample_prints"
+SMALL = 20_000  # bytes of a part
+OUR_MOVE = re.compile(rb"^G1 .*\n", re.MULTILINE)
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine("mp-delta-pro")
+
+
+@pytest.fixture
+def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Many chapters of a small file."""
+
+    def parts(blocks: Iterator[bytes], path: str, **options: object) -> Iterator[Program]:
+        return read_parts(blocks, path, part_bytes=SMALL, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(jobs, "read_parts", parts)
+
+
+def cut(data: bytes, part_bytes: int = SMALL) -> list[Chapter]:
+    return list(chapters(read_parts([data], flavor="klipper", part_bytes=part_bytes)))
+
+
+def text_of(data: bytes, machine: Machine, **options: object) -> tuple[bytes, Job]:
+    job = Job(data, "print.gcode", machine, **options)  # type: ignore[arg-type]
+    return b"".join(job.lines()), job
+
+
+def places(text: bytes) -> NDArray[np.float64]:
+    """Every end of a segment of ours, (n, 4) mm."""
+    moves = read_program(text).moves
+    return moves.end[np.any(moves.end[:, :3] != moves.start[:, :3], axis=1)]
+
+
+@pytest.fixture(scope="module")
+def tower() -> bytes:
+    return (PRINTS / "ringing_tower.gcode").read_bytes()[:100_000].rpartition(b"\n")[0] + b"\n"
+
+
+def test_chapters_are_the_program(tower: bytes) -> None:
+    whole, several = read_program(tower), cut(tower)
+    assert len(several) >= 4
+    assert [each.last for each in several] == [False] * (len(several) - 1) + [True]
+    assert b"".join(line for each in several for line in each.program.lines) == tower
+    together = several[0].program
+    for each in several[1:]:
+        assert each.program.first_line == len(together.lines)
+        together = join(together, each.program)
+    for name in ("line", "start", "end", "speed", "acceleration"):
+        np.testing.assert_array_equal(getattr(together.moves, name), getattr(whole.moves, name))
+    assert [(e.line, e.move, e.kind) for e in together.events] == [(e.line, e.move, e.kind) for e in whole.events]
+    for event, other in zip(together.events, whole.events, strict=True):
+        assert together.frames[event.frame] == whole.frames[other.frame]
+
+
+def test_a_chapter_is_planned_as_in_the_whole(tower: bytes, machine: Machine) -> None:
+    whole = plan_program(read_program(tower), machine).trajectory
+    durations = [plan_program(each.program, machine).trajectory.duration for each in cut(tower)]
+    np.testing.assert_allclose(np.concatenate(durations), whole.duration, rtol=0, atol=1e-15)
+
+
+def test_what_is_remembered_is_long_enough(tower: bytes, machine: Machine) -> None:
+    for each in cut(tower)[1:]:
+        assert each.before is not None
+        assert plan_program(each.before, machine).trajectory.end_t >= REMEMBERED_S
+
+
+def test_splitting_and_joining_gives_the_program_again(tower: bytes) -> None:
+    program = read_program(tower)
+    head, tail = split(program, 700)
+    again = join(head, tail)
+    assert again.lines == program.lines
+    assert [e[:3] for e in again.events] == [e[:3] for e in program.events]
+    np.testing.assert_array_equal(again.moves.end, program.moves.end)
+
+
+def test_the_command_is_the_same_in_chapters(tower: bytes, machine: Machine, small_parts: None) -> None:
+    several, cut_job = text_of(tower, machine, predict=False)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(jobs, "read_parts", read_parts)
+        whole, job = text_of(tower, machine, predict=False)
+    assert several.count(b"SET_VELOCITY_LIMIT") > whole.count(b"SET_VELOCITY_LIMIT")  # there were chapters
+    assert original(several) == original(whole) == tower
+    assert cut_job.summary.print_time_s == pytest.approx(job.summary.print_time_s, abs=1e-9)
+    mine, theirs = places(several), places(whole)
+    # after a cut the state is known but for what the printer has forgotten; corrections may then stop a pass earlier
+    assert len(mine) == len(theirs)
+    apart = np.abs(mine[:, :3] - theirs[:, :3]).max(axis=1)
+    assert apart.max() < 2e-3 and np.mean(apart > 5e-4) < 1e-3  # mm
+    np.testing.assert_allclose(mine[:, 3], theirs[:, 3], atol=5e-5)
+
+
+def test_jobs_change_no_byte(tower: bytes, machine: Machine, small_parts: None) -> None:
+    alone, one = text_of(tower, machine)
+    together, two = text_of(tower, machine, jobs=2)
+    assert alone == together
+    first, second = one.result(), two.result()
+    assert first["predicted"]["compensated"]["contour_rms_um"] > 0
+    assert {**first, "compute_time_s": 0} == {**second, "compute_time_s": 0}
+
+
+def test_an_error_names_the_line_of_the_file(tower: bytes, machine: Machine, small_parts: None) -> None:
+    lines = tower.count(b"\n")
+    with pytest.raises(GcodeError, match=rf"print.gcode:{lines + 1}: ") as error:
+        text_of(tower + b"G1 X500 Y0\n", machine, predict=False)
+    assert error.value.line == lines + 1
+
+
+def test_a_print_without_rests_is_one_chapter() -> None:
+    spiral = b"G28\nG1 X0 Y0 Z1 F6000\n" + b"".join(b"G1 X%d Y%d E%d\n" % (k % 7, k % 5, k) for k in range(3000))
+    (only,) = cut(spiral, 5000)
+    assert only.last and only.program.lines == spiral.splitlines(keepends=True)
