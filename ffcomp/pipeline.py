@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ffcomp.errors import LimitsError, NothingToDo
 from ffcomp.invert.inverter import Inverter, RunResult
 from ffcomp.invert.settings import Settings
+from ffcomp.invert.whole import Ran, corrected
 from ffcomp.marks import pieces, timeline
 from ffcomp.plan.junctions import junction_limits
 from ffcomp.plan.limits import DeltaReach, FirmwareLimits
@@ -177,20 +178,32 @@ def solutions(
     state : (18,) of the plant as the first run begins; None: at rest
     keep : asked once for each run whether its response is wanted
     """
+    ran = _by_the_model(planned, machine, inverter, state, keep)
+    if inverter.printer is None:
+        yield from (Solved(run, each.wanted, each.result) for run, each in ran)
+        return
+    runs, found = zip(*ran, strict=True) if any(run.travels for run in planned.runs) else ((), ())
+    results = corrected(inverter, inverter.printer, found)
+    yield from (Solved(run, each.wanted, result) for run, each, result in zip(runs, found, results, strict=True))
+
+
+def _by_the_model(
+    planned: Planned, machine: Machine, inverter: Inverter, state: FloatArray | None, keep: Callable[[Reference], bool]
+) -> Iterator[tuple[Run, Ran]]:
     trajectory, rested = planned.trajectory, 0.0
     moved = _moved_before(planned)
     for run in planned.runs:
         if not run.travels:
             continue
-        start = trajectory.origin[run.first, :3]
+        start, rest_s = trajectory.origin[run.first, :3], run.begin_t - rested
         if state is None or moved[run.first]:
-            state = rest_state(machine, start)
+            state, rest = rest_state(machine, start), None
         else:
-            state = inverter.hold(state, start, run.begin_t - rested)
+            state, rest = inverter.hold(state, start, rest_s), rest_s
         wanted = Reference(trajectory, run, inverter.settings)
         result = inverter.run(wanted, state, keep_response=keep(wanted))
         state, rested = result.state, run.end_t
-        yield Solved(run, wanted, result)
+        yield run, Ran(wanted, result, rest)
 
 
 def _moved_before(planned: Planned) -> dict[int, bool]:

@@ -94,6 +94,8 @@ class MotionLimits:
     square_corner_velocity_mm_per_s: float = 5.0
     carriage_velocity_mm_per_s: float = 500.0
     carriage_acceleration_mm_per_s2: float = 30000.0
+    carriage_travel_mm: tuple[float, float] | None = None  # lowest and highest place of a carriage; None: not known
+    step_rate_hz: float | None = None  # of each motor, microsteps; None: whatever its velocity needs
 
 
 @dataclass(frozen=True)

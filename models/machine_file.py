@@ -21,7 +21,7 @@ import platformdirs
 import tomlkit
 
 from models.errors import MachineFileError
-from models.machine import Carriage, Drive, Effector, Machine, MotionLimits, Steps, constant
+from models.machine import Carriage, Drive, Effector, Machine, Steps, constant
 from models.machine_schema import (
     CarriageTable,
     EffectorTable,
@@ -99,7 +99,7 @@ def _machine(document: MachineDocument, sha256: str, path: str) -> Machine:
         kinematics=document.kinematics.geometry(),
         carriage=_carriage(document.carriage),
         effector=_effector(document.effector),
-        limits=MotionLimits(**document.limits.model_dump()),
+        limits=document.limits.limits(),
         steps=Steps(**document.steps.model_dump()),
         effects=document.effects,
         uncertainty={"default": DEFAULT_UNCERTAINTY, **document.uncertainty},

@@ -21,6 +21,7 @@ from models.machine import DeltaGeometry, FloatArray, MotionLimits, Steps, const
 Length = Annotated[float, Field(ge=10, le=2000)]
 Angle = Annotated[float, Field(ge=-360, le=360)]
 Offset = Annotated[float, Field(ge=-500, le=500)]
+Place = Annotated[float, Field(ge=-1000, le=10000)]
 Stiffness = Annotated[float, Field(ge=1, le=1e9)]
 Damping = Annotated[float, Field(ge=0, le=1e5)]
 THREE = Field(min_length=3, max_length=3)
@@ -101,6 +102,27 @@ class LimitsTable(Table):
     square_corner_velocity_mm_per_s: float = Field(DEFAULT_LIMITS.square_corner_velocity_mm_per_s, ge=0, le=1000)
     carriage_velocity_mm_per_s: float = Field(DEFAULT_LIMITS.carriage_velocity_mm_per_s, ge=1, le=1e4)
     carriage_acceleration_mm_per_s2: float = Field(DEFAULT_LIMITS.carriage_acceleration_mm_per_s2, ge=10, le=1e7)
+    carriage_travel_mm: list[Place] | None = None
+    step_rate_hz: float | None = Field(None, ge=100, le=1e8)
+
+    @model_validator(mode="after")
+    def _possible(self) -> LimitsTable:
+        travel = self.carriage_travel_mm
+        if travel is not None and not (len(travel) == 2 and travel[0] < travel[1]):
+            _refuse(
+                [
+                    f"limits.carriage_travel_mm = {travel} must be two numbers (mm): the lowest and the highest place "
+                    "of a carriage."
+                ]
+            )
+        return self
+
+    def limits(self) -> MotionLimits:
+        travel = self.carriage_travel_mm
+        return MotionLimits(
+            **self.model_dump(exclude={"carriage_travel_mm"}),
+            carriage_travel_mm=None if travel is None else (travel[0], travel[1]),
+        )
 
 
 class StepsTable(Table):
@@ -259,6 +281,7 @@ UNITS = {  # endings of keys; a longer one goes before one it ends in
     "_deg": "degrees",
     "_mm": "mm",
     "_kg": "kg",
+    "_hz": "Hz",
 }
 
 RULES = {  # pydantic's type of error -> our rule, filled in from its context

@@ -16,62 +16,95 @@ Duan, Yoon & Okwudire, A limited-preview filtered B-spline approach to tracking 
 
 from __future__ import annotations
 
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr, solve_triangular
 
 from ffcomp.invert.kernels import basis_response
-from ffcomp.invert.limits import excess, limited_step
+from ffcomp.invert.limits import limited_step
 from ffcomp.invert.play import Playing, Stretch
 from ffcomp.schedule import interpolate, models_along
 
 FloatArray = NDArray[np.float64]
 
 
-def solve(run: Playing, state: FloatArray) -> tuple[FloatArray, FloatArray, int, int]:
+@dataclass(frozen=True, slots=True)
+class Held:
+    """Where a limit had to be enforced."""
+
+    first: int  # knots of the run
+    last: int
+    error_mm: float  # how far the nozzle is from the path at the worst, by the design model
+
+
+def solve(run: Playing, state: FloatArray) -> tuple[FloatArray, FloatArray, int, list[Held]]:
     """All windows of a run, from the plant's state (18,) at its first knot.
 
     Returns
     -------
-    the nozzle's response (n·substeps, 3) mm, the state (18,) at the end, windows solved, windows with a limit
+    the nozzle's response (n·substeps, 3) mm, the state (18,) at the end, windows solved, those with a limit
     """
-    responses, limited, windows, at = [np.empty((0, 3))], 0, 0, 0
+    responses, held, windows, at = [np.empty((0, 3))], [], 0, 0
     while at < run.last:
-        window = Window(run, at, state)
+        window = next_window(run, at, state)
         response, state = window.solve()
         responses.append(response)
-        windows, limited, at = windows + 1, limited + window.limited, window.commit_end
-    return np.concatenate(responses), state, windows, limited
+        if window.limited:
+            held.append(window.held())
+        windows, at = windows + 1, window.commit_end
+    return np.concatenate(responses), state, windows, held
+
+
+def next_window(run: Playing, at: int, state: FloatArray) -> Window:
+    """The window after the knot `at`: what is kept of it, and the preview."""
+    s = run.inverter.settings
+    commit_end = min(at + s.commit, run.last)
+    if run.last - commit_end < s.preview // 2:
+        commit_end = run.last  # a short remainder joins this window
+    end = min(commit_end + s.preview, run.n)
+    return Window(run, at, state, commit_end, min(end, run.last - 1) - at, end)
 
 
 class Window:
-    """One least-squares problem: the knots after `at`."""
+    """One least-squares problem: `unknowns` knots after `at`, for the error up to `end`, kept up to `commit_end`."""
 
-    def __init__(self, run: Playing, at: int, state: FloatArray) -> None:
-        s = run.inverter.settings
-        self.run, self.at, self.state, self.limited = run, at, state, 0
-        self.commit_end = min(at + s.commit, run.last)
-        if run.last - self.commit_end < s.preview // 2:
-            self.commit_end = run.last  # a short remainder joins this window
-        end = min(self.commit_end + s.preview, run.n)
-        self.unknowns = min(end, run.last - 1) - at
+    def __init__(
+        self,
+        run: Playing,
+        at: int,
+        state: FloatArray,
+        commit_end: int,
+        unknowns: int,
+        end: int,
+        limited: bool = False,
+    ) -> None:
+        self.run, self.at, self.state = run, at, state
+        self.limited = limited  # the answer without limits is known to exceed them, or was found to
+        self.commit_end, self.unknowns = commit_end, unknowns
         self.stretch = Stretch(run, at, end)
+        self._left_mm = 0.0
+
+    def held(self) -> Held:
+        """The part that is kept, as it was solved."""
+        return Held(self.at, self.commit_end, self._left_mm)
 
     def solve(self) -> tuple[FloatArray, FloatArray]:
         """Set the run's γ for this window; returns the committed response (mm) and the state at its end."""
         run, s, stretch = self.run, self.run.inverter.settings, self.stretch
         response, states = stretch.respond(self.state)
         if self.unknowns > 0:
-            phi, effort = self.phi(), _second_differences(self.unknowns) * np.sqrt(run.inverter.effort)
-            q, r = qr(np.concatenate([phi, effort]), mode="economic", check_finite=False)
+            effort = _second_differences(self.unknowns) * np.sqrt(run.inverter.effort)
+            rows = _Rows(np.concatenate([self.phi(), effort]))
             for _ in range(1 + s.corrections):
-                left = np.concatenate([stretch.error(response).ravel(), -self._effort().ravel()])
-                self._improve(solve_triangular(r, q.T @ left, check_finite=False), phi, effort, left)
+                self._improve(rows, np.concatenate([stretch.error(response).ravel(), -self._effort().ravel()]))
                 response, states = stretch.respond(self.state)
         kept = self.commit_end - self.at
-        run.vertices[self.at : self.commit_end + 1] = stretch.vertices()[: kept + 1]
+        shown = min(self.stretch.end, run.last) - self.at
+        run.vertices[self.at : self.at + shown + 1] = stretch.vertices()[: shown + 1]
+        self._left_mm = float(np.sqrt((stretch.error(response)[: kept * s.rows_per_segment] ** 2).sum(axis=1)).max())
         return response[: kept * s.substeps], states[kept]
 
     def phi(self) -> FloatArray:
@@ -82,16 +115,26 @@ class Window:
         j = interpolate(table.jacobian, table.x0_mm, table.pitch_mm, table.nodes, place)
         return basis_response(a, b0, b1, j, self.unknowns, inverter.settings.rows_per_segment)
 
-    def _improve(self, step: FloatArray, phi: FloatArray, effort: FloatArray, left: FloatArray) -> None:
+    def _improve(self, rows: _Rows, left: FloatArray) -> None:
         """γ += the least-squares answer to the error that is left, within the limits."""
-        limits = self.run.inverter.limits
+        inverter, step = self.run.inverter, np.empty(0)
         command, plan = self.around()
-        tried = command.copy()
-        tried[2:-2] += step.reshape(-1, 3)
-        if excess(tried[1:-1], limits) > 1.0:
-            self.limited = 1
-            rows = np.concatenate([phi, effort])
-            step = limited_step(rows.T @ rows, rows.T @ left, command, plan, limits)
+        if not self.limited:
+            step = rows.free_answer(left)
+            tried = command.copy()
+            tried[2:-2] += step.reshape(-1, 3)
+            asked = inverter.limits.asked(inverter.delta.forward(tried[1:-1]))
+            self.limited = bool(asked.shares(inverter.limits).max() > 1.0)
+        if self.limited:
+            step = limited_step(
+                rows.hessian,
+                rows.matrix.T @ left,
+                command,
+                plan,
+                inverter.limits,
+                inverter.delta,
+                inverter.settings.solver,
+            )
         self.run.gamma[self.at + 1 : self.at + 1 + self.unknowns] += step.reshape(-1, 3)
 
     def around(self) -> tuple[FloatArray, FloatArray]:
@@ -108,6 +151,27 @@ class Window:
         known = gamma[low : first + self.unknowns + 2]
         around[low - first + 2 : low - first + 2 + len(known)] = known
         return np.asarray(np.sqrt(self.run.inverter.effort) * np.diff(around, 2, axis=0))
+
+
+class _Rows:
+    """The rows of a least-squares problem, factorised when that is asked for."""
+
+    def __init__(self, matrix: FloatArray) -> None:
+        self.matrix = matrix
+
+    @cached_property
+    def _factors(self) -> tuple[FloatArray, FloatArray]:
+        q, r = qr(self.matrix, mode="economic", check_finite=False)
+        return q, r
+
+    @cached_property
+    def hessian(self) -> FloatArray:
+        return np.asarray(self.matrix.T @ self.matrix)
+
+    def free_answer(self, left: FloatArray) -> FloatArray:
+        """The x for which the rows come nearest to what is left."""
+        q, r = self._factors
+        return np.asarray(solve_triangular(r, q.T @ left, check_finite=False))
 
 
 @lru_cache(maxsize=8)

@@ -44,14 +44,15 @@ def solve(run: Playing, state: FloatArray, keep_response: bool) -> tuple[FloatAr
 class _Part:
     """The knots at+1 … stop of a run, with those in sight."""
 
-    def __init__(self, run: Playing, at: int, stop: int) -> None:
+    def __init__(self, run: Playing, at: int, stop: int, begin: bool = True) -> None:
         self.run, self.at, self.stop = run, at, stop
         whole = stop == run.last
         self.stretch = Stretch(run, at, stop + (REST_ROWS if whole else SIGHT))
         gains = run.inverter.preview
         self.node, self.steady = gains.at(self.stretch.place)
         self.ending = _to_rest(gains, self.node, len(self.steady.backward)) if whole else NO_END
-        self._begin()
+        if begin:
+            self._begin()
 
     def _begin(self) -> None:
         """γ = τ q̇* where nothing is known yet."""
@@ -68,7 +69,7 @@ class _Part:
         run, s, kept = self.run, self.run.inverter.settings, self.stop - self.at
         for done in range(MOST_PASSES):
             response, states = self.stretch.respond(state)
-            answer, change = self._improve(self.stretch.error(response))
+            answer, change = self.improve(self.stretch.error(response))
             if done >= s.corrections and change < CLOSE_MM:
                 break
         run.vertices[self.at : self.stop + 1] = self.stretch.vertices()[: kept + 1]
@@ -77,7 +78,7 @@ class _Part:
             return response[: kept * s.substeps], states[kept]
         return response[:0], states[kept] + answer[kept - 1]
 
-    def _improve(self, error: FloatArray) -> tuple[FloatArray, float]:
+    def improve(self, error: FloatArray) -> tuple[FloatArray, float]:
         """γ += the answer to the error (rows, 3) mm that is left.
 
         Returns
@@ -104,3 +105,11 @@ def _to_rest(gains: Preview, node: NDArray[np.int64], steady: int) -> Gains:
     ending = gains.end(int(node[-1]))
     node[len(node) - n :] = steady + np.arange(felt - n, felt)
     return ending
+
+
+def improve(run: Playing, error: FloatArray, share: float) -> None:
+    """γ += a share of the answer to an error (rows, 3) mm, of a whole run and `REST_ROWS` knots after it."""
+    part = _Part(run, 0, run.last, begin=False)
+    before = run.gamma.copy()
+    part.improve(error)
+    run.gamma[:] = before + share * (run.gamma - before)

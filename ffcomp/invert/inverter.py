@@ -8,20 +8,23 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.invert import exact, fast
+from ffcomp.invert import exact, fast, limited
+from ffcomp.invert.exact import Held
 from ffcomp.invert.limits import CommandLimits, excess
 from ffcomp.invert.play import Playing
 from ffcomp.invert.preview import Preview
 from ffcomp.invert.settings import Settings
 from ffcomp.runs import Reference
 from ffcomp.schedule import Schedule, rest_state
-from models.effects.catalogue import design_machine
+from models.effects.catalogue import design_machine, without_effects
 from models.kinematics.delta import jacobian
 from models.kinematics.kernels import FastDelta
 from models.machine import Machine
 from models.plant import DiscretePlant, PlantTable, continuous_plant, discretise, plant_table
 
 FloatArray = NDArray[np.float64]
+
+GEOMETRY = "arm_geometry"  # a delta is calibrated, not compensated: at rest the nozzle must be where it is said to be
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,23 +35,26 @@ class RunResult:
     windows: int
     limited: int  # windows in which a limit had to be enforced
     excess: float  # how many times its limit a carriage is asked for at the worst; up to 1 is allowed
+    held: tuple[Held, ...] = ()  # those windows
 
 
 class Inverter:
     """Inverts one machine."""
 
     def __init__(self, machine: Machine, settings: Settings) -> None:
-        machine, self.not_modelled = design_machine(machine)
+        given = machine
+        machine, beyond = design_machine(given)
         self.machine, self.settings = machine, settings
+        self.not_modelled = tuple(name for name in beyond if name == GEOMETRY)
+        # the whole printer, where the linear model cannot hold its effects; what the firmware believes of it stays
+        own = without_effects(given, GEOMETRY)
+        self.printer = own if len(beyond) > len(self.not_modelled) else None
         self.delta = FastDelta(machine.kinematics)
         self.fine = Schedule(machine, _table(machine, settings, settings.substeps))
         self.coarse = _table(machine, settings, settings.rows_per_segment)
         self.effort = effort_weight(machine, settings)
         self.delay_s = steady_delay(machine)
-        own, knot_s = machine.limits, settings.segment_s
-        self.limits = CommandLimits(
-            own.carriage_velocity_mm_per_s * knot_s, own.carriage_acceleration_mm_per_s2 * knot_s**2
-        )
+        self.limits = CommandLimits.of(machine, settings.segment_s)
 
     @cached_property
     def preview(self) -> Preview:
@@ -74,15 +80,21 @@ class Inverter:
         still = np.repeat(nozzle[None], intervals * s.substeps + 1, axis=0)
         return self.fine.respond(still, np.zeros_like(still), state, s.substeps)[1]
 
-    def run(self, reference: Reference, state: FloatArray, keep_response: bool = False) -> RunResult:
-        """Solve one run, from the plant's state (18,) at its first knot."""
-        run, limited = Playing(self, reference), 0
+    def run(self, reference: Reference, state: FloatArray, keep_response: bool = False, hold: bool = True) -> RunResult:
+        """Solve one run, from the plant's state (18,) at its first knot.
+
+        hold : False leaves the fast inverse's answer as it is where it exceeds a limit
+        """
+        run, begin, held = Playing(self, reference), state, list[Held]()
         if self.settings.inverse == "exact":
-            response, state, windows, limited = exact.solve(run, state)
+            response, state, windows, held = exact.solve(run, begin)
         else:
-            response, state, windows = fast.solve(run, state, keep_response)
-        worst = excess(self.delta.inverse(run.vertices), self.limits)
-        return RunResult(run.vertices, state, response, windows, limited, worst)
+            response, state, windows = fast.solve(run, begin, keep_response)
+        worst = excess(run.vertices, self.limits)
+        if hold and worst > 1.0 and self.settings.inverse == "fast":
+            response, state, held = limited.hold(run, begin, keep_response)
+            worst = excess(run.vertices, self.limits)
+        return RunResult(run.vertices, state, response, windows, len(held), worst, tuple(held))
 
 
 def _table(machine: Machine, settings: Settings, steps: int) -> PlantTable:

@@ -1,53 +1,134 @@
-"""The same least squares under hard limits: a quadratic programme, solved only where the free answer breaks a limit.
+"""What a command asks of the carriages at every instant, and the least squares of `exact.py` under those limits.
 
-    minimise ½ δᵀ H δ − gᵀ δ   subject to   |D u| <= v S,  |D² u| <= a S²,   u = u₀ + δ at the knots of each carriage
+The command is a polygon of the nozzle: straight and even from knot to knot, S seconds each. On a straight line a
+carriage stands at q = z + H + h, h² = L² − |d|², d the nozzle's place in the plane as seen from the tower. With the
+segment's velocity v (v_xy in the plane)
 
-Unknowns are scaled by their curvature and rows by their limit, so everything the solver sees is of order one; that
-matters more than the choice of solver.
+    q̇ = v_z − d·v_xy / h            q̈ = −(|v_xy|² h² + (d·v_xy)²) / h³ ≤ 0
+
+so inside a segment a carriage's velocity only falls: its extremes are at the two ends, each seen from inside, and of
+its height the lowest point is an end, the highest an end or the one place where q̇ = 0: (d·v_xy)² = v_z² h².
+
+Checked are the height, the velocity, and the acceleration as change of velocity over the time of one segment, for any
+beginning inside one: (q̇(t + S) − q̇(t)) / S. It holds the jump at the knot and the curvature between. Both ends of the
+range of t are looked at; in between it can be higher by S |q⃛ − q⃛'| / 8 only, less than a mm/s². The ramps by which
+firmware rounds the knots are not part of it.
+
+With hard limits the inverse is a quadratic programme in the change δ of the carriages' heights u at the knots
+
+    minimise ½ δᵀ H δ − gᵀ δ    subject to    |D u / S + o| ≤ v,   |D² u / S² + c| ≤ a,   low ≤ u ≤ high − m
+
+D u / S is the mean velocity of a segment. What the two ends of a segment have beyond it (o, from both c) and how far
+its highest point lies above both ends (m) changes little with δ: both are the present command's. Rows are divided by
+their limit.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
+from scipy import sparse
 
 from ffcomp.errors import SolverError
-
-if TYPE_CHECKING:
-    from scipy import sparse
+from ffcomp.invert.solvers import Backend, solve_qp
+from models.kinematics.kernels import FastDelta
+from models.machine import Machine
 
 FloatArray = NDArray[np.float64]
+
+VELOCITY, ACCELERATION, TRAVEL = 0, 1, 2
+NAMES = ("velocity", "acceleration", "travel")
+A_LITTLE = 1.03  # times a limit: a path that asks for no more is held under it all the same
+MARGIN = 2e-3  # kept from the limits: for what o, c and m change, and for the solver's own accuracy
+ROOM = (1.0, 1.1, 1.3, 1.7, 2.5)  # times the limit, where given knots on both sides leave no room for less
 
 
 @dataclass(frozen=True, slots=True)
 class CommandLimits:
-    """Of each carriage's command, per knot."""
+    """Of every carriage's command."""
 
-    step_mm: float  # v S
-    bend_mm: float  # a S²
+    velocity_mm_per_s: float
+    acceleration_mm_per_s2: float
+    travel_mm: tuple[float, float]  # lowest and highest place of a carriage; infinite where it is not known
+    segment_s: float
+    towers_mm: FloatArray  # (3, 2)
+    arms_squared_mm2: FloatArray  # (3,)
+    effector_height_mm: float
+
+    @classmethod
+    def of(cls, machine: Machine, segment_s: float) -> CommandLimits:
+        """A step rate is a velocity: no step comes sooner than the last one allows."""
+        own, geometry = machine.limits, machine.kinematics
+        by_steps = np.inf if own.step_rate_hz is None else own.step_rate_hz / machine.steps.steps_per_mm
+        return cls(
+            min(own.carriage_velocity_mm_per_s, by_steps),
+            own.carriage_acceleration_mm_per_s2,
+            own.carriage_travel_mm or (-np.inf, np.inf),
+            segment_s,
+            np.ascontiguousarray(geometry.towers_mm),
+            np.ascontiguousarray(geometry.arm_lengths_mm**2),
+            float(geometry.effector_height_mm),
+        )
+
+    def asked(self, vertices: FloatArray) -> Asked:
+        """What the command (n + 1, 3) mm, a nozzle polygon, asks of the carriages."""
+        args = (self.towers_mm, self.arms_squared_mm2, self.effector_height_mm, self.segment_s)
+        return Asked(*_asked(np.ascontiguousarray(vertices), *args))
 
 
-def excess(command: FloatArray, limits: CommandLimits) -> float:
-    """How many times the tighter limit the command (n, 3) mm takes at its worst; up to 1 is allowed."""
-    step = np.abs(np.diff(command, axis=0)).max(initial=0.0) / limits.step_mm
-    bend = np.abs(np.diff(command, 2, axis=0)).max(initial=0.0) / limits.bend_mm
-    return float(max(step, bend))
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Of n segments, for carriages A B C; the last axis holds both ends of a range, of time or of height."""
+
+    velocity: FloatArray  # (n, 3, 2) mm/s, just after the segment's beginning and just before its end
+    height: FloatArray  # (n, 3, 2) mm, lowest and highest
+
+    def acceleration(self, segment_s: float) -> FloatArray:
+        """(n - 1, 3, 2) mm/s²: from each segment to the next, from beginning to beginning and from end to end."""
+        return np.asarray(np.diff(self.velocity, axis=0) / segment_s)
+
+    def shares(self, limits: CommandLimits) -> FloatArray:
+        """(n, 3, 3): of segment, limit (`NAMES`) and carriage, how many times the limit is asked for.
+
+        Acceleration is what leads into the segment, none into the first. Travel counts from its middle.
+        """
+        low, high = limits.travel_mm
+        change = limits.acceleration_mm_per_s2 * limits.segment_s
+        middle, half = (0.5 * (low + high), 0.5 * (high - low)) if np.isfinite(high - low) else (0.0, np.inf)
+        return np.asarray(_shares(self.velocity, self.height, limits.velocity_mm_per_s, change, middle, half))
+
+
+def shares_from_rest(vertices: FloatArray, limits: CommandLimits) -> FloatArray:
+    """The shares (n + 2, 3, 3) of a command (n + 1, 3) mm that rests for a segment before and after it."""
+    resting = np.concatenate([vertices[:1], vertices, vertices[-1:]])
+    return limits.asked(resting).shares(limits)
+
+
+def excess(vertices: FloatArray, limits: CommandLimits) -> float:
+    """How many times the tightest limit a command (n + 1, 3) mm, from rest to rest, asks for; up to 1 is allowed."""
+    return float(shares_from_rest(vertices, limits).max())
 
 
 def limited_step(
-    hessian: FloatArray, gradient: FloatArray, command: FloatArray, plan: FloatArray, limits: CommandLimits
+    hessian: FloatArray,
+    gradient: FloatArray,
+    command: FloatArray,
+    plan: FloatArray,
+    limits: CommandLimits,
+    delta: FastDelta,
+    backend: Backend = "osqp",
 ) -> FloatArray:
     """The best change of the unknown knots that keeps the limits.
 
-    Where the plan itself breaks a limit, the plan's own demand is the limit there: following it is always possible.
+    Where the plan itself is well beyond a limit, its own demand is the limit there: following it is always possible.
 
     Parameters
     ----------
     hessian : (3 n, 3 n);  gradient : (3 n,), of the unknown knots, carriages A B C inside
-    command : (n + 4, 3) mm, as it stands, with two given knots on either side
+    command : (n + 4, 3) mm, carriage heights as they stand, with two given knots on either side
     plan : (n + 4, 3) mm, what the path itself asks for
 
     Returns
@@ -57,50 +138,107 @@ def limited_step(
     Raises
     ------
     SolverError
-        When the solver ends without an answer.
+        When there is no answer even with the widest room.
     """
-    import osqp
-    from scipy import sparse
-
-    n = len(command) - 4
-    scale = 1.0 / np.sqrt(np.diag(hessian))
-    p = sparse.csc_matrix(np.triu(hessian * np.outer(scale, scale)))
-    status = ""
-    for slack in (1.0, 1.25, 1.6):  # knots already committed may leave no room at a window's edge
-        rows, low, high = _rows(command, plan, limits, n, slack)
-        solver = osqp.OSQP()
-        solver.setup(
-            p,
-            -gradient * scale,
-            sparse.csc_matrix(rows.multiply(scale)),
-            low,
-            high,
-            verbose=False,
-            eps_abs=1e-5,
-            eps_rel=1e-5,
-            max_iter=20_000,
-            polishing=False,
-        )
-        result = solver.solve(raise_error=False)
-        status = result.info.status
-        if status == "solved":
-            return np.asarray(result.x) * scale
-    raise SolverError(f"The quadratic programme of {3 * n} unknowns ended as «{status}».")
+    rows = _Rows(command, plan, limits, delta)
+    for room in ROOM:
+        try:
+            return solve_qp(hessian, -gradient, *rows.within(room), backend=backend)
+        except SolverError as error:
+            failed = error
+    raise failed
 
 
-def _rows(
-    command: FloatArray, plan: FloatArray, limits: CommandLimits, n: int, slack: float
-) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
-    """Differences of the unknown knots and what is left of the limits for them, all divided by the limit."""
-    from scipy import sparse
+class _Rows:
+    """Rows of the programme that touch an unknown knot, each divided by its limit."""
 
-    blocks, lows, highs = [], [], []
-    for order, limit in ((1, limits.step_mm), (2, limits.bend_mm)):
-        d = np.diff(np.eye(n + 4), order, axis=0)
-        touched = np.any(d[:, 2:-2] != 0.0, axis=1)
-        now, asked = np.diff(command, order, axis=0)[touched], np.diff(plan, order, axis=0)[touched]
-        ceiling = slack * np.maximum(limit, np.abs(asked))
-        blocks.append(sparse.kron(sparse.csr_matrix(d[touched][:, 2:-2] / limit), sparse.eye(3)))
-        lows.append(((-ceiling - now) / limit).ravel())
-        highs.append(((ceiling - now) / limit).ravel())
-    return sparse.vstack(blocks).tocsr(), np.concatenate(lows), np.concatenate(highs)
+    def __init__(self, command: FloatArray, plan: FloatArray, limits: CommandLimits, delta: FastDelta) -> None:
+        self._limits, self._command = limits, command
+        self._now, self._plan = limits.asked(delta.forward(command)), limits.asked(delta.forward(plan))
+
+    def within(self, room: float) -> tuple[sparse.csc_matrix, FloatArray, FloatArray]:
+        """A δ between low and high."""
+        parts = [self._velocity(room), self._acceleration(room)]
+        if np.isfinite(self._limits.travel_mm).any():
+            parts.append(self._travel(room))
+        blocks, lows, highs = zip(*parts, strict=True)
+        matrix = sparse.csc_matrix(sparse.kron(sparse.vstack(blocks), sparse.eye(3)))
+        return matrix, np.concatenate(lows).ravel(), np.concatenate(highs).ravel()
+
+    def _velocity(self, room: float) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
+        # the first and the last segment lie between given knots
+        now, plan = self._now.velocity[1:-1], self._plan.velocity[1:-1]
+        return self._between(1, now, plan, room, self._limits.velocity_mm_per_s)
+
+    def _acceleration(self, room: float) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
+        now, plan = (asked.acceleration(self._limits.segment_s) for asked in (self._now, self._plan))
+        return self._between(2, now, plan, room, self._limits.acceleration_mm_per_s2)
+
+    def _between(
+        self, order: int, now: FloatArray, plan: FloatArray, room: float, limit: float
+    ) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
+        """now, plan (rows, 3, 2): what is asked for at both ends of a range; it may be within ± the ceiling."""
+        planned = np.abs(plan).max(axis=2)
+        ceiling = np.maximum(room * (1.0 - MARGIN) * limit, np.where(planned > A_LITTLE * limit, planned, 0.0))
+        n = len(self._command) - 4
+        stencil = np.diff(np.eye(n + 4), order, axis=0)
+        touched = stencil[np.any(stencil[:, 2:-2] != 0.0, axis=1), 2:-2]
+        scaled = sparse.csr_matrix(touched / (limit * self._limits.segment_s**order))
+        return scaled, (-ceiling - now.min(axis=2)) / limit, (ceiling - now.max(axis=2)) / limit
+
+    def _travel(self, room: float) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
+        """Heights in units of a millimetre; the room is added as so many tenths of it."""
+        low, high = self._limits.travel_mm
+        heights, more = self._command[2:-2], 0.1 * (room - 1.0)
+        ends = np.maximum(self._command[:-1], self._command[1:])
+        above = self._now.height[..., 1] - ends
+        beside = np.maximum(above[1:-2], above[2:-1])
+        planned = self._plan.height[1:-1]
+        floor = np.minimum(low + 1e-3, np.minimum(planned[:-1, :, 0], planned[1:, :, 0])) - more
+        ceiling = np.maximum(high - 1e-3, np.maximum(planned[:-1, :, 1], planned[1:, :, 1])) + more
+        return sparse.eye(len(heights), format="csr"), floor - heights, ceiling - beside - heights
+
+
+@njit(cache=True, nogil=True)
+def _shares(
+    velocity: FloatArray, height: FloatArray, most: float, change: float, middle: float, half: float
+) -> FloatArray:
+    n = len(velocity)
+    shares = np.zeros((n, 3, 3))
+    for k in range(n):
+        for i in range(3):
+            v = velocity[k, i]
+            shares[k, VELOCITY, i] = max(abs(v[0]), abs(v[1])) / most
+            shares[k, TRAVEL, i] = max(abs(height[k, i, 0] - middle), abs(height[k, i, 1] - middle)) / half
+            if k > 0:
+                before = velocity[k - 1, i]
+                shares[k, ACCELERATION, i] = max(abs(v[0] - before[0]), abs(v[1] - before[1])) / change
+    return shares
+
+
+@njit(cache=True, nogil=True)
+def _asked(
+    vertices: FloatArray, towers: FloatArray, arms_squared: FloatArray, effector_height: float, segment_s: float
+) -> tuple[FloatArray, FloatArray]:
+    n = len(vertices) - 1
+    velocity, height = np.empty((n, 3, 2)), np.empty((n, 3, 2))
+    for k in range(n):
+        vx = (vertices[k + 1, 0] - vertices[k, 0]) / segment_s
+        vy = (vertices[k + 1, 1] - vertices[k, 1]) / segment_s
+        vz = (vertices[k + 1, 2] - vertices[k, 2]) / segment_s
+        v2 = vx * vx + vy * vy
+        for i in range(3):
+            for end in range(2):
+                dx, dy = vertices[k + end, 0] - towers[i, 0], vertices[k + end, 1] - towers[i, 1]
+                h = np.sqrt(arms_squared[i] - dx * dx - dy * dy)
+                velocity[k, i, end] = vz - (dx * vx + dy * vy) / h
+                height[k, i, end] = vertices[k + end, 2] + effector_height + h
+            first, last = height[k, i, 0], height[k, i, 1]
+            height[k, i, 0], height[k, i, 1] = min(first, last), max(first, last)
+            if velocity[k, i, 0] > 0.0 > velocity[k, i, 1]:
+                # z + h is highest where both grow alike: along the line it is z₀ + √(1 + v_z²/v²) · the arm's reach
+                dx, dy = vertices[k, 0] - towers[i, 0], vertices[k, 1] - towers[i, 1]
+                across = (dx * vy - dy * vx) ** 2 / v2
+                level = vertices[k, 2] - vz * (dx * vx + dy * vy) / v2
+                height[k, i, 1] = level + effector_height + np.sqrt((arms_squared[i] - across) * (1.0 + vz * vz / v2))
+    return velocity, height

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from ffcomp.invert.solvers import Backend
 from ffcomp.played import OutputLimits
 
 
@@ -22,6 +23,7 @@ class Settings:
     inverse: Literal["fast", "exact"] = "fast"
     memory: int = 60  # segments after which the plant has forgotten (1 % is left after 240 ms)
     s_curve: bool = False  # the plan's ramps with limited jerk
+    solver: Backend = "osqp"  # of the quadratic programmes where a limit binds
     one_model: bool = False  # the bed's middle everywhere, as methods do that know no place
     merge_um: float = 0.2  # segments are joined while what is played stays this close to what was solved
     longest_merged_s: float = 0.1  # and no longer than this, so that the firmware's clock is kept in short steps

@@ -1,8 +1,6 @@
-"""A machine file whose effects change its numbers is inverted with those numbers; of the others the user is told."""
+"""Effects in the machine file: those that change its numbers are inverted with them, the others in the loop."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +9,11 @@ from ffcomp.compare.judge import Played, contour
 from ffcomp.compare.play import play
 from ffcomp.compare.stretch import Print, Sampling
 from ffcomp.compare.ways import OURS, inversion
+from ffcomp.invert import fast
+from ffcomp.invert.inverter import GEOMETRY, Inverter
 from ffcomp.job import Job
 from ffcomp.pipeline import settings_for
-from models.effects.catalogue import design_machine, with_effect
+from models.effects.catalogue import CATALOGUE, with_effect
 from models.machine import Machine
 from models.machine_file import load_machine
 from tests.ffcomp.compare.prints import squares
@@ -46,10 +46,51 @@ def test_one_soft_belt_is_known_too() -> None:
     assert contour_rms_um(plant, plant) < 0.6 * contour_rms_um(MACHINE, plant)
 
 
-def test_what_the_linear_model_cannot_hold_is_named(tmp_path: Path) -> None:
-    machine = with_effect(with_effect(MACHINE, "coulomb_friction", force_n=2.0), "belt_stiffness", relative_change=0.1)
-    assert design_machine(machine)[1] == ("coulomb_friction",)
+# the effect's numbers, and how much of the error it makes must go: with the whole printer in the loop
+BEYOND = {
+    "coulomb_friction": ({"force_n": 2.0}, 0.15),
+    "stribeck_friction": ({"force_n": 1.5, "extra_force_n": 1.0, "velocity_mm_per_s": 10.0}, 0.3),
+    "joint_friction": ({"force_n": 0.5}, 0.4),
+    "belt_hardening": ({"cubic_n_per_m3": 2e12}, 0.4),
+    "belt_position_stiffness": ({"slope_per_m": 0.8, "q_centre_mm": 250.0}, 0.6),
+    "belt_backlash": ({"width_mm": 0.03}, 0.5),
+    "torque_angle": ({"amplitude_mm": 0.1}, 0.3),
+    "cogging": ({"amplitude_mm": 0.01, "pitch_mm": 0.8}, 0.15),
+    "command_delay": ({"delay_s": [0.001, 0.002, 0.003]}, 0.1),
+    "frame_mode": ({"mass_kg": 8.0, "frequency_hz": 18.0, "damping_ratio": 0.05, "direction": "both"}, 0.4),
+}
+
+
+@pytest.mark.parametrize("name", BEYOND)
+def test_the_whole_printer_in_the_loop_takes_the_effect_out(name: str) -> None:
+    numbers, left = BEYOND[name]
+    plant = with_effect(MACHINE, name, **numbers)
+    ignorant, knowing = contour_rms_um(MACHINE, plant), contour_rms_um(plant, plant)
+    assert knowing < left * ignorant
+
+
+def test_every_effect_is_compensated_or_belongs_elsewhere() -> None:
+    sensors = {name for name, effect in CATALOGUE.items() if effect.kind == "sensor"}
+    folded = {name for name, effect in CATALOGUE.items() if effect.kind == "parameter"} - {GEOMETRY}
+    assert set(CATALOGUE) == sensors | folded | set(BEYOND) | {GEOMETRY}
+
+
+def test_a_wrong_geometry_is_named_not_compensated() -> None:
+    machine = with_effect(MACHINE, GEOMETRY, arm_length_mm=0.3)
     job = Job(squares(1), "squares.gcode", machine, predict=False)
-    assert any("not compensated: coulomb_friction." in sentence for sentence in job.result()["warnings"])
+    assert any(f"not compensated: {GEOMETRY}." in sentence for sentence in job.result()["warnings"])
+    both = with_effect(machine, "coulomb_friction", force_n=2.0)
+    printer = Inverter(both, settings_for(both)).printer
+    assert printer is not None and set(printer.effects) == {"coulomb_friction"}
     plain = Job(squares(1), "squares.gcode", MACHINE, predict=False)
     assert plain.result()["warnings"] == [] and plain.inverter.machine is MACHINE
+    assert plain.inverter.printer is None
+
+
+def test_the_loop_never_makes_a_run_worse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A round that does harm is taken back: with an answer of the wrong sign the linear command stays."""
+    plant = with_effect(MACHINE, "coulomb_friction", force_n=2.0)
+    ignorant = contour_rms_um(MACHINE, plant)
+    right = fast.improve
+    monkeypatch.setattr(fast, "improve", lambda run, error, share: right(run, -error, share))
+    assert contour_rms_um(plant, plant) == pytest.approx(ignorant, rel=1e-6)

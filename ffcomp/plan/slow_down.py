@@ -1,0 +1,380 @@
+"""Slow the plan down where, and only where, the machine cannot follow it within its limits.
+
+A run whose command keeps all limits is taken as it is. Otherwise, in a few rounds:
+
+    the path itself asks for more than a limit, where its command does too   → those moves become slower
+    the command can be held, but the nozzle leaves the path                  → those moves become slower
+    segments that the firmware cannot play in their time                     → those moves become slower
+    none of these                                                            → done
+
+Speed follows a velocity limit in proportion. Acceleration and the speed of corners follow an acceleration limit in
+proportion; where the nozzle keeps its speed, in curves and far from the middle, it is v² that does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, replace
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.errors import LimitsError
+from ffcomp.invert.inverter import Inverter, RunResult
+from ffcomp.invert.limits import A_LITTLE, ACCELERATION, NAMES, TRAVEL, VELOCITY, shares_from_rest
+from ffcomp.plan.limits import FirmwareLimits, bounds_of, lines_of
+from ffcomp.plan.lookahead import plan_moves
+from ffcomp.plan.trajectory import PlannedMotion
+from ffcomp.played import played
+from ffcomp.runs import Reference, Run
+from gcode.program import Moves
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+Replan = Callable[[Moves, float], PlannedMotion]  # the moves of a run, when it begins (s) → its plan
+Motion = TypeVar("Motion", bound=PlannedMotion)
+
+TOLERANCE_UM = 25.0
+ROUNDS = 8
+ROOM = 0.98  # of a limit, what a slowed move aims at
+GENTLEST, SLOWEST = 0.95, 0.4  # factors of one round
+PHASES = 4  # of the knots, at which a path is looked at
+NEARLY = 0.85  # times a limit, that a command asks for where its path is made slower
+APART = 8  # moves: slowed ones that lie closer are told of together
+NEAR = 10  # knots between what a path asks for and what its command asks for because of it
+LATE_MM = 1e-3  # how far a segment may fall behind
+PLAYABLE = len(NAMES)  # the kind of trouble that is none of the carriages' limits
+ENOUGH = 1e-3  # over a limit: within the accuracy of a solver
+STEADY = 0.02  # by which share a speed may change that is called constant
+
+
+@dataclass(frozen=True, slots=True)
+class SlowDown:
+    """Moves that had to become slower, and why."""
+
+    first_line: int  # counted from 1
+    last_line: int
+    layer: int | None
+    factor: float  # mean speed, as a share of what was planned
+    seconds: float  # lost in them
+    carriage: str  # A, B or C; empty: not a carriage's limit
+    limit: str  # velocity, acceleration, travel; empty: the firmware's own acceleration
+    asked: float  # times the limit, at first
+
+    def sentence(self, verb: str = "slowed") -> str:
+        """What happened, where and why."""
+        lines = f"{self.first_line}" + (f"-{self.last_line}" if self.last_line != self.first_line else "")
+        layer = "" if self.layer is None else f" (layer {self.layer})"
+        if self.limit:
+            why = f"carriage {self.carriage} was asked for {self.asked:.2f} times its {self.limit} limit"
+        else:
+            why = "the firmware's own acceleration limit leaves too little for its segments"
+        return f"line {lines}{layer}: {verb} to {100 * self.factor:.0f} %, {self.seconds:.2g} s longer: {why}."
+
+
+@dataclass(frozen=True, slots=True)
+class Feasible:
+    """A run that can be followed."""
+
+    trajectory: PlannedMotion  # the whole plan; what comes after the run is later by `lost_s`
+    run: Run
+    wanted: Reference
+    result: RunResult
+    records: tuple[SlowDown, ...]
+    lost_s: float
+
+
+class Trouble(NamedTuple):
+    first: int  # segments of the command
+    last: int
+    limit: int  # index into NAMES, or PLAYABLE
+    carriage: int
+    asked: float  # times the limit
+    factor: float  # of acceleration or velocity, to bring it below
+
+
+def feasible_run(
+    inverter: Inverter,
+    moves: Moves,
+    limits: FirmwareLimits,
+    trajectory: PlannedMotion,
+    run: Run,
+    state: FloatArray,
+    *,
+    tolerance_um: float = TOLERANCE_UM,
+    strict: bool = False,
+    keep_response: bool = False,
+    first_line: int = 0,
+    layer_of: Callable[[int], int | None] = lambda move: None,
+    replan: Replan | None = None,
+) -> Feasible:
+    """Solve a run; where its limits cannot be held within the tolerance, on a plan that is slower there.
+
+    Parameters
+    ----------
+    moves, trajectory : of the program, of which `run` is a part
+    limits : what the firmware allows, as the trajectory was planned
+    state : (18,) of the plant at the run's first knot
+    tolerance_um : how far the nozzle may leave the path where a limit is held, by the design model
+    strict : refuse instead of slowing down
+    first_line : number in the file, from 0, of the program's first line
+    layer_of : move → its layer
+    replan : how the trajectory was planned, if not by `plan_moves`
+
+    Raises
+    ------
+    LimitsError
+        Where the path itself lies beyond a carriage's travel, where no slower plan is found, or when `strict`.
+    """
+    wanted = Reference(trajectory, run, inverter.settings)
+    result = inverter.run(wanted, state, keep_response, hold=False)
+    if not _exceeds(inverter, wanted, result):
+        return Feasible(trajectory, run, wanted, result, (), 0.0)
+    part = _Part(inverter, _slice(moves, run), limits, replan or _planner(limits), run)
+    wanted, result = part.solved(state, tolerance_um * 1e-3, keep_response, first_line)
+    if not part.reasons:
+        return Feasible(trajectory, run, wanted, result, (), 0.0)
+    spliced, lost = _spliced(trajectory, run, part.plan)
+    records = tuple(part.records(trajectory.duration[run.first : run.last], first_line, layer_of))
+    if strict:
+        raise LimitsError(" ".join(record.sentence("would have to be slowed") for record in records))
+    return Feasible(spliced, replace(run, end_t=part.run.end_t), wanted, result, records, lost)
+
+
+def _exceeds(inverter: Inverter, wanted: Reference, result: RunResult) -> bool:
+    # what is not finite is out of reach, which is nothing that speed could help
+    return result.excess > 1.0 or bool(_late(inverter, wanted, result.vertices).any())
+
+
+def _late(inverter: Inverter, wanted: Reference, vertices: FloatArray) -> BoolArray:
+    """Segments (n,) that the firmware cannot play in their time."""
+    s = inverter.settings
+    lasting = np.full(len(vertices) - 1, s.segment_s)
+    speeds = played(vertices, np.diff(wanted.extrusion()), lasting, s.output)
+    return np.asarray((speeds.duration - lasting) * speeds.cruise > LATE_MM)
+
+
+def _planner(limits: FirmwareLimits) -> Replan:
+    def plan(moves: Moves, start_t: float) -> PlannedMotion:
+        n = len(moves)
+        return plan_moves(moves, limits, stop_before=np.zeros(n, bool), wait_before=np.zeros(n), start_t=start_t)
+
+    return plan
+
+
+class _Part:
+    """The moves of one run, while they become slower."""
+
+    def __init__(self, inverter: Inverter, moves: Moves, limits: FirmwareLimits, replan: Replan, run: Run) -> None:
+        self.inverter, self.moves, self._limits, self._replan = inverter, moves, limits, replan
+        self._begin_t = run.begin_t
+        self.reasons: dict[int, Trouble] = {}  # move → why it was slowed down at first
+        self._plan_again()
+
+    def _plan_again(self) -> None:
+        self.plan = self._replan(self.moves, self._begin_t)
+        self.run = Run(0, len(self.moves), True, self._begin_t, self.plan.end_t)
+
+    def solved(
+        self, state: FloatArray, tolerance_mm: float, keep_response: bool, first_line: int
+    ) -> tuple[Reference, RunResult]:
+        """The first plan in a few rounds that can be followed, and its command."""
+        for _ in range(ROUNDS):
+            wanted, result, troubles = self._attempt(state, tolerance_mm, keep_response)
+            if not troubles:
+                return wanted, result
+            self._refuse_travel(wanted, troubles, first_line)
+            self._slow(wanted, troubles)
+            self._plan_again()
+        wanted, _, troubles = self._attempt(state, tolerance_mm, keep_response)
+        result = self.inverter.run(wanted, state, keep_response)
+        if result.excess > 1.0 + ENOUGH:
+            place = self._place(wanted, troubles[0], first_line)
+            raise LimitsError(f"{place}: however slow this is made, {result.excess:.2f} times a limit is asked for.")
+        return wanted, result
+
+    def _attempt(
+        self, state: FloatArray, tolerance_mm: float, keep_response: bool
+    ) -> tuple[Reference, RunResult, list[Trouble]]:
+        inverter = self.inverter
+        wanted = Reference(self.plan, self.run, inverter.settings)
+        free = inverter.run(wanted, state, keep_response, hold=False)
+        shares = shares_from_rest(free.vertices, inverter.limits)[1:-1]
+        troubles = [
+            *_of_the_path(self._asked_by_the_path(wanted), shares),
+            *_of_playing(_late(inverter, wanted, free.vertices)),
+        ]
+        if troubles or free.excess <= 1.0:
+            return wanted, free, troubles
+        result = inverter.run(wanted, state, keep_response)
+        troubles = [*_of_the_answer(result, shares, tolerance_mm, inverter)]
+        troubles += _of_playing(_late(inverter, wanted, result.vertices))
+        return wanted, result, troubles
+
+    def _asked_by_the_path(self, wanted: Reference) -> FloatArray:
+        """Shares (n, 3, 3), the largest for any place of the knots: a slower beginning shifts all that follow."""
+        s, limits = self.inverter.settings, self.inverter.limits
+        knots = wanted.t0 + np.arange(wanted.knots + 1) * s.segment_s
+        paths = (wanted.nozzle(knots + s.segment_s * part / PHASES) for part in range(PHASES))
+        return np.asarray(np.max([shares_from_rest(path, limits)[1:-1] for path in paths], axis=0))
+
+    def _refuse_travel(self, wanted: Reference, troubles: list[Trouble], first_line: int) -> None:
+        low, high = self.inverter.limits.travel_mm
+        for trouble in troubles:
+            if trouble.limit == TRAVEL and np.isnan(trouble.factor):
+                height = self.inverter.delta.inverse(wanted.at_knots(np.arange(trouble.first, trouble.last + 2)))
+                worst = height[np.argmax(np.abs(height[:, trouble.carriage] - 0.5 * (low + high))), trouble.carriage]
+                raise LimitsError(
+                    f"{self._place(wanted, trouble, first_line)}: the path needs carriage {'ABC'[trouble.carriage]} "
+                    f"at {worst:.2f} mm; it travels from {low:g} to {high:g} mm."
+                )
+
+    def _place(self, wanted: Reference, trouble: Trouble, first_line: int) -> str:
+        touched = self._touched(wanted, trouble)
+        return f"line {first_line + int(self.moves.line[touched[0]]) + 1}"
+
+    def _touched(self, wanted: Reference, trouble: Trouble) -> IntArray:
+        """The moves under way from a segment before the trouble to a segment after it; at least the one nearest to it."""
+        segment_s = self.inverter.settings.segment_s
+        begin = wanted.t0 + (trouble.first - 1) * segment_s
+        end = wanted.t0 + (trouble.last + 2) * segment_s
+        within = np.clip([begin, end], self.run.begin_t, self.run.end_t - 1e-9)
+        first, last = self.plan.move_at(within)
+        under_way = np.arange(first, last + 1)
+        return under_way[self.plan.duration[under_way] > 0.0]
+
+    def _slow(self, wanted: Reference, troubles: list[Trouble]) -> None:
+        """Make the moves that troubles come from slower; of several factors, a move gets the smallest."""
+        by_speed, by_acceleration = np.ones(len(self.moves)), np.ones(len(self.moves))
+        for trouble in troubles:
+            touched = self._touched(wanted, trouble)
+            if trouble.limit == PLAYABLE:
+                touched = self._with_own_limits(touched)
+            for move in touched:
+                self.reasons.setdefault(int(move), trouble)
+            if trouble.limit == VELOCITY:
+                by_speed[touched] = np.minimum(by_speed[touched], trouble.factor)
+                continue
+            by_acceleration[touched] = np.minimum(by_acceleration[touched], trouble.factor)
+            if self._steady(wanted, trouble):
+                by_speed[touched] = np.minimum(by_speed[touched], np.sqrt(trouble.factor))
+        self.moves = self._slower(by_speed, by_acceleration)
+
+    def _with_own_limits(self, moves: IntArray) -> IntArray:
+        """Those that lift the nozzle or pull filament back: their acceleration no G-code file can raise."""
+        direction = self.plan.direction[moves]
+        own = (direction[:, 2] != 0.0) | (direction[:, 3] < 0.0)
+        return moves[own] if own.any() else moves
+
+    def _slower(self, by_speed: FloatArray, by_acceleration: FloatArray) -> Moves:
+        """The moves with their top speeds times one factor (n,), acceleration and corners times another."""
+        moves, limits = self.moves, self._limits
+        bounds = bounds_of(moves, lines_of(moves), limits)
+        set_corner = moves.square_corner_velocity
+        corner = np.where(np.isnan(set_corner), limits.square_corner_velocity_mm_per_s, set_corner)
+        top = self._speeds(np.arange(len(moves))) * by_speed
+        return replace(
+            moves,
+            speed=np.where(by_speed < 1.0, np.minimum(moves.speed, top), moves.speed),
+            acceleration=np.where(by_acceleration < 1.0, bounds.acceleration * by_acceleration, moves.acceleration),
+            square_corner_velocity=np.where(by_acceleration < 1.0, corner * by_acceleration, set_corner),
+        )
+
+    def _speeds(self, moves: IntArray) -> FloatArray:
+        """The highest speed of moves (n,) in the plan, mm/s: in the middle of their cruising."""
+        plan = self.plan
+        at = plan.start_t[moves] + plan.accel_t[moves] + 0.5 * plan.cruise_t[moves]
+        within = np.nextafter(plan.start_t[moves] + plan.duration[moves], -np.inf)
+        return np.asarray(np.sqrt((plan.velocity(np.minimum(at, within))[:, :3] ** 2).sum(axis=1)))
+
+    def _steady(self, wanted: Reference, trouble: Trouble) -> bool:
+        """Whether the nozzle keeps its speed throughout the trouble: then it is speed that asks for acceleration."""
+        knots = np.arange(trouble.first - 1, trouble.last + 3)
+        t = wanted.t0 + knots * self.inverter.settings.segment_s
+        speed = np.sqrt((self.plan.velocity(t)[:, :3] ** 2).sum(axis=1))
+        return bool(np.ptp(speed) <= STEADY * speed.max())
+
+    def records(
+        self, planned_s: FloatArray, first_line: int, layer_of: Callable[[int], int | None]
+    ) -> Iterator[SlowDown]:
+        """One for each group of moves that lie close together. planned_s : (n,) how long they took at first."""
+        slowed = np.array(sorted(self.reasons))
+        for group in np.split(slowed, np.flatnonzero(np.diff(slowed) > APART) + 1):
+            worst = max((self.reasons[int(move)] for move in group), key=lambda trouble: trouble.asked)
+            all_moves = slice(group[0], group[-1] + 1)
+            before, after = planned_s[all_moves].sum(), self.plan.duration[all_moves].sum()
+            yield SlowDown(
+                first_line + int(self.moves.line[group[0]]) + 1,
+                first_line + int(self.moves.line[group[-1]]) + 1,
+                layer_of(int(group[0])),
+                min(float(before / after), 1.0),
+                float(after - before),
+                "" if worst.limit == PLAYABLE else "ABC"[worst.carriage],
+                "" if worst.limit == PLAYABLE else NAMES[worst.limit],
+                worst.asked,
+            )
+
+
+def _factor(asked: float) -> float:
+    return float(np.clip(ROOM / asked, SLOWEST, GENTLEST))
+
+
+def _of_the_path(path: FloatArray, command: FloatArray) -> Iterator[Trouble]:
+    """Where the path asks for more than a limit, and its command as well. Both shares (n, 3, 3)."""
+    over = _widened((command > NEARLY).any(axis=(1, 2)), NEAR)
+    for limit in (VELOCITY, ACCELERATION, TRAVEL):
+        beyond = 1.0 if limit == TRAVEL else A_LITTLE
+        for first, last in _stretches(over & (path[:, limit] > beyond).any(axis=1)):
+            asked = path[first : last + 1, limit].max(axis=0)
+            worst = float(asked.max())
+            factor = float("nan") if limit == TRAVEL else _factor(worst)
+            yield Trouble(first, last, limit, int(asked.argmax()), worst, factor)
+
+
+def _of_the_answer(result: RunResult, free: FloatArray, tolerance_mm: float, inverter: Inverter) -> Iterator[Trouble]:
+    """Where limits are held at the cost of the path, or not held. free : shares (n, 3, 3) of the answer without them."""
+    left = shares_from_rest(result.vertices, inverter.limits)[1:-1]
+    for held in result.held:
+        inside = slice(held.first, held.last + 1)
+        if held.error_mm <= tolerance_mm and not (left[inside] > 1.0 + ENOUGH).any():
+            continue
+        asked = np.maximum(free[inside], left[inside])
+        for first, last in _stretches(_widened((asked > 1.0).any(axis=(1, 2)), 2)):
+            worst = asked[first : last + 1]
+            _, limit, carriage = np.unravel_index(worst.argmax(), worst.shape)
+            times = float(worst.max())
+            yield Trouble(held.first + first, held.first + last, int(limit), int(carriage), times, _factor(times))
+
+
+def _of_playing(late: BoolArray) -> Iterator[Trouble]:
+    for first, last in _stretches(_widened(late, 1)):
+        yield Trouble(first, last, PLAYABLE, 0, 1.0, 0.8)
+
+
+def _widened(marked: BoolArray, by: int) -> BoolArray:
+    return np.convolve(marked, np.ones(2 * by + 1), "same") > 0.5
+
+
+def _stretches(marked: BoolArray) -> Iterator[tuple[int, int]]:
+    """First and last of each stretch of marked segments."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
+    for first, after in edges.reshape(-1, 2):
+        yield int(first), int(after) - 1
+
+
+def _slice(moves: Moves, run: Run) -> Moves:
+    return Moves(*(getattr(moves, field.name)[run.first : run.last] for field in fields(moves)))
+
+
+def _spliced(trajectory: Motion, run: Run, part: PlannedMotion) -> tuple[Motion, float]:
+    """The whole plan with another one for a run, and by how much later what follows begins, s."""
+    lost = part.end_t - run.end_t
+    columns = {}
+    for field in fields(trajectory):  # type: ignore[arg-type]  # every planned motion is a dataclass of columns
+        whole = getattr(trajectory, field.name).copy()
+        whole[run.first : run.last] = getattr(part, field.name)
+        columns[field.name] = whole
+    columns["start_t"][run.last :] += lost
+    return replace(trajectory, **columns), lost  # type: ignore[type-var]
