@@ -17,6 +17,23 @@ from models.machine import Machine, constant
 NAME = re.compile(r"(?P<path>[\w.]+?)(\[(?P<index>\d)\])?")
 
 
+CARRIAGE = ("mass_kg", "belt_stiffness_n_per_m", "belt_damping_n_s_per_m", "guide_damping_n_s_per_m")
+DRIVE = ("d0_per_s2", "d1_per_s", "d2_per_s")
+EFFECTOR = ("nozzle_mass_kg", "extruder_mass_kg")
+MOUNT = ("extruder_stiffness_n_per_m", "extruder_damping_n_s_per_m")
+
+
+def dynamic_numbers(machine: Machine) -> list[str]:
+    """The numbers that decide how a machine vibrates; its geometry is calibrated, not guessed."""
+    names = []
+    for key in CARRIAGE:  # three of them, where an effect has made towers differ
+        several = np.ndim(getattr(machine.carriage, key)) > 0
+        names += [f"carriage.{key}[{i}]" for i in range(3)] if several else [f"carriage.{key}"]
+    if machine.carriage.drive is not None:
+        names += [f"carriage.drive.{key}" for key in DRIVE]
+    return names + [f"effector.{key}" for key in EFFECTOR] + [f"effector.{key}[{i}]" for key in MOUNT for i in range(3)]
+
+
 def value_of(machine: Machine, name: str) -> float:
     """One number.
 

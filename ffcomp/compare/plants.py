@@ -5,21 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from models.machine import Machine
-from models.parameters import value_of, with_values
+from models.parameters import dynamic_numbers, value_of, with_values
 
 FARTHEST = 2.5  # standard deviations; farther draws are drawn again
-CARRIAGE = ("mass_kg", "belt_stiffness_n_per_m", "belt_damping_n_s_per_m", "guide_damping_n_s_per_m")
-DRIVE = ("d0_per_s2", "d1_per_s", "d2_per_s")
-EFFECTOR = ("nozzle_mass_kg", "extruder_mass_kg")
-MOUNT = ("extruder_stiffness_n_per_m", "extruder_damping_n_s_per_m")
-
-
-def dynamic_numbers(machine: Machine) -> list[str]:
-    """The numbers of the machine file that decide how it vibrates; its geometry is calibrated, not guessed."""
-    names = [f"carriage.{key}" for key in CARRIAGE]
-    if machine.carriage.drive is not None:
-        names += [f"carriage.drive.{key}" for key in DRIVE]
-    return names + [f"effector.{key}" for key in EFFECTOR] + [f"effector.{key}[{i}]" for key in MOUNT for i in range(3)]
 
 
 def drawn(machine: Machine, relative_sd: float, seeds: int) -> list[Machine]:

@@ -19,7 +19,10 @@ CONTEXT = 4  # segments before a stretch that decide how fast it is entered
 
 
 class Playing:
-    """The coefficients γ of one run (n + 1, 3) mm over its knots and those in sight after its end."""
+    """The coefficients γ of one run (n + 1, 3) mm over its knots and those in sight after its end.
+
+    `softened` (m, 3) mm is what is wanted beyond the path at the rows of its segments; empty: nothing is.
+    """
 
     def __init__(self, inverter: Inverter, reference: Reference) -> None:
         self.inverter, self.reference = inverter, reference
@@ -27,6 +30,7 @@ class Playing:
         self.n = self.last + inverter.settings.preview
         self.gamma = np.zeros((self.n + 1, 3))
         self.vertices = np.empty((self.last + 1, 3))
+        self.softened = inverter.softened(reference)
         self.extrusion = np.concatenate([np.diff(reference.extrusion()), np.zeros(self.n - self.last)])
 
 
@@ -55,7 +59,11 @@ class Stretch:
         """Where the nozzle should have been instead, at the rows that are weighed: (rows, 3) mm."""
         s = self.run.inverter.settings
         stride = s.substeps // s.rows_per_segment
-        return np.ascontiguousarray((self.nozzle[1:] - response)[stride - 1 :: stride])
+        error = (self.nozzle[1:] - response)[stride - 1 :: stride]
+        first = self.at * s.rows_per_segment
+        own = self.run.softened[first : first + len(error)]
+        error[: len(own)] += own
+        return np.ascontiguousarray(error)
 
     def as_played(self) -> FloatArray:
         """The command as the firmware plays the segments: straight for the nozzle, with its ramps. (m, 3) mm."""

@@ -165,7 +165,8 @@ def _judge(each: _Round, nozzle: FloatArray) -> None:
     if rms < each.rms:
         stride = s.substeps // s.rows_per_segment
         each.gamma, each.rms = run.gamma.copy(), rms
-        each.error, each.response = error[stride::stride], nozzle[1 : end + 1]
+        each.error, each.response = error[stride::stride].copy(), nozzle[1 : end + 1]
+        each.error[: len(run.softened)] += run.softened
     else:
         each.share *= 0.5
 
