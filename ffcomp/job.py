@@ -267,7 +267,7 @@ def find_offset(head: bytes) -> tuple[float, float]:
 
 def _stamped(pieces: Iterator[bytes], stamp: bytes, offset: bytes) -> Iterator[bytes]:
     """The stamp after the first line (slicers are known by it) and at the end, before a last line without newline."""
-    first, newline, rest = next(pieces, b"").partition(b"\n")
+    first, _, rest = next(pieces, b"").partition(b"\n")
     yield first + b"\n"
     ending = b"\r\n" if first.endswith(b"\r") else b"\n"
     stamp = stamp.rstrip(b"\n") + ending

@@ -10,12 +10,13 @@ lines       ffcomp.writer         commands and events → text, limits opened an
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.errors import LimitsError, NothingToDo
+from ffcomp.invert.effort import effort_curve
 from ffcomp.invert.inverter import Inverter, RunResult
 from ffcomp.invert.settings import Settings
 from ffcomp.invert.whole import Ran, corrected
@@ -38,12 +39,10 @@ from models.errors import UnreachableError
 from models.kinematics.delta import check_reach
 from models.kinematics.kernels import FastDelta
 from models.machine import DeltaGeometry, Machine
-from models.receptance import modes
 
 FloatArray = NDArray[np.float64]
 
 
-LOWEST_BANDWIDTH_HZ, HIGHEST_BANDWIDTH = 60.0, 0.46  # the latter of the segments' rate
 SEGMENTS_PER_SECOND = 250.0
 
 
@@ -86,28 +85,15 @@ def firmware_limits(machine: Machine) -> FirmwareLimits:
 
 
 def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SECOND) -> Settings:
-    """The settings for a machine: what no G-code file can raise is taken from its own limits."""
+    """The settings for a machine: its bandwidth at the knee, and from its own limits what no G-code file can raise."""
     limits = firmware_limits(machine)
     output = OutputLimits(
         z_acceleration_mm_per_s2=limits.acceleration_mm_per_s2,
         retract_acceleration_mm_per_s2=limits.acceleration_mm_per_s2 * limits.extrusion_ratio,
     )
     segment_s = 1.0 / segments_per_second
-    return Settings(output=output, segment_s=segment_s, bandwidth_hz=_bandwidth(machine, segment_s))
-
-
-def _bandwidth(machine: Machine, segment_s: float) -> float:
-    """A good quarter above the fastest mode that rings and that knots can follow, within what the segments can do.
-
-    Measured on the sample prints: below it the mode is left ringing, above it only the command's acceleration grows.
-    Grease in the guides makes a mode ring less, but does not make the nozzle follow by itself: it is left out.
-    """
-    known = design_machine(machine)[0]
-    free = replace(known, carriage=replace(known.carriage, guide_damping_n_s_per_m=0.0))
-    found = modes(free, np.zeros(2))
-    rings = (found.damping_ratios < 0.1) & (found.frequencies_hz < 0.5 / segment_s)
-    fastest = float(found.frequencies_hz[rings].max(initial=0.0))
-    return min(max(1.28 * fastest, LOWEST_BANDWIDTH_HZ), HIGHEST_BANDWIDTH / segment_s)
+    bandwidth = effort_curve(design_machine(machine)[0], segment_s).knee_hz
+    return Settings(output=output, segment_s=segment_s, bandwidth_hz=bandwidth)
 
 
 def plan_program(

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ffcomp.cli.machines_diff import diff_machines
+from ffcomp.cli.machines_effort import effort
 
 if TYPE_CHECKING:
     from models.consistency import Quantity
@@ -26,6 +27,7 @@ USAGE, BAD_MACHINE = 2, 5  # exit codes, the same for the whole program
 
 app = typer.Typer(help="List, show, check, start and tell apart machine files.", no_args_is_help=True)
 app.command("diff")(diff_machines)
+app.command("effort")(effort)
 
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 NameOrPath = Annotated[str, typer.Argument(help="A machine's name, or the path of its TOML file.")]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.invert import exact, fast, limited
+from ffcomp.invert.effort import effort_weight
 from ffcomp.invert.exact import Held
 from ffcomp.invert.limits import CommandLimits, excess
 from ffcomp.invert.play import Playing
@@ -53,7 +54,7 @@ class Inverter:
         self.delta = FastDelta(machine.kinematics)
         self.fine = Schedule(machine, _table(machine, settings, settings.substeps))
         self.coarse = _table(machine, settings, settings.rows_per_segment)
-        self.effort = effort_weight(machine, settings)
+        self.effort = effort_weight(machine, settings.bandwidth_hz, settings.segment_s, settings.rows_per_segment)
         self.delay_s = steady_delay(machine)
         self.limits = CommandLimits.of(machine, settings.segment_s)
 
@@ -116,18 +117,6 @@ def _table(machine: Machine, settings: Settings, steps: int) -> PlantTable:
     """The plant over the bed, for that many steps a segment."""
     table = plant_table(machine, settings.segment_s / steps)
     return table.frozen() if settings.one_model else table
-
-
-def effort_weight(machine: Machine, settings: Settings) -> float:
-    """ρ for which accuracy and effort weigh alike at the bandwidth: ρ |D²(ω)|² = mean |G(ω)|² at the centre."""
-    from models.receptance import nozzle_frf
-
-    f = settings.bandwidth_hz
-    g = nozzle_frf(machine, np.zeros(2), np.array([f]))[0]
-    hat = np.sinc(f * settings.segment_s) ** 2  # the hats' own spectrum
-    second_difference = (2 * np.sin(np.pi * f * settings.segment_s)) ** 2
-    gain2 = float(np.trace((g.conj().T @ g).real)) / 3 * hat**2
-    return gain2 * settings.rows_per_segment / second_difference**2
 
 
 def steady_delay(machine: Machine) -> float:

@@ -21,7 +21,7 @@ class Settings:
     tail_s: float = 0.004  # how long after the path's end the command comes to rest
     corrections: int = 1  # passes through the plant with the segments as they are played
     inverse: Literal["fast", "exact"] = "fast"
-    robust: bool = True  # less is asked for where the machine file's uncertainties leave the machine unknown
+    robust: bool = False  # less is asked for where the machine file's uncertainties leave the machine unknown
     memory: int = 60  # segments after which the plant has forgotten (1 % is left after 240 ms)
     s_curve: bool = False  # the plan's ramps with limited jerk
     solver: Backend = "osqp"  # of the quadratic programmes where a limit binds

@@ -103,7 +103,7 @@ def _piqp(problem: Problem) -> tuple[str, FloatArray]:
     rows = np.asfortranarray(problem.a.toarray())
     solver.setup(np.asfortranarray(problem.p), problem.q, None, None, rows, problem.low, problem.high)
     status = solver.solve()
-    return "solved" if status == piqp.PIQP_SOLVED else str(status), np.asarray(solver.result.x)
+    return str(status).rpartition("PIQP_")[2].lower().replace("_", " "), np.asarray(solver.result.x)
 
 
 def _clarabel(problem: Problem) -> tuple[str, FloatArray]:

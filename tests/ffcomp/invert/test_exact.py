@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.invert.exact import Window
+from ffcomp.invert.exact import Window, next_window
 from ffcomp.invert.inverter import Inverter, steady_delay
 from ffcomp.invert.kernels import basis_response
-from ffcomp.invert.limits import CommandLimits, excess, limited_step
+from ffcomp.invert.limited import FOLLOWING
+from ffcomp.invert.limits import ACCELERATION, TRAVEL, VELOCITY, excess, shares_from_rest
 from ffcomp.invert.play import Playing
 from ffcomp.invert.settings import Settings
 from ffcomp.pipeline import firmware_limits
@@ -56,7 +57,7 @@ def reference_of(
 
 def window_of(inverter: Inverter, reference: Reference) -> Window:
     run = Playing(inverter, reference)
-    return Window(run, 0, rest_state(inverter.machine, reference.at_knots(np.array([0]))[0]))
+    return next_window(run, 0, rest_state(inverter.machine, reference.at_knots(np.array([0]))[0]))
 
 
 def simulated(models: tuple[FloatArray, ...], rows: int, command: FloatArray) -> FloatArray:
@@ -107,34 +108,6 @@ def test_a_window_is_the_problem_that_cvxpy_solves(inverter: Inverter, machine: 
     np.testing.assert_allclose(ours, gamma.value[2:-2], atol=2e-5)
 
 
-def test_a_limited_step_is_the_one_cvxpy_finds() -> None:
-    rng = np.random.default_rng(5)
-    n = 12
-    a = rng.normal(size=(60, 3 * n))
-    hessian, gradient = a.T @ a, rng.normal(size=3 * n) * 40
-    command = np.cumsum(np.cumsum(rng.normal(0, 0.02, (n + 4, 3)), axis=0), axis=0)
-    plan = command.copy()
-    limits = CommandLimits(step_mm=0.5, bend_mm=0.15)
-    free = np.linalg.solve(hessian, gradient).reshape(-1, 3)
-    tried = command.copy()
-    tried[2:-2] += free
-    assert excess(tried, limits) > 1.5  # the limits bind
-    step = limited_step(hessian, gradient, command, plan, limits)
-
-    d = cp.Variable((n, 3))
-    u = cp.vstack([command[:2], command[2:-2] + d, command[-2:]])
-    flat = cp.reshape(d, (3 * n,), order="C")
-    held = [
-        cp.abs(u[1:] - u[:-1]) <= np.maximum(limits.step_mm, np.abs(np.diff(plan, axis=0))),
-        cp.abs(u[2:] - 2 * u[1:-1] + u[:-2]) <= np.maximum(limits.bend_mm, np.abs(np.diff(plan, 2, axis=0))),
-    ]
-    objective = 0.5 * cp.sum_squares(a @ flat) - gradient @ flat
-    cp.Problem(cp.Minimize(objective), held).solve(solver=cp.CLARABEL)
-    np.testing.assert_allclose(step.reshape(-1, 3), d.value, atol=2e-4)
-    tried[2:-2] = command[2:-2] + step.reshape(-1, 3)
-    assert excess(tried, limits) < max(1.001, excess(plan, limits) * 1.001)
-
-
 def test_a_run_begins_and_ends_at_rest_on_the_path(inverter: Inverter, machine: Machine) -> None:
     reference = reference_of(CORNER, machine, SETTINGS)
     result = inverter.run(reference, rest_state(machine, np.array([-60.0, 20, 0.3])))
@@ -169,23 +142,59 @@ def test_the_response_is_the_path(machine: Machine, inverse: Literal["exact", "f
     assert result.excess < 1.0 and result.limited == 0
 
 
-def test_a_limit_between_plan_and_free_answer_is_held(machine: Machine) -> None:
-    """The free answer asks for more acceleration than the plan; the QP keeps the half of that."""
-    settings = replace(EXACT, bandwidth_hz=112.0, lead_s=0.004)  # a late start asks for much
+@pytest.mark.parametrize("inverse", ["exact", "fast"])
+@pytest.mark.parametrize("limit", [ACCELERATION, VELOCITY, TRAVEL])
+def test_a_limit_between_plan_and_free_answer_is_held(
+    machine: Machine, inverse: Literal["exact", "fast"], limit: int
+) -> None:
+    """The free answer asks for more than the plan; half of that is allowed, and no more is taken at any instant."""
+    settings = replace(EXACT, bandwidth_hz=112.0, lead_s=0.004, inverse=inverse)  # a late start asks for much
     state = rest_state(machine, np.array([-60.0, 20, 0.3]))
-    reference = reference_of(CORNER, machine, settings)
+    gcode = b"G1 X-20 Y0 Z20 F9000\n" if limit == VELOCITY else CORNER
+    reference = reference_of(gcode, machine, settings)
     inverter = Inverter(machine, settings)
     free = inverter.run(reference, state)
-    plan = inverter.delta.inverse(reference.at_knots(np.arange(reference.knots + 1)))
-    asked, given = (np.abs(np.diff(u, 2, axis=0)).max() for u in (inverter.delta.inverse(free.vertices), plan))
-    assert asked > 1.05 * given, "the free answer must ask for more than the plan, or this tests nothing"
-    limit = 0.5 * (asked + given) / settings.segment_s**2
-    gentle = replace(machine, limits=replace(machine.limits, carriage_acceleration_mm_per_s2=limit))
-    held = Inverter(gentle, settings).run(reference, state, keep_response=True)
-    assert held.limited > 0
-    assert held.excess < 1.002
+    plan = reference.at_knots(np.arange(reference.knots + 1))
+    asked, given = (shares_from_rest(v, inverter.limits) for v in (free.vertices, plan))
+    own = machine.limits
+    if limit == TRAVEL:
+        highest = [float(inverter.delta.inverse(v).max()) for v in (free.vertices, plan)]
+        assert highest[0] > highest[1] + 2e-3, "the free answer must go beyond the plan, or this tests nothing"
+        bound = replace(own, carriage_travel_mm=(0.0, 0.5 * sum(highest)))
+    else:
+        most = [float(shares[:, limit].max()) for shares in (asked, given)]
+        assert most[0] > 1.02 * most[1], "the free answer must ask for more than the plan, or this tests nothing"
+        share = 0.5 * sum(most)
+        names = ("carriage_velocity_mm_per_s", "carriage_acceleration_mm_per_s2")
+        bound = replace(own, **{names[limit]: share * getattr(own, names[limit])})
+    held_inverter = Inverter(replace(machine, limits=bound), settings)
+    held = held_inverter.run(reference, state, keep_response=True)
+    assert held.limited > 0 and len(held.held) == held.limited
+    assert excess(free.vertices, held_inverter.limits) > 1.0
+    assert held.excess <= 1.0
     nozzle, _ = reference.substeps(0, reference.knots)
     assert np.abs(held.response - nozzle[1:]).max() < 0.1  # it still follows
+    again = held_inverter.run(reference, state, hold=False)
+    if inverse == "fast":
+        assert again.limited == 0
+        np.testing.assert_array_equal(again.vertices, free.vertices)
+
+
+def test_where_no_limit_binds_nothing_changes_after_a_limited_window(machine: Machine) -> None:
+    """The fast answer is solved again at the late start only: what follows is kept to the last bit, and fits."""
+    settings = replace(SETTINGS, corrections=1, bandwidth_hz=112.0, lead_s=0.004, inverse="fast")
+    state = rest_state(machine, np.array([-60.0, 20, 0.3]))
+    reference = reference_of(CORNER + b"G1 X-20 Y10\nG1 X-20 Y60\n", machine, settings)
+    free = Inverter(machine, settings).run(reference, state, keep_response=True)
+    tight = replace(machine.limits, carriage_acceleration_mm_per_s2=0.6 * free.excess * 30000.0)
+    held = Inverter(replace(machine, limits=tight), settings).run(reference, state, keep_response=True)
+    assert held.limited == 1 and held.excess <= 1.0
+    after = held.held[0].last + FOLLOWING + 1
+    assert after < reference.knots - 50
+    np.testing.assert_array_equal(held.vertices[after:], free.vertices[after:])
+    later = after * settings.substeps
+    np.testing.assert_allclose(held.response[later:], free.response[later:], atol=3e-4)
+    np.testing.assert_allclose(held.state, free.state, atol=1e-3)
 
 
 def test_a_machine_turned_by_120_degrees_gives_the_turned_answer(machine: Machine) -> None:

@@ -45,11 +45,9 @@ def frequency_response(kernel: FloatArray, f: FloatArray, row_s: float) -> NDArr
 
 
 def test_a_known_machine_is_asked_for_the_path(machine: Machine) -> None:
-    settings = settings_for(machine)
     path = np.cumsum(np.random.default_rng(1).normal(size=(40 + 2 * HALF, 3)), axis=0)
     assert np.abs(softening(unsure(machine, 0.0)).of(path)).max() < 1e-9
     assert np.abs(softening(unsure(machine, 0.1)).of(path)).max() > 1e-2
-    assert settings.robust  # the file's uncertainties count unless one says otherwise
 
 
 def test_rest_and_steady_motion_are_left_alone(machine: Machine) -> None:

@@ -1,0 +1,40 @@
+"""Accuracy against command acceleration, with the knee: why a machine's bandwidth is what it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import matplotlib
+from matplotlib.figure import Figure
+
+from ffcomp.invert.effort import EffortCurve
+from ffcomp.report.drawing import file_of, layout
+from ffcomp.report.style import RC
+
+
+def draw_effort(curves: Mapping[float, EffortCurve], title: str, path: Path) -> None:
+    """One curve for each number of segments a second; `path` ends in .png or .svg."""
+    with matplotlib.rc_context(RC):
+        figure = Figure(figsize=(7.2, 4.6), layout=layout())
+        axes = figure.subplots()
+        for rate, curve in curves.items():
+            peak, knee = curve.peak_mm_per_s2 / 1e3, curve.knee
+            (line,) = axes.loglog(peak, curve.error_um, ".-", label=f"{rate:g} segments/s")
+            axes.loglog(peak[knee], curve.error_um[knee], "o", ms=10, mfc="none", mew=2, color=line.get_color())
+            axes.annotate(
+                f"{curve.knee_hz:.0f} Hz",
+                (peak[knee], curve.error_um[knee]),
+                textcoords="offset points",
+                xytext=(10, 8),
+                color=line.get_color(),
+            )
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter("{x:g}")
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.set_xlabel("peak acceleration of the carriages' command, m/s²")
+        axes.set_ylabel("tracking error rms, µm")
+        axes.set_title(title)
+        axes.legend(title="circle: the knee", frameon=False)
+        axes.grid(True, which="both", alpha=0.25)
+        path.write_bytes(file_of(figure, "svg" if path.suffix == ".svg" else "png"))

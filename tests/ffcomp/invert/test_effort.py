@@ -1,0 +1,75 @@
+"""Accuracy against effort: the bandwidth at the knee."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from ffcomp.cli.app import app
+from ffcomp.invert.effort import HIGHEST, LOWEST_HZ, _square, effort_curve, effort_weight
+from ffcomp.pipeline import settings_for
+from models.machine import Machine
+from models.machine_file import load_machine
+from models.receptance import modes, nozzle_frf
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine("mp-delta-pro")
+
+
+@pytest.mark.parametrize("name", ["mp-delta-pro", "kossel", "flsun-qqs"])
+def test_the_knee_lies_above_the_modes_that_ring(name: str) -> None:
+    machine = load_machine(name)
+    curve = effort_curve(machine, 0.004)
+    found = modes(machine, np.zeros(2))
+    slow = found.frequencies_hz[found.frequencies_hz < 90.0]
+    assert curve.knee_hz > slow.max()
+    assert settings_for(machine).bandwidth_hz == curve.knee_hz
+
+
+def test_more_bandwidth_costs_more_and_errs_less(machine: Machine) -> None:
+    curve = effort_curve(machine, 0.002)
+    assert curve.bandwidth_hz[0] == pytest.approx(LOWEST_HZ) and curve.bandwidth_hz[-1] == pytest.approx(HIGHEST * 500)
+    assert curve.error_um[0] > 10 * curve.error_um[curve.knee]
+    beyond = slice(curve.knee, None)
+    assert (np.diff(curve.peak_mm_per_s2[beyond]) > 0).all()
+    assert curve.peak_mm_per_s2[-1] > 5 * curve.peak_mm_per_s2[curve.knee]
+    assert curve.knee_hz < 140.0  # where commands of two milliseconds become violent
+
+
+def test_grease_in_the_guides_does_not_take_bandwidth_away(machine: Machine) -> None:
+    carriage = replace(machine.carriage, guide_damping_n_s_per_m=120.0)
+    assert effort_curve(replace(machine, carriage=carriage), 0.004).knee_hz > 80.0
+
+
+def test_the_weight_is_where_accuracy_and_effort_weigh_alike(machine: Machine) -> None:
+    rho = effort_weight(machine, 90.0, 0.004)
+    g = nozzle_frf(machine, np.zeros(2), np.array([90.0]))[0] * np.sinc(0.36) ** 2
+    bend = (2 * np.sin(np.pi * 0.36)) ** 2
+    assert rho * bend**2 == pytest.approx(np.linalg.norm(g) ** 2 / 3, rel=1e-9)
+
+
+def test_the_square_is_closed_and_keeps_its_acceleration(machine: Machine) -> None:
+    path = _square(machine, 0.001)
+    np.testing.assert_allclose(path[0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(path[-1], 0.0, atol=1e-9)
+    assert path.max() == pytest.approx(8.0, abs=1e-9)
+    second = np.diff(path[:, 0], 2) / 1e-6
+    assert np.median(np.abs(second[np.abs(second) > 1])) == pytest.approx(3000, rel=0.01)
+
+
+def test_the_verb_draws_and_tells(tmp_path: Path) -> None:
+    picture = tmp_path / "effort.png"
+    done = CliRunner().invoke(app, ["machines", "effort", "mp-delta-pro", "--figure", str(picture), "--json"])
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    assert [each["segments_per_second"] for each in told["rates"]] == [250.0, 500.0]
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    plain = CliRunner().invoke(app, ["machines", "effort", "kossel"])
+    assert plain.exit_code == 0 and plain.stdout.count("<- the knee") == 2
