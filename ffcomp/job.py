@@ -12,14 +12,19 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ffcomp import __version__
 from ffcomp.chapters import Chapter, chapters
 from ffcomp.errors import NothingToDo
 from ffcomp.invert.inverter import Inverter
 from ffcomp.invert.settings import Settings
-from ffcomp.pipeline import Summary, compensate, plan_program, settings_for, solutions
+from ffcomp.pipeline import Planned, Summary, compensate, plan_program, settings_for, solutions
 from ffcomp.plan.limits import lines_of
 from ffcomp.predict import LONGEST_S, Prediction
+from ffcomp.stepping import Stepping
+from ffcomp.steps.sink import Board, MotorTotal, StepSink
 from ffcomp.writer import OURS, original_blocks
 from gcode.container import blocks_of, ends_of, replace_atomically
 from gcode.dialects import FLAVORS, flavor_by_ends, shaper_off
@@ -27,6 +32,8 @@ from gcode.errors import UnsupportedGcode
 from gcode.metadata import Stamp, find_stamp, stamp_line
 from gcode.reader import read_parts
 from models.machine import Machine
+
+FloatArray = NDArray[np.float64]
 
 STAMP_REACH = 1 << 20  # bytes at either end in which a stamp is looked for
 
@@ -48,10 +55,10 @@ class Recipe:
     offset: tuple[float, float]
     share: float  # of the print that is simulated for the prediction
 
-    def lines(
-        self, chapter: Chapter, inverter: Inverter, summary: Summary, progress: Callable[[float], None]
-    ) -> Iterator[bytes]:
-        """The compensated lines of a chapter."""
+    def begun(
+        self, chapter: Chapter, inverter: Inverter, summary: Summary
+    ) -> tuple[Planned, FloatArray | None, Prediction | None]:
+        """A chapter planned, the plant's state (18,) as it begins, and what collects the prediction."""
         machine, settings, offset = self.machine, self.settings, self.offset
         prediction = Prediction(inverter, self.share) if self.share else None
         planned = plan_program(chapter.program, machine, offset, settings.s_curve)
@@ -66,19 +73,23 @@ class Recipe:
             waits = sum(event.dwell_s for event in chapter.program.events if event.move == moves)
             summary.original_print_time_s += waits
             summary.print_time_s += waits
+        summary.predicted = prediction.samples if prediction else None
+        return planned, state, prediction
+
+    def lines(self, chapter: Chapter, inverter: Inverter, summary: Summary) -> Iterator[bytes]:
+        """The compensated lines of a chapter."""
+        planned, state, prediction = self.begun(chapter, inverter, summary)
         yield from compensate(
             planned,
-            machine,
+            self.machine,
             inverter,
             self.flavor,
             summary,
-            progress,
-            offset,
+            offset=self.offset,
             state=state,
             said=chapter.said,
             prediction=prediction,
         )
-        summary.predicted = prediction.samples if prediction else None
 
 
 _own_inverter: tuple[bytes, Inverter] | None = None  # a worker's, from chapter to chapter
@@ -92,7 +103,7 @@ def _work(chapter: Chapter, recipe: Recipe) -> tuple[bytes, Summary]:
         _own_inverter = key, Inverter(recipe.machine, recipe.settings)
     inverter = _own_inverter[1]
     summary = Summary()
-    return b"".join(recipe.lines(chapter, inverter, summary, lambda done_s: None)), summary
+    return b"".join(recipe.lines(chapter, inverter, summary)), summary
 
 
 class Job:
@@ -139,6 +150,43 @@ class Job:
             replace_atomically(target, lines)
         self.compute_time_s = time.perf_counter() - self.started
 
+    def write_steps(
+        self,
+        target: Path,
+        board: Board,
+        error_s: float | None = None,
+        plain: bool = False,
+        progress: Callable[[float], None] = lambda share: None,
+    ) -> dict[str, MotorTotal]:
+        """The commands as step timings in an archive, replaced whole at the end or not at all.
+
+        Parameters
+        ----------
+        error_s : by which a compressed step may be early or late; None: every step, exactly
+        plain : the plan as it is, uncompensated
+
+        Returns
+        -------
+        what became of each motor's steps, by its letter
+        """
+        together, recipe = self._started()
+        done = 0
+        with StepSink(self.machine, board, target, error_s) as sink:
+            stepping = Stepping(sink)
+            for chapter in together:
+                summary = Summary()
+                planned, state, prediction = recipe.begun(chapter, self.inverter, summary)
+                if plain:
+                    stepping.plain(planned, summary)
+                else:
+                    stepping.compensated(planned, self.machine, self.inverter, summary, state, prediction)
+                self._take(summary)
+                done += _size(chapter)
+                progress(min(done / max(self.size, 1), 1.0))
+            totals = sink.finish()
+        self.compute_time_s = time.perf_counter() - self.started
+        return totals
+
     def lines(self, progress: Callable[[float], None] = lambda share: None) -> Iterator[bytes]:
         """The compensated file, stamped in head and tail, in pieces of whole lines."""
         stamp = stamp_line(__version__, self.machine.name, self.machine.sha256, self.flavor)
@@ -153,14 +201,17 @@ class Job:
             blocks = original_blocks(blocks)
         return chapters(read_parts(blocks, self.path, flavor=self.flavor, offset_mm=self.offset))
 
-    def _body(self, progress: Callable[[float], None]) -> Iterator[bytes]:
+    def _started(self) -> tuple[Iterator[Chapter], Recipe]:
         whole = self._chapters()
         first = next(whole, None)
         if first is None:
             raise NothingToDo(f"{self.path or 'The file'} holds no line: nothing to compensate.")
         share = _share(first, self.size) if self.predict else 0.0
         recipe = Recipe(self.machine, self.settings, self.flavor, self.offset, share)
-        together = chain([first], whole)
+        return chain([first], whole), recipe
+
+    def _body(self, progress: Callable[[float], None]) -> Iterator[bytes]:
+        together, recipe = self._started()
         done = 0
         for lines, size, summary in (
             self._one_by_one(together, recipe) if self.jobs == 1 else self._side_by_side(together, recipe)
@@ -173,7 +224,7 @@ class Job:
     def _one_by_one(self, together: Iterator[Chapter], recipe: Recipe) -> Iterator[_Done]:
         for chapter in together:
             summary = Summary()
-            yield recipe.lines(chapter, self.inverter, summary, lambda done_s: None), _size(chapter), summary
+            yield recipe.lines(chapter, self.inverter, summary), _size(chapter), summary
 
     def _side_by_side(self, together: Iterator[Chapter], recipe: Recipe) -> Iterator[_Done]:
         from joblib import Parallel, delayed

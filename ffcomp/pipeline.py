@@ -249,8 +249,7 @@ def compensate(
             part = vertices[piece.first : piece.last + 1]
             line_up = timeline(program, trajectory, run, answer.wanted, part, inside, piece)
             yield from writer.run(run.first, part, line_up)
-        line = program.first_line + int(program.moves.line[run.first]) + 1
-        _account(summary, answer, line, settings.segment_s)
+        account(summary, answer, program, settings.segment_s)
         if prediction is not None and len(answer.result.response):
             prediction.add(trajectory, run, answer.wanted, answer.result)
         progress(run.end_t)
@@ -295,8 +294,10 @@ def keep_inside(geometry: DeltaGeometry, vertices: FloatArray, heights: FloatArr
     return inside
 
 
-def _account(summary: Summary, answer: Solved, line: int, segment_s: float) -> None:
+def account(summary: Summary, answer: Solved, program: Program, segment_s: float) -> None:
+    """Add up what a run took."""
     run, result = answer.run, answer.result
+    line = program.first_line + int(program.moves.line[run.first]) + 1
     summary.windows += result.windows
     summary.limited_windows += result.limited
     summary.print_time_s += answer.wanted.knots * segment_s - (run.end_t - run.begin_t)

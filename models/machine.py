@@ -100,10 +100,11 @@ class MotionLimits:
 
 @dataclass(frozen=True)
 class Steps:
-    """Of the carriage motors."""
+    """Of the carriage motors, and of the extruder's."""
 
     steps_per_mm: float = 80.0  # microsteps
     full_steps_per_mm: float = 5.0
+    extruder_steps_per_mm: float | None = None  # of filament; None: not said
 
 
 @dataclass(frozen=True, eq=False)

@@ -102,19 +102,14 @@ class LimitsTable(Table):
     square_corner_velocity_mm_per_s: float = Field(DEFAULT_LIMITS.square_corner_velocity_mm_per_s, ge=0, le=1000)
     carriage_velocity_mm_per_s: float = Field(DEFAULT_LIMITS.carriage_velocity_mm_per_s, ge=1, le=1e4)
     carriage_acceleration_mm_per_s2: float = Field(DEFAULT_LIMITS.carriage_acceleration_mm_per_s2, ge=10, le=1e7)
-    carriage_travel_mm: list[Place] | None = None
+    carriage_travel_mm: Annotated[list[Place], Field(min_length=2, max_length=2)] | None = None
     step_rate_hz: float | None = Field(None, ge=100, le=1e8)
 
     @model_validator(mode="after")
     def _possible(self) -> LimitsTable:
         travel = self.carriage_travel_mm
-        if travel is not None and not (len(travel) == 2 and travel[0] < travel[1]):
-            _refuse(
-                [
-                    f"limits.carriage_travel_mm = {travel} must be two numbers (mm): the lowest and the highest place "
-                    "of a carriage."
-                ]
-            )
+        if travel is not None and not travel[0] < travel[1]:
+            _refuse([f"limits.carriage_travel_mm = {travel} must be the lower place first, then the higher one (mm)."])
         return self
 
     def limits(self) -> MotionLimits:
@@ -128,6 +123,7 @@ class LimitsTable(Table):
 class StepsTable(Table):
     steps_per_mm: float = Field(DEFAULT_STEPS.steps_per_mm, ge=1, le=1e5)
     full_steps_per_mm: float = Field(DEFAULT_STEPS.full_steps_per_mm, ge=0.1, le=1000)
+    extruder_steps_per_mm: float | None = Field(None, ge=1, le=1e5)
 
     @model_validator(mode="after")
     def _microsteps(self) -> StepsTable:
@@ -291,12 +287,15 @@ RULES = {  # pydantic's type of error -> our rule, filled in from its context
     "finite_number": "must be a finite number{unit}",
     "string_type": "must be a text in quotes",
     "string_too_short": "must not be empty",
-    "list_type": "must be a list of three numbers{unit}",
-    "too_short": "must be a list of three numbers{unit}",
-    "too_long": "must be a list of three numbers{unit}",
+    "list_type": "must be a list of {count} numbers{unit}",
+    "too_short": "must be a list of {count} numbers{unit}",
+    "too_long": "must be a list of {count} numbers{unit}",
     "dict_type": "must be a table",
     "model_type": "must be a table",
 }
+
+
+PAIRS = ("limits.carriage_travel_mm",)  # lists of two numbers; all others are of three
 
 
 def unit_of(key: str) -> str:
@@ -334,7 +333,8 @@ def _wrong_word(loc: tuple[int | str, ...], value: object, kind: str, context: M
 
 def _broken_rule(loc: tuple[int | str, ...], value: object, kind: str, context: Mapping[str, Any]) -> str:
     unit = unit_of(_key(loc).split("[")[0])
-    rule = RULES[kind].format(**context, unit=f" ({unit})" if unit else "")
+    count = "two" if _key(loc) in PAIRS else "three"
+    rule = RULES[kind].format(**context, count=count, unit=f" ({unit})" if unit else "")
     return f"{_key(loc)} = {'{…}' if isinstance(value, dict) else repr(value)} {rule}."
 
 

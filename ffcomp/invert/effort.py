@@ -61,14 +61,13 @@ def effort_weight(machine: Machine, bandwidth_hz: float, segment_s: float, rows:
 
 def effort_curve(machine: Machine, segment_s: float) -> EffortCurve:
     """The curve of one machine, for segments of so many s."""
-    f = np.fft.rfftfreq(KNOTS, segment_s)
+    f: FloatArray = np.fft.rfftfreq(KNOTS, segment_s).astype(np.float64)
     wanted = np.fft.rfft(_square(machine, segment_s), axis=0)
     bend = -((2 * np.sin(np.pi * f * segment_s)) ** 2)
-    places = [np.zeros(2)] + [
-        REACH * machine.kinematics.print_radius_mm * np.array([np.cos(a), np.sin(a)]) for a in np.arange(6) * np.pi / 3
-    ]
+    around = REACH * machine.kinematics.print_radius_mm * np.exp(1j * np.pi / 3 * np.arange(6))
+    places = np.array([[0.0, 0.0], *zip(around.real.tolist(), around.imag.tolist(), strict=True)])
     frfs = np.array([nozzle_frf(machine, xy, f) for xy in places]) * (np.sinc(f * segment_s) ** 2)[:, None, None]
-    to_carriages = np.linalg.inv(jacobian(machine.kinematics, np.array(places)))
+    to_carriages = np.linalg.inv(jacobian(machine.kinematics, places))
     count = int(np.log(HIGHEST / segment_s / LOWEST_HZ) / np.log(STEP)) + 1
     bandwidths = np.geomspace(LOWEST_HZ, HIGHEST / segment_s, max(count, 2))
 
