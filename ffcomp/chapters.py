@@ -16,6 +16,7 @@ from ffcomp.plan.limits import lines_of
 from ffcomp.plan.lookahead import stops_and_waits
 from ffcomp.writer import limits_said
 from gcode.cutting import join, split
+from gcode.labels import layer_changes
 from gcode.program import EventKind, Program
 
 IntArray = NDArray[np.int64]
@@ -30,12 +31,14 @@ class Chapter:
     program: Program
     before: Program | None  # the moves just before it, from a rest on; None: nothing of ours has moved the nozzle
     said: dict[bytes, bytes]  # of limits, in the lines before
+    layers: int  # that have begun in them
     last: bool
 
 
 def chapters(parts: Iterable[Program]) -> Iterator[Chapter]:
     """Programs that follow each other, cut anew at rests. A part without any goes together with the next one."""
     said: dict[bytes, bytes] = {}
+    layers = 0
     before: Program | None = None
     pending: Program | None = None
     for program in parts:
@@ -43,11 +46,12 @@ def chapters(parts: Iterable[Program]) -> Iterator[Chapter]:
         rests = _rests(pending)
         if rests.size:
             chapter, pending = split(pending, int(rests[-1]))
-            yield Chapter(chapter, before, said, last=False)
+            yield Chapter(chapter, before, said, layers, last=False)
+            layers += layer_changes(chapter)
             said = limits_said(chapter, said)
             before = _remembered(chapter)
     if pending is not None:
-        yield Chapter(pending, before, said, last=True)
+        yield Chapter(pending, before, said, layers, last=True)
 
 
 def _rests(program: Program) -> IntArray:

@@ -37,6 +37,8 @@ FloatArray = NDArray[np.float64]
 
 STAMP_REACH = 1 << 20  # bytes at either end in which a stamp is looked for
 
+TOLD = 12  # places that were slowed down, of which each has its sentence
+
 _Done = tuple[Iterator[bytes], int, Summary]  # a chapter's lines, its size in bytes, what was done
 
 
@@ -89,6 +91,7 @@ class Recipe:
             state=state,
             said=chapter.said,
             prediction=prediction,
+            layers_before=chapter.layers,
         )
 
 
@@ -179,7 +182,9 @@ class Job:
                 if plain:
                     stepping.plain(planned, summary)
                 else:
-                    stepping.compensated(planned, self.machine, self.inverter, summary, state, prediction)
+                    stepping.compensated(
+                        planned, self.machine, self.inverter, summary, state, prediction, chapter.layers
+                    )
                 self._take(summary)
                 done += _size(chapter)
                 progress(min(done / max(self.size, 1), 1.0))
@@ -246,10 +251,23 @@ class Job:
         for name in ("moves", "segments", "windows", "limited_windows", "original_print_time_s", "print_time_s"):
             setattr(mine, name, getattr(mine, name) + getattr(chapter, name))
         mine.warnings += [each for each in chapter.warnings if each not in mine.warnings]
+        mine.slowed += chapter.slowed
         if mine.predicted is None:
             mine.predicted = chapter.predicted
         elif chapter.predicted is not None:
             mine.predicted.join(chapter.predicted)
+
+    @property
+    def warnings(self) -> list[str]:
+        """All there is to say, in sentences."""
+        slowed = self.summary.slowed
+        told = [each.sentence() for each in slowed[:TOLD]]
+        if len(slowed) > TOLD:
+            more = sum(each.seconds for each in slowed[TOLD:])
+            told.append(
+                f"{len(slowed) - TOLD} more places were slowed down in the same way, {more:.2g} s longer in all."
+            )
+        return [*self.summary.warnings, *told]
 
     def result(self) -> dict[str, Any]:
         """The JSON object of `compensate`."""
@@ -267,7 +285,8 @@ class Job:
             "segments": summary.segments,
             "windows": summary.windows,
             "limited_windows": summary.limited_windows,
-            "warnings": summary.warnings,
+            "warnings": self.warnings,
+            "slowed": [asdict(each) for each in summary.slowed],
             "predicted": {name: asdict(track) for name, track in tracks.items()},
             "predicted_over_s": summary.predicted.covered_s if summary.predicted else 0.0,
         }

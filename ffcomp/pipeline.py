@@ -10,7 +10,8 @@ lines       ffcomp.writer         commands and events → text, limits opened an
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,15 +26,17 @@ from ffcomp.plan.junctions import junction_limits
 from ffcomp.plan.limits import DeltaReach, FirmwareLimits
 from ffcomp.plan.lookahead import plan_moves, stops_and_waits
 from ffcomp.plan.s_curve import SCurve, s_curve
-from ffcomp.plan.trajectory import PlannedMotion
+from ffcomp.plan.slow_down import SlowDown, feasible_run
+from ffcomp.plan.trajectory import PlannedMotion, Trajectory
 from ffcomp.played import OutputLimits
 from ffcomp.predict import Prediction, Samples
 from ffcomp.runs import Reference, Run, split_runs
 from ffcomp.schedule import rest_state
 from ffcomp.writer import Writer
 from gcode.errors import GcodeError
+from gcode.labels import labels
 from gcode.limits import MotionLimits
-from gcode.program import Event, EventKind, Program
+from gcode.program import Event, EventKind, Moves, Program
 from models.effects.catalogue import design_machine
 from models.errors import UnreachableError
 from models.kinematics.delta import check_reach
@@ -57,6 +60,7 @@ class Summary:
     original_print_time_s: float = 0.0
     print_time_s: float = 0.0
     warnings: list[str] = field(default_factory=list)
+    slowed: list[SlowDown] = field(default_factory=list)
     predicted: Samples | None = None
 
 
@@ -122,9 +126,7 @@ def plan_program(
     except GcodeError as error:
         raise error.located(program.path, program.first_line) from None
     if smooth:
-        allowed = junction_limits(moves, limits, stop_before | (wait_before > 0.0))
-        most = SCurve(limit_mm_per_s2=machine.limits.acceleration_mm_per_s2)
-        trajectory = s_curve(plan, FastDelta(machine.kinematics).inverse, most, allowed_v=allowed)
+        trajectory = _smoothed(plan, moves, machine, limits, stop_before | (wait_before > 0.0))
     return Planned(program, trajectory, split_runs(trajectory, stop_before))
 
 
@@ -149,13 +151,20 @@ def _offset_that_fits(xy: FloatArray, radius: float) -> str:
 class Solved:
     """A run that travels, and the command whose response it is."""
 
+    trajectory: PlannedMotion  # the plan, slower than it was before where limits asked for it
     run: Run
     wanted: Reference
     result: RunResult
+    slowed: tuple[SlowDown, ...]
 
 
 def solutions(
-    planned: Planned, machine: Machine, inverter: Inverter, state: FloatArray | None, keep: Callable[[Reference], bool]
+    planned: Planned,
+    machine: Machine,
+    inverter: Inverter,
+    state: FloatArray | None,
+    keep: Callable[[Reference], bool],
+    layers_before: int = 0,
 ) -> Iterator[Solved]:
     """The runs that travel, one after the other: what rings when one ends is known to the next.
 
@@ -163,33 +172,85 @@ def solutions(
     ----------
     state : (18,) of the plant as the first run begins; None: at rest
     keep : asked once for each run whether its response is wanted
+    layers_before : of the file, before this program
+
+    Raises
+    ------
+    LimitsError
+        Where a limit cannot be held, and the plan must not or cannot be slowed down.
     """
-    ran = _by_the_model(planned, machine, inverter, state, keep)
+    ran = _by_the_model(planned, machine, inverter, state, keep, layers_before)
     if inverter.printer is None:
-        yield from (Solved(run, each.wanted, each.result) for run, each in ran)
+        yield from (solved for solved, _ in ran)
         return
-    runs, found = zip(*ran, strict=True) if any(run.travels for run in planned.runs) else ((), ())
-    results = corrected(inverter, inverter.printer, found)
-    yield from (Solved(run, each.wanted, result) for run, each, result in zip(runs, found, results, strict=True))
+    known = list(ran)
+    results = corrected(inverter, inverter.printer, [Ran(s.wanted, s.result, rest) for s, rest in known])
+    yield from (replace(solved, result=result) for (solved, _), result in zip(known, results, strict=True))
 
 
 def _by_the_model(
-    planned: Planned, machine: Machine, inverter: Inverter, state: FloatArray | None, keep: Callable[[Reference], bool]
-) -> Iterator[tuple[Run, Ran]]:
-    trajectory, rested = planned.trajectory, 0.0
-    moved = _moved_before(planned)
+    planned: Planned,
+    machine: Machine,
+    inverter: Inverter,
+    state: FloatArray | None,
+    keep: Callable[[Reference], bool],
+    layers_before: int,
+) -> Iterator[tuple[Solved, float | None]]:
+    """Each run with its answer, and how long the nozzle has rested before it; None: others have moved it."""
+    program, trajectory, settings = planned.program, planned.trajectory, inverter.settings
+    moved, limits = _moved_before(planned), firmware_limits(machine)
+    replan = partial(_smooth_run, machine, limits) if settings.s_curve else None
+    layer = cache(lambda: labels(program).layer)
+    rested = later = 0.0
     for run in planned.runs:
         if not run.travels:
             continue
         start, rest_s = trajectory.origin[run.first, :3], run.begin_t - rested
+        rested = run.end_t
         if state is None or moved[run.first]:
             state, rest = rest_state(machine, start), None
         else:
             state, rest = inverter.hold(state, start, rest_s), rest_s
-        wanted = Reference(trajectory, run, inverter.settings)
-        result = inverter.run(wanted, state, keep_response=keep(wanted))
-        state, rested = result.state, run.end_t
-        yield run, Ran(wanted, result, rest)
+        if later:
+            run = replace(run, begin_t=run.begin_t + later, end_t=run.end_t + later)
+        wanted = Reference(trajectory, run, settings)
+        if not settings.slow_down:
+            result = inverter.run(wanted, state, keep_response=keep(wanted))
+            yield Solved(trajectory, run, wanted, result, ()), rest
+        else:
+            found = feasible_run(
+                inverter,
+                program.moves,
+                limits,
+                trajectory,
+                run,
+                state,
+                tolerance_um=settings.tolerance_um,
+                strict=settings.strict,
+                keep_response=keep(wanted),
+                first_line=program.first_line,
+                layer_of=lambda move: layers_before + int(layer()[move]),
+                replan=replan,
+            )
+            trajectory, result, later = found.trajectory, found.result, later + found.lost_s
+            yield Solved(trajectory, found.run, found.wanted, result, found.records), rest
+        state = result.state
+
+
+def _smooth_run(machine: Machine, limits: FirmwareLimits, moves: Moves, begin_t: float) -> PlannedMotion:
+    """One run from rest to rest, with S-curves."""
+    n = len(moves)
+    rests = np.zeros(n, dtype=np.bool_)
+    plan = plan_moves(moves, limits, stop_before=rests, wait_before=np.zeros(n), start_t=begin_t)
+    return _smoothed(plan, moves, machine, limits, rests)
+
+
+def _smoothed(
+    plan: Trajectory, moves: Moves, machine: Machine, limits: FirmwareLimits, rests: NDArray[np.bool_]
+) -> PlannedMotion:
+    most = SCurve(limit_mm_per_s2=machine.limits.acceleration_mm_per_s2)
+    allowed = junction_limits(moves, limits, rests)
+    return s_curve(plan, FastDelta(machine.kinematics).inverse, most, allowed_v=allowed)
 
 
 def _moved_before(planned: Planned) -> dict[int, bool]:
@@ -216,6 +277,7 @@ def compensate(
     state: FloatArray | None = None,
     said: Mapping[bytes, bytes] | None = None,
     prediction: Prediction | None = None,
+    layers_before: int = 0,
 ) -> Iterator[bytes]:
     """The lines of the compensated file, in order; one piece may hold many. `summary` is complete at their end.
 
@@ -233,7 +295,7 @@ def compensate(
     summary.original_print_time_s += float(trajectory.end_t)
     summary.print_time_s += float(trajectory.end_t)
     keep = prediction.wants if prediction is not None else lambda wanted: False
-    answers = solutions(planned, machine, inverter, state, keep)
+    answers = solutions(planned, machine, inverter, state, keep, layers_before)
     for run in planned.runs:
         for event in events.up_to(run.first):
             yield from writer.event(event)
@@ -247,11 +309,11 @@ def compensate(
         inside = events.up_to(run.last - 1)
         for piece in pieces(answer.wanted.knots):
             part = vertices[piece.first : piece.last + 1]
-            line_up = timeline(program, trajectory, run, answer.wanted, part, inside, piece)
+            line_up = timeline(program, answer.trajectory, answer.run, answer.wanted, part, inside, piece)
             yield from writer.run(run.first, part, line_up)
-        account(summary, answer, program, settings.segment_s)
+        account(summary, answer, run, program, settings.segment_s)
         if prediction is not None and len(answer.result.response):
-            prediction.add(trajectory, run, answer.wanted, answer.result)
+            prediction.add(answer.trajectory, answer.run, answer.wanted, answer.result)
         progress(run.end_t)
     for event in events.up_to(len(program.moves)):
         yield from writer.event(event)
@@ -294,13 +356,14 @@ def keep_inside(geometry: DeltaGeometry, vertices: FloatArray, heights: FloatArr
     return inside
 
 
-def account(summary: Summary, answer: Solved, program: Program, segment_s: float) -> None:
-    """Add up what a run took."""
-    run, result = answer.run, answer.result
+def account(summary: Summary, answer: Solved, run: Run, program: Program, segment_s: float) -> None:
+    """Add up what a run took; `run` is as it was planned at first."""
+    result = answer.result
     line = program.first_line + int(program.moves.line[run.first]) + 1
     summary.windows += result.windows
     summary.limited_windows += result.limited
     summary.print_time_s += answer.wanted.knots * segment_s - (run.end_t - run.begin_t)
+    summary.slowed += answer.slowed
     if result.excess > 1.0 + 1e-3:
         summary.warnings.append(
             f"line {line}: in the motion that begins here a carriage is asked for {result.excess:.2f} times its limit."

@@ -17,7 +17,7 @@ from models.plant import QD, STATES, WD, PlantTable, Q, W
 
 FloatArray = NDArray[np.float64]
 
-SAME_MM = 0.5  # so near to a place its model still serves
+SAME_MM = 1.0  # so near to a place its model still serves
 
 
 def rest_state(machine: Machine, nozzle: FloatArray) -> FloatArray:
@@ -53,17 +53,18 @@ class Schedule:
 
     def play(
         self,
-        nozzle: FloatArray,
-        velocity: FloatArray,
+        place: FloatArray,
+        centripetal: FloatArray,
         command: FloatArray,
         state: FloatArray,
         substeps: int,
     ) -> tuple[FloatArray, FloatArray]:
-        """What the carriages do when they are commanded to `command` while the nozzle is meant to be at `nozzle`.
+        """What the carriages do under a command while the nozzle goes by.
 
         Parameters
         ----------
-        nozzle, velocity : (n·substeps + 1, 3) mm and mm/s at the table's steps
+        place : (n, 2) mm, where the nozzle is meant to be in the middle of each knot interval
+        centripetal : (n·substeps + 1, 3) mm/s², J̇ q̇ of the motion that is meant, at the table's steps
         command : (n·substeps + 1, 3) mm, carriage heights, linear between the steps
         state : (18,) at the first sample
         substeps : steps for which one model serves
@@ -72,20 +73,17 @@ class Schedule:
         -------
         carriages (n·substeps, 3) mm after every step; states (n + 1, 18) at the knots
         """
-        n = (len(nozzle) - 1) // substeps
-        middle = np.ascontiguousarray(nozzle[substeps // 2 :: substeps, :2][:n])
-        table = self.table
-        centripetal = self.delta.rate_term(nozzle, velocity)
-        grid = (table.x0_mm, table.pitch_mm, table.nodes)
-        return simulate(self._mechanics, self._drive, *grid, middle, substeps, state, command, centripetal)
+        grid = (self.table.x0_mm, self.table.pitch_mm, self.table.nodes)
+        return simulate(self._mechanics, self._drive, *grid, place, substeps, state, command, centripetal)
 
     def respond(
         self, nozzle: FloatArray, velocity: FloatArray, state: FloatArray, substeps: int
     ) -> tuple[FloatArray, FloatArray]:
         """Where the nozzle goes when it is told to go along `nozzle`, (n·substeps, 3) mm, and the state it ends in."""
         nozzle = np.ascontiguousarray(nozzle)
-        command = self.delta.inverse(nozzle)
-        q, states = self.play(nozzle, np.ascontiguousarray(velocity), command, state, substeps)
+        centripetal = self.delta.rate_term(nozzle, np.ascontiguousarray(velocity))
+        place = np.ascontiguousarray(nozzle[substeps // 2 :: substeps, :2][: (len(nozzle) - 1) // substeps])
+        q, states = self.play(place, centripetal, self.delta.inverse(nozzle), state, substeps)
         return self.delta.forward(q), states[-1]
 
 

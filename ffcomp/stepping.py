@@ -57,12 +57,13 @@ class Stepping:
         summary: Summary,
         state: FloatArray | None,
         prediction: Prediction | None,
+        layers_before: int = 0,
     ) -> None:
         """The commands whose response is the plan; see `pipeline.compensate`."""
         self._open(planned, summary)
-        trajectory, segment_s, rested = planned.trajectory, inverter.settings.segment_s, 0.0
+        segment_s, rested = inverter.settings.segment_s, 0.0
         keep = prediction.wants if prediction is not None else lambda wanted: False
-        answers = solutions(planned, machine, inverter, state, keep)
+        answers = solutions(planned, machine, inverter, state, keep, layers_before)
         for run in planned.runs:
             self.clock_s += run.begin_t - rested
             rested = run.end_t
@@ -72,9 +73,9 @@ class Stepping:
                 continue
             answer = next(answers)
             self._run(planned, machine, answer, segment_s)
-            account(summary, answer, planned.program, segment_s)
+            account(summary, answer, run, planned.program, segment_s)
             if prediction is not None and len(answer.result.response):
-                prediction.add(trajectory, run, answer.wanted, answer.result)
+                prediction.add(answer.trajectory, answer.run, answer.wanted, answer.result)
         self._tell_up_to(len(planned.program.moves))
 
     def _open(self, planned: Planned, summary: Summary) -> None:
@@ -107,7 +108,7 @@ class Stepping:
         begun = self.clock_s
         while self._events and self._events[-1].move < run.last:
             event = self._events.pop()
-            at = answer.wanted.knot_of(float(planned.trajectory.start_t[event.move]))
+            at = answer.wanted.knot_of(float(answer.trajectory.start_t[event.move]))
             self.sink.event(begun + segment_s * min(max(at, 0.0), answer.wanted.knots), self._lines[event.line])
         self.sink.pieces(knot_pieces(begun, segment_s, vertices, filament))
         self.clock_s = begun + segment_s * answer.wanted.knots

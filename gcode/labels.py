@@ -51,6 +51,12 @@ def labels(program: Program) -> Labels:
     return Labels(layer, feature, features)
 
 
+def layer_changes(program: Program) -> int:
+    """How many comments say that a layer begins."""
+    lines = (program.lines[event.line] for event in program.events)
+    return sum(1 for line in lines if line.startswith(b";") and _LAYER.match(line))
+
+
 def _counted(begins: IntArray, moves: int) -> IntArray:
     return np.maximum(np.searchsorted(begins, np.arange(moves), side="right") - 1, 0).astype(np.int64)
 

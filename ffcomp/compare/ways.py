@@ -85,7 +85,7 @@ def inversion(machine: Machine, settings: Settings, name: str) -> Way:
         f"The machine file's model {model}; {1 / settings.segment_s:.0f} segments/s at most, bandwidth "
         f"{settings.bandwidth_hz:.0f} Hz; the compensated G-code, read again and planned as the firmware plans it."
     )
-    inverter = Inverter(machine, replace(settings, one_model=one_model))
+    inverter = Inverter(machine, replace(settings, one_model=one_model, slow_down=False))  # all keep the plan's time
     return Way(name, label, "inversion", tuning, _inverting(inverter))
 
 

@@ -6,9 +6,9 @@ square with sharp corners at seven places of the bed, line by line of frequency:
 
     error  e = (I − G K) x*         command acceleration  D² J⁻¹ K x* S⁻²         K = (GᴴG + ρ |D²|² I)⁻¹ Gᴴ
 
-The knee is where error times the square of the peak is least: from there on a percent more of peak acceleration takes
-less than two percent of the error away. To the error belongs a floor, what other things leave anyway: without it every
-step would pay.
+The knee is where error times peak^1.5 is least: from there on a percent more of peak acceleration takes less than one
+and a half percent of the error away. To the error belongs a floor, what other things leave anyway: without it every step
+would pay.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class EffortCurve:
     @property
     def knee(self) -> int:
         """The index of the knee."""
-        return int(np.argmin(self.error_um * self.peak_mm_per_s2**2))
+        return int(np.argmin(self.error_um * self.peak_mm_per_s2**1.5))
 
     @property
     def knee_hz(self) -> float:

@@ -1,6 +1,6 @@
 """The fast inverse of a run: the gains of `preview.py`, corrected by what the scheduled plant really does.
 
-A run is taken in stretches. The coefficients begin as what a steady motion needs, γ = τ q̇*; the segments are played
+A run is taken in stretches. The coefficients begin as what a slow motion needs, γ = τ q̇* + C q̈*; segments are played
 through the plant scheduled along the path, with the firmware's ramps; the error that comes out is swept backwards and
 forwards once; and again. The gains are those of the nearest node of the grid, the plant is the one at the very place:
 what the first sweep misses for that, the second one finds.
@@ -17,7 +17,7 @@ from ffcomp.invert.preview import AUGMENTED, BACKWARD, FORWARD, REST_ROWS, TO_TH
 
 FloatArray = NDArray[np.float64]
 
-STRETCH = 512  # knots solved at a time
+STRETCH = 256  # knots solved at a time
 NO_END = Gains(np.empty((0, *BACKWARD)), np.empty((0, *FORWARD)))
 MOST_PASSES = 5
 CLOSE_MM = 5e-3  # a change of the command so small leaves a tenth of it to the next
@@ -55,22 +55,26 @@ class _Part:
             self._begin()
 
     def _begin(self) -> None:
-        """γ = τ q̇* where nothing is known yet."""
+        """γ = τ q̇* + C q̈* where nothing is known yet: what a slow motion needs."""
         run, stretch = self.run, self.stretch
         last = min(stretch.end, run.last - 1)
         n = last - self.at
         if n > 0:
-            s = run.inverter.settings.substeps
-            knots = slice(s, (n + 1) * s, s)
+            s = run.inverter.settings
+            knots = slice(s.substeps, (n + 1) * s.substeps, s.substeps)
             ahead = stretch.nozzle[knots] + stretch.velocity[knots] * run.inverter.delay_s
-            run.gamma[self.at + 1 : last + 1] = run.inverter.delta.inverse(ahead) - stretch.wanted[1 : n + 1]
+            around = run.reference.at_knots(np.arange(self.at - 1, last + 3))  # NOTE: over two knots, for less noise
+            q = run.inverter.delta.inverse(around)
+            bend = (q[4:] - 2 * q[2:-2] + q[:-4]) / (2 * s.segment_s) ** 2
+            bent = np.einsum("nij,nj->ni", run.inverter.compliance_at(stretch.nozzle[knots, :2]), bend)
+            run.gamma[self.at + 1 : last + 1] = run.inverter.delta.inverse(ahead) - stretch.wanted[1 : n + 1] + bent
 
     def solve(self, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray]:
         run, s, kept = self.run, self.run.inverter.settings, self.stop - self.at
-        for done in range(MOST_PASSES):
+        for _ in range(MOST_PASSES):
             response, states = self.stretch.respond(state)
             answer, change = self.improve(self.stretch.error(response))
-            if done >= s.corrections and change < CLOSE_MM:
+            if change < CLOSE_MM:
                 break
         run.vertices[self.at : self.stop + 1] = self.stretch.vertices()[: kept + 1]
         if keep_response:
@@ -83,7 +87,7 @@ class _Part:
 
         Returns
         -------
-        what the plant makes of the change, (n, 18); the largest change, mm
+        what the plant makes of the change, (n, 18); the largest change of what is kept, mm
         """
         run, stretch, steady = self.run, self.stretch, self.steady
         n = stretch.end - stretch.at
@@ -95,7 +99,7 @@ class _Part:
         )
         change, states = sweep_forward(steady.forward, self.ending.forward, self.node, psi, np.zeros(AUGMENTED))
         gamma[1:] += change
-        return states, float(np.abs(change).max())
+        return states, float(np.abs(change[: self.stop - self.at]).max())
 
 
 def _to_rest(gains: Preview, node: NDArray[np.int64], steady: int) -> Gains:

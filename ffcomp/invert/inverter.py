@@ -17,12 +17,12 @@ from ffcomp.invert.preview import Preview
 from ffcomp.invert.robust import HALF, Softening
 from ffcomp.invert.settings import Settings
 from ffcomp.runs import Reference
-from ffcomp.schedule import Schedule, rest_state
+from ffcomp.schedule import Schedule, interpolate, models_along, rest_state
 from models.effects.catalogue import design_machine, without_effects
 from models.kinematics.delta import jacobian
 from models.kinematics.kernels import FastDelta
-from models.machine import Machine
-from models.plant import DiscretePlant, PlantTable, continuous_plant, discretise, plant_table
+from models.machine import Drive, Machine
+from models.plant import DiscretePlant, PlantTable, plant_table
 
 FloatArray = NDArray[np.float64]
 
@@ -66,10 +66,32 @@ class Inverter:
 
     def _plant_at(self, xy: FloatArray) -> tuple[DiscretePlant, FloatArray]:
         """The plant for half a segment at places (g, 2) mm, and the nozzle's Jacobian there."""
-        s = self.settings
-        place = np.zeros_like(xy) if s.one_model else xy
-        plant = discretise(continuous_plant(self.machine, place), s.segment_s / s.rows_per_segment)
-        return plant, jacobian(self.machine.kinematics, xy)
+        step_s = self.settings.segment_s / self.settings.rows_per_segment
+        return DiscretePlant(step_s, *models_along(self.coarse, xy)), jacobian(self.machine.kinematics, xy)
+
+    def compliance_at(self, xy: FloatArray) -> FloatArray:
+        """C of G⁻¹(s) ≈ I + τ s + C s² for the carriages at places (n, 2) mm: (n, 3, 3) s²."""
+        table = self.coarse
+        return interpolate(self._compliance, table.x0_mm, table.pitch_mm, table.nodes, np.ascontiguousarray(xy))
+
+    @cached_property
+    def _compliance(self) -> FloatArray:
+        """It at the table's nodes: Eq. 29 and Eq. 34 turned over and expanded at s = 0."""
+        carriage, effector, j = self.machine.carriage, self.machine.effector, self.coarse.jacobian
+        if self.settings.one_model:
+            j = np.broadcast_to(j[len(j) // 2], j.shape)
+        k, c, b = (
+            np.broadcast_to(number, 3)
+            for number in (
+                carriage.belt_stiffness_n_per_m,
+                carriage.belt_damping_n_s_per_m,
+                carriage.guide_damping_n_s_per_m,
+            )
+        )
+        load = (self.machine.nozzle_side_mass_kg + effector.extruder_mass_kg) * np.swapaxes(j, 1, 2) @ j
+        moving = (carriage.moving_mass_kg * np.eye(3) + load) / k[:, None]
+        first, second = drive_lag(carriage.drive)
+        return np.asarray(moving + np.diag(second + b / k * first - b * c / k**2))
 
     @cached_property
     def softening(self) -> Softening:
@@ -119,9 +141,16 @@ def _table(machine: Machine, settings: Settings, steps: int) -> PlantTable:
     return table.frozen() if settings.one_model else table
 
 
+def drive_lag(drive: Drive | None) -> tuple[float, float]:
+    """p and q of the drive filter's inverse, 1 + p s + q s² + …; s and s²."""
+    if drive is None:
+        return 0.0, 0.0
+    d0, d1, d2 = drive.d0_per_s2, drive.d1_per_s, drive.d2_per_s
+    return (d2 - d1) / d0, 1.0 / d0 - (d2 - d1) * d1 / d0**2
+
+
 def steady_delay(machine: Machine) -> float:
     """τ of G(s) ≈ I − τ s: how far the machine lags behind a steady motion, s, on average of its towers."""
     carriage = machine.carriage
-    drive = carriage.drive
     lag = carriage.guide_damping_n_s_per_m / carriage.belt_stiffness_n_per_m
-    return float(np.mean(lag)) + ((drive.d2_per_s - drive.d1_per_s) / drive.d0_per_s2 if drive else 0.0)
+    return float(np.mean(lag)) + drive_lag(carriage.drive)[0]

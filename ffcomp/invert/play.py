@@ -43,6 +43,7 @@ class Stretch:
         self.nozzle, self.velocity = run.reference.substeps(at, end)
         self.wanted = run.inverter.delta.inverse(self.nozzle[:: s.substeps])
         self.place = np.ascontiguousarray(self.nozzle[s.substeps // 2 :: s.substeps, :2])
+        self._centripetal = run.inverter.delta.rate_term(self.nozzle, np.ascontiguousarray(self.velocity))
 
     def vertices(self) -> FloatArray:
         """Nozzle commands at the knots, (n + 1, 3) mm."""
@@ -52,7 +53,7 @@ class Stretch:
         """Nozzle (m, 3) mm after every substep and states at the knots, from a state (18,) at the first knot."""
         inverter = self.run.inverter
         command = inverter.delta.inverse(self.as_played())
-        q, states = inverter.fine.play(self.nozzle, self.velocity, command, state, inverter.settings.substeps)
+        q, states = inverter.fine.play(self.place, self._centripetal, command, state, inverter.settings.substeps)
         return inverter.delta.forward(q), states
 
     def error(self, response: FloatArray) -> FloatArray:

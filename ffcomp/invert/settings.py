@@ -19,10 +19,13 @@ class Settings:
     bandwidth_hz: float = 100.0  # where accuracy is given up for a gentler command
     lead_s: float = 0.008  # how long before the path's start the command may begin
     tail_s: float = 0.004  # how long after the path's end the command comes to rest
-    corrections: int = 1  # passes through the plant with the segments as they are played
+    corrections: int = 1  # of the exact inverse, by the segments as they are played
     inverse: Literal["fast", "exact"] = "fast"
     robust: bool = False  # less is asked for where the machine file's uncertainties leave the machine unknown
     memory: int = 60  # segments after which the plant has forgotten (1 % is left after 240 ms)
+    slow_down: bool = True  # where limits do not let the nozzle follow, the plan becomes slower
+    tolerance_um: float = 25.0  # by which a held limit may take the nozzle off its path before that
+    strict: bool = False  # an error instead
     s_curve: bool = False  # the plan's ramps with limited jerk
     solver: Backend = "osqp"  # of the quadratic programmes where a limit binds
     one_model: bool = False  # the bed's middle everywhere, as methods do that know no place

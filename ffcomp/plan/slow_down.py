@@ -20,7 +20,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.errors import LimitsError
+from ffcomp.errors import LimitsError, SolverError
 from ffcomp.invert.inverter import Inverter, RunResult
 from ffcomp.invert.limits import A_LITTLE, ACCELERATION, NAMES, TRAVEL, VELOCITY, shares_from_rest
 from ffcomp.plan.limits import FirmwareLimits, bounds_of, lines_of
@@ -202,13 +202,15 @@ class _Part:
         wanted = Reference(self.plan, self.run, inverter.settings)
         free = inverter.run(wanted, state, keep_response, hold=False)
         shares = shares_from_rest(free.vertices, inverter.limits)[1:-1]
-        troubles = [
-            *_of_the_path(self._asked_by_the_path(wanted), shares),
-            *_of_playing(_late(inverter, wanted, free.vertices)),
-        ]
+        troubles = [*_of_the_path(self._asked_by_the_path(wanted), shares)]
+        if not troubles and free.excess <= 1.0:
+            troubles = [*_of_playing(_late(inverter, wanted, free.vertices))]
         if troubles or free.excess <= 1.0:
             return wanted, free, troubles
-        result = inverter.run(wanted, state, keep_response)
+        try:
+            result = inverter.run(wanted, state, keep_response)
+        except SolverError:  # no command keeps the limits
+            return wanted, free, [*_of_the_command(shares)]
         troubles = [*_of_the_answer(result, shares, tolerance_mm, inverter)]
         troubles += _of_playing(_late(inverter, wanted, result.vertices))
         return wanted, result, troubles
@@ -216,7 +218,7 @@ class _Part:
     def _asked_by_the_path(self, wanted: Reference) -> FloatArray:
         """Shares (n, 3, 3), the largest for any place of the knots: a slower beginning shifts all that follow."""
         s, limits = self.inverter.settings, self.inverter.limits
-        knots = wanted.t0 + np.arange(wanted.knots + 1) * s.segment_s
+        knots = wanted.t0 + np.arange(wanted.knots + 1, dtype=np.float64) * s.segment_s
         paths = (wanted.nozzle(knots + s.segment_s * part / PHASES) for part in range(PHASES))
         return np.asarray(np.max([shares_from_rest(path, limits)[1:-1] for path in paths], axis=0))
 
@@ -236,7 +238,7 @@ class _Part:
         return f"line {first_line + int(self.moves.line[touched[0]]) + 1}"
 
     def _touched(self, wanted: Reference, trouble: Trouble) -> IntArray:
-        """The moves under way from a segment before the trouble to a segment after it; at least the one nearest to it."""
+        """The moves under way from a segment before the trouble to a segment after it; at least one."""
         segment_s = self.inverter.settings.segment_s
         begin = wanted.t0 + (trouble.first - 1) * segment_s
         end = wanted.t0 + (trouble.last + 2) * segment_s
@@ -323,7 +325,7 @@ def _factor(asked: float) -> float:
 
 def _of_the_path(path: FloatArray, command: FloatArray) -> Iterator[Trouble]:
     """Where the path asks for more than a limit, and its command as well. Both shares (n, 3, 3)."""
-    over = _widened((command > NEARLY).any(axis=(1, 2)), NEAR)
+    over = _widened(np.any(command > NEARLY, axis=(1, 2)), NEAR)
     for limit in (VELOCITY, ACCELERATION, TRAVEL):
         beyond = 1.0 if limit == TRAVEL else A_LITTLE
         for first, last in _stretches(over & (path[:, limit] > beyond).any(axis=1)):
@@ -334,18 +336,26 @@ def _of_the_path(path: FloatArray, command: FloatArray) -> Iterator[Trouble]:
 
 
 def _of_the_answer(result: RunResult, free: FloatArray, tolerance_mm: float, inverter: Inverter) -> Iterator[Trouble]:
-    """Where limits are held at the cost of the path, or not held. free : shares (n, 3, 3) of the answer without them."""
+    """Where limits are held at the cost of the path, or not held.
+
+    free : shares (n, 3, 3) of the answer without limits
+    """
     left = shares_from_rest(result.vertices, inverter.limits)[1:-1]
     for held in result.held:
         inside = slice(held.first, held.last + 1)
         if held.error_mm <= tolerance_mm and not (left[inside] > 1.0 + ENOUGH).any():
             continue
-        asked = np.maximum(free[inside], left[inside])
-        for first, last in _stretches(_widened((asked > 1.0).any(axis=(1, 2)), 2)):
-            worst = asked[first : last + 1]
-            _, limit, carriage = np.unravel_index(worst.argmax(), worst.shape)
-            times = float(worst.max())
-            yield Trouble(held.first + first, held.first + last, int(limit), int(carriage), times, _factor(times))
+        yield from _of_the_command(np.maximum(free[inside], left[inside]), held.first)
+
+
+def _of_the_command(asked: FloatArray, first_segment: int = 0) -> Iterator[Trouble]:
+    """Where a command asks for more than a limit: shares (n, 3, 3) of the segments from one on."""
+    for first, last in _stretches(_widened(np.any(asked > 1.0, axis=(1, 2)), 2)):
+        worst = asked[first : last + 1]
+        _, limit, carriage = np.unravel_index(worst.argmax(), worst.shape)
+        times = float(worst.max())
+        place = first_segment + first, first_segment + last
+        yield Trouble(*place, int(limit), int(carriage), times, _factor(times))
 
 
 def _of_playing(late: BoolArray) -> Iterator[Trouble]:

@@ -171,6 +171,17 @@ def test_numbers_cannot_be_changed_by_accident(write) -> None:
             "effector.extruder_damping_n_s_per_m = 20 must be a list of three numbers (N s/m).",
         ),
         ("0, 120, 240", "0, 120", "kinematics.tower_angles_deg = [0, 120] must be a list of three numbers"),
+        (
+            "[limits]",
+            "[limits]\ncarriage_travel_mm = [0]",
+            "limits.carriage_travel_mm = [0] must be a list of two numbers (mm).",
+        ),
+        (
+            "[limits]",
+            "[limits]\ncarriage_travel_mm = [400, 0]",
+            "limits.carriage_travel_mm = [400.0, 0.0] must be the lower place first, then the higher one (mm).",
+        ),
+        ("[limits]", "[limits]\nstep_rate_hz = 5", "limits.step_rate_hz = 5 must be at least 100 (Hz)."),
         ("7e3,", "'7e3',", "effector.extruder_stiffness_n_per_m[1] = '7e3' must be a number (N/m)."),
         ("effector_height_mm = 50\n", "", "kinematics.effector_height_mm is missing."),
         ("arm_length_mm = 300\n", "", "kinematics.arm_length_mm is missing; give it, or arm_lengths_mm"),

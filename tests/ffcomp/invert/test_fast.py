@@ -19,6 +19,7 @@ from ffcomp.schedule import rest_state
 from gcode.reader import read_program
 from models.machine import Machine
 from models.machine_file import load_machine
+from models.receptance import carriage_frf
 
 FloatArray = NDArray[np.float64]
 
@@ -122,6 +123,16 @@ def test_stretches_leave_no_trace(machine: Machine, monkeypatch: pytest.MonkeyPa
         answers.append(solved(Inverter(machine, settings), reference).vertices)
     assert reference.knots > 150
     np.testing.assert_allclose(answers[0], answers[1], atol=5e-4)
+
+
+def test_the_beginning_is_what_a_slow_motion_needs(machine: Machine) -> None:
+    """C and τ are the real and imaginary parts of the FRF's inverse, at a frequency where little more is in it."""
+    inverter = Inverter(machine, Settings())
+    place, s = np.array([40.0, -30.0]), 2 * np.pi * 0.5
+    inverse = np.linalg.inv(carriage_frf(machine, place, np.array([0.5]))[0])
+    found = inverter.compliance_at(place[None])[0]
+    np.testing.assert_allclose(found, (np.eye(3) - inverse.real) / s**2, atol=2e-3 * np.abs(found).max())
+    np.testing.assert_allclose(np.diag(inverse.imag) / s, inverter.delay_s, rtol=1e-3)
 
 
 def test_one_model_is_the_middle_of_the_bed_everywhere(machine: Machine) -> None:

@@ -1,0 +1,220 @@
+"""Where a machine cannot follow, the plan is slower there, and only there; and it is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ffcomp.errors import LimitsError
+from ffcomp.invert.inverter import Inverter
+from ffcomp.invert.settings import Settings
+from ffcomp.pipeline import Planned, firmware_limits, plan_program, settings_for
+from ffcomp.plan.s_curve import s_curve
+from ffcomp.plan.slow_down import Feasible, feasible_run
+from ffcomp.played import played
+from ffcomp.runs import Reference, Run
+from ffcomp.schedule import rest_state
+from gcode.reader import read_program
+from models.kinematics.kernels import FastDelta
+from models.machine import Machine
+from models.machine_file import load_machine
+
+FloatArray = NDArray[np.float64]
+
+START = (-60.0, 20.0, 0.3)
+# a gentle line, a square that is driven fast, a gentle line; each line of its own number
+CORNERS = b"""G1 X-40 Y20 F3000
+G1 X-40 Y50 F12000
+G1 X-60 Y50
+G1 X-60 Y20
+G1 X-30 Y20
+G1 X0 Y20 F3000
+"""
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine("mp-delta-pro")
+
+
+@pytest.fixture(scope="module")
+def planned(machine: Machine) -> Planned:
+    return plan_program(read_program(CORNERS, start=START), machine)
+
+
+def limited(machine: Machine, **limits: Any) -> Machine:
+    return replace(machine, limits=replace(machine.limits, **limits))
+
+
+def inverter_of(machine: Machine) -> Inverter:
+    return Inverter(machine, settings_for(machine))
+
+
+def solved(inverter: Inverter, planned: Planned, run: Run, machine: Machine, **options: Any) -> Feasible:
+    moves, start = planned.program.moves, planned.trajectory.origin[run.first, :3]
+    state = rest_state(machine, start)
+    return feasible_run(
+        inverter, moves, firmware_limits(machine), planned.trajectory, run, state, keep_response=True, **options
+    )
+
+
+def dense_peaks(vertices: FloatArray, machine: Machine, settings: Settings) -> tuple[float, float]:
+    """Highest velocity and acceleration of a carriage, from a hundred samples a segment of the nozzle's polygon."""
+    many = 100
+    share = np.arange(many)[None, :, None] / many
+    resting = np.concatenate([vertices[:1], vertices, vertices[-1:]])
+    nozzle = (resting[:-1, None] + share * np.diff(resting, axis=0)[:, None]).reshape(-1, 3)
+    heights = FastDelta(machine.kinematics).inverse(nozzle)
+    velocity = np.diff(heights, axis=0) / (settings.segment_s / many)
+    change = (velocity[many:] - velocity[:-many]) / settings.segment_s
+    return float(np.abs(velocity).max()), float(np.abs(change).max())
+
+
+def error_um(found: Feasible) -> float:
+    nozzle, _ = found.wanted.substeps(0, found.wanted.knots)
+    return 1e3 * float(np.sqrt(((found.result.response - nozzle[1:]) ** 2).sum(axis=1)).max())
+
+
+def test_where_nothing_binds_nothing_changes(machine: Machine, planned: Planned) -> None:
+    inverter, run = inverter_of(machine), planned.runs[0]
+    found = solved(inverter, planned, run, machine)
+    state = rest_state(machine, np.array(START))
+    plain = inverter.run(Reference(planned.trajectory, run, inverter.settings), state, keep_response=True)
+    assert found.trajectory is planned.trajectory and found.run is run
+    assert found.records == () and found.lost_s == 0.0 and found.result.limited == 0
+    for name in ("vertices", "state", "response"):
+        assert getattr(found.result, name).tobytes() == getattr(plain, name).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("limits", "names"),
+    [
+        ({"carriage_velocity_mm_per_s": 120.0}, {"velocity"}),
+        ({"step_rate_hz": 9600.0}, {"velocity"}),  # 120 mm/s at 80 steps/mm
+        ({"carriage_acceleration_mm_per_s2": 6000.0}, {"acceleration"}),
+        (
+            {"carriage_velocity_mm_per_s": 140.0, "carriage_acceleration_mm_per_s2": 5000.0},
+            {"velocity", "acceleration"},
+        ),
+    ],
+)
+def test_limits_below_the_plan_are_held_at_every_instant(
+    machine: Machine, planned: Planned, limits: dict[str, float], names: set[str]
+) -> None:
+    tight = limited(machine, **limits)
+    inverter, run = inverter_of(tight), planned.runs[0]
+    found = solved(inverter, planned, run, tight)
+    velocity, acceleration = dense_peaks(found.result.vertices, machine, inverter.settings)
+    assert velocity <= inverter.limits.velocity_mm_per_s * (1 + 1e-6)
+    assert acceleration <= inverter.limits.acceleration_mm_per_s2 * (1 + 1e-4)
+    assert found.result.excess <= 1.001
+    assert error_um(found) < 25.0
+    assert found.records and {record.limit for record in found.records} <= names
+    assert 0 < found.lost_s < 0.6 * (run.end_t - run.begin_t)
+    assert found.run.end_t - run.end_t == pytest.approx(found.lost_s)
+    touched = {line for record in found.records for line in range(record.first_line, record.last_line + 1)}
+    assert touched and touched <= {1, 2, 3, 4, 5, 6}
+    for record in found.records:
+        assert record.asked > 1.0 and record.factor < 1.0
+        assert f"times its {record.limit} limit" in record.sentence()
+
+
+def test_only_the_moves_concerned_become_slower(machine: Machine, planned: Planned) -> None:
+    """The gentle lines at both ends keep their speed; every other run of the plan keeps its shape."""
+    tight = limited(machine, carriage_velocity_mm_per_s=100.0)
+    found = solved(inverter_of(tight), planned, planned.runs[0], tight)
+    (record,) = found.records
+    assert (record.first_line, record.last_line) == (2, 5)
+    assert record.sentence().startswith(f"line 2-5: slowed to {100 * record.factor:.0f} %")
+    before, after = planned.trajectory, found.trajectory
+    speeds = [np.abs(plan.velocity(plan.start_t + 0.5 * plan.duration)[:, :3]).max(axis=1) for plan in (before, after)]
+    np.testing.assert_allclose(speeds[1][[0, 5]], speeds[0][[0, 5]], rtol=1e-6)
+    assert np.any(speeds[1][1:5] < 0.8 * speeds[0][1:5])
+    assert after.end_t == pytest.approx(before.end_t + found.lost_s)
+
+
+def test_the_rest_of_the_plan_is_later_and_otherwise_the_same(machine: Machine) -> None:
+    planned = plan_program(read_program(CORNERS + b"G1 E1 F600\nG1 X10 Y30 F3000\n", start=START), machine)
+    tight = limited(machine, carriage_velocity_mm_per_s=100.0)
+    found = solved(inverter_of(tight), planned, planned.runs[0], tight, layer_of=lambda move: 7, first_line=100)
+    last = planned.runs[-1]
+    t = np.linspace(last.begin_t, last.end_t - 1e-6, 50)
+    np.testing.assert_allclose(found.trajectory.position(t + found.lost_s), planned.trajectory.position(t), atol=1e-9)
+    assert found.records[0].sentence().startswith("line 102-105 (layer 7): slowed to ")
+
+
+def test_strict_refuses_with_the_same_sentence(machine: Machine, planned: Planned) -> None:
+    tight = limited(machine, carriage_velocity_mm_per_s=100.0)
+    inverter = inverter_of(tight)
+    found = solved(inverter, planned, planned.runs[0], tight)
+    with pytest.raises(LimitsError) as caught:
+        solved(inverter, planned, planned.runs[0], tight, strict=True)
+    assert str(caught.value) == found.records[0].sentence("would have to be slowed")
+    assert caught.value.exit_code == 6
+
+
+def test_a_tolerance_decides_between_an_error_and_a_delay(machine: Machine, planned: Planned) -> None:
+    """The acceleration that the command needs beyond the plan's is taken from it: an error, or slower moves."""
+    inverter = inverter_of(machine)
+    run = planned.runs[0]
+    settings = replace(inverter.settings, bandwidth_hz=112.0, lead_s=0.004)
+    free = solved(Inverter(machine, settings), planned, run, machine).result.excess
+    tight = limited(machine, carriage_acceleration_mm_per_s2=0.6 * free * 30000.0)
+    wide = solved(Inverter(tight, settings), planned, run, tight, tolerance_um=100.0)
+    assert wide.result.limited > 0 and wide.records == () and wide.result.excess <= 1.0
+    worst = 1e3 * max(held.error_mm for held in wide.result.held)
+    assert 1.0 < worst < 100.0
+    narrow = solved(Inverter(tight, settings), planned, run, tight, tolerance_um=0.7 * worst)
+    assert narrow.records and narrow.lost_s > 0.0
+    assert narrow.result.excess <= 1.001
+    assert all(1e3 * held.error_mm <= 0.7 * worst for held in narrow.result.held)
+
+
+def test_a_path_beyond_the_travel_is_refused(machine: Machine, planned: Planned) -> None:
+    heights = FastDelta(machine.kinematics).inverse(planned.program.moves.end[:, :3])
+    top = float(heights[:5].max()) - 1.0
+    tight = limited(machine, carriage_travel_mm=(0.0, top))
+    with pytest.raises(LimitsError, match=r"line \d: the path needs carriage [ABC] at .* it travels from 0 to"):
+        solved(inverter_of(tight), planned, planned.runs[0], tight)
+
+
+def test_segments_can_be_played_in_their_time(machine: Machine) -> None:
+    """A lift whose plan asks for more than the firmware has for Z: no G-code file can raise that."""
+    planned = plan_program(read_program(b"G1 X-40 Y20 F3000\nG1 Z20 F12000\nG1 X-60 F3000\n", start=START), machine)
+    settings = settings_for(machine)
+    output = replace(settings.output, z_acceleration_mm_per_s2=5000.0)
+    inverter, (run,) = Inverter(machine, replace(settings, output=output)), planned.runs
+
+    def behind_um(vertices: FloatArray, wanted: Reference) -> float:
+        each = np.full(len(vertices) - 1, settings.segment_s)
+        speeds = played(vertices, np.diff(wanted.extrusion()), each, output)
+        return 1e3 * float(((speeds.duration - each) * speeds.cruise).max())
+
+    wanted = Reference(planned.trajectory, run, inverter.settings)
+    plain = inverter.run(wanted, rest_state(machine, np.array(START)))
+    assert behind_um(plain.vertices, wanted) > 10.0
+    found = solved(inverter, planned, run, machine)
+    assert behind_um(found.result.vertices, found.wanted) <= 1.0
+    (record,) = found.records
+    assert (record.first_line, record.last_line, record.carriage) == (2, 2, "")
+    assert "firmware's own acceleration" in record.sentence()
+    assert 0 < found.lost_s < 0.1
+    assert found.result.excess <= 1.0
+
+
+def test_a_plan_with_s_curves_is_planned_again_with_them(machine: Machine) -> None:
+    smooth = plan_program(read_program(CORNERS, start=START), machine, smooth=True)
+    tight = limited(machine, carriage_velocity_mm_per_s=100.0)
+
+    def replan(moves: Any, start_t: float) -> Any:
+        program = replace(smooth.program, moves=moves)
+        plan = plan_program(program, machine).trajectory
+        return s_curve(replace(plan, start_t=plan.start_t + start_t), FastDelta(machine.kinematics).inverse)
+
+    found = solved(inverter_of(tight), smooth, smooth.runs[0], tight, replan=replan)
+    assert type(found.trajectory) is type(smooth.trajectory)
+    assert found.records and found.result.excess <= 1.001
