@@ -60,7 +60,7 @@ Only = Annotated[
     typer.Option(
         metavar="NAMES",
         help="Only these methods beside none and ours: e.g. mzv,ei-calibrated; quicker. There are zv, mzv, zvd, ei, "
-        "2hump_ei, 3hump_ei, each also with -calibrated and -scheduled, and fbs-lti.",
+        "2hump_ei, 3hump_ei, each also with -calibrated and -scheduled, fbs-lti, fbs-robust.",
     ),
 ]
 Offset = Annotated[

@@ -151,7 +151,7 @@ def _ways(
         kind = name.removesuffix(every.CALIBRATED).removesuffix(every.SCHEDULED)
         if name == "none":
             return every.none()
-        if name in (every.ONE_MODEL, OURS):
+        if name in (every.ONE_MODEL, every.ROBUST, OURS):
             return every.inversion(machine, settings, name)
         if name.endswith(every.CALIBRATED):
             return every.calibrated(plant, kind)

@@ -79,7 +79,7 @@ class EqualQuality:
 class Method:
     """One way of driving the printer, judged."""
 
-    name: str  # the key in JSON: none, zv, …, zv-calibrated, …, zv-scheduled, …, fbs-lti, fbs-lpv
+    name: str  # the key in JSON: none, zv, …, zv-calibrated, …, zv-scheduled, …, fbs-lti, fbs-robust, fbs-lpv
     label: str  # for people
     family: Family
     tuning: str  # a sentence: what was chosen, and how

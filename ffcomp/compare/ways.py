@@ -23,13 +23,14 @@ from models.machine import Machine
 
 KINDS = ("zv", "mzv", "zvd", "ei", "2hump_ei", "3hump_ei")
 CALIBRATED, SCHEDULED = "-calibrated", "-scheduled"  # behind a kind
-ONE_MODEL, OURS = "fbs-lti", "fbs-lpv"
+ONE_MODEL, ROBUST, OURS = "fbs-lti", "fbs-robust", "fbs-lpv"
 NAMES = (
     "none",
     *(kind + CALIBRATED for kind in KINDS),
     *KINDS,
     *(kind + SCHEDULED for kind in KINDS),
     ONE_MODEL,
+    ROBUST,
     OURS,
 )  # in the order of the table
 
@@ -77,15 +78,20 @@ def scheduled(linear: LinearPrinter, of_place: FrequencyOfPlace, kind: str) -> W
 
 
 def inversion(machine: Machine, settings: Settings, name: str) -> Way:
-    """Filtered B-splines with the model of the bed's middle, or with the model of each place: ours."""
-    one_model = name == ONE_MODEL
-    label = "inversion, one model" if one_model else "ffcomp, scheduled inversion"
+    """Inversion with the model of the bed's middle, with the model of each place, ours, or with its uncertainty."""
+    one_model, robust = name == ONE_MODEL, name == ROBUST
+    label = {ONE_MODEL: "inversion, one model", ROBUST: "ffcomp, robust inversion"}.get(
+        name, "ffcomp, scheduled inversion"
+    )
     model = "at 0, 0 for the whole bed" if one_model else "at each place"
+    if robust:
+        model += ", with the least expected error over the file's uncertainties"
     tuning = (
         f"The machine file's model {model}; {1 / settings.segment_s:.0f} segments/s at most, bandwidth "
         f"{settings.bandwidth_hz:.0f} Hz; the compensated G-code, read again and planned as the firmware plans it."
     )
-    inverter = Inverter(machine, replace(settings, one_model=one_model, slow_down=False))  # all keep the plan's time
+    # every way keeps the plan's time
+    inverter = Inverter(machine, replace(settings, one_model=one_model, robust=robust, slow_down=False))
     return Way(name, label, "inversion", tuning, _inverting(inverter))
 
 

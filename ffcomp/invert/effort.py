@@ -7,8 +7,8 @@ square with sharp corners at seven places of the bed, line by line of frequency:
     error  e = (I − G K) x*         command acceleration  D² J⁻¹ K x* S⁻²         K = (GᴴG + ρ |D²|² I)⁻¹ Gᴴ
 
 The knee is where error times peak^1.5 is least: from there on a percent more of peak acceleration takes less than one
-and a half percent of the error away. To the error belongs a floor, what other things leave anyway: without it every step
-would pay.
+and a half percent of the error away. To the error belongs a floor, what other things leave anyway: without it a step
+would always pay.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from models.machine_file import load_machine
 from tests.ffcomp.compare.prints import squares
 
 MACHINE = load_machine("mp-delta-pro")
-ONLY = ("mzv", "zv-calibrated", "ei-scheduled", "fbs-lti")
+ONLY = ("mzv", "zv-calibrated", "ei-scheduled", "fbs-lti", "fbs-robust")
 
 
 @cache
