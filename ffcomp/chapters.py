@@ -16,7 +16,7 @@ from ffcomp.plan.limits import lines_of
 from ffcomp.plan.lookahead import stops_and_waits
 from ffcomp.writer import limits_said
 from gcode.cutting import join, split
-from gcode.labels import layer_changes
+from gcode.labels import layer_starts
 from gcode.program import EventKind, Program
 
 IntArray = NDArray[np.int64]
@@ -47,7 +47,7 @@ def chapters(parts: Iterable[Program]) -> Iterator[Chapter]:
         if rests.size:
             chapter, pending = split(pending, int(rests[-1]))
             yield Chapter(chapter, before, said, layers, last=False)
-            layers += layer_changes(chapter)
+            layers += len(layer_starts(chapter))
             said = limits_said(chapter, said)
             before = _remembered(chapter)
     if pending is not None:

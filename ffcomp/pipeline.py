@@ -9,9 +9,10 @@ lines       ffcomp.writer         commands and events → text, limits opened an
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ from ffcomp.runs import Reference, Run, split_runs
 from ffcomp.schedule import rest_state
 from ffcomp.writer import Writer
 from gcode.errors import GcodeError
-from gcode.labels import labels
+from gcode.labels import labels, layer_starts
 from gcode.limits import MotionLimits
 from gcode.program import Event, EventKind, Moves, Program
 from models.effects.catalogue import design_machine
@@ -71,6 +72,7 @@ class Planned:
     program: Program
     trajectory: PlannedMotion
     runs: list[Run]
+    firmware_s: float  # what the firmware's own plan takes
 
 
 def firmware_limits(machine: Machine) -> FirmwareLimits:
@@ -127,7 +129,7 @@ def plan_program(
         raise error.located(program.path, program.first_line) from None
     if smooth:
         trajectory = _smoothed(plan, moves, machine, limits, stop_before | (wait_before > 0.0))
-    return Planned(program, trajectory, split_runs(trajectory, stop_before))
+    return Planned(program, trajectory, split_runs(trajectory, stop_before), plan.end_t)
 
 
 def _offset_that_fits(xy: FloatArray, radius: float) -> str:
@@ -200,7 +202,7 @@ def _by_the_model(
     program, trajectory, settings = planned.program, planned.trajectory, inverter.settings
     moved, limits = _moved_before(planned), firmware_limits(machine)
     replan = partial(_smooth_run, machine, limits) if settings.s_curve else None
-    layer = cache(lambda: labels(program).layer)
+    layers = Layers(program, layers_before)
     rested = later = 0.0
     for run in planned.runs:
         if not run.travels:
@@ -229,12 +231,34 @@ def _by_the_model(
                 strict=settings.strict,
                 keep_response=keep(wanted),
                 first_line=program.first_line,
-                layer_of=lambda move: layers_before + int(layer()[move]),
+                layer_of=layers.of,
                 replan=replan,
             )
             trajectory, result, later = found.trajectory, found.result, later + found.lost_s
             yield Solved(trajectory, found.run, found.wanted, result, found.records), rest
         state = result.state
+
+
+class Layers:
+    """The layers of a program's moves, worked out when somebody asks."""
+
+    def __init__(self, program: Program, before: int) -> None:
+        """before : layers of the file that have begun before this program"""
+        self.program, self.before = program, before
+
+    @cached_property
+    def _starts(self) -> list[int]:
+        return layer_starts(self.program)
+
+    @cached_property
+    def _by_height(self) -> NDArray[np.int64]:
+        return labels(self.program).layer
+
+    def of(self, move: int) -> int:
+        """Counted from 0."""
+        if not self._starts and not self.before:
+            return int(self._by_height[move])
+        return max(self.before + bisect_right(self._starts, move) - 1, 0)
 
 
 def _smooth_run(machine: Machine, limits: FirmwareLimits, moves: Moves, begin_t: float) -> PlannedMotion:
@@ -292,7 +316,7 @@ def compensate(
     writer = Writer(program, flavor, _own_limits(machine), settings, offset, said)
     events = _Queue(program.events)
     summary.moves += len(program.moves)
-    summary.original_print_time_s += float(trajectory.end_t)
+    summary.original_print_time_s += planned.firmware_s
     summary.print_time_s += float(trajectory.end_t)
     keep = prediction.wants if prediction is not None else lambda wanted: False
     answers = solutions(planned, machine, inverter, state, keep, layers_before)

@@ -81,7 +81,7 @@ class Stepping:
     def _open(self, planned: Planned, summary: Summary) -> None:
         self._events, self._lines = list(reversed(planned.program.events)), planned.program.lines
         summary.moves += len(planned.program.moves)
-        summary.original_print_time_s += planned.trajectory.end_t
+        summary.original_print_time_s += planned.firmware_s
         summary.print_time_s += planned.trajectory.end_t
 
     def _tell_up_to(self, move: int) -> None:

@@ -51,10 +51,10 @@ def labels(program: Program) -> Labels:
     return Labels(layer, feature, features)
 
 
-def layer_changes(program: Program) -> int:
-    """How many comments say that a layer begins."""
-    lines = (program.lines[event.line] for event in program.events)
-    return sum(1 for line in lines if line.startswith(b";") and _LAYER.match(line))
+def layer_starts(program: Program) -> list[int]:
+    """The moves before which comments say that a layer begins."""
+    lines = ((event.move, program.lines[event.line]) for event in program.events)
+    return [move for move, line in lines if line.startswith(b";") and _LAYER.match(line)]
 
 
 def _counted(begins: IntArray, moves: int) -> IntArray:

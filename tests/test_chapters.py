@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from ffcomp import job as jobs
 from ffcomp.chapters import REMEMBERED_S, Chapter, chapters
 from ffcomp.job import Job
-from ffcomp.pipeline import plan_program
+from ffcomp.pipeline import Layers, plan_program, settings_for
 from ffcomp.writer import original
 from gcode.cutting import join, split
 from gcode.errors import GcodeError
@@ -135,3 +136,23 @@ def test_a_print_without_rests_is_one_chapter() -> None:
     spiral = b"G28\nG1 X0 Y0 Z1 F6000\n" + b"".join(b"G1 X%d Y%d E%d\n" % (k % 7, k % 5, k) for k in range(3000))
     (only,) = cut(spiral, 5000)
     assert only.last and only.program.lines == spiral.splitlines(keepends=True)
+
+
+def test_layers_are_counted_through_the_chapters(tower: bytes) -> None:
+    whole = read_program(tower)
+    of_line = dict(zip(whole.moves.line.tolist(), map(Layers(whole, 0).of, range(len(whole.moves))), strict=True))
+    for each in cut(tower):
+        moves = each.program.moves
+        for move in (0, len(moves) // 2, len(moves) - 1):
+            line = each.program.first_line + int(moves.line[move])
+            assert Layers(each.program, each.layers).of(move) == of_line[line]
+    assert max(of_line.values()) >= 3
+
+
+def test_s_curves_in_chapters_keep_the_time(tower: bytes, machine: Machine, small_parts: None) -> None:
+    settings = settings_for(machine)
+    _, plain = text_of(tower, machine, settings=settings, predict=False)
+    text, smooth = text_of(tower, machine, settings=replace(settings, s_curve=True), predict=False)
+    assert smooth.summary.original_print_time_s == pytest.approx(plain.summary.original_print_time_s)
+    assert plain.summary.print_time_s < smooth.summary.print_time_s < 1.01 * plain.summary.print_time_s
+    assert original(text) == tower
