@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import pickle
 import re
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from itertools import chain
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -95,16 +98,15 @@ class Recipe:
         )
 
 
-_own_inverter: tuple[bytes, Inverter] | None = None  # a worker's, from chapter to chapter
+_own = threading.local()  # a worker's inverter, from chapter to chapter
 
 
 def _work(chapter: Chapter, recipe: Recipe) -> tuple[bytes, Summary]:
     """A chapter in a process of its own."""
-    global _own_inverter
     key = pickle.dumps((recipe.machine, recipe.settings))
-    if _own_inverter is None or _own_inverter[0] != key:
-        _own_inverter = key, Inverter(recipe.machine, recipe.settings)
-    inverter = _own_inverter[1]
+    if getattr(_own, "key", None) != key:
+        _own.inverter, _own.key = Inverter(recipe.machine, recipe.settings), key
+    inverter: Inverter = _own.inverter
     summary = Summary()
     return b"".join(recipe.lines(chapter, inverter, summary)), summary
 
@@ -155,13 +157,13 @@ class Job:
 
     def write_steps(
         self,
-        target: Path,
+        target: Path | None,
         board: Board,
         error_s: float | None = None,
         plain: bool = False,
         progress: Callable[[float], None] = lambda share: None,
     ) -> dict[str, MotorTotal]:
-        """The commands as step timings in an archive, replaced whole at the end or not at all.
+        """The commands as step timings in an archive (None: nowhere), replaced whole at the end or not at all.
 
         Parameters
         ----------
@@ -173,6 +175,23 @@ class Job:
         what became of each motor's steps, by its letter
         """
         together, recipe = self._started()
+        with TemporaryDirectory() if target is None else nullcontext("") as folder:
+            totals = self._stepped(
+                together, recipe, target or Path(folder, "steps.npz"), board, error_s, plain, progress
+            )
+        self.compute_time_s = time.perf_counter() - self.started
+        return totals
+
+    def _stepped(
+        self,
+        together: Iterator[Chapter],
+        recipe: Recipe,
+        target: Path,
+        board: Board,
+        error_s: float | None,
+        plain: bool,
+        progress: Callable[[float], None],
+    ) -> dict[str, MotorTotal]:
         done = 0
         with StepSink(self.machine, board, target, error_s) as sink:
             stepping = Stepping(sink)
@@ -188,9 +207,7 @@ class Job:
                 self._take(summary)
                 done += _size(chapter)
                 progress(min(done / max(self.size, 1), 1.0))
-            totals = sink.finish()
-        self.compute_time_s = time.perf_counter() - self.started
-        return totals
+            return sink.finish()
 
     def lines(self, progress: Callable[[float], None] = lambda share: None) -> Iterator[bytes]:
         """The compensated file, stamped in head and tail, in pieces of whole lines."""

@@ -2,21 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 if TYPE_CHECKING:
-    from ffcomp.job import Job
-    from gcode.metadata import Stamp
+    from ffcomp.invert.settings import Settings
+    from ffcomp.outcome import Options, Outcome, StepOutput
+    from models.machine import Machine
 
-Printed = Annotated[Path, typer.Argument(help="The sliced print; changed in place unless -o is given.", metavar="FILE")]
+Printed = Annotated[
+    list[Path],
+    typer.Argument(help="Sliced prints; changed in place unless -o or --output-dir is given.", metavar="FILE…"),
+]
 MachineName = Annotated[
     str, typer.Option("--machine", "-m", help="A machine's name (see: ffcomp machines list) or the path of its file.")
 ]
 Output = Annotated[Path | None, typer.Option("--output-file", "-o", help="Write here; the input stays as it is.")]
-Kind = Annotated[str, typer.Option("--output", help="What to write: gcode.")]
+OutputDir = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="Write files of the same names here; the inputs stay as they are.")
+]
+Kind = Annotated[
+    str,
+    typer.Option(
+        "--output",
+        help="What to write: gcode; steps, every step's time (.npz); klipper-steps, compressed into rows (.npz).",
+    ),
+]
+ExtruderSteps = Annotated[
+    float | None,
+    typer.Option(min=1.0, help="For step timings: microsteps per mm of filament, if the machine file says none."),
+]
 Offset = Annotated[
     str,
     typer.Option(
@@ -48,18 +68,56 @@ ShaperOff = Annotated[
 ]
 Predict = Annotated[bool, typer.Option(help="Simulate before and after with the design model.")]
 Inverse = Annotated[
-    str, typer.Option(help="fast, or exact: the reference it is measured against, a hundred times slower.")
+    str,
+    typer.Option(help="fast; exact: the reference it is measured against, far slower; none, for step timings alone."),
 ]
+Robust = Annotated[
+    bool,
+    typer.Option(
+        "--robust",
+        help="Ask for less where the machine file's [uncertainty] leaves the machine unknown: worse if the file is "
+        "right, better on average over what it may be.",
+    ),
+]
+Strict = Annotated[
+    bool, typer.Option("--strict", help="Where limits would slow the print down, stop instead (exit 6) and say where.")
+]
+Tolerance = Annotated[
+    float,
+    typer.Option(
+        "--tolerance-um", min=0.1, help="How far a held limit may take the nozzle off its path before it slows down."
+    ),
+]
+Solver = Annotated[str, typer.Option(help="Where limits bind: osqp, piqp or clarabel.")]
 SCurve = Annotated[
     bool, typer.Option("--s-curve", help="Ramps with limited jerk: lower peaks, within a percent of the time.")
 ]
-Jobs = Annotated[int, typer.Option("--jobs", "-j", help="Processes to work with; the result is the same.", min=1)]
+Jobs = Annotated[
+    int,
+    typer.Option(
+        "--jobs", "-j", help="Processes to work with, on several files or on one; the result is the same.", min=1
+    ),
+]
+Scheduler = Annotated[
+    str,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Work on a Dask cluster, e.g. tcp://host:8786, instead; its workers need ffcomp, but not the files.",
+    ),
+]
+
+
+OUTPUTS = ("gcode", "steps", "klipper-steps")
+INVERSES = ("fast", "exact", "none")
+SOLVERS = ("osqp", "piqp", "clarabel")
+ROW_ERROR_S = 12.5e-6  # of a step of compressed rows, early or late: half of what Klipper allows itself
 
 
 def compensate(
-    file: Printed,
+    files: Printed,
     machine: MachineName,
     output_file: Output = None,
+    output_dir: OutputDir = None,
     output: Kind = "gcode",
     offset_mm: Offset = "0,0",
     flavor: Flavor = "",
@@ -72,7 +130,13 @@ def compensate(
     predict: Predict = True,
     inverse: Inverse = "fast",
     s_curve: SCurve = False,
+    robust: Robust = False,
+    strict: Strict = False,
+    tolerance_um: Tolerance = 25.0,
+    solver: Solver = "osqp",
+    extruder_steps_per_mm: ExtruderSteps = None,
     jobs: Jobs = 1,
+    scheduler: Scheduler = "",
 ) -> None:
     """Write commands whose response is the path that the slicer wanted.
 
@@ -81,27 +145,60 @@ def compensate(
 
     Example: ffcomp compensate sample_prints/ringing_tower.gcode --machine mp-delta-pro -o out.gcode
     """
-    from ffcomp.cli.common import exit_codes, print_json, say
+    from ffcomp.cli.common import exit_codes, print_json
 
     with exit_codes():
-        if output != "gcode":
-            raise typer.BadParameter(f"--output {output}: this version writes gcode.")
-        if inverse not in ("fast", "exact"):
-            raise typer.BadParameter(f"--inverse {inverse}: fast or exact.")
-        stamp = _stamp(file)
-        if stamp is not None and not force:
-            already = f"{file}: already processed by ffcomp v{stamp.version} for {stamp.machine}; nothing changed."
-            result = {"schema": "ffcomp-compensate/1", "input": str(file), "output": str(file), "already": already}
-            say(already, quiet)
-        else:
-            options = {"flavor": flavor, "shaper_off": shaper_off, "predict": predict, "jobs": jobs}
-            changes = {"inverse": inverse, "s_curve": s_curve}
-            offset = parsed_offset(offset_mm)
-            job = _job(file, machine, offset, max_segments_per_second, changes, stamp is not None, options)
-            result = _write(job, None if dry_run else output_file or file, quiet)
-            _report(result, quiet)
+        _check_choice("--output", output, OUTPUTS)
+        _check_choice("--inverse", inverse, INVERSES)
+        _check_choice("--solver", solver, SOLVERS)
+        if inverse == "none" and output == "gcode":
+            raise typer.BadParameter("--inverse none leaves the G-code as it is; it is for --output steps.")
+        offset = parsed_offset(offset_mm)
+        targets = _targets(files, output_file, output_dir, dry_run, ".npz" if output != "gcode" else "")
+
+        from ffcomp.outcome import Options
+        from models.machine_file import load_machine
+
+        known = load_machine(machine)
+        options = Options(
+            offset=offset,
+            flavor=flavor,
+            settings=_settings(
+                known,
+                max_segments_per_second,
+                inverse="fast" if inverse == "none" else inverse,
+                s_curve=s_curve and inverse != "none",
+                robust=robust,
+                strict=strict,
+                tolerance_um=tolerance_um,
+                solver=solver,
+            ),
+            predict=predict,
+            shaper_off=shaper_off,
+            force=force,
+            steps=_steps(known, output, inverse == "none", extruder_steps_per_mm),
+        )
+        order = _Order(files, targets, known, options, jobs, scheduler, quiet)
+        outcomes = [] if len(files) == 1 else _compensate_all(order)
+        result = _answer(outcomes) if outcomes else _compensate_one(order)
         if as_json:
             print_json(result)
+    for outcome in outcomes:
+        if outcome.failure is not None:
+            raise typer.Exit(outcome.failure.exit_code)
+
+
+@dataclass(frozen=True, slots=True)
+class _Order:
+    """Everything that was asked for."""
+
+    files: list[Path]
+    targets: Sequence[Path | None]
+    machine: Machine
+    options: Options
+    jobs: int
+    scheduler: str
+    quiet: bool
 
 
 def parsed_offset(text: str) -> tuple[float, float]:
@@ -113,47 +210,154 @@ def parsed_offset(text: str) -> tuple[float, float]:
     return x, y
 
 
-def _stamp(file: Path) -> Stamp | None:
-    """The stamp of an earlier run, if the file has one."""
-    from gcode.container import ends_of
-    from gcode.metadata import find_stamp
-
-    head, tail, _ = ends_of(file)
-    return find_stamp(head, tail)
+def _check_choice(option: str, value: str, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise typer.BadParameter(f"{option} {value}: {', '.join(allowed[:-1])} or {allowed[-1]}.")
 
 
-def _job(
-    file: Path,
-    machine_name: str,
-    offset: tuple[float, float],
-    rate: float,
-    changes: dict[str, Any],
-    restore: bool,
-    options: dict[str, Any],
-) -> Job:
-    """`restore`: compensate the original that is still in the file, not the compensation."""
-    from dataclasses import replace
+def _steps(machine: Machine, output: str, plain: bool, per_mm: float | None) -> StepOutput | None:
+    """What step timings are to be like; None for G-code."""
+    if output == "gcode":
+        return None
+    from ffcomp.outcome import StepOutput
+    from ffcomp.steps.sink import Board
 
-    from ffcomp.job import Job, find_offset
+    per_mm = per_mm or machine.steps.extruder_steps_per_mm
+    if per_mm is None:
+        raise typer.BadParameter(
+            f"--output {output} needs the extruder's microsteps per mm of filament: --extruder-steps-per-mm N, or "
+            "extruder_steps_per_mm in [steps] of the machine file."
+        )
+    return StepOutput(Board(per_mm), ROW_ERROR_S if output == "klipper-steps" else None, plain)
+
+
+def _targets(
+    files: list[Path], output_file: Path | None, output_dir: Path | None, dry_run: bool, suffix: str
+) -> list[Path] | list[None]:
+    """Where each file goes; with a suffix, what is written is no G-code and never replaces any."""
+    from ffcomp.batch import check_targets, targets_in
+
+    if output_file is not None and (len(files) > 1 or output_dir is not None):
+        raise typer.BadParameter("-o is for one file; several go into a folder with --output-dir DIR.")
+    try:
+        targets = targets_in(output_dir, files) if output_dir is not None else files
+        if suffix:
+            targets = [target.with_suffix(suffix) for target in targets]
+        check_targets(files, targets)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    if dry_run:
+        return [None] * len(files)
+    if output_dir is not None:
+        output_dir.mkdir(parents=True, exist_ok=True)
+    return [output_file] if output_file is not None else targets
+
+
+def _settings(machine: Machine, rate: float, **changes: Any) -> Settings:
     from ffcomp.pipeline import settings_for
-    from gcode.container import ends_of
-    from models.machine_file import load_machine
 
-    machine = load_machine(machine_name)
-    if restore and not any(offset):
-        offset = find_offset(ends_of(file)[0])
-    settings = replace(settings_for(machine, rate), **changes)
-    return Job(file, str(file), machine, offset=offset, settings=settings, restore=restore, **options)
+    return replace(settings_for(machine, rate), **changes)
 
 
-def _write(job: Job, target: Path | None, quiet: bool) -> dict[str, Any]:
+def _compensate_one(order: _Order) -> dict[str, Any]:
+    """The JSON object of a single file; the processes work at its chapters."""
+    from ffcomp.batch import size_of, workers
     from ffcomp.cli.common import Progress, say
+    from ffcomp.outcome import compensate_file
+    from gcode.blocks import PART_BYTES
 
-    with Progress(1.0, quiet) as progress:
-        job.write(target, progress)
-    for warning in job.summary.warnings:
+    (file,), (target,), quiet = order.files, order.targets, order.quiet
+    chapters = max(size_of(file) // PART_BYTES, 1)
+    with workers(min(order.jobs, chapters), order.scheduler) as at_once, Progress(1.0, quiet) as progress:
+        result = compensate_file(file, str(file), order.machine, order.options, target, jobs=at_once, progress=progress)
+    if "already" in result:
+        say(result["already"], quiet)
+        return result
+    for warning in result["warnings"]:
         say(f"ffcomp: {warning}", quiet)
-    return {**job.result(), "output": None if target is None else str(target)}
+    _report(result, quiet)
+    return result
+
+
+def _compensate_all(order: _Order) -> list[Outcome]:
+    """What became of each, in the order given."""
+    from ffcomp.batch import compensate_files, size_of
+    from ffcomp.cli.common import Progress, fail
+
+    files = order.files
+    outcomes: list[Outcome] = []
+    with Progress(sum(map(size_of, files)), order.quiet) as progress:
+        work = compensate_files(
+            files,
+            order.machine,
+            order.options,
+            targets=order.targets,
+            jobs=order.jobs,
+            scheduler=order.scheduler,
+            progress=progress,
+        )
+        try:
+            with closing(work):
+                outcomes.extend(work)
+        except KeyboardInterrupt:
+            fail(f"Interrupted; {len(outcomes)} of {len(files)} files are done, the others as they were.", 130)
+    outcomes.sort(key=lambda outcome: outcome.number)
+    _report_all(outcomes, order.quiet)
+    return outcomes
+
+
+def _answer(outcomes: list[Outcome]) -> dict[str, Any]:
+    """The JSON object of several files."""
+    results = [_result(outcome) for outcome in outcomes]
+    failed = sum(outcome.failure is not None for outcome in outcomes)
+    return {"schema": "ffcomp-compensate-batch/1", "results": results, "failed": failed}
+
+
+def _result(outcome: Outcome) -> dict[str, Any]:
+    failure = outcome.failure
+    if failure is None:
+        return outcome.result
+    return {"input": str(outcome.file), "error": failure.sentence, "exit_code": failure.exit_code}
+
+
+def _report_all(outcomes: list[Outcome], quiet: bool) -> None:
+    """A table on stderr, and what failed; quietly only the latter."""
+    from ffcomp.cli.common import say
+
+    if not quiet:
+        from rich.console import Console
+        from rich.table import Column, Table
+
+        for warning, files in _warnings(outcomes).items():
+            say(f"ffcomp: {files[0] if len(files) == 1 else f'{len(files)} files'}: {warning}")
+        table = Table(Column("file", overflow="fold"), "print time", "contour rms", "seconds")
+        for outcome in outcomes:
+            table.add_row(str(outcome.file), *_cells(outcome))
+        Console(stderr=True).print(table)
+    for outcome in outcomes:
+        if outcome.failure is not None:
+            say(f"{outcome.failure.trace}ffcomp: {outcome.failure.sentence}")
+
+
+def _warnings(outcomes: list[Outcome]) -> dict[str, list[Path]]:
+    """Each once, with the files that it is about."""
+    found: dict[str, list[Path]] = {}
+    for outcome in outcomes:
+        for warning in outcome.result.get("warnings", ()):
+            found.setdefault(warning, []).append(outcome.file)
+    return found
+
+
+def _cells(outcome: Outcome) -> tuple[str, ...]:
+    """Print time and predicted error before → after, and what it took."""
+    result = outcome.result
+    if outcome.failure is not None:
+        return "failed: see below", "", ""
+    if "already" in result:
+        return "already processed", "", ""
+    time = f"{result['original_print_time_s']:.1f} → {result['print_time_s']:.1f} s"
+    rms = [f"{track['contour_rms_um']:.1f}" for track in result["predicted"].values()]
+    return time, f"{' → '.join(rms)} µm" if rms else "", f"{outcome.seconds:.1f}"
 
 
 def _report(result: dict[str, Any], quiet: bool) -> None:
@@ -183,5 +387,9 @@ def _report(result: dict[str, Any], quiet: bool) -> None:
         f"{result['compute_time_s']:.1f} s, {speed:.0f} times faster than printing.",
         highlight=False,
     )
+    if "steps" in result:
+        told = ", ".join(f"{motor.upper()} {total['steps']}" for motor, total in result["steps"].items())
+        console.print(f"Steps: {told}.", highlight=False)
     if result["output"] is not None:
-        console.print(f"Look at it: ffcomp show {result['output']}", highlight=False)
+        verb = "ffcomp simulate" if "steps" in result else "ffcomp show"
+        console.print(f"Look at it: {verb} {result['output']}", highlight=False)

@@ -40,7 +40,7 @@ AUGMENTED = STATES + 2 * AXES  # z
 BACKWARD, FORWARD = (AUGMENTED + 9, AUGMENTED + 3), (AUGMENTED + 3, AUGMENTED)  # of one place, with two rows
 PITCH_MM = 5.0  # of the grid: what the nearest node misses, the correction finds
 AT_A_TIME = 256  # places
-FORGOTTEN = 1e-9
+DOUBLINGS = 9  # 512 knots: a state is forgotten by then, whatever places are worked out together
 TO_THE_END = 40  # knots before a run's end from which on the end is felt
 ENDS_KEPT = 256  # places, 0.5 MB each
 REST_ROWS = 24  # knots after the end whose ringing counts
@@ -177,7 +177,7 @@ def _riccati(p: _Problem, effort: float) -> FloatArray:
     h = _t(p.c) @ p.c - _t(p.c) @ p.d @ cross
     g = p.b @ np.linalg.solve(r, _t(p.b))
     eye = np.eye(AUGMENTED)
-    while np.abs(a).max() > FORGOTTEN:  # a: what is left of a state after 1, 2, 4, … knots
+    for _ in range(DOUBLINGS):  # a: what is left of a state after 1, 2, 4, … knots
         solved = np.linalg.solve(eye + g @ h, np.concatenate([a, g @ _t(a)], axis=2))
         ahead, spread = solved[..., :AUGMENTED], solved[..., AUGMENTED:]
         h = h + _t(a) @ h @ ahead
