@@ -17,7 +17,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -39,7 +39,6 @@ from ffcomp.diagnose.outcome import better_file, outcome
 from ffcomp.measured.run import read_run
 from ffcomp.pipeline import settings_for
 from ffcomp.virtual.sag import sag
-from models.effects.catalogue import CATALOGUE, design_machine
 from models.machine import Machine
 from models.machine_file import load_machine, updated_text
 from models.parameters import value_of
@@ -392,19 +391,18 @@ def digits(value: Any) -> str:
 def prints(found: Sequence[Proof]) -> Iterator[str]:
     yield f"""## What it does to the print
 
-Contour error, rms, µm. *used*: whether the compensation can make use of the effect now. If not, its model is linear
-without the effect: the better file then only brings the other numbers, and so does the perfect file.
+Contour error, rms, µm.
 
 ![contour error by file]({FIGURE.name})
 
-| hidden | used | no compensation | owner's file | better file | perfect file |
-|---|---|---|---|---|---|"""
+| hidden | no compensation | owner's file | better file | perfect file |
+|---|---|---|---|---|"""
     for p in found:
         cells = " | ".join(micrometres(p.contour_um, kind) for kind in ("none", "owner", "better", "perfect"))
-        yield f"| `{p.hidden}` | {'yes' if is_used(p.hidden) else 'not yet'} | {cells} |"
+        yield f"| `{p.hidden}` | {cells} |"
     yield ""
     for p in found:
-        if p.contour_um["perfect"] > p.contour_um["owner"] and is_used(p.hidden):
+        if p.contour_um["perfect"] > p.contour_um["owner"]:
             yield about_worse(p)
 
 
@@ -428,13 +426,6 @@ def machine_of(text: str) -> Machine:
         path = Path(folder) / "machine.toml"
         path.write_text(text, encoding="utf-8")
         return load_machine(path)
-
-
-def is_used(name: str) -> bool:
-    """Whether the model behind the compensation can hold the effect."""
-    machine = load_machine(judge.MACHINE_FILE)
-    hidden = replace(machine, effects={name: {p.name: p.probe for p in CATALOGUE[name].parameters}})
-    return name not in design_machine(hidden)[1]
 
 
 def refusals(found: Sequence[Proof]) -> Iterator[str]:
@@ -478,9 +469,7 @@ def draw(found: Sequence[Proof], path: Path) -> None:
     for k, (kind, colour) in enumerate(bars.items()):
         heights = [p.contour_um.get(kind, np.nan) for p in found]
         axes.bar(at + 0.27 * (k - 1), heights, 0.25, color=colour, label=f"{kind} file")
-    axes.set_xticks(
-        at, [f"{p.hidden}{'' if is_used(p.hidden) else chr(10) + '(not used yet)'}" for p in found], fontsize=8
-    )
+    axes.set_xticks(at, [p.hidden for p in found], fontsize=8)
     axes.set_ylabel("contour error, rms, µm")
     uncompensated = [p.contour_um["none"] for p in found]
     axes.set_title(

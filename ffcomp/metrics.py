@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -178,6 +177,8 @@ def _best_delay(wanted: FloatArray, actual: FloatArray, dt: float, longest: floa
 
     def cost(tau: float) -> float:
         return float(_mean_square(wanted, actual, tau / dt, 1))
+
+    from scipy.optimize import minimize_scalar  # 0.2 s to import: only when a delay is sought
 
     found = minimize_scalar(cost, bounds=(valley - step, valley + step), method="bounded", options={"xatol": 1e-10})
     if not found.success:

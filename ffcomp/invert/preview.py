@@ -42,7 +42,7 @@ PITCH_MM = 5.0  # of the grid: what the nearest node misses, the correction find
 AT_A_TIME = 256  # places
 DOUBLINGS = 9  # 512 knots: a state is forgotten by then, whatever places are worked out together
 TO_THE_END = 40  # knots before a run's end from which on the end is felt
-ENDS_KEPT = 256  # places, 0.5 MB each
+ENDS_KEPT = 64  # places, 0.8 MB each
 REST_ROWS = 24  # knots after the end whose ringing counts
 
 
