@@ -23,8 +23,9 @@ from ffcomp.chapters import Chapter, chapters
 from ffcomp.errors import NothingToDo
 from ffcomp.invert.inverter import Inverter
 from ffcomp.invert.settings import Settings
-from ffcomp.pipeline import Planned, Summary, compensate, plan_program, settings_for, solutions
+from ffcomp.pipeline import Planned, Share, Summary, compensate, plan_program, settings_for, solutions
 from ffcomp.plan.limits import lines_of
+from ffcomp.plan.trajectory import PlannedMotion
 from ffcomp.predict import LONGEST_S, Prediction
 from ffcomp.stepping import Stepping
 from ffcomp.steps.sink import Board, MotorTotal, StepSink
@@ -33,6 +34,7 @@ from gcode.container import blocks_of, ends_of, replace_atomically
 from gcode.dialects import FLAVORS, flavor_by_ends, shaper_off
 from gcode.errors import UnsupportedGcode
 from gcode.metadata import Stamp, find_stamp, stamp_line
+from gcode.program import Program
 from gcode.reader import read_parts
 from models.machine import Machine
 
@@ -73,7 +75,7 @@ class Recipe:
             for known in solutions(past, machine, inverter, None, lambda wanted: False):
                 state = known.result.state
         summary.warnings += chapter.program.warnings
-        if not chapter.last:
+        if not chapter.last and chapter.knots is None:
             moves = len(chapter.program.moves)
             waits = sum(event.dwell_s for event in chapter.program.events if event.move == moves)
             summary.original_print_time_s += waits
@@ -95,6 +97,7 @@ class Recipe:
             said=chapter.said,
             prediction=prediction,
             layers_before=chapter.layers,
+            share=_share_of(chapter, planned),
         )
 
 
@@ -174,7 +177,7 @@ class Job:
         -------
         what became of each motor's steps, by its letter
         """
-        together, recipe = self._started()
+        together, recipe = self._started(plain)
         with TemporaryDirectory() if target is None else nullcontext("") as folder:
             totals = self._stepped(
                 together, recipe, target or Path(folder, "steps.npz"), board, error_s, plain, progress
@@ -202,7 +205,14 @@ class Job:
                     stepping.plain(planned, summary)
                 else:
                     stepping.compensated(
-                        planned, self.machine, self.inverter, summary, state, prediction, chapter.layers
+                        planned,
+                        self.machine,
+                        self.inverter,
+                        summary,
+                        state,
+                        prediction,
+                        chapter.layers,
+                        _share_of(chapter, planned),
                     )
                 self._take(summary)
                 done += _size(chapter)
@@ -217,14 +227,20 @@ class Job:
             body = _with_shaper_off(body, self.flavor)
         return _stamped(body, stamp, offset_line(self.offset))
 
-    def _chapters(self) -> Iterator[Chapter]:
+    def _chapters(self, plain: bool) -> Iterator[Chapter]:
+        # an S-curve has one level of acceleration from rest to rest; plain steps are written from rest to rest
+        whole = plain or self.settings.s_curve
         blocks = blocks_of(self.source)
         if self.restore:
             blocks = original_blocks(blocks)
-        return chapters(read_parts(blocks, self.path, flavor=self.flavor, offset_mm=self.offset))
+        parts = read_parts(blocks, self.path, flavor=self.flavor, offset_mm=self.offset)
+        return chapters(parts, self.settings.segment_s, self.settings.lead_s, None if whole else self._plan_of)
 
-    def _started(self) -> tuple[Iterator[Chapter], Recipe]:
-        whole = self._chapters()
+    def _plan_of(self, program: Program) -> PlannedMotion:
+        return plan_program(program, self.machine, self.offset).trajectory
+
+    def _started(self, plain: bool = False) -> tuple[Iterator[Chapter], Recipe]:
+        whole = self._chapters(plain)
         first = next(whole, None)
         if first is None:
             raise NothingToDo(f"{self.path or 'The file'} holds no line: nothing to compensate.")
@@ -307,6 +323,10 @@ class Job:
             "predicted": {name: asdict(track) for name, track in tracks.items()},
             "predicted_over_s": summary.predicted.covered_s if summary.predicted else 0.0,
         }
+
+
+def _share_of(chapter: Chapter, planned: Planned) -> Share:
+    return Share(None if chapter.begin is None else chapter.begin.on(planned.trajectory), chapter.knots)
 
 
 def _size(chapter: Chapter) -> int:

@@ -50,11 +50,12 @@ class Piece:
         return Piece(0, 0, knots, knots)
 
 
-def pieces(knots: int, length: int = PIECE) -> list[Piece]:
-    """A run of so many segments, in pieces of `length`, a multiple of CUT."""
+def pieces(knots: int, length: int = PIECE, begin: int = 0, end: int | None = None) -> list[Piece]:
+    """A run of so many segments, or what lies between two of its knots, in pieces of `length`, a multiple of CUT."""
     if length % CUT:
         raise ValueError(f"A piece of {length} segments would end between two cuts; its length must divide by {CUT}.")
-    edges = [*range(0, max(knots, 1), length), knots]
+    end = knots if end is None else end
+    edges = [*range(begin, max(end, begin + 1), length), end]
     return [Piece(max(a - CUT, 0), a, b, min(b + CUT, knots)) for a, b in pairwise(edges)]
 
 

@@ -22,7 +22,7 @@ from ffcomp.invert.effort import effort_curve
 from ffcomp.invert.inverter import Inverter, RunResult
 from ffcomp.invert.settings import Settings
 from ffcomp.invert.whole import Ran, corrected
-from ffcomp.marks import pieces, timeline
+from ffcomp.marks import CUT, pieces, timeline
 from ffcomp.plan.junctions import junction_limits
 from ffcomp.plan.limits import DeltaReach, FirmwareLimits
 from ffcomp.plan.lookahead import plan_moves, stops_and_waits
@@ -150,6 +150,31 @@ def _offset_that_fits(xy: FloatArray, radius: float) -> str:
 
 
 @dataclass(frozen=True, slots=True)
+class Share:
+    """What is written of a program that is cut out of a motion. Its plan is slowed down nowhere."""
+
+    begin_t: float | None = None  # s on the plan's clock: in its first run; None: at its beginning
+    knots: int | None = None  # segments of its only run; None: all
+
+    def knot(self) -> tuple[float, int] | None:
+        """For `Reference`."""
+        return None if self.begin_t is None else (self.begin_t, CUT)
+
+    def of(self, wanted: Reference, run: Run, planned: Planned) -> tuple[int, int]:
+        """The knots of a run between which it is written."""
+        cut = self.begin_t is not None and run is planned.runs[0]
+        begin = round(wanted.knot_of(self.begin_t)) if self.begin_t is not None and cut else 0
+        return begin, wanted.knots if self.knots is None else begin + self.knots
+
+    def planned_s(self, run: Run, planned: Planned) -> float:
+        """How much of a run's time `open_account` has counted."""
+        if self.knots is not None:
+            return 0.0
+        cut = self.begin_t is not None and run is planned.runs[0]
+        return run.end_t - (self.begin_t if self.begin_t is not None and cut else run.begin_t)
+
+
+@dataclass(frozen=True, slots=True)
 class Solved:
     """A run that travels, and the command whose response it is."""
 
@@ -167,6 +192,7 @@ def solutions(
     state: FloatArray | None,
     keep: Callable[[Reference], bool],
     layers_before: int = 0,
+    share: Share | None = None,
 ) -> Iterator[Solved]:
     """The runs that travel, one after the other: what rings when one ends is known to the next.
 
@@ -175,13 +201,14 @@ def solutions(
     state : (18,) of the plant as the first run begins; None: at rest
     keep : asked once for each run whether its response is wanted
     layers_before : of the file, before this program
+    share : what is written of the program, if it begins or ends in motion
 
     Raises
     ------
     LimitsError
         Where a limit cannot be held, and the plan must not or cannot be slowed down.
     """
-    ran = _by_the_model(planned, machine, inverter, state, keep, layers_before)
+    ran = _by_the_model(planned, machine, inverter, state, keep, layers_before, share or Share())
     if inverter.printer is None:
         yield from (solved for solved, _ in ran)
         return
@@ -197,6 +224,7 @@ def _by_the_model(
     state: FloatArray | None,
     keep: Callable[[Reference], bool],
     layers_before: int,
+    share: Share,
 ) -> Iterator[tuple[Solved, float | None]]:
     """Each run with its answer, and how long the nozzle has rested before it; None: others have moved it."""
     program, trajectory, settings = planned.program, planned.trajectory, inverter.settings
@@ -215,8 +243,9 @@ def _by_the_model(
             state, rest = inverter.hold(state, start, rest_s), rest_s
         if later:
             run = replace(run, begin_t=run.begin_t + later, end_t=run.end_t + later)
-        wanted = Reference(trajectory, run, settings)
-        if not settings.slow_down:
+        through = share.knot() if run is planned.runs[0] else None
+        wanted = Reference(trajectory, run, settings, through)
+        if not settings.slow_down or through is not None or share.knots is not None:
             result = inverter.run(wanted, state, keep_response=keep(wanted))
             yield Solved(trajectory, run, wanted, result, ()), rest
         else:
@@ -302,6 +331,7 @@ def compensate(
     said: Mapping[bytes, bytes] | None = None,
     prediction: Prediction | None = None,
     layers_before: int = 0,
+    share: Share | None = None,
 ) -> Iterator[bytes]:
     """The lines of the compensated file, in order; one piece may hold many. `summary` is complete at their end.
 
@@ -311,15 +341,15 @@ def compensate(
     state : (18,) of the plant as the program begins; None: at rest
     said : what earlier lines of the file have said of limits (`writer.limits_said`)
     prediction : is given the runs that it wants
+    share : what is written, if it begins or ends in motion
     """
     program, trajectory, settings = planned.program, planned.trajectory, inverter.settings
     writer = Writer(program, flavor, _own_limits(machine), settings, offset, said)
     events = _Queue(program.events)
-    summary.moves += len(program.moves)
-    summary.original_print_time_s += planned.firmware_s
-    summary.print_time_s += float(trajectory.end_t)
+    share = share or Share()
+    open_account(summary, planned, share, settings)
     keep = prediction.wants if prediction is not None else lambda wanted: False
-    answers = solutions(planned, machine, inverter, state, keep, layers_before)
+    answers = solutions(planned, machine, inverter, state, keep, layers_before, share)
     for run in planned.runs:
         for event in events.up_to(run.first):
             yield from writer.event(event)
@@ -331,17 +361,22 @@ def compensate(
         heights = program.moves.end[run.first : run.last, 2]
         vertices = keep_inside(machine.kinematics, answer.result.vertices, heights)
         inside = events.up_to(run.last - 1)
-        for piece in pieces(answer.wanted.knots):
+        begin, end = share.of(answer.wanted, run, planned)
+        if begin:
+            move = int(trajectory.move_at(share.begin_t or 0.0))
+            writer.resume(move, [*vertices[begin].tolist(), float(answer.wanted.extrusion(begin, begin)[0])])
+        for piece in pieces(answer.wanted.knots, begin=begin, end=end):
             part = vertices[piece.first : piece.last + 1]
             line_up = timeline(program, answer.trajectory, answer.run, answer.wanted, part, inside, piece)
             yield from writer.run(run.first, part, line_up)
-        account(summary, answer, run, program, settings.segment_s)
+        account(summary, answer, program, (end - begin) * settings.segment_s - share.planned_s(run, planned))
         if prediction is not None and len(answer.result.response):
             prediction.add(answer.trajectory, answer.run, answer.wanted, answer.result)
         progress(run.end_t)
-    for event in events.up_to(len(program.moves)):
-        yield from writer.event(event)
-    yield from writer.close()
+    if share.knots is None:
+        for event in events.up_to(len(program.moves)):
+            yield from writer.event(event)
+        yield from writer.close()
     summary.segments += writer.segments
 
 
@@ -380,13 +415,27 @@ def keep_inside(geometry: DeltaGeometry, vertices: FloatArray, heights: FloatArr
     return inside
 
 
-def account(summary: Summary, answer: Solved, run: Run, program: Program, segment_s: float) -> None:
-    """Add up what a run took; `run` is as it was planned at first."""
+def open_account(summary: Summary, planned: Planned, share: Share, settings: Settings) -> None:
+    """Add up what a program takes by its plan, or what is written of it."""
+    moves, plan = planned.program.moves, planned.trajectory
+    begin = share.begin_t or 0.0
+    if share.knots is not None:
+        until = share.knots * settings.segment_s + (begin or float(plan.start_t[0]) - settings.lead_s)
+        summary.moves += int(np.searchsorted(plan.start_t, until)) - int(np.searchsorted(plan.start_t, begin))
+        summary.original_print_time_s += until - begin
+        return
+    summary.moves += len(moves) - int(np.searchsorted(plan.start_t, begin))
+    summary.original_print_time_s += planned.firmware_s - begin
+    summary.print_time_s += float(plan.end_t) - begin
+
+
+def account(summary: Summary, answer: Solved, program: Program, longer_s: float) -> None:
+    """Add up what a run took, which lasts longer than it was planned."""
     result = answer.result
-    line = program.first_line + int(program.moves.line[run.first]) + 1
+    line = program.first_line + int(program.moves.line[answer.run.first]) + 1
     summary.windows += result.windows
     summary.limited_windows += result.limited
-    summary.print_time_s += answer.wanted.knots * segment_s - (run.end_t - run.begin_t)
+    summary.print_time_s += longer_s
     summary.slowed += answer.slowed
     if result.excess > 1.0 + 1e-3:
         summary.warnings.append(

@@ -51,9 +51,15 @@ class Reference:
     knot lies after its end. Outside the run the nozzle rests.
     """
 
-    def __init__(self, trajectory: PlannedMotion, run: Run, settings: Settings) -> None:
-        length = settings.lead_s + (run.end_t - run.begin_t) + settings.tail_s
+    def __init__(
+        self, trajectory: PlannedMotion, run: Run, settings: Settings, through: tuple[float, int] | None = None
+    ) -> None:
+        """through : a time of the plan's clock that must be a knot, and of which number its own must be a multiple"""
         self.t0 = run.begin_t - settings.lead_s  # s on the plan's clock
+        if through is not None:
+            t, multiple = through
+            self.t0 = t - multiple * int(np.ceil((t - self.t0) / settings.segment_s / multiple)) * settings.segment_s
+        length = run.end_t - self.t0 + settings.tail_s
         self.knots = int(np.ceil(length / settings.segment_s - 1e-9))  # segments of the run
         self._trajectory, self._run = trajectory, run
         self._segment_s, self._substep_s = settings.segment_s, settings.segment_s / settings.substeps

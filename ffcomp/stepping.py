@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.invert.inverter import Inverter
-from ffcomp.pipeline import Planned, Solved, Summary, account, keep_inside, solutions
+from ffcomp.pipeline import Planned, Share, Solved, Summary, account, keep_inside, open_account, solutions
 from ffcomp.plan.trajectory import Trajectory
 from ffcomp.predict import Prediction
 from ffcomp.runs import Run
@@ -39,7 +39,10 @@ class Stepping:
 
     def plain(self, planned: Planned, summary: Summary) -> None:
         """The plan as it is, uncompensated. It must be the firmware's own, of trapezoids."""
-        self._open(planned, summary)
+        self._open(planned)
+        summary.moves += len(planned.program.moves)
+        summary.original_print_time_s += planned.firmware_s
+        summary.print_time_s += planned.trajectory.end_t
         trajectory, begun = cast(Trajectory, planned.trajectory), self.clock_s
         for pieces in trajectory_pieces(trajectory, begun):
             self.sink.pieces(pieces)
@@ -58,31 +61,35 @@ class Stepping:
         state: FloatArray | None,
         prediction: Prediction | None,
         layers_before: int = 0,
+        share: Share | None = None,
     ) -> None:
         """The commands whose response is the plan; see `pipeline.compensate`."""
-        self._open(planned, summary)
+        share = share or Share()
+        self._open(planned)
+        open_account(summary, planned, share, inverter.settings)
         segment_s, rested = inverter.settings.segment_s, 0.0
         keep = prediction.wants if prediction is not None else lambda wanted: False
-        answers = solutions(planned, machine, inverter, state, keep, layers_before)
+        answers = solutions(planned, machine, inverter, state, keep, layers_before, share)
         for run in planned.runs:
-            self.clock_s += run.begin_t - rested
+            in_motion = share.begin_t is not None and run is planned.runs[0]
+            self.clock_s += 0.0 if in_motion else run.begin_t - rested
             rested = run.end_t
-            self._tell_up_to(run.first)
+            if not in_motion:
+                self._tell_up_to(run.first)
             if not run.travels:
                 self._extrude(planned, run)
                 continue
             answer = next(answers)
-            self._run(planned, machine, answer, segment_s)
-            account(summary, answer, run, planned.program, segment_s)
+            self._run(planned, machine, answer, segment_s, share.of(answer.wanted, run, planned))
+            begin, end = share.of(answer.wanted, run, planned)
+            account(summary, answer, planned.program, (end - begin) * segment_s - share.planned_s(run, planned))
             if prediction is not None and len(answer.result.response):
                 prediction.add(answer.trajectory, answer.run, answer.wanted, answer.result)
-        self._tell_up_to(len(planned.program.moves))
+        if share.knots is None:
+            self._tell_up_to(len(planned.program.moves))
 
-    def _open(self, planned: Planned, summary: Summary) -> None:
+    def _open(self, planned: Planned) -> None:
         self._events, self._lines = list(reversed(planned.program.events)), planned.program.lines
-        summary.moves += len(planned.program.moves)
-        summary.original_print_time_s += planned.firmware_s
-        summary.print_time_s += planned.trajectory.end_t
 
     def _tell_up_to(self, move: int) -> None:
         """The lines before a move that begins now."""
@@ -99,16 +106,22 @@ class Stepping:
         self.sink.pieces(knot_pieces(self.clock_s, spacing, vertices, place[:, 3]))
         self.clock_s += run.end_t - run.begin_t
 
-    def _run(self, planned: Planned, machine: Machine, answer: Solved, segment_s: float) -> None:
-        run, moves = answer.run, planned.program.moves
+    def _run(
+        self, planned: Planned, machine: Machine, answer: Solved, segment_s: float, between: tuple[int, int]
+    ) -> None:
+        """between : the knots from which and up to which the run is written"""
+        run, moves, wanted, (first, last) = answer.run, planned.program.moves, answer.wanted, between
         heights = moves.end[run.first : run.last, 2]
-        vertices = keep_inside(machine.kinematics, answer.result.vertices, heights)
-        filament = answer.wanted.extrusion()
-        filament[-1] = moves.end[run.last - 1, 3]
-        begun = self.clock_s
+        vertices = keep_inside(machine.kinematics, answer.result.vertices[first : last + 1], heights)
+        filament = wanted.extrusion(first, last)
+        if last == wanted.knots:
+            filament[-1] = moves.end[run.last - 1, 3]
         while self._events and self._events[-1].move < run.last:
+            at = min(max(wanted.knot_of(float(answer.trajectory.start_t[self._events[-1].move])), 0.0), wanted.knots)
+            if at >= last < wanted.knots:
+                break
             event = self._events.pop()
-            at = answer.wanted.knot_of(float(answer.trajectory.start_t[event.move]))
-            self.sink.event(begun + segment_s * min(max(at, 0.0), answer.wanted.knots), self._lines[event.line])
-        self.sink.pieces(knot_pieces(begun, segment_s, vertices, filament))
-        self.clock_s = begun + segment_s * answer.wanted.knots
+            if at >= first:
+                self.sink.event(self.clock_s + segment_s * (at - first), self._lines[event.line])
+        self.sink.pieces(knot_pieces(self.clock_s, segment_s, vertices, filament))
+        self.clock_s += segment_s * (last - first)

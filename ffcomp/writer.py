@@ -110,6 +110,17 @@ class Writer:
 
         return re.sub(rb"([XYxy])\s*([-+]?\d*\.?\d+)", moved, code) + OURS + self.ending
 
+    def resume(self, move: int, place: list[float]) -> None:
+        """Go on within a block, and within a run, that another writer has begun.
+
+        place : mm, X Y Z E, where its last segment has ended
+        """
+        moves = self.program.moves
+        self.open, self.begun = True, True
+        self.in_force = self._limits_at(move)
+        self.frame = int(moves.frame[move])
+        self._tell_frame(place)
+
     # -- a run
 
     def run(self, first: int, vertices: FloatArray, line_up: Timeline) -> Iterator[bytes]:
@@ -199,15 +210,19 @@ class Writer:
             return self.event(line)
         return (self._original(line),) if isinstance(line, int) else (line,)
 
-    def _begin(self, move: int) -> Iterator[bytes]:
-        """Open a block if none is open, and take over the state at `move`."""
+    def _limits_at(self, move: int) -> MotionLimits:
         moves = self.program.moves
-        self.in_force = MotionLimits(
+        return MotionLimits(
             float(moves.velocity_limit[move]),
             float(moves.acceleration[move]),
             float(moves.square_corner_velocity[move]),
             float(moves.minimum_cruise_ratio[move]),
         )
+
+    def _begin(self, move: int) -> Iterator[bytes]:
+        """Open a block if none is open, and take over the state at `move`."""
+        moves = self.program.moves
+        self.in_force = self._limits_at(move)
         if not self.open:
             self.open = True
             yield from self._limits(self._opening())

@@ -14,7 +14,11 @@ from numpy.typing import NDArray
 from ffcomp import job as jobs
 from ffcomp.chapters import REMEMBERED_S, Chapter, chapters
 from ffcomp.job import Job
+from ffcomp.look import corners
+from ffcomp.metrics import contour_error
 from ffcomp.pipeline import Layers, plan_program, settings_for
+from ffcomp.steps.reader import read_events, read_steps
+from ffcomp.steps.sink import Board
 from ffcomp.writer import original
 from gcode.cutting import join, split
 from gcode.errors import GcodeError
@@ -44,7 +48,7 @@ def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def cut(data: bytes, part_bytes: int = SMALL) -> list[Chapter]:
-    return list(chapters(read_parts([data], flavor="klipper", part_bytes=part_bytes)))
+    return list(chapters(read_parts([data], flavor="klipper", part_bytes=part_bytes), 0.004, 0.008, None))
 
 
 def text_of(data: bytes, machine: Machine, **options: object) -> tuple[bytes, Job]:
@@ -130,6 +134,68 @@ def test_an_error_names_the_line_of_the_file(tower: bytes, machine: Machine, sma
     with pytest.raises(GcodeError, match=rf"print.gcode:{lines + 1}: ") as error:
         text_of(tower + b"G1 X500 Y0\n", machine, predict=False)
     assert error.value.line == lines + 1
+
+
+@pytest.fixture(scope="module")
+def spiral() -> bytes:
+    """A vase of 12,000 facets in one go, with lines between them, and rests before and after."""
+    lines = [b"G28\nG90\nM83\nG1 X25 Y0 Z0.3 F6000\nG1 E1 F1800\n;TYPE:Perimeter\n"]
+    for k in range(12_000):
+        a, r = 0.036 * k, 25 + 2 * np.sin(0.252 * k)
+        lines.append(b"G1 X%.3f Y%.3f Z%.4f E.03 F4800\n" % (r * np.cos(a), r * np.sin(a), 0.3 + 0.002 * k))
+        lines += [b"M106 S%d\n" % (k % 255), b";LAYER_CHANGE\n"] if k % 500 == 499 else []
+    return b"".join([*lines, b"G1 E-1 F1800\nG1 X0 Y0 F9000\nM84\n"])
+
+
+@pytest.fixture
+def short_spirals(monkeypatch: pytest.MonkeyPatch, small_parts: None) -> None:
+    monkeypatch.setattr("ffcomp.chapters.LONGEST", 2000)
+
+
+def test_a_spiral_is_cut_in_motion_without_a_trace(spiral: bytes, machine: Machine, short_spirals: None) -> None:
+    several, cut_job = text_of(spiral, machine)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ffcomp.chapters.LONGEST", 10**9)
+        whole, job = text_of(spiral, machine)
+    assert cut_job.summary.windows > job.summary.windows  # there were cuts
+    assert original(several) == original(whole) == spiral
+    assert several.count(b"SET_VELOCITY_LIMIT") <= whole.count(b"SET_VELOCITY_LIMIT") + 4  # none of them in the spiral
+    for name in ("print_time_s", "original_print_time_s", "moves"):
+        assert getattr(cut_job.summary, name) == pytest.approx(getattr(job.summary, name), abs=1e-6)
+    # joined segments end elsewhere after a cut: both commands, where they pass the same time
+    mine, theirs = (plan_program(read_program(text), machine).trajectory for text in (several, whole))
+    assert mine.end_t == pytest.approx(theirs.end_t, abs=0.02)
+    ends = [np.diff(read_program(text).moves.end[:, 3]).sum() for text in (several, whole)]
+    assert ends[0] == pytest.approx(ends[1], abs=1e-3)
+    both = plan_program(read_program(several), machine), plan_program(read_program(whole), machine)
+    path_t, path = corners(both[1].trajectory)
+    t = np.linspace(1.0, both[0].trajectory.end_t - 1.0, 20_000)
+    off = contour_error(path_t, path, t, both[0].trajectory.position(t)[:, :3])
+    assert off.max() < 1.5e-3  # mm: segments are joined where they stay this near to what was solved
+
+
+def test_jobs_change_no_byte_of_a_spiral(spiral: bytes, machine: Machine, short_spirals: None) -> None:
+    alone, _ = text_of(spiral, machine, predict=False)
+    together, _ = text_of(spiral, machine, predict=False, jobs=2)
+    assert alone == together
+
+
+def test_steps_of_a_spiral_cut_in_motion(spiral: bytes, machine: Machine, short_spirals: None, tmp_path: Path) -> None:
+    found = []
+    for longest in (2000, 10**9):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("ffcomp.chapters.LONGEST", longest)
+            target = tmp_path / f"{longest}.npz"
+            Job(spiral, "spiral.gcode", machine, predict=False).write_steps(target, Board(400.0))
+            found.append((read_steps(target), read_events(target)))
+    (cut_motors, cut_events), (motors, events) = found
+    assert cut_events[1] == events[1]
+    np.testing.assert_allclose(cut_events[0], events[0], atol=1e-6)
+    for name in "abce":
+        assert abs(len(cut_motors[name].time_s) - len(motors[name].time_s)) <= 4
+        t = np.linspace(0.2, motors["a"].time_s[-1], 5000)
+        levels = [m[name].level_mm[np.searchsorted(m[name].time_s, t)] for m in (cut_motors, motors)]
+        assert np.abs(levels[0] - levels[1]).max() <= 1.01 * motors[name].step_mm  # half a step apart may be a step
 
 
 def test_a_print_without_rests_is_one_chapter() -> None:
