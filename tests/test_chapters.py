@@ -138,9 +138,9 @@ def test_an_error_names_the_line_of_the_file(tower: bytes, machine: Machine, sma
 
 @pytest.fixture(scope="module")
 def spiral() -> bytes:
-    """A vase of 12,000 facets in one go, with lines between them, and rests before and after."""
+    """A vase of 6,000 facets in one go, with lines between them, and rests before and after."""
     lines = [b"G28\nG90\nM83\nG1 X25 Y0 Z0.3 F6000\nG1 E1 F1800\n;TYPE:Perimeter\n"]
-    for k in range(12_000):
+    for k in range(6_000):
         a, r = 0.036 * k, 25 + 2 * np.sin(0.252 * k)
         lines.append(b"G1 X%.3f Y%.3f Z%.4f E.03 F4800\n" % (r * np.cos(a), r * np.sin(a), 0.3 + 0.002 * k))
         lines += [b"M106 S%d\n" % (k % 255), b";LAYER_CHANGE\n"] if k % 500 == 499 else []

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
@@ -146,6 +146,7 @@ def test_a_machine_without_a_command(printer: Machine) -> None:
 
 
 @given(st.floats(allow_nan=False))
+@settings(deadline=None)
 def test_our_hyperbolic_tangent(x: float) -> None:
     assert kernels.tanh(x) == pytest.approx(math.tanh(x), rel=2e-14, abs=1e-300)
 

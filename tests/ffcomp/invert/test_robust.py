@@ -12,7 +12,7 @@ from ffcomp.compare.judge import Played, contour
 from ffcomp.compare.plants import drawn
 from ffcomp.compare.play import play
 from ffcomp.compare.stretch import Print, Sampling
-from ffcomp.compare.ways import OURS, inversion
+from ffcomp.compare.ways import OURS, ROBUST, inversion
 from ffcomp.invert.inverter import Inverter
 from ffcomp.invert.robust import HALF, Softening, _draws
 from ffcomp.pipeline import settings_for
@@ -98,9 +98,8 @@ def test_printers_that_are_off_print_better_on_average(machine: Machine) -> None
     (stretch,), _ = Print(squares(1), "squares.gcode", machine).stretches(Sampling())
     plants = drawn(machine, 0.1, 6)
     means = []
-    for robust in (False, True):
-        settings = replace(settings_for(believed), robust=robust)
-        motion, _ = inversion(believed, settings, OURS).motion(stretch)
+    for name in (OURS, ROBUST):
+        motion, _ = inversion(believed, settings_for(believed), name).motion(stretch)
         t, nozzles = play(plants, motion, believed)
         squared = [np.mean(contour([Played(stretch, motion, t, nozzle)]) ** 2) for nozzle in nozzles]
         means.append(float(np.mean(squared)))

@@ -1,0 +1,311 @@
+"""Every way to a command, side by side: what it costs, and what it is worth. And how near ours is to the exact one."""
+
+from __future__ import annotations
+
+import os
+
+os.environ["OMP_NUM_THREADS"] = "1"  # one core: said before numpy and scipy start their threads
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.performance_methods import SAMPLE_S, ZERO_PHASE, dense, knots, whole_run, zero_phase
+from ffcomp.compare import ways
+from ffcomp.compare.judge import Played, judge, track
+from ffcomp.compare.play import peaks, play
+from ffcomp.compare.stretch import Print, Sampling, Stretch
+from ffcomp.compare.tuning import LinearPrinter
+from ffcomp.compare.ways import ONE_MODEL, OURS, Way
+from ffcomp.invert.inverter import Inverter, RunResult
+from ffcomp.invert.settings import Settings
+from ffcomp.pipeline import Planned, Solved, plan_program, settings_for, solutions
+from ffcomp.runs import Run
+from gcode.reader import read_program
+from models.machine import Machine
+from models.machine_file import load_machine
+
+FloatArray = NDArray[np.float64]
+
+ROOT = Path(__file__).parents[1]
+MACHINE = "mp-delta-pro"
+PRINTS = ("ringing_tower", "lobed_vase", "far_star")
+SHAPERS = ("zv", "mzv", "ei", "2hump_ei", "3hump_ei")
+EXACT, PLAIN_EXACT, DENSE = "exact", "exact-plain", "dense"
+PIECE_S, TOGETHER_S = 10.0, 30.0
+MORE_CORRECTIONS = 6  # does the exact one stay where it is?
+DENSE_S = (2.0, 3.0)  # how long the path of the dense formulation is
+LABELS = {
+    EXACT: "exact scheduled FBS",
+    PLAIN_EXACT: "exact, as deep as ours",
+    OURS: "**ours**",
+    ONE_MODEL: "FBS, one model",
+    ZERO_PHASE: "zero-phase-error tracking, scheduled",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Method:
+    """A way, and the computing of its commands alone."""
+
+    way: Way
+    command: Callable[[Stretch], int]  # how many knots it had
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One method on one print."""
+
+    name: str
+    label: str
+    tuning: str
+    us_per_segment: float
+    print_s_per_s: float
+    tracking_um: float
+    tracking_no_delay_um: float
+    contour_um: float
+    peak_m_per_s2: float
+
+
+def exact_settings(machine: Machine) -> Settings:
+    """The reference: with more preview, and a pass more through the plant, than a window of it needs by itself."""
+    return replace(settings_for(machine), inverse="exact", preview=40, corrections=2)
+
+
+def sample_print(name: str, machine: Machine) -> Print:
+    path = ROOT / "sample_prints" / f"{name}.gcode"
+    return Print(path.read_bytes(), path.name, machine)
+
+
+# ---- side by side --------------------------------------------------------------------------------
+
+
+def side_by_side(rounds: int, exact_rounds: int, seconds: float, names: Sequence[str] = PRINTS) -> dict[str, Any]:
+    """A table for each print: rows, and what was looked at."""
+    machine = load_machine(MACHINE)
+    return {name: table(name, machine, rounds, exact_rounds, seconds) for name in names}
+
+
+def table(name: str, machine: Machine, rounds: int, exact_rounds: int, seconds: float) -> dict[str, Any]:
+    printed = sample_print(name, machine)
+    stretches, told = printed.stretches(Sampling(), min(PIECE_S, seconds), seconds)
+    methods = every_method(machine, stretches)
+    times = least(
+        {m.way.name: lambda m=m: sum(map(m.command, stretches)) for m in methods},
+        {m.way.name: exact_rounds if m.way.name.startswith(EXACT) else rounds for m in methods},
+    )
+    lasting = sum(each.motion.end_t - each.motion.begin_t for each in stretches)
+    rows = [row(m.way, stretches, machine, *times[m.way.name], lasting) for m in methods]
+    return {"told": told, "rows": [asdict(each) for each in rows], DENSE: dense_row(printed.planned, machine)}
+
+
+def every_method(machine: Machine, stretches: Sequence[Stretch]) -> list[Method]:
+    usual = settings_for(machine)
+    linear, of_place = LinearPrinter(machine, stretches), ways.mode_frequencies(machine)
+    plain = replace(usual, inverse="exact")
+    found = [
+        inverting(machine, exact_settings(machine), EXACT),
+        inverting(machine, plain, PLAIN_EXACT),
+        inverting(machine, usual, OURS),
+        inverting(machine, usual, ONE_MODEL),
+        sampling(zero_phase(machine)),
+    ]
+    for kind in SHAPERS:
+        found.append(sampling(ways.best_fixed(linear, kind)))
+    for kind in SHAPERS:
+        found.append(sampling(ways.scheduled(linear, of_place, kind)))
+    return found
+
+
+def inverting(machine: Machine, settings: Settings, name: str) -> Method:
+    """Filtered B-splines: every run of a stretch, with all that an inverse keeps already worked out."""
+    way = replace(ways.inversion(machine, settings, name), label=LABELS[name])
+    inverter = Inverter(machine, replace(settings, one_model=name == ONE_MODEL))
+    return Method(way, lambda stretch: sum(each.wanted.knots for each in solved(stretch.planned, inverter)))
+
+
+def solved(planned: Planned, inverter: Inverter, keep: bool = False) -> Iterator[Solved]:
+    return solutions(planned, inverter.machine, inverter, None, lambda wanted: keep)
+
+
+def sampling(way: Way) -> Method:
+    """Methods that know no runs: the nozzle command at all knots."""
+
+    def command(stretch: Stretch) -> int:
+        return len(way.motion(stretch)[0].position(knots(stretch)))
+
+    return Method(way, command)
+
+
+def least(works: dict[str, Callable[[], int]], rounds: dict[str, int]) -> dict[str, tuple[int, float]]:
+    """What each returns, and its shortest CPU time, s. One after the other in every round, after one that is not kept:
+    so the load of other jobs is shared alike."""
+    for work in works.values():
+        work()
+    found = dict.fromkeys(works, (0, np.inf))
+    for k in range(max(rounds.values())):
+        for name, work in works.items():
+            if k < rounds[name]:
+                began = time.process_time()
+                answer = work()
+                found[name] = (answer, min(found[name][1], time.process_time() - began))
+    return found
+
+
+def row(way: Way, stretches: Sequence[Stretch], machine: Machine, count: int, cpu_s: float, lasting: float) -> Row:
+    played, peak = [], 0.0
+    for stretch in stretches:
+        motion, _ = way.motion(stretch)
+        t, (nozzle,) = play([machine], motion, machine)
+        played.append(Played(stretch, motion, t, nozzle))
+        peak = max(peak, peaks(motion, machine)[1])
+    judged = judge(played)
+    found = track(judged, np.ones(len(judged.samples.due), dtype=np.bool_), lasting, peak)
+    return Row(
+        way.name,
+        way.label,
+        way.tuning,
+        1e6 * cpu_s / count,
+        lasting / cpu_s,
+        found.tracking_rms_um,
+        found.tracking_rms_no_delay_um,
+        found.contour_rms_um,
+        peak / 1e3,
+    )
+
+
+def dense_row(planned: Planned, machine: Machine) -> dict[str, float] | None:
+    """The dense formulation on one run, exact and ours on the same; None if no run is of that length."""
+    runs = [r for r in planned.runs if r.travels and DENSE_S[0] <= r.end_t - r.begin_t <= DENSE_S[1]]
+    if not runs:
+        return None
+    exact, ours = Inverter(machine, exact_settings(machine)), Inverter(machine, settings_for(machine))
+    commands: dict[str, FloatArray] = {}
+
+    def told(name: str, command: Callable[[], FloatArray]) -> Callable[[], int]:
+        def work() -> int:
+            commands[name] = command()
+            return len(commands[name]) - 1
+
+        return work
+
+    def by(inverter: Inverter) -> Callable[[], FloatArray]:
+        return lambda: inverter.run(whole_run(planned, runs[0], inverter).run.reference, start.state).vertices
+
+    start = whole_run(planned, runs[0], exact)
+    works = {EXACT: told(EXACT, by(exact)), OURS: told(OURS, by(ours))}
+    times = least(works, {EXACT: 2, OURS: 5})
+    began = time.process_time()
+    knots_n = told(DENSE, lambda: dense(whole_run(planned, runs[0], exact)))()
+    seconds = time.process_time() - began
+    return {
+        "run_s": runs[0].end_t - runs[0].begin_t,
+        "unknowns": 3.0 * (knots_n - 1),
+        "dense_us": 1e6 * seconds / knots_n,
+        "exact_us": 1e6 * times[EXACT][1] / knots_n,
+        "ours_us": 1e6 * times[OURS][1] / knots_n,
+        "dense_to_exact_um": 1e3 * float(np.abs(commands[DENSE] - commands[EXACT]).max()),
+        "dense_to_ours_um": 1e3 * float(np.abs(commands[DENSE] - commands[OURS]).max()),
+    }
+
+
+# ---- ours against the exact one ------------------------------------------------------------------
+
+
+def accuracy(names: Sequence[str] = PRINTS) -> dict[str, Any]:
+    """Where the nozzle goes by the design model: ours against exact, over the whole prints."""
+    machine = load_machine(MACHINE)
+    return {name: apart(sample_print(name, machine).planned, machine) for name in names}
+
+
+def apart(planned: Planned, machine: Machine) -> dict[str, Any]:
+    deep, usual = (replace(each, slow_down=False) for each in (exact_settings(machine), settings_for(machine)))
+    exact, ours = Inverter(machine, deep), Inverter(machine, usual)
+    more = Inverter(machine, replace(deep, corrections=MORE_CORRECTIONS))
+    last = last_extruding(planned)
+    while_printing, parking, passes = _Apart(), _Apart(), _Apart()
+    for a, b, c in zip(*(solved(planned, each, True) for each in (exact, ours, more)), strict=True):
+        (while_printing if a.run.first <= last else parking).add(a.run, a.result, b.result)
+        if a.run.first > last:
+            passes.add(a.run, a.result, c.result)
+    return {"printing": while_printing.told(), "parking": parking.told(), "passes": passes.told()}
+
+
+def last_extruding(planned: Planned) -> int:
+    """The last move that lays plastic down."""
+    direction = planned.trajectory.direction
+    return int(np.flatnonzero((direction[:, 3] > 0.0) & np.any(direction[:, :3] != 0.0, axis=1))[-1])
+
+
+class _Apart:
+    """Differences of runs, gathered."""
+
+    def __init__(self) -> None:
+        self.runs, self.limited, self.squares, self.samples, self.worst = 0, 0, 0.0, 0, 0.0
+        self.command, self.seconds = 0.0, 0.0
+
+    def add(self, run: Run, one: RunResult, other: RunResult) -> None:
+        difference = np.linalg.norm(one.response - other.response, axis=1)
+        command = np.linalg.norm(one.vertices - other.vertices, axis=1)
+        self.runs += 1
+        self.limited += bool(one.limited or other.limited)
+        self.squares += float((difference**2).sum())
+        self.samples += len(difference)
+        self.worst, self.command = max(self.worst, float(difference.max())), max(self.command, float(command.max()))
+        self.seconds += run.end_t - run.begin_t
+
+    def told(self) -> dict[str, float]:
+        return {
+            "runs": self.runs,
+            "limited": self.limited,
+            "seconds": self.seconds,
+            "rms_um": 1e3 * float(np.sqrt(self.squares / max(self.samples, 1))),
+            "max_um": 1e3 * self.worst,
+            "command_max_um": 1e3 * self.command,
+        }
+
+
+# ---- against the place on the bed ----------------------------------------------------------------
+
+
+def over_the_bed(radii_mm: Sequence[float], rounds: int, exact_rounds: int, seconds: float) -> dict[str, Any]:
+    """The same pattern at growing radius: what a segment costs."""
+    machine = load_machine(MACHINE)
+    exact, ours = Inverter(machine, exact_settings(machine)), Inverter(machine, settings_for(machine))
+    plans = {r: plan_program(read_program(pattern(r, seconds), "pattern"), machine) for r in radii_mm}
+    works: dict[str, Callable[[], int]] = {}
+    for radius, plan in plans.items():
+        for name, inverter in ((OURS, ours), (EXACT, exact)):
+            works[f"{name}-{radius:g}"] = lambda p=plan, i=inverter: sum(s.wanted.knots for s in solved(p, i))
+    found = least(works, {name: rounds if name.startswith(OURS) else exact_rounds for name in works})
+    us = {name: 1e6 * cpu_s / count for name, (count, cpu_s) in found.items()}
+    return {
+        "radius_mm": list(radii_mm),
+        "print_s": [plan.trajectory.end_t for plan in plans.values()],
+        "ours_us": [us[f"{OURS}-{r:g}"] for r in radii_mm],
+        "exact_us": [us[f"{EXACT}-{r:g}"] for r in radii_mm],
+    }
+
+
+def pattern(radius_mm: float, seconds: float) -> bytes:
+    """Rings and zigzags some 15 mm across, printed again and again about a place, with a retraction after each."""
+    angle = np.radians(20.0)  # towards no tower, and between none
+    centre = radius_mm * np.array([np.cos(angle), np.sin(angle)])
+    turn = np.linspace(0.0, 2 * np.pi, 49)
+    ring = 7.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    zigzag = np.stack([np.repeat(np.linspace(-5, 5, 11), 2), np.tile([-5.0, 5.0, 5.0, -5.0], 6)[:22]], axis=1)
+    places = centre + np.concatenate([ring, zigzag])
+    layer = b"".join(b"G1 X%.3f Y%.3f E.05\n" % (x, y) for x, y in places)
+    once = b"G1 E-1 F3000\nG1 X%.3f Y%.3f F9000\nG1 E1 F3000\nG1 F6000\n" % tuple(places[0]) + layer
+    head = b"M83\nSET_VELOCITY_LIMIT ACCEL=3000\nG28\nG1 Z5 F6000\n"
+    return head + once * max(1, round(seconds / LAYER_S))
+
+
+LAYER_S = 3.6  # about what one ring with its zigzag takes
+assert Settings().segment_s == SAMPLE_S, "What is compared has knots equally far apart."
