@@ -196,8 +196,9 @@ def two(found: Numbers) -> Iterator[str]:
     one, both = found["1"], found["2"]
     same = "the same bytes" if found["identical"] else "OTHER BYTES"
     yield f"""{one["print_s"]:,.0f} s of {REPEATED} with `--jobs 1` and `--jobs 2`, each the better of two:
-{one["wall_s"]:.1f} and {both["wall_s"]:.1f} s of wall time ({one["wall_s"] / both["wall_s"]:.2f} times), {same}. Two
-cores which other work shares; starting a second process, its compiled code and its tables take some 2 s.
+{one["wall_s"]:.1f} and {both["wall_s"]:.1f} s of wall time ({one["wall_s"] / both["wall_s"]:.2f} times), {same}. Wall
+time is no measure here: other work had the same two cores (a load of {found["load"]:.1f} at the end). Starting a second
+process, its compiled code and its tables, takes some 2 s of CPU time.
 """
 
 
@@ -213,8 +214,8 @@ middle.
 | ours, µs a segment | {" | ".join(f"{us:.2f}" for us in ours)} |
 | exact, µs a segment | {" | ".join(f"{us:.0f}" for us in exact)} |
 
-Ours stays within {100 * np.ptp(ours) / ours.mean():.0f} % of its mean, the exact one within
-{100 * np.ptp(exact) / exact.mean():.0f} %: what depends on the place is looked up, never searched.
+From least to most ours varies by {100 * np.ptp(ours) / ours.mean():.0f} % and the exact one by
+{100 * np.ptp(exact) / exact.mean():.0f} %, without a trend: what depends on the place is looked up, never searched.
 """
 
 

@@ -17,11 +17,11 @@ from ffcomp.invert.preview import AUGMENTED, BACKWARD, FORWARD, REST_ROWS, TO_TH
 
 FloatArray = NDArray[np.float64]
 
-STRETCH = 256  # knots solved at a time
+STRETCH = 512  # knots solved at a time
 NO_END = Gains(np.empty((0, *BACKWARD)), np.empty((0, *FORWARD)))
 MOST_PASSES = 5
 CLOSE_MM = 5e-3  # a change of the command so small leaves a tenth of it to the next
-SIGHT = 40  # knots in sight after them: what comes later asks for less than a millionth now
+SIGHT = 32  # knots in sight after them: what comes later asks for a hundred-thousandth now
 
 
 def solve(run: Playing, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray, int]:
