@@ -224,7 +224,8 @@ def _beside_curves(path: _Path, settings: SCurve, level: float, start: FloatArra
     """
     junction = path.turn * np.minimum(start / path.apart, np.sqrt(start) / settings.span_s)
     curve = np.maximum(junction[1:], junction[:-1])
-    left = level * np.sqrt(np.maximum(1.0 - (curve / level) ** 2, 0.0))
+    taken = np.divide(curve, level, out=np.zeros_like(curve), where=curve > 0.0)  # the level is 0 where nothing moves
+    left = level * np.sqrt(np.maximum(1.0 - taken**2, 0.0))
     return np.divide(left, path.gain, out=np.full_like(left, np.inf), where=path.gain > 0.0)
 
 

@@ -364,7 +364,7 @@ def _of_playing(late: BoolArray) -> Iterator[Trouble]:
 
 
 def _widened(marked: BoolArray, by: int) -> BoolArray:
-    return np.convolve(marked, np.ones(2 * by + 1), "same") > 0.5
+    return np.asarray(np.convolve(marked, np.ones(2 * by + 1))[by : by + len(marked)] > 0.5)
 
 
 def _stretches(marked: BoolArray) -> Iterator[tuple[int, int]]:

@@ -14,7 +14,7 @@ from ffcomp.invert.inverter import Inverter
 from ffcomp.invert.settings import Settings
 from ffcomp.pipeline import Planned, firmware_limits, plan_program, settings_for
 from ffcomp.plan.s_curve import s_curve
-from ffcomp.plan.slow_down import Feasible, feasible_run
+from ffcomp.plan.slow_down import Feasible, _widened, feasible_run
 from ffcomp.played import played
 from ffcomp.runs import Reference, Run
 from ffcomp.schedule import rest_state
@@ -218,3 +218,13 @@ def test_a_plan_with_s_curves_is_planned_again_with_them(machine: Machine) -> No
     found = solved(inverter_of(tight), smooth, smooth.runs[0], tight, replan=replan)
     assert type(found.trajectory) is type(smooth.trajectory)
     assert found.records and found.result.excess <= 1.001
+
+
+@pytest.mark.parametrize("count", [1, 3, 40])
+def test_marks_are_widened_within_their_stretch(count: int) -> None:
+    """Runs can be shorter than what is widened by."""
+    marked = np.zeros(count, dtype=np.bool_)
+    marked[count // 2] = True
+    found = _widened(marked, 5)
+    assert len(found) == count
+    np.testing.assert_array_equal(found, np.abs(np.arange(count) - count // 2) <= 5)
