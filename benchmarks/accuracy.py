@@ -152,13 +152,12 @@ def tuned(name: str, original: judge.Original, kind: str) -> judge.Tuned:
 ABLATIONS: dict[str, dict[str, Any]] = {
     "as it is": {},
     "model of the centre everywhere": {"one_model": True},
-    "no correction with what is played": {"corrections": 0},
-    "two corrections": {"corrections": 2},
+    "the exact inverse": {"inverse": "exact"},
+    "robust inversion": {"robust": True},
     "segments of 5 ms": {"segment_s": 0.005},
     "bandwidth 80 Hz": {"bandwidth_hz": 80.0},
     "bandwidth 110 Hz": {"bandwidth_hz": 110.0},
     "bandwidth 120 Hz": {"bandwidth_hz": 120.0},
-    "every window with its own model": {"frozen_mm": 1e-6},
     "no segments joined": {"merge_um": 0.0},
 }
 

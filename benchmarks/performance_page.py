@@ -157,8 +157,8 @@ the peak of a process that did nothing else; the aim is {AIM_MEMORY_MB:g} MB. Th
     yield ""
     over = [name for name, r in done.items() if r["peak_mb"] > AIM_MEMORY_MB]
     if over:
-        yield f"""More than {AIM_MEMORY_MB:g} MB: {", ".join(over)}. A
-file is cut where the nozzle rests; they have long stretches without any rest.
+        yield f"""More than {AIM_MEMORY_MB:g} MB: {", ".join(over)}. Files
+are cut by the size of their text, and few lines last long there: single motions without a rest take up to an hour.
 """
 
 

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import cache
 from itertools import cycle
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -35,6 +36,8 @@ SIDE_BY_SIDE_S = 10800.0
 SMALL_S = 60.0
 LAYER, END = b";LAYER_CHANGE", b";TYPE:Custom"
 UNIT = 1 if sys.platform == "darwin" else 1024  # of ru_maxrss, bytes
+REPORT = "import sys; from benchmarks.performance_prints import load, report; "
+OWN_PROCESS: dict[str, Any] = {"cwd": ROOT, "capture_output": True, "text": True}
 
 Answer = dict[str, Any]
 
@@ -44,21 +47,32 @@ Answer = dict[str, Any]
 
 def in_own_process(source: Path, target: Path, machine: str, rounds: int = 1, jobs: int = 1) -> Answer:
     """The best of some rounds after a small print that loads the compiled code, and the peak memory of it all."""
+    _compile()
     offset = OFFSETS.get(source.name, (0.0, 0.0))
     told = json.dumps([str(source), str(target), machine, offset, rounds, jobs])
-    script = "import sys; from benchmarks.performance_prints import report; report(sys.argv[1])"
-    done = subprocess.run([sys.executable, "-c", script, told], cwd=ROOT, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", f"{REPORT}report(sys.argv[1])", told], **OWN_PROCESS)
     if done.returncode:
         raise RuntimeError(f"{source.name} was not compensated: {done.stderr.strip().splitlines()[-1]}")
     return dict(json.loads(done.stdout))
+
+
+@cache
+def _compile() -> None:
+    """On a machine where nothing is compiled yet, the compiler's memory must not be taken for ours."""
+    subprocess.run([sys.executable, "-c", f"{REPORT}load()"], check=True, **OWN_PROCESS)
+
+
+def load() -> None:
+    """Compensate a small print, for the sake of the compiled code."""
+    small = (ROOT / "sample_prints" / f"{REPEATED}.gcode").read_bytes()
+    Job(b"".join(repeated(small, [1.0], 0.0)), "small", load_machine(MACHINE), predict=False).write(None)
 
 
 def report(told: str) -> None:
     """What `in_own_process` runs: one JSON object on standard output."""
     source, target, name, offset, rounds, jobs = json.loads(told)
     machine = load_machine(name)
-    small = (ROOT / "sample_prints" / f"{REPEATED}.gcode").read_bytes()
-    Job(b"".join(repeated(small, [1.0], 0.0)), "small", load_machine(MACHINE), predict=False).write(None)
+    load()
     found, loaded_mb = [], _peak_mb()
     for _ in range(rounds):
         cpu, wall = time.process_time(), time.perf_counter()
