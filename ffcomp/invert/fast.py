@@ -111,9 +111,9 @@ def _to_rest(gains: Preview, node: NDArray[np.int64], steady: int) -> Gains:
     return ending
 
 
-def improve(run: Playing, error: FloatArray, share: float) -> None:
-    """γ += a share of the answer to an error (rows, 3) mm, of a whole run and `REST_ROWS` knots after it."""
+def improve(run: Playing, error: FloatArray, share: FloatArray) -> None:
+    """γ += shares (n + 1,) of the answer to an error (rows, 3) mm, of a whole run and `REST_ROWS` knots after it."""
     part = _Part(run, 0, run.last, begin=False)
     before = run.gamma.copy()
     part.improve(error)
-    run.gamma[:] = before + share * (run.gamma - before)
+    run.gamma[:] = before + share[:, None] * (run.gamma - before)

@@ -5,8 +5,9 @@ effects; where the nozzle should have been instead is swept through the same gai
 
     u ← u + K (r − P(u))                                          P the printer, K the linear inverse
 
-Friction, play or a late motor change the answer of a machine by a part of itself, so a few rounds are enough. A run
-keeps the best command it has had: where a round makes it worse, half of its step is tried from the best one.
+Friction, play or a late motor change the answer of a machine by a part of itself, so a few rounds are enough. What a
+command does is over after some ten segments, so each place of a run keeps the best command that it has had: where a
+round makes it worse, half of the step is tried from the best one. A run ends with the best command that was played whole.
 
 What the weight bends is left to bed levelling. A delay that all motors share is left to the clock: the nozzle comes
 late along the right path.
@@ -34,8 +35,9 @@ from models.printer_kernels import LANES
 
 FloatArray = NDArray[np.float64]
 
-ROUNDS = 8  # of the whole printer at most
-WORTH = 0.95  # a round that leaves more of the error than this was the last
+ROUNDS = 16  # of the whole printer at most
+WORTH = 0.97  # a round that leaves more of the error than this was the last
+AROUND, EASED = 16, 8  # knots on either side: to judge a place by, and over which to go from one command to another
 REMEMBERED_S = 0.5  # of motion before a lane's first run
 
 Lane = tuple[int, int, int]  # runs are played from the first on; those from the second on, to the third, count
@@ -52,15 +54,17 @@ class Ran:
 
 @dataclass
 class _Round:
-    """One run's best command, and the next to be tried."""
+    """One run: the best command that was played, and the one put together of the best at every place."""
 
-    run: Playing
+    run: Playing  # its γ: what is played next
     rest_rows: int | None
-    gamma: FloatArray  # the best, (n + 1, 3) mm
+    best: FloatArray  # γ (n + 1, 3) mm of the best that was played
     rms: float = np.inf  # of its error, mm
-    error: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     response: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    share: float = 1.0  # of the answer that is taken up
+    gamma: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  # put together
+    error: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  # that it should have, (rows, 3) mm
+    local: FloatArray = field(default_factory=lambda: np.zeros(0))  # mean square of it around each knot, mm²
+    share: FloatArray = field(default_factory=lambda: np.ones(1))  # of the answer that is taken up at each knot
 
 
 def corrected(inverter: Inverter, machine: Machine, runs: Sequence[Ran]) -> list[RunResult]:
@@ -154,27 +158,46 @@ def _timeline(
 
 
 def _judge(each: _Round, nozzle: FloatArray) -> None:
-    """Keep the command that was played if it is the best so far; else go half as far next time."""
+    """Take up what was played wherever it is the best so far; elsewhere go half as far next time."""
     run, s = each.run, each.run.inverter.settings
     wanted, _ = run.reference.substeps(0, run.last + REST_ROWS)
     rows = min(len(nozzle), len(wanted))
     error = np.zeros_like(wanted)
     error[:rows] = wanted[:rows] - nozzle[:rows]
     end = run.last * s.substeps
-    rms = float(np.sqrt(np.mean(np.sum(error[1 : end + 1] ** 2, axis=1))))
+    square = np.sum(error[1 : end + 1] ** 2, axis=1)
+    rms = float(np.sqrt(np.mean(square)))
     if rms < each.rms:
-        stride = s.substeps // s.rows_per_segment
-        each.gamma, each.rms = run.gamma.copy(), rms
-        each.error, each.response = error[stride::stride].copy(), nozzle[1 : end + 1]
-        each.error[: len(run.softened)] += run.softened
-    else:
-        each.share *= 0.5
+        each.best, each.rms, each.response = run.gamma.copy(), rms, nozzle[1 : end + 1]
+    weighed = error[s.substeps // s.rows_per_segment :: s.substeps // s.rows_per_segment].copy()
+    weighed[: len(run.softened)] += run.softened
+    local = np.zeros(len(run.gamma))
+    local[1 : run.last + 1] = square.reshape(-1, s.substeps).mean(axis=1)
+    local = _around(local, AROUND)
+    if not len(each.gamma):
+        each.gamma, each.error, each.local = run.gamma.copy(), weighed, local
+        each.share = np.ones(len(local))
+        return
+    better = local < each.local
+    taken = _around(better.astype(np.float64), EASED)[:, None]  # eased, for the command must not jump
+    each.gamma = taken * run.gamma + (1.0 - taken) * each.gamma
+    of_rows = np.repeat(taken[1:], s.rows_per_segment, axis=0)
+    each.error = of_rows * weighed + (1.0 - of_rows) * each.error
+    each.local = np.where(better, local, each.local)
+    each.share = np.where(better, each.share, 0.5 * each.share)
+
+
+def _around(values: FloatArray, knots: int) -> FloatArray:
+    """Means over so many knots on either side, (n,)."""
+    window = np.ones(2 * knots + 1)
+    inside = slice(knots, knots + len(values))
+    return np.asarray(np.convolve(values, window)[inside] / np.convolve(np.ones_like(values), window)[inside])
 
 
 def _result(inverter: Inverter, each: _Round, ran: Ran) -> RunResult:
     run = each.run
     knots = np.arange(run.last + 1)
-    q = inverter.delta.inverse(ran.wanted.at_knots(knots)) + each.gamma[: run.last + 1]
+    q = inverter.delta.inverse(ran.wanted.at_knots(knots)) + each.best[: run.last + 1]
     vertices = inverter.delta.forward(q)
     response = each.response if len(ran.result.response) else ran.result.response
     return replace(ran.result, vertices=vertices, response=response, excess=excess(vertices, inverter.limits))
