@@ -7,7 +7,7 @@ effects; where the nozzle should have been instead is swept through the same gai
 
 Friction, play or a late motor change the answer of a machine by a part of itself, so a few rounds are enough. What a
 command does is over after some ten segments, so each place of a run keeps the best command that it has had: where a
-round makes it worse, half of the step is tried from the best one. A run ends with the best command that was played whole.
+round makes it worse, half of the step is tried from the best one. A run ends with the best command played whole.
 
 What the weight bends is left to bed levelling. A delay that all motors share is left to the clock: the nozzle comes
 late along the right path.
