@@ -20,21 +20,15 @@ def draw_effort(curves: Mapping[float, EffortCurve], title: str, path: Path) -> 
         axes = figure.subplots()
         for rate, curve in curves.items():
             peak, knee = curve.peak_mm_per_s2 / 1e3, curve.knee
-            (line,) = axes.loglog(peak, curve.error_um, ".-", label=f"{rate:g} segments/s")
+            label = f"{rate:g} segments/s: {curve.knee_hz:.0f} Hz"
+            (line,) = axes.loglog(peak, curve.error_um, ".-", label=label)
             axes.loglog(peak[knee], curve.error_um[knee], "o", ms=10, mfc="none", mew=2, color=line.get_color())
-            axes.annotate(
-                f"{curve.knee_hz:.0f} Hz",
-                (peak[knee], curve.error_um[knee]),
-                textcoords="offset points",
-                xytext=(10, 8),
-                color=line.get_color(),
-            )
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter("{x:g}")
         axes.yaxis.set_major_formatter("{x:g}")
         axes.set_xlabel("peak acceleration of the carriages' command, m/s²")
         axes.set_ylabel("tracking error rms, µm")
         axes.set_title(title)
-        axes.legend(title="circle: the knee", frameon=False)
+        axes.legend(title="bandwidth at the knee (circle)", frameon=False)
         axes.grid(True, which="both", alpha=0.25)
         path.write_bytes(file_of(figure, "svg" if path.suffix == ".svg" else "png"))
