@@ -44,6 +44,7 @@ STAMP_REACH = 1 << 20  # bytes at either end in which a stamp is looked for
 
 TOLD = 12  # places that were slowed down, of which each has its sentence
 
+Progress = Callable[[float], None]  # called with the share that is done, 0 to 1
 _Done = tuple[Iterator[bytes], int, Summary]  # a chapter's lines, its size in bytes, what was done
 
 
@@ -83,8 +84,10 @@ class Recipe:
         summary.predicted = prediction.samples if prediction else None
         return planned, state, prediction
 
-    def lines(self, chapter: Chapter, inverter: Inverter, summary: Summary) -> Iterator[bytes]:
-        """The compensated lines of a chapter."""
+    def lines(
+        self, chapter: Chapter, inverter: Inverter, summary: Summary, progress: Progress = lambda share: None
+    ) -> Iterator[bytes]:
+        """The compensated lines of a chapter. progress : called with the share of it that is done"""
         planned, state, prediction = self.begun(chapter, inverter, summary)
         yield from compensate(
             planned,
@@ -92,6 +95,7 @@ class Recipe:
             inverter,
             self.flavor,
             summary,
+            lambda done_s: progress(done_s / max(planned.trajectory.end_t, done_s)),
             offset=self.offset,
             state=state,
             said=chapter.said,
@@ -145,7 +149,7 @@ class Job:
         self.summary = Summary(warnings=_not_modelled(self.inverter))
         self.compute_time_s = 0.0
 
-    def write(self, target: Path | None, progress: Callable[[float], None] = lambda share: None) -> None:
+    def write(self, target: Path | None, progress: Progress = lambda share: None) -> None:
         """Compensate into `target` (None: nowhere), which is replaced whole at the end or not at all.
 
         progress : called with the share of the file that is done, 0 to 1
@@ -164,7 +168,7 @@ class Job:
         board: Board,
         error_s: float | None = None,
         plain: bool = False,
-        progress: Callable[[float], None] = lambda share: None,
+        progress: Progress = lambda share: None,
     ) -> dict[str, MotorTotal]:
         """The commands as step timings in an archive (None: nowhere), replaced whole at the end or not at all.
 
@@ -193,7 +197,7 @@ class Job:
         board: Board,
         error_s: float | None,
         plain: bool,
-        progress: Callable[[float], None],
+        progress: Progress,
     ) -> dict[str, MotorTotal]:
         done = 0
         with StepSink(self.machine, board, target, error_s) as sink:
@@ -219,7 +223,7 @@ class Job:
                 progress(min(done / max(self.size, 1), 1.0))
             return sink.finish()
 
-    def lines(self, progress: Callable[[float], None] = lambda share: None) -> Iterator[bytes]:
+    def lines(self, progress: Progress = lambda share: None) -> Iterator[bytes]:
         """The compensated file, stamped in head and tail, in pieces of whole lines."""
         stamp = stamp_line(__version__, self.machine.name, self.machine.sha256, self.flavor)
         body = self._body(progress)
@@ -248,21 +252,27 @@ class Job:
         recipe = Recipe(self.machine, self.settings, self.flavor, self.offset, share)
         return chain([first], whole), recipe
 
-    def _body(self, progress: Callable[[float], None]) -> Iterator[bytes]:
+    def _body(self, progress: Progress) -> Iterator[bytes]:
         together, recipe = self._started()
         done = 0
         for lines, size, summary in (
-            self._one_by_one(together, recipe) if self.jobs == 1 else self._side_by_side(together, recipe)
+            self._one_by_one(together, recipe, progress) if self.jobs == 1 else self._side_by_side(together, recipe)
         ):
             yield from lines
             self._take(summary)
             done += size
             progress(min(done / max(self.size, 1), 1.0))
 
-    def _one_by_one(self, together: Iterator[Chapter], recipe: Recipe) -> Iterator[_Done]:
+    def _one_by_one(self, together: Iterator[Chapter], recipe: Recipe, progress: Progress) -> Iterator[_Done]:
+        before = 0
         for chapter in together:
-            summary = Summary()
-            yield recipe.lines(chapter, self.inverter, summary), _size(chapter), summary
+            summary, size = Summary(), _size(chapter)
+
+            def within(share: float, before: int = before, size: int = size) -> None:
+                progress(min((before + share * size) / max(self.size, 1), 1.0))
+
+            yield recipe.lines(chapter, self.inverter, summary, within), size, summary
+            before += size
 
     def _side_by_side(self, together: Iterator[Chapter], recipe: Recipe) -> Iterator[_Done]:
         from joblib import Parallel, delayed
