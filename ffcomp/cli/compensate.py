@@ -63,7 +63,7 @@ ShaperOff = Annotated[
     bool,
     typer.Option(
         "--shaper-off",
-        help="Switch the firmware's input shaper off in the file (Klipper: only with an [input_shaper] section).",
+        help="Switch the firmware's input shaper off in the file (Klipper: only with an input_shaper section).",
     ),
 ]
 Predict = Annotated[bool, typer.Option(help="Simulate before and after with the design model.")]
@@ -75,7 +75,7 @@ Robust = Annotated[
     bool,
     typer.Option(
         "--robust",
-        help="Ask for less where the machine file's [uncertainty] leaves the machine unknown: worse if the file is "
+        help="Ask for less where the machine file's uncertainties leave the machine unknown: worse if the file is "
         "right, better on average over what it may be.",
     ),
 ]
