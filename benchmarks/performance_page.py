@@ -298,8 +298,7 @@ def limits(found: Numbers) -> Iterator[str]:
   result is on its way. Several runs side by side would share a matrix only where they are at one place.
 - **Around the kernels**: they are {100 * work["kernel_share"]:.0f} % of a job on a sample print;
   {100 * work["once_share"]:.0f} % is done once for a machine and the places a print comes by, and the largest of all
-  other stages, "{work["largest"]}", is {100 * work["largest_share"]:.0f} %. No stage is left whose end would change the
-  picture; the next factor would have to come from fewer passes, or from more cores.
+  other stages, "{work["largest"]}", is {100 * work["largest_share"]:.0f} %.
 - **Against the exact one**: {between(deep)} times faster than the exact inverse with 40 segments of preview and two
   corrections, {between(plain)} times than with 24 and one. The aim, {AIM_RATIO:g} times,
   {"is met" if min(deep) >= AIM_RATIO else "is not met"}: the exact one is not slow by itself: it shares the

@@ -103,9 +103,11 @@ def _clear_cut(plan: PlannedMotion, start_t: float, segment_s: float) -> int:
 
 
 def _in_motion(program: Program, plan: PlannedMotion, t: float) -> tuple[int, int, Moment]:
-    """A cut at a time: the first move whose line has not been written then, the one from which on moves are needed
+    """A program cut at a time of its plan.
 
-    for what comes, and the cut counted from there.
+    Returns
+    -------
+    the first move whose line is still to be written; the first one that is needed for it; the cut, counted from there
     """
     line = program.moves.line
     under_way = int(plan.move_at(t))
