@@ -67,6 +67,9 @@ class Held:
     reserve: float = 0.0  # the edge of ramps whose acceleration is at the limit
 
 
+AS_PLANNED = Held()  # where the time allows nothing else: every ramp with the accelerations that its moves have
+
+
 @dataclass(frozen=True, slots=True)
 class _Path:
     """The m moves that take time, and what the given plan does on them."""
@@ -130,7 +133,7 @@ def hold(plan: Trajectory, carriages: Carriages | None = None, settings: SCurve 
 
 def _hold(path: _Path, settings: SCurve) -> Held:
     if not len(path.moves):
-        return Held()
+        return AS_PLANNED
     reserve = _reserve(path, settings)
     high = 2.0 * float((path.acceleration * path.gain).max(initial=0.0))
     low, best = high / WIDEST_SEARCH, np.inf
@@ -199,6 +202,8 @@ def _profile(path: _Path, settings: SCurve, held: Held) -> _Profile:
     mean, gentle = held_down(held.level, low, *shared)
     corner = np.minimum(path.corner, gentle)
     start, peak = sweep(path.length, corner, path.top, mean, mean)
+    if held == AS_PLANNED:
+        return _Profile(start, peak, mean, mean, mean, gentle)
     down = _reversed(even(*(_reversed(values) for values in (path.length, start, peak, mean))))
     up = even(path.length, start, peak, mean)
     start, peak = sweep(path.length, corner, path.top, up, down)
