@@ -23,7 +23,6 @@ from scipy.signal import lsim
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from models.kinematics.delta import forward, inverse, jacobian
 from models.machine import Machine
 from models.machine_file import load_machine
 from models.printer import SMOOTH_STEP_S, simulate_printer
@@ -225,21 +224,21 @@ def rods_matrices(machine: Machine, j: FloatArray) -> tuple[FloatArray, FloatArr
 
 def rods_poles(machine: Machine) -> ComplexArray:
     """(places, MODES) 1/s"""
-    rates = [rods_matrices(machine, j)[0] for j in jacobian(machine.kinematics, places())]
+    rates = [rods_matrices(machine, j)[0] for j in machine.kinematics.jacobian(places())]
     return np.array([upper(np.linalg.eigvals(rate).astype(np.complex128)) for rate in rates])
 
 
 def rods_played(machine: Machine, path: FloatArray) -> Answer:
     """The same linear model, frozen where the path begins, played: good for small motion only."""
-    q, geometry = inverse(machine.kinematics, path), machine.kinematics
+    q, geometry = machine.kinematics.inverse(path), machine.kinematics
     carriage, step = machine.carriage, ROW_S / FINER
     u, speed = motor_motion(machine, q - q[0], ROW_S, step)
     force = carriage.belt_stiffness_n_per_m * u + carriage.belt_damping_n_s_per_m * speed
-    rate, push = rods_matrices(machine, jacobian(geometry, path[:1])[0])
+    rate, push = rods_matrices(machine, geometry.jacobian(path[:1])[0])
     t = step * np.arange(len(force), dtype=np.float64)
     _, moved_mm, _ = lsim((rate, push, np.eye(3, 12), np.zeros((3, 3))), force, t)
     carriages = (q[0] + moved_mm)[::FINER]
-    return Answer(t[::FINER], forward(geometry, carriages), carriages)
+    return Answer(t[::FINER], geometry.forward(carriages), carriages)
 
 
 # ---- masses chosen anew --------------------------------------------------------------------------
@@ -278,7 +277,7 @@ Where the nozzle rests, seen from where it is told to be, µm.
 | place, mm | ours x, y, z | MuJoCo, six rods: x, y, z | largest difference |
 |---|---|---|---|"""
     for place in map(np.array, SAGGING_MM):
-        command = np.tile(inverse(machine.kinematics, place[None]), (2, 1))
+        command = np.tile(machine.kinematics.inverse(place[None]), (2, 1))
         ours = (simulate_printer(machine, command, ROW_S).nozzle_mm[0] - place) * 1e3
         theirs = (rest_mm(build(machine, place, replace(PAIRS, gravity=True)))[0] - place) * 1e3
         apart = np.abs(ours - theirs).max()
@@ -374,27 +373,27 @@ def multisine(t: FloatArray, seed: int) -> FloatArray:
 
 def played(machine: Machine, path: FloatArray, choice: Choice) -> Answer:
     """MuJoCo's answer at the command's rows."""
-    found = play(machine, path[0], inverse(machine.kinematics, path), ROW_S, choice)
+    found = play(machine, path[0], machine.kinematics.inverse(path), ROW_S, choice)
     every = round(ROW_S / choice.step_s)
     return Answer(found.t_s[::every], found.nozzle_mm[::every], found.carriage_mm[::every])
 
 
 def compared(model: Machine, path: FloatArray, theirs: Answer, *, gravity: bool = False) -> Difference:
     """How far the printer that is `model` for us is from what MuJoCo answered."""
-    found = simulate_printer(model, inverse(model.kinematics, path), ROW_S, gravity=gravity)
+    found = simulate_printer(model, model.kinematics.inverse(path), ROW_S, gravity=gravity)
     ours = Answer(found.t_s, found.nozzle_mm, found.carriage_mm)
     return difference(model, path, found.motor_mm, ours, theirs)
 
 
 def compared_linear(machine: Machine, path: FloatArray, rods: Answer) -> Difference:
     """How far our linear model with the rods' term is from them."""
-    held = simulate_printer(machine, inverse(machine.kinematics, path), ROW_S, gravity=False).motor_mm
+    held = simulate_printer(machine, machine.kinematics.inverse(path), ROW_S, gravity=False).motor_mm
     return difference(machine, path, held, rods_played(machine, path), rods)
 
 
 def difference(model: Machine, path: FloatArray, held: FloatArray, ours: Answer, theirs: Answer) -> Difference:
     """held : (n, 3) mm, where the motors hold the carriages' belts."""
-    vibration = rms(moved(ours.nozzle_mm - forward(model.kinematics, held)))
+    vibration = rms(moved(ours.nozzle_mm - model.kinematics.forward(held)))
     apart = ours.nozzle_mm - theirs.nozzle_mm
     return Difference(
         vibration_um=vibration * 1e3,
@@ -457,7 +456,7 @@ def extrapolated_nm(machine: Machine, path: FloatArray, answers: dict[Choice, An
 
 
 def our_own_nm(machine: Machine, path: FloatArray) -> float:
-    command = inverse(machine.kinematics, path)
+    command = machine.kinematics.inverse(path)
     steps = math.ceil(ROW_S / SMOOTH_STEP_S)
     usual, fine = (simulate_printer(machine, command, ROW_S, substeps=n, gravity=False) for n in (steps, 2 * steps))
     return rms(usual.nozzle_mm - fine.nozzle_mm) * 1e6

@@ -23,7 +23,6 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from models.effects.catalogue import CATALOGUE, effective_machine, measured, with_effect
 from models.effects.effect import Effect, Parameter
-from models.kinematics.delta import forward, inverse
 from models.machine import Machine
 from models.machine_file import load_machine
 from models.printer import simulate_printer
@@ -148,7 +147,7 @@ def shaking(axis: str) -> FloatArray:
 def signal_of(machine: Machine, path: FloatArray, signal: str, height_mm: float = HEIGHT_MM) -> FloatArray:
     """(n,) m/s² that the sensor records while the nozzle is sent along (n, 3) mm from the centre."""
     nozzle = path + np.array([0.0, 0.0, height_mm])
-    motion = simulate_printer(machine, inverse(machine.kinematics, nozzle), ROW_S)
+    motion = simulate_printer(machine, machine.kinematics.inverse(nozzle), ROW_S)
     felt = measured(machine, motion.signals)
     axis = signal[-1]
     return felt.carriage[:, "ABC".index(axis)] if axis in "ABC" else felt.nozzle[:, "xyz".index(axis)]
@@ -201,7 +200,7 @@ def misplacement(axis: str, title: str) -> Panel:
     def draw(machine: Machine) -> Curve:
         x = np.linspace(-110.0, 110.0, 45)
         wanted = np.column_stack([x, np.zeros_like(x), np.full_like(x, HEIGHT_MM)])
-        true = forward(effective_machine(machine).kinematics, inverse(machine.kinematics, wanted))
+        true = effective_machine(machine).kinematics.forward(machine.kinematics.inverse(wanted))
         i = "xyz".index(axis)
         off = true[:, i] - wanted[:, i]
         return Curve(x, off - off[len(x) // 2])  # homing and calibration make it right in the middle

@@ -15,7 +15,6 @@ from ffcomp.runs import Reference, Run
 from ffcomp.schedule import rest_state
 from ffcomp.virtual.motion import Motion
 from models.effects.catalogue import design_machine
-from models.kinematics.kernels import FastDelta
 from models.machine import Machine
 from models.plant import STATES, Q, continuous_plant, discretise
 
@@ -48,7 +47,7 @@ class ZeroPhase:
 
     def __init__(self, machine: Machine) -> None:
         self.machine = design_machine(machine)[0]
-        self.delta = FastDelta(self.machine.kinematics)
+        self.delta = self.machine.kinematics.compiled()
         self._filters: dict[tuple[int, int], FloatArray] = {}
 
     def filter_at(self, node: tuple[int, int]) -> FloatArray:

@@ -22,7 +22,6 @@ import numpy as np
 
 from models import printer_kernels as kernels
 from models.effects.catalogue import with_effect
-from models.kinematics.delta import inverse
 from models.machine import FloatArray, Machine
 from models.machine_file import load_machine
 from models.printer import SMOOTH_STEP_S, simulate_printer, simulate_printers
@@ -44,7 +43,7 @@ def curve(machine: Machine, seconds: float) -> FloatArray:
     t = np.arange(0, seconds, SMOOTH_STEP_S)
     x = 20 * np.sin(2 * np.pi * 3 * t) + np.sin(2 * np.pi * 40 * t)
     path = np.column_stack([x, 15 * np.sin(2 * np.pi * 2.2 * t), 20 + 2 * np.sin(2 * np.pi * 5 * t)])
-    return inverse(machine.kinematics, path * np.minimum(1, t / 0.3)[:, None] ** 2)
+    return machine.kinematics.inverse(path * np.minimum(1, t / 0.3)[:, None] ** 2)
 
 
 def best_ns(play: Callable[[], object], rounds: int, steps: int) -> float:

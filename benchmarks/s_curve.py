@@ -34,7 +34,6 @@ from ffcomp.runs import Reference, Run, split_runs
 from ffcomp.schedule import rest_state
 from gcode.program import Program
 from gcode.reader import read_program
-from models.kinematics.kernels import FastDelta
 from models.machine import Machine
 from models.machine_file import load_machine
 
@@ -67,7 +66,7 @@ def smooth(program: Program, plan: Trajectory, machine: Machine) -> PlannedMotio
     stops, waits = stops_and_waits(program)
     allowed_v = junction_limits(program.moves, firmware_limits(machine), stops | (waits > 0.0))
     settings = SCurve(limit_mm_per_s2=machine.limits.acceleration_mm_per_s2)
-    return s_curve(plan, FastDelta(machine.kinematics).inverse, settings, allowed_v=allowed_v)
+    return s_curve(plan, machine.kinematics.compiled().inverse, settings, allowed_v=allowed_v)
 
 
 def bends(heights: FloatArray, dt: float) -> FloatArray:
@@ -91,7 +90,7 @@ def drawn(runs: list[Run], seconds: float) -> list[int]:
 def measure(motion: PlannedMotion, runs: list[Run], chosen: list[int], machine: Machine) -> Row:
     inverter = Inverter(machine, settings_for(machine))
     knot_s, prediction = inverter.settings.segment_s, Prediction(inverter, 1.0)
-    delta = FastDelta(machine.kinematics)
+    delta = machine.kinematics.compiled()
     before, after = [], []
     for run in runs:
         if run.travels:

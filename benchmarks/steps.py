@@ -30,7 +30,6 @@ from ffcomp.steps.pieces import trajectory_pieces
 from ffcomp.steps.reader import MotorSteps, read_steps
 from ffcomp.steps.sink import Board, MotorTotal, StepSink
 from gcode.reader import read_program
-from models.kinematics.delta import inverse
 from models.machine_file import load_machine
 
 FloatArray = NDArray[np.float64]
@@ -68,7 +67,7 @@ def sampled(plan: Trajectory, sample_s: float) -> dict[str, tuple[FloatArray, Fl
 
 def _places(plan: Trajectory, t: FloatArray) -> FloatArray:
     place = plan.position(t)
-    return np.column_stack([inverse(MACHINE.kinematics, place[:, :3]), place[:, 3]])
+    return np.column_stack([MACHINE.kinematics.inverse(place[:, :3]), place[:, 3]])
 
 
 def _crossed(t: FloatArray, steps: FloatArray) -> tuple[FloatArray, FloatArray]:

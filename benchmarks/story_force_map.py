@@ -39,7 +39,6 @@ from benchmarks.prose import filled
 from ffcomp.diagnose.delta import Delta
 from ffcomp.measured.run import read_run
 from models.effects.catalogue import effective_machine
-from models.kinematics.delta import inverse
 from models.machine import Machine
 from models.machine_file import load_machine
 from models.parameters import value_of
@@ -135,7 +134,7 @@ def story(folder: Path, arms: str) -> Told:
 def measured_by(machine: Machine, choice: Choice) -> Moved:
     def moved(path: NozzlePath) -> tuple[FloatArray, FloatArray, Reading]:
         rows = np.arange(round(SECONDS * COMMAND_HZ) + 1) / COMMAND_HZ
-        command = inverse(machine.kinematics, path(rows))
+        command = machine.kinematics.inverse(path(rows))
         answer = play(machine, path(rows[:1])[0], command, 1 / COMMAND_HZ, choice)
         carriage, nozzle = (_acceleration(x, answer.t_s[1]) for x in (answer.carriage_mm, answer.nozzle_mm))
         every = round(COMMAND_HZ / SAMPLE_HZ)

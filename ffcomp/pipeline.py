@@ -40,9 +40,7 @@ from gcode.limits import MotionLimits
 from gcode.program import Event, EventKind, Moves, Program
 from models.effects.catalogue import design_machine
 from models.errors import UnreachableError
-from models.kinematics.delta import check_reach
-from models.kinematics.kernels import FastDelta
-from models.machine import DeltaGeometry, Machine
+from models.machine import DeltaGeometry, Geometry, Machine, Steps
 
 FloatArray = NDArray[np.float64]
 
@@ -82,12 +80,16 @@ def firmware_limits(machine: Machine) -> FirmwareLimits:
         velocity_mm_per_s=own.velocity_mm_per_s,
         acceleration_mm_per_s2=own.acceleration_mm_per_s2,
         square_corner_velocity_mm_per_s=own.square_corner_velocity_mm_per_s,
-        delta=DeltaReach(
-            float(geometry.delta_radii_mm.max()),
-            float(geometry.arm_lengths_mm.min()),
-            0.5 / machine.steps.steps_per_mm,
-        ),
+        z_velocity_mm_per_s=own.z_velocity_mm_per_s,
+        z_acceleration_mm_per_s2=own.z_acceleration_mm_per_s2,
+        delta=_slow_zones(geometry, machine.steps) if isinstance(geometry, DeltaGeometry) else None,
     )
+
+
+def _slow_zones(geometry: DeltaGeometry, steps: Steps) -> DeltaReach:
+    """Where the firmware slows a delta down."""
+    half_step = 0.5 / float(np.max(steps.per_motor))
+    return DeltaReach(float(geometry.delta_radii_mm.max()), float(geometry.arm_lengths_mm.min()), half_step)
 
 
 def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SECOND) -> Settings:
@@ -115,10 +117,10 @@ def plan_program(
         raise NothingToDo(f"{program.path or 'The file'} holds no move whose start is known: nothing to compensate.")
     for ends in (moves.start, moves.end):
         try:
-            check_reach(machine.kinematics, ends[:, :3])
+            machine.kinematics.check_reach(ends[:, :3])
         except UnreachableError as error:
             line = program.first_line + int(moves.line[error.indices[0]]) + 1
-            advice = _offset_that_fits(moves.end[:, :2] - offset, machine.kinematics.print_radius_mm)
+            advice = machine.kinematics.advice(moves.end[:, :2] - offset)
             raise GcodeError(f"{error} {advice}", line, program.path) from error
     stop_before, wait_before = stops_and_waits(program)
     limits = firmware_limits(machine)
@@ -130,23 +132,6 @@ def plan_program(
     if smooth:
         trajectory = _smoothed(plan, moves, machine, limits, stop_before | (wait_before > 0.0))
     return Planned(program, trajectory, split_runs(trajectory, stop_before), plan.end_t)
-
-
-def _offset_that_fits(xy: FloatArray, radius: float) -> str:
-    """Whether shifting the print would bring it inside the circle, and by how much.
-
-    The smallest circle round all places, by steps towards the farthest of them (Badoiu & Clarkson, 2003).
-    """
-    places = np.unique(np.round(xy, 1), axis=0)
-    centre = 0.5 * (places.min(axis=0) + places.max(axis=0))
-    for step in range(1, 400):
-        away = np.hypot(*(places - centre).T)
-        centre = centre + (places[int(np.argmax(away))] - centre) / (step + 1)
-    x, y = np.round(-centre)
-    needed = float(np.hypot(*(xy + np.array([x, y])).T).max())
-    if needed > radius:
-        return f"The print needs a radius of {needed:.0f} mm wherever it is put: no offset helps."
-    return f"A print made for a bed with its origin in a corner? --offset-mm {x:.0f},{y:.0f} brings it inside."
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,7 +288,7 @@ def _smoothed(
 ) -> PlannedMotion:
     most = SCurve(limit_mm_per_s2=machine.limits.acceleration_mm_per_s2)
     allowed = junction_limits(moves, limits, rests)
-    return s_curve(plan, FastDelta(machine.kinematics).inverse, most, allowed_v=allowed)
+    return s_curve(plan, machine.kinematics.compiled().inverse, most, allowed_v=allowed)
 
 
 def _moved_before(planned: Planned) -> dict[int, bool]:
@@ -400,19 +385,14 @@ def _own_limits(machine: Machine) -> MotionLimits:
     return MotionLimits(own.velocity_mm_per_s, own.acceleration_mm_per_s2, own.square_corner_velocity_mm_per_s, 0.5)
 
 
-def keep_inside(geometry: DeltaGeometry, vertices: FloatArray, heights: FloatArray) -> FloatArray:
+def keep_inside(geometry: Geometry, vertices: FloatArray, heights: FloatArray) -> FloatArray:
     """The command where the firmware lets it go: it aborts a print over a µm outside the radius or below the bed.
 
     vertices : (n, 3) mm;  heights : (m,) mm, of the path itself
     """
     if not np.isfinite(vertices).all():
         raise LimitsError("The command leaves the arms' reach; the path runs too close to it.")
-    radius = np.hypot(vertices[:, 0], vertices[:, 1])
-    shrink = np.minimum(1.0, (geometry.print_radius_mm - 1e-4) / np.maximum(radius, 1e-9))
-    floor, ceiling = min(0.0, float(heights.min())), max(geometry.print_height_mm, float(heights.max()))
-    inside = vertices * shrink[:, None]
-    inside[:, 2] = np.clip(vertices[:, 2], floor, ceiling)
-    return inside
+    return geometry.drawn_in(vertices, heights)
 
 
 def open_account(summary: Summary, planned: Planned, share: Share, settings: Settings) -> None:

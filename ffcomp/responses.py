@@ -21,7 +21,6 @@ from ffcomp.measured.frf import ComplexArray, FloatArray, FrequencyResponse
 from models.carriage import command_frf, damping, with_added_mass
 from models.effector import struck_frf
 from models.errors import UnreachableError
-from models.kinematics.delta import check_reach
 from models.machine import Machine
 from models.mode_map import ModeMap, kinds, mode_map, numbers
 from models.receptance import Output, assembly_frf, modes
@@ -238,7 +237,7 @@ def _place(response: FrequencyResponse) -> FloatArray:
 
 def _within_reach(machine: Machine, response: FrequencyResponse) -> None:
     try:
-        check_reach(machine.kinematics, np.array([[*_place(response), 0.0]]))
+        machine.kinematics.check_reach(np.array([[*_place(response), 0.0]]))
     except UnreachableError as error:
         raise MeasurementError(response.source, [f"{response.input} to {response.output}: {error}"]) from None
 

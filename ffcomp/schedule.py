@@ -10,8 +10,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from models.kinematics.delta import inverse
-from models.kinematics.kernels import FastDelta
 from models.machine import Machine
 from models.plant import QD, STATES, WD, PlantTable, Q, W
 
@@ -22,7 +20,7 @@ SAME_MM = 1.0  # so near to a place its model still serves
 
 def rest_state(machine: Machine, nozzle: FloatArray) -> FloatArray:
     """The state (18,) at rest with the nozzle at (3,) mm."""
-    q = inverse(machine.kinematics, nozzle[None])[0]
+    q = machine.kinematics.inverse(nozzle[None])[0]
     state = np.zeros(STATES)
     drive = machine.carriage.drive
     state[W] = q / drive.d0_per_s2 if drive else 0.0
@@ -33,7 +31,7 @@ def rest_state(machine: Machine, nozzle: FloatArray) -> FloatArray:
 def moving_state(machine: Machine, nozzle: FloatArray, velocity: FloatArray, delay_s: float) -> FloatArray:
     """The state (18,) in steady motion: the carriages are on the path, their command leads it by the delay."""
     step = 1e-4  # s, for the carriages' velocities
-    q, ahead, later = inverse(machine.kinematics, nozzle + np.array([[0.0], [delay_s], [step]]) * velocity)
+    q, ahead, later = machine.kinematics.inverse(nozzle + np.array([[0.0], [delay_s], [step]]) * velocity)
     rate = (later - q) / step
     state = np.zeros(STATES)
     state[Q], state[QD] = q, rate
@@ -48,7 +46,7 @@ class Schedule:
     """The plant over the bed, packed for the loop that plays commands on it."""
 
     def __init__(self, machine: Machine, table: PlantTable) -> None:
-        self.delta, self.table = FastDelta(machine.kinematics), table
+        self.delta, self.table = machine.kinematics.compiled(), table
         self._mechanics, self._drive = _packed(table)
 
     def play(

@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.carriage import damping
-from models.kinematics.delta import jacobian
 from models.machine import Effector, Machine
 from models.plant import QD, WD, ContinuousPlant, Q, W, continuous_plant
 from models.receptance import Input, Output
@@ -59,7 +58,7 @@ def assembly(machine: Machine, xy: Sequence[float], of: Output = "carriage", per
         of the command has it.
     """
     place = np.array([xy], dtype=np.float64)
-    plant, j = continuous_plant(machine, place), jacobian(machine.kinematics, place)[0]
+    plant, j = continuous_plant(machine, place), machine.kinematics.jacobian(place)[0]
     slope = plant.b_slope[0]
     a, b = plant.a[0], plant.b_command[0] + plant.a[0] @ slope
     rows = np.eye(len(a))[Q] if of == "carriage" else j @ np.eye(len(a))[Q]

@@ -12,7 +12,6 @@ from __future__ import annotations
 import numpy as np
 
 from models.carriage import ComplexArray
-from models.kinematics.delta import jacobian
 from models.machine import DeltaGeometry, Effector, FloatArray, Machine
 
 
@@ -66,10 +65,10 @@ def load_map(machine: Machine, xy: FloatArray) -> FloatArray:
     -------
     (n, 3, 3) N/N, rows carriages A B C, columns X Y Z of the force.
     """
-    j = jacobian(machine.kinematics, xy)
+    j = machine.kinematics.jacobian(xy)
     if machine.effector.force_map == "virtual_work":
         return j.transpose(0, 2, 1)
-    return np.einsum("nai,iab->nib", j, load_distribution(machine.kinematics, machine.effector))
+    return np.einsum("nai,iab->nib", j, load_distribution(machine.delta, machine.effector))
 
 
 def load_distribution(geometry: DeltaGeometry, effector: Effector) -> FloatArray:

@@ -11,39 +11,24 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-FloatArray = NDArray[np.float64]
+from models.arrays import FloatArray, constant
+from models.errors import MachineFileError
+from models.kinematics.delta import DeltaGeometry
+from models.kinematics.geometry import Geometry
 
-
-def constant(values: ArrayLike) -> FloatArray:
-    """A read-only float copy of `values`."""
-    array = np.array(values, dtype=np.float64)
-    array.setflags(write=False)
-    return array
-
-
-@dataclass(frozen=True, eq=False)
-class DeltaGeometry:
-    """A linear delta. The radii are effective: tower joint radius minus effector joint radius (Eqs. 3-5)."""
-
-    arm_lengths_mm: FloatArray  # (3,) L
-    delta_radii_mm: FloatArray  # (3,)
-    tower_angles_deg: FloatArray  # (3,) counter-clockwise from +x
-    effector_height_mm: float  # H_ez: the joint plane above the nozzle tip
-    print_radius_mm: float
-    print_height_mm: float
-
-    @property
-    def tower_angles_rad(self) -> FloatArray:
-        """(3,) rad"""
-        return np.radians(self.tower_angles_deg)
-
-    @property
-    def towers_mm(self) -> FloatArray:
-        """(3, 2) mm, columns X Y: where each arm's carriage joint stands, seen from the effector's centre."""
-        angles = self.tower_angles_rad
-        return self.delta_radii_mm[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+__all__ = [
+    "Carriage",
+    "DeltaGeometry",
+    "Drive",
+    "Effector",
+    "FloatArray",
+    "Geometry",
+    "Machine",
+    "MotionLimits",
+    "Steps",
+    "constant",
+]
 
 
 @dataclass(frozen=True)
@@ -57,7 +42,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Carriage:
-    """One carriage on its belt: sub-model 1 of the paper (Eqs. 30-34)."""
+    """One carriage on its belt: sub-model 1 of the paper (Eqs. 30-34). Where carriages differ, numbers are (3,)."""
 
     mass_kg: float  # m_c
     arm_pair_mass_kg: float  # m_f
@@ -94,6 +79,8 @@ class MotionLimits:
     square_corner_velocity_mm_per_s: float = 5.0
     carriage_velocity_mm_per_s: float = 500.0
     carriage_acceleration_mm_per_s2: float = 30000.0
+    z_velocity_mm_per_s: float | None = None  # of the nozzle along Z; None: as in any direction
+    z_acceleration_mm_per_s2: float | None = None
     carriage_travel_mm: tuple[float, float] | None = None  # lowest and highest place of a carriage; None: not known
     step_rate_hz: float | None = None  # of each motor, microsteps; None: whatever its velocity needs
 
@@ -102,9 +89,19 @@ class MotionLimits:
 class Steps:
     """Of the carriage motors, and of the extruder's."""
 
-    steps_per_mm: float = 80.0  # microsteps
-    full_steps_per_mm: float = 5.0
+    steps_per_mm: float | tuple[float, ...] = 80.0  # microsteps; of all motors, or of each
+    full_steps_per_mm: float | tuple[float, ...] = 5.0
     extruder_steps_per_mm: float | None = None  # of filament; None: not said
+
+    @property
+    def per_motor(self) -> FloatArray:
+        """(3,) microsteps/mm of motors A B C."""
+        return constant(np.broadcast_to(self.steps_per_mm, 3))
+
+    @property
+    def full_per_motor(self) -> FloatArray:
+        """(3,) full steps/mm of motors A B C."""
+        return constant(np.broadcast_to(self.full_steps_per_mm, 3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +109,7 @@ class Machine:
     """Everything a machine file says."""
 
     name: str
-    kinematics: DeltaGeometry
+    kinematics: Geometry
     carriage: Carriage
     effector: Effector
     limits: MotionLimits
@@ -122,6 +119,15 @@ class Machine:
     provenance: Mapping[str, Any] = field(default_factory=dict)  # "table.key" -> where the number is from; free
     sha256: str = ""  # of the file's bytes; empty: made in memory
     path: str = ""
+    first_share: FloatArray | None = None  # (3,) of straight axes, see `models/axes.py`; None: a delta
+
+    @property
+    def delta(self) -> DeltaGeometry:
+        """Its geometry as a delta's; MachineFileError if it is none."""
+        if not isinstance(self.kinematics, DeltaGeometry):
+            rule = "The machine is no delta (kinematics.type), and this works for deltas only."
+            raise MachineFileError(self.path or self.name, [rule])
+        return self.kinematics
 
     @property
     def nozzle_side_mass_kg(self) -> float:

@@ -20,12 +20,14 @@ from typing import Any
 import platformdirs
 import tomlkit
 
+from models import axes
 from models.errors import MachineFileError
-from models.machine import Carriage, Drive, Effector, Machine, Steps, constant
+from models.machine import Carriage, Drive, Effector, Machine, constant
 from models.machine_schema import (
     CarriageTable,
+    DeltaDocument,
     EffectorTable,
-    MachineDocument,
+    StraightDocument,
     did_you_mean,
     unit_of,
     validated,
@@ -82,7 +84,7 @@ def load_machine(name_or_path: str | Path) -> Machine:
     return _machine(_parsed(data, str(path)), hashlib.sha256(data).hexdigest(), str(path))
 
 
-def _parsed(data: bytes, path: str) -> MachineDocument:
+def _parsed(data: bytes, path: str) -> DeltaDocument | StraightDocument:
     try:
         document = tomllib.loads(data.decode("utf-8"))
     except UnicodeDecodeError as error:
@@ -93,20 +95,35 @@ def _parsed(data: bytes, path: str) -> MachineDocument:
     return validated(document, path)
 
 
-def _machine(document: MachineDocument, sha256: str, path: str) -> Machine:
+def _machine(document: DeltaDocument | StraightDocument, sha256: str, path: str) -> Machine:
+    uncertainty = {"default": DEFAULT_UNCERTAINTY, **document.uncertainty}
+    if isinstance(document, DeltaDocument):
+        vibrating: dict[str, Any] = {"carriage": _carriage(document.carriage), "effector": _effector(document.effector)}
+    else:
+        vibrating, uncertainty = axes.parts(document.axes.axes()), _of_modes(uncertainty)
     return Machine(
         name=document.name,
         kinematics=document.kinematics.geometry(),
-        carriage=_carriage(document.carriage),
-        effector=_effector(document.effector),
         limits=document.limits.limits(),
-        steps=Steps(**document.steps.model_dump()),
+        steps=document.steps.steps(),
         effects=document.effects,
-        uncertainty={"default": DEFAULT_UNCERTAINTY, **document.uncertainty},
+        uncertainty=uncertainty,
         provenance=document.provenance,
         sha256=sha256,
         path=path,
+        **vibrating,
     )
+
+
+def _of_modes(uncertainty: Mapping[str, float]) -> dict[str, float]:
+    """What the uncertainties of the axes' modes are for the numbers of the model; its masses are exact."""
+    found, default = {"default": 0.0}, uncertainty["default"]
+    for i, axis in enumerate("xyz"):
+        frequency, damping = (
+            uncertainty.get(f"axes.{axis}.{key}", default) for key in ("frequency_hz", "damping_ratio")
+        )
+        found |= axes.uncertainties(i, frequency, damping)
+    return found
 
 
 def _carriage(table: CarriageTable) -> Carriage:

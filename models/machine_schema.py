@@ -13,8 +13,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from models.axes import Axis
 from models.effects.catalogue import CATALOGUE
 from models.errors import MachineFileError
+from models.kinematics.straight import CARTESIAN, COREXY, StraightGeometry
 from models.machine import DeltaGeometry, FloatArray, MotionLimits, Steps, constant
 
 # The ranges hold any printer, and catch most numbers in a wrong unit.
@@ -24,7 +26,8 @@ Offset = Annotated[float, Field(ge=-500, le=500)]
 Place = Annotated[float, Field(ge=-1000, le=10000)]
 Stiffness = Annotated[float, Field(ge=1, le=1e9)]
 Damping = Annotated[float, Field(ge=0, le=1e5)]
-THREE = Field(min_length=3, max_length=3)
+TWO, THREE = Field(min_length=2, max_length=2), Field(min_length=3, max_length=3)
+UP_TO_TWO = Field(min_length=1, max_length=2)
 
 DEFAULT_LIMITS = MotionLimits(velocity_mm_per_s=0, acceleration_mm_per_s2=0)  # these two have no default
 DEFAULT_STEPS = Steps()
@@ -32,6 +35,53 @@ DEFAULT_STEPS = Steps()
 
 class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+
+class StraightTable(Table):
+    """Cartesian and CoreXY machines: axes that do not disturb each other."""
+
+    type: Literal["cartesian", "corexy"]
+    x_range_mm: Annotated[list[Place], TWO]
+    y_range_mm: Annotated[list[Place], TWO]
+    z_range_mm: Annotated[list[Place], TWO]
+
+    @model_validator(mode="after")
+    def _possible(self) -> StraightTable:
+        _refuse(
+            f"kinematics.{key} = {value} must be the lowest place first, then the highest one (mm)."
+            for key, value in self.model_dump(exclude={"type"}).items()
+            if not value[0] < value[1]
+        )
+        return self
+
+    def geometry(self) -> StraightGeometry:
+        ranges = constant([self.x_range_mm, self.y_range_mm, self.z_range_mm])
+        return StraightGeometry(ranges, CARTESIAN if self.type == "cartesian" else COREXY)
+
+
+class AxisTable(Table):
+    frequency_hz: Annotated[list[Annotated[float, Field(ge=1, le=1000)]], UP_TO_TWO]
+    damping_ratio: Annotated[list[Annotated[float, Field(ge=0, lt=1)]], UP_TO_TWO]
+    share: Annotated[list[Annotated[float, Field(gt=0, le=1)]], UP_TO_TWO] | None = None
+
+    def axis(self) -> Axis:
+        return Axis(self.frequency_hz, self.damping_ratio, self.share or [1.0])
+
+
+class AxesTable(Table):
+    """How each axis answers to its command; one that is left out is rigid."""
+
+    x: AxisTable | None = None
+    y: AxisTable | None = None
+    z: AxisTable | None = None
+
+    @model_validator(mode="after")
+    def _possible(self) -> AxesTable:
+        _refuse(problem for name in "xyz" for problem in _axis_problems(name, getattr(self, name)))
+        return self
+
+    def axes(self) -> list[Axis]:
+        return [Axis() if table is None else table.axis() for table in (self.x, self.y, self.z)]
 
 
 class KinematicsTable(Table):
@@ -102,7 +152,9 @@ class LimitsTable(Table):
     square_corner_velocity_mm_per_s: float = Field(DEFAULT_LIMITS.square_corner_velocity_mm_per_s, ge=0, le=1000)
     carriage_velocity_mm_per_s: float = Field(DEFAULT_LIMITS.carriage_velocity_mm_per_s, ge=1, le=1e4)
     carriage_acceleration_mm_per_s2: float = Field(DEFAULT_LIMITS.carriage_acceleration_mm_per_s2, ge=10, le=1e7)
-    carriage_travel_mm: Annotated[list[Place], Field(min_length=2, max_length=2)] | None = None
+    z_velocity_mm_per_s: float | None = Field(None, ge=0.1, le=1e4)
+    z_acceleration_mm_per_s2: float | None = Field(None, ge=1, le=1e6)
+    carriage_travel_mm: Annotated[list[Place], TWO] | None = None
     step_rate_hz: float | None = Field(None, ge=100, le=1e8)
 
     @model_validator(mode="after")
@@ -120,29 +172,42 @@ class LimitsTable(Table):
         )
 
 
+Microsteps = Annotated[float, Field(ge=1, le=1e5)]
+FullSteps = Annotated[float, Field(ge=0.1, le=1000)]
+
+
 class StepsTable(Table):
-    steps_per_mm: float = Field(DEFAULT_STEPS.steps_per_mm, ge=1, le=1e5)
-    full_steps_per_mm: float = Field(DEFAULT_STEPS.full_steps_per_mm, ge=0.1, le=1000)
+    steps_per_mm: Microsteps | Annotated[list[Microsteps], THREE] = 80.0
+    full_steps_per_mm: FullSteps | Annotated[list[FullSteps], THREE] = 5.0
     extruder_steps_per_mm: float | None = Field(None, ge=1, le=1e5)
 
     @model_validator(mode="after")
     def _microsteps(self) -> StepsTable:
-        if self.full_steps_per_mm > self.steps_per_mm:
-            _refuse(
-                [
-                    f"steps.full_steps_per_mm = {self.full_steps_per_mm:g} must not exceed steps_per_mm = "
-                    f"{self.steps_per_mm:g}: a full step holds at least one microstep."
-                ]
-            )
+        whole, micro = self.full_steps_per_mm, self.steps_per_mm
+        if (np.atleast_1d(whole) > np.atleast_1d(micro)).any():
+            rule = f"must not exceed steps_per_mm = {_shown(micro)}: a full step holds at least one microstep."
+            _refuse([f"steps.full_steps_per_mm = {_shown(whole)} {rule}"])
         return self
 
+    def steps(self) -> Steps:
+        return Steps(
+            _number_or_tuple(self.steps_per_mm), _number_or_tuple(self.full_steps_per_mm), self.extruder_steps_per_mm
+        )
 
-class MachineDocument(Table):
+
+def _number_or_tuple(value: float | list[float]) -> float | tuple[float, ...]:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _shown(value: float | list[float]) -> str:
+    return ", ".join(f"{number:g}" for number in np.atleast_1d(value))
+
+
+class Document(Table):
+    """What every kind of machine has."""
+
     format: Literal["ffcomp-machine/1"]
     name: str = Field(min_length=1)
-    kinematics: KinematicsTable
-    carriage: CarriageTable
-    effector: EffectorTable
     limits: LimitsTable
     steps: StepsTable = StepsTable()
     effects: dict[str, dict[str, Any]] = {}
@@ -167,16 +232,53 @@ class MachineDocument(Table):
         return uncertainty
 
 
-def validated(document: Mapping[str, Any], path: str) -> MachineDocument:
+class DeltaDocument(Document):
+    kinematics: KinematicsTable
+    carriage: CarriageTable
+    effector: EffectorTable
+
+
+class StraightDocument(Document):
+    kinematics: StraightTable
+    axes: AxesTable = Field(default_factory=lambda: AxesTable())
+
+    @field_validator("effects")
+    @classmethod
+    def _without_forces(cls, effects: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        able = [name for name in CATALOGUE if name in OF_STRAIGHT_AXES or CATALOGUE[name].kind == "sensor"]
+        _refuse(
+            f"effects.{name} is none of a machine with straight axes: modes know no forces and no arms. "
+            f"Known there: {', '.join(able)}."
+            for name in effects
+            if name in CATALOGUE and name not in able
+        )
+        return effects
+
+
+STRAIGHT = ("cartesian", "corexy")
+OF_STRAIGHT_AXES = ("command_delay", "cogging")
+
+
+def validated(document: Mapping[str, Any], path: str) -> DeltaDocument | StraightDocument:
     """The document, checked; MachineFileError with every mistake otherwise."""
-    problems = _missing_lengths(document)
+    kind: type[DeltaDocument] | type[StraightDocument] = DeltaDocument
+    problems = []
+    if _kind(document) in STRAIGHT:
+        kind = StraightDocument
+    else:
+        problems = _missing_lengths(document)
     try:
-        checked = MachineDocument.model_validate(document)
+        checked = kind.model_validate(document)
     except ValidationError as error:
-        problems += [sentence for mistake in error.errors() for sentence in _sentences(mistake)]
+        problems += [sentence for mistake in error.errors() for sentence in _sentences(mistake, kind)]
     if problems:
         raise MachineFileError(path, problems)
     return checked
+
+
+def _kind(document: Mapping[str, Any]) -> object:
+    table = document.get("kinematics")
+    return table.get("type") if isinstance(table, dict) else None
 
 
 def number_keys(table: type[BaseModel]) -> Iterator[str]:
@@ -197,6 +299,18 @@ def _refuse(problems: Iterable[str]) -> None:
     text = "\n".join(problems)
     if text:
         raise ValueError(text)
+
+
+def _axis_problems(name: str, table: AxisTable | None) -> Iterator[str]:
+    if table is None:
+        return
+    modes = len(table.frequency_hz)
+    if len(table.damping_ratio) != modes or len(table.share or table.frequency_hz) != modes:
+        yield f"axes.{name}: frequency_hz, damping_ratio and share must have as many numbers each, one for each mode."
+    elif table.share is None and modes == 2:
+        yield f"axes.{name}.share is missing; of two modes it says how much each takes of the response at rest."
+    elif table.share is not None and abs(sum(table.share) - 1.0) > 1e-3:
+        yield f"axes.{name}.share = {table.share} must sum to 1: at rest an axis stands where it is told to."
 
 
 def _missing_lengths(document: Mapping[str, Any]) -> list[str]:
@@ -295,7 +409,7 @@ RULES = {  # pydantic's type of error -> our rule, filled in from its context
 }
 
 
-PAIRS = ("limits.carriage_travel_mm",)  # lists of two numbers; all others are of three
+PAIRS = ("limits.carriage_travel_mm", *(f"kinematics.{axis}_range_mm" for axis in "xyz"))  # lists of two numbers
 
 
 def unit_of(key: str) -> str:
@@ -309,9 +423,9 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f" Did you mean {close[0]!r}?" if close else ""
 
 
-def _sentences(error: Mapping[str, Any]) -> list[str]:
+def _sentences(error: Mapping[str, Any], kind: type[Document]) -> list[str]:
     """One of pydantic's errors in our words (a validator of ours may have found several mistakes)."""
-    context = error.get("ctx", {})
+    context = {**error.get("ctx", {}), "document": kind}
     if error["type"] == "value_error":
         return str(context["error"]).split("\n")
     write = SENTENCES.get(error["type"], _broken_rule)
@@ -323,7 +437,7 @@ def _missing(loc: tuple[int | str, ...], value: object, kind: str, context: Mapp
 
 
 def _unknown_key(loc: tuple[int | str, ...], value: object, kind: str, context: Mapping[str, Any]) -> str:
-    return f"{_key(loc)} is not a key of a machine file.{_right_key(loc)}"
+    return f"{_key(loc)} is not a key of a machine file.{_right_key(loc, context['document'])}"
 
 
 def _wrong_word(loc: tuple[int | str, ...], value: object, kind: str, context: Mapping[str, Any]) -> str:
@@ -333,7 +447,7 @@ def _wrong_word(loc: tuple[int | str, ...], value: object, kind: str, context: M
 
 def _broken_rule(loc: tuple[int | str, ...], value: object, kind: str, context: Mapping[str, Any]) -> str:
     unit = unit_of(_key(loc).split("[")[0])
-    count = "two" if _key(loc) in PAIRS else "three"
+    count = "two" if _key(loc) in PAIRS else "one or two" if _key(loc).startswith("axes.") else "three"
     rule = RULES[kind].format(**context, count=count, unit=f" ({unit})" if unit else "")
     return f"{_key(loc)} = {'{…}' if isinstance(value, dict) else repr(value)} {rule}."
 
@@ -350,13 +464,13 @@ def _key(loc: tuple[int | str, ...]) -> str:
     return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc).lstrip(".")
 
 
-def _right_key(loc: tuple[int | str, ...]) -> str:
+def _right_key(loc: tuple[int | str, ...], document: type[Table]) -> str:
     """A suggestion for an unknown key: the same key in another table, or the nearest one in its own."""
     word = str(loc[-1])
-    elsewhere = [key for key in number_keys(MachineDocument) if key.endswith(f".{word}")]
+    elsewhere = [key for key in number_keys(document) if key.endswith(f".{word}")]
     if elsewhere:
         return f" Did you mean {elsewhere[0]!r}?"
-    table: type[Table] = MachineDocument
+    table = document
     for part in loc[:-1]:
         table = _table_of(table.model_fields[str(part)].annotation) or table
     return did_you_mean(word, table.model_fields)

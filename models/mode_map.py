@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.carriage import ComplexArray
-from models.kinematics.delta import jacobian
 from models.machine import FloatArray, Machine
 from models.receptance import Modes, modes_at
 
@@ -49,21 +48,21 @@ class ModeMap:
 
 def kinds(machine: Machine, xy: FloatArray, found: Modes) -> list[str]:
     """What each mode at one place moves, in words."""
-    j = jacobian(machine.kinematics, xy[None])[0]
+    j = machine.kinematics.jacobian(xy[None])[0]
     axes, extruder = _shares(np.concatenate(_motion(machine, j, found.shapes), axis=1))
     return [_words(a, e) for a, e in zip(axes, extruder.tolist(), strict=True)]
 
 
 def mode_map(machine: Machine, pitch_mm: float = 6.0) -> ModeMap:
     """Every mode of the centre, followed to every place of the bed."""
-    reach = machine.kinematics.print_radius_mm
+    reach = machine.delta.print_radius_mm
     half = int(np.ceil(reach / pitch_mm))
     x = np.linspace(-reach, reach, 2 * half + 1)
     radius = np.hypot(x[:, None], x)
     near: list[Node] = [(int(i), int(k)) for i, k in np.argwhere(radius <= reach + 2 * pitch_mm)]
     places = np.array([[x[i], x[k]] for i, k in near])
     places *= np.minimum(1.0, reach / np.maximum(np.hypot(*places.T), pitch_mm / 2))[:, None]
-    j = jacobian(machine.kinematics, places)
+    j = machine.kinematics.jacobian(places)
     stations = {
         node: _Station(found, np.concatenate(_motion(machine, j_here, found.shapes), axis=1))
         for node, j_here, found in zip(near, j, modes_at(machine, places), strict=True)
@@ -76,7 +75,7 @@ def numbers(machine: Machine, over: ModeMap, xy: FloatArray, found: Modes) -> li
     from scipy.optimize import linear_sum_assignment
 
     i, k = (int(np.abs(over.x_mm - at).argmin()) for at in xy)
-    j = jacobian(machine.kinematics, xy[None])[0]
+    j = machine.kinematics.jacobian(xy[None])[0]
     here = np.concatenate(_motion(machine, j, found.shapes), axis=1)
     mac = np.nan_to_num(np.abs(here.conj() @ over.motion[i, k].T) ** 2)
     rows, columns = linear_sum_assignment(-mac)

@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from models.axes import oscillators
 from models.effector import load_map
-from models.kinematics.delta import jacobian
 from models.machine import Machine
 
 FloatArray = NDArray[np.float64]
@@ -51,9 +51,25 @@ def continuous_plant(machine: Machine, xy: FloatArray) -> ContinuousPlant:
     ----------
     xy : (g, 2) mm, columns X Y. (Nothing depends on z: J does not.)
     """
-    j = jacobian(machine.kinematics, xy)
+    if machine.first_share is not None:
+        return _with_drive(machine, _straight(machine, len(xy)))
+    j = machine.kinematics.jacobian(xy)
     gamma = load_map(machine, xy)
     return _with_drive(machine, _mechanics(machine, j, gamma))
+
+
+def _straight(machine: Machine, g: int) -> ContinuousPlant:
+    """Axes with modes of their own (`models/axes.py`), the same at all of g places."""
+    (first, second), share = oscillators(machine)  # of q, q̇, η, η̇, u, u̇
+    axes = np.arange(3)
+    a, b_command, b_slope = np.zeros((STATES, STATES)), np.zeros((STATES, 3)), np.zeros((STATES, 3))
+    a[axes + Q.start, axes + QD.start] = a[axes + ETA.start, axes + ETAD.start] = 1.0
+    rows = ((QD.start, first + second), (ETAD.start, share[:, None] * second - (1.0 - share)[:, None] * first))
+    for begin, row in rows:
+        for states, column in zip((Q, QD, ETA, ETAD), range(4), strict=True):
+            a[begin + axes, states.start + axes] = row[:, column]
+        b_command[begin + axes, axes], b_slope[begin + axes, axes] = row[:, 4], row[:, 5]
+    return ContinuousPlant(*(np.tile(each, (g, 1, 1)) for each in (a, b_command, b_slope, np.zeros((STATES, 3)))))
 
 
 def _mechanics(machine: Machine, j: FloatArray, gamma: FloatArray) -> ContinuousPlant:
@@ -165,11 +181,11 @@ class PlantTable:
 
 def plant_table(machine: Machine, step_s: float, pitch_mm: float = 10.0) -> PlantTable:
     """The plant over the whole bed, once per machine. Nodes outside the print radius repeat the rim's plant."""
-    reach = machine.kinematics.print_radius_mm
+    reach = machine.kinematics.model_reach_mm
     half = int(np.ceil(reach / pitch_mm)) + 1
     axis = pitch_mm * np.arange(-half, half + 1)
     xy = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
     radius = np.hypot(*xy.T)
     xy = xy * np.minimum(1.0, (reach + pitch_mm) / np.maximum(radius, 1e-9))[:, None]
     plant = discretise(continuous_plant(machine, xy), step_s)
-    return PlantTable(float(axis[0]), pitch_mm, len(axis), plant, jacobian(machine.kinematics, xy))
+    return PlantTable(float(axis[0]), pitch_mm, len(axis), plant, machine.kinematics.jacobian(xy))

@@ -21,8 +21,7 @@ from models.effector import load_distribution, load_map
 from models.effects.catalogue import effect_named, effective_machine, values_of
 from models.effects.effect import Signals
 from models.errors import UnreachableError
-from models.kinematics.delta import forward, jacobian
-from models.machine import DeltaGeometry, Drive, FloatArray, Machine
+from models.machine import Drive, FloatArray, Machine
 
 GRAVITY_M_PER_S2 = 9.80665
 SMOOTH_STEP_S = 1 / 6400  # a quarter of a nanometre on a violent motion
@@ -176,9 +175,12 @@ def _task(
 
 
 def _batches(tasks: Mapping[int, _Task]) -> Iterator[list[int]]:
-    """Names of tasks that go side by side: with as many steps from row to row, and of about one length."""
-    order = sorted(tasks, key=lambda i: (tasks[i].steps, len(tasks[i].pieces)))
-    for _, group in groupby(order, lambda i: tasks[i].steps):
+    """Names of tasks that go side by side: of one kind, with as many steps from row to row, and of about one length."""
+
+    def kind(i: int) -> tuple[bool, int]:
+        return bool(tasks[i].numbers.arms_squared.any()), tasks[i].steps
+
+    for _, group in groupby(sorted(tasks, key=lambda i: (kind(i), len(tasks[i].pieces))), kind):
         names = list(group)
         yield from (names[n : n + kernels.LANES] for n in range(0, len(names), kernels.LANES))
 
@@ -200,9 +202,11 @@ def printer_numbers(machine: Machine, *, gravity: bool = True) -> kernels.Number
     """The machine and its effects as the kernels' record, SI."""
     for name in machine.effects:
         effect_named(name)  # refuses an unknown one
-    effective, g = effective_machine(machine), GRAVITY_M_PER_S2 if gravity else 0.0
+    effective = effective_machine(machine)
+    # straight axes' weight stands on the frame, not on what vibrates
+    g = GRAVITY_M_PER_S2 if gravity and effective.first_share is None else 0.0
     parts = {
-        **_geometry(effective.kinematics),
+        **_geometry(effective),
         **_carriages(effective, g),
         **_effector(effective),
         **_belt_effects(effective),
@@ -220,7 +224,10 @@ def printer_numbers(machine: Machine, *, gravity: bool = True) -> kernels.Number
 Part = dict[str, FloatArray | float | bool]
 
 
-def _geometry(geometry: DeltaGeometry) -> Part:
+def _geometry(machine: Machine) -> Part:
+    if machine.first_share is not None:
+        return {"first_share": machine.first_share}  # no arms: the axes are the nozzle's
+    geometry = machine.delta
     towers, arms = geometry.towers_mm / 1e3, geometry.arm_lengths_mm / 1e3
     to_towers = towers[1:] - towers[0]
     return {
@@ -252,7 +259,7 @@ def _effector(machine: Machine) -> Part:
     effector = machine.effector
     paper = effector.force_map == "paper"
     return {
-        "shares": load_distribution(machine.kinematics, effector) if paper else np.stack([np.eye(3)] * 3),
+        "shares": load_distribution(machine.delta, effector) if paper else np.stack([np.eye(3)] * 3),
         "holder_mass": machine.nozzle_side_mass_kg,
         "extruder_mass": effector.extruder_mass_kg,
         "mount_k": effector.extruder_stiffness_n_per_m,
@@ -322,10 +329,10 @@ def _turning_over(guides: Sequence[Mapping[str, FloatArray]]) -> Part:
 
 def _least_inertia(machine: Machine) -> float:
     """kg: the least that a combination of forces on the carriages moves, at the centre and on the rim."""
-    reach = machine.kinematics.print_radius_mm
+    reach = machine.kinematics.model_reach_mm
     angles = np.arange(0, 2 * np.pi, np.pi / 6)
     places = np.vstack([np.zeros((1, 2)), reach * np.column_stack([np.cos(angles), np.sin(angles)])])
-    load = machine.nozzle_side_mass_kg * load_map(machine, places) @ jacobian(machine.kinematics, places)
+    load = machine.nozzle_side_mass_kg * load_map(machine, places) @ machine.kinematics.jacobian(places)
     return float(np.linalg.eigvals(machine.carriage.moving_mass_kg * np.eye(3) + load).real.min())
 
 
@@ -361,7 +368,7 @@ def _frame_effect(machine: Machine) -> Part:
 
 def rest_values(machine: Machine, command: FloatArray, p: kernels.Numbers) -> FloatArray:
     """The state : (30,) SI in which the printer rests under the command : (3,) mm, belts stretched by weight."""
-    forward(effective_machine(machine).kinematics, command[None])  # refuses carriages the arms cannot join
+    effective_machine(machine).kinematics.forward(command[None])  # refuses carriages the arms cannot join
     states = np.zeros((1, kernels.STATES))
     states[0, kernels.V : kernels.V + 3] = states[0, kernels.Q : kernels.Q + 3] = command / 1e3
     (moved,) = kernels.rest(states, kernels.table([p]))

@@ -65,6 +65,7 @@ NUMBERS = np.dtype(
         ("height", "f8"),  # m, joint plane above the nozzle tip
         ("to_plane", "f8", (2, 2)),  # 1/m, inverse of the joints B and C seen from A
         ("offset", "f8", 2),  # m², what is constant in the spheres' differences
+        ("first_share", "f8", 3),  # σ₁ of straight axes, `models/axes.py`
         ("carriage_mass", "f8", 3),  # kg, m = m_c + m_f/2
         ("weight", "f8", 3),  # N, m g
         ("belt_k", "f8", 3),  # N/m
@@ -136,6 +137,7 @@ def _rows(*names: str) -> list[np.int64]:
 TOWERS, ARMS_SQUARED, HEIGHT, TO_PLANE, OFFSET = _rows("towers", "arms_squared", "height", "to_plane", "offset")
 CARRIAGE_MASS, WEIGHT, BELT_K, BELT_C, GUIDE_B = _rows("carriage_mass", "weight", "belt_k", "belt_c", "guide_b")
 IDEAL, D0, LEAD, D2, SHARES = _rows("ideal_drive", "d0", "lead", "d2", "shares")
+(FIRST_SHARE,) = _rows("first_share")
 HOLDER_MASS, EXTRUDER_MASS, MOUNT_K, MOUNT_B = _rows("holder_mass", "extruder_mass", "mount_k", "mount_b")
 GRAVITY, HARDENING, QUINTIC, GIVE = _rows("gravity", "cubic", "quintic", "give")
 SLOPE, CENTRE, HALF_PLAY, LANDING = _rows("slope", "centre", "half_play", "landing")
@@ -303,6 +305,7 @@ class Acting(NamedTuple):
     bending: bool
     ripple: bool
     delay: bool
+    arms: bool
 
 
 @compiled
@@ -469,6 +472,29 @@ def arms(m: FloatArray) -> None:
 
 
 @compiled
+def axes(m: FloatArray) -> None:
+    """Straight axes by themselves, all of `rate` behind the motors: two oscillators each (`models/axes.py`)."""
+    for l in range(LANES):
+        for a in range(3):
+            q, qd = _at(m, NOW + Q + a, l), _at(m, NOW + QD + a, l)
+            eta, etad = _at(m, NOW + ETA + a, l), _at(m, NOW + ETAD + a, l)
+            u, ud = _at(m, MOTOR + a, l), _at(m, MOTOR_RATE + a, l)
+            share = _at(m, FIRST_SHARE + a, l)
+            k, c, b = _at(m, BELT_K + a, l), _at(m, BELT_C + a, l), _at(m, GUIDE_B + a, l)
+            p, pd = share * q - eta, share * qd - etad
+            first = (k * (share * u - p) + c * (share * ud - pd) - b * pd) / _at(m, CARRIAGE_MASS + a, l)
+            p, pd = (1.0 - share) * q + eta, (1.0 - share) * qd + etad
+            second = _at(m, MOUNT_K + a, l) * ((1.0 - share) * u - p) - _at(m, MOUNT_B + a, l) * pd
+            second /= _at(m, EXTRUDER_MASS, l)
+            acceleration = first + second
+            m[(RATE + Q + a) * LANES + l], m[(RATE + QD + a) * LANES + l] = qd, acceleration
+            m[(RATE + ETA + a) * LANES + l] = etad
+            m[(RATE + ETAD + a) * LANES + l] = share * second - (1.0 - share) * first
+            m[(X + a) * LANES + l], m[(XD + a) * LANES + l], m[(ACC + a) * LANES + l] = q, qd, acceleration
+            m[(PULL + a) * LANES + l] = k * (u - q)
+
+
+@compiled
 def joint_friction(m: FloatArray) -> None:
     """Dry friction against the nozzle holder, along its motion, and the rate of its strain."""
     for l in range(LANES):
@@ -575,7 +601,9 @@ def _any(m: FloatArray, row: Row, rows: int) -> bool:
 def acting(m: FloatArray) -> Acting:
     sticking = _any(m, STICKING, 3)
     guides, joints = sticking or _any(m, DRY, 3), _any(m, JOINT_DRY, 1)
-    return Acting(sticking, guides, joints, _any(m, BEND, 3), _any(m, COGGING, 3), _any(m, DELAY, 3))
+    return Acting(
+        sticking, guides, joints, _any(m, BEND, 3), _any(m, COGGING, 3), _any(m, DELAY, 3), _any(m, ARMS_SQUARED, 3)
+    )
 
 
 @compiled
@@ -588,6 +616,9 @@ def rate(m: FloatArray, has: Acting) -> None:
         fading(m)
     if has.guides:
         guide_friction(m)
+    if not has.arms:
+        axes(m)
+        return
     belts(m)
     arms(m)
     if has.joints:

@@ -18,10 +18,13 @@ from typing import Literal
 
 import numpy as np
 
+from models.axes import axis_frf
 from models.carriage import ComplexArray, belt, damping, drive_frf, impedance
 from models.effector import effector_impedance, load_map
-from models.kinematics.delta import jacobian
 from models.machine import FloatArray, Machine
+from models.plant import continuous_plant
+
+SWINGING = 1e-6  # imaginary part of a pole over its size; below, rounding alone keeps two real poles from meeting
 
 Output = Literal["carriage", "nozzle", "acceleration"]  # what answers; acceleration: of the nozzle holder, s² X
 Input = Literal["carriage", "nozzle"]  # what is commanded: three carriages, or the nozzle's three axes
@@ -48,7 +51,7 @@ def receptance(machine: Machine, xy: FloatArray, frequency_hz: FloatArray) -> Co
     -------
     (k, 3, 3) m/N, rows position of carriage A B C, columns force on carriage A B C.
     """
-    j, gamma = jacobian(machine.kinematics, xy[None])[0], load_map(machine, xy[None])[0]
+    j, gamma = machine.kinematics.jacobian(xy[None])[0], load_map(machine, xy[None])[0]
     s = _s(frequency_hz)
     load = (gamma * effector_impedance(machine, s)[:, None, :]) @ j
     return np.linalg.inv(load + impedance(machine.carriage, s[:, None])[:, :, None] * np.eye(3))
@@ -66,6 +69,8 @@ def carriage_frf(machine: Machine, xy: FloatArray, frequency_hz: FloatArray) -> 
     -------
     (k, 3, 3), rows real carriage A B C, columns commanded carriage A B C.
     """
+    if machine.first_share is not None:
+        return np.asarray(axis_frf(machine, _s(frequency_hz))[:, None, :] * np.eye(3))
     s = _s(frequency_hz)[:, None]  # against carriages that may differ
     drive = belt(machine.carriage, s) * drive_frf(machine.carriage.drive, s)
     return receptance(machine, xy, frequency_hz) * drive[:, None, :]
@@ -91,7 +96,7 @@ def assembly_frf(
     (k, 3, 3) mm/mm, of acceleration 1/s²; rows what answers (A B C or X Y Z), columns what is commanded.
     """
     g = carriage_frf(machine, xy, frequency_hz)
-    j = jacobian(machine.kinematics, xy[None])[0]
+    j = machine.kinematics.jacobian(xy[None])[0]
     if of != "carriage":
         g = j @ g
     if per == "nozzle":
@@ -131,7 +136,7 @@ def modes_at(machine: Machine, xy: FloatArray) -> list[Modes]:
 
 def _vibrations(pole: ComplexArray, shape: ComplexArray) -> Modes:
     """Of 12 poles (12,) and their shapes (6, 12), those that swing."""
-    upper = np.flatnonzero(pole.imag > 0)
+    upper = np.flatnonzero(pole.imag > SWINGING * np.abs(pole))
     upper = upper[np.argsort(np.abs(pole[upper]))]
     natural = np.abs(pole[upper])
     swinging = shape[:, upper].T
@@ -145,6 +150,9 @@ def _s(frequency_hz: FloatArray) -> ComplexArray:
 
 def _state_matrix(machine: Machine, xy: FloatArray) -> FloatArray:
     """d/dt of (q, η, q̇, η̇), (n, 12, 12)."""
+    if machine.first_share is not None:
+        order = np.arange(12).reshape(4, 3)[[0, 2, 1, 3]].ravel()  # of q, q̇, η, η̇
+        return continuous_plant(machine, xy).a[:, 6:, 6:][:, order][:, :, order]
     mass, damper, stiffness = _matrices(machine, xy)
     state = np.zeros((len(xy), 12, 12))
     state[:, :6, 6:] = np.eye(6)
@@ -156,7 +164,7 @@ def _state_matrix(machine: Machine, xy: FloatArray) -> FloatArray:
 def _matrices(machine: Machine, xy: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mass (n, 6, 6) kg, damping (6, 6) N s/m, stiffness (6, 6) N/m, of (q_A, q_B, q_C, η_x, η_y, η_z)."""
     carriage, effector = machine.carriage, machine.effector
-    j, gamma = jacobian(machine.kinematics, xy), load_map(machine, xy)
+    j, gamma = machine.kinematics.jacobian(xy), load_map(machine, xy)
     extruder = effector.extruder_mass_kg
     carriages = carriage.moving_mass_kg * np.eye(3) + (machine.nozzle_side_mass_kg + extruder) * gamma @ j
     relative = np.broadcast_to(extruder * np.eye(3), j.shape)

@@ -19,7 +19,6 @@ import numpy as np
 
 from models.carriage import ComplexArray
 from models.effector import load_map
-from models.kinematics.delta import jacobian
 from models.machine import FloatArray, Machine
 from models.receptance import poles, receptance
 
@@ -67,7 +66,7 @@ def soundness(machine: Machine) -> Soundness:
     """Look at the model on a polar grid over the bed."""
     xy = bed(machine)
     y = np.stack([receptance(machine, place, FREQUENCIES_HZ) for place in xy])
-    j = jacobian(machine.kinematics, xy)
+    j = machine.kinematics.jacobian(xy)
     load = load_map(machine, xy) @ j
     ratio = np.diagonal(load, axis1=1, axis2=2) / np.sum(j**2, axis=1)
     return Soundness(
@@ -93,10 +92,7 @@ def unstable_places(machine: Machine, radii: int = 6, directions: int = 24) -> F
 
 def bed(machine: Machine, radii: int = 6, directions: int = 24) -> FloatArray:
     """The centre and rings around it out to the print radius, (n, 2) mm, columns X Y."""
-    radius = np.linspace(0, machine.kinematics.print_radius_mm, radii)[1:]
-    angle = np.linspace(0, 2 * np.pi, directions, endpoint=False)
-    rings = np.stack([np.outer(radius, np.cos(angle)), np.outer(radius, np.sin(angle))], axis=-1).reshape(-1, 2)
-    return np.concatenate([np.zeros((1, 2)), rings])
+    return machine.kinematics.rings(radii - 1, directions)
 
 
 def _dissipation(y: ComplexArray) -> FloatArray:

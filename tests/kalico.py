@@ -59,6 +59,23 @@ def kalico_plan(gcode: bytes, **options: Any) -> dict[str, Any]:
             return _without_lead_in(dict(result))
 
 
+def kalico_moves(config: str, gcode: bytes) -> FloatArray:
+    """The moves of the nozzle as the real host plans them on any printer, (n, 13) as in `kalico_plan`.
+
+    config : the text of a printer.cfg whose pins are those of the oracle's board
+    """
+    with tempfile.TemporaryDirectory(prefix="kalico-") as work:
+        cfg, source, out, moves, log = (Path(work, n) for n in ("printer.cfg", "x.gcode", "out", "moves", "log"))
+        cfg.write_text(config)
+        start = b"SET_KINEMATIC_POSITION X=%g Y=%g Z=%g\nG90\nM82\n" % START_MM
+        source.write_bytes(start + _LEAD_IN + gcode + b"\nM400\n")
+        host, board = _oracle().with_name("kalico_host.py"), _oracle().with_name("mcu.json")
+        command = [_python(), host, moves, cfg, "-i", source, "-o", out, "-d", board, "-l", log]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"The Kalico host refused the file: {log.read_text()[-3000:]}"
+        return np.fromfile(moves).reshape(-1, 13)[_LEAD_IN_MOVES:]
+
+
 def _run(arguments: list[str]) -> None:
     done = subprocess.run([sys.executable, str(_oracle()), *arguments], capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"The Kalico host refused the file: {done.stderr[-3000:]}"

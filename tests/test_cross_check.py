@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from models.kinematics.delta import inverse
 from models.machine import Machine
 from models.machine_file import load_machine
 from models.printer import simulate_printer
@@ -55,7 +54,7 @@ def test_what_is_not_the_same_is_seen(machine: Machine, arms: Arms, least: float
 
 
 def test_it_sags_as_bodies_with_weight_do(machine: Machine) -> None:
-    command = np.tile(inverse(machine.kinematics, PLACE_MM[None]), (2, 1))
+    command = np.tile(machine.kinematics.inverse(PLACE_MM[None]), (2, 1))
     ours = simulate_printer(machine, command, ROW_S)
     nozzle, carriages = multibody.rest_mm(multibody.build(machine, PLACE_MM, Choice(gravity=True)))
     assert np.abs(nozzle - PLACE_MM).max() > 0.05
@@ -64,7 +63,7 @@ def test_it_sags_as_bodies_with_weight_do(machine: Machine) -> None:
 
 
 def test_told_to_stay_the_bodies_stay(machine: Machine) -> None:
-    command = np.tile(inverse(machine.kinematics, PLACE_MM[None]), (64, 1))
+    command = np.tile(machine.kinematics.inverse(PLACE_MM[None]), (64, 1))
     theirs = multibody.play(machine, PLACE_MM, command, ROW_S, Choice(gravity=True))
     assert np.ptp(theirs.nozzle_mm, axis=0).max() < 1e-8
 
@@ -79,7 +78,7 @@ def test_it_answers_a_jerk_as_bodies_do(machine: Machine, gravity: bool) -> None
     t = ROW_S * np.arange(round(0.15 / ROW_S) + 1)
     way = np.minimum(t / 0.1, 1.0)
     path = PLACE_MM - np.outer(10.0 * (1 - np.cos(np.pi * way)), [1.0, 0.5, 0.1])
-    command = inverse(machine.kinematics, path)
+    command = machine.kinematics.inverse(path)
     ours = simulate_printer(machine, command, ROW_S, gravity=gravity)
     theirs = multibody.play(machine, path[0], command, ROW_S, Choice(gravity=gravity))
     every = round(ROW_S / multibody.STEP_S)

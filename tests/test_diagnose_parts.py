@@ -18,7 +18,6 @@ from ffcomp.errors import MeasurementError
 from ffcomp.measured.run import Run
 from models import printer_kernels as kernels
 from models.effects.catalogue import with_effect
-from models.kinematics.delta import inverse
 from models.machine_file import load_machine
 from models.printer import printer_numbers
 
@@ -118,7 +117,7 @@ def test_two_kinds_of_friction_turn_over_as_their_forces_weigh() -> None:
 
 def run_at(place: tuple[float, float, float], name: str = "x-1.csv") -> Run:
     t = np.arange(1600) / 1600.0
-    q = np.repeat(inverse(load_machine("mp-delta-pro").kinematics, np.array([place])), len(t), axis=0)
+    q = np.repeat(load_machine("mp-delta-pro").kinematics.inverse(np.array([place])), len(t), axis=0)
     blank = {"acc_A": np.zeros(len(t))}
     return Run(name, t, q, "carriage", blank, {}, np.zeros(len(t), dtype=bool), {})
 

@@ -18,7 +18,6 @@ from ffcomp.diagnose.outcome import outcome
 from ffcomp.diagnose.picture import picture
 from ffcomp.measured.run import Run
 from models.effects.catalogue import with_effect
-from models.kinematics.delta import inverse
 from models.machine import Machine
 from models.machine_file import load_machine
 
@@ -40,7 +39,7 @@ def command(place: tuple[float, float, float], rng: np.random.Generator) -> np.n
     tones = np.sum(size * np.sin(2 * np.pi * f * t[:, None, None] + rng.uniform(0, 6.28, f.shape)), axis=1)
     slow = np.sin(2 * np.pi * 0.9 * t)[:, None] * np.array([12.0, -7.0, 4.0])
     fade = np.minimum(1, np.minimum(t, t[-1] - t) / 0.25)[:, None]
-    return np.asarray(inverse(believed().kinematics, np.array([place])) + (tones + slow) * fade)
+    return np.asarray(believed().kinematics.inverse(np.array([place])) + (tones + slow) * fade)
 
 
 def runs_of(truth: Machine, noise: float = NOISE) -> list[Run]:

@@ -18,7 +18,6 @@ from gcode.container import read_bytes
 from gcode.errors import GcodeError
 from gcode.program import Program
 from gcode.reader import read_program
-from models.kinematics.delta import check_reach
 from models.machine import Machine
 from models.machine_file import load_machine
 from tests.test_writer import others
@@ -78,7 +77,7 @@ def test_a_real_print_comes_through(path: Path) -> None:
     before, after = read_program(data, offset_mm=work.offset), read_program(out)
     np.testing.assert_allclose(layers(after), layers(before), atol=1e-4)
     np.testing.assert_allclose(after.moves.end[-1, :3], before.moves.end[-1, :3], atol=1e-4)
-    check_reach(work.machine.kinematics, after.moves.end[:, :3])
+    work.machine.kinematics.check_reach(after.moves.end[:, :3])
     assert (after.moves.speed > 0).all()
     assert work.summary.segments < 260 * work.summary.print_time_s
     assert work.summary.warnings == []

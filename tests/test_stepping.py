@@ -14,7 +14,6 @@ from ffcomp.stepping import BEFORE_S
 from ffcomp.steps.reader import read_events, read_steps
 from ffcomp.steps.sink import Board
 from gcode.reader import read_program
-from models.kinematics.delta import inverse
 from models.machine import Machine
 from models.machine_file import load_machine
 from tests.ffcomp.compare.prints import squares
@@ -46,7 +45,7 @@ def test_plain_steps_are_the_plan(machine: Machine, tmp_path: Path) -> None:
     place = trajectory.position(np.minimum(t, np.nextafter(trajectory.end_t, 0)))
     motors = read_steps(target)
     assert job.summary.original_print_time_s == pytest.approx(trajectory.end_t)
-    heights = inverse(machine.kinematics, place[:, :3])
+    heights = machine.kinematics.inverse(place[:, :3])
     for i, name in enumerate("abc"):
         off = level_at(motors[name], BEFORE_S + t) - heights[:, i]
         assert np.abs(off).max() <= 0.5001 / machine.steps.steps_per_mm + 1e-9
@@ -74,7 +73,7 @@ def test_compensated_steps_are_the_command(
     fastest = 300.0  # mm/s, of a carriage: what an error in time can make of one in place
     for start_t, spacing_s, vertices, filament in seen:
         t = start_t + spacing_s * np.arange(len(vertices))
-        heights = inverse(machine.kinematics, vertices)
+        heights = machine.kinematics.inverse(vertices)
         for i, name in enumerate("abc"):
             allowed = 0.5001 / machine.steps.steps_per_mm + fastest * (error_s or 1e-7)
             assert np.abs(level_at(motors[name], t) - heights[:, i]).max() < allowed

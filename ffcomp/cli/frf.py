@@ -132,11 +132,10 @@ def _place(text: str, machine: Machine) -> FloatArray:
     import numpy as np
 
     from models.errors import UnreachableError
-    from models.kinematics.delta import check_reach
 
     try:
         x, y = (float(part) for part in text.split(","))
-        check_reach(machine.kinematics, np.array([[x, y, 0.0]]))
+        machine.kinematics.check_reach(np.array([[x, y, 0.0]]))
     except UnreachableError as error:
         raise typer.BadParameter(f"--at {text}: {error}") from None
     except ValueError:

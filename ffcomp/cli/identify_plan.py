@@ -146,7 +146,7 @@ def _places(texts: list[str], machine: Machine) -> list[tuple[float, float]]:
 
     found: list[tuple[float, float]] = []
     for text in texts:
-        found += line_of_action(machine.kinematics) if text == LINE_OF_ACTION else [_place(text)]
+        found += line_of_action(machine.delta) if text == LINE_OF_ACTION else [_place(text)]
     return list(dict.fromkeys(found))
 
 
@@ -186,7 +186,7 @@ def _result(made: Plan, machine: Machine, request: Request, target: Path, accoun
             "duration_s": each.duration_s,
             "segments": len(each.vertices_mm) - 1,
             "peaks": asdict(each.peaks),
-            "microstep_error": microstep_error(each, machine.steps.steps_per_mm),
+            "microstep_error": microstep_error(each, machine.steps.per_motor),
             "capture": capture_name(each),
         }
         for each in made.experiments
@@ -200,7 +200,7 @@ def _result(made: Plan, machine: Machine, request: Request, target: Path, accoun
         "duration_s": duration_s(made),
         "experiments": experiments,
         "warnings": _warnings(experiments),
-        "recommended_places_mm": [(0.0, 0.0), *line_of_action(machine.kinematics)],
+        "recommended_places_mm": [(0.0, 0.0), *line_of_action(machine.delta)],
         "places_mm": list(request.places_mm),
     }
 

@@ -35,7 +35,7 @@ from ffcomp.errors import NothingToDo
 from ffcomp.invert.settings import Settings
 from ffcomp.pipeline import Summary, settings_for
 from ffcomp.virtual.same_printer import check_same_kinematics
-from models.machine import Machine
+from models.machine import DeltaGeometry, Machine
 
 SHORTEST_S = 3 * SETTLE_S
 SOME_S = 60.0  # of print time that is printed on every drawn plant
@@ -327,9 +327,15 @@ def _layers(printed: Print, method: Method) -> tuple[Layer, ...]:
 
 
 def _bed(plant: Machine) -> BedMap:
-    reach = plant.kinematics.print_radius_mm
-    axis = np.linspace(-reach, reach, 2 * int(np.ceil(reach / BED_PITCH_MM)) + 1)
-    places = np.stack(np.meshgrid(axis, axis), axis=-1)
+    rim = plant.kinematics.rings(1, 72)
+    x, y = (np.linspace(low, high, 2 * int(np.ceil((high - low) / 2 / BED_PITCH_MM)) + 1) for low, high in _spans(rim))
+    places = np.stack(np.meshgrid(x, y), axis=-1)
     frequency = every.mode_frequencies(plant)(places.reshape(-1, 2)).reshape(places.shape)
-    frequency[np.hypot(places[..., 0], places[..., 1]) > 1.001 * reach] = np.nan
-    return BedMap(axis, axis, frequency)
+    if isinstance(plant.kinematics, DeltaGeometry):
+        frequency[np.hypot(places[..., 0], places[..., 1]) > 1.001 * plant.kinematics.print_radius_mm] = np.nan
+    return BedMap(x, y, frequency)
+
+
+def _spans(places: FloatArray) -> list[tuple[float, float]]:
+    """From the lowest to the highest, of each column."""
+    return [(float(column.min()), float(column.max())) for column in places.T]

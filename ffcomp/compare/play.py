@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from ffcomp.virtual.command import peaks as command_peaks
 from ffcomp.virtual.motion import Motion
 from ffcomp.virtual.sag import sag
-from models.kinematics.kernels import FastDelta
 from models.machine import Machine
 from models.printer import PrinterState, simulate_printer
 
@@ -40,7 +39,7 @@ def play(
     -------
     t : (m,) s;  nozzle : one (m, 3) mm a plant
     """
-    delta = FastDelta(believed.kinematics)
+    delta = believed.kinematics.compiled()
     rows = int((motion.end_t - motion.begin_t) / STEP_S) // KEEP_EVERY * KEEP_EVERY
     states: list[PrinterState | None] = [None] * len(plants)
     found: list[list[FloatArray]] = [[] for _ in plants]
@@ -64,7 +63,7 @@ def play(
 
 def peaks(motion: Motion, believed: Machine) -> tuple[float, float]:
     """The largest speed, mm/s, and acceleration, mm/s², that any carriage is asked for, over one segment's time."""
-    delta = FastDelta(believed.kinematics)
+    delta = believed.kinematics.compiled()
 
     def carriages(t: FloatArray) -> FloatArray:
         return delta.inverse(np.ascontiguousarray(motion.position(t)))

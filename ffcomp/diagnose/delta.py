@@ -25,7 +25,6 @@ from ffcomp.measured.frf import FloatArray
 from ffcomp.measured.run import Run
 from models.effects.catalogue import CATALOGUE, measured
 from models.effects.effect import Effect, Parameter
-from models.kinematics.delta import forward
 from models.machine import Machine
 from models.parameters import value_of, with_values
 from models.printer import SMOOTH_STEP_S, PrinterMotion, longest_step, printer_numbers, simulate_printers
@@ -296,7 +295,7 @@ def _starts(effect: Effect, p: Parameter, machine: Machine) -> list[float]:
     if p.size == "direction":
         return [0.0, np.pi / 4, np.pi / 2, 3 * np.pi / 4]
     if (effect.name, p.name) == ("cogging", "pitch_mm"):
-        return [steps / machine.steps.full_steps_per_mm for steps in FULL_STEPS]
+        return [steps / float(machine.steps.full_per_motor[0]) for steps in FULL_STEPS]
     low, high = p.typical
     if p.name == "q_centre_mm":
         return [0.5 * (low + high)]
@@ -328,7 +327,7 @@ def _recording(machine: Machine, run: Run, command: FloatArray) -> Recording:
     signals = (*run.acceleration, *run.position)
     every = _every(run)
     values = [_thinned(x, every) for x in (*run.acceleration.values(), *run.position.values())]
-    nozzle = forward(machine.kinematics, command)
+    nozzle = machine.kinematics.forward(command)
     place = tuple(float(5 * round(x / 5)) for x in (np.min(nozzle, axis=0) + np.max(nozzle, axis=0))[:2] / 2)
     rate = run.sample_rate_hz / every
     moving = {**dict(zip("ABC", command.T, strict=True)), **dict(zip("xyz", nozzle.T, strict=True))}

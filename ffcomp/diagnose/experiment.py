@@ -25,7 +25,6 @@ from ffcomp.measured.run import Run
 from ffcomp.pipeline import plan_program
 from gcode.reader import read_program
 from models.effects.catalogue import CATALOGUE
-from models.kinematics.delta import inverse
 from models.machine import Machine
 
 OUT = 0.6  # of the print radius: the six places around the centre
@@ -169,7 +168,7 @@ def _ranked(plant: Delta, found: Diagnosis, question: _Question) -> list[_Played
     tried = _asked(plant, found, question, [(best.move, place) for place in around])
     top = max([best, *tried], key=lambda p: p.rate)
     x, y, _ = top.place
-    high = _asked(plant, found, question, [(best.move, (x, y, HIGH * machine.kinematics.print_height_mm))])
+    high = _asked(plant, found, question, [(best.move, (x, y, HIGH * machine.delta.print_height_mm))])
     top = max([top, *high], key=lambda p: p.rate)
     return [top, *sorted((p for p in kinds if p.move is not best.move), key=lambda p: -p.rate)]
 
@@ -209,7 +208,7 @@ def _run(machine: Machine, move: Move, place: Point, signals: Sequence[str], rat
     for signal in signals:
         blank[signal[:3]][signal] = np.zeros(len(t))
     gaps = np.zeros(len(t), dtype=bool)
-    carriages = inverse(machine.kinematics, nozzle)
+    carriages = machine.kinematics.inverse(nozzle)
     return Run(move.kind, t, carriages, "carriage", blank["acc"], blank["pos"], gaps, {})
 
 
@@ -241,7 +240,7 @@ def _proposal(machine: Machine, question: _Question, played: _Played) -> Proposa
 
 def places(machine: Machine) -> list[Point]:
     """The centre, then six around it; low."""
-    geometry = machine.kinematics
+    geometry = machine.delta
     radius = min(OUT * geometry.print_radius_mm, geometry.print_radius_mm - ROOM_MM)
     angles = np.deg2rad(geometry.tower_angles_deg[0] + 60.0 * np.arange(6))
     around = [(round(float(radius * np.cos(a)), 1), round(float(radius * np.sin(a)), 1), LOW_MM) for a in angles]

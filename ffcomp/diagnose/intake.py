@@ -13,7 +13,6 @@ from ffcomp.measured.placing import misplaced
 from ffcomp.measured.run import Run
 from ffcomp.measured.sensors import command_unit
 from models.errors import UnreachableError
-from models.kinematics.delta import forward, inverse
 from models.machine import Machine
 
 ROOM_MM = 25.0  # around the print volume, in which a nozzle may still be commanded
@@ -29,8 +28,8 @@ def carriages_of(machine: Machine, run: Run) -> FloatArray:
         If this machine cannot have been told so, or the sensors of the run move otherwise than they are named.
     """
     try:
-        carriages = run.command if run.command_space == "carriage" else inverse(machine.kinematics, run.command)
-        nozzle = forward(machine.kinematics, carriages)
+        carriages = run.command if run.command_space == "carriage" else machine.kinematics.inverse(run.command)
+        nozzle = machine.kinematics.forward(carriages)
         problem = _outside(machine, run, nozzle)
     except UnreachableError as error:
         problem = f"{error} {_another(machine)}"
@@ -51,7 +50,7 @@ def _expected(carriages: FloatArray, nozzle: FloatArray, run: Run) -> dict[str, 
 
 def _outside(machine: Machine, run: Run, nozzle: FloatArray) -> str:
     """Where the nozzle leaves the print volume, as a sentence; '' if nowhere."""
-    geometry = machine.kinematics
+    geometry = machine.delta
     beyond = np.hypot(nozzle[:, 0], nozzle[:, 1]) > geometry.print_radius_mm + ROOM_MM
     beyond |= (nozzle[:, 2] < -ROOM_MM) | (nozzle[:, 2] > geometry.print_height_mm + ROOM_MM)
     if not beyond.any():

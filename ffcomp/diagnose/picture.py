@@ -141,7 +141,7 @@ def picture(plant: Delta, found: Diagnosis) -> Picture:
     return Picture(
         desk.whiten.band_hz,
         found.noise.from_repeats,
-        plant.machine.kinematics.print_radius_mm,
+        plant.machine.delta.print_radius_mm,
         tuple(_splits(plant, desk, before, after)),
         tuple(_overlays(plant, desk, answers, before)),
         tuple(_spectra(desk, answers)),
@@ -262,7 +262,7 @@ def _size(measured: FloatArray) -> NDArray[np.int64]:
 
 def _phases(plant: Delta) -> list[NDArray[np.int64]]:
     """Of the signal's own motor; of motor A for the nozzle's."""
-    cycle = CYCLE_STEPS / plant.machine.steps.full_steps_per_mm
+    cycle = CYCLE_STEPS / float(plant.machine.steps.full_per_motor[0])
     found = []
     for r, command in zip(plant.recordings, plant.commands, strict=True):
         own = command[:, ["ABC".find(s[-1]) if s[-1] in "ABC" else 0 for s in r.signals]]

@@ -20,7 +20,6 @@ from ffcomp.identify.predict import CARRIAGES
 from ffcomp.measured.frf import ComplexArray, FloatArray, FrequencyResponse
 from models.carriage import belt, drive_frf, impedance
 from models.effector import effector_impedance, load_map
-from models.kinematics.delta import jacobian
 from models.machine import Machine
 
 
@@ -58,7 +57,7 @@ def decouple(machine: Machine, responses: Sequence[FrequencyResponse]) -> Decoup
     own = impedance(machine.carriage, s)[:, None, None] * np.eye(3)
     size = np.abs(inverse) ** 2
     spread = np.abs(drive[:, None, None]) ** 2 * np.einsum("kia,kab,kbj->kij", size, variance, size)
-    j, gamma = jacobian(machine.kinematics, xy[None])[0], load_map(machine, xy[None])[0]
+    j, gamma = machine.kinematics.jacobian(xy[None])[0], load_map(machine, xy[None])[0]
     model = (gamma * effector_impedance(machine, s)[:, None, :]) @ j
     return Decoupled(first.frequency_hz, xy, drive[:, None, None] * inverse - own, spread, model, j)
 

@@ -21,7 +21,6 @@ from ffcomp.measured.records import frfs_from_runs
 from ffcomp.measured.run import Run, read_run
 from ffcomp.measured.table import read_text
 from ffcomp.measured.uff import is_universal
-from models.kinematics.delta import forward, inverse
 from models.machine import Machine
 
 Kind = Literal["frf", "run", "vibration"]
@@ -112,9 +111,9 @@ def _by_place(runs: Sequence[Run], machine: Machine, skipped: list[str]) -> dict
 
 def _extent(run: Run, machine: Machine) -> tuple[list[float], float]:
     """Middle of the nozzle's commanded path, and how far it goes from there, mm."""
-    nozzle = run.command if run.command_space == "nozzle" else forward(machine.kinematics, run.command)
+    nozzle = run.command if run.command_space == "nozzle" else machine.kinematics.forward(run.command)
     low, high = nozzle.min(axis=0), nozzle.max(axis=0)
-    inverse(machine.kinematics, nozzle[:1])  # refuses what the arms cannot reach
+    machine.kinematics.inverse(nozzle[:1])  # refuses what the arms cannot reach
     return ((low + high) / 2).tolist(), float(np.linalg.norm(high - low) / 2)
 
 

@@ -27,7 +27,6 @@ from ffcomp.played import OutputLimits, Played, played
 from gcode.emit import F_COUNTS, XYZ_COUNTS
 from gcode.program import Moves
 from models.errors import UnreachableError
-from models.kinematics.delta import check_reach, forward, inverse, jacobian
 from models.machine import DeltaGeometry, Machine
 
 FloatArray = NDArray[np.float64]
@@ -122,7 +121,7 @@ class Experiment:
 
     def command(self, t_s: FloatArray) -> FloatArray:
         """Where the carriages are told to be at the times (k,) s: (k, 3) mm, as played, between the knots too."""
-        return inverse(self.geometry, self.nozzle(t_s))
+        return self.geometry.inverse(self.nozzle(t_s))
 
     @cached_property
     def lines(self) -> Lines:
@@ -147,7 +146,7 @@ class Experiment:
     @cached_property
     def peaks(self) -> Peaks:
         """Differences from knot to knot."""
-        nozzle, carriages, s = self.vertices_mm, inverse(self.geometry, self.vertices_mm), self.segment_s
+        nozzle, carriages, s = self.vertices_mm, self.geometry.inverse(self.vertices_mm), self.segment_s
         bends = np.diff(nozzle, 2, axis=0) / s**2
         return Peaks(
             float(np.abs(np.diff(carriages, axis=0)).max()) / s,
@@ -232,7 +231,7 @@ def limits_of(machine: Machine, output: OutputLimits) -> Peaks:
 
 def _allowed(machine: Machine, request: Request, direction: str, limits: Peaks) -> tuple[float, float]:
     """Acceleration and velocity of the excited coordinate that suit every place, mm/s² and mm/s."""
-    gains = [_gains(machine.kinematics, place, direction) for place in request.places_mm]
+    gains = [_gains(machine.delta, place, direction) for place in request.places_mm]
     fitting = {
         each.name: min(
             getattr(CONSERVATIVE, each.name) * getattr(limits, each.name) / max(getattr(gain, each.name), 1e-9)
@@ -247,7 +246,7 @@ def _allowed(machine: Machine, request: Request, direction: str, limits: Peaks) 
 
 def _gains(geometry: DeltaGeometry, place: tuple[float, float], direction: str) -> Peaks:
     """How fast carriages and nozzle are when the excited coordinate moves at 1 mm/s (Eq. 12: Ẋ = J q̇)."""
-    j = jacobian(geometry, np.array([place]))[0]
+    j = geometry.jacobian(np.array([place]))[0]
     if direction in TOWERS:
         carriage, nozzle = 1.0, j[:, TOWERS.index(direction)]
     else:
@@ -274,8 +273,8 @@ def _experiment(
         marker_knots=moved.marker_knots,
         first_knot=moved.first_knot,
         periods=moved.periods,
-        vertices_mm=_vertices(machine.kinematics, direction, position, moved.displacement_mm),
-        geometry=machine.kinematics,
+        vertices_mm=_vertices(machine.delta, direction, position, moved.displacement_mm),
+        geometry=machine.delta,
         output=output,
     )
 
@@ -286,7 +285,7 @@ def _vertices(
     """Where the nozzle goes when one coordinate moves by (n + 1,) mm: (n + 1, 3) mm, as the file can state it."""
     rest = np.array([position])
     if direction in TOWERS:
-        q = inverse(geometry, rest) + displacement[:, None] * np.eye(3)[TOWERS.index(direction)]
+        q = geometry.inverse(rest) + displacement[:, None] * np.eye(3)[TOWERS.index(direction)]
         nozzle = _forward(geometry, q, direction)
     else:
         nozzle = rest + displacement[:, None] * np.eye(3)[AXES.index(direction)]
@@ -295,7 +294,7 @@ def _vertices(
 
 def _forward(geometry: DeltaGeometry, q: FloatArray, direction: str) -> FloatArray:
     try:
-        return forward(geometry, q)
+        return geometry.forward(q)
     except UnreachableError as error:
         raise LimitsError(f"Carriage {direction} cannot be moved so far: {error}") from error
 
@@ -366,7 +365,7 @@ def _as_written(length: FloatArray, speeds: Played) -> FloatArray:
 def _check_place(machine: Machine, x: float, y: float, z: float) -> None:
     """Inside the print volume, and where the firmware does not slow down."""
     try:
-        check_reach(machine.kinematics, np.array([[x, y, z]]))
+        machine.kinematics.check_reach(np.array([[x, y, z]]))
     except UnreachableError as error:
         raise LimitsError(f"The nozzle cannot be excited there: {error}") from error
     widest = _widest(machine)
@@ -381,7 +380,7 @@ def _widest(machine: Machine) -> float:
     """The radius within which the firmware plays every segment at its own speed, mm."""
     reach = firmware_limits(machine).delta
     slow = reach.radius_of_ratio(SLOW_RATIOS[0][0]) if reach else np.inf
-    return min(slow, machine.kinematics.print_radius_mm)
+    return min(slow, machine.delta.print_radius_mm)
 
 
 def _check(machine: Machine, made: Experiment, acceleration: float, limits: Peaks) -> None:
@@ -395,7 +394,7 @@ def _check(machine: Machine, made: Experiment, acceleration: float, limits: Peak
             f"{made.name} reaches {radius:.2f} mm from the centre, and may reach {widest:.2f}; "
             f"a place not farther out than {fits:.1f} mm would fit."
         )
-    lowest, highest, top = float(xyz[:, 2].min()), float(xyz[:, 2].max()), machine.kinematics.print_height_mm
+    lowest, highest, top = float(xyz[:, 2].min()), float(xyz[:, 2].max()), machine.delta.print_height_mm
     if lowest < CLEARANCE_MM or highest > top:
         low, high = z - lowest + CLEARANCE_MM, top - (highest - z)
         raise LimitsError(
@@ -440,7 +439,7 @@ def _words(name: str) -> str:
 # What microsteps leave of it
 
 
-def microstep_error(made: Experiment, steps_per_mm: float) -> float:
+def microstep_error(made: Experiment, steps_per_mm: FloatArray) -> float:
     """Rounding to microsteps, at the lines of the band's upper half, as a share of what is commanded there.
 
     Motors step when the command crosses half a step. One measured period is compared with itself, rounded so; it is

@@ -12,7 +12,6 @@ from ffcomp.errors import MeasurementError
 from ffcomp.measured.frf import ComplexArray, FloatArray, FrequencyResponse
 from models.carriage import belt, command_frf, drive_frf, impedance
 from models.effector import effector_impedance, load_map, struck_frf
-from models.kinematics.delta import jacobian
 from models.machine import Machine
 
 CARRIAGES, AXES = "ABC", "xyz"
@@ -103,7 +102,7 @@ class _Assembly:
 
 
 def _assembly(machine: Machine, xy: FloatArray, s: ComplexArray) -> _Assembly:
-    j, gamma = jacobian(machine.kinematics, xy[None])[0], load_map(machine, xy[None])[0]
+    j, gamma = machine.kinematics.jacobian(xy[None])[0], load_map(machine, xy[None])[0]
     load = (gamma * effector_impedance(machine, s)[:, None, :]) @ j
     stiffness = load + impedance(machine.carriage, s)[:, None, None] * np.eye(3)
     drive = belt(machine.carriage, s) * drive_frf(machine.carriage.drive, s)

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from models.kinematics.delta import jacobian
 from models.machine import Machine
 from models.receptance import nozzle_frf
 
@@ -64,10 +63,10 @@ def effort_curve(machine: Machine, segment_s: float) -> EffortCurve:
     f: FloatArray = np.fft.rfftfreq(KNOTS, segment_s).astype(np.float64)
     wanted = np.fft.rfft(_square(machine, segment_s), axis=0)
     bend = -((2 * np.sin(np.pi * f * segment_s)) ** 2)
-    around = REACH * machine.kinematics.print_radius_mm * np.exp(1j * np.pi / 3 * np.arange(6))
+    around = REACH * machine.kinematics.model_reach_mm * np.exp(1j * np.pi / 3 * np.arange(6))
     places = np.array([[0.0, 0.0], *zip(around.real.tolist(), around.imag.tolist(), strict=True)])
     frfs = np.array([nozzle_frf(machine, xy, f) for xy in places]) * (np.sinc(f * segment_s) ** 2)[:, None, None]
-    to_carriages = np.linalg.inv(jacobian(machine.kinematics, places))
+    to_carriages = np.linalg.inv(machine.kinematics.jacobian(places))
     count = int(np.log(HIGHEST / segment_s / LOWEST_HZ) / np.log(STEP)) + 1
     bandwidths = np.geomspace(LOWEST_HZ, HIGHEST / segment_s, max(count, 2))
 

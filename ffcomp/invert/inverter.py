@@ -18,9 +18,8 @@ from ffcomp.invert.robust import HALF, Softening
 from ffcomp.invert.settings import Settings
 from ffcomp.runs import Reference
 from ffcomp.schedule import Schedule, interpolate, models_along, rest_state
+from models.axes import low_frequency
 from models.effects.catalogue import design_machine, without_effects
-from models.kinematics.delta import jacobian
-from models.kinematics.kernels import FastDelta
 from models.machine import Drive, Machine
 from models.plant import DiscretePlant, PlantTable, plant_table
 
@@ -51,7 +50,7 @@ class Inverter:
         # the whole printer, where the linear model cannot hold its effects; what the firmware believes of it stays
         own = without_effects(given, GEOMETRY)
         self.printer = own if len(beyond) > len(self.not_modelled) else None
-        self.delta = FastDelta(machine.kinematics)
+        self.delta = machine.kinematics.compiled()
         self.fine = Schedule(machine, _table(machine, settings, settings.substeps))
         self.coarse = _table(machine, settings, settings.rows_per_segment)
         self.effort = effort_weight(machine, settings.bandwidth_hz, settings.segment_s, settings.rows_per_segment)
@@ -62,12 +61,12 @@ class Inverter:
     def preview(self) -> Preview:
         """The gains of the fast inverse."""
         s = self.settings
-        return Preview(self._plant_at, self.machine.kinematics.print_radius_mm, s.rows_per_segment, self.effort)
+        return Preview(self._plant_at, self.machine.kinematics.model_reach_mm, s.rows_per_segment, self.effort)
 
     def _plant_at(self, xy: FloatArray) -> tuple[DiscretePlant, FloatArray]:
         """The plant for half a segment at places (g, 2) mm, and the nozzle's Jacobian there."""
         step_s = self.settings.segment_s / self.settings.rows_per_segment
-        return DiscretePlant(step_s, *models_along(self.coarse, xy)), jacobian(self.machine.kinematics, xy)
+        return DiscretePlant(step_s, *models_along(self.coarse, xy)), self.machine.kinematics.jacobian(xy)
 
     def compliance_at(self, xy: FloatArray) -> FloatArray:
         """C of G⁻¹(s) ≈ I + τ s + C s² for the carriages at places (n, 2) mm: (n, 3, 3) s²."""
@@ -78,6 +77,8 @@ class Inverter:
     def _compliance(self) -> FloatArray:
         """It at the table's nodes: Eq. 29 and Eq. 34 turned over and expanded at s = 0."""
         carriage, effector, j = self.machine.carriage, self.machine.effector, self.coarse.jacobian
+        if self.machine.first_share is not None:
+            return np.tile(np.diag(low_frequency(self.machine)[1]), (len(j), 1, 1))
         if self.settings.one_model:
             j = np.broadcast_to(j[len(j) // 2], j.shape)
         k, c, b = (
@@ -152,5 +153,7 @@ def drive_lag(drive: Drive | None) -> tuple[float, float]:
 def steady_delay(machine: Machine) -> float:
     """τ of G(s) ≈ I − τ s: how far the machine lags behind a steady motion, s, on average of its towers."""
     carriage = machine.carriage
+    if machine.first_share is not None:
+        return float(np.mean(low_frequency(machine)[0]))
     lag = carriage.guide_damping_n_s_per_m / carriage.belt_stiffness_n_per_m
     return float(np.mean(lag)) + drive_lag(carriage.drive)[0]

@@ -34,7 +34,7 @@ from scipy import sparse
 
 from ffcomp.errors import SolverError
 from ffcomp.invert.solvers import Backend, solve_qp
-from models.kinematics.kernels import FastDelta
+from models.kinematics.geometry import Compiled
 from models.machine import Machine
 
 FloatArray = NDArray[np.float64]
@@ -50,33 +50,30 @@ ROOM = (1.0, 1.1, 1.3, 1.7, 2.5)  # times the limit, where given knots on both s
 class CommandLimits:
     """Of every carriage's command."""
 
-    velocity_mm_per_s: float
+    velocity_mm_per_s: FloatArray  # (3,)
     acceleration_mm_per_s2: float
-    travel_mm: tuple[float, float]  # lowest and highest place of a carriage; infinite where it is not known
+    travel_mm: tuple[float, float]  # lowest and highest place of a motor; infinite where it is not known
     segment_s: float
-    towers_mm: FloatArray  # (3, 2)
-    arms_squared_mm2: FloatArray  # (3,)
-    effector_height_mm: float
+    rows: FloatArray  # (3, 8), `Geometry.motor_rows`
+    motors: FloatArray  # (3, 3) motors from carriages
 
     @classmethod
     def of(cls, machine: Machine, segment_s: float) -> CommandLimits:
         """A step rate is a velocity: no step comes sooner than the last one allows."""
         own, geometry = machine.limits, machine.kinematics
-        by_steps = np.inf if own.step_rate_hz is None else own.step_rate_hz / machine.steps.steps_per_mm
+        by_steps = np.inf if own.step_rate_hz is None else own.step_rate_hz / machine.steps.per_motor
         return cls(
-            min(own.carriage_velocity_mm_per_s, by_steps),
+            np.minimum(own.carriage_velocity_mm_per_s, np.broadcast_to(by_steps, 3)),
             own.carriage_acceleration_mm_per_s2,
             own.carriage_travel_mm or (-np.inf, np.inf),
             segment_s,
-            np.ascontiguousarray(geometry.towers_mm),
-            np.ascontiguousarray(geometry.arm_lengths_mm**2),
-            float(geometry.effector_height_mm),
+            np.ascontiguousarray(geometry.motor_rows),
+            geometry.motors,
         )
 
     def asked(self, vertices: FloatArray) -> Asked:
         """What the command (n + 1, 3) mm, a nozzle polygon, asks of the carriages."""
-        args = (self.towers_mm, self.arms_squared_mm2, self.effector_height_mm, self.segment_s)
-        return Asked(*_asked(np.ascontiguousarray(vertices), *args))
+        return Asked(*_asked(np.ascontiguousarray(vertices), self.rows, self.segment_s))
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +115,7 @@ def limited_step(
     command: FloatArray,
     plan: FloatArray,
     limits: CommandLimits,
-    delta: FastDelta,
+    kinematics: Compiled,
     backend: Backend = "osqp",
 ) -> FloatArray:
     """The best change of the unknown knots that keeps the limits.
@@ -140,7 +137,7 @@ def limited_step(
     SolverError
         When there is no answer even with the widest room.
     """
-    rows = _Rows(command, plan, limits, delta)
+    rows = _Rows(command, plan, limits, kinematics)
     for room in ROOM:
         try:
             return solve_qp(hessian, -gradient, *rows.within(room), backend=backend)
@@ -152,9 +149,9 @@ def limited_step(
 class _Rows:
     """Rows of the programme that touch an unknown knot, each divided by its limit."""
 
-    def __init__(self, command: FloatArray, plan: FloatArray, limits: CommandLimits, delta: FastDelta) -> None:
+    def __init__(self, command: FloatArray, plan: FloatArray, limits: CommandLimits, kinematics: Compiled) -> None:
         self._limits, self._command = limits, command
-        self._now, self._plan = limits.asked(delta.forward(command)), limits.asked(delta.forward(plan))
+        self._now, self._plan = (limits.asked(kinematics.forward(each)) for each in (command, plan))
 
     def within(self, room: float) -> tuple[sparse.csc_matrix, FloatArray, FloatArray]:
         """A δ between low and high."""
@@ -162,8 +159,7 @@ class _Rows:
         if np.isfinite(self._limits.travel_mm).any():
             parts.append(self._travel(room))
         blocks, lows, highs = zip(*parts, strict=True)
-        matrix = sparse.csc_matrix(sparse.kron(sparse.vstack(blocks), sparse.eye(3)))
-        return matrix, np.concatenate(lows).ravel(), np.concatenate(highs).ravel()
+        return sparse.csc_matrix(sparse.vstack(blocks)), np.concatenate(lows).ravel(), np.concatenate(highs).ravel()
 
     def _velocity(self, room: float) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
         # the first and the last segment lie between given knots
@@ -172,10 +168,10 @@ class _Rows:
 
     def _acceleration(self, room: float) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
         now, plan = (asked.acceleration(self._limits.segment_s) for asked in (self._now, self._plan))
-        return self._between(2, now, plan, room, self._limits.acceleration_mm_per_s2)
+        return self._between(2, now, plan, room, np.full(3, self._limits.acceleration_mm_per_s2))
 
     def _between(
-        self, order: int, now: FloatArray, plan: FloatArray, room: float, limit: float
+        self, order: int, now: FloatArray, plan: FloatArray, room: float, limit: FloatArray
     ) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
         """now, plan (rows, 3, 2): what is asked for at both ends of a range; it may be within ± the ceiling."""
         planned = np.abs(plan).max(axis=2)
@@ -183,32 +179,34 @@ class _Rows:
         n = len(self._command) - 4
         stencil = np.diff(np.eye(n + 4), order, axis=0)
         touched = stencil[np.any(stencil[:, 2:-2] != 0.0, axis=1), 2:-2]
-        scaled = sparse.csr_matrix(touched / (limit * self._limits.segment_s**order))
+        motors = self._limits.motors / limit[:, None]
+        scaled = sparse.csr_matrix(sparse.kron(touched / self._limits.segment_s**order, motors))
         return scaled, (-ceiling - now.min(axis=2)) / limit, (ceiling - now.max(axis=2)) / limit
 
     def _travel(self, room: float) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
         """Heights in units of a millimetre; the room is added as so many tenths of it."""
         low, high = self._limits.travel_mm
-        heights, more = self._command[2:-2], 0.1 * (room - 1.0)
-        ends = np.maximum(self._command[:-1], self._command[1:])
+        every, more = self._command @ self._limits.motors.T, 0.1 * (room - 1.0)
+        heights, ends = every[2:-2], np.maximum(every[:-1], every[1:])
         above = self._now.height[..., 1] - ends
         beside = np.maximum(above[1:-2], above[2:-1])
         planned = self._plan.height[1:-1]
         floor = np.minimum(low + 1e-3, np.minimum(planned[:-1, :, 0], planned[1:, :, 0])) - more
         ceiling = np.maximum(high - 1e-3, np.maximum(planned[:-1, :, 1], planned[1:, :, 1])) + more
-        return sparse.eye(len(heights), format="csr"), floor - heights, ceiling - beside - heights
+        matrix = sparse.csr_matrix(sparse.kron(sparse.eye(len(heights)), self._limits.motors))
+        return matrix, floor - heights, ceiling - beside - heights
 
 
 @njit(cache=True, nogil=True)
 def _shares(
-    velocity: FloatArray, height: FloatArray, most: float, change: float, middle: float, half: float
+    velocity: FloatArray, height: FloatArray, most: FloatArray, change: float, middle: float, half: float
 ) -> FloatArray:
     n = len(velocity)
     shares = np.zeros((n, 3, 3))
     for k in range(n):
         for i in range(3):
             v = velocity[k, i]
-            shares[k, VELOCITY, i] = max(abs(v[0]), abs(v[1])) / most
+            shares[k, VELOCITY, i] = max(abs(v[0]), abs(v[1])) / most[i]
             shares[k, TRAVEL, i] = max(abs(height[k, i, 0] - middle), abs(height[k, i, 1] - middle)) / half
             if k > 0:
                 before = velocity[k - 1, i]
@@ -217,9 +215,7 @@ def _shares(
 
 
 @njit(cache=True, nogil=True)
-def _asked(
-    vertices: FloatArray, towers: FloatArray, arms_squared: FloatArray, effector_height: float, segment_s: float
-) -> tuple[FloatArray, FloatArray]:
+def _asked(vertices: FloatArray, rows: FloatArray, segment_s: float) -> tuple[FloatArray, FloatArray]:
     n = len(vertices) - 1
     velocity, height = np.empty((n, 3, 2)), np.empty((n, 3, 2))
     for k in range(n):
@@ -228,17 +224,23 @@ def _asked(
         vz = (vertices[k + 1, 2] - vertices[k, 2]) / segment_s
         v2 = vx * vx + vy * vy
         for i in range(3):
+            tower_x, tower_y, arm_squared, base, of_x, of_y, of_z, _ = rows[i]
+            slope = of_x * vx + of_y * vy + of_z * vz
             for end in range(2):
-                dx, dy = vertices[k + end, 0] - towers[i, 0], vertices[k + end, 1] - towers[i, 1]
-                h = np.sqrt(arms_squared[i] - dx * dx - dy * dy)
-                velocity[k, i, end] = vz - (dx * vx + dy * vy) / h
-                height[k, i, end] = vertices[k + end, 2] + effector_height + h
+                x, y, z = vertices[k + end]
+                dx, dy = x - tower_x, y - tower_y
+                height[k, i, end] = base + of_x * x + of_y * y + of_z * z
+                velocity[k, i, end] = slope
+                if arm_squared > 0.0:
+                    h = np.sqrt(arm_squared - dx * dx - dy * dy)
+                    velocity[k, i, end] -= (dx * vx + dy * vy) / h
+                    height[k, i, end] += h
             first, last = height[k, i, 0], height[k, i, 1]
             height[k, i, 0], height[k, i, 1] = min(first, last), max(first, last)
             if velocity[k, i, 0] > 0.0 > velocity[k, i, 1]:
                 # z + h is highest where both grow alike: along the line it is z₀ + √(1 + v_z²/v²) · the arm's reach
-                dx, dy = vertices[k, 0] - towers[i, 0], vertices[k, 1] - towers[i, 1]
+                dx, dy = vertices[k, 0] - tower_x, vertices[k, 1] - tower_y
                 across = (dx * vy - dy * vx) ** 2 / v2
                 level = vertices[k, 2] - vz * (dx * vx + dy * vy) / v2
-                height[k, i, 1] = level + effector_height + np.sqrt((arms_squared[i] - across) * (1.0 + vz * vz / v2))
+                height[k, i, 1] = level + base + np.sqrt((arm_squared - across) * (1.0 + vz * vz / v2))
     return velocity, height

@@ -78,7 +78,7 @@ class Preview:
 
     def __init__(self, plant_at: PlantAt, reach_mm: float, rows_per_segment: int, effort: float) -> None:
         self._plant_at, self._rows, self.effort = plant_at, rows_per_segment, effort
-        self._half = int(np.ceil(reach_mm / PITCH_MM)) + 1
+        self._half = int(np.ceil(reach_mm / PITCH_MM)) + (reach_mm > 0.0)
         self._slot = np.full((2 * self._half + 1) ** 2, -1)  # where in the arrays a node's gains are; -1: nowhere yet
         self._problem: list[_Problem] = []  # of each slot, one place
         self._steady = Gains(np.empty((0, *BACKWARD)), np.empty((0, *FORWARD)))

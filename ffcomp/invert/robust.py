@@ -44,7 +44,7 @@ class Softening:
         """effort : ρ against one row, as in the sweeps"""
         self.machine, self.row_s, self.bandwidth_hz, self.effort = machine, row_s, bandwidth_hz, effort
         self.possible = _draws(machine)
-        self._half = int(np.ceil(machine.kinematics.print_radius_mm / PITCH_MM))
+        self._half = max(int(np.ceil(machine.kinematics.model_reach_mm / PITCH_MM)), 1)
         across = 2 * self._half + 1
         self._kernels = np.zeros((across, across, 2 * HALF + 1, 3, 3))
         self._known = np.zeros((across, across), dtype=np.bool_)
@@ -64,7 +64,7 @@ class Softening:
 
     def _kernel(self, xy: FloatArray) -> FloatArray:
         """T − I at one place, (2 HALF + 1, 3, 3) of rows from the past to the future."""
-        reach = self.machine.kinematics.print_radius_mm
+        reach = self.machine.kinematics.model_reach_mm
         xy = xy * min(1.0, reach / max(float(np.hypot(*xy)), 1e-9))
         f = np.linspace(0.0, 0.5 / self.row_s, LINES + 1)
         known = nozzle_frf(self.machine, xy, f)
@@ -88,7 +88,7 @@ def _draws(machine: Machine) -> list[Machine]:
     """Machines as the uncertainties allow them, the same ones every time."""
     names = dynamic_numbers(machine)
     sd = machine.uncertainty
-    spread = np.array([sd.get(name.split("[")[0], sd.get("default", 0.0)) for name in names])
+    spread = np.array([sd.get(name, sd.get(name.split("[")[0], sd.get("default", 0.0))) for name in names])
     rng = np.random.default_rng(1)
     half = np.clip(rng.standard_normal((DRAWS // 2, len(names))), -FARTHEST, FARTHEST)
     draws = np.concatenate([half, -half]) * spread  # in pairs: their mean is the machine

@@ -346,7 +346,7 @@ def _levels(frequency: FloatArray) -> FloatArray:
 
 
 def _towers(axes: Axes, machine: Machine) -> None:
-    towers, reach = machine.kinematics.towers_mm, machine.kinematics.print_radius_mm
+    towers, reach = machine.delta.towers_mm, machine.delta.print_radius_mm
     for name, tower in zip("ABC", towers, strict=True):
         x, y = 1.1 * reach * tower / np.hypot(*tower)
         axes.text(x, y, name, ha="center", va="center", weight="bold", fontsize=11, color=INK)

@@ -44,7 +44,10 @@ def over_the_bed(
     ----------
     frequencies_at : (2,) mm, columns X Y → (2,) Hz, along X and Y
     """
-    reach = machine.kinematics.print_radius_mm
+    reach = machine.kinematics.model_reach_mm
+    if not reach:
+        everywhere = frequencies_at(np.zeros(2))
+        return lambda xy: np.tile(everywhere, (len(xy), 1))
     x = np.linspace(-reach, reach, 2 * int(np.ceil(reach / pitch_mm)) + 1)
     nodes = _inside(np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2), reach)
     values = np.array([frequencies_at(node) for node in nodes]).reshape(len(x), len(x), 2)

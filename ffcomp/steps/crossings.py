@@ -30,7 +30,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 WayArray = NDArray[np.int8]
 Columns = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
-Arm = tuple[float, float, float, float]
+Arm = tuple[float, float, float, float, float, float, float, float]  # `Geometry.motor_rows`
 Rules = tuple[int, int, int]
 
 REVERSAL_MM = 1e-8  # the command must pass a crossing by so much the other way: far above rounding, far below a step
@@ -47,13 +47,16 @@ STATE_SIZE = 10
 
 @njit(cache=True, nogil=True)
 def _line(origin: FloatArray, direction: FloatArray, k: int, arm: Arm) -> tuple[float, float, float, float, float]:
-    """A motor's place at the piece's origin, its slope from z (or E), and of the arm |d_xy|², p·d_xy and g."""
-    x, y, squared, base = arm
+    """A motor's place at the piece's origin, its slope but for the arm's, and of the arm |d_xy|², p·d_xy and g."""
+    x, y, squared, place, slope = arm[0], arm[1], arm[2], arm[3], 0.0
+    for axis in range(4):
+        place += arm[4 + axis] * origin[k, axis]
+        slope += arm[4 + axis] * direction[k, axis]
     if squared == 0.0:
-        return origin[k, 3], direction[k, 3], 0.0, 0.0, 0.0
+        return place, slope, 0.0, 0.0, 0.0
     px, py, dx, dy = origin[k, 0] - x, origin[k, 1] - y, direction[k, 0], direction[k, 1]
     height = math.sqrt(squared - px * px - py * py)
-    return origin[k, 2] + base + height, direction[k, 2], dx * dx + dy * dy, px * dx + py * dy, height
+    return place + height, slope, dx * dx + dy * dy, px * dx + py * dy, height
 
 
 @njit(cache=True, nogil=True)
@@ -151,7 +154,7 @@ def step_times(
     Parameters
     ----------
     pieces : start_t, duration, origin, direction, start_v, acceleration, as in `Pieces`
-    arm : x, y mm of the tower, L² mm², H_ez mm; L² = 0 is the filament
+    arm : the motor's row of `Geometry.motor_rows`; without an arm (L² = 0) it moves evenly: an axis, or the filament
     grid : where the motor began, and one microstep, mm
     rules : ticks; a step that turns back sooner is dropped with the one before, pulses are no closer, and a step after
         a turn comes no sooner

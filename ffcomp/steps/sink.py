@@ -26,8 +26,7 @@ from ffcomp.steps.crossings import (
 )
 from ffcomp.steps.pieces import Pieces
 from ffcomp.steps.reader import FOLLOWING, MOTORS, StepsError
-from models.kinematics.delta import inverse
-from models.machine import DeltaGeometry, Machine
+from models.machine import Geometry, Machine
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -118,7 +117,8 @@ class _Motor:
     def __init__(self, name: str, machine: Machine, board: Board, part: _Part) -> None:
         self.name, self.part, self._board = name, part, board
         self._arm = _arm(machine.kinematics, name)
-        per_mm = board.extruder_steps_per_mm if name == FOLLOWING else machine.steps.steps_per_mm
+        of_motors = dict(zip(MOTORS, machine.steps.per_motor.tolist(), strict=True))
+        per_mm = of_motors.get(name, board.extruder_steps_per_mm)
         self.start_mm, self.step_mm, self.steps = 0.0, 1.0 / per_mm, 0
         self._rules = (
             board.ticks(board.shortest_turn_s),
@@ -157,13 +157,10 @@ class _Motor:
         return MotorTotal(self.steps, rows, int(self._state[SWALLOWED]), late)
 
 
-def _arm(geometry: DeltaGeometry, motor: str) -> Arm:
-    """Of a motor: its tower's x, y mm, L² mm² and H_ez mm; zeros stand for the filament."""
-    if motor == FOLLOWING:
-        return 0.0, 0.0, 0.0, 0.0
-    k = MOTORS.index(motor)
-    x, y = geometry.towers_mm[k]
-    return float(x), float(y), float(geometry.arm_lengths_mm[k] ** 2), float(geometry.effector_height_mm)
+def _arm(geometry: Geometry, motor: str) -> Arm:
+    """The motor's row of `Geometry.motor_rows`; the filament's own."""
+    rows = [*geometry.motor_rows.tolist(), [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]
+    return cast(Arm, tuple(rows[(MOTORS + FOLLOWING).index(motor)]))
 
 
 def _shown(place: FloatArray) -> str:
@@ -230,9 +227,10 @@ class StepSink:
 
     def _block(self, block: Pieces) -> None:
         ends = block.end
-        heights = inverse(self._geometry, np.vstack([block.origin[:1, :3], ends[:, :3]]))
+        # it refuses what is out of reach
+        carriages = self._geometry.inverse(np.vstack([block.origin[:1, :3], ends[:, :3]]))
         if self._end is None:
-            self._begin(heights[0], float(block.origin[0, 3]))
+            self._begin(self._geometry.motors @ carriages[0], float(block.origin[0, 3]))
         self._check_joints(block, ends)
         for motor in self._motors:
             motor.add(block)

@@ -21,7 +21,6 @@ from ffcomp.virtual.motion import Clock, own_clock
 from ffcomp.writer import WAS, original
 from gcode.program import Program
 from gcode.reader import read_program
-from models.kinematics.kernels import FastDelta
 from models.machine import Machine
 
 FloatArray = NDArray[np.float64]
@@ -70,7 +69,7 @@ def _command(played: PlannedMotion, wanted: PlannedMotion, clock: Clock, machine
 def _stretch(
     played: PlannedMotion, begin_s: float, end_s: float, wanted: PlannedMotion, clock: Clock, machine: Machine
 ) -> Stretch:
-    delta = FastDelta(machine.kinematics)
+    delta = machine.kinematics.compiled()
     last = np.nextafter(end_s, -np.inf)  # at the end itself the next stretch may have begun
     path_t, path = corners(wanted)
 

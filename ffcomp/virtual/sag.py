@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 
 from models import printer_kernels as kernels
 from models.effects.catalogue import effective_machine
-from models.kinematics.delta import forward
-from models.kinematics.kernels import FastDelta
-from models.machine import Machine
+from models.machine import DeltaGeometry, Machine
 from models.printer import printer_numbers, rest_values
 
 FloatArray = NDArray[np.float64]
@@ -23,6 +21,8 @@ _RINGS, _ANGLES = 9, 18
 
 def sag(plant: Machine, nozzle: FloatArray) -> FloatArray:
     """How far weight alone bends the resting printer at places (m, 3) mm → (m, 3) mm."""
+    if not isinstance(plant.kinematics, DeltaGeometry):  # weight stands on the frame, not on what vibrates
+        return np.zeros((len(nozzle), 3))
     reach = plant.kinematics.print_radius_mm
     return np.asarray(_powers(np.ascontiguousarray(nozzle[:, :2] / reach)) @ _coefficients(plant))
 
@@ -46,16 +46,16 @@ def _powers(xy: FloatArray) -> FloatArray:
 @lru_cache(maxsize=64)
 def _coefficients(plant: Machine) -> FloatArray:
     """Of a polynomial of the eighth order over the bed, (45, 3) mm; 10 nm off at the most."""
-    reach = plant.kinematics.print_radius_mm
+    reach = plant.delta.print_radius_mm
     radius, angle = np.meshgrid(
         reach * np.sqrt(np.linspace(0.0, 1.0, _RINGS)), 2 * np.pi / _ANGLES * np.arange(_ANGLES)
     )
     places = np.column_stack([(radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel(), 0 * radius.ravel()])
-    commands = FastDelta(plant.kinematics).inverse(places)
+    commands = plant.kinematics.compiled().inverse(places)
     heavy, weightless = (printer_numbers(plant, gravity=g) for g in (True, False))
     kinematics = effective_machine(plant).kinematics
     bent, straight = (
-        forward(kinematics, 1e3 * np.array([rest_values(plant, c, p)[kernels.Q : kernels.Q + 3] for c in commands]))
+        kinematics.forward(1e3 * np.array([rest_values(plant, c, p)[kernels.Q : kernels.Q + 3] for c in commands]))
         for p in (heavy, weightless)
     )
     powers = _powers(places[:, :2] / reach)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from models.errors import MachineFileError
-from models.machine import Machine
+from models.machine import DeltaGeometry, Machine
 
 ALLOWED = {"arm_lengths_mm": 1.0, "delta_radii_mm": 1.0, "tower_angles_deg": 0.5, "effector_height_mm": 1.0}
 
@@ -18,8 +18,12 @@ def check_same_kinematics(machine: Machine, plant: Machine) -> None:
     MachineFileError
         If the plant's geometry is not about the machine's.
     """
+    if type(machine.kinematics) is not type(plant.kinematics):
+        rule = f"A plant must have the machine's kind of kinematics, that of {machine.path or machine.name}."
+        raise MachineFileError(plant.path or plant.name, [rule])
     problems = []
-    for key, allowed in ALLOWED.items():
+    allowances = ALLOWED if isinstance(machine.kinematics, DeltaGeometry) else {"motor_matrix": 0.0}
+    for key, allowed in allowances.items():
         own, other = (np.atleast_1d(getattr(m.kinematics, key)) for m in (machine, plant))
         if np.abs(own - other).max() > allowed:
             given = f"kinematics.{key} is {_shown(other)}, but {_shown(own)} in {machine.path or machine.name}"
@@ -30,4 +34,4 @@ def check_same_kinematics(machine: Machine, plant: Machine) -> None:
 
 
 def _shown(values: np.ndarray) -> str:
-    return ", ".join(f"{v:g}" for v in values)
+    return ", ".join(f"{v:g}" for v in values.ravel())

@@ -15,9 +15,7 @@ from ffcomp.errors import NothingToDo
 from ffcomp.steps.reader import MOTORS, MotorSteps, StepsError
 from ffcomp.virtual.command import Command, Goal, OfTime, Stretch
 from models.errors import UnreachableError
-from models.kinematics.delta import forward
-from models.kinematics.kernels import FastDelta
-from models.machine import DeltaGeometry, Machine
+from models.machine import Geometry, Machine
 
 FloatArray = NDArray[np.float64]
 
@@ -75,28 +73,29 @@ def steps_command(motors: Mapping[str, MotorSteps], machine: Machine, path: str 
     moving = [each.time_s for each in carriages if len(each.time_s)]
     if not moving:
         raise NothingToDo(f"{path or 'The archive'} holds no step of a carriage: nothing to simulate.")
-    _check_start(machine.kinematics, np.array([[each.start_mm for each in carriages]]), path)
+    back = np.linalg.inv(machine.kinematics.motors).T
+    _check_start(machine.kinematics, np.array([[each.start_mm for each in carriages]]) @ back, path)
     begin_s = max(min(float(t[0]) for t in moving) - LEAD_S, 0.0)
     end_s = max(float(t[-1]) for t in moving) + AT_REST_S
 
     def rows(t: FloatArray, step_s: float) -> FloatArray:
-        return np.column_stack([staircase(each, t, step_s) for each in carriages])
+        return np.column_stack([staircase(each, t, step_s) for each in carriages]) @ back
 
     def meant(t: FloatArray) -> FloatArray:
-        return np.column_stack([smoothed(each, t) for each in carriages])
+        return np.column_stack([smoothed(each, t) for each in carriages]) @ back
 
     return Command([Stretch(begin_s, end_s, rows, meant, _goal(meant, machine.kinematics))], "linear", REFERENCE)
 
 
-def _check_start(geometry: DeltaGeometry, carriages: FloatArray, path: str) -> None:
+def _check_start(geometry: Geometry, carriages: FloatArray, path: str) -> None:
     try:
-        forward(geometry, carriages)
+        geometry.forward(carriages)
     except UnreachableError as error:
         raise StepsError(f"a_start_mm, b_start_mm, c_start_mm: {error}", path=path) from error
 
 
-def _goal(meant: OfTime, geometry: DeltaGeometry) -> Goal:
-    delta = FastDelta(geometry)
+def _goal(meant: OfTime, geometry: Geometry) -> Goal:
+    delta = geometry.compiled()
 
     def nozzle(t: FloatArray) -> FloatArray:
         return delta.forward(meant(t))

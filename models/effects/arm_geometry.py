@@ -10,7 +10,7 @@ from models.machine import FloatArray, Machine, constant
 
 
 def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
-    geometry = machine.kinematics
+    geometry = machine.delta
     true = replace(
         geometry,
         arm_lengths_mm=constant(geometry.arm_lengths_mm + values["arm_length_mm"]),

@@ -14,132 +14,188 @@ mm, s; arrays of n points, arms in the order A, B, C.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import dataclass
 
-from models.errors import UnreachableError
-from models.machine import DeltaGeometry, FloatArray
+import numpy as np
+
+from models.arrays import FloatArray
+from models.kinematics.geometry import INSIDE_MM, SLACK_MM, Compiled, Geometry, require, rings
 
 LOWEST_Z_MM = -5.0  # below the bed: room for a calibrated or baby-stepped first layer
-SLACK_MM = 1e-6  # a point on the rim, written with rounded digits, is inside
 
 
-def inverse(geometry: DeltaGeometry, xyz: FloatArray) -> FloatArray:
-    """Carriage heights q_i = z + H_ez + h_i (Eqs. 3-5).
+@dataclass(frozen=True, eq=False)
+class DeltaGeometry(Geometry):
+    """A linear delta. The radii are effective: tower joint radius minus effector joint radius (Eqs. 3-5)."""
 
-    Parameters
-    ----------
-    xyz : (n, 3) mm, columns X Y Z of the nozzle.
+    arm_lengths_mm: FloatArray  # (3,) L
+    delta_radii_mm: FloatArray  # (3,)
+    tower_angles_deg: FloatArray  # (3,) counter-clockwise from +x
+    effector_height_mm: float  # H_ez: the joint plane above the nozzle tip
+    print_radius_mm: float
+    print_height_mm: float
 
-    Returns
-    -------
-    (n, 3) mm, columns A B C: height of each carriage joint above the bed.
-    """
-    _, heights = _arms(geometry, xyz)
-    return xyz[:, 2:3] + geometry.effector_height_mm + heights
+    @property
+    def tower_angles_rad(self) -> FloatArray:
+        """(3,) rad"""
+        return np.radians(self.tower_angles_deg)
 
+    @property
+    def towers_mm(self) -> FloatArray:
+        """(3, 2) mm, columns X Y: where each arm's carriage joint stands, seen from the effector's centre."""
+        angles = self.tower_angles_rad
+        return self.delta_radii_mm[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
-def forward(geometry: DeltaGeometry, q: FloatArray) -> FloatArray:
-    """Nozzle positions: the lower of the two points where the arms' spheres meet (Eqs. 3-5, solved exactly).
+    @property
+    def centre_mm(self) -> tuple[float, float]:
+        return 0.0, 0.0
 
-    With r the effector seen from joint A, differences of the spheres are linear, r_xy = u + v r_z; that makes
-    sphere A a quadratic in r_z.
+    @property
+    def model_reach_mm(self) -> float:
+        return self.print_radius_mm
 
-    Parameters
-    ----------
-    q : (n, 3) mm, columns A B C.
+    @property
+    def motor_rows(self) -> FloatArray:
+        up = np.array([0.0, 0.0, 1.0, 0.0])
+        heights = np.full((3, 1), self.effector_height_mm)
+        return np.hstack([self.towers_mm, self.arm_lengths_mm[:, None] ** 2, heights, np.tile(up, (3, 1))])
 
-    Returns
-    -------
-    (n, 3) mm, columns X Y Z.
-    """
-    towers, arms = geometry.towers_mm, geometry.arm_lengths_mm
-    to_towers = towers[1:] - towers[0]  # (2, 2), joints B and C seen from A
-    rise = q[:, 1:] - q[:, :1]  # (n, 2)
-    squared = np.sum(to_towers**2, axis=1) + rise**2
-    offset = (squared + arms[0] ** 2 - arms[1:] ** 2) / 2
-    to_plane = np.linalg.inv(to_towers)
-    u, v = offset @ to_plane.T, -rise @ to_plane.T
-    a, b = 1 + np.sum(v**2, axis=1), np.sum(u * v, axis=1)
-    discriminant = b**2 - a * (np.sum(u**2, axis=1) - arms[0] ** 2)
-    _require(
-        discriminant >= 0,
-        q,
-        "The carriages at A = {:.3f}, B = {:.3f}, C = {:.3f} mm stand too far apart for the arms to meet.",
-    )
-    rz = -(b + np.sqrt(discriminant)) / a
-    height = q[:, 0] - geometry.effector_height_mm
-    return np.column_stack([towers[0] + u + v * rz[:, None], height + rz])
+    def compiled(self) -> Compiled:
+        from models.kinematics.kernels import FastDelta  # numba takes its time
 
+        return FastDelta(self)
 
-def jacobian(geometry: DeltaGeometry, xy: FloatArray) -> FloatArray:
-    """J = −S⁻¹ diag(s_iᵀp), with Ẋ = J q̇ (Eq. 12); rows s_iᵀ of S, p = (0, 0, −1), so s_iᵀp = h_i.
+    def inverse(self, xyz: FloatArray) -> FloatArray:
+        """Carriage heights q_i = z + H_ez + h_i (Eqs. 3-5).
 
-    Parameters
-    ----------
-    xy : (n, 2) mm, columns X Y; further columns are ignored.
+        Parameters
+        ----------
+        xyz : (n, 3) mm, columns X Y Z of the nozzle.
 
-    Returns
-    -------
-    (n, 3, 3) mm/mm, rows X Y Z, columns A B C.
-    """
-    s, heights = _arms(geometry, xy)
-    return -np.linalg.inv(s) * heights[:, None, :]
+        Returns
+        -------
+        (n, 3) mm, columns A B C: height of each carriage joint above the bed.
+        """
+        _, heights = self._arms(xyz)
+        return xyz[:, 2:3] + self.effector_height_mm + heights
 
+    def forward(self, q: FloatArray) -> FloatArray:
+        """Nozzle positions: the lower of the two points where the arms' spheres meet (Eqs. 3-5, solved exactly).
 
-def jacobian_rate_term(geometry: DeltaGeometry, xyz: FloatArray, velocity: FloatArray) -> FloatArray:
-    """J̇ q̇, the part of Ẍ = J q̈ + J̇ q̇ that is there without any carriage acceleration.
+        With r the effector seen from joint A, differences of the spheres are linear, r_xy = u + v r_z; that makes
+        sphere A a quadratic in r_z.
 
-    Differentiating s_i·(Ẋ − ẑ q̇_i) = 0 once more: s_i·(Ẍ − ẑ q̈_i) + |Ẋ − ẑ q̇_i|² = 0, so
-    J̇ q̇ = −S⁻¹ |ṡ_i|². NOTE: Eq. 13 of the paper has the opposite sign; finite differences agree with ours.
+        Parameters
+        ----------
+        q : (n, 3) mm, columns A B C.
 
-    Parameters
-    ----------
-    xyz : (n, 3) mm, columns X Y Z; z does not matter.
-    velocity : (n, 3) mm/s, of the nozzle.
+        Returns
+        -------
+        (n, 3) mm, columns X Y Z.
+        """
+        towers, arms = self.towers_mm, self.arm_lengths_mm
+        to_towers = towers[1:] - towers[0]  # (2, 2), joints B and C seen from A
+        rise = q[:, 1:] - q[:, :1]  # (n, 2)
+        squared = np.sum(to_towers**2, axis=1) + rise**2
+        offset = (squared + arms[0] ** 2 - arms[1:] ** 2) / 2
+        to_plane = np.linalg.inv(to_towers)
+        u, v = offset @ to_plane.T, -rise @ to_plane.T
+        a, b = 1 + np.sum(v**2, axis=1), np.sum(u * v, axis=1)
+        discriminant = b**2 - a * (np.sum(u**2, axis=1) - arms[0] ** 2)
+        require(
+            discriminant >= 0,
+            q,
+            "The carriages at A = {:.3f}, B = {:.3f}, C = {:.3f} mm stand too far apart for the arms to meet.",
+        )
+        rz = -(b + np.sqrt(discriminant)) / a
+        height = q[:, 0] - self.effector_height_mm
+        return np.column_stack([towers[0] + u + v * rz[:, None], height + rz])
 
-    Returns
-    -------
-    (n, 3) mm/s², columns X Y Z.
-    """
-    s, heights = _arms(geometry, xyz)
-    carriage_velocity = -np.einsum("nij,nj->ni", s, velocity) / heights
-    vertical = velocity[:, 2:3] - carriage_velocity
-    rate_squared = velocity[:, 0:1] ** 2 + velocity[:, 1:2] ** 2 + vertical**2  # (n, 3) |ṡ_i|²
-    return -np.linalg.solve(s, rate_squared[:, :, None])[:, :, 0]
+    def jacobian(self, xy: FloatArray) -> FloatArray:
+        """J = −S⁻¹ diag(s_iᵀp), with Ẋ = J q̇ (Eq. 12); rows s_iᵀ of S, p = (0, 0, −1), so s_iᵀp = h_i.
 
+        Parameters
+        ----------
+        xy : (n, 2) mm, columns X Y; further columns are ignored.
 
-def check_reach(geometry: DeltaGeometry, xyz: FloatArray) -> None:
-    """Raise UnreachableError if any of the points lies outside the print volume.
+        Returns
+        -------
+        (n, 3, 3) mm/mm, rows X Y Z, columns A B C.
+        """
+        s, heights = self._arms(xy)
+        return -np.linalg.inv(s) * heights[:, None, :]
 
-    Parameters
-    ----------
-    xyz : (n, 3) mm, columns X Y Z.
-    """
-    z = xyz[:, 2]
-    radius, height = geometry.print_radius_mm, geometry.print_height_mm
-    inside = np.hypot(xyz[:, 0], xyz[:, 1]) <= radius + SLACK_MM
-    place = "The point X = {:.3f}, Y = {:.3f}, Z = {:.3f} mm lies "
-    _require(inside, xyz, f"{place}outside the print radius of {radius:g} mm.")
-    _require(z <= height + SLACK_MM, xyz, f"{place}above the print height of {height:g} mm.")
-    _require(z >= LOWEST_Z_MM - SLACK_MM, xyz, f"{place}below the bed, deeper than {LOWEST_Z_MM:g} mm.")
+    def jacobian_rate_term(self, xyz: FloatArray, velocity: FloatArray) -> FloatArray:
+        """J̇ q̇, the part of Ẍ = J q̈ + J̇ q̇ that is there without any carriage acceleration.
 
+        Differentiating s_i·(Ẋ − ẑ q̇_i) = 0 once more: s_i·(Ẍ − ẑ q̈_i) + |Ẋ − ẑ q̇_i|² = 0, so
+        J̇ q̇ = −S⁻¹ |ṡ_i|². NOTE: Eq. 13 of the paper has the opposite sign; finite differences agree with ours.
 
-def _arms(geometry: DeltaGeometry, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Joint vectors s_i, (n, 3, 3) with rows A B C and columns X Y Z, and heights h_i, (n, 3); mm."""
-    across = xy[:, None, :2] - geometry.towers_mm
-    squared = geometry.arm_lengths_mm**2 - np.sum(across**2, axis=-1)
-    _require(
-        np.all(squared > 0, axis=1),
-        xy,
-        "The point X = {:.3f}, Y = {:.3f} mm is farther from a tower than its arm is long.",
-    )
-    heights = np.sqrt(squared)
-    return np.concatenate([across, -heights[:, :, None]], axis=-1), heights
+        Parameters
+        ----------
+        xyz : (n, 3) mm, columns X Y Z; z does not matter.
+        velocity : (n, 3) mm/s, of the nozzle.
 
+        Returns
+        -------
+        (n, 3) mm/s², columns X Y Z.
+        """
+        s, heights = self._arms(xyz)
+        carriage_velocity = -np.einsum("nij,nj->ni", s, velocity) / heights
+        vertical = velocity[:, 2:3] - carriage_velocity
+        rate_squared = velocity[:, 0:1] ** 2 + velocity[:, 1:2] ** 2 + vertical**2  # (n, 3) |ṡ_i|²
+        return -np.linalg.solve(s, rate_squared[:, :, None])[:, :, 0]
 
-def _require(good: NDArray[np.bool_], points: FloatArray, sentence: str) -> None:
-    """`sentence` is filled in with the first bad point."""
-    bad = np.flatnonzero(~good)
-    if bad.size:
-        raise UnreachableError(sentence.format(*points[bad[0]]), bad)
+    def check_reach(self, xyz: FloatArray) -> None:
+        """Raise UnreachableError if any of the points lies outside the print volume.
+
+        Parameters
+        ----------
+        xyz : (n, 3) mm, columns X Y Z.
+        """
+        z = xyz[:, 2]
+        radius, height = self.print_radius_mm, self.print_height_mm
+        inside = np.hypot(xyz[:, 0], xyz[:, 1]) <= radius + SLACK_MM
+        place = "The point X = {:.3f}, Y = {:.3f}, Z = {:.3f} mm lies "
+        require(inside, xyz, f"{place}outside the print radius of {radius:g} mm.")
+        require(z <= height + SLACK_MM, xyz, f"{place}above the print height of {height:g} mm.")
+        require(z >= LOWEST_Z_MM - SLACK_MM, xyz, f"{place}below the bed, deeper than {LOWEST_Z_MM:g} mm.")
+
+    def drawn_in(self, xyz: FloatArray, heights: FloatArray) -> FloatArray:
+        radius = np.hypot(xyz[:, 0], xyz[:, 1])
+        shrink = np.minimum(1.0, (self.print_radius_mm - INSIDE_MM) / np.maximum(radius, 1e-9))
+        floor, ceiling = min(0.0, float(heights.min())), max(self.print_height_mm, float(heights.max()))
+        inside = xyz * shrink[:, None]
+        inside[:, 2] = np.clip(xyz[:, 2], floor, ceiling)
+        return np.asarray(inside)
+
+    def advice(self, xy: FloatArray) -> str:
+        """Whether shifting the print would bring it inside the circle, and by how much.
+
+        The smallest circle round all places, by steps towards the farthest of them (Badoiu & Clarkson, 2003).
+        """
+        places = np.unique(np.round(xy, 1), axis=0)
+        centre = 0.5 * (places.min(axis=0) + places.max(axis=0))
+        for step in range(1, 400):
+            away = np.hypot(*(places - centre).T)
+            centre = centre + (places[int(np.argmax(away))] - centre) / (step + 1)
+        x, y = np.round(-centre)
+        needed = float(np.hypot(*(xy + np.array([x, y])).T).max())
+        if needed > self.print_radius_mm:
+            return f"The print needs a radius of {needed:.0f} mm wherever it is put: no offset helps."
+        return f"A print made for a bed with its origin in a corner? --offset-mm {x:.0f},{y:.0f} brings it inside."
+
+    def rings(self, radii: int, directions: int) -> FloatArray:
+        return rings(np.linspace(0, self.print_radius_mm, radii + 1)[1:], directions)
+
+    def _arms(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Joint vectors s_i, (n, 3, 3) with rows A B C and columns X Y Z, and heights h_i, (n, 3); mm."""
+        across = xy[:, None, :2] - self.towers_mm
+        squared = self.arm_lengths_mm**2 - np.sum(across**2, axis=-1)
+        require(
+            np.all(squared > 0, axis=1),
+            xy,
+            "The point X = {:.3f}, Y = {:.3f} mm is farther from a tower than its arm is long.",
+        )
+        heights = np.sqrt(squared)
+        return np.concatenate([across, -heights[:, :, None]], axis=-1), heights

@@ -10,7 +10,8 @@ import math
 import numpy as np
 from numba import njit
 
-from models.machine import DeltaGeometry, FloatArray
+from models.arrays import FloatArray
+from models.kinematics.delta import DeltaGeometry
 
 
 @njit(cache=True, nogil=True)

@@ -21,7 +21,6 @@ from ffcomp import calibrate, shapers
 from ffcomp.plan.limits import DeltaReach, FirmwareLimits
 from ffcomp.plan.lookahead import plan_moves, stops_and_waits
 from gcode.reader import read_program
-from models.kinematics.delta import inverse
 from models.machine import DeltaGeometry, constant
 from models.machine_file import load_machine
 from tests import kalico
@@ -68,7 +67,7 @@ def steps_and_ours(configuration: Path, x: shapers.Shaper, y: shapers.Shaper) ->
     for j, tower in enumerate("abc"):
         t, height = theirs[f"step_t_{tower}"], theirs[f"step_pos_{tower}"]
         host.append((height[1:] + height[:-1]) / 2)
-        ours.append(inverse(GEOMETRY, shapers.shape(position, t[1:], x, y))[:, j])
+        ours.append(GEOMETRY.inverse(shapers.shape(position, t[1:], x, y))[:, j])
     return np.concatenate(host), np.concatenate(ours)
 
 

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models.errors import UnreachableError
-from models.kinematics.delta import check_reach, forward, inverse, jacobian, jacobian_rate_term
 from models.kinematics.kernels import inverse_point
 from models.machine import DeltaGeometry, constant
 
@@ -51,14 +50,14 @@ def places(geometry: DeltaGeometry, count: int = 50) -> np.ndarray:
 @settings(max_examples=40, deadline=None)
 def test_forward_undoes_inverse(geometry: DeltaGeometry) -> None:
     xyz = places(geometry)
-    np.testing.assert_allclose(forward(geometry, inverse(geometry, xyz)), xyz, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(geometry.forward(geometry.inverse(xyz)), xyz, rtol=0, atol=1e-9)
 
 
 @given(geometries())
 @settings(max_examples=20, deadline=None)
 def test_every_arm_keeps_its_length(geometry: DeltaGeometry) -> None:
     xyz = places(geometry)
-    q = inverse(geometry, xyz)
+    q = geometry.inverse(xyz)
     across = xyz[:, None, :2] - geometry.towers_mm
     rise = q - (xyz[:, 2:] + geometry.effector_height_mm)
     np.testing.assert_allclose(
@@ -75,24 +74,24 @@ def test_jacobian_agrees_with_finite_differences(geometry: DeltaGeometry) -> Non
     xyz, step = places(geometry), 1e-3
     for axis in range(3):
         offset = step * np.eye(3)[axis]
-        dq = (inverse(geometry, xyz + offset) - inverse(geometry, xyz - offset)) / (2 * step)
-        moved = np.einsum("nij,nj->ni", jacobian(geometry, xyz[:, :2]), dq)
+        dq = (geometry.inverse(xyz + offset) - geometry.inverse(xyz - offset)) / (2 * step)
+        moved = np.einsum("nij,nj->ni", geometry.jacobian(xyz[:, :2]), dq)
         np.testing.assert_allclose(moved, np.tile(np.eye(3)[axis], (50, 1)), atol=2e-6)
 
 
 def test_centre_of_a_symmetric_delta_in_closed_form() -> None:
-    singular = np.linalg.svd(jacobian(SYMMETRIC, np.zeros((1, 2)))[0], compute_uv=False)
+    singular = np.linalg.svd(SYMMETRIC.jacobian(np.zeros((1, 2)))[0], compute_uv=False)
     h_over_r = np.sqrt(300.0**2 - 140.0**2) / 140.0
     np.testing.assert_allclose(singular**2, [2 / 3 * h_over_r**2, 2 / 3 * h_over_r**2, 1 / 3], rtol=1e-12)
 
 
 def test_carriages_at_the_centre_in_closed_form() -> None:
     height = 10 + 50 + np.sqrt(300.0**2 - 140.0**2)
-    np.testing.assert_allclose(inverse(SYMMETRIC, np.array([[0.0, 0.0, 10.0]])), [[height] * 3], rtol=1e-15)
+    np.testing.assert_allclose(SYMMETRIC.inverse(np.array([[0.0, 0.0, 10.0]])), [[height] * 3], rtol=1e-15)
 
 
 def test_equal_carriage_speeds_lift_the_nozzle_everywhere() -> None:
-    lifted = jacobian(CROOKED, places(CROOKED)[:, :2]) @ np.ones(3)
+    lifted = CROOKED.jacobian(places(CROOKED)[:, :2]) @ np.ones(3)
     np.testing.assert_allclose(lifted, np.tile([0, 0, 1], (50, 1)), atol=1e-12)
 
 
@@ -101,8 +100,8 @@ def test_jacobian_turns_with_the_machine() -> None:
     c, s = np.cos(2 * np.pi / 3), np.sin(2 * np.pi / 3)
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     xy = places(SYMMETRIC)[:, :2]
-    turned = jacobian(SYMMETRIC, xy @ turn[:2, :2].T)
-    np.testing.assert_allclose(turned, turn @ jacobian(SYMMETRIC, xy)[:, :, [2, 0, 1]], atol=1e-12)
+    turned = SYMMETRIC.jacobian(xy @ turn[:2, :2].T)
+    np.testing.assert_allclose(turned, turn @ SYMMETRIC.jacobian(xy)[:, :, [2, 0, 1]], atol=1e-12)
 
 
 def _curve(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -117,25 +116,25 @@ def _curve(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def test_rate_term_is_what_carriage_accelerations_leave() -> None:
     """Ẍ − J q̈, with q̈ by differences of fourth order along a helix."""
     t, step = np.linspace(0, 2, 60), 1e-3
-    q = [inverse(CROOKED, _curve(t + k * step)[0]) for k in (-2, -1, 0, 1, 2)]
+    q = [CROOKED.inverse(_curve(t + k * step)[0]) for k in (-2, -1, 0, 1, 2)]
     q_acceleration = (-q[0] + 16 * q[1] - 30 * q[2] + 16 * q[3] - q[4]) / (12 * step**2)
     x, v, a = _curve(t)
-    left = a - np.einsum("nij,nj->ni", jacobian(CROOKED, x), q_acceleration)
-    term = jacobian_rate_term(CROOKED, x, v)
+    left = a - np.einsum("nij,nj->ni", CROOKED.jacobian(x), q_acceleration)
+    term = CROOKED.jacobian_rate_term(x, v)
     assert np.abs(term).max() > 100  # mm/s²: not a test of zeros
     np.testing.assert_allclose(term, left, atol=1e-3)
 
 
 def test_rate_term_grows_with_the_square_of_speed() -> None:
     x, v, _ = _curve(np.linspace(0, 2, 20))
-    np.testing.assert_allclose(jacobian_rate_term(CROOKED, x, 3 * v), 9 * jacobian_rate_term(CROOKED, x, v), rtol=1e-10)
+    np.testing.assert_allclose(CROOKED.jacobian_rate_term(x, 3 * v), 9 * CROOKED.jacobian_rate_term(x, v), rtol=1e-10)
 
 
 def test_compiled_inverse_is_the_same() -> None:
     xyz = places(CROOKED)
     towers, squared = CROOKED.towers_mm, CROOKED.arm_lengths_mm**2
     compiled = [inverse_point(*point, towers, squared, CROOKED.effector_height_mm) for point in xyz]
-    np.testing.assert_allclose(compiled, inverse(CROOKED, xyz), rtol=1e-15)
+    np.testing.assert_allclose(compiled, CROOKED.inverse(xyz), rtol=1e-15)
 
 
 def test_compiled_inverse_has_no_number_out_of_reach() -> None:
@@ -146,13 +145,13 @@ def test_compiled_inverse_has_no_number_out_of_reach() -> None:
 def test_points_too_far_for_an_arm_are_named() -> None:
     xyz = np.array([[0.0, 0.0, 5.0], [0.0, 280.0, 5.0], [1.0, 2.0, 5.0], [-300.0, 0.0, 5.0]])
     with pytest.raises(UnreachableError, match=r"X = 0\.000, Y = 280\.000 .*1 more point") as caught:
-        inverse(SYMMETRIC, xyz)
+        SYMMETRIC.inverse(xyz)
     assert caught.value.indices.tolist() == [1, 3]
 
 
 def test_carriages_too_far_apart_are_named() -> None:
     with pytest.raises(UnreachableError, match=r"A = 900\.000.* too far apart") as caught:
-        forward(SYMMETRIC, np.array([[300.0, 300.0, 300.0], [900.0, 300.0, 300.0]]))
+        SYMMETRIC.forward(np.array([[300.0, 300.0, 300.0], [900.0, 300.0, 300.0]]))
     assert caught.value.indices.tolist() == [1]
 
 
@@ -166,11 +165,11 @@ def test_carriages_too_far_apart_are_named() -> None:
 )
 def test_points_outside_the_print_volume_are_refused(point: tuple[float, ...], rule: str) -> None:
     with pytest.raises(UnreachableError, match=rule) as caught:
-        check_reach(SYMMETRIC, np.array([[0.0, 0.0, 1.0], point]))
+        SYMMETRIC.check_reach(np.array([[0.0, 0.0, 1.0], point]))
     assert caught.value.indices.tolist() == [1]
 
 
 def test_the_print_volume_itself_is_reached() -> None:
     rim = np.array([[135.0, 0.0, 0.0], [0.0, -135.0, 300.0], [135 * np.cos(1.0), 135 * np.sin(1.0), -5.0]])
-    check_reach(SYMMETRIC, np.round(rim, 6))
-    check_reach(replace(SYMMETRIC, print_radius_mm=10.0), np.zeros((0, 3)))
+    SYMMETRIC.check_reach(np.round(rim, 6))
+    replace(SYMMETRIC, print_radius_mm=10.0).check_reach(np.zeros((0, 3)))

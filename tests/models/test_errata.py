@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from models.effector import effector_impedance, load_map
-from models.kinematics.delta import inverse, jacobian, jacobian_rate_term
 from models.machine import Machine, constant
 from models.receptance import assembly_frf, carriage_frf, modes, poles
 
@@ -90,16 +89,16 @@ def test_equation_13_has_the_wrong_sign(as_printed: Machine) -> None:
     """Its velocity term, worked out from s_i, ṡ_i, T as printed, is minus what finite differences find."""
     geometry = as_printed.kinematics
     x, v, step = np.array([35.0, -20.0, 40.0]), np.array([120.0, 70.0, -30.0]), 1e-3
-    q = inverse(geometry, x + np.array([-step, 0.0, step])[:, None] * v)
+    q = geometry.inverse(x + np.array([-step, 0.0, step])[:, None] * v)
     rate, curvature = (q[2] - q[0]) / (2 * step), (q[0] - 2 * q[1] + q[2]) / step**2
-    j = jacobian(geometry, x[None])[0]
+    j = geometry.jacobian(x[None])[0]
     left = -j @ curvature  # Ẍ − J q̈ of a straight line at constant speed
     s = np.column_stack([x[:2] - geometry.towers_mm, x[2] + geometry.effector_height_mm - q[1]])
     p = np.array([0.0, 0.0, -1.0])
     s_rate = v + rate[:, None] * p
     printed = np.linalg.solve(s, (s_rate @ j + np.diag(s_rate @ p)) @ rate)
     np.testing.assert_allclose(printed, -left, rtol=1e-4)
-    np.testing.assert_allclose(jacobian_rate_term(geometry, x[None], v[None])[0], left, rtol=1e-4)
+    np.testing.assert_allclose(geometry.jacobian_rate_term(x[None], v[None])[0], left, rtol=1e-4)
 
 
 def test_equation_68_has_an_alpha_too_many() -> None:
@@ -127,7 +126,7 @@ def test_the_determinant_of_the_assembly_is_equation_68_three_times_over(rigid) 
     )
     carriage = replace(machine.carriage, belt_damping_n_s_per_m=C, guide_damping_n_s_per_m=B)
     machine = replace(machine, carriage=carriage, effector=effector)
-    alphas = np.linalg.svd(jacobian(machine.kinematics, np.zeros((1, 2)))[0], compute_uv=False) ** 2
+    alphas = np.linalg.svd(machine.kinematics.jacobian(np.zeros((1, 2)))[0], compute_uv=False) ** 2
     expected = np.concatenate([np.roots(_corrected(alpha, 20.0, 9e3)) for alpha in alphas])
     found = poles(machine, np.zeros((1, 2)))[0]
     np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(expected), rtol=1e-6)
@@ -147,7 +146,7 @@ def _corrected(alpha: float, b_j: float, k_j: float) -> list[float]:
 
 def test_y_motion_at_the_centre_leaves_carriage_a_alone(as_printed: Machine, printer: Machine) -> None:
     """So of the nine responses of Eq. 65 one is nothing, and eight can be fitted."""
-    to_carriages = np.linalg.inv(jacobian(as_printed.kinematics, np.zeros((1, 2)))[0])
+    to_carriages = np.linalg.inv(as_printed.kinematics.jacobian(np.zeros((1, 2)))[0])
     assert np.sum(np.abs(to_carriages) > 1e-12) == 8
     assert to_carriages[0, 1] == pytest.approx(0, abs=1e-12)
     moved = assembly_frf(printer, np.zeros(2), np.geomspace(1, 200, 20), "carriage", "nozzle")
@@ -161,7 +160,7 @@ def test_the_papers_load_at_the_centre(as_printed: Machine) -> None:
     """With Table I's offsets a carriage feels 0.22-0.28 of what virtual work gives, where the paper identified."""
     for length in (290.0, 300.0):
         machine = with_arms(as_printed, length)
-        j = jacobian(machine.kinematics, PAPERS_PLACES[:1])[0]
+        j = machine.kinematics.jacobian(PAPERS_PLACES[:1])[0]
         load = load_map(machine, PAPERS_PLACES[:1])[0] @ j
         ratio = np.diag(load) / np.diag(j.T @ j)
         assert np.all((ratio > 0.22) & (ratio < 0.28))
@@ -171,7 +170,7 @@ def test_the_papers_load_is_not_symmetric(as_printed: Machine) -> None:
     """Skew part over the whole, at the paper's four places: 6 to 19 %."""
     for length in (290.0, 300.0):
         machine = with_arms(as_printed, length)
-        load = load_map(machine, PAPERS_PLACES) @ jacobian(machine.kinematics, PAPERS_PLACES)
+        load = load_map(machine, PAPERS_PLACES) @ machine.kinematics.jacobian(PAPERS_PLACES)
         skew = np.linalg.norm(load - load.swapaxes(1, 2), axis=(1, 2)) / 2 / np.linalg.norm(load, axis=(1, 2))
         assert skew.min() > 0.06 and 0.17 < skew.max() < 0.19
 
@@ -183,7 +182,7 @@ def test_eq_25_makes_the_rigid_modes_too_fast(rigid) -> None:
         machine = rigid(force_map, offset)
         mass = (
             M * np.eye(3)
-            + total * load_map(machine, np.zeros((1, 2)))[0] @ jacobian(machine.kinematics, np.zeros((1, 2)))[0]
+            + total * load_map(machine, np.zeros((1, 2)))[0] @ machine.kinematics.jacobian(np.zeros((1, 2)))[0]
         )
         own = np.sort(np.sqrt(K / np.linalg.eigvals(mass).real)) / (2 * np.pi)
         np.testing.assert_allclose(own, expected, atol=0.1)
@@ -206,7 +205,7 @@ def test_a_uniform_effector_in_closed_form(rigid) -> None:
     s = 2j * np.pi * frequency
     w = effector_impedance(machine, s)[:, 0]
     for place in PAPERS_PLACES:
-        _, sigma, v = np.linalg.svd(jacobian(machine.kinematics, place[None])[0])
+        _, sigma, v = np.linalg.svd(machine.kinematics.jacobian(place[None])[0])
         each = (C * s + K)[:, None] / ((M * s**2 + (C + B) * s + K)[:, None] + w[:, None] * sigma**2)
         closed = np.einsum("ra,kr,rb->kab", v, each, v)
         np.testing.assert_allclose(carriage_frf(machine, place, frequency), closed, atol=1e-11)

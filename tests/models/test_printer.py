@@ -10,7 +10,6 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from models.errors import UnreachableError
-from models.kinematics.delta import forward, inverse
 from models.machine import DeltaGeometry, Machine, constant
 from models.plant import continuous_plant, discretise
 from models.printer import GRAVITY_M_PER_S2, PrinterMotion, simulate_printer
@@ -27,7 +26,7 @@ def sweeping(geometry: DeltaGeometry, seconds: float = 1.0) -> np.ndarray:
     y = 20 * np.sin(2 * np.pi * 2.3 * t)
     z = 50 + 2 * np.sin(2 * np.pi * 11 * t)
     rise = (1 - np.exp(-((t * 5) ** 4)))[:, None]
-    return inverse(geometry, np.column_stack([x, y, z]) * rise + [0, 0, 20])
+    return geometry.inverse(np.column_stack([x, y, z]) * rise + [0, 0, 20])
 
 
 def judged(machine: Machine, command: np.ndarray, gravity: bool) -> dict[str, np.ndarray]:
@@ -85,7 +84,7 @@ def test_what_is_moved_is_consistent(printer: Machine) -> None:
         spline = CubicSpline(motion.t_s, velocity)
         np.testing.assert_allclose(CubicSpline(motion.t_s, place)(motion.t_s, 1)[9:-9], velocity[9:-9], atol=0.02)
         np.testing.assert_allclose(spline(motion.t_s, 1)[9:-9] / 1e3, acceleration[9:-9], atol=0.1)
-    np.testing.assert_allclose(forward(printer.kinematics, motion.carriage_mm), motion.nozzle_mm, atol=1e-9)
+    np.testing.assert_allclose(printer.kinematics.forward(motion.carriage_mm), motion.nozzle_mm, atol=1e-9)
 
 
 # --- Rest
@@ -93,7 +92,7 @@ def test_what_is_moved_is_consistent(printer: Machine) -> None:
 
 def resting(machine: Machine, seconds: float = 0.05, **options) -> PrinterMotion:
     """At the centre of the bed."""
-    q = inverse(machine.kinematics, np.array([[0.0, 0.0, 40.0]]))
+    q = machine.kinematics.inverse(np.array([[0.0, 0.0, 40.0]]))
     return simulate_printer(machine, np.tile(q, (round(seconds * RATE_HZ), 1)), 1 / RATE_HZ, **options)
 
 
@@ -138,7 +137,7 @@ def test_small_motions_are_those_of_the_linear_plant(printer: Machine, force_map
     place = np.array([[40.0, -30.0, 25.0]])
     steps = 1e-5 * np.random.default_rng(5).standard_normal((200, 3))  # 10 nm: nothing bends
     small = np.cumsum(steps, axis=0) - steps[0]
-    command = inverse(machine.kinematics, place) + small
+    command = machine.kinematics.inverse(place) + small
     motion = simulate_printer(machine, command, 1e-3, hold="linear", gravity=False)
     plant = discretise(continuous_plant(machine, place[:, :2]), 1e-3)
     state = np.zeros(18)
@@ -200,7 +199,7 @@ def test_chunks_are_the_whole(printer: Machine, hold) -> None:
 
 
 def test_a_straight_command_is_both_holds(printer: Machine) -> None:
-    q = inverse(printer.kinematics, np.array([[10.0, 5.0, 20.0]]))
+    q = printer.kinematics.inverse(np.array([[10.0, 5.0, 20.0]]))
     command = q + np.arange(100)[:, None] * [0.05, 0.05, 0.05]
     cubic, linear = (simulate_printer(printer, command, 1e-3, hold=hold) for hold in ("cubic", "linear"))
     np.testing.assert_allclose(cubic.nozzle_mm, linear.nozzle_mm, atol=1e-9)
@@ -210,7 +209,7 @@ def test_a_straight_command_is_both_holds(printer: Machine) -> None:
 
 
 def test_a_wrong_command_is_refused(printer: Machine) -> None:
-    q = inverse(printer.kinematics, np.array([[0.0, 0.0, 20.0]]))
+    q = printer.kinematics.inverse(np.array([[0.0, 0.0, 20.0]]))
     with pytest.raises(ValueError, match=r"shape \(1, 3\); it must be"):
         simulate_printer(printer, q, 1e-3)
     with pytest.raises(ValueError, match="from row to row is 0 s"):
@@ -223,7 +222,7 @@ def test_a_wrong_command_is_refused(printer: Machine) -> None:
 
 
 def test_leaving_the_reach_is_told_with_its_time(printer: Machine) -> None:
-    q = inverse(printer.kinematics, np.array([[0.0, 0.0, 20.0]]))
+    q = printer.kinematics.inverse(np.array([[0.0, 0.0, 20.0]]))
     command = q + np.linspace(0, 1, 800)[:, None] * [700.0, 0.0, 0.0]
     with pytest.raises(UnreachableError, match=r"At t = 0\.\d+ s the simulated nozzle has left") as caught:
         simulate_printer(printer, command, 1e-3)

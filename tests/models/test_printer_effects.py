@@ -11,7 +11,6 @@ from scipy.interpolate import CubicSpline
 
 from models.effects.catalogue import CATALOGUE, effective_machine, with_effect
 from models.effects.effect import Effect
-from models.kinematics.delta import forward, inverse
 from models.machine import Machine, constant
 from models.printer import GRAVITY_M_PER_S2, PrinterMotion, simulate_printer
 from models.printer_kernels import GUIDE
@@ -22,7 +21,7 @@ CENTRE = np.array([[0.0, 0.0, 40.0]])
 
 def on_z(machine: Machine, lift_mm: np.ndarray, **options: Any) -> PrinterMotion:
     """All three carriages alike, from the centre of the bed: the nozzle moves straight up and down."""
-    return simulate_printer(machine, inverse(machine.kinematics, CENTRE) + lift_mm[:, None], 1 / RATE_HZ, **options)
+    return simulate_printer(machine, machine.kinematics.inverse(CENTRE) + lift_mm[:, None], 1 / RATE_HZ, **options)
 
 
 def times(seconds: float) -> np.ndarray:
@@ -41,7 +40,7 @@ def shaking(machine: Machine, **options: Any) -> PrinterMotion:
     """A third of a second of motion with everything in it; the towers do different things."""
     t = times(0.3)[:, None]
     path = np.hstack([8 * np.sin(40 * t) + 0.2 * np.sin(300 * t), 6 * np.sin(47 * t), 3 * np.sin(55 * t)])
-    q = inverse(machine.kinematics, CENTRE + [[15, -20, 0]] + path * (1 - np.exp(-((12 * t) ** 2))))
+    q = machine.kinematics.inverse(CENTRE + [[15, -20, 0]] + path * (1 - np.exp(-((12 * t) ** 2))))
     return simulate_printer(machine, q, 1 / RATE_HZ, **options)
 
 
@@ -153,7 +152,7 @@ def test_an_overloaded_soft_belt_keeps_its_peak_force(printer: Machine) -> None:
 
 
 def test_a_belt_is_stiffer_above_its_centre(printer: Machine) -> None:
-    q = inverse(printer.kinematics, CENTRE)[0]
+    q = printer.kinematics.inverse(CENTRE)[0]
     s = rest_stretch(
         with_effect(printer, "belt_position_stiffness", slope_per_m=2.0, q_centre_mm=list(q - [100, 0, -50]))
     )
@@ -202,7 +201,7 @@ def test_a_delay_reaches_over_chunks(printer: Machine, hold) -> None:
 
 
 def rows_after(machine: Machine, lift: np.ndarray, row: int) -> np.ndarray:
-    return inverse(machine.kinematics, CENTRE) + lift[row : row + 40, None]
+    return machine.kinematics.inverse(CENTRE) + lift[row : row + 40, None]
 
 
 def test_cogging_is_a_wave_of_the_motor(printer: Machine) -> None:
@@ -218,7 +217,7 @@ def test_cogging_of_an_ideal_drive_is_a_rippled_command(printer: Machine) -> Non
     """Fast enough for the belt's damper to feel the rate of the ripple."""
     direct = replace(printer, carriage=replace(printer.carriage, drive=None))
     t = np.arange(0, 0.4, 1e-4)
-    q = inverse(direct.kinematics, CENTRE) + (20 * (1 - np.cos(6 * t)))[:, None]
+    q = direct.kinematics.inverse(CENTRE) + (20 * (1 - np.cos(6 * t)))[:, None]
     rippled = simulate_printer(with_effect(direct, "cogging", amplitude_mm=0.02, pitch_mm=0.8), q, 1e-4)
     ripple = 0.02 * np.sin(2 * np.pi * q / 0.8)
     offset = ripple[0]  # so that the command begins where the motor holds
@@ -269,8 +268,8 @@ def test_a_softer_belt_sags_more(printer: Machine) -> None:
 def test_the_true_geometry_places_the_nozzle(printer: Machine) -> None:
     off = with_effect(printer, "arm_geometry", arm_length_mm=[0.5, 0.0, -0.5], delta_radius_mm=0.3)
     motion = on_z(off, np.zeros(3), gravity=False)
-    nominal = inverse(printer.kinematics, CENTRE)
-    np.testing.assert_allclose(motion.nozzle_mm[-1], forward(effective_machine(off).kinematics, nominal)[0], atol=1e-9)
+    nominal = printer.kinematics.inverse(CENTRE)
+    np.testing.assert_allclose(motion.nozzle_mm[-1], effective_machine(off).kinematics.forward(nominal)[0], atol=1e-9)
     assert np.abs(motion.nozzle_mm[-1] - CENTRE[0]).max() > 0.1
 
 
@@ -292,7 +291,7 @@ def test_a_loose_extruder_rings_slower(printer: Machine) -> None:
     )
     soft = with_effect(firm, "extruder_mount", relative_stiffness_change=[-0.5, 0.0, 0.0])
     t = times(0.6)
-    push = inverse(firm.kinematics, CENTRE + np.column_stack([0.5 * np.minimum(t / 0.003, 1), 0 * t, 0 * t]))
+    push = firm.kinematics.inverse(CENTRE + np.column_stack([0.5 * np.minimum(t / 0.003, 1), 0 * t, 0 * t]))
     motion = simulate_printer(soft, push, 1 / RATE_HZ, hold="linear", gravity=False, substeps=16)
     x = motion.nozzle_acceleration[100:, 0]
     spectrum = np.abs(np.fft.rfft(x * np.hanning(len(x)), 65536))
@@ -314,7 +313,7 @@ def test_the_frame_answers_as_a_mass_on_a_spring(printer: Machine, frequency: fl
     machine = with_effect(replace(printer, effector=effector), "frame_mode", **frame)
     t = times(2.0)
     path = CENTRE + np.column_stack([np.sin(2 * np.pi * frequency * t) * np.minimum(t / 0.5, 1), 0 * t, 0 * t])
-    motion = simulate_printer(machine, inverse(machine.kinematics, path), 1 / RATE_HZ, gravity=False, substeps=16)
+    motion = simulate_printer(machine, machine.kinematics.inverse(path), 1 / RATE_HZ, gravity=False, substeps=16)
     last = slice(-RATE_HZ - 1, -1)  # whole periods of every frequency here
     wave = np.exp(-2j * np.pi * frequency * t[last])
     s, omega = 2j * np.pi * frequency, 2 * np.pi * 20
@@ -333,7 +332,7 @@ def test_a_free_frame_lightens_the_nozzle(printer: Machine) -> None:
     machine = with_effect(replace(printer, effector=effector, carriage=belts), "frame_mode", **frame)
     t = times(1.0)
     push = CENTRE + np.column_stack([0.1 * np.minimum(t / 0.005, 1), 0 * t, 0 * t])
-    motion = simulate_printer(machine, inverse(geometry, push), 1 / RATE_HZ, hold="linear", gravity=False, substeps=16)
+    motion = simulate_printer(machine, geometry.inverse(push), 1 / RATE_HZ, hold="linear", gravity=False, substeps=16)
     spectrum = np.abs(np.fft.rfft(motion.nozzle_velocity[50:, 0] * np.hanning(len(t) - 50), 1 << 16))
     height2 = geometry.arm_lengths_mm[0] ** 2 - geometry.delta_radii_mm[0] ** 2
     sigma2 = 2 / 3 * height2 / geometry.delta_radii_mm[0] ** 2
@@ -417,7 +416,7 @@ def test_all_effects_together_stay_stable(everything: Machine) -> None:
     t = times(1.5)
     stop = (1 - np.cos(np.pi * np.minimum(t, 1.0)))[:, None]
     path = CENTRE + np.hstack([40 * np.sin(9 * stop), 30 * np.sin(11 * stop), 5 * np.sin(30 * stop)])
-    motion = simulate_printer(everything, inverse(everything.kinematics, path), 1 / RATE_HZ)
+    motion = simulate_printer(everything, everything.kinematics.inverse(path), 1 / RATE_HZ)
     assert np.abs(motion.nozzle_acceleration).max() < 200
     assert np.abs(motion.nozzle_mm - path).max() < 5
     assert np.abs(motion.carriage_velocity[-RATE_HZ // 10 :]).max() < 0.1

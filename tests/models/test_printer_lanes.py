@@ -16,7 +16,6 @@ from scipy.interpolate import CubicSpline
 from models import printer_kernels as kernels
 from models.effects.catalogue import with_effect
 from models.errors import UnreachableError
-from models.kinematics.delta import inverse
 from models.machine import DeltaGeometry, Machine
 from models.printer import PrinterMotion, simulate_printer, simulate_printers
 
@@ -52,7 +51,7 @@ def swinging(geometry: DeltaGeometry, seconds: float = 0.3, reach_mm: float = 30
     t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
     x = reach_mm * np.sin(2 * np.pi * 3 * t) + 0.5 * np.sin(2 * np.pi * 33 * t)
     path = np.column_stack([x, 20 * np.sin(2 * np.pi * 4 * t), 30 + 2 * np.sin(2 * np.pi * 11 * t)])
-    return inverse(geometry, path * np.minimum(t / 0.1, 1)[:, None] ** 2)
+    return geometry.inverse(path * np.minimum(t / 0.1, 1)[:, None] ** 2)
 
 
 def assert_alike(ours: PrinterMotion | ValueError, alone: PrinterMotion) -> None:

@@ -9,7 +9,6 @@ import pytest
 
 from models.carriage import command_frf, drive_frf, force_frf, impedance, with_added_mass
 from models.effector import effector_impedance, load_distribution, load_map, struck_frf
-from models.kinematics.delta import inverse, jacobian
 from models.machine import Machine, constant
 from models.plant import STATES, Q, continuous_plant
 from models.receptance import assembly_frf, carriage_frf, modes, nozzle_frf, poles, receptance
@@ -113,7 +112,7 @@ def test_the_papers_map_carries_a_third_of_a_centred_load(rigid, bed: np.ndarray
 def test_the_papers_map_with_table_1_carries_a_quarter_and_is_not_symmetric(as_printed: Machine) -> None:
     """Two faults of Eq. 25 in one: too small a load, and no energy behind it."""
     xy = np.zeros((1, 2))
-    j = jacobian(as_printed.kinematics, xy)[0]
+    j = as_printed.kinematics.jacobian(xy)[0]
     paper = load_map(as_printed, xy)[0] @ j
     ratio = np.diag(paper) / np.diag(j.T @ j)
     assert np.all((ratio > 0.2) & (ratio < 0.3))
@@ -138,7 +137,7 @@ def test_six_rods_carry_the_virtual_work_load(rigid, seed: int, bed: np.ndarray)
 def _rod_loads(machine: Machine, xy: np.ndarray, force: np.ndarray) -> np.ndarray:
     """(3,) N, the vertical load of each carriage's two parallel rods, 50 mm apart."""
     geometry, angles = machine.kinematics, machine.kinematics.tower_angles_rad
-    q = inverse(geometry, np.array([[*xy, 0.0]]))[0]
+    q = geometry.inverse(np.array([[*xy, 0.0]]))[0]
     from_carriage = np.column_stack([xy - geometry.towers_mm, geometry.effector_height_mm - q])
     rods = from_carriage / geometry.arm_lengths_mm[:, None]
     radial = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(3)])
@@ -164,7 +163,7 @@ def test_slow_commands_are_followed_exactly(printer: Machine, force_map: str, xy
 def test_frf_solves_equation_29(as_printed: Machine, xy: tuple[float, float]) -> None:
     """The paper's own form, sub-models by themselves: (I − G_Fq Γ W J) G = G_qd."""
     place = np.array(xy)
-    j, gamma = jacobian(as_printed.kinematics, place[None])[0], load_map(as_printed, place[None])[0]
+    j, gamma = as_printed.kinematics.jacobian(place[None])[0], load_map(as_printed, place[None])[0]
     g = carriage_frf(as_printed, place, FREQUENCIES)
     w = effector_impedance(as_printed, S)[:, :, None] * np.eye(3)
     loop = np.eye(3) - force_frf(as_printed.carriage, S)[:, None, None] * (gamma @ w @ j)
@@ -181,7 +180,7 @@ def test_virtual_work_is_reciprocal(printer: Machine, xy: tuple[float, float]) -
 @pytest.mark.parametrize("xy", PLACES)
 def test_nozzle_and_carriages_tell_the_same_story(printer: Machine, xy: tuple[float, float]) -> None:
     place = np.array(xy)
-    j = jacobian(printer.kinematics, place[None])[0]
+    j = printer.kinematics.jacobian(place[None])[0]
     nozzle, carriages = nozzle_frf(printer, place, FREQUENCIES), carriage_frf(printer, place, FREQUENCIES)
     np.testing.assert_allclose(nozzle @ j, j @ carriages, atol=1e-11)
 
@@ -189,7 +188,7 @@ def test_nozzle_and_carriages_tell_the_same_story(printer: Machine, xy: tuple[fl
 @pytest.mark.parametrize("xy", PLACES)
 def test_every_output_per_every_input(printer: Machine, xy: tuple[float, float]) -> None:
     place, f = np.array(xy), FREQUENCIES
-    j = jacobian(printer.kinematics, place[None])[0]
+    j = printer.kinematics.jacobian(place[None])[0]
     g, to_carriages = carriage_frf(printer, place, f), np.linalg.inv(j)
     s2 = (S**2)[:, None, None]
     expected = {
@@ -220,7 +219,7 @@ def test_shapes_are_free_vibrations(printer: Machine, force_map: str) -> None:
     found = modes(machine, place)
     zeta = found.damping_ratios
     every = 2 * np.pi * found.frequencies_hz * (-zeta + 1j * np.sqrt(1 - zeta**2))
-    j, gamma = jacobian(machine.kinematics, place[None])[0], load_map(machine, place[None])[0]
+    j, gamma = machine.kinematics.jacobian(place[None])[0], load_map(machine, place[None])[0]
     for pole, shape in zip(every, found.shapes, strict=True):
         w = effector_impedance(machine, np.array([pole]))[0]
         z = impedance(machine.carriage, np.array([pole]))[0] * np.eye(3) + gamma * w @ j
@@ -237,7 +236,7 @@ def test_shapes_are_free_vibrations(printer: Machine, force_map: str) -> None:
 def test_rigid_modes_in_closed_form(rigid, xy: tuple[float, float]) -> None:
     """ω_r = √(k / (m + M σ_r²)), σ_r the singular values of J."""
     machine = rigid()
-    sigma = np.linalg.svd(jacobian(machine.kinematics, np.array([xy]))[0], compute_uv=False)
+    sigma = np.linalg.svd(machine.kinematics.jacobian(np.array([xy]))[0], compute_uv=False)
     expected = np.sqrt(1.21e5 / (0.195 + 0.651 * sigma**2)) / (2 * np.pi)
     np.testing.assert_allclose(modes(machine, np.array(xy)).frequencies_hz[:3], expected, rtol=1e-6)
 
@@ -255,7 +254,7 @@ def test_the_frf_blows_up_at_the_poles(printer: Machine, force_map: str) -> None
     """Poles come from masses, the FRF from impedances: at a pole the impedance loses rank."""
     machine = replace(printer, effector=replace(printer.effector, force_map=force_map))
     place = np.array([50.0, -60.0])
-    j, gamma = jacobian(machine.kinematics, place[None])[0], load_map(machine, place[None])[0]
+    j, gamma = machine.kinematics.jacobian(place[None])[0], load_map(machine, place[None])[0]
     for pole in poles(machine, place[None])[0]:
         s = np.array([pole])
         carriage = machine.carriage

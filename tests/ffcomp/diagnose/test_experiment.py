@@ -20,7 +20,6 @@ from ffcomp.diagnose.search import Hypothesis
 from ffcomp.measured.run import Run
 from ffcomp.pipeline import plan_program
 from gcode.reader import read_program
-from models.kinematics.delta import inverse
 from models.machine import Machine
 from models.machine_file import load_machine
 
@@ -40,9 +39,7 @@ def recorded(machine: Machine, noise: float) -> list[Run]:
     window = np.clip(np.minimum(t, 0.9 - t) / 0.2, 0, 1)
     nozzle = np.column_stack([window * 2 * np.sin(60 * t), window * np.sin(90 * t), 30 + 0 * t])
     gaps, names = np.zeros(len(t), dtype=bool), [f"acc_{a}" for a in "ABCxyz"]
-    blank = Run(
-        "x-1.csv", t, inverse(machine.kinematics, nozzle), "carriage", dict.fromkeys(names, 0 * t), {}, gaps, {}
-    )
+    blank = Run("x-1.csv", t, machine.kinematics.inverse(nozzle), "carriage", dict.fromkeys(names, 0 * t), {}, gaps, {})
     true = Delta(machine, [blank], ()).simulate({})[0]
     hiss = noise * np.random.default_rng(0).standard_normal((2, *true.shape))
     return [
@@ -95,7 +92,7 @@ def check(machine: Machine, proposal: Proposal) -> None:
     np.testing.assert_allclose(nozzle[-1], proposal.place_mm, atol=1e-3)
     assert np.linalg.norm(trajectory.velocity(t)[:, :3], axis=1).max() <= limits.velocity_mm_per_s * (1 + 1e-9)
     assert np.linalg.norm(trajectory.acceleration_at(t)[:, :3], axis=1).max() <= limits.acceleration_mm_per_s2 * 1.001
-    carriages = np.gradient(inverse(machine.kinematics, nozzle), t, axis=0)
+    carriages = np.gradient(machine.kinematics.inverse(nozzle), t, axis=0)
     assert np.abs(carriages).max() < limits.carriage_velocity_mm_per_s
 
 

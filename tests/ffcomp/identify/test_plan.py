@@ -38,7 +38,6 @@ from ffcomp.plan.trajectory import Trajectory
 from ffcomp.schedule import rest_state
 from gcode.program import EventKind, Program
 from gcode.reader import read_program
-from models.kinematics.delta import inverse
 from models.machine import Machine, constant
 from models.machine_file import load_machine
 from models.plant import continuous_plant, discretise
@@ -137,7 +136,7 @@ def test_command_and_nozzle_are_one_motion_and_rest_outside() -> None:
     t = np.array([-1.0, 0.0, experiment.duration_s, experiment.duration_s + 1.0])
     np.testing.assert_allclose(experiment.nozzle(t), np.tile(experiment.position_mm, (4, 1)), atol=2e-4)
     inside = dense(experiment)
-    np.testing.assert_array_equal(experiment.command(inside), inverse(machine().kinematics, experiment.nozzle(inside)))
+    np.testing.assert_array_equal(experiment.command(inside), machine().kinematics.inverse(experiment.nozzle(inside)))
 
 
 def test_the_lines_are_those_of_the_polyline_that_quick_ramps_come_near() -> None:
@@ -145,7 +144,7 @@ def test_the_lines_are_those_of_the_polyline_that_quick_ramps_come_near() -> Non
     experiment = named(short(), "A")
     band, first = experiment.band, experiment.first_knot
     period = experiment.vertices_mm[first : first + band.knots]
-    at_knots = lines_of(inverse(experiment.geometry, period)[:, 0], band).complex_mm
+    at_knots = lines_of(experiment.geometry.inverse(period)[:, 0], band).complex_mm
     designed = at_knots * played_gain(band.frequencies_hz, band.segment_s)
 
     def error(acceleration: float) -> float:

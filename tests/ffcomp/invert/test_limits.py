@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from ffcomp.errors import SolverError
 from ffcomp.invert.limits import ACCELERATION, TRAVEL, VELOCITY, CommandLimits, excess, limited_step, shares_from_rest
-from models.kinematics.kernels import FastDelta
 from models.machine import Machine
 from models.machine_file import load_machine
 
@@ -37,7 +36,7 @@ def sampled(vertices: FloatArray, machine: Machine) -> tuple[FloatArray, FloatAr
     """Heights (n, DENSE + 1, 3) mm of each segment's samples, and velocities between them (n, DENSE, 3) mm/s."""
     share = np.linspace(0.0, 1.0, DENSE + 1)[None, :, None]
     nozzle = vertices[:-1, None] + share * np.diff(vertices, axis=0)[:, None]
-    heights = FastDelta(machine.kinematics).inverse(nozzle.reshape(-1, 3)).reshape(*nozzle.shape)
+    heights = machine.kinematics.compiled().inverse(nozzle.reshape(-1, 3)).reshape(*nozzle.shape)
     return heights, np.diff(heights, axis=1) / (S / DENSE)
 
 
@@ -85,13 +84,13 @@ def test_shares_name_the_limit_that_binds(machine: Machine) -> None:
         step_rate_hz=16_000.0,  # 200 mm/s at 80 steps/mm: the tighter one
     )
     limits = CommandLimits.of(replace(machine, limits=own), S)
-    assert limits.velocity_mm_per_s == 200.0
+    assert limits.velocity_mm_per_s.tolist() == [200.0] * 3
     up = np.array([[0, 0, 0], [0, 0, 0.5], [0, 0, 0.9], [0, 0, 0.9]])  # all carriages alike: 125, 100 and 0 mm/s
     shares = shares_from_rest(up, limits)
     np.testing.assert_allclose(shares[1:4, VELOCITY, 0], [125 / 200, 100 / 200, 0], atol=1e-9)
     changes = np.array([125, 25, 100, 0]) / S / 2e4
     np.testing.assert_allclose(shares[1:, ACCELERATION, 2], changes, atol=1e-9)
-    height = FastDelta(machine.kinematics).inverse(np.array([[0, 0, 0.9]]))[0, 0]
+    height = machine.kinematics.compiled().inverse(np.array([[0, 0, 0.9]]))[0, 0]
     np.testing.assert_allclose(shares[3, TRAVEL], np.abs(height - 250) / 150, atol=1e-9)
     assert excess(up, limits) == shares.max() == pytest.approx(125 / S / 2e4)
 
@@ -99,14 +98,17 @@ def test_shares_name_the_limit_that_binds(machine: Machine) -> None:
 def test_a_limited_step_is_the_one_cvxpy_finds(machine: Machine) -> None:
     """Velocity, acceleration and travel at once, at the ends of every segment."""
     rng = np.random.default_rng(5)
-    n, delta = 12, FastDelta(machine.kinematics)
+    n, delta = 12, machine.kinematics.compiled()
     start = delta.inverse(np.array([[20.0, -30, 5]]))
     command = start + np.cumsum(np.cumsum(rng.normal(0, 0.02, (n + 4, 3)), axis=0), axis=0)
     a = rng.normal(size=(60, 3 * n))
     hessian, gradient = a.T @ a, rng.normal(size=3 * n) * 40
     top = float(command.max()) + 0.2
     limits = replace(
-        CommandLimits.of(machine, S), velocity_mm_per_s=125.0, acceleration_mm_per_s2=9000.0, travel_mm=(0.0, top)
+        CommandLimits.of(machine, S),
+        velocity_mm_per_s=np.full(3, 125.0),
+        acceleration_mm_per_s2=9000.0,
+        travel_mm=(0.0, top),
     )
     tried = command.copy()
     tried[2:-2] += np.linalg.solve(hessian, gradient).reshape(-1, 3)
@@ -129,10 +131,10 @@ def test_a_limited_step_is_the_one_cvxpy_finds(machine: Machine) -> None:
 
 
 def test_given_knots_that_leave_no_room_are_an_error(machine: Machine) -> None:
-    delta = FastDelta(machine.kinematics)
+    delta = machine.kinematics.compiled()
     command = np.repeat(delta.inverse(np.zeros((1, 3))), 6, axis=0)
     command[3:] += 50.0  # two unknown knots for a jump of 50 mm
     flat = np.repeat(command[:1], 6, axis=0)
-    limits = replace(CommandLimits.of(machine, S), velocity_mm_per_s=100.0)
+    limits = replace(CommandLimits.of(machine, S), velocity_mm_per_s=np.full(3, 100.0))
     with pytest.raises(SolverError, match="6 unknowns"):
         limited_step(np.eye(6), np.zeros(6), command, flat, limits, delta)

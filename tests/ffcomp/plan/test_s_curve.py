@@ -19,7 +19,6 @@ from ffcomp.plan.s_curve import SCurve, hold, s_curve
 from ffcomp.plan.smooth import SmoothTrajectory
 from ffcomp.plan.trajectory import Trajectory
 from gcode.reader import read_program
-from models.kinematics.kernels import FastDelta
 from models.machine_file import load_machine
 from tests.ffcomp.plan.programs import moves_through, random_program
 
@@ -39,7 +38,7 @@ SAMPLE_S = 1e-3
 
 
 def carriages(xyz: FloatArray) -> FloatArray:
-    return FastDelta(MACHINE.kinematics).inverse(xyz)
+    return MACHINE.kinematics.compiled().inverse(xyz)
 
 
 def planned(data: bytes) -> tuple[Trajectory, FloatArray]:

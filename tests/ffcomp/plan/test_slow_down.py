@@ -19,7 +19,6 @@ from ffcomp.played import played
 from ffcomp.runs import Reference, Run
 from ffcomp.schedule import rest_state
 from gcode.reader import read_program
-from models.kinematics.kernels import FastDelta
 from models.machine import Machine
 from models.machine_file import load_machine
 
@@ -68,7 +67,7 @@ def dense_peaks(vertices: FloatArray, machine: Machine, settings: Settings) -> t
     share = np.arange(many)[None, :, None] / many
     resting = np.concatenate([vertices[:1], vertices, vertices[-1:]])
     nozzle = (resting[:-1, None] + share * np.diff(resting, axis=0)[:, None]).reshape(-1, 3)
-    heights = FastDelta(machine.kinematics).inverse(nozzle)
+    heights = machine.kinematics.compiled().inverse(nozzle)
     velocity = np.diff(heights, axis=0) / (settings.segment_s / many)
     change = (velocity[many:] - velocity[:-many]) / settings.segment_s
     return float(np.abs(velocity).max()), float(np.abs(change).max())
@@ -109,7 +108,7 @@ def test_limits_below_the_plan_are_held_at_every_instant(
     inverter, run = inverter_of(tight), planned.runs[0]
     found = solved(inverter, planned, run, tight)
     velocity, acceleration = dense_peaks(found.result.vertices, machine, inverter.settings)
-    assert velocity <= inverter.limits.velocity_mm_per_s * (1 + 1e-6)
+    assert velocity <= inverter.limits.velocity_mm_per_s[0] * (1 + 1e-6)
     assert acceleration <= inverter.limits.acceleration_mm_per_s2 * (1 + 1e-4)
     assert found.result.excess <= 1.001
     assert error_um(found) < 25.0
@@ -175,7 +174,7 @@ def test_a_tolerance_decides_between_an_error_and_a_delay(machine: Machine, plan
 
 
 def test_a_path_beyond_the_travel_is_refused(machine: Machine, planned: Planned) -> None:
-    heights = FastDelta(machine.kinematics).inverse(planned.program.moves.end[:, :3])
+    heights = machine.kinematics.compiled().inverse(planned.program.moves.end[:, :3])
     top = float(heights[:5].max()) - 1.0
     tight = limited(machine, carriage_travel_mm=(0.0, top))
     with pytest.raises(LimitsError, match=r"line \d: the path needs carriage [ABC] at .* it travels from 0 to"):
@@ -213,7 +212,7 @@ def test_a_plan_with_s_curves_is_planned_again_with_them(machine: Machine) -> No
     def replan(moves: Any, start_t: float) -> Any:
         program = replace(smooth.program, moves=moves)
         plan = plan_program(program, machine).trajectory
-        return s_curve(replace(plan, start_t=plan.start_t + start_t), FastDelta(machine.kinematics).inverse)
+        return s_curve(replace(plan, start_t=plan.start_t + start_t), machine.kinematics.compiled().inverse)
 
     found = solved(inverter_of(tight), smooth, smooth.runs[0], tight, replan=replan)
     assert type(found.trajectory) is type(smooth.trajectory)

@@ -28,7 +28,6 @@ from ffcomp.report.diagnose.standout import stands_out
 from ffcomp.report.diagnose.told import Told, explained, explained_elsewhere
 from ffcomp.report.diagnose.verdict import verdict
 from models.effects.catalogue import CATALOGUE, with_effect
-from models.kinematics.delta import inverse
 from models.machine_file import LIBRARY, load_machine
 from models.printer import simulate_printer
 from tests.browser import chromium, visit
@@ -59,7 +58,7 @@ def write_runs(folder: Path, hidden: dict[str, dict[str, Any]]) -> list[str]:
     for name, place in PLACES.items():
         f = rng.uniform(5, 120, (8, 3))
         tones = np.sum(0.8 / f * np.sin(2 * np.pi * f * t[:, None, None] + 6.28 * f), axis=1)
-        command = inverse(machine.kinematics, np.array([place])) + tones * np.minimum(1.0, t / 0.2)[:, None]
+        command = machine.kinematics.inverse(np.array([place])) + tones * np.minimum(1.0, t / 0.2)[:, None]
         motion = simulate_printer(true, command, 1 / RATE_HZ, substeps=2)
         felt = np.hstack([motion.signals.carriage, motion.signals.nozzle])
         for repeat in (1, 2):

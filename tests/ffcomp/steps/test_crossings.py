@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from ffcomp.steps.crossings import STATE_SIZE, SWALLOWED, _rise, _turn, last_step, step_times
 from ffcomp.steps.pieces import Pieces, knot_pieces
-from models.kinematics.delta import inverse
 from models.machine_file import load_machine
 
 FloatArray = NDArray[np.float64]
@@ -39,14 +38,13 @@ def steps(
     pieces: Pieces, motor: int = 0, rules: tuple[int, int, int] = NO_FILTER, at_once: int = 10_000
 ) -> tuple[IntArray, IntArray, IntArray]:
     """One motor's ticks and directions; motor 3 is the filament. And its memory."""
-    x, y = GEOMETRY.towers_mm[min(motor, 2)]
-    arm = (x, y, float(GEOMETRY.arm_lengths_mm[min(motor, 2)] ** 2), GEOMETRY.effector_height_mm)
-    start = inverse(GEOMETRY, pieces.origin[:1, :3])[0, motor] if motor < 3 else pieces.origin[0, 3]
+    row = tuple([*GEOMETRY.motor_rows.tolist(), [0.0] * 7 + [1.0]][motor])
+    start = GEOMETRY.inverse(pieces.origin[:1, :3])[0, motor] if motor < 3 else pieces.origin[0, 3]
     state = np.zeros(STATE_SIZE, dtype=np.int64)
     found = [
         step_times(
             tuple(map(np.ascontiguousarray, pieces[k : k + at_once].columns)),
-            arm if motor < 3 else (0.0, 0.0, 0.0, 0.0),
+            row,
             (float(start), STEP_MM),
             CLOCK_HZ,
             rules,
@@ -180,7 +178,7 @@ def place_at(pieces: Pieces, t: FloatArray, motor: int) -> FloatArray:
     since = np.minimum(t - pieces.start_t[at], pieces.duration[at])
     along = (pieces.start_v[at] + 0.5 * pieces.acceleration[at] * since) * since
     places = pieces.origin[at] + pieces.direction[at] * along[:, None]
-    return inverse(GEOMETRY, places[:, :3])[:, motor] if motor < 3 else places[:, 3]
+    return GEOMETRY.inverse(places[:, :3])[:, motor] if motor < 3 else places[:, 3]
 
 
 def halved(pieces: Pieces, share: float) -> Pieces:

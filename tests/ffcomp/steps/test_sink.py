@@ -17,7 +17,6 @@ from ffcomp.steps.reader import StepsError, is_step_archive, read_events, read_s
 from ffcomp.steps.sink import Board, MotorTotal, StepSink
 from gcode.reader import read_program
 from models.errors import UnreachableError
-from models.kinematics.delta import inverse
 from models.machine_file import load_machine
 
 MACHINE = load_machine("mp-delta-pro")
@@ -65,7 +64,7 @@ def test_what_was_written_is_the_plan(tmp_path: Path) -> None:
     assert list(motors) == ["a", "b", "c", "e"]
     for k, motor in enumerate(motors.values()):
         place = plan.position(motor.time_s - 0.1)
-        height = inverse(MACHINE.kinematics, place[:, :3])[:, k] if k < 3 else place[:, 3]
+        height = MACHINE.kinematics.inverse(place[:, :3])[:, k] if k < 3 else place[:, 3]
         border = (motor.level_mm[1:] + motor.level_mm[:-1]) / 2
         assert len(border) > 900
         assert np.abs(height - border).max() < 1e-4

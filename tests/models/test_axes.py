@@ -1,0 +1,119 @@
+"""Axes told by their modes: poles, shares and responses against the closed form, and what no chain of masses can be."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from models.axes import Axis, axis_frf, low_frequency, parts
+from models.errors import MachineFileError
+from models.kinematics.straight import CARTESIAN, StraightGeometry
+from models.machine import Machine, MotionLimits, constant
+from models.machine_file import load_machine
+from models.plant import QD, STATES, Q, continuous_plant
+from models.printer import simulate_printer
+from models.receptance import modes, nozzle_frf
+
+RIGID = Axis()
+BOX = StraightGeometry(constant([[0, 200], [0, 200], [0, 200]]), CARTESIAN)
+F = np.linspace(1.0, 120.0, 240)
+
+
+def machine(*axes: Axis) -> Machine:
+    vibrating = parts([*axes, *[RIGID] * (3 - len(axes))])
+    return Machine("axes", BOX, limits=MotionLimits(200.0, 3000.0), **vibrating)
+
+
+def closed_form(axis: Axis, f: NDArray[np.float64]) -> NDArray[np.complex128]:
+    omega, s = 2 * np.pi * np.asarray(axis.frequency_hz), 2j * np.pi * f[:, None]
+    return np.asarray(
+        (np.asarray(axis.share) * omega**2 / (s**2 + 2 * np.asarray(axis.damping_ratio) * omega * s + omega**2)).sum(1)
+    )
+
+
+def test_one_mode_is_the_textbook_resonance() -> None:
+    axis = Axis([47.0], [0.06])
+    found = nozzle_frf(machine(axis, RIGID), np.array([20.0, 180.0]), F)
+    assert np.abs(found[:, 0, 0] - closed_form(axis, F)).max() < 2e-3 * np.abs(closed_form(axis, F)).max()
+    assert np.abs(found[:, 1, 1] - 1.0).max() < 7e-3
+    off_diagonal = found.copy()
+    off_diagonal[:, range(3), range(3)] = 0.0
+    assert not off_diagonal.any()
+
+
+@given(st.floats(20, 80), st.floats(1.0, 3.0), st.floats(0.01, 0.3), st.floats(0.01, 0.3), st.floats(0.05, 0.95))
+def test_two_modes_add_up(f: float, ratio: float, first: float, second: float, share: float) -> None:
+    axis = Axis([f, f * ratio], [first, second], [share, 1.0 - share])
+    known, place = machine(axis), np.zeros(2)
+    assert nozzle_frf(known, place, F)[:, 0, 0] == pytest.approx(closed_form(axis, F), rel=1e-9)
+    found = modes(known, place)  # what is silent or rigid does not swing
+    assert found.frequencies_hz == pytest.approx(axis.frequency_hz, rel=1e-5)
+
+
+def test_the_state_matrices_say_the_same_as_the_responses() -> None:
+    known = machine(Axis([40.0, 70.0], [0.05, 0.06], [0.7, 0.3]), Axis([33.0], [0.1]))
+    plant = continuous_plant(known, np.zeros((1, 2)))
+    s = 2j * np.pi * 35.0
+    b = plant.b_command[0] + s * plant.b_slope[0]
+    answer = np.linalg.solve(s * np.eye(STATES) - plant.a[0], b)
+    assert answer[Q] == pytest.approx(nozzle_frf(known, np.zeros(2), np.array([35.0]))[0], abs=1e-9)
+    assert answer[QD] == pytest.approx(s * answer[Q])
+
+
+def test_the_series_at_zero_frequency_turns_the_response_over() -> None:
+    known = machine(Axis([40.0, 70.0], [0.05, 0.2], [0.7, 0.3]), Axis([33.0], [0.1]))
+    s = 2j * np.pi * np.array([0.5])
+    tau, bend = low_frequency(known)
+    assert 1.0 / axis_frf(known, s)[0] == pytest.approx(1.0 + tau * s[0] + bend * s[0] ** 2, abs=1e-6)
+
+
+def test_the_virtual_printer_plays_the_same_modes() -> None:
+    """A command of two sines: after its first second, the printer is where the closed form says."""
+    x, y = Axis([40.0, 70.0], [0.05, 0.06], [0.7, 0.3]), Axis([33.0], [0.1])
+    t = np.arange(0, 2.0, 1e-3)
+    command = np.column_stack([np.sin(2 * np.pi * 21.0 * t), np.sin(2 * np.pi * 30.0 * t), 5.0 + 0.0 * t])
+    motion = simulate_printer(machine(x, y), command, 1e-3)
+    late = t > 1.5
+    for column, (axis, f) in enumerate(((x, 21.0), (y, 30.0))):
+        g = closed_form(axis, np.array([f]))[0]
+        assert motion.nozzle_mm[late, column] == pytest.approx((g * np.exp(2j * np.pi * f * t[late])).imag, abs=2e-4)
+    assert motion.nozzle_mm[:, 2] == pytest.approx(5.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("table", "rule"),
+    [
+        ("frequency_hz = [40.0, 60.0]\ndamping_ratio = [0.1, 0.1]", "axes.x.share is missing"),
+        ("frequency_hz = [40.0, 60.0]\ndamping_ratio = [0.1]\nshare = [0.5, 0.5]", "as many numbers each"),
+        ("frequency_hz = [40.0, 60.0]\ndamping_ratio = [0.1, 0.1]\nshare = [0.5, 0.4]", "must sum to 1"),
+        (
+            "frequency_hz = 40.0\ndamping_ratio = [0.1]",
+            "axes.x.frequency_hz = 40.0 must be a list of one or two",
+        ),
+        ("frequency_hz = [40.0]\ndamping_ratio = [0.1]\nfrequenzy = 3", "frequenzy is not a key"),
+        ("[effects.belt_hardening]\ncubic_n_per_m3 = 1e9", "modes know no forces"),
+        ("[kinematics2]\na = 1", "kinematics2 is not a key"),
+    ],
+)
+def test_mistakes_in_the_file_are_sentences(tmp_path: Path, table: str, rule: str) -> None:
+    head = """format = "ffcomp-machine/1"
+name = "box"
+[kinematics]
+type = "corexy"
+x_range_mm = [0.0, 200.0]
+y_range_mm = [0.0, 200.0]
+z_range_mm = [0.0, 200.0]
+[limits]
+velocity_mm_per_s = 200.0
+acceleration_mm_per_s2 = 3000.0
+"""
+    path = tmp_path / "box.toml"
+    path.write_text(head + (table if table.startswith("[") else "[axes.x]\n" + table))
+    with pytest.raises(MachineFileError, match=re.escape(rule)):
+        load_machine(path)
