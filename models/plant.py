@@ -186,6 +186,7 @@ def plant_table(machine: Machine, step_s: float, pitch_mm: float = 10.0) -> Plan
     axis = pitch_mm * np.arange(-half, half + 1)
     xy = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
     radius = np.hypot(*xy.T)
-    xy = xy * np.minimum(1.0, (reach + pitch_mm) / np.maximum(radius, 1e-9))[:, None]
+    rim = reach + min(pitch_mm, 0.9 * machine.kinematics.spare_reach_mm)
+    xy = xy * np.minimum(1.0, rim / np.maximum(radius, 1e-9))[:, None]
     plant = discretise(continuous_plant(machine, xy), step_s)
     return PlantTable(float(axis[0]), pitch_mm, len(axis), plant, machine.kinematics.jacobian(xy))

@@ -5,8 +5,11 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import tomlkit
 
+from models.machine_file import load_machine
+from models.plant import plant_table
 from tests import judge
 
 ROOT = Path(__file__).parents[1]
@@ -41,3 +44,15 @@ def test_a_crooked_delta_prints_as_well_as_a_straight_one(tmp_path: Path) -> Non
     assert before.contour_rms_um > 30.0
     assert after.contour_rms_um < 2.0
     assert after.peak_m_per_s2 < 1.2 * before.peak_m_per_s2
+
+
+def test_arms_that_reach_little_farther_than_the_bed_do(tmp_path: Path) -> None:
+    """The models' table goes beyond the rim, but not beyond the arms: many small deltas have just enough of them."""
+    document = tomlkit.parse(judge.MACHINE_FILE.read_text())
+    reach = float(document["kinematics"]["delta_radius_mm"]) + float(document["kinematics"]["print_radius_mm"])
+    document["kinematics"]["arm_length_mm"] = reach + 3.0
+    path = tmp_path / "short.toml"
+    path.write_text(tomlkit.dumps(document))
+    machine = load_machine(path)
+    table = plant_table(machine, 1e-3)
+    assert np.isfinite(table.plant.a).all() and np.isfinite(table.jacobian).all()

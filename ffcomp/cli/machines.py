@@ -17,6 +17,7 @@ import typer
 
 from ffcomp.cli.machines_diff import diff_machines
 from ffcomp.cli.machines_effort import effort
+from ffcomp.cli.machines_import import import_machine
 
 if TYPE_CHECKING:
     from models.consistency import Quantity
@@ -28,6 +29,7 @@ USAGE, BAD_MACHINE = 2, 5  # exit codes, the same for the whole program
 app = typer.Typer(help="List, show, check, start and tell apart machine files.", no_args_is_help=True)
 app.command("diff")(diff_machines)
 app.command("effort")(effort)
+app.command("import")(import_machine)
 
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 NameOrPath = Annotated[str, typer.Argument(help="A machine's name, or the path of its TOML file.")]
@@ -73,6 +75,7 @@ def show_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
 @app.command("check")
 def check_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
     """Find every mistake in a machine file, numbers that disagree, and vibrations that would grow or make energy."""
+    from ffcomp.printer_config.remedies import still_assumed
     from models.consistency import inconsistencies, redundant
     from models.machine_file import load_machine
     from models.soundness import soundness, unstable_places
@@ -85,6 +88,7 @@ def check_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
     quantities, sound = redundant(loaded), soundness(loaded)
     disagreements = inconsistencies(loaded)
     problems, notes = _instability(unstable_places(loaded)), [*disagreements, *_energy_notes(loaded, sound)]
+    notes += still_assumed(loaded.provenance)
     if as_json:
         consistency = [_quantity_json(quantity) for quantity in quantities]
         found = {"problems": problems, "notes": notes, "consistency": consistency, "soundness": asdict(sound)}
@@ -101,14 +105,18 @@ def check_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
 
 def _check_axes(machine: Machine, problems: list[str], as_json: bool) -> None:
     """Modes of straight axes: no forces, so no energy to keep account of."""
+    from ffcomp.printer_config.remedies import still_assumed
+
+    notes = list(still_assumed(machine.provenance))
     if as_json:
-        _print_json("machine-check", machine=_identity(machine), problems=problems, notes=[])
+        _print_json("machine-check", machine=_identity(machine), problems=problems, notes=notes)
     for problem in problems:
         print(f"{machine.path}: {problem}", file=sys.stderr)
     if problems:
         raise typer.Exit(BAD_MACHINE)
     if not as_json:
-        print(f"{machine.name}: the file is valid, and its vibrations decay.")
+        verdict = f"{machine.name}: the file is valid, and its vibrations decay."
+        print(*(f"note: {note}" for note in notes), verdict, sep="\n")
 
 
 @app.command("new")

@@ -55,6 +55,10 @@ class DeltaGeometry(Geometry):
         return self.print_radius_mm
 
     @property
+    def spare_reach_mm(self) -> float:
+        return float((self.arm_lengths_mm - self.delta_radii_mm).min()) - self.print_radius_mm
+
+    @property
     def motor_rows(self) -> FloatArray:
         up = np.array([0.0, 0.0, 1.0, 0.0])
         heights = np.full((3, 1), self.effector_height_mm)

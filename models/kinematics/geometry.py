@@ -84,6 +84,11 @@ class Geometry(ABC):
 
     @property
     @abstractmethod
+    def spare_reach_mm(self) -> float:
+        """How far beyond `model_reach_mm` the arms could still go before one lies flat."""
+
+    @property
+    @abstractmethod
     def motor_rows(self) -> FloatArray:
         """Of each motor (3, 8): tower x y mm, L² mm², base mm, and what of X Y Z E counts.
 

@@ -75,6 +75,10 @@ class StraightGeometry(Geometry):
         return 0.0
 
     @property
+    def spare_reach_mm(self) -> float:
+        return np.inf
+
+    @property
     def motors(self) -> FloatArray:
         return self.motor_matrix
 

@@ -1,0 +1,151 @@
+"""`ffcomp machines import`: a printer's own configuration, made into a machine file."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from ffcomp.printer_config.draft import Draft
+    from ffcomp.printer_config.found import Value
+
+INCOMPLETE = 5  # the file was written, but it is no machine file yet
+
+
+class Kind(StrEnum):
+    CARTESIAN = "cartesian"
+    COREXY = "corexy"
+
+
+File = Annotated[Path, typer.Argument(help="printer.cfg, config.g, or a text with Marlin's answer to M503.")]
+Output = Annotated[Path | None, typer.Option("-o", "--output", help="Default: your own machine folder.")]
+Like = Annotated[
+    str | None,
+    typer.Option("--like", help="Machine to take unknown numbers from. For deltas: the nearest arm length's."),
+]
+Kinematics = Annotated[Kind | None, typer.Option("--kinematics", help="For Marlin, which does not tell.")]
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+
+
+def import_machine(
+    file: File, output: Output = None, like: Like = None, kinematics: Kinematics = None, as_json: AsJson = False
+) -> None:
+    """Make a machine file of a Klipper, Kalico, RepRapFirmware or Marlin configuration. Never overwrites.
+
+    Says where each number is from, what is assumed, and what is still missing. Content decides, not the file's name.
+
+    Example: ffcomp machines import printer.cfg -o my-printer.toml
+    """
+    from ffcomp.cli.common import exit_codes, fail, print_json
+
+    with exit_codes():
+        from ffcomp.printer_config.draft import draft, machine_text
+        from ffcomp.printer_config.source import read_printer_config
+        from models.machine_file import check_text, find_machine, user_folder
+
+        found = read_printer_config(file, kinematics)
+        path = output or user_folder() / f"{file.stem}.toml"
+        made = draft(found, path.stem, None if like is None else find_machine(like))
+        text = machine_text(made, file)
+        if made.is_complete:
+            check_text(text, str(file))
+        _write(text, path)
+        model_hz = _first_mode_hz(path) if made.is_complete and made.found.shaper_hz else None
+        if as_json:
+            print_json(_as_json(made, path, model_hz))
+        else:
+            _print(made, path, model_hz)
+        if not made.is_complete:
+            fail(f"{path} is not complete: fill in {', '.join(made.missing)}.", INCOMPLETE)
+
+
+def _write(text: str, path: Path) -> None:
+    from ffcomp.cli.common import fail
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        fail(f"{path}: this file exists already; give another --output.", 2)
+
+
+def _first_mode_hz(path: Path) -> float:
+    """Of the machine that was written, in the middle of its bed."""
+    import numpy as np
+
+    from models.machine_file import load_machine
+    from models.receptance import modes
+
+    return float(modes(load_machine(path), np.zeros(2)).frequencies_hz[0])
+
+
+def _as_json(made: Draft, path: Path, model_hz: float | None) -> dict[str, object]:
+    from dataclasses import asdict
+
+    return {
+        "schema": "ffcomp-machine-import/1",
+        "machine": str(path),
+        "name": made.name,
+        "firmware": made.found.firmware,
+        "kinematics": made.found.kinematics,
+        "like": made.like,
+        "complete": made.is_complete,
+        "values": {key: asdict(value) for key, value in made.values.items()},
+        "missing": dict(made.missing),
+        "notes": list(made.found.notes),
+        "shaper_hz": list(made.found.shaper_hz),
+        "model_first_mode_hz": model_hz,
+    }
+
+
+TITLES = {
+    "read": "Taken from the configuration",
+    "converted": "Converted from it",
+    "default": "Not in the configuration, the firmware's default",
+    "assumed": "Assumed, because no firmware knows it",
+}
+
+
+def _print(made: Draft, path: Path, model_hz: float | None) -> None:
+    from ffcomp.printer_config.remedies import is_assumed
+
+    print(f"{path}: a {made.found.kinematics} machine, from a {made.found.firmware} configuration.")
+    for how, title in TITLES.items():
+        _print_values(title, {key: value for key, value in made.values.items() if value.how == how})
+    _print_remedies("Still missing", made.missing)
+    _print_remedies("How to know better", [key for key, value in made.values.items() if is_assumed(value.origin)])
+    if made.found.notes:
+        print("\nNot in the machine file", *(f"  {note}" for note in made.found.notes), sep="\n")
+    if model_hz is not None:
+        shaper = " and ".join(f"{frequency:g}" for frequency in made.found.shaper_hz)
+        print(f"\nThe input shaper is set to {shaper} Hz; the machine file's first vibration is at {model_hz:.1f} Hz,")
+        print(
+            "in the middle of the bed. If they are far apart, the assumed numbers do not fit: measure, or try --like."
+        )
+
+
+def _print_values(title: str, values: Mapping[str, Value]) -> None:
+    if values:
+        print(f"\n{title}")
+    for key, value in values.items():
+        print(f"  {key:<41} {_shown(value.value):<22} {value.origin}")
+
+
+def _print_remedies(title: str, keys: Collection[str]) -> None:
+    from ffcomp.printer_config.remedies import by_remedy
+
+    if keys:
+        print(f"\n{title}")
+    for what, same in by_remedy(keys).items():
+        print(f"  {', '.join(same)}\n      {what}")
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, list):
+        return ", ".join(map(_shown, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
