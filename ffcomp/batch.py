@@ -12,7 +12,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
-from os.path import normcase
+from os.path import normcase, realpath
 from pathlib import Path
 
 from ffcomp.errors import FfcompError
@@ -84,7 +84,7 @@ def _same(path: Path) -> object:
     try:
         found = path.stat()
     except OSError:
-        return normcase(path.resolve())
+        return normcase(realpath(path))
     return found.st_dev, found.st_ino
 
 

@@ -70,7 +70,7 @@ def chapters(parts: Iterable[Program], segment_s: float, lead_s: float, plan_of:
     begin: Moment | None = None
     for program in parts:
         pending = program if pending is None else join(pending, program)
-        rests = _rests(pending)
+        rests = rests_of(pending)
         if rests.size:
             chapter, pending = split(pending, int(rests[-1]))
             yield Chapter(chapter, before, said, layers, last=False, begin=begin)
@@ -116,7 +116,7 @@ def _in_motion(program: Program, plan: PlannedMotion, t: float) -> tuple[int, in
     return own, around, Moment(under_way - around, t - float(plan.start_t[under_way]))
 
 
-def _rests(program: Program) -> IntArray:
+def rests_of(program: Program) -> IntArray:
     """The moves before whose lines the nozzle rests, but for the first."""
     moves = program.moves
     stops, _ = stops_and_waits(program)
@@ -135,6 +135,6 @@ def _remembered(chapter: Program) -> Program | None:
         return None
     quickest = lines_of(moves).length / moves.speed
     left = np.cumsum(quickest[::-1])[::-1]  # until the end, at least
-    rests = _rests(chapter)
+    rests = rests_of(chapter)
     enough = rests[left[rests] >= REMEMBERED_S]
     return split(chapter, int(enough[-1]))[1] if enough.size else chapter

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from itertools import chain
+from os.path import realpath
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -29,11 +30,12 @@ from ffcomp.plan.trajectory import PlannedMotion
 from ffcomp.predict import LONGEST_S, Prediction
 from ffcomp.stepping import Stepping
 from ffcomp.steps.sink import Board, MotorTotal, StepSink
-from ffcomp.writer import OURS, original_blocks
-from gcode.container import blocks_of, ends_of, replace_atomically
+from ffcomp.times import with_times_retold
+from ffcomp.writer import OURS, joined, original_blocks
+from gcode.container import Source, blocks_of, ends_of, replace_atomically
 from gcode.dialects import FLAVORS, flavor_by_ends, shaper_off
 from gcode.errors import UnsupportedGcode
-from gcode.metadata import Stamp, find_stamp, stamp_line
+from gcode.metadata import Stamp, Timed, find_stamp, stamp_line
 from gcode.program import Program
 from gcode.reader import read_parts
 from models.machine import Machine
@@ -76,7 +78,7 @@ class Recipe:
             for known in solutions(past, machine, inverter, None, lambda wanted: False):
                 state = known.result.state
         summary.warnings += chapter.program.warnings
-        if not chapter.last and chapter.knots is None:
+        if chapter.knots is None:
             moves = len(chapter.program.moves)
             waits = sum(event.dwell_s for event in chapter.program.events if event.move == moves)
             summary.original_print_time_s += waits
@@ -108,14 +110,14 @@ class Recipe:
 _own = threading.local()  # a worker's inverter, from chapter to chapter
 
 
-def _work(chapter: Chapter, recipe: Recipe) -> tuple[bytes, Summary]:
+def _work(chapter: Chapter, recipe: Recipe) -> tuple[list[bytes], Summary]:
     """A chapter in a process of its own."""
     key = pickle.dumps((recipe.machine, recipe.settings))
     if getattr(_own, "key", None) != key:
         _own.inverter, _own.key = Inverter(recipe.machine, recipe.settings), key
     inverter: Inverter = _own.inverter
     summary = Summary()
-    return b"".join(recipe.lines(chapter, inverter, summary)), summary
+    return list(joined(recipe.lines(chapter, inverter, summary))), summary
 
 
 class Job:
@@ -123,7 +125,7 @@ class Job:
 
     def __init__(
         self,
-        source: bytes | Path,
+        source: Source,
         path: str,
         machine: Machine,
         *,
@@ -154,13 +156,12 @@ class Job:
 
         progress : called with the share of the file that is done, 0 to 1
         """
-        lines = self.lines(progress)
+        lines = self.lines(progress, None if target is None else Path(realpath(target)).parent)
         if target is None:
             for _ in lines:
                 pass
         else:
             replace_atomically(target, lines)
-        self.compute_time_s = time.perf_counter() - self.started
 
     def write_steps(
         self,
@@ -223,13 +224,17 @@ class Job:
                 progress(min(done / max(self.size, 1), 1.0))
             return sink.finish()
 
-    def lines(self, progress: Progress = lambda share: None) -> Iterator[bytes]:
-        """The compensated file, stamped in head and tail, in pieces of whole lines."""
+    def lines(self, progress: Progress = lambda share: None, folder: Path | None = None) -> Iterator[bytes]:
+        """The compensated file, stamped in head and tail, in pieces of whole lines.
+
+        folder : where what comes after a line that tells the whole print's time may wait for it
+        """
         stamp = stamp_line(__version__, self.machine.name, self.machine.sha256, self.flavor)
-        body = self._body(progress)
+        body = with_times_retold(self._body(progress), lambda: self.summary.print_time_s, folder)
         if self.shaper_off:
             body = _with_shaper_off(body, self.flavor)
-        return _stamped(body, stamp, offset_line(self.offset))
+        yield from _stamped(body, stamp, offset_line(self.offset))
+        self.compute_time_s = time.perf_counter() - self.started
 
     def _chapters(self, plain: bool) -> Iterator[Chapter]:
         # an S-curve has one level of acceleration from rest to rest; plain steps are written from rest to rest
@@ -258,7 +263,8 @@ class Job:
         for lines, size, summary in (
             self._one_by_one(together, recipe, progress) if self.jobs == 1 else self._side_by_side(together, recipe)
         ):
-            yield from lines
+            begun_s = self.summary.print_time_s
+            yield from (Timed.at(line, begun_s + line.at_s) if isinstance(line, Timed) else line for line in lines)
             self._take(summary)
             done += size
             progress(min(done / max(self.size, 1), 1.0))
@@ -286,7 +292,12 @@ class Job:
 
         pool = Parallel(n_jobs=self.jobs, return_as="generator", batch_size=1, pre_dispatch="2 * n_jobs")
         for text, summary in pool(tasks()):
-            yield iter((text,)), sizes.popleft(), summary
+            yield iter(text), sizes.popleft(), summary
+
+    def add(self, other: Job) -> None:
+        """Count what another job has done as done by this one."""
+        self._take(other.summary)
+        self.compute_time_s += other.compute_time_s
 
     def _take(self, chapter: Summary) -> None:
         """Add up what was done."""
@@ -384,19 +395,17 @@ def find_offset(head: bytes) -> tuple[float, float]:
 
 def _stamped(pieces: Iterator[bytes], stamp: bytes, offset: bytes) -> Iterator[bytes]:
     """The stamp after the first line (slicers are known by it) and at the end, before a last line without newline."""
-    first, _, rest = next(pieces, b"").partition(b"\n")
-    yield first + b"\n"
-    ending = b"\r\n" if first.endswith(b"\r") else b"\n"
+    kept = next(pieces, b"")
+    begin = kept.find(b"\n") + 1
+    if b"\r" in kept[:begin].removesuffix(b"\r\n"):
+        begin = 0  # lines that end in other ways: the stamp comes first of all
+    ending = b"\r\n" if kept[:begin].endswith(b"\r\n") else b"\n"
     stamp = stamp.rstrip(b"\n") + ending
-    yield stamp
-    if offset:
-        yield offset.rstrip(b"\n") + ending
-    kept = rest
+    yield kept[:begin] + stamp + offset.replace(b"\n", ending)
+    kept = kept[begin:]
     for piece in filter(None, pieces):
         yield kept
         kept = piece
-    complete, _, last = kept.rpartition(b"\n")
-    if kept and (complete or not last):
-        yield complete + b"\n"
-    yield stamp
-    yield last
+    end = kept.rfind(b"\n") + 1
+    yield kept[:end] + stamp
+    yield kept[end:]

@@ -16,7 +16,7 @@ from ffcomp.pipeline import firmware_limits
 from ffcomp.plan.lookahead import plan_moves, stops_and_waits
 from ffcomp.plan.trajectory import PlannedMotion
 from ffcomp.simulate import simulate
-from ffcomp.writer import WAS, original_lines
+from ffcomp.writer import WAS, noted, original_lines
 from gcode.program import Program
 from gcode.reader import read_program
 from models.machine import Machine
@@ -95,8 +95,7 @@ def _clocks(
 def noted_moves(original: Program, compensated: Program) -> NDArray[np.int64]:
     """Which of the original's moving lines each note stands for; -1 for a line that only sets a feed."""
     order = {line: i for i, line in enumerate(sorted(set(original.moves.line.tolist())))}
-    kept = [line for line in compensated.lines if line.startswith(WAS)]
-    texts = [line[len(WAS) :] for line in kept]
+    texts = [text for line in compensated.lines if (text := noted(line)) is not None]
     out, at = [], 0
     for text in texts:
         while original.lines[at] != text and original.lines[at].rstrip() != text.rstrip():

@@ -120,7 +120,7 @@ def timeline(
     knots = np.arange(piece.first, piece.last + 1, dtype=np.float64)
     points = np.insert(knots, (between - piece.first).astype(np.int64) + 1, between) if between.size else knots
     index = np.ceil(places).astype(np.int64) - piece.first + np.searchsorted(between, places)
-    filament = _filament(program, run, e, points, lines, places, index, piece.first)
+    filament = _filament(program, run, e, points, lines, places, index, events)
     return Timeline(piece, points, filament, index, lines.line, lines.event, events)
 
 
@@ -220,26 +220,40 @@ def _filament(
     lines: _Lines,
     places: FloatArray,
     index: IntArray,
-    first: int,
+    inside: list[Event],
 ) -> FloatArray:
     """Filament at the points, (m,) mm, with what the original's events say of it.
 
     Parameters
     ----------
-    e : (n + 1,) mm at the knots from `first` on;  points : (m,) in knots
+    e : (n + 1,) mm at the knots;  points : (m,) in knots, from the first of them on
     places, index : (k,) where the lines go out, in knots and as points
+    inside : the events
     """
+    first = int(points[0])
     events = (lines.event >= 0) & (lines.move > run.first)
     if not events.any():
         return _interpolated(points, e, first)
     start, end = program.moves.start[:, 3], program.moves.end[:, 3]
     move, at, point = lines.move[events], places[events], index[events]
-    flows = (end[move - 1] != start[move - 1]) & (end[move] != start[move])
+    flows = (end[move - 1] - start[move - 1]) * (end[move] - start[move]) > 0.0
     known, which = _last_of_each(at[flows])
     filament = _met(e, points, known, start[move[flows][which]], first)
-    _, turning = _last_of_each(at[~flows])  # where a flow begins or ends
+    _, turning = _last_of_each(at[~flows])  # where a flow begins, ends or turns back
     filament[point[~flows][turning]] = start[move[~flows][turning]]
+    renamed = _renames(program, lines.event[events], move, inside)
+    filament[point[renamed]] = start[move[renamed]]
     return filament
+
+
+def _renames(program: Program, event: IntArray, move: IntArray, inside: list[Event]) -> BoolArray:
+    """Which events give the filament's place another number (G92 E0): if it were not exact there, it never would be.
+
+    event : (k,) index into `inside`;  move : (k,) the move each stands before
+    """
+    base = np.array([frame.base[3] for frame in program.frames])
+    after = np.array([inside[k].frame for k in event.tolist()], dtype=np.int64)
+    return base[after] != base[program.moves.frame[move - 1]]
 
 
 def _interpolated(points: FloatArray, e: FloatArray, first: int) -> FloatArray:

@@ -96,7 +96,8 @@ def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SEC
     """The settings for a machine: its bandwidth at the knee, and from its own limits what no G-code file can raise."""
     limits = firmware_limits(machine)
     output = OutputLimits(
-        z_acceleration_mm_per_s2=limits.acceleration_mm_per_s2,
+        z_acceleration_mm_per_s2=limits.z_acceleration_mm_per_s2 or limits.acceleration_mm_per_s2,
+        raised_axes="XYZ" if isinstance(machine.kinematics, DeltaGeometry) else "XY",
         retract_acceleration_mm_per_s2=limits.acceleration_mm_per_s2 * limits.extrusion_ratio,
     )
     segment_s = 1.0 / segments_per_second
@@ -340,6 +341,7 @@ def compensate(
             yield from writer.event(event)
         if not run.travels:
             yield from writer.extrude(run.first)
+            writer.now_s += run.end_t - run.begin_t
             continue
         answer = next(answers)
         watch(run, answer.result)

@@ -35,6 +35,7 @@ class OutputLimits:
     z_acceleration_mm_per_s2: float = 10_000.0  # the printer's own: a G-code file cannot raise it
     instantaneous_corner_velocity_mm_per_s: float = 1.0  # extruder; Klipper's default
     retract_acceleration_mm_per_s2: float = 2600.0  # of the filament, on moves that pull it back; the printer's own
+    raised_axes: str = "XYZ"  # whose limits the header opens where firmware has one for each: no lead screw's
 
 
 @dataclass(frozen=True, slots=True)

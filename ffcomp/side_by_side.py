@@ -17,7 +17,7 @@ from typing import Any
 
 from ffcomp.errors import FfcompError
 from ffcomp.outcome import Options, Outcome, compensate_file, failure_of, outcome_of
-from gcode.container import blocks_of, read_bytes, replace_atomically
+from gcode.container import raw_blocks, replace_atomically
 from gcode.errors import GcodeError
 from models.machine import Machine
 
@@ -99,7 +99,7 @@ class Pool:
 
         file = self.files[number]
         try:
-            data = read_bytes(file) if self.drafts is None else None
+            data = b"".join(raw_blocks(file)) if self.drafts is None else None
             task = _Task(number, file, data, self._draft(number), self.targets[number] is not None)
         except (OSError, GcodeError) as error:
             return delayed(_Done)(self._failed(number, error))
@@ -128,7 +128,7 @@ class Pool:
         try:
             if done.text is None:
                 draft = Path(outcome.result["output"])
-                replace_atomically(target, blocks_of(draft))
+                replace_atomically(target, raw_blocks(draft))
                 draft.unlink()
             else:
                 replace_atomically(target, [done.text])

@@ -10,8 +10,8 @@ from __future__ import annotations
 import re
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
+from itertools import groupby, pairwise
 from operator import itemgetter
 
 import numpy as np
@@ -22,16 +22,21 @@ from ffcomp.invert.settings import Settings
 from ffcomp.marks import Timeline
 from ffcomp.played import merge, played
 from gcode.blocks import whole_lines
-from gcode.dialects import KLIPPER, close_limits, open_limits
+from gcode.dialects import KLIPPER, MARLIN, close_limits, open_limits
 from gcode.emit import MoveWriter
+from gcode.errors import UnsupportedGcode
+from gcode.labels import begins_layer
 from gcode.limits import MotionLimits
+from gcode.metadata import TIME_WAS, Timed, tells, with_time
 from gcode.program import Event, EventKind, Program
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 OURS = b" ; ffcomp"  # ends every line of ours that is not a move
-WAS = b";~"  # before a move of the original
+WAS = b";~"  # before a line of the original that is now a comment: a move, mostly
+CUT_SHORT = b";~~"  # the same before a line that does not end in a newline; the newline behind it is ours
+_STAMPS = b"; Processed by ffcomp", b"; ffcomp offset_mm="
 _Line = int | Event | bytes  # a move of the original (index into its lines), another line of it, a line of ours
 STILL_MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*[0-3](?!\d)", re.IGNORECASE)
 
@@ -57,6 +62,7 @@ class Writer:
         self.said: dict[bytes, bytes] = dict(said or {})  # the file's last word on each limit
         self.ending = b"\r\n" if program.lines and program.lines[0].endswith(b"\r\n") else b"\n"
         self.segments = 0
+        self.now_s = 0.0  # since the program's beginning, as far as it is written
         self.begun, self.rest = False, 0.0  # whether the run has moved, and for how long it has not since, s
 
     # -- what is not a run
@@ -66,13 +72,18 @@ class Writer:
         if event.kind in (EventKind.STOP, EventKind.RAW_MOVE):
             yield from self.close()
         line = self.program.lines[event.line]
-        if self.open and STILL_MOVE.match(line):  # a G1 that only sets the feed: ours always say theirs
+        if not line.endswith((b"\n", b"\r")):  # the file's last: what is put behind it would become part of it
+            yield from self.close()
+        if _like_ours(line):
+            yield self._escaped(event)
+        elif self.open and STILL_MOVE.match(line):  # a G1 that only sets the feed: ours always say theirs
             yield self._original(event.line)
         elif event.kind is EventKind.RAW_MOVE and any(self.offset):
             yield self._original(event.line)
             yield self._shifted(line)
         else:
-            yield line
+            yield Timed.at(line, self.now_s) if tells(line) or begins_layer(line) else line
+        self.now_s += event.dwell_s
         self._take_frame(event.frame)
         if event.touches_limits:
             self.said |= _said(line)
@@ -86,7 +97,8 @@ class Writer:
             yield from self._limits(self._closing())
             frame = self.program.frames[self.frame]
             feed = 60 * frame.feed_mm_per_s / frame.feed_factor / frame.unit_mm
-            yield b"G1 F%.6g" % feed + OURS + self.ending
+            told = (b"%.3f" % max(feed, 1e-3)).rstrip(b"0").rstrip(b".")  # never an exponent, never zero
+            yield b"G1 F" + told + OURS + self.ending
 
     def extrude(self, move: int) -> Iterator[bytes]:
         """An extruder-only move, as it was but for its feed, which is always said."""
@@ -124,7 +136,7 @@ class Writer:
     # -- a run
 
     def run(self, first: int, vertices: FloatArray, line_up: Timeline) -> Iterator[bytes]:
-        """The segments of one run, or of its next piece: many lines in one bytes object.
+        """The segments of one run, or of its next piece: many lines in one bytes object, times apart (`joined`).
 
         Parameters
         ----------
@@ -143,8 +155,7 @@ class Writer:
             until = lines[b][0] if b < len(lines) else len(segments.e)
             text += self._stretch(segments.part(since, until), [(k - since, line) for k, line in lines[a:b]])
             since = until
-        if any(text):
-            yield b"".join(text)
+        yield from joined(text)
 
     def _segments(self, first: int, vertices: FloatArray, line_up: Timeline) -> _Segments:
         """What is worth writing of a piece: all where the command bends, little where it runs straight and evenly."""
@@ -170,6 +181,7 @@ class Writer:
 
     def _stretch(self, segments: _Segments, lines: list[tuple[int, _Line]]) -> Iterator[bytes]:
         """Segments with the lines between them, of which only the first may change how numbers are written."""
+        passed = [self.now_s, *(self.now_s + np.cumsum(segments.lasting)).tolist()]
         before = bisect_right(lines, 0, key=itemgetter(0))
         for _, line in lines[:before]:
             yield from self._line(line)
@@ -181,8 +193,10 @@ class Writer:
             if starts[k] > done:
                 yield self._finish(block[done : starts[k]])
                 done = starts[k]
+            self.now_s = passed[k]
             yield from self._line(line)
         yield self._finish(block[done:])
+        self.now_s = passed[-1]
 
     def _rests(self, lengths: IntArray, lasting: FloatArray) -> list[tuple[int, bytes]]:
         """Segments that need no line are waited for before the next one that does; not at a run's ends.
@@ -225,14 +239,23 @@ class Writer:
         self.in_force = self._limits_at(move)
         if not self.open:
             self.open = True
-            yield from self._limits(self._opening())
             self.frame = int(moves.frame[move])
+            yield from self._limits(self._opening())
             self._tell_frame(moves.start[move].tolist())
         self._take_frame(int(moves.frame[move]))
 
     def _original(self, line: int) -> bytes:
         text = self.program.lines[line]
-        return WAS + text if text.endswith(b"\n") else WAS + text + self.ending
+        return WAS + text if text.endswith(b"\n") else CUT_SHORT + text + b"\n"
+
+    def _escaped(self, event: Event) -> bytes:
+        """A line of the original that would be taken for one of ours: as a comment it can be told apart."""
+        line = self.program.lines[event.line]
+        if not line.lstrip().startswith(b";"):
+            rule = "only files that ffcomp has compensated have such lines, and this one has lost its stamp"
+            number = self.program.first_line + event.line + 1
+            raise UnsupportedGcode(f"The line ends in '{OURS.decode().strip()}'; {rule}.", number, self.program.path)
+        return self._original(event.line)
 
     def _take_frame(self, frame: int) -> None:
         if frame != self.frame:
@@ -246,14 +269,21 @@ class Writer:
     def _closing(self) -> list[bytes]:
         """The limits that the file has set, over the machine's own."""
         if self.flavor == KLIPPER:
-            return close_limits(self.flavor, _first_known(self.in_force, self.own))
-        return [*close_limits(self.flavor, self.own), *self.said.values()]
+            return close_limits(self.flavor, _first_known(self.in_force, self.own), self.settings.output.raised_axes)
+        axes = self.settings.output.raised_axes
+        return [*close_limits(self.flavor, self._in_units(self.own), axes), *self.said.values()]
 
     def _opening(self) -> list[bytes]:
         o = self.settings.output
-        return open_limits(
-            self.flavor, o.velocity_mm_per_s, o.acceleration_mm_per_s2, o.square_corner_velocity_mm_per_s
-        )
+        wide = MotionLimits(o.velocity_mm_per_s, o.acceleration_mm_per_s2, o.square_corner_velocity_mm_per_s)
+        told = self._in_units(wide)
+        return open_limits(self.flavor, told.velocity, told.acceleration, told.square_corner_velocity, o.raised_axes)
+
+    def _in_units(self, limits: MotionLimits) -> MotionLimits:
+        """As the file must state them: after G20, Marlin takes limits in inches too."""
+        unit = self.program.frames[self.frame].unit_mm if self.flavor == MARLIN else 1.0
+        names = ("velocity", "acceleration", "square_corner_velocity")
+        return replace(limits, **{name: getattr(limits, name) / unit for name in names})
 
     def _limits(self, lines: Iterable[bytes]) -> Iterator[bytes]:
         for line in lines:
@@ -330,6 +360,15 @@ def _said(line: bytes) -> dict[bytes, bytes]:
     return {code.split()[0].upper() + letters: code}
 
 
+def joined(pieces: Iterable[bytes]) -> Iterator[bytes]:
+    """Adjacent pieces as one; lines that tell a time stay apart."""
+    for timed, group in groupby(pieces, key=lambda piece: isinstance(piece, Timed)):
+        if timed:
+            yield from group
+        elif whole := b"".join(group):
+            yield whole
+
+
 def original(data: bytes) -> bytes:
     """The file as it was before compensation."""
     return b"".join(original_lines(data.splitlines(keepends=True)))
@@ -342,16 +381,29 @@ def original_blocks(blocks: Iterable[bytes]) -> Iterator[bytes]:
 
 def original_lines(lines: Iterable[bytes]) -> Iterator[bytes]:
     """The file as it was before compensation (`gcode.metadata`'s stamps left out)."""
-    inside = False
+    inside, told = False, None
     for line in lines:
-        ours = line.rstrip().endswith(OURS)
-        if ours:
+        if line.startswith(TIME_WAS):
+            told = line[len(TIME_WAS) :].rstrip(b"\r\n")
+        elif (kept := noted(line)) is not None:
+            yield kept
+        elif _ours(line):
             inside = (inside or not line.startswith(b"G")) and not line.startswith(b"G1 F")
-        elif line.startswith(WAS):
-            yield line[len(WAS) :]
-        elif line.startswith((b"; Processed by ffcomp", b"; ffcomp offset_mm=")):
-            continue  # the stamp
-        elif inside and line.startswith(b"G1 "):
-            continue
-        else:
-            yield line
+        elif not line.startswith(_STAMPS) and not (inside and line.startswith(b"G1 ")):
+            yield line if told is None else with_time(line, told)
+            told = None
+
+
+def noted(line: bytes) -> bytes | None:
+    """The line of the original that this comment keeps, if it keeps one."""
+    if line.startswith(CUT_SHORT):
+        return line[len(CUT_SHORT) :].removesuffix(b"\n")
+    return line[len(WAS) :] if line.startswith(WAS) else None
+
+
+def _ours(line: bytes) -> bool:
+    return line.rstrip().endswith(OURS)
+
+
+def _like_ours(line: bytes) -> bool:
+    return line.startswith((WAS, TIME_WAS, *_STAMPS)) or _ours(line)

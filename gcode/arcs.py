@@ -18,6 +18,7 @@ FloatArray = NDArray[np.float64]
 Point2 = tuple[float, float]
 
 ARC_TOLERANCE_MM = 0.005
+MAX_ARC_MM = 1e5  # a hundred metres: a slip of the slicer, and a million chords
 MAX_CHORD_MM = 1.0  # so that very large circles still have vertices where accelerations change
 _COARSEST_ANGLE = tau / 8  # a circle smaller than the tolerance still turns once round
 _SAME_POINT_MM = 1e-6
@@ -77,7 +78,7 @@ def _chord_count(radius: float, sweep: float, tolerance: float, longest: float) 
 
 def arc_by_centre(start: Point2, end: Point2, offset: Point2, clockwise: bool, line: int | None = None) -> Arc:
     """The arc whose centre lies `offset` (I, J) from the start."""
-    arc = Arc(start, end, (start[0] + offset[0], start[1] + offset[1]), clockwise)
+    arc = _checked(Arc(start, end, (start[0] + offset[0], start[1] + offset[1]), clockwise), line)
     first, last = arc.radii
     if first < _SAME_POINT_MM:
         raise GcodeError("The arc's centre is its start (I, J, K are zero); a radius must be positive.", line)
@@ -98,7 +99,14 @@ def arc_by_radius(start: Point2, end: Point2, radius: float, clockwise: bool, li
     height = copysign(sqrt(max(0.0, radius * radius - chord * chord / 4)), radius) * (-1 if clockwise else 1)
     along = ((end[0] - start[0]) / chord, (end[1] - start[1]) / chord)
     middle = ((start[0] + end[0]) / 2, (start[1] + end[1]) / 2)
-    return Arc(start, end, (middle[0] - height * along[1], middle[1] + height * along[0]), clockwise)
+    return _checked(Arc(start, end, (middle[0] - height * along[1], middle[1] + height * along[0]), clockwise), line)
+
+
+def _checked(arc: Arc, line: int | None) -> Arc:
+    length = abs(arc.sweep) * max(arc.radii)
+    if length > MAX_ARC_MM:
+        raise GcodeError(f"The arc is {length:.0f} mm long; arcs may be {MAX_ARC_MM:.0f} mm long at most.", line)
+    return arc
 
 
 def _allowance(radius: float) -> float:

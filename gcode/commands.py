@@ -70,17 +70,18 @@ def _unknown(modal: Modal, command: Command) -> Effect:
     if _M_CODE.fullmatch(command.name):
         return Effect(EventKind.STOP, warning=f"{command.name} is not known; the motion rests while it runs")
     modal.forget()
+    modal.motion = ""  # it may be one that goes on with bare words
     rule = "the motion rests, and nothing is compensated until the file names a place again"
     return Effect(EventKind.STOP, warning=f"{command.name} is not known and may move the machine; {rule}")
 
 
 def _refuse(modal: Modal, command: Command) -> Effect:
-    what = "depends on offsets, volumes or conditions that only the firmware knows"
+    what = "makes numbers depend on offsets, units, turns or conditions that are not followed"
     raise UnsupportedGcode(f"{command.name} {what}; slice without it.", command.line)
 
 
 def _tool(modal: Modal, command: Command) -> Effect:
-    if modal.tool not in ("", command.name):
+    if command.name != (modal.tool or "T0"):  # firmware begins with its first tool
         modal.forget()
     modal.tool = command.name
     return STOP
@@ -97,8 +98,13 @@ def _dwell(modal: Modal, command: Command) -> Effect:
 
 
 def _retraction_or_tool_setting(modal: Modal, command: Command) -> Effect:
-    """G10 alone retracts by an amount set in the firmware; with P, S, R or L it sets a tool's values."""
-    return PASS if command.letters() & set("PSRL") else STOP
+    """G10 alone retracts by an amount set in the firmware; with P, S or R it sets a tool's values, with L others."""
+    said = command.letters()
+    if "L" in said:
+        return _refuse(modal, command)
+    if "P" in said and said & set("XYZ"):  # the tool's offsets, from now on
+        return _move_away(modal, command)
+    return PASS if said & set("PSR") else STOP
 
 
 # -- modes --
@@ -160,6 +166,11 @@ def _percent(command: Command) -> float | None:
 
 
 def _feed_factor(modal: Modal, command: Command) -> Effect:
+    """M220: Marlin's B keeps the factor in force, and R takes it back."""
+    if (said := command.letters()) & set("BR"):
+        modal.kept_feed_factor = modal.feed_factor if "B" in said else modal.kept_feed_factor
+        modal.set_feed_factor(modal.kept_feed_factor if "R" in said else modal.feed_factor)
+        return PASS
     if (factor := _percent(command)) is not None:
         modal.set_feed_factor(factor)
     return PASS
@@ -307,14 +318,14 @@ def _names(text: str) -> list[str]:
 
 
 _PASSING = _names("""
-    G40 G49 G54 G80 G94 M20 M21 M27 M31 M42 M73 M75 M76 M77 M78 M85 M92 M104 M105 M106 M107 M108
+    G15 G40 G49 G50 G54 G69 G80 G91.1 G94 M20 M21 M27 M31 M42 M73 M75 M76 M77 M78 M85 M92 M104 M105 M106 M107 M108
     M110 M111 M112 M113 M114 M115 M117 M118 M119 M140 M141 M150 M155 M163 M207 M208 M209 M211 M218
     M300 M301 M302 M304 M413 M486 M503 M550 M555 M562 M568 M572 M603 M851 M862.1 M862.2 M862.3
     M862.4 M862.5 M862.6 M900 M907 ACTION_NOTIFICATION DISPLAY_STATUS RESPOND SAVE_VARIABLE
     SET_DISPLAY_GROUP SET_DISPLAY_TEXT SET_FAN_SPEED SET_FILAMENT_SENSOR SET_GCODE_VARIABLE
     SET_HEATER_TEMPERATURE SET_IDLE_TIMEOUT SET_LED SET_LED_TEMPLATE SET_PIN SET_PRESSURE_ADVANCE
     SET_PRINT_STATS_INFO SET_RETRACTION SET_TEMPERATURE_FAN_TARGET TURN_OFF_HEATERS
-    UPDATE_DELAYED_GCODE
+    UPDATE_DELAYED_GCODE ECHO
 """)
 _RESTING = _names("""
     G11 M0 M1 M3 M4 M5 M17 M25 M80 M109 M116 M190 M191 M226 M280 M303 M400 M420 M575 M593 M600 M601
@@ -322,13 +333,15 @@ _RESTING = _names("""
 """)
 _MOVING_AWAY = _names("""
     G12 G27 G29 G30 G31 G32 G33 G34 G38.2 G38.3 G38.4 G38.5 M2 M18 M30 M48 M81 M84 M98 M125 M206
-    M401 M402 M428 M524 M665 M666 M701 M702 ACTIVATE_EXTRUDER SET_KINEMATIC_POSITION
+    M401 M402 M428 M524 M620 M621 M622 M622.1 M623 M665 M666 M701 M702 M970 M970.3 M971 M972 M973
+    M974 M976 M977 M981 M982 M982.2 M983 M983.1 M983.3 M983.4 M984 M1006 ACTIVATE_EXTRUDER SET_KINEMATIC_POSITION
     BED_MESH_CALIBRATE BED_MESH_CLEAR BED_MESH_OFFSET BED_MESH_PROFILE CANCEL_PRINT CLEAN_NOZZLE
     DELTA_CALIBRATE END_PRINT PRINT_END PRINT_START PROBE QUAD_GANTRY_LEVEL START_PRINT
     TIMELAPSE_TAKE_FRAME Z_TILT_ADJUST
 """)
 _REFUSED = _names("""
-    G53 G55 G56 G57 G58 G59 G59.1 G59.2 G59.3 IF ELIF ELSE WHILE BREAK CONTINUE VAR GLOBAL ABORT
+    G16 G41 G42 G43 G43.1 G43.2 G51 G52 G53 G55 G56 G57 G58 G59 G59.1 G59.2 G59.3 G68 G90.1 G92.1
+    G92.2 G92.3 G93 G95 IF ELIF ELSE WHILE BREAK CONTINUE VAR GLOBAL ABORT
 """)
 
 PASSING_M_CODES = frozenset(int(name[1:]) for name in _PASSING if re.fullmatch(r"M\d+", name))

@@ -1,70 +1,155 @@
-"""Files on disk: what their first bytes say they are, and replacing one so that it is never half written."""
+"""Files on disk: what their bytes say they are, and replacing one so that it is never half written.
+
+A container holds one print or several, and is written anew with other text for each. Which kind a file is, its first
+bytes say: plain text, gzip (`gcode.gzipped`), a zip archive of a slicer (`gcode.archive`), binary G-code
+(`gcode.bgcode`).
+"""
 
 from __future__ import annotations
 
+import io
 import os
 import secrets
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from errno import EBUSY, EINVAL
 from pathlib import Path
+from typing import BinaryIO, Protocol
 
-from gcode.errors import GcodeError, UnsupportedGcode
+from gcode import text
+from gcode.archive import open_archive
+from gcode.bgcode import open_bgcode
+from gcode.errors import UnsupportedGcode
+from gcode.gzipped import open_gzip
+from gcode.text import BLOCK, ENDS, Source, check_regular, check_text
 
-ENDS, BLOCK = 1 << 20, 1 << 20  # bytes
+_Open = Callable[[], BinaryIO]  # the file, from its beginning
 
-_FOREIGN = {
-    b"GCDE": "binary G-code; switch 'Supports binary G-code' off in the slicer's printer settings",
-    b"PK\x03\x04": "a zip archive (.3mf, .ufp); export plain G-code instead",
-    b"\x1f\x8b": "compressed by gzip; unpack it first",
+
+class Container(Protocol):
+    """What holds prints."""
+
+    @property
+    def prints(self) -> Mapping[str, Source]:
+        """Plain G-code by its name within the container; "" where it has none."""
+
+    def write(self, file: BinaryIO, texts: Iterable[Iterable[bytes]]) -> None:
+        """The same container with other text for each print, in their order, into an empty file."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Plain:
+    prints: Mapping[str, Source]
+
+    def write(self, file: BinaryIO, texts: Iterable[Iterable[bytes]]) -> None:
+        for lines in texts:
+            file.writelines(lines)
+
+
+@contextmanager
+def _open_plain(reopen: _Open, path: str) -> Iterator[Container]:
+    with reopen() as file:
+        check_text(file.read(ENDS), path)
+        content: Source = file.getvalue() if isinstance(file, io.BytesIO) else Path(file.name)
+    yield _Plain({"": content})
+
+
+_KINDS: dict[bytes, Callable[[_Open, str], AbstractContextManager[Container]]] = {
+    b"\x1f\x8b": open_gzip,
+    b"PK\x03\x04": open_archive,
+    b"PK\x05\x06": open_archive,  # an empty one
+    b"GCDE": open_bgcode,
 }
 
 
-def read_bytes(path: str | Path) -> bytes:
-    """The bytes of a plain-text G-code file; anything else is refused by what it is."""
-    data = Path(path).read_bytes()
-    _check(data, str(path))
-    return data
+@contextmanager
+def opened(source: bytes | Path, path: str = "") -> Iterator[Container]:
+    """A file, or its content, by what its first bytes say it is.
+
+    path : as the user named it, for messages
+    """
+    if isinstance(source, Path):
+        check_regular(source)
+        path = path or str(source)
+
+    def reopen() -> BinaryIO:
+        return io.BytesIO(source) if isinstance(source, bytes) else open(source, "rb")
+
+    with reopen() as file:
+        head = file.read(4)
+    kind = next((kind for magic, kind in _KINDS.items() if head.startswith(magic)), _open_plain)
+    with kind(reopen, path) as container:
+        yield container
 
 
-def ends_of(source: bytes | Path, reach: int = ENDS) -> tuple[bytes, bytes, int]:
-    """The first and the last bytes of a plain-text G-code file, or of its content, and its size."""
-    if isinstance(source, bytes):
-        return source[:reach], source[-reach:], len(source)
-    with open(source, "rb") as file:
-        head = file.read(reach)
-        _check(head, str(source))
-        size = file.seek(0, os.SEEK_END)
-        file.seek(max(size - reach, 0))
-        return head, file.read(), size
+@contextmanager
+def opened_print(source: Source, plate: int | None = None) -> Iterator[Source]:
+    """The plain G-code of a file of any kind. A Text, and bytes, are plain already.
 
-
-def blocks_of(source: bytes | Path, block: int = BLOCK) -> Iterator[bytes]:
-    """A file, or its content, in pieces cut anywhere."""
-    if isinstance(source, bytes):
-        yield from (source[at : at + block] for at in range(0, len(source), block))
+    plate : which one, of an archive that holds several
+    """
+    if not isinstance(source, Path):
+        yield source
         return
-    with open(source, "rb") as file:
-        while piece := file.read(block):
-            yield piece
+    with opened(source) as container:
+        yield container.prints[_chosen(list(container.prints), plate, str(source))]
 
 
-def _check(head: bytes, path: str) -> None:
-    for magic, what in _FOREIGN.items():
-        if head.startswith(magic):
-            raise UnsupportedGcode(f"The file is {what}.", path=path)
-    if not head.strip():
-        raise GcodeError("The file is empty; there is nothing to compensate.", path=path)
+def _chosen(names: list[str], plate: int | None, path: str) -> str:
+    if plate is None and len(names) == 1:
+        return names[0]
+    for name in names:
+        if plate is not None and name.endswith(f"/plate_{plate}.gcode"):
+            return name
+    held = ", ".join(names) if any(names) else "one print, and no plates"
+    asked = "one has to be chosen: --plate N" if plate is None else f"there is no plate {plate}"
+    raise UnsupportedGcode(f"The file holds {held}; {asked}.", path=path)
 
 
-def replace_atomically(path: str | Path, data: Iterable[bytes]) -> None:
-    """Write `data` in place of the file, which holds the old or the new content at every moment.
+def read_bytes(path: str | Path, plate: int | None = None) -> bytes:
+    """The plain G-code of a file of any kind; see `opened_print`."""
+    with opened_print(Path(path), plate) as source:
+        return b"".join(text.blocks(source))
+
+
+def ends_of(source: Source, reach: int = ENDS) -> tuple[bytes, bytes, int]:
+    """The first and the last bytes of the G-code in a file of any kind, and its size; of several prints the first's."""
+    if not isinstance(source, Path):
+        return text.ends(source, reach)
+    with opened(source) as container:
+        return text.ends(next(iter(container.prints.values())), reach)
+
+
+def blocks_of(source: Source, block: int = BLOCK) -> Iterator[bytes]:
+    """The G-code of a file of any kind, in pieces cut anywhere; see `opened_print`."""
+    with opened_print(source) as plain:
+        yield from text.blocks(plain, block)
+
+
+def raw_blocks(path: Path) -> Iterator[bytes]:
+    """The bytes of a file as they are, in pieces cut anywhere."""
+    check_regular(path)
+    with open(path, "rb") as file:
+        yield from text.pieces(file)
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[BinaryIO]:
+    """A new file, which takes the place of `path` at the end: that holds the old or the new content at every moment.
 
     A symbolic link stays one (the file behind it is replaced), permission bits stay, failures leave nothing.
     """
-    target = Path(path).resolve()
-    draft = target.with_name(f".{target.name[:200]}.{secrets.token_hex(4)}.tmp")
+    target = Path(os.path.realpath(path))
+    if target.exists() and not target.is_file():
+        raise OSError(EINVAL, "This is a folder, a pipe or a device; only a file can be written", str(path))
+    draft = target.with_name(f".ffcomp-{secrets.token_hex(8)}.tmp")  # short: the target's own name may be the longest
     try:
-        _write_through(draft, data)
+        with _created(draft, path) as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
         if target.exists():
             shutil.copymode(target, draft)
         os.replace(draft, target)
@@ -72,8 +157,30 @@ def replace_atomically(path: str | Path, data: Iterable[bytes]) -> None:
         draft.unlink(missing_ok=True)
 
 
-def _write_through(path: Path, data: Iterable[bytes]) -> None:
-    with open(path, "xb") as file:
+def _created(draft: Path, path: str | Path) -> BinaryIO:
+    try:
+        return open(draft, "xb")
+    except OSError as error:  # about a name that the user has never heard of
+        raise OSError(error.errno, f"It cannot be written: {error.strerror}", str(path)) from None
+
+
+def unchanged(source: bytes | Path) -> Callable[[], None]:
+    """A check, to be called later, that a file is still what it is now: who reads it meanwhile has read one file."""
+
+    def seen() -> tuple[int, ...]:
+        now = source.stat() if isinstance(source, Path) else None
+        return () if now is None else (now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns)
+
+    before = seen()
+
+    def check() -> None:
+        if seen() != before:
+            raise OSError(EBUSY, "Something else has changed the file meanwhile; it was left as it is now", str(source))
+
+    return check
+
+
+def replace_atomically(path: str | Path, data: Iterable[bytes]) -> None:
+    """Write `data` in place of the file; see `replacing`."""
+    with replacing(path) as file:
         file.writelines(data)
-        file.flush()
-        os.fsync(file.fileno())

@@ -82,14 +82,17 @@ def detect_slicer(lines: list[bytes]) -> str:
     return next((name for name, pattern in _SLICERS.items() if re.search(pattern, head)), "unknown")
 
 
-def open_limits(flavor: str, velocity: float, acceleration: float, corner: float) -> list[bytes]:
-    """Lines that let the firmware follow our segments: mm/s, mm/s², mm/s (right angle); no cruise ratio."""
-    return _WRITERS[flavor](MotionLimits(velocity, acceleration, corner, 0.0))
+def open_limits(flavor: str, velocity: float, acceleration: float, corner: float, axes: str = "XYZ") -> list[bytes]:
+    """Lines that let the firmware follow our segments: mm/s, mm/s², mm/s (right angle); no cruise ratio.
+
+    axes : whose limits are touched, in firmware that has them for each: a lead screw's must stay what they are
+    """
+    return _WRITERS[flavor](MotionLimits(velocity, acceleration, corner, 0.0), axes)
 
 
-def close_limits(flavor: str, limits: MotionLimits) -> list[bytes]:
+def close_limits(flavor: str, limits: MotionLimits, axes: str = "XYZ") -> list[bytes]:
     """Lines that put limits back; what is NaN is not written, for nobody knows it."""
-    return _WRITERS[flavor](limits)
+    return _WRITERS[flavor](limits, axes)
 
 
 def shaper_off(flavor: str) -> list[bytes]:
@@ -114,7 +117,8 @@ def _line(pattern: str, *values: float) -> list[bytes]:
     return [(pattern.format(*(f"{value:.3f}".rstrip("0").rstrip(".") for value in values)) + "\n").encode()]
 
 
-def _klipper(limits: MotionLimits) -> list[bytes]:
+def _klipper(limits: MotionLimits, axes: str) -> list[bytes]:
+    """Klipper's limits are the nozzle's; Z has its own besides, which only the configuration sets."""
     fields = {
         "VELOCITY": limits.velocity,
         "ACCEL": limits.acceleration,
@@ -126,26 +130,31 @@ def _klipper(limits: MotionLimits) -> list[bytes]:
     return _line(pattern, *known.values()) if known else []
 
 
-def _marlin(limits: MotionLimits) -> list[bytes]:
+def _marlin(limits: MotionLimits, axes: str) -> list[bytes]:
     return [
-        *_line("M201 X{0} Y{0} Z{0}", limits.acceleration),
-        *_line("M203 X{0} Y{0} Z{0}", limits.velocity),
+        *_line(_each("M201", axes), limits.acceleration),
+        *_line(_each("M203", axes), limits.velocity),
         *_line("M204 P{0} T{0}", limits.acceleration),
         *_line("M205 X{0} Y{0}", limits.square_corner_velocity),
     ]
 
 
-def _reprapfirmware(limits: MotionLimits) -> list[bytes]:
+def _reprapfirmware(limits: MotionLimits, axes: str) -> list[bytes]:
     """RepRapFirmware states speeds in mm/min."""
     return [
-        *_line("M201 X{0} Y{0} Z{0}", limits.acceleration),
-        *_line("M203 X{0} Y{0} Z{0}", limits.velocity * 60),
+        *_line(_each("M201", axes), limits.acceleration),
+        *_line(_each("M203", axes), limits.velocity * 60),
         *_line("M204 P{0} T{0}", limits.acceleration),
-        *_line("M566 X{0} Y{0} Z{0}", limits.square_corner_velocity * 60),
+        *_line(_each("M566", axes), limits.square_corner_velocity * 60),
     ]
 
 
-_WRITERS: dict[str, Callable[[MotionLimits], list[bytes]]] = {
+def _each(command: str, axes: str) -> str:
+    """The command with the same number for every axis."""
+    return " ".join([command, *(f"{axis}{{0}}" for axis in axes)])
+
+
+_WRITERS: dict[str, Callable[[MotionLimits, str], list[bytes]]] = {
     KLIPPER: _klipper,
     MARLIN: _marlin,
     REPRAPFIRMWARE: _reprapfirmware,

@@ -16,8 +16,8 @@ FloatArray = NDArray[np.float64]
 UNNAMED = "other"
 _LAYER = re.compile(rb";\s*(?:LAYER_CHANGE|CHANGE_LAYER|LAYER:\s*-?\d+|layer \d+)\b", re.IGNORECASE)
 _FEATURE = re.compile(rb";\s*(?:TYPE:|FEATURE:|feature )\s*(.+?)\s*$", re.IGNORECASE)
-_FEW_MOVES = 3.0  # a height with fewer moves than this on average is a place on a slope, not a layer
-_SLOPE_MM = 0.2  # which is then cut into layers of this height
+FEW_MOVES = 3.0  # a height with fewer moves than this on average is a place on a slope, not a layer
+SLOPE_MM = 0.2  # which is then cut into layers of this height
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,12 +37,10 @@ def labels(program: Program) -> Labels:
     layer_at, feature_at = [], [(0, UNNAMED)]
     for event in program.events:
         line = program.lines[event.line]
-        if not line.startswith(b";"):
-            continue
-        if _LAYER.match(line):
+        if begins_layer(line):
             layer_at.append(event.move)
-        elif match := _FEATURE.match(line):
-            feature_at.append((event.move, match[1].decode("utf-8", "replace")))
+        elif name := begins_feature(line):
+            feature_at.append((event.move, name))
     features = tuple(dict.fromkeys(name for _, name in feature_at))
     begins, names = zip(*feature_at, strict=True)
     current = np.searchsorted(np.array(begins), np.arange(moves), side="right") - 1
@@ -51,10 +49,20 @@ def labels(program: Program) -> Labels:
     return Labels(layer, feature, features)
 
 
+def begins_layer(line: bytes) -> bool:
+    """Whether the line is a comment that says so."""
+    return line.startswith(b";") and _LAYER.match(line) is not None
+
+
+def begins_feature(line: bytes) -> str:
+    """The name of what a comment says is printed from here on; empty if it says nothing of it."""
+    match = _FEATURE.match(line) if line.startswith(b";") else None
+    return match[1].decode("utf-8", "replace") if match else ""
+
+
 def layer_starts(program: Program) -> list[int]:
     """The moves before which comments say that a layer begins."""
-    lines = ((event.move, program.lines[event.line]) for event in program.events)
-    return [move for move, line in lines if line.startswith(b";") and _LAYER.match(line)]
+    return [event.move for event in program.events if begins_layer(program.lines[event.line])]
 
 
 def _counted(begins: IntArray, moves: int) -> IntArray:
@@ -69,8 +77,8 @@ def _by_height(program: Program) -> IntArray:
     heights = np.unique(height[extrudes])
     if not heights.size:
         return np.zeros(len(end), dtype=np.int64)
-    if extrudes.sum() < _FEW_MOVES * heights.size:
-        height = np.floor(height / _SLOPE_MM)
+    if extrudes.sum() < FEW_MOVES * heights.size:
+        height = np.floor(height / SLOPE_MM)
         heights = np.unique(height[extrudes])
     known = np.where(extrudes, np.searchsorted(heights, height), -1)
     last = np.maximum.accumulate(np.where(extrudes, np.arange(len(end)), -1))

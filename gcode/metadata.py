@@ -1,10 +1,12 @@
-"""What comments say about the whole print: its time, and that ffcomp has been here."""
+"""What lines say about the whole print: how long it takes, how much of it is left, and that ffcomp has been here."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from enum import Enum
+from math import floor
 
 # -- the stamp --
 
@@ -35,72 +37,194 @@ def find_stamp(head: bytes, tail: bytes) -> Stamp | None:
 
 # -- the time --
 
+TIME_WAS = b"; ffcomp was "  # before a line whose time is ours now: the original's
+
+
+class Tells(Enum):
+    """Which time a line tells."""
+
+    TOTAL = "of the whole print"
+    FIRST_LAYER = "of the first layer"
+    ELAPSED = "from the beginning to this line"
+    LEFT = "from this line to the end (M73)"
+
+
+class Timed(bytes):
+    """A line, and when the print comes to it."""
+
+    at_s: float
+
+    @classmethod
+    def at(cls, line: bytes, at_s: float) -> Timed:
+        timed = cls(line)
+        timed.at_s = at_s
+        return timed
+
+
+@dataclass(frozen=True, slots=True)
+class Durations:
+    """What there is to tell when a print is planned to its end."""
+
+    total_s: float
+    first_layer_s: float | None = None  # None: nothing says where it ends
+
+
 _SHORT_UNITS = {"d": 86400, "h": 3600, "m": 60, "s": 1}
-_LONG_UNITS = {"day": 86400, "hour": 3600, "minute": 60}
 _PART = re.compile(rb"([\d.]+)\s*([dhms])")
 
 
-def _seconds(text: bytes) -> float:
-    """`1h 2m 3s`, `1 hour 2 minutes` or plain seconds, s."""
-    parts = _PART.findall(text)
-    return sum(float(n) * _SHORT_UNITS[unit.decode()] for n, unit in parts) if parts else float(text)
+def _seconds(text: bytes, bare_s: float) -> float:
+    """`1h 2m 3s`, `1 hour 2 minutes` or a bare number, s. Of several times in a row the last one."""
+    last = text.rpartition(b":")[2]
+    parts = _PART.findall(last)
+    return sum(float(n) * _SHORT_UNITS[unit.decode()] for n, unit in parts) if parts else bare_s * float(last)
 
 
-def _counts(seconds: float, units: dict[str, int]) -> list[tuple[int, str]]:
-    """How many of each unit, largest first, those that are zero left out."""
-    left, counts = round(seconds / min(units.values())) * min(units.values()), []
-    for unit, unit_s in units.items():
-        counts.append((left // unit_s, unit))
+def _counts(seconds: float, units: tuple[int, ...]) -> list[int]:
+    """How many of each unit, largest first."""
+    left, counts = max(floor(seconds / units[-1] + 0.5), 0) * units[-1], []
+    for unit_s in units:
+        counts.append(left // unit_s)
         left %= unit_s
-    return [(n, unit) for n, unit in counts if n]
+    return counts
 
 
-def _short(seconds: float) -> str:
-    return " ".join(f"{n}{unit}" for n, unit in _counts(seconds, _SHORT_UNITS)) or "0s"
+def short(seconds: float) -> str:
+    """`1d 0h 2m 3s`, from the largest unit that is not zero."""
+    named = [f"{n}{unit}" for n, unit in zip(_counts(seconds, (86400, 3600, 60, 1)), "dhms", strict=True)]
+    first = next((k for k, text in enumerate(named[:-1]) if not text.startswith("0")), len(named) - 1)
+    return " ".join(named[first:])
 
 
-def _long(seconds: float) -> str:
-    return " ".join(f"{n} {unit}{'s' * (n > 1)}" for n, unit in _counts(seconds, _LONG_UNITS)) or "0 minutes"
+def _words(seconds: float) -> str:
+    """Hours, minutes and their plural are always there: readers look for just this."""
+    hours, minutes = _counts(seconds, (3600, 60))
+    return f"{hours} hour{'s' * (hours != 1)} {minutes} minutes"
 
 
 def _whole(seconds: float) -> str:
-    return str(round(seconds))
+    return str(floor(seconds + 0.5))
 
 
-_DURATION = rb"((?:\d+d ?)?(?:\d+h ?)?(?:\d+m ?)?(?:[\d.]+s)?)"
-_TIMES: list[tuple[re.Pattern[bytes], Callable[[float], str]]] = [  # the print's time stands in group 2
-    (
-        re.compile(rb"(; estimated printing time \((?:normal|silent) mode\) = )" + _DURATION + rb"(\s*)"),
-        _short,
+def _model_and_total(seconds: float) -> str:
+    return f"{short(seconds)}; total estimated time: {short(seconds)}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Form:
+    """How somebody writes a time: group 1 of the pattern, the time, group 3."""
+
+    pattern: re.Pattern[bytes]
+    tells: Tells
+    spell: Callable[[float], str]
+    bare_s: float  # what a number without unit counts
+
+
+def _form(
+    begins: bytes,
+    time: bytes,
+    tells: Tells,
+    spell: Callable[[float], str],
+    rest: bytes = rb"\s*",
+    bare_s: float = 1.0,
+) -> _Form:
+    return _Form(re.compile(b"(" + begins + b")(" + time + b")(" + rest + b")", re.DOTALL), tells, spell, bare_s)
+
+
+_DURATION = rb"(?=\d)(?:\d+d ?)?(?:\d+h ?)?(?:\d+m ?)?(?:[\d.]+s)?"
+_MODE = rb"(?: \([^)]*\))? = "
+_FORMS = (
+    _form(rb"; estimated printing time" + _MODE, _DURATION, Tells.TOTAL, short),  # PrusaSlicer, OrcaSlicer, Slic3r
+    _form(rb"; estimated first layer printing time" + _MODE, _DURATION, Tells.FIRST_LAYER, short),
+    _form(  # BambuStudio, OrcaSlicer
+        rb"; model printing time: ",
+        _DURATION + rb"; total estimated time: " + _DURATION,
+        Tells.TOTAL,
+        _model_and_total,
     ),
-    (re.compile(rb"(;.*total estimated time: )" + _DURATION + rb"(\s*)"), _short),
-    (re.compile(rb"(;TIME:)(\d+)(\s*)"), _whole),
-    (re.compile(rb"(;Print Time: )(\d+)(\s*)"), _whole),
-    (re.compile(rb"(;   Build time: )([\w ]+?)(\s*)"), _long),
-]
-_PROGRESS = re.compile(rb"(M73 .*?\b[RS])(\d+)(.*)", re.DOTALL)  # minutes left; S: silent mode
+    _form(rb"; total estimated time: ", _DURATION, Tells.TOTAL, short),
+    _form(rb";TIME:", rb"\d+(?:\.\d+)?", Tells.TOTAL, _whole),  # Cura
+    _form(rb";TIME_ELAPSED:", rb"\d+(?:\.\d+)?", Tells.ELAPSED, "{:.6f}".format),
+    _form(rb";PRINT\.TIME:", rb"\d+", Tells.TOTAL, _whole),  # Cura for UltiMaker
+    _form(rb";Print Time: ", rb"\d+", Tells.TOTAL, _whole),  # ideaMaker
+    _form(rb";   Build [Tt]ime: ", rb"\d[\w ]*?", Tells.TOTAL, _words),  # Simplify3D 4 and 5
+    _form(  # KISSlicer
+        rb"; (?:Estimated|Calculated-during-export) Build Time: +",
+        rb"\d+(?:\.\d+)?",
+        Tells.TOTAL,
+        lambda seconds: f"{seconds / 60:.2f}",
+        rb" minutes\s*",
+        60.0,
+    ),
+    _form(rb"; Simulated print time: ", rb"\d+", Tells.TOTAL, _whole),  # RepRapFirmware itself
+    _form(rb"M73 ", rb"[^;*]*?\d[^;*]*?", Tells.LEFT, str, rb"\s*(?:;.*)?"),
+)
+_LIKELY = re.compile(rb"; (?:est|model p|total e|Est|Calc|Sim)|;TIME|;PRINT|;Print|;   Build|M73 ")
+
+
+def _found(line: bytes) -> tuple[_Form, re.Match[bytes]] | None:
+    if _LIKELY.match(line):
+        for form in _FORMS:
+            if match := form.pattern.fullmatch(line):
+                return form, match
+    return None
+
+
+def tells(line: bytes) -> Tells | None:
+    """Which time a line tells; None for nearly all lines."""
+    found = _found(line)
+    return found[0].tells if found else None
 
 
 def slicer_time_s(lines: Iterable[bytes]) -> float | None:
     """The print time as the slicer states it, s; None when it does not."""
     for line in lines:
-        if line.startswith(b";") and (match := _time(line)):
-            return _seconds(match[0].group(2))
+        if (found := _found(line)) and found[0].tells is Tells.TOTAL:
+            return _seconds(found[1][2], found[0].bare_s)
     return None
 
 
-def scale_time(line: bytes, ratio: float) -> bytes:
-    """The line for a print that takes `ratio` times as long; other lines come back as they are."""
-    if line.startswith(b";") and (found := _time(line)):
-        match, spell = found
-        return match.group(1) + spell(_seconds(match.group(2)) * ratio).encode() + match.group(3)
-    if left := _PROGRESS.fullmatch(line):
-        return left.group(1) + b"%d" % round(int(left.group(2)) * ratio) + left.group(3)
-    return line
+def time_told(line: bytes) -> bytes:
+    """The time in a line that tells one, as it is written there."""
+    found = _found(line)
+    return found[1][2] if found else b""
 
 
-def _time(line: bytes) -> tuple[re.Match[bytes], Callable[[float], str]] | None:
-    for pattern, spell in _TIMES:
-        if (match := pattern.fullmatch(line)) and match.group(2):
-            return match, spell
-    return None
+def with_time(line: bytes, told: bytes) -> bytes:
+    """The same line with another time; a line that tells none comes back as it is."""
+    found = _found(line)
+    return found[1][1] + told + found[1][3] if found else line
+
+
+def retold(line: Timed, durations: Durations) -> bytes:
+    """The line with the time as it is now. What is not known stays."""
+    found = _found(line)
+    if found is None:
+        return line
+    form, match = found
+    if form.tells is Tells.LEFT:
+        return with_time(line, _progress(match[2], line.at_s, durations.total_s))
+    known = {
+        Tells.TOTAL: durations.total_s,
+        Tells.FIRST_LAYER: durations.first_layer_s,
+        Tells.ELAPSED: line.at_s,
+    }
+    seconds = known[form.tells]
+    return line if seconds is None else with_time(line, form.spell(seconds).encode())
+
+
+def _progress(words: bytes, at_s: float, total_s: float) -> bytes:
+    """M73's P and R, percent done and minutes left, and Q and S, the same for a silent mode. All are whole numbers.
+
+    A slicer's own 100 % stays: only its end script may follow.
+    """
+    done = 100 * at_s / total_s if total_s > 0 else 100.0
+    percent = min(floor(done + 1e-6), 100)
+    minutes = floor(max(total_s - at_s, 0.0) / 60 + 0.5)
+    values = {b"P": percent, b"Q": percent, b"R": minutes, b"S": minutes}
+
+    def retell(word: re.Match[bytes]) -> bytes:
+        full = word[1] in b"PQ" and float(word[2]) >= 100
+        return word[1] + b"%d" % (100 if full else values[word[1]])
+
+    return re.sub(rb"([PQRS])(\d+(?:\.\d*)?)", retell, words)

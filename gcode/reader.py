@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from gcode.arcs import ARC_TOLERANCE_MM, Arc, arc_by_centre, arc_by_radius
 from gcode.blocks import PART_BYTES, whole_lines
-from gcode.commands import LIMITS, PASS, PASSING_M_CODES, Effect, apply
+from gcode.commands import LIMITS, PASS, PASSING_M_CODES, STOP, Effect, apply
 from gcode.container import read_bytes
 from gcode.dialects import detect_flavor
 from gcode.errors import GcodeError, UnsupportedGcode
@@ -24,7 +24,7 @@ from gcode.moves import EventTable, MoveTable
 from gcode.plain import STILL_MM2, ByteArray, Cursor, Modes, follow
 from gcode.program import EventKind, Frame, Program
 from gcode.state import DEFAULT_FEED_MM_PER_S, FrameValues, Modal, Vector4
-from gcode.words import Command, commands, shown
+from gcode.words import NUMBERED, Command, commands, shown
 
 MOTIONS = frozenset(("G0", "G1", "G2", "G3"))
 SETTINGS = frozenset(["G17", "G18", "G19", "G20", "G21", "G40", "G49", "G54", "G80", "G90", "G91", "G94"])
@@ -236,6 +236,9 @@ class _Reader:
         if self.lines[at] in self.known_limits and self._limits_as_before(at):
             return
         said = commands(self.lines[at], self._number(at))
+        if NUMBERED.match(self.lines[at]):
+            rule = "a host that checks the numbers stops where moves have been replaced"
+            self._warn("numbers", at, f"the line has a number, and lines of ffcomp have none; {rule}")
         if len(said) > 1:
             self._settings(at, said)
         elif not said:
@@ -293,6 +296,10 @@ class _Reader:
         self._check_words(modal.motion, words, at)
         modal.set_feed(words, self._number(at))
         self._settle()
+        if words.get("H"):  # towards an endstop, or by single motors: only the firmware knows where that ends
+            modal.forget()
+            self._event(at, STOP)
+            return
         end = modal.target(words)
         arc = modal.motion in ("G2", "G3") and not _ARC_WORDS.isdisjoint(words)
         self._travel(at, end, self._arc(modal.motion, words, end, at) if arc else None)

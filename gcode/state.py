@@ -52,6 +52,7 @@ class Modal:
     absolute_e: bool = True
     flow: float = 1.0
     feed_factor: float = 1.0
+    kept_feed_factor: float = 1.0  # M220 B
     feed: float = DEFAULT_FEED_MM_PER_S  # mm/s, feed factor included
     feed_known: bool = False
     plane: str = "XY"

@@ -16,7 +16,7 @@ from gcode.errors import GcodeError
 
 LARGEST_NUMBER = 1e6  # mm: no printer is a kilometre long; beyond it a slip of the slicer is certain
 
-_NUMBERED = re.compile(rb"\s*[Nn]\s*\d+")
+NUMBERED = re.compile(rb"\s*[Nn]\s*\d+")
 _ROUND_COMMENT = re.compile(rb"\([^)]*\)?")
 _LEADING_COMMENTS = re.compile(rb"(?:\s|\([^)]*\)?)*")
 _EXTENDED = re.compile(rb"(@?(?:[A-Za-z_]{2}\w*|[A-Za-z]\w*_\w*))(?!\S)")
@@ -25,7 +25,7 @@ _TOOL = re.compile(rb"[Tt]\s*(-?\d+|\?)(?![\w.])")
 _BARE_WORD = re.compile(rb"[XYZEFIJKRABCUVWxyzefijkrabcuvw]\s*[-+.\d]")
 _WORD = re.compile(rb"\s*([A-Za-z])\s*([-+]?(?:\d+\.?\d*|\.\d+))?")
 _EXPONENT = re.compile(rb"[A-Z]\s*[-+]?[\d.]+e[-+]?\d")
-_FIELD = re.compile(r"([A-Za-z_]\w*)\s*=\s*(\"[^\"]*\"|'[^']*'|\S*)")
+_FIELD = re.compile(r"(?<!\w)([A-Za-z_]\w*+)\s*+=\s*(\"[^\"]*\"|'[^']*'|\S*)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +153,7 @@ def _coded(text: bytes, number: int) -> Command:
 def _without_number(text: bytes, number: int) -> bytes:
     """Take off `N12` and `*71`; a checksum that does not fit is an error, for a host would refuse it."""
     text = text.lstrip(b"\xef\xbb\xbf")  # a UTF-8 byte order mark
-    match = _NUMBERED.match(text)
+    match = NUMBERED.match(text)
     if match is None:
         return text
     body, star, stated = text.partition(b"*")

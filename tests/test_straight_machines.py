@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from pathlib import Path
 
@@ -146,7 +147,8 @@ def test_a_rigid_machine_prints_the_plan(tmp_path: Path) -> None:
     wanted = planned.trajectory.position(played.clock.plan_time(t))[:, :3]
     error = contour_error(*path_corners(planned.trajectory), played.clock.plan_time(t), played.position(t))
     assert np.sqrt(np.mean(error**2)) < 2e-3
-    assert np.abs(wanted - played.position(t)).max() < 0.05
+    # Z by itself plans at the lead screw's limit: the host leaves it no room to keep time, and it comes a little late
+    assert np.abs(wanted - played.position(t))[:, :2].max() < 0.05
 
 
 def test_motors_of_a_corexy_are_held_to_their_limits(tmp_path: Path) -> None:
@@ -161,6 +163,15 @@ def test_motors_of_a_corexy_are_held_to_their_limits(tmp_path: Path) -> None:
     source.write_bytes(b"G1 X0 Y0 Z1 F6000\nG1 X60 Y60 F12000\nG1 X0 Y60\nG1 X60 Y0\n")
     done = compensate_file(source, source.name, machine, Options(), tmp_path / "out.gcode")
     assert any("velocity" in warning for warning in done["warnings"])
+
+
+@pytest.mark.parametrize("flavor", ["marlin", "reprapfirmware"])
+def test_the_limits_of_a_lead_screw_are_never_raised(corexy: Machine, flavor: str) -> None:
+    planned = plan_program(read_program(print_text(1), flavor=flavor), corexy)
+    text = ours.compensated(planned, corexy, Inverter(corexy, settings_for(corexy)), flavor).text
+    limits = re.findall(rb"^(?:M201|M203|M566) .*; ffcomp", text, re.MULTILINE)
+    assert limits
+    assert not any(b"Z" in line for line in limits)
 
 
 def test_steps_of_a_corexy_are_those_of_its_two_motors(tmp_path: Path) -> None:

@@ -14,7 +14,8 @@ from ffcomp.invert.inverter import Inverter
 from ffcomp.job import Job
 from ffcomp.pipeline import firmware_limits, plan_program, settings_for
 from ffcomp.plan.lookahead import plan_moves, stops_and_waits
-from ffcomp.writer import OURS, WAS, original
+from ffcomp.writer import OURS, TIME_WAS, WAS, original
+from gcode.metadata import tells
 from gcode.program import Program
 from gcode.reader import read_program
 from models.machine import Machine
@@ -39,10 +40,11 @@ def compensated(data: bytes, **options: object) -> bytes:
 
 
 def others(data: bytes) -> list[bytes]:
-    """The lines that are neither moves nor ours, in order."""
+    """The lines that are neither moves nor ours nor tell a time, in order."""
     lines = data.splitlines(keepends=True)
-    ours = (b"; Processed by ffcomp", b"; ffcomp offset_mm=", WAS)
-    return [a for a in lines if not MOVE.match(a) and not a.startswith(ours) and not a.rstrip().endswith(OURS)]
+    ours = (b"; Processed by ffcomp", b"; ffcomp offset_mm=", WAS, TIME_WAS)
+    same = [a for a in lines if not MOVE.match(a) and not a.startswith(ours) and not a.rstrip().endswith(OURS)]
+    return [a for a in same if tells(a) is None]
 
 
 def ends(program: Program) -> np.ndarray:

@@ -3,27 +3,48 @@
 from __future__ import annotations
 
 import os
-from typing import Annotated
+import signal
+import sys
+from types import FrameType
+from typing import Annotated, Any
 
 # Our matrices are small: threads of the linear algebra library cost twice what they save. Before numpy is imported.
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
 import typer  # noqa: E402
+from typer.core import TyperGroup  # noqa: E402
 
 from ffcomp import __version__  # noqa: E402
 from ffcomp.cli.compare import compare  # noqa: E402
 from ffcomp.cli.compensate import compensate  # noqa: E402
 from ffcomp.cli.diagnose import diagnose  # noqa: E402
+from ffcomp.cli.estimate import estimate  # noqa: E402
 from ffcomp.cli.frf import frf  # noqa: E402
 from ffcomp.cli.gap import gap  # noqa: E402
 from ffcomp.cli.identify import app as identify  # noqa: E402
+from ffcomp.cli.integrations import app as integrations  # noqa: E402
+from ffcomp.cli.log import log_path, logged, note  # noqa: E402
 from ffcomp.cli.machines import app as machines  # noqa: E402
 from ffcomp.cli.restore import restore  # noqa: E402
 from ffcomp.cli.show import show  # noqa: E402
 from ffcomp.cli.simulate import simulate  # noqa: E402
 
+
+class _Verbs(TyperGroup):
+    """Notes wrong usage in the log; Typer only prints it."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except Exception as error:
+            if usage := getattr(error, "format_message", None):
+                note(usage())
+            raise
+
+
 app = typer.Typer(
+    cls=_Verbs,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="Compensate a printer's vibration in its G-code, before it is printed.\n\n"
@@ -32,6 +53,7 @@ app = typer.Typer(
 )
 app.command()(compensate)
 app.command()(show)
+app.command()(estimate)
 app.command()(restore)
 app.command()(compare)
 app.command()(simulate)
@@ -40,6 +62,7 @@ app.command()(gap)
 app.command()(diagnose)
 app.add_typer(identify, name="identify")
 app.add_typer(machines, name="machines")
+app.add_typer(integrations, name="integrations")
 
 
 def _version(asked: bool) -> None:
@@ -48,15 +71,40 @@ def _version(asked: bool) -> None:
         raise typer.Exit
 
 
+def _log_path(asked: bool) -> None:
+    if asked:
+        print(log_path() or "FFCOMP_LOG is off: no log is written.")
+        raise typer.Exit
+
+
 @app.callback()
 def options(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Say it and stop.")
     ] = False,
+    log: Annotated[
+        bool,
+        typer.Option("--log-path", callback=_log_path, is_eager=True, help="Say where every run is logged, and stop."),
+    ] = False,
 ) -> None:
     """Options that stand before the verb."""
 
 
+def _terminate(number: int, frame: FrameType | None) -> None:
+    """A slicer's or a host's way to cancel: what is half written is cleared away, as for an interrupt."""
+    raise SystemExit(128 + number)
+
+
+def _open_streams() -> None:
+    """Where the caller has left an output closed: it goes nowhere, and no file of ours is taken for it."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 (as long as the process)
+
+
 def main() -> None:
     """The console script."""
-    app()
+    _open_streams()
+    signal.signal(signal.SIGTERM, _terminate)
+    with logged(sys.argv[1:]):
+        app()

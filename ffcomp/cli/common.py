@@ -1,4 +1,7 @@
-"""What the verbs share: errors become sentences on stderr and exit codes, progress goes to stderr."""
+"""What the verbs share: errors become sentences on stderr and exit codes, progress goes to stderr.
+
+What is said goes into the log as well (`ffcomp.cli.log`), but for progress.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import TracebackType
 from typing import Any
+
+from ffcomp.cli.log import note
 
 
 @contextmanager
@@ -29,23 +34,27 @@ def exit_codes() -> Iterator[None]:
         fail(str(error), 5)
     except KeyboardInterrupt:
         fail("Interrupted; no file was changed.", 130)
+    except BrokenPipeError:  # who reads our output has seen enough (`| head`): end as other tools do
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(141) from None
     except OSError as error:
         fail(f"{error.filename or 'A file'}: {error.strerror or error}.", 2)
 
 
 def fail(sentence: str, code: int) -> None:
-    print(f"ffcomp: {sentence}", file=sys.stderr)
+    say(f"ffcomp: {sentence}")
     raise SystemExit(code)
 
 
 def say(sentence: str, quiet: bool = False) -> None:
     """A message: never on stdout, which is for results."""
+    note(sentence)
     if not quiet:
         print(sentence, file=sys.stderr)
 
 
 def print_json(result: dict[str, Any]) -> None:
-    print(json.dumps(result, ensure_ascii=False))
+    print(json.dumps(result, ensure_ascii=False), flush=True)
 
 
 class Progress:

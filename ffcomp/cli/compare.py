@@ -70,6 +70,7 @@ Flavor = Annotated[str, typer.Option(help="klipper, marlin or reprapfirmware; by
 Rate = Annotated[
     float, typer.Option("--max-segments-per-second", min=125.0, max=500.0, help="As in ffcomp compensate.")
 ]
+Plate = Annotated[int | None, typer.Option(help="Which plate of a .gcode.3mf that holds several; from 1.", min=1)]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout (ffcomp-compare/1).")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no table.")]
 
@@ -89,6 +90,7 @@ def compare(
     offset_mm: Offset = "0,0",
     flavor: Flavor = "",
     max_segments_per_second: Rate = 250.0,
+    plate: Plate = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -105,7 +107,7 @@ def compare(
     request = _request(mismatch, seeds, _sampling(layers, sample), quality_um, only)
     with _threads_die_with_us(), exit_codes():
         _check_targets(report, figures)
-        found = _compare(file, machine, plant, request, offset_mm, flavor, max_segments_per_second, quiet)
+        found = _compare(file, machine, plant, request, offset_mm, flavor, max_segments_per_second, plate, quiet)
         written = _write(found, report, figures)
         if as_json:
             from ffcomp.compare.answer import as_json as answer
@@ -181,7 +183,15 @@ def _check_targets(report: Path | None, figures: Path | None) -> None:
 
 
 def _compare(
-    file: Path, machine: str, plant: str, request: Request, offset: str, flavor: str, rate: float, quiet: bool
+    file: Path,
+    machine: str,
+    plant: str,
+    request: Request,
+    offset: str,
+    flavor: str,
+    rate: float,
+    plate: int | None,
+    quiet: bool,
 ) -> Comparison:
     from ffcomp.cli.common import Progress, say
     from ffcomp.cli.compensate import parsed_offset
@@ -192,7 +202,7 @@ def _compare(
     from gcode.container import read_bytes
     from models.machine_file import load_machine
 
-    data, believed, shift = read_bytes(file), load_machine(machine), parsed_offset(offset)
+    data, believed, shift = read_bytes(file, plate), load_machine(machine), parsed_offset(offset)
     true = load_machine(plant) if plant else None
     if already_processed(data) is not None:
         say(f"ffcomp: {file} is compensated already: what is compared is the original that it holds.", quiet)

@@ -1,7 +1,8 @@
-"""`ffcomp compensate`: the main job."""
+"""`ffcomp compensate`: the main job, by hand or as a slicer's post-processing script."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -17,10 +18,19 @@ if TYPE_CHECKING:
 
 Printed = Annotated[
     list[Path],
-    typer.Argument(help="Sliced prints; changed in place unless -o or --output-dir is given.", metavar="FILE…"),
+    typer.Argument(
+        help="Sliced prints: G-code, also in .gz, .gcode.3mf or .bgcode; changed in place without -o or --output-dir.",
+        metavar="FILE…",
+    ),
 ]
 MachineName = Annotated[
-    str, typer.Option("--machine", "-m", help="A machine's name (see: ffcomp machines list) or the path of its file.")
+    str,
+    typer.Option(
+        "--machine",
+        "-m",
+        envvar="FFCOMP_MACHINE",
+        help="A machine's name (see: ffcomp machines list) or the path of its file.",
+    ),
 ]
 Output = Annotated[Path | None, typer.Option("--output-file", "-o", help="Write here; the input stays as it is.")]
 OutputDir = Annotated[
@@ -42,7 +52,8 @@ Offset = Annotated[
     typer.Option(
         "--offset-mm",
         metavar="X,Y",
-        help="Added to every position: for a print made for a bed with its origin in a corner, e.g. -110,-110.",
+        help="Added to every position: for a print made for a bed with its origin in a corner, e.g. -110,-110; auto: "
+        "middle of the slicer's bed to middle of the machine's, where they differ by more than a quarter.",
     ),
 ]
 Flavor = Annotated[str, typer.Option(help="klipper, marlin or reprapfirmware; by default the file says it.")]
@@ -143,9 +154,12 @@ def compensate(
     The print is planned as the firmware plans it, turned into carriage paths, and inverted through the machine's
     vibration model. What is not a move passes through byte for byte.
 
+    As a slicer's post-processing script: the full path of ffcomp, then: compensate --machine NAME (the slicer adds the
+    file). See: ffcomp integrations. Every run is logged: ffcomp --log-path.
+
     Example: ffcomp compensate sample_prints/ringing_tower.gcode --machine mp-delta-pro -o out.gcode
     """
-    from ffcomp.cli.common import exit_codes, print_json
+    from ffcomp.cli.common import exit_codes, print_json, say
 
     with exit_codes():
         _check_choice("--output", output, OUTPUTS)
@@ -153,13 +167,16 @@ def compensate(
         _check_choice("--solver", solver, SOLVERS)
         if inverse == "none" and output == "gcode":
             raise typer.BadParameter("--inverse none leaves the G-code as it is; it is for --output steps.")
-        offset = parsed_offset(offset_mm)
+        offset = (0.0, 0.0) if offset_mm == "auto" else parsed_offset(offset_mm)
         targets = _targets(files, output_file, output_dir, dry_run, ".npz" if output != "gcode" else "")
 
         from ffcomp.outcome import Options
         from models.machine_file import load_machine
 
         known = load_machine(machine)
+        offset, advice = _advised(known, files, offset, offset_mm == "auto")
+        for sentence in advice:
+            say(f"ffcomp: {sentence}", quiet)
         options = Options(
             offset=offset,
             flavor=flavor,
@@ -178,7 +195,7 @@ def compensate(
             force=force,
             steps=_steps(known, output, inverse == "none", extruder_steps_per_mm),
         )
-        order = _Order(files, targets, known, options, jobs, scheduler, quiet)
+        order = _Order(files, targets, known, options, jobs, scheduler, quiet, advice)
         outcomes = [] if len(files) == 1 else _compensate_all(order)
         result = _answer(outcomes) if outcomes else _compensate_one(order)
         if as_json:
@@ -199,6 +216,25 @@ class _Order:
     jobs: int
     scheduler: str
     quiet: bool
+    advice: list[str]  # said before the work begins
+
+
+def _advised(
+    machine: Machine, files: list[Path], offset: tuple[float, float], auto: bool
+) -> tuple[tuple[float, float], list[str]]:
+    """The offset to be used, and what the slicer's settings give reason to say."""
+    from ffcomp.integrations.slicer import auto_sentence, bed_of, bed_warning, call_warnings, offset_for, read_call
+
+    call = read_call(os.environ)
+    told = call_warnings(call)
+    bed = call.bed or (bed_of(files[0]) if len(files) == 1 else None)  # several may be for several beds
+    if bed is None:
+        if auto:
+            raise typer.BadParameter("--offset-mm auto: neither the slicer nor a single file says what the bed is.")
+        return offset, told
+    if auto:
+        return offset_for(bed, machine.kinematics.centre_mm), [*told, auto_sentence(bed, machine)]
+    return offset, told + bed_warning(bed, machine, offset)
 
 
 def parsed_offset(text: str) -> tuple[float, float]:
@@ -260,22 +296,29 @@ def _settings(machine: Machine, rate: float, **changes: Any) -> Settings:
 
 
 def _compensate_one(order: _Order) -> dict[str, Any]:
-    """The JSON object of a single file; the processes work at its chapters."""
+    """The JSON object of a single file; the processes work at its chapters.
+
+    A slicer's file has a name that the user never sees: messages name the output instead.
+    """
     from ffcomp.batch import size_of, workers
     from ffcomp.cli.common import Progress, say
+    from ffcomp.cli.compensate_report import report
     from ffcomp.outcome import compensate_file
     from gcode.blocks import PART_BYTES
 
     (file,), (target,), quiet = order.files, order.targets, order.quiet
+    name = os.environ.get("SLIC3R_PP_OUTPUT_NAME") or str(file)
     chapters = max(size_of(file) // PART_BYTES, 1)
     with workers(min(order.jobs, chapters), order.scheduler) as at_once, Progress(1.0, quiet) as progress:
-        result = compensate_file(file, str(file), order.machine, order.options, target, jobs=at_once, progress=progress)
+        result = compensate_file(file, name, order.machine, order.options, target, jobs=at_once, progress=progress)
+    result["input"] = str(file)
     if "already" in result:
         say(result["already"], quiet)
-        return result
+        return {**result, "output": str(file)}
     for warning in result["warnings"]:
         say(f"ffcomp: {warning}", quiet)
-    _report(result, quiet)
+    result["warnings"] = [*order.advice, *result["warnings"]]
+    report(result, quiet)
     return result
 
 
@@ -283,6 +326,7 @@ def _compensate_all(order: _Order) -> list[Outcome]:
     """What became of each, in the order given."""
     from ffcomp.batch import compensate_files, size_of
     from ffcomp.cli.common import Progress, fail
+    from ffcomp.cli.compensate_report import report_all
 
     files = order.files
     outcomes: list[Outcome] = []
@@ -302,7 +346,7 @@ def _compensate_all(order: _Order) -> list[Outcome]:
         except KeyboardInterrupt:
             fail(f"Interrupted; {len(outcomes)} of {len(files)} files are done, the others as they were.", 130)
     outcomes.sort(key=lambda outcome: outcome.number)
-    _report_all(outcomes, order.quiet)
+    report_all(outcomes, order.quiet)
     return outcomes
 
 
@@ -318,78 +362,3 @@ def _result(outcome: Outcome) -> dict[str, Any]:
     if failure is None:
         return outcome.result
     return {"input": str(outcome.file), "error": failure.sentence, "exit_code": failure.exit_code}
-
-
-def _report_all(outcomes: list[Outcome], quiet: bool) -> None:
-    """A table on stderr, and what failed; quietly only the latter."""
-    from ffcomp.cli.common import say
-
-    if not quiet:
-        from rich.console import Console
-        from rich.table import Column, Table
-
-        for warning, files in _warnings(outcomes).items():
-            say(f"ffcomp: {files[0] if len(files) == 1 else f'{len(files)} files'}: {warning}")
-        table = Table(Column("file", overflow="fold"), "print time", "contour rms", "seconds")
-        for outcome in outcomes:
-            table.add_row(str(outcome.file), *_cells(outcome))
-        Console(stderr=True).print(table)
-    for outcome in outcomes:
-        if outcome.failure is not None:
-            say(f"{outcome.failure.trace}ffcomp: {outcome.failure.sentence}")
-
-
-def _warnings(outcomes: list[Outcome]) -> dict[str, list[Path]]:
-    """Each once, with the files that it is about."""
-    found: dict[str, list[Path]] = {}
-    for outcome in outcomes:
-        for warning in outcome.result.get("warnings", ()):
-            found.setdefault(warning, []).append(outcome.file)
-    return found
-
-
-def _cells(outcome: Outcome) -> tuple[str, ...]:
-    """Print time and predicted error before → after, and what it took."""
-    result = outcome.result
-    if outcome.failure is not None:
-        return "failed: see below", "", ""
-    if "already" in result:
-        return "already processed", "", ""
-    time = f"{result['original_print_time_s']:.1f} → {result['print_time_s']:.1f} s"
-    rms = [f"{track['contour_rms_um']:.1f}" for track in result["predicted"].values()]
-    return time, f"{' → '.join(rms)} µm" if rms else "", f"{outcome.seconds:.1f}"
-
-
-def _report(result: dict[str, Any], quiet: bool) -> None:
-    """The predicted gain and the cost, on stderr."""
-    if quiet:
-        return
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(stderr=True)
-    table = Table("", "tracking rms", "without delay", "contour rms", "contour p99", "peak command")
-    for name, track in result["predicted"].items():
-        table.add_row(
-            name,
-            f"{track['tracking_rms_um']:.1f} µm",
-            f"{track['tracking_rms_no_delay_um']:.1f} µm",
-            f"{track['contour_rms_um']:.2f} µm",
-            f"{track['contour_p99_um']:.1f} µm",
-            f"{track['peak_command_acceleration_mm_per_s2'] / 1e3:.1f} m/s²",
-        )
-    if result["predicted"]:
-        console.print(table)
-    speed = result["print_time_s"] / max(result["compute_time_s"], 1e-9)
-    console.print(
-        f"{result['moves']} moves, {result['print_time_s']:.1f} s of print "
-        f"(was {result['original_print_time_s']:.1f} s) in {result['segments']} segments; "
-        f"{result['compute_time_s']:.1f} s, {speed:.0f} times faster than printing.",
-        highlight=False,
-    )
-    if "steps" in result:
-        told = ", ".join(f"{motor.upper()} {total['steps']}" for motor, total in result["steps"].items())
-        console.print(f"Steps: {told}.", highlight=False)
-    if result["output"] is not None:
-        verb = "ffcomp simulate" if "steps" in result else "ffcomp show"
-        console.print(f"Look at it: {verb} {result['output']}", highlight=False)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from gcode.container import Container
 
 
 def restore(
@@ -13,15 +17,30 @@ def restore(
     output_file: Annotated[Path | None, typer.Option("--output-file", "-o", help="Write here instead.")] = None,
 ) -> None:
     """Undo a compensation: every line of the original is still in the file."""
-    from ffcomp.cli.common import exit_codes, fail, say
+    from ffcomp.cli.common import exit_codes, say
 
     with exit_codes():
-        from ffcomp.job import already_processed
-        from ffcomp.writer import original_lines
-        from gcode.container import read_bytes, replace_atomically
+        from gcode.container import opened, replacing, unchanged
 
-        data = read_bytes(file)
-        if already_processed(data) is None:
-            fail(f"{file}: not compensated by ffcomp; nothing to restore.", 3)
-        replace_atomically(output_file or file, original_lines(data.splitlines(keepends=True)))
+        still_the_same = unchanged(file)
+        with opened(file) as container:
+            texts = _originals(container, file)
+            with replacing(output_file or file) as target:
+                container.write(target, texts)
+                still_the_same()
         say(f"ffcomp: the original is in {output_file or file}.")
+
+
+def _originals(container: Container, file: Path) -> list[Iterator[bytes]]:
+    """Each print as it was."""
+    from ffcomp.errors import NothingToDo
+    from ffcomp.writer import original_blocks
+    from gcode.container import blocks_of, ends_of
+    from gcode.metadata import find_stamp
+
+    prints = container.prints.values()
+    stamped = [find_stamp(*ends_of(text)[:2]) is not None for text in prints]
+    if not any(stamped):
+        raise NothingToDo(f"{file}: not compensated by ffcomp; nothing to restore.")
+    found = zip(prints, stamped, strict=True)
+    return [original_blocks(blocks_of(text)) if ours else blocks_of(text) for text, ours in found]

@@ -17,6 +17,9 @@ def show(
         str, typer.Option("--machine", "-m", help="A machine's name or file; default: the one in the file's stamp.")
     ] = "",
     z_mm: Annotated[float | None, typer.Option(help="The layer to show; default: where it shakes most.")] = None,
+    plate: Annotated[
+        int | None, typer.Option(help="Which plate of a .gcode.3mf that holds several; from 1.", min=1)
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
     """Draw what was wanted, what the machine would have done, and what it will do now.
@@ -28,7 +31,7 @@ def show(
     from ffcomp.cli.common import exit_codes, print_json
 
     with exit_codes():
-        result = _show(file, output_file or file.with_name(file.name + ".png"), machine, z_mm)
+        result = _show(file, output_file or file.with_name(file.name + ".png"), machine, z_mm, plate)
         if as_json:
             print_json(result)
         else:
@@ -36,7 +39,7 @@ def show(
             print(result["picture"])
 
 
-def _show(file: Path, picture: Path, machine_name: str, z_mm: float | None) -> dict[str, Any]:
+def _show(file: Path, picture: Path, machine_name: str, z_mm: float | None, plate: int | None) -> dict[str, Any]:
     from dataclasses import asdict
 
     from ffcomp import __version__
@@ -47,7 +50,7 @@ def _show(file: Path, picture: Path, machine_name: str, z_mm: float | None) -> d
     from gcode.container import read_bytes
     from models.machine_file import find_by_sha256, load_machine
 
-    data = read_bytes(file)
+    data = read_bytes(file, plate)
     stamp = already_processed(data)
     if stamp is None:
         raise NothingToDo(f"{file}: not compensated by ffcomp; first: ffcomp compensate {file} --machine NAME.")

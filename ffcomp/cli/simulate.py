@@ -38,6 +38,7 @@ Offset = Annotated[
     str, typer.Option("--offset-mm", metavar="X,Y", help="Added to every position, as in ffcomp compensate.")
 ]
 Flavor = Annotated[str, typer.Option(help="klipper, marlin or reprapfirmware; by default the file says it.")]
+Plate = Annotated[int | None, typer.Option(help="Which plate of a .gcode.3mf that holds several; from 1.", min=1)]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout (ffcomp-simulate/1).")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no messages but errors.")]
 
@@ -54,6 +55,7 @@ def simulate(
     gravity: Gravity = True,
     offset_mm: Offset = "0,0",
     flavor: Flavor = "",
+    plate: Plate = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -69,7 +71,7 @@ def simulate(
     with exit_codes():
         request = _request(rate, from_s, to_s, gravity, signals)
         _check_target(file, output_file)
-        result = _simulate(file, machine, plant, output_file, request, offset_mm, flavor, quiet)
+        result = _simulate(file, machine, plant, output_file, request, offset_mm, flavor, plate, quiet)
         if as_json:
             print_json(result)
         elif not quiet:
@@ -104,6 +106,7 @@ def _simulate(
     request: Request,
     offset: str,
     flavor: str,
+    plate: int | None,
     quiet: bool,
 ) -> dict[str, Any]:
     from ffcomp.cli.common import Progress, say
@@ -113,7 +116,7 @@ def _simulate(
 
     machine = load_machine(machine_name)
     plant = load_machine(plant_name) if plant_name else machine
-    command, warnings = read_command(file, machine, parsed_offset(offset), flavor)
+    command, warnings = read_command(file, machine, parsed_offset(offset), flavor, plate)
     for warning in warnings:
         say(f"ffcomp: {warning}", quiet)
     parts = command.between(request.from_s, request.to_s)

@@ -119,10 +119,11 @@ class Print:
         wanted = min(LONGEST_S, seconds) if sampling.share is None else sampling.share * seconds
         wanted = min(wanted, at_most_s)
         what = "the whole print" if whole else _layers_named(sampling)
-        if wanted >= seconds - piece_s / 2:
+        cuts = [] if wanted >= seconds - piece_s / 2 else list(self._pieces(first, last, wanted, piece_s))
+        if not cuts:  # all is asked for, or it is a single arc, which is not cut
             found = [self._whole()] if whole else [self._part(first, last)]
             return found, f"{what[0].upper()}{what[1:]} was judged, {seconds:.0f} s."
-        found = [self._part(a, b) for a, b in self._pieces(first, last, wanted, piece_s)]
+        found = [self._part(a, b) for a, b in cuts]
         judged = sum(each.trajectory.end_t for each in found)
         told = f"{len(found)} stretches of some {judged / len(found):.0f} s, spread evenly over {what}"
         if len(found) == 1:

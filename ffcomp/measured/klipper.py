@@ -156,7 +156,7 @@ def _capture(
     problems += [text.replace("column t_s", f"column {table.columns[0]}") for text in clock_problems]
     for j, name in enumerate("xyz"):
         problems += broken_sensor(f"acc_{name}", acceleration[:, j], table.row)
-    problems += _implausible(acceleration)
+    problems += _implausible(acceleration) if not problems else []
     if problems or clock is None:
         raise MeasurementError(path, problems)
     on_grid = np.column_stack([clock.on_grid(acceleration[timed, j]) for j in range(3)])

@@ -17,6 +17,8 @@ IntArray = NDArray[np.int64]
 
 _NAMED_MISTAKES = 5  # of one kind; a broken file has thousands, and nobody reads them
 
+_LARGEST = 1e30  # beyond it squares overflow; of whatever unit, nothing that is measured comes near
+
 _NO_TEXT = "the file is not a text file. Save it as CSV with the encoding UTF-8."
 
 
@@ -90,7 +92,7 @@ def rows_of(
     if values.shape[1] != len(columns):
         rule = f"The rows have {values.shape[1]} fields, but the header names {len(columns)} columns."
         raise MeasurementError(str(path), [rule])
-    problems += _infinite(values, row, columns)
+    problems += _endless(values, row, columns)
     return Table(columns, values, row, comments, tuple(problems))
 
 
@@ -116,12 +118,16 @@ def _cell_by_cell(
     return values, problems
 
 
-def _infinite(values: FloatArray, row: IntArray, columns: tuple[str, ...]) -> list[str]:
-    where = np.argwhere(np.isinf(values))
+def _endless(values: FloatArray, row: IntArray, columns: tuple[str, ...]) -> list[str]:
+    where = np.argwhere(np.abs(values) > _LARGEST)
     if not len(where):
         return []
     places = [f"row {row[i]}, column {columns[j]}: {values[i, j]}" for i, j in where]
-    return [f"No sensor measures infinity (leave the field empty where a sample is missing), but {_some(places)}."]
+    if np.isinf(values).any():
+        rule = "No sensor measures infinity (leave the field empty where a sample is missing)"
+    else:
+        rule = f"No sensor measures more than {_LARGEST:g}"
+    return [f"{rule}, but {_some(places)}."]
 
 
 def _some(places: Sequence[str]) -> str:

@@ -58,8 +58,11 @@ def is_step_archive(path: str | Path) -> bool:
     """By content: a zip archive with arrays in it."""
     if not zipfile.is_zipfile(path):
         return False
-    with zipfile.ZipFile(path) as archive:
-        return any(name.endswith(".npy") for name in archive.namelist())
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return any(name.endswith(".npy") for name in archive.namelist())
+    except (zipfile.BadZipFile, ValueError, RuntimeError, OSError):  # whoever reads it otherwise says what is wrong
+        return False
 
 
 def read_steps(path: str | Path) -> dict[str, MotorSteps]:

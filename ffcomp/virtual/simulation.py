@@ -21,6 +21,7 @@ from ffcomp.virtual.same_printer import check_same_kinematics
 from ffcomp.virtual.steps_command import steps_command
 from gcode.container import read_bytes, replace_atomically
 from gcode.errors import GcodeError
+from gcode.text import check_regular
 from models.errors import UnreachableError
 from models.machine import Machine
 
@@ -50,12 +51,20 @@ class Simulated:
 
 
 def read_command(
-    path: str | Path, machine: Machine, offset: tuple[float, float] = (0.0, 0.0), flavor: str = ""
+    path: str | Path,
+    machine: Machine,
+    offset: tuple[float, float] = (0.0, 0.0),
+    flavor: str = "",
+    plate: int | None = None,
 ) -> tuple[Command, list[str]]:
-    """A G-code file or a step archive, told apart by their content, and what was odd about it, in sentences."""
+    """A G-code file or a step archive, told apart by their content, and what was odd about it, in sentences.
+
+    plate : of an archive that holds several prints
+    """
+    check_regular(Path(path))
     if is_step_archive(path):
         return steps_command(read_steps(path), machine, str(path)), []
-    command, program = read_gcode(read_bytes(path), str(path), machine, offset, flavor)
+    command, program = read_gcode(read_bytes(path, plate), str(path), machine, offset, flavor)
     return command, program.warnings
 
 

@@ -302,7 +302,8 @@ def test_naming_an_unknown_place_says_so_until_homing() -> None:
 
 
 def test_another_tool_goes_elsewhere_the_same_does_not() -> None:
-    assert len(read("G1 X1 F60", "T1", "G1 X2", "T1", "G1 X3", "T0", "G1 X4").moves) == 3
+    assert len(read("G1 X1 F60", "T0", "G1 X2", "T0", "G1 X3", "T1", "G1 X4").moves) == 3
+    assert len(read("G1 X1 F60", "T1", "G1 X2").moves) == 1  # firmware begins with T0
 
 
 def test_dwells() -> None:

@@ -1,0 +1,92 @@
+"""What `ffcomp compensate` says when it is done: on stderr, for people, and in the log."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Column, Table
+
+from ffcomp.cli.common import say
+from ffcomp.cli.log import note
+from ffcomp.outcome import Outcome
+
+
+def report_all(outcomes: list[Outcome], quiet: bool) -> None:
+    """A table on stderr, and what failed; quietly only the latter."""
+    if not quiet:
+        for warning, files in _warnings(outcomes).items():
+            say(f"ffcomp: {files[0] if len(files) == 1 else f'{len(files)} files'}: {warning}")
+        table = Table(Column("file", overflow="fold"), "print time", "contour rms", "seconds")
+        for outcome in outcomes:
+            table.add_row(str(outcome.file), *_cells(outcome))
+        Console(stderr=True).print(table)
+    for outcome in outcomes:
+        if outcome.failure is not None:
+            say(f"{outcome.failure.trace}ffcomp: {outcome.failure.sentence}")
+
+
+def _warnings(outcomes: list[Outcome]) -> dict[str, list[Path]]:
+    """Each once, with the files that it is about."""
+    found: dict[str, list[Path]] = {}
+    for outcome in outcomes:
+        for warning in outcome.result.get("warnings", ()):
+            found.setdefault(warning, []).append(outcome.file)
+    return found
+
+
+def _cells(outcome: Outcome) -> tuple[str, ...]:
+    """Print time and predicted error before → after, and what it took."""
+    result = outcome.result
+    if outcome.failure is not None:
+        return "failed: see below", "", ""
+    if "already" in result:
+        return "already processed", "", ""
+    time = f"{result['original_print_time_s']:.1f} → {result['print_time_s']:.1f} s"
+    rms = [f"{track['contour_rms_um']:.1f}" for track in result["predicted"].values()]
+    return time, f"{' → '.join(rms)} µm" if rms else "", f"{outcome.seconds:.1f}"
+
+
+def report(result: dict[str, Any], quiet: bool) -> None:
+    """The predicted gain and the cost, on stderr."""
+    if result["predicted"]:
+        rms = [f"{name} {track['contour_rms_um']:.2f} µm" for name, track in result["predicted"].items()]
+        note(f"predicted contour error, rms: {', '.join(rms)}")
+        if not quiet:
+            _table(result["predicted"])
+    speed = result["print_time_s"] / max(result["compute_time_s"], 1e-9)
+    say(
+        f"{result['moves']} moves, {result['print_time_s']:.1f} s of print "
+        f"(was {result['original_print_time_s']:.1f} s) in {result['segments']} segments; "
+        f"{result['compute_time_s']:.1f} s, {speed:.0f} times faster than printing.",
+        quiet,
+    )
+    if "steps" in result:
+        told = ", ".join(f"{motor.upper()} {total['steps']}" for motor, total in result["steps"].items())
+        say(f"Steps: {told}.", quiet)
+    if place := _place(result):
+        say(f"Look at it: {'ffcomp simulate' if 'steps' in result else 'ffcomp show'} {place}", quiet)
+
+
+def _place(result: dict[str, Any]) -> str:
+    """Where the user will find the output; nothing if it goes to another host, or nowhere."""
+    if "SLIC3R_PP_HOST" not in os.environ or result["output"] != result["input"]:
+        return result["output"] or ""
+    to_file = os.environ["SLIC3R_PP_HOST"] == "File"
+    return os.environ.get("SLIC3R_PP_OUTPUT_NAME", "") if to_file else ""
+
+
+def _table(predicted: dict[str, dict[str, float]]) -> None:
+    table = Table(Column(no_wrap=True), "tracking rms", "without delay", "contour rms", "contour p99", "peak command")
+    for name, track in predicted.items():
+        table.add_row(
+            name,
+            f"{track['tracking_rms_um']:.1f} µm",
+            f"{track['tracking_rms_no_delay_um']:.1f} µm",
+            f"{track['contour_rms_um']:.2f} µm",
+            f"{track['contour_p99_um']:.1f} µm",
+            f"{track['peak_command_acceleration_mm_per_s2'] / 1e3:.1f} m/s²",
+        )
+    Console(stderr=True).print(table)

@@ -1,0 +1,176 @@
+"""`ffcomp estimate`: how long a print takes, and what it spends that time on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from ffcomp.estimate.account import Account
+    from ffcomp.estimate.engine import Estimate
+    from ffcomp.estimate.unknown import Unknown
+    from gcode.container import Source
+    from models.machine import Machine
+
+FIGURES = (".png", ".svg", ".pdf")
+LINES_TOLD = 4  # of each command whose time is not known
+
+
+def estimate(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE…", help="Prints, compensated or not.")],
+    machine: Annotated[
+        str,
+        typer.Option("--machine", "-m", help="A machine's name or file; compensated files name theirs."),
+    ] = "",
+    offset_mm: Annotated[
+        str, typer.Option(metavar="X,Y", help="Added to every position: for a bed with its origin in a corner.")
+    ] = "0,0",
+    flavor: Annotated[str, typer.Option(help="klipper, marlin or reprapfirmware; by default the file says it.")] = "",
+    layers: Annotated[bool, typer.Option("--layers", help="Tell every layer.")] = False,
+    figure: Annotated[
+        Path | None, typer.Option(help="Draw the layers and features of one file: .png, .svg or .pdf.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> None:
+    """Plan a print as the firmware does and add up its time: in all, by layer, by feature, by what the nozzle does.
+
+    Heating, homing and macros take a time that no file tells; they are listed, not guessed. Of a compensated file both
+    times are told, as it is and as it was.
+
+    Example: ffcomp estimate sample_prints/ringing_tower.gcode --machine mp-delta-pro
+    """
+    from ffcomp.cli.common import exit_codes, print_json
+    from ffcomp.cli.compensate import parsed_offset
+
+    with exit_codes():
+        offset = parsed_offset(offset_mm)
+        if figure is not None and len(files) > 1:
+            raise typer.BadParameter("--figure is for one file.")
+        if figure is not None and figure.suffix not in FIGURES:
+            raise typer.BadParameter(f"--figure {figure}: a name that ends in {', '.join(FIGURES)}.")
+        from ffcomp.estimate.engine import as_json as told
+
+        results = []
+        for found in (each for file in files for each in _estimates(file, machine, flavor, offset)):
+            if figure is not None:
+                from ffcomp.report.estimate import draw
+
+                draw(found, figure)
+            if as_json:
+                results.append(told(found))
+            else:
+                _print(found, layers)
+        if as_json:
+            print_json(results[0] if len(results) == 1 else {"schema": "ffcomp-estimate-batch/1", "results": results})
+
+
+def _estimates(file: Path, machine: str, flavor: str, offset: tuple[float, float]) -> Iterator[Estimate]:
+    """Of each print that a file holds."""
+    from ffcomp.estimate.engine import estimate
+    from gcode.container import opened
+
+    with opened(file) as container:
+        for name, text in container.prints.items():
+            path = f"{file}/{name}" if name else str(file)
+            yield estimate(text, path, _machine(text, path, machine), flavor=flavor, offset=offset)
+
+
+def _machine(text: Source, path: str, name: str) -> Machine:
+    """The machine asked for, or that of the print's stamp."""
+    from ffcomp.estimate.engine import stamp_of
+    from models.machine_file import find_by_sha256, load_machine
+
+    if name:
+        return load_machine(name)
+    stamp = stamp_of(text)
+    if stamp is None:
+        raise typer.BadParameter(f"{path} does not say which machine it is for: --machine NAME (ffcomp machines list).")
+    return load_machine(str(find_by_sha256(stamp.sha256, stamp.machine)))
+
+
+def _print(found: Estimate, every_layer: bool) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from ffcomp.estimate.account import FILAMENT
+    from ffcomp.estimate.engine import seconds
+    from gcode.metadata import short
+
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(f"{found.path} on {found.machine.name}: {_sentence(found)}", markup=False)
+    account = found.account
+    whole = found.time_s
+    table = Table("", "time", "share", "filament", box=None)
+    for kind, spent in _kinds(account):
+        table.add_row(kind, short(spent), f"{100 * spent / whole:.1f} %", "")
+    table.add_row()
+    for name, row in sorted(account.features.items(), key=lambda item: -seconds(item[1])):
+        spent = seconds(row)
+        table.add_row(name, short(spent), f"{100 * spent / whole:.1f} %", f"{max(row[FILAMENT], 0.0) / 1e3:.2f} m")
+    console.print(table)
+    _print_layers(console, found, every_layer)
+    for sentence in _unknown(account):
+        console.print(sentence, markup=False)
+
+
+def _sentence(found: Estimate) -> str:
+    """The time, what it was before compensation, and what the slicer says."""
+    from ffcomp.estimate.engine import seconds
+    from gcode.metadata import short
+
+    told = f"{short(found.time_s)} ({found.time_s:.3f} s)"
+    if found.original is not None:
+        told += f", before compensation {short(seconds(found.original.total))}"
+    said = found.account.slicer_s
+    told += "" if said is None else f"; the slicer says {short(said)}"
+    return f"{told}. {found.account.filament_mm / 1e3:.2f} m of filament, {found.account.retractions} retractions."
+
+
+def _kinds(account: Account) -> list[tuple[str, float]]:
+    from ffcomp.estimate.account import KINDS
+
+    return [(kind, float(spent)) for kind, spent in zip(KINDS, account.total, strict=False) if spent]
+
+
+def _print_layers(console: Console, found: Estimate, every: bool) -> None:
+    """All of them, or the longest and the shortest."""
+    from rich.table import Table
+
+    from ffcomp.estimate.engine import seconds
+    from ffcomp.estimate.layers import BEFORE
+    from gcode.metadata import short
+
+    layers = found.account.layers.in_order()
+    own = sorted((seconds(layer.row), number) for number, layer in layers if number != BEFORE)
+    if not every:
+        if own:
+            (least, low), (most, high) = own[0], own[-1]
+            span = f"{short(least)} (layer {low}) to {short(most)} (layer {high})"
+            console.print(f"{len(own)} layers: {span}; --layers tells them all.")
+        return
+    table = Table("layer", "line", "z mm", "time", *(kind for kind, _ in _kinds(found.account)), box=None)
+    kinds = [kind for kind, spent in enumerate(found.account.total[:5]) if spent]
+    for number, layer in layers:
+        cells = [f"{layer.row[kind]:.1f}" for kind in kinds]
+        name = "before" if number == BEFORE else str(number)
+        table.add_row(name, str(layer.line), f"{layer.z_mm:.2f}", f"{seconds(layer.row):.1f} s", *cells)
+    console.print(table)
+
+
+def _unknown(account: Account) -> list[str]:
+    """What takes a time that no file tells, one sentence for all."""
+    if not account.unknown:
+        return account.warnings
+    told = [f"{each.what} ({each.command}, {_lines(each)})" for each in account.unknown.values()]
+    return [f"Not in the time, for no file tells it: {'; '.join(told)}.", *account.warnings]
+
+
+def _lines(unknown: Unknown) -> str:
+    """Where, as far as a sentence can hold it."""
+    first, more = ", ".join(map(str, unknown.lines[:LINES_TOLD])), unknown.count - LINES_TOLD
+    return f"line{'s' * (unknown.count > 1)} {first}{f' and {more} more' if more > 0 else ''}"

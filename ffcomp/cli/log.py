@@ -1,0 +1,93 @@
+"""The log: what every run was asked, what it said, how it ended. Slicers drop what a script prints, or show it once.
+
+It is `ffcomp.log` in the platform's folder for logs (`ffcomp --log-path` says which). The environment variable
+FFCOMP_LOG names another file, and `off` stands for none. A log that cannot be written never stops a run.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import shlex
+import sys
+import time
+import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from ffcomp import __version__
+
+LARGEST = 1 << 20  # bytes; then the file becomes ffcomp.log.1, and the one before that is gone
+
+_log: Path | None = None  # of the run that is under way
+
+
+def log_path(environment: Mapping[str, str] = os.environ) -> Path | None:
+    """Where runs are logged; None where they are not."""
+    named = environment.get("FFCOMP_LOG", "")
+    if named.lower() == "off":
+        return None
+    if named:
+        return Path(named)
+    import platformdirs
+
+    return Path(platformdirs.user_log_dir("ffcomp")) / "ffcomp.log"
+
+
+def note(text: str) -> None:
+    """A message into the log of the run under way, every line with its time and process."""
+    if _log is None:
+        return
+    begin = f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')} [{os.getpid()}] "
+    lines = "".join(f"{begin}{line}\n" for line in text.splitlines())
+    with suppress(OSError), open(_log, "ab") as file:  # one write each: runs at the same time do not mix within it
+        file.write(lines.encode("utf-8", "backslashreplace"))
+
+
+@contextmanager
+def logged(arguments: list[str]) -> Iterator[None]:
+    """A run of the command line: its beginning, what `note` is told, its end."""
+    global _log
+    _log, started, code = _prepared(), time.perf_counter(), "1"
+    note(f"ffcomp {__version__}, Python {platform.python_version()}, {platform.system()}, in {_folder()}")
+    note(shlex.join(["ffcomp", *arguments]))
+    if "SLIC3R_PP_HOST" in os.environ:
+        note(f"called by a slicer, for {os.environ['SLIC3R_PP_HOST']}: {os.environ.get('SLIC3R_PP_OUTPUT_NAME')}")
+    try:
+        yield
+        code = "0"
+    except SystemExit as end:
+        code = str(end.code or 0)
+        raise
+    except BaseException:
+        note(traceback.format_exc())
+        if _log is not None:
+            print(f"ffcomp: This is a fault of ffcomp's own; what led to it is in {_log}.", file=sys.stderr)
+        raise
+    finally:
+        note(f"exit code {code} after {time.perf_counter() - started:.1f} s")
+        _log = None
+
+
+def _folder() -> str:
+    """Where relative paths begin; it may be gone."""
+    try:
+        return os.getcwd()
+    except OSError as error:
+        return f"a folder that cannot be told ({error.strerror})"
+
+
+def _prepared() -> Path | None:
+    """The log, with room in it; None if it cannot be written."""
+    with suppress(OSError, RuntimeError):  # RuntimeError: no home folder
+        path = log_path()
+        if path is None:
+            return None
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with open(path, "ab") as file:
+            full = file.tell() > LARGEST
+        if full:
+            os.replace(path, f"{path}.1")
+        return path
+    return None

@@ -1,0 +1,101 @@
+"""Cura's post-processing script: the print through ffcomp, or as it was with a comment that says why.
+
+`ffcomp integrations install cura` puts it, as Ffcomp.py, where Cura looks for scripts. Cura hands a print over as a
+list of pieces (header, start, layers, end) and goes on with what it had if a script fails, so failures must be told in
+the print itself. Runs within Cura: standard library only.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import subprocess
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from UM.Message import Message  # type: ignore[import-not-found]
+
+from ..Script import Script  # type: ignore[import-not-found]
+
+EXECUTABLE = "ffcomp"
+MACHINE = ""
+CURAS_OWN = ("PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH")  # of its bundle; another Python would stumble over them
+
+
+def _setting(label: str, description: str, default: str) -> dict[str, str]:
+    return {"label": label, "description": description, "type": "str", "default_value": default}
+
+
+class Ffcomp(Script):
+    """One entry of Extensions > Post Processing > Modify G-Code."""
+
+    def getSettingDataString(self) -> str:
+        settings = {
+            "machine": _setting("Machine", "A name from 'ffcomp machines list', or a machine file's path.", MACHINE),
+            "options": _setting("Options", "More of 'ffcomp compensate --help', e.g. --offset-mm -110,-110.", ""),
+            "executable": _setting("ffcomp", "The full path of the ffcomp program.", EXECUTABLE),
+        }
+        head: dict[str, Any] = {"name": "ffcomp: compensate vibration", "key": "Ffcomp", "metadata": {}, "version": 2}
+        return json.dumps({**head, "settings": settings})
+
+    def execute(self, data: list[str]) -> list[str]:
+        try:
+            text, warnings = self._compensated("".join(data))
+        except (OSError, ValueError, subprocess.SubprocessError) as error:
+            return _failed(data, " ".join(str(error).split()))
+        if warnings:
+            Message("\n".join(warnings), title="ffcomp").show()
+        return _pieces(text, data)
+
+    def _compensated(self, print_text: str) -> tuple[str, list[str]]:
+        """The new text, and what the user should know."""
+        with TemporaryDirectory(prefix="ffcomp-cura-") as folder:
+            path = Path(folder, "print.gcode")
+            path.write_bytes(print_text.encode("utf-8", "surrogateescape"))
+            result = self._run(path)
+            return path.read_bytes().decode("utf-8", "surrogateescape"), result.get("warnings", [])
+
+    def _run(self, path: Path) -> dict[str, Any]:
+        """What `ffcomp compensate --json` answers."""
+        machine, options, executable = map(self.getSettingValueByKey, ("machine", "options", "executable"))
+        named = ["--machine", machine] if machine else []
+        answer = subprocess.run(
+            [executable, "compensate", "--json", *named, *shlex.split(options or ""), str(path)],
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
+            errors="replace",
+            env={key: value for key, value in os.environ.items() if key not in CURAS_OWN} | {"PYTHONUTF8": "1"},
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+        )
+        if answer.returncode:
+            said = answer.stderr.strip()
+            raise ValueError(f"{said[max(said.rfind('ffcomp: '), 0) :]} (exit code {answer.returncode})")
+        result: dict[str, Any] = json.loads(answer.stdout)
+        return result
+
+
+def _pieces(text: str, data: list[str]) -> list[str]:
+    """The text cut where the pieces of `data` began, so that other scripts find header, layers and end again.
+
+    Every line of the original is still there, a move as a comment `;~`. A piece whose first line is not found stays
+    with the one before it.
+    """
+    cuts = [0]
+    for piece in data[1:]:
+        first = piece.partition("\n")[0]
+        found = re.compile(rf"^(?:;~)?{re.escape(first)}\r?$", re.MULTILINE).search(text, cuts[-1] + 1)
+        if first and found:
+            cuts.append(found.start())
+    return [text[begin:end] for begin, end in pairwise([*cuts, len(text)])]
+
+
+def _failed(data: list[str], why: str) -> list[str]:
+    """The print as it was, but for a comment below its first line; and a word on the screen."""
+    Message(f"The print is NOT compensated. {why}", title="ffcomp").show()
+    first, newline, rest = data[0].partition("\n") if data else ("", "", "")
+    return [f"{first}{newline or chr(10)};ffcomp FAILED, this print is NOT compensated: {why}\n{rest}", *data[1:]]

@@ -1,0 +1,140 @@
+"""What a slicer says of a print: to the programs that it calls, as `SLIC3R_…`, and in the settings within the file.
+
+PrusaSlicer, OrcaSlicer and BambuStudio (all after Slic3r) put every setting into the environment of a post-processing
+script, besides `SLIC3R_PP_HOST` and `SLIC3R_PP_OUTPUT_NAME`, and write the settings into the file as comments.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf
+from pathlib import Path
+
+from gcode.container import ends_of
+from gcode.dialects import FLAVORS
+from models.machine import Machine
+
+KNOWN = FLAVORS | {"marlin2", "reprap"}  # slicers' names; `reprap` is what they write for all that is like old Marlin
+FAR = 0.25  # of the bed: origins in a corner and in the middle differ by a half
+
+_CORNER = re.compile(r"([-+.\d]+)x([-+.\d]+)")
+_BED_COMMENT = re.compile(rb"^; (?:bed_shape|printable_area) = ([-+.\dx,]+)", re.MULTILINE)
+
+
+@dataclass(frozen=True, slots=True)
+class Bed:
+    """The box around the bed, mm."""
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        return (self.low[0] + self.high[0]) / 2, (self.low[1] + self.high[1]) / 2
+
+    @property
+    def size(self) -> tuple[float, float]:
+        return self.high[0] - self.low[0], self.high[1] - self.low[1]
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """The call of a slicer; all empty when it is none."""
+
+    host: str = ""  # File, PrusaLink, OctoPrint, …
+    output_name: str = ""  # what the user asked for: a path for a File, else a name on the host
+    bed: Bed | None = None
+    flavor: str = ""
+    later: tuple[str, ...] = ()  # scripts that the slicer runs after us
+
+
+def read_call(environment: Mapping[str, str]) -> Call:
+    """What the environment says."""
+    bed = environment.get("SLIC3R_BED_SHAPE") or environment.get("SLIC3R_PRINTABLE_AREA") or ""
+    return Call(
+        environment.get("SLIC3R_PP_HOST", ""),
+        environment.get("SLIC3R_PP_OUTPUT_NAME", ""),
+        read_bed(bed),
+        environment.get("SLIC3R_GCODE_FLAVOR", ""),
+        _later(environment.get("SLIC3R_POST_PROCESS", "")),
+    )
+
+
+def read_bed(corners: str) -> Bed | None:
+    """A bed's outline as slicers write it, `0x0,220x0,220x220,0x220`; None if it is none."""
+    try:
+        xs, ys = zip(*((float(x), float(y)) for x, y in _CORNER.findall(corners)), strict=True)
+    except ValueError:  # no corner, or one that is no number
+        return None
+    bed = Bed((min(xs), min(ys)), (max(xs), max(ys)))
+    return bed if all(0.0 < size < inf for size in bed.size) else None
+
+
+def bed_of(source: bytes | Path) -> Bed | None:
+    """The bed in the settings that the slicer has written at either end of a file, or of its content."""
+    head, tail, _ = ends_of(source)
+    found = _BED_COMMENT.search(tail) or _BED_COMMENT.search(head)
+    return read_bed(found.group(1).decode("ascii")) if found else None
+
+
+def _later(scripts: str) -> tuple[str, ...]:
+    """Scripts after the last that names us; lines within one setting are written as \\n."""
+    lines = [line.strip().strip('"') for line in re.split(r"\\n|\\r|[;\r\n]", scripts)]
+    ours = [i for i, line in enumerate(lines) if "ffcomp" in line]
+    return tuple(filter(None, lines[ours[-1] + 1 :])) if ours else ()
+
+
+def offset_for(bed: Bed, middle: tuple[float, float]) -> tuple[float, float]:
+    """What brings a print made for `bed` to a machine whose bed lies about `middle`, mm; nothing where they agree."""
+    away = tuple(m - c for m, c in zip(middle, bed.centre, strict=True))
+    agree = all(abs(a) <= FAR * size for a, size in zip(away, bed.size, strict=True))
+    return (0.0, 0.0) if agree else (away[0], away[1])
+
+
+def bed_warning(bed: Bed, machine: Machine, offset: tuple[float, float]) -> list[str]:
+    """A sentence, if the print will not be where the machine file has its bed."""
+    middle = machine.kinematics.centre_mm
+    shifted = Bed(*((x + offset[0], y + offset[1]) for x, y in (bed.low, bed.high)))
+    if not any(offset_for(shifted, middle)):
+        return []
+    there = f"shifted by {_pair(offset)} " if any(offset) else ""
+    return [
+        f"The slicer's bed {there}lies about {_place(shifted.centre)}, that of {machine.name} about {_place(middle)}: "
+        "the print is compensated for another place than it is printed at, unless --offset-mm "
+        f"{_pair(offset_for(bed, middle))} is given."
+    ]
+
+
+def auto_sentence(bed: Bed, machine: Machine) -> str:
+    """What `--offset-mm auto` has chosen, and why."""
+    middle = machine.kinematics.centre_mm
+    return (
+        f"--offset-mm auto: {_pair(offset_for(bed, middle))}; the slicer's bed lies about {_place(bed.centre)}, "
+        f"that of {machine.name} about {_place(middle)}."
+    )
+
+
+def call_warnings(call: Call) -> list[str]:
+    """What in a slicer's settings a user would want to know."""
+    told = []
+    if call.flavor and call.flavor not in KNOWN:
+        told.append(
+            f"The slicer's G-code flavor {call.flavor} is none that ffcomp knows ({', '.join(sorted(KNOWN))}): it is "
+            "taken for marlin unless the file or --flavor says otherwise."
+        )
+    if call.later:
+        told.append(
+            f"The slicer runs another script after ffcomp ({call.later[0]}): what it changes is not compensated, and "
+            "may undo it. Put ffcomp last."
+        )
+    return told
+
+
+def _pair(xy: tuple[float, float]) -> str:
+    return f"{xy[0]:.6g},{xy[1]:.6g}"
+
+
+def _place(xy: tuple[float, float]) -> str:
+    return f"X{xy[0]:.6g} Y{xy[1]:.6g}"

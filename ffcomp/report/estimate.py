@@ -1,0 +1,64 @@
+"""Where a print's time goes: each layer, by what the nozzle does, and each feature."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ffcomp import __version__
+from ffcomp.estimate.account import KINDS, WAITING, Account
+from ffcomp.estimate.engine import Estimate, seconds
+from ffcomp.estimate.layers import BEFORE
+from ffcomp.report.drawing import file_of, layout
+from ffcomp.report.style import RC, grid
+from gcode.metadata import short
+
+COLOURS = ("#0072b2", "#e69f00", "#009e73", "#56b4e9", "#b8bec9")  # as KINDS
+MOST_FEATURES = 14
+
+
+def draw(found: Estimate, path: Path) -> None:
+    """`path` ends in .png, .svg or .pdf."""
+    with matplotlib.rc_context(RC):
+        figure = Figure(figsize=(10.0, 4.6), layout=layout())
+        left, right = figure.subplots(1, 2, width_ratios=(1.7, 1.0))
+        _layers(left, found.account)
+        _features(right, found.account)
+        told = f"{Path(found.path).name} on {found.machine.name}: {short(found.time_s)}"
+        figure.suptitle(told, x=0.01, ha="left", fontweight="bold")
+        note = f"planned as the firmware does; heating, homing and macros left out; ffcomp v{__version__}"
+        figure.supxlabel(note, x=0.99, ha="right", fontsize=7)
+        path.write_bytes(file_of(figure, path.suffix.removeprefix(".")))
+
+
+def _layers(axes: Axes, account: Account) -> None:
+    layers = account.layers.in_order()
+    number = np.array([number for number, _ in layers])
+    rows = np.stack([layer.row[: WAITING + 1] for _, layer in layers]) / 60
+    below = np.zeros(len(rows))
+    edges = np.append(number, number[-1] + 1) - 0.5
+    for kind, column, colour in zip(KINDS, rows.T, COLOURS, strict=True):
+        if column.any():
+            axes.stairs(below + column, edges, baseline=below, fill=True, color=colour, label=kind, lw=0)
+            below = below + column
+    axes.set_xlabel("layer (-1: what comes before the first)" if number[0] == BEFORE else "layer")
+    axes.set_ylabel("minutes")
+    axes.set_title("by layer")
+    axes.legend(frameon=False)
+    grid(axes, "y")
+
+
+def _features(axes: Axes, account: Account) -> None:
+    names = sorted(account.features, key=lambda name: seconds(account.features[name]))[-MOST_FEATURES:]
+    left = np.zeros(len(names))
+    rows = np.stack([account.features[name][: WAITING + 1] for name in names]) / 60
+    for column, colour in zip(rows.T, COLOURS, strict=True):
+        axes.barh(names, column, left=left, color=colour)
+        left += column
+    axes.set_xlabel("minutes")
+    axes.set_title("by feature")
+    grid(axes, "x")

@@ -1,0 +1,242 @@
+"""Zip archives of slicers: `.gcode.3mf` with a print for each plate, `.ufp` with one.
+
+G-code is unpacked as it is read, never to a file of the archive's choosing. When the archive is written anew, whatever
+is not G-code is copied as it is packed: its bytes, its order, its dates.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import stat
+import struct
+import tempfile
+import zlib
+from collections import Counter
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from errno import EINVAL
+from itertools import pairwise
+from lzma import LZMAError
+from typing import BinaryIO
+from zipfile import BadZipFile, ZipFile, ZipInfo
+
+from gcode.errors import GcodeError, UnsupportedGcode
+from gcode.text import BLOCK, Source, Text, blocks, ends, limited, pieces
+
+_GCODE = re.compile(r"/?(Metadata/plate_\d+|3D/model)\.gcode")
+_BAD_NAME = re.compile(r"[\\\0]|^[A-Za-z]:|(^|/)\.\.?(/|$)|//")
+_BAD = "a name that leads out of it or that no file can have"
+_MD5, _MD5_BYTES = re.compile(rb"[0-9a-fA-F]{32}"), 100  # the digits, and what a file may hold around them
+_ENCRYPTED = 1  # a bit of the flags
+_DAMAGED = (BadZipFile, zlib.error, LZMAError, struct.error, EOFError, RuntimeError, ValueError, OSError)
+
+# Of a directory entry (APPNOTE 4.3.12): its fixed size, where its three lengths and its record's place stand in it.
+_RECORD, _DIRECTORY_ENDS = b"PK\3\4", (b"PK\5\6", b"PK\6\6")  # how a record begins, and what follows the directory
+_ENTRY_BYTES, _LENGTHS_AT, _PLACE_AT = 46, 28, 42
+_LARGEST, _MOST_MEMBERS = (1 << 32) - 1, (1 << 16) - 1  # bytes; more (zip64) is for other things than prints
+
+_Open = Callable[[], BinaryIO]
+
+
+@dataclass(frozen=True, slots=True)
+class Archive:
+    """prints : by their members' names;  checksums : what the members hold that say a print's MD5, by its name"""
+
+    prints: Mapping[str, Source]
+    checksums: Mapping[str, bytes]
+    reopen: _Open
+    path: str
+
+    def write(self, file: BinaryIO, texts: Iterable[Iterable[bytes]]) -> None:
+        with self.reopen() as packed, ZipFile(packed) as old, tempfile.TemporaryFile() as scratch:
+            with ZipFile(scratch, "w") as new:
+                for (name, print_), lines in zip(self.prints.items(), texts, strict=True):
+                    digest = _add(new, old.getinfo(name), lines, ends(print_)[2])
+                    if name in self.checksums:
+                        with new.open(_like(old.getinfo(name + ".md5")), "w") as member:
+                            member.write(_with_digest(self.checksums[name], digest))
+            with ZipFile(scratch) as new:
+                _join(file, _members(old, packed), _members(new, scratch), old.comment, self.path)
+
+
+@contextmanager
+def open_archive(reopen: _Open, path: str) -> Iterator[Archive]:
+    with _damage_is_said(path), reopen() as file, ZipFile(file) as archive:
+        members = {each.filename: each for each in archive.infolist()}
+        _check(archive.infolist(), path)
+        _check_records(archive, file)
+        names = [name for name in members if _GCODE.fullmatch(name)]
+        if not names:
+            raise UnsupportedGcode(_no_gcode(members), path=path)
+        checksums = {name: _start(archive, name + ".md5") for name in names if name + ".md5" in members}
+    prints = {name: _print(reopen, members[name], f"{path}/{name}") for name in names}
+    for name, said in checksums.items():
+        _check_digest(prints[name], said, f"{path}/{name}")
+    yield Archive(prints, checksums, reopen, path)
+
+
+# -- reading --
+
+
+def _print(reopen: _Open, member: ZipInfo, path: str) -> Text:
+    def unpacked() -> Iterator[bytes]:
+        return limited(_unpacked(reopen, member.filename, path), member.compress_size, path)
+
+    return Text.read(unpacked, path)
+
+
+def _unpacked(reopen: _Open, name: str, path: str) -> Generator[bytes, None, None]:
+    with _damage_is_said(path), reopen() as file, ZipFile(file) as archive, archive.open(name) as member:
+        yield from pieces(member)
+
+
+def _start(archive: ZipFile, name: str) -> bytes:
+    with archive.open(name) as member:
+        return member.read(_MD5_BYTES)
+
+
+@contextmanager
+def _damage_is_said(path: str) -> Iterator[None]:
+    try:
+        yield
+    except GcodeError:
+        raise
+    except _DAMAGED as error:
+        if isinstance(error, OSError) and error.errno not in (None, EINVAL):  # EINVAL: sought before the beginning
+            raise
+        raise GcodeError(f"The zip archive is damaged ({error}); copy or export it again.", path=path) from None
+
+
+def _check(members: Sequence[ZipInfo], path: str) -> None:
+    """Nothing is ever unpacked to where a name says, and yet: an archive with such names was not made by a slicer."""
+    rooted = all(each.filename.startswith("/") for each in members)  # .ufp: names of parts, not of files
+    for each in members:
+        name = each.orig_filename
+        if _BAD_NAME.search(name) or (name.startswith("/") and not rooted):
+            raise UnsupportedGcode(f"The zip archive holds {name!r}, {_BAD}.", path=path)
+        if stat.S_ISLNK(each.external_attr >> 16):
+            raise UnsupportedGcode(f"The zip archive holds {name!r}, a symbolic link.", path=path)
+        if each.flag_bits & _ENCRYPTED:
+            raise UnsupportedGcode(f"The zip archive is encrypted ({name!r}); export it without a password.", path=path)
+    counts = Counter(each.filename.casefold() for each in members)
+    for each in members:
+        if counts[each.filename.casefold()] > 1:
+            raise UnsupportedGcode(f"The zip archive holds two members of the name {each.filename!r}.", path=path)
+
+
+def _check_records(archive: ZipFile, file: BinaryIO) -> None:
+    """What is copied as it is must lie where the directory says, and nothing else among it."""
+    for place, each in enumerate(sorted(archive.infolist(), key=lambda each: each.header_offset)):
+        begins = each.header_offset == 0 if place == 0 else each.header_offset > 0
+        if not begins or _at(file, each.header_offset, 4) != _RECORD:
+            raise BadZipFile(f"{each.filename!r} is not where the directory says")
+    file.seek(archive.start_dir)
+    for _ in archive.infolist():
+        _entry(file)
+    if file.read(4) not in _DIRECTORY_ENDS:
+        raise BadZipFile("the directory does not end where it says")
+
+
+def _at(file: BinaryIO, place: int, count: int) -> bytes:
+    file.seek(place)
+    return file.read(count)
+
+
+def _no_gcode(names: Iterable[str]) -> str:
+    if any(name.endswith(".model") for name in names):
+        return "The file is a model or a project (.3mf) that is not sliced: slice it, and export the sliced file."
+    return "The file is a zip archive without G-code (Metadata/plate_N.gcode or 3D/model.gcode); export plain G-code."
+
+
+def _check_digest(print_: Source, said: bytes, path: str) -> None:
+    digest = hashlib.md5(usedforsecurity=False)
+    for block in blocks(print_):
+        digest.update(block)
+    found = _MD5.search(said)
+    if found is None or found[0].decode().lower() != digest.hexdigest():
+        wrong = said.decode("ascii", "replace").strip()
+        rule = f"its MD5 is {digest.hexdigest()}, and {wrong!r} stands beside it; export it again"
+        raise GcodeError(f"The G-code is not what was packed: {rule}.", path=path)
+
+
+# -- writing --
+
+
+def _add(new: ZipFile, old: ZipInfo, lines: Iterable[bytes], size: int) -> str:
+    """A member with this text, as the old one but for that; its MD5. size : of the old text, in bytes"""
+    digest = hashlib.md5(usedforsecurity=False)
+    with new.open(_like(old), "w", force_zip64=size > _LARGEST // 32) as member:  # what comes is some ten times as much
+        for piece in lines:
+            digest.update(piece)
+            member.write(piece)
+    return digest.hexdigest()
+
+
+def _like(old: ZipInfo) -> ZipInfo:
+    """A member of the same name, date, rights and way of packing."""
+    new = ZipInfo(old.filename, old.date_time)
+    for name in ("compress_type", "comment", "extra", "create_system", "internal_attr", "external_attr"):
+        setattr(new, name, getattr(old, name))
+    return new
+
+
+def _with_digest(old: bytes, digest: str) -> bytes:
+    """The checksum file as it was, with another MD5 in letters of the same size."""
+    was = _MD5.search(old)
+    upper = was is not None and was[0] == was[0].upper() != was[0].lower()
+    return _MD5.sub((digest.upper() if upper else digest).encode(), old, count=1)
+
+
+@dataclass(frozen=True, slots=True)
+class _Member:
+    """Where a member's record lies in a file, and its entry in the directory."""
+
+    file: BinaryIO
+    begin: int
+    end: int
+    entry: bytes
+
+
+def _members(archive: ZipFile, file: BinaryIO) -> dict[str, _Member]:
+    """In the order of the directory."""
+    infos = archive.infolist()
+    end_of = dict(pairwise([*sorted(each.header_offset for each in infos), archive.start_dir]))
+    file.seek(archive.start_dir)
+    entries = [_entry(file) for _ in infos]
+    return {
+        each.filename: _Member(file, each.header_offset, end_of[each.header_offset], entry)
+        for each, entry in zip(infos, entries, strict=True)
+    }
+
+
+def _entry(file: BinaryIO) -> bytes:
+    fixed = file.read(_ENTRY_BYTES)
+    return fixed + file.read(sum(struct.unpack_from("<3H", fixed, _LENGTHS_AT)))
+
+
+def _join(
+    out: BinaryIO, kept: Mapping[str, _Member], changed: Mapping[str, _Member], comment: bytes, path: str
+) -> None:
+    """The archive anew: records as they are packed, in the places and the order that they had."""
+    places = {}
+    for name in sorted(kept, key=lambda name: kept[name].begin):
+        places[name] = out.tell()
+        _copy(changed.get(name, kept[name]), out)
+    begin = out.tell()
+    if begin > _LARGEST or len(kept) > _MOST_MEMBERS:
+        raise UnsupportedGcode(f"The zip archive would be too large ({begin} bytes, {len(kept)} members).", path=path)
+    for name in kept:
+        entry = changed.get(name, kept[name]).entry
+        out.write(entry[:_PLACE_AT] + struct.pack("<L", places[name]) + entry[_PLACE_AT + 4 :])
+    count, size = len(kept), out.tell() - begin
+    out.write(struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, count, count, size, begin, len(comment)) + comment)
+
+
+def _copy(member: _Member, out: BinaryIO) -> None:
+    member.file.seek(member.begin)
+    left = member.end - member.begin
+    while left and (block := member.file.read(min(left, BLOCK))):
+        out.write(block)
+        left -= len(block)

@@ -1,0 +1,235 @@
+"""`.bgcode`: binary G-code. Its blocks are kept as they are, but for the G-code and the time that it takes.
+
+The blocks are read and checked in `gcode.bgcode_blocks`; what is in those of G-code (MeatPack, Heatshrink) is unpacked
+and packed by the codec of the extra `bgcode`. The text that it gives has the metadata as comments around the G-code.
+
+MeatPack keeps comments that have a line of their own, no others. Those are put into a line of their own before it
+(`_HELD`), and back behind it when the file is read.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.util import find_spec
+from itertools import zip_longest
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import BinaryIO
+
+from gcode import bgcode_codec
+from gcode.bgcode_blocks import (
+    COMPRESSIONS,
+    GCODE,
+    HEADER,
+    blocks_of,
+    first_times,
+    metadata_of,
+    with_metadata,
+    with_times,
+)
+from gcode.blocks import whole_lines
+from gcode.errors import GcodeError, UnsupportedGcode
+from gcode.metadata import TIME_WAS
+from gcode.text import ENDS, Source, blocks, check_text, most_unpacked, too_much
+
+_Open = Callable[[], BinaryIO]
+
+_HELD = b";ffcomp|"  # before a comment that belongs to the end of the next line
+_INLINE = re.compile(rb"([^;\r\n]*[^;\s])([ \t]*;[^\r\n]*)(\r?\n?)")
+_TIME = b"; estimated "  # before a time
+_PLAIN = 0  # encoding of G-code; others are MeatPack
+_REFUSED = 3  # exit code of the codec
+_PATIENCE_S, _SLOWEST_BYTES_PER_S = 30, 100_000  # how long it may take; it does a hundred times more
+
+# -- the codec --
+
+
+def _check_codec(path: str) -> None:
+    if find_spec("pybgcode") is None:
+        rule = "reading it needs a package more: pip install 'ffcomp[bgcode]'"
+        slicer = "or switch 'Supports binary G-code' off in the slicer's printer settings"
+        raise UnsupportedGcode(f"The file is binary G-code; {rule}, {slicer}.", path=path)
+
+
+def _converted(source: Path, target: Path, path: str, options: Mapping[str, str] | None = None) -> None:
+    """One file made of another by the codec. options : as `gcode.bgcode_codec` takes them, to pack; None: unpack"""
+    told, size = [] if options is None else [json.dumps(options)], source.stat().st_size
+    words = [str(source), str(target), str(most_unpacked(size)), *told]
+    patience_s = _PATIENCE_S + size // _SLOWEST_BYTES_PER_S
+    command = [sys.executable, "-P", bgcode_codec.__file__, *words]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=patience_s, check=False)
+    except subprocess.TimeoutExpired:
+        raise GcodeError(f"The codec of binary G-code has not come to an end in {patience_s} s.", path=path) from None
+    if done.returncode:
+        why = done.stdout.strip() if done.returncode == _REFUSED else f"the codec failed (exit {done.returncode})"
+        raise GcodeError(f"The binary G-code cannot be converted: {why}.", path=path)
+
+
+# -- the container --
+
+
+@dataclass(frozen=True, slots=True)
+class Bgcode:
+    """prints : the one print, as text in a file of ours"""
+
+    prints: Mapping[str, Source]
+    reopen: _Open
+    path: str
+
+    def write(self, file: BinaryIO, texts: Iterable[Iterable[bytes]]) -> None:
+        (lines,) = texts
+        with TemporaryDirectory() as folder, self.reopen() as old:
+            text, packed = Path(folder, "text"), Path(folder, "packed")
+            packing = self._packing()
+            told = _introduced(_without_old_times(lines))
+            _write(text, told if packing["encoding"] == "none" else _apart(told))
+            _converted(text, packed, self.path, packing)
+            _check_kept(text, packed, Path(folder, "again"), self.path)
+            with open(packed, "rb") as new:
+                file.writelines(_spliced(old, new, self.path))
+
+    def _packing(self) -> dict[str, str]:
+        """As the file was packed, but with comments: they hold the original."""
+        with self.reopen() as file:
+            _, _, checksum = HEADER.unpack(file.read(HEADER.size))
+            file.seek(0)
+            first = next(block for block in blocks_of(file, self.path) if block.kind == GCODE)
+        return {
+            "compression": COMPRESSIONS[first.compression],
+            "encoding": "none" if first.encoding == _PLAIN else "MeatPackComments",
+            "checksum": "CRC32" if checksum else "none",
+        }
+
+
+@contextmanager
+def open_bgcode(reopen: _Open, path: str) -> Iterator[Bgcode]:
+    with reopen() as file:
+        found = [(block.kind, block.unpacked, len(block.raw)) for block in blocks_of(file, path)]
+    if not any(kind == GCODE for kind, _, _ in found):
+        raise UnsupportedGcode("The file is binary G-code without a block of G-code.", path=path)
+    size = sum(packed for _, _, packed in found)
+    if 2 * sum(unpacked for _, unpacked, _ in found) > most_unpacked(size):  # MeatPack halves
+        raise too_much(size, path)
+    _check_codec(path)
+    with TemporaryDirectory() as folder:
+        text = Path(folder, "text")
+        with reopen() as file:
+            _write(Path(folder, "packed"), _first(file, path))
+        _unpack(Path(folder, "packed"), text, path)
+        Path(folder, "packed").unlink()
+        with open(text, "rb") as file:
+            check_text(file.read(ENDS), path)
+        yield Bgcode({"": text}, reopen, path)
+
+
+def _first(file: BinaryIO, path: str) -> Iterator[bytes]:
+    """The file with the slicer's own times."""
+    yield file.read(HEADER.size)
+    file.seek(0)
+    for block in blocks_of(file, path):
+        yield with_metadata(block, first_times)
+
+
+def _unpack(packed: Path, text: Path, path: str) -> None:
+    """As text, with all comments where they belong."""
+    plain = text.with_name("plain")
+    _converted(packed, plain, path)
+    _write(text, _together(blocks(plain)))
+    plain.unlink()
+
+
+def _spliced(old: BinaryIO, new: BinaryIO, path: str) -> Iterator[bytes]:
+    """The old file with the new one's G-code and times."""
+    times: dict[bytes, bytes] = {}
+    for block in blocks_of(new, path):
+        times |= {key: value for key, value in metadata_of(block).items() if key.startswith(b"estimated ")}
+    new.seek(0)
+    yield old.read(HEADER.size)
+    old.seek(0)
+    before = True
+    for block in blocks_of(old, path):
+        if block.kind != GCODE:
+            yield with_metadata(block, lambda metadata: with_times(metadata, times))
+        elif before:
+            yield from (each.raw for each in blocks_of(new, path) if each.kind == GCODE)
+            before = False
+
+
+def _write(target: Path, pieces: Iterable[bytes]) -> None:
+    with open(target, "wb") as file:
+        file.writelines(pieces)
+
+
+# -- text as the codec keeps it --
+
+
+def _lines(pieces: Iterable[bytes]) -> Iterator[bytes]:
+    for part in whole_lines(pieces):
+        yield from part.splitlines(keepends=True)
+
+
+def _introduced(lines: Iterator[bytes]) -> Iterator[bytes]:
+    """The codec packs what one slicer says to have made, and nothing else. What it makes of that line is left out."""
+    yield b"; generated by PrusaSlicer 2.8.0 on 2000-01-01 at 00:00:00 UTC\n"
+    first = next(lines, b"")
+    if not first.startswith(b"; generated by "):
+        yield first
+    yield from lines
+
+
+def _without_old_times(pieces: Iterable[bytes]) -> Iterator[bytes]:
+    """What is said before a time in the metadata; that is where its old value is kept."""
+    old = b""
+    for line in _lines(pieces):
+        if line.startswith(TIME_WAS):
+            old = line
+            continue
+        if old and not line.startswith(_TIME):
+            yield old
+        old = b""
+        yield line
+
+
+def _apart(lines: Iterable[bytes]) -> Iterator[bytes]:
+    """Each comment in a line of its own."""
+    for line in lines:
+        if b";" in line and (found := _INLINE.fullmatch(line)):
+            yield _HELD + found[2] + b"\n"
+            line = found[1] + found[3]
+        yield line
+
+
+def _together(pieces: Iterable[bytes]) -> Iterator[bytes]:
+    """Each comment where it was."""
+    held = b""
+    for line in _lines(pieces):
+        if line.startswith(_HELD):
+            held = line[len(_HELD) :].rstrip(b"\r\n")
+            continue
+        if held:
+            code = line.rstrip(b"\r\n")
+            line, held = code + held + line[len(code) :], b""
+        yield line
+
+
+def _check_kept(text: Path, packed: Path, again: Path, path: str) -> None:
+    """Read back what was packed: no command may be lost or altered."""
+    _converted(packed, again, path)
+    for wanted, found in zip_longest(_commands(text), _commands(again)):
+        if wanted != found:
+            raise UnsupportedGcode(
+                f"The codec of binary G-code would make {found!r} of the line {wanted!r}.", path=path
+            )
+
+
+def _commands(text: Path) -> Iterator[bytes]:
+    """The lines that matter: slicers' comments begin with a blank, and the codec moves them about."""
+    stripped = (line.strip() for line in _lines(blocks(text)))
+    return (line for line in stripped if line.strip(b";") and not line.startswith(b"; "))

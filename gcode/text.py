@@ -1,0 +1,133 @@
+"""Plain G-code text, wherever it comes from: its ends, its blocks, and what is no G-code at all."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from errno import EINVAL
+from pathlib import Path
+from typing import Protocol
+
+from gcode.errors import GcodeError, UnsupportedGcode
+
+ENDS, BLOCK = 1 << 20, 1 << 20  # bytes
+
+# A long print packs to a fifth. Nothing that a slicer has packed comes near this.
+UNPACKED_RATIO, UNPACKED_LEAST = 100, 64 << 20  # times the packed size; bytes that are allowed in any case
+
+_FOREIGN = {
+    b"\xef\xbb\xbf": "text with a UTF-8 byte order mark, which firmware takes for a command; save it without (UTF-8)",
+    b"\xff\xfe": "text in UTF-16, which no firmware reads; save it as UTF-8",
+    b"\xfe\xff": "text in UTF-16, which no firmware reads; save it as UTF-8",
+    b"\x89PNG": "a picture (PNG); a sliced print is wanted",
+    b"\xff\xd8\xff": "a picture (JPEG); a sliced print is wanted",
+    b"\x7fELF": "a program (ELF); a sliced print is wanted",
+    b"MZ": "a program (Windows); a sliced print is wanted",
+    b"%PDF": "a document (PDF); a sliced print is wanted",
+    b"GCDE": "binary G-code within another container; unpack it first",
+    b"PK\x03\x04": "a zip archive within another container; unpack it first",
+    b"\x1f\x8b": "compressed twice by gzip; unpack it once",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """Text that is unpacked anew whenever it is read: it never stands in memory, nor on the disk."""
+
+    blocks: Callable[[], Iterator[bytes]]
+    head: bytes
+    tail: bytes
+    size: int  # bytes
+
+    @classmethod
+    def read(cls, blocks: Callable[[], Iterator[bytes]], path: str) -> Text:
+        """Read once, whole: what is damaged is found before anything is done with it."""
+        head, tail, size = b"", b"", 0
+        for block in blocks():
+            head += block[: ENDS - len(head)]
+            tail = (tail + block)[-ENDS:]
+            size += len(block)
+        check_text(head, path)
+        return cls(blocks, head, tail, size)
+
+
+Source = bytes | Path | Text
+
+
+def ends(source: Source, reach: int = ENDS) -> tuple[bytes, bytes, int]:
+    """The first and the last bytes of plain G-code, and its size."""
+    if isinstance(source, bytes):
+        return source[:reach], source[-reach:], len(source)
+    if isinstance(source, Text):
+        return source.head[:reach], source.tail[-reach:], source.size
+    with open(source, "rb") as file:
+        head = file.read(reach)
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(size - reach, 0))
+        return head, file.read(), size
+
+
+def blocks(source: Source, block: int = BLOCK) -> Iterator[bytes]:
+    """Plain G-code in pieces cut anywhere."""
+    if isinstance(source, bytes):
+        yield from (source[at : at + block] for at in range(0, len(source), block))
+    elif isinstance(source, Text):
+        yield from source.blocks()
+    else:
+        with open(source, "rb") as file:
+            yield from pieces(file, block)
+
+
+class Readable(Protocol):
+    def read(self, size: int, /) -> bytes: ...
+
+
+def pieces(file: Readable, block: int = BLOCK) -> Iterator[bytes]:
+    """What is left of an open file."""
+    while piece := file.read(block):
+        yield piece
+
+
+def limited(unpacked: Generator[bytes, None, None], packed_bytes: int, path: str) -> Iterator[bytes]:
+    """The same, but no more than a print can be: archives can be made that fill any disk."""
+    most, size = most_unpacked(packed_bytes), 0
+    with closing(unpacked):
+        for block in unpacked:
+            size += len(block)
+            if size > most:
+                raise too_much(packed_bytes, path)
+            yield block
+
+
+def most_unpacked(packed_bytes: int) -> int:
+    return max(UNPACKED_RATIO * packed_bytes, UNPACKED_LEAST)
+
+
+def too_much(packed_bytes: int, path: str) -> GcodeError:
+    most = f"more than {most_unpacked(packed_bytes) >> 20} MiB"
+    return GcodeError(f"The file's {packed_bytes} bytes unpack to {most}, which no sliced print does.", path=path)
+
+
+def check_text(head: bytes, path: str) -> None:
+    """Refuse what cannot be G-code, by its first bytes and what they are."""
+    for magic, what in _FOREIGN.items():
+        if head.startswith(magic):
+            raise UnsupportedGcode(f"The file is {what}.", path=path)
+    if head.startswith(b"solid") and b"facet normal" in head[:1000]:
+        raise UnsupportedGcode("The file is a model (STL); slice it first.", path=path)
+    if b"\0" in head:
+        raise UnsupportedGcode(
+            "The file is no text: it holds bytes that are zero; a sliced print is wanted.", path=path
+        )
+    if not head.strip():
+        raise GcodeError("The file is empty; there is nothing to compensate.", path=path)
+
+
+def check_regular(path: Path) -> None:
+    """A pipe would make us wait for ever, and cannot be read twice."""
+    mode = path.stat().st_mode
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):  # opening a folder says what it is
+        raise OSError(EINVAL, "This is a pipe or a device, and G-code is read from files only", str(path))

@@ -1,0 +1,168 @@
+"""What must hold of every compensated file, whatever went in: `violations` says in sentences what does not.
+
+Text: own lines are short plain decimals; every other line is there, in order, at its place along the filament (but for
+those that tell the print's time, which are ours to change).
+Motion: every segment within reach, within the carriages' travel, velocity and acceleration; the filament of the
+original, evenly.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.pipeline import firmware_limits
+from ffcomp.plan.lookahead import plan_moves, stops_and_waits
+from ffcomp.writer import OURS, WAS, original
+from gcode.metadata import TIME_WAS, tells
+from gcode.program import Program
+from gcode.reader import read_program
+from models.errors import UnreachableError
+from models.machine import Machine
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+LONGEST_SEGMENT = 96  # bytes: Marlin's MAX_CMD_SIZE, the shortest of the firmwares'
+LONGEST_LINE = 255  # bytes, of Klipper's own commands
+FILAMENT_MM = 1e-4  # how far the whole may be from what it was
+LINE_MM = 5e-3  # how far a line may be from its place: lines that stand close together share a segment's end
+WAY_MM, WAY_SHARE = 2e-3, 1e-5  # of the filament's way there and back: its last decimal may go to and fro
+TURN_MM = 5e-3  # of filament, where it turns back: a segment may hold a little of both ways
+PLACES = 2e-4  # in the file's own unit: how far the print may end from where it did
+VELOCITY_SHARE = 1.02  # of the limit: the file states its numbers with four decimals
+ACCELERATION_SHARE = 1.06
+
+_STAMPS = b"; Processed by ffcomp", b"; ffcomp offset_mm="
+_SEGMENT = re.compile(rb"G1(?: [XYZEF]-?\d+(?:\.\d+)?)+")
+_MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*[0-3](?!\d)|\s*[XYZEFIJKR]\s*[-+.\d]", re.IGNORECASE)
+_NOT_A_NUMBER = re.compile(rb"nan|inf|\d[eE][-+]?\d", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """A compensated file's lines, told apart."""
+
+    segments: IntArray  # indices of the lines that are segments of ours
+    own: list[bytes]  # all other lines of ours
+    others: list[int]  # indices of the lines that are the original's
+
+
+def told_apart(lines: list[bytes]) -> Text:
+    """Segments stand between a line of ours that opens a block and the feed that closes it."""
+    segments, own, others, is_open = list[int](), list[bytes](), list[int](), False
+    for i, line in enumerate(lines):
+        if line.startswith((WAS, TIME_WAS, *_STAMPS)):
+            continue
+        if line.rstrip().endswith(OURS):
+            own.append(line)
+            is_open = (is_open or not line.startswith(b"G")) and not line.startswith(b"G1 F")
+        elif is_open and line.startswith(b"G1 "):
+            segments.append(i)
+        else:
+            others.append(i)
+    return Text(np.array(segments, dtype=np.int64), own, others)
+
+
+def violations(
+    before: bytes,
+    after: bytes,
+    machine: Machine,
+    offset_mm: tuple[float, float] = (0.0, 0.0),
+    flavor: str | None = None,
+) -> list[str]:
+    """What is wrong with a compensated file, in sentences; `before` is the file it was made of."""
+    read, lines = read_program(before, offset_mm=offset_mm, flavor=flavor), after.splitlines(keepends=True)
+    written, text = read_program(after, flavor=flavor), told_apart(lines)
+    found = [] if original(after) == before else ["The original cannot be read out of the file byte for byte."]
+    return [
+        *found,
+        *_of_text(lines, text),
+        *_of_lines(read, written, text, bool(any(offset_mm))),
+        *_of_filament(read, written),
+        *_of_motion(written, text, machine),
+    ]
+
+
+def _of_text(lines: list[bytes], text: Text) -> Iterator[str]:
+    kept = max((len(lines[i]) for i in text.others), default=0)  # limits are put back in the file's own words
+    for line in text.own:
+        if len(line) > max(LONGEST_LINE, kept + len(OURS)) or _NOT_A_NUMBER.search(line.partition(OURS)[0]):
+            yield f"A line of ours is too long, or holds a number that is no plain decimal: {line!r}."
+    for i in text.segments:
+        if len(lines[i]) > LONGEST_SEGMENT or not _SEGMENT.fullmatch(lines[i].rstrip()):
+            yield f"A segment is too long, or no plain G1: {lines[i]!r}."
+
+
+def _of_lines(read: Program, written: Program, text: Text, shifted: bool) -> Iterator[str]:
+    """Heaters, fans, tools, comments: all that is not a move goes out as it came, where it came."""
+    kept = set(text.others)
+    mine, theirs = _places(read, set(range(len(read.lines)))), _places(written, kept)
+    if [line for line, _ in mine] != [line for line, _ in theirs]:
+        yield "The lines that are not moves are not those of the original."
+        return
+    for (line, a), (_, b) in zip(mine, theirs, strict=True):
+        if not abs(a - b) <= LINE_MM:
+            yield f"{line!r} stood after {a:.5f} mm of filament and stands after {b:.5f} mm."
+
+
+def _places(program: Program, kept: set[int]) -> list[tuple[bytes, float]]:
+    """Each line that is not a move and tells no time, and how much filament has been moved before it."""
+    moved = np.concatenate([[0.0], np.cumsum(program.moves.end[:, 3] - program.moves.start[:, 3])])
+    return [
+        (program.lines[e.line], float(moved[e.move]))
+        for e in program.events
+        if e.line in kept and not _MOVE.match(program.lines[e.line]) and not tells(program.lines[e.line])
+    ]
+
+
+def _of_filament(read: Program, written: Program) -> Iterator[str]:
+    before, after = (p.moves.end[:, 3] - p.moves.start[:, 3] for p in (read, written))
+    way, turns = (np.abs(before).sum(), np.abs(after).sum()), np.count_nonzero(np.diff(np.sign(before[before != 0.0])))
+    if not abs(before.sum() - after.sum()) <= FILAMENT_MM:
+        yield f"The filament was {before.sum():.5f} mm and is {after.sum():.5f} mm."
+    if not abs(way[0] - way[1]) <= WAY_MM + WAY_SHARE * way[0] + TURN_MM * turns:
+        yield f"There and back the filament went {way[0]:.5f} mm and goes {way[1]:.5f} mm."
+    near = PLACES * max(frame.unit_mm for frame in read.frames)
+    if not np.abs(read.moves.end[-1] - written.moves.end[-1])[:3].max() <= near:
+        yield f"The print ended at {read.moves.end[-1, :3]} and ends at {written.moves.end[-1, :3]}."
+
+
+def _of_motion(written: Program, text: Text, machine: Machine) -> Iterator[str]:
+    moves = written.moves
+    own = np.isin(moves.line, text.segments)
+    if not (np.isfinite(moves.end).all() and np.isfinite(moves.speed).all() and (moves.speed > 0).all()):
+        yield "A move goes to, or at, a number that is not finite."
+        return
+    try:
+        machine.kinematics.check_reach(moves.end[own, :3])
+    except UnreachableError as error:
+        yield str(error)
+        return
+    yield from _of_carriages(written, own, machine)
+
+
+def _of_carriages(written: Program, own: NDArray[np.bool_], machine: Machine) -> Iterator[str]:
+    """Mean velocities of the segments as the firmware plays them, and their changes."""
+    limits, moves = machine.limits, written.moves
+    stop_before, wait_before = stops_and_waits(written)
+    plan = plan_moves(moves, firmware_limits(machine), stop_before=stop_before, wait_before=wait_before)
+    low, high = limits.carriage_travel_mm or (-np.inf, np.inf)
+    start, end = (machine.kinematics.inverse(places[own, :3]) for places in (moves.start, moves.end))
+    if (end < low - PLACES).any() or (end > high + PLACES).any():
+        yield f"A carriage goes to {end.min():.3f} … {end.max():.3f} mm; its travel is {low:g} … {high:g} mm."
+    velocity = (end - start) / plan.duration[own, None]
+    follows = np.diff(np.flatnonzero(own)) == 1
+    follows &= ~(stop_before | (wait_before > 0.0))[own][1:]
+    apart = 0.5 * (plan.duration[own][1:] + plan.duration[own][:-1])
+    acceleration = (np.diff(velocity, axis=0) / apart[:, None])[follows]
+    for name, values, limit, share in (
+        ("velocity", velocity, limits.carriage_velocity_mm_per_s, VELOCITY_SHARE),
+        ("acceleration", acceleration, limits.carriage_acceleration_mm_per_s2, ACCELERATION_SHARE),
+    ):
+        if np.abs(values).max(initial=0.0) > share * limit:
+            yield f"A carriage's {name} reaches {np.abs(values).max():.0f}; its limit is {limit:g}."
