@@ -318,7 +318,7 @@ def _compensate_one(order: _Order) -> dict[str, Any]:
     for warning in result["warnings"]:
         say(f"ffcomp: {warning}", quiet)
     result["warnings"] = [*order.advice, *result["warnings"]]
-    report(result, quiet)
+    report(result, order.machine.path, quiet)
     return result
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -49,17 +50,18 @@ def _cells(outcome: Outcome) -> tuple[str, ...]:
     return time, f"{' → '.join(rms)} µm" if rms else "", f"{outcome.seconds:.1f}"
 
 
-def report(result: dict[str, Any], quiet: bool) -> None:
+def report(result: dict[str, Any], machine_path: str, quiet: bool) -> None:
     """The predicted gain and the cost, on stderr."""
     if result["predicted"]:
         rms = [f"{name} {track['contour_rms_um']:.2f} µm" for name, track in result["predicted"].items()]
         note(f"predicted contour error, rms: {', '.join(rms)}")
         if not quiet:
             _table(result["predicted"])
+    segments = "" if "steps" in result else f" in {result['segments']} segments"
     speed = result["print_time_s"] / max(result["compute_time_s"], 1e-9)
     say(
         f"{result['moves']} moves, {result['print_time_s']:.1f} s of print "
-        f"(was {result['original_print_time_s']:.1f} s) in {result['segments']} segments; "
+        f"(was {result['original_print_time_s']:.1f} s){segments}; "
         f"{result['compute_time_s']:.1f} s, {speed:.0f} times faster than printing.",
         quiet,
     )
@@ -67,7 +69,18 @@ def report(result: dict[str, Any], quiet: bool) -> None:
         told = ", ".join(f"{motor.upper()} {total['steps']}" for motor, total in result["steps"].items())
         say(f"Steps: {told}.", quiet)
     if place := _place(result):
-        say(f"Look at it: {'ffcomp simulate' if 'steps' in result else 'ffcomp show'} {place}", quiet)
+        verb = "simulate" if "steps" in result else "show"
+        say(f"Look at it: ffcomp {verb} {place}{_machine(machine_path, verb)}", quiet)
+
+
+def _machine(path: str, verb: str) -> str:
+    """What the next command must be told of the machine; `show` finds by itself what has a name."""
+    from models.machine_file import machine_paths
+
+    names = [name for name, known in machine_paths().items() if str(known) == path]
+    if names:
+        return "" if verb == "show" else f" -m {names[0]}"
+    return f" -m {shlex.quote(path)}"
 
 
 def _place(result: dict[str, Any]) -> str:

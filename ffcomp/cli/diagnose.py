@@ -26,7 +26,7 @@ Report = Annotated[
     Path | None,
     typer.Option("--report", "-r", help="Write the diagnosis with its figures as one HTML page, readable offline."),
 ]
-Force = Annotated[bool, typer.Option(help="Overwrite what --output and --report name.")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite what --output and --report name.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout (ffcomp-diagnose/1).")]
 NoRepeats = Annotated[
     bool, typer.Option("--without-repeats", help="Guess the noise where nothing was measured twice: weaker evidence.")

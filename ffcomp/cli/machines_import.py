@@ -54,7 +54,7 @@ def import_machine(
         if made.is_complete:
             check_text(text, str(file))
         _write(text, path)
-        model_hz = _first_mode_hz(path) if made.is_complete and made.found.shaper_hz else None
+        model_hz = _loudest_hz(path) if made.is_complete and made.found.shaper_hz else None
         if as_json:
             print_json(_as_json(made, path, model_hz))
         else:
@@ -74,14 +74,15 @@ def _write(text: str, path: Path) -> None:
         fail(f"{path}: this file exists already; give another --output.", 2)
 
 
-def _first_mode_hz(path: Path) -> float:
-    """Of the machine that was written, in the middle of its bed."""
+def _loudest_hz(path: Path) -> float:
+    """Of the machine that was written, in the middle of its bed: the lower of what is loudest along x and y."""
     import numpy as np
 
+    from ffcomp.shapers.bed import dominant_frequencies
     from models.machine_file import load_machine
-    from models.receptance import modes
 
-    return float(modes(load_machine(path), np.zeros(2)).frequencies_hz[0])
+    machine = load_machine(path)
+    return float(dominant_frequencies(machine, np.array(machine.kinematics.centre_mm)).min())
 
 
 def _as_json(made: Draft, path: Path, model_hz: float | None) -> dict[str, object]:
@@ -99,7 +100,7 @@ def _as_json(made: Draft, path: Path, model_hz: float | None) -> dict[str, objec
         "missing": dict(made.missing),
         "notes": list(made.found.notes),
         "shaper_hz": list(made.found.shaper_hz),
-        "model_first_mode_hz": model_hz,
+        "model_loudest_hz": model_hz,
     }
 
 
@@ -123,7 +124,9 @@ def _print(made: Draft, path: Path, model_hz: float | None) -> None:
         print("\nNot in the machine file", *(f"  {note}" for note in made.found.notes), sep="\n")
     if model_hz is not None:
         shaper = " and ".join(f"{frequency:g}" for frequency in made.found.shaper_hz)
-        print(f"\nThe input shaper is set to {shaper} Hz; the machine file's first vibration is at {model_hz:.1f} Hz,")
+        print(
+            f"\nThe input shaper is set to {shaper} Hz; the machine file's loudest vibration is at {model_hz:.1f} Hz,"
+        )
         print(
             "in the middle of the bed. If they are far apart, the assumed numbers do not fit: measure, or try --like."
         )

@@ -45,9 +45,10 @@ def test_a_delta_becomes_a_machine_that_checks_well(run, own_folder: Path, tmp_p
 def test_the_shaper_of_a_delta_is_held_against_the_assumed_model(run, tmp_path: Path) -> None:
     path = tmp_path / "shaped.toml"
     told = run(written(tmp_path, Delta().klipper() + SHAPER), "-o", path).stdout
-    first = modes(load_machine(path), np.zeros(2)).frequencies_hz[0]
+    found = modes(load_machine(path), np.zeros(2))
+    ringing = found.frequencies_hz[found.damping_ratios < 0.2]
     assert "The input shaper is set to 61.2 and 43.4 Hz;" in told
-    assert f"first vibration is at {first:.1f} Hz" in told
+    assert f"loudest vibration is at {ringing[0]:.1f} Hz" in told
 
 
 def test_json_tells_the_same(run, tmp_path: Path) -> None:
