@@ -23,12 +23,18 @@ from typing import BinaryIO
 from zipfile import BadZipFile, ZipFile, ZipInfo
 
 from gcode.errors import GcodeError, UnsupportedGcode
+from gcode.metadata import slicer_time_s
 from gcode.text import BLOCK, Source, Text, blocks, ends, limited, pieces
 
 _GCODE = re.compile(r"/?(Metadata/plate_\d+|3D/model)\.gcode")
 _BAD_NAME = re.compile(r"[\\\0]|^[A-Za-z]:|(^|/)\.\.?(/|$)|//")
 _BAD = "a name that leads out of it or that no file can have"
 _MD5, _MD5_BYTES = re.compile(rb"[0-9a-fA-F]{32}"), 100  # the digits, and what a file may hold around them
+_PLATE, _INFO = re.compile(r"plate_(\d+)"), "Metadata/slice_info.config"
+_PLATE_INFO = re.compile(rb"<plate>.*?</plate>", re.DOTALL)
+_INDEX = re.compile(rb'key="index"\s+value="(\d{1,9})"')
+_PREDICTION = re.compile(rb'(key="prediction"\s+value=")(\d{1,12})(?=")')  # s
+_HEAD_BYTES = 1 << 16  # in which BambuStudio and OrcaSlicer state the time
 _ENCRYPTED = 1  # a bit of the flags
 _DAMAGED = (BadZipFile, zlib.error, LZMAError, struct.error, EOFError, RuntimeError, ValueError, OSError)
 
@@ -51,12 +57,19 @@ class Archive:
 
     def write(self, file: BinaryIO, texts: Iterable[Iterable[bytes]]) -> None:
         with self.reopen() as packed, ZipFile(packed) as old, tempfile.TemporaryFile() as scratch:
+            longer_s: dict[int, int] = {}
             with ZipFile(scratch, "w") as new:
                 for (name, print_), lines in zip(self.prints.items(), texts, strict=True):
-                    digest = _add(new, old.getinfo(name), lines, ends(print_)[2])
+                    head, _, size = ends(print_)
+                    digest, now = _add(new, old.getinfo(name), lines, size)
+                    if plate := _PLATE.search(name):
+                        longer_s[int(plate[1])] = _time_s(now) - _time_s(head)
                     if name in self.checksums:
                         with new.open(_like(old.getinfo(name + ".md5")), "w") as member:
                             member.write(_with_digest(self.checksums[name], digest))
+                if any(longer_s.values()) and _INFO in old.namelist() and old.getinfo(_INFO).file_size <= BLOCK:
+                    with new.open(_like(old.getinfo(_INFO)), "w") as member:
+                        member.write(_with_predictions(old.read(_INFO), longer_s))
             with ZipFile(scratch) as new:
                 _join(file, _members(old, packed), _members(new, scratch), old.comment, self.path)
 
@@ -164,14 +177,32 @@ def _check_digest(print_: Source, said: bytes, path: str) -> None:
 # -- writing --
 
 
-def _add(new: ZipFile, old: ZipInfo, lines: Iterable[bytes], size: int) -> str:
-    """A member with this text, as the old one but for that; its MD5. size : of the old text, in bytes"""
-    digest = hashlib.md5(usedforsecurity=False)
+def _add(new: ZipFile, old: ZipInfo, lines: Iterable[bytes], size: int) -> tuple[str, bytes]:
+    """A member with this text, as the old one but for that; its MD5 and its head. size : of the old text, in bytes"""
+    digest, head = hashlib.md5(usedforsecurity=False), b""
     with new.open(_like(old), "w", force_zip64=size > _LARGEST // 32) as member:  # what comes is some ten times as much
         for piece in lines:
             digest.update(piece)
             member.write(piece)
-    return digest.hexdigest()
+            if len(head) < _HEAD_BYTES:
+                head += piece[:_HEAD_BYTES]
+    return digest.hexdigest(), head
+
+
+def _time_s(head: bytes) -> int:
+    """What a print's first lines say that it takes, whole seconds; zero where they do not."""
+    return round(slicer_time_s(head[:_HEAD_BYTES].splitlines(keepends=True)) or 0.0)
+
+
+def _with_predictions(info: bytes, longer_s: Mapping[int, int]) -> bytes:
+    """The archive's own account of its plates, each predicted to take so much longer."""
+
+    def plate(found: re.Match[bytes]) -> bytes:
+        index = _INDEX.search(found[0])
+        more = longer_s.get(int(index[1]), 0) if index else 0
+        return _PREDICTION.sub(lambda said: said[1] + b"%d" % max(int(said[2]) + more, 0), found[0])
+
+    return _PLATE_INFO.sub(plate, info)
 
 
 def _like(old: ZipInfo) -> ZipInfo:

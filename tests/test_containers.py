@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Callable
 from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
 from click.testing import Result
@@ -14,8 +16,9 @@ from ffcomp.batch import compensate_files
 from ffcomp.cli.app import app
 from ffcomp.outcome import Options
 from gcode.container import read_bytes
+from gcode.metadata import slicer_time_s
 from models.machine_file import load_machine
-from tests.gcode.containers import PRINT, archive_3mf, bgcode, contents, gzipped
+from tests.gcode.containers import PRINT, archive_3mf, bgcode, contents, gzipped, zipped
 
 MACHINE = "mp-delta-pro"
 OTHER = PRINT.replace(b"X30", b"X31")
@@ -120,3 +123,30 @@ def test_what_cannot_be_read_is_refused_and_stays(tmp_path: Path, verb: str, con
     refused = call(verb, path, *machine)
     assert refused.exit_code == 4 and f"ffcomp: {path}: The " in refused.output
     assert path.read_bytes() == content and [each.name for each in tmp_path.iterdir()] == [path.name]
+
+
+def test_the_archives_own_prediction_follows_the_time_in_the_gcode(tmp_path: Path) -> None:
+    """BambuStudio's account of its plates: the second one's is told in seconds, and comes back with `restore`."""
+    said = b"; model printing time: 1h 0m 0s; total estimated time: 1h 1m 0s\n"
+    plates = [PRINT, said + PRINT]
+    info = b'<config><plate><metadata key="index" value="2"/><metadata key="prediction" value="3660"/></plate></config>'
+    packed = archive_3mf(*plates)
+    path = tmp_path / "plates.gcode.3mf"
+    path.write_bytes(with_member(packed, "Metadata/slice_info.config", info))
+    assert call("compensate", path, "-m", MACHINE, "-q", "--no-predict").exit_code == 0
+    with ZipFile(path) as archive:
+        told = archive.read("Metadata/slice_info.config")
+        text = archive.read("Metadata/plate_2.gcode")
+    now = slicer_time_s(text.splitlines(keepends=True)[:5])
+    assert now is not None and now < 60
+    assert told == info.replace(b"3660", b"%d" % now)
+    restored = tmp_path / "restored.gcode.3mf"
+    assert call("restore", path, "-o", restored).exit_code == 0
+    with ZipFile(restored) as archive:
+        assert archive.read("Metadata/slice_info.config") == info
+
+
+def with_member(packed: bytes, name: str, content: bytes) -> bytes:
+    """The archive with another content in one of its members."""
+    with ZipFile(io.BytesIO(packed)) as old:
+        return zipped([(each, content if each.filename == name else old.read(each)) for each in old.infolist()])
