@@ -8,7 +8,7 @@ mass on the bare carriage.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -20,10 +20,10 @@ from ffcomp.identify.predict import predicted
 from ffcomp.measured.frf import ComplexArray, FloatArray, FrequencyResponse
 from models.carriage import command_frf, damping, with_added_mass
 from models.effector import struck_frf
-from models.errors import UnreachableError
+from models.errors import MachineFileError, UnreachableError
 from models.machine import Machine
 from models.mode_map import ModeMap, kinds, mode_map, numbers
-from models.receptance import Output, assembly_frf, modes
+from models.receptance import Modes, Output, assembly_frf, modes
 
 Of = Literal["carriage", "nozzle", "acceleration", "carriage-alone", "effector-alone"]
 Per = Literal["carriage", "nozzle"]
@@ -154,6 +154,10 @@ def study(
     with_arms: bool = False,
 ) -> Study:
     """The view at every place asked for and every place measured (or with every mass)."""
+    if machine.first_share is not None:
+        _straight_view(view)
+        centre = machine.kinematics.centre_mm
+        places, measured = [np.array(centre)], [_of_axes(response, centre) for response in measured]
     fitting = [(response, pair) for response in measured if (pair := _pair(view, response)) is not None]
     left_out = tuple(_left_out(view, response) for response in measured if _pair(view, response) is None)
     for response, _ in fitting:
@@ -166,6 +170,21 @@ def study(
         compared = tuple(_compare(machine, view, response, pair) for response, pair in here)
         stations.append(Station(*bench.case(xy, mass), compared))
     return Study(machine, view, frequency_hz, tuple(stations), left_out)
+
+
+def _of_axes(response: FrequencyResponse, centre_mm: tuple[float, float]) -> FrequencyResponse:
+    """Of straight axes the carriages are the axes: what is said of A is said of x. And every place is as the centre."""
+    names = dict(zip(CARRIAGES, AXES, strict=True))
+    said, answers = (name[:-1] + names.get(name[-1], name[-1]) for name in (response.input, response.output))
+    return replace(response, input=said, output=answers, position_mm=(*centre_mm, 0.0))
+
+
+def _straight_view(view: View) -> None:
+    if view.answering == "carriage" or view.per == "carriage":
+        raise MachineFileError(
+            f"--of {view.of}",
+            ["This machine's axes are told by modes, not by carriages and an effector: look at --of nozzle."],
+        )
 
 
 def view_of(response: FrequencyResponse) -> View:
@@ -309,6 +328,8 @@ class _Bench:
 
     def _assembly(self, xy: FloatArray, _: float) -> _Case:
         value = assembly_frf(self.machine, xy, self.frequency_hz, self.view.answering, self.view.per)
+        if self.machine.first_share is not None:
+            return "anywhere", value, _straight_modes(modes(self.machine, xy))
         return f"at ({xy[0]:g}, {xy[1]:g}) mm", value, _assembly_modes(self.machine, self._over_the_bed, xy)
 
     def _carriage(self, _: FloatArray, mass: float) -> _Case:
@@ -341,6 +362,13 @@ def _assembly_modes(machine: Machine, over: ModeMap, xy: FloatArray) -> tuple[Nu
         strict=True,
     )
     return (*(NumberedMode(*row) for row in sorted(each)), *_drive_mode(machine))
+
+
+def _straight_modes(found: Modes) -> tuple[NumberedMode, ...]:
+    """Each swings along one axis alone, wherever the nozzle is."""
+    along = np.argmax(np.abs(found.shapes).reshape(-1, 2, 3).max(axis=1), axis=1)
+    each = zip(found.frequencies_hz.tolist(), found.damping_ratios.tolist(), along.tolist(), strict=True)
+    return tuple(NumberedMode(i, f, z, f"along {AXES[a]}", AXES[a]) for i, (f, z, a) in enumerate(each, 1))
 
 
 def _drive_mode(machine: Machine) -> tuple[NumberedMode, ...]:

@@ -287,7 +287,7 @@ def number_keys(table: type[BaseModel]) -> Iterator[str]:
         inner = _table_of(field.annotation)
         if inner is not None:
             yield from (f"{name}.{key}" for key in number_keys(inner))
-        elif unit_of(name):
+        elif unit_of(name) or name == "damping_ratio":
             yield name
 
 

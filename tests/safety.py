@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.pipeline import firmware_limits
+from ffcomp.pipeline import SEGMENTS_PER_SECOND, firmware_limits
 from ffcomp.plan.lookahead import plan_moves, stops_and_waits
 from ffcomp.writer import OURS, WAS, original
 from gcode.metadata import TIME_WAS, tells
@@ -36,6 +36,7 @@ TURN_MM = 5e-3  # of filament, where it turns back: a segment may hold a little 
 PLACES = 2e-4  # in the file's own unit: how far the print may end from where it did
 VELOCITY_SHARE = 1.02  # of the limit: the file states its numbers with four decimals
 ACCELERATION_SHARE = 1.06
+SEGMENT_S = 1.0 / SEGMENTS_PER_SECOND
 
 _STAMPS = b"; Processed by ffcomp", b"; ffcomp offset_mm="
 _SEGMENT = re.compile(rb"G1(?: [XYZEF]-?\d+(?:\.\d+)?)+")
@@ -158,7 +159,8 @@ def _of_carriages(written: Program, own: NDArray[np.bool_], machine: Machine) ->
     velocity = (end - start) / plan.duration[own, None]
     follows = np.diff(np.flatnonzero(own)) == 1
     follows &= ~(stop_before | (wait_before > 0.0))[own][1:]
-    apart = 0.5 * (plan.duration[own][1:] + plan.duration[own][:-1])
+    # a change counts over a segment's time, as in `invert/limits.py`: a line of the original may have cut one in two
+    apart = np.maximum(0.5 * (plan.duration[own][1:] + plan.duration[own][:-1]), SEGMENT_S)
     acceleration = (np.diff(velocity, axis=0) / apart[:, None])[follows]
     for name, values, limit, share in (
         ("velocity", velocity, limits.carriage_velocity_mm_per_s, VELOCITY_SHARE),

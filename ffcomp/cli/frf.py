@@ -85,8 +85,11 @@ def frf(
 
         loaded = load_machine(machine)
         responses = [response for path in measured or [] for response in read_frfs(path)]
+        if loaded.first_share is not None:
+            of = of or Of.nozzle
         view = _view(of, per, responses, added_mass_kg or [], with_arms)
-        places = [_place(text, loaded) for text in at or ([] if responses else ["0,0"])]
+        centre = "{:g},{:g}".format(*loaded.kinematics.centre_mm)
+        places = [_place(text, loaded) for text in at or ([] if responses else [centre])]
         frequencies = _frequencies(lowest_hz, highest_hz, step_hz)
         found = study(loaded, view, frequencies, places, responses, added_mass_kg or [], with_arms)
         for sentence in found.left_out:
@@ -157,8 +160,12 @@ def _draw(found: Study, figure: Path | None, full: bool, maps: list[Path]) -> No
 
 
 def _write_map(machine: Machine, target: Path) -> None:
+    from models.errors import MachineFileError
     from models.mode_map import mode_map
 
+    if machine.first_share is not None:
+        rule = "Straight axes answer alike everywhere on the bed, so there is no map; --figure shows how."
+        raise MachineFileError("--map", [rule])
     modes = mode_map(machine)
     if target.suffix == ".json":
         target.write_text(json.dumps(_map_answer(machine, modes)), encoding="utf-8")
@@ -209,7 +216,7 @@ def _answer(found: Study, station: Station) -> dict[str, Any]:
     return {
         "schema": "ffcomp-frf/1",
         "machine": {"name": found.machine.name, "sha256": found.machine.sha256},
-        "force_map": found.machine.effector.force_map,
+        "force_map": found.machine.effector.force_map if found.machine.first_share is None else None,
         "position_mm": [*station.xy.tolist(), 0.0],
         "frequency_hz": found.frequency_hz.tolist(),
         "carriage": [[_bode(station.carriage, carriage_phase, i, k) for k in range(3)] for i in range(3)],

@@ -11,6 +11,7 @@ import typer
 from ffcomp.cli.identify_plan import plan as write_plan
 
 if TYPE_CHECKING:
+    from ffcomp.identify.axes import AxisFit, IdentifiedAxes
     from ffcomp.identify.gather import Gathered
     from ffcomp.identify.workflow import Identified
     from models.machine import Machine
@@ -54,7 +55,11 @@ Highest = Annotated[float, typer.Option(min=1.0, help="Values above are left out
 AxesMap = Annotated[
     str, typer.Option(metavar="X,Y,Z", help="The printer's axes in the accelerometer's own, such as x,-z,y.")
 ]
-Force = Annotated[bool, typer.Option(help="Overwrite the output.")]
+Axis = Annotated[
+    str | None,
+    typer.Option(help="With straight axes: x or y, what was shaken in resonance tests whose names do not say it."),
+]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite the output.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")]
 
@@ -72,6 +77,7 @@ def fit(
     lowest_hz: Lowest = 2.0,
     highest_hz: Highest = 400.0,
     axes_map: AxesMap = "x,y,z",
+    axis: Axis = None,
     force: Force = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -80,10 +86,14 @@ def fit(
 
     Example: ffcomp identify fit carriage.csv hammer.uff centre-*.csv -m mp-delta-pro
     --known effector.total_mass_kg=0.651±0.001 -o my-printer.toml --figure fit.png
+
+    A cartesian or CoreXY machine: ffcomp identify fit raw_data_x_*.csv raw_data_y_*.csv -m voron-300 -o my.toml
     """
     from ffcomp.cli.common import exit_codes, print_json, say
 
     numbers = dict(_known(text) for text in known or [])
+    if axis not in (None, "x", "y", "z"):
+        raise typer.BadParameter(f"--axis {axis!r}: it is x, y or z.")
     if method not in ("direct", "stepwise"):
         raise typer.BadParameter(f"--method {method!r}: it is direct or stepwise.")
     if output is not None and output.exists() and not force:
@@ -101,15 +111,13 @@ def fit(
         account = None if plan is None else load_plan(plan)
         axes = axes_map.split(",")
         band = (lowest_hz, highest_hz)
-        gathered = gather(data, start, band_hz=band, plan=account, axes=axes, progress=progress)
+        gathered = gather(data, start, band_hz=band, plan=account, axes=axes, shaken_axis=axis, progress=progress)
         for sentence in gathered.skipped:
             say(f"ffcomp: {sentence}", quiet)
         outcome = _Outcome(start, gathered, data, numbers, output, name)
-        result = outcome.from_responses(method, progress) if gathered.responses else outcome.from_modes()
-        if figure is not None and outcome.identified is not None:
-            from ffcomp.report.identify import draw_fit
-
-            draw_fit(outcome.identified, figure)
+        result = outcome.of(method, progress)
+        if figure is not None:
+            outcome.draw(figure)
             say(f"ffcomp: {figure}", quiet)
         if as_json:
             print_json(result)
@@ -138,9 +146,13 @@ def decouple(
         from ffcomp.identify.decouple import decouple as turned_round
         from ffcomp.identify.decouple import judge_parts
         from ffcomp.identify.gather import gather
+        from models.errors import MachineFileError
         from models.machine_file import load_machine
 
         loaded = load_machine(machine)
+        if loaded.first_share is not None:
+            rule = "Straight axes carry no effector to be decoupled from: `ffcomp identify fit` says what they do."
+            raise MachineFileError(loaded.path, [rule])
         responses = gather(data, loaded, band_hz=(lowest_hz, highest_hz)).responses
         places = list(dict.fromkeys(r.position_mm for r in responses if r.setup == "assembly")) or [None]
         answers = [
@@ -180,6 +192,9 @@ def _known(text: str) -> tuple[str, tuple[float, float]]:
         raise typer.BadParameter(f"--known {text!r}: it reads KEY=VALUE±SD, with numbers.") from None
 
 
+OF_A_MODE = ("frequency_hz", "damping_ratio", "share")
+
+
 class _Outcome:
     """What a fit leads to: a result to print, and a file."""
 
@@ -196,6 +211,42 @@ class _Outcome:
         self.name = name or (output.stem if output else start.name)
         self.hashes = [hash_of(path) for path in data]
         self.identified: Identified | None = None
+        self.axes: IdentifiedAxes | None = None
+
+    def of(self, method: str, progress: Any) -> dict[str, Any]:
+        if self.start.first_share is not None:
+            return self.from_axes(method, progress)
+        return self.from_responses(method, progress) if self.gathered.responses else self.from_modes()
+
+    def draw(self, target: Path) -> None:
+        from ffcomp.report.identify import draw_axes, draw_fit
+
+        if self.identified is not None:
+            draw_fit(self.identified, target)
+        elif self.axes is not None:
+            draw_axes(self.axes, self.name, target)
+        else:
+            raise typer.BadParameter("--figure shows frequency responses; these files hold none (see: --plan).")
+
+    def from_axes(self, method: str, progress: Any) -> dict[str, Any]:
+        """The modes of straight axes."""
+        from datetime import date
+
+        from ffcomp.identify.axes import identify_axes
+        from ffcomp.identify.workflow import axes_file_text
+
+        if method == "stepwise" or self.known:
+            raise typer.BadParameter("--method stepwise and --known are for deltas; this machine's axes are straight.")
+        found = identify_axes(self.gathered.shaken, self.gathered.responses, progress)
+        self.axes = found
+        text = axes_file_text(Path(self.start.path), found, self.name, self.hashes, date.today().isoformat())
+        return {
+            **self._head(),
+            "method": "axes",
+            "axes": {axis.name: _axis_answer(axis) for axis in found.axes},
+            "advice": list(found.advice),
+            "output": self._written(text),
+        }
 
     def from_responses(self, method: str, progress: Any) -> dict[str, Any]:
         from datetime import date
@@ -308,6 +359,17 @@ def _estimate(e: Any) -> dict[str, float]:
     return {"value": float(e.value), "sd": float(e.sd), "low": float(e.low), "high": float(e.high)}
 
 
+def _axis_answer(axis: AxisFit) -> dict[str, Any]:
+    return {
+        "modes": [{key: _estimate(getattr(mode, key)) for key in OF_A_MODE} for mode in axis.modes],
+        "verdict": axis.verdict,
+        "data": [
+            {"source": Path(datum.source).name, "lines": len(datum.frequency_hz), "model_error": error}
+            for datum, error in zip(axis.data, axis.errors, strict=True)
+        ],
+    }
+
+
 def _mode(m: Any) -> dict[str, Any]:
     return {
         "frequency_hz": m.frequency_hz,
@@ -352,6 +414,8 @@ def _print(result: dict[str, Any]) -> None:
         for m in spectrum["modes"]:
             text = "  {frequency_hz:6.1f} ± {frequency_sd_hz:.1f} Hz, ζ {damping_ratio:.3f} ± {damping_ratio_sd:.3f}"
             print(text.format(**m) + ("" if m["clear"] else "  (uncertain)"))
+    for name, axis in result.get("axes", {}).items():
+        _print_axis(name, axis)
     if "numbers" in result:
         _print_numbers(result["numbers"], result.get("kept", ()))
     if "misfit" in result:
@@ -360,6 +424,21 @@ def _print(result: dict[str, Any]) -> None:
         print(sentence)
     if result["output"]:
         print(f"{result['output']}: written. Look: ffcomp machines show {result['output']}")
+
+
+def _print_axis(name: str, axis: dict[str, Any]) -> None:
+    print(f"[axes.{name}]")
+    for mode in axis["modes"]:
+        share = f", share {_interval(mode['share'])}" if len(axis["modes"]) > 1 else ""
+        print(f"  frequency {_interval(mode['frequency_hz'])} Hz, ζ {_interval(mode['damping_ratio'])}{share}")
+    print(f"  {axis['verdict']}")
+    for datum in axis["data"]:
+        left = f"{100 * datum['model_error']:.1f} %" if datum["model_error"] else "its noise"
+        print(f"  {datum['source']}: told to {left} ({datum['lines']} frequencies)")
+
+
+def _interval(e: dict[str, float]) -> str:
+    return f"{e['value']:.4g} ({e['low']:.4g} … {e['high']:.4g})"
 
 
 def _print_numbers(numbers: dict[str, dict[str, float]], kept: Sequence[str]) -> None:

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from ffcomp.identify.plan import Plan, Request
     from models.machine import Machine
 
-LINE_OF_ACTION = "line-of-action"
+LINE_OF_ACTION, CENTRE = "line-of-action", "centre"
 
 MachineName = Annotated[
     str, typer.Option("--machine", "-m", help="A machine's name (see: ffcomp machines list) or the path of its file.")
@@ -24,11 +24,18 @@ At = Annotated[
     typer.Option(
         metavar="X,Y",
         help="A place to excite at, mm; may be given several times. 'line-of-action' stands for three places away "
-        "from each tower, where the dynamics differ most. Default: the centre.",
+        "from each tower of a delta, where the dynamics differ most. Default: 'centre', that of the bed.",
     ),
 ]
 Kind = Annotated[str, typer.Option(help="multisine (low peaks, whole periods), sweep or log-sweep.")]
-Directions = Annotated[str, typer.Option("--axes", help="towers: each carriage alone; xyz: the nozzle; or all.")]
+Directions = Annotated[
+    str | None,
+    typer.Option(
+        "--axes",
+        help="towers: each carriage alone (a delta's default); all: these and xyz; or the nozzle along x, y, z, xy "
+        "(the default of straight axes) or xyz.",
+    ),
+]
 Lowest = Annotated[float, typer.Option(min=0.5, help="The band begins here.")]
 Highest = Annotated[float, typer.Option(min=1.0, help="The band ends here.")]
 Amplitude = Annotated[
@@ -75,7 +82,7 @@ def plan(
     output_file: Output,
     at: At = None,
     kind: Kind = "multisine",
-    axes: Directions = "towers",
+    axes: Directions = None,
     lowest_hz: Lowest = 5.0,
     highest_hz: Highest = 150.0,
     amplitude_mm_per_s2: Amplitude = None,
@@ -103,17 +110,15 @@ def plan(
     _one_of("--flavor", flavor, sorted(FLAVORS))
     with exit_codes():
         from ffcomp.identify.excitation import KINDS
-        from ffcomp.identify.plan import AXES, TOWERS, Request, make_plan
+        from ffcomp.identify.plan import Request, make_plan
         from models.machine_file import load_machine
 
-        groups = {"towers": TOWERS, "xyz": AXES, "all": TOWERS + AXES}
         _one_of("--kind", kind, list(KINDS))
-        _one_of("--axes", axes, list(groups))
         loaded = load_machine(machine)
         request = Request(
-            places_mm=_places(at or ["0,0"], loaded),
+            places_mm=_places(at or [CENTRE], loaded),
             height_mm=height_mm,
-            directions=groups[axes],
+            directions=_directions(axes, loaded),
             kind=kind,
             lowest_hz=lowest_hz,
             highest_hz=highest_hz,
@@ -140,21 +145,48 @@ def _one_of(option: str, value: str, known: list[str]) -> None:
         raise typer.BadParameter(f"{option} {value!r}: it is one of {', '.join(known)}.")
 
 
+def _directions(axes: str | None, machine: Machine) -> tuple[str, ...]:
+    """What is moved by itself, the kind's own default first."""
+    from ffcomp.identify.plan import AXES, TOWERS
+
+    along = {"xy": AXES[:2], **{axis: (axis,) for axis in AXES}}
+    if machine.first_share is None:
+        groups = {"towers": TOWERS, "xyz": AXES, "all": TOWERS + AXES, **along}
+    else:
+        groups = {**along, "xyz": AXES}
+    chosen = axes or next(iter(groups))
+    _one_of("--axes", chosen, list(groups))
+    return groups[chosen]
+
+
 def _places(texts: list[str], machine: Machine) -> list[tuple[float, float]]:
     """mm; each place once, in the order given."""
     from ffcomp.identify.plan import line_of_action
 
     found: list[tuple[float, float]] = []
     for text in texts:
-        found += line_of_action(machine.delta) if text == LINE_OF_ACTION else [_place(text)]
+        if text == CENTRE:
+            found.append(machine.kinematics.centre_mm)
+        elif text == LINE_OF_ACTION and machine.first_share is not None:
+            raise typer.BadParameter(f"--at {text}: that is a delta's; straight axes answer alike everywhere.")
+        else:
+            found += line_of_action(machine.delta) if text == LINE_OF_ACTION else [_place(text)]
     return list(dict.fromkeys(found))
+
+
+def _recommended(machine: Machine) -> list[tuple[float, float]]:
+    """Places that tell all; straight axes answer alike everywhere."""
+    from ffcomp.identify.plan import line_of_action
+
+    centre = [machine.kinematics.centre_mm]
+    return centre if machine.first_share is not None else [*centre, *line_of_action(machine.delta)]
 
 
 def _place(text: str) -> tuple[float, float]:
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
-        rule = f"two numbers with a comma between them, in mm, or {LINE_OF_ACTION}"
+        rule = f"two numbers with a comma between them, in mm, {CENTRE} or {LINE_OF_ACTION}"
         raise typer.BadParameter(f"--at {text!r}: {rule}.") from None
     return x, y
 
@@ -175,7 +207,7 @@ def _write(made: Plan, machine: Machine, target: Path, flavor: str, chips: list[
 def _result(made: Plan, machine: Machine, request: Request, target: Path, account: Path, flavor: str) -> dict[str, Any]:
     from dataclasses import asdict
 
-    from ffcomp.identify.plan import line_of_action, microstep_error
+    from ffcomp.identify.plan import microstep_error
     from ffcomp.identify.plan_files import capture_name, duration_s
 
     experiments = [
@@ -200,7 +232,7 @@ def _result(made: Plan, machine: Machine, request: Request, target: Path, accoun
         "duration_s": duration_s(made),
         "experiments": experiments,
         "warnings": _warnings(experiments),
-        "recommended_places_mm": [(0.0, 0.0), *line_of_action(machine.delta)],
+        "recommended_places_mm": _recommended(machine),
         "places_mm": list(request.places_mm),
     }
 

@@ -121,6 +121,11 @@ class BedMap:
     y_mm: FloatArray  # (n,)
     frequency_hz: FloatArray  # (n, n, 2), [iy, ix, axis]; NaN outside the bed
 
+    @property
+    def is_round(self) -> bool:
+        """Of a delta; a machine with straight axes has the same resonances all over a bed with corners."""
+        return bool(np.isnan(self.frequency_hz).any())
+
 
 @dataclass(frozen=True, eq=False)
 class Comparison:

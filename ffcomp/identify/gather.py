@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from ffcomp.errors import MeasurementError
+from ffcomp.identify.axes_data import Spectrum, spectrum_of
 from ffcomp.identify.captures import STRAIGHT, frfs_from_captures
 from ffcomp.identify.from_modes import Resonance
 from ffcomp.identify.plan import Plan
@@ -34,6 +35,7 @@ class Gathered:
 
     responses: list[FrequencyResponse] = field(default_factory=list)
     spectra: list[ModeFit] = field(default_factory=list)  # of files that only show resonances
+    shaken: list[Spectrum] = field(default_factory=list)  # the same of a machine with straight axes
     skipped: list[str] = field(default_factory=list)  # sentences
 
 
@@ -44,9 +46,15 @@ def gather(
     band_hz: tuple[float, float],
     plan: Plan | None = None,
     axes: Sequence[str] = STRAIGHT,
+    shaken_axis: str | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Gathered:
     """Read every file.
+
+    Parameters
+    ----------
+    axes : the printer's axes in the sensor's own, of captures of a plan.
+    shaken_axis : what was shaken in resonance tests whose names do not say it.
 
     Raises
     ------
@@ -63,12 +71,24 @@ def gather(
             runs.append(read_run(path))
         elif plan is not None:
             found.responses += [r.between(*band_hz) for r in frfs_from_captures(plan, [path], machine, axes)]
-        else:
+        elif machine.first_share is None:
             found.spectra.append(modes_of(path))
+        else:
+            _take(spectrum_of(path, shaken_axis, band_hz), found)
+    if machine.first_share is not None:
+        found.responses += [r for run in runs for r in frfs_from_runs([run], *band_hz)]
+        runs = []
     for place, members in _by_place(runs, machine, found.skipped).items():
         found.responses += frfs_from_runs(members, *band_hz, position_mm=place)
     found.responses = [r for r in found.responses if len(r.frequency_hz)]
     return found
+
+
+def _take(spectrum: Spectrum | str, found: Gathered) -> None:
+    if isinstance(spectrum, str):
+        found.skipped.append(spectrum)
+    else:
+        found.shaken.append(spectrum)
 
 
 def kind_of(path: Path) -> Kind:

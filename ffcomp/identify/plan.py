@@ -1,8 +1,9 @@
-"""Experiments that a printer runs on itself: G-code that shakes a delta, and the exact account of what it commands.
+"""Experiments that a printer runs on itself: G-code that shakes it, and the exact account of what it commands.
 
 Each experiment moves one coordinate from rest to rest, at one place: one carriage alone (A, B, C; the nozzle follows
-by forward kinematics) or the nozzle along one axis (x, y, z). What is played between the knots, ramps included, follows
-from the vertices and the limits they are played under (`ffcomp.plan`), so the account holds no more than these.
+by forward kinematics) or the nozzle along one axis (x, y, z), which is all that straight axes need. What is played
+between the knots, ramps included, follows from the vertices and the limits they are played under (`ffcomp.plan`), so
+the account holds no more than these.
 
 mm, s, mm/s, mm/s²; carriages in the order A, B, C. Times of an experiment begin with its first segment.
 """
@@ -27,7 +28,8 @@ from ffcomp.played import OutputLimits, Played, played
 from gcode.emit import F_COUNTS, XYZ_COUNTS
 from gcode.program import Moves
 from models.errors import UnreachableError
-from models.machine import DeltaGeometry, Machine
+from models.kinematics.straight import StraightGeometry
+from models.machine import DeltaGeometry, Geometry, Machine
 
 FloatArray = NDArray[np.float64]
 
@@ -90,7 +92,7 @@ class Experiment:
     first_knot: int  # where the first whole period begins that is not transient
     periods: int
     vertices_mm: FloatArray  # (n + 1, 3) columns X Y Z, as the file states them
-    geometry: DeltaGeometry = field(repr=False)
+    geometry: Geometry = field(repr=False)
     output: OutputLimits = field(repr=False)
 
     @cached_property
@@ -146,7 +148,8 @@ class Experiment:
     @cached_property
     def peaks(self) -> Peaks:
         """Differences from knot to knot."""
-        nozzle, carriages, s = self.vertices_mm, self.geometry.inverse(self.vertices_mm), self.segment_s
+        nozzle, s = self.vertices_mm, self.segment_s
+        carriages = self.geometry.inverse(nozzle) @ self.geometry.motors.T
         bends = np.diff(nozzle, 2, axis=0) / s**2
         return Peaks(
             float(np.abs(np.diff(carriages, axis=0)).max()) / s,
@@ -231,7 +234,7 @@ def limits_of(machine: Machine, output: OutputLimits) -> Peaks:
 
 def _allowed(machine: Machine, request: Request, direction: str, limits: Peaks) -> tuple[float, float]:
     """Acceleration and velocity of the excited coordinate that suit every place, mm/s² and mm/s."""
-    gains = [_gains(machine.delta, place, direction) for place in request.places_mm]
+    gains = [_gains(machine.kinematics, place, direction) for place in request.places_mm]
     fitting = {
         each.name: min(
             getattr(CONSERVATIVE, each.name) * getattr(limits, each.name) / max(getattr(gain, each.name), 1e-9)
@@ -244,7 +247,7 @@ def _allowed(machine: Machine, request: Request, direction: str, limits: Peaks) 
     return request.acceleration_mm_per_s2 or acceleration, velocity
 
 
-def _gains(geometry: DeltaGeometry, place: tuple[float, float], direction: str) -> Peaks:
+def _gains(geometry: Geometry, place: tuple[float, float], direction: str) -> Peaks:
     """How fast carriages and nozzle are when the excited coordinate moves at 1 mm/s (Eq. 12: Ẋ = J q̇)."""
     j = geometry.jacobian(np.array([place]))[0]
     if direction in TOWERS:
@@ -273,14 +276,14 @@ def _experiment(
         marker_knots=moved.marker_knots,
         first_knot=moved.first_knot,
         periods=moved.periods,
-        vertices_mm=_vertices(machine.delta, direction, position, moved.displacement_mm),
-        geometry=machine.delta,
+        vertices_mm=_vertices(machine.kinematics, direction, position, moved.displacement_mm),
+        geometry=machine.kinematics,
         output=output,
     )
 
 
 def _vertices(
-    geometry: DeltaGeometry, direction: str, position: tuple[float, float, float], displacement: FloatArray
+    geometry: Geometry, direction: str, position: tuple[float, float, float], displacement: FloatArray
 ) -> FloatArray:
     """Where the nozzle goes when one coordinate moves by (n + 1,) mm: (n + 1, 3) mm, as the file can state it."""
     rest = np.array([position])
@@ -289,24 +292,25 @@ def _vertices(
         nozzle = _forward(geometry, q, direction)
     else:
         nozzle = rest + displacement[:, None] * np.eye(3)[AXES.index(direction)]
-    return _always_moving(np.rint(nozzle * XYZ_COUNTS).astype(np.int64).tolist()) / XYZ_COUNTS
+    nudged = AXES.index("z" if direction in TOWERS else direction)
+    return _always_moving(np.rint(nozzle * XYZ_COUNTS).astype(np.int64).tolist(), nudged) / XYZ_COUNTS
 
 
-def _forward(geometry: DeltaGeometry, q: FloatArray, direction: str) -> FloatArray:
+def _forward(geometry: Geometry, q: FloatArray, direction: str) -> FloatArray:
     try:
         return geometry.forward(q)
     except UnreachableError as error:
         raise LimitsError(f"Carriage {direction} cannot be moved so far: {error}") from error
 
 
-def _always_moving(counts: list[list[int]]) -> FloatArray:
+def _always_moving(counts: list[list[int]], axis: int) -> FloatArray:
     """The same places (n + 1, 3) in counts, none like the one before.
 
-    A segment that goes nowhere would be left out, and its time lost: its end is moved by one count in Z.
+    A segment that goes nowhere would be left out, and its time lost: its end is moved by one count along an axis.
     """
     for before, here in pairwise(counts):
         if here == before:
-            here[2] += 1
+            here[axis] += 1
     return np.array(counts, dtype=np.float64)
 
 
@@ -369,32 +373,24 @@ def _check_place(machine: Machine, x: float, y: float, z: float) -> None:
     except UnreachableError as error:
         raise LimitsError(f"The nozzle cannot be excited there: {error}") from error
     widest = _widest(machine)
-    if np.hypot(x, y) > widest:
+    if widest is not None and np.hypot(x, y) > widest:
         raise LimitsError(
             f"The place X = {x:g}, Y = {y:g} mm lies {np.hypot(x, y):.1f} mm from the centre; beyond {widest:.1f} mm "
             "a delta's firmware slows down, and segments come too late."
         )
 
 
-def _widest(machine: Machine) -> float:
-    """The radius within which the firmware plays every segment at its own speed, mm."""
+def _widest(machine: Machine) -> float | None:
+    """The radius within which a delta's firmware plays every segment at its own speed, mm; None: no delta."""
     reach = firmware_limits(machine).delta
-    slow = reach.radius_of_ratio(SLOW_RATIOS[0][0]) if reach else np.inf
-    return min(slow, machine.delta.print_radius_mm)
+    return None if reach is None else min(reach.radius_of_ratio(SLOW_RATIOS[0][0]), machine.delta.print_radius_mm)
 
 
 def _check(machine: Machine, made: Experiment, acceleration: float, limits: Peaks) -> None:
     """Every vertex inside, and no peak over its limit."""
-    xyz = made.vertices_mm
-    x, y, z = made.position_mm
-    radius, widest = float(np.hypot(xyz[:, 0], xyz[:, 1]).max()), _widest(machine)
-    if radius > widest:
-        fits = float(np.hypot(x, y)) - (radius - widest)
-        raise LimitsError(
-            f"{made.name} reaches {radius:.2f} mm from the centre, and may reach {widest:.2f}; "
-            f"a place not farther out than {fits:.1f} mm would fit."
-        )
-    lowest, highest, top = float(xyz[:, 2].min()), float(xyz[:, 2].max()), machine.delta.print_height_mm
+    _check_sideways(machine, made)
+    z, heights = made.position_mm[2], made.vertices_mm[:, 2]
+    lowest, highest, top = float(heights.min()), float(heights.max()), _top(machine.kinematics)
     if lowest < CLEARANCE_MM or highest > top:
         low, high = z - lowest + CLEARANCE_MM, top - (highest - z)
         raise LimitsError(
@@ -408,6 +404,31 @@ def _check(machine: Machine, made: Experiment, acceleration: float, limits: Peak
                 f"{made.name}: the {_words(name)} would peak at {peak:.0f}, and may at {limit:.0f}; "
                 f"an amplitude of {0.99 * acceleration * limit / peak:.0f} mm/s² would fit."
             )
+
+
+def _check_sideways(machine: Machine, made: Experiment) -> None:
+    xyz, widest = made.vertices_mm, _widest(machine)
+    if widest is None:
+        try:
+            machine.kinematics.check_reach(xyz)
+        except UnreachableError as error:
+            raise LimitsError(f"{made.name} leaves the bed: {error} Choose a place farther from its border.") from error
+        return
+    radius = float(np.hypot(xyz[:, 0], xyz[:, 1]).max())
+    if radius > widest:
+        fits = float(np.hypot(*made.position_mm[:2])) - (radius - widest)
+        raise LimitsError(
+            f"{made.name} reaches {radius:.2f} mm from the centre, and may reach {widest:.2f}; "
+            f"a place not farther out than {fits:.1f} mm would fit."
+        )
+
+
+def _top(geometry: Geometry) -> float:
+    """The greatest height of the nozzle, mm."""
+    if isinstance(geometry, StraightGeometry):
+        return float(geometry.range_mm[2, 1])
+    assert isinstance(geometry, DeltaGeometry), "there are these two kinds"
+    return geometry.print_height_mm
 
 
 def _check_timing(made: Experiment, displacement: FloatArray, acceleration: float) -> None:
@@ -445,7 +466,7 @@ def microstep_error(made: Experiment, steps_per_mm: FloatArray) -> float:
     Motors step when the command crosses half a step. One measured period is compared with itself, rounded so; it is
     the same in every period, and no averaging takes it away.
     """
-    carriages = made.command(made.period_times())
+    carriages = made.command(made.period_times()) @ made.geometry.motors.T
     moved = carriages - carriages.mean(axis=0)
     rounded = np.rint(carriages * steps_per_mm) / steps_per_mm - carriages
     upper = made.band.lines[len(made.band.lines) // 2 :]

@@ -24,7 +24,8 @@ from gcode.dialects import KLIPPER, close_limits, open_limits, shaper_off
 from gcode.emit import MoveWriter
 from gcode.limits import MotionLimits
 from gcode.program import Frame
-from models.machine import DeltaGeometry, Machine, constant
+from models.kinematics.straight import COREXY, StraightGeometry
+from models.machine import DeltaGeometry, Geometry, Machine, constant
 
 SCHEMA = "ffcomp-excitation/1"
 TRAVEL_SHARE = 0.2  # of the machine's velocity, between experiments
@@ -99,12 +100,13 @@ def load_plan(path: str | Path) -> Plan:
 def _plan(account: Mapping[str, Any]) -> Plan:
     machine, output = account["machine"], OutputLimits(**account["output"])
     arrays = {name: constant(value) for name, value in account["kinematics"].items() if isinstance(value, list)}
-    geometry = DeltaGeometry(**{**account["kinematics"], **arrays})
+    kind = StraightGeometry if "motor_matrix" in arrays else DeltaGeometry
+    geometry = kind(**{**account["kinematics"], **arrays})
     experiments = tuple(_experiment(entry, geometry, output) for entry in account["experiments"])
     return Plan(machine["name"], machine["sha256"], account["kind"], account["seed"], experiments)
 
 
-def _experiment(entry: Mapping[str, Any], geometry: DeltaGeometry, output: OutputLimits) -> Experiment:
+def _experiment(entry: Mapping[str, Any], geometry: Geometry, output: OutputLimits) -> Experiment:
     x, y, z = entry["position_mm"]
     given = {each.name: entry[each.name] for each in fields(Experiment) if each.name in entry}
     read = {"position_mm": (x, y, z), "band": Band(**entry["band"]), "vertices_mm": constant(entry["vertices_mm"])}
@@ -132,7 +134,7 @@ def gcode_lines(
         yield from shaper_off(flavor)
     travel = TRAVEL_SHARE * machine.limits.velocity_mm_per_s
     height = plan.experiments[0].position_mm[2]
-    yield b"G1 X0 Y0 Z%.10g F%.10g\n" % (height, 60 * travel)
+    yield b"G1 X%.10g Y%.10g Z%.10g F%.10g\n" % (*machine.kinematics.centre_mm, height, 60 * travel)
     for experiment in plan.experiments:
         yield from _comments(["", f"{experiment.name}: {what_moves(experiment)}, {experiment.duration_s:.1f} s"])
         yield from _measured(experiment, machine, flavor, chips, travel)
@@ -196,7 +198,6 @@ def duration_s(plan: Plan) -> float:
 
 def _instructions(plan: Plan, machine: Machine, flavor: str, captures: bool) -> list[str]:
     first = plan.experiments[0]
-    geometry, out = first.geometry, first.output
     minutes, rate = duration_s(plan) / 60, 1.0 / first.segment_s
     return [
         f"Excitation for the identification of {plan.machine} (machine file sha256 {plan.machine_sha256[:8]}).",
@@ -207,14 +208,39 @@ def _instructions(plan: Plan, machine: Machine, flavor: str, captures: bool) -> 
         "- The accelerometer is screwed to the nozzle holder, rigidly, its axes along the printer's or written down;",
         "  a second one may sit on a carriage.",
         "- Bed mesh, skew correction and speed or flow overrides are off: every move must be played as it is written.",
-        "- The firmware's arm lengths, delta radius and tower angles are those of the machine file:",
-        f"  L {_listed(geometry.arm_lengths_mm)}, R {_listed(geometry.delta_radii_mm)} mm, "
-        f"towers {_listed(geometry.tower_angles_deg)} degrees.",
-        f"- The firmware lets Z move at {machine.limits.velocity_mm_per_s:g} mm/s and "
-        f"{out.z_acceleration_mm_per_s2:g} mm/s² (Klipper: max_z_velocity, max_z_accel).",
+        *_of_kinematics(first.geometry),
+        *_of_heights(plan, machine),
         "- It plays from the printer's own storage; a serial line is too slow.",
         "- Stay near: limits are opened for each experiment, so do not pause while it shakes.",
         *([] if captures else ["- Record each experiment in a file of its own, from a second before it shakes."]),
+    ]
+
+
+def _of_heights(plan: Plan, machine: Machine) -> list[str]:
+    """What the firmware must allow in Z, if anything moves there."""
+    if not any(np.ptp(experiment.vertices_mm[:, 2]) for experiment in plan.experiments):
+        return []
+    out = plan.experiments[0].output
+    return [
+        f"- The firmware lets Z move at {machine.limits.velocity_mm_per_s:g} mm/s and "
+        f"{out.z_acceleration_mm_per_s2:g} mm/s² (Klipper: max_z_velocity, max_z_accel)."
+    ]
+
+
+def _of_kinematics(geometry: Geometry) -> list[str]:
+    """What must be so on this kind of machine."""
+    if isinstance(geometry, DeltaGeometry):
+        return [
+            "- The firmware's arm lengths, delta radius and tower angles are those of the machine file:",
+            f"  L {_listed(geometry.arm_lengths_mm)}, R {_listed(geometry.delta_radii_mm)} mm, "
+            f"towers {_listed(geometry.tower_angles_deg)} degrees.",
+        ]
+    assert isinstance(geometry, StraightGeometry), "there are these two kinds"
+    if np.array_equal(geometry.motor_matrix, COREXY):
+        return ["- The firmware's kinematics is CoreXY: the belts of both motors move the nozzle along x and along y."]
+    return [
+        "- Where the bed itself moves along y, the accelerometer is screwed to the bed for the experiments along y:",
+        "  plan these by themselves, with --axes y.",
     ]
 
 

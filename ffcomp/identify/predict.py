@@ -10,6 +10,7 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measured.frf import ComplexArray, FloatArray, FrequencyResponse
+from models.axes import axis_frf
 from models.carriage import belt, command_frf, drive_frf, impedance
 from models.effector import effector_impedance, load_map, struck_frf
 from models.machine import Machine
@@ -31,6 +32,8 @@ def predicted(machine: Machine, responses: Sequence[FrequencyResponse]) -> list[
 
 def _one(machine: Machine, response: FrequencyResponse, benches: dict[tuple[object, ...], _Assembly]) -> ComplexArray:
     s = response.s
+    if machine.first_share is not None:
+        return np.asarray(_straight(machine, response, s) * _differentiated(response, s))
     if response.setup == "effector":
         return _effector(machine, response, s)
     if response.setup in ("carriage", "carriage+mass"):
@@ -40,6 +43,20 @@ def _one(machine: Machine, response: FrequencyResponse, benches: dict[tuple[obje
     if key not in benches:
         benches[key] = _assembly(machine, np.array(place[:2]), s)
     return np.asarray(benches[key].response(response) * _differentiated(response, s))
+
+
+def _straight(machine: Machine, response: FrequencyResponse, s: ComplexArray) -> ComplexArray:
+    """Of axes that do not disturb each other; their carriages are the axes themselves."""
+    if response.setup != "assembly" or not response.input.startswith("cmd_"):
+        _refuse(response, f"The axes answer commands, such as cmd_x; {response.input!r} ({response.setup}) is none.")
+    told, answers = (_axis(response, name[-1]) for name in (response.input, response.output))
+    return axis_frf(machine, s)[:, told] * float(told == answers)
+
+
+def _axis(response: FrequencyResponse, letter: str) -> int:
+    if letter not in CARRIAGES + AXES:
+        _refuse(response, f"There is no axis {letter!r}.")
+    return (CARRIAGES + AXES).index(letter) % 3
 
 
 def _differentiated(response: FrequencyResponse, s: ComplexArray) -> ComplexArray:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ffcomp.identify.axes import AxisFit, IdentifiedAxes
 from ffcomp.identify.direct import DAMPING, DRIVE, STIFFNESS, TOTAL_MASS, UNKNOWNS, Fitted, fit_machine
 from ffcomp.identify.estimates import Estimate
 from ffcomp.identify.from_modes import Started
@@ -23,6 +24,7 @@ FAR = 0.10  # model error of a response from which the load's map is doubted
 FORCE_MAP_COSTS = 100.0  # BIC
 DRIVE_COSTS = 10.0  # BIC by which a drive filter must be better than an ideal drive to be kept
 NEUTRAL_DRIVE = Drive(4.0e5, 0.0, 250.0)  # 100 Hz, where a search for a drive begins
+SUREST = 0.002  # relative: no frequency of a printer stays the same better than that from day to day
 MASSES = ("carriage.mass_kg", "effector.nozzle_mass_kg", "effector.extruder_mass_kg")
 
 
@@ -226,3 +228,35 @@ def modes_file_text(source: Path, started: Started, name: str, data: Sequence[st
     uncertainty = {key: float(f"{e.relative_sd:.2g}") for key, e in started.estimates.items()}
     provenance = {**dict.fromkeys(started.estimates, origin), "identified": identified}
     return updated_text(source, values, name=name, uncertainty=uncertainty, provenance=provenance)
+
+
+def axes_file_text(source: Path, found: IdentifiedAxes, name: str, data: Sequence[str], when: str) -> str:
+    """The same for straight axes: `[axes.x]` and its like, of the axes that were measured."""
+    origin = f"identified {when} by ffcomp identify fit"
+    values: dict[str, Any] = {}
+    uncertainty: dict[str, float] = {}
+    provenance: dict[str, Any] = {}
+    for axis in found.axes:
+        for key in ("frequency_hz", "damping_ratio", "share"):
+            estimates = [getattr(mode, key) for mode in axis.modes]
+            intervals = ", ".join(f"{e.low:.4g} to {e.high:.4g}" for e in estimates)
+            values[f"axes.{axis.name}.{key}"] = [_rounded(e) for e in estimates]
+            provenance[f"axes.{axis.name}.{key}"] = f"{origin}; 90 % interval {intervals}"
+            spread = max(SUREST, *(min(e.relative_sd, 10.0) for e in estimates))
+            uncertainty[f"axes.{axis.name}.{key}"] = float(f"{spread:.2g}")
+        del uncertainty[f"axes.{axis.name}.share"]  # a machine file has none for it
+        values[f"axes.{axis.name}.share"] = _shares(axis)
+        provenance[f"axes.{axis.name}"] = axis.verdict
+    model_errors = {axis.name: float(f"{max(axis.errors):.3g}") for axis in found.axes}
+    identified = {"date": when, "started_from": source.stem, "data": list(data), "model_error_share": model_errors}
+    return updated_text(
+        source, values, name=name, uncertainty=uncertainty, provenance={**provenance, "identified": identified}
+    )
+
+
+def _shares(axis: AxisFit) -> list[float]:
+    """To three decimals, and of sum one."""
+    if len(axis.modes) == 1:
+        return [1.0]
+    first = round(axis.modes[0].share.value, 3)
+    return [first, round(1.0 - first, 3)]

@@ -183,7 +183,7 @@ class _Model:
     def __init__(self, frequency_hz: FloatArray, line_hz: float, exponent: float) -> None:
         self.frequency_hz = frequency_hz  # (k,)
         self._line_hz = line_hz
-        offset, self._window = _kernel()  # (w,)
+        offset, self._window = window_kernel()  # (w,)
         self._fine = np.maximum(frequency_hz[:, None] + offset * line_hz, 1e-3)  # (k, w)
         self._excitation = (self._fine / frequency_hz.mean()) ** exponent
 
@@ -267,7 +267,7 @@ def _weight(target: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(power / (power + _FULL_WEIGHT)))
 
 
-def _kernel() -> tuple[FloatArray, FloatArray]:
+def window_kernel() -> tuple[FloatArray, FloatArray]:
     """|W|² of a Kaiser window between the lines: offsets (w,) in lines, weights (w,) of sum one."""
     taper = np.kaiser(64, _KAISER_BETA)
     power = np.abs(np.fft.fft(taper, 64 * _FINE)) ** 2
@@ -316,7 +316,7 @@ def _capture_modes(found: Capture, signal: str) -> ModeFit:
     axes = (
         ["xyz".index(letter) for letter in signal if letter in "xyz"] if signal in ("x", "y", "z", "xyz") else [0, 1, 2]
     )
-    frequency, segments = _segment_powers(found, axes)
+    frequency, segments = segment_powers(found, axes)
     exponent = 2.0 if "raw_data" in Path(found.source).name else 0.0
     whole = fit_modes(
         frequency, segments.mean(axis=0), excitation_exponent=exponent, source=found.source, signal=signal
@@ -330,7 +330,7 @@ def _capture_modes(found: Capture, signal: str) -> ModeFit:
     return replace(whole, modes=modes, verdict=_verdict(modes, whole.misfit))
 
 
-def _segment_powers(found: Capture, axes: list[int]) -> tuple[FloatArray, FloatArray]:
+def segment_powers(found: Capture, axes: list[int]) -> tuple[FloatArray, FloatArray]:
     """Frequencies (k,) Hz and the power spectral density of each segment without gaps, (s, k) (m/s²)²/Hz."""
     rate = found.sample_rate_hz
     length = 2 ** int(np.ceil(np.log2(_WINDOW_S * rate)))

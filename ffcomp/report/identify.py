@@ -14,10 +14,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ffcomp import __version__
+from ffcomp.identify.axes import AxisFit, IdentifiedAxes
+from ffcomp.identify.axes_data import Datum
 from ffcomp.identify.workflow import Identified
 
 if TYPE_CHECKING:
-    from ffcomp.measured.frf import ComplexArray, FrequencyResponse
+    from ffcomp.measured.frf import ComplexArray, FloatArray, FrequencyResponse
 
 MEASURED, FITTED, NOISE = "#8a8f98", "#d55e00", "#0072b2"
 COLUMNS = 4
@@ -36,6 +38,40 @@ def draw_fit(found: Identified, target: Path) -> None:
         _magnitude(upper, response, model)
         _phase(lower, response, model)
     figure.savefig(target, dpi=110)
+
+
+def draw_axes(found: IdentifiedAxes, name: str, target: Path) -> None:
+    """One panel a file and axis: what was measured, the modes' sum through it, and where the modes are."""
+    panels = [(axis, *each) for axis in found.axes for each in zip(axis.data, axis.fitted, axis.errors, strict=True)]
+    columns = min(COLUMNS, len(panels))
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(5.2 * columns + 0.4, 3.8 * rows + 0.9), layout="constrained")
+    verdict = " · ".join(_said(axis) for axis in found.axes)
+    figure.suptitle(f"{name} · {verdict}\nffcomp {__version__}", x=0.01, ha="left", fontsize=11)
+    for box, panel in zip(figure.subplots(rows, columns, squeeze=False).ravel(), panels, strict=False):
+        _axis_panel(box, *panel)
+    figure.savefig(target, dpi=110)
+
+
+def _said(axis: AxisFit) -> str:
+    modes = (f"{m.frequency_hz.value:.1f} Hz (ζ {m.damping_ratio.value:.3f})" for m in axis.modes)
+    return f"{axis.name}: {' and '.join(modes)}"
+
+
+def _axis_panel(axes: Axes, axis: AxisFit, datum: Datum, model: FloatArray | ComplexArray, error: float) -> None:
+    """Position or power per even acceleration, so that a resonance stands over a level line."""
+    f = datum.frequency_hz
+    left = f"{100 * error:.1f} %" if error else "the noise"
+    axes.semilogy(f, np.abs(datum.value) * datum.level, ".", color=MEASURED, markersize=4, label="measured")
+    axes.semilogy(f, np.abs(model) * datum.level, color=FITTED, linewidth=1.4, label=f"modes, to {left}")
+    for mode in axis.modes:
+        axes.axvline(mode.frequency_hz.value, color=NOISE, linewidth=0.9, linestyle="--")
+        axes.axvspan(mode.frequency_hz.low, mode.frequency_hz.high, color=NOISE, alpha=0.15, linewidth=0)
+    axes.set_title(f"{axis.name}: {Path(datum.source).name}", fontsize=9)
+    axes.set_xlabel("Hz", fontsize=8)
+    axes.set_ylabel(datum.unit, fontsize=8)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=7, loc="best")
 
 
 def _verdict(found: Identified) -> str:

@@ -12,7 +12,7 @@ from models.machine_file import LIBRARY, load_machine
 from models.receptance import poles, receptance
 from models.soundness import bed, soundness, unstable_places
 
-NAMES = sorted(path.stem for path in LIBRARY.glob("*.toml"))
+NAMES = sorted(path.stem for path in LIBRARY.glob("*.toml") if load_machine(path).first_share is None)  # deltas
 
 
 def with_map(machine: Machine, force_map: str) -> Machine:

@@ -39,7 +39,7 @@ def drawings(found: Comparison) -> list[Drawing]:
         of("errors-by-layer", "Error by layer and by feature", 11.0, 4.2, charts.draw_layers),
         of("spectrum", "Spectrum of the error", 9.5, 4.2, charts.draw_spectrum),
     ]
-    if found.bed is not None:
+    if found.bed is not None and found.bed.is_round:
         every.append(of("bed-map", "Resonance over the bed", 10.0, 4.6, charts.draw_bed))
     every.append(of("limits", "What the motors are asked for", 11.0, rows, charts.draw_limits))
     every.append(of("methods", "All methods", 10.0, rows, charts.draw_methods))

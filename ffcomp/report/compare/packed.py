@@ -73,7 +73,7 @@ def packed(found: Comparison) -> dict[str, Any]:
         "highest": scale.highest_um,
         "features": list(found.features[: FEATURES + 1]),
         "layers": [{"number": layer.number, "z": layer.z_mm} for layer in found.layers],
-        "reach": None if found.bed is None else float(found.bed.x_mm[-1]),
+        "reach": None if found.bed is None or not found.bed.is_round else float(found.bed.x_mm[-1]),
         "methods": [_method(trace, scale, numbers, POINTS // len(traces)) for trace in traces],
     }
 
