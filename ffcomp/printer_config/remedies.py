@@ -16,7 +16,7 @@ REMEDIES = {  # the beginning of a key -> what to do
     "carriage.": IDENTIFY,
     "effector.joint_radius_mm": "measure from the effector's centre to the arms' joints",
     "effector.": IDENTIFY,
-    "axes.": "the peak of the firmware's resonance test: where it is, and how wide; or import with --like a machine",
+    "axes.": "import with --like voron-300 or ender-3, then give the firmware's resonance tests to ffcomp identify fit",
     "limits.carriage_": "what the motors do without losing steps",
     "limits.": "from the printer's description, or what it prints with",
     "steps.full_steps_per_mm": "full steps of a motor's turn (200, or 400) over the mm of a turn",
