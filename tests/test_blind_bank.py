@@ -331,9 +331,7 @@ def test_the_score_of_known_verdicts() -> None:
 
 SMOKE = {
     "exact-file:none": ("none", ()),
-    "single:coulomb_friction": ("effects", ("coulomb_friction",)),
     "single:belt_stiffness": ("effects", ("belt_stiffness",)),
-    "single:frame_mode": ("effects", ("frame_mode",)),
     "outside:soft_tower": ("unknown", ()),
     "pair:cogging+effector_mass": ("effects", ("cogging", "effector_mass")),
 }

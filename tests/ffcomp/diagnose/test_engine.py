@@ -69,11 +69,6 @@ def test_hidden_friction_is_named_with_its_force(tmp_path: Path) -> None:
     assert closed.nrms == pytest.approx(told.after.nrms, rel=0.05)  # the file says what the fit found
 
 
-def test_an_effect_outside_the_candidates_is_unknown() -> None:
-    uneven = {"towers": {"belt_stiffness_n_per_m": [7.0e4, 1.039e5, 1.5e5]}}
-    assert verdict(uneven).verdict == "unknown"
-
-
 def test_fitted_numbers_become_tables_of_a_machine_file() -> None:
     tables = effect_tables(
         {
