@@ -278,7 +278,7 @@ def test_on_a_cluster(prints: list[Path], alone: list[bytes], machine: Machine, 
 
 def test_an_interrupt_leaves_what_is_finished(prints: list[Path], alone: list[bytes], tmp_path: Path) -> None:
     long = tmp_path / "long.gcode"
-    moves = b"".join(b"G1 X%d Y%d E.1\n" % (k % 40, k * 7 % 40) for k in range(30_000))
+    moves = b"".join(b"G1 X%d Y%d E.1\n" % (k % 40, k * 7 % 40) for k in range(60_000))
     long.write_bytes(HEAD + moves)
     command = [sys.executable, "-c", MAIN, "compensate", "-m", "mp-delta-pro", "-j", "2", prints[0], long]
     process = subprocess.Popen(
@@ -292,6 +292,7 @@ def test_an_interrupt_leaves_what_is_finished(prints: list[Path], alone: list[by
         if prints[0].read_bytes() != a_print(3):
             break
         time.sleep(0.1)
+    time.sleep(1.0)  # the process that is done has yet to say so
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130 and "Interrupted; 1 of 2 files are done" in errors, errors
