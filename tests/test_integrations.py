@@ -1,4 +1,7 @@
-"""The wrappers, called as Cura, OrcaSlicer and Moonraker call them, and the recipes for all the others."""
+"""The wrappers, called as Cura, OrcaSlicer and Moonraker call them, and the recipes for all the others.
+
+`test_slicers.py` has a real Cura call its wrapper.
+"""
 
 from __future__ import annotations
 
@@ -25,6 +28,7 @@ from typer.testing import CliRunner
 from ffcomp import __version__
 from ffcomp.cli.integrations import app
 from ffcomp.integrations.recipes import RECIPES, cura_folders, executable, instructions, joined, wrapper
+from ffcomp.integrations.slicer import Bed, read_bed
 from ffcomp.job import already_processed
 from ffcomp.writer import original
 
@@ -63,7 +67,7 @@ def stand_in(monkeypatch: pytest.MonkeyPatch, name: str, **contents: Any) -> Non
 
 CURA = [
     ";FLAVOR:Marlin\n;TIME:3\n;Filament used: 0.01m\n;Layer height: 0.2\n",
-    "T0\n; bed_shape = 0x0,220x0,220x220,0x220\nM82 ;absolute\nG28 ;Straße\nG92 E0\nM107\n;LAYER_COUNT:2\n",
+    "T0\nM82 ;absolute\nG28 ;Straße\nG92 E0\nM107\n;LAYER_COUNT:2\n",
     ";LAYER:0\nM107\nG0 F6000 X10 Y10 Z0.3\n;TYPE:WALL-OUTER\nG1 F3000 X30 Y12 E1\n;TIME_ELAPSED:1.0\n",
     ";LAYER:1\nM106 S85\nG0 F6000 X30 Y14 Z0.5\nG1 F3000 X10 Y10 E2\n;TIME_ELAPSED:2.0\n",
     "G1 F2700 E1\nG0 F6000 X12 Y10\n",
@@ -91,17 +95,31 @@ def told() -> list[str]:
 
 
 @pytest.fixture
-def cura_script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, program: str, told: list[str]) -> ModuleType:
+def printer() -> dict[str, Any]:
+    """Cura's settings of the printer."""
+    return {"machine_width": 220, "machine_depth": 200.0, "machine_center_is_zero": False}
+
+
+@pytest.fixture
+def cura_script(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, program: str, told: list[str], printer: dict[str, Any]
+) -> ModuleType:
     """The script, loaded as Cura's plugin loads it."""
 
     class Message:
-        def __init__(self, text: str, title: str) -> None:
+        def __init__(self, text: str, lifetime: int, title: str) -> None:
+            assert lifetime == 0  # until it is closed
             self.text = text
 
         def show(self) -> None:
             told.append(self.text)
 
+    cura = SimpleNamespace(
+        getGlobalContainerStack=lambda: SimpleNamespace(getProperty=lambda key, _: printer[key]),
+        getPrintInformation=lambda: SimpleNamespace(jobName="CE3_Würfel"),
+    )
     stand_in(monkeypatch, "UM")
+    stand_in(monkeypatch, "UM.Application", Application=SimpleNamespace(getInstance=lambda: cura))
     stand_in(monkeypatch, "UM.Message", Message=Message)
     stand_in(monkeypatch, "PostProcessingPlugin", __path__=[])
     stand_in(monkeypatch, "PostProcessingPlugin.PostProcessingPlugin", __path__=[])
@@ -114,7 +132,7 @@ def cura_script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, program: str, t
 def cura(cura_script: ModuleType) -> Callable[..., list[str]]:
     """Runs it over a print, as Cura's plugin does when a file is saved."""
 
-    def save(data: list[str], **settings: str) -> list[str]:
+    def save(data: list[str], **settings: Any) -> list[str]:
         script = cura_script.Ffcomp()
         script.values = settings
         if ";POSTPROCESSED" not in data[0]:
@@ -132,7 +150,7 @@ def test_cura_gets_the_compensated_print_in_its_pieces(cura: Callable[..., list[
     firsts = [piece.partition("\n")[0].removeprefix(";~") for piece in CURA]
     assert [piece.partition("\n")[0].removeprefix(";~") for piece in data] == firsts
     assert ";POSTPROCESSED" in data[0] and cura(data) == data
-    assert len(told) == 1 and "--offset-mm -110,-110" in told[0]  # a warning is seen
+    assert len(told) == 1 and "--offset-mm -110,-100" in told[0]  # a warning is seen
 
 
 @pytest.mark.parametrize(
@@ -141,16 +159,42 @@ def test_cura_gets_the_compensated_print_in_its_pieces(cura: Callable[..., list[
         ({"machine": "kosel"}, "Did you mean 'kossel'?"),
         ({"executable": "/no/such ffcomp"}, "No such file"),
         ({"options": "--offset-mm '"}, "No closing quotation"),
+        ({"options": "--fast"}, "No such option: --fast (exit code 2)"),
+        ({"executable": None}, "NoneType"),  # whatever it is
     ],
 )
 def test_a_failure_in_cura_is_seen_and_the_print_stays(
-    cura: Callable[..., list[str]], told: list[str], settings: dict[str, str], why: str
+    cura: Callable[..., list[str]], told: list[str], settings: dict[str, Any], why: str
 ) -> None:
     data = cura(list(CURA), **settings)
     first, comment, *rest = "".join(data).replace(";POSTPROCESSED\n", "").splitlines(keepends=True)
     assert first + "".join(rest) == "".join(CURA) and len(data) == len(CURA)
     assert comment.startswith(";ffcomp FAILED, this print is NOT compensated: ") and why in comment
+    assert "│" not in comment  # the frame of an error of usage
     assert len(told) == 1 and "NOT compensated" in told[0] and why in told[0]
+
+
+def test_a_layer_that_another_script_has_put_a_line_before_stays_a_piece(cura_script: ModuleType) -> None:
+    data = ["G28\n", "\n;LAYER:0\nG1 X1\n", "\n\n;LAYER:1\n", "\n", "M84\n"]
+    text = "".join(data).replace("G1 X1", ";~G1 X1\nG1 X1 F600")
+    first, *layers = cura_script._pieces(text, data)
+    assert first == "G28\n\n" and [layer.partition("\n")[0] for layer in layers] == [";LAYER:0", ";LAYER:1", "M84"]
+    assert first + "".join(layers) == text
+
+
+def test_ffcomp_is_told_what_cura_knows(
+    cura: Callable[..., list[str]], told: list[str], printer: dict[str, Any], tmp_path: Path
+) -> None:
+    stub = tmp_path / "ffcomp"
+    said = '{"warnings": ["%s, %s, %s"]}'
+    stub.write_text(f"#!/bin/sh\nprintf '{said}' $SLIC3R_PP_HOST $SLIC3R_PP_OUTPUT_NAME $SLIC3R_PRINTABLE_AREA\n")
+    stub.chmod(0o755)
+    cura(list(CURA), executable=str(stub))
+    printer["machine_center_is_zero"] = True
+    cura(list(CURA), executable=str(stub))
+    beds = [read_bed(text.rpartition(", ")[2]) for text in told]
+    assert all(text.startswith("Cura, CE3_Würfel, ") for text in told)
+    assert beds == [Bed((0.0, 0.0), (220.0, 200.0)), Bed((-110.0, -100.0), (110.0, 100.0))]
 
 
 def test_curas_settings_are_what_it_can_read(cura_script: ModuleType) -> None:

@@ -17,6 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from UM.Application import Application  # type: ignore[import-not-found]
 from UM.Message import Message  # type: ignore[import-not-found]
 
 from ..Script import Script  # type: ignore[import-not-found]
@@ -45,10 +46,10 @@ class Ffcomp(Script):
     def execute(self, data: list[str]) -> list[str]:
         try:
             text, warnings = self._compensated("".join(data))
-        except (OSError, ValueError, subprocess.SubprocessError) as error:
-            return _failed(data, " ".join(str(error).split()))
+        except Exception as error:  # whatever it is: Cura would save the print as it was, without a word
+            return _failed(data, " ".join(str(error).split()) or repr(error))
         if warnings:
-            Message("\n".join(warnings), title="ffcomp").show()
+            _tell("\n".join(warnings))
         return _pieces(text, data)
 
     def _compensated(self, print_text: str) -> tuple[str, list[str]]:
@@ -69,25 +70,45 @@ class Ffcomp(Script):
             text=True,
             encoding="utf-8",
             errors="replace",
-            env={key: value for key, value in os.environ.items() if key not in CURAS_OWN} | {"PYTHONUTF8": "1"},
+            env=_environment(Application.getInstance()),
             creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
         )
         if answer.returncode:
-            said = answer.stderr.strip()
-            raise ValueError(f"{said[max(said.rfind('ffcomp: '), 0) :]} (exit code {answer.returncode})")
+            raise ValueError(f"{_last_sentence(answer.stderr)} (exit code {answer.returncode})")
         result: dict[str, Any] = json.loads(answer.stdout)
         return result
+
+
+def _last_sentence(said: str) -> str:
+    """What ffcomp said at last, without the frame that it draws around an error of usage."""
+    return re.sub("[│╭╮╰╯─]+", " ", re.split("ffcomp: |╭─ Error ─+╮", said)[-1])
+
+
+def _environment(cura: Any) -> dict[str, str]:
+    """What a slicer that calls programs would tell them of the print: its name, and where the bed is."""
+    printer = cura.getGlobalContainerStack()
+    width, depth, centred = (
+        printer.getProperty(f"machine_{key}", "value") for key in ("width", "depth", "center_is_zero")
+    )
+    x, y = (-width / 2, -depth / 2) if centred else (0.0, 0.0)
+    return {
+        **{key: value for key, value in os.environ.items() if key not in CURAS_OWN},
+        "SLIC3R_PP_HOST": "Cura",
+        "SLIC3R_PP_OUTPUT_NAME": cura.getPrintInformation().jobName,
+        "SLIC3R_PRINTABLE_AREA": f"{x}x{y},{x + width}x{y + depth}",
+        "PYTHONUTF8": "1",
+    }
 
 
 def _pieces(text: str, data: list[str]) -> list[str]:
     """The text cut where the pieces of `data` began, so that other scripts find header, layers and end again.
 
-    Every line of the original is still there, a move as a comment `;~`. A piece whose first line is not found stays
-    with the one before it.
+    Every line of the original is still there, a move as a comment `;~`. An empty line before a layer, as other scripts
+    leave it, goes to the piece before. So does a piece whose first line is not found.
     """
     cuts = [0]
     for piece in data[1:]:
-        first = piece.partition("\n")[0]
+        first = piece.lstrip("\r\n").partition("\n")[0]
         found = re.compile(rf"^(?:;~)?{re.escape(first)}\r?$", re.MULTILINE).search(text, cuts[-1] + 1)
         if first and found:
             cuts.append(found.start())
@@ -96,6 +117,11 @@ def _pieces(text: str, data: list[str]) -> list[str]:
 
 def _failed(data: list[str], why: str) -> list[str]:
     """The print as it was, but for a comment below its first line; and a word on the screen."""
-    Message(f"The print is NOT compensated. {why}", title="ffcomp").show()
+    _tell(f"The print is NOT compensated. {why}")
     first, newline, rest = data[0].partition("\n") if data else ("", "", "")
     return [f"{first}{newline or chr(10)};ffcomp FAILED, this print is NOT compensated: {why}\n{rest}", *data[1:]]
+
+
+def _tell(text: str) -> None:
+    """A message that stays until the user closes it: a print may take longer to save than people wait."""
+    Message(text, lifetime=0, title="ffcomp").show()

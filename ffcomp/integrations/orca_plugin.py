@@ -18,6 +18,7 @@ and for an upload): ffcomp knows its own files.
 
 import json
 import os
+import re
 import shlex
 import subprocess
 from typing import Any
@@ -65,7 +66,8 @@ def _compensate(ctx: Any, config: dict[str, str]) -> str:
     )
     said = _wait(process, ctx).strip()
     if process.returncode:
-        raise ValueError(f"{said[max(said.rfind('ffcomp: '), 0) :]} (exit code {process.returncode})")
+        last = re.sub("[│╭╮╰╯─]+", " ", re.split("ffcomp: |╭─ Error ─+╮", said)[-1])  # usage errors come in a frame
+        raise ValueError(f"{' '.join(last.split())} (exit code {process.returncode})")
     return said.rpartition("\n")[2]
 
 

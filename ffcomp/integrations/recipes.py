@@ -129,7 +129,7 @@ For Bambu Lab's own printers it runs when you slice, and the preview shows the r
         ),
         Recipe(
             "cura",
-            "Cura 5: a post-processing script within Cura",
+            "Cura 4 and 5: a post-processing script within Cura",
             """\
 ffcomp integrations install cura --machine {quoted}
 

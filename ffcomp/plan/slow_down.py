@@ -71,7 +71,8 @@ class SlowDown:
             why = f"carriage {self.carriage} was asked for {self.asked:.2f} times its {self.limit} limit"
         else:
             why = "the firmware's own acceleration limit leaves too little for its segments"
-        return f"line {lines}{layer}: {verb} to {100 * self.factor:.0f} %, {self.seconds:.2g} s longer: {why}."
+        percent = f"{100 * self.factor:.0f}" if self.factor < 0.995 else f"{100 * self.factor:.2f}"  # never to 100 %
+        return f"line {lines}{layer}: {verb} to {percent} %, {self.seconds:.2g} s longer: {why}."
 
 
 @dataclass(frozen=True, slots=True)

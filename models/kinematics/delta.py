@@ -183,7 +183,7 @@ class DeltaGeometry(Geometry):
         for step in range(1, 400):
             away = np.hypot(*(places - centre).T)
             centre = centre + (places[int(np.argmax(away))] - centre) / (step + 1)
-        x, y = np.round(-centre)
+        x, y = np.round(-centre) + 0.0  # no minus before a zero
         needed = float(np.hypot(*(xy + np.array([x, y])).T).max())
         if needed > self.print_radius_mm:
             return f"The print needs a radius of {needed:.0f} mm wherever it is put: no offset helps."

@@ -58,7 +58,7 @@ class StraightGeometry(Geometry):
         needed, room = np.ptp(xy, axis=0), np.ptp(self.range_mm[:2], axis=1)
         if (needed > room).any():
             return f"The print needs {needed[0]:.0f} × {needed[1]:.0f} mm: no offset helps."
-        x, y = np.round(self.centre_mm - 0.5 * (xy.min(axis=0) + xy.max(axis=0)))
+        x, y = np.round(self.centre_mm - 0.5 * (xy.min(axis=0) + xy.max(axis=0))) + 0.0  # no minus before a zero
         return f"A print made for a bed with its origin elsewhere? --offset-mm {x:.0f},{y:.0f} brings it inside."
 
     def rings(self, radii: int, directions: int) -> FloatArray:
