@@ -397,6 +397,8 @@ UNITS = {  # endings of keys; a longer one goes before one it ends in
 RULES = {  # pydantic's type of error -> our rule, filled in from its context
     "greater_than_equal": "must be at least {ge:g}{unit}",
     "less_than_equal": "must be at most {le:g}{unit}",
+    "greater_than": "must be greater than {gt:g}{unit}",
+    "less_than": "must be less than {lt:g}{unit}",
     "float_type": "must be a number{unit}",
     "finite_number": "must be a finite number{unit}",
     "string_type": "must be a text in quotes",
