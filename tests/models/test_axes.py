@@ -97,6 +97,8 @@ def test_the_virtual_printer_plays_the_same_modes() -> None:
             "axes.x.frequency_hz = 40.0 must be a list of one or two",
         ),
         ("frequency_hz = [40.0]\ndamping_ratio = [0.1]\nfrequenzy = 3", "frequenzy is not a key"),
+        ("frequency_hz = [40.0]\ndamping_ratio = [1.1]", "axes.x.damping_ratio[0] = 1.1 must be less than 1"),
+        ("frequency_hz = [9.0, 8.0]\ndamping_ratio = [0.1, 0.1]\nshare = [1.0, 0.0]", "0.0 must be greater than 0"),
         ("[effects.belt_hardening]\ncubic_n_per_m3 = 1e9", "modes know no forces"),
         ("[kinematics2]\na = 1", "kinematics2 is not a key"),
     ],
