@@ -121,3 +121,16 @@ def test_an_interrupt_is_quick_and_leaves_the_old_report(tmp_path: Path) -> None
     assert "Interrupted" in process.stderr.read()
     process.stderr.close()
     assert page.read_text(encoding="utf-8") == "old" and list(tmp_path.iterdir()) == [page]
+
+
+def test_a_short_print_in_inches(tmp_path: Path) -> None:
+    """Four decimals of an inch are coarse, and of a few seconds little is left for tuning."""
+    path = tmp_path / "inches.gcode"
+    square = b"".join(
+        b"G1 X%s Y%s E.01\n" % corner for corner in ((b".5", b"0"), (b".5", b".5"), (b"0", b".5"), (b"0", b"0"))
+    )
+    path.write_bytes(b"G20\nG90\nM83\nG1 X0 Y0 Z.2 F200\n" + 3 * square)
+    answer = call(path, "-m", "mp-delta-pro", "--only", "mzv", "--quality-um", "0", "--sample", "60%", "--json")
+    assert answer.exit_code == 0, answer.output
+    methods = json.loads(answer.stdout)["methods"]
+    assert 5 * methods["fbs-lpv"]["contour_rms_um"] < methods["none"]["contour_rms_um"]

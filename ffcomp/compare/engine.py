@@ -87,6 +87,8 @@ def compare(
         raise NothingToDo(f"{path}: what is to be judged lasts less than {SHORTEST_S:g} s: nothing to compare.")
     some, _ = printed.stretches(request.sampling, at_most_s=SOME_S)
     few, _ = printed.stretches(request.sampling, FEW_PIECE_S, FEW_S)
+    if max(each.trajectory.end_t for each in few) < SHORTEST_S:
+        few = stretches  # in small pieces of a short print nothing is left but their beginnings
     ways = _ways(machine, plant, few, settings, names(request), progress)
     answers = _answers(ways, stretches, plant, progress)
     judged = {way.name: _method(way, answers[way.name], printed.labels.features) for way in ways}

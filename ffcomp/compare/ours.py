@@ -110,8 +110,9 @@ def segments_motion(ours: Compensated, own: Segments) -> Motion:
 
 def _knot(vertices: FloatArray, first_end: FloatArray) -> int:
     """The knot at which a run's first written segment begins: segments that go nowhere are not written."""
-    there = np.abs(np.round(vertices[1:], 4) - first_end).max(axis=1) < 1e-6
-    return int(np.flatnonzero(there)[0])
+    there = np.abs(np.round(vertices[1:], 4) - first_end).max(axis=1)
+    exact = np.flatnonzero(there < 1e-6)
+    return int(exact[0]) if len(exact) else int(np.argmin(there))  # in inches, four decimals are coarser
 
 
 def pick(trajectory: PlannedMotion, which: NDArray[np.bool_] | slice) -> Trajectory:
