@@ -154,7 +154,7 @@ def study(
     with_arms: bool = False,
 ) -> Study:
     """The view at every place asked for and every place measured (or with every mass)."""
-    if machine.first_share is not None:
+    if machine.has_straight_axes:
         _straight_view(view)
         centre = machine.kinematics.centre_mm
         places, measured = [np.array(centre)], [_of_axes(response, centre) for response in measured]
@@ -328,7 +328,7 @@ class _Bench:
 
     def _assembly(self, xy: FloatArray, _: float) -> _Case:
         value = assembly_frf(self.machine, xy, self.frequency_hz, self.view.answering, self.view.per)
-        if self.machine.first_share is not None:
+        if self.machine.has_straight_axes:
             return "anywhere", value, _straight_modes(modes(self.machine, xy))
         return f"at ({xy[0]:g}, {xy[1]:g}) mm", value, _assembly_modes(self.machine, self._over_the_bed, xy)
 

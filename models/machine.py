@@ -122,6 +122,11 @@ class Machine:
     first_share: FloatArray | None = None  # (3,) of straight axes, see `models/axes.py`; None: a delta
 
     @property
+    def has_straight_axes(self) -> bool:
+        """Cartesian or CoreXY: axes with modes of their own instead of carriages that carry an effector."""
+        return self.first_share is not None
+
+    @property
     def delta(self) -> DeltaGeometry:
         """Its geometry as a delta's; MachineFileError if it is none."""
         if not isinstance(self.kinematics, DeltaGeometry):

@@ -51,7 +51,7 @@ def continuous_plant(machine: Machine, xy: FloatArray) -> ContinuousPlant:
     ----------
     xy : (g, 2) mm, columns X Y. (Nothing depends on z: J does not.)
     """
-    if machine.first_share is not None:
+    if machine.has_straight_axes:
         return _with_drive(machine, _straight(machine, len(xy)))
     j = machine.kinematics.jacobian(xy)
     gamma = load_map(machine, xy)

@@ -204,7 +204,7 @@ def printer_numbers(machine: Machine, *, gravity: bool = True) -> kernels.Number
         effect_named(name)  # refuses an unknown one
     effective = effective_machine(machine)
     # straight axes' weight stands on the frame, not on what vibrates
-    g = GRAVITY_M_PER_S2 if gravity and effective.first_share is None else 0.0
+    g = GRAVITY_M_PER_S2 if gravity and not effective.has_straight_axes else 0.0
     parts = {
         **_geometry(effective),
         **_carriages(effective, g),

@@ -69,7 +69,7 @@ def carriage_frf(machine: Machine, xy: FloatArray, frequency_hz: FloatArray) -> 
     -------
     (k, 3, 3), rows real carriage A B C, columns commanded carriage A B C.
     """
-    if machine.first_share is not None:
+    if machine.has_straight_axes:
         return np.asarray(axis_frf(machine, _s(frequency_hz))[:, None, :] * np.eye(3))
     s = _s(frequency_hz)[:, None]  # against carriages that may differ
     drive = belt(machine.carriage, s) * drive_frf(machine.carriage.drive, s)
@@ -150,7 +150,7 @@ def _s(frequency_hz: FloatArray) -> ComplexArray:
 
 def _state_matrix(machine: Machine, xy: FloatArray) -> FloatArray:
     """d/dt of (q, η, q̇, η̇), (n, 12, 12)."""
-    if machine.first_share is not None:
+    if machine.has_straight_axes:
         order = np.arange(12).reshape(4, 3)[[0, 2, 1, 3]].ravel()  # of q, q̇, η, η̇
         return continuous_plant(machine, xy).a[:, 6:, 6:][:, order][:, :, order]
     mass, damper, stiffness = _matrices(machine, xy)

@@ -35,11 +35,11 @@ from gcode.reader import read_parts, read_program
 from models.machine import Machine
 from models.machine_file import load_machine
 from tests.gcode.data import real
+from tests.judge import HOST_KNOWS
 from tests.kalico import kalico_plan
 
 ROOT = Path(__file__).parents[1]
 PRINTS = ROOT / "sample_prints"
-HOST_KNOWS = re.compile(rb"\s*(G0|G1|G4|G90|G91|G92|M82|M83|M204|SET_VELOCITY_LIMIT)\b", re.IGNORECASE)
 
 
 @cache

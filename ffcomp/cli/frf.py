@@ -85,7 +85,7 @@ def frf(
 
         loaded = load_machine(machine)
         responses = [response for path in measured or [] for response in read_frfs(path)]
-        if loaded.first_share is not None:
+        if loaded.has_straight_axes:
             of = of or Of.nozzle
         view = _view(of, per, responses, added_mass_kg or [], with_arms)
         centre = "{:g},{:g}".format(*loaded.kinematics.centre_mm)
@@ -163,7 +163,7 @@ def _write_map(machine: Machine, target: Path) -> None:
     from models.errors import MachineFileError
     from models.mode_map import mode_map
 
-    if machine.first_share is not None:
+    if machine.has_straight_axes:
         rule = "Straight axes answer alike everywhere on the bed, so there is no map; --figure shows how."
         raise MachineFileError("--map", [rule])
     modes = mode_map(machine)
@@ -216,7 +216,7 @@ def _answer(found: Study, station: Station) -> dict[str, Any]:
     return {
         "schema": "ffcomp-frf/1",
         "machine": {"name": found.machine.name, "sha256": found.machine.sha256},
-        "force_map": found.machine.effector.force_map if found.machine.first_share is None else None,
+        "force_map": found.machine.effector.force_map if not found.machine.has_straight_axes else None,
         "position_mm": [*station.xy.tolist(), 0.0],
         "frequency_hz": found.frequency_hz.tolist(),
         "carriage": [[_bode(station.carriage, carriage_phase, i, k) for k in range(3)] for i in range(3)],

@@ -150,7 +150,7 @@ def decouple(
         from models.machine_file import load_machine
 
         loaded = load_machine(machine)
-        if loaded.first_share is not None:
+        if loaded.has_straight_axes:
             rule = "Straight axes carry no effector to be decoupled from: `ffcomp identify fit` says what they do."
             raise MachineFileError(loaded.path, [rule])
         responses = gather(data, loaded, band_hz=(lowest_hz, highest_hz)).responses
@@ -214,7 +214,7 @@ class _Outcome:
         self.axes: IdentifiedAxes | None = None
 
     def of(self, method: str, progress: Any) -> dict[str, Any]:
-        if self.start.first_share is not None:
+        if self.start.has_straight_axes:
             return self.from_axes(method, progress)
         return self.from_responses(method, progress) if self.gathered.responses else self.from_modes()
 

@@ -150,7 +150,7 @@ def _directions(axes: str | None, machine: Machine) -> tuple[str, ...]:
     from ffcomp.identify.plan import AXES, TOWERS
 
     along = {"xy": AXES[:2], **{axis: (axis,) for axis in AXES}}
-    if machine.first_share is None:
+    if not machine.has_straight_axes:
         groups = {"towers": TOWERS, "xyz": AXES, "all": TOWERS + AXES, **along}
     else:
         groups = {**along, "xyz": AXES}
@@ -167,7 +167,7 @@ def _places(texts: list[str], machine: Machine) -> list[tuple[float, float]]:
     for text in texts:
         if text == CENTRE:
             found.append(machine.kinematics.centre_mm)
-        elif text == LINE_OF_ACTION and machine.first_share is not None:
+        elif text == LINE_OF_ACTION and machine.has_straight_axes:
             raise typer.BadParameter(f"--at {text}: that is a delta's; straight axes answer alike everywhere.")
         else:
             found += line_of_action(machine.delta) if text == LINE_OF_ACTION else [_place(text)]
@@ -179,7 +179,7 @@ def _recommended(machine: Machine) -> list[tuple[float, float]]:
     from ffcomp.identify.plan import line_of_action
 
     centre = [machine.kinematics.centre_mm]
-    return centre if machine.first_share is not None else [*centre, *line_of_action(machine.delta)]
+    return centre if machine.has_straight_axes else [*centre, *line_of_action(machine.delta)]
 
 
 def _place(text: str) -> tuple[float, float]:

@@ -82,7 +82,7 @@ def check_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
 
     with _machine_errors(as_json):
         loaded = load_machine(machine)
-    if loaded.first_share is not None:
+    if loaded.has_straight_axes:
         _check_axes(loaded, _instability(unstable_places(loaded)), as_json)
         return
     quantities, sound = redundant(loaded), soundness(loaded)

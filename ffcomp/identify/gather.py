@@ -71,11 +71,11 @@ def gather(
             runs.append(read_run(path))
         elif plan is not None:
             found.responses += [r.between(*band_hz) for r in frfs_from_captures(plan, [path], machine, axes)]
-        elif machine.first_share is None:
+        elif not machine.has_straight_axes:
             found.spectra.append(modes_of(path))
         else:
             _take(spectrum_of(path, shaken_axis, band_hz), found)
-    if machine.first_share is not None:
+    if machine.has_straight_axes:
         found.responses += [r for run in runs for r in frfs_from_runs([run], *band_hz)]
         runs = []
     for place, members in _by_place(runs, machine, found.skipped).items():

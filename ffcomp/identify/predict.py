@@ -32,7 +32,7 @@ def predicted(machine: Machine, responses: Sequence[FrequencyResponse]) -> list[
 
 def _one(machine: Machine, response: FrequencyResponse, benches: dict[tuple[object, ...], _Assembly]) -> ComplexArray:
     s = response.s
-    if machine.first_share is not None:
+    if machine.has_straight_axes:
         return np.asarray(_straight(machine, response, s) * _differentiated(response, s))
     if response.setup == "effector":
         return _effector(machine, response, s)

@@ -77,7 +77,7 @@ class Inverter:
     def _compliance(self) -> FloatArray:
         """It at the table's nodes: Eq. 29 and Eq. 34 turned over and expanded at s = 0."""
         carriage, effector, j = self.machine.carriage, self.machine.effector, self.coarse.jacobian
-        if self.machine.first_share is not None:
+        if self.machine.has_straight_axes:
             return np.tile(np.diag(low_frequency(self.machine)[1]), (len(j), 1, 1))
         if self.settings.one_model:
             j = np.broadcast_to(j[len(j) // 2], j.shape)
@@ -153,7 +153,7 @@ def drive_lag(drive: Drive | None) -> tuple[float, float]:
 def steady_delay(machine: Machine) -> float:
     """τ of G(s) ≈ I − τ s: how far the machine lags behind a steady motion, s, on average of its towers."""
     carriage = machine.carriage
-    if machine.first_share is not None:
+    if machine.has_straight_axes:
         return float(np.mean(low_frequency(machine)[0]))
     lag = carriage.guide_damping_n_s_per_m / carriage.belt_stiffness_n_per_m
     return float(np.mean(lag)) + drive_lag(carriage.drive)[0]
