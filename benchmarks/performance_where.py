@@ -227,7 +227,7 @@ def per_knot() -> dict[str, int]:
     """A multiplication and an addition for each entry of a matrix; a model is four matrices with four weights."""
     drive = AXES * (8 + 6)  # two states of a drive: four products each, three sums
     return {
-        "sweep_back": 2 * BACKWARD[0] * BACKWARD[1],
+        "sweep_back": 2 * BACKWARD[0] * (AUGMENTED + AXES),  # what is filled up to a vector's length does not count
         "sweep_forward": 2 * FORWARD[0] * FORWARD[1],
         "simulate, a step": 2 * BEHIND_DRIVES * COLUMNS + drive + 2 * AXES,
         "a model": (4 + 3) * BEHIND_DRIVES * COLUMNS,

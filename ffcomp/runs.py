@@ -93,5 +93,7 @@ class Reference:
         return self._trajectory.position(np.clip(t, self._run.begin_t, np.nextafter(self._run.end_t, -np.inf)))
 
     def _velocity(self, t: FloatArray) -> FloatArray:
-        inside = (t >= self._run.begin_t) & (t < self._run.end_t)
-        return self._trajectory.velocity(t)[:, :3] * inside[:, None]
+        velocity = self._trajectory.velocity(t)[:, :3].copy()
+        begin, end = np.searchsorted(t, [self._run.begin_t, self._run.end_t])
+        velocity[:begin], velocity[end:] = 0.0, 0.0
+        return velocity

@@ -10,12 +10,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ffcomp.products import recursion
 from models.machine import Machine
 from models.plant import QD, STATES, WD, PlantTable, Q, W
 
 FloatArray = NDArray[np.float64]
 
 SAME_MM = 1.0  # so near to a place its model still serves
+
+_advance = recursion(rows=12, of_state=12, of_input=15)
 
 
 def rest_state(machine: Machine, nozzle: FloatArray) -> FloatArray:
@@ -164,8 +167,10 @@ def simulate(
     Returns carriages (n·substeps, 3) mm after every step, and the states (n + 1, 18) at the knots.
     """
     n = len(place)
-    w, x, y = state[:6].copy(), state[6:].copy(), np.empty(12)
-    model = np.empty((27, 12))
+    x, model = state[6:].copy(), np.empty((1, 27, 12))
+    entries, flat = model.reshape(27 * 12), mechanics.reshape(len(mechanics), 27 * 12)
+    given = np.empty((1, 15))  # w, u(t), u(t + h), J̇ q̇
+    given[0, :6] = state[:6]
     kept, knots = np.empty((n * substeps, 3)), np.empty((n + 1, 18))
     knots[0] = state
     at_x, at_y = np.inf, np.inf
@@ -177,41 +182,26 @@ def simulate(
             j, fy = _corner(at_y, x0, pitch, nodes)
             at = i * nodes + j
             w00, w01, w10, w11 = (1 - fx) * (1 - fy), (1 - fx) * fy, fx * (1 - fy), fx * fy
-            for c in range(27):
-                for r in range(12):
-                    model[c, r] = (
-                        w00 * mechanics[at, c, r]
-                        + w01 * mechanics[at + 1, c, r]
-                        + w10 * mechanics[at + nodes, c, r]
-                        + w11 * mechanics[at + nodes + 1, c, r]
-                    )
-        # NOTE: column by column, so that the rows of a column fill the processor's vectors
+            for e in range(len(entries)):
+                entries[e] = (
+                    w00 * flat[at, e]
+                    + w01 * flat[at + 1, e]
+                    + w10 * flat[at + nodes, e]
+                    + w11 * flat[at + nodes + 1, e]
+                )
         for _ in range(substeps):
-            for r in range(12):
-                y[r] = 0.0
-            for c in range(12):
-                v = x[c]
-                for r in range(12):
-                    y[r] += v * model[c, r]
-            for c in range(6):
-                v = w[c]
-                for r in range(12):
-                    y[r] += v * model[12 + c, r]
             for c in range(3):
-                before, after = command[step, c], command[step + 1, c]
-                turning = 0.5 * (centripetal[step, c] + centripetal[step + 1, c])
-                for r in range(12):
-                    y[r] += before * model[18 + c, r] + after * model[21 + c, r] + turning * model[24 + c, r]
-                w0, w1 = w[c], w[3 + c]
-                w[c] = drive[c, 0] * w0 + drive[c, 1] * w1 + drive[c, 4] * before + drive[c, 6] * after
-                w[3 + c] = drive[c, 2] * w0 + drive[c, 3] * w1 + drive[c, 5] * before + drive[c, 7] * after
-            for r in range(12):
-                x[r] = y[r]
+                given[0, 6 + c], given[0, 9 + c] = command[step, c], command[step + 1, c]
+                given[0, 12 + c] = 0.5 * (centripetal[step, c] + centripetal[step + 1, c])
+            _advance(model, 0, x, given, 0)
             for c in range(3):
+                before, after, w0, w1 = given[0, 6 + c], given[0, 9 + c], given[0, c], given[0, 3 + c]
+                given[0, c] = drive[c, 0] * w0 + drive[c, 1] * w1 + drive[c, 4] * before + drive[c, 6] * after
+                given[0, 3 + c] = drive[c, 2] * w0 + drive[c, 3] * w1 + drive[c, 5] * before + drive[c, 7] * after
                 kept[step, c] = x[c]
             step += 1
         for r in range(6):
-            knots[k + 1, r] = w[r]
+            knots[k + 1, r] = given[0, r]
         for r in range(12):
             knots[k + 1, 6 + r] = x[r]
     return kept, knots

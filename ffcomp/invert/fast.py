@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 
 from ffcomp.invert.kernels import sweep_back, sweep_forward
 from ffcomp.invert.play import Playing, Stretch
-from ffcomp.invert.preview import AUGMENTED, BACKWARD, FORWARD, REST_ROWS, TO_THE_END, Gains, Preview
+from ffcomp.invert.preview import REST_ROWS, TO_THE_END, Gains, Preview, no_gains
 
 FloatArray = NDArray[np.float64]
 
 STRETCH = 512  # knots solved at a time
-NO_END = Gains(np.empty((0, *BACKWARD)), np.empty((0, *FORWARD)))
 MOST_PASSES = 5
 CLOSE_MM = 5e-3  # a change of the command so small leaves a tenth of it to the next
 SIGHT = 32  # knots in sight after them: what comes later asks for a hundred-thousandth now
@@ -50,7 +49,7 @@ class _Part:
         self.stretch = Stretch(run, at, stop + (REST_ROWS if whole else SIGHT))
         gains = run.inverter.preview
         self.node, self.steady = gains.at(self.stretch.place)
-        self.ending = _to_rest(gains, self.node, len(self.steady.backward)) if whole else NO_END
+        self.ending = _to_rest(gains, self.node, len(self.steady.backward)) if whole else no_gains()
         if begin:
             self._begin()
 
@@ -63,43 +62,40 @@ class _Part:
             s = run.inverter.settings
             knots = slice(s.substeps, (n + 1) * s.substeps, s.substeps)
             ahead = stretch.nozzle[knots] + stretch.velocity[knots] * run.inverter.delay_s
-            around = run.reference.at_knots(np.arange(self.at - 1, last + 3))  # NOTE: over two knots, for less noise
-            q = run.inverter.delta.inverse(around)
-            bend = (q[4:] - 2 * q[2:-2] + q[:-4]) / (2 * s.segment_s) ** 2
+            edges = run.reference.at_knots(np.array([self.at - 1, stretch.end + 1, stretch.end + 2]))
+            q = np.insert(run.inverter.delta.inverse(edges), 1, stretch.wanted, axis=0)[: n + 4]
+            bend = (q[4:] - 2 * q[2:-2] + q[:-4]) / (2 * s.segment_s) ** 2  # NOTE: over two knots, for less noise
             bent = np.einsum("nij,nj->ni", run.inverter.compliance_at(stretch.nozzle[knots, :2]), bend)
             run.gamma[self.at + 1 : last + 1] = run.inverter.delta.inverse(ahead) - stretch.wanted[1 : n + 1] + bent
 
     def solve(self, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray]:
         run, s, kept = self.run, self.run.inverter.settings, self.stop - self.at
         for _ in range(MOST_PASSES):
-            response, states = self.stretch.respond(state)
-            answer, change = self.improve(self.stretch.error(response))
+            error, states = self.stretch.error_from(state)
+            answer, change = self.improve(error)
             if change < CLOSE_MM:
                 break
         run.vertices[self.at : self.stop + 1] = self.stretch.vertices()[: kept + 1]
         if keep_response:
             response, states = self.stretch.respond(state)
             return response[: kept * s.substeps], states[kept]
-        return response[:0], states[kept] + answer[kept - 1]
+        return np.empty((0, 3)), states[kept] + answer
 
     def improve(self, error: FloatArray) -> tuple[FloatArray, float]:
         """γ += the answer to the error (rows, 3) mm that is left.
 
         Returns
         -------
-        what the plant makes of the change, (n, 18); the largest change of what is kept, mm
+        what the plant makes of the change, (18,), at the last knot that is kept; the largest change of what is kept, mm
         """
-        run, stretch, steady = self.run, self.stretch, self.steady
-        n = stretch.end - stretch.at
-        gamma = run.gamma[stretch.at : stretch.end + 1]
-        before = run.gamma[stretch.at - 1 : stretch.at] if stretch.at else np.zeros((1, 3))
-        bend = np.diff(np.concatenate([before, gamma]), 2, axis=0)
-        psi = sweep_back(
-            steady.backward, self.ending.backward, self.node, error.reshape(n, -1), bend, np.zeros(AUGMENTED)
-        )
-        change, states = sweep_forward(steady.forward, self.ending.forward, self.node, psi, np.zeros(AUGMENTED))
+        stretch, steady, ending, kept = self.stretch, self.steady, self.ending, self.stop - self.at
+        gamma = self.run.gamma[stretch.at : stretch.end + 1]
+        before = self.run.gamma[stretch.at - 1 : stretch.at] if stretch.at else np.zeros((1, 3))
+        rows = error.reshape(stretch.end - stretch.at, -1)
+        psi = sweep_back(steady.backward, ending.backward, self.node, rows, np.concatenate([before, gamma]))
+        change, answer = sweep_forward(steady.forward, ending.forward, self.node, psi, kept)
         gamma[1:] += change
-        return states, float(np.abs(change[: self.stop - self.at]).max())
+        return answer, float(np.abs(change[:kept]).max())
 
 
 def _to_rest(gains: Preview, node: NDArray[np.int64], steady: int) -> Gains:

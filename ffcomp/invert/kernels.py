@@ -1,4 +1,4 @@
-"""Hot loops of the inversion, compiled: the response of the spline basis. mm, s."""
+"""Hot loops of the inversion, compiled: the response of the spline basis, and the sweeps of the fast inverse. mm, s."""
 
 from __future__ import annotations
 
@@ -6,8 +6,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ffcomp.products import recursion
+
 FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
 IntArray = NDArray[np.int64]
+
+# (s, ψ) ← (s, ē, d), five numbers of 32 unused; z ← (z, ψ)
+_back = recursion(rows=32, of_state=24, of_input=9)
+_forward = recursion(rows=24, of_state=24, of_input=3)
 
 
 @njit(cache=True)
@@ -49,67 +56,47 @@ def basis_response(
 
 @njit(cache=True, nogil=True)
 def sweep_back(
-    steady: FloatArray, ending: FloatArray, node: IntArray, error: FloatArray, bend: FloatArray, s: FloatArray
-) -> FloatArray:
+    steady: Float32Array, ending: Float32Array, node: IntArray, error: FloatArray, gamma: FloatArray
+) -> Float32Array:
     """What the errors to come ask for now: ψ (n, 3) of `preview`, from the last interval to the first.
 
-    steady (g, 33, 27), ending (m, 33, 27): gains.   node (n,): which of them; beyond g counts into `ending`.
-    error (n, 6) mm, at the interval's rows; bend (n, 3) mm.   s (24,): at the last interval's end, overwritten.
+    steady (g, 33, 32), ending (m, 33, 32): gains.   node (n,): which of them; beyond g counts into `ending`.
+    error (n, 6) mm, at the interval's rows.   gamma (n + 2, 3) mm: the command's coefficients, from the knot before on.
     """
     n, g = len(node), len(steady)
-    psi = np.empty((n, 3))
-    out = np.empty(27)
+    psi, s, given = np.empty((n, 3), np.float32), np.zeros(32, np.float32), np.empty((1, 9), np.float32)
     for k in range(n - 1, -1, -1):
-        gain = steady[node[k]] if node[k] < g else ending[node[k] - g]
-        for r in range(27):
-            out[r] = 0.0
-        for c in range(24):
-            v = s[c]
-            for r in range(27):
-                out[r] += v * gain[c, r]
-        for c in range(6):
-            v = error[k, c]
-            for r in range(27):
-                out[r] += v * gain[24 + c, r]
-        for c in range(3):
-            v = bend[k, c]
-            for r in range(27):
-                out[r] += v * gain[30 + c, r]
-        for r in range(24):
-            s[r] = out[r]
+        for r in range(6):
+            given[0, r] = error[k, r]
         for r in range(3):
-            psi[k, r] = out[24 + r]
+            given[0, 6 + r] = gamma[k + 2, r] - 2 * gamma[k + 1, r] + gamma[k, r]
+        if node[k] < g:
+            _back(steady, node[k], s, given, 0)
+        else:
+            _back(ending, node[k] - g, s, given, 0)
+        for r in range(3):
+            psi[k, r] = s[24 + r]
     return psi
 
 
 @njit(cache=True, nogil=True)
 def sweep_forward(
-    steady: FloatArray, ending: FloatArray, node: IntArray, psi: FloatArray, z: FloatArray
+    steady: Float32Array, ending: Float32Array, node: IntArray, psi: Float32Array, kept: int
 ) -> tuple[FloatArray, FloatArray]:
-    """The change of the command: γ (n, 3) at the ends of the intervals, and the plant's answers x (n, 18) there.
+    """The change of the command: γ (n, 3) at the ends of the intervals, and the plant's answer x (18,) after `kept`.
 
-    z (24,): at the first knot, overwritten.
+    steady (g, 27, 24), ending (m, 27, 24): gains.   psi (n, 3): see `sweep_back`.
     """
     n, g = len(node), len(steady)
-    gamma = np.empty((n, 3))
-    states = np.empty((n, 18))
-    out = np.empty(24)
+    gamma, state, z = np.empty((n, 3)), np.zeros(18), np.zeros(24, np.float32)
     for k in range(n):
-        gain = steady[node[k]] if node[k] < g else ending[node[k] - g]
-        for r in range(24):
-            out[r] = 0.0
-        for c in range(24):
-            v = z[c]
-            for r in range(24):
-                out[r] += v * gain[c, r]
-        for c in range(3):
-            v = psi[k, c]
-            for r in range(24):
-                out[r] += v * gain[24 + c, r]
-        for r in range(24):
-            z[r] = out[r]
-        for r in range(18):
-            states[k, r] = z[r]
+        if node[k] < g:
+            _forward(steady, node[k], z, psi, k)
+        else:
+            _forward(ending, node[k] - g, z, psi, k)
         for r in range(3):
             gamma[k, r] = z[18 + r]
-    return gamma, states
+        if k == kept - 1:
+            for r in range(18):
+                state[r] = z[r]
+    return gamma, state

@@ -44,6 +44,11 @@ class Stretch:
         self.wanted = run.inverter.delta.inverse(self.nozzle[:: s.substeps])
         self.place = np.ascontiguousarray(self.nozzle[s.substeps // 2 :: s.substeps, :2])
         self._centripetal = run.inverter.delta.rate_term(self.nozzle, np.ascontiguousarray(self.velocity))
+        self._stride = s.substeps // s.rows_per_segment
+        self._due = self.nozzle[self._stride :: self._stride].copy()  # at the rows that are weighed
+        first = at * s.rows_per_segment
+        own = run.softened[first : first + len(self._due)]
+        self._due[: len(own)] += own
 
     def vertices(self) -> FloatArray:
         """Nozzle commands at the knots, (n + 1, 3) mm."""
@@ -51,20 +56,23 @@ class Stretch:
 
     def respond(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Nozzle (m, 3) mm after every substep and states at the knots, from a state (18,) at the first knot."""
-        inverter = self.run.inverter
-        command = inverter.delta.inverse(self.as_played())
-        q, states = inverter.fine.play(self.place, self._centripetal, command, state, inverter.settings.substeps)
-        return inverter.delta.forward(q), states
+        q, states = self._carriages(state)
+        return self.run.inverter.delta.forward(q), states
 
     def error(self, response: FloatArray) -> FloatArray:
         """Where the nozzle should have been instead, at the rows that are weighed: (rows, 3) mm."""
-        s = self.run.inverter.settings
-        stride = s.substeps // s.rows_per_segment
-        error = (self.nozzle[1:] - response)[stride - 1 :: stride]
-        first = self.at * s.rows_per_segment
-        own = self.run.softened[first : first + len(error)]
-        error[: len(own)] += own
-        return np.ascontiguousarray(error)
+        return self._due - response[self._stride - 1 :: self._stride]
+
+    def error_from(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The same, and the states at the knots, from a state (18,) at the first knot."""
+        q, states = self._carriages(state)
+        rows = np.ascontiguousarray(q[self._stride - 1 :: self._stride])
+        return self._due - self.run.inverter.delta.forward(rows), states
+
+    def _carriages(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        inverter = self.run.inverter
+        command = inverter.delta.inverse(self.as_played())
+        return inverter.fine.play(self.place, self._centripetal, command, state, inverter.settings.substeps)
 
     def as_played(self) -> FloatArray:
         """The command as the firmware plays the segments: straight for the nozzle, with its ramps. (m, 3) mm."""

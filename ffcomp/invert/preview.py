@@ -32,12 +32,14 @@ from numpy.typing import NDArray
 from models.plant import STATES, DiscretePlant
 
 FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
 IntArray = NDArray[np.int64]
 PlantAt = Callable[[FloatArray], tuple[DiscretePlant, FloatArray]]  # places (g, 2) mm -> plant, jacobian (g, 3, 3)
 
 AXES = 3
 AUGMENTED = STATES + 2 * AXES  # z
-BACKWARD, FORWARD = (AUGMENTED + 9, AUGMENTED + 3), (AUGMENTED + 3, AUGMENTED)  # of one place, with two rows
+# of one place, with two rows; the products of the first are filled up to a multiple of a vector's length
+BACKWARD, FORWARD = (AUGMENTED + 9, AUGMENTED + 8), (AUGMENTED + 3, AUGMENTED)
 PITCH_MM = 5.0  # of the grid: what the nearest node misses, the correction finds
 AT_A_TIME = 256  # places
 DOUBLINGS = 9  # 512 knots: a state is forgotten by then, whatever places are worked out together
@@ -58,10 +60,13 @@ class _Problem:
 
 @dataclass(frozen=True, slots=True)
 class Gains:
-    """What both sweeps multiply with, transposed so that every column of a product lies together in memory."""
+    """What both sweeps multiply with, transposed so that every column of a product lies together in memory.
 
-    backward: FloatArray  # (g, 24 + rows + 3, 27): (s, ē, d) -> (s, ψ)
-    forward: FloatArray  # (g, 24 + 3, 24): (z, ψ) -> z
+    In single precision: they only ever answer an error that is left, which is then measured again.
+    """
+
+    backward: Float32Array  # (g, 24 + rows + 3, 32): (s, ē, d) -> (s, ψ, nothing)
+    forward: Float32Array  # (g, 24 + 3, 24): (z, ψ) -> z
 
     def with_room(self, places: int) -> Gains:
         """The same, with at least so many places."""
@@ -69,8 +74,15 @@ class Gains:
             return self
         more = max(places, 2 * len(self.backward)) - len(self.backward)
         return Gains(
-            *(np.concatenate([each, np.zeros((more, *each.shape[1:]))]) for each in (self.backward, self.forward))
+            *(
+                np.concatenate([each, np.zeros((more, *each.shape[1:]), np.float32)])
+                for each in (self.backward, self.forward)
+            )
         )
+
+
+def no_gains() -> Gains:
+    return Gains(np.empty((0, *BACKWARD), np.float32), np.empty((0, *FORWARD), np.float32))
 
 
 class Preview:
@@ -81,7 +93,7 @@ class Preview:
         self._half = int(np.ceil(reach_mm / PITCH_MM)) + (reach_mm > 0.0)
         self._slot = np.full((2 * self._half + 1) ** 2, -1)  # where in the arrays a node's gains are; -1: nowhere yet
         self._problem: list[_Problem] = []  # of each slot, one place
-        self._steady = Gains(np.empty((0, *BACKWARD)), np.empty((0, *FORWARD)))
+        self._steady = no_gains()
         self._ends: OrderedDict[int, Gains] = OrderedDict()
         self._working = Lock()
 
@@ -207,12 +219,13 @@ def _gains(p: _Problem, value: FloatArray, effort: float) -> Gains:
 
 def _packed(
     a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, f: FloatArray, psi: FloatArray, effort: float
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[Float32Array, Float32Array]:
     closed, seen = a - b @ f, c - d @ f
     preview = np.concatenate([closed, seen, effort * f], axis=-2)  # rows: of s, ē, d
-    backward = np.concatenate([preview, _t(psi)], axis=-1)
+    unused = np.zeros((*preview.shape[:-1], BACKWARD[1] - AUGMENTED - AXES))
+    backward = np.concatenate([preview, _t(psi), unused], axis=-1)
     forward = np.concatenate([_t(closed), _t(b)], axis=-2)
-    return np.ascontiguousarray(backward), np.ascontiguousarray(forward)
+    return np.ascontiguousarray(backward, np.float32), np.ascontiguousarray(forward, np.float32)
 
 
 def _t(matrix: NDArray[Any]) -> NDArray[Any]:

@@ -41,14 +41,14 @@ def _forward(q: FloatArray, towers: FloatArray, arms_squared: FloatArray, effect
     """As `delta.forward`: two plane equations for r_xy = u + v r_z seen from joint A, then a quadratic in r_z."""
     bx, by = towers[1, 0] - towers[0, 0], towers[1, 1] - towers[0, 1]
     cx, cy = towers[2, 0] - towers[0, 0], towers[2, 1] - towers[0, 1]
-    det = bx * cy - by * cx
+    scale = 1.0 / (bx * cy - by * cx)
     out = np.empty((len(q), 3))
     for n in range(len(q)):
         rise_b, rise_c = q[n, 1] - q[n, 0], q[n, 2] - q[n, 0]
         off_b = 0.5 * (bx * bx + by * by + rise_b * rise_b + arms_squared[0] - arms_squared[1])
         off_c = 0.5 * (cx * cx + cy * cy + rise_c * rise_c + arms_squared[0] - arms_squared[2])
-        ux, uy = (off_b * cy - off_c * by) / det, (off_c * bx - off_b * cx) / det
-        vx, vy = (rise_c * by - rise_b * cy) / det, (rise_b * cx - rise_c * bx) / det
+        ux, uy = (off_b * cy - off_c * by) * scale, (off_c * bx - off_b * cx) * scale
+        vx, vy = (rise_c * by - rise_b * cy) * scale, (rise_b * cx - rise_c * bx) * scale
         a, b = 1.0 + vx * vx + vy * vy, ux * vx + uy * vy
         rz = -(b + math.sqrt(b * b - a * (ux * ux + uy * uy - arms_squared[0]))) / a
         out[n, 0] = towers[0, 0] + ux + vx * rz
@@ -73,11 +73,11 @@ def _rate_term(xyz: FloatArray, velocity: FloatArray, towers: FloatArray, arms_s
         c0 = s[1, 1] * s[2, 2] - s[1, 2] * s[2, 1]
         c1 = s[1, 2] * s[2, 0] - s[1, 0] * s[2, 2]
         c2 = s[1, 0] * s[2, 1] - s[1, 1] * s[2, 0]
-        det = s[0, 0] * c0 + s[0, 1] * c1 + s[0, 2] * c2
+        k = -1.0 / (s[0, 0] * c0 + s[0, 1] * c1 + s[0, 2] * c2)
         d0, d1, d2 = w[0], w[1], w[2]
-        out[n, 0] = -(d0 * c0 + s[0, 1] * (s[1, 2] * d2 - d1 * s[2, 2]) + s[0, 2] * (d1 * s[2, 1] - s[1, 1] * d2)) / det
-        out[n, 1] = -(s[0, 0] * (d1 * s[2, 2] - s[1, 2] * d2) + d0 * c1 + s[0, 2] * (s[1, 0] * d2 - d1 * s[2, 0])) / det
-        out[n, 2] = -(s[0, 0] * (s[1, 1] * d2 - d1 * s[2, 1]) + s[0, 1] * (d1 * s[2, 0] - s[1, 0] * d2) + d0 * c2) / det
+        out[n, 0] = (d0 * c0 + s[0, 1] * (s[1, 2] * d2 - d1 * s[2, 2]) + s[0, 2] * (d1 * s[2, 1] - s[1, 1] * d2)) * k
+        out[n, 1] = (s[0, 0] * (d1 * s[2, 2] - s[1, 2] * d2) + d0 * c1 + s[0, 2] * (s[1, 0] * d2 - d1 * s[2, 0])) * k
+        out[n, 2] = (s[0, 0] * (s[1, 1] * d2 - d1 * s[2, 1]) + s[0, 1] * (d1 * s[2, 0] - s[1, 0] * d2) + d0 * c2) * k
     return out
 
 

@@ -107,8 +107,8 @@ def test_both_sweeps_are_the_dense_least_squares(machine: Machine, preview: Prev
     node = np.full(intervals, slot)
     steady = preview.at(place)[1]
     ending = fast._to_rest(preview, node, len(steady.backward))
-    psi = fast.sweep_back(steady.backward, ending.backward, node, error, np.zeros((intervals, 3)), np.zeros(24))
-    swept, _ = fast.sweep_forward(steady.forward, ending.forward, node, psi, np.zeros(24))
+    psi = fast.sweep_back(steady.backward, ending.backward, node, error, np.zeros((intervals + 2, 3)))
+    swept, _ = fast.sweep_forward(steady.forward, ending.forward, node, psi, intervals)
     np.testing.assert_allclose(swept[: knots - 1], dense, atol=1e-6 * np.abs(dense).max())
     np.testing.assert_allclose(swept[knots - 1 :], 0.0, atol=1e-12)  # at rest after the end
 
