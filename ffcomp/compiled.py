@@ -14,12 +14,13 @@ VARIABLE = "NUMBA_CACHE_DIR"
 
 def find_a_place() -> None:
     """See above; what the user has set stays."""
-    places = (Path(__file__).parent / "__pycache__", _user_cache() / "numba")
+    places = (Path(__file__).parent / "__pycache__", user_cache() / "numba")
     if VARIABLE not in os.environ and not any(map(_writable, places)):
         os.environ[VARIABLE] = str(_temporary())
 
 
-def _user_cache() -> Path:
+def user_cache() -> Path:
+    """Where programmes keep what they can work out again."""
     if os.name == "nt":
         return Path(os.environ.get("LOCALAPPDATA") or Path.home())
     return Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))

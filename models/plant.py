@@ -18,6 +18,7 @@ mm for lengths; stiffness N/m over mass kg is 1/s² all the same.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -177,6 +178,21 @@ class PlantTable:
             if np.ndim(value)
         }
         return replace(self, plant=replace(self.plant, **same))
+
+    def arrays(self) -> dict[str, FloatArray]:
+        """All of it, to be kept."""
+        p = self.plant
+        grid = np.array([self.x0_mm, self.pitch_mm, self.nodes, p.step_s])
+        return dict(zip(TABLE_ARRAYS, (grid, p.a, p.b0, p.b1, p.b_centripetal, self.jacobian), strict=True))
+
+    @classmethod
+    def of_arrays(cls, kept: Mapping[str, FloatArray]) -> PlantTable:
+        grid, *plant, jacobian = (kept[name] for name in TABLE_ARRAYS)
+        x0, pitch, nodes, step_s = grid.tolist()
+        return cls(x0, pitch, int(nodes), DiscretePlant(step_s, *plant), jacobian)
+
+
+TABLE_ARRAYS = ("grid", "a", "b0", "b1", "b_centripetal", "jacobian")
 
 
 def plant_table(machine: Machine, step_s: float, pitch_mm: float = 10.0) -> PlantTable:

@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.invert.kernels import basis_response
-from ffcomp.invert.limits import limited_step
 from ffcomp.invert.play import Playing, Stretch
 from ffcomp.schedule import interpolate, models_along
 
@@ -125,6 +124,8 @@ class Window:
             asked = inverter.limits.asked(inverter.delta.forward(tried[1:-1]))
             self.limited = bool(asked.shares(inverter.limits).max() > 1.0)
         if self.limited:
+            from ffcomp.invert.limited_step import limited_step  # 0.1 s to import: only where a limit binds
+
             step = limited_step(
                 rows.hessian,
                 rows.matrix.T @ left,

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ffcomp import kept
 from ffcomp.invert import exact, fast, limited
 from ffcomp.invert.effort import effort_weight
 from ffcomp.invert.exact import Held
@@ -21,7 +22,7 @@ from ffcomp.schedule import Schedule, interpolate, models_along, rest_state
 from models.axes import low_frequency
 from models.effects.catalogue import design_machine, without_effects
 from models.machine import Drive, Machine
-from models.plant import DiscretePlant, PlantTable, plant_table
+from models.plant import TABLE_ARRAYS, DiscretePlant, PlantTable, plant_table
 
 FloatArray = NDArray[np.float64]
 
@@ -51,8 +52,11 @@ class Inverter:
         own = without_effects(given, GEOMETRY)
         self.printer = own if len(beyond) > len(self.not_modelled) else None
         self.delta = machine.kinematics.compiled()
-        self.fine = Schedule(machine, _table(machine, settings, settings.substeps))
-        self.coarse = _table(machine, settings, settings.rows_per_segment)
+        s = settings
+        self._kept = kept.name_of(machine, s.segment_s, s.substeps, s.rows_per_segment, s.bandwidth_hz, s.one_model)
+        self._known = kept.load(self._kept)
+        self.fine = Schedule(machine, self._table("fine", s.substeps))
+        self.coarse = self._table("coarse", s.rows_per_segment)
         self.effort = effort_weight(machine, settings.bandwidth_hz, settings.segment_s, settings.rows_per_segment)
         self.delay_s = steady_delay(machine)
         self.limits = CommandLimits.of(machine, settings.segment_s)
@@ -60,8 +64,30 @@ class Inverter:
     @cached_property
     def preview(self) -> Preview:
         """The gains of the fast inverse."""
-        s = self.settings
-        return Preview(self._plant_at, self.machine.kinematics.model_reach_mm, s.rows_per_segment, self.effort)
+        reach = self.machine.kinematics.model_reach_mm
+        preview = Preview(self._plant_at, reach, self.settings.rows_per_segment, self.effort)
+        if self._known:
+            preview.take_up(self._known)
+        return preview
+
+    def _table(self, name: str, steps: int) -> PlantTable:
+        """The plant over the bed, for that many steps a segment."""
+        if self._known:
+            return PlantTable.of_arrays({each: self._known[f"{name} {each}"] for each in TABLE_ARRAYS})
+        table = plant_table(self.machine, self.settings.segment_s / steps)
+        return table.frozen() if self.settings.one_model else table
+
+    def keep(self) -> None:
+        """Leave what was worked out for the next time."""
+        worked_out = self.settings.inverse == "fast" and len(self.preview)
+        if not worked_out or (self._known and worked_out == len(self._known["node"])):
+            return
+        if meanwhile := kept.load(self._kept):  # another process may have been elsewhere on the bed
+            self.preview.take_up(meanwhile)
+        tables = {"fine": self.fine.table, "coarse": self.coarse}
+        arrays = {f"{name} {each}": array for name, table in tables.items() for each, array in table.arrays().items()}
+        self._known = {**arrays, **self.preview.known()}
+        kept.save(self._kept, self._known)
 
     def _plant_at(self, xy: FloatArray) -> tuple[DiscretePlant, FloatArray]:
         """The plant for half a segment at places (g, 2) mm, and the nozzle's Jacobian there."""
@@ -134,12 +160,6 @@ class Inverter:
             response, state, held = limited.hold(run, begin, keep_response)
             worst = excess(run.vertices, self.limits)
         return RunResult(run.vertices, state, response, windows, len(held), worst, tuple(held))
-
-
-def _table(machine: Machine, settings: Settings, steps: int) -> PlantTable:
-    """The plant over the bed, for that many steps a segment."""
-    table = plant_table(machine, settings.segment_s / steps)
-    return table.frozen() if settings.one_model else table
 
 
 def drive_lag(drive: Drive | None) -> tuple[float, float]:

@@ -100,3 +100,55 @@ def sweep_forward(
             for r in range(18):
                 state[r] = z[r]
     return gamma, state
+
+
+@njit(cache=True, nogil=True)
+def riccati_backwards(
+    a: FloatArray,
+    b: FloatArray,
+    c: FloatArray,
+    d: FloatArray,
+    effort: float,
+    resting: int,
+    feedback: FloatArray,
+    preview: FloatArray,
+) -> None:
+    """The finite problem of `preview`, from its end on backwards: F and the rows of ψ for every interval.
+
+    a (24, 24), b (24, 3), c (6, 24), d (6, 3).   In the last `resting` intervals F is given and there is no choice.
+    feedback (n, 3, 24), preview (n, 3, 33): of all intervals, filled in before those.
+    """
+    value = np.zeros((24, 24))
+    for k in range(len(feedback) - 1, -1, -1):
+        f = feedback[k]
+        if k < len(feedback) - resting:
+            ahead = _product(b.T, value)
+            inverse = _inverse_of_three(_product(d.T, d) + _product(ahead, b) + effort * np.eye(3))
+            f[:] = _product(inverse, _product(d.T, c) + _product(ahead, a))
+            preview[k, :, :24] = _product(inverse, b.T)
+            preview[k, :, 24:30] = _product(inverse, d.T)
+            preview[k, :, 30:] = -effort * inverse
+        closed, seen = a - _product(b, f), c - _product(d, f)
+        value = _product(seen.T, seen) + effort * _product(f.T, f) + _product(closed.T, _product(value, closed))
+
+
+@njit(cache=True, nogil=True)
+def _product(x: FloatArray, y: FloatArray) -> FloatArray:
+    """x y, without the library that numba would load for it."""
+    out = np.zeros((x.shape[0], y.shape[1]))
+    for i in range(x.shape[0]):
+        for k in range(x.shape[1]):
+            for j in range(y.shape[1]):
+                out[i, j] += x[i, k] * y[k, j]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _inverse_of_three(m: FloatArray) -> FloatArray:
+    """m⁻¹ (3, 3) by cofactors."""
+    out = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            p, q, r, s = (j + 1) % 3, (j + 2) % 3, (i + 1) % 3, (i + 2) % 3
+            out[i, j] = m[p, r] * m[q, s] - m[p, s] * m[q, r]
+    return out / (m[0, 0] * out[0, 0] + m[0, 1] * out[1, 0] + m[0, 2] * out[2, 0])

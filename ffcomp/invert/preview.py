@@ -21,7 +21,7 @@ doubling (Chu, Fan, Lin & Wang, Int. J. Control 77 (2004) 767-788).
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from threading import Lock
 from typing import Any
@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ffcomp.invert.kernels import riccati_backwards
 from models.plant import STATES, DiscretePlant
 
 FloatArray = NDArray[np.float64]
@@ -49,7 +50,7 @@ REST_ROWS = 24  # knots after the end whose ringing counts
 
 
 @dataclass(frozen=True, slots=True)
-class _Problem:
+class Problem:
     """One interval at g places: z⁺ = 𝒜 z + ℬ w, rows C̄ z + D̄ w of the nozzle."""
 
     a: FloatArray  # (g, 24, 24)
@@ -91,8 +92,8 @@ class Preview:
     def __init__(self, plant_at: PlantAt, reach_mm: float, rows_per_segment: int, effort: float) -> None:
         self._plant_at, self._rows, self.effort = plant_at, rows_per_segment, effort
         self._half = int(np.ceil(reach_mm / PITCH_MM)) + (reach_mm > 0.0)
+        self._node = np.empty(0, dtype=np.int64)  # of each slot
         self._slot = np.full((2 * self._half + 1) ** 2, -1)  # where in the arrays a node's gains are; -1: nowhere yet
-        self._problem: list[_Problem] = []  # of each slot, one place
         self._steady = no_gains()
         self._ends: OrderedDict[int, Gains] = OrderedDict()
         self._working = Lock()
@@ -108,16 +109,37 @@ class Preview:
             return self._slot[node], self._steady
 
     def _work_out(self, node: IntArray) -> None:
+        problem = self.problem(node)
+        self._add(node, _gains(problem, _riccati(problem, self.effort), self.effort))
+
+    def problem(self, node: IntArray) -> Problem:
+        """What is solved at nodes (g,) of the grid."""
         across = 2 * self._half + 1
         xy = PITCH_MM * (np.stack([node // across, node % across], axis=1) - self._half).astype(np.float64)
-        problem = _problem(*self._plant_at(xy), self._rows)
-        found = _gains(problem, _riccati(problem, self.effort), self.effort)
-        known = len(self._problem)
-        self._problem += [_Problem(*parts) for parts in zip(problem.a, problem.b, problem.c, problem.d, strict=True)]
-        self._steady = self._steady.with_room(len(self._problem))
-        self._steady.backward[known : len(self._problem)] = found.backward
-        self._steady.forward[known : len(self._problem)] = found.forward
-        self._slot[node] = np.arange(known, len(self._problem))
+        return _problem(*self._plant_at(xy), self._rows)
+
+    def _add(self, node: IntArray, found: Gains) -> None:
+        known, now = len(self._node), len(self._node) + len(node)
+        self._node = np.concatenate([self._node, node])
+        self._steady = self._steady.with_room(now)
+        self._steady.backward[known:now], self._steady.forward[known:now] = found.backward, found.forward
+        self._slot[node] = np.arange(known, now)
+
+    def __len__(self) -> int:
+        """Places whose gains are known."""
+        return len(self._node)
+
+    def known(self) -> dict[str, NDArray[Any]]:
+        """All gains so far, to be taken up again."""
+        with self._working:
+            n = len(self._node)
+            return {"node": self._node, "backward": self._steady.backward[:n], "forward": self._steady.forward[:n]}
+
+    def take_up(self, known: Mapping[str, NDArray[Any]]) -> None:
+        """Gains of the same machine that somebody else has worked out."""
+        with self._working:
+            new = self._slot[known["node"]] < 0
+            self._add(known["node"][new], Gains(known["backward"][new], known["forward"][new]))
 
     def end(self, slot: int) -> Gains:
         """The gains of the last `TO_THE_END` intervals of a run that ends in a place, first to last.
@@ -128,37 +150,22 @@ class Preview:
             if slot in self._ends:
                 self._ends.move_to_end(slot)
                 return self._ends[slot]
-            found = self._ends[slot] = self._finite(self._problem[slot])
+            found = self._ends[slot] = self._finite(self.problem(self._node[slot : slot + 1]))
             if len(self._ends) > ENDS_KEPT:
                 self._ends.popitem(last=False)
             return found
 
-    def _finite(self, p: _Problem) -> Gains:
-        a, b, c, d = p.a, p.b, p.c, p.d
-        resting = _resting()
-        value = np.zeros((AUGMENTED, AUGMENTED))
-        steps = []
-        for k in range(TO_THE_END + REST_ROWS):
-            if k <= REST_ROWS:  # γ⁺ = 0, whatever came before
-                f = resting
-                closed, seen = a - b @ f, c - d @ f
-                value = seen.T @ seen + self.effort * f.T @ f + closed.T @ value @ closed
-                psi = np.zeros((AXES, AUGMENTED + len(c) + AXES))
-            else:
-                f, psi, value = _step(a, b, c, d, value, self.effort)
-            steps.append(_packed(a, b, c, d, f, psi, self.effort))
-        steps.reverse()
-        return Gains(*(np.ascontiguousarray(np.stack(each)) for each in zip(*steps, strict=True)))
+    def _finite(self, p: Problem) -> Gains:
+        """From the end on backwards: where the command rests already, then where it still has a choice."""
+        feedback = np.zeros((TO_THE_END + REST_ROWS, AXES, AUGMENTED))
+        preview = np.zeros((TO_THE_END + REST_ROWS, AXES, BACKWARD[0]))
+        # γ_{k+1} = 0: w = −2 γ_k + γ_{k−1}
+        feedback[:, :, STATES : STATES + AXES], feedback[:, :, STATES + AXES :] = 2 * np.eye(AXES), -np.eye(AXES)
+        riccati_backwards(p.a[0], p.b[0], p.c[0], p.d[0], self.effort, REST_ROWS + 1, feedback, preview)
+        return _packed(p, feedback, preview, self.effort)
 
 
-def _resting() -> FloatArray:
-    """F for which γ_{k+1} = 0: w = −2 γ_k + γ_{k−1}."""
-    f = np.zeros((AXES, AUGMENTED))
-    f[:, STATES : STATES + AXES], f[:, STATES + AXES :] = 2 * np.eye(AXES), -np.eye(AXES)
-    return f
-
-
-def _problem(p: DiscretePlant, jacobian: FloatArray, rows: int) -> _Problem:
+def _problem(p: DiscretePlant, jacobian: FloatArray, rows: int) -> Problem:
     """The interval of `rows` steps of the plant, at all of its places; jacobian (g, 3, 3)."""
     g = len(jacobian)
     x, now, before = slice(0, STATES), slice(STATES, STATES + AXES), slice(STATES + AXES, AUGMENTED)
@@ -178,10 +185,10 @@ def _problem(p: DiscretePlant, jacobian: FloatArray, rows: int) -> _Problem:
     step[:, x], step[:, now], step[:, before] = state, last, first
     output = np.concatenate(seen, axis=1)
     split = AUGMENTED
-    return _Problem(step[..., :split], step[..., split:], output[..., :split], output[..., split:])
+    return Problem(step[..., :split], step[..., split:], output[..., :split], output[..., split:])
 
 
-def _riccati(p: _Problem, effort: float) -> FloatArray:
+def _riccati(p: Problem, effort: float) -> FloatArray:
     """P (g, 24, 24) of the problem without an end."""
     r = effort * np.eye(AXES) + _t(p.d) @ p.d
     cross = np.linalg.solve(r, _t(p.d) @ p.c)
@@ -199,33 +206,26 @@ def _riccati(p: _Problem, effort: float) -> FloatArray:
     return h
 
 
-def _step(
-    a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, value: FloatArray, effort: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """F, the rows of ψ and P at the beginning of an interval at whose end it is `value`. Last axes matrices."""
-    bp = _t(b) @ value
-    r = effort * np.eye(AXES) + _t(d) @ d + bp @ b
-    f = np.asarray(np.linalg.solve(r, _t(d) @ c + bp @ a), dtype=np.float64)
-    weights = np.broadcast_to(-effort * np.eye(AXES), (*r.shape[:-2], AXES, AXES))
-    psi: FloatArray = np.linalg.solve(r, np.concatenate([_t(b), _t(d), weights], axis=-1))
-    closed, seen = a - b @ f, c - d @ f
-    return f, psi, _t(seen) @ seen + effort * _t(f) @ f + _t(closed) @ value @ closed
+def _gains(p: Problem, value: FloatArray, effort: float) -> Gains:
+    """At g places, for what an interval's end is worth, P (g, 24, 24)."""
+    ahead = _t(p.b) @ value
+    r = effort * np.eye(AXES) + _t(p.d) @ p.d + ahead @ p.b
+    f: Any = np.linalg.solve(r, _t(p.d) @ p.c + ahead @ p.a)
+    weights = np.broadcast_to(-effort * np.eye(AXES), r.shape)
+    psi: Any = np.linalg.solve(r, np.concatenate([_t(p.b), _t(p.d), weights], axis=-1))
+    return _packed(p, f, psi, effort)
 
 
-def _gains(p: _Problem, value: FloatArray, effort: float) -> Gains:
-    f, psi, _ = _step(p.a, p.b, p.c, p.d, value, effort)
-    return Gains(*_packed(p.a, p.b, p.c, p.d, f, psi, effort))
-
-
-def _packed(
-    a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, f: FloatArray, psi: FloatArray, effort: float
-) -> tuple[Float32Array, Float32Array]:
-    closed, seen = a - b @ f, c - d @ f
-    preview = np.concatenate([closed, seen, effort * f], axis=-2)  # rows: of s, ē, d
-    unused = np.zeros((*preview.shape[:-1], BACKWARD[1] - AUGMENTED - AXES))
-    backward = np.concatenate([preview, _t(psi), unused], axis=-1)
-    forward = np.concatenate([_t(closed), _t(b)], axis=-2)
-    return np.ascontiguousarray(backward, np.float32), np.ascontiguousarray(forward, np.float32)
+def _packed(p: Problem, f: FloatArray, psi: FloatArray, effort: float) -> Gains:
+    """F (n, 3, 24) and the rows of ψ (n, 3, 33), each at its own place or all at one."""
+    gains = Gains(np.zeros((len(f), *BACKWARD), np.float32), np.zeros((len(f), *FORWARD), np.float32))
+    state, rows = slice(0, AUGMENTED), slice(AUGMENTED, AUGMENTED + p.c.shape[1])
+    closed = p.a - p.b @ f
+    gains.backward[:, state, state], gains.backward[:, rows, state] = closed, p.c - p.d @ f
+    gains.backward[:, rows.stop :, state] = effort * f
+    gains.backward[:, :, AUGMENTED : AUGMENTED + AXES] = _t(psi)
+    gains.forward[:, state], gains.forward[:, AUGMENTED:] = _t(closed), _t(p.b)
+    return gains
 
 
 def _t(matrix: NDArray[Any]) -> NDArray[Any]:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from ffcomp.invert.solvers import Backend
 from ffcomp.played import OutputLimits
+
+Backend = Literal["osqp", "piqp", "clarabel"]  # solvers of quadratic programmes
 
 
 @dataclass(frozen=True, slots=True)

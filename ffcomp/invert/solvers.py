@@ -12,16 +12,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from types import ModuleType
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 from ffcomp.errors import SolverError
+from ffcomp.invert.settings import Backend
 
 FloatArray = NDArray[np.float64]
-Backend = Literal["osqp", "piqp", "clarabel"]
 
 ACCURACY = 1e-5  # of scaled numbers, at which osqp stops; the others reach far more in any case
 SMALLEST = 1e-12  # size of a programme that asks for nothing

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ffcomp.invert import fast
 from ffcomp.invert.inverter import Inverter, RunResult
-from ffcomp.invert.preview import REST_ROWS, TO_THE_END, Preview
+from ffcomp.invert.preview import REST_ROWS, TO_THE_END, Preview, Problem
 from ffcomp.invert.settings import Settings
 from ffcomp.pipeline import plan_program, settings_for
 from ffcomp.runs import Reference
@@ -89,7 +89,8 @@ def test_both_sweeps_are_the_dense_least_squares(machine: Machine, preview: Prev
     knots, place = 30, np.array([[40.0, -30.0]])
     intervals = knots + REST_ROWS
     (slot,), _ = preview.at(place)
-    problem = preview._problem[int(slot)]
+    at = preview.problem(preview.known()["node"][slot : slot + 1])
+    problem = Problem(at.a[0], at.b[0], at.c[0], at.d[0])
     # γ of the knots 1 … knots-1 are free; z holds x and two coefficients
     free = 3 * (knots - 1)
     gamma = np.zeros((intervals + 1, 3, free))

@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp.errors import SolverError
-from ffcomp.invert.limits import ACCELERATION, TRAVEL, VELOCITY, CommandLimits, excess, limited_step, shares_from_rest
+from ffcomp.invert.limited_step import limited_step
+from ffcomp.invert.limits import ACCELERATION, TRAVEL, VELOCITY, CommandLimits, excess, shares_from_rest
 from models.machine import Machine
 from models.machine_file import load_machine
 

@@ -1,0 +1,104 @@
+"""What is kept of a machine between runs: the same numbers, whole or not there, and never somebody else's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ffcomp import kept
+from ffcomp.invert.inverter import Inverter
+from ffcomp.pipeline import settings_for
+from models.machine import Machine
+from models.machine_file import load_machine
+
+HERE, THERE = np.array([[0.0, 0.0], [12.0, -30.0]]), np.array([[-50.0, 20.0]])
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv(kept.VARIABLE, str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine("mp-delta-pro")
+
+
+def been_at(machine: Machine, *places: np.ndarray) -> Inverter:
+    inverter = Inverter(machine, settings_for(machine))
+    for place in places:
+        inverter.preview.at(place)
+    return inverter
+
+
+def gains_at(inverter: Inverter, place: np.ndarray) -> list[np.ndarray]:
+    slots, gains = inverter.preview.at(place)
+    return [gains.backward[slots], gains.forward[slots]]
+
+
+def test_the_next_one_has_the_same_numbers_without_working_them_out(
+    folder: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = been_at(machine, HERE)
+    first.keep()
+    assert len(list(folder.glob("*.npz"))) == 1
+    monkeypatch.setattr("ffcomp.invert.inverter.plant_table", None)  # would fail
+    second = Inverter(machine, settings_for(machine))
+    monkeypatch.setattr(second.preview, "_work_out", None)
+    for one, other in zip(gains_at(first, HERE), gains_at(second, HERE), strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(first.coarse.plant.a, second.coarse.plant.a)
+    slot = int(second.preview.at(HERE)[0][1])
+    np.testing.assert_array_equal(second.preview.end(slot).forward, first.preview.end(slot).forward)
+
+
+def test_two_that_went_elsewhere_keep_both(folder: Path, machine: Machine) -> None:
+    one, other = been_at(machine, HERE), been_at(machine, THERE)
+    one.keep()
+    other.keep()
+    assert len(Inverter(machine, settings_for(machine)).preview) == len(HERE) + len(THERE)
+
+
+def test_another_machine_finds_nothing(folder: Path, machine: Machine) -> None:
+    been_at(machine, HERE).keep()
+    heavier = replace(machine, effector=replace(machine.effector, extruder_mass_kg=0.3))
+    for stranger in (
+        Inverter(heavier, settings_for(machine)),
+        Inverter(machine, replace(settings_for(machine), substeps=2)),
+    ):
+        assert len(stranger.preview) == 0
+
+
+@pytest.mark.parametrize("harm", ["cut", "bits", "empty"])
+def test_a_damaged_file_is_not_there(folder: Path, machine: Machine, harm: str) -> None:
+    been_at(machine, HERE).keep()
+    (file,) = folder.glob("*.npz")
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 0x40
+    file.write_bytes({"cut": content[: len(content) // 2], "bits": content, "empty": b""}[harm])
+    again = been_at(machine, HERE)
+    again.keep()
+    assert len(Inverter(machine, settings_for(machine)).preview) == len(HERE)
+
+
+def test_a_cache_that_cannot_be_written_stops_nobody(
+    tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    for said in (str(tmp_path / "file" / "below"), "off"):
+        monkeypatch.setenv(kept.VARIABLE, said)
+        been_at(machine, HERE).keep()
+        assert len(Inverter(machine, settings_for(machine)).preview) == 0
+
+
+def test_what_was_used_longest_ago_goes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kept, "MOST", 2)
+    for name in ("a", "b", "c"):
+        kept.save(name, {"n": np.arange(3)})
+        if name == "b":
+            assert list(kept.load("a"))
+    assert sorted(file.stem for file in folder.iterdir()) == ["a", "c"]
