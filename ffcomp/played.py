@@ -22,7 +22,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 SWEEPS = 12  # at most, of the fixed point between neighbouring speeds; it contracts by about Δv/(a S), 0.1 or less
-SETTLED_MM_PER_S = 1e-12  # a junction that moves less no longer moves the segments beside it
+SETTLED_MM_PER_S = 1e-9  # a junction that moves less no longer moves the segments beside it
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,23 +188,25 @@ def sample_segments(
         c, a, t_all = cruise[k], acceleration[k], duration[k]
         v0, v1 = min(junction[k], c), min(junction[k + 1], c)
         t_up, t_down = (c - v0) / a, (c - v1) / a
-        dx = np.sqrt(
-            (vertices[k + 1, 0] - vertices[k, 0]) ** 2
-            + (vertices[k + 1, 1] - vertices[k, 1]) ** 2
-            + (vertices[k + 1, 2] - vertices[k, 2]) ** 2
-        )
+        ahead_x = vertices[k + 1, 0] - vertices[k, 0]
+        ahead_y = vertices[k + 1, 1] - vertices[k, 1]
+        ahead_z = vertices[k + 1, 2] - vertices[k, 2]
+        length = np.sqrt(ahead_x * ahead_x + ahead_y * ahead_y + ahead_z * ahead_z)
+        per_mm = 1.0 / length if length > 0.0 else 0.0
         for s in range(substeps):
             t = t_all * s / substeps
             left = t_all - t
             if t < t_up:
                 f = v0 * t + 0.5 * a * t * t
             elif left < t_down:
-                f = dx - v1 * left - 0.5 * a * left * left
+                f = length - v1 * left - 0.5 * a * left * left
             else:
                 f = v0 * t_up + 0.5 * a * t_up * t_up + c * (t - t_up)
-            f = f / dx if dx > 0.0 else 0.0
-            for i in range(3):
-                out[k * substeps + s, i] = vertices[k, i] + f * (vertices[k + 1, i] - vertices[k, i])
+            f *= per_mm
+            row = k * substeps + s
+            out[row, 0] = vertices[k, 0] + f * ahead_x
+            out[row, 1] = vertices[k, 1] + f * ahead_y
+            out[row, 2] = vertices[k, 2] + f * ahead_z
     out[n * substeps] = vertices[n]
     return out
 
