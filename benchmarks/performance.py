@@ -15,6 +15,7 @@ import os
 
 os.environ["OMP_NUM_THREADS"] = "1"  # one core: said before numpy and scipy start their threads
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
+os.environ["FFCOMP_CACHE"] = "off"  # what is worked out for a machine is worked out anew, but where it says "again"
 
 import argparse
 import json

@@ -73,12 +73,20 @@ def report(told: str) -> None:
     source, target, name, offset, rounds, jobs = json.loads(told)
     machine = load_machine(name)
     load()
-    found, loaded_mb = [], _peak_mb()
-    for _ in range(rounds):
+    loaded_mb = _peak_mb()
+
+    def once() -> tuple[float, float]:
+        nonlocal job
         cpu, wall = time.process_time(), time.perf_counter()
         job = Job(Path(source), source, machine, offset=tuple(offset), predict=False, jobs=jobs)
         job.write(Path(target))
-        found.append((time.process_time() - cpu, time.perf_counter() - wall))
+        return time.process_time() - cpu, time.perf_counter() - wall
+
+    job: Job
+    found = [once() for _ in range(rounds)]
+    with TemporaryDirectory() as cache:
+        os.environ["FFCOMP_CACHE"] = cache
+        again = [once() for _ in range(1 + rounds)][1:]
     s = job.summary
     answer = {
         "print_s": s.original_print_time_s,
@@ -86,6 +94,7 @@ def report(told: str) -> None:
         "segments": s.segments,
         "cpu_s": min(cpu for cpu, _ in found),
         "wall_s": min(wall for _, wall in found),
+        "again_cpu_s": min(cpu for cpu, _ in again),
         "loaded_mb": loaded_mb,
         "peak_mb": _peak_mb(),
         "in_mb": Path(source).stat().st_size / 1e6,

@@ -24,6 +24,7 @@ from benchmarks.performance_ways import MACHINE, PRINTS, ROOT
 from ffcomp.invert.inverter import Inverter, RunResult
 from ffcomp.invert.preview import AUGMENTED, AXES, BACKWARD, FORWARD
 from ffcomp.job import Job
+from ffcomp.products import recursion
 from ffcomp.schedule import SAME_MM
 from models.machine_file import load_machine
 from models.plant import STATES
@@ -68,6 +69,7 @@ KERNELS = {
     "sweep_forward": "ffcomp.invert.fast.sweep_forward",
     "simulate": "ffcomp.schedule.simulate",
 }
+PRECISION = {"sweep_back": "single", "sweep_forward": "single", "simulate": "double"}
 KEPT_CALLS = 40
 BEHIND_DRIVES = STATES - 6  # states that depend on place
 COLUMNS = BEHIND_DRIVES + 6 + 3 * AXES  # of the model's matrix: those states, the drives, u(t), u(t + h), J̇ q̇
@@ -258,6 +260,7 @@ def kernel_speeds(name: str, rounds: int) -> dict[str, Any]:
             "ns_per_knot": 1e9 * cpu_s / knots,
             "operations_per_knot": count / knots,
             "gflops": count / cpu_s / 1e9,
+            "precision": PRECISION[kernel],
         }
     return found
 
@@ -279,35 +282,36 @@ def _chain(steps: int, x: float, a: float, b: float) -> float:
     return x
 
 
+_step = recursion(rows=AUGMENTED, of_state=AUGMENTED, of_input=1)
+
+
 @njit(cache=True)
-def _recursion(gain: FloatArray, z: FloatArray, steps: int) -> FloatArray:
-    """z ← Gᵀ z with one matrix that stays in the nearest cache, as the sweeps multiply: the best they could do."""
-    out = np.empty(len(z))
+def _recursion(gain: NDArray[Any], z: NDArray[Any], steps: int) -> None:
+    """z ← Gᵀ (z, 1) with one matrix that stays in the nearest cache: the best that our kernels could do."""
+    given = np.ones((1, 1), z.dtype)
     for _ in range(steps):
-        for r in range(len(z)):
-            out[r] = 0.0
-        for c in range(len(z)):
-            v = z[c]
-            for r in range(len(z)):
-                out[r] += v * gain[c, r]
-        for r in range(len(z)):
-            z[r] = out[r]
-    return z
+        _step(gain, 0, z, given, 0)
 
 
 def peaks(rounds: int) -> dict[str, float]:
     """GFLOP/s of this core: a product of large matrices; a large matrix times a vector, from the second cache and from
-    memory; and a recursion of small products like our sweeps, always with the same matrix."""
+    memory; and a recursion of small products like our kernels, always with the same matrix."""
     rng = np.random.default_rng(1)
     large, near, far = rng.normal(size=(768, 768)), rng.normal(size=(256, 256)), rng.normal(size=(6000, 6000))
-    gain, steps = 0.1 * rng.normal(size=(AUGMENTED, AUGMENTED)), 100_000
+    gain, steps = 0.1 * rng.normal(size=(1, AUGMENTED + 1, AUGMENTED)), 100_000
     works: dict[str, tuple[Callable[[], object], float]] = {
-        "dgemm": (lambda: large @ large, 2.0 * 768**3),
-        "dgemv near": (lambda: [near @ near[0] for _ in range(200)], 200 * 2.0 * 256**2),
-        "dgemv far": (lambda: far @ far[0], 2.0 * 6000**2),
-        "recursion": (lambda: _recursion(gain, np.ones(AUGMENTED), steps), 2.0 * steps * AUGMENTED**2),
+        "gemv near": (lambda: [near @ near[0] for _ in range(200)], 200 * 2.0 * 256**2),
+        "gemv far": (lambda: far @ far[0], 2.0 * 6000**2),
         "chain": (lambda: _chain(10 * steps, 1.0, 0.999, 1e-3), 20.0 * steps),
     }
+    for name, kind in (("double", np.float64), ("single", np.float32)):
+        whole, small = large.astype(kind), gain.astype(kind)
+        count = 2.0 * (AUGMENTED + 1) * AUGMENTED
+        works[f"gemm {name}"] = (lambda whole=whole: whole @ whole, 2.0 * 768**3)
+        works[f"recursion {name}"] = (
+            lambda small=small, kind=kind: _recursion(small, np.ones(AUGMENTED, kind), steps),
+            steps * count,
+        )
     found = {}
     for name, (work, count) in works.items():
         work()
