@@ -267,7 +267,8 @@ Operations are counted from the loops' bounds: a multiplication and an addition 
 27 × 24 ({counts["sweep_forward"]:,}), both in single precision: they answer an error that is left, and that is
 then measured again. `simulate` multiplies with 27 × 12 and three drives at each of 4 steps
 ({counts["simulate, a step"]} a step) in double precision, and wherever the nozzle has gone {SAME_MM:g} mm it
-interpolates its model between four places ({counts["a model"]:,}). Each kernel by itself, on what a print calls it with.
+interpolates its model between four places ({counts["a model"]:,}). Each kernel by itself, on what a print calls it
+with.
 
 | print | kernel | passes over each segment | operations a pass | ns | GFLOP/s | share of gemm | share of a recursion |
 |---|---|---|---|---|---|---|---|"""
