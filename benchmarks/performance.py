@@ -21,12 +21,13 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from benchmarks import effects_compensated
+from benchmarks import effects_compensated, steps
 from benchmarks import performance_prints as prints
 from benchmarks import performance_ways as ways
 from benchmarks import performance_where as where
@@ -48,6 +49,7 @@ SECTIONS: Mapping[str, Section] = {
     "two": lambda keep: prints.two_processes(prints.SIDE_BY_SIDE_S),
     "place": lambda keep: ways.over_the_bed(RADII_MM, rounds=50, exact_rounds=3, seconds=40.0),
     "where": lambda keep: where.where(rounds=5),
+    "steps": lambda keep: {path.stem: [asdict(row) for row in steps.measured(path)] for path in steps.PRINTS},
     "first": lambda keep: prints.first_runs(prints.SMALL_S),
     "effects": lambda keep: effects_compensated.effects(effects_compensated.SECONDS, keep / "effects-parts.json"),
 }
@@ -60,6 +62,7 @@ QUICK: Mapping[str, Section] = {
     "place": lambda keep: ways.over_the_bed(RADII_MM[::3], rounds=2, exact_rounds=1, seconds=8.0),
     "where": lambda keep: where.where(rounds=1),
     "first": lambda keep: prints.first_runs(20.0),
+    "steps": lambda keep: {steps.PRINTS[1].stem: [asdict(row) for row in steps.measured(steps.PRINTS[1], rounds=1)]},
     "effects": lambda keep: effects_compensated.effects(4.0, None, ("belt_stiffness", "coulomb_friction")),
 }
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import steps
 from benchmarks.effects_compensated import LAYERS, PRINT, SECONDS, as_table
 from benchmarks.performance_methods import REACH, SAMPLE_S
 from benchmarks.performance_prints import LARGEST, REPEATED, SMALL_S
@@ -21,7 +22,7 @@ from ffcomp.schedule import SAME_MM
 Numbers = Mapping[str, Any]
 
 AIM_RATIO, AIM_RMS_UM, AIM_MAX_UM = 100.0, 1.0, 3.0
-AIM_MEMORY_MB, AIM_SPEED, AIM_FIRST_S = 500.0, 300.0, 40.0
+AIM_MEMORY_MB, AIM_SPEED, AIM_FIRST_S, AIM_STEPS = 500.0, 300.0, 40.0, 5.0
 ZERO_PHASE_SHOWN = ("us_per_segment", "contour_um", "tracking_no_delay_um", "peak_m_per_s2")
 
 
@@ -318,6 +319,19 @@ def limits(found: Numbers) -> Iterator[str]:
 """)
 
 
+def step_timings(found: Numbers) -> Iterator[str]:
+    slowest = min(row["steps"] / row["cpu_s"] for rows in found.values() for row in rows[:2]) / 1e6
+    yield f"""`--output steps` (exact) and `--output klipper-steps` (compressed): from a print's plan to an archive,
+three carriages and the filament. *Sampled* is what one would write in NumPy at first, and it writes no file: the plan
+at every moment, inverse kinematics, whole microsteps, straight lines between. Errors are against the exact steps, which are off
+by half a tick of the board's clock.
+
+{steps.HEAD}"""
+    for name, rows in found.items():
+        yield from (steps.line(name, steps.Row(**row)) for row in rows)
+    yield f"\nAt the least {slowest:.0f} million steps a second; the aim is {AIM_STEPS:g} million."
+
+
 def floor(found: Numbers) -> dict[str, Any]:
     """Of a segment, on average of the prints: operations, µs at the limits, in the kernels, in a long job; shares."""
     kernels_, peaks = found["where"]["kernels"].values(), found["where"]["peaks"]
@@ -457,6 +471,7 @@ WRITERS: Mapping[str, tuple[str, Callable[[Numbers], Iterator[str]]]] = {
     "two": ("Two processes", two),
     "place": ("Time against bed position", place),
     "where": ("Where the time goes", where),
+    "steps": ("Step timings", step_timings),
     "first": ("The first run on a machine", first),
     "effects": ("Effects that are not linear", effects),
 }

@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -103,31 +103,55 @@ def sampled_worst_us(found: dict[str, tuple[FloatArray, FloatArray]], exact: dic
     return f"{1e6 * worst:.1f}, {missed} steps wrong"
 
 
-def row(name: str, way: str, seconds: float, steps: int, plan_s: float, entries: int, size: int, worst: str) -> None:
-    speed, pace = steps / seconds / 1e6, plan_s / seconds
-    ratio = f"{steps / entries:.1f}" if entries else "-"
-    file = f"{size / 1e6:.1f}" if size else "-"
-    print(f"| {name} | {way} | {seconds:.2f} | {speed:.1f} | {pace:.0f} | {ratio} | {file} | {worst} |")
-
-
-def measure(path: Path, error_s: float, sample_s: float, rounds: int) -> None:
+def measured(path: Path, error_s: float = 12.5e-6, sample_s: float = 20e-6, rounds: int = 3) -> list[Row]:
+    """One print in all ways."""
     plan = plan_program(read_program(path.read_bytes(), path.name), MACHINE).trajectory
     with tempfile.TemporaryDirectory() as folder:
         exact, rows = Path(folder, "exact"), Path(folder, "rows")
         totals = written(plan, rows, error_s)
-        steps = sum(total.steps for total in totals.values())
-        spent = best(lambda: written(plan, exact, None), rounds)
+        steps, entries = (sum(getattr(total, what) for total in totals.values()) for what in ("steps", "rows"))
+        spent = best(lambda: written(plan, exact, None), rounds), best(lambda: written(plan, rows, error_s), rounds)
         truth = read_steps(exact)
-        row(path.stem, "exact", spent, steps, plan.end_t, 0, exact.stat().st_size, f"{0.5e6 / BOARD.clock_hz:.2f}")
-        spent = best(lambda: written(plan, rows, error_s), rounds)
-        entries = sum(total.rows for total in totals.values())
-        off = worst_us(read_steps(rows), truth)
-        row("", f"compressed, {1e6 * error_s:g} µs", spent, steps, plan.end_t, entries, rows.stat().st_size, off)
+        sizes, off = [each.stat().st_size / 1e6 for each in (exact, rows)], worst_us(read_steps(rows), truth)
         written(plan, exact, None, replace(BOARD, shortest_turn_s=0.0))
         unfiltered = read_steps(exact)
-    spent = best(lambda: sampled(plan, sample_s), 1)  # slow enough to be measured at once
-    off = sampled_worst_us(sampled(plan, sample_s), unfiltered)
-    row("", f"sampled, {1e6 * sample_s:g} µs", spent, steps, plan.end_t, 0, 0, off)
+    slow = best(lambda: sampled(plan, sample_s), 1)  # slow enough to be measured at once
+    far_off = sampled_worst_us(sampled(plan, sample_s), unfiltered)
+    return [
+        Row("exact", spent[0], steps, plan.end_t, "-", f"{sizes[0]:.1f}", f"{0.5e6 / BOARD.clock_hz:.2f}"),
+        Row(
+            f"compressed, {1e6 * error_s:g} µs",
+            spent[1],
+            steps,
+            plan.end_t,
+            f"{steps / entries:.1f}",
+            f"{sizes[1]:.1f}",
+            off,
+        ),
+        Row(f"sampled, {1e6 * sample_s:g} µs", slow, steps, plan.end_t, "-", "-", far_off),
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    way: str
+    cpu_s: float
+    steps: int
+    print_s: float
+    steps_a_row: str
+    mb: str
+    worst_us: str
+
+
+HEAD = """| print | way | CPU s | million steps a second | print-seconds a second | steps a row | MB | worst error, µs |
+|---|---|---|---|---|---|---|---|"""
+
+
+def line(name: str, row: Row) -> str:
+    return (
+        f"| {name} | {row.way} | {row.cpu_s:.2f} | {row.steps / row.cpu_s / 1e6:.1f} | {row.print_s / row.cpu_s:,.0f} "
+        f"| {row.steps_a_row} | {row.mb} | {row.worst_us} |"
+    )
 
 
 def main() -> None:
@@ -137,10 +161,10 @@ def main() -> None:
     parser.add_argument("--sample-us", type=float, default=20.0, help="of the sampled way")
     parser.add_argument("--rounds", type=int, default=3)
     options = parser.parse_args()
-    print("| print | way | s | million steps/s | print-seconds/s | steps a row | MB | worst error, µs |")
-    print("|---|---|---|---|---|---|---|---|")
+    print(HEAD)
     for path in options.prints:
-        measure(path, options.error_us * 1e-6, options.sample_us * 1e-6, options.rounds)
+        for row in measured(path, options.error_us * 1e-6, options.sample_us * 1e-6, options.rounds):
+            print(line(path.stem, row), flush=True)
 
 
 if __name__ == "__main__":
