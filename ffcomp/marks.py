@@ -10,6 +10,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -113,15 +114,19 @@ def timeline(
     e = wanted.extrusion(piece.first, piece.last)
     if piece.last == wanted.knots:
         e[-1] = program.moves.end[run.last - 1, 3]
-    lines, events, at = _lines_of(program, trajectory, run, wanted, inside, piece)
-    places = _places(at, lines.event >= 0, e, piece.first)
-    _even_wipes(e, vertices, piece.first)
-    between = np.unique(places[places != np.floor(places)])
-    knots = np.arange(piece.first, piece.last + 1, dtype=np.float64)
-    points = np.insert(knots, (between - piece.first).astype(np.int64) + 1, between) if between.size else knots
-    index = np.ceil(places).astype(np.int64) - piece.first + np.searchsorted(between, places)
-    filament = _filament(program, run, e, points, lines, places, index, events)
-    return Timeline(piece, points, filament, index, lines.line, lines.event, events)
+    lines, among, at = _lines_of(program, trajectory, run, wanted, inside, piece)
+    laid = _Laid(*_lay_out(at, lines.event >= 0, e, vertices, piece.first))
+    _meet_the_events(laid, program, run, e, lines, among)
+    return Timeline(piece, laid.at, laid.e, laid.point, lines.line, lines.event, among)
+
+
+class _Laid(NamedTuple):
+    """m points and the places of k lines among them."""
+
+    at: FloatArray  # (m,) in knots
+    e: FloatArray  # (m,) mm of filament, as it flows between the knots
+    place: FloatArray  # (k,) in knots
+    point: IntArray  # (k,) index into `at`
 
 
 def _lines_of(
@@ -137,10 +142,11 @@ def _lines_of(
         first += bisect_left(begun, float(piece.first), key=wanted.knot_of)
     if piece.last < wanted.knots:
         last = run.first + bisect_left(begun, float(piece.last), key=wanted.knot_of)
-    own = program.moves.line[first:last]
-    before = program.moves.line[first - 1] if first > run.first else -1
-    new = np.flatnonzero(np.diff(own, prepend=before))  # the chords of an arc share a line
-    line, move, event = own[new], first + new, np.full(len(new), -1)
+    own = program.moves.line[max(first - 1, run.first) : last]
+    new = np.flatnonzero(own[1:] != own[:-1]) + 1  # the chords of an arc share a line
+    if first == run.first:
+        new = np.concatenate([[0], new])
+    line, move, event = own[new], max(first - 1, run.first) + new, np.full(len(new), -1)
     among = inside[_before(inside, first) : _before(inside, last)]
     if among:
         line = np.concatenate([line, np.array([each.line for each in among])])
@@ -158,15 +164,39 @@ def _before(events: list[Event], move: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _places(at: FloatArray, stands: BoolArray, e: FloatArray, first: int) -> FloatArray:
-    """Where lines go out, (k,) in knots, rising.
+def _lay_out(
+    at: FloatArray, stands: BoolArray, e: FloatArray, vertices: FloatArray, first: int
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
+    """The columns of `_Laid`; of lines that stand where filament flows, the points are places between the knots.
 
     Parameters
     ----------
-    at : (k,) their times in knots
+    at : (k,) the lines' times in knots
     stands : (k,) whether it stands between moves (an event) or is one
-    e : (n + 1,) mm of filament at the knots from `first` on
+    e : (n + 1,) mm of filament at the knots from `first` on; wipes are evened in place
+    vertices : (n + 1, 3) mm
     """
+    place = _places(at, stands, e, first)
+    _even_wipes(e, vertices, first)
+    n = len(e)
+    points, filament, point = np.empty(n + len(at)), np.empty(n + len(at)), np.empty(len(at), dtype=np.int64)
+    m, line = 0, 0
+    for k in range(n):
+        points[m], filament[m] = first + k, e[k]
+        while line < len(place) and place[line] < first + k + 1:
+            since = place[line] - (first + k)
+            if since > 0.0 and place[line] > points[m]:
+                m += 1
+                points[m], filament[m] = place[line], (e[k + 1] - e[k]) * since + e[k]
+            point[line] = m
+            line += 1
+        m += 1
+    return points[:m], filament[:m], place, point
+
+
+@njit(nogil=True)
+def _places(at: FloatArray, stands: BoolArray, e: FloatArray, first: int) -> FloatArray:
+    """Where lines go out, (k,) in knots, rising."""
     places = np.empty(len(at))
     last = first + len(e) - 1
     latest = 0.0
@@ -184,7 +214,7 @@ def _places(at: FloatArray, stands: BoolArray, e: FloatArray, first: int) -> Flo
     return places
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _even_wipes(e: FloatArray, vertices: FloatArray, first: int) -> None:
     """Share out filament that is pulled back while the nozzle moves by the command's path, in place.
 
@@ -212,38 +242,23 @@ def _even_wipes(e: FloatArray, vertices: FloatArray, first: int) -> None:
         begin = max(end, begin + 1)
 
 
-def _filament(
-    program: Program,
-    run: Run,
-    e: FloatArray,
-    points: FloatArray,
-    lines: _Lines,
-    places: FloatArray,
-    index: IntArray,
-    inside: list[Event],
-) -> FloatArray:
-    """Filament at the points, (m,) mm, with what the original's events say of it.
+def _meet_the_events(laid: _Laid, program: Program, run: Run, e: FloatArray, lines: _Lines, among: list[Event]) -> None:
+    """Give the filament at the points what the original's events say of it, in place.
 
-    Parameters
-    ----------
-    e : (n + 1,) mm at the knots;  points : (m,) in knots, from the first of them on
-    places, index : (k,) where the lines go out, in knots and as points
-    inside : the events
+    e : (n + 1,) mm at the knots, from the first point on
     """
-    first = int(points[0])
     events = (lines.event >= 0) & (lines.move > run.first)
     if not events.any():
-        return _interpolated(points, e, first)
-    start, end = program.moves.start[:, 3], program.moves.end[:, 3]
-    move, at, point = lines.move[events], places[events], index[events]
+        return
+    filament, start, end = laid.e, program.moves.start[:, 3], program.moves.end[:, 3]
+    move, place, point = lines.move[events], laid.place[events], laid.point[events]
     flows = (end[move - 1] - start[move - 1]) * (end[move] - start[move]) > 0.0
-    known, which = _last_of_each(at[flows])
-    filament = _met(e, points, known, start[move[flows][which]], first)
-    _, turning = _last_of_each(at[~flows])  # where a flow begins, ends or turns back
+    known, which = _last_of_each(place[flows])
+    _meet(filament, laid.at, e, known, start[move[flows][which]])
+    _, turning = _last_of_each(place[~flows])  # where a flow begins, ends or turns back
     filament[point[~flows][turning]] = start[move[~flows][turning]]
-    renamed = _renames(program, lines.event[events], move, inside)
+    renamed = _renames(program, lines.event[events], move, among)
     filament[point[renamed]] = start[move[renamed]]
-    return filament
 
 
 def _renames(program: Program, event: IntArray, move: IntArray, inside: list[Event]) -> BoolArray:
@@ -251,9 +266,10 @@ def _renames(program: Program, event: IntArray, move: IntArray, inside: list[Eve
 
     event : (k,) index into `inside`;  move : (k,) the move each stands before
     """
-    base = np.array([frame.base[3] for frame in program.frames])
-    after = np.array([inside[k].frame for k in event.tolist()], dtype=np.int64)
-    return base[after] != base[program.moves.frame[move - 1]]
+    before, frames = program.moves.frame[move - 1].tolist(), program.frames
+    after = [inside[k].frame for k in event.tolist()]
+    changed = [a != b and frames[a].base[3] != frames[b].base[3] for a, b in zip(after, before, strict=True)]
+    return np.array(changed, dtype=np.bool_)
 
 
 def _interpolated(points: FloatArray, e: FloatArray, first: int) -> FloatArray:
@@ -267,20 +283,20 @@ def _last_of_each(rising: FloatArray) -> tuple[FloatArray, IntArray]:
     return rising[which], which
 
 
-def _met(e: FloatArray, points: FloatArray, at: FloatArray, known: FloatArray, first: int) -> FloatArray:
-    """Filament at the points, (m,) mm: what is known of it is met exactly, and the flow stays even.
+def _meet(filament: FloatArray, points: FloatArray, e: FloatArray, at: FloatArray, known: FloatArray) -> None:
+    """Meet what is known of the filament exactly, while the flow stays even, in place.
 
     Between knots the command runs evenly, the plan need not: the difference, a ten-thousandth of a mm, is spread
     over the flow around it. Met in one short segment it would be a jump of flow, and firmwares slow down at those.
 
     Parameters
     ----------
-    e : (n + 1,) mm at the knots from `first` on;  points : (m,) in knots
+    filament : (m,) mm at the points (m,) in knots;  e : (n + 1,) mm at the knots, from the first of them on
     at : (j,) in knots, rising;  known : (j,) mm of filament there, in the middle of a flow
     """
-    even = _interpolated(points, e, first)
     if not at.size:
-        return even
+        return
+    first = int(points[0])
     flow = np.abs(np.diff(e))
     gone = np.concatenate([[0.0], np.cumsum(flow)])  # where nothing flows, nothing is spread
     place = _interpolated(at, gone, first)
@@ -301,7 +317,7 @@ def _met(e: FloatArray, points: FloatArray, at: FloatArray, known: FloatArray, f
             behind = reach
     nodes += [min(nodes[-1] + behind, gone[-1]), gone[-1]]
     values += [0.0, 0.0]
-    return even + np.interp(_interpolated(points, gone, first), nodes, values)
+    filament += np.interp(_interpolated(points, gone, first), nodes, values)
 
 
 def _usual(flow: FloatArray, cut: int) -> float:

@@ -37,6 +37,7 @@ OURS = b" ; ffcomp"  # ends every line of ours that is not a move
 WAS = b";~"  # before a line of the original that is now a comment: a move, mostly
 CUT_SHORT = b";~~"  # the same before a line that does not end in a newline; the newline behind it is ours
 _STAMPS = b"; Processed by ffcomp", b"; ffcomp offset_mm="
+_Place = tuple[float, float, float, float]  # X Y Z E, mm
 _Line = int | Event | bytes  # a move of the original (index into its lines), another line of it, a line of ours
 STILL_MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*[0-3](?!\d)", re.IGNORECASE)
 
@@ -161,14 +162,14 @@ class Writer:
         """What is worth writing of a piece: all where the command bends, little where it runs straight and evenly."""
         s, piece, at = self.settings, line_up.piece, line_up.at
         frame = self.program.frames[int(self.program.moves.frame[first])]
-        points = _stated(vertices, at, piece.first, np.array(frame.base[:3]), frame.unit_mm)
+        points = _stated(vertices, at, piece.first, frame.base, frame.unit_mm)
         pinned = np.zeros(len(at), dtype=np.bool_)
         pinned[line_up.cuts()] = True
         kept = merge(at, points, line_up.e, pinned, 1e-3 * s.merge_um, s.longest_merged_s / s.segment_s)
         at, points, e = at[kept], points[kept], line_up.e[kept]
         lasting = (at[1:] - at[:-1]) * s.segment_s
         speeds = played(points, e[1:] - e[:-1], lasting, s.output).cruise
-        begin, end = np.searchsorted(at, [piece.begin, piece.end]).tolist()
+        begin, end = at.searchsorted([piece.begin, piece.end]).tolist()
         return _Segments(kept[:-1], points[1:], e[1:], speeds, lasting).part(begin, end)
 
     def _turns(self, lines: list[tuple[int, _Line]]) -> Iterator[int]:
@@ -179,59 +180,45 @@ class Writer:
                 frame = line.frame
                 yield k
 
-    def _stretch(self, segments: _Segments, lines: list[tuple[int, _Line]]) -> Iterator[bytes]:
+    def _stretch(self, segments: _Segments, lines: list[tuple[int, _Line]]) -> list[bytes]:
         """Segments with the lines between them, of which only the first may change how numbers are written."""
         passed = [self.now_s, *(self.now_s + np.cumsum(segments.lasting)).tolist()]
         before = bisect_right(lines, 0, key=itemgetter(0))
-        for _, line in lines[:before]:
-            yield from self._line(line)
+        text = [piece for _, line in lines[:before] for piece in self._line(line)]
         block, ends = self.moves.block(segments.points, segments.e, segments.speeds)
         starts, done = [0, *ends.tolist()], 0
-        rests = self._rests(np.diff(ends, prepend=0), segments.lasting)
+        rests = self._rests(ends, segments.lasting)
         lines = lines[before:]
         for k, line in sorted([*lines, *rests], key=itemgetter(0)) if rests else lines:
             if starts[k] > done:
-                yield self._finish(block[done : starts[k]])
+                text.append(self._finish(block[done : starts[k]]))
                 done = starts[k]
             self.now_s = passed[k]
-            yield from self._line(line)
-        yield self._finish(block[done:])
+            text += self._line(line)
+        text.append(self._finish(block[done:]))
         self.now_s = passed[-1]
+        return text
 
-    def _rests(self, lengths: IntArray, lasting: FloatArray) -> list[tuple[int, bytes]]:
+    def _rests(self, ends: IntArray, lasting: FloatArray) -> list[tuple[int, bytes]]:
         """Segments that need no line are waited for before the next one that does; not at a run's ends.
 
-        lengths : (n,) of each segment's line;  lasting : (n,) s
+        ends : (n,) where each segment's line ends;  lasting : (n,) s
         """
-        written = np.flatnonzero(lengths)
-        self.segments += len(written)
-        if not len(written):
-            self.rest = sum(lasting.tolist(), self.rest)
-            return []
-        free = np.concatenate([[0], written[:-1] + 1])  # from when on nothing is written
-        late = written > free
-        late[0] |= self.rest > 0.0
-        waits = []
-        for k in np.flatnonzero(late).tolist():
-            rest = sum(lasting[free[k] : written[k]].tolist(), self.rest if k == 0 else 0.0)
-            if k > 0 or self.begun:
-                waits.append((int(written[k]), b"G4 P%.6g" % (1e3 * rest) + OURS + self.ending))
-        self.begun, self.rest = True, sum(lasting[written[-1] + 1 :].tolist())
-        return waits
+        before, rests, written, self.rest = _unwritten(ends, lasting, self.begun, self.rest)
+        self.begun |= written > 0
+        self.segments += written
+        waits = zip(before.tolist(), rests.tolist(), strict=True)
+        return [(k, b"G4 P%.6g" % (1e3 * rest) + OURS + self.ending) for k, rest in waits]
 
     def _line(self, line: _Line) -> Iterable[bytes]:
-        if isinstance(line, Event):
-            return self.event(line)
-        return (self._original(line),) if isinstance(line, int) else (line,)
+        if isinstance(line, int):
+            return (self._original(line),)
+        return (line,) if isinstance(line, bytes) else self.event(line)
 
     def _limits_at(self, move: int) -> MotionLimits:
         moves = self.program.moves
-        return MotionLimits(
-            float(moves.velocity_limit[move]),
-            float(moves.acceleration[move]),
-            float(moves.square_corner_velocity[move]),
-            float(moves.minimum_cruise_ratio[move]),
-        )
+        columns = (moves.velocity_limit, moves.acceleration, moves.square_corner_velocity, moves.minimum_cruise_ratio)
+        return MotionLimits(*(column.item(move) for column in columns))
 
     def _begin(self, move: int) -> Iterator[bytes]:
         """Open a block if none is open, and take over the state at `move`."""
@@ -320,10 +307,40 @@ class _Segments:
 
 
 @njit(cache=True, nogil=True)
-def _stated(vertices: FloatArray, at: FloatArray, first: int, base: FloatArray, unit: float) -> FloatArray:
+def _unwritten(
+    ends: IntArray, lasting: FloatArray, begun: bool, rest: float
+) -> tuple[IntArray, FloatArray, int, float]:
+    """How long segments without a line last that stand before one with a line.
+
+    Parameters
+    ----------
+    ends : (n,) where each segment's line ends;  lasting : (n,) s
+    begun : whether there was a line before them;  rest : s that have gone by since then
+
+    Returns
+    -------
+    the segments (k,) before which there is something to wait for, how long (k,) s, how many have a line, and what has
+    gone by since the last of them, s
+    """
+    before, rests = np.empty(len(ends), dtype=np.int64), np.empty(len(ends))
+    waits, written, end = 0, 0, 0
+    for k in range(len(ends)):
+        if ends[k] > end:
+            if rest > 0.0 and begun:
+                before[waits], rests[waits] = k, rest
+                waits += 1
+            begun, rest, end = True, 0.0, ends[k]
+            written += 1
+        else:
+            rest += lasting[k]
+    return before[:waits], rests[:waits], written, rest
+
+
+@njit(cache=True, nogil=True)
+def _stated(vertices: FloatArray, at: FloatArray, first: int, base: _Place, unit: float) -> FloatArray:
     """The command at the points, as the file will state it: 4 decimals in its own coordinates and unit. (m, 3) mm
 
-    vertices : (n + 1, 3) mm at the knots from `first` on;  at : (m,) in knots;  base : (3,) mm;  unit : mm
+    vertices : (n + 1, 3) mm at the knots from `first` on;  at : (m,) in knots;  base : X Y Z E, mm;  unit : mm
     """
     counts = 1e4 if unit == 1.0 else 1e6
     points = np.empty((len(at), 3))
@@ -362,8 +379,8 @@ def _said(line: bytes) -> dict[bytes, bytes]:
 
 def joined(pieces: Iterable[bytes]) -> Iterator[bytes]:
     """Adjacent pieces as one; lines that tell a time stay apart."""
-    for timed, group in groupby(pieces, key=lambda piece: isinstance(piece, Timed)):
-        if timed:
+    for kind, group in groupby(pieces, key=type):
+        if kind is Timed:
             yield from group
         elif whole := b"".join(group):
             yield whole

@@ -7,9 +7,10 @@ angle for a tolerance is φ = 2 arccos(1 − s/r).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import acos, atan2, ceil, copysign, hypot, sqrt, tau
+from math import acos, atan2, ceil, copysign, cos, hypot, sin, sqrt, tau
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from gcode.errors import GcodeError
@@ -42,13 +43,7 @@ class Arc:
     @property
     def sweep(self) -> float:
         """Signed angle from start to end, rad, counter-clockwise positive; a full turn when they coincide."""
-        turn = -1.0 if self.clockwise else 1.0
-        if _distance(self.start, self.end) < _SAME_POINT_MM:
-            return turn * tau
-        return turn * ((turn * (self._angle(self.end) - self._angle(self.start))) % tau)
-
-    def _angle(self, point: Point2) -> float:
-        return atan2(point[1] - self.centre[1], point[0] - self.centre[0])
+        return _sweep(self.start, self.end, self.centre, self.clockwise)
 
     def chords(self, tolerance: float = ARC_TOLERANCE_MM, longest: float = MAX_CHORD_MM) -> FloatArray:
         """Ends of the chords.
@@ -57,23 +52,55 @@ class Arc:
         -------
         points : (n, 3), columns first axis mm, second axis mm, share of the way (0, 1]
         """
-        first, last = self.radii
-        sweep = self.sweep
-        count = _chord_count(max(first, last), abs(sweep), tolerance, longest)
-        share = np.arange(1, count + 1) / count
-        angle = self._angle(self.start) + sweep * share
+        return chords(self.start, self.end, self.centre, self.clockwise, tolerance, longest)
+
+
+@njit(cache=True, nogil=True)
+def _distance(a: Point2, b: Point2) -> float:
+    return hypot(b[0] - a[0], b[1] - a[1])
+
+
+@njit(cache=True, nogil=True)
+def _sweep(start: Point2, end: Point2, centre: Point2, clockwise: bool) -> float:
+    turn = -1.0 if clockwise else 1.0
+    if _distance(start, end) < _SAME_POINT_MM:
+        return turn * tau
+    begin = atan2(start[1] - centre[1], start[0] - centre[0])
+    finish = atan2(end[1] - centre[1], end[0] - centre[0])
+    return turn * ((turn * (finish - begin)) % tau)
+
+
+@njit(cache=True, nogil=True)
+def chords(start: Point2, end: Point2, centre: Point2, clockwise: bool, tolerance: float, longest: float) -> FloatArray:
+    """See `Arc.chords`."""
+    first, last = _distance(centre, start), _distance(centre, end)
+    sweep = _sweep(start, end, centre, clockwise)
+    count = _chord_count(max(first, last), abs(sweep), tolerance, longest)
+    begin = atan2(start[1] - centre[1], start[0] - centre[0])
+    points = np.empty((count, 3))
+    for k in range(count):
+        share = (k + 1) / count
+        angle = begin + sweep * share
         radius = first + (last - first) * share
-        points = np.empty((count, 3))
-        points[:, 0] = self.centre[0] + radius * np.cos(angle)
-        points[:, 1] = self.centre[1] + radius * np.sin(angle)
-        points[:, 2] = share
-        points[-1, :2] = self.end
-        return points
+        points[k, 0] = centre[0] + radius * cos(angle)
+        points[k, 1] = centre[1] + radius * sin(angle)
+        points[k, 2] = share
+    points[-1, 0], points[-1, 1] = end
+    return points
 
 
+@njit(nogil=True)
 def _chord_count(radius: float, sweep: float, tolerance: float, longest: float) -> int:
     angle = 2 * acos(1 - tolerance / radius) if radius > tolerance else _COARSEST_ANGLE
     return max(1, ceil(sweep / min(angle, _COARSEST_ANGLE) - 1e-9), ceil(sweep * radius / longest - 1e-9))
+
+
+@njit(nogil=True)
+def is_sound(start: Point2, end: Point2, centre: Point2, clockwise: bool) -> bool:
+    """Whether `arc_by_centre` has nothing to complain of."""
+    first, last = _distance(centre, start), _distance(centre, end)
+    length = abs(_sweep(start, end, centre, clockwise)) * max(first, last)
+    return first >= _SAME_POINT_MM and abs(last - first) <= _allowance(first) and length <= MAX_ARC_MM
 
 
 def arc_by_centre(start: Point2, end: Point2, offset: Point2, clockwise: bool, line: int | None = None) -> Arc:
@@ -109,10 +136,7 @@ def _checked(arc: Arc, line: int | None) -> Arc:
     return arc
 
 
+@njit(cache=True, nogil=True)
 def _allowance(radius: float) -> float:
     """How far an end may lie off the circle: rounding always, 1 % of the radius, never above 0.5 mm."""
     return min(_OFF_CIRCLE_MM, max(_ROUNDING_MM, _OFF_CIRCLE_SHARE * radius))
-
-
-def _distance(a: Point2, b: Point2) -> float:
-    return hypot(b[0] - a[0], b[1] - a[1])

@@ -29,18 +29,19 @@ class MoveWriter:
 
     def reset(self, frame: Frame, xyz: Sequence[float], e: float) -> None:
         """The firmware is in this state: toolhead at `xyz`, filament at `e`, mm. The next move says F."""
-        unit, unit_e = frame.unit_mm, frame.unit_mm * frame.flow
-        per_mm = (XYZ_COUNTS / unit, XYZ_COUNTS / unit, XYZ_COUNTS / unit, E_COUNTS / unit_e)
+        unit = frame.unit_mm
+        self._per_mm = per_mm = (*[XYZ_COUNTS / unit] * 3, E_COUNTS / (unit * frame.flow))
+        self._base = base = frame.base
         self._f_counts = 60 * F_COUNTS / frame.feed_factor / unit
         self._relative = not frame.absolute, not frame.absolute_e
-        counts = [round((at - base) * per) for at, base, per in zip((*xyz, e), frame.base, per_mm, strict=True)]
+        counts = [round((at - base[i]) * per_mm[i]) for i, at in enumerate((*xyz, e))]
         self._state = np.array([*counts, -1], dtype=np.int64)  # of X Y Z E F; F has none yet
-        self._base, self._per_mm = np.array(frame.base), np.array(per_mm)
 
     @property
     def place(self) -> tuple[float, ...]:
         """Where the lines written so far have the toolhead: X Y Z E, mm. Given to `reset`, no rounding is lost."""
-        return tuple((self._state[:4] / self._per_mm + self._base).tolist())
+        counts = self._state.tolist()
+        return tuple(counts[i] / self._per_mm[i] + self._base[i] for i in range(4))
 
     def move(self, x: float, y: float, z: float, e: float, speed: float) -> bytes:
         """One line to this place (mm) at `speed` mm/s; empty when nothing moves by a count."""

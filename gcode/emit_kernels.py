@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 ByteArray = NDArray[np.uint8]
+Place = tuple[float, float, float, float]  # of X Y Z E
 
 XYZ_DECIMALS, E_DECIMALS, F_DECIMALS = 4, 5, 3
 LONGEST_LINE = 128  # bytes: five words of a 64-bit count each, with sign and point, are 118
@@ -21,8 +22,8 @@ def write_moves(
     xyz: FloatArray,
     e: FloatArray,
     speed: FloatArray,
-    base: FloatArray,
-    per_mm: FloatArray,
+    base: Place,
+    per_mm: Place,
     f_counts: float,
     relative: tuple[bool, bool],
     state: IntArray,
@@ -33,7 +34,7 @@ def write_moves(
     Parameters
     ----------
     xyz : (n, 3) mm;  e : (n,) mm of filament;  speed : (n,) mm/s
-    base : (4,) mm, what is taken off X Y Z E;  per_mm : (4,) counts of the last decimal in a mm
+    base : mm, what is taken off X Y Z E;  per_mm : counts of the last decimal in a mm
     f_counts : counts of F's last decimal in a mm/s
     relative : whether X Y Z are differences, and whether E is
     state : (5,) counts of X Y Z E F that the firmware has; taken along

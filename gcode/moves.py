@@ -51,7 +51,7 @@ class MoveTable:
                 for a in limits
             ]
         )
-        velocity, acceleration, travel, corner, cruise_ratio = columns.T[:, limit]
+        velocity, acceleration, travel, corner, cruise_ratio = np.take(columns.T, limit, axis=1)
         start, end = self._starts(), self.ends[: self.count]
         travels = (end[:, 3] == start[:, 3]) & ~np.isnan(travel)
         return Moves(

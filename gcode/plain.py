@@ -1,10 +1,11 @@
-"""The quiet bulk of a print, followed straight from its bytes: plain `G0` and `G1`, `G92 E0`, M codes that
+"""The quiet bulk of a print, followed straight from its bytes: plain `G0` to `G3`, `G92 E0`, M codes that
 change nothing, comments, empty lines.
 
-A plain line is `G0` or `G1` with each of the words X Y Z E F at most once, in capitals, as plain decimals of at most
-15 digits, 6 of them before the point. It says the same as it does to `gcode.words` and `gcode.state`, bit for bit: an
-integer below 10^15 and a power of ten up to 10^22 are exact in binary, so that their quotient is the double nearest to
-the decimal (Clinger 1990, "How to read floating point numbers accurately", section 4), and sums have the same order.
+A plain line is `G0` or `G1` with each of the words X Y Z E F at most once, or `G2` or `G3` in the plane XY with those
+and I or J or both, in capitals, as plain decimals of at most 15 digits, 6 of them before the point. It says the same as
+it does to `gcode.words` and `gcode.state`, bit for bit: an integer below 10^15 and a power of ten up to 10^22 are exact
+in binary, so that their quotient is the double nearest to the decimal (Clinger 1990, "How to read floating point
+numbers accurately", section 4), and sums have the same order.
 """
 
 from __future__ import annotations
@@ -15,20 +16,24 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from gcode.arcs import MAX_CHORD_MM, chords, is_sound
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 ByteArray = NDArray[np.uint8]
 BoolArray = NDArray[np.bool_]
+Place = tuple[float, float, float, float]  # X Y Z E, mm
 
 STILL_MM2 = 1e-18  # squared displacement below which nothing moves: 1e-9 mm, as in Klipper
 
 _TAB, _NEWLINE, _RETURN, _SPACE, _PLUS, _MINUS, _POINT, _SEMICOLON, _TWO, _G, _M = b"\t\n\r +-.;2GM"
-_E, _F = 3, 4  # columns among the words
+_E, _F, _I, _J = 3, 4, 5, 6  # columns among the words
+_LETTERS = b"XYZEFIJ"
 _RECENT = 16
 _DIGITS_BEFORE_POINT, _DIGITS = 6, 15
 _POWERS = np.array([10.0**k for k in range(_DIGITS + 1)])
 _COLUMN = np.full(256, -1, dtype=np.int64)  # of each letter among the words
-_COLUMN[list(b"XYZEF")] = range(5)
+_COLUMN[list(_LETTERS)] = range(len(_LETTERS))
 
 
 class Modes(NamedTuple):
@@ -42,6 +47,7 @@ class Modes(NamedTuple):
     unit: float  # mm of toolhead per unit of the file
     unit_e: float  # mm of filament per unit of the file
     feed_factor: float
+    arc_tolerance: float  # mm, between an arc in the plane XY and its chords; NaN: arcs lie in another plane
 
 
 class Cursor(NamedTuple):
@@ -59,7 +65,7 @@ class Cursor(NamedTuple):
     e: float
     feed: float  # mm/s; NaN: no line has said one yet
     origin_e: float  # mm, added to an absolute E: what G92 E changes
-    motion: int  # of the last plain move followed: 0 or 1; -1: there was none
+    motion: int  # of the last plain move followed: 0 to 3; -1: there was none
     stuck: bool  # the line needs more care than it gets here
 
 
@@ -79,19 +85,20 @@ def follow(
     text : the bytes of whole lines, and one more newline that belongs to none
     passing : (k,), whether each M code changes nothing
     limit : the number of the limits in force
-    ends : (n, 4) mm, columns X Y Z E: where each move ends; rows are written from `here.moves` on
+    ends : (n, 4) mm, columns X Y Z E: where each move ends; rows are written from `here.moves` on. There is room for
+        one for each line that is left; where more are free, arcs take them
     moves : (n, 3), columns line, state, limit
-    events : (m, 3), columns line, moves before it, state; rows are written from `here.events` on
+    events : (m, 3), columns line, moves before it, state, of m lines; rows are written from `here.events` on
     states : (k, 2), columns feed mm/s, origin of E mm, of each new state; written from its beginning on
     """
     at, line, move, event, known, state, x, y, z, e, feed, origin_e, motion, _ = here
-    words = np.empty(5)
+    words = np.empty(len(_LETTERS))
     told, stuck = 0, False
     while at < len(text) - 1 and told < len(states):
         code = at
-        travelled = 0.0
+        made = 0
         number = text[at + 1] - 48
-        if text[at] == _G and number in (0, 1):
+        if text[at] == _G and number in (0, 1, 2, 3):
             code = _read_words(text, at + 2, words)
             new_x = _coordinate(words[0], modes.unit, x, modes.origin_x, modes.relative)
             new_y = _coordinate(words[1], modes.unit, y, modes.origin_y, modes.relative)
@@ -100,6 +107,15 @@ def follow(
             dx, dy, dz, de = new_x - x, new_y - y, new_z - z, new_e - e
             travelled = dx * dx + dy * dy + dz * dz + de * de
             stuck = code < 0 or words[_F] <= 0 or np.isnan(travelled)  # NaN: from or to an unknown place
+            if number > 1 and not stuck:
+                room = ends[move : len(ends) - (len(events) - line - 1)]
+                made = _arc((x, y, z, e), (new_x, new_y, new_z, new_e), number == 2, words, modes, room)
+                stuck = made == 0
+            elif not stuck:
+                stuck = not (np.isnan(words[_I]) and np.isnan(words[_J]))
+                if travelled > STILL_MM2:
+                    made = 1
+                    ends[move, 0], ends[move, 1], ends[move, 2], ends[move, 3] = new_x, new_y, new_z, new_e
             if stuck:
                 break
             wanted = words[_F] / 60 * modes.unit * modes.feed_factor
@@ -127,11 +143,10 @@ def follow(
             stuck = not _ends_code(text[code])
             if stuck:
                 break
-        if travelled > STILL_MM2:
-            ends[move, 0], ends[move, 1], ends[move, 2], ends[move, 3] = x, y, z, e
+        for _ in range(made):
             moves[move, 0], moves[move, 1], moves[move, 2] = line, state, limit
             move += 1
-        else:
+        if made == 0:
             events[event, 0], events[event, 1], events[event, 2] = line, move, state
             event += 1
         at = code
@@ -140,6 +155,30 @@ def follow(
         at += 2 if text[at] == _RETURN and text[at + 1] == _NEWLINE else 1
         line += 1
     return Cursor(at, line, move, event, known + told, state, x, y, z, e, feed, origin_e, motion, stuck)
+
+
+@njit(nogil=True)
+def _arc(start: Place, end: Place, clockwise: bool, words: FloatArray, modes: Modes, ends: FloatArray) -> int:
+    """Write an arc's chords into the first rows of `ends`; returns how many, 0 where it needs more care.
+
+    Chords share height and filament evenly: all are equally long.
+    """
+    if np.isnan(modes.arc_tolerance) or (np.isnan(words[_I]) and np.isnan(words[_J])):
+        return 0
+    centre_x = start[0] + (0.0 if np.isnan(words[_I]) else words[_I] * modes.unit)
+    centre_y = start[1] + (0.0 if np.isnan(words[_J]) else words[_J] * modes.unit)
+    arc = (start[0], start[1]), (end[0], end[1]), (centre_x, centre_y), clockwise
+    if not is_sound(*arc):
+        return 0
+    points = chords(*arc, modes.arc_tolerance, MAX_CHORD_MM)
+    if len(points) > len(ends):
+        return 0
+    for k in range(len(points)):
+        share = points[k, 2]
+        ends[k, 0], ends[k, 1] = points[k, 0], points[k, 1]
+        ends[k, 2], ends[k, 3] = start[2] + (end[2] - start[2]) * share, start[3] + (end[3] - start[3]) * share
+    ends[len(points) - 1, 2], ends[len(points) - 1, 3] = end[2], end[3]
+    return len(points)
 
 
 @njit(nogil=True, error_model="numpy")

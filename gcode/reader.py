@@ -31,7 +31,7 @@ SETTINGS = frozenset(["G17", "G18", "G19", "G20", "G21", "G40", "G49", "G54", "G
 _MOTION_WORDS = {"G0": "XYZEF", "G1": "XYZEF", "G2": "XYZEFIJKR", "G3": "XYZEFIJKR"}
 _ARC_WORDS = frozenset("XYZIJKR")
 _IGNORED_WORDS = "SPHNO"  # laser power, priorities, endstop flags: they do not change where the nozzle goes
-_QUIET_STARTS = (b"G1", b"G0", b"G92 E", b"M", b";", b"\n", b"\r", b" ", b"\t")
+_QUIET_STARTS = (b"G1", b"G0", b"G2", b"G3", b"G92 E", b"M", b";", b"\n", b"\r", b" ", b"\t")
 _STATES_AT_A_TIME = 4096
 _PASSING = np.isin(np.arange(1 + max(PASSING_M_CODES)), list(PASSING_M_CODES))
 
@@ -195,7 +195,7 @@ class _Reader:
         counts = byte, at, first_move, self.events.count, states, states - 1
         here = Cursor(*counts, x, y, z, e, feed, origin_e, motion=-1, stuck=False)
         tables = self.moves.ends, self.moves.rows, self.events.rows, self.new_states
-        self.modes = self.modes or _modes(modal)
+        self.modes = self.modes or _modes(modal, self.arc_tolerance)
         there = follow(text, _PASSING, here, self.modes, self.limit, *tables)
         if there.moves > first_move and not modal.feed_known:
             self._warn_if_no_feed_at(first_move)
@@ -395,7 +395,8 @@ class _Reader:
             self._warn("feed", at, f"the first move has no speed; {speed}")
 
 
-def _modes(modal: Modal) -> Modes:
+def _modes(modal: Modal, arc_tolerance: float) -> Modes:
     x, y, z, _ = (base + shift for base, shift in zip(modal.base, modal.shift, strict=True))
     relative, relative_e = not modal.is_absolute(0), not modal.is_absolute(3)
-    return Modes(x, y, z, relative, relative_e, modal.scale(0), modal.scale(3), modal.feed_factor)
+    arcs = arc_tolerance if modal.plane == "XY" else nan
+    return Modes(x, y, z, relative, relative_e, modal.scale(0), modal.scale(3), modal.feed_factor, arcs)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.plan.limits import FirmwareLimits, bounds_of, lines_of
-from ffcomp.plan.lookahead import _corners, _pick, _spread, _stops_of_kept
+from ffcomp.plan.lookahead import corners
 from gcode.program import Moves
 
 FloatArray = NDArray[np.float64]
@@ -18,10 +18,7 @@ def junction_limits(moves: Moves, limits: FirmwareLimits, stop_before: NDArray[n
     stop_before : (n,) the motion comes to rest before the move, waits included
     """
     lines = lines_of(moves)
-    kept = np.flatnonzero(lines.length > 0.0)
-    picked, picked_lines = _pick(moves, kept), _pick(lines, kept)
-    bounds = bounds_of(picked, picked_lines, limits)
-    gain = 2.0 * picked_lines.length * bounds.acceleration
-    corner = _corners(picked_lines, bounds, gain, limits.instantaneous_corner_velocity_mm_per_s)
-    corner[_stops_of_kept(stop_before, kept)] = 0.0
-    return _spread(np.sqrt(corner), kept, len(moves))
+    kept, corner = corners(lines, bounds_of(moves, lines, limits), limits, stop_before)
+    allowed = np.zeros(len(moves))
+    allowed[kept] = np.sqrt(corner)
+    return allowed

@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from gcode.program import Moves
@@ -103,65 +104,122 @@ class Bounds:
 
 def lines_of(moves: Moves) -> Lines:
     """The geometry of the moves, extruder-only ones recognised."""
-    step = moves.end - moves.start
-    travel = np.sqrt(step[:, 0] ** 2 + step[:, 1] ** 2 + step[:, 2] ** 2)
-    travels = travel >= SHORTEST_TRAVEL_MM
-    step[~travels, :3] = 0.0
-    length = np.where(travels, travel, np.abs(step[:, 3]))
-    per_mm = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0.0)
-    return Lines(step, length, step * per_mm[:, None], travels)
+    return Lines(*_lines(moves.start, moves.end))
+
+
+@njit(cache=True, nogil=True)
+def _lines(start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    n = len(start)
+    step, length, direction, travels = np.empty((n, 4)), np.empty(n), np.zeros((n, 4)), np.empty(n, dtype=np.bool_)
+    for i in range(n):
+        for c in range(4):
+            step[i, c] = end[i, c] - start[i, c]
+        x, y, z = step[i, 0], step[i, 1], step[i, 2]
+        length[i] = np.sqrt(x * x + y * y + z * z)
+        travels[i] = length[i] >= SHORTEST_TRAVEL_MM
+        if not travels[i]:
+            step[i, :3] = 0.0
+            length[i] = abs(step[i, 3])
+        if length[i] > 0.0:
+            per_mm = 1.0 / length[i]
+            for c in range(4):
+                direction[i, c] = step[i, c] * per_mm
+    return step, length, direction, travels
+
+
+class _Own(NamedTuple):
+    """What the firmware's configuration allows where the file says nothing, and nowhere more."""
+
+    velocity: float
+    acceleration: float
+    square_corner_velocity: float
+    minimum_cruise_ratio: float
+    z_velocity: float
+    z_acceleration: float
+    extruder_velocity: float
+    extruder_acceleration: float
+    slow: tuple[tuple[float, float], ...]  # beyond this radius squared, mm², this share of velocity and acceleration
+
+    @staticmethod
+    def of(limits: FirmwareLimits) -> _Own:
+        velocity, acceleration = limits.velocity_mm_per_s, limits.acceleration_mm_per_s2
+        ratio, delta = limits.extrusion_ratio, limits.delta
+        return _Own(
+            velocity,
+            acceleration,
+            limits.square_corner_velocity_mm_per_s,
+            limits.minimum_cruise_ratio,
+            limits.z_velocity_mm_per_s or velocity,
+            limits.z_acceleration_mm_per_s2 or acceleration,
+            limits.extruder_velocity_mm_per_s or velocity * ratio,
+            limits.extruder_acceleration_mm_per_s2 or acceleration * ratio,
+            tuple((delta.radius_of_ratio(most) ** 2 if delta else math.inf, share) for most, share in SLOW_RATIOS),
+        )
 
 
 def bounds_of(moves: Moves, lines: Lines, limits: FirmwareLimits) -> Bounds:
     """Every limit on single moves, put together."""
-    set_velocity = _or_default(moves.velocity_limit, limits.velocity_mm_per_s)
-    set_acceleration = _or_default(moves.acceleration, limits.acceleration_mm_per_s2)
-    speed = np.where(lines.travels, np.minimum(moves.speed, set_velocity), moves.speed)
-    acceleration = np.where(lines.travels, set_acceleration, np.inf)
-    more = (_z_bound(lines, limits), _reach_bound(moves, lines, limits), _extruder_bound(lines, limits))
-    for top_speed, top_acceleration in more:
-        speed, acceleration = np.minimum(speed, top_speed), np.minimum(acceleration, top_acceleration)
-    cruise_ratio = _or_default(moves.minimum_cruise_ratio, limits.minimum_cruise_ratio)
-    smooth = np.minimum(acceleration, set_acceleration * (1.0 - cruise_ratio))
-    corner = _or_default(moves.square_corner_velocity, limits.square_corner_velocity_mm_per_s)
-    return Bounds(speed, acceleration, smooth, corner**2 * (math.sqrt(2.0) - 1.0) / set_acceleration)
+    set_by_the_file = (
+        moves.velocity_limit,
+        moves.acceleration,
+        moves.square_corner_velocity,
+        moves.minimum_cruise_ratio,
+    )
+    own = _Own.of(limits)
+    return Bounds(*_bounds(moves.start, moves.end, moves.speed, lines.direction, lines.travels, set_by_the_file, own))
 
 
-def _or_default(value: FloatArray, default: float) -> FloatArray:
-    return np.where(np.isnan(value), default, value)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bounds(
+    start: FloatArray,
+    end: FloatArray,
+    speed: FloatArray,
+    direction: FloatArray,
+    travels: BoolArray,
+    set_by_the_file: tuple[FloatArray, ...],
+    own: _Own,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The columns of `Bounds`. set_by_the_file : velocity, acceleration, corner and cruise ratio, (n,) each"""
+    n = len(speed)
+    top, acceleration, smooth, deviation = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    velocities, accelerations, corners, ratios = set_by_the_file
+    for i in range(n):
+        set_velocity = _or_default(velocities[i], own.velocity)
+        set_acceleration = _or_default(accelerations[i], own.acceleration)
+        v, a = speed[i], np.inf
+        if travels[i]:
+            v, a = min(v, set_velocity), set_acceleration
+        along_z = abs(direction[i, 2])
+        if along_z > 0.0:
+            v, a = _share_bound(v, a, along_z, own.z_velocity, own.z_acceleration)
+        if travels[i]:
+            # NOTE: a share of the *configured* limits; what the file sets (SET_VELOCITY_LIMIT, M204) does not count
+            farthest = max(start[i, 0] ** 2 + start[i, 1] ** 2, end[i, 0] ** 2 + end[i, 1] ** 2)
+            share = np.inf
+            for beyond, slow in own.slow:
+                if farthest > beyond:
+                    share = slow
+            v, a = min(v, own.velocity * share), min(a, own.acceleration * share)
+        # the extruder leads where nothing moves in XY, and in a retraction
+        filament = direction[i, 3]
+        if filament < 0.0 or (filament > 0.0 and direction[i, 0] == 0.0 and direction[i, 1] == 0.0):
+            v, a = _share_bound(v, a, abs(filament), own.extruder_velocity, own.extruder_acceleration)
+        corner = _or_default(corners[i], own.square_corner_velocity)
+        top[i], acceleration[i] = v, a
+        smooth[i] = min(a, set_acceleration * (1.0 - _or_default(ratios[i], own.minimum_cruise_ratio)))
+        deviation[i] = corner * corner * (math.sqrt(2.0) - 1.0) / set_acceleration
+    return top, acceleration, smooth, deviation
 
 
-def _z_bound(lines: Lines, limits: FirmwareLimits) -> tuple[FloatArray, FloatArray]:
-    """The Z part of a move within Z's own limits."""
-    velocity = limits.z_velocity_mm_per_s or limits.velocity_mm_per_s
-    acceleration = limits.z_acceleration_mm_per_s2 or limits.acceleration_mm_per_s2
-    return _share_bound(lines.direction[:, 2], velocity, acceleration)
+@njit(nogil=True)
+def _or_default(value: float, default: float) -> float:
+    return default if np.isnan(value) else value
 
 
-def _extruder_bound(lines: Lines, limits: FirmwareLimits) -> tuple[FloatArray, FloatArray]:
-    """The extruder within its own limits, where it leads: no motion in XY, or a retraction."""
-    ratio = limits.extrusion_ratio
-    velocity = limits.extruder_velocity_mm_per_s or limits.velocity_mm_per_s * ratio
-    acceleration = limits.extruder_acceleration_mm_per_s2 or limits.acceleration_mm_per_s2 * ratio
-    share = lines.direction[:, 3]
-    still = (lines.step[:, 0] == 0.0) & (lines.step[:, 1] == 0.0)
-    return _share_bound(np.where(still | (share < 0.0), share, 0.0), velocity, acceleration)
-
-
-def _share_bound(share: FloatArray, velocity: float, acceleration: float) -> tuple[FloatArray, FloatArray]:
-    """Limits along the path such that the given share of it stays within `velocity` and `acceleration`."""
-    path_per_share = np.divide(1.0, np.abs(share), out=np.full_like(share, np.inf), where=share != 0.0)
-    return velocity * path_per_share, acceleration * path_per_share
-
-
-def _reach_bound(moves: Moves, lines: Lines, limits: FirmwareLimits) -> tuple[FloatArray, FloatArray]:
-    """A delta slows down at large radius, where the carriages move faster than the nozzle.
-
-    NOTE: a share of the *configured* limits; what the file sets (SET_VELOCITY_LIMIT, M204) does not count.
-    """
-    share = np.full(len(moves), np.inf)
-    if limits.delta is not None:
-        square = np.maximum((moves.start[:, :2] ** 2).sum(axis=1), (moves.end[:, :2] ** 2).sum(axis=1))
-        for ratio, slow in SLOW_RATIOS:
-            share[lines.travels & (square > limits.delta.radius_of_ratio(ratio) ** 2)] = slow
-    return limits.velocity_mm_per_s * share, limits.acceleration_mm_per_s2 * share
+@njit(nogil=True)
+def _share_bound(
+    speed: float, acceleration: float, share: float, most_speed: float, most_acceleration: float
+) -> tuple[float, float]:
+    """Limits along the path such that the given share of it stays within those of an axis."""
+    path_per_share = 1.0 / share
+    return min(speed, most_speed * path_per_share), min(acceleration, most_acceleration * path_per_share)

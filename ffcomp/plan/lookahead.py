@@ -11,8 +11,7 @@ v² = v0² + 2 a d. The rules are Klipper's and Kalico's, checked against the ru
 
 from __future__ import annotations
 
-from dataclasses import fields
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -26,7 +25,6 @@ from gcode.program import EventKind, Moves, Program
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
-Columns = TypeVar("Columns", Moves, Lines)
 
 _RESTS = (EventKind.STOP, EventKind.DWELL, EventKind.RAW_MOVE)
 
@@ -85,36 +83,40 @@ def plan_moves(
     _check(moves)
     _check_waits(wait_before)
     lines = lines_of(moves)
-    kept = np.flatnonzero(lines.length > 0.0)
-    stops = _stops_of_kept(stop_before | (wait_before > 0.0), kept)
-    planned = _plan(_pick(moves, kept), _pick(lines, kept), limits, stops)
-    phases = Phases(*(_spread(phase, kept, len(moves)) for phase in planned))
+    bounds = bounds_of(moves, lines, limits)
+    kept, corner = corners(lines, bounds, limits, stop_before | (wait_before > 0.0))
+    phases = Phases(*_phases(kept, corner, lines.length, bounds.speed, bounds.acceleration, bounds.smooth_acceleration))
     return _timed(moves, lines, phases, wait_before, start_t)
 
 
-def _plan(moves: Moves, lines: Lines, limits: FirmwareLimits, stops: BoolArray) -> Phases:
-    """The trapezoids of moves that all go somewhere, `stops` (n,) before some of them."""
-    bounds = bounds_of(moves, lines, limits)
-    gain = 2.0 * lines.length * bounds.acceleration
-    smooth_gain = 2.0 * lines.length * bounds.smooth_acceleration
-    corner = _corners(lines, bounds, gain, limits.instantaneous_corner_velocity_mm_per_s)
-    corner[stops] = 0.0
+@njit(cache=True, nogil=True, error_model="numpy")
+def _phases(
+    kept: IntArray,
+    corner: FloatArray,
+    length: FloatArray,
+    speed: FloatArray,
+    acceleration: FloatArray,
+    smooth_acceleration: FloatArray,
+) -> FloatArray:
+    """The trapezoids, (7, n), rows as `Phases`. kept, corner : (m,) of the moves that go somewhere; others stay zero"""
+    gain = 2.0 * length[kept] * acceleration[kept]
+    smooth_gain = 2.0 * length[kept] * smooth_acceleration[kept]
     entry = _reached_from_rest(corner, gain)
     start = _stopping_at_the_end(entry, gain)
     smooth = _stopping_at_the_end(_reached_from_rest(entry, smooth_gain), smooth_gain)
-    cap = bounds.speed**2
+    cap = speed[kept] ** 2
     ceiling = _ceilings(start, smooth, smooth_gain, cap)
-    top = np.minimum(np.minimum(0.5 * (start[:-1] + (start[1:] + gain)), cap), ceiling)
-    return _trapezoids(lines.length, bounds.acceleration, start, top)
-
-
-def _trapezoids(length: FloatArray, acceleration: FloatArray, start: FloatArray, top: FloatArray) -> Phases:
-    """Squared speeds at the junctions, `start` (n+1,), and on top of the moves, `top` (n,) → trapezoids."""
-    begin, finish = np.minimum(start[:-1], top), np.minimum(start[1:], top)
-    begin_v, top_v, finish_v = np.sqrt(begin), np.sqrt(top), np.sqrt(finish)
-    cruise_d = np.maximum(length - (2.0 * top - begin - finish) / (2.0 * acceleration), 0.0)
-    accel_t, decel_t = (top_v - begin_v) / acceleration, (top_v - finish_v) / acceleration
-    return Phases(accel_t, cruise_d / top_v, decel_t, begin_v, top_v, finish_v, acceleration)
+    phases = np.zeros((7, len(length)))
+    for k in range(len(kept)):
+        i = kept[k]
+        a = acceleration[i]
+        top = min(0.5 * (start[k] + (start[k + 1] + gain[k])), cap[k], ceiling[k])
+        begin, finish = min(start[k], top), min(start[k + 1], top)
+        begin_v, top_v, finish_v = np.sqrt(begin), np.sqrt(top), np.sqrt(finish)
+        phases[0, i], phases[2, i] = (top_v - begin_v) / a, (top_v - finish_v) / a
+        phases[1, i] = max(length[i] - (2.0 * top - begin - finish) / (2.0 * a), 0.0) / top_v
+        phases[3, i], phases[4, i], phases[5, i], phases[6, i] = begin_v, top_v, finish_v, a
+    return phases
 
 
 def _timed(moves: Moves, lines: Lines, phases: Phases, wait_before: FloatArray, start_t: float) -> Trajectory:
@@ -131,62 +133,74 @@ def _timed(moves: Moves, lines: Lines, phases: Phases, wait_before: FloatArray, 
 # Corners
 
 
-def _corners(lines: Lines, bounds: Bounds, gain: FloatArray, filament_jump: float) -> FloatArray:
-    """Highest v² at which each move may follow the last, (n,). Extruder-only moves begin and end at rest."""
-    corner = np.zeros(len(gain))
-    deviation, tangent = _turns(lines.direction)
-    corner[1:] = np.minimum.reduce(
-        (
-            _lower_of_both(bounds.speed**2),
-            _where_bent(deviation, _lower_of_both(bounds.junction_deviation * bounds.acceleration)),
-            _where_bent(tangent, 0.25 * _lower_of_both(gain)),
-            _filament_corner(lines.direction[:, 3], filament_jump),
-        )
-    )
-    corner[1:][~(lines.travels[1:] & lines.travels[:-1])] = 0.0
-    return corner
+def corners(
+    lines: Lines, bounds: Bounds, limits: FirmwareLimits, stop_before: BoolArray
+) -> tuple[IntArray, FloatArray]:
+    """The moves that go somewhere, (m,), and the highest v² at which each of them may follow the last, (m,).
 
-
-def _lower_of_both(value: FloatArray) -> FloatArray:
-    """For each junction, the lower of its two moves' values: (n,) → (n-1,)."""
-    return np.minimum(value[1:], value[:-1])
-
-
-def _turns(direction: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """How the angle theta between two moves bounds the circle that replaces their corner.
-
-    Returns
-    -------
-    per_deviation : (n-1,) radius over the circle's distance from the corner, s/(1 - s) with s = sin(theta/2)
-    tangent : (n-1,) tan(theta/2): radius over the distance from the corner to where the circle touches the
-        moves, which must stay within half of either. Both are infinite where the path goes straight on.
+    stop_before : (n,) the motion comes to rest before the move, or before what goes nowhere in front of it
     """
-    ahead, behind = direction[1:], direction[:-1]
-    along = ahead[:, 0] * behind[:, 0] + ahead[:, 1] * behind[:, 1] + ahead[:, 2] * behind[:, 2]
-    sine = np.sqrt(np.maximum(0.5 * (1.0 + along), 0.0))
-    cosine = np.sqrt(np.maximum(0.5 * (1.0 - along), 0.0))
-    bent = (sine < 1.0) & (cosine > 0.0)
-    per_deviation, tangent = np.full_like(sine, np.inf), np.full_like(sine, np.inf)
-    np.divide(sine, 1.0 - sine, out=per_deviation, where=bent)
-    np.divide(sine, cosine, out=tangent, where=bent)
-    return per_deviation, tangent
+    return _corners(
+        lines.length,
+        lines.direction,
+        lines.travels,
+        bounds.speed,
+        bounds.acceleration,
+        bounds.junction_deviation,
+        stop_before,
+        limits.instantaneous_corner_velocity_mm_per_s,
+    )
 
 
-def _where_bent(ratio: FloatArray, value: FloatArray) -> FloatArray:
-    """ratio * value, and infinite where the path goes straight on, even if `value` is zero."""
-    return np.multiply(ratio, value, out=np.full_like(ratio, np.inf), where=np.isfinite(ratio))
+@njit(cache=True, nogil=True)
+def _corners(
+    length: FloatArray,
+    direction: FloatArray,
+    travels: BoolArray,
+    speed: FloatArray,
+    acceleration: FloatArray,
+    deviation: FloatArray,
+    stop_before: BoolArray,
+    filament_jump: float,
+) -> tuple[IntArray, FloatArray]:
+    kept, corner = np.empty(len(length), dtype=np.int64), np.zeros(len(length))
+    m, last, stops = 0, 0, True
+    for i in range(len(length)):
+        stops |= stop_before[i]
+        if length[i] > 0.0:
+            if not stops and travels[i] and travels[last]:  # extruder-only moves begin and end at rest
+                v2 = min(speed[i] ** 2, speed[last] ** 2)
+                lowest_deviation = min(deviation[i] * acceleration[i], deviation[last] * acceleration[last])
+                lowest_gain = min(2.0 * length[i] * acceleration[i], 2.0 * length[last] * acceleration[last])
+                v2 = min(v2, _turn(direction[i], direction[last], lowest_deviation, lowest_gain))
+                step = abs(direction[i, 3] - direction[last, 3])
+                if step > 0.0:
+                    v2 = min(v2, (filament_jump / step) ** 2)
+                corner[m] = v2
+            kept[m] = i
+            m, last, stops = m + 1, i, False
+    return kept[:m], corner[:m]
 
 
-def _filament_corner(filament: FloatArray, jump: float) -> FloatArray:
-    """Highest v² at which the filament's speed steps by at most `jump`; `filament` (n,) mm per mm of path."""
-    step = np.abs(np.diff(filament))
-    return np.divide(jump, step, out=np.full_like(step, np.inf), where=step > 0.0) ** 2
+@njit(nogil=True)
+def _turn(ahead: FloatArray, behind: FloatArray, deviation_gain: float, gain: float) -> float:
+    """Highest v² by the angle theta between two moves; infinite where the path goes straight on.
+
+    A circle replaces the corner. Its radius is s/(1 - s) of its distance from the corner, s = sin(theta/2), and
+    tan(theta/2) of the distance from the corner to where it touches the moves, which stays within half of either.
+    """
+    along = ahead[0] * behind[0] + ahead[1] * behind[1] + ahead[2] * behind[2]
+    sine = np.sqrt(max(0.5 * (1.0 + along), 0.0))
+    cosine = np.sqrt(max(0.5 * (1.0 - along), 0.0))
+    if sine < 1.0 and cosine > 0.0:
+        return min(sine / (1.0 - sine) * deviation_gain, sine / cosine * (0.25 * gain))
+    return np.inf
 
 
 # Sweeps
 
 
-@njit(cache=True)
+@njit(nogil=True)
 def _reached_from_rest(limit: FloatArray, gain: FloatArray) -> FloatArray:
     """Highest v² at the start of each move under `limit`, when move i can add at most gain[i]; from rest."""
     reached = np.empty_like(limit)
@@ -197,7 +211,7 @@ def _reached_from_rest(limit: FloatArray, gain: FloatArray) -> FloatArray:
     return reached
 
 
-@njit(cache=True)
+@njit(nogil=True)
 def _stopping_at_the_end(limit: FloatArray, gain: FloatArray) -> FloatArray:
     """The same from the other side, (n+1,): move i can take away at most gain[i]; rest after the last one."""
     n = len(limit)
@@ -207,7 +221,7 @@ def _stopping_at_the_end(limit: FloatArray, gain: FloatArray) -> FloatArray:
     return start
 
 
-@njit(cache=True)
+@njit(nogil=True)
 def _ceilings(start: FloatArray, smooth: FloatArray, smooth_gain: FloatArray, cap: FloatArray) -> FloatArray:
     """Highest v² on each move, (n,): the top of the smooth profile's hill that the move belongs to.
 
@@ -229,25 +243,6 @@ def _ceilings(start: FloatArray, smooth: FloatArray, smooth_gain: FloatArray, ca
             ceiling[j] = min(ceiling[j - 1], start[j])
         braking = 0
     return ceiling
-
-
-# Moves that go nowhere are planned as if they were not there
-
-
-def _stops_of_kept(stop: BoolArray, kept: IntArray) -> BoolArray:
-    """A stop before any move since the last kept one is a stop before this one."""
-    stops_so_far = np.cumsum(stop)[kept]
-    return np.diff(stops_so_far, prepend=0) > 0
-
-
-def _pick(columns: Columns, kept: IntArray) -> Columns:
-    return type(columns)(*(getattr(columns, field.name)[kept] for field in fields(columns)))
-
-
-def _spread(values: FloatArray, kept: IntArray, n: int) -> FloatArray:
-    whole = np.zeros(n)
-    whole[kept] = values
-    return whole
 
 
 # Complaints

@@ -44,7 +44,9 @@ class PlannedMotion(ABC):
     @property
     def end_t(self) -> float:
         """When the last move ends, s; 0 if there is none."""
-        return float(self.start_t[-1] + self.duration[-1]) if len(self) else 0.0
+        if not len(self):
+            return 0.0
+        return float(self.start_t[-1] + (self.accel_t[-1] + self.cruise_t[-1] + self.decel_t[-1]))
 
     def move_at(self, t: ArrayLike) -> IntArray:
         """The move under way at each time t, or the last one before it; the first one before it has begun."""

@@ -4,7 +4,7 @@ from math import cos, hypot, isclose, pi, sin
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gcode.arcs import MAX_CHORD_MM, Arc, arc_by_centre, arc_by_radius
@@ -22,6 +22,7 @@ def vertices(arc: Arc, tolerance: float) -> np.ndarray:
     return np.vstack((arc.start, arc.chords(tolerance)[:, :2]))
 
 
+@settings(deadline=None)  # the first call may have to be compiled
 @given(radii, angles, st.floats(0.01, 2 * pi - 0.01), st.booleans(), st.floats(0.001, 0.1))
 def test_chords_stay_within_the_tolerance(
     radius: float, begin: float, sweep: float, clockwise: bool, tolerance: float
@@ -62,6 +63,7 @@ def test_a_full_circle_goes_once_round(clockwise: bool) -> None:
     assert isclose(area, (-1 if clockwise else 1) * pi * 9, rel_tol=0.01)
 
 
+@settings(deadline=None)
 @given(radii, angles, st.floats(0.2, 2 * pi - 0.2), st.booleans())
 def test_radius_and_centre_give_the_same_arc(radius: float, begin: float, sweep: float, clockwise: bool) -> None:
     start = on_circle(radius, begin)

@@ -414,6 +414,7 @@ rare_text = st.sampled_from(
     """T0|M220 S90|M221 S95|G20|G21|G4 P1|SAVE_GCODE_STATE|PAUSE|SET_GCODE_OFFSET X=1|M204 S500|M106.5|M0107|M862.1 P0.4
     G92 E-1.5|G92 E1 X2|G1X1Y2E.5|G0\tX+1|G1 E5. ; out""".replace("\n    ", "|").split("|")
 )
+TAILS = ["", " Z1.5", " E.25", " E-1 Z-.5 F900", " ; round", " K1", " I1"]  # the last two are no plain arcs
 program_text = st.lists(st.tuples(moves_text | other_text | rare_text, st.sampled_from(["\n", "\r\n"])), max_size=40)
 
 
@@ -423,13 +424,45 @@ def test_random_programs_are_kept_whole(lines: list[tuple[str, str]], known: boo
     check_whole(read_program(data, start=HOME if known else None), data)
 
 
-@given(program_text)
+circles_text = st.builds("{} I{} J{}{}".format, st.sampled_from(["G2", "G3"]), numbers, numbers, st.sampled_from(TAILS))
+
+
+@given(st.lists(st.tuples(moves_text | other_text | rare_text | circles_text, st.sampled_from(["\n", "\r\n"]))))
 def test_the_fast_and_the_general_way_agree(lines: list[tuple[str, str]]) -> None:
+    agree([text for text, _ in lines], [ending for _, ending in lines])
+
+
+@settings(deadline=None)
+@given(
+    st.tuples(numbers, numbers),
+    st.floats(1e-3, 300),
+    st.floats(0, 7),
+    st.floats(-0.3, 0.3),
+    st.sampled_from(["G2 X{x} Y{y} I{i} J{j}", "G3 Y{y}\tX{x} I{i} J{j}", "G2X{x}Y{y}J{j}I{i}", "G3 X{x} I{i} J{j}"]),
+    st.sampled_from(TAILS),
+)
+def test_arcs_agree_too_and_are_refused_alike(
+    start: tuple[str, str], radius: float, angle: float, off: float, arc: str, tail: str
+) -> None:
+    """The end lies on the circle, nearly on it, or too far from it."""
+    i, j = radius * math.cos(angle), radius * math.sin(angle)
+    x, y = float(start[0]) + i + radius + off, float(start[1]) + j
+    said = arc.format(x=round(x, 4), y=round(y, 4), i=f"{i:.4f}", j=f"{j:.4f}")
+    agree([f"G1 X{start[0]} Y{start[1]} F600", said + tail, "G1 X0 Y0"], ["\n"] * 3)
+
+
+def agree(lines: list[str], endings: list[str]) -> None:
     """A round comment sends a line the general way."""
-    fast = "".join(text + ending for text, ending in lines).encode("latin-1")
-    slowed = [(text + "(slowly)" * text.startswith(("G", "M")), ending) for text, ending in lines]
-    general = "".join(text + ending for text, ending in slowed).encode("latin-1")
-    one, other = read_program(fast, start=HOME), read_program(general, start=HOME)
+    slowed = [text + "(slowly)" * text.startswith(("G", "M")) for text in lines]
+    fast, general = ("".join(map(str.__add__, texts, endings)).encode("latin-1") for texts in (lines, slowed))
+    try:
+        other = read_program(general, start=HOME)
+    except GcodeError as error:
+        with pytest.raises(GcodeError, match=re.escape(str(error))):
+            read_program(fast, start=HOME)
+        return
+    one = read_program(fast, start=HOME)
+    np.testing.assert_array_equal(one.moves.line, other.moves.line)
     np.testing.assert_array_equal(one.moves.end, other.moves.end)
     np.testing.assert_array_equal(one.moves.start, other.moves.start)
     np.testing.assert_array_equal(one.moves.speed, other.moves.speed)
