@@ -76,6 +76,8 @@ class Row:
     without_um: float  # the printer without the effect, compensated with the right file
     rounds: float  # of the whole printer, on average of the stretches; 0: the linear model holds the effect
     cpu_s_per_print_s: float
+    ignorant_share: float  # of its limit that a carriage is asked for at the worst
+    knowing_share: float
 
 
 def main() -> None:
@@ -115,7 +117,7 @@ def row(name: str, seconds: float) -> Row:
     table, real = EFFECTS[name](np.random.default_rng(SEEDS.get(name, SEED)), 1.0, plain)
     knowing = with_effect(ignorant, name, **table)
     has, has_not = Printer(real, knowing), Printer(plain, ignorant)
-    rounds, cpu_s = cost(knowing, seconds)
+    rounds, cpu_s, share = cost(knowing, seconds)
     return Row(
         name,
         CATALOGUE[name].kind,
@@ -127,6 +129,8 @@ def row(name: str, seconds: float) -> Row:
         printed(has_not, ignorant, seconds),
         rounds,
         cpu_s,
+        cost(ignorant, seconds)[2],
+        share,
     )
 
 
@@ -151,35 +155,40 @@ def on_our_own(machine: Machine, seconds: float) -> float:
     return 1e3 * float(np.sqrt(np.mean(contour(played) ** 2)))
 
 
-def cost(machine: Machine, seconds: float) -> tuple[float, float]:
-    """Rounds of the whole printer, and CPU time of a command for each print-second, s: of the second time."""
+def cost(machine: Machine, seconds: float) -> tuple[float, float, float]:
+    """Rounds of the whole printer, CPU time for each print-second, s, of the second time, and share of a limit."""
     inverter, parts = Inverter(machine, settings_for(machine)), stretches(machine, seconds)
     with patch.object(whole, "_played", side_effect=whole._played) as rounds:
         solve(inverter, parts)
     began = time.process_time()
-    solve(inverter, parts)
+    share = solve(inverter, parts)
     took = time.process_time() - began
-    return rounds.call_count / len(parts), took / sum(each.trajectory.end_t for each in parts)
+    return rounds.call_count / len(parts), took / sum(each.trajectory.end_t for each in parts), share
 
 
-def solve(inverter: Inverter, parts: list[Stretch]) -> None:
-    for part in parts:
-        for _ in solutions(part.planned, inverter.machine, inverter, None, lambda wanted: False):
-            pass
+def solve(inverter: Inverter, parts: list[Stretch]) -> float:
+    """The largest share of its limit that a carriage is asked for."""
+    return max(
+        solved.result.excess
+        for part in parts
+        for solved in solutions(part.planned, inverter.machine, inverter, None, lambda wanted: False)
+    )
 
 
 def as_table(found: Mapping[str, Any]) -> Iterator[str]:
     yield (
         "| effect | hidden | not compensated | ignorant | knowing | without the effect | knowing, our own printer "
-        "| rounds | CPU s a print-second | in the independent printer, unlike the file |"
+        "| rounds | CPU s a print-second | share of a limit, ignorant and knowing "
+        "| in the independent printer, unlike the file |"
     )
-    yield "|---" * 10 + "|"
+    yield "|---" * 11 + "|"
     order: Callable[[str], Any] = lambda name: (found[name]["rounds"] > 0, name)  # noqa: E731
     for name in sorted(found, key=order):
         r = found[name]
         yield (
             f"| `{name}` | {told(r['table'])} | {r['none_um']:.1f} | {r['ignorant_um']:.2f} | {r['knowing_um']:.2f} "
             f"| {r['without_um']:.2f} | {r['own_um']:.2f} | {r['rounds']:.0f} | {r['cpu_s_per_print_s']:.3f} "
+            f"| {r['ignorant_share']:.2f}, {r['knowing_share']:.2f} "
             f"| {OTHER_SHAPE.get(name, '')} |"
         )
 

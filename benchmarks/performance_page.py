@@ -422,7 +422,8 @@ and {SECONDS:g} s of `{PRINT.name}` (layers {LAYERS.first_layer} to {LAYERS.last
 error, rms, µm: with no compensation; with a file that is right in all but the effect; with one that names the effect
 and its size; on the printer without the effect (the same as before if nothing were lost); and with the knowing command
 on our own virtual printer, whose effect has the file's shape. *Rounds* of the whole printer: 0 where the linear model
-holds the effect by itself. Sizes are draws of the blind test. Made also by
+holds the effect by itself. *Share of a limit*: the most that a carriage is asked for, with the file that does not know
+the effect and with the one that does. Sizes are draws of the blind test. Made also by
 `python benchmarks/effects_compensated.py`.
 """
     yield ""

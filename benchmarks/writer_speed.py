@@ -99,10 +99,8 @@ class Round:
         s, at = self.settings, line_up.at
         knots = np.arange(line_up.piece.first, line_up.piece.last + 1)
         points = np.stack([np.interp(at, knots, axis) for axis in vertices.T], axis=1).round(4)
-        pinned = np.zeros(len(at), dtype=np.bool_)
-        pinned[line_up.cuts()] = True
         longest = s.longest_merged_s / s.segment_s
-        kept = self.timed("join", merge, at, points, line_up.e, pinned, 1e-3 * s.merge_um, longest)
+        kept = self.timed("join", merge, at, points, line_up.e, line_up.cut, 1e-3 * s.merge_um, longest)
         points, e, lasting = points[kept], line_up.e[kept], np.diff(at[kept]) * s.segment_s
         speeds = self.timed("speeds", played, points, np.diff(e), lasting, s.output).cruise
         block = self.timed("text", MoveWriter().block, points[1:], e[1:], speeds)[0]

@@ -7,10 +7,11 @@ import re
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
-from itertools import chain
+from itertools import chain, islice
+from math import ceil, inf
 from os.path import realpath
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,13 +21,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp import __version__
+from ffcomp import chapters as cutting
 from ffcomp.chapters import Chapter, chapters
 from ffcomp.errors import NothingToDo
 from ffcomp.invert.inverter import Inverter
 from ffcomp.invert.settings import Settings
-from ffcomp.pipeline import Planned, Share, Summary, compensate, plan_program, settings_for, solutions
+from ffcomp.pipeline import (
+    Layers,
+    Planned,
+    Summary,
+    compensate,
+    firmware_limits,
+    firmware_plan,
+    plan_program,
+    settings_for,
+    solutions,
+)
 from ffcomp.plan.limits import lines_of
-from ffcomp.plan.trajectory import PlannedMotion
+from ffcomp.plan.moment import WHOLE, Moment
+from ffcomp.plan.slow_down import SlowDown, eased
+from ffcomp.plan.trajectory import Trajectory
 from ffcomp.predict import LONGEST_S, Prediction
 from ffcomp.stepping import Stepping
 from ffcomp.steps.sink import Board, MotorTotal, StepSink
@@ -36,13 +50,15 @@ from gcode.container import Source, blocks_of, ends_of, replace_atomically
 from gcode.dialects import FLAVORS, flavor_by_ends, shaper_off
 from gcode.errors import UnsupportedGcode
 from gcode.metadata import Stamp, Timed, find_stamp, stamp_line
-from gcode.program import Program
+from gcode.program import Moves, Program
 from gcode.reader import read_parts
 from models.machine import Machine
 
 FloatArray = NDArray[np.float64]
 
 STAMP_REACH = 1 << 20  # bytes at either end in which a stamp is looked for
+
+S_CURVE_LONGEST_S = 900.0  # of motion without a rest that is planned with S-curves
 
 TOLD = 12  # places that were slowed down, of which each has its sentence
 
@@ -70,21 +86,32 @@ class Recipe:
     ) -> tuple[Planned, FloatArray | None, Prediction | None]:
         """A chapter planned, the plant's state (18,) as it begins, and what collects the prediction."""
         machine, settings, offset = self.machine, self.settings, self.offset
-        prediction = Prediction(inverter, self.share) if self.share else None
-        planned = plan_program(chapter.program, machine, offset, settings.s_curve)
+        prediction = Prediction(inverter, self.share) if self._is_simulated(chapter) else None
+        smooth = settings.s_curve and chapter.ends == WHOLE
+        planned = plan_program(chapter.program, machine, offset, smooth)
         state = None
         if chapter.before is not None:
             past = plan_program(chapter.before, machine, offset, settings.s_curve)
             for known in solutions(past, machine, inverter, None, lambda wanted: False):
                 state = known.result.state
         summary.warnings += chapter.program.warnings
-        if chapter.knots is None:
+        summary.slowed += chapter.eased
+        summary.original_print_time_s -= sum(each.seconds for each in chapter.eased)
+        if smooth < settings.s_curve and chapter.ends.begin is None:
+            summary.warnings.append(_not_smooth(chapter))
+        if chapter.ends.end is None:
             moves = len(chapter.program.moves)
             waits = sum(event.dwell_s for event in chapter.program.events if event.move == moves)
             summary.original_print_time_s += waits
             summary.print_time_s += waits
         summary.predicted = prediction.samples if prediction else None
         return planned, state, prediction
+
+    def _is_simulated(self, chapter: Chapter) -> bool:
+        """Whether some of it is. Of a motion in several chapters, only as many of them as are a share of it."""
+        if chapter.ends == WHOLE:
+            return self.share > 0.0
+        return ceil(self.share * (chapter.cuts + 1)) > ceil(self.share * chapter.cuts)
 
     def lines(
         self, chapter: Chapter, inverter: Inverter, summary: Summary, progress: Progress = lambda share: None
@@ -103,7 +130,7 @@ class Recipe:
             said=chapter.said,
             prediction=prediction,
             layers_before=chapter.layers,
-            share=_share_of(chapter, planned),
+            ends=chapter.ends,
         )
 
 
@@ -117,7 +144,9 @@ def _work(chapter: Chapter, recipe: Recipe) -> tuple[list[bytes], Summary]:
         _own.inverter, _own.key = Inverter(recipe.machine, recipe.settings), key
     inverter: Inverter = _own.inverter
     summary = Summary()
-    return list(joined(recipe.lines(chapter, inverter, summary))), summary
+    done = list(joined(recipe.lines(chapter, inverter, summary))), summary
+    inverter.keep()
+    return done
 
 
 class Job:
@@ -187,6 +216,7 @@ class Job:
             totals = self._stepped(
                 together, recipe, target or Path(folder, "steps.npz"), board, error_s, plain, progress
             )
+        self.inverter.keep()
         self.compute_time_s = time.perf_counter() - self.started
         return totals
 
@@ -217,10 +247,10 @@ class Job:
                         state,
                         prediction,
                         chapter.layers,
-                        _share_of(chapter, planned),
+                        chapter.ends,
                     )
                 self._take(summary)
-                done += _size(chapter)
+                done += _size(chapter.program)
                 progress(min(done / max(self.size, 1), 1.0))
             return sink.finish()
 
@@ -234,28 +264,39 @@ class Job:
         if self.shaper_off:
             body = _with_shaper_off(body, self.flavor)
         yield from _stamped(body, stamp, offset_line(self.offset))
+        self.inverter.keep()
         self.compute_time_s = time.perf_counter() - self.started
 
-    def _chapters(self, plain: bool) -> Iterator[Chapter]:
-        # an S-curve has one level of acceleration from rest to rest; plain steps are written from rest to rest
-        whole = plain or self.settings.s_curve
+    def _parts(self) -> Iterator[Program]:
         blocks = blocks_of(self.source)
         if self.restore:
             blocks = original_blocks(blocks)
-        parts = read_parts(blocks, self.path, flavor=self.flavor, offset_mm=self.offset)
-        return chapters(parts, self.settings.segment_s, self.settings.lead_s, None if whole else self._plan_of)
+        return read_parts(blocks, self.path, flavor=self.flavor, offset_mm=self.offset)
 
-    def _plan_of(self, program: Program) -> PlannedMotion:
-        return plan_program(program, self.machine, self.offset).trajectory
+    def _chapters(self, parts: Iterable[Program], plain: bool) -> Iterator[Chapter]:
+        # plain steps are written from rest to rest, and an S-curve has one level of acceleration
+        longest_s = inf if plain else S_CURVE_LONGEST_S if self.settings.s_curve else cutting.LONGEST_S
+        ease = self._eased if self.settings.slow_down and not plain else None
+        s = self.settings
+        return chapters(parts, s.segment_s, s.lead_s, self._plan_of, longest_s=longest_s, ease=ease)
+
+    def _plan_of(self, program: Program) -> Trajectory:
+        return firmware_plan(program, self.machine, self.offset)
+
+    def _eased(self, around: Program, cut: Moment, layers: int) -> tuple[Moves, tuple[SlowDown, ...]]:
+        limits, layer_of = firmware_limits(self.machine), Layers(around, layers).of
+        return eased(self.inverter, around.moves, limits, cut, first_line=around.first_line, layer_of=layer_of)
 
     def _started(self, plain: bool = False) -> tuple[Iterator[Chapter], Recipe]:
-        whole = self._chapters(plain)
-        first = next(whole, None)
-        if first is None:
+        parts = self._parts()
+        first = list(islice(parts, 1))
+        if not first:
             raise NothingToDo(f"{self.path or 'The file'} holds no line: nothing to compensate.")
-        share = _share(first, self.size) if self.predict else 0.0
+        while not len(first[-1].moves) and (more := next(parts, None)) is not None:
+            first.append(more)
+        share = _share(first[-1], self.size) if self.predict else 0.0
         recipe = Recipe(self.machine, self.settings, self.flavor, self.offset, share)
-        return chain([first], whole), recipe
+        return self._chapters(chain(first, parts), plain), recipe
 
     def _body(self, progress: Progress) -> Iterator[bytes]:
         together, recipe = self._started()
@@ -272,7 +313,7 @@ class Job:
     def _one_by_one(self, together: Iterator[Chapter], recipe: Recipe, progress: Progress) -> Iterator[_Done]:
         before = 0
         for chapter in together:
-            summary, size = Summary(), _size(chapter)
+            summary, size = Summary(), _size(chapter.program)
 
             def within(share: float, before: int = before, size: int = size) -> None:
                 progress(min((before + share * size) / max(self.size, 1), 1.0))
@@ -287,7 +328,7 @@ class Job:
 
         def tasks() -> Iterator[Any]:
             for chapter in together:
-                sizes.append(_size(chapter))
+                sizes.append(_size(chapter.program))
                 yield delayed(_work)(chapter, recipe)
 
         pool = Parallel(n_jobs=self.jobs, return_as="generator", batch_size=1, pre_dispatch="2 * n_jobs")
@@ -346,17 +387,19 @@ class Job:
         }
 
 
-def _share_of(chapter: Chapter, planned: Planned) -> Share:
-    return Share(None if chapter.begin is None else chapter.begin.on(planned.trajectory), chapter.knots)
+def _not_smooth(chapter: Chapter) -> str:
+    line = chapter.program.first_line + int(chapter.program.moves.line[0]) + 1
+    longest = f"{S_CURVE_LONGEST_S / 60:g} minutes"
+    return f"line {line}: the motion that begins here does not rest for {longest}; it is planned without S-curves."
 
 
-def _size(chapter: Chapter) -> int:
-    return sum(map(len, chapter.program.lines))
+def _size(program: Program) -> int:
+    return sum(map(len, program.lines))
 
 
-def _share(first: Chapter, size: int) -> float:
-    """How much of the print may be simulated, by what its first chapter takes at least."""
-    moves = first.program.moves
+def _share(first: Program, size: int) -> float:
+    """How much of the print may be simulated, by what its first moves take at least."""
+    moves = first.moves
     quickest = float((lines_of(moves).length / moves.speed).sum()) * size / max(_size(first), 1)
     return min(1.0, LONGEST_S / max(quickest, 1e-9))
 

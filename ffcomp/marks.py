@@ -30,6 +30,7 @@ FLOWS_MM = 1e-6  # filament per segment from which on the exact place of a line 
 STEEPEST = 0.1  # by which share the flow may be changed between two lines to meet both
 SPREAD = 10  # segments' worth of flow over which a difference of filament is spread
 CUT = 256  # knots
+AROUND = 2 * CUT  # knots on either side of a piece, until which one junction of a wipe leans on the next
 PIECE = 64 * CUT
 
 
@@ -57,7 +58,7 @@ def pieces(knots: int, length: int = PIECE, begin: int = 0, end: int | None = No
         raise ValueError(f"A piece of {length} segments would end between two cuts; its length must divide by {CUT}.")
     end = knots if end is None else end
     edges = [*range(begin, max(end, begin + 1), length), end]
-    return [Piece(max(a - CUT, 0), a, b, min(b + CUT, knots)) for a, b in pairwise(edges)]
+    return [Piece(max(a - AROUND, 0), a, b, min(b + AROUND, knots)) for a, b in pairwise(edges)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,15 +71,11 @@ class Timeline:
     piece: Piece
     at: FloatArray  # (m,) in knots of the run, strictly rising from piece.first to piece.last
     e: FloatArray  # (m,) mm of filament
+    cut: BoolArray  # (m,) no segment is joined across it: a point with a line, every CUT-th knot, the end
     point: IntArray  # (k,) index into `at`: where the line goes out
     line: IntArray  # (k,) index into Program.lines
     event: IntArray  # (k,) index into `events`; -1: a move, kept as a comment
     events: list[Event]
-
-    def cuts(self) -> IntArray:
-        """The points no segment is joined across: those with a line, and every CUT-th knot."""
-        cut = np.arange(-(-self.piece.first // CUT) * CUT, self.piece.last + 1, CUT)
-        return np.concatenate([self.point, np.searchsorted(self.at, cut)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,8 +113,9 @@ def timeline(
         e[-1] = program.moves.end[run.last - 1, 3]
     lines, among, at = _lines_of(program, trajectory, run, wanted, inside, piece)
     laid = _Laid(*_lay_out(at, lines.event >= 0, e, vertices, piece.first))
+    laid.cut[np.searchsorted(laid.at, piece.end)] = True  # where a motion is cut that had to be slowed down
     _meet_the_events(laid, program, run, e, lines, among)
-    return Timeline(piece, laid.at, laid.e, laid.point, lines.line, lines.event, among)
+    return Timeline(piece, laid.at, laid.e, laid.cut, laid.point, lines.line, lines.event, among)
 
 
 class _Laid(NamedTuple):
@@ -125,6 +123,7 @@ class _Laid(NamedTuple):
 
     at: FloatArray  # (m,) in knots
     e: FloatArray  # (m,) mm of filament, as it flows between the knots
+    cut: BoolArray  # (m,) see `Timeline`
     place: FloatArray  # (k,) in knots
     point: IntArray  # (k,) index into `at`
 
@@ -166,7 +165,7 @@ def _before(events: list[Event], move: int) -> int:
 @njit(cache=True, nogil=True)
 def _lay_out(
     at: FloatArray, stands: BoolArray, e: FloatArray, vertices: FloatArray, first: int
-) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
+) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray, IntArray]:
     """The columns of `_Laid`; of lines that stand where filament flows, the points are places between the knots.
 
     Parameters
@@ -179,19 +178,20 @@ def _lay_out(
     place = _places(at, stands, e, first)
     _even_wipes(e, vertices, first)
     n = len(e)
-    points, filament, point = np.empty(n + len(at)), np.empty(n + len(at)), np.empty(len(at), dtype=np.int64)
+    points, filament, cut = np.empty(n + len(at)), np.empty(n + len(at)), np.zeros(n + len(at), dtype=np.bool_)
+    point = np.empty(len(at), dtype=np.int64)
     m, line = 0, 0
     for k in range(n):
-        points[m], filament[m] = first + k, e[k]
+        points[m], filament[m], cut[m] = first + k, e[k], (first + k) % CUT == 0
         while line < len(place) and place[line] < first + k + 1:
             since = place[line] - (first + k)
             if since > 0.0 and place[line] > points[m]:
                 m += 1
                 points[m], filament[m] = place[line], (e[k + 1] - e[k]) * since + e[k]
-            point[line] = m
+            point[line], cut[m] = m, True
             line += 1
         m += 1
-    return points[:m], filament[:m], place, point
+    return points[:m], filament[:m], cut[:m], place, point
 
 
 @njit(nogil=True)
@@ -235,10 +235,13 @@ def _even_wipes(e: FloatArray, vertices: FloatArray, first: int) -> None:
         if end > begin + 1:
             gone = np.zeros(end - begin + 1)
             for k in range(begin, end):
-                step = vertices[k + 1] - vertices[k]
-                gone[k + 1 - begin] = gone[k - begin] + np.sqrt((step * step).sum())
+                x, y = vertices[k + 1, 0] - vertices[k, 0], vertices[k + 1, 1] - vertices[k, 1]
+                z = vertices[k + 1, 2] - vertices[k, 2]
+                gone[k + 1 - begin] = gone[k - begin] + np.sqrt(x * x + y * y + z * z)
             if gone[-1] > 0.0:
-                e[begin : end + 1] = e[begin] + (e[end] - e[begin]) * gone / gone[-1]
+                before, pulled = e[begin], e[end] - e[begin]
+                for k in range(begin, end + 1):
+                    e[k] = before + pulled * gone[k - begin] / gone[-1]
         begin = max(end, begin + 1)
 
 

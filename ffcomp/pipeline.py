@@ -13,6 +13,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +21,14 @@ from numpy.typing import NDArray
 from ffcomp.errors import LimitsError, NothingToDo
 from ffcomp.invert.effort import effort_curve
 from ffcomp.invert.inverter import Inverter, RunResult
+from ffcomp.invert.limits import shares_from_rest
 from ffcomp.invert.settings import Settings
 from ffcomp.invert.whole import Ran, corrected
-from ffcomp.marks import CUT, pieces, timeline
+from ffcomp.marks import pieces, timeline
 from ffcomp.plan.junctions import junction_limits
 from ffcomp.plan.limits import DeltaReach, FirmwareLimits
 from ffcomp.plan.lookahead import plan_moves, stops_and_waits
+from ffcomp.plan.moment import WHOLE, Ends, Moment
 from ffcomp.plan.s_curve import SCurve, s_curve
 from ffcomp.plan.slow_down import SlowDown, feasible_run
 from ffcomp.plan.trajectory import PlannedMotion, Trajectory
@@ -46,6 +49,7 @@ FloatArray = NDArray[np.float64]
 
 
 SEGMENTS_PER_SECOND = 250.0
+BEYOND = 1.001  # times a limit: what a warning says
 
 
 @dataclass
@@ -113,6 +117,17 @@ def plan_program(
     offset : mm, what the program's positions were shifted by when they were read
     smooth : with S-curves, within a percent of the firmware's time
     """
+    trajectory: PlannedMotion
+    trajectory = plan = firmware_plan(program, machine, offset)
+    stop_before, wait_before = stops_and_waits(program)
+    if smooth:
+        rests = stop_before | (wait_before > 0.0)
+        trajectory = _smoothed(plan, program.moves, machine, firmware_limits(machine), rests)
+    return Planned(program, trajectory, split_runs(trajectory, stop_before), plan.end_t)
+
+
+def firmware_plan(program: Program, machine: Machine, offset: tuple[float, float] = (0.0, 0.0)) -> Trajectory:
+    """Every move, once it is known that the nozzle can get there. offset : as for `plan_program`"""
     moves = program.moves
     if not len(moves):
         raise NothingToDo(f"{program.path or 'The file'} holds no move whose start is known: nothing to compensate.")
@@ -124,40 +139,10 @@ def plan_program(
             advice = machine.kinematics.advice(moves.end[:, :2] - offset)
             raise GcodeError(f"{error} {advice}", line, program.path) from error
     stop_before, wait_before = stops_and_waits(program)
-    limits = firmware_limits(machine)
-    trajectory: PlannedMotion
     try:
-        trajectory = plan = plan_moves(moves, limits, stop_before=stop_before, wait_before=wait_before)
+        return plan_moves(moves, firmware_limits(machine), stop_before=stop_before, wait_before=wait_before)
     except GcodeError as error:
         raise error.located(program.path, program.first_line) from None
-    if smooth:
-        trajectory = _smoothed(plan, moves, machine, limits, stop_before | (wait_before > 0.0))
-    return Planned(program, trajectory, split_runs(trajectory, stop_before), plan.end_t)
-
-
-@dataclass(frozen=True, slots=True)
-class Share:
-    """What is written of a program that is cut out of a motion. Its plan is slowed down nowhere."""
-
-    begin_t: float | None = None  # s on the plan's clock: in its first run; None: at its beginning
-    knots: int | None = None  # segments of its only run; None: all
-
-    def knot(self) -> tuple[float, int] | None:
-        """For `Reference`."""
-        return None if self.begin_t is None else (self.begin_t, CUT)
-
-    def of(self, wanted: Reference, run: Run, planned: Planned) -> tuple[int, int]:
-        """The knots of a run between which it is written."""
-        cut = self.begin_t is not None and run is planned.runs[0]
-        begin = round(wanted.knot_of(self.begin_t)) if self.begin_t is not None and cut else 0
-        return begin, wanted.knots if self.knots is None else begin + self.knots
-
-    def planned_s(self, run: Run, planned: Planned) -> float:
-        """How much of a run's time `open_account` has counted."""
-        if self.knots is not None:
-            return 0.0
-        cut = self.begin_t is not None and run is planned.runs[0]
-        return run.end_t - (self.begin_t if self.begin_t is not None and cut else run.begin_t)
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,6 +154,7 @@ class Solved:
     wanted: Reference
     result: RunResult
     slowed: tuple[SlowDown, ...]
+    knots: tuple[int, int]  # between which it is written
 
 
 def solutions(
@@ -178,7 +164,7 @@ def solutions(
     state: FloatArray | None,
     keep: Callable[[Reference], bool],
     layers_before: int = 0,
-    share: Share | None = None,
+    ends: Ends = WHOLE,
 ) -> Iterator[Solved]:
     """The runs that travel, one after the other: what rings when one ends is known to the next.
 
@@ -187,14 +173,14 @@ def solutions(
     state : (18,) of the plant as the first run begins; None: at rest
     keep : asked once for each run whether its response is wanted
     layers_before : of the file, before this program
-    share : what is written of the program, if it begins or ends in motion
+    ends : what is written of the program, if it begins or ends in motion
 
     Raises
     ------
     LimitsError
         Where a limit cannot be held, and the plan must not or cannot be slowed down.
     """
-    ran = _by_the_model(planned, machine, inverter, state, keep, layers_before, share or Share())
+    ran = _by_the_model(planned, machine, inverter, state, keep, layers_before, ends)
     if inverter.printer is None:
         yield from (solved for solved, _ in ran)
         return
@@ -210,7 +196,7 @@ def _by_the_model(
     state: FloatArray | None,
     keep: Callable[[Reference], bool],
     layers_before: int,
-    share: Share,
+    ends: Ends,
 ) -> Iterator[tuple[Solved, float | None]]:
     """Each run with its answer, and how long the nozzle has rested before it; None: others have moved it."""
     program, trajectory, settings = planned.program, planned.trajectory, inverter.settings
@@ -229,11 +215,11 @@ def _by_the_model(
             state, rest = inverter.hold(state, start, rest_s), rest_s
         if later:
             run = replace(run, begin_t=run.begin_t + later, end_t=run.end_t + later)
-        through = share.knot() if run is planned.runs[0] else None
-        wanted = Reference(trajectory, run, settings, through)
-        if not settings.slow_down or through is not None or share.knots is not None:
+        own = ends if run is planned.runs[0] else WHOLE
+        if not settings.slow_down:
+            wanted = own.reference(trajectory, run, settings)
             result = inverter.run(wanted, state, keep_response=keep(wanted))
-            yield Solved(trajectory, run, wanted, result, ()), rest
+            yield Solved(trajectory, run, wanted, result, (), own.knots(wanted, trajectory)), rest
         else:
             found = feasible_run(
                 inverter,
@@ -244,13 +230,15 @@ def _by_the_model(
                 state,
                 tolerance_um=settings.tolerance_um,
                 strict=settings.strict,
-                keep_response=keep(wanted),
+                keep_response=keep(own.reference(trajectory, run, settings)),
                 first_line=program.first_line,
                 layer_of=layers.of,
                 replan=replan,
+                ends=own,
             )
             trajectory, result, later = found.trajectory, found.result, later + found.lost_s
-            yield Solved(trajectory, found.run, found.wanted, result, found.records), rest
+            knots = own.knots(found.wanted, trajectory)
+            yield Solved(trajectory, found.run, found.wanted, result, found.records, knots), rest
         state = result.state
 
 
@@ -317,7 +305,7 @@ def compensate(
     said: Mapping[bytes, bytes] | None = None,
     prediction: Prediction | None = None,
     layers_before: int = 0,
-    share: Share | None = None,
+    ends: Ends = WHOLE,
 ) -> Iterator[bytes]:
     """The lines of the compensated file, in order; one piece may hold many. `summary` is complete at their end.
 
@@ -327,15 +315,14 @@ def compensate(
     state : (18,) of the plant as the program begins; None: at rest
     said : what earlier lines of the file have said of limits (`writer.limits_said`)
     prediction : is given the runs that it wants
-    share : what is written, if it begins or ends in motion
+    ends : what is written, if it begins or ends in motion
     """
-    program, trajectory, settings = planned.program, planned.trajectory, inverter.settings
+    program, settings = planned.program, inverter.settings
     writer = Writer(program, flavor, _own_limits(machine), settings, offset, said)
     events = _Queue(program.events)
-    share = share or Share()
-    open_account(summary, planned, share, settings)
+    open_account(summary, planned, ends, settings)
     keep = prediction.wants if prediction is not None else lambda wanted: False
-    answers = solutions(planned, machine, inverter, state, keep, layers_before, share)
+    answers = solutions(planned, machine, inverter, state, keep, layers_before, ends)
     for run in planned.runs:
         for event in events.up_to(run.first):
             yield from writer.event(event)
@@ -348,19 +335,18 @@ def compensate(
         heights = program.moves.end[run.first : run.last, 2]
         vertices = keep_inside(machine.kinematics, answer.result.vertices, heights)
         inside = events.up_to(run.last - 1)
-        begin, end = share.of(answer.wanted, run, planned)
-        if begin:
-            move = int(trajectory.move_at(share.begin_t or 0.0))
-            writer.resume(move, [*vertices[begin].tolist(), float(answer.wanted.extrusion(begin, begin)[0])])
+        begin, end = answer.knots
+        if ends.begin is not None and run is planned.runs[0]:
+            writer.resume(ends.begin.move, [*vertices[begin].tolist(), float(answer.wanted.extrusion(begin, begin)[0])])
         for piece in pieces(answer.wanted.knots, begin=begin, end=end):
             part = vertices[piece.first : piece.last + 1]
             line_up = timeline(program, answer.trajectory, answer.run, answer.wanted, part, inside, piece)
             yield from writer.run(run.first, part, line_up)
-        account(summary, answer, program, (end - begin) * settings.segment_s - share.planned_s(run, planned))
+        account(summary, answer, program, inverter, (end - begin) * settings.segment_s - counted_s(run, planned, ends))
         if prediction is not None and len(answer.result.response):
             prediction.add(answer.trajectory, answer.run, answer.wanted, answer.result)
         progress(run.end_t)
-    if share.knots is None:
+    if ends.end is None:
         for event in events.up_to(len(program.moves)):
             yield from writer.event(event)
         yield from writer.close()
@@ -397,29 +383,50 @@ def keep_inside(geometry: Geometry, vertices: FloatArray, heights: FloatArray) -
     return geometry.drawn_in(vertices, heights)
 
 
-def open_account(summary: Summary, planned: Planned, share: Share, settings: Settings) -> None:
+def open_account(summary: Summary, planned: Planned, ends: Ends, settings: Settings) -> None:
     """Add up what a program takes by its plan, or what is written of it."""
     moves, plan = planned.program.moves, planned.trajectory
-    begin = share.begin_t or 0.0
-    if share.knots is not None:
-        until = share.knots * settings.segment_s + (begin or float(plan.start_t[0]) - settings.lead_s)
-        summary.moves += int(np.searchsorted(plan.start_t, until)) - int(np.searchsorted(plan.start_t, begin))
+    begin = _on(ends.begin, plan, 0.0)
+    summary.moves -= int(np.searchsorted(plan.start_t, begin))
+    if ends.end is not None:
+        until = _on(ends.end, plan, 0.0)
+        summary.moves += int(np.searchsorted(plan.start_t, until))
         summary.original_print_time_s += until - begin
         return
-    summary.moves += len(moves) - int(np.searchsorted(plan.start_t, begin))
+    summary.moves += len(moves)
     summary.original_print_time_s += planned.firmware_s - begin
     summary.print_time_s += float(plan.end_t) - begin
 
 
-def account(summary: Summary, answer: Solved, program: Program, longer_s: float) -> None:
+def counted_s(run: Run, planned: Planned, ends: Ends) -> float:
+    """How much of a run's time `open_account` has counted as print time."""
+    if ends.end is not None:
+        return 0.0
+    return run.end_t - (_on(ends.begin, planned.trajectory, run.begin_t) if run is planned.runs[0] else run.begin_t)
+
+
+def _on(place: Moment | None, plan: PlannedMotion, otherwise: float) -> float:
+    return otherwise if place is None else place.on(cast(Trajectory, plan))
+
+
+def account(summary: Summary, answer: Solved, program: Program, inverter: Inverter, longer_s: float) -> None:
     """Add up what a run took, which lasts longer than it was planned."""
     result = answer.result
-    line = program.first_line + int(program.moves.line[answer.run.first]) + 1
     summary.windows += result.windows
     summary.limited_windows += result.limited
     summary.print_time_s += longer_s
     summary.slowed += answer.slowed
-    if result.excess > 1.0 + 1e-3:
-        summary.warnings.append(
-            f"line {line}: in the motion that begins here a carriage is asked for {result.excess:.2f} times its limit."
-        )
+    if result.excess > BEYOND:
+        summary.warnings += _excesses(answer, program, inverter)
+
+
+def _excesses(answer: Solved, program: Program, inverter: Inverter) -> Iterator[str]:
+    """A sentence, if more than a limit is asked for where the run is written."""
+    begin, end = answer.knots
+    asked = shares_from_rest(answer.result.vertices, inverter.limits)[begin : end + 2].max(axis=(1, 2))
+    worst = int(asked.argmax())
+    if asked[worst] > BEYOND:
+        t = answer.wanted.t0 + (begin + worst) * inverter.settings.segment_s
+        move = min(max(int(answer.trajectory.move_at(t)), answer.run.first), answer.run.last - 1)
+        line = program.first_line + int(program.moves.line[move]) + 1
+        yield f"line {line}: a carriage is asked for {asked[worst]:.2f} times its limit here."

@@ -6,6 +6,7 @@ A run is what is inverted in one go. Between runs the command rests, exactly on 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,6 +76,10 @@ class Reference:
         """(m, 3) mm at times (m,) s of the plan's clock."""
         return np.ascontiguousarray(self._position(t)[:, :3])
 
+    def moving(self, t: FloatArray) -> NDArray[np.bool_]:
+        """Whether the run is under way at times (m,) s of the plan's clock."""
+        return np.asarray((t > self._run.begin_t) & (t < self._run.end_t))
+
     def at_knots(self, knots: NDArray[np.int64]) -> FloatArray:
         """The nozzle at these knots, (m, 3) mm; there are knots before the first and after the last, at rest."""
         return self.nozzle(self.t0 + knots.astype(np.float64) * self._segment_s)
@@ -90,7 +95,8 @@ class Reference:
 
     def _position(self, t: FloatArray) -> FloatArray:
         # at end_t itself the next run may have begun, somewhere else
-        return self._trajectory.position(np.clip(t, self._run.begin_t, np.nextafter(self._run.end_t, -np.inf)))
+        last = math.nextafter(self._run.end_t, -math.inf)
+        return self._trajectory.position(np.minimum(np.maximum(t, self._run.begin_t), last))
 
     def _velocity(self, t: FloatArray) -> FloatArray:
         velocity = self._trajectory.velocity(t)[:, :3].copy()

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.invert.inverter import Inverter
-from ffcomp.pipeline import Planned, Share, Solved, Summary, account, keep_inside, open_account, solutions
+from ffcomp.pipeline import Planned, Solved, Summary, account, counted_s, keep_inside, open_account, solutions
+from ffcomp.plan.moment import WHOLE, Ends
 from ffcomp.plan.trajectory import Trajectory
 from ffcomp.predict import Prediction
 from ffcomp.runs import Run
@@ -61,17 +62,16 @@ class Stepping:
         state: FloatArray | None,
         prediction: Prediction | None,
         layers_before: int = 0,
-        share: Share | None = None,
+        ends: Ends = WHOLE,
     ) -> None:
         """The commands whose response is the plan; see `pipeline.compensate`."""
-        share = share or Share()
         self._open(planned)
-        open_account(summary, planned, share, inverter.settings)
+        open_account(summary, planned, ends, inverter.settings)
         segment_s, rested = inverter.settings.segment_s, 0.0
         keep = prediction.wants if prediction is not None else lambda wanted: False
-        answers = solutions(planned, machine, inverter, state, keep, layers_before, share)
+        answers = solutions(planned, machine, inverter, state, keep, layers_before, ends)
         for run in planned.runs:
-            in_motion = share.begin_t is not None and run is planned.runs[0]
+            in_motion = ends.begin is not None and run is planned.runs[0]
             self.clock_s += 0.0 if in_motion else run.begin_t - rested
             rested = run.end_t
             if not in_motion:
@@ -80,12 +80,12 @@ class Stepping:
                 self._extrude(planned, run)
                 continue
             answer = next(answers)
-            self._run(planned, machine, answer, segment_s, share.of(answer.wanted, run, planned))
-            begin, end = share.of(answer.wanted, run, planned)
-            account(summary, answer, planned.program, (end - begin) * segment_s - share.planned_s(run, planned))
+            self._run(planned, machine, answer, segment_s)
+            longer_s = (answer.knots[1] - answer.knots[0]) * segment_s - counted_s(run, planned, ends)
+            account(summary, answer, planned.program, inverter, longer_s)
             if prediction is not None and len(answer.result.response):
                 prediction.add(answer.trajectory, answer.run, answer.wanted, answer.result)
-        if share.knots is None:
+        if ends.end is None:
             self._tell_up_to(len(planned.program.moves))
 
     def _open(self, planned: Planned) -> None:
@@ -106,11 +106,8 @@ class Stepping:
         self.sink.pieces(knot_pieces(self.clock_s, spacing, vertices, place[:, 3]))
         self.clock_s += run.end_t - run.begin_t
 
-    def _run(
-        self, planned: Planned, machine: Machine, answer: Solved, segment_s: float, between: tuple[int, int]
-    ) -> None:
-        """between : the knots from which and up to which the run is written"""
-        run, moves, wanted, (first, last) = answer.run, planned.program.moves, answer.wanted, between
+    def _run(self, planned: Planned, machine: Machine, answer: Solved, segment_s: float) -> None:
+        run, moves, wanted, (first, last) = answer.run, planned.program.moves, answer.wanted, answer.knots
         heights = moves.end[run.first : run.last, 2]
         vertices = keep_inside(machine.kinematics, answer.result.vertices[first : last + 1], heights)
         filament = wanted.extrusion(first, last)

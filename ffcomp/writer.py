@@ -59,7 +59,7 @@ class Writer:
         self.moves = MoveWriter()
         self.frame = 0
         self.open = False
-        self.in_force = MotionLimits()
+        self.move = 0  # the last that was begun: its limits are the file's own
         self.said: dict[bytes, bytes] = dict(said or {})  # the file's last word on each limit
         self.ending = b"\r\n" if program.lines and program.lines[0].endswith(b"\r\n") else b"\n"
         self.segments = 0
@@ -130,7 +130,7 @@ class Writer:
         """
         moves = self.program.moves
         self.open, self.begun = True, True
-        self.in_force = self._limits_at(move)
+        self.move = move
         self.frame = int(moves.frame[move])
         self._tell_frame(place)
 
@@ -163,9 +163,7 @@ class Writer:
         s, piece, at = self.settings, line_up.piece, line_up.at
         frame = self.program.frames[int(self.program.moves.frame[first])]
         points = _stated(vertices, at, piece.first, frame.base, frame.unit_mm)
-        pinned = np.zeros(len(at), dtype=np.bool_)
-        pinned[line_up.cuts()] = True
-        kept = merge(at, points, line_up.e, pinned, 1e-3 * s.merge_um, s.longest_merged_s / s.segment_s)
+        kept = merge(at, points, line_up.e, line_up.cut, 1e-3 * s.merge_um, s.longest_merged_s / s.segment_s)
         at, points, e = at[kept], points[kept], line_up.e[kept]
         lasting = (at[1:] - at[:-1]) * s.segment_s
         speeds = played(points, e[1:] - e[:-1], lasting, s.output).cruise
@@ -223,7 +221,7 @@ class Writer:
     def _begin(self, move: int) -> Iterator[bytes]:
         """Open a block if none is open, and take over the state at `move`."""
         moves = self.program.moves
-        self.in_force = self._limits_at(move)
+        self.move = move
         if not self.open:
             self.open = True
             self.frame = int(moves.frame[move])
@@ -255,9 +253,9 @@ class Writer:
 
     def _closing(self) -> list[bytes]:
         """The limits that the file has set, over the machine's own."""
-        if self.flavor == KLIPPER:
-            return close_limits(self.flavor, _first_known(self.in_force, self.own), self.settings.output.raised_axes)
         axes = self.settings.output.raised_axes
+        if self.flavor == KLIPPER:
+            return close_limits(self.flavor, _first_known(self._limits_at(self.move), self.own), axes)
         return [*close_limits(self.flavor, self._in_units(self.own), axes), *self.said.values()]
 
     def _opening(self) -> list[bytes]:

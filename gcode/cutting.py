@@ -1,4 +1,4 @@
-"""A program cut in two before the line of a move, and two that follow each other joined."""
+"""Parts of a program as programs, and two that follow each other joined."""
 
 from __future__ import annotations
 
@@ -7,22 +7,59 @@ from dataclasses import fields, replace
 from operator import attrgetter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gcode.program import Moves, Program
+
+FloatArray = NDArray[np.float64]
 
 
 def split(program: Program, move: int) -> tuple[Program, Program]:
     """What stands before the line of a move, and the rest. The move must not be a later chord of an arc."""
+    return excerpt(program, 0, move), replace(excerpt(program, move), warnings=[])
+
+
+def excerpt(program: Program, first: int, last: int | None = None) -> Program:
+    """The moves first … last - 1 (one at least), with the lines from that of the first one on up to that of `last`.
+
+    Begun or ended within an arc, it has the arc's line, and of the arc the chords that are named.
+    """
+    moves, by_line = program.moves, attrgetter("line")
+    last = len(moves) if last is None else last
+    begin = int(moves.line[first]) if first else 0
+    end = max(int(moves.line[last]), int(moves.line[last - 1]) + 1) if last < len(moves) else len(program.lines)
+    a, b = (bisect_left(program.events, line, key=by_line) for line in (begin, end))
+    own, events = _some(moves, slice(first, last)), program.events[a:b]
+    used = list(dict.fromkeys([_frame_before(program, first, a), *own.frame.tolist(), *(e.frame for e in events)]))
+    number = {frame: k for k, frame in enumerate(used)}
+    frame = np.array([number[each] for each in own.frame.tolist()], dtype=np.int64)
+    return replace(
+        program,
+        lines=program.lines[begin:end],
+        moves=replace(own, line=own.line - begin, frame=frame),
+        events=[e._replace(line=e.line - begin, move=e.move - first, frame=number[e.frame]) for e in events],
+        frames=[program.frames[each] for each in used] if program.frames else [],  # where they do not matter
+        first_line=program.first_line + begin,
+    )
+
+
+def _frame_before(program: Program, move: int, event: int) -> int:
+    """The frame in force before the line of a move, and of the event that is the first one after it."""
+    moves, last = program.moves, program.events[event - 1] if event else None
+    if not move:
+        return 0
+    return last.frame if last is not None and last.line > moves.line[move - 1] else int(moves.frame[move - 1])
+
+
+def shortened(program: Program, start: FloatArray | None, end: FloatArray | None) -> Program:
+    """The first move begins later on its way, and the last one ends earlier: at (4,) mm; None: where it did."""
     moves = program.moves
-    line = int(moves.line[move])
-    at = bisect_left(program.events, line, key=attrgetter("line"))
-    later = [event._replace(line=event.line - line, move=event.move - move) for event in program.events[at:]]
-    head = replace(program, lines=program.lines[:line], moves=_some(moves, slice(move)), events=program.events[:at])
-    own = _some(moves, slice(move, None))
-    own = replace(own, line=own.line - line)
-    first_line = program.first_line + line
-    tail = replace(program, lines=program.lines[line:], moves=own, events=later, warnings=[], first_line=first_line)
-    return head, tail
+    starts, ends = moves.start.copy(), moves.end.copy()
+    if start is not None:
+        starts[0] = start
+    if end is not None:
+        ends[-1] = end
+    return replace(program, moves=replace(moves, start=starts, end=ends))
 
 
 def join(first: Program, second: Program) -> Program:

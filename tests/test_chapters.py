@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,13 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp import job as jobs
-from ffcomp.chapters import REMEMBERED_S, Chapter, chapters
-from ffcomp.job import Job
+from ffcomp.chapters import LONGEST_S, REMEMBERED_S, Chapter, chapters
+from ffcomp.errors import LimitsError
+from ffcomp.job import Job, Recipe
 from ffcomp.look import corners
 from ffcomp.metrics import contour_error
-from ffcomp.pipeline import Layers, plan_program, settings_for
+from ffcomp.pipeline import Layers, firmware_plan, plan_program, settings_for
+from ffcomp.plan.moment import Ends, Moment
 from ffcomp.steps.reader import read_events, read_steps
 from ffcomp.steps.sink import Board
 from ffcomp.writer import original
@@ -26,6 +29,7 @@ from gcode.program import Program
 from gcode.reader import read_parts, read_program
 from models.machine import Machine
 from models.machine_file import load_machine
+from tests.safety import violations
 
 PRINTS = Path(__file__).parents[1] / "sample_prints"
 SMALL = 20_000  # bytes of a part
@@ -47,8 +51,9 @@ def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jobs, "read_parts", parts)
 
 
-def cut(data: bytes, part_bytes: int = SMALL) -> list[Chapter]:
-    return list(chapters(read_parts([data], flavor="klipper", part_bytes=part_bytes), 0.004, 0.008, None))
+def cut(data: bytes, machine: Machine, part_bytes: int = SMALL, longest_s: float = np.inf) -> list[Chapter]:
+    parts = read_parts([data], flavor="klipper", part_bytes=part_bytes)
+    return list(chapters(parts, 0.004, 0.008, lambda program: firmware_plan(program, machine), longest_s))
 
 
 def text_of(data: bytes, machine: Machine, **options: object) -> tuple[bytes, Job]:
@@ -67,8 +72,8 @@ def tower() -> bytes:
     return (PRINTS / "ringing_tower.gcode").read_bytes()[:100_000].rpartition(b"\n")[0] + b"\n"
 
 
-def test_chapters_are_the_program(tower: bytes) -> None:
-    whole, several = read_program(tower), cut(tower)
+def test_chapters_are_the_program(tower: bytes, machine: Machine) -> None:
+    whole, several = read_program(tower), cut(tower, machine)
     assert len(several) >= 4
     assert [each.last for each in several] == [False] * (len(several) - 1) + [True]
     assert b"".join(line for each in several for line in each.program.lines) == tower
@@ -85,17 +90,17 @@ def test_chapters_are_the_program(tower: bytes) -> None:
 
 def test_a_chapter_is_planned_as_in_the_whole(tower: bytes, machine: Machine) -> None:
     whole = plan_program(read_program(tower), machine).trajectory
-    durations = [plan_program(each.program, machine).trajectory.duration for each in cut(tower)]
+    durations = [plan_program(each.program, machine).trajectory.duration for each in cut(tower, machine)]
     np.testing.assert_allclose(np.concatenate(durations), whole.duration, rtol=0, atol=1e-15)
 
 
 def test_what_is_remembered_is_long_enough(tower: bytes, machine: Machine) -> None:
-    for each in cut(tower)[1:]:
+    for each in cut(tower, machine)[1:]:
         assert each.before is not None
         assert plan_program(each.before, machine).trajectory.end_t >= REMEMBERED_S
 
 
-def test_splitting_and_joining_gives_the_program_again(tower: bytes) -> None:
+def test_splitting_and_joining_gives_the_program_again(tower: bytes, machine: Machine) -> None:
     program = read_program(tower)
     head, tail = split(program, 700)
     again = join(head, tail)
@@ -198,16 +203,125 @@ def test_steps_of_a_spiral_cut_in_motion(spiral: bytes, machine: Machine, short_
         assert np.abs(levels[0] - levels[1]).max() <= 1.01 * motors[name].step_mm  # half a step apart may be a step
 
 
-def test_a_print_without_rests_is_one_chapter() -> None:
+def test_a_print_without_rests_is_one_chapter(machine: Machine) -> None:
     spiral = b"G28\nG1 X0 Y0 Z1 F6000\n" + b"".join(b"G1 X%d Y%d E%d\n" % (k % 7, k % 5, k) for k in range(3000))
-    (only,) = cut(spiral, 5000)
+    (only,) = cut(spiral, machine, 5000)
     assert only.last and only.program.lines == spiral.splitlines(keepends=True)
 
 
-def test_layers_are_counted_through_the_chapters(tower: bytes) -> None:
+VASE = b"G28\nG90\nM83\nG1 X25 Y0 Z0.3 F6000\nG1 E1 F1800\n"
+
+
+def vase(facets: int, speed: float, lift: float = 0.002) -> bytes:
+    """Facets of 0.9 mm, F in mm/min; comments between them tell the layers."""
+    lines = [VASE]
+    for k in range(facets):
+        lines += [b";LAYER_CHANGE\n"] if k % 175 == 0 else []
+        a, r = 0.036 * k, 25 + 2 * np.sin(0.252 * k)
+        place = r * np.cos(a), r * np.sin(a), 0.3 + lift * k
+        lines.append(b"G1 X%.3f Y%.3f Z%.4f E.03 F%.3f\n" % (*place, speed))
+    return b"".join([*lines, b"G1 E-1 F1800\nG1 X0 Y0 F9000\nM84\n"])
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        vase(2000, 10.0),  # three hours
+        VASE + b"G1 X-25 Y10 E20 F0.4249\nG1 X0 Y0 F3000\nG1 E-1 F1800\n",  # two hours in one line
+        VASE + b"".join(b"G1 X%d F60\nG1 E.1 F60\n" % (20 * (k % 2)) for k in range(400)),  # rests every 20 s
+    ],
+)
+def test_no_chapter_holds_more_than_some_minutes(machine: Machine, data: bytes) -> None:
+    several = cut(data, machine, 10**6, longest_s=LONGEST_S)
+    plans = [firmware_plan(each.program, machine) for each in several]
+    assert max(plan.end_t for plan in plans) < LONGEST_S + 15.0  # what is around the cuts, whole moves of it
+    assert max(map(len, plans)) < 1000
+    assert max(len(each.program.frames) for each in several) < 10
+    written_s = [
+        (plan.end_t if each.ends.end is None else each.ends.end.on(plan))
+        - (0.0 if each.ends.begin is None else each.ends.begin.on(plan))
+        for each, plan in zip(several, plans, strict=True)
+    ]
+    assert sum(written_s) == pytest.approx(firmware_plan(read_program(data), machine).end_t, abs=1e-6)
+
+
+@pytest.mark.parametrize("limits", [b"", b"M204 S60\n", b"SET_VELOCITY_LIMIT ACCEL=200 MINIMUM_CRUISE_RATIO=0.9\n"])
+def test_both_sides_of_a_cut_see_the_same_motion(machine: Machine, limits: bytes) -> None:
+    """Where acceleration is low, a motion remembers for long that it began at rest."""
+    data = vase(6000, 6000.0).replace(b"M83\n", b"M83\n" + limits)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ffcomp.chapters.LONGEST_S", 20.0)
+        several = cut(data, machine, 10**6, longest_s=20.0)
+    cuts = [(a, b) for a, b in pairwise(several) if a.ends.end is not None]
+    assert len(cuts) >= 2
+    for before, after in cuts:
+        first, second = (firmware_plan(each.program, machine) for each in (before, after))
+        assert before.ends.end is not None and after.ends.begin is not None
+        t = np.linspace(-0.9, 0.9, 200)
+        t_first, t_second = before.ends.end.on(first) + t, after.ends.begin.on(second) + t
+        np.testing.assert_allclose(first.position(t_first)[:, :3], second.position(t_second)[:, :3], atol=1e-7)
+        speeds = [np.abs(plan.velocity(at)[:, :3]).max(axis=1) for plan, at in ((first, t_first), (second, t_second))]
+        np.testing.assert_allclose(*speeds, atol=1e-5)
+
+
+def test_one_long_line_is_cut_without_a_trace(machine: Machine) -> None:
+    data = VASE + b"G1 X-25 Y10 E20 F72\nM106 S255\nG1 X0 Y0 F3000\nG1 E-1 F1800\n"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ffcomp.chapters.LONGEST_S", 12.0)
+        text, job = text_of(data, machine, predict=False)
+    assert original(text) == data and violations(data, text, machine) == []
+    assert job.summary.moves == 4 and job.summary.windows >= 4
+    assert job.summary.original_print_time_s == pytest.approx(
+        plan_program(read_program(data), machine).firmware_s, abs=1e-6
+    )
+    assert text.count(b"SET_VELOCITY_LIMIT") <= 8  # none of them in the line
+
+
+def test_limits_are_held_in_a_motion_that_is_cut(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On both sides of a cut, and at the cut: velocities, and accelerations from segment to segment."""
+    monkeypatch.setattr("ffcomp.chapters.LONGEST_S", 8.0)
+    tight = replace(machine, limits=replace(machine.limits, carriage_velocity_mm_per_s=45.0))
+    data = vase(1150, 4800.0)
+    text, job = text_of(data, tight, predict=False)
+    assert original(text) == data and violations(data, text, tight) == []
+    summary, planned = job.summary, plan_program(read_program(data), machine)
+    assert summary.warnings == []  # nowhere is more than a limit asked for
+    assert summary.original_print_time_s == pytest.approx(planned.firmware_s, abs=2e-3)
+    assert 0.1 < summary.print_time_s - summary.original_print_time_s < 0.4
+    assert {record.layer for record in summary.slowed} == set(range(7))
+
+
+def test_a_cut_that_must_be_slower_is_refused_when_strict(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    tight = replace(machine, limits=replace(machine.limits, carriage_velocity_mm_per_s=45.0))
+    settings = replace(settings_for(tight), strict=True)
+    monkeypatch.setattr("ffcomp.chapters.LONGEST_S", 8.0)
+    with pytest.raises(LimitsError, match="would have to be slowed"):
+        text_of(vase(1150, 4800.0), tight, predict=False, settings=settings)
+
+
+def test_a_motion_too_long_for_s_curves_is_planned_without_them(machine: Machine) -> None:
+    settings, data = replace(settings_for(machine), s_curve=True), vase(2000, 4800.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ffcomp.chapters.LONGEST_S", 8.0)
+        patch.setattr(jobs, "S_CURVE_LONGEST_S", 9.0)
+        text, job = text_of(data, machine, predict=False, settings=settings)
+    (warning,) = job.warnings
+    assert warning.startswith("line 8: the motion that begins here does not rest for 0.15 minutes")
+    assert original(text) == data and violations(data, text, machine) == []
+
+
+def test_of_a_motion_in_many_chapters_few_are_simulated(machine: Machine) -> None:
+    recipe = Recipe(machine, settings_for(machine), "klipper", (0.0, 0.0), share=0.02)
+    (chapter,) = cut(VASE, machine)
+    motion = [replace(chapter, ends=Ends(end=Moment(0, 0.0)), cuts=cuts) for cuts in range(200)]
+    assert sum(map(recipe._is_simulated, motion)) == 4 and recipe._is_simulated(motion[0])
+    assert recipe._is_simulated(chapter)
+
+
+def test_layers_are_counted_through_the_chapters(tower: bytes, machine: Machine) -> None:
     whole = read_program(tower)
     of_line = dict(zip(whole.moves.line.tolist(), map(Layers(whole, 0).of, range(len(whole.moves))), strict=True))
-    for each in cut(tower):
+    for each in cut(tower, machine):
         moves = each.program.moves
         for move in (0, len(moves) // 2, len(moves) - 1):
             line = each.program.first_line + int(moves.line[move])

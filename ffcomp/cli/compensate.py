@@ -86,8 +86,8 @@ Robust = Annotated[
     bool,
     typer.Option(
         "--robust",
-        help="Ask for less where the machine file's uncertainties leave the machine unknown: worse if the file is "
-        "right, better on average over what it may be.",
+        help="Want what comes out nearest to the path on average over the machine file's uncertainties: a little worse "
+        "if the file is right, far better where it is not; takes several times as long to work out.",
     ),
 ]
 Strict = Annotated[

@@ -85,7 +85,7 @@ def inversion(machine: Machine, settings: Settings, name: str) -> Way:
     )
     model = "at 0, 0 for the whole bed" if one_model else "at each place"
     if robust:
-        model += ", with the least expected error over the file's uncertainties"
+        model += ", with the least expected contour error over the file's uncertainties"
     tuning = (
         f"The machine file's model {model}; {1 / settings.segment_s:.0f} segments/s at most, bandwidth "
         f"{settings.bandwidth_hz:.0f} Hz; the compensated G-code, read again and planned as the firmware plans it."

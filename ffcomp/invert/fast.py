@@ -107,9 +107,11 @@ def _to_rest(gains: Preview, node: NDArray[np.int64], steady: int) -> Gains:
     return ending
 
 
-def improve(run: Playing, error: FloatArray, share: FloatArray) -> None:
-    """γ += shares (n + 1,) of the answer to an error (rows, 3) mm, of a whole run and `REST_ROWS` knots after it."""
-    part = _Part(run, 0, run.last, begin=False)
-    before = run.gamma.copy()
-    part.improve(error)
-    run.gamma[:] = before + share[:, None] * (run.gamma - before)
+def answer(run: Playing, gamma: FloatArray, error: FloatArray) -> FloatArray:
+    """By how much a command γ (n + 1, 3) mm of a whole run is changed that leaves an error.
+
+    error : (rows, 3) mm, of the run and `REST_ROWS` knots after it
+    """
+    run.gamma[:] = gamma
+    _Part(run, 0, run.last, begin=False).improve(np.ascontiguousarray(error))
+    return run.gamma - gamma

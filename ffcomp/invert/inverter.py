@@ -15,7 +15,7 @@ from ffcomp.invert.exact import Held
 from ffcomp.invert.limits import CommandLimits, excess
 from ffcomp.invert.play import Playing
 from ffcomp.invert.preview import Preview
-from ffcomp.invert.robust import HALF, Softening
+from ffcomp.invert.robust import MARGIN, Softening
 from ffcomp.invert.settings import Settings
 from ffcomp.runs import Reference
 from ffcomp.schedule import Schedule, interpolate, models_along, rest_state
@@ -127,12 +127,13 @@ class Inverter:
         return Softening(self.machine, s.segment_s / s.rows_per_segment, s.bandwidth_hz, self.effort)
 
     def softened(self, reference: Reference) -> FloatArray:
-        """By how much less is wanted than the path, (rows, 3) mm, at the rows of the run's segments; or nothing."""
+        """What is wanted beyond the path, (rows, 3) mm, at the rows of the run's segments; or nothing."""
         if not (self.settings.robust and any(self.machine.uncertainty.values())):
             return np.empty((0, 3))
         s = self.settings
-        rows = np.arange(1 - HALF, reference.knots * s.rows_per_segment + 1 + HALF, dtype=np.float64)
-        return self.softening.of(reference.nozzle(reference.t0 + rows * s.segment_s / s.rows_per_segment))
+        rows = np.arange(1 - MARGIN, reference.knots * s.rows_per_segment + 1 + MARGIN, dtype=np.float64)
+        t = reference.t0 + rows * s.segment_s / s.rows_per_segment
+        return self.softening.of(reference.nozzle(t), reference.moving(t))
 
     def hold(self, state: FloatArray, nozzle: FloatArray, duration_s: float) -> FloatArray:
         """The state after the command has rested at (3,) mm for a while: what still rings, rings on."""

@@ -22,7 +22,7 @@ class Settings:
     tail_s: float = 0.004  # how long after the path's end the command comes to rest
     corrections: int = 1  # of the exact inverse, by the segments as they are played
     inverse: Literal["fast", "exact"] = "fast"
-    robust: bool = False  # less is asked for where the machine file's uncertainties leave the machine unknown
+    robust: bool = False  # what is best over the machine file's uncertainties is wanted, not the path
     memory: int = 60  # segments after which the plant has forgotten (1 % is left after 240 ms)
     slow_down: bool = True  # where limits do not let the nozzle follow, the plan becomes slower
     tolerance_um: float = 25.0  # by which a held limit may take the nozzle off its path before that

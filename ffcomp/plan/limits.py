@@ -118,7 +118,7 @@ def _lines(start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray, 
         length[i] = np.sqrt(x * x + y * y + z * z)
         travels[i] = length[i] >= SHORTEST_TRAVEL_MM
         if not travels[i]:
-            step[i, :3] = 0.0
+            step[i, 0], step[i, 1], step[i, 2] = 0.0, 0.0, 0.0
             length[i] = abs(step[i, 3])
         if length[i] > 0.0:
             per_mm = 1.0 / length[i]

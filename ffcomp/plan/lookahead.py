@@ -99,15 +99,19 @@ def _phases(
     smooth_acceleration: FloatArray,
 ) -> FloatArray:
     """The trapezoids, (7, n), rows as `Phases`. kept, corner : (m,) of the moves that go somewhere; others stay zero"""
-    gain = 2.0 * length[kept] * acceleration[kept]
-    smooth_gain = 2.0 * length[kept] * smooth_acceleration[kept]
+    # NOTE: loops, not expressions of whole arrays: those take seconds to compile
+    m = len(kept)
+    gain, smooth_gain, cap = np.empty(m), np.empty(m), np.empty(m)
+    for k in range(m):
+        i = kept[k]
+        gain[k], smooth_gain[k] = 2.0 * length[i] * acceleration[i], 2.0 * length[i] * smooth_acceleration[i]
+        cap[k] = speed[i] ** 2
     entry = _reached_from_rest(corner, gain)
     start = _stopping_at_the_end(entry, gain)
     smooth = _stopping_at_the_end(_reached_from_rest(entry, smooth_gain), smooth_gain)
-    cap = speed[kept] ** 2
     ceiling = _ceilings(start, smooth, smooth_gain, cap)
     phases = np.zeros((7, len(length)))
-    for k in range(len(kept)):
+    for k in range(m):
         i = kept[k]
         a = acceleration[i]
         top = min(0.5 * (start[k] + (start[k + 1] + gain[k])), cap[k], ceiling[k])

@@ -9,13 +9,17 @@ A run whose command keeps all limits is taken as it is. Otherwise, in a few roun
 
 Speed follows a velocity limit in proportion. Acceleration and the speed of corners follow an acceleration limit in
 proportion; where the nozzle keeps its speed, in curves and far from the middle, it is v² that does.
+
+A run that is cut in motion (`ffcomp/chapters.py`) is slowed down on either side of the cut by whoever writes that side.
+Both must pass the cut in the same way: moves near it keep their speed, for they have been `eased` before, once for
+both. And what is written must be whole segments again: the rest of it is made slower by as little as that takes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +29,11 @@ from ffcomp.invert.inverter import Inverter, RunResult
 from ffcomp.invert.limits import A_LITTLE, ACCELERATION, NAMES, TRAVEL, VELOCITY, shares_from_rest
 from ffcomp.plan.limits import FirmwareLimits, bounds_of, lines_of
 from ffcomp.plan.lookahead import plan_moves
-from ffcomp.plan.trajectory import PlannedMotion
+from ffcomp.plan.moment import SETTLED, WHOLE, Ends, Moment, around_s
+from ffcomp.plan.trajectory import PlannedMotion, Trajectory
 from ffcomp.played import played
 from ffcomp.runs import Reference, Run
+from ffcomp.schedule import rest_state
 from gcode.program import Moves
 
 FloatArray = NDArray[np.float64]
@@ -47,6 +53,9 @@ NEAR = 10  # knots between what a path asks for and what its command asks for be
 LATE_MM = 1e-3  # how far a segment may fall behind
 PLAYABLE = len(NAMES)  # the kind of trouble that is none of the carriages' limits
 ENOUGH = 1e-3  # over a limit: within the accuracy of a solver
+NOT_HELD_MM = 0.0  # tolerance around a cut: where no limit is held, both sides find the same command
+KNOT = 1e-6  # of a segment: nearer is at a knot
+EASED = 0.75  # of what is planned around a cut, how much may become slower before it is cut
 STEADY = 0.02  # by which share a speed may change that is called constant
 
 
@@ -110,6 +119,7 @@ def feasible_run(
     first_line: int = 0,
     layer_of: Callable[[int], int | None] = lambda move: None,
     replan: Replan | None = None,
+    ends: Ends = WHOLE,
 ) -> Feasible:
     """Solve a run; where its limits cannot be held within the tolerance, on a plan that is slower there.
 
@@ -123,30 +133,75 @@ def feasible_run(
     first_line : number in the file, from 0, of the program's first line
     layer_of : move → its layer
     replan : how the trajectory was planned, if not by `plan_moves`
+    ends : what is written of the run, if it is the program's first one and cut in motion
 
     Raises
     ------
     LimitsError
         Where the path itself lies beyond a carriage's travel, where no slower plan is found, or when `strict`.
     """
-    wanted = Reference(trajectory, run, inverter.settings)
+    wanted = ends.reference(trajectory, run, inverter.settings)
     result = inverter.run(wanted, state, keep_response, hold=False)
-    if not _exceeds(inverter, wanted, result):
+    if not _exceeds(inverter, wanted, result, ends.knots(wanted, trajectory)):
         return Feasible(trajectory, run, wanted, result, (), 0.0)
-    part = _Part(inverter, _slice(moves, run), limits, replan or _planner(limits), run)
+    part = _Part(inverter, _slice(moves, run), limits, replan or _planner(limits), run, ends)
     wanted, result = part.solved(state, tolerance_um * 1e-3, keep_response, first_line)
     if not part.reasons:
         return Feasible(trajectory, run, wanted, result, (), 0.0)
     spliced, lost = _spliced(trajectory, run, part.plan)
     records = tuple(part.records(trajectory.duration[run.first : run.last], first_line, layer_of))
     if strict:
-        raise LimitsError(" ".join(record.sentence("would have to be slowed") for record in records))
+        _refuse(records)
     return Feasible(spliced, replace(run, end_t=part.run.end_t), wanted, result, records, lost)
 
 
-def _exceeds(inverter: Inverter, wanted: Reference, result: RunResult) -> bool:
+def eased(
+    inverter: Inverter,
+    moves: Moves,
+    limits: FirmwareLimits,
+    cut: Moment,
+    *,
+    first_line: int = 0,
+    layer_of: Callable[[int], int | None] = lambda move: None,
+) -> tuple[Moves, tuple[SlowDown, ...]]:
+    """Moves around a place where a motion is to be cut, slower where they have to be, and what was slowed down.
+
+    moves : planned from rest to rest; those near their ends stay as they are
+    Other parameters, and errors, are those of `feasible_run`.
+    """
+    settings, plan = inverter.settings, cast(Trajectory, _planner(limits)(moves, 0.0))
+    reach_s = EASED * around_s(moves, plan)
+    t = cut.on(plan)
+    inner = (plan.start_t >= t - reach_s) & (plan.start_t + plan.duration <= t + reach_s)
+    if not inner.any():
+        return moves, ()
+    first, last = np.flatnonzero(inner)[[0, -1]].tolist()
+    middle = Ends(Moment(first, 0.0), Moment(last, float(lines_of(moves).length[last])))
+    run = Run(0, len(moves), True, 0.0, plan.end_t)
+    part = _Part(inverter, moves, limits, _planner(limits), run, middle, ~inner)
+    state = rest_state(inverter.machine, moves.start[0, :3])
+    part.slowed(state, NOT_HELD_MM, False, first_line)
+    records = tuple(part.records(plan.duration, first_line, layer_of)) if part.reasons else ()
+    if records and settings.strict:
+        _refuse(records)
+    return part.moves, records
+
+
+def _refuse(records: tuple[SlowDown, ...]) -> None:
+    raise LimitsError(" ".join(record.sentence("would have to be slowed") for record in records))
+
+
+def _exceeds(inverter: Inverter, wanted: Reference, result: RunResult, between: tuple[int, int]) -> bool:
     # what is not finite is out of reach, which is nothing that speed could help
-    return result.excess > 1.0 or bool(_late(inverter, wanted, result.vertices).any())
+    written = slice(*between)
+    return excess_of(inverter, result, between) > 1.0 or bool(_late(inverter, wanted, result.vertices)[written].any())
+
+
+def excess_of(inverter: Inverter, result: RunResult, between: tuple[int, int]) -> float:
+    """How many times its limit a carriage is asked for from one knot to another."""
+    if between == (0, len(result.vertices) - 1):
+        return result.excess
+    return float(shares_from_rest(result.vertices, inverter.limits)[1:-1][slice(*between)].max())
 
 
 def _late(inverter: Inverter, wanted: Reference, vertices: FloatArray) -> BoolArray:
@@ -168,11 +223,30 @@ def _planner(limits: FirmwareLimits) -> Replan:
 class _Part:
     """The moves of one run, while they become slower."""
 
-    def __init__(self, inverter: Inverter, moves: Moves, limits: FirmwareLimits, replan: Replan, run: Run) -> None:
+    def __init__(
+        self,
+        inverter: Inverter,
+        moves: Moves,
+        limits: FirmwareLimits,
+        replan: Replan,
+        run: Run,
+        ends: Ends,
+        kept: BoolArray | None = None,
+    ) -> None:
+        """kept : (n,) the moves that keep their speed; None: those near the run's ends in motion"""
         self.inverter, self.moves, self._limits, self._replan = inverter, moves, limits, replan
-        self._begin_t = run.begin_t
+        self._begin_t, self._ends = run.begin_t, ends
         self.reasons: dict[int, Trouble] = {}  # move → why it was slowed down at first
         self._plan_again()
+        self._kept = self._near_cuts() if kept is None else kept
+
+    def _near_cuts(self) -> BoolArray:
+        near = np.zeros(len(self.moves), dtype=np.bool_)
+        if self._ends != WHOLE:
+            plan = cast(Trajectory, self.plan)
+            for part in self._ends.near(plan, around_s(self.moves, plan) / SETTLED):
+                near[part] = True
+        return near
 
     def _plan_again(self) -> None:
         self.plan = self._replan(self.moves, self._begin_t)
@@ -182,38 +256,89 @@ class _Part:
         self, state: FloatArray, tolerance_mm: float, keep_response: bool, first_line: int
     ) -> tuple[Reference, RunResult]:
         """The first plan in a few rounds that can be followed, and its command."""
+        moves, plan = self.moves, self.plan
+        wanted, result = self.slowed(state, tolerance_mm, keep_response, first_line)
+        if self.reasons and self._ends.end is not None:
+            if not self._fit():
+                self.moves, self.plan, self.reasons = moves, plan, {}
+            wanted, result, troubles = self._attempt(state, tolerance_mm, keep_response)
+            result = self._held(wanted, result, state, keep_response) if troubles else result
+        return wanted, result
+
+    def slowed(
+        self, state: FloatArray, tolerance_mm: float, keep_response: bool, first_line: int
+    ) -> tuple[Reference, RunResult]:
+        """The same, without a care for where it ends."""
         for _ in range(ROUNDS):
             wanted, result, troubles = self._attempt(state, tolerance_mm, keep_response)
             if not troubles:
                 return wanted, result
             self._refuse_travel(wanted, troubles, first_line)
-            self._slow(wanted, troubles)
+            if not self._slow(wanted, troubles):  # what is left is near a cut: held, at the cost of the path
+                return wanted, self._held(wanted, result, state, keep_response)
             self._plan_again()
-        wanted, _, troubles = self._attempt(state, tolerance_mm, keep_response)
+        wanted, free, troubles = self._attempt(state, tolerance_mm, keep_response)
+        if self._ends != WHOLE:
+            return wanted, self._held(wanted, free, state, keep_response)
         result = self.inverter.run(wanted, state, keep_response)
         if result.excess > 1.0 + ENOUGH:
             place = self._place(wanted, troubles[0], first_line)
             raise LimitsError(f"{place}: however slow this is made, {result.excess:.2f} times a limit is asked for.")
         return wanted, result
 
+    def _held(self, wanted: Reference, free: RunResult, state: FloatArray, keep_response: bool) -> RunResult:
+        try:
+            return self.inverter.run(wanted, state, keep_response)
+        except SolverError:  # a warning will say where a limit is exceeded, and by how much
+            return free
+
+    def _fit(self) -> bool:
+        """Make what is written last a whole number of segments, by moves that are not near a cut; if they can."""
+        from scipy.optimize import brentq
+
+        moves, plan = self.moves, self.plan
+        segment_s = self.inverter.settings.segment_s
+        whole_s = segment_s * float(np.ceil(self._lasting_s() / segment_s - KNOT))
+
+        def longer_s(factor: float) -> float:
+            self.moves, self.plan = moves, plan
+            by = np.where(self._kept, 1.0, factor)
+            self.moves = self._slower(by, by**2)
+            self._plan_again()
+            return self._lasting_s() - whole_s
+
+        if longer_s(SLOWEST) < 0.0:
+            return False
+        if longer_s(1.0) < 0.0:
+            longer_s(float(brentq(longer_s, SLOWEST, 1.0, xtol=1e-15, rtol=1e-14)))
+        return True
+
+    def _lasting_s(self) -> float:
+        """How long what is written lasts, as far as it ends in motion."""
+        plan, (begin, end) = cast(Trajectory, self.plan), self._ends
+        first_t = self._begin_t - self.inverter.settings.lead_s if begin is None else begin.on(plan)
+        return (self.plan.end_t if end is None else end.on(plan)) - first_t
+
     def _attempt(
         self, state: FloatArray, tolerance_mm: float, keep_response: bool
     ) -> tuple[Reference, RunResult, list[Trouble]]:
         inverter = self.inverter
-        wanted = Reference(self.plan, self.run, inverter.settings)
+        wanted = self._ends.reference(self.plan, self.run, inverter.settings)
+        between = self._ends.knots(wanted, self.plan)
         free = inverter.run(wanted, state, keep_response, hold=False)
+        excess = excess_of(inverter, free, between)
         shares = shares_from_rest(free.vertices, inverter.limits)[1:-1]
-        troubles = [*_of_the_path(self._asked_by_the_path(wanted), shares)]
-        if not troubles and free.excess <= 1.0:
-            troubles = [*_of_playing(_late(inverter, wanted, free.vertices))]
-        if troubles or free.excess <= 1.0:
+        troubles = _among(_of_the_path(self._asked_by_the_path(wanted), shares), between)
+        if not troubles and excess <= 1.0:
+            troubles = _among(_of_playing(_late(inverter, wanted, free.vertices)), between)
+        if troubles or excess <= 1.0:
             return wanted, free, troubles
         try:
             result = inverter.run(wanted, state, keep_response)
         except SolverError:  # no command keeps the limits
-            return wanted, free, [*_of_the_command(shares)]
-        troubles = [*_of_the_answer(result, shares, tolerance_mm, inverter)]
-        troubles += _of_playing(_late(inverter, wanted, result.vertices))
+            return wanted, free, _among(_of_the_command(shares), between)
+        troubles = _among(_of_the_answer(result, shares, tolerance_mm, inverter), between)
+        troubles += _among(_of_playing(_late(inverter, wanted, result.vertices)), between)
         return wanted, result, troubles
 
     def _asked_by_the_path(self, wanted: Reference) -> FloatArray:
@@ -248,13 +373,17 @@ class _Part:
         under_way = np.arange(first, last + 1)
         return under_way[self.plan.duration[under_way] > 0.0]
 
-    def _slow(self, wanted: Reference, troubles: list[Trouble]) -> None:
-        """Make the moves that troubles come from slower; of several factors, a move gets the smallest."""
+    def _slow(self, wanted: Reference, troubles: list[Trouble]) -> bool:
+        """Make the moves that troubles come from slower; of several factors, a move gets the smallest.
+
+        False: all of them have to keep their speed
+        """
         by_speed, by_acceleration = np.ones(len(self.moves)), np.ones(len(self.moves))
         for trouble in troubles:
             touched = self._touched(wanted, trouble)
             if trouble.limit == PLAYABLE:
                 touched = self._with_own_limits(touched)
+            touched = touched[~self._kept[touched]]
             for move in touched:
                 self.reasons.setdefault(int(move), trouble)
             if trouble.limit == VELOCITY:
@@ -264,6 +393,7 @@ class _Part:
             if self._steady(wanted, trouble):
                 by_speed[touched] = np.minimum(by_speed[touched], np.sqrt(trouble.factor))
         self.moves = self._slower(by_speed, by_acceleration)
+        return bool((np.minimum(by_speed, by_acceleration) < 1.0).any())
 
     def _with_own_limits(self, moves: IntArray) -> IntArray:
         """Those that lift the nozzle or pull filament back: their acceleration no G-code file can raise."""
@@ -318,6 +448,11 @@ class _Part:
                 "" if worst.limit == PLAYABLE else NAMES[worst.limit],
                 worst.asked,
             )
+
+
+def _among(troubles: Iterator[Trouble], between: tuple[int, int]) -> list[Trouble]:
+    """Those that touch what is written from one knot to another."""
+    return [each for each in troubles if each.last >= between[0] and each.first < between[1]]
 
 
 def _factor(asked: float) -> float:

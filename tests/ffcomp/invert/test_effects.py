@@ -88,9 +88,9 @@ def test_a_wrong_geometry_is_named_not_compensated() -> None:
 
 
 def test_the_loop_never_makes_a_run_worse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A round that does harm is taken back: with an answer of the wrong sign the linear command stays."""
-    plant = with_effect(MACHINE, "coulomb_friction", force_n=2.0)
+    """What does harm is taken back: with answers of the wrong sign, the linear command is the worst that is left."""
+    plant = with_effect(MACHINE, "frame_mode", **BEYOND["frame_mode"][0])
     ignorant = contour_rms_um(MACHINE, plant)
-    right = fast.improve
-    monkeypatch.setattr(fast, "improve", lambda run, error, share: right(run, -error, share))
-    assert contour_rms_um(plant, plant) == pytest.approx(ignorant, rel=1e-6)
+    right = fast.answer
+    monkeypatch.setattr(fast, "answer", lambda run, gamma, error: right(run, gamma, -error))
+    assert contour_rms_um(plant, plant) < 1.000001 * ignorant

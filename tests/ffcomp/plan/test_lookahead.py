@@ -246,6 +246,7 @@ def test_the_way_back_is_the_same_backwards(path: list[tuple[float, float]], v: 
 
 
 @given(points, st.floats(0.3, 3.0), st.floats(0.0, 0.9))
+@example([(0.0, -15.1), (0.0, -15.0), (0.0, -16.1)], 1.25, 0.0)
 @settings(deadline=None, max_examples=40)
 def test_the_plan_scales_with_length_and_time(path: list[tuple[float, float]], scale: float, ratio: float) -> None:
     """k² longer ways at k times the speed and the same acceleration take k times as long."""
@@ -253,7 +254,8 @@ def test_the_plan_scales_with_length_and_time(path: list[tuple[float, float]], s
     larger = dataclasses.replace(limits, velocity_mm_per_s=300.0 * scale, square_corner_velocity_mm_per_s=5.0 * scale)
     small = through(path, 80.0, limits)
     large = through(scale**2 * np.array(path), 80.0 * scale, larger)
-    assert large.duration == pytest.approx(scale * small.duration, rel=1e-6, abs=1e-9)
+    # a turn right back is passed at 0 or, by rounding of its angle, at a third of a µm a second
+    assert large.duration == pytest.approx(scale * small.duration, rel=1e-6, abs=1e-6)
 
 
 # Stops, waits, moves that go nowhere

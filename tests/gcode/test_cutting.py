@@ -1,0 +1,72 @@
+"""Parts of a program as programs."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from gcode.cutting import excerpt, join, shortened
+from gcode.program import Program
+from gcode.reader import read_program
+
+MANY_FRAMES = b"G90\nM82\nG1 X0 Y0 Z1 F1200\n" + b"".join(
+    b"G1 X%d E%d F%d\n;between\nG92 E0\nG1 E-1 F600\n" % (k % 50, k % 7 + 1, 1000 + k) for k in range(100)
+)
+ARC = b"G90\nG1 X10 Y0 Z1 F1200\n;before\nG2 X-10 Y0 I-10 J0\n;after\nG1 X0\n"
+
+
+def said(program: Program) -> list[object]:
+    """All that a program says of its moves and events, whatever the numbers of its frames."""
+    moves = [(program.lines[a], *b, program.frames[c]) for a, b, c in _rows(program)]
+    return [*moves, *((program.lines[e.line], e.kind, program.frames[e.frame]) for e in program.events)]
+
+
+def _rows(program: Program) -> list[tuple[int, tuple[float, ...], int]]:
+    moves = program.moves
+    places = np.hstack([moves.start, moves.end]).tolist()
+    return list(zip(moves.line.tolist(), map(tuple, places), moves.frame.tolist(), strict=True))
+
+
+@pytest.mark.parametrize("every", [1, 7, 50])
+def test_a_part_says_what_the_whole_says_and_keeps_only_its_own_frames(every: int) -> None:
+    whole = read_program(MANY_FRAMES)
+    edges = [0, *range(3, len(whole.moves), every), len(whole.moves)]
+    parts = [excerpt(whole, a, b) for a, b in pairwise(edges)]
+    assert b"".join(line for part in parts for line in part.lines) == MANY_FRAMES
+    together = parts[0]
+    for part in parts[1:]:
+        assert part.first_line == len(together.lines)
+        together = join(together, part)
+    assert said(together) == said(whole)
+    assert max(len(part.frames) for part in parts) <= 4 * (every + 2)
+
+
+def test_the_first_frame_is_the_one_in_force_before_a_part() -> None:
+    whole = read_program(MANY_FRAMES)
+    for move in range(1, len(whole.moves)):
+        text = b"".join(whole.lines[: int(whole.moves.line[move])]) + b";now\n"
+        before = read_program(text)
+        assert excerpt(whole, move).frames[0] == before.frames[before.events[-1].frame]
+
+
+def test_an_arc_can_be_cut_between_its_chords() -> None:
+    whole = read_program(ARC)
+    chords = np.flatnonzero(whole.moves.line == 3)
+    middle = int(chords[len(chords) // 2])
+    head, tail = excerpt(whole, 0, middle), excerpt(whole, middle)
+    assert head.lines[-1] == tail.lines[0] == whole.lines[3]
+    assert len(head.moves) + len(tail.moves) == len(whole.moves)
+    np.testing.assert_array_equal(head.moves.end[-1], tail.moves.start[0])
+    assert [tail.lines[e.line] for e in tail.events] == [b";after\n"]
+
+
+def test_moves_can_be_shortened_at_both_ends() -> None:
+    whole = read_program(b"G90\nG1 X10 F1200\nG1 X10 Y10\n", start=(0.0, 0.0, 1.0))
+    begin, end = np.array([4.0, 0.0, 1.0, 0.0]), np.array([10.0, 3.0, 1.0, 0.0])
+    found = shortened(whole, begin, end)
+    np.testing.assert_array_equal(found.moves.start[0], begin)
+    np.testing.assert_array_equal(found.moves.end[-1], end)
+    np.testing.assert_array_equal(found.moves.end[0], whole.moves.end[0])
+    assert not np.array_equal(whole.moves.start[0], begin)  # what was given stays as it is
