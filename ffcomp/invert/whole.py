@@ -155,12 +155,13 @@ def _judge(each: _Round, nozzle: FloatArray) -> None:
     error = np.zeros_like(wanted)
     error[:rows] = wanted[:rows] - nozzle[:rows]
     end, stride = run.last * s.substeps, s.substeps // s.rows_per_segment
+    if len(run.softened):
+        error[1 : end + 1] += np.repeat(run.softened, stride, axis=0)
     square = np.sum(error[1 : end + 1] ** 2, axis=1)
     rms = float(np.sqrt(np.mean(square)))
     if rms < each.rms:
         each.best, each.rms, each.response = run.gamma.copy(), rms, nozzle[1 : end + 1]
     each.error = error[stride::stride].copy()
-    each.error[: len(run.softened)] += run.softened
     local = np.zeros(len(run.gamma))
     local[1 : run.last + 1] = square.reshape(-1, s.substeps).mean(axis=1)
     _put_together(each, around(local, AROUND))
