@@ -19,18 +19,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
-from typing import NamedTuple, TypeVar, cast
+from typing import TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.errors import LimitsError, SolverError
 from ffcomp.invert.inverter import Inverter, RunResult
-from ffcomp.invert.limits import A_LITTLE, ACCELERATION, NAMES, TRAVEL, VELOCITY, shares_from_rest
+from ffcomp.invert.limits import NAMES, TRAVEL, VELOCITY, shares_from_rest
 from ffcomp.plan.limits import FirmwareLimits, bounds_of, lines_of
 from ffcomp.plan.lookahead import plan_moves
 from ffcomp.plan.moment import SETTLED, WHOLE, Ends, Moment, around_s
 from ffcomp.plan.trajectory import PlannedMotion, Trajectory
+from ffcomp.plan.troubles import (
+    ENOUGH,
+    PLAYABLE,
+    SLOWEST,
+    Trouble,
+    of_playing,
+    of_the_answer,
+    of_the_command,
+    of_the_path,
+)
 from ffcomp.played import played
 from ffcomp.runs import Reference, Run
 from ffcomp.schedule import rest_state
@@ -44,15 +54,9 @@ Motion = TypeVar("Motion", bound=PlannedMotion)
 
 TOLERANCE_UM = 25.0
 ROUNDS = 8
-ROOM = 0.98  # of a limit, what a slowed move aims at
-GENTLEST, SLOWEST = 0.95, 0.4  # factors of one round
 PHASES = 4  # of the knots, at which a path is looked at
-NEARLY = 0.85  # times a limit, that a command asks for where its path is made slower
 APART = 8  # moves: slowed ones that lie closer are told of together
-NEAR = 10  # knots between what a path asks for and what its command asks for because of it
 LATE_MM = 1e-3  # how far a segment may fall behind
-PLAYABLE = len(NAMES)  # the kind of trouble that is none of the carriages' limits
-ENOUGH = 1e-3  # over a limit: within the accuracy of a solver
 NOT_HELD_MM = 0.0  # tolerance around a cut: where no limit is held, both sides find the same command
 KNOT = 1e-6  # of a segment: nearer is at a knot
 EASED = 0.75  # of what is planned around a cut, how much may become slower before it is cut
@@ -94,15 +98,6 @@ class Feasible:
     result: RunResult
     records: tuple[SlowDown, ...]
     lost_s: float
-
-
-class Trouble(NamedTuple):
-    first: int  # segments of the command
-    last: int
-    limit: int  # index into NAMES, or PLAYABLE
-    carriage: int
-    asked: float  # times the limit
-    factor: float  # of acceleration or velocity, to bring it below
 
 
 def feasible_run(
@@ -328,17 +323,17 @@ class _Part:
         free = inverter.run(wanted, state, keep_response, hold=False)
         excess = excess_of(inverter, free, between)
         shares = shares_from_rest(free.vertices, inverter.limits)[1:-1]
-        troubles = _among(_of_the_path(self._asked_by_the_path(wanted), shares), between)
+        troubles = _among(of_the_path(self._asked_by_the_path(wanted), shares), between)
         if not troubles and excess <= 1.0:
-            troubles = _among(_of_playing(_late(inverter, wanted, free.vertices)), between)
+            troubles = _among(of_playing(_late(inverter, wanted, free.vertices)), between)
         if troubles or excess <= 1.0:
             return wanted, free, troubles
         try:
             result = inverter.run(wanted, state, keep_response)
         except SolverError:  # no command keeps the limits
-            return wanted, free, _among(_of_the_command(shares), between)
-        troubles = _among(_of_the_answer(result, shares, tolerance_mm, inverter), between)
-        troubles += _among(_of_playing(_late(inverter, wanted, result.vertices)), between)
+            return wanted, free, _among(of_the_command(shares), between)
+        troubles = _among(of_the_answer(result, shares, tolerance_mm, inverter), between)
+        troubles += _among(of_playing(_late(inverter, wanted, result.vertices)), between)
         return wanted, result, troubles
 
     def _asked_by_the_path(self, wanted: Reference) -> FloatArray:
@@ -453,61 +448,6 @@ class _Part:
 def _among(troubles: Iterator[Trouble], between: tuple[int, int]) -> list[Trouble]:
     """Those that touch what is written from one knot to another."""
     return [each for each in troubles if each.last >= between[0] and each.first < between[1]]
-
-
-def _factor(asked: float) -> float:
-    return float(np.clip(ROOM / asked, SLOWEST, GENTLEST))
-
-
-def _of_the_path(path: FloatArray, command: FloatArray) -> Iterator[Trouble]:
-    """Where the path asks for more than a limit, and its command as well. Both shares (n, 3, 3)."""
-    over = _widened(np.any(command > NEARLY, axis=(1, 2)), NEAR)
-    for limit in (VELOCITY, ACCELERATION, TRAVEL):
-        beyond = 1.0 if limit == TRAVEL else A_LITTLE
-        for first, last in _stretches(over & (path[:, limit] > beyond).any(axis=1)):
-            asked = path[first : last + 1, limit].max(axis=0)
-            worst = float(asked.max())
-            factor = float("nan") if limit == TRAVEL else _factor(worst)
-            yield Trouble(first, last, limit, int(asked.argmax()), worst, factor)
-
-
-def _of_the_answer(result: RunResult, free: FloatArray, tolerance_mm: float, inverter: Inverter) -> Iterator[Trouble]:
-    """Where limits are held at the cost of the path, or not held.
-
-    free : shares (n, 3, 3) of the answer without limits
-    """
-    left = shares_from_rest(result.vertices, inverter.limits)[1:-1]
-    for held in result.held:
-        inside = slice(held.first, held.last + 1)
-        if held.error_mm <= tolerance_mm and not (left[inside] > 1.0 + ENOUGH).any():
-            continue
-        yield from _of_the_command(np.maximum(free[inside], left[inside]), held.first)
-
-
-def _of_the_command(asked: FloatArray, first_segment: int = 0) -> Iterator[Trouble]:
-    """Where a command asks for more than a limit: shares (n, 3, 3) of the segments from one on."""
-    for first, last in _stretches(_widened(np.any(asked > 1.0, axis=(1, 2)), 2)):
-        worst = asked[first : last + 1]
-        _, limit, carriage = np.unravel_index(worst.argmax(), worst.shape)
-        times = float(worst.max())
-        place = first_segment + first, first_segment + last
-        yield Trouble(*place, int(limit), int(carriage), times, _factor(times))
-
-
-def _of_playing(late: BoolArray) -> Iterator[Trouble]:
-    for first, last in _stretches(_widened(late, 1)):
-        yield Trouble(first, last, PLAYABLE, 0, 1.0, 0.8)
-
-
-def _widened(marked: BoolArray, by: int) -> BoolArray:
-    return np.asarray(np.convolve(marked, np.ones(2 * by + 1))[by : by + len(marked)] > 0.5)
-
-
-def _stretches(marked: BoolArray) -> Iterator[tuple[int, int]]:
-    """First and last of each stretch of marked segments."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
-    for first, after in edges.reshape(-1, 2):
-        yield int(first), int(after) - 1
 
 
 def _slice(moves: Moves, run: Run) -> Moves:

@@ -14,7 +14,8 @@ from ffcomp.invert.inverter import Inverter
 from ffcomp.invert.settings import Settings
 from ffcomp.pipeline import Planned, firmware_limits, plan_program, settings_for
 from ffcomp.plan.s_curve import s_curve
-from ffcomp.plan.slow_down import Feasible, _widened, feasible_run
+from ffcomp.plan.slow_down import Feasible, feasible_run
+from ffcomp.plan.troubles import widened
 from ffcomp.played import played
 from ffcomp.runs import Reference, Run
 from ffcomp.schedule import rest_state
@@ -224,6 +225,6 @@ def test_marks_are_widened_within_their_stretch(count: int) -> None:
     """Runs can be shorter than what is widened by."""
     marked = np.zeros(count, dtype=np.bool_)
     marked[count // 2] = True
-    found = _widened(marked, 5)
+    found = widened(marked, 5)
     assert len(found) == count
     np.testing.assert_array_equal(found, np.abs(np.arange(count) - count // 2) <= 5)
