@@ -183,7 +183,7 @@ s; {LARGEST} is the largest text for its time. (The nozzle would go down through
 not to be printed.)
 
 | print | print s | segments | CPU s | print-seconds a second | again | µs a segment | MB in, out | MB |
-|---|---|---|---|---|---|---|---|"""
+|---|---|---|---|---|---|---|---|---|"""
     for name, r in prints.items():
         yield _print_row(name, r)
     yield f"""
@@ -192,8 +192,8 @@ not to be printed.)
 CPU time is {found["once_s"]:.2f} s once and a second for every {found["print_s_per_s"]:.0f} print-seconds; between the
 two longest it grows with the power {found["exponent"]:.3f} of the length. Memory does not grow: {most:.0f} MB at most,
 for up to {largest:.0f} MB of text, of which {loaded:.0f} MB are there after a print of one layer
-(Python, its libraries, the tables over the bed). A file is cut where the nozzle rests, and only some MB of it are held
-at a time.
+(Python, its libraries, the tables over the bed). A file is cut into chapters of five minutes at most, where the nozzle
+rests or in motion, and only they are held.
 """
 
 

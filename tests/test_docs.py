@@ -6,6 +6,7 @@ import json
 import re
 import tomllib
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,7 @@ from tests.docs_runner import (
 
 BLOCKS = [block for page in pages() for block in blocks_of(page)]
 RUN = [page for page in pages() if any(block.is_example for block in blocks_of(page))]
+BAR = re.compile(r"(?<!\\)\|")
 LINK = re.compile(r"\]\((?!https?:|mailto:)([^)\s#]*)#?([^)\s]*)\)")  # a file, a heading, or both
 
 
@@ -95,6 +97,17 @@ def anchors(page: Path) -> set[str]:
     """What GitHub calls the headings of a page."""
     headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_tables_have_as_many_rules_as_headings() -> None:
+    """Otherwise a page shows the text of a table and no table."""
+    wrong = [
+        f"{name(page)}:{number}"
+        for page in pages()
+        for number, (head, rule) in enumerate(pairwise(page.read_text(encoding="utf-8").splitlines()), 1)
+        if re.fullmatch(r"\|(\s*:?-+:?\s*\|)+", rule) and len(BAR.findall(head)) != len(BAR.findall(rule))
+    ]
+    assert not wrong, "\n".join(wrong)
 
 
 def test_the_gallery_is_what_its_script_makes() -> None:

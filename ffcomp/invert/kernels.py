@@ -104,51 +104,59 @@ def sweep_forward(
 
 @njit(cache=True, nogil=True)
 def riccati_backwards(
-    a: FloatArray,
-    b: FloatArray,
-    c: FloatArray,
-    d: FloatArray,
-    effort: float,
-    resting: int,
-    feedback: FloatArray,
-    preview: FloatArray,
+    interval: FloatArray, effort: float, resting: int, feedback: FloatArray, preview: FloatArray
 ) -> None:
     """The finite problem of `preview`, from its end on backwards: F and the rows of ψ for every interval.
 
-    a (24, 24), b (24, 3), c (6, 24), d (6, 3).   In the last `resting` intervals F is given and there is no choice.
-    feedback (n, 3, 24), preview (n, 3, 33): of all intervals, filled in before those.
+    interval (30, 27): z⁺ and the nozzle's rows from (z, w), 𝒜 ℬ over C̄ D̄.   In the last `resting` intervals F is given
+    and there is no choice.   feedback (n, 3, 24), preview (n, 3, 33): of all intervals, filled in before those.
     """
-    value = np.zeros((24, 24))
+    rows, state = interval.shape[0], 24
+    value, weighed, worth = np.zeros((state, state)), np.empty_like(interval), np.empty((27, 27))
     for k in range(len(feedback) - 1, -1, -1):
-        f = feedback[k]
+        # what the interval's end and its rows cost, as a form of (z, w)
+        for i in range(rows):
+            for j in range(27):
+                weighed[i, j] = 0.0 if i < state else interval[i, j]
+        for i in range(state):
+            for m in range(state):
+                for j in range(27):
+                    weighed[i, j] += value[i, m] * interval[m, j]
+        worth[:] = 0.0
+        for m in range(rows):
+            for i in range(27):
+                for j in range(27):
+                    worth[i, j] += interval[m, i] * weighed[m, j]
+        for i in range(state, 27):
+            worth[i, i] += effort
         if k < len(feedback) - resting:
-            ahead = _product(b.T, value)
-            inverse = _inverse_of_three(_product(d.T, d) + _product(ahead, b) + effort * np.eye(3))
-            f[:] = _product(inverse, _product(d.T, c) + _product(ahead, a))
-            preview[k, :, :24] = _product(inverse, b.T)
-            preview[k, :, 24:30] = _product(inverse, d.T)
-            preview[k, :, 30:] = -effort * inverse
-        closed, seen = a - _product(b, f), c - _product(d, f)
-        value = _product(seen.T, seen) + effort * _product(f.T, f) + _product(closed.T, _product(value, closed))
+            _best_of(worth, interval, effort, feedback[k], preview[k])
+        for i in range(state):
+            for j in range(state):
+                left = worth[i, j]
+                for r in range(3):
+                    ahead = worth[state + r, j]
+                    for q in range(3):
+                        ahead -= worth[state + r, state + q] * feedback[k, q, j]
+                    left -= worth[i, state + r] * feedback[k, r, j] + feedback[k, r, i] * ahead
+                value[i, j] = left
 
 
 @njit(cache=True, nogil=True)
-def _product(x: FloatArray, y: FloatArray) -> FloatArray:
-    """x y, without the library that numba would load for it."""
-    out = np.zeros((x.shape[0], y.shape[1]))
-    for i in range(x.shape[0]):
-        for k in range(x.shape[1]):
-            for j in range(y.shape[1]):
-                out[i, j] += x[i, k] * y[k, j]
-    return out
-
-
-@njit(cache=True, nogil=True)
-def _inverse_of_three(m: FloatArray) -> FloatArray:
-    """m⁻¹ (3, 3) by cofactors."""
-    out = np.empty((3, 3))
+def _best_of(worth: FloatArray, interval: FloatArray, effort: float, f: FloatArray, preview: FloatArray) -> None:
+    """F (3, 24) and the rows of ψ (3, 33) for which a form (27, 27) of (z, w) is least."""
+    r, state = worth[24:, 24:], 24
+    inverse, determinant = np.empty((3, 3)), 0.0
     for i in range(3):
         for j in range(3):
-            p, q, r, s = (j + 1) % 3, (j + 2) % 3, (i + 1) % 3, (i + 2) % 3
-            out[i, j] = m[p, r] * m[q, s] - m[p, s] * m[q, r]
-    return out / (m[0, 0] * out[0, 0] + m[0, 1] * out[1, 0] + m[0, 2] * out[2, 0])
+            a, b, c, d = (j + 1) % 3, (j + 2) % 3, (i + 1) % 3, (i + 2) % 3
+            inverse[i, j] = r[a, c] * r[b, d] - r[a, d] * r[b, c]
+        determinant += r[0, i] * inverse[i, 0]
+    for i in range(3):
+        for q in range(3):
+            share = inverse[i, q] / determinant
+            for j in range(state):
+                f[i, j] += share * worth[state + q, j]
+            for j in range(len(interval)):
+                preview[i, j] += share * interval[j, state + q]
+            preview[i, len(interval) + q] = -effort * share

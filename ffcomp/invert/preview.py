@@ -159,9 +159,10 @@ class Preview:
         """From the end on backwards: where the command rests already, then where it still has a choice."""
         feedback = np.zeros((TO_THE_END + REST_ROWS, AXES, AUGMENTED))
         preview = np.zeros((TO_THE_END + REST_ROWS, AXES, BACKWARD[0]))
-        # γ_{k+1} = 0: w = −2 γ_k + γ_{k−1}
-        feedback[:, :, STATES : STATES + AXES], feedback[:, :, STATES + AXES :] = 2 * np.eye(AXES), -np.eye(AXES)
-        riccati_backwards(p.a[0], p.b[0], p.c[0], p.d[0], self.effort, REST_ROWS + 1, feedback, preview)
+        rests = feedback[TO_THE_END - 1 :]  # γ_{k+1} = 0: w = −2 γ_k + γ_{k−1}
+        rests[:, :, STATES : STATES + AXES], rests[:, :, STATES + AXES :] = 2 * np.eye(AXES), -np.eye(AXES)
+        interval = np.block([[p.a[0], p.b[0]], [p.c[0], p.d[0]]])
+        riccati_backwards(interval, self.effort, len(rests), feedback, preview)
         return _packed(p, feedback, preview, self.effort)
 
 
