@@ -33,7 +33,7 @@ LONGEST = 4096  # bytes of an input
 TARGETS = "reader", "machine", "run", "frf", "capture", "container", "prints"
 _DONE = re.compile(r"stat::number_of_executed_units:\s+(\d+)")
 _EDGES = re.compile(r"cov: (\d+)")
-_COMPILED = ("gcode.plain", "gcode.emit_kernels")  # numba reads their bytecode, which must be as it was written
+_COMPILED = ("gcode.plain", "gcode.arcs", "gcode.emit_kernels")  # numba reads their bytecode, which must be as it was written
 
 
 @dataclass(frozen=True, slots=True)
