@@ -134,16 +134,21 @@ class Recipe:
         )
 
 
-_own = threading.local()  # a worker's inverter, from chapter to chapter
+_own = threading.local()
+
+
+def inverter_of(machine: Machine, settings: Settings) -> Inverter:
+    """A thread's inverter, the same one from chapter to chapter and from file to file."""
+    key = pickle.dumps((machine, settings))
+    if getattr(_own, "key", None) != key:
+        _own.inverter, _own.key = Inverter(machine, settings), key
+    inverter: Inverter = _own.inverter
+    return inverter
 
 
 def _work(chapter: Chapter, recipe: Recipe) -> tuple[list[bytes], Summary]:
     """A chapter in a process of its own."""
-    key = pickle.dumps((recipe.machine, recipe.settings))
-    if getattr(_own, "key", None) != key:
-        _own.inverter, _own.key = Inverter(recipe.machine, recipe.settings), key
-    inverter: Inverter = _own.inverter
-    summary = Summary()
+    inverter, summary = inverter_of(recipe.machine, recipe.settings), Summary()
     done = list(joined(recipe.lines(chapter, inverter, summary))), summary
     inverter.keep()
     return done

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-import threading
 import time
 import traceback
 from collections import deque
@@ -15,9 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from ffcomp.errors import FfcompError
-from ffcomp.invert.inverter import Inverter
 from ffcomp.invert.settings import Settings
-from ffcomp.job import Job, find_offset
+from ffcomp.job import Job, find_offset, inverter_of
 from ffcomp.pipeline import settings_for
 from ffcomp.steps.sink import Board
 from gcode.container import Container, Source, blocks_of, ends_of, opened, replacing, unchanged
@@ -63,7 +60,7 @@ class Options:
             predict=self.predict,
             settings=settings,
             shaper_off=self.shaper_off,
-            inverter=_inverter(machine, settings),
+            inverter=inverter_of(machine, settings),
             restore=stamp is not None,
             jobs=jobs,
         )
@@ -214,14 +211,3 @@ def failure_of(error: Exception, path: str) -> Failure:
         return Failure(f"{path}: {DIED}", 1)
     trace = "".join(traceback.format_exception(error))
     return Failure(f"{path}: ffcomp itself is at fault ({type(error).__name__}: {error}).", 1, trace)
-
-
-_own = threading.local()  # a thread's machine, from file to file
-
-
-def _inverter(machine: Machine, settings: Settings) -> Inverter:
-    key = pickle.dumps((machine, settings))
-    if getattr(_own, "key", None) != key:
-        _own.inverter, _own.key = Inverter(machine, settings), key
-    inverter: Inverter = _own.inverter
-    return inverter

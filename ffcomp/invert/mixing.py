@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 Tried = tuple[FloatArray, FloatArray]  # a point and its answer, (n, 3) mm
 
-AROUND, EASED = 16, 8  # knots on either side: whose answers count, and over which weights change
+AROUND, EASED = 16, 8  # knots on either side: by which a place is judged, and over which one command becomes another
 REGULAR, LEAST_MM2 = 1e-2, 1e-12  # what keeps the weights small: of the squares, and where nothing moves
 
 

@@ -26,7 +26,7 @@ from ffcomp.invert import fast
 from ffcomp.invert.foreseen import FORESEEN, PLAY, Foresight
 from ffcomp.invert.inverter import Inverter, RunResult
 from ffcomp.invert.limits import excess, shares_from_rest
-from ffcomp.invert.mixing import Tried, around, mixed
+from ffcomp.invert.mixing import AROUND, EASED, Tried, around, mixed
 from ffcomp.invert.play import Playing, Stretch
 from ffcomp.invert.preview import REST_ROWS
 from ffcomp.invert.rehearsal import Seen, rehearsed
@@ -42,7 +42,6 @@ ROUNDS = 16  # of the whole printer at most
 WORTH = 0.97  # a round that leaves more of the error than this was the last
 TRIED = 4  # rounds whose answers are mixed
 CAREFUL = 0.7  # share of an answer that is taken up where there is play: inside it, nothing answers
-AROUND, EASED = 16, 8  # knots on either side: to judge a place by, and over which to go from one command to another
 SMOOTHINGS, NEAR, KEPT = 60, 4, 0.9  # of a change that breaks a limit: how often, knots around, what is left each time
 
 
