@@ -87,7 +87,7 @@ Robust = Annotated[
     typer.Option(
         "--robust",
         help="Want what comes out nearest to the path on average over the machine file's uncertainties: a little worse "
-        "if the file is right, far better where it is not; takes several times as long to work out.",
+        "if the file is right, far better where it is not; takes some forty times as long to work out.",
     ),
 ]
 Strict = Annotated[
