@@ -311,8 +311,8 @@ def limits(found: Numbers) -> Iterator[str]:
   corrections, {between(plain)} times than with 24 and one. The aim, {AIM_RATIO:g} times,
   {"is met" if min(deep) >= AIM_RATIO else "is not met"}. The exact one is not slow by itself: it shares the
   simulation, the ramps and the kinematics with ours, and solves 64 segments at a time.
-- **Short prints**: {lengths_["once_s"]:.2f} s go to what is done once, and a process takes more than a second to start (the
-  first run on a machine has its own section): that is most of what one waits for.
+- **Short prints**: {lengths_["once_s"]:.2f} s go to what is done once, and a process takes more than a second to start
+  (the first run on a machine has its own section): that is most of what one waits for.
 - **What is cheaper**: shapers, and zero-phase-error tracking, which costs {between(cheaper)} of ours. Its contour error
   is {between(contour)} times ours, its tracking error {between(tracking)} times, and it asks for {between(peak)} times
   the peak acceleration, without a way to hold a limit.
