@@ -23,9 +23,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp import shapers
-from ffcomp.compare.ours import Compensated, Segments, segments_motion
-from ffcomp.pipeline import settings_for
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.compare.compensated import Compensated, Segments, segments_motion
+from ffcomp.compensate.program import settings_for
+from ffcomp.planner.trajectory import Trajectory
 from tests import judge
 
 COARSE_HZ = np.arange(34.0, 72.0, 2.0)

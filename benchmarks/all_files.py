@@ -17,10 +17,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from ffcomp.job import Job  # noqa: E402
+from ffcomp.compensate.job import Job  # noqa: E402
 from gcode.errors import GcodeError  # noqa: E402
+from models.file import load_machine  # noqa: E402
 from models.machine import Machine  # noqa: E402
-from models.machine_file import load_machine  # noqa: E402
 from tests.safety import violations  # noqa: E402
 from tests.test_files import OFFSETS  # noqa: E402
 

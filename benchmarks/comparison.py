@@ -20,12 +20,12 @@ from scipy.ndimage import gaussian_filter1d
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp.compare.engine import Request, compare
-from ffcomp.compare.judge import SAMPLE_S
+from ffcomp.compare.evaluation import SAMPLE_S
 from ffcomp.compare.result import Comparison, Method
-from ffcomp.compare.stretch import Print, Sampling
+from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.metrics import contour_error
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 
 ROOT = Path(__file__).parents[1]
 DATA = Path(os.environ.get("FFCOMP_DATA", ROOT.parent / "shared" / "data"))
@@ -49,7 +49,8 @@ INTRODUCTION = f"""# Comparison
 Made by `python benchmarks/comparison.py > docs/COMPARISON.md` (Python {platform.python_version()}); every table is what
 `ffcomp compare` finds. All errors in µm.
 
-- **The judge** is the virtual printer (`models/printer.py`): nonlinear, with weight, integrated 6400 times a second or
+- **The judge** is the virtual printer (`models/printer/printer.py`): nonlinear, with weight, integrated 6400 times a
+second or
   more. It agrees with MuJoCo ([CROSS_CHECK.md](CROSS_CHECK.md)) and with the independent plant of the tests. The
   commands come from the linear design model; our own are G-code text, read again and planned as the firmware plans it.
 - **contour**: distance to the segments of the wanted path, over all moves and where plastic flows. **tracking**: at

@@ -23,10 +23,10 @@ from scipy.signal import lsim
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
-from models.printer import SMOOTH_STEP_S, simulate_printer
-from models.receptance import poles
+from models.printer.printer import SMOOTH_STEP_S, simulate_printer
+from models.vibration.receptance import poles
 from tests import judge
 from tests.plant.multibody import STEP_S, Answer, Choice, build, energy_drift, modes, motor_motion, play, rest_mm
 
@@ -75,7 +75,8 @@ def introduction() -> Iterator[str]:
 Made by `python benchmarks/cross_check.py > docs/CROSS_CHECK.md` (MuJoCo {mujoco.__version__}, Python
 {platform.python_version()}, machine file `{judge.MACHINE_FILE.name}`).
 
-Our virtual printer (`models/printer.py`) and its linear model (`models/receptance.py`) treat each arm pair as half its
+Our virtual printer (`models/printer/printer.py`) and its linear model (`models/vibration/receptance.py`) treat each
+arm pair as half its
 mass on the carriage and half on the nozzle holder. Here the same printer is built from rigid bodies in an engine nobody
 here wrote (`tests/plant/multibody.py`): carriages on slides with the belt's and the guide's spring and damper, rods
 with ball joints at both ends, the extruder on three sprung slides. MuJoCo gets masses, lengths, stiffnesses and
@@ -133,8 +134,8 @@ def frequencies(machine: Machine, refitted: Machine) -> Iterator[str]:
 
 Poles at rest, motors held, at {len(ours)} places: the centre, and {len(ANGLES_DEG)} directions at {rings} mm.
 MuJoCo's by central differences of the accelerations it computes (constraints included), ours by
-`models.receptance.poles`. Each cell: worst difference over the places of the natural frequency, and of the damping
-ratio, relative to MuJoCo's. Modes are counted from the slowest at each place.
+`models.vibration.receptance.poles`. Each cell: worst difference over the places of the natural frequency, and of the
+damping ratio, relative to MuJoCo's. Modes are counted from the slowest at each place.
 """
     yield "| | " + " | ".join(f"mode {n + 1}: {span(natural_hz[:, n])} Hz" for n in range(MODES)) + " | |"
     yield "|---" * (MODES + 2) + "|"

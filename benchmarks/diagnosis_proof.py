@@ -29,19 +29,19 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.diagnosis import ffcomp
 from benchmarks.prose import filled
-from ffcomp.compare.judge import Played, contour
-from ffcomp.compare.plants import drawn, dynamic_numbers
-from ffcomp.compare.stretch import Print, Sampling, Stretch
-from ffcomp.compare.ways import OURS, inversion, none
-from ffcomp.diagnose.delta import Delta
+from ffcomp.compare.evaluation import Played, contour
+from ffcomp.compare.methods import OURS, inversion, none
+from ffcomp.compare.monte_carlo import drawn, dynamic_numbers
+from ffcomp.compare.sampling import Print, Sampling, Stretch
+from ffcomp.compensate.program import settings_for
 from ffcomp.diagnose.engine import diagnose
-from ffcomp.diagnose.outcome import better_file, outcome
-from ffcomp.measured.run import read_run
-from ffcomp.pipeline import settings_for
-from ffcomp.virtual.sag import sag
+from ffcomp.diagnose.printer_problem import Delta
+from ffcomp.diagnose.result import better_file, outcome
+from ffcomp.measurement.recording import read_run
+from models.file import load_machine, updated_text
 from models.machine import Machine
-from models.machine_file import load_machine, updated_text
 from models.parameters import value_of
+from models.printer.static_deflection import sag
 from tests import judge
 from tests.blind.hidden import EFFECTS
 from tests.blind.motions import KINDS, Motion, Place

@@ -23,9 +23,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from models.effects.catalogue import CATALOGUE, effective_machine, measured, with_effect
 from models.effects.effect import Effect, Parameter
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
-from models.printer import simulate_printer
+from models.printer.printer import simulate_printer
 
 FloatArray = NDArray[np.float64]
 RealArray = NDArray[np.floating[Any]]

@@ -30,16 +30,16 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.diagnosis_proof import LAYERS, PRINT, Printer, on_the_real
-from ffcomp.compare.judge import Played, contour
-from ffcomp.compare.play import play
-from ffcomp.compare.stretch import Print, Stretch
-from ffcomp.compare.ways import OURS, inversion, none
-from ffcomp.invert import whole
-from ffcomp.invert.inverter import GEOMETRY, Inverter
-from ffcomp.pipeline import settings_for, solutions
+from ffcomp.compare.evaluation import Played, contour
+from ffcomp.compare.methods import OURS, inversion, none
+from ffcomp.compare.playback import play
+from ffcomp.compare.sampling import Print, Stretch
+from ffcomp.compensate.program import settings_for, solutions
+from ffcomp.inverse.model import GEOMETRY, Inverter
+from ffcomp.inverse.nonlinear import correction as whole
 from models.effects.catalogue import CATALOGUE, with_effect
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 from tests import judge
 from tests.blind.hidden import EFFECTS
 from tests.blind.real import Real

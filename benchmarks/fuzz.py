@@ -34,7 +34,7 @@ TARGETS = "reader", "machine", "run", "frf", "capture", "container", "prints"
 _DONE = re.compile(r"stat::number_of_executed_units:\s+(\d+)")
 _EDGES = re.compile(r"cov: (\d+)")
 # numba reads their bytecode, which must be as it was written
-_COMPILED = ("gcode.plain", "gcode.arcs", "gcode.emit_kernels")
+_COMPILED = ("gcode.fast_scan", "gcode.arcs", "gcode.emit_kernels")
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,28 +69,28 @@ def _reader() -> Callable[[bytes], None]:
 
 def _machine() -> Callable[[bytes], None]:
     from models.errors import MachineFileError
-    from models.machine_file import load_machine
+    from models.file import load_machine
 
     return _by_file(lambda path: load_machine(path), MachineFileError, ".toml")
 
 
 def _run() -> Callable[[bytes], None]:
     from ffcomp.errors import MeasurementError
-    from ffcomp.measured.run import read_run
+    from ffcomp.measurement.recording import read_run
 
     return _by_file(read_run, MeasurementError, ".csv")
 
 
 def _frf() -> Callable[[bytes], None]:
     from ffcomp.errors import MeasurementError
-    from ffcomp.measured.frf_files import read_frfs
+    from ffcomp.measurement.frf_files import read_frfs
 
     return _by_file(read_frfs, MeasurementError, ".csv")
 
 
 def _capture() -> Callable[[bytes], None]:
     from ffcomp.errors import MeasurementError
-    from ffcomp.measured.klipper import read_vibration
+    from ffcomp.measurement.klipper import read_vibration
 
     return _by_file(read_vibration, MeasurementError, ".csv")
 
@@ -121,10 +121,10 @@ def _by_file(read: Callable[[Path], object], documented: type[Exception], suffix
 
 _MAKERS: dict[str, tuple[Callable[[], Callable[[bytes], None]], tuple[str, ...]]] = {  # and what is watched
     "reader": (_reader, ("gcode",)),
-    "machine": (_machine, ("models.machine_file", "models.machine_schema", "models.consistency", "tomllib")),
-    "run": (_run, ("ffcomp.measured",)),
-    "frf": (_frf, ("ffcomp.measured",)),
-    "capture": (_capture, ("ffcomp.measured",)),
+    "machine": (_machine, ("models.file", "models.schema", "models.checks.redundancy", "tomllib")),
+    "run": (_run, ("ffcomp.measurement",)),
+    "frf": (_frf, ("ffcomp.measurement",)),
+    "capture": (_capture, ("ffcomp.measurement",)),
     "container": (_container, ("gcode", "zipfile", "gzip")),
 }
 

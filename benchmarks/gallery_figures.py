@@ -27,17 +27,17 @@ from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from ffcomp.diagnose.delta import Delta
 from ffcomp.diagnose.engine import diagnose
-from ffcomp.diagnose.picture import Picture, picture
+from ffcomp.diagnose.printer_problem import Delta
+from ffcomp.diagnose.summary import Picture, picture
 from ffcomp.identify.predict import predicted
-from ffcomp.measured.frf import FrequencyResponse
-from ffcomp.measured.frf_files import write_frf
-from ffcomp.measured.run import read_run
+from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.measurement.frf_files import write_frf
+from ffcomp.measurement.recording import read_run
 from ffcomp.report.diagnose import figures
-from ffcomp.report.drawing import Drawing, file_of, layout
+from ffcomp.report.shared.drawing import Drawing, file_of, layout
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 from tests import docs_runner
 
 GALLERY = docs_runner.ROOT / "docs" / "gallery"
@@ -245,7 +245,7 @@ def side_by_side(drawings: list[Drawing]) -> Image.Image:
     import matplotlib
     from matplotlib.figure import Figure
 
-    from ffcomp.report.style import RC
+    from ffcomp.report.shared.style import RC
 
     with matplotlib.rc_context(RC):
         size = (sum(each.width for each in drawings), max(each.height for each in drawings) + 0.6)

@@ -21,12 +21,12 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp.identify.accuracy import complex_log_error, error_reduction, mean_absolute_percentage_accuracy
-from ffcomp.identify.direct import TOTAL_MASS, UNKNOWNS, fit_machine
+from ffcomp.identify.output_error import TOTAL_MASS, UNKNOWNS, fit_machine
+from ffcomp.identify.paper import identify_stepwise
 from ffcomp.identify.predict import predicted
-from ffcomp.identify.stepwise import identify_stepwise
-from ffcomp.measured.frf import FrequencyResponse
+from ffcomp.measurement.frf import FrequencyResponse
+from models.file import LIBRARY, load_machine
 from models.machine import Drive, Machine
-from models.machine_file import LIBRARY, load_machine
 from models.parameters import value_of
 from tests.plant import delta_plant
 from tests.plant.study import PLACES, measure_bench, measure_places, uneven

@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from ffcomp.calibrate import calibrated, normalised, resonance_test
 from ffcomp.errors import MeasurementError
-from ffcomp.identify.axes import AxisFit, fit_axis
-from ffcomp.identify.axes_data import Spectrum, spectrum_of
-from ffcomp.measured.klipper import Resonances, read_vibration
-from models.axes import Axis, parts
-from models.kinematics.straight import CARTESIAN, StraightGeometry
+from ffcomp.identify.axis_spectra import Spectrum, spectrum_of
+from ffcomp.identify.modal_fit import AxisFit, fit_axis
+from ffcomp.measurement.klipper import Resonances, read_vibration
+from ffcomp.shapers.calibration import calibrated, normalised, resonance_test
+from models.kinematics.cartesian import CARTESIAN, StraightGeometry
 from models.machine import Machine, MotionLimits, constant
+from models.vibration.modal import Axis, parts
 
 FloatArray = NDArray[np.float64]
 
@@ -40,8 +40,8 @@ BAND_HZ = (2.0, 400.0)
 HOW_TO = """
 Made by `python benchmarks/identification_axes.py --write`.
 
-Each axis of such a machine is one mode or two (`models/axes.py`). `ffcomp identify fit` finds their frequencies,
-damping ratios and shares from any of these, together if there are several:
+Each axis of such a machine is one mode or two (`models/vibration/modal.py`). `ffcomp identify fit` finds their
+frequencies, damping ratios and shares from any of these, together if there are several:
 
 - captures of a firmware's resonance test, `raw_data_x_*.csv`, or its spectra, `resonances_x_*.csv` and
   `calibration_data_x_*.csv`. The axis is in the name; `--axis x` says it where it is not;

@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compare.stretch import Stretch
-from ffcomp.compare.ways import Way
-from ffcomp.invert.exact import Window
-from ffcomp.invert.inverter import Inverter
-from ffcomp.invert.play import Playing
-from ffcomp.pipeline import Planned
-from ffcomp.runs import Reference, Run
-from ffcomp.schedule import rest_state
-from ffcomp.virtual.motion import Motion
+from ffcomp.compare.methods import Way
+from ffcomp.compare.sampling import Stretch
+from ffcomp.compensate.program import Planned
+from ffcomp.inverse.iterate import Playing
+from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.reference import Reference, Run
+from ffcomp.inverse.windowed_qr import Window
+from ffcomp.simulate.motion import Motion
 from models.effects.catalogue import design_machine
 from models.machine import Machine
-from models.plant import STATES, Q, continuous_plant, discretise
+from models.vibration.scheduled import rest_state
+from models.vibration.state_space import STATES, Q, continuous_plant, discretise
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

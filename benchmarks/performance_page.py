@@ -17,7 +17,7 @@ from benchmarks.performance_prints import LARGEST, REPEATED, SMALL_S
 from benchmarks.performance_ways import DENSE, EXACT, MACHINE, MORE_CORRECTIONS, OURS, PLAIN_EXACT, ZERO_PHASE
 from benchmarks.performance_where import ONCE, REST
 from benchmarks.prose import WIDTH
-from ffcomp.schedule import SAME_MM
+from models.vibration.scheduled import SAME_MM
 
 Numbers = Mapping[str, Any]
 
@@ -146,7 +146,8 @@ def _apart_row(label: str, p: Numbers) -> str:
 def whole_prints(found: Numbers) -> Iterator[str]:
     yield f"""From file to file: read, planned, inverted, written; without the prediction, as with `--no-predict`. The
 first time, the tables over the bed and the gains of the places that the print comes by are worked out; they are kept in
-the user's cache (`ffcomp/kept.py`), and the second column of print-seconds is of a job that finds them there. Memory is
+the user's cache (`ffcomp/numerics/disk_cache.py`), and the second column of print-seconds is of a job that finds
+them there. Memory is
 the peak of a process that did nothing else; the aim is {AIM_MEMORY_MB:g} MB, and {AIM_SPEED:g} print-seconds a second.
 The files of others are what `benchmarks/all_files.py` reads; they are not part of this repository.
 
@@ -416,7 +417,8 @@ Aim: {AIM_FIRST_S:g} s, {met} in CPU time; wall time depends on what else the ma
 
 def effects(found: Numbers) -> Iterator[str]:
     yield f"""Effects that no linear model holds are compensated by playing the command on the whole virtual printer and
-correcting it, round by round (`ffcomp/invert/whole.py`). Here each effect is hidden in the *independent* printer of
+correcting it, round by round (`ffcomp/inverse/nonlinear/correction.py`). Here each effect is hidden in the
+*independent* printer of
 `tests/blind` (other equations; the last column says where the effect has another shape than the machine file's),
 and {SECONDS:g} s of `{PRINT.name}` (layers {LAYERS.first_layer} to {LAYERS.last_layer}) are printed there. Contour
 error, rms, µm: with no compensation; with a file that is right in all but the effect; with one that names the effect

@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.performance_ways import MACHINE, PRINTS, ROOT, sample_print
-from ffcomp.job import Job
-from models.machine_file import load_machine
+from ffcomp.compensate.job import Job
+from models.file import load_machine
 from tests.test_files import OFFSETS
 
 OUTSIDE = Path(os.environ.get("FFCOMP_DATA", ROOT.parent / "shared" / "data")) / "gcode"

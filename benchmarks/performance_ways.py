@@ -17,19 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.performance_methods import SAMPLE_S, ZERO_PHASE, dense, knots, whole_run, zero_phase
-from ffcomp.compare import ways
-from ffcomp.compare.judge import Played, judge, track
-from ffcomp.compare.play import peaks, play
-from ffcomp.compare.stretch import Print, Sampling, Stretch
-from ffcomp.compare.tuning import LinearPrinter
-from ffcomp.compare.ways import ONE_MODEL, OURS, Way
-from ffcomp.invert.inverter import Inverter, RunResult
-from ffcomp.invert.settings import Settings
-from ffcomp.pipeline import Planned, Solved, plan_program, settings_for, solutions
-from ffcomp.runs import Run
+from ffcomp.compare import methods as ways
+from ffcomp.compare.baselines import LinearPrinter
+from ffcomp.compare.evaluation import Played, judge, track
+from ffcomp.compare.methods import ONE_MODEL, OURS, Way
+from ffcomp.compare.playback import peaks, play
+from ffcomp.compare.sampling import Print, Sampling, Stretch
+from ffcomp.compensate.program import Planned, Solved, plan_program, settings_for, solutions
+from ffcomp.inverse.model import Inverter, RunResult
+from ffcomp.inverse.reference import Run
+from ffcomp.inverse.settings import Settings
 from gcode.reader import read_program
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 
 FloatArray = NDArray[np.float64]
 

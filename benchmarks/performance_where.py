@@ -21,13 +21,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from benchmarks.performance_ways import MACHINE, PRINTS, ROOT
-from ffcomp.invert.inverter import Inverter, RunResult
-from ffcomp.invert.preview import AUGMENTED, AXES, BACKWARD, FORWARD
-from ffcomp.job import Job
-from ffcomp.products import recursion
-from ffcomp.schedule import SAME_MM
-from models.machine_file import load_machine
-from models.plant import STATES
+from ffcomp.compensate.job import Job
+from ffcomp.inverse.model import Inverter, RunResult
+from ffcomp.inverse.riccati import AUGMENTED, AXES, BACKWARD, FORWARD
+from ffcomp.numerics.small_matvec import recursion
+from models.file import load_machine
+from models.vibration.scheduled import SAME_MM
+from models.vibration.state_space import STATES
 
 FloatArray = NDArray[np.float64]
 
@@ -35,39 +35,42 @@ ONCE = "bandwidth, plant over the bed"
 
 # stage → where the names are looked up that belong to it; what is called inside of them counts to its own stage
 STAGES = {
-    "read": ("ffcomp.job.chapters", "ffcomp.job.read_parts"),
-    "plan": ("ffcomp.job.plan_program",),
-    ONCE: ("ffcomp.job.settings_for", "ffcomp.job.Inverter"),
-    "invert: gains": ("ffcomp.invert.preview.Preview.at", "ffcomp.invert.preview.Preview.end"),
-    "invert: sweeps": ("ffcomp.invert.fast.sweep_back", "ffcomp.invert.fast.sweep_forward"),
-    "invert: simulation": ("ffcomp.schedule.simulate",),
-    "invert: as the firmware plays it": ("ffcomp.invert.play.played", "ffcomp.invert.play.sample_segments"),
-    "invert: wanted path": ("ffcomp.runs.Reference.substeps", "ffcomp.runs.Reference.extrusion"),
+    "read": ("ffcomp.compensate.job.chapters", "ffcomp.compensate.job.read_parts"),
+    "plan": ("ffcomp.compensate.job.plan_program",),
+    ONCE: ("ffcomp.compensate.job.settings_for", "ffcomp.compensate.job.Inverter"),
+    "invert: gains": ("ffcomp.inverse.riccati.Preview.at", "ffcomp.inverse.riccati.Preview.end"),
+    "invert: sweeps": ("ffcomp.inverse.lq_preview.sweep_back", "ffcomp.inverse.lq_preview.sweep_forward"),
+    "invert: simulation": ("models.vibration.scheduled.simulate",),
+    "invert: as the firmware plays it": ("ffcomp.inverse.iterate.played", "ffcomp.inverse.iterate.sample_segments"),
+    "invert: wanted path": (
+        "ffcomp.inverse.reference.Reference.substeps",
+        "ffcomp.inverse.reference.Reference.extrusion",
+    ),
     "invert: kinematics": (
-        "models.kinematics.kernels.FastDelta.inverse",
-        "models.kinematics.kernels.FastDelta.forward",
-        "models.kinematics.kernels.FastDelta.rate_term",
+        "models.kinematics.delta_kernels.FastDelta.inverse",
+        "models.kinematics.delta_kernels.FastDelta.forward",
+        "models.kinematics.delta_kernels.FastDelta.rate_term",
     ),
     "invert: all between": (
-        "ffcomp.pipeline.feasible_run",
-        "ffcomp.invert.inverter.Inverter.run",
-        "ffcomp.invert.inverter.Inverter.hold",
+        "ffcomp.compensate.program.feasible_run",
+        "ffcomp.inverse.model.Inverter.run",
+        "ffcomp.inverse.model.Inverter.hold",
     ),
     "write": (
-        "ffcomp.pipeline.timeline",
-        "ffcomp.pipeline.pieces",
-        "ffcomp.pipeline.keep_inside",
-        "ffcomp.writer.Writer.run",
-        "ffcomp.writer.Writer.event",
-        "ffcomp.writer.Writer.extrude",
-        "ffcomp.writer.Writer.close",
+        "ffcomp.compensate.program.timeline",
+        "ffcomp.compensate.program.pieces",
+        "ffcomp.compensate.program.keep_inside",
+        "ffcomp.compensate.gcode_output.writer.Writer.run",
+        "ffcomp.compensate.gcode_output.writer.Writer.event",
+        "ffcomp.compensate.gcode_output.writer.Writer.extrude",
+        "ffcomp.compensate.gcode_output.writer.Writer.close",
     ),
 }
 REST = "all else"
 KERNELS = {
-    "sweep_back": "ffcomp.invert.fast.sweep_back",
-    "sweep_forward": "ffcomp.invert.fast.sweep_forward",
-    "simulate": "ffcomp.schedule.simulate",
+    "sweep_back": "ffcomp.inverse.lq_preview.sweep_back",
+    "sweep_forward": "ffcomp.inverse.lq_preview.sweep_forward",
+    "simulate": "models.vibration.scheduled.simulate",
 }
 PRECISION = {"sweep_back": "single", "sweep_forward": "single", "simulate": "double"}
 KEPT_CALLS = 40

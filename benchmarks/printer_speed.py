@@ -20,11 +20,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
 
-from models import printer_kernels as kernels
 from models.effects.catalogue import with_effect
+from models.file import load_machine
 from models.machine import FloatArray, Machine
-from models.machine_file import load_machine
-from models.printer import SMOOTH_STEP_S, simulate_printer, simulate_printers
+from models.printer import kernels
+from models.printer.printer import SMOOTH_STEP_S, simulate_printer, simulate_printers
 
 EFFECTS: dict[str, dict[str, Any]] = {
     "frame_mode": {"mass_kg": 8.0, "frequency_hz": 25.0, "damping_ratio": 0.03, "direction": "x"},

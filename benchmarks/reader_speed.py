@@ -30,7 +30,7 @@ import numpy as np
 
 from gcode.blocks import PART_BYTES
 from gcode.dialects import detect_flavor
-from gcode.plain import Cursor, Modes, follow
+from gcode.fast_scan import Cursor, Modes, follow
 from gcode.reader import read_parts
 
 ROOT = Path(__file__).parents[1]

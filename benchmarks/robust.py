@@ -23,19 +23,19 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from ffcomp.compare.judge import Played, contour
-from ffcomp.compare.plants import drawn
-from ffcomp.compare.play import play
-from ffcomp.compare.stretch import Print, Sampling, Stretch
-from ffcomp.compare.tuning import LinearPrinter
-from ffcomp.compare.ways import OURS, ROBUST, Way, best_fixed, inversion
-from ffcomp.pipeline import firmware_limits, settings_for
-from ffcomp.plan.junctions import junction_limits
-from ffcomp.plan.lookahead import plan_moves, stops_and_waits
-from ffcomp.plan.s_curve import SCurve, s_curve
-from ffcomp.runs import split_runs
+from ffcomp.compare.baselines import LinearPrinter
+from ffcomp.compare.evaluation import Played, contour
+from ffcomp.compare.methods import OURS, ROBUST, Way, best_fixed, inversion
+from ffcomp.compare.monte_carlo import drawn
+from ffcomp.compare.playback import play
+from ffcomp.compare.sampling import Print, Sampling, Stretch
+from ffcomp.compensate.program import firmware_limits, settings_for
+from ffcomp.inverse.reference import split_runs
+from ffcomp.planner.junctions import junction_limits
+from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.s_curve import SCurve, s_curve
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 from models.parameters import dynamic_numbers, value_of, with_values
 
 ROOT = Path(__file__).parents[1]
@@ -240,7 +240,7 @@ standard deviation of 5 % or 10 %, or even within ±10 %. The machine file's `[u
 keeps the tuning of the nominal machine; the shaper is the best fixed one of {shapers} by the median. Contour
 error, rms, µm; of ours, the compensated G-code, read again and planned as the firmware plans it.
 
-"Longer" is by how much the plan takes longer than the firmware's; ramps are then gentler (`ffcomp/plan/s_curve.py`;
+"Longer" is by how much the plan takes longer than the firmware's; ramps are then gentler (`ffcomp/planner/s_curve.py`;
 0.9 % is what `--s-curve` does). "Times below" is the shaper's median on the firmware's plan by the method's, "same
 plan" that of the shaper which is best on the method's own plan. "Above it" counts printers on which the method is worse
 than the shaper on the firmware's plan.

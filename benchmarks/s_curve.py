@@ -23,19 +23,19 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from ffcomp.invert.inverter import Inverter
-from ffcomp.pipeline import firmware_limits, plan_program, settings_for
-from ffcomp.plan.junctions import junction_limits
-from ffcomp.plan.lookahead import stops_and_waits
-from ffcomp.plan.s_curve import SCurve, s_curve
-from ffcomp.plan.trajectory import PlannedMotion, Trajectory
-from ffcomp.predict import Prediction
-from ffcomp.runs import Reference, Run, split_runs
-from ffcomp.schedule import rest_state
+from ffcomp.compensate.prediction import Prediction
+from ffcomp.compensate.program import firmware_limits, plan_program, settings_for
+from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.reference import Reference, Run, split_runs
+from ffcomp.planner.junctions import junction_limits
+from ffcomp.planner.lookahead import stops_and_waits
+from ffcomp.planner.s_curve import SCurve, s_curve
+from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from gcode.program import Program
 from gcode.reader import read_program
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
+from models.vibration.scheduled import rest_state
 
 FloatArray = NDArray[np.float64]
 

@@ -23,9 +23,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from ffcomp.job import Job
+from ffcomp.compensate.job import Job
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 
 ROOT = Path(__file__).parents[1]
 PRINTS = ("ringing_tower", "lobed_vase", "far_star")

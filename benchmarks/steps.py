@@ -24,13 +24,13 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.pipeline import plan_program
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.compensate.program import plan_program
+from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps.pieces import trajectory_pieces
 from ffcomp.steps.reader import MotorSteps, read_steps
 from ffcomp.steps.sink import Board, MotorTotal, StepSink
 from gcode.reader import read_program
-from models.machine_file import load_machine
+from models.file import load_machine
 
 FloatArray = NDArray[np.float64]
 

@@ -2,7 +2,8 @@
 
     python benchmarks/story_emps.py --write      some 20 s; docs/STORY_EMPS.md and its figures
 
-Needs the EMPS data set (see `ffcomp/diagnose/axis.py`) in `../shared/data/emps`, or in `emps` of $FFCOMP_DATA. Without
+Needs the EMPS data set (see `ffcomp/diagnose/axis_problem.py`) in `../shared/data/emps`, or in `emps` of
+$FFCOMP_DATA. Without
 `--write` the page goes to standard output.
 """
 
@@ -24,7 +25,7 @@ from scipy.signal import butter, filtfilt
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.prose import filled
-from ffcomp.diagnose.axis import FRICTION, MASS, OFFSET, SHOT_S, VISCOUS, Axis, ForceDriven, read_emps
+from ffcomp.diagnose.axis_problem import FRICTION, MASS, OFFSET, SHOT_S, VISCOUS, Axis, ForceDriven, read_emps
 from ffcomp.diagnose.engine import Diagnosis, diagnose
 
 FloatArray = NDArray[np.float64]
@@ -94,7 +95,8 @@ Made by `python benchmarks/story_emps.py --write` (Python {platform.python_versi
 
 EMPS is a linear axis on a ball screw: a motor's force goes in, a position comes out, 1000 times a second for 25 s
 (A. Janot, M. Gautier and M. Brunot, Nonlinear System Identification Benchmarks, 2019). It is a real machine, not a
-simulated one, and no printer: the same engine that diagnoses a printer gets another plant (`ffcomp/diagnose/axis.py`).
+simulated one, and no printer: the same engine that diagnoses a printer gets another plant
+(`ffcomp/diagnose/axis_problem.py`).
 What it is told: a rigid mass with viscous friction, mass {GUESS[0]:g} kg and {GUESS[1]:g} N s/m to begin with, both of
 which it may move as it likes.
 

@@ -36,13 +36,13 @@ from benchmarks.diagnosis_proof import (
     record,
 )
 from benchmarks.prose import filled
-from ffcomp.diagnose.delta import Delta
-from ffcomp.measured.run import read_run
+from ffcomp.diagnose.printer_problem import Delta
+from ffcomp.measurement.recording import read_run
 from models.effects.catalogue import effective_machine
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 from models.parameters import value_of
-from models.receptance import poles
+from models.vibration.receptance import poles
 from tests import judge
 from tests.blind.motions import Path as NozzlePath
 from tests.blind.real import Reading

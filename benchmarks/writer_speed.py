@@ -34,18 +34,18 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.invert.settings import Settings
-from ffcomp.marks import Timeline, pieces, timeline
-from ffcomp.pipeline import Planned, plan_program, settings_for
-from ffcomp.played import merge, played
-from ffcomp.runs import Reference, Run
-from ffcomp.writer import Writer
+from ffcomp.compensate.gcode_output.layout import Timeline, pieces, timeline
+from ffcomp.compensate.gcode_output.writer import Writer
+from ffcomp.compensate.program import Planned, plan_program, settings_for
+from ffcomp.inverse.reference import Reference, Run
+from ffcomp.inverse.settings import Settings
+from ffcomp.planner.segment_timing import merge, played
 from gcode.dialects import detect_flavor
 from gcode.emit import MoveWriter
 from gcode.limits import MotionLimits
 from gcode.program import Event, Frame
 from gcode.reader import read_program
-from models.machine_file import load_machine
+from models.file import load_machine
 from tests.ffcomp.test_pieces import smoothed
 from tests.gcode.test_emit import Said
 

@@ -1,6 +1,6 @@
 """ffcomp: feedforward vibration compensation for the G-code of delta 3-D printers."""
 
-from ffcomp.compiled import find_a_place
+from ffcomp.numerics.numba_cache import find_a_place
 
 __version__ = "0.1.0"
 

@@ -3,7 +3,7 @@
 FfcompError
 ├── NothingToDo      3   the file holds nothing to compensate
 ├── MeasurementError 5   a measurement that cannot be used (file, every mistake in it)
-├── PrinterConfigError 5 a printer's configuration that cannot be read (ffcomp/printer_config/found.py)
+├── PrinterConfigError 5 a printer's configuration that cannot be read (ffcomp/importers/values.py)
 ├── LimitsError      6   a limit of the machine cannot be met
 └── SolverError      7   a solver did not find the answer it was asked for
 

@@ -1,6 +1,6 @@
 """Text → Program: one pass over the lines, following the modal state, over the whole file or part by part.
 
-Nearly every line of a print is a plain `G1 X… Y… E…` or a comment; `gcode.plain` follows runs of them straight from
+Nearly every line of a print is a plain `G1 X… Y… E…` or a comment; `gcode.fast_scan` follows runs of them straight from
 the bytes (some thirty times faster than the general way, which reads everything else).
 """
 
@@ -19,9 +19,9 @@ from gcode.commands import LIMITS, PASS, PASSING_M_CODES, STOP, Effect, apply
 from gcode.container import read_bytes
 from gcode.dialects import detect_flavor
 from gcode.errors import GcodeError, UnsupportedGcode
+from gcode.fast_scan import STILL_MM2, ByteArray, Cursor, Modes, follow
 from gcode.limits import MotionLimits
 from gcode.moves import EventTable, MoveTable
-from gcode.plain import STILL_MM2, ByteArray, Cursor, Modes, follow
 from gcode.program import EventKind, Frame, Program
 from gcode.state import DEFAULT_FEED_MM_PER_S, FrameValues, Modal, Vector4
 from gcode.words import NUMBERED, Command, commands, shown

@@ -14,8 +14,8 @@ import numpy as np
 
 from models.arrays import FloatArray, constant
 from models.errors import MachineFileError
+from models.kinematics.base import Geometry
 from models.kinematics.delta import DeltaGeometry
-from models.kinematics.geometry import Geometry
 
 __all__ = [
     "Carriage",
@@ -119,7 +119,7 @@ class Machine:
     provenance: Mapping[str, Any] = field(default_factory=dict)  # "table.key" -> where the number is from; free
     sha256: str = ""  # of the file's bytes; empty: made in memory
     path: str = ""
-    first_share: FloatArray | None = None  # (3,) of straight axes, see `models/axes.py`; None: a delta
+    first_share: FloatArray | None = None  # (3,) of straight axes, see `models/vibration/modal.py`; None: a delta
 
     @property
     def has_straight_axes(self) -> bool:

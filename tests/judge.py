@@ -23,19 +23,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp import shapers
-from ffcomp.compare import ours
-from ffcomp.compare.ours import Compensated, Segments, pick
+from ffcomp.compare import compensated as ours
+from ffcomp.compare.compensated import Compensated, Segments, pick
 from ffcomp.compare.shaped import shaped as shaped_apart
-from ffcomp.invert.inverter import Inverter
-from ffcomp.invert.settings import Settings
+from ffcomp.compensate.program import Planned, plan_program, settings_for
+from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.settings import Settings
 from ffcomp.metrics import contour_error, peak_acceleration, tracking
-from ffcomp.pipeline import Planned, plan_program, settings_for
-from ffcomp.plan.trajectory import Trajectory
-from ffcomp.virtual.motion import Clock, Motion, motion_of, path_corners, planned_motion
+from ffcomp.planner.trajectory import Trajectory
+from ffcomp.simulate.motion import Clock, Motion, motion_of, path_corners, planned_motion
 from gcode.program import Program
 from gcode.reader import read_program
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 from tests.kalico import kalico_plan
 from tests.plant import delta_plant
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.pipeline import SEGMENTS_PER_SECOND, firmware_limits
-from ffcomp.plan.lookahead import plan_moves, stops_and_waits
-from ffcomp.writer import OURS, WAS, original
+from ffcomp.compensate.gcode_output.writer import OURS, WAS, original
+from ffcomp.compensate.program import SEGMENTS_PER_SECOND, firmware_limits
+from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from gcode.metadata import TIME_WAS, tells
 from gcode.program import Program
 from gcode.reader import read_program

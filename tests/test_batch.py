@@ -17,12 +17,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ffcomp.batch import _shares, check_targets, compensate_files, targets_in, workers
-from ffcomp.outcome import Failure, Options, Outcome, compensate_file
+from ffcomp.compensate.batch import _shares, check_targets, compensate_files, targets_in, workers
+from ffcomp.compensate.file import Failure, Options, Outcome, compensate_file
 from gcode.blocks import PART_BYTES
 from gcode.metadata import Stamp
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 
 ROOT = Path(__file__).parents[1]
 HEAD = b"G28\nG90\nM83\nG1 Z0.3 F6000\nG1 X10 Y10 F9000\n"

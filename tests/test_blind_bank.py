@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.diagnose import diagnose
-from ffcomp.diagnose.delta import Delta
 from ffcomp.diagnose.engine import noise_floor
 from ffcomp.diagnose.noise import whitener
-from ffcomp.diagnose.where import find_gap
-from ffcomp.measured.run import read_run
+from ffcomp.diagnose.printer_problem import Delta
+from ffcomp.diagnose.residuals import find_gap
+from ffcomp.measurement.recording import read_run
 from models.effects.catalogue import CATALOGUE, measured, with_effect
-from models.machine_file import load_machine
-from models.printer import simulate_printer
+from models.file import load_machine
+from models.printer.printer import simulate_printer
 from tests.blind import equations, score
 from tests.blind.bank import STRATA, Case, Circumstances, Label, case, draw
 from tests.blind.equations import GRAVITY, STATES

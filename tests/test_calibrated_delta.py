@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import tomlkit
 
-from models.machine_file import load_machine
-from models.plant import plant_table
+from models.file import load_machine
+from models.vibration.state_space import plant_table
 from tests import judge
 
 ROOT = Path(__file__).parents[1]

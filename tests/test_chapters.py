@@ -12,23 +12,23 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp import job as jobs
-from ffcomp.chapters import LONGEST_S, REMEMBERED_S, Chapter, chapters
+from ffcomp.compensate import job as jobs
+from ffcomp.compensate.chunks import LONGEST_S, REMEMBERED_S, Chapter, chapters
+from ffcomp.compensate.gcode_output.writer import original
+from ffcomp.compensate.job import Job, Recipe
+from ffcomp.compensate.program import Layers, firmware_plan, plan_program, settings_for
 from ffcomp.errors import LimitsError
-from ffcomp.job import Job, Recipe
-from ffcomp.look import corners
+from ffcomp.inverse.extent import Ends, Moment
 from ffcomp.metrics import contour_error
-from ffcomp.pipeline import Layers, firmware_plan, plan_program, settings_for
-from ffcomp.plan.moment import Ends, Moment
+from ffcomp.simulate.preview import corners
 from ffcomp.steps.reader import read_events, read_steps
 from ffcomp.steps.sink import Board
-from ffcomp.writer import original
-from gcode.cutting import join, split
 from gcode.errors import GcodeError
 from gcode.program import Program
 from gcode.reader import read_parts, read_program
+from gcode.slicing import join, split
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 from tests.safety import violations
 
 PRINTS = Path(__file__).parents[1] / "sample_prints"
@@ -154,13 +154,13 @@ def spiral() -> bytes:
 
 @pytest.fixture
 def short_spirals(monkeypatch: pytest.MonkeyPatch, small_parts: None) -> None:
-    monkeypatch.setattr("ffcomp.chapters.LONGEST", 2000)
+    monkeypatch.setattr("ffcomp.compensate.chunks.LONGEST", 2000)
 
 
 def test_a_spiral_is_cut_in_motion_without_a_trace(spiral: bytes, machine: Machine, short_spirals: None) -> None:
     several, cut_job = text_of(spiral, machine)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ffcomp.chapters.LONGEST", 10**9)
+        patch.setattr("ffcomp.compensate.chunks.LONGEST", 10**9)
         whole, job = text_of(spiral, machine)
     assert cut_job.summary.windows > job.summary.windows  # there were cuts
     assert original(several) == original(whole) == spiral
@@ -189,7 +189,7 @@ def test_steps_of_a_spiral_cut_in_motion(spiral: bytes, machine: Machine, short_
     found = []
     for longest in (2000, 10**9):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("ffcomp.chapters.LONGEST", longest)
+            patch.setattr("ffcomp.compensate.chunks.LONGEST", longest)
             target = tmp_path / f"{longest}.npz"
             Job(spiral, "spiral.gcode", machine, predict=False).write_steps(target, Board(400.0))
             found.append((read_steps(target), read_events(target)))
@@ -250,7 +250,7 @@ def test_both_sides_of_a_cut_see_the_same_motion(machine: Machine, limits: bytes
     """Where acceleration is low, a motion remembers for long that it began at rest."""
     data = vase(6000, 6000.0).replace(b"M83\n", b"M83\n" + limits)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ffcomp.chapters.LONGEST_S", 20.0)
+        patch.setattr("ffcomp.compensate.chunks.LONGEST_S", 20.0)
         several = cut(data, machine, 10**6, longest_s=20.0)
     cuts = [(a, b) for a, b in pairwise(several) if a.ends.end is not None]
     assert len(cuts) >= 2
@@ -267,7 +267,7 @@ def test_both_sides_of_a_cut_see_the_same_motion(machine: Machine, limits: bytes
 def test_one_long_line_is_cut_without_a_trace(machine: Machine) -> None:
     data = VASE + b"G1 X-25 Y10 E20 F72\nM106 S255\nG1 X0 Y0 F3000\nG1 E-1 F1800\n"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ffcomp.chapters.LONGEST_S", 12.0)
+        patch.setattr("ffcomp.compensate.chunks.LONGEST_S", 12.0)
         text, job = text_of(data, machine, predict=False)
     assert original(text) == data and violations(data, text, machine) == []
     assert job.summary.moves == 4 and job.summary.windows >= 4
@@ -279,7 +279,7 @@ def test_one_long_line_is_cut_without_a_trace(machine: Machine) -> None:
 
 def test_limits_are_held_in_a_motion_that_is_cut(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     """On both sides of a cut, and at the cut: velocities, and accelerations from segment to segment."""
-    monkeypatch.setattr("ffcomp.chapters.LONGEST_S", 8.0)
+    monkeypatch.setattr("ffcomp.compensate.chunks.LONGEST_S", 8.0)
     tight = replace(machine, limits=replace(machine.limits, carriage_velocity_mm_per_s=45.0))
     data = vase(1150, 4800.0)
     text, job = text_of(data, tight, predict=False)
@@ -294,7 +294,7 @@ def test_limits_are_held_in_a_motion_that_is_cut(machine: Machine, monkeypatch: 
 def test_a_cut_that_must_be_slower_is_refused_when_strict(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     tight = replace(machine, limits=replace(machine.limits, carriage_velocity_mm_per_s=45.0))
     settings = replace(settings_for(tight), strict=True)
-    monkeypatch.setattr("ffcomp.chapters.LONGEST_S", 8.0)
+    monkeypatch.setattr("ffcomp.compensate.chunks.LONGEST_S", 8.0)
     with pytest.raises(LimitsError, match="would have to be slowed"):
         text_of(vase(1150, 4800.0), tight, predict=False, settings=settings)
 
@@ -302,7 +302,7 @@ def test_a_cut_that_must_be_slower_is_refused_when_strict(machine: Machine, monk
 def test_a_motion_too_long_for_s_curves_is_planned_without_them(machine: Machine) -> None:
     settings, data = replace(settings_for(machine), s_curve=True), vase(2000, 4800.0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ffcomp.chapters.LONGEST_S", 8.0)
+        patch.setattr("ffcomp.compensate.chunks.LONGEST_S", 8.0)
         patch.setattr(jobs, "S_CURVE_LONGEST_S", 9.0)
         text, job = text_of(data, machine, predict=False, settings=settings)
     (warning,) = job.warnings

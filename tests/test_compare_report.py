@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.compare.judge import by, contour_numbers
+from ffcomp.compare.evaluation import by, contour_numbers
 from ffcomp.compare.result import (
     BedMap,
     Comparison,

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from ffcomp.steps.reader import read_events, read_steps
-from models.machine_file import load_machine
+from models.file import load_machine
 from tests.ffcomp.compare.prints import squares
 
 MACHINE = "mp-delta-pro"

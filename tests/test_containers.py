@@ -12,12 +12,12 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
-from ffcomp.batch import compensate_files
 from ffcomp.cli.app import app
-from ffcomp.outcome import Options
+from ffcomp.compensate.batch import compensate_files
+from ffcomp.compensate.file import Options
 from gcode.container import read_bytes
 from gcode.metadata import slicer_time_s
-from models.machine_file import load_machine
+from models.file import load_machine
 from tests.gcode.containers import PRINT, archive_3mf, bgcode, contents, gzipped, zipped
 
 MACHINE = "mp-delta-pro"

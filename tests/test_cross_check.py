@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
-from models.printer import simulate_printer
-from models.receptance import poles
+from models.printer.printer import simulate_printer
+from models.vibration.receptance import poles
 from tests import judge
 
 pytest.importorskip("mujoco")

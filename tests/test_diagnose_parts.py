@@ -11,15 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ffcomp.diagnose.fit import Bench, bounded_step, derivatives, fit
-from ffcomp.diagnose.intake import carriages_of, check_repeats
 from ffcomp.diagnose.noise import NoiseFloor, whitener
-from ffcomp.diagnose.plant import Candidate, Number, Plant, Recording
+from ffcomp.diagnose.problem import Candidate, Number, Plant, Recording
+from ffcomp.diagnose.validation import carriages_of, check_repeats
 from ffcomp.errors import MeasurementError
-from ffcomp.measured.run import Run
-from models import printer_kernels as kernels
+from ffcomp.measurement.recording import Run
 from models.effects.catalogue import with_effect
-from models.machine_file import load_machine
-from models.printer import printer_numbers
+from models.file import load_machine
+from models.printer import kernels
+from models.printer.printer import printer_numbers
 
 # ---- fit -----------------------------------------------------------------------------------------
 

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.diagnose.delta import Delta
 from ffcomp.diagnose.engine import Diagnosis, diagnose
-from ffcomp.diagnose.outcome import outcome
-from ffcomp.diagnose.picture import picture
-from ffcomp.measured.run import Run
+from ffcomp.diagnose.printer_problem import Delta
+from ffcomp.diagnose.result import outcome
+from ffcomp.diagnose.summary import picture
+from ffcomp.measurement.recording import Run
 from models.effects.catalogue import with_effect
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 
 RATE_HZ, SECONDS, NOISE = 1600.0, 0.8, 0.15
 PLACES = ((0.0, 0.0, 30.0), (-60.0, 20.0, 30.0), (20.0, 60.0, 120.0))

@@ -14,26 +14,27 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
-from ffcomp import chapters, times
-from ffcomp import job as jobs
 from ffcomp.cli.app import app
+from ffcomp.compensate import chunks as chapters
+from ffcomp.compensate import job as jobs
+from ffcomp.compensate.gcode_output import print_time as times
+from ffcomp.compensate.gcode_output.print_time import with_times_retold
+from ffcomp.compensate.gcode_output.writer import TIME_WAS, original
+from ffcomp.compensate.job import Job
+from ffcomp.compensate.program import plan_program, settings_for
 from ffcomp.errors import NothingToDo
 from ffcomp.estimate import spans as cutting
-from ffcomp.estimate.account import EXTRUDING, FILAMENT, PRIMING, RETRACTING, TRAVELLING, WAITING, Account
 from ffcomp.estimate.engine import Estimate, as_json, estimate, seconds
 from ffcomp.estimate.layers import BEFORE
 from ffcomp.estimate.spans import spans
-from ffcomp.invert.inverter import Inverter
-from ffcomp.job import Job
-from ffcomp.pipeline import plan_program, settings_for
-from ffcomp.plan.lookahead import stops_and_waits
-from ffcomp.times import with_times_retold
-from ffcomp.writer import TIME_WAS, original
+from ffcomp.estimate.statistics import EXTRUDING, FILAMENT, PRIMING, RETRACTING, TRAVELLING, WAITING, Account
+from ffcomp.inverse.model import Inverter
+from ffcomp.planner.lookahead import stops_and_waits
 from gcode.metadata import Timed, tells
 from gcode.program import Program
 from gcode.reader import read_parts, read_program
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 from tests.gcode.data import real
 from tests.judge import HOST_KNOWS
 from tests.kalico import kalico_plan

@@ -17,13 +17,13 @@ from pathlib import Path
 
 import pytest
 
-from ffcomp.compiled import VARIABLE, find_a_place
-from ffcomp.job import already_processed
-from ffcomp.outcome import Options, compensate_file, failure_of
-from ffcomp.pipeline import settings_for
-from ffcomp.writer import original
+from ffcomp.compensate.file import Options, compensate_file, failure_of
+from ffcomp.compensate.gcode_output.writer import original
+from ffcomp.compensate.job import already_processed
+from ffcomp.compensate.program import settings_for
+from ffcomp.numerics.numba_cache import VARIABLE, find_a_place
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 
 resource = pytest.importorskip("resource", reason="These faults are made with a POSIX system's means.")
 

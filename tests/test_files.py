@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ffcomp.compensate.gcode_output.writer import STILL_MOVE, original
+from ffcomp.compensate.job import Job, already_processed
+from ffcomp.compensate.program import settings_for
 from ffcomp.errors import NothingToDo
-from ffcomp.invert.inverter import Inverter
-from ffcomp.job import Job, already_processed
-from ffcomp.pipeline import settings_for
-from ffcomp.writer import STILL_MOVE, original
+from ffcomp.inverse.model import Inverter
 from gcode.container import read_bytes
 from gcode.errors import GcodeError
 from gcode.program import Program
 from gcode.reader import read_program
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 from tests.test_writer import others
 
 DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[2] / "shared" / "data")) / "gcode"

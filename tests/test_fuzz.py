@@ -17,13 +17,13 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from ffcomp.errors import LimitsError, MeasurementError
-from ffcomp.measured.frf_files import read_frfs
-from ffcomp.measured.klipper import read_vibration
-from ffcomp.measured.run import read_run
+from ffcomp.measurement.frf_files import read_frfs
+from ffcomp.measurement.klipper import read_vibration
+from ffcomp.measurement.recording import read_run
 from gcode.errors import GcodeError
 from gcode.reader import read_parts, read_program
 from models.errors import MachineFileError
-from models.machine_file import LIBRARY, load_machine
+from models.file import LIBRARY, load_machine
 from tests.safety import violations
 from tests.test_random_programs import compensated, inverter
 

@@ -14,11 +14,11 @@ from typer.testing import CliRunner, Result
 
 from ffcomp.cli.app import app
 from ffcomp.identify.accuracy import error_reduction, mean_absolute_percentage_accuracy
-from ffcomp.identify.direct import TOTAL_MASS, fit_machine
-from ffcomp.identify.plan_files import load_plan
+from ffcomp.identify.experiment_files import load_plan
+from ffcomp.identify.output_error import TOTAL_MASS, fit_machine
 from ffcomp.identify.predict import predicted
-from ffcomp.measured.frf_files import write_frf
-from models.machine_file import LIBRARY, load_machine
+from ffcomp.measurement.frf_files import write_frf
+from models.file import LIBRARY, load_machine
 from models.parameters import value_of, with_values
 from tests.ffcomp.identify.bench import measured, paper_bench, towers_bench
 from tests.plant import delta_plant

@@ -27,10 +27,10 @@ from typer.testing import CliRunner
 
 from ffcomp import __version__
 from ffcomp.cli.integrations import app
+from ffcomp.compensate.gcode_output.writer import original
+from ffcomp.compensate.job import already_processed
 from ffcomp.integrations.recipes import RECIPES, cura_folders, executable, instructions, joined, wrapper
 from ffcomp.integrations.slicer import Bed, read_bed
-from ffcomp.job import already_processed
-from ffcomp.writer import original
 
 ROOT = Path(__file__).parents[1]
 

@@ -15,11 +15,11 @@ from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from ffcomp.cli.diagnose import _result as diagnosis_json
-from ffcomp.diagnose.outcome import Outcome
-from ffcomp.diagnose.where import Size
-from ffcomp.identify.estimates import normal
-from ffcomp.measured.frf_files import write_frf
-from models.machine_file import LIBRARY, load_machine
+from ffcomp.diagnose.residuals import Size
+from ffcomp.diagnose.result import Outcome
+from ffcomp.identify.uncertainty import normal
+from ffcomp.measurement.frf_files import write_frf
+from models.file import LIBRARY, load_machine
 from tests.ffcomp.compare.prints import squares
 from tests.ffcomp.identify.bench import measured, paper_bench, towers_bench
 from tests.ffcomp.printer_config.configs import COREXY, SHAPER, Delta, written

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp import kept
-from ffcomp.invert.inverter import Inverter
-from ffcomp.pipeline import settings_for
+from ffcomp.compensate.program import settings_for
+from ffcomp.inverse.model import Inverter
+from ffcomp.numerics import disk_cache as kept
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 
 HERE, THERE = np.array([[0.0, 0.0], [12.0, -30.0]]), np.array([[-50.0, 20.0]])
 
@@ -46,7 +46,7 @@ def test_the_next_one_has_the_same_numbers_without_working_them_out(
     first = been_at(machine, HERE)
     first.keep()
     assert len(list(folder.glob("*.npz"))) == 1
-    monkeypatch.setattr("ffcomp.invert.inverter.plant_table", None)  # would fail
+    monkeypatch.setattr("ffcomp.inverse.model.plant_table", None)  # would fail
     second = Inverter(machine, settings_for(machine))
     monkeypatch.setattr(second.preview, "_work_out", None)
     for one, other in zip(gains_at(first, HERE), gains_at(second, HERE), strict=True):

@@ -14,12 +14,12 @@ from benchmarks.effects_compensated import machines_effects
 from benchmarks.performance_methods import LINES, REACH, ZeroPhase, dense, left_over, sampled, unstable_zeros, whole_run
 from benchmarks.performance_prints import LAYER, repeated
 from benchmarks.performance_ways import LABELS, MACHINE, PRINTS, exact_settings, pattern
-from ffcomp.invert.inverter import Inverter
-from ffcomp.invert.preview import AUGMENTED
-from ffcomp.pipeline import plan_program
+from ffcomp.compensate.program import plan_program
+from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.riccati import AUGMENTED
 from gcode.reader import read_program
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 
 DOCS, BENCHMARKS = performance.DOCS, Path(performance.__file__).parent
 PAGE = performance.PAGE.read_text(encoding="utf-8")

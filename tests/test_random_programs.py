@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.invert.inverter import Inverter
-from ffcomp.job import Job
-from ffcomp.pipeline import Solved, plan_program, settings_for, solutions
-from ffcomp.plan.trajectory import PlannedMotion
+from ffcomp.compensate.job import Job
+from ffcomp.compensate.program import Solved, plan_program, settings_for, solutions
+from ffcomp.inverse.model import Inverter
+from ffcomp.planner.trajectory import PlannedMotion
 from gcode.dialects import FLAVORS
 from gcode.emit import MoveWriter
 from gcode.program import Frame, Moves
 from gcode.reader import read_program
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 from tests.safety import violations
 
 FloatArray = NDArray[np.float64]

@@ -11,16 +11,16 @@ import pytest
 
 from benchmarks import cli_reference
 from ffcomp.errors import FfcompError
-from ffcomp.invert.effort import effort_curve
-from ffcomp.measured.columns import KNOWN, check_header
-from ffcomp.measured.frf_files import _COLUMNS as FRF_COLUMNS
-from ffcomp.measured.frf_files import read_frfs
-from ffcomp.measured.labels import KEYS
+from ffcomp.inverse.bandwidth import effort_curve
+from ffcomp.measurement.frf_files import _COLUMNS as FRF_COLUMNS
+from ffcomp.measurement.frf_files import read_frfs
+from ffcomp.measurement.header import KNOWN, check_header
+from ffcomp.measurement.labels import KEYS
 from models.effects.catalogue import CATALOGUE
 from models.errors import MachineFileError
-from models.machine_file import load_machine
-from models.machine_schema import OF_STRAIGHT_AXES, DeltaDocument, StraightDocument, unit_of
-from models.receptance import modes
+from models.file import load_machine
+from models.schema import OF_STRAIGHT_AXES, DeltaDocument, StraightDocument, unit_of
+from models.vibration.receptance import modes
 from tests.reference import MACHINE, MACHINE_FILE, REFERENCE, ROOT, SMALL, call, examples, rows_of
 
 TRUTH = load_machine("mp-delta-pro")

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from ffcomp.compensate.job import Job
 from ffcomp.errors import NothingToDo
-from ffcomp.job import Job
 from gcode.errors import GcodeError
 from tests.safety import told_apart, violations
 from tests.test_files import ODD, OFFSETS, REAL, needs_data

@@ -14,13 +14,13 @@ from typer.testing import CliRunner, Result
 from ffcomp.cli.compensate import compensate
 from ffcomp.cli.gap import gap
 from ffcomp.cli.simulate import simulate
-from ffcomp.measured.run import Run, read_run
-from ffcomp.virtual import play as playing
-from ffcomp.virtual.gcode_command import gcode_command
-from ffcomp.virtual.simulation import Request, read_command, simulate_command
+from ffcomp.measurement.recording import Run, read_run
+from ffcomp.simulate.gcode_command import gcode_command
+from ffcomp.simulate.linear import playback as playing
+from ffcomp.simulate.simulation import Request, read_command, simulate_command
 from models.effects.catalogue import with_effect
-from models.machine_file import LIBRARY, load_machine
-from models.printer import simulate_printer
+from models.file import LIBRARY, load_machine
+from models.printer.printer import simulate_printer
 from tests import judge
 
 ROOT = Path(__file__).parents[1]

@@ -22,11 +22,11 @@ from typer.testing import CliRunner, Result
 
 from ffcomp.cli import app as command_line
 from ffcomp.cli.log import log_path, logged, note
+from ffcomp.compensate.gcode_output.writer import original
+from ffcomp.compensate.job import already_processed
 from ffcomp.integrations.slicer import Bed, bed_of, bed_warning, call_warnings, offset_for, read_bed, read_call
-from ffcomp.job import already_processed
-from ffcomp.writer import original
 from gcode.reader import read_program
-from models.machine_file import load_machine
+from models.file import load_machine
 from tests.safety import violations
 
 ROOT = Path(__file__).parents[1]

@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ffcomp.compensate.program import plan_program
 from ffcomp.errors import NothingToDo
-from ffcomp.pipeline import plan_program
+from ffcomp.simulate.command import Command
+from ffcomp.simulate.gcode_command import gcode_command
+from ffcomp.simulate.playback import ROW_S, play
+from ffcomp.simulate.simulation import Request, read_command, simulate_command
+from ffcomp.simulate.steps_command import AT_REST_S, smoothed, staircase, steps_command
 from ffcomp.steps.pieces import trajectory_pieces
 from ffcomp.steps.reader import MotorSteps, StepsError, is_step_archive, read_steps
 from ffcomp.steps.sink import Board, StepSink
-from ffcomp.virtual.command import Command
-from ffcomp.virtual.gcode_command import gcode_command
-from ffcomp.virtual.play import ROW_S, play
-from ffcomp.virtual.simulation import Request, read_command, simulate_command
-from ffcomp.virtual.steps_command import AT_REST_S, smoothed, staircase, steps_command
 from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.reader import read_program
+from models.file import load_machine
 from models.machine import Machine, constant
-from models.machine_file import load_machine
 from tests import kalico
 
 FloatArray = NDArray[np.float64]

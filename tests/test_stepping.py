@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ffcomp.compensate.job import Job
+from ffcomp.compensate.program import plan_program
+from ffcomp.compensate.step_output import BEFORE_S
 from ffcomp.errors import NothingToDo
-from ffcomp.job import Job
-from ffcomp.pipeline import plan_program
-from ffcomp.stepping import BEFORE_S
 from ffcomp.steps.reader import read_events, read_steps
 from ffcomp.steps.sink import Board
 from gcode.reader import read_program
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 from tests.ffcomp.compare.prints import squares
 
 BOARD = Board(extruder_steps_per_mm=400.0)
@@ -58,7 +58,7 @@ def test_compensated_steps_are_the_command(
     machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error_s: float | None
 ) -> None:
     seen = []
-    from ffcomp import stepping
+    from ffcomp.compensate import step_output as stepping
 
     right = stepping.knot_pieces
 

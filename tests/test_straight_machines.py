@@ -11,17 +11,17 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter
 
-from ffcomp.compare import ours
-from ffcomp.invert.inverter import Inverter
+from ffcomp.compare import compensated as ours
+from ffcomp.compensate.file import Options, StepOutput, compensate_file
+from ffcomp.compensate.program import Planned, plan_program, settings_for
+from ffcomp.inverse.model import Inverter
 from ffcomp.metrics import contour_error
-from ffcomp.outcome import Options, StepOutput, compensate_file
-from ffcomp.pipeline import Planned, plan_program, settings_for
+from ffcomp.simulate.motion import Motion, motion_of, path_corners, planned_motion
 from ffcomp.steps.sink import Board
-from ffcomp.virtual.motion import Motion, motion_of, path_corners, planned_motion
 from gcode.reader import read_program
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
-from models.receptance import modes
+from models.vibration.receptance import modes
 from tests.judge import HOST_KNOWS
 from tests.kalico import kalico_moves
 

@@ -10,16 +10,16 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ffcomp.invert.inverter import Inverter
-from ffcomp.job import Job
-from ffcomp.pipeline import firmware_limits, plan_program, settings_for
-from ffcomp.plan.lookahead import plan_moves, stops_and_waits
-from ffcomp.writer import OURS, TIME_WAS, WAS, original
+from ffcomp.compensate.gcode_output.writer import OURS, TIME_WAS, WAS, original
+from ffcomp.compensate.job import Job
+from ffcomp.compensate.program import firmware_limits, plan_program, settings_for
+from ffcomp.inverse.model import Inverter
+from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from gcode.metadata import tells
 from gcode.program import Program
 from gcode.reader import read_program
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 
 MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*[0-3](?!\d)", re.IGNORECASE)
 

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ffcomp.identify.frf_study import View, study, verdict
 from ffcomp.identify.predict import predicted
-from ffcomp.measured.frf import FrequencyResponse
+from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.report.frf import draw_bode, draw_map
-from ffcomp.responses import View, study, verdict
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
-from models.mode_map import mode_map
+from models.vibration.mode_map import mode_map
 
 FREQUENCIES_HZ = np.arange(0.5, 125.1, 0.5)
 PLACES = [np.array([0.0, 0.0]), np.array([-80.0, 0.0])]

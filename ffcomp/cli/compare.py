@@ -12,7 +12,7 @@ import typer
 if TYPE_CHECKING:
     from ffcomp.compare.engine import Request
     from ffcomp.compare.result import Comparison
-    from ffcomp.compare.stretch import Sampling
+    from ffcomp.compare.sampling import Sampling
 
 Printed = Annotated[Path, typer.Argument(help="The sliced print; it is only read.", metavar="FILE")]
 MachineName = Annotated[
@@ -110,7 +110,7 @@ def compare(
         found = _compare(file, machine, plant, request, offset_mm, flavor, max_segments_per_second, plate, quiet)
         written = _write(found, report, figures)
         if as_json:
-            from ffcomp.compare.answer import as_json as answer
+            from ffcomp.compare.json import as_json as answer
 
             print_json({**answer(found), "report": _text(report), "figures": [str(path) for path in written]})
         elif not quiet:
@@ -141,7 +141,7 @@ def _share(text: str, option: str) -> float:
 
 
 def _sampling(layers: str, sample: str) -> Sampling:
-    from ffcomp.compare.stretch import Sampling
+    from ffcomp.compare.sampling import Sampling
 
     first, colon, last = layers.partition(":")
     try:
@@ -196,11 +196,11 @@ def _compare(
     from ffcomp.cli.common import Progress, say
     from ffcomp.cli.compensate import parsed_offset
     from ffcomp.compare.engine import compare as engine
-    from ffcomp.job import STAMP_REACH, already_processed, find_offset
-    from ffcomp.pipeline import settings_for
-    from ffcomp.writer import original
+    from ffcomp.compensate.gcode_output.writer import original
+    from ffcomp.compensate.job import STAMP_REACH, already_processed, find_offset
+    from ffcomp.compensate.program import settings_for
     from gcode.container import read_bytes
-    from models.machine_file import load_machine
+    from models.file import load_machine
 
     data, believed, shift = read_bytes(file, plate), load_machine(machine), parsed_offset(offset)
     true = load_machine(plant) if plant else None

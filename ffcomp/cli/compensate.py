@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from ffcomp.invert.settings import Settings
-    from ffcomp.outcome import Options, Outcome, StepOutput
+    from ffcomp.compensate.file import Options, Outcome, StepOutput
+    from ffcomp.inverse.settings import Settings
     from models.machine import Machine
 
 Printed = Annotated[
@@ -170,8 +170,8 @@ def compensate(
         offset = (0.0, 0.0) if offset_mm == "auto" else parsed_offset(offset_mm)
         targets = _targets(files, output_file, output_dir, dry_run, ".npz" if output != "gcode" else "")
 
-        from ffcomp.outcome import Options
-        from models.machine_file import load_machine
+        from ffcomp.compensate.file import Options
+        from models.file import load_machine
 
         known = load_machine(machine)
         offset, advice = _advised(known, files, offset, offset_mm == "auto")
@@ -255,7 +255,7 @@ def _steps(machine: Machine, output: str, plain: bool, per_mm: float | None) -> 
     """What step timings are to be like; None for G-code."""
     if output == "gcode":
         return None
-    from ffcomp.outcome import StepOutput
+    from ffcomp.compensate.file import StepOutput
     from ffcomp.steps.sink import Board
 
     per_mm = per_mm or machine.steps.extruder_steps_per_mm
@@ -271,7 +271,7 @@ def _targets(
     files: list[Path], output_file: Path | None, output_dir: Path | None, dry_run: bool, suffix: str
 ) -> list[Path] | list[None]:
     """Where each file goes; with a suffix, what is written is no G-code and never replaces any."""
-    from ffcomp.batch import check_targets, targets_in
+    from ffcomp.compensate.batch import check_targets, targets_in
 
     if output_file is not None and (len(files) > 1 or output_dir is not None):
         raise typer.BadParameter("-o is for one file; several go into a folder with --output-dir DIR.")
@@ -290,7 +290,7 @@ def _targets(
 
 
 def _settings(machine: Machine, rate: float, **changes: Any) -> Settings:
-    from ffcomp.pipeline import settings_for
+    from ffcomp.compensate.program import settings_for
 
     return replace(settings_for(machine, rate), **changes)
 
@@ -300,10 +300,10 @@ def _compensate_one(order: _Order) -> dict[str, Any]:
 
     A slicer's file has a name that the user never sees: messages name the output instead.
     """
-    from ffcomp.batch import size_of, workers
     from ffcomp.cli.common import Progress, say
     from ffcomp.cli.compensate_report import report
-    from ffcomp.outcome import compensate_file
+    from ffcomp.compensate.batch import size_of, workers
+    from ffcomp.compensate.file import compensate_file
     from gcode.blocks import PART_BYTES
 
     (file,), (target,), quiet = order.files, order.targets, order.quiet
@@ -324,9 +324,9 @@ def _compensate_one(order: _Order) -> dict[str, Any]:
 
 def _compensate_all(order: _Order) -> list[Outcome]:
     """What became of each, in the order given."""
-    from ffcomp.batch import compensate_files, size_of
     from ffcomp.cli.common import Progress, fail
     from ffcomp.cli.compensate_report import report_all
+    from ffcomp.compensate.batch import compensate_files, size_of
 
     files = order.files
     outcomes: list[Outcome] = []

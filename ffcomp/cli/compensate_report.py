@@ -12,7 +12,7 @@ from rich.table import Column, Table
 
 from ffcomp.cli.common import say
 from ffcomp.cli.log import note
-from ffcomp.outcome import Outcome
+from ffcomp.compensate.file import Outcome
 
 
 def report_all(outcomes: list[Outcome], quiet: bool) -> None:
@@ -75,7 +75,7 @@ def report(result: dict[str, Any], machine_path: str, quiet: bool) -> None:
 
 def _machine(path: str, verb: str) -> str:
     """What the next command must be told of the machine; `show` finds by itself what has a name."""
-    from models.machine_file import machine_paths
+    from models.file import machine_paths
 
     names = [name for name, known in machine_paths().items() if str(known) == path]
     if names:

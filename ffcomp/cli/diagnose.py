@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from ffcomp.diagnose.delta import Delta
     from ffcomp.diagnose.engine import Diagnosis
-    from ffcomp.diagnose.outcome import Outcome
+    from ffcomp.diagnose.printer_problem import Delta
+    from ffcomp.diagnose.result import Outcome
 
 Runs = Annotated[list[Path], typer.Argument(metavar="RUNS...", help="Measured runs (CSV); -1, -2 … are repeats.")]
 MachineName = Annotated[str, typer.Option("--machine", "-m", help="A machine's name or the path of its file.")]
@@ -57,12 +57,12 @@ def diagnose(
     with exit_codes():
         import time
 
-        from ffcomp.diagnose.delta import Delta
         from ffcomp.diagnose.engine import diagnose as searched
-        from ffcomp.diagnose.intake import check_alike, check_repeats
-        from ffcomp.diagnose.outcome import outcome
-        from ffcomp.measured.run import read_run
-        from models.machine_file import load_machine
+        from ffcomp.diagnose.printer_problem import Delta
+        from ffcomp.diagnose.result import outcome
+        from ffcomp.diagnose.validation import check_alike, check_repeats
+        from ffcomp.measurement.recording import read_run
+        from models.file import load_machine
 
         began = time.monotonic()
         loaded = load_machine(machine)
@@ -102,8 +102,8 @@ def _better(plant: Delta, found: Outcome, target: Path | None, runs: list[Path])
     from datetime import date
 
     from ffcomp.cli.identify import hash_of
-    from ffcomp.diagnose.outcome import better_file
-    from models.machine_file import check_text
+    from ffcomp.diagnose.result import better_file
+    from models.file import check_text
 
     hashes = [hash_of(path) for path in runs]
     text = better_file(Path(plant.machine.path), target.stem, found, hashes, date.today().isoformat())
@@ -128,8 +128,8 @@ def _page(
 
     from ffcomp import __version__
     from ffcomp.cli.identify import hash_of
-    from ffcomp.diagnose.experiment import propose
-    from ffcomp.diagnose.picture import picture
+    from ffcomp.diagnose.next_experiment import propose
+    from ffcomp.diagnose.summary import picture
     from ffcomp.report.diagnose.html import page
     from ffcomp.report.diagnose.told import Origin, Told
 

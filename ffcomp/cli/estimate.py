@@ -11,8 +11,8 @@ import typer
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from ffcomp.estimate.account import Account
     from ffcomp.estimate.engine import Estimate
+    from ffcomp.estimate.statistics import Account
     from ffcomp.estimate.unknown import Unknown
     from gcode.container import Source
     from models.machine import Machine
@@ -83,7 +83,7 @@ def _estimates(file: Path, machine: str, flavor: str, offset: tuple[float, float
 def _machine(text: Source, path: str, name: str) -> Machine:
     """The machine asked for, or that of the print's stamp."""
     from ffcomp.estimate.engine import stamp_of
-    from models.machine_file import find_by_sha256, load_machine
+    from models.file import find_by_sha256, load_machine
 
     if name:
         return load_machine(name)
@@ -97,8 +97,8 @@ def _print(found: Estimate, every_layer: bool) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from ffcomp.estimate.account import FILAMENT
     from ffcomp.estimate.engine import seconds
+    from ffcomp.estimate.statistics import FILAMENT
     from gcode.metadata import short
 
     console = Console(highlight=False, soft_wrap=True)
@@ -132,7 +132,7 @@ def _sentence(found: Estimate) -> str:
 
 
 def _kinds(account: Account) -> list[tuple[str, float]]:
-    from ffcomp.estimate.account import KINDS
+    from ffcomp.estimate.statistics import KINDS
 
     return [(kind, float(spent)) for kind, spent in zip(KINDS, account.total, strict=False) if spent]
 

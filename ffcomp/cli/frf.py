@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from ffcomp.measured.frf import FrequencyResponse
-    from ffcomp.responses import Compared, Station, Study, View
+    from ffcomp.identify.frf_study import Compared, Station, Study, View
+    from ffcomp.measurement.frf import FrequencyResponse
     from models.machine import FloatArray, Machine
-    from models.mode_map import ModeMap
+    from models.vibration.mode_map import ModeMap
 
 
 class Of(StrEnum):
@@ -79,9 +79,9 @@ def frf(
     from ffcomp.cli.common import exit_codes, print_json, say
 
     with exit_codes():
-        from ffcomp.measured.frf_files import read_frfs
-        from ffcomp.responses import study
-        from models.machine_file import load_machine
+        from ffcomp.identify.frf_study import study
+        from ffcomp.measurement.frf_files import read_frfs
+        from models.file import load_machine
 
         loaded = load_machine(machine)
         responses = [response for path in measured or [] for response in read_frfs(path)]
@@ -101,7 +101,7 @@ def frf(
 
 def _view(of: Of | None, per: Per | None, measured: list[FrequencyResponse], masses: list[float], arms: bool) -> View:
     """What was asked for; else what the first measurement is of; else the carriages."""
-    from ffcomp.responses import View, view_of
+    from ffcomp.identify.frf_study import View, view_of
 
     if of is None and per is None and measured:
         view = view_of(measured[0])
@@ -161,7 +161,7 @@ def _draw(found: Study, figure: Path | None, full: bool, maps: list[Path]) -> No
 
 def _write_map(machine: Machine, target: Path) -> None:
     from models.errors import MachineFileError
-    from models.mode_map import mode_map
+    from models.vibration.mode_map import mode_map
 
     if machine.has_straight_axes:
         rule = "Straight axes answer alike everywhere on the bed, so there is no map; --figure shows how."
@@ -208,7 +208,7 @@ def _rows(modes: ModeMap, table: FloatArray) -> list[list[float | None]]:
 def _answer(found: Study, station: Station) -> dict[str, Any]:
     import numpy as np
 
-    from ffcomp.responses import verdict
+    from ffcomp.identify.frf_study import verdict
 
     view = found.view
     rows, columns = range(station.value.shape[1]), range(station.value.shape[2])

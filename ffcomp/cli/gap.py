@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from ffcomp.diagnose.where import Gap, Size
+    from ffcomp.diagnose.residuals import Gap, Size
 
 Runs = Annotated[list[Path], typer.Argument(metavar="RUNS...", help="Measured runs (CSV); -1, -2 … are repeats.")]
 MachineName = Annotated[str, typer.Option("--machine", "-m", help="A machine's name or the path of its file.")]
@@ -26,13 +26,13 @@ def gap(runs: Runs, machine: MachineName, as_json: AsJson = False) -> None:
     from ffcomp.cli.common import exit_codes, print_json
 
     with exit_codes():
-        from ffcomp.diagnose.delta import Delta
         from ffcomp.diagnose.engine import noise_floor
-        from ffcomp.diagnose.intake import check_alike
         from ffcomp.diagnose.noise import whitener
-        from ffcomp.diagnose.where import find_gap
-        from ffcomp.measured.run import read_run
-        from models.machine_file import load_machine
+        from ffcomp.diagnose.printer_problem import Delta
+        from ffcomp.diagnose.residuals import find_gap
+        from ffcomp.diagnose.validation import check_alike
+        from ffcomp.measurement.recording import read_run
+        from models.file import load_machine
 
         loaded, measured = load_machine(machine), [read_run(path) for path in runs]
         plant = Delta(loaded, measured, ())

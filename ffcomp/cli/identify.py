@@ -11,9 +11,9 @@ import typer
 from ffcomp.cli.identify_plan import plan as write_plan
 
 if TYPE_CHECKING:
-    from ffcomp.identify.axes import AxisFit, IdentifiedAxes
-    from ffcomp.identify.gather import Gathered
-    from ffcomp.identify.workflow import Identified
+    from ffcomp.identify.identify import Identified
+    from ffcomp.identify.load import Gathered
+    from ffcomp.identify.modal_fit import AxisFit, IdentifiedAxes
     from models.machine import Machine
 
 app = typer.Typer(
@@ -99,9 +99,9 @@ def fit(
     if output is not None and output.exists() and not force:
         raise typer.BadParameter(f"{output} exists already; give another --output, or --force.")
     with exit_codes():
-        from ffcomp.identify.gather import gather
-        from ffcomp.identify.plan_files import load_plan
-        from models.machine_file import load_machine
+        from ffcomp.identify.experiment_files import load_plan
+        from ffcomp.identify.load import gather
+        from models.file import load_machine
 
         start = load_machine(machine)
 
@@ -143,11 +143,11 @@ def decouple(
     from ffcomp.cli.common import exit_codes, print_json
 
     with exit_codes():
-        from ffcomp.identify.decouple import decouple as turned_round
-        from ffcomp.identify.decouple import judge_parts
-        from ffcomp.identify.gather import gather
+        from ffcomp.identify.decoupling import decouple as turned_round
+        from ffcomp.identify.decoupling import judge_parts
+        from ffcomp.identify.load import gather
         from models.errors import MachineFileError
-        from models.machine_file import load_machine
+        from models.file import load_machine
 
         loaded = load_machine(machine)
         if loaded.has_straight_axes:
@@ -232,8 +232,8 @@ class _Outcome:
         """The modes of straight axes."""
         from datetime import date
 
-        from ffcomp.identify.axes import identify_axes
-        from ffcomp.identify.workflow import axes_file_text
+        from ffcomp.identify.identify import axes_file_text
+        from ffcomp.identify.modal_fit import identify_axes
 
         if method == "stepwise" or self.known:
             raise typer.BadParameter("--method stepwise and --known are for deltas; this machine's axes are straight.")
@@ -251,7 +251,7 @@ class _Outcome:
     def from_responses(self, method: str, progress: Any) -> dict[str, Any]:
         from datetime import date
 
-        from ffcomp.identify.workflow import identify, machine_file_text
+        from ffcomp.identify.identify import identify, machine_file_text
 
         if method == "stepwise":
             return self._stepwise()
@@ -276,9 +276,9 @@ class _Outcome:
         from dataclasses import replace
         from datetime import date
 
-        from ffcomp.identify.direct import TOTAL_MASS
-        from ffcomp.identify.stepwise import identify_stepwise
-        from ffcomp.identify.workflow import stepwise_file_text
+        from ffcomp.identify.identify import stepwise_file_text
+        from ffcomp.identify.output_error import TOTAL_MASS
+        from ffcomp.identify.paper import identify_stepwise
 
         if TOTAL_MASS not in self.known:
             raise typer.BadParameter(f"--method stepwise needs the effector's weight: --known {TOTAL_MASS}=KG±SD.")
@@ -304,9 +304,9 @@ class _Outcome:
         """Only resonances are known: a table of modes, and a starting file if one is asked for."""
         from datetime import date
 
-        from ffcomp.identify.from_modes import starting_machine
-        from ffcomp.identify.gather import resonances_of
-        from ffcomp.identify.workflow import modes_file_text
+        from ffcomp.identify.from_resonances import starting_machine
+        from ffcomp.identify.identify import modes_file_text
+        from ffcomp.identify.load import resonances_of
 
         spectra = [
             {
@@ -340,7 +340,7 @@ class _Outcome:
 
     def _written(self, text: str) -> str | None:
         from gcode.container import replace_atomically
-        from models.machine_file import check_text
+        from models.file import check_text
 
         check_text(text, str(self.output or self.name))  # never leave a file behind that cannot be read
         if self.output is None:

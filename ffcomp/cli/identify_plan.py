@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from ffcomp.identify.plan import Plan, Request
+    from ffcomp.identify.experiment import Plan, Request
     from models.machine import Machine
 
 LINE_OF_ACTION, CENTRE = "line-of-action", "centre"
@@ -109,9 +109,9 @@ def plan(
 
     _one_of("--flavor", flavor, sorted(FLAVORS))
     with exit_codes():
-        from ffcomp.identify.excitation import KINDS
-        from ffcomp.identify.plan import Request, make_plan
-        from models.machine_file import load_machine
+        from ffcomp.identify.experiment import Request, make_plan
+        from ffcomp.identify.multisine import KINDS
+        from models.file import load_machine
 
         _one_of("--kind", kind, list(KINDS))
         loaded = load_machine(machine)
@@ -147,7 +147,7 @@ def _one_of(option: str, value: str, known: list[str]) -> None:
 
 def _directions(axes: str | None, machine: Machine) -> tuple[str, ...]:
     """What is moved by itself, the kind's own default first."""
-    from ffcomp.identify.plan import AXES, TOWERS
+    from ffcomp.identify.experiment import AXES, TOWERS
 
     along = {"xy": AXES[:2], **{axis: (axis,) for axis in AXES}}
     if not machine.has_straight_axes:
@@ -161,7 +161,7 @@ def _directions(axes: str | None, machine: Machine) -> tuple[str, ...]:
 
 def _places(texts: list[str], machine: Machine) -> list[tuple[float, float]]:
     """mm; each place once, in the order given."""
-    from ffcomp.identify.plan import line_of_action
+    from ffcomp.identify.experiment import line_of_action
 
     found: list[tuple[float, float]] = []
     for text in texts:
@@ -176,7 +176,7 @@ def _places(texts: list[str], machine: Machine) -> list[tuple[float, float]]:
 
 def _recommended(machine: Machine) -> list[tuple[float, float]]:
     """Places that tell all; straight axes answer alike everywhere."""
-    from ffcomp.identify.plan import line_of_action
+    from ffcomp.identify.experiment import line_of_action
 
     centre = [machine.kinematics.centre_mm]
     return centre if machine.has_straight_axes else [*centre, *line_of_action(machine.delta)]
@@ -193,7 +193,7 @@ def _place(text: str) -> tuple[float, float]:
 
 def _write(made: Plan, machine: Machine, target: Path, flavor: str, chips: list[str], shaper_off: bool) -> Path:
     """Both files; the path of the account."""
-    from ffcomp.identify.plan_files import gcode_lines, save_plan
+    from ffcomp.identify.experiment_files import gcode_lines, save_plan
     from gcode.container import replace_atomically
 
     account = target.with_suffix(".json")
@@ -207,8 +207,8 @@ def _write(made: Plan, machine: Machine, target: Path, flavor: str, chips: list[
 def _result(made: Plan, machine: Machine, request: Request, target: Path, account: Path, flavor: str) -> dict[str, Any]:
     from dataclasses import asdict
 
-    from ffcomp.identify.plan import microstep_error
-    from ffcomp.identify.plan_files import capture_name, duration_s
+    from ffcomp.identify.experiment import microstep_error
+    from ffcomp.identify.experiment_files import capture_name, duration_s
 
     experiments = [
         {
@@ -238,7 +238,7 @@ def _result(made: Plan, machine: Machine, request: Request, target: Path, accoun
 
 
 def _warnings(experiments: list[dict[str, Any]]) -> list[str]:
-    from ffcomp.identify.plan import COARSE
+    from ffcomp.identify.experiment import COARSE
 
     coarse = [each for each in experiments if each["microstep_error"] > COARSE]
     if not coarse:

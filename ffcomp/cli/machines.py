@@ -20,9 +20,9 @@ from ffcomp.cli.machines_effort import effort
 from ffcomp.cli.machines_import import import_machine
 
 if TYPE_CHECKING:
-    from models.consistency import Quantity
+    from models.checks.physics import Extreme, Soundness
+    from models.checks.redundancy import Quantity
     from models.machine import FloatArray, Machine
-    from models.soundness import Extreme, Soundness
 
 USAGE, BAD_MACHINE = 2, 5  # exit codes, the same for the whole program
 
@@ -41,7 +41,7 @@ Source = Annotated[str, typer.Option("--from", help="The machine to start from, 
 @app.command("list")
 def list_machines(as_json: AsJson = False) -> None:
     """The machines that can be asked for by name."""
-    from models.machine_file import LIBRARY, machine_paths
+    from models.file import LIBRARY, machine_paths
 
     rows = [
         {"name": name, "origin": "library" if path.parent == LIBRARY else "user", "path": str(path)}
@@ -56,7 +56,7 @@ def list_machines(as_json: AsJson = False) -> None:
 @app.command("show")
 def show_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
     """Every number of a machine with its provenance, and how it vibrates."""
-    from models.machine_file import entries, load_machine
+    from models.file import entries, load_machine
 
     with _machine_errors(as_json):
         loaded = load_machine(machine)
@@ -75,10 +75,10 @@ def show_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
 @app.command("check")
 def check_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
     """Find every mistake in a machine file, numbers that disagree, and vibrations that would grow or make energy."""
-    from ffcomp.printer_config.remedies import still_assumed
-    from models.consistency import inconsistencies, redundant
-    from models.machine_file import load_machine
-    from models.soundness import soundness, unstable_places
+    from ffcomp.importers.hints import still_assumed
+    from models.checks.physics import soundness, unstable_places
+    from models.checks.redundancy import inconsistencies, redundant
+    from models.file import load_machine
 
     with _machine_errors(as_json):
         loaded = load_machine(machine)
@@ -105,7 +105,7 @@ def check_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
 
 def _check_axes(machine: Machine, problems: list[str], as_json: bool) -> None:
     """Modes of straight axes: no forces, so no energy to keep account of."""
-    from ffcomp.printer_config.remedies import still_assumed
+    from ffcomp.importers.hints import still_assumed
 
     notes = list(still_assumed(machine.provenance))
     if as_json:
@@ -122,7 +122,7 @@ def _check_axes(machine: Machine, problems: list[str], as_json: bool) -> None:
 @app.command("new")
 def new_machine(name: NewName, output: Output = None, source: Source = "mp-delta-pro") -> None:
     """Start a machine file from one that is there, comments and provenance included. Never overwrites."""
-    from models.machine_file import load_machine, starting_text, user_folder
+    from models.file import load_machine, starting_text, user_folder
 
     if Path(name).name != name:
         _refuse(f"{name!r} cannot be a machine's name: it would name a folder. Give the file with --output.")
@@ -251,7 +251,7 @@ def _modes(machine: Machine) -> list[dict[str, Any]]:
     import numpy as np
 
     from models.machine import DeltaGeometry
-    from models.receptance import modes
+    from models.vibration.receptance import modes
 
     geometry = machine.kinematics
     places = {"centre": np.array(geometry.centre_mm)}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from models.difference import Difference
+    from models.diff import Difference
 
 Old = Annotated[str, typer.Argument(help="A machine's name, or the path of its file.")]
 New = Annotated[str, typer.Argument(help="The one it is compared with.")]
@@ -23,8 +23,8 @@ def diff_machines(old: Old, new: New, as_json: AsJson = False) -> None:
     from ffcomp.cli.common import exit_codes
 
     with exit_codes():
-        from models.difference import differences, mode_changes
-        from models.machine_file import entries, load_machine
+        from models.diff import differences, mode_changes
+        from models.file import entries, load_machine
 
         before, after = load_machine(old), load_machine(new)
         found = list(differences(entries(Path(before.path)), entries(Path(after.path))))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from ffcomp.invert.effort import EffortCurve
+    from ffcomp.inverse.bandwidth import EffortCurve
 
 Name = Annotated[str, typer.Argument(help="A machine's name, or the path of its file.")]
 Picture = Annotated[Path | None, typer.Option("--figure", help="Draw the curves into this file (.png or .svg).")]
@@ -27,9 +27,9 @@ def effort(machine: Name, figure: Picture = None, as_json: AsJson = False) -> No
     from ffcomp.cli.common import exit_codes, print_json, say
 
     with exit_codes():
-        from ffcomp.invert.effort import effort_curve
+        from ffcomp.inverse.bandwidth import effort_curve
         from models.effects.catalogue import design_machine
-        from models.machine_file import load_machine
+        from models.file import load_machine
 
         loaded = load_machine(machine)
         curves = {rate: effort_curve(design_machine(loaded)[0], 1 / rate) for rate in RATES}

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from ffcomp.printer_config.draft import Draft
-    from ffcomp.printer_config.found import Value
+    from ffcomp.importers.builder import Draft
+    from ffcomp.importers.values import Value
 
 INCOMPLETE = 5  # the file was written, but it is no machine file yet
 
@@ -43,9 +43,9 @@ def import_machine(
     from ffcomp.cli.common import exit_codes, fail, print_json
 
     with exit_codes():
-        from ffcomp.printer_config.draft import draft, machine_text
-        from ffcomp.printer_config.source import read_printer_config
-        from models.machine_file import check_text, find_machine, user_folder
+        from ffcomp.importers.builder import draft, machine_text
+        from ffcomp.importers.detect import read_printer_config
+        from models.file import check_text, find_machine, user_folder
 
         found = read_printer_config(file, kinematics)
         path = output or user_folder() / f"{file.stem}.toml"
@@ -79,7 +79,7 @@ def _loudest_hz(path: Path) -> float:
     import numpy as np
 
     from ffcomp.shapers.bed import dominant_frequencies
-    from models.machine_file import load_machine
+    from models.file import load_machine
 
     machine = load_machine(path)
     return float(dominant_frequencies(machine, np.array(machine.kinematics.centre_mm)).min())
@@ -113,7 +113,7 @@ TITLES = {
 
 
 def _print(made: Draft, path: Path, model_hz: float | None) -> None:
-    from ffcomp.printer_config.remedies import is_assumed
+    from ffcomp.importers.hints import is_assumed
 
     print(f"{path}: a {made.found.kinematics} machine, from a {made.found.firmware} configuration.")
     for how, title in TITLES.items():
@@ -140,7 +140,7 @@ def _print_values(title: str, values: Mapping[str, Value]) -> None:
 
 
 def _print_remedies(title: str, keys: Collection[str]) -> None:
-    from ffcomp.printer_config.remedies import by_remedy
+    from ffcomp.importers.hints import by_remedy
 
     if keys:
         print(f"\n{title}")

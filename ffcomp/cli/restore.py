@@ -33,8 +33,8 @@ def restore(
 
 def _originals(container: Container, file: Path) -> list[Iterator[bytes]]:
     """Each print as it was."""
+    from ffcomp.compensate.gcode_output.writer import original_blocks
     from ffcomp.errors import NothingToDo
-    from ffcomp.writer import original_blocks
     from gcode.container import blocks_of, ends_of
     from gcode.metadata import find_stamp
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from ffcomp.virtual.command import Command
-    from ffcomp.virtual.simulation import Request, Simulated
+    from ffcomp.simulate.command import Command
+    from ffcomp.simulate.simulation import Request, Simulated
     from models.machine import Machine
 
 File = Annotated[
@@ -79,9 +79,9 @@ def simulate(
 
 
 def _request(rate: float, from_s: float, to_s: float, gravity: bool, signals: str) -> Request:
-    from ffcomp.measured.clock import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
-    from ffcomp.virtual.run_file import KINDS
-    from ffcomp.virtual.simulation import Request
+    from ffcomp.measurement.clock import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
+    from ffcomp.simulate.run_file import KINDS
+    from ffcomp.simulate.simulation import Request
 
     if not LOWEST_RATE_HZ <= rate <= HIGHEST_RATE_HZ:
         raise typer.BadParameter(f"--rate {rate:g}: between {LOWEST_RATE_HZ:g} and {HIGHEST_RATE_HZ:g} Hz.")
@@ -111,8 +111,8 @@ def _simulate(
 ) -> dict[str, Any]:
     from ffcomp.cli.common import Progress, say
     from ffcomp.cli.compensate import parsed_offset
-    from ffcomp.virtual.simulation import read_command, simulate_command
-    from models.machine_file import load_machine
+    from ffcomp.simulate.simulation import read_command, simulate_command
+    from models.file import load_machine
 
     machine = load_machine(machine_name)
     plant = load_machine(plant_name) if plant_name else machine

@@ -22,19 +22,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp import __version__
-from ffcomp.compare import ways as every
-from ffcomp.compare.judge import SAMPLE_S, SETTLE_S, Judgement, Played, by, contour, judge, track
-from ffcomp.compare.plants import drawn, dynamic_numbers
-from ffcomp.compare.play import JOBS, STEP_S, peaks, play
-from ffcomp.compare.quality import equal_quality, within_limits
+from ffcomp.compare import methods as every
+from ffcomp.compare.baselines import LinearPrinter
+from ffcomp.compare.equal_quality import equal_quality, within_limits
+from ffcomp.compare.evaluation import SAMPLE_S, SETTLE_S, Judgement, Played, by, contour, judge, track
+from ffcomp.compare.methods import OURS, Way
+from ffcomp.compare.monte_carlo import drawn, dynamic_numbers
+from ffcomp.compare.playback import JOBS, STEP_S, peaks, play
 from ffcomp.compare.result import BedMap, Comparison, Layer, Method, Party, Peaks, Spread
-from ffcomp.compare.stretch import Print, Sampling, Stretch
-from ffcomp.compare.tuning import LinearPrinter
-from ffcomp.compare.ways import OURS, Way
+from ffcomp.compare.sampling import Print, Sampling, Stretch
+from ffcomp.compensate.program import Summary, settings_for
 from ffcomp.errors import NothingToDo
-from ffcomp.invert.settings import Settings
-from ffcomp.pipeline import Summary, settings_for
-from ffcomp.virtual.same_printer import check_same_kinematics
+from ffcomp.inverse.settings import Settings
+from ffcomp.simulate.compatibility import check_same_kinematics
 from models.machine import DeltaGeometry, Machine
 
 SHORTEST_S = 3 * SETTLE_S

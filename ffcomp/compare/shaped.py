@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from ffcomp import shapers
-from ffcomp.shapers.motion import FrequencyOfPlace
-from ffcomp.virtual.motion import Motion, Position
+from ffcomp.shapers.apply import FrequencyOfPlace
+from ffcomp.simulate.motion import Motion, Position
 
 
 def shaped(motion: Motion, x: shapers.Shaper, y: shapers.Shaper) -> Motion:

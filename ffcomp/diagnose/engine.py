@@ -16,12 +16,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ffcomp.diagnose.acceptance import Place, held_out, intervals_of, look_alikes, refusals, rivals_of, superfluous
 from ffcomp.diagnose.fit import Bench, Fit, bench, derivatives, fit
-from ffcomp.diagnose.gates import Place, held_out, intervals_of, look_alikes, refusals, rivals_of, superfluous
-from ffcomp.diagnose.noise import NoiseFloor, noise_from_repeats, noise_from_residual, whitener
-from ffcomp.diagnose.plant import Plant
-from ffcomp.diagnose.screen import Screened, screen
-from ffcomp.diagnose.search import (
+from ffcomp.diagnose.hypotheses import (
     LARGE,
     Hypothesis,
     Progress,
@@ -40,8 +37,11 @@ from ffcomp.diagnose.search import (
     without,
     worth,
 )
-from ffcomp.identify.estimates import Estimate
-from ffcomp.measured.frf import FloatArray
+from ffcomp.diagnose.noise import NoiseFloor, noise_from_repeats, noise_from_residual, whitener
+from ffcomp.diagnose.problem import Plant
+from ffcomp.diagnose.score_test import Screened, screen
+from ffcomp.identify.uncertainty import Estimate
+from ffcomp.measurement.frf import FloatArray
 
 EXISTS = 0.05  # the share of the noise by which a gap must stand above it, or
 SURE = 4.0  # standard deviations of what short runs and few repeats may seem to show

@@ -15,8 +15,8 @@ from functools import cached_property
 import numpy as np
 
 from ffcomp.diagnose.noise import Whitener
-from ffcomp.diagnose.plant import Impossible, Number, Plant
-from ffcomp.measured.frf import FloatArray
+from ffcomp.diagnose.problem import Impossible, Number, Plant
+from ffcomp.measurement.frf import FloatArray
 
 STEP = 0.01  # of a prior's standard deviation, for derivatives: the simulation has no noise of its own; or so much
 ALIKE = 1e-12  # of the diagonal: what keeps the normal matrix of numbers that cannot be told apart regular

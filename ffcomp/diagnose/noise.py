@@ -15,8 +15,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.diagnose.plant import Recording
-from ffcomp.measured.frf import ComplexArray, FloatArray
+from ffcomp.diagnose.problem import Recording
+from ffcomp.measurement.frf import ComplexArray, FloatArray
 
 BAND_HZ = (1.0, 200.0)
 TAPER_S = 0.1  # faded in and out at both ends

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ffcomp.compensate.gcode_output.writer import original_blocks
+from ffcomp.compensate.job import find_offset
+from ffcomp.compensate.program import plan_program
 from ffcomp.errors import NothingToDo
-from ffcomp.estimate.account import FILAMENT, KINDS, Account
 from ffcomp.estimate.layers import BEFORE, Layer
 from ffcomp.estimate.spans import spans
-from ffcomp.job import find_offset
-from ffcomp.pipeline import plan_program
-from ffcomp.plan.trajectory import PlannedMotion
-from ffcomp.writer import original_blocks
+from ffcomp.estimate.statistics import FILAMENT, KINDS, Account
+from ffcomp.planner.trajectory import PlannedMotion
 from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import FLAVORS, flavor_by_ends
 from gcode.errors import UnsupportedGcode

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gcode.labels import FEW_MOVES, SLOPE_MM
+from gcode.layers import FEW_MOVES, SLOPE_MM
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

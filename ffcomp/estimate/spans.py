@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ffcomp.chapters import AROUND_S, LONGEST, rests_of
-from ffcomp.plan.trajectory import PlannedMotion
-from gcode.cutting import join, split
+from ffcomp.compensate.chunks import AROUND_S, LONGEST, rests_of
+from ffcomp.planner.trajectory import PlannedMotion
 from gcode.program import Event, Program
+from gcode.slicing import join, split
 
 PlanOf = Callable[[Program], PlannedMotion]
 

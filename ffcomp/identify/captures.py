@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from ffcomp.errors import MeasurementError
-from ffcomp.identify.plan import AXES, TOWERS, Experiment, Plan
-from ffcomp.measured.align import align
-from ffcomp.measured.frf import FloatArray, FrequencyResponse
-from ffcomp.measured.klipper import Capture, read_capture
-from ffcomp.measured.spectra import periodic_frf
+from ffcomp.identify.experiment import AXES, TOWERS, Experiment, Plan
+from ffcomp.measurement.alignment import align
+from ffcomp.measurement.estimators import periodic_frf
+from ffcomp.measurement.frf import FloatArray, FrequencyResponse
+from ffcomp.measurement.klipper import Capture, read_capture
 from models.machine import Machine
-from models.printer import simulate_printer
+from models.printer.printer import simulate_printer
 
 RATE_HZ = 3200.0
 TAIL_S = 0.5  # simulated beyond the end of the motion, where a capture may still run

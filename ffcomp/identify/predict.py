@@ -9,11 +9,11 @@ from typing import NoReturn
 import numpy as np
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measured.frf import ComplexArray, FloatArray, FrequencyResponse
-from models.axes import axis_frf
-from models.carriage import belt, command_frf, drive_frf, impedance
-from models.effector import effector_impedance, load_map, struck_frf
+from ffcomp.measurement.frf import ComplexArray, FloatArray, FrequencyResponse
 from models.machine import Machine
+from models.vibration.carriage import belt, command_frf, drive_frf, impedance
+from models.vibration.effector import effector_impedance, load_map, struck_frf
+from models.vibration.modal import axis_frf
 
 CARRIAGES, AXES = "ABC", "xyz"
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.errors import SolverError
-from ffcomp.measured.frf import ComplexArray, FloatArray, FrequencyResponse
+from ffcomp.measurement.frf import ComplexArray, FloatArray, FrequencyResponse
 
 ITERATIONS = 30  # of the linear step: it either settles in ten or wanders
 

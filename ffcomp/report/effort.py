@@ -8,9 +8,9 @@ from pathlib import Path
 import matplotlib
 from matplotlib.figure import Figure
 
-from ffcomp.invert.effort import EffortCurve
-from ffcomp.report.drawing import file_of, layout
-from ffcomp.report.style import RC
+from ffcomp.inverse.bandwidth import EffortCurve
+from ffcomp.report.shared.drawing import file_of, layout
+from ffcomp.report.shared.style import RC
 
 
 def draw_effort(curves: Mapping[float, EffortCurve], title: str, path: Path) -> None:

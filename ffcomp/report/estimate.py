@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ffcomp import __version__
-from ffcomp.estimate.account import KINDS, WAITING, Account
 from ffcomp.estimate.engine import Estimate, seconds
 from ffcomp.estimate.layers import BEFORE
-from ffcomp.report.drawing import file_of, layout
-from ffcomp.report.style import RC, grid
+from ffcomp.estimate.statistics import KINDS, WAITING, Account
+from ffcomp.report.shared.drawing import file_of, layout
+from ffcomp.report.shared.style import RC, grid
 from gcode.metadata import short
 
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#56b4e9", "#b8bec9")  # as KINDS

@@ -22,9 +22,9 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from ffcomp import __version__
 from ffcomp.identify.accuracy import phases_deg
-from ffcomp.responses import RINGS, Compared, NumberedMode, Station, Study, verdict
+from ffcomp.identify.frf_study import RINGS, Compared, NumberedMode, Station, Study, verdict
 from models.machine import Machine
-from models.mode_map import ModeMap
+from models.vibration.mode_map import ModeMap
 
 FloatArray = NDArray[np.float64]
 

@@ -14,12 +14,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ffcomp import __version__
-from ffcomp.identify.axes import AxisFit, IdentifiedAxes
-from ffcomp.identify.axes_data import Datum
-from ffcomp.identify.workflow import Identified
+from ffcomp.identify.axis_spectra import Datum
+from ffcomp.identify.identify import Identified
+from ffcomp.identify.modal_fit import AxisFit, IdentifiedAxes
 
 if TYPE_CHECKING:
-    from ffcomp.measured.frf import ComplexArray, FloatArray, FrequencyResponse
+    from ffcomp.measurement.frf import ComplexArray, FloatArray, FrequencyResponse
 
 MEASURED, FITTED, NOISE = "#8a8f98", "#d55e00", "#0072b2"
 COLUMNS = 4

@@ -16,7 +16,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from ffcomp.look import Curve, Look
+from ffcomp.simulate.preview import Curve, Look
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -5,8 +5,8 @@ and only then turned into carriage paths, as Klipper does on a delta: taking T̄
 constant speed, so a `Shaper` holds the times with T̄ taken off already.
 """
 
+from ffcomp.shapers.apply import Position, scheduled_shape, shape
 from ffcomp.shapers.bed import dominant_frequencies, over_the_bed
-from ffcomp.shapers.motion import Position, scheduled_shape, shape
 from ffcomp.shapers.pulses import (
     DAMPING_RATIO,
     SHAPERS,

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from ffcomp.shapers.motion import FrequencyOfPlace
+from ffcomp.shapers.apply import FrequencyOfPlace
 from ffcomp.shapers.pulses import FloatArray
 from models.machine import Machine
-from models.receptance import modes, nozzle_frf
+from models.vibration.receptance import modes, nozzle_frf
 
 
 def dominant_frequencies(machine: Machine, xy: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.planner.trajectory import Trajectory
 
 FloatArray = NDArray[np.float64]
 

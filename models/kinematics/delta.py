@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.arrays import FloatArray
-from models.kinematics.geometry import INSIDE_MM, SLACK_MM, Compiled, Geometry, require, rings
+from models.kinematics.base import INSIDE_MM, SLACK_MM, Compiled, Geometry, require, rings
 
 LOWEST_Z_MM = -5.0  # below the bed: room for a calibrated or baby-stepped first layer
 
@@ -65,7 +65,7 @@ class DeltaGeometry(Geometry):
         return np.hstack([self.towers_mm, self.arm_lengths_mm[:, None] ** 2, heights, np.tile(up, (3, 1))])
 
     def compiled(self) -> Compiled:
-        from models.kinematics.kernels import FastDelta  # numba takes its time
+        from models.kinematics.delta_kernels import FastDelta  # numba takes its time
 
         return FastDelta(self)
 

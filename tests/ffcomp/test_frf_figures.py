@@ -11,17 +11,17 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from ffcomp.cli.app import app
+from ffcomp.identify.frf_study import View, study, verdict, view_of
 from ffcomp.identify.predict import predicted
-from ffcomp.measured.frf import FrequencyResponse
-from ffcomp.measured.frf_files import write_frf
+from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.measurement.frf_files import write_frf
 from ffcomp.report.frf import _spread, draw_bode, draw_map, map_verdict
-from ffcomp.responses import View, study, verdict, view_of
-from models.carriage import command_frf, with_added_mass
-from models.effector import struck_frf
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
-from models.mode_map import mode_map
-from models.receptance import assembly_frf, modes
+from models.vibration.carriage import command_frf, with_added_mass
+from models.vibration.effector import struck_frf
+from models.vibration.mode_map import mode_map
+from models.vibration.receptance import assembly_frf, modes
 
 FREQUENCIES = np.arange(2.0, 125.1, 0.5)
 PNG = b"\x89PNG"

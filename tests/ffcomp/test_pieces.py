@@ -11,15 +11,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ffcomp.marks import AROUND, CUT, Piece, pieces, timeline
-from ffcomp.pipeline import Planned, plan_program, settings_for
-from ffcomp.runs import Reference
-from ffcomp.writer import Writer, original
+from ffcomp.compensate.gcode_output.layout import AROUND, CUT, Piece, pieces, timeline
+from ffcomp.compensate.gcode_output.writer import Writer, original
+from ffcomp.compensate.program import Planned, plan_program, settings_for
+from ffcomp.inverse.reference import Reference
 from gcode.dialects import KLIPPER
 from gcode.limits import MotionLimits
 from gcode.reader import read_program
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 
 FloatArray = NDArray[np.float64]
 

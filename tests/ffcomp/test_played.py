@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.plan.limits import FirmwareLimits
-from ffcomp.plan.lookahead import plan_moves
-from ffcomp.played import OutputLimits, merge, played, sample_segments
+from ffcomp.planner.limits import FirmwareLimits
+from ffcomp.planner.lookahead import plan_moves
+from ffcomp.planner.segment_timing import OutputLimits, merge, played, sample_segments
 from gcode.program import Moves
 
 FloatArray = NDArray[np.float64]

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp import shapers
+from models.file import load_machine
 from models.machine import Machine, constant
-from models.machine_file import load_machine
 
 FloatArray = NDArray[np.float64]
 

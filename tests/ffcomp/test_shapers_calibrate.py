@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp import calibrate, shapers
-from ffcomp.measured.klipper import Resonances, read_vibration
+from ffcomp import shapers
+from ffcomp.measurement.klipper import Resonances, read_vibration
+from ffcomp.shapers import calibration as calibrate
+from models.file import load_machine
 from models.machine import Machine, constant
-from models.machine_file import load_machine
-from models.receptance import nozzle_frf
+from models.vibration.receptance import nozzle_frf
 
 FloatArray = NDArray[np.float64]
 

@@ -17,12 +17,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp import calibrate, shapers
-from ffcomp.plan.limits import DeltaReach, FirmwareLimits
-from ffcomp.plan.lookahead import plan_moves, stops_and_waits
+from ffcomp import shapers
+from ffcomp.planner.limits import DeltaReach, FirmwareLimits
+from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.shapers import calibration as calibrate
 from gcode.reader import read_program
+from models.file import load_machine
 from models.machine import DeltaGeometry, constant
-from models.machine_file import load_machine
 from tests import kalico
 
 FloatArray = NDArray[np.float64]

@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from gcode.cutting import excerpt, join, shortened
 from gcode.program import Program
 from gcode.reader import read_program
+from gcode.slicing import excerpt, join, shortened
 
 MANY_FRAMES = b"G90\nM82\nG1 X0 Y0 Z1 F1200\n" + b"".join(
     b"G1 X%d E%d F%d\n;between\nG92 E0\nG1 E-1 F600\n" % (k % 50, k % 7 + 1, 1000 + k) for k in range(100)

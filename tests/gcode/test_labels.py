@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gcode.labels import UNNAMED, labels
+from gcode.layers import UNNAMED, labels
 from gcode.reader import read_program
 
 PRUSA = (";LAYER_CHANGE\n;Z:0.2\n", ";TYPE:External perimeter\n", "External perimeter")

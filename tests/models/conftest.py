@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from models.file import load_machine
 from models.machine import Carriage, DeltaGeometry, Effector, Machine, MotionLimits, constant
-from models.machine_file import load_machine
 
 TABLE_I_OFFSET = (10.21, -16.52, 19.31)
 

@@ -11,14 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from models.axes import Axis, axis_frf, low_frequency, parts
 from models.errors import MachineFileError
-from models.kinematics.straight import CARTESIAN, StraightGeometry
+from models.file import load_machine
+from models.kinematics.cartesian import CARTESIAN, StraightGeometry
 from models.machine import Machine, MotionLimits, constant
-from models.machine_file import load_machine
-from models.plant import QD, STATES, Q, continuous_plant
-from models.printer import simulate_printer
-from models.receptance import modes, nozzle_frf
+from models.printer.printer import simulate_printer
+from models.vibration.modal import Axis, axis_frf, low_frequency, parts
+from models.vibration.receptance import modes, nozzle_frf
+from models.vibration.state_space import QD, STATES, Q, continuous_plant
 
 RIGID = Axis()
 BOX = StraightGeometry(constant([[0, 200], [0, 200], [0, 200]]), CARTESIAN)

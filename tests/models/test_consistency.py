@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from models.consistency import Quantity, inconsistencies, redundant
+from models.checks.redundancy import Quantity, inconsistencies, redundant
+from models.file import LIBRARY, load_machine
 from models.machine import Machine
-from models.machine_file import LIBRARY, load_machine
 
 NAMES = sorted(path.stem for path in LIBRARY.glob("*.toml"))
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from models.checks.physics import bed, soundness, unstable_places
+from models.file import LIBRARY, load_machine
 from models.machine import Machine, constant
-from models.machine_file import LIBRARY, load_machine
-from models.receptance import poles, receptance
-from models.soundness import bed, soundness, unstable_places
+from models.vibration.receptance import poles, receptance
 
 NAMES = sorted(path.stem for path in LIBRARY.glob("*.toml") if load_machine(path).first_share is None)  # deltas
 

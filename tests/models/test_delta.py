@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models.errors import UnreachableError
-from models.kinematics.kernels import inverse_point
+from models.kinematics.delta_kernels import inverse_point
 from models.machine import DeltaGeometry, constant
 
 SYMMETRIC = DeltaGeometry(

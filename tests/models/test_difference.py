@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from ffcomp.cli.machines import app
-from models.machine_file import LIBRARY
+from models.file import LIBRARY
 
 
 def diff(*arguments: str | Path) -> Result:

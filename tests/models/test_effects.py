@@ -20,10 +20,10 @@ from models.effects.catalogue import (
 )
 from models.effects.effect import Effect, Parameter, Signals
 from models.errors import MachineFileError
+from models.file import LIBRARY, load_machine
 from models.machine import Machine
-from models.machine_file import LIBRARY, load_machine
 from models.parameters import value_of
-from models.plant import continuous_plant
+from models.vibration.state_space import continuous_plant
 
 NAMED_BY_THE_FORMAT = {
     "coulomb_friction": {"force_n"},

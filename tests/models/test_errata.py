@@ -1,6 +1,6 @@
 """The paper's numbers and equations that do not hold, each worked out again. Its Table I is typed in here once.
 
-What is wrong by the paper's own measurements is seen by `models.consistency` (test_consistency.py); rods against
+What is wrong by the paper's own measurements is seen by `models.checks.redundancy` (test_consistency.py); rods against
 shares of force, and the sign of Eq. 13 along a helix, are in test_receptance.py and test_delta.py.
 """
 
@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.effector import effector_impedance, load_map
 from models.machine import Machine, constant
-from models.receptance import assembly_frf, carriage_frf, modes, poles
+from models.vibration.effector import effector_impedance, load_map
+from models.vibration.receptance import assembly_frf, carriage_frf, modes, poles
 
 M_C, M_F, M_1, M_2, M_ADD = 0.179, 0.032, 0.542, 0.109, 0.2
 C, B, K = 5.31, 13.4, 1.21e5

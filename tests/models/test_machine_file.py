@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from models.errors import MachineFileError
-from models.machine_file import LIBRARY, entries, load_machine, machine_paths, starting_text
+from models.file import LIBRARY, entries, load_machine, machine_paths, starting_text
 
 LIBRARY_FILES = sorted(LIBRARY.glob("*.toml"))
 
@@ -76,7 +76,7 @@ def problems(write):
 def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "own machines"
     folder.mkdir()
-    monkeypatch.setattr("models.machine_file.user_folder", lambda: folder)
+    monkeypatch.setattr("models.file.user_folder", lambda: folder)
     return folder
 
 
@@ -362,7 +362,7 @@ def test_machine_files_made_by_others_load(runs_folder: Path) -> None:
 
 
 def test_models_are_light_to_import() -> None:
-    modules = "models.machine, models.receptance, models.kinematics.delta, models.consistency"
+    modules = "models.machine, models.vibration.receptance, models.kinematics.delta, models.checks.redundancy"
     heavy = {"scipy", "control", "pydantic", "numba", "matplotlib", "tomlkit"}
     code = f"import sys, {modules}; print(*{heavy!r}.intersection(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

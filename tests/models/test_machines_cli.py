@@ -11,12 +11,12 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from ffcomp.cli.machines import app
-from models.machine_file import LIBRARY, load_machine
+from models.file import LIBRARY, load_machine
 
 
 @pytest.fixture
 def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr("models.machine_file.user_folder", lambda: tmp_path / "own")
+    monkeypatch.setattr("models.file.user_folder", lambda: tmp_path / "own")
     return tmp_path / "own"
 
 

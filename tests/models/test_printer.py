@@ -11,8 +11,8 @@ from scipy.interpolate import CubicSpline
 
 from models.errors import UnreachableError
 from models.machine import DeltaGeometry, Machine, constant
-from models.plant import continuous_plant, discretise
-from models.printer import GRAVITY_M_PER_S2, PrinterMotion, simulate_printer
+from models.printer.printer import GRAVITY_M_PER_S2, PrinterMotion, simulate_printer
+from models.vibration.state_space import continuous_plant, discretise
 from tests.plant import delta_plant  # the judge: it shares nothing with ours
 
 RATE_HZ = 1600

@@ -12,8 +12,8 @@ from scipy.interpolate import CubicSpline
 from models.effects.catalogue import CATALOGUE, effective_machine, with_effect
 from models.effects.effect import Effect
 from models.machine import Machine, constant
-from models.printer import GRAVITY_M_PER_S2, PrinterMotion, simulate_printer
-from models.printer_kernels import GUIDE
+from models.printer.kernels import GUIDE
+from models.printer.printer import GRAVITY_M_PER_S2, PrinterMotion, simulate_printer
 
 RATE_HZ = 1600
 CENTRE = np.array([[0.0, 0.0, 40.0]])

@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
-from models import printer_kernels as kernels
 from models.effects.catalogue import with_effect
 from models.errors import UnreachableError
 from models.machine import DeltaGeometry, Machine
-from models.printer import PrinterMotion, simulate_printer, simulate_printers
+from models.printer import kernels
+from models.printer.printer import PrinterMotion, simulate_printer, simulate_printers
 
 RATE_HZ = 1600
 FIELDS = (

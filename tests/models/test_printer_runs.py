@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from models.effects.catalogue import with_effect
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
-from models.printer import simulate_printer
+from models.printer.printer import simulate_printer
 
 RUNS = (
     "infill-centre-1",

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.carriage import command_frf, drive_frf, force_frf, impedance, with_added_mass
-from models.effector import effector_impedance, load_distribution, load_map, struck_frf
 from models.machine import Machine, constant
-from models.plant import STATES, Q, continuous_plant
-from models.receptance import assembly_frf, carriage_frf, modes, nozzle_frf, poles, receptance
+from models.vibration.carriage import command_frf, drive_frf, force_frf, impedance, with_added_mass
+from models.vibration.effector import effector_impedance, load_distribution, load_map, struck_frf
+from models.vibration.receptance import assembly_frf, carriage_frf, modes, nozzle_frf, poles, receptance
+from models.vibration.state_space import STATES, Q, continuous_plant
 
 FREQUENCIES = np.geomspace(0.5, 400, 60)
 S = 2j * np.pi * FREQUENCIES

@@ -10,11 +10,11 @@ import pytest
 
 pytest.importorskip("control", reason="python-control is not installed: pip install 'ffcomp[control]'.")
 
-from models.carriage import command_frf, force_frf, with_added_mass
-from models.control_objects import assembly, carriage_alone, carriage_load, effector_alone, effector_load
-from models.effector import effector_impedance, struck_frf
 from models.machine import Machine
-from models.receptance import assembly_frf, modes
+from models.vibration.carriage import command_frf, force_frf, with_added_mass
+from models.vibration.effector import effector_impedance, struck_frf
+from models.vibration.python_control import assembly, carriage_alone, carriage_load, effector_alone, effector_load
+from models.vibration.receptance import assembly_frf, modes
 
 FREQUENCIES = np.geomspace(0.5, 400, 25)
 S = 2j * np.pi * FREQUENCIES

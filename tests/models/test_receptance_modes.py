@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from models.file import load_machine
 from models.machine import Machine, constant
-from models.machine_file import load_machine
-from models.mode_map import ModeMap, kinds, mode_map, numbers
-from models.receptance import modes
+from models.vibration.mode_map import ModeMap, kinds, mode_map, numbers
+from models.vibration.receptance import modes
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.measured.frf import FrequencyResponse
-from ffcomp.measured.spectra import periodic_frf
+from ffcomp.measurement.estimators import periodic_frf
+from ffcomp.measurement.frf import FrequencyResponse
 from tests.plant import lab
 
 PLACES = ((0.0, 0.0, 30.0), (-80.0, 0.0, 30.0), (40.0, -69.0, 30.0), (40.0, 69.0, 30.0))

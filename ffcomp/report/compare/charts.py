@@ -17,8 +17,8 @@ from ffcomp.compare.result import Comparison, Method, Spread
 from ffcomp.report.compare.spectrum import HIGHEST_HZ, resonance_band, spectrum
 from ffcomp.report.compare.style import FAMILIES, colour_of
 from ffcomp.report.compare.words import clipped, duration, shown, um
-from ffcomp.report.drawing import Box
-from ffcomp.report.style import BAND, INK, grid, plain_decades
+from ffcomp.report.shared.drawing import Box
+from ffcomp.report.shared.style import BAND, INK, grid, plain_decades
 
 BEYOND = "#b00020"  # more than the machine allows
 FLOOR_UM = 1e-3  # zeros have no place on a logarithmic axis

@@ -12,7 +12,7 @@ from ffcomp.compare.result import Comparison
 from ffcomp.report.compare.places import Pass, Place
 from ffcomp.report.compare.style import WANTED, colour_of
 from ffcomp.report.compare.words import clipped, nick, um
-from ffcomp.report.style import grid, plain_decades
+from ffcomp.report.shared.style import grid, plain_decades
 
 LEAST_UM = 0.1  # below it the error along the way is not drawn
 

@@ -15,8 +15,8 @@ from ffcomp.report.compare.captions import HOW_TO_READ, said
 from ffcomp.report.compare.closeup import draw_places
 from ffcomp.report.compare.places import Place, worst_places
 from ffcomp.report.compare.style import band
-from ffcomp.report.drawing import Drawing, file_of, layout, svg
-from ffcomp.report.style import RC
+from ffcomp.report.shared.drawing import Drawing, file_of, layout, svg
+from ffcomp.report.shared.style import RC
 from gcode.container import replace_atomically
 
 __all__ = ["close_ups", "drawings", "svg", "write_figures"]

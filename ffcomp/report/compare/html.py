@@ -24,8 +24,8 @@ from ffcomp.report.compare.packed import LOWEST_UM, packed, thinned_out
 from ffcomp.report.compare.style import colour_of
 from ffcomp.report.compare.verdict import verdict
 from ffcomp.report.compare.words import contour_p99_um, contour_rms_um, duration, extrudes, file_name, shown, um
-from ffcomp.report.drawing import Drawing, Image, image, svg
-from ffcomp.report.page import rendered, resource, tied
+from ffcomp.report.shared.drawing import Drawing, Image, image, svg
+from ffcomp.report.shared.page import rendered, resource, tied
 from gcode.container import replace_atomically
 
 COLOURS = 64

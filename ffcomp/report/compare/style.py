@@ -7,7 +7,7 @@ from matplotlib.patches import Rectangle
 
 from ffcomp.compare.result import Comparison, Family, Method
 from ffcomp.report.compare.words import file_name
-from ffcomp.report.style import AFTER, BAND, BEFORE
+from ffcomp.report.shared.style import AFTER, BAND, BEFORE
 
 WANTED, NONE, BEST, OURS = "#222222", BEFORE, "#009e73", AFTER
 FAMILIES: dict[Family, str] = {

@@ -9,12 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle
 from matplotlib.ticker import NullLocator
 
-from ffcomp.diagnose.gates import Place
-from ffcomp.diagnose.picture import Alike, Overlay, Spectrum, Split
-from ffcomp.measured.frf import FloatArray
+from ffcomp.diagnose.acceptance import Place
+from ffcomp.diagnose.summary import Alike, Overlay, Spectrum, Split
+from ffcomp.measurement.frf import FloatArray
 from ffcomp.report.diagnose.words import digits, times_noise
-from ffcomp.report.drawing import Box
-from ffcomp.report.style import AFTER, BEFORE, INK, SOFT, grid, plain_decades
+from ffcomp.report.shared.drawing import Box
+from ffcomp.report.shared.style import AFTER, BEFORE, INK, SOFT, grid, plain_decades
 
 NOISE = "#c9ced8"
 MEASURED = "#222222"

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ffcomp.diagnose.outcome import Outcome
-from ffcomp.identify.estimates import Estimate
+from ffcomp.diagnose.result import Outcome
+from ffcomp.identify.uncertainty import Estimate
 from ffcomp.report.diagnose.words import INFINITELY, digits, interval, joined, title
 from models.effects.catalogue import CATALOGUE
 from models.effects.effect import Parameter

@@ -5,11 +5,11 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-from ffcomp.diagnose.picture import Overlay, Picture, Spectrum, Split
+from ffcomp.diagnose.summary import Overlay, Picture, Spectrum, Split
 from ffcomp.report.diagnose import charts
 from ffcomp.report.diagnose.standout import stands_out
 from ffcomp.report.diagnose.words import times, times_noise
-from ffcomp.report.drawing import Drawing
+from ffcomp.report.shared.drawing import Drawing
 
 WIDTH, HEIGHT = 4.3, 2.7  # inches, of a small one: as wide as a phone
 ROW, AXIS = 0.26, 0.75  # inches a row, and below them

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from ffcomp.diagnose.picture import Picture
+from ffcomp.diagnose.summary import Picture
 from ffcomp.report.diagnose import effects, figures
 from ffcomp.report.diagnose.glossary import GLOSSARY
 from ffcomp.report.diagnose.rivals import look_alikes
 from ffcomp.report.diagnose.tables import evidence_rows, place_rows, promise_rows, retuned_rows, tiles
 from ffcomp.report.diagnose.told import Told
 from ffcomp.report.diagnose.verdict import verdict
-from ffcomp.report.drawing import Drawing, Image, image, svg
-from ffcomp.report.page import rendered, tied
+from ffcomp.report.shared.drawing import Drawing, Image, image, svg
+from ffcomp.report.shared.page import rendered, tied
 
 WORDS = {"effects": "an effect is missing", "none": "nothing is missing", "unknown": "something unknown is missing"}
 

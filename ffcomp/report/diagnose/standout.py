@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ffcomp.diagnose.picture import Split
+from ffcomp.diagnose.summary import Split
 from ffcomp.report.diagnose.words import joined, most_of, percent, times, times_noise
 
 NOTHING = 0.1  # excess, of the noise, on the mean: there is nothing to split

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ffcomp.diagnose.gates import Place
-from ffcomp.diagnose.outcome import Outcome
-from ffcomp.diagnose.picture import Picture
+from ffcomp.diagnose.acceptance import Place
+from ffcomp.diagnose.result import Outcome
+from ffcomp.diagnose.summary import Picture
 from ffcomp.report.diagnose.words import digits, evidence, interval, percent, times, times_noise, title, together
-from ffcomp.report.style import AFTER, BEFORE, SOFT
+from ffcomp.report.shared.style import AFTER, BEFORE, SOFT
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ffcomp.diagnose.experiment import Proposal
-from ffcomp.diagnose.outcome import Outcome, Size
-from ffcomp.diagnose.picture import Picture
+from ffcomp.diagnose.next_experiment import Proposal
+from ffcomp.diagnose.result import Outcome, Size
+from ffcomp.diagnose.summary import Picture
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ffcomp.diagnose.outcome import Outcome
+from ffcomp.diagnose.result import Outcome
 from ffcomp.report.diagnose.effects import in_words
 from ffcomp.report.diagnose.standout import stands_out
 from ffcomp.report.diagnose.told import Told, explained, explained_elsewhere

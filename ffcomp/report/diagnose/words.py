@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ffcomp.identify.estimates import Estimate
+from ffcomp.identify.uncertainty import Estimate
 from models.effects.catalogue import CATALOGUE
 
 INFINITELY = 1e6  # beyond that nobody wants the digits

@@ -9,17 +9,17 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ffcomp.compare.answer import as_json
+from ffcomp.compare.baselines import LinearPrinter
 from ffcomp.compare.engine import Request, compare, names
-from ffcomp.compare.quality import within_limits
+from ffcomp.compare.equal_quality import within_limits
+from ffcomp.compare.json import as_json
+from ffcomp.compare.methods import NAMES, OURS, best_fixed, calibrated
 from ffcomp.compare.result import Comparison
-from ffcomp.compare.stretch import Print, Sampling
-from ffcomp.compare.tuning import LinearPrinter
-from ffcomp.compare.ways import NAMES, OURS, best_fixed, calibrated
+from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.metrics import Track
 from ffcomp.shapers import SHAPERS
 from models.effects.catalogue import with_effect
-from models.machine_file import load_machine
+from models.file import load_machine
 from tests.ffcomp.compare.prints import squares
 
 MACHINE = load_machine("mp-delta-pro")

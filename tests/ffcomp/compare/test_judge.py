@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.compare.judge import SAMPLE_S, SETTLE_S, Played, by, contour_numbers, judge, track
-from ffcomp.compare.stretch import Print, Sampling, Stretch
+from ffcomp.compare.evaluation import SAMPLE_S, SETTLE_S, Played, by, contour_numbers, judge, track
+from ffcomp.compare.sampling import Print, Sampling, Stretch
 from ffcomp.errors import NothingToDo
-from models.machine_file import load_machine
+from models.file import load_machine
 from tests.ffcomp.compare.prints import squares
 
 MACHINE = load_machine("mp-delta-pro")

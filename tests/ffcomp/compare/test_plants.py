@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffcomp.compare.plants import FARTHEST, drawn, dynamic_numbers
-from ffcomp.virtual.same_printer import check_same_kinematics
+from ffcomp.compare.monte_carlo import FARTHEST, drawn, dynamic_numbers
+from ffcomp.simulate.compatibility import check_same_kinematics
 from models.errors import MachineFileError
+from models.file import load_machine
 from models.machine import constant
-from models.machine_file import load_machine
 from models.parameters import value_of
 
 MACHINE = load_machine("mp-delta-pro")

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from ffcomp.compare.ours import segments_motion
-from ffcomp.compare.play import peaks, play
+from ffcomp.compare.compensated import segments_motion
+from ffcomp.compare.playback import peaks, play
 from ffcomp.metrics import contour_error
-from ffcomp.virtual.motion import planned_motion
-from ffcomp.virtual.sag import sag
+from ffcomp.simulate.motion import planned_motion
 from models.effects.catalogue import with_effect
-from models.machine_file import load_machine
+from models.file import load_machine
+from models.printer.static_deflection import sag
 from tests import judge
 
 MACHINE = load_machine("mp-delta-pro")
@@ -28,8 +28,8 @@ def test_weight_bends_the_belts_by_the_load_they_carry() -> None:
 
 
 def test_the_polynomial_of_the_sag_holds_between_its_places() -> None:
-    from models import printer_kernels as kernels
-    from models.printer import printer_numbers, rest_values
+    from models.printer import kernels
+    from models.printer.printer import printer_numbers, rest_values
 
     place = np.array([[37.0, -61.0, 0.0]])
     command = MACHINE.kinematics.inverse(place)[0]
@@ -67,7 +67,7 @@ def test_chunks_and_company_change_nothing(monkeypatch: pytest.MonkeyPatch) -> N
     short = type(motion)(motion.position, 0.0, 2.0, motion.clock)
     stiff = with_effect(MACHINE, "belt_stiffness", relative_change=0.2)
     _, (alone,) = play([MACHINE], short, MACHINE)
-    monkeypatch.setattr("ffcomp.compare.play.CHUNK_ROWS", 1000)
+    monkeypatch.setattr("ffcomp.compare.playback.CHUNK_ROWS", 1000)
     _, (first, second) = play([MACHINE, stiff], short, MACHINE)
     np.testing.assert_allclose(first, alone, atol=1e-9)
     assert np.abs(second - alone).max() > 1e-3
@@ -75,7 +75,7 @@ def test_chunks_and_company_change_nothing(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_the_peak_is_the_plans_own_acceleration() -> None:
     """Along z every carriage does what the nozzle does."""
-    from ffcomp.compare.stretch import Print, Sampling
+    from ffcomp.compare.sampling import Print, Sampling
 
     text = b"G90\nG1 X0 Y0 Z1 F6000\nM204 S2000\nG1 Z50 F6000\n"
     (stretch,), _ = Print(text, "z", MACHINE).stretches(Sampling())

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.compare.stretch import Print, Sampling
+from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.errors import NothingToDo
-from models.machine_file import load_machine
+from models.file import load_machine
 from tests import judge
 from tests.ffcomp.compare.prints import squares
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.diagnose.axis import CANDIDATES, FRICTION, MASS, OFFSET, VISCOUS, Axis, ForceDriven, read_emps
+from ffcomp.diagnose.axis_problem import CANDIDATES, FRICTION, MASS, OFFSET, VISCOUS, Axis, ForceDriven, read_emps
 from ffcomp.diagnose.engine import Diagnosis, diagnose
-from ffcomp.diagnose.plant import Impossible
+from ffcomp.diagnose.problem import Impossible
 from ffcomp.errors import MeasurementError
 
 EMPS = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[4] / "shared" / "data")) / "emps"

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.diagnose.delta import Delta, effect_tables
 from ffcomp.diagnose.engine import diagnose
-from ffcomp.diagnose.outcome import better_file, outcome
-from ffcomp.diagnose.where import find_gap
-from ffcomp.measured.run import Run
-from models.machine_file import LIBRARY, load_machine
+from ffcomp.diagnose.printer_problem import Delta, effect_tables
+from ffcomp.diagnose.residuals import find_gap
+from ffcomp.diagnose.result import better_file, outcome
+from ffcomp.measurement.recording import Run
+from models.file import LIBRARY, load_machine
 from tests.plant import delta_plant
 
 TRUTH = LIBRARY / "mp-delta-pro.toml"

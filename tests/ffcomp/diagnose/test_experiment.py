@@ -8,20 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffcomp.diagnose import experiment
-from ffcomp.diagnose.delta import Delta
+from ffcomp.compensate.program import plan_program
+from ffcomp.diagnose import next_experiment as experiment
 from ffcomp.diagnose.engine import Diagnosis, noise_floor
-from ffcomp.diagnose.experiment import Proposal, library, places, propose
 from ffcomp.diagnose.fit import Bench, Fit, bench
+from ffcomp.diagnose.hypotheses import Hypothesis
+from ffcomp.diagnose.next_experiment import Proposal, library, places, propose
 from ffcomp.diagnose.noise import whitener
-from ffcomp.diagnose.plant import Number
-from ffcomp.diagnose.screen import screen
-from ffcomp.diagnose.search import Hypothesis
-from ffcomp.measured.run import Run
-from ffcomp.pipeline import plan_program
+from ffcomp.diagnose.printer_problem import Delta
+from ffcomp.diagnose.problem import Number
+from ffcomp.diagnose.score_test import screen
+from ffcomp.measurement.recording import Run
 from gcode.reader import read_program
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 
 NAMES = ("coulomb_friction", "stribeck_friction", "belt_position_stiffness", "torque_angle")
 QUIET, LOUD = 0.1, 12.0  # m/s²

@@ -12,11 +12,11 @@ import pytest
 from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
-from ffcomp.diagnose.delta import Delta
 from ffcomp.diagnose.engine import noise_floor
 from ffcomp.diagnose.noise import whitener
-from ffcomp.measured.run import Run
-from models.machine_file import load_machine
+from ffcomp.diagnose.printer_problem import Delta
+from ffcomp.measurement.recording import Run
+from models.file import load_machine
 
 RUNS = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[4] / "shared" / "data")) / "runs"
 

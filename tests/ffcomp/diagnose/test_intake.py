@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
-from ffcomp.diagnose.intake import carriages_of, check_alike, check_repeats
+from ffcomp.diagnose.validation import carriages_of, check_alike, check_repeats
 from ffcomp.errors import MeasurementError
-from ffcomp.measured.placing import misplaced
-from ffcomp.measured.run import read_run
-from models.machine_file import load_machine
+from ffcomp.measurement.orientation import misplaced
+from ffcomp.measurement.recording import read_run
+from models.file import load_machine
 
 RUNS = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[4] / "shared" / "data")) / "runs"
 CASE = RUNS / "effector-mass"

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from benchmarks.diagnosis_proof import Experiment, Printer, hidden, measured_by, owners_file, printed_with, record
-from ffcomp.diagnose.delta import Delta
 from ffcomp.diagnose.engine import Diagnosis, diagnose
-from ffcomp.diagnose.outcome import better_file, outcome
-from ffcomp.measured.run import read_run
+from ffcomp.diagnose.printer_problem import Delta
+from ffcomp.diagnose.result import better_file, outcome
+from ffcomp.measurement.recording import read_run
 from models.effects.catalogue import with_effect
-from models.machine_file import load_machine
+from models.file import load_machine
 from tests import judge
 
 SECONDS, PRINTED_S = 1.2, 3.0

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.identify.predict import predicted
-from ffcomp.measured.frf import FrequencyResponse
+from ffcomp.measurement.frf import FrequencyResponse
 from models.machine import Machine
 
 FREQUENCY_HZ = np.arange(2.0, 200.1, 0.5)

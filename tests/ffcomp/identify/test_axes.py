@@ -16,20 +16,20 @@ from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter
 from typer.testing import CliRunner, Result
 
-from ffcomp.calibrate import calibrated, normalised, resonance_test
 from ffcomp.cli.app import app
 from ffcomp.errors import MeasurementError
-from ffcomp.identify.axes import AxisFit, fit_axis, identify_axes
-from ffcomp.identify.axes_data import Response, Spectrum, closed_form, spectrum_of
-from ffcomp.identify.plan import Experiment
-from ffcomp.identify.plan_files import load_plan
-from ffcomp.measured.frf import FrequencyResponse
-from ffcomp.measured.frf_files import write_frf
-from ffcomp.measured.klipper import Resonances, read_vibration
-from models.axes import Axis, parts
-from models.kinematics.straight import CARTESIAN, StraightGeometry
+from ffcomp.identify.axis_spectra import Response, Spectrum, closed_form, spectrum_of
+from ffcomp.identify.experiment import Experiment
+from ffcomp.identify.experiment_files import load_plan
+from ffcomp.identify.modal_fit import AxisFit, fit_axis, identify_axes
+from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.measurement.frf_files import write_frf
+from ffcomp.measurement.klipper import Resonances, read_vibration
+from ffcomp.shapers.calibration import calibrated, normalised, resonance_test
+from models.file import LIBRARY, load_machine
+from models.kinematics.cartesian import CARTESIAN, StraightGeometry
 from models.machine import Machine, MotionLimits, constant
-from models.machine_file import LIBRARY, load_machine
+from models.vibration.modal import Axis, parts
 
 FloatArray = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from ffcomp.identify.accuracy import (
     mean_absolute_percentage_accuracy,
     phases_deg,
 )
-from models.machine_file import load_machine
-from models.receptance import carriage_frf
+from models.file import load_machine
+from models.vibration.receptance import carriage_frf
 
 FREQUENCIES = np.arange(2.0, 125.1, 0.5)  # the paper's 247 lines
 LAG = np.exp(-1j * np.radians(np.linspace(20.0, 320.0, 247)))

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import MeasurementError, SolverError
-from ffcomp.identify.decouple import decouple, judge_parts
-from ffcomp.identify.direct import TOTAL_MASS, UNKNOWNS, fit_machine
-from ffcomp.identify.estimates import Joint, joined, through
-from ffcomp.identify.estimates import measured as by_scale
+from ffcomp.identify.decoupling import decouple, judge_parts
+from ffcomp.identify.output_error import TOTAL_MASS, UNKNOWNS, fit_machine
+from ffcomp.identify.paper import carriage_step, identify_stepwise
 from ffcomp.identify.predict import predicted
-from ffcomp.identify.stepwise import carriage_step, identify_stepwise
+from ffcomp.identify.uncertainty import Joint, joined, through
+from ffcomp.identify.uncertainty import measured as by_scale
+from models.file import load_machine
 from models.machine import Drive, Machine
-from models.machine_file import load_machine
 from models.parameters import value_of, with_values
-from models.receptance import carriage_frf
+from models.vibration.receptance import carriage_frf
 from tests.ffcomp.identify.bench import blank, measured, paper_bench, towers_bench
 
 TRUTH = load_machine("mp-delta-pro")

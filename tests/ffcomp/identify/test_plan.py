@@ -15,9 +15,9 @@ import typer
 from typer.testing import CliRunner
 
 from ffcomp.cli.identify_plan import plan as plan_command
+from ffcomp.compensate.program import firmware_limits
 from ffcomp.errors import LimitsError, MeasurementError
-from ffcomp.identify.excitation import lines_of, played_gain
-from ffcomp.identify.plan import (
+from ffcomp.identify.experiment import (
     AXES,
     CLEARANCE_MM,
     CONSERVATIVE,
@@ -31,17 +31,17 @@ from ffcomp.identify.plan import (
     make_plan,
     microstep_error,
 )
-from ffcomp.identify.plan_files import gcode_lines, load_plan, save_plan, segment_lines
-from ffcomp.pipeline import firmware_limits
-from ffcomp.plan.lookahead import plan_moves, stops_and_waits
-from ffcomp.plan.trajectory import Trajectory
-from ffcomp.schedule import rest_state
+from ffcomp.identify.experiment_files import gcode_lines, load_plan, save_plan, segment_lines
+from ffcomp.identify.multisine import lines_of, played_gain
+from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.trajectory import Trajectory
 from gcode.program import EventKind, Program
 from gcode.reader import read_program
+from models.file import load_machine
 from models.machine import Machine, constant
-from models.machine_file import load_machine
-from models.plant import continuous_plant, discretise
-from models.receptance import carriage_frf
+from models.vibration.receptance import carriage_frf
+from models.vibration.scheduled import rest_state
+from models.vibration.state_space import continuous_plant, discretise
 from tests import kalico
 
 SHORT = Request(directions=TOWERS + AXES, period_s=2.0, periods=1, highest_hz=110.0, places_mm=((0.0, 0.0),))

@@ -5,8 +5,8 @@ import pytest
 
 from ffcomp.errors import SolverError
 from ffcomp.identify.rational import fit_rational, fit_values
-from models.carriage import command_frf
-from models.machine_file import load_machine
+from models.file import load_machine
+from models.vibration.carriage import command_frf
 from tests.ffcomp.identify.bench import FREQUENCY_HZ, blank, measured
 
 MACHINE = load_machine("mp-delta-pro")

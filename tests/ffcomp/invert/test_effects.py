@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.compare.judge import Played, contour
-from ffcomp.compare.play import play
-from ffcomp.compare.stretch import Print, Sampling
-from ffcomp.compare.ways import OURS, inversion
-from ffcomp.invert import fast
-from ffcomp.invert.inverter import GEOMETRY, Inverter
-from ffcomp.job import Job
-from ffcomp.pipeline import settings_for
+from ffcomp.compare.evaluation import Played, contour
+from ffcomp.compare.methods import OURS, inversion
+from ffcomp.compare.playback import play
+from ffcomp.compare.sampling import Print, Sampling
+from ffcomp.compensate.job import Job
+from ffcomp.compensate.program import settings_for
+from ffcomp.inverse import lq_preview as fast
+from ffcomp.inverse.model import GEOMETRY, Inverter
 from models.effects.catalogue import CATALOGUE, with_effect
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 from tests.ffcomp.compare.prints import squares
 
 MACHINE = load_machine("mp-delta-pro")

@@ -11,11 +11,11 @@ import pytest
 from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
-from ffcomp.invert.effort import HIGHEST, LOWEST_HZ, _square, effort_curve, effort_weight
-from ffcomp.pipeline import settings_for
+from ffcomp.compensate.program import settings_for
+from ffcomp.inverse.bandwidth import HIGHEST, LOWEST_HZ, _square, effort_curve, effort_weight
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
-from models.receptance import modes, nozzle_frf
+from models.vibration.receptance import modes, nozzle_frf
 
 
 @pytest.fixture(scope="module")

@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.invert.exact import Window, next_window
-from ffcomp.invert.inverter import Inverter, steady_delay
-from ffcomp.invert.kernels import basis_response
-from ffcomp.invert.limited import FOLLOWING
-from ffcomp.invert.limits import ACCELERATION, TRAVEL, VELOCITY, excess, shares_from_rest
-from ffcomp.invert.play import Playing
-from ffcomp.invert.settings import Settings
-from ffcomp.pipeline import firmware_limits
-from ffcomp.plan.lookahead import plan_moves
-from ffcomp.runs import Reference, split_runs
-from ffcomp.schedule import interpolate, models_along, rest_state
+from ffcomp.compensate.program import firmware_limits
+from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL, VELOCITY, excess, shares_from_rest
+from ffcomp.inverse.constrained import FOLLOWING
+from ffcomp.inverse.iterate import Playing
+from ffcomp.inverse.model import Inverter, steady_delay
+from ffcomp.inverse.reference import Reference, split_runs
+from ffcomp.inverse.riccati_kernels import basis_response
+from ffcomp.inverse.settings import Settings
+from ffcomp.inverse.windowed_qr import Window, next_window
+from ffcomp.planner.lookahead import plan_moves
 from gcode.reader import read_program
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
-from models.receptance import nozzle_frf
+from models.vibration.receptance import nozzle_frf
+from models.vibration.scheduled import interpolate, models_along, rest_state
 
 FloatArray = NDArray[np.float64]
 

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.invert import fast
-from ffcomp.invert.inverter import Inverter, RunResult
-from ffcomp.invert.preview import REST_ROWS, TO_THE_END, Preview, Problem
-from ffcomp.invert.settings import Settings
-from ffcomp.pipeline import plan_program, settings_for
-from ffcomp.runs import Reference
-from ffcomp.schedule import rest_state
+from ffcomp.compensate.program import plan_program, settings_for
+from ffcomp.inverse import lq_preview as fast
+from ffcomp.inverse.model import Inverter, RunResult
+from ffcomp.inverse.reference import Reference
+from ffcomp.inverse.riccati import REST_ROWS, TO_THE_END, Preview, Problem
+from ffcomp.inverse.settings import Settings
 from gcode.reader import read_program
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
-from models.receptance import carriage_frf
+from models.vibration.receptance import carriage_frf
+from models.vibration.scheduled import rest_state
 
 FloatArray = NDArray[np.float64]
 

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.compare.stretch import Print, Sampling
-from ffcomp.invert.foreseen import Foresight, guide_friction
-from ffcomp.invert.inverter import Inverter
-from ffcomp.invert.play import Playing
-from ffcomp.pipeline import settings_for, solutions
-from ffcomp.runs import Reference
+from ffcomp.compare.sampling import Print, Sampling
+from ffcomp.compensate.program import settings_for, solutions
+from ffcomp.inverse.iterate import Playing
+from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.nonlinear.friction_backlash import Foresight, guide_friction
+from ffcomp.inverse.reference import Reference
 from models.effects.catalogue import with_effect
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
-from models.printer import printer_numbers, simulate_printer
-from models.printer_kernels import MOST_STRAIN
+from models.printer.kernels import MOST_STRAIN
+from models.printer.printer import printer_numbers, simulate_printer
 from tests.ffcomp.compare.prints import squares
 
 FloatArray = NDArray[np.float64]

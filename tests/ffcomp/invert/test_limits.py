@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp.errors import SolverError
-from ffcomp.invert.limited_step import limited_step
-from ffcomp.invert.limits import ACCELERATION, TRAVEL, VELOCITY, CommandLimits, excess, shares_from_rest
+from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL, VELOCITY, CommandLimits, excess, shares_from_rest
+from ffcomp.inverse.constrained_step import limited_step
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 
 FloatArray = NDArray[np.float64]
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.invert import rehearsal
-from ffcomp.invert.rehearsal import REMEMBERED_S, memory_s, rehearsed
 from models.effects.catalogue import with_effect
-from models.machine_file import load_machine
-from models.printer import PrinterMotion
+from models.file import load_machine
+from models.printer.batch import REMEMBERED_S, memory_s, rehearsed
+from models.printer.printer import PrinterMotion
+from models.printer.printer import batch as rehearsal
 
 FloatArray = NDArray[np.float64]
 

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.compare.judge import Played, contour
-from ffcomp.compare.plants import drawn
-from ffcomp.compare.play import play
-from ffcomp.compare.stretch import Print, Sampling
-from ffcomp.compare.ways import OURS, ROBUST, inversion
-from ffcomp.invert.inverter import Inverter
-from ffcomp.invert.robust import (
+from ffcomp.compare.evaluation import Played, contour
+from ffcomp.compare.methods import OURS, ROBUST, inversion
+from ffcomp.compare.monte_carlo import drawn
+from ffcomp.compare.playback import play
+from ffcomp.compare.sampling import Print, Sampling
+from ffcomp.compensate.program import settings_for
+from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.robust import (
     ALONG,
     MARGIN,
     SPANS,
@@ -28,11 +29,10 @@ from ffcomp.invert.robust import (
     sigma_points,
 )
 from ffcomp.metrics import contour_error
-from ffcomp.pipeline import settings_for
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 from models.parameters import dynamic_numbers, value_of
-from models.receptance import nozzle_frf
+from models.vibration.receptance import nozzle_frf
 from tests.ffcomp.compare.prints import squares
 
 FloatArray = NDArray[np.float64]

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ffcomp.errors import SolverError
-from ffcomp.invert import solvers
-from ffcomp.invert.solvers import BACKENDS, Backend, solve_qp
+from ffcomp.inverse import qp as solvers
+from ffcomp.inverse.qp import BACKENDS, Backend, solve_qp
 
 FloatArray = NDArray[np.float64]
 

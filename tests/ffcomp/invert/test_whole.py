@@ -9,14 +9,14 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from ffcomp.compare.stretch import Print, Sampling, Stretch
-from ffcomp.invert import whole
-from ffcomp.invert.inverter import Inverter, RunResult
-from ffcomp.invert.limits import excess
-from ffcomp.pipeline import Solved, settings_for, solutions
+from ffcomp.compare.sampling import Print, Sampling, Stretch
+from ffcomp.compensate.program import Solved, settings_for, solutions
+from ffcomp.inverse.command_limits import excess
+from ffcomp.inverse.model import Inverter, RunResult
+from ffcomp.inverse.nonlinear import correction as whole
 from models.effects.catalogue import with_effect
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 from tests.ffcomp.compare.prints import squares
 
 MACHINE = load_machine("mp-delta-pro")

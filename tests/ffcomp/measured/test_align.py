@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfilt
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measured.align import align
+from ffcomp.measurement.alignment import align
 
 RATE = 1000.0
 EXPECTED_T = np.arange(12_000) / RATE

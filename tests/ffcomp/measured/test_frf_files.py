@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measured.frf import FrequencyResponse
-from ffcomp.measured.frf_files import read_frfs, write_frf
+from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.measurement.frf_files import read_frfs, write_frf
 
 FREQUENCY = np.arange(1, 160) * 0.75
 
@@ -58,7 +58,7 @@ def test_csv_round_trip(tmp_path: Path, written: FrequencyResponse) -> None:
 
 def test_universal_round_trip(tmp_path: Path) -> None:
     pytest.importorskip("pyuff")
-    from ffcomp.measured.uff import write_universal
+    from ffcomp.measurement.uff import write_universal
 
     path = tmp_path / "a.csv"  # the name says nothing
     write_universal(path, RESPONSES)
@@ -70,7 +70,7 @@ def test_universal_round_trip(tmp_path: Path) -> None:
 
 def test_a_label_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("pyuff")
-    from ffcomp.measured.uff import write_universal
+    from ffcomp.measurement.uff import write_universal
 
     with pytest.raises(MeasurementError, match="An ID line has 80 characters"):
         write_universal(tmp_path / "a.uff", [response(clock="c" * 90)])
@@ -209,7 +209,7 @@ def test_numbers_that_cannot_be(tmp_path: Path, extra: dict[str, np.ndarray], wo
 @given(st.data())
 def test_broken_universal_files_are_errors_in_sentences_or_read(tmp_path: Path, data: st.DataObject) -> None:
     pytest.importorskip("pyuff")
-    from ffcomp.measured.uff import write_universal
+    from ffcomp.measurement.uff import write_universal
 
     path = tmp_path / "broken.uff"
     short = response().between(0, 15)

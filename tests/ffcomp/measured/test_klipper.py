@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measured.klipper import Capture, G, Resonances, read_capture, read_vibration
+from ffcomp.measurement.klipper import Capture, G, Resonances, read_capture, read_vibration
 
 LINES = np.arange(30) * 1.6
 PSD = 1e3 * np.exp(-(((LINES - 25) / 8) ** 2)) + 1

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import chirp, lfilter
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measured.modes import fit_modes, modes_of
+from ffcomp.measurement.modes import fit_modes, modes_of
 
 RATE = 1600.0
 

@@ -10,11 +10,11 @@ import pytest
 from scipy.signal import freqz, lfilter
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measured.records import frfs_from_runs
-from ffcomp.measured.run import Run, read_run
-from ffcomp.measured.spectra import as_position
-from models.machine_file import load_machine
-from models.receptance import carriage_frf
+from ffcomp.measurement.estimators import as_position
+from ffcomp.measurement.recording import Run, read_run
+from ffcomp.measurement.records import frfs_from_runs
+from models.file import load_machine
+from models.vibration.receptance import carriage_frf
 
 RATE = 1600.0
 B, A = [0.02, 0.01], [1.0, -1.9, 0.93]

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measured.run import read_run
+from ffcomp.measurement.recording import read_run
 from tests.ffcomp.measured.conftest import RATE, Written
 
 Columns = dict[str, np.ndarray]

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.plan.limits import DeltaReach, FirmwareLimits
-from ffcomp.plan.lookahead import plan_moves, stops_and_waits
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.planner.limits import DeltaReach, FirmwareLimits
+from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.trajectory import Trajectory
 from gcode.reader import read_program
 from tests import kalico
 from tests.ffcomp.plan.programs import random_program

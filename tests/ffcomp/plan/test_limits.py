@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from ffcomp.plan.limits import DeltaReach, FirmwareLimits, bounds_of, lines_of
+from ffcomp.planner.limits import DeltaReach, FirmwareLimits, bounds_of, lines_of
 from tests.ffcomp.plan.programs import moves_through
 
 LIMITS = FirmwareLimits(velocity_mm_per_s=300.0, acceleration_mm_per_s2=3000.0)

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linprog
 
-from ffcomp.plan.limits import DeltaReach, FirmwareLimits, bounds_of, lines_of
-from ffcomp.plan.lookahead import plan_moves, stops_and_waits
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.planner.limits import DeltaReach, FirmwareLimits, bounds_of, lines_of
+from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.trajectory import Trajectory
 from gcode.errors import GcodeError
 from gcode.program import Moves
 from gcode.reader import read_program

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ffcomp.pipeline import firmware_plan
-from ffcomp.plan.moment import AROUND_S, CRUISE_RATIO, SETTLED, Moment, around_s
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.compensate.program import firmware_plan
+from ffcomp.inverse.extent import AROUND_S, CRUISE_RATIO, SETTLED, Moment, around_s
+from ffcomp.planner.trajectory import Trajectory
 from gcode.reader import read_program
-from models.machine_file import load_machine
+from models.file import load_machine
 
 SQUARE = b"G1 X30 Y0 F6000\nG1 X30 Y30 F1200\nG1 X29.9 Y30\nG1 X0 Y0 F9000\n"
 

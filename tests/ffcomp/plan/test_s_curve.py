@@ -12,14 +12,14 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ffcomp.plan.junctions import junction_limits
-from ffcomp.plan.limits import FirmwareLimits
-from ffcomp.plan.lookahead import plan_moves, stops_and_waits
-from ffcomp.plan.s_curve import SCurve, hold, s_curve
-from ffcomp.plan.smooth import SmoothTrajectory
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.planner.junctions import junction_limits
+from ffcomp.planner.limits import FirmwareLimits
+from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.s_curve import SCurve, hold, s_curve
+from ffcomp.planner.smooth import SmoothTrajectory
+from ffcomp.planner.trajectory import Trajectory
 from gcode.reader import read_program
-from models.machine_file import load_machine
+from models.file import load_machine
 from tests.ffcomp.plan.programs import moves_through, random_program
 
 FloatArray = NDArray[np.float64]

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ffcomp.compensate.program import Planned, firmware_limits, plan_program, settings_for
 from ffcomp.errors import LimitsError
-from ffcomp.invert.inverter import Inverter
-from ffcomp.invert.settings import Settings
-from ffcomp.pipeline import Planned, firmware_limits, plan_program, settings_for
-from ffcomp.plan.s_curve import s_curve
-from ffcomp.plan.slow_down import Feasible, feasible_run
-from ffcomp.plan.troubles import widened
-from ffcomp.played import played
-from ffcomp.runs import Reference, Run
-from ffcomp.schedule import rest_state
+from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.reference import Reference, Run
+from ffcomp.inverse.settings import Settings
+from ffcomp.inverse.time_scaling import Feasible, feasible_run
+from ffcomp.inverse.violations import widened
+from ffcomp.planner.s_curve import s_curve
+from ffcomp.planner.segment_timing import played
 from gcode.reader import read_program
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
+from models.vibration.scheduled import rest_state
 
 FloatArray = NDArray[np.float64]
 

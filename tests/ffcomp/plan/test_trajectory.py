@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.plan.limits import FirmwareLimits
-from ffcomp.plan.lookahead import plan_moves, stops_and_waits
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.planner.limits import FirmwareLimits
+from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.trajectory import Trajectory
 from gcode.reader import read_program
 from tests.ffcomp.plan.programs import moves_through, random_program
 

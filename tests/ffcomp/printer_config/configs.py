@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ffcomp.printer_config.draft import Draft, draft, machine_text
-from ffcomp.printer_config.source import read_printer_config
+from ffcomp.importers.builder import Draft, draft, machine_text
+from ffcomp.importers.detect import read_printer_config
+from models.file import load_machine
 from models.machine import Machine
-from models.machine_file import load_machine
 
 SAVED = "\n#*# <---------------------- SAVE_CONFIG ---------------------->\n#*# DO NOT EDIT"
 SAVED += " THIS BLOCK OR BELOW. The contents are auto-generated.\n#*#\n"

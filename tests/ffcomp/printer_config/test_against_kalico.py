@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.pipeline import firmware_limits
-from ffcomp.plan.lookahead import plan_moves, stops_and_waits
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.compensate.program import firmware_limits
+from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.trajectory import Trajectory
 from gcode.reader import read_program
 from models.machine import Machine
 from tests import kalico

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from ffcomp.printer_config.draft import machine_text
-from ffcomp.printer_config.found import PrinterConfigError
-from ffcomp.printer_config.remedies import REMEDIES, still_assumed
+from ffcomp.importers.builder import machine_text
+from ffcomp.importers.hints import REMEDIES, still_assumed
+from ffcomp.importers.values import PrinterConfigError
 from models.errors import MachineFileError
-from models.machine_file import LIBRARY, check_text, entries, load_machine
+from models.file import LIBRARY, check_text, entries, load_machine
 from tests.ffcomp.printer_config.configs import COREXY, SHAPER, Delta, drafted, imported, written
 
 

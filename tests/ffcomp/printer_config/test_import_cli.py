@@ -10,14 +10,14 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from ffcomp.cli.machines import app
-from models.machine_file import load_machine
-from models.receptance import modes
+from models.file import load_machine
+from models.vibration.receptance import modes
 from tests.ffcomp.printer_config.configs import COREXY, SHAPER, Delta, written
 
 
 @pytest.fixture
 def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr("models.machine_file.user_folder", lambda: tmp_path / "own")
+    monkeypatch.setattr("models.file.user_folder", lambda: tmp_path / "own")
     return tmp_path / "own"
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from ffcomp.printer_config.found import Found, PrinterConfigError
-from ffcomp.printer_config.klipper_file import read_klipper
-from ffcomp.printer_config.source import read_printer_config
+from ffcomp.importers.detect import read_printer_config
+from ffcomp.importers.klipper_file import read_klipper
+from ffcomp.importers.values import Found, PrinterConfigError
 from tests.ffcomp.printer_config.configs import COREXY, SAVED, SHAPER, Delta, imported, written
 
 PLAIN = """

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from ffcomp.printer_config.found import Found, PrinterConfigError
-from ffcomp.printer_config.source import read_printer_config
+from ffcomp.importers.detect import read_printer_config
+from ffcomp.importers.values import Found, PrinterConfigError
 from tests.ffcomp.printer_config.configs import imported, written
 
 LIMITS = (

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from ffcomp.printer_config.found import Found, PrinterConfigError
-from ffcomp.printer_config.source import read_printer_config
+from ffcomp.importers.detect import read_printer_config
+from ffcomp.importers.values import Found, PrinterConfigError
 from tests.ffcomp.printer_config.configs import imported, written
 
 HEAD = "; Configuration\nG90\nM83\nM569 P0 S1 ; forwards\nM584 X0 Y1 Z2 E3\n"

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ffcomp.printer_config.draft import draft, machine_text
-from ffcomp.printer_config.found import PrinterConfigError
-from ffcomp.printer_config.source import read_printer_config
+from ffcomp.importers.builder import draft, machine_text
+from ffcomp.importers.detect import read_printer_config
+from ffcomp.importers.values import PrinterConfigError
 from models.errors import MachineFileError
-from models.machine_file import check_text
+from models.file import check_text
 from tests.ffcomp.printer_config.configs import COREXY, SAVED, SHAPER, Delta, written
 
 DELTA = Delta()
@@ -47,7 +47,7 @@ def test_what_is_none_of_them_is_refused(data: bytes, sentence: str, tmp_path: P
 
 
 def test_a_file_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ffcomp.printer_config.text.LARGEST_BYTES", 3_000_000)
+    monkeypatch.setattr("ffcomp.importers.text.LARGEST_BYTES", 3_000_000)
     path = written(tmp_path, "x" * 3_000_001)
     with pytest.raises(PrinterConfigError, match="at most 3 MB"):
         read_printer_config(path)

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import ffcomp.diagnose.delta as delta
+import ffcomp.diagnose.printer_problem as delta
 from ffcomp.cli.app import app
-from ffcomp.diagnose import experiment
-from ffcomp.diagnose.experiment import Proposal
-from ffcomp.diagnose.outcome import Outcome, Size
-from ffcomp.diagnose.picture import Picture, Split
-from ffcomp.identify.estimates import Estimate, normal
+from ffcomp.diagnose import next_experiment as experiment
+from ffcomp.diagnose.next_experiment import Proposal
+from ffcomp.diagnose.result import Outcome, Size
+from ffcomp.diagnose.summary import Picture, Split
+from ffcomp.identify.uncertainty import Estimate, normal
 from ffcomp.report.diagnose import effects, html, words
 from ffcomp.report.diagnose.html import page
 from ffcomp.report.diagnose.rivals import look_alikes
@@ -28,8 +28,8 @@ from ffcomp.report.diagnose.standout import stands_out
 from ffcomp.report.diagnose.told import Told, explained, explained_elsewhere
 from ffcomp.report.diagnose.verdict import verdict
 from models.effects.catalogue import CATALOGUE, with_effect
-from models.machine_file import LIBRARY, load_machine
-from models.printer import simulate_printer
+from models.file import LIBRARY, load_machine
+from models.printer.printer import simulate_printer
 from tests.browser import chromium, visit
 
 RATE_HZ, SECONDS, NOISE = 1600.0, 1.2, 0.3
@@ -125,9 +125,9 @@ def told(heavy: Case) -> Told:
 def found_already(plain: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     """The verb without its search: the picture and the answer of a case that was searched before."""
     monkeypatch.setattr("ffcomp.diagnose.engine.diagnose", lambda *_: None)
-    monkeypatch.setattr("ffcomp.diagnose.outcome.outcome", lambda *_: plain.told.outcome)
-    monkeypatch.setattr("ffcomp.diagnose.picture.picture", lambda *_: plain.told.picture)
-    monkeypatch.setattr("ffcomp.diagnose.experiment.propose", lambda *_: [PROPOSAL])
+    monkeypatch.setattr("ffcomp.diagnose.result.outcome", lambda *_: plain.told.outcome)
+    monkeypatch.setattr("ffcomp.diagnose.summary.picture", lambda *_: plain.told.picture)
+    monkeypatch.setattr("ffcomp.diagnose.next_experiment.propose", lambda *_: [PROPOSAL])
 
 
 # ---- the page and the JSON -----------------------------------------------------------------------
@@ -212,7 +212,7 @@ def test_an_existing_report_is_refused_before_the_work_and_replaced_with_force(
     old = tmp_path / "old.html"
     old.write_text("old")
     with monkeypatch.context() as patch:
-        patch.setattr("ffcomp.diagnose.outcome.outcome", lambda *_: pytest.fail("it went to work"))
+        patch.setattr("ffcomp.diagnose.result.outcome", lambda *_: pytest.fail("it went to work"))
         answer = run(plain.runs, "--report", str(old))
     assert answer.exit_code == 2 and "exists already" in answer.output and old.read_text() == "old"
     answer = run(plain.runs, "--report", str(old), "--force")
@@ -239,7 +239,7 @@ def test_nothing_is_written_when_the_page_fails(
     def fails(drawing: object) -> bytes:
         raise RuntimeError("no room")
 
-    monkeypatch.setattr("ffcomp.diagnose.outcome.outcome", lambda *_: heavy.told.outcome)
+    monkeypatch.setattr("ffcomp.diagnose.result.outcome", lambda *_: heavy.told.outcome)
     monkeypatch.setattr(html, "svg", fails)
     targets = ["-o", str(tmp_path / "better.toml"), "--report", str(tmp_path / "d.html")]
     assert str(run(heavy.runs, *targets).exception) == "no room"

@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.plan.limits import DeltaReach, FirmwareLimits
-from ffcomp.plan.lookahead import plan_moves, stops_and_waits
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.planner.limits import DeltaReach, FirmwareLimits
+from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps.pieces import trajectory_pieces
 from ffcomp.steps.reader import MotorSteps, read_steps
 from ffcomp.steps.sink import Board, StepSink
 from gcode.reader import read_program
+from models.file import load_machine
 from models.machine import Steps, constant
-from models.machine_file import load_machine
 from tests import kalico
 from tests.judge import HOST_KNOWS
 

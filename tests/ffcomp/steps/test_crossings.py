@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ffcomp.steps.crossings import STATE_SIZE, SWALLOWED, _rise, _turn, last_step, step_times
 from ffcomp.steps.pieces import Pieces, knot_pieces
-from models.machine_file import load_machine
+from models.file import load_machine
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

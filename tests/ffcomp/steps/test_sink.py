@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ffcomp.compensate.program import plan_program
 from ffcomp.errors import LimitsError
-from ffcomp.pipeline import plan_program
-from ffcomp.plan.trajectory import Trajectory
+from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps import compress, sink
 from ffcomp.steps.pieces import Pieces, knot_pieces, trajectory_pieces
 from ffcomp.steps.reader import StepsError, is_step_archive, read_events, read_steps
 from ffcomp.steps.sink import Board, MotorTotal, StepSink
 from gcode.reader import read_program
 from models.errors import UnreachableError
-from models.machine_file import load_machine
+from models.file import load_machine
 
 MACHINE = load_machine("mp-delta-pro")
 BOARD = Board(extruder_steps_per_mm=415.0)

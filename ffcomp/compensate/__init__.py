@@ -1,0 +1,1 @@
+"""A file through the planner, the inverse and the writer."""

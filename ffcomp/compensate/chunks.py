@@ -1,0 +1,293 @@
+"""A print of any length in chapters of some minutes, so that each can be planned and compensated alone.
+
+They are cut where the nozzle rests. A motion that does not rest for long, a vase in one spiral or a line that takes
+hours, is cut under way, at a knot: both chapters then hold the path around the cut, and each writes its own side of it.
+
+A chapter brings along what the ones before it leave behind: the moves of which the printer may still ring, and what the
+file has said of limits. So chapters can be worked at side by side, and what comes out does not depend on how many are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.compensate.gcode_output.layout import CUT
+from ffcomp.compensate.gcode_output.writer import limits_said
+from ffcomp.inverse.extent import AROUND_S, WHOLE, Ends, Moment, around_s
+from ffcomp.inverse.time_scaling import SlowDown
+from ffcomp.planner.limits import lines_of
+from ffcomp.planner.lookahead import stops_and_waits
+from ffcomp.planner.trajectory import Trajectory
+from gcode.layers import layer_starts
+from gcode.program import EventKind, Moves, Program
+from gcode.slicing import excerpt, join, shortened, split
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+PlanOf = Callable[[Program], Trajectory]
+Ease = Callable[[Program, Moment, int], tuple[Moves, tuple[SlowDown, ...]]]  # what is around a cut, cut, layers before
+
+REMEMBERED_S = 0.5  # of motion before a chapter: more than twice what the printer remembers
+LONGEST_S = 300.0  # of motion in a chapter
+LONGEST = 50_000  # moves without a rest, before they are cut in motion
+CLEAR = 0.25  # knots around such a cut in which no line may have its place
+SHORTEST_S = 1.0  # of a move that is left when one is cut
+ROUNDING = 1e-6  # of a segment
+
+
+@dataclass(frozen=True, slots=True)
+class Chapter:
+    """A program from rest to rest, or what is written of it."""
+
+    program: Program
+    before: Program | None  # the moves just before it, from a rest on; None: nothing of ours has moved the nozzle
+    said: dict[bytes, bytes]  # of limits, in the lines before
+    layers: int  # that have begun in them
+    last: bool
+    ends: Ends = WHOLE  # what is written of it
+    eased: tuple[SlowDown, ...] = ()  # what had to become slower before its end could be cut
+    cuts: int = 0  # in motion, before it
+
+
+def chapters(
+    parts: Iterable[Program],
+    segment_s: float,
+    lead_s: float,
+    plan_of: PlanOf,
+    longest_s: float = LONGEST_S,
+    ease: Ease | None = None,
+) -> Iterator[Chapter]:
+    """Programs that follow each other, cut anew. What is left of a part goes together with the next one.
+
+    Parameters
+    ----------
+    plan_of : the firmware's plan for a program
+    longest_s : of motion without a rest, before it is cut; inf: never
+    ease : makes a motion slower, where that has to be, around the place where it is to be cut; None: nothing has to be
+    """
+    settings = _Settings(segment_s, lead_s, longest_s, plan_of, ease)
+    ahead: _Ahead | None = None
+    for program in parts:
+        ahead = _Ahead(program) if ahead is None else replace(ahead, program=join(ahead.program, program))
+        if not len(ahead.program.moves):
+            continue
+        known = _Known.of(ahead, settings)
+        while (cut := known.first()) is not None:
+            chapter, known = cut
+            yield chapter
+        ahead = known.ahead
+    if ahead is not None:
+        yield ahead.chapter(ahead.program, last=True)
+
+
+@dataclass(frozen=True, slots=True)
+class _Settings:
+    """See `chapters`."""
+
+    segment_s: float
+    lead_s: float
+    longest_s: float
+    plan_of: PlanOf
+    ease: Ease | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Ahead:
+    """What is not in a chapter yet, and what the chapters before it leave behind."""
+
+    program: Program
+    before: Program | None = None
+    said: dict[bytes, bytes] = field(default_factory=dict)
+    layers: int = 0
+    begin: Moment | None = None
+    eased: tuple[SlowDown, ...] = ()
+    cuts: int = 0
+
+    def chapter(self, program: Program, last: bool = False, end: Moment | None = None) -> Chapter:
+        """What it begins with."""
+        ends = Ends(self.begin, end)
+        return Chapter(program, self.before, self.said, self.layers, last, ends, self.eased, self.cuts)
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """It with its plan."""
+
+    ahead: _Ahead
+    plan: Trajectory  # of its moves; one that is cut begins as if it were whole
+    begin_t: float  # s, when the next chapter begins
+    settings: _Settings
+
+    @staticmethod
+    def of(ahead: _Ahead, settings: _Settings) -> _Known:
+        plan = settings.plan_of(ahead.program)
+        begin_t = float(plan.start_t[0]) - settings.lead_s if ahead.begin is None else ahead.begin.on(plan)
+        return _Known(ahead, plan, begin_t, settings)
+
+    def first(self) -> tuple[Chapter, _Known] | None:
+        """The next chapter, and what is left; None: what comes after must be known."""
+        rests = rests_of(self.ahead.program)
+        near = rests[self.plan.start_t[rests] <= self.begin_t + LONGEST_S]
+        if near.size:
+            return self._at_rest(int(near[-1]))
+        rest = int(rests[0]) if rests.size else None
+        latest_t = self._latest_t(rest)
+        if latest_t is not None and (knots := self._clear_cut(latest_t)):
+            return self._in_motion(knots, rest)
+        return None if rest is None else self._at_rest(rest)
+
+    def _latest_t(self, rest: int | None) -> float | None:
+        """When a motion that is too long for a chapter has to be cut; None: it is not.
+
+        rest : the move before which it ends; None: not in sight
+        """
+        longest_s, begin_t = self.settings.longest_s, self.begin_t
+        known_t = self.plan.end_t if rest is None else float(self.plan.start_t[rest - 1] + self.plan.duration[rest - 1])
+        many = rest is None and len(self.plan) > LONGEST and longest_s < np.inf
+        if known_t <= begin_t + longest_s and not many:
+            return None
+        latest_t = 0.5 * (begin_t + known_t) if rest is not None else known_t - self._around_s
+        return min(begin_t + LONGEST_S, latest_t)
+
+    @property
+    def _around_s(self) -> float:
+        return around_s(self.ahead.program.moves, self.plan)
+
+    def _clear_cut(self, latest_t: float) -> int:
+        """After how many segments to cut, not later: far from the last cut and from any line, in no wipe; 0: nowhere.
+
+        Filament that is pulled back is shared out over its whole way (`ffcomp/compensate/gcode_output/layout.py`).
+        """
+        segment_s, wipes = self.settings.segment_s, self.plan.direction[:, 3] < 0.0
+        at = (self.plan.start_t - self.begin_t) / segment_s
+        last = int((latest_t - self.begin_t) / segment_s + ROUNDING) // CUT * CUT
+        for knots in range(last, int(2.0 * self._around_s / segment_s), -CUT):
+            i = int(np.searchsorted(at, knots))
+            if np.abs(at[max(i - 1, 0) : i + 1] - knots).min() > CLEAR and not wipes[max(i - 1, 0)]:
+                return knots
+        return 0
+
+    def _at_rest(self, move: int) -> tuple[Chapter, _Known]:
+        ahead, plan = self.ahead, _columns(self.plan, slice(move, None))
+        head, tail = split(ahead.program, move)
+        before = _remembered(head, _columns(self.plan, slice(0, move)))
+        layers = ahead.layers + len(layer_starts(head))
+        left = _Ahead(tail, before, limits_said(head, ahead.said), layers, cuts=ahead.cuts)
+        begin_t = float(plan.start_t[0]) - self.settings.lead_s
+        return ahead.chapter(head), _Known(left, plan, begin_t, self.settings)
+
+    def _in_motion(self, knots: int, rest: int | None) -> tuple[Chapter, _Known]:
+        """Cut after about so many segments. rest : the move before which the motion ends, if that is known"""
+        eased = self._eased(knots, rest)
+        if eased is not None and (fewer := eased._clear_cut(self._place(knots).on(eased.plan))):
+            return eased._in_motion(fewer, rest)
+        return self._cut(knots, rest)
+
+    def _t(self, knots: int) -> float:
+        return self.begin_t + knots * self.settings.segment_s
+
+    def _place(self, knots: int) -> Moment:
+        """The place that is passed after so many segments."""
+        t = self._t(knots)
+        move = int(self.plan.move_at(t))
+        return Moment(move, _far(self.plan.position([t])[0], self.ahead.program.moves.start[move]))
+
+    def _cut(self, knots: int, rest: int | None) -> tuple[Chapter, _Known]:
+        ahead, plan, around = self.ahead, self.plan, self._around_s
+        t, place = self._t(knots), self._place(knots)
+        first, tail = _from(ahead.program, plan, t - around)
+        begin = Moment(place.move - first, _far(plan.position([t])[0], tail.moves.start[place.move - first]))
+        said = limits_said(excerpt(ahead.program, 0, place.move + 1), ahead.said)
+        passed = layer_starts(excerpt(ahead.program, 0, first)) if first else []
+        tail = replace(tail, warnings=[])
+        left = _Ahead(tail, None, said, ahead.layers + len(passed), begin, cuts=ahead.cuts + 1)
+        chapter = ahead.chapter(_until(ahead.program, plan, t + around, rest), end=place)
+        return chapter, _Known(left, _columns(plan, slice(first, None)), t, self.settings)
+
+    def _eased(self, knots: int, rest: int | None) -> _Known | None:
+        """It, slower around the place where it is to be cut; None: that need not be."""
+        ease, ahead, plan, t = self.settings.ease, self.ahead, self.plan, self._t(knots)
+        if ease is None:
+            return None
+        first, tail = _from(ahead.program, plan, t - self._around_s)
+        last = None if rest is None else rest - first
+        around = _until(tail, _columns(plan, slice(first, None)), t + self._around_s, last)
+        place = self._place(knots)
+        cut = Moment(place.move - first, _far(plan.position([t])[0], around.moves.start[place.move - first]))
+        passed = layer_starts(excerpt(ahead.program, 0, first)) if first else []
+        slower, records = ease(around, cut, ahead.layers + len(passed))
+        if not records:
+            return None
+        program = replace(ahead.program, moves=_with(ahead.program.moves, first, slower))
+        return _Known.of(replace(ahead, program=program, eased=ahead.eased + records), self.settings)
+
+
+def _with(moves: Moves, first: int, slower: Moves) -> Moves:
+    """Moves of which some, from one on, have another speed, acceleration and corner speed."""
+    changed = {}
+    for name in ("speed", "acceleration", "square_corner_velocity"):
+        column = getattr(moves, name).copy()
+        column[first : first + len(slower)] = getattr(slower, name)
+        changed[name] = column
+    return replace(moves, **changed)
+
+
+def _far(place: FloatArray, start: FloatArray) -> float:
+    """From one place to another, both (4,) mm, along the nozzle's path."""
+    return float(np.sqrt(((place - start)[:3] ** 2).sum()))
+
+
+def _from(program: Program, plan: Trajectory, t: float) -> tuple[int, Program]:
+    """The first move of what is under way from a time on, and that: what began long before begins at that time."""
+    move = int(plan.move_at(t))
+    start_t, duration = float(plan.start_t[move]), float(plan.duration[move])
+    tail = excerpt(program, move)
+    at = min(t, start_t + duration - SHORTEST_S)
+    return move, shortened(tail, plan.position([at])[0], None) if at - start_t > AROUND_S else tail
+
+
+def _until(program: Program, plan: Trajectory, t: float, rest: int | None) -> Program:
+    """What is under way up to a time, or to the rest before a move: what goes on long after it ends at that time."""
+    if rest is not None and t >= plan.start_t[rest - 1] + plan.duration[rest - 1]:
+        return excerpt(program, 0, rest)
+    move = int(plan.move_at(t))
+    start_t, duration = float(plan.start_t[move]), float(plan.duration[move])
+    head = excerpt(program, 0, move + 1)
+    at = max(t, start_t + SHORTEST_S)
+    return shortened(head, None, plan.position([at])[0]) if start_t + duration - at > AROUND_S else head
+
+
+def _columns(plan: Trajectory, which: slice) -> Trajectory:
+    return Trajectory(*(getattr(plan, each.name)[which] for each in fields(Trajectory)))
+
+
+def rests_of(program: Program) -> IntArray:
+    """The moves before whose lines the nozzle rests, but for the first."""
+    moves = program.moves
+    stops, _ = stops_and_waits(program)
+    lines = lines_of(moves)
+    extrudes = ~lines.travels & (lines.length > 0.0)
+    rests = stops | extrudes
+    rests[1:] |= extrudes[:-1]
+    rests[1:] &= moves.line[1:] != moves.line[:-1]
+    rests[:1] = False
+    return np.flatnonzero(rests)
+
+
+def _remembered(chapter: Program, plan: Trajectory) -> Program | None:
+    """The last moves of a chapter, from a rest on, that take half a second at least; of a long motion its end."""
+    moves = chapter.moves
+    if any(e.move == len(moves) and e.kind in (EventKind.STOP, EventKind.RAW_MOVE) for e in reversed(chapter.events)):
+        return None
+    quickest = lines_of(moves).length / moves.speed
+    left = np.cumsum(quickest[::-1])[::-1]  # until the end, at least
+    rests = rests_of(chapter)
+    enough = rests[left[rests] >= REMEMBERED_S]
+    first = int(enough[-1]) if enough.size else 0
+    if plan.end_t - plan.start_t[first] > 2 * AROUND_S and not rests[rests > first].size:
+        return _from(chapter, plan, plan.end_t - AROUND_S)[1]
+    return excerpt(chapter, first)

@@ -1,0 +1,333 @@
+"""Where the lines of the original go out in a run: at their move's time, with the filament that had gone by then.
+
+A long run is laid out and written piece by piece. No segment is joined across a knot whose number is a multiple of CUT,
+and what is asked of the filament reaches no further than that: so pieces that end there say, with a little of what lies
+around them in sight, what the whole run says.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ffcomp.inverse.reference import Reference, Run
+from ffcomp.planner.trajectory import PlannedMotion
+from gcode.program import Event, Program
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+ROUNDING = 1e-9  # of a segment
+NEAR = 0.1  # of a segment: so near to a knot, a line goes out at the knot; shorter pieces cannot be played in time
+FLOWS_MM = 1e-6  # filament per segment from which on the exact place of a line matters
+STEEPEST = 0.1  # by which share the flow may be changed between two lines to meet both
+SPREAD = 10  # segments' worth of flow over which a difference of filament is spread
+CUT = 256  # knots
+AROUND = 2 * CUT  # knots on either side of a piece, until which one junction of a wipe leans on the next
+PIECE = 64 * CUT
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """The part of a run that is written at one go: knots, all of them multiples of CUT or the run's ends.
+
+    The context around it is not written, but decides how fast its ends are passed.
+    """
+
+    first: int  # its context begins here
+    begin: int  # its first segment begins here,
+    end: int  # and its last one ends here
+    last: int  # its context ends here
+
+    @staticmethod
+    def whole(knots: int) -> Piece:
+        """A run of so many segments at one go."""
+        return Piece(0, 0, knots, knots)
+
+
+def pieces(knots: int, length: int = PIECE, begin: int = 0, end: int | None = None) -> list[Piece]:
+    """A run of so many segments, or what lies between two of its knots, in pieces of `length`, a multiple of CUT."""
+    if length % CUT:
+        raise ValueError(f"A piece of {length} segments would end between two cuts; its length must divide by {CUT}.")
+    end = knots if end is None else end
+    edges = [*range(begin, max(end, begin + 1), length), end]
+    return [Piece(max(a - AROUND, 0), a, b, min(b + AROUND, knots)) for a, b in pairwise(edges)]
+
+
+@dataclass(frozen=True, slots=True)
+class Timeline:
+    """The points between which segments are written, all knots and the places where lines cut a segment; and the lines.
+
+    m points, k lines of the original in the file's order.
+    """
+
+    piece: Piece
+    at: FloatArray  # (m,) in knots of the run, strictly rising from piece.first to piece.last
+    e: FloatArray  # (m,) mm of filament
+    cut: BoolArray  # (m,) no segment is joined across it: a point with a line, every CUT-th knot, the end
+    point: IntArray  # (k,) index into `at`: where the line goes out
+    line: IntArray  # (k,) index into Program.lines
+    event: IntArray  # (k,) index into `events`; -1: a move, kept as a comment
+    events: list[Event]
+
+
+@dataclass(frozen=True, slots=True)
+class _Lines:
+    """k lines of the original in the file's order."""
+
+    line: IntArray  # (k,)
+    move: IntArray  # (k,) the move they stand before, or are
+    event: IntArray  # (k,) index into the events, -1: none
+
+
+def timeline(
+    program: Program,
+    trajectory: PlannedMotion,
+    run: Run,
+    wanted: Reference,
+    vertices: FloatArray,
+    inside: list[Event],
+    piece: Piece | None = None,
+) -> Timeline:
+    """Lay the events inside a run, and its moves, on its knots.
+
+    A line that stands where filament flows cuts its segment at the very moment, so that the filament between two lines
+    is kept; other lines go out at the knot before.
+
+    Parameters
+    ----------
+    vertices : (n + 1, 3) mm, columns X Y Z, at the knots piece.first … piece.last
+    inside : all events of the run, in the file's order
+    piece : what is laid out; by default the whole run
+    """
+    piece = piece or Piece.whole(wanted.knots)
+    e = wanted.extrusion(piece.first, piece.last)
+    if piece.last == wanted.knots:
+        e[-1] = program.moves.end[run.last - 1, 3]
+    lines, among, at = _lines_of(program, trajectory, run, wanted, inside, piece)
+    laid = _Laid(*_lay_out(at, lines.event >= 0, e, vertices, piece.first))
+    laid.cut[np.searchsorted(laid.at, piece.end)] = True  # where a motion is cut that had to be slowed down
+    _meet_the_events(laid, program, run, e, lines, among)
+    return Timeline(piece, laid.at, laid.e, laid.cut, laid.point, lines.line, lines.event, among)
+
+
+class _Laid(NamedTuple):
+    """m points and the places of k lines among them."""
+
+    at: FloatArray  # (m,) in knots
+    e: FloatArray  # (m,) mm of filament, as it flows between the knots
+    cut: BoolArray  # (m,) see `Timeline`
+    place: FloatArray  # (k,) in knots
+    point: IntArray  # (k,) index into `at`
+
+
+def _lines_of(
+    program: Program, trajectory: PlannedMotion, run: Run, wanted: Reference, inside: list[Event], piece: Piece
+) -> tuple[_Lines, list[Event], FloatArray]:
+    """The original's lines whose time lies in a piece or its context, the events among them, and their times in knots.
+
+    Before a run's first knot and after its last there may be lines too.
+    """
+    begun = trajectory.start_t[run.first : run.last]
+    first, last = run.first, run.last
+    if piece.first > 0:
+        first += bisect_left(begun, float(piece.first), key=wanted.knot_of)
+    if piece.last < wanted.knots:
+        last = run.first + bisect_left(begun, float(piece.last), key=wanted.knot_of)
+    own = program.moves.line[max(first - 1, run.first) : last]
+    new = np.flatnonzero(own[1:] != own[:-1]) + 1  # the chords of an arc share a line
+    if first == run.first:
+        new = np.concatenate([[0], new])
+    line, move, event = own[new], max(first - 1, run.first) + new, np.full(len(new), -1)
+    among = inside[_before(inside, first) : _before(inside, last)]
+    if among:
+        line = np.concatenate([line, np.array([each.line for each in among])])
+        move = np.concatenate([move, np.array([each.move for each in among])])
+        event = np.concatenate([event, np.arange(len(among))])
+        order = np.argsort(line)
+        line, move, event = line[order], move[order], event[order]
+    at = np.array([wanted.knot_of(t) for t in trajectory.start_t[move].tolist()])
+    return _Lines(line, move, event), among, at
+
+
+def _before(events: list[Event], move: int) -> int:
+    """How many events stand before lines of this move."""
+    return bisect_left(events, move, key=lambda event: event.move)
+
+
+@njit(cache=True, nogil=True)
+def _lay_out(
+    at: FloatArray, stands: BoolArray, e: FloatArray, vertices: FloatArray, first: int
+) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray, IntArray]:
+    """The columns of `_Laid`; of lines that stand where filament flows, the points are places between the knots.
+
+    Parameters
+    ----------
+    at : (k,) the lines' times in knots
+    stands : (k,) whether it stands between moves (an event) or is one
+    e : (n + 1,) mm of filament at the knots from `first` on; wipes are evened in place
+    vertices : (n + 1, 3) mm
+    """
+    place = _places(at, stands, e, first)
+    _even_wipes(e, vertices, first)
+    n = len(e)
+    points, filament, cut = np.empty(n + len(at)), np.empty(n + len(at)), np.zeros(n + len(at), dtype=np.bool_)
+    point = np.empty(len(at), dtype=np.int64)
+    m, line = 0, 0
+    for k in range(n):
+        points[m], filament[m], cut[m] = first + k, e[k], (first + k) % CUT == 0
+        while line < len(place) and place[line] < first + k + 1:
+            since = place[line] - (first + k)
+            if since > 0.0 and place[line] > points[m]:
+                m += 1
+                points[m], filament[m] = place[line], (e[k + 1] - e[k]) * since + e[k]
+            point[line], cut[m] = m, True
+            line += 1
+        m += 1
+    return points[:m], filament[:m], cut[:m], place, point
+
+
+@njit(nogil=True)
+def _places(at: FloatArray, stands: BoolArray, e: FloatArray, first: int) -> FloatArray:
+    """Where lines go out, (k,) in knots, rising."""
+    places = np.empty(len(at))
+    last = first + len(e) - 1
+    latest = 0.0
+    for i in range(len(at)):
+        place = min(max(at[i], 0.0), float(last))
+        place = max(place, np.floor(place + ROUNDING))  # a knot that rounding has put just before itself
+        knot = int(place)
+        flows = abs(e[min(knot + 1, last) - first] - e[knot - first]) > FLOWS_MM
+        if not stands[i] or not flows:
+            place = float(knot)  # never later than its time: what follows may need its exact place
+        elif abs(place - np.rint(place)) < NEAR:
+            place = np.rint(place)
+        latest = max(latest, place)
+        places[i] = latest
+    return places
+
+
+@njit(nogil=True)
+def _even_wipes(e: FloatArray, vertices: FloatArray, first: int) -> None:
+    """Share out filament that is pulled back while the nozzle moves by the command's path, in place.
+
+    When exactly a retraction pulls does not matter; but firmwares hold its acceleration down and slow down wherever it
+    changes against the path, and a wipe pulls so hard that every unevenness would cost time.
+
+    Parameters
+    ----------
+    e : (n + 1,) mm of filament at the knots, the first of which has the number `first`
+    vertices : (n + 1, 3) mm
+    """
+    n = len(e) - 1
+    begin = 0
+    while begin < n:
+        end = begin
+        while end < n and e[end + 1] - e[end] < -FLOWS_MM and (end == begin or (first + end) % CUT):
+            end += 1
+        if end > begin + 1:
+            gone = np.zeros(end - begin + 1)
+            for k in range(begin, end):
+                x, y = vertices[k + 1, 0] - vertices[k, 0], vertices[k + 1, 1] - vertices[k, 1]
+                z = vertices[k + 1, 2] - vertices[k, 2]
+                gone[k + 1 - begin] = gone[k - begin] + np.sqrt(x * x + y * y + z * z)
+            if gone[-1] > 0.0:
+                before, pulled = e[begin], e[end] - e[begin]
+                for k in range(begin, end + 1):
+                    e[k] = before + pulled * gone[k - begin] / gone[-1]
+        begin = max(end, begin + 1)
+
+
+def _meet_the_events(laid: _Laid, program: Program, run: Run, e: FloatArray, lines: _Lines, among: list[Event]) -> None:
+    """Give the filament at the points what the original's events say of it, in place.
+
+    e : (n + 1,) mm at the knots, from the first point on
+    """
+    events = (lines.event >= 0) & (lines.move > run.first)
+    if not events.any():
+        return
+    filament, start, end = laid.e, program.moves.start[:, 3], program.moves.end[:, 3]
+    move, place, point = lines.move[events], laid.place[events], laid.point[events]
+    flows = (end[move - 1] - start[move - 1]) * (end[move] - start[move]) > 0.0
+    known, which = _last_of_each(place[flows])
+    _meet(filament, laid.at, e, known, start[move[flows][which]])
+    _, turning = _last_of_each(place[~flows])  # where a flow begins, ends or turns back
+    filament[point[~flows][turning]] = start[move[~flows][turning]]
+    renamed = _renames(program, lines.event[events], move, among)
+    filament[point[renamed]] = start[move[renamed]]
+
+
+def _renames(program: Program, event: IntArray, move: IntArray, inside: list[Event]) -> BoolArray:
+    """Which events give the filament's place another number (G92 E0): if it were not exact there, it never would be.
+
+    event : (k,) index into `inside`;  move : (k,) the move each stands before
+    """
+    before, frames = program.moves.frame[move - 1].tolist(), program.frames
+    after = [inside[k].frame for k in event.tolist()]
+    changed = [a != b and frames[a].base[3] != frames[b].base[3] for a, b in zip(after, before, strict=True)]
+    return np.array(changed, dtype=np.bool_)
+
+
+def _interpolated(points: FloatArray, e: FloatArray, first: int) -> FloatArray:
+    """Values at the points (m,) in knots, from those at the knots from `first` on."""
+    return np.interp(points, first + np.arange(len(e), dtype=np.float64), e)
+
+
+def _last_of_each(rising: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Each value once, and the index of its last occurrence."""
+    which = np.flatnonzero(np.diff(rising, append=np.inf))
+    return rising[which], which
+
+
+def _meet(filament: FloatArray, points: FloatArray, e: FloatArray, at: FloatArray, known: FloatArray) -> None:
+    """Meet what is known of the filament exactly, while the flow stays even, in place.
+
+    Between knots the command runs evenly, the plan need not: the difference, a ten-thousandth of a mm, is spread
+    over the flow around it. Met in one short segment it would be a jump of flow, and firmwares slow down at those.
+
+    Parameters
+    ----------
+    filament : (m,) mm at the points (m,) in knots;  e : (n + 1,) mm at the knots, from the first of them on
+    at : (j,) in knots, rising;  known : (j,) mm of filament there, in the middle of a flow
+    """
+    if not at.size:
+        return
+    first = int(points[0])
+    flow = np.abs(np.diff(e))
+    gone = np.concatenate([[0.0], np.cumsum(flow)])  # where nothing flows, nothing is spread
+    place = _interpolated(at, gone, first)
+    missing = known - _interpolated(at, e, first)
+    between = (at // CUT).astype(np.int64).tolist()  # which cuts
+    usual = {cut: _usual(flow, cut * CUT - first) for cut in set(between)}
+    reaches = [SPREAD * usual[cut] for cut in between]
+    nodes, values, behind = [0.0], [0.0], reaches[0]
+    for s, m, reach in zip(place.tolist(), missing.tolist(), reaches, strict=True):
+        # lines close together, or close to the run's end: one is met, the flow stays even
+        since, left = s - nodes[-1], float(gone[-1]) - s
+        if abs(m - values[-1]) <= STEEPEST * since + FLOWS_MM and abs(m) <= STEEPEST * left + FLOWS_MM:
+            if since > behind + reach:
+                nodes += [nodes[-1] + behind, s - reach]
+                values += [0.0, 0.0]
+            nodes.append(s)
+            values.append(m)
+            behind = reach
+    nodes += [min(nodes[-1] + behind, gone[-1]), gone[-1]]
+    values += [0.0, 0.0]
+    filament += np.interp(_interpolated(points, gone, first), nodes, values)
+
+
+def _usual(flow: FloatArray, cut: int) -> float:
+    """Filament in the middling segment from one cut to the next, mm, of those in which any flows.
+
+    flow : (n,) mm in each segment;  cut : the first segment after the cut
+    """
+    flowing = flow[cut : cut + CUT]
+    flowing = flowing[flowing > FLOWS_MM]
+    return float(np.median(flowing)) if flowing.size else 0.1

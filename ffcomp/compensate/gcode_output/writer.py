@@ -1,0 +1,424 @@
+"""The compensated file, line by line: what is not ours passes through at its move's time, moves become segments.
+
+Our segments stand in blocks. A block opens with the limits our segments need and closes with the limits (and the feed)
+the file had, before anything that moves by itself: homing, macros, waits. Each move that we replace stays in the file
+as a comment `;~` at its place, so the original can be read out of the result again (`original_lines`).
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby, pairwise
+from operator import itemgetter
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ffcomp.compensate.gcode_output.layout import Timeline
+from ffcomp.inverse.settings import Settings
+from ffcomp.planner.segment_timing import merge, played
+from gcode.blocks import whole_lines
+from gcode.dialects import KLIPPER, MARLIN, close_limits, open_limits
+from gcode.emit import MoveWriter
+from gcode.errors import UnsupportedGcode
+from gcode.layers import begins_layer
+from gcode.limits import MotionLimits
+from gcode.metadata import TIME_WAS, Timed, tells, with_time
+from gcode.program import Event, EventKind, Program
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+OURS = b" ; ffcomp"  # ends every line of ours that is not a move
+WAS = b";~"  # before a line of the original that is now a comment: a move, mostly
+CUT_SHORT = b";~~"  # the same before a line that does not end in a newline; the newline behind it is ours
+_STAMPS = b"; Processed by ffcomp", b"; ffcomp offset_mm="
+_Place = tuple[float, float, float, float]  # X Y Z E, mm
+_Line = int | Event | bytes  # a move of the original (index into its lines), another line of it, a line of ours
+STILL_MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*[0-3](?!\d)", re.IGNORECASE)
+
+
+class Writer:
+    """Turns runs and events, given in the file's order, into lines."""
+
+    def __init__(
+        self,
+        program: Program,
+        flavor: str,
+        own: MotionLimits,
+        settings: Settings,
+        offset: tuple[float, float] = (0.0, 0.0),
+        said: Mapping[bytes, bytes] | None = None,
+    ) -> None:
+        self.program, self.flavor, self.own, self.settings = program, flavor, own, settings
+        self.offset = offset
+        self.moves = MoveWriter()
+        self.frame = 0
+        self.open = False
+        self.move = 0  # the last that was begun: its limits are the file's own
+        self.said: dict[bytes, bytes] = dict(said or {})  # the file's last word on each limit
+        self.ending = b"\r\n" if program.lines and program.lines[0].endswith(b"\r\n") else b"\n"
+        self.segments = 0
+        self.now_s = 0.0  # since the program's beginning, as far as it is written
+        self.begun, self.rest = False, 0.0  # whether the run has moved, and for how long it has not since, s
+
+    # -- what is not a run
+
+    def event(self, event: Event) -> Iterator[bytes]:
+        """A line that is not a move of ours, between runs."""
+        if event.kind in (EventKind.STOP, EventKind.RAW_MOVE):
+            yield from self.close()
+        line = self.program.lines[event.line]
+        if not line.endswith((b"\n", b"\r")):  # the file's last: what is put behind it would become part of it
+            yield from self.close()
+        if _like_ours(line):
+            yield self._escaped(event)
+        elif self.open and STILL_MOVE.match(line):  # a G1 that only sets the feed: ours always say theirs
+            yield self._original(event.line)
+        elif event.kind is EventKind.RAW_MOVE and any(self.offset):
+            yield self._original(event.line)
+            yield self._shifted(line)
+        else:
+            yield Timed.at(line, self.now_s) if tells(line) or begins_layer(line) else line
+        self.now_s += event.dwell_s
+        self._take_frame(event.frame)
+        if event.touches_limits:
+            self.said |= _said(line)
+        if self.open and event.touches_limits:
+            yield from self._limits(self._opening())
+
+    def close(self) -> Iterator[bytes]:
+        """End a block: the file's limits and feed are in force again."""
+        if self.open:
+            self.open = False
+            yield from self._limits(self._closing())
+            frame = self.program.frames[self.frame]
+            feed = 60 * frame.feed_mm_per_s / frame.feed_factor / frame.unit_mm
+            told = (b"%.3f" % max(feed, 1e-3)).rstrip(b"0").rstrip(b".")  # never an exponent, never zero
+            yield b"G1 F" + told + OURS + self.ending
+
+    def extrude(self, move: int) -> Iterator[bytes]:
+        """An extruder-only move, as it was but for its feed, which is always said."""
+        moves = self.program.moves
+        yield self._original(int(moves.line[move]))
+        yield from self._begin(move)
+        x, y, z, e = moves.end[move]
+        yield self._finish(self.moves.move(x, y, z, e, float(moves.speed[move])))
+
+    def _shifted(self, line: bytes) -> bytes:
+        """A move that the firmware plans itself, to where the offset puts it."""
+        frame = self.program.frames[self.frame]
+        code = line.partition(b";")[0].strip()
+        if not frame.absolute:
+            return code + OURS + self.ending
+        shift = {b"X": self.offset[0] / frame.unit_mm, b"Y": self.offset[1] / frame.unit_mm}
+
+        def moved(word: re.Match[bytes]) -> bytes:
+            axis = word[1].upper()
+            return axis + (b"%.4f" % (float(word[2]) + shift[axis])).rstrip(b"0").rstrip(b".")
+
+        return re.sub(rb"([XYxy])\s*([-+]?\d*\.?\d+)", moved, code) + OURS + self.ending
+
+    def resume(self, move: int, place: list[float]) -> None:
+        """Go on within a block, and within a run, that another writer has begun.
+
+        place : mm, X Y Z E, where its last segment has ended
+        """
+        moves = self.program.moves
+        self.open, self.begun = True, True
+        self.move = move
+        self.frame = int(moves.frame[move])
+        self._tell_frame(place)
+
+    # -- a run
+
+    def run(self, first: int, vertices: FloatArray, line_up: Timeline) -> Iterator[bytes]:
+        """The segments of one run, or of its next piece: many lines in one bytes object, times apart (`joined`).
+
+        Parameters
+        ----------
+        first : the run's first move
+        vertices : (n + 1, 3) mm, columns X Y Z, at the knots of the piece and its context
+        line_up : the points at which segments may end, and the original's lines between them
+        """
+        if line_up.piece.begin == 0:
+            yield from self._begin(first)
+            self.rest, self.begun = 0.0, False
+        segments = self._segments(first, vertices, line_up)
+        lines = segments.lines(line_up)
+        text: list[bytes] = []
+        since = 0
+        for a, b in pairwise([0, *self._turns(lines), len(lines)]):
+            until = lines[b][0] if b < len(lines) else len(segments.e)
+            text += self._stretch(segments.part(since, until), [(k - since, line) for k, line in lines[a:b]])
+            since = until
+        yield from joined(text)
+
+    def _segments(self, first: int, vertices: FloatArray, line_up: Timeline) -> _Segments:
+        """What is worth writing of a piece: all where the command bends, little where it runs straight and evenly."""
+        s, piece, at = self.settings, line_up.piece, line_up.at
+        frame = self.program.frames[int(self.program.moves.frame[first])]
+        points = _stated(vertices, at, piece.first, frame.base, frame.unit_mm)
+        kept = merge(at, points, line_up.e, line_up.cut, 1e-3 * s.merge_um, s.longest_merged_s / s.segment_s)
+        at, points, e = at[kept], points[kept], line_up.e[kept]
+        lasting = (at[1:] - at[:-1]) * s.segment_s
+        speeds = played(points, e[1:] - e[:-1], lasting, s.output).cruise
+        begin, end = at.searchsorted([piece.begin, piece.end]).tolist()
+        return _Segments(kept[:-1], points[1:], e[1:], speeds, lasting).part(begin, end)
+
+    def _turns(self, lines: list[tuple[int, _Line]]) -> Iterator[int]:
+        """Which of the lines change how numbers are written."""
+        frame = self.frame
+        for k, (_, line) in enumerate(lines):
+            if isinstance(line, Event) and line.frame != frame:
+                frame = line.frame
+                yield k
+
+    def _stretch(self, segments: _Segments, lines: list[tuple[int, _Line]]) -> list[bytes]:
+        """Segments with the lines between them, of which only the first may change how numbers are written."""
+        passed = [self.now_s, *(self.now_s + np.cumsum(segments.lasting)).tolist()]
+        before = bisect_right(lines, 0, key=itemgetter(0))
+        text = [piece for _, line in lines[:before] for piece in self._line(line)]
+        block, ends = self.moves.block(segments.points, segments.e, segments.speeds)
+        starts, done = [0, *ends.tolist()], 0
+        rests = self._rests(ends, segments.lasting)
+        lines = lines[before:]
+        for k, line in sorted([*lines, *rests], key=itemgetter(0)) if rests else lines:
+            if starts[k] > done:
+                text.append(self._finish(block[done : starts[k]]))
+                done = starts[k]
+            self.now_s = passed[k]
+            text += self._line(line)
+        text.append(self._finish(block[done:]))
+        self.now_s = passed[-1]
+        return text
+
+    def _rests(self, ends: IntArray, lasting: FloatArray) -> list[tuple[int, bytes]]:
+        """Segments that need no line are waited for before the next one that does; not at a run's ends.
+
+        ends : (n,) where each segment's line ends;  lasting : (n,) s
+        """
+        before, rests, written, self.rest = _unwritten(ends, lasting, self.begun, self.rest)
+        self.begun |= written > 0
+        self.segments += written
+        waits = zip(before.tolist(), rests.tolist(), strict=True)
+        return [(k, b"G4 P%.6g" % (1e3 * rest) + OURS + self.ending) for k, rest in waits]
+
+    def _line(self, line: _Line) -> Iterable[bytes]:
+        if isinstance(line, int):
+            return (self._original(line),)
+        return (line,) if isinstance(line, bytes) else self.event(line)
+
+    def _limits_at(self, move: int) -> MotionLimits:
+        moves = self.program.moves
+        columns = (moves.velocity_limit, moves.acceleration, moves.square_corner_velocity, moves.minimum_cruise_ratio)
+        return MotionLimits(*(column.item(move) for column in columns))
+
+    def _begin(self, move: int) -> Iterator[bytes]:
+        """Open a block if none is open, and take over the state at `move`."""
+        moves = self.program.moves
+        self.move = move
+        if not self.open:
+            self.open = True
+            self.frame = int(moves.frame[move])
+            yield from self._limits(self._opening())
+            self._tell_frame(moves.start[move].tolist())
+        self._take_frame(int(moves.frame[move]))
+
+    def _original(self, line: int) -> bytes:
+        text = self.program.lines[line]
+        return WAS + text if text.endswith(b"\n") else CUT_SHORT + text + b"\n"
+
+    def _escaped(self, event: Event) -> bytes:
+        """A line of the original that would be taken for one of ours: as a comment it can be told apart."""
+        line = self.program.lines[event.line]
+        if not line.lstrip().startswith(b";"):
+            rule = "only files that ffcomp has compensated have such lines, and this one has lost its stamp"
+            number = self.program.first_line + event.line + 1
+            raise UnsupportedGcode(f"The line ends in '{OURS.decode().strip()}'; {rule}.", number, self.program.path)
+        return self._original(event.line)
+
+    def _take_frame(self, frame: int) -> None:
+        if frame != self.frame:
+            self.frame = frame
+            if self.open:
+                self._tell_frame(self.moves.place)
+
+    def _tell_frame(self, place: Sequence[float]) -> None:
+        self.moves.reset(self.program.frames[self.frame], place[:3], place[3])
+
+    def _closing(self) -> list[bytes]:
+        """The limits that the file has set, over the machine's own."""
+        axes = self.settings.output.raised_axes
+        if self.flavor == KLIPPER:
+            return close_limits(self.flavor, _first_known(self._limits_at(self.move), self.own), axes)
+        return [*close_limits(self.flavor, self._in_units(self.own), axes), *self.said.values()]
+
+    def _opening(self) -> list[bytes]:
+        o = self.settings.output
+        wide = MotionLimits(o.velocity_mm_per_s, o.acceleration_mm_per_s2, o.square_corner_velocity_mm_per_s)
+        told = self._in_units(wide)
+        return open_limits(self.flavor, told.velocity, told.acceleration, told.square_corner_velocity, o.raised_axes)
+
+    def _in_units(self, limits: MotionLimits) -> MotionLimits:
+        """As the file must state them: after G20, Marlin takes limits in inches too."""
+        unit = self.program.frames[self.frame].unit_mm if self.flavor == MARLIN else 1.0
+        names = ("velocity", "acceleration", "square_corner_velocity")
+        return replace(limits, **{name: getattr(limits, name) / unit for name in names})
+
+    def _limits(self, lines: Iterable[bytes]) -> Iterator[bytes]:
+        for line in lines:
+            yield line.rstrip(b"\n") + OURS + self.ending
+
+    def _finish(self, line: bytes) -> bytes:
+        return line if self.ending == b"\n" else line.replace(b"\n", self.ending)
+
+
+@dataclass(frozen=True, slots=True)
+class _Segments:
+    """n segments that are written, and the points of the timeline at which they begin."""
+
+    begins: IntArray  # (n,) index into Timeline.at
+    points: FloatArray  # (n, 3) mm, columns X Y Z, their ends
+    e: FloatArray  # (n,) mm of filament at their ends
+    speeds: FloatArray  # (n,) mm/s
+    lasting: FloatArray  # (n,) s
+
+    def part(self, begin: int, end: int) -> _Segments:
+        s = slice(begin, end)
+        return _Segments(self.begins[s], self.points[s], self.e[s], self.speeds[s], self.lasting[s])
+
+    def lines(self, line_up: Timeline) -> list[tuple[int, _Line]]:
+        """The lines of the original that go out among them, each with the segment it stands before."""
+        piece, place = line_up.piece, line_up.at[line_up.point]
+        own = (place >= piece.begin) & ((place < piece.end) | (piece.end == piece.last))
+        before = np.searchsorted(self.begins, line_up.point[own])
+        columns = (before, line_up.line[own], line_up.event[own])
+        return [
+            (k, line_up.events[n] if n >= 0 else line)
+            for k, line, n in zip(*(c.tolist() for c in columns), strict=True)
+        ]
+
+
+@njit(cache=True, nogil=True)
+def _unwritten(
+    ends: IntArray, lasting: FloatArray, begun: bool, rest: float
+) -> tuple[IntArray, FloatArray, int, float]:
+    """How long segments without a line last that stand before one with a line.
+
+    Parameters
+    ----------
+    ends : (n,) where each segment's line ends;  lasting : (n,) s
+    begun : whether there was a line before them;  rest : s that have gone by since then
+
+    Returns
+    -------
+    the segments (k,) before which there is something to wait for, how long (k,) s, how many have a line, and what has
+    gone by since the last of them, s
+    """
+    before, rests = np.empty(len(ends), dtype=np.int64), np.empty(len(ends))
+    waits, written, end = 0, 0, 0
+    for k in range(len(ends)):
+        if ends[k] > end:
+            if rest > 0.0 and begun:
+                before[waits], rests[waits] = k, rest
+                waits += 1
+            begun, rest, end = True, 0.0, ends[k]
+            written += 1
+        else:
+            rest += lasting[k]
+    return before[:waits], rests[:waits], written, rest
+
+
+@njit(cache=True, nogil=True)
+def _stated(vertices: FloatArray, at: FloatArray, first: int, base: _Place, unit: float) -> FloatArray:
+    """The command at the points, as the file will state it: 4 decimals in its own coordinates and unit. (m, 3) mm
+
+    vertices : (n + 1, 3) mm at the knots from `first` on;  at : (m,) in knots;  base : X Y Z E, mm;  unit : mm
+    """
+    counts = 1e4 if unit == 1.0 else 1e6
+    points = np.empty((len(at), 3))
+    for k in range(len(at)):
+        knot = int(at[k])
+        f = at[k] - knot
+        for i in range(3):
+            place = vertices[knot - first, i]
+            if f > 0.0:
+                place += f * (vertices[knot + 1 - first, i] - place)
+            points[k, i] = np.rint((place - base[i]) / unit * counts) / counts * unit + base[i]
+    return points
+
+
+def _first_known(file: MotionLimits, own: MotionLimits) -> MotionLimits:
+    """The file's limits, and the machine's own where the file has set none."""
+    pairs = ((getattr(file, name), getattr(own, name)) for name in MotionLimits.__dataclass_fields__)
+    return MotionLimits(*(mine if theirs != theirs else theirs for theirs, mine in pairs))
+
+
+def limits_said(program: Program, before: Mapping[bytes, bytes]) -> dict[bytes, bytes]:
+    """The file's last word on each limit at the end of a program; see `Writer.said`."""
+    said = dict(before)
+    for event in program.events:
+        if event.touches_limits:
+            said |= _said(program.lines[event.line])
+    return said
+
+
+def _said(line: bytes) -> dict[bytes, bytes]:
+    """What a line says, by what it is about: a command with other letters sets other limits."""
+    code = line.partition(b";")[0].strip()
+    letters = b"".join(sorted(set(re.findall(rb"[A-Z]", code.upper()))))
+    return {code.split()[0].upper() + letters: code}
+
+
+def joined(pieces: Iterable[bytes]) -> Iterator[bytes]:
+    """Adjacent pieces as one; lines that tell a time stay apart."""
+    for kind, group in groupby(pieces, key=type):
+        if kind is Timed:
+            yield from group
+        elif whole := b"".join(group):
+            yield whole
+
+
+def original(data: bytes) -> bytes:
+    """The file as it was before compensation."""
+    return b"".join(original_lines(data.splitlines(keepends=True)))
+
+
+def original_blocks(blocks: Iterable[bytes]) -> Iterator[bytes]:
+    """The same of a file that comes in blocks of bytes, cut anywhere."""
+    return original_lines(line for part in whole_lines(blocks) for line in part.splitlines(keepends=True))
+
+
+def original_lines(lines: Iterable[bytes]) -> Iterator[bytes]:
+    """The file as it was before compensation (`gcode.metadata`'s stamps left out)."""
+    inside, told = False, None
+    for line in lines:
+        if line.startswith(TIME_WAS):
+            told = line[len(TIME_WAS) :].rstrip(b"\r\n")
+        elif (kept := noted(line)) is not None:
+            yield kept
+        elif _ours(line):
+            inside = (inside or not line.startswith(b"G")) and not line.startswith(b"G1 F")
+        elif not line.startswith(_STAMPS) and not (inside and line.startswith(b"G1 ")):
+            yield line if told is None else with_time(line, told)
+            told = None
+
+
+def noted(line: bytes) -> bytes | None:
+    """The line of the original that this comment keeps, if it keeps one."""
+    if line.startswith(CUT_SHORT):
+        return line[len(CUT_SHORT) :].removesuffix(b"\n")
+    return line[len(WAS) :] if line.startswith(WAS) else None
+
+
+def _ours(line: bytes) -> bool:
+    return line.rstrip().endswith(OURS)
+
+
+def _like_ours(line: bytes) -> bool:
+    return line.startswith((WAS, TIME_WAS, *_STAMPS)) or _ours(line)

@@ -1,0 +1,116 @@
+"""What the design model says about a print: how it would have come out, and how it comes out now.
+
+A prediction by the model the command was designed with, not a proof: an independent plant judges in the tests and in
+`compare`. Long prints are sampled run by run, evenly, and the result says how much of the print it covers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.inverse.model import Inverter, RunResult
+from ffcomp.inverse.reference import Reference, Run
+from ffcomp.metrics import Track, peak_acceleration, track
+from ffcomp.planner.trajectory import PlannedMotion
+from models.vibration.scheduled import rest_state
+
+FloatArray = NDArray[np.float64]
+
+LONGEST_S = 300.0  # of print time that is simulated for the prediction
+SAMPLE_S = 1e-3  # about
+
+
+@dataclass
+class _Motion:
+    """Samples of one kind of motion, run after run."""
+
+    actual: list[FloatArray] = field(default_factory=list)  # (m, 3) mm
+    peak: float = 0.0  # mm/s², of the carriages' commands over one segment
+
+
+@dataclass
+class Samples:
+    """What was simulated, run after run."""
+
+    sample_s: float
+    clock: float = 0.0  # s
+    covered_s: float = 0.0
+    place: FloatArray = field(default_factory=lambda: np.zeros(3))  # mm, where the last run has ended
+    wanted: list[FloatArray] = field(default_factory=list)  # (m, 3) mm
+    path_t: list[FloatArray] = field(default_factory=list)  # s
+    path: list[FloatArray] = field(default_factory=list)  # (k, 3) mm
+    before: _Motion = field(default_factory=_Motion)
+    after: _Motion = field(default_factory=_Motion)
+
+    def join(self, later: Samples) -> None:
+        """Take in what another has collected of what comes after."""
+        self.wanted += [each + self.place for each in later.wanted]
+        self.path += [each + self.place for each in later.path]
+        self.path_t += [each + self.clock for each in later.path_t]
+        for mine, theirs in ((self.before, later.before), (self.after, later.after)):
+            mine.actual += [each + self.place for each in theirs.actual]
+            mine.peak = max(mine.peak, theirs.peak)
+        self.place = self.place + later.place
+        self.clock += later.clock
+        self.covered_s += later.covered_s
+
+    def tracks(self) -> dict[str, Track]:
+        """ "uncompensated" and "compensated", each judged over the runs that were taken in."""
+        if not self.wanted:
+            return {}
+        wanted = np.concatenate(self.wanted)
+        t = self.sample_s * np.arange(1, len(wanted) + 1, dtype=np.float64)
+        path_t, path = np.concatenate(self.path_t), np.concatenate(self.path)
+        return {
+            name: track(t, wanted, np.concatenate(motion.actual), path_t, path, motion.peak)
+            for name, motion in (("uncompensated", self.before), ("compensated", self.after))
+        }
+
+
+class Prediction:
+    """Collects samples of runs while they are compensated."""
+
+    def __init__(self, inverter: Inverter, share: float) -> None:
+        """share : of the print that is simulated, 0 to 1"""
+        self.inverter, self.share = inverter, share
+        s = inverter.settings
+        self.every = max(1, round(SAMPLE_S * s.substeps / s.segment_s))  # substeps from sample to sample
+        self.samples = Samples(self.every * s.segment_s / s.substeps)
+        self.seen_s = 0.0
+
+    def wants(self, wanted: Reference) -> bool:
+        """Is it this run's turn? (Ask once for each run.)"""
+        length = wanted.knots * self.inverter.settings.segment_s
+        due = self.samples.covered_s <= self.share * self.seen_s
+        self.seen_s += length
+        return due
+
+    def add(self, trajectory: PlannedMotion, run: Run, wanted: Reference, result: RunResult) -> None:
+        """Take one compensated run in."""
+        inverter, s, found, every = self.inverter, self.inverter.settings, self.samples, self.every
+        length = wanted.knots * s.segment_s
+        found.covered_s += length
+        nozzle, velocity = wanted.substeps(0, wanted.knots)
+        # one after the other in space too: only differences count, and a jump between runs would look like an error
+        shift = found.place - nozzle[0]
+        found.wanted.append(nozzle[every::every] + shift)
+        found.place = found.wanted[-1][-1]
+        self._add_path(trajectory, run, wanted, shift)
+        state = rest_state(inverter.machine, nozzle[0])
+        plain, _ = inverter.fine.respond(nozzle, velocity, state, s.substeps)
+        knots = nozzle[:: s.substeps]
+        for motion, actual, command in ((found.before, plain, knots), (found.after, result.response, result.vertices)):
+            motion.actual.append(actual[every - 1 :: every] + shift)
+            bend = peak_acceleration(inverter.delta.inverse(command), s.segment_s, s.segment_s)
+            motion.peak = max(motion.peak, bend)
+        found.clock += length
+
+    def _add_path(self, trajectory: PlannedMotion, run: Run, wanted: Reference, shift: FloatArray) -> None:
+        part, found = slice(run.first, run.last), self.samples
+        corners = np.vstack([trajectory.origin[part, :3], wanted.nozzle(np.array([run.end_t]))])
+        due = np.append(trajectory.start_t[part], run.end_t)
+        found.path.append(corners + shift)
+        found.path_t.append(found.clock + due - wanted.t0)

@@ -1,0 +1,333 @@
+"""The next experiment: which safe move, at which place, separates what is still in question best per second.
+
+Every move of a small library is G-code within the machine's limits, planned as the firmware plans it, and played on the
+virtual printer once for each hypothesis. What separates two of them is the whitened difference d of what the sensors
+would feel: with the noise that was found, |d| standard deviations. Noise adds up as the square root of time, so moves
+of different length are compared by |d|/√s. Both hypotheses are taken as they were fitted: what the next fit can retune
+is not counted off, so the numbers are the most that can be expected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ffcomp.compensate.program import plan_program
+from ffcomp.diagnose.acceptance import ALIKE, look_alikes
+from ffcomp.diagnose.engine import Diagnosis
+from ffcomp.diagnose.noise import whitener
+from ffcomp.diagnose.printer_problem import Delta
+from ffcomp.diagnose.problem import Impossible
+from ffcomp.diagnose.score_test import Screened
+from ffcomp.measurement.frf import FloatArray
+from ffcomp.measurement.recording import Run
+from gcode.reader import read_program
+from models.effects.catalogue import CATALOGUE
+from models.machine import Machine
+
+OUT = 0.6  # of the print radius: the six places around the centre
+LOW_MM, HIGH = 30.0, 0.5  # height, and share of the print height
+ROOM_MM = 12.0  # that a move may need around its place
+BEFORE_S, AFTER_S = 0.12, 0.3  # of rest in the recording: the printer rings for 0.2 s
+TELLING, MANY = 3.0, 100.0  # standard deviations: enough, and more than anyone needs to know
+RIVALS, NEAREST = 3, 2  # in question at most; and where nothing is named
+CHORD_MM = 1.0  # of a circle
+WAIT_MS = 150  # until the nozzle rests, after a hard move
+
+Point = tuple[float, float, float]
+Lines = Iterator[str]
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """One move that is worth making next."""
+
+    kind: str  # as a person says it
+    place_mm: Point
+    seconds: float
+    rival: tuple[str, ...]  # the effects it tells from those that were found; or shows, where none was
+    sigmas_per_second: float  # standard deviations of the noise after one second; they grow as √seconds
+    text: str  # one sentence for the user
+    gcode: str  # plays it once
+
+
+@dataclass(frozen=True)
+class Move:
+    """One kind of motion, from rest to rest around a place."""
+
+    kind: str
+    acceleration: float  # mm/s²; the machine's own, where that is less
+    lines: Callable[[Point], Lines]  # G-code, the nozzle resting at the place before and after
+
+
+@dataclass(frozen=True, eq=False)
+class _Question:
+    """Two printers to be told apart, as values of their numbers."""
+
+    rival: tuple[str, ...]
+    one: Mapping[str, float]
+    other: Mapping[str, float]
+    words: str  # what the move does: tell a from b
+    sentence: str  # how to tell them apart, if no move does
+
+
+@dataclass(frozen=True, eq=False)
+class _Played:
+    """A move at a place, and how well it answers a question."""
+
+    move: Move
+    place: Point
+    seconds: float
+    rate: float  # |d|/√s
+
+
+def propose(plant: Delta, found: Diagnosis, count: int = 3) -> list[Proposal]:
+    """The moves that say most: for each rival the best one, then the best other kinds for the nearest rival.
+
+    With verdict `unknown` the two nearest hypotheses are the rivals. With `none` it is asked what would show the
+    effects that these runs could not show.
+    """
+    proposals: list[Proposal] = []
+    spare: list[Proposal] = []
+    for question in _questions(plant, found)[:count]:
+        best, *others = _ranked(plant, found, question)
+        proposals.append(_proposal(plant.machine, question, best))
+        spare += [_proposal(plant.machine, question, other) for other in others if _tells(other)]
+    return [*proposals, *spare][:count]
+
+
+# ---- what is in question -------------------------------------------------------------------------
+
+
+def _questions(plant: Delta, found: Diagnosis) -> list[_Question]:
+    if found.best is None:
+        unseen = sorted((s for s in found.screened if not s.visible), key=lambda s: -s.strength)
+        return [_shown(found, s) for s in unseen[:RIVALS]]
+    best = found.best
+    others = [h for h in (*found.rivals, *found.tried) if h.names != best.names]
+    nearest = list({h.names: h for h in reversed(others)}.items())[::-1]
+    asked = [_told_apart(found, names, h.fit.values) for names, h in nearest]
+    alike = {name for name, _ in look_alikes(best, found.screened, ALIKE)}
+    known = {name for names, _ in nearest for name in names}
+    asked += [_told_apart(found, (s.candidate.name,), _linear(found, s)) for s in _named(found, alike - known)]
+    return asked[: RIVALS if found.named is not None else NEAREST]
+
+
+def _named(found: Diagnosis, names: set[str]) -> list[Screened]:
+    return [s for s in found.screened if s.candidate.name in names]
+
+
+def _told_apart(found: Diagnosis, rival: tuple[str, ...], values: Mapping[str, float]) -> _Question:
+    assert found.best is not None
+    ours = found.best.names
+    sentences = [
+        CATALOGUE[a].rivals.get(b) or CATALOGUE[b].rivals.get(a, "")
+        for a in ours
+        for b in rival
+        if a in CATALOGUE and b in CATALOGUE
+    ]
+    words = _difference([n for n in ours if n not in rival], [n for n in rival if n not in ours])
+    return _Question(rival, found.best.fit.values, values, words, next(filter(None, sentences), ""))
+
+
+def _difference(ours: Sequence[str], theirs: Sequence[str]) -> str:
+    """What two hypotheses do not share, as a task."""
+    a, b = " and ".join(ours), " and ".join(theirs)
+    return f"tell {a} from {b}" if a and b else f"show whether {a or b} acts as well"
+
+
+def _shown(found: Diagnosis, screened: Screened) -> _Question:
+    """An effect of a usual size against none."""
+    name = screened.candidate.name
+    usual = {a.name: a.start + a.sd for a in screened.candidate.amplitudes}
+    values = {**found.base.values, **screened.shape, **usual}
+    in_data = CATALOGUE[name].in_data if name in CATALOGUE else ""
+    return _Question((name,), found.base.values, values, f"would show {name} of a usual size", in_data)
+
+
+def _linear(found: Diagnosis, screened: Screened) -> dict[str, float]:
+    """A look-alike that was not fitted: as large as its signature says."""
+    amplitudes = screened.candidate.amplitudes
+    sizes = [
+        float(np.clip(a.start + a.sd * x, a.low, a.high)) for a, x in zip(amplitudes, screened.estimate, strict=True)
+    ]
+    return {**found.base.values, **screened.shape, **dict(zip((a.name for a in amplitudes), sizes, strict=True))}
+
+
+# ---- what answers --------------------------------------------------------------------------------
+
+
+def _ranked(plant: Delta, found: Diagnosis, question: _Question) -> list[_Played]:
+    """The best place of the best kind of move, then the other kinds at the centre, best first."""
+    machine = plant.machine
+    centre, *around = places(machine)
+    kinds = _asked(plant, found, question, [(move, centre) for move in library(machine)])
+    best = max(kinds, key=lambda p: p.rate)
+    tried = _asked(plant, found, question, [(best.move, place) for place in around])
+    top = max([best, *tried], key=lambda p: p.rate)
+    x, y, _ = top.place
+    high = _asked(plant, found, question, [(best.move, (x, y, HIGH * machine.delta.print_height_mm))])
+    top = max([top, *high], key=lambda p: p.rate)
+    return [top, *sorted((p for p in kinds if p.move is not best.move), key=lambda p: -p.rate)]
+
+
+def _tells(played: _Played) -> bool:
+    return played.rate * np.sqrt(played.seconds) > TELLING
+
+
+def _asked(plant: Delta, found: Diagnosis, question: _Question, tries: Sequence[tuple[Move, Point]]) -> list[_Played]:
+    """Each move at its place, played by both printers."""
+    recordings = plant.recordings
+    signals, rate_hz = recordings[0].signals, recordings[0].rate_hz
+    runs = [_run(plant.machine, move, place, signals, rate_hz) for move, place in tries]
+    virtual = Delta(plant.machine, runs, ())
+    whiten = whitener(virtual.recordings, found.noise, virtual.band_hz)
+    try:
+        one, other = (virtual.simulate(values, coarse=True) for values in (question.one, question.other))
+        apart = whiten([a - b for a, b in zip(one, other, strict=True)])
+    except Impossible:  # a rival that leaves the arms' reach there: nothing is learnt from it
+        apart = np.zeros(whiten.rows[-1].stop)
+    seconds = [float(run.time_s[-1]) for run in runs]
+    sizes = [float(np.linalg.norm(apart[rows])) for rows in whiten.rows]
+    return [
+        _Played(move, place, s, size / float(np.sqrt(s)))
+        for (move, place), s, size in zip(tries, seconds, sizes, strict=True)
+    ]
+
+
+def _run(machine: Machine, move: Move, place: Point, signals: Sequence[str], rate_hz: float) -> Run:
+    """The move as a recording that holds nothing yet."""
+    text = _text(machine, move, place)
+    trajectory = plan_program(read_program(text.encode(), move.kind), machine).trajectory
+    begin = float(trajectory.start_t[0])
+    t = np.arange(0.0, trajectory.end_t - begin + BEFORE_S + AFTER_S, 1 / rate_hz)
+    nozzle = np.ascontiguousarray(trajectory.position(t + begin - BEFORE_S)[:, :3])
+    blank: dict[str, dict[str, FloatArray]] = {"acc": {}, "pos": {}}
+    for signal in signals:
+        blank[signal[:3]][signal] = np.zeros(len(t))
+    gaps = np.zeros(len(t), dtype=bool)
+    carriages = machine.kinematics.inverse(nozzle)
+    return Run(move.kind, t, carriages, "carriage", blank["acc"], blank["pos"], gaps, {})
+
+
+def _proposal(machine: Machine, question: _Question, played: _Played) -> Proposal:
+    x, y, z = played.place
+    sigmas = played.rate * np.sqrt(played.seconds)
+    where = f"{played.move.kind} at ({x:.0f}, {y:.0f}, {z:.0f}) mm"
+    if _tells(played):
+        size = f"{sigmas:.0f}" if sigmas < MANY else f"more than {MANY:.0f}"
+        text = f"{where}: {played.seconds:.1f} s of them {question.words} with {size} standard deviations."
+    else:
+        text = (
+            f"None of the safe moves would {question.words.removeprefix('would ')}: the best, {where.lower()}, "
+            f"has less than {max(sigmas, 1.0):.1f} standard deviations. {question.sentence}".rstrip()
+        )
+    return Proposal(
+        played.move.kind,
+        played.place,
+        played.seconds,
+        question.rival,
+        played.rate,
+        text[0].upper() + text[1:],
+        _text(machine, played.move, played.place),
+    )
+
+
+# ---- the moves -----------------------------------------------------------------------------------
+
+
+def places(machine: Machine) -> list[Point]:
+    """The centre, then six around it; low."""
+    geometry = machine.delta
+    radius = min(OUT * geometry.print_radius_mm, geometry.print_radius_mm - ROOM_MM)
+    angles = np.deg2rad(geometry.tower_angles_deg[0] + 60.0 * np.arange(6))
+    around = [(round(float(radius * np.cos(a)), 1), round(float(radius * np.sin(a)), 1), LOW_MM) for a in angles]
+    return [(0.0, 0.0, LOW_MM), *around]
+
+
+def library(machine: Machine) -> list[Move]:
+    """Moves that a printer makes anyway, none faster than its limits."""
+    own = machine.limits.acceleration_mm_per_s2
+    return [
+        Move("slow moves to and fro (8 mm/s)", min(600.0, own), lambda p: _to_and_fro(p, 3.0, 8.0, 2)),
+        Move("hard single moves, each rung out", min(8000.0, own), lambda p: _singles(p, 9.0, 150.0)),
+        Move("infill at 50 mm/s", min(3000.0, own), lambda p: _zigzag(p, 50.0, 6)),
+        Move("infill at 110 mm/s", min(5000.0, own), lambda p: _zigzag(p, 110.0, 10)),
+        Move("circles up and down", min(5000.0, own), lambda p: _circles(p, 8.0, 80.0)),
+        Move("ever shorter strokes", min(5000.0, own), lambda p: _strokes(p, 100.0)),
+    ]
+
+
+def _text(machine: Machine, move: Move, place: Point) -> str:
+    """The G-code of a move, with the way to its place."""
+    x, y, z = place
+    travel = min(50.0, machine.limits.velocity_mm_per_s)
+    return "\n".join(
+        [
+            f"; ffcomp: {move.kind} at ({x:.0f}, {y:.0f}, {z:.0f}) mm. Home first; no filament is used.",
+            "; Record it twice: repeats tell the noise.",
+            "G21",
+            "G90",
+            f"M204 S{move.acceleration:.0f}",
+            _to(place, travel),
+            "G4 P1000",
+            *move.lines(place),
+            "G4 P500",
+            "",
+        ]
+    )
+
+
+def _to(point: Sequence[float], speed: float) -> str:
+    x, y, z = point
+    return f"G1 X{x:.3f} Y{y:.3f} Z{z:.3f} F{60 * speed:.0f}"
+
+
+def _beside(place: Point, *offset: float) -> Point:
+    x, y, z = (float(a + b) for a, b in zip(place, offset, strict=True))
+    return x, y, z
+
+
+def _to_and_fro(place: Point, reach: float, speed: float, times: int) -> Lines:
+    for _ in range(times):
+        for offset in ((reach, 0.0, 0.0), (0.0, reach, 0.0)):
+            yield _to(_beside(place, *offset), speed)
+            yield _to(place, speed)
+
+
+def _singles(place: Point, reach: float, speed: float) -> Lines:
+    for offset in ((reach, 0.0, 0.0), (0.0, reach, 0.0), (-reach, -reach, 0.0), (0.0, 0.0, reach / 3)):
+        yield _to(_beside(place, *offset), speed)
+        yield f"G4 P{WAIT_MS}"
+        yield _to(place, speed)
+        yield f"G4 P{WAIT_MS}"
+
+
+def _zigzag(place: Point, speed: float, lines: int) -> Lines:
+    """Lines of 16 mm, 0.8 mm apart, at 45 degrees."""
+    half, beside = 5.66, 0.57
+    for i in range(lines):
+        side = half * (-1) ** i
+        yield _to(_beside(place, side + beside * i, side - beside * i, 0.0), speed)
+        yield _to(_beside(place, side + beside * (i + 1), side - beside * (i + 1), 0.0), speed)
+    yield _to(place, speed)
+
+
+def _circles(place: Point, radius: float, speed: float) -> Lines:
+    """One turn up, one turn down."""
+    turn = np.linspace(0.0, 2 * np.pi, round(2 * np.pi * radius / CHORD_MM) + 1)[1:]
+    for rise in (turn, turn[::-1]):
+        for angle, height in zip(turn, rise, strict=True):
+            offset = (radius * np.sin(angle), radius * (1 - np.cos(angle)), height)
+            yield _to(_beside(place, *offset), speed)
+    yield _to(place, speed)
+
+
+def _strokes(place: Point, speed: float) -> Lines:
+    """From 6 mm down to 0.15 mm, along x, then along y: the shorter, the higher the frequency they shake with."""
+    for axis in np.eye(3)[:2]:
+        for length in np.geomspace(6.0, 0.15, 24):
+            yield _to(_beside(place, *(length * axis)), speed)
+            yield _to(place, speed)

@@ -1,0 +1,362 @@
+"""The printer as a plant: commands in, accelerations or positions of carriages and effector out.
+
+Every effect of the catalogue becomes a candidate. Its numbers are those of the machine file, but for amplitudes whose
+answer does not grow in proportion: those are fitted as `value ** power`, which is zero without effect. A direction is
+fitted as an angle.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ffcomp.diagnose.noise import BAND_HZ, filled
+from ffcomp.diagnose.problem import Candidate, Impossible, Number, Plant, Recording
+from ffcomp.diagnose.validation import carriages_of
+from ffcomp.identify.output_error import UNKNOWNS
+from ffcomp.measurement.frf import FloatArray
+from ffcomp.measurement.recording import Run
+from models.effects.catalogue import CATALOGUE, measured
+from models.effects.effect import Effect, Parameter
+from models.machine import Machine
+from models.parameters import value_of, with_values
+from models.printer.kernels import LANES
+from models.printer.printer import SMOOTH_STEP_S, PrinterMotion, longest_step, printer_numbers, simulate_printers
+
+STEP_S = 1 / 3200  # of a printer without dry friction or play: some nanometres off
+COARSE_STEP_S, COARSE_KINKED_STEP_S = 1 / 1600, 1 / 3200  # where only the effects' order is asked for
+ENOUGH_HZ = 1600.0  # rows a second: eight times the band's end; what was recorded faster is thinned
+KEPT, AT_ONCE = 4, 24  # machines whose motions are held
+WORKERS = min(8, os.cpu_count() or 1)
+REACH = 5.0  # standard deviations by which a number may be retuned: what must move further is an effect
+FULL_STEPS = (1.0, 4.0)  # cogging repeats every full step, or every four
+GRID = 3  # starting values of a shape that is known by its range only
+MANY = {"frequency_hz": 20}  # shapes whose signature changes quickly
+BOTH = 9.0  # in place of an angle: alike in x and y
+LEAST, SPREAD = 1e-3, 1.5  # of what is known by its order of magnitude: counts as none; ln's standard deviation
+WHOLE = "whole"  # the one number of an effect that is there or not
+
+_Key = tuple[tuple[tuple[str, float], ...], tuple[int, ...], bool]
+_NAME = re.compile(r"effects\.(?P<effect>\w+)\.(?P<parameter>\w+)(\[(?P<index>\d)\])?")
+
+
+class Delta(Plant):
+    """A machine file and its runs."""
+
+    band_hz = BAND_HZ
+
+    def __init__(self, machine: Machine, runs: Sequence[Run], names: Sequence[str] = tuple(CATALOGUE)) -> None:
+        self.machine, self.runs = machine, runs
+        self.commands = [carriages_of(machine, run)[:: _every(run)] for run in runs]
+        self.recordings = [_recording(machine, run, c) for run, c in zip(runs, self.commands, strict=True)]
+        self.numbers = tuple(_numbers(machine))
+        self.candidates = tuple(_candidate(machine, CATALOGUE[n]) for n in names if n not in machine.effects)
+        self.same_command = [_first_equal(self.commands, i) for i in range(len(runs))]
+        self.kept: dict[_Key, dict[int, PrinterMotion]] = {}
+
+    def simulate(
+        self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
+    ) -> list[FloatArray]:
+        found = next(iter(self.simulate_many([values], only, coarse=coarse)))
+        if isinstance(found, Impossible):
+            raise found
+        return found
+
+    def simulate_many(
+        self, many: Sequence[Mapping[str, float]], only: Sequence[int] | None = None, *, coarse: bool = False
+    ) -> Iterator[list[FloatArray] | Impossible]:
+        """Some at a time, all their runs together."""
+        chosen = range(len(self.runs)) if only is None else only
+        needed = sorted({self.same_command[i] for i in chosen})
+        for first in range(0, len(many), AT_ONCE):
+            part = many[first : first + AT_ONCE]
+            for values, motions in zip(part, self._motions(part, needed, coarse), strict=True):
+                yield motions if isinstance(motions, Impossible) else self._answer(values, motions, chosen)
+
+    def _answer(
+        self, values: Mapping[str, float], motions: Mapping[int, PrinterMotion], chosen: Sequence[int]
+    ) -> list[FloatArray]:
+        machine = self.machine_with(values)
+        return [_signals(machine, motions[self.same_command[i]], self.recordings[i].signals) for i in chosen]
+
+    def _motions(
+        self, many: Sequence[Mapping[str, float]], needed: Sequence[int], coarse: bool
+    ) -> list[dict[int, PrinterMotion] | Impossible]:
+        """By index of the run. The last few are kept: what only changes the sensors needs no other motion."""
+        plain = [_without_sensors(values) for values in many]
+        keys = [(tuple(sorted(values.items())), tuple(needed), coarse) for values in plain]
+        new = {key: values for key, values in zip(keys, plain, strict=True) if key not in self.kept}
+        found: dict[_Key, dict[int, PrinterMotion] | Impossible] = {k: self.kept[k] for k in keys if k in self.kept}
+        found |= dict(zip(new, self._played(list(new.values()), needed, coarse), strict=True))
+        answers = [found[key] for key in keys]
+        fresh = {key: motions for key, motions in found.items() if not isinstance(motions, Impossible)}
+        self.kept = dict([*self.kept.items(), *fresh.items()][-KEPT:])
+        return answers
+
+    def _played(
+        self, many: Sequence[Mapping[str, float]], needed: Sequence[int], coarse: bool
+    ) -> list[dict[int, PrinterMotion] | Impossible]:
+        """On every core, side by side what takes equal steps."""
+        machines = [self.machine_with(values) for values in many]
+        alike: dict[_Steps, list[tuple[int, int]]] = {}
+        for i in sorted(needed, key=lambda i: len(self.commands[i])):
+            for n, machine in enumerate(machines):
+                alike.setdefault(_steps(machine, self.recordings[i].rate_hz, coarse), []).append((n, i))
+        packs = [(steps, tasks[k : k + LANES]) for steps, tasks in alike.items() for k in range(0, len(tasks), LANES)]
+
+        def play(pack: tuple[_Steps, Sequence[tuple[int, int]]]) -> Sequence[PrinterMotion | ValueError]:
+            steps, tasks = pack
+            commands = [self.commands[i] for _, i in tasks]
+            return simulate_printers([machines[n] for n, _ in tasks], commands, steps.row_s, substeps=steps.substeps)
+
+        motions: list[dict[int, PrinterMotion | ValueError]] = [{} for _ in machines]
+        with ThreadPoolExecutor(WORKERS) as pool:
+            for (_, tasks), found in zip(packs, pool.map(play, packs), strict=True):
+                for (n, i), motion in zip(tasks, found, strict=True):
+                    motions[n][i] = motion
+        return [_whole(by_run) for by_run in motions]
+
+    def machine_with(self, values: Mapping[str, float]) -> Machine:
+        """The machine file's machine with these numbers and effects."""
+        plain = {name: value for name, value in values.items() if not name.startswith("effects.")}
+        machine = with_values(self.machine, plain)
+        return replace(machine, effects={**machine.effects, **effect_tables(values)})
+
+
+def _without_sensors(values: Mapping[str, float]) -> dict[str, float]:
+    return {name: x for name, x in values.items() if not _is_sensor(name)}
+
+
+def _is_sensor(name: str) -> bool:
+    match = _NAME.fullmatch(name)
+    return match is not None and CATALOGUE[match["effect"]].kind == "sensor"
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """How a run is integrated."""
+
+    row_s: float
+    substeps: int
+
+
+def _steps(machine: Machine, rate_hz: float, coarse: bool) -> _Steps:
+    longest = longest_step(printer_numbers(machine))
+    if longest == SMOOTH_STEP_S:
+        longest = COARSE_STEP_S if coarse else STEP_S
+    elif coarse:
+        longest = max(longest, COARSE_KINKED_STEP_S)
+    return _Steps(1 / rate_hz, math.ceil(1 / rate_hz / longest * (1 - 1e-9)))
+
+
+def _whole(motions: Mapping[int, PrinterMotion | ValueError]) -> dict[int, PrinterMotion] | Impossible:
+    """Arms too short, or belts that hold nothing, in a single run are enough."""
+    failed = [m for m in motions.values() if isinstance(m, ValueError)]
+    if failed:
+        return Impossible(str(failed[0]))
+    return {i: m for i, m in motions.items() if isinstance(m, PrinterMotion)}
+
+
+def _first_equal(commands: Sequence[FloatArray], i: int) -> int:
+    """Repeats need one simulation."""
+    return next(k for k in range(i + 1) if np.array_equal(commands[k], commands[i]))
+
+
+def effect_tables(values: Mapping[str, float]) -> dict[str, dict[str, Any]]:
+    """Fitted numbers as the tables of a machine file; what has no effect is left out."""
+    tables: dict[str, dict[str, Any]] = {}
+    for name, value in values.items():
+        match = _NAME.fullmatch(name)
+        if match is None:
+            continue
+        effect, key, index = CATALOGUE[match["effect"]], match["parameter"], match["index"]
+        table = tables.setdefault(effect.name, {})
+        if key == WHOLE:
+            table[WHOLE] = value
+        elif index is None:
+            table[key] = _machine_value(effect.parameter(key), value)
+        else:
+            table.setdefault(key, [0.0, 0.0, 0.0])[int(index)] = _machine_value(effect.parameter(key), value, True)
+    return {name: _without_whole(table) for name, table in tables.items() if _acts(CATALOGUE[name], table)}
+
+
+def _without_whole(table: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in table.items() if key != WHOLE}
+
+
+def _acts(effect: Effect, table: Mapping[str, Any]) -> bool:
+    if WHOLE in table:
+        return bool(table[WHOLE] > 0.5)
+    return any(np.any(np.asarray(table[a.name]) != a.neutral) for a in effect.amplitudes if a.name in table)
+
+
+def _machine_value(parameter: Parameter, value: float, of_three: bool = False) -> Any:
+    if parameter.logarithmic:
+        return math.exp(value)
+    if parameter.size == "direction":
+        return "both" if value == BOTH else [round(float(f(value)), 6) for f in (np.cos, np.sin)]
+    if parameter.power == 1:
+        return value
+    if of_three and parameter.power < 0:  # a list has no room for infinity: the largest value does nothing either
+        return min(float(max(value, 1e-300) ** (1 / parameter.power)), parameter.bounds[1])
+    return float(value ** (1 / parameter.power)) if value > 0 else parameter.neutral
+
+
+# ---- numbers and candidates ----------------------------------------------------------------------
+
+
+def _numbers(machine: Machine) -> list[Number]:
+    names = [n for n in UNKNOWNS if machine.carriage.drive is not None or "drive" not in n]
+    numbers = []
+    for name in names:
+        value = value_of(machine, name)
+        table_key = name.partition("[")[0]
+        relative = machine.uncertainty.get(table_key, machine.uncertainty.get("default", 0.02))
+        if value and relative:
+            sd = relative * abs(value)
+            low = value - REACH * sd
+            numbers.append(Number(name, value, sd, low if value < 0 else max(low, 0.05 * value), value + REACH * sd))
+    return numbers
+
+
+def _candidate(machine: Machine, effect: Effect) -> Candidate:
+    if not effect.amplitudes:
+        name = f"effects.{effect.name}.{WHOLE}"
+        return Candidate(effect.name, (Number(name, 0.0, 1.0, 1.0, 1.0),), {name: 1.0}, switch=True)
+    alike = _of(machine, effect, each=False)
+    if any(p.size == "direction" for p in effect.shapes):
+        return replace(alike, other=replace(alike, shapes=tuple(_in_both(n) for n in alike.shapes)))
+    if all(p.size != "per_tower" for p in effect.amplitudes):
+        return alike
+    return replace(alike, other=_of(machine, effect, each=True))
+
+
+def _in_both(shape: Number) -> Number:
+    """A direction that is none."""
+    return replace(shape, start=BOTH, low=BOTH, high=BOTH) if shape.name.endswith(".direction") else shape
+
+
+def _of(machine: Machine, effect: Effect, each: bool) -> Candidate:
+    """each : a value for each tower, or one that all share."""
+    amplitudes = [n for p in effect.amplitudes for n in _amplitude(effect, p, each)]
+    probe = {n.name: _linear(p, p.probe) for p in effect.amplitudes for n in _amplitude(effect, p, each)}
+    shapes = [_shape(effect, p, machine) for p in effect.shapes if _searched(p)]
+    finer = [_finer(effect, p, p.default) for p in effect.shapes if p.default is not None and not p.starts]
+    return Candidate(effect.name, tuple(amplitudes), probe, tuple(shapes), tuple(_grid(effect, machine)), tuple(finer))
+
+
+def _searched(p: Parameter) -> bool:
+    return p.default is None or bool(p.starts)
+
+
+def _finer(effect: Effect, p: Parameter, usual: float) -> Number:
+    if p.logarithmic:
+        low, high = (math.log(max(x, LEAST)) for x in p.bounds)
+        return Number(_full(effect, p), math.log(usual), SPREAD, low, high)
+    return Number(_full(effect, p), usual, p.typical[1] / 2, *p.bounds)
+
+
+def _full(effect: Effect, p: Parameter) -> str:
+    return f"effects.{effect.name}.{p.name}"
+
+
+def _amplitude(effect: Effect, p: Parameter, each: bool) -> list[Number]:
+    """One number, or one an axis, or one a tower."""
+    low, high = sorted(_linear(p, b) for b in p.bounds)
+    width = max(abs(_linear(p, t)) for t in p.typical if t)
+    three = p.size == "vector3" or (each and p.size == "per_tower")
+    names = [_full(effect, p) + suffix for suffix in (("[0]", "[1]", "[2]") if three else ("",))]
+    return [Number(name, 0.0, width, 0.0 if p.power < 0 else low, high) for name in names]
+
+
+def _linear(p: Parameter, value: float) -> float:
+    return float(value**p.power) if value else 0.0
+
+
+def _shape(effect: Effect, p: Parameter, machine: Machine) -> Number:
+    name = _full(effect, p)
+    if p.size == "direction":
+        return Number(name, 0.0, 2.0, -2 * np.pi, 2 * np.pi)
+    low, high = p.typical
+    middle = _starts(effect, p, machine)[0]
+    return Number(name, middle, max(high - low, abs(middle)) / 2, *p.bounds)
+
+
+def _starts(effect: Effect, p: Parameter, machine: Machine) -> list[float]:
+    if p.starts:
+        return list(p.starts)
+    if p.size == "direction":
+        return [0.0, np.pi / 4, np.pi / 2, 3 * np.pi / 4]
+    if (effect.name, p.name) == ("cogging", "pitch_mm"):
+        return [steps / float(machine.steps.full_per_motor[0]) for steps in FULL_STEPS]
+    low, high = p.typical
+    if p.name == "q_centre_mm":
+        return [0.5 * (low + high)]
+    if p.name == "damping_ratio":
+        return [float(np.sqrt(low * high))]
+    return [float(x) for x in np.geomspace(low, high, MANY.get(p.name, GRID))]
+
+
+def _grid(effect: Effect, machine: Machine) -> list[dict[str, float]]:
+    """Every combination of the shapes' starting values."""
+    grid: list[dict[str, float]] = [{}]
+    for p in effect.shapes:
+        if not _searched(p):
+            continue
+        name = _full(effect, p)
+        grid = [{**point, name: value} for point in grid for value in _starts(effect, p, machine)]
+    return grid
+
+
+# ---- recordings ----------------------------------------------------------------------------------
+
+
+def _every(run: Run) -> int:
+    return max(1, int(run.sample_rate_hz / ENOUGH_HZ * (1 + 1e-6)))
+
+
+def _recording(machine: Machine, run: Run, command: FloatArray) -> Recording:
+    """command : (n, 3) mm, carriages, thinned as the recording is."""
+    signals = (*run.acceleration, *run.position)
+    every = _every(run)
+    values = [_thinned(x, every) for x in (*run.acceleration.values(), *run.position.values())]
+    nozzle = machine.kinematics.forward(command)
+    place = tuple(float(5 * round(x / 5)) for x in (np.min(nozzle, axis=0) + np.max(nozzle, axis=0))[:2] / 2)
+    rate = run.sample_rate_hz / every
+    moving = {**dict(zip("ABC", command.T, strict=True)), **dict(zip("xyz", nozzle.T, strict=True))}
+    speed = np.stack([np.gradient(moving[s[4:]], 1 / rate) for s in signals], axis=1)
+    return Recording(run.source, run.repeat_of, place, rate, signals, np.stack(values, axis=1), speed)
+
+
+def _thinned(x: FloatArray, every: int) -> FloatArray:
+    """Every so many rows, what is too fast for them taken out (zero-phase); gaps stay gaps."""
+    if every == 1:
+        return x
+    from scipy.signal import resample_poly
+
+    gap = ~np.isfinite(x)
+    gaps = np.convolve(gap, np.ones(2 * every + 1), "same")[::every] > 0
+    smooth = resample_poly(filled(x), 1, every, padtype="line")
+    return np.where(gaps, np.nan, smooth)
+
+
+def _signals(machine: Machine, motion: PrinterMotion, names: Sequence[str]) -> FloatArray:
+    """(n, m) in the order of the recording's signals."""
+    felt = measured(machine, motion.signals)
+    columns = []
+    for name in names:
+        kind, axis = name.split("_")
+        carriage = axis in "ABC"
+        i = "ABC".index(axis) if carriage else "xyz".index(axis)
+        if kind == "acc":
+            columns.append((felt.carriage if carriage else felt.nozzle)[:, i])
+        else:
+            columns.append((motion.carriage_mm if carriage else motion.nozzle_mm)[:, i])
+    return np.stack(columns, axis=1)

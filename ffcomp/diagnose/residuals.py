@@ -1,0 +1,102 @@
+"""Where the gap is: its size against what was measured and against the noise, by signal, frequency, place and run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.diagnose.noise import NoiseFloor, Whitener
+from ffcomp.diagnose.problem import Recording
+from ffcomp.measurement.frf import FloatArray
+
+EDGES_HZ = (1.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
+SLOW_SHARE = 0.05  # of a signal's largest speed: slower than that it is near a reversal
+
+
+@dataclass(frozen=True)
+class Size:
+    """√(Σ(measured − simulated)²/Σ measured²) inside the band, and what noise alone would leave."""
+
+    nrms: float
+    noise_nrms: float
+
+
+@dataclass(frozen=True, eq=False)
+class Gap:
+    whole: Size
+    signals: Mapping[str, Size]
+    runs: Mapping[str, Size]
+    places: Mapping[tuple[float, ...], float]  # share of the excess
+    bands: Sequence[tuple[float, float, float]]  # from Hz, to Hz, share of the excess
+    near_reversals: float  # share of the excess while what a signal is measured on turns back or rests
+
+
+def find_gap(whiten: Whitener, floor: NoiseFloor, simulated: Sequence[FloatArray]) -> Gap:
+    """Compare all recordings with their simulation, (n, m) each."""
+    tables = [_table(whiten, floor, r, y) for r, y in zip(whiten.recordings, simulated, strict=True)]
+    excess = [np.maximum(t.error - t.noise, 0.0) for t in tables]
+    total = max(sum(float(e.sum()) for e in excess), 1e-300)
+    recordings = whiten.recordings
+    signals = sorted({s for r in recordings for s in r.signals})
+    places: dict[tuple[float, ...], float] = {}
+    for r, e in zip(recordings, excess, strict=True):
+        places[r.place] = places.get(r.place, 0.0) + float(e.sum()) / total
+    return Gap(
+        _size(tables, [np.ones(len(r.signals), bool) for r in recordings]),
+        {s: _size(tables, [np.array([name == s for name in r.signals]) for r in recordings]) for s in signals},
+        {
+            Path(r.name).name: _size([t], [np.ones(len(r.signals), bool)])
+            for r, t in zip(recordings, tables, strict=True)
+        },
+        places,
+        _bands(tables, excess, total),
+        _near_reversals(recordings, simulated),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """Powers of one recording by signal and frequency, (m, k): of the error, of the noise, of what was measured."""
+
+    frequency_hz: FloatArray
+    error: FloatArray
+    noise: FloatArray
+    signal: FloatArray
+
+
+def _table(whiten: Whitener, floor: NoiseFloor, recording: Recording, simulated: FloatArray) -> _Table:
+    error, frequency = whiten.spectrum(recording, recording.measured - simulated)
+    signal, _ = whiten.spectrum(recording, recording.measured)
+    scale = whiten.power(recording)
+    noise = np.stack([2 * scale * floor.at(s, frequency) for s in recording.signals])
+    return _Table(frequency, np.abs(error) ** 2, noise, np.abs(signal) ** 2)
+
+
+def _size(tables: Sequence[_Table], chosen: Sequence[NDArray[np.bool_]]) -> Size:
+    sums = [
+        sum(float(getattr(t, part)[keep].sum()) for t, keep in zip(tables, chosen, strict=True))
+        for part in ("error", "noise", "signal")
+    ]
+    return Size(float(np.sqrt(sums[0] / sums[2])), float(np.sqrt(sums[1] / sums[2])))
+
+
+def _bands(tables: Sequence[_Table], excess: Sequence[FloatArray], total: float) -> list[tuple[float, float, float]]:
+    found = []
+    for low, high in pairwise(EDGES_HZ):
+        inside = [e[:, (t.frequency_hz >= low) & (t.frequency_hz < high)] for t, e in zip(tables, excess, strict=True)]
+        found.append((low, high, sum(float(e.sum()) for e in inside) / total))
+    return found
+
+
+def _near_reversals(recordings: Sequence[Recording], simulated: Sequence[FloatArray]) -> float:
+    near = whole = 0.0
+    for r, y in zip(recordings, simulated, strict=True):
+        power = np.nan_to_num((r.measured - y) ** 2)
+        slow = np.abs(r.speed) < SLOW_SHARE * np.max(np.abs(r.speed), axis=0)
+        near, whole = near + float(power[slow].sum()), whole + float(power.sum())
+    return near / max(whole, 1e-300)

@@ -1,0 +1,162 @@
+"""A diagnosis in the terms of the machine file: effects with intervals, retuned numbers, the gap before and after."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ffcomp.diagnose.engine import Diagnosis
+from ffcomp.diagnose.printer_problem import WHOLE, Delta, effect_tables
+from ffcomp.diagnose.residuals import Size, find_gap
+from ffcomp.identify.uncertainty import Estimate
+from models.effects.catalogue import CATALOGUE
+from models.file import updated_text
+
+GAP, CLOSED = 0.1, 0.5  # of the noise, to be a gap; of the gap, to be closed by retuning
+MOVED = 0.1  # standard deviations of its uncertainty from which a number is said to be retuned
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What is printed, and written into the better machine file."""
+
+    verdict: str
+    effects: Mapping[str, Mapping[str, Any]]  # of the best hypothesis, as tables of a machine file
+    intervals: Mapping[str, Estimate]  # effects.name.key -> in the machine file's terms
+    retuned: Mapping[str, tuple[float, float]]  # from, to
+    confusable_with: Sequence[tuple[str, str]]  # effect, how to tell them apart
+    before: Size
+    after: Size
+    held_out: tuple[float, float]  # nrms before and after, on places the numbers were not fitted to
+    gained: float  # −2 ln Z against retuning alone
+    confidence: Mapping[str, float]  # of each effect against the best that was tried without it
+    refused: Sequence[str]
+    invisible: Sequence[str]  # effects of which the runs could not show a usual size
+
+    @property
+    def mends(self) -> bool:
+        """Is a machine file worth writing: with effects, or with numbers retuned that close a gap without any?"""
+        if self.verdict != "none":
+            return self.verdict == "effects"
+        gap, left = self.before.nrms - self.before.noise_nrms, self.after.nrms - self.before.noise_nrms
+        return gap > GAP * self.before.noise_nrms and left < CLOSED * gap
+
+    def parameters(self, effect: str) -> dict[str, dict[str, Any]]:
+        """Of one effect, by the machine file's keys: value, low, high; lists where the file has lists."""
+        prefix, found = f"effects.{effect}.", dict[str, list[Estimate]]()
+        for name, e in self.intervals.items():
+            if name.startswith(prefix):
+                found.setdefault(name.removeprefix(prefix).partition("[")[0], []).append(e)
+        return {key: _told(effect, key, own, self.effects[effect][key]) for key, own in found.items() if key != WHOLE}
+
+
+def outcome(plant: Delta, found: Diagnosis) -> Outcome:
+    """Translate; the best hypothesis is told even if it was refused."""
+    fitted = found.final
+    tables = effect_tables(fitted.values) if found.best is not None else {}
+    names = [n for n in fitted.numbers if not n.name.startswith("effects.")]
+    retuned = {
+        n.name: (n.start, fitted.values[n.name])
+        for n, z in zip(fitted.numbers, fitted.z, strict=True)
+        if n in names and abs(z) > MOVED
+    }
+    noise = find_gap(found.bench.whiten, found.noise, plant.simulate({})).whole
+    after = find_gap(found.bench.whiten, found.noise, plant.simulate(fitted.values)).whole
+    return Outcome(
+        found.verdict,
+        tables,
+        {name: _in_file_terms(name, e) for name, e in found.intervals.items() if name.startswith("effects.")},
+        retuned,
+        [(name, _apart(tables, name)) for name in found.confusable],
+        noise,
+        after,
+        _held_out(found, noise.noise_nrms),
+        found.base.evidence - fitted.evidence,
+        {name: _confidence(found, name) for name in tables},
+        found.refused,
+        found.invisible,
+    )
+
+
+def _confidence(found: Diagnosis, effect: str) -> float:
+    """Probability against the best hypothesis without the effect, both equally likely beforehand.
+
+    Where a misfit is left, evidence counts for that much less: shapes are never exactly ours.
+    """
+    if found.best is None:
+        return 0.0
+    fitted = found.best.fit
+    without = min([h.fit.evidence for h in found.tried if effect not in h.names] + [found.base.evidence])
+    misfit = max(1.0, fitted.chi_squared / len(fitted.residual))
+    return float(1 / (1 + np.exp(-np.clip((without - fitted.evidence) / misfit / 2, -50, 50))))
+
+
+def _in_file_terms(name: str, e: Estimate) -> Estimate:
+    """Back from value ** power, which turns an interval round if the power is negative."""
+    _, effect, key = name.split(".")
+    key = key.partition("[")[0]
+    if key != WHOLE and CATALOGUE[effect].parameter(key).logarithmic:
+        return Estimate(math.exp(e.value), e.sd * math.exp(e.value), math.exp(e.low), math.exp(e.high))
+    power = 1 if key == WHOLE else CATALOGUE[effect].parameter(key).power
+    if power == 1 or e.value <= 0:
+        return e
+    value, ends = e.value ** (1 / power), [max(x, 1e-12) ** (1 / power) for x in (e.low, e.high)]
+    return Estimate(value, value * e.sd / e.value / abs(power), min(ends), max(ends))
+
+
+def _told(effect: str, key: str, own: Sequence[Estimate], table: Any) -> dict[str, Any]:
+    """table : what the machine file gets."""
+    if CATALOGUE[effect].parameter(key).size == "direction":
+        ends = [[round(math.cos(x), 6), round(math.sin(x), 6)] for x in (own[0].low, own[0].high)]
+        low, high = (table, table) if isinstance(table, str) else ends
+        return {"value": table, "low": low, "high": high}
+    each = {what: [float(getattr(e, what)) for e in own] for what in ("value", "low", "high")}
+    return {what: values if len(values) > 1 else values[0] for what, values in each.items()}
+
+
+def _apart(tables: Mapping[str, Any], other: str) -> str:
+    """How to tell another effect from the named ones."""
+    for name in tables:
+        sentence = CATALOGUE[name].rivals.get(other) or CATALOGUE[other].rivals.get(name)
+        if sentence:
+            return sentence
+    return "Runs at more places and at several speeds."
+
+
+def _held_out(found: Diagnosis, noise: float) -> tuple[float, float]:
+    """nrms over all places, each left out of the fit in turn: with the file as it is, and with what was found."""
+    if not found.places:
+        return noise, noise
+    filed, after, signals = np.sum([p.power for p in found.places], axis=0)
+    return float(np.sqrt(filed / signals)), float(np.sqrt(after / signals))
+
+
+def better_file(source: Path, name: str, found: Outcome, data: Sequence[str], when: str) -> str:
+    """The machine file with the named effects, the retuned numbers, and what they rest on; comments survive."""
+    values: dict[str, Any] = {key: float(f"{to:.6g}") for key, (_, to) in found.retuned.items()}
+    for effect, table in found.effects.items():
+        if not table:
+            values[f"effects.{effect}"] = {}
+        values |= {f"effects.{effect}.{key}": _rounded(value) for key, value in table.items()}
+    entry = {
+        "date": when,
+        "started_from": source.stem,
+        "data": list(data),
+        "intervals_90_percent": {n: f"{e.low:.4g} to {e.high:.4g}" for n, e in found.intervals.items()},
+        "gap_nrms_before": float(f"{found.before.nrms:.4g}"),
+        "gap_nrms_after": float(f"{found.after.nrms:.4g}"),
+        "gap_nrms_noise": float(f"{found.before.noise_nrms:.4g}"),
+        "held_out_nrms_before_after": [float(f"{x:.4g}") for x in found.held_out],
+    }
+    return updated_text(source, values, name=name, provenance={"diagnosed": entry})
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_rounded(x) for x in value]
+    return float(f"{value:.6g}") if isinstance(value, float) else value

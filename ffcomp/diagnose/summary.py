@@ -1,0 +1,375 @@
+"""A diagnosis as something to look at: where the gap was and is, curves, spectra, the evidence, who looks alike.
+
+Numbers only; drawing is for `ffcomp.report`. Excess is the mean square of the whitened error, less one: 0 is noise
+alone, 3 means that the error is twice as large as the noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.diagnose.acceptance import Place, intervals_of
+from ffcomp.diagnose.engine import Diagnosis
+from ffcomp.diagnose.fit import Bench
+from ffcomp.diagnose.hypotheses import gap_of
+from ffcomp.diagnose.noise import lines, taper
+from ffcomp.diagnose.printer_problem import Delta
+from ffcomp.diagnose.problem import Number
+from ffcomp.diagnose.residuals import EDGES_HZ, SLOW_SHARE
+from ffcomp.diagnose.result import MOVED
+from ffcomp.diagnose.score_test import likeness
+from ffcomp.identify.uncertainty import Estimate
+from ffcomp.measurement.frf import FloatArray
+
+TIME_BINS = 24
+PHASE_BINS = 16
+CYCLE_STEPS = 4.0  # full steps of a motor's electrical cycle
+QUANTILES = (0.0, 0.25, 0.5, 0.75, 0.9, 0.98, 1.0)  # of the size of motion
+OVERLAYS = 4
+WINDOW_S = 0.25  # of an overlay
+SPECTRUM_BANDS = 90
+KINDS = {"acc": ("acceleration", "m/s²"), "pos": ("position", "mm")}
+
+
+@dataclass(frozen=True)
+class Split:
+    """The excess over one thing it may depend on; a value for each label."""
+
+    title: str
+    labels: tuple[str, ...]
+    before: tuple[float, ...]
+    after: tuple[float, ...]
+    weight: tuple[float, ...]  # share of all that was compared
+    spans: tuple[tuple[float, float], ...] = ()  # from and to of each label, where labels follow one another
+    unit: str = ""  # of the spans
+    at: tuple[tuple[float, ...], ...] = ()  # mm on the bed, where labels are places
+
+
+@dataclass(frozen=True, eq=False)
+class Overlay:
+    """One signal of one run where the gap was largest."""
+
+    run: str
+    signal: str
+    time_s: FloatArray  # (n,)
+    measured: FloatArray  # (n,) inside the band, as the others
+    before: FloatArray
+    after: FloatArray
+    noise_rms: float
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Amplitude densities of one kind of signal, unit/√Hz, rms over its signals and runs."""
+
+    kind: str  # carriages' acceleration, nozzle's position, …
+    unit: str
+    frequency_hz: FloatArray  # (k,) as the others
+    measured: FloatArray
+    before: FloatArray  # of the error
+    after: FloatArray
+    noise: FloatArray
+
+
+@dataclass(frozen=True)
+class Promise:
+    """What screening said of one effect before anything was fitted."""
+
+    name: str
+    gain: float  # −2 ln Z that it promised to win
+    strength: float  # standard deviations by which a usual size would stand out
+    visible: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Alike:
+    """cos² between what visible effects do beyond retuning: 1 if one can be taken for the other."""
+
+    names: tuple[str, ...]
+    cos2: FloatArray  # (n, n)
+
+
+@dataclass(frozen=True)
+class Retuned:
+    """A number of the machine file that the diagnosis could have moved."""
+
+    name: str
+    start: float
+    sd: float  # that the file allows
+    now: Estimate
+    moved: bool
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One hypothesis that was tried."""
+
+    effects: tuple[str, ...]
+    left: float  # gap, of the noise
+    against_best: float  # −2 ln Z more than the best's
+    numbers: int
+    named: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    band_hz: tuple[float, float]  # where measurement and simulation are compared
+    noise_from_repeats: bool
+    bed_radius_mm: float
+    splits: tuple[Split, ...]
+    overlays: tuple[Overlay, ...]
+    spectra: tuple[Spectrum, ...]
+    evidence: tuple[Evidence, ...]
+    promises: tuple[Promise, ...]
+    alike: Alike
+    places: tuple[Place, ...]
+    retuned: tuple[Retuned, ...]
+
+
+def picture(plant: Delta, found: Diagnosis) -> Picture:
+    """What a report shows of a diagnosis: before is the machine file as it is, after with what was found."""
+    desk = found.bench
+    answers = plant.simulate({}), plant.simulate(found.final.values)
+    before, after = (desk.measured - desk.whiten(simulated) for simulated in answers)
+    return Picture(
+        desk.whiten.band_hz,
+        found.noise.from_repeats,
+        plant.machine.delta.print_radius_mm,
+        tuple(_splits(plant, desk, before, after)),
+        tuple(_overlays(plant, desk, answers, before)),
+        tuple(_spectra(desk, answers)),
+        tuple(_evidence(found)),
+        tuple(Promise(s.candidate.name, -s.evidence, s.strength, s.visible) for s in found.screened),
+        _alike(found),
+        tuple(found.places),
+        tuple(_retuned(found)),
+    )
+
+
+# ---- where ---------------------------------------------------------------------------------------
+
+
+def _splits(plant: Delta, desk: Bench, before: FloatArray, after: FloatArray) -> list[Split]:
+    bands = np.digitize(desk.whiten.frequencies(), EDGES_HZ[1:-1])
+    edges = tuple(pairwise(EDGES_HZ))
+    blank = Split("frequency", tuple(f"{a:g}-{b:g} Hz" for a, b in edges), (), (), (), edges, "Hz")
+    found = [_filled(blank, bands, np.ones(len(bands)), before, after)]
+    parts = (_expected(desk), series(desk, before), series(desk, after))
+    joined = [np.concatenate([x.ravel() for x in part]) for part in parts]
+    for empty, groups in _by(plant):
+        found.append(_filled(empty, np.concatenate([g.ravel() for g in groups]), *joined))
+    return found
+
+
+def _filled(
+    blank: Split, group: NDArray[np.int64], expected: FloatArray, before: FloatArray, after: FloatArray
+) -> Split:
+    """The split with its numbers, labels without any entry left out.
+
+    expected : the square that noise alone has in each entry.
+    """
+    count = len(blank.labels)
+    kept = np.flatnonzero(np.bincount(group, minlength=count))
+    noise = np.bincount(group, expected, count)[kept]
+    means = [np.bincount(group, x**2, count)[kept] / np.maximum(noise, 1e-300) - 1 for x in (before, after)]
+
+    def of_kept(values: tuple[Any, ...]) -> tuple[Any, ...]:
+        return tuple(values[i] for i in kept) if values else ()
+
+    return replace(
+        blank,
+        labels=of_kept(blank.labels),
+        spans=of_kept(blank.spans),
+        at=of_kept(blank.at),
+        before=tuple(means[0].tolist()),
+        after=tuple(means[1].tolist()),
+        weight=tuple((noise / noise.sum()).tolist()),
+    )
+
+
+def _expected(desk: Bench) -> list[FloatArray]:
+    """(n, m) a recording: the square that noise alone has in `series`; the ends are faded."""
+    faded = [taper(len(r.measured), r.rate_hz) ** 2 for r in desk.whiten.recordings]
+    return [np.outer(w / w.mean(), np.ones(len(r.signals))) for w, r in zip(faded, desk.whiten.recordings, strict=True)]
+
+
+def series(desk: Bench, residual: FloatArray) -> list[FloatArray]:
+    """The whitened residual (rows,) back in time, (n, m) a recording: noise alone has a mean square of one."""
+    found = []
+    for recording, rows in zip(desk.whiten.recordings, desk.whiten.rows, strict=True):
+        _, keep = lines(recording, desk.whiten.band_hz)
+        real, imaginary = residual[rows].reshape(2, len(recording.signals), -1)
+        spectrum = np.zeros((len(recording.signals), len(keep)), dtype=complex)
+        spectrum[:, keep] = real + 1j * imaginary
+        n = len(recording.measured)
+        found.append(np.fft.irfft(spectrum, n, axis=1).T * n / (2 * np.sqrt(keep.sum())))
+    return found
+
+
+def _by(plant: Delta) -> list[tuple[Split, list[NDArray[np.int64]]]]:
+    """For every thing to split by: its labels, and which of them each sample (n, m) of each recording has."""
+    recordings = plant.recordings
+    signals = sorted({s for r in recordings for s in r.signals})
+    places = list(dict.fromkeys(r.place for r in recordings))
+    full: list[NDArray[np.int64]] = [np.ones(r.measured.shape, dtype=np.int64) for r in recordings]
+    by_signal = [one * np.array([signals.index(s) for s in r.signals]) for one, r in zip(full, recordings, strict=True)]
+    by_place = [one * places.index(r.place) for one, r in zip(full, recordings, strict=True)]
+    by_run = [one * i for i, one in enumerate(full)]
+    by_time = [one * (np.arange(len(one)) * TIME_BINS // len(one))[:, None] for one in full]
+    moved = [_direction(r.speed) for r in recordings]
+    sizes = [_size(r.measured) for r in recordings]
+    return [
+        (_named("signal", signals), by_signal),
+        (replace(_named("place", [_place_name(p) for p in places]), at=tuple(places)), by_place),
+        (_named("run", [Path(r.name).name for r in recordings]), by_run),
+        (_shares("share of the run's time", np.linspace(0, 1, TIME_BINS + 1)), by_time),
+        (_named("motion", ["backward", "turning back or at rest", "forward"]), moved),
+        (_shares("size of motion", QUANTILES), sizes),
+        (_shares("motor's step cycle", np.linspace(0, 1, PHASE_BINS + 1)), _phases(plant)),
+    ]
+
+
+def _named(title: str, labels: Sequence[str]) -> Split:
+    return Split(title, tuple(labels), (), (), ())
+
+
+def _shares(title: str, edges: Sequence[float] | FloatArray) -> Split:
+    spans = tuple((100 * float(a), 100 * float(b)) for a, b in pairwise(edges))
+    return Split(title, tuple(f"{a:.0f}-{b:.0f} %" for a, b in spans), (), (), (), spans, "%")
+
+
+def _place_name(place: Sequence[float]) -> str:
+    return "(" + ", ".join(f"{x:g}" for x in place) + ") mm"
+
+
+def _direction(speed: FloatArray) -> NDArray[np.int64]:
+    slow = np.abs(speed) < SLOW_SHARE * np.max(np.abs(speed), axis=0)
+    return np.where(slow, 1, np.where(speed > 0, 2, 0)).astype(np.int64)
+
+
+def _size(measured: FloatArray) -> NDArray[np.int64]:
+    size = np.abs(np.nan_to_num(measured))
+    edges = np.quantile(size, QUANTILES[1:-1], axis=0)
+    return np.sum(size[None] > edges[:, None], axis=0).astype(np.int64)
+
+
+def _phases(plant: Delta) -> list[NDArray[np.int64]]:
+    """Of the signal's own motor; of motor A for the nozzle's."""
+    cycle = CYCLE_STEPS / float(plant.machine.steps.full_per_motor[0])
+    found = []
+    for r, command in zip(plant.recordings, plant.commands, strict=True):
+        own = command[:, ["ABC".find(s[-1]) if s[-1] in "ABC" else 0 for s in r.signals]]
+        found.append((np.mod(own / cycle, 1.0) * PHASE_BINS).astype(np.int64) % PHASE_BINS)
+    return found
+
+
+# ---- curves --------------------------------------------------------------------------------------
+
+Answers = tuple[list[FloatArray], list[FloatArray]]  # (n, m) a recording, before and after
+
+
+def _overlays(plant: Delta, desk: Bench, answers: Answers, before: FloatArray) -> list[Overlay]:
+    """The signals with the largest excess, around the moment where it was largest."""
+    errors = series(desk, before)
+    ranked = sorted(
+        ((float(np.mean(e[:, k] ** 2)), i, k) for i, e in enumerate(errors) for k in range(e.shape[1])), reverse=True
+    )
+    distinct = {plant.recordings[i].signals[k]: (i, k) for _, i, k in reversed(ranked)}
+    chosen = [(i, k) for _, i, k in ranked if distinct[plant.recordings[i].signals[k]] == (i, k)]
+    return [_overlay(plant, desk, answers, errors[i][:, k], i, k) for i, k in chosen[:OVERLAYS]]
+
+
+def _overlay(plant: Delta, desk: Bench, answers: Answers, error: FloatArray, i: int, k: int) -> Overlay:
+    r = plant.recordings[i]
+    half = round(WINDOW_S * r.rate_hz / 2)
+    power = np.convolve(error**2, np.ones(2 * half), "same")
+    middle = min(max(int(power.argmax()), half), max(len(power) - half, half))
+    part = slice(middle - half, middle + half)
+    measured, before, after = (_in_band(desk, i, x)[part, k] for x in (r.measured, answers[0][i], answers[1][i]))
+    frequency, _ = lines(r, desk.whiten.band_hz)
+    noise = desk.whiten.floor.at(r.signals[k], frequency)
+    rms = float(np.sqrt(np.sum(noise) * (frequency[1] - frequency[0])))
+    time = np.arange(part.start, part.stop) / r.rate_hz
+    return Overlay(Path(r.name).name, r.signals[k], time, measured, before, after, rms)
+
+
+def _in_band(desk: Bench, i: int, x: FloatArray) -> FloatArray:
+    """(n, m) of recording i inside the band, as it is compared."""
+    recording = desk.whiten.recordings[i]
+    _, keep = lines(recording, desk.whiten.band_hz)
+    spectrum = np.zeros((len(keep), x.shape[1]), dtype=complex)
+    spectrum[keep] = desk.whiten.spectrum(recording, x)[0].T
+    return np.asarray(np.fft.irfft(spectrum, len(x), axis=0))
+
+
+def _spectra(desk: Bench, answers: Answers) -> list[Spectrum]:
+    kinds = {(s[:3], s[4] in "ABC") for r in desk.whiten.recordings for s in r.signals}
+    return [_spectrum(desk, answers, *kind) for kind in sorted(kinds)]
+
+
+def _spectrum(desk: Bench, answers: Answers, quantity: str, carriage: bool) -> Spectrum:
+    """Mean powers in bands as wide everywhere on a logarithmic axis; bands that hold no line are left out."""
+    edges = np.geomspace(*desk.whiten.band_hz, SPECTRUM_BANDS + 1)
+    sums, counts = np.zeros((4, SPECTRUM_BANDS)), np.zeros(SPECTRUM_BANDS)
+    for i, r in enumerate(desk.whiten.recordings):
+        own = [k for k, s in enumerate(r.signals) if s.startswith(quantity) and (s[4] in "ABC") == carriage]
+        frequency, densities = _densities(desk, i, [r.measured, *(r.measured - a[i] for a in answers)])
+        band = np.digitize(frequency, edges[1:-1])
+        counts += len(own) * np.bincount(band, minlength=SPECTRUM_BANDS)
+        sums += [np.bincount(band, d[own].sum(axis=0), SPECTRUM_BANDS) for d in densities]
+    kept = counts > 0
+    amplitudes = np.sqrt(sums[:, kept] / counts[kept])
+    kind, unit = KINDS[quantity]
+    whose = "carriages'" if carriage else "nozzle's"
+    return Spectrum(f"{whose} {kind}", unit, np.sqrt(edges[1:] * edges[:-1])[kept], *amplitudes)
+
+
+def _densities(desk: Bench, i: int, many: Sequence[FloatArray]) -> tuple[FloatArray, list[FloatArray]]:
+    """(k,) Hz, and the one-sided densities (m, k) of each, unit²/Hz; the noise's last."""
+    recording = desk.whiten.recordings[i]
+    spectra = [desk.whiten.spectrum(recording, x) for x in many]
+    frequency, scale = spectra[0][1], 2 * desk.whiten.power(recording)
+    noise = np.stack([desk.whiten.floor.at(s, frequency) for s in recording.signals])
+    return frequency, [*(np.abs(x) ** 2 / scale for x, _ in spectra), noise]
+
+
+# ---- evidence ------------------------------------------------------------------------------------
+
+
+def _evidence(found: Diagnosis) -> list[Evidence]:
+    if found.best is None:
+        return []
+    best = found.best.fit.evidence
+    rows = [Evidence(h.names, h.gap, h.fit.evidence - best, len(h.fit.numbers), h is found.named) for h in found.tried]
+    base = found.base
+    nothing = Evidence((), gap_of(base), base.evidence - best, len(base.numbers), False)
+    return [*rows, nothing]
+
+
+def _alike(found: Diagnosis) -> Alike:
+    """The named ones first."""
+    best = () if found.best is None else found.best.names
+    seen = sorted((s for s in found.screened if s.visible), key=lambda s: s.candidate.name not in best)
+    table = np.array([[likeness(a, b) for b in seen] for a in seen]).reshape(len(seen), len(seen))
+    return Alike(tuple(s.candidate.name for s in seen), table)
+
+
+def _retuned(found: Diagnosis) -> list[Retuned]:
+    """Every number of the machine file, those that moved furthest first."""
+    whole = found.base if found.best is None else found.best.fit
+    values = found.final.values
+    intervals = found.intervals or intervals_of(found.bench, whole, values)
+    own = [n for n in whole.numbers if not n.name.startswith("effects.")]
+    rows = [_row(n, values.get(n.name, n.start), intervals[n.name]) for n in own]
+    return sorted(rows, key=lambda r: -abs(r.now.value - r.start) / r.sd)
+
+
+def _row(n: Number, value: float, interval: Estimate) -> Retuned:
+    return Retuned(n.name, n.start, n.sd, interval, abs(value - n.start) > MOVED * n.sd)

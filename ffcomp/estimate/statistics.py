@@ -1,0 +1,142 @@
+"""Adding up: every move's time and filament by its layer, its feature, and what the nozzle does meanwhile.
+
+What is added up are rows, (6,) arrays: the seconds of each kind of motion and of waiting, and mm of filament.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.compensate.gcode_output.writer import WAS
+from ffcomp.estimate.layers import Layers, summed
+from ffcomp.estimate.spans import Span
+from ffcomp.estimate.unknown import Unknown, unknown_in
+from ffcomp.planner.limits import lines_of
+from gcode.layers import UNNAMED, begins_feature, begins_layer
+from gcode.metadata import TIME_WAS, slicer_time_s, with_time
+from gcode.program import Event
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+KINDS = ("extruding", "travelling", "retracting", "priming", "waiting")
+EXTRUDING, TRAVELLING, RETRACTING, PRIMING, WAITING, FILAMENT = range(6)
+COLUMNS = 6
+STILL_MM = 5e-5  # of filament in one move: less is rounding
+RETRACTED_MM = 0.05  # of filament at least, to call it a retraction
+
+
+@dataclass(slots=True)
+class _Marks:
+    """Where a span's comments begin something: index into the program's lines, and what."""
+
+    layers: list[int] = field(default_factory=list)
+    features: list[int] = field(default_factory=list)
+    names: list[str] = field(default_factory=list)  # of the features; the first is the one before them all
+
+
+@dataclass(slots=True)
+class Account:
+    """What has been counted so far."""
+
+    moves: int = 0
+    retractions: int = 0
+    filament_mm: float = 0.0
+    slicer_s: float | None = None  # what the slicer's comment says
+    features: dict[str, FloatArray] = field(default_factory=dict)
+    layers: Layers = field(default_factory=Layers)
+    unknown: dict[tuple[str, str], Unknown] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    _feature: str = UNNAMED
+    _fed_mm: float = 0.0
+    _pulled_mm: float = 0.0  # how far back filament has been pulled just now, as a negative number
+    _time_was: bytes | None = None  # of the line that comes next
+
+    @property
+    def total(self) -> FloatArray:
+        """(6,) of everything."""
+        return np.sum([np.zeros(COLUMNS), *self.features.values()], axis=0)
+
+    def add(self, span: Span) -> None:
+        """Count a span's own moves and lines."""
+        marks = self._read(span)
+        if span.plan is not None and span.last > span.first:
+            self._add_moves(span, span.plan.duration[span.first : span.last], marks)
+        self.layers.leave(len(marks.layers))
+        self._feature = marks.names[-1]
+        self.warnings += span.program.warnings
+
+    def _read(self, span: Span) -> _Marks:
+        """Follow what its lines say."""
+        marks = _Marks(names=[self._feature])
+        number = span.program.first_line + 1  # in the file, of the program's first line
+        for event in span.events:
+            line = span.program.lines[event.line]
+            if line.startswith(TIME_WAS):
+                self._time_was = line[len(TIME_WAS) :].rstrip()
+                continue
+            if line.startswith(b";"):
+                self._comment(line, event, marks)
+            elif event.dwell_s:
+                self._wait(event, number, marks)
+            elif found := unknown_in(span.program, event):
+                self.unknown.setdefault(found, Unknown(*found)).add(number + event.line)
+            self._time_was = None
+        return marks
+
+    def _comment(self, line: bytes, event: Event, marks: _Marks) -> None:
+        if line.startswith(WAS):
+            return
+        if begins_layer(line):
+            marks.layers.append(event.line)
+        elif name := begins_feature(line):
+            marks.features.append(event.line)
+            marks.names.append(name)
+        elif self.slicer_s is None:
+            self.slicer_s = slicer_time_s([line if self._time_was is None else with_time(line, self._time_was)])
+
+    def _wait(self, event: Event, number: int, marks: _Marks) -> None:
+        row = np.zeros(COLUMNS)
+        row[WAITING] = event.dwell_s
+        _put(self.features, marks.names[-1], row)
+        self.layers.wait(len(marks.layers), row, number + event.line)
+
+    def _add_moves(self, span: Span, seconds: FloatArray, marks: _Marks) -> None:
+        moves, own = span.program.moves, slice(span.first, span.last)
+        fed = moves.end[own, 3] - moves.start[own, 3]
+        kind = _kinds(lines_of(moves).travels[own], fed)
+        rows = np.zeros((len(seconds), COLUMNS))
+        rows[np.arange(len(seconds)), kind] = seconds
+        rows[:, FILAMENT] = fed
+        self.moves += len(seconds)
+        self._feed(fed)
+        line = moves.line[own]
+        for k, row, _ in summed(np.searchsorted(marks.features, line, side="right"), rows):
+            _put(self.features, marks.names[k], row)
+        begun = np.searchsorted(marks.layers, line, side="right")
+        self.layers.add(begun, rows, moves.end[own, 2], kind == EXTRUDING, span.program.first_line + 1 + line)
+
+    def _feed(self, fed: FloatArray) -> None:
+        """Count retractions, and the filament that was never there before: what is pulled back comes again for free."""
+        steps = np.append(self._pulled_mm, fed)
+        steps = steps[np.abs(steps) > STILL_MM]
+        turns = np.flatnonzero(np.diff(np.sign(steps), prepend=0.0))
+        ways = np.add.reduceat(steps, turns) if turns.size else np.zeros(1)  # there and back again
+        self.retractions += int(np.count_nonzero(ways <= -RETRACTED_MM)) - (self._pulled_mm <= -RETRACTED_MM)
+        self._pulled_mm = min(float(ways[-1]), 0.0)
+        gone = self._fed_mm + np.cumsum(fed)
+        self._fed_mm = float(gone[-1])
+        self.filament_mm = max(self.filament_mm, float(gone.max()))
+
+
+def _kinds(travels: NDArray[np.bool_], fed: FloatArray) -> IntArray:
+    """What each move does, (n,); fed : (n,) mm"""
+    moving = np.where(fed > STILL_MM, EXTRUDING, TRAVELLING)
+    return np.where(travels, moving, np.where(fed < 0.0, RETRACTING, PRIMING))
+
+
+def _put(rows: dict[str, FloatArray], key: str, row: FloatArray) -> None:
+    rows[key] = rows[key] + row if key in rows else row

@@ -1,0 +1,319 @@
+"""What files say about a straight axis, each as something that its modes can be fitted to.
+
+A datum has numbers of its own, two of them, which nobody asks for and which are found along with the modes: a gain and
+a floor, or a gain and a delay. What is seen of the modes H(f) (see `axes.py`) stands in its `model`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from ffcomp.measurement.frf import ComplexArray, FloatArray, FrequencyResponse
+from ffcomp.measurement.klipper import Capture, Resonances, read_vibration
+from ffcomp.measurement.modes import HIGHEST_HZ, LOWEST_HZ, segment_powers, window_kernel
+
+AXES, CARRIAGES = "xyz", "ABC"
+NO_FLOOR = 10.0  # ln of a share of the smallest power
+LATEST_MS = 100.0
+LATE_MS = np.linspace(-40.0, 40.0, 161)  # tried: a capture that is upside down is aligned half a period wrong
+FEWEST_LINES = 20  # of one file, in the band
+USUAL_AVERAGES = 400  # segments of half a second or so, half overlapping, of a test that takes two minutes
+FLOOR_SHARE = 0.1
+COARSE = 0.3  # model error while the modes are looked for
+SMALLEST_ERROR = 1e-4
+WRONG_SCALE = 0.15  # of a sensor's gain
+
+
+class Datum(Protocol):
+    """One file's view of one axis."""
+
+    @property
+    def source(self) -> str: ...
+    @property
+    def axis(self) -> str: ...
+    @property
+    def frequency_hz(self) -> FloatArray: ...
+    @property
+    def value(self) -> FloatArray | ComplexArray: ...
+    @property
+    def level(self) -> FloatArray: ...
+    @property
+    def unit(self) -> str: ...
+    @property
+    def limits(self) -> FloatArray: ...
+    def begin(self, modes: FloatArray) -> FloatArray: ...
+    def model(self, modes: FloatArray, own: FloatArray) -> FloatArray | ComplexArray: ...
+    def residual(self, modes: FloatArray, own: FloatArray) -> FloatArray: ...
+    def slopes(self, modes: FloatArray, own: FloatArray) -> FloatArray: ...
+    def variance(self, error: float) -> FloatArray: ...
+    def remarks(self, own: FloatArray) -> list[str]: ...
+
+
+def closed_form(modes: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
+    """H at any frequencies; modes (m, 3), columns frequency Hz, damping ratio, share."""
+    total = np.zeros(frequency_hz.shape, dtype=np.complex128)
+    for frequency, damping, share in modes:
+        ratio = frequency_hz / frequency
+        total += share / (1 - ratio**2 + 2j * damping * ratio)
+    return total
+
+
+def closed_form_slopes(modes: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
+    """∂H by ln f and ln ζ of each mode, then by the first's share if there are two; the first index says which."""
+    found, alone = [], []
+    for frequency, damping, share in modes:
+        ratio = frequency_hz / frequency
+        damped = 2j * damping * ratio
+        alone.append(1 / (1 - ratio**2 + damped))
+        steep = share * alone[-1] ** 2
+        found += [-steep * (2 * ratio**2 - damped), -steep * damped]
+    return np.stack([*found, *([alone[0] - alone[1]] if len(modes) == 2 else [])])
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """The power that a resonance test left along the axis it shook. Its own numbers are ln g and ln c."""
+
+    source: str
+    axis: str
+    frequency_hz: FloatArray  # (k,) evenly spaced
+    value: FloatArray  # (k,) power spectral density
+    averages: int = USUAL_AVERAGES  # segments behind it
+    remark: str = ""
+
+    @property
+    def level(self) -> FloatArray:
+        """(k,) what the value is multiplied by, to be level for an axis that does not vibrate."""
+        return np.asarray(1.0 / self.frequency_hz**2)
+
+    @property
+    def unit(self) -> str:
+        return "power / f², of any scale"
+
+    @property
+    def limits(self) -> FloatArray:
+        """(2, 2) of its own numbers, lowest and highest."""
+        lowest = float(np.log(self.value.min()))
+        return np.array([[-np.inf, np.inf], [lowest - NO_FLOOR, lowest + 1.0]])
+
+    @cached_property
+    def _fine(self) -> tuple[FloatArray, FloatArray]:
+        """Frequencies (k, w) around each line, and the window's weights (w,)."""
+        offset, weight = window_kernel()
+        line = float(self.frequency_hz[1] - self.frequency_hz[0])
+        return np.maximum(self.frequency_hz[:, None] + offset * line, 1e-3), weight
+
+    def begin(self, modes: FloatArray) -> FloatArray:
+        floor = float(np.log(self.value.min())) - 1.0
+        ratio = np.log(self.value / self.model(modes, np.array([0.0, -100.0])))
+        return np.array([np.average(ratio, weights=1 / self.variance(1.0)), floor])
+
+    def model(self, modes: FloatArray, own: FloatArray) -> FloatArray:
+        fine, weight = self._fine
+        power = ((fine / fine.mean()) ** 2 * np.abs(closed_form(modes, fine)) ** 2) @ weight
+        return np.asarray(np.exp(own[0]) * power + np.exp(own[1]))
+
+    def residual(self, modes: FloatArray, own: FloatArray) -> FloatArray:
+        return np.log(self.value / self.model(modes, own))
+
+    def slopes(self, modes: FloatArray, own: FloatArray) -> FloatArray:
+        fine, weight = self._fine
+        shaken = (fine / fine.mean()) ** 2
+        h, steep = closed_form(modes, fine), closed_form_slopes(modes, fine)
+        gain, floor = np.exp(own)
+        power = gain * (shaken * np.abs(h) ** 2) @ weight
+        by_modes = gain * (2 * shaken * (h.conj() * steep).real) @ weight
+        columns = np.stack([*by_modes, power, np.full_like(power, floor)], axis=1)
+        return np.asarray(-columns / (power + floor)[:, None])
+
+    def variance(self, error: float) -> FloatArray:
+        answer = self.value / self.frequency_hz**2  # of the axis to even accelerations
+        noise = self.value.min() / self.value  # at most: it is even, and there is some motion everywhere
+        own = max(error, SMALLEST_ERROR) ** 2 * (1 + FLOOR_SHARE * answer.max() / answer)
+        return np.asarray(own + (2 * noise + noise**2) / self.averages)
+
+    def remarks(self, own: FloatArray) -> list[str]:
+        return [self.remark] if self.remark else []
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """A frequency response along the axis. Its own numbers are the gain and the delay in ms."""
+
+    measured: FrequencyResponse
+
+    @property
+    def source(self) -> str:
+        return self.measured.source
+
+    @property
+    def axis(self) -> str:
+        return self.measured.output[-1]
+
+    @property
+    def direct(self) -> bool:
+        """Whether the axis answers its own command."""
+        return self.measured.input[-1] == self.axis
+
+    @property
+    def frequency_hz(self) -> FloatArray:
+        return self.measured.frequency_hz
+
+    @property
+    def value(self) -> ComplexArray:
+        return self.measured.value
+
+    @property
+    def level(self) -> FloatArray:
+        """As of a spectrum."""
+        omega2 = (2 * np.pi * self.frequency_hz) ** 2
+        return np.asarray(1.0 / omega2 if self._accelerates else np.ones_like(omega2))
+
+    @property
+    def unit(self) -> str:
+        return f"{self.measured.input} to {self.measured.output}, mm/mm"
+
+    @property
+    def limits(self) -> FloatArray:
+        """As of a spectrum."""
+        return np.array([[-np.inf, np.inf], [-LATEST_MS, LATEST_MS]])
+
+    @property
+    def _accelerates(self) -> bool:
+        return self.measured.output.startswith("acc_")
+
+    def begin(self, modes: FloatArray) -> FloatArray:
+        h = self.model(modes, np.array([1.0, 0.0]))
+        weight = 1 / self.variance(COARSE)[: len(h)]
+        turned = np.exp(1e-3 * np.outer(LATE_MS, self.measured.s))
+        gain = (turned @ (weight * h.conj() * self.value)).real / float(np.sum(weight * np.abs(h) ** 2))
+        best = int(np.argmax(np.abs(gain)))
+        return np.array([gain[best], LATE_MS[best]])
+
+    def model(self, modes: FloatArray, own: FloatArray) -> ComplexArray:
+        s = self.measured.s
+        h = closed_form(modes, self.frequency_hz) * (s**2 if self._accelerates else 1.0)
+        return np.asarray(own[0] * np.exp(-1e-3 * own[1] * s) * h)
+
+    def residual(self, modes: FloatArray, own: FloatArray) -> FloatArray:
+        error = self.value - self.model(modes, own)
+        return np.concatenate([error.real, error.imag])
+
+    def slopes(self, modes: FloatArray, own: FloatArray) -> FloatArray:
+        model, h = self.model(modes, own), closed_form(modes, self.frequency_hz)
+        by_modes = model / h * closed_form_slopes(modes, self.frequency_hz)
+        columns = np.stack([*by_modes, model / own[0], -1e-3 * self.measured.s * model], axis=1)
+        return -np.concatenate([columns.real, columns.imag])
+
+    def variance(self, error: float) -> FloatArray:
+        size = np.abs(self.value) ** 2
+        v = self.measured.variance + max(error, SMALLEST_ERROR) ** 2 * size + 1e-16 * np.mean(size)
+        return np.tile(v / 2, 2)
+
+    def remarks(self, own: FloatArray) -> list[str]:
+        gain, delay_ms = own
+        what = f"{Path(self.source).name}, {self.measured.input} to {self.measured.output}"
+        if gain < 0:
+            return [f"{what}: it moves against its command. A sensor on a bed that moves does; else turn --axes-map."]
+        if abs(gain - 1) > WRONG_SCALE:
+            return [f"{what}: at rest it answers {gain:.2f} times its command, not once; is the sensor's scale right?"]
+        if not self.measured.clock and delay_ms > 0.5:
+            return [f"{what}: it comes {delay_ms:.1f} ms late, which modes do not tell (see the effect command_delay)."]
+        return []
+
+
+def spectrum_of(path: Path, said_axis: str | None, band_hz: tuple[float, float]) -> Spectrum | str:
+    """The spectrum of a resonance test's file, or a sentence that says why it is of no use here.
+
+    Parameters
+    ----------
+    said_axis : what was shaken, where the file's name does not say it.
+
+    Raises
+    ------
+    MeasurementError
+        For a file that cannot be read.
+    """
+    found = read_vibration(path)
+    axis = found.axis or said_axis
+    if isinstance(found, Capture) and found.excitation_hz is not None:
+        return f"{path.name}: it was shaken at one frequency, {found.excitation_hz:g} Hz, which shows no modes."
+    if axis is None:
+        return (
+            f"{path.name}: nothing says what was shaken. If it is of a resonance test, say --axis x or y; a capture of "
+            "`identify plan` needs --plan."
+        )
+    if axis not in AXES:
+        return f"{path.name}: it was shaken along a diagonal ({axis}); the modes are those of x and y by themselves."
+    return _spectrum(found, axis, band_hz)
+
+
+def _spectrum(found: Capture | Resonances, axis: str, band_hz: tuple[float, float]) -> Spectrum | str:
+    name = Path(found.source).name
+    frequency, powers, averages = _powers(found)
+    low, high = max(LOWEST_HZ, band_hz[0]), min(HIGHEST_HZ, band_hz[1])
+    inside = (frequency >= low) & (frequency <= high)
+    if axis not in powers:
+        return f"{name}: there is no spectrum along {axis} in it, only {', '.join(powers)}."
+    if inside.sum() < FEWEST_LINES:
+        return f"{name}: {inside.sum()} lines between {low:g} and {high:g} Hz are too few; {FEWEST_LINES} are needed."
+    power, remark = _felt({letter: each[inside] for letter, each in powers.items()}, axis, name)
+    kept = frequency[inside][power > 0]
+    even = np.linspace(kept[0], kept[-1], len(kept))  # files round
+    return Spectrum(found.source, axis, even, power[power > 0], averages, remark)
+
+
+def _powers(found: Capture | Resonances) -> tuple[FloatArray, dict[str, FloatArray], int]:
+    """Frequencies (k,), the power (k,) along each of the sensor's axes, or of whatever the file holds, and averages."""
+    if isinstance(found, Resonances):
+        each = {name: found.power(name) for name in found.psd}
+        return next(iter(each.values()))[0], {name: power for name, (_, power) in each.items()}, USUAL_AVERAGES
+    segments = {letter: segment_powers(found, [i]) for i, letter in enumerate(AXES)}
+    frequency, first = segments["x"]
+    return frequency, {letter: powers.mean(axis=0) for letter, (_, powers) in segments.items()}, len(first)
+
+
+def _felt(powers: Mapping[str, FloatArray], axis: str, name: str) -> tuple[FloatArray, str]:
+    """The power along the axis that was shaken; of all three where the sensor is not mounted along the axes."""
+    along = {letter: float(powers[letter].sum()) for letter in AXES if letter in powers}
+    strongest = max(along, key=lambda letter: along[letter])
+    if strongest == axis:
+        return powers[axis], ""
+    remark = (
+        f"{name}: {axis} was shaken, but the sensor's {strongest} felt {along[strongest] / along[axis]:.1f} times as "
+        "much, so the sum of its axes was taken. Are its axes the printer's (axes_map in the firmware's settings)?"
+    )
+    return np.sum([powers[letter] for letter in along], axis=0), remark
+
+
+def usable(responses: Iterable[FrequencyResponse]) -> tuple[list[Response], list[str]]:
+    """The responses of axes to commands, their own or another's, and sentences on what is no such response."""
+    kept: list[Response] = []
+    left_out = []
+    for response in map(_of_axes, responses):
+        if response.setup != "assembly" or not response.input.startswith("cmd_"):
+            left_out.append(
+                f"{response.source}: {response.input} to {response.output} ({response.setup}) tells nothing about an "
+                "axis; what does is the response of the whole printer to a command, such as cmd_x to acc_x."
+            )
+        elif not any(_same(response, other.measured) for other in kept):
+            kept.append(Response(response))
+    return kept, left_out
+
+
+def _of_axes(response: FrequencyResponse) -> FrequencyResponse:
+    """cmd_x for cmd_A: the carriages of such a machine are its axes."""
+    named = (name.translate(str.maketrans(CARRIAGES, AXES)) for name in (response.input, response.output))
+    told, answers = named
+    return replace(response, input=told, output=answers)
+
+
+def _same(one: FrequencyResponse, other: FrequencyResponse) -> bool:
+    """A simulated carriage is the nozzle, to the last digit."""
+    return (one.input, one.output) == (other.input, other.output) and np.array_equal(one.value, other.value)

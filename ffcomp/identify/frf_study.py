@@ -1,0 +1,398 @@
+"""The model's frequency responses at chosen places, with what was measured there: ready to be printed or drawn.
+
+A *view* says which responses: of the whole printer (what answers per what is commanded), of a carriage by itself
+(sub-model 1) or of the effector by itself (sub-model 2). A *station* is one case of it: a place on the bed, or a
+mass on the bare carriage.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from ffcomp.errors import MeasurementError
+from ffcomp.identify.accuracy import log_error_db, mean_absolute_percentage_accuracy
+from ffcomp.identify.predict import predicted
+from ffcomp.measurement.frf import ComplexArray, FloatArray, FrequencyResponse
+from models.errors import MachineFileError, UnreachableError
+from models.machine import Machine
+from models.vibration.carriage import command_frf, damping, with_added_mass
+from models.vibration.effector import struck_frf
+from models.vibration.mode_map import ModeMap, kinds, mode_map, numbers
+from models.vibration.receptance import Modes, Output, assembly_frf, modes
+
+Of = Literal["carriage", "nozzle", "acceleration", "carriage-alone", "effector-alone"]
+Per = Literal["carriage", "nozzle"]
+
+Pair = tuple[int, int]
+CARRIAGES, AXES = ("A", "B", "C"), ("x", "y", "z")
+SAME_PLACE_MM = 0.5  # a measurement this close to a place was made there
+RINGS = 0.3  # modes damped more than this make no peak
+CLOSE, FAIR = 90.0, 70.0  # %; the paper reaches 68-78 in magnitude and 80-84 in phase (Table II)
+
+
+@dataclass(frozen=True)
+class View:
+    of: Of = "carriage"
+    per: Per = "carriage"
+
+    @property
+    def depends_on_place(self) -> bool:
+        return self.of in ("carriage", "nozzle", "acceleration")
+
+    @property
+    def answering(self) -> Output:
+        """What of the whole printer answers; the carriages, for a sub-model."""
+        return self.of if self.of in ("nozzle", "acceleration") else "carriage"
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """What answers."""
+        return {"carriage": CARRIAGES, "carriage-alone": ("carriage",)}.get(self.of, AXES)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """What is commanded or struck."""
+        if not self.depends_on_place:
+            return self.rows
+        return CARRIAGES if self.per == "carriage" else AXES
+
+    @property
+    def unit(self) -> str:
+        return {"acceleration": "1/s²", "effector-alone": "1/kg"}.get(self.of, "mm/mm")
+
+    @property
+    def title(self) -> str:
+        alone = {
+            "carriage-alone": "One carriage on its belt, effector off: command to position",
+            "effector-alone": "The effector by itself: force on the nozzle holder to its acceleration",
+        }
+        answers = {"carriage": "carriage position", "nozzle": "nozzle position", "acceleration": "nozzle acceleration"}
+        return alone.get(self.of) or f"Commanded {self.per} to {answers[self.of]}"
+
+    @property
+    def pairs(self) -> list[Pair]:
+        """(row, column) worth looking at first: what each command does to its own."""
+        if self.rows == self.columns:
+            return [(i, i) for i in range(len(self.rows))]
+        return self.all_pairs
+
+    @property
+    def all_pairs(self) -> list[Pair]:
+        """Every (row, column); of the sub-models only the diagonal is there."""
+        if not self.depends_on_place:
+            return [(i, i) for i in range(len(self.rows))]
+        return [(i, k) for i in range(3) for k in range(3)]
+
+
+@dataclass(frozen=True)
+class NumberedMode:
+    number: int | None  # as over the whole bed, by frequency at its centre; None: the drive's own, electrical
+    frequency_hz: float
+    damping_ratio: float
+    kind: str
+    axis: str | None = None  # "x": seen along this axis only
+
+    @property
+    def sign(self) -> str:
+        return "D" if self.number is None else str(self.number or "–")
+
+    @property
+    def rings(self) -> bool:
+        return self.damping_ratio < RINGS
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """One measured response and the model's own, both as the view has them."""
+
+    response: FrequencyResponse
+    pair: Pair  # row and column of the view
+    frequency_hz: FloatArray  # (k,)
+    measured: ComplexArray  # (k,)
+    predicted: ComplexArray  # (k,)
+    magnitude_percent: float  # μ_acc
+    phase_percent: float
+    log_error_db: float
+
+
+@dataclass(frozen=True, eq=False)
+class Station:
+    label: str
+    xy: FloatArray  # (2,) mm
+    added_mass_kg: float
+    value: ComplexArray  # (k, rows, columns)
+    carriage: ComplexArray  # (k, 3, 3) G of Eq. 29, whatever the view
+    modes: tuple[NumberedMode, ...]
+    compared: tuple[Compared, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    machine: Machine
+    view: View
+    frequency_hz: FloatArray  # (k,)
+    stations: tuple[Station, ...]
+    left_out: tuple[str, ...]  # sentences: measured responses that are not of this view
+
+    @property
+    def compared(self) -> list[Compared]:
+        return [each for station in self.stations for each in station.compared]
+
+
+def study(
+    machine: Machine,
+    view: View,
+    frequency_hz: FloatArray,
+    places: Sequence[FloatArray],
+    measured: Sequence[FrequencyResponse] = (),
+    added_masses_kg: Sequence[float] = (),
+    with_arms: bool = False,
+) -> Study:
+    """The view at every place asked for and every place measured (or with every mass)."""
+    if machine.has_straight_axes:
+        _straight_view(view)
+        centre = machine.kinematics.centre_mm
+        places, measured = [np.array(centre)], [_of_axes(response, centre) for response in measured]
+    fitting = [(response, pair) for response in measured if (pair := _pair(view, response)) is not None]
+    left_out = tuple(_left_out(view, response) for response in measured if _pair(view, response) is None)
+    for response, _ in fitting:
+        _within_reach(machine, response)
+    cases = _cases(view, places, [response for response, _ in fitting], added_masses_kg)
+    bench = _Bench(machine, view, frequency_hz, with_arms)
+    stations = []
+    for xy, mass in cases:
+        here = [(r, pair) for r, pair in fitting if _belongs(view, r, xy, mass)]
+        compared = tuple(_compare(machine, view, response, pair) for response, pair in here)
+        stations.append(Station(*bench.case(xy, mass), compared))
+    return Study(machine, view, frequency_hz, tuple(stations), left_out)
+
+
+def _of_axes(response: FrequencyResponse, centre_mm: tuple[float, float]) -> FrequencyResponse:
+    """Of straight axes the carriages are the axes: what is said of A is said of x. And every place is as the centre."""
+    names = dict(zip(CARRIAGES, AXES, strict=True))
+    said, answers = (name[:-1] + names.get(name[-1], name[-1]) for name in (response.input, response.output))
+    return replace(response, input=said, output=answers, position_mm=(*centre_mm, 0.0))
+
+
+def _straight_view(view: View) -> None:
+    if view.answering == "carriage" or view.per == "carriage":
+        raise MachineFileError(
+            f"--of {view.of}",
+            ["This machine's axes are told by modes, not by carriages and an effector: look at --of nozzle."],
+        )
+
+
+def view_of(response: FrequencyResponse) -> View:
+    """The view that a measured response belongs to."""
+    if response.setup == "effector":
+        return View("effector-alone")
+    if response.setup != "assembly":
+        return View("carriage-alone")
+    answers, commanded = response.output[-1], response.input[-1]
+    return View("carriage" if answers in CARRIAGES else "nozzle", "carriage" if commanded in CARRIAGES else "nozzle")
+
+
+def verdict(found: Study) -> str:
+    """The study in a sentence of plain words."""
+    return _measured_verdict(found.compared) if found.compared else _model_verdict(found)
+
+
+def _measured_verdict(compared: Sequence[Compared]) -> str:
+    magnitude = float(np.mean([each.magnitude_percent for each in compared]))
+    phase = float(np.mean([each.phase_percent for each in compared]))
+    decibel = float(np.sqrt(np.mean([each.log_error_db**2 for each in compared])))
+    worst = min(magnitude, phase)
+    grade = "close" if worst > CLOSE else "fair" if worst > FAIR else "poor: identify the machine again"
+    what = "the measured response" if len(compared) == 1 else f"the {len(compared)} measured responses"
+    return (
+        f"Model against {what}: {magnitude:.0f} % accurate in magnitude, {phase:.0f} % in phase "
+        f"({decibel:.1f} dB off): {grade}."
+    )
+
+
+def _model_verdict(found: Study) -> str:
+    ringing = [mode.frequency_hz for s in found.stations for mode in s.modes if mode.rings]
+    if not ringing:
+        return "Nothing rings: every mode is damped by more than 30 %."
+    slow, fast = min(ringing), max(ringing)
+    rings = f"Rings at {slow:.0f} Hz" if fast - slow < 0.5 else f"Rings between {slow:.0f} and {fast:.0f} Hz"
+    if found.view.unit != "mm/mm":
+        return f"{rings}."
+    peak, hz, name, where = max(
+        (_loudest(found, s, pair) for s in found.stations for pair in found.view.pairs), key=lambda each: each[0]
+    )
+    return f"{rings}; at worst {name} answers {peak:.1f} times its command, at {hz:.0f} Hz, {where}."
+
+
+def _loudest(found: Study, station: Station, pair: Pair) -> tuple[float, float, str, str]:
+    magnitude = np.abs(station.value[:, *pair])
+    at = int(np.argmax(magnitude))
+    return float(magnitude[at]), float(found.frequency_hz[at]), found.view.rows[pair[0]], station.label
+
+
+def _cases(
+    view: View, places: Sequence[FloatArray], measured: Sequence[FrequencyResponse], masses: Sequence[float]
+) -> list[tuple[FloatArray, float]]:
+    """(place, added mass), without repeats."""
+    if not view.depends_on_place:
+        alone = {round(mass, 6) for mass in [*masses, *(r.added_mass_kg for r in measured)]}
+        return [(np.zeros(2), mass) for mass in sorted(alone or {0.0})]
+    wanted = [*places, *(_place(r) for r in measured)]
+    distinct: list[FloatArray] = []
+    for place in wanted or [np.zeros(2)]:
+        if not any(np.abs(place - other).max() <= SAME_PLACE_MM for other in distinct):
+            distinct.append(place)
+    return [(place, 0.0) for place in distinct]
+
+
+def _place(response: FrequencyResponse) -> FloatArray:
+    return np.array((response.position_mm or (0.0, 0.0))[:2])
+
+
+def _within_reach(machine: Machine, response: FrequencyResponse) -> None:
+    try:
+        machine.kinematics.check_reach(np.array([[*_place(response), 0.0]]))
+    except UnreachableError as error:
+        raise MeasurementError(response.source, [f"{response.input} to {response.output}: {error}"]) from None
+
+
+def _belongs(view: View, response: FrequencyResponse, xy: FloatArray, mass: float) -> bool:
+    if view.depends_on_place:
+        return bool(np.abs(_place(response) - xy).max() <= SAME_PLACE_MM)
+    return abs(response.added_mass_kg - mass) < 1e-6
+
+
+def _pair(view: View, response: FrequencyResponse) -> Pair | None:
+    """Row and column of the view that a measured response is; None: of no panel."""
+    of, per = view_of(response).of, view_of(response).per
+    if view.of == "carriage-alone" and of == view.of:
+        return 0, 0
+    answers, commanded = response.output[-1], response.input[-1]
+    if view.of == "effector-alone" and of == view.of and answers == commanded:
+        return AXES.index(answers), AXES.index(answers)
+    nozzle = view.of in ("nozzle", "acceleration") and of == "nozzle"
+    if response.input.startswith("cmd_") and per == view.per and (nozzle or of == view.of == "carriage"):
+        return view.rows.index(answers), view.columns.index(commanded)
+    return None
+
+
+def _left_out(view: View, response: FrequencyResponse) -> str:
+    if response.setup == "assembly" and not response.input.startswith("cmd_"):
+        return f"{response.source}: {response.input} to {response.output} answers no command, so it is of no view here."
+    fits = view_of(response)
+    per = f" --per {fits.per}" if fits.depends_on_place else ""
+    return (
+        f"{response.source}: {response.input} to {response.output} ({response.setup}) is not a response of this view "
+        f"(--of {view.of}); look at it with --of {fits.of}{per}."
+    )
+
+
+def _compare(machine: Machine, view: View, response: FrequencyResponse, pair: Pair) -> Compared:
+    """In the view's unit: an acceleration per position is turned into the position, or the other way round."""
+    there = np.abs(response.value) > 0  # a line of nothing has no relative error
+    s = response.s[there]
+    is_acceleration = response.output.startswith("acc_")
+    wants_acceleration = view.of in ("acceleration", "effector-alone")
+    factor = s ** (2.0 * (wants_acceleration - is_acceleration))
+    measured, ours = response.value[there] * factor, predicted(machine, [response])[0][there] * factor
+    magnitude, phase = mean_absolute_percentage_accuracy(measured, ours)
+    decibel = log_error_db(measured, ours)
+    return Compared(response, pair, response.frequency_hz[there], measured, ours, magnitude, phase, decibel)
+
+
+_Case = tuple[str, ComplexArray, tuple[NumberedMode, ...]]  # label, response, modes
+
+
+@dataclass(frozen=True, eq=False)
+class _Bench:
+    """What is the same for every station."""
+
+    machine: Machine
+    view: View
+    frequency_hz: FloatArray  # (k,)
+    with_arms: bool
+
+    def case(
+        self, xy: FloatArray, mass: float
+    ) -> tuple[str, FloatArray, float, ComplexArray, ComplexArray, tuple[NumberedMode, ...]]:
+        """All of a station but what was measured."""
+        label, value, found = {"carriage-alone": self._carriage, "effector-alone": self._effector}.get(
+            self.view.of, self._assembly
+        )(xy, mass)
+        return label, xy, mass, value, assembly_frf(self.machine, xy, self.frequency_hz), found
+
+    def _assembly(self, xy: FloatArray, _: float) -> _Case:
+        value = assembly_frf(self.machine, xy, self.frequency_hz, self.view.answering, self.view.per)
+        if self.machine.has_straight_axes:
+            return "anywhere", value, _straight_modes(modes(self.machine, xy))
+        return f"at ({xy[0]:g}, {xy[1]:g}) mm", value, _assembly_modes(self.machine, self._over_the_bed, xy)
+
+    def _carriage(self, _: FloatArray, mass: float) -> _Case:
+        value = command_frf(with_added_mass(self.machine.carriage, mass), self._s)[:, None, None]
+        label = f"with {1e3 * mass:g} g more" if mass else "as it is"
+        return label, value, _carriage_mode(self.machine, mass)
+
+    def _effector(self, _: FloatArray, __: float) -> _Case:
+        value = struck_frf(self.machine, self._s, self.with_arms)[:, :, None] * np.eye(3)
+        label = "with the arms' lower halves" if self.with_arms else "by itself"
+        return label, value, _effector_modes(self.machine, self.with_arms)
+
+    @cached_property
+    def _over_the_bed(self) -> ModeMap:
+        return mode_map(self.machine)
+
+    @property
+    def _s(self) -> ComplexArray:
+        return np.asarray(2j * np.pi * self.frequency_hz, dtype=np.complex128)
+
+
+def _assembly_modes(machine: Machine, over: ModeMap, xy: FloatArray) -> tuple[NumberedMode, ...]:
+    """Numbered as over the whole bed, so that one number is one mode at every place."""
+    found = modes(machine, xy)
+    each = zip(
+        numbers(machine, over, xy, found),
+        found.frequencies_hz.tolist(),
+        found.damping_ratios.tolist(),
+        kinds(machine, xy, found),
+        strict=True,
+    )
+    return (*(NumberedMode(*row) for row in sorted(each)), *_drive_mode(machine))
+
+
+def _straight_modes(found: Modes) -> tuple[NumberedMode, ...]:
+    """Each swings along one axis alone, wherever the nozzle is."""
+    along = np.argmax(np.abs(found.shapes).reshape(-1, 2, 3).max(axis=1), axis=1)
+    each = zip(found.frequencies_hz.tolist(), found.damping_ratios.tolist(), along.tolist(), strict=True)
+    return tuple(NumberedMode(i, f, z, f"along {AXES[a]}", AXES[a]) for i, (f, z, a) in enumerate(each, 1))
+
+
+def _drive_mode(machine: Machine) -> tuple[NumberedMode, ...]:
+    """The pole of Eq. 34: ω = √d₀, ζ = d₂/(2 √d₀)."""
+    drive = machine.carriage.drive
+    if drive is None or drive.d2_per_s >= 2 * np.sqrt(drive.d0_per_s2):
+        return ()
+    omega = np.sqrt(drive.d0_per_s2)
+    return (NumberedMode(None, float(omega / (2 * np.pi)), float(drive.d2_per_s / (2 * omega)), "drive"),)
+
+
+def _carriage_mode(machine: Machine, mass: float) -> tuple[NumberedMode, ...]:
+    """ω_n = √(k/m), ζ = (c + b)/(2 √(k m)) (Eqs. 35, 36)."""
+    m, k = machine.carriage.moving_mass_kg + mass, machine.carriage.belt_stiffness_n_per_m
+    zeta = damping(machine.carriage) / (2 * np.sqrt(k * m))
+    return (NumberedMode(1, float(np.sqrt(k / m) / (2 * np.pi)), float(zeta), "on its belt"), *_drive_mode(machine))
+
+
+def _effector_modes(machine: Machine, with_arms: bool) -> tuple[NumberedMode, ...]:
+    """ω_p of Eq. 48 along each axis, ζ = b ω_p/(2 k), slowest first."""
+    effector = machine.effector
+    m1 = machine.nozzle_side_mass_kg if with_arms else effector.nozzle_mass_kg
+    m2, k = effector.extruder_mass_kg, effector.extruder_stiffness_n_per_m
+    omega = np.sqrt((m1 + m2) * k / (m1 * m2))
+    zeta = effector.extruder_damping_n_s_per_m * omega / (2 * k)
+    found = sorted(zip((omega / (2 * np.pi)).tolist(), zeta.tolist(), AXES, strict=True))
+    return tuple(NumberedMode(number, f, z, f"along {axis}", axis) for number, (f, z, axis) in enumerate(found, 1))

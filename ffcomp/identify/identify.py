@@ -1,0 +1,262 @@
+"""From frequency responses to a machine file: fit, decide on the drive, say what is weak, write the numbers down."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ffcomp.identify.from_resonances import Started
+from ffcomp.identify.modal_fit import AxisFit, IdentifiedAxes
+from ffcomp.identify.output_error import DAMPING, DRIVE, STIFFNESS, TOTAL_MASS, UNKNOWNS, Fitted, fit_machine
+from ffcomp.identify.paper import Stepwise
+from ffcomp.identify.uncertainty import Estimate
+from ffcomp.measurement.frf import FrequencyResponse
+from models.file import updated_text
+from models.machine import Drive, Machine
+from models.parameters import value_of, with_values
+
+UNDETERMINED = 0.25  # of the weak prior's variance: above it the data say next to nothing, and the old number stays
+FAR = 0.10  # model error of a response from which the load's map is doubted
+FORCE_MAP_COSTS = 100.0  # BIC
+DRIVE_COSTS = 10.0  # BIC by which a drive filter must be better than an ideal drive to be kept
+NEUTRAL_DRIVE = Drive(4.0e5, 0.0, 250.0)  # 100 Hz, where a search for a drive begins
+SUREST = 0.002  # relative: no frequency of a printer stays the same better than that from day to day
+MASSES = ("carriage.mass_kg", "effector.nozzle_mass_kg", "effector.extruder_mass_kg")
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """A machine tuned to responses, and what to do about what they do not say."""
+
+    fitted: Fitted
+    kept: tuple[str, ...]  # numbers that stay the starting file's: the data do not reach them
+    advice: tuple[str, ...]
+
+    @property
+    def machine(self) -> Machine:
+        return self.fitted.machine
+
+    @property
+    def found(self) -> dict[str, Estimate]:
+        """What the data determined."""
+        return {name: e for name, e in self.fitted.estimates.items() if name not in self.kept}
+
+
+def identify(
+    start: Machine,
+    responses: Sequence[FrequencyResponse],
+    known: Mapping[str, tuple[float, float]] | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Identified:
+    """The direct fit; a starting machine with an ideal drive is tried with a drive filter too.
+
+    Raises
+    ------
+    MeasurementError, SolverError
+        As `fit_machine`.
+    """
+    commanded = any(r.input.startswith("cmd_") for r in responses)
+    fit = _with_drive if commanded else _without_command
+    fitted = fit(start, responses, known, progress)
+    kept = tuple(name for name, share in fitted.prior_share.items() if share > UNDETERMINED)
+    restored = _with_old(fitted, start, kept)
+    advice = [*_other_force_map(fitted, known, progress), *_advice(restored, kept)]
+    return Identified(restored, kept, tuple(advice))
+
+
+def _other_force_map(
+    fitted: Fitted, known: Mapping[str, tuple[float, float]] | None, progress: Callable[[str], None]
+) -> list[str]:
+    """Where the model is far from a response of the whole printer: does the other way to share the load meet it?"""
+    far = any(r.setup == "assembly" and e > FAR for r, e in zip(fitted.responses, fitted.model_errors, strict=True))
+    if not far:
+        return []
+    effector = fitted.machine.effector
+    other: Literal["paper", "virtual_work"] = "paper" if effector.force_map == "virtual_work" else "virtual_work"
+    progress(f"the same with force_map = {other!r}")
+    turned = replace(fitted.machine, effector=replace(effector, force_map=other))
+    tried = fit_machine(turned, fitted.responses, known, progress=progress)
+    if tried.bic > fitted.bic - FORCE_MAP_COSTS:
+        return []
+    return [
+        f"With force_map = {other!r} in the starting file the responses are met far better (their errors fall from "
+        f"{100 * float(np.max(fitted.model_errors)):.0f} to {100 * float(np.max(tried.model_errors)):.1f} % at the "
+        "worst): change it there and fit again."
+    ]
+
+
+def _with_drive(
+    start: Machine,
+    responses: Sequence[FrequencyResponse],
+    known: Mapping[str, tuple[float, float]] | None,
+    progress: Callable[[str], None],
+) -> Fitted:
+    """Fitted with a drive filter; where the starting file has none, without it again unless it is worth its cost."""
+    if start.carriage.drive is not None:
+        return fit_machine(start, responses, known, progress=progress)
+    driven = replace(start, carriage=replace(start.carriage, drive=NEUTRAL_DRIVE))
+    fitted = fit_machine(driven, responses, known, progress=progress)
+    progress("the same without a drive filter")
+    numbers = {name: e.value for name, e in fitted.estimates.items() if name not in (*DRIVE, TOTAL_MASS)}
+    ideal = fit_machine(start, responses, known, starts=[numbers, {}], progress=progress)
+    return fitted if fitted.bic < ideal.bic - DRIVE_COSTS else ideal
+
+
+def _without_command(
+    start: Machine,
+    responses: Sequence[FrequencyResponse],
+    known: Mapping[str, tuple[float, float]] | None,
+    progress: Callable[[str], None],
+) -> Fitted:
+    return fit_machine(start, responses, known, progress=progress)
+
+
+def _with_old(fitted: Fitted, start: Machine, kept: Sequence[str]) -> Fitted:
+    old = {name: value_of(start, name) for name in kept if name not in DRIVE or start.carriage.drive is not None}
+    return replace(fitted, machine=with_values(fitted.machine, old))
+
+
+# ---- what to measure next ------------------------------------------------------------------------
+
+
+def _advice(fitted: Fitted, kept: Sequence[str]) -> list[str]:
+    """A sentence for each group of numbers that is weak or was not reached at all."""
+    poor = {*fitted.weak, *kept}
+    if poor & set(MASSES):  # what is weak only as the masses are needs no measurement of its own
+        poor -= {n for n, others in fitted.weak.items() if n not in (*kept, *MASSES) and set(others) & set(MASSES)}
+    highest = max(float(r.frequency_hz[-1]) for r in fitted.responses)
+    sentences = []
+    if poor & set(MASSES):
+        sentences.append(
+            "The masses are weak: motion alone does not tell a heavy machine on stiff belts from a light one on soft "
+            f"belts. Weigh the effector and say --known {TOTAL_MASS}=KG, or measure a carriage with a known mass added."
+        )
+    for axis, stiffness, damping in zip("xyz", STIFFNESS, DAMPING, strict=True):
+        if poor & {stiffness, damping}:
+            sentences.append(
+                f"The extruder's mount along {axis} is weak: excite {axis} at the centre beyond {highest:.0f} Hz, or "
+                f"strike the effector along {axis} and measure its acceleration along {axis}."
+            )
+    if poor & {"carriage.belt_damping_n_s_per_m", "carriage.guide_damping_n_s_per_m"}:
+        sentences.append(
+            "Belt and guide damping are weak one by one (their sum may be sharp): measure a carriage by itself, "
+            "without the effector, up to twice its natural frequency."
+        )
+    if poor & set(DRIVE):
+        sentences.append("The drive is weak: excite the carriages up to 200 Hz, smaller if it must be, but longer.")
+    return sentences
+
+
+# ---- the machine file ----------------------------------------------------------------------------
+
+
+def machine_file_text(source: Path, found: Identified, name: str, data: Sequence[str], when: str) -> str:
+    """The starting file's text with the identified numbers, their uncertainties and where they are from.
+
+    Parameters
+    ----------
+    data : file names with hashes, for the provenance.
+    when : date.
+    """
+    numbers = {key: e for key, e in found.found.items() if key != TOTAL_MASS}
+    values = {key: _rounded(e) for key, e in numbers.items()}
+    origin = f"identified {when} by ffcomp identify fit"
+    provenance: dict[str, Any] = {}
+    uncertainty: dict[str, float] = {}
+    for key, estimate in numbers.items():
+        table_key = key.partition("[")[0]
+        spread = min(estimate.relative_sd, 10.0)
+        uncertainty[table_key] = float(f"{max(uncertainty.get(table_key, 0.0), spread):.2g}")
+        provenance[table_key] = f"{origin}; 90 % interval {_intervals(numbers, table_key)}"
+    provenance["identified"] = _summary(source, found, data, when)
+    return updated_text(source, values, name=name, uncertainty=uncertainty, provenance=provenance)
+
+
+def _rounded(estimate: Estimate) -> float:
+    """To a tenth of the standard uncertainty: enough, and readable."""
+    if not estimate.sd > 0 or not np.isfinite(estimate.sd):
+        return float(f"{estimate.value:.6g}")
+    digits = int(np.clip(np.ceil(np.log10(abs(estimate.value) / estimate.sd)) + 2, 3, 8))
+    return float(f"{estimate.value:.{digits}g}")
+
+
+def _intervals(numbers: Mapping[str, Estimate], table_key: str) -> str:
+    parts = [e for key, e in numbers.items() if key.partition("[")[0] == table_key]
+    return ", ".join(f"{e.low:.4g} to {e.high:.4g}" for e in parts)
+
+
+def _summary(source: Path, found: Identified, data: Sequence[str], when: str) -> dict[str, Any]:
+    fitted = found.fitted
+    return {
+        "date": when,
+        "started_from": source.stem,
+        "data": list(data),
+        "responses": len(fitted.responses),
+        "misfit_chi_squared_per_degree_of_freedom": float(f"{fitted.misfit:.4g}"),
+        "model_error_share": float(f"{fitted.model_error:.3g}"),
+        "kept_from_the_starting_file": list(found.kept),
+    }
+
+
+def stepwise_file_text(source: Path, found: Stepwise, data: Sequence[str], when: str) -> str:
+    """The same for the paper's step-by-step method; `found.machine.name` is the new file's."""
+    machine = found.machine
+    names = [n for n in UNKNOWNS if machine.carriage.drive is not None or n not in DRIVE]
+    origin = f"identified {when} by ffcomp identify fit --method stepwise"
+    provenance: dict[str, Any] = {name.partition("[")[0]: origin for name in names}
+    steps = {step.title: float(f"{step.consistency:.4g}") for step in found.steps}
+    provenance["identified"] = {
+        "date": when,
+        "started_from": source.stem,
+        "data": list(data),
+        "chi_squared_per_degree_of_freedom": steps,
+    }
+    values = {name: float(f"{value_of(machine, name):.6g}") for name in names}
+    return updated_text(source, values, name=machine.name, provenance=provenance)
+
+
+def modes_file_text(source: Path, started: Started, name: str, data: Sequence[str], when: str) -> str:
+    """The same for a start from resonances."""
+    origin = f"scaled {when} by ffcomp identify fit until the resonances are the measured ones"
+    predicted = [float(f"{f:.4g}") for f in started.predicted_hz]
+    identified = {"date": when, "started_from": source.stem, "data": list(data), "resonances_hz": predicted}
+    values = {key: _rounded(e) for key, e in started.estimates.items()}
+    uncertainty = {key: float(f"{e.relative_sd:.2g}") for key, e in started.estimates.items()}
+    provenance = {**dict.fromkeys(started.estimates, origin), "identified": identified}
+    return updated_text(source, values, name=name, uncertainty=uncertainty, provenance=provenance)
+
+
+def axes_file_text(source: Path, found: IdentifiedAxes, name: str, data: Sequence[str], when: str) -> str:
+    """The same for straight axes: `[axes.x]` and its like, of the axes that were measured."""
+    origin = f"identified {when} by ffcomp identify fit"
+    values: dict[str, Any] = {}
+    uncertainty: dict[str, float] = {}
+    provenance: dict[str, Any] = {}
+    for axis in found.axes:
+        for key in ("frequency_hz", "damping_ratio", "share"):
+            estimates = [getattr(mode, key) for mode in axis.modes]
+            intervals = ", ".join(f"{e.low:.4g} to {e.high:.4g}" for e in estimates)
+            values[f"axes.{axis.name}.{key}"] = [_rounded(e) for e in estimates]
+            provenance[f"axes.{axis.name}.{key}"] = f"{origin}; 90 % interval {intervals}"
+            spread = max(SUREST, *(min(e.relative_sd, 10.0) for e in estimates))
+            uncertainty[f"axes.{axis.name}.{key}"] = float(f"{spread:.2g}")
+        del uncertainty[f"axes.{axis.name}.share"]  # a machine file has none for it
+        values[f"axes.{axis.name}.share"] = _shares(axis)
+        provenance[f"axes.{axis.name}"] = axis.verdict
+    model_errors = {axis.name: float(f"{max(axis.errors):.3g}") for axis in found.axes}
+    identified = {"date": when, "started_from": source.stem, "data": list(data), "model_error_share": model_errors}
+    return updated_text(
+        source, values, name=name, uncertainty=uncertainty, provenance={**provenance, "identified": identified}
+    )
+
+
+def _shares(axis: AxisFit) -> list[float]:
+    """To three decimals, and of sum one."""
+    if len(axis.modes) == 1:
+        return [1.0]
+    first = round(axis.modes[0].share.value, 3)
+    return [first, round(1.0 - first, 3)]

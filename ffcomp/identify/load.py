@@ -1,0 +1,148 @@
+"""Whatever files a user brings → frequency responses, or at least resonances. Content decides, never the name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from ffcomp.errors import MeasurementError
+from ffcomp.identify.axis_spectra import Spectrum, spectrum_of
+from ffcomp.identify.captures import STRAIGHT, frfs_from_captures
+from ffcomp.identify.experiment import Plan
+from ffcomp.identify.from_resonances import Resonance
+from ffcomp.identify.predict import AXES
+from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.measurement.frf_files import read_frfs
+from ffcomp.measurement.modes import ModeFit, modes_of
+from ffcomp.measurement.recording import Run, read_run
+from ffcomp.measurement.records import frfs_from_runs
+from ffcomp.measurement.table import read_text
+from ffcomp.measurement.uff import is_universal
+from models.machine import Machine
+
+Kind = Literal["frf", "run", "vibration"]
+PLACE_PITCH_MM = 5.0  # runs whose middles are nearer than this were made at one place
+LARGEST_MOTION_MM = 25.0  # of the nozzle about its middle: beyond it one linear response does not describe a run
+
+
+@dataclass
+class Gathered:
+    """What the files held."""
+
+    responses: list[FrequencyResponse] = field(default_factory=list)
+    spectra: list[ModeFit] = field(default_factory=list)  # of files that only show resonances
+    shaken: list[Spectrum] = field(default_factory=list)  # the same of a machine with straight axes
+    skipped: list[str] = field(default_factory=list)  # sentences
+
+
+def gather(
+    paths: Sequence[Path],
+    machine: Machine,
+    *,
+    band_hz: tuple[float, float],
+    plan: Plan | None = None,
+    axes: Sequence[str] = STRAIGHT,
+    shaken_axis: str | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Gathered:
+    """Read every file.
+
+    Parameters
+    ----------
+    axes : the printer's axes in the sensor's own, of captures of a plan.
+    shaken_axis : what was shaken in resonance tests whose names do not say it.
+
+    Raises
+    ------
+    MeasurementError
+        For the first file that cannot be used, with all that is wrong with it.
+    """
+    found, runs = Gathered(), []
+    for path in paths:
+        progress(f"reading {path.name}")
+        kind = kind_of(path)
+        if kind == "frf":
+            found.responses += [r.between(*band_hz) for r in read_frfs(path)]
+        elif kind == "run":
+            runs.append(read_run(path))
+        elif plan is not None:
+            found.responses += [r.between(*band_hz) for r in frfs_from_captures(plan, [path], machine, axes)]
+        elif not machine.has_straight_axes:
+            found.spectra.append(modes_of(path))
+        else:
+            _take(spectrum_of(path, shaken_axis, band_hz), found)
+    if machine.has_straight_axes:
+        found.responses += [r for run in runs for r in frfs_from_runs([run], *band_hz)]
+        runs = []
+    for place, members in _by_place(runs, machine, found.skipped).items():
+        found.responses += frfs_from_runs(members, *band_hz, position_mm=place)
+    found.responses = [r for r in found.responses if len(r.frequency_hz)]
+    return found
+
+
+def _take(spectrum: Spectrum | str, found: Gathered) -> None:
+    if isinstance(spectrum, str):
+        found.skipped.append(spectrum)
+    else:
+        found.shaken.append(spectrum)
+
+
+def kind_of(path: Path) -> Kind:
+    """By its first line that is not a comment of ours.
+
+    Raises
+    ------
+    MeasurementError
+        If it is no file that can be read, or nothing we know.
+    """
+    if not path.is_file():
+        raise MeasurementError(str(path), ["There is no such file."])
+    if is_universal(path):
+        return "frf"
+    lines = [line.strip().lower() for line in read_text(path).splitlines() if line.strip()]
+    if not lines:
+        raise MeasurementError(str(path), ["The file is empty."])
+    header = next((line for line in lines if not line.startswith("# ") and ":" not in line.split(",")[0]), lines[0])
+    if header.startswith("frequency_hz"):
+        return "frf"
+    if "t_s" in [name.strip() for name in header.split(",")] or "cmd_" in header:
+        return "run"
+    return "vibration"
+
+
+def _by_place(runs: Sequence[Run], machine: Machine, skipped: list[str]) -> dict[tuple[float, float, float], list[Run]]:
+    places: dict[tuple[float, float, float], list[Run]] = {}
+    for run in runs:
+        middle, extent = _extent(run, machine)
+        if extent > LARGEST_MOTION_MM:
+            skipped.append(
+                f"{run.source}: its nozzle moves {extent:.0f} mm from the middle; a frequency response belongs to one "
+                f"place (at most {LARGEST_MOTION_MM:g} mm), so this run is left out."
+            )
+            continue
+        x, y, z = (float(PLACE_PITCH_MM * round(c / PLACE_PITCH_MM)) for c in middle)
+        places.setdefault((x, y, z), []).append(run)
+    return places
+
+
+def _extent(run: Run, machine: Machine) -> tuple[list[float], float]:
+    """Middle of the nozzle's commanded path, and how far it goes from there, mm."""
+    nozzle = run.command if run.command_space == "nozzle" else machine.kinematics.forward(run.command)
+    low, high = nozzle.min(axis=0), nozzle.max(axis=0)
+    machine.kinematics.inverse(nozzle[:1])  # refuses what the arms cannot reach
+    return ((low + high) / 2).tolist(), float(np.linalg.norm(high - low) / 2)
+
+
+def resonances_of(spectra: Sequence[ModeFit], place: tuple[float, float] = (0.0, 0.0)) -> list[Resonance]:
+    """The main clear mode of each spectrum whose axis is known."""
+    found = []
+    for spectrum in spectra:
+        clear = [m for m in spectrum.modes if m.clear]
+        axis = spectrum.signal.removeprefix("psd_").removeprefix("acc_")
+        if clear and axis in AXES:
+            found.append(Resonance(axis, place, max(clear, key=lambda m: m.power)))
+    return found

@@ -1,0 +1,411 @@
+"""The modes of straight axes, one or two each, from everything that was measured along them.
+
+    H(f) = Σ_j σ_j / (1 − (f/f_j)² + 2i ζ_j f/f_j),   σ₁ + σ₂ = 1
+
+is how an axis answers its command (`models/vibration/modal.py`). A frequency response shows g e^(−iωτ) H: the
+sensor's gain g and
+a delay τ are found along with it. A spectrum of a firmware's resonance test shows g f² |H|² + c through the window's
+|W|²: the test shakes with a power that goes with f², and the share of a second mode is told by its height against the
+first one's and by the gap between them.
+
+    minimise  Σ r²/v(ε),   v = (σ² + ε²|H|²)/2 of the real and the imaginary part,   v = ε² (1 + P/S) + σ² of ln S
+
+σ² is the noise, ε the model's own error, found for each file such that χ² is what it should be. A second mode is
+believed only where the Bayesian information criterion asks for it, with residuals that go together counted as fewer,
+and where its frequency and its share are sharp.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import find_peaks
+
+from ffcomp.errors import MeasurementError
+from ffcomp.identify.axis_spectra import AXES, COARSE, SMALLEST_ERROR, Datum, Response, Spectrum, usable
+from ffcomp.identify.uncertainty import Estimate, lognormal, normal
+from ffcomp.measurement.frf import ComplexArray, FloatArray, FrequencyResponse
+
+START_DAMPING = 0.06
+DAMPINGS = (0.002, 0.7)
+SHARES = (0.01, 0.99)  # searched
+SMALLEST_SHARE = 0.02  # believed
+SEARCHED = 12  # steps of least squares from each start
+START_SHARE = 0.8  # of the first of two modes
+STARTS, PEAKS = 6, 2  # frequencies tried for each mode: evenly over the band, and where the data stand highest
+OUTSIDE = 1.3  # how far beyond the band a mode may be looked for, a factor
+BROADEST = 0.4  # damping ratio; what is broader is no resonance
+ROUNDS = 10  # of fitting and weighing anew
+BETTER_BIC = 2.0  # by which a second mode must win
+CLEAR = 0.05  # relative standard uncertainty of a frequency
+SHARP = 2.0  # standard uncertainties that a share must be away from zero
+WEAK_DAMPING = 0.25  # relative standard uncertainty from which the user is told
+POORLY_TOLD = 0.35  # model error from which the user is told
+APART = 0.05  # relative distance of frequencies by which two files disagree
+CROSS_TALK = 0.1  # of the direct response's power, from which coupling is told
+
+
+@dataclass(frozen=True)
+class AxisMode:
+    """One mode of an axis."""
+
+    frequency_hz: Estimate
+    damping_ratio: Estimate
+    share: Estimate
+
+
+@dataclass(frozen=True, eq=False)
+class AxisFit:
+    """What the files say about one axis."""
+
+    name: str  # x, y or z
+    modes: tuple[AxisMode, ...]  # the larger share first
+    data: tuple[Datum, ...]
+    fitted: tuple[FloatArray | ComplexArray, ...]  # of each datum, as it was measured
+    errors: tuple[float, ...]  # of each datum, the model's own: 0.1 is 10 %
+    verdict: str  # a sentence: why so many modes
+    advice: tuple[str, ...]
+
+
+# ---- the fit of one axis -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    data: Sequence[Datum]
+    theta: FloatArray  # ln f, ln ζ of each mode, then the first's share if there are two, then two of each datum
+    count: int  # of modes
+    errors: FloatArray  # (d,)
+
+    @property
+    def modes(self) -> FloatArray:
+        return _modes(self.theta, self.count)
+
+    @property
+    def own(self) -> FloatArray:
+        """(d, 2)"""
+        return self.theta[_of_modes(self.count) :].reshape(-1, 2)
+
+    @cached_property
+    def residuals(self) -> list[FloatArray]:
+        """Of each datum, over the standard deviation."""
+        return _residuals(self.data, self.theta, self.count, self.errors)
+
+    @cached_property
+    def independent(self) -> FloatArray:
+        """(d,) the share of each datum's residuals that counts."""
+        return np.array([_independent(r, d) for r, d in zip(self.residuals, self.data, strict=True)])
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """(p, p)"""
+        rows = np.concatenate([np.full(len(r), n) for r, n in zip(self.residuals, self.independent, strict=True)])
+        j = _jacobian(self.data, self.theta, self.count, self.errors)
+        return np.linalg.pinv((j * rows[:, None]).T @ j, rcond=1e-13, hermitian=True)
+
+    def deviance(self, shares: FloatArray) -> float:
+        """−2 ln likelihood, each datum's residuals counted by its share (d,)."""
+        variances = [d.variance(e) for d, e in zip(self.data, self.errors, strict=True)]
+        each = [float(np.sum(r**2 + np.log(v))) for r, v in zip(self.residuals, variances, strict=True)]
+        return float(shares @ np.array(each))
+
+
+def fit_axis(name: str, data: Sequence[Datum]) -> AxisFit:
+    """One mode or two, whichever the data say.
+
+    Raises
+    ------
+    MeasurementError
+        If no resonance lies within what was measured.
+    """
+    peaks = _peaks(data)
+    starts = [*peaks, *_even(data)]
+    one = _refined(_searched(data, starts, 1))
+    found = [np.log(one.modes[:, :2]), *peaks]
+    two = _refined(_searched(data, [np.vstack([first, second]) for first in found for second in starts], 2))
+    believed, verdict = _judged(name, one, two)
+    _within(name, believed)
+    modes, disagreement = _with_scatter(name, _estimated(believed), believed)
+    remarks = [text for datum, own in zip(data, believed.own, strict=True) for text in datum.remarks(own)]
+    fitted = tuple(datum.model(believed.modes, own) for datum, own in zip(data, believed.own, strict=True))
+    errors = tuple(float(e) if e > SMALLEST_ERROR else 0.0 for e in believed.errors)
+    advice = (*disagreement, *_weak(name, modes, errors), *remarks)
+    return AxisFit(name, modes, tuple(data), fitted, errors, verdict, advice)
+
+
+def _modes(theta: FloatArray, count: int) -> FloatArray:
+    """(m, 3) frequency, damping ratio, share."""
+    shares = [1.0] if count == 1 else [theta[4], 1 - theta[4]]
+    return np.column_stack([np.exp(theta[: 2 * count].reshape(count, 2)), shares])
+
+
+def _of_modes(count: int) -> int:
+    """How many numbers tell so many modes."""
+    return 3 * count - 1
+
+
+def _band(data: Sequence[Datum]) -> tuple[float, float]:
+    return min(float(d.frequency_hz[0]) for d in data), max(float(d.frequency_hz[-1]) for d in data)
+
+
+def _even(data: Sequence[Datum]) -> list[FloatArray]:
+    """(1, 2) ln f and ln ζ, over the band."""
+    low, high = _band(data)
+    return [np.log([[f, START_DAMPING]]) for f in np.geomspace(1.2 * low, 0.95 * high, STARTS)]
+
+
+def _peaks(data: Sequence[Datum]) -> list[FloatArray]:
+    """(1, 2) ln f and ln ζ, where the first datum stands highest; half levelled, for noise rises when levelled."""
+    answer = gaussian_filter1d(np.log(np.abs(data[0].value) * np.sqrt(data[0].level) + 1e-300), 1.0)
+    tops, _ = find_peaks(answer)
+    return [np.log([[data[0].frequency_hz[at], START_DAMPING]]) for at in tops[np.argsort(-answer[tops])][:PEAKS]]
+
+
+def _searched(data: Sequence[Datum], starts: Sequence[FloatArray], count: int) -> _Fit:
+    """A coarse fit from each of the modes (m, 2), all files weighed alike; the best of them."""
+    alike = np.full(len(data), COARSE)
+    fits = []
+    for start in starts:
+        begin = np.concatenate([start.ravel(), [START_SHARE] * (count - 1)])
+        own = [datum.begin(_modes(begin, count)) for datum in data]
+        fits.append(_Fit(data, _solved(data, np.concatenate([begin, *own]), count, alike, SEARCHED), count, alike))
+    return min(fits, key=lambda fit: sum(float(r @ r) for r in fit.residuals))
+
+
+def _refined(fit: _Fit) -> _Fit:
+    """Fitted and weighed anew, until the files' errors stay."""
+    data, theta, count, errors = fit.data, fit.theta, fit.count, fit.errors
+    for _ in range(ROUNDS):
+        theta = _solved(data, theta, count, errors)
+        before, errors = errors, _model_errors(data, theta, count)
+        if np.abs(errors - before).max() < 0.02 * errors.max():
+            break
+    return _Fit(data, theta, count, errors)
+
+
+def _solved(
+    data: Sequence[Datum], theta: FloatArray, count: int, errors: FloatArray, evaluations: int = 60
+) -> FloatArray:
+    from scipy.optimize import least_squares
+
+    own = np.concatenate([datum.limits for datum in data])
+    free = np.full(_of_modes(count), np.inf)
+    low, high = np.concatenate([-free, own[:, 0]]), np.concatenate([free, own[:, 1]])
+    bottom, top = _band(data)
+    for mode in range(count):
+        low[2 * mode : 2 * mode + 2] = np.log([bottom / OUTSIDE, DAMPINGS[0]])
+        high[2 * mode : 2 * mode + 2] = np.log([top * OUTSIDE, DAMPINGS[1]])
+    if count == 2:
+        low[4], high[4] = SHARES
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # of a step too far, which is taken back
+        found = least_squares(
+            lambda at: np.concatenate(_residuals(data, at, count, errors)),
+            np.clip(theta, low + 1e-9, high - 1e-9),
+            lambda at: _jacobian(data, at, count, errors),
+            bounds=(low, high),
+            x_scale="jac",
+            max_nfev=evaluations,
+        )
+    return np.asarray(found.x)
+
+
+def _residuals(data: Sequence[Datum], theta: FloatArray, count: int, errors: FloatArray) -> list[FloatArray]:
+    modes, own = _modes(theta, count), theta[_of_modes(count) :].reshape(-1, 2)
+    return [d.residual(modes, mine) / np.sqrt(d.variance(e)) for d, mine, e in zip(data, own, errors, strict=True)]
+
+
+def _jacobian(data: Sequence[Datum], theta: FloatArray, count: int, errors: FloatArray) -> FloatArray:
+    """(n, p) of the residuals of all files, one below the other."""
+    p = _of_modes(count)
+    modes, own = _modes(theta, count), theta[p:].reshape(-1, 2)
+    blocks = []
+    for i, (datum, mine, error) in enumerate(zip(data, own, errors, strict=True)):
+        slopes = datum.slopes(modes, mine) / np.sqrt(datum.variance(error))[:, None]
+        block = np.zeros((len(slopes), len(theta)))
+        block[:, :p], block[:, p + 2 * i : p + 2 * i + 2] = slopes[:, :p], slopes[:, p:]
+        blocks.append(block)
+    return np.concatenate(blocks)
+
+
+def _model_errors(data: Sequence[Datum], theta: FloatArray, count: int) -> FloatArray:
+    """(d,) the ε that makes each file's χ² what it should be; the smallest one where the noise explains it all."""
+    modes, own = _modes(theta, count), theta[_of_modes(count) :].reshape(-1, 2)
+    used = _of_modes(count) / len(data) + 2
+    return np.array([_level(d.residual(modes, mine), d, used) for d, mine in zip(data, own, strict=True)])
+
+
+def _level(residual: FloatArray, datum: Datum, used: float) -> float:
+    low, high = SMALLEST_ERROR, 10.0
+    for _ in range(40):
+        middle = np.sqrt(low * high)
+        excess = float(np.sum(residual**2 / datum.variance(middle))) - (len(residual) - used)
+        low, high = (middle, high) if excess > 0 else (low, middle)
+    return float(low)
+
+
+def _independent(residual: FloatArray, datum: Datum) -> float:
+    """(1 − ρ)/(1 + ρ): neighbouring lines go together, by window and by model error."""
+    parts = residual.reshape(-1, len(datum.frequency_hz))  # of a response, real and imaginary
+    rho = float(np.sum(parts[:, 1:] * parts[:, :-1]) / max(float(np.sum(parts**2)), 1e-300))
+    rho = min(max(rho, 0.0), 0.95)
+    return (1 - rho) / (1 + rho)
+
+
+# ---- one mode or two -----------------------------------------------------------------------------
+
+
+def _within(name: str, fit: _Fit) -> None:
+    low, high = _band(fit.data)
+    frequency, damping = fit.modes[np.argmax(fit.modes[:, 2]), :2]
+    if low < frequency < high and damping < BROADEST:
+        return
+    sources = ", ".join(dict.fromkeys(Path(d.source).name for d in fit.data))
+    rule = f"No resonance of {name} stands out between {low:.0f} and {high:.0f} Hz"
+    raise MeasurementError(sources, [f"{rule}: [axes.{name}] stays as it was. A wider band, or harder shaking?"])
+
+
+def _judged(name: str, one: _Fit, two: _Fit) -> tuple[_Fit, str]:
+    """The fit to believe, and why."""
+    lines = float(two.independent @ [len(r) for r in two.residuals])
+    gain = one.deviance(two.independent) - two.deviance(two.independent) - 3 * float(np.log(max(lines, 2.0)))
+    if gain < BETTER_BIC:
+        return one, f"One mode tells {name}: a second one at its side explains no more than chance would."
+    problem = _unclear(two)
+    if problem:
+        return one, f"One mode is kept for {name}; there is more in the data, but {problem}."
+    return two, f"Two modes tell {name} (Bayesian information criterion: {gain:.0f} in favour of the second)."
+
+
+def _unclear(two: _Fit) -> str:
+    """What is wrong with a second mode; nothing if it may be believed."""
+    sd = np.sqrt(np.diag(two.covariance))
+    share, low, high = float(two.theta[4]), *_band(two.data)
+    other = int(share > 0.5)
+    frequency = float(two.modes[other, 0])
+    place = f"at {frequency:.0f} Hz"
+    if min(share, 1 - share) < max(SMALLEST_SHARE, SHARP * sd[4]):
+        return f"the share of what swings {place} is not known better than {min(share, 1 - share):.2f} ± {sd[4]:.2f}"
+    if max(sd[0], sd[2]) > CLEAR or not low < frequency < high or two.modes[:, 1].max() > BROADEST:
+        return f"what swings {place} is too uncertain or too broad to be a mode"
+    return ""
+
+
+def _estimated(fit: _Fit) -> tuple[AxisMode, ...]:
+    sd = np.sqrt(np.diag(fit.covariance))
+    share_sd = float(sd[4]) if fit.count == 2 else 0.0
+    found = [
+        AxisMode(
+            lognormal(float(frequency), float(sd[2 * i])),
+            lognormal(float(damping), float(sd[2 * i + 1])),
+            normal(float(share), share_sd),
+        )
+        for i, (frequency, damping, share) in enumerate(fit.modes)
+    ]
+    return tuple(sorted(found, key=lambda mode: -mode.share.value))
+
+
+def _with_scatter(name: str, modes: tuple[AxisMode, ...], fit: _Fit) -> tuple[tuple[AxisMode, ...], list[str]]:
+    """Each file by itself: where they disagree by more than their noise, the main mode is no surer than that."""
+    if len(fit.data) < 2:
+        return modes, []
+    main, files = modes[0].frequency_hz, len(fit.data)
+    alone = [_main_frequency([datum], fit) for datum in fit.data]
+    scatter = float(np.std(np.log(alone), ddof=1)) / np.sqrt(files)
+    sure = lognormal(main.value, max(main.relative_sd, scatter))
+    advice = []
+    if max(alone) / min(alone) - 1 > APART:
+        listed = ", ".join(f"{f:.1f} Hz in {Path(d.source).name}" for f, d in zip(alone, fit.data, strict=True))
+        advice = [f"The files disagree about {name}: {listed}. Was it the same machine, at one place?"]
+    return (replace(modes[0], frequency_hz=sure), *modes[1:]), advice
+
+
+def _main_frequency(data: Sequence[Datum], fit: _Fit) -> float:
+    """Of the mode with the largest share, as one file by itself has it, Hz."""
+    begin = fit.theta[: _of_modes(fit.count)]
+    theta = np.concatenate([begin, *(datum.begin(fit.modes) for datum in data)])
+    found = _solved(data, theta, fit.count, np.full(len(data), COARSE))
+    modes = _modes(found, fit.count)
+    return float(modes[np.argmax(modes[:, 2]), 0])
+
+
+def _weak(name: str, modes: Sequence[AxisMode], errors: Sequence[float]) -> list[str]:
+    advice = [
+        f"The damping of {name} at {mode.frequency_hz.value:.0f} Hz is known to "
+        f"{100 * mode.damping_ratio.relative_sd:.0f} % only: measure it again, shaken harder or longer."
+        for mode in modes
+        if mode.damping_ratio.relative_sd > WEAK_DAMPING
+    ]
+    if max(errors) > POORLY_TOLD:
+        advice.append(
+            f"The modes tell {name} poorly, to {100 * max(errors):.0f} % of what was measured: it has more modes than "
+            "a machine file holds, or it rattles. Look at it with --figure."
+        )
+    return advice
+
+
+# ---- all axes ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedAxes:
+    axes: tuple[AxisFit, ...]
+    advice: tuple[str, ...]
+
+
+def identify_axes(
+    spectra: Sequence[Spectrum],
+    responses: Sequence[FrequencyResponse],
+    progress: Callable[[str], None] = lambda _: None,
+) -> IdentifiedAxes:
+    """The modes of every axis that something was measured along.
+
+    Raises
+    ------
+    MeasurementError
+        If nothing was, or no axis shows a resonance.
+    """
+    answers, sentences = usable(responses)
+    data: list[Datum] = [*spectra, *(answer for answer in answers if answer.direct)]
+    if not data:
+        raise MeasurementError("data", [*sentences, "None of the files tells how an axis answers its command."])
+    found = []
+    for name in AXES:
+        mine = [datum for datum in data if datum.axis == name]
+        if mine:
+            progress(f"{name}: {len(mine)} {'file' if len(mine) == 1 else 'files'}")
+            try:
+                found.append(fit_axis(name, mine))
+            except MeasurementError as error:
+                sentences += error.problems
+    if not found:
+        raise MeasurementError("data", sentences)
+    advice = [text for axis in found for text in axis.advice]
+    names = [axis.name for axis in found]
+    missing = [
+        f"Nothing was measured along {name}: [axes.{name}] stays the starting file's."
+        for name in "xy"
+        if not any(datum.axis == name for datum in data)
+    ]
+    return IdentifiedAxes(tuple(found), (*sentences, *advice, *_crossing(answers, names), *missing))
+
+
+def _crossing(answers: Sequence[Response], moved: Sequence[str]) -> list[str]:
+    """How much of an axis' motion the others show, which the model knows nothing of."""
+    power = {
+        (a.measured.input, a.measured.output): float(np.sum(np.maximum(np.abs(a.value) ** 2 - a.measured.variance, 0)))
+        for a in answers
+    }
+    sentences = []
+    for (told, output), crossed in power.items():
+        direct = power.get((told, output[:-1] + told[-1]), 0.0)
+        if told[-1] in moved and output[-1] != told[-1] and crossed > CROSS_TALK * direct > 0:
+            sentences.append(
+                f"{told} shows in {output} too ({100 * np.sqrt(crossed / direct):.0f} % of the direct response): the "
+                "model's axes do not disturb each other. Are the sensor's axes the printer's?"
+            )
+    return sentences

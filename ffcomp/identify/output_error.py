@@ -1,0 +1,432 @@
+"""The direct fit: all frequency responses at once, output error, the machine file's own numbers as unknowns.
+
+    minimise  Σ |H − Ĥ(θ)|²/(σ² + ε²|H|²)  +  Σ ((θ − θ₀)/σ₀)²
+
+σ² is the measured variance, ε the model's own error: zero where the noise explains what is left of a response,
+otherwise the share of each of its values that makes it so. The second sum holds what is known beforehand (a part put
+on a scale), and keeps a number that the data do not reach near the starting file's. Recommended over the step-by-step
+method: it uses every measured value once, needs no fit of coefficients, and works at any place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ffcomp.errors import SolverError
+from ffcomp.identify.predict import predicted
+from ffcomp.identify.rational import scaled_inverse
+from ffcomp.identify.uncertainty import Estimate, lognormal, normal
+from ffcomp.measurement.frf import ComplexArray, FloatArray, FrequencyResponse
+from models.machine import Machine
+from models.parameters import value_of, with_values
+
+STIFFNESS = tuple(f"effector.extruder_stiffness_n_per_m[{i}]" for i in range(3))
+DAMPING = tuple(f"effector.extruder_damping_n_s_per_m[{i}]" for i in range(3))
+DRIVE = ("carriage.drive.d0_per_s2", "carriage.drive.d1_per_s", "carriage.drive.d2_per_s")
+UNKNOWNS = (
+    "carriage.mass_kg",
+    "carriage.belt_stiffness_n_per_m",
+    "carriage.belt_damping_n_s_per_m",
+    "carriage.guide_damping_n_s_per_m",
+    *DRIVE,
+    "effector.nozzle_mass_kg",
+    "effector.extruder_mass_kg",
+    *STIFFNESS,
+    *DAMPING,
+)
+TOTAL_MASS = "effector.total_mass_kg"  # m_1 + m_2, what a scale shows
+SIGNED = {"carriage.drive.d1_per_s"}  # every other number is positive, and fitted as its logarithm
+
+PRIOR_SD = 1.0  # of a logarithm nobody knows anything about: a factor of e
+SIGNED_UNIT = 100.0  # 1/s, the size of one step of d1
+DELAY_UNIT_S = 1e-3
+BLOCK_HZ = 5.0  # the model's error keeps its sign over about so wide a band
+COARSE = 0.3  # model error of the coarse fit
+FINE = 0.05  # of what decides between fits that are both near
+OTHER_MOUNTS = (0.02, 50.0)  # factors on a mount's stiffness
+NEAR = 0.1  # of the values may be far off where the search for a start ends
+STARTS = (1.0, 0.75, 1.33, 0.6, 1.7)  # factors on every frequency of the starting machine
+RANDOM_STARTS = 30
+ROUNDS = 10  # of fitting and weighing anew
+SMALLEST_MODEL_ERROR = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """What the direct fit found."""
+
+    machine: Machine
+    estimates: Mapping[str, Estimate]  # unknowns by their names in the machine file, and the total mass
+    prior_share: Mapping[str, float]  # 0: the data alone say it … 1: the data say nothing
+    weak: Mapping[str, Mapping[str, float]]  # ill-determined number -> the others it moves with (correlation)
+    delays_s: Mapping[str, Estimate]  # of each clock
+    misfit: float  # χ² by degree of freedom against the measured noise alone
+    bic: float  # Bayesian information criterion: of two models of the same responses the smaller one is preferred
+    model_errors: FloatArray  # (r,) ε of each response
+    responses: Sequence[FrequencyResponse]
+    predictions: Sequence[ComplexArray]  # of the fitted machine, delays included
+
+    @property
+    def model_error(self) -> float:
+        """ε of the typical response (the median): 0 if the model explains most of them to their noise."""
+        return float(np.median(self.model_errors))
+
+
+def fit_machine(
+    start: Machine,
+    responses: Sequence[FrequencyResponse],
+    known: Mapping[str, tuple[float, float]] | None = None,
+    *,
+    unknowns: Sequence[str] = UNKNOWNS,
+    starts: Sequence[Mapping[str, float]] = (),
+    progress: Callable[[str], None] = lambda _: None,
+) -> Fitted:
+    """Tune `start` to the responses.
+
+    Parameters
+    ----------
+    known : name -> (value, standard uncertainty), of machine-file numbers or of TOTAL_MASS.
+    unknowns : what is fitted; every other number stays the starting machine's.
+    starts : numbers to begin with in place of the starting machine's, one try each. By default the starting
+        machine, four that are slower or faster throughout, and then random ones, until one comes near.
+
+    Raises
+    ------
+    MeasurementError
+        For a response that the model does not have.
+    SolverError
+        If there are fewer values than unknowns, or no start leads anywhere.
+    """
+    problem = _problem(start, responses, dict(known or {}), unknowns)
+    if 2 * sum(map(len, problem.values)) <= len(problem.names):
+        raise SolverError("There are fewer measured values than unknown numbers: measure more frequencies.")
+    theta = _best_start(problem, starts, progress)
+    epsilon = _model_error(problem, theta, together=True)
+    for _ in range(ROUNDS):
+        theta = _least_squares(problem, theta, epsilon)
+        before, epsilon = epsilon, _model_error(problem, theta, together=False)
+        progress(f"model error {100 * float(np.max(epsilon)):.2f} % at most")
+        if np.all(np.abs(epsilon - before) <= 0.05 * epsilon + 1e-4):
+            break
+    return _result(problem, theta, epsilon)
+
+
+# ---- the problem ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    start: Machine
+    responses: Sequence[FrequencyResponse]
+    names: tuple[str, ...]  # unknowns, then one a clock
+    clocks: tuple[str, ...]
+    values: list[ComplexArray]
+    known: dict[str, tuple[float, float]]
+    weak_mean: FloatArray  # (p,) θ₀ of the prior that only holds what nothing else holds
+
+    def numbers(self, theta: FloatArray) -> dict[str, float]:
+        return {name: _number(name, t) for name, t in zip(self.names, theta, strict=False)}
+
+    def machine(self, theta: FloatArray) -> Machine:
+        return with_values(self.start, self.numbers(theta))
+
+    def model(self, theta: FloatArray) -> list[ComplexArray]:
+        found = predicted(self.machine(theta), self.responses)
+        delays = dict(zip(self.clocks, DELAY_UNIT_S * theta[len(self.names) :], strict=True))
+        return [
+            h * np.exp(-2j * np.pi * r.frequency_hz * delays.get(r.clock, 0.0))
+            for h, r in zip(found, self.responses, strict=True)
+        ]
+
+    def prior(self, theta: FloatArray) -> FloatArray:
+        """Residuals of what is known, then of the weak prior."""
+        numbers = self.numbers(theta)
+        numbers[TOTAL_MASS] = _total_mass(self.start, numbers)
+        known = [(numbers[name] - value) / sd for name, (value, sd) in self.known.items()]
+        return np.concatenate([known, (theta - self.weak_mean) / PRIOR_SD])
+
+    def residual(self, theta: FloatArray, epsilon: FloatArray) -> FloatArray:
+        parts = []
+        for h, measured, response, share in zip(self.model(theta), self.values, self.responses, epsilon, strict=True):
+            error = (h - measured) * np.sqrt(2 / _variance(response, share))
+            parts += [error.real, error.imag]
+        return np.concatenate([*parts, self.prior(theta)])
+
+
+def _problem(
+    start: Machine,
+    responses: Sequence[FrequencyResponse],
+    known: dict[str, tuple[float, float]],
+    unknowns: Sequence[str],
+) -> _Problem:
+    names = tuple(name for name in unknowns if start.carriage.drive is not None or name not in DRIVE)
+    unknown = set(known) - {*names, TOTAL_MASS}
+    if unknown:
+        raise SolverError(
+            f"{sorted(unknown)[0]!r} is no number of this fit; it knows {', '.join(names)}, {TOTAL_MASS}."
+        )
+    clocks = tuple(sorted({r.clock for r in responses} - {""}))
+    mean = np.array([_unknown(name, value_of(start, name)) for name in names] + [0.0] * len(clocks))
+    return _Problem(start, responses, names, clocks, [r.value for r in responses], known, mean)
+
+
+def _variance(response: FrequencyResponse, epsilon: float) -> FloatArray:
+    floor = 1e-16 * np.mean(np.abs(response.value) ** 2)  # noise-free data: finite weights all the same
+    return response.variance + (epsilon * np.abs(response.value)) ** 2 + floor
+
+
+def _unknown(name: str, value: float) -> float:
+    return value / SIGNED_UNIT if name in SIGNED else float(np.log(max(value, 1e-12)))
+
+
+def _number(name: str, theta: float) -> float:
+    return float(theta * SIGNED_UNIT if name in SIGNED else np.exp(np.clip(theta, -30.0, 30.0)))
+
+
+def _total_mass(start: Machine, numbers: Mapping[str, float]) -> float:
+    both = ("effector.nozzle_mass_kg", "effector.extruder_mass_kg")
+    return sum(numbers.get(name, value_of(start, name)) for name in both)
+
+
+# ---- solving -------------------------------------------------------------------------------------
+
+
+def _best_start(
+    problem: _Problem, starts: Sequence[Mapping[str, float]], progress: Callable[[str], None]
+) -> FloatArray:
+    """From several machines the one that a coarse fit likes best; the first that comes near ends the search.
+
+    The coarse fit weighs every value alike (model error 30 %), so that no sharp resonance traps it.
+    """
+    tries = [_with(problem, numbers) for numbers in starts] or list(_tries(problem))
+    best, least = problem.weak_mean, np.inf
+    for number, start in enumerate(tries, 1):
+        theta = _least_squares(problem, start, _same(problem, COARSE), evaluations=30)
+        excess = _excess(problem, _errors(problem, theta), COARSE)
+        progress(f"start {number}: {100 * COARSE * np.sqrt(max(excess, 0.0)):.0f} % of the responses unexplained")
+        if excess < least:
+            best, least = theta, excess
+        if not starts and _far_share(problem, best) < NEAR:
+            break
+    return best if starts else _other_mounts(problem, best, progress)
+
+
+def _other_mounts(problem: _Problem, best: FloatArray, progress: Callable[[str], None]) -> FloatArray:
+    """A mount taken for far too soft or too hard is a local optimum that looks fair: try the others too."""
+    share = _same(problem, FINE)
+    best = _least_squares(problem, best, share, evaluations=30)
+    least = float(np.sum(problem.residual(best, share) ** 2))
+    for stiffness, damping in zip(STIFFNESS, DAMPING, strict=True):
+        if stiffness not in problem.names:
+            continue
+        progress(f"another {stiffness}")
+        for factor in OTHER_MOUNTS:
+            trial = best.copy()
+            trial[problem.names.index(stiffness)] += np.log(factor)
+            trial[problem.names.index(damping)] += np.log(factor) / 2
+            trial = _least_squares(problem, trial, share, evaluations=30)
+            cost = float(np.sum(problem.residual(trial, share) ** 2))
+            best, least = (trial, cost) if cost < least else (best, least)
+    return best
+
+
+def _same(problem: _Problem, share: float) -> FloatArray:
+    """(r,) one model error for all responses."""
+    return np.full(len(problem.responses), share)
+
+
+def _tries(problem: _Problem) -> Iterator[FloatArray]:
+    """The starting machine, slower and faster ones, then random ones (the same in every call)."""
+    for factor in STARTS:
+        yield _faster(problem, factor)
+    rng = np.random.default_rng(0)
+    for _ in range(RANDOM_STARTS):
+        theta = _faster(problem, float(np.exp(rng.uniform(-0.5, 0.5))))
+        yield theta + rng.uniform(-1.0, 1.0, len(theta))
+
+
+def _errors(problem: _Problem, theta: FloatArray) -> list[FloatArray]:
+    """|H − Ĥ|² of each response."""
+    return [np.abs(h - v) ** 2 for h, v in zip(problem.model(theta), problem.values, strict=True)]
+
+
+def _far_share(problem: _Problem, theta: FloatArray) -> float:
+    """Share of the values that are off by more than twice the coarse model error and the noise together."""
+    pairs = zip(_errors(problem, theta), problem.responses, strict=True)
+    far = sum(int(np.sum(e > 4 * _variance(r, COARSE))) for e, r in pairs)
+    return far / sum(map(len, problem.values))
+
+
+def _excess(problem: _Problem, errors: Sequence[FloatArray], epsilon: float) -> float:
+    """What the errors have beyond the measured noise, as a share of σ² + ε²|H|², on average."""
+    pairs = zip(errors, problem.responses, strict=True)
+    over = sum(float(np.sum((e - _variance(r, 0.0)) / _variance(r, epsilon))) for e, r in pairs)
+    return over / sum(map(len, problem.values))
+
+
+def _with(problem: _Problem, numbers: Mapping[str, float]) -> FloatArray:
+    theta = problem.weak_mean.copy()
+    for name, value in numbers.items():
+        theta[problem.names.index(name)] = _unknown(name, value)
+    return theta
+
+
+def _faster(problem: _Problem, factor: float) -> FloatArray:
+    """The starting machine with every natural frequency multiplied, the damping ratios kept."""
+    theta = problem.weak_mean.copy()
+    for i, name in enumerate(problem.names):
+        if "stiffness" in name or name.endswith("d0_per_s2"):
+            theta[i] += 2 * np.log(factor)
+        elif "damping" in name or name.endswith("d2_per_s"):
+            theta[i] += np.log(factor)
+        elif name in SIGNED:
+            theta[i] *= factor
+    return theta
+
+
+def _least_squares(problem: _Problem, theta: FloatArray, epsilon: FloatArray, evaluations: int = 200) -> FloatArray:
+    from scipy.optimize import least_squares
+
+    def jacobian(at: FloatArray) -> FloatArray:
+        return _jacobian(problem, at, epsilon)
+
+    def residual(at: FloatArray) -> FloatArray:
+        return problem.residual(at, epsilon)
+
+    found = least_squares(residual, theta, jacobian, method="lm", x_scale="jac", max_nfev=evaluations)
+    if not np.all(np.isfinite(found.x)):
+        raise SolverError("The direct fit left the numbers it can compute with: check the measurements' units.")
+    return np.asarray(found.x)
+
+
+def _jacobian(problem: _Problem, theta: FloatArray, epsilon: FloatArray, step: float = 1e-5) -> FloatArray:
+    """Central differences: the unknowns are of order one, the error 1e-10."""
+    columns = []
+    for i in range(len(theta)):
+        shift = np.zeros_like(theta)
+        shift[i] = step
+        ahead, behind = problem.residual(theta + shift, epsilon), problem.residual(theta - shift, epsilon)
+        columns.append((ahead - behind) / (2 * step))
+    return np.stack(columns, axis=1)
+
+
+def _model_error(problem: _Problem, theta: FloatArray, together: bool) -> FloatArray:
+    """(r,) the ε that makes Σ|H − Ĥ|²/(σ² + ε²|H|²) its expected value, 0 if the noise explains it already.
+
+    One for all responses to begin with, so that none is given up on before a common fit; then one for each.
+    """
+    errors = _errors(problem, theta)
+    total = sum(map(len, problem.values))
+    used = len(theta) / 2 / total  # of each value, by the unknowns
+    pairs = list(zip(errors, problem.responses, strict=True))
+    if together:
+        return _same(problem, _level(pairs, total * (1 - used)))
+    return np.array([_level([pair], len(pair[0]) * (1 - used)) for pair in pairs])
+
+
+def _level(pairs: Sequence[tuple[FloatArray, FrequencyResponse]], count: float) -> float:
+    def excess(epsilon: float) -> float:
+        return sum(float(np.sum(e / _variance(r, epsilon))) for e, r in pairs) / count - 1
+
+    if excess(0.0) < 4 / np.sqrt(count):
+        return 0.0
+    low, high = SMALLEST_MODEL_ERROR, 10.0
+    if excess(low) < 0:
+        return low
+    for _ in range(60):
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if excess(middle) > 0 else (low, middle)
+    return float(low)
+
+
+# ---- the result ----------------------------------------------------------------------------------
+
+
+def _result(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> Fitted:
+    covariance = _covariance(problem, theta, epsilon)
+    sd = np.sqrt(np.diag(covariance))
+    numbers = problem.numbers(theta)
+    estimates = {name: _estimate(name, numbers[name], sd[i]) for i, name in enumerate(problem.names)}
+    estimates[TOTAL_MASS] = _total_estimate(problem, numbers, covariance)
+    share = {name: float(min(1.0, covariance[i, i] / PRIOR_SD**2)) for i, name in enumerate(problem.names)}
+    clocks = zip(problem.clocks, theta[len(problem.names) :], sd[len(problem.names) :], strict=True)
+    errors = _errors(problem, theta)
+    chi = sum(float(np.sum(e / _variance(r, 0.0))) for e, r in zip(errors, problem.responses, strict=True))
+    count = sum(map(len, problem.values))
+    return Fitted(
+        problem.machine(theta),
+        estimates,
+        share,
+        _weak(problem, covariance),
+        {clock: normal(DELAY_UNIT_S * t, DELAY_UNIT_S * s) for clock, t, s in clocks},
+        chi / (count - len(theta) / 2),
+        _deviance(problem, errors, epsilon) + len(theta) * float(np.log(2 * count)),
+        epsilon,
+        problem.responses,
+        problem.model(theta),
+    )
+
+
+def _deviance(problem: _Problem, errors: Sequence[FloatArray], epsilon: FloatArray) -> float:
+    """−2 ln of the likelihood of circular complex noise, but for a constant."""
+    pairs = [(e, _variance(r, share)) for e, r, share in zip(errors, problem.responses, epsilon, strict=True)]
+    return 2 * sum(float(np.sum(e / v + np.log(v))) for e, v in pairs)
+
+
+def _covariance(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> FloatArray:
+    """(p, p) of the unknowns.
+
+    Where the model's error is more than noise it is alike over neighbouring frequencies: the sandwich of Huber and
+    White with blocks of 5 Hz (Liang & Zeger, Biometrika 73, 1986) then widens the inverse information.
+    """
+    j = _jacobian(problem, theta, epsilon)
+    bread = scaled_inverse(j.T @ j)
+    if not epsilon.any():
+        return bread
+    residual = problem.residual(theta, epsilon)
+    data = len(residual) - len(problem.known) - len(theta)
+    gradients = [j[rows].T @ residual[rows] for rows in _blocks(problem)]
+    meat = sum((np.outer(g, g) for g in gradients), j[data:].T @ j[data:])
+    wider = np.sqrt(np.maximum(1.0, np.diag(bread @ meat @ bread) / np.diag(bread)))
+    return bread * np.outer(wider, wider)
+
+
+def _blocks(problem: _Problem) -> list[FloatArray]:
+    """Rows of the residual, both real and imaginary, of each 5 Hz of each response."""
+    rows, at = [], 0
+    for response in problem.responses:
+        k = len(response.frequency_hz)
+        block = (response.frequency_hz // BLOCK_HZ).astype(int)
+        for number in np.unique(block):
+            members = at + np.flatnonzero(block == number)
+            rows.append(np.concatenate([members, members + k]))
+        at += 2 * k
+    return rows
+
+
+def _estimate(name: str, value: float, sd: float) -> Estimate:
+    return normal(value, SIGNED_UNIT * sd) if name in SIGNED else lognormal(value, sd)
+
+
+def _total_estimate(problem: _Problem, numbers: Mapping[str, float], covariance: FloatArray) -> Estimate:
+    both = ("effector.nozzle_mass_kg", "effector.extruder_mass_kg")
+    slope = np.array([numbers[n] if n in both else 0.0 for n in problem.names] + [0.0] * len(problem.clocks))
+    return normal(_total_mass(problem.start, numbers), float(np.sqrt(slope @ covariance @ slope)))
+
+
+WEAK_SD = 0.1  # a number known worse than 10 % is weak
+STRONG_CORRELATION = 0.9
+
+
+def _weak(problem: _Problem, covariance: FloatArray) -> dict[str, dict[str, float]]:
+    sd = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(sd, sd)
+    weak = {}
+    for i, name in enumerate(problem.names):
+        if sd[i] > WEAK_SD:
+            others = {o: float(correlation[i, k]) for k, o in enumerate(problem.names) if k != i}
+            weak[name] = {o: c for o, c in others.items() if abs(c) > STRONG_CORRELATION}
+    return weak

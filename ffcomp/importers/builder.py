@@ -1,0 +1,221 @@
+"""A machine file made of what a configuration says: what it does not say is assumed, or named as missing.
+
+The vibration numbers of a delta are a library machine's until they are measured; those of a Cartesian or CoreXY
+machine come from the firmware's input shaper, from a machine that the user names, or stay missing. Each number says
+in [provenance] where it is from.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from ffcomp.importers.delta import farthest_reach
+from ffcomp.importers.hints import ASSUMED, IMPORTED, remedy
+from ffcomp.importers.values import Found, PrinterConfigError, Value
+from models.file import LIBRARY, load_machine
+from models.machine import MotionLimits, Steps
+
+TABLES = ("kinematics", "carriage", "effector", "axes", "limits", "steps")
+ARMS = ("kinematics.arm_length_mm", "kinematics.arm_lengths_mm")
+REQUIRED = {
+    "delta": (
+        "kinematics.arm_length_mm",
+        "kinematics.delta_radius_mm",
+        "kinematics.print_radius_mm",
+        "kinematics.print_height_mm",
+    ),
+    "cartesian": (
+        *(f"kinematics.{axis}_range_mm" for axis in "xyz"),
+        *(f"axes.{axis}.{key}" for axis in "xy" for key in ("frequency_hz", "damping_ratio")),
+    ),
+}
+REQUIRED["corexy"] = REQUIRED["cartesian"]
+REQUIRED_OF_ALL = ("limits.velocity_mm_per_s", "limits.acceleration_mm_per_s2")
+BORROWED = ("carriage", "effector", "axes")  # tables that are the library machine's where the configuration is silent
+DEFAULTS = {  # what a machine file may leave out, but an import says
+    "limits.square_corner_velocity_mm_per_s": MotionLimits(0, 0).square_corner_velocity_mm_per_s,
+    "limits.carriage_velocity_mm_per_s": MotionLimits(0, 0).carriage_velocity_mm_per_s,
+    "limits.carriage_acceleration_mm_per_s2": MotionLimits(0, 0).carriage_acceleration_mm_per_s2,
+    "steps.steps_per_mm": Steps().steps_per_mm,
+    "steps.full_steps_per_mm": Steps().full_steps_per_mm,
+}
+USUAL_MICROSTEPS = 16.0
+UNCERTAIN, MEASURED_LENGTH = 0.2, 0.01  # relative standard deviations, as the library's assumed machines have them
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A machine file in the making."""
+
+    name: str
+    found: Found
+    values: Mapping[str, Value]  # those found and those assumed
+    missing: Mapping[str, str]  # key -> how to get it
+    like: str | None  # the machine that lent numbers
+
+    @property
+    def is_complete(self) -> bool:
+        return not self.missing
+
+
+def draft(found: Found, name: str, like: Path | None = None) -> Draft:
+    """Fill in what can be assumed, and name the rest.
+
+    Parameters
+    ----------
+    like : machine file to take the unknown numbers from; for deltas the library's one with the nearest arm length,
+        if none is given.
+    """
+    source = like or (_nearest(found) if found.kinematics == "delta" else None)
+    lender = {} if source is None else _lender(source, found)
+    stem = "" if source is None else source.stem
+    values = dict(found.values)
+    for key, value in _assumed(found, lender, stem):
+        values.setdefault(key, value)
+    has_arms = any(key in values for key in ARMS)
+    required = [key for key in (*REQUIRED[found.kinematics], *REQUIRED_OF_ALL) if not (key in ARMS and has_arms)]
+    return Draft(name, found, values, {key: remedy(key) for key in required if key not in values}, stem or None)
+
+
+def _nearest(found: Found) -> Path:
+    """The library's delta with the nearest arm length; the first of all where it is not known."""
+    arm = _shortest_arm(found) or 0.0
+
+    def distance(path: Path) -> float:
+        return abs(_document(path)["kinematics"].get("arm_length_mm", 0.0) - arm)
+
+    return min(_deltas(), key=distance)
+
+
+def _shortest_arm(found: Found) -> float | None:
+    arms = next((found.values[key].value for key in ARMS if key in found.values), None)
+    return min(arms) if isinstance(arms, list) else arms
+
+
+def _deltas() -> Iterator[Path]:
+    paths = sorted(LIBRARY.glob("*.toml"), key=lambda path: path.stem)
+    return (path for path in paths if _document(path)["kinematics"]["type"] == "delta")
+
+
+def _lender(path: Path, found: Found) -> dict[str, Any]:
+    load_machine(path)  # says what is wrong with it
+    document = _document(path)
+    kind = document["kinematics"]["type"]
+    if (kind == "delta") != (found.kinematics == "delta"):
+        raise PrinterConfigError(f"{path}: a {kind} machine cannot lend numbers to a {found.kinematics} machine.")
+    return document
+
+
+def _document(path: Path) -> dict[str, Any]:
+    return tomllib.loads(path.read_text(encoding="utf-8"))
+
+
+# --- Assumptions
+
+
+def _assumed(found: Found, lender: Mapping[str, Any], like: str) -> Iterator[tuple[str, Value]]:
+    known_axes = {key[: len("axes.x.")] for key in found.values if key.startswith("axes.")}
+    for table in BORROWED:
+        for key, value in _flat(lender.get(table, {}), f"{table}."):
+            if not key.startswith(tuple(known_axes)):  # an axis's numbers belong together
+                yield key, Value(value, "assumed", f"{ASSUMED}: as the machine {like!r}")
+    if found.kinematics == "delta":
+        yield from _assumed_reach(found, lender, like)
+    if steps := found.values.get("steps.steps_per_mm"):
+        rule = f"{ASSUMED}: {USUAL_MICROSTEPS:g} microsteps for each full step"
+        yield "steps.full_steps_per_mm", Value(_over(steps.value, USUAL_MICROSTEPS), "assumed", rule)
+    for key, default in DEFAULTS.items():
+        table, _, name = key.partition(".")
+        whose = f"as the machine {like!r}" if name in lender.get(table, {}) else "ffcomp's default"
+        yield key, Value(lender.get(table, {}).get(name, default), "assumed", f"{ASSUMED}: {whose}")
+
+
+def _assumed_reach(found: Found, lender: Mapping[str, Any], like: str) -> Iterator[tuple[str, Value]]:
+    height = lender["kinematics"]["effector_height_mm"]
+    yield "kinematics.effector_height_mm", Value(height, "assumed", f"{ASSUMED}: as the machine {like!r}")
+    radius, arm = found.values.get("kinematics.delta_radius_mm"), _shortest_arm(found)
+    if radius is not None and arm is not None and "delta_radius_mm" in lender["kinematics"]:
+        share = lender["kinematics"]["print_radius_mm"] / lender["kinematics"]["delta_radius_mm"]
+        reach = min(share * radius.number, farthest_reach(arm, radius.number))
+        rule = f"{ASSUMED}: the share of the delta radius that the machine {like!r} has"
+        yield "kinematics.print_radius_mm", Value(round(reach, 1), "assumed", rule)
+
+
+def _flat(table: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, value
+
+
+def _over(value: float | list[float], divisor: float) -> float | list[float]:
+    return [each / divisor for each in value] if isinstance(value, list) else value / divisor
+
+
+# --- Text
+
+
+def machine_text(draft: Draft, source: Path) -> str:
+    """The machine file, to be loaded once nothing is missing."""
+    document = tomlkit.document()
+    for line in _heading(draft, source):
+        document.add(tomlkit.comment(line))
+    document.add(tomlkit.nl())
+    document["format"] = "ffcomp-machine/1"
+    document["name"] = draft.name
+    document["kinematics"] = tomlkit.table()
+    document["kinematics"]["type"] = draft.found.kinematics
+    for table in TABLES:
+        for key, value in draft.values.items():
+            if key.startswith(f"{table}."):
+                _put(document, key, value.value)
+        for key, what in draft.missing.items():
+            if key.startswith(f"{table}."):
+                _table_of(document, key).add(tomlkit.comment(f"{key.rpartition('.')[2]} is missing: {what}"))
+    document["uncertainty"] = _uncertainty(draft)
+    document["provenance"] = _provenance(draft, source)
+    return tomlkit.dumps(document)
+
+
+def _heading(draft: Draft, source: Path) -> Iterator[str]:
+    yield f"{draft.name}, imported from the {draft.found.firmware} configuration {source.name}."
+    yield "A start: what is assumed says so in [provenance]; `ffcomp machines check` lists it."
+    if draft.missing:
+        yield f"NOT COMPLETE: {', '.join(draft.missing)} must be filled in first."
+
+
+def _put(document: tomlkit.TOMLDocument, key: str, value: Any) -> None:
+    _table_of(document, key)[key.rpartition(".")[2]] = value
+
+
+def _table_of(document: tomlkit.TOMLDocument, key: str) -> Any:
+    table: Any = document
+    for part in key.split(".")[:-1]:
+        table = table.setdefault(part, tomlkit.table())
+    return table
+
+
+def _uncertainty(draft: Draft) -> dict[str, float]:
+    lengths = (*ARMS, "kinematics.delta_radius_mm")
+    read = {key: MEASURED_LENGTH for key in lengths if key in draft.found.values}
+    return {"default": UNCERTAIN, **read}
+
+
+def _provenance(draft: Draft, source: Path) -> dict[str, Any]:
+    digest = hashlib.sha256(source.read_bytes()).hexdigest()
+    return {
+        "kinematics.type": draft.found.kinematics_origin,
+        **{key: value.origin for key, value in draft.values.items()},
+        IMPORTED: {
+            "from": f"{draft.found.firmware} configuration {source.name} sha256:{digest}",
+            "notes": list(draft.found.notes),
+        },
+    }

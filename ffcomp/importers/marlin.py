@@ -1,0 +1,220 @@
+"""What Marlin's answer to M503 says about the machine, with M115's answer if it is in the same text.
+
+The text may come from a terminal: `Recv:`, `echo:` and times before the commands do no harm. M503 tells neither
+whether a machine without towers is Cartesian or CoreXY, nor how far it goes: M211 and M115 tell the latter.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from ffcomp.importers.commands import Command, commands
+from ffcomp.importers.delta import arm_lengths, tower_angles
+from ffcomp.importers.text import decoded
+from ffcomp.importers.values import (
+    AXES,
+    Found,
+    PrinterConfigError,
+    Value,
+    changed,
+    converted,
+    full_steps,
+    known,
+    least,
+    plain_number,
+    shaped_axis,
+    together,
+)
+
+LETTERS = {
+    "M92": "XYZE",
+    "M201": "XYZ",
+    "M203": "XYZ",
+    "M204": "PS",
+    "M205": "JXY",
+    "M350": "XYZ",
+    "M665": "ABCHLRXYZ",
+}
+SENT = re.compile(r"\bsend(?:ing)?\s*:|>>>", re.IGNORECASE)
+QUIET_MODE = re.compile(r"stealth", re.IGNORECASE)  # a second set of limits that some firmwares list
+AREA = re.compile(r"area:\{full:\{min:\{(?P<low>[^}]*)\},max:\{(?P<high>[^}]*)\}")
+ENDS = re.compile(r"Min:(?P<low>[^M]*)Max:(?P<high>[^M;]*)")
+PLACE = re.compile(r"(?P<axis>[xyzXYZ]):?\s*(?P<number>-?\d+(?:\.\d+)?)")
+DAMPING_RATIO = 0.15
+RIGHT_ANGLE = math.sqrt(2.0) - 1.0
+
+Settings = Mapping[tuple[str, str], Value]
+
+
+def from_marlin(path: Path, kinematics: str | None) -> Found:
+    """All that the answer says of what a machine file can hold.
+
+    Parameters
+    ----------
+    kinematics : what kind of machine it is, where M503 does not tell; None: it must tell.
+
+    Raises
+    ------
+    PrinterConfigError
+        Where a number is none, the units are inches, or nobody says which kinematics the machine has.
+    """
+    text = decoded(path)
+    settings = {key: value for command in _received(text, path.name) for key, value in _words(command)}
+    kind, origin = _kinematics(settings, kinematics, path)
+    of_kind = _delta(settings) if kind == "delta" else _straight(settings, _places(text, path.name))
+    values = known({**of_kind, **_limits(settings), **_steps(settings)})
+    shaper_hz = _shaper_hz(settings) if kind == "delta" else ()
+    return Found("Marlin", kind, origin, values, tuple(_notes(kind)), shaper_hz)
+
+
+def _received(text: str, name: str) -> Iterator[Command]:
+    """What the printer said, not what was sent to it."""
+    lines = text.split("\n")
+    quiet = [bool(QUIET_MODE.search(before)) for before in ["", *lines[:-1]]]
+    kept = ["" if SENT.search(line) or after_quiet else line for line, after_quiet in zip(lines, quiet, strict=True)]
+    return commands("\n".join(kept), name)
+
+
+def _words(command: Command) -> Iterator[tuple[tuple[str, str], Value]]:
+    if command.code == "G20":
+        raise PrinterConfigError(f"{command.place}: the numbers are in inches; send G21 before M503.")
+    if command.code == "M593":
+        yield from _shaper_words(command)
+    for letter in LETTERS.get(command.code, ""):
+        value = command.number(letter, above=0 if command.code == "M350" else -math.inf)
+        if value is not None:
+            yield (command.code, letter), value
+
+
+def _shaper_words(command: Command) -> Iterator[tuple[tuple[str, str], Value]]:
+    """`M593 X F40 D0.15`, of both axes where it names none."""
+    axes = [axis for axis in "XYZ" if axis in command.words] or ["X", "Y"]
+    for letter in "FD":
+        value = command.number(letter)
+        if value is not None:
+            yield from (((f"M593 {axis}", letter), value) for axis in axes)
+
+
+def _kinematics(settings: Settings, asked: str | None, path: Path) -> tuple[str, str]:
+    if ("M665", "L") in settings and ("M665", "R") in settings:
+        return "delta", settings["M665", "R"].origin
+    if asked is None:
+        raise PrinterConfigError(
+            f"{path}: M503 does not tell whether the machine is Cartesian or CoreXY; say --kinematics cartesian or "
+            "--kinematics corexy."
+        )
+    return asked, "as asked for with --kinematics"
+
+
+# --- Deltas
+
+
+def _delta(settings: Settings) -> dict[str, Value | None]:
+    return {
+        **arm_lengths(_arms(settings)),
+        "kinematics.delta_radius_mm": settings["M665", "R"],
+        "kinematics.tower_angles_deg": tower_angles([settings.get(("M665", letter)) for letter in "XYZ"]),
+        "kinematics.print_height_mm": settings.get(("M665", "H")),
+    }
+
+
+def _arms(settings: Settings) -> list[Value | None]:
+    """L and the towers' trims A B C; a lone B is an older firmware's calibration radius."""
+    rod = settings["M665", "L"]
+    trims = [settings.get(("M665", letter)) for letter in "ABC"]
+    if any(trim is None for trim in trims):
+        return [rod] * 3
+    return [
+        rod if trim is None or not trim.number else converted(rod.number + trim.number, "L plus the trim", rod, trim)
+        for trim in trims
+    ]
+
+
+# --- Cartesian and CoreXY machines
+
+
+def _straight(settings: Settings, places: Mapping[str, Value]) -> dict[str, Value | None]:
+    ranges: dict[str, Value | None] = {f"kinematics.{axis}_range_mm": places.get(axis) for axis in AXES}
+    shaped = [_shaped_axis(settings, axis) for axis in AXES]
+    return {**ranges, **{key: value for axis in shaped for key, value in axis.items()}}
+
+
+def _places(text: str, name: str) -> dict[str, Value]:
+    """How far each axis goes: M115's area, or M211's soft endstops."""
+    for line_number, line in enumerate(text.split("\n"), 1):
+        match = AREA.search(line) or ENDS.search(line)
+        if match is None:
+            continue
+        ends = [dict(_place(match[end], f"{name}:{line_number}")) for end in ("low", "high")]
+        if all(set(end) == set(AXES) for end in ends):
+            origin = f"{name}:{line_number} {match[0][:4].strip('{:')}"
+            return {axis: Value([ends[0][axis], ends[1][axis]], "read", origin) for axis in AXES}
+    return {}
+
+
+def _place(text: str, place: str) -> Iterator[tuple[str, float]]:
+    for match in PLACE.finditer(text):
+        yield match["axis"].lower(), plain_number(match["number"], place)
+
+
+def _shaper_hz(settings: Settings) -> tuple[float, ...]:
+    found = (settings.get((f"M593 {axis.upper()}", "F")) for axis in AXES)
+    return tuple(each.number for each in found if each is not None and each.number > 0)
+
+
+def _shaped_axis(settings: Settings, axis: str) -> dict[str, Value]:
+    """The shaper's frequency as a start; zero switches it off."""
+    frequency = settings.get((f"M593 {axis.upper()}", "F"))
+    if frequency is None or frequency.number <= 0:
+        return {}
+    default = Value(DAMPING_RATIO, "default", "M593 D is not given: the firmware's default")
+    damping = settings.get((f"M593 {axis.upper()}", "D"), default)
+    return shaped_axis(axis, frequency, damping)
+
+
+# --- Limits and steps
+
+
+def _limits(settings: Settings) -> dict[str, Value | None]:
+    acceleration = least([settings.get(key) for key in (("M201", "X"), ("M201", "Y"), _print_acceleration(settings))])
+    return {
+        "limits.velocity_mm_per_s": least([settings.get(("M203", "X")), settings.get(("M203", "Y"))]),
+        "limits.acceleration_mm_per_s2": acceleration,
+        "limits.square_corner_velocity_mm_per_s": _corner(settings, acceleration),
+        "limits.z_velocity_mm_per_s": settings.get(("M203", "Z")),
+        "limits.z_acceleration_mm_per_s2": settings.get(("M201", "Z")),
+    }
+
+
+def _print_acceleration(settings: Settings) -> tuple[str, str]:
+    """P; older firmwares say S."""
+    return ("M204", "P") if ("M204", "P") in settings else ("M204", "S")
+
+
+def _corner(settings: Settings, acceleration: Value | None) -> Value | None:
+    """The jerk of X or Y; or, of a junction deviation J, v² = J a / (√2 − 1) at a right angle."""
+    deviation = settings.get(("M205", "J"))
+    if deviation is None:
+        jerk = least([settings.get(("M205", "X")), settings.get(("M205", "Y"))])
+        return changed(jerk, float, "the jerk of one axis, as at a right angle between them")
+    if acceleration is None:
+        return None
+    speed = math.sqrt(max(deviation.number, 0.0) * acceleration.number / RIGHT_ANGLE)
+    return converted(round(speed, 3), "junction deviation at a right angle", deviation, acceleration)
+
+
+def _steps(settings: Settings) -> dict[str, Value | None]:
+    steps, microsteps = ([settings.get((code, letter)) for letter in "XYZ"] for code in ("M92", "M350"))
+    return {
+        "steps.steps_per_mm": together(steps),
+        "steps.full_steps_per_mm": together([full_steps(*pair) for pair in zip(steps, microsteps, strict=True)]),
+        "steps.extruder_steps_per_mm": settings.get(("M92", "E")),
+    }
+
+
+def _notes(kind: str) -> Iterator[str]:
+    if kind == "delta":
+        yield "M503 does not tell DELTA_RADIUS_TRIM_TOWER: if the firmware was built with it, give delta_radii_mm."

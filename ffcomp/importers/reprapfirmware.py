@@ -1,0 +1,286 @@
+"""What a RepRapFirmware `config.g` says about the machine.
+
+Commands are followed in the firmware's order: M350 after M92 changes the steps per mm, M98 runs another file, M501
+runs `config-override.g`. Commands under an `if` or a `while`, and formulas in braces, are not evaluated: each one
+that would matter is a note.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ffcomp.importers.commands import Command, commands
+from ffcomp.importers.delta import arm_lengths, print_radius, tower_angles
+from ffcomp.importers.text import decoded
+from ffcomp.importers.values import (
+    AXES,
+    Found,
+    PrinterConfigError,
+    Value,
+    changed,
+    converted,
+    full_steps,
+    known,
+    least,
+    listed,
+    shaped_axis,
+    together,
+)
+
+KINDS = {
+    "0": "cartesian",
+    "cartesian": "cartesian",
+    "1": "corexy",
+    "corexy": "corexy",
+    "3": "delta",
+    "lineardelta": "delta",
+}
+KEPT = {  # letters that are kept until a later command gives them anew
+    "M201": "XYZ",
+    "M203": "XYZ",
+    "M204": "P",
+    "M566": "XYZ",
+    "M593": "FS",
+    "M665": "BHLRXYZ",
+    "M666": "AB",
+}
+READ = {*KEPT, "M92", "M208", "M350", "M667", "M669"}
+MICROSTEPS, DAMPING_RATIO = 16.0, 0.1  # the firmware's defaults
+MOST_FILES = 1000
+PER_MINUTE = "mm/min over 60"
+
+
+@dataclass
+class Settings:
+    """What the firmware holds after the commands so far."""
+
+    kept: dict[tuple[str, str], list[Value]] = field(default_factory=dict)  # (command, letter) -> its numbers
+    steps_per_mm: dict[str, Value] = field(default_factory=dict)  # letter -> number
+    microsteps: dict[str, Value] = field(default_factory=dict)
+    ranges: dict[str, dict[str, Value]] = field(default_factory=dict)  # letter -> "low", "high" -> number
+    kinematics: tuple[str, str] = ("cartesian", "neither M669 nor M665 is given: the firmware's default")
+    shaper: str = ""
+    notes: list[str] = field(default_factory=list)
+    files: int = 0  # run so far
+
+    def first(self, code: str, letter: str) -> Value | None:
+        return next(iter(self.kept.get((code, letter), [])), None)
+
+
+def from_reprapfirmware(path: Path) -> Found:
+    """All of a `config.g` that a machine file can hold.
+
+    Raises
+    ------
+    PrinterConfigError
+        Where a number is none, macros run in a circle, or ffcomp does not have the kinematics.
+    """
+    settings = Settings()
+    for command in _run(path, settings, (path.resolve(),)):
+        _apply(command, settings)
+    kind, origin = settings.kinematics
+    of_kind = _delta(settings) if kind == "delta" else _straight(settings)
+    values = known({**of_kind, **_limits(settings), **_steps(settings)})
+    shaper = _shaper(settings) if kind == "delta" else None
+    shaper_hz = () if shaper is None else (shaper.number,)
+    return Found("RepRapFirmware", kind, origin, values, (*settings.notes, *_notes(settings)), shaper_hz)
+
+
+# --- The firmware's order
+
+
+def _run(path: Path, settings: Settings, within: tuple[Path, ...]) -> Iterator[Command]:
+    """The commands of a file and of those it runs."""
+    for command in commands(decoded(path), path.name):
+        if command.conditional and command.code in {*READ, "M98", "M501"}:
+            settings.notes.append(f"{command.place}: this {command.code} stands under a condition and was not read.")
+        elif command.code == "M98" and "P" in command.words:
+            yield from _macro(command, command.words["P"], path, settings, within)
+        elif command.code == "M501":
+            yield from _macro(command, "config-override.g", path, settings, within)
+        else:
+            yield command
+
+
+def _macro(
+    command: Command, name: str, source: Path, settings: Settings, within: tuple[Path, ...]
+) -> Iterator[Command]:
+    """Files lie beside each other in /sys, or in another folder of the same card."""
+    relative = name.removeprefix("0:").removeprefix("/sys/").lstrip("/")
+    file = next(
+        (place / relative for place in (source.parent, source.parent.parent) if (place / relative).is_file()), None
+    )
+    if file is None:
+        settings.notes.append(f"{command.place}: {command.code} runs {name}, which is not here; it was not read.")
+        return
+    settings.files += 1
+    if file.resolve() in within or settings.files > MOST_FILES:
+        rule = f"more than {MOST_FILES} files are run" if settings.files > MOST_FILES else "it runs itself"
+        raise PrinterConfigError(f"{command.place}: {command.code} runs {name}: {rule}.")
+    yield from _run(file, settings, (*within, file.resolve()))
+
+
+def _apply(command: Command, settings: Settings) -> None:
+    if command.code in READ:
+        formulas = [letter for letter, text in command.words.items() if text.startswith("{")]
+        settings.notes += [f"{command.place}: the formula of {command.code} {each} was not read." for each in formulas]
+    if command.code in KEPT:
+        given = {(command.code, letter): command.numbers(letter) for letter in KEPT[command.code]}
+        settings.kept |= {key: numbers for key, numbers in given.items() if numbers}
+    if command.code in APPLY:
+        APPLY[command.code](command, settings)
+
+
+def _m92(command: Command, settings: Settings) -> None:
+    """Steps per mm, for the microsteps in force or those of S."""
+    meant = command.number("S", above=0)
+    for letter in "XYZE":
+        steps = command.number(letter, above=0)
+        if steps is not None and meant is not None:
+            factor = _microsteps(settings, letter).number / meant.number
+            steps = converted(steps.number * factor, f"said for 1/{meant.number:g} steps", steps, meant)
+        if steps is not None:
+            settings.steps_per_mm[letter] = steps
+
+
+def _m350(command: Command, settings: Settings) -> None:
+    """Other microsteps: what M92 has set so far keeps its meaning in mm."""
+    for letter in "XYZE":
+        new = command.number(letter, above=0)
+        if new is None:
+            continue
+        ratio = new.number / _microsteps(settings, letter).number
+        if letter in settings.steps_per_mm and ratio != 1:
+            rule = f"M350 {letter} changed the microsteps afterwards"
+            settings.steps_per_mm[letter] = converted(
+                settings.steps_per_mm[letter].number * ratio, rule, settings.steps_per_mm[letter], new
+            )
+        settings.microsteps[letter] = new
+
+
+def _microsteps(settings: Settings, letter: str) -> Value:
+    default = Value(MICROSTEPS, "default", f"M350 {letter} is not given: the firmware's default")
+    return settings.microsteps.get(letter, default)
+
+
+def _m208(command: Command, settings: Settings) -> None:
+    """`M208 X0:220`, or the lowest places with S1 and the highest with S0."""
+    end = "low" if command.words.get("S") == "1" else "high"
+    for letter in "XYZ":
+        numbers = command.numbers(letter)
+        ends = ("low", "high") if len(numbers) == 2 else (end,)
+        settings.ranges.setdefault(letter, {}).update(zip(ends, numbers, strict=False))
+
+
+def _m593(command: Command, settings: Settings) -> None:
+    settings.shaper = command.words.get("P", settings.shaper).lower()
+
+
+def _m665(command: Command, settings: Settings) -> None:
+    settings.kinematics = ("delta", f"{command.place} M665")
+
+
+def _m667(command: Command, settings: Settings) -> None:
+    """The older command; S1 is CoreXY."""
+    _set_kind(command, command.words.get("S", "0"), settings)
+
+
+def _m669(command: Command, settings: Settings) -> None:
+    if "K" in command.words:
+        _set_kind(command, command.words["K"].lower(), settings)
+    if ":" in command.words.get("X", "") + command.words.get("Y", ""):
+        raise PrinterConfigError(
+            f"{command.place}: this M669 gives a movement matrix: ffcomp has delta, cartesian and corexy machines."
+        )
+
+
+def _set_kind(command: Command, word: str, settings: Settings) -> None:
+    if word not in KINDS:
+        raise PrinterConfigError(
+            f"{command.place}: {command.code} selects kinematics {word!r}: ffcomp has delta (3), cartesian (0) and "
+            "corexy (1) machines."
+        )
+    settings.kinematics = (KINDS[word], f"{command.place} {command.code}")
+
+
+APPLY = {"M92": _m92, "M208": _m208, "M350": _m350, "M593": _m593, "M665": _m665, "M667": _m667, "M669": _m669}
+
+
+# --- What it makes of the machine
+
+
+def _delta(settings: Settings) -> dict[str, Value | None]:
+    arms = settings.kept.get(("M665", "L"), [])
+    if len(arms) > 3:
+        raise PrinterConfigError(f"{arms[0].origin} gives {len(arms)} arms: ffcomp has deltas of three towers.")
+    given = [*arms, *[arms[0]] * (3 - len(arms))] if arms else [None]  # towers without a length are as the first
+    radius = settings.first("M665", "R")
+    return {
+        **arm_lengths(given),
+        "kinematics.delta_radius_mm": radius,
+        "kinematics.tower_angles_deg": tower_angles([settings.first("M665", letter) for letter in "XYZ"]),
+        "kinematics.print_radius_mm": print_radius(settings.first("M665", "B"), radius, least(given)),
+        "kinematics.print_height_mm": settings.first("M665", "H"),
+    }
+
+
+def _straight(settings: Settings) -> dict[str, Value | None]:
+    ranges = {f"kinematics.{axis}_range_mm": _range(settings, axis.upper()) for axis in AXES}
+    return {**ranges, **_shaped_axes(settings)}
+
+
+def _range(settings: Settings, letter: str) -> Value | None:
+    limits = settings.ranges.get(letter, {})
+    if "high" not in limits:
+        return None
+    low = limits.get("low", Value(0.0, "default", f"M208 gives no lowest {letter}: the firmware's default"))
+    return listed([low, limits["high"]])
+
+
+def _shaper(settings: Settings) -> Value | None:
+    frequency = settings.first("M593", "F")
+    return frequency if frequency and frequency.number > 0 and settings.shaper != "none" else None
+
+
+def _shaped_axes(settings: Settings) -> dict[str, Value]:
+    """One frequency for both axes, as this firmware's shaper has it."""
+    frequency = _shaper(settings)
+    if frequency is None:
+        return {}
+    default = Value(DAMPING_RATIO, "default", "M593 S is not given: the firmware's default")
+    damping = settings.first("M593", "S") or default
+    return {**shaped_axis("x", frequency, damping), **shaped_axis("y", frequency, damping)}
+
+
+def _limits(settings: Settings) -> dict[str, Value | None]:
+    def per_minute(code: str, letters: str) -> Value | None:
+        slowest = least([settings.first(code, letter) for letter in letters])
+        return changed(slowest, lambda speed: speed / 60, PER_MINUTE)
+
+    accelerations = [settings.first("M201", "X"), settings.first("M201", "Y"), settings.first("M204", "P")]
+    return {
+        "limits.velocity_mm_per_s": per_minute("M203", "XY"),
+        "limits.acceleration_mm_per_s2": least(accelerations),
+        "limits.square_corner_velocity_mm_per_s": per_minute("M566", "XY"),
+        "limits.z_velocity_mm_per_s": per_minute("M203", "Z"),
+        "limits.z_acceleration_mm_per_s2": settings.first("M201", "Z"),
+    }
+
+
+def _steps(settings: Settings) -> dict[str, Value | None]:
+    steps = [settings.steps_per_mm.get(letter) for letter in "XYZ"]
+    microsteps = [_microsteps(settings, letter) for letter in "XYZ"]
+    return {
+        "steps.steps_per_mm": together(steps),
+        "steps.full_steps_per_mm": together([full_steps(*pair) for pair in zip(steps, microsteps, strict=True)]),
+        "steps.extruder_steps_per_mm": settings.steps_per_mm.get("E"),
+    }
+
+
+def _notes(settings: Settings) -> Iterator[str]:
+    for letter in "AB":
+        tilt = settings.first("M666", letter)
+        if tilt is not None and tilt.number:
+            yield f"{tilt.origin} = {tilt.number:g} % of tilt: a machine file has no place for it."

@@ -1,0 +1,132 @@
+"""What a configuration says about a machine: numbers of the machine file, each with the place it is from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from ffcomp.errors import FfcompError
+from ffcomp.importers.hints import START
+
+How = Literal["read", "default", "converted", "assumed"]
+ORDER: tuple[How, ...] = ("default", "read", "converted", "assumed")  # what is made of several counts as the last
+AXES = "xyz"
+
+
+class PrinterConfigError(FfcompError, ValueError):
+    """A configuration that cannot be read: the file, the line where there is one, and the rule."""
+
+    exit_code = 5
+
+
+@dataclass(frozen=True)
+class Value:
+    """One value of the machine file."""
+
+    value: float | list[float]
+    how: How
+    origin: str  # a place and what stands there, or the rule that made the value
+
+    @property
+    def number(self) -> float:
+        assert not isinstance(self.value, list), "a list is no number"
+        return self.value
+
+
+@dataclass(frozen=True)
+class Found:
+    """Everything a configuration says that a machine file can hold."""
+
+    firmware: str
+    kinematics: str  # delta, cartesian, corexy
+    kinematics_origin: str
+    values: Mapping[str, Value]  # "table.key" -> value; a key that is not here is not known
+    notes: tuple[str, ...] = ()  # what a machine file cannot hold, and what was not read
+    shaper_hz: tuple[float, ...] = ()  # of a delta: the input shaper's frequencies, where it is on
+
+
+def converted(value: float | list[float], rule: str, *sources: Value) -> Value:
+    """A value that a rule makes of others."""
+    exact = value if isinstance(value, list) else float(f"{value:.9g}")
+    return Value(exact, "converted", f"{_origins(sources)}: {rule}")
+
+
+def changed(value: Value | None, change: Callable[[float], float], rule: str) -> Value | None:
+    """A value after a conversion, if there is one."""
+    return None if value is None else converted(change(value.number), rule, value)
+
+
+def listed(values: Sequence[Value]) -> Value:
+    """Single values as one list."""
+    return _combined([each.number for each in values], values)
+
+
+def together(values: Sequence[Value | None]) -> Value | None:
+    """One number if all are the same, a list otherwise; nothing unless all are known."""
+    given = [each for each in values if each is not None]
+    if len(given) < len(values):
+        return None
+    numbers = [each.number for each in given]
+    if len(set(numbers)) > 1:
+        return _combined(numbers, given)
+    others = " (the others alike)" if len({each.origin for each in given}) > 1 else ""
+    return replace(given[0], origin=given[0].origin + others)
+
+
+def least(values: Sequence[Value | None]) -> Value | None:
+    """The smallest of the values that are known; all of them are where it is from."""
+    given = [each for each in values if each is not None]
+    return _combined(min(each.number for each in given), given) if given else None
+
+
+def full_steps(steps: Value | None, microsteps: Value | None) -> Value | None:
+    """Full steps per mm of microsteps per mm."""
+    if steps is None or microsteps is None:
+        return None
+    return converted(steps.number / microsteps.number, f"{microsteps.number:g} microsteps each", steps, microsteps)
+
+
+def known(values: Mapping[str, Value | None]) -> dict[str, Value]:
+    """Without the keys of which nothing is known."""
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def shaped_axis(axis: str, frequency: Value, damping: Value) -> dict[str, Value]:
+    """A shaper's numbers as an axis's: its frequency lies where it cancels best, near the resonance."""
+    start = f"the shaper's frequency {START}, not a measured resonance"
+    if damping.how == "default":
+        damping = replace(damping, origin=f"{damping.origin}, {START}")
+    return {
+        f"axes.{axis}.frequency_hz": converted([frequency.number], start, frequency),
+        f"axes.{axis}.damping_ratio": listed([damping]),
+    }
+
+
+def plain_number(text: str, place: str, *, above: float = -math.inf) -> float:
+    """The number in a text; `place` says where it stands and what it is.
+
+    Raises
+    ------
+    PrinterConfigError
+        For anything that is not a plain finite number, or not above the bound.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise PrinterConfigError(f"{place} = {text!r} must be a plain number, without a unit or a formula.")
+    if value <= above:
+        raise PrinterConfigError(f"{place} = {text!r} must be above {above:g}.")
+    return value
+
+
+def _combined(value: float | list[float], sources: Iterable[Value]) -> Value:
+    sources = list(sources)
+    return Value(value, max((each.how for each in sources), key=ORDER.index), _origins(sources))
+
+
+def _origins(sources: Iterable[Value]) -> str:
+    return "; ".join(dict.fromkeys(each.origin for each in sources))

@@ -1,0 +1,83 @@
+"""The fast inverse under hard limits: its answer is kept, and solved again only around places where it asks too much.
+
+From left to right: the answer is played up to a few knots before a limit is exceeded; there a window of the least
+squares of `exact.py` begins, with the plant's state, and ends some knots after the command is within its limits again.
+The errors that follow the window are weighed in it as well: so the answer after it, found from another state, still
+fits.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.inverse.command_limits import shares_from_rest
+from ffcomp.inverse.iterate import CONTEXT, Playing, Stretch
+from ffcomp.inverse.windowed_qr import Held, Window
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+BEFORE, AFTER = 32, 32  # knots: what lies further away asks for less than a ten-thousandth here
+LONGEST = 120  # knots of a window; the last AFTER of a longer stretch are solved again by the next one
+FOLLOWING = 16  # knots after the unknown ones whose errors count
+AT_A_TIME = 512  # knots played
+
+
+def hold(run: Playing, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray, list[Held]]:
+    """Solve again where the answer exceeds a limit, from the plant's state (18,) at the run's first knot.
+
+    Returns
+    -------
+    the nozzle's response (n·substeps, 3) mm, empty if not asked for; the state (18,) at the end; the windows
+    """
+    begin, at, held = state, 0, list[Held]()
+    too_much = _too_much(run, 0, run.last)
+    while len(beyond := at + np.flatnonzero(too_much[at:])):
+        first = max(at, int(beyond[0]) - BEFORE)
+        state = play(run, at, first, state)[1]
+        window = _window(run, first, _end_of_cluster(beyond), state)
+        _, state = window.solve()
+        held.append(window.held())
+        at, changed = window.commit_end, min(window.stretch.end, run.last)
+        too_much[first:changed] = _too_much(run, first, changed)[: changed - first]
+    response, state = play(run, 0, run.last, begin) if keep_response else play(run, at, run.last, state)
+    return (response if keep_response else response[:0]), state, held
+
+
+def _too_much(run: Playing, first: int, last: int) -> BoolArray:
+    """Which of the segments (last - first,) between two knots exceed a limit; how the run ends belongs to its last."""
+    before = max(first - 1, 0)
+    shares = shares_from_rest(run.vertices[before : last + 1], run.inverter.limits)
+    over = shares.max(axis=(1, 2)) > 1.0
+    if last == run.last:
+        over[-2] |= over[-1]
+    return np.asarray(over[1 + first - before : 1 + last - before])
+
+
+def _end_of_cluster(knots: IntArray) -> int:
+    """The last of the knots that belong together: windows around them would overlap."""
+    gaps = np.flatnonzero(np.diff(knots) > BEFORE + AFTER)
+    return int(knots[gaps[0]] if len(gaps) else knots[-1])
+
+
+def _window(run: Playing, first: int, last_beyond: int, state: FloatArray) -> Window:
+    whole = min(last_beyond + AFTER, run.last - 1)  # the run's last knot is given
+    last = min(whole, first + LONGEST)
+    commit_end = last - AFTER if last < whole else last
+    if last >= run.last - 1:
+        commit_end = run.last
+    return Window(run, first, state, commit_end, last - first, min(last + FOLLOWING, run.n), limited=True)
+
+
+def play(run: Playing, first: int, last: int, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Nozzle (n·substeps, 3) mm between two knots, and the state (18,) at the latter."""
+    responses, substeps = [np.empty((0, 3))], run.inverter.settings.substeps
+    for at in range(first, last, AT_A_TIME):
+        kept = min(AT_A_TIME, last - at)
+        # how a segment ends depends on the few that follow
+        response, states = Stretch(run, at, min(at + kept + CONTEXT, run.n)).respond(state)
+        responses.append(response[: kept * substeps])
+        state = states[kept]
+    return np.concatenate(responses), state

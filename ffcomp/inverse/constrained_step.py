@@ -1,0 +1,115 @@
+"""The least squares of `exact.py` under the hard limits of `limits.py`.
+
+The inverse is a quadratic programme in the change δ of the carriages' heights u at the knots
+
+    minimise ½ δᵀ H δ − gᵀ δ    subject to    |D u / S + o| ≤ v,   |D² u / S² + c| ≤ a,   low ≤ u ≤ high − m
+
+D u / S is the mean velocity of a segment. What the two ends of a segment have beyond it (o, from both c) and how far
+its highest point lies above both ends (m) changes little with δ: both are the present command's. Rows are divided by
+their limit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from ffcomp.errors import SolverError
+from ffcomp.inverse.command_limits import A_LITTLE, CommandLimits
+from ffcomp.inverse.qp import solve_qp
+from ffcomp.inverse.settings import Backend
+from models.kinematics.base import Compiled
+
+FloatArray = NDArray[np.float64]
+
+MARGIN = 2e-3  # kept from the limits: for what o, c and m change, and for the solver's own accuracy
+ROOM = (1.0, 1.1, 1.3, 1.7, 2.5)  # times the limit, where given knots on both sides leave no room for less
+
+
+def limited_step(
+    hessian: FloatArray,
+    gradient: FloatArray,
+    command: FloatArray,
+    plan: FloatArray,
+    limits: CommandLimits,
+    kinematics: Compiled,
+    backend: Backend = "osqp",
+) -> FloatArray:
+    """The best change of the unknown knots that keeps the limits.
+
+    Where the plan itself is well beyond a limit, its own demand is the limit there: following it is always possible.
+
+    Parameters
+    ----------
+    hessian : (3 n, 3 n);  gradient : (3 n,), of the unknown knots, carriages A B C inside
+    command : (n + 4, 3) mm, carriage heights as they stand, with two given knots on either side
+    plan : (n + 4, 3) mm, what the path itself asks for
+
+    Returns
+    -------
+    (3 n,) mm
+
+    Raises
+    ------
+    SolverError
+        When there is no answer even with the widest room.
+    """
+    rows = _Rows(command, plan, limits, kinematics)
+    for room in ROOM:
+        try:
+            return solve_qp(hessian, -gradient, *rows.within(room), backend=backend)
+        except SolverError as error:
+            failed = error
+    raise failed
+
+
+class _Rows:
+    """Rows of the programme that touch an unknown knot, each divided by its limit."""
+
+    def __init__(self, command: FloatArray, plan: FloatArray, limits: CommandLimits, kinematics: Compiled) -> None:
+        self._limits, self._command = limits, command
+        self._now, self._plan = (limits.asked(kinematics.forward(each)) for each in (command, plan))
+
+    def within(self, room: float) -> tuple[sparse.csc_matrix, FloatArray, FloatArray]:
+        """A δ between low and high."""
+        parts = [self._velocity(room), self._acceleration(room)]
+        if np.isfinite(self._limits.travel_mm).any():
+            parts.append(self._travel(room))
+        blocks, lows, highs = zip(*parts, strict=True)
+        return sparse.csc_matrix(sparse.vstack(blocks)), np.concatenate(lows).ravel(), np.concatenate(highs).ravel()
+
+    def _velocity(self, room: float) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
+        # the first and the last segment lie between given knots
+        now, plan = self._now.velocity[1:-1], self._plan.velocity[1:-1]
+        return self._between(1, now, plan, room, self._limits.velocity_mm_per_s)
+
+    def _acceleration(self, room: float) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
+        now, plan = (asked.acceleration(self._limits.segment_s) for asked in (self._now, self._plan))
+        return self._between(2, now, plan, room, np.full(3, self._limits.acceleration_mm_per_s2))
+
+    def _between(
+        self, order: int, now: FloatArray, plan: FloatArray, room: float, limit: FloatArray
+    ) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
+        """now, plan (rows, 3, 2): what is asked for at both ends of a range; it may be within ± the ceiling."""
+        planned = np.abs(plan).max(axis=2)
+        ceiling = np.maximum(room * (1.0 - MARGIN) * limit, np.where(planned > A_LITTLE * limit, planned, 0.0))
+        n = len(self._command) - 4
+        stencil = np.diff(np.eye(n + 4), order, axis=0)
+        touched = stencil[np.any(stencil[:, 2:-2] != 0.0, axis=1), 2:-2]
+        motors = self._limits.motors / limit[:, None]
+        scaled = sparse.csr_matrix(sparse.kron(touched / self._limits.segment_s**order, motors))
+        return scaled, (-ceiling - now.min(axis=2)) / limit, (ceiling - now.max(axis=2)) / limit
+
+    def _travel(self, room: float) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
+        """Heights in units of a millimetre; the room is added as so many tenths of it."""
+        low, high = self._limits.travel_mm
+        every, more = self._command @ self._limits.motors.T, 0.1 * (room - 1.0)
+        heights, ends = every[2:-2], np.maximum(every[:-1], every[1:])
+        above = self._now.height[..., 1] - ends
+        beside = np.maximum(above[1:-2], above[2:-1])
+        planned = self._plan.height[1:-1]
+        floor = np.minimum(low + 1e-3, np.minimum(planned[:-1, :, 0], planned[1:, :, 0])) - more
+        ceiling = np.maximum(high - 1e-3, np.maximum(planned[:-1, :, 1], planned[1:, :, 1])) + more
+        matrix = sparse.csr_matrix(sparse.kron(sparse.eye(len(heights)), self._limits.motors))
+        return matrix, floor - heights, ceiling - beside - heights

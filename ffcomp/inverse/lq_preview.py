@@ -1,0 +1,117 @@
+"""The fast inverse of a run: the gains of `preview.py`, corrected by what the scheduled plant really does.
+
+A run is taken in stretches. The coefficients begin as what a slow motion needs, γ = τ q̇* + C q̈*; segments are played
+through the plant scheduled along the path, with the firmware's ramps; the error that comes out is swept backwards and
+forwards once; and again. The gains are those of the nearest node of the grid, the plant is the one at the very place:
+what the first sweep misses for that, the second one finds.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.inverse.iterate import Playing, Stretch
+from ffcomp.inverse.riccati import REST_ROWS, TO_THE_END, Gains, Preview, no_gains
+from ffcomp.inverse.riccati_kernels import sweep_back, sweep_forward
+
+FloatArray = NDArray[np.float64]
+
+STRETCH = 512  # knots solved at a time
+MOST_PASSES = 5
+CLOSE_MM = 5e-3  # a change of the command so small leaves a tenth of it to the next
+SIGHT = 32  # knots in sight after them: what comes later asks for a hundred-thousandth now
+
+
+def solve(run: Playing, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray, int]:
+    """All coefficients of a run, from the plant's state (18,) at its first knot.
+
+    Returns
+    -------
+    the nozzle's response (n·substeps, 3) mm, empty if not asked for; the state (18,) at the end; stretches solved
+    """
+    responses, at, stretches = [np.empty((0, 3))], 0, 0
+    while at < run.last:
+        stop = at + STRETCH if run.last - at > STRETCH + SIGHT else run.last
+        part = _Part(run, at, stop)
+        response, state = part.solve(state, keep_response)
+        responses.append(response)
+        at, stretches = stop, stretches + 1
+    return np.concatenate(responses), state, stretches
+
+
+class _Part:
+    """The knots at+1 … stop of a run, with those in sight."""
+
+    def __init__(self, run: Playing, at: int, stop: int, begin: bool = True) -> None:
+        self.run, self.at, self.stop = run, at, stop
+        whole = stop == run.last
+        self.stretch = Stretch(run, at, stop + (REST_ROWS if whole else SIGHT))
+        gains = run.inverter.preview
+        self.node, self.steady = gains.at(self.stretch.place)
+        self.ending = _to_rest(gains, self.node, len(self.steady.backward)) if whole else no_gains()
+        if begin:
+            self._begin()
+
+    def _begin(self) -> None:
+        """γ = τ q̇* + C q̈* where nothing is known yet: what a slow motion needs."""
+        run, stretch = self.run, self.stretch
+        last = min(stretch.end, run.last - 1)
+        n = last - self.at
+        if n > 0:
+            s = run.inverter.settings
+            knots = slice(s.substeps, (n + 1) * s.substeps, s.substeps)
+            ahead = stretch.nozzle[knots] + stretch.velocity[knots] * run.inverter.delay_s
+            edges = run.reference.at_knots(np.array([self.at - 1, stretch.end + 1, stretch.end + 2]))
+            q = np.insert(run.inverter.delta.inverse(edges), 1, stretch.wanted, axis=0)[: n + 4]
+            bend = (q[4:] - 2 * q[2:-2] + q[:-4]) / (2 * s.segment_s) ** 2  # NOTE: over two knots, for less noise
+            bent = np.einsum("nij,nj->ni", run.inverter.compliance_at(stretch.nozzle[knots, :2]), bend)
+            run.gamma[self.at + 1 : last + 1] = run.inverter.delta.inverse(ahead) - stretch.wanted[1 : n + 1] + bent
+
+    def solve(self, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray]:
+        run, s, kept = self.run, self.run.inverter.settings, self.stop - self.at
+        for _ in range(MOST_PASSES):
+            error, states = self.stretch.error_from(state)
+            answer, change = self.improve(error)
+            if change < CLOSE_MM:
+                break
+        run.vertices[self.at : self.stop + 1] = self.stretch.vertices()[: kept + 1]
+        if keep_response:
+            response, states = self.stretch.respond(state)
+            return response[: kept * s.substeps], states[kept]
+        return np.empty((0, 3)), states[kept] + answer
+
+    def improve(self, error: FloatArray) -> tuple[FloatArray, float]:
+        """γ += the answer to the error (rows, 3) mm that is left.
+
+        Returns
+        -------
+        what the plant makes of the change, (18,), at the last knot that is kept; the largest change of what is kept, mm
+        """
+        stretch, steady, ending, kept = self.stretch, self.steady, self.ending, self.stop - self.at
+        gamma = self.run.gamma[stretch.at : stretch.end + 1]
+        before = self.run.gamma[stretch.at - 1 : stretch.at] if stretch.at else np.zeros((1, 3))
+        rows = error.reshape(stretch.end - stretch.at, -1)
+        psi = sweep_back(steady.backward, ending.backward, self.node, rows, np.concatenate([before, gamma]))
+        change, answer = sweep_forward(steady.forward, ending.forward, self.node, psi, kept)
+        gamma[1:] += change
+        return answer, float(np.abs(change[:kept]).max())
+
+
+def _to_rest(gains: Preview, node: NDArray[np.int64], steady: int) -> Gains:
+    """The gains before the run's end; from there on `node` (n,) points to them, counted after the steady ones."""
+    felt = TO_THE_END + REST_ROWS
+    n = min(felt, len(node))
+    ending = gains.end(int(node[-1]))
+    node[len(node) - n :] = steady + np.arange(felt - n, felt)
+    return ending
+
+
+def answer(run: Playing, gamma: FloatArray, error: FloatArray) -> FloatArray:
+    """By how much a command γ (n + 1, 3) mm of a whole run is changed that leaves an error.
+
+    error : (rows, 3) mm, of the run and `REST_ROWS` knots after it
+    """
+    run.gamma[:] = gamma
+    _Part(run, 0, run.last, begin=False).improve(np.ascontiguousarray(error))
+    return run.gamma - gamma

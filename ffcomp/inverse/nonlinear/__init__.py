@@ -1,0 +1,1 @@
+"""Iterative correction on the simulated printer, for effects that no linear model holds."""

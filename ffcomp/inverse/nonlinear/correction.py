@@ -1,0 +1,213 @@
+"""The correction loop with the whole printer inside: effects that no linear model holds.
+
+The commands of a chapter's runs, found with the linear model and with what friction and play ask for beyond it
+(`foreseen.py`), are played on the nonlinear virtual printer with all its effects; where the nozzle should have been
+instead is swept through the same gains, and the command takes the answer up:
+
+    u ← u + K (r − P(u))                                      P the printer, K the linear inverse
+
+Each step is mixed with the ones before it (`mixing.py`), and smoothed where it would break a limit. What a command does
+is over after some ten segments: at the end, what each place had when it was at its best is put together and played
+too. A run ends with the best command that was played whole.
+
+What the weight bends is left to bed levelling. A delay that all motors share is left to the clock: the nozzle comes
+late along the right path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.inverse import lq_preview as fast
+from ffcomp.inverse.command_limits import excess, shares_from_rest
+from ffcomp.inverse.iterate import Playing, Stretch
+from ffcomp.inverse.model import Inverter, RunResult
+from ffcomp.inverse.nonlinear.anderson import AROUND, EASED, Tried, around, mixed
+from ffcomp.inverse.nonlinear.friction_backlash import FORESEEN, PLAY, Foresight
+from ffcomp.inverse.reference import Reference
+from ffcomp.inverse.riccati import REST_ROWS
+from models.effects.catalogue import values_of, without_effects
+from models.machine import Machine
+from models.printer.batch import Seen, rehearsed
+from models.printer.printer import PrinterMotion
+from models.printer.static_deflection import sag
+
+FloatArray = NDArray[np.float64]
+
+ROUNDS = 16  # of the whole printer at most
+WORTH = 0.97  # a round that leaves more of the error than this was the last
+TRIED = 4  # rounds whose answers are mixed
+CAREFUL = 0.7  # share of an answer that is taken up where there is play: inside it, nothing answers
+SMOOTHINGS, NEAR, KEPT = 60, 4, 0.9  # of a change that breaks a limit: how often, knots around, what is left each time
+
+
+@dataclass(frozen=True, slots=True)
+class Ran:
+    """A run as the linear model has solved it."""
+
+    wanted: Reference
+    result: RunResult
+    rest_s: float | None  # since the run before it ended; None: others have moved the nozzle, or there was none
+
+
+@dataclass
+class _Round:
+    """One run: what is played next, the last commands that were, the best, and the one put together."""
+
+    run: Playing  # its γ: what is played next
+    rest_rows: int | None  # since the run before it
+    most: float  # times the limits that a command may ask for
+    best: FloatArray  # γ (n + 1, 3) mm of the best that was played
+    foreseen: FloatArray  # γ beyond the linear inverse; no effort is counted for it
+    rms: float = np.inf  # of the best one's error, mm
+    response: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    error: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  # (rows, 3) mm of what was played last
+    tried: list[Tried] = field(default_factory=list)  # γ without what is foreseen, and the answer to its error
+    gamma: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  # put together
+    local: FloatArray = field(default_factory=lambda: np.zeros(0))  # mean square of its error around each knot, mm²
+
+
+def corrected(inverter: Inverter, machine: Machine, runs: Sequence[Ran]) -> list[RunResult]:
+    """The runs of a chapter, with the printer's effects allowed for. `machine` lists them."""
+    if not runs:
+        return []
+    rounds, before = [_begin(inverter, each) for each in runs], np.inf
+    share = 1.0 if values_of(machine, PLAY) is None else CAREFUL
+    if any(values_of(machine, name) is not None for name in FORESEEN):
+        _foresee(inverter, machine, rounds)
+    for _ in range(ROUNDS - 1):
+        _round(inverter, machine, rounds)
+        if (now := _promised(rounds)) > WORTH * before:
+            break
+        before = now
+        for each in rounds:
+            _step(each, share)
+    if _promised(rounds) < WORTH * _reached(rounds):
+        for each in rounds:
+            _change(each, each.best, each.gamma - each.best)
+        _round(inverter, machine, rounds)
+    return [_result(inverter, each, ran) for each, ran in zip(rounds, runs, strict=True)]
+
+
+def _begin(inverter: Inverter, ran: Ran) -> _Round:
+    run, s = Playing(inverter, ran.wanted), inverter.settings
+    knots = np.arange(run.last + 1)
+    run.gamma[: run.last + 1] = inverter.delta.inverse(ran.result.vertices) - inverter.delta.inverse(
+        ran.wanted.at_knots(knots)
+    )
+    row_s = s.segment_s / s.substeps
+    rest = None if ran.rest_s is None else max(round(ran.rest_s / row_s), 0)
+    return _Round(run, rest, max(1.0, ran.result.excess), run.gamma.copy(), np.zeros_like(run.gamma))
+
+
+def _foresee(inverter: Inverter, machine: Machine, rounds: Sequence[_Round]) -> None:
+    """Add to each command what friction and play are known to ask for."""
+    foresight, stretches = Foresight(inverter, machine), [np.zeros((1, 3))] * len(rounds)
+    if foresight.crosses:
+        _round(inverter, machine, rounds)  # in case that play is too wide to be crossed in time
+        without = without_effects(machine, *FORESEEN)
+        stretches = _played(inverter, without, rounds, lambda motion: motion.motor_mm - motion.carriage_mm)
+    for each, stretch in zip(rounds, stretches, strict=True):
+        linear = each.run.gamma.copy()
+        _change(each, linear, foresight.command(each.run, stretch))
+        each.foreseen = each.run.gamma - linear
+
+
+def _round(inverter: Inverter, machine: Machine, rounds: Sequence[_Round]) -> None:
+    """Play the commands as they stand."""
+
+    def nozzle(motion: PrinterMotion) -> FloatArray:
+        return motion.nozzle_mm - sag(machine, motion.nozzle_mm)
+
+    for each, places in zip(rounds, _played(inverter, machine, rounds, nozzle), strict=True):
+        _judge(each, places)
+
+
+def _reached(rounds: Sequence[_Round]) -> float:
+    """The error's rms with the best commands played, mm."""
+    return float(np.sqrt(np.average([each.rms**2 for each in rounds], weights=[each.run.last for each in rounds])))
+
+
+def _promised(rounds: Sequence[_Round]) -> float:
+    """The same with those put together, mm, if every place is again what it was at its best."""
+    return float(np.sqrt(np.mean(np.concatenate([each.local[1 : each.run.last + 1] for each in rounds]))))
+
+
+def _played(inverter: Inverter, machine: Machine, rounds: Sequence[_Round], seen: Seen) -> list[FloatArray]:
+    """What is seen of the printer in every run and a while after it, (rows + rest, 3) mm, from its first knot on."""
+    s, late = inverter.settings, values_of(machine, "command_delay")
+    commands = [inverter.delta.inverse(Stretch(each.run, 0, each.run.last).as_played()) for each in rounds]
+    rests = [each.rest_rows for each in rounds]
+    late_s = float(np.mean(late["delay_s"])) if late else 0.0
+    return rehearsed(machine, commands, rests, s.segment_s / s.substeps, REST_ROWS * s.substeps, seen, late_s)
+
+
+def _judge(each: _Round, nozzle: FloatArray) -> None:
+    """Keep what was played if it is the best, and of it the places that are."""
+    run, s = each.run, each.run.inverter.settings
+    wanted, _ = run.reference.substeps(0, run.last + REST_ROWS)
+    rows = min(len(nozzle), len(wanted))
+    error = np.zeros_like(wanted)
+    error[:rows] = wanted[:rows] - nozzle[:rows]
+    end, stride = run.last * s.substeps, s.substeps // s.rows_per_segment
+    if len(run.softened):
+        error[1 : end + 1] += np.repeat(run.softened, stride, axis=0)
+    square = np.sum(error[1 : end + 1] ** 2, axis=1)
+    rms = float(np.sqrt(np.mean(square)))
+    if rms < each.rms:
+        each.best, each.rms, each.response = run.gamma.copy(), rms, nozzle[1 : end + 1]
+    each.error = error[stride::stride].copy()
+    local = np.zeros(len(run.gamma))
+    local[1 : run.last + 1] = square.reshape(-1, s.substeps).mean(axis=1)
+    _put_together(each, around(local, AROUND))
+
+
+def _put_together(each: _Round, local: FloatArray) -> None:
+    """Take what was played wherever it is the best so far."""
+    if not len(each.gamma):
+        each.gamma, each.local = each.run.gamma.copy(), local
+        return
+    better = local < each.local
+    taken = around(better.astype(np.float64), EASED)[:, None]  # eased, for the command must not jump
+    each.gamma = taken * each.run.gamma + (1.0 - taken) * each.gamma
+    each.local = np.where(better, local, each.local)
+
+
+def _step(each: _Round, share: float) -> None:
+    """The command that is played next."""
+    played = each.run.gamma.copy()
+    gamma = played - each.foreseen
+    each.tried = [*each.tried[1 - TRIED :], (gamma, fast.answer(each.run, gamma, each.error))]
+    _change(each, played, mixed(each.tried, share) - gamma)
+
+
+def _change(each: _Round, gamma: FloatArray, change: FloatArray) -> None:
+    """Go from one command, which keeps the limits, to the next: smoother and less far around where that breaks one."""
+    run = each.run
+    for _ in range(SMOOTHINGS):
+        run.gamma[:] = gamma + change
+        asked = shares_from_rest(_vertices(run, run.gamma), run.inverter.limits).max(axis=(1, 2))
+        beyond = np.zeros((len(gamma), 1))
+        beyond[: run.last + 1, 0] = np.maximum(asked[:-1], asked[1:]) > each.most
+        if not beyond.any():
+            return
+        near = around(np.ceil(around(beyond, NEAR)), NEAR)
+        change = change - near * (change - KEPT * around(change, 1))
+        change[0] = change[run.last :] = 0.0  # it begins and ends on the path
+    run.gamma[:] = gamma
+
+
+def _vertices(run: Playing, gamma: FloatArray) -> FloatArray:
+    """Nozzle commands (n + 1, 3) mm at the knots."""
+    delta, knots = run.inverter.delta, np.arange(run.last + 1)
+    return delta.forward(delta.inverse(run.reference.at_knots(knots)) + gamma[: run.last + 1])
+
+
+def _result(inverter: Inverter, each: _Round, ran: Ran) -> RunResult:
+    vertices = _vertices(each.run, each.best)
+    response = each.response if len(ran.result.response) else ran.result.response
+    return replace(ran.result, vertices=vertices, response=response, excess=excess(vertices, inverter.limits))

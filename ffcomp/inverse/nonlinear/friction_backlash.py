@@ -1,0 +1,121 @@
+"""What friction and play ask of the motors, known before anything is played: where `whole.py` begins.
+
+A belt pulls as far as its motor is ahead of its carriage, F = k s. Dry friction of the wanted motion asks for a force
+more. Play takes half of its width w on the side to which the belt pulls, and as much on the other once it pulls there:
+
+    e = F(q̇*)/k + (w/2) sat((s + F(q̇*)/k)/ε)            sat x: x, but within ±1
+
+So far the motors must be beyond where the linear inverse has them; s is the stretch of the belts without these effects.
+A belt stretched by less than ε as good as does not pull: there the play is crossed.
+
+Between a command and the motors there are the drives. What the nozzle makes of e, without them, is what a command must
+bring about through the whole linear plant: the inverse's sweeps find it. One sweep eases a jump as the weight on effort
+wants it; each further one takes up a part of what is lost by that, for crossing play is worth its effort.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ffcomp.inverse import lq_preview as fast
+from ffcomp.inverse.iterate import Playing
+from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.riccati import REST_ROWS
+from models.machine import Machine
+from models.printer.kernels import MOST_STRAIN, Numbers
+from models.printer.printer import printer_numbers
+from models.vibration.scheduled import Schedule, rest_state
+from models.vibration.state_space import plant_table
+
+FloatArray = NDArray[np.float64]
+
+PLAY = "belt_backlash"
+FORESEEN = ("coulomb_friction", "stribeck_friction", PLAY)
+TURNS_MM = 0.004  # ε: some tenths of a newton
+SWEEPS = 3
+
+
+class Foresight:
+    """Of one printer."""
+
+    def __init__(self, inverter: Inverter, printer: Machine) -> None:
+        s = inverter.settings
+        self._inverter, self._numbers, self._row_s = inverter, printer_numbers(printer), s.segment_s / s.substeps
+        self._undriven = replace(inverter.machine, carriage=replace(inverter.machine.carriage, drive=None))
+        self._belts = Schedule(self._undriven, plant_table(self._undriven, self._row_s))
+
+    @property
+    def crosses(self) -> bool:
+        """Whether the stretch matters."""
+        return bool(np.any(self._numbers.half_play > 0.0))
+
+    def command(self, run: Playing, stretch: FloatArray) -> FloatArray:
+        """What the linear inverse of a run lacks, γ (n + 1, 3) mm, from rest to rest.
+
+        stretch : (rows, 3) mm, of the belts at the run's substeps, without these effects; its last row stays
+        """
+        answer = _Answer(self._inverter, run)
+        e = self._beyond(answer.q, stretch)
+        asked = answer.of(self._belts, e - e[0], rest_state(self._undriven, answer.nozzle[0]))
+        begin, gamma = rest_state(self._inverter.machine, answer.nozzle[0]), np.zeros_like(run.gamma)
+        for _ in range(SWEEPS):
+            left = asked - answer.of(self._inverter.fine, answer.along(gamma), begin)
+            gamma += answer.sweep(left)
+        return gamma
+
+    def _beyond(self, q: FloatArray, stretch: FloatArray) -> FloatArray:
+        """e (m, 3) mm of carriages (m, 3) mm on their wanted paths."""
+        n = self._numbers
+        more = 1e3 * guide_friction(n, q / 1e3, self._row_s) / n.belt_k
+        padded = stretch[np.minimum(np.arange(len(q)), len(stretch) - 1)]
+        return np.asarray(more + 1e3 * n.half_play * np.clip((padded + more) / TURNS_MM, -1.0, 1.0))
+
+
+class _Answer:
+    """What the linear plant makes of something added to a run's wanted motion."""
+
+    def __init__(self, inverter: Inverter, run: Playing) -> None:
+        self._inverter, self._run = inverter, run
+        self.nozzle, self._velocity = run.reference.substeps(0, run.last + REST_ROWS)
+        self.q = inverter.delta.inverse(self.nozzle)
+
+    def of(self, plant: Schedule, added: FloatArray, begin: FloatArray) -> FloatArray:
+        """The nozzle's, (m, 3) mm after every substep, to carriage commands added : (m + 1, 3) mm."""
+        forward, substeps = self._inverter.delta.forward, self._inverter.settings.substeps
+        moved, still = (plant.respond(forward(q), self._velocity, begin, substeps)[0] for q in (self.q + added, self.q))
+        return moved - still
+
+    def along(self, gamma: FloatArray) -> FloatArray:
+        """Coefficients at every substep, (m + 1, 3) mm."""
+        knots, t = np.arange(len(gamma)), np.arange(len(self.q)) / self._inverter.settings.substeps
+        return np.stack([np.interp(t, knots, axis) for axis in gamma.T], axis=1)
+
+    def sweep(self, left: FloatArray) -> FloatArray:
+        """The inverse's answer γ (n + 1, 3) mm to what is left to be done, by itself."""
+        s = self._inverter.settings
+        stride = s.substeps // s.rows_per_segment
+        return fast.answer(self._run, np.zeros_like(self._run.gamma), left[stride - 1 :: stride])
+
+
+def guide_friction(n: Numbers, q: FloatArray, row_s: float) -> FloatArray:
+    """F (m, 3) N of `models/printer/kernels.py` on carriages that move as q (m, 3) m says, from rest."""
+    rate = np.gradient(q, row_s, axis=0)
+    level = n.dry + n.sticking * np.exp(-(np.abs(rate * n.fading) ** (2.0 * n.fading_power)))
+    ratio = rate / n.creep
+    return np.asarray(level * np.tanh(ratio + _strain(ratio, np.asarray(n.hold), row_s)))
+
+
+@njit(cache=True, nogil=True)
+def _strain(ratio: FloatArray, hold: FloatArray, row_s: float) -> FloatArray:
+    """φ (m, 3): φ̇ = κ (r − |r| φ/φ_m − r² φ)/(1 + r²) by implicit Euler steps, from 0."""
+    strain = np.zeros_like(ratio)
+    for i in range(1, len(ratio)):
+        for a in range(3):
+            r = ratio[i, a]
+            gain = hold[a] * row_s / (1.0 + r * r)
+            strain[i, a] = (strain[i - 1, a] + gain * r) / (1.0 + gain * (abs(r) / MOST_STRAIN + r * r))
+    return strain

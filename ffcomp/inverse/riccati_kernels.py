@@ -1,0 +1,162 @@
+"""Hot loops of the inversion, compiled: the response of the spline basis, and the sweeps of the fast inverse. mm, s."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ffcomp.numerics.small_matvec import recursion
+
+FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+IntArray = NDArray[np.int64]
+
+# (s, ψ) ← (s, ē, d), five numbers of 32 unused; z ← (z, ψ)
+_back = recursion(rows=32, of_state=24, of_input=9)
+_forward = recursion(rows=24, of_state=24, of_input=3)
+
+
+@njit(cache=True)
+def basis_response(
+    a: FloatArray, b0: FloatArray, b1: FloatArray, jacobian: FloatArray, unknowns: int, per_knot: int
+) -> FloatArray:
+    """Φ: the nozzle's response to each coefficient of the degree-1 spline, through the scheduled plant.
+
+    a (n, 18, 18), b0 b1 (n, 18, 3): models of the n intervals for steps of S/per_knot.   jacobian (n, 3, 3).
+    Unknown coefficient u (0-based) is the hat centred on knot u + 1 of the window; knot 0 is given.
+    Returns (3 n per_knot, 3 unknowns) mm per mm: rows by step (X Y Z inside), columns by knot (A B C inside).
+    """
+    n = len(a)
+    columns = 3 * unknowns
+    x = np.zeros((columns, 18))
+    phi = np.zeros((3 * n * per_knot, columns))
+    for k in range(n):
+        live = 3 * min(k + 1, unknowns)
+        at, t0, t1 = np.ascontiguousarray(a[k].T), b0[k], b1[k]
+        for s in range(per_knot):
+            x[:live] = np.dot(x[:live], at)
+            before, after = s / per_knot, (s + 1) / per_knot
+            if k < unknowns:  # the rising half of the hat on knot k + 1
+                for c in range(3):
+                    for r in range(18):
+                        x[3 * k + c, r] += before * t0[r, c] + after * t1[r, c]
+            if 0 < k <= unknowns:  # the falling half of the hat on knot k
+                for c in range(3):
+                    for r in range(18):
+                        x[3 * k - 3 + c, r] += (1 - before) * t0[r, c] + (1 - after) * t1[r, c]
+            row = 3 * (k * per_knot + s)
+            for i in range(3):
+                for col in range(live):
+                    phi[row + i, col] = (
+                        jacobian[k, i, 0] * x[col, 6] + jacobian[k, i, 1] * x[col, 7] + jacobian[k, i, 2] * x[col, 8]
+                    )
+    return phi
+
+
+@njit(cache=True, nogil=True)
+def sweep_back(
+    steady: Float32Array, ending: Float32Array, node: IntArray, error: FloatArray, gamma: FloatArray
+) -> Float32Array:
+    """What the errors to come ask for now: ψ (n, 3) of `preview`, from the last interval to the first.
+
+    steady (g, 33, 32), ending (m, 33, 32): gains.   node (n,): which of them; beyond g counts into `ending`.
+    error (n, 6) mm, at the interval's rows.   gamma (n + 2, 3) mm: the command's coefficients, from the knot before on.
+    """
+    n, g = len(node), len(steady)
+    psi, s, given = np.empty((n, 3), np.float32), np.zeros(32, np.float32), np.empty((1, 9), np.float32)
+    for k in range(n - 1, -1, -1):
+        for r in range(6):
+            given[0, r] = error[k, r]
+        for r in range(3):
+            given[0, 6 + r] = gamma[k + 2, r] - 2 * gamma[k + 1, r] + gamma[k, r]
+        if node[k] < g:
+            _back(steady, node[k], s, given, 0)
+        else:
+            _back(ending, node[k] - g, s, given, 0)
+        for r in range(3):
+            psi[k, r] = s[24 + r]
+    return psi
+
+
+@njit(cache=True, nogil=True)
+def sweep_forward(
+    steady: Float32Array, ending: Float32Array, node: IntArray, psi: Float32Array, kept: int
+) -> tuple[FloatArray, FloatArray]:
+    """The change of the command: γ (n, 3) at the ends of the intervals, and the plant's answer x (18,) after `kept`.
+
+    steady (g, 27, 24), ending (m, 27, 24): gains.   psi (n, 3): see `sweep_back`.
+    """
+    n, g = len(node), len(steady)
+    gamma, state, z = np.empty((n, 3)), np.zeros(18), np.zeros(24, np.float32)
+    for k in range(n):
+        if node[k] < g:
+            _forward(steady, node[k], z, psi, k)
+        else:
+            _forward(ending, node[k] - g, z, psi, k)
+        for r in range(3):
+            gamma[k, r] = z[18 + r]
+        if k == kept - 1:
+            for r in range(18):
+                state[r] = z[r]
+    return gamma, state
+
+
+@njit(cache=True, nogil=True)
+def riccati_backwards(
+    interval: FloatArray, effort: float, resting: int, feedback: FloatArray, preview: FloatArray
+) -> None:
+    """The finite problem of `preview`, from its end on backwards: F and the rows of ψ for every interval.
+
+    interval (30, 27): z⁺ and the nozzle's rows from (z, w), 𝒜 ℬ over C̄ D̄.   In the last `resting` intervals F is given
+    and there is no choice.   feedback (n, 3, 24), preview (n, 3, 33): of all intervals, filled in before those.
+    """
+    rows, state = interval.shape[0], 24
+    value, weighed, worth = np.zeros((state, state)), np.empty_like(interval), np.empty((27, 27))
+    for k in range(len(feedback) - 1, -1, -1):
+        # what the interval's end and its rows cost, as a form of (z, w)
+        for i in range(rows):
+            for j in range(27):
+                weighed[i, j] = 0.0 if i < state else interval[i, j]
+        for i in range(state):
+            for m in range(state):
+                for j in range(27):
+                    weighed[i, j] += value[i, m] * interval[m, j]
+        worth[:] = 0.0
+        for m in range(rows):
+            for i in range(27):
+                for j in range(27):
+                    worth[i, j] += interval[m, i] * weighed[m, j]
+        for i in range(state, 27):
+            worth[i, i] += effort
+        if k < len(feedback) - resting:
+            _best_of(worth, interval, effort, feedback[k], preview[k])
+        for i in range(state):
+            for j in range(state):
+                left = worth[i, j]
+                for r in range(3):
+                    ahead = worth[state + r, j]
+                    for q in range(3):
+                        ahead -= worth[state + r, state + q] * feedback[k, q, j]
+                    left -= worth[i, state + r] * feedback[k, r, j] + feedback[k, r, i] * ahead
+                value[i, j] = left
+
+
+@njit(cache=True, nogil=True)
+def _best_of(worth: FloatArray, interval: FloatArray, effort: float, f: FloatArray, preview: FloatArray) -> None:
+    """F (3, 24) and the rows of ψ (3, 33) for which a form (27, 27) of (z, w) is least."""
+    r, state = worth[24:, 24:], 24
+    inverse, determinant = np.empty((3, 3)), 0.0
+    for i in range(3):
+        for j in range(3):
+            a, b, c, d = (j + 1) % 3, (j + 2) % 3, (i + 1) % 3, (i + 2) % 3
+            inverse[i, j] = r[a, c] * r[b, d] - r[a, d] * r[b, c]
+        determinant += r[0, i] * inverse[i, 0]
+    for i in range(3):
+        for q in range(3):
+            share = inverse[i, q] / determinant
+            for j in range(state):
+                f[i, j] += share * worth[state + q, j]
+            for j in range(len(interval)):
+                preview[i, j] += share * interval[j, state + q]
+            preview[i, len(interval) + q] = -effort * share

@@ -1,0 +1,359 @@
+"""What may be wanted of a machine that is not exactly known.
+
+The numbers of a machine file have standard deviations (its `[uncertainty]`), so its FRF G is one draw of many, and so
+is D = G K₀ with the plain inverse K₀: what comes of the path r if it is wanted as it is. Near a lightly damped mode D
+is not I, what is wanted there comes out wrong, and it is better to want something else, r + d. A print is judged by its
+distance to the path alone: at what time the nozzle is where is free along a line, but not at a corner. So
+
+    d = argmin  E [ |n|² + ε |l|² ] + λ |d|²        D (r + d) = q + n        l = T Tᵀ (D (r + d) − r)
+
+with q the nearest point of the path, n the way from there, across the path but at corners, and l by how much the nozzle
+is early or late, T being the path's direction at q. So d speeds up and slows down differently where the next corner
+would ring of it, by about a tenth of a millimetre at most in practice, and leaves out what else would come out wrong.
+It keeps the plan's clock.
+
+D is taken apart once for each place of a grid, into its mean and its principal directions over the draws
+(`Sensitivity`). The expectation is the mean over machines that lie on either side of the mean in each direction, so far
+that their spread is right: sigma points. The minimum is sought by Gauss-Newton steps, from nearest points to nearest
+points, with conjugate gradients for each, in spans of some seconds which overlap.
+
+The minimum of an expected error over uncertain parameters: Nagy & Braatz, J. Process Control 14 (2004) 411-422. Errors
+across a path rather than at a time: Koren, J. Dyn. Sys. Meas. Control 102 (1980) 265-272. Sigma points: Julier &
+Uhlmann, Proc. IEEE 92 (2004) 401-422.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from threading import Lock
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy import fft
+
+from models.machine import Machine
+from models.parameters import dynamic_numbers, value_of, with_values
+from models.vibration.receptance import nozzle_frf
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+BoolArray = NDArray[np.bool_]
+# NOTE: single precision is enough for d, which is a tenth of a millimetre, and takes half the time.
+ShortArray = NDArray[np.float32]
+ShortComplexArray = NDArray[np.complex64]
+
+DRAWS = 64
+FARTHEST = 2.5  # standard deviations
+DIRECTIONS = 6  # of D over the draws, besides its mean
+PITCH_MM = 60.0  # half of it gives the same errors to 3 %
+
+MARGIN = 256  # rows in sight on either side: half a second, after which the machine has forgotten
+SPANS = (1024, 2048)  # rows worked on at a time, margins included: the first that is long enough
+BLEND = 64  # rows over which one span's answer goes over into the next one's
+SLOWEST_HZ = 0.1  # stands for zero where a line of frequency would be divided by it
+
+ALONG = 0.002  # ε
+CALM = 1e-3  # λ
+NEAR = 25  # rows around a moment among which the path's nearest point is sought
+ROUNDS = 3  # of Gauss-Newton
+STEPS = 10  # of the conjugate gradients in each
+CLOSE = 1e-4  # share of the gradient's square at which they end earlier
+
+
+class Softening:
+    """d over the bed of one machine, for rows `row_s` apart."""
+
+    def __init__(self, machine: Machine, row_s: float, bandwidth_hz: float, effort: float) -> None:
+        """effort : ρ against one row, as in the sweeps"""
+        self.sensitivity = Sensitivity(machine, row_s, bandwidth_hz, effort)
+
+    def of(self, rows: FloatArray, moving: BoolArray) -> FloatArray:
+        """What is wanted beyond a path (n + 2 MARGIN, 3) mm, which has MARGIN rows more at either end: d (n, 3) mm.
+
+        moving : (n + 2 MARGIN,) where d may be something; outside, the command rests on the path
+        """
+        n = len(rows) - 2 * MARGIN
+        step = SPANS[-1] - 2 * MARGIN
+        out = np.zeros((n + 2 * BLEND, 3))  # with what the first and the last span blend into
+        for first in range(0, n, step):
+            last = min(first + step, n)
+            seen = slice(first, last + 2 * MARGIN)
+            found = self._span(rows[seen], moving[seen])[MARGIN - BLEND : len(rows[seen]) - MARGIN + BLEND]
+            out[first : last + 2 * BLEND] += found * _blending(len(found), first > 0, last < n)[:, None]
+        return out[BLEND : n + BLEND]
+
+    def _span(self, rows: FloatArray, moving: BoolArray) -> FloatArray:
+        """d (m, 3) mm of one span (m, 3) mm, found by itself."""
+        length = next(each for each in SPANS if len(rows) <= each)
+        response = self.sensitivity.along(rows[:, :2], length)
+        allowed = moving[:, None].astype(np.float32)
+        rates = np.diff(rows, axis=0, append=rows[-1:]) * _faded(len(rows))[:, None]
+        missed = response.to_path(rates.astype(np.float32))
+        d = np.zeros(rows.shape, np.float32)
+
+        def gradient(errors: ShortArray) -> ShortArray:
+            return allowed * response.adjoint(gathered(errors))
+
+        for _ in range(ROUNDS):
+            left, along = beside(rows, sigma_points(missed + response.to_wish(d)))
+
+            def curvature(change: ShortArray, along: ShortArray = along) -> ShortArray:
+                return gradient(across(sigma_points(response.to_wish(change)), along)) + CALM * change
+
+            d = d + conjugate_gradients(curvature, -gradient(left) - CALM * d, STEPS)
+        return d.astype(np.float64)
+
+
+def sigma_points(errors: ShortArray) -> ShortArray:
+    """(2 k, m, 3): with the mean errors[0] and the spread of the other k of errors (1 + k, m, 3)."""
+    far = np.float32(np.sqrt(len(errors) - 1)) * errors[1:]
+    return np.concatenate([errors[0] + far, errors[0] - far])
+
+
+def gathered(points: ShortArray) -> ShortArray:
+    """The transpose of `sigma_points` over their number: (1 + k, m, 3) of (2 k, m, 3)."""
+    k = len(points) // 2
+    apart = (points[:k] - points[k:]) * np.float32(0.5 / np.sqrt(k))
+    return np.concatenate([points.mean(axis=0, keepdims=True), apart])
+
+
+def across(errors: ShortArray, along: ShortArray) -> ShortArray:
+    """Errors (p, m, 3) with what lies along the directions (p, m, 3) shortened to ε of it."""
+    return errors - np.float32(1.0 - ALONG) * np.sum(along * errors, axis=-1, keepdims=True) * along
+
+
+@njit(cache=True, nogil=True)
+def beside(rows: FloatArray, missed: ShortArray) -> tuple[ShortArray, ShortArray]:
+    """n + ε l, and T, for the path (m, 3) mm whose places are missed by (p, m, 3) mm.
+
+    Returns
+    -------
+    (p, m, 3) mm; (p, m, 3), zero where the nearest point is a corner or the nozzle rests
+    """
+    left, along, step = np.empty_like(missed), np.zeros_like(missed), np.empty(3)
+    for p in range(len(missed)):
+        for i in range(len(rows)):
+            at = rows[i] + missed[p, i]
+            k, share = _nearest(rows, at, max(i - NEAR, 0), min(i + NEAR, len(rows) - 1))
+            kept, late, size = min(max(share, 0.0), 1.0), 0.0, 0.0
+            for c in range(3):
+                step[c] = rows[k + 1, c] - rows[k, c]
+                left[p, i, c] = at[c] - rows[k, c] - kept * step[c]
+                late += step[c] * missed[p, i, c]
+                size += step[c] * step[c]
+            if kept == share:
+                for c in range(3):
+                    along[p, i, c] = step[c] / np.sqrt(size)
+                    left[p, i, c] += ALONG * late / size * step[c]
+    return left, along
+
+
+@njit(cache=True, nogil=True)
+def _nearest(rows: FloatArray, at: FloatArray, low: int, high: int) -> tuple[int, float]:
+    """The nearest of the path's steps low ≤ k < high to a place (3,), and the share of it that lies before that place.
+
+    A share below zero or above one: one of its ends is nearest.
+    """
+    best, best_k, best_share = np.inf, low, -1.0
+    for k in range(low, high):
+        size, share, apart = 0.0, 0.0, 0.0
+        for c in range(3):
+            step = rows[k + 1, c] - rows[k, c]
+            size += step * step
+            share += step * (at[c] - rows[k, c])
+        share = share / size if size > 0.0 else -1.0
+        kept = min(max(share, 0.0), 1.0)
+        for c in range(3):
+            apart += (at[c] - rows[k, c] - kept * (rows[k + 1, c] - rows[k, c])) ** 2
+        if apart < best:
+            best, best_k, best_share = apart, k, share
+    return best_k, best_share
+
+
+def conjugate_gradients(apply: Callable[[ShortArray], ShortArray], wanted: ShortArray, steps: int) -> ShortArray:
+    """x with A x = b for a positive definite A, as far as so many steps go. Hestenes & Stiefel 1952."""
+    x = np.zeros_like(wanted)
+    left, direction = wanted, wanted
+    size = first = np.vdot(left, left)
+    for _ in range(steps):
+        if size <= CLOSE * first:
+            break
+        turned = apply(direction)
+        share = size / np.vdot(direction, turned)
+        x = x + share * direction
+        left = left - share * turned
+        size, before = np.vdot(left, left), size
+        direction = left + size / before * direction
+    return x
+
+
+# ---- what the machine may make of a wish ---------------------------------------------------------
+
+
+class Sensitivity:
+    """D = G K₀ over the bed: its mean over the draws, and the directions in which it differs most."""
+
+    def __init__(self, machine: Machine, row_s: float, bandwidth_hz: float, effort: float) -> None:
+        self.machine, self.row_s, self.bandwidth_hz, self.effort = machine, row_s, bandwidth_hz, effort
+        self._possible = _draws(machine)
+        self._nodes: dict[tuple[int, int], ShortComplexArray] = {}
+        self._working = Lock()
+
+    @cached_property
+    def frequency(self) -> FloatArray:
+        """(lines,) Hz of the longest span, up to where nothing is commanded any more."""
+        f = fft.rfftfreq(SPANS[-1], self.row_s)
+        f[0] = SLOWEST_HZ
+        return np.asarray(f[f <= 2.0 * self.bandwidth_hz])
+
+    @cached_property
+    def _mixing(self) -> FloatArray:
+        """(1 + DIRECTIONS, DRAWS): the draws' shares in their mean, and in each direction at the bed's middle."""
+        d = self._of_draws(np.zeros(2))
+        apart = (d - d.mean(axis=0)).reshape(DRAWS, -1)
+        product = (apart @ np.conj(apart.T)).real
+        directions = np.linalg.eigh(product)[1][:, : -DIRECTIONS - 1 : -1].T
+        return np.concatenate([np.full((1, DRAWS), 1.0 / DRAWS), directions / np.sqrt(DRAWS)])
+
+    def along(self, place: FloatArray, length: int) -> Response:
+        """For a span of places (m, 2) mm, worked out over `length` rows."""
+        low = np.floor(place / PITCH_MM).astype(np.int64)
+        nodes = np.unique((low[:, None] + np.array([[0, 0], [0, 1], [1, 0], [1, 1]])).reshape(-1, 2), axis=0)
+        near = np.prod(np.maximum(1.0 - np.abs(place / PITCH_MM - nodes[:, None]), 0.0), axis=2)
+        used = near.max(axis=1) > 0.0
+        with self._working:
+            known = [self._node((i, j)) for i, j in nodes[used].tolist()]
+        every = SPANS[-1] // length
+        f = self.frequency[::every]
+        # beyond the bandwidth nothing is commanded: leave the wish alone
+        band = np.clip(2.0 - f / self.bandwidth_hz, 0.0, 1.0)
+        rate = np.exp(2j * np.pi * f * self.row_s) - 1.0
+        return Response(np.array(known)[..., ::every], near[used], band, rate, length)
+
+    def _node(self, node: tuple[int, int]) -> ShortComplexArray:
+        """(1 + DIRECTIONS, 3, 3, lines)"""
+        if node not in self._nodes:
+            mixed = np.tensordot(self._mixing, self._of_draws(np.array(node) * PITCH_MM), axes=1)
+            self._nodes[node] = np.moveaxis(mixed, 1, -1).astype(np.complex64)
+        return self._nodes[node]
+
+    def _of_draws(self, xy: FloatArray) -> ComplexArray:
+        """(DRAWS, lines, 3, 3) at one place, or where the bed ends on the way there."""
+        reach = self.machine.kinematics.model_reach_mm
+        xy = xy * min(1.0, reach / max(float(np.hypot(*xy)), 1e-9))
+        f = self.frequency
+        known = nozzle_frf(self.machine, xy, f)
+        bend = (2 * np.sin(np.pi * f * 2 * self.row_s)) ** 4  # of the command, over a segment of two rows
+        weight = (self.effort / 2 * bend)[:, None, None] * np.eye(3)
+        plain = np.linalg.solve(_h(known) @ known + weight, _h(known))
+        return np.array([nozzle_frf(machine, xy, f) for machine in self._possible]) @ plain
+
+
+class Response:
+    """What the mean machine and those off in each direction make of a wish, at the places of one span of m rows.
+
+    The machine changes along the path: what each node of the grid would answer is weighed by how near it is.
+    """
+
+    def __init__(
+        self, known: ShortComplexArray, near: FloatArray, band: FloatArray, rate: ComplexArray, length: int
+    ) -> None:
+        """known : (nodes, 1 + DIRECTIONS, 3, 3, lines);  near : (nodes, m)
+
+        band : (lines,) of a wish;  rate : (lines,) of the step from one row to the next, for a row of one
+        """
+        self._nodes, self._length, self._near = len(known), length, near.astype(np.float32)
+        missed = known.copy()
+        missed[:, 0] -= np.eye(3, dtype=np.float32)[:, :, None]
+        # by the path's steps: they are nothing at both ends, where the path itself is at different places
+        self._missed = _flat(missed / rate)
+        self._known = _flat(known * band)
+
+    def to_path(self, steps: ShortArray) -> ShortArray:
+        """D r − r of a path with these steps (m, 3) mm from row to row: (1 + DIRECTIONS, m, 3) mm."""
+        return self._through(self._missed, steps)
+
+    def to_wish(self, d: ShortArray) -> ShortArray:
+        """D d of (m, 3) mm: (1 + DIRECTIONS, m, 3) mm."""
+        return self._through(self._known, d)
+
+    def adjoint(self, errors: ShortArray) -> ShortArray:
+        """(m, 3) of errors (1 + DIRECTIONS, m, 3): the transpose of `to_wish`."""
+        weighed = self._near[:, None, None, :] * np.swapaxes(errors, 1, 2)
+        return self._rows(_transposed(self._known, self._lines(weighed.reshape(-1, weighed.shape[-1])))).T
+
+    def _through(self, known: ShortComplexArray, rows: ShortArray) -> ShortArray:
+        answers = self._rows(_applied(known, self._lines(np.ascontiguousarray(rows.T))))
+        return np.einsum("gn,gkin->kni", self._near, answers.reshape(self._nodes, -1, 3, len(rows)))
+
+    def _lines(self, rows: ShortArray) -> ShortComplexArray:
+        """(p, lines) of (p, m)."""
+        return np.ascontiguousarray(fft.rfft(rows, self._length, axis=-1)[:, : self._known.shape[-1]])
+
+    def _rows(self, lines: ShortComplexArray) -> ShortArray:
+        """(p, m) of (p, lines)."""
+        return np.asarray(fft.irfft(lines, self._length, axis=-1)[:, : self._near.shape[1]])
+
+
+def _flat(known: NDArray[np.complexfloating[Any, Any]]) -> ShortComplexArray:
+    """(nodes · (1 + DIRECTIONS) · 3, 3, lines)"""
+    return np.ascontiguousarray(known.reshape(-1, 3, known.shape[-1]), dtype=np.complex64)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _applied(known: ShortComplexArray, lines: ShortComplexArray) -> ShortComplexArray:
+    """known (p, 3, f), lines (3, f) -> (p, f)."""
+    out = np.empty((len(known), lines.shape[1]), np.complex64)
+    for p in range(len(known)):
+        for f in range(lines.shape[1]):
+            out[p, f] = known[p, 0, f] * lines[0, f] + known[p, 1, f] * lines[1, f] + known[p, 2, f] * lines[2, f]
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _transposed(known: ShortComplexArray, lines: ShortComplexArray) -> ShortComplexArray:
+    """known (p, 3, f), lines (p, f) -> (3, f)."""
+    out = np.zeros((3, lines.shape[1]), np.complex64)
+    for p in range(len(known)):
+        for j in range(3):
+            for f in range(lines.shape[1]):
+                out[j, f] += np.conj(known[p, j, f]) * lines[p, f]
+    return out
+
+
+def _draws(machine: Machine) -> list[Machine]:
+    """Machines as the uncertainties allow them, the same ones every time."""
+    names = dynamic_numbers(machine)
+    sd = machine.uncertainty
+    spread = np.array([sd.get(name, sd.get(name.split("[")[0], sd.get("default", 0.0))) for name in names])
+    rng = np.random.default_rng(1)
+    half = np.clip(rng.standard_normal((DRAWS // 2, len(names))), -FARTHEST, FARTHEST)
+    draws = np.concatenate([half, -half]) * spread  # in pairs: their mean is the machine
+    nominal = np.array([value_of(machine, name) for name in names])
+    factors = np.maximum(1.0 + draws, 0.2)
+    return [with_values(machine, dict(zip(names, row.tolist(), strict=True))) for row in nominal * factors]
+
+
+def _blending(n: int, rises: bool, falls: bool) -> FloatArray:
+    """(n,) shares of a span's answer: where another one goes before or after it, they add up to one."""
+    share = np.ones(n)
+    ramp = (np.arange(2 * BLEND) + 0.5) / (2 * BLEND)
+    if rises:
+        share[: 2 * BLEND] = ramp
+    if falls:
+        share[n - 2 * BLEND :] *= ramp[::-1]
+    return share
+
+
+def _faded(n: int) -> FloatArray:
+    """(n,) one, but for both ends of a span, over half of its margins: nothing begins or ends with a jump."""
+    edge = np.arange(n) + 0.5
+    near = np.clip(np.minimum(edge, n - edge) / (MARGIN / 2), 0.0, 1.0)
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * near))
+
+
+def _h(matrix: ComplexArray) -> ComplexArray:
+    return np.conj(np.swapaxes(matrix, -1, -2))

@@ -1,0 +1,154 @@
+"""Files of frequency responses: our CSV here, universal files (UFF 58) in `uff.py`.
+
+The CSV holds one response. Comments name it, columns `frequency_hz,real,imag` hold it, `coherence` and `variance`
+(E|δ|², SI²) may follow::
+
+    # input: cmd_A
+    # output: pos_A
+    # position_mm: 0, 0, 30
+    # setup: assembly            (carriage, carriage+mass, effector or assembly; assembly if not said)
+    # added_mass_kg: 0.1
+    # averages: 16               (independent averages behind the coherence)
+    # clock: logger              (responses with one clock share one unknown delay)
+    frequency_hz,real,imag,coherence
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ffcomp.errors import MeasurementError
+from ffcomp.measurement import uff
+from ffcomp.measurement.frf import ComplexArray, FloatArray, FrequencyResponse, variance_from_coherence
+from ffcomp.measurement.labels import describe, read_labels, unknown
+from ffcomp.measurement.roughness import roughness_variance
+from ffcomp.measurement.table import read_table, read_text
+
+FEWEST_LINES = 10  # the roughness needs nine lines around one
+
+_COLUMNS = ("frequency_hz", "real", "imag", "coherence", "variance")
+_SMALLEST_RELATIVE_VARIANCE = 1e-8  # 0.01 % of |H|: no measurement is surer than that, whatever its coherence says
+
+
+def read_frfs(path: str | Path) -> list[FrequencyResponse]:
+    """The frequency responses in a file; its content decides what it is, not its name.
+
+    The variance is the file's own if there is a `variance` column. Else, with coherence and the number of averages,
+    it follows from them; with coherence alone its shape follows from the coherence and its size from the response's
+    roughness; with neither it is the roughness: the mean square residual from a quadratic through neighbouring
+    lines. That overstates the noise of a resonance narrower than a few lines, and understates that of a smoothed
+    response. A line at 0 Hz is left out.
+    """
+    if uff.is_universal(path):
+        return _from_universal(str(path))
+    table = read_table(path, read_text(path))
+    problems = [*table.problems, *_bad_header(table.columns)]
+    if problems:
+        raise MeasurementError(str(path), problems)
+    value = table.column("real") + 1j * table.column("imag")
+    extra = {name: table.column(name) for name in _COLUMNS[3:] if name in table.columns}
+    response, problems = build(str(path), table.comments, table.column("frequency_hz"), value, **extra)
+    if response is None:
+        raise MeasurementError(str(path), problems)
+    return [response]
+
+
+def write_frf(path: str | Path, response: FrequencyResponse) -> None:
+    """Write one response as CSV, its variance included."""
+    lines = [f"# {key}: {value}" for key, value in describe(response).items()]
+    data = {"frequency_hz": response.frequency_hz, "real": response.value.real, "imag": response.value.imag}
+    if response.coherence is not None:
+        data["coherence"] = response.coherence
+    data["variance"] = response.variance
+    lines.append(",".join(data))
+    lines += [",".join(f"{number:.12g}" for number in row) for row in np.column_stack(list(data.values()))]
+    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def build(
+    path: str,
+    said: Mapping[str, str],
+    frequency_hz: FloatArray,
+    value: ComplexArray,
+    coherence: FloatArray | None = None,
+    variance: FloatArray | None = None,
+) -> tuple[FrequencyResponse | None, list[str]]:
+    """A response from its labels and its lines (k,), or what is wrong with it, in full sentences."""
+    labels, problems = read_labels(said)
+    problems += _bad_lines(frequency_hz, value, coherence, variance)
+    if labels is None or problems:
+        return None, problems
+    above = frequency_hz > 0
+    frequency_hz, value = frequency_hz[above], value[above]
+    coherence, variance = (None if extra is None else extra[above] for extra in (coherence, variance))
+    if variance is None:
+        variance = _estimated_variance(value, coherence, labels.averages)
+    return FrequencyResponse(
+        labels.input,
+        labels.output,
+        frequency_hz,
+        value,
+        variance,
+        labels.setup,
+        labels.position_mm,
+        labels.added_mass_kg,
+        coherence,
+        Path(path).name,
+        labels.clock,
+    ), []
+
+
+def _from_universal(path: str) -> list[FrequencyResponse]:
+    responses, problems = [], []
+    for number, dataset in uff.read_universal(path).items():
+        response, wrong = build(
+            path, dataset.said, dataset.frequency_hz, dataset.value, dataset.coherence, dataset.variance
+        )
+        responses += [] if response is None else [response]
+        problems += [f"Data set {number}: {text}" for text in wrong]
+    if problems:
+        raise MeasurementError(path, problems)
+    return responses
+
+
+def _estimated_variance(value: ComplexArray, coherence: FloatArray | None, averages: float | None) -> FloatArray:
+    smallest = _SMALLEST_RELATIVE_VARIANCE * np.abs(value) ** 2
+    rough = roughness_variance(value)
+    if coherence is None:
+        return np.maximum(rough, smallest)
+    shape = variance_from_coherence(value, coherence, 1.0)
+    if averages is None:
+        averages = max(1.0, float(np.median(shape) / max(np.median(rough), 1e-300)))
+    return np.maximum(shape / averages, smallest)
+
+
+def _bad_header(columns: tuple[str, ...]) -> list[str]:
+    problems = [unknown(f"Column {name!r}", name, _COLUMNS) for name in columns if name not in _COLUMNS]
+    problems += [f"Column {name} is missing." for name in _COLUMNS[:3] if name not in columns]
+    twice = [name for name in dict.fromkeys(columns) if columns.count(name) > 1]
+    return problems + [f"Column {name!r} is there {columns.count(name)} times; one is needed." for name in twice]
+
+
+def _bad_lines(
+    frequency_hz: FloatArray, value: ComplexArray, coherence: FloatArray | None, variance: FloatArray | None
+) -> list[str]:
+    numbers = [frequency_hz, value, *(extra for extra in (coherence, variance) if extra is not None)]
+    problems = []
+    if not all(np.isfinite(column).all() for column in numbers):
+        problems.append("A frequency response has no gaps, but some of its numbers are missing; leave such lines out.")
+    if (frequency_hz > 0).sum() < FEWEST_LINES:
+        problems.append(f"There are {(frequency_hz > 0).sum()} lines above 0 Hz; at least {FEWEST_LINES} are needed.")
+    if (frequency_hz < 0).any() or (np.diff(frequency_hz) <= 0).any():
+        problems.append("The frequencies must not be negative and must rise from line to line.")
+    if not np.abs(value).any():
+        problems.append("The response is zero at every frequency: nothing was measured.")
+    if coherence is not None and ((coherence < 0) | (coherence > 1.000001)).any():
+        problems.append(
+            f"Coherence lies between 0 and 1, but goes from {coherence.min():.3g} to {coherence.max():.3g}."
+        )
+    if variance is not None and (variance < 0).any():
+        problems.append(f"A variance is not negative, but column variance has {variance.min():.3g}.")
+    return problems

@@ -1,0 +1,369 @@
+"""Modes, with uncertainty, from power spectra alone: no command is known but how its power goes with frequency.
+
+The spectrum is fitted, in logarithms, by the power of single-mode responses with real amplitudes over a floor,
+
+    S(f) = e(f) | Σ_j ±√a_j / (1 − (f/f_j)² + 2i ζ_j f/f_j) + √b |² + c ,   seen through the window's |W|².
+
+The responses are added before the power is taken: where two modes cancel, the spectrum has a gap that no sum of
+powers has (38 and 82 Hz side by side: a factor 16 at 48 Hz, and the first mode 1.2 Hz off).
+
+Klipper's resonance test sweeps at 1 Hz/s with an acceleration proportional to f, so the power density of what it
+commands goes with f²: e = f². Nothing known about the excitation: e = 1. A window of 0.6 s is as wide as a mode of
+ζ = 0.03 at 40 Hz; without the convolution with |W|² (its shape in lines is known) dampings come out too high.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.optimize import least_squares
+from scipy.signal import find_peaks
+
+from ffcomp.errors import MeasurementError
+from ffcomp.measurement.estimators import lines_of_dft
+from ffcomp.measurement.frf import ComplexArray, FloatArray
+from ffcomp.measurement.klipper import Capture, Resonances, read_vibration
+
+LOWEST_HZ, HIGHEST_HZ = 10.0, 130.0  # Klipper's sweep ends at 133 Hz; below 10 Hz its spectra are attenuated
+_KAISER_BETA = 6.0  # of Klipper's window, and ours
+_FINE = 4  # points of the model to a line of the spectrum
+_KERNEL_LINES = 4  # to each side: beyond, the window is at −44 dB
+_MOST_MODES = 5
+_DAMPING = (0.005, 0.5)
+_BLOCKS = 4  # interleaved groups of segments of a capture
+_WINDOW_S = 0.5
+_SHARE = 0.02  # of the largest peak: what is lower is not said to be a mode
+_BROADEST = 0.3  # damping ratio; what is broader is a slope of the floor
+_START_DAMPING = 0.05
+_PLACES = 2  # tried for each further mode
+_FULL_WEIGHT = 0.03  # of the largest power
+_TONE_WIDTH = 0.7  # half-power width in lines
+_GOOD_MISFIT = 0.35  # rms of ln S
+_CLEAR_FREQUENCY = 0.03  # relative standard uncertainty
+_SAME_MODE = 0.05  # relative distance of frequencies
+_CANCELLING = 1.5  # times the spectrum's top
+_BETTER_BIC = 4.0  # for one more mode
+_SPARE_LINES = 12  # beyond the unknowns
+
+
+@dataclass(frozen=True)
+class Mode:
+    frequency_hz: float
+    frequency_sd_hz: float
+    damping_ratio: float
+    damping_ratio_sd: float
+    power: float  # height of its peak in the spectrum, relative to the largest
+    tone: bool = False  # as narrow as the spectrum's own resolution: rather a motor or a fan than a mode
+
+    @property
+    def clear(self) -> bool:
+        """A mode whose frequency is known to 3 %; how well the damping is known, its uncertainty says."""
+        return self.frequency_sd_hz < _CLEAR_FREQUENCY * self.frequency_hz and not self.tone
+
+
+@dataclass(frozen=True, eq=False)
+class ModeFit:
+    """The modes of one spectrum, the strongest first, and how well they tell the whole of it."""
+
+    source: str
+    signal: str
+    modes: tuple[Mode, ...]
+    frequency_hz: FloatArray  # (k,) Hz, what was fitted
+    power: FloatArray  # (k,)
+    fitted: FloatArray  # (k,)
+    misfit: float  # rms of ln(power / fitted) where there is power
+    verdict: str  # a sentence
+
+
+def modes_of(path: str | Path, signal: str | None = None) -> ModeFit:
+    """The modes in a file of spectra or in a capture; `signal` x, y, z, xyz or a set's name.
+
+    Without `signal` it is the axis that was shaken, if the file says so, else the sum of all. A capture that was
+    made by Klipper's test (its name says raw_data) counts as swept; any other as excited evenly.
+    """
+    found = read_vibration(path)
+    if isinstance(found, Resonances):
+        name = signal or (found.axis if found.axis in found.psd else _default(found))
+        if name not in found.psd:
+            rule = f"There is no spectrum {name!r}; there are {', '.join(found.psd)}."
+            raise MeasurementError(found.source, [rule])
+        frequency, power = found.power(name)
+        return fit_modes(frequency, power, source=found.source, signal=name)
+    return _capture_modes(found, signal or found.axis or "xyz")
+
+
+def fit_modes(
+    frequency_hz: FloatArray,
+    power: FloatArray,
+    *,
+    excitation_exponent: float = 2.0,
+    lowest_hz: float = LOWEST_HZ,
+    highest_hz: float = HIGHEST_HZ,
+    source: str = "",
+    signal: str = "",
+) -> ModeFit:
+    """Modes of a power spectrum made with a Kaiser window (β = 6) of one line's width.
+
+    Modes are added one by one where the spectrum stands highest above the fit, as long as the Bayesian information
+    criterion gets better. The uncertainties are those of least squares, widened for residuals that go together.
+
+    Parameters
+    ----------
+    frequency_hz : (k,) evenly spaced; rounding as in Klipper's files is undone.
+    power : (k,) power spectral density of the acceleration.
+    excitation_exponent : e(f) = f to this power.
+    """
+    keep = (frequency_hz >= lowest_hz) & (frequency_hz <= highest_hz) & (power > 0)
+    if keep.sum() < _SPARE_LINES + 5:
+        rule = f"There are {keep.sum()} lines with power between {lowest_hz:g} and {highest_hz:g} Hz"
+        raise MeasurementError(source, [f"{rule}; a fit needs at least {_SPARE_LINES + 5}."])
+    even = np.linspace(frequency_hz[0], frequency_hz[-1], len(frequency_hz))
+    model = _Model(even[keep], float(even[1] - even[0]), excitation_exponent)
+    target = np.log(power[keep])
+    best = model.fit(target, np.empty((0, 3)), np.empty(0))
+    while len(best.peaks) < _MOST_MODES and best.spare > _SPARE_LINES + 3:
+        wider = [fit for start in model.with_another(best) if model.honest(fit := model.fit(target, *start))]
+        if not wider or min(fit.bic for fit in wider) >= best.bic - _BETTER_BIC:
+            break
+        best = min(wider, key=lambda fit: fit.bic)
+    modes = _modes(model, best, float(even[1] - even[0]))
+    return ModeFit(
+        source,
+        signal,
+        modes,
+        frequency_hz[keep],
+        power[keep],
+        np.exp(target - best.residual),
+        best.misfit,
+        _verdict(modes, best.misfit),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    peaks: FloatArray  # (p, 3): ln a, ln f, ln ζ
+    signs: FloatArray  # (p,) of the amplitudes, ±1
+    target: FloatArray  # (k,) ln S
+    weight: FloatArray  # (k,) of each line in the fit
+    residual: FloatArray  # (k,) of ln S
+    jacobian: FloatArray  # (k, 3 p + 2)
+
+    @property
+    def unknowns(self) -> int:
+        return 3 * len(self.peaks) + 2
+
+    @property
+    def spare(self) -> int:
+        return len(self.residual) - self.unknowns
+
+    @property
+    def independent(self) -> float:
+        """How many independent residuals there are: neighbours go together, by window and by model error."""
+        r = self.weight * self.residual
+        rho = float(np.clip((r[1:] @ r[:-1]) / max(float(r @ r), 1e-300), 0.0, 0.9))
+        return len(r) * (1 - rho) / (1 + rho)
+
+    @property
+    def bic(self) -> float:
+        n = len(self.residual)
+        return float(n * np.log(self.misfit**2 + 1e-12) + self.unknowns * np.log(n))
+
+    @property
+    def misfit(self) -> float:
+        """rms of the residual where the spectrum is strong."""
+        return float(np.sqrt(((self.weight * self.residual) ** 2).sum() / (self.weight**2).sum()))
+
+
+class _Model:
+    """ln S at the lines of a spectrum, of ln a, ln f, ln ζ a peak, then ln b and ln c; the peaks' signs are given."""
+
+    def __init__(self, frequency_hz: FloatArray, line_hz: float, exponent: float) -> None:
+        self.frequency_hz = frequency_hz  # (k,)
+        self._line_hz = line_hz
+        offset, self._window = window_kernel()  # (w,)
+        self._fine = np.maximum(frequency_hz[:, None] + offset * line_hz, 1e-3)  # (k, w)
+        self._excitation = (self._fine / frequency_hz.mean()) ** exponent
+
+    def fit(self, target: FloatArray, peaks: FloatArray, signs: FloatArray) -> _Fit:
+        """target (k,) ln S, starting from peaks (p, 3)."""
+        weight = _weight(target)
+        start = np.concatenate([peaks.ravel(), [target.min() - 1, target.min() - 1]])
+        low, high = start - 30, start + 30
+        low[1:-2:3], high[1:-2:3] = np.log(self.frequency_hz[[0, -1]])
+        low[2:-2:3], high[2:-2:3] = np.log(_DAMPING)
+        # NOTE: soft_l1, because a spectrum has single lines (fans, steppers) that no mode explains
+        found = least_squares(
+            lambda p: weight * (target - self.log(p, signs)),
+            np.clip(start, low + 1e-9, high - 1e-9),
+            lambda p: -weight[:, None] * self.slopes(p, signs),
+            bounds=(low, high),
+            loss="soft_l1",
+            max_nfev=60,
+        )
+        residual = target - self.log(found.x, signs)
+        return _Fit(found.x[:-2].reshape(-1, 3), signs, target, weight, residual, self.slopes(found.x, signs))
+
+    def log(self, parameters: FloatArray, signs: FloatArray) -> FloatArray:
+        """ln S, (k,)"""
+        total, _ = self._responses(parameters, signs)
+        return np.asarray(np.log((self._excitation * np.abs(total) ** 2) @ self._window + np.exp(parameters[-1])))
+
+    def slopes(self, parameters: FloatArray, signs: FloatArray) -> FloatArray:
+        """∂ ln S / ∂ parameters, (k, 3 p + 2), in closed form."""
+        total, parts = self._responses(parameters, signs)
+        along = []  # of the summed response
+        for (_, log_f, log_zeta), (part, denominator) in zip(parameters[:-2].reshape(-1, 3), parts, strict=True):
+            ratio, zeta = self._fine / np.exp(log_f), np.exp(log_zeta)
+            damped = 2j * zeta * ratio
+            along += [part / 2, -part * (2 * ratio**2 - damped) / denominator, -part * damped / denominator]
+        along.append(np.full_like(total, np.exp(parameters[-2] / 2) / 2))
+        columns = [(2 * self._excitation * (total.conj() * one).real) @ self._window for one in along]
+        floor = np.exp(parameters[-1])
+        power = (self._excitation * np.abs(total) ** 2) @ self._window + floor
+        return np.column_stack([*columns, np.full(len(power), floor)]) / power[:, None]
+
+    def _responses(
+        self, parameters: FloatArray, signs: FloatArray
+    ) -> tuple[ComplexArray, list[tuple[ComplexArray, ComplexArray]]]:
+        """The sum (k, w), and each peak's part with its denominator."""
+        total = np.full(self._fine.shape, np.exp(parameters[-2] / 2), dtype=np.complex128)
+        parts = []
+        for sign, (log_a, log_f, log_zeta) in zip(signs, parameters[:-2].reshape(-1, 3), strict=True):
+            ratio = self._fine / np.exp(log_f)
+            denominator = 1 - ratio**2 + 2j * np.exp(log_zeta) * ratio
+            parts.append((sign * np.exp(log_a / 2) / denominator, denominator))
+            total += parts[-1][0]
+        return total, parts
+
+    def height(self, peak: FloatArray) -> float:
+        """The most that a peak alone, (3,), adds to S in the band."""
+        return float(np.exp(self.log(np.concatenate([peak, [-200.0, -200.0]]), np.ones(1)).max()))
+
+    def honest(self, fit: _Fit) -> bool:
+        """Whether no two peaks are invented to cancel: nearer than a line, or one far higher than the spectrum."""
+        places = np.sort(np.exp(fit.peaks[:, 1]))
+        highest = max(self.height(peak) for peak in fit.peaks)
+        apart = bool((np.diff(places) > self._line_hz).all())
+        return apart and highest < _CANCELLING * float(np.exp(fit.target.max()))
+
+    def with_another(self, fit: _Fit) -> list[tuple[FloatArray, FloatArray]]:
+        """The fit's peaks and one more, (p + 1, 3), where the spectrum stands highest above it, with either sign."""
+        smooth = gaussian_filter1d(fit.residual, 1.0)
+        tops, _ = find_peaks(smooth)
+        starts = []
+        for at in tops[np.argsort(-smooth[tops])][:_PLACES]:
+            height = float(fit.target[at] - np.log(self._excitation[at].mean()))
+            new = [height + 2 * np.log(2 * _START_DAMPING), np.log(self.frequency_hz[at]), np.log(_START_DAMPING)]
+            starts += [(np.vstack([fit.peaks, new]), np.append(fit.signs, sign)) for sign in (1.0, -1.0)]
+        return starts
+
+
+def _weight(target: FloatArray) -> FloatArray:
+    """Lines count by their power up to a share of the largest: the modes are to be told, not the depths between."""
+    power = np.exp(target - target.max())
+    return np.asarray(np.sqrt(power / (power + _FULL_WEIGHT)))
+
+
+def window_kernel() -> tuple[FloatArray, FloatArray]:
+    """|W|² of a Kaiser window between the lines: offsets (w,) in lines, weights (w,) of sum one."""
+    taper = np.kaiser(64, _KAISER_BETA)
+    power = np.abs(np.fft.fft(taper, 64 * _FINE)) ** 2
+    reach = np.arange(-_KERNEL_LINES * _FINE, _KERNEL_LINES * _FINE + 1)
+    weight = power[reach]
+    return reach / _FINE, weight / weight.sum()
+
+
+def _modes(model: _Model, fit: _Fit, line_hz: float) -> tuple[Mode, ...]:
+    """The fit's peaks that are modes, the strongest first."""
+    weighted = fit.weight[:, None] * fit.jacobian
+    scatter = float(((fit.weight * fit.residual) ** 2).sum()) / fit.spare * len(fit.residual) / fit.independent
+    covariance = scatter * np.linalg.pinv(weighted.T @ weighted, rcond=1e-12, hermitian=True)
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))[:-2].reshape(-1, 3)
+    heights = np.array([model.height(peak) for peak in fit.peaks])
+    found = []
+    for (_, log_f, log_zeta), (_, sd_f, sd_zeta), height in zip(fit.peaks, sd, heights, strict=True):
+        frequency, zeta = float(np.exp(log_f)), float(np.exp(log_zeta))
+        inside = model.frequency_hz[0] + line_hz < frequency < model.frequency_hz[-1] - line_hz
+        if inside and zeta < _BROADEST and height > _SHARE * heights.max():
+            tone = 2 * zeta * frequency < _TONE_WIDTH * line_hz
+            mode = Mode(
+                frequency, float(frequency * sd_f), zeta, float(zeta * sd_zeta), float(height / heights.max()), tone
+            )
+            found.append(mode)
+    return tuple(sorted(found, key=lambda mode: -mode.power))
+
+
+def _verdict(modes: tuple[Mode, ...], misfit: float) -> str:
+    clear = [mode for mode in modes if mode.clear]
+    if not modes:
+        return "No mode stands out of the spectrum: its peaks are too broad, too low or at the band's edges."
+    listed = ", ".join(f"{mode.frequency_hz:.1f} Hz" for mode in sorted(clear, key=lambda mode: mode.frequency_hz))
+    quality = "well" if misfit < _GOOD_MISFIT else f"only to a factor of {np.exp(misfit):.1f}"
+    if not clear:
+        kind = "a narrow tone (a motor, a fan)" if all(mode.tone for mode in modes) else "too uncertain to be used"
+        return f"No clear mode: what stands out is {kind}. The spectrum is told {quality}."
+    return f"Clear: {listed}; {len(modes) - len(clear)} more are uncertain or tones. The spectrum is told {quality}."
+
+
+def _default(found: Resonances) -> str:
+    return "xyz" if "xyz" in found.psd else next(iter(found.psd))
+
+
+def _capture_modes(found: Capture, signal: str) -> ModeFit:
+    axes = (
+        ["xyz".index(letter) for letter in signal if letter in "xyz"] if signal in ("x", "y", "z", "xyz") else [0, 1, 2]
+    )
+    frequency, segments = segment_powers(found, axes)
+    exponent = 2.0 if "raw_data" in Path(found.source).name else 0.0
+    whole = fit_modes(
+        frequency, segments.mean(axis=0), excitation_exponent=exponent, source=found.source, signal=signal
+    )
+    if len(segments) < 2 * _BLOCKS:
+        return whole
+    blocks = [
+        fit_modes(frequency, segments[k::_BLOCKS].mean(axis=0), excitation_exponent=exponent) for k in range(_BLOCKS)
+    ]
+    modes = tuple(_with_block_spread(mode, blocks) for mode in whole.modes)
+    return replace(whole, modes=modes, verdict=_verdict(modes, whole.misfit))
+
+
+def segment_powers(found: Capture, axes: list[int]) -> tuple[FloatArray, FloatArray]:
+    """Frequencies (k,) Hz and the power spectral density of each segment without gaps, (s, k) (m/s²)²/Hz."""
+    rate = found.sample_rate_hz
+    length = 2 ** int(np.ceil(np.log2(_WINDOW_S * rate)))
+    taper = np.kaiser(length, _KAISER_BETA)
+    starts = range(0, len(found.time_s) - length + 1, length // 2)
+    cuts = [found.acceleration[start : start + length, axes] for start in starts]
+    whole = [cut for cut in cuts if np.isfinite(cut).all()]
+    if not whole:
+        rule = f"There is no stretch of {length / rate:.2g} s without gaps; a spectrum needs at least one."
+        raise MeasurementError(found.source, [rule])
+    spectra = [np.fft.rfft((cut - cut.mean(axis=0)) * taper[:, None], axis=0) for cut in whole]
+    power = [2 * (np.abs(one) ** 2).sum(axis=1) / (rate * float(taper @ taper)) for one in spectra]
+    return lines_of_dft(length, rate), np.array(power)
+
+
+def _with_block_spread(mode: Mode, blocks: list[ModeFit]) -> Mode:
+    """The larger of the fit's uncertainties and of what interleaved parts of the record disagree by.
+
+    Parts overlap by half a window with their neighbours, which makes them agree a little too well.
+    """
+    nearest = [
+        min(block.modes, key=lambda other: abs(other.frequency_hz - mode.frequency_hz))
+        for block in blocks
+        if block.modes
+    ]
+    near = [other for other in nearest if abs(other.frequency_hz / mode.frequency_hz - 1) < _SAME_MODE]
+    if len(near) < _BLOCKS - 1:
+        return replace(mode, frequency_sd_hz=max(mode.frequency_sd_hz, _SAME_MODE * mode.frequency_hz))
+    spread = [
+        np.std([getattr(o, key) for o in near], ddof=1) / len(near) ** 0.5 for key in ("frequency_hz", "damping_ratio")
+    ]
+    return replace(
+        mode,
+        frequency_sd_hz=max(mode.frequency_sd_hz, float(spread[0])),
+        damping_ratio_sd=max(mode.damping_ratio_sd, float(spread[1])),
+    )

@@ -1,0 +1,153 @@
+"""A measured run: what was commanded, what was measured, on one uniform clock.
+
+One CSV file is one run. Comment lines `# key: value` may come first, then a header, then rows. Columns:
+`t_s`; `cmd_A_mm` `cmd_B_mm` `cmd_C_mm` (or `cmd_x_mm` `cmd_y_mm` `cmd_z_mm`); any subset of `acc_*_m_per_s2` and
+`pos_*_mm`, * one of A B C x y z. An empty field or NaN is a gap.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from ffcomp.errors import MeasurementError
+from ffcomp.measurement.clock import Clock, clock_of
+from ffcomp.measurement.frf import FloatArray
+from ffcomp.measurement.header import check_header, signal_of
+from ffcomp.measurement.sensors import broken_sensor, with_gravity, wrong_scale
+from ffcomp.measurement.table import Table, read_table, read_text
+
+CommandSpace = Literal["carriage", "nozzle"]
+AXES: dict[CommandSpace, str] = {"carriage": "ABC", "nozzle": "xyz"}
+
+_LONGEST_COMMAND_GAP_S = 0.02  # a cubic through a longer hole would invent motion
+
+_CAPTURE = "#time,accel_x"  # Klipper's
+_NO_COMMAND = (
+    "It is an accelerometer's capture, and does not say what was commanded; a run holds both. Put its accelerations "
+    "(in m/s², without gravity, along the printer's axes) beside the command at the same times; "
+    "`ffcomp simulate PRINT.gcode -o run.csv` writes such a file with the command of a print."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One experiment of n samples at a constant rate. Gaps are NaN in the sensors; the command has none."""
+
+    source: str  # the file, as the user named it
+    time_s: FloatArray  # (n,) s, uniform
+    command: FloatArray  # (n, 3) mm, columns A B C or x y z
+    command_space: CommandSpace
+    acceleration: dict[str, FloatArray]  # "acc_A", "acc_x", … → (n,) m/s², gravity removed, up positive
+    position: dict[str, FloatArray]  # "pos_A", "pos_x", … → (n,) mm
+    gaps: NDArray[np.bool_]  # (n,) True where any sensor or command was missing
+    comments: dict[str, str]  # keys in small letters
+
+    @property
+    def sample_rate_hz(self) -> float:
+        return float((len(self.time_s) - 1) / (self.time_s[-1] - self.time_s[0]))
+
+    @property
+    def inputs(self) -> tuple[str, str, str]:
+        """The names of the command's columns: cmd_A … or cmd_x …"""
+        a, b, c = (f"cmd_{axis}" for axis in AXES[self.command_space])
+        return a, b, c
+
+    @property
+    def repeat_of(self) -> str:
+        """The file's stem without a trailing -1, -2, …: runs that share it repeat one experiment."""
+        return re.sub(r"-\d+$", "", Path(self.source).stem)
+
+
+def read_run(path: str | Path) -> Run:
+    """Read one run; every mistake in the file is reported at once, as a MeasurementError.
+
+    Rows that are missing altogether (their times are whole sample periods apart) are gaps too. A clock with jitter
+    is resampled to a uniform one by cubic splines.
+    """
+    text = read_text(path)
+    if text.lstrip().lower().startswith(_CAPTURE):
+        raise MeasurementError(str(path), [_NO_COMMAND])
+    table = read_table(path, text)
+    problems = [*table.problems, *check_header(table.columns)]
+    clock, clock_problems = _clock(table)
+    problems += clock_problems or _holes(table, clock)
+    signals = _signals(table)
+    problems += [text for name in signals for text in broken_sensor(name, table.column(name), table.row)]
+    if problems or clock is None:
+        raise MeasurementError(str(path), problems)
+    run, problems = _assemble(str(path), table, clock)
+    problems += wrong_scale(run.command, run.inputs, run.acceleration, run.sample_rate_hz) if not problems else []
+    problems = problems or with_gravity(run.acceleration)
+    if problems:
+        raise MeasurementError(str(path), problems)
+    return run
+
+
+def _clock(table: Table) -> tuple[Clock | None, list[str]]:
+    if "t_s" not in table.columns:
+        return None, []
+    time_s = table.column("t_s")
+    timed = np.isfinite(time_s)
+    return clock_of(time_s[timed], table.row[timed])
+
+
+def _holes(table: Table, clock: Clock | None) -> list[str]:
+    """Rows that are missing altogether, for longer than a command may."""
+    if clock is None or np.diff(clock.index).max() * clock.period_s <= _LONGEST_COMMAND_GAP_S:
+        return []
+    k = int(np.diff(clock.index).argmax())
+    row = table.row[np.isfinite(table.column("t_s"))][k + 1]
+    return [
+        f"The time jumps from {clock.time_s[k]:.6g} s to {clock.time_s[k + 1]:.6g} s at row {row}; rows may be missing "
+        f"for at most {_LONGEST_COMMAND_GAP_S:g} s, for what was commanded there cannot be known. Cut the run there."
+    ]
+
+
+def _signals(table: Table) -> list[str]:
+    return [name for name in dict.fromkeys(table.columns) if signal_of(name) and name != "t_s"]
+
+
+def _assemble(path: str, table: Table, clock: Clock) -> tuple[Run, list[str]]:
+    timed = np.isfinite(table.column("t_s"))
+    data = {str(signal_of(name)): clock.on_grid(table.column(name)[timed]) for name in _signals(table)}
+    space: CommandSpace = "carriage" if "cmd_A" in data else "nozzle"
+    names = [f"cmd_{axis}" for axis in AXES[space]]
+    gaps = np.any([np.isnan(values) for values in data.values()], axis=0)
+    filled = [_filled(name, data[name], clock) for name in names]
+    run = Run(
+        path,
+        clock.grid_s,
+        np.column_stack([values for values, _ in filled]),
+        space,
+        {name: values for name, values in data.items() if name.startswith("acc_")},
+        {name: values for name, values in data.items() if name.startswith("pos_")},
+        gaps,
+        table.comments,
+    )
+    return run, [problem for _, problems in filled for problem in problems]
+
+
+def _filled(name: str, command: FloatArray, clock: Clock) -> tuple[FloatArray, list[str]]:
+    """The command with its short gaps closed by a cubic spline."""
+    known = np.flatnonzero(np.isfinite(command))
+    if len(known) == len(command):
+        return command, []
+    if len(known) < 4 or known[0] > 0 or known[-1] < len(command) - 1:
+        return command, [f"Column {name}_mm must be known in the first and in the last row of the run."]
+    holes = np.diff(known) - 1
+    longest = int(holes.argmax())
+    if holes[longest] * clock.period_s > _LONGEST_COMMAND_GAP_S:
+        first = known[longest] + 1
+        return command, [
+            f"Column {name}_mm is missing for {holes[longest] * clock.period_s:.3g} s from t = "
+            f"{clock.grid_s[first]:.6g} s; a command may be missing for at most {_LONGEST_COMMAND_GAP_S:g} s, for "
+            "what was commanded there cannot be known."
+        ]
+    return CubicSpline(known, command[known])(np.arange(len(command))), []

@@ -1,0 +1,140 @@
+"""Measured runs to frequency responses: picks the estimator's inputs, units and repeats; the estimators are elsewhere.
+
+Runs with one and the same command are repeats: they are averaged. Runs with different commands, at one place, are
+the experiments that tell the inputs apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ffcomp.errors import MeasurementError
+from ffcomp.measurement.estimators import periodic_frf, welch_frf
+from ffcomp.measurement.frf import FloatArray, FrequencyResponse, Setup
+from ffcomp.measurement.recording import Run
+from ffcomp.measurement.sweep import sweep_frf
+
+_SAME_COMMAND_MM = 1e-5
+_LONGEST_GAP_S = 0.005  # a cubic through a longer hole in a sensor would invent vibration
+
+
+def frfs_from_runs(
+    runs: Sequence[Run],
+    lowest_hz: float,
+    highest_hz: float,
+    *,
+    period_s: float | None = None,
+    segment_s: float | None = None,
+    half_width_hz: float = 1.0,
+    setup: Setup = "assembly",
+    position_mm: tuple[float, float, float] | None = None,
+    added_mass_kg: float = 0.0,
+) -> list[FrequencyResponse]:
+    """All responses of the runs' sensors to their commands that move, in a band.
+
+    With `period_s` (or a comment `# period_s:` in the runs) by `periodic_frf`; with `segment_s` by H1 of the runs'
+    segments; else by `sweep_frf`. Accelerations answer in 1/s², positions without dimension.
+    """
+    _belong_together(runs)
+    inputs = [name for name, column in zip(runs[0].inputs, _commands(runs), strict=True) if column]
+    outputs = [*runs[0].acceleration, *runs[0].position]
+    moving = [runs[0].inputs.index(name) for name in inputs]
+    experiments = _experiments(runs)
+    u = np.stack([group[0].command[:, moving] * 1e-3 for group in experiments])  # (e, n, i) m
+    y = np.stack([np.mean([_sensors(run, outputs) for run in group], axis=0) for group in experiments])
+    rate = runs[0].sample_rate_hz
+    period_s = period_s or _said_period(runs[0])
+    try:
+        if period_s is not None:
+            found = periodic_frf(u, y, rate, _whole(runs[0], period_s, rate))
+        elif segment_s is not None:
+            found = welch_frf(u, y, rate, round(segment_s * rate))
+        else:
+            found = sweep_frf(u, y, rate, lowest_hz, highest_hz, half_width_hz=half_width_hz)
+    except MeasurementError as error:  # the estimators know no files
+        raise MeasurementError(error.path or runs[0].source, error.problems) from error
+    return found.between(lowest_hz, highest_hz).responses(
+        inputs,
+        outputs,
+        setup=setup,
+        position_mm=position_mm,
+        added_mass_kg=added_mass_kg,
+        source=", ".join(Path(run.source).name for run in runs),
+    )
+
+
+def _commands(runs: Sequence[Run]) -> list[bool]:
+    """Which of the three commands move at all."""
+    return [any(np.ptp(run.command[:, j]) > _SAME_COMMAND_MM for run in runs) for j in range(3)]
+
+
+def _experiments(runs: Sequence[Run]) -> list[list[Run]]:
+    """The runs, those with one and the same command together."""
+    groups: list[list[Run]] = []
+    for run in runs:
+        for group in groups:
+            if np.abs(group[0].command - run.command).max() <= _SAME_COMMAND_MM:
+                group.append(run)
+                break
+        else:
+            groups.append([run])
+    return groups
+
+
+def _sensors(run: Run, names: Sequence[str]) -> FloatArray:
+    """(n, o) in m/s² and m."""
+    columns = [run.acceleration[name] if name in run.acceleration else run.position[name] * 1e-3 for name in names]
+    return np.column_stack([_bridged(run, name, values) for name, values in zip(names, columns, strict=True)])
+
+
+def _bridged(run: Run, name: str, values: FloatArray) -> FloatArray:
+    known = np.flatnonzero(np.isfinite(values))
+    if len(known) == len(values):
+        return values
+    holes = np.diff(np.concatenate([[-1], known, [len(values)]])) - 1
+    if holes.max() > _LONGEST_GAP_S * run.sample_rate_hz:
+        since = float(run.time_s[0 if holes.argmax() == 0 else known[holes.argmax() - 1]])
+        rule = f"Sensor {name} is missing for {holes.max() / run.sample_rate_hz:.3g} s after t = {since:.6g} s"
+        raise MeasurementError(
+            run.source, [f"{rule}; a spectrum bears at most {_LONGEST_GAP_S:g} s. Cut the run there."]
+        )
+    at = np.clip(np.arange(len(values)), known[0], known[-1])  # at the ends the nearest value: a cubic would run away
+    return np.asarray(CubicSpline(known, values[known])(at), dtype=np.float64)
+
+
+def _belong_together(runs: Sequence[Run]) -> None:
+    if not runs:
+        raise MeasurementError("", ["No run is given; at least one is needed for a frequency response."])
+    first = runs[0]
+    for run in runs[1:]:
+        same = run.command_space == first.command_space and len(run.time_s) == len(first.time_s)
+        same &= abs(run.sample_rate_hz / first.sample_rate_hz - 1) < 1e-6
+        if not same or {*run.acceleration, *run.position} != {*first.acceleration, *first.position}:
+            rule = f"It does not go with {Path(first.source).name}"
+            raise MeasurementError(
+                run.source, [f"{rule}: runs of one response need the same columns, rate and number of samples."]
+            )
+    if not any(_commands(runs)):
+        raise MeasurementError(first.source, ["Nothing is commanded to move, so there is no response to it."])
+
+
+def _said_period(run: Run) -> float | None:
+    said = run.comments.get("period_s")
+    if said is None:
+        return None
+    try:
+        return float(said)
+    except ValueError:
+        raise MeasurementError(run.source, [f"Comment 'period_s' is {said[:40]!r}; it must be a number."]) from None
+
+
+def _whole(run: Run, period_s: float, rate_hz: float) -> int:
+    samples = period_s * rate_hz
+    if samples < 2 or abs(samples - round(samples)) > 0.01:
+        rule = f"A period of {period_s:g} s is {samples:.3f} samples at {rate_hz:.6g} Hz"
+        raise MeasurementError(run.source, [f"{rule}; it must be a whole number of them."])
+    return round(samples)

@@ -1,0 +1,1 @@
+"""Disk cache, numba cache folder and small matrix-vector kernels."""

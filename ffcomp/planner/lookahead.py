@@ -1,0 +1,277 @@
+"""The firmware's own plan: how fast each move begins, cruises and ends, looking ahead without a horizon.
+
+Everything is solved in squared speeds: at constant acceleration a they grow linearly along the path,
+v² = v0² + 2 a d. The rules are Klipper's and Kalico's, checked against the running host in the tests:
+
+    corner   what the angle at a junction allows
+    start    what is left of it when 2 a d is all a move can gain (sweep forwards) and lose (sweep backwards)
+    ceiling  how high each hill of speed may rise: the top of the same profile under the smooth acceleration,
+             which keeps a minimum of cruising on every hill
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ffcomp.planner.limits import Bounds, FirmwareLimits, Lines, bounds_of, lines_of
+from ffcomp.planner.trajectory import Trajectory
+from gcode.errors import GcodeError
+from gcode.program import EventKind, Moves, Program
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+_RESTS = (EventKind.STOP, EventKind.DWELL, EventKind.RAW_MOVE)
+
+
+class Phases(NamedTuple):
+    """Speeding up, cruising, braking: (n,) arrays, as in `Trajectory`."""
+
+    accel_t: FloatArray
+    cruise_t: FloatArray
+    decel_t: FloatArray
+    start_v: FloatArray
+    cruise_v: FloatArray
+    end_v: FloatArray
+    acceleration: FloatArray
+
+
+def stops_and_waits(program: Program) -> tuple[BoolArray, FloatArray]:
+    """Before which moves the motion rests, and how long.
+
+    Returns
+    -------
+    stop_before : (n,) bool
+    wait_before : (n,) s, dwells before the same move added up. A rest after the last move has no place here.
+    """
+    n = len(program.moves)
+    stop_before, wait_before = np.zeros(n, dtype=np.bool_), np.zeros(n)
+    for event in program.events:
+        if event.kind in _RESTS and event.move < n:
+            stop_before[event.move] = True
+            wait_before[event.move] += event.dwell_s
+    return stop_before, wait_before
+
+
+def plan_moves(
+    moves: Moves,
+    limits: FirmwareLimits,
+    *,
+    stop_before: BoolArray,
+    wait_before: FloatArray,
+    start_t: float = 0.0,
+) -> Trajectory:
+    """The motion the firmware makes of the moves, from rest to rest.
+
+    Parameters
+    ----------
+    moves : n moves; those that go nowhere (neither nozzle nor filament) take no time and make no corner
+    stop_before : (n,) the motion comes to rest before the move
+    wait_before : (n,) s at rest before the move; more than zero implies a stop
+    start_t : s, when the plan begins (with the first wait, if there is one)
+
+    Raises
+    ------
+    GcodeError
+        A move whose place, speed or limits no firmware can follow, with its line.
+    """
+    _check(moves)
+    _check_waits(wait_before)
+    lines = lines_of(moves)
+    bounds = bounds_of(moves, lines, limits)
+    kept, corner = corners(lines, bounds, limits, stop_before | (wait_before > 0.0))
+    phases = Phases(*_phases(kept, corner, lines.length, bounds.speed, bounds.acceleration, bounds.smooth_acceleration))
+    return _timed(moves, lines, phases, wait_before, start_t)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _phases(
+    kept: IntArray,
+    corner: FloatArray,
+    length: FloatArray,
+    speed: FloatArray,
+    acceleration: FloatArray,
+    smooth_acceleration: FloatArray,
+) -> FloatArray:
+    """The trapezoids, (7, n), rows as `Phases`. kept, corner : (m,) of the moves that go somewhere; others stay zero"""
+    # NOTE: loops, not expressions of whole arrays: those take seconds to compile
+    m = len(kept)
+    gain, smooth_gain, cap = np.empty(m), np.empty(m), np.empty(m)
+    for k in range(m):
+        i = kept[k]
+        gain[k], smooth_gain[k] = 2.0 * length[i] * acceleration[i], 2.0 * length[i] * smooth_acceleration[i]
+        cap[k] = speed[i] ** 2
+    entry = _reached_from_rest(corner, gain)
+    start = _stopping_at_the_end(entry, gain)
+    smooth = _stopping_at_the_end(_reached_from_rest(entry, smooth_gain), smooth_gain)
+    ceiling = _ceilings(start, smooth, smooth_gain, cap)
+    phases = np.zeros((7, len(length)))
+    for k in range(m):
+        i = kept[k]
+        a = acceleration[i]
+        top = min(0.5 * (start[k] + (start[k + 1] + gain[k])), cap[k], ceiling[k])
+        begin, finish = min(start[k], top), min(start[k + 1], top)
+        begin_v, top_v, finish_v = np.sqrt(begin), np.sqrt(top), np.sqrt(finish)
+        phases[0, i], phases[2, i] = (top_v - begin_v) / a, (top_v - finish_v) / a
+        phases[1, i] = max(length[i] - (2.0 * top - begin - finish) / (2.0 * a), 0.0) / top_v
+        phases[3, i], phases[4, i], phases[5, i], phases[6, i] = begin_v, top_v, finish_v, a
+    return phases
+
+
+def _timed(moves: Moves, lines: Lines, phases: Phases, wait_before: FloatArray, start_t: float) -> Trajectory:
+    """Put the moves one after the other, with their waits.
+
+    NOTE: times are summed one by one, as the firmware does: a move begins exactly when its neighbour ends.
+    """
+    since_last = np.array(wait_before, dtype=np.float64)
+    since_last[1:] += (phases.accel_t + phases.cruise_t + phases.decel_t)[:-1]
+    since_last[:1] += start_t
+    return Trajectory(np.cumsum(since_last), *phases, moves.start, lines.direction)
+
+
+# Corners
+
+
+def corners(
+    lines: Lines, bounds: Bounds, limits: FirmwareLimits, stop_before: BoolArray
+) -> tuple[IntArray, FloatArray]:
+    """The moves that go somewhere, (m,), and the highest v² at which each of them may follow the last, (m,).
+
+    stop_before : (n,) the motion comes to rest before the move, or before what goes nowhere in front of it
+    """
+    return _corners(
+        lines.length,
+        lines.direction,
+        lines.travels,
+        bounds.speed,
+        bounds.acceleration,
+        bounds.junction_deviation,
+        stop_before,
+        limits.instantaneous_corner_velocity_mm_per_s,
+    )
+
+
+@njit(cache=True, nogil=True)
+def _corners(
+    length: FloatArray,
+    direction: FloatArray,
+    travels: BoolArray,
+    speed: FloatArray,
+    acceleration: FloatArray,
+    deviation: FloatArray,
+    stop_before: BoolArray,
+    filament_jump: float,
+) -> tuple[IntArray, FloatArray]:
+    kept, corner = np.empty(len(length), dtype=np.int64), np.zeros(len(length))
+    m, last, stops = 0, 0, True
+    for i in range(len(length)):
+        stops |= stop_before[i]
+        if length[i] > 0.0:
+            if not stops and travels[i] and travels[last]:  # extruder-only moves begin and end at rest
+                v2 = min(speed[i] ** 2, speed[last] ** 2)
+                lowest_deviation = min(deviation[i] * acceleration[i], deviation[last] * acceleration[last])
+                lowest_gain = min(2.0 * length[i] * acceleration[i], 2.0 * length[last] * acceleration[last])
+                v2 = min(v2, _turn(direction[i], direction[last], lowest_deviation, lowest_gain))
+                step = abs(direction[i, 3] - direction[last, 3])
+                if step > 0.0:
+                    v2 = min(v2, (filament_jump / step) ** 2)
+                corner[m] = v2
+            kept[m] = i
+            m, last, stops = m + 1, i, False
+    return kept[:m], corner[:m]
+
+
+@njit(nogil=True)
+def _turn(ahead: FloatArray, behind: FloatArray, deviation_gain: float, gain: float) -> float:
+    """Highest v² by the angle theta between two moves; infinite where the path goes straight on.
+
+    A circle replaces the corner. Its radius is s/(1 - s) of its distance from the corner, s = sin(theta/2), and
+    tan(theta/2) of the distance from the corner to where it touches the moves, which stays within half of either.
+    """
+    along = ahead[0] * behind[0] + ahead[1] * behind[1] + ahead[2] * behind[2]
+    sine = np.sqrt(max(0.5 * (1.0 + along), 0.0))
+    cosine = np.sqrt(max(0.5 * (1.0 - along), 0.0))
+    if sine < 1.0 and cosine > 0.0:
+        return min(sine / (1.0 - sine) * deviation_gain, sine / cosine * (0.25 * gain))
+    return np.inf
+
+
+# Sweeps
+
+
+@njit(nogil=True)
+def _reached_from_rest(limit: FloatArray, gain: FloatArray) -> FloatArray:
+    """Highest v² at the start of each move under `limit`, when move i can add at most gain[i]; from rest."""
+    reached = np.empty_like(limit)
+    reachable = 0.0
+    for i in range(len(limit)):
+        reached[i] = min(limit[i], reachable)
+        reachable = reached[i] + gain[i]
+    return reached
+
+
+@njit(nogil=True)
+def _stopping_at_the_end(limit: FloatArray, gain: FloatArray) -> FloatArray:
+    """The same from the other side, (n+1,): move i can take away at most gain[i]; rest after the last one."""
+    n = len(limit)
+    start = np.zeros(n + 1)
+    for i in range(n - 1, -1, -1):
+        start[i] = min(limit[i], start[i + 1] + gain[i])
+    return start
+
+
+@njit(nogil=True)
+def _ceilings(start: FloatArray, smooth: FloatArray, smooth_gain: FloatArray, cap: FloatArray) -> FloatArray:
+    """Highest v² on each move, (n,): the top of the smooth profile's hill that the move belongs to.
+
+    Backwards: moves that brake all along wait (`braking` counts them) until the top before them is known, and
+    rise above no junction since then. Moves that speed up all along take the top that follows.
+    """
+    n = len(cap)
+    ceiling = np.empty(n)
+    top, braking = 0.0, 0
+    for i in range(n - 1, -1, -1):
+        reachable = smooth[i + 1] + smooth_gain[i]
+        if smooth[i] >= reachable:
+            braking += 1
+            continue
+        if braking > 0 or smooth[i] + smooth_gain[i] > smooth[i + 1]:
+            top = min(cap[i], 0.5 * (smooth[i] + reachable))
+        ceiling[i] = top
+        for j in range(i + 1, i + 1 + braking):
+            ceiling[j] = min(ceiling[j - 1], start[j])
+        braking = 0
+    return ceiling
+
+
+# Complaints
+
+
+def _check(moves: Moves) -> None:
+    place = np.linalg.norm(moves.end - moves.start, axis=1)
+    _refuse(moves, ~np.isfinite(place), place, "travels {} mm; a distance is finite")
+    _refuse(moves, ~(moves.speed > 0.0), moves.speed, "has the speed {} mm/s; it must be above zero")
+    for name in ("velocity_limit", "acceleration"):
+        value = getattr(moves, name)
+        _refuse(moves, value <= 0.0, value, f"has the {name.replace('_', ' ')} {{}}; it must be above zero")
+    corner, ratio = moves.square_corner_velocity, moves.minimum_cruise_ratio
+    _refuse(moves, corner < 0.0, corner, "has the square corner velocity {} mm/s; it cannot be negative")
+    _refuse(moves, (ratio < 0.0) | (ratio >= 1.0), ratio, "has the minimum cruise ratio {}; it is in [0, 1)")
+
+
+def _refuse(moves: Moves, wrong: BoolArray, value: FloatArray, rule: str) -> None:
+    if wrong.any():
+        i = int(np.argmax(wrong))
+        raise GcodeError(f"The move {rule.format(value[i])}.", int(moves.line[i]) + 1)
+
+
+def _check_waits(wait_before: FloatArray) -> None:
+    wrong = ~(np.isfinite(wait_before) & (wait_before >= 0.0))
+    if wrong.any():
+        i = int(np.argmax(wrong))
+        raise ValueError(f"The wait before move {i} is {wait_before[i]} s; it must be finite and not negative.")

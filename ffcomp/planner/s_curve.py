@@ -1,0 +1,290 @@
+"""The same path with limited jerk and gentler peaks, slower by no more than a share that is given.
+
+What a machine is asked for is greatest on few ramps and corners: the hardest travels, the sharpest turns. All of them
+are held under one `level` of carriage acceleration, the lowest for which the print takes no longer than allowed: of
+all plans on this path and in this time, about the one whose highest peak is least. Ramps begin and end at the same
+places and speeds as planned with constant acceleration, and become S-curves (`smooth.py`) in between.
+
+    ramp     mean acceleration a ≤ (1 - edge) level / g, never above the file's
+             plateau A ≤ level / g, a / (1 - edge), and the highest acceleration of all
+    corner   v / span + a / 2 ≤ level / c      what one segment of the command sees, the ramps on both sides included
+             v² ≤ level l / c                  what a curve of short moves adds up to
+
+with g the carriages' acceleration per acceleration along the path, c the change of the carriages' speed at a corner per
+mm/s of path speed, l the distance between the middles of the corner's moves. Ramps to which the file gives the highest
+acceleration of all are lowered as well, by as much of the edge as a part of the time allows.
+
+Lines, rests and filament are the given plan's. Ramps lie at or below its speeds everywhere. Rounded, a ramp over many
+moves runs a little ahead in its second half; it passes no junction faster than is known to be allowed there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.planner.ramps import cruise_times, even, held_down, rounded, sweep, total_time
+from ffcomp.planner.smooth import SmoothTrajectory, speeds
+from ffcomp.planner.trajectory import Trajectory
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Carriages = Callable[[FloatArray], FloatArray]  # nozzle (n, 3) mm → carriages (n, k) mm
+
+PROBE_MM = 1e-3  # step of the difference quotients
+HALVINGS = 6  # of the edge, where the file's acceleration leaves no room for it
+SEARCH_STEPS = 10  # for the level; each halves the ratio that is uncertain
+WIDEST_SEARCH = 64.0  # how far the level may lie below what the file asks for
+SHORTEST_REST_S = 1e-9  # shorter ones are rounding
+
+
+@dataclass(frozen=True, slots=True)
+class SCurve:
+    """What may change, and by how much."""
+
+    slower: float = 0.009  # the share by which the motion may take longer
+    for_edges: float = 0.4  # of that, what may be spent on the edges of ramps that have no room for them
+    edge: float = 0.1  # share of a ramp's duration in which its acceleration builds up, and again in which it ends
+    least_edge: float = 0.01  # what is left of it in tight curves, where a higher plateau adds to what they ask for
+    span_s: float = 0.004  # in which a corner's change of speed is felt: one segment of the command
+    limit_mm_per_s2: float | None = None  # what no plateau may exceed; None: the plan's own highest acceleration
+
+    def __post_init__(self) -> None:
+        if not self.slower >= 0.0:
+            raise ValueError(f"A motion cannot be asked to be slower by {self.slower:g}; the share is zero or more.")
+        if not 0.0 <= self.edge <= 0.5:
+            raise ValueError(f"The edge of an S-curve is {self.edge:g} of its duration; it must be from 0 to 0.5.")
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What a motion is held under."""
+
+    level: float = np.inf  # mm/s², of the carriages
+    reserve: float = 0.0  # the edge of ramps whose acceleration is at the limit
+
+
+AS_PLANNED = Held()  # where the time allows nothing else: every ramp with the accelerations that its moves have
+
+
+@dataclass(frozen=True, slots=True)
+class _Path:
+    """The m moves that take time, and what the given plan does on them."""
+
+    moves: IntArray  # (m,) index of each
+    length: FloatArray  # (m,) mm
+    corner: FloatArray  # (m + 1,) mm²/s², v² at the junctions
+    top: FloatArray  # (m,) mm²/s², highest v² of the moves
+    acceleration: FloatArray  # (m,) mm/s²
+    limit: FloatArray  # (m,) mm/s², what no plateau may exceed
+    gain: FloatArray  # (m,) g; zero where the nozzle does not move
+    turn: FloatArray  # (m + 1,) c
+    apart: FloatArray  # (m + 1,) mm, l
+    time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Profile:
+    """Squared speeds along the path with their accelerations."""
+
+    start: FloatArray  # (m + 1,) mm²/s²
+    peak: FloatArray  # (m,) mm²/s²
+    up: FloatArray  # (m,) mm/s²
+    down: FloatArray  # (m,) mm/s²
+    mean: FloatArray  # (m,) mm/s², what a ramp's mean acceleration may be
+    corner: FloatArray  # (m + 1,) mm²/s², what the level allows v² to be at the junctions
+
+
+def s_curve(
+    plan: Trajectory,
+    carriages: Carriages | None = None,
+    settings: SCurve | None = None,
+    *,
+    allowed_v: FloatArray | None = None,
+    held: Held | None = None,
+    delay_s: float = 0.0,
+) -> SmoothTrajectory:
+    """The plan's path with S-curves.
+
+    Parameters
+    ----------
+    plan : from rest to rest; a part of a longer one begins and ends where the nozzle rests
+    carriages : where the carriages are for places of the nozzle; None: the nozzle itself is what is accelerated
+    allowed_v : (n,) mm/s, how fast each move may begin at most (`junctions.py`); None: not faster than in the plan
+    held : as `hold` found it, for this plan or for a longer one it is part of; None: found for this one
+    delay_s : how much later the motion begins than planned, because what came before has become slower
+    """
+    settings = settings or SCurve()
+    path = _path_of(plan, carriages, settings.limit_mm_per_s2)
+    held = held or _hold(path, settings)
+    allowed_v = plan.start_v if allowed_v is None else allowed_v
+    found = _profile(path, settings, held)
+    return _timed(plan, path, found, _plateaus(path, settings, held.level, found), allowed_v, delay_s)
+
+
+def hold(plan: Trajectory, carriages: Carriages | None = None, settings: SCurve | None = None) -> Held:
+    """The lowest level under which the plan's path takes no longer than allowed."""
+    settings = settings or SCurve()
+    return _hold(_path_of(plan, carriages, settings.limit_mm_per_s2), settings)
+
+
+def _hold(path: _Path, settings: SCurve) -> Held:
+    if not len(path.moves):
+        return AS_PLANNED
+    reserve = _reserve(path, settings)
+    high = 2.0 * float((path.acceleration * path.gain).max(initial=0.0))
+    low, best = high / WIDEST_SEARCH, np.inf
+    for _ in range(SEARCH_STEPS):
+        level = float(np.sqrt(low * high))
+        if _slower(path, settings, Held(level, reserve)) <= settings.slower:
+            best = high = level
+        else:
+            low = level
+    return Held(best, reserve)
+
+
+def _reserve(path: _Path, settings: SCurve) -> float:
+    """As much of the edge as ramps at the limit can be given for their share of the time."""
+    for halvings in range(HALVINGS):
+        reserve = settings.edge * 0.5**halvings
+        if _slower(path, settings, Held(np.inf, reserve)) <= settings.slower * settings.for_edges:
+            return reserve
+    return 0.0
+
+
+def _slower(path: _Path, settings: SCurve, held: Held) -> float:
+    """By which share the motion takes longer."""
+    found = _profile(path, settings, held)
+    return total_time(path.length, found.start, found.peak, found.up, found.down) / path.time_s - 1.0
+
+
+# What the given plan does, and what the carriages feel of it
+
+
+def _path_of(plan: Trajectory, carriages: Carriages | None, limit_mm_per_s2: float | None) -> _Path:
+    duration = plan.duration
+    moves = np.flatnonzero(duration > 0.0)
+    accel_d = 0.5 * (plan.start_v + plan.cruise_v) * plan.accel_t
+    decel_d = 0.5 * (plan.end_v + plan.cruise_v) * plan.decel_t
+    length = (accel_d + plan.cruise_v * plan.cruise_t + decel_d)[moves]
+    direction, place = plan.direction[moves, :3], plan.origin[moves, :3]
+    ends = place + (length - PROBE_MM)[:, None] * direction
+    gain = np.maximum(_rates(carriages, place, direction), _rates(carriages, ends, direction))
+    turn, apart = np.zeros(len(moves) + 1), np.ones(len(moves) + 1)
+    turn[1:-1] = _rates(carriages, place[1:], np.diff(direction, axis=0))
+    apart[1:-1] = 0.5 * (length[1:] + length[:-1])
+    corner = np.append(plan.start_v[moves] ** 2, 0.0)
+    file, top = plan.acceleration[moves], plan.cruise_v[moves] ** 2
+    limit = np.maximum(file, limit_mm_per_s2 or float(file[gain > 0.0].max(initial=0.0)))
+    return _Path(moves, length, corner, top, file, limit, gain, turn, apart, float(duration.sum()))
+
+
+def _rates(carriages: Carriages | None, places: FloatArray, steps: FloatArray) -> FloatArray:
+    """How far the carriage that goes farthest goes for small steps (n, 3) of the nozzle, per unit of them, (n,).
+
+    On a straight line the carriages of a delta are fastest at one of its ends.
+    """
+    if carriages is None:
+        return np.asarray(np.sqrt((steps**2).sum(axis=1)))
+    moved = np.abs(carriages(places + PROBE_MM * steps) - carriages(places)).T / PROBE_MM
+    return np.asarray(np.maximum.reduce([*moved]))
+
+
+# The gentler plan
+
+
+def _profile(path: _Path, settings: SCurve, held: Held) -> _Profile:
+    low = np.where(path.gain > 0.0, np.minimum(path.acceleration, (1.0 - held.reserve) * path.limit), path.acceleration)
+    shared = (path.gain, path.turn, path.apart, settings.span_s, 1.0 - settings.edge)
+    mean, gentle = held_down(held.level, low, *shared)
+    corner = np.minimum(path.corner, gentle)
+    start, peak = sweep(path.length, corner, path.top, mean, mean)
+    if held == AS_PLANNED:
+        return _Profile(start, peak, mean, mean, mean, gentle)
+    down = _reversed(even(*(_reversed(values) for values in (path.length, start, peak, mean))))
+    up = even(path.length, start, peak, mean)
+    start, peak = sweep(path.length, corner, path.top, up, down)
+    return _Profile(start, peak, up, down, mean, gentle)
+
+
+def _plateaus(path: _Path, settings: SCurve, level: float, found: _Profile) -> FloatArray:
+    """What the plateaus may be, (m,) mm/s². Extruder-only moves keep their ramps: no carriage feels them."""
+    moving = path.gain > 0.0
+    under = np.divide(level, path.gain, out=np.full_like(path.gain, np.inf), where=moving)
+    beside = _beside_curves(path, settings, level, found.start)
+    least = found.mean / (1.0 - settings.least_edge)
+    file = path.acceleration / (1.0 - settings.edge)
+    highest = np.minimum.reduce([under, path.limit, file, np.maximum(beside, least)])
+    return np.where(moving, highest, path.acceleration)
+
+
+def _beside_curves(path: _Path, settings: SCurve, level: float, start: FloatArray) -> FloatArray:
+    """What a plateau may be, so that it and the curve that the move lies in are under the level together, (m,) mm/s².
+
+    Only edges, which ask for higher plateaus, are held back by it: lowering the ramps of a curved print themselves
+    would take the time that its corners need.
+    """
+    junction = path.turn * np.minimum(start / path.apart, np.sqrt(start) / settings.span_s)
+    curve = np.maximum(junction[1:], junction[:-1])
+    taken = np.divide(curve, level, out=np.zeros_like(curve), where=curve > 0.0)  # the level is 0 where nothing moves
+    left = level * np.sqrt(np.maximum(1.0 - taken**2, 0.0))
+    return np.divide(left, path.gain, out=np.full_like(left, np.inf), where=path.gain > 0.0)
+
+
+def _reversed(values: FloatArray) -> FloatArray:
+    return np.ascontiguousarray(values[::-1])
+
+
+# S-curves on the clock
+
+
+def _timed(
+    plan: Trajectory, path: _Path, found: _Profile, highest: FloatArray, allowed_v: FloatArray, delay_s: float
+) -> SmoothTrajectory:
+    """Round the ramps and put the moves one after the other, with the given plan's rests between them."""
+    allowed = np.minimum(found.corner, np.append(allowed_v[path.moves] ** 2, 0.0))
+    rise, accel_t = rounded(path.length, found.start, found.peak, found.up, highest, allowed)
+    back = (path.length, found.start, found.peak, found.down, highest, allowed)
+    fall, decel_t = rounded(*(_reversed(values) for values in back))
+    cruise_t = cruise_times(path.length, found.start, found.peak, found.up, found.down)
+    fall, decel_t = _reversed(fall), _reversed(decel_t)
+    highest_v = _highest_v(found.peak, rise, accel_t, fall, decel_t)
+    lasting = _spread(accel_t + cruise_t + decel_t, path.moves, len(plan))
+    return SmoothTrajectory(
+        start_t=np.cumsum(_rests(plan) + np.concatenate([[delay_s], lasting])[:-1]),
+        accel_t=_spread(accel_t, path.moves, len(plan)),
+        cruise_t=_spread(cruise_t, path.moves, len(plan)),
+        decel_t=_spread(decel_t, path.moves, len(plan)),
+        cruise_v=_spread(highest_v, path.moves, len(plan)),
+        rise=_spread(rise, path.moves, len(plan)),
+        fall=_spread(fall, path.moves, len(plan)),
+        origin=plan.origin,
+        direction=plan.direction,
+    )
+
+
+def _highest_v(
+    peak: FloatArray, rise: FloatArray, accel_t: FloatArray, fall: FloatArray, decel_t: FloatArray
+) -> FloatArray:
+    """The highest speed of each move, (m,) mm/s: in the middle of a rounded ramp it is not quite the planned one."""
+    brakes = np.where(decel_t > 0.0, speeds(fall, decel_t), np.sqrt(peak))
+    return np.where(accel_t > 0.0, speeds(rise, accel_t), brakes)
+
+
+def _rests(plan: Trajectory) -> FloatArray:
+    """How long the nozzle rests before each move, (n,) s; before the first one since the clock's zero."""
+    rests = plan.start_t.copy()
+    rests[1:] -= (plan.start_t + plan.duration)[:-1]
+    rests[1:][rests[1:] < SHORTEST_REST_S] = 0.0
+    return rests
+
+
+def _spread(values: FloatArray, moves: IntArray, n: int) -> FloatArray:
+    if len(values) == n:
+        return values
+    whole = np.zeros((n, *values.shape[1:]))
+    whole[moves] = values
+    return whole

@@ -1,0 +1,1 @@
+"""Style, drawing and the page frame of all reports."""

@@ -1,0 +1,70 @@
+"""A figure that is not drawn yet, and how it becomes a file or an image on a page."""
+
+from __future__ import annotations
+
+import base64
+import io
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import matplotlib
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+from ffcomp.report.shared.style import RC
+
+DPI = 150
+
+Box = Figure | SubFigure
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """One figure, ready to be drawn into any box."""
+
+    name: str  # of the files
+    title: str
+    said: str  # its verdict in one line
+    how_to_read: str
+    width: float  # inches
+    height: float
+    draw: Callable[[Box], None]
+
+
+def svg(drawing: Drawing) -> bytes:
+    """The figure alone: on the page, heading and caption are text."""
+    with matplotlib.rc_context(RC):
+        figure = Figure(figsize=(drawing.width, drawing.height), layout=layout())
+        drawing.draw(figure)
+        return file_of(figure, "svg")
+
+
+def layout() -> ConstrainedLayoutEngine:
+    return ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.1)
+
+
+def file_of(figure: Figure, form: str) -> bytes:
+    """form : png or svg."""
+    file = io.BytesIO()
+    with warnings.catch_warnings():  # a print's name may be written in any script: what the font lacks is a box
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        figure.savefig(file, format=form, dpi=DPI, metadata={"Date": None} if form == "svg" else None)
+    return file.getvalue()
+
+
+@dataclass(frozen=True, slots=True)
+class Image:
+    """A figure inside a page."""
+
+    title: str
+    said: str
+    data: str  # base64 of SVG
+    width: int
+    height: int
+
+
+def image(drawing: Drawing, content: bytes) -> Image:
+    """content : the drawing as SVG."""
+    data = base64.b64encode(content).decode("ascii")
+    return Image(drawing.title, drawing.said, data, round(96 * drawing.width), round(96 * drawing.height))

@@ -1,0 +1,1 @@
+"""Checks of a machine file: redundant parameters and physics."""

@@ -1,0 +1,227 @@
+"""Machine files: finding, reading, showing and starting them.
+
+A machine is asked for by name (a file in the user's own folder, then the library) or by path (what ends in
+`.toml` or holds a folder separator). The user's file wins: a machine may be refitted under its old name.
+
+Defaults of what a file may leave out: `[carriage.drive]` an ideal drive; `[effector] force_map` virtual work;
+`[limits]` all but velocity and acceleration, and `[steps]`, as in `MotionLimits` and `Steps`;
+`[uncertainty] default` 0.02; no effects.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import platformdirs
+import tomlkit
+
+from models.errors import MachineFileError
+from models.machine import Carriage, Drive, Effector, Machine, constant
+from models.schema import (
+    CarriageTable,
+    DeltaDocument,
+    EffectorTable,
+    StraightDocument,
+    did_you_mean,
+    unit_of,
+    validated,
+)
+from models.vibration import modal as axes
+
+LIBRARY = Path(__file__).parent / "library"
+DEFAULT_UNCERTAINTY = 0.02
+
+
+def user_folder() -> Path:
+    """Where the user's own machine files live."""
+    return Path(platformdirs.user_config_dir("ffcomp")) / "machines"
+
+
+def machine_paths() -> dict[str, Path]:
+    """Every machine that can be asked for by name, in alphabetical order."""
+    found = {path.stem: path for folder in (LIBRARY, user_folder()) for path in folder.glob("*.toml")}
+    return dict(sorted(found.items()))
+
+
+def find_machine(name_or_path: str | Path) -> Path:
+    """The file meant by a name or a path (see the top of this module)."""
+    path, name = Path(name_or_path), str(name_or_path)
+    if path.suffix == ".toml" or len(path.parts) > 1:
+        if not path.is_file():
+            raise MachineFileError(name, ["There is no such file."])
+        return path
+    known = machine_paths()
+    if name not in known:
+        hint, names = did_you_mean(name, known), ", ".join(known)
+        raise MachineFileError(name, [f"There is no machine of this name.{hint} Known machines: {names}."])
+    return known[name]
+
+
+def find_by_sha256(digits: str, name: str) -> Path:
+    """The file whose hash begins with these hexadecimal digits; `name` only serves to say which one is missing."""
+    for path in machine_paths().values():
+        if hashlib.sha256(path.read_bytes()).hexdigest().startswith(digits):
+            return path
+    rule = f"No machine file here has the hash {digits}…; name the file with --machine."
+    raise MachineFileError(name, [rule])
+
+
+def load_machine(name_or_path: str | Path) -> Machine:
+    """The machine of that name or in that file.
+
+    Raises
+    ------
+    MachineFileError
+        With every mistake in the file.
+    """
+    path = find_machine(name_or_path)
+    data = path.read_bytes()
+    return _machine(_parsed(data, str(path)), hashlib.sha256(data).hexdigest(), str(path))
+
+
+def _parsed(data: bytes, path: str) -> DeltaDocument | StraightDocument:
+    try:
+        document = tomllib.loads(data.decode("utf-8"))
+    except UnicodeDecodeError as error:
+        problem = f"Byte {error.start} is not UTF-8 text, which TOML files must be."
+        raise MachineFileError(path, [problem]) from None
+    except tomllib.TOMLDecodeError as error:
+        raise MachineFileError(path, [f"This is not valid TOML: {error}."]) from None
+    return validated(document, path)
+
+
+def _machine(document: DeltaDocument | StraightDocument, sha256: str, path: str) -> Machine:
+    uncertainty = {"default": DEFAULT_UNCERTAINTY, **document.uncertainty}
+    if isinstance(document, DeltaDocument):
+        vibrating: dict[str, Any] = {"carriage": _carriage(document.carriage), "effector": _effector(document.effector)}
+    else:
+        vibrating, uncertainty = axes.parts(document.axes.axes()), _of_modes(uncertainty)
+    return Machine(
+        name=document.name,
+        kinematics=document.kinematics.geometry(),
+        limits=document.limits.limits(),
+        steps=document.steps.steps(),
+        effects=document.effects,
+        uncertainty=uncertainty,
+        provenance=document.provenance,
+        sha256=sha256,
+        path=path,
+        **vibrating,
+    )
+
+
+def _of_modes(uncertainty: Mapping[str, float]) -> dict[str, float]:
+    """What the uncertainties of the axes' modes are for the numbers of the model; its masses are exact."""
+    found, default = {"default": 0.0}, uncertainty["default"]
+    for i, axis in enumerate("xyz"):
+        frequency, damping = (
+            uncertainty.get(f"axes.{axis}.{key}", default) for key in ("frequency_hz", "damping_ratio")
+        )
+        found |= axes.uncertainties(i, frequency, damping)
+    return found
+
+
+def _carriage(table: CarriageTable) -> Carriage:
+    drive = None if table.drive is None else Drive(**table.drive.model_dump())
+    return Carriage(**table.model_dump(exclude={"drive"}), drive=drive)
+
+
+def _effector(table: EffectorTable) -> Effector:
+    values = table.model_dump()
+    arrays = {key: constant(value) for key, value in values.items() if isinstance(value, list)}
+    return Effector(**{**values, **arrays})
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One value of a machine file, with where it is from."""
+
+    key: str  # table.key
+    value: Any
+    unit: str
+    provenance: str  # 'default' if the file does not give the value, '' if it does not say
+
+
+def entries(path: Path) -> list[Entry]:
+    """Every value that describes the machine, defaults included, in the order of the file format."""
+    document = _parsed(path.read_bytes(), str(path))
+    given = dict(_flat(document.model_dump(exclude_unset=True)))
+    values = _flat(document.model_dump(exclude={"format", "name", "uncertainty", "provenance"}))
+
+    def origin(key: str) -> str:
+        return str(document.provenance.get(key, "")) if key in given else "default"
+
+    return [Entry(key, value, unit_of(key), origin(key)) for key, value in values if value is not None]
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, value
+
+
+def starting_text(name: str, source: Path) -> str:
+    """The text of a new machine file: `source`, comments and all, under a new name, saying where it began."""
+    data = source.read_bytes()
+    document = tomlkit.parse(data.decode("utf-8"))
+    document["name"] = name
+    document.setdefault("provenance", tomlkit.table())["started_from"] = (
+        f"{source.stem} sha256:{hashlib.sha256(data).hexdigest()}"
+    )
+    return (
+        f"# {name}, started from the machine file {source.stem!r}. Every number is that machine's, and its\n"
+        f"# provenance with it, until you change both.\n\n{tomlkit.dumps(document)}"
+    )
+
+
+def check_text(text: str, path: str) -> None:
+    """Refuse a machine file's text that could not be loaded; `path` only serves to say which one.
+
+    Raises
+    ------
+    MachineFileError
+        With every mistake in it.
+    """
+    _parsed(text.encode("utf-8"), path)
+
+
+def updated_text(
+    source: Path,
+    values: Mapping[str, Any],
+    *,
+    name: str | None = None,
+    uncertainty: Mapping[str, float] | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> str:
+    """The text of `source` with numbers replaced; comments, order and everything else stay.
+
+    Parameters
+    ----------
+    values : `table.key` or, for one element of a list, `table.key[i]` -> the new value, in the file's units.
+    uncertainty, provenance : entries to add to those tables, replacing what is there under the same key.
+    """
+    document = tomlkit.parse(source.read_bytes().decode("utf-8"))
+    if name is not None:
+        document["name"] = name
+    for key, value in values.items():
+        path, _, index = key.removesuffix("]").partition("[")
+        *tables, last = path.split(".")
+        table: Any = document
+        for part in tables:
+            table = table.setdefault(part, tomlkit.table())
+        if index:
+            table[last][int(index)] = value
+        else:
+            table[last] = value
+    for title, entries_ in (("uncertainty", uncertainty), ("provenance", provenance)):
+        table = document.setdefault(title, tomlkit.table())
+        for key, value in (entries_ or {}).items():
+            table[key] = value
+    return tomlkit.dumps(document)

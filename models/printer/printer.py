@@ -1,0 +1,421 @@
+"""The virtual printer: commanded carriage heights in, the whole nonlinear machine's motion out.
+
+Full delta kinematics with J̇ q̇, gravity, drives, belts, guides, arms' halves, the extruder on its mount, and any of
+the effects of `models/effects` that the machine lists, together. The equations stand in `printer_kernels.py`.
+
+Lengths mm, velocities mm/s, accelerations m/s² (as accelerometers are read), time s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Literal
+
+import numpy as np
+
+from models.effects.catalogue import effect_named, effective_machine, values_of
+from models.effects.effect import Signals
+from models.errors import UnreachableError
+from models.machine import Drive, FloatArray, Machine
+from models.printer import kernels
+from models.vibration.effector import load_distribution, load_map
+
+GRAVITY_M_PER_S2 = 9.80665
+SMOOTH_STEP_S = 1 / 6400  # a quarter of a nanometre on a violent motion
+KINKED_STEP_S = 1 / 12800  # with play or dry friction; with strong friction down to
+FINEST_STEP_S = 1 / 25600
+SPLINE_ROWS = 24  # a cubic spline forgets a row's neighbours by 0.27 a row: 1e-14 after these
+
+# friction / (speed x inertia) x step; guides and joints together below 2.78, where a Runge-Kutta step of order 4 grows
+GUIDE_STIFFNESS, JOINT_STIFFNESS = 1.9, 0.8
+LOOSEST_REST_M = 1e-9
+BORDER_MM = 1e-6
+
+UNITS = np.array([1e3, 1e3, 1.0, 1e3, 1e3, 1.0, 1e3])  # of PrinterMotion's arrays, in their order
+
+Hold = Literal["cubic", "linear"]
+
+
+@dataclass(frozen=True, eq=False)
+class PrinterState:
+    """Where a simulation ended, to go on from."""
+
+    t_s: float
+    values: FloatArray  # (30,) SI, see printer_kernels
+    history: FloatArray  # (k, 3) mm, the command's last rows, the border row among them
+
+
+@dataclass(frozen=True, eq=False)
+class PrinterMotion:
+    """n samples, at the times of the command's rows. Accelerations are plain second derivatives: zero at rest."""
+
+    t_s: FloatArray  # (n,)
+    carriage_mm: FloatArray  # (n, 3) columns A B C
+    carriage_velocity: FloatArray  # (n, 3) mm/s
+    carriage_acceleration: FloatArray  # (n, 3) m/s²
+    nozzle_mm: FloatArray  # (n, 3) columns X Y Z, seen from the bed
+    nozzle_velocity: FloatArray  # (n, 3) mm/s, seen from the bed
+    nozzle_acceleration: FloatArray  # (n, 3) m/s², seen from the ground: a swaying frame is felt
+    motor_mm: FloatArray  # (n, 3) where each motor holds its end of the belt
+    state: PrinterState
+
+    @property
+    def signals(self) -> Signals:
+        """The accelerations, as perfect sensors would record them."""
+        return Signals(self.t_s, self.carriage_acceleration, self.nozzle_acceleration)
+
+
+def simulate_printer(
+    machine: Machine,
+    command: FloatArray,
+    dt_s: float,
+    *,
+    start: PrinterState | None = None,
+    substeps: int | None = None,
+    gravity: bool = True,
+    hold: Hold = "cubic",
+    ahead: FloatArray | None = None,
+) -> PrinterMotion:
+    """Play a command on the printer, with all effects of `machine.effects` but those of the sensors.
+
+    Parameters
+    ----------
+    command : (n, 3) mm, columns A B C: commanded carriage heights every `dt_s`, from the inverse kinematics of the
+        machine's own, nominal geometry (an `arm_geometry` effect is not known to the firmware). Before the first
+        row, the printer rests under it.
+    start : the `state` of the chunk before, whose last row is this chunk's first. None: from rest.
+    substeps : integration steps from row to row. None: as many as `longest_step` asks for.
+    hold : how the command runs between rows: "cubic" spline, or "linear" for played straight segments.
+    ahead : (k, 3) mm, rows of the command that follow this chunk. A cubic spline needs some 20 of them to run over
+        the border as if there were none.
+
+    Raises
+    ------
+    ValueError
+        If the command has another shape, or the effects are not complete.
+    UnreachableError
+        If the motion leaves the arms' reach; its indices are rows of the command.
+    """
+    _check(command, dt_s, start)
+    rows = command if start is None else np.concatenate([start.history[:-1], command])
+    pieces = HOLDS[hold](rows, command[:0] if ahead is None else ahead, dt_s)
+    task = _task(machine, command, pieces, dt_s, substeps, gravity, start)
+    (motion,) = _played([task], dt_s)
+    if isinstance(motion, UnreachableError):
+        raise motion
+    return motion
+
+
+def simulate_printers(
+    machines: Sequence[Machine],
+    commands: Sequence[FloatArray],
+    dt_s: float,
+    *,
+    substeps: int | None = None,
+    gravity: bool = True,
+    hold: Hold = "cubic",
+) -> list[PrinterMotion | ValueError]:
+    """Many simulations from rest, several at once in the processor's vectors: the i-th machine plays the i-th command.
+
+    Each gives what `simulate_printer` gives, whatever the others do. Where that would raise, its ValueError or
+    UnreachableError stands in the list instead. Those with as many steps from row to row go together, best when their
+    commands are of one length.
+    """
+    found: dict[int, PrinterMotion | ValueError] = {}
+    tasks: dict[int, _Task] = {}
+    pieces: dict[int, FloatArray] = {}  # many machines play one command: its spline is made once
+    commands = list(commands)  # an array of them would make a new object of each at every look
+    for i, (machine, command) in enumerate(zip(machines, commands, strict=True)):
+        try:
+            if id(command) not in pieces:
+                _check(command, dt_s)
+                pieces[id(command)] = HOLDS[hold](command, command[:0], dt_s)
+            tasks[i] = _task(machine, command, pieces[id(command)], dt_s, substeps, gravity)
+        except ValueError as error:
+            found[i] = error
+    for together in _batches(tasks):
+        found |= zip(together, _played([tasks[i] for i in together], dt_s), strict=True)
+    return [found[i] for i in range(len(machines))]
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """One simulation, ready for a lane."""
+
+    numbers: kernels.Numbers
+    steps: int  # from row to row
+    pieces: FloatArray  # (n, 3, 4), see `kernels.Said`
+    first: int  # row of the command at which it begins
+    begin_s: float
+    values: FloatArray  # (30,) SI, then
+    history: FloatArray  # (k, 3) mm, see `PrinterState`
+
+
+def _task(
+    machine: Machine,
+    command: FloatArray,
+    pieces: FloatArray,
+    dt_s: float,
+    substeps: int | None,
+    gravity: bool,
+    start: PrinterState | None = None,
+) -> _Task:
+    """A machine under a command : (n, 3) mm with its `pieces`."""
+    p = printer_numbers(machine, gravity=gravity)
+    steps = substeps or math.ceil(dt_s / longest_step(p) * (1 - 1e-9))
+    _limit_stiffness(p, dt_s / steps)
+    kept = math.ceil(float(np.max(p.delay)) / dt_s) + SPLINE_ROWS + 1
+    if start is None:
+        return _Task(p, steps, pieces, 0, 0.0, rest_values(machine, command[0], p), command[-kept:].copy())
+    history = np.concatenate([start.history[:-1], command])[-kept:]
+    return _Task(p, steps, pieces, len(start.history) - 1, start.t_s, start.values, history)
+
+
+def _batches(tasks: Mapping[int, _Task]) -> Iterator[list[int]]:
+    """Names of tasks that go side by side: of one kind, with as many steps from row to row, and of about one length."""
+
+    def kind(i: int) -> tuple[bool, int]:
+        return bool(tasks[i].numbers.arms_squared.any()), tasks[i].steps
+
+    for _, group in groupby(sorted(tasks, key=lambda i: (kind(i), len(tasks[i].pieces))), kind):
+        names = list(group)
+        yield from (names[n : n + kernels.LANES] for n in range(0, len(names), kernels.LANES))
+
+
+def _played(tasks: Sequence[_Task], dt_s: float) -> list[PrinterMotion | UnreachableError]:
+    """At most LANES of them, with as many steps and the same first row."""
+    values, numbers = np.array([task.values for task in tasks]), kernels.table([task.numbers for task in tasks])
+    commands = {id(task.pieces): task.pieces for task in tasks}
+    ends = dict(zip(commands, np.cumsum([len(pieces) for pieces in commands.values()]), strict=True))
+    spans = [(ends[id(task.pieces)] - len(task.pieces), ends[id(task.pieces)]) for task in tasks]
+    first, steps = tasks[0].first, tasks[0].steps
+    pieces = np.concatenate(list(commands.values())) if len(commands) > 1 else tasks[0].pieces
+    samples = kernels.run(values, numbers, pieces, np.array(spans, dtype=np.int64), first, dt_s, steps, UNITS)
+    lanes = zip(tasks, zip(*samples, strict=True), values, strict=True)
+    return [_motion(task, own, end, dt_s) for task, own, end in lanes]
+
+
+def printer_numbers(machine: Machine, *, gravity: bool = True) -> kernels.Numbers:
+    """The machine and its effects as the kernels' record, SI."""
+    for name in machine.effects:
+        effect_named(name)  # refuses an unknown one
+    effective = effective_machine(machine)
+    # straight axes' weight stands on the frame, not on what vibrates
+    g = GRAVITY_M_PER_S2 if gravity and not effective.has_straight_axes else 0.0
+    parts = {
+        **_geometry(effective),
+        **_carriages(effective, g),
+        **_effector(effective),
+        **_belt_effects(effective),
+        **_motor_effects(effective),
+        **_friction_effects(effective),
+        **_frame_effect(effective),
+        "gravity": g,
+    }
+    record = np.zeros(1, dtype=kernels.NUMBERS)
+    for name, value in parts.items():
+        record[name][0] = value
+    return record.view(np.recarray)[0]
+
+
+Part = dict[str, FloatArray | float | bool]
+
+
+def _geometry(machine: Machine) -> Part:
+    if machine.first_share is not None:
+        return {"first_share": machine.first_share}  # no arms: the axes are the nozzle's
+    geometry = machine.delta
+    towers, arms = geometry.towers_mm / 1e3, geometry.arm_lengths_mm / 1e3
+    to_towers = towers[1:] - towers[0]
+    return {
+        "towers": towers,
+        "arms_squared": arms**2,
+        "height": geometry.effector_height_mm / 1e3,
+        "to_plane": np.linalg.inv(to_towers),
+        "offset": (np.sum(to_towers**2, axis=1) + arms[0] ** 2 - arms[1:] ** 2) / 2,
+    }
+
+
+def _carriages(machine: Machine, gravity: float) -> Part:
+    carriage = machine.carriage
+    return {
+        "carriage_mass": carriage.moving_mass_kg,
+        "weight": carriage.moving_mass_kg * gravity,
+        "belt_k": carriage.belt_stiffness_n_per_m,
+        "belt_c": carriage.belt_damping_n_s_per_m,
+        "guide_b": carriage.guide_damping_n_s_per_m,
+        **(_drive(carriage.drive) if carriage.drive else {"ideal_drive": True}),
+    }
+
+
+def _drive(drive: Drive) -> Part:
+    return {"d0": drive.d0_per_s2, "lead": drive.d1_per_s / drive.d0_per_s2, "d2": drive.d2_per_s}
+
+
+def _effector(machine: Machine) -> Part:
+    effector = machine.effector
+    paper = effector.force_map == "paper"
+    return {
+        "shares": load_distribution(machine.delta, effector) if paper else np.stack([np.eye(3)] * 3),
+        "holder_mass": machine.nozzle_side_mass_kg,
+        "extruder_mass": effector.extruder_mass_kg,
+        "mount_k": effector.extruder_stiffness_n_per_m,
+        "mount_b": effector.extruder_damping_n_s_per_m,
+    }
+
+
+def _belt_effects(machine: Machine) -> Part:
+    part: Part = {"give": np.inf}
+    if (values := values_of(machine, "belt_hardening")) is not None:
+        cubic, quintic = values["cubic_n_per_m3"], values["quintic_n_per_m5"]
+        give = _give(machine.carriage.belt_stiffness_n_per_m, cubic, quintic)
+        part |= {"cubic": cubic, "quintic": quintic, "give": give}
+    if (values := values_of(machine, "belt_position_stiffness")) is not None:
+        part |= {"slope": values["slope_per_m"], "centre": values["q_centre_mm"] / 1e3}
+    if (values := values_of(machine, "belt_backlash")) is not None:
+        part |= {"half_play": values["width_mm"] / 2e3, "landing": values["landing_s_per_m"]}
+    if (values := values_of(machine, "torque_angle")) is not None:
+        part["bend"] = 1e3 / values["amplitude_mm"]
+    return part
+
+
+def _give(stiffness: FloatArray | float, cubic: FloatArray, quintic: FloatArray) -> FloatArray:
+    """(3,) m: the least stretch s > 0 with k + 3 k₃ s² + 5 k₅ s⁴ = 0; infinite where a belt never softens so far."""
+    inside = 9 * cubic**2 - 20 * stiffness * quintic
+    # 2 k/(−3 k₃ + √…): the smaller root of the two, and the only one without a fifth power
+    below = -3 * cubic + np.sqrt(np.maximum(inside, 0.0))
+    softens = (inside >= 0) & (below > 0)
+    return np.where(softens, np.sqrt(2 * stiffness / np.where(softens, below, 1.0)), np.inf)
+
+
+def _motor_effects(machine: Machine) -> Part:
+    part: Part = {}
+    if (values := values_of(machine, "command_delay")) is not None:
+        part["delay"] = values["delay_s"]
+    if (values := values_of(machine, "cogging")) is not None:
+        part |= {"ripple": values["amplitude_mm"] / 1e3, "wave": 2e3 * np.pi / values["pitch_mm"]}
+        part |= {"second_sine": values["second_sine"], "second_cosine": values["second_cosine"]}
+        part["ahead"] = np.radians(values["phase_deg"])
+    return part
+
+
+def _friction_effects(machine: Machine) -> Part:
+    part: Part = {"least_inertia": _least_inertia(machine), "creep": np.ones(3), "joint_creep": 1.0}
+    found = [values_of(machine, name) for name in ("coulomb_friction", "stribeck_friction")]
+    guides = [values for values in found if values is not None]
+    if guides:
+        part |= {"dry": sum(values["force_n"] for values in guides), **_turning_over(guides)}
+    if (values := found[1]) is not None:
+        part |= {"sticking": values["extra_force_n"], "fading": 1e3 / values["velocity_mm_per_s"]}
+        part["fading_power"] = values["exponent"] / 2
+    if (values := values_of(machine, "joint_friction")) is not None:
+        creep, hold = float(values["creep_mm_per_s"]) / 1e3, float(values["hold_per_s"])
+        part |= {"joint_dry": float(values["force_n"]), "joint_creep": creep, "joint_hold": hold}
+    return part
+
+
+def _turning_over(guides: Sequence[Mapping[str, FloatArray]]) -> Part:
+    """v₀ and κ of the guides; where two kinds of friction act, each counts as much as its force."""
+    share = np.array([np.maximum(values["force_n"] + values.get("extra_force_n", 0.0), 1e-12) for values in guides])
+    creep, hold = (
+        np.sum(share * [values[key] for values in guides], axis=0) / share.sum(axis=0)
+        for key in ("creep_mm_per_s", "hold_per_s")
+    )
+    return {"creep": creep / 1e3, "hold": hold}
+
+
+def _least_inertia(machine: Machine) -> float:
+    """kg: the least that a combination of forces on the carriages moves, at the centre and on the rim."""
+    reach = machine.kinematics.model_reach_mm
+    angles = np.arange(0, 2 * np.pi, np.pi / 6)
+    places = np.vstack([np.zeros((1, 2)), reach * np.column_stack([np.cos(angles), np.sin(angles)])])
+    load = machine.nozzle_side_mass_kg * load_map(machine, places) @ machine.kinematics.jacobian(places)
+    return float(np.linalg.eigvals(machine.carriage.moving_mass_kg * np.eye(3) + load).real.min())
+
+
+def longest_step(p: kernels.Numbers) -> float:
+    """The step, s, that serves this printer: short where dry friction turns over, or play ends with a knock."""
+    friction = float(np.max(p.dry + p.sticking))
+    if friction == p.joint_dry == np.max(p.half_play) == 0:
+        return SMOOTH_STEP_S
+    gentle = float(np.min(p.creep)) * GUIDE_STIFFNESS * p.least_inertia / max(friction, 1e-9)
+    return float(np.clip(gentle, FINEST_STEP_S, KINKED_STEP_S))
+
+
+def _limit_stiffness(p: kernels.Numbers, step_s: float) -> None:
+    """Dry friction turns over as near to rest as its creep speed says, or as the step allows."""
+    p.creep = np.maximum(p.creep, (p.dry + p.sticking) * step_s / (GUIDE_STIFFNESS * p.least_inertia))
+    p.joint_creep = max(p.joint_creep, p.joint_dry * step_s / (JOINT_STIFFNESS * p.holder_mass))
+
+
+def _frame_effect(machine: Machine) -> Part:
+    values = values_of(machine, "frame_mode")
+    if values is None:
+        return {}
+    omega = 2 * np.pi * float(values["frequency_hz"])
+    sway = np.zeros((2, 2))
+    sway[: len(values["direction"])] = values["direction"]
+    return {
+        "sway": sway,
+        "sway_share": machine.nozzle_side_mass_kg / (float(values["mass_kg"]) + machine.nozzle_side_mass_kg),
+        "sway_k": omega**2,
+        "sway_b": 2 * float(values["damping_ratio"]) * omega,
+    }
+
+
+def rest_values(machine: Machine, command: FloatArray, p: kernels.Numbers) -> FloatArray:
+    """The state : (30,) SI in which the printer rests under the command : (3,) mm, belts stretched by weight."""
+    effective_machine(machine).kinematics.forward(command[None])  # refuses carriages the arms cannot join
+    states = np.zeros((1, kernels.STATES))
+    states[0, kernels.V : kernels.V + 3] = states[0, kernels.Q : kernels.Q + 3] = command / 1e3
+    (moved,) = kernels.rest(states, kernels.table([p]))
+    if not moved < LOOSEST_REST_M:
+        raise ValueError(f"The printer cannot rest with its carriages at {command} mm: its motors do not hold it.")
+    return states[0]
+
+
+def _cubic(rows: FloatArray, ahead: FloatArray, dt_s: float) -> FloatArray:
+    return kernels.cubics(np.concatenate([rows, ahead]) / 1e3, dt_s)[: len(rows)]
+
+
+def _linear(rows: FloatArray, ahead: FloatArray, dt_s: float) -> FloatArray:
+    pieces = np.zeros((len(rows), 3, 4))
+    pieces[:-1, :, 2] = np.diff(rows / 1e3, axis=0) / dt_s
+    pieces[-1, :, 2] = pieces[-2, :, 2]
+    pieces[:, :, 3] = rows / 1e3
+    return pieces
+
+
+# From rows : (n, 3) mm and those ahead, (n, 3, 4) as in `kernels.Said`: a piece of each interval, and a last one that
+# only goes on from the end of the one before.
+HOLDS: Mapping[Hold, Callable[[FloatArray, FloatArray, float], FloatArray]] = {"cubic": _cubic, "linear": _linear}
+
+
+def _check(command: FloatArray, dt_s: float, start: PrinterState | None = None) -> None:
+    if command.ndim != 2 or command.shape[1] != 3 or len(command) < 2:
+        raise ValueError(f"The command has shape {command.shape}; it must be (n, 3) with at least two rows.")
+    if not np.all(np.isfinite(command)):
+        row = int(np.argmin(np.isfinite(command).all(axis=1)))
+        raise ValueError(f"Row {row} of the command is {command[row]} mm; every carriage height must be finite.")
+    if not dt_s > 0:
+        raise ValueError(f"The time from row to row is {dt_s} s; it must be greater than zero.")
+    if start is not None and np.abs(command[0] - start.history[-1]).max() > BORDER_MM:
+        rule = f"it must repeat the last row of the chunk before, {start.history[-1]} mm."
+        raise ValueError(f"The first row of the command is {command[0]} mm; {rule}")
+
+
+def _motion(
+    task: _Task, samples: Sequence[FloatArray], values: FloatArray, dt_s: float
+) -> PrinterMotion | UnreachableError:
+    """samples : seven of (n, 3), and values : (30,) the last state, SI, from the kernels."""
+    own = [each[: len(task.pieces) - task.first] for each in samples]
+    t = task.begin_s + dt_s * np.arange(len(own[0]), dtype=np.float64)
+    if not np.isfinite([each[-1] for each in own]).all():  # what is lost is not found again
+        lost = np.flatnonzero(~np.isfinite(np.hstack(own)).all(axis=1))
+        rule = f"At t = {t[lost[0]]:.4f} s the simulated nozzle has left the reach of its arms."
+        return UnreachableError(rule, lost)
+    end = PrinterState(float(t[-1]), values, task.history)
+    return PrinterMotion(t, own[0], own[1], own[2], own[3], own[4], own[5], own[6], end)

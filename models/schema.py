@@ -1,0 +1,478 @@
+"""What a machine file may say: its tables, ranges and rules, and every mistake as a sentence.
+
+pydantic finds the mistakes; it is imported nowhere else.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import pairwise
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from models.effects.catalogue import CATALOGUE
+from models.errors import MachineFileError
+from models.kinematics.cartesian import CARTESIAN, COREXY, StraightGeometry
+from models.machine import DeltaGeometry, FloatArray, MotionLimits, Steps, constant
+from models.vibration.modal import Axis
+
+# The ranges hold any printer, and catch most numbers in a wrong unit.
+Length = Annotated[float, Field(ge=10, le=2000)]
+Angle = Annotated[float, Field(ge=-360, le=360)]
+Offset = Annotated[float, Field(ge=-500, le=500)]
+Place = Annotated[float, Field(ge=-1000, le=10000)]
+Stiffness = Annotated[float, Field(ge=1, le=1e9)]
+Damping = Annotated[float, Field(ge=0, le=1e5)]
+TWO, THREE = Field(min_length=2, max_length=2), Field(min_length=3, max_length=3)
+UP_TO_TWO = Field(min_length=1, max_length=2)
+
+DEFAULT_LIMITS = MotionLimits(velocity_mm_per_s=0, acceleration_mm_per_s2=0)  # these two have no default
+DEFAULT_STEPS = Steps()
+
+
+class Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+
+class StraightTable(Table):
+    """Cartesian and CoreXY machines: axes that do not disturb each other."""
+
+    type: Literal["cartesian", "corexy"]
+    x_range_mm: Annotated[list[Place], TWO]
+    y_range_mm: Annotated[list[Place], TWO]
+    z_range_mm: Annotated[list[Place], TWO]
+
+    @model_validator(mode="after")
+    def _possible(self) -> StraightTable:
+        _refuse(
+            f"kinematics.{key} = {value} must be the lowest place first, then the highest one (mm)."
+            for key, value in self.model_dump(exclude={"type"}).items()
+            if not value[0] < value[1]
+        )
+        return self
+
+    def geometry(self) -> StraightGeometry:
+        ranges = constant([self.x_range_mm, self.y_range_mm, self.z_range_mm])
+        return StraightGeometry(ranges, CARTESIAN if self.type == "cartesian" else COREXY)
+
+
+class AxisTable(Table):
+    frequency_hz: Annotated[list[Annotated[float, Field(ge=1, le=1000)]], UP_TO_TWO]
+    damping_ratio: Annotated[list[Annotated[float, Field(ge=0, lt=1)]], UP_TO_TWO]
+    share: Annotated[list[Annotated[float, Field(gt=0, le=1)]], UP_TO_TWO] | None = None
+
+    def axis(self) -> Axis:
+        return Axis(self.frequency_hz, self.damping_ratio, self.share or [1.0])
+
+
+class AxesTable(Table):
+    """How each axis answers to its command; one that is left out is rigid."""
+
+    x: AxisTable | None = None
+    y: AxisTable | None = None
+    z: AxisTable | None = None
+
+    @model_validator(mode="after")
+    def _possible(self) -> AxesTable:
+        _refuse(problem for name in "xyz" for problem in _axis_problems(name, getattr(self, name)))
+        return self
+
+    def axes(self) -> list[Axis]:
+        return [Axis() if table is None else table.axis() for table in (self.x, self.y, self.z)]
+
+
+class KinematicsTable(Table):
+    type: Literal["delta"]
+    arm_length_mm: Length | None = None
+    arm_lengths_mm: Annotated[list[Length], THREE] | None = None
+    delta_radius_mm: Length | None = None
+    delta_radii_mm: Annotated[list[Length], THREE] | None = None
+    tower_angles_deg: Annotated[list[Angle], THREE]
+    effector_height_mm: float = Field(ge=0, le=500)
+    print_radius_mm: float = Field(ge=5, le=1500)
+    print_height_mm: float = Field(ge=5, le=5000)
+
+    @model_validator(mode="after")
+    def _possible(self) -> KinematicsTable:
+        if self.arms_mm is not None and self.radii_mm is not None:
+            _refuse([*_tower_problems(self), *_arm_problems(self)])
+        return self  # a missing length is found by _missing_lengths, together with all else that is wrong
+
+    @property
+    def arms_mm(self) -> list[float] | None:
+        """Of each tower; the numbers per tower go before the one for all."""
+        return self.arm_lengths_mm or (self.arm_length_mm and [self.arm_length_mm] * 3) or None
+
+    @property
+    def radii_mm(self) -> list[float] | None:
+        return self.delta_radii_mm or (self.delta_radius_mm and [self.delta_radius_mm] * 3) or None
+
+    def geometry(self) -> DeltaGeometry:
+        return DeltaGeometry(
+            arm_lengths_mm=_known(self.arms_mm),
+            delta_radii_mm=_known(self.radii_mm),
+            tower_angles_deg=constant(self.tower_angles_deg),
+            effector_height_mm=self.effector_height_mm,
+            print_radius_mm=self.print_radius_mm,
+            print_height_mm=self.print_height_mm,
+        )
+
+
+class DriveTable(Table):
+    d0_per_s2: float = Field(ge=100, le=1e10)
+    d1_per_s: float = Field(ge=-1e6, le=1e6)
+    d2_per_s: float = Field(ge=0.01, le=1e6)
+
+
+class CarriageTable(Table):
+    mass_kg: float = Field(ge=0.001, le=20)
+    arm_pair_mass_kg: float = Field(ge=0, le=5)
+    belt_stiffness_n_per_m: float = Field(ge=1e3, le=1e9)
+    belt_damping_n_s_per_m: Damping
+    guide_damping_n_s_per_m: Damping
+    drive: DriveTable | None = None
+
+
+class EffectorTable(Table):
+    nozzle_mass_kg: float = Field(ge=0.001, le=20)
+    extruder_mass_kg: float = Field(ge=0.0001, le=20)
+    extruder_stiffness_n_per_m: Annotated[list[Stiffness], THREE]
+    extruder_damping_n_s_per_m: Annotated[list[Damping], THREE]
+    joint_radius_mm: float = Field(ge=1, le=500)
+    center_of_mass_mm: Annotated[list[Offset], THREE]
+    force_map: Literal["virtual_work", "paper"] = "virtual_work"
+
+
+class LimitsTable(Table):
+    velocity_mm_per_s: float = Field(ge=1, le=1e4)
+    acceleration_mm_per_s2: float = Field(ge=10, le=1e6)
+    square_corner_velocity_mm_per_s: float = Field(DEFAULT_LIMITS.square_corner_velocity_mm_per_s, ge=0, le=1000)
+    carriage_velocity_mm_per_s: float = Field(DEFAULT_LIMITS.carriage_velocity_mm_per_s, ge=1, le=1e4)
+    carriage_acceleration_mm_per_s2: float = Field(DEFAULT_LIMITS.carriage_acceleration_mm_per_s2, ge=10, le=1e7)
+    z_velocity_mm_per_s: float | None = Field(None, ge=0.1, le=1e4)
+    z_acceleration_mm_per_s2: float | None = Field(None, ge=1, le=1e6)
+    carriage_travel_mm: Annotated[list[Place], TWO] | None = None
+    step_rate_hz: float | None = Field(None, ge=100, le=1e8)
+
+    @model_validator(mode="after")
+    def _possible(self) -> LimitsTable:
+        travel = self.carriage_travel_mm
+        if travel is not None and not travel[0] < travel[1]:
+            _refuse([f"limits.carriage_travel_mm = {travel} must be the lower place first, then the higher one (mm)."])
+        return self
+
+    def limits(self) -> MotionLimits:
+        travel = self.carriage_travel_mm
+        return MotionLimits(
+            **self.model_dump(exclude={"carriage_travel_mm"}),
+            carriage_travel_mm=None if travel is None else (travel[0], travel[1]),
+        )
+
+
+Microsteps = Annotated[float, Field(ge=1, le=1e5)]
+FullSteps = Annotated[float, Field(ge=0.1, le=1000)]
+
+
+class StepsTable(Table):
+    steps_per_mm: Microsteps | Annotated[list[Microsteps], THREE] = 80.0
+    full_steps_per_mm: FullSteps | Annotated[list[FullSteps], THREE] = 5.0
+    extruder_steps_per_mm: float | None = Field(None, ge=1, le=1e5)
+
+    @model_validator(mode="after")
+    def _microsteps(self) -> StepsTable:
+        whole, micro = self.full_steps_per_mm, self.steps_per_mm
+        if (np.atleast_1d(whole) > np.atleast_1d(micro)).any():
+            rule = f"must not exceed steps_per_mm = {_shown(micro)}: a full step holds at least one microstep."
+            _refuse([f"steps.full_steps_per_mm = {_shown(whole)} {rule}"])
+        return self
+
+    def steps(self) -> Steps:
+        return Steps(
+            _number_or_tuple(self.steps_per_mm), _number_or_tuple(self.full_steps_per_mm), self.extruder_steps_per_mm
+        )
+
+
+def _number_or_tuple(value: float | list[float]) -> float | tuple[float, ...]:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _shown(value: float | list[float]) -> str:
+    return ", ".join(f"{number:g}" for number in np.atleast_1d(value))
+
+
+class Document(Table):
+    """What every kind of machine has."""
+
+    format: Literal["ffcomp-machine/1"]
+    name: str = Field(min_length=1)
+    limits: LimitsTable
+    steps: StepsTable = StepsTable()
+    effects: dict[str, dict[str, Any]] = {}
+    uncertainty: dict[str, Annotated[float, Field(ge=0, le=10)]] = {}
+    provenance: dict[str, Any] = {}
+
+    @field_validator("effects")
+    @classmethod
+    def _known_effects(cls, effects: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        _refuse(problem for name, table in effects.items() for problem in _effect_problems(name, table))
+        return effects
+
+    @field_validator("uncertainty")
+    @classmethod
+    def _known_numbers(cls, uncertainty: dict[str, float]) -> dict[str, float]:
+        known = ["default", *number_keys(cls), *_effect_keys()]
+        _refuse(
+            f'uncertainty."{key}" names no number of this file.{did_you_mean(key, known)}'
+            for key in uncertainty
+            if key not in known
+        )
+        return uncertainty
+
+
+class DeltaDocument(Document):
+    kinematics: KinematicsTable
+    carriage: CarriageTable
+    effector: EffectorTable
+
+
+class StraightDocument(Document):
+    kinematics: StraightTable
+    axes: AxesTable = Field(default_factory=lambda: AxesTable())
+
+    @field_validator("effects")
+    @classmethod
+    def _without_forces(cls, effects: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        able = [name for name in CATALOGUE if name in OF_STRAIGHT_AXES or CATALOGUE[name].kind == "sensor"]
+        _refuse(
+            f"effects.{name} is none of a machine with straight axes: modes know no forces and no arms. "
+            f"Known there: {', '.join(able)}."
+            for name in effects
+            if name in CATALOGUE and name not in able
+        )
+        return effects
+
+
+STRAIGHT = ("cartesian", "corexy")
+OF_STRAIGHT_AXES = ("command_delay", "cogging")
+
+
+def validated(document: Mapping[str, Any], path: str) -> DeltaDocument | StraightDocument:
+    """The document, checked; MachineFileError with every mistake otherwise."""
+    kind: type[DeltaDocument] | type[StraightDocument] = DeltaDocument
+    problems = []
+    if _kind(document) in STRAIGHT:
+        kind = StraightDocument
+    else:
+        problems = _missing_lengths(document)
+    try:
+        checked = kind.model_validate(document)
+    except ValidationError as error:
+        problems += [sentence for mistake in error.errors() for sentence in _sentences(mistake, kind)]
+    if problems:
+        raise MachineFileError(path, problems)
+    return checked
+
+
+def _kind(document: Mapping[str, Any]) -> object:
+    table = document.get("kinematics")
+    return table.get("type") if isinstance(table, dict) else None
+
+
+def number_keys(table: type[BaseModel]) -> Iterator[str]:
+    """Every number a machine file may hold, as `table.key`."""
+    for name, field in table.model_fields.items():
+        inner = _table_of(field.annotation)
+        if inner is not None:
+            yield from (f"{name}.{key}" for key in number_keys(inner))
+        elif unit_of(name) or name == "damping_ratio":
+            yield name
+
+
+# --- Rules between numbers. Sentences, so that one validator can report several mistakes.
+
+
+def _refuse(problems: Iterable[str]) -> None:
+    """Tell pydantic, which carries the text to `_sentences`."""
+    text = "\n".join(problems)
+    if text:
+        raise ValueError(text)
+
+
+def _axis_problems(name: str, table: AxisTable | None) -> Iterator[str]:
+    if table is None:
+        return
+    modes = len(table.frequency_hz)
+    if len(table.damping_ratio) != modes or len(table.share or table.frequency_hz) != modes:
+        yield f"axes.{name}: frequency_hz, damping_ratio and share must have as many numbers each, one for each mode."
+    elif table.share is None and modes == 2:
+        yield f"axes.{name}.share is missing; of two modes it says how much each takes of the response at rest."
+    elif table.share is not None and abs(sum(table.share) - 1.0) > 1e-3:
+        yield f"axes.{name}.share = {table.share} must sum to 1: at rest an axis stands where it is told to."
+
+
+def _missing_lengths(document: Mapping[str, Any]) -> list[str]:
+    table = document.get("kinematics")
+    if not isinstance(table, dict):
+        return []
+    pairs = (("arm_length_mm", "arm_lengths_mm"), ("delta_radius_mm", "delta_radii_mm"))
+    return [
+        f"kinematics.{one} is missing; give it, or {three} with a number for each tower."
+        for one, three in pairs
+        if one not in table and three not in table
+    ]
+
+
+def _known(lengths: list[float] | None) -> FloatArray:
+    assert lengths is not None, "validated() refuses a file without its lengths"
+    return constant(lengths)
+
+
+def _tower_problems(table: KinematicsTable) -> Iterator[str]:
+    angles = np.sort(np.mod(table.tower_angles_deg, 360))
+    gaps = [*(after - before for before, after in pairwise(angles)), angles[0] + 360 - angles[2]]
+    if max(gaps) >= 180 or min(gaps) < 30:
+        yield (
+            f"kinematics.tower_angles_deg = {table.tower_angles_deg}: the towers must stand around the bed, "
+            "neighbours at least 30 and less than 180 degrees apart."
+        )
+
+
+def _arm_problems(table: KinematicsTable) -> Iterator[str]:
+    geometry = table.geometry()
+    farthest = geometry.delta_radii_mm + geometry.print_radius_mm
+    for tower, arm, needed in zip("ABC", geometry.arm_lengths_mm, farthest, strict=True):
+        if arm <= needed:
+            yield (
+                f"kinematics: the arm of tower {tower}, {arm:g} mm, is too short: it must be longer than the "
+                f"delta radius and print_radius_mm together, {needed:g} mm, to reach the bed's far side."
+            )
+
+
+def _effect_problems(name: str, table: Mapping[str, Any]) -> Iterator[str]:
+    if name not in CATALOGUE:
+        yield f"effects.{name} is not an effect ffcomp knows.{did_you_mean(name, CATALOGUE)}"
+        return
+    effect = CATALOGUE[name]
+    for key, value in table.items():
+        if key not in effect.by_name:
+            yield f"effects.{name}.{key} is not a parameter of this effect.{did_you_mean(key, effect.by_name)}"
+        elif rule := effect.parameter(key).problem(value):
+            yield f"effects.{name}.{key} = {value!r} {rule}."
+    for key in effect.missing(table):
+        yield f"effects.{name}.{key} is missing; {effect.parameter(key).meaning}."
+
+
+def _effect_keys() -> Iterator[str]:
+    for name, effect in CATALOGUE.items():
+        yield from (f"effects.{name}.{parameter}" for parameter in effect.by_name)
+
+
+def _table_of(annotation: Any) -> type[Table] | None:
+    """The table behind `X` or `X | None`."""
+    for candidate in (annotation, *getattr(annotation, "__args__", ())):
+        if isinstance(candidate, type) and issubclass(candidate, Table):
+            return candidate
+    return None
+
+
+# --- Mistakes as sentences
+
+UNITS = {  # endings of keys; a longer one goes before one it ends in
+    "_n_s_per_m": "N s/m",
+    "_mm_per_s2": "mm/s²",
+    "_mm_per_s": "mm/s",
+    "_n_per_m": "N/m",
+    "_per_mm": "1/mm",
+    "_per_s2": "1/s²",
+    "_per_s": "1/s",
+    "_deg": "degrees",
+    "_mm": "mm",
+    "_kg": "kg",
+    "_hz": "Hz",
+}
+
+RULES = {  # pydantic's type of error -> our rule, filled in from its context
+    "greater_than_equal": "must be at least {ge:g}{unit}",
+    "less_than_equal": "must be at most {le:g}{unit}",
+    "greater_than": "must be greater than {gt:g}{unit}",
+    "less_than": "must be less than {lt:g}{unit}",
+    "float_type": "must be a number{unit}",
+    "finite_number": "must be a finite number{unit}",
+    "string_type": "must be a text in quotes",
+    "string_too_short": "must not be empty",
+    "list_type": "must be a list of {count} numbers{unit}",
+    "too_short": "must be a list of {count} numbers{unit}",
+    "too_long": "must be a list of {count} numbers{unit}",
+    "dict_type": "must be a table",
+    "model_type": "must be a table",
+}
+
+
+PAIRS = ("limits.carriage_travel_mm", *(f"kinematics.{axis}_range_mm" for axis in "xyz"))  # lists of two numbers
+
+
+def unit_of(key: str) -> str:
+    """The unit a key's name ends in, '' if none."""
+    return next((unit for ending, unit in UNITS.items() if key.endswith(ending)), "")
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """' Did you mean …?' or nothing."""
+    close = difflib.get_close_matches(word, list(known), n=1)
+    return f" Did you mean {close[0]!r}?" if close else ""
+
+
+def _sentences(error: Mapping[str, Any], kind: type[Document]) -> list[str]:
+    """One of pydantic's errors in our words (a validator of ours may have found several mistakes)."""
+    context = {**error.get("ctx", {}), "document": kind}
+    if error["type"] == "value_error":
+        return str(context["error"]).split("\n")
+    write = SENTENCES.get(error["type"], _broken_rule)
+    return [write(error["loc"], error["input"], error["type"], context)]
+
+
+def _missing(loc: tuple[int | str, ...], value: object, kind: str, context: Mapping[str, Any]) -> str:
+    return f"{_key(loc)} is missing."
+
+
+def _unknown_key(loc: tuple[int | str, ...], value: object, kind: str, context: Mapping[str, Any]) -> str:
+    return f"{_key(loc)} is not a key of a machine file.{_right_key(loc, context['document'])}"
+
+
+def _wrong_word(loc: tuple[int | str, ...], value: object, kind: str, context: Mapping[str, Any]) -> str:
+    expected = context["expected"]
+    return f"{_key(loc)} = {value!r} must be {expected}.{did_you_mean(str(value), expected.split(chr(39)))}"
+
+
+def _broken_rule(loc: tuple[int | str, ...], value: object, kind: str, context: Mapping[str, Any]) -> str:
+    unit = unit_of(_key(loc).split("[")[0])
+    count = "two" if _key(loc) in PAIRS else "one or two" if _key(loc).startswith("axes.") else "three"
+    rule = RULES[kind].format(**context, count=count, unit=f" ({unit})" if unit else "")
+    return f"{_key(loc)} = {'{…}' if isinstance(value, dict) else repr(value)} {rule}."
+
+
+SENTENCES: dict[str, Callable[..., str]] = {
+    "missing": _missing,
+    "extra_forbidden": _unknown_key,
+    "literal_error": _wrong_word,
+}
+
+
+def _key(loc: tuple[int | str, ...]) -> str:
+    """`table.key`, or `table.key[index]` of a list."""
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc).lstrip(".")
+
+
+def _right_key(loc: tuple[int | str, ...], document: type[Table]) -> str:
+    """A suggestion for an unknown key: the same key in another table, or the nearest one in its own."""
+    word = str(loc[-1])
+    elsewhere = [key for key in number_keys(document) if key.endswith(f".{word}")]
+    if elsewhere:
+        return f" Did you mean {elsewhere[0]!r}?"
+    table = document
+    for part in loc[:-1]:
+        table = _table_of(table.model_fields[str(part)].annotation) or table
+    return did_you_mean(word, table.model_fields)

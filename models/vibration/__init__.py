@@ -1,0 +1,1 @@
+"""Linear models of how a machine vibrates."""
