@@ -27,13 +27,14 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from benchmarks import effects_compensated, steps
 from benchmarks import performance_prints as prints
 from benchmarks import performance_ways as ways
 from benchmarks import performance_where as where
+from benchmarks import steps
 from benchmarks.performance_figures import draw
 from benchmarks.performance_page import page
-from benchmarks.prose import filled
+from studies import effects_compensated
+from studies.prose import filled
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = DOCS / "PERFORMANCE.md"

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks import steps
-from benchmarks.effects_compensated import LAYERS, PRINT, SECONDS, as_table
 from benchmarks.performance_methods import REACH, SAMPLE_S
 from benchmarks.performance_prints import LARGEST, REPEATED, SMALL_S
 from benchmarks.performance_ways import DENSE, EXACT, MACHINE, MORE_CORRECTIONS, OURS, PLAIN_EXACT, ZERO_PHASE
 from benchmarks.performance_where import ONCE, REST
-from benchmarks.prose import WIDTH
 from models.vibration.scheduled import SAME_MM
+from studies.effects_compensated import LAYERS, PRINT, SECONDS, as_table
+from studies.prose import WIDTH
 
 Numbers = Mapping[str, Any]
 
@@ -149,7 +149,7 @@ first time, the tables over the bed and the gains of the places that the print c
 the user's cache (`ffcomp/numerics/disk_cache.py`), and the second column of print-seconds is of a job that finds
 them there. Memory is
 the peak of a process that did nothing else; the aim is {AIM_MEMORY_MB:g} MB, and {AIM_SPEED:g} print-seconds a second.
-The files of others are what `benchmarks/all_files.py` reads; they are not part of this repository.
+The files of others are what `validation/all_files.py` reads; they are not part of this repository.
 
 | file | machine | print s | segments | CPU s | print-seconds a second | again | µs a segment | MB in, out | MB |
 |---|---|---|---|---|---|---|---|---|---|"""
@@ -419,14 +419,14 @@ def effects(found: Numbers) -> Iterator[str]:
     yield f"""Effects that no linear model holds are compensated by playing the command on the whole virtual printer and
 correcting it, round by round (`ffcomp/inverse/nonlinear/correction.py`). Here each effect is hidden in the
 *independent* printer of
-`tests/blind` (other equations; the last column says where the effect has another shape than the machine file's),
+`validation/blind` (other equations; the last column says where the effect has another shape than the machine file's),
 and {SECONDS:g} s of `{PRINT.name}` (layers {LAYERS.first_layer} to {LAYERS.last_layer}) are printed there. Contour
 error, rms, µm: with no compensation; with a file that is right in all but the effect; with one that names the effect
 and its size; on the printer without the effect (the same as before if nothing were lost); and with the knowing command
 on our own virtual printer, whose effect has the file's shape. *Rounds* of the whole printer: 0 where the linear model
 holds the effect by itself. *Share of a limit*: the most that a carriage is asked for, with the file that does not know
 the effect and with the one that does. Sizes are draws of the blind test. Made also by
-`python benchmarks/effects_compensated.py`.
+`python studies/effects_compensated.py`.
 """
     yield ""
     yield from as_table(found)

@@ -25,7 +25,7 @@ import numpy as np
 from benchmarks.performance_ways import MACHINE, PRINTS, ROOT, sample_print
 from ffcomp.compensate.job import Job
 from models.file import load_machine
-from tests.test_files import OFFSETS
+from tests.e2e.test_files import OFFSETS
 
 OUTSIDE = Path(os.environ.get("FFCOMP_DATA", ROOT.parent / "shared" / "data")) / "gcode"
 OTHER_MACHINES = {"kossel_mks-pwc.gcode": "kossel"}

@@ -46,8 +46,8 @@ from gcode.limits import MotionLimits
 from gcode.program import Event, Frame
 from gcode.reader import read_program
 from models.file import load_machine
-from tests.ffcomp.test_pieces import smoothed
-from tests.gcode.test_emit import Said
+from tests.unit.ffcomp.compensate.gcode_output.test_pieces import smoothed
+from tests.unit.gcode.test_emit import Said
 
 ROOT = Path(__file__).parents[1]
 PRINTS = [ROOT / "sample_prints" / f"{name}.gcode" for name in ("ringing_tower", "lobed_vase", "far_star")]

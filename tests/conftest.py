@@ -1,7 +1,7 @@
 """For all tests: runs of the command line leave the user's log and cache alone, and everybody tries the same examples.
 
 Properties are tried on the same draws each time, so that a change is judged by what it changes. New draws are sought by
-`benchmarks/fuzz.py`, and here with HYPOTHESIS_PROFILE=default.
+`validation/fuzz.py`, and here with HYPOTHESIS_PROFILE=default.
 """
 
 from __future__ import annotations

@@ -1,0 +1,280 @@
+"""The pictures of docs/GALLERY.md and of the tutorials, good and bad.
+
+    python studies/gallery_figures.py --write [NAME ...]
+
+The tutorials' own commands are run first, so that a reader who follows a page sees the picture that it shows. What goes
+wrong is made beside them: a machine file that is 10 % off, limits that bind, noise, a mode in the wrong place.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+os.environ["FFCOMP_LOG"] = "off"
+
+import argparse
+import io
+import re
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from ffcomp.diagnose.engine import diagnose
+from ffcomp.diagnose.printer_problem import Delta
+from ffcomp.diagnose.summary import Picture, picture
+from ffcomp.identify.predict import predicted
+from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.measurement.frf_files import write_frf
+from ffcomp.measurement.recording import read_run
+from ffcomp.report.diagnose import figures
+from ffcomp.report.shared.drawing import Drawing, file_of, layout
+from models.file import load_machine
+from models.machine import Machine
+from tests.support import docs_runner
+
+GALLERY = docs_runner.ROOT / "docs" / "gallery"
+TUTORIALS = docs_runner.ROOT / "docs" / "tutorials"
+WIDTH_PX, LARGEST_BYTES = 1000, 80_000
+COLOURS = (128, 96, 64, 48)  # the most that the size allows
+LIMIT_MM_PER_S2 = 2500.0  # of a carriage, for the picture of limits that bind
+LINES_HZ = np.arange(2.0, 125.1, 0.5)
+# What a tenth wrong is: softer belts and a heavier effector, both of which lower its resonances.
+TENTH_OFF = {"belt_stiffness_n_per_m": 0.9, "nozzle_mass_kg": 1.1, "extruder_mass_kg": 1.1}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write", action="store_true", help="into docs/gallery; else only the sizes are told")
+    parser.add_argument("names", nargs="*", help=f"only these: {', '.join(MADE)}")
+    asked = parser.parse_args()
+    for name in asked.names or MADE:
+        with tempfile.TemporaryDirectory() as folder:
+            content = made(name, Path(folder))
+        print(f"{name}: {len(content) / 1e3:.0f} kB")
+        if asked.write:
+            (GALLERY / f"{name}.png").write_bytes(content)
+
+
+def made(name: str, folder: Path) -> bytes:
+    """A picture, made in a folder of its own."""
+    docs_runner.lay_out(folder)
+    os.environ.update(docs_runner.environment(folder))
+    os.chdir(folder)
+    return small(MADE[name]())
+
+
+def small(image: Image.Image) -> bytes:
+    """A PNG of few colours, not wider than a page shows it."""
+    if image.width > WIDTH_PX:
+        image = image.resize((WIDTH_PX, round(image.height * WIDTH_PX / image.width)), Image.Resampling.LANCZOS)
+    pictures = (_png(image.convert("RGB"), colours) for colours in COLOURS)
+    return next(content for content in pictures if len(content) <= LARGEST_BYTES)
+
+
+def _png(image: Image.Image, colours: int) -> bytes:
+    file = io.BytesIO()
+    few = image.quantize(colours, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    few.save(file, "PNG", optimize=True)
+    return file.getvalue()
+
+
+def ffcomp(*words: object) -> None:
+    code, output = docs_runner.run_here([str(word) for word in words])
+    assert code == 0, output
+
+
+def tutorial(name: str, until: str = "") -> None:
+    """Run a tutorial's examples, all or those before the heading that begins so."""
+    page = TUTORIALS / f"{name}.md"
+    lines = page.read_text(encoding="utf-8").splitlines()
+    last = next((i for i, line in enumerate(lines) if until and line.startswith(until)), len(lines))
+    for block in docs_runner.blocks_of(page):
+        if block.is_example and block.line < last:
+            docs_runner.run_block(block)
+
+
+# ---- show ----------------------------------------------------------------------------------------
+
+
+def show_good() -> Image.Image:
+    tutorial("first_print", until="## 4.")
+    return Image.open("out.gcode.png")
+
+
+def show_wrong_file() -> Image.Image:
+    """Compensated with a file that is a tenth off, and shown on the printer as it is."""
+    changed("tenth-off", TENTH_OFF)
+    ffcomp("compensate", "print.gcode", "-m", "tenth-off.toml", "-o", "wrong.gcode", "--quiet")
+    ffcomp("show", "wrong.gcode", "-m", "mp-delta-pro", "-o", "wrong.png")
+    return Image.open("wrong.png")
+
+
+def show_limits() -> Image.Image:
+    """Carriages that may only accelerate a little: the print is slowed down."""
+    changed("weak", {"carriage_acceleration_mm_per_s2": LIMIT_MM_PER_S2 / 30000.0})
+    ffcomp("compensate", "print.gcode", "-m", "weak.toml", "-o", "limits.gcode", "--quiet")
+    ffcomp("show", "limits.gcode", "-m", "weak.toml", "-o", "limits.png")
+    return Image.open("limits.png")
+
+
+def changed(name: str, factors: dict[str, float]) -> None:
+    """NAME.toml: the library's machine with some numbers times a factor."""
+    ffcomp("machines", "new", name, "--from", "mp-delta-pro", "-o", f"{name}.toml")
+    path = Path(f"{name}.toml")
+    text = path.read_text(encoding="utf-8")
+    for key, factor in factors.items():
+        text, count = re.subn(
+            rf"^({key} = )(\S+)", lambda m, f=factor: f"{m[1]}{f * float(m[2]):.6g}", text, flags=re.MULTILINE
+        )
+        assert count == 1, key
+    path.write_text(text, encoding="utf-8")
+
+
+# ---- compare -------------------------------------------------------------------------------------
+
+
+def compare_methods() -> Image.Image:
+    return compared("methods")
+
+
+def compare_close_up() -> Image.Image:
+    return compared("close-up")
+
+
+def compare_mismatch() -> Image.Image:
+    return compared("mismatch", "--mismatch", "10%", "--seeds", 8)
+
+
+def compared(name: str, *options: object) -> Image.Image:
+    every = ("--only", "mzv,ei,2hump_ei", "--quality-um", 0, *options, "--figures", "compared", "--quiet")
+    ffcomp("compare", "print.gcode", "-m", "mp-delta-pro", *every)
+    return Image.open(f"compared/{name}.png")
+
+
+# ---- frf -----------------------------------------------------------------------------------------
+
+
+def frf_good() -> Image.Image:
+    return measured_frf("good", load_machine("mp-delta-pro"), 0.03)
+
+
+def frf_noisy() -> Image.Image:
+    return measured_frf("noisy", load_machine("mp-delta-pro"), 0.3)
+
+
+def frf_wrong_mode() -> Image.Image:
+    """The printer's nozzle holder is twice as heavy as the file says."""
+    machine = load_machine("mp-delta-pro")
+    heavy = replace(machine.effector, nozzle_mass_kg=2.0 * machine.effector.nozzle_mass_kg)
+    return measured_frf("wrong-mode", replace(machine, effector=heavy), 0.03)
+
+
+def measured_frf(name: str, real: Machine, noise: float) -> Image.Image:
+    """`ffcomp frf` with made-up measurements of a printer.
+
+    noise : relative to each value, and as much of the median value.
+    """
+    rng = np.random.default_rng(1)
+    options: list[object] = []
+    for letter in "ABC":
+        nothing = np.zeros(len(LINES_HZ))
+        asked = FrequencyResponse(
+            f"cmd_{letter}", f"pos_{letter}", LINES_HZ, nothing.astype(complex), nothing, position_mm=(0.0, 0.0, 30.0)
+        )
+        value = predicted(real, [asked])[0]
+        spread = noise * np.hypot(np.abs(value), np.median(np.abs(value)))
+        drawn = spread * (rng.normal(size=len(value)) + 1j * rng.normal(size=len(value))) / np.sqrt(2)
+        write_frf(Path(f"{name}-{letter}.csv"), replace(asked, value=value + drawn))
+        options += ["--measured", f"{name}-{letter}.csv"]
+    ffcomp("frf", "-m", "mp-delta-pro", "--highest-hz", 125, *options, "--figure", f"{name}.png")
+    return Image.open(f"{name}.png")
+
+
+# ---- identify ------------------------------------------------------------------------------------
+
+
+def fit_good() -> Image.Image:
+    tutorial("first_identification", until="## 4.")
+    return three_panels(Image.open("fit.png"))
+
+
+def fit_weak() -> Image.Image:
+    """The same captures with twenty times the noise, as of a sensor that hangs on tape."""
+    tutorial("first_identification", until="## 3.")
+    rng = np.random.default_rng(2)
+    for path in sorted(Path().glob("adxl345-*.csv")):
+        rows = np.loadtxt(path, delimiter=",")
+        rows[:, 1:] += 3000.0 * rng.normal(size=(len(rows), 3))
+        np.savetxt(f"loose-{path.name}", rows, "%.6f", ",", header="time,accel_x,accel_y,accel_z", comments="#")
+    captures = [f"loose-adxl345-ffcomp-{tower}-0-0.csv" for tower in "ABC"]
+    known = ("--known", "effector.total_mass_kg=0.600±0.002")
+    options = ("--plan", "excite.json", "-m", "my-delta.toml", *known, "--figure", "weak.png", "--quiet")
+    ffcomp("identify", "fit", *captures, *options)
+    return three_panels(Image.open("weak.png"))
+
+
+def three_panels(image: Image.Image) -> Image.Image:
+    """The title and the first row's first three of four panels: all nine are too small to read on a page."""
+    return image.crop((0, 0, 3 * image.width // 4, round(0.36 * image.height)))
+
+
+# ---- diagnose ------------------------------------------------------------------------------------
+
+
+def diagnosis() -> Image.Image:
+    """Where the gap is, by frequency, and one stretch of a run, before and after, as in the report."""
+    tutorial("first_diagnosis", until="## 2.")
+    runs = [read_run(path) for path in sorted(Path("runs").glob("*.csv"))]
+    plant = Delta(load_machine("my-delta.toml"), runs)
+    found: Picture = picture(plant, diagnose(plant))
+    return side_by_side([figures.overlays(found)[0], figures.spectra(found)[0]])
+
+
+def side_by_side(drawings: list[Drawing]) -> Image.Image:
+    """Drawings of a page in one row, each with its title and what it says."""
+    import textwrap
+
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    from ffcomp.report.shared.style import RC
+
+    with matplotlib.rc_context(RC):
+        size = (sum(each.width for each in drawings), max(each.height for each in drawings) + 0.6)
+        figure = Figure(figsize=size, layout=layout(), facecolor="#ffffff")
+        boxes = figure.subfigures(1, len(drawings), width_ratios=[each.width for each in drawings])
+        for box, each in zip(boxes, drawings, strict=True):
+            said = textwrap.fill(each.said, 70)
+            box.suptitle(f"{each.title}\n{said}", x=0.02, ha="left", fontsize=9)
+            each.draw(box)
+        return Image.open(io.BytesIO(file_of(figure, "png")))
+
+
+MADE: dict[str, Callable[[], Image.Image]] = {
+    each.__name__: each
+    for each in (
+        show_good,
+        show_wrong_file,
+        show_limits,
+        compare_methods,
+        compare_close_up,
+        compare_mismatch,
+        frf_good,
+        frf_noisy,
+        frf_wrong_mode,
+        fit_good,
+        fit_weak,
+        diagnosis,
+    )
+}
+
+if __name__ == "__main__":
+    main()

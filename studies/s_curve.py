@@ -1,0 +1,145 @@
+"""What an S-curve plan takes and gives: print time, peaks of the carriages' command, contour error.
+
+    python studies/s_curve.py [--seconds N] [FILE:MACHINE ...]
+
+Peaks are of the carriages' acceleration over 4 ms: the largest, and the 99.9th percentile. "Plan" is the command before
+compensation, over the whole print; "command" is what compensation makes of it, over N seconds (60) of runs drawn at
+random, the same for both plans. The contour error is the design model's prediction for these.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # one core: said before numpy and scipy start their threads
+
+import argparse
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from ffcomp.compensate.prediction import Prediction
+from ffcomp.compensate.program import firmware_limits, plan_program, settings_for
+from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.reference import Reference, Run, split_runs
+from ffcomp.planner.junctions import junction_limits
+from ffcomp.planner.lookahead import stops_and_waits
+from ffcomp.planner.s_curve import SCurve, s_curve
+from ffcomp.planner.trajectory import PlannedMotion, Trajectory
+from gcode.program import Program
+from gcode.reader import read_program
+from models.file import load_machine
+from models.machine import Machine
+from models.vibration.scheduled import rest_state
+
+FloatArray = NDArray[np.float64]
+
+ROOT = Path(__file__).parents[1]
+DATA = Path(os.environ.get("FFCOMP_DATA", ROOT / "../shared/data"))
+SAMPLES = ROOT / "sample_prints"
+DEFAULT = (
+    f"{SAMPLES / 'ringing_tower.gcode'}:mp-delta-pro",
+    f"{SAMPLES / 'lobed_vase.gcode'}:mp-delta-pro",
+    f"{SAMPLES / 'far_star.gcode'}:mp-delta-pro",
+    f"{DATA / 'gcode/kossel_mks-pwc.gcode'}:kossel",
+    f"{DATA / 'gcode/flsun_v400_retract-tower.gcode'}:flsun-qqs",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One plan of one print."""
+
+    time_s: float
+    plan: FloatArray  # (2,) mm/s², largest and 99.9th percentile
+    command: FloatArray  # (2,) mm/s²
+    contour_rms_um: float
+    contour_p99_um: float
+
+
+def smooth(program: Program, plan: Trajectory, machine: Machine) -> PlannedMotion:
+    stops, waits = stops_and_waits(program)
+    allowed_v = junction_limits(program.moves, firmware_limits(machine), stops | (waits > 0.0))
+    settings = SCurve(limit_mm_per_s2=machine.limits.acceleration_mm_per_s2)
+    return s_curve(plan, machine.kinematics.compiled().inverse, settings, allowed_v=allowed_v)
+
+
+def bends(heights: FloatArray, dt: float) -> FloatArray:
+    """Acceleration of the carriage that needs most at each knot, mm/s², rests on both sides included."""
+    around = np.vstack([heights[:1], heights, heights[-1:]])
+    return np.asarray(np.abs(np.diff(around, 2, axis=0)).max(axis=1) / dt**2)
+
+
+def peaks(parts: list[FloatArray]) -> FloatArray:
+    return np.percentile(np.concatenate(parts), [100.0, 99.9])
+
+
+def drawn(runs: list[Run], seconds: float) -> list[int]:
+    """Indices of runs that travel, in random but repeatable order, as many as make up the time."""
+    travels = np.flatnonzero([run.travels for run in runs])
+    mixed = np.random.default_rng(1).permutation(travels)
+    lasting = np.cumsum([runs[i].end_t - runs[i].begin_t for i in mixed])
+    return [int(i) for i in mixed[: int(np.searchsorted(lasting, seconds)) + 1]]
+
+
+def measure(motion: PlannedMotion, runs: list[Run], chosen: list[int], machine: Machine) -> Row:
+    inverter = Inverter(machine, settings_for(machine))
+    knot_s, prediction = inverter.settings.segment_s, Prediction(inverter, 1.0)
+    delta = machine.kinematics.compiled()
+    before, after = [], []
+    for run in runs:
+        if run.travels:
+            wanted = Reference(motion, run, inverter.settings)
+            before.append(bends(delta.inverse(wanted.at_knots(np.arange(wanted.knots + 1))), knot_s))
+    for i in chosen:
+        wanted = Reference(motion, runs[i], inverter.settings)
+        start = motion.origin[runs[i].first, :3]
+        result = inverter.run(wanted, rest_state(machine, start), keep_response=True)
+        after.append(bends(delta.inverse(result.vertices), knot_s))
+        prediction.add(motion, runs[i], wanted, result)
+    track = prediction.samples.tracks()["compensated"]
+    return Row(motion.end_t, peaks(before), peaks(after), track.contour_rms_um, track.contour_p99_um)
+
+
+def compare(path: Path, machine: Machine, seconds: float) -> tuple[Row, Row]:
+    planned = plan_program(read_program(path.read_bytes(), path.name), machine)
+    stops, _ = stops_and_waits(planned.program)
+    motion = smooth(planned.program, planned.trajectory, machine)
+    chosen = drawn(planned.runs, seconds)
+    return (
+        measure(planned.trajectory, planned.runs, chosen, machine),
+        measure(motion, split_runs(motion, stops), chosen, machine),
+    )
+
+
+def as_line(name: str, was: Row, now: Row | None = None) -> str:
+    row = now or was
+    cells = [f"{row.time_s:.1f}" + (f" ({row.time_s / was.time_s - 1.0:+.2%})" if now else "")]
+    for new, old in zip((*row.plan, *row.command), (*was.plan, *was.command), strict=True):
+        cells.append(f"{new / 1e3:.2f}" + (f" ({new / old - 1.0:+.0%})" if now else ""))
+    cells.append(f"{row.contour_rms_um:.2f} / {row.contour_p99_um:.2f}")
+    return f"| {name} | {' | '.join(cells)} |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="An S-curve plan beside the firmware's own.")
+    parser.add_argument("prints", nargs="*", default=DEFAULT, metavar="FILE:MACHINE", help="default: the sample prints")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of each print that are compensated")
+    options = parser.parse_args()
+    print("| print | time s | plan max m/s² | plan 99.9 % | command max m/s² | command 99.9 % | contour rms / p99 µm |")
+    print("|---|---|---|---|---|---|---|")
+    for chosen in options.prints:
+        path, _, name = chosen.rpartition(":")
+        machine = load_machine(ROOT / "models" / "library" / f"{name}.toml")
+        was, now = compare(Path(path), machine, options.seconds)
+        print(as_line(Path(path).stem, was))
+        print(as_line("… S-curve", was, now), flush=True)
+
+
+if __name__ == "__main__":
+    main()

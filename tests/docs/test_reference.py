@@ -1,0 +1,240 @@
+"""docs/reference and docs/explanation say what the code does: verbs, machine files, formats, exit codes, numbers."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ffcomp.errors import FfcompError
+from ffcomp.inverse.bandwidth import effort_curve
+from ffcomp.measurement.frf_files import _COLUMNS as FRF_COLUMNS
+from ffcomp.measurement.frf_files import read_frfs
+from ffcomp.measurement.header import KNOWN, check_header
+from ffcomp.measurement.labels import KEYS
+from models.effects.catalogue import CATALOGUE
+from models.errors import MachineFileError
+from models.file import load_machine
+from models.schema import OF_STRAIGHT_AXES, DeltaDocument, StraightDocument, unit_of
+from models.vibration.receptance import modes
+from studies import cli_reference
+from tests.support.reference import MACHINE, MACHINE_FILE, REFERENCE, ROOT, SMALL, call, examples, rows_of
+
+TRUTH = load_machine("mp-delta-pro")
+
+
+# ---- cli.md --------------------------------------------------------------------------------------
+
+
+def test_the_page_of_verbs_is_in_step_with_them() -> None:
+    written_page = (REFERENCE / "cli.md").read_text(encoding="utf-8")
+    assert written_page == cli_reference.page(), "python studies/cli_reference.py --write"
+
+
+def test_every_example_of_a_verb_names_options_that_it_has() -> None:
+    shown = [verb for verb in cli_reference.verbs() if verb.example]
+    assert len(shown) > 8
+    for verb in shown:
+        known = {name for each in verb.parameters for name in each.name.split()}
+        assert verb.example.startswith(f"ffcomp {verb.name} ")
+        assert set(re.findall(r" (--?[a-z][\w-]*)", verb.example)) <= known
+
+
+# ---- machine_file.md -----------------------------------------------------------------------------
+
+SECTIONS = {  # of the page -> path into the JSON schema of a document
+    "Top level": (DeltaDocument, ""),
+    "kinematics: a delta": (DeltaDocument, "kinematics"),
+    "kinematics: straight axes": (StraightDocument, "kinematics"),
+    "carriage": (DeltaDocument, "carriage"),
+    "carriage.drive": (DeltaDocument, "carriage.drive"),
+    "effector": (DeltaDocument, "effector"),
+    "axes": (StraightDocument, "axes.x"),
+    "limits": (DeltaDocument, "limits"),
+    "steps": (DeltaDocument, "steps"),
+}
+TABLES = {"kinematics", "carriage", "effector", "axes", "limits", "steps", "effects", "uncertainty", "provenance"}
+
+
+def of_schema(document: Any, path: str) -> dict[str, list[str]]:
+    """Key -> the cells that follow from the schema: key, unit, range, default."""
+    schema = document.model_json_schema()
+    table = schema
+    for part in filter(None, path.split(".")):
+        table = _object(schema, table["properties"][part])
+    cells = {}
+    for key, field in table["properties"].items():
+        if path or key not in TABLES:
+            default = "**required**" if key in table.get("required", []) else _default(field)
+            if "$ref" not in str(field):
+                cells[key] = [f"`{key}`", unit_of(key), _range(field), default]
+    return cells
+
+
+def _object(schema: dict[str, Any], field: dict[str, Any]) -> dict[str, Any]:
+    """What stands behind `X` or `X | None`."""
+    reference = next(each["$ref"] for each in (field, *field.get("anyOf", ())) if "$ref" in each)
+    return schema["$defs"][reference.rpartition("/")[2]]
+
+
+def _default(field: dict[str, Any]) -> str:
+    value = field.get("default")
+    return "" if value is None else f"`{value:g}`" if isinstance(value, float) else f"`{value}`"
+
+
+def _range(field: dict[str, Any]) -> str:
+    kinds = [each for each in field.get("anyOf", [field]) if each.get("type") != "null"]
+    if len(kinds) == 2:
+        return f"{_range(kinds[0])}; or three"
+    (kind,) = kinds
+    if "const" in kind or "enum" in kind:
+        return ", ".join(f"`{each}`" for each in kind.get("enum", [kind.get("const")]))
+    if kind["type"] == "array":
+        count = {(3, 3): "three", (2, 2): "two", (1, 2): "one or two"}[kind["minItems"], kind["maxItems"]]
+        return f"{count}, {_range(kind['items'])} each"
+    return "text" if kind["type"] == "string" else _interval(kind)
+
+
+def _interval(kind: dict[str, Any]) -> str:
+    low = _number(kind["minimum"]) if "minimum" in kind else f"above {_number(kind['exclusiveMinimum'])}"
+    high = _number(kind["maximum"]) if "maximum" in kind else f"below {_number(kind['exclusiveMaximum'])}"
+    return f"{low} to {high}"
+
+
+def _number(value: float) -> str:
+    if abs(value) < 1e4:
+        return f"{value:g}"
+    digits, _, exponent = f"{value:.9e}".partition("e")
+    return f"{float(digits):g}e{int(exponent)}"
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+def test_every_key_of_a_machine_file_is_told_with_its_range(section: str) -> None:
+    told = [row[:4] for row in rows_of(MACHINE_FILE, section)]
+    assert told == list(of_schema(*SECTIONS[section]).values())
+
+
+def test_every_effect_is_told_with_its_parameters() -> None:
+    told = {
+        re.findall(r"`(\w+)`", row[0])[0]: re.findall(r"`(\w+)`", row[1]) for row in rows_of(MACHINE_FILE, "effects")
+    }
+    assert told == {name: [each.name for each in CATALOGUE[name].parameters] for name in sorted(CATALOGUE)}
+    text = MACHINE_FILE.read_text(encoding="utf-8")
+    assert f"It may have {', '.join(f'`{name}`' for name in OF_STRAIGHT_AXES)} and the sensors'" in text
+
+
+def test_the_examples_are_machines_and_the_mistakes_are_found(tmp_path: Path) -> None:
+    *good, bad = examples(MACHINE_FILE, "toml")
+    kinds = []
+    for number, text in enumerate(good):
+        path = tmp_path / f"{number}.toml"
+        path.write_text(text, encoding="utf-8")
+        kinds.append(load_machine(path).first_share is None)
+    assert kinds == [True, False]
+    path = tmp_path / "mistakes.toml"
+    path.write_text(bad, encoding="utf-8")
+    with pytest.raises(MachineFileError) as told:
+        load_machine(path)
+    (quoted,) = examples(MACHINE_FILE, "text")
+    assert str(told.value).replace(str(path), "mistakes.toml") == quoted.rstrip("\n")
+
+
+# ---- files.md ------------------------------------------------------------------------------------
+
+FILES = REFERENCE / "files.md"
+
+
+def names_of(page: Path, section: str, header: str) -> list[str]:
+    """What stands in backticks in the first column of the table that begins with this header."""
+    body = re.split(rf"^##+ {re.escape(section)}\n", page.read_text(encoding="utf-8"), flags=re.MULTILINE)[1]
+    rows = body.partition(f"\n| {header} |")[2].partition("\n\n")[0].splitlines()[2:]
+    return [name for row in rows for name in re.findall(r"`([^`]+)`", row.split("|")[1])]
+
+
+def test_the_columns_of_measurements_are_told() -> None:
+    assert sorted(names_of(FILES, "Measured run", "column")) == sorted(KNOWN)
+    assert names_of(FILES, "Frequency response", "label") == list(KEYS)
+    assert names_of(FILES, "Frequency response", "column") == list(FRF_COLUMNS)
+
+
+def test_the_examples_of_measurements_can_be_read(tmp_path: Path) -> None:
+    run, response = examples(FILES, "csv")
+    assert check_header(run.splitlines()[2].split(",")) == []
+    (tmp_path / "response.csv").write_text(response, encoding="utf-8")
+    (read,) = read_frfs(tmp_path / "response.csv")
+    assert (read.input, read.output, read.position_mm, len(read.frequency_hz)) == (
+        "cmd_A",
+        "pos_A",
+        (0.0, 0.0, 30.0),
+        10,
+    )
+
+
+@pytest.mark.parametrize("kind", ["steps", "klipper-steps"])
+def test_the_arrays_of_a_step_archive_are_told(tmp_path: Path, kind: str) -> None:
+    small, target = tmp_path / "small.gcode", tmp_path / "small.npz"
+    small.write_bytes(SMALL)
+    options = ("--output", kind, "--extruder-steps-per-mm", "400", "-o", target, "-q", "--no-predict")
+    call("compensate", small, *MACHINE, *options)
+    told = {row[0].strip("`"): (row[1], row[2]) for row in rows_of(FILES, "Step archive")}
+    here = {name for name, (_, where) in told.items() if where in ("both", f"`{kind}`")}
+    with np.load(target) as archive:
+        assert {re.sub("^[abce]_", "m_", name) for name in archive.files} == here
+        for name in archive.files:
+            said = told[re.sub("^[abce]_", "m_", name)][0].partition(",")
+            assert archive[name].dtype.kind == "S" if said[0] == "bytes" else archive[name].dtype == said[0], name
+            assert (archive[name].ndim == 0) == (said[2] == " one number")
+
+
+# ---- exit codes ----------------------------------------------------------------------------------
+
+
+def test_exit_codes_are_those_of_the_errors() -> None:
+    codes = {int(row[0]) for row in rows_of(REFERENCE / "exit_codes_and_log.md", "Exit codes")}
+    errors = [each for each in FfcompError.__subclasses__() if each.__module__ == FfcompError.__module__]
+    assert {each.exit_code for each in errors} | {0, 1, 2, 4, 130, 141, 143} == codes
+    table = rows_of(REFERENCE / "python.md", "What can go wrong")
+    told = {row[0].strip("`").rpartition(".")[2]: int(row[2]) for row in table}
+    ours = {
+        each.__name__: each.exit_code for each in FfcompError.__subclasses__() if each.__module__ == "ffcomp.errors"
+    }
+    assert told == {**ours, "GcodeError": 4, "MachineFileError": 5}
+
+
+# ---- explanation ---------------------------------------------------------------------------------
+
+
+def test_the_tables_of_the_explanation_are_what_comes_out() -> None:
+    for place, *cells in rows_of(ROOT / "docs" / "explanation" / "the_model.md", "What changes over the bed"):
+        found = modes(TRUTH, np.array([float(x) for x in place.split(",")]))
+        pairs = zip(found.frequencies_hz, found.damping_ratios, strict=True)
+        assert sorted(cells) == sorted(f"{frequency:.1f} ({damping:.2f})" for frequency, damping in pairs)
+    curve = effort_curve(TRUTH, 0.004)
+    each = zip(curve.bandwidth_hz, curve.error_um, 1e-3 * curve.peak_mm_per_s2, strict=True)
+    known = {f"{f:.1f}": [f"{error:.1f}", f"{peak:.1f}"] for f, error, peak in each}
+    for frequency, *cells in rows_of(ROOT / "docs" / "explanation" / "the_inverse.md", "What accuracy costs"):
+        bandwidth, _, knee = frequency.strip("*").partition(", the ")
+        assert known[bandwidth] == cells
+        assert (f"{curve.knee_hz:.1f}" == bandwidth) == (knee == "knee")
+
+
+# ---- the map -------------------------------------------------------------------------------------
+
+OURS = [ROOT / "docs" / "README.md", *REFERENCE.glob("*.md"), *(ROOT / "docs" / "explanation").glob("*.md")]
+
+
+def test_every_page_is_on_the_map() -> None:
+    docs = ROOT / "docs"
+    linked = set(re.findall(r"\]\(([^)#]+\.md)", (docs / "README.md").read_text(encoding="utf-8")))
+    assert {path.relative_to(docs).as_posix() for path in docs.rglob("*.md")} - {"README.md"} <= linked
+
+
+@pytest.mark.parametrize("page_", OURS, ids=lambda path: path.name)
+def test_links_into_pages_lead_to_headings(page_: Path) -> None:
+    for target, anchor in re.findall(r"\]\(([\w./-]*)#([^)]+)\)", page_.read_text(encoding="utf-8")):
+        text = (page_.parent / target if target else page_).read_text(encoding="utf-8")
+        headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+        assert anchor in {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}, target

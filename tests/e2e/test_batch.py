@@ -1,0 +1,300 @@
+"""Many files at once: on one process, several, or a cluster, the same bytes; what fails, fails alone."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ffcomp.compensate.batch import _shares, check_targets, compensate_files, targets_in, workers
+from ffcomp.compensate.file import Failure, Options, Outcome, compensate_file
+from gcode.blocks import PART_BYTES
+from gcode.metadata import Stamp
+from models.file import load_machine
+from models.machine import Machine
+
+ROOT = Path(__file__).parents[2]
+HEAD = b"G28\nG90\nM83\nG1 Z0.3 F6000\nG1 X10 Y10 F9000\n"
+BAD = HEAD + b"G1 X400\n"
+MAIN = "from ffcomp.cli.app import main; main()"
+
+
+def a_print(size: int) -> bytes:
+    """A few moves, no two prints alike."""
+    return HEAD + b"".join(b"G1 X%d Y%d E.5\nG1 X%d E.5\nG0 X10 Y10\n" % (k, 2 * k, k % 7) for k in range(size))
+
+
+def ffcomp(*arguments: str | Path, code: str = MAIN, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", "COLUMNS": "200"}
+    command = [sys.executable, "-c", code, "compensate", "-m", "mp-delta-pro", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=environment, timeout=120, check=False)
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine("mp-delta-pro")
+
+
+@pytest.fixture
+def prints(tmp_path: Path) -> list[Path]:
+    """The smallest first: the order in which they are given is not that in which they are done."""
+    paths = [tmp_path / "ein Würfel.gcode", tmp_path / "b.gcode", tmp_path / "c.gcode"]
+    for size, path in enumerate(paths, start=3):
+        path.write_bytes(a_print(size))
+    return paths
+
+
+@pytest.fixture
+def alone(prints: list[Path], machine: Machine, tmp_path: Path) -> list[bytes]:
+    """What a single process makes of each."""
+    folder = tmp_path / "alone"
+    folder.mkdir()
+    targets = targets_in(folder, prints)
+    done = in_order(compensate_files(prints, machine, targets=targets))
+    assert [outcome.failure for outcome in done] == [None] * 3
+    return [target.read_bytes() for target in targets]
+
+
+def in_order(outcomes: Iterator[Outcome]) -> list[Outcome]:
+    return sorted(outcomes, key=lambda outcome: outcome.number)
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def test_side_by_side_in_place(prints: list[Path], alone: list[bytes], tmp_path: Path) -> None:
+    bad, missing = tmp_path / "bad.gcode", tmp_path / "missing.gcode"
+    bad.write_bytes(BAD)
+    before = names(tmp_path)
+    first = ffcomp(prints[0], bad, prints[1], missing, prints[2], "--jobs", "2", "--json")
+    assert first.returncode == 4, first.stderr  # of the first that failed, though the missing one may fail before it
+    answer = json.loads(first.stdout)
+    assert answer["schema"] == "ffcomp-compensate-batch/1" and answer["failed"] == 2
+    results = answer["results"]
+    assert [Path(result["input"]).name for result in results] == [
+        "ein Würfel.gcode",
+        "bad.gcode",
+        "b.gcode",
+        "missing.gcode",
+        "c.gcode",
+    ]
+    assert [result.get("exit_code") for result in results] == [None, 4, None, 2, None]
+    assert f"{bad}:6:" in results[1]["error"] and "Traceback" not in first.stderr
+    assert results[2]["schema"] == "ffcomp-compensate/1" and results[2]["output"] == str(prints[1])
+    assert [path.read_bytes() for path in prints] == alone
+    assert bad.read_bytes() == BAD and names(tmp_path) == before
+    rows = [line for line in first.stderr.splitlines() if line.startswith("│")]
+    assert [name in row for name, row in zip(("Würfel", "bad", "b.g", "missing", "c.g"), rows, strict=True)] == [
+        True
+    ] * 5
+    assert "→" in rows[0] and "µm" in rows[0] and "failed" in rows[1] and str(missing) in first.stderr.splitlines()[-1]
+    again = ffcomp(*prints, "-q")
+    assert again.returncode == 0 and again.stderr == ""
+    assert [path.read_bytes() for path in prints] == alone
+
+
+def test_into_a_folder(prints: list[Path], alone: list[bytes], tmp_path: Path) -> None:
+    originals, folder = [path.read_bytes() for path in prints], tmp_path / "new" / "folder"
+    assert ffcomp(*prints, "--dry-run", "--output-dir", folder, "-q").returncode == 0
+    assert not folder.exists()
+    answer = ffcomp(*prints, "--jobs", "2", "--output-dir", folder, "-q", "--json")
+    assert answer.returncode == 0 and answer.stderr == ""
+    assert [path.read_bytes() for path in prints] == originals
+    assert names(folder) == {path.name for path in prints}
+    assert [(folder / path.name).read_bytes() for path in prints] == alone
+    assert [result["output"] for result in json.loads(answer.stdout)["results"]] == [
+        str(folder / path.name) for path in prints
+    ]
+
+
+def test_nothing_is_overwritten_by_accident(prints: list[Path], tmp_path: Path) -> None:
+    first, second, _ = prints
+    other = tmp_path / "other"
+    other.mkdir()
+    twin, link = other / first.name, tmp_path / "link.gcode"
+    twin.write_bytes(first.read_bytes())
+    link.symlink_to(first)
+    with pytest.raises(ValueError, match="would both be written to"):
+        targets_in(tmp_path / "out", [first, twin])
+    with pytest.raises(ValueError, match="would both be written to"):
+        check_targets([first, link], [first, link])
+    with pytest.raises(ValueError, match=r"is in .* itself"):
+        targets_in(other / ".." / "other", [twin])
+    twin.unlink()
+    twin.symlink_to(second)
+    with pytest.raises(ValueError, match=r"written over .*b\.gcode, which is read as well"):
+        targets_in(other, [first, second])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["b.gcode", "c.gcode", "-o", "out.gcode"], 2, "-o is for one file"),
+        (["b.gcode", "--output-dir", "."], 2, "would be overwritten"),
+        (["b.gcode", "b.gcode"], 2, "would both be written"),
+        (["b.gcode", "c.gcode", "--scheduler", "nowhere"], 1, "There is no Dask scheduler at nowhere"),
+    ],
+)
+def test_what_is_wrongly_asked_for_is_a_sentence(
+    prints: list[Path], tmp_path: Path, arguments: list[str], code: int, words: str
+) -> None:
+    if "--scheduler" in arguments:
+        pytest.importorskip("distributed", reason="The cluster's tests need Dask: pip install 'ffcomp[dask]'.")
+    before = {path: path.read_bytes() for path in prints}
+    answer = ffcomp(*arguments, cwd=tmp_path)
+    assert answer.returncode == code, answer.stderr
+    assert words in " ".join(answer.stderr.replace("│", " ").split()) and "Traceback" not in answer.stderr
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_without_dask_the_package_is_named(prints: list[Path]) -> None:
+    answer = ffcomp(*prints, "--scheduler", "tcp://x:1", code=f"import sys; sys.modules['distributed'] = None; {MAIN}")
+    assert answer.returncode == 1 and "pip install 'ffcomp[dask]'" in answer.stderr
+
+
+def test_progress_is_of_bytes(prints: list[Path], machine: Machine) -> None:
+    for jobs in (1, 2):
+        seen: list[float] = []
+        targets = [None] * 3
+        done = in_order(compensate_files(prints, machine, targets=targets, jobs=jobs, progress=seen.append))
+        assert [outcome.result["output"] for outcome in done] == [None] * 3
+        assert seen == sorted(seen) and seen[-1] == sum(path.stat().st_size for path in prints)
+        assert prints[0].read_bytes() == a_print(3)
+
+
+def test_a_file_so_big_that_all_work_at_it(tmp_path: Path, machine: Machine) -> None:
+    big, small = tmp_path / "big.gcode", tmp_path / "small.gcode"
+    padding = b"; nothing is said here, at some length, again and again\n" * (PART_BYTES // 50)
+    big.write_bytes(a_print(3) + padding + a_print(2) + padding + a_print(4))
+    small.write_bytes(a_print(2))
+    answers = []
+    for jobs in (1, 2):
+        folder = tmp_path / str(jobs)
+        folder.mkdir()
+        targets = targets_in(folder, [small, big])
+        order = [outcome.number for outcome in compensate_files([small, big], machine, targets=targets, jobs=jobs)]
+        assert order == ([0, 1] if jobs == 1 else [1, 0])
+        answers.append([target.read_bytes() for target in targets])
+    assert answers[0] == answers[1]
+
+
+@given(st.lists(st.integers(0, 20 * PART_BYTES), min_size=1, max_size=12), st.integers(2, 9))
+def test_shares_hold_every_file_once(sizes: list[int], jobs: int) -> None:
+    alone, together = _shares(sizes, jobs, largest=15 * PART_BYTES)
+    assert sorted(alone + together) == list(range(len(sizes)))
+    assert [sizes[number] for number in alone + together] == sorted(sizes, reverse=True)
+    assert all(sizes[number] <= 15 * PART_BYTES for number in together)
+    assert all(sizes[number] >= PART_BYTES for number in alone)
+
+
+def test_shares() -> None:
+    mega = PART_BYTES
+    assert _shares([mega] * 6, 2, 1e9) == ([], [0, 1, 2, 3, 4, 5])  # one each
+    assert _shares([mega // 4] * 3, 8, 1e9) == ([], [0, 1, 2])  # a chapter is not split
+    assert _shares([20 * mega, mega, mega], 4, 1e9) == ([0], [1, 2])  # nobody waits for the big one
+    assert _shares([20 * mega, 24 * mega], 8, 1e9) == ([1, 0], [])
+    assert _shares([1, 3, 2], 1, 1e9) == ([0, 1, 2], [])  # one process: as given
+
+
+@dataclass(frozen=True)
+class Poisoned(Options):
+    """Options under which some files end the process that works at them, or find a fault in ffcomp."""
+
+    def job(self, source: bytes | Path, path: str, machine: Machine, stamp: Stamp | None, jobs: int) -> Any:
+        if "poison" in path:
+            os._exit(1)
+        if "fault" in path:
+            raise ZeroDivisionError("of ours")
+        return super().job(source, path, machine, stamp, jobs)
+
+
+def poisoned(prints: list[Path], machine: Machine, **where: Any) -> list[Outcome]:
+    """All of them in place, one of which is poison and one a fault."""
+    poison, fault = prints[0].with_name("poison.gcode"), prints[0].with_name("fault.gcode")
+    files = [prints[0], poison, fault, *prints[1:]]
+    for file in (poison, fault):
+        file.write_bytes(a_print(6))
+    outcomes = in_order(compensate_files(files, machine, Poisoned(), **where))
+    assert poison.read_bytes() == fault.read_bytes() == a_print(6)
+    assert names(poison.parent) - {"alone", "far"} == {file.name for file in files}
+    return outcomes
+
+
+def check_poisoned(outcomes: list[Outcome]) -> None:
+    failures = [outcome.failure for outcome in outcomes]
+    assert failures[0] is failures[3] is failures[4] is None
+    assert isinstance(failures[1], Failure) and isinstance(failures[2], Failure)
+    assert failures[1].exit_code == 1 and "poison.gcode: A process" in failures[1].sentence
+    assert failures[2].exit_code == 1 and "ZeroDivisionError: of ours" in failures[2].sentence
+    assert "Traceback" in failures[2].trace
+
+
+def test_a_process_that_dies_takes_only_its_file_along(
+    prints: list[Path], alone: list[bytes], machine: Machine
+) -> None:
+    check_poisoned(poisoned(prints, machine, jobs=2))
+    assert [path.read_bytes() for path in prints] == alone
+
+
+@pytest.fixture(scope="module")
+def scheduler() -> Iterator[str]:
+    """The address of a cluster of two processes in which a task may not kill twice."""
+    reason = "The cluster's tests need Dask: pip install 'ffcomp[dask]'."
+    distributed = pytest.importorskip("distributed", reason=reason)
+    dask = pytest.importorskip("dask")
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=50
+        ) as cluster,
+    ):
+        yield cluster.scheduler_address
+
+
+def test_on_a_cluster(prints: list[Path], alone: list[bytes], machine: Machine, scheduler: str, tmp_path: Path) -> None:
+    folder = tmp_path / "far"
+    answer = ffcomp(*prints, "--scheduler", scheduler, "--output-dir", folder, "--json")
+    assert answer.returncode == 0, answer.stderr
+    assert [(folder / path.name).read_bytes() for path in prints] == alone
+    (folder / "b.gcode").unlink()
+    with workers(1, scheduler) as at_once:  # one file: its chapters
+        compensate_file(prints[1], "b", machine, Options(), folder / "b.gcode", jobs=at_once)
+    assert (folder / "b.gcode").read_bytes() == alone[1]
+    check_poisoned(poisoned(prints, machine, scheduler=scheduler))
+    assert [path.read_bytes() for path in prints] == alone
+
+
+def test_an_interrupt_leaves_what_is_finished(prints: list[Path], alone: list[bytes], tmp_path: Path) -> None:
+    long = tmp_path / "long.gcode"
+    moves = b"".join(b"G1 X%d Y%d E.1\n" % (k % 40, k * 7 % 40) for k in range(60_000))
+    long.write_bytes(HEAD + moves)
+    command = [sys.executable, "-c", MAIN, "compensate", "-m", "mp-delta-pro", "-j", "2", prints[0], long]
+    process = subprocess.Popen(
+        command,
+        cwd=ROOT,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background jobs ignore it
+    )
+    for _ in range(600):
+        if prints[0].read_bytes() != a_print(3):
+            break
+        time.sleep(0.1)
+    time.sleep(1.0)  # the process that is done has yet to say so
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130 and "Interrupted; 1 of 2 files are done" in errors, errors
+    assert prints[0].read_bytes() == alone[0] and long.read_bytes() == HEAD + moves
+    assert names(tmp_path) == {"alone", *(path.name for path in (*prints, long))}

@@ -1,0 +1,103 @@
+"""`ffcomp compensate`: step timings, limits that slow down or stop, and what its options refuse."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import Result
+from typer.testing import CliRunner
+
+from ffcomp.cli.app import app
+from ffcomp.steps.reader import read_events, read_steps
+from models.file import load_machine
+from tests.support.prints import squares
+
+MACHINE = "mp-delta-pro"
+
+
+@pytest.fixture
+def printed(tmp_path: Path) -> Path:
+    path = tmp_path / "squares.gcode"
+    path.write_bytes(squares(1))
+    return path
+
+
+def call(*words: str | Path) -> Result:
+    return CliRunner().invoke(app, ["compensate", *map(str, words)])
+
+
+def weak(tmp_path: Path, limit: str) -> Path:
+    """The library's machine with one limit more."""
+    text = Path(load_machine(MACHINE).path).read_text(encoding="utf-8")
+    path = tmp_path / "weak.toml"
+    path.write_text(text.replace("[limits]\n", f"[limits]\n{limit}\n"), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(("kind", "rows"), [("steps", False), ("klipper-steps", True)])
+def test_step_timings_beside_the_print(printed: Path, kind: str, rows: bool) -> None:
+    before = printed.read_bytes()
+    done = call(printed, "-m", MACHINE, "--output", kind, "--extruder-steps-per-mm", "400", "--json", "-q")
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    archive = printed.with_suffix(".npz")
+    assert result["output"] == str(archive) and printed.read_bytes() == before
+    motors = read_steps(archive)
+    assert {name: total["steps"] for name, total in result["steps"].items()} == {
+        name: len(motor.time_s) for name, motor in motors.items()
+    }
+    assert (result["steps"]["a"]["rows"] > 0) == rows
+    assert len(read_events(archive)[1]) > 3
+    judged = CliRunner().invoke(app, ["simulate", str(archive), "-m", MACHINE, "--json", "-q"])
+    assert judged.exit_code == 0, judged.output
+
+
+def test_steps_of_the_plan_itself(printed: Path, tmp_path: Path) -> None:
+    words = (printed, "-m", MACHINE, "--output", "steps", "--extruder-steps-per-mm", "400", "-o", tmp_path / "p.npz")
+    plain, ours = call(*words, "--inverse", "none", "--json", "-q"), call(*words, "--json", "-q")
+    assert plain.exit_code == ours.exit_code == 0
+    first, second = json.loads(plain.stdout), json.loads(ours.stdout)
+    assert first["print_time_s"] == pytest.approx(first["original_print_time_s"])
+    assert second["print_time_s"] > first["print_time_s"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--output", "steps"), "extruder_steps_per_mm"),
+        (("--output", "hex"), "gcode, steps or klipper-steps"),
+        (("--inverse", "none"), "for --output steps"),
+        (("--inverse", "slow"), "fast, exact or none"),
+        (("--solver", "gurobi"), "osqp, piqp or clarabel"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_the_rule(printed: Path, words: tuple[str, ...], said: str) -> None:
+    before = printed.read_bytes()
+    refused = call(printed, "-m", MACHINE, *words)
+    assert refused.exit_code == 2 and said in " ".join(refused.output.replace("│", " ").split())
+    assert printed.read_bytes() == before
+
+
+def test_a_limit_slows_down_or_stops(printed: Path, tmp_path: Path) -> None:
+    machine = weak(tmp_path, "step_rate_hz = 4000.0")  # 50 mm/s of a carriage
+    before = printed.read_bytes()
+    refused = call(printed, "-m", machine, "--strict", "-q")
+    assert refused.exit_code == 6 and "would have to be slowed" in refused.output
+    assert printed.read_bytes() == before
+    slowed = call(printed, "-m", machine, "--json", "-q")
+    assert slowed.exit_code == 0, slowed.output
+    result = json.loads(slowed.stdout)
+    assert result["slowed"] and result["slowed"][0]["limit"] == "velocity"
+    assert any("slowed to" in sentence and "line" in sentence for sentence in result["warnings"])
+    assert result["print_time_s"] > 1.05 * result["original_print_time_s"]
+
+
+def test_robust_and_s_curve_are_options(printed: Path, tmp_path: Path) -> None:
+    texts = []
+    for words in ((), ("--robust",), ("--s-curve",)):
+        target = tmp_path / "out.gcode"
+        assert call(printed, "-m", MACHINE, "-q", "--no-predict", "-o", target, *words).exit_code == 0
+        texts.append(target.read_bytes())
+    assert len(set(texts)) == 3

@@ -1,0 +1,346 @@
+"""How long a print takes: against closed forms, the whole plan, the real host; and the times in compensated files."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import Result
+from typer.testing import CliRunner
+
+from ffcomp.cli.app import app
+from ffcomp.compensate import chunks as chapters
+from ffcomp.compensate import job as jobs
+from ffcomp.compensate.gcode_output import print_time as times
+from ffcomp.compensate.gcode_output.print_time import with_times_retold
+from ffcomp.compensate.gcode_output.writer import TIME_WAS, original
+from ffcomp.compensate.job import Job
+from ffcomp.compensate.program import plan_program, settings_for
+from ffcomp.errors import NothingToDo
+from ffcomp.estimate import spans as cutting
+from ffcomp.estimate.engine import Estimate, as_json, estimate, seconds
+from ffcomp.estimate.layers import BEFORE
+from ffcomp.estimate.spans import spans
+from ffcomp.estimate.statistics import EXTRUDING, FILAMENT, PRIMING, RETRACTING, TRAVELLING, WAITING, Account
+from ffcomp.inverse.model import Inverter
+from ffcomp.planner.lookahead import stops_and_waits
+from gcode.metadata import Timed, tells
+from gcode.program import Program
+from gcode.reader import read_parts, read_program
+from models.file import load_machine
+from models.machine import Machine
+from tests.support.data import real
+from validation.judge import HOST_KNOWS
+from validation.kalico import kalico_plan
+
+ROOT = Path(__file__).parents[2]
+PRINTS = ROOT / "sample_prints"
+
+
+@cache
+def machine() -> Machine:
+    return load_machine("mp-delta-pro")
+
+
+@cache
+def inverter() -> Inverter:
+    return Inverter(machine(), settings_for(machine()))
+
+
+def estimated(data: bytes) -> Estimate:
+    return estimate(data, "print.gcode", machine())
+
+
+def ramp_s(length: float, speed: float, acceleration: float) -> float:
+    """A move from rest to rest that reaches its speed, and cruises at least half its way."""
+    return length / speed + speed / acceleration
+
+
+START = b"G28\nM109 S200\nG90\nM83\nG1 X0 Y0 Z0.2 F6000\nSET_VELOCITY_LIMIT ACCEL=2000 MINIMUM_CRUISE_RATIO=0\n"
+SIMPLE = START + (
+    b";LAYER_CHANGE\n;TYPE:Skirt\nG1 X40 E2 F3000\nG1 E-1 F1200\nG4 P1500\n;TYPE:Infill\nG1 X0 F6000\nG1 E1 F1200\n"
+    b";LAYER_CHANGE\nG1 Z0.4 F600\nM400\nG1 Y40 E3 F3000\nSTART_FAN_DANCE\nM109 S210\n"
+)
+
+
+def test_every_kind_of_time_in_closed_form() -> None:
+    account = estimated(SIMPLE).account
+    filament_acceleration = machine().limits.acceleration_mm_per_s2 * 16 * 0.4**2 / (math.pi * 1.75**2)
+    total = account.total
+    assert total[EXTRUDING] == pytest.approx(2 * ramp_s(40, 50, 2000))
+    assert total[TRAVELLING] == pytest.approx(ramp_s(40, 100, 2000) + ramp_s(0.2, 10, 2000))
+    assert total[RETRACTING] == total[PRIMING] == pytest.approx(ramp_s(1, 20, filament_acceleration))
+    assert total[WAITING] == 1.5
+    assert account.filament_mm == pytest.approx(5.0)  # the millimetre that was pulled back came again
+    assert account.retractions == 1
+
+
+def test_layers_and_features_share_all_of_it() -> None:
+    account = estimated(SIMPLE).account
+    layers = dict(account.layers.in_order())
+    assert list(layers) == [0, 1]
+    assert [layer.z_mm for layer in layers.values()] == [0.2, 0.4]
+    assert [layer.line for layer in layers.values()] == [9, 16]
+    for column in range(FILAMENT + 1):
+        assert sum(layer.row[column] for layer in layers.values()) == pytest.approx(account.total[column])
+    assert account.features["Skirt"][WAITING] == 1.5
+    assert account.features["Infill"][EXTRUDING] == pytest.approx(ramp_s(40, 50, 2000))
+
+
+def test_what_no_file_tells_is_named_with_its_lines() -> None:
+    unknown = estimated(SIMPLE).account.unknown.values()
+    assert [(each.what, each.command, each.lines) for each in unknown] == [
+        ("homing", "G28", [1]),
+        ("heating", "M109", [2, 20]),
+        ("a move from a place not known", "G1", [5]),
+        ("a macro or a command not known", "START_FAN_DANCE", [19]),
+    ]
+
+
+def test_layers_by_height_where_no_comment_names_them() -> None:
+    rings = [b"G1 Z%.1f\nG1 X40 E1\nG1 Y40 E1\nG1 X0 E1\nG1 Y0 E1\n" % z for z in (0.3, 0.5, 0.7)]
+    layers = estimated(START + b"".join(rings)).account.layers.in_order()
+    assert [number for number, _ in layers] == [BEFORE, 0, 1, 2]
+    assert [layer.z_mm for _, layer in layers[1:]] == [0.3, 0.5, 0.7]
+    slope = b"".join(b"G1 X%.2f Y%.2f Z%.4f E.05\n" % (*spiral(k), 0.3 + 0.002 * k) for k in range(300))
+    sliced = [layer for number, layer in estimated(START + slope).account.layers.in_order() if number != BEFORE]
+    assert 3 <= len(sliced) <= 5 and sum(layer.extruding for layer in sliced) == 300
+
+
+def spiral(k: int) -> tuple[float, float]:
+    return 20 * math.cos(k / 10), 20 * math.sin(k / 10)
+
+
+def account_of(data: bytes, part_bytes: int = 1 << 20) -> Account:
+    def plan_of(program: Program) -> object:
+        return plan_program(program, machine()).trajectory
+
+    account = Account()
+    for span in spans(read_parts([data], flavor="klipper", part_bytes=part_bytes), plan_of):  # type: ignore[arg-type]
+        account.add(span)
+    return account
+
+
+def test_parts_add_up_to_the_whole_plan() -> None:
+    """To the rounding of sums, however the file is cut; lines before the first move and after the last one too."""
+    data = (PRINTS / "ringing_tower.gcode").read_bytes()[:120_000].rpartition(b"\n")[0] + b"\n"
+    program = read_program(data, flavor="klipper")
+    whole = plan_program(program, machine()).firmware_s
+    assert stops_and_waits(program)[1].sum() == 0.0
+    for part_bytes in (300, 5_000, 1 << 20):
+        account = account_of(data, part_bytes)
+        assert seconds(account.total) == pytest.approx(whole, rel=1e-12)
+        assert account.moves == len(program.moves)
+        assert [number for number, _ in account.layers.in_order()] == list(range(len(account.layers.in_order())))
+
+
+def test_a_spiral_without_rests_is_cut_in_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    places = (b"G1 X%.3f Y%.3f E.05 F6000\n" % spiral(k) for k in range(6000))
+    data = START + b"".join(places)
+    whole = seconds(account_of(data).total)
+    monkeypatch.setattr(cutting, "LONGEST", 500)
+    held = [len(span.program.moves) for span in spans(read_parts([data], flavor="klipper", part_bytes=9_000), planned)]
+    assert len(held) > 5 and max(held) < 2000
+    account = account_of(data, 9_000)
+    assert account.moves == 6001 - 1  # the first one begins nowhere
+    assert seconds(account.total) == pytest.approx(whole, abs=1e-9)
+
+
+def planned(program: Program) -> object:
+    return plan_program(program, machine()).trajectory
+
+
+def test_nothing_moves() -> None:
+    with pytest.raises(NothingToDo, match="no time to tell"):
+        estimated(b"G28\nG1 X0\nM84\n")
+
+
+@pytest.mark.kalico
+def test_the_real_host_takes_as_long() -> None:
+    lines = (PRINTS / "ringing_tower.gcode").read_bytes().splitlines(keepends=True)[:1500]
+    text = b"".join(line for line in lines if HOST_KNOWS.match(line))
+    limits, geometry = machine().limits, machine().kinematics
+    host = kalico_plan(
+        text,
+        max_velocity=limits.velocity_mm_per_s,
+        max_accel=limits.acceleration_mm_per_s2,
+        scv=limits.square_corner_velocity_mm_per_s,
+        delta_radius=float(geometry.delta_radii_mm.max()),
+        arm_length=float(geometry.arm_lengths_mm.min()),
+    )
+    account = Account()
+    for span in spans(read_parts([text], flavor="klipper", start=(0.0, 0.0, 10.0)), planned):
+        account.add(span)
+    assert seconds(account.total) == pytest.approx(host["print_s"], abs=1e-6)
+
+
+# -- the times in a compensated file --
+
+
+LIFT_S = (30 - 0.6) / 10  # at the end of it
+
+
+def timed_print(layers: int = 3) -> bytes:
+    """All forms at once, with more lines of progress than any slicer writes."""
+    head = b";TIME:100\r\nM73 P0 R9\r\n; estimated first layer printing time (normal mode) = 9s\r\n"
+    body = []
+    for k in range(layers):
+        ring = [b"G1 X%.3f Y%.3f E.5 F4800\r\nM73 P1 R1 C7\r\n" % spiral(5 * i) for i in range(13)]
+        body += [b";LAYER:%d\r\nG1 Z%.1f F600\r\n" % (k, 0.2 + 0.2 * k), *ring, b"G1 E-2 F1800\r\nG4 P250\r\nG1 E2\r\n"]
+        body += [b";TIME_ELAPSED:%d\r\n" % k]
+    tail = b"G1 Z30 F600\r\nM73 P100 R0\r\n; estimated printing time (normal mode) = 1m 40s\r\n"
+    tail += b";   Build time: 0 hours 1 minutes"
+    return head + START.replace(b"\n", b"\r\n") + b"".join(body) + tail
+
+
+def compensated(data: bytes, **options: object) -> tuple[bytes, Job]:
+    job = Job(data, "print.gcode", machine(), predict=False, inverter=inverter(), **options)  # type: ignore[arg-type]
+    return b"".join(job.lines()), job
+
+
+@cache
+def timed() -> tuple[bytes, float]:
+    text, job = compensated(timed_print())
+    return text, job.summary.print_time_s
+
+
+def numbers(line: bytes) -> list[int]:
+    return [int(word) for word in re.findall(rb"(?<=[PRC])\d+", line)]
+
+
+def test_progress_is_what_the_plan_of_the_file_has_left() -> None:
+    """Read again and planned as the firmware does; a run's rounding may be some ms."""
+    text, total_s = timed()
+    program = read_program(text, flavor="klipper")
+    plan = plan_program(program, machine()).trajectory
+    assert total_s == pytest.approx(plan.end_t, abs=0.05)
+    ends = np.append(0.0, plan.start_t + plan.duration)
+    told = [(program.lines[e.line], ends[e.move]) for e in program.events]
+    lines = [(numbers(line), at_s) for line, at_s in told if line.startswith(b"M73")]
+    assert len(lines) == 2 + 3 * 13
+    for (percent, minutes, *change), at_s in lines:
+        assert 100 * (at_s - 0.3) / total_s - 1 <= percent <= 100 * (at_s + 0.3) / total_s
+        assert abs(minutes - (total_s - at_s) / 60) <= 0.51
+        assert change in ([], [7])
+    assert lines[0][0][0] == 0 and lines[-1][0][:2] == [100, 0]
+    assert [p for (p, *_), _ in lines] == sorted(p for (p, *_), _ in lines)
+    elapsed = [(float(line[14:]), at_s) for line, at_s in told if line.startswith(b";TIME_ELAPSED:")]
+    assert [at_s for _, at_s in elapsed] == pytest.approx([t for t, _ in elapsed], abs=0.3)
+    assert len(elapsed) == 3 and elapsed[-1][0] < total_s
+
+
+def test_hosts_find_the_new_time_and_only_that() -> None:
+    """By the patterns with which Moonraker, RepRapFirmware and printer displays look for it."""
+    text, total_s = timed()
+    whole = round(total_s)
+    assert re.findall(rb";TIME:(\d+)", text) == [b"%d" % whole]
+    assert re.findall(rb";\s*estimated printing time[^=\n]*= ([^\r\n]*)", text) == [b"%ds" % whole]
+    assert re.findall(rb";\s*Build time: (\d+) hours? (\d+) minutes", text) == [(b"0", b"%d" % round(total_s / 60))]
+    first = re.findall(rb"; estimated first layer printing time \(normal mode\) = (\d+)s", text)
+    assert [int(seconds) for seconds in first] == [pytest.approx((total_s - LIFT_S) / 3, abs=1.0)]
+
+
+def test_the_original_times_are_kept() -> None:
+    data = timed_print()
+    text, _ = timed()
+    assert text.count(TIME_WAS) > 30
+    assert original(text) == data
+    again, _ = compensated(text, restore=True)
+    assert again == text
+
+
+def test_times_do_not_depend_on_who_works(monkeypatch: pytest.MonkeyPatch) -> None:
+    from joblib import parallel_config
+
+    monkeypatch.setattr(jobs, "read_parts", lambda *a, **options: read_parts(*a, **options, part_bytes=400))
+    monkeypatch.setattr(times, "IN_MEMORY", 100)
+    one, job = compensated(timed_print())
+    with parallel_config(backend="threading"):
+        two, _ = compensated(timed_print(), jobs=2)
+    assert one == two
+    text, total_s = timed()
+    assert job.summary.print_time_s == pytest.approx(total_s)
+    assert [line for line in one.splitlines() if tells(line)] == [line for line in text.splitlines() if tells(line)]
+
+
+def test_times_of_a_print_that_is_cut_in_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    places = [b"G1 X%.3f Y%.3f E.05 F6000\n" % spiral(k) for k in range(2000)]
+    places[::50] = [place + b"M73 P1 R1\n" for place in places[::50]]
+    data = START + b"".join(places) + b";TIME:7\n"
+    whole, _ = compensated(data)
+    monkeypatch.setattr(jobs, "read_parts", lambda *a, **options: read_parts(*a, **options, part_bytes=9000))
+    monkeypatch.setattr(chapters, "LONGEST", 500)
+    cut, job = compensated(data)
+    assert job.summary.print_time_s == pytest.approx(seconds(account_of(whole).total), abs=0.05)
+    assert [line for line in cut.splitlines() if tells(line)] == [line for line in whole.splitlines() if tells(line)]
+
+
+def test_a_wait_at_the_end_counts() -> None:
+    text, job = compensated(SIMPLE + b"G4 P2500\nM73 P99 R1\n")
+    assert job.summary.original_print_time_s == pytest.approx(estimated(SIMPLE).time_s + 2.5)
+    assert job.summary.print_time_s == pytest.approx(estimated(text).time_s, abs=0.05)
+    assert text.splitlines()[-2] == b"M73 P100 R0"
+
+
+def test_a_real_print_says_its_time() -> None:
+    """Orca's M73 all through the file, on a bed with its origin in a corner."""
+    lines = real("makreeltje_orca_slicer.gcode").splitlines(keepends=True)
+    data = b"".join(lines[:330] + [line for line in lines[-800:] if line.startswith(b";")])
+    text, job = compensated(data, offset=(-150.0, -150.0))
+    found = estimate(text, "print.gcode", machine())
+    assert found.time_s == pytest.approx(job.summary.print_time_s, rel=1e-3)
+    assert found.original is not None
+    assert seconds(found.original.total) == pytest.approx(job.summary.original_print_time_s)
+    assert found.account.slicer_s == found.original.slicer_s == 5563
+    assert original(text) == data
+
+
+def test_waiting_for_the_end_keeps_every_byte(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(times, "IN_MEMORY", 10)
+    monkeypatch.setattr(times, "BLOCK", 7)
+    pieces = [b"a\n", Timed.at(b"M73 P5 R1\n", 30.0), b"b" * 100 + b"\n", Timed.at(b";LAYER:0\n", 40.0)]
+    pieces += [Timed.at(b";TIME:5", 60.0)]
+    total_s: list[float] = []
+    got = with_times_retold(iter(pieces), lambda: total_s[0], tmp_path)
+    assert next(got) == b"a\n"
+    total_s.append(120.0)
+    rest = b"".join(got)
+    assert rest == (b"; ffcomp was P5 R1\nM73 P25 R2\n" + b"b" * 100 + b"\n;LAYER:0\n; ffcomp was 5\n;TIME:120")
+    assert not list(tmp_path.iterdir())
+
+
+# -- the command --
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(app, ["estimate", *map(str, arguments)])
+
+
+def test_the_command_tells_both_times(tmp_path: Path) -> None:
+    path = tmp_path / "ein Würfel 立方"
+    path.write_bytes(timed()[0])
+    told = run(path, "--json", "--figure", tmp_path / "a.png")
+    assert told.exit_code == 0, told.stderr
+    result = json.loads(told.stdout)
+    assert result == json.loads(json.dumps(as_json(replace(estimated(timed()[0]), path=str(path)))))
+    assert result["compensated"] and result["time_s"] > result["original"]["time_s"] > 10
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_command_in_words(tmp_path: Path) -> None:
+    path = tmp_path / "a.gcode"
+    path.write_bytes(SIMPLE)
+    told = run(path, "-m", "mp-delta-pro", "--layers")
+    assert told.exit_code == 0, told.stderr
+    assert "(M109, lines 2, 20)" in told.stdout
+    assert "Skirt" in told.stdout and "START_FAN_DANCE, line 19)" in told.stdout
+    assert run(path, "-m", "mp-delta-pro", "--flavor", "sailfish").exit_code == 4
+    assert run(path, "-m", "mp-delta-pro", "--figure", "picture.gcode").exit_code == 2
+    lost = run(path)
+    assert lost.exit_code == 2 and "--machine" in lost.stderr

@@ -1,0 +1,109 @@
+"""Real files and odd ones: compensated, or refused with a place and a rule. Nothing else."""
+
+from __future__ import annotations
+
+import os
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ffcomp.compensate.gcode_output.writer import STILL_MOVE, original
+from ffcomp.compensate.job import Job, already_processed
+from ffcomp.compensate.program import settings_for
+from ffcomp.errors import NothingToDo
+from ffcomp.inverse.model import Inverter
+from gcode.container import read_bytes
+from gcode.errors import GcodeError
+from gcode.program import Program
+from gcode.reader import read_program
+from models.file import load_machine
+from models.machine import Machine
+from tests.unit.ffcomp.compensate.gcode_output.test_writer import others
+
+DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[3] / "shared" / "data")) / "gcode"
+OFFSETS = {  # beds with their origin in a corner; the vase's start moves need more room than its bed's centre leaves
+    "ender3_ringing_tower.gcode": (-110.0, -110.0),
+    "gcodepreview_benchy_arcs.gcode": (-100.0, -100.0),
+    "gcodepreview_vase.gcode": (-70.0, -75.0),
+    "makreeltje_orca_slicer.gcode": (-150.0, -150.0),
+    "makreeltje_cura_slicer.gcode": (-150.0, -150.0),
+}
+HEAD, TAIL = 2500, 400  # lines: the whole files take minutes (validation/all_files.py)
+
+needs_data = pytest.mark.skipif(
+    not DATA.is_dir(), reason=f"no G-code of others at {DATA}; FFCOMP_DATA names its folder"
+)
+REAL = sorted(DATA.glob("*.gcode")) if DATA.is_dir() else []
+ODD = sorted((DATA / "odd").iterdir()) if DATA.is_dir() else []
+
+
+@cache
+def inverter() -> tuple[Machine, Inverter]:
+    machine = load_machine("mp-delta-pro")
+    return machine, Inverter(machine, settings_for(machine))
+
+
+def job(data: bytes, path: Path) -> Job:
+    machine, shared = inverter()
+    return Job(data, str(path), machine, offset=OFFSETS.get(path.name, (0.0, 0.0)), predict=False, inverter=shared)
+
+
+def shortened(path: Path) -> bytes:
+    """The beginning and the end of a file; coordinates are absolute, so what is between can be left out."""
+    lines = path.read_bytes().splitlines(keepends=True)
+    tail = [] if any(line.startswith((b"G2 ", b"G3 ")) for line in lines[-TAIL:]) else lines[-TAIL:]
+    return b"".join(lines if len(lines) < HEAD + TAIL else lines[:HEAD] + tail)  # an arc needs the place before it
+
+
+def layers(program: Program) -> list[float]:
+    """Filament between layer comments, mm."""
+    words = (b";LAYER", b"; layer", b";LAYER_CHANGE", b"; CHANGE_LAYER", b";Z:")
+    marks = [e.move for e in program.events if program.lines[e.line].startswith(words)]
+    gone = np.concatenate([[0.0], np.cumsum(program.moves.end[:, 3] - program.moves.start[:, 3])])
+    return np.diff(gone[[0, *marks, len(gone) - 1]]).tolist()
+
+
+@needs_data
+@pytest.mark.parametrize("path", REAL, ids=lambda p: p.name)
+def test_a_real_print_comes_through(path: Path) -> None:
+    data = shortened(path)
+    work = job(data, path)
+    out = b"".join(work.lines())
+    assert others(out) == others(data)
+    assert original(out) == data
+    assert already_processed(out) is not None
+    before, after = read_program(data, offset_mm=work.offset), read_program(out)
+    np.testing.assert_allclose(layers(after), layers(before), atol=1e-4)
+    np.testing.assert_allclose(after.moves.end[-1, :3], before.moves.end[-1, :3], atol=1e-4)
+    work.machine.kinematics.check_reach(after.moves.end[:, :3])
+    assert (after.moves.speed > 0).all()
+    assert work.summary.segments < 260 * work.summary.print_time_s
+    assert work.summary.warnings == []
+
+
+@needs_data
+@pytest.mark.parametrize("path", ODD, ids=lambda p: p.name)
+def test_an_odd_file_gives_a_result_or_a_place_and_a_rule(path: Path) -> None:
+    out, refused = b"", None
+    try:
+        out = b"".join(job(read_bytes(path), path).lines())
+    except (NothingToDo, GcodeError) as error:
+        refused = error
+    if refused is None:
+        assert passed(read_program(path.read_bytes())) == [a for a in out.splitlines(keepends=True) if a in kept(path)]
+    elif isinstance(refused, GcodeError):
+        assert refused.path and refused.rule.endswith((".", "?", ")"))
+        assert refused.line is not None or path.stat().st_size == 0
+    else:
+        assert str(path) in str(refused)
+
+
+def kept(path: Path) -> set[bytes]:
+    return set(passed(read_program(path.read_bytes())))
+
+
+def passed(program: Program) -> list[bytes]:
+    """Lines that are no moves, in order."""
+    return [program.lines[e.line] for e in program.events if not STILL_MOVE.match(program.lines[e.line])]

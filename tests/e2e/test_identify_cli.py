@@ -1,0 +1,193 @@
+"""`ffcomp identify`, as a user calls it: from a plan through captures of an independent printer to a machine file."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+from typer.testing import CliRunner, Result
+
+from ffcomp.cli.app import app
+from ffcomp.identify.accuracy import error_reduction, mean_absolute_percentage_accuracy
+from ffcomp.identify.experiment_files import load_plan
+from ffcomp.identify.output_error import TOTAL_MASS, fit_machine
+from ffcomp.identify.predict import predicted
+from ffcomp.measurement.frf_files import write_frf
+from models.file import LIBRARY, load_machine
+from models.parameters import value_of, with_values
+from tests.support.identification import measured, paper_bench, towers_bench
+from validation.plants import delta_plant
+from validation.plants.study import PLACES, measure_bench, measure_places, uneven
+
+TRUTH_FILE = LIBRARY / "mp-delta-pro.toml"
+TRUTH = load_machine(TRUTH_FILE)
+DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[3] / "shared" / "data"))
+VIBRATION = sorted(p for p in (DATA / "vibration").rglob("*.?sv"))
+STEP_S = 1 / 12800
+
+
+def call(*arguments: object) -> Result:
+    return CliRunner().invoke(app, ["identify", *map(str, arguments)])
+
+
+def good(*arguments: object) -> Any:
+    answer = call(*arguments, "--json", "--quiet")
+    assert answer.exit_code == 0, answer.output
+    return json.loads(answer.stdout)
+
+
+def capture(folder: Path, experiment: Any, rng: np.random.Generator) -> Path:
+    """What an ADXL345 on the nozzle holder of an independent printer writes: late, clock off, noisy, with weight."""
+    lead, after = 0.7, 1.2
+    count = 2 * int((lead + experiment.duration_s + after) / STEP_S) + 1
+    t = np.arange(count) * STEP_S / 2 - lead
+    command = experiment.command(np.clip(t, 0.0, experiment.duration_s))
+    felt = delta_plant.simulate(delta_plant.load_machine(TRUTH_FILE), command, STEP_S, gravity=True, keep_every=4)
+    t = felt["t"] - lead
+    own = np.arange(rng.uniform(-0.6, -0.2), t[-1] - 0.1, 1 / 3200)
+    a = CubicSpline(t, felt["nozzle_acc_m_per_s2"])(own) + np.array([0.0, 0.0, 9.81])
+    a = 0.0382 * np.round((a + rng.normal(0, 0.15, a.shape)) / 0.0382)
+    clock = 777.0 + (own - own[0]) * (1 + rng.uniform(-0.01, 0.01))
+    path = folder / f"raw_data_{experiment.name}.csv"
+    rows = np.column_stack([clock, 1e3 * a])
+    np.savetxt(path, rows, fmt="%.6f", delimiter=",", header="#time,accel_x,accel_y,accel_z", comments="")
+    return path
+
+
+def test_from_a_plan_through_captures_to_a_machine_file(tmp_path: Path) -> None:
+    plan = tmp_path / "excite.gcode"
+    arguments = ("--period-s", 2, "--periods", 3, "--lowest-hz", 10)
+    assert call("plan", "-m", TRUTH_FILE, "-o", plan, *arguments).exit_code == 0
+    account = load_plan(tmp_path / "excite.json")
+    rng = np.random.default_rng(4)
+    files = [capture(tmp_path, experiment, rng) for experiment in account.experiments]
+
+    start = tmp_path / "start.toml"  # every vibration number wrong, as a user's first file is
+    wrong = {
+        "mass_kg = 0.179": "mass_kg = 0.15",
+        "1.039e5": "1.3e5",
+        "7.04e3": "9.0e3",
+        "nozzle_mass_kg = 0.536": "nozzle_mass_kg = 0.45",
+    }
+    text = TRUTH_FILE.read_text(encoding="utf-8")
+    for old, new in wrong.items():
+        assert old in text
+        text = text.replace(old, new)
+    start.write_text(text, encoding="utf-8")
+    out, figure = tmp_path / "mine.toml", tmp_path / "fit.png"
+    known = f"{TOTAL_MASS}=0.651±0.001"
+    result = good(
+        "fit", *files, "--plan", tmp_path / "excite.json", "-m", start, "--known", known, "-o", out, "--figure", figure
+    )
+
+    found = load_machine(out)
+    for name in ("carriage.belt_stiffness_n_per_m", "carriage.mass_kg", "effector.nozzle_mass_kg"):
+        assert value_of(found, name) == pytest.approx(value_of(TRUTH, name), rel=0.02), name
+    assert len(result["responses"]) == 9 and figure.stat().st_size > 20_000
+    assert any("along z" in sentence for sentence in result["advice"])  # its mount resonates beyond the plan's band
+    assert str(found.provenance["identified"]["data"]).count("sha256:") == 3  # type: ignore[index]
+
+
+def test_frequency_responses_both_ways(tmp_path: Path) -> None:
+    files = []
+    for i, response in enumerate(measured(TRUTH, paper_bench(np.arange(2.0, 200.1, 1.0)), 40.0, 0)):
+        files.append(tmp_path / f"{i}.csv")
+        write_frf(files[-1], response)
+    for method in ("direct", "stepwise"):
+        out = tmp_path / f"{method}.toml"
+        good("fit", *files, "-m", TRUTH_FILE, "--known", f"{TOTAL_MASS}=0.651", "-o", out, "--method", method)
+        assert value_of(load_machine(out), "carriage.mass_kg") == pytest.approx(0.179, rel=0.02)
+    again = call("fit", *files, "-m", TRUTH_FILE, "-o", tmp_path / "direct.toml")
+    assert again.exit_code == 2 and "exists already" in again.output
+
+
+def test_the_wrong_force_map_is_found_out(tmp_path: Path) -> None:
+    files = []
+    for i, response in enumerate(measured(TRUTH, towers_bench(-80.0, 0.0, np.arange(4.0, 125.0, 2.0)), 40.0, 0)):
+        files.append(tmp_path / f"{i}.csv")
+        write_frf(files[-1], response)
+    printed = LIBRARY / "mp-delta-pro-as-printed.toml"  # Eq. 25's map
+    result = good("fit", *files, "-m", printed, "--known", f"{TOTAL_MASS}=0.651")
+    assert "force_map = 'virtual_work'" in result["advice"][0]
+    assert max(r["model_error"] for r in result["responses"]) > 0.1
+
+
+def test_decoupling_says_which_part_is_wrong(tmp_path: Path) -> None:
+    heavy = with_values(TRUTH, {"effector.nozzle_mass_kg": 0.65})
+    for name, machine, wrong in (("right", TRUTH, []), ("heavy", heavy, ["effector x", "effector y", "effector z"])):
+        files = []
+        for i, response in enumerate(measured(machine, towers_bench(-80.0, 0.0), 40.0, 0)):
+            files.append(tmp_path / f"{name}-{i}.csv")
+            write_frf(files[-1], response)
+        answer = call("decouple", *files, "-m", TRUTH_FILE, "--json")
+        assert answer.exit_code == 0, answer.output
+        (place,) = json.loads(answer.stdout)["places"]
+        assert place["position_mm"] == [-80.0, 0.0, 30.0]
+        assert [part["part"] for part in place["parts"] if not part["holds"]] == wrong
+    few = call("decouple", files[0], "-m", TRUTH_FILE)
+    assert few.exit_code == 5 and "nine responses" in few.output
+
+
+def test_tables_two_and_three_of_the_paper() -> None:
+    """Identified at the centre of an uneven printer with friction, predicted at four places (Eqs. 70-72)."""
+    real = uneven(delta_plant.load_machine(TRUTH_FILE), seed=0, friction_n=1.0)
+    found = fit_machine(TRUTH, measure_bench(real, 40.0, seed=1), {TOTAL_MASS: (0.651, 0.001)}, starts=[{}]).machine
+    responses = measure_places(real, 40.0, seed=2)
+    scores = [
+        mean_absolute_percentage_accuracy(r.value, h, 1.0)
+        for r, h in zip(responses, predicted(found, responses), strict=True)
+    ]
+    magnitude, phase = np.mean(scores, axis=0)
+    assert magnitude > 90 and phase > 95  # the paper: 71.5 and 82.2
+    centre = {r.input: r.value for r in responses if r.position_mm == PLACES[0]}
+    elsewhere = [r for r in responses if r.position_mm != PLACES[0]]
+    cells = [error_reduction(r.value, predicted(found, [r])[0], centre[r.input], 1.0) for r in elsewhere]
+    assert np.min(cells) > 0  # the paper's worst: -19.8
+
+
+@pytest.mark.skipif(not VIBRATION, reason="the vibration data from outside are not beside the project")
+@pytest.mark.parametrize("path", VIBRATION, ids=lambda p: p.name)
+def test_every_measurement_from_outside_gives_a_result(path: Path) -> None:
+    result = good("fit", path, "-m", "kossel")
+    assert result["method"] == "modes" and result["spectra"][0]["verdict"]
+
+
+@pytest.mark.skipif(not VIBRATION, reason="the vibration data from outside are not beside the project")
+def test_resonances_scale_a_starting_machine(tmp_path: Path) -> None:
+    pair = [p for p in VIBRATION if p.name.startswith("v24__resonances")]
+    result = good("fit", *pair, "-m", "kossel", "-o", tmp_path / "v24.toml")
+    found = load_machine(tmp_path / "v24.toml")
+    assert value_of(found, "carriage.belt_stiffness_n_per_m") != value_of(
+        load_machine("kossel"), "carriage.belt_stiffness_n_per_m"
+    )
+    assert result["numbers"]["carriage.belt_stiffness_n_per_m"]["sd"] > 0
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        ("", "empty"),
+        ("frequency_hz,real,imag\n1,nan,0\n2,1,0\n", "numbers are missing"),
+        ("frequency_hz,real\n1,1\n2,1\n", "imag"),
+        ("t_s,cmd_A_mm\n0,1\n", "cmd_B"),
+        ("hello world\n1 2\n", "first line must be"),
+    ],
+)
+def test_what_cannot_be_used_is_said_with_the_file(tmp_path: Path, content: str, sentence: str) -> None:
+    bad = tmp_path / "bad.csv"
+    bad.write_text(content, encoding="utf-8")
+    answer = call("fit", bad, "-m", "kossel", "-o", tmp_path / "out.toml")
+    assert answer.exit_code == 5, answer.output
+    assert "bad.csv" in answer.output and sentence in answer.output.lower().replace("cmd_b", "cmd_B")
+    assert not (tmp_path / "out.toml").exists()
+
+
+def test_known_numbers_are_read_or_refused() -> None:
+    assert call("fit", "x.csv", "-m", "kossel", "--known", "mass").exit_code == 2
+    assert "KEY=VALUE" in call("fit", "x.csv", "-m", "kossel", "--known", "mass=heavy").output
+    assert call("fit", "absent.csv", "-m", "kossel").exit_code == 5

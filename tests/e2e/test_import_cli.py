@@ -1,0 +1,104 @@
+"""`ffcomp machines import`: what goes where, and with which exit code."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from ffcomp.cli.machines import app
+from models.file import load_machine
+from models.vibration.receptance import modes
+from tests.support.configs import COREXY, SHAPER, Delta, written
+
+
+@pytest.fixture
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr("models.file.user_folder", lambda: tmp_path / "own")
+    return tmp_path / "own"
+
+
+@pytest.fixture
+def run(own_folder: Path):
+    def run(*arguments: str | Path) -> Result:
+        return CliRunner().invoke(app, ["import", *map(str, arguments)])
+
+    return run
+
+
+def test_a_delta_becomes_a_machine_that_checks_well(run, own_folder: Path, tmp_path: Path) -> None:
+    result = run(written(tmp_path, Delta().klipper(), "printer.cfg"))
+    assert result.exit_code == 0, result.output
+    for title in ("Taken from the configuration", "Converted from it", "Assumed", "How to know better"):
+        assert title in result.stdout
+    row = next(line for line in result.stdout.splitlines() if "kinematics.arm_lengths_mm" in line)
+    assert "280.5, 280.75, 280.25" in row and "printer.cfg:4 [stepper_a] arm_length" in row
+    assert load_machine(own_folder / "printer.toml").name == "printer"
+    checked = CliRunner().invoke(app, ["check", str(own_folder / "printer.toml")])
+    assert checked.exit_code == 0
+    assert "note: Not measured: carriage.mass_kg" in checked.stdout
+
+
+def test_the_shaper_of_a_delta_is_held_against_the_assumed_model(run, tmp_path: Path) -> None:
+    path = tmp_path / "shaped.toml"
+    told = run(written(tmp_path, Delta().klipper() + SHAPER), "-o", path).stdout
+    found = modes(load_machine(path), np.zeros(2))
+    ringing = found.frequencies_hz[found.damping_ratios < 0.2]
+    assert "The input shaper is set to 61.2 and 43.4 Hz;" in told
+    assert f"loudest vibration is at {ringing[0]:.1f} Hz" in told
+
+
+def test_json_tells_the_same(run, tmp_path: Path) -> None:
+    path = tmp_path / "duet.toml"
+    told = json.loads(run(written(tmp_path, Delta().reprapfirmware()), "-o", path, "--like", "kossel", "--json").stdout)
+    assert told["schema"] == "ffcomp-machine-import/1"
+    assert (told["firmware"], told["kinematics"], told["like"]) == ("RepRapFirmware", "delta", "kossel")
+    assert told["complete"] is True and told["missing"] == {}
+    assert told["values"]["kinematics.delta_radius_mm"] == {"value": 131.25, "how": "read", "origin": "x:2 M665 R"}
+    assert told["machine"] == str(path)
+
+
+def test_gaps_leave_a_file_to_fill_in(run, tmp_path: Path) -> None:
+    path = tmp_path / "corexy.toml"
+    result = run(written(tmp_path, COREXY), "-o", path)
+    assert result.exit_code == 5
+    assert "Still missing\n  axes.x.frequency_hz" in result.stdout
+    assert "is not complete: fill in axes.x.frequency_hz" in result.stderr
+    assert "# frequency_hz is missing" in path.read_text(encoding="utf-8")
+    assert run(written(tmp_path, COREXY + SHAPER), "-o", tmp_path / "whole.toml").exit_code == 0
+    checked = CliRunner().invoke(app, ["check", str(tmp_path / "whole.toml")])
+    assert "note: Not measured: axes.x.frequency_hz" in checked.stdout
+
+
+def test_nothing_is_overwritten(run, tmp_path: Path) -> None:
+    there = written(tmp_path, "mine", "x.toml")
+    result = run(written(tmp_path, Delta().klipper()), "-o", there)
+    assert result.exit_code == 2
+    assert "exists already" in result.stderr
+    assert there.read_text() == "mine"
+
+
+def test_marlin_is_told_its_kinematics(run, tmp_path: Path) -> None:
+    log = "echo:  M92 X80 Y80 Z400\necho:  M203 X300 Y300 Z10\necho:  M201 Z100\necho:  M593 F40 D0.1\n"
+    result = run(written(tmp_path, log), "-o", tmp_path / "a.toml")
+    assert result.exit_code == 5
+    assert "--kinematics cartesian" in result.stderr
+    assert run(written(tmp_path, log), "-o", tmp_path / "a.toml", "--kinematics", "polar").exit_code == 2
+    result = run(written(tmp_path, log), "-o", tmp_path / "a.toml", "--kinematics", "corexy", "--json")
+    assert json.loads(result.stdout)["missing"].keys() == {
+        *(f"kinematics.{axis}_range_mm" for axis in "xyz"),
+        "limits.acceleration_mm_per_s2",
+    }
+
+
+@pytest.mark.parametrize(("name", "code"), [("none.cfg", 2), (".", 2), ("garbage", 5), ("bad_number", 5)])
+def test_what_cannot_be_read_leaves_no_file(name: str, code: int, run, own_folder: Path, tmp_path: Path) -> None:
+    written(tmp_path, b"\xff\xfe\x00\x01", "garbage")
+    written(tmp_path, Delta().klipper().replace("131.25", "13.125 cm"), "bad_number")
+    result = run(tmp_path / name)
+    assert result.exit_code == code, result.output
+    assert result.stderr.startswith("ffcomp: ")
+    assert not own_folder.exists()

@@ -1,0 +1,480 @@
+"""The wrappers, called as Cura, OrcaSlicer and Moonraker call them, and the recipes for all the others.
+
+`test_slicers.py` has a real Cura call its wrapper.
+"""
+
+from __future__ import annotations
+
+import base64
+import configparser
+import enum
+import importlib.util
+import io
+import json
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from ffcomp import __version__
+from ffcomp.cli.integrations import app
+from ffcomp.compensate.gcode_output.writer import original
+from ffcomp.compensate.job import already_processed
+from ffcomp.integrations.recipes import RECIPES, cura_folders, executable, instructions, joined, wrapper
+from ffcomp.integrations.slicer import Bed, read_bed
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """An ffcomp to be run, in a folder with a space."""
+    path = tmp_path_factory.mktemp("program files") / "ffcomp"
+    start = "from ffcomp.cli.app import main; main()"
+    python = f'PYTHONPATH={shlex.quote(str(ROOT))} FFCOMP_LOG=off exec {sys.executable} -c "{start}" "$@"'
+    path.write_text(f"#!/bin/sh\n{python}\n")
+    path.chmod(0o755)
+    return str(path)
+
+
+def loaded(name: str, text: str, folder: Path) -> ModuleType:
+    """A wrapper, from the file that is installed."""
+    path = folder / f"{name.rpartition('.')[2]}.py"
+    path.write_text(text, encoding="utf-8")
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def stand_in(monkeypatch: pytest.MonkeyPatch, name: str, **contents: Any) -> None:
+    module = ModuleType(name)
+    vars(module).update(contents)
+    monkeypatch.setitem(sys.modules, name, module)
+
+
+# -- Cura --
+
+CURA = [
+    ";FLAVOR:Marlin\n;TIME:3\n;Filament used: 0.01m\n;Layer height: 0.2\n",
+    "T0\nM82 ;absolute\nG28 ;Straße\nG92 E0\nM107\n;LAYER_COUNT:2\n",
+    ";LAYER:0\nM107\nG0 F6000 X10 Y10 Z0.3\n;TYPE:WALL-OUTER\nG1 F3000 X30 Y12 E1\n;TIME_ELAPSED:1.0\n",
+    ";LAYER:1\nM106 S85\nG0 F6000 X30 Y14 Z0.5\nG1 F3000 X10 Y10 E2\n;TIME_ELAPSED:2.0\n",
+    "G1 F2700 E1\nG0 F6000 X12 Y10\n",
+    "M140 S0\nM107\nM84\n;End of Gcode\n",
+]
+
+
+class Script:
+    """Cura's base class, as far as scripts see it."""
+
+    values: dict[str, str]
+
+    def getSettingDataString(self) -> str:
+        raise NotImplementedError
+
+    def getSettingValueByKey(self, key: str) -> str:
+        default: str = json.loads(self.getSettingDataString())["settings"][key]["default_value"]
+        return self.values.get(key, default)
+
+
+@pytest.fixture
+def told() -> list[str]:
+    """What appeared on Cura's screen."""
+    return []
+
+
+@pytest.fixture
+def printer() -> dict[str, Any]:
+    """Cura's settings of the printer."""
+    return {"machine_width": 220, "machine_depth": 200.0, "machine_center_is_zero": False}
+
+
+@pytest.fixture
+def cura_script(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, program: str, told: list[str], printer: dict[str, Any]
+) -> ModuleType:
+    """The script, loaded as Cura's plugin loads it."""
+
+    class Message:
+        def __init__(self, text: str, lifetime: int, title: str) -> None:
+            assert lifetime == 0  # until it is closed
+            self.text = text
+
+        def show(self) -> None:
+            told.append(self.text)
+
+    cura = SimpleNamespace(
+        getGlobalContainerStack=lambda: SimpleNamespace(getProperty=lambda key, _: printer[key]),
+        getPrintInformation=lambda: SimpleNamespace(jobName="CE3_Würfel"),
+    )
+    stand_in(monkeypatch, "UM")
+    stand_in(monkeypatch, "UM.Application", Application=SimpleNamespace(getInstance=lambda: cura))
+    stand_in(monkeypatch, "UM.Message", Message=Message)
+    stand_in(monkeypatch, "PostProcessingPlugin", __path__=[])
+    stand_in(monkeypatch, "PostProcessingPlugin.PostProcessingPlugin", __path__=[])
+    stand_in(monkeypatch, "PostProcessingPlugin.Script", Script=Script)
+    text = wrapper(RECIPES["cura"], "kossel", program)
+    return loaded("PostProcessingPlugin.PostProcessingPlugin.Ffcomp", text, tmp_path)
+
+
+@pytest.fixture
+def cura(cura_script: ModuleType) -> Callable[..., list[str]]:
+    """Runs it over a print, as Cura's plugin does when a file is saved."""
+
+    def save(data: list[str], **settings: Any) -> list[str]:
+        script = cura_script.Ffcomp()
+        script.values = settings
+        if ";POSTPROCESSED" not in data[0]:
+            data = script.execute(data)
+            data[0] += ";POSTPROCESSED\n"
+        return data
+
+    return save
+
+
+def test_cura_gets_the_compensated_print_in_its_pieces(cura: Callable[..., list[str]], told: list[str]) -> None:
+    data = cura(list(CURA), options="--no-predict --quiet")
+    text = "".join(data).replace(";POSTPROCESSED\n", "").encode()
+    assert already_processed(text) is not None and original(text) == "".join(CURA).encode()
+    firsts = [piece.partition("\n")[0].removeprefix(";~") for piece in CURA]
+    assert [piece.partition("\n")[0].removeprefix(";~") for piece in data] == firsts
+    assert ";POSTPROCESSED" in data[0] and cura(data) == data
+    assert len(told) == 1 and "--offset-mm -110,-100" in told[0]  # a warning is seen
+
+
+@pytest.mark.parametrize(
+    ("settings", "why"),
+    [
+        ({"machine": "kosel"}, "Did you mean 'kossel'?"),
+        ({"executable": "/no/such ffcomp"}, "No such file"),
+        ({"options": "--offset-mm '"}, "No closing quotation"),
+        ({"options": "--fast"}, "No such option: --fast (exit code 2)"),
+        ({"executable": None}, "NoneType"),  # whatever it is
+    ],
+)
+def test_a_failure_in_cura_is_seen_and_the_print_stays(
+    cura: Callable[..., list[str]], told: list[str], settings: dict[str, Any], why: str
+) -> None:
+    data = cura(list(CURA), **settings)
+    first, comment, *rest = "".join(data).replace(";POSTPROCESSED\n", "").splitlines(keepends=True)
+    assert first + "".join(rest) == "".join(CURA) and len(data) == len(CURA)
+    assert comment.startswith(";ffcomp FAILED, this print is NOT compensated: ") and why in comment
+    assert "│" not in comment  # the frame of an error of usage
+    assert len(told) == 1 and "NOT compensated" in told[0] and why in told[0]
+
+
+def test_a_layer_that_another_script_has_put_a_line_before_stays_a_piece(cura_script: ModuleType) -> None:
+    data = ["G28\n", "\n;LAYER:0\nG1 X1\n", "\n\n;LAYER:1\n", "\n", "M84\n"]
+    text = "".join(data).replace("G1 X1", ";~G1 X1\nG1 X1 F600")
+    first, *layers = cura_script._pieces(text, data)
+    assert first == "G28\n\n" and [layer.partition("\n")[0] for layer in layers] == [";LAYER:0", ";LAYER:1", "M84"]
+    assert first + "".join(layers) == text
+
+
+def test_ffcomp_is_told_what_cura_knows(
+    cura: Callable[..., list[str]], told: list[str], printer: dict[str, Any], tmp_path: Path
+) -> None:
+    stub = tmp_path / "ffcomp"
+    said = '{"warnings": ["%s, %s, %s"]}'
+    stub.write_text(f"#!/bin/sh\nprintf '{said}' $SLIC3R_PP_HOST $SLIC3R_PP_OUTPUT_NAME $SLIC3R_PRINTABLE_AREA\n")
+    stub.chmod(0o755)
+    cura(list(CURA), executable=str(stub))
+    printer["machine_center_is_zero"] = True
+    cura(list(CURA), executable=str(stub))
+    beds = [read_bed(text.rpartition(", ")[2]) for text in told]
+    assert all(text.startswith("Cura, CE3_Würfel, ") for text in told)
+    assert beds == [Bed((0.0, 0.0), (220.0, 200.0)), Bed((-110.0, -100.0), (110.0, 100.0))]
+
+
+def test_curas_settings_are_what_it_can_read(cura_script: ModuleType) -> None:
+    settings = json.loads(cura_script.Ffcomp().getSettingDataString())
+    assert settings["key"] == "Ffcomp" and settings["version"] == 2 and settings["metadata"] == {}
+    for setting in settings["settings"].values():
+        assert setting.keys() == {"label", "description", "type", "default_value"} and setting["type"] == "str"
+    assert settings["settings"]["machine"]["default_value"] == "kossel"
+
+
+# -- OrcaSlicer --
+
+SMALL = b"G28\nG90\nM83\nG1 Z0.3 F6000\nG1 X10 Y10 F9000\nG1 X30 Y12 E1\nG1 X28 Y30 E1\nM107\n"
+
+
+class Step(enum.Enum):
+    posSlice = 0
+    psGCodePostProcess = 1
+
+
+class ExecutionResult:
+    """What a plugin answers."""
+
+    @staticmethod
+    def success(message: str = "") -> tuple[str, str]:
+        return "success", message
+
+    @staticmethod
+    def skipped(message: str = "") -> tuple[str, str]:
+        return "skipped", message
+
+    @staticmethod
+    def failure(status: str, message: str) -> tuple[str, str]:
+        return status, message
+
+
+class Capability:
+    """Orca's base class: settings are JSON text."""
+
+    config = "{}"
+
+    def get_config(self) -> str:
+        return self.config
+
+
+class Context:
+    """Of the step after G-code generation."""
+
+    step, host, output_name = Step.psGCodePostProcess, "File", "/prints/box.gcode"
+
+    def __init__(self, path: Path, cancelled: bool = False) -> None:
+        self.gcode_path, self._cancelled = str(path), cancelled
+
+    def config_value(self, key: str) -> str | None:
+        return {"printable_area": "0x0,220x0,220x220,0x220", "gcode_flavor": "klipper"}.get(key)
+
+    def cancelled(self) -> bool:
+        return self._cancelled
+
+
+@pytest.fixture
+def orca(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, program: str) -> Any:
+    """The plugin's one capability, as OrcaSlicer makes it."""
+    registered: list[Any] = []
+    stand_in(
+        monkeypatch,
+        "orca",
+        base=object,
+        plugin=lambda package: package().register_capabilities() or package,
+        register_capability=registered.append,
+        ExecutionResult=ExecutionResult,
+        PluginResult=SimpleNamespace(RecoverableError="recoverable"),
+        slicing=SimpleNamespace(Step=Step, SlicingPipelineCapabilityBase=Capability),
+    )
+    monkeypatch.setattr(Capability, "config", json.dumps({"machine": "kossel", "options": "--no-predict"}))
+    # registered while the file is being read, as the decorator does it
+    loaded("ffcomp_plugin", wrapper(RECIPES["orcaslicer"], "", program), tmp_path)
+    return registered[0]()
+
+
+def test_orcas_metadata_are_as_pep_723_wants_them(program: str) -> None:
+    text = wrapper(RECIPES["orcaslicer"], "", program)
+    block = re.match(r"# /// script\n((?:#.*\n)+?)# ///\n", text)
+    assert block is not None
+    metadata = tomllib.loads("".join(line[2:] or "\n" for line in block.group(1).splitlines(keepends=True)))
+    plugin = metadata["tool"]["orcaslicer"]["plugin"]
+    assert plugin["name"] == "ffcomp" and plugin["version"] == __version__ and metadata["dependencies"] == []
+
+
+def test_orca_compensates_once_and_twice(orca: Any, tmp_path: Path) -> None:
+    path = tmp_path / "立方 box.gcode.pp"
+    path.write_bytes(SMALL)
+    assert orca.get_name() and set(orca.get_default_config()) == {"machine", "options", "executable"}
+    assert orca.execute(Context(path)) == ("success", "Look at it: ffcomp show /prints/box.gcode")
+    done = path.read_bytes()
+    assert original(done) == SMALL
+    verdict, said = orca.execute(Context(path))
+    assert verdict == "success" and "already processed" in said and path.read_bytes() == done
+
+
+def test_orca_is_told_what_is_wrong(orca: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "box.gcode.pp"
+    path.write_bytes(SMALL)
+    context = Context(path)
+    context.step = Step.posSlice
+    assert orca.execute(context) == ("skipped", "")
+    for config, why in (
+        ({"machine": "kosel"}, "Did you mean 'kossel'? Known machines: "),
+        ({"machine": "kossel", "executable": "/no/such"}, "No such file"),
+        ([], "not a mapping"),
+    ):
+        monkeypatch.setattr(Capability, "config", json.dumps(config))
+        verdict, said = orca.execute(Context(path))
+        assert verdict == "recoverable" and why in said
+    assert path.read_bytes() == SMALL
+
+
+def test_orca_can_cancel(orca: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, slow = tmp_path / "box.gcode.pp", tmp_path / "slow"
+    path.write_bytes(SMALL)
+    slow.write_text("#!/bin/sh\nexec sleep 60\n")
+    slow.chmod(0o755)
+    monkeypatch.setattr(Capability, "config", json.dumps({"executable": str(slow)}))
+    assert orca.execute(Context(path, cancelled=True)) == ("recoverable", "Cancelled; the file is as it was.")
+
+
+# -- Moonraker --
+
+
+class Config:
+    """A section of moonraker.conf, as components are given it."""
+
+    error = ValueError
+
+    def __init__(self, text: str, registered: dict[str, Any]) -> None:
+        parser = configparser.ConfigParser(interpolation=None)
+        parser.read_string(f"[ffcomp]\n{text}")
+        self.section, self.registered = parser["ffcomp"], registered
+
+    def get(self, option: str, default: str | None = None) -> str | None:
+        return self.section.get(option, default)
+
+    def getfloat(self, option: str, default: float, above: float) -> float:
+        value = float(self.section.get(option, str(default)))
+        assert value > above
+        return value
+
+    def get_server(self) -> Any:
+        storage = SimpleNamespace(register_gcode_processor=self.registered.__setitem__)
+        return SimpleNamespace(
+            lookup_component={"file_manager": SimpleNamespace(get_metadata_storage=lambda: storage)}.__getitem__
+        )
+
+
+@pytest.fixture
+def moonraker(tmp_path: Path, program: str) -> Callable[[str], dict[str, Any]]:
+    """The processor that a section of moonraker.conf registers."""
+    component = loaded("ffcomp", wrapper(RECIPES["moonraker"], "", program), tmp_path)
+
+    def processor(section: str) -> dict[str, Any]:
+        registered: dict[str, Any] = {}
+        component.load_component(Config(section, registered))
+        one: dict[str, Any] = registered["ffcomp"]
+        return one
+
+    return processor
+
+
+def test_moonraker_is_given_a_processor(moonraker: Callable[[str], dict[str, Any]], program: str) -> None:
+    made = moonraker("machine: my delta.toml\noptions: --shaper-off --offset-mm '-110, -110'\ntimeout: 90")
+    assert made["command"][:5] == [program, "compensate", "--quiet", "--machine", "my delta.toml"]
+    assert made["command"][5:] == ["--shaper-off", "--offset-mm", "-110, -110", "{gcode_file_path}"]
+    assert made["name"] == "ffcomp" and made["timeout"] == 90.0 and made["ident"]["location"] == "header"
+    with pytest.raises(ValueError, match="needs a machine"):
+        moonraker("timeout: 90")
+
+
+def metadata(folder: Path, name: str, processors: list[dict[str, Any]]) -> tuple[dict[str, Any], str]:
+    """What Moonraker's own script finds in a file, and what it logs."""
+    spec = importlib.util.find_spec("moonraker")
+    if spec is None or spec.submodule_search_locations is None:
+        pytest.skip("no Moonraker here to read the file (pip install --no-deps moonraker)")
+    script = Path(spec.submodule_search_locations[0], "components", "file_manager", "metadata.py")
+    config = folder / "config.json"
+    config.write_text(json.dumps({"gcode_dir": str(folder), "filename": name, "processors": processors}))
+    answer = subprocess.run([sys.executable, script, "-c", config], capture_output=True, text=True, check=True)
+    found: dict[str, Any] = json.loads(answer.stdout)["metadata"]
+    return found, answer.stderr
+
+
+def thumbnail() -> list[bytes]:
+    """A picture of 32 x 32, as PrusaSlicer writes it: its length in base64 must be kept."""
+    picture = io.BytesIO()
+    Image.new("RGB", (32, 32), "red").save(picture, "PNG")
+    text = base64.b64encode(picture.getvalue())
+    lines = [b"; %s\n" % text[k : k + 78] for k in range(0, len(text), 78)]
+    return [b";\n; thumbnail begin 32x32 %d\n" % len(text), *lines, b"; thumbnail end\n;\n"]
+
+
+def test_moonraker_processes_a_print_once_and_reads_it_as_before(
+    moonraker: Callable[[str], dict[str, Any]], tmp_path: Path
+) -> None:
+    lines = (ROOT / "sample_prints" / "ringing_tower.gcode").read_bytes().splitlines(keepends=True)
+    sliced = b"".join([lines[0], *thumbnail(), *lines[1:300], *lines[-400:]])
+    path = tmp_path / "tower.gcode"
+    path.write_bytes(sliced)
+    before, _ = metadata(tmp_path, path.name, [])
+    one = moonraker("machine: mp-delta-pro\noptions: --no-predict")
+    after, _ = metadata(tmp_path, path.name, [one])
+    done = path.read_bytes()
+    assert original(done) == sliced and before["file_processors"] == [] and after["file_processors"] == ["ffcomp"]
+    changed = {key for key in before | after if before.get(key) != after.get(key)}
+    ours = {"file_processors", "gcode_start_byte", "gcode_end_byte", "estimated_time"}
+    assert changed <= {"size", "modified", "uuid"} | ours
+    read = {"slicer", "layer_height", "first_layer_height", "object_height", "filament_total", "nozzle_diameter"}
+    assert read | {"thumbnails", "estimated_time", "first_layer_extr_temp"} <= before.keys()
+    assert 0 < after["estimated_time"] < before["estimated_time"]  # the slicer's is still that of the whole print
+    again, log = metadata(tmp_path, path.name, [one])
+    assert f"previously processed by ffcomp v{__version__}" in log
+    assert again["file_processors"] == ["ffcomp"] and path.read_bytes() == done
+
+
+def test_moonrakers_sign_is_our_stamp(moonraker: Callable[[str], dict[str, Any]]) -> None:
+    from gcode.metadata import stamp_line
+
+    stamp = stamp_line(__version__, "my delta", "0123456789abcdef", "klipper").decode()
+    found = re.search(moonraker("machine: x")["ident"]["regex"], f"; generated by X\n{stamp}G28\n", re.MULTILINE)
+    assert found is not None and found.groupdict() == {"version": f"v{__version__}"}
+
+
+# -- recipes --
+
+
+@pytest.fixture
+def _windows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "win32")
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_every_recipe_shows_a_line_that_can_be_pasted(name: str) -> None:
+    text = instructions(RECIPES[name], "my delta.toml", "/opt/the tool/ffcomp")
+    assert "{" not in text and all(len(line) <= 120 for line in text.splitlines())
+    lines = [line for line in text.splitlines() if "the tool" in line]
+    assert [shlex.split(line)[:4] for line in lines] == [
+        ["/opt/the tool/ffcomp", "compensate", "--machine", "my delta.toml"]
+    ] * (name not in ("cura", "moonraker"))
+    answer = CliRunner().invoke(app, ["show", name, "-m", "my delta.toml"])
+    assert answer.exit_code == 0 and answer.stdout == f"{instructions(RECIPES[name], 'my delta.toml', executable())}\n"
+    assert f"`ffcomp integrations show {name}`" in (ROOT / "docs" / "SLICERS.md").read_text(encoding="utf-8")
+
+
+def test_the_line_names_the_ffcomp_that_runs(program: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert executable() == "ffcomp"  # nothing better is known: this is pytest
+    monkeypatch.chdir(Path(program).parent)
+    monkeypatch.setattr(sys, "argv", ["./ffcomp", "integrations"])
+    assert executable() == program
+
+
+@pytest.mark.usefixtures("_windows")
+def test_windows_quotes_in_its_own_way() -> None:
+    assert joined([r"C:\Program Files\ffcomp.exe", "compensate"]) == r'"C:\Program Files\ffcomp.exe" compensate'
+
+
+def test_install_puts_a_wrapper_where_cura_looks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("platformdirs.user_data_dir", lambda *_, **__: str(tmp_path / "cura"))
+    runner = CliRunner()
+    nowhere = runner.invoke(app, ["install", "cura"])
+    assert nowhere.exit_code == 2 and "--to DIR" in nowhere.stderr
+    for version in ("5.2", "5.10", "4.13", "stash"):
+        (tmp_path / "cura" / version).mkdir(parents=True)
+    assert [folder.parent.name for folder in cura_folders()] == ["5.10", "5.2", "4.13"]
+    answer = runner.invoke(app, ["install", "cura", "--machine", "kossel"])
+    target = tmp_path / "cura" / "5.10" / "scripts" / "Ffcomp.py"
+    assert answer.exit_code == 0 and answer.stdout == f"{target}\n"
+    assert '\nMACHINE = "kossel"\n' in target.read_text(encoding="utf-8")
+
+
+def test_what_cannot_be_installed_is_said() -> None:
+    for name, why in (("octoprint", "no wrapper"), ("repetier", "not one of")):
+        answer = CliRunner().invoke(app, ["install", name])
+        assert answer.exit_code == 2 and why in answer.stderr
+    assert {line.split()[0] for line in CliRunner().invoke(app, ["list"]).stdout.splitlines()} == set(RECIPES)

@@ -1,0 +1,150 @@
+"""docs/DIALECTS.md row by row, and files that end, break or repeat in odd ways."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ffcomp.compensate.gcode_output.writer import original
+from gcode.errors import GcodeError, UnsupportedGcode
+from gcode.program import EventKind, Program
+from gcode.reader import read_program
+from tests.fuzz.test_random_programs import compensated, inverter
+from validation.invariants import violations
+
+PAGE = Path(__file__).parents[2] / "docs" / "DIALECTS.md"
+START = "G28\nG90\nM83\nG1 X10 Y10 Z5 F6000\nSAVE_GCODE_STATE NAME=a\nG1 X11 Y10 E.1\n"
+OUTCOMES = {
+    "compensated": "replaced by segments",
+    "followed": "goes out as it is, at its move's time, and what comes after is read by it",
+    "passes": "goes out as it is, at its move's time; the motion goes on",
+    "waits": "the motion rests for that long, and the line goes out",
+    "rests": "the motion rests before it; the line goes out as it is",
+    "rests, place unknown": "and moves go out as they are until the file has named X, Y and Z again",
+    "refused": "the file is not changed; exit code 4, with the line and the rule",
+}
+
+
+def rows() -> list[tuple[str, str, str]]:
+    """Each row of the page that holds a snippet: the lines, the firmware they are for, and what becomes of them."""
+    found = re.findall(r"^\| `(.+?)` \| (\w*) \| ([\w, ]+?) \|", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    return [
+        (code.replace(" ⏎ ", "\n").replace("\\|", "|"), flavor or "marlin", outcome) for code, flavor, outcome in found
+    ]
+
+
+def outcome(snippet: str, flavor: str) -> str:
+    """What becomes of the snippet's last line in a print."""
+    data = (START + snippet + "\nG1 X12 Y11 Z6 E.1\n").encode()
+    try:
+        program = read_program(data, flavor=flavor)
+    except GcodeError:
+        return "refused"
+    line = (START + snippet).count("\n")
+    if line in program.moves.line:
+        return "compensated"
+    event = next(event for event in program.events if event.line == line)
+    if event.kind is EventKind.STOP:
+        return "rests" if line + 1 in program.moves.line else "rests, place unknown"
+    if event.kind is EventKind.DWELL:
+        return "waits"
+    return "followed" if event.touches_limits or _changes(program, line) else "passes"
+
+
+def _changes(program: Program, line: int) -> bool:
+    """Whether the modes, names of places, factors or the feed are others after a line than before it."""
+    moves = program.moves
+    frames = {event.line: event.frame for event in program.events}
+    frames |= dict(zip(moves.line.tolist(), moves.frame.tolist(), strict=True))
+    return frames[line] != frames[line - 1]
+
+
+def test_the_page_says_what_the_code_does() -> None:
+    found = rows()
+    assert len(found) > 100
+    wrong = [(code, flavor, said, is_) for code, flavor, said in found if (is_ := outcome(code, flavor)) != said]
+    assert wrong == []
+
+
+def test_the_page_explains_its_words_and_all_of_them_are_needed() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert all(f"| {word} | {meaning} |" in text for word, meaning in OUTCOMES.items())
+    assert {said for _, _, said in rows()} == OUTCOMES.keys()
+
+
+def test_a_refusal_names_the_line_and_the_rule() -> None:
+    for code, flavor, said in rows():
+        if said == "refused":
+            with pytest.raises(GcodeError) as caught:
+                read_program((START + code).encode(), "print.gcode", flavor=flavor)
+            assert caught.value.line == (START + code).count("\n") + 1
+            assert str(caught.value).startswith("print.gcode:") and caught.value.rule.endswith(".")
+
+
+# -- what only shows between lines --
+
+
+def test_bare_words_after_an_unknown_code_are_not_taken_for_a_move() -> None:
+    with pytest.raises(GcodeError, match="has no command"):
+        read_program((START + "G81 X15 Z2 R5\nX20\n").encode())
+
+
+def test_marlins_kept_feed_factor() -> None:
+    moves = read_program((START + "M220 S50\nM220 B\nM220 S80\nG1 X12\nM220 R\nG1 X13\n").encode()).moves
+    assert moves.speed[-2:].tolist() == pytest.approx([80.0, 50.0])
+
+
+def test_numbered_lines_are_warned_of_once() -> None:
+    warnings = read_program((START + "N3 G1 X12\nN4 M107\n").encode()).warnings
+    assert [warning.partition(",")[0] for warning in warnings] == ["line 7: the line has a number"]
+
+
+# -- how lines end --
+
+BODY = START + "G1 X20 Y10 E.4\n;LAYER:1\nG1 X20 Y20 E.4\n"
+ENDS = ["M107", "G1 X15 E.1", "G28", ";end", "G1 E-1", "M400\n\n", "M117 a\n\n\n", "G4 P1", "G1 F100", ""]
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r\n", "\r", "\r\r\n"])
+def test_every_way_to_end_a_line_and_a_file(newline: str) -> None:
+    for end in ENDS:
+        data = (BODY + end).replace("\n", newline).encode()
+        out = compensated(data, inverter())
+        assert violations(data, out, inverter().machine) == [], end
+        assert out.count(b"; Processed by ffcomp") == 2
+
+
+def test_lines_that_look_like_ours_survive() -> None:
+    data = (BODY + ";~G1 X30\n;~~G1 X30\n; note ; ffcomp\nG1 X10 E.1 ; ffcomp\n; Processed by ffcomp v9\n").encode()
+    assert original(compensated(data, inverter())) == data
+
+
+def test_a_file_that_has_lost_its_stamp_is_not_compensated_twice() -> None:
+    out = compensated(BODY.encode(), inverter())
+    bare = b"".join(line for line in out.splitlines(keepends=True) if not line.startswith(b"; Processed by"))
+    with pytest.raises(UnsupportedGcode, match="has lost its stamp"):
+        compensated(bare, inverter())
+
+
+def test_marlin_is_given_its_limits_in_the_units_in_force() -> None:
+    out = compensated(b"G20\nG90\nM83\nG1 X0 Y0 Z0.2 F300\nG1 X1 Y0.5 E.01\nG28\n", inverter()).splitlines()
+    assert b"M203 X11.811 Y11.811 Z11.811 ; ffcomp" in out  # 300 mm/s
+
+
+def test_filament_is_exact_where_its_place_is_renamed() -> None:
+    """Very short moves with much filament cannot be met in time; but after G92 E0 nobody could make up for it."""
+    blobs = "".join(f"G92 E0\nG1 X{20 + k / 100} E.5\nG1 X{20 + k} Y{k} E.7\n" for k in range(1, 8))
+    data = ("G28\nG90\nM82\nG1 X20 Y0 Z5 F9000\n" + blobs).encode()
+    before, after = (read_program(text).moves for text in (data, compensated(data, inverter())))
+    totals = [float(np.sum(moves.end[:, 3] - moves.start[:, 3])) for moves in (before, after)]
+    assert totals[1] == pytest.approx(totals[0], abs=1e-4)
+
+
+@pytest.mark.parametrize("feed", ["999999.9", "0.0004", "123456.25"])
+def test_a_feed_is_put_back_without_an_exponent(feed: str) -> None:
+    data = f"{BODY}G1 F{feed}\nG28\n".encode()
+    out = compensated(data, inverter())
+    assert violations(data, out, inverter().machine) == []

@@ -1,0 +1,282 @@
+"""`ffcomp simulate`: G-code through the virtual printer, and what it writes, as a user and as `ffcomp gap` meet it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner, Result
+
+from ffcomp.cli.compensate import compensate
+from ffcomp.cli.gap import gap
+from ffcomp.cli.simulate import simulate
+from ffcomp.measurement.recording import Run, read_run
+from ffcomp.simulate import playback as playing
+from ffcomp.simulate.gcode_command import gcode_command
+from ffcomp.simulate.simulation import Request, read_command, simulate_command
+from models.effects.catalogue import with_effect
+from models.file import LIBRARY, load_machine
+from models.printer.printer import simulate_printer
+from validation import judge
+
+ROOT = Path(__file__).parents[2]
+TOWER = ROOT / "sample_prints" / "ringing_tower.gcode"
+MACHINE = load_machine("mp-delta-pro")
+TRACK = set(judge.Score.__dataclass_fields__) - {"peak_m_per_s2"} | {
+    "tracking_max_um",
+    "print_time_s",
+    "peak_command_acceleration_mm_per_s2",
+}
+SQUARE = b"G28\nG90\nM83\nG1 X0 Y0 Z0.3 F6000\nG1 X40 Y0 E1 F12000\nG1 X40 Y40 E1\nG1 X0 Y40 E1\nG1 X0 Y0 E1\nM107\n"
+AGAIN = SQUARE + SQUARE.replace(b"X0", b"X-40").replace(b"X40", b"X0")
+
+app = typer.Typer(pretty_exceptions_enable=False)
+for verb in (simulate, gap, compensate):
+    app.command()(verb)
+
+
+def call(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def good(*arguments: object) -> Any:
+    answer = call(*arguments, "--json")
+    assert answer.exit_code == 0, answer.output
+    return json.loads(answer.stdout)
+
+
+@pytest.fixture
+def square(tmp_path: Path) -> Path:
+    path = tmp_path / "ein Würfel 立方.gcode"
+    path.write_bytes(SQUARE)
+    return path
+
+
+def with_table(folder: Path, name: str, table: str) -> Path:
+    path = folder / f"{name}.toml"
+    path.write_text((LIBRARY / "mp-delta-pro.toml").read_text(encoding="utf-8") + table, encoding="utf-8")
+    return path
+
+
+FRICTION = "\n[effects.coulomb_friction]\nforce_n = 2.0\n"
+GAIN = "\n[effects.sensor_gain]\ncarriage_relative_change = 0.05\nnozzle_relative_change = [0.0, 0.1, 0.0]\n"
+LATE = "\n[effects.sensor_time_offset]\noffset_s = 0.00125\n"
+
+
+# ---- the numbers ---------------------------------------------------------------------------------
+
+
+def test_the_track_is_that_of_an_independent_printer() -> None:
+    """A plant that shares no line with ours, judged by other code."""
+    original = judge.sample_print("ringing_tower", 75.0, 82.0)
+    theirs = judge.judge(original, original.motion)
+    counted = Request(from_s=original.motion.begin_t + judge.SETTLE_S)
+    track = simulate_command(gcode_command(original.planned, MACHINE), MACHINE, MACHINE, counted).track
+    for key in ("contour_rms_um", "contour_p99_um", "tracking_rms_um", "tracking_rms_no_delay_um"):
+        assert getattr(track, key) == pytest.approx(getattr(theirs, key), rel=0.005), key
+    assert track.delay_s == pytest.approx(theirs.delay_s, abs=1e-6)
+    assert track.peak_command_acceleration_mm_per_s2 / 1e3 == pytest.approx(theirs.peak_m_per_s2, rel=0.01)
+
+
+def test_json_is_one_object_with_the_documented_keys(square: Path) -> None:
+    found = good("simulate", square, "-m", "mp-delta-pro")
+    assert found["schema"] == "ffcomp-simulate/1" and found["track"].keys() == TRACK
+    assert {"input", "output", "machine", "plant", "effects", "reference", "simulated_s"} <= found.keys()
+    assert {"wall_s", "print_s_per_wall_s", "peak_carriage_velocity_mm_per_s", "warnings"} <= found.keys()
+    text = call("simulate", square, "-m", "mp-delta-pro")
+    assert text.exit_code == 0 and "contour" in text.stdout and "times faster than printing" in text.stdout
+
+
+@pytest.mark.parametrize("options", [(), ("--offset-mm", "-20,10"), ("--max-segments-per-second", "160")])
+def test_a_compensated_file_is_judged_against_its_original(
+    options: tuple[str, ...], square: Path, tmp_path: Path
+) -> None:
+    """As the design model predicts it, and against the path that the slicer wanted."""
+    target = tmp_path / "out.gcode"
+    predicted = good("compensate", square, "-m", "mp-delta-pro", "-o", target, "--quiet", *options)["predicted"]
+    before, after = (good("simulate", path, "-m", "mp-delta-pro", "--quiet") for path in (square, target))
+    assert "original" in after["reference"]
+    for found, name in ((before, "uncompensated"), (after, "compensated")):
+        for key in ("tracking_rms_um", "contour_rms_um"):
+            assert found["track"][key] == pytest.approx(predicted[name][key], rel=0.15, abs=0.15), (name, key)
+    assert after["track"]["tracking_rms_um"] < before["track"]["tracking_rms_um"] / 20
+
+
+def test_rows_are_fine_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The nozzle is 0.1 µm from where rows 16 times finer put it, everywhere, corners of 200 mm/s included."""
+    command, _ = read_command(TOWER, MACHINE)
+
+    def nozzle() -> np.ndarray:
+        return np.concatenate([p.nozzle_mm for p in playing.play(command, MACHINE, 1600.0, 80.0, 82.0)])
+
+    usual = nozzle()
+    monkeypatch.setattr(playing, "ROW_S", playing.ROW_S / 16)
+    assert 1e3 * np.abs(nozzle() - usual).max() < 0.1
+
+
+def test_pieces_have_no_seams(monkeypatch: pytest.MonkeyPatch, square: Path) -> None:
+    """However it is cut, and against the whole in one go."""
+    command, _ = read_command(square, MACHINE)
+    stretch = command.stretches[0]
+    whole = list(playing.play(command, MACHINE, 1600.0))
+    monkeypatch.setattr(playing, "CHUNK_ROWS", 333)
+    pieces = list(playing.play(command, MACHINE, 1600.0))
+    assert len(whole) == 1 and len(pieces) > 10
+    for name in ("t_s", "nozzle_mm", "carriage_mm"):
+        cut = np.concatenate([getattr(p, name) for p in pieces])
+        np.testing.assert_allclose(cut, getattr(whole[0], name), atol=1e-9)
+    t = stretch.begin_s + playing.ROW_S * np.arange(4 * len(whole[0].t_s) - 3)
+    direct = simulate_printer(MACHINE, stretch.meant(t), playing.ROW_S)
+    np.testing.assert_allclose(whole[0].nozzle_mm, direct.nozzle_mm[::4], atol=1e-9)
+
+
+def test_a_part_is_that_of_the_whole() -> None:
+    """From the midst of motion too: what came before has rung down, to a µm."""
+    command, _ = read_command(TOWER, MACHINE)
+    times = ((80.0, 83.0), (82.0, 82.3))
+    (whole,), (part,) = (list(playing.play(command, MACHINE, 1600.0, *part)) for part in times)
+    first = int(np.searchsorted(whole.t_s, part.t_s[0] - 1e-9))
+    alike = slice(first, first + len(part.t_s))
+    assert len(part.t_s) == 481
+    np.testing.assert_allclose(part.t_s, whole.t_s[alike], atol=1e-9)
+    np.testing.assert_allclose(part.nozzle_mm, whole.nozzle_mm[alike], atol=1e-3)
+
+
+def test_weight_bends_the_printer_but_is_no_error(square: Path) -> None:
+    heavy, light = (good("simulate", square, "-m", "mp-delta-pro", *flag) for flag in ((), ("--no-gravity",)))
+    assert (heavy["gravity"], light["gravity"]) == (True, False)
+    assert heavy["track"]["contour_rms_um"] == pytest.approx(light["track"]["contour_rms_um"], rel=0.02)
+
+
+def test_where_others_move_the_nozzle_it_starts_from_rest(tmp_path: Path) -> None:
+    """Two prints in one file: twice the same answer, and no run file, which is one motion."""
+    path = tmp_path / "two.gcode"
+    path.write_bytes(AGAIN)
+    command, _ = read_command(path, MACHINE)
+    assert len(command.stretches) == 2
+    first, both = (simulate_command(command, MACHINE, MACHINE, Request(to_s=t)) for t in (0.8, np.inf))
+    assert both.simulated_s == pytest.approx(2 * first.simulated_s, rel=0.1)
+    assert both.track.contour_rms_um == pytest.approx(first.track.contour_rms_um, rel=0.1)
+    refused = call("simulate", path, "-m", "mp-delta-pro", "-o", tmp_path / "run.csv")
+    assert refused.exit_code == 2 and not (tmp_path / "run.csv").exists()
+
+
+# ---- the run file --------------------------------------------------------------------------------
+
+
+def written(folder: Path, gcode: Path, *options: object) -> Run:
+    target = folder / "run.csv"
+    good("simulate", gcode, "-m", "mp-delta-pro", "-o", target, "--quiet", *options)
+    return read_run(target)
+
+
+def test_gap_finds_nothing_but_what_is_hidden(square: Path, tmp_path: Path) -> None:
+    """The same printer: a thousandth (velocity's corners between rows). 2 N of friction: a gap, and none with them."""
+    friction = with_table(tmp_path, "friction", FRICTION)
+    sizes = []
+    for plant, believed in (("", "mp-delta-pro"), (friction, "mp-delta-pro"), (friction, friction)):
+        written(tmp_path, square, *(["--plant", plant] if plant else []))
+        sizes.append(good("gap", tmp_path / "run.csv", "-m", believed)["nrms"])
+    same, hidden, known = sizes
+    assert same < 1e-3 and known < 2e-3
+    assert hidden > 0.02
+
+
+def test_the_run_says_what_made_it_and_holds_every_sensor(square: Path, tmp_path: Path) -> None:
+    run = written(tmp_path, square, "--rate", "3200")
+    assert run.sample_rate_hz == pytest.approx(3200.0)
+    assert set(run.acceleration) == {f"acc_{axis}" for axis in "ABCxyz"}
+    assert set(run.position) == {f"pos_{axis}" for axis in "ABCxyz"}
+    assert MACHINE.sha256 in run.comments["plant"] and run.comments["effects"] == "none"
+    assert run.comments["command"] == square.name
+    command, _ = read_command(square, MACHINE)
+    np.testing.assert_allclose(run.command, command.stretches[0].meant(run.time_s), atol=1e-6)
+    fewer = written(tmp_path, square, "--signals", "pos")
+    assert not fewer.acceleration and len(fewer.position) == 6
+
+
+def test_the_plants_sensors_are_what_is_written(square: Path, tmp_path: Path) -> None:
+    true = written(tmp_path, square).acceleration
+    gained = written(tmp_path, square, "--plant", with_table(tmp_path, "gain", GAIN)).acceleration
+    for name, factor in (("acc_A", 1.05), ("acc_x", 1.0), ("acc_y", 1.1)):
+        np.testing.assert_allclose(gained[name], factor * true[name], atol=2e-6)
+    late = written(tmp_path, square, "--plant", with_table(tmp_path, "late", LATE)).acceleration
+    np.testing.assert_allclose(late["acc_x"][2:], true["acc_x"][:-2], atol=2e-6)  # two samples
+
+
+def test_an_interruption_leaves_nothing_half_written(square: Path, tmp_path: Path) -> None:
+    target = tmp_path / "run.csv"
+    target.write_text("what was there", encoding="utf-8")
+    command, _ = read_command(square, MACHINE)
+
+    def stop(done_s: float) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        simulate_command(command, MACHINE, MACHINE, Request(), target=target, progress=stop)
+    assert target.read_text(encoding="utf-8") == "what was there"
+    assert sorted(tmp_path.iterdir()) == sorted([target, square])
+
+
+# ---- what goes wrong -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "code"),
+    [
+        (["--rate", "nan"], 2),
+        (["--rate", "-1600"], 2),
+        (["--rate", "100000"], 2),
+        (["--from", "2", "--to", "1"], 2),
+        (["--from", "nan"], 2),
+        (["--signals", "acc,vel"], 2),
+        (["-o", "{file}"], 2),
+        (["-o", "{folder}/no such folder/run.csv"], 2),
+        (["--from", "1e6"], 3),
+        (["--from", "0.5", "--to", "0.501"], 3),
+        (["--plant", "kossel"], 5),
+        (["--plant", "nobody-has-this"], 5),
+        (["--plant", "{weak}"], 5),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_a_sentence(options: list[str], code: int, square: Path, tmp_path: Path) -> None:
+    weak = with_table(tmp_path, "weak", "\n[effects.torque_angle]\namplitude_mm = 0.001\n")
+    places = {"file": square, "folder": tmp_path, "weak": weak}
+    answer = call("simulate", square, "-m", "mp-delta-pro", *(option.format(**places) for option in options))
+    assert answer.exit_code == code, answer.output
+    assert "Traceback" not in answer.output and square.read_bytes() == SQUARE
+
+
+def test_an_empty_print_is_nothing_to_do(tmp_path: Path) -> None:
+    path = tmp_path / "empty.gcode"
+    path.write_bytes(b"G28\nM107\n")
+    assert call("simulate", path, "-m", "mp-delta-pro").exit_code == 3
+
+
+def test_a_broken_archive_is_a_broken_command(tmp_path: Path) -> None:
+    path = tmp_path / "steps.npz"
+    np.savez(path, clock_hz=1e6, a_tick=np.array([3, 2]))
+    answer = call("simulate", path, "-m", "mp-delta-pro")
+    assert answer.exit_code == 4 and "b_tick" in answer.stderr
+
+
+def test_every_effect_can_be_on(square: Path) -> None:
+    """A late command is as much later with everything else on; friction and a swaying frame are not for free."""
+    plant = with_effect(MACHINE, "command_delay", delay_s=0.002)
+    plant = with_effect(plant, "coulomb_friction", force_n=2.0)
+    plant = with_effect(plant, "belt_backlash", width_mm=0.02)
+    plant = with_effect(plant, "frame_mode", mass_kg=8.0, frequency_hz=18.0, damping_ratio=0.03, direction="both")
+    command, _ = read_command(square, MACHINE)
+    plain, shaken = (simulate_command(command, MACHINE, each, Request()).track for each in (MACHINE, plant))
+    assert shaken.delay_s == pytest.approx(plain.delay_s + 0.002, abs=4e-4)
+
+
+def test_a_plan_alone_is_enough() -> None:
+    """As a library: a planned program, no file."""
+    original = judge.sample_print("ringing_tower", 75.0, 77.0)
+    command = gcode_command(original.planned, MACHINE)
+    assert simulate_command(command, MACHINE, MACHINE, Request()).rows > 1000

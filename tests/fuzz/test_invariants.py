@@ -1,0 +1,157 @@
+"""The invariants of `validation/invariants.py` hold of real and odd prints, and every one of them can be broken."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from ffcomp.compensate.job import Job
+from ffcomp.errors import NothingToDo
+from gcode.errors import GcodeError
+from tests.e2e.test_files import ODD, OFFSETS, REAL, needs_data
+from tests.fuzz.test_random_programs import compensated, inverter
+from validation.invariants import told_apart, violations
+
+ROOT = Path(__file__).parents[2]
+SAMPLES = sorted((ROOT / "sample_prints").glob("*.gcode"))
+LINES = 500
+
+PRINT = b"""G28
+G90
+M82
+M104 S200
+G1 Z5 F6000
+G1 X10 Y10 F9000
+;LAYER:0
+M106 S100
+G1 X40 Y12 E1.5
+M106 S200
+G1 X38 Y40 E3
+G92 E0
+T0
+G1 X10 Y30 E1.5
+M107
+"""
+
+
+def beginning(path: Path) -> bytes:
+    return b"".join(path.read_bytes().splitlines(keepends=True)[:LINES])
+
+
+def job(data: bytes, path: Path) -> Job:
+    own, offset = inverter(), OFFSETS.get(path.name, (0.0, 0.0))
+    return Job(data, str(path), own.machine, offset=offset, predict=False, settings=own.settings, inverter=own)
+
+
+@pytest.mark.parametrize("path", [*SAMPLES, *REAL], ids=lambda path: path.name)
+def test_real_prints_are_safe(path: Path) -> None:
+    data = beginning(path)
+    work = job(data, path)
+    out = b"".join(work.lines())
+    assert len(told_apart(out.splitlines(keepends=True)).segments) > 20
+    assert violations(data, out, work.machine, work.offset, work.flavor) == []
+
+
+@needs_data
+def test_odd_prints_are_safe_or_refused() -> None:
+    safe = 0
+    for path in ODD:
+        data = path.read_bytes()
+        try:
+            work = job(data, path)
+            out = b"".join(work.lines())
+        except (GcodeError, NothingToDo):
+            continue
+        assert violations(data, out, work.machine, work.offset, work.flavor) == [], path.name
+        safe += 1
+    assert safe >= 5
+
+
+# -- every invariant can be broken --
+
+
+@cache
+def safe() -> bytes:
+    """A compensated print that has nothing wrong with it."""
+    out = compensated(PRINT, inverter())
+    assert violations(PRINT, out, inverter().machine) == []
+    return out
+
+
+def middle() -> int:
+    """The line of a segment in the middle, which states X, Y and E."""
+    lines = safe().splitlines()
+    segments = [
+        i for i in told_apart(safe().splitlines(keepends=True)).segments if b" E" in lines[i] and b" Y" in lines[i]
+    ]
+    return int(segments[len(segments) // 2])
+
+
+def spoiled(change: Callable[[bytes], bytes]) -> bytes:
+    """The print with one segment changed."""
+    lines = safe().splitlines(keepends=True)
+    lines[middle()] = change(lines[middle()].rstrip()) + b"\n"
+    return b"".join(lines)
+
+
+def word(line: bytes, letter: bytes, change: Callable[[float], float]) -> bytes:
+    words = [w if w[:1] != letter else letter + b"%.4f" % change(float(w[1:])) for w in line.split()]
+    return b" ".join(words)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda line: word(line, b"X", lambda x: x + 400), "outside"),
+        (lambda line: word(word(line, b"X", lambda x: x + 50), b"F", lambda f: 20 * f), "velocity"),
+        (lambda line: word(line, b"E", lambda e: e + 0.5), "There and back"),
+        (lambda line: word(line, b"E", lambda e: 1e-9 + e) + b"1" * 90, "too long"),
+        (lambda line: line.replace(b"G1 ", b"G1 Z1e1 "), "exponent"),
+        (lambda line: line + b" S1", "no plain G1"),
+        (lambda line: b"M107\n" + line, "not those of the original"),
+        (lambda line: line + b"\nG28", "not those of the original"),
+        (lambda line: line + b"\nM203 X1e5 ; ffcomp", "exponent"),
+        (lambda line: line + b"\n;~G1 X3", "byte for byte"),
+    ],
+)
+def test_a_spoiled_segment_is_found(change: Callable[[bytes], bytes], sentence: str) -> None:
+    try:
+        found = violations(PRINT, spoiled(change), inverter().machine)
+    except GcodeError as error:  # so bad that it cannot even be read
+        found = [str(error)]
+    assert any(sentence in each for each in found), found
+
+
+def test_a_fan_that_comes_late_is_found() -> None:
+    lines = safe().splitlines(keepends=True)
+    lines.remove(b"M106 S200\n")
+    lines.insert(middle() + 30, b"M106 S200\n")
+    assert any(
+        "M106 S200" in each or "not those" in each for each in violations(PRINT, b"".join(lines), inverter().machine)
+    )
+
+
+def test_missing_filament_is_found() -> None:
+    lines = safe().splitlines(keepends=True)
+    last = max(i for i in told_apart(lines).segments if b" E" in lines[i])
+    lines[last] = word(lines[last].rstrip(), b"E", lambda e: e - 0.01) + b"\n"
+    found = violations(PRINT, b"".join(lines), inverter().machine)
+    assert any(each.startswith("The filament was") for each in found)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("carriage_velocity_mm_per_s", 20.0),
+        ("carriage_acceleration_mm_per_s2", 500.0),
+        ("carriage_travel_mm", (0.0, 200.0)),
+    ],
+)
+def test_a_limit_that_is_not_held_is_found(name: str, value: object) -> None:
+    machine = inverter().machine
+    tighter = replace(machine, limits=replace(machine.limits, **{name: value}))
+    assert any("A carriage" in each for each in violations(PRINT, safe(), tighter))

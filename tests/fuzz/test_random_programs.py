@@ -1,0 +1,355 @@
+"""Random prints of every spelling and mode: what must always hold, held over many of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import cache, reduce
+from operator import xor
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ffcomp.compensate.job import Job
+from ffcomp.compensate.program import Solved, plan_program, settings_for, solutions
+from ffcomp.inverse.model import Inverter
+from ffcomp.planner.trajectory import PlannedMotion
+from gcode.dialects import FLAVORS
+from gcode.emit import MoveWriter
+from gcode.program import Frame, Moves
+from gcode.reader import read_program
+from models.file import load_machine
+from models.machine import Machine
+from validation.invariants import violations
+
+FloatArray = NDArray[np.float64]
+RADIUS_MM = 120.0
+INCH_MM = 25.4
+FLOW = 0.05  # mm of filament per mm
+
+
+def random_print(seed: int) -> bytes:
+    """A small print, the same for the same number."""
+    return _Print(np.random.default_rng(seed)).text()
+
+
+class _Print:
+    """Writes lines, and follows only what it must: where the file's numbers have the nozzle."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.rng, self.lines = rng, list[str]()
+        self.flavor = str(rng.choice(sorted(FLAVORS)))
+        self.at = np.array([0.0, 0.0, 5.0])  # mm of the toolhead
+        self.name = np.zeros(3)  # mm, what G92 has added to the file's numbers
+        self.unit, self.relative, self.relative_e = 1.0, False, bool(rng.random() < 0.7)
+        self.e = 0.0  # of the file, while it is absolute
+
+    def text(self) -> bytes:
+        """The whole of it."""
+        rng = self.rng
+        self.lines += [f"; gcode_flavor = {self.flavor}", "G28", "G90", "M83" if self.relative_e else "M82"]
+        self.go(self.at, feed=True)
+        for _ in range(rng.integers(2, 9)):
+            rng.choice(_SECTIONS)(self)
+        self.print_lines()
+        ending = rng.choice(["\n", "\n", "\r\n"])
+        return (ending.join(self.lines) + rng.choice([ending, ""])).encode()
+
+    # -- moves --
+
+    def go(
+        self, to: FloatArray, filament: float = 0.0, feed: bool = False, command: str = "G1", words: Sequence[str] = ()
+    ) -> None:
+        to = to * min(1.0, RADIUS_MM / max(float(np.hypot(*to[:2])), 1e-9))
+        to[2] = np.clip(to[2], 0.1, 60.0)
+        shown = (to - self.at if self.relative else to + self.name) / self.unit
+        words = [command, *(f"{axis}{value:.5f}" for axis, value in zip("XYZ", shown, strict=True)), *words]
+        self.at = to
+        if filament:
+            words.append(f"E{self._filament(filament):.5f}")
+        if feed:
+            words.append(f"F{self.rng.uniform(600, 15000) / self.unit:.0f}")
+        self.lines.append(self._spelled(words))
+
+    def _filament(self, length: float) -> float:
+        """The number to be written."""
+        if self.relative or self.relative_e:
+            return length / self.unit
+        self.e = round(self.e + length / self.unit, 5)
+        return self.e
+
+    def _spelled(self, words: list[str]) -> str:
+        """One of the ways in which a line can say it."""
+        way = self.rng.random()
+        if way < 0.8:
+            return " ".join(words)
+        if way < 0.85:
+            return "".join(words)
+        if way < 0.9:
+            return " ".join(words).lower()
+        if way < 0.95:
+            return " (note) ".join(words) + " ; why not"
+        numbered = f"N{len(self.lines)} " + " ".join(words)
+        return f"{numbered}*{reduce(xor, numbered.encode(), 0)}"
+
+    def near(self, spread: float) -> FloatArray:
+        return self.at + np.array([*self.rng.normal(scale=spread, size=2), 0.0])
+
+    # -- sections --
+
+    def print_lines(self) -> None:
+        for i in range(self.rng.integers(1, 6)):
+            to = self.near(self.rng.choice([0.05, 2.0, 15.0]))
+            self.go(to, filament=FLOW * float(np.hypot(*(to - self.at)[:2])), feed=i == 0)
+
+    def curve(self) -> None:
+        angle, bend = self.rng.uniform(0, 7), self.rng.normal(scale=0.3)
+        for _ in range(self.rng.integers(5, 15)):
+            angle += bend
+            self.go(self.at + np.array([np.cos(angle), np.sin(angle), 0.0]), filament=FLOW)
+
+    def arc(self) -> None:
+        """Over half a turn or a whole one, flat or helical, by its centre or its radius."""
+        radius, turn, rise = self.rng.uniform(0.5, 8), self.rng.choice(["G2", "G3"]), self.rng.choice([0.0, 0.4])
+        half = np.array([2 * radius, 0.0, rise])
+        if np.hypot(*(self.at + half)[:2]) > 100 or np.hypot(*self.at[:2]) > 100:
+            return
+        centre = [f"I{radius:.5f}", "J0"] if self.rng.random() < 0.5 else [f"R{1.0001 * radius:.5f}"]
+        self.go(self.at + half, filament=FLOW * np.pi * radius, command=turn, words=centre)
+
+    def travel(self) -> None:
+        angle, radius = self.rng.uniform(0, 7), self.rng.uniform(5, RADIUS_MM)
+        self.go(np.array([radius * np.cos(angle), radius * np.sin(angle), self.at[2]]), feed=True, command="G0")
+
+    def retraction(self) -> None:
+        self.lines.append(f"G1 E{self._filament(-0.8):.5f} F2400")
+        self.travel()
+        self.lines.append(f"G1 E{self._filament(0.8):.5f} F2400")
+
+    def wipe(self) -> None:
+        self.go(self.near(1.0), filament=-0.4, feed=True)
+        self.lines.append(f"G1 E{self._filament(0.4):.5f} F1800")
+
+    def layer(self) -> None:
+        self.lines += [";LAYER_CHANGE", f";Z:{self.at[2]:.2f}", f"M73 P{self.rng.integers(0, 100)} R3"]
+        self.go(self.at + np.array([0.0, 0.0, 0.2]), feed=True)
+
+    # -- what is not a move --
+
+    def aside(self) -> None:
+        self.lines += list(self.rng.choice(_ASIDE, size=2))
+
+    def dwell(self) -> None:
+        self.lines.append(f"G4 P{self.rng.integers(0, 200)}")
+
+    def limits(self) -> None:
+        acceleration = self.rng.integers(300, 20000)
+        klipper = f"SET_VELOCITY_LIMIT ACCEL={acceleration} SQUARE_CORNER_VELOCITY={self.rng.uniform(1, 12):.2f}"
+        self.lines.append(klipper if self.flavor == "klipper" else f"M204 P{acceleration} T{acceleration}")
+
+    def factors(self) -> None:
+        """Flow changes what a mm of the file is; it goes back, for the sum of `e` is not followed through it."""
+        self.lines.append(f"M220 S{self.rng.integers(40, 160)}")
+        if self.relative_e:
+            self.lines.append(f"M221 S{self.rng.integers(80, 120)}")
+
+    def rename(self) -> None:
+        to = np.round(self.rng.uniform(-50, 50, size=3), 3)
+        self.lines.append("G92 " + " ".join(f"{a}{v / self.unit:.5f}" for a, v in zip("XYZ", to, strict=True)))
+        self.name = to - self.at
+
+    def filament_name(self) -> None:
+        self.lines.append("G92 E0")
+        self.e = 0.0
+
+    def relative_stretch(self) -> None:
+        self.lines.append("G91")
+        self.relative = True
+        self.print_lines()
+        self.relative = False
+        self.lines += ["G90", "M83" if self.relative_e else "M82"]
+        if not self.relative_e:
+            self.filament_name()
+
+    def inches(self) -> None:
+        self.lines.append("G20")
+        self.unit = INCH_MM
+        self.filament_name()
+        self.print_lines()
+        self.lines.append("G21")
+        self.unit = 1.0
+        self.filament_name()
+
+    def homing(self) -> None:
+        """After it, or a macro, nobody knows the place: the next move passes through."""
+        self.lines.append(str(self.rng.choice(["G28", "PRIME_LINE", "M600", "G28 X Y"])))
+        self.name = np.zeros(3) if self.lines[-1].startswith("G28") else self.name
+        self.go(self.at, feed=True)
+
+
+_ASIDE = (
+    "M106 S127",
+    "M107",
+    "M104 S210",
+    "M140 S60",
+    "M117 100 % of ; this",
+    ";TYPE:Perimeter",
+    "M400",
+    "M109 S200",
+    "T0",
+    "G1 F5000",
+    "",
+    "EXCLUDE_OBJECT_START NAME=a",
+    "M900 K0.04",
+    "; caf\u00e9",
+    "M486 S1",
+)
+_SECTIONS: list[Callable[[_Print], None]] = [
+    *(2 * [_Print.print_lines]),
+    _Print.curve,
+    _Print.arc,
+    _Print.travel,
+    _Print.retraction,
+    _Print.wipe,
+    _Print.layer,
+    *(2 * [_Print.aside]),
+    _Print.dwell,
+    _Print.limits,
+    _Print.factors,
+    _Print.rename,
+    _Print.filament_name,
+    _Print.relative_stretch,
+    _Print.inches,
+    _Print.homing,
+]
+
+
+@cache
+def inverter() -> Inverter:
+    return _inverter(load_machine("mp-delta-pro"))
+
+
+def _inverter(machine: Machine) -> Inverter:
+    return Inverter(machine, settings_for(machine))
+
+
+def compensated(data: bytes, own: Inverter) -> bytes:
+    """Through the main job."""
+    job = Job(data, "print.gcode", own.machine, predict=False, settings=own.settings, inverter=own)
+    return b"".join(job.lines())
+
+
+def solved(data: bytes, own: Inverter) -> Iterator[Solved]:
+    """The answer to each run."""
+    planned = plan_program(read_program(data), own.machine)
+    return solutions(planned, own.machine, own, None, lambda wanted: False)
+
+
+@pytest.mark.parametrize("seeds", [range(begin, begin + 30) for begin in range(0, 120, 30)], ids=str)
+def test_no_random_print_is_harmed(seeds: range) -> None:
+    for seed in seeds:
+        data = random_print(seed)
+        out = compensated(data, inverter())
+        assert violations(data, out, inverter().machine) == [], f"random_print({seed})"
+
+
+def test_what_is_read_can_be_written_and_read_again() -> None:
+    """The moves that were read, written plainly in millimetres, are the same moves."""
+    writer = MoveWriter()
+    for seed in range(400):
+        moves = read_program(random_print(seed)).moves
+        x, y, z, e = moves.start[0].tolist()
+        head = b"G21\nG90\nM82\nG92 E%.5f\nG1 X%.6f Y%.6f Z%.6f F6000\n" % (e, x, y, z)
+        writer.reset(Frame(), (x, y, z), e)
+        goes_on = (moves.start[1:] == moves.end[:-1]).all(axis=1)  # homing leaves a gap, which no move fills
+        last = int(np.argmin(np.append(goes_on, False))) + 1
+        rows = np.column_stack([moves.end, moves.speed])
+        again = read_program(head + b"".join(writer.move(*row) for row in rows[:last].tolist())).moves
+        path, filament = travelled(moves, last)
+        same_path, same_filament = travelled(again, len(again))
+        assert filament == pytest.approx(same_filament, abs=1e-5), f"random_print({seed})"
+        assert path == pytest.approx(same_path, abs=2e-4 * last), f"random_print({seed})"
+        np.testing.assert_allclose(again.end[-1], moves.end[last - 1], atol=6e-5, err_msg=f"random_print({seed})")
+
+
+def travelled(moves: Moves, last: int) -> tuple[float, float]:
+    """The nozzle's way, and the filament's, mm."""
+    way = (moves.end - moves.start)[:last]
+    return float(np.sqrt((way[:, :3] ** 2).sum(axis=1)).sum()), float(way[:, 3].sum())
+
+
+# -- an ideal machine --
+
+STEADY_S = 0.06  # from any change of speed or direction on: there the command is the plan itself
+
+
+def ideal(machine: Machine) -> Machine:
+    """As stiff as a machine file may say, its drives without dynamics."""
+    carriage = replace(machine.carriage, belt_stiffness_n_per_m=1e9, drive=None)
+    effector = replace(machine.effector, extruder_stiffness_n_per_m=np.full(3, 1e9))
+    return replace(machine, carriage=carriage, effector=effector)
+
+
+def test_an_ideal_machine_is_told_the_plan_itself() -> None:
+    """Segments are straight and even: round a change of speed no polygon is the plan, elsewhere it is."""
+    own, steady = _inverter(ideal(load_machine("mp-delta-pro"))), 0
+    for seed in range(20):
+        for answer in solved(random_print(seed), own):
+            plan, vertices = answer.trajectory, answer.result.vertices
+            t = answer.run.begin_t - own.settings.lead_s + own.settings.segment_s * np.arange(len(vertices))
+            wanted = plan.position(np.clip(t, answer.run.begin_t, np.nextafter(answer.run.end_t, 0.0)))
+            away_um = 1e3 * np.linalg.norm(vertices - wanted[:, :3], axis=1)
+            assert away_um.max() < 20.0, f"random_print({seed})"
+            far = distance_to_changes(plan, t) > STEADY_S
+            assert away_um[far].max(initial=0.0) < 1.0, f"random_print({seed})"
+            steady += int(far.sum())
+    assert steady > 1000
+
+
+def distance_to_changes(plan: PlannedMotion, t: FloatArray) -> FloatArray:
+    """From each of the times (k,) to the nearest at which an acceleration begins or ends, (k,) s."""
+    parts = np.stack([np.zeros(len(plan)), plan.accel_t, plan.cruise_t, plan.decel_t])
+    changes = np.sort((plan.start_t + np.cumsum(parts, axis=0)).ravel())
+    after = np.clip(np.searchsorted(changes, t), 1, len(changes) - 1)
+    return np.minimum(np.abs(t - changes[after - 1]), np.abs(t - changes[after]))
+
+
+# -- a turned machine --
+
+
+def even(machine: Machine) -> Machine:
+    """With an effector that is alike in all horizontal directions."""
+    effector = replace(
+        machine.effector,
+        extruder_stiffness_n_per_m=np.array([5e3, 5e3, 2.6e5]),
+        extruder_damping_n_s_per_m=np.array([30.0, 30.0, 19.6]),
+        center_of_mass_mm=np.array([0.0, 0.0, 19.31]),
+    )
+    return replace(machine, effector=effector)
+
+
+def turned(places: FloatArray, degrees: float) -> FloatArray:
+    """places : (n, 3) mm, round the bed's middle"""
+    cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return places @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+
+def path_through(places: FloatArray) -> bytes:
+    first, *others = places.tolist()
+    lines = [b"G1 X%.6f Y%.6f Z%.6f E.1\n" % tuple(place) for place in others]
+    return b"G28\nG90\nM83\nG1 X%.6f Y%.6f Z%.6f F9000\n" % tuple(first) + b"".join(lines)
+
+
+@pytest.mark.parametrize(("degrees", "relabelled"), [(120.0, True), (240.0, True), (37.0, False)])
+def test_a_turned_machine_gives_the_turned_answer(degrees: float, relabelled: bool) -> None:
+    """By 120° the towers only change their names; by any angle the towers turn along."""
+    machine, rng = even(load_machine("mp-delta-pro")), np.random.default_rng(5)
+    angles = machine.kinematics.tower_angles_deg + (0.0 if relabelled else degrees)
+    beside = replace(machine, kinematics=replace(machine.kinematics, tower_angles_deg=angles))
+    places = np.column_stack([rng.normal(scale=25.0, size=(8, 2)), rng.uniform(5.0, 6.0, size=8)])
+    (here,), (there,) = (
+        [answer.result.vertices for answer in solved(path_through(path), _inverter(one))]
+        for path, one in ((places, machine), (turned(places, degrees), beside))
+    )
+    np.testing.assert_allclose(there, turned(here, degrees), atol=2e-3)  # models come from a grid that is not turned

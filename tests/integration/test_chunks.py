@@ -1,0 +1,338 @@
+"""A long print in chapters: what comes out is what comes out in one piece, however many work at it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ffcomp.compensate import job as jobs
+from ffcomp.compensate.chunks import LONGEST_S, REMEMBERED_S, Chapter, chapters
+from ffcomp.compensate.gcode_output.writer import original
+from ffcomp.compensate.job import Job, Recipe
+from ffcomp.compensate.program import Layers, firmware_plan, plan_program, settings_for
+from ffcomp.errors import LimitsError
+from ffcomp.inverse.extent import Ends, Moment
+from ffcomp.metrics import contour_error
+from ffcomp.simulate.preview import corners
+from ffcomp.steps.reader import read_events, read_steps
+from ffcomp.steps.sink import Board
+from gcode.errors import GcodeError
+from gcode.program import Program
+from gcode.reader import read_parts, read_program
+from gcode.slicing import join, split
+from models.file import load_machine
+from models.machine import Machine
+from validation.invariants import violations
+
+PRINTS = Path(__file__).parents[2] / "sample_prints"
+SMALL = 20_000  # bytes of a part
+OUR_MOVE = re.compile(rb"^G1 .*\n", re.MULTILINE)
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine("mp-delta-pro")
+
+
+@pytest.fixture
+def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Many chapters of a small file."""
+
+    def parts(blocks: Iterator[bytes], path: str, **options: object) -> Iterator[Program]:
+        return read_parts(blocks, path, part_bytes=SMALL, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(jobs, "read_parts", parts)
+
+
+def cut(data: bytes, machine: Machine, part_bytes: int = SMALL, longest_s: float = np.inf) -> list[Chapter]:
+    parts = read_parts([data], flavor="klipper", part_bytes=part_bytes)
+    return list(chapters(parts, 0.004, 0.008, lambda program: firmware_plan(program, machine), longest_s))
+
+
+def text_of(data: bytes, machine: Machine, **options: object) -> tuple[bytes, Job]:
+    job = Job(data, "print.gcode", machine, **options)  # type: ignore[arg-type]
+    return b"".join(job.lines()), job
+
+
+def places(text: bytes) -> NDArray[np.float64]:
+    """Every end of a segment of ours, (n, 4) mm."""
+    moves = read_program(text).moves
+    return moves.end[np.any(moves.end[:, :3] != moves.start[:, :3], axis=1)]
+
+
+@pytest.fixture(scope="module")
+def tower() -> bytes:
+    return (PRINTS / "ringing_tower.gcode").read_bytes()[:100_000].rpartition(b"\n")[0] + b"\n"
+
+
+def test_chapters_are_the_program(tower: bytes, machine: Machine) -> None:
+    whole, several = read_program(tower), cut(tower, machine)
+    assert len(several) >= 4
+    assert [each.last for each in several] == [False] * (len(several) - 1) + [True]
+    assert b"".join(line for each in several for line in each.program.lines) == tower
+    together = several[0].program
+    for each in several[1:]:
+        assert each.program.first_line == len(together.lines)
+        together = join(together, each.program)
+    for name in ("line", "start", "end", "speed", "acceleration"):
+        np.testing.assert_array_equal(getattr(together.moves, name), getattr(whole.moves, name))
+    assert [(e.line, e.move, e.kind) for e in together.events] == [(e.line, e.move, e.kind) for e in whole.events]
+    for event, other in zip(together.events, whole.events, strict=True):
+        assert together.frames[event.frame] == whole.frames[other.frame]
+
+
+def test_a_chapter_is_planned_as_in_the_whole(tower: bytes, machine: Machine) -> None:
+    whole = plan_program(read_program(tower), machine).trajectory
+    durations = [plan_program(each.program, machine).trajectory.duration for each in cut(tower, machine)]
+    np.testing.assert_allclose(np.concatenate(durations), whole.duration, rtol=0, atol=1e-15)
+
+
+def test_what_is_remembered_is_long_enough(tower: bytes, machine: Machine) -> None:
+    for each in cut(tower, machine)[1:]:
+        assert each.before is not None
+        assert plan_program(each.before, machine).trajectory.end_t >= REMEMBERED_S
+
+
+def test_splitting_and_joining_gives_the_program_again(tower: bytes, machine: Machine) -> None:
+    program = read_program(tower)
+    head, tail = split(program, 700)
+    again = join(head, tail)
+    assert again.lines == program.lines
+    assert [e[:3] for e in again.events] == [e[:3] for e in program.events]
+    np.testing.assert_array_equal(again.moves.end, program.moves.end)
+
+
+def test_the_command_is_the_same_in_chapters(tower: bytes, machine: Machine, small_parts: None) -> None:
+    several, cut_job = text_of(tower, machine, predict=False)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(jobs, "read_parts", read_parts)
+        whole, job = text_of(tower, machine, predict=False)
+    assert several.count(b"SET_VELOCITY_LIMIT") > whole.count(b"SET_VELOCITY_LIMIT")  # there were chapters
+    assert original(several) == original(whole) == tower
+    assert cut_job.summary.print_time_s == pytest.approx(job.summary.print_time_s, abs=1e-9)
+    mine, theirs = places(several), places(whole)
+    # after a cut the state is known but for what the printer has forgotten; corrections may then stop a pass earlier
+    assert len(mine) == len(theirs)
+    apart = np.abs(mine[:, :3] - theirs[:, :3]).max(axis=1)
+    assert apart.max() < 2e-3 and np.mean(apart > 5e-4) < 1e-3  # mm
+    np.testing.assert_allclose(mine[:, 3], theirs[:, 3], atol=5e-5)
+
+
+def test_jobs_change_no_byte(tower: bytes, machine: Machine, small_parts: None) -> None:
+    alone, one = text_of(tower, machine)
+    together, two = text_of(tower, machine, jobs=2)
+    assert alone == together
+    first, second = one.result(), two.result()
+    assert first["predicted"]["compensated"]["contour_rms_um"] > 0
+    assert {**first, "compute_time_s": 0} == {**second, "compute_time_s": 0}
+
+
+def test_an_error_names_the_line_of_the_file(tower: bytes, machine: Machine, small_parts: None) -> None:
+    lines = tower.count(b"\n")
+    with pytest.raises(GcodeError, match=rf"print.gcode:{lines + 1}: ") as error:
+        text_of(tower + b"G1 X500 Y0\n", machine, predict=False)
+    assert error.value.line == lines + 1
+
+
+@pytest.fixture(scope="module")
+def spiral() -> bytes:
+    """A vase of 6,000 facets in one go, with lines between them, and rests before and after."""
+    lines = [b"G28\nG90\nM83\nG1 X25 Y0 Z0.3 F6000\nG1 E1 F1800\n;TYPE:Perimeter\n"]
+    for k in range(6_000):
+        a, r = 0.036 * k, 25 + 2 * np.sin(0.252 * k)
+        lines.append(b"G1 X%.3f Y%.3f Z%.4f E.03 F4800\n" % (r * np.cos(a), r * np.sin(a), 0.3 + 0.002 * k))
+        lines += [b"M106 S%d\n" % (k % 255), b";LAYER_CHANGE\n"] if k % 500 == 499 else []
+    return b"".join([*lines, b"G1 E-1 F1800\nG1 X0 Y0 F9000\nM84\n"])
+
+
+@pytest.fixture
+def short_spirals(monkeypatch: pytest.MonkeyPatch, small_parts: None) -> None:
+    monkeypatch.setattr("ffcomp.compensate.chunks.LONGEST", 2000)
+
+
+def test_a_spiral_is_cut_in_motion_without_a_trace(spiral: bytes, machine: Machine, short_spirals: None) -> None:
+    several, cut_job = text_of(spiral, machine)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ffcomp.compensate.chunks.LONGEST", 10**9)
+        whole, job = text_of(spiral, machine)
+    assert cut_job.summary.windows > job.summary.windows  # there were cuts
+    assert original(several) == original(whole) == spiral
+    assert several.count(b"SET_VELOCITY_LIMIT") <= whole.count(b"SET_VELOCITY_LIMIT") + 4  # none of them in the spiral
+    for name in ("print_time_s", "original_print_time_s", "moves"):
+        assert getattr(cut_job.summary, name) == pytest.approx(getattr(job.summary, name), abs=1e-6)
+    # joined segments end elsewhere after a cut: both commands, where they pass the same time
+    mine, theirs = (plan_program(read_program(text), machine).trajectory for text in (several, whole))
+    assert mine.end_t == pytest.approx(theirs.end_t, abs=0.02)
+    ends = [np.diff(read_program(text).moves.end[:, 3]).sum() for text in (several, whole)]
+    assert ends[0] == pytest.approx(ends[1], abs=1e-3)
+    both = plan_program(read_program(several), machine), plan_program(read_program(whole), machine)
+    path_t, path = corners(both[1].trajectory)
+    t = np.linspace(1.0, both[0].trajectory.end_t - 1.0, 20_000)
+    off = contour_error(path_t, path, t, both[0].trajectory.position(t)[:, :3])
+    assert off.max() < 1.5e-3  # mm: segments are joined where they stay this near to what was solved
+
+
+def test_jobs_change_no_byte_of_a_spiral(spiral: bytes, machine: Machine, short_spirals: None) -> None:
+    alone, _ = text_of(spiral, machine, predict=False)
+    together, _ = text_of(spiral, machine, predict=False, jobs=2)
+    assert alone == together
+
+
+def test_steps_of_a_spiral_cut_in_motion(spiral: bytes, machine: Machine, short_spirals: None, tmp_path: Path) -> None:
+    found = []
+    for longest in (2000, 10**9):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("ffcomp.compensate.chunks.LONGEST", longest)
+            target = tmp_path / f"{longest}.npz"
+            Job(spiral, "spiral.gcode", machine, predict=False).write_steps(target, Board(400.0))
+            found.append((read_steps(target), read_events(target)))
+    (cut_motors, cut_events), (motors, events) = found
+    assert cut_events[1] == events[1]
+    np.testing.assert_allclose(cut_events[0], events[0], atol=1e-6)
+    for name in "abce":
+        assert abs(len(cut_motors[name].time_s) - len(motors[name].time_s)) <= 4
+        t = np.linspace(0.2, motors["a"].time_s[-1], 5000)
+        levels = [m[name].level_mm[np.searchsorted(m[name].time_s, t)] for m in (cut_motors, motors)]
+        assert np.abs(levels[0] - levels[1]).max() <= 1.01 * motors[name].step_mm  # half a step apart may be a step
+
+
+def test_a_print_without_rests_is_one_chapter(machine: Machine) -> None:
+    spiral = b"G28\nG1 X0 Y0 Z1 F6000\n" + b"".join(b"G1 X%d Y%d E%d\n" % (k % 7, k % 5, k) for k in range(3000))
+    (only,) = cut(spiral, machine, 5000)
+    assert only.last and only.program.lines == spiral.splitlines(keepends=True)
+
+
+VASE = b"G28\nG90\nM83\nG1 X25 Y0 Z0.3 F6000\nG1 E1 F1800\n"
+
+
+def vase(facets: int, speed: float, lift: float = 0.002) -> bytes:
+    """Facets of 0.9 mm, F in mm/min; comments between them tell the layers."""
+    lines = [VASE]
+    for k in range(facets):
+        lines += [b";LAYER_CHANGE\n"] if k % 175 == 0 else []
+        a, r = 0.036 * k, 25 + 2 * np.sin(0.252 * k)
+        place = r * np.cos(a), r * np.sin(a), 0.3 + lift * k
+        lines.append(b"G1 X%.3f Y%.3f Z%.4f E.03 F%.3f\n" % (*place, speed))
+    return b"".join([*lines, b"G1 E-1 F1800\nG1 X0 Y0 F9000\nM84\n"])
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        vase(2000, 10.0),  # three hours
+        VASE + b"G1 X-25 Y10 E20 F0.4249\nG1 X0 Y0 F3000\nG1 E-1 F1800\n",  # two hours in one line
+        VASE + b"".join(b"G1 X%d F60\nG1 E.1 F60\n" % (20 * (k % 2)) for k in range(400)),  # rests every 20 s
+    ],
+)
+def test_no_chapter_holds_more_than_some_minutes(machine: Machine, data: bytes) -> None:
+    several = cut(data, machine, 10**6, longest_s=LONGEST_S)
+    plans = [firmware_plan(each.program, machine) for each in several]
+    assert max(plan.end_t for plan in plans) < LONGEST_S + 15.0  # what is around the cuts, whole moves of it
+    assert max(map(len, plans)) < 1000
+    assert max(len(each.program.frames) for each in several) < 10
+    written_s = [
+        (plan.end_t if each.ends.end is None else each.ends.end.on(plan))
+        - (0.0 if each.ends.begin is None else each.ends.begin.on(plan))
+        for each, plan in zip(several, plans, strict=True)
+    ]
+    assert sum(written_s) == pytest.approx(firmware_plan(read_program(data), machine).end_t, abs=1e-6)
+
+
+@pytest.mark.parametrize("limits", [b"", b"M204 S60\n", b"SET_VELOCITY_LIMIT ACCEL=200 MINIMUM_CRUISE_RATIO=0.9\n"])
+def test_both_sides_of_a_cut_see_the_same_motion(machine: Machine, limits: bytes) -> None:
+    """Where acceleration is low, a motion remembers for long that it began at rest."""
+    data = vase(6000, 6000.0).replace(b"M83\n", b"M83\n" + limits)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ffcomp.compensate.chunks.LONGEST_S", 20.0)
+        several = cut(data, machine, 10**6, longest_s=20.0)
+    cuts = [(a, b) for a, b in pairwise(several) if a.ends.end is not None]
+    assert len(cuts) >= 2
+    for before, after in cuts:
+        first, second = (firmware_plan(each.program, machine) for each in (before, after))
+        assert before.ends.end is not None and after.ends.begin is not None
+        t = np.linspace(-0.9, 0.9, 200)
+        t_first, t_second = before.ends.end.on(first) + t, after.ends.begin.on(second) + t
+        np.testing.assert_allclose(first.position(t_first)[:, :3], second.position(t_second)[:, :3], atol=1e-7)
+        speeds = [np.abs(plan.velocity(at)[:, :3]).max(axis=1) for plan, at in ((first, t_first), (second, t_second))]
+        np.testing.assert_allclose(*speeds, atol=1e-5)
+
+
+def test_one_long_line_is_cut_without_a_trace(machine: Machine) -> None:
+    data = VASE + b"G1 X-25 Y10 E20 F72\nM106 S255\nG1 X0 Y0 F3000\nG1 E-1 F1800\n"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ffcomp.compensate.chunks.LONGEST_S", 12.0)
+        text, job = text_of(data, machine, predict=False)
+    assert original(text) == data and violations(data, text, machine) == []
+    assert job.summary.moves == 4 and job.summary.windows >= 4
+    assert job.summary.original_print_time_s == pytest.approx(
+        plan_program(read_program(data), machine).firmware_s, abs=1e-6
+    )
+    assert text.count(b"SET_VELOCITY_LIMIT") <= 8  # none of them in the line
+
+
+def test_limits_are_held_in_a_motion_that_is_cut(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On both sides of a cut, and at the cut: velocities, and accelerations from segment to segment."""
+    monkeypatch.setattr("ffcomp.compensate.chunks.LONGEST_S", 8.0)
+    tight = replace(machine, limits=replace(machine.limits, carriage_velocity_mm_per_s=45.0))
+    data = vase(1150, 4800.0)
+    text, job = text_of(data, tight, predict=False)
+    assert original(text) == data and violations(data, text, tight) == []
+    summary, planned = job.summary, plan_program(read_program(data), machine)
+    assert summary.warnings == []  # nowhere is more than a limit asked for
+    assert summary.original_print_time_s == pytest.approx(planned.firmware_s, abs=2e-3)
+    assert 0.1 < summary.print_time_s - summary.original_print_time_s < 0.4
+    assert {record.layer for record in summary.slowed} == set(range(7))
+
+
+def test_a_cut_that_must_be_slower_is_refused_when_strict(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    tight = replace(machine, limits=replace(machine.limits, carriage_velocity_mm_per_s=45.0))
+    settings = replace(settings_for(tight), strict=True)
+    monkeypatch.setattr("ffcomp.compensate.chunks.LONGEST_S", 8.0)
+    with pytest.raises(LimitsError, match="would have to be slowed"):
+        text_of(vase(1150, 4800.0), tight, predict=False, settings=settings)
+
+
+def test_a_motion_too_long_for_s_curves_is_planned_without_them(machine: Machine) -> None:
+    settings, data = replace(settings_for(machine), s_curve=True), vase(2000, 4800.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ffcomp.compensate.chunks.LONGEST_S", 8.0)
+        patch.setattr(jobs, "S_CURVE_LONGEST_S", 9.0)
+        text, job = text_of(data, machine, predict=False, settings=settings)
+    (warning,) = job.warnings
+    assert warning.startswith("line 8: the motion that begins here does not rest for 0.15 minutes")
+    assert original(text) == data and violations(data, text, machine) == []
+
+
+def test_of_a_motion_in_many_chapters_few_are_simulated(machine: Machine) -> None:
+    recipe = Recipe(machine, settings_for(machine), "klipper", (0.0, 0.0), share=0.02)
+    (chapter,) = cut(VASE, machine)
+    motion = [replace(chapter, ends=Ends(end=Moment(0, 0.0)), cuts=cuts) for cuts in range(200)]
+    assert sum(map(recipe._is_simulated, motion)) == 4 and recipe._is_simulated(motion[0])
+    assert recipe._is_simulated(chapter)
+
+
+def test_layers_are_counted_through_the_chapters(tower: bytes, machine: Machine) -> None:
+    whole = read_program(tower)
+    of_line = dict(zip(whole.moves.line.tolist(), map(Layers(whole, 0).of, range(len(whole.moves))), strict=True))
+    for each in cut(tower, machine):
+        moves = each.program.moves
+        for move in (0, len(moves) // 2, len(moves) - 1):
+            line = each.program.first_line + int(moves.line[move])
+            assert Layers(each.program, each.layers).of(move) == of_line[line]
+    assert max(of_line.values()) >= 3
+
+
+def test_s_curves_in_chapters_keep_the_time(tower: bytes, machine: Machine, small_parts: None) -> None:
+    settings = settings_for(machine)
+    _, plain = text_of(tower, machine, settings=settings, predict=False)
+    text, smooth = text_of(tower, machine, settings=replace(settings, s_curve=True), predict=False)
+    assert smooth.summary.original_print_time_s == pytest.approx(plain.summary.original_print_time_s)
+    assert plain.summary.print_time_s < smooth.summary.print_time_s < 1.01 * plain.summary.print_time_s
+    assert original(text) == tower

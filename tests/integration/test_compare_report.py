@@ -1,0 +1,594 @@
+"""The report of `ffcomp compare`: verdict, figures, page, and the page in a real browser.
+
+The print is invented: squares in three layers, whose corners start decaying waves across the next side. Then every
+number in the report has a closed form.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import re
+import xml.etree.ElementTree as ElementTree
+import zlib
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ffcomp.compare.evaluation import by, contour_numbers
+from ffcomp.compare.result import (
+    BedMap,
+    Comparison,
+    EqualQuality,
+    Family,
+    Layer,
+    Method,
+    Party,
+    Peaks,
+    Samples,
+    Spread,
+)
+from ffcomp.metrics import Track
+from ffcomp.report.compare import html, packed, table
+from ffcomp.report.compare.figures import drawings, svg, write_figures
+from ffcomp.report.compare.html import write_report
+from ffcomp.report.compare.off_path import contour_vectors, unbroken
+from ffcomp.report.compare.places import worst_places
+from ffcomp.report.compare.spectrum import spectrum
+from ffcomp.report.compare.verdict import verdict
+from ffcomp.report.compare.words import duration, times, um
+from tests.support.browser import Visit, chromium, visit
+
+SAMPLE_S = 1e-3
+SIDE, SPEED, LAYERS = 40.0, 80.0, 3  # mm, mm/s
+RING_HZ, DECAY_PER_S = 42.0, 12.0
+SIDE_N = round(SIDE / SPEED / SAMPLE_S)
+FEATURES = ("other", "Perimeter", "External perimeter")
+READY = "#viewer[data-ready]"
+NASTY = '"><script>alert(1)</script><img src=x onerror=alert(2)>'
+
+
+def samples(amplitude_mm: float) -> Samples:
+    """Once round a square in each layer; the last side is travel. Each corner is overshot and rings on."""
+    corners = 0.5 * SIDE * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
+    s = np.arange(SIDE_N) / SIDE_N
+    wave = amplitude_mm * np.exp(-DECAY_PER_S * SAMPLE_S * np.arange(SIDE_N))
+    wave = wave * np.sin(2 * np.pi * RING_HZ * SAMPLE_S * np.arange(SIDE_N) + 0.5 * np.pi)
+    wanted, across = [], []
+    for layer in range(LAYERS):
+        for a, b in pairwise(corners):
+            along = (b - a) / SIDE
+            wanted.append(np.column_stack([a + s[:, None] * (b - a), np.full(SIDE_N, 0.2 * (layer + 1))]))
+            across.append(np.column_stack([along[1] * wave, -along[0] * wave, 0 * wave]))
+    across[0] = 0 * across[0]  # it comes from rest
+    count = 4 * LAYERS * SIDE_N
+    side = np.arange(count) // SIDE_N
+    return Samples(
+        due=SAMPLE_S * np.arange(count),
+        wanted=np.concatenate(wanted),
+        nozzle=np.concatenate(wanted) + np.concatenate(across),
+        contour=np.linalg.norm(np.concatenate(across), axis=1),
+        layer=side // 4,
+        feature=1 + side % 2,
+        extruding=side % 4 != 3,
+    )
+
+
+def track(s: Samples, which: Any) -> Track:
+    error = contour_numbers(s.contour, which)
+    return Track(
+        tracking_rms_um=1.5 * error.rms_um,
+        tracking_max_um=2.0 * error.max_um,
+        contour_rms_um=error.rms_um,
+        contour_p99_um=error.p99_um,
+        contour_max_um=error.max_um,
+        delay_s=0.0,
+        tracking_rms_no_delay_um=error.rms_um,
+        print_time_s=float(s.due[-1]),
+        peak_command_acceleration_mm_per_s2=6e3,
+    )
+
+
+def method(name: str, label: str, family: Family, amplitude_um: float, **about: Any) -> Method:
+    s = about.pop("samples", None) or samples(1e-3 * amplitude_um)
+    given: dict[str, Any] = {
+        "tuning": "x 40.0 Hz, y 41.0 Hz: as a test sets it.",
+        "track": track(s, np.ones(len(s.due), dtype=bool)),
+        "extruding": track(s, s.extruding),
+        "by_layer": by(s.layer, s.contour),
+        "by_feature": {FEATURES[k]: error for k, error in by(s.feature, s.contour).items()},
+        "residual_rms_um": 0.3 * amplitude_um,
+        "peaks": Peaks(120.0, 6000.0, True),
+    }
+    return Method(name, label, family, samples=s, **(given | about))
+
+
+def bed() -> BedMap:
+    axis = np.linspace(-90.0, 90.0, 19)
+    x, y = np.meshgrid(axis, axis)
+    frequency = np.stack([40 + 0.05 * x, 40 + 0.05 * y], axis=-1)
+    frequency[np.hypot(x, y) > 91] = np.nan
+    return BedMap(axis, axis, frequency)
+
+
+def comparison(
+    none_um: float = 200.0, best_um: float = 20.0, ours_um: float = 2.0, name: str = "prints/square.gcode", **about: Any
+) -> Comparison:
+    judged = [
+        method("none", "no compensation", "none", none_um),
+        method("mzv-calibrated", "MZV, calibrated", "calibrated", 1.5 * best_um),
+        method("mzv", "MZV, best fixed", "best fixed", best_um),
+        method("fbs-lpv", "ffcomp, scheduled inversion", "inversion", ours_um),
+    ]
+    given: dict[str, Any] = {
+        "print_sha256": "ab" * 32,
+        "print_time_s": 3725.0,
+        "layers_total": LAYERS,
+        "sampling": "The whole print was judged, 6 s.",
+        "machine": Party("a delta", "12" * 32),
+        "plant": Party("a delta", "12" * 32),
+        "mismatch": "",
+        "settings": {"bandwidth of the inversion": "100 Hz"},
+        "version": "9.8.7",
+        "layers": tuple(Layer(k, 0.2 * (k + 1), 2.0 * k, 2.0 * k + 2) for k in range(LAYERS)),
+        "features": FEATURES,
+        "methods": {each.name: each for each in judged},
+        "best_fixed": "mzv",
+        "ours": "fbs-lpv",
+        "sample_s": SAMPLE_S,
+        "limits": {"carriage_velocity_mm_per_s": 300.0, "carriage_acceleration_mm_per_s2": 2e4},
+        "quality_bound_um": 25.0,
+    }
+    return Comparison(print_name=name, **(given | about))
+
+
+def changed(found: Comparison, name: str, **about: Any) -> Comparison:
+    """The comparison with one method altered."""
+    return replace(found, methods={**found.methods, name: replace(found.methods[name], **about)})
+
+
+def everything(name: str = "prints/square.gcode") -> Comparison:
+    """With all that can be asked for."""
+    found = comparison(name=name, bed=bed(), mismatch="8 plants, each off by 10 %.")
+    for key, factor in (("none", 1.1), ("mzv-calibrated", 1.4), ("mzv", 1.4), ("fbs-lpv", 2.5)):
+        rms = found.methods[key].track.contour_rms_um
+        spread = Spread(tuple(factor * rms * (1 + 0.1 * k) for k in range(8)))
+        quality = EqualQuality(1e3 * (4 - factor), 3000.0 + 100 * factor, 24.0, capped=False, reached=key != "none")
+        found = changed(found, key, spread=spread, equal_quality=quality)
+    return changed(found, "mzv", retuned=found.methods["mzv"].spread)
+
+
+# ---- words and verdict ---------------------------------------------------------------------------
+
+
+def test_numbers_are_short_and_times_have_names() -> None:
+    assert [um(x) for x in (0.314, 9.994, 9.996, 62.34, 99.96, 415.9)] == ["0.31", "9.99", "10.0", "62.3", "100", "416"]
+    assert um(math.nan) == "–"
+    assert [times(x) for x in (6.04, 9.96, 107.7)] == ["6.0 times", "10 times", "108 times"]
+    assert [duration(x) for x in (48.4, 842, 3599.7, 11100)] == ["48 s", "14 min 02 s", "1 h 00 min", "3 h 05 min"]
+
+
+def test_good_news_and_what_they_rest_on() -> None:
+    said = verdict(comparison())
+    assert "100 times less" in said[0] and "Where plastic flows" in said[0]
+    assert "10 times as much as ffcomp" in said[1] and "x 40.0 Hz, y 41.0 Hz" in said[1]
+    assert "own resonance test" in said[1]
+    assert "The whole print was judged, 6 s." in said
+    assert "very numbers of the machine file" in said[-1] and "less good" in said[-1]
+
+
+def test_bad_news_are_told_as_plainly() -> None:
+    said = verdict(comparison(none_um=10.0, best_um=5.0, ours_um=30.0))
+    assert "makes this print worse, do not use it here" in said[0]
+    assert "Use the shaper." in said[1]
+    assert "no difference worth the trouble" in verdict(comparison(none_um=10.0, ours_um=9.8))[0]
+    assert "the same as ffcomp" in verdict(comparison(best_um=2.0))[1]
+
+
+def test_a_third_method_that_is_better_than_ours_is_named() -> None:
+    found = comparison(ours_um=4.0)
+    found = replace(found, methods={**found.methods, "zv-scheduled": method("zv-scheduled", "ZV, s", "scheduled", 2.0)})
+    assert any("The least error of all has ZV, s" in sentence for sentence in verdict(found))
+    assert not any("least error of all" in sentence for sentence in verdict(comparison()))
+
+
+def test_limits_and_warnings_are_in_the_verdict() -> None:
+    beyond = Peaks(250.0, 4.5e4, False)
+    said = " ".join(verdict(changed(comparison(), "fbs-lpv", peaks=beyond, warnings=("Too fast here.",))))
+    assert "45 m/s², more than the machine file allows (300 mm/s, 20 m/s²)" in said
+    assert "Warning: Too fast here." in said
+    assert "Beyond the limits of the carriages" in " ".join(verdict(changed(comparison(), "mzv", peaks=beyond)))
+    assert "allows" not in " ".join(verdict(comparison()))
+
+
+def test_another_plant_is_named_with_its_effects() -> None:
+    said = verdict(comparison(plant=Party("a worn delta", "34" * 32, ("friction", "backlash"))))[-1]
+    assert "a worn delta, with friction, backlash" in said and "very numbers" not in said
+
+
+@pytest.mark.parametrize(
+    ("ours", "tail"),
+    [
+        ((2.0, 3.0), None),
+        ((2.0, 14.0), "In the median ffcomp is ahead or level, at worst the shaper is better."),
+        ((25.0, 30.0), "With such an uncertainty the shaper is better: measure the machine first."),
+    ],
+)
+def test_mismatch_says_who_wins(ours: tuple[float, ...], tail: str | None) -> None:
+    found = changed(comparison(mismatch="two plants"), "fbs-lpv", spread=Spread(ours))
+    found = changed(found, "mzv", spread=Spread((8.0, 12.0)), retuned=Spread((6.0, 11.0)))
+    (said,) = (sentence for sentence in verdict(found) if sentence.startswith("On 2 printers"))
+    assert "10.0 and 12.0 µm with MZV, best fixed, as tuned; 8.50 and 11.0 µm with MZV tuned again on each" in said
+    assert said.endswith(tail or "on each.")
+
+
+def test_equal_quality_capped_reached_and_missed() -> None:
+    found = changed(comparison(), "fbs-lpv", equal_quality=EqualQuality(4e4, 300.0, 20.0, capped=True))
+    found = changed(found, "mzv", equal_quality=EqualQuality(2e3, 500.0, 24.9, capped=False))
+    found = changed(found, "mzv-calibrated", equal_quality=EqualQuality(5e3, 400.0, 24.9, capped=False))
+    found = changed(found, "none", equal_quality=EqualQuality(250.0, 4000.0, 60.0, capped=False, reached=False))
+    (said,) = (sentence for sentence in verdict(found) if "must stay below 25 µm" in sentence)
+    assert "ffcomp keeps it even at 40 m/s²" in said
+    assert "the fastest shaper (MZV, calibrated) keeps it up to 5 m/s² (whole print 6 min 40 s)" in said
+    assert "no compensation misses it even at 0.25 m/s²" in said
+    assert said.endswith("With ffcomp that is 25 % less print time than with the shaper.")
+
+
+# ---- where, and at which frequency ---------------------------------------------------------------
+
+
+def test_contour_vectors_have_the_length_of_the_table_and_point_to_the_nozzle() -> None:
+    s = samples(0.1)
+    vectors = contour_vectors(s, SAMPLE_S)
+    np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), s.contour, atol=1e-12)
+    middle = slice(SIDE_N + SIDE_N // 4, SIDE_N + 3 * SIDE_N // 4)  # far from corners what is wanted is nearest
+    np.testing.assert_allclose(vectors[middle], (s.nozzle - s.wanted)[middle], atol=1e-12)
+
+
+def test_being_late_on_the_path_is_no_error() -> None:
+    s = samples(0.1)
+    late = replace(s, nozzle=np.roll(s.nozzle, 8, axis=0), contour=np.roll(s.contour, 8))
+    middle = slice(SIDE_N + SIDE_N // 4, SIDE_N + 3 * SIDE_N // 4)
+    vectors = contour_vectors(late, SAMPLE_S)
+    np.testing.assert_allclose(vectors[middle], np.roll(s.nozzle - s.wanted, 8, axis=0)[middle], atol=1e-12)
+
+
+def test_samples_break_at_gaps() -> None:
+    assert unbroken(np.array([0.0, 0.1, 0.2, 5.0, 5.1, 1.0])) == [slice(0, 3), slice(3, 5), slice(5, 6)]
+
+
+def test_spectrum_peaks_at_the_resonance_and_holds_the_mean_square() -> None:
+    judged = comparison().methods["none"]
+    found = spectrum(judged, SAMPLE_S)
+    assert found is not None
+    peak = found.frequency_hz[np.argmax(found.density_um2_per_hz)]
+    assert peak == pytest.approx(RING_HZ, abs=1.5)
+    mean_square = float(np.sum(found.density_um2_per_hz)) * (found.frequency_hz[1] - found.frequency_hz[0])
+    assert mean_square == pytest.approx(judged.track.contour_rms_um**2, rel=0.15)
+
+
+def test_too_few_samples_have_no_spectrum() -> None:
+    few = _cut(samples(0.1), 20)
+    assert spectrum(method("none", "none", "none", 0.0, samples=few), SAMPLE_S) is None
+
+
+def _cut(s: Samples, count: int) -> Samples:
+    return Samples(**{name: getattr(s, name)[:count] for name in Samples.__dataclass_fields__})
+
+
+def test_close_ups_are_at_corners_that_are_apart() -> None:
+    places = worst_places(comparison())
+    assert len(places) == 3
+    for place in places:
+        assert np.abs(place.at[:2]) == pytest.approx([SIDE / 2, SIDE / 2], abs=0.1)
+        first = place.passes[0]
+        assert first.contour_um.max() == pytest.approx(200.0, rel=0.01)
+        assert np.all(np.diff(first.along_mm) >= 0) and first.along_mm[0] <= 0 < first.along_mm[-1]
+    assert min(place.passes[0].along_mm[0] for place in places) < -0.4  # also from before the corner
+    assert min(np.hypot(*(a.at - b.at)[:2]) for a in places for b in places if a is not b) > 10.0
+
+
+# ---- the viewer's data ---------------------------------------------------------------------------
+
+
+def unpacked(data: dict[str, Any], judged: dict[str, Any]) -> dict[str, Any]:
+    """The columns again, as the viewer reads them."""
+    raw, at, columns = zlib.decompress(base64.b64decode(judged["data"])), 0, {}
+    for name, form, width in packed.COLUMNS:
+        kind, count = np.dtype(form), judged["count"]
+        planes = np.frombuffer(raw, np.uint8, count * width * kind.itemsize, at).reshape(width, kind.itemsize, count)
+        at += planes.size
+        steps = np.ascontiguousarray(planes.transpose(0, 2, 1)).view(kind)[..., 0]
+        column = np.cumsum(steps, axis=1, dtype=kind).T
+        columns[name] = column if width > 1 else column[:, 0]
+    assert at == len(raw)
+    columns["foot"] = np.array(data["origin"]) + data["grain"] * columns["foot"]
+    columns["away"] = data["step"] * columns["away"]
+    columns["due"] = data["tick"] * columns["due"]
+    return columns
+
+
+def test_what_is_packed_is_what_was_judged() -> None:
+    found = comparison()
+    data = packed.packed(found)
+    assert [each["label"] for each in data["methods"]] == [found.methods[n].label for n in ("none", "mzv", "fbs-lpv")]
+    assert packed.thinned_out(found) == ""
+    for judged, name in zip(data["methods"], ("none", "mzv", "fbs-lpv"), strict=True):
+        s, columns = found.methods[name].samples, unpacked(data, judged)
+        assert judged["count"] == len(s.due)
+        np.testing.assert_allclose(columns["foot"] + columns["away"], s.nozzle, atol=2e-3)
+        np.testing.assert_allclose(columns["due"], s.due, atol=6e-5)
+        np.testing.assert_array_equal(columns["layer"], s.layer)
+        np.testing.assert_array_equal(columns["kind"] & packed.EXTRUDING > 0, s.extruding)
+        np.testing.assert_array_equal(columns["kind"] & packed.FEATURES, s.feature)
+        error = packed.LOWEST_UM * (data["highest"] / packed.LOWEST_UM) ** (columns["error"] / 255)
+        np.testing.assert_allclose(error, np.maximum(1e3 * s.contour, packed.LOWEST_UM), rtol=0.02)
+
+
+def test_thinning_keeps_the_peaks_and_straight_lines_need_few_points() -> None:
+    s = samples(0.1)
+    wavy = packed.Trace(method("none", "none", "none", 0.0, samples=s), s.wanted, s.nozzle - s.wanted)
+    kept, joined = packed.thin(wavy, 900)
+    assert 900 <= len(kept) < 1000 and kept[0] == 0 and not joined[0] and joined[1:].all()
+    between = np.interp(s.due, s.due[kept], (s.nozzle - s.wanted)[kept, 0])
+    assert np.abs(between - (s.nozzle - s.wanted)[:, 0]).max() < 0.01
+    straight = packed.Trace(wavy.method, s.wanted, np.zeros_like(s.wanted))
+    assert len(packed.thin(straight, 900)[0]) < 120
+
+
+def test_points_of_a_long_print_stand_for_the_largest_error_around_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(packed, "POINTS", 3000)
+    found = comparison()
+    data = packed.packed(found)
+    assert "of the samples" in packed.thinned_out(found)
+    for judged, name in zip(data["methods"], ("none", "mzv", "fbs-lpv"), strict=True):
+        assert judged["count"] < 1100
+        s, columns = found.methods[name].samples, unpacked(data, judged)
+        kept = np.searchsorted(s.due, columns["due"] - SAMPLE_S / 2)
+        worst = np.maximum.reduceat(1e3 * s.contour, kept)
+        error = packed.LOWEST_UM * (data["highest"] / packed.LOWEST_UM) ** (columns["error"] / 255)
+        np.testing.assert_allclose(error, np.maximum(worst, packed.LOWEST_UM), rtol=0.02)
+
+
+def test_the_page_of_a_long_print_is_below_four_megabytes(page: Path) -> None:
+    own = sum(len(judged["data"]) for judged in packed.packed(everything())["methods"])
+    assert page.stat().st_size - own + 4 / 3 * 9 * packed.POINTS < 4e6  # 9 bytes a point, seen on real prints
+
+
+# ---- the table -----------------------------------------------------------------------------------
+
+
+def cells(found: Comparison, name: str) -> dict[tuple[str, str], table.Cell]:
+    (row,) = (row for row in table.rows(found) if row.method.name == name)
+    return {(c.group, c.head): cell for c, cell in zip(table.columns(found), row.cells, strict=True)}
+
+
+def test_best_is_marked_but_not_beyond_the_limits() -> None:
+    key = ("contour error, all moves, µm", "rms")
+    assert cells(comparison(), "fbs-lpv")[key].best and not cells(comparison(), "mzv")[key].best
+    found = changed(comparison(), "fbs-lpv", peaks=Peaks(250.0, 4.5e4, False))
+    assert cells(found, "mzv")[key].best and not cells(found, "fbs-lpv")[key].best
+    assert cells(found, "fbs-lpv")["fastest carriage", "m/s²"] == table.Cell("45.0", "45", beyond=True)
+
+
+def test_columns_that_nobody_asked_for_are_missing_and_gaps_are_dashes() -> None:
+    assert not any("printers" in column.group for column in table.columns(comparison()))
+    found = changed(everything(), "mzv", residual_rms_um=math.nan)
+    assert cells(found, "mzv")["still rings", "µm rms"] == table.Cell("–", "")
+    assert cells(found, "fbs-lpv")["on drawn printers, µm rms", "tuned again"].text == "–"
+    fast = {name: cells(found, name)["for 99 % below 25 µm", "m/s²"] for name in found.methods}
+    assert fast["none"].text == "–" and fast["mzv"].best and not fast["fbs-lpv"].best
+
+
+# ---- figures and page ----------------------------------------------------------------------------
+
+
+def test_figures_come_as_png_and_svg_and_say_what_they_are_of(tmp_path: Path) -> None:
+    written = write_figures(everything(), tmp_path)
+    names = ("close-up", "errors-by-layer", "spectrum", "bed-map", "limits", "methods", "equal-quality", "mismatch")
+    assert {path.name for path in written} == {f"{name}.{form}" for name in names for form in ("png", "svg")}
+    assert sorted(written) == sorted(tmp_path.iterdir())
+    for path in written:
+        if path.suffix == ".png":
+            assert path.read_bytes().startswith(b"\x89PNG") and path.stat().st_size > 10_000
+        else:
+            assert ElementTree.parse(path).getroot().tag.endswith("svg")
+
+
+def test_figures_of_what_was_not_asked_for_are_missing() -> None:
+    names = [each.name for each in drawings(comparison())]
+    assert names == ["close-up", "errors-by-layer", "spectrum", "limits", "methods"]
+
+
+def test_the_same_numbers_give_the_same_figure() -> None:
+    first = drawings(comparison())[1]
+    assert svg(first) == svg(first)
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    target = tmp_path_factory.mktemp("report") / "report.html"
+    write_report(everything(), target)
+    return target
+
+
+@pytest.fixture(scope="module")
+def nasty_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Every text that a file can give is an attack."""
+    found = replace(
+        everything("folder/<img src=x onerror=alert(1)>.gcode"),
+        machine=Party(f"$x_1$ {NASTY}", "12" * 32, (NASTY,)),
+        plant=Party(NASTY, "34" * 32, (NASTY,)),
+        features=("other", f"</script>{NASTY}", "$\\frac{"),
+        settings={NASTY: NASTY},
+    )
+    found = changed(found, "mzv", label=f"MZV {NASTY}", tuning=NASTY, warnings=(NASTY,))
+    for key, judged in found.methods.items():
+        found = changed(found, key, by_feature=dict(zip(found.features[1:], judged.by_feature.values(), strict=True)))
+    target = tmp_path_factory.mktemp("nasty") / "report.html"
+    write_report(found, target)
+    return target
+
+
+def test_the_page_names_what_it_is_of_and_nothing_of_the_folders(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for expected in ("square.gcode", "a delta", "121212121212", "9.8.7", "ab" * 32, "8 plants, each off by 10 %."):
+        assert expected in text
+    assert "prints/" not in text and str(page.parent) not in text
+
+
+def test_the_page_fetches_nothing(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    images = [base64.b64decode(each).decode() for each in re.findall(r"base64,([A-Za-z0-9+/=]+)", text)]
+    assert len(images) == 3 + 7
+    for content in (text, *images):
+        fetched = re.findall(r"""(?:src|href)\s*=\s*["']?([^"'\s>]+)|url\(([^)]+)\)|@import""", content)
+        assert all(re.match(r"data:|#|$", one or other) for one, other in fetched), fetched
+        assert "<script" not in content or content is text
+
+
+def test_text_from_files_is_escaped(nasty_page: Path) -> None:
+    text = nasty_page.read_text(encoding="utf-8")
+    assert "alert(1)" in text and "<script>alert" not in text and "<img src=x" not in text
+    data = re.search(r'id="samples">(.*?)</script>', text, re.DOTALL)
+    assert data is not None and json.loads(data[1])["features"][1] == f"</script>{NASTY}"
+
+
+def test_a_failed_report_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    target = tmp_path / "report.html"
+    target.write_text("old")
+    for failure in (KeyboardInterrupt, RuntimeError):
+
+        def stop(drawing: Any, failure: type[BaseException] = failure) -> bytes:
+            raise failure
+
+        monkeypatch.setattr(html, "svg", stop)
+        with pytest.raises(failure):
+            write_report(comparison(), target)
+        assert [path.name for path in tmp_path.iterdir()] == ["report.html"] and target.read_text() == "old"
+
+
+def _shortened(found: Comparison, count: int) -> Comparison:
+    for name, each in found.methods.items():
+        s = _cut(each.samples, count)
+        short = method(name, each.label, each.family, 0.0, samples=s)
+        found = changed(found, name, samples=s, by_layer=short.by_layer, by_feature=short.by_feature)
+    return replace(found, layers=found.layers[:1])
+
+
+def test_odd_comparisons_have_a_page_too(tmp_path: Path) -> None:
+    """A few samples; a print without plastic or error; our method alone as the best; no limits known."""
+    found = _shortened(comparison(limits={}), 12)
+    still = replace(samples(0.0), extruding=np.zeros(4 * LAYERS * SIDE_N, dtype=bool))
+    for name in found.methods if (dry := comparison(best_fixed="fbs-lpv")) else ():
+        dry = changed(dry, name, samples=still, **_numbers(still))
+    for k, odd in enumerate((found, dry)):
+        write_report(odd, tmp_path / f"{k}.html")
+    text = (tmp_path / "1.html").read_text(encoding="utf-8")
+    assert "No plastic flows in what was judged" in text and "where plastic flows, µm" not in text
+    assert "too short for a spectrum" not in text  # it is a picture, and the page stands
+
+
+def _numbers(s: Samples) -> dict[str, Any]:
+    again = method("", "", "none", 0.0, samples=s)
+    return {name: getattr(again, name) for name in ("track", "extruding", "by_layer", "by_feature")}
+
+
+# ---- in a browser --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as running:
+        yield running
+
+
+def clean(seen: Visit) -> bool:
+    return not seen.errors and not seen.requests
+
+
+def test_the_viewer_scrubs_switches_turns_and_points(browser: Any, page: Path) -> None:
+    with visit(browser, page, ready=READY) as seen:
+        label, slider = seen.page.locator("[data-role=label]"), seen.page.locator("[data-role=layer]")
+        assert "3 layers judged" in label.inner_text()
+        shots = [seen.shot("canvas")]
+        slider.fill("1")
+        assert label.inner_text().startswith("Layer 1, Z 0.40 mm")
+        shots.append(seen.shot("canvas"))
+        seen.page.locator("canvas").press("ArrowUp")
+        assert label.inner_text().startswith("Layer 2, Z 0.60 mm") and slider.input_value() == "2"
+        shots.append(seen.shot("canvas"))
+        seen.page.get_by_role("button", name="no compensation").click()
+        shots.append(seen.shot("canvas"))
+        box = seen.page.locator("canvas").bounding_box()
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        seen.page.mouse.move(x, y)
+        seen.page.mouse.down()
+        seen.page.mouse.move(x + 90, y + 40, steps=4)
+        seen.page.mouse.up()
+        shots.append(seen.shot("canvas"))
+        seen.page.mouse.wheel(0, -300)
+        shots.append(seen.shot("canvas"))
+        seen.page.locator("[data-role=exaggeration]").fill("1")
+        assert seen.page.locator("[data-role=times]").inner_text() == "10 ×"
+        shots.append(seen.shot("canvas"))
+        assert len(set(shots)) == len(shots)
+        assert clean(seen), (seen.errors, seen.requests)
+
+
+def test_pointing_at_a_line_tells_its_numbers(browser: Any, page: Path) -> None:
+    with visit(browser, page, ready=READY) as seen:
+        seen.page.get_by_role("button", name="no compensation").click()
+        seen.page.get_by_role("button", name="from above").click()
+        seen.page.locator("[data-role=layer]").fill("1")
+        seen.page.locator("canvas").scroll_into_view_if_needed()
+        box, tip = seen.page.locator("canvas").bounding_box(), seen.page.locator("[data-role=tip]")
+        for y in np.arange(box["y"] + box["height"] - 4, box["y"] + box["height"] / 2, -6):  # up to the square's side
+            seen.page.mouse.move(box["x"] + box["width"] / 2, float(y))
+            if tip.is_visible():
+                break
+        said = tip.inner_text()
+        assert "Z 0.40 mm" in said and "layer 1, Perimeter" in said
+        none, shaped = (re.search(rf"([\d.]+) µm  {name}", said) for name in ("no compensation", "MZV"))
+        assert none is not None and shaped is not None, said
+        assert float(none[1]) == pytest.approx(10 * float(shaped[1]), abs=0.6)  # of the same instant
+        at = re.search(r"X (-?[\d.]+)  Y (-?[\d.]+)", said)
+        assert at is not None
+        assert [float(at[1]), float(at[2])] == pytest.approx([0.0, -SIDE / 2], abs=1.0)
+        assert clean(seen), (seen.errors, seen.requests)
+
+
+def test_the_table_sorts_and_comes_back(browser: Any, page: Path) -> None:
+    with visit(browser, page, ready=READY) as seen:
+        head = seen.page.locator("table.sortable thead button", has_text="rms").first
+
+        def order() -> list[str]:
+            return seen.page.locator("table.sortable .label").all_inner_texts()
+
+        home = order()
+        head.click()
+        assert order() == ["ffcomp, scheduled inversion", "MZV, best fixed", "MZV, calibrated", "no compensation"]
+        head.click()
+        assert order()[0] == "no compensation"
+        head.click()
+        assert order() == home
+        assert clean(seen), (seen.errors, seen.requests)
+
+
+def test_narrow_screens_need_no_sideways_scrolling(browser: Any, page: Path) -> None:
+    with visit(browser, page, 390, 800, READY) as seen:
+        assert seen.page.evaluate("document.documentElement.scrollWidth") <= 390
+        assert clean(seen), (seen.errors, seen.requests)
+
+
+def test_nothing_from_a_file_is_executed(browser: Any, nasty_page: Path) -> None:
+    with visit(browser, nasty_page, ready=READY) as seen:
+        seen.page.locator("[data-role=layer]").fill("1")
+        assert "alert(1)" in seen.page.locator("h1").inner_text()
+        assert clean(seen), (seen.errors, seen.requests)

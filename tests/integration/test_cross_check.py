@@ -1,0 +1,97 @@
+"""Our virtual printer against MuJoCo with the arms as bodies; the whole comparison is `studies/cross_check.py`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from models.file import load_machine
+from models.machine import Machine
+from models.printer.printer import simulate_printer
+from models.vibration.receptance import poles
+from validation import judge
+
+pytest.importorskip("mujoco")
+
+from validation.plants import multibody
+from validation.plants.multibody import Arms, Choice, Effector
+
+FloatArray = NDArray[np.float64]
+
+PLACE_MM = np.array([95.0, 55.0, 30.0])
+ROW_S = 1 / 3200
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine(judge.MACHINE_FILE)
+
+
+def pole_difference(machine: Machine, choice: Choice, model: Machine | None = None) -> float:
+    """Largest distance of a pole of ours (of `model`) from MuJoCo's nearest, relative."""
+    theirs = multibody.modes(multibody.build(machine, PLACE_MM, choice))
+    ours = poles(model or machine, PLACE_MM[None, :2])[0]
+    ours = ours[ours.imag > 1.0]
+    assert theirs.shape == ours.shape == (6,)
+    return float(np.max(np.min(np.abs(ours[:, None] / theirs - 1), axis=1)))
+
+
+@pytest.mark.parametrize("effector", ["sliding", "parallelograms"])
+def test_small_motion_is_that_of_bodies_whose_arms_are_two_points(machine: Machine, effector: Effector) -> None:
+    """With parallelograms the effector may turn and its centre of mass is off: neither may be seen."""
+    assert pole_difference(machine, Choice("lumped", effector)) < 2e-5
+
+
+@pytest.mark.parametrize(("arms", "least"), [("lumped", 1e-3), ("uniform", 1e-2)])
+def test_what_is_not_the_same_is_seen(machine: Machine, arms: Arms, least: float) -> None:
+    """A belt softer by 1 %; and uniform rods, against which half masses at the ends are 1 to 2 % off in frequency."""
+    softer = replace(machine.carriage, belt_stiffness_n_per_m=0.99 * machine.carriage.belt_stiffness_n_per_m)
+    model = replace(machine, carriage=softer) if arms == "lumped" else machine
+    assert least < pole_difference(machine, Choice(arms), model) < 5e-2
+
+
+def test_it_sags_as_bodies_with_weight_do(machine: Machine) -> None:
+    command = np.tile(machine.kinematics.inverse(PLACE_MM[None]), (2, 1))
+    ours = simulate_printer(machine, command, ROW_S)
+    nozzle, carriages = multibody.rest_mm(multibody.build(machine, PLACE_MM, Choice(gravity=True)))
+    assert np.abs(nozzle - PLACE_MM).max() > 0.05
+    assert np.abs(ours.nozzle_mm[0] - nozzle).max() < 1e-6
+    assert np.abs(ours.carriage_mm[0] - carriages).max() < 1e-8
+
+
+def test_told_to_stay_the_bodies_stay(machine: Machine) -> None:
+    command = np.tile(machine.kinematics.inverse(PLACE_MM[None]), (64, 1))
+    theirs = multibody.play(machine, PLACE_MM, command, ROW_S, Choice(gravity=True))
+    assert np.ptp(theirs.nozzle_mm, axis=0).max() < 1e-8
+
+
+def rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.sum(values**2, axis=1))))
+
+
+@pytest.mark.parametrize("gravity", [False, True])
+def test_it_answers_a_jerk_as_bodies_do(machine: Machine, gravity: bool) -> None:
+    """20 mm in a tenth of a second along x and y, and half as long to ring."""
+    t = ROW_S * np.arange(round(0.15 / ROW_S) + 1)
+    way = np.minimum(t / 0.1, 1.0)
+    path = PLACE_MM - np.outer(10.0 * (1 - np.cos(np.pi * way)), [1.0, 0.5, 0.1])
+    command = machine.kinematics.inverse(path)
+    ours = simulate_printer(machine, command, ROW_S, gravity=gravity)
+    theirs = multibody.play(machine, path[0], command, ROW_S, Choice(gravity=gravity))
+    every = round(ROW_S / multibody.STEP_S)
+    vibration = rms(ours.nozzle_mm - ours.nozzle_mm[0] - (path - path[0]))
+    assert vibration > 0.1
+    assert rms(ours.nozzle_mm - theirs.nozzle_mm[::every]) < 2e-4 * vibration
+    assert rms(ours.carriage_mm - theirs.carriage_mm[::every]) < 2e-4 * vibration
+
+
+def test_the_engine_keeps_the_energy_of_a_printer_without_dampers(machine: Machine) -> None:
+    coarse, fine = (
+        multibody.energy_drift(multibody.build(machine, PLACE_MM, Choice(step_s=step, damped=False)), 0.1, 0.2)
+        for step in (2 * multibody.STEP_S, multibody.STEP_S)
+    )
+    assert fine < 2e-4
+    assert fine < coarse / 4

@@ -1,0 +1,100 @@
+"""A print as step timings: the steps are the command, line by line on its clock."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ffcomp.compensate.job import Job
+from ffcomp.compensate.program import plan_program
+from ffcomp.compensate.step_output import BEFORE_S
+from ffcomp.errors import NothingToDo
+from ffcomp.steps.reader import read_events, read_steps
+from ffcomp.steps.sink import Board
+from gcode.reader import read_program
+from models.file import load_machine
+from models.machine import Machine
+from tests.support.prints import squares
+
+BOARD = Board(extruder_steps_per_mm=400.0)
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine("mp-delta-pro")
+
+
+def written(machine: Machine, path: Path, plain: bool = False, error_s: float | None = None) -> Job:
+    job = Job(squares(1), "squares.gcode", machine)
+    job.write_steps(path, BOARD, error_s, plain)
+    return job
+
+
+def level_at(steps: object, t: np.ndarray) -> np.ndarray:
+    """Where a motor holds at times t, mm."""
+    return steps.level_mm[np.searchsorted(steps.time_s, t, side="right")]  # type: ignore[attr-defined, no-any-return]
+
+
+def test_plain_steps_are_the_plan(machine: Machine, tmp_path: Path) -> None:
+    target = tmp_path / "plain.npz"
+    job = written(machine, target, plain=True)
+    trajectory = plan_program(read_program(squares(1)), machine).trajectory
+    t = np.linspace(0.0, trajectory.end_t, 4001)
+    place = trajectory.position(np.minimum(t, np.nextafter(trajectory.end_t, 0)))
+    motors = read_steps(target)
+    assert job.summary.original_print_time_s == pytest.approx(trajectory.end_t)
+    heights = machine.kinematics.inverse(place[:, :3])
+    for i, name in enumerate("abc"):
+        off = level_at(motors[name], BEFORE_S + t) - heights[:, i]
+        assert np.abs(off).max() <= 0.5001 / machine.steps.steps_per_mm + 1e-9
+    off = level_at(motors["e"], BEFORE_S + t) - place[:, 3]
+    assert np.abs(off).max() <= 0.5001 / BOARD.extruder_steps_per_mm + 2e-4
+
+
+@pytest.mark.parametrize("error_s", [None, 12.5e-6])
+def test_compensated_steps_are_the_command(
+    machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error_s: float | None
+) -> None:
+    seen = []
+    from ffcomp.compensate import step_output as stepping
+
+    right = stepping.knot_pieces
+
+    def watched(start_t: float, spacing_s: float, vertices: np.ndarray, filament: np.ndarray) -> object:
+        seen.append((start_t, spacing_s, vertices, filament))
+        return right(start_t, spacing_s, vertices, filament)
+
+    monkeypatch.setattr(stepping, "knot_pieces", watched)
+    target = tmp_path / "steps.npz"
+    job = written(machine, target, error_s=error_s)
+    motors = read_steps(target)
+    fastest = 300.0  # mm/s, of a carriage: what an error in time can make of one in place
+    for start_t, spacing_s, vertices, filament in seen:
+        t = start_t + spacing_s * np.arange(len(vertices))
+        heights = machine.kinematics.inverse(vertices)
+        for i, name in enumerate("abc"):
+            allowed = 0.5001 / machine.steps.steps_per_mm + fastest * (error_s or 1e-7)
+            assert np.abs(level_at(motors[name], t) - heights[:, i]).max() < allowed
+        # a step that turns back within 750 µs is left out, as Klipper does: then up to a step
+        assert np.abs(level_at(motors["e"], t) - filament).max() < 1.01 / 400 + 60 * (error_s or 1e-7)
+    ends = [start_t + spacing_s * (len(vertices) - 1) for start_t, spacing_s, vertices, _ in seen]
+    assert ends[-1] - BEFORE_S == pytest.approx(job.summary.print_time_s, abs=1e-9)
+    assert job.result()["predicted"]["compensated"]["contour_rms_um"] > 0
+
+
+def test_every_other_line_has_its_moment(machine: Machine, tmp_path: Path) -> None:
+    target = tmp_path / "steps.npz"
+    written(machine, target)
+    program = read_program(squares(1))
+    times, lines = read_events(target)
+    assert lines == [program.lines[e.line].rstrip(b"\r\n") for e in program.events]
+    assert (np.diff(times) >= 0).all() and times[0] == pytest.approx(BEFORE_S)
+
+
+def test_nothing_is_left_behind_by_a_print_that_cannot_be(machine: Machine, tmp_path: Path) -> None:
+    job = Job(b"G28\nM104 S200\n", "empty.gcode", machine)
+    with pytest.raises(NothingToDo):
+        job.write_steps(tmp_path / "steps.npz", BOARD)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,338 @@
+"""Step timings played: the staircase is the command rounded to microsteps, neither early nor late."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ffcomp.compensate.program import plan_program
+from ffcomp.errors import NothingToDo
+from ffcomp.simulate.command import Command
+from ffcomp.simulate.gcode_command import gcode_command
+from ffcomp.simulate.playback import ROW_S, play
+from ffcomp.simulate.simulation import Request, read_command, simulate_command
+from ffcomp.simulate.steps_command import AT_REST_S, smoothed, staircase, steps_command
+from ffcomp.steps.pieces import trajectory_pieces
+from ffcomp.steps.reader import MotorSteps, StepsError, is_step_archive, read_steps
+from ffcomp.steps.sink import Board, StepSink
+from gcode.errors import GcodeError, UnsupportedGcode
+from gcode.reader import read_program
+from models.file import load_machine
+from models.machine import Machine, constant
+from validation import kalico
+
+FloatArray = NDArray[np.float64]
+
+STEP_MM = 0.0125
+CLOCK_HZ = 64_000_000.0
+FINE_S = 2e-6  # less than a 16th of a step at 300 mm/s
+EXACT_S = 1e-9  # the host may compress its steps, but not move them
+MACHINE = load_machine("mp-delta-pro")
+SHORT = b"G1 X30 Y12 F9000\nG1 X28 Y30\nG1 X-20 Y-20 Z10.3 F12000\nG4 P100\nG1 X0 Y0 F9000\n"
+
+
+def steps_of(t: FloatArray, crossed_mm: FloatArray) -> MotorSteps:
+    """Steps at the times t (n,) of crossings of half-way heights, from (nearly) zero."""
+    order = np.argsort(t, kind="stable")
+    t, crossed = t[order], np.rint(crossed_mm[order] / STEP_MM - 0.5)
+    levels = np.empty(len(t) + 1)
+    levels[0] = 0.0
+    for k, low in enumerate(crossed):
+        levels[k + 1] = low + 1 if levels[k] == low else low
+    return MotorSteps(t, np.diff(levels).astype(np.int8), 0.0, STEP_MM)
+
+
+def rows_until(end_s: float) -> FloatArray:
+    return ROW_S * np.arange(int(end_s / ROW_S))
+
+
+@pytest.mark.parametrize("speed", [0.7, 8.0, 93.0, 400.0])
+def test_a_constant_speed_comes_back_without_delay(speed: float) -> None:
+    """Crossings of v t: the mean error is zero, the largest half a microstep, and smoothed there is none."""
+    crossed = (np.arange(400) + 0.5) * STEP_MM
+    motor = steps_of(crossed / speed, crossed)
+    t = rows_until(crossed[-1] / speed)
+    inside = t > 2 * STEP_MM / speed
+    error = staircase(motor, t, ROW_S)[inside] - speed * t[inside]
+    assert np.abs(error).max() <= STEP_MM / 2 + 1e-9
+    assert abs(error.mean()) < STEP_MM / 100
+    exact = smoothed(motor, t)[inside] - speed * t[inside]
+    assert np.abs(exact).max() < (1e-9 if STEP_MM / speed < 2 * AT_REST_S else STEP_MM / 2)
+
+
+def sine_steps(amplitude_mm: float, hertz: float, periods: int) -> MotorSteps:
+    """Of A sin(2πft), its crossings in closed form."""
+    reached = int(amplitude_mm / STEP_MM - 0.5)
+    heights = (np.arange(-reached - 1, reached + 1) + 0.5) * STEP_MM
+    rising = np.arcsin(heights / amplitude_mm)
+    turn = 2 * np.pi * np.arange(periods)[:, None]
+    both = np.concatenate([(rising + turn).ravel(), (np.pi - rising + turn).ravel()])
+    both, crossed = np.mod(both, 2 * np.pi * periods), np.tile(heights, 2 * periods)
+    return steps_of(both / (2 * np.pi * hertz), crossed)
+
+
+@pytest.mark.parametrize(("amplitude_mm", "hertz"), [(1.0037, 40.0), (0.15, 5.0), (20.0, 2.0)])
+def test_a_sine_comes_back_without_delay(amplitude_mm: float, hertz: float) -> None:
+    """Half a microstep at most, no offset, and a delay (error against speed, least squares) below a microsecond."""
+    motor = sine_steps(amplitude_mm, hertz, 10)
+    t = rows_until(10 / hertz)
+    omega = 2 * np.pi * hertz
+    bow = 1 - np.sinc(hertz * ROW_S)  # by which the mean of a sine over a row is smaller
+    for played in (staircase(motor, t, ROW_S), smoothed(motor, t)):
+        error = played - amplitude_mm * np.sin(omega * t)
+        speed = amplitude_mm * omega * np.cos(omega * t)
+        assert np.abs(error).max() < STEP_MM / 2 + bow * amplitude_mm + 1e-9
+        assert abs(error.mean()) < STEP_MM / 100
+        assert abs(float(error @ speed) / float(speed @ speed)) < 1e-6
+
+
+def test_a_motor_at_rest_stands_on_its_microstep() -> None:
+    motor = steps_of(np.array([0.1, 0.11, 3.0]), STEP_MM * np.array([0.5, 1.5, 2.5]))
+    t = np.array([0.0, 0.05, 0.5, 2.0, 3.5])
+    expected = STEP_MM * np.array([0.0, 0.0, 2.0, 2.0, 3.0])
+    np.testing.assert_allclose(smoothed(motor, t), expected, atol=1e-12)
+    one_by_one = [staircase(motor, t[k : k + 1], ROW_S)[0] for k in range(len(t))]
+    np.testing.assert_allclose(one_by_one, expected, atol=1e-12)
+
+
+# ---- archives ------------------------------------------------------------------------------------
+
+
+def archive(command: Command, step_mm: float = STEP_MM) -> dict[str, Any]:
+    """The steps of a smooth command, as its carriages cross half-way between microsteps."""
+    end_s = command.stretches[0].end_s + 0.01
+    t = np.arange(0.0, end_s, FINE_S)
+    arrays: dict[str, Any] = {"clock_hz": CLOCK_HZ}
+    for motor, heights in zip("abc", command.stretches[0].meant(t).T, strict=True):
+        level = np.rint((heights - heights[0]) / step_mm)
+        at = np.flatnonzero(np.diff(level))
+        half = heights[0] + step_mm * (level[at] + level[at + 1]) / 2
+        crossed = t[at] + FINE_S * (half - heights[at]) / (heights[at + 1] - heights[at])
+        arrays |= {f"{motor}_tick": np.rint(crossed * CLOCK_HZ).astype(np.int64)}
+        arrays |= {f"{motor}_direction": np.diff(level)[at].astype(np.int8)}
+        arrays |= {f"{motor}_start_mm": heights[0], f"{motor}_step_mm": step_mm}
+    return arrays
+
+
+def planned(machine: Machine = MACHINE) -> Command:
+    return gcode_command(plan_program(read_program(SHORT, start=kalico.START_MM), machine), machine)
+
+
+def saved(folder: Path, arrays: dict[str, Any]) -> Path:
+    path = folder / "steps without a suffix"
+    with open(path, "wb") as file:
+        np.savez(file, **arrays)
+    return path
+
+
+@pytest.fixture(scope="module")
+def arrays() -> dict[str, Any]:
+    return archive(planned())
+
+
+def nozzle(command: Command, plant: Machine = MACHINE) -> tuple[FloatArray, FloatArray]:
+    pieces = list(play(command, plant, 1600.0))
+    return np.concatenate([p.t_s for p in pieces]), np.concatenate([p.nozzle_mm for p in pieces])
+
+
+def apart_um(steps: Command, whole: Command, plant: Machine = MACHINE) -> FloatArray:
+    """How far the nozzle under the steps is from the nozzle under the plan, at each sample of the former."""
+    (t, stepped), (plan_t, plan) = nozzle(steps, plant), nozzle(whole, plant)
+    inside = t < plan_t[-1]
+    at = np.column_stack([np.interp(t[inside], plan_t, column) for column in plan.T])
+    return 1e3 * np.linalg.norm(stepped[inside] - at, axis=1)
+
+
+@pytest.mark.parametrize(("microsteps", "largest_um", "rms_um"), [(1, 24.0, 7.0), (16, 1.5, 0.45)])
+def test_a_print_as_steps_moves_the_nozzle_as_its_gcode_does(
+    microsteps: int, largest_um: float, rms_um: float, tmp_path: Path
+) -> None:
+    """What is apart is the microsteps alone (12.5 µm of a carriage, up to twice that of the nozzle): in proportion."""
+    whole = planned()
+    steps, warnings = read_command(saved(tmp_path, archive(whole, STEP_MM / microsteps)), MACHINE)
+    distance = apart_um(steps, whole)
+    assert distance.max() < largest_um
+    assert np.sqrt(np.mean(distance**2)) < rms_um
+    stepped, smooth = (simulate_command(each, MACHINE, MACHINE, Request()).track for each in (steps, whole))
+    assert stepped.contour_rms_um == pytest.approx(smooth.contour_rms_um, rel=0.05)
+    assert stepped.delay_s == pytest.approx(smooth.delay_s, abs=2e-5)
+    assert not warnings
+
+
+@pytest.mark.parametrize("error_s", [None, 12.5e-6])
+def test_the_archive_that_is_written_plays_the_plan(error_s: float | None, tmp_path: Path) -> None:
+    """Through `read_command`, as `ffcomp simulate` does: no more apart than the microsteps are, compressed or not."""
+    trajectory = plan_program(read_program(SHORT, start=kalico.START_MM), MACHINE).trajectory
+    with StepSink(MACHINE, Board(extruder_steps_per_mm=415.0), tmp_path / "steps", error_s) as sink:
+        for pieces in trajectory_pieces(trajectory):
+            sink.pieces(pieces)
+        sink.finish()
+    steps, warnings = read_command(tmp_path / "steps", MACHINE)
+    distance = apart_um(steps, planned())
+    assert distance.max() < 24.0
+    assert np.sqrt(np.mean(distance**2)) < 7.0
+    assert not warnings
+
+
+def compressed(arrays: dict[str, Any]) -> dict[str, Any]:
+    """Every step a row of its own, but where four in a row fit one exactly."""
+    found = {key: value for key, value in arrays.items() if "tick" not in key and "direction" not in key}
+    for motor in "abc":
+        tick, way = arrays[f"{motor}_tick"], arrays[f"{motor}_direction"]
+        gaps = np.diff(tick, prepend=0)
+        rows, k = [], 0
+        while k < len(tick):
+            g, bent = gaps[k : k + 4], np.diff(gaps[k : k + 4])
+            same = len(g) == 4 and np.all(bent == bent[0]) and len(set(way[k : k + 4].tolist())) == 1
+            rows.append((g[0], 4 if same else 1, bent[0] if same else 0, way[k]))
+            k += rows[-1][1]
+        columns = np.array(rows, dtype=np.int64).T
+        names = ("interval", "count", "add", "direction")
+        found |= {f"{motor}_{name}": column for name, column in zip(names, columns, strict=True)}
+    return found
+
+
+def test_compressed_rows_are_the_same_steps(arrays: dict[str, Any], tmp_path: Path) -> None:
+    even = {**arrays}
+    for motor in "abc":  # a stretch of evenly growing gaps, so that rows of several steps come up
+        tick = arrays[f"{motor}_tick"].copy()
+        tick[:40] = tick[40] - np.cumsum(np.arange(50, 90) * 100)[::-1]
+        even[f"{motor}_tick"] = tick
+    short = compressed(even)
+    assert all(4 in short[f"{motor}_count"] for motor in "abc")
+    full, again = (read_steps(saved(tmp_path, each)) for each in (even, short))
+    for motor in "abc":
+        np.testing.assert_array_equal(full[motor].time_s, again[motor].time_s)
+        np.testing.assert_array_equal(full[motor].level_mm, again[motor].level_mm)
+
+
+def changed(key: str, index: int, value: int) -> Any:
+    def change(arrays: dict[str, Any]) -> None:
+        arrays[key] = arrays[key].copy()
+        arrays[key][index] = value
+
+    return change
+
+
+BAD = {
+    "no b_tick": lambda a: a.pop("b_tick"),
+    "no c_start_mm": lambda a: a.pop("c_start_mm"),
+    "no clock_hz": lambda a: a.pop("clock_hz"),
+    "clock_hz is 0": lambda a: a.update(clock_hz=0.0),
+    "a_step_mm is nan": lambda a: a.update(a_step_mm=np.nan),
+    "b_start_mm is inf": lambda a: a.update(b_start_mm=np.inf),
+    r"a_tick\[7\] is 1 after": changed("a_tick", 7, 1),
+    r"a_tick\[0\] is -4": changed("a_tick", 0, -4),
+    r"c_direction\[3\] is 0": changed("c_direction", 3, 0),
+    "one row of whole numbers": lambda a: a.update(a_tick=a["a_tick"].astype(float)),
+    "belong together": lambda a: a.update(a_direction=a["a_direction"][:-1]),
+    "too far apart": lambda a: a.update(a_start_mm=9000.0),
+    "without pickles": lambda a: a.update(a_tick=np.array([{}], dtype=object)),
+    r"e_direction\[0\] is 3": lambda a: a.update(
+        e_tick=np.array([5]), e_direction=np.array([3]), e_start_mm=0.0, e_step_mm=0.1
+    ),
+}
+
+
+@pytest.mark.parametrize("sentence", BAD)
+def test_a_broken_archive_is_refused_with_its_place(sentence: str, arrays: dict[str, Any], tmp_path: Path) -> None:
+    broken = {**arrays}
+    BAD[sentence](broken)
+    path = saved(tmp_path, broken)
+    with pytest.raises(StepsError, match=sentence) as refused:
+        read_command(path, MACHINE)
+    assert str(refused.value).startswith(str(path))
+
+
+def test_a_damaged_archive_is_refused(arrays: dict[str, Any], tmp_path: Path) -> None:
+    path = tmp_path / "steps.npz"
+    np.savez_compressed(path, **arrays)
+    data = bytearray(path.read_bytes())
+    data[2000:2100] = bytes(100)
+    path.write_bytes(data)
+    with pytest.raises(StepsError, match="cannot be read"):
+        read_command(path, MACHINE)
+
+
+def test_steps_out_of_reach_are_said_with_their_time(arrays: dict[str, Any], tmp_path: Path) -> None:
+    """A metre up with one carriage alone."""
+    away = {**arrays, "a_tick": 16_000 * np.arange(1, 80_001), "a_direction": np.ones(80_000, np.int8)}
+    path = saved(tmp_path, away)
+    command, _ = read_command(path, MACHINE)
+    with pytest.raises(GcodeError, match=r"At t = \d.*left the reach") as refused:
+        simulate_command(command, MACHINE, MACHINE, Request(), path=str(path))
+    assert refused.value.path == str(path)
+
+
+def test_rows_of_no_steps_are_refused(arrays: dict[str, Any], tmp_path: Path) -> None:
+    rows = compressed(arrays)
+    rows["b_count"][2] = 0
+    with pytest.raises(StepsError, match=r"b_count\[2\] is 0"):
+        read_steps(saved(tmp_path, rows))
+
+
+def test_no_steps_at_all_are_nothing_to_do(arrays: dict[str, Any], tmp_path: Path) -> None:
+    none = {**arrays}
+    for motor in "abc":
+        none |= {f"{motor}_tick": np.zeros(0, np.int64), f"{motor}_direction": np.zeros(0, np.int8)}
+    with pytest.raises(NothingToDo, match="no step of a carriage"):
+        steps_command(read_steps(saved(tmp_path, none)), MACHINE)
+
+
+def test_other_zip_archives_are_told_apart(tmp_path: Path) -> None:
+    import zipfile
+
+    path = tmp_path / "print.3mf"
+    with zipfile.ZipFile(path, "w") as project:
+        project.writestr("3D/3dmodel.model", "<model/>")
+    assert not is_step_archive(path)
+    with pytest.raises(UnsupportedGcode, match="zip"):
+        read_command(path, MACHINE)
+
+
+# ---- the real host's steps -----------------------------------------------------------------------
+
+
+@pytest.mark.kalico
+@pytest.mark.parametrize(("microsteps", "largest_um", "rms_um"), [(16, 24.0, 7.0), (256, 1.5, 0.45)])
+def test_the_hosts_own_steps_play_our_plan(microsteps: int, largest_um: float, rms_um: float, tmp_path: Path) -> None:
+    """As our own steps: what is apart is the microsteps alone."""
+    machine = host_machine()
+    limits = {"max_velocity": machine.limits.velocity_mm_per_s, "max_accel": machine.limits.acceleration_mm_per_s2}
+    corner = machine.limits.square_corner_velocity_mm_per_s
+    host = kalico.kalico_plan(SHORT, scv=corner, mcr=0.5, microsteps=microsteps, max_stepper_error=EXACT_S, **limits)
+    step_mm = 32 * kalico.HALF_STEP_MM / microsteps
+    steps, _ = read_command(saved(tmp_path, host_archive(host, step_mm)), machine)
+    distance = apart_um(steps, planned(machine), machine)
+    assert distance.max() < largest_um
+    assert np.sqrt(np.mean(distance**2)) < rms_um
+
+
+def host_machine() -> Machine:
+    """Ours on the host's delta."""
+    geometry = replace(
+        MACHINE.kinematics,
+        arm_lengths_mm=constant([kalico.ARM_LENGTH_MM] * 3),
+        delta_radii_mm=constant([kalico.RADIUS_MM] * 3),
+        tower_angles_deg=constant([210.0, 330.0, 90.0]),
+        effector_height_mm=0.0,
+    )
+    return replace(MACHINE, kinematics=geometry)
+
+
+def host_archive(host: dict[str, Any], step_mm: float) -> dict[str, Any]:
+    """The host's step times as an archive. Its towers begin where the planned nozzle does, to half a step."""
+    arrays: dict[str, Any] = {"clock_hz": CLOCK_HZ}
+    for motor in "abc":
+        t, height = host[f"step_t_{motor}"], host[f"step_pos_{motor}"]
+        way = np.sign(np.diff(height))
+        first = way[0]  # the print begins with moves in one direction
+        ways = np.concatenate([[first], way]).astype(np.int8)
+        arrays |= {f"{motor}_tick": np.rint(t * CLOCK_HZ).astype(np.int64), f"{motor}_direction": ways}
+        arrays |= {f"{motor}_start_mm": height[0] - first * step_mm, f"{motor}_step_mm": step_mm}
+    return arrays

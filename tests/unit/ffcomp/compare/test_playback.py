@@ -1,0 +1,84 @@
+"""The virtual printer as the comparison uses it, against the independent plant and against statics."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from ffcomp.compare.compensated import segments_motion
+from ffcomp.compare.playback import peaks, play
+from ffcomp.metrics import contour_error
+from ffcomp.simulate.motion import planned_motion
+from models.effects.catalogue import with_effect
+from models.file import load_machine
+from models.printer.static_deflection import sag
+from validation import judge
+
+MACHINE = load_machine("mp-delta-pro")
+GRAVITY = 9.80665
+
+
+def test_weight_bends_the_belts_by_the_load_they_carry() -> None:
+    """At the centre each belt carries its carriage and a third of the effector, and the extruder hangs on its mount."""
+    carriage, effector = MACHINE.carriage, MACHINE.effector
+    load = carriage.moving_mass_kg + (MACHINE.nozzle_side_mass_kg + effector.extruder_mass_kg) / 3
+    expected = -1e3 * load * GRAVITY / carriage.belt_stiffness_n_per_m
+    np.testing.assert_allclose(sag(MACHINE, np.zeros((1, 3)))[0], [0, 0, expected], atol=2e-4)
+
+
+def test_the_polynomial_of_the_sag_holds_between_its_places() -> None:
+    from models.printer import kernels
+    from models.printer.printer import printer_numbers, rest_values
+
+    place = np.array([[37.0, -61.0, 0.0]])
+    command = MACHINE.kinematics.inverse(place)[0]
+    bent = rest_values(MACHINE, command, printer_numbers(MACHINE))[kernels.Q : kernels.Q + 3]
+    nozzle = MACHINE.kinematics.forward(1e3 * bent[None])
+    np.testing.assert_allclose(sag(MACHINE, place), nozzle - place, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["ringing_tower", "far_star"])
+def test_the_independent_plant_says_the_same(name: str) -> None:
+    """Other equations, another integrator and step, and no weight, which changes a violent ringing by 0.2 %."""
+    case = judge.part(name)
+    machine, corners = case.original.machine, case.original.corners
+    for motion in (case.original.motion, segments_motion(case.ours, case.segments)):
+        t, (nozzle,) = play([machine], motion, machine)
+        other_t, other = judge.play(case.original.plant, motion)
+        inside = (other_t > t[0]) & (other_t < t[-1])
+        apart = np.linalg.norm(CubicSpline(t, nozzle)(other_t) - other, axis=1)[inside]
+        wanted = case.original.trajectory.position(motion.clock.plan_time(other_t[inside]))[:, :3]
+        assert rms(apart) < max(0.005 * rms(np.linalg.norm(other[inside] - wanted, axis=1)), 2e-4)
+        contours = (
+            contour_error(*corners, motion.clock.plan_time(at), each) for at, each in ((t, nozzle), (other_t, other))
+        )
+        ours, theirs = map(rms, contours)
+        assert ours == pytest.approx(theirs, rel=0.02)
+
+
+def rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x**2)))
+
+
+def test_chunks_and_company_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    trajectory = judge.part("ringing_tower").original.trajectory
+    motion = planned_motion(trajectory)
+    short = type(motion)(motion.position, 0.0, 2.0, motion.clock)
+    stiff = with_effect(MACHINE, "belt_stiffness", relative_change=0.2)
+    _, (alone,) = play([MACHINE], short, MACHINE)
+    monkeypatch.setattr("ffcomp.compare.playback.CHUNK_ROWS", 1000)
+    _, (first, second) = play([MACHINE, stiff], short, MACHINE)
+    np.testing.assert_allclose(first, alone, atol=1e-9)
+    assert np.abs(second - alone).max() > 1e-3
+
+
+def test_the_peak_is_the_plans_own_acceleration() -> None:
+    """Along z every carriage does what the nozzle does."""
+    from ffcomp.compare.sampling import Print, Sampling
+
+    text = b"G90\nG1 X0 Y0 Z1 F6000\nM204 S2000\nG1 Z50 F6000\n"
+    (stretch,), _ = Print(text, "z", MACHINE).stretches(Sampling())
+    speed, acceleration = peaks(stretch.motion, MACHINE)
+    assert speed == pytest.approx(100.0, rel=1e-6)
+    assert acceleration == pytest.approx(2000.0, rel=1e-6)

@@ -1,0 +1,507 @@
+"""What a plan says is commanded is what the firmware's planner makes of its G-code, and the machine can do it."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from ffcomp.cli.identify_plan import plan as plan_command
+from ffcomp.compensate.program import firmware_limits
+from ffcomp.errors import LimitsError, MeasurementError
+from ffcomp.identify.experiment import (
+    AXES,
+    CLEARANCE_MM,
+    CONSERVATIVE,
+    TOWERS,
+    Experiment,
+    FloatArray,
+    Plan,
+    Request,
+    limits_of,
+    line_of_action,
+    make_plan,
+    microstep_error,
+)
+from ffcomp.identify.experiment_files import gcode_lines, load_plan, save_plan, segment_lines
+from ffcomp.identify.multisine import lines_of, played_gain
+from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.trajectory import Trajectory
+from gcode.program import EventKind, Program
+from gcode.reader import read_program
+from models.file import load_machine
+from models.machine import Machine, constant
+from models.vibration.receptance import carriage_frf
+from models.vibration.scheduled import rest_state
+from models.vibration.state_space import continuous_plant, discretise
+from validation import kalico
+
+SHORT = Request(directions=TOWERS + AXES, period_s=2.0, periods=1, highest_hz=110.0, places_mm=((0.0, 0.0),))
+BEGINS = re.compile(rb"; (ffcomp-\S+):")
+MOTION = re.compile(rb"\s*(G[0-4]|G9[0-2]|M204|SET_VELOCITY_LIMIT)\b")
+
+
+@cache
+def machine() -> Machine:
+    return load_machine("mp-delta-pro")
+
+
+@cache
+def short() -> Plan:
+    return make_plan(machine(), SHORT)
+
+
+def named(plan: Plan, direction: str) -> Experiment:
+    return next(each for each in plan.experiments if each.direction == direction)
+
+
+def dense(experiment: Experiment) -> FloatArray:
+    """Times all over an experiment, not in step with its segments; (k,) s."""
+    return np.linspace(0.0, experiment.duration_s, 7 * len(experiment.vertices_mm))
+
+
+def first_segments(program: Program, plan: Plan) -> list[int]:
+    """For each experiment, the first of its moves: the one that goes where its account goes first."""
+    first, found = 0, []
+    for experiment in plan.experiments:
+        begins = (np.abs(program.moves.start[first:, :3] - experiment.vertices_mm[0]) < 1e-9).all(axis=1)
+        goes_on = (np.abs(program.moves.end[first:, :3] - experiment.vertices_mm[1]) < 1e-9).all(axis=1)
+        first += int(np.flatnonzero(begins & goes_on)[0])
+        found.append(first)
+        first += len(experiment.vertices_mm) - 1
+    return found
+
+
+def planned(program: Program, machine: Machine) -> Trajectory:
+    stops, waits = stops_and_waits(program)
+    return plan_moves(program.moves, firmware_limits(machine), stop_before=stops, wait_before=waits)
+
+
+# What is played
+
+
+@pytest.mark.parametrize("kind", ["multisine", "sweep"])
+def test_the_account_is_what_our_planner_makes_of_the_file(kind: str) -> None:
+    plan = make_plan(machine(), replace(SHORT, kind=kind))
+    text = b"".join(gcode_lines(plan, machine(), "klipper"))
+    program = read_program(text)
+    trajectory = planned(program, machine())
+    for first, experiment in zip(first_segments(program, plan), plan.experiments, strict=True):
+        last = first + len(experiment.vertices_mm) - 1
+        begins = trajectory.start_t[first]
+        ours = experiment.trajectory.start_t
+        np.testing.assert_allclose(trajectory.start_t[first:last] - begins, ours, atol=1e-8)
+        t = dense(experiment)[:-1]
+        there = trajectory.position(begins + t)[:, :3]
+        np.testing.assert_allclose(experiment.nozzle(t), there, atol=1e-6)
+
+
+def test_every_segment_lasts_as_long_as_it_should() -> None:
+    """F has three decimals, and slow segments feel it; what one is late, the next makes up for."""
+    for experiment in short().experiments:
+        wanted = experiment.segment_s * np.arange(len(experiment.vertices_mm) - 1)
+        assert np.abs(experiment.trajectory.start_t - wanted).max() < 2e-5
+        assert np.abs(experiment.trajectory.duration - experiment.segment_s).max() < 5e-6
+
+
+@pytest.mark.parametrize("direction", TOWERS)
+def test_the_other_carriages_stand_still(direction: str) -> None:
+    """But for the last decimal of the G-code, and chords instead of arcs."""
+    experiment = named(short(), direction)
+    moved = np.ptp(experiment.command(dense(experiment)), axis=0)
+    i = TOWERS.index(direction)
+    assert moved[i] > 1.0
+    assert np.delete(moved, i).max() < 1e-3
+
+
+@pytest.mark.parametrize("direction", AXES)
+def test_the_nozzle_stays_on_its_axis(direction: str) -> None:
+    experiment = named(short(), direction)
+    moved = np.ptp(experiment.nozzle(dense(experiment)), axis=0)
+    i = AXES.index(direction)
+    assert moved[i] > 0.5
+    assert np.delete(moved, i).max() < 1.5e-4
+
+
+def test_command_and_nozzle_are_one_motion_and_rest_outside() -> None:
+    experiment = short().experiments[0]
+    t = np.array([-1.0, 0.0, experiment.duration_s, experiment.duration_s + 1.0])
+    np.testing.assert_allclose(experiment.nozzle(t), np.tile(experiment.position_mm, (4, 1)), atol=2e-4)
+    inside = dense(experiment)
+    np.testing.assert_array_equal(experiment.command(inside), machine().kinematics.inverse(experiment.nozzle(inside)))
+
+
+def test_the_lines_are_those_of_the_polyline_that_quick_ramps_come_near() -> None:
+    """Ramps between segments take part of the S; the quicker they are, the nearer is what is played to the lines."""
+    experiment = named(short(), "A")
+    band, first = experiment.band, experiment.first_knot
+    period = experiment.vertices_mm[first : first + band.knots]
+    at_knots = lines_of(experiment.geometry.inverse(period)[:, 0], band).complex_mm
+    designed = at_knots * played_gain(band.frequencies_hz, band.segment_s)
+
+    def error(acceleration: float) -> float:
+        output = replace(experiment.output, acceleration_mm_per_s2=acceleration, z_acceleration_mm_per_s2=acceleration)
+        lines = replace(experiment, output=output).lines
+        upper = slice(len(designed) // 2, None)
+        return float(np.linalg.norm((lines.complex_mm - designed)[upper]) / np.linalg.norm(designed[upper]))
+
+    own, quick, quicker = error(1e5), error(1e6), error(1e7)
+    assert own < 0.2
+    assert quick < 0.2 * own
+    assert quicker < 0.02
+
+
+@pytest.mark.parametrize("direction", ["B", "z"])
+def test_the_lines_are_what_is_commanded(direction: str) -> None:
+    """Their sum is the excited coordinate but for what is played above the band; its acceleration is even."""
+    experiment = named(short(), direction)
+    lines = experiment.lines
+    t = experiment.measured_from_s + np.linspace(0.0, experiment.period_s, 1001)
+    column = "ABCxyz".index(direction)
+    moved = np.column_stack([experiment.command(t), experiment.nozzle(t)])[:, column]
+    turns = np.outer(t - experiment.measured_from_s, lines.frequency_hz)
+    total = np.cos(2 * np.pi * turns + lines.phase_rad) @ lines.amplitude_mm
+    assert np.std(moved - total) < 0.02 * np.std(moved)
+    acceleration = lines.amplitude_mm * (2 * np.pi * lines.frequency_hz) ** 2
+    assert acceleration.min() / np.median(acceleration) > 0.75
+    assert acceleration.max() / np.median(acceleration) < 1.4
+
+
+def test_measured_periods_repeat_exactly() -> None:
+    plan = make_plan(machine(), replace(SHORT, periods=3, directions=("A", "z")))
+    for experiment in plan.experiments:
+        within = np.linspace(0.0, experiment.period_s, 5000)
+        periods = [experiment.command(experiment.measured_from_s + k * experiment.period_s + within) for k in (0, 1, 2)]
+        np.testing.assert_allclose(periods[1], periods[0], atol=2e-4)
+        np.testing.assert_allclose(periods[2], periods[0], atol=2e-4)
+
+
+def test_same_seed_same_file_other_seed_other_phases() -> None:
+    one, again, other = (make_plan(machine(), replace(SHORT, directions=("A",), seed=seed)) for seed in (1, 1, 2))
+    assert segment_lines(one.experiments[0]) == segment_lines(again.experiments[0])
+    phases = [plan.experiments[0].lines.phase_rad for plan in (one, other)]
+    assert np.abs(phases[0] - phases[1]).max() > 1.0
+    power = [np.linalg.norm(plan.experiments[0].lines.amplitude_mm[50:]) for plan in (one, other)]
+    assert power[0] == pytest.approx(power[1], rel=0.05)
+
+
+def test_every_place_realisation_and_direction_has_its_experiment() -> None:
+    request = replace(SHORT, places_mm=((0.0, 0.0), (-80.0, 0.0)), realisations=2, directions=("A", "B"))
+    plan = make_plan(machine(), request)
+    names = [experiment.name for experiment in plan.experiments]
+    assert names == [f"ffcomp-{d}-{place}-{r}" for place in (0, 1) for r in (0, 1) for d in "AB"]
+    assert {each.position_mm[:2] for each in plan.experiments} == set(request.places_mm)
+    first, second = plan.experiments[0].lines, plan.experiments[2].lines
+    assert np.abs(first.phase_rad - second.phase_rad).max() > 1.0
+
+
+def test_a_plant_that_plays_it_shows_its_frequency_response() -> None:
+    """From the first measured period alone: it has settled, and input and output are known exactly."""
+    experiment = named(short(), "B")
+    substeps = 16
+    step = experiment.segment_s / substeps
+    periods = experiment.first_knot + experiment.band.knots
+    command = experiment.command(step * np.arange(periods * substeps + 1))
+    plant = discretise(continuous_plant(machine(), np.zeros((1, 2))), step)
+    rest = rest_state(machine(), np.array(experiment.position_mm))
+    a, b0, b1 = plant.a[0], plant.b0[0], plant.b1[0]
+    carriages = np.empty((len(command) - 1, 3))
+    for k in range(len(carriages)):
+        rest = a @ rest + b0 @ command[k] + b1 @ command[k + 1]
+        carriages[k] = rest[6:9]
+    frequency = experiment.lines.frequency_hz
+    period = slice(experiment.first_knot * substeps, periods * substeps)
+    given = lines_of(command[period, 1], experiment.band).complex_mm * played_gain(frequency, step)
+    wanted = carriage_frf(machine(), np.zeros(2), frequency)[:, :, 1]
+    for output in range(3):
+        answer = lines_of(carriages[period.start - 1 : period.stop - 1, output], experiment.band).complex_mm
+        assert np.abs(answer / given - wanted[:, output]).max() < 3e-3 * np.abs(wanted).max()
+
+
+# What the machine can do
+
+
+def test_the_amplitude_chosen_keeps_every_reserve() -> None:
+    limits = limits_of(machine(), short().experiments[0].output)
+    for experiment in short().experiments:
+        shares = [
+            getattr(experiment.peaks, name) / getattr(limits, name) / getattr(CONSERVATIVE, name)
+            for name in CONSERVATIVE.__dataclass_fields__
+        ]
+        assert 0.9 < max(shares) < 1.03
+
+
+@pytest.mark.parametrize(
+    ("changes", "rule"),
+    [
+        (
+            {"acceleration_mm_per_s2": 40_000.0, "directions": ("A",), "lowest_hz": 80.0},
+            "carriage acceleration in mm/s² would peak",
+        ),
+        ({"acceleration_mm_per_s2": 9_000.0, "directions": ("z",)}, "acceleration in Z, 10000 mm/s², is too low"),
+    ],
+)
+def test_too_much_is_refused_with_an_amplitude_that_fits(changes: dict[str, object], rule: str) -> None:
+    with pytest.raises(LimitsError, match=rule) as refused:
+        make_plan(machine(), replace(SHORT, **changes))
+    amplitude = float(re.findall(r"amplitude of (\d+) mm/s² would fit", str(refused.value))[0])
+    request = replace(SHORT, **{**changes, "acceleration_mm_per_s2": amplitude})
+    _make_until_it_fits(request)
+
+
+def _make_until_it_fits(request: Request) -> None:
+    """One rule's advice may meet the next rule, whose advice is smaller; but it ends."""
+    for _ in range(2):
+        try:
+            make_plan(machine(), request)
+            return
+        except LimitsError as error:
+            smaller = float(re.findall(r"amplitude of (\d+) mm/s² would fit", str(error))[0])
+            assert smaller < request.acceleration_mm_per_s2
+            request = replace(request, acceleration_mm_per_s2=smaller)
+    make_plan(machine(), request)
+
+
+def test_the_firmwares_own_limit_in_z_is_the_users_to_tell() -> None:
+    request = replace(SHORT, directions=("z",), acceleration_mm_per_s2=9_000.0, z_acceleration_mm_per_s2=50_000.0)
+    assert make_plan(machine(), request).experiments[0].peaks.z_acceleration_mm_per_s2 == pytest.approx(
+        9_000.0, rel=0.02
+    )
+
+
+def test_a_place_at_the_rim_is_refused_with_one_that_fits() -> None:
+    request = replace(SHORT, directions=("x",), places_mm=((134.9, 0.0),))
+    with pytest.raises(LimitsError, match="reaches") as refused:
+        make_plan(machine(), request)
+    radius = float(re.findall(r"farther out than ([\d.]+) mm", str(refused.value))[0])
+    assert 125.0 < radius < 134.9
+    make_plan(machine(), replace(request, places_mm=((radius - 0.1, 0.0),)))
+
+
+def test_a_height_too_low_is_refused_with_one_that_fits() -> None:
+    request = replace(SHORT, directions=("z",), height_mm=CLEARANCE_MM)
+    with pytest.raises(LimitsError, match="above the bed") as refused:
+        make_plan(machine(), request)
+    low, high = (float(number) for number in re.findall(r"from ([\d.]+) to ([\d.]+) mm would", str(refused.value))[0])
+    for height in (low + 0.1, high - 0.1):
+        make_plan(machine(), replace(request, height_mm=height))
+
+
+@pytest.mark.parametrize(("place", "height"), [((200.0, 0.0), 50.0), ((0.0, 0.0), 301.0)])
+def test_places_outside_are_refused(place: tuple[float, float], height: float) -> None:
+    with pytest.raises(LimitsError, match="cannot be excited there: The point"):
+        make_plan(machine(), replace(SHORT, places_mm=(place,), height_mm=height))
+
+
+def test_where_the_firmware_slows_down_is_refused() -> None:
+    """Arms of 250 mm: beyond 3 L/√10 − R = 97 mm a carriage may have to move three times as fast as the nozzle."""
+    short_arms = replace(machine().kinematics, arm_lengths_mm=constant([250.0] * 3))
+    with pytest.raises(LimitsError, match=r"beyond 97\.2 mm a delta's firmware slows down"):
+        make_plan(replace(machine(), kinematics=short_arms), replace(SHORT, places_mm=((100.0, 0.0),)))
+
+
+def test_line_of_action_is_where_the_paper_measured() -> None:
+    assert line_of_action(machine().kinematics) == [(-80.0, 0.0), (40.0, -69.0), (40.0, 69.0)]
+
+
+def test_microsteps_matter_less_the_finer_they_are() -> None:
+    """Ten times finer steps, at most a fifth of the error; steps of a nanometre, none."""
+    experiment = named(short(), "A")
+    coarse, fine, none = (microstep_error(experiment, steps) for steps in (80.0, 800.0, 1e6))
+    assert 0.01 < coarse < 0.3
+    assert fine < coarse / 5
+    assert none < 1e-4
+
+
+# Files
+
+
+def test_an_account_comes_back_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "excite.json"
+    save_plan(short(), path)
+    loaded = load_plan(path)
+    assert (loaded.machine, loaded.machine_sha256, loaded.kind, loaded.seed) == (
+        machine().name,
+        machine().sha256,
+        "multisine",
+        1,
+    )
+    for ours, theirs in zip(short().experiments, loaded.experiments, strict=True):
+        t = dense(ours)
+        np.testing.assert_array_equal(theirs.command(t), ours.command(t))
+        np.testing.assert_array_equal(theirs.lines.phase_rad, ours.lines.phase_rad)
+        assert (theirs.name, theirs.position_mm, theirs.periods) == (ours.name, ours.position_mm, ours.periods)
+        assert theirs.measured_from_s == ours.measured_from_s
+
+
+@pytest.mark.parametrize(
+    ("spoil", "sentence"),
+    [
+        (lambda text: text[:100], "not JSON"),
+        (lambda text: text.replace("excitation/1", "excitation/9"), "'ffcomp-excitation/9'"),
+        (lambda text: text.replace('"periods"', '"perods"'), "no whole account"),
+        (lambda text: text.replace('"vertices_mm"', '"vertexes"'), "'vertices_mm' is missing"),
+        (lambda text: "[]", "no whole account"),
+    ],
+)
+def test_a_spoilt_account_is_refused(tmp_path: Path, spoil: Callable[[str], str], sentence: str) -> None:
+    path = tmp_path / "excite.json"
+    save_plan(Plan("m", "0", "multisine", 1, short().experiments[:1]), path)
+    path.write_text(spoil(path.read_text()))
+    with pytest.raises(MeasurementError, match=sentence):
+        load_plan(path)
+
+
+@pytest.mark.parametrize("flavor", ["klipper", "marlin", "reprapfirmware"])
+def test_a_file_moves_nothing_but_the_nozzle_and_puts_limits_back(flavor: str) -> None:
+    lines = list(gcode_lines(short(), machine(), flavor))
+    program = read_program(b"".join(lines), flavor=flavor)
+    codes = [line.split(b";")[0] for line in lines]
+    assert not any(re.search(rb"\bE[-\d]|^M1(04|09|40|90)\b", code) for code in codes)
+    assert codes.index(b"G28\n") < next(i for i, code in enumerate(codes) if code.startswith(b"G1"))
+    assert np.ptp(program.moves.end[:, 3]) == 0.0
+    ends = [i for i, code in enumerate(codes) if code.startswith(b"G4 P500")]
+    assert len(ends) == len(short().experiments)
+    opened = {"klipper": b"ACCEL=100000 ", "marlin": b"M204 P100000", "reprapfirmware": b"M204 P100000"}[flavor]
+    closed = {"klipper": b"ACCEL=10000 ", "marlin": b"M204 P10000 ", "reprapfirmware": b"M204 P10000 "}[flavor]
+    told = [opened in code for code in codes if opened in code or closed in code]
+    assert told == [True, False] * len(short().experiments)
+
+
+def test_every_capture_is_started_and_stopped_at_rest() -> None:
+    lines = list(gcode_lines(short(), machine(), "klipper", ("hotend", "belt_a")))
+    toggles = [line for line in lines if line.startswith(b"ACCELEROMETER_MEASURE")]
+    wanted = [
+        b"ACCELEROMETER_MEASURE CHIP=%b NAME=%b\n" % (chip, each.name.encode())
+        for each in short().experiments
+        for _ in ("start", "stop")
+        for chip in (b"hotend", b"belt_a")
+    ]
+    assert toggles == wanted
+    program = read_program(b"".join(lines))
+    stops = {event.line for event in program.events if event.kind is EventKind.STOP}
+    assert {i for i, line in enumerate(lines) if line.startswith(b"M400")} <= stops
+
+
+def test_other_firmwares_get_no_klipper_commands() -> None:
+    text = b"".join(gcode_lines(short(), machine(), "marlin"))
+    assert b"ACCELEROMETER" not in text and b"SET_" not in text
+    assert b"M593 F0" in text
+    assert b"M593" not in b"".join(gcode_lines(short(), machine(), "marlin", switch_shaper_off=False))
+
+
+# The command line
+
+
+def run(*arguments: str) -> tuple[int, str, str]:
+    app = typer.Typer()
+    app.command()(plan_command)
+    done = CliRunner().invoke(app, ["-m", "mp-delta-pro", "--period-s", "2", "--periods", "1", *arguments])
+    return done.exit_code, done.stdout, done.stderr
+
+
+def test_the_verb_writes_both_files_and_says_what_to_do_next(tmp_path: Path) -> None:
+    target = tmp_path / "excite.gcode"
+    code, out, _ = run("-o", str(target), "--at", "0,0", "--at", "line-of-action", "--highest-hz", "100", "--json")
+    assert code == 0
+    result = json.loads(out)
+    assert result["schema"] == "ffcomp-identify-plan/1"
+    assert result["places_mm"] == result["recommended_places_mm"]
+    plan = load_plan(result["account"])
+    assert [each["name"] for each in result["experiments"]] == [each.name for each in plan.experiments]
+    assert len(plan.experiments) == 12
+    total = sum(len(each.vertices_mm) - 1 for each in plan.experiments)
+    assert sum(each["segments"] for each in result["experiments"]) == total
+    assert target.read_bytes().count(b"\nG1 ") == total + 2 * 12 + 1
+
+
+def test_the_verb_reports_to_people(tmp_path: Path) -> None:
+    code, out, _ = run("-o", str(tmp_path / "excite.gcode"))
+    assert code == 0
+    for words in ("min and homing", "--at line-of-action", "*-ffcomp-*.csv", "ffcomp identify fit -m mp-delta-pro"):
+        assert words in out
+
+
+def test_coarse_microsteps_are_warned_of(tmp_path: Path) -> None:
+    _, out, _ = run("-o", str(tmp_path / "excite.gcode"), "--amplitude-mm-per-s2", "100", "--json")
+    warnings = json.loads(out)["warnings"]
+    assert len(warnings) == 1 and "In 3 of 3 experiments rounding to microsteps" in warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["--highest-hz", "400"], 6, "enough for 225 Hz"),
+        (["--amplitude-mm-per-s2", "90000"], 6, "would fit"),
+        (["--kind", "noise"], 2, "multisine, sweep, log-sweep"),
+        (["--axes", "q"], 2, "towers, xyz, all"),
+        (["--flavor", "grbl"], 2, "klipper, marlin"),
+        (["--at", "1;2"], 2, "two numbers"),
+    ],
+)
+def test_what_cannot_be_done_is_said_and_nothing_is_written(
+    tmp_path: Path, arguments: list[str], code: int, words: str
+) -> None:
+    got, _, err = run("-o", str(tmp_path / "excite.gcode"), *arguments)
+    assert got == code
+    assert words in " ".join(err.replace("│", " ").split())
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_account_never_takes_the_place_of_the_file(tmp_path: Path) -> None:
+    code, _, err = run("-o", str(tmp_path / "excite.json"))
+    assert code == 2 and "account" in err
+    assert not list(tmp_path.iterdir())
+
+
+# The real host
+
+
+@pytest.mark.kalico
+def test_the_real_host_plays_the_account() -> None:
+    """Within 10 nm and 1 µs all along; of the towers, only the excited one steps."""
+    geometry = replace(
+        machine().kinematics,
+        arm_lengths_mm=constant([kalico.ARM_LENGTH_MM] * 3),
+        delta_radii_mm=constant([kalico.RADIUS_MM] * 3),
+        tower_angles_deg=constant([210.0, 330.0, 90.0]),
+        print_radius_mm=120.0,
+    )
+    limits = replace(machine().limits, acceleration_mm_per_s2=3000.0)
+    printer = replace(machine(), kinematics=geometry, limits=limits)
+    plan = make_plan(printer, replace(SHORT, directions=("A", "C", "y", "z"), places_mm=((30.0, -20.0),)))
+    lines = b"".join(gcode_lines(plan, printer, "klipper")).splitlines()
+    text = b"\n".join(line for line in lines if MOTION.match(line)) + b"\n"
+    theirs = kalico.kalico_plan(text)
+    program = read_program(text, start=kalico.START_MM)
+    goes = np.abs(program.moves.end - program.moves.start).max(axis=1) > 1e-9
+    for first, experiment in zip(first_segments(program, plan), plan.experiments, strict=True):
+        first = int(goes[:first].sum())
+        _assert_played(theirs, first, experiment)
+
+
+def _assert_played(theirs: dict[str, FloatArray], first: int, experiment: Experiment) -> None:
+    last = first + len(experiment.vertices_mm) - 1
+    begins = theirs["moves"][first, 0]
+    assert np.abs(theirs["moves"][first:last, 0] - begins - experiment.trajectory.start_t).max() < 1e-6
+    t = dense(experiment)[:-1]
+    assert np.abs(kalico.sample(theirs["moves"], begins + t) - experiment.nozzle(t)).max() < 1e-5
+    steps = [_steps(theirs, tower, begins, experiment.duration_s) for tower in "abc"]
+    if experiment.direction in TOWERS:
+        assert [count > 50 for count in steps] == [tower == experiment.direction for tower in TOWERS]
+        assert sorted(steps)[1] <= 1
+    else:
+        assert min(steps) > 20
+
+
+def _steps(theirs: dict[str, FloatArray], tower: str, begins: float, duration: float) -> int:
+    t = theirs[f"step_t_{tower}"]
+    return int(((t >= begins) & (t < begins + duration)).sum())

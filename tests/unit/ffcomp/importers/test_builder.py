@@ -1,0 +1,111 @@
+"""What is assumed, what stays missing, and what the file says of both."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from ffcomp.importers.builder import machine_text
+from ffcomp.importers.hints import REMEDIES, still_assumed
+from ffcomp.importers.values import PrinterConfigError
+from models.errors import MachineFileError
+from models.file import LIBRARY, check_text, entries, load_machine
+from tests.support.configs import COREXY, SHAPER, Delta, drafted, imported, written
+
+
+@pytest.mark.parametrize(("arm", "like"), [(295.0, "mp-delta-pro"), (272.0, "kossel"), (281.0, "flsun-qqs")])
+def test_the_nearest_arm_lends_its_vibrations(arm: float, like: str, tmp_path: Path) -> None:
+    path = written(tmp_path, Delta(arms=(arm, arm, arm)).klipper())
+    assert drafted(path).like == like
+    machine, lender = imported(path), load_machine(like)
+    assert machine.carriage == lender.carriage
+    assert machine.effector.extruder_stiffness_n_per_m.tolist() == lender.effector.extruder_stiffness_n_per_m.tolist()
+    assert machine.kinematics.arm_lengths_mm.tolist() == [arm] * 3
+    assert machine.uncertainty["default"] == 0.2
+
+
+def test_the_lender_may_be_named(tmp_path: Path) -> None:
+    path = written(tmp_path, Delta().klipper())
+    made = drafted(path, like=LIBRARY / "mp-delta-pro.toml")
+    assert made.values["carriage.drive.d0_per_s2"].origin == "assumed: as the machine 'mp-delta-pro'"
+    assert "carriage.drive.d0_per_s2" not in drafted(path).values
+
+
+def test_every_value_says_where_it_is_from(tmp_path: Path) -> None:
+    path = written(tmp_path, Delta().klipper(), "printer.cfg")
+    imported(path)
+    told = {entry.key: entry.provenance for entry in entries(path.with_suffix(".toml"))}
+    assert told["kinematics.delta_radius_mm"] == "printer.cfg:26 [printer] delta_radius"
+    assert told["carriage.mass_kg"] == "assumed: as the machine 'flsun-qqs'"
+    assert [key for key, origin in told.items() if not origin] == []
+
+
+def test_numbers_that_are_not_known_are_listed_until_they_are(tmp_path: Path) -> None:
+    path = written(tmp_path, Delta().klipper())
+    provenance = dict(imported(path).provenance)
+    sentences = list(still_assumed(provenance))
+    assert any("carriage.belt_stiffness_n_per_m" in each and "ffcomp identify plan" in each for each in sentences)
+    provenance |= {key: "identified" for key in provenance if key.startswith("carriage.")}
+    assert not any("carriage." in each for each in still_assumed(provenance))
+    assert list(still_assumed(load_machine("kossel").provenance)) == [], "only imported machines are asked"
+
+
+def test_a_shapers_frequency_is_not_taken_for_a_measurement(tmp_path: Path) -> None:
+    path = written(tmp_path, COREXY + SHAPER)
+    sentences = list(still_assumed(imported(path).provenance))
+    assert any("axes.x.frequency_hz, axes.x.damping_ratio, axes.y.frequency_hz" in each for each in sentences)
+    assert not any("axes.y.damping_ratio" in each for each in sentences), "the configuration gives this one"
+
+
+def test_what_is_missing_stays_missing(tmp_path: Path) -> None:
+    path = written(tmp_path, COREXY.replace("position_max: 302.5", "") + SHAPER.replace("shaper_freq_x: 61.2", ""))
+    made = drafted(path)
+    assert list(made.missing) == ["kinematics.y_range_mm", "axes.x.frequency_hz", "axes.x.damping_ratio"]
+    text = machine_text(made, path)
+    assert "# NOT COMPLETE: kinematics.y_range_mm" in text
+    with pytest.raises(MachineFileError) as refused:
+        check_text(text, "x.toml")
+    assert [problem.split()[0] for problem in refused.value.problems] == list(made.missing)
+    gap = "# y_range_mm is missing: " + REMEDIES["kinematics."]
+    assert gap in text
+    filled = text.replace(gap, "y_range_mm = [0.0, 302.5]")
+    for line in filled.splitlines():
+        if line.startswith("# frequency_hz is missing"):
+            filled = filled.replace(line, "frequency_hz = [50.0]\ndamping_ratio = [0.05]")
+    check_text(filled, "x.toml")
+
+
+def test_a_named_machine_fills_the_axes_that_have_no_shaper(tmp_path: Path) -> None:
+    lender = written(tmp_path, COREXY + SHAPER, "lender.cfg")
+    imported(lender)
+    text = lender.with_suffix(".toml").read_text(encoding="utf-8")
+    two_modes = "frequency_hz = [50.0, 80.0]\ndamping_ratio = [0.05, 0.04]\nshare = [0.9, 0.1]"
+    start = text.index("[axes.x]\n") + len("[axes.x]\n")
+    other = written(tmp_path, text[:start] + two_modes + "\n" + text[text.index("\n[axes.y]") :], "two.toml")
+    path = written(tmp_path, COREXY, "x.cfg")
+    assert not drafted(path).is_complete
+    made = drafted(path, like=other)
+    assert made.is_complete
+    assert made.values["axes.x.share"].value == [0.9, 0.1]
+    shaped = drafted(written(tmp_path, COREXY + SHAPER, "y.cfg"), like=other)
+    assert "axes.x.share" not in shaped.values, "a shaper's axis is not mixed with another machine's"
+
+
+def test_a_delta_lends_nothing_to_a_corexy_machine(tmp_path: Path) -> None:
+    with pytest.raises(PrinterConfigError, match="a delta machine cannot lend numbers to a corexy machine"):
+        drafted(written(tmp_path, COREXY), like=LIBRARY / "kossel.toml")
+
+
+def test_marlins_print_radius_is_the_lenders_share(tmp_path: Path) -> None:
+    made = drafted(written(tmp_path, Delta(radius=100.0).marlin()))
+    assert made.values["kinematics.print_radius_mm"].value == 100.0  # flsun-qqs: 130 of 130
+    assert made.values["kinematics.print_radius_mm"].how == "assumed"
+
+
+def test_a_name_with_quotes_is_written_as_it_is(tmp_path: Path) -> None:
+    path = written(tmp_path, Delta().klipper(), 'my "best" printer.cfg')
+    document = tomllib.loads(machine_text(drafted(path), path))
+    assert document["name"] == 'my "best" printer'
+    assert document["provenance"]["imported"]["from"].startswith('Klipper configuration my "best" printer.cfg sha256:')

@@ -1,0 +1,111 @@
+"""What Marlin answers to M503, as it looks in a terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from ffcomp.importers.detect import read_printer_config
+from ffcomp.importers.values import Found, PrinterConfigError
+from tests.support.configs import imported, written
+
+LIMITS = (
+    "echo:; Linear Units:\necho:  G21 ; (mm)\necho:; Steps per unit:\necho: M92 X80.00 Y80.00 Z400.00 E93.00\n"
+    "echo:; Max feedrates (units/s):\necho:  M203 X300.00 Y250.00 Z10.00 E75.00\n"
+    "echo:  M201 X3000.00 Y2000.00 Z100.00 E5000.00\necho:  M204 P1200.00 R300.00 T9000.00\n"
+)
+JERK = "echo:  M205 B20000.00 S0.00 T0.00 X9.00 Y8.00 Z0.40 E5.00\n"
+SHAPER = "echo:; Input Shaping:\necho:  M593 X F29.14 D0.15\necho:  M593 Y F35.5 D0.12\n"
+AREA = (
+    "area:{full:{min:{x:-5.00,y:0.00,z:0.00},max:{x:230.00,y:231.00,z:250.00}},"
+    "work:{min:{x:0.00,y:0.00,z:0.00},max:{x:220.00,y:220.00,z:250.00}}}\n"
+)
+TOWERS = "echo:  M665 L280.0000 R141.9439 H354.3339 S200.00 X0.0353 Y0.2565 Z-0.2919 A0.0 B0.5 C-0.25\n"
+
+
+def found(folder: Path, text: str, kinematics: str | None = None) -> Found:
+    return read_printer_config(written(folder, text, "m503.txt"), kinematics)
+
+
+def value(says: Found, key: str) -> object:
+    return says.values[key].value
+
+
+def test_a_delta(tmp_path: Path) -> None:
+    says = found(tmp_path, LIMITS + JERK + TOWERS)
+    assert value(says, "kinematics.arm_lengths_mm") == [280.0, 280.5, 279.75]
+    assert value(says, "kinematics.tower_angles_deg") == pytest.approx([210.0353, 330.2565, 89.7081])
+    assert value(says, "kinematics.print_height_mm") == 354.3339
+    assert "kinematics.print_radius_mm" not in says.values, "M503 does not tell it"
+    assert any("DELTA_RADIUS_TRIM_TOWER" in note for note in says.notes)
+
+
+def test_a_lone_b_is_the_calibration_radius_of_an_older_firmware(tmp_path: Path) -> None:
+    old = "echo:  M665 L271.50 R135.40 H300.0 S80.00 B120.00 X0.00 Y0.00 Z0.00\n"
+    assert value(found(tmp_path, LIMITS + old), "kinematics.arm_length_mm") == 271.5
+
+
+@pytest.mark.parametrize("before", ["", "Recv: ", "17:19:24.459 : ", "12:00:01.2 >> ", "[echo] ", "# RECV: "])
+def test_a_terminal_may_add_its_words(before: str, tmp_path: Path) -> None:
+    text = "".join(before + line for line in (LIMITS + JERK + TOWERS).splitlines(keepends=True))
+    sent = before.replace("Recv", "Send").replace("RECV", "SEND") + "M92 X1 Y1 Z1\n" if "ecv" in before.lower() else ""
+    says = found(tmp_path, text + sent)
+    assert value(says, "steps.steps_per_mm") == [80.0, 80.0, 400.0]
+    assert value(says, "kinematics.delta_radius_mm") == 141.9439
+
+
+def test_without_echo(tmp_path: Path) -> None:
+    assert found(tmp_path, (LIMITS + JERK + TOWERS).replace("echo:", "")).firmware == "Marlin"
+
+
+def test_who_does_not_tell_must_be_told(tmp_path: Path) -> None:
+    with pytest.raises(PrinterConfigError, match="--kinematics cartesian or --kinematics corexy"):
+        found(tmp_path, LIMITS + JERK)
+    assert found(tmp_path, LIMITS + JERK, "corexy").kinematics == "corexy"
+
+
+def test_a_cartesian_printer(tmp_path: Path) -> None:
+    says = found(tmp_path, LIMITS + JERK + SHAPER + AREA, "cartesian")
+    assert value(says, "kinematics.x_range_mm") == [-5.0, 230.0]
+    assert value(says, "axes.y.frequency_hz") == [35.5]
+    assert value(says, "axes.x.damping_ratio") == [0.15]
+    assert value(says, "limits.velocity_mm_per_s") == 250.0
+    assert value(says, "limits.acceleration_mm_per_s2") == 1200.0
+    assert value(says, "limits.square_corner_velocity_mm_per_s") == 8.0
+    machine = imported(tmp_path / "m503.txt", kinematics="cartesian")
+    assert machine.limits.z_velocity_mm_per_s == 10.0
+
+
+def test_one_shaper_line_is_for_both_axes_and_zero_is_off(tmp_path: Path) -> None:
+    says = found(tmp_path, LIMITS + "echo:  M593 F40.00 D0.15\n", "cartesian")
+    assert value(says, "axes.x.frequency_hz") == value(says, "axes.y.frequency_hz") == [40.0]
+    assert "axes.x.frequency_hz" not in found(tmp_path, LIMITS + "echo:  M593 X F0.00 D0.15\n", "cartesian").values
+
+
+def test_a_junction_deviation_is_a_speed_at_a_right_angle(tmp_path: Path) -> None:
+    """v² = J a sin(θ/2) / (1 − sin(θ/2)), the rule both planners share, at θ = 90 degrees."""
+    says = found(tmp_path, LIMITS + "echo:  M205 B20000.00 S0.00 T0.00 J0.02\n", "cartesian")
+    half = 0.5**0.5
+    assert value(says, "limits.square_corner_velocity_mm_per_s") == pytest.approx(
+        (0.02 * 1200 * half / (1 - half)) ** 0.5, abs=1e-3
+    )
+
+
+def test_soft_endstops(tmp_path: Path) -> None:
+    says = found(
+        tmp_path, LIMITS + "echo:Soft endstops: On  Min: X0.00 Y-2.00 Z0.00   Max: X220.00 Y221.00 Z240.00\n", "corexy"
+    )
+    assert value(says, "kinematics.y_range_mm") == [-2.0, 221.0]
+
+
+def test_the_limits_of_quiet_motors_are_passed_over(tmp_path: Path) -> None:
+    text = LIMITS + "echo:Maximum feedrates - stealth (mm/s):\necho:  M203 X100.00 Y100.00 Z12.00 E120.00\n"
+    assert value(found(tmp_path, text, "cartesian"), "limits.velocity_mm_per_s") == 250.0
+
+
+def test_inches_and_other_firmwares_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(PrinterConfigError, match=r"m503.txt:2: the numbers are in inches; send G21"):
+        found(tmp_path, LIMITS.replace("G21 ; (mm)", "G20 ; (in)"), "cartesian")
+    with pytest.raises(PrinterConfigError, match="Smoothieware"):
+        found(tmp_path, "M92 X80 Y80 Z80\nM203 X500 Y500\nM203.1 X156\nM665 L217.8 R112.6\n")

@@ -1,0 +1,153 @@
+"""What a config.g says, command by command."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from ffcomp.importers.detect import read_printer_config
+from ffcomp.importers.values import Found, PrinterConfigError
+from tests.support.configs import imported, written
+
+HEAD = "; Configuration\nG90\nM83\nM569 P0 S1 ; forwards\nM584 X0 Y1 Z2 E3\n"
+DELTA = HEAD + "M665 R105.6 L215.0 B85 H250\nM92 X80 Y80 Z80 E420:415\n"
+CARTESIAN = HEAD + "M208 X0 Y-10 Z0 S1\nM208 X235 Y225 Z250 S0\nM92 X80 Y80 Z400\nM350 X16 Y16 Z16 E16 I1\n"
+
+
+def found(folder: Path, text: str) -> Found:
+    return read_printer_config(written(folder, text, "config.g"))
+
+
+def value(says: Found, key: str) -> object:
+    return says.values[key].value
+
+
+def test_towers_without_their_own_numbers_are_as_the_first(tmp_path: Path) -> None:
+    says = found(tmp_path, DELTA)
+    assert value(says, "kinematics.arm_length_mm") == 215.0
+    assert value(says, "kinematics.tower_angles_deg") == [210.0, 330.0, 90.0]
+    assert value(says, "kinematics.print_radius_mm") == 85.0
+    assert value(says, "steps.extruder_steps_per_mm") == 420.0
+    two = found(tmp_path, DELTA + "M665 L215:216\n")
+    assert value(two, "kinematics.arm_lengths_mm") == [215.0, 216.0, 215.0]
+    assert value(two, "kinematics.delta_radius_mm") == 105.6, "a command changes only what it names"
+
+
+def test_more_than_three_towers_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(PrinterConfigError, match=r"config.g:8 M665 L gives 4 arms"):
+        found(tmp_path, DELTA + "M665 L215:215:215:215\n")
+
+
+def test_m501_loads_the_calibration_that_lies_beside(tmp_path: Path) -> None:
+    written(tmp_path, "M665 L215.1:215.2:215.3 R105.937 H250.459 B85.0 X-0.5 Y0.25 Z0\n", "config-override.g")
+    assert value(found(tmp_path, DELTA), "kinematics.delta_radius_mm") == 105.6, "nothing runs it"
+    maybe = found(tmp_path, DELTA + "if var.x\n  M501\n")
+    assert value(maybe, "kinematics.delta_radius_mm") == 105.6
+    assert maybe.notes == ("config.g:9: this M501 stands under a condition and was not read.",)
+    says = found(tmp_path, DELTA + "M501\n")
+    assert value(says, "kinematics.arm_lengths_mm") == [215.1, 215.2, 215.3]
+    assert value(says, "kinematics.tower_angles_deg") == [209.5, 330.25, 90.0]
+    assert says.values["kinematics.delta_radius_mm"].origin == "config-override.g:1 M665 R"
+
+
+def test_macros_run_where_they_are_called(tmp_path: Path) -> None:
+    written(tmp_path, "M201 X900 Y900\n", "sys/speed.g")
+    written(tmp_path, "M203 X6000 Y9000\n", "macros/fast.g")
+    text = DELTA + 'M201 X1 Y1\nM98 P"speed.g"\nM98 P"0:/macros/fast.g"\nM98 P"/sys/none.g"\n'
+    says = read_printer_config(written(tmp_path, text, "sys/config.g"))
+    assert value(says, "limits.acceleration_mm_per_s2") == 900.0
+    assert value(says, "limits.velocity_mm_per_s") == 100.0
+    assert "config.g:11: M98 runs /sys/none.g, which is not here; it was not read." in says.notes
+    written(tmp_path, 'M98 P"config.g"\n', "sys/speed.g")
+    with pytest.raises(PrinterConfigError, match=r"speed.g:1: M98 runs config.g: it runs itself"):
+        read_printer_config(tmp_path / "sys" / "config.g")
+
+
+def test_microsteps_after_the_steps_change_them(tmp_path: Path) -> None:
+    """The firmware starts with 16 microsteps, and keeps mm as they were when they change."""
+    after = found(tmp_path, DELTA + "M350 X64 Y64 Z64\n")
+    assert value(after, "steps.steps_per_mm") == 320.0
+    assert value(after, "steps.full_steps_per_mm") == 5.0
+    before = found(tmp_path, DELTA.replace("M92", "M350 X64 Y64 Z64\nM92"))
+    assert value(before, "steps.steps_per_mm") == 80.0
+    assert value(before, "steps.full_steps_per_mm") == 1.25
+    said = found(tmp_path, DELTA.replace("E420:415", "S16").replace("M92", "M350 X64 Y64 Z64\nM92"))
+    assert value(said, "steps.steps_per_mm") == 320.0
+
+
+def test_speeds_are_per_minute_and_the_slowest_counts(tmp_path: Path) -> None:
+    says = found(
+        tmp_path, DELTA + "M203 X18000 Y12000 Z6000\nM201 X1500 Y1600 Z700\nM204 P1400 T3000\nM566 X600 Y900\n"
+    )
+    assert value(says, "limits.velocity_mm_per_s") == 200.0
+    assert value(says, "limits.z_velocity_mm_per_s") == 100.0
+    assert value(says, "limits.acceleration_mm_per_s2") == 1400.0
+    assert value(says, "limits.z_acceleration_mm_per_s2") == 700.0
+    assert value(says, "limits.square_corner_velocity_mm_per_s") == 10.0
+
+
+def test_conditions_and_formulas_are_said_not_guessed(tmp_path: Path) -> None:
+    text = (
+        DELTA
+        + "if exists(global.x)\n\tM201 X9 Y9\n\tif true\n\t\tM203 X1\nM201 X800 Y800\nM203 X{global.v * 60} Y9000\n"
+    )
+    says = found(tmp_path, text)
+    assert value(says, "limits.acceleration_mm_per_s2") == 800.0
+    assert value(says, "limits.velocity_mm_per_s") == 150.0
+    assert [note.split(":")[1] for note in says.notes] == ["9", "11", "13"]
+    assert "the formula of M203 X was not read" in says.notes[-1]
+
+
+def test_a_cartesian_printer_with_one_shaper(tmp_path: Path) -> None:
+    text = CARTESIAN + 'M203 X18000 Y18000 Z600\nM201 X3000 Y3000 Z100\nM593 P"mzv" F42.5 S0.08\n'
+    says = found(tmp_path, text)
+    assert says.kinematics == "cartesian"
+    assert "firmware's default" in says.kinematics_origin
+    assert value(says, "kinematics.y_range_mm") == [-10.0, 225.0]
+    assert value(says, "axes.x.frequency_hz") == value(says, "axes.y.frequency_hz") == [42.5]
+    assert value(says, "axes.y.damping_ratio") == [0.08]
+    assert imported(tmp_path / "config.g").limits.z_velocity_mm_per_s == 10.0
+    assert "axes.x.frequency_hz" not in found(tmp_path, text + 'M593 P"none"\n').values
+    assert "axes.x.frequency_hz" not in found(tmp_path, text + "M593 F0\n").values
+
+
+def test_ranges_with_a_colon(tmp_path: Path) -> None:
+    says = found(tmp_path, CARTESIAN + "M208 X-5:240 Z0.5:300\n")
+    assert value(says, "kinematics.x_range_mm") == [-5.0, 240.0]
+    assert value(says, "kinematics.y_range_mm") == [-10.0, 225.0]
+    assert value(says, "kinematics.z_range_mm") == [0.5, 300.0]
+
+
+@pytest.mark.parametrize(
+    ("command", "kind"),
+    [("M669 K1", "corexy"), ("M667 S1", "corexy"), ('M669 K"coreXY"', "corexy"), ("M669 K0", "cartesian")],
+)
+def test_kinematics_by_number_and_by_name(command: str, kind: str, tmp_path: Path) -> None:
+    assert found(tmp_path, CARTESIAN + command + "\n").kinematics == kind
+
+
+@pytest.mark.parametrize(
+    ("command", "sentence"),
+    [
+        ("M669 K2", "config.g:10: M669 selects kinematics '2': ffcomp has delta"),
+        ('M669 K"scara"', "selects kinematics 'scara'"),
+        ("M669 K1 X1:1:0:0 Y1:-1:0:-1", "config.g:10: this M669 gives a movement matrix"),
+        ("M92 X8-0", "config.g:10: M92 X = '8-0' must be a plain number"),
+        ("M92 X80:", "M92 X = '' must be a plain number"),
+        ("M350 X0", "config.g:10: M350 X = '0' must be above 0"),
+    ],
+)
+def test_mistakes_are_said_with_their_line(command: str, sentence: str, tmp_path: Path) -> None:
+    with pytest.raises(PrinterConfigError, match=sentence):
+        found(tmp_path, CARTESIAN + command + "\n")
+
+
+def test_a_tilted_bed_is_said(tmp_path: Path) -> None:
+    assert any("M666 A = 0.1 % of tilt" in note for note in found(tmp_path, DELTA + "M666 X1 Y2 Z3 A0.1 B0\n").notes)
+
+
+def test_a_print_radius_beyond_the_arms_is_cut(tmp_path: Path) -> None:
+    says = found(tmp_path, DELTA.replace("B85", "B150"))
+    assert value(says, "kinematics.print_radius_mm") == pytest.approx(215 * 12 / 145**0.5 - 105.6, abs=1e-3)
+    assert says.values["kinematics.print_radius_mm"].how == "converted"

@@ -1,0 +1,117 @@
+"""The loop with the whole printer: how far it gets, what it costs, and that it keeps the limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+
+from ffcomp.compare.sampling import Print, Sampling, Stretch
+from ffcomp.compensate.program import Solved, settings_for, solutions
+from ffcomp.inverse.command_limits import excess
+from ffcomp.inverse.model import Inverter, RunResult
+from ffcomp.inverse.nonlinear import correction as whole
+from models.effects.catalogue import with_effect
+from models.file import load_machine
+from models.machine import Machine
+from tests.support.prints import squares
+
+MACHINE = load_machine("mp-delta-pro")
+PLAY = with_effect(MACHINE, "belt_backlash", width_mm=0.06)
+FRICTION = with_effect(MACHINE, "coulomb_friction", force_n=4.0)
+
+
+@cache
+def part() -> Stretch:
+    (found,), _ = Print(squares(1), "squares.gcode", MACHINE).stretches(Sampling())
+    return found
+
+
+def solved(machine: Machine, printer: Machine | None = None) -> tuple[Inverter, list[Solved]]:
+    inverter = Inverter(machine, settings_for(machine))
+    inverter.printer = printer or inverter.printer
+    return inverter, list(solutions(part().planned, inverter.machine, inverter, None, lambda wanted: True))
+
+
+def tracking_um(answers: list[Solved]) -> float:
+    """Rms of the error that the loop has seen in the end."""
+    errors = []
+    for each in answers:
+        wanted, _ = each.wanted.substeps(0, each.wanted.knots)
+        errors.append(np.sum((wanted[1:] - each.result.response) ** 2, axis=1))
+    return 1e3 * float(np.sqrt(np.mean(np.concatenate(errors))))
+
+
+@pytest.mark.parametrize(("plant", "most"), [(PLAY, 16), (FRICTION, 8)], ids=["play", "friction"])
+def test_within_one_and_a_half_times_the_printer_without_the_effect(plant: Machine, most: int) -> None:
+    with patch.object(whole, "_played", side_effect=whole._played) as rounds:
+        answers = solved(plant)[1]
+    assert tracking_um(answers) < 1.5 * without_um()
+    assert rounds.call_count <= most
+
+
+@cache
+def without_um() -> float:
+    """What is left on the printer without any effect."""
+    return tracking_um(solved(MACHINE)[1])
+
+
+def linear_um(plant: Machine) -> float:
+    """What the linear command does on the plant: played once, and left as it is."""
+    with patch.object(whole, "FORESEEN", ()), patch.object(whole, "ROUNDS", 2):
+        return tracking_um(solved(plant)[1])
+
+
+def test_friction_and_play_together() -> None:
+    both = with_effect(FRICTION, "belt_backlash", width_mm=0.06)
+    assert tracking_um(solved(both)[1]) < 0.1 * linear_um(both)
+
+
+@pytest.mark.parametrize("plant", [PLAY, FRICTION], ids=["play", "friction"])
+def test_what_is_foreseen_is_most_of_it(plant: Machine) -> None:
+    with patch.object(whole, "ROUNDS", 2):
+        begun = tracking_um(solved(plant)[1])
+    assert begun < 0.5 * linear_um(plant)
+
+
+def test_play_too_wide_to_be_crossed_leaves_no_run_worse_than_the_linear_command() -> None:
+    wide = with_effect(MACHINE, "belt_backlash", width_mm=1.0)
+    with patch.object(whole, "FORESEEN", ()), patch.object(whole, "ROUNDS", 2):
+        linear = solved(wide)[1]
+    for before, after in zip(linear, solved(wide)[1], strict=True):
+        assert tracking_um([after]) <= tracking_um([before]) * 1.000001
+
+
+@pytest.mark.parametrize("plant", [PLAY, FRICTION], ids=["play", "friction"])
+def test_no_limit_is_broken_for_an_effect(plant: Machine) -> None:
+    free = max(each.result.excess for each in solved(plant)[1])
+    linear = max(each.result.excess for each in solved(MACHINE)[1])
+    assert free > 1.1 * linear
+    ceiling = 0.5 * (free + linear) * plant.limits.carriage_acceleration_mm_per_s2
+    tight = replace(plant, limits=replace(plant.limits, carriage_acceleration_mm_per_s2=ceiling))
+    inverter, answers = solved(tight)
+    assert max(each.result.excess for each in answers) <= 1.0
+    assert all(excess(each.result.vertices, inverter.limits) <= 1.0 for each in answers)
+    assert tracking_um(answers) < 3.0 * without_um()
+
+
+def test_a_command_begins_and_ends_on_the_path_at_rest() -> None:
+    for each in solved(PLAY)[1]:
+        ends = each.wanted.at_knots(np.array([0, each.wanted.knots]))
+        assert np.abs(each.result.vertices[[0, -1]] - ends).max() < 1e-9
+
+
+def test_a_printer_without_effects_leaves_the_linear_command() -> None:
+    """Played on the printer that the model is made from, what is left is not worth a step."""
+    (_, linear), (_, again) = solved(MACHINE), solved(MACHINE, MACHINE)
+    far = max(float(np.abs(a.result.vertices - b.result.vertices).max()) for a, b in zip(linear, again, strict=True))
+    assert far < 0.05
+
+
+def test_no_runs_no_rounds() -> None:
+    inverter = Inverter(PLAY, settings_for(PLAY))
+    nothing: list[RunResult] = []
+    assert whole.corrected(inverter, PLAY, []) == nothing

@@ -1,0 +1,104 @@
+"""What friction and play ask of the motors: closed forms, symmetries, and the printer itself."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ffcomp.compare.sampling import Print, Sampling
+from ffcomp.compensate.program import settings_for, solutions
+from ffcomp.inverse.iterate import Playing
+from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.nonlinear.friction_backlash import Foresight, guide_friction
+from ffcomp.inverse.reference import Reference
+from models.effects.catalogue import with_effect
+from models.file import load_machine
+from models.machine import Machine
+from models.printer.kernels import MOST_STRAIN
+from models.printer.printer import printer_numbers, simulate_printer
+from tests.support.prints import squares
+
+FloatArray = NDArray[np.float64]
+
+MACHINE = load_machine("mp-delta-pro")
+ROW_S = 1e-3
+
+
+def friction(machine: Machine, q_mm: FloatArray) -> FloatArray:
+    return guide_friction(printer_numbers(machine), q_mm / 1e3, ROW_S)
+
+
+def along(speed_mm_per_s: float, seconds: float = 1.0) -> FloatArray:
+    return np.outer(speed_mm_per_s * ROW_S * np.arange(round(seconds / ROW_S)), np.ones(3))
+
+
+def test_steady_sliding_feels_the_force_of_the_closed_form() -> None:
+    """φ̇ = 0 leaves φ = 1/(1/φ_m + r): F = ℓ tanh(r + φ)."""
+    machine = with_effect(MACHINE, "coulomb_friction", force_n=2.0, creep_mm_per_s=0.5, hold_per_s=50.0)
+    for speed in (0.25, 0.5, 2.0, 50.0):
+        r = speed / 0.5
+        assert friction(machine, along(speed))[-1] == pytest.approx(2.0 * np.tanh(r + 1 / (1 / MOST_STRAIN + r)), 1e-3)
+
+
+def test_the_surplus_of_stribeck_fades_with_speed() -> None:
+    table: dict[str, Any] = {"force_n": 1.0, "extra_force_n": 0.8, "velocity_mm_per_s": 20.0, "exponent": 2.0}
+    machine = with_effect(MACHINE, "stribeck_friction", **table)
+    assert friction(machine, along(20.0))[-1] == pytest.approx(1.0 + 0.8 / np.e, rel=1e-3)
+    assert friction(machine, along(200.0))[-1] == pytest.approx(1.0, rel=1e-6)
+
+
+def test_friction_turns_with_the_motion_and_rests_with_it() -> None:
+    machine = with_effect(MACHINE, "coulomb_friction", force_n=[1.0, 2.0, 3.0])
+    q = 5.0 * np.sin(2 * np.pi * 3.0 * ROW_S * np.arange(2000))[:, None] * np.ones(3)
+    assert np.allclose(friction(machine, -q), -friction(machine, q))
+    assert not friction(machine, np.ones((50, 3))).any()
+
+
+def test_it_is_the_force_that_the_printer_feels() -> None:
+    """Drawn along slowly, the belts of the virtual printer are longer by F/k than without friction."""
+    machine = with_effect(MACHINE, "coulomb_friction", force_n=2.0)
+    q = MACHINE.kinematics.inverse(np.array([[0.0, 0.0, 50.0]])) + along(2.0, 1.5)
+    motions = [simulate_printer(each, q, ROW_S, hold="linear") for each in (machine, MACHINE)]
+    longer = np.subtract(*((m.motor_mm - m.carriage_mm)[-1] for m in motions))
+    assert longer == pytest.approx(1e3 * friction(machine, q)[-1] / MACHINE.carriage.belt_stiffness_n_per_m, rel=0.02)
+
+
+@cache
+def longest_run() -> Reference:
+    """Of a square."""
+    (part,), _ = Print(squares(1), "squares.gcode", MACHINE).stretches(Sampling())
+    solved = solutions(part.planned, MACHINE, Inverter(MACHINE, settings_for(MACHINE)), None, lambda wanted: False)
+    return max((each.wanted for each in solved), key=lambda wanted: wanted.knots)
+
+
+def foreseen(machine: Machine, stretch: FloatArray) -> tuple[Playing, FloatArray]:
+    """A run, and what is to be added to its command."""
+    inverter = Inverter(machine, settings_for(machine))
+    run = Playing(inverter, longest_run())
+    return run, Foresight(inverter, machine).command(run, stretch)
+
+
+def test_twice_the_friction_asks_for_twice_as_much() -> None:
+    (_, once), (run, twice) = (
+        foreseen(with_effect(MACHINE, "coulomb_friction", force_n=force), np.zeros((1, 3))) for force in (1.0, 2.0)
+    )
+    assert np.abs(once).max() > 0.005
+    assert np.allclose(twice, 2.0 * once, atol=1e-2 * np.abs(twice).max())
+    assert not once[0].any() and not once[run.last :].any()
+
+
+def test_play_is_crossed_when_the_belt_turns_to_push() -> None:
+    """Carriage A's belt pulls, pushes for 100 ms, and pulls again: its command goes down by w and comes back."""
+    width, rows = 0.05, np.arange(3000)
+    stretch = np.full((len(rows), 3), 0.05)
+    stretch[600:700, 0] = -0.05
+    machine = with_effect(MACHINE, "belt_backlash", width_mm=width)
+    _, command = foreseen(machine, stretch)
+    assert command[160, 0] == pytest.approx(-width, rel=0.05)
+    assert np.abs(command[:, 1:]).max() < 0.1 * width  # the others hardly move
+    assert np.abs(command[:120]).max() < 0.1 * width and np.abs(command[220:]).max() < 0.1 * width
+    assert not foreseen(machine, np.full((1, 3), 0.05))[1].any()  # a belt that always pulls lies on one side

@@ -1,0 +1,96 @@
+"""Effects in the machine file: those that change its numbers are inverted with them, the others in the loop."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ffcomp.compare.evaluation import Played, contour
+from ffcomp.compare.methods import OURS, inversion
+from ffcomp.compare.playback import play
+from ffcomp.compare.sampling import Print, Sampling
+from ffcomp.compensate.job import Job
+from ffcomp.compensate.program import settings_for
+from ffcomp.inverse import lq_preview as fast
+from ffcomp.inverse.model import GEOMETRY, Inverter
+from models.effects.catalogue import CATALOGUE, with_effect
+from models.file import load_machine
+from models.machine import Machine
+from tests.support.prints import squares
+
+MACHINE = load_machine("mp-delta-pro")
+FOLDED = {
+    "belt_stiffness": {"relative_change": -0.15},
+    "effector_mass": {"added_kg": 0.1},
+    "extruder_mount": {"relative_stiffness_change": [0.3, 0.3, 0.0], "relative_damping_change": [0.0] * 3},
+}
+
+
+def contour_rms_um(believed: Machine, plant: Machine) -> float:
+    (stretch,), _ = Print(squares(1), "squares.gcode", believed).stretches(Sampling())
+    motion, _ = inversion(believed, settings_for(believed), OURS).motion(stretch)
+    t, (nozzle,) = play([plant], motion, believed)
+    return float(1e3 * np.sqrt(np.mean(contour([Played(stretch, motion, t, nozzle)]) ** 2)))
+
+
+@pytest.mark.parametrize("name", FOLDED)
+def test_a_file_that_names_the_effect_prints_as_well_as_one_without_it(name: str) -> None:
+    plant = with_effect(MACHINE, name, **FOLDED[name])
+    ignorant, knowing, nominal = (contour_rms_um(*pair) for pair in ((MACHINE, plant), (plant, plant), (MACHINE,) * 2))
+    assert knowing < 1.5 * nominal
+    assert knowing < 0.6 * ignorant
+
+
+def test_one_soft_belt_is_known_too() -> None:
+    plant = with_effect(MACHINE, "belt_stiffness", relative_change=[-0.2, 0.0, 0.0])
+    assert contour_rms_um(plant, plant) < 0.6 * contour_rms_um(MACHINE, plant)
+
+
+# the effect's numbers, and how much of the error it makes must go: with the whole printer in the loop
+BEYOND = {
+    "coulomb_friction": ({"force_n": 2.0}, 0.15),
+    "stribeck_friction": ({"force_n": 1.5, "extra_force_n": 1.0, "velocity_mm_per_s": 10.0}, 0.3),
+    "joint_friction": ({"force_n": 0.5}, 0.4),
+    "belt_hardening": ({"cubic_n_per_m3": 2e12}, 0.4),
+    "belt_position_stiffness": ({"slope_per_m": 0.8, "q_centre_mm": 250.0}, 0.6),
+    "belt_backlash": ({"width_mm": 0.03}, 0.5),
+    "torque_angle": ({"amplitude_mm": 0.1}, 0.3),
+    "cogging": ({"amplitude_mm": 0.01, "pitch_mm": 0.8}, 0.15),
+    "command_delay": ({"delay_s": [0.001, 0.002, 0.003]}, 0.1),
+    "frame_mode": ({"mass_kg": 8.0, "frequency_hz": 18.0, "damping_ratio": 0.05, "direction": "both"}, 0.4),
+}
+
+
+@pytest.mark.parametrize("name", BEYOND)
+def test_the_whole_printer_in_the_loop_takes_the_effect_out(name: str) -> None:
+    numbers, left = BEYOND[name]
+    plant = with_effect(MACHINE, name, **numbers)
+    ignorant, knowing = contour_rms_um(MACHINE, plant), contour_rms_um(plant, plant)
+    assert knowing < left * ignorant
+
+
+def test_every_effect_is_compensated_or_belongs_elsewhere() -> None:
+    sensors = {name for name, effect in CATALOGUE.items() if effect.kind == "sensor"}
+    folded = {name for name, effect in CATALOGUE.items() if effect.kind == "parameter"} - {GEOMETRY}
+    assert set(CATALOGUE) == sensors | folded | set(BEYOND) | {GEOMETRY}
+
+
+def test_a_wrong_geometry_is_named_not_compensated() -> None:
+    machine = with_effect(MACHINE, GEOMETRY, arm_length_mm=0.3)
+    job = Job(squares(1), "squares.gcode", machine, predict=False)
+    assert any(f"not compensated: {GEOMETRY}." in sentence for sentence in job.result()["warnings"])
+    both = with_effect(machine, "coulomb_friction", force_n=2.0)
+    printer = Inverter(both, settings_for(both)).printer
+    assert printer is not None and set(printer.effects) == {"coulomb_friction"}
+    plain = Job(squares(1), "squares.gcode", MACHINE, predict=False)
+    assert plain.result()["warnings"] == [] and plain.inverter.machine is MACHINE
+    assert plain.inverter.printer is None
+
+
+def test_the_loop_never_makes_a_run_worse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What does harm is taken back: with answers of the wrong sign, the linear command is the worst that is left."""
+    plant = with_effect(MACHINE, "frame_mode", **BEYOND["frame_mode"][0])
+    ignorant = contour_rms_um(MACHINE, plant)
+    right = fast.answer
+    monkeypatch.setattr(fast, "answer", lambda run, gamma, error: right(run, gamma, -error))
+    assert contour_rms_um(plant, plant) < 1.000001 * ignorant

@@ -1,0 +1,229 @@
+"""Robust inversion: what is wanted of a machine that is not exactly known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ffcomp.compare.evaluation import Played, contour
+from ffcomp.compare.methods import OURS, ROBUST, inversion
+from ffcomp.compare.monte_carlo import drawn
+from ffcomp.compare.playback import play
+from ffcomp.compare.sampling import Print, Sampling
+from ffcomp.compensate.program import settings_for
+from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.robust import (
+    ALONG,
+    MARGIN,
+    SPANS,
+    Response,
+    Softening,
+    _draws,
+    across,
+    beside,
+    conjugate_gradients,
+    gathered,
+    sigma_points,
+)
+from ffcomp.metrics import contour_error
+from models.file import load_machine
+from models.machine import Machine
+from models.parameters import dynamic_numbers, value_of
+from models.vibration.receptance import nozzle_frf
+from tests.support.prints import squares
+
+FloatArray = NDArray[np.float64]
+PLACE = np.array([40.0, -30.0, 5.0])
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine("mp-delta-pro")
+
+
+def unsure(machine: Machine, sd: float) -> Machine:
+    return replace(machine, uncertainty={"default": sd})
+
+
+@pytest.fixture(scope="module")
+def softening(machine: Machine) -> Softening:
+    return Inverter(unsure(machine, 0.1), settings_for(machine)).softening
+
+
+def zigzag(rows: int, side_rows: int = 50) -> FloatArray:
+    """(rows, 3) mm: sides of 20 mm along x and y in turn, from rest to rest each, with constant acceleration."""
+    u = (np.arange(rows) % side_rows) / side_rows
+    eased = np.where(u < 0.5, 2 * u**2, 1 - 2 * (1 - u) ** 2)
+    side = np.arange(rows) // side_rows
+    x = 20.0 * (side // 2 % 2 + np.where(side % 2 == 0, eased * (1 - 2 * (side // 2 % 2)), 1 - 2 * (side // 2 % 2)))
+    y = 20.0 * (side // 2 % 2 + np.where(side % 2 == 1, eased * (1 - 2 * (side // 2 % 2)), 0.0))
+    return PLACE + np.stack([x, y, np.zeros(rows)], axis=1)
+
+
+def wish(softening: Softening, path: FloatArray) -> FloatArray:
+    """d (n, 3) mm of a path (n, 3) mm that moves all the time, with rests on both sides."""
+    rested = np.concatenate([np.repeat(path[:1], MARGIN, axis=0), path, np.repeat(path[-1:], MARGIN, axis=0)])
+    moving = np.zeros(len(rested), dtype=np.bool_)
+    moving[MARGIN:-MARGIN] = True
+    return softening.of(rested, moving)
+
+
+def response(softening: Softening) -> Response:
+    place = np.linspace([-70.0, 20.0], [50.0, -40.0], 700)  # over several nodes
+    return softening.sensitivity.along(place, SPANS[0])
+
+
+# ---- what counts ---------------------------------------------------------------------------------
+
+
+LINE = PLACE + np.outer(np.arange(40.0), [0.3, 0.4, 0.0])
+ALONG_IT, BESIDE_IT = np.array([0.6, 0.8, 0.0]), np.array([-0.8, 0.6, 0.0])
+
+
+def test_an_error_along_a_line_counts_little() -> None:
+    missed = np.tile(0.8 * ALONG_IT + 0.02 * BESIDE_IT, (1, 40, 1)).astype(np.float32)  # more than a step late
+    left, along = beside(LINE, missed)
+    inside = slice(2, -2)
+    np.testing.assert_allclose(along[0, inside], np.tile(ALONG_IT, (36, 1)), atol=1e-6)
+    np.testing.assert_allclose(left[0, inside], np.tile(0.02 * BESIDE_IT + 0.8 * ALONG * ALONG_IT, (36, 1)), atol=1e-6)
+    np.testing.assert_allclose(across(missed, along)[0, inside], left[0, inside], atol=1e-6)
+
+
+def test_beyond_a_corner_and_at_rest_all_of_an_error_counts() -> None:
+    corner = PLACE + np.array([[-1.0, 0, 0], [0, 0, 0], [0, 1, 0], [0, 2, 0], [0, 2, 0], [0, 2, 0]])
+    missed = np.zeros((1, 6, 3), np.float32)
+    missed[0, 1] = [0.3, -0.2, 0.0]  # outside the corner
+    missed[0, 4] = [0.1, 0.2, 0.3]  # beyond the end
+    left, along = beside(corner, missed)
+    for i in (1, 4):
+        np.testing.assert_allclose(left[0, i], missed[0, i], atol=1e-6)
+        assert not along[0, i].any()
+
+
+def test_sigma_points_have_the_mean_and_the_spread() -> None:
+    errors = np.random.default_rng(6).normal(size=(5, 7, 3)).astype(np.float32)
+    points = sigma_points(errors)
+    np.testing.assert_allclose(points.mean(axis=0), errors[0], atol=1e-6)
+    np.testing.assert_allclose(points.var(axis=0), np.sum(errors[1:] ** 2, axis=0), rtol=1e-5)
+    other = np.random.default_rng(7).normal(size=points.shape).astype(np.float32)
+    assert np.vdot(points, other) / len(points) == pytest.approx(np.vdot(errors, gathered(other)), rel=1e-4)
+
+
+def test_conjugate_gradients_solve_in_as_many_steps_as_unknowns() -> None:
+    rng = np.random.default_rng(4)
+    root = rng.normal(size=(6, 6))
+    a, b = (root @ root.T + np.eye(6)), rng.normal(size=6)
+    found = conjugate_gradients(lambda x: (a @ x).astype(np.float32), b.astype(np.float32), 12)
+    np.testing.assert_allclose(found, np.linalg.solve(a, b), rtol=2e-2, atol=2e-3)
+
+
+# ---- what the machine may make of it -------------------------------------------------------------
+
+
+def test_the_adjoint_is_one(softening: Softening) -> None:
+    rng, known = np.random.default_rng(5), response(softening)
+    d = rng.normal(size=(700, 3)).astype(np.float32)
+    answers = known.to_wish(d)
+    errors = rng.normal(size=answers.shape).astype(np.float32)
+    assert np.vdot(answers, errors) == pytest.approx(np.vdot(d, known.adjoint(errors)), rel=1e-4)
+
+
+def test_a_path_is_a_wish_that_need_not_end_where_it_begins(softening: Softening) -> None:
+    known, t = response(softening), np.arange(700)[:, None]
+    bump = np.exp(-0.5 * ((t - 350) / 8.0) ** 2) * np.array([1.0, -0.7, 0.1])  # there and back, up to 20 Hz
+    expected = known.to_wish(bump.astype(np.float32))
+    expected[0] -= bump
+    found = known.to_path(np.diff(bump, axis=0, append=bump[-1:]).astype(np.float32))
+    assert np.abs(expected).max() > 5e-3
+    np.testing.assert_allclose(found, expected, atol=2e-4)
+
+
+def test_directions_hold_the_spread_of_the_draws(softening: Softening) -> None:
+    """Σ |M_k|² over the directions, against the variance of printers that were not among the draws."""
+    sensitivity, xy = softening.sensitivity, np.zeros(2)
+    known = sensitivity._node((0, 0)).astype(np.complex128)
+    f = sensitivity.frequency[60:280:20]  # 15 to 65 Hz
+    plain = np.linalg.inv(nozzle_frf(sensitivity.machine, xy, f))
+    plants = np.array([nozzle_frf(plant, xy, f) for plant in drawn(sensitivity.machine, 0.1, 100)]) @ plain
+    held = np.sum(np.abs(known[1:, 0, 0, 60:280:20]) ** 2, axis=0)
+    assert 0.5 < np.sum(held) / np.sum(plants.var(axis=0)[:, 0, 0]) < 1.4
+
+
+# ---- what is wanted ------------------------------------------------------------------------------
+
+
+def test_rest_is_left_alone(softening: Softening) -> None:
+    assert np.array_equal(wish(softening, np.repeat(PLACE[None], 50, axis=0)), np.zeros((50, 3)))
+
+
+def test_steady_motion_is_left_alone(softening: Softening) -> None:
+    path = PLACE + np.arange(MARGIN * 2 + 300.0)[:, None] * np.array([0.05, 0.02, 0.0])
+    assert np.abs(softening.of(path, np.ones(len(path), dtype=np.bool_))[100:200]).max() < 1e-3
+
+
+def test_nothing_is_wanted_beyond_the_path_where_the_command_rests(softening: Softening) -> None:
+    path = zigzag(600 + 2 * MARGIN)
+    moving = np.ones(len(path), dtype=np.bool_)
+    moving[: MARGIN + 40] = False
+    d = softening.of(path, moving)
+    assert np.array_equal(d[:40], np.zeros((40, 3)))
+    assert np.abs(d).max() > 5e-3
+
+
+def test_the_expected_contour_error_is_lower(softening: Softening, machine: Machine) -> None:
+    """Over machines that were not among the draws: the mean square distance of D (r + d) to the path."""
+    path, known = zigzag(800), softening.sensitivity  # ends where it begins
+    wanted, length = path + wish(softening, path), 4096
+    f = np.asarray(np.fft.rfftfreq(length, known.row_s), dtype=np.float64)
+    g = nozzle_frf(machine, PLACE[:2], f)
+    weight = known.effort / 2 * (2 * np.sin(np.pi * f * 2 * known.row_s)) ** 4
+    adjoint = np.conj(np.swapaxes(g, 1, 2))
+    plain = np.linalg.solve(adjoint @ g + weight[:, None, None] * np.eye(3), adjoint)
+    t = np.arange(len(path), dtype=np.float64) * known.row_s
+
+    def error(plant: Machine, wanted: FloatArray) -> float:
+        lines = nozzle_frf(plant, PLACE[:2], f) @ plain @ np.fft.rfft(wanted - path[0], length, axis=0)[:, :, None]
+        nozzle = path[0] + np.fft.irfft(lines[..., 0], length, axis=0)[: len(path)]
+        return float(np.mean(contour_error(t, path, t, nozzle) ** 2))
+
+    plants = drawn(machine, 0.1, 20)
+    plainly, robustly = (np.mean([error(plant, r) for plant in plants]) for r in (path, wanted))
+    assert robustly < 0.4 * plainly
+
+
+def test_where_a_span_ends_does_not_show(softening: Softening) -> None:
+    path = zigzag(2600 + 2 * MARGIN)
+    moving = np.ones(len(path), dtype=np.bool_)
+    later = 700
+    whole, part = softening.of(path, moving), softening.of(path[later:], moving[later:])
+    apart = np.abs(whole[later + 200 : -200] - part[200:-200])
+    assert apart.max() < 0.1 * np.abs(whole).max()
+
+
+def test_named_uncertainties_count_for_their_numbers_alone(machine: Machine) -> None:
+    sure = replace(machine, uncertainty={"default": 0.0, "carriage.belt_stiffness_n_per_m": 0.1})
+    draws = _draws(sure)
+    for name in dynamic_numbers(machine):
+        values = np.array([value_of(each, name) for each in draws])
+        moved = name == "carriage.belt_stiffness_n_per_m"
+        assert (np.ptp(values) > 0) == moved
+    relative = np.array([value_of(each, "carriage.belt_stiffness_n_per_m") for each in draws])
+    relative /= value_of(machine, "carriage.belt_stiffness_n_per_m")
+    assert relative.mean() == pytest.approx(1.0, abs=1e-9) and 0.06 < relative.std() < 0.14
+
+
+def test_printers_that_are_off_print_better_on_average(machine: Machine) -> None:
+    believed = unsure(machine, 0.1)
+    (stretch,), _ = Print(squares(1), "squares.gcode", machine).stretches(Sampling())
+    plants = drawn(machine, 0.1, 6)
+    means = []
+    for name in (OURS, ROBUST):
+        motion, _ = inversion(believed, settings_for(believed), name).motion(stretch)
+        t, nozzles = play(plants, motion, believed)
+        squared = [np.mean(contour([Played(stretch, motion, t, nozzle)]) ** 2) for nozzle in nozzles]
+        means.append(float(np.mean(squared)))
+        np.testing.assert_allclose(motion.position(np.array([motion.end_t]))[0], stretch.corners[1][-1], atol=2e-4)
+    assert means[1] < 0.5 * means[0]

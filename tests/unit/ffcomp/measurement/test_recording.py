@@ -1,0 +1,235 @@
+"""Runs: what is read, and every mistake said with its column, its row and the rule."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from ffcomp.errors import MeasurementError
+from ffcomp.measurement.recording import read_run
+from tests.unit.ffcomp.measurement.conftest import RATE, Written
+
+Columns = dict[str, np.ndarray]
+
+
+def complaint(path: Path) -> str:
+    with pytest.raises(MeasurementError) as caught:
+        read_run(path)
+    assert str(path) in str(caught.value)
+    assert all(problem.endswith((".", "?")) for problem in caught.value.problems)
+    return str(caught.value)
+
+
+def test_a_run_is_read(columns: Columns, written: Written) -> None:
+    run = read_run(written(columns, "square-left-12.csv", "# Operator: me\n# note\n"))
+    assert run.sample_rate_hz == pytest.approx(RATE)
+    assert run.command_space == "carriage" and run.inputs == ("cmd_A", "cmd_B", "cmd_C")
+    assert run.repeat_of == "square-left" and run.comments == {"operator": "me"}
+    np.testing.assert_allclose(run.command[:, 1], columns["cmd_B_mm"], rtol=1e-8)
+    np.testing.assert_allclose(run.acceleration["acc_C"], columns["acc_C_m_per_s2"], atol=1e-6)
+    assert not run.gaps.any() and run.position == {}
+
+
+def test_a_nozzle_command_and_a_laser(columns: Columns, written: Written) -> None:
+    swap = dict(zip("ABC", "xyz", strict=True))
+    table = {f"cmd_{swap[n[4]]}_mm" if n.startswith("cmd") else n: values for n, values in columns.items()}
+    run = read_run(written(table | {"pos_x_mm": columns["cmd_A_mm"]}))
+    assert run.command_space == "nozzle" and run.inputs == ("cmd_x", "cmd_y", "cmd_z")
+    np.testing.assert_allclose(run.position["pos_x"], columns["cmd_A_mm"], rtol=1e-8)
+
+
+def test_empty_fields_and_missing_rows_are_gaps(columns: Columns, written: Written) -> None:
+    columns["acc_A_m_per_s2"][100:103] = np.nan
+    whole = columns["cmd_A_mm"].copy()
+    thinned = {name: np.delete(values, [500, 501, 502, 700]) for name, values in columns.items()}
+    run = read_run(written(thinned))
+    assert len(run.time_s) == 1600
+    assert list(np.flatnonzero(run.gaps)) == [100, 101, 102, 500, 501, 502, 700]
+    assert np.isnan(run.acceleration["acc_A"][[100, 500]]).all() and np.isfinite(run.acceleration["acc_B"][100])
+    np.testing.assert_allclose(run.command[:, 0], whole, atol=1e-5)
+
+
+def test_jitter_is_resampled(columns: Columns, written: Written) -> None:
+    jittered = columns["t_s"] + 0.2 / RATE * np.random.default_rng(0).uniform(-0.5, 0.5, 1600)
+    columns["cmd_A_mm"] = 300 + 0.5 * np.sin(2 * np.pi * 11 * jittered)
+    columns["t_s"] = jittered
+    run = read_run(written(columns))
+    np.testing.assert_allclose(np.diff(run.time_s), 1 / RATE, rtol=1e-3)
+    np.testing.assert_allclose(run.command[1:-1, 0], 300 + 0.5 * np.sin(2 * np.pi * 11 * run.time_s[1:-1]), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("t_s", "t_ms", "'t_ms' names the unit 'ms'; the format asks for 't_s': rename it and multiply"),
+        ("acc_A_m_per_s2", "acc_A_g", "multiply its numbers by 9.80665"),
+        ("acc_A_m_per_s2", "acc_A_mm_s2", "multiply its numbers by 0.001"),
+        ("acc_A_m_per_s2", "acc_A", "'acc_A' names no unit; the format asks for 'acc_A_m_per_s2'"),
+        ("acc_A_m_per_s2", "acc_a_m_per_s2", "did you mean 'acc_A_m_per_s2'?"),
+        ("cmd_B_mm", "comand_B_mm", "did you mean 'cmd_B_mm'?"),
+        ("cmd_B_mm", "temperature", "'temperature' is unknown; the format has no such column."),
+        ("cmd_B_mm", "cmd_A_mm", "'cmd_A_mm' is there 2 times"),
+        ("cmd_B_mm", "cmd_y_mm", "of the carriages or of the nozzle, not of both"),
+        ("cmd_B_mm", "", "has no name"),
+        ("t_s", "pos_A_mm", "Column t_s (time, seconds) is missing"),
+    ],
+)
+def test_wrong_names(columns: Columns, written: Written, old: str, new: str, words: str) -> None:
+    path = written(columns)
+    head, body = path.read_text(encoding="utf-8").split("\n", 1)
+    names = [new if name == old else name for name in head.split(",")]
+    path.write_text(",".join(names) + "\n" + body, encoding="utf-8")
+    assert words in complaint(path)
+
+
+def spoil_time(columns: Columns) -> None:
+    columns["t_s"][800] = columns["t_s"][799]
+
+
+def slow(columns: Columns) -> None:
+    columns["t_s"] *= 10
+
+
+def uneven(columns: Columns) -> None:
+    columns["t_s"][600:] += 0.5 / RATE
+
+
+def short(columns: Columns) -> None:
+    for name in columns:
+        columns[name] = columns[name][:700]
+
+
+def constant(columns: Columns) -> None:
+    columns["acc_B_m_per_s2"][:] = 0.0383
+
+
+def silent(columns: Columns) -> None:
+    columns["acc_B_m_per_s2"][:] = np.nan
+
+
+def gappy(columns: Columns) -> None:
+    columns["acc_B_m_per_s2"][300:1200] = np.nan
+
+
+def unknown_command(columns: Columns) -> None:
+    columns["cmd_C_mm"][300:400] = np.nan
+
+
+def late_command(columns: Columns) -> None:
+    columns["cmd_C_mm"][:3] = np.nan
+
+
+def clipped(columns: Columns) -> None:
+    np.clip(columns["acc_B_m_per_s2"], -1.1, None, out=columns["acc_B_m_per_s2"])
+
+
+def in_g(columns: Columns) -> None:
+    columns["acc_B_m_per_s2"] /= 9.80665
+
+
+def in_mm(columns: Columns) -> None:
+    columns["acc_B_m_per_s2"] *= 1000
+
+
+def infinite(columns: Columns) -> None:
+    columns["acc_B_m_per_s2"][4] = np.inf
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (
+            spoil_time,
+            "time must rise from row to row, but column t_s goes from 0.499375 s to 0.499375 s at row 802",
+        ),
+        (slow, "The sample rate in column t_s is 160 Hz; it must lie between 800 and 25600 Hz"),
+        (uneven, "column t_s steps by 1.5 periods at row 602, t = 0.3753125 s (1 such rows)"),
+        (short, "The run is 0.4369 s long (700 rows); it must last at least 0.5 s"),
+        (constant, "Column acc_B_m_per_s2 is 0.0383 in all 1600 rows"),
+        (silent, "Column acc_B_m_per_s2 holds no number at all"),
+        (gappy, "Column acc_B_m_per_s2 is missing in 56% of the rows"),
+        (unknown_command, "Column cmd_C_mm is missing for 0.0625 s from t = 0.1875 s"),
+        (late_command, "Column cmd_C_mm must be known in the first and in the last row"),
+        (clipped, "Column acc_B_m_per_s2 stands at its lowest value -1.1 in "),
+        (in_g, "Column acc_B_m_per_s2 looks 9.81 times too small, as if it were in g, not in m/s²"),
+        (in_mm, "Column acc_B_m_per_s2 looks 1000 times too large, as if it were in mm/s², not in m/s²"),
+        (infinite, "row 6, column acc_B_m_per_s2: inf"),
+    ],
+)
+def test_data_that_cannot_be_used(columns: Columns, written: Written, spoil: object, words: str) -> None:
+    spoil(columns)  # type: ignore[operator]
+    assert words in complaint(written(columns))
+
+
+def test_every_mistake_is_said_at_once(columns: Columns, written: Written) -> None:
+    spoil_time(columns)
+    constant(columns)
+    columns["acc_x_g"] = columns["acc_A_m_per_s2"]
+    columns["acc_z_m_per_s2"] = np.full(1600, np.nan)
+    said = complaint(written(columns))
+    assert said.count("\n") == 3
+    for words in ("must rise", "acc_B_m_per_s2 is 0.0383", "multiply", "acc_z_m_per_s2 holds no number"):
+        assert words in said
+
+
+def test_quantised_quiet_and_pure_signals_are_fine(columns: Columns, written: Written) -> None:
+    clean = -0.5e-3 * (2 * np.pi * 11) ** 2 * np.sin(2 * np.pi * 11 * columns["t_s"])
+    columns["acc_A_m_per_s2"] = np.round(clean / 0.04) * 0.04
+    columns["acc_B_m_per_s2"] = clean
+    columns["acc_x_m_per_s2"] = np.round(np.random.default_rng(0).standard_normal(1600)) * 0.0383
+    assert set(read_run(written(columns)).acceleration) == {"acc_A", "acc_B", "acc_C", "acc_x"}
+
+
+@pytest.mark.parametrize("unit", [1 / 9.80665, 1000.0])
+@pytest.mark.parametrize("sensor", ["acc_A", "acc_x"])
+@pytest.mark.parametrize("name", ["multisine-centre-1", "infill-front", "slow-back"])
+def test_real_runs_in_another_unit_are_found_out(
+    data: Path, written: Written, name: str, sensor: str, unit: float
+) -> None:
+    run = read_run(data / "runs" / "nothing-hidden" / "runs" / f"{name}.csv")
+    table = {"t_s": run.time_s} | {f"{n}_mm": run.command[:, j] for j, n in enumerate(run.inputs)}
+    path = written(table | {f"{sensor}_m_per_s2": run.acceleration[sensor] * unit})
+    assert f"in {'g' if unit < 1 else 'mm/s²'}, not in m/s²" in complaint(path)
+
+
+def test_all_made_runs_are_read(data: Path) -> None:
+    paths = sorted((data / "runs").glob("*/runs/*.csv"))
+    assert len(paths) >= 30
+    for path in paths:
+        run = read_run(path)
+        assert run.sample_rate_hz == pytest.approx(1600) and len(run.acceleration) == 6 and not run.gaps.any()
+    assert {read_run(p).repeat_of for p in paths[:2]} == {"infill-centre"}
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\n\n", b"# only: comments\n", b"t_s,cmd_A_mm\n", b"\x80\x81", b"a\x00b\n1\n"]
+)
+def test_files_without_a_table(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "broken.csv"
+    path.write_bytes(content)
+    complaint(path)
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    assert "cannot be read" in complaint(tmp_path / "none.csv")
+
+
+GOOD = "t_s,cmd_A_mm,cmd_B_mm,cmd_C_mm,acc_A_m_per_s2\n" + "".join(
+    f"{k / 1000:.4f},{k % 7},{k % 5},{k % 3},{(k * k) % 11}\n" for k in range(12)
+)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_a_broken_file_is_an_error_in_sentences(tmp_path: Path, data: st.DataObject) -> None:
+    text = list(GOOD)
+    for _ in range(data.draw(st.integers(1, 6))):
+        at = data.draw(st.integers(0, len(text) - 1))
+        text[at] = data.draw(st.sampled_from(["", ",", "\n", "-", "e", "nan", "#", " ", ";", "\r", "9", "\x0b"]))
+    path = tmp_path / "broken.csv"
+    path.write_text("".join(text), encoding="utf-8", newline="")
+    complaint(path)

@@ -1,0 +1,333 @@
+"""The plan against closed forms, a linear programme, and what must hold for any file."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import linprog
+
+from ffcomp.planner.limits import DeltaReach, FirmwareLimits, bounds_of, lines_of
+from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.trajectory import Trajectory
+from gcode.errors import GcodeError
+from gcode.program import Moves
+from gcode.reader import read_program
+from tests.support.programs import moves_through, random_program
+
+FloatArray = NDArray[np.float64]
+
+LIMITS = FirmwareLimits(
+    velocity_mm_per_s=300.0,
+    acceleration_mm_per_s2=3000.0,
+    square_corner_velocity_mm_per_s=5.0,
+    minimum_cruise_ratio=0.0,
+)
+DELTA = dataclasses.replace(LIMITS, minimum_cruise_ratio=0.5, delta=DeltaReach(140.0, 280.0, 0.00625))
+points = st.lists(
+    st.tuples(*(st.integers(-200, 200).map(lambda tenth: 0.1 * tenth) for _ in range(2))),
+    min_size=2,
+    max_size=12,
+)
+speeds = st.lists(st.floats(1.0, 400.0), min_size=11, max_size=11)
+
+
+def plan(moves: Moves, limits: FirmwareLimits = LIMITS, stops: ArrayLike = False, waits: ArrayLike = 0.0) -> Trajectory:
+    n = len(moves)
+    return plan_moves(
+        moves,
+        limits,
+        stop_before=np.array(np.broadcast_to(stops, n)),
+        wait_before=np.array(np.broadcast_to(waits, n)),
+    )
+
+
+def through(points: ArrayLike, speed: float = 100.0, limits: FirmwareLimits = LIMITS) -> Trajectory:
+    return plan(moves_through(points, speed), limits)
+
+
+# One move
+
+
+def test_a_long_move_is_a_trapezoid() -> None:
+    line = through([[0, 0], [30, 40]])
+    assert line.accel_t[0] == line.decel_t[0] == pytest.approx(100 / 3000)
+    assert line.cruise_v[0] == 100.0
+    assert line.end_t == pytest.approx(50 / 100 + 100 / 3000)
+    assert line.direction[0] == pytest.approx([0.6, 0.8, 0, 0])
+
+
+def test_a_short_move_is_a_triangle() -> None:
+    line = through([[0, 0], [0, -0.3]])
+    assert line.cruise_v[0] == pytest.approx(math.sqrt(3000 * 0.3))
+    assert line.cruise_t[0] == pytest.approx(0.0, abs=1e-12)
+    assert line.end_t == pytest.approx(2 * math.sqrt(0.3 / 3000))
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.2, 0.5, 0.9])
+def test_the_cruise_ratio_is_the_share_of_a_short_move_that_cruises(ratio: float) -> None:
+    line = plan(moves_through([[0, 0], [0, 0.3]], minimum_cruise_ratio=ratio))
+    assert line.cruise_v[0] == pytest.approx(math.sqrt(3000 * (1 - ratio) * 0.3))
+    assert line.cruise_t[0] * line.cruise_v[0] == pytest.approx(ratio * 0.3, abs=1e-12)
+
+
+def test_a_hill_that_comes_down_does_not_rise_again_after_a_corner() -> None:
+    """After the corner the full acceleration would allow a small hill, the smooth one can only just brake."""
+    path = [[0, 0], [20, 0], [20 + 0.4 * math.cos(0.5), 0.4 * math.sin(0.5)]]
+    line = plan(moves_through(path, 300.0, square_corner_velocity=11.0, minimum_cruise_ratio=0.5))
+    assert 2 * 1500 * 0.4 < line.start_v[1] ** 2 < 2 * 3000 * 0.4
+    assert line.cruise_v[1] == line.start_v[1]
+    assert line.cruise_v[0] > 2 * line.start_v[1]
+
+
+def test_no_moves_are_no_motion() -> None:
+    nothing = through([[0, 0]])
+    assert len(nothing) == 0
+    assert nothing.end_t == 0.0
+
+
+def test_an_extruder_only_move_has_the_extruders_limits() -> None:
+    line = plan(
+        moves_through([[1, 2, 3, 0], [1, 2, 3, -2]]),
+        dataclasses.replace(LIMITS, extruder_velocity_mm_per_s=40.0, extruder_acceleration_mm_per_s2=500.0),
+    )
+    assert line.cruise_v[0] == pytest.approx(math.sqrt(2 * 500.0))
+    assert line.direction[0].tolist() == [0, 0, 0, -1]
+    assert line.position([line.end_t])[0] == pytest.approx([1, 2, 3, -2])
+
+
+# Corners
+
+
+def test_a_square_corner_is_passed_at_its_velocity() -> None:
+    corner = through([[0, 0], [50, 0], [50, 50]])
+    assert corner.end_v[0] == corner.start_v[1] == pytest.approx(5.0)
+
+
+@given(st.floats(0.1, 3.0))
+@settings(deadline=None)
+def test_the_angle_sets_the_speed_of_a_corner(turn: float) -> None:
+    """The circle that stays as near the corner as at a right angle: v² = a δ s/(1 - s), s = sin(theta/2)."""
+    corner = through([[0, 0], [50, 0], [50 + 50 * math.cos(turn), 50 * math.sin(turn)]], 300.0)
+    sine = math.cos(turn / 2)
+    free = 5.0**2 * (math.sqrt(2) - 1) * sine / (1 - sine)
+    tangent = 0.5 * 50 * 3000 / math.tan(turn / 2)
+    assert corner.start_v[1] ** 2 == pytest.approx(min(free, tangent, 300**2), rel=1e-9)
+
+
+def test_many_short_chords_of_a_circle_keep_to_its_centripetal_acceleration() -> None:
+    angle = np.linspace(0, 4 * math.pi, 401)
+    radius = 20 / math.cos(2 * math.pi / 400)  # a polygon around a circle of 20 mm
+    round_trip = through(radius * np.column_stack([np.cos(angle), np.sin(angle)]), 300.0)
+    assert round_trip.start_v[150:250] ** 2 / 20 == pytest.approx(3000, rel=1e-6)
+
+
+def test_a_reversal_is_a_stop() -> None:
+    assert through([[0, 0], [10, 0], [0, 0]]).start_v[1] == 0.0
+
+
+def test_the_filament_speeds_jump_is_bounded_at_a_junction() -> None:
+    line = through([[0, 0, 0, 0], [50, 0, 0, 2.5], [100, 0, 0, 2.5]], 100.0)
+    assert line.start_v[1] == pytest.approx(1.0 / 0.05)
+
+
+def test_an_extruder_only_move_stands_between_two_stops() -> None:
+    line = through([[0, 0, 0, 0], [50, 0, 0, 0], [50, 0, 0, 1], [100, 0, 0, 1]])
+    assert line.start_v.tolist() == line.end_v.tolist() == [0.0, 0.0, 0.0]
+
+
+def test_no_square_corner_velocity_stops_at_corners_but_not_on_straight_lines() -> None:
+    line = plan(moves_through([[0, 0], [50, 0], [90, 0], [90, 9]], square_corner_velocity=0.0))
+    assert line.start_v.tolist() == [0.0, 100.0, 0.0]
+
+
+@given(st.lists(st.floats(0.01, 20.0), min_size=1, max_size=8), st.floats(20.0, 300.0), st.floats(0.0, 0.9))
+@example([0.1, 0.1], 300.0, 0.5)  # the top exactly at a cut
+@settings(deadline=None, max_examples=50)
+def test_cutting_a_straight_line_changes_nothing(lengths: list[float], speed: float, ratio: float) -> None:
+    ends = np.column_stack([np.cumsum([0.0, *lengths]), np.zeros(len(lengths) + 1)])
+    limits = dataclasses.replace(LIMITS, minimum_cruise_ratio=ratio)
+    cut, whole = through(ends, speed, limits), through(ends[[0, -1]], speed, limits)
+    t = np.linspace(-0.01, whole.end_t + 0.01, 500)
+    assert cut.end_t == pytest.approx(whole.end_t, rel=1e-9)
+    assert np.abs(cut.position(t) - whole.position(t)).max() < 1e-7
+
+
+# A second solver
+
+
+def junction_limits(moves: Moves, limits: FirmwareLimits) -> tuple[FloatArray, FloatArray]:
+    """v² at inner junctions (n-1,) and each move's change of it (n,); by angles, one junction at a time."""
+    lines = lines_of(moves)
+    bounds = bounds_of(moves, lines, limits)
+    gain = 2 * lines.length * bounds.acceleration
+    corner = np.zeros(len(moves) - 1)
+    for i in range(len(corner)):
+        turn = math.acos(np.clip(lines.direction[i, :3] @ lines.direction[i + 1, :3], -1, 1))
+        sine, pair = math.cos(turn / 2), slice(i, i + 2)
+        circle = limits.square_corner_velocity_mm_per_s**2 * (math.sqrt(2) - 1)
+        circle *= sine / (1 - sine) if sine < 1 - 1e-14 else math.inf
+        tangent = gain[pair].min() / 4 / math.tan(turn / 2) if turn > 1e-7 else math.inf
+        corner[i] = min(circle, tangent, (bounds.speed[pair] ** 2).min())
+    return corner, gain
+
+
+@given(points, speeds)
+@settings(deadline=None, max_examples=40)
+def test_junctions_are_passed_as_fast_as_a_linear_programme_allows(
+    path: list[tuple[float, float]], v: list[float]
+) -> None:
+    path = [p for i, p in enumerate(path) if i == 0 or math.dist(p, path[i - 1]) > 0.05]
+    if len(path) < 3:
+        return
+    moves = moves_through(path, v[: len(path) - 1])
+    corner, gain = junction_limits(moves, LIMITS)
+    steps = np.diff(np.eye(len(corner) + 2), axis=0)[:, 1:-1]  # change of v² over each move; rest at both ends
+    best = linprog(-np.ones(len(corner)), np.vstack([steps, -steps]), [*gain, *gain], bounds=[(0, c) for c in corner])
+    assert best.status == 0, best.message
+    assert plan(moves).start_v[1:] ** 2 == pytest.approx(best.x, rel=1e-6, abs=1e-5)
+
+
+# Whatever the file
+
+
+@pytest.fixture(scope="module", params=range(4))
+def planned(request: pytest.FixtureRequest) -> tuple[Moves, Trajectory]:
+    program = read_program(random_program(request.param, 60), start=(0.0, 0.0, 10.0))
+    stops, waits = stops_and_waits(program)
+    return program.moves, plan_moves(program.moves, DELTA, stop_before=stops, wait_before=waits, start_t=3.0)
+
+
+def test_no_move_exceeds_its_limits(planned: tuple[Moves, Trajectory]) -> None:
+    moves, plan = planned
+    bounds = bounds_of(moves, lines_of(moves), DELTA)
+    assert (plan.cruise_v <= bounds.speed * (1 + 1e-12)).all()
+    assert (plan.start_v <= plan.cruise_v).all() and (plan.end_v <= plan.cruise_v).all()
+    assert (plan.acceleration <= bounds.acceleration).all()
+
+
+def test_speed_changes_only_by_acceleration(planned: tuple[Moves, Trajectory]) -> None:
+    _, plan = planned
+    assert plan.cruise_v - plan.start_v == pytest.approx(plan.acceleration * plan.accel_t, abs=1e-9)
+    assert plan.cruise_v - plan.end_v == pytest.approx(plan.acceleration * plan.decel_t, abs=1e-9)
+    assert plan.end_v[:-1] == pytest.approx(plan.start_v[1:], abs=1e-9)
+    assert plan.start_v[0] == plan.end_v[-1] == 0.0
+
+
+def test_every_move_arrives(planned: tuple[Moves, Trajectory]) -> None:
+    moves, plan = planned
+    covered = 0.5 * (plan.start_v + plan.cruise_v) * plan.accel_t + plan.cruise_v * plan.cruise_t
+    covered += 0.5 * (plan.cruise_v + plan.end_v) * plan.decel_t
+    assert plan.origin + plan.direction * covered[:, None] == pytest.approx(moves.end, abs=1e-9)
+
+
+def test_the_time_is_the_sum_of_moves_and_waits() -> None:
+    program = read_program(random_program(5, 60), start=(0.0, 0.0, 10.0))
+    stops, waits = stops_and_waits(program)
+    motion = plan_moves(program.moves, DELTA, stop_before=stops, wait_before=waits, start_t=3.0)
+    dwells = sum(event.dwell_s for event in program.events if event.move < len(program.moves))
+    assert waits.sum() == pytest.approx(dwells)
+    assert waits.sum() > 1.0
+    assert motion.end_t == pytest.approx(3.0 + motion.duration.sum() + waits.sum(), rel=1e-12)
+
+
+@given(points, speeds)
+@settings(deadline=None, max_examples=40)
+def test_the_way_back_is_the_same_backwards(path: list[tuple[float, float]], v: list[float]) -> None:
+    there = moves_through(path, v[: len(path) - 1])
+    back = moves_through(path[::-1], v[: len(path) - 1][::-1])
+    assert plan(back).duration == pytest.approx(plan(there).duration[::-1], rel=1e-9, abs=1e-12)
+    assert plan(back).start_v == pytest.approx(plan(there).end_v[::-1], rel=1e-9, abs=1e-6)
+
+
+@given(points, st.floats(0.3, 3.0), st.floats(0.0, 0.9))
+@example([(0.0, -15.1), (0.0, -15.0), (0.0, -16.1)], 1.25, 0.0)
+@settings(deadline=None, max_examples=40)
+def test_the_plan_scales_with_length_and_time(path: list[tuple[float, float]], scale: float, ratio: float) -> None:
+    """k² longer ways at k times the speed and the same acceleration take k times as long."""
+    limits = dataclasses.replace(LIMITS, minimum_cruise_ratio=ratio)
+    larger = dataclasses.replace(limits, velocity_mm_per_s=300.0 * scale, square_corner_velocity_mm_per_s=5.0 * scale)
+    small = through(path, 80.0, limits)
+    large = through(scale**2 * np.array(path), 80.0 * scale, larger)
+    # a turn right back is passed at 0 or, by rounding of its angle, at a third of a µm a second
+    assert large.duration == pytest.approx(scale * small.duration, rel=1e-6, abs=1e-6)
+
+
+# Stops, waits, moves that go nowhere
+
+
+def test_a_wait_stops_the_motion_and_holds_it() -> None:
+    line = plan(moves_through([[0, 0], [50, 0], [100, 0]]), waits=[0.25, 0.5])
+    gap = line.start_t[1] - (line.start_t[0] + line.duration[0])
+    assert line.start_t[0] == 0.25
+    assert gap == pytest.approx(0.5)
+    assert line.position([line.start_t[1] - 0.3, line.start_t[1] - 0.1])[:, 0] == pytest.approx([50, 50])
+
+
+def test_a_stop_before_a_move_is_two_plans() -> None:
+    path = np.array([[0, 0], [50, 0], [100, 1], [120, 30]])
+    whole = plan(moves_through(path), stops=[False, False, True])
+    parts = through(path[:3]), through(path[2:])
+    assert whole.duration == pytest.approx(np.concatenate([part.duration for part in parts]), rel=1e-12)
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.5])
+def test_moves_that_go_nowhere_are_not_noticed(ratio: float) -> None:
+    path = np.array([[0, 0], [50, 0], [100, 1], [120, 30]])
+    with_standing = path[[0, 0, 1, 2, 2, 2, 3, 3]]
+    moves = moves_through(with_standing, minimum_cruise_ratio=ratio)
+    stops = [False, False, False, False, True, False, False]
+    line = plan(moves, stops=stops)
+    expected = plan(moves_through(path, minimum_cruise_ratio=ratio), stops=[False, False, True])
+    assert line.duration[[1, 2, 5]].tolist() == expected.duration.tolist()
+    assert line.duration[[0, 3, 4, 6]].tolist() == [0.0] * 4
+
+
+def test_only_moves_that_go_nowhere_take_no_time() -> None:
+    standing = through([[1, 2]] * 4)
+    assert standing.end_t == 0.0
+    assert standing.position([0.0, 1.0])[:, :2].tolist() == [[1, 2], [1, 2]]
+
+
+def test_events_of_the_file_become_stops_and_waits() -> None:
+    text = b"G1 X1 F600\nG4 P200\nG4 P300\nG1 X2\nM106 S9\nG1 X3\nM109 S200\nG1 X4\nG4 S1\n"
+    stops, waits = stops_and_waits(read_program(text, start=(0.0, 0.0, 10.0)))
+    assert stops.tolist() == [False, True, False, True]
+    assert waits.tolist() == [0.0, 0.5, 0.0, 0.0]
+
+
+# What cannot be planned
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "message"),
+    [
+        ("speed", 0.0, "2: The move has the speed 0.0 mm/s; it must be above zero."),
+        ("acceleration", -1.0, "2: The move has the acceleration -1.0; it must be above zero."),
+        ("velocity_limit", 0.0, "2: The move has the velocity limit 0.0; it must be above zero."),
+        (
+            "square_corner_velocity",
+            -2.0,
+            "2: The move has the square corner velocity -2.0 mm/s; it cannot be negative.",
+        ),
+        ("minimum_cruise_ratio", 1.0, "2: The move has the minimum cruise ratio 1.0; it is in [0, 1)."),
+        ("end", np.nan, "2: The move travels nan mm; a distance is finite."),
+    ],
+)
+def test_impossible_moves_are_named_with_their_line(column: str, value: float, message: str) -> None:
+    moves = moves_through([[0, 0], [1, 0], [2, 0]])
+    values = np.array(getattr(moves, column))
+    values[1] = value
+    with pytest.raises(GcodeError) as failure:
+        plan(dataclasses.replace(moves, **{column: values}))
+    assert str(failure.value) == message
+
+
+def test_a_negative_wait_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"The wait before move 1 is -0\.5 s; it must be finite and not negative\."):
+        plan(moves_through([[0, 0], [1, 0], [2, 0]]), waits=[0.0, -0.5])

@@ -1,0 +1,94 @@
+"""Sampling the plan: position, speed and acceleration agree, at any times in any order."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ffcomp.planner.limits import FirmwareLimits
+from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.trajectory import Trajectory
+from gcode.reader import read_program
+from tests.support.programs import moves_through, random_program
+
+
+@pytest.fixture(scope="module")
+def motion() -> Trajectory:
+    program = read_program(random_program(11, 20), start=(0.0, 0.0, 10.0))
+    stops, waits = stops_and_waits(program)
+    return plan_moves(program.moves, FirmwareLimits(300.0, 3000.0), stop_before=stops, wait_before=waits, start_t=2.0)
+
+
+def simple(waits: list[float]) -> Trajectory:
+    """1 mm along x at 10 mm/s and 100 mm/s², 1 mm along y."""
+    moves = moves_through([[0, 0], [1, 0], [1, 1]], 10.0)
+    limits = FirmwareLimits(300.0, 100.0, minimum_cruise_ratio=0.0)
+    return plan_moves(moves, limits, stop_before=np.ones(2, dtype=bool), wait_before=np.array(waits))
+
+
+def boundaries(motion: Trajectory) -> np.ndarray:
+    steps = [motion.start_t, motion.accel_t, motion.cruise_t, motion.decel_t]
+    return np.cumsum(steps, axis=0).ravel()
+
+
+def test_the_closed_form_of_one_trapezoid() -> None:
+    line = simple([0.0, 0.0])
+    t = np.array([0.0, 0.05, 0.1, 0.15])
+    assert line.duration.tolist() == pytest.approx([0.2, 0.2])
+    assert line.position(t)[:, 0] == pytest.approx([0.0, 0.125, 0.5, 0.875])
+    assert line.velocity(t)[:, 0] == pytest.approx([0.0, 5.0, 10.0, 5.0])
+    assert line.acceleration_at(t + 0.01)[:, 0] == pytest.approx([100.0, 100.0, -100.0, -100.0])
+    assert line.position(t + 0.2)[:, 1] == pytest.approx(line.position(t)[:, 0])
+
+
+def test_velocity_is_the_slope_of_position(motion: Trajectory) -> None:
+    t, h = np.linspace(0.0, motion.end_t + 1.0, 50_001), 1e-6
+    inside = np.min(np.abs(np.subtract.outer(t[::50], boundaries(motion))), axis=1) > 2 * h
+    t = t[::50][inside]
+    slope = (motion.position(t + h) - motion.position(t - h)) / (2 * h)
+    assert motion.velocity(t) == pytest.approx(slope, abs=1e-6 * 300)
+    bend = (motion.velocity(t + h) - motion.velocity(t - h)) / (2 * h)
+    assert motion.acceleration_at(t) == pytest.approx(bend, rel=1e-6, abs=1e-3)
+
+
+def test_times_in_any_order_give_the_same(motion: Trajectory) -> None:
+    t = np.linspace(0.0, motion.end_t + 1.0, 20_001)
+    mixed = np.random.default_rng(0).permutation(len(t))
+    assert np.array_equal(motion.position(t[mixed]), motion.position(t)[mixed])
+    assert np.array_equal(motion.velocity(t[mixed]), motion.velocity(t)[mixed])
+    assert np.array_equal(motion.acceleration_at(t[mixed]), motion.acceleration_at(t)[mixed])
+
+
+def test_the_path_has_no_jumps(motion: Trajectory) -> None:
+    fastest = np.abs(motion.cruise_v).max()
+    assert motion.position(motion.start_t[1:] - 1e-9) == pytest.approx(motion.origin[1:], abs=2e-9 * fastest)
+
+
+def test_it_rests_before_between_and_after() -> None:
+    line = simple([0.3, 0.4])
+    t = np.array([-1.0, 0.1, 0.6, 0.89, 1.2, 9.0])
+    assert line.position(t)[:, :2] == pytest.approx(np.array([[0, 0], [0, 0], [1, 0], [1, 0], [1, 1], [1, 1]]))
+    assert not line.velocity(t).any()
+    assert not line.acceleration_at(t).any()
+
+
+def test_rest_is_exactly_zero_speed(motion: Trajectory) -> None:
+    waiting = motion.start_t[1:] - (motion.start_t + motion.duration)[:-1] > 0.02
+    assert waiting.sum() > 3
+    assert not motion.velocity(motion.start_t[1:][waiting] - 0.01).any()
+
+
+def test_the_move_at_a_time() -> None:
+    line = simple([0.3, 0.4])
+    assert line.move_at([0.0, 0.31, 0.6, 0.91, 5.0]).tolist() == [0, 0, 0, 1, 1]
+
+
+def test_no_moves_have_no_place() -> None:
+    nothing = plan_moves(
+        moves_through([[0, 0]]),
+        FirmwareLimits(300.0, 3000.0),
+        stop_before=np.zeros(0, bool),
+        wait_before=np.zeros(0),
+    )
+    with pytest.raises(ValueError, match="A trajectory without moves has no place"):
+        nothing.position([0.0])

@@ -1,0 +1,362 @@
+"""`ffcomp diagnose --report`: short runs of the virtual printer, few candidates, and the page that comes of it."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import ffcomp.diagnose.printer_problem as delta
+from ffcomp.cli.app import app
+from ffcomp.diagnose import next_experiment as experiment
+from ffcomp.diagnose.next_experiment import Proposal
+from ffcomp.diagnose.result import Outcome, Size
+from ffcomp.diagnose.summary import Picture, Split
+from ffcomp.identify.uncertainty import Estimate, normal
+from ffcomp.report.diagnose import effects, html, words
+from ffcomp.report.diagnose.html import page
+from ffcomp.report.diagnose.rivals import look_alikes
+from ffcomp.report.diagnose.standout import stands_out
+from ffcomp.report.diagnose.told import Told, explained, explained_elsewhere
+from ffcomp.report.diagnose.verdict import verdict
+from models.effects.catalogue import CATALOGUE, with_effect
+from models.file import LIBRARY, load_machine
+from models.printer.printer import simulate_printer
+from tests.support.browser import chromium, visit
+
+RATE_HZ, SECONDS, NOISE = 1600.0, 1.2, 0.3
+PLACES = {"centre": (0.0, 0.0, 30.0), "left": (-70.0, 20.0, 30.0), "front": (40.0, -60.0, 30.0)}
+PROPOSAL = Proposal("infill", (0.0, 0.0, 30.0), 2.0, ("guide_damping",), 40.0, "Infill tells them apart.", "G1 X1")
+SECTIONS = ("verdict", "where", "overlays", "spectra", "evidence", "alike", "held-out", "retuned", "next", "origin")
+
+
+def write_machine(folder: Path) -> Path:
+    """Two numbers may be retuned, and little: the search is quick, and retuning cannot pass for an effect."""
+    file, text = folder / "my-delta.toml", (LIBRARY / "mp-delta-pro.toml").read_text(encoding="utf-8")
+    before, _, after = text.partition("[uncertainty]\n")
+    known = '"carriage.belt_stiffness_n_per_m" = 0.003\n"effector.nozzle_mass_kg" = 0.003\n'
+    rest = after[after.index("[provenance]") :]
+    file.write_text(f"{before}[uncertainty]\ndefault = 0.0\n{known}\n{rest}", encoding="utf-8")
+    return file
+
+
+def write_runs(folder: Path, hidden: dict[str, dict[str, Any]]) -> list[str]:
+    """Two repeats at each of three places: towers shaken by tones between 5 and 120 Hz."""
+    true = machine = load_machine("mp-delta-pro")
+    for name, table in hidden.items():
+        true = with_effect(true, name, **table)
+    rng, paths = np.random.default_rng(7), []
+    t = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
+    for name, place in PLACES.items():
+        f = rng.uniform(5, 120, (8, 3))
+        tones = np.sum(0.8 / f * np.sin(2 * np.pi * f * t[:, None, None] + 6.28 * f), axis=1)
+        command = machine.kinematics.inverse(np.array([place])) + tones * np.minimum(1.0, t / 0.2)[:, None]
+        motion = simulate_printer(true, command, 1 / RATE_HZ, substeps=2)
+        felt = np.hstack([motion.signals.carriage, motion.signals.nozzle])
+        for repeat in (1, 2):
+            table = np.column_stack([t, command, felt + NOISE * rng.standard_normal(felt.shape)])
+            paths.append(folder / f"{name}-{repeat}.csv")
+            header = ["t_s", *(f"cmd_{a}_mm" for a in "ABC"), *(f"acc_{a}_m_per_s2" for a in "ABCxyz")]
+            np.savetxt(paths[-1], table, fmt="%.9g", delimiter=",", header=",".join(header), comments="")
+    return [str(path) for path in paths]
+
+
+def run(runs: list[str], *options: str) -> Any:
+    machine = str(Path(runs[0]).parent / "my-delta.toml")
+    return CliRunner().invoke(app, ["diagnose", *runs, "-m", machine, "--json", "-q", *options])
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    folder: Path
+    runs: list[str]
+    result: dict[str, Any]
+    text: str
+    told: Told
+
+
+def made(folder: Path, hidden: dict[str, dict[str, Any]], names: tuple[str, ...]) -> Case:
+    """Through the verb, with few candidates: the search is not what is tested here."""
+    write_machine(folder)
+    runs, report, told = write_runs(folder, hidden), folder / "d.html", []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(delta, "Delta", partial(delta.Delta, names=names))
+        patch.setattr(html, "page", lambda given: told.append(given) or page(given))
+        patch.setattr(experiment, "propose", lambda *_: [PROPOSAL])
+        answer = run(runs, "-o", str(folder / "better.toml"), "--report", str(report))
+    assert answer.exit_code == 0, answer.output
+    result = json.loads(answer.stdout)
+    assert result["report"] == str(report)
+    return Case(folder, runs, result, report.read_text(encoding="utf-8"), told[0])
+
+
+@pytest.fixture(scope="module")
+def heavy(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    hidden = {"effector_mass": {"added_kg": 0.08}}
+    return made(tmp_path_factory.mktemp("heavy"), hidden, ("effector_mass", "guide_damping"))
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    return made(tmp_path_factory.mktemp("plain"), {}, ("effector_mass", "guide_damping"))
+
+
+@pytest.fixture(scope="module")
+def strange(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    """Guides that hold back more, and a heavier effector is the only candidate."""
+    hidden = {"guide_damping": {"added_n_s_per_m": 20.0}}
+    return made(tmp_path_factory.mktemp("strange"), hidden, ("effector_mass",))
+
+
+@pytest.fixture(scope="module")
+def told(heavy: Case) -> Told:
+    return heavy.told
+
+
+@pytest.fixture
+def found_already(plain: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The verb without its search: the picture and the answer of a case that was searched before."""
+    monkeypatch.setattr("ffcomp.diagnose.engine.diagnose", lambda *_: None)
+    monkeypatch.setattr("ffcomp.diagnose.result.outcome", lambda *_: plain.told.outcome)
+    monkeypatch.setattr("ffcomp.diagnose.summary.picture", lambda *_: plain.told.picture)
+    monkeypatch.setattr("ffcomp.diagnose.next_experiment.propose", lambda *_: [PROPOSAL])
+
+
+# ---- the page and the JSON -----------------------------------------------------------------------
+
+
+def plain_text(text: str) -> str:
+    """What is read, without figures and tags."""
+    body = re.sub(r'src="data:[^"]*"|<style>.*?</style>', "", text, flags=re.DOTALL)
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", body)).replace("\N{NO-BREAK SPACE}", " ")
+
+
+@pytest.mark.parametrize(("name", "said"), [("heavy", "effects"), ("plain", "none"), ("strange", "unknown")])
+def test_the_page_says_what_the_json_says(name: str, said: str, request: pytest.FixtureRequest) -> None:
+    case: Case = request.getfixturevalue(name)
+    assert case.result["verdict"] == said
+    badge = re.search(r'class="badge"[^>]*>(\w+)<', case.text)
+    assert badge is not None and badge[1] == said
+    assert re.findall(r'<section id="([a-z-]+)">', case.text) == [*SECTIONS[:-1], "glossary", "origin"]
+    assert plain_text(case.text).count(f"{words.percent(case.result['gap']['before'])} off") >= 1
+    assert (case.folder / "better.toml").exists() == (said == "effects")
+
+
+def test_an_effect_is_told_with_its_size_and_what_it_explains(heavy: Case) -> None:
+    read = plain_text(heavy.text)
+    (effect,) = heavy.result["effects"]
+    size = effect["parameters"]["added_kg"]
+    told = words.interval(Estimate(size["value"], 0.0, size["low"], size["high"]), "kg")
+    assert f"Missing from the machine file: more on the nozzle holder (effector_mass): {told}." in read
+    assert f"are {words.percent(heavy.result['gap']['held_out']['after'])} off" in read
+    assert "The better machine file is better.toml" in read
+
+
+def test_nothing_missing_is_told_with_what_came_nearest(plain: Case) -> None:
+    read = plain_text(plain.text)
+    assert "Nothing is missing that these runs could show." in read
+    assert "as much as noise alone" in read and "came nearest" in read
+    assert "Nothing had to be explained" in read and "Nothing was fitted beyond retuning" in read
+
+
+def test_an_unknown_gap_names_what_was_refused_and_why(strange: Case) -> None:
+    read = plain_text(strange.text)
+    assert "none of what ffcomp knows (1 effect)" in read
+    for reason in strange.result["refused"]["because"]:
+        assert reason in read
+    assert "What to do: look for something loose" in read and "Missing from the machine file:" not in read
+
+
+def test_every_candidate_and_every_file_is_there(heavy: Case) -> None:
+    read = plain_text(heavy.text)
+    for name in ("effector_mass", "guide_damping"):
+        assert name in read
+    assert len(re.findall(r"(?:centre|left|front)-\d\.csv sha256:[0-9a-f]{64}", read)) == 6
+    assert re.search(r"my-delta\.toml sha256:[0-9a-f]{64}", read)
+    assert str(heavy.folder) not in heavy.text  # folders are nobody's business
+
+
+def test_the_page_fetches_nothing_and_runs_nothing(heavy: Case, plain: Case, strange: Case) -> None:
+    for text in (heavy.text, plain.text, strange.text):
+        assert "default-src 'none'; img-src data:; style-src 'unsafe-inline'\"" in text
+        images = [base64.b64decode(each).decode() for each in re.findall(r"base64,([A-Za-z0-9+/=]+)", text)]
+        assert len(images) >= 8 + 2
+        for content in (text, *images):
+            assert "<script" not in content
+            fetched = re.findall(r"""(?:src|href)\s*=\s*["']?([^"'\s>]+)|url\(([^)]+)\)|@import""", content)
+            assert all(re.match(r"data:|#", one or other) for one, other in fetched), fetched
+        assert re.findall(r"https?://", text) == []
+
+
+def test_every_figure_has_words(heavy: Case) -> None:
+    alternatives = re.findall(r'<img [^>]*alt="([^"]*)"', heavy.text)
+    assert len(alternatives) == heavy.text.count("<img ") and all(len(alt) > 15 for alt in alternatives)
+    captions = re.findall(r"<figcaption><b>([^<]+)</b>([^<]+)", heavy.text)
+    assert len(captions) >= 8 + 2 and all(said.strip().endswith(".") for _, said in captions)
+
+
+# ---- files ---------------------------------------------------------------------------------------
+
+
+def test_an_existing_report_is_refused_before_the_work_and_replaced_with_force(
+    plain: Case, found_already: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    old = tmp_path / "old.html"
+    old.write_text("old")
+    with monkeypatch.context() as patch:
+        patch.setattr("ffcomp.diagnose.result.outcome", lambda *_: pytest.fail("it went to work"))
+        answer = run(plain.runs, "--report", str(old))
+    assert answer.exit_code == 2 and "exists already" in answer.output and old.read_text() == "old"
+    answer = run(plain.runs, "--report", str(old), "--force")
+    assert answer.exit_code == 0, answer.output
+    assert old.read_text(encoding="utf-8").startswith("<!doctype html>")
+
+
+@pytest.mark.parametrize("given", ["no/such/d.html", "."])
+def test_what_cannot_be_written_is_said_at_once(given: str, plain: Case, tmp_path: Path) -> None:
+    answer = run(plain.runs, "--report", str(tmp_path / given))
+    assert answer.exit_code == 2 and "a folder that exists" in re.sub(r"[\s│]+", " ", answer.output)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_file_cannot_be_both(plain: Case, tmp_path: Path) -> None:
+    same = str(tmp_path / "both")
+    answer = run(plain.runs, "--report", same, "-o", same)
+    assert answer.exit_code == 2 and "must be two files" in answer.output
+
+
+def test_nothing_is_written_when_the_page_fails(
+    heavy: Case, found_already: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def fails(drawing: object) -> bytes:
+        raise RuntimeError("no room")
+
+    monkeypatch.setattr("ffcomp.diagnose.result.outcome", lambda *_: heavy.told.outcome)
+    monkeypatch.setattr(html, "svg", fails)
+    targets = ["-o", str(tmp_path / "better.toml"), "--report", str(tmp_path / "d.html")]
+    assert str(run(heavy.runs, *targets).exception) == "no room"
+    assert list(tmp_path.iterdir()) == []
+
+
+# ---- sentences -----------------------------------------------------------------------------------
+
+
+def split(before: list[float], **about: Any) -> Split:
+    count = len(before)
+    given: dict[str, Any] = {"title": "signal", "labels": tuple("abcdefgh"[:count]), "weight": (1 / count,) * count}
+    return Split(before=tuple(before), after=(0.0,) * count, **(given | about))
+
+
+def test_what_stands_out() -> None:
+    assert stands_out(split([30.0, 1.0, 1.0, 1.0])) == "91 % of the excess lies in a (25 % of what was compared)."
+    assert stands_out(split([5.0, 6.0, 5.0, 5.0])) == "Nothing stands out: all signals have their part."
+    assert stands_out(split([5.0, 6.0, 0.1, 5.0])) == "It is everywhere but in c."
+    assert stands_out(split([0.02, -0.05, 0.01])) == "No excess here: the error is as large as the noise."
+    assert stands_out(split([8.0])) == "There is only one: a, where the error is 3.0 times the noise."
+
+
+def test_bands_in_a_row_are_named_as_one() -> None:
+    bands = {"title": "frequency", "spans": ((1.0, 10.0), (10.0, 20.0), (20.0, 30.0), (30.0, 40.0)), "unit": "Hz"}
+    assert stands_out(split([0.1, 9.0, 9.9, 0.1], **bands)).startswith("99.0 % of the excess lies at 10-30 Hz (50 %")
+    apart = split([9.0, 0.1, 0.1, 9.1], **bands)  # two humps: the higher one, and no more than it holds
+    assert stands_out(apart).startswith("50 % of the excess lies at 30-40 Hz (25 %")
+
+
+def test_numbers_in_words() -> None:
+    assert [words.digits(x) for x in (0.0801, 4.5, 63.21, 4010.2, 0.0)] == ["0.0801", "4.50", "63.2", "4010", "0"]
+    assert [words.percent(x) for x in (0.0049, 0.034, 0.37, 1.29)] == ["0.49 %", "3.4 %", "37 %", "129 %"]
+    assert [words.most_of(x) for x in (0.5, 0.99, 0.9996)] == ["50 %", "99.0 %", "more than 99.9 %"]
+    assert words.interval(normal(3.288, 0.01), "N") == "3.288 N (90 %: 3.272 to 3.304)"
+    assert [words.evidence(x) for x in (-0.2, 74.4, 6.6e8, -6.2e7)] == ["0", "74", "6.6·10⁸", "-6.2·10⁷"]
+    assert [words.joined(list(x)) for x in ("", "a", "ab", "abc")] == ["", "a", "a and b", "a, b and c"]
+
+
+def test_shares_of_the_gap_are_of_what_stands_above_the_noise() -> None:
+    assert explained(Size(0.5, 0.3), Size(0.3, 0.3)) == 1.0
+    assert explained(Size(0.5, 0.3), Size(0.5, 0.3)) == 0.0
+    assert explained(Size(0.5, 0.3), Size(0.34, 0.3)) == pytest.approx(1 - 0.0256 / 0.16)
+    assert explained(Size(0.3, 0.3), Size(0.3, 0.3)) == 0.0
+
+
+# ---- odd outcomes --------------------------------------------------------------------------------
+
+
+def changed(told: Told, **about: Any) -> Told:
+    return replace(told, outcome=replace(told.outcome, **about))
+
+
+def test_the_splits_say_what_the_search_found(told: Told) -> None:
+    found: Picture = told.picture
+    titles = [each.title for each in found.splits]
+    assert titles[:3] == ["frequency", "signal", "place"] and len(titles) == 8
+    for each in found.splits:
+        assert sum(each.weight) == pytest.approx(1.0)
+        whole = np.dot(each.before, each.weight)
+        assert whole == pytest.approx(np.dot(found.splits[0].before, found.splits[0].weight), rel=0.15)
+        assert max(each.after) < 0.2 * max(each.before)
+    assert explained_elsewhere(found) > 0.95
+    spectrum = found.spectra[0]
+    assert np.median(spectrum.after / spectrum.noise) == pytest.approx(1.0, abs=0.3)
+    np.testing.assert_allclose(found.alike.cos2, found.alike.cos2.T)
+    np.testing.assert_allclose(np.diag(found.alike.cos2), 1.0)
+    assert found.alike.names[0] == "effector_mass"
+
+
+def test_rivals_are_named_with_what_tells_them_apart(told: Told) -> None:
+    alike = replace(
+        told.picture.alike, cos2=np.array([[1.0, 0.9], [0.9, 1.0]]), names=("effector_mass", "belt_stiffness")
+    )
+    (row,) = look_alikes(replace(told, picture=replace(told.picture, alike=alike)))
+    assert (row.other, row.cos2) == ("belt_stiffness", "0.90")
+    assert row.apart == CATALOGUE["effector_mass"].rivals["belt_stiffness"]
+    said = verdict(changed(told, confusable_with=[("belt_stiffness", "somehow")]))
+    assert any("It may be taken for belt_stiffness" in sentence for sentence in said)
+
+
+def test_noise_that_is_a_guess_is_called_one(told: Told) -> None:
+    guess = replace(told, picture=replace(told.picture, noise_from_repeats=False))
+    assert "weaker evidence" in verdict(guess)[-1] and "weaker evidence" not in verdict(told)[-1]
+    assert b"a guess from above" in page(guess)
+
+
+def test_effects_of_every_kind_have_words(told: Told) -> None:
+    """Every effect of the catalogue, all its parameters named, towers and axes apart."""
+    for effect in CATALOGUE.values():
+        table, intervals = {}, {}
+        for p in effect.parameters:
+            many = {"per_tower": 3, "vector3": 3}.get(p.size, 0)
+            table[p.name] = [0.6, 0.8] if p.size == "direction" else p.typical[1]
+            for suffix in [f"[{i}]" for i in range(many)] or [""]:
+                intervals[f"effects.{effect.name}.{p.name}{suffix}"] = normal(p.typical[1], 0.1)
+        found: Outcome = replace(told.outcome, effects={effect.name: table}, intervals=intervals)
+        rows = effects.rows(found, effect.name)
+        assert len(rows) == len(intervals) and all(row.value and row.meaning for row in rows)
+        assert f"({effect.name})" in effects.in_words(found, effect.name)
+        assert effect.name in verdict(replace(told, outcome=found))[0]
+
+
+def test_text_from_files_is_escaped(told: Told) -> None:
+    nasty = '"><script>alert(1)</script>$x_1$'
+    runs = replace(told.picture.splits[3], labels=tuple(nasty for _ in told.picture.splits[3].labels))
+    splits = (*told.picture.splits[:3], runs, *told.picture.splits[4:])
+    overlays = tuple(replace(each, run=nasty) for each in told.picture.overlays)
+    found = replace(told.picture, splits=splits, overlays=overlays)
+    origin = replace(told.origin, machine=nasty, machine_file=nasty, runs=[nasty], written=nasty)
+    text = page(Told(told.outcome, found, told.proposals, origin)).decode()
+    assert "alert(1)" in text and "<script" not in text
+
+
+def test_narrow_screens_need_no_sideways_scrolling(heavy: Case) -> None:
+    with chromium() as browser:
+        for width in (390, 1280):
+            with visit(browser, heavy.folder / "d.html", width) as seen:
+                assert seen.page.evaluate("document.documentElement.scrollWidth") <= width
+                assert not seen.errors and not seen.requests

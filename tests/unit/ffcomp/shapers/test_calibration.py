@@ -1,0 +1,223 @@
+"""The firmware's choice of a shaper: against what it chose on real printers, and its test against closed forms."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ffcomp import shapers
+from ffcomp.measurement.klipper import Resonances, read_vibration
+from ffcomp.shapers import calibration as calibrate
+from models.file import load_machine
+from models.machine import Machine, constant
+from models.vibration.receptance import nozzle_frf
+
+FloatArray = NDArray[np.float64]
+
+DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[5] / "shared" / "data"))
+FOLDER = DATA / "vibration" / "klipper_resonances_bassco"
+NAMES = [f"v24__calibration_data_{axis}_{when}.csv" for when in ("20220611_200739", "20230306_225431") for axis in "xy"]
+CHOSEN = re.compile(r"(\w+)\((\d+\.\d)\)")
+
+
+def real(name: str) -> tuple[Resonances, dict[str, float], FloatArray]:
+    """The file; the frequency chosen for each kind, in the order of the columns; those columns (k, kinds)."""
+    path = FOLDER / name
+    if not path.exists():
+        pytest.skip(f"{name} is not in {FOLDER}; FFCOMP_DATA may name the folder that holds vibration/.")
+    found = read_vibration(path)
+    assert isinstance(found, Resonances)
+    head, *rows = path.read_text().splitlines()
+    chosen = {kind: float(hz) for kind, hz in CHOSEN.findall(head)}
+    return found, chosen, np.loadtxt(rows, delimiter=",")[:, -len(chosen) :]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_frequencies_a_real_firmware_chose(name: str) -> None:
+    """All five kinds; the file's powers have four digits, which may cost one step of 0.2 Hz."""
+    found, chosen, _ = real(name)
+    spectrum = found.frequency_hz, found.psd["xyz"]
+    ours, _ = calibrate.calibrated(spectrum, spectrum)
+    assert list(ours.fits) == list(chosen)
+    assert {kind: fit.frequency_hz for kind, fit in ours.fits.items()} == pytest.approx(chosen, abs=0.21)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_a_real_firmware_expected_each_shaper_to_leave(name: str) -> None:
+    """The worst of three damping ratios at each frequency, which the file rounds to 0.1 Hz and three digits."""
+    found, chosen, theirs = real(name)
+    last = found.frequency_hz[-1] / (len(theirs) - 1)
+    for j, (kind, hz) in enumerate(chosen.items()):
+        shaper = shapers.SHAPERS[kind](hz, 0.1)
+        left = [shapers.residual_vibration(shaper, last * np.arange(len(theirs)), zeta) for zeta in (0.075, 0.1, 0.15)]
+        assert np.abs(np.max(left, axis=0) - theirs[:, j]).max() < 2e-3
+
+
+# ---- the choice ----------------------------------------------------------------------------------
+
+
+def one_mode(hz: float, zeta: float = 0.03) -> calibrate.Spectrum:
+    f = np.arange(129) * 1.5625
+    return calibrate.normalised(f, f**2 / ((1 - (f / hz) ** 2) ** 2 + (2 * zeta * f / hz) ** 2))
+
+
+@pytest.mark.parametrize("kind", ["zv", "mzv", "zvd", "ei"])
+def test_twice_the_frequency_is_twice_the_shaper(kind: str) -> None:
+    """Where smoothing hardly counts: V depends on the ratio of frequencies alone."""
+    first, second = (calibrate.fit(kind, one_mode(hz)).frequency_hz for hz in (40.0, 60.0))
+    assert second / first == pytest.approx(1.5, rel=0.06)
+
+
+def both(first: calibrate.Spectrum, second: calibrate.Spectrum) -> calibrate.Spectrum:
+    return first[0], first[1] / first[1].max() + second[1] / second[1].max()
+
+
+def test_the_farther_two_modes_are_apart_the_wider_the_shaper() -> None:
+    alone, near = calibrate.calibrated(one_mode(45.0), both(one_mode(45.0), one_mode(60.0)))
+    far, _ = calibrate.calibrated(both(one_mode(45.0), one_mode(90.0)), one_mode(45.0))
+    assert [each.recommended.kind for each in (alone, near, far)] == ["zv", "ei", "2hump_ei"]
+    assert alone.recommended.frequency_hz == pytest.approx(45.0, abs=1.0)
+
+
+def test_slack_trades_vibration_for_less_smoothing() -> None:
+    tight, slack = (calibrate.fit("mzv", one_mode(45.0), slack=slack) for slack in (0.0, 0.01))
+    assert slack.smoothing_mm < tight.smoothing_mm and slack.vibration > tight.vibration
+
+
+def test_a_challenger_must_win_clearly() -> None:
+    def fit(kind: str, smoothing_mm: float, score: float) -> calibrate.Fit:
+        return calibrate.Fit(kind, 50.0, 0.0, smoothing_mm, score)
+
+    first = fit("zv", 0.10, 1.0)
+    assert calibrate.recommended([first, fit("ei", 0.10, 0.84)]).kind == "zv"
+    assert calibrate.recommended([first, fit("ei", 0.10, 0.83)]).kind == "ei"
+    assert calibrate.recommended([first, fit("ei", 0.09, 0.95)]).kind == "ei"
+    assert calibrate.recommended([first, fit("ei", 0.092, 0.95)]).kind == "zv"
+
+
+@pytest.mark.parametrize("kind", shapers.SHAPERS)
+@pytest.mark.parametrize("through_the_corner", [0.0, 5.0, 150.0])
+def test_smoothing_is_how_far_the_shaped_path_passes_a_corner(kind: str, through_the_corner: float) -> None:
+    """Arriving along X and leaving along Y, or along X again; undamped pulses, where arriving and leaving are alike."""
+
+    def leg(t: FloatArray) -> FloatArray:
+        return through_the_corner * t + 2500.0 * t**2
+
+    def corner(t: FloatArray) -> FloatArray:
+        return np.column_stack([leg(np.maximum(-t, 0.0)), leg(np.maximum(t, 0.0)), 2500.0 * t**2])
+
+    shaper = shapers.SHAPERS[kind](40.0, 0.0)
+    x, y, reversed_path = shapers.shape(corner, np.zeros(1), x=shaper, y=shaper, z=shaper)[0]
+    assert calibrate.smoothing(shaper, through_the_corner) == pytest.approx(max(np.hypot(x, y), reversed_path))
+    assert (np.hypot(x, y) > reversed_path) == (through_the_corner == 150.0)
+
+
+@pytest.mark.parametrize(
+    ("psd", "message"), [(np.ones(4), r"\(4,\) for \(5,\)"), (np.zeros(5), "some power"), (np.full(5, np.nan), "gaps")]
+)
+def test_spectra_that_say_nothing_are_refused(psd: FloatArray, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        calibrate.fit("mzv", (np.arange(5.0), psd))
+
+
+# ---- the test ------------------------------------------------------------------------------------
+
+
+def stiff() -> Machine:
+    """Follows every command."""
+    machine = load_machine("kossel")
+    carriage = replace(machine.carriage, belt_stiffness_n_per_m=1e12, drive=None)
+    return replace(
+        machine,
+        carriage=carriage,
+        effector=replace(machine.effector, extruder_stiffness_n_per_m=constant([1e12] * 3)),
+    )
+
+
+def undone(spectrum: calibrate.Spectrum) -> calibrate.Spectrum:
+    frequency, psd = spectrum
+    return frequency, psd * (frequency + 0.1)
+
+
+def test_a_stiff_machine_shows_the_pulse_trains_own_spectrum() -> None:
+    """A square wave of amplitude a f has the fundamental 4 a f/π, which stays 1 s in each Hz of the test, and odd
+    harmonics n with 1/n of that amplitude, 1/n as long, at the frequency f/n."""
+    frequency, psd = undone(calibrate.resonance_test_psd(stiff(), np.array([20.0, 10.0]), "x", 60.0))
+    seconds = len(calibrate.resonance_test(stiff(), np.array([20.0, 10.0]), "x")) / calibrate.RATE_HZ
+    harmonics = sum(n**-5 for n in (1, 3, 5))  # (amplitude 1/n · frequency 1/n)² · dwell 1/n
+    expected = (4 / np.pi * 60.0 * frequency) ** 2 / 2 * harmonics / seconds
+    middle = (frequency > 30) & (frequency < 125)
+    assert psd[middle] == pytest.approx(expected[middle], rel=0.02)
+
+
+def test_the_spectrum_is_the_commands_times_the_frequency_response() -> None:
+    """Smeared by the window, so only the whole power is compared."""
+    machine, place = load_machine("kossel"), np.array([30.0, -40.0])
+    frequency, command = undone(calibrate.resonance_test_psd(stiff(), place, "y"))
+    _, answer = undone(calibrate.resonance_test_psd(machine, place, "y"))
+    gain = np.sum(np.abs(nozzle_frf(machine, place, frequency)[:, :, 1]) ** 2, axis=1)
+    swept = frequency > 10
+    assert answer[swept].sum() == pytest.approx((gain * command)[swept].sum(), rel=0.03)
+
+
+def test_a_turned_machine_is_tested_alike() -> None:
+    machine = load_machine("kossel")
+    kinematics = replace(machine.kinematics, tower_angles_deg=constant(machine.kinematics.tower_angles_deg + 90.0))
+    turned = replace(machine, kinematics=kinematics)
+    _, along_x = calibrate.resonance_test_psd(machine, np.array([50.0, 20.0]), "x")
+    _, along_y = calibrate.resonance_test_psd(turned, np.array([-20.0, 50.0]), "y")
+    assert along_y == pytest.approx(along_x, rel=1e-6)
+
+
+def test_the_test_is_linear_in_its_acceleration() -> None:
+    machine, place = load_machine("kossel"), np.zeros(2)
+    once, twice = (calibrate.resonance_test_psd(machine, place, "x", a)[1] for a in (60.0, 120.0))
+    assert twice == pytest.approx(4 * once)
+
+
+def test_a_calibrated_machine_has_its_modes_shaped() -> None:
+    """At the centre both sideways modes are one: zv sits on it."""
+    machine = load_machine("kossel")
+    hz = calibrate.calibrated_frequencies(machine, np.zeros(2), "zv")
+    assert hz == pytest.approx(shapers.dominant_frequencies(machine, np.zeros(2)), rel=0.01)
+
+
+# ---- the best of all -----------------------------------------------------------------------------
+
+
+def left(shaper: shapers.Shaper, hz: float, zeta: float) -> float:
+    return float(shapers.residual_vibration(shaper, np.array([hz]), zeta)[0])
+
+
+@pytest.mark.parametrize("kind", shapers.SHAPERS)
+def test_the_best_fixed_shapers_sit_on_the_vibrations_they_are_for(kind: str) -> None:
+    """Shortest among those that leave next to nothing at 41.3 and 66.6 Hz, with the right damping."""
+
+    def judge(x: shapers.Shaper, y: shapers.Shaper) -> float:
+        return left(x, 41.3, 0.05) ** 2 + left(y, 66.6, 0.05) ** 2 + 0.01 * (x.duration_s + y.duration_s)
+
+    best = calibrate.best_fixed(kind, judge, damping_ratios=(0.02, 0.05, 0.1))
+    assert best.cost == judge(best.x, best.y)
+    beside = [(f, 1.0) for f in (0.95, 1.05)] + [(1.0, f) for f in (0.95, 1.05)]
+    for a, b in beside:
+        x_hz, y_hz = best.frequency_hz[0] * a, best.frequency_hz[1] * b
+        make = shapers.SHAPERS[kind]
+        assert judge(make(x_hz, best.damping_ratio), make(y_hz, best.damping_ratio)) >= best.cost
+    if kind in ("zv", "mzv", "zvd"):
+        assert best.damping_ratio == 0.05
+        assert best.frequency_hz == pytest.approx((41.3, 66.6), rel=0.03)
+
+
+def test_the_best_fixed_shaper_is_found_beyond_a_nearer_dip() -> None:
+    def judge(x: shapers.Shaper, y: shapers.Shaper) -> float:
+        hz = np.array([0.5 / x.duration_s, 0.5 / y.duration_s])  # of undamped zv
+        return float(np.sum(np.minimum(1 + np.abs(hz - 30.0), np.abs(hz - 77.0) / 3)))
+
+    best = calibrate.best_fixed("zv", judge, damping_ratios=(0.0,))
+    assert best.frequency_hz == pytest.approx((77.0, 77.0), rel=0.01)

@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from gcode.dialects import close_limits, detect_flavor, detect_slicer, open_limits, shaper_off
+from gcode.limits import MotionLimits
+from gcode.reader import read_program
+from tests.support.data import real
+
+
+@pytest.mark.parametrize(
+    ("lines", "flavor"),
+    [
+        ([b"G28\n"], "marlin"),
+        ([b"; gcode_flavor = klipper\n"], "klipper"),
+        ([b"; gcode_flavor = marlin2\r\n"], "marlin"),
+        ([b"; gcode_flavor = reprapfirmware\n"], "reprapfirmware"),
+        ([b"; gcode_flavor = reprap\n"], "marlin"),
+        ([b";FLAVOR:RepRap\n"], "reprapfirmware"),
+        ([b";FLAVOR:Marlin\n", b"START_PRINT BED=60\n"], "klipper"),
+        ([b";FLAVOR:Marlin\n", b"; START_PRINT\n"], "marlin"),
+        ([b"M566 X600\n"], "reprapfirmware"),
+        ([b"G32\n"], "reprapfirmware"),
+        ([b"; M566 X600\n", b"M5660\n", b"G1 X1\n"], "marlin"),
+        ([b"; M566\n", b"  M566 X600\r\n"], "reprapfirmware"),
+        ([b"; by_hand\n", b"; Flavor\n", b"; GCODE_FLAVOR: RRF\n"], "reprapfirmware"),
+        ([b"; by_hand SET_PIN\n", b"\tSET_PIN PIN=a"], "klipper"),
+    ],
+)
+def test_flavor(lines: list[bytes], flavor: str) -> None:
+    assert detect_flavor(lines) == flavor
+
+
+@pytest.mark.parametrize(
+    ("name", "flavor", "slicer"),
+    [
+        ("ender3_ringing_tower.gcode", "klipper", "Simplify3D"),
+        ("gcodepreview_vase.gcode", "marlin", "PrusaSlicer"),
+        ("kossel_mks-pwc.gcode", "marlin", "ideaMaker"),
+        ("makreeltje_cura_slicer.gcode", "klipper", "Cura"),
+        ("makreeltje_orca_slicer.gcode", "klipper", "OrcaSlicer"),
+        ("odd/gp_dialects_multitool-ams-sample.gcode", "marlin", "BambuStudio"),
+        ("odd/gp_dialects_reprap-style-sample.gcode", "reprapfirmware", "unknown"),
+    ],
+)
+def test_real_files(name: str, flavor: str, slicer: str) -> None:
+    lines = real(name).splitlines(keepends=True)
+    assert (detect_flavor(lines), detect_slicer(lines)) == (flavor, slicer)
+
+
+def test_klipper_limits_as_text() -> None:
+    assert open_limits("klipper", 300, 5e4, 100) == [
+        b"SET_VELOCITY_LIMIT VELOCITY=300 ACCEL=50000 SQUARE_CORNER_VELOCITY=100 MINIMUM_CRUISE_RATIO=0\n"
+    ]
+
+
+@pytest.mark.parametrize("flavor", ["klipper", "marlin", "reprapfirmware"])
+def test_limits_are_read_back_as_written(flavor: str) -> None:
+    head = b"; gcode_flavor = " + flavor.encode() + b"\n"
+    text = head + b"".join(open_limits(flavor, 250, 40000, 80)) + b"G1 X1 F60\n"
+    text += b"".join(close_limits(flavor, MotionLimits(120, 3000, 5, 0.5))) + b"G1 X2\n"
+    text = text.replace(b"M204 P40000 T40000", b"M204 S40000")
+    moves = read_program(text, start=(0.0, 0.0, 0.0)).moves
+    assert moves.velocity_limit.tolist() == [250, 120]
+    assert moves.acceleration.tolist() == [40000, 3000]
+    assert moves.square_corner_velocity.tolist() == [80, 5]
+
+
+@pytest.mark.parametrize("flavor", ["klipper", "marlin", "reprapfirmware"])
+def test_unknown_limits_are_not_written(flavor: str) -> None:
+    assert close_limits(flavor, MotionLimits()) == []
+    assert all(b"nan" not in line for line in close_limits(flavor, MotionLimits(velocity=1.5, acceleration=math.nan)))
+    assert len(shaper_off(flavor)) == 1

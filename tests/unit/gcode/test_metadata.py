@@ -1,0 +1,141 @@
+"""Stamps, and the lines that tell times: as slicers write them and as hosts read them."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gcode.metadata import (
+    Durations,
+    Stamp,
+    Tells,
+    Timed,
+    find_stamp,
+    retold,
+    short,
+    slicer_time_s,
+    stamp_line,
+    tells,
+    time_told,
+    with_time,
+)
+from tests.support.data import real
+
+TOTALS = [  # as the slicer writes it, s, and what is written for 93,784.6 s
+    (
+        b"; estimated printing time (normal mode) = 1h 2m 3s\n",
+        3723,
+        b"; estimated printing time (normal mode) = 1d 2h 3m 5s\n",
+    ),
+    (
+        b"; estimated printing time (silent mode) = 13h 0m 30s\r\n",
+        46830,
+        b"; estimated printing time (silent mode) = 1d 2h 3m 5s\r\n",
+    ),
+    (b"; estimated printing time = 1h 5m 24s\n", 3924, b"; estimated printing time = 1d 2h 3m 5s\n"),
+    (
+        b"; model printing time: 28m 4s; total estimated time: 34m 6s\n",
+        2046,
+        b"; model printing time: 1d 2h 3m 5s; total estimated time: 1d 2h 3m 5s\n",
+    ),
+    (b"; total estimated time: 34m 6s\n", 2046, b"; total estimated time: 1d 2h 3m 5s\n"),
+    (b";TIME:2848\n", 2848, b";TIME:93785\n"),
+    (b";TIME:2848.25\n", 2848.25, b";TIME:93785\n"),
+    (b";PRINT.TIME:474\n", 474, b";PRINT.TIME:93785\n"),
+    (b";Print Time: 3645\n", 3645, b";Print Time: 93785\n"),
+    (b";   Build time: 1 hour 2 minutes\n", 3720, b";   Build time: 26 hours 3 minutes\n"),
+    (b";   Build Time: 0 hours 42 min 9 sec\n", 2529, b";   Build Time: 26 hours 3 minutes\n"),
+    (b"; Estimated Build Time:   332.83 minutes\n", 19969.8, b"; Estimated Build Time:   1563.08 minutes\n"),
+    (b"; Simulated print time: 1200\n", 1200, b"; Simulated print time: 93785\n"),
+]
+
+
+@pytest.mark.parametrize(("line", "seconds", "new"), TOTALS)
+def test_every_slicers_total(line: bytes, seconds: float, new: bytes) -> None:
+    assert tells(line) is Tells.TOTAL
+    stated = slicer_time_s([b"G28\n", b"; estimated first layer printing time (normal mode) = 9s\n", line])
+    assert stated == pytest.approx(seconds)
+    assert retold(Timed.at(line, 17.0), Durations(93784.6)) == new
+
+
+def test_the_first_layer_and_what_has_gone() -> None:
+    first = Timed.at(b"; estimated first layer printing time (normal mode) = 4m 36s\n", 0.0)
+    assert retold(first, Durations(900.0, 61.0)) == b"; estimated first layer printing time (normal mode) = 1m 1s\n"
+    assert retold(first, Durations(900.0)) == first
+    assert retold(Timed.at(b";TIME_ELAPSED:320.807252\n", 12.5), Durations(900.0)) == b";TIME_ELAPSED:12.500000\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "at_s", "new"),
+    [
+        (b"M73 P0 R92\n", 0.0, b"M73 P0 R60\n"),
+        (b"M73 P50 R91\n", 36.0, b"M73 P1 R59\n"),
+        (b"M73 Q10 S5 ; x\r\n", 1799.0, b"M73 Q49 S30 ; x\r\n"),
+        (b"M73 P50 R9 C3 D4\n", 3590.0, b"M73 P99 R0 C3 D4\n"),
+        (b"M73 P100 R0\n", 3500.0, b"M73 P100 R2\n"),
+        (b"M73 P12.5\n", 3600.0, b"M73 P100\n"),
+    ],
+)
+def test_progress_in_whole_numbers(line: bytes, at_s: float, new: bytes) -> None:
+    assert retold(Timed.at(line, at_s), Durations(3600.0)) == new
+
+
+@pytest.mark.parametrize(
+    "line", [b"M73 L7\n", b"M73.2   R1.0 ;Reset\n", b"M730 P1\n", b"M73 ; P50\n", b"N4 M73 P5*9\n"]
+)
+def test_progress_of_other_kinds_stays(line: bytes) -> None:
+    assert retold(Timed.at(line, 30.0), Durations(60.0)) == line
+
+
+@given(st.lists(st.floats(0, 1e6), min_size=1), st.integers(0, 100))
+def test_progress_never_goes_back(times: list[float], said: int) -> None:
+    times = sorted(times)
+    whole = Durations(times[-1])
+    lines = [retold(Timed.at(b"M73 P%d R5\n" % min(said, 99), t), whole) for t in times]
+    numbers = [tuple(map(int, re.findall(rb"\d+", line[4:]))) for line in lines]
+    assert [p for p, _ in numbers] == sorted(p for p, _ in numbers)
+    assert [r for _, r in numbers] == sorted((r for _, r in numbers), reverse=True)
+    assert numbers[-1] == (100, 0)
+
+
+@given(st.integers(0, 10**7))
+def test_short_times_are_read_back(seconds: int) -> None:
+    line = b"; estimated printing time (normal mode) = %s\n" % short(seconds).encode()
+    assert slicer_time_s([line]) == seconds
+
+
+@pytest.mark.parametrize(
+    ("name", "seconds", "lines_that_tell"),
+    [
+        ("ender3_ringing_tower.gcode", 3840, 1),
+        ("gcodepreview_vase.gcode", 4000, 2),
+        ("kossel_mks-pwc.gcode", 2655, 1),
+        ("makreeltje_cura_slicer.gcode", 2848, 26),
+        ("makreeltje_orca_slicer.gcode", 5563, 195),
+        ("flsun_v400_retract-tower.gcode", None, 0),
+    ],
+)
+def test_times_of_real_files(name: str, seconds: float | None, lines_that_tell: int) -> None:
+    lines = real(name).splitlines(keepends=True)
+    assert slicer_time_s(lines) == seconds
+    changed = [retold(Timed.at(line, 0.0), Durations(7261.0, 60.0)) for line in lines]
+    assert slicer_time_s(changed) == (None if seconds is None else pytest.approx(7261.0, abs=1))
+    assert sum(tells(line) is not None for line in lines) == lines_that_tell
+    back = [with_time(new, time_told(line)) for line, new in zip(lines, changed, strict=True)]
+    assert back == lines
+
+
+@given(st.binary(max_size=40).map(lambda text: b"; " + text))
+def test_other_lines_come_back_as_they_are(line: bytes) -> None:
+    assert retold(Timed.at(line, 1.0), Durations(2.0)) == line
+
+
+def test_stamp_round_trip() -> None:
+    line = stamp_line("1.2.3", "MP Delta Pro, direct\ndrive", "abcd1234ef", "klipper")
+    assert line.count(b"\n") == 1
+    stamp = Stamp("1.2.3", "MP Delta Pro, direct drive", "abcd1234", "klipper")
+    assert find_stamp(b"; head\n" + line, b"") == find_stamp(b"", b"M84\n" + line) == stamp
+    assert find_stamp(b"; Processed by another tool\n", b"") is None

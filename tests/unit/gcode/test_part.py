@@ -1,0 +1,69 @@
+"""A part of a print as a file of its own holds the same moves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gcode.dialects import detect_flavor
+from gcode.part import part, preamble
+from gcode.program import Program
+from gcode.reader import read_program
+from tests.support.data import PRINTS, real
+
+ROOT = Path(__file__).parents[3]
+SAMPLES = sorted(path.name for path in (ROOT / "sample_prints").glob("*.gcode"))
+
+
+def whole_line(program: Program, move: int) -> int:
+    while program.moves.line[move] == program.moves.line[move - 1]:
+        move += 1
+    return move
+
+
+def read_alone(program: Program, first: int, last: int) -> Program:
+    """The part's text, read by itself, as the printer's own coordinates."""
+    x, y, z, _ = program.moves.start[first]
+    text = preamble(program, first) + b"".join(part(program, first, last).lines)
+    return read_program(text, start=(x, y, z), flavor=detect_flavor(program.lines))
+
+
+def assert_same_way(alone: Program, program: Program, first: int, last: int) -> None:
+    assert len(alone.moves) == last - first
+    for column in ("start", "end"):
+        mine, theirs = getattr(alone.moves, column), getattr(program.moves, column)[first:last]
+        np.testing.assert_allclose(mine[:, :3], theirs[:, :3], atol=1e-6)
+    filament = alone.moves.end[:, 3] - alone.moves.start[:, 3]
+    np.testing.assert_allclose(filament, (program.moves.end - program.moves.start)[first:last, 3], atol=1e-6)
+    np.testing.assert_allclose(alone.moves.speed, program.moves.speed[first:last], rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", [*SAMPLES, *PRINTS])
+@pytest.mark.parametrize("share", [0.3, 0.8])
+def test_the_middle_of_real_prints_read_alone_goes_the_same_way(name: str, share: float) -> None:
+    data = (ROOT / "sample_prints" / name).read_bytes() if name in SAMPLES else real(name)
+    program = read_program(data, name)
+    count = len(program.moves)
+    first, last = (whole_line(program, int(at * count)) for at in (share, share + 0.05))
+    assert_same_way(read_alone(program, first, last), program, first, last)
+
+
+def test_modes_names_and_factors_are_set_before() -> None:
+    text = (
+        b"G91\nM83\nG90\nG1 X10 Y10 Z1 F3000\nG92 X0 Y0 E5\nM220 S50\nM221 S90\nG20\nG91\n"
+        b"G1 X0.1 E0.01\nG4 P500\nG90\nG1 X1 Y1 Z1 F100\nG91\nG1 X0.2 E0.02\nG1 Y0.2 E0.02\n"
+    )
+    program = read_program(text)
+    count = len(program.moves)
+    assert_same_way(read_alone(program, count - 2, count), program, count - 2, count)
+
+
+def test_a_part_keeps_its_own_events_and_no_others() -> None:
+    text = b"G90\nM83\nG1 X0 Y0 Z1 F3000\nG1 X1 E1\nM106 S1\nG1 X2 E1\nG4 P100\nG1 X3 E1\nM107\nG1 X4 E1\n"
+    program = read_program(text)
+    alone = part(program, 1, 3)
+    assert b"".join(alone.lines) == b"G1 X2 E1\nG4 P100\nG1 X3 E1\nM107\n"
+    assert [(event.line, event.move) for event in alone.events] == [(1, 1), (3, 2)]
+    assert alone.moves.line.tolist() == [0, 2]

@@ -1,0 +1,200 @@
+"""A file read in parts says what it says when it is read whole, wherever it is cut."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gcode.blocks import whole_lines
+from gcode.dialects import detect_flavor, flavor_by_ends
+from gcode.errors import GcodeError
+from gcode.program import Moves, Program
+from gcode.reader import read_parts, read_program
+from tests.support.data import ODD, PRINTS, real
+
+ROOT = Path(__file__).parents[3]
+SAMPLES = sorted(path.name for path in (ROOT / "sample_prints").glob("*.gcode"))
+HOME = (0.0, 0.0, 0.0)
+COLUMNS = [name for name in Moves.__dataclass_fields__ if name not in ("line", "frame")]
+
+
+def named(name: str) -> bytes:
+    return (ROOT / "sample_prints" / name).read_bytes() if name in SAMPLES else real(name)
+
+
+def blocks(data: bytes, sizes: list[int]) -> Iterator[bytes]:
+    """Blocks of these sizes, over and over."""
+    at = turn = 0
+    while at < len(data):
+        yield data[at : at + sizes[turn % len(sizes)]]
+        at += sizes[turn % len(sizes)]
+        turn += 1
+
+
+def said(programs: list[Program]) -> dict[str, object]:
+    """All that the programs say, one after another, with the numbers of lines, moves and frames resolved."""
+    first_move = np.cumsum([0, *(len(program.moves) for program in programs)]).tolist()
+    lines = [program.moves.line + program.first_line for program in programs]
+    frames, events = [], []
+    for program, before in zip(programs, first_move, strict=False):
+        texts = [repr(frame) for frame in program.frames]  # as text, where NaN equals NaN
+        frames += [texts[number] for number in program.moves.frame.tolist()]
+        for line, move, kind, frame, *rest in program.events:
+            events.append((line + program.first_line, move + before, kind, texts[frame], *rest))
+    columns = {name: np.concatenate([getattr(p.moves, name) for p in programs]).tobytes() for name in COLUMNS}
+    return {
+        "lines": [line for program in programs for line in program.lines],
+        "line of each move": np.concatenate(lines).tolist(),
+        "frame of each move": frames,
+        "events": events,
+        "warnings": [sentence for program in programs for sentence in program.warnings],
+        **columns,
+    }
+
+
+def attempt(data: bytes, parts: Iterator[Program] | None = None, **options) -> dict[str, object] | str:
+    try:
+        return said(list(parts) if parts else [read_program(data, "p", **options)])
+    except GcodeError as error:
+        return str(error)
+
+
+def assert_parts_say_the_same(data: bytes, sizes: list[int], part_bytes: int, **options) -> None:
+    flavor = detect_flavor([data])
+    parts = read_parts(blocks(data, sizes), "p", flavor=flavor, part_bytes=part_bytes, **options)
+    assert attempt(data, parts, **options) == attempt(data, **options)
+
+
+@pytest.mark.parametrize("name", [*SAMPLES, *PRINTS])
+@pytest.mark.parametrize(("sizes", "part_bytes"), [([1 << 20], 1 << 15), ([4001], 70_000)])
+def test_real_prints(name: str, sizes: list[int], part_bytes: int) -> None:
+    assert_parts_say_the_same(named(name), sizes, part_bytes)
+
+
+sizes = st.lists(st.integers(1, 60), min_size=1, max_size=8)
+
+
+@given(st.sampled_from(ODD), sizes, st.integers(1, 5000), st.booleans())
+def test_odd_files(name: str, sizes: list[int], part_bytes: int, known: bool) -> None:
+    data = real("odd/" + name)
+    if data:
+        assert_parts_say_the_same(data, sizes, part_bytes, start=HOME if known else None)
+
+
+@given(st.sampled_from(SAMPLES), st.integers(0, 1 << 17), sizes, st.integers(1, 300))
+def test_pieces_of_sample_prints(name: str, begin: int, sizes: list[int], part_bytes: int) -> None:
+    assert_parts_say_the_same(named(name)[begin : begin + 2000], sizes, part_bytes, start=HOME)
+
+
+numbers = st.decimals(-200, 200, places=3).map(str)
+moves = st.builds(
+    lambda code, words: code + "".join(f" {letter}{number}" for letter, number in words.items()),
+    st.sampled_from(["G0", "G1", "g1", "G01", ""]),
+    st.dictionaries(st.sampled_from("XYZE"), numbers, min_size=1),
+)
+OTHERS = r"""
+G90|G91|M82|M83|G20|G21|G92 E0|G92 X0 Y5|G92|G28|G1 F1200|G1 X1 F600|G3 I5 E1|G2 X9 R900|G1 X1 ; wall|G1 X1 (note)
+M220 S90|M221 S95|SAVE_GCODE_STATE NAME=a|RESTORE_GCODE_STATE NAME=a|RESTORE_GCODE_STATE NAME=a MOVE=1|T0|T1|PAUSE
+SET_GCODE_OFFSET X=1|M204 S500|SET_VELOCITY_LIMIT ACCEL=900|G4 P5|G17 G21|M117 G1 X1|FROBNICATE|M106 S255|%|  ;
+G1 X00000001|G1 X0.1234567890123456|; caf\xe9 G1 X5|; form\x0bfeed|
+"""
+others = st.sampled_from([text for line in OTHERS.strip("\n").splitlines() for text in line.split("|")])
+endings = st.sampled_from(["\n", "\r\n", "\r", "\n\n"])
+texts = st.lists(st.tuples(moves | moves | others, endings), min_size=1, max_size=40)
+
+
+@given(texts, sizes, st.integers(1, 200), st.booleans(), st.booleans())
+def test_random_programs(
+    lines: list[tuple[str, str]], sizes: list[int], part_bytes: int, known: bool, shifted: bool
+) -> None:
+    """The last line may lack its ending, and any block may end within a line's ending."""
+    text = "SAVE_GCODE_STATE NAME=a\nG1\n" + "".join(text + ending for text, ending in lines).rstrip("\n")
+    offset = (-10.0, 3.0) if shifted else (0.0, 0.0)
+    data = text.encode("latin-1")
+    assert_parts_say_the_same(data, sizes, part_bytes, start=HOME if known else None, offset_mm=offset)
+
+
+@given(st.lists(st.binary(max_size=5) | st.sampled_from([b"\r", b"\n", b"\r\n"])), st.integers(1, 9))
+def test_parts_hold_whole_lines(pieces: list[bytes], part_bytes: int) -> None:
+    data = b"".join(pieces)
+    parts = list(whole_lines(pieces, part_bytes))
+    assert b"".join(parts) == data
+    assert [line for part in parts for line in part.splitlines(True)] == data.splitlines(True)
+
+
+def test_parts_are_about_as_long_as_asked() -> None:
+    parts = list(whole_lines([b"G1 X1\n" * 10_000], 600))
+    assert {len(part) for part in parts} == {600}
+
+
+def test_a_part_counts_from_its_own_beginning() -> None:
+    text = b"G91\nG1 X1 F600\nG1 X1 F1200\nG1 X1\n; end\n"
+    parts = list(read_parts([text], flavor="klipper", start=HOME, part_bytes=26))
+    assert [part.lines for part in parts] == [[b"G91\n", b"G1 X1 F600\n"], [b"G1 X1 F1200\n", b"G1 X1\n", b"; end\n"]]
+    assert [part.first_line for part in parts] == [0, 2]
+    assert parts[1].moves.line.tolist() == [0, 1]
+    assert parts[1].moves.start[:, 0].tolist() == [1, 2]
+    assert [(event.line, event.move) for event in parts[1].events] == [(2, 2)]
+    assert [frame.feed_mm_per_s for frame in parts[1].frames] == [10, 20]
+
+
+def test_mistakes_name_the_line_of_the_file() -> None:
+    parts = read_parts([b"; first\nG1 X1\nG1 X1 Q3\n"], "part.gcode", flavor="klipper", start=HOME, part_bytes=1)
+    assert [next(parts).warnings for _ in range(2)] == [[], [f"line 2: {NO_SPEED}."]]
+    with pytest.raises(GcodeError, match=r"^part\.gcode:3: "):
+        next(parts)
+
+
+NO_SPEED = "the first move has no speed; 25 mm/s are taken until the first F"
+
+
+def test_frames_of_a_part_are_its_own() -> None:
+    text = b"M82\n" + b"".join(b"G92 E0\nG1 X%d E1 F%d\n" % (k % 7, 100 + k) for k in range(2000))
+    parts = list(read_parts([text], flavor="klipper", start=HOME, part_bytes=2000))
+    assert max(len(part.frames) for part in parts) < 400 < len(read_program(text, start=HOME).frames)
+
+
+def test_nothing_has_no_parts() -> None:
+    assert list(read_parts([b"", b""], flavor="klipper")) == []
+
+
+@pytest.mark.parametrize("name", [*SAMPLES, *PRINTS, *(f"odd/{name}" for name in ODD)])
+def test_a_flavor_shows_at_the_ends(name: str) -> None:
+    data = named(name)
+    assert flavor_by_ends(data[: 1 << 16], data[-1 << 16 :]) == detect_flavor([data])
+
+
+def test_half_a_line_at_the_beginning_of_the_tail_is_no_command() -> None:
+    assert flavor_by_ends(b"G28\n", b"START_PRINT\nG28\n") == "marlin"  # of "; START_PRINT"
+
+
+GROWTH = """
+import resource
+from pathlib import Path
+from gcode.reader import read_parts
+
+block = Path("sample_prints/lobed_vase.gcode").read_bytes().replace(b"G28", b"G92 E0")
+def lines(count):
+    parts = read_parts((block for _ in range(count)), flavor="marlin", start=(0.0, 0.0, 0.0))
+    return sum(len(part.lines) for part in parts)
+lines(1)
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+print(lines(60_000_000 // len(block)))
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="peak memory is asked of POSIX")
+def test_memory_stays_flat_over_60_megabytes() -> None:
+    answer = subprocess.run([sys.executable, "-c", GROWTH], capture_output=True, text=True, check=True, cwd=ROOT)
+    lines, growth = map(int, answer.stdout.split())
+    assert lines > 1_500_000
+    assert growth * (1 if sys.platform == "darwin" else 1024) < 60e6  # Linux counts in KiB

@@ -1,0 +1,486 @@
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from gcode.errors import GcodeError, UnsupportedGcode
+from gcode.program import EventKind, Program
+from gcode.reader import read_program
+from tests.support.data import ODD, PRINTS, real
+
+HOME = (0.0, 0.0, 0.0)
+
+
+def read(*lines: str, **options) -> Program:
+    return read_program("\n".join(lines).encode(), start=options.pop("start", HOME), **options)
+
+
+def attempt(data: bytes, name: str = "") -> tuple[Program | None, GcodeError | None]:
+    try:
+        return read_program(data, name), None
+    except GcodeError as error:
+        return None, error
+
+
+def kinds(program: Program) -> list[EventKind]:
+    return [event.kind for event in program.events]
+
+
+def ends(program: Program) -> list[list[float]]:
+    return program.moves.end.round(9).tolist()
+
+
+def check_whole(program: Program, data: bytes) -> None:
+    """Every byte is kept, and every line is moves or one event, in order."""
+    assert b"".join(program.lines) == data
+    of_events = [event.line for event in program.events]
+    assert of_events == sorted(of_events)
+    assert sorted({*program.moves.line.tolist(), *of_events}) == list(range(len(program.lines)))
+    assert len(set(program.moves.line.tolist())) + len(of_events) == len(program.lines)
+    before = np.searchsorted(program.moves.line, of_events)
+    assert before.tolist() == [event.move for event in program.events]
+    assert np.isfinite(program.moves.end).all() and np.isfinite(program.moves.start).all()
+
+
+# -- real files --
+
+
+@pytest.mark.parametrize("name", PRINTS)
+def test_real_prints_are_kept_whole(name: str) -> None:
+    data = real(name)
+    program = read_program(data, name)
+    check_whole(program, data)
+    moves = program.moves
+    assert len(moves) > 1000
+    assert (moves.speed > 0).all()
+    jumps = np.flatnonzero((moves.start[1:] != moves.end[:-1]).any(axis=1)) + 1
+    stops = {event.move for event in program.events if event.kind in (EventKind.RAW_MOVE, EventKind.STOP)}
+    assert stops.issuperset(jumps.tolist())
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_odd_files_are_read_or_refused_with_a_place(name: str) -> None:
+    data = real("odd/" + name)
+    program, error = attempt(data, name)
+    if program is not None:
+        check_whole(program, data)
+    else:
+        assert error is not None and error.line is not None
+        assert str(error).startswith(f"{name}:{error.line}: ")
+
+
+def positions_by_regex(data: bytes) -> list[tuple[float, float, float]]:
+    """Absolute XYZ after each G0/G1 that names one of them, by a reading of its own."""
+    place: dict[str, float] = {}
+    places = []
+    for line in data.decode("latin-1").splitlines():
+        if not re.match(r"G[01]\s", line):
+            continue
+        words = re.findall(r"([XYZ])(-?\d*\.?\d+)", line.split(";")[0])
+        place.update((letter, float(number)) for letter, number in words)
+        if words and len(place) == 3:
+            places.append((place["X"], place["Y"], place["Z"]))
+    return places
+
+
+@pytest.mark.parametrize("name", ["gcodepreview_vase.gcode", "makreeltje_cura_slicer.gcode"])
+def test_positions_agree_with_a_simple_reading(name: str) -> None:
+    data = real(name)
+    moves = read_program(data).moves
+    travelled = moves.end[np.any(moves.end[:, :3] != moves.start[:, :3], axis=1), :3]
+    simple = np.array(positions_by_regex(data))
+    simple = simple[1:][np.any(np.diff(simple, axis=0) != 0, axis=1)]
+    assert len(travelled) <= len(simple) <= len(travelled) + 10  # less those around homing and in END_PRINT
+    at = len(simple) - len(travelled)
+    assert min(np.abs(simple[k : k + len(travelled)] - travelled).max() for k in range(at + 1)) < 1e-9
+
+
+def test_filament_of_a_relative_print() -> None:
+    data = real("gcodepreview_vase.gcode")
+    numbers = re.findall(rb"(?m)^G1 [^;\n]*E(-?\d*\.?\d+)", data)
+    moves = read_program(data).moves
+    total = (moves.end[:, 3] - moves.start[:, 3]).sum()
+    assert math.isclose(total, sum(map(float, numbers)), abs_tol=5.0)  # purge lines before the first place
+    assert math.isclose(moves.end[-1, 3], sum(map(float, numbers)), abs_tol=1e-6)
+
+
+def test_orca_limits_are_obeyed() -> None:
+    moves = read_program(real("makreeltje_orca_slicer.gcode")).moves
+    asked = set(re.findall(rb"(?m)^SET_VELOCITY_LIMIT.*ACCEL=(\d+)", real("makreeltje_orca_slicer.gcode")))
+    assert set(moves.acceleration[np.isfinite(moves.acceleration)]) <= {float(a) for a in asked}
+    assert np.isfinite(moves.acceleration).mean() > 0.9
+
+
+def test_arcs_of_a_real_print_join_their_neighbours() -> None:
+    moves = read_program(real("gcodepreview_benchy_arcs.gcode")).moves
+    chords = Counter(moves.line.tolist())
+    assert sum(n > 1 for n in chords.values()) > 3000
+    first = np.flatnonzero(np.diff(moves.line, prepend=-1))
+    steps = np.hypot(*(moves.end - moves.start)[:, :2].T)
+    arcs = [steps[a:b] for a, b in pairwise(first) if b - a > 1]
+    assert max(arc.max() for arc in arcs) <= 1.02
+
+
+# -- modes --
+
+
+def test_absolute_and_relative() -> None:
+    program = read("G1 X10 E1 F600", "G91", "G1 X5 Y-1 E2", "G90", "M83", "G1 X1 E3", "M82", "G1 E1.5")
+    assert ends(program) == [[10, 0, 0, 1], [15, -1, 0, 3], [1, -1, 0, 6], [1, -1, 0, 1.5]]
+    assert [program.frames[f].absolute_e for f in program.moves.frame] == [True, False, False, True]
+
+
+def test_inches_scale_every_length() -> None:
+    program = read("G20", "G1 X1 E0.1 F60", "G2 X1 Y0 I-0.5 J0")
+    assert program.moves.end[0].tolist() == pytest.approx([25.4, 0, 0, 2.54])
+    assert program.moves.speed[0] == pytest.approx(25.4)
+    circle = program.moves.end[program.moves.line == 2, :2]
+    assert np.hypot(*(circle - [12.7, 0]).T) == pytest.approx(12.7)
+
+
+def test_g92_renames_a_place() -> None:
+    program = read("G1 X10 E5 F600", "G92 X0 E0", "G1 X5 E1", "G92", "G1 X1 Y1 E1")
+    assert ends(program) == [[10, 0, 0, 5], [15, 0, 0, 6], [16, 1, 0, 7]]
+    assert kinds(program) == [EventKind.STOP, EventKind.STOP]
+    assert program.frames[program.moves.frame[1]].base == (10, 0, 0, 5)
+    assert kinds(read("G1 X1 F1", "G92 E0")) == [EventKind.PASS]
+
+
+def test_feed_and_flow_factors() -> None:
+    program = read("G1 X1 E1 F600", "M220 S200", "M221 S50", "G1 X2 E2", "G1 X3 E3 F1200")
+    assert program.moves.speed.tolist() == [10, 20, 40]
+    assert program.moves.end[:, 3].tolist() == [1, 1.5, 2]
+    assert set(kinds(program)) == {EventKind.PASS}
+
+
+@given(st.floats(0.2, 3), st.floats(0.2, 3), st.booleans(), st.booleans(), st.lists(st.integers(-50, 50)))
+@settings(max_examples=50)
+def test_a_frame_turns_places_back_into_the_numbers_of_the_file(
+    flow: float, feed: float, inches: bool, renamed: bool, xs: list[int]
+) -> None:
+    head = [
+        f"M221 S{flow * 100:.4f}",
+        f"M220 S{feed * 100:.4f}",
+        "G20" if inches else "G21",
+        "G92 X3 E2" * renamed,
+    ]
+    moves = [f"G1 X{x} E{x + 7} F{abs(x) + 1}" for x in xs]
+    program = read(*head, *moves)
+    for line, end, speed, number in zip(
+        program.moves.line, program.moves.end, program.moves.speed, program.moves.frame, strict=True
+    ):
+        frame, x = program.frames[number], xs[line - 4]
+        assert (end[0] - frame.base[0]) / frame.unit_mm == pytest.approx(x, abs=1e-9)
+        assert (end[3] - frame.base[3]) / frame.flow / frame.unit_mm == pytest.approx(x + 7, abs=1e-9)
+        assert 60 * speed / frame.feed_factor / frame.unit_mm == pytest.approx(abs(x) + 1)
+
+
+def test_an_offset_moves_the_print_and_not_the_numbers() -> None:
+    program = read("G1 X100 Y100 F600", "G91", "G1 X1", "G90", "G92 X10", "G1 X20", offset_mm=(-100, -90))
+    assert ends(program) == [[0, 10, 0, 0], [1, 10, 0, 0], [11, 10, 0, 0]]
+    assert program.frames[0].base == (0, 0, 0, 0)
+    assert program.frames[program.moves.frame[-1]].base[0] == -9  # a writer's X20 again
+
+
+def test_saved_states_come_back() -> None:
+    program = read(
+        "G1 X1 E1 F600", "SAVE_GCODE_STATE NAME=a", "G91", "G1 X1 E2 F60",
+        "RESTORE_GCODE_STATE NAME=a", "G1 X5 E2", "RESTORE_GCODE_STATE NAME=a MOVE=1", "G1 E3",
+    )  # fmt: skip
+    assert ends(program) == [[1, 0, 0, 1], [2, 0, 0, 3], [5, 0, 0, 4]]
+    assert program.moves.speed.tolist() == [10, 1, 10]
+    assert kinds(program)[-1] is EventKind.RAW_MOVE
+    with pytest.raises(GcodeError, match="never saved"):
+        read("RESTORE_GCODE_STATE NAME=b")
+
+
+def test_gcode_offset_is_added_once() -> None:
+    program = read("G1 Z1 F600", "SET_GCODE_OFFSET Z=0.2", "G1 Z2", "SET_GCODE_OFFSET Z_ADJUST=0.1", "G1 Z3")
+    assert program.moves.end[:, 2].tolist() == pytest.approx([1, 2.2, 3.3])
+
+
+def test_bare_words_repeat_the_last_motion() -> None:
+    assert ends(read("F600", "G1 X1", "Y2", "X3 Y3")) == [[1, 0, 0, 0], [1, 2, 0, 0], [3, 3, 0, 0]]
+    with pytest.raises(GcodeError, match="no command"):
+        read("X1")
+
+
+@pytest.mark.parametrize(
+    "spelling", ["G1 X2 Y3 Z4 E5 F600", "G01X2Y3Z4E5F600", "g1 f600 e5 z4 y3 x2", "G1 Z4 X2 Y3 F600 E5"]
+)
+def test_every_spelling_is_the_same_move(spelling: str) -> None:
+    program = read("G92 X-1 E-2", spelling)
+    assert ends(program) == [[3, 3, 4, 7]]
+    assert program.moves.speed.tolist() == [10]
+
+
+# -- arcs --
+
+
+def test_a_helix_shares_height_and_filament_evenly() -> None:
+    program = read("G1 X5 F600", "G3 X5 Y0 Z2 E4 I-5 J0")
+    chords = program.moves.end[program.moves.line == 1]
+    n = len(chords)
+    assert chords[:, 2] == pytest.approx(np.arange(1, n + 1) * 2 / n)
+    assert chords[:, 3] == pytest.approx(np.arange(1, n + 1) * 4 / n)
+    assert np.hypot(*chords[:, :2].T) == pytest.approx(5)
+    assert chords[-1].tolist() == [5, 0, 2, 4]
+
+
+@pytest.mark.parametrize("tolerance", [0.001, 0.05])
+def test_a_finer_tolerance_has_more_chords(tolerance: float) -> None:
+    program = read("G1 X1 F600", "G2 X-1 R1", arc_tolerance_mm=tolerance)
+    step = 2 * math.acos(1 - tolerance)
+    assert len(program.moves) == 1 + math.ceil(math.pi / step)
+
+
+@pytest.mark.parametrize(("head", "deep"), [("G21", True), ("SET_PIN PIN=a VALUE=1", False)])
+def test_the_middle_plane_turns_as_its_firmware_has_it(head: str, deep: bool) -> None:
+    """From 9 to 12 o'clock, X right and Z up: a quarter in Klipper, the other three quarters by NGC."""
+    program = read(head, "G18", "G2 X1 Z1 I1 K0 F60")
+    assert (program.moves.end[:, 2].min() < -0.9) == deep
+
+
+# -- what stops the motion --
+
+
+@pytest.mark.parametrize(
+    ("line", "kind", "known"),
+    [
+        ("G28", EventKind.STOP, False),
+        ("G29", EventKind.STOP, False),
+        ("START_PRINT BED=60", EventKind.STOP, False),
+        ("MY_MACRO", EventKind.STOP, False),
+        ("G9999", EventKind.STOP, False),
+        ("M999", EventKind.STOP, True),
+        ("M600", EventKind.STOP, True),
+        ("M109 S200", EventKind.STOP, True),
+        ("TEMPERATURE_WAIT SENSOR=a", EventKind.STOP, True),
+        ("T0", EventKind.STOP, True),
+        ("G10", EventKind.STOP, True),
+        ("G10 P0 S200", EventKind.PASS, True),
+        ("M84", EventKind.STOP, False),
+        ("G4 P500", EventKind.DWELL, True),
+        ("M117 G28 now", EventKind.PASS, True),
+        ("SET_PRESSURE_ADVANCE ADVANCE=0.1", EventKind.PASS, True),
+        ("EXCLUDE_OBJECT_START NAME=a", EventKind.PASS, True),
+        ("SET_GCODE_OFFSET Z=1 MOVE=1", EventKind.STOP, False),
+        ("; G28", EventKind.PASS, True),
+    ],
+)
+def test_kinds(line: str, kind: EventKind, known: bool) -> None:
+    program = read("G1 X1 F600", line, "G1 X2")
+    assert program.events[0].kind is kind
+    assert len(program.moves) == (2 if known else 1)
+
+
+def test_after_homing_moves_pass_until_every_axis_is_named() -> None:
+    program = read("G28", "G1 E-1 F600", "G1 X1 Y1", "G1 F300", "G1 Z1", "G1 X2", "G1 X2", start=None)
+    assert kinds(program) == [EventKind.STOP, *[EventKind.RAW_MOVE] * 4, EventKind.PASS]
+    assert program.moves.start.tolist() == [[1, 1, 1, -1]]
+    assert program.moves.end.tolist() == [[2, 1, 1, -1]]
+    assert program.moves.speed.tolist() == [5]
+
+
+def test_relative_moves_from_an_unknown_place_stay_unknown() -> None:
+    program = read("G91", "G1 X1 Y1 Z1 F600", "G90", "G1 X1 Y1", "G3 X3 Y1 I1", "G1 Z1", "G1 Z2", start=None)
+    assert len(program.moves) == 1
+    assert kinds(program).count(EventKind.RAW_MOVE) == 4
+
+
+def test_naming_an_unknown_place_says_so_until_homing() -> None:
+    program = read("G92 X0 Y0 Z0", "G1 X1 Y1 Z1 F600", "G1 X2", "G28", "G1 X1 Y1 Z1", "G1 X2", start=None)
+    assert len(program.moves) == 1
+    assert "line 1: G92 names a place that is not known" in program.warnings[0]
+
+
+def test_another_tool_goes_elsewhere_the_same_does_not() -> None:
+    assert len(read("G1 X1 F60", "T0", "G1 X2", "T0", "G1 X3", "T1", "G1 X4").moves) == 3
+    assert len(read("G1 X1 F60", "T1", "G1 X2").moves) == 1  # firmware begins with T0
+
+
+def test_dwells() -> None:
+    program = read("G4 S2", "G4 P250", "G4", "M572 D0 S0.1")
+    assert [event.dwell_s for event in program.events] == [2, 0.25, 0, 0]
+    assert read("SET_PIN PIN=a", "G4 P250 S9").events[1].dwell_s == 0.25
+    with pytest.raises(GcodeError, match="negative"):
+        read("G4 P-1")
+
+
+def test_each_unknown_command_is_told_once() -> None:
+    assert len(read("MY_MACRO", "MY_MACRO", "OTHER_MACRO").warnings) == 2
+
+
+def test_a_missing_speed_is_told() -> None:
+    program = read("G1 X1", "G1 X2")
+    assert program.moves.speed.tolist() == [25, 25]
+    assert len(program.warnings) == 1 and "25 mm/s" in program.warnings[0]
+    assert read("G92 E0", "G1 X1", "G1 X2 F600").warnings[0].startswith("line 2: ")
+    assert read("G1 F1500", "G92 E1", "G1 X1").warnings == []
+
+
+# -- limits --
+
+
+def test_klipper_limits() -> None:
+    program = read(
+        "G1 X1 F60", "SET_VELOCITY_LIMIT ACCEL=3000 ACCEL_TO_DECEL=1500", "G1 X2",
+        "SET_VELOCITY_LIMIT VELOCITY=100 SQUARE_CORNER_VELOCITY=8 MINIMUM_CRUISE_RATIO=0", "G1 X3",
+        "M204 P500 T900", "M204 P100", "M205 X1", "G1 X4", "RESET_VELOCITY_LIMIT", "G1 X5",
+    )  # fmt: skip
+    moves, nan = program.moves, math.nan
+    np.testing.assert_equal(moves.acceleration, [nan, 3000, 3000, 500, nan])
+    np.testing.assert_equal(moves.minimum_cruise_ratio, [nan, 0.5, 0, 0, nan])
+    np.testing.assert_equal(moves.velocity_limit, [nan, nan, 100, 100, nan])
+    np.testing.assert_equal(moves.square_corner_velocity, [nan, nan, 8, 8, nan])
+    assert [event.touches_limits for event in program.events] == [True, True, True, True, False, True]
+
+
+def test_marlin_travels_with_its_own_acceleration() -> None:
+    program = read(
+        "; gcode_flavor = marlin2", "M83", "G1 X0 F60", "M204 P800 T2500", "G1 X1 E1", "G1 X2", "M204 P900", "G1 X3 E1",
+        "M204 T1000", "G1 X4", "M204 S700", "G1 X5", "G1 X6 E1", "M201 X600 Y900", "G1 X7",
+    )  # fmt: skip
+    np.testing.assert_equal(program.moves.acceleration[-7:], [800, 2500, 900, 1000, 700, 700, 600])
+
+
+def test_marlin_limits_bound_one_another() -> None:
+    program = read(
+        "; gcode_flavor = marlin2",
+        "M204 S2000",
+        "M201 X1500 Y1800 Z100",
+        "M203 X200 Y250",
+        "M205 X8 Y9",
+        "G1 X1 F60",
+    )
+    moves = program.moves
+    assert (moves.acceleration[0], moves.velocity_limit[0], moves.square_corner_velocity[0]) == (1500, 200, 8)
+    assert all(event.touches_limits for event in program.events[1:])
+
+
+def test_reprapfirmware_counts_in_minutes() -> None:
+    moves = read("; gcode_flavor = reprapfirmware", "M203 X6000 Y9000", "M566 X600", "G1 X1 F60").moves
+    assert (moves.velocity_limit[0], moves.square_corner_velocity[0]) == (100, 10)
+
+
+# -- mistakes --
+
+
+@pytest.mark.parametrize(
+    ("line", "rule"),
+    [
+        ("G1 X1 F0", "feed must be above zero"),
+        ("G1 F-5", "feed must be above zero"),
+        ("G1 X1 Q3", "a move has the words"),
+        ("G1 X1 M3", "only modes"),
+        ("G2 X1 I0 J0", "radius must be positive"),
+        ("M220 S0", "above zero"),
+        ("M204 S0", "above zero"),
+        ("SET_VELOCITY_LIMIT ACCEL=fast", "needs a number"),
+        ("SET_VELOCITY_LIMIT ACCEL=nan", "out of range"),
+    ],
+)
+def test_mistakes_name_file_and_line(line: str, rule: str) -> None:
+    with pytest.raises(GcodeError, match=rule) as caught:
+        read_program(f"; first\n{line}\n".encode(), "part.gcode", start=HOME)
+    assert str(caught.value).startswith("part.gcode:2: ")
+
+
+@pytest.mark.parametrize("line", ["G55", "if move.axes[0].homed", "G91 G1 X1", "M200 D1.75"])
+def test_what_only_the_firmware_knows_is_refused(line: str) -> None:
+    with pytest.raises(UnsupportedGcode):
+        read(line)
+
+
+# -- properties --
+
+numbers = st.decimals(-200, 200, places=3).map(str)
+moves_text = st.builds(
+    lambda code, words: code + "".join(f" {letter}{number}" for letter, number in words.items()),
+    st.sampled_from(["G0", "G1", "g1"]),
+    st.dictionaries(st.sampled_from("XYZE"), numbers),
+)
+other_text = st.sampled_from(
+    ["", "; caf\xe9 \x00", "M106 S255", "G91", "G90", "M82", "M83", "G92 E0", "G92 X0 Y5", "G28", "G1 F1200"]
+)
+rare_text = st.sampled_from(
+    """T0|M220 S90|M221 S95|G20|G21|G4 P1|SAVE_GCODE_STATE|PAUSE|SET_GCODE_OFFSET X=1|M204 S500|M106.5|M0107|M862.1 P0.4
+    G92 E-1.5|G92 E1 X2|G1X1Y2E.5|G0\tX+1|G1 E5. ; out""".replace("\n    ", "|").split("|")
+)
+TAILS = ["", " Z1.5", " E.25", " E-1 Z-.5 F900", " ; round", " K1", " I1"]  # the last two are no plain arcs
+program_text = st.lists(st.tuples(moves_text | other_text | rare_text, st.sampled_from(["\n", "\r\n"])), max_size=40)
+
+
+@given(program_text, st.booleans())
+def test_random_programs_are_kept_whole(lines: list[tuple[str, str]], known: bool) -> None:
+    data = "".join(text + ending for text, ending in lines).encode("latin-1")
+    check_whole(read_program(data, start=HOME if known else None), data)
+
+
+circles_text = st.builds("{} I{} J{}{}".format, st.sampled_from(["G2", "G3"]), numbers, numbers, st.sampled_from(TAILS))
+
+
+@given(st.lists(st.tuples(moves_text | other_text | rare_text | circles_text, st.sampled_from(["\n", "\r\n"]))))
+def test_the_fast_and_the_general_way_agree(lines: list[tuple[str, str]]) -> None:
+    agree([text for text, _ in lines], [ending for _, ending in lines])
+
+
+@settings(deadline=None)
+@given(
+    st.tuples(numbers, numbers),
+    st.floats(1e-3, 300),
+    st.floats(0, 7),
+    st.floats(-0.3, 0.3),
+    st.sampled_from(["G2 X{x} Y{y} I{i} J{j}", "G3 Y{y}\tX{x} I{i} J{j}", "G2X{x}Y{y}J{j}I{i}", "G3 X{x} I{i} J{j}"]),
+    st.sampled_from(TAILS),
+)
+def test_arcs_agree_too_and_are_refused_alike(
+    start: tuple[str, str], radius: float, angle: float, off: float, arc: str, tail: str
+) -> None:
+    """The end lies on the circle, nearly on it, or too far from it."""
+    i, j = radius * math.cos(angle), radius * math.sin(angle)
+    x, y = float(start[0]) + i + radius + off, float(start[1]) + j
+    said = arc.format(x=round(x, 4), y=round(y, 4), i=f"{i:.4f}", j=f"{j:.4f}")
+    agree([f"G1 X{start[0]} Y{start[1]} F600", said + tail, "G1 X0 Y0"], ["\n"] * 3)
+
+
+def agree(lines: list[str], endings: list[str]) -> None:
+    """A round comment sends a line the general way."""
+    slowed = [text + "(slowly)" * text.startswith(("G", "M")) for text in lines]
+    fast, general = ("".join(map(str.__add__, texts, endings)).encode("latin-1") for texts in (lines, slowed))
+    try:
+        other = read_program(general, start=HOME)
+    except GcodeError as error:
+        with pytest.raises(GcodeError, match=re.escape(str(error))):
+            read_program(fast, start=HOME)
+        return
+    one = read_program(fast, start=HOME)
+    np.testing.assert_array_equal(one.moves.line, other.moves.line)
+    np.testing.assert_array_equal(one.moves.end, other.moves.end)
+    np.testing.assert_array_equal(one.moves.start, other.moves.start)
+    np.testing.assert_array_equal(one.moves.speed, other.moves.speed)
+    assert one.events == other.events
+    assert one.frames == other.frames or any(math.isnan(b) for f in one.frames for b in f.base)
+
+
+@given(st.from_regex(rb"[-+]?(\d{0,6}\.\d{1,12}|\d{1,6}\.?)", fullmatch=True))
+@example(b"936138.6031371453")  # 16 digits: its quotient of integers is another double
+def test_a_number_is_the_double_nearest_to_its_decimal(text: bytes) -> None:
+    moves = read_program(b"G1 Y1 X" + text + b" F60\n", start=HOME).moves
+    assert moves.end[0, 0] == float(text)
+
+
+@given(st.binary(max_size=200))
+def test_any_bytes_are_read_or_refused(data: bytes) -> None:
+    program, error = attempt(data)
+    if program is not None:
+        check_whole(program, data)
+    else:
+        assert error is not None and error.line is not None

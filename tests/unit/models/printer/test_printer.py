@@ -1,0 +1,231 @@
+"""The virtual printer without effects: an independent judge, closed forms, the linear plant, invariances, chunks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from models.errors import UnreachableError
+from models.machine import DeltaGeometry, Machine, constant
+from models.printer.printer import GRAVITY_M_PER_S2, PrinterMotion, simulate_printer
+from models.vibration.state_space import continuous_plant, discretise
+from validation.plants import delta_plant  # the judge: it shares nothing with ours
+
+RATE_HZ = 1600
+FIELDS = ("carriage_mm", "nozzle_mm", "motor_mm", "carriage_acceleration", "nozzle_acceleration")
+
+
+def sweeping(geometry: DeltaGeometry, seconds: float = 1.0) -> np.ndarray:
+    """Carriage commands of a curve over half the bed with a shake on it, from rest."""
+    t = np.arange(0, seconds, 1 / RATE_HZ)
+    x = 30 * np.sin(2 * np.pi * 2 * t) + np.sin(2 * np.pi * 27 * t)
+    y = 20 * np.sin(2 * np.pi * 2.3 * t)
+    z = 50 + 2 * np.sin(2 * np.pi * 11 * t)
+    rise = (1 - np.exp(-((t * 5) ** 4)))[:, None]
+    return geometry.inverse(np.column_stack([x, y, z]) * rise + [0, 0, 20])
+
+
+def judged(machine: Machine, command: np.ndarray, gravity: bool) -> dict[str, np.ndarray]:
+    t = np.arange(len(command)) / RATE_HZ
+    finer = 16  # half steps of 1/12800 s
+    half_steps = CubicSpline(t, command)(np.arange((len(t) - 1) * finer + 1) / (RATE_HZ * finer))
+    document = delta_plant.load_machine(machine.path)
+    if machine.carriage.drive is None:
+        del document["carriage"]["drive"]
+    document["kinematics"]["arm_lengths_mm"] = list(machine.kinematics.arm_lengths_mm)
+    document["kinematics"]["delta_radii_mm"] = list(machine.kinematics.delta_radii_mm)
+    return delta_plant.simulate(document, half_steps, 1 / 12800, gravity=gravity, keep_every=8)
+
+
+def uneven(machine: Machine) -> Machine:
+    geometry = machine.kinematics
+    arms = geometry.arm_lengths_mm + np.array([0, 1, -1.5])
+    radii = geometry.delta_radii_mm + np.array([0.5, -0.7, 0])
+    return replace(machine, kinematics=replace(geometry, arm_lengths_mm=constant(arms), delta_radii_mm=constant(radii)))
+
+
+def ideal(machine: Machine) -> Machine:
+    return replace(machine, carriage=replace(machine.carriage, drive=None))
+
+
+@pytest.mark.parametrize("gravity", [True, False])
+@pytest.mark.parametrize("change", [lambda m: m, uneven, ideal], ids=["as it is", "uneven arms", "ideal drive"])
+def test_the_judge_agrees(printer: Machine, change, gravity: bool) -> None:
+    machine = change(printer)
+    command = sweeping(machine.kinematics)
+    ours, theirs = simulate_printer(machine, command, 1 / RATE_HZ, gravity=gravity), judged(machine, command, gravity)
+    for field in ("carriage_mm", "nozzle_mm"):
+        np.testing.assert_allclose(getattr(ours, field), theirs[field], rtol=0, atol=1e-6)
+    atol = 1e-4 if machine.carriage.drive else 1e-2  # the judge differentiates an ideal drive's command numerically
+    np.testing.assert_allclose(ours.carriage_acceleration, theirs["carriage_acc_m_per_s2"], atol=atol)
+    np.testing.assert_allclose(ours.nozzle_acceleration, theirs["nozzle_acc_m_per_s2"], atol=atol)
+
+
+def test_the_order_of_convergence_is_four(printer: Machine) -> None:
+    command = sweeping(printer.kinematics, 0.4)
+    best, *others = (simulate_printer(printer, command, 1 / RATE_HZ, substeps=n).nozzle_mm for n in (32, 1, 2, 4))
+    errors = [np.abs(other - best).max() for other in others]
+    assert errors[0] / errors[1] == pytest.approx(16, rel=0.1)
+    assert errors[1] / errors[2] == pytest.approx(16, rel=0.1)
+    assert errors[2] < 1e-6  # mm, with the step that is chosen for a printer without kinks
+
+
+def test_what_is_moved_is_consistent(printer: Machine) -> None:
+    """Velocities and accelerations are the derivatives of positions; the nozzle hangs on the carriages."""
+    motion = simulate_printer(printer, sweeping(printer.kinematics), 1 / RATE_HZ)
+    for place, velocity, acceleration in (
+        (motion.carriage_mm, motion.carriage_velocity, motion.carriage_acceleration),
+        (motion.nozzle_mm, motion.nozzle_velocity, motion.nozzle_acceleration),
+    ):
+        spline = CubicSpline(motion.t_s, velocity)
+        np.testing.assert_allclose(CubicSpline(motion.t_s, place)(motion.t_s, 1)[9:-9], velocity[9:-9], atol=0.02)
+        np.testing.assert_allclose(spline(motion.t_s, 1)[9:-9] / 1e3, acceleration[9:-9], atol=0.1)
+    np.testing.assert_allclose(printer.kinematics.forward(motion.carriage_mm), motion.nozzle_mm, atol=1e-9)
+
+
+# --- Rest
+
+
+def resting(machine: Machine, seconds: float = 0.05, **options) -> PrinterMotion:
+    """At the centre of the bed."""
+    q = machine.kinematics.inverse(np.array([[0.0, 0.0, 40.0]]))
+    return simulate_printer(machine, np.tile(q, (round(seconds * RATE_HZ), 1)), 1 / RATE_HZ, **options)
+
+
+def test_rest_stays_rest(printer: Machine) -> None:
+    for gravity in (True, False):
+        motion = resting(printer, gravity=gravity)
+        assert np.abs(motion.carriage_acceleration).max() < 1e-7
+        assert np.abs(motion.nozzle_acceleration).max() < 1e-7
+
+
+def sag_load(machine: Machine) -> float:
+    """N on each belt at rest at the centre: the carriage's weight and a third of the effector's."""
+    effector = machine.nozzle_side_mass_kg + machine.effector.extruder_mass_kg
+    return GRAVITY_M_PER_S2 * (machine.carriage.moving_mass_kg + effector / 3)
+
+
+def test_belts_carry_the_weight(printer: Machine) -> None:
+    motion = resting(printer)
+    sag = motion.motor_mm[-1] - motion.carriage_mm[-1]
+    np.testing.assert_allclose(sag, 1e3 * sag_load(printer) / printer.carriage.belt_stiffness_n_per_m, rtol=1e-9)
+    still = resting(printer, gravity=False)
+    np.testing.assert_allclose(still.motor_mm, still.carriage_mm, atol=1e-9)
+
+
+def test_the_papers_map_carries_a_third_of_a_centred_mass(printer: Machine) -> None:
+    effector = replace(printer.effector, center_of_mass_mm=constant([0, 0, 0]), force_map="paper")
+    motion = resting(replace(printer, effector=effector))
+    load = sag_load(printer) - GRAVITY_M_PER_S2 * printer.carriage.moving_mass_kg
+    expected = GRAVITY_M_PER_S2 * printer.carriage.moving_mass_kg + load / 3
+    pull = printer.carriage.belt_stiffness_n_per_m * (motion.motor_mm[-1] - motion.carriage_mm[-1]) / 1e3
+    np.testing.assert_allclose(pull, expected, rtol=1e-9)
+
+
+# --- The linear plant
+
+
+@pytest.mark.parametrize("drive", [True, False])
+@pytest.mark.parametrize("force_map", ["virtual_work", "paper"])
+def test_small_motions_are_those_of_the_linear_plant(printer: Machine, force_map: str, drive: bool) -> None:
+    machine = replace(printer, effector=replace(printer.effector, force_map=force_map))
+    machine = machine if drive else ideal(machine)
+    place = np.array([[40.0, -30.0, 25.0]])
+    steps = 1e-5 * np.random.default_rng(5).standard_normal((200, 3))  # 10 nm: nothing bends
+    small = np.cumsum(steps, axis=0) - steps[0]
+    command = machine.kinematics.inverse(place) + small
+    motion = simulate_printer(machine, command, 1e-3, hold="linear", gravity=False)
+    plant = discretise(continuous_plant(machine, place[:, :2]), 1e-3)
+    state = np.zeros(18)
+    linear = [state[6:9]]
+    for before, after in pairwise(small):
+        state = plant.a[0] @ state + plant.b0[0] @ before + plant.b1[0] @ after
+        linear.append(state[6:9])
+    np.testing.assert_allclose(motion.carriage_mm - command[0], linear, atol=1e-4 * np.abs(small).max())
+
+
+# --- Invariances
+
+
+@pytest.fixture
+def symmetric(printer: Machine) -> Machine:
+    effector = replace(
+        printer.effector,
+        extruder_stiffness_n_per_m=constant([5e3, 5e3, 1e5]),
+        extruder_damping_n_s_per_m=constant([30, 30, 20]),
+        center_of_mass_mm=constant([0, 0, 15]),
+    )
+    return replace(printer, effector=effector)
+
+
+@pytest.mark.parametrize("force_map", ["virtual_work", "paper"])
+def test_a_turn_of_120_degrees_turns_the_answer(symmetric: Machine, force_map: str) -> None:
+    machine = replace(symmetric, effector=replace(symmetric.effector, force_map=force_map))
+    command = sweeping(machine.kinematics, 0.5)
+    motion = simulate_printer(machine, command, 1 / RATE_HZ)
+    turned = simulate_printer(machine, np.roll(command, 1, axis=1), 1 / RATE_HZ)  # A's command to B: +120°
+    c, s = np.cos(2 * np.pi / 3), np.sin(2 * np.pi / 3)
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    np.testing.assert_allclose(turned.nozzle_mm, motion.nozzle_mm @ turn.T, atol=1e-9)
+    np.testing.assert_allclose(turned.nozzle_acceleration, motion.nozzle_acceleration @ turn.T, atol=1e-6)
+    np.testing.assert_allclose(turned.carriage_mm, np.roll(motion.carriage_mm, 1, axis=1), atol=1e-9)
+
+
+def test_height_does_not_matter(printer: Machine) -> None:
+    command = sweeping(printer.kinematics, 0.3)
+    low, high = (simulate_printer(printer, command + lift, 1 / RATE_HZ) for lift in (0, 100))
+    np.testing.assert_allclose(high.nozzle_mm - [0, 0, 100], low.nozzle_mm, atol=1e-8)
+
+
+# --- Chunks and holds
+
+
+@pytest.mark.parametrize("hold", ["cubic", "linear"])
+def test_chunks_are_the_whole(printer: Machine, hold) -> None:
+    command = sweeping(printer.kinematics)
+    whole = simulate_printer(printer, command, 1 / RATE_HZ, hold=hold)
+    state, first = None, 0
+    for last in (300, 301, 900, len(command) - 1):  # one of them a single interval
+        ahead = command[last + 1 : last + 31]
+        chunk = simulate_printer(printer, command[first : last + 1], 1 / RATE_HZ, start=state, hold=hold, ahead=ahead)
+        for field in FIELDS:
+            np.testing.assert_allclose(getattr(chunk, field), getattr(whole, field)[first : last + 1], atol=1e-8)
+        np.testing.assert_allclose(chunk.t_s, whole.t_s[first : last + 1], atol=1e-12)
+        state, first = chunk.state, last
+
+
+def test_a_straight_command_is_both_holds(printer: Machine) -> None:
+    q = printer.kinematics.inverse(np.array([[10.0, 5.0, 20.0]]))
+    command = q + np.arange(100)[:, None] * [0.05, 0.05, 0.05]
+    cubic, linear = (simulate_printer(printer, command, 1e-3, hold=hold) for hold in ("cubic", "linear"))
+    np.testing.assert_allclose(cubic.nozzle_mm, linear.nozzle_mm, atol=1e-9)
+
+
+# --- Refusals
+
+
+def test_a_wrong_command_is_refused(printer: Machine) -> None:
+    q = printer.kinematics.inverse(np.array([[0.0, 0.0, 20.0]]))
+    with pytest.raises(ValueError, match=r"shape \(1, 3\); it must be"):
+        simulate_printer(printer, q, 1e-3)
+    with pytest.raises(ValueError, match="from row to row is 0 s"):
+        simulate_printer(printer, np.tile(q, (3, 1)), 0)
+    with pytest.raises(ValueError, match="Row 2 of the command"):
+        simulate_printer(printer, np.vstack([q, q, q * np.nan]), 1e-3)
+    state = simulate_printer(printer, np.tile(q, (3, 1)), 1e-3).state
+    with pytest.raises(ValueError, match="must repeat the last row of the chunk before"):
+        simulate_printer(printer, np.tile(q + 0.1, (3, 1)), 1e-3, start=state)
+
+
+def test_leaving_the_reach_is_told_with_its_time(printer: Machine) -> None:
+    q = printer.kinematics.inverse(np.array([[0.0, 0.0, 20.0]]))
+    command = q + np.linspace(0, 1, 800)[:, None] * [700.0, 0.0, 0.0]
+    with pytest.raises(UnreachableError, match=r"At t = 0\.\d+ s the simulated nozzle has left") as caught:
+        simulate_printer(printer, command, 1e-3)
+    assert 300 < caught.value.indices[0] < 799
+    with pytest.raises(UnreachableError, match="too far apart"):
+        simulate_printer(printer, command[::-1], 1e-3)

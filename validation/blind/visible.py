@@ -1,0 +1,86 @@
+"""How much of a hidden effect the sensors can see, known before any verdict: simulated with and without it.
+
+Everything in standard deviations of the noise, 1 to 200 Hz. `raw` is the rms of the difference over all rows. `left`
+is what no retuning explains, dᵀ P d with P = I - N (NᵀN + I)⁻¹ Nᵀ, the columns of N the answers to one standard
+deviation of each number of the machine file: twice the log-likelihood that the right name is worth.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from validation.blind.machines import DYNAMIC, Tables
+from validation.blind.motions import Motion
+from validation.blind.numbers import FloatArray
+from validation.blind.real import COARSE_STEP_S, Reading, Real, played
+from validation.blind.sensors import Sensors
+
+BAND_HZ = (1.0, 200.0)
+LEAST_RAW, LEAST_LEFT = 0.1, 30.0
+PROBE = 0.01
+
+
+@dataclass(frozen=True)
+class Visibility:
+    raw: float
+    left: float
+    rows: int
+
+    @property
+    def visible(self) -> bool:
+        """A tenth of the noise, and worth more than the few numbers of a name cost (ln rows each, and ten)."""
+        return self.raw >= LEAST_RAW and self.left >= LEAST_LEFT
+
+
+def whitened(sensors: Sensors, readings: Sequence[Reading], repeats: Sequence[int]) -> FloatArray:
+    """(rows,): real and imaginary parts of every channel and motion, in noises; repeats weigh by their root."""
+    parts = []
+    for reading, count in zip(readings, repeats, strict=True):
+        for name, values in sensors.perfect(reading).items():
+            f = np.asarray(np.fft.rfftfreq(len(values), 1 / sensors.rate_hz), dtype=np.float64)
+            inside = (f >= BAND_HZ[0]) & (f <= BAND_HZ[1])
+            scale = np.sqrt(2 * count / (len(values) * sensors.spectrum(name, f[inside])))
+            spectrum = np.fft.rfft(values)[inside] * scale
+            parts += [spectrum.real, spectrum.imag]
+    return np.concatenate(parts)
+
+
+def retuning(plain: Real, firmware: Tables, motions: Sequence[Motion], sensors: Sensors, repeats: Sequence[int],
+             spread: float) -> FloatArray:  # fmt: skip
+    """N : (rows, numbers), the answers of the plain printer to one standard deviation `spread` of each number."""
+
+    def answer(machine: Tables) -> FloatArray:
+        real = Real(machine, readers=plain.readers)
+        return whitened(sensors, [played(real, firmware, m, COARSE_STEP_S) for m in motions], repeats)
+
+    base = answer(plain.machine)
+    return np.column_stack([(answer(other) - base) * spread / PROBE for other in _probes(plain.machine)])
+
+
+def _probes(machine: Tables) -> Iterator[Tables]:
+    """The machine with one dynamic number larger by the probe, one after the other."""
+    keys = [(machine[table], table, key) for table, names in DYNAMIC.items() for key in names]
+    drive = machine["carriage"].get("drive", {})
+    for _, table, key in keys:
+        for n in range(np.size(machine[table][key]) if table == "effector" else 1):
+            probed = copy.deepcopy(machine)
+            grown = np.array(probed[table][key], dtype=float)
+            grown[n if grown.ndim and table == "effector" else ...] *= 1 + PROBE
+            probed[table][key] = grown.tolist()
+            yield probed
+    for key in drive:
+        probed = copy.deepcopy(machine)
+        probed["carriage"]["drive"][key] *= 1 + PROBE
+        yield probed
+
+
+def visibility(difference: FloatArray, n: FloatArray) -> Visibility:
+    """Of a whitened difference : (rows,), given the answers to retuning : (rows, numbers)."""
+    slope = n.T @ difference
+    explained = slope @ np.linalg.solve(n.T @ n + np.eye(n.shape[1]), slope)
+    rows = len(difference)
+    return Visibility(float(np.sqrt(difference @ difference / rows)), float(difference @ difference - explained), rows)
