@@ -5,12 +5,13 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from scripts.structure import INDEPENDENT, OUTSIDE, Checkout, cycles, floors, main, shortest_cycle
+from scripts.structure import INDEPENDENT, LAYERS, OUTSIDE, Checkout, cycles, floors, main, shortest_cycle
 
 ROOT = Path(__file__).parents[1]
 Write = Callable[[dict[str, str]], Checkout]
@@ -64,6 +65,16 @@ def test_files_of_gcode_and_of_the_effects_are_in_no_cycle(here: Checkout) -> No
     assert [
         name for name in circular if name.startswith(("gcode", "models.effects", "ffcomp.cli", "ffcomp.report"))
     ] == []
+
+
+def test_import_linter_has_the_same_layers() -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
+    layers = next(contract for contract in settings["contracts"] if contract["type"] == "layers")["layers"]
+    theirs = [{name.strip(" ()") for name in layer.split(":")} for layer in reversed(layers)]
+    inside = [{unit.removeprefix("ffcomp.") for unit in layer if unit.startswith("ffcomp.")} for layer in LAYERS]
+    assert theirs == [
+        layer for layer in inside if layer and layer != {"__init__"}
+    ]  # no layer for a container's own file
 
 
 # Imports
