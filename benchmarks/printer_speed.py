@@ -16,13 +16,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from models.arrays import FloatArray
+
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
 
 from models.effects.catalogue import with_effect
 from models.file import load_machine
-from models.machine import FloatArray, Machine
+from models.machine import Machine
 from models.printer import kernels
 from models.printer.printer import SMOOTH_STEP_S, simulate_printer, simulate_printers
 

@@ -14,10 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from models.arrays import FloatArray, IntArray
 
 WINDOW_S = 0.05  # a sample may belong to where the path is within this time: other lines and layers are not its own
 LONGEST_DELAY_S = 0.02

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from models.arrays import FloatArray
 from models.effects.catalogue import design_machine
 from models.file import Entry
-from models.machine import FloatArray, Machine
+from models.machine import Machine
 from models.vibration.receptance import modes
 
 

@@ -20,8 +20,9 @@ from typing import Any
 import platformdirs
 import tomlkit
 
+from models.arrays import constant
 from models.errors import MachineFileError
-from models.machine import Carriage, Drive, Effector, Machine, constant
+from models.machine import Carriage, Drive, Effector, Machine
 from models.schema import (
     CarriageTable,
     DeltaDocument,

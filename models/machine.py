@@ -22,12 +22,10 @@ __all__ = [
     "DeltaGeometry",
     "Drive",
     "Effector",
-    "FloatArray",
     "Geometry",
     "Machine",
     "MotionLimits",
     "Steps",
-    "constant",
 ]
 
 

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from models.machine import Machine, constant
+from models.arrays import constant
+from models.machine import Machine
 
 NAME = re.compile(r"(?P<path>[\w.]+?)(\[(?P<index>\d)\])?")
 

@@ -13,10 +13,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from models.arrays import FloatArray, constant
 from models.effects.catalogue import CATALOGUE
 from models.errors import MachineFileError
 from models.kinematics.cartesian import CARTESIAN, COREXY, StraightGeometry
-from models.machine import DeltaGeometry, FloatArray, MotionLimits, Steps, constant
+from models.machine import DeltaGeometry, MotionLimits, Steps
 from models.vibration.modal import Axis
 
 # The ranges hold any printer, and catch most numbers in a wrong unit.

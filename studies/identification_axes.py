@@ -18,6 +18,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from models.arrays import constant
+
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp.errors import MeasurementError
@@ -26,7 +28,7 @@ from ffcomp.identify.modal_fit import AxisFit, fit_axis
 from ffcomp.measurement.klipper import Resonances, read_vibration
 from ffcomp.shapers.calibration import calibrated, normalised, resonance_test
 from models.kinematics.cartesian import CARTESIAN, StraightGeometry
-from models.machine import Machine, MotionLimits, constant
+from models.machine import Machine, MotionLimits
 from models.vibration.modal import Axis, parts
 
 FloatArray = NDArray[np.float64]

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from models.arrays import FloatArray
+
 if TYPE_CHECKING:
     from ffcomp.identify.frf_study import Compared, Station, Study, View
     from ffcomp.measurement.frf import FrequencyResponse
-    from models.machine import FloatArray, Machine
+    from models.machine import Machine
     from models.vibration.mode_map import ModeMap
 
 

@@ -18,11 +18,12 @@ import typer
 from ffcomp.cli.machines_diff import diff_machines
 from ffcomp.cli.machines_effort import effort
 from ffcomp.cli.machines_import import import_machine
+from models.arrays import FloatArray
 
 if TYPE_CHECKING:
     from models.checks.physics import Extreme, Soundness
     from models.checks.redundancy import Quantity
-    from models.machine import FloatArray, Machine
+    from models.machine import Machine
 
 USAGE, BAD_MACHINE = 2, 5  # exit codes, the same for the whole program
 

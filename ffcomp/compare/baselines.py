@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp import shapers
 from ffcomp.compare.evaluation import SETTLE_S
@@ -19,12 +18,11 @@ from ffcomp.metrics import contour_error
 from ffcomp.shapers.apply import FrequencyOfPlace
 from ffcomp.shapers.calibration import Fixed, best_fixed, calibrated_frequencies
 from ffcomp.simulate.motion import Motion
+from models.arrays import FloatArray
 from models.effects.catalogue import effective_machine
 from models.machine import Machine
 from models.vibration.scheduled import Schedule, rest_state
 from models.vibration.state_space import plant_table
-
-FloatArray = NDArray[np.float64]
 
 STEP_S = 5e-4
 SUBSTEPS = 8

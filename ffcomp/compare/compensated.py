@@ -15,10 +15,8 @@ from ffcomp.inverse.settings import Settings
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from ffcomp.simulate.motion import Clock, Motion, motion_of
 from gcode.reader import read_program
+from models.arrays import FloatArray, IntArray
 from models.machine import Machine
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

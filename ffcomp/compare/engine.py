@@ -19,7 +19,6 @@ from functools import partial
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp import __version__
 from ffcomp.compare import methods as every
@@ -35,6 +34,7 @@ from ffcomp.compensate.program import Summary, settings_for
 from ffcomp.errors import NothingToDo
 from ffcomp.inverse.settings import Settings
 from ffcomp.simulate.compatibility import check_same_kinematics
+from models.arrays import FloatArray
 from models.machine import DeltaGeometry, Machine
 
 SHORTEST_S = 3 * SETTLE_S
@@ -42,7 +42,6 @@ SOME_S = 60.0  # of print time that is printed on every drawn plant
 FEW_S, FEW_PIECE_S = 30.0, 5.0  # on which shapers are tuned and accelerations tried
 BED_PITCH_MM = 10.0
 
-FloatArray = NDArray[np.float64]
 T = TypeVar("T")
 Progress = Callable[[str, float], None]  # what is being done, and how much of it (0 to 1)
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.compare.playback import KEEP_EVERY, STEP_S
 from ffcomp.compare.result import Error, Samples
@@ -19,10 +18,7 @@ from ffcomp.compare.sampling import Stretch
 from ffcomp.errors import NothingToDo
 from ffcomp.metrics import Track, contour_error, tracking
 from ffcomp.simulate.motion import Motion
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from models.arrays import BoolArray, FloatArray, IntArray
 
 SETTLE_S = 0.5
 SAMPLE_S = KEEP_EVERY * STEP_S

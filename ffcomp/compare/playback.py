@@ -7,15 +7,13 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.simulate.command import peaks as command_peaks
 from ffcomp.simulate.motion import Motion
+from models.arrays import FloatArray
 from models.machine import Machine
 from models.printer.printer import PrinterState, simulate_printer
 from models.printer.static_deflection import sag
-
-FloatArray = NDArray[np.float64]
 
 STEP_S = 1 / 6400  # from row to row of the command, straight between them: 0.03 µm at 10 m/s²
 KEEP_EVERY = 4  # rows between two samples that are judged

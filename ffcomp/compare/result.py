@@ -6,13 +6,9 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.metrics import Track
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from models.arrays import BoolArray, FloatArray, IntArray
 
 Family = Literal["none", "calibrated", "best fixed", "scheduled", "inversion"]
 

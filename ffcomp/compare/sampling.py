@@ -18,10 +18,8 @@ from gcode.layers import Labels, labels
 from gcode.part import part, preamble
 from gcode.program import Program
 from gcode.reader import read_program
+from models.arrays import FloatArray, IntArray
 from models.machine import Machine
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 LONGEST_S = 120.0  # of print time that is judged if nothing else is asked for
 PIECE_S = 10.0  # length of one stretch of a sampled print

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.compensate.gcode_output.layout import CUT
 from ffcomp.compensate.gcode_output.writer import limits_said
@@ -25,9 +24,8 @@ from ffcomp.planner.trajectory import Trajectory
 from gcode.layers import layer_starts
 from gcode.program import EventKind, Moves, Program
 from gcode.slicing import excerpt, join, shortened, split
+from models.arrays import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 PlanOf = Callable[[Program], Trajectory]
 Ease = Callable[[Program, Moment, int], tuple[Moves, tuple[SlowDown, ...]]]  # what is around a cut, cut, layers before
 

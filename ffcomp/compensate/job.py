@@ -17,9 +17,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ffcomp import __version__
 from ffcomp.compensate import chunks as cutting
 from ffcomp.compensate.chunks import Chapter, chapters
@@ -52,9 +49,8 @@ from gcode.errors import UnsupportedGcode
 from gcode.metadata import Stamp, Timed, find_stamp, stamp_line
 from gcode.program import Moves, Program
 from gcode.reader import read_parts
+from models.arrays import FloatArray
 from models.machine import Machine
-
-FloatArray = NDArray[np.float64]
 
 STAMP_REACH = 1 << 20  # bytes at either end in which a stamp is looked for
 

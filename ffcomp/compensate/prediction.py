@@ -9,15 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.inverse.model import Inverter, RunResult
 from ffcomp.inverse.reference import Reference, Run
 from ffcomp.metrics import Track, peak_acceleration, track
 from ffcomp.planner.trajectory import PlannedMotion
+from models.arrays import FloatArray
 from models.vibration.scheduled import rest_state
-
-FloatArray = NDArray[np.float64]
 
 LONGEST_S = 300.0  # of print time that is simulated for the prediction
 SAMPLE_S = 1e-3  # about

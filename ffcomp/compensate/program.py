@@ -40,13 +40,11 @@ from gcode.errors import GcodeError
 from gcode.layers import labels, layer_starts
 from gcode.limits import MotionLimits
 from gcode.program import Event, EventKind, Moves, Program
+from models.arrays import FloatArray
 from models.effects.catalogue import design_machine
 from models.errors import UnreachableError
 from models.machine import DeltaGeometry, Geometry, Machine, Steps
 from models.vibration.scheduled import rest_state
-
-FloatArray = NDArray[np.float64]
-
 
 SEGMENTS_PER_SECOND = 250.0
 BEYOND = 1.001  # times a limit: what a warning says

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.compensate.prediction import Prediction
 from ffcomp.compensate.program import Planned, Solved, Summary, account, counted_s, keep_inside, open_account, solutions
@@ -21,9 +20,8 @@ from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps.pieces import knot_pieces, trajectory_pieces
 from ffcomp.steps.sink import StepSink
 from gcode.program import Event
+from models.arrays import FloatArray
 from models.machine import Machine
-
-FloatArray = NDArray[np.float64]
 
 SAMPLE_S = 1e-3  # of moves of the extruder alone
 BEFORE_S = 0.1  # at rest before the first motion

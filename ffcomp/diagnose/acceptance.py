@@ -12,7 +12,7 @@ from ffcomp.diagnose.hypotheses import WORTH, Hypothesis, gap_of, misfit, stretc
 from ffcomp.diagnose.problem import Candidate, Number, Plant
 from ffcomp.diagnose.score_test import Screened, likeness
 from ffcomp.identify.uncertainty import NINETY_PERCENT, Estimate
-from ffcomp.measurement.frf import FloatArray
+from models.arrays import FloatArray
 
 LEFT = 0.15  # of the gap may be left; at one place
 LEFT_NEAR, NEAR = 0.3, 0.44  # as much, if the error is then within 1.2 times the noise

@@ -21,7 +21,7 @@ from numba import njit
 
 from ffcomp.diagnose.problem import Candidate, Impossible, Number, Plant, Recording
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.frf import FloatArray
+from models.arrays import FloatArray
 
 SMOOTH_M_PER_S = 1e-4  # below this speed dry friction turns over smoothly
 SUBSTEPS = 4

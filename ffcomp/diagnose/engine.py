@@ -41,7 +41,7 @@ from ffcomp.diagnose.noise import NoiseFloor, noise_from_repeats, noise_from_res
 from ffcomp.diagnose.problem import Plant
 from ffcomp.diagnose.score_test import Screened, screen
 from ffcomp.identify.uncertainty import Estimate
-from ffcomp.measurement.frf import FloatArray
+from models.arrays import FloatArray
 
 EXISTS = 0.05  # the share of the noise by which a gap must stand above it, or
 SURE = 4.0  # standard deviations of what short runs and few repeats may seem to show

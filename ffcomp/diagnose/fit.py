@@ -16,7 +16,7 @@ import numpy as np
 
 from ffcomp.diagnose.noise import Whitener
 from ffcomp.diagnose.problem import Impossible, Number, Plant
-from ffcomp.measurement.frf import FloatArray
+from models.arrays import FloatArray
 
 STEP = 0.01  # of a prior's standard deviation, for derivatives: the simulation has no noise of its own; or so much
 ALIKE = 1e-12  # of the diagonal: what keeps the normal matrix of numbers that cannot be told apart regular

@@ -11,7 +11,7 @@ import numpy as np
 from ffcomp.diagnose.fit import Bench, Fit, clipped, derivatives, fit, promise, values_at
 from ffcomp.diagnose.problem import Candidate, Number
 from ffcomp.diagnose.score_test import Screened, likeness, screen
-from ffcomp.measurement.frf import FloatArray
+from models.arrays import FloatArray
 
 WORTH = 10.0  # −2 ln Z
 FURTHER = 0.4  # of what remains must a further effect remove

@@ -21,9 +21,9 @@ from ffcomp.diagnose.noise import whitener
 from ffcomp.diagnose.printer_problem import Delta
 from ffcomp.diagnose.problem import Impossible
 from ffcomp.diagnose.score_test import Screened
-from ffcomp.measurement.frf import FloatArray
 from ffcomp.measurement.recording import Run
 from gcode.reader import read_program
+from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
 from models.machine import Machine
 

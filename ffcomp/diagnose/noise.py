@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.diagnose.problem import Recording
-from ffcomp.measurement.frf import ComplexArray, FloatArray
+from models.arrays import ComplexArray, FloatArray
 
 BAND_HZ = (1.0, 200.0)
 TAPER_S = 0.1  # faded in and out at both ends

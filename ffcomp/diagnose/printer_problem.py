@@ -21,8 +21,8 @@ from ffcomp.diagnose.noise import BAND_HZ, filled
 from ffcomp.diagnose.problem import Candidate, Impossible, Number, Plant, Recording
 from ffcomp.diagnose.validation import carriages_of
 from ffcomp.identify.output_error import UNKNOWNS
-from ffcomp.measurement.frf import FloatArray
 from ffcomp.measurement.recording import Run
+from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE, measured
 from models.effects.effect import Effect, Parameter
 from models.machine import Machine

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from ffcomp.measurement.frf import FloatArray
+from models.arrays import FloatArray
 
 
 @dataclass(frozen=True)

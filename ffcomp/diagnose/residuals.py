@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ffcomp.diagnose.noise import NoiseFloor, Whitener
 from ffcomp.diagnose.problem import Recording
-from ffcomp.measurement.frf import FloatArray
+from models.arrays import FloatArray
 
 EDGES_HZ = (1.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
 SLOW_SHARE = 0.05  # of a signal's largest speed: slower than that it is near a reversal

@@ -16,7 +16,7 @@ import numpy as np
 
 from ffcomp.diagnose.fit import Bench, Fit, bounded_step, promise
 from ffcomp.diagnose.problem import Candidate, Number
-from ffcomp.measurement.frf import FloatArray
+from models.arrays import FloatArray
 
 SEEN = 3.0  # standard deviations: of an effect of a usual size, to be seen at all
 

@@ -26,7 +26,7 @@ from ffcomp.diagnose.residuals import EDGES_HZ, SLOW_SHARE
 from ffcomp.diagnose.result import MOVED
 from ffcomp.diagnose.score_test import likeness
 from ffcomp.identify.uncertainty import Estimate
-from ffcomp.measurement.frf import FloatArray
+from models.arrays import FloatArray
 
 TIME_BINS = 24
 PHASE_BINS = 16

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.frf import FloatArray
 from ffcomp.measurement.orientation import misplaced
 from ffcomp.measurement.recording import Run
 from ffcomp.measurement.sensors import command_unit
+from models.arrays import FloatArray
 from models.errors import UnreachableError
 from models.machine import Machine
 

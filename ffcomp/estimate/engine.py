@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.compensate.gcode_output.writer import original_blocks
 from ffcomp.compensate.job import find_offset
@@ -23,9 +22,8 @@ from gcode.errors import UnsupportedGcode
 from gcode.metadata import Stamp, find_stamp
 from gcode.program import Program
 from gcode.reader import read_parts
+from models.arrays import FloatArray
 from models.machine import Machine
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

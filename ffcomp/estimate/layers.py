@@ -6,13 +6,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gcode.layers import FEW_MOVES, SLOPE_MM
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from models.arrays import BoolArray, FloatArray, IntArray
 
 BEFORE = -1  # what comes before the first layer
 _STEP_MM = 1e-3  # in which heights are counted: so a spiral vase has only so many

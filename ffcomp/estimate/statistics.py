@@ -18,9 +18,7 @@ from ffcomp.planner.limits import lines_of
 from gcode.layers import UNNAMED, begins_feature, begins_layer
 from gcode.metadata import TIME_WAS, slicer_time_s, with_time
 from gcode.program import Event
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from models.arrays import FloatArray, IntArray
 
 KINDS = ("extruding", "travelling", "retracting", "priming", "waiting")
 EXTRUDING, TRAVELLING, RETRACTING, PRIMING, WAITING, FILAMENT = range(6)

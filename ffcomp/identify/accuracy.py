@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ffcomp.measurement.frf import ComplexArray, FloatArray
+from models.arrays import ComplexArray, FloatArray
 
 SMALLEST_PHASE_DEG = 10.0
 

@@ -14,9 +14,10 @@ from typing import Protocol
 
 import numpy as np
 
-from ffcomp.measurement.frf import ComplexArray, FloatArray, FrequencyResponse
+from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.klipper import Capture, Resonances, read_vibration
 from ffcomp.measurement.modes import HIGHEST_HZ, LOWEST_HZ, segment_powers, window_kernel
+from models.arrays import ComplexArray, FloatArray
 
 AXES, CARRIAGES = "xyz", "ABC"
 NO_FLOOR = 10.0  # ln of a share of the smallest power

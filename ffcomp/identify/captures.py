@@ -17,8 +17,9 @@ from ffcomp.errors import MeasurementError
 from ffcomp.identify.experiment import AXES, TOWERS, Experiment, Plan
 from ffcomp.measurement.alignment import align
 from ffcomp.measurement.estimators import periodic_frf
-from ffcomp.measurement.frf import FloatArray, FrequencyResponse
+from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.klipper import Capture, read_capture
+from models.arrays import FloatArray
 from models.machine import Machine
 from models.printer.printer import simulate_printer
 

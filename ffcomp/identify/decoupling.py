@@ -17,7 +17,8 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError
 from ffcomp.identify.predict import CARRIAGES
-from ffcomp.measurement.frf import ComplexArray, FloatArray, FrequencyResponse
+from ffcomp.measurement.frf import FrequencyResponse
+from models.arrays import ComplexArray, FloatArray
 from models.machine import Machine
 from models.vibration.carriage import belt, drive_frf, impedance
 from models.vibration.effector import effector_impedance, load_map

@@ -16,7 +16,6 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.compensate.program import firmware_limits, settings_for
 from ffcomp.errors import LimitsError
@@ -27,11 +26,10 @@ from ffcomp.planner.segment_timing import OutputLimits, Played, played
 from ffcomp.planner.trajectory import Trajectory
 from gcode.emit import F_COUNTS, XYZ_COUNTS
 from gcode.program import Moves
+from models.arrays import FloatArray
 from models.errors import UnreachableError
 from models.kinematics.cartesian import StraightGeometry
 from models.machine import DeltaGeometry, Geometry, Machine
-
-FloatArray = NDArray[np.float64]
 
 TOWERS, AXES = ("A", "B", "C"), ("x", "y", "z")
 ON_TIME_S = 5e-5  # a knot that is reached later than this was asked for too much

@@ -24,8 +24,9 @@ from gcode.dialects import KLIPPER, close_limits, open_limits, shaper_off
 from gcode.emit import MoveWriter
 from gcode.limits import MotionLimits
 from gcode.program import Frame
+from models.arrays import constant
 from models.kinematics.cartesian import COREXY, StraightGeometry
-from models.machine import DeltaGeometry, Geometry, Machine, constant
+from models.machine import DeltaGeometry, Geometry, Machine
 
 SCHEMA = "ffcomp-excitation/1"
 TRAVEL_SHARE = 0.2  # of the machine's velocity, between experiments

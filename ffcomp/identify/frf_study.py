@@ -17,7 +17,8 @@ import numpy as np
 from ffcomp.errors import MeasurementError
 from ffcomp.identify.accuracy import log_error_db, mean_absolute_percentage_accuracy
 from ffcomp.identify.predict import predicted
-from ffcomp.measurement.frf import ComplexArray, FloatArray, FrequencyResponse
+from ffcomp.measurement.frf import FrequencyResponse
+from models.arrays import ComplexArray, FloatArray
 from models.errors import MachineFileError, UnreachableError
 from models.machine import Machine
 from models.vibration.carriage import command_frf, damping, with_added_mass

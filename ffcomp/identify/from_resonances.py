@@ -16,8 +16,8 @@ import numpy as np
 from ffcomp.errors import SolverError
 from ffcomp.identify.predict import AXES
 from ffcomp.identify.uncertainty import Estimate, lognormal
-from ffcomp.measurement.frf import FloatArray
 from ffcomp.measurement.modes import Mode
+from models.arrays import FloatArray
 from models.machine import Machine
 from models.parameters import value_of, with_values
 from models.vibration.receptance import modes, nozzle_frf

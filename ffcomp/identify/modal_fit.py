@@ -29,7 +29,8 @@ from scipy.signal import find_peaks
 from ffcomp.errors import MeasurementError
 from ffcomp.identify.axis_spectra import AXES, COARSE, SMALLEST_ERROR, Datum, Response, Spectrum, usable
 from ffcomp.identify.uncertainty import Estimate, lognormal, normal
-from ffcomp.measurement.frf import ComplexArray, FloatArray, FrequencyResponse
+from ffcomp.measurement.frf import FrequencyResponse
+from models.arrays import ComplexArray, FloatArray
 
 START_DAMPING = 0.06
 DAMPINGS = (0.002, 0.7)

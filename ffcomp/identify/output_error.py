@@ -19,7 +19,8 @@ from ffcomp.errors import SolverError
 from ffcomp.identify.predict import predicted
 from ffcomp.identify.rational import scaled_inverse
 from ffcomp.identify.uncertainty import Estimate, lognormal, normal
-from ffcomp.measurement.frf import ComplexArray, FloatArray, FrequencyResponse
+from ffcomp.measurement.frf import FrequencyResponse
+from models.arrays import ComplexArray, FloatArray
 from models.machine import Machine
 from models.parameters import value_of, with_values
 

@@ -25,8 +25,9 @@ from ffcomp.identify.output_error import DAMPING, DRIVE, STIFFNESS, fit_machine
 from ffcomp.identify.predict import AXES, CARRIAGES
 from ffcomp.identify.rational import RationalFit, fit_rational, scaled_inverse
 from ffcomp.identify.uncertainty import Joint
-from ffcomp.measurement.frf import ComplexArray, FloatArray, FrequencyResponse
-from models.machine import Carriage, Drive, Machine, constant
+from ffcomp.measurement.frf import FrequencyResponse
+from models.arrays import ComplexArray, FloatArray, constant
+from models.machine import Carriage, Drive, Machine
 
 EARLIER = {
     "m": "carriage.mass_kg",

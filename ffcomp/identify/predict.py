@@ -9,7 +9,8 @@ from typing import NoReturn
 import numpy as np
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.frf import ComplexArray, FloatArray, FrequencyResponse
+from ffcomp.measurement.frf import FrequencyResponse
+from models.arrays import ComplexArray, FloatArray
 from models.machine import Machine
 from models.vibration.carriage import belt, command_frf, drive_frf, impedance
 from models.vibration.effector import effector_impedance, load_map, struck_frf

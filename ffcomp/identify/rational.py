@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.errors import SolverError
-from ffcomp.measurement.frf import ComplexArray, FloatArray, FrequencyResponse
+from ffcomp.measurement.frf import FrequencyResponse
+from models.arrays import ComplexArray, FloatArray
 
 ITERATIONS = 30  # of the linear step: it either settles in ten or wanders
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ffcomp.measurement.frf import FloatArray
+from models.arrays import FloatArray
 
 NINETY_PERCENT = 1.6449  # standard deviations to each side
 

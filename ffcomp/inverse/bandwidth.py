@@ -18,10 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from models.arrays import FloatArray
 from models.machine import Machine
 from models.vibration.receptance import nozzle_frf
-
-FloatArray = NDArray[np.float64]
 
 LOWEST_HZ, HIGHEST, STEP = 60.0, 0.46, 1.06  # Hz, of the segments' rate, from one bandwidth to the next
 FLOOR_UM = 1.0  # what other things leave anyway: the path's own facets, the segments, the motors' steps

@@ -21,11 +21,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from models.arrays import FloatArray
 from models.machine import Machine
-
-FloatArray = NDArray[np.float64]
 
 VELOCITY, ACCELERATION, TRAVEL = 0, 1, 2
 NAMES = ("velocity", "acceleration", "travel")

@@ -9,15 +9,11 @@ fits.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.inverse.command_limits import shares_from_rest
 from ffcomp.inverse.iterate import CONTEXT, Playing, Stretch
 from ffcomp.inverse.windowed_qr import Held, Window
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from models.arrays import BoolArray, FloatArray, IntArray
 
 BEFORE, AFTER = 32, 32  # knots: what lies further away asks for less than a ten-thousandth here
 LONGEST = 120  # knots of a window; the last AFTER of a longer stretch are solved again by the next one

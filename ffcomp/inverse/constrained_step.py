@@ -12,16 +12,14 @@ their limit.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from ffcomp.errors import SolverError
 from ffcomp.inverse.command_limits import A_LITTLE, CommandLimits
 from ffcomp.inverse.qp import solve_qp
 from ffcomp.inverse.settings import Backend
+from models.arrays import FloatArray
 from models.kinematics.base import Compiled
-
-FloatArray = NDArray[np.float64]
 
 MARGIN = 2e-3  # kept from the limits: for what o, c and m change, and for the solver's own accuracy
 ROOM = (1.0, 1.1, 1.3, 1.7, 2.5)  # times the limit, where given knots on both sides leave no room for less

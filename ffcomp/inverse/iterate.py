@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.inverse.reference import Reference
 from ffcomp.planner.segment_timing import played, sample_segments
+from models.arrays import FloatArray
 
 if TYPE_CHECKING:
     from ffcomp.inverse.model import Inverter
 
-FloatArray = NDArray[np.float64]
 
 CONTEXT = 4  # segments before a stretch that decide how fast it is entered
 

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from ffcomp.inverse.iterate import Playing, Stretch
 from ffcomp.inverse.riccati import REST_ROWS, TO_THE_END, Gains, Preview, no_gains
 from ffcomp.inverse.riccati_kernels import sweep_back, sweep_forward
-
-FloatArray = NDArray[np.float64]
+from models.arrays import FloatArray
 
 STRETCH = 512  # knots solved at a time
 MOST_PASSES = 5

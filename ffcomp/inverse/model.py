@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.inverse import constrained as limited
 from ffcomp.inverse import lq_preview as fast
@@ -20,13 +19,12 @@ from ffcomp.inverse.robust import MARGIN, Softening
 from ffcomp.inverse.settings import Settings
 from ffcomp.inverse.windowed_qr import Held
 from ffcomp.numerics import disk_cache as kept
+from models.arrays import FloatArray
 from models.effects.catalogue import design_machine, without_effects
 from models.machine import Drive, Machine
 from models.vibration.modal import low_frequency
 from models.vibration.scheduled import Schedule, interpolate, models_along, rest_state
 from models.vibration.state_space import TABLE_ARRAYS, DiscretePlant, PlantTable, plant_table
-
-FloatArray = NDArray[np.float64]
 
 GEOMETRY = "arm_geometry"  # a delta is calibrated, not compensated: at rest the nozzle must be where it is said to be
 

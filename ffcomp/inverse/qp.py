@@ -14,13 +14,11 @@ from importlib import import_module
 from types import ModuleType
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from ffcomp.errors import SolverError
 from ffcomp.inverse.settings import Backend
-
-FloatArray = NDArray[np.float64]
+from models.arrays import FloatArray
 
 ACCURACY = 1e-5  # of scaled numbers, at which osqp stops; the others reach far more in any case
 SMALLEST = 1e-12  # size of a programme that asks for nothing

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from ffcomp.inverse.settings import Settings
 from ffcomp.planner.trajectory import PlannedMotion
-
-FloatArray = NDArray[np.float64]
+from models.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,11 +30,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.inverse.riccati_kernels import riccati_backwards
+from models.arrays import FloatArray, IntArray
 from models.vibration.state_space import STATES, DiscretePlant
 
-FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
-IntArray = NDArray[np.int64]
 PlantAt = Callable[[FloatArray], tuple[DiscretePlant, FloatArray]]  # places (g, 2) mm -> plant, jacobian (g, 3, 3)
 
 AXES = 3

@@ -7,10 +7,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ffcomp.numerics.small_matvec import recursion
+from models.arrays import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
-IntArray = NDArray[np.int64]
 
 # (s, ψ) ← (s, ē, d), five numbers of 32 unused; z ← (z, ψ)
 _back = recursion(rows=32, of_state=24, of_input=9)

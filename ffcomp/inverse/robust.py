@@ -34,13 +34,11 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import fft
 
+from models.arrays import BoolArray, ComplexArray, FloatArray
 from models.machine import Machine
 from models.parameters import dynamic_numbers, value_of, with_values
 from models.vibration.receptance import nozzle_frf
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-BoolArray = NDArray[np.bool_]
 # NOTE: single precision is enough for d, which is a tenth of a millimetre, and takes half the time.
 ShortArray = NDArray[np.float32]
 ShortComplexArray = NDArray[np.complex64]

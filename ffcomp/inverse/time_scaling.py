@@ -23,7 +23,6 @@ from dataclasses import dataclass, fields, replace
 from typing import TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.errors import LimitsError, SolverError
 from ffcomp.inverse.command_limits import NAMES, TRAVEL, VELOCITY, shares_from_rest
@@ -45,11 +44,9 @@ from ffcomp.planner.lookahead import plan_moves
 from ffcomp.planner.segment_timing import played
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from gcode.program import Moves
+from models.arrays import BoolArray, FloatArray, IntArray
 from models.vibration.scheduled import rest_state
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 Replan = Callable[[Moves, float], PlannedMotion]  # the moves of a run, when it begins (s) → its plan
 Motion = TypeVar("Motion", bound=PlannedMotion)
 

@@ -6,13 +6,10 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.inverse.command_limits import A_LITTLE, ACCELERATION, NAMES, TRAVEL, VELOCITY, shares_from_rest
 from ffcomp.inverse.model import Inverter, RunResult
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from models.arrays import BoolArray, FloatArray
 
 ROOM = 0.98  # of a limit, what a slowed move aims at
 GENTLEST, SLOWEST = 0.95, 0.4  # factors of one round

@@ -20,13 +20,11 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.inverse.iterate import Playing, Stretch
 from ffcomp.inverse.riccati_kernels import basis_response
+from models.arrays import FloatArray
 from models.vibration.scheduled import interpolate, models_along
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, fftconvolve, sosfiltfilt
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.frf import FloatArray
+from models.arrays import FloatArray
 
 _LOWEST_HZ = 4.0  # below: gravity, tilt and drift
 _FIRST_WINDOW_S = 4.0

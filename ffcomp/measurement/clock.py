@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from ffcomp.measurement.frf import FloatArray
-from ffcomp.measurement.table import IntArray
+from models.arrays import FloatArray, IntArray
 
 LOWEST_RATE_HZ, HIGHEST_RATE_HZ = 800.0, 25600.0
 SHORTEST_S = 0.5

@@ -21,8 +21,8 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.signal import get_window
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.frf import ComplexArray, FloatArray, FrequencyResponse, Setup, variance_from_coherence
-from ffcomp.measurement.table import IntArray
+from ffcomp.measurement.frf import FrequencyResponse, Setup, variance_from_coherence
+from models.arrays import ComplexArray, FloatArray, IntArray
 
 Estimator = Literal["h1", "h2", "hv"]
 

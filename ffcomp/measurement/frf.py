@@ -11,10 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from models.arrays import ComplexArray, FloatArray
 
 # What was on the bench: the carriage alone on its belt (with the arms' upper halves, Eq. 30), the same with a known
 # mass added, the effector alone, taken off its arms, or the whole printer.

@@ -22,10 +22,11 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement import uff
-from ffcomp.measurement.frf import ComplexArray, FloatArray, FrequencyResponse, variance_from_coherence
+from ffcomp.measurement.frf import FrequencyResponse, variance_from_coherence
 from ffcomp.measurement.labels import describe, read_labels, unknown
 from ffcomp.measurement.roughness import roughness_variance
 from ffcomp.measurement.table import read_table, read_text
+from models.arrays import ComplexArray, FloatArray
 
 FEWEST_LINES = 10  # the roughness needs nine lines around one
 

@@ -22,9 +22,9 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.clock import clock_of
-from ffcomp.measurement.frf import FloatArray
 from ffcomp.measurement.sensors import broken_sensor
 from ffcomp.measurement.table import Table, read_table, read_text, rows_of
+from models.arrays import FloatArray
 
 G = 9.80665  # m/s²
 

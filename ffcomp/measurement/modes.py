@@ -24,8 +24,8 @@ from scipy.signal import find_peaks
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.estimators import lines_of_dft
-from ffcomp.measurement.frf import ComplexArray, FloatArray
 from ffcomp.measurement.klipper import Capture, Resonances, read_vibration
+from models.arrays import ComplexArray, FloatArray
 
 LOWEST_HZ, HIGHEST_HZ = 10.0, 130.0  # Klipper's sweep ends at 133 Hz; below 10 Hz its spectra are attenuated
 _KAISER_BETA = 6.0  # of Klipper's window, and ours

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.signal import butter, fftconvolve, sosfiltfilt
 from scipy.signal.windows import tukey
 
-from ffcomp.measurement.frf import FloatArray
+from models.arrays import FloatArray
 
 _BAND_HZ = (2.0, 20.0)  # no offsets and drifts, and far below the first mode
 _FADED = 0.1  # of the run, at both ends together

@@ -18,10 +18,10 @@ from scipy.interpolate import CubicSpline
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.clock import Clock, clock_of
-from ffcomp.measurement.frf import FloatArray
 from ffcomp.measurement.header import check_header, signal_of
 from ffcomp.measurement.sensors import broken_sensor, with_gravity, wrong_scale
 from ffcomp.measurement.table import Table, read_table, read_text
+from models.arrays import FloatArray
 
 CommandSpace = Literal["carriage", "nozzle"]
 AXES: dict[CommandSpace, str] = {"carriage": "ABC", "nozzle": "xyz"}

@@ -14,9 +14,10 @@ from scipy.interpolate import CubicSpline
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.estimators import periodic_frf, welch_frf
-from ffcomp.measurement.frf import FloatArray, FrequencyResponse, Setup
+from ffcomp.measurement.frf import FrequencyResponse, Setup
 from ffcomp.measurement.recording import Run
 from ffcomp.measurement.sweep import sweep_frf
+from models.arrays import FloatArray
 
 _SAME_COMMAND_MM = 1e-5
 _LONGEST_GAP_S = 0.005  # a cubic through a longer hole in a sensor would invent vibration

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import savgol_coeffs
 
-from ffcomp.measurement.frf import ComplexArray, FloatArray
+from models.arrays import ComplexArray, FloatArray
 
 _WINDOW = 9  # lines
 _DEGREE = 2

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from ffcomp.measurement.frf import FloatArray
-from ffcomp.measurement.table import IntArray
+from models.arrays import FloatArray, IntArray
 
 _LARGEST_GAP_SHARE = 0.5
 _CLIPPED_ROWS = 8  # so many at the extreme before it can be called clipping

@@ -15,8 +15,7 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.estimators import FrfMatrix, lines_of_dft
-from ffcomp.measurement.frf import ComplexArray, FloatArray
-from ffcomp.measurement.table import IntArray
+from models.arrays import ComplexArray, FloatArray, IntArray
 
 _SPARE_EQUATIONS = 1.5  # equations for each unknown, at least
 _BLOCK = 64  # lines solved at once, to bound memory

@@ -8,12 +8,9 @@ from io import StringIO
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.frf import FloatArray
-
-IntArray = NDArray[np.int64]
+from models.arrays import FloatArray, IntArray
 
 _NAMED_MISTAKES = 5  # of one kind; a broken file has thousands, and nobody reads them
 

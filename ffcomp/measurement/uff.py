@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.frf import ComplexArray, FloatArray, FrequencyResponse
+from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.labels import KEYS, describe
+from models.arrays import ComplexArray, FloatArray
 
 _GENERAL, _FRF, _COHERENCE = 0, 4, 6  # function types
 _DISPLACEMENT, _VELOCITY, _ACCELERATION, _FORCE = 8, 11, 12, 13  # specific data types

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from ffcomp.planner.limits import FirmwareLimits, bounds_of, lines_of
 from ffcomp.planner.lookahead import corners
 from gcode.program import Moves
-
-FloatArray = NDArray[np.float64]
+from models.arrays import FloatArray
 
 
 def junction_limits(moves: Moves, limits: FirmwareLimits, stop_before: NDArray[np.bool_]) -> FloatArray:

@@ -12,12 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from gcode.program import Moves
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from models.arrays import BoolArray, FloatArray
 
 SHORTEST_TRAVEL_MM = 1e-9  # what moves the nozzle less than this counts as extruder-only
 SLOW_RATIOS = ((3.0, 0.5), (6.0, 0.25))  # beyond this carriage speed / nozzle speed, this share is allowed

@@ -15,16 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from ffcomp.planner.limits import Bounds, FirmwareLimits, Lines, bounds_of, lines_of
 from ffcomp.planner.trajectory import Trajectory
 from gcode.errors import GcodeError
 from gcode.program import EventKind, Moves, Program
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
+from models.arrays import BoolArray, FloatArray, IntArray
 
 _RESTS = (EventKind.STOP, EventKind.DWELL, EventKind.RAW_MOVE)
 

@@ -11,11 +11,9 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from ffcomp.planner.smooth import GONE, JERK_T, LASTING, LOW, PLATEAU, gained_distance, gained_speed
-
-FloatArray = NDArray[np.float64]
+from models.arrays import FloatArray
 
 ROUNDING = 1e-9  # relative; below it speeds, distances and accelerations count as equal
 NEWTON_STEPS = 60  # never needed: each at least halves what is uncertain

@@ -24,14 +24,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.planner.ramps import cruise_times, even, held_down, rounded, sweep, total_time
 from ffcomp.planner.smooth import SmoothTrajectory, speeds
 from ffcomp.planner.trajectory import Trajectory
+from models.arrays import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Carriages = Callable[[FloatArray], FloatArray]  # nozzle (n, 3) mm → carriages (n, k) mm
 
 PROBE_MM = 1e-3  # step of the difference quotients

@@ -19,7 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from ffcomp.planner.trajectory import ACCELERATION, POSITION, VELOCITY, FloatArray, PlannedMotion, move_near
+from ffcomp.planner.trajectory import ACCELERATION, POSITION, VELOCITY, PlannedMotion, move_near
+from models.arrays import FloatArray
 
 LOW, PLATEAU, JERK_T, LASTING, GONE = range(5)  # columns of a ramp as a move sees it
 

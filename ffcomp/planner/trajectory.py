@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from models.arrays import FloatArray, IntArray
 
 POSITION, VELOCITY, ACCELERATION = 0, 1, 2  # which derivative is sampled
 _NEAR_MOVES = 8  # how far to step through the moves before searching

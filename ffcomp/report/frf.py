@@ -11,7 +11,8 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from numpy.typing import NDArray
+
+from models.arrays import FloatArray
 
 matplotlib.use("Agg")
 from matplotlib.axes import Axes
@@ -25,8 +26,6 @@ from ffcomp.identify.accuracy import phases_deg
 from ffcomp.identify.frf_study import RINGS, Compared, NumberedMode, Station, Study, verdict
 from models.machine import Machine
 from models.vibration.mode_map import ModeMap
-
-FloatArray = NDArray[np.float64]
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#6a4c93", "#222222")
 BAND, PAPER, INK, SOFT, FAINT = "#1f2a37", "#ffffff", "#1f2a37", "#6b7280", "#a3a9b3"

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import matplotlib
 import numpy as np
 
+from models.arrays import ComplexArray, FloatArray
+
 matplotlib.use("Agg")
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -19,7 +21,7 @@ from ffcomp.identify.identify import Identified
 from ffcomp.identify.modal_fit import AxisFit, IdentifiedAxes
 
 if TYPE_CHECKING:
-    from ffcomp.measurement.frf import ComplexArray, FloatArray, FrequencyResponse
+    from ffcomp.measurement.frf import FrequencyResponse
 
 MEASURED, FITTED, NOISE = "#8a8f98", "#d55e00", "#0072b2"
 COLUMNS = 4

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
-from numpy.typing import NDArray
+
+from models.arrays import BoolArray, FloatArray
 
 matplotlib.use("Agg")
 from matplotlib.axes import Axes
@@ -17,9 +18,6 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from ffcomp.simulate.preview import Curve, Look
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 WANTED, BEFORE, AFTER = "#222222", "#d55e00", "#0072b2"
 CLOSE_UP_MM = 2.5  # half the width of the close-up

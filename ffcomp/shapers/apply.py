@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ffcomp.shapers.pulses import DAMPING_RATIO, SHAPERS, FloatArray, Shaper
+from ffcomp.shapers.pulses import DAMPING_RATIO, SHAPERS, Shaper
+from models.arrays import FloatArray
 
 Position = Callable[[FloatArray], FloatArray]  # t : (k,) s → (k, 3) mm, at any time, resting before and after
 FrequencyOfPlace = Callable[[FloatArray], FloatArray]  # (k, 2) mm, columns X Y → (k, 2) Hz, of the x and y shapers

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from ffcomp.shapers.apply import FrequencyOfPlace
-from ffcomp.shapers.pulses import FloatArray
+from models.arrays import FloatArray
 from models.machine import Machine
 from models.vibration.receptance import modes, nozzle_frf
 

@@ -21,14 +21,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import welch
 
 from ffcomp.shapers import DAMPING_RATIO, SHAPERS, Shaper, residual_vibration
+from models.arrays import FloatArray
 from models.machine import Machine
 from models.vibration.receptance import nozzle_frf
 
-FloatArray = NDArray[np.float64]
 Axis = Literal["x", "y"]
 Spectrum = tuple[FloatArray, FloatArray]  # (k,) Hz; (k,) mm²/s⁴/Hz², a density as `normalised` makes it
 

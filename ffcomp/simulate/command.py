@@ -9,12 +9,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.metrics import peak_acceleration
+from models.arrays import FloatArray
 from models.printer.printer import Hold
 
-FloatArray = NDArray[np.float64]
 OfTime = Callable[[FloatArray], FloatArray]  # t : (k,) s → (k, 3) mm
 
 EFFORT_S, EFFORT_SAMPLE_S = 0.004, 0.001  # speeds and accelerations of commands are differences over such a time

@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.metrics import Track, contour_error, tracking
 from ffcomp.simulate.command import Stretch, peaks
 from ffcomp.simulate.playback import Piece
+from models.arrays import FloatArray
 from models.machine import Machine
 from models.printer.static_deflection import sag
-
-FloatArray = NDArray[np.float64]
 
 JUDGED_HZ = 1600.0  # no more samples than that are kept, 0.2 GB for an hour of print
 FEWEST_SAMPLES = 4

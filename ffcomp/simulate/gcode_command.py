@@ -7,7 +7,6 @@ the original begins: the compensated file keeps its pace inside one.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.compensate.gcode_output.writer import WAS, original
 from ffcomp.compensate.job import STAMP_REACH, already_processed, find_offset
@@ -21,9 +20,8 @@ from ffcomp.simulate.motion import Clock, own_clock
 from ffcomp.simulate.preview import corners, noted_moves
 from gcode.program import Program
 from gcode.reader import read_program
+from models.arrays import FloatArray
 from models.machine import Machine
-
-FloatArray = NDArray[np.float64]
 
 FEWEST_HZ, MOST_HZ = 125.0, 500.0  # of segments
 OWN_PLAN = "the planned path of the file itself"

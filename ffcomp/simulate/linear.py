@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.planner.trajectory import PlannedMotion
+from models.arrays import FloatArray
 from models.effects.catalogue import design_machine
 from models.machine import Machine
 from models.vibration.scheduled import Schedule, rest_state
 from models.vibration.state_space import plant_table
-
-FloatArray = NDArray[np.float64]
 
 STEP_S = 5e-4
 SUBSTEPS = 8  # steps for which one model serves

@@ -6,11 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.planner.trajectory import PlannedMotion
+from models.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Position = Callable[[FloatArray], FloatArray]  # t : (k,) s → (k, 3) mm
 
 

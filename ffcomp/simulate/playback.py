@@ -13,15 +13,14 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.simulate.command import Command, Stretch
+from models.arrays import FloatArray
 from models.effects.effect import Signals
 from models.errors import MachineFileError, UnreachableError
 from models.machine import Machine
 from models.printer.printer import SPLINE_ROWS, Hold, printer_numbers, rest_values, simulate_printer
 
-FloatArray = NDArray[np.float64]
 Item = TypeVar("Item")
 
 ROW_S = 1 / 6400

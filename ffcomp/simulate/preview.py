@@ -19,9 +19,8 @@ from ffcomp.planner.trajectory import PlannedMotion
 from ffcomp.simulate.linear import simulate
 from gcode.program import Program
 from gcode.reader import read_program
+from models.arrays import FloatArray
 from models.machine import Machine
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,14 +6,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.simulate.playback import Piece
+from models.arrays import FloatArray
 from models.effects.catalogue import measured
 from models.effects.effect import Signals
 from models.machine import Machine
-
-FloatArray = NDArray[np.float64]
 
 KINDS = ("acc", "pos")
 IN_TIME = {"sensor_time_offset", "sensor_clock_drift"}  # effects for which a sample depends on others than itself

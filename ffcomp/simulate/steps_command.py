@@ -9,15 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.errors import NothingToDo
 from ffcomp.simulate.command import Command, Goal, OfTime, Stretch
 from ffcomp.steps.reader import MOTORS, MotorSteps, StepsError
+from models.arrays import FloatArray
 from models.errors import UnreachableError
 from models.machine import Geometry, Machine
-
-FloatArray = NDArray[np.float64]
 
 REFERENCE = "the path of the steps themselves, with the microsteps smoothed out"
 LEAD_S = 0.05  # of rest before the first step

@@ -23,8 +23,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from models.arrays import IntArray
+
 WayArray = NDArray[np.int8]
 Rows = tuple[IntArray, NDArray[np.uint16], NDArray[np.int16], WayArray]  # (r,) interval, count, add, direction
 

@@ -10,11 +10,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.planner.trajectory import Trajectory
-
-FloatArray = NDArray[np.float64]
+from models.arrays import FloatArray
 
 CHUNK_MOVES = 4096
 

@@ -25,9 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcode.errors import GcodeError
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from models.arrays import FloatArray, IntArray
 
 MOTORS = "abc"
 FOLLOWING = "e"  # no carriage

@@ -26,10 +26,9 @@ from ffcomp.steps.crossings import (
 )
 from ffcomp.steps.pieces import Pieces
 from ffcomp.steps.reader import FOLLOWING, MOTORS, StepsError
+from models.arrays import FloatArray, IntArray
 from models.machine import Geometry, Machine
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 WayArray = NDArray[np.int8]
 
 BLOCK_PIECES = 1024  # at a time: a few megabytes of steps

@@ -17,8 +17,8 @@ from typing import Literal
 
 import numpy as np
 
-from models.machine import FloatArray, Machine
-from models.vibration.carriage import ComplexArray
+from models.arrays import ComplexArray, FloatArray
+from models.machine import Machine
 from models.vibration.effector import load_map
 from models.vibration.receptance import poles, receptance
 

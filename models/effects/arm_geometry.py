@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+from models.arrays import FloatArray, constant
 from models.effects.effect import Effect, Parameter
-from models.machine import FloatArray, Machine, constant
+from models.machine import Machine
 
 
 def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:

@@ -9,8 +9,9 @@ from dataclasses import replace
 from typing import Any
 
 from models import effects
+from models.arrays import FloatArray
 from models.effects.effect import Effect, Signals
-from models.machine import FloatArray, Machine
+from models.machine import Machine
 
 NOT_EFFECTS = {"catalogue", "dry", "effect"}  # the files of this folder that declare none
 

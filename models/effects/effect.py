@@ -9,7 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from models.machine import FloatArray, Machine, constant
+from models.arrays import FloatArray, constant
+from models.machine import Machine
 
 Kind = Literal["parameter", "force", "command", "frame", "sensor"]
 Size = Literal["scalar", "per_tower", "vector3", "direction"]

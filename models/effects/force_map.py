@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Literal
 
+from models.arrays import FloatArray
 from models.effects.effect import Effect
-from models.machine import FloatArray, Machine
+from models.machine import Machine
 
 OTHER: Mapping[str, Literal["virtual_work", "paper"]] = {"virtual_work": "paper", "paper": "virtual_work"}
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from models.arrays import FloatArray
 from models.effects.effect import Effect, Parameter, Signals
-from models.machine import FloatArray
 
 
 def turn(angles: FloatArray) -> FloatArray:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from models.arrays import FloatArray
 from models.effects.effect import Effect, Parameter, Signals, resampled
-from models.machine import FloatArray
 
 
 def measure(true: Signals, values: Mapping[str, FloatArray]) -> Signals:

@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from models.arrays import FloatArray
 from models.effects.catalogue import values_of
 from models.machine import Machine
 from models.printer.kernels import LANES
 from models.printer.printer import PrinterMotion, simulate_printers
 
-FloatArray = NDArray[np.float64]
 Seen = Callable[[PrinterMotion], FloatArray]  # (n, 3) mm of a motion of n rows
 
 REMEMBERED_S = 1.0  # by a printer; by its frame until e to the −7 is left

@@ -40,7 +40,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from models.machine import FloatArray
+from models.arrays import FloatArray
 
 LANES = 8  # numbers in a vector of 512 bits
 

@@ -16,10 +16,11 @@ from typing import Literal
 
 import numpy as np
 
+from models.arrays import FloatArray
 from models.effects.catalogue import effect_named, effective_machine, values_of
 from models.effects.effect import Signals
 from models.errors import UnreachableError
-from models.machine import Drive, FloatArray, Machine
+from models.machine import Drive, Machine
 from models.printer import kernels
 from models.vibration.effector import load_distribution, load_map
 

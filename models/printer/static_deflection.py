@@ -6,14 +6,12 @@ from functools import lru_cache
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from models.arrays import FloatArray
 from models.effects.catalogue import effective_machine
 from models.machine import DeltaGeometry, Machine
 from models.printer import kernels
 from models.printer.printer import printer_numbers, rest_values
-
-FloatArray = NDArray[np.float64]
 
 ORDER = 8
 _RINGS, _ANGLES = 9, 18

@@ -8,11 +8,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from models.arrays import ComplexArray
 from models.machine import Carriage, Drive
-
-ComplexArray = NDArray[np.complex128]
 
 
 def with_added_mass(carriage: Carriage, added_mass_kg: float) -> Carriage:

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.machine import DeltaGeometry, Effector, FloatArray, Machine
-from models.vibration.carriage import ComplexArray
+from models.arrays import ComplexArray, FloatArray
+from models.machine import DeltaGeometry, Effector, Machine
 
 
 def effector_impedance(machine: Machine, s: ComplexArray) -> ComplexArray:

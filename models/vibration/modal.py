@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from models.machine import Carriage, Effector, FloatArray, Machine, constant
-from models.vibration.carriage import ComplexArray
+from models.arrays import ComplexArray, FloatArray, constant
+from models.machine import Carriage, Effector, Machine
 
 SILENT_HZ, SILENT_DAMPING = 400.0, 1.1  # of a second oscillator that takes no part; it does not swing
 RIGID_HZ, RIGID_DAMPING = 1500.0, 1.1

@@ -15,11 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from models.machine import FloatArray, Machine
-from models.vibration.carriage import ComplexArray
+from models.arrays import ComplexArray, FloatArray, IntArray
+from models.machine import Machine
 from models.vibration.receptance import Modes, modes_at
 
-IntArray = NDArray[np.int64]
 Node = tuple[int, int]  # a place on the grid
 Matched = list[int | None]  # where the centre's modes are among a place's; None: it does not swing there
 

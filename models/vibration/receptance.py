@@ -18,8 +18,9 @@ from typing import Literal
 
 import numpy as np
 
-from models.machine import FloatArray, Machine
-from models.vibration.carriage import ComplexArray, belt, damping, drive_frf, impedance
+from models.arrays import ComplexArray, FloatArray
+from models.machine import Machine
+from models.vibration.carriage import belt, damping, drive_frf, impedance
 from models.vibration.effector import effector_impedance, load_map
 from models.vibration.modal import axis_frf
 from models.vibration.state_space import continuous_plant

@@ -25,11 +25,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from models.arrays import FloatArray
 from models.machine import Machine
 from models.vibration.effector import load_map
 from models.vibration.modal import oscillators
-
-FloatArray = NDArray[np.float64]
 
 STATES = 18
 W, WD, Q, QD, ETA, ETAD = (slice(3 * i, 3 * i + 3) for i in range(6))

@@ -22,8 +22,9 @@ from ffcomp.steps.reader import MotorSteps, StepsError, is_step_archive, read_st
 from ffcomp.steps.sink import Board, StepSink
 from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.reader import read_program
+from models.arrays import constant
 from models.file import load_machine
-from models.machine import Machine, constant
+from models.machine import Machine
 from validation import kalico
 
 FloatArray = NDArray[np.float64]

@@ -14,15 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from ffcomp.inverse.reference import Reference, Run
 from ffcomp.planner.trajectory import PlannedMotion
 from gcode.program import Event, Program
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from models.arrays import BoolArray, FloatArray, IntArray
 
 ROUNDING = 1e-9  # of a segment
 NEAR = 0.1  # of a segment: so near to a knot, a line goes out at the knot; shorter pieces cannot be played in time

@@ -16,7 +16,6 @@ from operator import itemgetter
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from ffcomp.compensate.gcode_output.layout import Timeline
 from ffcomp.inverse.settings import Settings
@@ -29,9 +28,7 @@ from gcode.layers import begins_layer
 from gcode.limits import MotionLimits
 from gcode.metadata import TIME_WAS, Timed, tells, with_time
 from gcode.program import Event, EventKind, Program
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from models.arrays import FloatArray, IntArray
 
 OURS = b" ; ffcomp"  # ends every line of ours that is not a move
 WAS = b";~"  # before a line of the original that is now a comment: a move, mostly

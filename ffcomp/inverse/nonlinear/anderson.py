@@ -13,9 +13,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from models.arrays import FloatArray
+
 Tried = tuple[FloatArray, FloatArray]  # a point and its answer, (n, 3) mm
 
 AROUND, EASED = 16, 8  # knots on either side: by which a place is judged, and over which one command becomes another

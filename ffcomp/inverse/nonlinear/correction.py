@@ -20,7 +20,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.inverse import lq_preview as fast
 from ffcomp.inverse.command_limits import excess, shares_from_rest
@@ -30,13 +29,12 @@ from ffcomp.inverse.nonlinear.anderson import AROUND, EASED, Tried, around, mixe
 from ffcomp.inverse.nonlinear.friction_backlash import FORESEEN, PLAY, Foresight
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.riccati import REST_ROWS
+from models.arrays import FloatArray
 from models.effects.catalogue import values_of, without_effects
 from models.machine import Machine
 from models.printer.batch import Seen, rehearsed
 from models.printer.printer import PrinterMotion
 from models.printer.static_deflection import sag
-
-FloatArray = NDArray[np.float64]
 
 ROUNDS = 16  # of the whole printer at most
 WORTH = 0.97  # a round that leaves more of the error than this was the last

@@ -19,19 +19,17 @@ from dataclasses import replace
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from ffcomp.inverse import lq_preview as fast
 from ffcomp.inverse.iterate import Playing
 from ffcomp.inverse.model import Inverter
 from ffcomp.inverse.riccati import REST_ROWS
+from models.arrays import FloatArray
 from models.machine import Machine
 from models.printer.kernels import MOST_STRAIN, Numbers
 from models.printer.printer import printer_numbers
 from models.vibration.scheduled import Schedule, rest_state
 from models.vibration.state_space import plant_table
-
-FloatArray = NDArray[np.float64]
 
 PLAY = "belt_backlash"
 FORESEEN = ("coulomb_friction", "stribeck_friction", PLAY)

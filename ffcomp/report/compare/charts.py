@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from ffcomp.compare.result import Comparison, Method, Spread
@@ -19,12 +18,11 @@ from ffcomp.report.compare.style import FAMILIES, colour_of
 from ffcomp.report.compare.words import clipped, duration, shown, um
 from ffcomp.report.shared.drawing import Box
 from ffcomp.report.shared.style import BAND, INK, grid, plain_decades
+from models.arrays import FloatArray
 
 BEYOND = "#b00020"  # more than the machine allows
 FLOOR_UM = 1e-3  # zeros have no place on a logarithmic axis
 MAP_GRAINS = 120  # dots across the bed map that say where the print was
-
-FloatArray = NDArray[np.float64]
 
 
 # ---- by layer, by feature ------------------------------------------------------------------------

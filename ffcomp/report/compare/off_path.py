@@ -6,11 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from ffcomp.compare.result import Samples
-
-FloatArray = NDArray[np.float64]
+from models.arrays import FloatArray
 
 GAP_S = 0.3  # samples further apart in the wanted plan than this are not neighbours: the print was sampled
 LATE_S, EARLY_S = 0.0125, 0.005  # the nearest part of the path was due this long before, or will be this long after

@@ -19,10 +19,7 @@ from numpy.typing import NDArray
 from ffcomp.compare.result import Comparison, Method
 from ffcomp.report.compare.off_path import contour_vectors, unbroken
 from ffcomp.report.compare.words import nick, shown, um
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from models.arrays import BoolArray, FloatArray, IntArray
 
 POINTS = 240_000  # of all methods together: some 2.9 MB of text
 ERROR_WEIGHT = 20.0  # an error counts so much more than the same length along the path

@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 
 from ffcomp.compare.result import Comparison, Method, Samples
 from ffcomp.report.compare.words import shown
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from models.arrays import BoolArray, FloatArray
 
 COUNT = 3  # places that are shown, if the print is large enough
 APART = 0.15  # of the print's width: nearer ones look the same

@@ -10,8 +10,7 @@ from scipy.signal import welch
 
 from ffcomp.compare.result import Comparison, Method, Samples
 from ffcomp.report.compare.off_path import contour_vectors, unbroken
-
-FloatArray = NDArray[np.float64]
+from models.arrays import FloatArray
 
 WINDOW_S = 0.8  # of one Welch segment: lines 1.25 Hz apart
 HIGHEST_HZ = 160.0  # nothing rings above it that a print would show

@@ -11,10 +11,10 @@ from matplotlib.ticker import NullLocator
 
 from ffcomp.diagnose.acceptance import Place
 from ffcomp.diagnose.summary import Alike, Overlay, Spectrum, Split
-from ffcomp.measurement.frf import FloatArray
 from ffcomp.report.diagnose.words import digits, times_noise
 from ffcomp.report.shared.drawing import Box
 from ffcomp.report.shared.style import AFTER, BEFORE, INK, SOFT, grid, plain_decades
+from models.arrays import FloatArray
 
 NOISE = "#c9ced8"
 MEASURED = "#222222"

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from models.arrays import constant
 from models.file import load_machine
-from models.machine import Carriage, DeltaGeometry, Effector, Machine, MotionLimits, constant
+from models.machine import Carriage, DeltaGeometry, Effector, Machine, MotionLimits
 
 TABLE_I_OFFSET = (10.21, -16.52, 19.31)
 

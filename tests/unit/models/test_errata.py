@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.machine import Machine, constant
+from models.arrays import constant
+from models.machine import Machine
 from models.vibration.effector import effector_impedance, load_map
 from models.vibration.receptance import assembly_frf, carriage_frf, modes, poles
 

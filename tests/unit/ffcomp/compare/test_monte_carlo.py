@@ -9,9 +9,9 @@ import pytest
 
 from ffcomp.compare.monte_carlo import FARTHEST, drawn, dynamic_numbers
 from ffcomp.simulate.compatibility import check_same_kinematics
+from models.arrays import constant
 from models.errors import MachineFileError
 from models.file import load_machine
-from models.machine import constant
 from models.parameters import value_of
 
 MACHINE = load_machine("mp-delta-pro")

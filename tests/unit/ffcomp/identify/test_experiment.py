@@ -23,7 +23,6 @@ from ffcomp.identify.experiment import (
     CONSERVATIVE,
     TOWERS,
     Experiment,
-    FloatArray,
     Plan,
     Request,
     limits_of,
@@ -37,8 +36,9 @@ from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.trajectory import Trajectory
 from gcode.program import EventKind, Program
 from gcode.reader import read_program
+from models.arrays import FloatArray, constant
 from models.file import load_machine
-from models.machine import Machine, constant
+from models.machine import Machine
 from models.vibration.receptance import carriage_frf
 from models.vibration.scheduled import rest_state
 from models.vibration.state_space import continuous_plant, discretise

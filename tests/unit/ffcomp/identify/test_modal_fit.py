@@ -26,9 +26,10 @@ from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
 from ffcomp.measurement.klipper import Resonances, read_vibration
 from ffcomp.shapers.calibration import calibrated, normalised, resonance_test
+from models.arrays import constant
 from models.file import LIBRARY, load_machine
 from models.kinematics.cartesian import CARTESIAN, StraightGeometry
-from models.machine import Machine, MotionLimits, constant
+from models.machine import Machine, MotionLimits
 from models.vibration.modal import Axis, parts
 
 FloatArray = NDArray[np.float64]

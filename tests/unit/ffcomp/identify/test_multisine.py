@@ -13,7 +13,6 @@ from ffcomp.errors import LimitsError
 from ffcomp.identify.multisine import (
     KINDS,
     QUIET_S,
-    FloatArray,
     band,
     excitation,
     lines_of,
@@ -22,6 +21,7 @@ from ffcomp.identify.multisine import (
     second_difference_gain,
     smooth_step,
 )
+from models.arrays import FloatArray
 
 FINE = 64  # samples between two knots
 WIDE = band(5.0, 110.0, 4.0, 250.0)

@@ -22,8 +22,9 @@ from ffcomp.planner.limits import DeltaReach, FirmwareLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.shapers import calibration as calibrate
 from gcode.reader import read_program
+from models.arrays import constant
 from models.file import load_machine
-from models.machine import DeltaGeometry, constant
+from models.machine import DeltaGeometry
 from validation import kalico
 
 FloatArray = NDArray[np.float64]

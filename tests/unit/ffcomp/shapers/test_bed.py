@@ -10,8 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp import shapers
+from models.arrays import constant
 from models.file import load_machine
-from models.machine import Machine, constant
+from models.machine import Machine
 
 FloatArray = NDArray[np.float64]
 

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from ffcomp import shapers
 from ffcomp.measurement.klipper import Resonances, read_vibration
 from ffcomp.shapers import calibration as calibrate
+from models.arrays import constant
 from models.file import load_machine
-from models.machine import Machine, constant
+from models.machine import Machine
 from models.vibration.receptance import nozzle_frf
 
 FloatArray = NDArray[np.float64]

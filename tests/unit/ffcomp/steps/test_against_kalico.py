@@ -21,8 +21,9 @@ from ffcomp.steps.pieces import trajectory_pieces
 from ffcomp.steps.reader import MotorSteps, read_steps
 from ffcomp.steps.sink import Board, StepSink
 from gcode.reader import read_program
+from models.arrays import constant
 from models.file import load_machine
-from models.machine import Steps, constant
+from models.machine import Steps
 from validation import kalico
 from validation.judge import HOST_KNOWS
 

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from models.arrays import constant
 from models.checks.physics import bed, soundness, unstable_places
 from models.file import LIBRARY, load_machine
-from models.machine import Machine, constant
+from models.machine import Machine
 from models.vibration.receptance import poles, receptance
 
 NAMES = sorted(path.stem for path in LIBRARY.glob("*.toml") if load_machine(path).first_share is None)  # deltas

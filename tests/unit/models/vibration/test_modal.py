@@ -11,10 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from models.arrays import constant
 from models.errors import MachineFileError
 from models.file import load_machine
 from models.kinematics.cartesian import CARTESIAN, StraightGeometry
-from models.machine import Machine, MotionLimits, constant
+from models.machine import Machine, MotionLimits
 from models.printer.printer import simulate_printer
 from models.vibration.modal import Axis, axis_frf, low_frequency, parts
 from models.vibration.receptance import modes, nozzle_frf

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.machine import Machine, constant
+from models.arrays import constant
+from models.machine import Machine
 from models.vibration.carriage import command_frf, drive_frf, force_frf, impedance, with_added_mass
 from models.vibration.effector import effector_impedance, load_distribution, load_map, struck_frf
 from models.vibration.receptance import assembly_frf, carriage_frf, modes, nozzle_frf, poles, receptance

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from models.arrays import constant
 from models.file import load_machine
-from models.machine import Machine, constant
+from models.machine import Machine
 from models.vibration.mode_map import ModeMap, kinds, mode_map, numbers
 from models.vibration.receptance import modes
 
