@@ -14,15 +14,15 @@ import numpy as np
 
 from models.arrays import FloatArray, constant
 from models.errors import MachineFileError
-from models.kinematics.base import Geometry
-from models.kinematics.delta import DeltaGeometry
+from models.kinematics.base import Kinematics
+from models.kinematics.delta import DeltaKinematics
 
 __all__ = [
     "Carriage",
-    "DeltaGeometry",
+    "DeltaKinematics",
     "Drive",
     "Effector",
-    "Geometry",
+    "Kinematics",
     "Machine",
     "MotionLimits",
     "Steps",
@@ -107,7 +107,7 @@ class Machine:
     """Everything a machine file says."""
 
     name: str
-    kinematics: Geometry
+    kinematics: Kinematics
     carriage: Carriage
     effector: Effector
     limits: MotionLimits
@@ -125,9 +125,9 @@ class Machine:
         return self.first_share is not None
 
     @property
-    def delta(self) -> DeltaGeometry:
+    def delta(self) -> DeltaKinematics:
         """Its geometry as a delta's; MachineFileError if it is none."""
-        if not isinstance(self.kinematics, DeltaGeometry):
+        if not isinstance(self.kinematics, DeltaKinematics):
             rule = "The machine is no delta (kinematics.type), and this works for deltas only."
             raise MachineFileError(self.path or self.name, [rule])
         return self.kinematics

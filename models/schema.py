@@ -16,8 +16,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from models.arrays import FloatArray, constant
 from models.effects.catalogue import CATALOGUE
 from models.errors import MachineFileError
-from models.kinematics.cartesian import CARTESIAN, COREXY, StraightGeometry
-from models.machine import DeltaGeometry, MotionLimits, Steps
+from models.kinematics.cartesian import CARTESIAN, COREXY, CartesianKinematics
+from models.machine import DeltaKinematics, MotionLimits, Steps
 from models.vibration.modal import Axis
 
 # The ranges hold any printer, and catch most numbers in a wrong unit.
@@ -55,9 +55,9 @@ class StraightTable(Table):
         )
         return self
 
-    def geometry(self) -> StraightGeometry:
+    def geometry(self) -> CartesianKinematics:
         ranges = constant([self.x_range_mm, self.y_range_mm, self.z_range_mm])
-        return StraightGeometry(ranges, CARTESIAN if self.type == "cartesian" else COREXY)
+        return CartesianKinematics(ranges, CARTESIAN if self.type == "cartesian" else COREXY)
 
 
 class AxisTable(Table):
@@ -111,8 +111,8 @@ class KinematicsTable(Table):
     def radii_mm(self) -> list[float] | None:
         return self.delta_radii_mm or (self.delta_radius_mm and [self.delta_radius_mm] * 3) or None
 
-    def geometry(self) -> DeltaGeometry:
-        return DeltaGeometry(
+    def geometry(self) -> DeltaKinematics:
+        return DeltaKinematics(
             arm_lengths_mm=_known(self.arms_mm),
             delta_radii_mm=_known(self.radii_mm),
             tower_angles_deg=constant(self.tower_angles_deg),

@@ -27,7 +27,7 @@ from ffcomp.identify.axis_spectra import Spectrum, spectrum_of
 from ffcomp.identify.modal_fit import AxisFit, fit_axis
 from ffcomp.measurement.klipper import Resonances, read_vibration
 from ffcomp.shapers.calibration import calibrated, normalised, resonance_test
-from models.kinematics.cartesian import CARTESIAN, StraightGeometry
+from models.kinematics.cartesian import CARTESIAN, CartesianKinematics
 from models.machine import Machine, MotionLimits
 from models.vibration.modal import Axis, parts
 
@@ -130,7 +130,7 @@ def _drawn(rng: np.random.Generator, count: int) -> FloatArray:
 
 def _identified(modes: FloatArray, noise: float, seed: int) -> AxisFit:
     """From a capture as the firmware writes it."""
-    box = StraightGeometry(constant([[0, 200]] * 3), CARTESIAN)
+    box = CartesianKinematics(constant([[0, 200]] * 3), CARTESIAN)
     vibrating = parts([Axis(*modes.T.tolist()), Axis(), Axis()])
     machine = Machine("truth", box, limits=MotionLimits(200.0, 3000.0), **vibrating)
     felt = resonance_test(machine, np.zeros(2), "x")

@@ -35,7 +35,7 @@ from ffcomp.errors import NothingToDo
 from ffcomp.inverse.settings import Settings
 from ffcomp.simulate.compatibility import check_same_kinematics
 from models.arrays import FloatArray
-from models.machine import DeltaGeometry, Machine
+from models.machine import DeltaKinematics, Machine
 
 SHORTEST_S = 3 * SETTLE_S
 SOME_S = 60.0  # of print time that is printed on every drawn plant
@@ -332,7 +332,7 @@ def _bed(plant: Machine) -> BedMap:
     x, y = (np.linspace(low, high, 2 * int(np.ceil((high - low) / 2 / BED_PITCH_MM)) + 1) for low, high in _spans(rim))
     places = np.stack(np.meshgrid(x, y), axis=-1)
     frequency = every.mode_frequencies(plant)(places.reshape(-1, 2)).reshape(places.shape)
-    if isinstance(plant.kinematics, DeltaGeometry):
+    if isinstance(plant.kinematics, DeltaKinematics):
         frequency[np.hypot(places[..., 0], places[..., 1]) > 1.001 * plant.kinematics.print_radius_mm] = np.nan
     return BedMap(x, y, frequency)
 

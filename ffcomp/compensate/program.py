@@ -43,7 +43,7 @@ from gcode.program import Event, EventKind, Moves, Program
 from models.arrays import FloatArray
 from models.effects.catalogue import design_machine
 from models.errors import UnreachableError
-from models.machine import DeltaGeometry, Geometry, Machine, Steps
+from models.machine import DeltaKinematics, Kinematics, Machine, Steps
 from models.vibration.scheduled import rest_state
 
 SEGMENTS_PER_SECOND = 250.0
@@ -84,11 +84,11 @@ def firmware_limits(machine: Machine) -> FirmwareLimits:
         square_corner_velocity_mm_per_s=own.square_corner_velocity_mm_per_s,
         z_velocity_mm_per_s=own.z_velocity_mm_per_s,
         z_acceleration_mm_per_s2=own.z_acceleration_mm_per_s2,
-        delta=_slow_zones(geometry, machine.steps) if isinstance(geometry, DeltaGeometry) else None,
+        delta=_slow_zones(geometry, machine.steps) if isinstance(geometry, DeltaKinematics) else None,
     )
 
 
-def _slow_zones(geometry: DeltaGeometry, steps: Steps) -> DeltaReach:
+def _slow_zones(geometry: DeltaKinematics, steps: Steps) -> DeltaReach:
     """Where the firmware slows a delta down."""
     half_step = 0.5 / float(np.max(steps.per_motor))
     return DeltaReach(float(geometry.delta_radii_mm.max()), float(geometry.arm_lengths_mm.min()), half_step)
@@ -99,7 +99,7 @@ def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SEC
     limits = firmware_limits(machine)
     output = OutputLimits(
         z_acceleration_mm_per_s2=limits.z_acceleration_mm_per_s2 or limits.acceleration_mm_per_s2,
-        raised_axes="XYZ" if isinstance(machine.kinematics, DeltaGeometry) else "XY",
+        raised_axes="XYZ" if isinstance(machine.kinematics, DeltaKinematics) else "XY",
         retract_acceleration_mm_per_s2=limits.acceleration_mm_per_s2 * limits.extrusion_ratio,
     )
     segment_s = 1.0 / segments_per_second
@@ -371,7 +371,7 @@ def _own_limits(machine: Machine) -> MotionLimits:
     return MotionLimits(own.velocity_mm_per_s, own.acceleration_mm_per_s2, own.square_corner_velocity_mm_per_s, 0.5)
 
 
-def keep_inside(geometry: Geometry, vertices: FloatArray, heights: FloatArray) -> FloatArray:
+def keep_inside(geometry: Kinematics, vertices: FloatArray, heights: FloatArray) -> FloatArray:
     """The command where the firmware lets it go: it aborts a print over a µm outside the radius or below the bed.
 
     vertices : (n, 3) mm;  heights : (m,) mm, of the path itself

@@ -28,8 +28,8 @@ from gcode.emit import F_COUNTS, XYZ_COUNTS
 from gcode.program import Moves
 from models.arrays import FloatArray
 from models.errors import UnreachableError
-from models.kinematics.cartesian import StraightGeometry
-from models.machine import DeltaGeometry, Geometry, Machine
+from models.kinematics.cartesian import CartesianKinematics
+from models.machine import DeltaKinematics, Kinematics, Machine
 
 TOWERS, AXES = ("A", "B", "C"), ("x", "y", "z")
 ON_TIME_S = 5e-5  # a knot that is reached later than this was asked for too much
@@ -90,7 +90,7 @@ class Experiment:
     first_knot: int  # where the first whole period begins that is not transient
     periods: int
     vertices_mm: FloatArray  # (n + 1, 3) columns X Y Z, as the file states them
-    geometry: Geometry = field(repr=False)
+    geometry: Kinematics = field(repr=False)
     output: OutputLimits = field(repr=False)
 
     @cached_property
@@ -169,7 +169,7 @@ class Plan:
     experiments: tuple[Experiment, ...]
 
 
-def line_of_action(geometry: DeltaGeometry) -> list[tuple[float, float]]:
+def line_of_action(geometry: DeltaKinematics) -> list[tuple[float, float]]:
     """Places away from each tower through the centre, whole mm: there its carriage's dynamics differ most."""
     towards = geometry.towers_mm / geometry.delta_radii_mm[:, None]
     places = np.round(-LINE_OF_ACTION * geometry.print_radius_mm * towards) + 0.0
@@ -245,7 +245,7 @@ def _allowed(machine: Machine, request: Request, direction: str, limits: Peaks) 
     return request.acceleration_mm_per_s2 or acceleration, velocity
 
 
-def _gains(geometry: Geometry, place: tuple[float, float], direction: str) -> Peaks:
+def _gains(geometry: Kinematics, place: tuple[float, float], direction: str) -> Peaks:
     """How fast carriages and nozzle are when the excited coordinate moves at 1 mm/s (Eq. 12: Ẋ = J q̇)."""
     j = geometry.jacobian(np.array([place]))[0]
     if direction in TOWERS:
@@ -281,7 +281,7 @@ def _experiment(
 
 
 def _vertices(
-    geometry: Geometry, direction: str, position: tuple[float, float, float], displacement: FloatArray
+    geometry: Kinematics, direction: str, position: tuple[float, float, float], displacement: FloatArray
 ) -> FloatArray:
     """Where the nozzle goes when one coordinate moves by (n + 1,) mm: (n + 1, 3) mm, as the file can state it."""
     rest = np.array([position])
@@ -294,7 +294,7 @@ def _vertices(
     return _always_moving(np.rint(nozzle * XYZ_COUNTS).astype(np.int64).tolist(), nudged) / XYZ_COUNTS
 
 
-def _forward(geometry: Geometry, q: FloatArray, direction: str) -> FloatArray:
+def _forward(geometry: Kinematics, q: FloatArray, direction: str) -> FloatArray:
     try:
         return geometry.forward(q)
     except UnreachableError as error:
@@ -421,11 +421,11 @@ def _check_sideways(machine: Machine, made: Experiment) -> None:
         )
 
 
-def _top(geometry: Geometry) -> float:
+def _top(geometry: Kinematics) -> float:
     """The greatest height of the nozzle, mm."""
-    if isinstance(geometry, StraightGeometry):
+    if isinstance(geometry, CartesianKinematics):
         return float(geometry.range_mm[2, 1])
-    assert isinstance(geometry, DeltaGeometry), "there are these two kinds"
+    assert isinstance(geometry, DeltaKinematics), "there are these two kinds"
     return geometry.print_height_mm
 
 

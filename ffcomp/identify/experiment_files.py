@@ -25,8 +25,8 @@ from gcode.emit import MoveWriter
 from gcode.limits import MotionLimits
 from gcode.program import Frame
 from models.arrays import constant
-from models.kinematics.cartesian import COREXY, StraightGeometry
-from models.machine import DeltaGeometry, Geometry, Machine
+from models.kinematics.cartesian import COREXY, CartesianKinematics
+from models.machine import DeltaKinematics, Kinematics, Machine
 
 SCHEMA = "ffcomp-excitation/1"
 TRAVEL_SHARE = 0.2  # of the machine's velocity, between experiments
@@ -101,13 +101,13 @@ def load_plan(path: str | Path) -> Plan:
 def _plan(account: Mapping[str, Any]) -> Plan:
     machine, output = account["machine"], OutputLimits(**account["output"])
     arrays = {name: constant(value) for name, value in account["kinematics"].items() if isinstance(value, list)}
-    kind = StraightGeometry if "motor_matrix" in arrays else DeltaGeometry
+    kind = CartesianKinematics if "motor_matrix" in arrays else DeltaKinematics
     geometry = kind(**{**account["kinematics"], **arrays})
     experiments = tuple(_experiment(entry, geometry, output) for entry in account["experiments"])
     return Plan(machine["name"], machine["sha256"], account["kind"], account["seed"], experiments)
 
 
-def _experiment(entry: Mapping[str, Any], geometry: Geometry, output: OutputLimits) -> Experiment:
+def _experiment(entry: Mapping[str, Any], geometry: Kinematics, output: OutputLimits) -> Experiment:
     x, y, z = entry["position_mm"]
     given = {each.name: entry[each.name] for each in fields(Experiment) if each.name in entry}
     read = {"position_mm": (x, y, z), "band": Band(**entry["band"]), "vertices_mm": constant(entry["vertices_mm"])}
@@ -228,15 +228,15 @@ def _of_heights(plan: Plan, machine: Machine) -> list[str]:
     ]
 
 
-def _of_kinematics(geometry: Geometry) -> list[str]:
+def _of_kinematics(geometry: Kinematics) -> list[str]:
     """What must be so on this kind of machine."""
-    if isinstance(geometry, DeltaGeometry):
+    if isinstance(geometry, DeltaKinematics):
         return [
             "- The firmware's arm lengths, delta radius and tower angles are those of the machine file:",
             f"  L {_listed(geometry.arm_lengths_mm)}, R {_listed(geometry.delta_radii_mm)} mm, "
             f"towers {_listed(geometry.tower_angles_deg)} degrees.",
         ]
-    assert isinstance(geometry, StraightGeometry), "there are these two kinds"
+    assert isinstance(geometry, CartesianKinematics), "there are these two kinds"
     if np.array_equal(geometry.motor_matrix, COREXY):
         return ["- The firmware's kinematics is CoreXY: the belts of both motors move the nozzle along x and along y."]
     return [

@@ -38,7 +38,7 @@ class CommandLimits:
     acceleration_mm_per_s2: float
     travel_mm: tuple[float, float]  # lowest and highest place of a motor; infinite where it is not known
     segment_s: float
-    rows: FloatArray  # (3, 8), `Geometry.motor_rows`
+    rows: FloatArray  # (3, 8), `Kinematics.motor_rows`
     motors: FloatArray  # (3, 3) motors from carriages
 
     @classmethod

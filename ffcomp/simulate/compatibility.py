@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from models.errors import MachineFileError
-from models.machine import DeltaGeometry, Machine
+from models.machine import DeltaKinematics, Machine
 
 ALLOWED = {"arm_lengths_mm": 1.0, "delta_radii_mm": 1.0, "tower_angles_deg": 0.5, "effector_height_mm": 1.0}
 
@@ -22,7 +22,7 @@ def check_same_kinematics(machine: Machine, plant: Machine) -> None:
         rule = f"A plant must have the machine's kind of kinematics, that of {machine.path or machine.name}."
         raise MachineFileError(plant.path or plant.name, [rule])
     problems = []
-    allowances = ALLOWED if isinstance(machine.kinematics, DeltaGeometry) else {"motor_matrix": 0.0}
+    allowances = ALLOWED if isinstance(machine.kinematics, DeltaKinematics) else {"motor_matrix": 0.0}
     for key, allowed in allowances.items():
         own, other = (np.atleast_1d(getattr(m.kinematics, key)) for m in (machine, plant))
         if np.abs(own - other).max() > allowed:

@@ -15,7 +15,7 @@ from ffcomp.simulate.command import Command, Goal, OfTime, Stretch
 from ffcomp.steps.reader import MOTORS, MotorSteps, StepsError
 from models.arrays import FloatArray
 from models.errors import UnreachableError
-from models.machine import Geometry, Machine
+from models.machine import Kinematics, Machine
 
 REFERENCE = "the path of the steps themselves, with the microsteps smoothed out"
 LEAD_S = 0.05  # of rest before the first step
@@ -85,14 +85,14 @@ def steps_command(motors: Mapping[str, MotorSteps], machine: Machine, path: str 
     return Command([Stretch(begin_s, end_s, rows, meant, _goal(meant, machine.kinematics))], "linear", REFERENCE)
 
 
-def _check_start(geometry: Geometry, carriages: FloatArray, path: str) -> None:
+def _check_start(geometry: Kinematics, carriages: FloatArray, path: str) -> None:
     try:
         geometry.forward(carriages)
     except UnreachableError as error:
         raise StepsError(f"a_start_mm, b_start_mm, c_start_mm: {error}", path=path) from error
 
 
-def _goal(meant: OfTime, geometry: Geometry) -> Goal:
+def _goal(meant: OfTime, geometry: Kinematics) -> Goal:
     delta = geometry.compiled()
 
     def nozzle(t: FloatArray) -> FloatArray:

@@ -30,7 +30,7 @@ from models.arrays import FloatArray, IntArray
 
 WayArray = NDArray[np.int8]
 Columns = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
-Arm = tuple[float, float, float, float, float, float, float, float]  # `Geometry.motor_rows`
+Arm = tuple[float, float, float, float, float, float, float, float]  # `Kinematics.motor_rows`
 Rules = tuple[int, int, int]
 
 REVERSAL_MM = 1e-8  # the command must pass a crossing by so much the other way: far above rounding, far below a step
@@ -154,7 +154,7 @@ def step_times(
     Parameters
     ----------
     pieces : start_t, duration, origin, direction, start_v, acceleration, as in `Pieces`
-    arm : the motor's row of `Geometry.motor_rows`; without an arm (L² = 0) it moves evenly: an axis, or the filament
+    arm : the motor's row of `Kinematics.motor_rows`; without an arm (L² = 0) it moves evenly: an axis, or the filament
     grid : where the motor began, and one microstep, mm
     rules : ticks; a step that turns back sooner is dropped with the one before, pulses are no closer, and a step after
         a turn comes no sooner

@@ -27,7 +27,7 @@ from ffcomp.steps.crossings import (
 from ffcomp.steps.pieces import Pieces
 from ffcomp.steps.reader import FOLLOWING, MOTORS, StepsError
 from models.arrays import FloatArray, IntArray
-from models.machine import Geometry, Machine
+from models.machine import Kinematics, Machine
 
 WayArray = NDArray[np.int8]
 
@@ -156,8 +156,8 @@ class _Motor:
         return MotorTotal(self.steps, rows, int(self._state[SWALLOWED]), late)
 
 
-def _arm(geometry: Geometry, motor: str) -> Arm:
-    """The motor's row of `Geometry.motor_rows`; the filament's own."""
+def _arm(geometry: Kinematics, motor: str) -> Arm:
+    """The motor's row of `Kinematics.motor_rows`; the filament's own."""
     rows = [*geometry.motor_rows.tolist(), [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]
     return cast(Arm, tuple(rows[(MOTORS + FOLLOWING).index(motor)]))
 

@@ -30,7 +30,7 @@ class Compiled(Protocol):
     def rate_term(self, xyz: FloatArray, velocity: FloatArray) -> FloatArray: ...
 
 
-class Geometry(ABC):
+class Kinematics(ABC):
     """One kind of kinematics with its numbers."""
 
     @abstractmethod

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.arrays import FloatArray, constant
-from models.kinematics.base import INSIDE_MM, SLACK_MM, Compiled, Geometry, require, rings
+from models.kinematics.base import INSIDE_MM, SLACK_MM, Compiled, Kinematics, require, rings
 
 CARTESIAN = constant(np.eye(3))
 COREXY = constant([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
-class StraightGeometry(Geometry):
+class CartesianKinematics(Kinematics):
     """Three axes and the box that the nozzle may move in."""
 
     range_mm: FloatArray  # (3, 2) lowest and highest place of X Y Z

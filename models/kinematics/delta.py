@@ -19,13 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.arrays import FloatArray
-from models.kinematics.base import INSIDE_MM, SLACK_MM, Compiled, Geometry, require, rings
+from models.kinematics.base import INSIDE_MM, SLACK_MM, Compiled, Kinematics, require, rings
 
 LOWEST_Z_MM = -5.0  # below the bed: room for a calibrated or baby-stepped first layer
 
 
 @dataclass(frozen=True, eq=False)
-class DeltaGeometry(Geometry):
+class DeltaKinematics(Kinematics):
     """A linear delta. The radii are effective: tower joint radius minus effector joint radius (Eqs. 3-5)."""
 
     arm_lengths_mm: FloatArray  # (3,) L

@@ -1,6 +1,6 @@
 """The delta's equations compiled, for loops that cannot wait for arrays of arrays. See `delta.py` for the maths.
 
-`towers` (3, 2) mm are DeltaGeometry.towers_mm, `arms_squared` (3,) mm². Points out of reach become NaN.
+`towers` (3, 2) mm are DeltaKinematics.towers_mm, `arms_squared` (3,) mm². Points out of reach become NaN.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from models.arrays import FloatArray
-from models.kinematics.delta import DeltaGeometry
+from models.kinematics.delta import DeltaKinematics
 
 
 @njit(cache=True, nogil=True)
@@ -84,7 +84,7 @@ def _rate_term(xyz: FloatArray, velocity: FloatArray, towers: FloatArray, arms_s
 class FastDelta:
     """`inverse`, `forward` and `jacobian_rate_term` of one geometry, compiled and unchecked: (n, 3) in and out."""
 
-    def __init__(self, geometry: DeltaGeometry) -> None:
+    def __init__(self, geometry: DeltaKinematics) -> None:
         self._towers = np.ascontiguousarray(geometry.towers_mm)
         self._arms = np.ascontiguousarray(geometry.arm_lengths_mm**2)
         self._height = float(geometry.effector_height_mm)

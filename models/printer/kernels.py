@@ -60,7 +60,7 @@ REST_TOLERANCE_M = 1e-13
 # The numbers of one printer.
 NUMBERS = np.dtype(
     [
-        ("towers", "f8", (3, 2)),  # m, DeltaGeometry.towers_mm
+        ("towers", "f8", (3, 2)),  # m, DeltaKinematics.towers_mm
         ("arms_squared", "f8", 3),  # m²
         ("height", "f8"),  # m, joint plane above the nozzle tip
         ("to_plane", "f8", (2, 2)),  # 1/m, inverse of the joints B and C seen from A

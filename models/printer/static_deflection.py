@@ -9,7 +9,7 @@ from numba import njit
 
 from models.arrays import FloatArray
 from models.effects.catalogue import effective_machine
-from models.machine import DeltaGeometry, Machine
+from models.machine import DeltaKinematics, Machine
 from models.printer import kernels
 from models.printer.printer import printer_numbers, rest_values
 
@@ -19,7 +19,7 @@ _RINGS, _ANGLES = 9, 18
 
 def sag(plant: Machine, nozzle: FloatArray) -> FloatArray:
     """How far weight alone bends the resting printer at places (m, 3) mm → (m, 3) mm."""
-    if not isinstance(plant.kinematics, DeltaGeometry):  # weight stands on the frame, not on what vibrates
+    if not isinstance(plant.kinematics, DeltaKinematics):  # weight stands on the frame, not on what vibrates
         return np.zeros((len(nozzle), 3))
     reach = plant.kinematics.print_radius_mm
     return np.asarray(_powers(np.ascontiguousarray(nozzle[:, :2] / reach)) @ _coefficients(plant))

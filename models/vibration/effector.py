@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from models.arrays import ComplexArray, FloatArray
-from models.machine import DeltaGeometry, Effector, Machine
+from models.machine import DeltaKinematics, Effector, Machine
 
 
 def effector_impedance(machine: Machine, s: ComplexArray) -> ComplexArray:
@@ -71,7 +71,7 @@ def load_map(machine: Machine, xy: FloatArray) -> FloatArray:
     return np.einsum("nai,iab->nib", j, load_distribution(machine.delta, machine.effector))
 
 
-def load_distribution(geometry: DeltaGeometry, effector: Effector) -> FloatArray:
+def load_distribution(geometry: DeltaKinematics, effector: Effector) -> FloatArray:
     """The matrices P_i: arm i's share of the force on the effector, minimum norm (Eqs. 19-23).
 
     Returns

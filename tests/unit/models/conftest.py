@@ -12,13 +12,13 @@ import pytest
 
 from models.arrays import constant
 from models.file import load_machine
-from models.machine import Carriage, DeltaGeometry, Effector, Machine, MotionLimits
+from models.machine import Carriage, DeltaKinematics, Effector, Machine, MotionLimits
 
 TABLE_I_OFFSET = (10.21, -16.52, 19.31)
 
 
 def geometry(arm: float = 290.0, radius: float = 140.0, angles: tuple[float, ...] = (0, 120, 240)):
-    return DeltaGeometry(
+    return DeltaKinematics(
         constant([arm] * 3), constant([radius] * 3), constant(angles), 50.0, arm - radius - 15.0, 300.0
     )
 

@@ -28,7 +28,7 @@ from ffcomp.measurement.klipper import Resonances, read_vibration
 from ffcomp.shapers.calibration import calibrated, normalised, resonance_test
 from models.arrays import constant
 from models.file import LIBRARY, load_machine
-from models.kinematics.cartesian import CARTESIAN, StraightGeometry
+from models.kinematics.cartesian import CARTESIAN, CartesianKinematics
 from models.machine import Machine, MotionLimits
 from models.vibration.modal import Axis, parts
 
@@ -67,7 +67,7 @@ def resonance_capture(folder: Path, name: str, modes: FloatArray, noise: float, 
     axis = "xyz".index(name[0])
     axes = [Axis()] * 3
     axes[axis] = Axis(*modes.T.tolist())
-    box = StraightGeometry(constant([[0, 200]] * 3), CARTESIAN)
+    box = CartesianKinematics(constant([[0, 200]] * 3), CARTESIAN)
     machine = Machine("truth", box, limits=MotionLimits(200.0, 3000.0), **parts(axes))
     felt = 1e-3 * resonance_test(machine, np.zeros(2), "x" if axis == 0 else "y")
     felt = felt + np.random.default_rng(seed).normal(0, noise, felt.shape) + np.array([0.0, 0.0, 9.81])

@@ -24,14 +24,14 @@ from ffcomp.shapers import calibration as calibrate
 from gcode.reader import read_program
 from models.arrays import constant
 from models.file import load_machine
-from models.machine import DeltaGeometry
+from models.machine import DeltaKinematics
 from validation import kalico
 
 FloatArray = NDArray[np.float64]
 
 pytestmark = pytest.mark.kalico
 
-GEOMETRY = DeltaGeometry(
+GEOMETRY = DeltaKinematics(
     constant([kalico.ARM_LENGTH_MM] * 3),
     constant([kalico.RADIUS_MM] * 3),
     constant([210.0, 330.0, 90.0]),

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from models.arrays import constant
 from models.errors import UnreachableError
 from models.kinematics.delta_kernels import inverse_point
-from models.machine import DeltaGeometry
+from models.machine import DeltaKinematics
 
-SYMMETRIC = DeltaGeometry(
+SYMMETRIC = DeltaKinematics(
     constant([300.0] * 3), constant([140.0] * 3), constant([0.0, 120.0, 240.0]), 50.0, 135.0, 300.0
 )
-CROOKED = DeltaGeometry(
+CROOKED = DeltaKinematics(
     constant([300.0, 301.5, 298.2]),
     constant([140.0, 141.1, 139.2]),
     constant([29.0, 151.5, 270.3]),
@@ -28,7 +28,7 @@ CROOKED = DeltaGeometry(
 
 
 @st.composite
-def geometries(draw) -> DeltaGeometry:
+def geometries(draw) -> DeltaKinematics:
     """Printers from desk to door size, each tower a little off."""
     radius = draw(st.floats(60, 400))
     print_radius = radius * draw(st.floats(0.5, 1.0))
@@ -36,10 +36,10 @@ def geometries(draw) -> DeltaGeometry:
     off = st.lists(st.floats(-1, 1), min_size=3, max_size=3).map(np.array)
     angles = np.array([0.0, 120.0, 240.0]) + draw(st.floats(-180, 180)) + 3 * draw(off)
     radii, arms = radius * (1 + 0.005 * draw(off)), arm * (1 + 0.005 * draw(off))
-    return DeltaGeometry(constant(arms), constant(radii), constant(angles), 40.0, print_radius, 2 * radius)
+    return DeltaKinematics(constant(arms), constant(radii), constant(angles), 40.0, print_radius, 2 * radius)
 
 
-def places(geometry: DeltaGeometry, count: int = 50) -> np.ndarray:
+def places(geometry: DeltaKinematics, count: int = 50) -> np.ndarray:
     """(count, 3) mm over the whole print volume."""
     generator = np.random.default_rng(count)
     radius = geometry.print_radius_mm * np.sqrt(generator.random(count))
@@ -49,14 +49,14 @@ def places(geometry: DeltaGeometry, count: int = 50) -> np.ndarray:
 
 @given(geometries())
 @settings(max_examples=40, deadline=None)
-def test_forward_undoes_inverse(geometry: DeltaGeometry) -> None:
+def test_forward_undoes_inverse(geometry: DeltaKinematics) -> None:
     xyz = places(geometry)
     np.testing.assert_allclose(geometry.forward(geometry.inverse(xyz)), xyz, rtol=0, atol=1e-9)
 
 
 @given(geometries())
 @settings(max_examples=20, deadline=None)
-def test_every_arm_keeps_its_length(geometry: DeltaGeometry) -> None:
+def test_every_arm_keeps_its_length(geometry: DeltaKinematics) -> None:
     xyz = places(geometry)
     q = geometry.inverse(xyz)
     across = xyz[:, None, :2] - geometry.towers_mm
@@ -71,7 +71,7 @@ def test_every_arm_keeps_its_length(geometry: DeltaGeometry) -> None:
 
 @given(geometries())
 @settings(max_examples=20, deadline=None)
-def test_jacobian_agrees_with_finite_differences(geometry: DeltaGeometry) -> None:
+def test_jacobian_agrees_with_finite_differences(geometry: DeltaKinematics) -> None:
     xyz, step = places(geometry), 1e-3
     for axis in range(3):
         offset = step * np.eye(3)[axis]

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from models.arrays import constant
 from models.errors import UnreachableError
-from models.machine import DeltaGeometry, Machine
+from models.machine import DeltaKinematics, Machine
 from models.printer.printer import GRAVITY_M_PER_S2, PrinterMotion, simulate_printer
 from models.vibration.state_space import continuous_plant, discretise
 from validation.plants import delta_plant  # the judge: it shares nothing with ours
@@ -20,7 +20,7 @@ RATE_HZ = 1600
 FIELDS = ("carriage_mm", "nozzle_mm", "motor_mm", "carriage_acceleration", "nozzle_acceleration")
 
 
-def sweeping(geometry: DeltaGeometry, seconds: float = 1.0) -> np.ndarray:
+def sweeping(geometry: DeltaKinematics, seconds: float = 1.0) -> np.ndarray:
     """Carriage commands of a curve over half the bed with a shake on it, from rest."""
     t = np.arange(0, seconds, 1 / RATE_HZ)
     x = 30 * np.sin(2 * np.pi * 2 * t) + np.sin(2 * np.pi * 27 * t)

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from models.effects.catalogue import with_effect
 from models.errors import UnreachableError
-from models.machine import DeltaGeometry, Machine
+from models.machine import DeltaKinematics, Machine
 from models.printer import kernels
 from models.printer.printer import PrinterMotion, simulate_printer, simulate_printers
 
@@ -46,7 +46,7 @@ EFFECTS: dict[str, dict[str, Any]] = {
 }
 
 
-def swinging(geometry: DeltaGeometry, seconds: float = 0.3, reach_mm: float = 30.0) -> np.ndarray:
+def swinging(geometry: DeltaKinematics, seconds: float = 0.3, reach_mm: float = 30.0) -> np.ndarray:
     """(n, 3) mm, from rest."""
     t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
     x = reach_mm * np.sin(2 * np.pi * 3 * t) + 0.5 * np.sin(2 * np.pi * 33 * t)

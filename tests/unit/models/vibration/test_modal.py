@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from models.arrays import constant
 from models.errors import MachineFileError
 from models.file import load_machine
-from models.kinematics.cartesian import CARTESIAN, StraightGeometry
+from models.kinematics.cartesian import CARTESIAN, CartesianKinematics
 from models.machine import Machine, MotionLimits
 from models.printer.printer import simulate_printer
 from models.vibration.modal import Axis, axis_frf, low_frequency, parts
@@ -22,7 +22,7 @@ from models.vibration.receptance import modes, nozzle_frf
 from models.vibration.state_space import QD, STATES, Q, continuous_plant
 
 RIGID = Axis()
-BOX = StraightGeometry(constant([[0, 200], [0, 200], [0, 200]]), CARTESIAN)
+BOX = CartesianKinematics(constant([[0, 200], [0, 200], [0, 200]]), CARTESIAN)
 F = np.linspace(1.0, 120.0, 240)
 
 
