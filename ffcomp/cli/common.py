@@ -5,7 +5,6 @@ What is said goes into the log as well (`ffcomp.cli.log`), but for progress.
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import time
@@ -15,6 +14,7 @@ from types import TracebackType
 from typing import Any
 
 from ffcomp.cli.log import note
+from ffcomp.serialise import json_line
 
 
 @contextmanager
@@ -54,7 +54,7 @@ def say(sentence: str, quiet: bool = False) -> None:
 
 
 def print_json(result: dict[str, Any]) -> None:
-    print(json.dumps(result, ensure_ascii=False), flush=True)
+    print(json_line(result), flush=True)
 
 
 class Progress:
