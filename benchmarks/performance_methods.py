@@ -7,11 +7,12 @@ from numpy.typing import NDArray
 
 from ffcomp.compare.methods import Way
 from ffcomp.compare.sampling import Stretch
-from ffcomp.compensate.program import Planned
 from ffcomp.inverse.iterate import Playing
 from ffcomp.inverse.model import Inverter
-from ffcomp.inverse.reference import Reference, Run
+from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.windowed_qr import Window
+from ffcomp.planner.program import PlannedProgram
+from ffcomp.planner.sections import Section
 from ffcomp.simulate.motion import Motion
 from models.effects.catalogue import design_machine
 from models.machine import Machine
@@ -129,7 +130,7 @@ def knots(stretch: Stretch) -> FloatArray:
 # ---- one dense least squares ---------------------------------------------------------------------
 
 
-def whole_run(planned: Planned, run: Run, inverter: Inverter) -> Window:
+def whole_run(planned: PlannedProgram, run: Section, inverter: Inverter) -> Window:
     """The exact inverse's own window over a whole run from rest, all of its knots unknown."""
     playing = Playing(inverter, Reference(planned.trajectory, run, inverter.settings))
     state = rest_state(inverter.machine, planned.trajectory.origin[run.first, :3])

@@ -23,10 +23,11 @@ from ffcomp.compare.evaluation import Played, judge, track
 from ffcomp.compare.methods import ONE_MODEL, OURS, Way
 from ffcomp.compare.playback import peaks, play
 from ffcomp.compare.sampling import Print, Sampling, Stretch
-from ffcomp.compensate.program import Planned, Solved, plan_program, settings_for, solutions
+from ffcomp.compensate.solve import SolvedSection, solutions
 from ffcomp.inverse.model import Inverter, RunResult
-from ffcomp.inverse.reference import Run
-from ffcomp.inverse.settings import Settings
+from ffcomp.inverse.settings import Settings, settings_for
+from ffcomp.planner.program import PlannedProgram, plan_program
+from ffcomp.planner.sections import Section
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
@@ -130,7 +131,7 @@ def inverting(machine: Machine, settings: Settings, name: str) -> Method:
     return Method(way, lambda stretch: sum(each.wanted.knots for each in solved(stretch.planned, inverter)))
 
 
-def solved(planned: Planned, inverter: Inverter, keep: bool = False) -> Iterator[Solved]:
+def solved(planned: PlannedProgram, inverter: Inverter, keep: bool = False) -> Iterator[SolvedSection]:
     return solutions(planned, inverter.machine, inverter, None, lambda wanted: keep)
 
 
@@ -180,7 +181,7 @@ def row(way: Way, stretches: Sequence[Stretch], machine: Machine, count: int, cp
     )
 
 
-def dense_row(planned: Planned, machine: Machine) -> dict[str, float] | None:
+def dense_row(planned: PlannedProgram, machine: Machine) -> dict[str, float] | None:
     """The dense formulation on one run, exact and ours on the same; None if no run is of that length."""
     runs = [r for r in planned.runs if r.travels and DENSE_S[0] <= r.end_t - r.begin_t <= DENSE_S[1]]
     if not runs:
@@ -224,7 +225,7 @@ def accuracy(names: Sequence[str] = PRINTS) -> dict[str, Any]:
     return {name: apart(sample_print(name, machine).planned, machine) for name in names}
 
 
-def apart(planned: Planned, machine: Machine) -> dict[str, Any]:
+def apart(planned: PlannedProgram, machine: Machine) -> dict[str, Any]:
     deep, usual = (replace(each, slow_down=False) for each in (exact_settings(machine), settings_for(machine)))
     exact, ours = Inverter(machine, deep), Inverter(machine, usual)
     more = Inverter(machine, replace(deep, corrections=MORE_CORRECTIONS))
@@ -237,7 +238,7 @@ def apart(planned: Planned, machine: Machine) -> dict[str, Any]:
     return {"printing": while_printing.told(), "parking": parking.told(), "passes": passes.told()}
 
 
-def last_extruding(planned: Planned) -> int:
+def last_extruding(planned: PlannedProgram) -> int:
     """The last move that lays plastic down."""
     direction = planned.trajectory.direction
     return int(np.flatnonzero((direction[:, 3] > 0.0) & np.any(direction[:, :3] != 0.0, axis=1))[-1])
@@ -250,7 +251,7 @@ class _Apart:
         self.runs, self.limited, self.squares, self.samples, self.worst = 0, 0, 0.0, 0, 0.0
         self.command, self.seconds = 0.0, 0.0
 
-    def add(self, run: Run, one: RunResult, other: RunResult) -> None:
+    def add(self, run: Section, one: RunResult, other: RunResult) -> None:
         difference = np.linalg.norm(one.response - other.response, axis=1)
         command = np.linalg.norm(one.vertices - other.vertices, axis=1)
         self.runs += 1

@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compensate.program import plan_program
+from ffcomp.planner.program import plan_program
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps.pieces import trajectory_pieces
 from ffcomp.steps.reader import MotorSteps, read_steps

@@ -36,9 +36,10 @@ from numpy.typing import NDArray
 
 from ffcomp.compensate.gcode_output.layout import Timeline, pieces, timeline
 from ffcomp.compensate.gcode_output.writer import Writer
-from ffcomp.compensate.program import Planned, plan_program, settings_for
-from ffcomp.inverse.reference import Reference, Run
-from ffcomp.inverse.settings import Settings
+from ffcomp.inverse.reference import Reference
+from ffcomp.inverse.settings import Settings, settings_for
+from ffcomp.planner.program import PlannedProgram, plan_program
+from ffcomp.planner.sections import Section
 from ffcomp.planner.segment_timing import merge, played
 from gcode.dialects import detect_flavor
 from gcode.emit import MoveWriter
@@ -68,7 +69,7 @@ class Row:
 class Round:
     """The whole print once, with the time each stage takes."""
 
-    def __init__(self, planned: Planned, settings: Settings) -> None:
+    def __init__(self, planned: PlannedProgram, settings: Settings) -> None:
         self.planned, self.settings = planned, settings
         flavor = detect_flavor(planned.program.lines)
         self.writer = Writer(planned.program, flavor, MotionLimits(), settings)
@@ -109,7 +110,7 @@ class Round:
         assert block == b"".join(self.timed("in Python", lambda: [said.line(*row) for row in rows]))
 
 
-def _runs(planned: Planned) -> Iterator[tuple[Run, list[Event]]]:
+def _runs(planned: PlannedProgram) -> Iterator[tuple[Section, list[Event]]]:
     """Every run in which the nozzle moves, and the events inside it."""
     events = planned.program.events
     for run in planned.runs:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from bisect import bisect_right
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,3 +85,25 @@ def _by_height(program: Program) -> IntArray:
     known = np.where(extrudes, np.searchsorted(heights, height), -1)
     last = np.maximum.accumulate(np.where(extrudes, np.arange(len(end)), -1))
     return np.where(last >= 0, known[np.maximum(last, 0)], 0).astype(np.int64)
+
+
+class LayerLookup:
+    """The layers of a program's moves, worked out when somebody asks."""
+
+    def __init__(self, program: Program, before: int) -> None:
+        """before : layers of the file that have begun before this program"""
+        self.program, self.before = program, before
+
+    @cached_property
+    def _starts(self) -> list[int]:
+        return layer_starts(self.program)
+
+    @cached_property
+    def _by_height(self) -> NDArray[np.int64]:
+        return labels(self.program).layer
+
+    def of(self, move: int) -> int:
+        """Counted from 0."""
+        if not self._starts and not self.before:
+            return int(self._by_height[move])
+        return max(self.before + bisect_right(self._starts, move) - 1, 0)

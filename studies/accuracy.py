@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp import shapers
 from ffcomp.compare.compensated import Compensated, Segments, segments_motion
-from ffcomp.compensate.program import settings_for
+from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.trajectory import Trajectory
 from validation import judge
 

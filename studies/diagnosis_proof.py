@@ -32,10 +32,10 @@ from ffcomp.compare.evaluation import Played, contour
 from ffcomp.compare.methods import OURS, inversion, none
 from ffcomp.compare.monte_carlo import drawn, dynamic_numbers
 from ffcomp.compare.sampling import Print, Sampling, Stretch
-from ffcomp.compensate.program import settings_for
 from ffcomp.diagnose.engine import diagnose
 from ffcomp.diagnose.printer_problem import Delta
 from ffcomp.diagnose.result import better_file, outcome
+from ffcomp.inverse.settings import settings_for
 from ffcomp.measurement.recording import read_run
 from models.file import load_machine, updated_text
 from models.machine import Machine

@@ -33,9 +33,10 @@ from ffcomp.compare.evaluation import Played, contour
 from ffcomp.compare.methods import OURS, inversion, none
 from ffcomp.compare.playback import play
 from ffcomp.compare.sampling import Print, Stretch
-from ffcomp.compensate.program import settings_for, solutions
+from ffcomp.compensate.solve import solutions
 from ffcomp.inverse.model import GEOMETRY, Inverter
 from ffcomp.inverse.nonlinear import correction as whole
+from ffcomp.inverse.settings import settings_for
 from models.effects.catalogue import CATALOGUE, with_effect
 from models.file import load_machine
 from models.machine import Machine

@@ -29,11 +29,12 @@ from ffcomp.compare.methods import OURS, ROBUST, Way, best_fixed, inversion
 from ffcomp.compare.monte_carlo import drawn
 from ffcomp.compare.playback import play
 from ffcomp.compare.sampling import Print, Sampling, Stretch
-from ffcomp.compensate.program import firmware_limits, settings_for
-from ffcomp.inverse.reference import split_runs
+from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.junctions import junction_limits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.s_curve import SCurve, s_curve
+from ffcomp.planner.sections import split_sections
 from models.file import load_machine
 from models.machine import Machine
 from models.parameters import dynamic_numbers, value_of, with_values
@@ -105,13 +106,13 @@ def stretches_of(name: str, machine: Machine) -> list[Stretch]:
 def slower(stretch: Stretch, share: float) -> Stretch:
     """On the same path, with gentler ramps in a time longer by a share."""
     planned, machine = stretch.planned, stretch.machine
-    moves, limits = planned.program.moves, firmware_limits(machine)
+    moves, limits = planned.program.moves, planner_limits(machine)
     stops, waits = stops_and_waits(planned.program)
     plan = plan_moves(moves, limits, stop_before=stops, wait_before=waits)
     allowed = junction_limits(moves, limits, stops | (waits > 0.0))
     most = SCurve(slower=share, limit_mm_per_s2=machine.limits.acceleration_mm_per_s2)
     gentle = s_curve(plan, machine.kinematics.compiled().inverse, most, allowed_v=allowed)
-    return replace(stretch, planned=replace(planned, trajectory=gentle, runs=split_runs(gentle, stops)))
+    return replace(stretch, planned=replace(planned, trajectory=gentle, runs=split_sections(gentle, stops)))
 
 
 def judged(stretches: Sequence[Stretch], way: Way, plants: Sequence[Machine], machine: Machine) -> list[float]:

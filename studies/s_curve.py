@@ -24,12 +24,15 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp.compensate.prediction import Prediction
-from ffcomp.compensate.program import firmware_limits, plan_program, settings_for
 from ffcomp.inverse.model import Inverter
-from ffcomp.inverse.reference import Reference, Run, split_runs
+from ffcomp.inverse.reference import Reference
+from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.junctions import junction_limits
 from ffcomp.planner.lookahead import stops_and_waits
+from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.program import plan_program
 from ffcomp.planner.s_curve import SCurve, s_curve
+from ffcomp.planner.sections import Section, split_sections
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from gcode.program import Program
 from gcode.reader import read_program
@@ -64,7 +67,7 @@ class Row:
 
 def smooth(program: Program, plan: Trajectory, machine: Machine) -> PlannedMotion:
     stops, waits = stops_and_waits(program)
-    allowed_v = junction_limits(program.moves, firmware_limits(machine), stops | (waits > 0.0))
+    allowed_v = junction_limits(program.moves, planner_limits(machine), stops | (waits > 0.0))
     settings = SCurve(limit_mm_per_s2=machine.limits.acceleration_mm_per_s2)
     return s_curve(plan, machine.kinematics.compiled().inverse, settings, allowed_v=allowed_v)
 
@@ -79,7 +82,7 @@ def peaks(parts: list[FloatArray]) -> FloatArray:
     return np.percentile(np.concatenate(parts), [100.0, 99.9])
 
 
-def drawn(runs: list[Run], seconds: float) -> list[int]:
+def drawn(runs: list[Section], seconds: float) -> list[int]:
     """Indices of runs that travel, in random but repeatable order, as many as make up the time."""
     travels = np.flatnonzero([run.travels for run in runs])
     mixed = np.random.default_rng(1).permutation(travels)
@@ -87,7 +90,7 @@ def drawn(runs: list[Run], seconds: float) -> list[int]:
     return [int(i) for i in mixed[: int(np.searchsorted(lasting, seconds)) + 1]]
 
 
-def measure(motion: PlannedMotion, runs: list[Run], chosen: list[int], machine: Machine) -> Row:
+def measure(motion: PlannedMotion, runs: list[Section], chosen: list[int], machine: Machine) -> Row:
     inverter = Inverter(machine, settings_for(machine))
     knot_s, prediction = inverter.settings.segment_s, Prediction(inverter, 1.0)
     delta = machine.kinematics.compiled()
@@ -113,7 +116,7 @@ def compare(path: Path, machine: Machine, seconds: float) -> tuple[Row, Row]:
     chosen = drawn(planned.runs, seconds)
     return (
         measure(planned.trajectory, planned.runs, chosen, machine),
-        measure(motion, split_runs(motion, stops), chosen, machine),
+        measure(motion, split_sections(motion, stops), chosen, machine),
     )
 
 

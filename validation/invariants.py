@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.compensate.gcode_output.writer import OURS, WAS, original
-from ffcomp.compensate.program import SEGMENTS_PER_SECOND, firmware_limits
+from ffcomp.inverse.settings import SEGMENTS_PER_SECOND
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.machine_limits import planner_limits
 from gcode.metadata import TIME_WAS, tells
 from gcode.program import Program
 from gcode.reader import read_program
@@ -151,7 +152,7 @@ def _of_carriages(written: Program, own: NDArray[np.bool_], machine: Machine) ->
     """Mean velocities of the segments as the firmware plays them, and their changes."""
     limits, moves = machine.limits, written.moves
     stop_before, wait_before = stops_and_waits(written)
-    plan = plan_moves(moves, firmware_limits(machine), stop_before=stop_before, wait_before=wait_before)
+    plan = plan_moves(moves, planner_limits(machine), stop_before=stop_before, wait_before=wait_before)
     low, high = limits.carriage_travel_mm or (-np.inf, np.inf)
     start, end = (machine.kinematics.inverse(places[own, :3]) for places in (moves.start, moves.end))
     if (end < low - PLACES).any() or (end > high + PLACES).any():

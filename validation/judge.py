@@ -26,10 +26,10 @@ from ffcomp import shapers
 from ffcomp.compare import compensated as ours
 from ffcomp.compare.compensated import Compensated, Segments, pick
 from ffcomp.compare.shaped import shaped as shaped_apart
-from ffcomp.compensate.program import Planned, plan_program, settings_for
 from ffcomp.inverse.model import Inverter
-from ffcomp.inverse.settings import Settings
+from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import contour_error, peak_acceleration, tracking
+from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.simulate.motion import Clock, Motion, motion_of, path_corners, planned_motion
 from gcode.program import Program
@@ -88,7 +88,7 @@ class Original:
         self.data = data
         self.machine: Machine = load_machine(machine_file)
         self.plant: dict[str, Any] = delta_plant.load_machine(machine_file)
-        self.planned: Planned = plan_program(read_program(data, path, flavor="klipper"), self.machine)
+        self.planned: PlannedProgram = plan_program(read_program(data, path, flavor="klipper"), self.machine)
 
     @property
     def trajectory(self) -> Trajectory:

@@ -198,7 +198,7 @@ def _compare(
     from ffcomp.compare.engine import compare as engine
     from ffcomp.compensate.gcode_output.writer import original
     from ffcomp.compensate.job import STAMP_REACH, already_processed, find_offset
-    from ffcomp.compensate.program import settings_for
+    from ffcomp.inverse.settings import settings_for
     from gcode.container import read_bytes
     from models.file import load_machine
 

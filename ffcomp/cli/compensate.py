@@ -290,7 +290,7 @@ def _targets(
 
 
 def _settings(machine: Machine, rate: float, **changes: Any) -> Settings:
-    from ffcomp.compensate.program import settings_for
+    from ffcomp.inverse.settings import settings_for
 
     return replace(settings_for(machine, rate), **changes)
 

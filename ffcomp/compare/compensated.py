@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compensate.program import Planned, Summary, compensate, plan_program
+from ffcomp.compensate.program import Summary, compensate
 from ffcomp.inverse.model import Inverter, RunResult
-from ffcomp.inverse.reference import Run
 from ffcomp.inverse.settings import Settings
+from ffcomp.planner.program import PlannedProgram, plan_program
+from ffcomp.planner.sections import Section
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from ffcomp.simulate.motion import Clock, Motion, motion_of
 from gcode.reader import read_program
@@ -35,7 +36,7 @@ class Compensated:
 
 
 def compensated(
-    planned: Planned,
+    planned: PlannedProgram,
     machine: Machine,
     inverter: Inverter,
     flavor: str,
@@ -48,7 +49,7 @@ def compensated(
     lines = 0
     seen: list[tuple[int, FloatArray]] = []
 
-    def watch(run: Run, result: RunResult) -> None:
+    def watch(run: Section, result: RunResult) -> None:
         seen.append((lines, result.vertices))
 
     for piece in compensate(planned, machine, inverter, flavor, summary, progress, offset, watch):

@@ -30,9 +30,9 @@ from ffcomp.compare.monte_carlo import drawn, dynamic_numbers
 from ffcomp.compare.playback import JOBS, STEP_S, peaks, play
 from ffcomp.compare.result import BedMap, Comparison, Layer, Method, Party, Peaks, Spread
 from ffcomp.compare.sampling import Print, Sampling, Stretch
-from ffcomp.compensate.program import Summary, settings_for
+from ffcomp.compensate.program import Summary
 from ffcomp.errors import NothingToDo
-from ffcomp.inverse.settings import Settings
+from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.simulate.compatibility import check_same_kinematics
 from models.arrays import FloatArray
 from models.machine import DeltaKinematics, Machine

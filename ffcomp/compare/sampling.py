@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compensate.program import Planned, plan_program
 from ffcomp.errors import NothingToDo
+from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.trajectory import PlannedMotion
 from ffcomp.simulate.motion import Motion, path_corners, planned_motion
 from gcode.dialects import detect_flavor
@@ -39,7 +39,7 @@ class Stretch:
     """n moves of a print, planned from rest to rest."""
 
     machine: Machine
-    planned: Planned
+    planned: PlannedProgram
     flavor: str
     offset: tuple[float, float]
     layer: IntArray  # (n,) of each move
@@ -73,7 +73,9 @@ class Stretch:
         return replace(self, planned=accelerated(self.planned, self.machine, acceleration, self.offset))
 
 
-def accelerated(planned: Planned, machine: Machine, acceleration: float, offset: tuple[float, float]) -> Planned:
+def accelerated(
+    planned: PlannedProgram, machine: Machine, acceleration: float, offset: tuple[float, float]
+) -> PlannedProgram:
     """The same moves, planned with one acceleration (mm/s²) for all that travel."""
     program = planned.program
     moves = program.moves

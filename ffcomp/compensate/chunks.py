@@ -14,12 +14,13 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from ffcomp.compensate.gcode_output.layout import CUT
 from ffcomp.compensate.gcode_output.writer import limits_said
-from ffcomp.inverse.extent import AROUND_S, WHOLE, Ends, Moment, around_s
+from ffcomp.inverse.extent import AROUND_S, WHOLE, Extent, around_s
+from ffcomp.inverse.settings import CUT
 from ffcomp.inverse.time_scaling import SlowDown
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.lookahead import stops_and_waits
+from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.trajectory import Trajectory
 from gcode.layers import layer_starts
 from gcode.program import EventKind, Moves, Program
@@ -27,7 +28,9 @@ from gcode.slicing import excerpt, join, shortened, split
 from models.arrays import FloatArray, IntArray
 
 PlanOf = Callable[[Program], Trajectory]
-Ease = Callable[[Program, Moment, int], tuple[Moves, tuple[SlowDown, ...]]]  # what is around a cut, cut, layers before
+Ease = Callable[
+    [Program, PathPosition, int], tuple[Moves, tuple[SlowDown, ...]]
+]  # what is around a cut, cut, layers before
 
 REMEMBERED_S = 0.5  # of motion before a chapter: more than twice what the printer remembers
 LONGEST_S = 300.0  # of motion in a chapter
@@ -46,7 +49,7 @@ class Chapter:
     said: dict[bytes, bytes]  # of limits, in the lines before
     layers: int  # that have begun in them
     last: bool
-    ends: Ends = WHOLE  # what is written of it
+    ends: Extent = WHOLE  # what is written of it
     eased: tuple[SlowDown, ...] = ()  # what had to become slower before its end could be cut
     cuts: int = 0  # in motion, before it
 
@@ -101,13 +104,13 @@ class _Ahead:
     before: Program | None = None
     said: dict[bytes, bytes] = field(default_factory=dict)
     layers: int = 0
-    begin: Moment | None = None
+    begin: PathPosition | None = None
     eased: tuple[SlowDown, ...] = ()
     cuts: int = 0
 
-    def chapter(self, program: Program, last: bool = False, end: Moment | None = None) -> Chapter:
+    def chapter(self, program: Program, last: bool = False, end: PathPosition | None = None) -> Chapter:
         """What it begins with."""
-        ends = Ends(self.begin, end)
+        ends = Extent(self.begin, end)
         return Chapter(program, self.before, self.said, self.layers, last, ends, self.eased, self.cuts)
 
 
@@ -188,17 +191,17 @@ class _Known:
     def _t(self, knots: int) -> float:
         return self.begin_t + knots * self.settings.segment_s
 
-    def _place(self, knots: int) -> Moment:
+    def _place(self, knots: int) -> PathPosition:
         """The place that is passed after so many segments."""
         t = self._t(knots)
         move = int(self.plan.move_at(t))
-        return Moment(move, _far(self.plan.position([t])[0], self.ahead.program.moves.start[move]))
+        return PathPosition(move, _far(self.plan.position([t])[0], self.ahead.program.moves.start[move]))
 
     def _cut(self, knots: int, rest: int | None) -> tuple[Chapter, _Known]:
         ahead, plan, around = self.ahead, self.plan, self._around_s
         t, place = self._t(knots), self._place(knots)
         first, tail = _from(ahead.program, plan, t - around)
-        begin = Moment(place.move - first, _far(plan.position([t])[0], tail.moves.start[place.move - first]))
+        begin = PathPosition(place.move - first, _far(plan.position([t])[0], tail.moves.start[place.move - first]))
         said = limits_said(excerpt(ahead.program, 0, place.move + 1), ahead.said)
         passed = layer_starts(excerpt(ahead.program, 0, first)) if first else []
         tail = replace(tail, warnings=[])
@@ -215,7 +218,7 @@ class _Known:
         last = None if rest is None else rest - first
         around = _until(tail, _columns(plan, slice(first, None)), t + self._around_s, last)
         place = self._place(knots)
-        cut = Moment(place.move - first, _far(plan.position([t])[0], around.moves.start[place.move - first]))
+        cut = PathPosition(place.move - first, _far(plan.position([t])[0], around.moves.start[place.move - first]))
         passed = layer_starts(excerpt(ahead.program, 0, first)) if first else []
         slower, records = ease(around, cut, ahead.layers + len(passed))
         if not records:

@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from ffcomp.compensate.job import Job, find_offset, inverter_of
-from ffcomp.compensate.program import settings_for
 from ffcomp.errors import FfcompError
-from ffcomp.inverse.settings import Settings
+from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.steps.sink import Board
 from gcode.container import Container, Source, blocks_of, ends_of, opened, replacing, unchanged
 from gcode.errors import GcodeError, UnsupportedGcode

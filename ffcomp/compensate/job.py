@@ -23,29 +23,24 @@ from ffcomp.compensate.chunks import Chapter, chapters
 from ffcomp.compensate.gcode_output.print_time import with_times_retold
 from ffcomp.compensate.gcode_output.writer import OURS, joined, original_blocks
 from ffcomp.compensate.prediction import LONGEST_S, Prediction
-from ffcomp.compensate.program import (
-    Layers,
-    Planned,
-    Summary,
-    compensate,
-    firmware_limits,
-    firmware_plan,
-    plan_program,
-    settings_for,
-    solutions,
-)
+from ffcomp.compensate.program import Summary, compensate
+from ffcomp.compensate.solve import solutions
 from ffcomp.compensate.step_output import Stepping
 from ffcomp.errors import NothingToDo
-from ffcomp.inverse.extent import WHOLE, Moment
+from ffcomp.inverse.extent import WHOLE
 from ffcomp.inverse.model import Inverter
-from ffcomp.inverse.settings import Settings
+from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.time_scaling import SlowDown, eased
 from ffcomp.planner.limits import lines_of
+from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.path_position import PathPosition
+from ffcomp.planner.program import PlannedProgram, firmware_plan, plan_program
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps.sink import Board, MotorTotal, StepSink
 from gcode.container import Source, blocks_of, ends_of, replace_atomically
 from gcode.dialects import FLAVORS, flavor_by_ends, shaper_off
 from gcode.errors import UnsupportedGcode
+from gcode.layers import LayerLookup
 from gcode.metadata import Stamp, Timed, find_stamp, stamp_line
 from gcode.program import Moves, Program
 from gcode.reader import read_parts
@@ -79,7 +74,7 @@ class Recipe:
 
     def begun(
         self, chapter: Chapter, inverter: Inverter, summary: Summary
-    ) -> tuple[Planned, FloatArray | None, Prediction | None]:
+    ) -> tuple[PlannedProgram, FloatArray | None, Prediction | None]:
         """A chapter planned, the plant's state (18,) as it begins, and what collects the prediction."""
         machine, settings, offset = self.machine, self.settings, self.offset
         prediction = Prediction(inverter, self.share) if self._is_simulated(chapter) else None
@@ -284,8 +279,8 @@ class Job:
     def _plan_of(self, program: Program) -> Trajectory:
         return firmware_plan(program, self.machine, self.offset)
 
-    def _eased(self, around: Program, cut: Moment, layers: int) -> tuple[Moves, tuple[SlowDown, ...]]:
-        limits, layer_of = firmware_limits(self.machine), Layers(around, layers).of
+    def _eased(self, around: Program, cut: PathPosition, layers: int) -> tuple[Moves, tuple[SlowDown, ...]]:
+        limits, layer_of = planner_limits(self.machine), LayerLookup(around, layers).of
         return eased(self.inverter, around.moves, limits, cut, first_line=around.first_line, layer_of=layer_of)
 
     def _started(self, plain: bool = False) -> tuple[Iterator[Chapter], Recipe]:

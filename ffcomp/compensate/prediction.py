@@ -11,8 +11,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ffcomp.inverse.model import Inverter, RunResult
-from ffcomp.inverse.reference import Reference, Run
+from ffcomp.inverse.reference import Reference
 from ffcomp.metrics import Track, peak_acceleration, track
+from ffcomp.planner.sections import Section
 from ffcomp.planner.trajectory import PlannedMotion
 from models.arrays import FloatArray
 from models.vibration.scheduled import rest_state
@@ -86,7 +87,7 @@ class Prediction:
         self.seen_s += length
         return due
 
-    def add(self, trajectory: PlannedMotion, run: Run, wanted: Reference, result: RunResult) -> None:
+    def add(self, trajectory: PlannedMotion, run: Section, wanted: Reference, result: RunResult) -> None:
         """Take one compensated run in."""
         inverter, s, found, every = self.inverter, self.inverter.settings, self.samples, self.every
         length = wanted.knots * s.segment_s
@@ -106,7 +107,7 @@ class Prediction:
             motion.peak = max(motion.peak, bend)
         found.clock += length
 
-    def _add_path(self, trajectory: PlannedMotion, run: Run, wanted: Reference, shift: FloatArray) -> None:
+    def _add_path(self, trajectory: PlannedMotion, run: Section, wanted: Reference, shift: FloatArray) -> None:
         part, found = slice(run.first, run.last), self.samples
         corners = np.vstack([trajectory.origin[part, :3], wanted.nozzle(np.array([run.end_t]))])
         due = np.append(trajectory.start_t[part], run.end_t)

@@ -12,10 +12,12 @@ from typing import cast
 import numpy as np
 
 from ffcomp.compensate.prediction import Prediction
-from ffcomp.compensate.program import Planned, Solved, Summary, account, counted_s, keep_inside, open_account, solutions
-from ffcomp.inverse.extent import WHOLE, Ends
+from ffcomp.compensate.program import Summary, account, counted_s, keep_inside, open_account
+from ffcomp.compensate.solve import SolvedSection, solutions
+from ffcomp.inverse.extent import WHOLE, Extent
 from ffcomp.inverse.model import Inverter
-from ffcomp.inverse.reference import Run
+from ffcomp.planner.program import PlannedProgram
+from ffcomp.planner.sections import Section
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps.pieces import knot_pieces, trajectory_pieces
 from ffcomp.steps.sink import StepSink
@@ -36,7 +38,7 @@ class Stepping:
     _events: list[Event] = field(default_factory=list)
     _lines: list[bytes] = field(default_factory=list)
 
-    def plain(self, planned: Planned, summary: Summary) -> None:
+    def plain(self, planned: PlannedProgram, summary: Summary) -> None:
         """The plan as it is, uncompensated. It must be the firmware's own, of trapezoids."""
         self._open(planned)
         summary.moves += len(planned.program.moves)
@@ -53,14 +55,14 @@ class Stepping:
 
     def compensated(
         self,
-        planned: Planned,
+        planned: PlannedProgram,
         machine: Machine,
         inverter: Inverter,
         summary: Summary,
         state: FloatArray | None,
         prediction: Prediction | None,
         layers_before: int = 0,
-        ends: Ends = WHOLE,
+        ends: Extent = WHOLE,
     ) -> None:
         """The commands whose response is the plan; see `pipeline.compensate`."""
         self._open(planned)
@@ -86,7 +88,7 @@ class Stepping:
         if ends.end is None:
             self._tell_up_to(len(planned.program.moves))
 
-    def _open(self, planned: Planned) -> None:
+    def _open(self, planned: PlannedProgram) -> None:
         self._events, self._lines = list(reversed(planned.program.events)), planned.program.lines
 
     def _tell_up_to(self, move: int) -> None:
@@ -94,7 +96,7 @@ class Stepping:
         while self._events and self._events[-1].move <= move:
             self.sink.event(self.clock_s, self._lines[self._events.pop().line])
 
-    def _extrude(self, planned: Planned, run: Run) -> None:
+    def _extrude(self, planned: PlannedProgram, run: Section) -> None:
         n = max(round((run.end_t - run.begin_t) / SAMPLE_S), 1)
         spacing = (run.end_t - run.begin_t) / n
         t = np.minimum(run.begin_t + spacing * np.arange(n + 1, dtype=np.float64), np.nextafter(run.end_t, -np.inf))
@@ -104,7 +106,7 @@ class Stepping:
         self.sink.pieces(knot_pieces(self.clock_s, spacing, vertices, place[:, 3]))
         self.clock_s += run.end_t - run.begin_t
 
-    def _run(self, planned: Planned, machine: Machine, answer: Solved, segment_s: float) -> None:
+    def _run(self, planned: PlannedProgram, machine: Machine, answer: SolvedSection, segment_s: float) -> None:
         run, moves, wanted, (first, last) = answer.run, planned.program.moves, answer.wanted, answer.knots
         heights = moves.end[run.first : run.last, 2]
         vertices = keep_inside(machine.kinematics, answer.result.vertices[first : last + 1], heights)

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ffcomp.compensate.program import plan_program
 from ffcomp.diagnose.acceptance import ALIKE, look_alikes
 from ffcomp.diagnose.engine import Diagnosis
 from ffcomp.diagnose.noise import whitener
@@ -22,6 +21,7 @@ from ffcomp.diagnose.printer_problem import Delta
 from ffcomp.diagnose.problem import Impossible
 from ffcomp.diagnose.score_test import Screened
 from ffcomp.measurement.recording import Run
+from ffcomp.planner.program import plan_program
 from gcode.reader import read_program
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE

@@ -10,11 +10,11 @@ import numpy as np
 
 from ffcomp.compensate.gcode_output.writer import original_blocks
 from ffcomp.compensate.job import find_offset
-from ffcomp.compensate.program import plan_program
 from ffcomp.errors import NothingToDo
 from ffcomp.estimate.layers import BEFORE, Layer
 from ffcomp.estimate.spans import spans
 from ffcomp.estimate.statistics import FILAMENT, KINDS, Account
+from ffcomp.planner.program import plan_program
 from ffcomp.planner.trajectory import PlannedMotion
 from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import FLAVORS, flavor_by_ends

@@ -17,11 +17,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from ffcomp.compensate.program import firmware_limits, settings_for
 from ffcomp.errors import LimitsError
 from ffcomp.identify.multisine import Band, Excitation, Lines, band, excitation, lines_of
-from ffcomp.planner.limits import SLOW_RATIOS, FirmwareLimits
+from ffcomp.inverse.settings import settings_for
+from ffcomp.planner.limits import SLOW_RATIOS, PlannerLimits
 from ffcomp.planner.lookahead import plan_moves
+from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.segment_timing import OutputLimits, Played, played
 from ffcomp.planner.trajectory import Trajectory
 from gcode.emit import F_COUNTS, XYZ_COUNTS
@@ -339,7 +340,7 @@ def _planned(vertices: FloatArray, speed: FloatArray, output: OutputLimits) -> T
     places = np.column_stack([vertices, np.zeros(n + 1)])
     own = (np.full(n, np.nan) for _ in range(4))
     moves = Moves(np.arange(n), places[:-1], places[1:], speed, np.zeros(n, dtype=np.int64), *own)
-    limits = FirmwareLimits(
+    limits = PlannerLimits(
         velocity_mm_per_s=output.velocity_mm_per_s,
         acceleration_mm_per_s2=output.acceleration_mm_per_s2,
         square_corner_velocity_mm_per_s=output.square_corner_velocity_mm_per_s,
@@ -380,7 +381,7 @@ def _check_place(machine: Machine, x: float, y: float, z: float) -> None:
 
 def _widest(machine: Machine) -> float | None:
     """The radius within which a delta's firmware plays every segment at its own speed, mm; None: no delta."""
-    reach = firmware_limits(machine).delta
+    reach = planner_limits(machine).delta
     return None if reach is None else min(reach.radius_of_ratio(SLOW_RATIOS[0][0]), machine.delta.print_radius_mm)
 
 

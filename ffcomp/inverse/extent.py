@@ -6,9 +6,10 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from ffcomp.compensate.gcode_output.layout import CUT
-from ffcomp.inverse.reference import Reference, Run
-from ffcomp.inverse.settings import Settings
+from ffcomp.inverse.reference import Reference
+from ffcomp.inverse.settings import CUT, Settings
+from ffcomp.planner.path_position import PathPosition
+from ffcomp.planner.sections import Section
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from gcode.program import Moves
 
@@ -17,40 +18,13 @@ SETTLED = 3.0  # times what the slowest ramp takes, at least
 CRUISE_RATIO = 0.5  # where the file says nothing
 
 
-class Moment(NamedTuple):
-    """A place on a program's path, whatever its plan."""
-
-    move: int
-    along_mm: float  # from the move's beginning
-
-    def on(self, plan: Trajectory) -> float:
-        """When it is passed, s on the plan's clock."""
-        i, along = self.move, self.along_mm
-        start, cruise, end = plan.start_v[i], plan.cruise_v[i], plan.end_v[i]
-        rise, fall = 0.5 * (start + cruise) * plan.accel_t[i], 0.5 * (cruise + end) * plan.decel_t[i]
-        left = rise + cruise * plan.cruise_t[i] + fall - along
-        if along < rise:
-            since = _ramp_s(along, start, plan.acceleration[i])
-        elif left < fall:
-            lasting = plan.accel_t[i] + plan.cruise_t[i] + plan.decel_t[i]
-            since = lasting - _ramp_s(left, end, plan.acceleration[i])
-        else:
-            since = plan.accel_t[i] + (along - rise) / cruise
-        return float(plan.start_t[i] + since)
-
-
-def _ramp_s(length: float, v: float, acceleration: float) -> float:
-    """How long a length takes from a speed on, mm, mm/s, mm/s²."""
-    return float(2.0 * length / (v + np.sqrt(v**2 + 2.0 * acceleration * length))) if length > 0.0 else 0.0
-
-
-class Ends(NamedTuple):
+class Extent(NamedTuple):
     """What is written of a run: between places where it is cut in motion. Such a run has no S-curves."""
 
-    begin: Moment | None = None  # None: from its beginning
-    end: Moment | None = None  # None: to its end
+    begin: PathPosition | None = None  # None: from its beginning
+    end: PathPosition | None = None  # None: to its end
 
-    def reference(self, plan: PlannedMotion, run: Run, settings: Settings) -> Reference:
+    def reference(self, plan: PlannedMotion, run: Section, settings: Settings) -> Reference:
         """The run with a knot where it begins to be written."""
         through = None if self.begin is None else (self.begin.on(cast(Trajectory, plan)), CUT)
         return Reference(plan, run, settings, through)
@@ -66,7 +40,7 @@ class Ends(NamedTuple):
         return [slice(int(plan.move_at(t - within_s)), int(plan.move_at(t + within_s)) + 1) for t in cuts]
 
 
-WHOLE = Ends()
+WHOLE = Extent()
 
 
 def around_s(moves: Moves, plan: Trajectory) -> float:

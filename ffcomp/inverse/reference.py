@@ -7,41 +7,14 @@ A run is what is inverted in one go. Between runs the command rests, exactly on 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.inverse.settings import Settings
+from ffcomp.planner.sections import Section
 from ffcomp.planner.trajectory import PlannedMotion
 from models.arrays import FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    first: int  # moves first..last-1
-    last: int
-    travels: bool  # False: one extruder-only move
-    begin_t: float  # s, on the plan's clock
-    end_t: float
-
-
-def split_runs(trajectory: PlannedMotion, stop_before: NDArray[np.bool_]) -> list[Run]:
-    """The plan's runs in order; moves that go nowhere and take no time belong to the run they stand in."""
-    travels = np.any(trajectory.direction[:, :3] != 0.0, axis=1)
-    extrudes = ~travels & (trajectory.direction[:, 3] != 0.0)
-    edge = stop_before.copy()
-    edge |= extrudes
-    edge[1:] |= extrudes[:-1]
-    edge[:1] = True
-    starts = np.flatnonzero(edge)
-    ends = np.append(starts[1:], len(trajectory))
-    end_t = trajectory.start_t + trajectory.duration
-    return [
-        Run(int(a), int(b), bool(travels[a:b].any()), float(trajectory.start_t[a]), float(end_t[b - 1]))
-        for a, b in zip(starts, ends, strict=True)
-        if travels[a:b].any() or extrudes[a]
-    ]
 
 
 class Reference:
@@ -52,7 +25,7 @@ class Reference:
     """
 
     def __init__(
-        self, trajectory: PlannedMotion, run: Run, settings: Settings, through: tuple[float, int] | None = None
+        self, trajectory: PlannedMotion, run: Section, settings: Settings, through: tuple[float, int] | None = None
     ) -> None:
         """through : a time of the plan's clock that must be a knot, and of which number its own must be a multiple"""
         self.t0 = run.begin_t - settings.lead_s  # s on the plan's clock

@@ -5,9 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from ffcomp.inverse.bandwidth import effort_curve
+from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.segment_timing import OutputLimits
+from models.effects.catalogue import design_machine
+from models.machine import DeltaKinematics, Machine
 
 Backend = Literal["osqp", "piqp", "clarabel"]  # solvers of quadratic programmes
+
+
+SEGMENTS_PER_SECOND = 250.0
+CUT = 256  # knots: no segment is joined across a knot whose number is a multiple of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,3 +41,16 @@ class Settings:
     merge_um: float = 0.2  # segments are joined while what is played stays this close to what was solved
     longest_merged_s: float = 0.1  # and no longer than this, so that the firmware's clock is kept in short steps
     output: OutputLimits = field(default_factory=OutputLimits)
+
+
+def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SECOND) -> Settings:
+    """The settings for a machine: its bandwidth at the knee, and from its own limits what no G-code file can raise."""
+    limits = planner_limits(machine)
+    output = OutputLimits(
+        z_acceleration_mm_per_s2=limits.z_acceleration_mm_per_s2 or limits.acceleration_mm_per_s2,
+        raised_axes="XYZ" if isinstance(machine.kinematics, DeltaKinematics) else "XY",
+        retract_acceleration_mm_per_s2=limits.acceleration_mm_per_s2 * limits.extrusion_ratio,
+    )
+    segment_s = 1.0 / segments_per_second
+    bandwidth = effort_curve(design_machine(machine)[0], segment_s).knee_hz
+    return Settings(output=output, segment_s=segment_s, bandwidth_hz=bandwidth)

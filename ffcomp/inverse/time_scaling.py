@@ -26,9 +26,9 @@ import numpy as np
 
 from ffcomp.errors import LimitsError, SolverError
 from ffcomp.inverse.command_limits import NAMES, TRAVEL, VELOCITY, shares_from_rest
-from ffcomp.inverse.extent import SETTLED, WHOLE, Ends, Moment, around_s
+from ffcomp.inverse.extent import SETTLED, WHOLE, Extent, around_s
 from ffcomp.inverse.model import Inverter, RunResult
-from ffcomp.inverse.reference import Reference, Run
+from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.violations import (
     ENOUGH,
     PLAYABLE,
@@ -39,8 +39,10 @@ from ffcomp.inverse.violations import (
     of_the_command,
     of_the_path,
 )
-from ffcomp.planner.limits import FirmwareLimits, bounds_of, lines_of
+from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.lookahead import plan_moves
+from ffcomp.planner.path_position import PathPosition
+from ffcomp.planner.sections import Section
 from ffcomp.planner.segment_timing import played
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from gcode.program import Moves
@@ -91,7 +93,7 @@ class Feasible:
     """A run that can be followed."""
 
     trajectory: PlannedMotion  # the whole plan; what comes after the run is later by `lost_s`
-    run: Run
+    run: Section
     wanted: Reference
     result: RunResult
     records: tuple[SlowDown, ...]
@@ -101,9 +103,9 @@ class Feasible:
 def feasible_run(
     inverter: Inverter,
     moves: Moves,
-    limits: FirmwareLimits,
+    limits: PlannerLimits,
     trajectory: PlannedMotion,
-    run: Run,
+    run: Section,
     state: FloatArray,
     *,
     tolerance_um: float = TOLERANCE_UM,
@@ -112,7 +114,7 @@ def feasible_run(
     first_line: int = 0,
     layer_of: Callable[[int], int | None] = lambda move: None,
     replan: Replan | None = None,
-    ends: Ends = WHOLE,
+    ends: Extent = WHOLE,
 ) -> Feasible:
     """Solve a run; where its limits cannot be held within the tolerance, on a plan that is slower there.
 
@@ -151,8 +153,8 @@ def feasible_run(
 def eased(
     inverter: Inverter,
     moves: Moves,
-    limits: FirmwareLimits,
-    cut: Moment,
+    limits: PlannerLimits,
+    cut: PathPosition,
     *,
     first_line: int = 0,
     layer_of: Callable[[int], int | None] = lambda move: None,
@@ -169,8 +171,8 @@ def eased(
     if not inner.any():
         return moves, ()
     first, last = np.flatnonzero(inner)[[0, -1]].tolist()
-    middle = Ends(Moment(first, 0.0), Moment(last, float(lines_of(moves).length[last])))
-    run = Run(0, len(moves), True, 0.0, plan.end_t)
+    middle = Extent(PathPosition(first, 0.0), PathPosition(last, float(lines_of(moves).length[last])))
+    run = Section(0, len(moves), True, 0.0, plan.end_t)
     part = _Part(inverter, moves, limits, _planner(limits), run, middle, ~inner)
     state = rest_state(inverter.machine, moves.start[0, :3])
     part.slowed(state, NOT_HELD_MM, False, first_line)
@@ -205,7 +207,7 @@ def _late(inverter: Inverter, wanted: Reference, vertices: FloatArray) -> BoolAr
     return np.asarray((speeds.duration - lasting) * speeds.cruise > LATE_MM)
 
 
-def _planner(limits: FirmwareLimits) -> Replan:
+def _planner(limits: PlannerLimits) -> Replan:
     def plan(moves: Moves, start_t: float) -> PlannedMotion:
         n = len(moves)
         return plan_moves(moves, limits, stop_before=np.zeros(n, bool), wait_before=np.zeros(n), start_t=start_t)
@@ -220,10 +222,10 @@ class _Part:
         self,
         inverter: Inverter,
         moves: Moves,
-        limits: FirmwareLimits,
+        limits: PlannerLimits,
         replan: Replan,
-        run: Run,
-        ends: Ends,
+        run: Section,
+        ends: Extent,
         kept: BoolArray | None = None,
     ) -> None:
         """kept : (n,) the moves that keep their speed; None: those near the run's ends in motion"""
@@ -243,7 +245,7 @@ class _Part:
 
     def _plan_again(self) -> None:
         self.plan = self._replan(self.moves, self._begin_t)
-        self.run = Run(0, len(self.moves), True, self._begin_t, self.plan.end_t)
+        self.run = Section(0, len(self.moves), True, self._begin_t, self.plan.end_t)
 
     def solved(
         self, state: FloatArray, tolerance_mm: float, keep_response: bool, first_line: int
@@ -448,11 +450,11 @@ def _among(troubles: Iterator[Trouble], between: tuple[int, int]) -> list[Troubl
     return [each for each in troubles if each.last >= between[0] and each.first < between[1]]
 
 
-def _slice(moves: Moves, run: Run) -> Moves:
+def _slice(moves: Moves, run: Section) -> Moves:
     return Moves(*(getattr(moves, field.name)[run.first : run.last] for field in fields(moves)))
 
 
-def _spliced(trajectory: Motion, run: Run, part: PlannedMotion) -> tuple[Motion, float]:
+def _spliced(trajectory: Motion, run: Section, part: PlannedMotion) -> tuple[Motion, float]:
     """The whole plan with another one for a run, and by how much later what follows begins, s."""
     lost = part.end_t - run.end_t
     columns = {}

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.planner.limits import FirmwareLimits, bounds_of, lines_of
+from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.lookahead import corners
 from gcode.program import Moves
 from models.arrays import FloatArray
 
 
-def junction_limits(moves: Moves, limits: FirmwareLimits, stop_before: NDArray[np.bool_]) -> FloatArray:
+def junction_limits(moves: Moves, limits: PlannerLimits, stop_before: NDArray[np.bool_]) -> FloatArray:
     """The firmware's limit on the speed at the start of each move, (n,) mm/s: its corner, and both moves' own.
 
     stop_before : (n,) the motion comes to rest before the move, waits included

@@ -20,7 +20,7 @@ SHORTEST_TRAVEL_MM = 1e-9  # what moves the nozzle less than this counts as extr
 SLOW_RATIOS = ((3.0, 0.5), (6.0, 0.25))  # beyond this carriage speed / nozzle speed, this share is allowed
 
 
-class DeltaReach(NamedTuple):
+class DeltaSlowZones(NamedTuple):
     """The geometry that decides where a delta's firmware slows down."""
 
     radius_mm: float
@@ -39,7 +39,7 @@ class DeltaReach(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class FirmwareLimits:
+class PlannerLimits:
     """The limits in the firmware's configuration; those in the file come with the moves."""
 
     velocity_mm_per_s: float
@@ -53,7 +53,7 @@ class FirmwareLimits:
     instantaneous_corner_velocity_mm_per_s: float = 1.0  # step in the speed of the filament at a corner
     nozzle_diameter_mm: float = 0.4
     filament_diameter_mm: float = 1.75
-    delta: DeltaReach | None = None  # None: no slow zones
+    delta: DeltaSlowZones | None = None  # None: no slow zones
 
     def __post_init__(self) -> None:
         complaints = [_complaint(field.name, getattr(self, field.name)) for field in fields(self)]
@@ -138,7 +138,7 @@ class _Own(NamedTuple):
     slow: tuple[tuple[float, float], ...]  # beyond this radius squared, mm², this share of velocity and acceleration
 
     @staticmethod
-    def of(limits: FirmwareLimits) -> _Own:
+    def of(limits: PlannerLimits) -> _Own:
         velocity, acceleration = limits.velocity_mm_per_s, limits.acceleration_mm_per_s2
         ratio, delta = limits.extrusion_ratio, limits.delta
         return _Own(
@@ -154,7 +154,7 @@ class _Own(NamedTuple):
         )
 
 
-def bounds_of(moves: Moves, lines: Lines, limits: FirmwareLimits) -> Bounds:
+def bounds_of(moves: Moves, lines: Lines, limits: PlannerLimits) -> Bounds:
     """Every limit on single moves, put together."""
     set_by_the_file = (
         moves.velocity_limit,

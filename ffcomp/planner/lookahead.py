@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from ffcomp.planner.limits import Bounds, FirmwareLimits, Lines, bounds_of, lines_of
+from ffcomp.planner.limits import Bounds, Lines, PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.trajectory import Trajectory
 from gcode.errors import GcodeError
 from gcode.program import EventKind, Moves, Program
@@ -56,7 +56,7 @@ def stops_and_waits(program: Program) -> tuple[BoolArray, FloatArray]:
 
 def plan_moves(
     moves: Moves,
-    limits: FirmwareLimits,
+    limits: PlannerLimits,
     *,
     stop_before: BoolArray,
     wait_before: FloatArray,
@@ -133,9 +133,7 @@ def _timed(moves: Moves, lines: Lines, phases: Phases, wait_before: FloatArray, 
 # Corners
 
 
-def corners(
-    lines: Lines, bounds: Bounds, limits: FirmwareLimits, stop_before: BoolArray
-) -> tuple[IntArray, FloatArray]:
+def corners(lines: Lines, bounds: Bounds, limits: PlannerLimits, stop_before: BoolArray) -> tuple[IntArray, FloatArray]:
     """The moves that go somewhere, (m,), and the highest v² at which each of them may follow the last, (m,).
 
     stop_before : (n,) the motion comes to rest before the move, or before what goes nowhere in front of it

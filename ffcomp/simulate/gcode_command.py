@@ -10,9 +10,9 @@ import numpy as np
 
 from ffcomp.compensate.gcode_output.writer import WAS, original
 from ffcomp.compensate.job import STAMP_REACH, already_processed, find_offset
-from ffcomp.compensate.program import Planned, plan_program
-from ffcomp.inverse.reference import Run
 from ffcomp.inverse.settings import Settings
+from ffcomp.planner.program import PlannedProgram, plan_program
+from ffcomp.planner.sections import Section
 from ffcomp.planner.trajectory import PlannedMotion
 from ffcomp.simulate.command import Command, Goal, Stretch
 from ffcomp.simulate.linear import sections
@@ -48,13 +48,13 @@ def read_gcode(
     return compensated_command(played, plan_program(wanted, machine, offset), machine), program
 
 
-def gcode_command(planned: Planned, machine: Machine) -> Command:
+def gcode_command(planned: PlannedProgram, machine: Machine) -> Command:
     """A planned program, judged against its own path."""
     trajectory = planned.trajectory
     return _command(trajectory, trajectory, own_clock(trajectory), machine, OWN_PLAN)
 
 
-def compensated_command(planned: Planned, wanted: Planned, machine: Machine) -> Command:
+def compensated_command(planned: PlannedProgram, wanted: PlannedProgram, machine: Machine) -> Command:
     """A compensated program, judged against the original's path."""
     return _command(planned.trajectory, wanted.trajectory, _clock(planned, wanted), machine, ORIGINAL)
 
@@ -87,7 +87,7 @@ def _stretch(
     return Stretch(begin_s, end_s, lambda t, step_s: carriages(t), carriages, Goal(nozzle, due, between))
 
 
-def _clock(planned: Planned, wanted: Planned) -> Clock:
+def _clock(planned: PlannedProgram, wanted: PlannedProgram) -> Clock:
     """When in the compensated file each run of the original begins: told by where its first move is noted.
 
     The note stands at the knot at or before the run's beginning, `lead_s` after the first knot. NOTE: where both fall
@@ -103,7 +103,7 @@ def _clock(planned: Planned, wanted: Planned) -> Clock:
     return Clock(played_t, begin_t, begin_t, end_t)
 
 
-def _noted_runs(planned: Planned, wanted: Planned) -> tuple[list[Run], FloatArray, FloatArray]:
+def _noted_runs(planned: PlannedProgram, wanted: PlannedProgram) -> tuple[list[Section], FloatArray, FloatArray]:
     """The original's runs that travel, m of them; when each is noted in the compensated file, and has ended there."""
     program, played = planned.program, planned.trajectory
     notes = np.array([e.move for e in program.events if program.lines[e.line].startswith(WAS)], dtype=np.int64)
@@ -116,7 +116,7 @@ def _noted_runs(planned: Planned, wanted: Planned) -> tuple[list[Run], FloatArra
     return runs, note_t, ends[np.minimum(np.searchsorted(ends, note_t, side="right"), len(ends) - 1)]
 
 
-def _segment_s(planned: Planned) -> float:
+def _segment_s(planned: PlannedProgram) -> float:
     """The length of the compensated file's segments: the most frequent one, of those that can be asked for."""
     a_second = np.round(1 / np.maximum(planned.trajectory.duration, 1e-9), 1)
     rate, count = np.unique(a_second[(a_second >= FEWEST_HZ) & (a_second <= MOST_HZ)], return_counts=True)

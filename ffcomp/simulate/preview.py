@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.compensate.gcode_output.writer import WAS, noted, original_lines
-from ffcomp.compensate.program import firmware_limits
 from ffcomp.metrics import contour_error
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.trajectory import PlannedMotion
 from ffcomp.simulate.linear import simulate
 from gcode.program import Program
@@ -68,7 +68,7 @@ def look(
 
 def _plan(program: Program, machine: Machine) -> PlannedMotion:
     stop_before, wait_before = stops_and_waits(program)
-    return plan_moves(program.moves, firmware_limits(machine), stop_before=stop_before, wait_before=wait_before)
+    return plan_moves(program.moves, planner_limits(machine), stop_before=stop_before, wait_before=wait_before)
 
 
 def corners(plan: PlannedMotion) -> tuple[FloatArray, FloatArray]:

@@ -13,9 +13,9 @@ from benchmarks import performance, performance_figures, performance_methods, pe
 from benchmarks.performance_methods import LINES, REACH, ZeroPhase, dense, left_over, sampled, unstable_zeros, whole_run
 from benchmarks.performance_prints import LAYER, repeated
 from benchmarks.performance_ways import LABELS, MACHINE, PRINTS, exact_settings, pattern
-from ffcomp.compensate.program import plan_program
 from ffcomp.inverse.model import Inverter
 from ffcomp.inverse.riccati import AUGMENTED
+from ffcomp.planner.program import plan_program
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine

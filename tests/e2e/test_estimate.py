@@ -21,7 +21,6 @@ from ffcomp.compensate.gcode_output import print_time as times
 from ffcomp.compensate.gcode_output.print_time import with_times_retold
 from ffcomp.compensate.gcode_output.writer import TIME_WAS, original
 from ffcomp.compensate.job import Job
-from ffcomp.compensate.program import plan_program, settings_for
 from ffcomp.errors import NothingToDo
 from ffcomp.estimate import spans as cutting
 from ffcomp.estimate.engine import Estimate, as_json, estimate, seconds
@@ -29,7 +28,9 @@ from ffcomp.estimate.layers import BEFORE
 from ffcomp.estimate.spans import spans
 from ffcomp.estimate.statistics import EXTRUDING, FILAMENT, PRIMING, RETRACTING, TRAVELLING, WAITING, Account
 from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.lookahead import stops_and_waits
+from ffcomp.planner.program import plan_program
 from gcode.metadata import Timed, tells
 from gcode.program import Program
 from gcode.reader import read_parts, read_program

@@ -20,7 +20,7 @@ import pytest
 from ffcomp.compensate.file import Options, compensate_file, failure_of
 from ffcomp.compensate.gcode_output.writer import original
 from ffcomp.compensate.job import already_processed
-from ffcomp.compensate.program import settings_for
+from ffcomp.inverse.settings import settings_for
 from ffcomp.numerics.numba_cache import VARIABLE, find_a_place
 from models.file import load_machine
 from models.machine import Machine

@@ -11,9 +11,9 @@ import pytest
 
 from ffcomp.compensate.gcode_output.writer import STILL_MOVE, original
 from ffcomp.compensate.job import Job, already_processed
-from ffcomp.compensate.program import settings_for
 from ffcomp.errors import NothingToDo
 from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.settings import settings_for
 from gcode.container import read_bytes
 from gcode.errors import GcodeError
 from gcode.program import Program

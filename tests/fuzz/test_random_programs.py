@@ -12,8 +12,10 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp.compensate.job import Job
-from ffcomp.compensate.program import Solved, plan_program, settings_for, solutions
+from ffcomp.compensate.solve import SolvedSection, solutions
 from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.settings import settings_for
+from ffcomp.planner.program import plan_program
 from ffcomp.planner.trajectory import PlannedMotion
 from gcode.dialects import FLAVORS
 from gcode.emit import MoveWriter
@@ -240,7 +242,7 @@ def compensated(data: bytes, own: Inverter) -> bytes:
     return b"".join(job.lines())
 
 
-def solved(data: bytes, own: Inverter) -> Iterator[Solved]:
+def solved(data: bytes, own: Inverter) -> Iterator[SolvedSection]:
     """The answer to each run."""
     planned = plan_program(read_program(data), own.machine)
     return solutions(planned, own.machine, own, None, lambda wanted: False)

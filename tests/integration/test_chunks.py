@@ -16,14 +16,17 @@ from ffcomp.compensate import job as jobs
 from ffcomp.compensate.chunks import LONGEST_S, REMEMBERED_S, Chapter, chapters
 from ffcomp.compensate.gcode_output.writer import original
 from ffcomp.compensate.job import Job, Recipe
-from ffcomp.compensate.program import Layers, firmware_plan, plan_program, settings_for
 from ffcomp.errors import LimitsError
-from ffcomp.inverse.extent import Ends, Moment
+from ffcomp.inverse.extent import Extent
+from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
+from ffcomp.planner.path_position import PathPosition
+from ffcomp.planner.program import firmware_plan, plan_program
 from ffcomp.simulate.preview import corners
 from ffcomp.steps.reader import read_events, read_steps
 from ffcomp.steps.sink import Board
 from gcode.errors import GcodeError
+from gcode.layers import LayerLookup
 from gcode.program import Program
 from gcode.reader import read_parts, read_program
 from gcode.slicing import join, split
@@ -313,19 +316,19 @@ def test_a_motion_too_long_for_s_curves_is_planned_without_them(machine: Machine
 def test_of_a_motion_in_many_chapters_few_are_simulated(machine: Machine) -> None:
     recipe = Recipe(machine, settings_for(machine), "klipper", (0.0, 0.0), share=0.02)
     (chapter,) = cut(VASE, machine)
-    motion = [replace(chapter, ends=Ends(end=Moment(0, 0.0)), cuts=cuts) for cuts in range(200)]
+    motion = [replace(chapter, ends=Extent(end=PathPosition(0, 0.0)), cuts=cuts) for cuts in range(200)]
     assert sum(map(recipe._is_simulated, motion)) == 4 and recipe._is_simulated(motion[0])
     assert recipe._is_simulated(chapter)
 
 
 def test_layers_are_counted_through_the_chapters(tower: bytes, machine: Machine) -> None:
     whole = read_program(tower)
-    of_line = dict(zip(whole.moves.line.tolist(), map(Layers(whole, 0).of, range(len(whole.moves))), strict=True))
+    of_line = dict(zip(whole.moves.line.tolist(), map(LayerLookup(whole, 0).of, range(len(whole.moves))), strict=True))
     for each in cut(tower, machine):
         moves = each.program.moves
         for move in (0, len(moves) // 2, len(moves) - 1):
             line = each.program.first_line + int(moves.line[move])
-            assert Layers(each.program, each.layers).of(move) == of_line[line]
+            assert LayerLookup(each.program, each.layers).of(move) == of_line[line]
     assert max(of_line.values()) >= 3
 
 

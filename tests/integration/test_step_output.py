@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from ffcomp.compensate.job import Job
-from ffcomp.compensate.program import plan_program
 from ffcomp.compensate.step_output import BEFORE_S
 from ffcomp.errors import NothingToDo
+from ffcomp.planner.program import plan_program
 from ffcomp.steps.reader import read_events, read_steps
 from ffcomp.steps.sink import Board
 from gcode.reader import read_program

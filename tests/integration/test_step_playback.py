@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.compensate.program import plan_program
 from ffcomp.errors import NothingToDo
+from ffcomp.planner.program import plan_program
 from ffcomp.simulate.command import Command
 from ffcomp.simulate.gcode_command import gcode_command
 from ffcomp.simulate.playback import ROW_S, play

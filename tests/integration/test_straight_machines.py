@@ -13,9 +13,10 @@ from scipy.signal import cont2discrete, lfilter
 
 from ffcomp.compare import compensated as ours
 from ffcomp.compensate.file import Options, StepOutput, compensate_file
-from ffcomp.compensate.program import Planned, plan_program, settings_for
 from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
+from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.simulate.motion import Motion, motion_of, path_corners, planned_motion
 from ffcomp.steps.sink import Board
 from gcode.reader import read_program
@@ -95,7 +96,7 @@ def _filtered(command: FloatArray, frequency_hz: float, damping: float, share: f
     return np.asarray(lfilter(b.ravel(), a, command))
 
 
-def contour_rms_um(planned: Planned, motion: Motion) -> float:
+def contour_rms_um(planned: PlannedProgram, motion: Motion) -> float:
     t, nozzle = responded(motion)
     counted = slice(int(0.5 / STEP_S), None, 8)
     error = contour_error(*path_corners(planned.trajectory), motion.clock.plan_time(t[counted]), nozzle[counted])

@@ -15,7 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from ffcomp.inverse.reference import Reference, Run
+from ffcomp.inverse.reference import Reference
+from ffcomp.inverse.settings import CUT
+from ffcomp.planner.sections import Section
 from ffcomp.planner.trajectory import PlannedMotion
 from gcode.program import Event, Program
 from models.arrays import BoolArray, FloatArray, IntArray
@@ -25,7 +27,6 @@ NEAR = 0.1  # of a segment: so near to a knot, a line goes out at the knot; shor
 FLOWS_MM = 1e-6  # filament per segment from which on the exact place of a line matters
 STEEPEST = 0.1  # by which share the flow may be changed between two lines to meet both
 SPREAD = 10  # segments' worth of flow over which a difference of filament is spread
-CUT = 256  # knots
 AROUND = 2 * CUT  # knots on either side of a piece, until which one junction of a wipe leans on the next
 PIECE = 64 * CUT
 
@@ -86,7 +87,7 @@ class _Lines:
 def timeline(
     program: Program,
     trajectory: PlannedMotion,
-    run: Run,
+    run: Section,
     wanted: Reference,
     vertices: FloatArray,
     inside: list[Event],
@@ -125,7 +126,7 @@ class _Laid(NamedTuple):
 
 
 def _lines_of(
-    program: Program, trajectory: PlannedMotion, run: Run, wanted: Reference, inside: list[Event], piece: Piece
+    program: Program, trajectory: PlannedMotion, run: Section, wanted: Reference, inside: list[Event], piece: Piece
 ) -> tuple[_Lines, list[Event], FloatArray]:
     """The original's lines whose time lies in a piece or its context, the events among them, and their times in knots.
 
@@ -241,7 +242,9 @@ def _even_wipes(e: FloatArray, vertices: FloatArray, first: int) -> None:
         begin = max(end, begin + 1)
 
 
-def _meet_the_events(laid: _Laid, program: Program, run: Run, e: FloatArray, lines: _Lines, among: list[Event]) -> None:
+def _meet_the_events(
+    laid: _Laid, program: Program, run: Section, e: FloatArray, lines: _Lines, among: list[Event]
+) -> None:
     """Give the filament at the points what the original's events say of it, in place.
 
     e : (n + 1,) mm at the knots, from the first point on

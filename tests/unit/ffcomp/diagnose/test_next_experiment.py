@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffcomp.compensate.program import plan_program
 from ffcomp.diagnose import next_experiment as experiment
 from ffcomp.diagnose.engine import Diagnosis, noise_floor
 from ffcomp.diagnose.fit import Bench, Fit, bench
@@ -19,6 +18,7 @@ from ffcomp.diagnose.printer_problem import Delta
 from ffcomp.diagnose.problem import Number
 from ffcomp.diagnose.score_test import screen
 from ffcomp.measurement.recording import Run
+from ffcomp.planner.program import plan_program
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine

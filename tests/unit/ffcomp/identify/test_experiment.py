@@ -15,7 +15,6 @@ import typer
 from typer.testing import CliRunner
 
 from ffcomp.cli.identify_plan import plan as plan_command
-from ffcomp.compensate.program import firmware_limits
 from ffcomp.errors import LimitsError, MeasurementError
 from ffcomp.identify.experiment import (
     AXES,
@@ -33,6 +32,7 @@ from ffcomp.identify.experiment import (
 from ffcomp.identify.experiment_files import gcode_lines, load_plan, save_plan, segment_lines
 from ffcomp.identify.multisine import lines_of, played_gain
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.trajectory import Trajectory
 from gcode.program import EventKind, Program
 from gcode.reader import read_program
@@ -82,7 +82,7 @@ def first_segments(program: Program, plan: Plan) -> list[int]:
 
 def planned(program: Program, machine: Machine) -> Trajectory:
     stops, waits = stops_and_waits(program)
-    return plan_moves(program.moves, firmware_limits(machine), stop_before=stops, wait_before=waits)
+    return plan_moves(program.moves, planner_limits(machine), stop_before=stops, wait_before=waits)
 
 
 # What is played

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.compensate.program import firmware_limits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.trajectory import Trajectory
 from gcode.reader import read_program
 from models.machine import Machine
@@ -51,7 +51,7 @@ def host(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 def our_plan(machine: Machine) -> Trajectory:
     program = read_program(GCODE, start=kalico.START_MM, flavor="klipper")
     stops, waits = stops_and_waits(program)
-    return plan_moves(program.moves, firmware_limits(machine), stop_before=stops, wait_before=waits)
+    return plan_moves(program.moves, planner_limits(machine), stop_before=stops, wait_before=waits)
 
 
 def test_the_plan_is_the_hosts(machine: Machine, host: dict[str, Any]) -> None:

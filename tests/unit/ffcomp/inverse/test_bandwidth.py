@@ -11,8 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
-from ffcomp.compensate.program import settings_for
 from ffcomp.inverse.bandwidth import HIGHEST, LOWEST_HZ, _square, effort_curve, effort_weight
+from ffcomp.inverse.settings import settings_for
 from models.file import load_machine
 from models.machine import Machine
 from models.vibration.receptance import modes, nozzle_frf

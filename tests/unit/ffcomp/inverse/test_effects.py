@@ -10,9 +10,9 @@ from ffcomp.compare.methods import OURS, inversion
 from ffcomp.compare.playback import play
 from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.compensate.job import Job
-from ffcomp.compensate.program import settings_for
 from ffcomp.inverse import lq_preview as fast
 from ffcomp.inverse.model import GEOMETRY, Inverter
+from ffcomp.inverse.settings import settings_for
 from models.effects.catalogue import CATALOGUE, with_effect
 from models.file import load_machine
 from models.machine import Machine

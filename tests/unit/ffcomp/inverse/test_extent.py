@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ffcomp.compensate.program import firmware_plan
-from ffcomp.inverse.extent import AROUND_S, CRUISE_RATIO, SETTLED, Moment, around_s
+from ffcomp.inverse.extent import AROUND_S, CRUISE_RATIO, SETTLED, around_s
+from ffcomp.planner.path_position import PathPosition
+from ffcomp.planner.program import firmware_plan
 from ffcomp.planner.trajectory import Trajectory
 from gcode.reader import read_program
 from models.file import load_machine
@@ -27,7 +28,7 @@ def test_a_place_is_passed_when_the_plan_is_there(plan: Trajectory, share: float
     t = share * plan.end_t * (1 - 1e-9)
     move = int(plan.move_at(t))
     along = float(np.linalg.norm((plan.position([t])[0] - plan.origin[move])[:3]))
-    assert Moment(move, along).on(plan) == pytest.approx(t, abs=1e-6)  # near a rest a place is passed slowly
+    assert PathPosition(move, along).on(plan) == pytest.approx(t, abs=1e-6)  # near a rest a place is passed slowly
 
 
 def test_what_is_needed_around_a_cut_grows_with_the_ramps() -> None:

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.compensate.program import plan_program, settings_for
 from ffcomp.inverse import lq_preview as fast
 from ffcomp.inverse.model import Inverter, RunResult
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.riccati import REST_ROWS, TO_THE_END, Preview, Problem
-from ffcomp.inverse.settings import Settings
+from ffcomp.inverse.settings import Settings, settings_for
+from ffcomp.planner.program import plan_program
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine

@@ -13,7 +13,6 @@ from ffcomp.compare.methods import OURS, ROBUST, inversion
 from ffcomp.compare.monte_carlo import drawn
 from ffcomp.compare.playback import play
 from ffcomp.compare.sampling import Print, Sampling
-from ffcomp.compensate.program import settings_for
 from ffcomp.inverse.model import Inverter
 from ffcomp.inverse.robust import (
     ALONG,
@@ -28,6 +27,7 @@ from ffcomp.inverse.robust import (
     gathered,
     sigma_points,
 )
+from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
 from models.file import load_machine
 from models.machine import Machine

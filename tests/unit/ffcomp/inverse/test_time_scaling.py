@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.compensate.program import Planned, firmware_limits, plan_program, settings_for
 from ffcomp.errors import LimitsError
 from ffcomp.inverse.model import Inverter
-from ffcomp.inverse.reference import Reference, Run
-from ffcomp.inverse.settings import Settings
+from ffcomp.inverse.reference import Reference
+from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.time_scaling import Feasible, feasible_run
 from ffcomp.inverse.violations import widened
+from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.s_curve import s_curve
+from ffcomp.planner.sections import Section
 from ffcomp.planner.segment_timing import played
 from gcode.reader import read_program
 from models.file import load_machine
@@ -42,7 +44,7 @@ def machine() -> Machine:
 
 
 @pytest.fixture(scope="module")
-def planned(machine: Machine) -> Planned:
+def planned(machine: Machine) -> PlannedProgram:
     return plan_program(read_program(CORNERS, start=START), machine)
 
 
@@ -54,11 +56,11 @@ def inverter_of(machine: Machine) -> Inverter:
     return Inverter(machine, settings_for(machine))
 
 
-def solved(inverter: Inverter, planned: Planned, run: Run, machine: Machine, **options: Any) -> Feasible:
+def solved(inverter: Inverter, planned: PlannedProgram, run: Section, machine: Machine, **options: Any) -> Feasible:
     moves, start = planned.program.moves, planned.trajectory.origin[run.first, :3]
     state = rest_state(machine, start)
     return feasible_run(
-        inverter, moves, firmware_limits(machine), planned.trajectory, run, state, keep_response=True, **options
+        inverter, moves, planner_limits(machine), planned.trajectory, run, state, keep_response=True, **options
     )
 
 
@@ -79,7 +81,7 @@ def error_um(found: Feasible) -> float:
     return 1e3 * float(np.sqrt(((found.result.response - nozzle[1:]) ** 2).sum(axis=1)).max())
 
 
-def test_where_nothing_binds_nothing_changes(machine: Machine, planned: Planned) -> None:
+def test_where_nothing_binds_nothing_changes(machine: Machine, planned: PlannedProgram) -> None:
     inverter, run = inverter_of(machine), planned.runs[0]
     found = solved(inverter, planned, run, machine)
     state = rest_state(machine, np.array(START))
@@ -103,7 +105,7 @@ def test_where_nothing_binds_nothing_changes(machine: Machine, planned: Planned)
     ],
 )
 def test_limits_below_the_plan_are_held_at_every_instant(
-    machine: Machine, planned: Planned, limits: dict[str, float], names: set[str]
+    machine: Machine, planned: PlannedProgram, limits: dict[str, float], names: set[str]
 ) -> None:
     tight = limited(machine, **limits)
     inverter, run = inverter_of(tight), planned.runs[0]
@@ -123,7 +125,7 @@ def test_limits_below_the_plan_are_held_at_every_instant(
         assert f"times its {record.limit} limit" in record.sentence()
 
 
-def test_only_the_moves_concerned_become_slower(machine: Machine, planned: Planned) -> None:
+def test_only_the_moves_concerned_become_slower(machine: Machine, planned: PlannedProgram) -> None:
     """The gentle lines at both ends keep their speed; every other run of the plan keeps its shape."""
     tight = limited(machine, carriage_velocity_mm_per_s=100.0)
     found = solved(inverter_of(tight), planned, planned.runs[0], tight)
@@ -147,7 +149,7 @@ def test_the_rest_of_the_plan_is_later_and_otherwise_the_same(machine: Machine) 
     assert found.records[0].sentence().startswith("line 102-105 (layer 7): slowed to ")
 
 
-def test_strict_refuses_with_the_same_sentence(machine: Machine, planned: Planned) -> None:
+def test_strict_refuses_with_the_same_sentence(machine: Machine, planned: PlannedProgram) -> None:
     tight = limited(machine, carriage_velocity_mm_per_s=100.0)
     inverter = inverter_of(tight)
     found = solved(inverter, planned, planned.runs[0], tight)
@@ -157,7 +159,7 @@ def test_strict_refuses_with_the_same_sentence(machine: Machine, planned: Planne
     assert caught.value.exit_code == 6
 
 
-def test_a_tolerance_decides_between_an_error_and_a_delay(machine: Machine, planned: Planned) -> None:
+def test_a_tolerance_decides_between_an_error_and_a_delay(machine: Machine, planned: PlannedProgram) -> None:
     """The acceleration that the command needs beyond the plan's is taken from it: an error, or slower moves."""
     inverter = inverter_of(machine)
     run = planned.runs[0]
@@ -174,7 +176,7 @@ def test_a_tolerance_decides_between_an_error_and_a_delay(machine: Machine, plan
     assert all(1e3 * held.error_mm <= 0.7 * worst for held in narrow.result.held)
 
 
-def test_a_path_beyond_the_travel_is_refused(machine: Machine, planned: Planned) -> None:
+def test_a_path_beyond_the_travel_is_refused(machine: Machine, planned: PlannedProgram) -> None:
     heights = machine.kinematics.compiled().inverse(planned.program.moves.end[:, :3])
     top = float(heights[:5].max()) - 1.0
     tight = limited(machine, carriage_travel_mm=(0.0, top))

@@ -10,16 +10,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.compensate.program import firmware_limits
 from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL, VELOCITY, excess, shares_from_rest
 from ffcomp.inverse.constrained import FOLLOWING
 from ffcomp.inverse.iterate import Playing
 from ffcomp.inverse.model import Inverter, steady_delay
-from ffcomp.inverse.reference import Reference, split_runs
+from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.riccati_kernels import basis_response
 from ffcomp.inverse.settings import Settings
 from ffcomp.inverse.windowed_qr import Window, next_window
 from ffcomp.planner.lookahead import plan_moves
+from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.sections import split_sections
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
@@ -48,10 +49,8 @@ def reference_of(
 ) -> Reference:
     program = read_program(gcode, start=start)
     stops = np.zeros(len(program.moves), dtype=np.bool_)
-    trajectory = plan_moves(
-        program.moves, firmware_limits(machine), stop_before=stops, wait_before=np.zeros(len(stops))
-    )
-    (run,) = split_runs(trajectory, stops)
+    trajectory = plan_moves(program.moves, planner_limits(machine), stop_before=stops, wait_before=np.zeros(len(stops)))
+    (run,) = split_sections(trajectory, stops)
     return Reference(trajectory, run, settings)
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.compensate.program import settings_for
 from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.settings import settings_for
 from ffcomp.numerics import disk_cache as kept
 from models.file import load_machine
 from models.machine import Machine

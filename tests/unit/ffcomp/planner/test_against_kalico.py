@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.planner.limits import DeltaReach, FirmwareLimits
+from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.trajectory import Trajectory
 from gcode.reader import read_program
@@ -35,18 +35,18 @@ def motion_only(name: str) -> bytes:
     return b"\n".join(line for line in (DATA / name).read_bytes().splitlines()[:LINES] if MOTION.match(line)) + b"\n"
 
 
-def our_plan(gcode: bytes, limits: FirmwareLimits) -> Trajectory:
+def our_plan(gcode: bytes, limits: PlannerLimits) -> Trajectory:
     program = read_program(gcode, start=kalico.START_MM)
     stops, waits = stops_and_waits(program)
     return plan_moves(program.moves, limits, stop_before=stops, wait_before=waits)
 
 
-def firmware(**limits: float) -> FirmwareLimits:
-    reach = DeltaReach(kalico.RADIUS_MM, kalico.ARM_LENGTH_MM, STEP_MM / 2)
-    return FirmwareLimits(velocity_mm_per_s=300.0, acceleration_mm_per_s2=3000.0, delta=reach, **limits)
+def firmware(**limits: float) -> PlannerLimits:
+    reach = DeltaSlowZones(kalico.RADIUS_MM, kalico.ARM_LENGTH_MM, STEP_MM / 2)
+    return PlannerLimits(velocity_mm_per_s=300.0, acceleration_mm_per_s2=3000.0, delta=reach, **limits)
 
 
-def assert_same_motion(gcode: bytes, limits: FirmwareLimits, **options: float) -> None:
+def assert_same_motion(gcode: bytes, limits: PlannerLimits, **options: float) -> None:
     theirs, ours = kalico.kalico_plan(gcode, microsteps=1, **options), our_plan(gcode, limits)
     travels = np.flatnonzero(ours.direction[:, :3].any(axis=1))
     assert len(travels) == len(theirs["moves"])

@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from ffcomp.planner.limits import DeltaReach, FirmwareLimits, bounds_of, lines_of
+from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits, bounds_of, lines_of
 from tests.support.programs import moves_through
 
-LIMITS = FirmwareLimits(velocity_mm_per_s=300.0, acceleration_mm_per_s2=3000.0)
+LIMITS = PlannerLimits(velocity_mm_per_s=300.0, acceleration_mm_per_s2=3000.0)
 FILAMENT = 16.0 * 0.4**2 / (math.pi * 1.75**2)  # of the firmware's speed, what it lets the filament do by default
 
 
-def bounds(
-    points: ArrayLike, limits: FirmwareLimits = LIMITS, speed: float = 1000.0
-) -> tuple[list[float], list[float]]:
+def bounds(points: ArrayLike, limits: PlannerLimits = LIMITS, speed: float = 1000.0) -> tuple[list[float], list[float]]:
     moves = moves_through(points, speed)
     found = bounds_of(moves, lines_of(moves), limits)
     return found.speed.tolist(), found.acceleration.tolist()
@@ -43,7 +41,7 @@ def test_the_extruder_limits_moves_that_it_leads(to: list[float], slower: float)
 
 
 def test_z_keeps_its_own_limits_on_slanted_moves() -> None:
-    limits = FirmwareLimits(300.0, 3000.0, z_velocity_mm_per_s=10.0, z_acceleration_mm_per_s2=100.0)
+    limits = PlannerLimits(300.0, 3000.0, z_velocity_mm_per_s=10.0, z_acceleration_mm_per_s2=100.0)
     speed, acceleration = bounds([[0, 0, 0], [3, 0, 4], [3, 0, 0], [100, 0, 0]], limits)
     assert speed == pytest.approx([12.5, 10.0, 300.0])
     assert acceleration == pytest.approx([125.0, 100.0, 3000.0])
@@ -57,7 +55,7 @@ def test_z_stays_within_the_configured_speed_when_the_file_allows_more() -> None
 
 
 def test_the_smooth_acceleration_is_a_share_of_the_files_not_of_the_moves() -> None:
-    limits = FirmwareLimits(300.0, 3000.0, minimum_cruise_ratio=0.5, z_acceleration_mm_per_s2=1000.0)
+    limits = PlannerLimits(300.0, 3000.0, minimum_cruise_ratio=0.5, z_acceleration_mm_per_s2=1000.0)
     moves = moves_through([[0, 0, 0], [0, 0, 4], [5, 0, 4]])
     assert bounds_of(moves, lines_of(moves), limits).smooth_acceleration.tolist() == [1000.0, 1500.0]
 
@@ -72,7 +70,7 @@ def test_the_file_replaces_the_machines_limits() -> None:
 
 @pytest.mark.parametrize("ratio", [3.0, 6.0])
 def test_at_the_radius_of_a_ratio_a_carriage_is_that_much_faster_than_the_nozzle(ratio: float) -> None:
-    reach = DeltaReach(radius_mm=140.0, arm_length_mm=280.0, half_step_mm=0.0)
+    reach = DeltaSlowZones(radius_mm=140.0, arm_length_mm=280.0, half_step_mm=0.0)
     lean = reach.radius_of_ratio(ratio) + reach.radius_mm  # opposite the tower
     heights = np.sqrt(reach.arm_length_mm**2 - (lean + np.array([-1e-4, 1e-4])) ** 2)
     assert (heights[0] - heights[1]) / 2e-4 == pytest.approx(ratio, rel=1e-6)
@@ -80,16 +78,16 @@ def test_at_the_radius_of_a_ratio_a_carriage_is_that_much_faster_than_the_nozzle
 
 def test_the_radius_of_a_ratio_allows_for_one_step() -> None:
     """The chord over one step ends at the radius and has the slope."""
-    reach = DeltaReach(radius_mm=140.0, arm_length_mm=280.0, half_step_mm=0.05)
+    reach = DeltaSlowZones(radius_mm=140.0, arm_length_mm=280.0, half_step_mm=0.05)
     far = reach.radius_of_ratio(3.0) + reach.radius_mm
     rise = np.sqrt(280.0**2 - (far - 0.1) ** 2) - np.sqrt(280.0**2 - far**2)
     assert rise / 0.1 == pytest.approx(3.0, rel=1e-9)
 
 
 def test_a_delta_slows_down_where_a_move_begins_or_ends_far_out() -> None:
-    reach = DeltaReach(140.0, 280.0, 0.00625)
+    reach = DeltaSlowZones(140.0, 280.0, 0.00625)
     slow, slower = reach.radius_of_ratio(3.0), reach.radius_of_ratio(6.0)
-    limits = FirmwareLimits(300.0, 3000.0, delta=reach)
+    limits = PlannerLimits(300.0, 3000.0, delta=reach)
     radii = [0.0, slow - 0.1, slow + 0.1, 0.0, slower + 0.1, 10.0]
     speed, acceleration = bounds([[0.0, -radius] for radius in radii], limits)
     assert speed == [300.0, 150.0, 150.0, 75.0, 75.0]
@@ -105,6 +103,6 @@ def test_less_than_a_millionth_of_a_micrometre_is_extruder_only() -> None:
 
 def test_impossible_limits_are_all_named_at_once() -> None:
     with pytest.raises(ValueError, match="velocity_mm_per_s is 0; it must be above zero") as failure:
-        FirmwareLimits(0.0, 3000.0, square_corner_velocity_mm_per_s=-1.0, minimum_cruise_ratio=1.0)
+        PlannerLimits(0.0, 3000.0, square_corner_velocity_mm_per_s=-1.0, minimum_cruise_ratio=1.0)
     assert "square_corner_velocity_mm_per_s is -1; it must be zero or more." in str(failure.value)
     assert "minimum_cruise_ratio is 1; it must be at least zero and below one." in str(failure.value)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linprog
 
-from ffcomp.planner.limits import DeltaReach, FirmwareLimits, bounds_of, lines_of
+from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.trajectory import Trajectory
 from gcode.errors import GcodeError
@@ -22,13 +22,13 @@ from tests.support.programs import moves_through, random_program
 
 FloatArray = NDArray[np.float64]
 
-LIMITS = FirmwareLimits(
+LIMITS = PlannerLimits(
     velocity_mm_per_s=300.0,
     acceleration_mm_per_s2=3000.0,
     square_corner_velocity_mm_per_s=5.0,
     minimum_cruise_ratio=0.0,
 )
-DELTA = dataclasses.replace(LIMITS, minimum_cruise_ratio=0.5, delta=DeltaReach(140.0, 280.0, 0.00625))
+DELTA = dataclasses.replace(LIMITS, minimum_cruise_ratio=0.5, delta=DeltaSlowZones(140.0, 280.0, 0.00625))
 points = st.lists(
     st.tuples(*(st.integers(-200, 200).map(lambda tenth: 0.1 * tenth) for _ in range(2))),
     min_size=2,
@@ -37,7 +37,7 @@ points = st.lists(
 speeds = st.lists(st.floats(1.0, 400.0), min_size=11, max_size=11)
 
 
-def plan(moves: Moves, limits: FirmwareLimits = LIMITS, stops: ArrayLike = False, waits: ArrayLike = 0.0) -> Trajectory:
+def plan(moves: Moves, limits: PlannerLimits = LIMITS, stops: ArrayLike = False, waits: ArrayLike = 0.0) -> Trajectory:
     n = len(moves)
     return plan_moves(
         moves,
@@ -47,7 +47,7 @@ def plan(moves: Moves, limits: FirmwareLimits = LIMITS, stops: ArrayLike = False
     )
 
 
-def through(points: ArrayLike, speed: float = 100.0, limits: FirmwareLimits = LIMITS) -> Trajectory:
+def through(points: ArrayLike, speed: float = 100.0, limits: PlannerLimits = LIMITS) -> Trajectory:
     return plan(moves_through(points, speed), limits)
 
 
@@ -161,7 +161,7 @@ def test_cutting_a_straight_line_changes_nothing(lengths: list[float], speed: fl
 # A second solver
 
 
-def junction_limits(moves: Moves, limits: FirmwareLimits) -> tuple[FloatArray, FloatArray]:
+def junction_limits(moves: Moves, limits: PlannerLimits) -> tuple[FloatArray, FloatArray]:
     """v² at inner junctions (n-1,) and each move's change of it (n,); by angles, one junction at a time."""
     lines = lines_of(moves)
     bounds = bounds_of(moves, lines, limits)

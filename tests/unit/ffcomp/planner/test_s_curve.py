@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ffcomp.planner.junctions import junction_limits
-from ffcomp.planner.limits import FirmwareLimits
+from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.s_curve import SCurve, hold, s_curve
 from ffcomp.planner.smooth import SmoothTrajectory
@@ -45,14 +45,14 @@ def planned(data: bytes) -> tuple[Trajectory, FloatArray]:
     """A plan, and how fast each of its moves may begin."""
     program = read_program(data, start=(0.0, 0.0, 10.0))
     stops, waits = stops_and_waits(program)
-    limits = FirmwareLimits(300.0, 3000.0)
+    limits = PlannerLimits(300.0, 3000.0)
     plan = plan_moves(program.moves, limits, stop_before=stops, wait_before=waits, start_t=2.0)
     return plan, junction_limits(program.moves, limits, stops | (waits > 0.0))
 
 
 def one_line(mm: float = 10.0, speed: float = 100.0) -> Trajectory:
     """A straight move along x from rest to rest, at 1000 mm/s²."""
-    limits = FirmwareLimits(300.0, 1000.0, minimum_cruise_ratio=0.0)
+    limits = PlannerLimits(300.0, 1000.0, minimum_cruise_ratio=0.0)
     moves = moves_through(np.array([[0.0, 0.0], [mm, 0.0]]), speed)
     return plan_moves(moves, limits, stop_before=np.zeros(1, bool), wait_before=np.zeros(1))
 
@@ -63,7 +63,7 @@ def print_plan(path: Path) -> tuple[Trajectory, FloatArray]:
     own = MACHINE.limits
     program = read_program(path.read_bytes(), path.name)
     stops, waits = stops_and_waits(program)
-    limits = FirmwareLimits(own.velocity_mm_per_s, own.acceleration_mm_per_s2, own.square_corner_velocity_mm_per_s)
+    limits = PlannerLimits(own.velocity_mm_per_s, own.acceleration_mm_per_s2, own.square_corner_velocity_mm_per_s)
     plan = plan_moves(program.moves, limits, stop_before=stops, wait_before=waits)
     return plan, junction_limits(program.moves, limits, stops | (waits > 0.0))
 
@@ -97,7 +97,7 @@ def test_braking_mirrors_speeding_up() -> None:
 
 
 def test_a_ramp_over_many_moves_is_one_ramp() -> None:
-    limits = FirmwareLimits(300.0, 1000.0, minimum_cruise_ratio=0.0)
+    limits = PlannerLimits(300.0, 1000.0, minimum_cruise_ratio=0.0)
     through = np.array([0.0, 0.3, 0.31, 2.0, 4.4, 7.0, 20.0])
     moves = moves_through(np.column_stack([through, 0.0 * through]), 100.0)
     cut = plan_moves(moves, limits, stop_before=np.zeros(6, bool), wait_before=np.zeros(6))
@@ -235,7 +235,7 @@ def test_no_junction_is_planned_faster_than_it_may_be_passed() -> None:
 
 def test_nothing_planned_stays_nothing() -> None:
     plan = plan_moves(
-        moves_through([[0, 0]]), FirmwareLimits(300.0, 3000.0), stop_before=np.zeros(0, bool), wait_before=np.zeros(0)
+        moves_through([[0, 0]]), PlannerLimits(300.0, 3000.0), stop_before=np.zeros(0, bool), wait_before=np.zeros(0)
     )
     assert len(s_curve(plan)) == 0
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.planner.limits import FirmwareLimits
+from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves
 from ffcomp.planner.segment_timing import OutputLimits, merge, played, sample_segments
 from gcode.program import Moves
@@ -31,7 +31,7 @@ def plan(vertices: FloatArray, e: FloatArray, speed: FloatArray, limits: OutputL
     moves = Moves(
         np.arange(n), ends[:-1], ends[1:], speed, np.zeros(n, dtype=np.int64), *(np.full(n, np.nan) for _ in range(4))
     )
-    firmware = FirmwareLimits(
+    firmware = PlannerLimits(
         velocity_mm_per_s=limits.velocity_mm_per_s,
         acceleration_mm_per_s2=limits.acceleration_mm_per_s2,
         square_corner_velocity_mm_per_s=limits.square_corner_velocity_mm_per_s,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.planner.limits import FirmwareLimits
+from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.trajectory import Trajectory
 from gcode.reader import read_program
@@ -16,13 +16,13 @@ from tests.support.programs import moves_through, random_program
 def motion() -> Trajectory:
     program = read_program(random_program(11, 20), start=(0.0, 0.0, 10.0))
     stops, waits = stops_and_waits(program)
-    return plan_moves(program.moves, FirmwareLimits(300.0, 3000.0), stop_before=stops, wait_before=waits, start_t=2.0)
+    return plan_moves(program.moves, PlannerLimits(300.0, 3000.0), stop_before=stops, wait_before=waits, start_t=2.0)
 
 
 def simple(waits: list[float]) -> Trajectory:
     """1 mm along x at 10 mm/s and 100 mm/s², 1 mm along y."""
     moves = moves_through([[0, 0], [1, 0], [1, 1]], 10.0)
-    limits = FirmwareLimits(300.0, 100.0, minimum_cruise_ratio=0.0)
+    limits = PlannerLimits(300.0, 100.0, minimum_cruise_ratio=0.0)
     return plan_moves(moves, limits, stop_before=np.ones(2, dtype=bool), wait_before=np.array(waits))
 
 
@@ -86,7 +86,7 @@ def test_the_move_at_a_time() -> None:
 def test_no_moves_have_no_place() -> None:
     nothing = plan_moves(
         moves_through([[0, 0]]),
-        FirmwareLimits(300.0, 3000.0),
+        PlannerLimits(300.0, 3000.0),
         stop_before=np.zeros(0, bool),
         wait_before=np.zeros(0),
     )

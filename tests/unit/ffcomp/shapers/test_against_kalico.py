@@ -18,7 +18,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp import shapers
-from ffcomp.planner.limits import DeltaReach, FirmwareLimits
+from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.shapers import calibration as calibrate
 from gcode.reader import read_program
@@ -39,10 +39,10 @@ GEOMETRY = DeltaKinematics(
     print_radius_mm=125.0,
     print_height_mm=400.0,
 )
-LIMITS = FirmwareLimits(
+LIMITS = PlannerLimits(
     velocity_mm_per_s=300.0,
     acceleration_mm_per_s2=3000.0,
-    delta=DeltaReach(kalico.RADIUS_MM, kalico.ARM_LENGTH_MM, kalico.HALF_STEP_MM),
+    delta=DeltaSlowZones(kalico.RADIUS_MM, kalico.ARM_LENGTH_MM, kalico.HALF_STEP_MM),
 )
 EXACT_STEPS = 1e-9  # s: the host may compress its steps, but not move them
 

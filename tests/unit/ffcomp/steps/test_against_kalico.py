@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.planner.limits import DeltaReach, FirmwareLimits
+from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps.pieces import trajectory_pieces
@@ -33,10 +33,10 @@ pytestmark = pytest.mark.kalico
 
 CLOCK_HZ = 50e6  # of the host's board
 BOARD = Board(extruder_steps_per_mm=3200 / 22.6789, clock_hz=CLOCK_HZ)
-LIMITS = FirmwareLimits(
+LIMITS = PlannerLimits(
     velocity_mm_per_s=300.0,
     acceleration_mm_per_s2=3000.0,
-    delta=DeltaReach(kalico.RADIUS_MM, kalico.ARM_LENGTH_MM, kalico.HALF_STEP_MM),
+    delta=DeltaSlowZones(kalico.RADIUS_MM, kalico.ARM_LENGTH_MM, kalico.HALF_STEP_MM),
 )
 EXACT_S, HOSTS_OWN_S = 1e-9, 25e-6  # how much too early the host may send a step
 STEPPERS = {"a": 0, "b": 3, "c": 6, "e": 9}  # as the host numbers them: three numbers a stepper

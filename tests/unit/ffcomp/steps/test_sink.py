@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.compensate.program import plan_program
 from ffcomp.errors import LimitsError
+from ffcomp.planner.program import plan_program
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps import compress, sink
 from ffcomp.steps.pieces import Pieces, knot_pieces, trajectory_pieces

@@ -11,10 +11,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ffcomp.compensate.gcode_output.layout import AROUND, CUT, Piece, pieces, timeline
+from ffcomp.compensate.gcode_output.layout import AROUND, Piece, pieces, timeline
 from ffcomp.compensate.gcode_output.writer import Writer, original
-from ffcomp.compensate.program import Planned, plan_program, settings_for
 from ffcomp.inverse.reference import Reference
+from ffcomp.inverse.settings import CUT, settings_for
+from ffcomp.planner.program import PlannedProgram, plan_program
 from gcode.dialects import KLIPPER
 from gcode.limits import MotionLimits
 from gcode.reader import read_program
@@ -40,7 +41,7 @@ def smoothed(path: FloatArray, knots: int = 9) -> FloatArray:
 def written(data: bytes, length: int) -> tuple[bytes, int]:
     """The program with every run cut into pieces of so many knots (0: whole), and how many segments it took."""
     program = read_program(data, "print.gcode")
-    planned: Planned = plan_program(program, machine())
+    planned: PlannedProgram = plan_program(program, machine())
     writer = Writer(program, KLIPPER, MotionLimits(), settings_for(machine()))
     text: list[bytes] = []
     taken = 0

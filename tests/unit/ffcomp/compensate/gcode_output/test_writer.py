@@ -12,9 +12,11 @@ from hypothesis import strategies as st
 
 from ffcomp.compensate.gcode_output.writer import OURS, TIME_WAS, WAS, original
 from ffcomp.compensate.job import Job
-from ffcomp.compensate.program import firmware_limits, plan_program, settings_for
 from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.program import plan_program
 from gcode.metadata import tells
 from gcode.program import Program
 from gcode.reader import read_program
@@ -142,7 +144,7 @@ def test_the_file_lasts_as_long_as_it_should() -> None:
     job = Job(data, "x", machine(), predict=False, inverter=inverter())
     program = read_program(b"".join(job.lines()))
     stop_before, wait_before = stops_and_waits(program)
-    plan = plan_moves(program.moves, firmware_limits(machine()), stop_before=stop_before, wait_before=wait_before)
+    plan = plan_moves(program.moves, planner_limits(machine()), stop_before=stop_before, wait_before=wait_before)
     lead_and_tail = 0.012  # rests at a run's ends are not written
     runs = len(plan_program(read_program(data), machine()).runs)
     assert plan.end_t == pytest.approx(job.summary.print_time_s, abs=lead_and_tail * runs)
@@ -199,7 +201,7 @@ def test_a_wipe_costs_no_time() -> None:
     job = Job(data, "x", machine(), predict=False, inverter=inverter())
     program = read_program(b"".join(job.lines()), flavor=job.flavor)
     stop_before, wait_before = stops_and_waits(program)
-    plan = plan_moves(program.moves, firmware_limits(machine()), stop_before=stop_before, wait_before=wait_before)
+    plan = plan_moves(program.moves, planner_limits(machine()), stop_before=stop_before, wait_before=wait_before)
     assert plan.end_t == pytest.approx(job.summary.print_time_s, rel=0.015)  # 9 % when it follows the clock
     falls = program.moves.end[:, 3] < program.moves.start[:, 3]
     moving = np.abs(program.moves.end[:, :3] - program.moves.start[:, :3]).max(axis=1) > 0

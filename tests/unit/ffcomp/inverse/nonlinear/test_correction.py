@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from ffcomp.compare.sampling import Print, Sampling, Stretch
-from ffcomp.compensate.program import Solved, settings_for, solutions
+from ffcomp.compensate.solve import SolvedSection, solutions
 from ffcomp.inverse.command_limits import excess
 from ffcomp.inverse.model import Inverter, RunResult
 from ffcomp.inverse.nonlinear import correction as whole
+from ffcomp.inverse.settings import settings_for
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from models.machine import Machine
@@ -30,13 +31,13 @@ def part() -> Stretch:
     return found
 
 
-def solved(machine: Machine, printer: Machine | None = None) -> tuple[Inverter, list[Solved]]:
+def solved(machine: Machine, printer: Machine | None = None) -> tuple[Inverter, list[SolvedSection]]:
     inverter = Inverter(machine, settings_for(machine))
     inverter.printer = printer or inverter.printer
     return inverter, list(solutions(part().planned, inverter.machine, inverter, None, lambda wanted: True))
 
 
-def tracking_um(answers: list[Solved]) -> float:
+def tracking_um(answers: list[SolvedSection]) -> float:
     """Rms of the error that the loop has seen in the end."""
     errors = []
     for each in answers:

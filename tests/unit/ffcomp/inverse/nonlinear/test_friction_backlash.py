@@ -10,11 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp.compare.sampling import Print, Sampling
-from ffcomp.compensate.program import settings_for, solutions
+from ffcomp.compensate.solve import solutions
 from ffcomp.inverse.iterate import Playing
 from ffcomp.inverse.model import Inverter
 from ffcomp.inverse.nonlinear.friction_backlash import Foresight, guide_friction
 from ffcomp.inverse.reference import Reference
+from ffcomp.inverse.settings import settings_for
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from models.machine import Machine

@@ -1,0 +1,131 @@
+"""Solve the sections of a planned program one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+from ffcomp.inverse.extent import WHOLE, Extent
+from ffcomp.inverse.model import Inverter, RunResult
+from ffcomp.inverse.nonlinear.correction import Ran, corrected
+from ffcomp.inverse.reference import Reference
+from ffcomp.inverse.time_scaling import SlowDown, feasible_run
+from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.program import PlannedProgram, smooth_section
+from ffcomp.planner.sections import Section
+from ffcomp.planner.trajectory import PlannedMotion
+from gcode.layers import LayerLookup
+from gcode.program import EventKind
+from models.arrays import FloatArray
+from models.machine import Machine
+from models.vibration.scheduled import rest_state
+
+
+@dataclass(frozen=True, slots=True)
+class SolvedSection:
+    """A run that travels, and the command whose response it is."""
+
+    trajectory: PlannedMotion  # the plan, slower than it was before where limits asked for it
+    run: Section
+    wanted: Reference
+    result: RunResult
+    slowed: tuple[SlowDown, ...]
+    knots: tuple[int, int]  # between which it is written
+
+
+def solutions(
+    planned: PlannedProgram,
+    machine: Machine,
+    inverter: Inverter,
+    state: FloatArray | None,
+    keep: Callable[[Reference], bool],
+    layers_before: int = 0,
+    ends: Extent = WHOLE,
+) -> Iterator[SolvedSection]:
+    """The runs that travel, one after the other: what rings when one ends is known to the next.
+
+    Parameters
+    ----------
+    state : (18,) of the plant as the first run begins; None: at rest
+    keep : asked once for each run whether its response is wanted
+    layers_before : of the file, before this program
+    ends : what is written of the program, if it begins or ends in motion
+
+    Raises
+    ------
+    LimitsError
+        Where a limit cannot be held, and the plan must not or cannot be slowed down.
+    """
+    ran = _by_the_model(planned, machine, inverter, state, keep, layers_before, ends)
+    if inverter.printer is None:
+        yield from (solved for solved, _ in ran)
+        return
+    known = list(ran)
+    results = corrected(inverter, inverter.printer, [Ran(s.wanted, s.result, rest) for s, rest in known])
+    yield from (replace(solved, result=result) for (solved, _), result in zip(known, results, strict=True))
+
+
+def _by_the_model(
+    planned: PlannedProgram,
+    machine: Machine,
+    inverter: Inverter,
+    state: FloatArray | None,
+    keep: Callable[[Reference], bool],
+    layers_before: int,
+    ends: Extent,
+) -> Iterator[tuple[SolvedSection, float | None]]:
+    """Each run with its answer, and how long the nozzle has rested before it; None: others have moved it."""
+    program, trajectory, settings = planned.program, planned.trajectory, inverter.settings
+    moved, limits = _moved_before(planned), planner_limits(machine)
+    replan = partial(smooth_section, machine, limits) if settings.s_curve else None
+    layers = LayerLookup(program, layers_before)
+    rested = later = 0.0
+    for run in planned.runs:
+        if not run.travels:
+            continue
+        start, rest_s = trajectory.origin[run.first, :3], run.begin_t - rested
+        rested = run.end_t
+        if state is None or moved[run.first]:
+            state, rest = rest_state(machine, start), None
+        else:
+            state, rest = inverter.hold(state, start, rest_s), rest_s
+        if later:
+            run = replace(run, begin_t=run.begin_t + later, end_t=run.end_t + later)
+        own = ends if run is planned.runs[0] else WHOLE
+        if not settings.slow_down:
+            wanted = own.reference(trajectory, run, settings)
+            result = inverter.run(wanted, state, keep_response=keep(wanted))
+            yield SolvedSection(trajectory, run, wanted, result, (), own.knots(wanted, trajectory)), rest
+        else:
+            found = feasible_run(
+                inverter,
+                program.moves,
+                limits,
+                trajectory,
+                run,
+                state,
+                tolerance_um=settings.tolerance_um,
+                strict=settings.strict,
+                keep_response=keep(own.reference(trajectory, run, settings)),
+                first_line=program.first_line,
+                layer_of=layers.of,
+                replan=replan,
+                ends=own,
+            )
+            trajectory, result, later = found.trajectory, found.result, later + found.lost_s
+            knots = own.knots(found.wanted, trajectory)
+            yield SolvedSection(trajectory, found.run, found.wanted, result, found.records, knots), rest
+        state = result.state
+
+
+def _moved_before(planned: PlannedProgram) -> dict[int, bool]:
+    """For the first move of each run that travels: has something else moved the nozzle since the run before?"""
+    others = {e.move for e in planned.program.events if e.kind in (EventKind.STOP, EventKind.RAW_MOVE)}
+    found, pending, last = {}, False, -1
+    for run in planned.runs:
+        pending = pending or any(move in others for move in range(last + 1, run.first + 1))
+        last = run.first
+        if run.travels:
+            found[run.first], pending, last = pending, False, run.last - 1
+    return found

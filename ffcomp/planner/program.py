@@ -1,0 +1,83 @@
+"""Plan a program as the firmware will, and cut the plan into sections."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.errors import NothingToDo
+from ffcomp.planner.junctions import junction_limits
+from ffcomp.planner.limits import PlannerLimits
+from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.s_curve import SCurve, s_curve
+from ffcomp.planner.sections import Section, split_sections
+from ffcomp.planner.trajectory import PlannedMotion, Trajectory
+from gcode.errors import GcodeError
+from gcode.program import Moves, Program
+from models.errors import UnreachableError
+from models.machine import Machine
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedProgram:
+    """A program with the firmware's plan for it."""
+
+    program: Program
+    trajectory: PlannedMotion
+    runs: list[Section]
+    firmware_s: float  # what the firmware's own plan takes
+
+
+def plan_program(
+    program: Program, machine: Machine, offset: tuple[float, float] = (0.0, 0.0), smooth: bool = False
+) -> PlannedProgram:
+    """Check that every move can be reached, and plan them all.
+
+    offset : mm, what the program's positions were shifted by when they were read
+    smooth : with S-curves, within a percent of the firmware's time
+    """
+    trajectory: PlannedMotion
+    trajectory = plan = firmware_plan(program, machine, offset)
+    stop_before, wait_before = stops_and_waits(program)
+    if smooth:
+        rests = stop_before | (wait_before > 0.0)
+        trajectory = _smoothed(plan, program.moves, machine, planner_limits(machine), rests)
+    return PlannedProgram(program, trajectory, split_sections(trajectory, stop_before), plan.end_t)
+
+
+def firmware_plan(program: Program, machine: Machine, offset: tuple[float, float] = (0.0, 0.0)) -> Trajectory:
+    """Every move, once it is known that the nozzle can get there. offset : as for `plan_program`"""
+    moves = program.moves
+    if not len(moves):
+        raise NothingToDo(f"{program.path or 'The file'} holds no move whose start is known: nothing to compensate.")
+    for ends in (moves.start, moves.end):
+        try:
+            machine.kinematics.check_reach(ends[:, :3])
+        except UnreachableError as error:
+            line = program.first_line + int(moves.line[error.indices[0]]) + 1
+            advice = machine.kinematics.advice(moves.end[:, :2] - offset)
+            raise GcodeError(f"{error} {advice}", line, program.path) from error
+    stop_before, wait_before = stops_and_waits(program)
+    try:
+        return plan_moves(moves, planner_limits(machine), stop_before=stop_before, wait_before=wait_before)
+    except GcodeError as error:
+        raise error.located(program.path, program.first_line) from None
+
+
+def smooth_section(machine: Machine, limits: PlannerLimits, moves: Moves, begin_t: float) -> PlannedMotion:
+    """One run from rest to rest, with S-curves."""
+    n = len(moves)
+    rests = np.zeros(n, dtype=np.bool_)
+    plan = plan_moves(moves, limits, stop_before=rests, wait_before=np.zeros(n), start_t=begin_t)
+    return _smoothed(plan, moves, machine, limits, rests)
+
+
+def _smoothed(
+    plan: Trajectory, moves: Moves, machine: Machine, limits: PlannerLimits, rests: NDArray[np.bool_]
+) -> PlannedMotion:
+    most = SCurve(limit_mm_per_s2=machine.limits.acceleration_mm_per_s2)
+    allowed = junction_limits(moves, limits, rests)
+    return s_curve(plan, machine.kinematics.compiled().inverse, most, allowed_v=allowed)
