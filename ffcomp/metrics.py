@@ -1,26 +1,27 @@
-"""How well a motion follows the wanted one: contour error, tracking error, delay, command effort.
+"""Contour error, tracking error, delay and command effort of a motion; the only place that builds a TRACK.
 
-Contour error is the distance to the wanted path wherever on it the nozzle should be; it is what a print
-shows. Tracking error compares at equal times. Lengths in mm and times in s here; `Track` carries its units
-in its names.
+Contour error is the distance from the nozzle to the reference path, wherever on it the nozzle should be; it is what a
+print shows. Tracking error compares at equal times. Lengths in mm and times in s; `Track` has units in its names.
 
-Distances are taken to the path's *segments*, never to sampled points, which would put a floor of several µm
-under every figure: a wanted path of straight moves is given by its corners, once each.
+Distances are taken to the path's *segments*: distances to sampled points would put a floor of several µm under every
+figure. A reference path of straight moves is given by its corners, once each.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numba import njit
 
 from models.arrays import FloatArray, IntArray
 
-WINDOW_S = 0.05  # a sample may belong to where the path is within this time: other lines and layers are not its own
+WINDOW_S = 0.05  # a sample belongs to where the path is within this time, not to other lines and layers
 LONGEST_DELAY_S = 0.02
 EFFORT_SPAN_S = 1e-3  # a jump of speed at a corner counts as spread over this time, whatever the sampling
-SCAN_SAMPLES = 20_000  # enough of them to see in which millisecond the best delay lies
+SCAN_SAMPLES = 20_000  # enough to see in which millisecond the best delay lies
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +35,17 @@ class Tracking:
 
 
 @dataclass(frozen=True, slots=True)
+class ContourStatistics:
+    """Contour error over some samples."""
+
+    rms_um: float
+    p99_um: float
+    max_um: float
+
+
+@dataclass(frozen=True, slots=True)
 class Track:
-    """One motion judged: the TRACK object of every JSON answer."""
+    """Evaluation of one motion: the TRACK object of every JSON output."""
 
     tracking_rms_um: float
     tracking_max_um: float
@@ -48,36 +58,61 @@ class Track:
     peak_command_acceleration_mm_per_s2: float
 
 
+def build_track(
+    at_equal_times: Tracking, contour_mm: FloatArray, print_time_s: float, peak_command_acceleration: float
+) -> Track:
+    """Build the TRACK of one motion.
+
+    Parameters
+    ----------
+    at_equal_times : Tracking
+        Tracking error and delay, see `tracking`.
+    contour_mm : (m,) array
+        Contour error of every sample in mm, see `contour_error`.
+    print_time_s : float
+    peak_command_acceleration : float
+        In mm/s², of the actuators' command, see `peak_acceleration`.
+    """
+    contour = contour_statistics(contour_mm)
+    return Track(
+        tracking_rms_um=at_equal_times.rms_mm * 1e3,
+        tracking_max_um=at_equal_times.max_mm * 1e3,
+        contour_rms_um=contour.rms_um,
+        contour_p99_um=contour.p99_um,
+        contour_max_um=contour.max_um,
+        delay_s=at_equal_times.delay_s,
+        tracking_rms_no_delay_um=at_equal_times.rms_no_delay_mm * 1e3,
+        print_time_s=print_time_s,
+        peak_command_acceleration_mm_per_s2=peak_command_acceleration,
+    )
+
+
 def track(
     t: FloatArray,
-    wanted: FloatArray,
+    reference: FloatArray,
     actual: FloatArray,
     path_t: FloatArray,
     path_xyz: FloatArray,
     peak_command_acceleration: float,
 ) -> Track:
-    """Judge one motion.
+    """Evaluate one motion.
 
     Parameters
     ----------
-    t : (m,) s, evenly spaced;  wanted, actual : (m, 3) mm, the nozzle at these times.
-    path_t : (n,) s;  path_xyz : (n, 3) mm, the wanted path's corners and when each is due.
-    peak_command_acceleration : mm/s², of what the motors are told (see `peak_acceleration`).
+    t : (m,) array
+        Evenly spaced times in s.
+    reference, actual : (m, 3) arrays
+        The nozzle at these times in mm.
+    path_t : (n,) array
+        Times in s at which the reference path's corners are due.
+    path_xyz : (n, 3) array
+        These corners in mm.
+    peak_command_acceleration : float
+        In mm/s², of the actuators' command, see `peak_acceleration`.
     """
-    dt = _step(t)
-    at_equal_times = tracking(wanted, actual, dt)
+    at_equal_times = tracking(reference, actual, _step(t))
     contour = contour_error(path_t, path_xyz, t, actual)
-    return Track(
-        tracking_rms_um=at_equal_times.rms_mm * 1e3,
-        tracking_max_um=at_equal_times.max_mm * 1e3,
-        contour_rms_um=_rms(contour) * 1e3,
-        contour_p99_um=float(np.percentile(contour, 99)) * 1e3,
-        contour_max_um=float(np.max(contour)) * 1e3,
-        delay_s=at_equal_times.delay_s,
-        tracking_rms_no_delay_um=at_equal_times.rms_no_delay_mm * 1e3,
-        print_time_s=float(path_t[-1] - path_t[0]),
-        peak_command_acceleration_mm_per_s2=peak_command_acceleration,
-    )
+    return build_track(at_equal_times, contour, float(path_t[-1] - path_t[0]), peak_command_acceleration)
 
 
 def _step(t: FloatArray) -> float:
@@ -88,11 +123,20 @@ def _step(t: FloatArray) -> float:
     return dt
 
 
-def _rms(x: FloatArray) -> float:
-    return float(np.sqrt(np.mean(x**2)))
+def rms(x: FloatArray) -> float:
+    """Return the root mean square of all values; 0 if there are none."""
+    return float(np.sqrt(np.mean(x**2))) if x.size else 0.0
 
 
 # ---- contour -------------------------------------------------------------------------------------
+
+
+def contour_statistics(contour_mm: FloatArray) -> ContourStatistics:
+    """Return rms, 99th percentile and maximum of a contour error : (m,) mm; zeros if there are no samples."""
+    if not contour_mm.size:
+        return ContourStatistics(0.0, 0.0, 0.0)
+    p99 = float(np.percentile(contour_mm, 99))
+    return ContourStatistics(rms(contour_mm) * 1e3, p99 * 1e3, float(np.max(contour_mm)) * 1e3)
 
 
 def contour_error(
@@ -102,79 +146,124 @@ def contour_error(
     actual_xyz: FloatArray,
     window_s: float = WINDOW_S,
 ) -> FloatArray:
-    """Distance : (m,) mm of each actual sample to the wanted segments in progress within ± window_s of its
-    time.
+    """Return the distance : (m,) mm of each sample to the reference segments in progress within ± window_s of its time.
 
     Parameters
     ----------
-    path_t : (n,) s, never falling;  path_xyz : (n, 3) mm, the corners, n ≥ 2. A rest is a corner twice.
-    actual_t : (m,) s, in any order;  actual_xyz : (m, 3) mm.
+    path_t : (n,) array
+        Times in s, never falling.
+    path_xyz : (n, 3) array
+        The path's corners in mm, n ≥ 2. A rest is a corner twice.
+    actual_t : (m,) array
+        Times in s, in any order.
+    actual_xyz : (m, 3) array
+        The nozzle in mm.
+    window_s : float
+
+    Raises
+    ------
+    ValueError
+        If the path has fewer than two corners, or times that fall.
     """
     if len(path_t) < 2 or np.any(np.diff(path_t) < 0):
-        raise ValueError(f"A wanted path needs two corners or more, at times that never fall; it has {len(path_t)}.")
+        raise ValueError(f"A reference path needs two corners or more, at times that never fall; it has {len(path_t)}.")
     first, last = path_t[:-1], path_t[1:]
     # before the path begins its first segment counts, after its end the last one
     low = np.minimum(np.searchsorted(last, actual_t - window_s, side="left"), len(last) - 1)
     high = np.maximum(np.searchsorted(first, actual_t + window_s, side="right"), 1)
-    return _nearest(np.ascontiguousarray(path_xyz), np.ascontiguousarray(actual_xyz), low, high)
+    return _distance_to_path(np.ascontiguousarray(path_xyz), np.ascontiguousarray(actual_xyz), low, high)
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _nearest(path: FloatArray, points: FloatArray, low: IntArray, high: IntArray) -> FloatArray:
-    """Distance : (m,) of each point to the nearest of its segments low ≤ k < high."""
+def _distance_to_path(path: FloatArray, points: FloatArray, low: IntArray, high: IntArray) -> FloatArray:
+    """Return the distance : (m,) of each point to the nearest of its segments low ≤ k < high."""
     out = np.empty(len(points))
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         best = np.inf
         for k in range(low[i], high[i]):
-            best = min(best, _distance2(path, k, x, y, z))
+            dx, dy, dz = _offset(path, k, x, y, z)
+            best = min(best, dx * dx + dy * dy + dz * dz)
         out[i] = np.sqrt(best)
     return out
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _distance2(path: FloatArray, k: int, x: float, y: float, z: float) -> float:
-    """Squared distance of a point to segment k; the foot of the perpendicular is clipped to its ends."""
+def offset_from_path(path: FloatArray, points: FloatArray, low: IntArray, high: IntArray) -> FloatArray:
+    """Return the vector : (m, 3) to each point from the nearest point of its segments low ≤ k < high (at least one).
+
+    path : (n, 3), points : (m, 3), low and high : (m,); contiguous.
+    """
+    out = np.empty_like(points)
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        best = np.inf
+        for k in range(low[i], high[i]):
+            dx, dy, dz = _offset(path, k, x, y, z)
+            distance2 = dx * dx + dy * dy + dz * dz
+            if distance2 < best:
+                best = distance2
+                out[i, 0], out[i, 1], out[i, 2] = dx, dy, dz
+    return out
+
+
+@njit(cache=True, fastmath=True, nogil=True, inline="always")
+def _offset(path: FloatArray, k: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return the vector from segment k to a point; the foot of the perpendicular is clipped to the segment's ends."""
     ux, uy, uz = path[k + 1, 0] - path[k, 0], path[k + 1, 1] - path[k, 1], path[k + 1, 2] - path[k, 2]
     dx, dy, dz = x - path[k, 0], y - path[k, 1], z - path[k, 2]
     length2 = ux * ux + uy * uy + uz * uz
     along = 0.0
     if length2 > 0.0:
         along = min(1.0, max(0.0, (dx * ux + dy * uy + dz * uz) / length2))
-    dx, dy, dz = dx - along * ux, dy - along * uy, dz - along * uz
-    return dx * dx + dy * dy + dz * dz
+    return dx - along * ux, dy - along * uy, dz - along * uz
 
 
 # ---- tracking ------------------------------------------------------------------------------------
 
 
-def tracking(wanted: FloatArray, actual: FloatArray, dt: float, longest_delay_s: float = LONGEST_DELAY_S) -> Tracking:
-    """Errors of two motions : (m, 3) mm sampled every dt, and the constant delay that explains most of them.
+def tracking(
+    reference: FloatArray, actual: FloatArray, dt: float, longest_delay_s: float = LONGEST_DELAY_S
+) -> Tracking:
+    """Return tracking errors of two motions sampled every dt, and the constant delay that explains most of them.
 
-    The delay τ minimises the mean of |actual(t) - wanted(t - τ)|², continuously: the wanted motion is
-    interpolated by the cubic through four samples, and rests before its first and after its last one.
+    The delay τ minimises the mean of |actual(t) - reference(t - τ)|², continuously: the reference is interpolated by
+    the cubic through four samples, and rests before its first and after its last one.
+
+    Parameters
+    ----------
+    reference, actual : (m, 3) arrays
+        In mm, m ≥ 4.
+    dt : float
+        In s.
+    longest_delay_s : float
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ or there are too few samples.
     """
-    if wanted.shape != actual.shape or len(wanted) < 4:
-        raise ValueError(f"Motions must match and have four samples: {wanted.shape} against {actual.shape}.")
-    wanted, actual = np.ascontiguousarray(wanted), np.ascontiguousarray(actual)
-    distance2 = np.sum((actual - wanted) ** 2, axis=1)
+    if reference.shape != actual.shape or len(reference) < 4:
+        raise ValueError(f"Motions must match and have four samples: {reference.shape} against {actual.shape}.")
+    reference, actual = np.ascontiguousarray(reference), np.ascontiguousarray(actual)
+    distance2 = np.sum((actual - reference) ** 2, axis=1)
     now = float(np.mean(distance2))
-    delay = _best_delay(wanted, actual, dt, longest_delay_s)
-    then = _mean_square(wanted, actual, delay / dt, 1)
+    delay = _best_delay(reference, actual, dt, longest_delay_s)
+    then = _mean_square(reference, actual, delay / dt, 1)
     if then >= now:  # nothing moves, or no delay helps
         delay, then = 0.0, now
     return Tracking(float(np.sqrt(now)), float(np.sqrt(np.max(distance2))), delay, float(np.sqrt(then)))
 
 
-def _best_delay(wanted: FloatArray, actual: FloatArray, dt: float, longest: float) -> float:
-    """A scan over whole milliseconds on some samples finds the valley, Brent's method on all its floor."""
-    some = 1 + len(wanted) // SCAN_SAMPLES
+def _best_delay(reference: FloatArray, actual: FloatArray, dt: float, longest: float) -> float:
+    """Find the valley by a scan over whole milliseconds on some samples, and its floor by Brent's method on all."""
+    some = 1 + len(reference) // SCAN_SAMPLES
     grid = np.linspace(-longest, longest, 2 * max(1, round(longest / 1e-3)) + 1)
-    valley = grid[np.argmin([_mean_square(wanted, actual, tau / dt, some) for tau in grid])]
+    valley = grid[np.argmin([_mean_square(reference, actual, tau / dt, some) for tau in grid])]
     step = grid[1] - grid[0]
 
     def cost(tau: float) -> float:
-        return float(_mean_square(wanted, actual, tau / dt, 1))
+        return float(_mean_square(reference, actual, tau / dt, 1))
 
     from scipy.optimize import minimize_scalar  # 0.2 s to import: only when a delay is sought
 
@@ -185,28 +274,61 @@ def _best_delay(wanted: FloatArray, actual: FloatArray, dt: float, longest: floa
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _mean_square(wanted: FloatArray, actual: FloatArray, shift: float, every: int) -> float:
-    """Mean of |actual_i - wanted(i - shift)|² over every so many i; Lagrange's cubic between samples."""
-    total, count, top = 0.0, 0, len(wanted) - 1
-    for i in range(0, len(wanted), every):
+def _mean_square(reference: FloatArray, actual: FloatArray, shift: float, every: int) -> float:
+    """Return the mean of |actual_i - reference(i - shift)|² over every so many i; Lagrange's cubic between samples."""
+    total, count, top = 0.0, 0, len(reference) - 1
+    for i in range(0, len(reference), every):
         at = min(max(i - shift, 0.0), float(top))
         k = min(max(int(at) - 1, 0), top - 3)
         s = at - k
         w0, w1 = -(s - 1) * (s - 2) * (s - 3) / 6, s * (s - 2) * (s - 3) / 2
         w2, w3 = -s * (s - 1) * (s - 3) / 2, s * (s - 1) * (s - 2) / 6
         for j in range(3):
-            there = w0 * wanted[k, j] + w1 * wanted[k + 1, j] + w2 * wanted[k + 2, j] + w3 * wanted[k + 3, j]
+            there = (
+                w0 * reference[k, j] + w1 * reference[k + 1, j] + w2 * reference[k + 2, j] + w3 * reference[k + 3, j]
+            )
             total += (actual[i, j] - there) ** 2
         count += 1
     return total / count
+
+
+def end_to_end(reference: Sequence[FloatArray], actual: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Join sections of two motions, each shifted in space so that the reference has no jump between them.
+
+    Only differences count in a tracking error, and a jump would look like one.
+
+    Parameters
+    ----------
+    reference, actual : sequences of (k, 3) arrays
+        One a section, in mm.
+
+    Returns
+    -------
+    reference, actual : (m, 3) arrays
+    """
+    shifts = [np.zeros(3)]
+    for before, after in pairwise(reference):
+        shifts.append(before[-1] + shifts[-1] - after[0])
+    return (
+        np.concatenate([part + shift for part, shift in zip(reference, shifts, strict=True)]),
+        np.concatenate([part + shift for part, shift in zip(actual, shifts, strict=True)]),
+    )
 
 
 # ---- effort --------------------------------------------------------------------------------------
 
 
 def peak_acceleration(command: FloatArray, dt: float, span_s: float = EFFORT_SPAN_S) -> float:
-    """Largest |acceleration| of any motor's command, mm/s² : second difference over span_s (one sample at
-    least).
+    """Return the largest |acceleration| of any actuator's command, mm/s² : second difference over span_s.
+
+    Parameters
+    ----------
+    command : (n, k) array
+        Actuator positions in mm every dt.
+    dt : float
+        In s.
+    span_s : float
+        At least one sample.
 
     NOTE: a planner's corner is a jump of speed, whose acceleration has no limit as dt goes to zero; over a
     fixed span it is a number that does not depend on how finely the command was sampled.

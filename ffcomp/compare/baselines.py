@@ -14,7 +14,7 @@ from ffcomp import shapers
 from ffcomp.compare.evaluation import SETTLE_S
 from ffcomp.compare.sampling import Stretch
 from ffcomp.compare.shaped import shaped, shaped_by_place
-from ffcomp.metrics import contour_error
+from ffcomp.metrics import contour_error, rms
 from ffcomp.shapers.apply import FrequencyOfPlace
 from ffcomp.shapers.calibration import Fixed, best_fixed, calibrated_frequencies
 from ffcomp.simulate.motion import Motion
@@ -42,7 +42,7 @@ class LinearPrinter:
     def contour_rms_um(self, motions: Sequence[Motion]) -> float:
         """Of one motion a stretch of `self.stretches`."""
         errors = np.concatenate([self._contour(s, m) for s, m in zip(self.stretches, motions, strict=True)])
-        return float(np.sqrt(np.mean(errors**2))) * 1e3
+        return rms(errors) * 1e3
 
     def _contour(self, stretch: Stretch, motion: Motion) -> FloatArray:
         steps = SUBSTEPS * int((motion.end_t - motion.begin_t) / STEP_S / SUBSTEPS)

@@ -33,6 +33,7 @@ from ffcomp.compare.sampling import Print, Sampling, Stretch
 from ffcomp.compensate.program import Summary
 from ffcomp.errors import NothingToDo
 from ffcomp.inverse.settings import Settings, settings_for
+from ffcomp.metrics import rms
 from ffcomp.simulate.compatibility import check_same_kinematics
 from models.arrays import FloatArray
 from models.machine import DeltaKinematics, Machine
@@ -248,7 +249,7 @@ def _rms_on(plants: Sequence[Machine], way: Way, stretches: Sequence[Stretch]) -
         t, nozzles = play(plants, motion, stretch.machine)
         for each, nozzle in zip(errors, nozzles, strict=True):
             each.append(contour([Played(stretch, motion, t, nozzle)]))
-    return [float(np.sqrt(np.mean(np.concatenate(each) ** 2))) * 1e3 for each in errors]
+    return [rms(np.concatenate(each)) * 1e3 for each in errors]
 
 
 def _retuned(kind: str, plant: Machine, few: Sequence[Stretch], stretches: Sequence[Stretch]) -> float:

@@ -11,6 +11,7 @@ from ffcomp.compare.methods import Way
 from ffcomp.compare.playback import peaks, play
 from ffcomp.compare.result import EqualQuality
 from ffcomp.compare.sampling import Print, Stretch, accelerated
+from ffcomp.metrics import contour_statistics
 from models.machine import Machine
 
 LOWEST, HIGHEST = 250.0, 40_000.0  # mm/s²
@@ -56,7 +57,7 @@ def _p99_um(way: Way, stretches: Sequence[Stretch], plant: Machine) -> float:
             return float("inf")
         t, (nozzle,) = play([plant], motion, stretch.machine)
         found.append(Played(stretch, motion, t, nozzle))
-    return float(np.percentile(contour(found), 99)) * 1e3
+    return contour_statistics(contour(found)).p99_um
 
 
 def within_limits(velocity: float, acceleration: float, machine: Machine) -> bool:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -16,7 +15,16 @@ from ffcomp.compare.playback import KEEP_EVERY, STEP_S
 from ffcomp.compare.result import Error, Samples
 from ffcomp.compare.sampling import Stretch
 from ffcomp.errors import NothingToDo
-from ffcomp.metrics import Track, contour_error, tracking
+from ffcomp.metrics import (
+    Track,
+    Tracking,
+    build_track,
+    contour_error,
+    contour_statistics,
+    end_to_end,
+    rms,
+    tracking,
+)
 from ffcomp.simulate.motion import Motion
 from models.arrays import BoolArray, FloatArray, IntArray
 
@@ -70,7 +78,7 @@ def judge(played: Sequence[Played]) -> Judgement:
     times = [each.t[each.counted] for each in played]
     nozzle = [each.nozzle[each.counted] for each in played]
     wanted = [each.planned(t) for each, t in zip(played, times, strict=True)]
-    delay = tracking(*_joined(wanted, nozzle), SAMPLE_S).delay_s
+    delay = tracking(*end_to_end(wanted, nozzle), SAMPLE_S).delay_s
     late = [each.planned(t - delay) for each, t in zip(played, times, strict=True)]
     due = [each.motion.clock.plan_time(t) for each, t in zip(played, times, strict=True)]
     moves = [each.stretch.trajectory.move_at(d) for each, d in zip(played, due, strict=True)]
@@ -88,42 +96,25 @@ def judge(played: Sequence[Played]) -> Judgement:
     return Judgement(samples, np.concatenate(late), delay, residual)
 
 
-def _joined(wanted: Sequence[FloatArray], nozzle: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Stretch after stretch in space too: only differences count, and a jump would look like an error."""
-    shifts = [np.zeros(3)]
-    for before, after in pairwise(wanted):
-        shifts.append(before[-1] + shifts[-1] - after[0])
-    return (
-        np.concatenate([w + s for w, s in zip(wanted, shifts, strict=True)]),
-        np.concatenate([n + s for n, s in zip(nozzle, shifts, strict=True)]),
-    )
-
-
 def track(judged: Judgement, which: BoolArray, print_time_s: float, peak_acceleration: float) -> Track:
     """The TRACK of some of the samples, (m,) of them all."""
     s = judged.samples
     distance = np.linalg.norm((s.nozzle - s.wanted)[which], axis=1)
-    error = contour_numbers(s.contour, which)
-    return Track(
-        tracking_rms_um=_rms(distance) * 1e3,
-        tracking_max_um=float(distance.max(initial=0.0)) * 1e3,
-        contour_rms_um=error.rms_um,
-        contour_p99_um=error.p99_um,
-        contour_max_um=error.max_um,
-        delay_s=judged.delay_s,
-        tracking_rms_no_delay_um=_rms(np.linalg.norm((s.nozzle - judged.late)[which], axis=1)) * 1e3,
-        print_time_s=print_time_s,
-        peak_command_acceleration_mm_per_s2=peak_acceleration,
+    at_equal_times = Tracking(
+        rms(distance),
+        float(distance.max(initial=0.0)),
+        judged.delay_s,
+        rms(np.linalg.norm((s.nozzle - judged.late)[which], axis=1)),
     )
+    return build_track(at_equal_times, s.contour[which], print_time_s, peak_acceleration)
 
 
 def contour_numbers(contour_mm: FloatArray, which: BoolArray) -> Error:
     """Of some of the samples; zeros if there are none."""
     chosen = contour_mm[which]
-    if not chosen.size:
-        return Error(0.0, 0.0, 0.0, 0.0)
-    p99 = float(np.percentile(chosen, 99))
-    return Error(_rms(chosen) * 1e3, p99 * 1e3, float(chosen.max()) * 1e3, chosen.size / len(contour_mm))
+    found = contour_statistics(chosen)
+    share = chosen.size / len(contour_mm) if chosen.size else 0.0
+    return Error(found.rms_um, found.p99_um, found.max_um, share)
 
 
 def by(labels: IntArray, contour_mm: FloatArray) -> dict[int, Error]:
@@ -134,7 +125,7 @@ def by(labels: IntArray, contour_mm: FloatArray) -> dict[int, Error]:
 def _residual_um(errors: Sequence[FloatArray], wanted: Sequence[FloatArray]) -> float:
     """Rms of what still swings where the wanted motion is steady: about the mean error of each steady piece."""
     swinging = [piece for e, w in zip(errors, wanted, strict=True) for piece in _steady(e, w)]
-    return _rms(np.linalg.norm(np.concatenate(swinging), axis=1)) * 1e3 if swinging else float("nan")
+    return rms(np.linalg.norm(np.concatenate(swinging), axis=1)) * 1e3 if swinging else float("nan")
 
 
 def _steady(error: FloatArray, wanted: FloatArray) -> list[FloatArray]:
@@ -143,7 +134,3 @@ def _steady(error: FloatArray, wanted: FloatArray) -> list[FloatArray]:
     long_enough = round(STEADY_S / SAMPLE_S)
     pieces = [error[a + 1 : b + 1] for a, b in edge.reshape(-1, 2) if b - a >= long_enough]
     return [piece - piece.mean(axis=0) for piece in pieces]
-
-
-def _rms(x: FloatArray) -> float:
-    return float(np.sqrt(np.mean(x**2))) if x.size else 0.0

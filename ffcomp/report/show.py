@@ -17,6 +17,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
+from ffcomp.metrics import contour_statistics
 from ffcomp.simulate.preview import Curve, Look
 
 WANTED, BEFORE, AFTER = "#222222", "#d55e00", "#0072b2"
@@ -35,8 +36,8 @@ class Numbers:
 
 
 def numbers(curve: Curve) -> Numbers:
-    um = 1e3 * curve.contour
-    return Numbers(float(np.sqrt(np.mean(um**2))), float(np.percentile(um, 99)), float(um.max()))
+    found = contour_statistics(curve.contour)
+    return Numbers(found.rms_um, found.p99_um, found.max_um)
 
 
 def verdict(look: Look) -> str:

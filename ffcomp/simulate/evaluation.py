@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import pairwise
-
 import numpy as np
 
-from ffcomp.metrics import Track, contour_error, tracking
+from ffcomp.metrics import Track, build_track, contour_error, end_to_end, tracking
 from ffcomp.simulate.command import Stretch, peaks
 from ffcomp.simulate.playback import Piece
 from models.arrays import FloatArray
@@ -48,19 +45,13 @@ class Judge:
     def track(self) -> tuple[Track, float]:
         """The TRACK of all that was added, and the largest speed, mm/s, a carriage was asked for."""
         found = [self._judged(stretch) for stretch in self.parts]
-        contour = np.concatenate([each.contour() for each in found])
-        now = tracking(*_end_to_end([each.wanted for each in found], [each.nozzle for each in found]), self.sample_s)
+        reference, nozzle = end_to_end([each.wanted for each in found], [each.nozzle for each in found])
         speeds, accelerations = zip(*(each.peaks() for each in found), strict=True)
-        numbers = Track(
-            tracking_rms_um=now.rms_mm * 1e3,
-            tracking_max_um=now.max_mm * 1e3,
-            contour_rms_um=float(np.sqrt(np.mean(contour**2))) * 1e3,
-            contour_p99_um=float(np.percentile(contour, 99)) * 1e3,
-            contour_max_um=float(contour.max()) * 1e3,
-            delay_s=now.delay_s,
-            tracking_rms_no_delay_um=now.rms_no_delay_mm * 1e3,
-            print_time_s=sum(float(each.t[-1] - each.t[0]) for each in found),
-            peak_command_acceleration_mm_per_s2=max(accelerations),
+        numbers = build_track(
+            tracking(reference, nozzle, self.sample_s),
+            np.concatenate([each.contour() for each in found]),
+            sum(float(each.t[-1] - each.t[0]) for each in found),
+            max(accelerations),
         )
         return numbers, max(speeds)
 
@@ -83,13 +74,3 @@ class _Judged:
 
     def peaks(self) -> tuple[float, float]:
         return peaks(self.stretch.meant, float(self.t[0]), float(self.t[-1]))
-
-
-def _end_to_end(wanted: Sequence[FloatArray], nozzle: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Stretch after stretch in space too: only differences count, and a jump would look like an error."""
-    shifts = [np.zeros(3)]
-    for before, after in pairwise(wanted):
-        shifts.append(before[-1] + shifts[-1] - after[0])
-    shifted = ([part + shift for part, shift in zip(parts, shifts, strict=True)] for parts in (wanted, nozzle))
-    first, second = (np.concatenate(parts) for parts in shifted)
-    return first, second

@@ -5,9 +5,9 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numba import njit
 
 from ffcomp.compare.result import Samples
+from ffcomp.metrics import offset_from_path
 from models.arrays import FloatArray
 
 GAP_S = 0.3  # samples further apart in the wanted plan than this are not neighbours: the print was sampled
@@ -37,21 +37,12 @@ def contour_vectors(samples: Samples, sample_s: float) -> FloatArray:
     return np.asarray(away * (samples.contour / np.maximum(length, 1e-12))[:, None])
 
 
-@njit(cache=True, nogil=True)
 def _away(wanted: FloatArray, nozzle: FloatArray, late: int, early: int) -> FloatArray:
-    """(k, 3) from the nearest of the chords i - late … i + early of the sampled path to the nozzle at sample i."""
-    found = nozzle - wanted
-    for i in range(len(nozzle)):
-        best = found[i, 0] ** 2 + found[i, 1] ** 2 + found[i, 2] ** 2
-        for k in range(max(i - late, 0), min(i + early + 1, len(wanted) - 1)):
-            x, y, z = wanted[k, 0], wanted[k, 1], wanted[k, 2]
-            ux, uy, uz = wanted[k + 1, 0] - x, wanted[k + 1, 1] - y, wanted[k + 1, 2] - z
-            dx, dy, dz = nozzle[i, 0] - x, nozzle[i, 1] - y, nozzle[i, 2] - z
-            length2 = ux * ux + uy * uy + uz * uz
-            along = min(1.0, max(0.0, (ux * dx + uy * dy + uz * dz) / length2)) if length2 > 0.0 else 0.0
-            dx, dy, dz = dx - along * ux, dy - along * uy, dz - along * uz
-            distance2 = dx * dx + dy * dy + dz * dz
-            if distance2 < best:
-                best = distance2
-                found[i, 0], found[i, 1], found[i, 2] = dx, dy, dz
-    return found
+    """Return the vectors (k, 3) from the nearest of the chords i - late … i + early of the sampled path to sample i."""
+    if len(wanted) < 2:
+        return nozzle - wanted
+    i, chords = np.arange(len(nozzle)), len(wanted) - 1
+    away: FloatArray = offset_from_path(
+        wanted, nozzle, np.clip(i - late, 0, chords - 1), np.minimum(i + early + 1, chords)
+    )
+    return away
