@@ -13,7 +13,6 @@ for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
 import typer  # noqa: E402
-from typer.core import TyperGroup  # noqa: E402
 
 from ffcomp import __version__  # noqa: E402
 from ffcomp.cli.compare import compare  # noqa: E402
@@ -22,6 +21,7 @@ from ffcomp.cli.diagnose import diagnose  # noqa: E402
 from ffcomp.cli.estimate import estimate  # noqa: E402
 from ffcomp.cli.frf import frf  # noqa: E402
 from ffcomp.cli.gap import gap  # noqa: E402
+from ffcomp.cli.help import SETTINGS, Command, Group  # noqa: E402
 from ffcomp.cli.identify import app as identify  # noqa: E402
 from ffcomp.cli.integrations import app as integrations  # noqa: E402
 from ffcomp.cli.log import log_path, logged, note  # noqa: E402
@@ -31,10 +31,11 @@ from ffcomp.cli.show import show  # noqa: E402
 from ffcomp.cli.simulate import simulate  # noqa: E402
 
 
-class _Verbs(TyperGroup):
-    """Notes wrong usage in the log; Typer only prints it."""
+class _Verbs(Group):
+    """The top level of verbs; it notes wrong usage in the log, which Typer only prints."""
 
     def invoke(self, ctx: Any) -> Any:
+        """Run the verb; note a usage error in the log before Typer prints it."""
         try:
             return super().invoke(ctx)
         except Exception as error:
@@ -45,21 +46,23 @@ class _Verbs(TyperGroup):
 
 app = typer.Typer(
     cls=_Verbs,
+    context_settings=SETTINGS,
+    rich_markup_mode=None,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help="Compensate a printer's vibration in its G-code, before it is printed.\n\n"
+    help="Compensate a printer's vibration in the G-code before printing.\n\n"
     "Start with: ffcomp compensate print.gcode --machine mp-delta-pro -o out.gcode, then ffcomp show out.gcode. "
     "Exit codes: 0 done, 2 usage, 3 nothing to do, 4 G-code, 5 machine file, 6 limits, 7 solver, 130 interrupted.",
 )
-app.command()(compensate)
-app.command()(show)
-app.command()(estimate)
-app.command()(restore)
-app.command()(compare)
-app.command()(simulate)
-app.command()(frf)
-app.command()(gap)
-app.command()(diagnose)
+app.command(cls=Command)(compensate)
+app.command(cls=Command)(show)
+app.command(cls=Command)(estimate)
+app.command(cls=Command)(restore)
+app.command(cls=Command)(compare)
+app.command(cls=Command)(simulate)
+app.command(cls=Command)(frf)
+app.command(cls=Command)(gap)
+app.command(cls=Command)(diagnose)
 app.add_typer(identify, name="identify")
 app.add_typer(machines, name="machines")
 app.add_typer(integrations, name="integrations")
@@ -80,11 +83,11 @@ def _log_path(asked: bool) -> None:
 @app.callback()
 def options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Say it and stop.")
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
     ] = False,
     log: Annotated[
         bool,
-        typer.Option("--log-path", callback=_log_path, is_eager=True, help="Say where every run is logged, and stop."),
+        typer.Option("--log-path", callback=_log_path, is_eager=True, help="Show where every run is logged and exit."),
     ] = False,
 ) -> None:
     """Options that stand before the verb."""

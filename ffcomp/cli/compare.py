@@ -9,70 +9,80 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ffcomp.cli.help import ACCURACY, OUTPUT, SPEED
+from ffcomp.cli.options import (
+    AsJson,
+    Flavor,
+    MachineName,
+    Offset,
+    Plant,
+    Plate,
+    Quiet,
+    Report,
+    SegmentRate,
+    parsed_offset,
+)
+
 if TYPE_CHECKING:
     from ffcomp.compare.engine import Request
     from ffcomp.compare.result import Comparison
     from ffcomp.compare.sampling import Sampling
 
-Printed = Annotated[Path, typer.Argument(help="The sliced print; it is only read.", metavar="FILE")]
-MachineName = Annotated[
-    str, typer.Option("--machine", "-m", help="What every method believes: a machine's name or the path of its file.")
-]
-Plant = Annotated[
-    str,
-    typer.Option(
-        help="The printer that judges, with its effects: a machine file. Default: as --machine says, but nonlinear."
-    ),
-]
+Printed = Annotated[Path, typer.Argument(metavar="FILE", help="Sliced print. It is only read.")]
 Mismatch = Annotated[
     str,
     typer.Option(
         metavar="SHARE",
-        help="Judge again on drawn printers whose masses, stiffnesses, dampings and drives are all off, e.g. 10% "
-        "(standard deviation).",
+        rich_help_panel=ACCURACY,
+        help="Also evaluate on Monte-Carlo plants whose masses, stiffnesses, dampings and drives are all perturbed "
+        "by this standard deviation, e.g. 10%.",
     ),
 ]
-Seeds = Annotated[int, typer.Option(min=1, max=1000, help="How many printers --mismatch draws.")]
+Seeds = Annotated[
+    int,
+    typer.Option(
+        metavar="N", rich_help_panel=ACCURACY, min=1, max=1000, help="Number of Monte-Carlo plants of --mismatch."
+    ),
+]
 Layers = Annotated[
-    str, typer.Option(metavar="FIRST:LAST", help="Only these layers, counted from 0, both included: 10:20, 5:, :3.")
+    str,
+    typer.Option(
+        metavar="FIRST:LAST",
+        rich_help_panel=SPEED,
+        help="Evaluate these layers only, counted from 0, both included: 10:20, 5:, :3.",
+    ),
 ]
 Sample = Annotated[
     str,
     typer.Option(
         metavar="SHARE",
-        help="Judge this share of the time, in stretches spread evenly: 5%. Default: 2 minutes at most.",
+        rich_help_panel=SPEED,
+        help="Evaluate this share of the time, in slices spread evenly, e.g. 5%. Default: 2 minutes at most.",
     ),
 ]
-Report = Annotated[
-    Path | None, typer.Option("--report", "-r", help="Write the whole comparison as one HTML page, readable offline.")
+Figures = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", rich_help_panel=OUTPUT, help="Write every figure as PNG and SVG into this folder."),
 ]
-Figures = Annotated[Path | None, typer.Option(help="Write every figure as PNG and SVG into this folder.")]
 Quality = Annotated[
     float,
     typer.Option(
         "--quality-um",
+        metavar="UM",
+        rich_help_panel=ACCURACY,
         min=0.0,
-        help="Find the highest acceleration at which each method keeps 99 % of its contour error below this; 0: no.",
+        help="Find the highest acceleration at which each method keeps 99 % of its contour error below this. 0: skip.",
     ),
 ]
 Only = Annotated[
     str,
     typer.Option(
         metavar="NAMES",
-        help="Only these methods beside none and ours: e.g. mzv,ei-calibrated; quicker. There are zv, mzv, zvd, ei, "
-        "2hump_ei, 3hump_ei, each also with -calibrated and -scheduled, fbs-lti, fbs-robust.",
+        rich_help_panel=SPEED,
+        help="Evaluate only these methods beside none and ffcomp, e.g. mzv,ei-calibrated. Shapers: zv, mzv, zvd, ei, "
+        "2hump_ei, 3hump_ei, each also with -calibrated and -scheduled; fbs-lti, fbs-robust.",
     ),
 ]
-Offset = Annotated[
-    str, typer.Option("--offset-mm", metavar="X,Y", help="Added to every position, as in ffcomp compensate.")
-]
-Flavor = Annotated[str, typer.Option(help="klipper, marlin or reprapfirmware; by default the file says it.")]
-Rate = Annotated[
-    float, typer.Option("--max-segments-per-second", min=125.0, max=500.0, help="As in ffcomp compensate.")
-]
-Plate = Annotated[int | None, typer.Option(help="Which plate of a .gcode.3mf that holds several; from 1.", min=1)]
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout (ffcomp-compare/1).")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no table.")]
 
 
 def compare(
@@ -89,16 +99,16 @@ def compare(
     only: Only = "",
     offset_mm: Offset = "0,0",
     flavor: Flavor = "",
-    max_segments_per_second: Rate = 250.0,
+    max_segments_per_second: SegmentRate = 250.0,
     plate: Plate = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Judge every method on your print: none, every input shaper at its best, inversion with one model, and ours.
+    """Compare ffcomp with every input shaper on your print.
 
-    Commands are planned with --machine and judged on a virtual printer (--plant), never on the model that made them.
-    Shapers get the frequencies that a firmware's calibration would find, and the best that a search finds with the
-    printer known. The table says how far off the wanted path the nozzle is, and how fast each method could go.
+    Every method plans its command with --machine and is evaluated on a simulated printer (--plant), never on the
+    model that made the command. Shapers get the frequencies of the firmware's own calibration, and the best ones that
+    a search finds with the printer known. The table shows the contour error and how fast each method could go.
 
     Example: ffcomp compare sample_prints/ringing_tower.gcode -m mp-delta-pro --sample 10% --report report.html
     """
@@ -194,7 +204,6 @@ def _compare(
     quiet: bool,
 ) -> Comparison:
     from ffcomp.cli.common import Progress, say
-    from ffcomp.cli.compensate import parsed_offset
     from ffcomp.compare.engine import compare as engine
     from ffcomp.compensate.gcode_output.writer import original
     from ffcomp.compensate.job import STAMP_REACH, already_processed, find_offset

@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ffcomp.cli.help import ACCURACY, ADVANCED, MACHINE, OUTPUT, SPEED
+from ffcomp.cli.options import AsJson, Flavor, Quiet, SegmentRate, check_choice, parsed_offset
+
 if TYPE_CHECKING:
     from ffcomp.compensate.file import Options, Outcome, StepOutput
     from ffcomp.inverse.settings import Settings
@@ -19,101 +22,135 @@ if TYPE_CHECKING:
 Printed = Annotated[
     list[Path],
     typer.Argument(
-        help="Sliced prints: G-code, also in .gz, .gcode.3mf or .bgcode; changed in place without -o or --output-dir.",
-        metavar="FILE…",
+        help="Sliced prints: G-code, also in .gz, .gcode.3mf or .bgcode. Changed in place without -o or --output-dir.",
+        metavar="FILE...",
     ),
 ]
-MachineName = Annotated[
+RequiredMachine = Annotated[
     str,
     typer.Option(
         "--machine",
         "-m",
+        metavar="NAME",
         envvar="FFCOMP_MACHINE",
-        help="A machine's name (see: ffcomp machines list) or the path of its file.",
+        rich_help_panel=MACHINE,
+        help="Machine: a name (see: ffcomp machines list) or the path of its file.",
     ),
 ]
-Output = Annotated[Path | None, typer.Option("--output-file", "-o", help="Write here; the input stays as it is.")]
+Output = Annotated[
+    Path | None,
+    typer.Option(
+        "--output-file", "-o", metavar="FILE", rich_help_panel=OUTPUT, help="Write here and leave the input unchanged."
+    ),
+]
 OutputDir = Annotated[
-    Path | None, typer.Option(metavar="DIR", help="Write files of the same names here; the inputs stay as they are.")
+    Path | None,
+    typer.Option(
+        metavar="DIR", rich_help_panel=OUTPUT, help="Write files of the same names here and leave the inputs unchanged."
+    ),
 ]
 Kind = Annotated[
     str,
     typer.Option(
         "--output",
-        help="What to write: gcode; steps, every step's time (.npz); klipper-steps, compressed into rows (.npz).",
+        metavar="KIND",
+        rich_help_panel=OUTPUT,
+        help="Kind of output: gcode; steps, the time of every step (.npz); klipper-steps, the same compressed into "
+        "rows (.npz).",
     ),
 ]
 ExtruderSteps = Annotated[
     float | None,
-    typer.Option(min=1.0, help="For step timings: microsteps per mm of filament, if the machine file says none."),
+    typer.Option(
+        metavar="N",
+        rich_help_panel=ADVANCED,
+        min=1.0,
+        help="Extruder microsteps per mm of filament, for step timings, if the machine file does not state them.",
+    ),
 ]
-Offset = Annotated[
+AutoOffset = Annotated[
     str,
     typer.Option(
         "--offset-mm",
         metavar="X,Y",
-        help="Added to every position: for a print made for a bed with its origin in a corner, e.g. -110,-110; auto: "
-        "middle of the slicer's bed to middle of the machine's, where they differ by more than a quarter.",
+        rich_help_panel=MACHINE,
+        help="Shift added to every position, for a print whose origin is a corner of the bed, e.g. -110,-110. auto: "
+        "move the middle of the slicer's bed to the middle of the machine's where they differ by more than a quarter.",
     ),
 ]
-Flavor = Annotated[str, typer.Option(help="klipper, marlin or reprapfirmware; by default the file says it.")]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Do everything, write nothing.")]
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no messages but errors.")]
-Force = Annotated[bool, typer.Option("--force", help="Compensate a file that is already stamped.")]
-Rate = Annotated[
-    float,
-    typer.Option(
-        "--max-segments-per-second",
-        min=125.0,
-        max=500.0,
-        help="How dense the segments may get where the nozzle changes its motion; fewer follow less of the vibration.",
-    ),
+DryRun = Annotated[bool, typer.Option("--dry-run", rich_help_panel=OUTPUT, help="Do everything, write nothing.")]
+Recompensate = Annotated[
+    bool, typer.Option("--force", rich_help_panel=OUTPUT, help="Compensate a file that is already compensated.")
 ]
 ShaperOff = Annotated[
     bool,
     typer.Option(
         "--shaper-off",
-        help="Switch the firmware's input shaper off in the file (Klipper: only with an input_shaper section).",
+        rich_help_panel=MACHINE,
+        help="Switch the firmware's input shaper off in the file (Klipper: needs an [input_shaper] section).",
     ),
 ]
-Predict = Annotated[bool, typer.Option(help="Simulate before and after with the design model.")]
+Predict = Annotated[
+    bool, typer.Option(rich_help_panel=SPEED, help="Simulate the print before and after with the design model.")
+]
 Inverse = Annotated[
     str,
-    typer.Option(help="fast; exact: the reference it is measured against, far slower; none, for step timings alone."),
+    typer.Option(
+        metavar="NAME",
+        rich_help_panel=ADVANCED,
+        help="Inverse: fast; exact, the reference, far slower; none, for step timings only.",
+    ),
 ]
 Robust = Annotated[
     bool,
     typer.Option(
         "--robust",
-        help="Want what comes out nearest to the path on average over the machine file's uncertainties: a little worse "
-        "if the file is right, far better where it is not; takes some forty times as long to work out.",
+        rich_help_panel=ACCURACY,
+        help="Minimise the expected contour error over the machine file's uncertainties. About 40 times slower.",
     ),
 ]
 Strict = Annotated[
-    bool, typer.Option("--strict", help="Where limits would slow the print down, stop instead (exit 6) and say where.")
+    bool,
+    typer.Option(
+        "--strict", rich_help_panel=ACCURACY, help="Stop with exit code 6 where a limit would slow the print down."
+    ),
 ]
 Tolerance = Annotated[
     float,
     typer.Option(
-        "--tolerance-um", min=0.1, help="How far a held limit may take the nozzle off its path before it slows down."
+        "--tolerance-um",
+        metavar="UM",
+        rich_help_panel=ACCURACY,
+        min=0.1,
+        help="Largest path error that an active limit may cause before the print is slowed down.",
     ),
 ]
-Solver = Annotated[str, typer.Option(help="Where limits bind: osqp, piqp or clarabel.")]
+Solver = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME", rich_help_panel=ADVANCED, help="QP solver where limits are active: osqp, piqp or clarabel."
+    ),
+]
 SCurve = Annotated[
-    bool, typer.Option("--s-curve", help="Ramps with limited jerk: lower peaks, within a percent of the time.")
+    bool,
+    typer.Option(
+        "--s-curve",
+        rich_help_panel=ACCURACY,
+        help="Limit the jerk of the ramps: lower peaks for at most one percent more time.",
+    ),
 ]
 Jobs = Annotated[
     int,
     typer.Option(
-        "--jobs", "-j", help="Processes to work with, on several files or on one; the result is the same.", min=1
+        "--jobs", "-j", metavar="N", rich_help_panel=SPEED, min=1, help="Number of processes. The output is the same."
     ),
 ]
 Scheduler = Annotated[
     str,
     typer.Option(
         metavar="ADDRESS",
-        help="Work on a Dask cluster, e.g. tcp://host:8786, instead; its workers need ffcomp, but not the files.",
+        rich_help_panel=SPEED,
+        help="Use a Dask cluster, e.g. tcp://host:8786. Its workers need ffcomp but not the files.",
     ),
 ]
 
@@ -126,17 +163,17 @@ ROW_ERROR_S = 12.5e-6  # of a step of compressed rows, early or late: half of wh
 
 def compensate(
     files: Printed,
-    machine: MachineName,
+    machine: RequiredMachine,
     output_file: Output = None,
     output_dir: OutputDir = None,
     output: Kind = "gcode",
-    offset_mm: Offset = "0,0",
+    offset_mm: AutoOffset = "0,0",
     flavor: Flavor = "",
     dry_run: DryRun = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
-    force: Force = False,
-    max_segments_per_second: Rate = 250.0,
+    force: Recompensate = False,
+    max_segments_per_second: SegmentRate = 250.0,
     shaper_off: ShaperOff = False,
     predict: Predict = True,
     inverse: Inverse = "fast",
@@ -149,22 +186,22 @@ def compensate(
     jobs: Jobs = 1,
     scheduler: Scheduler = "",
 ) -> None:
-    """Write commands whose response is the path that the slicer wanted.
+    """Compensate a print for your printer's vibration.
 
-    The print is planned as the firmware plans it, turned into carriage paths, and inverted through the machine's
-    vibration model. What is not a move passes through byte for byte.
+    ffcomp plans the print as the firmware does, computes the carriage paths and inverts the machine's vibration model
+    along them. Lines that are not moves pass through byte for byte.
 
-    As a slicer's post-processing script: the full path of ffcomp, then: compensate --machine NAME (the slicer adds the
-    file). See: ffcomp integrations. Every run is logged: ffcomp --log-path.
+    As a slicer's post-processing script, use the full path of ffcomp followed by: compensate --machine NAME. The
+    slicer adds the file. See: ffcomp integrations. Every run is logged: ffcomp --log-path.
 
     Example: ffcomp compensate sample_prints/ringing_tower.gcode --machine mp-delta-pro -o out.gcode
     """
     from ffcomp.cli.common import exit_codes, print_json, say
 
     with exit_codes():
-        _check_choice("--output", output, OUTPUTS)
-        _check_choice("--inverse", inverse, INVERSES)
-        _check_choice("--solver", solver, SOLVERS)
+        check_choice("--output", output, OUTPUTS)
+        check_choice("--inverse", inverse, INVERSES)
+        check_choice("--solver", solver, SOLVERS)
         if inverse == "none" and output == "gcode":
             raise typer.BadParameter("--inverse none leaves the G-code as it is; it is for --output steps.")
         offset = (0.0, 0.0) if offset_mm == "auto" else parsed_offset(offset_mm)
@@ -235,20 +272,6 @@ def _advised(
     if auto:
         return offset_for(bed, machine.kinematics.centre_mm), [*told, auto_sentence(bed, machine)]
     return offset, told + bed_warning(bed, machine, offset)
-
-
-def parsed_offset(text: str) -> tuple[float, float]:
-    """`X,Y` in mm."""
-    try:
-        x, y = (float(part) for part in text.split(","))
-    except ValueError:
-        raise typer.BadParameter(f"--offset-mm {text!r}: two numbers with a comma between them, in mm.") from None
-    return x, y
-
-
-def _check_choice(option: str, value: str, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        raise typer.BadParameter(f"{option} {value}: {', '.join(allowed[:-1])} or {allowed[-1]}.")
 
 
 def _steps(machine: Machine, output: str, plain: bool, per_mm: float | None) -> StepOutput | None:

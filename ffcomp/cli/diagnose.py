@@ -7,31 +7,32 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ffcomp.cli.help import ACCURACY, OUTPUT
+from ffcomp.cli.options import AsJson, Force, MachineName, Quiet, Report, Runs
+
 if TYPE_CHECKING:
     from ffcomp.diagnose.engine import Diagnosis
     from ffcomp.diagnose.printer_problem import Delta
     from ffcomp.diagnose.result import Outcome
 
-Runs = Annotated[list[Path], typer.Argument(metavar="RUNS...", help="Measured runs (CSV); -1, -2 … are repeats.")]
-MachineName = Annotated[str, typer.Option("--machine", "-m", help="A machine's name or the path of its file.")]
 Output = Annotated[
     Path | None,
     typer.Option(
         "--output",
         "-o",
-        help="The better machine file; written if an effect is named or retuning closes a gap.",
+        metavar="FILE",
+        rich_help_panel=OUTPUT,
+        help="Improved machine file. Written if an effect is named or retuning closes the model discrepancy.",
     ),
 ]
-Report = Annotated[
-    Path | None,
-    typer.Option("--report", "-r", help="Write the diagnosis with its figures as one HTML page, readable offline."),
-]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite what --output and --report name.")]
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout (ffcomp-diagnose/1).")]
 NoRepeats = Annotated[
-    bool, typer.Option("--without-repeats", help="Guess the noise where nothing was measured twice: weaker evidence.")
+    bool,
+    typer.Option(
+        "--without-repeats",
+        rich_help_panel=ACCURACY,
+        help="Guess the noise where no experiment was repeated. The evidence is weaker.",
+    ),
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")]
 
 
 def diagnose(
@@ -44,10 +45,11 @@ def diagnose(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find the effect that is missing from the machine file, with its size, or say that none is or that none fits.
+    """Find the physical effect that the machine file lacks, and its size.
 
-    What the file's own numbers can explain within their uncertainty is retuning, not an effect. An effect is named only
-    if it explains the gap at places it was not fitted to.
+    The answer is one effect or several, none, or unknown. A change of the file's own parameters within their
+    uncertainty is retuning, not an effect. An effect is named only if it explains the discrepancy at positions it was
+    not fitted to.
 
     Example: ffcomp diagnose runs/*.csv --machine my-delta.toml -o better.toml --report diagnosis.html
     """

@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ffcomp.cli.help import OUTPUT
+from ffcomp.cli.options import AsJson, Figure, Flavor, Offset, StampedMachine, parsed_offset
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -22,30 +25,24 @@ LINES_TOLD = 4  # of each command whose time is not known
 
 
 def estimate(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE…", help="Prints, compensated or not.")],
-    machine: Annotated[
-        str,
-        typer.Option("--machine", "-m", help="A machine's name or file; compensated files name theirs."),
-    ] = "",
-    offset_mm: Annotated[
-        str, typer.Option(metavar="X,Y", help="Added to every position: for a bed with its origin in a corner.")
-    ] = "0,0",
-    flavor: Annotated[str, typer.Option(help="klipper, marlin or reprapfirmware; by default the file says it.")] = "",
-    layers: Annotated[bool, typer.Option("--layers", help="Tell every layer.")] = False,
-    figure: Annotated[
-        Path | None, typer.Option(help="Draw the layers and features of one file: .png, .svg or .pdf.")
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Prints, compensated or not.")],
+    machine: StampedMachine = "",
+    offset_mm: Offset = "0,0",
+    flavor: Flavor = "",
+    layers: Annotated[
+        bool, typer.Option("--layers", rich_help_panel=OUTPUT, help="Print a row for every layer.")
+    ] = False,
+    figure: Figure = None,
+    as_json: AsJson = False,
 ) -> None:
-    """Plan a print as the firmware does and add up its time: in all, by layer, by feature, by what the nozzle does.
+    """Estimate how long a print takes, by layer and by feature.
 
-    Heating, homing and macros take a time that no file tells; they are listed, not guessed. Of a compensated file both
-    times are told, as it is and as it was.
+    ffcomp plans the print as the firmware does and adds up the time. No file states how long heating, homing and
+    macros take; they are listed, not guessed. A compensated print gets both times, as it is and as it was.
 
     Example: ffcomp estimate sample_prints/ringing_tower.gcode --machine mp-delta-pro
     """
     from ffcomp.cli.common import exit_codes, print_json
-    from ffcomp.cli.compensate import parsed_offset
 
     with exit_codes():
         offset = parsed_offset(offset_mm)

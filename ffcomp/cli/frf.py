@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from models.arrays import FloatArray
+from ffcomp.cli.help import ADVANCED, MACHINE, OUTPUT
+from ffcomp.cli.options import Figure, MachineName
 
 if TYPE_CHECKING:
     from ffcomp.identify.frf_study import Compared, Station, Study, View
     from ffcomp.measurement.frf import FrequencyResponse
+    from models.arrays import FloatArray
     from models.machine import Machine
     from models.vibration.mode_map import ModeMap
 
@@ -35,46 +37,74 @@ MOST_LINES = 100_000  # of one response: more is a slip of the finger
 
 
 def frf(
-    machine: Annotated[str, typer.Option("--machine", "-m", help="A machine's name or the path of its file.")],
+    machine: MachineName,
     at: Annotated[
-        list[str] | None, typer.Option(metavar="X,Y", help="A place on the bed, mm; may be given several times.")
+        list[str] | None,
+        typer.Option(metavar="X,Y", rich_help_panel=MACHINE, help="Position on the bed, mm. May be repeated."),
     ] = None,
     of: Annotated[
         Of | None,
         typer.Option(
-            help="What answers: the carriages (default), the nozzle, the nozzle's acceleration; or one carriage with "
-            "the effector off (sub-model 1), or the effector off its arms, struck (sub-model 2)."
+            metavar="OUTPUT",
+            rich_help_panel=MACHINE,
+            help="Output: carriage (default), nozzle, acceleration (of the nozzle), carriage-alone (sub-model 1, "
+            "without the effector) or effector-alone (sub-model 2, force on the free effector).",
         ),
     ] = None,
     per: Annotated[
-        Per | None, typer.Option(help="What is commanded: the carriages, or the nozzle. Default: as --of.")
+        Per | None,
+        typer.Option(metavar="INPUT", rich_help_panel=MACHINE, help="Input: carriage or nozzle. Default: as --of."),
     ] = None,
     measured: Annotated[
         list[Path] | None,
-        typer.Option(help="A file of measured responses (CSV, UFF), compared and drawn beside; may be given again."),
+        typer.Option(
+            metavar="FILE",
+            rich_help_panel=MACHINE,
+            help="Measured responses (CSV, UFF) to compare with. May be repeated.",
+        ),
     ] = None,
     added_mass_kg: Annotated[
-        list[float] | None, typer.Option(min=0.0, help="With --of carriage-alone: screwed on; may be given again.")
+        list[float] | None,
+        typer.Option(
+            metavar="KG", rich_help_panel=MACHINE, min=0.0, help="Mass added to --of carriage-alone. May be repeated."
+        ),
     ] = None,
     with_arms: Annotated[
-        bool, typer.Option("--with-arms", help="With --of effector-alone: the arms' lower halves ride along.")
+        bool,
+        typer.Option(
+            "--with-arms", rich_help_panel=MACHINE, help="Add the lower halves of the arms to --of effector-alone."
+        ),
     ] = False,
     lowest_hz: Annotated[
-        float | None, typer.Option(min=0.0, help="The frequencies begin here. Default: one step.")
+        float | None,
+        typer.Option(metavar="HZ", rich_help_panel=ADVANCED, min=0.0, help="Lowest frequency. Default: one step."),
     ] = None,
-    highest_hz: Annotated[float, typer.Option(min=1.0, help="The frequencies end here.")] = 200.0,
-    step_hz: Annotated[float, typer.Option(min=0.01, help="Distance of the frequencies.")] = 0.5,
-    figure: Annotated[Path | None, typer.Option(help="Draw a Bode figure: .png, .svg, .pdf.")] = None,
-    full: Annotated[bool, typer.Option("--full", help="Draw all nine responses, not only the diagonal.")] = False,
+    highest_hz: Annotated[
+        float, typer.Option(metavar="HZ", rich_help_panel=ADVANCED, min=1.0, help="Highest frequency.")
+    ] = 200.0,
+    step_hz: Annotated[
+        float, typer.Option(metavar="HZ", rich_help_panel=ADVANCED, min=0.01, help="Frequency step.")
+    ] = 0.5,
+    figure: Figure = None,
+    full: Annotated[
+        bool, typer.Option("--full", rich_help_panel=OUTPUT, help="Draw all nine responses, not only the diagonal.")
+    ] = False,
     bed_map: Annotated[
         list[Path] | None,
-        typer.Option("--map", help="Each mode over the bed: .png, .svg, .pdf; .json for the numbers."),
+        typer.Option(
+            "--map",
+            metavar="FILE",
+            rich_help_panel=OUTPUT,
+            help="Draw each mode over the bed: .png, .svg, .pdf; .json: its numbers.",
+        ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="The answer is JSON anyway.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", rich_help_panel=OUTPUT, help="Accepted; the output is JSON in any case.")
+    ] = False,
 ) -> None:
-    """Frequency responses of the model by receptance coupling, anywhere on the bed.
+    """Compute the machine's frequency responses anywhere on the bed.
 
-    Prints one JSON object a place (ffcomp-frf/1). Pictures on request.
+    Prints one JSON object (ffcomp-frf/1) for each position, and draws figures on request.
 
     Example: ffcomp frf -m mp-delta-pro --at 0,0 --at -80,0 --figure bode.png --map bed.png
     """

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
+from ffcomp.cli.options import AsJson, MachineName, Runs
 
 if TYPE_CHECKING:
     from ffcomp.diagnose.residuals import Gap, Size
 
-Runs = Annotated[list[Path], typer.Argument(metavar="RUNS...", help="Measured runs (CSV); -1, -2 … are repeats.")]
-MachineName = Annotated[str, typer.Option("--machine", "-m", help="A machine's name or the path of its file.")]
 NO_GAP = 1.1  # times the noise
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout (ffcomp-gap/1).")]
 
 
 def gap(runs: Runs, machine: MachineName, as_json: AsJson = False) -> None:
-    """Simulate measured runs with the machine file and its effects, and say where and how much they differ.
+    """Measure where and how much recordings and simulation disagree.
 
-    The noise is known from repeats: files whose names differ in a trailing -1, -2, … only.
+    ffcomp simulates each recording with the machine file and its effects. Repeats give the noise: files whose names
+    differ in a trailing -1, -2, … only.
 
     Example: ffcomp gap runs/*.csv --machine my-delta.toml
     """

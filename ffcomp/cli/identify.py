@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ffcomp.cli.help import ACCURACY, ADVANCED, MACHINE, OUTPUT, Command, Group
 from ffcomp.cli.identify_plan import plan as write_plan
+from ffcomp.cli.options import AsJson, Figure, Force, HighestFitted, LowestFitted, MachineFile, MachineName, Quiet
 
 if TYPE_CHECKING:
     from ffcomp.identify.identify import Identified
@@ -17,72 +19,91 @@ if TYPE_CHECKING:
     from models.machine import Machine
 
 app = typer.Typer(
+    cls=Group,
     no_args_is_help=True,
-    help="Tune a machine file to measurements.\n\n"
+    help="Identify a machine file's parameters from measurements.\n\n"
     "With an accelerometer and no laboratory: ffcomp identify plan, run its G-code, ffcomp identify fit. "
     "With frequency responses of your own: ffcomp identify fit responses.csv … (CSV or UFF 58).",
 )
-app.command("plan")(write_plan)
+app.command("plan", cls=Command)(write_plan)
 
 Data = Annotated[
     list[Path],
     typer.Argument(
         metavar="DATA...",
-        help="Frequency responses (CSV, UFF 58), measured runs (CSV), captures of a plan, or Klipper's "
-        "resonances_*.csv and raw_data_*.csv.",
+        help="Frequency responses (CSV, UFF 58), recordings (CSV), captures of a plan, or Klipper's resonances_*.csv "
+        "and raw_data_*.csv.",
     ),
 ]
-MachineName = Annotated[
-    str, typer.Option("--machine", "-m", help="The machine to start from: its kinematics must be your printer's.")
-]
-Output = Annotated[Path | None, typer.Option("--output", "-o", help="The machine file to write.")]
 PlanFile = Annotated[
-    Path | None, typer.Option("--plan", help="The account that `identify plan` wrote, for its captures.")
+    Path | None,
+    typer.Option(
+        "--plan",
+        metavar="FILE",
+        rich_help_panel=MACHINE,
+        help="Plan (.json) that `identify plan` wrote, for its captures.",
+    ),
 ]
 Known = Annotated[
     list[str] | None,
     typer.Option(
         metavar="KEY=VALUE±SD",
-        help="What you know: effector.total_mass_kg=0.651±0.001 (a kitchen scale), or any number of the machine file. "
-        "Without ± one percent is taken.",
+        rich_help_panel=ACCURACY,
+        help="Known parameter, e.g. effector.total_mass_kg=0.651±0.001 from a kitchen scale. Any parameter of the "
+        "machine file may be given. Without ± the standard deviation is one percent.",
     ),
 ]
-Method = Annotated[str, typer.Option(help="direct (recommended), or stepwise, the paper's (needs all four benches).")]
-Name = Annotated[str | None, typer.Option(help="Of the new machine; default: the output file's.")]
-FigureFile = Annotated[Path | None, typer.Option("--figure", help="Draw measured beside fitted: .png, .svg, .pdf.")]
-Lowest = Annotated[float, typer.Option(min=0.1, help="Values below are left out.")]
-Highest = Annotated[float, typer.Option(min=1.0, help="Values above are left out.")]
+Method = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        rich_help_panel=ADVANCED,
+        help="Method: direct, the output-error fit; stepwise, the paper's method, which needs all four setups.",
+    ),
+]
+Name = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", rich_help_panel=OUTPUT, help="Name of the new machine. Default: the output file's."),
+]
 AxesMap = Annotated[
-    str, typer.Option(metavar="X,Y,Z", help="The printer's axes in the accelerometer's own, such as x,-z,y.")
+    str,
+    typer.Option(
+        metavar="X,Y,Z",
+        rich_help_panel=MACHINE,
+        help="The printer's axes in the accelerometer's own, e.g. x,-z,y.",
+    ),
 ]
 Axis = Annotated[
     str | None,
-    typer.Option(help="With straight axes: x or y, what was shaken in resonance tests whose names do not say it."),
+    typer.Option(
+        metavar="AXIS",
+        rich_help_panel=MACHINE,
+        help="Excited axis, x or y, of resonance tests whose file names do not state it (cartesian and CoreXY).",
+    ),
 ]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite the output.")]
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")]
 
 
-@app.command("fit")
+@app.command("fit", cls=Command)
 def fit(
     data: Data,
     machine: MachineName,
-    output: Output = None,
+    output: MachineFile = None,
     plan: PlanFile = None,
     known: Known = None,
     method: Method = "direct",
     name: Name = None,
-    figure: FigureFile = None,
-    lowest_hz: Lowest = 2.0,
-    highest_hz: Highest = 400.0,
+    figure: Figure = None,
+    lowest_hz: LowestFitted = 2.0,
+    highest_hz: HighestFitted = 400.0,
     axes_map: AxesMap = "x,y,z",
     axis: Axis = None,
     force: Force = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find the numbers of a machine file from measurements, with their uncertainties, and say what is weak.
+    """Fit a machine file's parameters to measurements, with their uncertainties.
+
+    ffcomp states each parameter with its 90 % interval and names those that the data leave weak.
 
     Example: ffcomp identify fit carriage.csv hammer.uff centre-*.csv -m mp-delta-pro
     --known effector.total_mass_kg=0.651±0.001 -o my-printer.toml --figure fit.png
@@ -125,18 +146,19 @@ def fit(
             _print(result)
 
 
-@app.command("decouple")
+@app.command("decouple", cls=Command)
 def decouple(
     data: Data,
     machine: MachineName,
-    lowest_hz: Lowest = 2.0,
-    highest_hz: Highest = 125.0,
+    lowest_hz: LowestFitted = 2.0,
+    highest_hz: HighestFitted = 125.0,
     as_json: AsJson = False,
 ) -> None:
-    """Recover what the effector puts on the carriages, and say which part of the machine file is wrong.
+    """Find which part of a delta's model is wrong.
 
-    Needs all nine responses cmd_A … cmd_C to pos_A … pos_C (or acc_) of a place: each carriage excited by itself and
-    all three measured. The carriages' own numbers (sub-model 1) are taken from the machine file.
+    ffcomp recovers the effector's load on the carriages from measured responses. It needs all nine responses cmd_A …
+    cmd_C to pos_A … pos_C (or acc_) of a position: each carriage excited by itself and all three measured. The
+    carriages' own parameters (sub-model 1) are taken from the machine file.
 
     Example: ffcomp identify decouple towers-centre.uff --machine my-delta.toml
     """

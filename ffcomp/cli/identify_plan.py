@@ -7,74 +7,122 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ffcomp.cli.help import ACCURACY, ADVANCED, MACHINE, OUTPUT
+from ffcomp.cli.options import AsJson, MachineName, check_choice
+
 if TYPE_CHECKING:
     from ffcomp.identify.experiment import Plan, Request
     from models.machine import Machine
 
 LINE_OF_ACTION, CENTRE = "line-of-action", "centre"
 
-MachineName = Annotated[
-    str, typer.Option("--machine", "-m", help="A machine's name (see: ffcomp machines list) or the path of its file.")
-]
 Output = Annotated[
-    Path, typer.Option("--output-file", "-o", help="The G-code; its account is written beside it as .json.")
+    Path,
+    typer.Option(
+        "--output-file",
+        "-o",
+        metavar="FILE",
+        rich_help_panel=OUTPUT,
+        help="G-code to write. The plan is written beside it (.json).",
+    ),
 ]
 At = Annotated[
     list[str] | None,
     typer.Option(
         metavar="X,Y",
-        help="A place to excite at, mm; may be given several times. 'line-of-action' stands for three places away "
-        "from each tower of a delta, where the dynamics differ most. Default: 'centre', that of the bed.",
+        rich_help_panel=MACHINE,
+        help="Position to excite at, mm. May be repeated. line-of-action: three positions away from each tower of a "
+        "delta, where the dynamics differ most. Default: centre, the middle of the bed.",
     ),
 ]
-Kind = Annotated[str, typer.Option(help="multisine (low peaks, whole periods), sweep or log-sweep.")]
+Kind = Annotated[
+    str,
+    typer.Option(
+        metavar="KIND",
+        rich_help_panel=ADVANCED,
+        help="Excitation: multisine (low peaks, whole periods), sweep or log-sweep.",
+    ),
+]
 Directions = Annotated[
     str | None,
     typer.Option(
         "--axes",
-        help="towers: each carriage alone (a delta's default); all: these and xyz; or the nozzle along x, y, z, xy "
-        "(the default of straight axes) or xyz.",
+        metavar="AXES",
+        rich_help_panel=MACHINE,
+        help="towers: each carriage alone (default of a delta); all: towers and xyz; or the nozzle along x, y, z, xy "
+        "(default of cartesian and CoreXY) or xyz.",
     ),
 ]
-Lowest = Annotated[float, typer.Option(min=0.5, help="The band begins here.")]
-Highest = Annotated[float, typer.Option(min=1.0, help="The band ends here.")]
+Lowest = Annotated[float, typer.Option(metavar="HZ", rich_help_panel=ACCURACY, min=0.5, help="Lowest frequency.")]
+Highest = Annotated[float, typer.Option(metavar="HZ", rich_help_panel=ACCURACY, min=1.0, help="Highest frequency.")]
 Amplitude = Annotated[
     float | None,
     typer.Option(
         "--amplitude-mm-per-s2",
+        metavar="A",
+        rich_help_panel=ACCURACY,
         min=1.0,
-        help="Peak acceleration of what is excited; default: a safe share of the machine's limits.",
+        help="Peak acceleration of the excitation. Default: a safe share of the machine's limits.",
     ),
 ]
 ZAcceleration = Annotated[
     float | None,
     typer.Option(
         "--z-acceleration-mm-per-s2",
+        metavar="A",
+        rich_help_panel=MACHINE,
         min=1.0,
-        help="The firmware's own limit in Z (Klipper: max_z_accel); default: the machine file's acceleration.",
+        help="The firmware's limit in Z (Klipper: max_z_accel). Default: the machine file's acceleration.",
     ),
 ]
-Period = Annotated[float, typer.Option(min=2.0, max=60.0, help="One period; its inverse separates the frequencies.")]
-Periods = Annotated[int, typer.Option(min=1, help="Periods to be averaged, besides the first, which settles.")]
-Realisations = Annotated[int, typer.Option(min=1, help="How often each is repeated with other phases (multisine).")]
-Height = Annotated[float, typer.Option("--height-mm", help="Of the nozzle above the bed.")]
-Flavor = Annotated[str, typer.Option(help="klipper, marlin or reprapfirmware.")]
+Period = Annotated[
+    float,
+    typer.Option(
+        metavar="S", rich_help_panel=ADVANCED, min=2.0, max=60.0, help="Period. Its inverse is the frequency step."
+    ),
+]
+Periods = Annotated[
+    int,
+    typer.Option(
+        metavar="N", rich_help_panel=ADVANCED, min=1, help="Periods to average, after a first one that settles."
+    ),
+]
+Realisations = Annotated[
+    int,
+    typer.Option(
+        metavar="N", rich_help_panel=ADVANCED, min=1, help="Repetitions of the multisine with other random phases."
+    ),
+]
+Height = Annotated[
+    float, typer.Option("--height-mm", metavar="MM", rich_help_panel=MACHINE, help="Nozzle height above the bed.")
+]
+Firmware = Annotated[
+    str, typer.Option(metavar="NAME", rich_help_panel=MACHINE, help="Firmware: klipper, marlin or reprapfirmware.")
+]
 Chips = Annotated[
     list[str] | None,
-    typer.Option("--chip", help="Klipper's name of an accelerometer; may be given several times. Default: adxl345."),
+    typer.Option(
+        "--chip",
+        metavar="NAME",
+        rich_help_panel=MACHINE,
+        help="Klipper's name of an accelerometer. May be repeated. Default: adxl345.",
+    ),
 ]
 Rate = Annotated[
     float,
     typer.Option(
         "--segments-per-second",
+        metavar="RATE",
+        rich_help_panel=ADVANCED,
         min=125.0,
         max=500.0,
-        help="More are taken if the highest frequency needs them.",
+        help="Segment rate. It rises if the highest frequency needs more.",
     ),
 ]
-ShaperOff = Annotated[bool, typer.Option(help="Switch the firmware's input shaper off at the beginning.")]
-Seed = Annotated[int, typer.Option(min=0, help="Of the random phases.")]
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+ShaperOff = Annotated[
+    bool, typer.Option(rich_help_panel=MACHINE, help="Switch the firmware's input shaper off at the beginning.")
+]
+Seed = Annotated[int, typer.Option(metavar="N", rich_help_panel=ADVANCED, min=0, help="Seed of the random phases.")]
 
 
 def plan(
@@ -91,29 +139,30 @@ def plan(
     periods: Periods = 6,
     realisations: Realisations = 1,
     height_mm: Height = 50.0,
-    flavor: Flavor = "klipper",
+    flavor: Firmware = "klipper",
     chip: Chips = None,
     segments_per_second: Rate = 250.0,
     shaper_off: ShaperOff = True,
     seed: Seed = 1,
     as_json: AsJson = False,
 ) -> None:
-    """Write G-code that excites the printer for identification, and an account of exactly what it commands.
+    """Write the G-code of an identification experiment.
 
-    Run the file on the printer, cold, with an accelerometer on the nozzle holder; then bring the captures back.
+    Run the file on the cold printer with an accelerometer on the nozzle holder, then pass the captures and the plan
+    to ffcomp identify fit.
 
     Example: ffcomp identify plan -m mp-delta-pro -o excite.gcode --at 0,0 --at line-of-action
     """
     from ffcomp.cli.common import exit_codes, print_json
     from gcode.dialects import FLAVORS
 
-    _one_of("--flavor", flavor, sorted(FLAVORS))
+    check_choice("--flavor", flavor, sorted(FLAVORS))
     with exit_codes():
         from ffcomp.identify.experiment import Request, make_plan
         from ffcomp.identify.multisine import KINDS
         from models.file import load_machine
 
-        _one_of("--kind", kind, list(KINDS))
+        check_choice("--kind", kind, list(KINDS))
         loaded = load_machine(machine)
         request = Request(
             places_mm=_places(at or [CENTRE], loaded),
@@ -140,11 +189,6 @@ def plan(
             _report(result, shaper_off)
 
 
-def _one_of(option: str, value: str, known: list[str]) -> None:
-    if value not in known:
-        raise typer.BadParameter(f"{option} {value!r}: it is one of {', '.join(known)}.")
-
-
 def _directions(axes: str | None, machine: Machine) -> tuple[str, ...]:
     """What is moved by itself, the kind's own default first."""
     from ffcomp.identify.experiment import AXES, TOWERS
@@ -155,7 +199,7 @@ def _directions(axes: str | None, machine: Machine) -> tuple[str, ...]:
     else:
         groups = {**along, "xyz": AXES}
     chosen = axes or next(iter(groups))
-    _one_of("--axes", chosen, list(groups))
+    check_choice("--axes", chosen, list(groups))
     return groups[chosen]
 
 

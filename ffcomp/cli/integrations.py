@@ -7,23 +7,39 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ffcomp.cli.help import MACHINE, OUTPUT, Command, Group
+
 if TYPE_CHECKING:
     from ffcomp.integrations.recipes import Recipe
 
-app = typer.Typer(help="Use ffcomp from your slicer or your printer's host.", no_args_is_help=True)
+app = typer.Typer(cls=Group, help="Use ffcomp from your slicer or your printer's host.", no_args_is_help=True)
 
-Name = Annotated[str, typer.Argument(help="A slicer or a host; see: ffcomp integrations list")]
+Name = Annotated[str, typer.Argument(metavar="NAME", help="A slicer or a host; see: ffcomp integrations list.")]
 MachineName = Annotated[
-    str, typer.Option("--machine", "-m", envvar="FFCOMP_MACHINE", help="The machine that is written into it.")
+    str,
+    typer.Option(
+        "--machine",
+        "-m",
+        metavar="NAME",
+        envvar="FFCOMP_MACHINE",
+        rich_help_panel=MACHINE,
+        help="Machine that is written into it.",
+    ),
 ]
 Folder = Annotated[
-    Path | None, typer.Option("--to", metavar="DIR", help="Where the wrapper goes; default: where the program looks.")
+    Path | None,
+    typer.Option(
+        "--to",
+        metavar="DIR",
+        rich_help_panel=OUTPUT,
+        help="Folder of the wrapper. Default: the folder that the program searches.",
+    ),
 ]
 
 
-@app.command("list")
+@app.command("list", cls=Command)
 def list_integrations() -> None:
-    """Slicers and hosts that can use ffcomp."""
+    """List the slicers and hosts that can use ffcomp."""
     from ffcomp.integrations.recipes import RECIPES
 
     width = max(map(len, RECIPES))
@@ -31,9 +47,9 @@ def list_integrations() -> None:
         print(f"{recipe.name:{width}}  {recipe.about}")
 
 
-@app.command("show")
+@app.command("show", cls=Command)
 def show_integration(name: Name, machine: MachineName = "my-delta") -> None:
-    """What to do, with the line to paste.
+    """Show how to set it up, with the line to paste.
 
     Example: ffcomp integrations show prusaslicer --machine my-delta
     """
@@ -42,9 +58,9 @@ def show_integration(name: Name, machine: MachineName = "my-delta") -> None:
     print(instructions(_recipe(name), machine, executable()))
 
 
-@app.command("install")
+@app.command("install", cls=Command)
 def install_integration(name: Name, machine: MachineName = "", to: Folder = None) -> None:
-    """Put the wrapper where the program looks for it, with this ffcomp's path in it."""
+    """Install the wrapper where the program searches for it."""
     from ffcomp.cli.common import exit_codes, say
     from ffcomp.integrations.recipes import executable, instructions, wrapper
     from gcode.container import replace_atomically

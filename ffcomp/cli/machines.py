@@ -15,33 +15,43 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ffcomp.cli.help import MACHINE, OUTPUT, Command, Group
 from ffcomp.cli.machines_diff import diff_machines
 from ffcomp.cli.machines_effort import effort
 from ffcomp.cli.machines_import import import_machine
-from models.arrays import FloatArray
+from ffcomp.cli.options import AsJson
 
 if TYPE_CHECKING:
+    from models.arrays import FloatArray
     from models.checks.physics import Extreme, Soundness
     from models.checks.redundancy import Quantity
     from models.machine import Machine
 
 USAGE, BAD_MACHINE = 2, 5  # exit codes, the same for the whole program
 
-app = typer.Typer(help="List, show, check, start and tell apart machine files.", no_args_is_help=True)
-app.command("diff")(diff_machines)
-app.command("effort")(effort)
-app.command("import")(import_machine)
+app = typer.Typer(cls=Group, help="List, show, check, create and compare machine files.", no_args_is_help=True)
 
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
-NameOrPath = Annotated[str, typer.Argument(help="A machine's name, or the path of its TOML file.")]
-NewName = Annotated[str, typer.Argument(help="The new machine's name.")]
-Output = Annotated[Path | None, typer.Option("-o", "--output", help="Default: your own machine folder.")]
-Source = Annotated[str, typer.Option("--from", help="The machine to start from, by name or path.")]
+NameOrPath = Annotated[str, typer.Argument(metavar="MACHINE", help="A machine's name or the path of its TOML file.")]
+NewName = Annotated[str, typer.Argument(metavar="NAME", help="Name of the new machine.")]
+Output = Annotated[
+    Path | None,
+    typer.Option(
+        "-o",
+        "--output",
+        metavar="FILE",
+        rich_help_panel=OUTPUT,
+        help="File to write. Default: in your own machine folder.",
+    ),
+]
+Source = Annotated[
+    str,
+    typer.Option("--from", metavar="NAME", rich_help_panel=MACHINE, help="Machine to copy: a name or a path."),
+]
 
 
-@app.command("list")
+@app.command("list", cls=Command)
 def list_machines(as_json: AsJson = False) -> None:
-    """The machines that can be asked for by name."""
+    """List the machines that have a name."""
     from models.file import LIBRARY, machine_paths
 
     rows = [
@@ -54,9 +64,9 @@ def list_machines(as_json: AsJson = False) -> None:
         _print_table(["name", "origin", "path"], [[*row.values()] for row in rows])
 
 
-@app.command("show")
+@app.command("show", cls=Command)
 def show_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
-    """Every number of a machine with its provenance, and how it vibrates."""
+    """Show every parameter of a machine with its provenance, and its modes."""
     from models.file import entries, load_machine
 
     with _machine_errors(as_json):
@@ -73,9 +83,9 @@ def show_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
     _print_table(["modes at", "Hz (damping ratio)"], [[mode["place"], _mode_text(mode)] for mode in modes])
 
 
-@app.command("check")
+@app.command("check", cls=Command)
 def check_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
-    """Find every mistake in a machine file, numbers that disagree, and vibrations that would grow or make energy."""
+    """Check a machine file: mistakes, redundant parameters that disagree, stability and passivity."""
     from ffcomp.importers.hints import still_assumed
     from models.checks.physics import soundness, unstable_places
     from models.checks.redundancy import inconsistencies, redundant
@@ -120,9 +130,9 @@ def _check_axes(machine: Machine, problems: list[str], as_json: bool) -> None:
         print(*(f"note: {note}" for note in notes), verdict, sep="\n")
 
 
-@app.command("new")
+@app.command("new", cls=Command)
 def new_machine(name: NewName, output: Output = None, source: Source = "mp-delta-pro") -> None:
-    """Start a machine file from one that is there, comments and provenance included. Never overwrites."""
+    """Create a machine file as a copy of another one. Never overwrites."""
     from models.file import load_machine, starting_text, user_folder
 
     if Path(name).name != name:
@@ -137,6 +147,11 @@ def new_machine(name: NewName, output: Output = None, source: Source = "mp-delta
     except FileExistsError:
         _refuse(f"{path}: this file exists already; give another name or another --output.")
     print(path)
+
+
+app.command("import", cls=Command)(import_machine)
+app.command("diff", cls=Command)(diff_machines)
+app.command("effort", cls=Command)(effort)
 
 
 def _refuse(sentence: str) -> None:

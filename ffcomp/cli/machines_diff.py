@@ -7,16 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ffcomp.cli.options import AsJson
+
 if TYPE_CHECKING:
     from models.diff import Difference
 
-Old = Annotated[str, typer.Argument(help="A machine's name, or the path of its file.")]
-New = Annotated[str, typer.Argument(help="The one it is compared with.")]
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+Old = Annotated[str, typer.Argument(metavar="OLD", help="A machine's name or the path of its file.")]
+New = Annotated[str, typer.Argument(metavar="NEW", help="The machine to compare it with.")]
 
 
 def diff_machines(old: Old, new: New, as_json: AsJson = False) -> None:
-    """Every value that differs between two machine files, by how much, and the natural frequencies before and after.
+    """Show the parameters in which two machine files differ, and both sets of natural frequencies.
 
     Example: ffcomp machines diff my-delta.toml better.toml
     """

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ffcomp.cli.options import AsJson, Figure
+
 if TYPE_CHECKING:
     from ffcomp.inverse.bandwidth import EffortCurve
 
-Name = Annotated[str, typer.Argument(help="A machine's name, or the path of its file.")]
-Picture = Annotated[Path | None, typer.Option("--figure", help="Draw the curves into this file (.png or .svg).")]
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+Name = Annotated[str, typer.Argument(metavar="MACHINE", help="A machine's name or the path of its file.")]
 
 RATES = (250.0, 500.0)  # segments a second
 
 
-def effort(machine: Name, figure: Picture = None, as_json: AsJson = False) -> None:
-    """How accurate the inverse of a machine can be, and how hard its carriages must be accelerated for it.
+def effort(machine: Name, figure: Figure = None, as_json: AsJson = False) -> None:
+    """Show the inverse's accuracy against the carriage acceleration that it needs.
 
-    `compensate` takes the bandwidth at the knee; here is the whole curve.
+    ffcomp compensate uses the bandwidth at the knee of this curve.
 
     Example: ffcomp machines effort mp-delta-pro --figure effort.png
     """

@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ffcomp.cli.help import MACHINE, OUTPUT
+from ffcomp.cli.options import AsJson
+
 if TYPE_CHECKING:
     from ffcomp.importers.builder import Draft
     from ffcomp.importers.values import Value
@@ -21,22 +24,46 @@ class Kind(StrEnum):
     COREXY = "corexy"
 
 
-File = Annotated[Path, typer.Argument(help="printer.cfg, config.g, or a text with Marlin's answer to M503.")]
-Output = Annotated[Path | None, typer.Option("-o", "--output", help="Default: your own machine folder.")]
+File = Annotated[
+    Path, typer.Argument(metavar="FILE", help="printer.cfg, config.g, or a text with Marlin's answer to M503.")
+]
+Output = Annotated[
+    Path | None,
+    typer.Option(
+        "-o",
+        "--output",
+        metavar="FILE",
+        rich_help_panel=OUTPUT,
+        help="File to write. Default: in your own machine folder.",
+    ),
+]
 Like = Annotated[
     str | None,
-    typer.Option("--like", help="Machine to take unknown numbers from. For deltas: the nearest arm length's."),
+    typer.Option(
+        "--like",
+        metavar="NAME",
+        rich_help_panel=MACHINE,
+        help="Machine whose parameters replace unknown ones. Default for deltas: the one with the nearest arm length.",
+    ),
 ]
-Kinematics = Annotated[Kind | None, typer.Option("--kinematics", help="For Marlin, which does not tell.")]
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+Kinematics = Annotated[
+    Kind | None,
+    typer.Option(
+        "--kinematics",
+        metavar="cartesian|corexy",
+        rich_help_panel=MACHINE,
+        help="Kinematics of a Marlin printer, whose answer to M503 does not state it.",
+    ),
+]
 
 
 def import_machine(
     file: File, output: Output = None, like: Like = None, kinematics: Kinematics = None, as_json: AsJson = False
 ) -> None:
-    """Make a machine file of a Klipper, Kalico, RepRapFirmware or Marlin configuration. Never overwrites.
+    """Import a Klipper, Kalico, RepRapFirmware or Marlin configuration. Never overwrites.
 
-    Says where each number is from, what is assumed, and what is still missing. Content decides, not the file's name.
+    ffcomp states the source of each parameter, which ones are assumed, and which are still missing. The file's
+    content decides its kind, not its name.
 
     Example: ffcomp machines import printer.cfg -o my-printer.toml
     """

@@ -8,15 +8,25 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ffcomp.cli.help import OUTPUT
+
 if TYPE_CHECKING:
     from gcode.container import Container
 
 
 def restore(
-    file: Annotated[Path, typer.Argument(help="A compensated print; changed in place unless -o is given.")],
-    output_file: Annotated[Path | None, typer.Option("--output-file", "-o", help="Write here instead.")] = None,
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Compensated print. Changed in place unless -o is given.")
+    ],
+    output_file: Annotated[
+        Path | None,
+        typer.Option("--output-file", "-o", metavar="FILE", rich_help_panel=OUTPUT, help="Write here instead."),
+    ] = None,
 ) -> None:
-    """Undo a compensation: every line of the original is still in the file."""
+    """Restore the original of a compensated print, byte for byte.
+
+    Example: ffcomp restore out.gcode -o original.gcode
+    """
     from ffcomp.cli.common import exit_codes, say
 
     with exit_codes():

@@ -7,24 +7,35 @@ from typing import Annotated, Any
 
 import typer
 
+from ffcomp.cli.help import OUTPUT
+from ffcomp.cli.options import AsJson, Plate, StampedMachine
+
 
 def show(
-    file: Annotated[Path, typer.Argument(help="A print that ffcomp has compensated.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Compensated print.")],
     output_file: Annotated[
-        Path | None, typer.Option("--output-file", "-o", help="The picture: .png, .svg or .pdf; default FILE.png.")
+        Path | None,
+        typer.Option(
+            "--output-file",
+            "-o",
+            metavar="FILE",
+            rich_help_panel=OUTPUT,
+            help="Picture: .png, .svg or .pdf. Default: FILE.png.",
+        ),
     ] = None,
-    machine: Annotated[
-        str, typer.Option("--machine", "-m", help="A machine's name or file; default: the one in the file's stamp.")
-    ] = "",
-    z_mm: Annotated[float | None, typer.Option(help="The layer to show; default: where it shakes most.")] = None,
-    plate: Annotated[
-        int | None, typer.Option(help="Which plate of a .gcode.3mf that holds several; from 1.", min=1)
+    machine: StampedMachine = "",
+    z_mm: Annotated[
+        float | None,
+        typer.Option(
+            metavar="MM", rich_help_panel=OUTPUT, help="Height of the layer. Default: the layer that vibrates most."
+        ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    plate: Plate = None,
+    as_json: AsJson = False,
 ) -> None:
-    """Draw what was wanted, what the machine would have done, and what it will do now.
+    """Draw a compensated print: reference, uncompensated and compensated path.
 
-    Both prints are simulated with the design model from what the file says; the picture and its numbers follow from it.
+    ffcomp simulates both prints with the design model. The picture and its numbers come from these simulations.
 
     Example: ffcomp show out.gcode
     """

@@ -7,40 +7,50 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ffcomp.cli.help import ACCURACY, ADVANCED, OUTPUT, SPEED
+from ffcomp.cli.options import AsJson, Flavor, MachineName, Offset, Plant, Plate, Quiet, parsed_offset
+
 if TYPE_CHECKING:
     from ffcomp.simulate.command import Command
     from ffcomp.simulate.simulation import Request, Simulated
     from models.machine import Machine
 
 File = Annotated[
-    Path, typer.Argument(help="A print (sliced or compensated) or a step-timing archive (.npz).", metavar="FILE")
-]
-MachineName = Annotated[
-    str, typer.Option("--machine", "-m", help="What the firmware believes: a machine's name or the path of its file.")
-]
-Plant = Annotated[
-    str, typer.Option(help="The printer that moves, with its effects: a machine file. Default: the same as --machine.")
+    Path, typer.Argument(metavar="FILE", help="Print (sliced or compensated) or step-timing archive (.npz).")
 ]
 Output = Annotated[
-    Path | None, typer.Option("--output-file", "-o", help="Write a measured run (CSV), as ffcomp gap reads it.")
+    Path | None,
+    typer.Option(
+        "--output-file",
+        "-o",
+        metavar="FILE",
+        rich_help_panel=OUTPUT,
+        help="Write a recording (CSV) for ffcomp gap.",
+    ),
 ]
-Rate = Annotated[float, typer.Option(metavar="HZ", help="Samples per second that are judged and written.")]
+Rate = Annotated[
+    float, typer.Option(metavar="HZ", rich_help_panel=ACCURACY, help="Sample rate of the evaluation and the recording.")
+]
 From = Annotated[
     float,
     typer.Option(
-        "--from", metavar="SECONDS", help="Of the command's clock. For ffcomp gap a run should begin where it rests."
+        "--from",
+        metavar="S",
+        rich_help_panel=SPEED,
+        help="Begin at this time of the command. A recording for ffcomp gap should begin at rest.",
     ),
 ]
-To = Annotated[float, typer.Option("--to", metavar="SECONDS", help="Of the command's clock; default: the end.")]
-Signals = Annotated[str, typer.Option(help="Sensors of the written run: acc, pos, or both with a comma.")]
-Gravity = Annotated[bool, typer.Option(help="Weight bends the belts and the extruder's mount.")]
-Offset = Annotated[
-    str, typer.Option("--offset-mm", metavar="X,Y", help="Added to every position, as in ffcomp compensate.")
+To = Annotated[
+    float,
+    typer.Option("--to", metavar="S", rich_help_panel=SPEED, help="End at this time of the command. Default: the end."),
 ]
-Flavor = Annotated[str, typer.Option(help="klipper, marlin or reprapfirmware; by default the file says it.")]
-Plate = Annotated[int | None, typer.Option(help="Which plate of a .gcode.3mf that holds several; from 1.", min=1)]
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on stdout (ffcomp-simulate/1).")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no messages but errors.")]
+Signals = Annotated[
+    str,
+    typer.Option(metavar="KINDS", rich_help_panel=OUTPUT, help="Sensors in the recording: acc, pos or acc,pos."),
+]
+Gravity = Annotated[
+    bool, typer.Option(rich_help_panel=ADVANCED, help="Let the weight deflect the belts and the extruder's mount.")
+]
 
 
 def simulate(
@@ -59,10 +69,11 @@ def simulate(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Play a print or step timings on the nonlinear printer: full kinematics, weight, drives, extruder, effects.
+    """Simulate a print or step timings on the nonlinear printer.
 
-    G-code is planned as the firmware plans it; of step timings the microsteps themselves are played. What comes out
-    is judged against the wanted path and can be written as if it had been measured.
+    The printer has full kinematics, weight, drives, extruder and effects. ffcomp plans G-code as the firmware does
+    and executes step timings microstep by microstep. It evaluates the response against the reference path, and writes
+    it as a recording on request.
 
     Example: ffcomp simulate sample_prints/ringing_tower.gcode -m mp-delta-pro --from 80 --to 90 -o run.csv
     """
@@ -110,7 +121,6 @@ def _simulate(
     quiet: bool,
 ) -> dict[str, Any]:
     from ffcomp.cli.common import Progress, say
-    from ffcomp.cli.compensate import parsed_offset
     from ffcomp.simulate.simulation import read_command, simulate_command
     from models.file import load_machine
 
