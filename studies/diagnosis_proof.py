@@ -36,7 +36,7 @@ from ffcomp.diagnose.engine import diagnose
 from ffcomp.diagnose.printer_problem import Delta
 from ffcomp.diagnose.result import better_file, outcome
 from ffcomp.inverse.settings import settings_for
-from ffcomp.measurement.recording import read_run
+from ffcomp.measurement.recording import read_recording
 from models.file import load_machine, updated_text
 from models.machine import Machine
 from models.parameters import value_of
@@ -254,7 +254,7 @@ def forced(folder: Path, owner: Path, runs: Sequence[Path], name: str) -> Wrong:
     """The same runs with one candidate only; its machine file is written although it was refused."""
     path = folder / f"wrong-{name}.json"
     if not path.exists():
-        plant = Delta(load_machine(owner), [read_run(run) for run in runs], (name,))
+        plant = Delta(load_machine(owner), [read_recording(run) for run in runs], (name,))
         found = diagnose(plant)
         told = outcome(plant, found)
         gaps = {"gap_before": told.before.nrms, "gap_after": told.after.nrms}

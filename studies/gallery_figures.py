@@ -33,7 +33,7 @@ from ffcomp.diagnose.summary import Picture, picture
 from ffcomp.identify.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
-from ffcomp.measurement.recording import read_run
+from ffcomp.measurement.recording import read_recording
 from ffcomp.report.diagnose import figures
 from ffcomp.report.shared.drawing import Drawing, file_of, layout
 from models.file import load_machine
@@ -232,7 +232,7 @@ def three_panels(image: Image.Image) -> Image.Image:
 def diagnosis() -> Image.Image:
     """Where the gap is, by frequency, and one stretch of a run, before and after, as in the report."""
     tutorial("first_diagnosis", until="## 2.")
-    runs = [read_run(path) for path in sorted(Path("runs").glob("*.csv"))]
+    runs = [read_recording(path) for path in sorted(Path("runs").glob("*.csv"))]
     plant = Delta(load_machine("my-delta.toml"), runs)
     found: Picture = picture(plant, diagnose(plant))
     return side_by_side([figures.overlays(found)[0], figures.spectra(found)[0]])

@@ -74,13 +74,13 @@ def main() -> None:
 def answer(path: Path, found: Diagnosis) -> Answer:
     """Both plants begin anew at every shot, with the measured position and speed."""
     axis = Axis([read_emps(path)], *GUESS)
-    measured = np.concatenate([r.measured[:, 0] for r in axis.recordings])
+    measured = np.concatenate([r.measured[:, 0] for r in axis.observations])
     before, after = (
         1e3 * (measured - np.concatenate([y[:, 0] for y in axis.simulate(values)]))
         for values in (found.base.values, found.final.values)
     )
     time = np.concatenate([run.time_s for run, _ in axis.stretches])
-    shot = round(SHOT_S * axis.recordings[0].rate_hz)
+    shot = round(SHOT_S * axis.observations[0].rate_hz)
     return Answer(shot, time, np.concatenate([speed for _, speed in axis.stretches]), before, after)
 
 

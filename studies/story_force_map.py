@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp.diagnose.printer_problem import Delta
-from ffcomp.measurement.recording import read_run
+from ffcomp.measurement.recording import read_recording
 from models.effects.catalogue import effective_machine
 from models.file import load_machine
 from models.machine import Machine
@@ -358,16 +358,16 @@ def _runs(told: Told) -> Iterator[tuple[str, dict[str, Any], dict[str, Any]]]:
 def draw_overlay(told: Told, path: Path) -> None:
     from matplotlib import pyplot
 
-    runs = [read_run(sorted((told.folder / "fresh").glob("infill*.csv"))[0])]
+    runs = [read_recording(sorted((told.folder / "fresh").glob("infill*.csv"))[0])]
     plants = [Delta(load_machine(file), runs, ()) for file in (told.owner, told.better)]
     old, new = (plant.simulate({})[0] for plant in plants)
-    recording = plants[0].recordings[0]
+    observation = plants[0].observations[0]
     figure, axes = pyplot.subplots(2, 1, figsize=(8, 4.6), sharex=True, layout="constrained")
     span = slice(round(1.0 * SAMPLE_HZ), round(1.35 * SAMPLE_HZ))
     for signal, label, ax in zip(("acc_x", "acc_A"), ("nozzle holder, x", "carriage A"), axes, strict=True):
-        column = recording.signals.index(signal)
+        column = observation.signals.index(signal)
         t = runs[0].time_s[span]
-        ax.plot(t, recording.measured[span, column], "k", linewidth=1.6, label="measured")
+        ax.plot(t, observation.measured[span, column], "k", linewidth=1.6, label="measured")
         ax.plot(t, old[span, column], color=OLD, linewidth=1.0, label="simulated, owner's file")
         ax.plot(t, new[span, column], "--", color=NEW, linewidth=1.2, label="simulated, better file")
         ax.set_ylabel(f"{label}\nm/s²")

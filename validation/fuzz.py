@@ -76,9 +76,9 @@ def _machine() -> Callable[[bytes], None]:
 
 def _run() -> Callable[[bytes], None]:
     from ffcomp.errors import MeasurementError
-    from ffcomp.measurement.recording import read_run
+    from ffcomp.measurement.recording import read_recording
 
-    return _by_file(read_run, MeasurementError, ".csv")
+    return _by_file(read_recording, MeasurementError, ".csv")
 
 
 def _frf() -> Callable[[bytes], None]:

@@ -63,12 +63,12 @@ def diagnose(
         from ffcomp.diagnose.printer_problem import Delta
         from ffcomp.diagnose.result import outcome
         from ffcomp.diagnose.validation import check_alike, check_repeats
-        from ffcomp.measurement.recording import read_run
+        from ffcomp.measurement.recording import read_recording
         from models.file import load_machine
 
         began = time.monotonic()
         loaded = load_machine(machine)
-        measured = [read_run(path) for path in runs]
+        measured = [read_recording(path) for path in runs]
         plant = Delta(loaded, measured)
         check_alike(measured)
         if not without_repeats:

@@ -28,15 +28,15 @@ def gap(runs: Runs, machine: MachineName, as_json: AsJson = False) -> None:
         from ffcomp.diagnose.printer_problem import Delta
         from ffcomp.diagnose.residuals import find_gap
         from ffcomp.diagnose.validation import check_alike
-        from ffcomp.measurement.recording import read_run
+        from ffcomp.measurement.recording import read_recording
         from models.file import load_machine
 
-        loaded, measured = load_machine(machine), [read_run(path) for path in runs]
+        loaded, measured = load_machine(machine), [read_recording(path) for path in runs]
         plant = Delta(loaded, measured, ())
         check_alike(measured)
         simulated = plant.simulate({})
         floor = noise_floor(plant, simulated)
-        found = find_gap(whitener(plant.recordings, floor, plant.band_hz), floor, simulated)
+        found = find_gap(whitener(plant.observations, floor, plant.band_hz), floor, simulated)
         result = _result(found, floor.from_repeats)
         if as_json:
             print_json(result)
@@ -55,7 +55,7 @@ def _result(found: Gap, from_repeats: bool) -> dict[str, Any]:
             "signal": {name: _over(size) for name, size in found.signals.items()},
             "region": [{"place_mm": list(place), "share": share} for place, share in found.places.items()],
             "near_reversals": found.near_reversals,
-            "runs": {name: _size(size) for name, size in found.runs.items()},
+            "runs": {name: _size(size) for name, size in found.recordings.items()},
         },
     }
 
@@ -77,7 +77,7 @@ def _print(found: Gap, from_repeats: bool) -> None:
         f"Simulation and measurement differ by {100 * found.whole.nrms:.2f} % of the signals; noise alone would leave "
         f"{100 * found.whole.noise_nrms:.2f} % (known from {origin})."
     )
-    for title, sizes in (("signal", found.signals), ("run", found.runs)):
+    for title, sizes in (("signal", found.signals), ("run", found.recordings)):
         width = max(map(len, sizes))
         for name, size in sizes.items():
             print(f"  {title} {name:{width}}  {100 * size.nrms:7.2f} %  {_over(size):7.1f} times the noise")

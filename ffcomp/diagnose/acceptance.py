@@ -89,11 +89,11 @@ def held_out(desk: Bench, base: Fit, best: Fit) -> list[Place]:
 
 def groups(plant: Plant) -> dict[tuple[float, ...], list[int]]:
     places: dict[tuple[float, ...], list[int]] = {}
-    for i, recording in enumerate(plant.recordings):
-        places.setdefault(recording.place, []).append(i)
+    for i, observation in enumerate(plant.observations):
+        places.setdefault(observation.place, []).append(i)
     if len(places) > 1:
         return places
-    return {(float(i),): [i] for i in range(len(plant.recordings))}
+    return {(float(i),): [i] for i in range(len(plant.observations))}
 
 
 def _left_out(desk: Bench, fitted: Fit, members: Sequence[int]) -> list[FloatArray]:
@@ -118,8 +118,8 @@ def _excess(desk: Bench, simulated: Sequence[FloatArray], members: Sequence[int]
 def _power(desk: Bench, simulated: Sequence[FloatArray], members: Sequence[int]) -> float:
     """Of the error, not whitened."""
     parts = [
-        desk.whiten.spectrum(recording, recording.measured - y)[0]
-        for recording, y in zip([desk.plant.recordings[i] for i in members], simulated, strict=True)
+        desk.whiten.spectrum(observation, observation.measured - y)[0]
+        for observation, y in zip([desk.plant.observations[i] for i in members], simulated, strict=True)
     ]
     return float(sum(np.sum(np.abs(part) ** 2) for part in parts))
 

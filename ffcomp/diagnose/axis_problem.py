@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 
-from ffcomp.diagnose.problem import Candidate, Impossible, Number, Plant, Recording
+from ffcomp.diagnose.problem import Candidate, Impossible, Number, Observation, Plant
 from ffcomp.errors import MeasurementError
 from models.arrays import FloatArray
 
@@ -70,10 +70,12 @@ class Axis(Plant):
 
     band_hz = (0.02, 50.0)
 
-    def __init__(self, runs: Sequence[ForceDriven], mass_kg: float, viscous_n_s_per_m: float) -> None:
-        whole = [(run, _speed(run)) for run in runs]
-        self.stretches = [(_cut(run, part), speed[part]) for run, speed in whole for part in _parts(run)]
-        self.recordings = [_recording(run, speed) for run, speed in self.stretches]
+    def __init__(self, recordings: Sequence[ForceDriven], mass_kg: float, viscous_n_s_per_m: float) -> None:
+        whole = [(recording, _speed(recording)) for recording in recordings]
+        self.stretches = [
+            (_cut(recording, part), speed[part]) for recording, speed in whole for part in _parts(recording)
+        ]
+        self.observations = [_observation(recording, speed) for recording, speed in self.stretches]
         self.numbers = (
             Number(MASS, mass_kg, 0.5 * mass_kg, 0.05 * mass_kg),
             Number(VISCOUS, viscous_n_s_per_m, viscous_n_s_per_m, 0.0),
@@ -90,38 +92,40 @@ class Axis(Plant):
         return [self._one(i, given) for i in chosen]
 
     def _one(self, i: int, v: Mapping[str, float]) -> FloatArray:
-        run, speed = self.stretches[i]
+        recording, speed = self.stretches[i]
         numbers = np.array([v.get(name, neutral) for name, neutral in _NUMBERS])
-        shot = round(SHOT_S * run.rate_hz)
-        q = _run(run.force_n, 1 / run.rate_hz, SUBSTEPS, shot, run.position_mm / 1e3, speed / 1e3, numbers)
+        shot = round(SHOT_S * recording.rate_hz)
+        q = _simulated_shots(
+            recording.force_n, 1 / recording.rate_hz, SUBSTEPS, shot, recording.position_mm / 1e3, speed / 1e3, numbers
+        )
         if not np.all(np.isfinite(q)):
             raise Impossible("Such forces drive the axis to infinity within one shot.")
         return (q * 1e3)[:, None]
 
 
-def _speed(run: ForceDriven) -> FloatArray:
+def _speed(recording: ForceDriven) -> FloatArray:
     """(n,) mm/s"""
     from scipy.signal import savgol_filter
 
-    span = 2 * round(SPEED_SPAN_S * run.rate_hz / 2) + 1
-    return np.asarray(savgol_filter(run.position_mm, span, 2, deriv=1, delta=1 / run.rate_hz))
+    span = 2 * round(SPEED_SPAN_S * recording.rate_hz / 2) + 1
+    return np.asarray(savgol_filter(recording.position_mm, span, 2, deriv=1, delta=1 / recording.rate_hz))
 
 
-def _parts(run: ForceDriven) -> list[slice]:
+def _parts(recording: ForceDriven) -> list[slice]:
     """Whole stretches; what is left at the end makes the last one longer."""
-    rows = STRETCH_SHOTS * round(SHOT_S * run.rate_hz)
-    starts = range(0, max(len(run.time_s) - rows, 0) + 1, rows)
+    rows = STRETCH_SHOTS * round(SHOT_S * recording.rate_hz)
+    starts = range(0, max(len(recording.time_s) - rows, 0) + 1, rows)
     return [slice(a, a + rows) for a in starts[:-1]] + [slice(starts[-1], None)]
 
 
-def _cut(run: ForceDriven, part: slice) -> ForceDriven:
-    return ForceDriven(run.name, run.time_s[part], run.force_n[part], run.position_mm[part])
+def _cut(recording: ForceDriven, part: slice) -> ForceDriven:
+    return ForceDriven(recording.name, recording.time_s[part], recording.force_n[part], recording.position_mm[part])
 
 
-def _recording(run: ForceDriven, speed: FloatArray) -> Recording:
-    name = f"{run.name} from {run.time_s[0]:g} s"
-    place = (float(run.time_s[0]),)
-    return Recording(name, name, place, run.rate_hz, ("pos_q",), run.position_mm[:, None], speed[:, None])
+def _observation(recording: ForceDriven, speed: FloatArray) -> Observation:
+    name = f"{recording.name} from {recording.time_s[0]:g} s"
+    place = (float(recording.time_s[0]),)
+    return Observation(name, name, place, recording.rate_hz, ("pos_q",), recording.position_mm[:, None], speed[:, None])
 
 
 FRICTION = "effects.coulomb_friction.force_n"
@@ -176,7 +180,7 @@ def _acceleration(q: float, v: float, force: float, p: FloatArray) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _run(
+def _simulated_shots(
     force: FloatArray,
     dt: float,
     substeps: int,

@@ -85,7 +85,7 @@ def diagnose(plant: Plant, progress: Progress = lambda _: None) -> Diagnosis:
     noise = noise_floor(plant)
     if not noise.from_repeats:
         progress("no repeats: the noise floor is taken from above the model's band")
-    desk = bench(plant, whitener(plant.recordings, noise, plant.band_hz))
+    desk = bench(plant, whitener(plant.observations, noise, plant.band_hz))
     chance = SURE * _spread(desk) if noise.from_repeats else 0.0
     desk = replace(desk, slack=max(desk.slack, chance))
     progress("fitting the machine's own numbers")
@@ -128,8 +128,8 @@ def _retuned(desk: Bench, best: Hypothesis) -> Fit:
 
 def _spread(desk: Bench) -> float:
     """Standard deviation of the gap if there is none: of the residual's mean square, and of the floor it is held to."""
-    recordings, rows = desk.whiten.recordings, desk.whiten.rows
-    alike = [sum(a.repeat_of == b.repeat_of for b in recordings) for a in recordings]
+    observations, rows = desk.whiten.observations, desk.whiten.rows
+    alike = [sum(a.repeat_of == b.repeat_of for b in observations) for a in observations]
     apart = sum((part.stop - part.start) * (1 - 1 / n) for part, n in zip(rows, alike, strict=True))
     return float(np.sqrt(2 / len(desk.measured) + 2 / apart))
 
@@ -144,12 +144,12 @@ def _nominal(desk: Bench) -> Fit:
 
 def noise_floor(plant: Plant, simulated: Sequence[FloatArray] | None = None) -> NoiseFloor:
     """From repeats; without any, from what is left above the model's band."""
-    floor = noise_from_repeats(plant.recordings)
+    floor = noise_from_repeats(plant.observations)
     if floor is not None:
         return floor
     found = plant.simulate({}) if simulated is None else simulated
-    errors = [r.measured - y for r, y in zip(plant.recordings, found, strict=True)]
-    return noise_from_residual(plant.recordings, errors, plant.band_hz)
+    errors = [r.measured - y for r, y in zip(plant.observations, found, strict=True)]
+    return noise_from_residual(plant.observations, errors, plant.band_hz)
 
 
 def _searched(

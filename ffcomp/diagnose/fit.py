@@ -55,14 +55,14 @@ class Bench:
                 residual = self.measured - self.whiten(simulated)
                 yield residual if np.isfinite(residual @ residual) else np.full(len(self.measured), HUGE)
 
-    def rows_at(self, recordings: Sequence[int]) -> FloatArray:
+    def rows_at(self, observations: Sequence[int]) -> FloatArray:
         """Indices of the rows of some recordings."""
-        return np.concatenate([np.arange(len(self.measured))[self.whiten.rows[i]] for i in recordings])
+        return np.concatenate([np.arange(len(self.measured))[self.whiten.rows[i]] for i in observations])
 
 
 def bench(plant: Plant, whiten: Whitener) -> Bench:
     slack = WELL_KNOWN if whiten.floor.from_repeats else GUESSED
-    return Bench(plant, whiten, whiten([r.measured for r in plant.recordings]), slack=slack)
+    return Bench(plant, whiten, whiten([r.measured for r in plant.observations]), slack=slack)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from ffcomp.diagnose.noise import whitener
 from ffcomp.diagnose.printer_problem import Delta
 from ffcomp.diagnose.problem import Impossible
 from ffcomp.diagnose.score_test import Screened
-from ffcomp.measurement.recording import Run
+from ffcomp.measurement.recording import Recording
 from ffcomp.planner.program import plan_program
 from gcode.reader import read_program
 from models.arrays import FloatArray
@@ -179,17 +179,17 @@ def _tells(played: _Played) -> bool:
 
 def _asked(plant: Delta, found: Diagnosis, question: _Question, tries: Sequence[tuple[Move, Point]]) -> list[_Played]:
     """Each move at its place, played by both printers."""
-    recordings = plant.recordings
-    signals, rate_hz = recordings[0].signals, recordings[0].rate_hz
-    runs = [_run(plant.machine, move, place, signals, rate_hz) for move, place in tries]
-    virtual = Delta(plant.machine, runs, ())
-    whiten = whitener(virtual.recordings, found.noise, virtual.band_hz)
+    observations = plant.observations
+    signals, rate_hz = observations[0].signals, observations[0].rate_hz
+    recordings = [_blank_recording(plant.machine, move, place, signals, rate_hz) for move, place in tries]
+    virtual = Delta(plant.machine, recordings, ())
+    whiten = whitener(virtual.observations, found.noise, virtual.band_hz)
     try:
         one, other = (virtual.simulate(values, coarse=True) for values in (question.one, question.other))
         apart = whiten([a - b for a, b in zip(one, other, strict=True)])
     except Impossible:  # a rival that leaves the arms' reach there: nothing is learnt from it
         apart = np.zeros(whiten.rows[-1].stop)
-    seconds = [float(run.time_s[-1]) for run in runs]
+    seconds = [float(recording.time_s[-1]) for recording in recordings]
     sizes = [float(np.linalg.norm(apart[rows])) for rows in whiten.rows]
     return [
         _Played(move, place, s, size / float(np.sqrt(s)))
@@ -197,7 +197,7 @@ def _asked(plant: Delta, found: Diagnosis, question: _Question, tries: Sequence[
     ]
 
 
-def _run(machine: Machine, move: Move, place: Point, signals: Sequence[str], rate_hz: float) -> Run:
+def _blank_recording(machine: Machine, move: Move, place: Point, signals: Sequence[str], rate_hz: float) -> Recording:
     """The move as a recording that holds nothing yet."""
     text = _text(machine, move, place)
     trajectory = plan_program(read_program(text.encode(), move.kind), machine).trajectory
@@ -209,7 +209,7 @@ def _run(machine: Machine, move: Move, place: Point, signals: Sequence[str], rat
         blank[signal[:3]][signal] = np.zeros(len(t))
     gaps = np.zeros(len(t), dtype=bool)
     carriages = machine.kinematics.inverse(nozzle)
-    return Run(move.kind, t, carriages, "carriage", blank["acc"], blank["pos"], gaps, {})
+    return Recording(move.kind, t, carriages, "carriage", blank["acc"], blank["pos"], gaps, {})
 
 
 def _proposal(machine: Machine, question: _Question, played: _Played) -> Proposal:

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.diagnose.problem import Recording
+from ffcomp.diagnose.problem import Observation
 from models.arrays import ComplexArray, FloatArray
 
 BAND_HZ = (1.0, 200.0)
@@ -38,9 +38,9 @@ class NoiseFloor:
         return np.interp(frequency_hz, self.frequency_hz, self.density[signal])
 
 
-def noise_from_repeats(recordings: Sequence[Recording]) -> NoiseFloor | None:
+def noise_from_repeats(observations: Sequence[Observation]) -> NoiseFloor | None:
     """None if nothing was measured twice."""
-    pairs = [(a, b) for a, b in pairwise(sorted(recordings, key=_by_repeat)) if _repeat(a, b)]
+    pairs = [(a, b) for a, b in pairwise(sorted(observations, key=_by_repeat)) if _repeat(a, b)]
     if not pairs:
         return None
     grid = np.arange(0.0, min(r.rate_hz for r, _ in pairs) / 2 + 1e-9, 1 / SEGMENT_S)
@@ -50,23 +50,23 @@ def noise_from_repeats(recordings: Sequence[Recording]) -> NoiseFloor | None:
         spectra = [_density(_column(a, signal) - _column(b, signal), a.rate_hz, grid) / 2 for a, b in both]
         averages = sum(len(a.measured) / a.rate_hz for a, _ in both) / SEGMENT_S * SMOOTHED_LINES
         density[signal] = _smooth(np.mean(spectra, axis=0), grid) * (1 + 1 / averages)
-    for signal in {name for r in recordings for name in r.signals} - set(density):
+    for signal in {name for r in observations for name in r.signals} - set(density):
         alike = [d for name, d in density.items() if name[:3] == signal[:3]]
         density[signal] = np.mean(alike, axis=0)
     return NoiseFloor(grid, density, True)
 
 
 def noise_from_residual(
-    recordings: Sequence[Recording], errors: Sequence[FloatArray], band_hz: tuple[float, float]
+    observations: Sequence[Observation], errors: Sequence[FloatArray], band_hz: tuple[float, float]
 ) -> NoiseFloor:
     """White at the level that is left above the model's band. errors : (n, m) a recording, measured − simulated."""
-    grid = np.arange(0.0, min(r.rate_hz for r in recordings) / 2 + 1e-9, 1 / SEGMENT_S)
+    grid = np.arange(0.0, min(r.rate_hz for r in observations) / 2 + 1e-9, 1 / SEGMENT_S)
     high = (grid > FLOOR_BAND[0] * band_hz[1]) & (grid < FLOOR_BAND[1] * grid[-1])
     density = {}
-    for signal in sorted({name for r in recordings for name in r.signals}):
+    for signal in sorted({name for r in observations for name in r.signals}):
         columns = [
             (e[:, r.signals.index(signal)], r.rate_hz)
-            for r, e in zip(recordings, errors, strict=True)
+            for r, e in zip(observations, errors, strict=True)
             if signal in r.signals
         ]
         spectrum = np.mean([_density(filled(column), rate, grid) for column, rate in columns], axis=0)
@@ -74,16 +74,16 @@ def noise_from_residual(
     return NoiseFloor(grid, density, False)
 
 
-def _by_repeat(recording: Recording) -> tuple[str, str]:
-    return recording.repeat_of, recording.name
+def _by_repeat(observation: Observation) -> tuple[str, str]:
+    return observation.repeat_of, observation.name
 
 
-def _repeat(a: Recording, b: Recording) -> bool:
+def _repeat(a: Observation, b: Observation) -> bool:
     return a.repeat_of == b.repeat_of and len(a.measured) == len(b.measured)
 
 
-def _column(recording: Recording, signal: str) -> FloatArray:
-    return filled(recording.measured[:, recording.signals.index(signal)])
+def _column(observation: Observation, signal: str) -> FloatArray:
+    return filled(observation.measured[:, observation.signals.index(signal)])
 
 
 def filled(values: FloatArray) -> FloatArray:
@@ -113,52 +113,54 @@ def _smooth(density: FloatArray, grid: FloatArray) -> FloatArray:
 class Whitener:
     """Errors of all recordings → one vector of variance one; rows of recording i are `rows[i]`."""
 
-    recordings: Sequence[Recording]
+    observations: Sequence[Observation]
     floor: NoiseFloor
     rows: Sequence[slice]
     band_hz: tuple[float, float]
 
     def __call__(self, signals: Sequence[FloatArray], only: Sequence[int] | None = None) -> FloatArray:
         """(rows,) from one (n, m) a recording (or of those in `only`)."""
-        chosen = range(len(self.recordings)) if only is None else only
-        parts = [self._whitened(self.recordings[i], x) for i, x in zip(chosen, signals, strict=True)]
+        chosen = range(len(self.observations)) if only is None else only
+        parts = [self._whitened(self.observations[i], x) for i, x in zip(chosen, signals, strict=True)]
         return np.concatenate(parts) if parts else np.zeros(0)
 
-    def _whitened(self, recording: Recording, x: FloatArray) -> FloatArray:
-        spectrum, frequency = self.spectrum(recording, x)
-        power = self.power(recording)
-        scale = np.stack([np.sqrt(self.floor.at(s, frequency) * power) for s in recording.signals])
+    def _whitened(self, observation: Observation, x: FloatArray) -> FloatArray:
+        spectrum, frequency = self.spectrum(observation, x)
+        power = self.power(observation)
+        scale = np.stack([np.sqrt(self.floor.at(s, frequency) * power) for s in observation.signals])
         white = spectrum / scale
         return np.concatenate([white.real.ravel(), white.imag.ravel()])
 
-    def power(self, recording: Recording) -> float:
+    def power(self, observation: Observation) -> float:
         """Of a real or imaginary part of the transform, per unit²/Hz of density."""
-        window = taper(len(recording.measured), recording.rate_hz)
-        return float(np.sum(window**2)) * recording.rate_hz / 4
+        window = taper(len(observation.measured), observation.rate_hz)
+        return float(np.sum(window**2)) * observation.rate_hz / 4
 
-    def spectrum(self, recording: Recording, x: FloatArray) -> tuple[ComplexArray, FloatArray]:
+    def spectrum(self, observation: Observation, x: FloatArray) -> tuple[ComplexArray, FloatArray]:
         """(m, k) transform of the faded signals inside the band, and (k,) Hz."""
-        frequency, keep = lines(recording, self.band_hz)
-        faded = x * taper(len(x), recording.rate_hz)[:, None]
-        gaps = ~np.isfinite(recording.measured)
+        frequency, keep = lines(observation, self.band_hz)
+        faded = x * taper(len(x), observation.rate_hz)[:, None]
+        gaps = ~np.isfinite(observation.measured)
         faded = np.where(gaps, 0.0, faded)  # no one knows what was there: neither side has it
         return np.fft.rfft(faded, axis=0)[keep].T, frequency
 
     def frequencies(self) -> FloatArray:
         """(rows,) Hz of every entry of the vector."""
-        parts = [np.tile(lines(r, self.band_hz)[0], 2 * len(r.signals)) for r in self.recordings]
+        parts = [np.tile(lines(r, self.band_hz)[0], 2 * len(r.signals)) for r in self.observations]
         return np.concatenate(parts)
 
 
-def whitener(recordings: Sequence[Recording], floor: NoiseFloor, band_hz: tuple[float, float] = BAND_HZ) -> Whitener:
-    sizes = [2 * len(r.signals) * len(lines(r, band_hz)[0]) for r in recordings]
+def whitener(
+    observations: Sequence[Observation], floor: NoiseFloor, band_hz: tuple[float, float] = BAND_HZ
+) -> Whitener:
+    sizes = [2 * len(r.signals) * len(lines(r, band_hz)[0]) for r in observations]
     ends = np.cumsum([0, *sizes])
-    return Whitener(recordings, floor, [slice(a, b) for a, b in pairwise(ends.tolist())], band_hz)
+    return Whitener(observations, floor, [slice(a, b) for a, b in pairwise(ends.tolist())], band_hz)
 
 
-def lines(recording: Recording, band_hz: tuple[float, float]) -> tuple[FloatArray, NDArray[np.bool_]]:
+def lines(observation: Observation, band_hz: tuple[float, float]) -> tuple[FloatArray, NDArray[np.bool_]]:
     """(k,) Hz inside the band, and where they are among all of the transform's."""
-    frequency = np.fft.rfftfreq(len(recording.measured), 1 / recording.rate_hz)
+    frequency = np.fft.rfftfreq(len(observation.measured), 1 / observation.rate_hz)
     keep = (frequency >= band_hz[0]) & (frequency <= band_hz[1])
     return np.asarray(frequency[keep]), keep
 

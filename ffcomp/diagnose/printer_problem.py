@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from ffcomp.diagnose.noise import BAND_HZ, filled
-from ffcomp.diagnose.problem import Candidate, Impossible, Number, Plant, Recording
+from ffcomp.diagnose.problem import Candidate, Impossible, Number, Observation, Plant
 from ffcomp.diagnose.validation import carriages_of
 from ffcomp.identify.output_error import UNKNOWNS
-from ffcomp.measurement.recording import Run
+from ffcomp.measurement.recording import Recording
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE, measured
 from models.effects.effect import Effect, Parameter
@@ -52,13 +52,17 @@ class Delta(Plant):
 
     band_hz = BAND_HZ
 
-    def __init__(self, machine: Machine, runs: Sequence[Run], names: Sequence[str] = tuple(CATALOGUE)) -> None:
-        self.machine, self.runs = machine, runs
-        self.commands = [carriages_of(machine, run)[:: _every(run)] for run in runs]
-        self.recordings = [_recording(machine, run, c) for run, c in zip(runs, self.commands, strict=True)]
+    def __init__(
+        self, machine: Machine, recordings: Sequence[Recording], names: Sequence[str] = tuple(CATALOGUE)
+    ) -> None:
+        self.machine, self.recordings = machine, recordings
+        self.commands = [carriages_of(machine, recording)[:: _every(recording)] for recording in recordings]
+        self.observations = [
+            _observation(machine, recording, c) for recording, c in zip(recordings, self.commands, strict=True)
+        ]
         self.numbers = tuple(_numbers(machine))
         self.candidates = tuple(_candidate(machine, CATALOGUE[n]) for n in names if n not in machine.effects)
-        self.same_command = [_first_equal(self.commands, i) for i in range(len(runs))]
+        self.same_command = [_first_equal(self.commands, i) for i in range(len(recordings))]
         self.kept: dict[_Key, dict[int, PrinterMotion]] = {}
 
     def simulate(
@@ -73,7 +77,7 @@ class Delta(Plant):
         self, many: Sequence[Mapping[str, float]], only: Sequence[int] | None = None, *, coarse: bool = False
     ) -> Iterator[list[FloatArray] | Impossible]:
         """Some at a time, all their runs together."""
-        chosen = range(len(self.runs)) if only is None else only
+        chosen = range(len(self.recordings)) if only is None else only
         needed = sorted({self.same_command[i] for i in chosen})
         for first in range(0, len(many), AT_ONCE):
             part = many[first : first + AT_ONCE]
@@ -84,7 +88,7 @@ class Delta(Plant):
         self, values: Mapping[str, float], motions: Mapping[int, PrinterMotion], chosen: Sequence[int]
     ) -> list[FloatArray]:
         machine = self.machine_with(values)
-        return [_signals(machine, motions[self.same_command[i]], self.recordings[i].signals) for i in chosen]
+        return [_signals(machine, motions[self.same_command[i]], self.observations[i].signals) for i in chosen]
 
     def _motions(
         self, many: Sequence[Mapping[str, float]], needed: Sequence[int], coarse: bool
@@ -108,7 +112,7 @@ class Delta(Plant):
         alike: dict[_Steps, list[tuple[int, int]]] = {}
         for i in sorted(needed, key=lambda i: len(self.commands[i])):
             for n, machine in enumerate(machines):
-                alike.setdefault(_steps(machine, self.recordings[i].rate_hz, coarse), []).append((n, i))
+                alike.setdefault(_steps(machine, self.observations[i].rate_hz, coarse), []).append((n, i))
         packs = [(steps, tasks[k : k + LANES]) for steps, tasks in alike.items() for k in range(0, len(tasks), LANES)]
 
         def play(pack: tuple[_Steps, Sequence[tuple[int, int]]]) -> Sequence[PrinterMotion | ValueError]:
@@ -318,21 +322,21 @@ def _grid(effect: Effect, machine: Machine) -> list[dict[str, float]]:
 # ---- recordings ----------------------------------------------------------------------------------
 
 
-def _every(run: Run) -> int:
-    return max(1, int(run.sample_rate_hz / ENOUGH_HZ * (1 + 1e-6)))
+def _every(recording: Recording) -> int:
+    return max(1, int(recording.sample_rate_hz / ENOUGH_HZ * (1 + 1e-6)))
 
 
-def _recording(machine: Machine, run: Run, command: FloatArray) -> Recording:
+def _observation(machine: Machine, recording: Recording, command: FloatArray) -> Observation:
     """command : (n, 3) mm, carriages, thinned as the recording is."""
-    signals = (*run.acceleration, *run.position)
-    every = _every(run)
-    values = [_thinned(x, every) for x in (*run.acceleration.values(), *run.position.values())]
+    signals = (*recording.acceleration, *recording.position)
+    every = _every(recording)
+    values = [_thinned(x, every) for x in (*recording.acceleration.values(), *recording.position.values())]
     nozzle = machine.kinematics.forward(command)
     place = tuple(float(5 * round(x / 5)) for x in (np.min(nozzle, axis=0) + np.max(nozzle, axis=0))[:2] / 2)
-    rate = run.sample_rate_hz / every
+    rate = recording.sample_rate_hz / every
     moving = {**dict(zip("ABC", command.T, strict=True)), **dict(zip("xyz", nozzle.T, strict=True))}
     speed = np.stack([np.gradient(moving[s[4:]], 1 / rate) for s in signals], axis=1)
-    return Recording(run.source, run.repeat_of, place, rate, signals, np.stack(values, axis=1), speed)
+    return Observation(recording.source, recording.repeat_of, place, rate, signals, np.stack(values, axis=1), speed)
 
 
 def _thinned(x: FloatArray, every: int) -> FloatArray:

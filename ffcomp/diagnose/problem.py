@@ -44,7 +44,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class Observation:
     """What was measured in one run: n samples of m signals, all in one unit a signal; NaN where nothing was."""
 
     name: str
@@ -64,7 +64,7 @@ class Plant(ABC):
     """A machine, its recordings, and how it would have answered with other numbers."""
 
     band_hz: tuple[float, float]  # where measurement and model are compared
-    recordings: Sequence[Recording]
+    observations: Sequence[Observation]
     numbers: Sequence[Number]  # what may be retuned within its uncertainty: not a missing effect
     candidates: Sequence[Candidate]
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.diagnose.noise import NoiseFloor, Whitener
-from ffcomp.diagnose.problem import Recording
+from ffcomp.diagnose.problem import Observation
 from models.arrays import FloatArray
 
 EDGES_HZ = (1.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
@@ -30,7 +30,7 @@ class Size:
 class Gap:
     whole: Size
     signals: Mapping[str, Size]
-    runs: Mapping[str, Size]
+    recordings: Mapping[str, Size]
     places: Mapping[tuple[float, ...], float]  # share of the excess
     bands: Sequence[tuple[float, float, float]]  # from Hz, to Hz, share of the excess
     near_reversals: float  # share of the excess while what a signal is measured on turns back or rests
@@ -38,24 +38,24 @@ class Gap:
 
 def find_gap(whiten: Whitener, floor: NoiseFloor, simulated: Sequence[FloatArray]) -> Gap:
     """Compare all recordings with their simulation, (n, m) each."""
-    tables = [_table(whiten, floor, r, y) for r, y in zip(whiten.recordings, simulated, strict=True)]
+    tables = [_table(whiten, floor, r, y) for r, y in zip(whiten.observations, simulated, strict=True)]
     excess = [np.maximum(t.error - t.noise, 0.0) for t in tables]
     total = max(sum(float(e.sum()) for e in excess), 1e-300)
-    recordings = whiten.recordings
-    signals = sorted({s for r in recordings for s in r.signals})
+    observations = whiten.observations
+    signals = sorted({s for r in observations for s in r.signals})
     places: dict[tuple[float, ...], float] = {}
-    for r, e in zip(recordings, excess, strict=True):
+    for r, e in zip(observations, excess, strict=True):
         places[r.place] = places.get(r.place, 0.0) + float(e.sum()) / total
     return Gap(
-        _size(tables, [np.ones(len(r.signals), bool) for r in recordings]),
-        {s: _size(tables, [np.array([name == s for name in r.signals]) for r in recordings]) for s in signals},
+        _size(tables, [np.ones(len(r.signals), bool) for r in observations]),
+        {s: _size(tables, [np.array([name == s for name in r.signals]) for r in observations]) for s in signals},
         {
             Path(r.name).name: _size([t], [np.ones(len(r.signals), bool)])
-            for r, t in zip(recordings, tables, strict=True)
+            for r, t in zip(observations, tables, strict=True)
         },
         places,
         _bands(tables, excess, total),
-        _near_reversals(recordings, simulated),
+        _near_reversals(observations, simulated),
     )
 
 
@@ -69,11 +69,11 @@ class _Table:
     signal: FloatArray
 
 
-def _table(whiten: Whitener, floor: NoiseFloor, recording: Recording, simulated: FloatArray) -> _Table:
-    error, frequency = whiten.spectrum(recording, recording.measured - simulated)
-    signal, _ = whiten.spectrum(recording, recording.measured)
-    scale = whiten.power(recording)
-    noise = np.stack([2 * scale * floor.at(s, frequency) for s in recording.signals])
+def _table(whiten: Whitener, floor: NoiseFloor, observation: Observation, simulated: FloatArray) -> _Table:
+    error, frequency = whiten.spectrum(observation, observation.measured - simulated)
+    signal, _ = whiten.spectrum(observation, observation.measured)
+    scale = whiten.power(observation)
+    noise = np.stack([2 * scale * floor.at(s, frequency) for s in observation.signals])
     return _Table(frequency, np.abs(error) ** 2, noise, np.abs(signal) ** 2)
 
 
@@ -93,9 +93,9 @@ def _bands(tables: Sequence[_Table], excess: Sequence[FloatArray], total: float)
     return found
 
 
-def _near_reversals(recordings: Sequence[Recording], simulated: Sequence[FloatArray]) -> float:
+def _near_reversals(observations: Sequence[Observation], simulated: Sequence[FloatArray]) -> float:
     near = whole = 0.0
-    for r, y in zip(recordings, simulated, strict=True):
+    for r, y in zip(observations, simulated, strict=True):
         power = np.nan_to_num((r.measured - y) ** 2)
         slow = np.abs(r.speed) < SLOW_SHARE * np.max(np.abs(r.speed), axis=0)
         near, whole = near + float(power[slow].sum()), whole + float(power.sum())

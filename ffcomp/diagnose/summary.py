@@ -56,7 +56,7 @@ class Split:
 class Overlay:
     """One signal of one run where the gap was largest."""
 
-    run: str
+    recording: str
     signal: str
     time_s: FloatArray  # (n,)
     measured: FloatArray  # (n,) inside the band, as the others
@@ -196,39 +196,43 @@ def _filled(
 
 def _expected(desk: Bench) -> list[FloatArray]:
     """(n, m) a recording: the square that noise alone has in `series`; the ends are faded."""
-    faded = [taper(len(r.measured), r.rate_hz) ** 2 for r in desk.whiten.recordings]
-    return [np.outer(w / w.mean(), np.ones(len(r.signals))) for w, r in zip(faded, desk.whiten.recordings, strict=True)]
+    faded = [taper(len(r.measured), r.rate_hz) ** 2 for r in desk.whiten.observations]
+    return [
+        np.outer(w / w.mean(), np.ones(len(r.signals))) for w, r in zip(faded, desk.whiten.observations, strict=True)
+    ]
 
 
 def series(desk: Bench, residual: FloatArray) -> list[FloatArray]:
     """The whitened residual (rows,) back in time, (n, m) a recording: noise alone has a mean square of one."""
     found = []
-    for recording, rows in zip(desk.whiten.recordings, desk.whiten.rows, strict=True):
-        _, keep = lines(recording, desk.whiten.band_hz)
-        real, imaginary = residual[rows].reshape(2, len(recording.signals), -1)
-        spectrum = np.zeros((len(recording.signals), len(keep)), dtype=complex)
+    for observation, rows in zip(desk.whiten.observations, desk.whiten.rows, strict=True):
+        _, keep = lines(observation, desk.whiten.band_hz)
+        real, imaginary = residual[rows].reshape(2, len(observation.signals), -1)
+        spectrum = np.zeros((len(observation.signals), len(keep)), dtype=complex)
         spectrum[:, keep] = real + 1j * imaginary
-        n = len(recording.measured)
+        n = len(observation.measured)
         found.append(np.fft.irfft(spectrum, n, axis=1).T * n / (2 * np.sqrt(keep.sum())))
     return found
 
 
 def _by(plant: Delta) -> list[tuple[Split, list[NDArray[np.int64]]]]:
     """For every thing to split by: its labels, and which of them each sample (n, m) of each recording has."""
-    recordings = plant.recordings
-    signals = sorted({s for r in recordings for s in r.signals})
-    places = list(dict.fromkeys(r.place for r in recordings))
-    full: list[NDArray[np.int64]] = [np.ones(r.measured.shape, dtype=np.int64) for r in recordings]
-    by_signal = [one * np.array([signals.index(s) for s in r.signals]) for one, r in zip(full, recordings, strict=True)]
-    by_place = [one * places.index(r.place) for one, r in zip(full, recordings, strict=True)]
+    observations = plant.observations
+    signals = sorted({s for r in observations for s in r.signals})
+    places = list(dict.fromkeys(r.place for r in observations))
+    full: list[NDArray[np.int64]] = [np.ones(r.measured.shape, dtype=np.int64) for r in observations]
+    by_signal = [
+        one * np.array([signals.index(s) for s in r.signals]) for one, r in zip(full, observations, strict=True)
+    ]
+    by_place = [one * places.index(r.place) for one, r in zip(full, observations, strict=True)]
     by_run = [one * i for i, one in enumerate(full)]
     by_time = [one * (np.arange(len(one)) * TIME_BINS // len(one))[:, None] for one in full]
-    moved = [_direction(r.speed) for r in recordings]
-    sizes = [_size(r.measured) for r in recordings]
+    moved = [_direction(r.speed) for r in observations]
+    sizes = [_size(r.measured) for r in observations]
     return [
         (_named("signal", signals), by_signal),
         (replace(_named("place", [_place_name(p) for p in places]), at=tuple(places)), by_place),
-        (_named("run", [Path(r.name).name for r in recordings]), by_run),
+        (_named("run", [Path(r.name).name for r in observations]), by_run),
         (_shares("share of the run's time", np.linspace(0, 1, TIME_BINS + 1)), by_time),
         (_named("motion", ["backward", "turning back or at rest", "forward"]), moved),
         (_shares("size of motion", QUANTILES), sizes),
@@ -264,7 +268,7 @@ def _phases(plant: Delta) -> list[NDArray[np.int64]]:
     """Of the signal's own motor; of motor A for the nozzle's."""
     cycle = CYCLE_STEPS / float(plant.machine.steps.full_per_motor[0])
     found = []
-    for r, command in zip(plant.recordings, plant.commands, strict=True):
+    for r, command in zip(plant.observations, plant.commands, strict=True):
         own = command[:, ["ABC".find(s[-1]) if s[-1] in "ABC" else 0 for s in r.signals]]
         found.append((np.mod(own / cycle, 1.0) * PHASE_BINS).astype(np.int64) % PHASE_BINS)
     return found
@@ -281,13 +285,13 @@ def _overlays(plant: Delta, desk: Bench, answers: Answers, before: FloatArray) -
     ranked = sorted(
         ((float(np.mean(e[:, k] ** 2)), i, k) for i, e in enumerate(errors) for k in range(e.shape[1])), reverse=True
     )
-    distinct = {plant.recordings[i].signals[k]: (i, k) for _, i, k in reversed(ranked)}
-    chosen = [(i, k) for _, i, k in ranked if distinct[plant.recordings[i].signals[k]] == (i, k)]
+    distinct = {plant.observations[i].signals[k]: (i, k) for _, i, k in reversed(ranked)}
+    chosen = [(i, k) for _, i, k in ranked if distinct[plant.observations[i].signals[k]] == (i, k)]
     return [_overlay(plant, desk, answers, errors[i][:, k], i, k) for i, k in chosen[:OVERLAYS]]
 
 
 def _overlay(plant: Delta, desk: Bench, answers: Answers, error: FloatArray, i: int, k: int) -> Overlay:
-    r = plant.recordings[i]
+    r = plant.observations[i]
     half = round(WINDOW_S * r.rate_hz / 2)
     power = np.convolve(error**2, np.ones(2 * half), "same")
     middle = min(max(int(power.argmax()), half), max(len(power) - half, half))
@@ -302,15 +306,15 @@ def _overlay(plant: Delta, desk: Bench, answers: Answers, error: FloatArray, i: 
 
 def _in_band(desk: Bench, i: int, x: FloatArray) -> FloatArray:
     """(n, m) of recording i inside the band, as it is compared."""
-    recording = desk.whiten.recordings[i]
-    _, keep = lines(recording, desk.whiten.band_hz)
+    observation = desk.whiten.observations[i]
+    _, keep = lines(observation, desk.whiten.band_hz)
     spectrum = np.zeros((len(keep), x.shape[1]), dtype=complex)
-    spectrum[keep] = desk.whiten.spectrum(recording, x)[0].T
+    spectrum[keep] = desk.whiten.spectrum(observation, x)[0].T
     return np.asarray(np.fft.irfft(spectrum, len(x), axis=0))
 
 
 def _spectra(desk: Bench, answers: Answers) -> list[Spectrum]:
-    kinds = {(s[:3], s[4] in "ABC") for r in desk.whiten.recordings for s in r.signals}
+    kinds = {(s[:3], s[4] in "ABC") for r in desk.whiten.observations for s in r.signals}
     return [_spectrum(desk, answers, *kind) for kind in sorted(kinds)]
 
 
@@ -318,7 +322,7 @@ def _spectrum(desk: Bench, answers: Answers, quantity: str, carriage: bool) -> S
     """Mean powers in bands as wide everywhere on a logarithmic axis; bands that hold no line are left out."""
     edges = np.geomspace(*desk.whiten.band_hz, SPECTRUM_BANDS + 1)
     sums, counts = np.zeros((4, SPECTRUM_BANDS)), np.zeros(SPECTRUM_BANDS)
-    for i, r in enumerate(desk.whiten.recordings):
+    for i, r in enumerate(desk.whiten.observations):
         own = [k for k, s in enumerate(r.signals) if s.startswith(quantity) and (s[4] in "ABC") == carriage]
         frequency, densities = _densities(desk, i, [r.measured, *(r.measured - a[i] for a in answers)])
         band = np.digitize(frequency, edges[1:-1])
@@ -333,10 +337,10 @@ def _spectrum(desk: Bench, answers: Answers, quantity: str, carriage: bool) -> S
 
 def _densities(desk: Bench, i: int, many: Sequence[FloatArray]) -> tuple[FloatArray, list[FloatArray]]:
     """(k,) Hz, and the one-sided densities (m, k) of each, unit²/Hz; the noise's last."""
-    recording = desk.whiten.recordings[i]
-    spectra = [desk.whiten.spectrum(recording, x) for x in many]
-    frequency, scale = spectra[0][1], 2 * desk.whiten.power(recording)
-    noise = np.stack([desk.whiten.floor.at(s, frequency) for s in recording.signals])
+    observation = desk.whiten.observations[i]
+    spectra = [desk.whiten.spectrum(observation, x) for x in many]
+    frequency, scale = spectra[0][1], 2 * desk.whiten.power(observation)
+    noise = np.stack([desk.whiten.floor.at(s, frequency) for s in observation.signals])
     return frequency, [*(np.abs(x) ** 2 / scale for x, _ in spectra), noise]
 
 

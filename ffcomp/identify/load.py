@@ -18,8 +18,8 @@ from ffcomp.identify.predict import AXES
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import read_frfs
 from ffcomp.measurement.modes import ModeFit, modes_of
-from ffcomp.measurement.recording import Run, read_run
-from ffcomp.measurement.records import frfs_from_runs
+from ffcomp.measurement.recording import Recording, read_recording
+from ffcomp.measurement.recording_frfs import frfs_from_recordings
 from ffcomp.measurement.table import read_text
 from ffcomp.measurement.uff import is_universal
 from models.machine import Machine
@@ -61,14 +61,14 @@ def gather(
     MeasurementError
         For the first file that cannot be used, with all that is wrong with it.
     """
-    found, runs = Gathered(), []
+    found, recordings = Gathered(), []
     for path in paths:
         progress(f"reading {path.name}")
         kind = kind_of(path)
         if kind == "frf":
             found.responses += [r.between(*band_hz) for r in read_frfs(path)]
         elif kind == "run":
-            runs.append(read_run(path))
+            recordings.append(read_recording(path))
         elif plan is not None:
             found.responses += [r.between(*band_hz) for r in frfs_from_captures(plan, [path], machine, axes)]
         elif not machine.has_straight_axes:
@@ -76,10 +76,10 @@ def gather(
         else:
             _take(spectrum_of(path, shaken_axis, band_hz), found)
     if machine.has_straight_axes:
-        found.responses += [r for run in runs for r in frfs_from_runs([run], *band_hz)]
-        runs = []
-    for place, members in _by_place(runs, machine, found.skipped).items():
-        found.responses += frfs_from_runs(members, *band_hz, position_mm=place)
+        found.responses += [r for recording in recordings for r in frfs_from_recordings([recording], *band_hz)]
+        recordings = []
+    for place, members in _by_place(recordings, machine, found.skipped).items():
+        found.responses += frfs_from_recordings(members, *band_hz, position_mm=place)
     found.responses = [r for r in found.responses if len(r.frequency_hz)]
     return found
 
@@ -114,24 +114,26 @@ def kind_of(path: Path) -> Kind:
     return "vibration"
 
 
-def _by_place(runs: Sequence[Run], machine: Machine, skipped: list[str]) -> dict[tuple[float, float, float], list[Run]]:
-    places: dict[tuple[float, float, float], list[Run]] = {}
-    for run in runs:
-        middle, extent = _extent(run, machine)
+def _by_place(
+    recordings: Sequence[Recording], machine: Machine, skipped: list[str]
+) -> dict[tuple[float, float, float], list[Recording]]:
+    places: dict[tuple[float, float, float], list[Recording]] = {}
+    for recording in recordings:
+        middle, extent = _extent(recording, machine)
         if extent > LARGEST_MOTION_MM:
             skipped.append(
-                f"{run.source}: its nozzle moves {extent:.0f} mm from the middle; a frequency response belongs to one "
-                f"place (at most {LARGEST_MOTION_MM:g} mm), so this run is left out."
+                f"{recording.source}: its nozzle moves {extent:.0f} mm from the middle; a frequency response belongs to "
+                f"one place (at most {LARGEST_MOTION_MM:g} mm), so this recording is left out."
             )
             continue
         x, y, z = (float(PLACE_PITCH_MM * round(c / PLACE_PITCH_MM)) for c in middle)
-        places.setdefault((x, y, z), []).append(run)
+        places.setdefault((x, y, z), []).append(recording)
     return places
 
 
-def _extent(run: Run, machine: Machine) -> tuple[list[float], float]:
+def _extent(recording: Recording, machine: Machine) -> tuple[list[float], float]:
     """Middle of the nozzle's commanded path, and how far it goes from there, mm."""
-    nozzle = run.command if run.command_space == "nozzle" else machine.kinematics.forward(run.command)
+    nozzle = recording.command if recording.command_space == "nozzle" else machine.kinematics.forward(recording.command)
     low, high = nozzle.min(axis=0), nozzle.max(axis=0)
     machine.kinematics.inverse(nozzle[:1])  # refuses what the arms cannot reach
     return ((low + high) / 2).tolist(), float(np.linalg.norm(high - low) / 2)

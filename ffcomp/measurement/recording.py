@@ -37,7 +37,7 @@ _NO_COMMAND = (
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class Recording:
     """One experiment of n samples at a constant rate. Gaps are NaN in the sensors; the command has none."""
 
     source: str  # the file, as the user named it
@@ -65,7 +65,7 @@ class Run:
         return re.sub(r"-\d+$", "", Path(self.source).stem)
 
 
-def read_run(path: str | Path) -> Run:
+def read_recording(path: str | Path) -> Recording:
     """Read one run; every mistake in the file is reported at once, as a MeasurementError.
 
     Rows that are missing altogether (their times are whole sample periods apart) are gaps too. A clock with jitter
@@ -82,12 +82,16 @@ def read_run(path: str | Path) -> Run:
     problems += [text for name in signals for text in broken_sensor(name, table.column(name), table.row)]
     if problems or clock is None:
         raise MeasurementError(str(path), problems)
-    run, problems = _assemble(str(path), table, clock)
-    problems += wrong_scale(run.command, run.inputs, run.acceleration, run.sample_rate_hz) if not problems else []
-    problems = problems or with_gravity(run.acceleration)
+    recording, problems = _assemble(str(path), table, clock)
+    problems += (
+        wrong_scale(recording.command, recording.inputs, recording.acceleration, recording.sample_rate_hz)
+        if not problems
+        else []
+    )
+    problems = problems or with_gravity(recording.acceleration)
     if problems:
         raise MeasurementError(str(path), problems)
-    return run
+    return recording
 
 
 def _clock(table: Table) -> tuple[Clock | None, list[str]]:
@@ -114,14 +118,14 @@ def _signals(table: Table) -> list[str]:
     return [name for name in dict.fromkeys(table.columns) if signal_of(name) and name != "t_s"]
 
 
-def _assemble(path: str, table: Table, clock: Clock) -> tuple[Run, list[str]]:
+def _assemble(path: str, table: Table, clock: Clock) -> tuple[Recording, list[str]]:
     timed = np.isfinite(table.column("t_s"))
     data = {str(signal_of(name)): clock.on_grid(table.column(name)[timed]) for name in _signals(table)}
     space: CommandSpace = "carriage" if "cmd_A" in data else "nozzle"
     names = [f"cmd_{axis}" for axis in AXES[space]]
     gaps = np.any([np.isnan(values) for values in data.values()], axis=0)
     filled = [_filled(name, data[name], clock) for name in names]
-    run = Run(
+    recording = Recording(
         path,
         clock.grid_s,
         np.column_stack([values for values, _ in filled]),
@@ -131,7 +135,7 @@ def _assemble(path: str, table: Table, clock: Clock) -> tuple[Run, list[str]]:
         gaps,
         table.comments,
     )
-    return run, [problem for _, problems in filled for problem in problems]
+    return recording, [problem for _, problems in filled for problem in problems]
 
 
 def _filled(name: str, command: FloatArray, clock: Clock) -> tuple[FloatArray, list[str]]:

@@ -14,7 +14,7 @@ from typer.testing import CliRunner, Result
 from ffcomp.cli.compensate import compensate
 from ffcomp.cli.gap import gap
 from ffcomp.cli.simulate import simulate
-from ffcomp.measurement.recording import Run, read_run
+from ffcomp.measurement.recording import Recording, read_recording
 from ffcomp.simulate import playback as playing
 from ffcomp.simulate.gcode_command import gcode_command
 from ffcomp.simulate.simulation import Request, read_command, simulate_command
@@ -168,10 +168,10 @@ def test_where_others_move_the_nozzle_it_starts_from_rest(tmp_path: Path) -> Non
 # ---- the run file --------------------------------------------------------------------------------
 
 
-def written(folder: Path, gcode: Path, *options: object) -> Run:
+def written(folder: Path, gcode: Path, *options: object) -> Recording:
     target = folder / "run.csv"
     good("simulate", gcode, "-m", "mp-delta-pro", "-o", target, "--quiet", *options)
-    return read_run(target)
+    return read_recording(target)
 
 
 def test_gap_finds_nothing_but_what_is_hidden(square: Path, tmp_path: Path) -> None:

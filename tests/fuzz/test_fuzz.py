@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from ffcomp.errors import LimitsError, MeasurementError
 from ffcomp.measurement.frf_files import read_frfs
 from ffcomp.measurement.klipper import read_vibration
-from ffcomp.measurement.recording import read_run
+from ffcomp.measurement.recording import read_recording
 from gcode.errors import GcodeError
 from gcode.reader import read_parts, read_program
 from models.errors import MachineFileError
@@ -179,7 +179,7 @@ FRF = "# input: cmd_A\n# output: pos_A\n# position_mm: 0, 0, 5\nfrequency_hz,rea
 RAW = "#time,accel_x,accel_y,accel_z\n" + "".join(f"{t:.6f},{100 * t:.1f},3.0,9806.0\n" for t in TIMES)
 SPECTRA = "freq,psd_x,psd_y,psd_z,psd_xyz\n" + "".join(f"{k}.0,1e3,2e3,{k}.5,4e3\n" for k in range(5, 60))
 READERS: dict[str, tuple[Callable[[Path], object], str]] = {
-    "run": (read_run, RUN),
+    "run": (read_recording, RUN),
     "frf": (read_frfs, FRF),
     "capture": (read_vibration, RAW),
     "spectra": (read_vibration, SPECTRA),

@@ -17,7 +17,7 @@ from ffcomp.diagnose.engine import noise_floor
 from ffcomp.diagnose.noise import whitener
 from ffcomp.diagnose.printer_problem import Delta
 from ffcomp.diagnose.residuals import find_gap
-from ffcomp.measurement.recording import read_run
+from ffcomp.measurement.recording import read_recording
 from models.effects.catalogue import CATALOGUE, measured, with_effect
 from models.file import load_machine
 from models.printer.printer import simulate_printer
@@ -118,10 +118,12 @@ def test_nothing_hidden_leaves_only_the_noise(stratum: str, tmp_path: Path) -> N
     assert made.label.effects == {} and made.label.visible
     true = toml_of(draw(21, stratum, SECONDS).real.machine, "true")
     folder = written(replace(made, machine=true), tmp_path)
-    plant = Delta(load_machine(folder / "machine.toml"), [read_run(p) for p in sorted((folder / "runs").iterdir())], ())
+    plant = Delta(
+        load_machine(folder / "machine.toml"), [read_recording(p) for p in sorted((folder / "runs").iterdir())], ()
+    )
     simulated = plant.simulate({})
     floor = noise_floor(plant, simulated)
-    found = find_gap(whitener(plant.recordings, floor, plant.band_hz), floor, simulated)
+    found = find_gap(whitener(plant.observations, floor, plant.band_hz), floor, simulated)
     assert found.whole.nrms < 1.1 * found.whole.noise_nrms
     assert all(size.nrms < 1.2 * size.noise_nrms for size in found.signals.values())
 

@@ -16,7 +16,7 @@ from ffcomp.diagnose.engine import Diagnosis, diagnose
 from ffcomp.diagnose.printer_problem import Delta
 from ffcomp.diagnose.result import outcome
 from ffcomp.diagnose.summary import picture
-from ffcomp.measurement.recording import Run
+from ffcomp.measurement.recording import Recording
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from models.machine import Machine
@@ -42,26 +42,26 @@ def command(place: tuple[float, float, float], rng: np.random.Generator) -> np.n
     return np.asarray(believed().kinematics.inverse(np.array([place])) + (tones + slow) * fade)
 
 
-def runs_of(truth: Machine, noise: float = NOISE) -> list[Run]:
+def recordings_of(truth: Machine, noise: float = NOISE) -> list[Recording]:
     """Two repeats at each place."""
     rng = np.random.default_rng(7)
     t = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
-    none, runs = np.zeros(len(t), dtype=bool), []
+    none, recordings = np.zeros(len(t), dtype=bool), []
     for i, place in enumerate(PLACES):
         q = command(place, rng)
         blank = dict.fromkeys(SENSORS, np.zeros(len(t)))
-        true = Delta(truth, [Run("x.csv", t, q, "carriage", blank, {}, none, {})], ()).simulate({})[0]
+        true = Delta(truth, [Recording("x.csv", t, q, "carriage", blank, {}, none, {})], ()).simulate({})[0]
         for repeat in (1, 2):
             felt = dict(zip(SENSORS, (true + noise * rng.standard_normal(true.shape)).T, strict=True))
-            runs.append(Run(f"p{i}-{repeat}.csv", t, q, "carriage", felt, {}, none, {}))
-    return runs
+            recordings.append(Recording(f"p{i}-{repeat}.csv", t, q, "carriage", felt, {}, none, {}))
+    return recordings
 
 
 def found(candidates: tuple[str, ...], **hidden: dict[str, Any]) -> tuple[Delta, Diagnosis]:
     truth = believed()
     for name, table in hidden.items():
         truth = with_effect(truth, name, **table)
-    plant = Delta(believed(), runs_of(truth), candidates)
+    plant = Delta(believed(), recordings_of(truth), candidates)
     return plant, diagnose(plant)
 
 

@@ -11,7 +11,7 @@ import pytest
 from ffcomp.diagnose.engine import Diagnosis, diagnose
 from ffcomp.diagnose.printer_problem import Delta
 from ffcomp.diagnose.result import better_file, outcome
-from ffcomp.measurement.recording import read_run
+from ffcomp.measurement.recording import read_recording
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from studies.diagnosis_proof import Experiment, Printer, hidden, measured_by, owners_file, printed_with, record
@@ -36,7 +36,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @cache
 def asked(folder: Path, *names: str) -> tuple[Delta, Diagnosis]:
-    runs = [read_run(path) for path in sorted((folder / "runs").iterdir())]
+    runs = [read_recording(path) for path in sorted((folder / "runs").iterdir())]
     plant = Delta(load_machine(folder / "owner.toml"), runs, names)
     return plant, diagnose(plant)
 

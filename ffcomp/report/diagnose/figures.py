@@ -49,7 +49,7 @@ def overlays(found: Picture) -> list[Drawing]:
 
 def _overlay(each: Overlay) -> Drawing:
     draw = partial(charts.draw_overlay, overlay=each, unit=UNITS[each.signal[:3]])
-    return Drawing("overlay", f"{each.signal} in {Path(each.run).name}", _left(each), "", 5.4, 3.8, draw)
+    return Drawing("overlay", f"{each.signal} in {Path(each.recording).name}", _left(each), "", 5.4, 3.8, draw)
 
 
 def _left(each: Overlay) -> str:

@@ -93,7 +93,7 @@ def test_what_was_fitted_to_one_recording_holds_for_the_other() -> None:
     told, axis = found(), Axis([read_emps(PULSES)], 50.0, 100.0)
 
     def rms(values: dict[str, float]) -> float:
-        errors = [r.measured - y for r, y in zip(axis.recordings, axis.simulate(values), strict=True)]
+        errors = [r.measured - y for r, y in zip(axis.observations, axis.simulate(values), strict=True)]
         return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
 
     assert rms(told.final.values) < 0.3 * rms(told.base.values)

@@ -12,7 +12,7 @@ from ffcomp.diagnose.engine import diagnose
 from ffcomp.diagnose.printer_problem import Delta, effect_tables
 from ffcomp.diagnose.residuals import find_gap
 from ffcomp.diagnose.result import better_file, outcome
-from ffcomp.measurement.recording import Run
+from ffcomp.measurement.recording import Recording
 from models.file import LIBRARY, load_machine
 from validation.plants import delta_plant
 
@@ -22,12 +22,12 @@ STEP_S, RATE_HZ = 1 / 12800, 1600.0
 PLACES = ((0.0, 0.0, 30.0), (-70.0, 20.0, 30.0), (40.0, -60.0, 30.0))
 
 
-def made_runs(hidden: dict[str, Any], noise: float, seed: int) -> list[Run]:
+def made_recordings(hidden: dict[str, Any], noise: float, seed: int) -> list[Recording]:
     """Two repeats at each of three places: all towers shaken by tones between 4 and 130 Hz."""
     machine = {**delta_plant.load_machine(TRUTH), **hidden}
     rng = np.random.default_rng(seed)
     t = np.arange(2 * round(1.2 / STEP_S) + 1) * STEP_S / 2
-    runs = []
+    recordings = []
     for number, place in enumerate(PLACES):
         f = rng.uniform(4, 130, (12, 3))
         tones = [0.6 / f * np.sin(2 * np.pi * f * x + 6.28 * f) for x in t[::16]]
@@ -40,12 +40,14 @@ def made_runs(hidden: dict[str, Any], noise: float, seed: int) -> list[Run]:
             felt = both + noise * rng.standard_normal(both.shape)
             named = dict(zip((f"acc_{a}" for a in "ABCxyz"), felt.T, strict=True))
             gaps = np.zeros(len(felt), dtype=bool)
-            runs.append(Run(f"p{number}-{repeat}.csv", true["t"], command[::16], "carriage", named, {}, gaps, {}))
-    return runs
+            recordings.append(
+                Recording(f"p{number}-{repeat}.csv", true["t"], command[::16], "carriage", named, {}, gaps, {})
+            )
+    return recordings
 
 
 def verdict(hidden: dict[str, Any]) -> Any:
-    return diagnose(Delta(load_machine(TRUTH), made_runs(hidden, 0.15, 0), CANDIDATES))
+    return diagnose(Delta(load_machine(TRUTH), made_recordings(hidden, 0.15, 0), CANDIDATES))
 
 
 def test_nothing_hidden_is_called_none() -> None:
@@ -53,7 +55,9 @@ def test_nothing_hidden_is_called_none() -> None:
 
 
 def test_hidden_friction_is_named_with_its_force(tmp_path: Path) -> None:
-    plant = Delta(load_machine(TRUTH), made_runs({"towers": {"friction_n": [3.0, 3.0, 3.0]}}, 0.15, 0), CANDIDATES)
+    plant = Delta(
+        load_machine(TRUTH), made_recordings({"towers": {"friction_n": [3.0, 3.0, 3.0]}}, 0.15, 0), CANDIDATES
+    )
     found = diagnose(plant)
     assert (found.verdict, found.named.names) == ("effects", ("coulomb_friction",))
     assert found.intervals["effects.coulomb_friction.force_n"].value == pytest.approx(3.0, rel=0.1)
@@ -65,7 +69,7 @@ def test_hidden_friction_is_named_with_its_force(tmp_path: Path) -> None:
     better.write_text(better_file(TRUTH, "better", told, ["x.csv sha256:0"], "2026-11-21"), encoding="utf-8")
     machine = load_machine(better)
     assert machine.effects["coulomb_friction"]["force_n"] == pytest.approx(3.0, rel=0.1)
-    closed = find_gap(found.bench.whiten, found.noise, Delta(machine, plant.runs, ()).simulate({})).whole
+    closed = find_gap(found.bench.whiten, found.noise, Delta(machine, plant.recordings, ()).simulate({})).whole
     assert closed.nrms == pytest.approx(told.after.nrms, rel=0.05)  # the file says what the fit found
 
 

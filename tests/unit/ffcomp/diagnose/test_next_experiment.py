@@ -17,7 +17,7 @@ from ffcomp.diagnose.noise import whitener
 from ffcomp.diagnose.printer_problem import Delta
 from ffcomp.diagnose.problem import Number
 from ffcomp.diagnose.score_test import screen
-from ffcomp.measurement.recording import Run
+from ffcomp.measurement.recording import Recording
 from ffcomp.planner.program import plan_program
 from gcode.reader import read_program
 from models.file import load_machine
@@ -33,13 +33,15 @@ def machine() -> Machine:
     return load_machine("mp-delta-pro")
 
 
-def recorded(machine: Machine, noise: float) -> list[Run]:
+def recorded(machine: Machine, noise: float) -> list[Recording]:
     """Two repeats of a gentle motion, simulated, with white noise."""
     t = np.arange(0, 0.9, 1 / 1600)
     window = np.clip(np.minimum(t, 0.9 - t) / 0.2, 0, 1)
     nozzle = np.column_stack([window * 2 * np.sin(60 * t), window * np.sin(90 * t), 30 + 0 * t])
     gaps, names = np.zeros(len(t), dtype=bool), [f"acc_{a}" for a in "ABCxyz"]
-    blank = Run("x-1.csv", t, machine.kinematics.inverse(nozzle), "carriage", dict.fromkeys(names, 0 * t), {}, gaps, {})
+    blank = Recording(
+        "x-1.csv", t, machine.kinematics.inverse(nozzle), "carriage", dict.fromkeys(names, 0 * t), {}, gaps, {}
+    )
     true = Delta(machine, [blank], ()).simulate({})[0]
     hiss = noise * np.random.default_rng(0).standard_normal((2, *true.shape))
     return [
@@ -63,10 +65,10 @@ def fitted(desk: Bench, values: dict[str, float]) -> Fit:
 def diagnosed(plant: Delta, *hypotheses: tuple[Sequence[str], dict[str, float]], named: bool = True) -> Diagnosis:
     """A diagnosis with these hypotheses, the first the best; none if there are none."""
     noise = noise_floor(plant)
-    desk = bench(plant, whitener(plant.recordings, noise, plant.band_hz))
+    desk = bench(plant, whitener(plant.observations, noise, plant.band_hz))
     base = fitted(desk, {})
     screened = screen(desk, base, plant.candidates) if not hypotheses else ()
-    kinds = {c.name: c for c in Delta(plant.machine, plant.runs).candidates}
+    kinds = {c.name: c for c in Delta(plant.machine, plant.recordings).candidates}
     tried = [Hypothesis(tuple(kinds[n] for n in names), fitted(desk, values)) for names, values in hypotheses]
     best = tried[0] if tried else None
     verdict = "none" if best is None else "effects" if named else "unknown"
@@ -108,13 +110,15 @@ def test_every_move_is_safe_at_every_place(name: str) -> None:
 
 def test_the_moves_differ_and_last_seconds(plant: Delta) -> None:
     kinds = library(plant.machine)
-    runs = [experiment._run(plant.machine, move, (0.0, 0.0, 30.0), ("acc_A",), 1600.0) for move in kinds]
+    recordings = [
+        experiment._blank_recording(plant.machine, move, (0.0, 0.0, 30.0), ("acc_A",), 1600.0) for move in kinds
+    ]
     assert len({move.kind for move in kinds}) == len(kinds) == 6
-    for run in runs:
-        assert 1.0 < run.time_s[-1] < 5.0
+    for recording in recordings:
+        assert 1.0 < recording.time_s[-1] < 5.0
         rest = round(experiment.BEFORE_S * 1600) - 2
-        assert np.ptp(run.command[:rest], axis=0).max() < 1e-9  # at rest before and after
-        assert np.ptp(run.command[-round(experiment.AFTER_S * 1600) :], axis=0).max() < 1e-9
+        assert np.ptp(recording.command[:rest], axis=0).max() < 1e-9  # at rest before and after
+        assert np.ptp(recording.command[-round(experiment.AFTER_S * 1600) :], axis=0).max() < 1e-9
 
 
 def test_a_rival_is_told_apart_by_moves_that_really_differ(plant: Delta) -> None:
@@ -129,12 +133,12 @@ def test_a_rival_is_told_apart_by_moves_that_really_differ(plant: Delta) -> None
 
     # the promise: played once on both printers, the whitened difference is so many standard deviations
     move = next(m for m in library(plant.machine) if m.kind == first.kind)
-    run = experiment._run(plant.machine, move, first.place_mm, plant.recordings[0].signals, 1600.0)
-    virtual = Delta(plant.machine, [run], ())
+    recording = experiment._blank_recording(plant.machine, move, first.place_mm, plant.observations[0].signals, 1600.0)
+    virtual = Delta(plant.machine, [recording], ())
     late, damped = (virtual.simulate(values)[0] for _, values in (LATE, DAMPED))
-    apart = np.linalg.norm(whitener(virtual.recordings, found.noise, virtual.band_hz)([late - damped]))
+    apart = np.linalg.norm(whitener(virtual.observations, found.noise, virtual.band_hz)([late - damped]))
     assert first.sigmas_per_second * np.sqrt(first.seconds) == pytest.approx(apart, rel=0.02)
-    assert run.time_s[-1] == pytest.approx(first.seconds)
+    assert recording.time_s[-1] == pytest.approx(first.seconds)
 
 
 def test_no_other_place_or_kind_at_the_centre_is_better(plant: Delta) -> None:

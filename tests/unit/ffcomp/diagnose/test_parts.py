@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from ffcomp.diagnose.fit import Bench, bounded_step, derivatives, fit
 from ffcomp.diagnose.noise import NoiseFloor, whitener
-from ffcomp.diagnose.problem import Candidate, Number, Plant, Recording
+from ffcomp.diagnose.problem import Candidate, Number, Observation, Plant
 from ffcomp.diagnose.validation import carriages_of, check_repeats
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.recording import Run
+from ffcomp.measurement.recording import Recording
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from models.printer import kernels
@@ -46,7 +46,7 @@ class Line(Plant):
     """y = (a + b) t² + a³ t, a toy plant."""
 
     band_hz: tuple[float, float] = (1.0, 40.0)
-    recordings: Sequence[Recording] = ()
+    observations: Sequence[Observation] = ()
     numbers: Sequence[Number] = (Number("a", 1.0, 0.5), Number("b", 0.0, 0.5, 0.0, 2.0))
     candidates: Sequence[Candidate] = field(default_factory=tuple)
 
@@ -55,17 +55,17 @@ class Line(Plant):
     ) -> list[np.ndarray]:
         a, b = values.get("a", 1.0), values.get("b", 0.0)
         t = np.arange(200)[:, None] / 200
-        return [np.asarray((a + b) * t**2 + a**3 * t) for _ in self.recordings]
+        return [np.asarray((a + b) * t**2 + a**3 * t) for _ in self.observations]
 
 
 def toy(a: float, b: float) -> Bench:
     plant = Line()
-    blank = Recording("x", "x", (0.0,), 200.0, ("acc_A",), np.zeros((200, 1)), np.zeros((200, 1)))
-    plant.recordings = [blank]
+    blank = Observation("x", "x", (0.0,), 200.0, ("acc_A",), np.zeros((200, 1)), np.zeros((200, 1)))
+    plant.observations = [blank]
     measured = plant.simulate({"a": a, "b": b})
-    plant.recordings = [replace(blank, measured=measured[0])]
+    plant.observations = [replace(blank, measured=measured[0])]
     floor = NoiseFloor(np.array([0.0, 100.0]), {"acc_A": np.full(2, 1e-10)}, True)
-    whiten = whitener(plant.recordings, floor, plant.band_hz)
+    whiten = whitener(plant.observations, floor, plant.band_hz)
     return Bench(plant, whiten, whiten(measured))
 
 
@@ -115,16 +115,16 @@ def test_two_kinds_of_friction_turn_over_as_their_forces_weigh() -> None:
 # ---- what runs must be ---------------------------------------------------------------------------
 
 
-def run_at(place: tuple[float, float, float], name: str = "x-1.csv") -> Run:
+def recording_at(place: tuple[float, float, float], name: str = "x-1.csv") -> Recording:
     t = np.arange(1600) / 1600.0
     q = np.repeat(load_machine("mp-delta-pro").kinematics.inverse(np.array([place])), len(t), axis=0)
     blank = {"acc_A": np.zeros(len(t))}
-    return Run(name, t, q, "carriage", blank, {}, np.zeros(len(t), dtype=bool), {})
+    return Recording(name, t, q, "carriage", blank, {}, np.zeros(len(t), dtype=bool), {})
 
 
 def test_a_run_of_another_machine_is_refused_with_where_and_why() -> None:
     machine = load_machine("mp-delta-pro")
-    fine = run_at((30.0, 20.0, 50.0))
+    fine = recording_at((30.0, 20.0, 50.0))
     np.testing.assert_array_equal(carriages_of(machine, fine), fine.command)
     for lift, words in ((400.0, "print volume"), (np.array([0.0, 0.0, 900.0]), "arm")):
         with pytest.raises(MeasurementError, match=words) as error:
@@ -133,10 +133,10 @@ def test_a_run_of_another_machine_is_refused_with_where_and_why() -> None:
 
 
 def test_runs_without_a_repeat_are_refused() -> None:
-    one, other = run_at((0, 0, 30), "a-1.csv"), run_at((0, 0, 30), "b-1.csv")
-    with pytest.raises(MeasurementError, match="None of the 2 runs repeats another"):
+    one, other = recording_at((0, 0, 30), "a-1.csv"), recording_at((0, 0, 30), "b-1.csv")
+    with pytest.raises(MeasurementError, match="None of the 2 recordings repeats another"):
         check_repeats([one, other])
-    check_repeats([one, run_at((0, 0, 30), "a-2.csv")])
+    check_repeats([one, recording_at((0, 0, 30), "a-2.csv")])
 
 
 def test_numbers_that_do_the_same_share_a_step() -> None:

@@ -15,7 +15,7 @@ from ffcomp.cli.app import app
 from ffcomp.diagnose.engine import noise_floor
 from ffcomp.diagnose.noise import whitener
 from ffcomp.diagnose.printer_problem import Delta
-from ffcomp.measurement.recording import Run
+from ffcomp.measurement.recording import Recording
 from models.file import load_machine
 
 RUNS = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[5] / "shared" / "data")) / "runs"
@@ -52,7 +52,7 @@ def test_a_hidden_effect_is_a_gap_and_adding_it_closes_it(case: str, tmp_path: P
     assert closed["nrms"] < 1.2 * closed["noise_nrms"]
 
 
-def made_runs(noise: float, count: int, rng: np.random.Generator) -> list[Run]:
+def made_recordings(noise: float, count: int, rng: np.random.Generator) -> list[Recording]:
     """Repeats of one motion on the library's printer, by the plant itself, with white noise."""
     machine = load_machine("mp-delta-pro")
     t = np.arange(0, 1.5, 1 / 1600)
@@ -60,29 +60,29 @@ def made_runs(noise: float, count: int, rng: np.random.Generator) -> list[Run]:
     moved = 0.3 * np.sin(2 * np.pi * 37 * t)[:, None] * np.array([1.0, -0.4, 0.2]) * np.minimum(1, t / 0.2)[:, None]
     blank = {f"acc_{a}": np.zeros(len(t)) for a in "ABCxyz"}
     gaps = np.zeros(len(t), dtype=bool)
-    first = Run("x-1.csv", t, rest + moved, "carriage", blank, {}, gaps, {})
+    first = Recording("x-1.csv", t, rest + moved, "carriage", blank, {}, gaps, {})
     true = Delta(machine, [first], ()).simulate({})[0]
     return [
-        Run(f"x-{i}.csv", t, rest + moved, "carriage", dict(zip(blank, (true + n).T, strict=True)), {}, gaps, {})
+        Recording(f"x-{i}.csv", t, rest + moved, "carriage", dict(zip(blank, (true + n).T, strict=True)), {}, gaps, {})
         for i, n in enumerate(noise * rng.standard_normal((count, *true.shape)), 1)
     ]
 
 
 def test_whitened_noise_has_variance_one() -> None:
-    runs = made_runs(0.2, 6, np.random.default_rng(0))
-    plant = Delta(load_machine("mp-delta-pro"), runs, ())
+    recordings = made_recordings(0.2, 6, np.random.default_rng(0))
+    plant = Delta(load_machine("mp-delta-pro"), recordings, ())
     simulated = plant.simulate({})
     floor = noise_floor(plant)
     assert floor.from_repeats
-    white = whitener(plant.recordings, floor)
-    errors = white([r.measured - y for r, y in zip(plant.recordings, simulated, strict=True)])
+    white = whitener(plant.observations, floor)
+    errors = white([r.measured - y for r, y in zip(plant.observations, simulated, strict=True)])
     assert np.var(errors) == pytest.approx(1.0, abs=0.03)
     density = floor.density["acc_A"]
     assert np.median(density) == pytest.approx(0.2**2 / 800, rel=0.06)  # white noise: variance over the Nyquist band
 
 
 def test_without_repeats_the_floor_is_taken_above_the_band() -> None:
-    plant = Delta(load_machine("mp-delta-pro"), made_runs(0.2, 1, np.random.default_rng(1)), ())
+    plant = Delta(load_machine("mp-delta-pro"), made_recordings(0.2, 1, np.random.default_rng(1)), ())
     floor = noise_floor(plant)
     assert not floor.from_repeats
     assert floor.density["acc_x"][0] == pytest.approx(0.2**2 / 800, rel=0.15)

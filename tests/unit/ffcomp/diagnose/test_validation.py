@@ -19,7 +19,7 @@ from ffcomp.cli.app import app
 from ffcomp.diagnose.validation import carriages_of, check_alike, check_repeats
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.orientation import misplaced
-from ffcomp.measurement.recording import read_run
+from ffcomp.measurement.recording import read_recording
 from models.file import load_machine
 
 RUNS = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[5] / "shared" / "data")) / "runs"
@@ -238,7 +238,7 @@ def test_diagnose_needs_a_repeat_and_says_why_there_is_none(tmp_path: Path, shee
         path.write_text(replace(sheet, values=sheet.values[:rows]).text(), encoding="utf-8")
     called = ["diagnose", *map(str, files), "-m", str(CASE / "machine.toml"), "--quiet"]
     answer = CliRunner().invoke(app, called)
-    assert answer.exit_code == 5 and "None of the 2 runs repeats another" in answer.stderr
+    assert answer.exit_code == 5 and "None of the 2 recordings repeats another" in answer.stderr
     assert "have other numbers of rows: turn-1.csv 3000, turn-2.csv 2990" in answer.stderr
 
 
@@ -248,9 +248,11 @@ def test_good_runs_are_not_refused() -> None:
         pytest.skip(f"The runs from outside are not beside the project: no folder {RUNS} (set FFCOMP_DATA).")
     for folder in folders:
         machine = load_machine(folder / "machine.toml")
-        runs = [read_run(path) for path in sorted((folder / "runs").glob("*.csv"))]
-        assert [carriages_of(machine, run).shape for run in runs] == [(len(run.time_s), 3) for run in runs]
-        check_repeats(runs)
+        recordings = [read_recording(path) for path in sorted((folder / "runs").glob("*.csv"))]
+        assert [carriages_of(machine, recording).shape for recording in recordings] == [
+            (len(recording.time_s), 3) for recording in recordings
+        ]
+        check_repeats(recordings)
 
 
 RATE_HZ = 1600.0
@@ -297,7 +299,7 @@ def test_one_axis_that_moves_alone_does_not_accuse_those_that_rest() -> None:
 def test_check_alike_takes_nozzle_and_carriage_commands_for_different_experiments(sheet: Sheet, tmp_path: Path) -> None:
     path = tmp_path / "turn-1.csv"
     path.write_text(sheet.text(), encoding="utf-8")
-    run = read_run(path)
-    check_alike([run, run])
+    recording = read_recording(path)
+    check_alike([recording, recording])
     with pytest.raises(MeasurementError, match="one command is of the carriages, the other of the nozzle"):
-        check_alike([run, replace(run, command_space="nozzle")])
+        check_alike([recording, replace(recording, command_space="nozzle")])

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.recording import read_run
+from ffcomp.measurement.recording import read_recording
 from tests.unit.ffcomp.measurement.conftest import RATE, Written
 
 Columns = dict[str, np.ndarray]
@@ -18,48 +18,52 @@ Columns = dict[str, np.ndarray]
 
 def complaint(path: Path) -> str:
     with pytest.raises(MeasurementError) as caught:
-        read_run(path)
+        read_recording(path)
     assert str(path) in str(caught.value)
     assert all(problem.endswith((".", "?")) for problem in caught.value.problems)
     return str(caught.value)
 
 
 def test_a_run_is_read(columns: Columns, written: Written) -> None:
-    run = read_run(written(columns, "square-left-12.csv", "# Operator: me\n# note\n"))
-    assert run.sample_rate_hz == pytest.approx(RATE)
-    assert run.command_space == "carriage" and run.inputs == ("cmd_A", "cmd_B", "cmd_C")
-    assert run.repeat_of == "square-left" and run.comments == {"operator": "me"}
-    np.testing.assert_allclose(run.command[:, 1], columns["cmd_B_mm"], rtol=1e-8)
-    np.testing.assert_allclose(run.acceleration["acc_C"], columns["acc_C_m_per_s2"], atol=1e-6)
-    assert not run.gaps.any() and run.position == {}
+    recording = read_recording(written(columns, "square-left-12.csv", "# Operator: me\n# note\n"))
+    assert recording.sample_rate_hz == pytest.approx(RATE)
+    assert recording.command_space == "carriage" and recording.inputs == ("cmd_A", "cmd_B", "cmd_C")
+    assert recording.repeat_of == "square-left" and recording.comments == {"operator": "me"}
+    np.testing.assert_allclose(recording.command[:, 1], columns["cmd_B_mm"], rtol=1e-8)
+    np.testing.assert_allclose(recording.acceleration["acc_C"], columns["acc_C_m_per_s2"], atol=1e-6)
+    assert not recording.gaps.any() and recording.position == {}
 
 
 def test_a_nozzle_command_and_a_laser(columns: Columns, written: Written) -> None:
     swap = dict(zip("ABC", "xyz", strict=True))
     table = {f"cmd_{swap[n[4]]}_mm" if n.startswith("cmd") else n: values for n, values in columns.items()}
-    run = read_run(written(table | {"pos_x_mm": columns["cmd_A_mm"]}))
-    assert run.command_space == "nozzle" and run.inputs == ("cmd_x", "cmd_y", "cmd_z")
-    np.testing.assert_allclose(run.position["pos_x"], columns["cmd_A_mm"], rtol=1e-8)
+    recording = read_recording(written(table | {"pos_x_mm": columns["cmd_A_mm"]}))
+    assert recording.command_space == "nozzle" and recording.inputs == ("cmd_x", "cmd_y", "cmd_z")
+    np.testing.assert_allclose(recording.position["pos_x"], columns["cmd_A_mm"], rtol=1e-8)
 
 
 def test_empty_fields_and_missing_rows_are_gaps(columns: Columns, written: Written) -> None:
     columns["acc_A_m_per_s2"][100:103] = np.nan
     whole = columns["cmd_A_mm"].copy()
     thinned = {name: np.delete(values, [500, 501, 502, 700]) for name, values in columns.items()}
-    run = read_run(written(thinned))
-    assert len(run.time_s) == 1600
-    assert list(np.flatnonzero(run.gaps)) == [100, 101, 102, 500, 501, 502, 700]
-    assert np.isnan(run.acceleration["acc_A"][[100, 500]]).all() and np.isfinite(run.acceleration["acc_B"][100])
-    np.testing.assert_allclose(run.command[:, 0], whole, atol=1e-5)
+    recording = read_recording(written(thinned))
+    assert len(recording.time_s) == 1600
+    assert list(np.flatnonzero(recording.gaps)) == [100, 101, 102, 500, 501, 502, 700]
+    assert np.isnan(recording.acceleration["acc_A"][[100, 500]]).all() and np.isfinite(
+        recording.acceleration["acc_B"][100]
+    )
+    np.testing.assert_allclose(recording.command[:, 0], whole, atol=1e-5)
 
 
 def test_jitter_is_resampled(columns: Columns, written: Written) -> None:
     jittered = columns["t_s"] + 0.2 / RATE * np.random.default_rng(0).uniform(-0.5, 0.5, 1600)
     columns["cmd_A_mm"] = 300 + 0.5 * np.sin(2 * np.pi * 11 * jittered)
     columns["t_s"] = jittered
-    run = read_run(written(columns))
-    np.testing.assert_allclose(np.diff(run.time_s), 1 / RATE, rtol=1e-3)
-    np.testing.assert_allclose(run.command[1:-1, 0], 300 + 0.5 * np.sin(2 * np.pi * 11 * run.time_s[1:-1]), atol=1e-6)
+    recording = read_recording(written(columns))
+    np.testing.assert_allclose(np.diff(recording.time_s), 1 / RATE, rtol=1e-3)
+    np.testing.assert_allclose(
+        recording.command[1:-1, 0], 300 + 0.5 * np.sin(2 * np.pi * 11 * recording.time_s[1:-1]), atol=1e-6
+    )
 
 
 @pytest.mark.parametrize(
@@ -181,7 +185,7 @@ def test_quantised_quiet_and_pure_signals_are_fine(columns: Columns, written: Wr
     columns["acc_A_m_per_s2"] = np.round(clean / 0.04) * 0.04
     columns["acc_B_m_per_s2"] = clean
     columns["acc_x_m_per_s2"] = np.round(np.random.default_rng(0).standard_normal(1600)) * 0.0383
-    assert set(read_run(written(columns)).acceleration) == {"acc_A", "acc_B", "acc_C", "acc_x"}
+    assert set(read_recording(written(columns)).acceleration) == {"acc_A", "acc_B", "acc_C", "acc_x"}
 
 
 @pytest.mark.parametrize("unit", [1 / 9.80665, 1000.0])
@@ -190,9 +194,9 @@ def test_quantised_quiet_and_pure_signals_are_fine(columns: Columns, written: Wr
 def test_real_runs_in_another_unit_are_found_out(
     data: Path, written: Written, name: str, sensor: str, unit: float
 ) -> None:
-    run = read_run(data / "runs" / "nothing-hidden" / "runs" / f"{name}.csv")
-    table = {"t_s": run.time_s} | {f"{n}_mm": run.command[:, j] for j, n in enumerate(run.inputs)}
-    path = written(table | {f"{sensor}_m_per_s2": run.acceleration[sensor] * unit})
+    recording = read_recording(data / "runs" / "nothing-hidden" / "runs" / f"{name}.csv")
+    table = {"t_s": recording.time_s} | {f"{n}_mm": recording.command[:, j] for j, n in enumerate(recording.inputs)}
+    path = written(table | {f"{sensor}_m_per_s2": recording.acceleration[sensor] * unit})
     assert f"in {'g' if unit < 1 else 'mm/s²'}, not in m/s²" in complaint(path)
 
 
@@ -200,9 +204,13 @@ def test_all_made_runs_are_read(data: Path) -> None:
     paths = sorted((data / "runs").glob("*/runs/*.csv"))
     assert len(paths) >= 30
     for path in paths:
-        run = read_run(path)
-        assert run.sample_rate_hz == pytest.approx(1600) and len(run.acceleration) == 6 and not run.gaps.any()
-    assert {read_run(p).repeat_of for p in paths[:2]} == {"infill-centre"}
+        recording = read_recording(path)
+        assert (
+            recording.sample_rate_hz == pytest.approx(1600)
+            and len(recording.acceleration) == 6
+            and not recording.gaps.any()
+        )
+    assert {read_recording(p).repeat_of for p in paths[:2]} == {"infill-centre"}
 
 
 @pytest.mark.parametrize(

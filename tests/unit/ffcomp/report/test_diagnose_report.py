@@ -347,7 +347,7 @@ def test_text_from_files_is_escaped(told: Told) -> None:
     nasty = '"><script>alert(1)</script>$x_1$'
     runs = replace(told.picture.splits[3], labels=tuple(nasty for _ in told.picture.splits[3].labels))
     splits = (*told.picture.splits[:3], runs, *told.picture.splits[4:])
-    overlays = tuple(replace(each, run=nasty) for each in told.picture.overlays)
+    overlays = tuple(replace(each, recording=nasty) for each in told.picture.overlays)
     found = replace(told.picture, splits=splits, overlays=overlays)
     origin = replace(told.origin, machine=nasty, machine_file=nasty, runs=[nasty], written=nasty)
     text = page(Told(told.outcome, found, told.proposals, origin)).decode()

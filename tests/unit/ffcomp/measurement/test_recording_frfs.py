@@ -11,8 +11,8 @@ from scipy.signal import freqz, lfilter
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.estimators import as_position
-from ffcomp.measurement.recording import Run, read_run
-from ffcomp.measurement.records import frfs_from_runs
+from ffcomp.measurement.recording import Recording, read_recording
+from ffcomp.measurement.recording_frfs import frfs_from_recordings
 from models.file import load_machine
 from models.vibration.receptance import carriage_frf
 
@@ -20,14 +20,14 @@ RATE = 1600.0
 B, A = [0.02, 0.01], [1.0, -1.9, 0.93]
 
 
-def run(command_mm: np.ndarray, noise: float = 0.0, seed: int = 0, **comments: str) -> Run:
+def recording(command_mm: np.ndarray, noise: float = 0.0, seed: int = 0, **comments: str) -> Recording:
     """All carriages commanded; the first one's acceleration and position measured."""
     n = len(command_mm)
     answer = lfilter(B, A, command_mm[:, 0])
     noisy = answer * 1e-3 + noise * np.random.default_rng(seed).standard_normal(n)
     sensors = {"acc_A": noisy}, {"pos_A": answer}
     t = np.arange(n) / RATE
-    return Run(f"r-{seed}.csv", t, command_mm, "carriage", *sensors, np.zeros(n, dtype=bool), dict(comments))
+    return Recording(f"r-{seed}.csv", t, command_mm, "carriage", *sensors, np.zeros(n, dtype=bool), dict(comments))
 
 
 def multisine(seed: int, periods: int = 4) -> np.ndarray:
@@ -45,7 +45,7 @@ def exact(frequency: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("how", [{"period_s": 1.0}, {"segment_s": 1.0}, {}])
 def test_every_estimator_and_both_units(how: dict[str, float]) -> None:
     command = multisine(0) if "period_s" in how else np.random.default_rng(1).standard_normal((32_000, 3)) * [1, 0, 0]
-    found = frfs_from_runs([run(command)], 20, 100, position_mm=(0.0, 0.0, 1.0), setup="carriage", **how)
+    found = frfs_from_recordings([recording(command)], 20, 100, position_mm=(0.0, 0.0, 1.0), setup="carriage", **how)
     assert [(one.input, one.output) for one in found] == [("cmd_A", "acc_A"), ("cmd_A", "pos_A")]
     for one in found:
         assert one.frequency_hz[0] >= 20 and one.frequency_hz[-1] <= 100 and one.setup == "carriage"
@@ -54,45 +54,45 @@ def test_every_estimator_and_both_units(how: dict[str, float]) -> None:
 
 
 def test_repeats_are_averaged_and_the_comment_names_the_period() -> None:
-    runs = [run(multisine(0), 0.01, seed, period_s="1.0") for seed in range(4)]
-    one, four = (frfs_from_runs(some, 20, 100)[0] for some in (runs[:1], runs))
+    recordings = [recording(multisine(0), 0.01, seed, period_s="1.0") for seed in range(4)]
+    one, four = (frfs_from_recordings(some, 20, 100)[0] for some in (recordings[:1], recordings))
     assert four.variance.mean() == pytest.approx(one.variance.mean() / 4, rel=0.3)
     assert four.source == "r-0.csv, r-1.csv, r-2.csv, r-3.csv"
 
 
 def test_small_gaps_are_bridged_and_large_ones_refused() -> None:
-    whole = run(multisine(0))
+    whole = recording(multisine(0))
     holed = whole.acceleration["acc_A"].copy()
     holed[1000:1002] = np.nan
-    small = frfs_from_runs([replace(whole, acceleration={"acc_A": holed})], 20, 100, period_s=1.0)[0]
+    small = frfs_from_recordings([replace(whole, acceleration={"acc_A": holed})], 20, 100, period_s=1.0)[0]
     np.testing.assert_allclose(small.value, exact(small.frequency_hz), rtol=1e-2)
     holed[1000:1100] = np.nan
     with pytest.raises(MeasurementError, match=r"r-0.csv: Sensor acc_A is missing for 0.0625 s after t = 0.624375 s"):
-        frfs_from_runs([replace(whole, acceleration={"acc_A": holed})], 20, 100, period_s=1.0)
+        frfs_from_recordings([replace(whole, acceleration={"acc_A": holed})], 20, 100, period_s=1.0)
 
 
 @pytest.mark.parametrize(
-    ("runs", "how", "words"),
+    ("recordings", "how", "words"),
     [
         ([], {}, "No run is given"),
-        ([run(np.zeros((1600, 3)))], {}, "Nothing is commanded to move"),
-        ([run(multisine(0)), run(multisine(1, 3))], {}, "It does not go with r-0.csv"),
-        ([run(multisine(0))], {"segment_s": 3.9}, r"r-0\.csv: 1 segments of 6240 samples"),
-        ([run(multisine(0))], {"period_s": 1.0001}, "A period of 1.0001 s is 1600.160 samples"),
-        ([run(multisine(0), period_s="one")], {}, "Comment 'period_s' is 'one'"),
+        ([recording(np.zeros((1600, 3)))], {}, "Nothing is commanded to move"),
+        ([recording(multisine(0)), recording(multisine(1, 3))], {}, "It does not go with r-0.csv"),
+        ([recording(multisine(0))], {"segment_s": 3.9}, r"r-0\.csv: 1 segments of 6240 samples"),
+        ([recording(multisine(0))], {"period_s": 1.0001}, "A period of 1.0001 s is 1600.160 samples"),
+        ([recording(multisine(0), period_s="one")], {}, "Comment 'period_s' is 'one'"),
     ],
 )
-def test_runs_that_make_no_response(runs: list[Run], how: dict[str, float], words: str) -> None:
+def test_runs_that_make_no_response(recordings: list[Recording], how: dict[str, float], words: str) -> None:
     with pytest.raises(MeasurementError, match=words):
-        frfs_from_runs(runs, 20, 100, **how)
+        frfs_from_recordings(recordings, 20, 100, **how)
 
 
 def test_three_carriages_at_once_in_measured_runs(data: Path) -> None:
     """Two different commands of all carriages, four seconds from rest, against the machine file they were made with."""
     folder = data / "runs" / "nothing-hidden"
     names = ("centre-1", "centre-2", "centre-3", "centre-4", "centre-large")
-    runs = [read_run(folder / "runs" / f"multisine-{name}.csv") for name in names]
-    found = [as_position(one) for one in frfs_from_runs(runs, 10, 130, half_width_hz=2.0)]
+    recordings = [read_recording(folder / "runs" / f"multisine-{name}.csv") for name in names]
+    found = [as_position(one) for one in frfs_from_recordings(recordings, 10, 130, half_width_hz=2.0)]
     truth = carriage_frf(load_machine(folder / "machine.toml"), np.zeros(2), found[0].frequency_hz)
     errors, stated = [], []
     for one in found[:9]:  # of acc_A, acc_B, acc_C

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.estimators import periodic_frf, welch_frf
 from ffcomp.measurement.frf import FrequencyResponse, Setup
-from ffcomp.measurement.recording import Run
+from ffcomp.measurement.recording import Recording
 from ffcomp.measurement.sweep import sweep_frf
 from models.arrays import FloatArray
 
@@ -23,8 +23,8 @@ _SAME_COMMAND_MM = 1e-5
 _LONGEST_GAP_S = 0.005  # a cubic through a longer hole in a sensor would invent vibration
 
 
-def frfs_from_runs(
-    runs: Sequence[Run],
+def frfs_from_recordings(
+    recordings: Sequence[Recording],
     lowest_hz: float,
     highest_hz: float,
     *,
@@ -40,102 +40,107 @@ def frfs_from_runs(
     With `period_s` (or a comment `# period_s:` in the runs) by `periodic_frf`; with `segment_s` by H1 of the runs'
     segments; else by `sweep_frf`. Accelerations answer in 1/s², positions without dimension.
     """
-    _belong_together(runs)
-    inputs = [name for name, column in zip(runs[0].inputs, _commands(runs), strict=True) if column]
-    outputs = [*runs[0].acceleration, *runs[0].position]
-    moving = [runs[0].inputs.index(name) for name in inputs]
-    experiments = _experiments(runs)
+    _belong_together(recordings)
+    inputs = [name for name, column in zip(recordings[0].inputs, _commands(recordings), strict=True) if column]
+    outputs = [*recordings[0].acceleration, *recordings[0].position]
+    moving = [recordings[0].inputs.index(name) for name in inputs]
+    experiments = _experiments(recordings)
     u = np.stack([group[0].command[:, moving] * 1e-3 for group in experiments])  # (e, n, i) m
-    y = np.stack([np.mean([_sensors(run, outputs) for run in group], axis=0) for group in experiments])
-    rate = runs[0].sample_rate_hz
-    period_s = period_s or _said_period(runs[0])
+    y = np.stack([np.mean([_sensors(recording, outputs) for recording in group], axis=0) for group in experiments])
+    rate = recordings[0].sample_rate_hz
+    period_s = period_s or _said_period(recordings[0])
     try:
         if period_s is not None:
-            found = periodic_frf(u, y, rate, _whole(runs[0], period_s, rate))
+            found = periodic_frf(u, y, rate, _whole(recordings[0], period_s, rate))
         elif segment_s is not None:
             found = welch_frf(u, y, rate, round(segment_s * rate))
         else:
             found = sweep_frf(u, y, rate, lowest_hz, highest_hz, half_width_hz=half_width_hz)
     except MeasurementError as error:  # the estimators know no files
-        raise MeasurementError(error.path or runs[0].source, error.problems) from error
+        raise MeasurementError(error.path or recordings[0].source, error.problems) from error
     return found.between(lowest_hz, highest_hz).responses(
         inputs,
         outputs,
         setup=setup,
         position_mm=position_mm,
         added_mass_kg=added_mass_kg,
-        source=", ".join(Path(run.source).name for run in runs),
+        source=", ".join(Path(recording.source).name for recording in recordings),
     )
 
 
-def _commands(runs: Sequence[Run]) -> list[bool]:
+def _commands(recordings: Sequence[Recording]) -> list[bool]:
     """Which of the three commands move at all."""
-    return [any(np.ptp(run.command[:, j]) > _SAME_COMMAND_MM for run in runs) for j in range(3)]
+    return [any(np.ptp(recording.command[:, j]) > _SAME_COMMAND_MM for recording in recordings) for j in range(3)]
 
 
-def _experiments(runs: Sequence[Run]) -> list[list[Run]]:
+def _experiments(recordings: Sequence[Recording]) -> list[list[Recording]]:
     """The runs, those with one and the same command together."""
-    groups: list[list[Run]] = []
-    for run in runs:
+    groups: list[list[Recording]] = []
+    for recording in recordings:
         for group in groups:
-            if np.abs(group[0].command - run.command).max() <= _SAME_COMMAND_MM:
-                group.append(run)
+            if np.abs(group[0].command - recording.command).max() <= _SAME_COMMAND_MM:
+                group.append(recording)
                 break
         else:
-            groups.append([run])
+            groups.append([recording])
     return groups
 
 
-def _sensors(run: Run, names: Sequence[str]) -> FloatArray:
+def _sensors(recording: Recording, names: Sequence[str]) -> FloatArray:
     """(n, o) in m/s² and m."""
-    columns = [run.acceleration[name] if name in run.acceleration else run.position[name] * 1e-3 for name in names]
-    return np.column_stack([_bridged(run, name, values) for name, values in zip(names, columns, strict=True)])
+    columns = [
+        recording.acceleration[name] if name in recording.acceleration else recording.position[name] * 1e-3
+        for name in names
+    ]
+    return np.column_stack([_bridged(recording, name, values) for name, values in zip(names, columns, strict=True)])
 
 
-def _bridged(run: Run, name: str, values: FloatArray) -> FloatArray:
+def _bridged(recording: Recording, name: str, values: FloatArray) -> FloatArray:
     known = np.flatnonzero(np.isfinite(values))
     if len(known) == len(values):
         return values
     holes = np.diff(np.concatenate([[-1], known, [len(values)]])) - 1
-    if holes.max() > _LONGEST_GAP_S * run.sample_rate_hz:
-        since = float(run.time_s[0 if holes.argmax() == 0 else known[holes.argmax() - 1]])
-        rule = f"Sensor {name} is missing for {holes.max() / run.sample_rate_hz:.3g} s after t = {since:.6g} s"
+    if holes.max() > _LONGEST_GAP_S * recording.sample_rate_hz:
+        since = float(recording.time_s[0 if holes.argmax() == 0 else known[holes.argmax() - 1]])
+        rule = f"Sensor {name} is missing for {holes.max() / recording.sample_rate_hz:.3g} s after t = {since:.6g} s"
         raise MeasurementError(
-            run.source, [f"{rule}; a spectrum bears at most {_LONGEST_GAP_S:g} s. Cut the run there."]
+            recording.source, [f"{rule}; a spectrum bears at most {_LONGEST_GAP_S:g} s. Cut the run there."]
         )
     at = np.clip(np.arange(len(values)), known[0], known[-1])  # at the ends the nearest value: a cubic would run away
     return np.asarray(CubicSpline(known, values[known])(at), dtype=np.float64)
 
 
-def _belong_together(runs: Sequence[Run]) -> None:
-    if not runs:
+def _belong_together(recordings: Sequence[Recording]) -> None:
+    if not recordings:
         raise MeasurementError("", ["No run is given; at least one is needed for a frequency response."])
-    first = runs[0]
-    for run in runs[1:]:
-        same = run.command_space == first.command_space and len(run.time_s) == len(first.time_s)
-        same &= abs(run.sample_rate_hz / first.sample_rate_hz - 1) < 1e-6
-        if not same or {*run.acceleration, *run.position} != {*first.acceleration, *first.position}:
+    first = recordings[0]
+    for recording in recordings[1:]:
+        same = recording.command_space == first.command_space and len(recording.time_s) == len(first.time_s)
+        same &= abs(recording.sample_rate_hz / first.sample_rate_hz - 1) < 1e-6
+        if not same or {*recording.acceleration, *recording.position} != {*first.acceleration, *first.position}:
             rule = f"It does not go with {Path(first.source).name}"
             raise MeasurementError(
-                run.source, [f"{rule}: runs of one response need the same columns, rate and number of samples."]
+                recording.source, [f"{rule}: runs of one response need the same columns, rate and number of samples."]
             )
-    if not any(_commands(runs)):
+    if not any(_commands(recordings)):
         raise MeasurementError(first.source, ["Nothing is commanded to move, so there is no response to it."])
 
 
-def _said_period(run: Run) -> float | None:
-    said = run.comments.get("period_s")
+def _said_period(recording: Recording) -> float | None:
+    said = recording.comments.get("period_s")
     if said is None:
         return None
     try:
         return float(said)
     except ValueError:
-        raise MeasurementError(run.source, [f"Comment 'period_s' is {said[:40]!r}; it must be a number."]) from None
+        raise MeasurementError(
+            recording.source, [f"Comment 'period_s' is {said[:40]!r}; it must be a number."]
+        ) from None
 
 
-def _whole(run: Run, period_s: float, rate_hz: float) -> int:
+def _whole(recording: Recording, period_s: float, rate_hz: float) -> int:
     samples = period_s * rate_hz
     if samples < 2 or abs(samples - round(samples)) > 0.01:
         rule = f"A period of {period_s:g} s is {samples:.3f} samples at {rate_hz:.6g} Hz"
-        raise MeasurementError(run.source, [f"{rule}; it must be a whole number of them."])
+        raise MeasurementError(recording.source, [f"{rule}; it must be a whole number of them."])
     return round(samples)
