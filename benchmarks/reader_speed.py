@@ -28,10 +28,10 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
 
-from gcode.blocks import PART_BYTES
 from gcode.dialects import detect_flavor
 from gcode.fast_scan import Cursor, Modes, follow
 from gcode.reader import read_parts
+from gcode.text import PART_BYTES
 
 ROOT = Path(__file__).parents[1]
 OUTSIDE = Path(os.environ.get("FFCOMP_DATA", ROOT.parent / "shared" / "data")) / "gcode"

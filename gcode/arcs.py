@@ -11,11 +11,10 @@ from math import acos, atan2, ceil, copysign, cos, hypot, sin, sqrt, tau
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from gcode.arrays import FloatArray
 from gcode.errors import GcodeError
 
-FloatArray = NDArray[np.float64]
 Point2 = tuple[float, float]
 
 ARC_TOLERANCE_MM = 0.005

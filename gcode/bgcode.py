@@ -33,10 +33,9 @@ from gcode.bgcode_blocks import (
     with_metadata,
     with_times,
 )
-from gcode.blocks import whole_lines
+from gcode.embedded import TIME_WAS
 from gcode.errors import GcodeError, UnsupportedGcode
-from gcode.metadata import TIME_WAS
-from gcode.text import ENDS, Source, blocks, check_text, most_unpacked, too_much
+from gcode.text import ENDS, Source, blocks, check_text, most_unpacked, too_much, whole_lines
 
 _Open = Callable[[], BinaryIO]
 

@@ -10,13 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gcode.arrays import FloatArray, IntArray
 from gcode.emit_kernels import E_DECIMALS, F_DECIMALS, LONGEST_LINE, XYZ_DECIMALS, write_moves
 from gcode.program import Frame
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 XYZ_COUNTS, E_COUNTS, F_COUNTS = 10**XYZ_DECIMALS, 10**E_DECIMALS, 10**F_DECIMALS  # per unit of the file
 

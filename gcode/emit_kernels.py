@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-ByteArray = NDArray[np.uint8]
+from gcode.arrays import ByteArray, FloatArray, IntArray
+
 Place = tuple[float, float, float, float]  # of X Y Z E
 
 XYZ_DECIMALS, E_DECIMALS, F_DECIMALS = 4, 5, 3

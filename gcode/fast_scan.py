@@ -14,14 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from gcode.arcs import MAX_CHORD_MM, chords, is_sound
+from gcode.arrays import BoolArray, ByteArray, FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-ByteArray = NDArray[np.uint8]
-BoolArray = NDArray[np.bool_]
 Place = tuple[float, float, float, float]  # X Y Z E, mm
 
 STILL_MM2 = 1e-18  # squared displacement below which nothing moves: 1e-9 mm, as in Klipper

@@ -8,12 +8,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gcode.arrays import IntArray
 from gcode.program import Program
-
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 
 UNNAMED = "other"
 _LAYER = re.compile(rb";\s*(?:LAYER_CHANGE|CHANGE_LAYER|LAYER:\s*-?\d+|layer \d+)\b", re.IGNORECASE)
@@ -99,7 +96,7 @@ class LayerLookup:
         return layer_starts(self.program)
 
     @cached_property
-    def _by_height(self) -> NDArray[np.int64]:
+    def _by_height(self) -> IntArray:
         return labels(self.program).layer
 
     def of(self, move: int) -> int:

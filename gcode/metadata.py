@@ -8,37 +8,6 @@ from dataclasses import dataclass
 from enum import Enum
 from math import floor
 
-# -- the stamp --
-
-_STAMP = re.compile(
-    rb"^; Processed by ffcomp v(\S+), machine (.*) sha256:([0-9a-f]+), flavor (\w+)[ \t]*\r?$", re.MULTILINE
-)
-
-
-@dataclass(frozen=True, slots=True)
-class Stamp:
-    version: str
-    machine: str
-    sha256: str  # the first digits of the machine file's hash
-    flavor: str
-
-
-def stamp_line(version: str, machine: str, sha256: str, flavor: str) -> bytes:
-    """The comment line for head and tail of a compensated file."""
-    name = " ".join(machine.split())
-    return f"; Processed by ffcomp v{version}, machine {name} sha256:{sha256[:8]}, flavor {flavor}\n".encode()
-
-
-def find_stamp(head: bytes, tail: bytes) -> Stamp | None:
-    """The stamp in the beginning or the end of a file."""
-    match = _STAMP.search(head) or _STAMP.search(tail)
-    return Stamp(*(part.decode("utf-8", "replace") for part in match.groups())) if match else None
-
-
-# -- the time --
-
-TIME_WAS = b"; ffcomp was "  # before a line whose time is ours now: the original's
-
 
 class Tells(Enum):
     """Which time a line tells."""

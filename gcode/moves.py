@@ -6,15 +6,13 @@ from dataclasses import dataclass, field
 from itertools import repeat
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gcode.arrays import FloatArray, IntArray
 from gcode.commands import PASS, Effect
 from gcode.limits import MotionLimits
 from gcode.program import Event, EventKind, Frame, Moves
 from gcode.state import Vector4
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 class MoveTable:

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gcode.arcs import ARC_TOLERANCE_MM, Arc, arc_by_centre, arc_by_radius
-from gcode.blocks import PART_BYTES, whole_lines
 from gcode.commands import LIMITS, PASS, PASSING_M_CODES, STOP, Effect, apply
 from gcode.container import read_bytes
 from gcode.dialects import detect_flavor
@@ -24,6 +23,7 @@ from gcode.limits import MotionLimits
 from gcode.moves import EventTable, MoveTable
 from gcode.program import EventKind, Frame, Program
 from gcode.state import DEFAULT_FEED_MM_PER_S, FrameValues, Modal, Vector4
+from gcode.text import PART_BYTES, whole_lines
 from gcode.words import NUMBERED, Command, commands, shown
 
 MOTIONS = frozenset(("G0", "G1", "G2", "G3"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from errno import EINVAL
@@ -13,7 +13,7 @@ from typing import Protocol
 
 from gcode.errors import GcodeError, UnsupportedGcode
 
-ENDS, BLOCK = 1 << 20, 1 << 20  # bytes
+ENDS, BLOCK, PART_BYTES = 1 << 20, 1 << 20, 1 << 20  # bytes
 
 # A long print packs to a fifth. Nothing that a slicer has packed comes near this.
 UNPACKED_RATIO, UNPACKED_LEAST = 100, 64 << 20  # times the packed size; bytes that are allowed in any case
@@ -131,3 +131,39 @@ def check_regular(path: Path) -> None:
     mode = path.stat().st_mode
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):  # opening a folder says what it is
         raise OSError(EINVAL, "This is a pipe or a device, and G-code is read from files only", str(path))
+
+
+def raw_blocks(path: Path) -> Iterator[bytes]:
+    """The bytes of a file as they are, in pieces cut anywhere."""
+    check_regular(path)
+    with open(path, "rb") as file:
+        yield from pieces(file)
+
+
+def whole_lines(blocks: Iterable[bytes], part_bytes: int = PART_BYTES) -> Iterator[bytes]:
+    r"""Parts of about `part_bytes`, cut after the last \n, \r\n or \r that has come; longer where a line is longer."""
+    pending, searched = bytearray(), 0
+    for piece in _shorter(blocks, part_bytes):
+        pending += piece
+        if len(pending) < part_bytes:
+            continue
+        cut = _after_last_line(pending, searched)
+        if cut:
+            yield bytes(pending[:cut])
+            del pending[:cut]
+        searched = max(0, len(pending) - 1)
+    if pending:
+        yield bytes(pending)
+
+
+def _shorter(blocks: Iterable[bytes], longest: int) -> Iterator[bytes]:
+    for block in blocks:
+        if len(block) <= longest:
+            yield block
+        else:
+            yield from (block[at : at + longest] for at in range(0, len(block), longest))
+
+
+def _after_last_line(text: bytearray, begin: int) -> int:
+    r"""Where the last line that ends after `begin` is over; 0: none does. A last \r may be half of a \r\n."""
+    return max(text.rfind(b"\n", begin), text.rfind(b"\r", begin, len(text) - 1)) + 1

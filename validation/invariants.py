@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compensate.gcode_output.writer import OURS, WAS, original
 from ffcomp.inverse.settings import SEGMENTS_PER_SECOND
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.machine_limits import planner_limits
-from gcode.metadata import TIME_WAS, tells
+from gcode.embedded import OURS, TIME_WAS, WAS, original
+from gcode.metadata import tells
 from gcode.program import Program
 from gcode.reader import read_program
 from models.errors import UnreachableError

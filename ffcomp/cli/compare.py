@@ -205,10 +205,10 @@ def _compare(
 ) -> Comparison:
     from ffcomp.cli.common import Progress, say
     from ffcomp.compare.engine import compare as engine
-    from ffcomp.compensate.gcode_output.writer import original
-    from ffcomp.compensate.job import STAMP_REACH, already_processed, find_offset
     from ffcomp.inverse.settings import settings_for
     from gcode.container import read_bytes
+    from gcode.embedded import original
+    from gcode.stamp import STAMP_REACH, already_processed, find_offset
     from models.file import load_machine
 
     data, believed, shift = read_bytes(file, plate), load_machine(machine), parsed_offset(offset)

@@ -327,7 +327,7 @@ def _compensate_one(order: _Order) -> dict[str, Any]:
     from ffcomp.cli.compensate_report import report
     from ffcomp.compensate.batch import size_of, workers
     from ffcomp.compensate.file import compensate_file
-    from gcode.blocks import PART_BYTES
+    from gcode.text import PART_BYTES
 
     (file,), (target,), quiet = order.files, order.targets, order.quiet
     name = os.environ.get("SLIC3R_PP_OUTPUT_NAME") or str(file)

@@ -150,7 +150,7 @@ def _page(
 
 def _write(files: dict[Path, bytes]) -> None:
     """All are complete before the first is written."""
-    from gcode.container import replace_atomically
+    from gcode.atomic_write import replace_atomically
 
     for path, content in files.items():
         replace_atomically(path, [content])

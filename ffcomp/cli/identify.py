@@ -361,7 +361,7 @@ class _Outcome:
         }
 
     def _written(self, text: str) -> str | None:
-        from gcode.container import replace_atomically
+        from gcode.atomic_write import replace_atomically
         from models.file import check_text
 
         check_text(text, str(self.output or self.name))  # never leave a file behind that cannot be read

@@ -238,7 +238,7 @@ def _place(text: str) -> tuple[float, float]:
 def _write(made: Plan, machine: Machine, target: Path, flavor: str, chips: list[str], shaper_off: bool) -> Path:
     """Both files; the path of the account."""
     from ffcomp.identify.experiment_files import gcode_lines, save_plan
-    from gcode.container import replace_atomically
+    from gcode.atomic_write import replace_atomically
 
     account = target.with_suffix(".json")
     if account == target:

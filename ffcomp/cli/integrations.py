@@ -63,7 +63,7 @@ def install_integration(name: Name, machine: MachineName = "", to: Folder = None
     """Install the wrapper where the program searches for it."""
     from ffcomp.cli.common import exit_codes, say
     from ffcomp.integrations.recipes import executable, instructions, wrapper
-    from gcode.container import replace_atomically
+    from gcode.atomic_write import replace_atomically
 
     recipe = _recipe(name)
     if not recipe.wrapper:

@@ -30,7 +30,8 @@ def restore(
     from ffcomp.cli.common import exit_codes, say
 
     with exit_codes():
-        from gcode.container import opened, replacing, unchanged
+        from gcode.atomic_write import replacing, unchanged
+        from gcode.container import opened
 
         still_the_same = unchanged(file)
         with opened(file) as container:
@@ -43,10 +44,10 @@ def restore(
 
 def _originals(container: Container, file: Path) -> list[Iterator[bytes]]:
     """Each print as it was."""
-    from ffcomp.compensate.gcode_output.writer import original_blocks
     from ffcomp.errors import NothingToDo
     from gcode.container import blocks_of, ends_of
-    from gcode.metadata import find_stamp
+    from gcode.embedded import original_blocks
+    from gcode.stamp import find_stamp
 
     prints = container.prints.values()
     stamped = [find_stamp(*ends_of(text)[:2]) is not None for text in prints]

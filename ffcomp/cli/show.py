@@ -54,11 +54,11 @@ def _show(file: Path, picture: Path, machine_name: str, z_mm: float | None, plat
     from dataclasses import asdict
 
     from ffcomp import __version__
-    from ffcomp.compensate.job import STAMP_REACH, already_processed, find_offset
     from ffcomp.errors import NothingToDo
     from ffcomp.report.show import draw, numbers, verdict
     from ffcomp.simulate.preview import look
     from gcode.container import read_bytes
+    from gcode.stamp import STAMP_REACH, already_processed, find_offset
     from models.file import find_by_sha256, load_machine
 
     data = read_bytes(file, plate)

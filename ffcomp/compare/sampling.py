@@ -15,9 +15,9 @@ from ffcomp.planner.trajectory import PlannedMotion
 from ffcomp.simulate.motion import Motion, path_corners, planned_motion
 from gcode.dialects import detect_flavor
 from gcode.layers import Labels, labels
-from gcode.part import part, preamble
 from gcode.program import Program
 from gcode.reader import read_program
+from gcode.slicing import part, preamble
 from models.arrays import FloatArray, IntArray
 from models.machine import Machine
 

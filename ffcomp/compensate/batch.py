@@ -18,7 +18,7 @@ from pathlib import Path
 from ffcomp.compensate.file import DIED, Options, Outcome, compensate_file, outcome_of
 from ffcomp.compensate.worker_pool import Pool
 from ffcomp.errors import FfcompError
-from gcode.blocks import PART_BYTES
+from gcode.text import PART_BYTES
 from models.machine import Machine
 
 LARGEST_SENT = 8 << 20  # bytes of a file that goes to a cluster whole; what comes back is ten times as much

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from ffcomp.compensate.gcode_output.writer import limits_said
 from ffcomp.inverse.extent import AROUND_S, WHOLE, Extent, around_s
 from ffcomp.inverse.settings import CUT
 from ffcomp.inverse.time_scaling import SlowDown
@@ -23,6 +22,7 @@ from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.trajectory import Trajectory
 from gcode.layers import layer_starts
+from gcode.limits import limits_in_effect
 from gcode.program import EventKind, Moves, Program
 from gcode.slicing import excerpt, join, shortened, split
 from models.arrays import FloatArray, IntArray
@@ -177,7 +177,7 @@ class _Known:
         head, tail = split(ahead.program, move)
         before = _remembered(head, _columns(self.plan, slice(0, move)))
         layers = ahead.layers + len(layer_starts(head))
-        left = _Ahead(tail, before, limits_said(head, ahead.said), layers, cuts=ahead.cuts)
+        left = _Ahead(tail, before, limits_in_effect(head, ahead.said), layers, cuts=ahead.cuts)
         begin_t = float(plan.start_t[0]) - self.settings.lead_s
         return ahead.chapter(head), _Known(left, plan, begin_t, self.settings)
 
@@ -202,7 +202,7 @@ class _Known:
         t, place = self._t(knots), self._place(knots)
         first, tail = _from(ahead.program, plan, t - around)
         begin = PathPosition(place.move - first, _far(plan.position([t])[0], tail.moves.start[place.move - first]))
-        said = limits_said(excerpt(ahead.program, 0, place.move + 1), ahead.said)
+        said = limits_in_effect(excerpt(ahead.program, 0, place.move + 1), ahead.said)
         passed = layer_starts(excerpt(ahead.program, 0, first)) if first else []
         tail = replace(tail, warnings=[])
         left = _Ahead(tail, None, said, ahead.layers + len(passed), begin, cuts=ahead.cuts + 1)

@@ -12,13 +12,14 @@ from os.path import realpath
 from pathlib import Path
 from typing import Any
 
-from ffcomp.compensate.job import Job, find_offset, inverter_of
+from ffcomp.compensate.job import Job, inverter_of
 from ffcomp.errors import FfcompError
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.steps.sink import Board
-from gcode.container import Container, Source, blocks_of, ends_of, opened, replacing, unchanged
+from gcode.atomic_write import replacing, unchanged
+from gcode.container import Container, Source, blocks_of, ends_of, opened
 from gcode.errors import GcodeError, UnsupportedGcode
-from gcode.metadata import Stamp, find_stamp
+from gcode.stamp import Stamp, find_offset, find_stamp
 from models.errors import MachineFileError
 from models.machine import Machine
 

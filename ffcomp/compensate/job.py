@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import re
 import threading
 import time
 from collections import deque
@@ -21,7 +20,6 @@ from ffcomp import __version__
 from ffcomp.compensate import chunks as cutting
 from ffcomp.compensate.chunks import Chapter, chapters
 from ffcomp.compensate.gcode_output.print_time import with_times_retold
-from ffcomp.compensate.gcode_output.writer import OURS, joined, original_blocks
 from ffcomp.compensate.prediction import LONGEST_S, Prediction
 from ffcomp.compensate.program import Summary, compensate
 from ffcomp.compensate.solve import solutions
@@ -37,17 +35,18 @@ from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.program import PlannedProgram, firmware_plan, plan_program
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps.sink import Board, MotorTotal, StepSink
-from gcode.container import Source, blocks_of, ends_of, replace_atomically
+from gcode.atomic_write import replace_atomically
+from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import FLAVORS, flavor_by_ends, shaper_off
+from gcode.embedded import OURS, joined, original_blocks
 from gcode.errors import UnsupportedGcode
 from gcode.layers import LayerLookup
-from gcode.metadata import Stamp, Timed, find_stamp, stamp_line
+from gcode.metadata import Timed
 from gcode.program import Moves, Program
 from gcode.reader import read_parts
+from gcode.stamp import offset_line, stamp_line
 from models.arrays import FloatArray
 from models.machine import Machine
-
-STAMP_REACH = 1 << 20  # bytes at either end in which a stamp is looked for
 
 S_CURVE_LONGEST_S = 900.0  # of motion without a rest that is planned with S-curves
 
@@ -55,11 +54,6 @@ TOLD = 12  # places that were slowed down, of which each has its sentence
 
 Progress = Callable[[float], None]  # called with the share that is done, 0 to 1
 _Done = tuple[Iterator[bytes], int, Summary]  # a chapter's lines, its size in bytes, what was done
-
-
-def already_processed(data: bytes) -> Stamp | None:
-    """The stamp of an earlier run, if there is one."""
-    return find_stamp(data[:STAMP_REACH], data[-STAMP_REACH:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -419,17 +413,6 @@ def _with_shaper_off(pieces: Iterator[bytes], flavor: str) -> Iterator[bytes]:
             yield from (off.rstrip(b"\n") + OURS + ending for off in shaper_off(flavor))
             piece = piece[begin:]
         yield piece
-
-
-def offset_line(offset: tuple[float, float]) -> bytes:
-    """Says what was added to every position, so that the original can be laid over the result; empty for nothing."""
-    return b"; ffcomp offset_mm=%.6g,%.6g\n" % offset if any(offset) else b""
-
-
-def find_offset(head: bytes) -> tuple[float, float]:
-    """The offset that `offset_line` wrote; zero if it wrote none."""
-    found = re.search(rb"^; ffcomp offset_mm=([-+.\de]+),([-+.\de]+)", head, re.MULTILINE)
-    return (float(found[1]), float(found[2])) if found else (0.0, 0.0)
 
 
 def _stamped(pieces: Iterator[bytes], stamp: bytes, offset: bytes) -> Iterator[bytes]:

@@ -73,7 +73,7 @@ def compensate(
     offset : mm, what the program's positions were shifted by when they were read
     watch : called with every run and its answer before the first of its lines goes out
     state : (18,) of the plant as the program begins; None: at rest
-    said : what earlier lines of the file have said of limits (`writer.limits_said`)
+    said : what earlier lines of the file have said of limits (`writer.limits_in_effect`)
     prediction : is given the runs that it wants
     ends : what is written, if it begins or ends in motion
     """

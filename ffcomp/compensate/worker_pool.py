@@ -17,8 +17,9 @@ from typing import Any
 
 from ffcomp.compensate.file import Options, Outcome, compensate_file, failure_of, outcome_of
 from ffcomp.errors import FfcompError
-from gcode.container import raw_blocks, replace_atomically
+from gcode.atomic_write import replace_atomically
 from gcode.errors import GcodeError
+from gcode.text import raw_blocks
 from models.machine import Machine
 
 MARK = ".done"  # of the file whose length says how many bytes of its print are done

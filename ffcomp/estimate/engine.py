@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.compensate.gcode_output.writer import original_blocks
-from ffcomp.compensate.job import find_offset
 from ffcomp.errors import NothingToDo
 from ffcomp.estimate.layers import BEFORE, Layer
 from ffcomp.estimate.spans import spans
@@ -18,10 +16,11 @@ from ffcomp.planner.program import plan_program
 from ffcomp.planner.trajectory import PlannedMotion
 from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import FLAVORS, flavor_by_ends
+from gcode.embedded import original_blocks
 from gcode.errors import UnsupportedGcode
-from gcode.metadata import Stamp, find_stamp
 from gcode.program import Program
 from gcode.reader import read_parts
+from gcode.stamp import Stamp, find_offset, find_stamp
 from models.arrays import FloatArray
 from models.machine import Machine
 

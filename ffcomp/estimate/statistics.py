@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compensate.gcode_output.writer import WAS
 from ffcomp.estimate.layers import Layers, summed
 from ffcomp.estimate.spans import Span
 from ffcomp.estimate.unknown import Unknown, unknown_in
 from ffcomp.planner.limits import lines_of
+from gcode.embedded import TIME_WAS, WAS
 from gcode.layers import UNNAMED, begins_feature, begins_layer
-from gcode.metadata import TIME_WAS, slicer_time_s, with_time
+from gcode.metadata import slicer_time_s, with_time
 from gcode.program import Event
 from models.arrays import FloatArray, IntArray
 

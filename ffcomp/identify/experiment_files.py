@@ -19,7 +19,7 @@ from ffcomp.errors import MeasurementError
 from ffcomp.identify.experiment import TOWERS, Experiment, Plan
 from ffcomp.identify.multisine import Band, Lines
 from ffcomp.planner.segment_timing import OutputLimits
-from gcode.container import replace_atomically
+from gcode.atomic_write import replace_atomically
 from gcode.dialects import KLIPPER, close_limits, open_limits, shaper_off
 from gcode.emit import MoveWriter
 from gcode.limits import MotionLimits

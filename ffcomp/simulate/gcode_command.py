@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ffcomp.compensate.gcode_output.writer import WAS, original
-from ffcomp.compensate.job import STAMP_REACH, already_processed, find_offset
 from ffcomp.inverse.settings import Settings
 from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.sections import Section
@@ -18,8 +16,10 @@ from ffcomp.simulate.command import Command, Goal, Stretch
 from ffcomp.simulate.linear import sections
 from ffcomp.simulate.motion import Clock, own_clock
 from ffcomp.simulate.preview import corners, noted_moves
+from gcode.embedded import WAS, original
 from gcode.program import Program
 from gcode.reader import read_program
+from gcode.stamp import STAMP_REACH, already_processed, find_offset
 from models.arrays import FloatArray
 from models.machine import Machine
 

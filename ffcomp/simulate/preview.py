@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compensate.gcode_output.writer import WAS, noted, original_lines
 from ffcomp.metrics import contour_error
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.trajectory import PlannedMotion
 from ffcomp.simulate.linear import simulate
+from gcode.embedded import WAS, noted, original_lines
 from gcode.program import Program
 from gcode.reader import read_program
 from models.arrays import FloatArray

@@ -19,7 +19,8 @@ from ffcomp.simulate.playback import Piece, play
 from ffcomp.simulate.run_file import KINDS, run_lines
 from ffcomp.simulate.steps_command import steps_command
 from ffcomp.steps.reader import is_step_archive, read_steps
-from gcode.container import read_bytes, replace_atomically
+from gcode.atomic_write import replace_atomically
+from gcode.container import read_bytes
 from gcode.errors import GcodeError
 from gcode.text import check_regular
 from models.errors import UnreachableError

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import DTypeLike, NDArray
 
-from gcode.container import replace_atomically
+from gcode.atomic_write import replace_atomically
 
 _BLOCK_BYTES = 1 << 20
 

@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 
 from ffcomp.compensate.batch import _shares, check_targets, compensate_files, targets_in, workers
 from ffcomp.compensate.file import Failure, Options, Outcome, compensate_file
-from gcode.blocks import PART_BYTES
-from gcode.metadata import Stamp
+from gcode.stamp import Stamp
+from gcode.text import PART_BYTES
 from models.file import load_machine
 from models.machine import Machine
 

@@ -19,7 +19,6 @@ from ffcomp.compensate import chunks as chapters
 from ffcomp.compensate import job as jobs
 from ffcomp.compensate.gcode_output import print_time as times
 from ffcomp.compensate.gcode_output.print_time import with_times_retold
-from ffcomp.compensate.gcode_output.writer import TIME_WAS, original
 from ffcomp.compensate.job import Job
 from ffcomp.errors import NothingToDo
 from ffcomp.estimate import spans as cutting
@@ -31,6 +30,7 @@ from ffcomp.inverse.model import Inverter
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.program import plan_program
+from gcode.embedded import TIME_WAS, original
 from gcode.metadata import Timed, tells
 from gcode.program import Program
 from gcode.reader import read_parts, read_program

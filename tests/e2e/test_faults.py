@@ -18,10 +18,10 @@ from pathlib import Path
 import pytest
 
 from ffcomp.compensate.file import Options, compensate_file, failure_of
-from ffcomp.compensate.gcode_output.writer import original
-from ffcomp.compensate.job import already_processed
 from ffcomp.inverse.settings import settings_for
 from ffcomp.numerics.numba_cache import VARIABLE, find_a_place
+from gcode.embedded import original
+from gcode.stamp import already_processed
 from models.file import load_machine
 from models.machine import Machine
 

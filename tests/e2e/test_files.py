@@ -9,15 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.compensate.gcode_output.writer import STILL_MOVE, original
-from ffcomp.compensate.job import Job, already_processed
+from ffcomp.compensate.gcode_output.writer import STILL_MOVE
+from ffcomp.compensate.job import Job
 from ffcomp.errors import NothingToDo
 from ffcomp.inverse.model import Inverter
 from ffcomp.inverse.settings import settings_for
 from gcode.container import read_bytes
+from gcode.embedded import original
 from gcode.errors import GcodeError
 from gcode.program import Program
 from gcode.reader import read_program
+from gcode.stamp import already_processed
 from models.file import load_machine
 from models.machine import Machine
 from tests.unit.ffcomp.compensate.gcode_output.test_writer import others

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.compensate.gcode_output.writer import original
+from gcode.embedded import original
 from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.program import EventKind, Program
 from gcode.reader import read_program

@@ -22,10 +22,10 @@ from typer.testing import CliRunner, Result
 
 from ffcomp.cli import app as command_line
 from ffcomp.cli.log import log_path, logged, note
-from ffcomp.compensate.gcode_output.writer import original
-from ffcomp.compensate.job import already_processed
 from ffcomp.integrations.slicer import Bed, bed_of, bed_warning, call_warnings, offset_for, read_bed, read_call
+from gcode.embedded import original
 from gcode.reader import read_program
+from gcode.stamp import already_processed
 from models.file import load_machine
 from validation.invariants import violations
 

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from ffcomp.compensate import job as jobs
 from ffcomp.compensate.chunks import LONGEST_S, REMEMBERED_S, Chapter, chapters
-from ffcomp.compensate.gcode_output.writer import original
 from ffcomp.compensate.job import Job, Recipe
 from ffcomp.errors import LimitsError
 from ffcomp.inverse.extent import Extent
@@ -25,6 +24,7 @@ from ffcomp.planner.program import firmware_plan, plan_program
 from ffcomp.simulate.preview import corners
 from ffcomp.steps.reader import read_events, read_steps
 from ffcomp.steps.sink import Board
+from gcode.embedded import original
 from gcode.errors import GcodeError
 from gcode.layers import LayerLookup
 from gcode.program import Program

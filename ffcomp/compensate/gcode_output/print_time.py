@@ -12,7 +12,8 @@ from pathlib import Path
 from tempfile import SpooledTemporaryFile
 from typing import IO
 
-from gcode.metadata import TIME_WAS, Durations, Tells, Timed, retold, tells, time_told
+from gcode.embedded import TIME_WAS
+from gcode.metadata import Durations, Tells, Timed, retold, tells, time_told
 
 IN_MEMORY, BLOCK = 4 << 20, 1 << 20  # bytes
 

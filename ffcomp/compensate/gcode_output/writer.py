@@ -11,7 +11,7 @@ import re
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby, pairwise
+from itertools import pairwise
 from operator import itemgetter
 
 import numpy as np
@@ -20,20 +20,16 @@ from numba import njit
 from ffcomp.compensate.gcode_output.layout import Timeline
 from ffcomp.inverse.settings import Settings
 from ffcomp.planner.segment_timing import merge, played
-from gcode.blocks import whole_lines
 from gcode.dialects import KLIPPER, MARLIN, close_limits, open_limits
+from gcode.embedded import CUT_SHORT, OURS, WAS, joined, like_ours
 from gcode.emit import MoveWriter
 from gcode.errors import UnsupportedGcode
 from gcode.layers import begins_layer
-from gcode.limits import MotionLimits
-from gcode.metadata import TIME_WAS, Timed, tells, with_time
+from gcode.limits import MotionLimits, limit_set_by
+from gcode.metadata import Timed, tells
 from gcode.program import Event, EventKind, Program
 from models.arrays import FloatArray, IntArray
 
-OURS = b" ; ffcomp"  # ends every line of ours that is not a move
-WAS = b";~"  # before a line of the original that is now a comment: a move, mostly
-CUT_SHORT = b";~~"  # the same before a line that does not end in a newline; the newline behind it is ours
-_STAMPS = b"; Processed by ffcomp", b"; ffcomp offset_mm="
 _Place = tuple[float, float, float, float]  # X Y Z E, mm
 _Line = int | Event | bytes  # a move of the original (index into its lines), another line of it, a line of ours
 STILL_MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*[0-3](?!\d)", re.IGNORECASE)
@@ -72,7 +68,7 @@ class Writer:
         line = self.program.lines[event.line]
         if not line.endswith((b"\n", b"\r")):  # the file's last: what is put behind it would become part of it
             yield from self.close()
-        if _like_ours(line):
+        if like_ours(line):
             yield self._escaped(event)
         elif self.open and STILL_MOVE.match(line):  # a G1 that only sets the feed: ours always say theirs
             yield self._original(event.line)
@@ -84,7 +80,7 @@ class Writer:
         self.now_s += event.dwell_s
         self._take_frame(event.frame)
         if event.touches_limits:
-            self.said |= _said(line)
+            self.said |= limit_set_by(line)
         if self.open and event.touches_limits:
             yield from self._limits(self._opening())
 
@@ -354,68 +350,3 @@ def _first_known(file: MotionLimits, own: MotionLimits) -> MotionLimits:
     """The file's limits, and the machine's own where the file has set none."""
     pairs = ((getattr(file, name), getattr(own, name)) for name in MotionLimits.__dataclass_fields__)
     return MotionLimits(*(mine if theirs != theirs else theirs for theirs, mine in pairs))
-
-
-def limits_said(program: Program, before: Mapping[bytes, bytes]) -> dict[bytes, bytes]:
-    """The file's last word on each limit at the end of a program; see `Writer.said`."""
-    said = dict(before)
-    for event in program.events:
-        if event.touches_limits:
-            said |= _said(program.lines[event.line])
-    return said
-
-
-def _said(line: bytes) -> dict[bytes, bytes]:
-    """What a line says, by what it is about: a command with other letters sets other limits."""
-    code = line.partition(b";")[0].strip()
-    letters = b"".join(sorted(set(re.findall(rb"[A-Z]", code.upper()))))
-    return {code.split()[0].upper() + letters: code}
-
-
-def joined(pieces: Iterable[bytes]) -> Iterator[bytes]:
-    """Adjacent pieces as one; lines that tell a time stay apart."""
-    for kind, group in groupby(pieces, key=type):
-        if kind is Timed:
-            yield from group
-        elif whole := b"".join(group):
-            yield whole
-
-
-def original(data: bytes) -> bytes:
-    """The file as it was before compensation."""
-    return b"".join(original_lines(data.splitlines(keepends=True)))
-
-
-def original_blocks(blocks: Iterable[bytes]) -> Iterator[bytes]:
-    """The same of a file that comes in blocks of bytes, cut anywhere."""
-    return original_lines(line for part in whole_lines(blocks) for line in part.splitlines(keepends=True))
-
-
-def original_lines(lines: Iterable[bytes]) -> Iterator[bytes]:
-    """The file as it was before compensation (`gcode.metadata`'s stamps left out)."""
-    inside, told = False, None
-    for line in lines:
-        if line.startswith(TIME_WAS):
-            told = line[len(TIME_WAS) :].rstrip(b"\r\n")
-        elif (kept := noted(line)) is not None:
-            yield kept
-        elif _ours(line):
-            inside = (inside or not line.startswith(b"G")) and not line.startswith(b"G1 F")
-        elif not line.startswith(_STAMPS) and not (inside and line.startswith(b"G1 ")):
-            yield line if told is None else with_time(line, told)
-            told = None
-
-
-def noted(line: bytes) -> bytes | None:
-    """The line of the original that this comment keeps, if it keeps one."""
-    if line.startswith(CUT_SHORT):
-        return line[len(CUT_SHORT) :].removesuffix(b"\n")
-    return line[len(WAS) :] if line.startswith(WAS) else None
-
-
-def _ours(line: bytes) -> bool:
-    return line.rstrip().endswith(OURS)
-
-
-def _like_ours(line: bytes) -> bool:
-    return line.startswith((WAS, TIME_WAS, *_STAMPS)) or _ours(line)

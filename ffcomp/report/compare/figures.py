@@ -17,7 +17,7 @@ from ffcomp.report.compare.places import Place, worst_places
 from ffcomp.report.compare.style import band
 from ffcomp.report.shared.drawing import Drawing, file_of, layout, svg
 from ffcomp.report.shared.style import RC
-from gcode.container import replace_atomically
+from gcode.atomic_write import replace_atomically
 
 __all__ = ["close_ups", "drawings", "svg", "write_figures"]
 

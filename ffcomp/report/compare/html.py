@@ -26,7 +26,7 @@ from ffcomp.report.compare.verdict import verdict
 from ffcomp.report.compare.words import contour_p99_um, contour_rms_um, duration, extrudes, file_name, shown, um
 from ffcomp.report.shared.drawing import Drawing, Image, image, svg
 from ffcomp.report.shared.page import rendered, resource, tied
-from gcode.container import replace_atomically
+from gcode.atomic_write import replace_atomically
 
 COLOURS = 64
 DARKEST = 0.18  # of the colour map: below, lines would not show on the viewer's dark ground

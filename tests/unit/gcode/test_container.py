@@ -15,8 +15,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gcode.atomic_write import replace_atomically
 from gcode.bgcode_blocks import GCODE, Block, blocks_of, metadata_of
-from gcode.container import ends_of, opened, read_bytes, replace_atomically
+from gcode.container import ends_of, opened, read_bytes
 from gcode.errors import GcodeError, UnsupportedGcode
 from tests.support.containers import PRINT, archive_3mf, bgcode, contents, gzipped, rewritten, zipped
 

@@ -8,20 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gcode.metadata import (
-    Durations,
-    Stamp,
-    Tells,
-    Timed,
-    find_stamp,
-    retold,
-    short,
-    slicer_time_s,
-    stamp_line,
-    tells,
-    time_told,
-    with_time,
-)
+from gcode.metadata import Durations, Tells, Timed, retold, short, slicer_time_s, tells, time_told, with_time
+from gcode.stamp import Stamp, find_stamp, stamp_line
 from tests.support.data import real
 
 TOTALS = [  # as the slicer writes it, s, and what is written for 93,784.6 s

@@ -13,11 +13,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gcode.blocks import whole_lines
 from gcode.dialects import detect_flavor, flavor_by_ends
 from gcode.errors import GcodeError
 from gcode.program import Moves, Program
 from gcode.reader import read_parts, read_program
+from gcode.text import whole_lines
 from tests.support.data import ODD, PRINTS, real
 
 ROOT = Path(__file__).parents[3]

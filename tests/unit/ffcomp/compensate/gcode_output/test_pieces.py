@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ffcomp.compensate.gcode_output.layout import AROUND, Piece, pieces, timeline
-from ffcomp.compensate.gcode_output.writer import Writer, original
+from ffcomp.compensate.gcode_output.writer import Writer
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import CUT, settings_for
 from ffcomp.planner.program import PlannedProgram, plan_program
 from gcode.dialects import KLIPPER
+from gcode.embedded import original
 from gcode.limits import MotionLimits
 from gcode.reader import read_program
 from models.file import load_machine

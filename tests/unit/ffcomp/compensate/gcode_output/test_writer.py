@@ -10,13 +10,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ffcomp.compensate.gcode_output.writer import OURS, TIME_WAS, WAS, original
 from ffcomp.compensate.job import Job
 from ffcomp.inverse.model import Inverter
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.program import plan_program
+from gcode.embedded import OURS, TIME_WAS, WAS, original
 from gcode.metadata import tells
 from gcode.program import Program
 from gcode.reader import read_program

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from gcode.dialects import detect_flavor
-from gcode.part import part, preamble
 from gcode.program import Program
 from gcode.reader import read_program
+from gcode.slicing import part, preamble
 from tests.support.data import PRINTS, real
 
 ROOT = Path(__file__).parents[3]
