@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from ffcomp.compare.methods import Way
 from ffcomp.compare.sampling import Stretch
-from ffcomp.inverse.iterate import Playing
-from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.iterate import Iterate
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
-from ffcomp.inverse.windowed_qr import Window
+from ffcomp.inverse.windowed_qr import WindowProblem
 from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.sections import Section
 from ffcomp.simulate.motion import Motion
@@ -130,22 +130,22 @@ def knots(stretch: Stretch) -> FloatArray:
 # ---- one dense least squares ---------------------------------------------------------------------
 
 
-def whole_run(planned: PlannedProgram, run: Section, inverter: Inverter) -> Window:
+def whole_run(planned: PlannedProgram, run: Section, inverter: InverseModel) -> WindowProblem:
     """The exact inverse's own window over a whole run from rest, all of its knots unknown."""
-    playing = Playing(inverter, Reference(planned.trajectory, run, inverter.settings))
+    playing = Iterate(inverter, Reference(planned.trajectory, run, inverter.settings))
     state = rest_state(inverter.machine, planned.trajectory.origin[run.first, :3])
-    return Window(playing, 0, state, playing.last, playing.last - 1, playing.n)
+    return WindowProblem(playing, 0, state, playing.last, playing.last - 1, playing.n)
 
 
-def dense(window: Window) -> FloatArray:
+def dense(window: WindowProblem) -> FloatArray:
     """The nozzle command at the knots by one cvxpy problem, and once more for every correction. (n + 1, 3) mm"""
     import cvxpy as cp
 
     run, stretch = window.run, window.stretch
     phi = window.phi()
     second = np.diff(np.eye(window.unknowns + 4), 2, axis=0)[:, 2:-2]  # with knots at zero on both sides
-    bend = np.sqrt(run.inverter.effort) * np.kron(second, np.eye(3))
-    for _ in range(1 + run.inverter.settings.corrections):
+    bend = np.sqrt(run.model.effort) * np.kron(second, np.eye(3))
+    for _ in range(1 + run.model.settings.corrections):
         response, _ = stretch.respond(window.state)
         now = run.gamma[1 : window.unknowns + 1]
         change = cp.Variable(now.size)

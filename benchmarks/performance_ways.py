@@ -24,8 +24,9 @@ from ffcomp.compare.methods import ONE_MODEL, OURS, Way
 from ffcomp.compare.playback import peaks, play
 from ffcomp.compare.sampling import Print, Sampling, Stretch
 from ffcomp.compensate.solve import SolvedSection, solutions
-from ffcomp.inverse.model import Inverter, RunResult
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
+from ffcomp.inverse.solve import Solution, solve
 from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.sections import Section
 from gcode.reader import read_program
@@ -127,11 +128,11 @@ def every_method(machine: Machine, stretches: Sequence[Stretch]) -> list[Method]
 def inverting(machine: Machine, settings: Settings, name: str) -> Method:
     """Filtered B-splines: every run of a stretch, with all that an inverse keeps already worked out."""
     way = replace(ways.inversion(machine, settings, name), label=LABELS[name])
-    inverter = Inverter(machine, replace(settings, one_model=name == ONE_MODEL))
+    inverter = InverseModel(machine, replace(settings, one_model=name == ONE_MODEL))
     return Method(way, lambda stretch: sum(each.wanted.knots for each in solved(stretch.planned, inverter)))
 
 
-def solved(planned: PlannedProgram, inverter: Inverter, keep: bool = False) -> Iterator[SolvedSection]:
+def solved(planned: PlannedProgram, inverter: InverseModel, keep: bool = False) -> Iterator[SolvedSection]:
     return solutions(planned, inverter.machine, inverter, None, lambda wanted: keep)
 
 
@@ -186,7 +187,7 @@ def dense_row(planned: PlannedProgram, machine: Machine) -> dict[str, float] | N
     runs = [r for r in planned.runs if r.travels and DENSE_S[0] <= r.end_t - r.begin_t <= DENSE_S[1]]
     if not runs:
         return None
-    exact, ours = Inverter(machine, exact_settings(machine)), Inverter(machine, settings_for(machine))
+    exact, ours = InverseModel(machine, exact_settings(machine)), InverseModel(machine, settings_for(machine))
     commands: dict[str, FloatArray] = {}
 
     def told(name: str, command: Callable[[], FloatArray]) -> Callable[[], int]:
@@ -196,8 +197,8 @@ def dense_row(planned: PlannedProgram, machine: Machine) -> dict[str, float] | N
 
         return work
 
-    def by(inverter: Inverter) -> Callable[[], FloatArray]:
-        return lambda: inverter.run(whole_run(planned, runs[0], inverter).run.reference, start.state).vertices
+    def by(inverter: InverseModel) -> Callable[[], FloatArray]:
+        return lambda: solve(inverter, whole_run(planned, runs[0], inverter).run.reference, start.state).vertices
 
     start = whole_run(planned, runs[0], exact)
     works = {EXACT: told(EXACT, by(exact)), OURS: told(OURS, by(ours))}
@@ -227,8 +228,8 @@ def accuracy(names: Sequence[str] = PRINTS) -> dict[str, Any]:
 
 def apart(planned: PlannedProgram, machine: Machine) -> dict[str, Any]:
     deep, usual = (replace(each, slow_down=False) for each in (exact_settings(machine), settings_for(machine)))
-    exact, ours = Inverter(machine, deep), Inverter(machine, usual)
-    more = Inverter(machine, replace(deep, corrections=MORE_CORRECTIONS))
+    exact, ours = InverseModel(machine, deep), InverseModel(machine, usual)
+    more = InverseModel(machine, replace(deep, corrections=MORE_CORRECTIONS))
     last = last_extruding(planned)
     while_printing, parking, passes = _Apart(), _Apart(), _Apart()
     for a, b, c in zip(*(solved(planned, each, True) for each in (exact, ours, more)), strict=True):
@@ -251,11 +252,11 @@ class _Apart:
         self.runs, self.limited, self.squares, self.samples, self.worst = 0, 0, 0.0, 0, 0.0
         self.command, self.seconds = 0.0, 0.0
 
-    def add(self, run: Section, one: RunResult, other: RunResult) -> None:
+    def add(self, run: Section, one: Solution, other: Solution) -> None:
         difference = np.linalg.norm(one.response - other.response, axis=1)
         command = np.linalg.norm(one.vertices - other.vertices, axis=1)
         self.runs += 1
-        self.limited += bool(one.limited or other.limited)
+        self.limited += bool(one.constrained or other.constrained)
         self.squares += float((difference**2).sum())
         self.samples += len(difference)
         self.worst, self.command = max(self.worst, float(difference.max())), max(self.command, float(command.max()))
@@ -278,7 +279,7 @@ class _Apart:
 def over_the_bed(radii_mm: Sequence[float], rounds: int, exact_rounds: int, seconds: float) -> dict[str, Any]:
     """The same pattern at growing radius: what a segment costs."""
     machine = load_machine(MACHINE)
-    exact, ours = Inverter(machine, exact_settings(machine)), Inverter(machine, settings_for(machine))
+    exact, ours = InverseModel(machine, exact_settings(machine)), InverseModel(machine, settings_for(machine))
     plans = {r: plan_program(read_program(pattern(r, seconds), "pattern"), machine) for r in radii_mm}
     works: dict[str, Callable[[], int]] = {}
     for radius, plan in plans.items():

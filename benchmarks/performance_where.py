@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 
 from benchmarks.performance_ways import MACHINE, PRINTS, ROOT
 from ffcomp.compensate.job import Job
-from ffcomp.inverse.model import Inverter, RunResult
+from ffcomp.inverse import time_scaling
 from ffcomp.inverse.riccati import AUGMENTED, AXES, BACKWARD, FORWARD
+from ffcomp.inverse.solve import Solution, solve
 from ffcomp.numerics.small_matvec import recursion
 from models.file import load_machine
 from models.vibration.scheduled import SAME_MM
@@ -37,11 +38,14 @@ ONCE = "bandwidth, plant over the bed"
 STAGES = {
     "read": ("ffcomp.compensate.job.chapters", "ffcomp.compensate.job.read_parts"),
     "plan": ("ffcomp.compensate.job.plan_program",),
-    ONCE: ("ffcomp.compensate.job.settings_for", "ffcomp.compensate.job.Inverter"),
-    "invert: gains": ("ffcomp.inverse.riccati.Preview.at", "ffcomp.inverse.riccati.Preview.end"),
+    ONCE: ("ffcomp.compensate.job.settings_for", "ffcomp.compensate.job.InverseModel"),
+    "invert: gains": ("ffcomp.inverse.riccati.PreviewGains.at", "ffcomp.inverse.riccati.PreviewGains.end"),
     "invert: sweeps": ("ffcomp.inverse.lq_preview.sweep_back", "ffcomp.inverse.lq_preview.sweep_forward"),
     "invert: simulation": ("models.vibration.scheduled.simulate",),
-    "invert: as the firmware plays it": ("ffcomp.inverse.iterate.played", "ffcomp.inverse.iterate.sample_segments"),
+    "invert: as the firmware plays it": (
+        "ffcomp.inverse.iterate.segment_speeds",
+        "ffcomp.inverse.iterate.sample_segments",
+    ),
     "invert: wanted path": (
         "ffcomp.inverse.reference.Reference.substeps",
         "ffcomp.inverse.reference.Reference.extrusion",
@@ -52,9 +56,10 @@ STAGES = {
         "models.kinematics.delta_kernels.FastDelta.rate_term",
     ),
     "invert: all between": (
-        "ffcomp.compensate.program.feasible_run",
-        "ffcomp.inverse.model.Inverter.run",
-        "ffcomp.inverse.model.Inverter.hold",
+        "ffcomp.compensate.solve.feasible_run",
+        "ffcomp.compensate.solve.solve",
+        "ffcomp.inverse.time_scaling.solve",
+        "ffcomp.inverse.model.InverseModel.state_after_rest",
     ),
     "write": (
         "ffcomp.compensate.program.timeline",
@@ -191,10 +196,9 @@ def recorded(name: str) -> tuple[dict[str, list[tuple[Any, ...]]], int]:
         return call
 
     kept = []
-    run = Inverter.run
 
-    def counted(*inputs: Any, **named: Any) -> RunResult:
-        answer = run(*inputs, **named)
+    def counted(*inputs: Any, **named: Any) -> Solution:
+        answer = solve(*inputs, **named)
         kept.append(len(answer.vertices) - 1)
         return answer
 
@@ -202,7 +206,7 @@ def recorded(name: str) -> tuple[dict[str, list[tuple[Any, ...]]], int]:
         for kernel, path in KERNELS.items():
             owner, last = named(path)
             stack.enter_context(patch.object(owner, last, watched(kernel, getattr(owner, last))))
-        stack.enter_context(patch.object(Inverter, "run", counted))
+        stack.enter_context(patch.object(time_scaling, "solve", counted))
         part_of(name)
     return calls, sum(kept)
 

@@ -40,7 +40,7 @@ from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.sections import Section
-from ffcomp.planner.segment_timing import merge, played
+from ffcomp.planner.segment_timing import merge, segment_speeds
 from gcode.dialects import detect_flavor
 from gcode.emit import MoveWriter
 from gcode.limits import MotionLimits
@@ -103,7 +103,7 @@ class Round:
         longest = s.longest_merged_s / s.segment_s
         kept = self.timed("join", merge, at, points, line_up.e, line_up.cut, 1e-3 * s.merge_um, longest)
         points, e, lasting = points[kept], line_up.e[kept], np.diff(at[kept]) * s.segment_s
-        speeds = self.timed("speeds", played, points, np.diff(e), lasting, s.output).cruise
+        speeds = self.timed("speeds", segment_speeds, points, np.diff(e), lasting, s.output).cruise
         block = self.timed("text", MoveWriter().block, points[1:], e[1:], speeds)[0]
         rows = list(zip(np.column_stack([points, e])[1:].tolist(), speeds.tolist(), strict=True))
         said = Said(Frame())

@@ -34,7 +34,7 @@ from ffcomp.compare.methods import OURS, inversion, none
 from ffcomp.compare.playback import play
 from ffcomp.compare.sampling import Print, Stretch
 from ffcomp.compensate.solve import solutions
-from ffcomp.inverse.model import GEOMETRY, Inverter
+from ffcomp.inverse.model import GEOMETRY, InverseModel
 from ffcomp.inverse.nonlinear import correction as whole
 from ffcomp.inverse.settings import settings_for
 from models.effects.catalogue import CATALOGUE, with_effect
@@ -158,7 +158,7 @@ def on_our_own(machine: Machine, seconds: float) -> float:
 
 def cost(machine: Machine, seconds: float) -> tuple[float, float, float]:
     """Rounds of the whole printer, CPU time for each print-second, s, of the second time, and share of a limit."""
-    inverter, parts = Inverter(machine, settings_for(machine)), stretches(machine, seconds)
+    inverter, parts = InverseModel(machine, settings_for(machine)), stretches(machine, seconds)
     with patch.object(whole, "_played", side_effect=whole._played) as rounds:
         solve(inverter, parts)
     began = time.process_time()
@@ -167,10 +167,10 @@ def cost(machine: Machine, seconds: float) -> tuple[float, float, float]:
     return rounds.call_count / len(parts), took / sum(each.trajectory.end_t for each in parts), share
 
 
-def solve(inverter: Inverter, parts: list[Stretch]) -> float:
+def solve(inverter: InverseModel, parts: list[Stretch]) -> float:
     """The largest share of its limit that a carriage is asked for."""
     return max(
-        solved.result.excess
+        solved.result.utilisation
         for part in parts
         for solved in solutions(part.planned, inverter.machine, inverter, None, lambda wanted: False)
     )

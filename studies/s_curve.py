@@ -24,9 +24,10 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp.compensate.prediction import Prediction
-from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import settings_for
+from ffcomp.inverse.solve import solve
 from ffcomp.planner.junctions import junction_limits
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.machine_limits import planner_limits
@@ -91,7 +92,7 @@ def drawn(runs: list[Section], seconds: float) -> list[int]:
 
 
 def measure(motion: PlannedMotion, runs: list[Section], chosen: list[int], machine: Machine) -> Row:
-    inverter = Inverter(machine, settings_for(machine))
+    inverter = InverseModel(machine, settings_for(machine))
     knot_s, prediction = inverter.settings.segment_s, Prediction(inverter, 1.0)
     delta = machine.kinematics.compiled()
     before, after = [], []
@@ -102,7 +103,7 @@ def measure(motion: PlannedMotion, runs: list[Section], chosen: list[int], machi
     for i in chosen:
         wanted = Reference(motion, runs[i], inverter.settings)
         start = motion.origin[runs[i].first, :3]
-        result = inverter.run(wanted, rest_state(machine, start), keep_response=True)
+        result = solve(inverter, wanted, rest_state(machine, start), keep_response=True)
         after.append(bends(delta.inverse(result.vertices), knot_s))
         prediction.add(motion, runs[i], wanted, result)
     track = prediction.samples.tracks()["compensated"]

@@ -215,7 +215,7 @@ def test_folders_without_a_layer_and_loose_files_are_problems(write: Write) -> N
         ("machine.delta.towers_mm + self.machine.delta.arms_mm", 2),
         ("x = first_share", 1),
         ("f(first_share=2)", 1),
-        ("inverter.delta.inverse(q); import gap.delta; DeltaGeometry(1)", 0),
+        ("inverter.kinematics.inverse(q); import gap.delta; DeltaGeometry(1)", 0),
     ],
 )
 def test_switches_on_the_kind_of_machine_are_found(write: Write, text: str, count: int) -> None:

@@ -26,7 +26,7 @@ from ffcomp import shapers
 from ffcomp.compare import compensated as ours
 from ffcomp.compare.compensated import Compensated, Segments, pick
 from ffcomp.compare.shaped import shaped as shaped_apart
-from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import contour_error, peak_acceleration, tracking
 from ffcomp.planner.program import PlannedProgram, plan_program
@@ -145,7 +145,7 @@ def shaped(motion: Motion, shaper: shapers.Shaper) -> Motion:
 
 def compensated(original: Original, settings: Settings | None = None) -> Compensated:
     """The original print, compensated for its machine as the command line does it, in Klipper's flavor."""
-    inverter = Inverter(original.machine, settings or settings_for(original.machine))
+    inverter = InverseModel(original.machine, settings or settings_for(original.machine))
     return ours.compensated(original.planned, original.machine, inverter, "klipper")
 
 

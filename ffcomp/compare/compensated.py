@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.compensate.program import Summary, compensate
-from ffcomp.inverse.model import Inverter, RunResult
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
+from ffcomp.inverse.solve import Solution
 from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.sections import Section
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
@@ -38,7 +39,7 @@ class Compensated:
 def compensated(
     planned: PlannedProgram,
     machine: Machine,
-    inverter: Inverter,
+    inverter: InverseModel,
     flavor: str,
     offset: tuple[float, float] = (0.0, 0.0),
     progress: Callable[[float], None] = lambda done_s: None,
@@ -49,7 +50,7 @@ def compensated(
     lines = 0
     seen: list[tuple[int, FloatArray]] = []
 
-    def watch(run: Section, result: RunResult) -> None:
+    def watch(run: Section, result: Solution) -> None:
         seen.append((lines, result.vertices))
 
     for piece in compensate(planned, machine, inverter, flavor, summary, progress, offset, watch):

@@ -14,7 +14,7 @@ from ffcomp.compare.result import Family
 from ffcomp.compare.sampling import Stretch
 from ffcomp.compare.shaped import shaped, shaped_by_place
 from ffcomp.compensate.program import Summary
-from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
 from ffcomp.shapers.apply import FrequencyOfPlace
 from ffcomp.simulate.motion import Motion
@@ -91,7 +91,7 @@ def inversion(machine: Machine, settings: Settings, name: str) -> Way:
         f"{settings.bandwidth_hz:.0f} Hz; the compensated G-code, read again and planned as the firmware plans it."
     )
     # every way keeps the plan's time
-    inverter = Inverter(machine, replace(settings, one_model=one_model, robust=robust, slow_down=False))
+    inverter = InverseModel(machine, replace(settings, one_model=one_model, robust=robust, slow_down=False))
     return Way(name, label, "inversion", tuning, _inverting(inverter))
 
 
@@ -106,7 +106,7 @@ def _by_place(of_place: FrequencyOfPlace, kind: str) -> Player:
     return lambda stretch: (shaped_by_place(stretch.motion, of_place, kind), None)
 
 
-def _inverting(inverter: Inverter) -> Player:
+def _inverting(inverter: InverseModel) -> Player:
     def motion(stretch: Stretch) -> tuple[Motion, Summary | None]:
         ours = compensated(stretch.planned, stretch.machine, inverter, stretch.flavor, stretch.offset)
         return segments_motion(ours, segments(ours, stretch.machine, stretch.before, stretch.start)), ours.summary

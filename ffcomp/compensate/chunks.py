@@ -16,7 +16,7 @@ import numpy as np
 
 from ffcomp.inverse.extent import AROUND_S, WHOLE, Extent, around_s
 from ffcomp.inverse.settings import CUT
-from ffcomp.inverse.time_scaling import SlowDown
+from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.path_position import PathPosition
@@ -29,7 +29,7 @@ from models.arrays import FloatArray, IntArray
 
 PlanOf = Callable[[Program], Trajectory]
 Ease = Callable[
-    [Program, PathPosition, int], tuple[Moves, tuple[SlowDown, ...]]
+    [Program, PathPosition, int], tuple[Moves, tuple[TimeScaling, ...]]
 ]  # what is around a cut, cut, layers before
 
 REMEMBERED_S = 0.5  # of motion before a chapter: more than twice what the printer remembers
@@ -50,7 +50,7 @@ class Chapter:
     layers: int  # that have begun in them
     last: bool
     ends: Extent = WHOLE  # what is written of it
-    eased: tuple[SlowDown, ...] = ()  # what had to become slower before its end could be cut
+    eased: tuple[TimeScaling, ...] = ()  # what had to become slower before its end could be cut
     cuts: int = 0  # in motion, before it
 
 
@@ -105,7 +105,7 @@ class _Ahead:
     said: dict[bytes, bytes] = field(default_factory=dict)
     layers: int = 0
     begin: PathPosition | None = None
-    eased: tuple[SlowDown, ...] = ()
+    eased: tuple[TimeScaling, ...] = ()
     cuts: int = 0
 
     def chapter(self, program: Program, last: bool = False, end: PathPosition | None = None) -> Chapter:

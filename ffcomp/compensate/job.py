@@ -26,9 +26,9 @@ from ffcomp.compensate.solve import solutions
 from ffcomp.compensate.step_output import Stepping
 from ffcomp.errors import NothingToDo
 from ffcomp.inverse.extent import WHOLE
-from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
-from ffcomp.inverse.time_scaling import SlowDown, eased
+from ffcomp.inverse.time_scaling import TimeScaling, eased
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.path_position import PathPosition
@@ -67,7 +67,7 @@ class Recipe:
     share: float  # of the print that is simulated for the prediction
 
     def begun(
-        self, chapter: Chapter, inverter: Inverter, summary: Summary
+        self, chapter: Chapter, inverter: InverseModel, summary: Summary
     ) -> tuple[PlannedProgram, FloatArray | None, Prediction | None]:
         """A chapter planned, the plant's state (18,) as it begins, and what collects the prediction."""
         machine, settings, offset = self.machine, self.settings, self.offset
@@ -99,7 +99,7 @@ class Recipe:
         return ceil(self.share * (chapter.cuts + 1)) > ceil(self.share * chapter.cuts)
 
     def lines(
-        self, chapter: Chapter, inverter: Inverter, summary: Summary, progress: Progress = lambda share: None
+        self, chapter: Chapter, inverter: InverseModel, summary: Summary, progress: Progress = lambda share: None
     ) -> Iterator[bytes]:
         """The compensated lines of a chapter. progress : called with the share of it that is done"""
         planned, state, prediction = self.begun(chapter, inverter, summary)
@@ -122,12 +122,12 @@ class Recipe:
 _own = threading.local()
 
 
-def inverter_of(machine: Machine, settings: Settings) -> Inverter:
+def inverter_of(machine: Machine, settings: Settings) -> InverseModel:
     """A thread's inverter, the same one from chapter to chapter and from file to file."""
     key = pickle.dumps((machine, settings))
     if getattr(_own, "key", None) != key:
-        _own.inverter, _own.key = Inverter(machine, settings), key
-    inverter: Inverter = _own.inverter
+        _own.inverter, _own.key = InverseModel(machine, settings), key
+    inverter: InverseModel = _own.inverter
     return inverter
 
 
@@ -135,7 +135,7 @@ def _work(chapter: Chapter, recipe: Recipe) -> tuple[list[bytes], Summary]:
     """A chapter in a process of its own."""
     inverter, summary = inverter_of(recipe.machine, recipe.settings), Summary()
     done = list(joined(recipe.lines(chapter, inverter, summary))), summary
-    inverter.keep()
+    inverter.save_cache()
     return done
 
 
@@ -153,7 +153,7 @@ class Job:
         predict: bool = True,
         settings: Settings | None = None,
         shaper_off: bool = False,
-        inverter: Inverter | None = None,
+        inverter: InverseModel | None = None,
         restore: bool = False,
         jobs: int = 1,
     ) -> None:
@@ -166,7 +166,7 @@ class Job:
         if self.flavor not in FLAVORS:
             raise UnsupportedGcode(f"The flavor {flavor!r} is none of {', '.join(sorted(FLAVORS))}.", path=path)
         self.settings = settings or settings_for(machine)
-        self.inverter = inverter or Inverter(machine, self.settings)
+        self.inverter = inverter or InverseModel(machine, self.settings)
         self.summary = Summary(warnings=_not_modelled(self.inverter))
         self.compute_time_s = 0.0
 
@@ -206,7 +206,7 @@ class Job:
             totals = self._stepped(
                 together, recipe, target or Path(folder, "steps.npz"), board, error_s, plain, progress
             )
-        self.inverter.keep()
+        self.inverter.save_cache()
         self.compute_time_s = time.perf_counter() - self.started
         return totals
 
@@ -254,7 +254,7 @@ class Job:
         if self.shaper_off:
             body = _with_shaper_off(body, self.flavor)
         yield from _stamped(body, stamp, offset_line(self.offset))
-        self.inverter.keep()
+        self.inverter.save_cache()
         self.compute_time_s = time.perf_counter() - self.started
 
     def _parts(self) -> Iterator[Program]:
@@ -273,7 +273,7 @@ class Job:
     def _plan_of(self, program: Program) -> Trajectory:
         return firmware_plan(program, self.machine, self.offset)
 
-    def _eased(self, around: Program, cut: PathPosition, layers: int) -> tuple[Moves, tuple[SlowDown, ...]]:
+    def _eased(self, around: Program, cut: PathPosition, layers: int) -> tuple[Moves, tuple[TimeScaling, ...]]:
         limits, layer_of = planner_limits(self.machine), LayerLookup(around, layers).of
         return eased(self.inverter, around.moves, limits, cut, first_line=around.first_line, layer_of=layer_of)
 
@@ -394,7 +394,7 @@ def _share(first: Program, size: int) -> float:
     return min(1.0, LONGEST_S / max(quickest, 1e-9))
 
 
-def _not_modelled(inverter: Inverter) -> list[str]:
+def _not_modelled(inverter: InverseModel) -> list[str]:
     """A sentence, if the machine file lists effects that the command does not allow for."""
     names = ", ".join(inverter.not_modelled)
     return [f"The machine file lists effects that are not compensated: {names}."] if names else []

@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ffcomp.inverse.model import Inverter, RunResult
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
+from ffcomp.inverse.solve import Solution
 from ffcomp.metrics import Track, peak_acceleration, track
 from ffcomp.planner.sections import Section
 from ffcomp.planner.trajectory import PlannedMotion
@@ -72,7 +73,7 @@ class Samples:
 class Prediction:
     """Collects samples of runs while they are compensated."""
 
-    def __init__(self, inverter: Inverter, share: float) -> None:
+    def __init__(self, inverter: InverseModel, share: float) -> None:
         """share : of the print that is simulated, 0 to 1"""
         self.inverter, self.share = inverter, share
         s = inverter.settings
@@ -87,7 +88,7 @@ class Prediction:
         self.seen_s += length
         return due
 
-    def add(self, trajectory: PlannedMotion, run: Section, wanted: Reference, result: RunResult) -> None:
+    def add(self, trajectory: PlannedMotion, run: Section, wanted: Reference, result: Solution) -> None:
         """Take one compensated run in."""
         inverter, s, found, every = self.inverter, self.inverter.settings, self.samples, self.every
         length = wanted.knots * s.segment_s
@@ -99,11 +100,11 @@ class Prediction:
         found.place = found.wanted[-1][-1]
         self._add_path(trajectory, run, wanted, shift)
         state = rest_state(inverter.machine, nozzle[0])
-        plain, _ = inverter.fine.respond(nozzle, velocity, state, s.substeps)
+        plain, _ = inverter.plant.respond(nozzle, velocity, state, s.substeps)
         knots = nozzle[:: s.substeps]
         for motion, actual, command in ((found.before, plain, knots), (found.after, result.response, result.vertices)):
             motion.actual.append(actual[every - 1 :: every] + shift)
-            bend = peak_acceleration(inverter.delta.inverse(command), s.segment_s, s.segment_s)
+            bend = peak_acceleration(inverter.kinematics.inverse(command), s.segment_s, s.segment_s)
             motion.peak = max(motion.peak, bend)
         found.clock += length
 

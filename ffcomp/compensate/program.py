@@ -20,11 +20,12 @@ from ffcomp.compensate.gcode_output.writer import Writer
 from ffcomp.compensate.prediction import Prediction, Samples
 from ffcomp.compensate.solve import SolvedSection, solutions
 from ffcomp.errors import LimitsError
-from ffcomp.inverse.command_limits import shares_from_rest
+from ffcomp.inverse.command_limits import utilisation_from_rest
 from ffcomp.inverse.extent import WHOLE, Extent
-from ffcomp.inverse.model import Inverter, RunResult
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
-from ffcomp.inverse.time_scaling import SlowDown
+from ffcomp.inverse.solve import Solution
+from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.sections import Section
@@ -48,19 +49,19 @@ class Summary:
     original_print_time_s: float = 0.0
     print_time_s: float = 0.0
     warnings: list[str] = field(default_factory=list)
-    slowed: list[SlowDown] = field(default_factory=list)
+    slowed: list[TimeScaling] = field(default_factory=list)
     predicted: Samples | None = None
 
 
 def compensate(
     planned: PlannedProgram,
     machine: Machine,
-    inverter: Inverter,
+    inverter: InverseModel,
     flavor: str,
     summary: Summary,
     progress: Callable[[float], None] = lambda done_s: None,
     offset: tuple[float, float] = (0.0, 0.0),
-    watch: Callable[[Section, RunResult], None] = lambda run, result: None,
+    watch: Callable[[Section, Solution], None] = lambda run, result: None,
     state: FloatArray | None = None,
     said: Mapping[bytes, bytes] | None = None,
     prediction: Prediction | None = None,
@@ -169,21 +170,21 @@ def _on(place: PathPosition | None, plan: PlannedMotion, otherwise: float) -> fl
     return otherwise if place is None else place.on(cast(Trajectory, plan))
 
 
-def account(summary: Summary, answer: SolvedSection, program: Program, inverter: Inverter, longer_s: float) -> None:
+def account(summary: Summary, answer: SolvedSection, program: Program, inverter: InverseModel, longer_s: float) -> None:
     """Add up what a run took, which lasts longer than it was planned."""
     result = answer.result
     summary.windows += result.windows
-    summary.limited_windows += result.limited
+    summary.limited_windows += len(result.constrained)
     summary.print_time_s += longer_s
     summary.slowed += answer.slowed
-    if result.excess > BEYOND:
+    if result.utilisation > BEYOND:
         summary.warnings += _excesses(answer, program, inverter)
 
 
-def _excesses(answer: SolvedSection, program: Program, inverter: Inverter) -> Iterator[str]:
+def _excesses(answer: SolvedSection, program: Program, inverter: InverseModel) -> Iterator[str]:
     """A sentence, if more than a limit is asked for where the run is written."""
     begin, end = answer.knots
-    asked = shares_from_rest(answer.result.vertices, inverter.limits)[begin : end + 2].max(axis=(1, 2))
+    asked = utilisation_from_rest(answer.result.vertices, inverter.limits)[begin : end + 2].max(axis=(1, 2))
     worst = int(asked.argmax())
     if asked[worst] > BEYOND:
         t = answer.wanted.t0 + (begin + worst) * inverter.settings.segment_s

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from ffcomp.inverse.extent import WHOLE, Extent
-from ffcomp.inverse.model import Inverter, RunResult
-from ffcomp.inverse.nonlinear.correction import Ran, corrected
+from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.nonlinear.correction import LinearSolution, correct_sections
 from ffcomp.inverse.reference import Reference
-from ffcomp.inverse.time_scaling import SlowDown, feasible_run
+from ffcomp.inverse.solve import Solution, solve
+from ffcomp.inverse.time_scaling import TimeScaling, feasible_run
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.program import PlannedProgram, smooth_section
 from ffcomp.planner.sections import Section
@@ -29,15 +30,15 @@ class SolvedSection:
     trajectory: PlannedMotion  # the plan, slower than it was before where limits asked for it
     run: Section
     wanted: Reference
-    result: RunResult
-    slowed: tuple[SlowDown, ...]
+    result: Solution
+    slowed: tuple[TimeScaling, ...]
     knots: tuple[int, int]  # between which it is written
 
 
 def solutions(
     planned: PlannedProgram,
     machine: Machine,
-    inverter: Inverter,
+    inverter: InverseModel,
     state: FloatArray | None,
     keep: Callable[[Reference], bool],
     layers_before: int = 0,
@@ -62,14 +63,16 @@ def solutions(
         yield from (solved for solved, _ in ran)
         return
     known = list(ran)
-    results = corrected(inverter, inverter.printer, [Ran(s.wanted, s.result, rest) for s, rest in known])
+    results = correct_sections(
+        inverter, inverter.printer, [LinearSolution(s.wanted, s.result, rest) for s, rest in known]
+    )
     yield from (replace(solved, result=result) for (solved, _), result in zip(known, results, strict=True))
 
 
 def _by_the_model(
     planned: PlannedProgram,
     machine: Machine,
-    inverter: Inverter,
+    inverter: InverseModel,
     state: FloatArray | None,
     keep: Callable[[Reference], bool],
     layers_before: int,
@@ -89,13 +92,13 @@ def _by_the_model(
         if state is None or moved[run.first]:
             state, rest = rest_state(machine, start), None
         else:
-            state, rest = inverter.hold(state, start, rest_s), rest_s
+            state, rest = inverter.state_after_rest(state, start, rest_s), rest_s
         if later:
             run = replace(run, begin_t=run.begin_t + later, end_t=run.end_t + later)
         own = ends if run is planned.runs[0] else WHOLE
         if not settings.slow_down:
             wanted = own.reference(trajectory, run, settings)
-            result = inverter.run(wanted, state, keep_response=keep(wanted))
+            result = solve(inverter, wanted, state, keep_response=keep(wanted))
             yield SolvedSection(trajectory, run, wanted, result, (), own.knots(wanted, trajectory)), rest
         else:
             found = feasible_run(

@@ -15,7 +15,7 @@ from ffcomp.compensate.prediction import Prediction
 from ffcomp.compensate.program import Summary, account, counted_s, keep_inside, open_account
 from ffcomp.compensate.solve import SolvedSection, solutions
 from ffcomp.inverse.extent import WHOLE, Extent
-from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.model import InverseModel
 from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.sections import Section
 from ffcomp.planner.trajectory import Trajectory
@@ -57,7 +57,7 @@ class Stepping:
         self,
         planned: PlannedProgram,
         machine: Machine,
-        inverter: Inverter,
+        inverter: InverseModel,
         summary: Summary,
         state: FloatArray | None,
         prediction: Prediction | None,

@@ -23,7 +23,7 @@ from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.limits import SLOW_RATIOS, PlannerLimits
 from ffcomp.planner.lookahead import plan_moves
 from ffcomp.planner.machine_limits import planner_limits
-from ffcomp.planner.segment_timing import OutputLimits, Played, played
+from ffcomp.planner.segment_timing import SegmentLimits, SegmentSpeeds, segment_speeds
 from ffcomp.planner.trajectory import Trajectory
 from gcode.emit import F_COUNTS, XYZ_COUNTS
 from gcode.program import Moves
@@ -92,7 +92,7 @@ class Experiment:
     periods: int
     vertices_mm: FloatArray  # (n + 1, 3) columns X Y Z, as the file states them
     geometry: Kinematics = field(repr=False)
-    output: OutputLimits = field(repr=False)
+    output: SegmentLimits = field(repr=False)
 
     @cached_property
     def trajectory(self) -> Trajectory:
@@ -207,7 +207,7 @@ def make_plan(machine: Machine, request: Request) -> Plan:
     return Plan(machine.name, machine.sha256, request.kind, request.seed, tuple(experiments))
 
 
-def _output(machine: Machine, request: Request) -> OutputLimits:
+def _output(machine: Machine, request: Request) -> SegmentLimits:
     output = settings_for(machine).output
     own = request.z_acceleration_mm_per_s2 or output.z_acceleration_mm_per_s2
     return replace(output, z_acceleration_mm_per_s2=own)
@@ -219,7 +219,7 @@ def _each(request: Request) -> list[tuple[int, int, str]]:
     return [(place, r, direction) for place in places for r in realisations for direction in request.directions]
 
 
-def limits_of(machine: Machine, output: OutputLimits) -> Peaks:
+def limits_of(machine: Machine, output: SegmentLimits) -> Peaks:
     """What the machine file allows."""
     own = machine.limits
     return Peaks(
@@ -260,7 +260,7 @@ def _gains(geometry: Kinematics, place: tuple[float, float], direction: str) -> 
 
 def _experiment(
     machine: Machine,
-    output: OutputLimits,
+    output: SegmentLimits,
     name: str,
     direction: str,
     position: tuple[float, float, float],
@@ -313,7 +313,7 @@ def _always_moving(counts: list[list[int]], axis: int) -> FloatArray:
     return np.array(counts, dtype=np.float64)
 
 
-def play(vertices: FloatArray, segment_s: float, output: OutputLimits) -> Trajectory:
+def play(vertices: FloatArray, segment_s: float, output: SegmentLimits) -> Trajectory:
     """The firmware's motion through (n + 1, 3) mm, every segment meant to last S, with F as it is written.
 
     Raises
@@ -322,7 +322,7 @@ def play(vertices: FloatArray, segment_s: float, output: OutputLimits) -> Trajec
         Knots that the firmware's acceleration cannot reach in time.
     """
     n = len(vertices) - 1
-    speeds = played(vertices, np.zeros(n), np.full(n, segment_s), output)
+    speeds = segment_speeds(vertices, np.zeros(n), np.full(n, segment_s), output)
     written = _as_written(np.linalg.norm(np.diff(vertices, axis=0), axis=1), speeds)
     trajectory = _planned(vertices, written, output)
     late = trajectory.start_t + trajectory.duration - segment_s * np.arange(1, n + 1)
@@ -334,7 +334,7 @@ def play(vertices: FloatArray, segment_s: float, output: OutputLimits) -> Trajec
     return trajectory
 
 
-def _planned(vertices: FloatArray, speed: FloatArray, output: OutputLimits) -> Trajectory:
+def _planned(vertices: FloatArray, speed: FloatArray, output: SegmentLimits) -> Trajectory:
     """What the firmware's planner makes of moves through (n + 1, 3) mm at (n,) mm/s, from rest to rest."""
     n = len(speed)
     places = np.column_stack([vertices, np.zeros(n + 1)])
@@ -350,7 +350,7 @@ def _planned(vertices: FloatArray, speed: FloatArray, output: OutputLimits) -> T
     return plan_moves(moves, limits, stop_before=np.zeros(n, dtype=np.bool_), wait_before=np.zeros(n))
 
 
-def _as_written(length: FloatArray, speeds: Played) -> FloatArray:
+def _as_written(length: FloatArray, speeds: SegmentSpeeds) -> FloatArray:
     """Speeds as F states them, (n,) mm/s: what its rounding makes one segment late, the next one makes up for."""
     late, written = 0.0, []
     columns = (length, speeds.cruise, speeds.acceleration, speeds.duration, speeds.junction[:-1], speeds.junction[1:])

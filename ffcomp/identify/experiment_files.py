@@ -18,7 +18,7 @@ import numpy as np
 from ffcomp.errors import MeasurementError
 from ffcomp.identify.experiment import TOWERS, Experiment, Plan
 from ffcomp.identify.multisine import Band, Lines
-from ffcomp.planner.segment_timing import OutputLimits
+from ffcomp.planner.segment_timing import SegmentLimits
 from gcode.atomic_write import replace_atomically
 from gcode.dialects import KLIPPER, close_limits, open_limits, shaper_off
 from gcode.emit import MoveWriter
@@ -99,7 +99,7 @@ def load_plan(path: str | Path) -> Plan:
 
 
 def _plan(account: Mapping[str, Any]) -> Plan:
-    machine, output = account["machine"], OutputLimits(**account["output"])
+    machine, output = account["machine"], SegmentLimits(**account["output"])
     arrays = {name: constant(value) for name, value in account["kinematics"].items() if isinstance(value, list)}
     kind = CartesianKinematics if "motor_matrix" in arrays else DeltaKinematics
     geometry = kind(**{**account["kinematics"], **arrays})
@@ -107,7 +107,7 @@ def _plan(account: Mapping[str, Any]) -> Plan:
     return Plan(machine["name"], machine["sha256"], account["kind"], account["seed"], experiments)
 
 
-def _experiment(entry: Mapping[str, Any], geometry: Kinematics, output: OutputLimits) -> Experiment:
+def _experiment(entry: Mapping[str, Any], geometry: Kinematics, output: SegmentLimits) -> Experiment:
     x, y, z = entry["position_mm"]
     given = {each.name: entry[each.name] for each in fields(Experiment) if each.name in entry}
     read = {"position_mm": (x, y, z), "band": Band(**entry["band"]), "vertices_mm": constant(entry["vertices_mm"])}

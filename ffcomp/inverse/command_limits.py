@@ -55,13 +55,13 @@ class CommandLimits:
             geometry.motors,
         )
 
-    def asked(self, vertices: FloatArray) -> Asked:
+    def asked(self, vertices: FloatArray) -> Demand:
         """What the command (n + 1, 3) mm, a nozzle polygon, asks of the carriages."""
-        return Asked(*_asked(np.ascontiguousarray(vertices), self.rows, self.segment_s))
+        return Demand(*_asked(np.ascontiguousarray(vertices), self.rows, self.segment_s))
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class Demand:
     """Of n segments, for carriages A B C; the last axis holds both ends of a range, of time or of height."""
 
     velocity: FloatArray  # (n, 3, 2) mm/s, just after the segment's beginning and just before its end
@@ -82,15 +82,15 @@ class Asked:
         return np.asarray(_shares(self.velocity, self.height, limits.velocity_mm_per_s, change, middle, half))
 
 
-def shares_from_rest(vertices: FloatArray, limits: CommandLimits) -> FloatArray:
+def utilisation_from_rest(vertices: FloatArray, limits: CommandLimits) -> FloatArray:
     """The shares (n + 2, 3, 3) of a command (n + 1, 3) mm that rests for a segment before and after it."""
     resting = np.concatenate([vertices[:1], vertices, vertices[-1:]])
     return limits.asked(resting).shares(limits)
 
 
-def excess(vertices: FloatArray, limits: CommandLimits) -> float:
+def peak_utilisation(vertices: FloatArray, limits: CommandLimits) -> float:
     """How many times the tightest limit a command (n + 1, 3) mm, from rest to rest, asks for; up to 1 is allowed."""
-    return float(shares_from_rest(vertices, limits).max())
+    return float(utilisation_from_rest(vertices, limits).max())
 
 
 @njit(cache=True, nogil=True)

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ffcomp.inverse.command_limits import shares_from_rest
-from ffcomp.inverse.iterate import CONTEXT, Playing, Stretch
-from ffcomp.inverse.windowed_qr import Held, Window
+from ffcomp.inverse.command_limits import utilisation_from_rest
+from ffcomp.inverse.iterate import CONTEXT, Iterate, KnotWindow
+from ffcomp.inverse.windowed_qr import ConstrainedWindow, WindowProblem
 from models.arrays import BoolArray, FloatArray, IntArray
 
 BEFORE, AFTER = 32, 32  # knots: what lies further away asks for less than a ten-thousandth here
@@ -21,14 +21,16 @@ FOLLOWING = 16  # knots after the unknown ones whose errors count
 AT_A_TIME = 512  # knots played
 
 
-def hold(run: Playing, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray, list[Held]]:
+def enforce(
+    run: Iterate, state: FloatArray, keep_response: bool
+) -> tuple[FloatArray, FloatArray, list[ConstrainedWindow]]:
     """Solve again where the answer exceeds a limit, from the plant's state (18,) at the run's first knot.
 
     Returns
     -------
     the nozzle's response (n·substeps, 3) mm, empty if not asked for; the state (18,) at the end; the windows
     """
-    begin, at, held = state, 0, list[Held]()
+    begin, at, held = state, 0, list[ConstrainedWindow]()
     too_much = _too_much(run, 0, run.last)
     while len(beyond := at + np.flatnonzero(too_much[at:])):
         first = max(at, int(beyond[0]) - BEFORE)
@@ -42,10 +44,10 @@ def hold(run: Playing, state: FloatArray, keep_response: bool) -> tuple[FloatArr
     return (response if keep_response else response[:0]), state, held
 
 
-def _too_much(run: Playing, first: int, last: int) -> BoolArray:
+def _too_much(run: Iterate, first: int, last: int) -> BoolArray:
     """Which of the segments (last - first,) between two knots exceed a limit; how the run ends belongs to its last."""
     before = max(first - 1, 0)
-    shares = shares_from_rest(run.vertices[before : last + 1], run.inverter.limits)
+    shares = utilisation_from_rest(run.vertices[before : last + 1], run.model.limits)
     over = shares.max(axis=(1, 2)) > 1.0
     if last == run.last:
         over[-2] |= over[-1]
@@ -58,22 +60,22 @@ def _end_of_cluster(knots: IntArray) -> int:
     return int(knots[gaps[0]] if len(gaps) else knots[-1])
 
 
-def _window(run: Playing, first: int, last_beyond: int, state: FloatArray) -> Window:
+def _window(run: Iterate, first: int, last_beyond: int, state: FloatArray) -> WindowProblem:
     whole = min(last_beyond + AFTER, run.last - 1)  # the run's last knot is given
     last = min(whole, first + LONGEST)
     commit_end = last - AFTER if last < whole else last
     if last >= run.last - 1:
         commit_end = run.last
-    return Window(run, first, state, commit_end, last - first, min(last + FOLLOWING, run.n), limited=True)
+    return WindowProblem(run, first, state, commit_end, last - first, min(last + FOLLOWING, run.n), limited=True)
 
 
-def play(run: Playing, first: int, last: int, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+def play(run: Iterate, first: int, last: int, state: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Nozzle (n·substeps, 3) mm between two knots, and the state (18,) at the latter."""
-    responses, substeps = [np.empty((0, 3))], run.inverter.settings.substeps
+    responses, substeps = [np.empty((0, 3))], run.model.settings.substeps
     for at in range(first, last, AT_A_TIME):
         kept = min(AT_A_TIME, last - at)
         # how a segment ends depends on the few that follow
-        response, states = Stretch(run, at, min(at + kept + CONTEXT, run.n)).respond(state)
+        response, states = KnotWindow(run, at, min(at + kept + CONTEXT, run.n)).respond(state)
         responses.append(response[: kept * substeps])
         state = states[kept]
     return np.concatenate(responses), state

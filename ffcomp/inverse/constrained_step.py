@@ -25,7 +25,7 @@ MARGIN = 2e-3  # kept from the limits: for what o, c and m change, and for the s
 ROOM = (1.0, 1.1, 1.3, 1.7, 2.5)  # times the limit, where given knots on both sides leave no room for less
 
 
-def limited_step(
+def constrained_step(
     hessian: FloatArray,
     gradient: FloatArray,
     command: FloatArray,

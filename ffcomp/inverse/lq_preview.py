@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.inverse.iterate import Playing, Stretch
-from ffcomp.inverse.riccati import REST_ROWS, TO_THE_END, Gains, Preview, no_gains
+from ffcomp.inverse.iterate import Iterate, KnotWindow
+from ffcomp.inverse.riccati import REST_ROWS, TO_THE_END, Gains, PreviewGains, no_gains
 from ffcomp.inverse.riccati_kernels import sweep_back, sweep_forward
 from models.arrays import FloatArray
 
@@ -22,7 +22,7 @@ CLOSE_MM = 5e-3  # a change of the command so small leaves a tenth of it to the 
 SIGHT = 32  # knots in sight after them: what comes later asks for a hundred-thousandth now
 
 
-def solve(run: Playing, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray, int]:
+def solve(run: Iterate, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray, int]:
     """All coefficients of a run, from the plant's state (18,) at its first knot.
 
     Returns
@@ -42,11 +42,11 @@ def solve(run: Playing, state: FloatArray, keep_response: bool) -> tuple[FloatAr
 class _Part:
     """The knots at+1 … stop of a run, with those in sight."""
 
-    def __init__(self, run: Playing, at: int, stop: int, begin: bool = True) -> None:
+    def __init__(self, run: Iterate, at: int, stop: int, begin: bool = True) -> None:
         self.run, self.at, self.stop = run, at, stop
         whole = stop == run.last
-        self.stretch = Stretch(run, at, stop + (REST_ROWS if whole else SIGHT))
-        gains = run.inverter.preview
+        self.stretch = KnotWindow(run, at, stop + (REST_ROWS if whole else SIGHT))
+        gains = run.model.gains
         self.node, self.steady = gains.at(self.stretch.place)
         self.ending = _to_rest(gains, self.node, len(self.steady.backward)) if whole else no_gains()
         if begin:
@@ -58,17 +58,17 @@ class _Part:
         last = min(stretch.end, run.last - 1)
         n = last - self.at
         if n > 0:
-            s = run.inverter.settings
+            s = run.model.settings
             knots = slice(s.substeps, (n + 1) * s.substeps, s.substeps)
-            ahead = stretch.nozzle[knots] + stretch.velocity[knots] * run.inverter.delay_s
+            ahead = stretch.nozzle[knots] + stretch.velocity[knots] * run.model.delay_s
             edges = run.reference.at_knots(np.array([self.at - 1, stretch.end + 1, stretch.end + 2]))
-            q = np.insert(run.inverter.delta.inverse(edges), 1, stretch.wanted, axis=0)[: n + 4]
+            q = np.insert(run.model.kinematics.inverse(edges), 1, stretch.wanted, axis=0)[: n + 4]
             bend = (q[4:] - 2 * q[2:-2] + q[:-4]) / (2 * s.segment_s) ** 2  # NOTE: over two knots, for less noise
-            bent = np.einsum("nij,nj->ni", run.inverter.compliance_at(stretch.nozzle[knots, :2]), bend)
-            run.gamma[self.at + 1 : last + 1] = run.inverter.delta.inverse(ahead) - stretch.wanted[1 : n + 1] + bent
+            bent = np.einsum("nij,nj->ni", run.model.compliance_at(stretch.nozzle[knots, :2]), bend)
+            run.gamma[self.at + 1 : last + 1] = run.model.kinematics.inverse(ahead) - stretch.wanted[1 : n + 1] + bent
 
     def solve(self, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray]:
-        run, s, kept = self.run, self.run.inverter.settings, self.stop - self.at
+        run, s, kept = self.run, self.run.model.settings, self.stop - self.at
         for _ in range(MOST_PASSES):
             error, states = self.stretch.error_from(state)
             answer, change = self.improve(error)
@@ -97,7 +97,7 @@ class _Part:
         return answer, float(np.abs(change[:kept]).max())
 
 
-def _to_rest(gains: Preview, node: NDArray[np.int64], steady: int) -> Gains:
+def _to_rest(gains: PreviewGains, node: NDArray[np.int64], steady: int) -> Gains:
     """The gains before the run's end; from there on `node` (n,) points to them, counted after the steady ones."""
     felt = TO_THE_END + REST_ROWS
     n = min(felt, len(node))
@@ -106,7 +106,7 @@ def _to_rest(gains: Preview, node: NDArray[np.int64], steady: int) -> Gains:
     return ending
 
 
-def answer(run: Playing, gamma: FloatArray, error: FloatArray) -> FloatArray:
+def answer(run: Iterate, gamma: FloatArray, error: FloatArray) -> FloatArray:
     """By how much a command γ (n + 1, 3) mm of a whole run is changed that leaves an error.
 
     error : (rows, 3) mm, of the run and `REST_ROWS` knots after it

@@ -85,7 +85,7 @@ def no_gains() -> Gains:
     return Gains(np.empty((0, *BACKWARD), np.float32), np.empty((0, *FORWARD), np.float32))
 
 
-class Preview:
+class PreviewGains:
     """The gains of one machine over its bed, worked out for the nodes that a path comes by."""
 
     def __init__(self, plant_at: PlantAt, reach_mm: float, rows_per_segment: int, effort: float) -> None:

@@ -61,7 +61,7 @@ STEPS = 10  # of the conjugate gradients in each
 CLOSE = 1e-4  # share of the gradient's square at which they end earlier
 
 
-class Softening:
+class RobustReference:
     """d over the bed of one machine, for rows `row_s` apart."""
 
     def __init__(self, machine: Machine, row_s: float, bandwidth_hz: float, effort: float) -> None:

@@ -7,7 +7,7 @@ from typing import Literal
 
 from ffcomp.inverse.bandwidth import effort_curve
 from ffcomp.planner.machine_limits import planner_limits
-from ffcomp.planner.segment_timing import OutputLimits
+from ffcomp.planner.segment_timing import SegmentLimits
 from models.effects.catalogue import design_machine
 from models.machine import DeltaKinematics, Machine
 
@@ -40,13 +40,13 @@ class Settings:
     one_model: bool = False  # the bed's middle everywhere, as methods do that know no place
     merge_um: float = 0.2  # segments are joined while what is played stays this close to what was solved
     longest_merged_s: float = 0.1  # and no longer than this, so that the firmware's clock is kept in short steps
-    output: OutputLimits = field(default_factory=OutputLimits)
+    output: SegmentLimits = field(default_factory=SegmentLimits)
 
 
 def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SECOND) -> Settings:
     """The settings for a machine: its bandwidth at the knee, and from its own limits what no G-code file can raise."""
     limits = planner_limits(machine)
-    output = OutputLimits(
+    output = SegmentLimits(
         z_acceleration_mm_per_s2=limits.z_acceleration_mm_per_s2 or limits.acceleration_mm_per_s2,
         raised_axes="XYZ" if isinstance(machine.kinematics, DeltaKinematics) else "XY",
         retract_acceleration_mm_per_s2=limits.acceleration_mm_per_s2 * limits.extrusion_ratio,

@@ -25,10 +25,11 @@ from typing import TypeVar, cast
 import numpy as np
 
 from ffcomp.errors import LimitsError, SolverError
-from ffcomp.inverse.command_limits import NAMES, TRAVEL, VELOCITY, shares_from_rest
+from ffcomp.inverse.command_limits import NAMES, TRAVEL, VELOCITY, utilisation_from_rest
 from ffcomp.inverse.extent import SETTLED, WHOLE, Extent, around_s
-from ffcomp.inverse.model import Inverter, RunResult
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
+from ffcomp.inverse.solve import Solution, solve
 from ffcomp.inverse.violations import (
     ENOUGH,
     PLAYABLE,
@@ -43,7 +44,7 @@ from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.lookahead import plan_moves
 from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.sections import Section
-from ffcomp.planner.segment_timing import played
+from ffcomp.planner.segment_timing import segment_speeds
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from gcode.program import Moves
 from models.arrays import BoolArray, FloatArray, IntArray
@@ -64,7 +65,7 @@ STEADY = 0.02  # by which share a speed may change that is called constant
 
 
 @dataclass(frozen=True, slots=True)
-class SlowDown:
+class TimeScaling:
     """Moves that had to become slower, and why."""
 
     first_line: int  # counted from 1
@@ -89,19 +90,19 @@ class SlowDown:
 
 
 @dataclass(frozen=True, slots=True)
-class Feasible:
+class FeasibleSection:
     """A run that can be followed."""
 
     trajectory: PlannedMotion  # the whole plan; what comes after the run is later by `lost_s`
     run: Section
     wanted: Reference
-    result: RunResult
-    records: tuple[SlowDown, ...]
+    result: Solution
+    records: tuple[TimeScaling, ...]
     lost_s: float
 
 
 def feasible_run(
-    inverter: Inverter,
+    model: InverseModel,
     moves: Moves,
     limits: PlannerLimits,
     trajectory: PlannedMotion,
@@ -115,7 +116,7 @@ def feasible_run(
     layer_of: Callable[[int], int | None] = lambda move: None,
     replan: Replan | None = None,
     ends: Extent = WHOLE,
-) -> Feasible:
+) -> FeasibleSection:
     """Solve a run; where its limits cannot be held within the tolerance, on a plan that is slower there.
 
     Parameters
@@ -135,36 +136,36 @@ def feasible_run(
     LimitsError
         Where the path itself lies beyond a carriage's travel, where no slower plan is found, or when `strict`.
     """
-    wanted = ends.reference(trajectory, run, inverter.settings)
-    result = inverter.run(wanted, state, keep_response, hold=False)
-    if not _exceeds(inverter, wanted, result, ends.knots(wanted, trajectory)):
-        return Feasible(trajectory, run, wanted, result, (), 0.0)
-    part = _Part(inverter, _slice(moves, run), limits, replan or _planner(limits), run, ends)
+    wanted = ends.reference(trajectory, run, model.settings)
+    result = solve(model, wanted, state, keep_response=keep_response, enforce_limits=False)
+    if not _exceeds(model, wanted, result, ends.knots(wanted, trajectory)):
+        return FeasibleSection(trajectory, run, wanted, result, (), 0.0)
+    part = _Part(model, _slice(moves, run), limits, replan or _planner(limits), run, ends)
     wanted, result = part.solved(state, tolerance_um * 1e-3, keep_response, first_line)
     if not part.reasons:
-        return Feasible(trajectory, run, wanted, result, (), 0.0)
+        return FeasibleSection(trajectory, run, wanted, result, (), 0.0)
     spliced, lost = _spliced(trajectory, run, part.plan)
     records = tuple(part.records(trajectory.duration[run.first : run.last], first_line, layer_of))
     if strict:
         _refuse(records)
-    return Feasible(spliced, replace(run, end_t=part.run.end_t), wanted, result, records, lost)
+    return FeasibleSection(spliced, replace(run, end_t=part.run.end_t), wanted, result, records, lost)
 
 
 def eased(
-    inverter: Inverter,
+    model: InverseModel,
     moves: Moves,
     limits: PlannerLimits,
     cut: PathPosition,
     *,
     first_line: int = 0,
     layer_of: Callable[[int], int | None] = lambda move: None,
-) -> tuple[Moves, tuple[SlowDown, ...]]:
+) -> tuple[Moves, tuple[TimeScaling, ...]]:
     """Moves around a place where a motion is to be cut, slower where they have to be, and what was slowed down.
 
     moves : planned from rest to rest; those near their ends stay as they are
     Other parameters, and errors, are those of `feasible_run`.
     """
-    settings, plan = inverter.settings, cast(Trajectory, _planner(limits)(moves, 0.0))
+    settings, plan = model.settings, cast(Trajectory, _planner(limits)(moves, 0.0))
     reach_s = EASED * around_s(moves, plan)
     t = cut.on(plan)
     inner = (plan.start_t >= t - reach_s) & (plan.start_t + plan.duration <= t + reach_s)
@@ -173,8 +174,8 @@ def eased(
     first, last = np.flatnonzero(inner)[[0, -1]].tolist()
     middle = Extent(PathPosition(first, 0.0), PathPosition(last, float(lines_of(moves).length[last])))
     run = Section(0, len(moves), True, 0.0, plan.end_t)
-    part = _Part(inverter, moves, limits, _planner(limits), run, middle, ~inner)
-    state = rest_state(inverter.machine, moves.start[0, :3])
+    part = _Part(model, moves, limits, _planner(limits), run, middle, ~inner)
+    state = rest_state(model.machine, moves.start[0, :3])
     part.slowed(state, NOT_HELD_MM, False, first_line)
     records = tuple(part.records(plan.duration, first_line, layer_of)) if part.reasons else ()
     if records and settings.strict:
@@ -182,28 +183,28 @@ def eased(
     return part.moves, records
 
 
-def _refuse(records: tuple[SlowDown, ...]) -> None:
+def _refuse(records: tuple[TimeScaling, ...]) -> None:
     raise LimitsError(" ".join(record.sentence("would have to be slowed") for record in records))
 
 
-def _exceeds(inverter: Inverter, wanted: Reference, result: RunResult, between: tuple[int, int]) -> bool:
+def _exceeds(model: InverseModel, wanted: Reference, result: Solution, between: tuple[int, int]) -> bool:
     # what is not finite is out of reach, which is nothing that speed could help
     written = slice(*between)
-    return excess_of(inverter, result, between) > 1.0 or bool(_late(inverter, wanted, result.vertices)[written].any())
+    return excess_of(model, result, between) > 1.0 or bool(_late(model, wanted, result.vertices)[written].any())
 
 
-def excess_of(inverter: Inverter, result: RunResult, between: tuple[int, int]) -> float:
+def excess_of(model: InverseModel, result: Solution, between: tuple[int, int]) -> float:
     """How many times its limit a carriage is asked for from one knot to another."""
     if between == (0, len(result.vertices) - 1):
-        return result.excess
-    return float(shares_from_rest(result.vertices, inverter.limits)[1:-1][slice(*between)].max())
+        return result.utilisation
+    return float(utilisation_from_rest(result.vertices, model.limits)[1:-1][slice(*between)].max())
 
 
-def _late(inverter: Inverter, wanted: Reference, vertices: FloatArray) -> BoolArray:
+def _late(model: InverseModel, wanted: Reference, vertices: FloatArray) -> BoolArray:
     """Segments (n,) that the firmware cannot play in their time."""
-    s = inverter.settings
+    s = model.settings
     lasting = np.full(len(vertices) - 1, s.segment_s)
-    speeds = played(vertices, np.diff(wanted.extrusion()), lasting, s.output)
+    speeds = segment_speeds(vertices, np.diff(wanted.extrusion()), lasting, s.output)
     return np.asarray((speeds.duration - lasting) * speeds.cruise > LATE_MM)
 
 
@@ -220,7 +221,7 @@ class _Part:
 
     def __init__(
         self,
-        inverter: Inverter,
+        model: InverseModel,
         moves: Moves,
         limits: PlannerLimits,
         replan: Replan,
@@ -229,7 +230,7 @@ class _Part:
         kept: BoolArray | None = None,
     ) -> None:
         """kept : (n,) the moves that keep their speed; None: those near the run's ends in motion"""
-        self.inverter, self.moves, self._limits, self._replan = inverter, moves, limits, replan
+        self.model, self.moves, self._limits, self._replan = model, moves, limits, replan
         self._begin_t, self._ends = run.begin_t, ends
         self.reasons: dict[int, Trouble] = {}  # move → why it was slowed down at first
         self._plan_again()
@@ -249,7 +250,7 @@ class _Part:
 
     def solved(
         self, state: FloatArray, tolerance_mm: float, keep_response: bool, first_line: int
-    ) -> tuple[Reference, RunResult]:
+    ) -> tuple[Reference, Solution]:
         """The first plan in a few rounds that can be followed, and its command."""
         moves, plan = self.moves, self.plan
         wanted, result = self.slowed(state, tolerance_mm, keep_response, first_line)
@@ -262,7 +263,7 @@ class _Part:
 
     def slowed(
         self, state: FloatArray, tolerance_mm: float, keep_response: bool, first_line: int
-    ) -> tuple[Reference, RunResult]:
+    ) -> tuple[Reference, Solution]:
         """The same, without a care for where it ends."""
         for _ in range(ROUNDS):
             wanted, result, troubles = self._attempt(state, tolerance_mm, keep_response)
@@ -275,15 +276,17 @@ class _Part:
         wanted, free, troubles = self._attempt(state, tolerance_mm, keep_response)
         if self._ends != WHOLE:
             return wanted, self._held(wanted, free, state, keep_response)
-        result = self.inverter.run(wanted, state, keep_response)
-        if result.excess > 1.0 + ENOUGH:
+        result = solve(self.model, wanted, state, keep_response=keep_response)
+        if result.utilisation > 1.0 + ENOUGH:
             place = self._place(wanted, troubles[0], first_line)
-            raise LimitsError(f"{place}: however slow this is made, {result.excess:.2f} times a limit is asked for.")
+            raise LimitsError(
+                f"{place}: however slow this is made, {result.utilisation:.2f} times a limit is asked for."
+            )
         return wanted, result
 
-    def _held(self, wanted: Reference, free: RunResult, state: FloatArray, keep_response: bool) -> RunResult:
+    def _held(self, wanted: Reference, free: Solution, state: FloatArray, keep_response: bool) -> Solution:
         try:
-            return self.inverter.run(wanted, state, keep_response)
+            return solve(self.model, wanted, state, keep_response=keep_response)
         except SolverError:  # a warning will say where a limit is exceeded, and by how much
             return free
 
@@ -292,7 +295,7 @@ class _Part:
         from scipy.optimize import brentq
 
         moves, plan = self.moves, self.plan
-        segment_s = self.inverter.settings.segment_s
+        segment_s = self.model.settings.segment_s
         whole_s = segment_s * float(np.ceil(self._lasting_s() / segment_s - KNOT))
 
         def longer_s(factor: float) -> float:
@@ -311,43 +314,43 @@ class _Part:
     def _lasting_s(self) -> float:
         """How long what is written lasts, as far as it ends in motion."""
         plan, (begin, end) = cast(Trajectory, self.plan), self._ends
-        first_t = self._begin_t - self.inverter.settings.lead_s if begin is None else begin.on(plan)
+        first_t = self._begin_t - self.model.settings.lead_s if begin is None else begin.on(plan)
         return (self.plan.end_t if end is None else end.on(plan)) - first_t
 
     def _attempt(
         self, state: FloatArray, tolerance_mm: float, keep_response: bool
-    ) -> tuple[Reference, RunResult, list[Trouble]]:
-        inverter = self.inverter
-        wanted = self._ends.reference(self.plan, self.run, inverter.settings)
+    ) -> tuple[Reference, Solution, list[Trouble]]:
+        model = self.model
+        wanted = self._ends.reference(self.plan, self.run, model.settings)
         between = self._ends.knots(wanted, self.plan)
-        free = inverter.run(wanted, state, keep_response, hold=False)
-        excess = excess_of(inverter, free, between)
-        shares = shares_from_rest(free.vertices, inverter.limits)[1:-1]
+        free = solve(model, wanted, state, keep_response=keep_response, enforce_limits=False)
+        excess = excess_of(model, free, between)
+        shares = utilisation_from_rest(free.vertices, model.limits)[1:-1]
         troubles = _among(of_the_path(self._asked_by_the_path(wanted), shares), between)
         if not troubles and excess <= 1.0:
-            troubles = _among(of_playing(_late(inverter, wanted, free.vertices)), between)
+            troubles = _among(of_playing(_late(model, wanted, free.vertices)), between)
         if troubles or excess <= 1.0:
             return wanted, free, troubles
         try:
-            result = inverter.run(wanted, state, keep_response)
+            result = solve(model, wanted, state, keep_response=keep_response)
         except SolverError:  # no command keeps the limits
             return wanted, free, _among(of_the_command(shares), between)
-        troubles = _among(of_the_answer(result, shares, tolerance_mm, inverter), between)
-        troubles += _among(of_playing(_late(inverter, wanted, result.vertices)), between)
+        troubles = _among(of_the_answer(result, shares, tolerance_mm, model), between)
+        troubles += _among(of_playing(_late(model, wanted, result.vertices)), between)
         return wanted, result, troubles
 
     def _asked_by_the_path(self, wanted: Reference) -> FloatArray:
         """Shares (n, 3, 3), the largest for any place of the knots: a slower beginning shifts all that follow."""
-        s, limits = self.inverter.settings, self.inverter.limits
+        s, limits = self.model.settings, self.model.limits
         knots = wanted.t0 + np.arange(wanted.knots + 1, dtype=np.float64) * s.segment_s
         paths = (wanted.nozzle(knots + s.segment_s * part / PHASES) for part in range(PHASES))
-        return np.asarray(np.max([shares_from_rest(path, limits)[1:-1] for path in paths], axis=0))
+        return np.asarray(np.max([utilisation_from_rest(path, limits)[1:-1] for path in paths], axis=0))
 
     def _refuse_travel(self, wanted: Reference, troubles: list[Trouble], first_line: int) -> None:
-        low, high = self.inverter.limits.travel_mm
+        low, high = self.model.limits.travel_mm
         for trouble in troubles:
             if trouble.limit == TRAVEL and np.isnan(trouble.factor):
-                height = self.inverter.delta.inverse(wanted.at_knots(np.arange(trouble.first, trouble.last + 2)))
+                height = self.model.kinematics.inverse(wanted.at_knots(np.arange(trouble.first, trouble.last + 2)))
                 worst = height[np.argmax(np.abs(height[:, trouble.carriage] - 0.5 * (low + high))), trouble.carriage]
                 raise LimitsError(
                     f"{self._place(wanted, trouble, first_line)}: the path needs carriage {'ABC'[trouble.carriage]} "
@@ -360,7 +363,7 @@ class _Part:
 
     def _touched(self, wanted: Reference, trouble: Trouble) -> IntArray:
         """The moves under way from a segment before the trouble to a segment after it; at least one."""
-        segment_s = self.inverter.settings.segment_s
+        segment_s = self.model.settings.segment_s
         begin = wanted.t0 + (trouble.first - 1) * segment_s
         end = wanted.t0 + (trouble.last + 2) * segment_s
         within = np.clip([begin, end], self.run.begin_t, self.run.end_t - 1e-9)
@@ -420,20 +423,20 @@ class _Part:
     def _steady(self, wanted: Reference, trouble: Trouble) -> bool:
         """Whether the nozzle keeps its speed throughout the trouble: then it is speed that asks for acceleration."""
         knots = np.arange(trouble.first - 1, trouble.last + 3)
-        t = wanted.t0 + knots * self.inverter.settings.segment_s
+        t = wanted.t0 + knots * self.model.settings.segment_s
         speed = np.sqrt((self.plan.velocity(t)[:, :3] ** 2).sum(axis=1))
         return bool(np.ptp(speed) <= STEADY * speed.max())
 
     def records(
         self, planned_s: FloatArray, first_line: int, layer_of: Callable[[int], int | None]
-    ) -> Iterator[SlowDown]:
+    ) -> Iterator[TimeScaling]:
         """One for each group of moves that lie close together. planned_s : (n,) how long they took at first."""
         slowed = np.array(sorted(self.reasons))
         for group in np.split(slowed, np.flatnonzero(np.diff(slowed) > APART) + 1):
             worst = max((self.reasons[int(move)] for move in group), key=lambda trouble: trouble.asked)
             all_moves = slice(group[0], group[-1] + 1)
             before, after = planned_s[all_moves].sum(), self.plan.duration[all_moves].sum()
-            yield SlowDown(
+            yield TimeScaling(
                 first_line + int(self.moves.line[group[0]]) + 1,
                 first_line + int(self.moves.line[group[-1]]) + 1,
                 layer_of(int(group[0])),

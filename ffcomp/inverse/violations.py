@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ffcomp.inverse.command_limits import A_LITTLE, ACCELERATION, NAMES, TRAVEL, VELOCITY, shares_from_rest
-from ffcomp.inverse.model import Inverter, RunResult
+from ffcomp.inverse.command_limits import A_LITTLE, ACCELERATION, NAMES, TRAVEL, VELOCITY, utilisation_from_rest
+from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.solve import Solution
 from models.arrays import BoolArray, FloatArray
 
 ROOM = 0.98  # of a limit, what a slowed move aims at
@@ -44,13 +45,13 @@ def of_the_path(path: FloatArray, command: FloatArray) -> Iterator[Trouble]:
             yield Trouble(first, last, limit, int(asked.argmax()), worst, factor)
 
 
-def of_the_answer(result: RunResult, free: FloatArray, tolerance_mm: float, inverter: Inverter) -> Iterator[Trouble]:
+def of_the_answer(result: Solution, free: FloatArray, tolerance_mm: float, model: InverseModel) -> Iterator[Trouble]:
     """Where limits are held at the cost of the path, or not held.
 
     free : shares (n, 3, 3) of the answer without limits
     """
-    left = shares_from_rest(result.vertices, inverter.limits)[1:-1]
-    for held in result.held:
+    left = utilisation_from_rest(result.vertices, model.limits)[1:-1]
+    for held in result.constrained:
         inside = slice(held.first, held.last + 1)
         if held.error_mm <= tolerance_mm and not (left[inside] > 1.0 + ENOUGH).any():
             continue

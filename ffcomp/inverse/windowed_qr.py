@@ -21,14 +21,14 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from ffcomp.inverse.iterate import Playing, Stretch
+from ffcomp.inverse.iterate import Iterate, KnotWindow
 from ffcomp.inverse.riccati_kernels import basis_response
 from models.arrays import FloatArray
 from models.vibration.scheduled import interpolate, models_along
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class ConstrainedWindow:
     """Where a limit had to be enforced."""
 
     first: int  # knots of the run
@@ -36,7 +36,7 @@ class Held:
     error_mm: float  # how far the nozzle is from the path at the worst, by the design model
 
 
-def solve(run: Playing, state: FloatArray) -> tuple[FloatArray, FloatArray, int, list[Held]]:
+def solve(run: Iterate, state: FloatArray) -> tuple[FloatArray, FloatArray, int, list[ConstrainedWindow]]:
     """All windows of a run, from the plant's state (18,) at its first knot.
 
     Returns
@@ -54,22 +54,22 @@ def solve(run: Playing, state: FloatArray) -> tuple[FloatArray, FloatArray, int,
     return np.concatenate(responses), state, windows, held
 
 
-def next_window(run: Playing, at: int, state: FloatArray) -> Window:
+def next_window(run: Iterate, at: int, state: FloatArray) -> WindowProblem:
     """The window after the knot `at`: what is kept of it, and the preview."""
-    s = run.inverter.settings
+    s = run.model.settings
     commit_end = min(at + s.commit, run.last)
     if run.last - commit_end < s.preview // 2:
         commit_end = run.last  # a short remainder joins this window
     end = min(commit_end + s.preview, run.n)
-    return Window(run, at, state, commit_end, min(end, run.last - 1) - at, end)
+    return WindowProblem(run, at, state, commit_end, min(end, run.last - 1) - at, end)
 
 
-class Window:
+class WindowProblem:
     """One least-squares problem: `unknowns` knots after `at`, for the error up to `end`, kept up to `commit_end`."""
 
     def __init__(
         self,
-        run: Playing,
+        run: Iterate,
         at: int,
         state: FloatArray,
         commit_end: int,
@@ -80,19 +80,19 @@ class Window:
         self.run, self.at, self.state = run, at, state
         self.limited = limited  # the answer without limits is known to exceed them, or was found to
         self.commit_end, self.unknowns = commit_end, unknowns
-        self.stretch = Stretch(run, at, end)
+        self.stretch = KnotWindow(run, at, end)
         self._left_mm = 0.0
 
-    def held(self) -> Held:
+    def held(self) -> ConstrainedWindow:
         """The part that is kept, as it was solved."""
-        return Held(self.at, self.commit_end, self._left_mm)
+        return ConstrainedWindow(self.at, self.commit_end, self._left_mm)
 
     def solve(self) -> tuple[FloatArray, FloatArray]:
         """Set the run's γ for this window; returns the committed response (mm) and the state at its end."""
-        run, s, stretch = self.run, self.run.inverter.settings, self.stretch
+        run, s, stretch = self.run, self.run.model.settings, self.stretch
         response, states = stretch.respond(self.state)
         if self.unknowns > 0:
-            effort = _second_differences(self.unknowns) * np.sqrt(run.inverter.effort)
+            effort = _second_differences(self.unknowns) * np.sqrt(run.model.effort)
             rows = _Rows(np.concatenate([self.phi(), effort]))
             for _ in range(1 + s.corrections):
                 self._improve(rows, np.concatenate([stretch.error(response).ravel(), -self._effort().ravel()]))
@@ -105,40 +105,40 @@ class Window:
 
     def phi(self) -> FloatArray:
         """Φ (rows, 3 unknowns) with the models at the places of its intervals."""
-        inverter = self.run.inverter
-        table, place = inverter.coarse, self.stretch.place
+        model = self.run.model
+        table, place = model.row_table, self.stretch.place
         a, b0, b1, _ = models_along(table, place)
         j = interpolate(table.jacobian, table.x0_mm, table.pitch_mm, table.nodes, place)
-        return basis_response(a, b0, b1, j, self.unknowns, inverter.settings.rows_per_segment)
+        return basis_response(a, b0, b1, j, self.unknowns, model.settings.rows_per_segment)
 
     def _improve(self, rows: _Rows, left: FloatArray) -> None:
         """γ += the least-squares answer to the error that is left, within the limits."""
-        inverter, step = self.run.inverter, np.empty(0)
+        model, step = self.run.model, np.empty(0)
         command, plan = self.around()
         if not self.limited:
             step = rows.free_answer(left)
             tried = command.copy()
             tried[2:-2] += step.reshape(-1, 3)
-            asked = inverter.limits.asked(inverter.delta.forward(tried[1:-1]))
-            self.limited = bool(asked.shares(inverter.limits).max() > 1.0)
+            asked = model.limits.asked(model.kinematics.forward(tried[1:-1]))
+            self.limited = bool(asked.shares(model.limits).max() > 1.0)
         if self.limited:
-            from ffcomp.inverse.constrained_step import limited_step  # 0.1 s to import: only where a limit binds
+            from ffcomp.inverse.constrained_step import constrained_step
 
-            step = limited_step(
+            step = constrained_step(
                 rows.hessian,
                 rows.matrix.T @ left,
                 command,
                 plan,
-                inverter.limits,
-                inverter.delta,
-                inverter.settings.solver,
+                model.limits,
+                model.kinematics,
+                model.settings.solver,
             )
         self.run.gamma[self.at + 1 : self.at + 1 + self.unknowns] += step.reshape(-1, 3)
 
     def around(self) -> tuple[FloatArray, FloatArray]:
         """Command and plan at the unknown knots and two on either side, each (unknowns + 4, 3) mm."""
         run, knots = self.run, np.arange(self.at - 1, self.at + self.unknowns + 3)
-        plan = run.inverter.delta.inverse(run.reference.at_knots(knots))
+        plan = run.model.kinematics.inverse(run.reference.at_knots(knots))
         return plan + run.gamma[np.clip(knots, 0, run.n)], plan
 
     def _effort(self) -> FloatArray:
@@ -148,7 +148,7 @@ class Window:
         low = max(first - 2, 0)
         known = gamma[low : first + self.unknowns + 2]
         around[low - first + 2 : low - first + 2 + len(known)] = known
-        return np.asarray(np.sqrt(self.run.inverter.effort) * np.diff(around, 2, axis=0))
+        return np.asarray(np.sqrt(self.run.model.effort) * np.diff(around, 2, axis=0))
 
 
 class _Rows:

@@ -23,7 +23,7 @@ SETTLED_MM_PER_S = 1e-9  # a junction that moves less no longer moves the segmen
 
 
 @dataclass(frozen=True, slots=True)
-class OutputLimits:
+class SegmentLimits:
     """The limits our segments are played under (the header opens them, the footer closes them)."""
 
     velocity_mm_per_s: float = 1000.0
@@ -36,7 +36,7 @@ class OutputLimits:
 
 
 @dataclass(frozen=True, slots=True)
-class Played:
+class SegmentSpeeds:
     """Speeds of n segments as the firmware will play them."""
 
     cruise: FloatArray  # (n,) mm/s: what F asks for
@@ -45,7 +45,9 @@ class Played:
     duration: FloatArray  # (n,) s; S wherever the acceleration allows it
 
 
-def played(vertices: FloatArray, extrusion: FloatArray, lasting: FloatArray, limits: OutputLimits) -> Played:
+def segment_speeds(
+    vertices: FloatArray, extrusion: FloatArray, lasting: FloatArray, limits: SegmentLimits
+) -> SegmentSpeeds:
     """Speeds that make each segment last as long as it should, from rest to rest.
 
     Parameters
@@ -54,7 +56,7 @@ def played(vertices: FloatArray, extrusion: FloatArray, lasting: FloatArray, lim
     extrusion : (n,) mm of filament in each segment
     lasting : (n,) s, the S of each segment
     """
-    return Played(
+    return SegmentSpeeds(
         *_played(
             vertices,
             extrusion,

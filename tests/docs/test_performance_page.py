@@ -13,8 +13,9 @@ from benchmarks import performance, performance_figures, performance_methods, pe
 from benchmarks.performance_methods import LINES, REACH, ZeroPhase, dense, left_over, sampled, unstable_zeros, whole_run
 from benchmarks.performance_prints import LAYER, repeated
 from benchmarks.performance_ways import LABELS, MACHINE, PRINTS, exact_settings, pattern
-from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.riccati import AUGMENTED
+from ffcomp.inverse.solve import solve
 from ffcomp.planner.program import plan_program
 from gcode.reader import read_program
 from models.file import load_machine
@@ -104,10 +105,10 @@ def test_rest_stays_rest(machine: Machine) -> None:
 def test_the_dense_formulation_agrees_with_the_exact_inverse(machine: Machine) -> None:
     text = b"G28\nM83\nG1 Z5 F6000\nG1 E1 F3000\nG1 X6 Y3 E.2 F6000\nG1 X-12 Y28 E.2\nG1 E1 F3000\n"
     planned = plan_program(read_program(text, "corner", flavor="klipper"), machine)
-    inverter = Inverter(machine, exact_settings(machine))
+    inverter = InverseModel(machine, exact_settings(machine))
     run = [run for run in planned.runs if run.travels][-1]
     window = whole_run(planned, run, inverter)
-    expected = inverter.run(window.run.reference, window.state).vertices
+    expected = solve(inverter, window.run.reference, window.state).vertices
     np.testing.assert_allclose(dense(whole_run(planned, run, inverter)), expected, atol=1e-4)
     assert len(expected) > 30
 

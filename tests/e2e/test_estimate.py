@@ -26,7 +26,7 @@ from ffcomp.estimate.engine import Estimate, as_json, estimate, seconds
 from ffcomp.estimate.layers import BEFORE
 from ffcomp.estimate.spans import spans
 from ffcomp.estimate.statistics import EXTRUDING, FILAMENT, PRIMING, RETRACTING, TRAVELLING, WAITING, Account
-from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.program import plan_program
@@ -50,8 +50,8 @@ def machine() -> Machine:
 
 
 @cache
-def inverter() -> Inverter:
-    return Inverter(machine(), settings_for(machine()))
+def inverter() -> InverseModel:
+    return InverseModel(machine(), settings_for(machine()))
 
 
 def estimated(data: bytes) -> Estimate:

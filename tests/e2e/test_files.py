@@ -12,7 +12,7 @@ import pytest
 from ffcomp.compensate.gcode_output.writer import STILL_MOVE
 from ffcomp.compensate.job import Job
 from ffcomp.errors import NothingToDo
-from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from gcode.container import read_bytes
 from gcode.embedded import original
@@ -42,9 +42,9 @@ ODD = sorted((DATA / "odd").iterdir()) if DATA.is_dir() else []
 
 
 @cache
-def inverter() -> tuple[Machine, Inverter]:
+def inverter() -> tuple[Machine, InverseModel]:
     machine = load_machine("mp-delta-pro")
-    return machine, Inverter(machine, settings_for(machine))
+    return machine, InverseModel(machine, settings_for(machine))
 
 
 def job(data: bytes, path: Path) -> Job:

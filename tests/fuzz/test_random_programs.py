@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ffcomp.compensate.job import Job
 from ffcomp.compensate.solve import SolvedSection, solutions
-from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.program import plan_program
 from ffcomp.planner.trajectory import PlannedMotion
@@ -228,21 +228,21 @@ _SECTIONS: list[Callable[[_Print], None]] = [
 
 
 @cache
-def inverter() -> Inverter:
+def inverter() -> InverseModel:
     return _inverter(load_machine("mp-delta-pro"))
 
 
-def _inverter(machine: Machine) -> Inverter:
-    return Inverter(machine, settings_for(machine))
+def _inverter(machine: Machine) -> InverseModel:
+    return InverseModel(machine, settings_for(machine))
 
 
-def compensated(data: bytes, own: Inverter) -> bytes:
+def compensated(data: bytes, own: InverseModel) -> bytes:
     """Through the main job."""
     job = Job(data, "print.gcode", own.machine, predict=False, settings=own.settings, inverter=own)
     return b"".join(job.lines())
 
 
-def solved(data: bytes, own: Inverter) -> Iterator[SolvedSection]:
+def solved(data: bytes, own: InverseModel) -> Iterator[SolvedSection]:
     """The answer to each run."""
     planned = plan_program(read_program(data), own.machine)
     return solutions(planned, own.machine, own, None, lambda wanted: False)

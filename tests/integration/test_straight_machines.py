@@ -13,7 +13,7 @@ from scipy.signal import cont2discrete, lfilter
 
 from ffcomp.compare import compensated as ours
 from ffcomp.compensate.file import Options, StepOutput, compensate_file
-from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
 from ffcomp.planner.program import PlannedProgram, plan_program
@@ -110,7 +110,7 @@ def corexy(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 
 def test_a_print_is_far_better_on_the_modes_themselves(corexy: Machine) -> None:
     planned = plan_program(read_program(print_text(), flavor="klipper"), corexy)
-    compensated = ours.compensated(planned, corexy, Inverter(corexy, settings_for(corexy)), "klipper")
+    compensated = ours.compensated(planned, corexy, InverseModel(corexy, settings_for(corexy)), "klipper")
     segments = ours.segments(compensated, corexy)
     played = motion_of(segments.trajectory, segments.clock(compensated, segments.trajectory.start_t))
     before = contour_rms_um(planned, planned_motion(planned.trajectory))
@@ -123,7 +123,7 @@ def test_a_print_is_far_better_on_the_modes_themselves(corexy: Machine) -> None:
 def test_the_real_host_keeps_the_pace(corexy: Machine) -> None:
     """A cartesian printer whose Z is slow: the host's own plan of both files takes what ours says."""
     planned = plan_program(read_program(print_text(), flavor="klipper"), corexy)
-    compensated = ours.compensated(planned, corexy, Inverter(corexy, settings_for(corexy)), "klipper")
+    compensated = ours.compensated(planned, corexy, InverseModel(corexy, settings_for(corexy)), "klipper")
     config = CARTESIAN_CFG.format(scv=5.0)
     took = []
     for text in (print_text(), compensated.text):
@@ -141,7 +141,7 @@ def test_only_the_modes_of_the_file_swing(corexy: Machine) -> None:
 def test_a_rigid_machine_prints_the_plan(tmp_path: Path) -> None:
     machine = load_machine(made(tmp_path, machine_text("cartesian", rigid=True)))
     planned = plan_program(read_program(print_text(2), flavor="klipper"), machine)
-    compensated = ours.compensated(planned, machine, Inverter(machine, settings_for(machine)), "klipper")
+    compensated = ours.compensated(planned, machine, InverseModel(machine, settings_for(machine)), "klipper")
     segments = ours.segments(compensated, machine)
     played = motion_of(segments.trajectory, segments.clock(compensated, segments.trajectory.start_t))
     t = np.arange(played.begin_t, played.end_t, 0.01)
@@ -155,7 +155,7 @@ def test_a_rigid_machine_prints_the_plan(tmp_path: Path) -> None:
 def test_motors_of_a_corexy_are_held_to_their_limits(tmp_path: Path) -> None:
     """At 45 degrees one motor does all, √2 times as fast as the nozzle."""
     machine = load_machine(made(tmp_path, machine_text(limits="carriage_velocity_mm_per_s = 150.0")))
-    inverter = Inverter(machine, settings_for(machine))
+    inverter = InverseModel(machine, settings_for(machine))
     diagonal = np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [1.0, 1.0, 0.0]])
     asked = inverter.limits.asked(diagonal)
     assert asked.velocity[0, :, 0] == pytest.approx([250.0, 0.0, 0.0])
@@ -169,7 +169,7 @@ def test_motors_of_a_corexy_are_held_to_their_limits(tmp_path: Path) -> None:
 @pytest.mark.parametrize("flavor", ["marlin", "reprapfirmware"])
 def test_the_limits_of_a_lead_screw_are_never_raised(corexy: Machine, flavor: str) -> None:
     planned = plan_program(read_program(print_text(1), flavor=flavor), corexy)
-    text = ours.compensated(planned, corexy, Inverter(corexy, settings_for(corexy)), flavor).text
+    text = ours.compensated(planned, corexy, InverseModel(corexy, settings_for(corexy)), flavor).text
     limits = re.findall(rb"^(?:M201|M203|M566) .*; ffcomp", text, re.MULTILINE)
     assert limits
     assert not any(b"Z" in line for line in limits)

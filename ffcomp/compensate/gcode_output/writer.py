@@ -19,7 +19,7 @@ from numba import njit
 
 from ffcomp.compensate.gcode_output.layout import Timeline
 from ffcomp.inverse.settings import Settings
-from ffcomp.planner.segment_timing import merge, played
+from ffcomp.planner.segment_timing import merge, segment_speeds
 from gcode.dialects import KLIPPER, MARLIN, close_limits, open_limits
 from gcode.embedded import CUT_SHORT, OURS, WAS, joined, like_ours
 from gcode.emit import MoveWriter
@@ -159,7 +159,7 @@ class Writer:
         kept = merge(at, points, line_up.e, line_up.cut, 1e-3 * s.merge_um, s.longest_merged_s / s.segment_s)
         at, points, e = at[kept], points[kept], line_up.e[kept]
         lasting = (at[1:] - at[:-1]) * s.segment_s
-        speeds = played(points, e[1:] - e[:-1], lasting, s.output).cruise
+        speeds = segment_speeds(points, e[1:] - e[:-1], lasting, s.output).cruise
         begin, end = at.searchsorted([piece.begin, piece.end]).tolist()
         return _Segments(kept[:-1], points[1:], e[1:], speeds, lasting).part(begin, end)
 

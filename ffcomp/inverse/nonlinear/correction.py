@@ -22,13 +22,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ffcomp.inverse import lq_preview as fast
-from ffcomp.inverse.command_limits import excess, shares_from_rest
-from ffcomp.inverse.iterate import Playing, Stretch
-from ffcomp.inverse.model import Inverter, RunResult
+from ffcomp.inverse.command_limits import peak_utilisation, utilisation_from_rest
+from ffcomp.inverse.iterate import Iterate, KnotWindow
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.nonlinear.anderson import AROUND, EASED, Tried, around, mixed
-from ffcomp.inverse.nonlinear.friction_backlash import FORESEEN, PLAY, Foresight
+from ffcomp.inverse.nonlinear.friction_backlash import FORESEEN, PLAY, FrictionBacklash
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.riccati import REST_ROWS
+from ffcomp.inverse.solve import Solution
 from models.arrays import FloatArray
 from models.effects.catalogue import values_of, without_effects
 from models.machine import Machine
@@ -44,11 +45,11 @@ SMOOTHINGS, NEAR, KEPT = 60, 4, 0.9  # of a change that breaks a limit: how ofte
 
 
 @dataclass(frozen=True, slots=True)
-class Ran:
+class LinearSolution:
     """A run as the linear model has solved it."""
 
     wanted: Reference
-    result: RunResult
+    result: Solution
     rest_s: float | None  # since the run before it ended; None: others have moved the nozzle, or there was none
 
 
@@ -56,7 +57,7 @@ class Ran:
 class _Round:
     """One run: what is played next, the last commands that were, the best, and the one put together."""
 
-    run: Playing  # its γ: what is played next
+    run: Iterate  # its γ: what is played next
     rest_rows: int | None  # since the run before it
     most: float  # times the limits that a command may ask for
     best: FloatArray  # γ (n + 1, 3) mm of the best that was played
@@ -69,16 +70,16 @@ class _Round:
     local: FloatArray = field(default_factory=lambda: np.zeros(0))  # mean square of its error around each knot, mm²
 
 
-def corrected(inverter: Inverter, machine: Machine, runs: Sequence[Ran]) -> list[RunResult]:
+def correct_sections(model: InverseModel, machine: Machine, runs: Sequence[LinearSolution]) -> list[Solution]:
     """The runs of a chapter, with the printer's effects allowed for. `machine` lists them."""
     if not runs:
         return []
-    rounds, before = [_begin(inverter, each) for each in runs], np.inf
+    rounds, before = [_begin(model, each) for each in runs], np.inf
     share = 1.0 if values_of(machine, PLAY) is None else CAREFUL
     if any(values_of(machine, name) is not None for name in FORESEEN):
-        _foresee(inverter, machine, rounds)
+        _foresee(model, machine, rounds)
     for _ in range(ROUNDS - 1):
-        _round(inverter, machine, rounds)
+        _round(model, machine, rounds)
         if (now := _promised(rounds)) > WORTH * before:
             break
         before = now
@@ -87,41 +88,41 @@ def corrected(inverter: Inverter, machine: Machine, runs: Sequence[Ran]) -> list
     if _promised(rounds) < WORTH * _reached(rounds):
         for each in rounds:
             _change(each, each.best, each.gamma - each.best)
-        _round(inverter, machine, rounds)
-    return [_result(inverter, each, ran) for each, ran in zip(rounds, runs, strict=True)]
+        _round(model, machine, rounds)
+    return [_result(model, each, ran) for each, ran in zip(rounds, runs, strict=True)]
 
 
-def _begin(inverter: Inverter, ran: Ran) -> _Round:
-    run, s = Playing(inverter, ran.wanted), inverter.settings
+def _begin(model: InverseModel, ran: LinearSolution) -> _Round:
+    run, s = Iterate(model, ran.wanted), model.settings
     knots = np.arange(run.last + 1)
-    run.gamma[: run.last + 1] = inverter.delta.inverse(ran.result.vertices) - inverter.delta.inverse(
+    run.gamma[: run.last + 1] = model.kinematics.inverse(ran.result.vertices) - model.kinematics.inverse(
         ran.wanted.at_knots(knots)
     )
     row_s = s.segment_s / s.substeps
     rest = None if ran.rest_s is None else max(round(ran.rest_s / row_s), 0)
-    return _Round(run, rest, max(1.0, ran.result.excess), run.gamma.copy(), np.zeros_like(run.gamma))
+    return _Round(run, rest, max(1.0, ran.result.utilisation), run.gamma.copy(), np.zeros_like(run.gamma))
 
 
-def _foresee(inverter: Inverter, machine: Machine, rounds: Sequence[_Round]) -> None:
+def _foresee(model: InverseModel, machine: Machine, rounds: Sequence[_Round]) -> None:
     """Add to each command what friction and play are known to ask for."""
-    foresight, stretches = Foresight(inverter, machine), [np.zeros((1, 3))] * len(rounds)
+    foresight, stretches = FrictionBacklash(model, machine), [np.zeros((1, 3))] * len(rounds)
     if foresight.crosses:
-        _round(inverter, machine, rounds)  # in case that play is too wide to be crossed in time
+        _round(model, machine, rounds)  # in case that play is too wide to be crossed in time
         without = without_effects(machine, *FORESEEN)
-        stretches = _played(inverter, without, rounds, lambda motion: motion.motor_mm - motion.carriage_mm)
+        stretches = _played(model, without, rounds, lambda motion: motion.motor_mm - motion.carriage_mm)
     for each, stretch in zip(rounds, stretches, strict=True):
         linear = each.run.gamma.copy()
         _change(each, linear, foresight.command(each.run, stretch))
         each.foreseen = each.run.gamma - linear
 
 
-def _round(inverter: Inverter, machine: Machine, rounds: Sequence[_Round]) -> None:
+def _round(model: InverseModel, machine: Machine, rounds: Sequence[_Round]) -> None:
     """Play the commands as they stand."""
 
     def nozzle(motion: PrinterMotion) -> FloatArray:
         return motion.nozzle_mm - sag(machine, motion.nozzle_mm)
 
-    for each, places in zip(rounds, _played(inverter, machine, rounds, nozzle), strict=True):
+    for each, places in zip(rounds, _played(model, machine, rounds, nozzle), strict=True):
         _judge(each, places)
 
 
@@ -135,10 +136,10 @@ def _promised(rounds: Sequence[_Round]) -> float:
     return float(np.sqrt(np.mean(np.concatenate([each.local[1 : each.run.last + 1] for each in rounds]))))
 
 
-def _played(inverter: Inverter, machine: Machine, rounds: Sequence[_Round], seen: Seen) -> list[FloatArray]:
+def _played(model: InverseModel, machine: Machine, rounds: Sequence[_Round], seen: Seen) -> list[FloatArray]:
     """What is seen of the printer in every run and a while after it, (rows + rest, 3) mm, from its first knot on."""
-    s, late = inverter.settings, values_of(machine, "command_delay")
-    commands = [inverter.delta.inverse(Stretch(each.run, 0, each.run.last).as_played()) for each in rounds]
+    s, late = model.settings, values_of(machine, "command_delay")
+    commands = [model.kinematics.inverse(KnotWindow(each.run, 0, each.run.last).as_played()) for each in rounds]
     rests = [each.rest_rows for each in rounds]
     late_s = float(np.mean(late["delay_s"])) if late else 0.0
     return rehearsed(machine, commands, rests, s.segment_s / s.substeps, REST_ROWS * s.substeps, seen, late_s)
@@ -146,14 +147,14 @@ def _played(inverter: Inverter, machine: Machine, rounds: Sequence[_Round], seen
 
 def _judge(each: _Round, nozzle: FloatArray) -> None:
     """Keep what was played if it is the best, and of it the places that are."""
-    run, s = each.run, each.run.inverter.settings
+    run, s = each.run, each.run.model.settings
     wanted, _ = run.reference.substeps(0, run.last + REST_ROWS)
     rows = min(len(nozzle), len(wanted))
     error = np.zeros_like(wanted)
     error[:rows] = wanted[:rows] - nozzle[:rows]
     end, stride = run.last * s.substeps, s.substeps // s.rows_per_segment
-    if len(run.softened):
-        error[1 : end + 1] += np.repeat(run.softened, stride, axis=0)
+    if len(run.robust_offset):
+        error[1 : end + 1] += np.repeat(run.robust_offset, stride, axis=0)
     square = np.sum(error[1 : end + 1] ** 2, axis=1)
     rms = float(np.sqrt(np.mean(square)))
     if rms < each.rms:
@@ -188,7 +189,7 @@ def _change(each: _Round, gamma: FloatArray, change: FloatArray) -> None:
     run = each.run
     for _ in range(SMOOTHINGS):
         run.gamma[:] = gamma + change
-        asked = shares_from_rest(_vertices(run, run.gamma), run.inverter.limits).max(axis=(1, 2))
+        asked = utilisation_from_rest(_vertices(run, run.gamma), run.model.limits).max(axis=(1, 2))
         beyond = np.zeros((len(gamma), 1))
         beyond[: run.last + 1, 0] = np.maximum(asked[:-1], asked[1:]) > each.most
         if not beyond.any():
@@ -199,13 +200,15 @@ def _change(each: _Round, gamma: FloatArray, change: FloatArray) -> None:
     run.gamma[:] = gamma
 
 
-def _vertices(run: Playing, gamma: FloatArray) -> FloatArray:
+def _vertices(run: Iterate, gamma: FloatArray) -> FloatArray:
     """Nozzle commands (n + 1, 3) mm at the knots."""
-    delta, knots = run.inverter.delta, np.arange(run.last + 1)
+    delta, knots = run.model.kinematics, np.arange(run.last + 1)
     return delta.forward(delta.inverse(run.reference.at_knots(knots)) + gamma[: run.last + 1])
 
 
-def _result(inverter: Inverter, each: _Round, ran: Ran) -> RunResult:
+def _result(model: InverseModel, each: _Round, ran: LinearSolution) -> Solution:
     vertices = _vertices(each.run, each.best)
     response = each.response if len(ran.result.response) else ran.result.response
-    return replace(ran.result, vertices=vertices, response=response, excess=excess(vertices, inverter.limits))
+    return replace(
+        ran.result, vertices=vertices, response=response, utilisation=peak_utilisation(vertices, model.limits)
+    )

@@ -21,8 +21,8 @@ import numpy as np
 from numba import njit
 
 from ffcomp.inverse import lq_preview as fast
-from ffcomp.inverse.iterate import Playing
-from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.iterate import Iterate
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.riccati import REST_ROWS
 from models.arrays import FloatArray
 from models.machine import Machine
@@ -37,13 +37,13 @@ TURNS_MM = 0.004  # ε: some tenths of a newton
 SWEEPS = 3
 
 
-class Foresight:
+class FrictionBacklash:
     """Of one printer."""
 
-    def __init__(self, inverter: Inverter, printer: Machine) -> None:
-        s = inverter.settings
-        self._inverter, self._numbers, self._row_s = inverter, printer_numbers(printer), s.segment_s / s.substeps
-        self._undriven = replace(inverter.machine, carriage=replace(inverter.machine.carriage, drive=None))
+    def __init__(self, model: InverseModel, printer: Machine) -> None:
+        s = model.settings
+        self._model, self._numbers, self._row_s = model, printer_numbers(printer), s.segment_s / s.substeps
+        self._undriven = replace(model.machine, carriage=replace(model.machine.carriage, drive=None))
         self._belts = Schedule(self._undriven, plant_table(self._undriven, self._row_s))
 
     @property
@@ -51,17 +51,17 @@ class Foresight:
         """Whether the stretch matters."""
         return bool(np.any(self._numbers.half_play > 0.0))
 
-    def command(self, run: Playing, stretch: FloatArray) -> FloatArray:
+    def command(self, run: Iterate, stretch: FloatArray) -> FloatArray:
         """What the linear inverse of a run lacks, γ (n + 1, 3) mm, from rest to rest.
 
         stretch : (rows, 3) mm, of the belts at the run's substeps, without these effects; its last row stays
         """
-        answer = _Answer(self._inverter, run)
+        answer = _Answer(self._model, run)
         e = self._beyond(answer.q, stretch)
         asked = answer.of(self._belts, e - e[0], rest_state(self._undriven, answer.nozzle[0]))
-        begin, gamma = rest_state(self._inverter.machine, answer.nozzle[0]), np.zeros_like(run.gamma)
+        begin, gamma = rest_state(self._model.machine, answer.nozzle[0]), np.zeros_like(run.gamma)
         for _ in range(SWEEPS):
-            left = asked - answer.of(self._inverter.fine, answer.along(gamma), begin)
+            left = asked - answer.of(self._model.plant, answer.along(gamma), begin)
             gamma += answer.sweep(left)
         return gamma
 
@@ -76,25 +76,25 @@ class Foresight:
 class _Answer:
     """What the linear plant makes of something added to a run's wanted motion."""
 
-    def __init__(self, inverter: Inverter, run: Playing) -> None:
-        self._inverter, self._run = inverter, run
+    def __init__(self, model: InverseModel, run: Iterate) -> None:
+        self._model, self._run = model, run
         self.nozzle, self._velocity = run.reference.substeps(0, run.last + REST_ROWS)
-        self.q = inverter.delta.inverse(self.nozzle)
+        self.q = model.kinematics.inverse(self.nozzle)
 
     def of(self, plant: Schedule, added: FloatArray, begin: FloatArray) -> FloatArray:
         """The nozzle's, (m, 3) mm after every substep, to carriage commands added : (m + 1, 3) mm."""
-        forward, substeps = self._inverter.delta.forward, self._inverter.settings.substeps
+        forward, substeps = self._model.kinematics.forward, self._model.settings.substeps
         moved, still = (plant.respond(forward(q), self._velocity, begin, substeps)[0] for q in (self.q + added, self.q))
         return moved - still
 
     def along(self, gamma: FloatArray) -> FloatArray:
         """Coefficients at every substep, (m + 1, 3) mm."""
-        knots, t = np.arange(len(gamma)), np.arange(len(self.q)) / self._inverter.settings.substeps
+        knots, t = np.arange(len(gamma)), np.arange(len(self.q)) / self._model.settings.substeps
         return np.stack([np.interp(t, knots, axis) for axis in gamma.T], axis=1)
 
     def sweep(self, left: FloatArray) -> FloatArray:
         """The inverse's answer γ (n + 1, 3) mm to what is left to be done, by itself."""
-        s = self._inverter.settings
+        s = self._model.settings
         stride = s.substeps // s.rows_per_segment
         return fast.answer(self._run, np.zeros_like(self._run.gamma), left[stride - 1 :: stride])
 

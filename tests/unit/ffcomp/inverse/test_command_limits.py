@@ -10,8 +10,15 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp.errors import SolverError
-from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL, VELOCITY, CommandLimits, excess, shares_from_rest
-from ffcomp.inverse.constrained_step import limited_step
+from ffcomp.inverse.command_limits import (
+    ACCELERATION,
+    TRAVEL,
+    VELOCITY,
+    CommandLimits,
+    peak_utilisation,
+    utilisation_from_rest,
+)
+from ffcomp.inverse.constrained_step import constrained_step
 from models.file import load_machine
 from models.machine import Machine
 
@@ -87,13 +94,13 @@ def test_shares_name_the_limit_that_binds(machine: Machine) -> None:
     limits = CommandLimits.of(replace(machine, limits=own), S)
     assert limits.velocity_mm_per_s.tolist() == [200.0] * 3
     up = np.array([[0, 0, 0], [0, 0, 0.5], [0, 0, 0.9], [0, 0, 0.9]])  # all carriages alike: 125, 100 and 0 mm/s
-    shares = shares_from_rest(up, limits)
+    shares = utilisation_from_rest(up, limits)
     np.testing.assert_allclose(shares[1:4, VELOCITY, 0], [125 / 200, 100 / 200, 0], atol=1e-9)
     changes = np.array([125, 25, 100, 0]) / S / 2e4
     np.testing.assert_allclose(shares[1:, ACCELERATION, 2], changes, atol=1e-9)
     height = machine.kinematics.compiled().inverse(np.array([[0, 0, 0.9]]))[0, 0]
     np.testing.assert_allclose(shares[3, TRAVEL], np.abs(height - 250) / 150, atol=1e-9)
-    assert excess(up, limits) == shares.max() == pytest.approx(125 / S / 2e4)
+    assert peak_utilisation(up, limits) == shares.max() == pytest.approx(125 / S / 2e4)
 
 
 def test_a_limited_step_is_the_one_cvxpy_finds(machine: Machine) -> None:
@@ -114,7 +121,7 @@ def test_a_limited_step_is_the_one_cvxpy_finds(machine: Machine) -> None:
     tried = command.copy()
     tried[2:-2] += np.linalg.solve(hessian, gradient).reshape(-1, 3)
     assert (limits.asked(delta.forward(tried)).shares(limits).max(axis=(0, 2)) > 1.0).sum() >= 2  # limits bind
-    step = limited_step(hessian, gradient, command, command, limits, delta)
+    step = constrained_step(hessian, gradient, command, command, limits, delta)
 
     d = cp.Variable((n, 3))
     u = cp.vstack([command[:2], command[2:-2] + d, command[-2:]])
@@ -138,4 +145,4 @@ def test_given_knots_that_leave_no_room_are_an_error(machine: Machine) -> None:
     flat = np.repeat(command[:1], 6, axis=0)
     limits = replace(CommandLimits.of(machine, S), velocity_mm_per_s=np.full(3, 100.0))
     with pytest.raises(SolverError, match="6 unknowns"):
-        limited_step(np.eye(6), np.zeros(6), command, flat, limits, delta)
+        constrained_step(np.eye(6), np.zeros(6), command, flat, limits, delta)

@@ -11,7 +11,7 @@ from ffcomp.compare.playback import play
 from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.compensate.job import Job
 from ffcomp.inverse import lq_preview as fast
-from ffcomp.inverse.model import GEOMETRY, Inverter
+from ffcomp.inverse.model import GEOMETRY, InverseModel
 from ffcomp.inverse.settings import settings_for
 from models.effects.catalogue import CATALOGUE, with_effect
 from models.file import load_machine
@@ -80,7 +80,7 @@ def test_a_wrong_geometry_is_named_not_compensated() -> None:
     job = Job(squares(1), "squares.gcode", machine, predict=False)
     assert any(f"not compensated: {GEOMETRY}." in sentence for sentence in job.result()["warnings"])
     both = with_effect(machine, "coulomb_friction", force_n=2.0)
-    printer = Inverter(both, settings_for(both)).printer
+    printer = InverseModel(both, settings_for(both)).printer
     assert printer is not None and set(printer.effects) == {"coulomb_friction"}
     plain = Job(squares(1), "squares.gcode", MACHINE, predict=False)
     assert plain.result()["warnings"] == [] and plain.inverter.machine is MACHINE

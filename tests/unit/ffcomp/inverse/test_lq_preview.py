@@ -10,10 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp.inverse import lq_preview as fast
-from ffcomp.inverse.model import Inverter, RunResult
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
-from ffcomp.inverse.riccati import REST_ROWS, TO_THE_END, Preview, Problem
+from ffcomp.inverse.riccati import REST_ROWS, TO_THE_END, PreviewGains, Problem
 from ffcomp.inverse.settings import Settings, settings_for
+from ffcomp.inverse.solve import Solution, solve
 from ffcomp.planner.program import plan_program
 from gcode.reader import read_program
 from models.file import load_machine
@@ -32,8 +33,8 @@ def machine() -> Machine:
 
 
 @pytest.fixture(scope="module")
-def preview(machine: Machine) -> Preview:
-    return Inverter(machine, Settings()).preview
+def preview(machine: Machine) -> PreviewGains:
+    return InverseModel(machine, Settings()).gains
 
 
 def references(name: str, machine: Machine, settings: Settings, seconds: float) -> list[Reference]:
@@ -49,8 +50,10 @@ def references(name: str, machine: Machine, settings: Settings, seconds: float) 
     return found
 
 
-def solved(inverter: Inverter, reference: Reference) -> RunResult:
-    return inverter.run(reference, rest_state(inverter.machine, reference.at_knots(np.array([0]))[0]), True)
+def solved(inverter: InverseModel, reference: Reference) -> Solution:
+    return solve(
+        inverter, reference, rest_state(inverter.machine, reference.at_knots(np.array([0]))[0]), keep_response=True
+    )
 
 
 def at_rows(response: FloatArray, settings: Settings) -> FloatArray:
@@ -62,7 +65,7 @@ def at_rows(response: FloatArray, settings: Settings) -> FloatArray:
 def test_it_is_the_exact_inverse_within_a_micrometre(machine: Machine, name: str) -> None:
     settings = settings_for(machine)
     exact = replace(settings, inverse="exact", preview=40, corrections=2)
-    pair = Inverter(machine, settings), Inverter(machine, exact)
+    pair = InverseModel(machine, settings), InverseModel(machine, exact)
     apart = []
     for reference in references(name, machine, settings, 5.0):
         nozzles = [at_rows(solved(inverter, reference).response, settings) for inverter in pair]
@@ -73,7 +76,7 @@ def test_it_is_the_exact_inverse_within_a_micrometre(machine: Machine, name: str
     assert micrometres.max() < 3.0
 
 
-def test_the_gains_solve_the_riccati_equation(preview: Preview) -> None:
+def test_the_gains_solve_the_riccati_equation(preview: PreviewGains) -> None:
     """With and without an end: the finite problem's gains become the steady ones, far before the end."""
     slots, steady = preview.at(np.array([[0.0, 0.0], [-95.0, 41.0]]))
     for slot in slots:
@@ -83,7 +86,7 @@ def test_the_gains_solve_the_riccati_equation(preview: Preview) -> None:
         np.testing.assert_allclose(ending.forward[0], steady.forward[slot], atol=1e-7 * scale)
 
 
-def test_both_sweeps_are_the_dense_least_squares(machine: Machine, preview: Preview) -> None:
+def test_both_sweeps_are_the_dense_least_squares(machine: Machine, preview: PreviewGains) -> None:
     """At one place: the answer to a random error, by the sweeps and by a matrix of all responses."""
     rng = np.random.default_rng(3)
     knots, place = 30, np.array([[40.0, -30.0]])
@@ -121,14 +124,14 @@ def test_stretches_leave_no_trace(machine: Machine, monkeypatch: pytest.MonkeyPa
     answers = []
     for stretch in (60, 100_000):
         monkeypatch.setattr(fast, "STRETCH", stretch)
-        answers.append(solved(Inverter(machine, settings), reference).vertices)
+        answers.append(solved(InverseModel(machine, settings), reference).vertices)
     assert reference.knots > 150
     np.testing.assert_allclose(answers[0], answers[1], atol=5e-4)
 
 
 def test_the_beginning_is_what_a_slow_motion_needs(machine: Machine) -> None:
     """C and τ are the real and imaginary parts of the FRF's inverse, at a frequency where little more is in it."""
-    inverter = Inverter(machine, Settings())
+    inverter = InverseModel(machine, Settings())
     place, s = np.array([40.0, -30.0]), 2 * np.pi * 0.5
     inverse = np.linalg.inv(carriage_frf(machine, place, np.array([0.5]))[0])
     found = inverter.compliance_at(place[None])[0]
@@ -137,6 +140,6 @@ def test_the_beginning_is_what_a_slow_motion_needs(machine: Machine) -> None:
 
 
 def test_one_model_is_the_middle_of_the_bed_everywhere(machine: Machine) -> None:
-    inverter = Inverter(machine, replace(Settings(), one_model=True))
+    inverter = InverseModel(machine, replace(Settings(), one_model=True))
     far, near = (inverter._plant_at(np.array([place]))[0] for place in ([90.0, 10.0], [0.0, 0.0]))
     np.testing.assert_array_equal(far.a, near.a)

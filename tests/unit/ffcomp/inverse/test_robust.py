@@ -13,13 +13,13 @@ from ffcomp.compare.methods import OURS, ROBUST, inversion
 from ffcomp.compare.monte_carlo import drawn
 from ffcomp.compare.playback import play
 from ffcomp.compare.sampling import Print, Sampling
-from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.robust import (
     ALONG,
     MARGIN,
     SPANS,
     Response,
-    Softening,
+    RobustReference,
     _draws,
     across,
     beside,
@@ -49,8 +49,8 @@ def unsure(machine: Machine, sd: float) -> Machine:
 
 
 @pytest.fixture(scope="module")
-def softening(machine: Machine) -> Softening:
-    return Inverter(unsure(machine, 0.1), settings_for(machine)).softening
+def softening(machine: Machine) -> RobustReference:
+    return InverseModel(unsure(machine, 0.1), settings_for(machine)).robust
 
 
 def zigzag(rows: int, side_rows: int = 50) -> FloatArray:
@@ -63,7 +63,7 @@ def zigzag(rows: int, side_rows: int = 50) -> FloatArray:
     return PLACE + np.stack([x, y, np.zeros(rows)], axis=1)
 
 
-def wish(softening: Softening, path: FloatArray) -> FloatArray:
+def wish(softening: RobustReference, path: FloatArray) -> FloatArray:
     """d (n, 3) mm of a path (n, 3) mm that moves all the time, with rests on both sides."""
     rested = np.concatenate([np.repeat(path[:1], MARGIN, axis=0), path, np.repeat(path[-1:], MARGIN, axis=0)])
     moving = np.zeros(len(rested), dtype=np.bool_)
@@ -71,7 +71,7 @@ def wish(softening: Softening, path: FloatArray) -> FloatArray:
     return softening.of(rested, moving)
 
 
-def response(softening: Softening) -> Response:
+def response(softening: RobustReference) -> Response:
     place = np.linspace([-70.0, 20.0], [50.0, -40.0], 700)  # over several nodes
     return softening.sensitivity.along(place, SPANS[0])
 
@@ -123,7 +123,7 @@ def test_conjugate_gradients_solve_in_as_many_steps_as_unknowns() -> None:
 # ---- what the machine may make of it -------------------------------------------------------------
 
 
-def test_the_adjoint_is_one(softening: Softening) -> None:
+def test_the_adjoint_is_one(softening: RobustReference) -> None:
     rng, known = np.random.default_rng(5), response(softening)
     d = rng.normal(size=(700, 3)).astype(np.float32)
     answers = known.to_wish(d)
@@ -131,7 +131,7 @@ def test_the_adjoint_is_one(softening: Softening) -> None:
     assert np.vdot(answers, errors) == pytest.approx(np.vdot(d, known.adjoint(errors)), rel=1e-4)
 
 
-def test_a_path_is_a_wish_that_need_not_end_where_it_begins(softening: Softening) -> None:
+def test_a_path_is_a_wish_that_need_not_end_where_it_begins(softening: RobustReference) -> None:
     known, t = response(softening), np.arange(700)[:, None]
     bump = np.exp(-0.5 * ((t - 350) / 8.0) ** 2) * np.array([1.0, -0.7, 0.1])  # there and back, up to 20 Hz
     expected = known.to_wish(bump.astype(np.float32))
@@ -141,7 +141,7 @@ def test_a_path_is_a_wish_that_need_not_end_where_it_begins(softening: Softening
     np.testing.assert_allclose(found, expected, atol=2e-4)
 
 
-def test_directions_hold_the_spread_of_the_draws(softening: Softening) -> None:
+def test_directions_hold_the_spread_of_the_draws(softening: RobustReference) -> None:
     """Σ |M_k|² over the directions, against the variance of printers that were not among the draws."""
     sensitivity, xy = softening.sensitivity, np.zeros(2)
     known = sensitivity._node((0, 0)).astype(np.complex128)
@@ -155,16 +155,16 @@ def test_directions_hold_the_spread_of_the_draws(softening: Softening) -> None:
 # ---- what is wanted ------------------------------------------------------------------------------
 
 
-def test_rest_is_left_alone(softening: Softening) -> None:
+def test_rest_is_left_alone(softening: RobustReference) -> None:
     assert np.array_equal(wish(softening, np.repeat(PLACE[None], 50, axis=0)), np.zeros((50, 3)))
 
 
-def test_steady_motion_is_left_alone(softening: Softening) -> None:
+def test_steady_motion_is_left_alone(softening: RobustReference) -> None:
     path = PLACE + np.arange(MARGIN * 2 + 300.0)[:, None] * np.array([0.05, 0.02, 0.0])
     assert np.abs(softening.of(path, np.ones(len(path), dtype=np.bool_))[100:200]).max() < 1e-3
 
 
-def test_nothing_is_wanted_beyond_the_path_where_the_command_rests(softening: Softening) -> None:
+def test_nothing_is_wanted_beyond_the_path_where_the_command_rests(softening: RobustReference) -> None:
     path = zigzag(600 + 2 * MARGIN)
     moving = np.ones(len(path), dtype=np.bool_)
     moving[: MARGIN + 40] = False
@@ -173,7 +173,7 @@ def test_nothing_is_wanted_beyond_the_path_where_the_command_rests(softening: So
     assert np.abs(d).max() > 5e-3
 
 
-def test_the_expected_contour_error_is_lower(softening: Softening, machine: Machine) -> None:
+def test_the_expected_contour_error_is_lower(softening: RobustReference, machine: Machine) -> None:
     """Over machines that were not among the draws: the mean square distance of D (r + d) to the path."""
     path, known = zigzag(800), softening.sensitivity  # ends where it begins
     wanted, length = path + wish(softening, path), 4096
@@ -194,7 +194,7 @@ def test_the_expected_contour_error_is_lower(softening: Softening, machine: Mach
     assert robustly < 0.4 * plainly
 
 
-def test_where_a_span_ends_does_not_show(softening: Softening) -> None:
+def test_where_a_span_ends_does_not_show(softening: RobustReference) -> None:
     path = zigzag(2600 + 2 * MARGIN)
     moving = np.ones(len(path), dtype=np.bool_)
     later = 700

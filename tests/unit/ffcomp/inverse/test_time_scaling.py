@@ -10,16 +10,17 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp.errors import LimitsError
-from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import Settings, settings_for
-from ffcomp.inverse.time_scaling import Feasible, feasible_run
+from ffcomp.inverse.solve import solve
+from ffcomp.inverse.time_scaling import FeasibleSection, feasible_run
 from ffcomp.inverse.violations import widened
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.s_curve import s_curve
 from ffcomp.planner.sections import Section
-from ffcomp.planner.segment_timing import played
+from ffcomp.planner.segment_timing import segment_speeds
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
@@ -52,11 +53,13 @@ def limited(machine: Machine, **limits: Any) -> Machine:
     return replace(machine, limits=replace(machine.limits, **limits))
 
 
-def inverter_of(machine: Machine) -> Inverter:
-    return Inverter(machine, settings_for(machine))
+def inverter_of(machine: Machine) -> InverseModel:
+    return InverseModel(machine, settings_for(machine))
 
 
-def solved(inverter: Inverter, planned: PlannedProgram, run: Section, machine: Machine, **options: Any) -> Feasible:
+def solved(
+    inverter: InverseModel, planned: PlannedProgram, run: Section, machine: Machine, **options: Any
+) -> FeasibleSection:
     moves, start = planned.program.moves, planned.trajectory.origin[run.first, :3]
     state = rest_state(machine, start)
     return feasible_run(
@@ -76,7 +79,7 @@ def dense_peaks(vertices: FloatArray, machine: Machine, settings: Settings) -> t
     return float(np.abs(velocity).max()), float(np.abs(change).max())
 
 
-def error_um(found: Feasible) -> float:
+def error_um(found: FeasibleSection) -> float:
     nozzle, _ = found.wanted.substeps(0, found.wanted.knots)
     return 1e3 * float(np.sqrt(((found.result.response - nozzle[1:]) ** 2).sum(axis=1)).max())
 
@@ -85,9 +88,9 @@ def test_where_nothing_binds_nothing_changes(machine: Machine, planned: PlannedP
     inverter, run = inverter_of(machine), planned.runs[0]
     found = solved(inverter, planned, run, machine)
     state = rest_state(machine, np.array(START))
-    plain = inverter.run(Reference(planned.trajectory, run, inverter.settings), state, keep_response=True)
+    plain = solve(inverter, Reference(planned.trajectory, run, inverter.settings), state, keep_response=True)
     assert found.trajectory is planned.trajectory and found.run is run
-    assert found.records == () and found.lost_s == 0.0 and found.result.limited == 0
+    assert found.records == () and found.lost_s == 0.0 and not found.result.constrained
     for name in ("vertices", "state", "response"):
         assert getattr(found.result, name).tobytes() == getattr(plain, name).tobytes()
 
@@ -113,7 +116,7 @@ def test_limits_below_the_plan_are_held_at_every_instant(
     velocity, acceleration = dense_peaks(found.result.vertices, machine, inverter.settings)
     assert velocity <= inverter.limits.velocity_mm_per_s[0] * (1 + 1e-6)
     assert acceleration <= inverter.limits.acceleration_mm_per_s2 * (1 + 1e-4)
-    assert found.result.excess <= 1.001
+    assert found.result.utilisation <= 1.001
     assert error_um(found) < 25.0
     assert found.records and {record.limit for record in found.records} <= names
     assert 0 < found.lost_s < 0.6 * (run.end_t - run.begin_t)
@@ -164,16 +167,16 @@ def test_a_tolerance_decides_between_an_error_and_a_delay(machine: Machine, plan
     inverter = inverter_of(machine)
     run = planned.runs[0]
     settings = replace(inverter.settings, bandwidth_hz=112.0, lead_s=0.004)
-    free = solved(Inverter(machine, settings), planned, run, machine).result.excess
+    free = solved(InverseModel(machine, settings), planned, run, machine).result.utilisation
     tight = limited(machine, carriage_acceleration_mm_per_s2=0.6 * free * 30000.0)
-    wide = solved(Inverter(tight, settings), planned, run, tight, tolerance_um=100.0)
-    assert wide.result.limited > 0 and wide.records == () and wide.result.excess <= 1.0
-    worst = 1e3 * max(held.error_mm for held in wide.result.held)
+    wide = solved(InverseModel(tight, settings), planned, run, tight, tolerance_um=100.0)
+    assert len(wide.result.constrained) > 0 and wide.records == () and wide.result.utilisation <= 1.0
+    worst = 1e3 * max(held.error_mm for held in wide.result.constrained)
     assert 1.0 < worst < 100.0
-    narrow = solved(Inverter(tight, settings), planned, run, tight, tolerance_um=0.7 * worst)
+    narrow = solved(InverseModel(tight, settings), planned, run, tight, tolerance_um=0.7 * worst)
     assert narrow.records and narrow.lost_s > 0.0
-    assert narrow.result.excess <= 1.001
-    assert all(1e3 * held.error_mm <= 0.7 * worst for held in narrow.result.held)
+    assert narrow.result.utilisation <= 1.001
+    assert all(1e3 * held.error_mm <= 0.7 * worst for held in narrow.result.constrained)
 
 
 def test_a_path_beyond_the_travel_is_refused(machine: Machine, planned: PlannedProgram) -> None:
@@ -189,15 +192,15 @@ def test_segments_can_be_played_in_their_time(machine: Machine) -> None:
     planned = plan_program(read_program(b"G1 X-40 Y20 F3000\nG1 Z20 F12000\nG1 X-60 F3000\n", start=START), machine)
     settings = settings_for(machine)
     output = replace(settings.output, z_acceleration_mm_per_s2=5000.0)
-    inverter, (run,) = Inverter(machine, replace(settings, output=output)), planned.runs
+    inverter, (run,) = InverseModel(machine, replace(settings, output=output)), planned.runs
 
     def behind_um(vertices: FloatArray, wanted: Reference) -> float:
         each = np.full(len(vertices) - 1, settings.segment_s)
-        speeds = played(vertices, np.diff(wanted.extrusion()), each, output)
+        speeds = segment_speeds(vertices, np.diff(wanted.extrusion()), each, output)
         return 1e3 * float(((speeds.duration - each) * speeds.cruise).max())
 
     wanted = Reference(planned.trajectory, run, inverter.settings)
-    plain = inverter.run(wanted, rest_state(machine, np.array(START)))
+    plain = solve(inverter, wanted, rest_state(machine, np.array(START)))
     assert behind_um(plain.vertices, wanted) > 10.0
     found = solved(inverter, planned, run, machine)
     assert behind_um(found.result.vertices, found.wanted) <= 1.0
@@ -205,7 +208,7 @@ def test_segments_can_be_played_in_their_time(machine: Machine) -> None:
     assert (record.first_line, record.last_line, record.carriage) == (2, 2, "")
     assert "firmware's own acceleration" in record.sentence()
     assert 0 < found.lost_s < 0.1
-    assert found.result.excess <= 1.0
+    assert found.result.utilisation <= 1.0
 
 
 def test_a_plan_with_s_curves_is_planned_again_with_them(machine: Machine) -> None:
@@ -219,7 +222,7 @@ def test_a_plan_with_s_curves_is_planned_again_with_them(machine: Machine) -> No
 
     found = solved(inverter_of(tight), smooth, smooth.runs[0], tight, replan=replan)
     assert type(found.trajectory) is type(smooth.trajectory)
-    assert found.records and found.result.excess <= 1.001
+    assert found.records and found.result.utilisation <= 1.001
 
 
 @pytest.mark.parametrize("count", [1, 3, 40])

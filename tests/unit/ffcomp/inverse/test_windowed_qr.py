@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL, VELOCITY, excess, shares_from_rest
+from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL, VELOCITY, peak_utilisation, utilisation_from_rest
 from ffcomp.inverse.constrained import FOLLOWING
-from ffcomp.inverse.iterate import Playing
-from ffcomp.inverse.model import Inverter, steady_delay
+from ffcomp.inverse.iterate import Iterate
+from ffcomp.inverse.model import InverseModel, steady_delay
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.riccati_kernels import basis_response
 from ffcomp.inverse.settings import Settings
-from ffcomp.inverse.windowed_qr import Window, next_window
+from ffcomp.inverse.solve import solve
+from ffcomp.inverse.windowed_qr import WindowProblem, next_window
 from ffcomp.planner.lookahead import plan_moves
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.sections import split_sections
@@ -40,8 +41,8 @@ def machine() -> Machine:
 
 
 @pytest.fixture(scope="module")
-def inverter(machine: Machine) -> Inverter:
-    return Inverter(machine, SETTINGS)
+def inverter(machine: Machine) -> InverseModel:
+    return InverseModel(machine, SETTINGS)
 
 
 def reference_of(
@@ -54,8 +55,8 @@ def reference_of(
     return Reference(trajectory, run, settings)
 
 
-def window_of(inverter: Inverter, reference: Reference) -> Window:
-    run = Playing(inverter, reference)
+def window_of(inverter: InverseModel, reference: Reference) -> WindowProblem:
+    run = Iterate(inverter, reference)
     return next_window(run, 0, rest_state(inverter.machine, reference.at_knots(np.array([0]))[0]))
 
 
@@ -69,13 +70,13 @@ def simulated(models: tuple[FloatArray, ...], rows: int, command: FloatArray) ->
     return np.array(carriages)
 
 
-def test_a_column_of_phi_is_the_simulated_response_to_one_hat(inverter: Inverter, machine: Machine) -> None:
+def test_a_column_of_phi_is_the_simulated_response_to_one_hat(inverter: InverseModel, machine: Machine) -> None:
     """Superposition, by brute force: raise one coefficient of one carriage and simulate."""
     window = window_of(inverter, reference_of(CORNER, machine, SETTINGS))
     phi, place = window.phi(), window.stretch.place
     rows = SETTINGS.rows_per_segment
-    models = models_along(inverter.coarse, place)
-    table = inverter.coarse
+    models = models_along(inverter.row_table, place)
+    table = inverter.row_table
     j = interpolate(table.jacobian, table.x0_mm, table.pitch_mm, table.nodes, place)
     for unknown, carriage in ((0, 0), (7, 2), (window.unknowns - 1, 1)):
         command = np.zeros((len(place) * rows + 1, 3))
@@ -87,7 +88,7 @@ def test_a_column_of_phi_is_the_simulated_response_to_one_hat(inverter: Inverter
         np.testing.assert_allclose(phi[:, 3 * unknown + carriage], nozzle.ravel(), atol=1e-12)
 
 
-def test_a_window_is_the_problem_that_cvxpy_solves(inverter: Inverter, machine: Machine) -> None:
+def test_a_window_is_the_problem_that_cvxpy_solves(inverter: InverseModel, machine: Machine) -> None:
     """The same problem, written as in the module's docstring, by a second solver."""
     window = window_of(inverter, reference_of(CORNER, machine, SETTINGS))
     run = window.run
@@ -107,9 +108,9 @@ def test_a_window_is_the_problem_that_cvxpy_solves(inverter: Inverter, machine: 
     np.testing.assert_allclose(ours, gamma.value[2:-2], atol=2e-5)
 
 
-def test_a_run_begins_and_ends_at_rest_on_the_path(inverter: Inverter, machine: Machine) -> None:
+def test_a_run_begins_and_ends_at_rest_on_the_path(inverter: InverseModel, machine: Machine) -> None:
     reference = reference_of(CORNER, machine, SETTINGS)
-    result = inverter.run(reference, rest_state(machine, np.array([-60.0, 20, 0.3])))
+    result = solve(inverter, reference, rest_state(machine, np.array([-60.0, 20, 0.3])))
     np.testing.assert_allclose(result.vertices[0], [-60, 20, 0.3], atol=1e-10)
     np.testing.assert_allclose(result.vertices[-1], [-57, 26, 0.3], atol=1e-10)
 
@@ -121,7 +122,7 @@ def test_short_windows_give_what_long_ones_give(machine: Machine) -> None:
         settings = replace(EXACT, commit=commit, preview=40)
         reference = reference_of(CORNER, machine, settings)
         state = rest_state(machine, np.array([-60.0, 20, 0.3]))
-        answers.append(Inverter(machine, settings).run(reference, state).vertices)
+        answers.append(solve(InverseModel(machine, settings), reference, state).vertices)
     np.testing.assert_allclose(answers[0], answers[2], atol=1e-3)  # a µm
     np.testing.assert_allclose(answers[1], answers[2], atol=1e-3)
 
@@ -129,16 +130,16 @@ def test_short_windows_give_what_long_ones_give(machine: Machine) -> None:
 @pytest.mark.parametrize("inverse", ["exact", "fast"])
 def test_the_response_is_the_path(machine: Machine, inverse: Literal["exact", "fast"]) -> None:
     settings = replace(EXACT, inverse=inverse)
-    inverter = Inverter(machine, settings)
+    inverter = InverseModel(machine, settings)
     reference = reference_of(CORNER, machine, settings)
     state = rest_state(machine, np.array([-60.0, 20, 0.3]))
-    result = inverter.run(reference, state, keep_response=True)
+    result = solve(inverter, reference, state, keep_response=True)
     nozzle, velocity = reference.substeps(0, reference.knots)
-    plain, _ = inverter.fine.respond(nozzle, velocity, state, settings.substeps)
+    plain, _ = inverter.plant.respond(nozzle, velocity, state, settings.substeps)
     error = np.sqrt(np.mean(np.sum((result.response - nozzle[1:]) ** 2, axis=1)))
     without = np.sqrt(np.mean(np.sum((plain - nozzle[1:]) ** 2, axis=1)))
     assert error < without / 60
-    assert result.excess < 1.0 and result.limited == 0
+    assert result.utilisation < 1.0 and len(result.constrained) == 0
 
 
 @pytest.mark.parametrize(
@@ -159,13 +160,13 @@ def test_a_limit_between_plan_and_free_answer_is_held(
     state = rest_state(machine, np.array([-60.0, 20, 0.3]))
     gcode = {VELOCITY: b"G1 X-20 Y0 Z20 F9000\n", TRAVEL: b"G1 X-50 Y20 F9000\n"}.get(limit, CORNER)
     reference = reference_of(gcode, machine, settings)
-    inverter = Inverter(machine, settings)
-    free = inverter.run(reference, state)
+    inverter = InverseModel(machine, settings)
+    free = solve(inverter, reference, state)
     plan = reference.at_knots(np.arange(reference.knots + 1))
-    asked, given = (shares_from_rest(v, inverter.limits) for v in (free.vertices, plan))
+    asked, given = (utilisation_from_rest(v, inverter.limits) for v in (free.vertices, plan))
     own = machine.limits
     if limit == TRAVEL:
-        highest = [float(inverter.delta.inverse(v).max()) for v in (free.vertices, plan)]
+        highest = [float(inverter.kinematics.inverse(v).max()) for v in (free.vertices, plan)]
         assert highest[0] > highest[1] + 4e-4, "the free answer must go beyond the plan, or this tests nothing"
         bound = replace(own, carriage_travel_mm=(0.0, 0.5 * sum(highest)))
     else:
@@ -174,16 +175,16 @@ def test_a_limit_between_plan_and_free_answer_is_held(
         share = 0.5 * sum(most)
         names = ("carriage_velocity_mm_per_s", "carriage_acceleration_mm_per_s2")
         bound = replace(own, **{names[limit]: share * getattr(own, names[limit])})
-    held_inverter = Inverter(replace(machine, limits=bound), settings)
-    held = held_inverter.run(reference, state, keep_response=True)
-    assert held.limited > 0 and len(held.held) == held.limited
-    assert excess(free.vertices, held_inverter.limits) > 1.0
-    assert held.excess <= 1.0
+    held_inverter = InverseModel(replace(machine, limits=bound), settings)
+    held = solve(held_inverter, reference, state, keep_response=True)
+    assert len(held.constrained) > 0 and held.constrained
+    assert peak_utilisation(free.vertices, held_inverter.limits) > 1.0
+    assert held.utilisation <= 1.0
     nozzle, _ = reference.substeps(0, reference.knots)
     assert np.abs(held.response - nozzle[1:]).max() < 0.1  # it still follows
-    again = held_inverter.run(reference, state, hold=False)
+    again = solve(held_inverter, reference, state, enforce_limits=False)
     if inverse == "fast":
-        assert again.limited == 0
+        assert len(again.constrained) == 0
         np.testing.assert_array_equal(again.vertices, free.vertices)
 
 
@@ -192,11 +193,11 @@ def test_where_no_limit_binds_nothing_changes_after_a_limited_window(machine: Ma
     settings = replace(SETTINGS, corrections=1, bandwidth_hz=112.0, lead_s=0.004, inverse="fast")
     state = rest_state(machine, np.array([-60.0, 20, 0.3]))
     reference = reference_of(CORNER + b"G1 X-20 Y10\nG1 X-20 Y60\n", machine, settings)
-    free = Inverter(machine, settings).run(reference, state, keep_response=True)
-    tight = replace(machine.limits, carriage_acceleration_mm_per_s2=0.6 * free.excess * 30000.0)
-    held = Inverter(replace(machine, limits=tight), settings).run(reference, state, keep_response=True)
-    assert held.limited == 1 and held.excess <= 1.0
-    after = held.held[0].last + FOLLOWING + 1
+    free = solve(InverseModel(machine, settings), reference, state, keep_response=True)
+    tight = replace(machine.limits, carriage_acceleration_mm_per_s2=0.6 * free.utilisation * 30000.0)
+    held = solve(InverseModel(replace(machine, limits=tight), settings), reference, state, keep_response=True)
+    assert len(held.constrained) == 1 and held.utilisation <= 1.0
+    after = held.constrained[0].last + FOLLOWING + 1
     assert after < reference.knots - 50
     np.testing.assert_array_equal(held.vertices[after:], free.vertices[after:])
     later = after * settings.substeps
@@ -215,7 +216,7 @@ def test_a_machine_turned_by_120_degrees_gives_the_turned_answer(machine: Machin
             extruder_damping_n_s_per_m=np.array([b[0], b[0], b[2]]),
         ),
     )
-    inverter = Inverter(round_one, Settings())
+    inverter = InverseModel(round_one, Settings())
     c, s = np.cos(2 * np.pi / 3), np.sin(2 * np.pi / 3)
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     points = np.array([[-60, 20, 0.3], [-50, 20, 0.3], [-50, 24, 0.3], [-57, 26, 0.3]])
@@ -223,7 +224,7 @@ def test_a_machine_turned_by_120_degrees_gives_the_turned_answer(machine: Machin
     for corners in (points, points @ turn.T):
         gcode = b"".join(b"G1 X%.9f Y%.9f F9000\n" % (x, y) for x, y, _ in corners[1:])
         reference = reference_of(gcode, round_one, Settings(), tuple(corners[0]))
-        answers.append(inverter.run(reference, rest_state(round_one, corners[0])).vertices)
+        answers.append(solve(inverter, reference, rest_state(round_one, corners[0])).vertices)
     # the table over the bed is square: its interpolation does not turn exactly
     np.testing.assert_allclose(answers[1], answers[0] @ turn.T, atol=2e-3)
 
@@ -232,9 +233,9 @@ def test_a_stiff_machine_is_left_alone(machine: Machine) -> None:
     """Infinite stiffness, ideal drive: the command is the plan, within a µm."""
     carriage = replace(machine.carriage, belt_stiffness_n_per_m=1e10, drive=None, guide_damping_n_s_per_m=0.0)
     stiff = replace(machine, carriage=carriage)
-    inverter = Inverter(stiff, Settings())
+    inverter = InverseModel(stiff, Settings())
     reference = reference_of(CORNER, stiff, Settings())
-    result = inverter.run(reference, rest_state(stiff, np.array([-60.0, 20, 0.3])))
+    result = solve(inverter, reference, rest_state(stiff, np.array([-60.0, 20, 0.3])))
     plan = reference.at_knots(np.arange(reference.knots + 1))
     # a polyline cannot follow an accelerating path between its knots: a S²/8, and spreads what it cannot do
     assert np.abs(result.vertices - plan).max() < 0.06

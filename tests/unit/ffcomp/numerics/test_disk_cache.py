@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.numerics import disk_cache as kept
 from models.file import load_machine
@@ -28,15 +28,15 @@ def machine() -> Machine:
     return load_machine("mp-delta-pro")
 
 
-def been_at(machine: Machine, *places: np.ndarray) -> Inverter:
-    inverter = Inverter(machine, settings_for(machine))
+def been_at(machine: Machine, *places: np.ndarray) -> InverseModel:
+    inverter = InverseModel(machine, settings_for(machine))
     for place in places:
-        inverter.preview.at(place)
+        inverter.gains.at(place)
     return inverter
 
 
-def gains_at(inverter: Inverter, place: np.ndarray) -> list[np.ndarray]:
-    slots, gains = inverter.preview.at(place)
+def gains_at(inverter: InverseModel, place: np.ndarray) -> list[np.ndarray]:
+    slots, gains = inverter.gains.at(place)
     return [gains.backward[slots], gains.forward[slots]]
 
 
@@ -47,7 +47,7 @@ def test_the_next_one_has_the_same_numbers_without_working_them_out(
     first.keep()
     assert len(list(folder.glob("*.npz"))) == 1
     monkeypatch.setattr("ffcomp.inverse.model.plant_table", None)  # would fail
-    second = Inverter(machine, settings_for(machine))
+    second = InverseModel(machine, settings_for(machine))
     monkeypatch.setattr(second.preview, "_work_out", None)
     for one, other in zip(gains_at(first, HERE), gains_at(second, HERE), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -60,15 +60,15 @@ def test_two_that_went_elsewhere_keep_both(folder: Path, machine: Machine) -> No
     one, other = been_at(machine, HERE), been_at(machine, THERE)
     one.keep()
     other.keep()
-    assert len(Inverter(machine, settings_for(machine)).preview) == len(HERE) + len(THERE)
+    assert len(InverseModel(machine, settings_for(machine)).gains) == len(HERE) + len(THERE)
 
 
 def test_another_machine_finds_nothing(folder: Path, machine: Machine) -> None:
     been_at(machine, HERE).keep()
     heavier = replace(machine, effector=replace(machine.effector, extruder_mass_kg=0.3))
     for stranger in (
-        Inverter(heavier, settings_for(machine)),
-        Inverter(machine, replace(settings_for(machine), substeps=2)),
+        InverseModel(heavier, settings_for(machine)),
+        InverseModel(machine, replace(settings_for(machine), substeps=2)),
     ):
         assert len(stranger.preview) == 0
 
@@ -82,7 +82,7 @@ def test_a_damaged_file_is_not_there(folder: Path, machine: Machine, harm: str) 
     file.write_bytes({"cut": content[: len(content) // 2], "bits": content, "empty": b""}[harm])
     again = been_at(machine, HERE)
     again.keep()
-    assert len(Inverter(machine, settings_for(machine)).preview) == len(HERE)
+    assert len(InverseModel(machine, settings_for(machine)).gains) == len(HERE)
 
 
 def test_a_cache_that_cannot_be_written_stops_nobody(
@@ -92,7 +92,7 @@ def test_a_cache_that_cannot_be_written_stops_nobody(
     for said in (str(tmp_path / "file" / "below"), "off"):
         monkeypatch.setenv(kept.VARIABLE, said)
         been_at(machine, HERE).keep()
-        assert len(Inverter(machine, settings_for(machine)).preview) == 0
+        assert len(InverseModel(machine, settings_for(machine)).gains) == 0
 
 
 def test_what_was_used_longest_ago_goes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

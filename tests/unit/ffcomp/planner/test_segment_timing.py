@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves
-from ffcomp.planner.segment_timing import OutputLimits, merge, played, sample_segments
+from ffcomp.planner.segment_timing import SegmentLimits, merge, sample_segments, segment_speeds
 from gcode.program import Moves
 
 FloatArray = NDArray[np.float64]
@@ -25,7 +25,7 @@ def wave(n: int = 200, seed: int = 3) -> tuple[FloatArray, FloatArray]:
     return np.round(xyz, 4), 0.03 * np.concatenate([[0], np.cumsum(np.abs(rng.normal(0.1, 0.001, n)))])
 
 
-def plan(vertices: FloatArray, e: FloatArray, speed: FloatArray, limits: OutputLimits):  # type: ignore[no-untyped-def]
+def plan(vertices: FloatArray, e: FloatArray, speed: FloatArray, limits: SegmentLimits):  # type: ignore[no-untyped-def]
     n = len(speed)
     ends = np.column_stack([vertices, e])
     moves = Moves(
@@ -44,9 +44,9 @@ def plan(vertices: FloatArray, e: FloatArray, speed: FloatArray, limits: OutputL
 
 @pytest.mark.parametrize("acceleration", [50_000.0, 100_000.0, 400_000.0])
 def test_durations_come_out_exact_under_the_planner(acceleration: float) -> None:
-    limits = OutputLimits(acceleration_mm_per_s2=acceleration)
+    limits = SegmentLimits(acceleration_mm_per_s2=acceleration)
     vertices, e = wave()
-    speeds = played(vertices, np.diff(e), np.full(200, S), limits)
+    speeds = segment_speeds(vertices, np.diff(e), np.full(200, S), limits)
     trajectory = plan(vertices, e, speeds.cruise, limits)
     np.testing.assert_allclose(trajectory.duration, S, atol=2e-9)
     t = np.arange(200 * 8) * S / 8
@@ -56,19 +56,19 @@ def test_durations_come_out_exact_under_the_planner(acceleration: float) -> None
 
 def test_without_the_correction_the_ramps_eat_time() -> None:
     """The naive F = d/S is late: that is what the quadratic is for."""
-    limits = OutputLimits(acceleration_mm_per_s2=50_000.0)
+    limits = SegmentLimits(acceleration_mm_per_s2=50_000.0)
     vertices, e = wave()
     naive = np.linalg.norm(np.diff(vertices, axis=0), axis=1) / S
     assert plan(vertices, e, naive, limits).end_t > 200 * S + 2e-4
 
 
 def test_segments_of_different_lengths_keep_their_times() -> None:
-    limits = OutputLimits()
+    limits = SegmentLimits()
     vertices, e = wave()
     knots = merge(np.arange(201.0), vertices, e, np.zeros(201, dtype=np.bool_), 5e-3, 10)
     assert len(knots) < 150
     lasting = np.diff(knots) * S
-    speeds = played(vertices[knots], np.diff(e[knots]), lasting, limits)
+    speeds = segment_speeds(vertices[knots], np.diff(e[knots]), lasting, limits)
     trajectory = plan(vertices[knots], e[knots], speeds.cruise, limits)
     np.testing.assert_allclose(trajectory.duration, lasting, atol=2e-9)
 
@@ -76,10 +76,10 @@ def test_segments_of_different_lengths_keep_their_times() -> None:
 @pytest.mark.parametrize("rough", [0.0, 0.01, 0.1])
 def test_speeds_and_junctions_agree_with_each_other(rough: float) -> None:
     """What the sweeps come to rest at: each speed follows from its junctions, and each junction from both speeds."""
-    limits = OutputLimits(acceleration_mm_per_s2=50_000.0, square_corner_velocity_mm_per_s=1e6)
+    limits = SegmentLimits(acceleration_mm_per_s2=50_000.0, square_corner_velocity_mm_per_s=1e6)
     vertices, _ = wave()
     vertices[1:-1] += np.random.default_rng(1).normal(0, rough, (199, 3))
-    speeds = played(vertices, np.zeros(200), np.full(200, S), limits)
+    speeds = segment_speeds(vertices, np.zeros(200), np.full(200, S), limits)
     d = np.linalg.norm(np.diff(vertices, axis=0), axis=1)
     c, v0, v1 = speeds.cruise, speeds.junction[:-1], speeds.junction[1:]
     asked = c * S - ((c - v0) ** 2 + (c - v1) ** 2) / (2 * speeds.acceleration)
@@ -91,9 +91,9 @@ def test_speeds_and_junctions_agree_with_each_other(rough: float) -> None:
 
 def test_what_cannot_be_done_in_time_says_so() -> None:
     """A metre in 4 ms from rest: the duration is what the acceleration allows, not S."""
-    limits = OutputLimits()
+    limits = SegmentLimits()
     vertices = np.array([[0.0, 0, 0], [1000.0, 0, 0]])
-    speeds = played(vertices, np.zeros(1), np.full(1, S), limits)
+    speeds = segment_speeds(vertices, np.zeros(1), np.full(1, S), limits)
     assert speeds.duration[0] > 0.1
 
 

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ffcomp.compensate.job import Job
-from ffcomp.inverse.model import Inverter
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.machine_limits import planner_limits
@@ -32,8 +32,8 @@ def machine() -> Machine:
 
 
 @cache
-def inverter() -> Inverter:
-    return Inverter(machine(), settings_for(machine()))
+def inverter() -> InverseModel:
+    return InverseModel(machine(), settings_for(machine()))
 
 
 def compensated(data: bytes, **options: object) -> bytes:

@@ -11,10 +11,11 @@ import pytest
 
 from ffcomp.compare.sampling import Print, Sampling, Stretch
 from ffcomp.compensate.solve import SolvedSection, solutions
-from ffcomp.inverse.command_limits import excess
-from ffcomp.inverse.model import Inverter, RunResult
+from ffcomp.inverse.command_limits import peak_utilisation
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.nonlinear import correction as whole
 from ffcomp.inverse.settings import settings_for
+from ffcomp.inverse.solve import Solution
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from models.machine import Machine
@@ -31,8 +32,8 @@ def part() -> Stretch:
     return found
 
 
-def solved(machine: Machine, printer: Machine | None = None) -> tuple[Inverter, list[SolvedSection]]:
-    inverter = Inverter(machine, settings_for(machine))
+def solved(machine: Machine, printer: Machine | None = None) -> tuple[InverseModel, list[SolvedSection]]:
+    inverter = InverseModel(machine, settings_for(machine))
     inverter.printer = printer or inverter.printer
     return inverter, list(solutions(part().planned, inverter.machine, inverter, None, lambda wanted: True))
 
@@ -88,14 +89,14 @@ def test_play_too_wide_to_be_crossed_leaves_no_run_worse_than_the_linear_command
 
 @pytest.mark.parametrize("plant", [PLAY, FRICTION], ids=["play", "friction"])
 def test_no_limit_is_broken_for_an_effect(plant: Machine) -> None:
-    free = max(each.result.excess for each in solved(plant)[1])
-    linear = max(each.result.excess for each in solved(MACHINE)[1])
+    free = max(each.result.utilisation for each in solved(plant)[1])
+    linear = max(each.result.utilisation for each in solved(MACHINE)[1])
     assert free > 1.1 * linear
     ceiling = 0.5 * (free + linear) * plant.limits.carriage_acceleration_mm_per_s2
     tight = replace(plant, limits=replace(plant.limits, carriage_acceleration_mm_per_s2=ceiling))
     inverter, answers = solved(tight)
-    assert max(each.result.excess for each in answers) <= 1.0
-    assert all(excess(each.result.vertices, inverter.limits) <= 1.0 for each in answers)
+    assert max(each.result.utilisation for each in answers) <= 1.0
+    assert all(peak_utilisation(each.result.vertices, inverter.limits) <= 1.0 for each in answers)
     assert tracking_um(answers) < 3.0 * without_um()
 
 
@@ -113,6 +114,6 @@ def test_a_printer_without_effects_leaves_the_linear_command() -> None:
 
 
 def test_no_runs_no_rounds() -> None:
-    inverter = Inverter(PLAY, settings_for(PLAY))
-    nothing: list[RunResult] = []
+    inverter = InverseModel(PLAY, settings_for(PLAY))
+    nothing: list[Solution] = []
     assert whole.corrected(inverter, PLAY, []) == nothing

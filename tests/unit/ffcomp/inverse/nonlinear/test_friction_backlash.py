@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.compensate.solve import solutions
-from ffcomp.inverse.iterate import Playing
-from ffcomp.inverse.model import Inverter
-from ffcomp.inverse.nonlinear.friction_backlash import Foresight, guide_friction
+from ffcomp.inverse.iterate import Iterate
+from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.nonlinear.friction_backlash import FrictionBacklash, guide_friction
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import settings_for
 from models.effects.catalogue import with_effect
@@ -72,15 +72,15 @@ def test_it_is_the_force_that_the_printer_feels() -> None:
 def longest_run() -> Reference:
     """Of a square."""
     (part,), _ = Print(squares(1), "squares.gcode", MACHINE).stretches(Sampling())
-    solved = solutions(part.planned, MACHINE, Inverter(MACHINE, settings_for(MACHINE)), None, lambda wanted: False)
+    solved = solutions(part.planned, MACHINE, InverseModel(MACHINE, settings_for(MACHINE)), None, lambda wanted: False)
     return max((each.wanted for each in solved), key=lambda wanted: wanted.knots)
 
 
-def foreseen(machine: Machine, stretch: FloatArray) -> tuple[Playing, FloatArray]:
+def foreseen(machine: Machine, stretch: FloatArray) -> tuple[Iterate, FloatArray]:
     """A run, and what is to be added to its command."""
-    inverter = Inverter(machine, settings_for(machine))
-    run = Playing(inverter, longest_run())
-    return run, Foresight(inverter, machine).command(run, stretch)
+    inverter = InverseModel(machine, settings_for(machine))
+    run = Iterate(inverter, longest_run())
+    return run, FrictionBacklash(inverter, machine).command(run, stretch)
 
 
 def test_twice_the_friction_asks_for_twice_as_much() -> None:
