@@ -191,13 +191,7 @@ def plan(
 
 def _directions(axes: str | None, machine: Machine) -> tuple[str, ...]:
     """What is moved by itself, the kind's own default first."""
-    from ffcomp.identify.experiment import AXES, TOWERS
-
-    along = {"xy": AXES[:2], **{axis: (axis,) for axis in AXES}}
-    if not machine.has_straight_axes:
-        groups = {"towers": TOWERS, "xyz": AXES, "all": TOWERS + AXES, **along}
-    else:
-        groups = {**along, "xyz": AXES}
+    groups = machine.kinematics.excitation_directions
     chosen = axes or next(iter(groups))
     check_choice("--axes", chosen, list(groups))
     return groups[chosen]
@@ -211,10 +205,10 @@ def _places(texts: list[str], machine: Machine) -> list[tuple[float, float]]:
     for text in texts:
         if text == CENTRE:
             found.append(machine.kinematics.centre_mm)
-        elif text == LINE_OF_ACTION and machine.has_straight_axes:
+        elif text == LINE_OF_ACTION and not machine.kinematics.tower_directions:
             raise typer.BadParameter(f"--at {text}: that is a delta's; straight axes answer alike everywhere.")
         else:
-            found += line_of_action(machine.delta) if text == LINE_OF_ACTION else [_place(text)]
+            found += line_of_action(machine.kinematics) if text == LINE_OF_ACTION else [_place(text)]
     return list(dict.fromkeys(found))
 
 
@@ -222,8 +216,7 @@ def _recommended(machine: Machine) -> list[tuple[float, float]]:
     """Places that tell all; straight axes answer alike everywhere."""
     from ffcomp.identify.experiment import line_of_action
 
-    centre = [machine.kinematics.centre_mm]
-    return centre if machine.has_straight_axes else [*centre, *line_of_action(machine.delta)]
+    return [machine.kinematics.centre_mm, *line_of_action(machine.kinematics)]
 
 
 def _place(text: str) -> tuple[float, float]:

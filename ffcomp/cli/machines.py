@@ -263,17 +263,10 @@ def _instability(places: FloatArray) -> list[str]:
 
 
 def _modes(machine: Machine) -> list[dict[str, Any]]:
-    """At the centre; of a delta also at 80 % of the print radius towards tower A and away from it."""
-    import numpy as np
-
-    from models.machine import DeltaKinematics
+    """Return the modes at the positions that show how they change over the bed."""
     from models.vibration.receptance import modes
 
-    geometry = machine.kinematics
-    places = {"centre": np.array(geometry.centre_mm)}
-    if isinstance(geometry, DeltaKinematics):
-        towards_a = 0.8 * geometry.print_radius_mm / geometry.delta_radii_mm[0] * geometry.towers_mm[0]
-        places |= {"80 % towards A": towards_a, "80 % away from A": -towards_a}
+    places = machine.kinematics.sample_positions
     found = {place: modes(machine, xy) for place, xy in places.items()}
     return [
         {

@@ -36,7 +36,7 @@ from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import rms
 from ffcomp.simulate.compatibility import check_same_kinematics
 from models.arrays import FloatArray
-from models.machine import DeltaKinematics, Machine
+from models.machine import Machine
 
 SHORTEST_S = 3 * SETTLE_S
 SOME_S = 60.0  # of print time that is printed on every drawn plant
@@ -333,8 +333,8 @@ def _bed(plant: Machine) -> BedMap:
     x, y = (np.linspace(low, high, 2 * int(np.ceil((high - low) / 2 / BED_PITCH_MM)) + 1) for low, high in _spans(rim))
     places = np.stack(np.meshgrid(x, y), axis=-1)
     frequency = every.mode_frequencies(plant)(places.reshape(-1, 2)).reshape(places.shape)
-    if isinstance(plant.kinematics, DeltaKinematics):
-        frequency[np.hypot(places[..., 0], places[..., 1]) > 1.001 * plant.kinematics.print_radius_mm] = np.nan
+    inside = plant.kinematics.contains(places.reshape(-1, 2), 1e-3 * plant.kinematics.bed_radius_mm)
+    frequency[~inside.reshape(frequency.shape)] = np.nan
     return BedMap(x, y, frequency)
 
 

@@ -168,7 +168,7 @@ def _ranked(plant: Delta, found: Diagnosis, question: _Question) -> list[_Played
     tried = _asked(plant, found, question, [(best.move, place) for place in around])
     top = max([best, *tried], key=lambda p: p.rate)
     x, y, _ = top.place
-    high = _asked(plant, found, question, [(best.move, (x, y, HIGH * machine.delta.print_height_mm))])
+    high = _asked(plant, found, question, [(best.move, (x, y, HIGH * machine.kinematics.height_mm))])
     top = max([top, *high], key=lambda p: p.rate)
     return [top, *sorted((p for p in kinds if p.move is not best.move), key=lambda p: -p.rate)]
 
@@ -240,11 +240,8 @@ def _proposal(machine: Machine, question: _Question, played: _Played) -> Proposa
 
 def places(machine: Machine) -> list[Point]:
     """The centre, then six around it; low."""
-    geometry = machine.delta
-    radius = min(OUT * geometry.print_radius_mm, geometry.print_radius_mm - ROOM_MM)
-    angles = np.deg2rad(geometry.tower_angles_deg[0] + 60.0 * np.arange(6))
-    around = [(round(float(radius * np.cos(a)), 1), round(float(radius * np.sin(a)), 1), LOW_MM) for a in angles]
-    return [(0.0, 0.0, LOW_MM), *around]
+    around = machine.kinematics.around(OUT, ROOM_MM)
+    return [(*machine.kinematics.centre_mm, LOW_MM), *((round(x, 1), round(y, 1), LOW_MM) for x, y in around.tolist())]
 
 
 def library(machine: Machine) -> list[Move]:

@@ -141,7 +141,7 @@ def picture(plant: Delta, found: Diagnosis) -> Picture:
     return Picture(
         desk.whiten.band_hz,
         found.noise.from_repeats,
-        plant.machine.delta.print_radius_mm,
+        plant.machine.kinematics.bed_radius_mm,
         tuple(_splits(plant, desk, before, after)),
         tuple(_overlays(plant, desk, answers, before)),
         tuple(_spectra(desk, answers)),

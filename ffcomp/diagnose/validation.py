@@ -58,17 +58,15 @@ def _expected(carriages: FloatArray, nozzle: FloatArray, recording: Recording) -
 
 def _outside(machine: Machine, recording: Recording, nozzle: FloatArray) -> str:
     """Where the nozzle leaves the print volume, as a sentence; '' if nowhere."""
-    geometry = machine.delta
-    beyond = np.hypot(nozzle[:, 0], nozzle[:, 1]) > geometry.print_radius_mm + ROOM_MM
-    beyond |= (nozzle[:, 2] < -ROOM_MM) | (nozzle[:, 2] > geometry.print_height_mm + ROOM_MM)
+    beyond = ~machine.kinematics.contains(nozzle, ROOM_MM)
     if not beyond.any():
         return ""
     i = int(np.argmax(beyond))
     x, y, z = nozzle[i]
     return (
         f"{recording.time_s[i] - recording.time_s[0]:.4g} s after the beginning the command means a nozzle at "
-        f"({x:.0f}, {y:.0f}, {z:.0f}) mm; the print volume of {machine.name} has a radius of "
-        f"{geometry.print_radius_mm:g} mm and a height of {geometry.print_height_mm:g} mm. {_another(machine)}"
+        f"({x:.0f}, {y:.0f}, {z:.0f}) mm; the print volume of {machine.name} "
+        f"{machine.kinematics.volume_text()}. {_another(machine)}"
     )
 
 

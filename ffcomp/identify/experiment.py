@@ -29,8 +29,7 @@ from gcode.emit import F_COUNTS, XYZ_COUNTS
 from gcode.program import Moves
 from models.arrays import FloatArray
 from models.errors import UnreachableError
-from models.kinematics.cartesian import CartesianKinematics
-from models.machine import DeltaKinematics, Kinematics, Machine
+from models.machine import Kinematics, Machine
 
 TOWERS, AXES = ("A", "B", "C"), ("x", "y", "z")
 ON_TIME_S = 5e-5  # a knot that is reached later than this was asked for too much
@@ -170,10 +169,10 @@ class Plan:
     experiments: tuple[Experiment, ...]
 
 
-def line_of_action(geometry: DeltaKinematics) -> list[tuple[float, float]]:
-    """Places away from each tower through the centre, whole mm: there its carriage's dynamics differ most."""
-    towards = geometry.towers_mm / geometry.delta_radii_mm[:, None]
-    places = np.round(-LINE_OF_ACTION * geometry.print_radius_mm * towards) + 0.0
+def line_of_action(geometry: Kinematics) -> list[tuple[float, float]]:
+    """Return places away from each tower through the centre, whole mm: there its carriage's dynamics differ most."""
+    reach, towards = geometry.bed_radius_mm, geometry.tower_directions.values()
+    places = [np.round(-LINE_OF_ACTION * reach * tower) + 0.0 for tower in towards]
     return [(float(x), float(y)) for x, y in places]
 
 
@@ -382,14 +381,14 @@ def _check_place(machine: Machine, x: float, y: float, z: float) -> None:
 def _widest(machine: Machine) -> float | None:
     """The radius within which a delta's firmware plays every segment at its own speed, mm; None: no delta."""
     reach = planner_limits(machine).delta
-    return None if reach is None else min(reach.radius_of_ratio(SLOW_RATIOS[0][0]), machine.delta.print_radius_mm)
+    return None if reach is None else min(reach.radius_of_ratio(SLOW_RATIOS[0][0]), machine.kinematics.bed_radius_mm)
 
 
 def _check(machine: Machine, made: Experiment, acceleration: float, limits: Peaks) -> None:
     """Every vertex inside, and no peak over its limit."""
     _check_sideways(machine, made)
     z, heights = made.position_mm[2], made.vertices_mm[:, 2]
-    lowest, highest, top = float(heights.min()), float(heights.max()), _top(machine.kinematics)
+    lowest, highest, top = float(heights.min()), float(heights.max()), machine.kinematics.height_mm
     if lowest < CLEARANCE_MM or highest > top:
         low, high = z - lowest + CLEARANCE_MM, top - (highest - z)
         raise LimitsError(
@@ -420,14 +419,6 @@ def _check_sideways(machine: Machine, made: Experiment) -> None:
             f"{made.name} reaches {radius:.2f} mm from the centre, and may reach {widest:.2f}; "
             f"a place not farther out than {fits:.1f} mm would fit."
         )
-
-
-def _top(geometry: Kinematics) -> float:
-    """The greatest height of the nozzle, mm."""
-    if isinstance(geometry, CartesianKinematics):
-        return float(geometry.range_mm[2, 1])
-    assert isinstance(geometry, DeltaKinematics), "there are these two kinds"
-    return geometry.print_height_mm
 
 
 def _check_timing(made: Experiment, displacement: FloatArray, acceleration: float) -> None:

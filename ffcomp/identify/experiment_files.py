@@ -25,7 +25,7 @@ from gcode.emit import MoveWriter
 from gcode.limits import MotionLimits
 from gcode.program import Frame
 from models.arrays import constant
-from models.kinematics.cartesian import COREXY, CartesianKinematics
+from models.kinematics.cartesian import CartesianKinematics
 from models.machine import DeltaKinematics, Kinematics, Machine
 
 SCHEMA = "ffcomp-excitation/1"
@@ -209,7 +209,7 @@ def _instructions(plan: Plan, machine: Machine, flavor: str, captures: bool) -> 
         "- The accelerometer is screwed to the nozzle holder, rigidly, its axes along the printer's or written down;",
         "  a second one may sit on a carriage.",
         "- Bed mesh, skew correction and speed or flow overrides are off: every move must be played as it is written.",
-        *_of_kinematics(first.geometry),
+        *first.geometry.setup_notes,
         *_of_heights(plan, machine),
         "- It plays from the printer's own storage; a serial line is too slow.",
         "- Stay near: limits are opened for each experiment, so do not pause while it shakes.",
@@ -226,27 +226,6 @@ def _of_heights(plan: Plan, machine: Machine) -> list[str]:
         f"- The firmware lets Z move at {machine.limits.velocity_mm_per_s:g} mm/s and "
         f"{out.z_acceleration_mm_per_s2:g} mm/s² (Klipper: max_z_velocity, max_z_accel)."
     ]
-
-
-def _of_kinematics(geometry: Kinematics) -> list[str]:
-    """What must be so on this kind of machine."""
-    if isinstance(geometry, DeltaKinematics):
-        return [
-            "- The firmware's arm lengths, delta radius and tower angles are those of the machine file:",
-            f"  L {_listed(geometry.arm_lengths_mm)}, R {_listed(geometry.delta_radii_mm)} mm, "
-            f"towers {_listed(geometry.tower_angles_deg)} degrees.",
-        ]
-    assert isinstance(geometry, CartesianKinematics), "there are these two kinds"
-    if np.array_equal(geometry.motor_matrix, COREXY):
-        return ["- The firmware's kinematics is CoreXY: the belts of both motors move the nozzle along x and along y."]
-    return [
-        "- Where the bed itself moves along y, the accelerometer is screwed to the bed for the experiments along y:",
-        "  plan these by themselves, with --axes y.",
-    ]
-
-
-def _listed(values: Sequence[float] | np.ndarray) -> str:
-    return " ".join(f"{value:g}" for value in values)
 
 
 def _closing_words(plan: Plan, shaper_is_off: bool, captures: bool) -> list[str]:

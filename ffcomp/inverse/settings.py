@@ -9,7 +9,7 @@ from ffcomp.inverse.bandwidth import effort_curve
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.segment_timing import SegmentLimits
 from models.effects.catalogue import design_machine
-from models.machine import DeltaKinematics, Machine
+from models.machine import Machine
 
 Backend = Literal["osqp", "piqp", "clarabel"]  # solvers of quadratic programmes
 
@@ -48,7 +48,7 @@ def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SEC
     limits = planner_limits(machine)
     output = SegmentLimits(
         z_acceleration_mm_per_s2=limits.z_acceleration_mm_per_s2 or limits.acceleration_mm_per_s2,
-        raised_axes="XYZ" if isinstance(machine.kinematics, DeltaKinematics) else "XY",
+        raised_axes=machine.kinematics.raisable_axes,
         retract_acceleration_mm_per_s2=limits.acceleration_mm_per_s2 * limits.extrusion_ratio,
     )
     segment_s = 1.0 / segments_per_second

@@ -5,23 +5,25 @@ from __future__ import annotations
 import numpy as np
 
 from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits
-from models.machine import DeltaKinematics, Machine, Steps
+from models.kinematics.base import Kinematics
+from models.machine import Machine, Steps
 
 
 def planner_limits(machine: Machine) -> PlannerLimits:
     """What the printer's own configuration allows, as the machine file states it."""
-    own, geometry = machine.limits, machine.kinematics
+    own = machine.limits
     return PlannerLimits(
         velocity_mm_per_s=own.velocity_mm_per_s,
         acceleration_mm_per_s2=own.acceleration_mm_per_s2,
         square_corner_velocity_mm_per_s=own.square_corner_velocity_mm_per_s,
         z_velocity_mm_per_s=own.z_velocity_mm_per_s,
         z_acceleration_mm_per_s2=own.z_acceleration_mm_per_s2,
-        delta=_slow_zones(geometry, machine.steps) if isinstance(geometry, DeltaKinematics) else None,
+        delta=_slow_zones(machine.kinematics, machine.steps),
     )
 
 
-def _slow_zones(geometry: DeltaKinematics, steps: Steps) -> DeltaSlowZones:
-    """Where the firmware slows a delta down."""
+def _slow_zones(kinematics: Kinematics, steps: Steps) -> DeltaSlowZones | None:
+    """Return where the firmware slows down near the border; None: nowhere."""
+    zones = kinematics.slow_zones
     half_step = 0.5 / float(np.max(steps.per_motor))
-    return DeltaSlowZones(float(geometry.delta_radii_mm.max()), float(geometry.arm_lengths_mm.min()), half_step)
+    return None if zones is None else DeltaSlowZones(zones.delta_radius_mm, zones.shortest_arm_mm, half_step)

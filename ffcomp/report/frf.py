@@ -346,9 +346,9 @@ def _levels(frequency: FloatArray) -> FloatArray:
 
 
 def _towers(axes: Axes, machine: Machine) -> None:
-    towers, reach = machine.delta.towers_mm, machine.delta.print_radius_mm
-    for name, tower in zip("ABC", towers, strict=True):
-        x, y = 1.1 * reach * tower / np.hypot(*tower)
+    reach = machine.kinematics.bed_radius_mm
+    for name, towards in machine.kinematics.tower_directions.items():
+        x, y = 1.1 * reach * towards
         axes.text(x, y, name, ha="center", va="center", weight="bold", fontsize=11, color=INK)
     limit = (-1.2 * reach, 1.2 * reach)
     axes.set(aspect="equal", xlim=limit, ylim=limit)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from models.errors import MachineFileError
-from models.machine import DeltaKinematics, Machine
-
-ALLOWED = {"arm_lengths_mm": 1.0, "delta_radii_mm": 1.0, "tower_angles_deg": 0.5, "effector_height_mm": 1.0}
+from models.machine import Machine
 
 
 def check_same_kinematics(machine: Machine, plant: Machine) -> None:
@@ -22,8 +20,7 @@ def check_same_kinematics(machine: Machine, plant: Machine) -> None:
         rule = f"A plant must have the machine's kind of kinematics, that of {machine.path or machine.name}."
         raise MachineFileError(plant.path or plant.name, [rule])
     problems = []
-    allowances = ALLOWED if isinstance(machine.kinematics, DeltaKinematics) else {"motor_matrix": 0.0}
-    for key, allowed in allowances.items():
+    for key, allowed in machine.kinematics.calibration_tolerances.items():
         own, other = (np.atleast_1d(getattr(m.kinematics, key)) for m in (machine, plant))
         if np.abs(own - other).max() > allowed:
             given = f"kinematics.{key} is {_shown(other)}, but {_shown(own)} in {machine.path or machine.name}"

@@ -5,19 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from models.arrays import FloatArray, constant
+from models.arrays import FloatArray
 from models.effects.effect import Effect, Parameter
 from models.machine import Machine
 
 
 def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
-    geometry = machine.delta
-    true = replace(
-        geometry,
-        arm_lengths_mm=constant(geometry.arm_lengths_mm + values["arm_length_mm"]),
-        delta_radii_mm=constant(geometry.delta_radii_mm + values["delta_radius_mm"]),
-    )
-    return replace(machine, kinematics=true)
+    """Change the arms' lengths and the towers' radii of the true geometry."""
+    true = machine.kinematics.recalibrated(values["arm_length_mm"], values["delta_radius_mm"])
+    return replace(machine, kinematics=true or machine.kinematics)
 
 
 EFFECT = Effect(

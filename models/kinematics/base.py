@@ -1,8 +1,8 @@
-"""What a kind of machine is to everybody else: how its nozzle follows from its carriages, and where it may go.
+"""Kinematics of a machine: how the nozzle follows from the actuators, where it may go, and how its firmware sees that.
 
-A carriage is what vibrates by itself on its belt, and is commanded: a delta's three carriages, or the three axes of a
-machine whose axes do not disturb each other. A motor is what makes steps: on a delta and on a cartesian machine each
-carriage's own, on CoreXY x and y together.
+An actuator ("carriage") is what vibrates by itself on its belt, and is commanded: a delta's three carriages, or the
+three axes of a machine whose axes do not disturb each other. A motor is what makes steps: on a delta and on a cartesian
+machine each carriage's own, on CoreXY x and y together.
 
 mm, s; arrays of n points; carriages in the order A B C or X Y Z, motors A B C.
 """
@@ -10,106 +10,190 @@ mm, s; arrays of n points; carriages in the order A B C or X Y Z, motors A B C.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Protocol
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from models.arrays import FloatArray
+from models.arrays import BoolArray, FloatArray
 from models.errors import UnreachableError
 
 SLACK_MM = 1e-6  # a point on the rim, written with rounded digits, is inside
 INSIDE_MM = 1e-4  # what a command keeps from the border: one digit of the text
+OUTLINE_POINTS = 72
+
+TOWERS, AXES = ("A", "B", "C"), ("x", "y", "z")
+ALONG: Mapping[str, tuple[str, ...]] = {"xy": AXES[:2], **{axis: (axis,) for axis in AXES}}
 
 
 class Compiled(Protocol):
-    """The equations compiled and unchecked, (n, 3) in and out; what is out of reach becomes NaN."""
+    """The equations compiled and unchecked, (n, 3) in and out; points out of reach become NaN."""
 
-    def inverse(self, xyz: FloatArray) -> FloatArray: ...
-    def forward(self, q: FloatArray) -> FloatArray: ...
-    def rate_term(self, xyz: FloatArray, velocity: FloatArray) -> FloatArray: ...
+    def inverse(self, xyz: FloatArray) -> FloatArray:
+        """Return carriages of nozzle positions, mm."""
+
+    def forward(self, q: FloatArray) -> FloatArray:
+        """Return nozzle positions of carriages, mm."""
+
+    def rate_term(self, xyz: FloatArray, velocity: FloatArray) -> FloatArray:
+        """Return J̇ q̇, mm/s²."""
+
+
+@dataclass(frozen=True)
+class SlowZones:
+    """Lengths that decide where a delta's firmware slows down: its carriages outrun the nozzle near the rim."""
+
+    delta_radius_mm: float
+    shortest_arm_mm: float
 
 
 class Kinematics(ABC):
     """One kind of kinematics with its numbers."""
 
+    calibration_tolerances: ClassVar[Mapping[str, float]]
+    """Field -> by how much two files may differ in it and still describe one printer."""
+    excitation_directions: ClassVar[Mapping[str, tuple[str, ...]]]
+    """Name of a group -> what is excited by itself, one after the other; the default group is the first."""
+    raisable_axes: ClassVar[str]
+    """Axes whose limits a compensated file may raise above the plan's."""
+
     @abstractmethod
     def inverse(self, xyz: FloatArray) -> FloatArray:
-        """Carriages (n, 3) mm of nozzle positions (n, 3) mm."""
+        """Return carriages (n, 3) mm of nozzle positions (n, 3) mm."""
 
     @abstractmethod
     def forward(self, q: FloatArray) -> FloatArray:
-        """Nozzle positions (n, 3) mm of carriages (n, 3) mm."""
+        """Return nozzle positions (n, 3) mm of carriages (n, 3) mm."""
 
     @abstractmethod
     def jacobian(self, xy: FloatArray) -> FloatArray:
-        """J with Ẋ = J q̇ at places (n, 2) mm; further columns are ignored. (n, 3, 3), rows X Y Z."""
+        """Return J with Ẋ = J q̇ at positions (n, 2) mm; further columns are ignored. (n, 3, 3), rows X Y Z."""
 
     @abstractmethod
     def jacobian_rate_term(self, xyz: FloatArray, velocity: FloatArray) -> FloatArray:
-        """J̇ q̇ (n, 3) mm/s², the part of Ẍ = J q̈ + J̇ q̇ that is there without any carriage acceleration.
+        """Return J̇ q̇ (n, 3) mm/s², the part of Ẍ = J q̈ + J̇ q̇ that is there without any carriage acceleration.
 
         xyz : (n, 3) mm; z does not matter.   velocity : (n, 3) mm/s, of the nozzle.
         """
 
     @abstractmethod
     def compiled(self) -> Compiled:
-        """The same for loops that cannot wait for arrays of arrays."""
+        """Return the same for loops that cannot wait for arrays of arrays."""
 
     @abstractmethod
     def check_reach(self, xyz: FloatArray) -> None:
         """Raise UnreachableError if any of the points (n, 3) mm lies outside the print volume."""
 
     @abstractmethod
+    def contains(self, xyz: FloatArray, margin_mm: float = 0.0) -> BoolArray:
+        """Return which of the points (n, 2) or (n, 3) mm lie over the bed, and inside the print volume if z is given.
+
+        margin_mm : by how much a point may lie outside
+        """
+
+    @abstractmethod
+    def volume_text(self) -> str:
+        """Describe the print volume as the end of a sentence: "has a radius of 60 mm and …"."""
+
+    @abstractmethod
     def drawn_in(self, xyz: FloatArray, heights: FloatArray) -> FloatArray:
-        """A command (n, 3) mm where the firmware lets it go, for a path that has these heights (m,) mm."""
+        """Return a command (n, 3) mm moved to where the firmware lets it go, for a path of these heights (m,) mm."""
 
     @abstractmethod
     def advice(self, xy: FloatArray) -> str:
-        """A sentence for a print (n, 2) mm that does not fit: whether it does elsewhere on the bed."""
+        """Say in a sentence whether a print (n, 2) mm that does not fit would fit elsewhere on the bed."""
 
     @abstractmethod
     def rings(self, radii: int, directions: int) -> FloatArray:
-        """The centre of the bed and rings around it out to the border, (1 + radii · directions, 2) mm."""
+        """Return the bed's centre and rings around it out to the border, (1 + radii · directions, 2) mm."""
+
+    @abstractmethod
+    def around(self, share: float, margin_mm: float) -> FloatArray:
+        """Return six positions (6, 2) mm around the centre, at a share of the way out and a margin from the border."""
+
+    @property
+    def bed_outline(self) -> FloatArray:
+        """Return a closed line of points (k, 2) mm along the border of the bed."""
+        outline = self.rings(1, OUTLINE_POINTS)[1:]
+        return np.concatenate([outline, outline[:1]])
 
     @property
     @abstractmethod
     def centre_mm(self) -> tuple[float, float]:
-        """The middle of the bed."""
+        """Return the middle of the bed."""
+
+    @property
+    @abstractmethod
+    def bed_radius_mm(self) -> float:
+        """Return how far from the middle of the bed the nozzle may go."""
+
+    @property
+    @abstractmethod
+    def height_mm(self) -> float:
+        """Return the greatest height of the nozzle."""
 
     @property
     @abstractmethod
     def model_reach_mm(self) -> float:
-        """How far from the origin the vibrations change with place; zero where they are the same everywhere."""
+        """Return how far from the origin the vibrations change with position; zero where they are the same."""
 
     @property
     @abstractmethod
     def spare_reach_mm(self) -> float:
-        """How far beyond `model_reach_mm` the arms could still go before one lies flat."""
+        """Return how far beyond `model_reach_mm` the arms could still go before one lies flat."""
 
     @property
     @abstractmethod
     def motor_rows(self) -> FloatArray:
-        """Of each motor (3, 8): tower x y mm, L² mm², base mm, and what of X Y Z E counts.
+        """Return of each motor (3, 8): tower x y mm, L² mm², base mm, and what of X Y Z E counts.
 
         A motor stands at base + (X Y Z E) · its last four + √(L² − |xy − tower|²); without an arm L² is zero.
         """
 
     @property
     def motors(self) -> FloatArray:
-        """(3, 3) mm/mm: the motors' motion from the carriages'."""
+        """Return (3, 3) mm/mm: the motors' motion from the carriages'."""
         return np.eye(3)
 
+    @property
+    def slow_zones(self) -> SlowZones | None:
+        """Return the lengths by which the firmware slows down near the border; None: it does not."""
+        return None
 
-def require(good: NDArray[np.bool_], points: FloatArray, sentence: str) -> None:
-    """UnreachableError unless all are good; `sentence` is filled in with the first bad point."""
+    @property
+    def tower_directions(self) -> Mapping[str, FloatArray]:
+        """Return the unit vectors (2,) from the centre to each tower; empty without towers."""
+        return {}
+
+    @property
+    def sample_positions(self) -> Mapping[str, FloatArray]:
+        """Return name -> position (2,) mm: the few that show how the vibrations change over the bed."""
+        return {"centre": np.array(self.centre_mm)}
+
+    @property
+    @abstractmethod
+    def setup_notes(self) -> list[str]:
+        """Return lines of a list: what must be so on the printer before its vibrations are measured."""
+
+    def recalibrated(self, arm_length_mm: FloatArray, delta_radius_mm: FloatArray) -> Kinematics | None:
+        """Return these kinematics with changes (3,) mm added to arms and radii; None without arms."""
+        return None
+
+    def printer_parameters(self) -> dict[str, FloatArray | float]:
+        """Return the fields of the nonlinear printer's record that follow from the kinematics, SI."""
+        return {}
+
+
+def require(good: BoolArray, points: FloatArray, sentence: str) -> None:
+    """Raise UnreachableError unless all are good; `sentence` is filled in with the first bad point."""
     bad = np.flatnonzero(~good)
     if bad.size:
         raise UnreachableError(sentence.format(*points[bad[0]]), bad)
 
 
 def rings(radius: FloatArray, directions: int) -> FloatArray:
-    """The origin and circles of these radii (k,) around it, (1 + k · directions, 2)."""
+    """Return the origin and circles of these radii (k,) around it, (1 + k · directions, 2)."""
     angle = np.linspace(0, 2 * np.pi, directions, endpoint=False)
     around = np.stack([np.outer(radius, np.cos(angle)), np.outer(radius, np.sin(angle))], axis=-1).reshape(-1, 2)
     return np.concatenate([np.zeros((1, 2)), around])

@@ -8,12 +8,15 @@ mm, s; arrays of n points, axes in the order X Y Z.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import ClassVar
 
 import numpy as np
 
-from models.arrays import FloatArray, constant
-from models.kinematics.base import INSIDE_MM, SLACK_MM, Compiled, Kinematics, require, rings
+from models.arrays import BoolArray, FloatArray, constant
+from models.kinematics.base import ALONG, AXES, INSIDE_MM, SLACK_MM, Compiled, Kinematics, require, rings
 
 CARTESIAN = constant(np.eye(3))
 COREXY = constant([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
@@ -26,6 +29,10 @@ class CartesianKinematics(Kinematics):
     range_mm: FloatArray  # (3, 2) lowest and highest place of X Y Z
     motor_matrix: FloatArray  # (3, 3) motors A B C from axes X Y Z: CARTESIAN or COREXY
 
+    calibration_tolerances: ClassVar[Mapping[str, float]] = MappingProxyType({"motor_matrix": 0.0})
+    excitation_directions: ClassVar[Mapping[str, tuple[str, ...]]] = MappingProxyType({**ALONG, "xyz": AXES})
+    raisable_axes: ClassVar[str] = "XY"
+
     def inverse(self, xyz: FloatArray) -> FloatArray:
         return np.array(xyz, dtype=np.float64)
 
@@ -33,9 +40,10 @@ class CartesianKinematics(Kinematics):
         return np.array(q, dtype=np.float64)
 
     def rate_term(self, xyz: FloatArray, velocity: FloatArray) -> FloatArray:
+        """Return zeros (n, 3): a constant J has no rate."""
         return np.zeros(xyz.shape)
 
-    jacobian_rate_term = rate_term
+    jacobian_rate_term = rate_term  # the axes are straight
 
     def jacobian(self, xy: FloatArray) -> FloatArray:
         return np.tile(np.eye(3), (len(xy), 1, 1))
@@ -49,6 +57,14 @@ class CartesianKinematics(Kinematics):
             inside = (xyz[:, axis] >= low - SLACK_MM) & (xyz[:, axis] <= high + SLACK_MM)
             place = "The point X = {:.3f}, Y = {:.3f}, Z = {:.3f} mm lies "
             require(inside, xyz, f"{place}outside the range of {name}, {low:g} to {high:g} mm.")
+
+    def contains(self, xyz: FloatArray, margin_mm: float = 0.0) -> BoolArray:
+        low, high = self.range_mm[: xyz.shape[1]].T
+        return np.asarray(np.all((xyz >= low - margin_mm) & (xyz <= high + margin_mm), axis=1))
+
+    def volume_text(self) -> str:
+        ranges = (f"{axis} {low:g} to {high:g}" for axis, (low, high) in zip("XYZ", self.range_mm, strict=True))
+        return f"is {', '.join(ranges)} mm"
 
     def drawn_in(self, xyz: FloatArray, heights: FloatArray) -> FloatArray:
         low, high = self.range_mm.T
@@ -64,6 +80,35 @@ class CartesianKinematics(Kinematics):
     def rings(self, radii: int, directions: int) -> FloatArray:
         share = rings(np.linspace(0, 1, radii + 1)[1:], directions)
         return np.asarray(self.centre_mm + 0.5 * np.ptp(self.range_mm[:2], axis=1) * share)
+
+    def around(self, share: float, margin_mm: float) -> FloatArray:
+        half = 0.5 * np.ptp(self.range_mm[:2], axis=1)
+        return np.asarray(self.centre_mm + np.minimum(share * half, half - margin_mm) * rings(np.ones(1), 6)[1:])
+
+    @property
+    def bed_outline(self) -> FloatArray:
+        (x0, x1), (y0, y1) = self.range_mm[:2]
+        return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]])
+
+    @property
+    def bed_radius_mm(self) -> float:
+        return float(0.5 * np.ptp(self.range_mm[:2], axis=1).max())
+
+    @property
+    def height_mm(self) -> float:
+        return float(self.range_mm[2, 1])
+
+    @property
+    def setup_notes(self) -> list[str]:
+        if np.array_equal(self.motor_matrix, COREXY):
+            return [
+                "- The firmware's kinematics is CoreXY: the belts of both motors move the nozzle along x and along y."
+            ]
+        return [
+            "- Where the bed itself moves along y, the accelerometer is screwed to the bed for the experiments "
+            "along y:",
+            "  plan these by themselves, with --axes y.",
+        ]
 
     @property
     def centre_mm(self) -> tuple[float, float]:

@@ -14,14 +14,29 @@ mm, s; arrays of n points, arms in the order A, B, C.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import ClassVar
 
 import numpy as np
 
-from models.arrays import FloatArray
-from models.kinematics.base import INSIDE_MM, SLACK_MM, Compiled, Kinematics, require, rings
+from models.arrays import BoolArray, FloatArray, constant
+from models.kinematics.base import (
+    ALONG,
+    AXES,
+    INSIDE_MM,
+    SLACK_MM,
+    TOWERS,
+    Compiled,
+    Kinematics,
+    SlowZones,
+    require,
+    rings,
+)
 
 LOWEST_Z_MM = -5.0  # below the bed: room for a calibrated or baby-stepped first layer
+OUTER_SHARE = 0.8  # of the print radius: a position where the vibrations differ from the centre's
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,20 +50,58 @@ class DeltaKinematics(Kinematics):
     print_radius_mm: float
     print_height_mm: float
 
+    calibration_tolerances: ClassVar[Mapping[str, float]] = MappingProxyType(
+        {"arm_lengths_mm": 1.0, "delta_radii_mm": 1.0, "tower_angles_deg": 0.5, "effector_height_mm": 1.0}
+    )
+    excitation_directions: ClassVar[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+        {"towers": TOWERS, "xyz": AXES, "all": TOWERS + AXES, **ALONG}
+    )
+    raisable_axes: ClassVar[str] = "XYZ"
+
     @property
     def tower_angles_rad(self) -> FloatArray:
-        """(3,) rad"""
+        """Return (3,) rad."""
         return np.radians(self.tower_angles_deg)
 
     @property
     def towers_mm(self) -> FloatArray:
-        """(3, 2) mm, columns X Y: where each arm's carriage joint stands, seen from the effector's centre."""
+        """Return (3, 2) mm, columns X Y: where each arm's carriage joint stands, seen from the effector's centre."""
         angles = self.tower_angles_rad
         return self.delta_radii_mm[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
     @property
     def centre_mm(self) -> tuple[float, float]:
         return 0.0, 0.0
+
+    @property
+    def bed_radius_mm(self) -> float:
+        return self.print_radius_mm
+
+    @property
+    def height_mm(self) -> float:
+        return self.print_height_mm
+
+    @property
+    def slow_zones(self) -> SlowZones:
+        return SlowZones(float(self.delta_radii_mm.max()), float(self.arm_lengths_mm.min()))
+
+    @property
+    def tower_directions(self) -> Mapping[str, FloatArray]:
+        return dict(zip(TOWERS, self.towers_mm / self.delta_radii_mm[:, None], strict=True))
+
+    @property
+    def sample_positions(self) -> Mapping[str, FloatArray]:
+        towards_a = OUTER_SHARE * self.print_radius_mm / self.delta_radii_mm[0] * self.towers_mm[0]
+        share = f"{OUTER_SHARE:.0%}".replace("%", " %")
+        return {**super().sample_positions, f"{share} towards A": towards_a, f"{share} away from A": -towards_a}
+
+    @property
+    def setup_notes(self) -> list[str]:
+        return [
+            "- The firmware's arm lengths, delta radius and tower angles are those of the machine file:",
+            f"  L {_listed(self.arm_lengths_mm)}, R {_listed(self.delta_radii_mm)} mm, "
+            f"towers {_listed(self.tower_angles_deg)} degrees.",
+        ]
 
     @property
     def model_reach_mm(self) -> float:
@@ -67,10 +120,28 @@ class DeltaKinematics(Kinematics):
     def compiled(self) -> Compiled:
         from models.kinematics.delta_kernels import FastDelta  # numba takes its time
 
-        return FastDelta(self)
+        return FastDelta(self.towers_mm, self.arm_lengths_mm, self.effector_height_mm)
+
+    def recalibrated(self, arm_length_mm: FloatArray, delta_radius_mm: FloatArray) -> DeltaKinematics:
+        return replace(
+            self,
+            arm_lengths_mm=constant(self.arm_lengths_mm + arm_length_mm),
+            delta_radii_mm=constant(self.delta_radii_mm + delta_radius_mm),
+        )
+
+    def printer_parameters(self) -> dict[str, FloatArray | float]:
+        towers, arms = self.towers_mm / 1e3, self.arm_lengths_mm / 1e3
+        to_towers = towers[1:] - towers[0]
+        return {
+            "towers": towers,
+            "arms_squared": arms**2,
+            "height": self.effector_height_mm / 1e3,
+            "to_plane": np.linalg.inv(to_towers),
+            "offset": (np.sum(to_towers**2, axis=1) + arms[0] ** 2 - arms[1:] ** 2) / 2,
+        }
 
     def inverse(self, xyz: FloatArray) -> FloatArray:
-        """Carriage heights q_i = z + H_ez + h_i (Eqs. 3-5).
+        """Return carriage heights q_i = z + H_ez + h_i (Eqs. 3-5).
 
         Parameters
         ----------
@@ -84,7 +155,7 @@ class DeltaKinematics(Kinematics):
         return xyz[:, 2:3] + self.effector_height_mm + heights
 
     def forward(self, q: FloatArray) -> FloatArray:
-        """Nozzle positions: the lower of the two points where the arms' spheres meet (Eqs. 3-5, solved exactly).
+        """Return nozzle positions: the lower of the two points where the arms' spheres meet (Eqs. 3-5, solved exactly).
 
         With r the effector seen from joint A, differences of the spheres are linear, r_xy = u + v r_z; that makes
         sphere A a quadratic in r_z.
@@ -116,7 +187,7 @@ class DeltaKinematics(Kinematics):
         return np.column_stack([towers[0] + u + v * rz[:, None], height + rz])
 
     def jacobian(self, xy: FloatArray) -> FloatArray:
-        """J = −S⁻¹ diag(s_iᵀp), with Ẋ = J q̇ (Eq. 12); rows s_iᵀ of S, p = (0, 0, −1), so s_iᵀp = h_i.
+        """Return J = −S⁻¹ diag(s_iᵀp), with Ẋ = J q̇ (Eq. 12); rows s_iᵀ of S, p = (0, 0, −1), so s_iᵀp = h_i.
 
         Parameters
         ----------
@@ -130,7 +201,7 @@ class DeltaKinematics(Kinematics):
         return -np.linalg.inv(s) * heights[:, None, :]
 
     def jacobian_rate_term(self, xyz: FloatArray, velocity: FloatArray) -> FloatArray:
-        """J̇ q̇, the part of Ẍ = J q̈ + J̇ q̇ that is there without any carriage acceleration.
+        """Return J̇ q̇, the part of Ẍ = J q̈ + J̇ q̇ that is there without any carriage acceleration.
 
         Differentiating s_i·(Ẋ − ẑ q̇_i) = 0 once more: s_i·(Ẍ − ẑ q̈_i) + |Ẋ − ẑ q̇_i|² = 0, so
         J̇ q̇ = −S⁻¹ |ṡ_i|². NOTE: Eq. 13 of the paper has the opposite sign; finite differences agree with ours.
@@ -165,6 +236,15 @@ class DeltaKinematics(Kinematics):
         require(z <= height + SLACK_MM, xyz, f"{place}above the print height of {height:g} mm.")
         require(z >= LOWEST_Z_MM - SLACK_MM, xyz, f"{place}below the bed, deeper than {LOWEST_Z_MM:g} mm.")
 
+    def contains(self, xyz: FloatArray, margin_mm: float = 0.0) -> BoolArray:
+        inside: BoolArray = np.hypot(xyz[:, 0], xyz[:, 1]) <= self.print_radius_mm + margin_mm
+        if xyz.shape[1] > 2:
+            inside &= (xyz[:, 2] >= -margin_mm) & (xyz[:, 2] <= self.print_height_mm + margin_mm)
+        return inside
+
+    def volume_text(self) -> str:
+        return f"has a radius of {self.print_radius_mm:g} mm and a height of {self.print_height_mm:g} mm"
+
     def drawn_in(self, xyz: FloatArray, heights: FloatArray) -> FloatArray:
         radius = np.hypot(xyz[:, 0], xyz[:, 1])
         shrink = np.minimum(1.0, (self.print_radius_mm - INSIDE_MM) / np.maximum(radius, 1e-9))
@@ -174,7 +254,7 @@ class DeltaKinematics(Kinematics):
         return np.asarray(inside)
 
     def advice(self, xy: FloatArray) -> str:
-        """Whether shifting the print would bring it inside the circle, and by how much.
+        """Say whether shifting the print would bring it inside the circle, and by how much.
 
         The smallest circle round all places, by steps towards the farthest of them (Badoiu & Clarkson, 2003).
         """
@@ -192,8 +272,13 @@ class DeltaKinematics(Kinematics):
     def rings(self, radii: int, directions: int) -> FloatArray:
         return rings(np.linspace(0, self.print_radius_mm, radii + 1)[1:], directions)
 
+    def around(self, share: float, margin_mm: float) -> FloatArray:
+        radius = min(share * self.print_radius_mm, self.print_radius_mm - margin_mm)
+        angles = np.deg2rad(self.tower_angles_deg[0] + 60.0 * np.arange(6))
+        return np.column_stack([radius * np.cos(angles), radius * np.sin(angles)])
+
     def _arms(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Joint vectors s_i, (n, 3, 3) with rows A B C and columns X Y Z, and heights h_i, (n, 3); mm."""
+        """Return joint vectors s_i, (n, 3, 3) with rows A B C and columns X Y Z, and heights h_i, (n, 3); mm."""
         across = xy[:, None, :2] - self.towers_mm
         squared = self.arm_lengths_mm**2 - np.sum(across**2, axis=-1)
         require(
@@ -203,3 +288,7 @@ class DeltaKinematics(Kinematics):
         )
         heights = np.sqrt(squared)
         return np.concatenate([across, -heights[:, :, None]], axis=-1), heights
+
+
+def _listed(values: Sequence[float] | FloatArray) -> str:
+    return " ".join(f"{value:g}" for value in values)

@@ -11,14 +11,13 @@ import numpy as np
 from numba import njit
 
 from models.arrays import FloatArray
-from models.kinematics.delta import DeltaKinematics
 
 
 @njit(cache=True, nogil=True)
 def inverse_point(
     x: float, y: float, z: float, towers: FloatArray, arms_squared: FloatArray, effector_height: float
 ) -> tuple[float, float, float]:
-    """Carriage heights A B C, mm, of one nozzle position."""
+    """Return carriage heights A B C, mm, of one nozzle position."""
     base = z + effector_height
     return (
         base + math.sqrt(arms_squared[0] - (x - towers[0, 0]) ** 2 - (y - towers[0, 1]) ** 2),
@@ -38,7 +37,7 @@ def _inverse(xyz: FloatArray, towers: FloatArray, arms_squared: FloatArray, effe
 
 @njit(cache=True, nogil=True)
 def _forward(q: FloatArray, towers: FloatArray, arms_squared: FloatArray, effector_height: float) -> FloatArray:
-    """As `delta.forward`: two plane equations for r_xy = u + v r_z seen from joint A, then a quadratic in r_z."""
+    """Compute `DeltaKinematics.forward`: two planes for r_xy = u + v r_z seen from joint A, a quadratic in r_z."""
     bx, by = towers[1, 0] - towers[0, 0], towers[1, 1] - towers[0, 1]
     cx, cy = towers[2, 0] - towers[0, 0], towers[2, 1] - towers[0, 1]
     scale = 1.0 / (bx * cy - by * cx)
@@ -59,7 +58,7 @@ def _forward(q: FloatArray, towers: FloatArray, arms_squared: FloatArray, effect
 
 @njit(cache=True, nogil=True)
 def _rate_term(xyz: FloatArray, velocity: FloatArray, towers: FloatArray, arms_squared: FloatArray) -> FloatArray:
-    """As `delta.jacobian_rate_term`: −S⁻¹ |ṡ_i|² by cofactors."""
+    """Compute `DeltaKinematics.jacobian_rate_term`: −S⁻¹ |ṡ_i|² by cofactors."""
     out = np.empty((len(xyz), 3))
     s, w = np.empty((3, 3)), np.empty(3)
     for n in range(len(xyz)):
@@ -82,18 +81,21 @@ def _rate_term(xyz: FloatArray, velocity: FloatArray, towers: FloatArray, arms_s
 
 
 class FastDelta:
-    """`inverse`, `forward` and `jacobian_rate_term` of one geometry, compiled and unchecked: (n, 3) in and out."""
+    """`inverse`, `forward` and `jacobian_rate_term` of one delta, compiled and unchecked: (n, 3) in and out."""
 
-    def __init__(self, geometry: DeltaKinematics) -> None:
-        self._towers = np.ascontiguousarray(geometry.towers_mm)
-        self._arms = np.ascontiguousarray(geometry.arm_lengths_mm**2)
-        self._height = float(geometry.effector_height_mm)
+    def __init__(self, towers_mm: FloatArray, arm_lengths_mm: FloatArray, effector_height_mm: float) -> None:
+        self._towers = np.ascontiguousarray(towers_mm)
+        self._arms = np.ascontiguousarray(arm_lengths_mm**2)
+        self._height = float(effector_height_mm)
 
     def inverse(self, xyz: FloatArray) -> FloatArray:
+        """Return carriages of nozzle positions, mm."""
         return _inverse(xyz, self._towers, self._arms, self._height)
 
     def forward(self, q: FloatArray) -> FloatArray:
+        """Return nozzle positions of carriages, mm."""
         return _forward(q, self._towers, self._arms, self._height)
 
     def rate_term(self, xyz: FloatArray, velocity: FloatArray) -> FloatArray:
+        """Return J̇ q̇, mm/s²."""
         return _rate_term(xyz, velocity, self._towers, self._arms)

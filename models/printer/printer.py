@@ -228,16 +228,7 @@ Part = dict[str, FloatArray | float | bool]
 def _geometry(machine: Machine) -> Part:
     if machine.first_share is not None:
         return {"first_share": machine.first_share}  # no arms: the axes are the nozzle's
-    geometry = machine.delta
-    towers, arms = geometry.towers_mm / 1e3, geometry.arm_lengths_mm / 1e3
-    to_towers = towers[1:] - towers[0]
-    return {
-        "towers": towers,
-        "arms_squared": arms**2,
-        "height": geometry.effector_height_mm / 1e3,
-        "to_plane": np.linalg.inv(to_towers),
-        "offset": (np.sum(to_towers**2, axis=1) + arms[0] ** 2 - arms[1:] ** 2) / 2,
-    }
+    return {**machine.kinematics.printer_parameters()}
 
 
 def _carriages(machine: Machine, gravity: float) -> Part:

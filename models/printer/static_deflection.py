@@ -21,7 +21,7 @@ def sag(plant: Machine, nozzle: FloatArray) -> FloatArray:
     """How far weight alone bends the resting printer at places (m, 3) mm → (m, 3) mm."""
     if not isinstance(plant.kinematics, DeltaKinematics):  # weight stands on the frame, not on what vibrates
         return np.zeros((len(nozzle), 3))
-    reach = plant.kinematics.print_radius_mm
+    reach = plant.kinematics.bed_radius_mm
     return np.asarray(_powers(np.ascontiguousarray(nozzle[:, :2] / reach)) @ _coefficients(plant))
 
 
@@ -44,7 +44,7 @@ def _powers(xy: FloatArray) -> FloatArray:
 @lru_cache(maxsize=64)
 def _coefficients(plant: Machine) -> FloatArray:
     """Of a polynomial of the eighth order over the bed, (45, 3) mm; 10 nm off at the most."""
-    reach = plant.delta.print_radius_mm
+    reach = plant.kinematics.bed_radius_mm
     radius, angle = np.meshgrid(
         reach * np.sqrt(np.linspace(0.0, 1.0, _RINGS)), 2 * np.pi / _ANGLES * np.arange(_ANGLES)
     )

@@ -54,7 +54,7 @@ def kinds(machine: Machine, xy: FloatArray, found: Modes) -> list[str]:
 
 def mode_map(machine: Machine, pitch_mm: float = 6.0) -> ModeMap:
     """Every mode of the centre, followed to every place of the bed."""
-    reach = machine.delta.print_radius_mm
+    reach = machine.kinematics.bed_radius_mm
     half = int(np.ceil(reach / pitch_mm))
     x = np.linspace(-reach, reach, 2 * half + 1)
     radius = np.hypot(x[:, None], x)
