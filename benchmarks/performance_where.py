@@ -25,9 +25,9 @@ from ffcomp.compensate.job import Job
 from ffcomp.inverse import time_scaling
 from ffcomp.inverse.riccati import AUGMENTED, AXES, BACKWARD, FORWARD
 from ffcomp.inverse.solve import Solution, solve
-from ffcomp.numerics.small_matvec import recursion
 from models.file import load_machine
 from models.vibration.scheduled import SAME_MM
+from models.vibration.small_matvec import recursion
 from models.vibration.state_space import STATES
 
 FloatArray = NDArray[np.float64]

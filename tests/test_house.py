@@ -27,10 +27,8 @@ def imports_of(path: Path) -> set[str]:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             found |= {name.name.split(".")[0] for name in node.names}
-        elif (
-            isinstance(node, ast.ImportFrom) and node.level == 0 and not str(node.module).startswith("ffcomp.numerics")
-        ):
-            found.add(str(node.module).split(".")[0])  # ffcomp.numerics is below everything
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            found.add(str(node.module).split(".")[0])
     return found
 
 

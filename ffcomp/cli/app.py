@@ -14,7 +14,6 @@ for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import typer  # noqa: E402
 
-from ffcomp import __version__  # noqa: E402
 from ffcomp.cli.compare import compare  # noqa: E402
 from ffcomp.cli.compensate import compensate  # noqa: E402
 from ffcomp.cli.diagnose import diagnose  # noqa: E402
@@ -29,6 +28,7 @@ from ffcomp.cli.machines import app as machines  # noqa: E402
 from ffcomp.cli.restore import restore  # noqa: E402
 from ffcomp.cli.show import show  # noqa: E402
 from ffcomp.cli.simulate import simulate  # noqa: E402
+from ffcomp.version import __version__  # noqa: E402
 
 
 class _Verbs(Group):

@@ -128,12 +128,12 @@ def _page(
     import time
     from datetime import date
 
-    from ffcomp import __version__
     from ffcomp.cli.identify import hash_of
     from ffcomp.diagnose.next_experiment import propose
     from ffcomp.diagnose.summary import picture
     from ffcomp.report.diagnose.html import page
     from ffcomp.report.diagnose.told import Origin, Told
+    from ffcomp.version import __version__
 
     drawn, proposals = picture(plant, search), propose(plant, search)
     origin = Origin(

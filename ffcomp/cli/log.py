@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from ffcomp import __version__
+from ffcomp.version import __version__
 
 LARGEST = 1 << 20  # bytes; then the file becomes ffcomp.log.1, and the one before that is gone
 

@@ -53,10 +53,10 @@ def show(
 def _show(file: Path, picture: Path, machine_name: str, z_mm: float | None, plate: int | None) -> dict[str, Any]:
     from dataclasses import asdict
 
-    from ffcomp import __version__
     from ffcomp.errors import NothingToDo
     from ffcomp.report.show import draw, numbers, verdict
     from ffcomp.simulate.preview import look
+    from ffcomp.version import __version__
     from gcode.container import read_bytes
     from gcode.stamp import STAMP_REACH, already_processed, find_offset
     from models.file import find_by_sha256, load_machine

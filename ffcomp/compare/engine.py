@@ -20,7 +20,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from ffcomp import __version__
 from ffcomp.compare import methods as every
 from ffcomp.compare.baselines import LinearPrinter
 from ffcomp.compare.equal_quality import equal_quality, within_limits
@@ -35,6 +34,7 @@ from ffcomp.errors import NothingToDo
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import rms
 from ffcomp.simulate.compatibility import check_same_kinematics
+from ffcomp.version import __version__
 from models.arrays import FloatArray
 from models.machine import Machine
 

@@ -8,8 +8,8 @@ from concurrent.futures import BrokenExecutor, CancelledError, Future
 from contextlib import contextmanager
 from typing import Any
 
-from ffcomp import __version__
 from ffcomp.errors import FfcompError
+from ffcomp.version import __version__
 
 try:
     from distributed import Client, KilledWorker

@@ -16,7 +16,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from ffcomp import __version__
 from ffcomp.compensate import chunks as cutting
 from ffcomp.compensate.chunks import Chapter, chapters
 from ffcomp.compensate.gcode_output.print_time import with_times_retold
@@ -35,6 +34,7 @@ from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.program import PlannedProgram, firmware_plan, plan_program
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps.sink import Board, MotorTotal, StepSink
+from ffcomp.version import __version__
 from gcode.atomic_write import replace_atomically
 from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import FLAVORS, flavor_by_ends, shaper_off

@@ -127,8 +127,9 @@ def check_repeats(recordings: Sequence[Recording]) -> None:
         " …" if len(recordings) > 3 else ""
     )
     rule = (
-        f"None of the {len(recordings)} recordings repeats another, but only repeats tell how large the noise is: at least "
-        "one experiment must be there twice, in files of the same length whose names differ in a trailing -1, -2 only."
+        f"None of the {len(recordings)} recordings repeats another, but only repeats tell how large the noise is: at "
+        "least one experiment must be there twice, in files of the same length whose names differ in a trailing -1, -2 "
+        "only."
     )
     raise MeasurementError(named, [rule + _lengths(recordings)])
 

@@ -122,8 +122,8 @@ def _by_place(
         middle, extent = _extent(recording, machine)
         if extent > LARGEST_MOTION_MM:
             skipped.append(
-                f"{recording.source}: its nozzle moves {extent:.0f} mm from the middle; a frequency response belongs to "
-                f"one place (at most {LARGEST_MOTION_MM:g} mm), so this recording is left out."
+                f"{recording.source}: its nozzle moves {extent:.0f} mm from the middle; a frequency response belongs "
+                f"to one place (at most {LARGEST_MOTION_MM:g} mm), so this recording is left out."
             )
             continue
         x, y, z = (float(PLACE_PITCH_MM * round(c / PLACE_PITCH_MM)) for c in middle)

@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ffcomp.numerics.small_matvec import recursion
 from models.arrays import FloatArray, IntArray
+from models.vibration.small_matvec import recursion
 
 Float32Array = NDArray[np.float32]
 

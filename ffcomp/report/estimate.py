@@ -9,12 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ffcomp import __version__
 from ffcomp.estimate.engine import Estimate, seconds
 from ffcomp.estimate.layers import BEFORE
 from ffcomp.estimate.statistics import KINDS, WAITING, Account
 from ffcomp.report.shared.drawing import file_of, layout
 from ffcomp.report.shared.style import RC, grid
+from ffcomp.version import __version__
 from gcode.metadata import short
 
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#56b4e9", "#b8bec9")  # as KINDS

@@ -21,9 +21,9 @@ from matplotlib.patches import Circle, Rectangle
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from ffcomp import __version__
 from ffcomp.identify.accuracy import phases_deg
 from ffcomp.identify.frf_study import RINGS, Compared, NumberedMode, Station, Study, verdict
+from ffcomp.version import __version__
 from models.machine import Machine
 from models.vibration.mode_map import ModeMap
 

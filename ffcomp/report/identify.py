@@ -15,10 +15,10 @@ matplotlib.use("Agg")
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ffcomp import __version__
 from ffcomp.identify.axis_spectra import Datum
 from ffcomp.identify.identify import Identified
 from ffcomp.identify.modal_fit import AxisFit, IdentifiedAxes
+from ffcomp.version import __version__
 
 if TYPE_CHECKING:
     from ffcomp.measurement.frf import FrequencyResponse

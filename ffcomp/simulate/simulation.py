@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 
-from ffcomp import __version__
 from ffcomp.errors import NothingToDo
 from ffcomp.metrics import Track
 from ffcomp.simulate.command import Command
@@ -19,6 +18,7 @@ from ffcomp.simulate.playback import Piece, play
 from ffcomp.simulate.run_file import KINDS, run_lines
 from ffcomp.simulate.steps_command import steps_command
 from ffcomp.steps.reader import is_step_archive, read_steps
+from ffcomp.version import __version__
 from gcode.atomic_write import replace_atomically
 from gcode.container import read_bytes
 from gcode.errors import GcodeError

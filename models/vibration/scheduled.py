@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from ffcomp.numerics.small_matvec import recursion
 from models.arrays import FloatArray
 from models.machine import Machine
+from models.vibration.small_matvec import recursion
 from models.vibration.state_space import QD, STATES, WD, PlantTable, Q, W
 
 SAME_MM = 1.0  # so near to a place its model still serves
