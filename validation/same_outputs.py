@@ -9,6 +9,9 @@ JSON and TOML must have the same keys (new ones may come) and the same numbers w
 may be worded anew, as long as their numbers stay; error messages may change altogether and are only shown. What depends
 on the day, the place or the clock is taken out first: versions, hashes, dates, paths, seconds of computing.
 
+Both must be given the same `--samples` and `--examples`; by default they are those of the checkout this file lies in.
+Compiled code stays in the folder for temporary files, one for each state of the sources.
+
 Needs numpy, and a python that has ffcomp's dependencies (`--python`; by default the one that runs this).
 """
 
@@ -325,6 +328,7 @@ class Place:
             if not there.is_dir():
                 raise SystemExit(f"{there}: no such folder; see --{name}.")
             (work / name).symlink_to(there.resolve())
+        self.inputs = {name: _digest(there, "*") for name, there in (("samples", samples), ("examples", examples))}
         self.code = self._entry()
         self.environment = self._environment()
         self._check()
@@ -337,11 +341,11 @@ class Place:
 
     def _environment(self) -> dict[str, str]:
         sources = [path for path in (self.checkout / "src", self.checkout) if path.is_dir()]
-        compiled = Path(tempfile.gettempdir(), f"ffcomp-compiled-{_digest_of_sources(self.checkout)}")
+        compiled = Path(tempfile.gettempdir(), f"ffcomp-compiled-{_digest(self.checkout, '*.py')}")
         kept = {key: value for key, value in os.environ.items() if not key.startswith(("FFCOMP_", "SLIC3R_"))}
         return kept | {
             "PYTHONPATH": os.pathsep.join(map(str, sources)),
-            "PYTHONPYCACHEPREFIX": str(compiled / "pyc"),
+            "PYTHONDONTWRITEBYTECODE": "1",
             "PYTHONHASHSEED": "0",
             "NUMBA_CACHE_DIR": str(compiled / "numba"),  # numba does not notice a callee of another module that changed
             "MPLCONFIGDIR": str(compiled / "matplotlib"),
@@ -391,12 +395,13 @@ class Place:
         return re.sub(r"ffcomp v\d+\.\d+\.\d+\S*", "ffcomp v…", text)
 
 
-def _digest_of_sources(checkout: Path) -> str:
-    """One for each state of the code: what is compiled of one is never used for another."""
+def _digest(folder: Path, files: str) -> str:
+    """One for each state of the files: what is compiled of one state of the code is never used for another."""
     digest = hashlib.sha256(sys.version.encode())
-    for path in sorted(checkout.rglob("*.py")):
-        if not any(part.startswith(".") for part in path.relative_to(checkout).parts):
-            digest.update(str(path.relative_to(checkout)).encode() + b"\0" + path.read_bytes())
+    for path in sorted(folder.rglob(files)):
+        inside = path.relative_to(folder)
+        if path.is_file() and not any(part.startswith((".", "__pycache__")) for part in inside.parts):
+            digest.update(str(inside).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
 
 
@@ -418,9 +423,10 @@ def capture(folder: Path, place: Place, runs: list[Run]) -> None:
             (folder / "files" / _slug(run.name, name)).write_bytes(gzip.compress(plain, 6, mtime=0))
         kept.append(result)
         print(f"{number + 1}/{len(runs)} {run.name}: exit code {done.returncode}, {cpu_s:.1f} s of CPU", flush=True)
-    index = {"cpu_s": round(sum(one.cpu_s for one in kept), 1), "runs": [asdict(one) for one in kept]}
+    cpu_s = round(sum(one.cpu_s for one in kept), 1)
+    index = {"cpu_s": cpu_s, "inputs": place.inputs, "runs": [asdict(one) for one in kept]}
     (folder / "index.json").write_text(json.dumps(index, indent=1, ensure_ascii=False), encoding="utf-8")
-    print(f"{len(kept)} commands, {index['cpu_s']} s of CPU, {time.monotonic() - begin:.0f} s; {folder}")
+    print(f"{len(kept)} commands, {cpu_s} s of CPU, {time.monotonic() - begin:.0f} s; {folder}")
 
 
 def _written(work: Path, writes: tuple[str, ...]) -> dict[str, bytes]:
@@ -607,7 +613,10 @@ def compare_file(kinds: tuple[str, str], verb: str, before: bytes, after: bytes)
 
 def compare(before: Path, after: Path, quiet: bool) -> int:
     """Print the table; how many rows differ."""
-    old, new = _index(before), _index(after)
+    (old_inputs, old), (new_inputs, new) = _index(before), _index(after)
+    for name in old_inputs:
+        if old_inputs[name] != new_inputs.get(name):
+            print(f"Careful: the captures were given different {name} (--{name}).", file=sys.stderr)
     wrong = rows = 0
     print("| command | file | result |\n|---|---|---|")
     for name, a in old.items():
@@ -632,9 +641,10 @@ def compare(before: Path, after: Path, quiet: bool) -> int:
     return wrong
 
 
-def _index(folder: Path) -> dict[str, Any]:
-    text = (folder / "index.json").read_text(encoding="utf-8")
-    return {run["name"]: run for run in json.loads(text)["runs"]}
+def _index(folder: Path) -> tuple[dict[str, str], dict[str, Any]]:
+    """The digests of what was read, and the commands by name."""
+    index = json.loads((folder / "index.json").read_text(encoding="utf-8"))
+    return index.get("inputs", {}), {run["name"]: run for run in index["runs"]}
 
 
 def _judge(before: Path, after: Path, a: dict[str, Any], b: dict[str, Any], file: str) -> Verdict:
