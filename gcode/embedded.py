@@ -1,9 +1,15 @@
-"""The format of a compensated file: how the original's lines are kept in its comments, and read out of it again."""
+"""Define the format of a compensated file: its comments keep the original's lines and tell when each section begins.
+
+Every line that ffcomp adds is a segment (`G1 ...`), ends in OURS, or begins with TIME_WAS or a stamp (`gcode.stamp`).
+Every line of the original is there: as it was, with another time behind a comment TIME_WAS, or as a comment WAS.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from itertools import groupby
+from typing import NamedTuple
 
 from gcode.metadata import Timed, with_time
 from gcode.stamp import STAMPS
@@ -13,6 +19,38 @@ OURS = b" ; ffcomp"  # ends every line of ours that is not a move
 WAS = b";~"  # before a line of the original that is now a comment: a move, mostly
 CUT_SHORT = b";~~"  # the same before a line that does not end in a newline; the newline behind it is ours
 TIME_WAS = b"; ffcomp was "  # before a line whose time is ours now: the original's
+
+_SECTION = re.compile(rb";section line=(\d+) t=(-?[\d.]+(?:e-?\d+)?) ; ffcomp")
+
+
+class SectionTime(NamedTuple):
+    """When a section (rest to rest) of the original begins on the compensated file's clock, and on its own."""
+
+    at: int  # index among the compensated file's lines: the next segment after this line is the section's first
+    line: int  # index among the original's lines: of the section's first move
+    t: float  # s from the beginning of the section's path to that of the segment; negative: the segment begins first
+
+
+def section_time_line(line: int, t: float) -> bytes:
+    """Return the comment before a section's first segment; see `SectionTime`."""
+    return b";section line=%d t=%.9g" % (line + 1, t) + OURS
+
+
+def section_times(lines: Iterable[bytes]) -> list[SectionTime]:
+    """Read when each section of the original begins.
+
+    Parameters
+    ----------
+    lines : iterable of bytes
+        All lines of a compensated file.
+
+    Returns
+    -------
+    list of SectionTime
+        In the file's order; empty for a file that was compensated before these comments were written.
+    """
+    found = ((at, _SECTION.match(line)) for at, line in enumerate(lines) if line.startswith(b";section "))
+    return [SectionTime(at, int(match[1]) - 1, float(match[2])) for at, match in found if match]
 
 
 def joined(pieces: Iterable[bytes]) -> Iterator[bytes]:

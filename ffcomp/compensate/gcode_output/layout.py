@@ -73,6 +73,7 @@ class Timeline:
     line: IntArray  # (k,) index into Program.lines
     event: IntArray  # (k,) index into `events`; -1: a move, kept as a comment
     events: list[Event]
+    lead_s: float  # from the section's first knot to the beginning of its path
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +113,8 @@ def timeline(
     laid = _Laid(*_lay_out(at, lines.event >= 0, e, vertices, piece.first))
     laid.cut[np.searchsorted(laid.at, piece.end)] = True  # where a motion is cut that had to be slowed down
     _meet_the_events(laid, program, run, e, lines, among)
-    return Timeline(piece, laid.at, laid.e, laid.cut, laid.point, lines.line, lines.event, among)
+    lead_s = run.begin_t - wanted.t0
+    return Timeline(piece, laid.at, laid.e, laid.cut, laid.point, lines.line, lines.event, among, lead_s)
 
 
 class _Laid(NamedTuple):

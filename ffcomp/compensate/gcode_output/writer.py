@@ -21,7 +21,7 @@ from ffcomp.compensate.gcode_output.layout import Timeline
 from ffcomp.inverse.settings import Settings
 from ffcomp.planner.segment_timing import merge, segment_speeds
 from gcode.dialects import KLIPPER, MARLIN, close_limits, open_limits
-from gcode.embedded import CUT_SHORT, OURS, WAS, joined, like_ours
+from gcode.embedded import CUT_SHORT, OURS, WAS, joined, like_ours, section_time_line
 from gcode.emit import MoveWriter
 from gcode.errors import UnsupportedGcode
 from gcode.layers import begins_layer
@@ -58,6 +58,7 @@ class Writer:
         self.segments = 0
         self.now_s = 0.0  # since the program's beginning, as far as it is written
         self.begun, self.rest = False, 0.0  # whether the run has moved, and for how long it has not since, s
+        self.section = (0, 0.0)  # the line of its first move in the file, from 0; s from its first knot to its path
 
     # -- what is not a run
 
@@ -141,6 +142,7 @@ class Writer:
         if line_up.piece.begin == 0:
             yield from self._begin(first)
             self.rest, self.begun = 0.0, False
+            self.section = (self.program.first_line + int(self.program.moves.line[first]), line_up.lead_s)
         segments = self._segments(first, vertices, line_up)
         lines = segments.lines(line_up)
         text: list[bytes] = []
@@ -191,15 +193,22 @@ class Writer:
         return text
 
     def _rests(self, ends: IntArray, lasting: FloatArray) -> list[tuple[int, bytes]]:
-        """Segments that need no line are waited for before the next one that does; not at a run's ends.
+        """Say when the section's first segment begins, and wait for segments without a line before the next with one.
 
         ends : (n,) where each segment's line ends;  lasting : (n,) s
         """
-        before, rests, written, self.rest = _unwritten(ends, lasting, self.begun, self.rest)
-        self.begun |= written > 0
+        since_s = self.rest
+        before, rests, written, self.rest = _unwritten(ends, lasting, self.begun, since_s)
+        added = [
+            (k, b"G4 P%.6g" % (1e3 * rest) + OURS) for k, rest in zip(before.tolist(), rests.tolist(), strict=True)
+        ]
+        if written and not self.begun:
+            self.begun, first = True, int((ends > 0).argmax())
+            line, lead_s = self.section
+            begun_s = since_s + float(lasting[:first].sum())
+            added.insert(0, (first, section_time_line(line, begun_s - lead_s)))
         self.segments += written
-        waits = zip(before.tolist(), rests.tolist(), strict=True)
-        return [(k, b"G4 P%.6g" % (1e3 * rest) + OURS + self.ending) for k, rest in waits]
+        return [(k, text + self.ending) for k, text in added]
 
     def _line(self, line: _Line) -> Iterable[bytes]:
         if isinstance(line, int):

@@ -16,7 +16,7 @@ from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.program import plan_program
-from gcode.embedded import OURS, TIME_WAS, WAS, original
+from gcode.embedded import OURS, TIME_WAS, WAS, original, section_times
 from gcode.metadata import tells
 from gcode.program import Program
 from gcode.reader import read_program
@@ -207,3 +207,31 @@ def test_a_wipe_costs_no_time() -> None:
     moving = np.abs(program.moves.end[:, :3] - program.moves.start[:, :3]).max(axis=1) > 0
     pulled = (program.moves.end[:, 3] - program.moves.start[:, 3])[falls & moving]
     assert float(pulled.sum()) == pytest.approx(-8.0, abs=0.05)
+
+
+def test_the_comment_before_a_section_ties_its_clock_to_the_originals() -> None:
+    zigzag = b"".join(b"G1 X%d Y%d E1 F6000\nG1 E-1 F1800\nG1 E1 F1800\n" % (20 * (k % 3), 5 * k) for k in range(5))
+    data = START + b"G4 P300\n" + zigzag + b"G1 X0\nG1 X0.0000004\n"
+    out = compensated(data)
+    assert original(out) == data
+    marks = section_times(out.splitlines(keepends=True))
+    wanted, played = (plan_program(read_program(text), machine()) for text in (data, out))
+    sections = [section for section in wanted.runs if section.travels]
+    assert [mark.line for mark in marks] == [wanted.program.moves.line[section.first] for section in sections]
+    begins = {event.line: event.move for event in played.program.events}
+    ends = np.array([section.end_t for section in played.runs if section.travels])
+    s = settings_for(machine())
+    for mark, section in zip(marks, sections, strict=True):
+        begin_t = played.trajectory.start_t[begins[mark.at]] - mark.t
+        lasts = ends[np.searchsorted(ends, begin_t)] - begin_t
+        assert lasts == pytest.approx(section.end_t - section.begin_t + s.tail_s, abs=s.segment_s)
+    assert {round(mark.t, 9) for mark in marks} == {-s.lead_s}
+
+
+def test_segments_that_need_no_line_do_not_shift_the_sections_clock() -> None:
+    """A crawl begins with segments that round to nothing; the comment allows for them."""
+    out = compensated(START + b"G4 P500\nG1 X10.05 F0.5\n")
+    marks = section_times(out.splitlines(keepends=True))
+    s = settings_for(machine())
+    late = (marks[-1].t + s.lead_s) / s.segment_s
+    assert late > 0.5 and late == pytest.approx(round(late), abs=1e-6)
