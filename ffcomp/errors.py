@@ -1,25 +1,39 @@
-"""What can go wrong beyond the input files, and the exit code each error ends in.
+"""Define the errors that a user's input can cause, and the exit code of each.
 
-FfcompError
-├── NothingToDo      3   the file holds nothing to compensate
-├── MeasurementError 5   a measurement that cannot be used (file, every mistake in it)
-├── PrinterConfigError 5 a printer's configuration that cannot be read (ffcomp/importers/values.py)
-├── LimitsError      6   a limit of the machine cannot be met
-└── SolverError      7   a solver did not find the answer it was asked for
+The whole tree; each class has its exit code as the attribute `exit_code`:
 
-(gcode.errors.GcodeError 4 · models.errors.MachineFileError 5)
+    FfcompError                 1  something else is wrong: a cluster that is lost, a package that is not installed
+    ├── NothingToDo             3  the file holds nothing to compensate
+    ├── MeasurementError        5  a measurement that cannot be used (also a ValueError)
+    ├── PrinterConfigError      5  a printer's configuration that cannot be read (ffcomp/importers/values.py)
+    ├── LimitsError             6  a limit of the machine cannot be met
+    └── SolverError             7  a solver has not found the answer it was asked for
+    ValueError
+    ├── GcodeError              4  G-code that cannot be followed (gcode/errors.py)
+    │   ├── UnsupportedGcode    4  well-formed G-code about which ffcomp does not guess
+    │   └── StepsError          4  a step archive that cannot be executed (ffcomp/steps/reader.py)
+    ├── MachineFileError        5  a machine file that cannot be used (models/errors.py)
+    └── UnreachableError        4  points out of the machine's reach; raised again as a GcodeError with its line
+    OSError                     2  a file that cannot be opened or written (Python's own)
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+from gcode.errors import GcodeError
+from models.errors import MachineFileError
+
 
 class FfcompError(Exception):
+    """An error that the user can do something about."""
+
     exit_code = 1
 
 
 class NothingToDo(FfcompError):
+    """A file that holds nothing to compensate."""
+
     exit_code = 3
 
 
@@ -45,8 +59,31 @@ class MeasurementError(FfcompError, ValueError):
 
 
 class LimitsError(FfcompError):
+    """A limit of the machine that cannot be met."""
+
     exit_code = 6
 
 
 class SolverError(FfcompError):
+    """A solver that has not found the answer it was asked for."""
+
     exit_code = 7
+
+
+INPUT_ERRORS = (FfcompError, GcodeError, MachineFileError, OSError)
+"""Errors that end in a sentence and an exit code; any other is a fault of ffcomp's own."""
+
+
+def explain(error: FfcompError | GcodeError | MachineFileError | OSError, path: str = "A file") -> tuple[str, int]:
+    """Return the sentence that a user is shown for one of INPUT_ERRORS, and the exit code.
+
+    Parameters
+    ----------
+    error : one of INPUT_ERRORS
+        The error.
+    path : str
+        The file to name where an OSError names none.
+    """
+    if isinstance(error, OSError):
+        return f"{error.filename or path}: {error.strerror or error}.", 2
+    return str(error), error.exit_code

@@ -1,4 +1,4 @@
-"""What can be wrong with a G-code file, said with its place and the rule.
+"""Define the errors of a G-code file: each names the place and the rule.
 
 GcodeError                a line we cannot follow (file, line, rule)
 └── UnsupportedGcode      well-formed, but something we refuse to guess about
@@ -20,6 +20,8 @@ class GcodeError(ValueError):
         The file, as the user named it.
     """
 
+    exit_code = 4
+
     def __init__(self, rule: str, line: int | None = None, path: str = "") -> None:
         self.rule, self.line, self.path = rule, line, path
         super().__init__(rule)
@@ -29,7 +31,7 @@ class GcodeError(ValueError):
         return f"{place}: {self.rule}" if place else self.rule
 
     def located(self, path: str, lines_before: int = 0) -> GcodeError:
-        """The same error with the file's name filled in, and its line counted from the file's beginning."""
+        """Return the same error with the file's name, and with its line counted from the file's beginning."""
         return type(self)(self.rule, None if self.line is None else self.line + lines_before, path)
 
 

@@ -1,4 +1,4 @@
-"""What can be wrong with a machine, said with its place and the rule.
+"""Define the errors of a machine: each names the place and the rule.
 
 MachineFileError          a machine file that cannot be used (file, every mistake in it)
 UnreachableError          points the machine cannot go to (their indices, the rule)
@@ -7,9 +7,10 @@ UnreachableError          points the machine cannot go to (their indices, the ru
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:
+    from models.arrays import IntArray
 
 
 class MachineFileError(ValueError):
@@ -22,6 +23,8 @@ class MachineFileError(ValueError):
     problems : sequence of str
         Full sentences, one per mistake: key, value and the rule it breaks.
     """
+
+    exit_code = 5
 
     def __init__(self, path: str, problems: Sequence[str]) -> None:
         self.path, self.problems = path, tuple(problems)
@@ -42,7 +45,9 @@ class UnreachableError(ValueError):
         Every bad point's row in the array that was asked about, so that a caller can name its G-code line.
     """
 
-    def __init__(self, rule: str, indices: NDArray[np.int64]) -> None:
+    exit_code = 4
+
+    def __init__(self, rule: str, indices: IntArray) -> None:
         self.rule, self.indices = rule, indices
         super().__init__(rule, indices)
 

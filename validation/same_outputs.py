@@ -469,7 +469,7 @@ def _normal(name: str, data: bytes, place: Place) -> tuple[str, bytes]:
 def _plain_gcode(data: bytes) -> bytes:
     """Without the stamp's particulars and our own remarks; what keeps a line of the original stays."""
     data = re.sub(rb"(?m)^; Processed by ffcomp [^\r\n]*", b"; Processed by ffcomp", data)
-    return re.sub(rb"(?m)^; ffcomp(?! was | offset_mm=)[^\n]*\n", b"", data)
+    return re.sub(rb"(?m)^(?:; ffcomp(?! was | offset_mm=)|;section line=)[^\n]*\n", b"", data)
 
 
 def _objects(text: str) -> list[str]:

@@ -14,31 +14,22 @@ from types import TracebackType
 from typing import Any
 
 from ffcomp.cli.log import note
+from ffcomp.errors import INPUT_ERRORS, explain
 from ffcomp.serialise import json_line
 
 
 @contextmanager
 def exit_codes() -> Iterator[None]:
     """Turn errors of the input into one sentence and the documented exit code. A bug keeps its traceback (1)."""
-    from ffcomp.errors import FfcompError
-    from gcode.errors import GcodeError
-    from models.errors import MachineFileError
-
     try:
         yield
-    except FfcompError as error:
-        fail(str(error), error.exit_code)
-    except GcodeError as error:
-        fail(str(error), 4)
-    except MachineFileError as error:
-        fail(str(error), 5)
     except KeyboardInterrupt:
         fail("Interrupted; no file was changed.", 130)
     except BrokenPipeError:  # who reads our output has seen enough (`| head`): end as other tools do
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(141) from None
-    except OSError as error:
-        fail(f"{error.filename or 'A file'}: {error.strerror or error}.", 2)
+    except INPUT_ERRORS as error:
+        fail(*explain(error))
 
 
 def fail(sentence: str, code: int) -> None:

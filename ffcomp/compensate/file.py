@@ -13,14 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from ffcomp.compensate.job import Job, inverter_of
-from ffcomp.errors import FfcompError
+from ffcomp.errors import INPUT_ERRORS, explain
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.steps.sink import Board
 from gcode.atomic_write import replacing, unchanged
 from gcode.container import Container, Source, blocks_of, ends_of, opened
-from gcode.errors import GcodeError, UnsupportedGcode
+from gcode.errors import UnsupportedGcode
 from gcode.stamp import Stamp, find_offset, find_stamp
-from models.errors import MachineFileError
 from models.machine import Machine
 
 DIED = "A process that worked at it has died, perhaps for want of memory."
@@ -199,14 +198,8 @@ def outcome_of(number: int, file: Path, work: Callable[[Path], dict[str, Any]]) 
 
 def failure_of(error: Exception, path: str) -> Failure:
     """A sentence and the documented exit code."""
-    if isinstance(error, FfcompError):
-        return Failure(str(error), error.exit_code)
-    if isinstance(error, GcodeError):
-        return Failure(str(error), 4)
-    if isinstance(error, MachineFileError):
-        return Failure(str(error), 5)
-    if isinstance(error, OSError):
-        return Failure(f"{error.filename or path}: {error.strerror or error}.", 2)
+    if isinstance(error, INPUT_ERRORS):
+        return Failure(*explain(error, path))
     if isinstance(error, BrokenExecutor):
         return Failure(f"{path}: {DIED}", 1)
     trace = "".join(traceback.format_exception(error))

@@ -1,0 +1,35 @@
+"""Every error of the input ends in a sentence and its documented exit code."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from ffcomp import errors
+from ffcomp.errors import INPUT_ERRORS, explain
+from ffcomp.importers.values import PrinterConfigError
+from ffcomp.steps.reader import StepsError
+from gcode.errors import GcodeError, UnsupportedGcode
+from models.errors import MachineFileError, UnreachableError
+
+ELSEWHERE = [PrinterConfigError, StepsError, GcodeError, UnsupportedGcode, MachineFileError, UnreachableError]
+OURS = [each for each in vars(errors).values() if isinstance(each, type) and each.__module__ == "ffcomp.errors"]
+
+
+def test_the_tree_names_every_error_with_its_exit_code() -> None:
+    drawn = dict(re.findall(r"(\w+) +(\d)  ", errors.__doc__ or ""))
+    known = {each.__name__: str(each.exit_code) for each in {*OURS, *ELSEWHERE}}
+    assert drawn == {**known, "OSError": "2"}
+
+
+def test_an_error_of_the_input_is_explained() -> None:
+    assert explain(GcodeError("Why.", 3, "a.gcode")) == ("a.gcode:3: Why.", 4)
+    assert explain(MachineFileError("m", ["One.", "Two."])) == ("m: One.\nm: Two.", 5)
+    assert explain(OSError(28, "No space left")) == ("A file: No space left.", 2)
+    assert explain(OSError(2, "No such file", "x"), "y") == ("x: No such file.", 2)
+
+
+@pytest.mark.parametrize("error", [ValueError("x"), UnreachableError("x", []), KeyError("x")])  # type: ignore[arg-type]
+def test_other_errors_are_faults_of_our_own(error: Exception) -> None:
+    assert not isinstance(error, INPUT_ERRORS)
