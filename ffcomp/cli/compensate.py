@@ -13,6 +13,7 @@ import typer
 
 from ffcomp.cli.help import ACCURACY, ADVANCED, MACHINE, OUTPUT, SPEED
 from ffcomp.cli.options import AsJson, Flavor, Quiet, SegmentRate, check_choice, parsed_offset
+from ffcomp.inverse.solver_names import SOLVERS
 
 if TYPE_CHECKING:
     from ffcomp.compensate.file import Options, Outcome, StepOutput
@@ -128,7 +129,9 @@ Tolerance = Annotated[
 Solver = Annotated[
     str,
     typer.Option(
-        metavar="NAME", rich_help_panel=ADVANCED, help="QP solver where limits are active: osqp, piqp or clarabel."
+        metavar="NAME",
+        rich_help_panel=ADVANCED,
+        help=f"QP solver where limits are active: {', '.join(SOLVERS[:-1])} or {SOLVERS[-1]}.",
     ),
 ]
 SCurve = Annotated[
@@ -157,7 +160,6 @@ Scheduler = Annotated[
 
 OUTPUTS = ("gcode", "steps", "klipper-steps")
 INVERSES = ("fast", "exact", "none")
-SOLVERS = ("osqp", "piqp", "clarabel")
 ROW_ERROR_S = 12.5e-6  # of a step of compressed rows, early or late: half of what Klipper allows itself
 
 

@@ -17,7 +17,7 @@ from scipy import sparse
 from ffcomp.errors import SolverError
 from ffcomp.inverse.command_limits import A_LITTLE, CommandLimits
 from ffcomp.inverse.qp import solve_qp
-from ffcomp.inverse.settings import Backend
+from ffcomp.inverse.solver_names import Backend
 from models.arrays import FloatArray
 from models.kinematics.base import Compiled
 

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import sparse
 
 from ffcomp.errors import SolverError
-from ffcomp.inverse.settings import Backend
+from ffcomp.inverse.solver_names import Backend
 from models.arrays import FloatArray
 
 ACCURACY = 1e-5  # of scaled numbers, at which osqp stops; the others reach far more in any case
@@ -117,7 +117,25 @@ def _clarabel(problem: Problem) -> tuple[str, FloatArray]:
     return str(solution.status).lower(), np.asarray(solution.x)
 
 
-BACKENDS: dict[str, Solve] = {"osqp": _osqp, "piqp": _piqp, "clarabel": _clarabel}
+def _cvxpy(problem: Problem) -> tuple[str, FloatArray]:
+    """State the programme as a textbook would: the form to read, and to compare the other solvers with."""
+    cp = _module("cvxpy")
+    y = cp.Variable(len(problem.q))
+    upper, lower = np.isfinite(problem.high), np.isfinite(problem.low)
+    cost = 0.5 * cp.quad_form(y, cp.psd_wrap(problem.p)) + problem.q @ y
+    within_limits = [
+        problem.a[upper] @ y <= problem.high[upper],
+        problem.a[lower] @ y >= problem.low[lower],
+    ]
+    programme = cp.Problem(cp.Minimize(cost), within_limits)
+    try:
+        programme.solve(solver=cp.CLARABEL)
+    except cp.error.SolverError as error:
+        return str(error), np.zeros(len(problem.q))
+    return ("solved" if programme.status == cp.OPTIMAL else programme.status), np.asarray(y.value)
+
+
+BACKENDS: dict[Backend, Solve] = {"osqp": _osqp, "piqp": _piqp, "clarabel": _clarabel, "cvxpy": _cvxpy}
 
 
 def _module(name: str) -> ModuleType:

@@ -6,13 +6,11 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from ffcomp.inverse.bandwidth import effort_curve
+from ffcomp.inverse.solver_names import Backend
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.segment_timing import SegmentLimits
 from models.effects.catalogue import design_machine
 from models.machine import Machine
-
-Backend = Literal["osqp", "piqp", "clarabel"]  # solvers of quadratic programmes
-
 
 SEGMENTS_PER_SECOND = 250.0
 CUT = 256  # knots: no segment is joined across a knot whose number is a multiple of it

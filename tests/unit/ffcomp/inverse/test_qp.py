@@ -10,7 +10,8 @@ from scipy import sparse
 
 from ffcomp.errors import SolverError
 from ffcomp.inverse import qp as solvers
-from ffcomp.inverse.qp import BACKENDS, Backend, solve_qp
+from ffcomp.inverse.qp import BACKENDS, solve_qp
+from ffcomp.inverse.solver_names import SOLVERS, Backend
 
 FloatArray = NDArray[np.float64]
 
@@ -24,6 +25,10 @@ def problem(seed: int) -> tuple[FloatArray, FloatArray, sparse.csc_matrix, Float
     low, high = middle - rng.uniform(0.05, 0.5, m), middle + rng.uniform(0.05, 0.5, m)
     low[:4], high[4:8] = -np.inf, np.inf
     return factor.T @ factor, 30.0 * rng.normal(size=n), sparse.csc_matrix(rows), low, high
+
+
+def test_the_names_that_the_command_line_lists_are_the_solvers() -> None:
+    assert tuple(BACKENDS) == SOLVERS
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
