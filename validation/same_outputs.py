@@ -247,6 +247,8 @@ def _prints() -> Iterator[Run]:
             yield Run(
                 f"estimate {name}", ("estimate", source, "-m", machine, "--offset-mm", offset, "--json"), quick=False
             )
+    moved = ("compensate", "data/gcode/real/mk404_vfa.gcode.gz", "-m", VORON, "--offset-mm", "78,10", "-o", "vfa.gcode")
+    yield Run("compensate real/mk404_vfa.gcode.gz further in", (*moved, "--json"), ("vfa.gcode",), False)
 
 
 def _judged() -> Iterator[Run]:
@@ -626,6 +628,8 @@ def compare(before: Path, after: Path, quiet: bool) -> int:
             ends.blame("was not run")
             results.append(("", ends))
         else:
+            if a["args"] != b["args"]:
+                ends.blame("other arguments: the captures are of different versions of this script")
             if a["exit_code"] != b["exit_code"]:
                 ends.blame(f"{a['exit_code']} | {b['exit_code']}")
             results.append((f"exit code {a['exit_code']}", ends))
