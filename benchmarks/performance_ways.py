@@ -21,7 +21,6 @@ from ffcomp.compare import methods as ways
 from ffcomp.compare.baselines import LinearPrinter
 from ffcomp.compare.evaluation import Played, judge, track
 from ffcomp.compare.methods import ONE_MODEL, OURS, Way
-from ffcomp.compare.playback import peaks, play
 from ffcomp.compare.sampling import Print, Sampling, Stretch
 from ffcomp.compensate.solve import SolvedSection, solutions
 from ffcomp.inverse.model import InverseModel
@@ -29,6 +28,7 @@ from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.sections import Section
+from ffcomp.simulate.playback import simulate_nozzles
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
@@ -164,9 +164,9 @@ def row(way: Way, stretches: Sequence[Stretch], machine: Machine, count: int, cp
     played, peak = [], 0.0
     for stretch in stretches:
         motion, _ = way.motion(stretch)
-        t, (nozzle,) = play([machine], motion, machine)
+        t, (nozzle,) = simulate_nozzles([machine], motion, machine)
         played.append(Played(stretch, motion, t, nozzle))
-        peak = max(peak, peaks(motion, machine)[1])
+        peak = max(peak, motion.peaks(machine)[1])
     judged = judge(played)
     found = track(judged, np.ones(len(judged.samples.due), dtype=np.bool_), lasting, peak)
     return Row(

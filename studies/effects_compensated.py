@@ -31,12 +31,12 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp.compare.evaluation import Played, contour
 from ffcomp.compare.methods import OURS, inversion, none
-from ffcomp.compare.playback import play
 from ffcomp.compare.sampling import Print, Stretch
 from ffcomp.compensate.solve import solutions
 from ffcomp.inverse.model import GEOMETRY, InverseModel
 from ffcomp.inverse.nonlinear import correction as whole
 from ffcomp.inverse.settings import settings_for
+from ffcomp.simulate.playback import simulate_nozzles
 from models.effects.catalogue import CATALOGUE, with_effect
 from models.file import load_machine
 from models.machine import Machine
@@ -151,7 +151,7 @@ def on_our_own(machine: Machine, seconds: float) -> float:
     way, played = inversion(machine, settings_for(machine), OURS), []
     for each in stretches(machine, seconds):
         motion, _ = way.motion(each)
-        t, (nozzle,) = play([machine], motion, machine)
+        t, (nozzle,) = simulate_nozzles([machine], motion, machine)
         played.append(Played(each, motion, t, nozzle))
     return 1e3 * float(np.sqrt(np.mean(contour(played) ** 2)))
 

@@ -27,7 +27,6 @@ from ffcomp.compare.baselines import LinearPrinter
 from ffcomp.compare.evaluation import Played, contour
 from ffcomp.compare.methods import OURS, ROBUST, Way, best_fixed, inversion
 from ffcomp.compare.monte_carlo import drawn
-from ffcomp.compare.playback import play
 from ffcomp.compare.sampling import Print, Sampling, Stretch
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.junctions import junction_limits
@@ -35,6 +34,7 @@ from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.s_curve import SCurve, s_curve
 from ffcomp.planner.sections import split_sections
+from ffcomp.simulate.playback import simulate_nozzles
 from models.file import load_machine
 from models.machine import Machine
 from models.parameters import dynamic_numbers, value_of, with_values
@@ -120,7 +120,7 @@ def judged(stretches: Sequence[Stretch], way: Way, plants: Sequence[Machine], ma
     errors: list[list[np.ndarray]] = [[] for _ in plants]
     for stretch in stretches:
         motion, _ = way.motion(stretch)
-        t, nozzles = play(plants, motion, machine)
+        t, nozzles = simulate_nozzles(plants, motion, machine)
         for found, nozzle in zip(errors, nozzles, strict=True):
             found.append(contour([Played(stretch, motion, t, nozzle)]))
     return [1e3 * float(np.sqrt(np.mean(np.concatenate(each) ** 2))) for each in errors]

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from ffcomp import shapers
 from ffcomp.compare import compensated as ours
+from ffcomp.compare.baselines import shaped as shaped_apart
 from ffcomp.compare.compensated import Compensated, Segments, pick
-from ffcomp.compare.shaped import shaped as shaped_apart
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import contour_error, peak_acceleration, tracking
@@ -241,7 +241,7 @@ def peak_m_per_s2(plant: dict[str, Any], motion: Motion) -> float:
 def answer(original: Original, motion: Motion, step_s: float = STEP_S) -> Answer:
     """Play a motion on the plant, and find where it should have been."""
     t, nozzle = play(original.plant, motion, step_s)
-    counted = t >= motion.clock.played_t[0] + SETTLE_S
+    counted = t >= motion.clock.executed_t[0] + SETTLE_S
     t, nozzle = t[counted], nozzle[counted]
 
     def planned(at: FloatArray) -> FloatArray:

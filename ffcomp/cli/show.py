@@ -55,7 +55,7 @@ def _show(file: Path, picture: Path, machine_name: str, z_mm: float | None, plat
 
     from ffcomp.errors import NothingToDo
     from ffcomp.report.show import draw, numbers, verdict
-    from ffcomp.simulate.preview import look
+    from ffcomp.simulate.preview import preview
     from ffcomp.version import __version__
     from gcode.container import read_bytes
     from gcode.stamp import STAMP_REACH, already_processed, find_offset
@@ -66,7 +66,7 @@ def _show(file: Path, picture: Path, machine_name: str, z_mm: float | None, plat
     if stamp is None:
         raise NothingToDo(f"{file}: not compensated by ffcomp; first: ffcomp compensate {file} --machine NAME.")
     machine = load_machine(machine_name or str(find_by_sha256(stamp.sha256, stamp.machine)))
-    seen = look(data, str(file), machine, find_offset(data[:STAMP_REACH]), stamp.flavor)
+    seen = preview(data, str(file), machine, find_offset(data[:STAMP_REACH]), stamp.flavor)
     footer = (
         f"design model of {machine.name}, machine file sha256 {machine.sha256[:8]}; planned as the firmware does; "
         f"ffcomp v{__version__}"

@@ -11,9 +11,7 @@ from ffcomp.cli.help import ACCURACY, ADVANCED, OUTPUT, SPEED
 from ffcomp.cli.options import AsJson, Flavor, MachineName, Offset, Plant, Plate, Quiet, parsed_offset
 
 if TYPE_CHECKING:
-    from ffcomp.simulate.command import Command
-    from ffcomp.simulate.simulation import Request, Simulated
-    from models.machine import Machine
+    from ffcomp.simulate.simulation import Request
 
 File = Annotated[
     Path, typer.Argument(metavar="FILE", help="Print (sliced or compensated) or step-timing archive (.npz).")
@@ -91,7 +89,7 @@ def simulate(
 
 def _request(rate: float, from_s: float, to_s: float, gravity: bool, signals: str) -> Request:
     from ffcomp.measurement.clock import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
-    from ffcomp.simulate.run_file import KINDS
+    from ffcomp.simulate.recording import KINDS
     from ffcomp.simulate.simulation import Request
 
     if not LOWEST_RATE_HZ <= rate <= HIGHEST_RATE_HZ:
@@ -143,27 +141,8 @@ def _simulate(
         "schema": "ffcomp-simulate/1",
         "input": str(file),
         "output": None if target is None else str(target),
-        **_result(found, command, machine, plant, request),
+        **found.to_dict(),
         "warnings": warnings,
-    }
-
-
-def _result(found: Simulated, command: Command, machine: Machine, plant: Machine, request: Request) -> dict[str, Any]:
-    from dataclasses import asdict
-
-    return {
-        "machine": {"name": machine.name, "sha256": machine.sha256},
-        "plant": {"name": plant.name, "sha256": plant.sha256},
-        "effects": list(plant.effects),
-        "gravity": request.gravity,
-        "rate_hz": request.rate_hz,
-        "rows": found.rows,
-        "simulated_s": found.simulated_s,
-        "wall_s": found.seconds,
-        "print_s_per_wall_s": found.simulated_s / found.seconds,
-        "reference": command.reference,
-        "track": asdict(found.track),
-        "peak_carriage_velocity_mm_per_s": found.peak_carriage_velocity_mm_per_s,
     }
 
 

@@ -7,26 +7,22 @@ too many for the virtual printer, which has the last word on the winners).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ffcomp import shapers
 from ffcomp.compare.evaluation import SETTLE_S
 from ffcomp.compare.sampling import Stretch
-from ffcomp.compare.shaped import shaped, shaped_by_place
 from ffcomp.metrics import contour_error, rms
 from ffcomp.shapers.apply import FrequencyOfPlace
 from ffcomp.shapers.calibration import Fixed, best_fixed, calibrated_frequencies
+from ffcomp.simulate.linear import KEEP_EVERY, STEP_S, LinearPlayback, whole_steps
 from ffcomp.simulate.motion import Motion
 from models.arrays import FloatArray
 from models.effects.catalogue import effective_machine
 from models.machine import Machine
-from models.vibration.scheduled import Schedule, rest_state
-from models.vibration.state_space import plant_table
 
-STEP_S = 5e-4
-SUBSTEPS = 8
-KEEP_EVERY = 2
 DAMPING_RATIOS = (0.05, 0.1)
 FACTORS = np.geomspace(0.9, 2.4, 12)  # of a scheduled shaper's frequency to that of the mode at the place
 
@@ -35,8 +31,7 @@ class LinearPrinter:
     """The plant's linear model along the path: quick, and near enough to choose by."""
 
     def __init__(self, plant: Machine, stretches: Sequence[Stretch]) -> None:
-        self.machine = effective_machine(plant)
-        self.schedule = Schedule(self.machine, plant_table(self.machine, STEP_S))
+        self._playback = LinearPlayback(effective_machine(plant))
         self.stretches = [each for each in stretches if each.trajectory.end_t > 2 * SETTLE_S]
 
     def contour_rms_um(self, motions: Sequence[Motion]) -> float:
@@ -45,12 +40,10 @@ class LinearPrinter:
         return rms(errors) * 1e3
 
     def _contour(self, stretch: Stretch, motion: Motion) -> FloatArray:
-        steps = SUBSTEPS * int((motion.end_t - motion.begin_t) / STEP_S / SUBSTEPS)
+        steps = whole_steps(motion.end_t - motion.begin_t)
         t = motion.begin_t + STEP_S * np.arange(steps + 1, dtype=np.float64)
         command = np.ascontiguousarray(motion.position(t))
-        velocity = np.gradient(command, STEP_S, axis=0)
-        state = rest_state(self.machine, command[0])
-        nozzle, _ = self.schedule.respond(command, velocity, state, SUBSTEPS)
+        nozzle, _ = self._playback.respond(command, np.gradient(command, STEP_S, axis=0))
         counted = slice(round(SETTLE_S / STEP_S), None, KEEP_EVERY)
         return contour_error(*stretch.corners, t[1:][counted], nozzle[counted])
 
@@ -67,10 +60,20 @@ class LinearPrinter:
 
         def cost(factor: float) -> float:
             return self.contour_rms_um(
-                [shaped_by_place(each.motion, scaled(of_place, factor), kind) for each in self.stretches]
+                [shaped_by_position(each.motion, scaled(of_place, factor), kind) for each in self.stretches]
             )
 
         return float(min(FACTORS, key=cost))
+
+
+def shaped(motion: Motion, x: shapers.Shaper, y: shapers.Shaper) -> Motion:
+    """Execute a motion as a firmware with input shapers does: each axis convolved, no delay at constant speed."""
+    return replace(motion, position=lambda t: shapers.shape(motion.position, t, x, y))
+
+
+def shaped_by_position(motion: Motion, frequency_of_place: FrequencyOfPlace, kind: str) -> Motion:
+    """Shape a motion with the frequency of the position where the plan is at each time."""
+    return replace(motion, position=lambda t: shapers.scheduled_shape(motion.position, t, frequency_of_place, kind))
 
 
 def scaled(of_place: FrequencyOfPlace, factor: float) -> FrequencyOfPlace:

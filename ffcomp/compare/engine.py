@@ -26,7 +26,6 @@ from ffcomp.compare.equal_quality import equal_quality, within_limits
 from ffcomp.compare.evaluation import SAMPLE_S, SETTLE_S, Judgement, Played, by, contour, judge, track
 from ffcomp.compare.methods import OURS, Way
 from ffcomp.compare.monte_carlo import drawn, dynamic_numbers
-from ffcomp.compare.playback import JOBS, STEP_S, peaks, play
 from ffcomp.compare.result import BedMap, Comparison, Layer, Method, Party, Peaks, Spread
 from ffcomp.compare.sampling import Print, Sampling, Stretch
 from ffcomp.compensate.program import Summary
@@ -34,6 +33,7 @@ from ffcomp.errors import NothingToDo
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import rms
 from ffcomp.simulate.compatibility import check_same_kinematics
+from ffcomp.simulate.playback import JOBS, ROW_S, simulate_nozzles
 from ffcomp.version import __version__
 from models.arrays import FloatArray
 from models.machine import Machine
@@ -183,9 +183,9 @@ def _answer(way: Way, stretches: Sequence[Stretch], plant: Machine) -> _Answer:
     played, asked, summaries = [], [], []
     for stretch in stretches:
         motion, summary = way.motion(stretch)
-        t, (nozzle,) = play([plant], motion, stretch.machine)
+        t, (nozzle,) = simulate_nozzles([plant], motion, stretch.machine)
         played.append(Played(stretch, motion, t, nozzle))
-        asked.append(peaks(motion, stretch.machine))
+        asked.append(motion.peaks(stretch.machine))
         summaries.append(summary)
     velocity, acceleration = (float(most) for most in np.max(asked, axis=0))
     within = within_limits(velocity, acceleration, stretches[0].machine)
@@ -246,8 +246,8 @@ def _rms_on(plants: Sequence[Machine], way: Way, stretches: Sequence[Stretch]) -
     errors: list[list[FloatArray]] = [[] for _ in plants]
     for stretch in stretches:
         motion, _ = way.motion(stretch)
-        t, nozzles = play(plants, motion, stretch.machine)
-        for each, nozzle in zip(errors, nozzles, strict=True):
+        t, found = simulate_nozzles(plants, motion, stretch.machine)
+        for each, nozzle in zip(errors, found, strict=True):
             each.append(contour([Played(stretch, motion, t, nozzle)]))
     return [rms(np.concatenate(each)) * 1e3 for each in errors]
 
@@ -308,7 +308,7 @@ def _settings(settings: Settings) -> dict[str, str]:
     return {
         "segments per second, at most": f"{1 / settings.segment_s:.0f}",
         "bandwidth of the inversion": f"{settings.bandwidth_hz:.0f} Hz",
-        "virtual printer": f"Runge-Kutta, {1 / STEP_S:.0f} steps a second or more, with gravity; sag taken out",
+        "virtual printer": f"Runge-Kutta, {1 / ROW_S:.0f} steps a second or more, with gravity; sag taken out",
         "judged": f"{1 / SAMPLE_S:.0f} times a second, but for the first {SETTLE_S:g} s of each stretch",
         "shapers tuned on": f"{FEW_S:.0f} s of the print, contour rms, plant known",
     }

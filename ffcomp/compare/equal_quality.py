@@ -8,10 +8,10 @@ import numpy as np
 
 from ffcomp.compare.evaluation import Played, contour
 from ffcomp.compare.methods import Way
-from ffcomp.compare.playback import peaks, play
 from ffcomp.compare.result import EqualQuality
 from ffcomp.compare.sampling import Print, Stretch, accelerated
 from ffcomp.metrics import contour_statistics
+from ffcomp.simulate.playback import simulate_nozzles
 from models.machine import Machine
 
 LOWEST, HIGHEST = 250.0, 40_000.0  # mm/s²
@@ -53,9 +53,9 @@ def _p99_um(way: Way, stretches: Sequence[Stretch], plant: Machine) -> float:
     found = []
     for stretch in stretches:
         motion, _ = way.motion(stretch)
-        if not within_limits(*peaks(motion, stretch.machine), stretch.machine):
+        if not within_limits(*motion.peaks(stretch.machine), stretch.machine):
             return float("inf")
-        t, (nozzle,) = play([plant], motion, stretch.machine)
+        t, (nozzle,) = simulate_nozzles([plant], motion, stretch.machine)
         found.append(Played(stretch, motion, t, nozzle))
     return contour_statistics(contour(found)).p99_um
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ffcomp.compare.playback import KEEP_EVERY, STEP_S
 from ffcomp.compare.result import Error, Samples
 from ffcomp.compare.sampling import Stretch
 from ffcomp.errors import NothingToDo
@@ -26,10 +25,10 @@ from ffcomp.metrics import (
     tracking,
 )
 from ffcomp.simulate.motion import Motion
+from ffcomp.simulate.playback import SAMPLE_S
 from models.arrays import BoolArray, FloatArray, IntArray
 
 SETTLE_S = 0.5
-SAMPLE_S = KEEP_EVERY * STEP_S
 STEADY_S = 0.03  # a straight cruise or a rest must last this long to show what still rings in it
 STEADY_MM_PER_S = 1e-3  # change of the wanted speed from sample to sample that counts as none
 
@@ -53,7 +52,7 @@ class Played:
 
     @property
     def counted(self) -> BoolArray:
-        return self.t >= self.motion.clock.played_t[0] + SETTLE_S
+        return self.t >= self.motion.clock.executed_t[0] + SETTLE_S
 
     def planned(self, t: FloatArray) -> FloatArray:
         """Where the nozzle should be at times (k,) s of the motion's clock, (k, 3) mm."""

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ffcomp import shapers
-from ffcomp.compare.baselines import LinearPrinter, calibrated_shapers, scaled
+from ffcomp.compare.baselines import LinearPrinter, calibrated_shapers, scaled, shaped, shaped_by_position
 from ffcomp.compare.compensated import compensated, segments, segments_motion
 from ffcomp.compare.result import Family
 from ffcomp.compare.sampling import Stretch
-from ffcomp.compare.shaped import shaped, shaped_by_place
 from ffcomp.compensate.program import Summary
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
@@ -103,7 +102,7 @@ def _shaping(x: shapers.Shaper, y: shapers.Shaper) -> Player:
 
 
 def _by_place(of_place: FrequencyOfPlace, kind: str) -> Player:
-    return lambda stretch: (shaped_by_place(stretch.motion, of_place, kind), None)
+    return lambda stretch: (shaped_by_position(stretch.motion, of_place, kind), None)
 
 
 def _inverting(inverter: InverseModel) -> Player:

@@ -17,8 +17,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from ffcomp.metrics import contour_statistics
-from ffcomp.simulate.preview import Curve, Look
+from ffcomp.simulate.preview import Curve, Preview
 
 WANTED, BEFORE, AFTER = "#222222", "#d55e00", "#0072b2"
 CLOSE_UP_MM = 2.5  # half the width of the close-up
@@ -36,30 +35,30 @@ class Numbers:
 
 
 def numbers(curve: Curve) -> Numbers:
-    found = contour_statistics(curve.contour)
+    found = curve.statistics
     return Numbers(found.rms_um, found.p99_um, found.max_um)
 
 
-def verdict(look: Look) -> str:
-    before, after = numbers(look.before), numbers(look.after)
+def verdict(preview: Preview) -> str:
+    before, after = numbers(preview.before), numbers(preview.after)
     return (
         f"Contour error {before.rms:.1f} → {after.rms:.2f} µm rms ({before.rms / after.rms:.0f} times less), "
         f"99 % of the print within {before.p99:.0f} → {after.p99:.1f} µm"
     )
 
 
-def draw(look: Look, title: str, footer: str, target: Path, z_mm: float | None = None) -> None:
+def draw(preview: Preview, title: str, footer: str, target: Path, z_mm: float | None = None) -> None:
     """Write the picture; the suffix of `target` names the format.
 
     z_mm : the layer to show; None: the one with the largest uncompensated error.
     """
-    worst = _worst_place(look.before, z_mm)
+    worst = _worst_place(preview.before, z_mm)
     figure = Figure(figsize=(16, 8.4), layout="constrained")
-    figure.suptitle(f"{title}\n{verdict(look)}", fontsize=13, x=0.01, ha="left")
+    figure.suptitle(f"{title}\n{verdict(preview)}", fontsize=13, x=0.01, ha="left")
     rooms = figure.subplot_mosaic([["close", "before", "after"], ["time"] * 3], height_ratios=[2.2, 1])
-    _close_up(rooms["close"], look, worst)
-    _layer_maps(figure, rooms["before"], rooms["after"], look, worst)
-    _along_time(rooms["time"], look, worst)
+    _close_up(rooms["close"], preview, worst)
+    _layer_maps(figure, rooms["before"], rooms["after"], preview, worst)
+    _along_time(rooms["time"], preview, worst)
     figure.supxlabel(footer, fontsize=8, color="#666666")
     figure.savefig(target, dpi=100)
 
@@ -68,22 +67,22 @@ def _worst_place(curve: Curve, z_mm: float | None) -> FloatArray:
     """The wanted place (3,) mm, after the start, where the error without compensation is largest."""
     candidates = curve.t > curve.t[0] + SETTLE_S
     if z_mm is not None:
-        candidates &= np.abs(curve.wanted[:, 2] - z_mm) < LAYER_MM
+        candidates &= np.abs(curve.reference[:, 2] - z_mm) < LAYER_MM
     if not candidates.any():
         candidates = np.ones(len(curve.t), dtype=np.bool_)
-    return curve.wanted[int(np.argmax(np.where(candidates, curve.contour, -1.0)))]
+    return curve.reference[int(np.argmax(np.where(candidates, curve.contour, -1.0)))]
 
 
-def _close_up(axes: Axes, look: Look, place: FloatArray) -> None:
+def _close_up(axes: Axes, preview: Preview, place: FloatArray) -> None:
     """The worst corner in its layer: parts of the curves that pass through the window."""
     for curve, colour, label, width in (
-        (look.before, BEFORE, "what the machine would have done", 1.6),
-        (look.after, AFTER, "what it will do now", 2.2),
+        (preview.before, BEFORE, "what the machine would have done", 1.6),
+        (preview.after, AFTER, "what it will do now", 2.2),
     ):
         inside = _near(curve, place, 2 * CLOSE_UP_MM)
         _lines(axes, curve.nozzle, inside, colour, width, label)
-    path = np.abs(look.path[:, 2] - place[2]) < LAYER_MM
-    _lines(axes, look.path, path, WANTED, 0.8, "what was wanted")
+    path = np.abs(preview.path[:, 2] - place[2]) < LAYER_MM
+    _lines(axes, preview.path, path, WANTED, 0.8, "what was wanted")
     axes.set(
         xlim=(place[0] - CLOSE_UP_MM, place[0] + CLOSE_UP_MM),
         ylim=(place[1] - CLOSE_UP_MM, place[1] + CLOSE_UP_MM),
@@ -102,11 +101,11 @@ def _scale_bar(axes: Axes, place: FloatArray) -> None:
     axes.text(x + 0.25, y + 0.05 * CLOSE_UP_MM, "500 µm", ha="center", backgroundcolor="#ffffffcc")
 
 
-def _layer_maps(figure: Figure, above: Axes, below: Axes, look: Look, place: FloatArray) -> None:
+def _layer_maps(figure: Figure, above: Axes, below: Axes, preview: Preview, place: FloatArray) -> None:
     """The whole layer, coloured by error, both on one scale."""
-    norm = LogNorm(0.5, max(500.0, 1e3 * float(look.before.contour.max())))
-    for axes, curve, name in ((above, look.before, "without"), (below, look.after, "with compensation")):
-        inside = np.abs(curve.wanted[:, 2] - place[2]) < LAYER_MM
+    norm = LogNorm(0.5, max(500.0, 1e3 * float(preview.before.contour.max())))
+    for axes, curve, name in ((above, preview.before, "without"), (below, preview.after, "with compensation")):
+        inside = np.abs(curve.reference[:, 2] - place[2]) < LAYER_MM
         points = curve.nozzle[:, :2]
         joined = inside[1:] & inside[:-1]
         pieces = np.stack([points[:-1], points[1:]], axis=1)[joined]
@@ -119,9 +118,9 @@ def _layer_maps(figure: Figure, above: Axes, below: Axes, look: Look, place: Flo
     figure.colorbar(ScalarMappable(norm, "viridis_r"), ax=[above, below], label="contour error, µm")
 
 
-def _along_time(axes: Axes, look: Look, place: FloatArray) -> None:
-    for curve, colour, name in ((look.before, BEFORE, "without"), (look.after, AFTER, "with")):
-        inside = np.flatnonzero(np.abs(curve.wanted[:, 2] - place[2]) < LAYER_MM)
+def _along_time(axes: Axes, preview: Preview, place: FloatArray) -> None:
+    for curve, colour, name in ((preview.before, BEFORE, "without"), (preview.after, AFTER, "with")):
+        inside = np.flatnonzero(np.abs(curve.reference[:, 2] - place[2]) < LAYER_MM)
         if inside.size:
             part = slice(int(inside[0]), int(inside[-1]) + 1)
             n = numbers(curve)
@@ -139,7 +138,7 @@ def _along_time(axes: Axes, look: Look, place: FloatArray) -> None:
 
 
 def _near(curve: Curve, place: FloatArray, reach: float) -> BoolArray:
-    away = np.abs(curve.wanted - place)
+    away = np.abs(curve.reference - place)
     return (away[:, 2] < LAYER_MM) & (away[:, :2].max(axis=1) < reach)
 
 

@@ -1,1 +1,1 @@
-"""Any command through the virtual printer: G-code as a firmware plays it, or step timings."""
+"""Simulate any command, G-code as a firmware executes it or step timings, on the linear or the nonlinear printer."""

@@ -1,4 +1,4 @@
-"""Whether a plant is the printer that a machine file is about."""
+"""Check that a plant is the printer that a machine file describes."""
 
 from __future__ import annotations
 
@@ -9,12 +9,16 @@ from models.machine import Machine
 
 
 def check_same_kinematics(machine: Machine, plant: Machine) -> None:
-    """A plant whose towers stand elsewhere is another printer: its error would be that of the geometry.
+    """Check that a plant has the machine's kinematics; else its error would be that of the geometry.
+
+    Parameters
+    ----------
+    machine, plant : Machine
 
     Raises
     ------
     MachineFileError
-        If the plant's geometry is not about the machine's.
+        If the plant's kinematics differ by more than ALLOWED.
     """
     if type(machine.kinematics) is not type(plant.kinematics):
         rule = f"A plant must have the machine's kind of kinematics, that of {machine.path or machine.name}."

@@ -1,4 +1,4 @@
-"""Play a planned motion on the design model: where the nozzle will be, whatever wrote the plan."""
+"""The linear model scheduled along the path: the nozzle's response to a command, whatever planned it."""
 
 from __future__ import annotations
 
@@ -16,32 +16,75 @@ from models.vibration.state_space import plant_table
 STEP_S = 5e-4
 SUBSTEPS = 8  # steps for which one model serves
 CHUNK_STEPS = 8000
-KEEP_EVERY = 2  # samples of 1 ms are enough to look at
+KEEP_EVERY = 2  # samples of 1 ms are enough
 JUMP_MM = 1e-3  # a move that begins elsewhere: something else has moved the nozzle, and it starts from rest
 
 
-def simulate(
+class LinearPlayback:
+    """The linear model of a machine, played with a fixed step of STEP_S."""
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine = machine
+        self._schedule = Schedule(machine, plant_table(machine, STEP_S))
+
+    def respond(
+        self, nozzle: FloatArray, velocity: FloatArray, state: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the nozzle's response to a command, and the state at its end.
+
+        Parameters
+        ----------
+        nozzle : (n + 1, 3) array
+            Commanded positions in mm, STEP_S apart; n is a multiple of SUBSTEPS.
+        velocity : (n + 1, 3) array
+            Their velocity in mm/s.
+        state : (18,) array, optional
+            At the first sample. None: at rest there.
+
+        Returns
+        -------
+        response : (n, 3) array
+            Nozzle in mm after every step.
+        state : (18,) array
+        """
+        begin = rest_state(self._machine, nozzle[0]) if state is None else state
+        return self._schedule.respond(nozzle, velocity, begin, SUBSTEPS)
+
+
+def whole_steps(seconds: float) -> int:
+    """Return the number of steps, a multiple of SUBSTEPS, that last no longer than this."""
+    return SUBSTEPS * int(seconds / STEP_S / SUBSTEPS)
+
+
+def simulate_linear(
     machine: Machine, trajectory: PlannedMotion, progress: Callable[[float], None] = lambda done_s: None
 ) -> tuple[FloatArray, FloatArray]:
-    """The nozzle under a plan, from its first move to its last.
+    """Simulate the nozzle under a plan, from its first move to its last, on the machine's design model.
+
+    Parameters
+    ----------
+    machine : Machine
+    trajectory : PlannedMotion
+    progress : callable
+        Called with the time, s, on the plan's clock that has been reached.
 
     Returns
     -------
-    t : (m,) s on the plan's clock, rising in steps of 1 ms (but for places where the nozzle was moved by others)
-    nozzle : (m, 3) mm
+    t : (m,) array
+        In s on the plan's clock, rising in steps of 1 ms (except where something else has moved the nozzle).
+    nozzle : (m, 3) array
+        In mm.
     """
-    machine, _ = design_machine(machine)
-    schedule = Schedule(machine, plant_table(machine, STEP_S))
-    parts = []
-    for begin, end in sections(trajectory):
-        for part in _section(machine, schedule, trajectory, begin, end):
+    playback, parts = LinearPlayback(design_machine(machine)[0]), []
+    for begin, end in continuous_intervals(trajectory):
+        for part in _interval(playback, trajectory, begin, end):
             parts.append(part)
             progress(float(part[0][-1]))
     return np.concatenate([t for t, _ in parts]), np.concatenate([nozzle for _, nozzle in parts])
 
 
-def sections(trajectory: PlannedMotion) -> list[tuple[float, float]]:
-    """Begin and end (s) of the stretches in which every move begins where the last one ended."""
+def continuous_intervals(trajectory: PlannedMotion) -> list[tuple[float, float]]:
+    """Return begin and end, s, of the intervals in which every move begins where the last one ended."""
     end_t = trajectory.start_t + trajectory.duration
     just_before_end = np.nextafter(end_t, -np.inf)
     ends = trajectory.position(just_before_end)[:-1, :3]
@@ -50,16 +93,16 @@ def sections(trajectory: PlannedMotion) -> list[tuple[float, float]]:
     return [(float(trajectory.start_t[a]), float(end_t[b])) for a, b in zip(firsts, lasts, strict=True)]
 
 
-def _section(
-    machine: Machine, schedule: Schedule, trajectory: PlannedMotion, begin: float, end: float
+def _interval(
+    playback: LinearPlayback, trajectory: PlannedMotion, begin: float, end: float
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    state = rest_state(machine, trajectory.position([begin])[0, :3])
-    last = np.nextafter(end, -np.inf)  # at `end` itself the next stretch may have begun
+    state = None
+    last = np.nextafter(end, -np.inf)  # at `end` itself the next interval may have begun
     while begin < end:
         steps = min(CHUNK_STEPS, SUBSTEPS * int(np.ceil((end - begin) / STEP_S / SUBSTEPS)))
         t = begin + STEP_S * np.arange(steps + 1, dtype=np.float64)
-        place = np.ascontiguousarray(trajectory.position(np.minimum(t, last))[:, :3])
+        nozzle = np.ascontiguousarray(trajectory.position(np.minimum(t, last))[:, :3])
         velocity = trajectory.velocity(t)[:, :3] * (t < end)[:, None]
-        response, state = schedule.respond(place, velocity, state, SUBSTEPS)
+        response, state = playback.respond(nozzle, velocity, state)
         yield t[KEEP_EVERY::KEEP_EVERY], response[KEEP_EVERY - 1 :: KEEP_EVERY]
         begin = float(t[-1])

@@ -1,4 +1,4 @@
-"""What a printer can be told: a nozzle command over time, and where on the wanted plan each instant of it is."""
+"""A nozzle command over time, and the time on the reference plan at each of its instants."""
 
 from __future__ import annotations
 
@@ -8,55 +8,75 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffcomp.planner.trajectory import PlannedMotion
+from ffcomp.simulate.command import OfTime, command_peaks
 from models.arrays import FloatArray
-
-Position = Callable[[FloatArray], FloatArray]  # t : (k,) s → (k, 3) mm
+from models.machine import Machine
 
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """m stretches of a played motion. Stretch i begins at played_t[i], which is plan_t[i] on the wanted plan's clock;
-    the wanted path itself moves only from begin_t[i] to end_t[i] of that clock, and rests around it."""
+    """Alignment of an executed motion with the reference plan, section by section.
 
-    played_t: FloatArray  # (m,) s
+    Section i of m begins at executed_t[i], which is plan_t[i] on the plan's clock. The reference moves only from
+    begin_t[i] to end_t[i] of that clock, and rests around it.
+    """
+
+    executed_t: FloatArray  # (m,) s
     plan_t: FloatArray  # (m,) s
     begin_t: FloatArray  # (m,) s
     end_t: FloatArray  # (m,) s
 
     def plan_time(self, t: FloatArray) -> FloatArray:
-        """The wanted plan's time at each played time, (k,) s → (k,) s."""
-        i = np.maximum(np.searchsorted(self.played_t, t, side="right") - 1, 0)
-        return np.clip(self.plan_t[i] + (t - self.played_t[i]), self.begin_t[i], self.end_t[i])
+        """Return the plan's time at each executed time, (k,) s → (k,) s."""
+        i = np.maximum(np.searchsorted(self.executed_t, t, side="right") - 1, 0)
+        return np.clip(self.plan_t[i] + (t - self.executed_t[i]), self.begin_t[i], self.end_t[i])
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What is played: the nozzle's command at any time from begin_t to end_t, and where on the wanted plan that is."""
+    """The nozzle's command at any time from begin_t to end_t, and its alignment with the reference plan."""
 
-    position: Position
+    position: OfTime
     begin_t: float  # s
     end_t: float  # s
     clock: Clock
 
+    def actuators(self, machine: Machine) -> Callable[[FloatArray], FloatArray]:
+        """Return the actuators' command at times (k,) s, by the inverse kinematics that the firmware believes in."""
+        kinematics = machine.kinematics.compiled()
+        return lambda t: kinematics.inverse(np.ascontiguousarray(self.position(t)))
+
+    def peaks(self, machine: Machine) -> tuple[float, float]:
+        """Return the largest speed, mm/s, and acceleration, mm/s², that it demands of any actuator."""
+        return command_peaks(self.actuators(machine), self.begin_t, self.end_t)
+
 
 def motion_of(trajectory: PlannedMotion, clock: Clock) -> Motion:
-    """A plan, played as it stands."""
+    """Execute a plan as it stands."""
     begin, end = float(trajectory.start_t[0]), trajectory.end_t
     return Motion(lambda t: trajectory.position(np.clip(t, begin, end))[:, :3], begin, end, clock)
 
 
 def own_clock(trajectory: PlannedMotion) -> Clock:
-    """Of the wanted plan itself."""
+    """Return the clock of the reference plan itself."""
     begin, end = trajectory.start_t[:1], np.array([trajectory.end_t])
     return Clock(begin, begin, begin, end)
 
 
 def planned_motion(trajectory: PlannedMotion) -> Motion:
-    """The wanted plan itself, on its own clock."""
+    """Execute the reference plan itself, on its own clock."""
     return motion_of(trajectory, own_clock(trajectory))
 
 
 def path_corners(trajectory: PlannedMotion) -> tuple[FloatArray, FloatArray]:
-    """When each corner of the path is due (n + 1,) s, and where it is (n + 1, 3) mm."""
+    """Return when each corner of the path is due (n + 1,) s, and where it is (n + 1, 3) mm."""
     end = trajectory.position(np.array([trajectory.end_t]))
     return np.append(trajectory.start_t, trajectory.end_t), np.vstack([trajectory.origin, end])[:, :3]
+
+
+def path_corners_with_rests(trajectory: PlannedMotion) -> tuple[FloatArray, FloatArray]:
+    """Return when each straight move begins and ends (2 n,) s, and where (2 n, 3) mm: a rest is a corner twice."""
+    end_t = trajectory.start_t + trajectory.duration
+    ends = trajectory.position(np.nextafter(end_t, -np.inf))[:, :3]
+    t = np.stack([trajectory.start_t, end_t], axis=1).ravel()
+    return t, np.stack([trajectory.origin[:, :3], ends], axis=1).reshape(-1, 3)

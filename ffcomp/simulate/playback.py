@@ -1,40 +1,49 @@
-"""A command played on a virtual printer, piece by piece: however long it is, only two pieces are held.
+"""Commands on the simulated printer: chunks with sensor signals, or the nozzle of many printers at once.
 
-Rows of the command are at most ROW_S apart. A cubic spline through a plan's rows strays by 0.02 µm in the nozzle where
-its speed has corners (5 mm/s at 10 m/s²), straight lines by 0.1 µm.
+Rows of a command are at most ROW_S apart. A cubic spline through a plan's rows strays by 0.02 µm in the nozzle where
+its speed has corners (5 mm/s at 10 m/s²), straight lines by 0.03 to 0.1 µm.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import os
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
-from ffcomp.simulate.command import Command, Stretch
+from ffcomp.simulate.command import Command, CommandSection
+from ffcomp.simulate.motion import Motion
 from models.arrays import FloatArray
 from models.effects.effect import Signals
 from models.errors import MachineFileError, UnreachableError
 from models.machine import Machine
-from models.printer.printer import SPLINE_ROWS, Hold, printer_numbers, rest_values, simulate_printer
+from models.printer import playback
+from models.printer.printer import Hold, printer_numbers, rest_values
+from models.printer.static_deflection import sag
 
 Item = TypeVar("Item")
 
 ROW_S = 1 / 6400
 CHUNK_ROWS = 40_000
-SETTLE_S = 0.5  # played before a part that begins in the midst of motion, and not shown
+SETTLE_S = 0.5  # executed before a part that begins in motion, and not shown
 ROUNDING = 1e-6  # of a sample
-TAIL_S = 0.25  # shown after a stretch has ended: the printer rings on
+TAIL_S = 0.25  # shown after a section has ended: the printer still rings
+
+KEEP_EVERY = 4  # rows between two samples of `simulate_nozzles`
+MOST_ROWS, FEWEST_ROWS = 64_000, 2_000  # of a chunk, for one plant and for very many
+SAMPLE_S = KEEP_EVERY * ROW_S
+JOBS = os.cpu_count() or 1
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
-    """n evenly spaced samples of a stretch; the next piece goes on where this one ends."""
+class Chunk:
+    """n evenly spaced samples of a section; the next chunk goes on where this one ends."""
 
-    stretch: Stretch
+    section: CommandSection
     t_s: FloatArray  # (n,) s, on the command's clock
     carriage_mm: FloatArray  # (n, 3)
     nozzle_mm: FloatArray  # (n, 3), seen from the bed
@@ -42,7 +51,7 @@ class Piece:
 
 
 def rows_per_sample(rate_hz: float) -> int:
-    """So many rows of the command for each sample that they are no farther apart than ROW_S."""
+    """Return the number of rows of the command for each sample, so that they are no farther apart than ROW_S."""
     return math.ceil((1 - 1e-9) / (rate_hz * ROW_S))
 
 
@@ -54,10 +63,10 @@ def play(
     to_s: float = math.inf,
     *,
     gravity: bool = True,
-) -> Iterator[Piece]:
-    """The plant under a part of the command, stretch by stretch, each from rest.
+) -> Iterator[Chunk]:
+    """Execute a part of a command on the plant, section by section, each from rest.
 
-    While a piece is looked at, the next one is computed in a thread.
+    While a chunk is used, the next one is computed in a thread.
 
     Raises
     ------
@@ -67,39 +76,45 @@ def play(
         If its nozzle leaves the reach of its arms.
     """
     rows = rows_per_sample(rate_hz)
-    for stretch, begin_s, end_s in command.between(from_s, to_s):
-        tail_s = TAIL_S if end_s == stretch.end_s else 0.0
-        lead = min(int((begin_s - stretch.begin_s) * rate_hz), math.ceil(SETTLE_S * rate_hz))
+    for section, begin_s, end_s in command.between(from_s, to_s):
+        tail_s = TAIL_S if end_s == section.end_s else 0.0
+        lead = min(int((begin_s - section.begin_s) * rate_hz), math.ceil(SETTLE_S * rate_hz))
         last = int((end_s + tail_s - begin_s) * rate_hz + ROUNDING)
         t = begin_s + np.arange(-lead, last + 1) / rate_hz
-        yield from _ahead(_stretch(stretch, plant, t, lead, 1 / (rate_hz * rows), rows, command.hold, gravity))
+        yield from _ahead(_section(section, plant, t, lead, 1 / (rate_hz * rows), rows, command.hold, gravity))
 
 
-def _stretch(
-    stretch: Stretch, plant: Machine, t: FloatArray, lead: int, row_s: float, rows: int, hold: Hold, gravity: bool
-) -> Iterator[Piece]:
-    """Samples at the even times t (n,) s, without the first `lead` of them; so many `rows`, row_s apart, for each."""
-    _check_rest(plant, stretch.meant(t[:1])[0], gravity)
-    chunk = CHUNK_ROWS // rows
-    state = None
-    for first in range(0, len(t) - 1, chunk):
-        part = t[first : first + chunk + 1]
-        own = (len(part) - 1) * rows + 1
-        command = stretch.rows(part[0] + row_s * np.arange(own + SPLINE_ROWS), row_s)
-        motion = simulate_printer(
-            plant, command[:own], row_s, start=state, gravity=gravity, hold=hold, ahead=command[own:]
-        )
-        state = motion.state
-        begin = max(lead - first, 0 if first == 0 else 1)  # the first sample is the last of the piece before
-        every = slice(begin * rows, None, rows)
+def _section(
+    section: CommandSection,
+    plant: Machine,
+    t: FloatArray,
+    lead: int,
+    row_s: float,
+    rows_a_sample: int,
+    hold: Hold,
+    gravity: bool,
+) -> Iterator[Chunk]:
+    """Yield samples at the even times t (n,) s, without the first `lead` of them."""
+    _check_rest(plant, section.actuators(t[:1])[0], gravity)
+
+    def rows(first: int, last: int) -> FloatArray:
+        return section.rows(t[first // rows_a_sample] + row_s * np.arange(last - first), row_s)
+
+    count, chunk_rows = (len(t) - 1) * rows_a_sample + 1, CHUNK_ROWS // rows_a_sample * rows_a_sample
+    chunks = playback.play([plant], rows, count, row_s, hold=hold, gravity=gravity, chunk_rows=chunk_rows)
+    for row, (motion,) in chunks:
+        first = row // rows_a_sample
+        part = t[first : first + (len(motion.t_s) - 1) // rows_a_sample + 1]
+        begin = max(lead - first, 0 if first == 0 else 1)  # the first sample is the last of the chunk before
+        every = slice(begin * rows_a_sample, None, rows_a_sample)
         signals = Signals(part[begin:], motion.carriage_acceleration[every], motion.nozzle_acceleration[every])
         if begin < len(part):
-            yield Piece(stretch, part[begin:], motion.carriage_mm[every], motion.nozzle_mm[every], signals)
+            yield Chunk(section, part[begin:], motion.carriage_mm[every], motion.nozzle_mm[every], signals)
 
 
-def _check_rest(plant: Machine, carriages: FloatArray, gravity: bool) -> None:
+def _check_rest(plant: Machine, actuators: FloatArray, gravity: bool) -> None:
     try:
-        rest_values(plant, carriages, printer_numbers(plant, gravity=gravity))
+        rest_values(plant, actuators, printer_numbers(plant, gravity=gravity))
     except UnreachableError:
         raise
     except ValueError as error:
@@ -107,9 +122,49 @@ def _check_rest(plant: Machine, carriages: FloatArray, gravity: bool) -> None:
 
 
 def _ahead(items: Iterator[Item]) -> Iterator[Item]:
-    """The same items, each made while the one before is used."""
+    """Yield the same items, each made while the one before is used."""
     with ThreadPoolExecutor(1) as pool:
         coming = pool.submit(next, items, None)
         while (item := coming.result()) is not None:
             coming = pool.submit(next, items, None)
             yield item
+
+
+def levelled(plant: Machine, nozzle: FloatArray) -> FloatArray:
+    """Take the static deflection out of positions (n, 3) mm, as bed levelling does on a calibrated printer."""
+    return nozzle - sag(plant, nozzle)
+
+
+def simulate_nozzles(
+    plants: Sequence[Machine], motion: Motion, believed: Machine
+) -> tuple[FloatArray, list[FloatArray]]:
+    """Execute one motion on every plant, from rest, and return their levelled nozzles.
+
+    Parameters
+    ----------
+    plants : sequence of Machine
+    motion : Motion
+    believed : Machine
+        The machine whose inverse kinematics the firmware uses.
+
+    Returns
+    -------
+    t : (m,) array
+        Times in s on the motion's clock, SAMPLE_S apart.
+    nozzles : list of (m, 3) arrays
+        One a plant, in mm.
+    """
+    actuators = motion.actuators(believed)
+    rows = int((motion.end_t - motion.begin_t) / ROW_S) // KEEP_EVERY * KEEP_EVERY
+
+    def command(first: int, last: int) -> FloatArray:
+        return actuators(motion.begin_t + ROW_S * np.arange(first, last, dtype=np.float64))
+
+    found: list[list[FloatArray]] = [[] for _ in plants]
+    chunk_rows = max(min(8 * MOST_ROWS // len(plants), MOST_ROWS), FEWEST_ROWS) // KEEP_EVERY * KEEP_EVERY
+    options: dict[str, Any] = {"hold": "linear", "chunk_rows": chunk_rows, "threads": JOBS}
+    for _, motions in playback.play(plants, command, rows + 1, ROW_S, **options):
+        for own, each in zip(found, motions, strict=True):
+            own.append(each.nozzle_mm[KEEP_EVERY::KEEP_EVERY])
+    t = motion.begin_t + KEEP_EVERY * ROW_S * np.arange(1, rows // KEEP_EVERY + 1, dtype=np.float64)
+    return t, [levelled(plant, np.concatenate(parts)) for plant, parts in zip(plants, found, strict=True)]

@@ -1,7 +1,7 @@
-"""A compensated file laid over its original: what was wanted, what would have come out, what will come out now.
+"""Compare a compensated file with its original on the design model: the reference path, before and after.
 
-Everything is read out of the compensated file: its segments are planned as the firmware plans them, the original is
-restored from the comments that keep it, and the two clocks are tied together where the original's moves are noted.
+Everything is read from the compensated file: its segments are planned as the firmware plans them, the original is
+restored from the comments that keep it, and the two clocks are aligned where the original's moves are noted.
 """
 
 from __future__ import annotations
@@ -9,14 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ffcomp.metrics import contour_error
+from ffcomp.metrics import ContourStatistics, contour_error, contour_statistics
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.trajectory import PlannedMotion
-from ffcomp.simulate.linear import simulate
-from gcode.embedded import WAS, noted, original_lines
+from ffcomp.simulate.alignment import move_times
+from ffcomp.simulate.linear import simulate_linear
+from ffcomp.simulate.motion import path_corners_with_rests
+from gcode.embedded import original_lines
 from gcode.program import Program
 from gcode.reader import read_program
 from models.arrays import FloatArray
@@ -29,76 +30,59 @@ class Curve:
 
     t: FloatArray  # (m,) s on its own plan's clock
     nozzle: FloatArray  # (m, 3) mm
-    wanted: FloatArray  # (m, 3) mm, where the path is at that time
+    reference: FloatArray  # (m, 3) mm, where the path is at that time
     contour: FloatArray  # (m,) mm, distance to the path
+
+    @property
+    def statistics(self) -> ContourStatistics:
+        """The contour error over the whole print."""
+        return contour_statistics(self.contour)
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
-    path: FloatArray  # (n, 3) mm, corners of the wanted path
+class Preview:
+    """Both prints on the design model."""
+
+    path: FloatArray  # (n, 3) mm, corners of the reference path
     path_t: FloatArray  # (n,) s on the original plan's clock
     before: Curve
     after: Curve
 
 
-def look(
+def preview(
     data: bytes, path: str, machine: Machine, offset: tuple[float, float] = (0.0, 0.0), flavor: str | None = None
-) -> Look:
-    """Simulate the original and the compensated print with the design model."""
+) -> Preview:
+    """Simulate the original and the compensated print with the design model.
+
+    Parameters
+    ----------
+    data, path : bytes, str
+        The compensated file and its name.
+    machine : Machine
+    offset : (float, float)
+        By which the original's positions were shifted, mm.
+    flavor : str, optional
+        None: as the file says.
+    """
     lines = data.splitlines(keepends=True)
     original = read_program(b"".join(original_lines(lines)), path, offset_mm=offset, flavor=flavor)
     compensated = read_program(data, path, flavor=flavor)
-    wanted, played = _plan(original, machine), _plan(compensated, machine)
-    path_t, wanted_path = corners(wanted)
-    clock, own = _clocks(original, wanted, compensated, played)
-    before_t, before = simulate(machine, wanted)
-    after_t, after = simulate(machine, played)
-    return Look(
-        wanted_path,
+    reference, executed = _plan(original, machine), _plan(compensated, machine)
+    path_t, corners = path_corners_with_rests(reference)
+    times = move_times(compensated, executed, original, reference)
+    before_t, before = simulate_linear(machine, reference)
+    after_t, after = simulate_linear(machine, executed)
+    before_reference = reference.position(before_t)[:, :3]
+    after_reference = reference.position(np.interp(after_t, times.compensated_t, times.original_t))[:, :3]
+    path_in_after = np.interp(path_t, times.original_t, times.compensated_t)
+    return Preview(
+        corners,
         path_t,
-        Curve(before_t, before, wanted.position(before_t)[:, :3], contour_error(path_t, wanted_path, before_t, before)),
-        Curve(
-            after_t,
-            after,
-            wanted.position(np.interp(after_t, clock, own))[:, :3],
-            contour_error(np.interp(path_t, own, clock), wanted_path, after_t, after),
-        ),
+        Curve(before_t, before, before_reference, contour_error(path_t, corners, before_t, before)),
+        Curve(after_t, after, after_reference, contour_error(path_in_after, corners, after_t, after)),
     )
 
 
 def _plan(program: Program, machine: Machine) -> PlannedMotion:
     stop_before, wait_before = stops_and_waits(program)
     return plan_moves(program.moves, planner_limits(machine), stop_before=stop_before, wait_before=wait_before)
-
-
-def corners(plan: PlannedMotion) -> tuple[FloatArray, FloatArray]:
-    """Where the path's straight moves begin and end, and when: a rest is a corner twice."""
-    end_t = plan.start_t + plan.duration
-    ends = plan.position(np.nextafter(end_t, -np.inf))[:, :3]
-    t = np.stack([plan.start_t, end_t], axis=1).ravel()
-    return t, np.stack([plan.origin[:, :3], ends], axis=1).reshape(-1, 3)
-
-
-def _clocks(
-    original: Program, wanted: PlannedMotion, compensated: Program, played: PlannedMotion
-) -> tuple[FloatArray, FloatArray]:
-    """Times at which the same move begins: in the compensated file, and in the original."""
-    notes = np.array([e.move for e in compensated.events if compensated.lines[e.line].startswith(WAS)], dtype=np.int64)
-    first = np.flatnonzero(np.diff(original.moves.line, prepend=-1))  # of each line that moves
-    noted = noted_moves(original, compensated)
-    moving = noted >= 0
-    begins = np.append(played.start_t, played.end_t)[notes[moving]]
-    return np.append(begins, played.end_t), np.append(wanted.start_t[first[noted[moving]]], wanted.end_t)
-
-
-def noted_moves(original: Program, compensated: Program) -> NDArray[np.int64]:
-    """Which of the original's moving lines each note stands for; -1 for a line that only sets a feed."""
-    order = {line: i for i, line in enumerate(sorted(set(original.moves.line.tolist())))}
-    texts = [text for line in compensated.lines if (text := noted(line)) is not None]
-    out, at = [], 0
-    for text in texts:
-        while original.lines[at] != text and original.lines[at].rstrip() != text.rstrip():
-            at += 1
-        out.append(order.get(at, -1))
-        at += 1
-    return np.array(out, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""A whole simulation: a file through the virtual printer, judged, and written down as a measured run."""
+"""A whole simulation: a file executed on the simulated printer, evaluated, and written as a recording."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
+from typing import Any
 
 from ffcomp.errors import NothingToDo
 from ffcomp.metrics import Track
+from ffcomp.serialise import to_json
 from ffcomp.simulate.command import Command
 from ffcomp.simulate.compatibility import check_same_kinematics
-from ffcomp.simulate.evaluation import Judge
+from ffcomp.simulate.evaluation import Evaluation, Evaluator
 from ffcomp.simulate.gcode_command import read_gcode
-from ffcomp.simulate.playback import Piece, play
-from ffcomp.simulate.run_file import KINDS, run_lines
+from ffcomp.simulate.playback import Chunk, play
+from ffcomp.simulate.recording import KINDS, recording_lines
 from ffcomp.simulate.steps_command import steps_command
 from ffcomp.steps.reader import is_step_archive, read_steps
 from ffcomp.version import __version__
@@ -23,6 +25,7 @@ from gcode.atomic_write import replace_atomically
 from gcode.container import read_bytes
 from gcode.errors import GcodeError
 from gcode.text import check_regular
+from models.arrays import FloatArray
 from models.errors import UnreachableError
 from models.machine import Machine
 
@@ -31,24 +34,73 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True)
 class Request:
-    """What is simulated, and how it is written down."""
+    """The part of the command that is simulated, and how it is recorded."""
 
     rate_hz: float = 1600.0
     from_s: float = 0.0
     to_s: float = inf
     gravity: bool = True
-    kinds: Sequence[str] = KINDS  # of the sensors in the run file
+    kinds: Sequence[str] = KINDS  # of the sensors in the recording
 
 
-@dataclass(frozen=True)
-class Simulated:
-    """What came of it."""
+@dataclass(frozen=True, eq=False)
+class SimulationResult:
+    """A simulated command and its evaluation; arrays hold m samples of all sections."""
 
-    track: Track
-    peak_carriage_velocity_mm_per_s: float
+    machine: Machine  # the one that the command was computed with
+    plant: Machine  # the printer that moves
+    request: Request
+    reference: str  # a sentence: the path that the nozzle is evaluated against
+    evaluation: Evaluation
     simulated_s: float  # print time
-    seconds: float  # that it took
+    seconds: float  # of computing
     rows: int
+
+    @property
+    def time_s(self) -> FloatArray:
+        """(m,) s, on the command's clock."""
+        return self.evaluation.time_s
+
+    @property
+    def reference_mm(self) -> FloatArray:
+        """(m, 3) mm, where the nozzle should be."""
+        return self.evaluation.reference_mm
+
+    @property
+    def nozzle_mm(self) -> FloatArray:
+        """(m, 3) mm, where it is."""
+        return self.evaluation.nozzle_mm
+
+    @property
+    def error_um(self) -> FloatArray:
+        """(m,) µm, contour error."""
+        return self.evaluation.error_um
+
+    @property
+    def track(self) -> Track:
+        """The TRACK of all samples."""
+        return self.evaluation.track
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers of `ffcomp simulate --json`, without names of files and without samples."""
+        return {
+            "machine": _file_of(self.machine),
+            "plant": _file_of(self.plant),
+            "effects": list(self.plant.effects),
+            "gravity": self.request.gravity,
+            "rate_hz": self.request.rate_hz,
+            "rows": self.rows,
+            "simulated_s": self.simulated_s,
+            "wall_s": self.seconds,
+            "print_s_per_wall_s": self.simulated_s / self.seconds,
+            "reference": self.reference,
+            "track": to_json(self.track),
+            "peak_carriage_velocity_mm_per_s": self.evaluation.peak_actuator_velocity_mm_per_s,
+        }
+
+
+def _file_of(machine: Machine) -> dict[str, str]:
+    return {"name": machine.name, "sha256": machine.sha256}
 
 
 def read_command(
@@ -58,9 +110,24 @@ def read_command(
     flavor: str = "",
     plate: int | None = None,
 ) -> tuple[Command, list[str]]:
-    """A G-code file or a step archive, told apart by their content, and what was odd about it, in sentences.
+    """Read a G-code file or a step archive, told apart by their content.
 
-    plate : of an archive that holds several prints
+    Parameters
+    ----------
+    path : path
+    machine : Machine
+        The one that the command was computed with.
+    offset : (float, float)
+        Added to every position, mm.
+    flavor : str
+        "" for what the file says.
+    plate : int, optional
+        Of an archive that holds several prints.
+
+    Returns
+    -------
+    Command, list of str
+        The command, and the reader's warnings.
     """
     check_regular(Path(path))
     if is_step_archive(path):
@@ -78,31 +145,48 @@ def simulate_command(
     path: str = "",
     target: Path | None = None,
     progress: Progress = lambda done_s: None,
-) -> Simulated:
-    """Play a command, judge it, and write it into `target` (None: nowhere), which is replaced whole or not at all.
+) -> SimulationResult:
+    """Execute a command, evaluate it, and record it.
 
     Parameters
     ----------
-    machine : what the command was computed with;  plant : the printer that moves
-    path : the command's file, as the user named it
-    progress : called with the print-seconds done so far
+    command : Command
+    machine, plant : Machine
+        The one that the command was computed with, and the printer that moves.
+    request : Request
+    path : str
+        The command's file, as the user named it.
+    target : Path, optional
+        The recording, which is replaced whole or not at all. None: nothing is recorded.
+    progress : callable
+        Called with the print seconds done so far.
+
+    Raises
+    ------
+    NothingToDo
+        If the part holds too little motion.
+    MachineFileError
+        If the plant's kinematics are not the machine's, or it cannot rest.
+    GcodeError
+        If the nozzle leaves the reach of its arms.
     """
     check_same_kinematics(machine, plant)
     started = time.perf_counter()
     parts = command.between(request.from_s, request.to_s)
-    played_s = sum(end - begin for _, begin, end in parts)
-    judge = Judge(plant, request.rate_hz, request.gravity)
-    if not judge.enough(len(parts), played_s):
-        part = f"from {request.from_s:g} to {request.to_s:g} s, {played_s:g} s of motion are too few"
-        raise NothingToDo(f"{path}: {part} to simulate; the motion ends at {command.stretches[-1].end_s:.3f} s.")
+    simulated_s = sum(end - begin for _, begin, end in parts)
+    evaluator = Evaluator(plant, request.rate_hz, request.gravity)
+    if not evaluator.enough(len(parts), simulated_s):
+        part = f"from {request.from_s:g} to {request.to_s:g} s, {simulated_s:g} s of motion are too few"
+        raise NothingToDo(f"{path}: {part} to simulate; the motion ends at {command.sections[-1].end_s:.3f} s.")
     count = _Count()
-    pieces = play(command, plant, request.rate_hz, request.from_s, request.to_s, gravity=request.gravity)
-    watched = _watched(pieces, judge, count, request.rate_hz, progress)
+    chunks = play(command, plant, request.rate_hz, request.from_s, request.to_s, gravity=request.gravity)
+    watched = _watched(chunks, evaluator, count, request.rate_hz, progress)
     try:
         _write(watched, target, plant, _comments(path, machine, plant, request), request.kinds)
     except UnreachableError as error:
         raise GcodeError(str(error), path=path) from error
-    return Simulated(*judge.track(), played_s, time.perf_counter() - started, count.rows)
+    evaluation, seconds = evaluator.evaluation(), time.perf_counter() - started
+    return SimulationResult(machine, plant, request, command.reference, evaluation, simulated_s, seconds, count.rows)
 
 
 @dataclass
@@ -111,23 +195,23 @@ class _Count:
 
 
 def _watched(
-    pieces: Iterable[Piece], judge: Judge, count: _Count, rate_hz: float, progress: Progress
-) -> Iterator[Piece]:
-    for piece in pieces:
-        judge.add(piece)
-        yield piece
-        count.rows += len(piece.t_s)
+    chunks: Iterable[Chunk], evaluator: Evaluator, count: _Count, rate_hz: float, progress: Progress
+) -> Iterator[Chunk]:
+    for chunk in chunks:
+        evaluator.add(chunk)
+        yield chunk
+        count.rows += len(chunk.t_s)
         progress(count.rows / rate_hz)
 
 
 def _write(
-    pieces: Iterable[Piece], target: Path | None, plant: Machine, comments: dict[str, str], kinds: Sequence[str]
+    chunks: Iterable[Chunk], target: Path | None, plant: Machine, comments: dict[str, str], kinds: Sequence[str]
 ) -> None:
     if target is None:
-        for _ in pieces:
+        for _ in chunks:
             pass
     else:
-        replace_atomically(target, run_lines(pieces, plant, comments, kinds))
+        replace_atomically(target, recording_lines(chunks, plant, comments, kinds))
 
 
 def _comments(path: str, machine: Machine, plant: Machine, request: Request) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Step timings as a command: motors hold their microsteps, and the staircase itself is played.
+"""Step timings as a command: motors hold their microsteps, and the staircase itself is executed.
 
 A step comes when the command crosses the middle between two microsteps, so the staircase is the command rounded to
 them: neither early nor late, no more than half a microstep off.
@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ffcomp.errors import NothingToDo
-from ffcomp.simulate.command import Command, Goal, OfTime, Stretch
+from ffcomp.simulate.command import Command, CommandSection, OfTime, ReferencePath
 from ffcomp.steps.reader import MOTORS, MotorSteps, StepsError
 from models.arrays import FloatArray
 from models.errors import UnreachableError
@@ -20,13 +20,13 @@ from models.machine import Kinematics, Machine
 REFERENCE = "the path of the steps themselves, with the microsteps smoothed out"
 LEAD_S = 0.05  # of rest before the first step
 AT_REST_S = 0.02  # a motor that holds a microstep for longer stands in its middle
-PATH_SAMPLE_S = 1 / 3200  # of the judged path: 0.1 µm at 10 m/s²
+PATH_SAMPLE_S = 1 / 3200  # of the reference path: 0.1 µm at 10 m/s²
 
 
 def staircase(motor: MotorSteps, t: FloatArray, step_s: float) -> FloatArray:
-    """The motor's mean position, (k,) mm, over one step of time about each of the evenly spaced times t (k,) s.
+    """Return the motor's mean position, (k,) mm, over one step of time about each of the even times t (k,) s.
 
-    A mean keeps the place of every edge, and played with straight lines between rows, nothing comes early or late.
+    A mean keeps the time of every edge; executed with straight lines between rows, nothing comes early or late.
     """
     edges = np.append(t - step_s / 2, t[-1] + step_s / 2)
     first, last = np.searchsorted(motor.time_s, (edges[0], edges[-1]))
@@ -39,7 +39,7 @@ def staircase(motor: MotorSteps, t: FloatArray, step_s: float) -> FloatArray:
 
 
 def smoothed(motor: MotorSteps, t: FloatArray) -> FloatArray:
-    """The command, (k,) mm, that the motor's steps stand for, at rising times t (k,) s.
+    """Return the command, (k,) mm, that the motor's steps stand for, at rising times t (k,) s.
 
     Known at every step: half-way between two microsteps. In between it passes the middle of the microstep that is
     held, or stays there if that takes long.
@@ -58,14 +58,22 @@ def smoothed(motor: MotorSteps, t: FloatArray) -> FloatArray:
 
 
 def steps_command(motors: Mapping[str, MotorSteps], machine: Machine, path: str = "") -> Command:
-    """The steps of a, b, c, from rest to rest, judged against the path they stand for.
+    """Return the steps of a, b, c, from rest to rest, evaluated against the path they stand for.
 
-    path : the archive, as the user named it.
+    Parameters
+    ----------
+    motors : mapping
+        Steps of "a", "b" and "c", and of others.
+    machine : Machine
+    path : str
+        The archive, as the user named it.
 
     Raises
     ------
     StepsError
         If the carriages begin where the machine's arms cannot join them.
+    NothingToDo
+        If no carriage steps.
     """
     carriages = [motors[motor] for motor in MOTORS]
     moving = [each.time_s for each in carriages if len(each.time_s)]
@@ -79,27 +87,28 @@ def steps_command(motors: Mapping[str, MotorSteps], machine: Machine, path: str 
     def rows(t: FloatArray, step_s: float) -> FloatArray:
         return np.column_stack([staircase(each, t, step_s) for each in carriages]) @ back
 
-    def meant(t: FloatArray) -> FloatArray:
+    def commanded(t: FloatArray) -> FloatArray:
         return np.column_stack([smoothed(each, t) for each in carriages]) @ back
 
-    return Command([Stretch(begin_s, end_s, rows, meant, _goal(meant, machine.kinematics))], "linear", REFERENCE)
+    reference = _reference(commanded, machine.kinematics)
+    return Command([CommandSection(begin_s, end_s, rows, commanded, reference)], "linear", REFERENCE)
 
 
-def _check_start(geometry: Kinematics, carriages: FloatArray, path: str) -> None:
+def _check_start(kinematics: Kinematics, carriages: FloatArray, path: str) -> None:
     try:
-        geometry.forward(carriages)
+        kinematics.forward(carriages)
     except UnreachableError as error:
         raise StepsError(f"a_start_mm, b_start_mm, c_start_mm: {error}", path=path) from error
 
 
-def _goal(meant: OfTime, geometry: Kinematics) -> Goal:
-    delta = geometry.compiled()
+def _reference(commanded: OfTime, kinematics: Kinematics) -> ReferencePath:
+    compiled = kinematics.compiled()
 
     def nozzle(t: FloatArray) -> FloatArray:
-        return delta.forward(meant(t))
+        return compiled.forward(commanded(t))
 
     def path(from_s: float, to_s: float) -> tuple[FloatArray, FloatArray]:
         t = np.linspace(from_s, to_s, int(np.ceil((to_s - from_s) / PATH_SAMPLE_S)) + 1)
         return t, nozzle(t)
 
-    return Goal(nozzle, lambda t: t, path)
+    return ReferencePath(nozzle, lambda t: t, path)

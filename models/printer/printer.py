@@ -100,12 +100,11 @@ def simulate_printer(
     UnreachableError
         If the motion leaves the arms' reach; its indices are rows of the command.
     """
-    _check(command, dt_s, start)
-    rows = command if start is None else np.concatenate([start.history[:-1], command])
-    pieces = HOLDS[hold](rows, command[:0] if ahead is None else ahead, dt_s)
-    task = _task(machine, command, pieces, dt_s, substeps, gravity, start)
-    (motion,) = _played([task], dt_s)
-    if isinstance(motion, UnreachableError):
+    starts = None if start is None else [start]
+    (motion,) = simulate_printers(
+        [machine], [command], dt_s, starts=starts, substeps=substeps, gravity=gravity, hold=hold, ahead=ahead
+    )
+    if isinstance(motion, ValueError):
         raise motion
     return motion
 
@@ -115,26 +114,32 @@ def simulate_printers(
     commands: Sequence[FloatArray],
     dt_s: float,
     *,
+    starts: Sequence[PrinterState] | None = None,
     substeps: int | None = None,
     gravity: bool = True,
     hold: Hold = "cubic",
+    ahead: FloatArray | None = None,
 ) -> list[PrinterMotion | ValueError]:
-    """Many simulations from rest, several at once in the processor's vectors: the i-th machine plays the i-th command.
+    """Play the i-th command on the i-th machine, several at once in the processor's vectors.
 
-    Each gives what `simulate_printer` gives, whatever the others do. Where that would raise, its ValueError or
-    UnreachableError stands in the list instead. Those with as many steps from row to row go together, best when their
-    commands are of one length.
+    `starts` and `ahead` are those of `simulate_printer`; `ahead` follows every command. Each gives what
+    `simulate_printer` gives, whatever the others do; where that would raise, its ValueError or UnreachableError stands
+    in the list instead. Those with as many steps from row to row go together, best when their commands are of one
+    length.
     """
     found: dict[int, PrinterMotion | ValueError] = {}
     tasks: dict[int, _Task] = {}
-    pieces: dict[int, FloatArray] = {}  # many machines play one command: its spline is made once
+    pieces: dict[tuple[int, bytes], FloatArray] = {}  # many machines play one command: its spline is made once
     commands = list(commands)  # an array of them would make a new object of each at every look
     for i, (machine, command) in enumerate(zip(machines, commands, strict=True)):
         try:
-            if id(command) not in pieces:
-                _check(command, dt_s)
-                pieces[id(command)] = HOLDS[hold](command, command[:0], dt_s)
-            tasks[i] = _task(machine, command, pieces[id(command)], dt_s, substeps, gravity)
+            start = None if starts is None else starts[i]
+            key = (id(command), b"" if start is None else start.history.tobytes())
+            if key not in pieces:
+                _check(command, dt_s, start)
+                rows = command if start is None else np.concatenate([start.history[:-1], command])
+                pieces[key] = HOLDS[hold](rows, command[:0] if ahead is None else ahead, dt_s)
+            tasks[i] = _task(machine, command, pieces[key], dt_s, substeps, gravity, start)
         except ValueError as error:
             found[i] = error
     for together in _batches(tasks):
@@ -176,10 +181,10 @@ def _task(
 
 
 def _batches(tasks: Mapping[int, _Task]) -> Iterator[list[int]]:
-    """Names of tasks that go side by side: of one kind, with as many steps from row to row, and of about one length."""
+    """Name tasks that go side by side: of one kind, steps from row to row and first row, and of about one length."""
 
-    def kind(i: int) -> tuple[bool, int]:
-        return bool(tasks[i].numbers.arms_squared.any()), tasks[i].steps
+    def kind(i: int) -> tuple[bool, int, int]:
+        return bool(tasks[i].numbers.arms_squared.any()), tasks[i].steps, tasks[i].first
 
     for _, group in groupby(sorted(tasks, key=lambda i: (kind(i), len(tasks[i].pieces))), kind):
         names = list(group)

@@ -121,7 +121,7 @@ def test_rows_are_fine_enough(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_pieces_have_no_seams(monkeypatch: pytest.MonkeyPatch, square: Path) -> None:
     """However it is cut, and against the whole in one go."""
     command, _ = read_command(square, MACHINE)
-    stretch = command.stretches[0]
+    stretch = command.sections[0]
     whole = list(playing.play(command, MACHINE, 1600.0))
     monkeypatch.setattr(playing, "CHUNK_ROWS", 333)
     pieces = list(playing.play(command, MACHINE, 1600.0))
@@ -130,7 +130,7 @@ def test_pieces_have_no_seams(monkeypatch: pytest.MonkeyPatch, square: Path) -> 
         cut = np.concatenate([getattr(p, name) for p in pieces])
         np.testing.assert_allclose(cut, getattr(whole[0], name), atol=1e-9)
     t = stretch.begin_s + playing.ROW_S * np.arange(4 * len(whole[0].t_s) - 3)
-    direct = simulate_printer(MACHINE, stretch.meant(t), playing.ROW_S)
+    direct = simulate_printer(MACHINE, stretch.actuators(t), playing.ROW_S)
     np.testing.assert_allclose(whole[0].nozzle_mm, direct.nozzle_mm[::4], atol=1e-9)
 
 
@@ -157,7 +157,7 @@ def test_where_others_move_the_nozzle_it_starts_from_rest(tmp_path: Path) -> Non
     path = tmp_path / "two.gcode"
     path.write_bytes(AGAIN)
     command, _ = read_command(path, MACHINE)
-    assert len(command.stretches) == 2
+    assert len(command.sections) == 2
     first, both = (simulate_command(command, MACHINE, MACHINE, Request(to_s=t)) for t in (0.8, np.inf))
     assert both.simulated_s == pytest.approx(2 * first.simulated_s, rel=0.1)
     assert both.track.contour_rms_um == pytest.approx(first.track.contour_rms_um, rel=0.1)
@@ -194,7 +194,7 @@ def test_the_run_says_what_made_it_and_holds_every_sensor(square: Path, tmp_path
     assert MACHINE.sha256 in run.comments["plant"] and run.comments["effects"] == "none"
     assert run.comments["command"] == square.name
     command, _ = read_command(square, MACHINE)
-    np.testing.assert_allclose(run.command, command.stretches[0].meant(run.time_s), atol=1e-6)
+    np.testing.assert_allclose(run.command, command.sections[0].actuators(run.time_s), atol=1e-6)
     fewer = written(tmp_path, square, "--signals", "pos")
     assert not fewer.acceleration and len(fewer.position) == 6
 

@@ -89,7 +89,7 @@ def test_a_wrong_clock_would_be_seen() -> None:
     motion = segments_motion(case.ours, case.segments)
     right = judge.judge(case.original, motion)
     clock = motion.clock
-    late = Clock(clock.played_t, clock.plan_t + 1e-3, clock.begin_t, clock.end_t)
+    late = Clock(clock.executed_t, clock.plan_t + 1e-3, clock.begin_t, clock.end_t)
     wrong = judge.judge(case.original, motion_of(case.segments.trajectory, late))
     assert wrong.delay_s == pytest.approx(right.delay_s + 1e-3, abs=2e-5)
     assert wrong.tracking_rms_um > 20 * right.tracking_rms_um

@@ -21,7 +21,7 @@ from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
 from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.program import firmware_plan, plan_program
-from ffcomp.simulate.preview import corners
+from ffcomp.simulate.motion import path_corners_with_rests
 from ffcomp.steps.reader import read_events, read_steps
 from ffcomp.steps.sink import Board
 from gcode.embedded import original
@@ -176,7 +176,7 @@ def test_a_spiral_is_cut_in_motion_without_a_trace(spiral: bytes, machine: Machi
     ends = [np.diff(read_program(text).moves.end[:, 3]).sum() for text in (several, whole)]
     assert ends[0] == pytest.approx(ends[1], abs=1e-3)
     both = plan_program(read_program(several), machine), plan_program(read_program(whole), machine)
-    path_t, path = corners(both[1].trajectory)
+    path_t, path = path_corners_with_rests(both[1].trajectory)
     t = np.linspace(1.0, both[0].trajectory.end_t - 1.0, 20_000)
     off = contour_error(path_t, path, t, both[0].trajectory.position(t)[:, :3])
     assert off.max() < 1.5e-3  # mm: segments are joined where they stay this near to what was solved

@@ -106,10 +106,10 @@ def test_a_motor_at_rest_stands_on_its_microstep() -> None:
 
 def archive(command: Command, step_mm: float = STEP_MM) -> dict[str, Any]:
     """The steps of a smooth command, as its carriages cross half-way between microsteps."""
-    end_s = command.stretches[0].end_s + 0.01
+    end_s = command.sections[0].end_s + 0.01
     t = np.arange(0.0, end_s, FINE_S)
     arrays: dict[str, Any] = {"clock_hz": CLOCK_HZ}
-    for motor, heights in zip("abc", command.stretches[0].meant(t).T, strict=True):
+    for motor, heights in zip("abc", command.sections[0].actuators(t).T, strict=True):
         level = np.rint((heights - heights[0]) / step_mm)
         at = np.flatnonzero(np.diff(level))
         half = heights[0] + step_mm * (level[at] + level[at + 1]) / 2

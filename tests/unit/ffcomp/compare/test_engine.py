@@ -115,7 +115,7 @@ def test_the_search_beats_the_calibration_and_its_neighbours() -> None:
     fixed = linear.best_fixed("ei")
     x, y = fixed.frequency_hz
     assert best == pytest.approx(fixed.cost)
-    from ffcomp.compare.shaped import shaped
+    from ffcomp.compare.baselines import shaped
 
     for fx, fy in ((1.05, 1.0), (0.95, 1.0), (1.0, 1.05), (1.0, 0.95)):
         near = (SHAPERS["ei"](f, fixed.damping_ratio) for f in (fx * x, fy * y))

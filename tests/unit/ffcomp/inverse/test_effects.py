@@ -7,12 +7,12 @@ import pytest
 
 from ffcomp.compare.evaluation import Played, contour
 from ffcomp.compare.methods import OURS, inversion
-from ffcomp.compare.playback import play
 from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.compensate.job import Job
 from ffcomp.inverse import lq_preview as fast
 from ffcomp.inverse.model import GEOMETRY, InverseModel
 from ffcomp.inverse.settings import settings_for
+from ffcomp.simulate.playback import simulate_nozzles
 from models.effects.catalogue import CATALOGUE, with_effect
 from models.file import load_machine
 from models.machine import Machine
@@ -29,7 +29,7 @@ FOLDED = {
 def contour_rms_um(believed: Machine, plant: Machine) -> float:
     (stretch,), _ = Print(squares(1), "squares.gcode", believed).stretches(Sampling())
     motion, _ = inversion(believed, settings_for(believed), OURS).motion(stretch)
-    t, (nozzle,) = play([plant], motion, believed)
+    t, (nozzle,) = simulate_nozzles([plant], motion, believed)
     return float(1e3 * np.sqrt(np.mean(contour([Played(stretch, motion, t, nozzle)]) ** 2)))
 
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from ffcomp.compare.evaluation import Played, contour
 from ffcomp.compare.methods import OURS, ROBUST, inversion
 from ffcomp.compare.monte_carlo import drawn
-from ffcomp.compare.playback import play
 from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.robust import (
@@ -29,6 +28,7 @@ from ffcomp.inverse.robust import (
 )
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
+from ffcomp.simulate.playback import simulate_nozzles
 from models.file import load_machine
 from models.machine import Machine
 from models.parameters import dynamic_numbers, value_of
@@ -222,7 +222,7 @@ def test_printers_that_are_off_print_better_on_average(machine: Machine) -> None
     means = []
     for name in (OURS, ROBUST):
         motion, _ = inversion(believed, settings_for(believed), name).motion(stretch)
-        t, nozzles = play(plants, motion, believed)
+        t, nozzles = simulate_nozzles(plants, motion, believed)
         squared = [np.mean(contour([Played(stretch, motion, t, nozzle)]) ** 2) for nozzle in nozzles]
         means.append(float(np.mean(squared)))
         np.testing.assert_allclose(motion.position(np.array([motion.end_t]))[0], stretch.corners[1][-1], atol=2e-4)

@@ -7,9 +7,9 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from ffcomp.compare.compensated import segments_motion
-from ffcomp.compare.playback import peaks, play
 from ffcomp.metrics import contour_error
 from ffcomp.simulate.motion import planned_motion
+from ffcomp.simulate.playback import simulate_nozzles
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from models.printer.static_deflection import sag
@@ -44,7 +44,7 @@ def test_the_independent_plant_says_the_same(name: str) -> None:
     case = judge.part(name)
     machine, corners = case.original.machine, case.original.corners
     for motion in (case.original.motion, segments_motion(case.ours, case.segments)):
-        t, (nozzle,) = play([machine], motion, machine)
+        t, (nozzle,) = simulate_nozzles([machine], motion, machine)
         other_t, other = judge.play(case.original.plant, motion)
         inside = (other_t > t[0]) & (other_t < t[-1])
         apart = np.linalg.norm(CubicSpline(t, nozzle)(other_t) - other, axis=1)[inside]
@@ -66,9 +66,9 @@ def test_chunks_and_company_change_nothing(monkeypatch: pytest.MonkeyPatch) -> N
     motion = planned_motion(trajectory)
     short = type(motion)(motion.position, 0.0, 2.0, motion.clock)
     stiff = with_effect(MACHINE, "belt_stiffness", relative_change=0.2)
-    _, (alone,) = play([MACHINE], short, MACHINE)
+    _, (alone,) = simulate_nozzles([MACHINE], short, MACHINE)
     monkeypatch.setattr("ffcomp.compare.playback.CHUNK_ROWS", 1000)
-    _, (first, second) = play([MACHINE, stiff], short, MACHINE)
+    _, (first, second) = simulate_nozzles([MACHINE, stiff], short, MACHINE)
     np.testing.assert_allclose(first, alone, atol=1e-9)
     assert np.abs(second - alone).max() > 1e-3
 
@@ -79,6 +79,6 @@ def test_the_peak_is_the_plans_own_acceleration() -> None:
 
     text = b"G90\nG1 X0 Y0 Z1 F6000\nM204 S2000\nG1 Z50 F6000\n"
     (stretch,), _ = Print(text, "z", MACHINE).stretches(Sampling())
-    speed, acceleration = peaks(stretch.motion, MACHINE)
+    speed, acceleration = stretch.motion.peaks(MACHINE)
     assert speed == pytest.approx(100.0, rel=1e-6)
     assert acceleration == pytest.approx(2000.0, rel=1e-6)
