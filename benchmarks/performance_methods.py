@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compare.methods import Way
-from ffcomp.compare.sampling import Stretch
+from ffcomp.compare.methods import TunedMethod
+from ffcomp.compare.sampling import PrintSlice
 from ffcomp.inverse.iterate import Iterate
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
@@ -103,12 +103,12 @@ def left_over(zeros: ComplexArray, z: ComplexArray) -> FloatArray:
     return each.prod(axis=1) ** (1 / 3)
 
 
-def zero_phase(machine: Machine) -> Way:
+def zero_phase(machine: Machine) -> TunedMethod:
     """As a way of driving the printer: its samples are joined by straight lines, as the firmware does."""
     filters = ZeroPhase(machine)
     tuning = f"The plant of every {PITCH_MM:g} mm of the bed, sampled every {1e3 * SAMPLE_S:g} ms."
 
-    def motion(stretch: Stretch) -> tuple[Motion, None]:
+    def motion(stretch: PrintSlice) -> tuple[Motion, None]:
         plan = stretch.motion
         t = knots(stretch)
         command = filters.command(plan.position(t))
@@ -118,10 +118,10 @@ def zero_phase(machine: Machine) -> Way:
 
         return Motion(position, plan.begin_t, plan.end_t, plan.clock), None
 
-    return Way(ZERO_PHASE, "zero-phase-error tracking, scheduled", "scheduled", tuning, motion)
+    return TunedMethod(ZERO_PHASE, "zero-phase-error tracking, scheduled", "scheduled", tuning, motion)
 
 
-def knots(stretch: Stretch) -> FloatArray:
+def knots(stretch: PrintSlice) -> FloatArray:
     """Times SAMPLE_S apart over a stretch, its end included."""
     plan = stretch.motion
     return plan.begin_t + SAMPLE_S * np.arange(int(np.ceil((plan.end_t - plan.begin_t) / SAMPLE_S)) + 1)

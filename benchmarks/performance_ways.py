@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from benchmarks.performance_methods import SAMPLE_S, ZERO_PHASE, dense, knots, whole_run, zero_phase
 from ffcomp.compare import methods as ways
 from ffcomp.compare.baselines import LinearPrinter
-from ffcomp.compare.evaluation import Played, judge, track
-from ffcomp.compare.methods import ONE_MODEL, OURS, Way
-from ffcomp.compare.sampling import Print, Sampling, Stretch
+from ffcomp.compare.evaluation import Execution, evaluate, track
+from ffcomp.compare.methods import COMPENSATED, ONE_MODEL, TunedMethod
+from ffcomp.compare.sampling import Print, PrintSlice, Sampling
 from ffcomp.compensate.solve import SolvedSection, solutions
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
@@ -46,7 +46,7 @@ DENSE_S = (2.0, 3.0)  # how long the path of the dense formulation is
 LABELS = {
     EXACT: "exact scheduled FBS",
     PLAIN_EXACT: "exact, as deep as ours",
-    OURS: "**ours**",
+    COMPENSATED: "**ours**",
     ONE_MODEL: "FBS, one model",
     ZERO_PHASE: "zero-phase-error tracking, scheduled",
 }
@@ -56,8 +56,8 @@ LABELS = {
 class Method:
     """A way, and the computing of its commands alone."""
 
-    way: Way
-    command: Callable[[Stretch], int]  # how many knots it had
+    way: TunedMethod
+    command: Callable[[PrintSlice], int]  # how many knots it had
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ def side_by_side(rounds: int, exact_rounds: int, seconds: float, names: Sequence
 
 def table(name: str, machine: Machine, rounds: int, exact_rounds: int, seconds: float) -> dict[str, Any]:
     printed = sample_print(name, machine)
-    stretches, told = printed.stretches(Sampling(), min(PIECE_S, seconds), seconds)
+    stretches, told = printed.slices(Sampling(), min(PIECE_S, seconds), seconds)
     methods = every_method(machine, stretches)
     times = least(
         {m.way.name: lambda m=m: sum(map(m.command, stretches)) for m in methods},
@@ -107,14 +107,14 @@ def table(name: str, machine: Machine, rounds: int, exact_rounds: int, seconds: 
     return {"told": told, "rows": [asdict(each) for each in rows], DENSE: dense_row(printed.planned, machine)}
 
 
-def every_method(machine: Machine, stretches: Sequence[Stretch]) -> list[Method]:
+def every_method(machine: Machine, stretches: Sequence[PrintSlice]) -> list[Method]:
     usual = settings_for(machine)
     linear, of_place = LinearPrinter(machine, stretches), ways.mode_frequencies(machine)
     plain = replace(usual, inverse="exact")
     found = [
         inverting(machine, exact_settings(machine), EXACT),
         inverting(machine, plain, PLAIN_EXACT),
-        inverting(machine, usual, OURS),
+        inverting(machine, usual, COMPENSATED),
         inverting(machine, usual, ONE_MODEL),
         sampling(zero_phase(machine)),
     ]
@@ -136,10 +136,10 @@ def solved(planned: PlannedProgram, inverter: InverseModel, keep: bool = False) 
     return solutions(planned, inverter.machine, inverter, None, lambda wanted: keep)
 
 
-def sampling(way: Way) -> Method:
+def sampling(way: TunedMethod) -> Method:
     """Methods that know no runs: the nozzle command at all knots."""
 
-    def command(stretch: Stretch) -> int:
+    def command(stretch: PrintSlice) -> int:
         return len(way.motion(stretch)[0].position(knots(stretch)))
 
     return Method(way, command)
@@ -160,14 +160,16 @@ def least(works: dict[str, Callable[[], int]], rounds: dict[str, int]) -> dict[s
     return found
 
 
-def row(way: Way, stretches: Sequence[Stretch], machine: Machine, count: int, cpu_s: float, lasting: float) -> Row:
+def row(
+    way: TunedMethod, stretches: Sequence[PrintSlice], machine: Machine, count: int, cpu_s: float, lasting: float
+) -> Row:
     played, peak = [], 0.0
     for stretch in stretches:
         motion, _ = way.motion(stretch)
         t, (nozzle,) = simulate_nozzles([machine], motion, machine)
-        played.append(Played(stretch, motion, t, nozzle))
+        played.append(Execution(stretch, motion, t, nozzle))
         peak = max(peak, motion.peaks(machine)[1])
-    judged = judge(played)
+    judged = evaluate(played)
     found = track(judged, np.ones(len(judged.samples.due), dtype=np.bool_), lasting, peak)
     return Row(
         way.name,
@@ -201,8 +203,8 @@ def dense_row(planned: PlannedProgram, machine: Machine) -> dict[str, float] | N
         return lambda: solve(inverter, whole_run(planned, runs[0], inverter).run.reference, start.state).vertices
 
     start = whole_run(planned, runs[0], exact)
-    works = {EXACT: told(EXACT, by(exact)), OURS: told(OURS, by(ours))}
-    times = least(works, {EXACT: 2, OURS: 5})
+    works = {EXACT: told(EXACT, by(exact)), COMPENSATED: told(COMPENSATED, by(ours))}
+    times = least(works, {EXACT: 2, COMPENSATED: 5})
     began = time.process_time()
     knots_n = told(DENSE, lambda: dense(whole_run(planned, runs[0], exact)))()
     seconds = time.process_time() - began
@@ -211,9 +213,9 @@ def dense_row(planned: PlannedProgram, machine: Machine) -> dict[str, float] | N
         "unknowns": 3.0 * (knots_n - 1),
         "dense_us": 1e6 * seconds / knots_n,
         "exact_us": 1e6 * times[EXACT][1] / knots_n,
-        "ours_us": 1e6 * times[OURS][1] / knots_n,
+        "ours_us": 1e6 * times[COMPENSATED][1] / knots_n,
         "dense_to_exact_um": 1e3 * float(np.abs(commands[DENSE] - commands[EXACT]).max()),
-        "dense_to_ours_um": 1e3 * float(np.abs(commands[DENSE] - commands[OURS]).max()),
+        "dense_to_ours_um": 1e3 * float(np.abs(commands[DENSE] - commands[COMPENSATED]).max()),
     }
 
 
@@ -283,14 +285,14 @@ def over_the_bed(radii_mm: Sequence[float], rounds: int, exact_rounds: int, seco
     plans = {r: plan_program(read_program(pattern(r, seconds), "pattern"), machine) for r in radii_mm}
     works: dict[str, Callable[[], int]] = {}
     for radius, plan in plans.items():
-        for name, inverter in ((OURS, ours), (EXACT, exact)):
+        for name, inverter in ((COMPENSATED, ours), (EXACT, exact)):
             works[f"{name}-{radius:g}"] = lambda p=plan, i=inverter: sum(s.wanted.knots for s in solved(p, i))
-    found = least(works, {name: rounds if name.startswith(OURS) else exact_rounds for name in works})
+    found = least(works, {name: rounds if name.startswith(COMPENSATED) else exact_rounds for name in works})
     us = {name: 1e6 * cpu_s / count for name, (count, cpu_s) in found.items()}
     return {
         "radius_mm": list(radii_mm),
         "print_s": [plan.trajectory.end_t for plan in plans.values()],
-        "ours_us": [us[f"{OURS}-{r:g}"] for r in radii_mm],
+        "ours_us": [us[f"{COMPENSATED}-{r:g}"] for r in radii_mm],
         "exact_us": [us[f"{EXACT}-{r:g}"] for r in radii_mm],
     }
 

@@ -103,7 +103,7 @@ def case(path: Path, machine: Machine) -> Iterator[str]:
 def row(found: Comparison, method: Method) -> str:
     t, e, quality, spread = method.track, method.extruding, method.equal_quality, method.spread
     assert quality is not None and spread is not None
-    bold = "**" if method.name in (found.ours, found.best_fixed) else ""
+    bold = "**" if method.name in (found.compensated, found.best_fixed) else ""
     sign = "> " if quality.capped else "" if quality.reached else "< "
     again = "" if method.retuned is None else f" ({method.retuned.median_um:.2f})"
     worst_again = "" if method.retuned is None else f" ({method.retuned.worst_um:.2f})"
@@ -119,7 +119,7 @@ def row(found: Comparison, method: Method) -> str:
 
 def conclusions(found: Comparison, floor: float) -> Iterator[str]:
     """The aims, and where we are."""
-    ours, best, none = (found.methods[name] for name in (found.ours, found.best_fixed, "none"))
+    ours, best, none = (found.methods[name] for name in (found.compensated, found.best_fixed, "none"))
     assert ours.spread and best.spread
     fastest = max(
         (m for m in found.methods.values() if m.family in ("calibrated", "best fixed") and m.equal_quality),
@@ -154,7 +154,7 @@ def floor_um(data: bytes, name: str, machine: Machine, sampling: Sampling) -> fl
     """Contour rms of the plan itself without what is faster than SMOOTHED_HZ (a Gaussian filter, -3 dB there)."""
     width_s = np.sqrt(np.log(2)) / (2 * np.pi * SMOOTHED_HZ)
     errors = []
-    for stretch in Print(data, name, machine).stretches(sampling)[0]:
+    for stretch in Print(data, name, machine).slices(sampling)[0]:
         t = np.arange(stretch.motion.begin_t, stretch.motion.end_t, SAMPLE_S)
         smooth = gaussian_filter1d(stretch.motion.position(t), width_s / SAMPLE_S, axis=0, mode="nearest")
         errors.append(contour_error(*stretch.corners, t, smooth))
@@ -168,7 +168,7 @@ def other_mismatches(data: bytes, name: str, machine: Machine, sampling: Samplin
     for off in OTHER_MISMATCHES:
         request = Request(sampling, off, SEEDS, 0.0, (best,))
         found = compare(data, name, machine, None, request, progress=_said)
-        ours, theirs = (found.methods[key].spread for key in (found.ours, best))
+        ours, theirs = (found.methods[key].spread for key in (found.compensated, best))
         assert ours and theirs
         yield (
             f"| {off:.0%} | {theirs.median_um:.2f}, {theirs.worst_um:.2f} | {ours.median_um:.2f}, {ours.worst_um:.2f} "

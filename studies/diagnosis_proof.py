@@ -28,10 +28,10 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from ffcomp.compare.evaluation import Played, contour
-from ffcomp.compare.methods import OURS, inversion, none
-from ffcomp.compare.monte_carlo import drawn, dynamic_numbers
-from ffcomp.compare.sampling import Print, Sampling, Stretch
+from ffcomp.compare.evaluation import Execution, contour
+from ffcomp.compare.methods import COMPENSATED, inversion, none
+from ffcomp.compare.monte_carlo import draw_plants, dynamic_numbers
+from ffcomp.compare.sampling import Print, PrintSlice, Sampling
 from ffcomp.diagnose.engine import diagnose
 from ffcomp.diagnose.printer_problem import Delta
 from ffcomp.diagnose.result import better_file, outcome
@@ -158,7 +158,7 @@ def kept(path: Path, *arguments: str | Path) -> dict[str, Any]:
 
 def owners_file(truth: Machine, **changed: Any) -> str:
     """Every dynamic number a little off, and what is changed on purpose."""
-    off = drawn(truth, FILE_ERROR, 1)[0]
+    off = draw_plants(truth, FILE_ERROR, 1)[0]
     values: dict[str, Any] = {name: float(f"{value_of(off, name):.6g}") for name in dynamic_numbers(truth)}
     values |= {name.replace("__", "."): value for name, value in changed.items()}
     return updated_text(judge.MACHINE_FILE, values, name="owner's printer", uncertainty={"default": FILE_ERROR})
@@ -293,20 +293,20 @@ def printed(folder: Path, printer: Printer, files: dict[str, Path]) -> dict[str,
 def printed_with(printer: Printer, file: Path, compensate: bool = True, seconds: float = PRINTED_S) -> float:
     """Contour rms, µm."""
     machine = load_machine(file)
-    part = Print(PRINT.read_bytes(), PRINT.name, machine).stretches(LAYERS, at_most_s=seconds)[0]
-    way = inversion(machine, settings_for(machine), OURS) if compensate else none()
+    part = Print(PRINT.read_bytes(), PRINT.name, machine).slices(LAYERS, at_most_s=seconds)[0]
+    way = inversion(machine, settings_for(machine), COMPENSATED) if compensate else none()
     return (
         float(np.sqrt(np.mean(contour([on_the_real(printer, each, way.motion(each)[0]) for each in part]) ** 2))) * 1e3
     )
 
 
-def on_the_real(printer: Printer, stretch: Stretch, motion: Any) -> Played:
+def on_the_real(printer: Printer, stretch: PrintSlice, motion: Any) -> Execution:
     """What the independent printer makes of a command; what weight bends is taken out."""
     began = motion.begin_t
     told = Motion("printed", lambda t: motion.position(began + t), motion.end_t - began)
     reading = played(printer.real, printer.real.machine["kinematics"], told)
     t, nozzle = began + reading.t[KEPT_EVERY::KEPT_EVERY], reading.nozzle_mm[KEPT_EVERY::KEPT_EVERY]
-    return Played(stretch, motion, t, nozzle - sag(printer.levelled, nozzle))
+    return Execution(stretch, motion, t, nozzle - sag(printer.levelled, nozzle))
 
 
 # ---- the page ------------------------------------------------------------------------------------

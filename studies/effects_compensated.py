@@ -29,9 +29,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from ffcomp.compare.evaluation import Played, contour
-from ffcomp.compare.methods import OURS, inversion, none
-from ffcomp.compare.sampling import Print, Stretch
+from ffcomp.compare.evaluation import Execution, contour
+from ffcomp.compare.methods import COMPENSATED, inversion, none
+from ffcomp.compare.sampling import Print, PrintSlice
 from ffcomp.compensate.solve import solutions
 from ffcomp.inverse.model import GEOMETRY, InverseModel
 from ffcomp.inverse.nonlinear import correction as whole
@@ -135,24 +135,24 @@ def row(name: str, seconds: float) -> Row:
     )
 
 
-def stretches(machine: Machine, seconds: float) -> list[Stretch]:
-    return Print(PRINT.read_bytes(), PRINT.name, machine).stretches(LAYERS, at_most_s=seconds)[0]
+def stretches(machine: Machine, seconds: float) -> list[PrintSlice]:
+    return Print(PRINT.read_bytes(), PRINT.name, machine).slices(LAYERS, at_most_s=seconds)[0]
 
 
 def printed(printer: Printer, machine: Machine, seconds: float, compensate: bool = True) -> float:
     """Contour rms of a command by that file, µm."""
-    way = inversion(machine, settings_for(machine), OURS) if compensate else none()
+    way = inversion(machine, settings_for(machine), COMPENSATED) if compensate else none()
     played = [on_the_real(printer, each, way.motion(each)[0]) for each in stretches(machine, seconds)]
     return 1e3 * float(np.sqrt(np.mean(contour(played) ** 2)))
 
 
 def on_our_own(machine: Machine, seconds: float) -> float:
     """Contour rms on the virtual printer that the file describes, µm."""
-    way, played = inversion(machine, settings_for(machine), OURS), []
+    way, played = inversion(machine, settings_for(machine), COMPENSATED), []
     for each in stretches(machine, seconds):
         motion, _ = way.motion(each)
         t, (nozzle,) = simulate_nozzles([machine], motion, machine)
-        played.append(Played(each, motion, t, nozzle))
+        played.append(Execution(each, motion, t, nozzle))
     return 1e3 * float(np.sqrt(np.mean(contour(played) ** 2)))
 
 
@@ -167,7 +167,7 @@ def cost(machine: Machine, seconds: float) -> tuple[float, float, float]:
     return rounds.call_count / len(parts), took / sum(each.trajectory.end_t for each in parts), share
 
 
-def solve(inverter: InverseModel, parts: list[Stretch]) -> float:
+def solve(inverter: InverseModel, parts: list[PrintSlice]) -> float:
     """The largest share of its limit that a carriage is asked for."""
     return max(
         solved.result.utilisation

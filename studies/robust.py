@@ -24,10 +24,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp.compare.baselines import LinearPrinter
-from ffcomp.compare.evaluation import Played, contour
-from ffcomp.compare.methods import OURS, ROBUST, Way, best_fixed, inversion
-from ffcomp.compare.monte_carlo import drawn
-from ffcomp.compare.sampling import Print, Sampling, Stretch
+from ffcomp.compare.evaluation import Execution, contour
+from ffcomp.compare.methods import COMPENSATED, ROBUST, TunedMethod, best_fixed, inversion
+from ffcomp.compare.monte_carlo import draw_plants
+from ffcomp.compare.sampling import Print, PrintSlice, Sampling
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.junctions import junction_limits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
@@ -70,9 +70,9 @@ def within(machine: Machine, share: float, count: int) -> list[Machine]:
 
 
 CASES = (
-    Off("sd 5 %", 0.05, lambda machine, count: drawn(machine, 0.05, count)),
+    Off("sd 5 %", 0.05, lambda machine, count: draw_plants(machine, 0.05, count)),
     Off("within ±10 %", 0.1 / np.sqrt(3), lambda machine, count: within(machine, 0.1, count)),
-    Off("sd 10 %", 0.1, lambda machine, count: drawn(machine, 0.1, count)),
+    Off("sd 10 %", 0.1, lambda machine, count: draw_plants(machine, 0.1, count)),
 )
 
 
@@ -97,13 +97,13 @@ def square() -> bytes:
     return f"G90\nM83\nM204 S10000\nG1 X-100 Y-30 Z0.2 F12000\n{rounds}".encode()
 
 
-def stretches_of(name: str, machine: Machine) -> list[Stretch]:
+def stretches_of(name: str, machine: Machine) -> list[PrintSlice]:
     data = square() if name == SQUARE else (ROOT / "sample_prints" / f"{name}.gcode").read_bytes()
     whole = Print(data, name, machine)
-    return whole.stretches(Sampling(share=min(1.0, SECONDS / whole.print_time_s)), PIECE_S)[0]
+    return whole.slices(Sampling(share=min(1.0, SECONDS / whole.print_time_s)), PIECE_S)[0]
 
 
-def slower(stretch: Stretch, share: float) -> Stretch:
+def slower(stretch: PrintSlice, share: float) -> PrintSlice:
     """On the same path, with gentler ramps in a time longer by a share."""
     planned, machine = stretch.planned, stretch.machine
     moves, limits = planned.program.moves, planner_limits(machine)
@@ -115,21 +115,23 @@ def slower(stretch: Stretch, share: float) -> Stretch:
     return replace(stretch, planned=replace(planned, trajectory=gentle, runs=split_sections(gentle, stops)))
 
 
-def judged(stretches: Sequence[Stretch], way: Way, plants: Sequence[Machine], machine: Machine) -> list[float]:
+def judged(
+    stretches: Sequence[PrintSlice], way: TunedMethod, plants: Sequence[Machine], machine: Machine
+) -> list[float]:
     """Of each plant, over all stretches."""
     errors: list[list[np.ndarray]] = [[] for _ in plants]
     for stretch in stretches:
         motion, _ = way.motion(stretch)
         t, nozzles = simulate_nozzles(plants, motion, machine)
         for found, nozzle in zip(errors, nozzles, strict=True):
-            found.append(contour([Played(stretch, motion, t, nozzle)]))
+            found.append(contour([Execution(stretch, motion, t, nozzle)]))
     return [1e3 * float(np.sqrt(np.mean(np.concatenate(each) ** 2))) for each in errors]
 
 
 class Comparison:
     """The stretches of one print on one plan, and the shapers that serve them best."""
 
-    def __init__(self, stretches: Sequence[Stretch], longer: float = 0.0) -> None:
+    def __init__(self, stretches: Sequence[PrintSlice], longer: float = 0.0) -> None:
         self.stretches, self.longer, self.machine = stretches, longer, stretches[0].machine
         linear = LinearPrinter(self.machine, stretches)
         self.shapers = [best_fixed(linear, kind) for kind in SHAPERS]
@@ -142,7 +144,7 @@ class Comparison:
         believed = replace(self.machine, uncertainty={"default": sd})
         return self._found(inversion(believed, settings_for(believed), kind), plants)
 
-    def _found(self, way: Way, plants: Sequence[Machine]) -> Found:
+    def _found(self, way: TunedMethod, plants: Sequence[Machine]) -> Found:
         nominal, *off = judged(self.stretches, way, plants, self.machine)
         return Found(way.label, self.longer, nominal, off)
 
@@ -174,7 +176,7 @@ def rows(name: str, off: Off, plans: Sequence[Comparison], count: int, seen: dic
     for plan in plans:
         shaper = given if plan is plans[0] else plan.shaper(plants)
         yield row(Against(name, off, shaper, given), shaper)
-        for kind in (OURS, ROBUST) if plan is plans[0] else (ROBUST,):
+        for kind in (COMPENSATED, ROBUST) if plan is plans[0] else (ROBUST,):
             against = Against(name, off, plan.inversion(kind, off.sd, plants), given)
             if plan is plans[0]:
                 seen[kind].append(against)
@@ -198,7 +200,7 @@ def row(against: Against, shaper: Found) -> str:
 def told(seen: dict[str, list[Against]]) -> Iterator[str]:
     """How many times below the shaper the medians are, on the firmware's plan, and what is above it."""
     yield "\nTimes below the best shaper, on the firmware's plan; and printers on which a way is above it, of all:\n"
-    for kind, label in ((OURS, "Scheduled inversion"), (ROBUST, "Robust inversion")):
+    for kind, label in ((COMPENSATED, "Scheduled inversion"), (ROBUST, "Robust inversion")):
         found = seen[kind]
         cases = []
         for off in CASES:
@@ -218,7 +220,7 @@ def main() -> None:
     count = parser.parse_args().plants
     machine = load_machine("mp-delta-pro")
     print(HEAD.format(name=machine.name, seconds=SECONDS, count=count, shapers=", ".join(SHAPERS)))
-    seen: dict[str, list[Against]] = {OURS: [], ROBUST: []}
+    seen: dict[str, list[Against]] = {COMPENSATED: [], ROBUST: []}
     for name in (*PRINTS, SQUARE):
         stretches = stretches_of(name, machine)
         given, gentler = Comparison(stretches), list[Comparison]()

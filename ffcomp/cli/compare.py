@@ -120,9 +120,7 @@ def compare(
         found = _compare(file, machine, plant, request, offset_mm, flavor, max_segments_per_second, plate, quiet)
         written = _write(found, report, figures)
         if as_json:
-            from ffcomp.compare.json import as_json as answer
-
-            print_json({**answer(found), "report": _text(report), "figures": [str(path) for path in written]})
+            print_json({**found.to_dict(), "report": _text(report), "figures": [str(path) for path in written]})
         elif not quiet:
             _print(found, report, written)
 
@@ -258,7 +256,7 @@ def _print(found: Comparison, report: Path | None, written: list[Path]) -> None:
         if family and method.family != family:
             table.add_row()
         family = method.family
-        style = "bold" if method.name in (found.ours, found.best_fixed) else ""
+        style = "bold" if method.name in (found.compensated, found.best_fixed) else ""
         table.add_row(method.name, *_cells(found, method.name), style=style)
     console.print(table)
     console.print(_legend(found), highlight=False)
@@ -280,7 +278,7 @@ def _columns(found: Comparison) -> list[str]:
 def _legend(found: Comparison) -> str:
     """What the columns are."""
     parts = [
-        "µm. rms, p99, max: distance to the wanted path, over all moves; track: at equal times, constant delay "
+        "µm. rms, p99, max: distance to the reference path, over all moves; track: at equal times, constant delay "
         "removed; ring: what still swings in straight cruise; peak: m/s² asked of a carriage ('!': beyond its limit)."
     ]
     if found.mismatch:

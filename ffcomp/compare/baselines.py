@@ -1,7 +1,7 @@
-"""Every baseline at its best: what the firmware's own calibration finds, and the best that a search can find.
+"""Every baseline at its best: as the firmware's own calibration sets it, and as a search finds it.
 
-The search judges candidates on the print itself, by the linear plant along the path (thousands of candidates would be
-too many for the virtual printer, which has the last word on the winners).
+The search evaluates candidates on the print itself with the linear plant along the path; thousands of candidates would
+be too many for the nonlinear printer, which evaluates the winners.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from ffcomp import shapers
 from ffcomp.compare.evaluation import SETTLE_S
-from ffcomp.compare.sampling import Stretch
+from ffcomp.compare.sampling import PrintSlice
 from ffcomp.metrics import contour_error, rms
 from ffcomp.shapers.apply import FrequencyOfPlace
 from ffcomp.shapers.calibration import Fixed, best_fixed, calibrated_frequencies
@@ -24,43 +24,43 @@ from models.effects.catalogue import effective_machine
 from models.machine import Machine
 
 DAMPING_RATIOS = (0.05, 0.1)
-FACTORS = np.geomspace(0.9, 2.4, 12)  # of a scheduled shaper's frequency to that of the mode at the place
+FACTORS = np.geomspace(0.9, 2.4, 12)  # of a scheduled shaper's frequency to that of the mode at the position
 
 
 class LinearPrinter:
-    """The plant's linear model along the path: quick, and near enough to choose by."""
+    """Evaluate shapers on the plant's linear model along the path: quick, and near enough to choose by."""
 
-    def __init__(self, plant: Machine, stretches: Sequence[Stretch]) -> None:
+    def __init__(self, plant: Machine, slices: Sequence[PrintSlice]) -> None:
         self._playback = LinearPlayback(effective_machine(plant))
-        self.stretches = [each for each in stretches if each.trajectory.end_t > 2 * SETTLE_S]
+        self.slices = [each for each in slices if each.trajectory.end_t > 2 * SETTLE_S]
 
     def contour_rms_um(self, motions: Sequence[Motion]) -> float:
-        """Of one motion a stretch of `self.stretches`."""
-        errors = np.concatenate([self._contour(s, m) for s, m in zip(self.stretches, motions, strict=True)])
+        """Return the contour rms of one motion a slice of `self.slices`, µm."""
+        errors = np.concatenate([self._contour(s, m) for s, m in zip(self.slices, motions, strict=True)])
         return rms(errors) * 1e3
 
-    def _contour(self, stretch: Stretch, motion: Motion) -> FloatArray:
+    def _contour(self, print_slice: PrintSlice, motion: Motion) -> FloatArray:
         steps = whole_steps(motion.end_t - motion.begin_t)
         t = motion.begin_t + STEP_S * np.arange(steps + 1, dtype=np.float64)
         command = np.ascontiguousarray(motion.position(t))
         nozzle, _ = self._playback.respond(command, np.gradient(command, STEP_S, axis=0))
         counted = slice(round(SETTLE_S / STEP_S), None, KEEP_EVERY)
-        return contour_error(*stretch.corners, t[1:][counted], nozzle[counted])
+        return contour_error(*print_slice.corners, t[1:][counted], nozzle[counted])
 
     def best_fixed(self, kind: str) -> Fixed:
-        """The frequencies and damping ratio of one kind with the least contour rms."""
+        """Find the frequencies and damping ratio of one kind with the least contour rms."""
 
         def cost(x: shapers.Shaper, y: shapers.Shaper) -> float:
-            return self.contour_rms_um([shaped(each.motion, x, y) for each in self.stretches])
+            return self.contour_rms_um([shaped(each.motion, x, y) for each in self.slices])
 
         return best_fixed(kind, cost, (25.0, 100.0), DAMPING_RATIOS)
 
-    def best_factor(self, kind: str, of_place: FrequencyOfPlace) -> float:
-        """How many times the mode's frequency a scheduled shaper's should be."""
+    def best_factor(self, kind: str, of_position: FrequencyOfPlace) -> float:
+        """Find the ratio of a scheduled shaper's frequency to the mode's with the least contour rms."""
 
         def cost(factor: float) -> float:
             return self.contour_rms_um(
-                [shaped_by_position(each.motion, scaled(of_place, factor), kind) for each in self.stretches]
+                [shaped_by_position(each.motion, scaled(of_position, factor), kind) for each in self.slices]
             )
 
         return float(min(FACTORS, key=cost))
@@ -71,17 +71,18 @@ def shaped(motion: Motion, x: shapers.Shaper, y: shapers.Shaper) -> Motion:
     return replace(motion, position=lambda t: shapers.shape(motion.position, t, x, y))
 
 
-def shaped_by_position(motion: Motion, frequency_of_place: FrequencyOfPlace, kind: str) -> Motion:
+def shaped_by_position(motion: Motion, frequency_of_position: FrequencyOfPlace, kind: str) -> Motion:
     """Shape a motion with the frequency of the position where the plan is at each time."""
-    return replace(motion, position=lambda t: shapers.scheduled_shape(motion.position, t, frequency_of_place, kind))
+    return replace(motion, position=lambda t: shapers.scheduled_shape(motion.position, t, frequency_of_position, kind))
 
 
-def scaled(of_place: FrequencyOfPlace, factor: float) -> FrequencyOfPlace:
-    return lambda xy: factor * of_place(xy)
+def scaled(of_position: FrequencyOfPlace, factor: float) -> FrequencyOfPlace:
+    """Multiply the frequency of every position."""
+    return lambda xy: factor * of_position(xy)
 
 
 def calibrated_shapers(plant: Machine, kind: str) -> tuple[FloatArray, shapers.Shaper, shapers.Shaper]:
-    """What the firmware's calibration finds in the middle of the bed: (2,) Hz and the x and y shapers."""
+    """Return what the firmware's calibration finds in the middle of the bed: (2,) Hz and the x and y shapers."""
     frequency = calibrated_frequencies(plant, np.zeros(2), kind)
     x, y = (shapers.SHAPERS[kind](f, shapers.DAMPING_RATIO) for f in frequency)
     return frequency, x, y

@@ -1,4 +1,4 @@
-"""The compensated file as a firmware plays it, and where on the original's plan each instant of it is."""
+"""Execute the compensated file as a firmware does, and align it with the original's plan."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from models.machine import Machine
 
 @dataclass(frozen=True, slots=True)
 class Compensated:
-    """A compensated file, and where in it the runs of the original are."""
+    """A compensated file, and where in it the sections of the original are."""
 
     text: bytes
-    begins_at: IntArray  # (m,) line at which each run begins
-    plan_t: FloatArray  # (m,) plan time of each run's knot 0
+    begins_at: IntArray  # (m,) line at which each section begins
+    plan_t: FloatArray  # (m,) plan time of each section's knot 0
     begin_t: FloatArray  # (m,) plan time at which its path begins
     end_t: FloatArray  # (m,) and ends
     vertices: list[FloatArray]  # m × (knots + 1, 3) mm
@@ -44,25 +44,37 @@ def compensated(
     offset: tuple[float, float] = (0.0, 0.0),
     progress: Callable[[float], None] = lambda done_s: None,
 ) -> Compensated:
-    """The file as the command line writes it."""
+    """Compensate a planned program as the command line does, and note where its sections begin.
+
+    Parameters
+    ----------
+    planned : PlannedProgram
+    machine : Machine
+    inverter : InverseModel
+    flavor : str
+    offset : (float, float)
+        By which the program's positions were shifted, mm.
+    progress : callable
+        Called with the print seconds done so far.
+    """
     settings, summary = inverter.settings, Summary()
     text: list[bytes] = []
     lines = 0
     seen: list[tuple[int, FloatArray]] = []
 
-    def watch(run: Section, result: Solution) -> None:
+    def watch(section: Section, result: Solution) -> None:
         seen.append((lines, result.vertices))
 
-    for piece in compensate(planned, machine, inverter, flavor, summary, progress, offset, watch):
-        text.append(piece)
-        lines += piece.count(b"\n")  # `watch` looks how many there are
-    runs = [run for run in planned.runs if run.travels]
+    for part in compensate(planned, machine, inverter, flavor, summary, progress, offset, watch):
+        text.append(part)
+        lines += part.count(b"\n")  # `watch` looks how many there are
+    sections = [section for section in planned.runs if section.travels]
     return Compensated(
         b"".join(text),
         np.array([at for at, _ in seen], dtype=np.int64),
-        np.array([run.begin_t - settings.lead_s for run in runs]),
-        np.array([run.begin_t for run in runs]),
-        np.array([run.end_t for run in runs]),
+        np.array([section.begin_t - settings.lead_s for section in sections]),
+        np.array([section.begin_t for section in sections]),
+        np.array([section.end_t for section in sections]),
         [vertices for _, vertices in seen],
         settings,
         flavor,
@@ -72,50 +84,56 @@ def compensated(
 
 @dataclass(frozen=True, slots=True)
 class Segments:
-    """The compensated file as our own planner plans it; `first` are the moves with which runs begin."""
+    """The compensated file as our own planner plans it; `first` are the moves with which sections begin."""
 
     trajectory: Trajectory  # of the moves that travel
-    run: IntArray  # (m,) the runs that have segments
+    section: IntArray  # (m,) the sections that have segments
     first: IntArray  # (m,) move at which each of them begins
     plan_t: FloatArray  # (m,) plan time at which that move begins
 
-    def clock(self, ours: Compensated, start_t: FloatArray) -> Clock:
-        """For these segments when segment k begins at start_t[k], whoever planned them."""
-        return Clock(start_t[self.first], self.plan_t, ours.begin_t[self.run], ours.end_t[self.run])
+    def clock(self, file: Compensated, start_t: FloatArray) -> Clock:
+        """Return the clock of these segments when segment k begins at start_t[k], whoever planned them."""
+        return Clock(start_t[self.first], self.plan_t, file.begin_t[self.section], file.end_t[self.section])
 
 
 def segments(
-    ours: Compensated, machine: Machine, before: bytes = b"", start: tuple[float, float, float] | None = None
+    file: Compensated, machine: Machine, before: bytes = b"", start: tuple[float, float, float] | None = None
 ) -> Segments:
-    """Read the compensated file as a firmware would, and find the runs in it.
+    """Read the compensated file as a firmware would, and find the sections in it.
 
-    before : lines that set what was in force where it begins, if it is part of a print
-    start : mm, where the nozzle is then
+    Parameters
+    ----------
+    file : Compensated
+    machine : Machine
+    before : bytes
+        Lines that set what was in force where it begins, if it is a slice of a print.
+    start : (float, float, float), optional
+        Where the nozzle is then, mm.
     """
-    program = read_program(before + ours.text, "compensated", start=start, flavor=ours.flavor)
+    program = read_program(before + file.text, "compensated", start=start, flavor=file.flavor)
     planned = plan_program(program, machine)
     travels = np.any(planned.trajectory.direction[:, :3] != 0.0, axis=1)
     trajectory = pick(planned.trajectory, travels)
-    firsts = np.searchsorted(program.moves.line[travels], ours.begins_at + before.count(b"\n"))
-    run = np.flatnonzero(np.diff(firsts, append=len(trajectory)))
+    firsts = np.searchsorted(program.moves.line[travels], file.begins_at + before.count(b"\n"))
+    section = np.flatnonzero(np.diff(firsts, append=len(trajectory)))
     ends = program.moves.end[travels, :3]
-    at = [_knot(ours.vertices[i], ends[firsts[i]]) for i in run]
-    return Segments(trajectory, run, firsts[run], ours.plan_t[run] + ours.settings.segment_s * np.array(at))
+    at = [_knot(file.vertices[i], ends[firsts[i]]) for i in section]
+    return Segments(trajectory, section, firsts[section], file.plan_t[section] + file.settings.segment_s * np.array(at))
 
 
-def segments_motion(ours: Compensated, own: Segments) -> Motion:
-    """The compensated file played straight from our own plan of it."""
-    return motion_of(own.trajectory, own.clock(ours, own.trajectory.start_t))
+def segments_motion(file: Compensated, own: Segments) -> Motion:
+    """Execute the compensated file as our own planner plans it."""
+    return motion_of(own.trajectory, own.clock(file, own.trajectory.start_t))
 
 
 def _knot(vertices: FloatArray, first_end: FloatArray) -> int:
-    """The knot at which a run's first written segment begins: segments that go nowhere are not written."""
+    """Return the knot at which a section's first written segment begins: segments that go nowhere are not written."""
     there = np.abs(np.round(vertices[1:], 4) - first_end).max(axis=1)
     exact = np.flatnonzero(there < 1e-6)
     return int(exact[0]) if len(exact) else int(np.argmin(there))  # in inches, four decimals are coarser
 
 
 def pick(trajectory: PlannedMotion, which: NDArray[np.bool_] | slice) -> Trajectory:
-    """Some of a firmware's plan's moves."""
+    """Return some moves of a plan."""
     names = Trajectory.__dataclass_fields__
     return Trajectory(**{name: np.ascontiguousarray(getattr(trajectory, name)[which]) for name in names})

@@ -1,11 +1,11 @@
-"""The whole comparison, on one page: a print, a machine file that is believed, a printer that is true.
+"""The whole comparison, on one page: a print, the machine file that every method uses, and the plant that evaluates.
 
-print       compare.stretch     which part of the print is looked at
-ways        compare.ways        every method, tuned as well as it can be
-played      compare.play        each command through the virtual printer
-judged      compare.judge       against the wanted path
-spread      compare.plants      again, on printers drawn around the true one
-quality     compare.quality     how fast each method may go for the same quality
+slices      compare.sampling      the parts of the print that are evaluated
+methods     compare.methods       every method, tuned as well as it can be
+executed    simulate.playback     each command on the simulated printer
+evaluated   compare.evaluation    against the reference path
+spread      compare.monte_carlo   again, on Monte-Carlo plants
+quality     compare.equal_quality how fast each method may go for the same quality
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ import numpy as np
 from ffcomp.compare import methods as every
 from ffcomp.compare.baselines import LinearPrinter
 from ffcomp.compare.equal_quality import equal_quality, within_limits
-from ffcomp.compare.evaluation import SAMPLE_S, SETTLE_S, Judgement, Played, by, contour, judge, track
-from ffcomp.compare.methods import OURS, Way
-from ffcomp.compare.monte_carlo import drawn, dynamic_numbers
+from ffcomp.compare.evaluation import SAMPLE_S, SETTLE_S, Evaluation, Execution, by, contour, evaluate, track
+from ffcomp.compare.methods import COMPENSATED, TunedMethod
+from ffcomp.compare.monte_carlo import draw_plants, dynamic_numbers
 from ffcomp.compare.result import BedMap, Comparison, Layer, Method, Party, Peaks, Spread
-from ffcomp.compare.sampling import Print, Sampling, Stretch
+from ffcomp.compare.sampling import Print, PrintSlice, Sampling
 from ffcomp.compensate.program import Summary
 from ffcomp.errors import NothingToDo
 from ffcomp.inverse.settings import Settings, settings_for
@@ -39,7 +39,7 @@ from models.arrays import FloatArray
 from models.machine import Machine
 
 SHORTEST_S = 3 * SETTLE_S
-SOME_S = 60.0  # of print time that is printed on every drawn plant
+SOME_S = 60.0  # of print time that is executed on every Monte-Carlo plant
 FEW_S, FEW_PIECE_S = 30.0, 5.0  # on which shapers are tuned and accelerations tried
 BED_PITCH_MM = 10.0
 
@@ -49,13 +49,13 @@ Progress = Callable[[str, float], None]  # what is being done, and how much of i
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What is to be compared."""
+    """Options of a comparison."""
 
     sampling: Sampling = field(default_factory=Sampling)
-    mismatch: float = 0.0  # relative standard deviation of the drawn plants' numbers
-    seeds: int = 0  # how many plants are drawn
-    quality_bound_um: float = 25.0  # 0: equal quality is not asked for
-    only: tuple[str, ...] = ()  # of `ways.NAMES`; the uncompensated print and ours are judged in any case
+    mismatch: float = 0.0  # relative standard deviation of the Monte-Carlo plants' parameters
+    seeds: int = 0  # number of Monte-Carlo plants
+    quality_bound_um: float = 25.0  # 0: equal quality is not sought
+    only: tuple[str, ...] = ()  # of `methods.NAMES`; none and the compensated print are always evaluated
 
 
 def compare(
@@ -70,34 +70,53 @@ def compare(
     flavor: str = "",
     progress: Progress = lambda what, done: None,
 ) -> Comparison:
-    """Judge every method on one print.
+    """Evaluate every method on one print.
 
     Parameters
     ----------
-    data, path : the G-code file
-    machine : what the methods believe
-    plant : the printer that is true; None: the machine itself
+    data, path : bytes, str
+        The G-code file and its name.
+    machine : Machine
+        The machine file that the methods use.
+    plant : Machine, optional
+        The printer that evaluates; None: the machine itself.
+    request : Request, optional
+    settings : Settings, optional
+        Of the inverse.
+    offset : (float, float)
+        Added to every position, mm.
+    flavor : str
+        "" for what the file says.
+    progress : callable
+        Called with the current step and the share of it that is done.
+
+    Raises
+    ------
+    NothingToDo
+        If the chosen part is too short.
+    MachineFileError
+        If the plant's kinematics are not the machine's.
     """
     started = time.perf_counter()
     request, plant, settings = request or Request(), plant or machine, settings or settings_for(machine)
     check_same_kinematics(machine, plant)
     printed = Print(data, path, machine, offset, flavor)
-    stretches, sampled = printed.stretches(request.sampling)
-    if max(each.trajectory.end_t for each in stretches) < SHORTEST_S:
-        raise NothingToDo(f"{path}: what is to be judged lasts less than {SHORTEST_S:g} s: nothing to compare.")
-    some, _ = printed.stretches(request.sampling, at_most_s=SOME_S)
-    few, _ = printed.stretches(request.sampling, FEW_PIECE_S, FEW_S)
+    slices, sampled = printed.slices(request.sampling)
+    if max(each.trajectory.end_t for each in slices) < SHORTEST_S:
+        raise NothingToDo(f"{path}: the part to be evaluated lasts less than {SHORTEST_S:g} s: nothing to compare.")
+    some, _ = printed.slices(request.sampling, at_most_s=SOME_S)
+    few, _ = printed.slices(request.sampling, FEW_PIECE_S, FEW_S)
     if max(each.trajectory.end_t for each in few) < SHORTEST_S:
-        few = stretches  # in small pieces of a short print nothing is left but their beginnings
-    ways = _ways(machine, plant, few, settings, names(request), progress)
-    answers = _answers(ways, stretches, plant, progress)
-    judged = {way.name: _method(way, answers[way.name], printed.labels.features) for way in ways}
-    best = min((m for m in judged.values() if m.family == "best fixed"), key=lambda m: m.track.contour_rms_um).name
+        few = slices  # in small pieces of a short print nothing is left but their beginnings
+    tuned = _tuned(machine, plant, few, settings, names(request), progress)
+    executed = _executed(tuned, slices, plant, progress)
+    found = {method.name: _method(method, executed[method.name], printed.labels.features) for method in tuned}
+    best = min((m for m in found.values() if m.family == "best fixed"), key=lambda m: m.track.contour_rms_um).name
     if request.seeds:
-        plants = drawn(plant, request.mismatch, request.seeds)
-        judged = _with_spread(judged, ways, best, some, few, plants, progress)
+        plants = draw_plants(plant, request.mismatch, request.seeds)
+        found = _with_spread(found, tuned, best, some, few, plants, progress)
     if request.quality_bound_um:
-        judged = _with_quality(judged, ways, printed, plant, few, request.quality_bound_um, progress)
+        found = _with_quality(found, tuned, printed, plant, few, request.quality_bound_um, progress)
     return Comparison(
         print_name=path,
         print_sha256=hashlib.sha256(data).hexdigest(),
@@ -109,11 +128,11 @@ def compare(
         mismatch=_mismatch(plant, request),
         settings=_settings(settings),
         version=__version__,
-        layers=_layers(printed, judged[OURS]),
+        layers=_layers(printed, found[COMPENSATED]),
         features=printed.labels.features,
-        methods=judged,
+        methods=found,
         best_fixed=best,
-        ours=OURS,
+        compensated=COMPENSATED,
         sample_s=SAMPLE_S,
         bed=_bed(plant),
         limits={
@@ -126,34 +145,40 @@ def compare(
 
 
 def names(request: Request) -> Collection[str]:
-    """Raises ValueError for a name that no method has, or if there is no best fixed shaper to compare with."""
+    """Return the names of the methods to compare.
+
+    Raises
+    ------
+    ValueError
+        For a name that no method has, or if there is no best fixed shaper to compare with.
+    """
     unknown = [name for name in request.only if name not in every.NAMES]
     if unknown:
         raise ValueError(f"No method is named {unknown[0]!r}; there are {', '.join(every.NAMES)}.")
     if request.only and not set(request.only) & set(every.KINDS):
         raise ValueError(f"Name at least one shaper to compare with: {', '.join(every.KINDS)}.")
-    return {"none", OURS, *request.only} if request.only else every.NAMES
+    return {"none", COMPENSATED, *request.only} if request.only else every.NAMES
 
 
 # ---- the methods ---------------------------------------------------------------------------------
 
 
-def _ways(
+def _tuned(
     machine: Machine,
     plant: Machine,
-    few: Sequence[Stretch],
+    few: Sequence[PrintSlice],
     settings: Settings,
     names: Collection[str],
     progress: Progress,
-) -> list[Way]:
-    """The methods asked for, tuned; the searches share the processors."""
+) -> list[TunedMethod]:
+    """Tune the methods; the searches share the processors."""
     linear, of_place = LinearPrinter(plant, few), every.mode_frequencies(plant)
 
-    def way(name: str) -> Way:
+    def method(name: str) -> TunedMethod:
         kind = name.removesuffix(every.CALIBRATED).removesuffix(every.SCHEDULED)
         if name == "none":
             return every.none()
-        if name in (every.ONE_MODEL, every.ROBUST, OURS):
+        if name in (every.ONE_MODEL, every.ROBUST, COMPENSATED):
             return every.inversion(machine, settings, name)
         if name.endswith(every.CALIBRATED):
             return every.calibrated(plant, kind)
@@ -161,60 +186,60 @@ def _ways(
             return every.scheduled(linear, of_place, kind)
         return every.best_fixed(linear, kind)
 
-    return _all([partial(way, name) for name in every.NAMES if name in names], "tuning every method", progress)
+    return _all([partial(method, name) for name in every.NAMES if name in names], "tuning every method", progress)
 
 
 @dataclass(frozen=True, eq=False)
-class _Answer:
-    played: list[Played]
+class _Executed:
+    executions: list[Execution]
     peaks: Peaks
     print_time_s: float
     warnings: tuple[str, ...]
 
 
-def _answers(
-    ways: Sequence[Way], stretches: Sequence[Stretch], plant: Machine, progress: Progress
-) -> dict[str, _Answer]:
-    tasks = [partial(_answer, way, stretches, plant) for way in ways]
-    return dict(zip([way.name for way in ways], _all(tasks, "printing", progress), strict=True))
+def _executed(
+    tuned: Sequence[TunedMethod], slices: Sequence[PrintSlice], plant: Machine, progress: Progress
+) -> dict[str, _Executed]:
+    tasks = [partial(_execute, method, slices, plant) for method in tuned]
+    return dict(zip([method.name for method in tuned], _all(tasks, "printing", progress), strict=True))
 
 
-def _answer(way: Way, stretches: Sequence[Stretch], plant: Machine) -> _Answer:
-    played, asked, summaries = [], [], []
-    for stretch in stretches:
-        motion, summary = way.motion(stretch)
-        t, (nozzle,) = simulate_nozzles([plant], motion, stretch.machine)
-        played.append(Played(stretch, motion, t, nozzle))
-        asked.append(motion.peaks(stretch.machine))
+def _execute(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -> _Executed:
+    executions, peaks, summaries = [], [], []
+    for print_slice in slices:
+        motion, summary = method.motion(print_slice)
+        t, (nozzle,) = simulate_nozzles([plant], motion, print_slice.machine)
+        executions.append(Execution(print_slice, motion, t, nozzle))
+        peaks.append(motion.peaks(print_slice.machine))
         summaries.append(summary)
-    velocity, acceleration = (float(most) for most in np.max(asked, axis=0))
-    within = within_limits(velocity, acceleration, stretches[0].machine)
+    velocity, acceleration = (float(most) for most in np.max(peaks, axis=0))
+    within = within_limits(velocity, acceleration, slices[0].machine)
     longer = sum(s.print_time_s - s.original_print_time_s for s in summaries if s is not None)
-    seconds = sum(each.trajectory.end_t for each in stretches) + longer
-    return _Answer(played, Peaks(velocity, acceleration, within), seconds, _warnings(summaries))
+    seconds = sum(each.trajectory.end_t for each in slices) + longer
+    return _Executed(executions, Peaks(velocity, acceleration, within), seconds, _warnings(summaries))
 
 
 def _warnings(summaries: Sequence[Summary | None]) -> tuple[str, ...]:
     return tuple(sentence for summary in summaries if summary is not None for sentence in summary.warnings)
 
 
-def _method(way: Way, answer: _Answer, features: Sequence[str]) -> Method:
-    judged: Judgement = judge(answer.played)
-    s, peak = judged.samples, answer.peaks.acceleration_mm_per_s2
+def _method(method: TunedMethod, executed: _Executed, features: Sequence[str]) -> Method:
+    evaluation: Evaluation = evaluate(executed.executions)
+    s, peak = evaluation.samples, executed.peaks.acceleration_mm_per_s2
     everywhere = np.ones(len(s.due), dtype=np.bool_)
     return Method(
-        name=way.name,
-        label=way.label,
-        family=way.family,
-        tuning=way.tuning,
-        track=track(judged, everywhere, answer.print_time_s, peak),
-        extruding=track(judged, s.extruding, answer.print_time_s, peak),
+        name=method.name,
+        label=method.label,
+        family=method.family,
+        tuning=method.tuning,
+        track=track(evaluation, everywhere, executed.print_time_s, peak),
+        extruding=track(evaluation, s.extruding, executed.print_time_s, peak),
         by_layer=by(s.layer, s.contour),
         by_feature={features[k]: error for k, error in by(s.feature, s.contour).items()},
-        residual_rms_um=judged.residual_rms_um,
-        peaks=answer.peaks,
+        residual_rms_um=evaluation.residual_rms_um,
+        peaks=executed.peaks,
         samples=s,
-        warnings=answer.warnings,
+        warnings=executed.warnings,
     )
 
 
@@ -223,57 +248,56 @@ def _method(way: Way, answer: _Answer, features: Sequence[str]) -> Method:
 
 def _with_spread(
     methods: dict[str, Method],
-    ways: Sequence[Way],
+    tuned: Sequence[TunedMethod],
     best: str,
-    stretches: Sequence[Stretch],
-    few: Sequence[Stretch],
+    slices: Sequence[PrintSlice],
+    few: Sequence[PrintSlice],
     plants: Sequence[Machine],
     progress: Progress,
 ) -> dict[str, Method]:
-    """Every method again, as it was tuned, on the drawn plants; the best fixed shaper tuned anew on each as well."""
+    """Execute every method, as it was tuned, on the Monte-Carlo plants; tune the best fixed shaper anew on each too."""
     found = dict(methods)
-    for k, way in enumerate(ways):
-        progress("printing on drawn plants", k / len(ways))
-        found[way.name] = replace(methods[way.name], spread=Spread(tuple(_rms_on(plants, way, stretches))))
-    tasks = [partial(_retuned, best, each, few, stretches) for each in plants]
-    retuned = tuple(_all(tasks, "tuning shapers on drawn plants", progress))
+    for k, method in enumerate(tuned):
+        progress("printing on Monte-Carlo plants", k / len(tuned))
+        found[method.name] = replace(methods[method.name], spread=Spread(tuple(_rms_on(plants, method, slices))))
+    tasks = [partial(_retuned, best, each, few, slices) for each in plants]
+    retuned = tuple(_all(tasks, "tuning shapers on Monte-Carlo plants", progress))
     found[best] = replace(found[best], retuned=Spread(retuned))
     return found
 
 
-def _rms_on(plants: Sequence[Machine], way: Way, stretches: Sequence[Stretch]) -> list[float]:
-    """Contour rms of one method on every plant, µm."""
+def _rms_on(plants: Sequence[Machine], method: TunedMethod, slices: Sequence[PrintSlice]) -> list[float]:
+    """Return the contour rms of one method on every plant, µm."""
     errors: list[list[FloatArray]] = [[] for _ in plants]
-    for stretch in stretches:
-        motion, _ = way.motion(stretch)
-        t, found = simulate_nozzles(plants, motion, stretch.machine)
+    for print_slice in slices:
+        motion, _ = method.motion(print_slice)
+        t, found = simulate_nozzles(plants, motion, print_slice.machine)
         for each, nozzle in zip(errors, found, strict=True):
-            each.append(contour([Played(stretch, motion, t, nozzle)]))
+            each.append(contour([Execution(print_slice, motion, t, nozzle)]))
     return [rms(np.concatenate(each)) * 1e3 for each in errors]
 
 
-def _retuned(kind: str, plant: Machine, few: Sequence[Stretch], stretches: Sequence[Stretch]) -> float:
-    return _rms_on([plant], every.best_fixed(LinearPrinter(plant, few), kind), stretches)[0]
+def _retuned(kind: str, plant: Machine, few: Sequence[PrintSlice], slices: Sequence[PrintSlice]) -> float:
+    return _rms_on([plant], every.best_fixed(LinearPrinter(plant, few), kind), slices)[0]
 
 
 def _with_quality(
     methods: dict[str, Method],
-    ways: Sequence[Way],
+    tuned: Sequence[TunedMethod],
     printed: Print,
     plant: Machine,
-    few: Sequence[Stretch],
+    few: Sequence[PrintSlice],
     bound_um: float,
     progress: Progress,
 ) -> dict[str, Method]:
-    tasks = [partial(equal_quality, way, printed, plant, few, bound_um) for way in ways]
+    tasks = [partial(equal_quality, method, printed, plant, few, bound_um) for method in tuned]
     found = _all(tasks, "seeking equal quality", progress)
-    return {
-        way.name: replace(methods[way.name], equal_quality=quality) for way, quality in zip(ways, found, strict=True)
-    }
+    pairs = zip(tuned, found, strict=True)
+    return {each.name: replace(methods[each.name], equal_quality=quality) for each, quality in pairs}
 
 
 def _all(tasks: Sequence[Callable[[], T]], what: str, progress: Progress) -> list[T]:
-    """Do the tasks side by side; an interruption waits only for those under way."""
+    """Do the tasks in parallel; an interruption waits only for those that are running."""
     progress(what, 0.0)
     pool = ThreadPoolExecutor(JOBS)
     try:
@@ -287,7 +311,7 @@ def _all(tasks: Sequence[Callable[[], T]], what: str, progress: Progress) -> lis
         pool.shutdown(cancel_futures=True)
 
 
-# ---- what is said about it -----------------------------------------------------------------------
+# ---- what was compared -----------------------------------------------------------------------
 
 
 def _party(machine: Machine) -> Party:
@@ -298,9 +322,9 @@ def _mismatch(plant: Machine, request: Request) -> str:
     if not request.seeds:
         return ""
     return (
-        f"{request.seeds} plants whose {len(dynamic_numbers(plant))} dynamic numbers (masses, stiffnesses, dampings, "
-        f"drive) are each off by a normal draw with a standard deviation of {request.mismatch:.0%} (seeds 0 to "
-        f"{request.seeds - 1}); every method keeps its tuning; {SOME_S:.0f} s of the print on each."
+        f"{request.seeds} plants whose {len(dynamic_numbers(plant))} dynamic parameters (masses, stiffnesses, "
+        f"dampings, drive) are each off by a normal draw with a standard deviation of {request.mismatch:.0%} "
+        f"(seeds 0 to {request.seeds - 1}); every method keeps its tuning; {SOME_S:.0f} s of the print on each."
     )
 
 
@@ -308,8 +332,9 @@ def _settings(settings: Settings) -> dict[str, str]:
     return {
         "segments per second, at most": f"{1 / settings.segment_s:.0f}",
         "bandwidth of the inversion": f"{settings.bandwidth_hz:.0f} Hz",
-        "virtual printer": f"Runge-Kutta, {1 / ROW_S:.0f} steps a second or more, with gravity; sag taken out",
-        "judged": f"{1 / SAMPLE_S:.0f} times a second, but for the first {SETTLE_S:g} s of each stretch",
+        "virtual printer": f"Runge-Kutta, {1 / ROW_S:.0f} steps a second or more, with gravity; static deflection "
+        "taken out",
+        "judged": f"{1 / SAMPLE_S:.0f} times a second, but for the first {SETTLE_S:g} s of each slice",
         "shapers tuned on": f"{FEW_S:.0f} s of the print, contour rms, plant known",
     }
 
@@ -323,7 +348,7 @@ def _layers(printed: Print, method: Method) -> tuple[Layer, ...]:
     found = []
     for number in sorted(method.by_layer):
         own = np.flatnonzero(printed.labels.layer == number)
-        z = float(np.median(s.wanted[s.layer == number, 2])) if len(moves) else 0.0
+        z = float(np.median(s.reference[s.layer == number, 2])) if len(moves) else 0.0
         found.append(Layer(number, z, float(begins[own[0]]), float(ends[own[-1]])))
     return tuple(found)
 
@@ -339,5 +364,5 @@ def _bed(plant: Machine) -> BedMap:
 
 
 def _spans(places: FloatArray) -> list[tuple[float, float]]:
-    """From the lowest to the highest, of each column."""
+    """Return the lowest and the highest value of each column."""
     return [(float(column.min()), float(column.max())) for column in places.T]

@@ -1,4 +1,4 @@
-"""The money question: how fast may it go? The highest acceleration at which a method's contour error stays small."""
+"""The highest acceleration at which a method's contour error stays below a bound."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ffcomp.compare.evaluation import Played, contour
-from ffcomp.compare.methods import Way
+from ffcomp.compare.evaluation import Execution, contour
+from ffcomp.compare.methods import TunedMethod
 from ffcomp.compare.result import EqualQuality
-from ffcomp.compare.sampling import Print, Stretch, accelerated
+from ffcomp.compare.sampling import Print, PrintSlice, accelerated
 from ffcomp.metrics import contour_statistics
 from ffcomp.simulate.playback import simulate_nozzles
 from models.machine import Machine
@@ -19,49 +19,55 @@ HALVINGS = 8  # of the ratio between them: 2 % at the end
 
 
 def equal_quality(
-    way: Way, printed: Print, plant: Machine, stretches: Sequence[Stretch], bound_um: float
+    method: TunedMethod, printed: Print, plant: Machine, slices: Sequence[PrintSlice], bound_um: float
 ) -> EqualQuality:
-    """Bisection in the acceleration's logarithm. A command that breaks the carriages' limits is too fast.
+    """Find the highest acceleration by bisection in its logarithm. A command beyond the carriages' limits is too fast.
 
     Parameters
     ----------
-    stretches : judged at every acceleration; half a minute of print is enough
-    bound_um : of the contour error's 99th percentile
+    method : TunedMethod
+    printed : Print
+        Gives the print time at that acceleration.
+    plant : Machine
+    slices : sequence of PrintSlice
+        Evaluated at every acceleration; half a minute of print is enough.
+    bound_um : float
+        Of the contour error's 99th percentile.
     """
 
     def p99_um(acceleration: float) -> float:
-        return _p99_um(way, [each.with_acceleration(acceleration) for each in stretches], plant)
+        return _p99_um(method, [each.with_acceleration(acceleration) for each in slices], plant)
 
-    def answer(acceleration: float, p99: float, **about: bool) -> EqualQuality:
+    def result(acceleration: float, p99: float, **about: bool) -> EqualQuality:
         plan = accelerated(printed.planned, printed.machine, acceleration, printed.offset)
         return EqualQuality(acceleration, plan.trajectory.end_t, p99, **about)
 
     if (p99 := p99_um(HIGHEST)) <= bound_um:
-        return answer(HIGHEST, p99, capped=True)
+        return result(HIGHEST, p99, capped=True)
     if (p99 := p99_um(LOWEST)) > bound_um:
-        return answer(LOWEST, p99, capped=False, reached=False)
+        return result(LOWEST, p99, capped=False, reached=False)
     low, high, best = np.log(LOWEST), np.log(HIGHEST), p99
     for _ in range(HALVINGS):
         middle = (low + high) / 2
         p99 = p99_um(float(np.exp(middle)))
         low, high, best = (middle, high, p99) if p99 <= bound_um else (low, middle, best)
-    return answer(float(np.exp(low)), best, capped=False)
+    return result(float(np.exp(low)), best, capped=False)
 
 
-def _p99_um(way: Way, stretches: Sequence[Stretch], plant: Machine) -> float:
-    """Infinite if a carriage is asked for more than its limit."""
+def _p99_um(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -> float:
+    """Return the 99th percentile; infinite if the command breaks a carriage's limit."""
     found = []
-    for stretch in stretches:
-        motion, _ = way.motion(stretch)
-        if not within_limits(*motion.peaks(stretch.machine), stretch.machine):
+    for print_slice in slices:
+        motion, _ = method.motion(print_slice)
+        if not within_limits(*motion.peaks(print_slice.machine), print_slice.machine):
             return float("inf")
-        t, (nozzle,) = simulate_nozzles([plant], motion, stretch.machine)
-        found.append(Played(stretch, motion, t, nozzle))
+        t, (nozzle,) = simulate_nozzles([plant], motion, print_slice.machine)
+        found.append(Execution(print_slice, motion, t, nozzle))
     return contour_statistics(contour(found)).p99_um
 
 
 def within_limits(velocity: float, acceleration: float, machine: Machine) -> bool:
-    """Whether the machine file allows its carriages such a command; a thousandth over is rounding."""
+    """Tell whether the machine file allows its carriages such a command; a thousandth over is rounding."""
     own = machine.limits
     return (
         velocity <= 1.001 * own.carriage_velocity_mm_per_s

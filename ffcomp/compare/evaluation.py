@@ -1,7 +1,7 @@
-"""How well what came out follows what was wanted: tracking, contour, what still rings, by layer and by feature.
+"""Evaluate the executed nozzle: tracking and contour error, residual ringing, by layer and by feature.
 
-Every motion is judged alike, on the wanted plan's clock. The first SETTLE_S of every stretch are left out: before them
-the printer may have come from anywhere.
+Every motion is evaluated on the reference plan's clock. The first SETTLE_S of every slice are left out: before them the
+printer may have come from anywhere.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffcomp.compare.result import Error, Samples
-from ffcomp.compare.sampling import Stretch
+from ffcomp.compare.sampling import PrintSlice
 from ffcomp.errors import NothingToDo
 from ffcomp.metrics import (
     Track,
@@ -29,12 +29,14 @@ from ffcomp.simulate.playback import SAMPLE_S
 from models.arrays import BoolArray, FloatArray, IntArray
 
 SETTLE_S = 0.5
-STEADY_S = 0.03  # a straight cruise or a rest must last this long to show what still rings in it
-STEADY_MM_PER_S = 1e-3  # change of the wanted speed from sample to sample that counts as none
+STEADY_S = 0.03  # a straight cruise or a rest must last this long to show residual ringing
+STEADY_MM_PER_S = 1e-3  # change of the reference speed from sample to sample that counts as none
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
+class Evaluation:
+    """One method, evaluated at m samples of all slices."""
+
     samples: Samples
     late: FloatArray  # (m, 3) mm, where the nozzle should have been `delay_s` earlier
     delay_s: float  # the constant delay that explains most of the tracking error
@@ -42,74 +44,83 @@ class Judgement:
 
 
 @dataclass(frozen=True, eq=False)
-class Played:
-    """What one motion came to on one stretch."""
+class Execution:
+    """One motion, executed on one slice."""
 
-    stretch: Stretch
+    print_slice: PrintSlice
     motion: Motion
     t: FloatArray  # (m,) s, on the motion's clock
     nozzle: FloatArray  # (m, 3) mm
 
     @property
     def counted(self) -> BoolArray:
+        """(m,) samples that are evaluated."""
         return self.t >= self.motion.clock.executed_t[0] + SETTLE_S
 
-    def planned(self, t: FloatArray) -> FloatArray:
-        """Where the nozzle should be at times (k,) s of the motion's clock, (k, 3) mm."""
-        return np.ascontiguousarray(self.stretch.trajectory.position(self.motion.clock.plan_time(t))[:, :3])
+    def reference(self, t: FloatArray) -> FloatArray:
+        """Return where the nozzle should be at times (k,) s of the motion's clock, (k, 3) mm."""
+        return np.ascontiguousarray(self.print_slice.trajectory.position(self.motion.clock.plan_time(t))[:, :3])
 
 
-def contour(played: Sequence[Played]) -> FloatArray:
-    """(m,) mm: distance of the counted samples to the wanted path's segments."""
-    return np.concatenate([_contour(each) for each in played])
+def contour(executions: Sequence[Execution]) -> FloatArray:
+    """Return the contour error of the counted samples, (m,) mm."""
+    return np.concatenate([_contour(each) for each in executions])
 
 
-def _contour(played: Played) -> FloatArray:
-    due = played.motion.clock.plan_time(played.t[played.counted])
-    return contour_error(*played.stretch.corners, due, played.nozzle[played.counted])
+def _contour(execution: Execution) -> FloatArray:
+    due = execution.motion.clock.plan_time(execution.t[execution.counted])
+    return contour_error(*execution.print_slice.corners, due, execution.nozzle[execution.counted])
 
 
-def judge(played: Sequence[Played]) -> Judgement:
-    """One method, over all stretches."""
-    played = [each for each in played if each.counted.any()]
-    if not played:
-        raise NothingToDo(f"The part of the print that was asked for lasts less than {SETTLE_S} s: nothing to judge.")
-    times = [each.t[each.counted] for each in played]
-    nozzle = [each.nozzle[each.counted] for each in played]
-    wanted = [each.planned(t) for each, t in zip(played, times, strict=True)]
-    delay = tracking(*end_to_end(wanted, nozzle), SAMPLE_S).delay_s
-    late = [each.planned(t - delay) for each, t in zip(played, times, strict=True)]
-    due = [each.motion.clock.plan_time(t) for each, t in zip(played, times, strict=True)]
-    moves = [each.stretch.trajectory.move_at(d) for each, d in zip(played, due, strict=True)]
-    origin = [each.stretch.begin_t - float(each.stretch.trajectory.start_t[0]) for each in played]
+def evaluate(executions: Sequence[Execution]) -> Evaluation:
+    """Evaluate one method over all slices.
+
+    Raises
+    ------
+    NothingToDo
+        If every slice is shorter than SETTLE_S.
+    """
+    executions = [each for each in executions if each.counted.any()]
+    if not executions:
+        raise NothingToDo(
+            f"The part of the print that was asked for lasts less than {SETTLE_S} s: nothing to evaluate."
+        )
+    times = [each.t[each.counted] for each in executions]
+    nozzle = [each.nozzle[each.counted] for each in executions]
+    reference = [each.reference(t) for each, t in zip(executions, times, strict=True)]
+    delay = tracking(*end_to_end(reference, nozzle), SAMPLE_S).delay_s
+    late = [each.reference(t - delay) for each, t in zip(executions, times, strict=True)]
+    due = [each.motion.clock.plan_time(t) for each, t in zip(executions, times, strict=True)]
+    moves = [each.print_slice.trajectory.move_at(d) for each, d in zip(executions, due, strict=True)]
+    origin = [each.print_slice.begin_t - float(each.print_slice.trajectory.start_t[0]) for each in executions]
     samples = Samples(
         due=np.concatenate([d + o for d, o in zip(due, origin, strict=True)]),
-        wanted=np.concatenate(wanted),
+        reference=np.concatenate(reference),
         nozzle=np.concatenate(nozzle),
-        contour=contour(played),
-        layer=np.concatenate([each.stretch.layer[m] for each, m in zip(played, moves, strict=True)]),
-        feature=np.concatenate([each.stretch.feature[m] for each, m in zip(played, moves, strict=True)]),
-        extruding=np.concatenate([each.stretch.extrudes[m] for each, m in zip(played, moves, strict=True)]),
+        contour=contour(executions),
+        layer=np.concatenate([each.print_slice.layer[m] for each, m in zip(executions, moves, strict=True)]),
+        feature=np.concatenate([each.print_slice.feature[m] for each, m in zip(executions, moves, strict=True)]),
+        extruding=np.concatenate([each.print_slice.extrudes[m] for each, m in zip(executions, moves, strict=True)]),
     )
-    residual = _residual_um([n - w for n, w in zip(nozzle, wanted, strict=True)], wanted)
-    return Judgement(samples, np.concatenate(late), delay, residual)
+    residual = _residual_um([n - w for n, w in zip(nozzle, reference, strict=True)], reference)
+    return Evaluation(samples, np.concatenate(late), delay, residual)
 
 
-def track(judged: Judgement, which: BoolArray, print_time_s: float, peak_acceleration: float) -> Track:
-    """The TRACK of some of the samples, (m,) of them all."""
-    s = judged.samples
-    distance = np.linalg.norm((s.nozzle - s.wanted)[which], axis=1)
+def track(evaluation: Evaluation, which: BoolArray, print_time_s: float, peak_acceleration: float) -> Track:
+    """Build the TRACK of some of the samples: which : (m,)."""
+    s = evaluation.samples
+    distance = np.linalg.norm((s.nozzle - s.reference)[which], axis=1)
     at_equal_times = Tracking(
         rms(distance),
         float(distance.max(initial=0.0)),
-        judged.delay_s,
-        rms(np.linalg.norm((s.nozzle - judged.late)[which], axis=1)),
+        evaluation.delay_s,
+        rms(np.linalg.norm((s.nozzle - evaluation.late)[which], axis=1)),
     )
     return build_track(at_equal_times, s.contour[which], print_time_s, peak_acceleration)
 
 
 def contour_numbers(contour_mm: FloatArray, which: BoolArray) -> Error:
-    """Of some of the samples; zeros if there are none."""
+    """Return the contour error of some of the samples: which : (m,)."""
     chosen = contour_mm[which]
     found = contour_statistics(chosen)
     share = chosen.size / len(contour_mm) if chosen.size else 0.0
@@ -117,19 +128,19 @@ def contour_numbers(contour_mm: FloatArray, which: BoolArray) -> Error:
 
 
 def by(labels: IntArray, contour_mm: FloatArray) -> dict[int, Error]:
-    """Contour error of the samples that share a label."""
+    """Return the contour error of the samples that share a label, by label."""
     return {int(k): contour_numbers(contour_mm, labels == k) for k in np.unique(labels)}
 
 
-def _residual_um(errors: Sequence[FloatArray], wanted: Sequence[FloatArray]) -> float:
-    """Rms of what still swings where the wanted motion is steady: about the mean error of each steady piece."""
-    swinging = [piece for e, w in zip(errors, wanted, strict=True) for piece in _steady(e, w)]
-    return rms(np.linalg.norm(np.concatenate(swinging), axis=1)) * 1e3 if swinging else float("nan")
+def _residual_um(errors: Sequence[FloatArray], reference: Sequence[FloatArray]) -> float:
+    """Return the rms of the error about its mean where the reference is steady: residual ringing."""
+    ringing = [part for e, r in zip(errors, reference, strict=True) for part in _steady(e, r)]
+    return rms(np.linalg.norm(np.concatenate(ringing), axis=1)) * 1e3 if ringing else float("nan")
 
 
-def _steady(error: FloatArray, wanted: FloatArray) -> list[FloatArray]:
-    bend = np.linalg.norm(np.diff(wanted, 2, axis=0), axis=1) / SAMPLE_S
+def _steady(error: FloatArray, reference: FloatArray) -> list[FloatArray]:
+    bend = np.linalg.norm(np.diff(reference, 2, axis=0), axis=1) / SAMPLE_S
     edge = np.flatnonzero(np.diff(np.concatenate([[0], (bend < STEADY_MM_PER_S).astype(np.int8), [0]])))
     long_enough = round(STEADY_S / SAMPLE_S)
-    pieces = [error[a + 1 : b + 1] for a, b in edge.reshape(-1, 2) if b - a >= long_enough]
-    return [piece - piece.mean(axis=0) for piece in pieces]
+    parts = [error[a + 1 : b + 1] for a, b in edge.reshape(-1, 2) if b - a >= long_enough]
+    return [part - part.mean(axis=0) for part in parts]

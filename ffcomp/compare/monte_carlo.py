@@ -1,4 +1,4 @@
-"""The printers that judge: the one that is named, and those drawn around it whose numbers are all a little off."""
+"""Monte-Carlo plants: printers around the nominal one whose parameters are all a little off."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ from models.parameters import dynamic_numbers, value_of, with_values
 FARTHEST = 2.5  # standard deviations; farther draws are drawn again
 
 
-def drawn(machine: Machine, relative_sd: float, seeds: int) -> list[Machine]:
-    """Machines whose dynamic numbers are all off, each by its own draw from a normal distribution.
+def draw_plants(machine: Machine, relative_sd: float, seeds: int) -> list[Machine]:
+    """Draw machines whose dynamic parameters are all off, each by its own draw from a normal distribution.
 
     Parameters
     ----------
-    relative_sd : standard deviation of number / nominal
-    seeds : seed k gives machine k, whatever else is drawn
+    machine : Machine
+    relative_sd : float
+        Standard deviation of parameter / nominal.
+    seeds : int
+        Seed k gives machine k, whatever else is drawn.
     """
     names = dynamic_numbers(machine)
     found = []

@@ -1,13 +1,14 @@
-"""What a comparison found: numbers for tables, samples for pictures. No physics, no drawing."""
+"""The result of a comparison: numbers for tables, samples for figures."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from ffcomp.metrics import Track
+from ffcomp.serialise import to_json
 from models.arrays import BoolArray, FloatArray, IntArray
 
 Family = Literal["none", "calibrated", "best fixed", "scheduled", "inversion"]
@@ -15,12 +16,12 @@ Family = Literal["none", "calibrated", "best fixed", "scheduled", "inversion"]
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """What one method made of the print, at m evenly spaced instants (with a gap where the sampled print has one)."""
+    """One executed method at m evenly spaced instants (with a gap where the sampled print has one)."""
 
-    due: FloatArray  # (m,) s, when on the wanted plan's clock
-    wanted: FloatArray  # (m, 3) mm, where the nozzle should be then
+    due: FloatArray  # (m,) s, when on the reference plan's clock
+    reference: FloatArray  # (m, 3) mm, where the nozzle should be then
     nozzle: FloatArray  # (m, 3) mm, where it is
-    contour: FloatArray  # (m,) mm, distance to the wanted path's segments
+    contour: FloatArray  # (m,) mm, distance to the reference path's segments
     layer: IntArray  # (m,) the layer's number in the print, from 0
     feature: IntArray  # (m,) index into Comparison.features: the slicer's ;TYPE:
     extruding: BoolArray  # (m,) plastic flows, so that it shows
@@ -38,7 +39,7 @@ class Error:
 
 @dataclass(frozen=True, slots=True)
 class Peaks:
-    """The most that any carriage is asked for, and whether the machine file allows it."""
+    """The largest demand on any carriage, and whether the machine file allows it."""
 
     velocity_mm_per_s: float
     acceleration_mm_per_s2: float
@@ -47,22 +48,28 @@ class Peaks:
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Contour rms over the drawn plants, one value a seed, µm; the tuning stays that of the machine file."""
+    """Contour rms over the Monte-Carlo plants, one value a seed, µm; the tuning stays that of the machine file."""
 
     contour_rms_um: tuple[float, ...]
 
     @property
     def median_um(self) -> float:
+        """Median over the plants."""
         return float(np.median(self.contour_rms_um))
 
     @property
     def worst_um(self) -> float:
+        """Maximum over the plants."""
         return max(self.contour_rms_um)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return its JSON object."""
+        return {"median_um": self.median_um, "worst_um": self.worst_um, "contour_rms_um": list(self.contour_rms_um)}
 
 
 @dataclass(frozen=True, slots=True)
 class EqualQuality:
-    """The highest acceleration at which the contour error's p99 stays below a bound, and what it gains."""
+    """The highest acceleration at which the contour error's p99 stays below a bound, and the print time then."""
 
     acceleration_mm_per_s2: float
     print_time_s: float  # of the whole print at that acceleration
@@ -73,7 +80,7 @@ class EqualQuality:
 
 @dataclass(frozen=True, eq=False)
 class Method:
-    """One way of driving the printer, judged."""
+    """One method, evaluated."""
 
     name: str  # the key in JSON: none, zv, …, zv-calibrated, …, zv-scheduled, …, fbs-lti, fbs-robust, fbs-lpv
     label: str  # for people
@@ -83,26 +90,47 @@ class Method:
     extruding: Track  # where plastic flows
     by_layer: dict[int, Error]
     by_feature: dict[str, Error]
-    residual_rms_um: float  # what still rings while the nozzle should cruise in a straight line
+    residual_rms_um: float  # residual ringing while the nozzle should cruise in a straight line or rest
     peaks: Peaks
     samples: Samples
     spread: Spread | None = None
-    retuned: Spread | None = None  # shapers only: frequencies sought again on every drawn plant
+    retuned: Spread | None = None  # shapers only: tuned anew on every Monte-Carlo plant
     equal_quality: EqualQuality | None = None
     warnings: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the method's object in the JSON of `ffcomp compare`."""
+        values = {
+            "label": self.label,
+            "family": self.family,
+            "tuning": self.tuning,
+            "extruding": self.extruding,
+            "by_layer": self.by_layer,
+            "by_feature": self.by_feature,
+            "residual_rms_um": self.residual_rms_um,
+            "peaks": self.peaks,
+            "mismatch": None if self.spread is None else self.spread.to_dict(),
+            "mismatch_retuned": None if self.retuned is None else self.retuned.to_dict(),
+            "equal_quality": self.equal_quality,
+            "warnings": self.warnings,
+        }
+        found: dict[str, Any] = to_json(self.track) | to_json(values)
+        return found
 
 
 @dataclass(frozen=True, slots=True)
 class Layer:
+    """An evaluated layer."""
+
     number: int  # from 0
     z_mm: float
-    begin_t: float  # s, on the wanted plan's clock
+    begin_t: float  # s, on the reference plan's clock
     end_t: float
 
 
 @dataclass(frozen=True, slots=True)
 class Party:
-    """A machine file that took part."""
+    """A machine file of the comparison."""
 
     name: str
     sha256: str
@@ -119,29 +147,29 @@ class BedMap:
 
     @property
     def is_round(self) -> bool:
-        """Of a delta; a machine with straight axes has the same resonances all over a bed with corners."""
+        """Whether the bed is round; a bed with corners has the same resonances everywhere."""
         return bool(np.isnan(self.frequency_hz).any())
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Everything that the JSON, the report and the figures are made of."""
+    """A comparison: all that the JSON, the report and the figures are made of."""
 
     print_name: str
     print_sha256: str
     print_time_s: float  # of the whole print, as the firmware plans it
     layers_total: int
-    sampling: str  # a sentence: what part of the print was judged
-    machine: Party  # what every method believes
-    plant: Party  # what judged them
-    mismatch: str  # a sentence, empty when no plants were drawn
+    sampling: str  # a sentence: the part of the print that was evaluated
+    machine: Party  # the one that every method uses
+    plant: Party  # the one that evaluated them
+    mismatch: str  # a sentence, empty without Monte-Carlo plants
     settings: dict[str, str]  # name → value, as they were used
     version: str
-    layers: tuple[Layer, ...]  # those that were judged
+    layers: tuple[Layer, ...]  # those that were evaluated
     features: tuple[str, ...]
     methods: dict[str, Method]  # in the order of the table
     best_fixed: str  # names in `methods`: the fixed shaper with the least contour error
-    ours: str  # our method
+    compensated: str  # name of the compensated print's method
     sample_s: float  # time from sample to sample
     bed: BedMap | None = None
     limits: dict[str, float] = field(
@@ -149,3 +177,27 @@ class Comparison:
     )  # carriage_velocity_mm_per_s, carriage_acceleration_mm_per_s2
     quality_bound_um: float = 25.0
     seconds: float = 0.0  # that the comparison took
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object of `ffcomp compare`, without samples (ffcomp-compare/1)."""
+        values = {
+            "schema": "ffcomp-compare/1",
+            "input": self.print_name,
+            "input_sha256": self.print_sha256,
+            "version": self.version,
+            "machine": self.machine,
+            "plant": self.plant,
+            "sampling": self.sampling,
+            "mismatch": self.mismatch,
+            "settings": self.settings,
+            "limits": self.limits,
+            "print_time_s": self.print_time_s,
+            "layers": self.layers,
+            "best_fixed": self.best_fixed,
+            "ours": self.compensated,
+            "quality_bound_um": self.quality_bound_um,
+            "methods": {name: method.to_dict() for name, method in self.methods.items()},
+            "seconds": self.seconds,
+        }
+        found: dict[str, Any] = to_json(values)
+        return found

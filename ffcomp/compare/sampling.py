@@ -1,4 +1,4 @@
-"""What part of a print is looked at: all of it, some layers, or short stretches spread evenly over its time."""
+"""Choose the part of a print that is evaluated: all of it, some layers, or short slices spread evenly over its time."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from gcode.slicing import part, preamble
 from models.arrays import FloatArray, IntArray
 from models.machine import Machine
 
-LONGEST_S = 120.0  # of print time that is judged if nothing else is asked for
-PIECE_S = 10.0  # length of one stretch of a sampled print
+LONGEST_S = 120.0  # of print time that is evaluated unless more is requested
+SLICE_S = 10.0  # length of one slice of a sampled print
 
 
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """What the user asks for."""
+    """The layers, and the share of their time, that are evaluated."""
 
     first_layer: int = 0
-    last_layer: int | None = None  # the last one looked at
+    last_layer: int | None = None  # the last one evaluated
     share: float | None = None  # of these layers' time; None: all, but no more than LONGEST_S
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class PrintSlice:
     """n moves of a print, planned from rest to rest."""
 
     machine: Machine
@@ -45,7 +45,7 @@ class Stretch:
     layer: IntArray  # (n,) of each move
     feature: IntArray  # (n,) of each move
     begin_t: float = 0.0  # s, on the whole print's clock
-    before: bytes = b""  # lines that set what is in force where it begins
+    before: bytes = b""  # lines that set what is in effect where it begins
     start: tuple[float, float, float] | None = None  # mm, where the nozzle is then; None: as the file says
 
     @property
@@ -54,7 +54,7 @@ class Stretch:
 
     @cached_property
     def corners(self) -> tuple[FloatArray, FloatArray]:
-        """When each corner of the path is due (n + 1,) s, and where it is (n + 1, 3) mm."""
+        """Times (n + 1,) s at which the corners of the path are due, and the corners (n + 1, 3) mm."""
         return path_corners(self.trajectory)
 
     @cached_property
@@ -64,19 +64,19 @@ class Stretch:
 
     @property
     def extrudes(self) -> NDArray[np.bool_]:
-        """(n,) moves that lay plastic down."""
+        """(n,) moves that extrude along a path."""
         direction = self.trajectory.direction
         return (direction[:, 3] > 0.0) & np.any(direction[:, :3] != 0.0, axis=1)
 
-    def with_acceleration(self, acceleration: float) -> Stretch:
-        """The same moves, planned with another acceleration, mm/s²."""
+    def with_acceleration(self, acceleration: float) -> PrintSlice:
+        """Plan the same moves with another acceleration, mm/s²."""
         return replace(self, planned=accelerated(self.planned, self.machine, acceleration, self.offset))
 
 
 def accelerated(
     planned: PlannedProgram, machine: Machine, acceleration: float, offset: tuple[float, float]
 ) -> PlannedProgram:
-    """The same moves, planned with one acceleration (mm/s²) for all that travel."""
+    """Plan the same moves with one acceleration (mm/s²) for all that travel."""
     program = planned.program
     moves = program.moves
     travels = np.any(moves.end[:, :3] != moves.start[:, :3], axis=1)
@@ -104,34 +104,35 @@ class Print:
     def print_time_s(self) -> float:
         return self.planned.trajectory.end_t
 
-    def stretches(
-        self, sampling: Sampling, piece_s: float = PIECE_S, at_most_s: float = np.inf
-    ) -> tuple[list[Stretch], str]:
-        """The parts to be judged, and a sentence that says which they are.
+    def slices(
+        self, sampling: Sampling, slice_s: float = SLICE_S, at_most_s: float = np.inf
+    ) -> tuple[list[PrintSlice], str]:
+        """Return the slices to be evaluated, and a sentence that says which they are.
 
-        piece_s : how long the stretches of a sampled print are, s
-        at_most_s : how long they all are together, s
+        sampling : Sampling
+        slice_s, at_most_s : float
+            Length of one slice of a sampled print and of all together, s.
         """
         first, last = self._layers(sampling)
         start_t = np.append(self.planned.trajectory.start_t, self.print_time_s)
         seconds = float(start_t[last] - start_t[first])
         whole = first == 0 and last == len(self.program.moves)
-        wanted = min(LONGEST_S, seconds) if sampling.share is None else sampling.share * seconds
-        wanted = min(wanted, at_most_s)
+        evaluated = min(LONGEST_S, seconds) if sampling.share is None else sampling.share * seconds
+        evaluated = min(evaluated, at_most_s)
         what = "the whole print" if whole else _layers_named(sampling)
-        cuts = [] if wanted >= seconds - piece_s / 2 else list(self._pieces(first, last, wanted, piece_s))
-        if not cuts:  # all is asked for, or it is a single arc, which is not cut
+        cuts = [] if evaluated >= seconds - slice_s / 2 else list(self._cuts(first, last, evaluated, slice_s))
+        if not cuts:  # all is requested, or it is a single arc, which is not cut
             found = [self._whole()] if whole else [self._part(first, last)]
-            return found, f"{what[0].upper()}{what[1:]} was judged, {seconds:.0f} s."
+            return found, f"{what[0].upper()}{what[1:]} was evaluated, {seconds:.0f} s."
         found = [self._part(a, b) for a, b in cuts]
-        judged = sum(each.trajectory.end_t for each in found)
-        told = f"{len(found)} stretches of some {judged / len(found):.0f} s, spread evenly over {what}"
+        covered = sum(each.trajectory.end_t for each in found)
+        chosen = f"{len(found)} slices of about {covered / len(found):.0f} s, spread evenly over {what}"
         if len(found) == 1:
-            told = f"One stretch in the middle of {what}"
-        return found, f"{told}: {judged:.0f} of {seconds:.0f} s ({judged / seconds:.0%}) were judged."
+            chosen = f"One slice in the middle of {what}"
+        return found, f"{chosen}: {covered:.0f} of {seconds:.0f} s ({covered / seconds:.0%}) were evaluated."
 
     def _layers(self, sampling: Sampling) -> tuple[int, int]:
-        """The moves of the layers asked for."""
+        """Return the first move of the chosen layers and the one after their last."""
         layer = self.labels.layer
         chosen = layer >= sampling.first_layer
         if sampling.last_layer is not None:
@@ -139,24 +140,24 @@ class Print:
         numbers = np.flatnonzero(chosen)
         if not numbers.size:
             raise NothingToDo(
-                f"{self.path}: no move lies in the layers asked for; the print has {self.labels.layers} layers, "
+                f"{self.path}: no move lies in the chosen layers; the print has {self.labels.layers} layers, "
                 f"0 to {self.labels.layers - 1}."
             )
         return self._line_begins(int(numbers[0])), self._line_begins(int(numbers[-1]) + 1)
 
     def _line_begins(self, move: int) -> int:
-        """This move, or the first one of the same line: arcs are not cut."""
+        """Return this move, or the first one of the same line: arcs are not cut."""
         line = self.program.moves.line
         while 0 < move < len(line) and line[move] == line[move - 1]:
             move -= 1
         return move
 
-    def _pieces(self, first: int, last: int, wanted_s: float, piece_s: float) -> Iterator[tuple[int, int]]:
-        """Stretches from `first` to `last` that take `wanted_s` together; each begins at rest if it can."""
+    def _cuts(self, first: int, last: int, evaluated_s: float, slice_s: float) -> Iterator[tuple[int, int]]:
+        """Yield slices from `first` to `last` that take `evaluated_s` together; each begins at rest if it can."""
         start_t = np.append(self.planned.trajectory.start_t, self.print_time_s)
         begin, end = float(start_t[first]), float(start_t[last])
-        count = max(1, round(wanted_s / piece_s))
-        length, period = wanted_s / count, (end - begin) / count
+        count = max(1, round(evaluated_s / slice_s))
+        length, period = evaluated_s / count, (end - begin) / count
         rests = np.array([run.first for run in self.planned.runs])
         for k in range(count):
             t = begin + k * period + (period - length) / 2
@@ -167,14 +168,14 @@ class Print:
             if b > a:
                 yield a, b
 
-    def _whole(self) -> Stretch:
+    def _whole(self) -> PrintSlice:
         kinds = self.labels
-        return Stretch(self.machine, self.planned, self.flavor, self.offset, kinds.layer, kinds.feature)
+        return PrintSlice(self.machine, self.planned, self.flavor, self.offset, kinds.layer, kinds.feature)
 
-    def _part(self, first: int, last: int) -> Stretch:
+    def _part(self, first: int, last: int) -> PrintSlice:
         planned = plan_program(part(self.program, first, last), self.machine, self.offset)
         x, y, z, _ = self.program.moves.start[first]
-        return Stretch(
+        return PrintSlice(
             self.machine,
             planned,
             self.flavor,

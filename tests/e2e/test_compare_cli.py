@@ -44,7 +44,7 @@ def test_the_whole_way(small: Path, tmp_path: Path) -> None:
     assert found["report"] == str(page) and small.name.split(".")[0] in page.read_text(encoding="utf-8")
     assert sorted(found["figures"]) == sorted(str(path) for path in pictures.iterdir())
     assert small.read_bytes() == squares(2)
-    assert "printing on drawn plants" in answer.stderr
+    assert "printing on Monte-Carlo plants" in answer.stderr
 
 
 def test_people_get_a_verdict_and_a_table(small: Path) -> None:

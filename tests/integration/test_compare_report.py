@@ -71,7 +71,7 @@ def samples(amplitude_mm: float) -> Samples:
     side = np.arange(count) // SIDE_N
     return Samples(
         due=SAMPLE_S * np.arange(count),
-        wanted=np.concatenate(wanted),
+        reference=np.concatenate(wanted),
         nozzle=np.concatenate(wanted) + np.concatenate(across),
         contour=np.linalg.norm(np.concatenate(across), axis=1),
         layer=side // 4,
@@ -130,7 +130,7 @@ def comparison(
         "print_sha256": "ab" * 32,
         "print_time_s": 3725.0,
         "layers_total": LAYERS,
-        "sampling": "The whole print was judged, 6 s.",
+        "sampling": "The whole print was evaluated, 6 s.",
         "machine": Party("a delta", "12" * 32),
         "plant": Party("a delta", "12" * 32),
         "mismatch": "",
@@ -140,7 +140,7 @@ def comparison(
         "features": FEATURES,
         "methods": {each.name: each for each in judged},
         "best_fixed": "mzv",
-        "ours": "fbs-lpv",
+        "compensated": "fbs-lpv",
         "sample_s": SAMPLE_S,
         "limits": {"carriage_velocity_mm_per_s": 300.0, "carriage_acceleration_mm_per_s2": 2e4},
         "quality_bound_um": 25.0,
@@ -179,7 +179,7 @@ def test_good_news_and_what_they_rest_on() -> None:
     assert "100 times less" in said[0] and "Where plastic flows" in said[0]
     assert "10 times as much as ffcomp" in said[1] and "x 40.0 Hz, y 41.0 Hz" in said[1]
     assert "own resonance test" in said[1]
-    assert "The whole print was judged, 6 s." in said
+    assert "The whole print was evaluated, 6 s." in said
     assert "very numbers of the machine file" in said[-1] and "less good" in said[-1]
 
 
@@ -248,7 +248,7 @@ def test_contour_vectors_have_the_length_of_the_table_and_point_to_the_nozzle() 
     vectors = contour_vectors(s, SAMPLE_S)
     np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), s.contour, atol=1e-12)
     middle = slice(SIDE_N + SIDE_N // 4, SIDE_N + 3 * SIDE_N // 4)  # far from corners what is wanted is nearest
-    np.testing.assert_allclose(vectors[middle], (s.nozzle - s.wanted)[middle], atol=1e-12)
+    np.testing.assert_allclose(vectors[middle], (s.nozzle - s.reference)[middle], atol=1e-12)
 
 
 def test_being_late_on_the_path_is_no_error() -> None:
@@ -256,7 +256,7 @@ def test_being_late_on_the_path_is_no_error() -> None:
     late = replace(s, nozzle=np.roll(s.nozzle, 8, axis=0), contour=np.roll(s.contour, 8))
     middle = slice(SIDE_N + SIDE_N // 4, SIDE_N + 3 * SIDE_N // 4)
     vectors = contour_vectors(late, SAMPLE_S)
-    np.testing.assert_allclose(vectors[middle], np.roll(s.nozzle - s.wanted, 8, axis=0)[middle], atol=1e-12)
+    np.testing.assert_allclose(vectors[middle], np.roll(s.nozzle - s.reference, 8, axis=0)[middle], atol=1e-12)
 
 
 def test_samples_break_at_gaps() -> None:
@@ -333,12 +333,12 @@ def test_what_is_packed_is_what_was_judged() -> None:
 
 def test_thinning_keeps_the_peaks_and_straight_lines_need_few_points() -> None:
     s = samples(0.1)
-    wavy = packed.Trace(method("none", "none", "none", 0.0, samples=s), s.wanted, s.nozzle - s.wanted)
+    wavy = packed.Trace(method("none", "none", "none", 0.0, samples=s), s.reference, s.nozzle - s.reference)
     kept, joined = packed.thin(wavy, 900)
     assert 900 <= len(kept) < 1000 and kept[0] == 0 and not joined[0] and joined[1:].all()
-    between = np.interp(s.due, s.due[kept], (s.nozzle - s.wanted)[kept, 0])
-    assert np.abs(between - (s.nozzle - s.wanted)[:, 0]).max() < 0.01
-    straight = packed.Trace(wavy.method, s.wanted, np.zeros_like(s.wanted))
+    between = np.interp(s.due, s.due[kept], (s.nozzle - s.reference)[kept, 0])
+    assert np.abs(between - (s.nozzle - s.reference)[:, 0]).max() < 0.01
+    straight = packed.Trace(wavy.method, s.reference, np.zeros_like(s.reference))
     assert len(packed.thin(straight, 900)[0]) < 120
 
 
@@ -381,7 +381,7 @@ def test_columns_that_nobody_asked_for_are_missing_and_gaps_are_dashes() -> None
     assert not any("printers" in column.group for column in table.columns(comparison()))
     found = changed(everything(), "mzv", residual_rms_um=math.nan)
     assert cells(found, "mzv")["still rings", "µm rms"] == table.Cell("–", "")
-    assert cells(found, "fbs-lpv")["on drawn printers, µm rms", "tuned again"].text == "–"
+    assert cells(found, "fbs-lpv")["on Monte-Carlo plants, µm rms", "tuned again"].text == "–"
     fast = {name: cells(found, name)["for 99 % below 25 µm", "m/s²"] for name in found.methods}
     assert fast["none"].text == "–" and fast["mzv"].best and not fast["fbs-lpv"].best
 
@@ -491,7 +491,7 @@ def test_odd_comparisons_have_a_page_too(tmp_path: Path) -> None:
     for k, odd in enumerate((found, dry)):
         write_report(odd, tmp_path / f"{k}.html")
     text = (tmp_path / "1.html").read_text(encoding="utf-8")
-    assert "No plastic flows in what was judged" in text and "where plastic flows, µm" not in text
+    assert "No plastic flows in the evaluated part" in text and "where plastic flows, µm" not in text
     assert "too short for a spectrum" not in text  # it is a picture, and the page stands
 
 
@@ -516,7 +516,7 @@ def clean(seen: Visit) -> bool:
 def test_the_viewer_scrubs_switches_turns_and_points(browser: Any, page: Path) -> None:
     with visit(browser, page, ready=READY) as seen:
         label, slider = seen.page.locator("[data-role=label]"), seen.page.locator("[data-role=layer]")
-        assert "3 layers judged" in label.inner_text()
+        assert "3 layers evaluated" in label.inner_text()
         shots = [seen.shot("canvas")]
         slider.fill("1")
         assert label.inner_text().startswith("Layer 1, Z 0.40 mm")

@@ -10,15 +10,15 @@ from ffcomp.report.compare.words import duration, fastest_shaper, metres, nick, 
 
 HOW_TO_READ = {
     "close-up": "The corners with the largest error without compensation, seen from above, true to scale. Dashed: the "
-    "wanted path; grey: its neighbours in the layer. Below, the same pass on a logarithmic scale: how far off the "
+    "reference path; grey: its neighbours in the layer. Below, the same pass on a logarithmic scale: how far off the "
     "path the nozzle is, before and behind the corner. Equal waves behind a corner are ringing.",
     "errors-by-layer": "Root mean square of the contour error, all moves. On a delta the resonance changes over the "
     "bed, so layers and features that lie elsewhere come out differently; a method that fits everywhere is flat.",
     "spectrum": "Frequencies at which the nozzle is off the path (density, so that the area under the curve squared is "
     "the mean square error). A hill inside the shaded band is ringing at the resonance; what is left at low "
     "frequencies is corners cut, what is left above is not worth compensating.",
-    "bed-map": "The lowest resonance that motion along X or Y excites well, over the bed of the judging printer; white "
-    "dots: where the judged part was printed. An input shaper has one frequency for the whole bed.",
+    "bed-map": "The lowest resonance that motion along X or Y excites well, over the bed of the evaluation plant; "
+    "white dots: where the evaluated part was printed. An input shaper has one frequency for the whole bed.",
     "limits": "The most that any carriage is asked for, over one segment's time, and what the machine file allows (red "
     "line). What is beyond the limit no motor follows: such a method's accuracy is not to be had.",
     "methods": "Every method on the same print and the same virtual printer, over all moves; left is better, and one "
@@ -74,11 +74,11 @@ def _mismatch(found: Comparison) -> str:
 
 
 def _equal_quality(found: Comparison) -> str:
-    methods = (found.methods["none"], fastest_shaper(found), found.methods[found.ours])
-    judged = [(each, each.equal_quality) for each in methods if each is not None and each.equal_quality is not None]
+    methods = (found.methods["none"], fastest_shaper(found), found.methods[found.compensated])
+    evaluated = [(each, each.equal_quality) for each in methods if each is not None and each.equal_quality is not None]
     parts = [
         f"{metres(quality.acceleration_mm_per_s2)}, {duration(quality.print_time_s)} ({method.label})"
-        for method, quality in judged
+        for method, quality in evaluated
         if quality.reached
     ]
     return f"For 99 % below {found.quality_bound_um:g} µm: {' · '.join(parts) or 'no method manages it'}"

@@ -84,7 +84,7 @@ def draw_spectrum(box: Box, found: Comparison) -> None:
                 each.frequency_hz, np.maximum(amplitude, FLOOR_UM), color=colour_of(found, method), lw=1.5, label=label
             )
     if top == 0.0:
-        axes.text(0.5, 0.5, "What was judged is too short for a spectrum.", ha="center", transform=axes.transAxes)
+        axes.text(0.5, 0.5, "The evaluated part is too short for a spectrum.", ha="center", transform=axes.transAxes)
         return
     axes.set(
         xlabel="frequency, Hz",
@@ -104,7 +104,7 @@ def draw_bed(box: Box, found: Comparison) -> None:
     assert found.bed is not None
     bed = found.bed
     grain = float(np.ptp(bed.x_mm)) / MAP_GRAINS
-    path = grain * np.unique(np.round(found.methods["none"].samples.wanted[:, :2] / grain), axis=0)
+    path = grain * np.unique(np.round(found.methods["none"].samples.reference[:, :2] / grain), axis=0)
     low, high = float(np.nanmin(bed.frequency_hz)), float(np.nanmax(bed.frequency_hz))
     levels = np.linspace(low, max(high, 1.02 * low), 21)
     both = box.subplots(1, 2, sharey=True)
@@ -163,7 +163,7 @@ def _bars(axes: Axes, found: Comparison, value: Callable[[Method], float], limit
 def _rows(axes: Axes, found: Comparison, methods: Sequence[Method]) -> None:
     axes.set_yticks(range(len(methods)), [clipped(method.label) for method in methods], parse_math=False)
     for label, method in zip(axes.get_yticklabels(), methods, strict=True):
-        label.set_fontweight("bold" if method.name in (found.ours, found.best_fixed) else "normal")
+        label.set_fontweight("bold" if method.name in (found.compensated, found.best_fixed) else "normal")
     axes.set_ylim(len(methods) - 0.4, -0.6)
 
 
@@ -187,7 +187,7 @@ def draw_methods(box: Box, found: Comparison) -> None:
 
 
 def draw_mismatch(box: Box, found: Comparison) -> None:
-    """Every drawn printer a dot; the bar is their median, the ring the printer as the file has it."""
+    """Every Monte-Carlo plant a dot; the bar is their median, the ring the printer as the file has it."""
     axes = box.subplots()
     methods = [method for method in found.methods.values() if method.spread is not None]
     for k, method in enumerate(methods):
@@ -198,14 +198,16 @@ def draw_mismatch(box: Box, found: Comparison) -> None:
         axes.semilogx(method.track.contour_rms_um, k, "o", color=colour, markersize=8, markerfacecolor="none", mew=1.5)
         if method.retuned is not None:
             _dots(axes, k, method.retuned, "+", color=BAND)
-    axes.set_xlabel("contour error, µm rms:  • drawn printers   | their median   ○ the printer itself   + tuned again")
+    axes.set_xlabel(
+        "contour error, µm rms:  • Monte-Carlo plants   | their median   ○ the printer itself   + tuned again"
+    )
     _rows(axes, found, methods)
     plain_decades(axes.xaxis)
     grid(axes, "x")
 
 
 def _dots(axes: Axes, row: int, spread: Spread, marker: str, **look: Any) -> None:
-    """One a drawn printer, over the row's height, so that they do not hide each other."""
+    """One a Monte-Carlo plant, over the row's height, so that they do not hide each other."""
     values = np.maximum(spread.contour_rms_um, FLOOR_UM)
     axes.semilogx(values, row + 0.25 * np.sin(2.4 * np.arange(len(values))), marker, markersize=4, **look)
 

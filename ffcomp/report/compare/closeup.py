@@ -1,4 +1,4 @@
-"""A corner from near: what was wanted, what comes of it, and how far off it is along the way."""
+"""A corner from near: what was reference, what comes of it, and how far off it is along the way."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from matplotlib.figure import Figure, SubFigure
 
 from ffcomp.compare.result import Comparison
 from ffcomp.report.compare.places import Pass, Place
-from ffcomp.report.compare.style import WANTED, colour_of
+from ffcomp.report.compare.style import REFERENCE, colour_of
 from ffcomp.report.compare.words import clipped, nick, um
 from ffcomp.report.shared.style import grid, plain_decades
 
@@ -30,10 +30,10 @@ def _seen(axes: Axes, found: Comparison, place: Place) -> None:
     for line in place.neighbours:
         axes.plot(*line.T, color="#d5d9e0", linewidth=1.2, zorder=1)
     for each in place.passes:
-        colour, above = colour_of(found, each.method), 4 if each.method.name == found.ours else 3
+        colour, above = colour_of(found, each.method), 4 if each.method.name == found.compensated else 3
         axes.plot(*each.nozzle[:, :2].T, color=colour, linewidth=1.8, label=_label(each), zorder=above)
-    wanted = place.passes[0].wanted[:, :2].T
-    axes.plot(*wanted, color=WANTED, linewidth=0.9, linestyle=(0, (5, 2)), label="wanted", zorder=5)
+    reference = place.passes[0].reference[:, :2].T
+    axes.plot(*reference, color=REFERENCE, linewidth=0.9, linestyle=(0, (5, 2)), label="reference", zorder=5)
     _arrow(axes, place)
     _scale_bar(axes, place)
     half = place.half_mm
@@ -52,12 +52,12 @@ def _label(each: Pass) -> str:
 
 
 def _arrow(axes: Axes, place: Place) -> None:
-    """Which way the nozzle goes: on the wanted path, half way in."""
+    """Which way the nozzle goes: on the reference path, half way in."""
     each = place.passes[0]
     k = int(np.argmin(np.abs(each.along_mm + 0.62 * place.half_mm)))
-    step = each.wanted[min(k + 1, len(each.wanted) - 1), :2] - each.wanted[k, :2]
+    step = each.reference[min(k + 1, len(each.reference) - 1), :2] - each.reference[k, :2]
     if (length := float(np.hypot(*step))) > 0.0:
-        tail, look = each.wanted[k], {"arrowstyle": "-|>", "color": WANTED, "lw": 0.9, "mutation_scale": 11}
+        tail, look = each.reference[k], {"arrowstyle": "-|>", "color": REFERENCE, "lw": 0.9, "mutation_scale": 11}
         tip = tail[:2] + 0.12 * place.half_mm * step / length
         axes.annotate("", (tip[0], tip[1]), (tail[0], tail[1]), zorder=6, arrowprops=look)
 
@@ -66,7 +66,7 @@ def _scale_bar(axes: Axes, place: Place) -> None:
     half = place.half_mm
     length = max((n for n in (0.02, 0.05, 0.1, 0.2, 0.5) if n <= 0.4 * half), default=0.02)
     x, y = place.at[0] - 0.92 * half, place.at[1] - 0.92 * half
-    axes.plot([x, x + length], [y, y], color=WANTED, linewidth=3, solid_capstyle="butt", zorder=7)
+    axes.plot([x, x + length], [y, y], color=REFERENCE, linewidth=3, solid_capstyle="butt", zorder=7)
     axes.text(
         x + length / 2,
         y + 0.05 * half,
@@ -81,7 +81,7 @@ def _scale_bar(axes: Axes, place: Place) -> None:
 def _along(axes: Axes, found: Comparison, place: Place) -> None:
     for each in place.passes:
         axes.semilogy(each.along_mm, np.maximum(each.contour_um, LEAST_UM), color=colour_of(found, each.method), lw=1.3)
-    axes.axvline(0.0, color=WANTED, linewidth=0.8, linestyle=":")
+    axes.axvline(0.0, color=REFERENCE, linewidth=0.8, linestyle=":")
     axes.set(xlabel="mm along the path from the corner", ylabel="off the path, µm", ylim=(LEAST_UM, None))
     axes.set_xlim(-1.2 * place.half_mm, 1.5 * place.half_mm)
     plain_decades(axes.yaxis)

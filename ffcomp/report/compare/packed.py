@@ -1,6 +1,6 @@
 """The samples as the page's viewer gets them: thinned out, in few bytes, as base64.
 
-Points that lie on a straight line between their neighbours, in the wanted path and in the error alike, go first; each
+Points on a straight line between their neighbours, in the reference path and in the error alike, go first; each
 point that stays has the largest error of those it stands for, so that no peak is lost. All are whole numbers, see
 `COLUMNS`. Of each column the steps from point to point are written, first the low bytes of all of them, then the next
 ones, so that zlib finds much to leave out: some 9 bytes a point of 20.
@@ -26,10 +26,10 @@ ERROR_WEIGHT = 20.0  # an error counts so much more than the same length along t
 FINEST_MM = 1e-4  # what bends less is straight
 LOWEST_UM = 0.1  # end of the scale of errors
 COLUMNS = (
-    ("foot", "<u2", 3),  # × grain_mm + origin_mm: the nearest point of the wanted path
+    ("foot", "<u2", 3),  # × grain_mm + origin_mm: the nearest point of the reference path
     ("away", "<i2", 3),  # × step_mm: from there to the nozzle
     ("due", "<u4", 1),  # × DUE_S
-    ("layer", "<u2", 1),  # index into the judged layers
+    ("layer", "<u2", 1),  # index into the evaluated layers
     ("error", "u1", 1),  # logarithmic, LOWEST_UM at 0, highest_um at 255
     ("kind", "u1", 1),  # feature, + EXTRUDING, + BREAK
 )

@@ -14,7 +14,7 @@ from models.arrays import BoolArray, FloatArray
 
 COUNT = 3  # places that are shown, if the print is large enough
 APART = 0.15  # of the print's width: nearer ones look the same
-AROUND_S = 0.4  # of the wanted plan, before and after the worst instant: other passes are not this one's
+AROUND_S = 0.4  # of the reference plan, before and after the worst instant: other passes are not this one's
 CLOSEST_MM, WIDEST_MM = 0.4, 2.5  # half the width of the window
 WIDTH_IN_ERRORS = 8.0  # half the width, in largest errors
 SAME_LAYER_MM = 0.05
@@ -25,22 +25,22 @@ class Pass:
     """k samples of one method, on its way through the window."""
 
     method: Method
-    wanted: FloatArray  # (k, 3) mm
+    reference: FloatArray  # (k, 3) mm
     nozzle: FloatArray  # (k, 3) mm
     contour_um: FloatArray  # (k,)
-    along_mm: FloatArray  # (k,) of the wanted path, from the corner
+    along_mm: FloatArray  # (k,) of the reference path, from the corner
 
 
 @dataclass(frozen=True, eq=False)
 class Place:
     """A corner and its surroundings."""
 
-    at: FloatArray  # (3,) mm, the corner of the wanted path
+    at: FloatArray  # (3,) mm, the corner of the reference path
     layer: int
     feature: str
     half_mm: float  # half the width of the window
     passes: list[Pass]  # as `shown`
-    neighbours: list[FloatArray]  # (k, 2) mm each, other wanted lines of the layer
+    neighbours: list[FloatArray]  # (k, 2) mm each, other reference lines of the layer
 
 
 def worst_places(found: Comparison, count: int = COUNT) -> list[Place]:
@@ -51,7 +51,7 @@ def worst_places(found: Comparison, count: int = COUNT) -> list[Place]:
 
 def _worst(samples: Samples, count: int) -> Iterator[int]:
     eligible = samples.extruding if samples.extruding.any() else np.ones(len(samples.due), dtype=np.bool_)
-    xy = samples.wanted[:, :2]
+    xy = samples.reference[:, :2]
     apart = APART * float(np.ptp(xy[eligible], axis=0).max())
     left = np.where(eligible, samples.contour, -1.0)
     for _ in range(count):
@@ -66,7 +66,7 @@ def _place(found: Comparison, k: int) -> Place:
     samples = found.methods["none"].samples
     half = float(np.clip(WIDTH_IN_ERRORS * samples.contour[k], CLOSEST_MM, WIDEST_MM))
     corner = _corner(samples, k, half)
-    at, due, layer = samples.wanted[corner], float(samples.due[corner]), int(samples.layer[k])
+    at, due, layer = samples.reference[corner], float(samples.due[corner]), int(samples.layer[k])
     return Place(
         at=at,
         layer=layer,
@@ -80,8 +80,8 @@ def _place(found: Comparison, k: int) -> Place:
 def _corner(samples: Samples, k: int, half: float) -> int:
     """The sharpest turn on the last bit of the way to the worst sample, which is usually a little behind its corner."""
     back = np.flatnonzero(np.abs(samples.due[: k + 1] - samples.due[k]) < AROUND_S)
-    back = back[np.abs(samples.wanted[back] - samples.wanted[k]).max(axis=1) < 0.8 * half]
-    steps = np.diff(samples.wanted[max(back[0] - 1, 0) : back[-1] + 2, :2], axis=0)
+    back = back[np.abs(samples.reference[back] - samples.reference[k]).max(axis=1) < 0.8 * half]
+    steps = np.diff(samples.reference[max(back[0] - 1, 0) : back[-1] + 2, :2], axis=0)
     length = np.linalg.norm(steps, axis=1)
     moving = length > 1e-6
     cosine = np.einsum("ij,ij->i", steps[1:], steps[:-1]) / np.maximum(length[1:] * length[:-1], 1e-12)
@@ -93,12 +93,12 @@ def _corner(samples: Samples, k: int, half: float) -> int:
 
 def _pass(method: Method, at: FloatArray, due: float, half: float) -> Pass:
     s = method.samples
-    inside = np.flatnonzero((np.abs(s.due - due) < AROUND_S) & _within(s.wanted, at, 1.5 * half))
+    inside = np.flatnonzero((np.abs(s.due - due) < AROUND_S) & _within(s.reference, at, 1.5 * half))
     inside = _unbroken(inside, s.due, due)
-    wanted = s.wanted[inside]
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(wanted, axis=0), axis=1))])[: len(wanted)]
-    origin = along[np.argmin(np.linalg.norm(wanted - at, axis=1))] if len(along) else 0.0
-    return Pass(method, wanted, s.nozzle[inside], 1e3 * s.contour[inside], along - origin)
+    reference = s.reference[inside]
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(reference, axis=0), axis=1))])[: len(reference)]
+    origin = along[np.argmin(np.linalg.norm(reference - at, axis=1))] if len(along) else 0.0
+    return Pass(method, reference, s.nozzle[inside], 1e3 * s.contour[inside], along - origin)
 
 
 def _unbroken(inside: NDArray[np.int64], due_of: FloatArray, due: float) -> NDArray[np.int64]:
@@ -115,8 +115,8 @@ def _within(points: FloatArray, at: FloatArray, half: float) -> BoolArray:
 
 
 def _neighbours(samples: Samples, at: FloatArray, layer: int, due: float, half: float) -> list[FloatArray]:
-    """Where else plastic was wanted in this layer."""
+    """Where else plastic was reference in this layer."""
     other = (samples.layer == layer) & (np.abs(samples.due - due) >= AROUND_S) & samples.extruding
-    inside = np.flatnonzero(other & _within(samples.wanted, at, 1.5 * half))
+    inside = np.flatnonzero(other & _within(samples.reference, at, 1.5 * half))
     runs = np.split(inside, np.flatnonzero(np.diff(inside) > 1) + 1)
-    return [samples.wanted[run, :2] for run in runs if len(run) > 1]
+    return [samples.reference[run, :2] for run in runs if len(run) > 1]

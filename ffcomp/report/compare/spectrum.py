@@ -45,7 +45,7 @@ def spectrum(method: Method, sample_s: float) -> Spectrum | None:
 
 
 def resonance_band(found: Comparison) -> tuple[float, float] | None:
-    """Lowest and highest frequency of the bed map where the judged part was printed, Hz."""
+    """Lowest and highest frequency of the bed map where the evaluated part was printed, Hz."""
     if found.bed is None:
         return None
     here = _cells(found, found.methods["none"].samples)
@@ -59,7 +59,7 @@ def _cells(found: Comparison, samples: Samples) -> NDArray[np.int64]:
     """(k, 2) : which points of the bed map are nearest to the print, ix and iy."""
     assert found.bed is not None
     nearest = [
-        np.abs(axis[:, None] - samples.wanted[None, ::100, k]).argmin(axis=0)
+        np.abs(axis[:, None] - samples.reference[None, ::100, k]).argmin(axis=0)
         for k, axis in enumerate((found.bed.x_mm, found.bed.y_mm))
     ]
     return np.unique(np.column_stack(nearest), axis=0)

@@ -9,26 +9,26 @@ from ffcomp.compare.result import Comparison, Family, Method
 from ffcomp.report.compare.words import file_name
 from ffcomp.report.shared.style import AFTER, BAND, BEFORE
 
-WANTED, NONE, BEST, OURS = "#222222", BEFORE, "#009e73", AFTER
+REFERENCE, NONE, BEST, COMPENSATED = "#222222", BEFORE, "#009e73", AFTER
 FAMILIES: dict[Family, str] = {
     "none": NONE,
     "calibrated": "#cc79a7",
     "best fixed": BEST,
     "scheduled": "#b8860b",
-    "inversion": OURS,
+    "inversion": COMPENSATED,
 }
 
 
 def colour_of(found: Comparison, method: Method) -> str:
     """Of the three methods that pictures show."""
-    return {found.ours: OURS, found.best_fixed: BEST}.get(method.name, NONE)
+    return {found.compensated: COMPENSATED, found.best_fixed: BEST}.get(method.name, NONE)
 
 
 def band(box: SubFigure, title: str, said: str, found: Comparison) -> None:
     """Title, verdict, and of what print, machine and program this is."""
     box.add_artist(Rectangle((0, 0), 1, 1, color=BAND, transform=box.transSubfigure, zorder=-1))
     of = f"{file_name(found)}  ·  {found.machine.name}, machine file sha256 {found.machine.sha256[:12]}"
-    by = f"judged by {found.plant.name}  ·  ffcomp {found.version}"
+    by = f"evaluated on {found.plant.name}  ·  ffcomp {found.version}"
     rows = ((0.74, title, 14, "bold", "#ffffff"), (0.44, said, 10, "normal", "#ffd08a"))
     for y, text, size, weight, colour in (*rows, (0.17, f"{of}  ·  {by}", 8, "normal", "#b9c2cf")):
         box.text(0.015, y, text, fontsize=size, weight=weight, color=colour, va="center", parse_math=False, wrap=True)

@@ -105,11 +105,13 @@ def _peak(method: Method) -> float:
 
 
 def _mismatch() -> list[Column]:
-    group = "on drawn printers, µm rms"
-    again = "median, the shaper tuned again on every drawn printer"
+    group = "on Monte-Carlo plants, µm rms"
+    again = "median, the shaper tuned again on every Monte-Carlo plant"
     return [
-        Column(group, "median", "over the drawn printers", lambda m: None if m.spread is None else m.spread.median_um),
-        Column(group, "worst", "of the drawn printers", lambda m: None if m.spread is None else m.spread.worst_um),
+        Column(
+            group, "median", "over the Monte-Carlo plants", lambda m: None if m.spread is None else m.spread.median_um
+        ),
+        Column(group, "worst", "of the Monte-Carlo plants", lambda m: None if m.spread is None else m.spread.worst_um),
         Column(group, "tuned again", again, lambda m: None if m.retuned is None else m.retuned.median_um, best=None),
     ]
 

@@ -21,31 +21,31 @@ ALIKE = 1.05  # two errors closer than this are called the same
 
 def verdict(found: Comparison) -> list[str]:
     """The most important first: how much better than nothing, than a shaper, and what to be careful about."""
-    ours, none, best = (found.methods[name] for name in (found.ours, "none", found.best_fixed))
+    own_method, none, best = (found.methods[name] for name in (found.compensated, "none", found.best_fixed))
     return [
-        _against_none(found, none, ours),
-        _against_best(found, best, ours),
-        *_against_all(found, ours),
-        *_mismatch(found, best, ours),
-        *_equal_quality(found, none, ours),
-        *_limits(found, ours),
-        *_warnings(ours),
+        _against_none(found, none, own_method),
+        _against_best(found, best, own_method),
+        *_against_all(found, own_method),
+        *_mismatch(found, best, own_method),
+        *_equal_quality(found, none, own_method),
+        *_limits(found, own_method),
+        *_warnings(own_method),
         found.sampling,
-        _judge(found),
+        _plant(found),
     ]
 
 
-def _against_none(found: Comparison, none: Method, ours: Method) -> str:
-    before, after = contour_rms_um(found, none), contour_rms_um(found, ours)
+def _against_none(found: Comparison, none: Method, own_method: Method) -> str:
+    before, after = contour_rms_um(found, none), contour_rms_um(found, own_method)
     where = (
-        "Where plastic flows, the" if extrudes(found) else "No plastic flows in what was judged; over all moves, the"
+        "Where plastic flows, the" if extrudes(found) else "No plastic flows in the evaluated part; over all moves, the"
     )
     numbers = (
-        f"{where} nozzle is {um(before)} µm (rms) off the wanted path without compensation and {um(after)} µm with "
+        f"{where} nozzle is {um(before)} µm (rms) off the reference path without compensation and {um(after)} µm with "
         "ffcomp"
     )
     tails = (
-        f"99 % of the time it stays within {um(contour_p99_um(found, ours))} µm, without compensation within "
+        f"99 % of the time it stays within {um(contour_p99_um(found, own_method))} µm, without compensation within "
         f"{um(contour_p99_um(found, none))} µm"
     )
     if after > ALIKE * before:
@@ -55,8 +55,8 @@ def _against_none(found: Comparison, none: Method, ours: Method) -> str:
     return f"{numbers}: {times(before / after)} less; {tails}."
 
 
-def _against_best(found: Comparison, best: Method, ours: Method) -> str:
-    theirs, own = contour_rms_um(found, best), contour_rms_um(found, ours)
+def _against_best(found: Comparison, best: Method, own_method: Method) -> str:
+    theirs, own = contour_rms_um(found, best), contour_rms_um(found, own_method)
     usual = _calibrated(found)
     said = f"The best fixed input shaper ({nick(best)}, {_short(best.tuning)}) leaves {um(theirs)} µm"
     if own > ALIKE * theirs:
@@ -81,22 +81,22 @@ def _short(tuning: str) -> str:
     return tuning.split(": ")[0].rstrip(".")
 
 
-def _against_all(found: Comparison, ours: Method) -> list[str]:
-    """A method beside the two above that does better than ours is named."""
+def _against_all(found: Comparison, own_method: Method) -> list[str]:
+    """A method beside the two above that does better than own_method is named."""
     first = min(found.methods.values(), key=lambda method: contour_rms_um(found, method))
-    own, least = contour_rms_um(found, ours), contour_rms_um(found, first)
-    if first.name in (found.ours, found.best_fixed, "none") or own <= ALIKE * least:
+    own, least = contour_rms_um(found, own_method), contour_rms_um(found, first)
+    if first.name in (found.compensated, found.best_fixed, "none") or own <= ALIKE * least:
         return []
     return [f"The least error of all has {first.label}: {um(least)} µm."]
 
 
-def _mismatch(found: Comparison, best: Method, ours: Method) -> list[str]:
+def _mismatch(found: Comparison, best: Method, own_method: Method) -> list[str]:
     """Against the shaper that stands it best, and against the best one tuned again."""
-    own = ours.spread
+    own = own_method.spread
     if own is None:
         return []
-    judged = [(method.spread, f"{method.label}, as tuned") for method in shapers(found) if method.spread is not None]
-    against = sorted(judged, key=lambda each: each[0].median_um)[:1]
+    evaluated = [(method.spread, f"{method.label}, as tuned") for method in shapers(found) if method.spread is not None]
+    against = sorted(evaluated, key=lambda each: each[0].median_um)[:1]
     if best.retuned is not None:
         against.append((best.retuned, f"{nick(best)} tuned again on each"))
     said = (
@@ -111,8 +111,8 @@ def _mismatch(found: Comparison, best: Method, ours: Method) -> list[str]:
     return [f"{said}."]
 
 
-def _equal_quality(found: Comparison, none: Method, ours: Method) -> list[str]:
-    own, rival = ours.equal_quality, fastest_shaper(found)
+def _equal_quality(found: Comparison, none: Method, own_method: Method) -> list[str]:
+    own, rival = own_method.equal_quality, fastest_shaper(found)
     if own is None:
         return []
     parts, saved = [f"ffcomp {_speed(own)}"], ""
@@ -145,13 +145,13 @@ def _saved(theirs: EqualQuality, own: EqualQuality) -> str:
     return f" With ffcomp that is {100 * abs(share):.0f} % {word} print time than with the shaper."
 
 
-def _limits(found: Comparison, ours: Method) -> list[str]:
+def _limits(found: Comparison, own_method: Method) -> list[str]:
     beyond = [method for method in found.methods.values() if not method.peaks.within_limits]
-    if ours in beyond:
+    if own_method in beyond:
         return [
-            f"ffcomp asks the carriages for {ours.peaks.velocity_mm_per_s:.0f} mm/s and "
-            f"{metres(ours.peaks.acceleration_mm_per_s2)}, more than the machine file allows{_allowed(found)}: its "
-            "accuracy here is not to be had; lower the print's speed or acceleration."
+            f"ffcomp asks the carriages for {own_method.peaks.velocity_mm_per_s:.0f} mm/s and "
+            f"{metres(own_method.peaks.acceleration_mm_per_s2)}, more than the machine file allows{_allowed(found)}: "
+            "its accuracy here is not to be had; lower the print's speed or acceleration."
         ]
     if beyond:
         names = ", ".join(method.label for method in beyond)
@@ -167,11 +167,11 @@ def _allowed(found: Comparison) -> str:
     return f" ({velocity:.0f} mm/s, {metres(acceleration)})"
 
 
-def _warnings(ours: Method) -> list[str]:
-    return [f"Warning: {sentence}" for sentence in dict.fromkeys(ours.warnings)]
+def _warnings(own_method: Method) -> list[str]:
+    return [f"Warning: {sentence}" for sentence in dict.fromkeys(own_method.warnings)]
 
 
-def _judge(found: Comparison) -> str:
+def _plant(found: Comparison) -> str:
     effects = f", with {', '.join(found.plant.effects)}" if found.plant.effects else ""
     if found.plant.sha256 == found.machine.sha256:
         drawn = "" if found.mismatch else "; --mismatch 10% shows by how much"
@@ -180,6 +180,6 @@ def _judge(found: Comparison) -> str:
             f"plans with{effects}. A real printer differs from its file, so in reality it will be less good{drawn}."
         )
     return (
-        f"All of this is simulated: every method believes {found.machine.name}, the virtual printer that judges is "
-        f"{found.plant.name}{effects}."
+        f"All of this is simulated: every method uses the model of {found.machine.name}, and the virtual printer that "
+        f"evaluates them is {found.plant.name}{effects}."
     )

@@ -1,4 +1,4 @@
-// The print in space, its lines coloured by how far off the wanted path the nozzle is. Plain 2-D canvas, no library.
+// The print in space, its lines coloured by how far off the reference path the nozzle is. Plain 2-D canvas, no library.
 // Lengths are mm; `view` turns them into pixels. What is in the data is said in packed.py.
 "use strict";
 
@@ -254,7 +254,7 @@ function startViewer(root, data, colours, methods) {
     const what = { all: "Whole print", this: `Layer ${layer.number}`, upto: `Up to layer ${layer.number}` }[state.range];
     const numbers = methods.map((m) => `${m.short} ${m.byLayer[state.layer]}`).join(" · ");
     label.textContent = state.range === "all"
-      ? `${what}: ${data.layers.length} layer${data.layers.length > 1 ? "s" : ""} judged`
+      ? `${what}: ${data.layers.length} layer${data.layers.length > 1 ? "s" : ""} evaluated`
       : `${what}, Z ${layer.z.toFixed(2)} mm — this layer, µm rms: ${numbers}`;
     slider.value = state.layer;
     slider.setAttribute("aria-valuetext", label.textContent);

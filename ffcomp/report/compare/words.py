@@ -48,7 +48,7 @@ def file_name(found: Comparison) -> str:
 
 def shown(found: Comparison) -> list[Method]:
     """The methods that pictures show, each once: without compensation, the best fixed shaper, ours."""
-    names = dict.fromkeys(name for name in ("none", found.best_fixed, found.ours) if name in found.methods)
+    names = dict.fromkeys(name for name in ("none", found.best_fixed, found.compensated) if name in found.methods)
     return [found.methods[name] for name in names]
 
 
@@ -64,14 +64,14 @@ def shapers(found: Comparison) -> list[Method]:
 
 def fastest_shaper(found: Comparison) -> Method | None:
     """At equal quality; it need not be the one with the least error at the print's own speed."""
-    judged = [(method.equal_quality, method) for method in shapers(found) if method.equal_quality is not None]
-    first = sorted(judged, key=lambda each: (not each[0].reached, each[0].print_time_s))[:1]
+    evaluated = [(method.equal_quality, method) for method in shapers(found) if method.equal_quality is not None]
+    first = sorted(evaluated, key=lambda each: (not each[0].reached, each[0].print_time_s))[:1]
     return first[0][1] if first else None
 
 
 def extrudes(found: Comparison) -> bool:
-    """Whether any plastic flows in the part that was judged."""
-    return bool(found.methods[found.ours].samples.extruding.any())
+    """Whether any plastic flows in the part that was evaluated."""
+    return bool(found.methods[found.compensated].samples.extruding.any())
 
 
 def contour_rms_um(found: Comparison, method: Method) -> float:

@@ -8,12 +8,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from ffcomp.compare.json import as_json
 
 from ffcomp.compare.baselines import LinearPrinter
 from ffcomp.compare.engine import Request, compare, names
 from ffcomp.compare.equal_quality import within_limits
-from ffcomp.compare.json import as_json
-from ffcomp.compare.methods import NAMES, OURS, best_fixed, calibrated
+from ffcomp.compare.methods import COMPENSATED, NAMES, best_fixed, calibrated
 from ffcomp.compare.result import Comparison
 from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.metrics import Track
@@ -33,14 +33,14 @@ def found() -> Comparison:
 
 def test_the_methods_rank_as_they_should() -> None:
     rms = {name: method.track.contour_rms_um for name, method in found().methods.items()}
-    assert rms["none"] > rms["zv-calibrated"] > rms["mzv"] > rms[OURS]
-    assert rms["none"] > 40 * rms[OURS]
-    assert rms["mzv"] > 3 * rms[OURS]
+    assert rms["none"] > rms["zv-calibrated"] > rms["mzv"] > rms[COMPENSATED]
+    assert rms["none"] > 40 * rms[COMPENSATED]
+    assert rms["mzv"] > 3 * rms[COMPENSATED]
 
 
 def test_methods_come_in_the_order_of_the_table() -> None:
     methods = list(found().methods)
-    assert methods == [name for name in NAMES if name in {"none", OURS, *ONLY}]
+    assert methods == [name for name in NAMES if name in {"none", COMPENSATED, *ONLY}]
     assert found().best_fixed == "mzv"
 
 
@@ -60,7 +60,7 @@ def test_every_sample_is_accounted_for() -> None:
 def test_off_nominal_printers_judge_too_and_the_retuned_shaper_is_no_worse() -> None:
     for method in found().methods.values():
         assert method.spread is not None and len(method.spread.contour_rms_um) == 3
-    ours, mzv = found().methods[OURS], found().methods["mzv"]
+    ours, mzv = found().methods[COMPENSATED], found().methods["mzv"]
     assert ours.spread.median_um > 1.5 * ours.track.contour_rms_um  # the model is not the judge
     assert mzv.retuned.median_um < 1.05 * mzv.spread.median_um
     assert "3 plants" in found().mismatch and "10%" in found().mismatch
@@ -71,8 +71,8 @@ def test_equal_quality_holds_its_bound_and_orders_the_methods() -> None:
     for each in quality.values():
         assert each.p99_um <= 25.0 or not each.reached
     assert quality["none"].acceleration_mm_per_s2 < quality["mzv"].acceleration_mm_per_s2
-    assert quality["mzv"].acceleration_mm_per_s2 < 0.6 * quality[OURS].acceleration_mm_per_s2
-    assert quality[OURS].print_time_s < quality["mzv"].print_time_s < quality["none"].print_time_s
+    assert quality["mzv"].acceleration_mm_per_s2 < 0.6 * quality[COMPENSATED].acceleration_mm_per_s2
+    assert quality[COMPENSATED].print_time_s < quality["mzv"].print_time_s < quality["none"].print_time_s
 
 
 def test_the_json_is_the_documented_object() -> None:
@@ -98,7 +98,7 @@ def test_a_plant_with_an_effect_judges_and_is_named() -> None:
     stuck = compare(squares(), "squares.gcode", MACHINE, plant, request)
     free = compare(squares(), "squares.gcode", MACHINE, None, request)
     assert stuck.plant.effects == ("coulomb_friction",) and not stuck.machine.effects
-    assert stuck.methods[OURS].track.contour_rms_um > 2 * free.methods[OURS].track.contour_rms_um
+    assert stuck.methods[COMPENSATED].track.contour_rms_um > 2 * free.methods[COMPENSATED].track.contour_rms_um
 
 
 def test_a_plant_with_uneven_belts_can_judge() -> None:
@@ -108,7 +108,7 @@ def test_a_plant_with_uneven_belts_can_judge() -> None:
 
 
 def test_the_search_beats_the_calibration_and_its_neighbours() -> None:
-    (stretch,), _ = Print(squares(), "squares.gcode", MACHINE).stretches(Sampling())
+    (stretch,), _ = Print(squares(), "squares.gcode", MACHINE).slices(Sampling())
     linear = LinearPrinter(MACHINE, [stretch])
     best = linear.contour_rms_um([best_fixed(linear, "ei").motion(stretch)[0]])
     assert best < linear.contour_rms_um([calibrated(MACHINE, "ei").motion(stretch)[0]])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.compare.evaluation import SAMPLE_S, SETTLE_S, Played, by, contour_numbers, judge, track
-from ffcomp.compare.sampling import Print, Sampling, Stretch
+from ffcomp.compare.evaluation import SAMPLE_S, SETTLE_S, Execution, by, contour_numbers, evaluate, track
+from ffcomp.compare.sampling import Print, PrintSlice, Sampling
 from ffcomp.errors import NothingToDo
 from models.file import load_machine
 from tests.support.prints import squares
@@ -15,21 +15,21 @@ MACHINE = load_machine("mp-delta-pro")
 
 
 @pytest.fixture(scope="module")
-def stretch() -> Stretch:
-    (found,), _ = Print(squares(), "squares.gcode", MACHINE).stretches(Sampling())
+def stretch() -> PrintSlice:
+    (found,), _ = Print(squares(), "squares.gcode", MACHINE).slices(Sampling())
     return found
 
 
-def played(stretch: Stretch, error_mm: np.ndarray | None = None, late_s: float = 0.0) -> Played:
+def played(stretch: PrintSlice, error_mm: np.ndarray | None = None, late_s: float = 0.0) -> Execution:
     """The plan, late and off by an error (3,) or (m, 3) mm."""
     motion = stretch.motion
     t = np.arange(motion.begin_t + SAMPLE_S, motion.end_t, SAMPLE_S)
     nozzle = motion.position(t - late_s)
-    return Played(stretch, motion, t, nozzle if error_mm is None else nozzle + error_mm)
+    return Execution(stretch, motion, t, nozzle if error_mm is None else nozzle + error_mm)
 
 
-def test_a_lifted_nozzle_is_off_by_as_much_everywhere(stretch: Stretch) -> None:
-    found = judge([played(stretch, np.array([0.0, 0.0, 0.01]))])
+def test_a_lifted_nozzle_is_off_by_as_much_everywhere(stretch: PrintSlice) -> None:
+    found = evaluate([played(stretch, np.array([0.0, 0.0, 0.01]))])
     everywhere = np.ones(len(found.samples.due), dtype=np.bool_)
     numbers = track(found, everywhere, 1.0, 2.0)
     assert numbers.tracking_rms_um == pytest.approx(10.0, rel=1e-9)
@@ -39,8 +39,8 @@ def test_a_lifted_nozzle_is_off_by_as_much_everywhere(stretch: Stretch) -> None:
     assert (numbers.print_time_s, numbers.peak_command_acceleration_mm_per_s2) == (1.0, 2.0)
 
 
-def test_a_late_nozzle_tracks_badly_and_prints_well(stretch: Stretch) -> None:
-    found = judge([played(stretch, late_s=0.002)])
+def test_a_late_nozzle_tracks_badly_and_prints_well(stretch: PrintSlice) -> None:
+    found = evaluate([played(stretch, late_s=0.002)])
     everywhere = np.ones(len(found.samples.due), dtype=np.bool_)
     numbers = track(found, everywhere, 1.0, 1.0)
     assert numbers.delay_s == pytest.approx(0.002, abs=2e-6)
@@ -49,16 +49,16 @@ def test_a_late_nozzle_tracks_badly_and_prints_well(stretch: Stretch) -> None:
     assert numbers.contour_max_um < 1e-6
 
 
-def test_what_swings_in_a_cruise_is_ringing(stretch: Stretch) -> None:
+def test_what_swings_in_a_cruise_is_ringing(stretch: PrintSlice) -> None:
     """10 µm of amplitude is 7.07 µm rms, whatever else is constant."""
     t = played(stretch).t
     error = np.zeros((len(t), 3))
     error[:, 2] = 0.01 * np.sin(2 * np.pi * 40.0 * t) + 0.3
-    assert judge([played(stretch, error)]).residual_rms_um == pytest.approx(7.07, rel=0.05)
+    assert evaluate([played(stretch, error)]).residual_rms_um == pytest.approx(7.07, rel=0.05)
 
 
-def test_stretches_are_put_together_and_labelled(stretch: Stretch) -> None:
-    once, twice = judge([played(stretch)]), judge([played(stretch), played(stretch)])
+def test_stretches_are_put_together_and_labelled(stretch: PrintSlice) -> None:
+    once, twice = evaluate([played(stretch)]), evaluate([played(stretch), played(stretch)])
     assert len(twice.samples.due) == 2 * len(once.samples.due)
     assert twice.delay_s == pytest.approx(0.0, abs=1e-6)
     s = once.samples
@@ -77,7 +77,7 @@ def test_numbers_by_label() -> None:
     assert found[1].share == 0.5
 
 
-def test_too_short_a_part_is_an_error(stretch: Stretch) -> None:
+def test_too_short_a_part_is_an_error(stretch: PrintSlice) -> None:
     short = played(stretch)
     with pytest.raises(NothingToDo, match=r"less than 0\.5 s"):
-        judge([Played(stretch, short.motion, short.t[:100], short.nozzle[:100])])
+        evaluate([Execution(stretch, short.motion, short.t[:100], short.nozzle[:100])])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffcomp.compare.monte_carlo import FARTHEST, drawn, dynamic_numbers
+from ffcomp.compare.monte_carlo import FARTHEST, draw_plants, dynamic_numbers
 from ffcomp.simulate.compatibility import check_same_kinematics
 from models.arrays import constant
 from models.errors import MachineFileError
@@ -18,13 +18,13 @@ MACHINE = load_machine("mp-delta-pro")
 
 
 def test_a_seed_always_draws_the_same_printer() -> None:
-    few, many = drawn(MACHINE, 0.1, 2), drawn(MACHINE, 0.1, 5)
+    few, many = draw_plants(MACHINE, 0.1, 2), draw_plants(MACHINE, 0.1, 5)
     for name in dynamic_numbers(MACHINE):
         assert [value_of(m, name) for m in few] == [value_of(m, name) for m in many[:2]]
 
 
 def test_every_dynamic_number_is_off_by_the_standard_deviation() -> None:
-    plants = drawn(MACHINE, 0.1, 400)
+    plants = draw_plants(MACHINE, 0.1, 400)
     for name in dynamic_numbers(MACHINE):
         off = np.array([value_of(m, name) for m in plants]) / value_of(MACHINE, name) - 1
         assert np.std(off) == pytest.approx(0.1, rel=0.15)
@@ -49,7 +49,7 @@ def test_no_dynamic_number_is_forgotten() -> None:
 
 def test_a_machine_without_drive_has_none_to_draw() -> None:
     plain = replace(MACHINE, carriage=replace(MACHINE.carriage, drive=None))
-    assert drawn(plain, 0.1, 1)[0].carriage.drive is None
+    assert draw_plants(plain, 0.1, 1)[0].carriage.drive is None
 
 
 def test_another_printer_is_refused_by_key_and_rule() -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.compare.evaluation import Played, contour
-from ffcomp.compare.methods import OURS, inversion
+from ffcomp.compare.evaluation import Execution, contour
+from ffcomp.compare.methods import COMPENSATED, inversion
 from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.compensate.job import Job
 from ffcomp.inverse import lq_preview as fast
@@ -27,10 +27,10 @@ FOLDED = {
 
 
 def contour_rms_um(believed: Machine, plant: Machine) -> float:
-    (stretch,), _ = Print(squares(1), "squares.gcode", believed).stretches(Sampling())
-    motion, _ = inversion(believed, settings_for(believed), OURS).motion(stretch)
+    (stretch,), _ = Print(squares(1), "squares.gcode", believed).slices(Sampling())
+    motion, _ = inversion(believed, settings_for(believed), COMPENSATED).motion(stretch)
     t, (nozzle,) = simulate_nozzles([plant], motion, believed)
-    return float(1e3 * np.sqrt(np.mean(contour([Played(stretch, motion, t, nozzle)]) ** 2)))
+    return float(1e3 * np.sqrt(np.mean(contour([Execution(stretch, motion, t, nozzle)]) ** 2)))
 
 
 @pytest.mark.parametrize("name", FOLDED)

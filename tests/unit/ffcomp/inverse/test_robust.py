@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.compare.evaluation import Played, contour
-from ffcomp.compare.methods import OURS, ROBUST, inversion
-from ffcomp.compare.monte_carlo import drawn
+from ffcomp.compare.evaluation import Execution, contour
+from ffcomp.compare.methods import COMPENSATED, ROBUST, inversion
+from ffcomp.compare.monte_carlo import draw_plants
 from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.robust import (
@@ -147,7 +147,7 @@ def test_directions_hold_the_spread_of_the_draws(softening: RobustReference) -> 
     known = sensitivity._node((0, 0)).astype(np.complex128)
     f = sensitivity.frequency[60:280:20]  # 15 to 65 Hz
     plain = np.linalg.inv(nozzle_frf(sensitivity.machine, xy, f))
-    plants = np.array([nozzle_frf(plant, xy, f) for plant in drawn(sensitivity.machine, 0.1, 100)]) @ plain
+    plants = np.array([nozzle_frf(plant, xy, f) for plant in draw_plants(sensitivity.machine, 0.1, 100)]) @ plain
     held = np.sum(np.abs(known[1:, 0, 0, 60:280:20]) ** 2, axis=0)
     assert 0.5 < np.sum(held) / np.sum(plants.var(axis=0)[:, 0, 0]) < 1.4
 
@@ -189,7 +189,7 @@ def test_the_expected_contour_error_is_lower(softening: RobustReference, machine
         nozzle = path[0] + np.fft.irfft(lines[..., 0], length, axis=0)[: len(path)]
         return float(np.mean(contour_error(t, path, t, nozzle) ** 2))
 
-    plants = drawn(machine, 0.1, 20)
+    plants = draw_plants(machine, 0.1, 20)
     plainly, robustly = (np.mean([error(plant, r) for plant in plants]) for r in (path, wanted))
     assert robustly < 0.4 * plainly
 
@@ -217,13 +217,13 @@ def test_named_uncertainties_count_for_their_numbers_alone(machine: Machine) -> 
 
 def test_printers_that_are_off_print_better_on_average(machine: Machine) -> None:
     believed = unsure(machine, 0.1)
-    (stretch,), _ = Print(squares(1), "squares.gcode", machine).stretches(Sampling())
-    plants = drawn(machine, 0.1, 6)
+    (stretch,), _ = Print(squares(1), "squares.gcode", machine).slices(Sampling())
+    plants = draw_plants(machine, 0.1, 6)
     means = []
-    for name in (OURS, ROBUST):
+    for name in (COMPENSATED, ROBUST):
         motion, _ = inversion(believed, settings_for(believed), name).motion(stretch)
         t, nozzles = simulate_nozzles(plants, motion, believed)
-        squared = [np.mean(contour([Played(stretch, motion, t, nozzle)]) ** 2) for nozzle in nozzles]
+        squared = [np.mean(contour([Execution(stretch, motion, t, nozzle)]) ** 2) for nozzle in nozzles]
         means.append(float(np.mean(squared)))
         np.testing.assert_allclose(motion.position(np.array([motion.end_t]))[0], stretch.corners[1][-1], atol=2e-4)
     assert means[1] < 0.5 * means[0]

@@ -78,7 +78,7 @@ def test_the_peak_is_the_plans_own_acceleration() -> None:
     from ffcomp.compare.sampling import Print, Sampling
 
     text = b"G90\nG1 X0 Y0 Z1 F6000\nM204 S2000\nG1 Z50 F6000\n"
-    (stretch,), _ = Print(text, "z", MACHINE).stretches(Sampling())
+    (stretch,), _ = Print(text, "z", MACHINE).slices(Sampling())
     speed, acceleration = stretch.motion.peaks(MACHINE)
     assert speed == pytest.approx(100.0, rel=1e-6)
     assert acceleration == pytest.approx(2000.0, rel=1e-6)

@@ -9,7 +9,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from ffcomp.compare.sampling import Print, Sampling, Stretch
+from ffcomp.compare.sampling import Print, PrintSlice, Sampling
 from ffcomp.compensate.solve import SolvedSection, solutions
 from ffcomp.inverse.command_limits import peak_utilisation
 from ffcomp.inverse.model import InverseModel
@@ -27,8 +27,8 @@ FRICTION = with_effect(MACHINE, "coulomb_friction", force_n=4.0)
 
 
 @cache
-def part() -> Stretch:
-    (found,), _ = Print(squares(1), "squares.gcode", MACHINE).stretches(Sampling())
+def part() -> PrintSlice:
+    (found,), _ = Print(squares(1), "squares.gcode", MACHINE).slices(Sampling())
     return found
 
 

@@ -71,7 +71,7 @@ def test_it_is_the_force_that_the_printer_feels() -> None:
 @cache
 def longest_run() -> Reference:
     """Of a square."""
-    (part,), _ = Print(squares(1), "squares.gcode", MACHINE).stretches(Sampling())
+    (part,), _ = Print(squares(1), "squares.gcode", MACHINE).slices(Sampling())
     solved = solutions(part.planned, MACHINE, InverseModel(MACHINE, settings_for(MACHINE)), None, lambda wanted: False)
     return max((each.wanted for each in solved), key=lambda wanted: wanted.knots)
 
