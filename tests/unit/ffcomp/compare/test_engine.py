@@ -8,7 +8,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from ffcomp.compare.json import as_json
 
 from ffcomp.compare.baselines import LinearPrinter
 from ffcomp.compare.engine import Request, compare, names
@@ -76,7 +75,7 @@ def test_equal_quality_holds_its_bound_and_orders_the_methods() -> None:
 
 
 def test_the_json_is_the_documented_object() -> None:
-    answer = json.loads(json.dumps(as_json(found()), allow_nan=False))
+    answer = json.loads(json.dumps(found().to_dict(), allow_nan=False))
     assert answer["schema"] == "ffcomp-compare/1"
     assert answer["plant"]["sha256"] == MACHINE.sha256
     for method in answer["methods"].values():

@@ -67,7 +67,7 @@ def test_chunks_and_company_change_nothing(monkeypatch: pytest.MonkeyPatch) -> N
     short = type(motion)(motion.position, 0.0, 2.0, motion.clock)
     stiff = with_effect(MACHINE, "belt_stiffness", relative_change=0.2)
     _, (alone,) = simulate_nozzles([MACHINE], short, MACHINE)
-    monkeypatch.setattr("ffcomp.compare.playback.CHUNK_ROWS", 1000)
+    monkeypatch.setattr("ffcomp.simulate.playback.MOST_ROWS", 1000)
     _, (first, second) = simulate_nozzles([MACHINE, stiff], short, MACHINE)
     np.testing.assert_allclose(first, alone, atol=1e-9)
     assert np.abs(second - alone).max() > 1e-3
