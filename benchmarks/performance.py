@@ -1,8 +1,8 @@
 """How fast commands are found, how that grows, where the time goes: docs/PERFORMANCE.md and its figures.
 
-    python benchmarks/performance.py --keep DIR --write            some 30 minutes on one core and a half
-    python benchmarks/performance.py --keep DIR --only SECTION     makes one section's numbers anew
-    python benchmarks/performance.py --keep DIR --quick            everything small, in some minutes
+    python -m benchmarks.performance --keep DIR --write            some 30 minutes on one core and a half
+    python -m benchmarks.performance --keep DIR --only SECTION     makes one section's numbers anew
+    python -m benchmarks.performance --keep DIR --quick            everything small, in some minutes
 
 Every section's numbers are kept in DIR/SECTION.json; what is there is not made again, unless `--only` names it. Without
 `--write` the page goes to standard output. What is compared is measured in turns in one process, in CPU time: other
@@ -24,8 +24,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks import performance_prints as prints
 from benchmarks import performance_ways as ways

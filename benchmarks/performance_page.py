@@ -40,7 +40,7 @@ def page(found: Numbers) -> Iterator[str]:
 def introduction() -> Iterator[str]:
     yield f"""# Performance
 
-Made by `python benchmarks/performance.py --keep DIR --write` (Python {platform.python_version()}, machine file
+Made by `python -m benchmarks.performance --keep DIR --write` (Python {platform.python_version()}, machine file
 `{MACHINE}.toml` if no other is named). One core; times are CPU times, the best of some rounds, and what is compared was
 measured in turns in one process: the machine had other work to do, which is not counted, but shares its caches, so that
 single figures scatter by a fifth. A *segment* is one of 250 a second, before straight ones are joined. Absolute speeds
@@ -426,7 +426,7 @@ and its size; on the printer without the effect (the same as before if nothing w
 on our own virtual printer, whose effect has the file's shape. *Rounds* of the whole printer: 0 where the linear model
 holds the effect by itself. *Share of a limit*: the most that a carriage is asked for, with the file that does not know
 the effect and with the one that does. Sizes are draws of the blind test. Made also by
-`python studies/effects_compensated.py`.
+`python -m studies.effects_compensated`.
 """
     yield ""
     yield from as_table(found)

@@ -1,6 +1,6 @@
 """How fast the virtual printer is on one core: one simulation alone, and eight side by side.
 
-    python benchmarks/printer_speed.py [--seconds S] [--rounds N]
+    python -m benchmarks.printer_speed [--seconds S] [--rounds N]
 
 A machine plays S seconds (4) of a curve, one step from row to row, alone and then eight times at once; the best of N
 rounds (7) counts. Both are nanoseconds of this thread for a step of one printer, splines and all; the last column is
@@ -10,18 +10,14 @@ how many print-seconds the eight get through in a second.
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from models.arrays import FloatArray
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
 import numpy as np
 
+from models.arrays import FloatArray
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from models.machine import Machine

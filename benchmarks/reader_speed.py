@@ -1,6 +1,6 @@
 """How fast G-code is read, in parts: µs a line, lines/s, MB/s, and how much faster than the way for unusual lines.
 
-    python benchmarks/reader_speed.py [FILE ...] [--megabytes N] [--rounds N]
+    python -m benchmarks.reader_speed [FILE ...] [--megabytes N] [--rounds N]
 
 Each file is repeated to N megabytes (30) and read part by part; the best round (of 3) counts, in CPU time. The general
 way is the same file, 1 MB of it, with a round comment in every G0 and G1: its lines are split into words one by one.
@@ -23,8 +23,6 @@ import time
 from collections.abc import Callable, Iterator
 from itertools import islice, repeat
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
 

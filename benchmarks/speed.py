@@ -1,6 +1,6 @@
 """How fast a print is compensated, on one core: print-seconds per second, from the bytes read to the bytes written.
 
-    python benchmarks/speed.py [--json] [--rounds N]
+    python -m benchmarks.speed [--json] [--rounds N]
 
 Each print is compensated N times (3), as the command line does it but without the prediction; the best round counts.
 The first round of all, which also loads or compiles the kernels, is reported apart.
@@ -15,13 +15,10 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 import argparse
 import json
-import sys
 import tempfile
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp.compensate.job import Job
 from models.file import load_machine

@@ -1,6 +1,6 @@
 """How fast steps are made, how small they get, and how far off they are: exact, compressed, and sampled.
 
-    python benchmarks/steps.py [PRINT ...] [--error-us E] [--rounds N] [--sample-us S]
+    python -m benchmarks.steps [PRINT ...] [--error-us E] [--rounds N] [--sample-us S]
 
 Each print's plan becomes the steps of three carriages and the filament, on one core; the best of N rounds (3) counts.
 `exact` and `compressed` are the whole way from the plan to an archive. `sampled` is what one would write in NumPy at
@@ -12,14 +12,11 @@ steps without the filter of rapid turns, of motors with as many steps.
 from __future__ import annotations
 
 import argparse
-import sys
 import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,6 +1,6 @@
 """How fast commands become text: the writer alone, stage by stage, in µs per segment.
 
-    python benchmarks/writer_speed.py [--json] [--rounds N] [PRINT ...]
+    python -m benchmarks.writer_speed [--json] [--rounds N] [PRINT ...]
 
 The command is the planned path with its corners smoothed, which takes about as many segments as a compensated one; runs
 are written in pieces of the usual length. Every round goes through the whole print; each stage's best of N (5) counts.
@@ -22,14 +22,11 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 import argparse
 import json
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
 from numpy.typing import NDArray

@@ -17,8 +17,6 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 import typer
 from typer.models import ArgumentInfo, OptionInfo
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
 from ffcomp.cli.app import app, options
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "cli.md"
@@ -27,7 +25,7 @@ WORDS = {str: "TEXT", Path: "PATH", int: "WHOLE NUMBER", float: "NUMBER"}
 HEAD = """\
 # Command line
 
-Written by `python studies/cli_reference.py --write` from the verbs themselves; a test holds it to them.
+Written by `python -m studies.cli_reference --write` from the verbs themselves; a test holds it to them.
 `ffcomp VERB --help` says the same in the terminal.
 
 What holds for all verbs:

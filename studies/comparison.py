@@ -1,6 +1,6 @@
 """Every method on the sample prints and on a print from outside, with machines that are not as their files say.
 
-    OPENBLAS_NUM_THREADS=1 python studies/comparison.py > docs/COMPARISON.md     some half an hour on two cores
+    OPENBLAS_NUM_THREADS=1 python -m studies.comparison > docs/COMPARISON.md     some half an hour on two cores
     … comparison.py far_star lobed_vase                     only these tables
 
 The print from outside is read from ../shared/data/gcode (or FFCOMP_DATA); without it, its table is left out.
@@ -16,8 +16,6 @@ from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp.compare.engine import Request, compare
 from ffcomp.compare.evaluation import SAMPLE_S
@@ -46,7 +44,7 @@ HEAD = (
 )
 INTRODUCTION = f"""# Comparison
 
-Made by `python studies/comparison.py > docs/COMPARISON.md` (Python {platform.python_version()}); every table is what
+Made by `python -m studies.comparison > docs/COMPARISON.md` (Python {platform.python_version()}); every table is what
 `ffcomp compare` finds. All errors in µm.
 
 - **The judge** is the virtual printer (`models/printer/printer.py`): nonlinear, with weight, integrated 6400 times a

@@ -1,6 +1,6 @@
 """Our virtual printer against MuJoCo, an engine nobody here wrote, with the arms as bodies.
 
-    python studies/cross_check.py > docs/CROSS_CHECK.md     some two minutes
+    python -m studies.cross_check > docs/CROSS_CHECK.md     some two minutes
 
 What is built in MuJoCo stands in `validation/plants/multibody.py`.
 """
@@ -9,19 +9,15 @@ from __future__ import annotations
 
 import math
 import platform
-import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, linear_sum_assignment
 from scipy.signal import lsim
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from models.file import load_machine
 from models.machine import Machine
@@ -72,7 +68,7 @@ def tell(lines: Iterable[str]) -> None:
 def introduction() -> Iterator[str]:
     yield f"""# Cross-check against MuJoCo
 
-Made by `python studies/cross_check.py > docs/CROSS_CHECK.md` (MuJoCo {mujoco.__version__}, Python
+Made by `python -m studies.cross_check > docs/CROSS_CHECK.md` (MuJoCo {mujoco.__version__}, Python
 {platform.python_version()}, machine file `{judge.MACHINE_FILE.name}`).
 
 Our virtual printer (`models/printer/printer.py`) and its linear model (`models/vibration/receptance.py`) treat each

@@ -1,6 +1,6 @@
 """The full blind test of `ffcomp diagnose`: makes the bank, asks the command line, opens the labels, writes the page.
 
-    python studies/diagnosis.py --cases 120 --jobs 2 --resume DIR --write      → docs/DIAGNOSIS.md and its figure
+    python -m studies.diagnosis --cases 120 --jobs 2 --resume DIR --write      → docs/DIAGNOSIS.md and its figure
 
 The bank is `validation/blind`. Everything is kept in DIR (see `validation/blind/seal.py`), so that it can be
 interrupted and
@@ -23,8 +23,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from validation.blind import score
 from validation.blind.bank import case
@@ -160,7 +158,7 @@ def introduction(judged: Sequence[score.Judged], options: argparse.Namespace) ->
     fast = np.nanmedian([j.verdict.get("seconds", np.nan) for j in judged])
     yield "# Diagnosis: the blind test\n"
     yield (
-        f"Made by `python studies/diagnosis.py --cases {options.cases} --resume DIR --write` (seed {options.seed}, "
+        f"Made by `python -m studies.diagnosis --cases {options.cases} --resume DIR --write` (seed {options.seed}, "
         f"runs of {options.seconds:g} s at 1600 Hz, Python {platform.python_version()}; in the median a verdict takes "
         f"{fast:.0f} s).\n"
     )

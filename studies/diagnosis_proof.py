@@ -1,6 +1,6 @@
 """The last proof of a diagnosis: does the print get better on the printer that hides the effect?
 
-    python studies/diagnosis_proof.py --keep DIR --write      some 15 minutes; docs/DIAGNOSIS_PROOF.md, its figure
+    python -m studies.diagnosis_proof --keep DIR --write      some 15 minutes; docs/DIAGNOSIS_PROOF.md, its figure
 
 Effects are hidden in the independent printer of `validation/blind`, which is measured, diagnosed through the command
 line,
@@ -25,8 +25,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp.compare.evaluation import Execution, contour
 from ffcomp.compare.methods import COMPENSATED, inversion, none
@@ -322,7 +320,7 @@ def page(found: Sequence[Proof]) -> Iterator[str]:
 def introduction() -> Iterator[str]:
     yield f"""# Diagnosis: the last proof
 
-Made by `python studies/diagnosis_proof.py --keep DIR --write` (Python {platform.python_version()}).
+Made by `python -m studies.diagnosis_proof --keep DIR --write` (Python {platform.python_version()}).
 
 A diagnosis is worth something if the print gets better. Here a printer hides an effect: it is the independent printer
 of the blind test (`validation/blind`: other equations, other shapes of friction, coloured noise, counts), with the

@@ -1,6 +1,6 @@
 """What every effect of the catalogue does, drawn, and the page that tells of them all: docs/EFFECTS.md.
 
-    python studies/effect_figures.py --write     some 20 seconds; needs matplotlib
+    python -m studies.effect_figures --write     some 20 seconds; needs matplotlib
 
 Everything is computed: the library's printer is simulated with the effect and without it. What an effect is shown by
 stands in `SHOWN`; one that is not there is shown by hard moves and by a response.
@@ -9,7 +9,6 @@ stands in `SHOWN`; one that is not there is shown by hard moves and by a respons
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -18,8 +17,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from models.effects.catalogue import CATALOGUE, effective_machine, measured, with_effect
 from models.effects.effect import Effect, Parameter
@@ -425,7 +422,7 @@ Figures: the library's `{machine}` at the centre, {height:g} mm over the bed, wi
 (blue), in time also their difference (orange). Accelerations as sensors would feel them; responses are acceleration
 felt for acceleration commanded.
 
-This page and its figures are written by `python studies/effect_figures.py --write`.
+This page and its figures are written by `python -m studies.effect_figures --write`.
 """
 KINDS = {
     "parameter": "changes the machine's numbers",

@@ -1,6 +1,6 @@
 """What it is worth to compensate effects that are not linear: every effect, hidden in the independent printer.
 
-    python studies/effects_compensated.py [--keep FILE] [--seconds S] [NAME ...]     some ten minutes for all of them
+    python -m studies.effects_compensated [--keep FILE] [--seconds S] [NAME ...]     some ten minutes for all of them
 
 A part of the ringing tower is compensated with a machine file that does not know the effect, and with one that does;
 both print on the independent printer of `validation/blind`, which has it. Beside them: the printer without it. What
@@ -26,8 +26,6 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp.compare.evaluation import Execution, contour
 from ffcomp.compare.methods import COMPENSATED, inversion, none

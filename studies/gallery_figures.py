@@ -1,6 +1,6 @@
 """The pictures of docs/GALLERY.md and of the tutorials, good and bad.
 
-    python studies/gallery_figures.py --write [NAME ...]
+    python -m studies.gallery_figures --write [NAME ...]
 
 The tutorials' own commands are run first, so that a reader who follows a page sees the picture that it shows. What goes
 wrong is made beside them: a machine file that is 10 % off, limits that bind, noise, a mode in the wrong place.
@@ -16,7 +16,6 @@ os.environ["FFCOMP_LOG"] = "off"
 import argparse
 import io
 import re
-import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -24,8 +23,6 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp.diagnose.engine import diagnose
 from ffcomp.diagnose.printer_problem import Delta

@@ -1,6 +1,6 @@
 """The paper's Tables II and III as a study: identified at one place, predicted at four.
 
-    python studies/identification.py > docs/IDENTIFICATION.md     some two minutes
+    python -m studies.identification > docs/IDENTIFICATION.md     some two minutes
 
 The laboratory is `validation/plants/lab.py`: a nonlinear printer with equations of its own, uneven towers, dry
 friction in its guides, noise on its sensors. What it hands out are time records; everything else is `ffcomp identify`.
@@ -9,16 +9,12 @@ friction in its guides, noise on its sensors. What it hands out are time records
 from __future__ import annotations
 
 import platform
-import sys
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp.identify.accuracy import complex_log_error, error_reduction, mean_absolute_percentage_accuracy
 from ffcomp.identify.output_error import TOTAL_MASS, UNKNOWNS, fit_machine
@@ -53,7 +49,7 @@ def introduction() -> list[str]:
     return [
         "# Identification",
         "",
-        f"Made by `python studies/identification.py > docs/IDENTIFICATION.md` (Python {platform.python_version()}).",
+        f"Made by `python -m studies.identification > docs/IDENTIFICATION.md` (Python {platform.python_version()}).",
         "",
         "The laboratory is a printer nobody here fits with (`validation/plants`): Lagrange's equations in the nozzle's "
         "position, weight, towers that differ from each other by 2 to 5 % (belts, masses, dampings), dry friction "

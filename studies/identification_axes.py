@@ -1,6 +1,6 @@
 """Straight axes from a firmware's resonance tests: simulated ones, whose truth is known, and real printers'.
 
-    python studies/identification_axes.py --write     the last section of docs/IDENTIFICATION.md, a minute
+    python -m studies.identification_axes --write     the last section of docs/IDENTIFICATION.md, a minute
 
 The simulated tests pass the response of the modes' sum, with white noise in every sample; an ADXL345 read 3200 times a
 second has 0.15 m/s², which is 0.08 m/s² here. The real spectra are read from ../shared/data or FFCOMP_DATA.
@@ -18,15 +18,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from models.arrays import constant
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
 from ffcomp.errors import MeasurementError
 from ffcomp.identify.axis_spectra import Spectrum, spectrum_of
 from ffcomp.identify.modal_fit import AxisFit, fit_axis
 from ffcomp.measurement.klipper import Resonances, read_vibration
 from ffcomp.shapers.calibration import calibrated, normalised, resonance_test
+from models.arrays import constant
 from models.kinematics.cartesian import CARTESIAN, CartesianKinematics
 from models.machine import Machine, MotionLimits
 from models.vibration.modal import Axis, parts
@@ -40,7 +37,7 @@ NOISES = (0.08, 0.25, 0.8)  # m/s² in each of 800 samples a second
 MACHINES = 16  # of each number of modes
 BAND_HZ = (2.0, 400.0)
 HOW_TO = """
-Made by `python studies/identification_axes.py --write`.
+Made by `python -m studies.identification_axes --write`.
 
 Each axis of such a machine is one mode or two (`models/vibration/modal.py`). `ffcomp identify fit` finds their
 frequencies, damping ratios and shares from any of these, together if there are several:

@@ -1,6 +1,6 @@
 """Robust against plain inversion, side by side, on printers that are not as their file says.
 
-    python studies/robust.py [--plants N] > docs/ROBUST.md
+    python -m studies.robust [--plants N] > docs/ROBUST.md
 
 For each sample print eight stretches, 36 s in all, and a small square far from the bed's middle; N printers (20) whose
 dynamic numbers are all off. The machine file says how unsure it is; robust inversion wants what is best over that.
@@ -14,14 +14,11 @@ import os
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 import argparse
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp.compare.baselines import LinearPrinter
 from ffcomp.compare.evaluation import Execution, contour
@@ -236,7 +233,7 @@ def main() -> None:
 
 HEAD = """# Robust inversion
 
-Made by `python studies/robust.py > docs/ROBUST.md`. {name}, {seconds:g} s of each print on the
+Made by `python -m studies.robust > docs/ROBUST.md`. {name}, {seconds:g} s of each print on the
 nonlinear virtual printer, and ten rounds of a square of 20 mm around (-90, -20) at 200 mm/s and 10 m/s². {count}
 printers have all their 15 masses, stiffnesses, dampings and drive numbers off, each by its own draw: normal with a
 standard deviation of 5 % or 10 %, or even within ±10 %. The machine file's `[uncertainty]` says how far. Every method

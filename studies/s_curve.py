@@ -1,6 +1,6 @@
 """What an S-curve plan takes and gives: print time, peaks of the carriages' command, contour error.
 
-    python studies/s_curve.py [--seconds N] [FILE:MACHINE ...]
+    python -m studies.s_curve [--seconds N] [FILE:MACHINE ...]
 
 Peaks are of the carriages' acceleration over 4 ms: the largest, and the 99.9th percentile. "Plan" is the command before
 compensation, over the whole print; "command" is what compensation makes of it, over N seconds (60) of runs drawn at
@@ -14,14 +14,11 @@ import os
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # one core: said before numpy and scipy start their threads
 
 import argparse
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp.compensate.prediction import Prediction
 from ffcomp.inverse.model import InverseModel

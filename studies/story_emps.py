@@ -1,6 +1,6 @@
 """Story: a real axis, where rigid mass and viscous friction are not enough.
 
-    python studies/story_emps.py --write      some 20 s; docs/STORY_EMPS.md and its figures
+    python -m studies.story_emps --write      some 20 s; docs/STORY_EMPS.md and its figures
 
 Needs the EMPS data set (see `ffcomp/diagnose/axis_problem.py`) in `../shared/data/emps`, or in `emps` of
 $FFCOMP_DATA. Without
@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import os
 import platform
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,8 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import butter, filtfilt
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp.diagnose.axis_problem import FRICTION, MASS, OFFSET, SHOT_S, VISCOUS, Axis, ForceDriven, read_emps
 from ffcomp.diagnose.engine import Diagnosis, diagnose
@@ -91,7 +88,7 @@ def page(found: Diagnosis, fitted: Answer, fresh: Answer) -> Iterator[str]:
     names = " and ".join(f"`{name}`" for name in (found.named.names if found.named else ()))
     yield f"""# Story: a real axis and its friction
 
-Made by `python studies/story_emps.py --write` (Python {platform.python_version()}).
+Made by `python -m studies.story_emps --write` (Python {platform.python_version()}).
 
 EMPS is a linear axis on a ball screw: a motor's force goes in, a position comes out, 1000 times a second for 25 s
 (A. Janot, M. Gautier and M. Brunot, Nonlinear System Identification Benchmarks, 2019). It is a real machine, not a

@@ -1,6 +1,6 @@
 """Story: a printer whose machine file shares the effector's load as the source paper prints it.
 
-    python studies/story_force_map.py --keep DIR --write      some 10 minutes; docs/STORY_FORCE_MAP.md, its figures
+    python -m studies.story_force_map --keep DIR --write      some 10 minutes; docs/STORY_FORCE_MAP.md, its figures
 
 The printer is built of bodies and joints in MuJoCo (`validation/plants/multibody.py`, needs the `mujoco` package):
 none of our equations is in it. Runs, verdicts and machine files stay in DIR; what is there is not made again. Without
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import platform
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,8 +19,6 @@ from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from ffcomp.diagnose.printer_problem import Delta
 from ffcomp.measurement.recording import read_recording
@@ -164,7 +161,7 @@ def page(told: dict[str, Told]) -> Iterator[str]:
 def introduction() -> Iterator[str]:
     yield f"""# Story: the machine file that felt a third of the load
 
-Made by `python studies/story_force_map.py --keep DIR --write` (MuJoCo {mujoco.__version__}, Python
+Made by `python -m studies.story_force_map --keep DIR --write` (MuJoCo {mujoco.__version__}, Python
 {platform.python_version()}).
 
 An owner has typed the numbers of a paper into a machine file, and with them the paper's way of sharing the effector's

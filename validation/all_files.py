@@ -1,4 +1,4 @@
-"""Every G-code file of others, whole, through the main job: `python validation/all_files.py [FOLDER]`.
+"""Every G-code file of others, whole, through the main job: `python -m validation.all_files [FOLDER]`.
 
 FOLDER defaults to ../shared/data/gcode. A row per file: print time, how it grew, segments, speed, and whether every
 safety invariant (`validation/invariants.py`) holds; below it what does not. Ends with 1 if anything does not.
@@ -9,14 +9,11 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 import time
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))
-
 from ffcomp.compensate.job import Job  # noqa: E402
 from gcode.errors import GcodeError  # noqa: E402
 from models.file import load_machine  # noqa: E402

@@ -1,4 +1,4 @@
-"""Coverage-guided fuzzing: `python validation/fuzz.py [TARGET ...] --minutes 1 --seed 1 --keep FOLDER`.
+"""Coverage-guided fuzzing: `python -m validation.fuzz [TARGET ...] --minutes 1 --seed 1 --keep FOLDER`.
 
 Targets: what the readers of G-code, machine files, measured runs and containers make of any bytes, and `prints`: random
 prints through the main job, each result held to the invariants of `validation/invariants.py`. Inputs are mutated by
@@ -25,8 +25,6 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))
-
 SLOW_S = 10.0  # for one input: as bad as a crash
 MEMORY_MB = 2048
 LONGEST = 4096  # bytes of an input
@@ -214,10 +212,19 @@ def failed(keep: Path, name: str, data: bytes) -> None:
 def fuzzed(target: str, seconds: int, seed: int, keep: Path) -> Row:
     """Run a target, and read libFuzzer's account of it."""
     begin, before = time.monotonic(), count(keep, target)
-    command = [sys.executable, __file__, "--within", target, "--seconds", str(seconds), "--seed", str(seed)]
-    done = subprocess.run(
-        [*command, "--keep", str(keep)], capture_output=True, text=True, errors="replace", check=False
-    )
+    command = [
+        sys.executable,
+        "-m",
+        "validation.fuzz",
+        "--within",
+        target,
+        "--seconds",
+        str(seconds),
+        "--seed",
+        str(seed),
+    ]
+    command += ["--keep", str(keep.resolve())]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, errors="replace", check=False)
     executions, edges = _DONE.search(done.stderr), _EDGES.findall(done.stderr)
     if executions is None or not edges:
         raise SystemExit(f"{target}: the fuzzer has stopped.\n{done.stderr[-3000:]}")

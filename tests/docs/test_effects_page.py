@@ -17,7 +17,7 @@ LARGEST_BYTES = 40_000
 
 def test_the_page_is_in_step_with_the_catalogue() -> None:
     written = (DOCS / "EFFECTS.md").read_text(encoding="utf-8")
-    assert written == effect_figures.page(), "python studies/effect_figures.py --write"
+    assert written == effect_figures.page(), "python -m studies.effect_figures --write"
 
 
 def test_every_effect_has_its_small_figure_and_no_figure_is_left_over() -> None:

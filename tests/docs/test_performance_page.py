@@ -38,7 +38,7 @@ def machine() -> Machine:
 def test_every_section_has_its_numbers_and_its_place_on_the_page() -> None:
     titles = [title for title, _ in performance_page.WRITERS.values()]
     found = re.findall(r"^## (.+)$", PAGE, re.MULTILINE)
-    assert found == [*titles, "What limits it now"], "python benchmarks/performance.py --keep DIR --write"
+    assert found == [*titles, "What limits it now"], "python -m benchmarks.performance --keep DIR --write"
     assert set(performance_page.WRITERS) == set(performance.SECTIONS) == set(performance.QUICK)
 
 

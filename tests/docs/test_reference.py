@@ -31,7 +31,7 @@ TRUTH = load_machine("mp-delta-pro")
 
 def test_the_page_of_verbs_is_in_step_with_them() -> None:
     written_page = (REFERENCE / "cli.md").read_text(encoding="utf-8")
-    assert written_page == cli_reference.page(), "python studies/cli_reference.py --write"
+    assert written_page == cli_reference.page(), "python -m studies.cli_reference --write"
 
 
 def test_every_example_of_a_verb_names_options_that_it_has() -> None:
