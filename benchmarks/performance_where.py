@@ -56,7 +56,7 @@ STAGES = {
         "models.kinematics.delta_kernels.FastDelta.rate_term",
     ),
     "invert: all between": (
-        "ffcomp.compensate.solve.feasible_run",
+        "ffcomp.compensate.solve.solve_feasible",
         "ffcomp.compensate.solve.solve",
         "ffcomp.inverse.time_scaling.solve",
         "ffcomp.inverse.model.InverseModel.state_after_rest",

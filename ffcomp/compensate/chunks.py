@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from ffcomp.inverse.extent import AROUND_S, WHOLE, Extent, around_s
+from ffcomp.inverse.extent import LEAST_CONTEXT_S, WHOLE, Extent, context_s
 from ffcomp.inverse.settings import CUT
 from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.planner.limits import lines_of
@@ -126,7 +126,7 @@ class _Known:
     @staticmethod
     def of(ahead: _Ahead, settings: _Settings) -> _Known:
         plan = settings.plan_of(ahead.program)
-        begin_t = float(plan.start_t[0]) - settings.lead_s if ahead.begin is None else ahead.begin.on(plan)
+        begin_t = float(plan.start_t[0]) - settings.lead_s if ahead.begin is None else ahead.begin.time_in(plan)
         return _Known(ahead, plan, begin_t, settings)
 
     def first(self) -> tuple[Chapter, _Known] | None:
@@ -156,7 +156,7 @@ class _Known:
 
     @property
     def _around_s(self) -> float:
-        return around_s(self.ahead.program.moves, self.plan)
+        return context_s(self.ahead.program.moves, self.plan)
 
     def _clear_cut(self, latest_t: float) -> int:
         """After how many segments to cut, not later: far from the last cut and from any line, in no wipe; 0: nowhere.
@@ -184,7 +184,7 @@ class _Known:
     def _in_motion(self, knots: int, rest: int | None) -> tuple[Chapter, _Known]:
         """Cut after about so many segments. rest : the move before which the motion ends, if that is known"""
         eased = self._eased(knots, rest)
-        if eased is not None and (fewer := eased._clear_cut(self._place(knots).on(eased.plan))):
+        if eased is not None and (fewer := eased._clear_cut(self._place(knots).time_in(eased.plan))):
             return eased._in_motion(fewer, rest)
         return self._cut(knots, rest)
 
@@ -248,7 +248,7 @@ def _from(program: Program, plan: Trajectory, t: float) -> tuple[int, Program]:
     start_t, duration = float(plan.start_t[move]), float(plan.duration[move])
     tail = excerpt(program, move)
     at = min(t, start_t + duration - SHORTEST_S)
-    return move, shortened(tail, plan.position([at])[0], None) if at - start_t > AROUND_S else tail
+    return move, shortened(tail, plan.position([at])[0], None) if at - start_t > LEAST_CONTEXT_S else tail
 
 
 def _until(program: Program, plan: Trajectory, t: float, rest: int | None) -> Program:
@@ -259,7 +259,7 @@ def _until(program: Program, plan: Trajectory, t: float, rest: int | None) -> Pr
     start_t, duration = float(plan.start_t[move]), float(plan.duration[move])
     head = excerpt(program, 0, move + 1)
     at = max(t, start_t + SHORTEST_S)
-    return shortened(head, None, plan.position([at])[0]) if start_t + duration - at > AROUND_S else head
+    return shortened(head, None, plan.position([at])[0]) if start_t + duration - at > LEAST_CONTEXT_S else head
 
 
 def _columns(plan: Trajectory, which: slice) -> Trajectory:
@@ -289,6 +289,6 @@ def _remembered(chapter: Program, plan: Trajectory) -> Program | None:
     rests = rests_of(chapter)
     enough = rests[left[rests] >= REMEMBERED_S]
     first = int(enough[-1]) if enough.size else 0
-    if plan.end_t - plan.start_t[first] > 2 * AROUND_S and not rests[rests > first].size:
-        return _from(chapter, plan, plan.end_t - AROUND_S)[1]
+    if plan.end_t - plan.start_t[first] > 2 * LEAST_CONTEXT_S and not rests[rests > first].size:
+        return _from(chapter, plan, plan.end_t - LEAST_CONTEXT_S)[1]
     return excerpt(chapter, first)

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import chain, islice
 from math import ceil, inf
 from os.path import realpath
@@ -27,11 +28,11 @@ from ffcomp.errors import NothingToDo
 from ffcomp.inverse.extent import WHOLE
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
-from ffcomp.inverse.time_scaling import TimeScaling, eased
+from ffcomp.inverse.time_scaling import TimeScaling, scale_around_cut
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.path_position import PathPosition
-from ffcomp.planner.program import PlannedProgram, firmware_plan, plan_program
+from ffcomp.planner.program import PlannedProgram, firmware_plan, plan_program, plan_section
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps.sink import Board, MotorTotal, StepSink
 from ffcomp.version import __version__
@@ -275,7 +276,7 @@ class Job:
 
     def _eased(self, around: Program, cut: PathPosition, layers: int) -> tuple[Moves, tuple[TimeScaling, ...]]:
         limits, layer_of = planner_limits(self.machine), LayerLookup(around, layers).of
-        return eased(self.inverter, around.moves, limits, cut, first_line=around.first_line, layer_of=layer_of)
+        return scale_around_cut(self.inverter, around, limits, cut, partial(plan_section, limits), layer_of)
 
     def _started(self, plain: bool = False) -> tuple[Iterator[Chapter], Recipe]:
         parts = self._parts()

@@ -167,7 +167,7 @@ def counted_s(run: Section, planned: PlannedProgram, ends: Extent) -> float:
 
 
 def _on(place: PathPosition | None, plan: PlannedMotion, otherwise: float) -> float:
-    return otherwise if place is None else place.on(cast(Trajectory, plan))
+    return otherwise if place is None else place.time_in(cast(Trajectory, plan))
 
 
 def account(summary: Summary, answer: SolvedSection, program: Program, inverter: InverseModel, longer_s: float) -> None:

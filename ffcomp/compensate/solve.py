@@ -11,9 +11,9 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.nonlinear.correction import LinearSolution, correct_sections
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.solve import Solution, solve
-from ffcomp.inverse.time_scaling import TimeScaling, feasible_run
+from ffcomp.inverse.time_scaling import FeasibleSection, SectionRequest, TimeScaling, solve_feasible
 from ffcomp.planner.machine_limits import planner_limits
-from ffcomp.planner.program import PlannedProgram, smooth_section
+from ffcomp.planner.program import PlannedProgram, plan_section, smooth_section
 from ffcomp.planner.sections import Section
 from ffcomp.planner.trajectory import PlannedMotion
 from gcode.layers import LayerLookup
@@ -81,7 +81,7 @@ def _by_the_model(
     """Each run with its answer, and how long the nozzle has rested before it; None: others have moved it."""
     program, trajectory, settings = planned.program, planned.trajectory, inverter.settings
     moved, limits = _moved_before(planned), planner_limits(machine)
-    replan = partial(smooth_section, machine, limits) if settings.s_curve else None
+    replan = partial(smooth_section, machine, limits) if settings.s_curve else partial(plan_section, limits)
     layers = LayerLookup(program, layers_before)
     rested = later = 0.0
     for run in planned.runs:
@@ -96,30 +96,23 @@ def _by_the_model(
         if later:
             run = replace(run, begin_t=run.begin_t + later, end_t=run.end_t + later)
         own = ends if run is planned.runs[0] else WHOLE
-        if not settings.slow_down:
-            wanted = own.reference(trajectory, run, settings)
-            result = solve(inverter, wanted, state, keep_response=keep(wanted))
-            yield SolvedSection(trajectory, run, wanted, result, (), own.knots(wanted, trajectory)), rest
-        else:
-            found = feasible_run(
-                inverter,
-                program.moves,
-                limits,
-                trajectory,
-                run,
-                state,
-                tolerance_um=settings.tolerance_um,
-                strict=settings.strict,
-                keep_response=keep(own.reference(trajectory, run, settings)),
-                first_line=program.first_line,
-                layer_of=layers.of,
-                replan=replan,
-                ends=own,
+        written = own.written(trajectory, run, settings)
+        keep_response = keep(written.reference)
+        if settings.slow_down:
+            request = SectionRequest(
+                program, trajectory, run, written, state, limits, replan, own, keep_response, layers.of
             )
-            trajectory, result, later = found.trajectory, found.result, later + found.lost_s
-            knots = own.knots(found.wanted, trajectory)
-            yield SolvedSection(trajectory, found.run, found.wanted, result, found.records, knots), rest
-        state = result.state
+            found = solve_feasible(inverter, request)
+            trajectory, later = found.trajectory, later + found.lost_s
+        else:
+            result = solve(inverter, written.reference, state, keep_response=keep_response)
+            found = FeasibleSection(trajectory, run, written, result)
+        reference, *knots = found.written
+        yield (
+            SolvedSection(trajectory, found.section, reference, found.solution, found.records, (knots[0], knots[1])),
+            rest,
+        )
+        state = found.solution.state
 
 
 def _moved_before(planned: PlannedProgram) -> dict[int, bool]:

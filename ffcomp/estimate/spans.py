@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ffcomp.compensate.chunks import AROUND_S, LONGEST, rests_of
+from ffcomp.compensate.chunks import LONGEST, rests_of
+from ffcomp.inverse.extent import LEAST_CONTEXT_S
 from ffcomp.planner.trajectory import PlannedMotion
 from gcode.program import Event, Program
 from gcode.slicing import join, split
@@ -60,8 +61,8 @@ def spans(parts: Iterable[Program], plan_of: PlanOf) -> Iterator[Span]:
             counted = 0
         elif len(pending.moves) > LONGEST:
             plan = plan_of(pending)
-            begun = _line_begun(pending, plan, plan.end_t - AROUND_S)
-            around = _line_begun(pending, plan, float(plan.start_t[begun]) - AROUND_S)
+            begun = _line_begun(pending, plan, plan.end_t - LEAST_CONTEXT_S)
+            around = _line_begun(pending, plan, float(plan.start_t[begun]) - LEAST_CONTEXT_S)
             if begun > counted and around > 0:
                 yield Span(pending, plan, counted, begun)
                 pending, counted = split(pending, around)[1], begun - around

@@ -27,7 +27,7 @@ from models.machine import Machine
 
 VELOCITY, ACCELERATION, TRAVEL = 0, 1, 2
 NAMES = ("velocity", "acceleration", "travel")
-A_LITTLE = 1.03  # times a limit: a path that asks for no more is held under it all the same
+TOLERANCE = 1.03  # times a limit: a path that asks for no more is held under it all the same
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +55,9 @@ class CommandLimits:
             geometry.motors,
         )
 
-    def asked(self, vertices: FloatArray) -> Demand:
+    def demand(self, vertices: FloatArray) -> Demand:
         """What the command (n + 1, 3) mm, a nozzle polygon, asks of the carriages."""
-        return Demand(*_asked(np.ascontiguousarray(vertices), self.rows, self.segment_s))
+        return Demand(*_demand(np.ascontiguousarray(vertices), self.rows, self.segment_s))
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ class Demand:
         """(n - 1, 3, 2) mm/s²: from each segment to the next, from beginning to beginning and from end to end."""
         return np.asarray(np.diff(self.velocity, axis=0) / segment_s)
 
-    def shares(self, limits: CommandLimits) -> FloatArray:
+    def utilisation(self, limits: CommandLimits) -> FloatArray:
         """(n, 3, 3): of segment, limit (`NAMES`) and carriage, how many times the limit is asked for.
 
         Acceleration is what leads into the segment, none into the first. Travel counts from its middle.
@@ -79,13 +79,13 @@ class Demand:
         low, high = limits.travel_mm
         change = limits.acceleration_mm_per_s2 * limits.segment_s
         middle, half = (0.5 * (low + high), 0.5 * (high - low)) if np.isfinite(high - low) else (0.0, np.inf)
-        return np.asarray(_shares(self.velocity, self.height, limits.velocity_mm_per_s, change, middle, half))
+        return np.asarray(_utilisation(self.velocity, self.height, limits.velocity_mm_per_s, change, middle, half))
 
 
 def utilisation_from_rest(vertices: FloatArray, limits: CommandLimits) -> FloatArray:
     """The shares (n + 2, 3, 3) of a command (n + 1, 3) mm that rests for a segment before and after it."""
     resting = np.concatenate([vertices[:1], vertices, vertices[-1:]])
-    return limits.asked(resting).shares(limits)
+    return limits.demand(resting).utilisation(limits)
 
 
 def peak_utilisation(vertices: FloatArray, limits: CommandLimits) -> float:
@@ -94,24 +94,24 @@ def peak_utilisation(vertices: FloatArray, limits: CommandLimits) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _shares(
+def _utilisation(
     velocity: FloatArray, height: FloatArray, most: FloatArray, change: float, middle: float, half: float
 ) -> FloatArray:
     n = len(velocity)
-    shares = np.zeros((n, 3, 3))
+    utilisation = np.zeros((n, 3, 3))
     for k in range(n):
         for i in range(3):
             v = velocity[k, i]
-            shares[k, VELOCITY, i] = max(abs(v[0]), abs(v[1])) / most[i]
-            shares[k, TRAVEL, i] = max(abs(height[k, i, 0] - middle), abs(height[k, i, 1] - middle)) / half
+            utilisation[k, VELOCITY, i] = max(abs(v[0]), abs(v[1])) / most[i]
+            utilisation[k, TRAVEL, i] = max(abs(height[k, i, 0] - middle), abs(height[k, i, 1] - middle)) / half
             if k > 0:
                 before = velocity[k - 1, i]
-                shares[k, ACCELERATION, i] = max(abs(v[0] - before[0]), abs(v[1] - before[1])) / change
-    return shares
+                utilisation[k, ACCELERATION, i] = max(abs(v[0] - before[0]), abs(v[1] - before[1])) / change
+    return utilisation
 
 
 @njit(cache=True, nogil=True)
-def _asked(vertices: FloatArray, rows: FloatArray, segment_s: float) -> tuple[FloatArray, FloatArray]:
+def _demand(vertices: FloatArray, rows: FloatArray, segment_s: float) -> tuple[FloatArray, FloatArray]:
     n = len(vertices) - 1
     velocity, height = np.empty((n, 3, 2)), np.empty((n, 3, 2))
     for k in range(n):

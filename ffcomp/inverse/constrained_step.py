@@ -15,7 +15,7 @@ import numpy as np
 from scipy import sparse
 
 from ffcomp.errors import SolverError
-from ffcomp.inverse.command_limits import A_LITTLE, CommandLimits
+from ffcomp.inverse.command_limits import TOLERANCE, CommandLimits
 from ffcomp.inverse.qp import solve_qp
 from ffcomp.inverse.solver_names import Backend
 from models.arrays import FloatArray
@@ -67,7 +67,7 @@ class _Rows:
 
     def __init__(self, command: FloatArray, plan: FloatArray, limits: CommandLimits, kinematics: Compiled) -> None:
         self._limits, self._command = limits, command
-        self._now, self._plan = (limits.asked(kinematics.forward(each)) for each in (command, plan))
+        self._now, self._plan = (limits.demand(kinematics.forward(each)) for each in (command, plan))
 
     def within(self, room: float) -> tuple[sparse.csc_matrix, FloatArray, FloatArray]:
         """A δ between low and high."""
@@ -83,7 +83,7 @@ class _Rows:
         return self._between(1, now, plan, room, self._limits.velocity_mm_per_s)
 
     def _acceleration(self, room: float) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
-        now, plan = (asked.acceleration(self._limits.segment_s) for asked in (self._now, self._plan))
+        now, plan = (demand.acceleration(self._limits.segment_s) for demand in (self._now, self._plan))
         return self._between(2, now, plan, room, np.full(3, self._limits.acceleration_mm_per_s2))
 
     def _between(
@@ -91,7 +91,7 @@ class _Rows:
     ) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
         """now, plan (rows, 3, 2): what is asked for at both ends of a range; it may be within ± the ceiling."""
         planned = np.abs(plan).max(axis=2)
-        ceiling = np.maximum(room * (1.0 - MARGIN) * limit, np.where(planned > A_LITTLE * limit, planned, 0.0))
+        ceiling = np.maximum(room * (1.0 - MARGIN) * limit, np.where(planned > TOLERANCE * limit, planned, 0.0))
         n = len(self._command) - 4
         stencil = np.diff(np.eye(n + 4), order, axis=0)
         touched = stencil[np.any(stencil[:, 2:-2] != 0.0, axis=1), 2:-2]

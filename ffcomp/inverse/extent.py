@@ -1,4 +1,4 @@
-"""A place on a planned path, and what is written of a motion that is cut there."""
+"""The part of a section that is written, where a motion is cut between two chunks."""
 
 from __future__ import annotations
 
@@ -13,39 +13,45 @@ from ffcomp.planner.sections import Section
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from gcode.program import Moves
 
-AROUND_S = 3.0  # of motion on either side of a cut: to plan, to settle and to look ahead
-SETTLED = 3.0  # times what the slowest ramp takes, at least
+LEAST_CONTEXT_S = 3.0  # of motion on either side of a cut: to plan, to settle and to look ahead
+SLOWEST_RAMPS = 3.0  # times the duration of the slowest ramp, at least
 CRUISE_RATIO = 0.5  # where the file says nothing
 
 
+class WrittenReference(NamedTuple):
+    """A section's reference and the knots between which its command is written."""
+
+    reference: Reference
+    first: int
+    last: int
+
+
 class Extent(NamedTuple):
-    """What is written of a run: between places where it is cut in motion. Such a run has no S-curves."""
+    """Which part of a section is written. A section that is cut in motion has no S-curves."""
 
-    begin: PathPosition | None = None  # None: from its beginning
-    end: PathPosition | None = None  # None: to its end
+    begin: PathPosition | None = None  # None: from the section's beginning
+    end: PathPosition | None = None  # None: to the section's end
 
-    def reference(self, plan: PlannedMotion, run: Section, settings: Settings) -> Reference:
-        """The run with a knot where it begins to be written."""
-        through = None if self.begin is None else (self.begin.on(cast(Trajectory, plan)), CUT)
-        return Reference(plan, run, settings, through)
-
-    def knots(self, wanted: Reference, plan: PlannedMotion) -> tuple[int, int]:
-        """From which knot up to which it is written."""
-        at = [None if each is None else wanted.knot_of(each.on(cast(Trajectory, plan))) for each in self]
-        return 0 if at[0] is None else round(at[0]), wanted.knots if at[1] is None else round(at[1])
+    def written(self, plan: PlannedMotion, section: Section, settings: Settings) -> WrittenReference:
+        """Lay the section's knots, one of them where the written part begins, and find those of the written part."""
+        begin_t, end_t = (None if cut is None else cut.time_in(cast(Trajectory, plan)) for cut in self)
+        reference = Reference(plan, section, settings, None if begin_t is None else (begin_t, CUT))
+        first = 0 if begin_t is None else round(reference.knot_of(begin_t))
+        last = reference.knots if end_t is None else round(reference.knot_of(end_t))
+        return WrittenReference(reference, first, last)
 
     def near(self, plan: Trajectory, within_s: float) -> list[slice]:
-        """The moves under way so near to the cuts."""
-        cuts = [each.on(plan) for each in self if each is not None]
+        """Find the moves that are executed within a time of the cuts."""
+        cuts = [each.time_in(plan) for each in self if each is not None]
         return [slice(int(plan.move_at(t - within_s)), int(plan.move_at(t + within_s)) + 1) for t in cuts]
 
 
 WHOLE = Extent()
 
 
-def around_s(moves: Moves, plan: Trajectory) -> float:
-    """How much motion a cut needs on either side: so much that a third of it is longer than any ramp."""
+def context_s(moves: Moves, plan: Trajectory) -> float:
+    """Return how much motion a cut needs on either side, s: a third of it must be longer than any ramp."""
     moving = plan.duration > 0.0
     ratio = np.nan_to_num(moves.minimum_cruise_ratio[moving], nan=CRUISE_RATIO)
     ramps = plan.cruise_v[moving] / (plan.acceleration[moving] * (1.0 - ratio))
-    return max(AROUND_S, SETTLED * float(ramps.max(initial=0.0)))
+    return max(LEAST_CONTEXT_S, SLOWEST_RAMPS * float(ramps.max(initial=0.0)))

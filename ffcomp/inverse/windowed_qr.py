@@ -119,8 +119,8 @@ class WindowProblem:
             step = rows.free_answer(left)
             tried = command.copy()
             tried[2:-2] += step.reshape(-1, 3)
-            asked = model.limits.asked(model.kinematics.forward(tried[1:-1]))
-            self.limited = bool(asked.shares(model.limits).max() > 1.0)
+            demand = model.limits.demand(model.kinematics.forward(tried[1:-1]))
+            self.limited = bool(demand.utilisation(model.limits).max() > 1.0)
         if self.limited:
             from ffcomp.inverse.constrained_step import constrained_step
 

@@ -67,12 +67,16 @@ def firmware_plan(program: Program, machine: Machine, offset: tuple[float, float
         raise error.located(program.path, program.first_line) from None
 
 
-def smooth_section(machine: Machine, limits: PlannerLimits, moves: Moves, begin_t: float) -> PlannedMotion:
-    """One run from rest to rest, with S-curves."""
+def plan_section(limits: PlannerLimits, moves: Moves, begin_t: float) -> Trajectory:
+    """Plan the moves of one section, from rest to rest."""
     n = len(moves)
-    rests = np.zeros(n, dtype=np.bool_)
-    plan = plan_moves(moves, limits, stop_before=rests, wait_before=np.zeros(n), start_t=begin_t)
-    return _smoothed(plan, moves, machine, limits, rests)
+    return plan_moves(moves, limits, stop_before=np.zeros(n, dtype=np.bool_), wait_before=np.zeros(n), start_t=begin_t)
+
+
+def smooth_section(machine: Machine, limits: PlannerLimits, moves: Moves, begin_t: float) -> PlannedMotion:
+    """Plan the moves of one section with S-curves."""
+    plan = plan_section(limits, moves, begin_t)
+    return _smoothed(plan, moves, machine, limits, np.zeros(len(moves), dtype=np.bool_))
 
 
 def _smoothed(

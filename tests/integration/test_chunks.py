@@ -241,8 +241,8 @@ def test_no_chapter_holds_more_than_some_minutes(machine: Machine, data: bytes) 
     assert max(map(len, plans)) < 1000
     assert max(len(each.program.frames) for each in several) < 10
     written_s = [
-        (plan.end_t if each.ends.end is None else each.ends.end.on(plan))
-        - (0.0 if each.ends.begin is None else each.ends.begin.on(plan))
+        (plan.end_t if each.ends.end is None else each.ends.end.time_in(plan))
+        - (0.0 if each.ends.begin is None else each.ends.begin.time_in(plan))
         for each, plan in zip(several, plans, strict=True)
     ]
     assert sum(written_s) == pytest.approx(firmware_plan(read_program(data), machine).end_t, abs=1e-6)
@@ -261,7 +261,7 @@ def test_both_sides_of_a_cut_see_the_same_motion(machine: Machine, limits: bytes
         first, second = (firmware_plan(each.program, machine) for each in (before, after))
         assert before.ends.end is not None and after.ends.begin is not None
         t = np.linspace(-0.9, 0.9, 200)
-        t_first, t_second = before.ends.end.on(first) + t, after.ends.begin.on(second) + t
+        t_first, t_second = before.ends.end.time_in(first) + t, after.ends.begin.time_in(second) + t
         np.testing.assert_allclose(first.position(t_first)[:, :3], second.position(t_second)[:, :3], atol=1e-7)
         speeds = [np.abs(plan.velocity(at)[:, :3]).max(axis=1) for plan, at in ((first, t_first), (second, t_second))]
         np.testing.assert_allclose(*speeds, atol=1e-5)

@@ -157,7 +157,7 @@ def test_motors_of_a_corexy_are_held_to_their_limits(tmp_path: Path) -> None:
     machine = load_machine(made(tmp_path, machine_text(limits="carriage_velocity_mm_per_s = 150.0")))
     inverter = InverseModel(machine, settings_for(machine))
     diagonal = np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [1.0, 1.0, 0.0]])
-    asked = inverter.limits.asked(diagonal)
+    asked = inverter.limits.demand(diagonal)
     assert asked.velocity[0, :, 0] == pytest.approx([250.0, 0.0, 0.0])
     assert asked.height[1, :, 1] == pytest.approx([2.0, 0.0, 0.0])
     source = tmp_path / "fast.gcode"

@@ -52,7 +52,7 @@ def sampled(vertices: FloatArray, machine: Machine) -> tuple[FloatArray, FloatAr
 def test_every_instant_is_within_what_is_said_to_be_asked(machine: Machine, seed: int) -> None:
     vertices = wild_command(seed)
     limits = CommandLimits.of(machine, S)
-    asked = limits.asked(vertices)
+    asked = limits.demand(vertices)
     heights, velocities = sampled(vertices, machine)
     np.testing.assert_allclose(asked.height[..., 1], heights.max(axis=1), atol=1e-5)
     np.testing.assert_allclose(asked.height[..., 0], heights.min(axis=1), atol=1e-9)
@@ -73,7 +73,7 @@ def test_knots_alone_do_not_tell_what_is_asked(machine: Machine) -> None:
     limits = replace(CommandLimits.of(machine, S), travel_mm=(0.0, 400.0))
     toward, across = np.array([1.0, 0.0]), np.array([0.0, 1.0])  # tower A stands on +x
     ends = [np.append(60.0 * toward + side * across, 0.0) for side in (-0.6, 0.6)]
-    asked = limits.asked(np.array(ends))
+    asked = limits.demand(np.array(ends))
     geometry = machine.kinematics
     foot = geometry.effector_height_mm + np.sqrt(
         geometry.arm_lengths_mm[0] ** 2 - (geometry.delta_radii_mm[0] - 60) ** 2
@@ -120,7 +120,7 @@ def test_a_limited_step_is_the_one_cvxpy_finds(machine: Machine) -> None:
     )
     tried = command.copy()
     tried[2:-2] += np.linalg.solve(hessian, gradient).reshape(-1, 3)
-    assert (limits.asked(delta.forward(tried)).shares(limits).max(axis=(0, 2)) > 1.0).sum() >= 2  # limits bind
+    assert (limits.demand(delta.forward(tried)).utilisation(limits).max(axis=(0, 2)) > 1.0).sum() >= 2  # limits bind
     step = constrained_step(hessian, gradient, command, command, limits, delta)
 
     d = cp.Variable((n, 3))
@@ -135,7 +135,9 @@ def test_a_limited_step_is_the_one_cvxpy_finds(machine: Machine) -> None:
     cp.Problem(cp.Minimize(0.5 * cp.sum_squares(a @ flat) - gradient @ flat), held).solve(solver=cp.CLARABEL)
     np.testing.assert_allclose(step.reshape(-1, 3), d.value, atol=2e-3)  # straight carriages are not straight lines
     tried[2:-2] = command[2:-2] + step.reshape(-1, 3)
-    assert limits.asked(delta.forward(tried)).shares(limits).max() <= 1.002  # a step of mm changes what o and c are
+    assert (
+        limits.demand(delta.forward(tried)).utilisation(limits).max() <= 1.002
+    )  # a step of mm changes what o and c are
 
 
 def test_given_knots_that_leave_no_room_are_an_error(machine: Machine) -> None:

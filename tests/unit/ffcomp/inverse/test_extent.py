@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ffcomp.inverse.extent import AROUND_S, CRUISE_RATIO, SETTLED, around_s
+from ffcomp.inverse.extent import CRUISE_RATIO, LEAST_CONTEXT_S, SLOWEST_RAMPS, context_s
 from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.program import firmware_plan
 from ffcomp.planner.trajectory import Trajectory
@@ -28,7 +28,7 @@ def test_a_place_is_passed_when_the_plan_is_there(plan: Trajectory, share: float
     t = share * plan.end_t * (1 - 1e-9)
     move = int(plan.move_at(t))
     along = float(np.linalg.norm((plan.position([t])[0] - plan.origin[move])[:3]))
-    assert PathPosition(move, along).on(plan) == pytest.approx(t, abs=1e-6)  # near a rest a place is passed slowly
+    assert PathPosition(move, along).time_in(plan) == pytest.approx(t, abs=1e-6)  # near a rest a place is passed slowly
 
 
 def test_what_is_needed_around_a_cut_grows_with_the_ramps() -> None:
@@ -36,7 +36,7 @@ def test_what_is_needed_around_a_cut_grows_with_the_ramps() -> None:
     found = []
     for limit in (b"", b"M204 S50\n"):
         program = read_program(limit + b"G1 X100 F6000\nG1 X-100\n", start=(0.0, 0.0, 1.0))
-        found.append(around_s(program.moves, firmware_plan(program, machine)))
-    assert found[0] == AROUND_S
+        found.append(context_s(program.moves, firmware_plan(program, machine)))
+    assert found[0] == LEAST_CONTEXT_S
     peak = np.sqrt(50.0 * 100.0)  # mm/s, in the middle of 100 mm at 50 mm/s²
-    assert found[1] == pytest.approx(SETTLED * peak / (50.0 * CRUISE_RATIO))
+    assert found[1] == pytest.approx(SLOWEST_RAMPS * peak / (50.0 * CRUISE_RATIO))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,17 +11,19 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp.errors import LimitsError
+from ffcomp.inverse.extent import WHOLE
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.solve import solve
-from ffcomp.inverse.time_scaling import FeasibleSection, feasible_run
+from ffcomp.inverse.time_scaling import FeasibleSection, LayerOf, Replan, SectionRequest, solve_feasible
 from ffcomp.inverse.violations import widened
 from ffcomp.planner.machine_limits import planner_limits
-from ffcomp.planner.program import PlannedProgram, plan_program
+from ffcomp.planner.program import PlannedProgram, plan_program, plan_section
 from ffcomp.planner.s_curve import s_curve
 from ffcomp.planner.sections import Section
 from ffcomp.planner.segment_timing import segment_speeds
+from gcode.program import Program
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
@@ -58,13 +61,30 @@ def inverter_of(machine: Machine) -> InverseModel:
 
 
 def solved(
-    inverter: InverseModel, planned: PlannedProgram, run: Section, machine: Machine, **options: Any
+    inverter: InverseModel,
+    planned: PlannedProgram,
+    run: Section,
+    machine: Machine,
+    replan: Replan | None = None,
+    program: Program | None = None,
+    layer_of: LayerOf = lambda move: None,
+    **options: Any,
 ) -> FeasibleSection:
-    moves, start = planned.program.moves, planned.trajectory.origin[run.first, :3]
-    state = rest_state(machine, start)
-    return feasible_run(
-        inverter, moves, planner_limits(machine), planned.trajectory, run, state, keep_response=True, **options
+    state, limits = rest_state(machine, planned.trajectory.origin[run.first, :3]), planner_limits(machine)
+    model = InverseModel(machine, replace(inverter.settings, **options)) if options else inverter
+    written = WHOLE.written(planned.trajectory, run, model.settings)
+    request = SectionRequest(
+        program or planned.program,
+        planned.trajectory,
+        run,
+        written,
+        state,
+        limits,
+        replan or partial(plan_section, limits),
+        keep_response=True,
+        layer_of=layer_of,
     )
+    return solve_feasible(model, request)
 
 
 def dense_peaks(vertices: FloatArray, machine: Machine, settings: Settings) -> tuple[float, float]:
@@ -80,8 +100,8 @@ def dense_peaks(vertices: FloatArray, machine: Machine, settings: Settings) -> t
 
 
 def error_um(found: FeasibleSection) -> float:
-    nozzle, _ = found.wanted.substeps(0, found.wanted.knots)
-    return 1e3 * float(np.sqrt(((found.result.response - nozzle[1:]) ** 2).sum(axis=1)).max())
+    nozzle, _ = found.written.reference.substeps(0, found.written.reference.knots)
+    return 1e3 * float(np.sqrt(((found.solution.response - nozzle[1:]) ** 2).sum(axis=1)).max())
 
 
 def test_where_nothing_binds_nothing_changes(machine: Machine, planned: PlannedProgram) -> None:
@@ -89,10 +109,10 @@ def test_where_nothing_binds_nothing_changes(machine: Machine, planned: PlannedP
     found = solved(inverter, planned, run, machine)
     state = rest_state(machine, np.array(START))
     plain = solve(inverter, Reference(planned.trajectory, run, inverter.settings), state, keep_response=True)
-    assert found.trajectory is planned.trajectory and found.run is run
-    assert found.records == () and found.lost_s == 0.0 and not found.result.constrained
+    assert found.trajectory is planned.trajectory and found.section is run
+    assert found.records == () and found.lost_s == 0.0 and not found.solution.constrained
     for name in ("vertices", "state", "response"):
-        assert getattr(found.result, name).tobytes() == getattr(plain, name).tobytes()
+        assert getattr(found.solution, name).tobytes() == getattr(plain, name).tobytes()
 
 
 @pytest.mark.parametrize(
@@ -113,14 +133,14 @@ def test_limits_below_the_plan_are_held_at_every_instant(
     tight = limited(machine, **limits)
     inverter, run = inverter_of(tight), planned.runs[0]
     found = solved(inverter, planned, run, tight)
-    velocity, acceleration = dense_peaks(found.result.vertices, machine, inverter.settings)
+    velocity, acceleration = dense_peaks(found.solution.vertices, machine, inverter.settings)
     assert velocity <= inverter.limits.velocity_mm_per_s[0] * (1 + 1e-6)
     assert acceleration <= inverter.limits.acceleration_mm_per_s2 * (1 + 1e-4)
-    assert found.result.utilisation <= 1.001
+    assert found.solution.utilisation <= 1.001
     assert error_um(found) < 25.0
     assert found.records and {record.limit for record in found.records} <= names
     assert 0 < found.lost_s < 0.6 * (run.end_t - run.begin_t)
-    assert found.run.end_t - run.end_t == pytest.approx(found.lost_s)
+    assert found.section.end_t - run.end_t == pytest.approx(found.lost_s)
     touched = {line for record in found.records for line in range(record.first_line, record.last_line + 1)}
     assert touched and touched <= {1, 2, 3, 4, 5, 6}
     for record in found.records:
@@ -145,7 +165,14 @@ def test_only_the_moves_concerned_become_slower(machine: Machine, planned: Plann
 def test_the_rest_of_the_plan_is_later_and_otherwise_the_same(machine: Machine) -> None:
     planned = plan_program(read_program(CORNERS + b"G1 E1 F600\nG1 X10 Y30 F3000\n", start=START), machine)
     tight = limited(machine, carriage_velocity_mm_per_s=100.0)
-    found = solved(inverter_of(tight), planned, planned.runs[0], tight, layer_of=lambda move: 7, first_line=100)
+    found = solved(
+        inverter_of(tight),
+        planned,
+        planned.runs[0],
+        tight,
+        program=replace(planned.program, first_line=100),
+        layer_of=lambda move: 7,
+    )
     last = planned.runs[-1]
     t = np.linspace(last.begin_t, last.end_t - 1e-6, 50)
     np.testing.assert_allclose(found.trajectory.position(t + found.lost_s), planned.trajectory.position(t), atol=1e-9)
@@ -167,16 +194,16 @@ def test_a_tolerance_decides_between_an_error_and_a_delay(machine: Machine, plan
     inverter = inverter_of(machine)
     run = planned.runs[0]
     settings = replace(inverter.settings, bandwidth_hz=112.0, lead_s=0.004)
-    free = solved(InverseModel(machine, settings), planned, run, machine).result.utilisation
+    free = solved(InverseModel(machine, settings), planned, run, machine).solution.utilisation
     tight = limited(machine, carriage_acceleration_mm_per_s2=0.6 * free * 30000.0)
     wide = solved(InverseModel(tight, settings), planned, run, tight, tolerance_um=100.0)
-    assert len(wide.result.constrained) > 0 and wide.records == () and wide.result.utilisation <= 1.0
-    worst = 1e3 * max(held.error_mm for held in wide.result.constrained)
+    assert len(wide.solution.constrained) > 0 and wide.records == () and wide.solution.utilisation <= 1.0
+    worst = 1e3 * max(held.error_mm for held in wide.solution.constrained)
     assert 1.0 < worst < 100.0
     narrow = solved(InverseModel(tight, settings), planned, run, tight, tolerance_um=0.7 * worst)
     assert narrow.records and narrow.lost_s > 0.0
-    assert narrow.result.utilisation <= 1.001
-    assert all(1e3 * held.error_mm <= 0.7 * worst for held in narrow.result.constrained)
+    assert narrow.solution.utilisation <= 1.001
+    assert all(1e3 * held.error_mm <= 0.7 * worst for held in narrow.solution.constrained)
 
 
 def test_a_path_beyond_the_travel_is_refused(machine: Machine, planned: PlannedProgram) -> None:
@@ -203,12 +230,12 @@ def test_segments_can_be_played_in_their_time(machine: Machine) -> None:
     plain = solve(inverter, wanted, rest_state(machine, np.array(START)))
     assert behind_um(plain.vertices, wanted) > 10.0
     found = solved(inverter, planned, run, machine)
-    assert behind_um(found.result.vertices, found.wanted) <= 1.0
+    assert behind_um(found.solution.vertices, found.written.reference) <= 1.0
     (record,) = found.records
     assert (record.first_line, record.last_line, record.carriage) == (2, 2, "")
     assert "firmware's own acceleration" in record.sentence()
     assert 0 < found.lost_s < 0.1
-    assert found.result.utilisation <= 1.0
+    assert found.solution.utilisation <= 1.0
 
 
 def test_a_plan_with_s_curves_is_planned_again_with_them(machine: Machine) -> None:
@@ -222,7 +249,7 @@ def test_a_plan_with_s_curves_is_planned_again_with_them(machine: Machine) -> No
 
     found = solved(inverter_of(tight), smooth, smooth.runs[0], tight, replan=replan)
     assert type(found.trajectory) is type(smooth.trajectory)
-    assert found.records and found.result.utilisation <= 1.001
+    assert found.records and found.solution.utilisation <= 1.001
 
 
 @pytest.mark.parametrize("count", [1, 3, 40])
