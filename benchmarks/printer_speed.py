@@ -21,7 +21,7 @@ from models.arrays import FloatArray
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from models.machine import Machine
-from models.printer import kernels
+from models.printer.kernels.record import LANES
 from models.printer.printer import SMOOTH_STEP_S, simulate_printer, simulate_printers
 
 EFFECTS: dict[str, dict[str, Any]] = {
@@ -55,7 +55,7 @@ def best_ns(play: Callable[[], object], rounds: int, steps: int) -> float:
 
 def measure(machine: Machine, command: FloatArray, rounds: int) -> tuple[float, float]:
     """ns a step of one printer: alone, and side by side."""
-    lanes, steps = kernels.LANES, len(command) - 1
+    lanes, steps = LANES, len(command) - 1
 
     def alone() -> None:
         simulate_printer(machine, command, SMOOTH_STEP_S, substeps=1)
@@ -75,7 +75,7 @@ def main() -> None:
     smooth = load_machine(Path(__file__).parents[1] / "models" / "library" / "mp-delta-pro.toml")
     command = curve(smooth, options.seconds)
     machines = {"no effects": smooth, **{name: with_effect(smooth, name, **table) for name, table in EFFECTS.items()}}
-    print(f"| {kernels.LANES} lanes | alone, ns | together, ns | times | print-seconds per second |")
+    print(f"| {LANES} lanes | alone, ns | together, ns | times | print-seconds per second |")
     print("|---|---|---|---|---|")
     for name, machine in machines.items():
         alone, together = measure(machine, command, options.rounds)

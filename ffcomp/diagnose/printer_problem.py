@@ -27,7 +27,7 @@ from models.effects.catalogue import CATALOGUE, measured
 from models.effects.effect import Effect, Parameter
 from models.machine import Machine
 from models.parameters import value_of, with_values
-from models.printer.kernels import LANES
+from models.printer.kernels.record import LANES
 from models.printer.printer import SMOOTH_STEP_S, PrinterMotion, longest_step, printer_numbers, simulate_printers
 
 STEP_S = 1 / 3200  # of a printer without dry friction or play: some nanometres off

@@ -6,7 +6,7 @@ from models.effects.effect import Parameter, Size
 
 
 def turning_over(size: Size) -> tuple[Parameter, Parameter]:
-    """The two shapes of F = ℓ tanh(v/v₀ + φ) (printer_kernels.py), which a machine file need not give."""
+    """The two shapes of F = ℓ tanh(v/v₀ + φ) (models/printer/kernels), which a machine file need not give."""
     return (
         Parameter(
             "creep_mm_per_s",

@@ -106,7 +106,7 @@ class Effect:
     """One way in which a printer differs from the model.
 
     A `parameter` effect changes the machine's numbers, by `fold`; a `sensor` effect changes what is recorded of a
-    motion, by `measure`; a `force`, `command` or `frame` effect is a term of `models/printer/kernels.py`.
+    motion, by `measure`; a `force`, `command` or `frame` effect is a term of `models/printer/kernels`.
     """
 
     name: str  # of its table in a machine file, and of its file here

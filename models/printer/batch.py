@@ -15,7 +15,7 @@ import numpy as np
 from models.arrays import FloatArray
 from models.effects.catalogue import values_of
 from models.machine import Machine
-from models.printer.kernels import LANES
+from models.printer.kernels.record import LANES
 from models.printer.printer import PrinterMotion, simulate_printers
 
 Seen = Callable[[PrinterMotion], FloatArray]  # (n, 3) mm of a motion of n rows

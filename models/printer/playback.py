@@ -12,7 +12,7 @@ import numpy as np
 
 from models.arrays import FloatArray
 from models.machine import Machine
-from models.printer.kernels import LANES
+from models.printer.kernels.record import LANES
 from models.printer.printer import SPLINE_ROWS, Hold, PrinterMotion, PrinterState, simulate_printers
 
 Rows = Callable[[int, int], FloatArray]  # first, last → (last - first, 3) mm, rows first … last - 1 of a command

@@ -1,7 +1,7 @@
 """The virtual printer: commanded carriage heights in, the whole nonlinear machine's motion out.
 
 Full delta kinematics with J̇ q̇, gravity, drives, belts, guides, arms' halves, the extruder on its mount, and any of
-the effects of `models/effects` that the machine lists, together. The equations stand in `printer_kernels.py`.
+the effects of `models/effects` that the machine lists, together. The equations stand in `models/printer/kernels`.
 
 Lengths mm, velocities mm/s, accelerations m/s² (as accelerometers are read), time s.
 """
@@ -21,7 +21,9 @@ from models.effects.catalogue import effect_named, effective_machine, values_of
 from models.effects.effect import Signals
 from models.errors import UnreachableError
 from models.machine import Drive, Machine
-from models.printer import kernels
+from models.printer.kernels.integrate import rest, run
+from models.printer.kernels.record import LANES, NUMBERS, STATES, Numbers, Q, V, table
+from models.printer.kernels.spline import cubics
 from models.vibration.effector import load_distribution, load_map
 
 GRAVITY_M_PER_S2 = 9.80665
@@ -45,7 +47,7 @@ class PrinterState:
     """Where a simulation ended, to go on from."""
 
     t_s: float
-    values: FloatArray  # (30,) SI, see printer_kernels
+    values: FloatArray  # (30,) SI, see `kernels.record`
     history: FloatArray  # (k, 3) mm, the command's last rows, the border row among them
 
 
@@ -151,9 +153,9 @@ def simulate_printers(
 class _Task:
     """One simulation, ready for a lane."""
 
-    numbers: kernels.Numbers
+    numbers: Numbers
     steps: int  # from row to row
-    pieces: FloatArray  # (n, 3, 4), see `kernels.Said`
+    pieces: FloatArray  # (n, 3, 4), see `kernels.motors.Said`
     first: int  # row of the command at which it begins
     begin_s: float
     values: FloatArray  # (30,) SI, then
@@ -188,23 +190,23 @@ def _batches(tasks: Mapping[int, _Task]) -> Iterator[list[int]]:
 
     for _, group in groupby(sorted(tasks, key=lambda i: (kind(i), len(tasks[i].pieces))), kind):
         names = list(group)
-        yield from (names[n : n + kernels.LANES] for n in range(0, len(names), kernels.LANES))
+        yield from (names[n : n + LANES] for n in range(0, len(names), LANES))
 
 
 def _played(tasks: Sequence[_Task], dt_s: float) -> list[PrinterMotion | UnreachableError]:
     """At most LANES of them, with as many steps and the same first row."""
-    values, numbers = np.array([task.values for task in tasks]), kernels.table([task.numbers for task in tasks])
+    values, numbers = np.array([task.values for task in tasks]), table([task.numbers for task in tasks])
     commands = {id(task.pieces): task.pieces for task in tasks}
     ends = dict(zip(commands, np.cumsum([len(pieces) for pieces in commands.values()]), strict=True))
     spans = [(ends[id(task.pieces)] - len(task.pieces), ends[id(task.pieces)]) for task in tasks]
     first, steps = tasks[0].first, tasks[0].steps
     pieces = np.concatenate(list(commands.values())) if len(commands) > 1 else tasks[0].pieces
-    samples = kernels.run(values, numbers, pieces, np.array(spans, dtype=np.int64), first, dt_s, steps, UNITS)
+    samples = run(values, numbers, pieces, np.array(spans, dtype=np.int64), first, dt_s, steps, UNITS)
     lanes = zip(tasks, zip(*samples, strict=True), values, strict=True)
     return [_motion(task, own, end, dt_s) for task, own, end in lanes]
 
 
-def printer_numbers(machine: Machine, *, gravity: bool = True) -> kernels.Numbers:
+def printer_numbers(machine: Machine, *, gravity: bool = True) -> Numbers:
     """The machine and its effects as the kernels' record, SI."""
     for name in machine.effects:
         effect_named(name)  # refuses an unknown one
@@ -221,7 +223,7 @@ def printer_numbers(machine: Machine, *, gravity: bool = True) -> kernels.Number
         **_frame_effect(effective),
         "gravity": g,
     }
-    record = np.zeros(1, dtype=kernels.NUMBERS)
+    record = np.zeros(1, dtype=NUMBERS)
     for name, value in parts.items():
         record[name][0] = value
     return record.view(np.recarray)[0]
@@ -333,7 +335,7 @@ def _least_inertia(machine: Machine) -> float:
     return float(np.linalg.eigvals(machine.carriage.moving_mass_kg * np.eye(3) + load).real.min())
 
 
-def longest_step(p: kernels.Numbers) -> float:
+def longest_step(p: Numbers) -> float:
     """The step, s, that serves this printer: short where dry friction turns over, or play ends with a knock."""
     friction = float(np.max(p.dry + p.sticking))
     if friction == p.joint_dry == np.max(p.half_play) == 0:
@@ -342,7 +344,7 @@ def longest_step(p: kernels.Numbers) -> float:
     return float(np.clip(gentle, FINEST_STEP_S, KINKED_STEP_S))
 
 
-def _limit_stiffness(p: kernels.Numbers, step_s: float) -> None:
+def _limit_stiffness(p: Numbers, step_s: float) -> None:
     """Dry friction turns over as near to rest as its creep speed says, or as the step allows."""
     p.creep = np.maximum(p.creep, (p.dry + p.sticking) * step_s / (GUIDE_STIFFNESS * p.least_inertia))
     p.joint_creep = max(p.joint_creep, p.joint_dry * step_s / (JOINT_STIFFNESS * p.holder_mass))
@@ -363,19 +365,19 @@ def _frame_effect(machine: Machine) -> Part:
     }
 
 
-def rest_values(machine: Machine, command: FloatArray, p: kernels.Numbers) -> FloatArray:
+def rest_values(machine: Machine, command: FloatArray, p: Numbers) -> FloatArray:
     """The state : (30,) SI in which the printer rests under the command : (3,) mm, belts stretched by weight."""
     effective_machine(machine).kinematics.forward(command[None])  # refuses carriages the arms cannot join
-    states = np.zeros((1, kernels.STATES))
-    states[0, kernels.V : kernels.V + 3] = states[0, kernels.Q : kernels.Q + 3] = command / 1e3
-    (moved,) = kernels.rest(states, kernels.table([p]))
+    states = np.zeros((1, STATES))
+    states[0, V : V + 3] = states[0, Q : Q + 3] = command / 1e3
+    (moved,) = rest(states, table([p]))
     if not moved < LOOSEST_REST_M:
         raise ValueError(f"The printer cannot rest with its carriages at {command} mm: its motors do not hold it.")
     return states[0]
 
 
 def _cubic(rows: FloatArray, ahead: FloatArray, dt_s: float) -> FloatArray:
-    return kernels.cubics(np.concatenate([rows, ahead]) / 1e3, dt_s)[: len(rows)]
+    return cubics(np.concatenate([rows, ahead]) / 1e3, dt_s)[: len(rows)]
 
 
 def _linear(rows: FloatArray, ahead: FloatArray, dt_s: float) -> FloatArray:
@@ -386,8 +388,8 @@ def _linear(rows: FloatArray, ahead: FloatArray, dt_s: float) -> FloatArray:
     return pieces
 
 
-# From rows : (n, 3) mm and those ahead, (n, 3, 4) as in `kernels.Said`: a piece of each interval, and a last one that
-# only goes on from the end of the one before.
+# From rows : (n, 3) mm and those ahead, (n, 3, 4) as in `kernels.motors.Said`: a piece of each interval, and a last
+# one that only goes on from the end of the one before.
 HOLDS: Mapping[Hold, Callable[[FloatArray, FloatArray, float], FloatArray]] = {"cubic": _cubic, "linear": _linear}
 
 

@@ -10,7 +10,7 @@ from numba import njit
 from models.arrays import FloatArray
 from models.effects.catalogue import effective_machine
 from models.machine import DeltaKinematics, Machine
-from models.printer import kernels
+from models.printer.kernels.record import Q
 from models.printer.printer import printer_numbers, rest_values
 
 ORDER = 8
@@ -53,7 +53,7 @@ def _coefficients(plant: Machine) -> FloatArray:
     heavy, weightless = (printer_numbers(plant, gravity=g) for g in (True, False))
     kinematics = effective_machine(plant).kinematics
     bent, straight = (
-        kinematics.forward(1e3 * np.array([rest_values(plant, c, p)[kernels.Q : kernels.Q + 3] for c in commands]))
+        kinematics.forward(1e3 * np.array([rest_values(plant, c, p)[Q : Q + 3] for c in commands]))
         for p in (heavy, weightless)
     )
     powers = _powers(places[:, :2] / reach)

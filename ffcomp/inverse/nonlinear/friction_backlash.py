@@ -26,7 +26,8 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.riccati import REST_ROWS
 from models.arrays import FloatArray
 from models.machine import Machine
-from models.printer.kernels import MOST_STRAIN, Numbers
+from models.printer.kernels.friction import MOST_STRAIN
+from models.printer.kernels.record import Numbers
 from models.printer.printer import printer_numbers
 from models.vibration.scheduled import Schedule, rest_state
 from models.vibration.state_space import plant_table
@@ -100,7 +101,7 @@ class _Answer:
 
 
 def guide_friction(n: Numbers, q: FloatArray, row_s: float) -> FloatArray:
-    """F (m, 3) N of `models/printer/kernels.py` on carriages that move as q (m, 3) m says, from rest."""
+    """F (m, 3) N of `models/printer/kernels` on carriages that move as q (m, 3) m says, from rest."""
     rate = np.gradient(q, row_s, axis=0)
     level = n.dry + n.sticking * np.exp(-(np.abs(rate * n.fading) ** (2.0 * n.fading_power)))
     ratio = rate / n.creep

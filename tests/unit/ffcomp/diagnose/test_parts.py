@@ -18,7 +18,9 @@ from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import Recording
 from models.effects.catalogue import with_effect
 from models.file import load_machine
-from models.printer import kernels
+from models.printer.kernels import record
+from models.printer.kernels.friction import guide_friction
+from models.printer.kernels.integrate import laid_out
 from models.printer.printer import printer_numbers
 
 # ---- fit -----------------------------------------------------------------------------------------
@@ -95,13 +97,13 @@ def test_a_fit_finds_both_numbers() -> None:
 def test_friction_that_never_holds_is_a_plain_hyperbolic_tangent() -> None:
     shape = {"force_n": 2.0, "creep_mm_per_s": 4.0, "hold_per_s": 0.0}
     machine = with_effect(load_machine("mp-delta-pro"), "coulomb_friction", **shape)
-    m = kernels.laid_out(np.zeros((1, kernels.STATES)), kernels.table([printer_numbers(machine)]))
-    rows = m.reshape(kernels.ROWS, kernels.LANES)
+    m = laid_out(np.zeros((1, record.STATES)), record.table([printer_numbers(machine)]))
+    rows = m.reshape(record.ROWS, record.LANES)
     for speed in (-0.01, -1e-4, 2e-3, 0.3):
-        rows[kernels.NOW + kernels.QD : kernels.NOW + kernels.QD + 3, 0] = speed
-        kernels.guide_friction(m)
-        assert rows[kernels.GUIDES + 1, 0] == pytest.approx(2.0 * np.tanh(speed / 4e-3), rel=1e-12)
-        assert rows[kernels.RATE + kernels.GUIDE + 1, 0] == 0  # no memory
+        rows[record.NOW + record.QD : record.NOW + record.QD + 3, 0] = speed
+        guide_friction(m)
+        assert rows[record.GUIDES + 1, 0] == pytest.approx(2.0 * np.tanh(speed / 4e-3), rel=1e-12)
+        assert rows[record.RATE + record.GUIDE + 1, 0] == 0  # no memory
 
 
 def test_two_kinds_of_friction_turn_over_as_their_forces_weigh() -> None:

@@ -28,12 +28,12 @@ def test_weight_bends_the_belts_by_the_load_they_carry() -> None:
 
 
 def test_the_polynomial_of_the_sag_holds_between_its_places() -> None:
-    from models.printer import kernels
+    from models.printer.kernels.record import Q
     from models.printer.printer import printer_numbers, rest_values
 
     place = np.array([[37.0, -61.0, 0.0]])
     command = MACHINE.kinematics.inverse(place)[0]
-    bent = rest_values(MACHINE, command, printer_numbers(MACHINE))[kernels.Q : kernels.Q + 3]
+    bent = rest_values(MACHINE, command, printer_numbers(MACHINE))[Q : Q + 3]
     nozzle = MACHINE.kinematics.forward(1e3 * bent[None])
     np.testing.assert_allclose(sag(MACHINE, place), nozzle - place, atol=1e-5)
 

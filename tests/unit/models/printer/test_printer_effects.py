@@ -13,7 +13,7 @@ from models.arrays import constant
 from models.effects.catalogue import CATALOGUE, effective_machine, with_effect
 from models.effects.effect import Effect
 from models.machine import Machine
-from models.printer.kernels import GUIDE
+from models.printer.kernels.record import GUIDE
 from models.printer.printer import GRAVITY_M_PER_S2, PrinterMotion, simulate_printer
 
 RATE_HZ = 1600

@@ -16,7 +16,9 @@ from scipy.interpolate import CubicSpline
 from models.effects.catalogue import with_effect
 from models.errors import UnreachableError
 from models.machine import DeltaKinematics, Machine
-from models.printer import kernels
+from models.printer.kernels import record
+from models.printer.kernels.spline import cubics
+from models.printer.kernels.vectors import tanh
 from models.printer.printer import PrinterMotion, simulate_printer, simulate_printers
 
 RATE_HZ = 1600
@@ -147,13 +149,13 @@ def test_a_machine_without_a_command(printer: Machine) -> None:
 @given(st.floats(allow_nan=False))
 @settings(deadline=None)
 def test_our_hyperbolic_tangent(x: float) -> None:
-    assert kernels.tanh(x) == pytest.approx(math.tanh(x), rel=2e-14, abs=1e-300)
+    assert tanh(x) == pytest.approx(math.tanh(x), rel=2e-14, abs=1e-300)
 
 
 @pytest.mark.parametrize("n", [2, 3, 4, 5, 40])
 def test_our_spline(n: int) -> None:
     rows = np.random.default_rng(n).normal(size=(n, 3))
-    pieces = kernels.cubics(rows, 0.3)
+    pieces = cubics(rows, 0.3)
     expected = CubicSpline(0.3 * np.arange(n), rows)
     np.testing.assert_allclose(pieces[:-1], expected.c.transpose(1, 2, 0), atol=1e-11)
     end = np.stack([0 * rows[-1], 0 * rows[-1], expected(0.3 * (n - 1), 1), rows[-1]], axis=-1)
@@ -165,5 +167,5 @@ def test_rows_of_the_array_do_not_overlap() -> None:
     sizes = {"CUBIC": 12, "J": 9, "BASE": 30, "NOW": 30, "RATE": 30, "SUM": 30}
     names = "BASE NOW RATE SUM TIME CUBIC TOLD TOLD_RATE RIPPLE RIPPLE_RATE MOTOR MOTOR_RATE STRETCH SPRING"
     names += " LEVEL GUIDES PULL BENDING X XD ACC JOINTS F0 RHO J"
-    ends = [(getattr(kernels, name), getattr(kernels, name) + sizes.get(name, 3)) for name in names.split()]
-    assert [end for _, end in ends] == [begin for begin, _ in ends[1:]] + [kernels.PRINTER]
+    ends = [(getattr(record, name), getattr(record, name) + sizes.get(name, 3)) for name in names.split()]
+    assert [end for _, end in ends] == [begin for begin, _ in ends[1:]] + [record.PRINTER]

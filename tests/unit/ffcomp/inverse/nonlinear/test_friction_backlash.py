@@ -19,7 +19,7 @@ from ffcomp.inverse.settings import settings_for
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from models.machine import Machine
-from models.printer.kernels import MOST_STRAIN
+from models.printer.kernels.friction import MOST_STRAIN
 from models.printer.printer import printer_numbers, simulate_printer
 from tests.support.prints import squares
 
