@@ -49,6 +49,11 @@ def test_a_missing_key_differs() -> None:
     assert compare_json(ANSWER, {"schema": "x/1"}, 1e-9, Verdict()).differs == 3
 
 
+def test_only_what_a_whole_answer_took_is_the_clocks() -> None:
+    assert not compare_json([{"seconds": 1.0}], [{"seconds": 2.0}], 1e-9, Verdict()).differs
+    assert compare_json([{"slowed": {"seconds": 1.0}}], [{"slowed": {"seconds": 2.0}}], 1e-9, Verdict()).differs
+
+
 def test_text_tells_the_line_and_the_largest_number() -> None:
     verdict = compare_text(b"G1 X1.5\nG1 X2\nG1 X3\n", b"G1 X1.5\nG1 X2.25\nG1 X3\nM84\n")
     assert (verdict.differs, verdict.largest) == (3, 0.25)  # an end without a line's end counts as one
