@@ -3,6 +3,7 @@
 The whole tree; each class has its exit code as the attribute `exit_code`:
 
     FfcompError                 1  something else is wrong: a cluster that is lost, a package that is not installed
+    ├── RequestError            2  options that do not go together, or not with this machine (also a ValueError)
     ├── NothingToDo             3  the file holds nothing to compensate
     ├── MeasurementError        5  a measurement that cannot be used (also a ValueError)
     ├── PrinterConfigError      5  a printer's configuration that cannot be read (ffcomp/importers/values.py)
@@ -29,6 +30,12 @@ class FfcompError(Exception):
     """An error that the user can do something about."""
 
     exit_code = 1
+
+
+class RequestError(FfcompError, ValueError):
+    """Options that do not go together, or not with this machine or these data."""
+
+    exit_code = 2
 
 
 class NothingToDo(FfcompError):

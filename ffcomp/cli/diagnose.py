@@ -60,6 +60,7 @@ def diagnose(
         import time
 
         from ffcomp.diagnose.engine import diagnose as searched
+        from ffcomp.diagnose.json import diagnosis_json
         from ffcomp.diagnose.printer_problem import Delta
         from ffcomp.diagnose.result import outcome
         from ffcomp.diagnose.validation import check_alike, check_repeats
@@ -79,7 +80,7 @@ def diagnose(
         files = _better(plant, found, better, runs) | _page(plant, search, found, better, report, runs, began)
         _write(files)
         if as_json:
-            print_json(_result(found, _text(better), _text(report), time.monotonic() - began))
+            print_json(diagnosis_json(found, _text(better), _text(report), time.monotonic() - began))
         else:
             _print(found, better, report)
 
@@ -103,8 +104,8 @@ def _better(plant: Delta, found: Outcome, target: Path | None, runs: list[Path])
         return {}
     from datetime import date
 
-    from ffcomp.cli.identify import hash_of
     from ffcomp.diagnose.result import better_file
+    from ffcomp.identify.machine_fit import hash_of
     from models.file import check_text
 
     hashes = [hash_of(path) for path in runs]
@@ -128,9 +129,9 @@ def _page(
     import time
     from datetime import date
 
-    from ffcomp.cli.identify import hash_of
     from ffcomp.diagnose.next_experiment import propose
     from ffcomp.diagnose.summary import picture
+    from ffcomp.identify.machine_fit import hash_of
     from ffcomp.report.diagnose.html import page
     from ffcomp.report.diagnose.told import Origin, Told
     from ffcomp.version import __version__
@@ -158,36 +159,6 @@ def _write(files: dict[Path, bytes]) -> None:
 
 def _text(path: Path | None) -> str | None:
     return None if path is None else str(path)
-
-
-def _result(found: Outcome, written: str | None, report: str | None, seconds: float) -> dict[str, Any]:
-    named = found.effects if found.verdict == "effects" else {}
-    return {
-        "schema": "ffcomp-diagnose/1",
-        "verdict": found.verdict,
-        "effects": [
-            {
-                "name": name,
-                "parameters": found.parameters(name),
-                "confidence": found.confidence[name],
-                "evidence": found.gained,
-            }
-            for name in named
-        ],
-        "refused": {"effects": list(found.effects), "because": list(found.refused)} if found.refused else None,
-        "invisible": list(found.invisible),
-        "retuned": {key: {"from": a, "to": b} for key, (a, b) in found.retuned.items()},
-        "confusable_with": [{"name": name, "separate_by": how} for name, how in found.confusable_with],
-        "gap": {
-            "before": found.before.nrms,
-            "after": found.after.nrms,
-            "noise": found.before.noise_nrms,
-            "held_out": {"before": found.held_out[0], "after": found.held_out[1], "noise": found.before.noise_nrms},
-        },
-        "machine": written,
-        "report": report,
-        "seconds": seconds,
-    }
 
 
 def _digits(value: Any) -> str:

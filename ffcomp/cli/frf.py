@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,11 +13,10 @@ from ffcomp.cli.help import ADVANCED, MACHINE, OUTPUT
 from ffcomp.cli.options import Figure, MachineName
 
 if TYPE_CHECKING:
-    from ffcomp.identify.frf_study import Compared, Station, Study, View
+    from ffcomp.identify.frf_study import Study, View
     from ffcomp.measurement.frf import FrequencyResponse
     from models.arrays import FloatArray
     from models.machine import Machine
-    from models.vibration.mode_map import ModeMap
 
 
 class Of(StrEnum):
@@ -111,6 +110,7 @@ def frf(
     from ffcomp.cli.common import exit_codes, print_json, say
 
     with exit_codes():
+        from ffcomp.identify.frf_json import frf_json
         from ffcomp.identify.frf_study import study
         from ffcomp.measurement.frf_files import read_frfs
         from models.file import load_machine
@@ -127,7 +127,7 @@ def frf(
         for sentence in found.left_out:
             say(f"ffcomp: {sentence}")
         for station in found.stations:
-            print_json(_answer(found, station))
+            print_json(frf_json(found, station))
         _draw(found, figure, full, bed_map or [])
 
 
@@ -192,6 +192,7 @@ def _draw(found: Study, figure: Path | None, full: bool, maps: list[Path]) -> No
 
 
 def _write_map(machine: Machine, target: Path) -> None:
+    from ffcomp.identify.frf_json import mode_map_json
     from models.errors import MachineFileError
     from models.vibration.mode_map import mode_map
 
@@ -200,88 +201,8 @@ def _write_map(machine: Machine, target: Path) -> None:
         raise MachineFileError("--map", [rule])
     modes = mode_map(machine)
     if target.suffix == ".json":
-        target.write_text(json.dumps(_map_answer(machine, modes)), encoding="utf-8")
+        target.write_text(json.dumps(mode_map_json(machine, modes)), encoding="utf-8")
         return
     from ffcomp.report.frf import draw_map
 
     draw_map(machine, modes, target)
-
-
-def _map_answer(machine: Machine, modes: ModeMap) -> dict[str, Any]:
-    """Row i, column k: the place X = x_mm[i], Y = x_mm[k]; null off the bed."""
-    return {
-        "schema": "ffcomp-frf-map/1",
-        "machine": {"name": machine.name, "sha256": machine.sha256},
-        "force_map": machine.effector.force_map,
-        "x_mm": modes.x_mm.tolist(),
-        "y_mm": modes.x_mm.tolist(),
-        "modes": [
-            {
-                "number": mode + 1,
-                "kind": kind,
-                "frequency_hz": _rows(modes, modes.frequency_hz[:, :, mode]),
-                "damping_ratio": _rows(modes, modes.damping_ratio[:, :, mode]),
-            }
-            for mode, kind in enumerate(modes.kinds)
-        ],
-    }
-
-
-def _rows(modes: ModeMap, table: FloatArray) -> list[list[float | None]]:
-    import numpy as np
-
-    good = modes.on_bed & np.isfinite(table)
-    return [
-        [round(v, 6) if ok else None for v, ok in zip(*row, strict=True)]
-        for row in zip(table.tolist(), good.tolist(), strict=True)
-    ]
-
-
-def _answer(found: Study, station: Station) -> dict[str, Any]:
-    import numpy as np
-
-    from ffcomp.identify.frf_study import verdict
-
-    view = found.view
-    rows, columns = range(station.value.shape[1]), range(station.value.shape[2])
-    phase, carriage_phase = (np.degrees(np.unwrap(np.angle(g), axis=0)) for g in (station.value, station.carriage))
-    return {
-        "schema": "ffcomp-frf/1",
-        "machine": {"name": found.machine.name, "sha256": found.machine.sha256},
-        "force_map": found.machine.effector.force_map if not found.machine.has_straight_axes else None,
-        "position_mm": [*station.xy.tolist(), 0.0],
-        "frequency_hz": found.frequency_hz.tolist(),
-        "carriage": [[_bode(station.carriage, carriage_phase, i, k) for k in range(3)] for i in range(3)],
-        "response": {
-            "of": view.of,
-            "per": view.per if view.depends_on_place else None,
-            "unit": view.unit,
-            "rows": list(view.rows),
-            "columns": list(view.columns),
-            "values": [[_bode(station.value, phase, i, k) for k in columns] for i in rows],
-        },
-        "added_mass_kg": station.added_mass_kg,
-        "modes": [
-            {"number": m.number, "frequency_hz": m.frequency_hz, "damping_ratio": m.damping_ratio, "kind": m.kind}
-            for m in station.modes
-        ],
-        "measured": [_compared_answer(each) for each in station.compared],
-        "verdict": verdict(found),
-    }
-
-
-def _bode(g: Any, phase: Any, i: int, k: int) -> dict[str, list[float]]:
-    return {"magnitude": abs(g[:, i, k]).tolist(), "phase_deg": phase[:, i, k].tolist()}
-
-
-def _compared_answer(each: Compared) -> dict[str, Any]:
-    return {
-        "source": each.response.source,
-        "input": each.response.input,
-        "output": each.response.output,
-        "lines": len(each.frequency_hz),
-        "band_hz": [float(each.frequency_hz[0]), float(each.frequency_hz[-1])],
-        "magnitude_accuracy_percent": each.magnitude_percent,
-        "phase_accuracy_percent": each.phase_percent,
-        "log_error_db": each.log_error_db,
-    }

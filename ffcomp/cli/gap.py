@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ffcomp.cli.options import AsJson, MachineName, Runs
 
 if TYPE_CHECKING:
-    from ffcomp.diagnose.residuals import Gap, Size
+    from ffcomp.diagnose.gap import Discrepancy
 
 NO_GAP = 1.1  # times the noise
 
@@ -23,55 +23,25 @@ def gap(runs: Runs, machine: MachineName, as_json: AsJson = False) -> None:
     from ffcomp.cli.common import exit_codes, print_json
 
     with exit_codes():
-        from ffcomp.diagnose.engine import noise_floor
-        from ffcomp.diagnose.noise import whitener
-        from ffcomp.diagnose.printer_problem import Delta
-        from ffcomp.diagnose.residuals import find_gap
-        from ffcomp.diagnose.validation import check_alike
+        from ffcomp.diagnose.gap import measure_gap
         from ffcomp.measurement.recording import read_recording
         from models.file import load_machine
 
-        loaded, measured = load_machine(machine), [read_recording(path) for path in runs]
-        plant = Delta(loaded, measured, ())
-        check_alike(measured)
-        simulated = plant.simulate({})
-        floor = noise_floor(plant, simulated)
-        found = find_gap(whitener(plant.observations, floor, plant.band_hz), floor, simulated)
-        result = _result(found, floor.from_repeats)
+        found = measure_gap(load_machine(machine), [read_recording(path) for path in runs])
         if as_json:
-            print_json(result)
+            print_json(found.to_dict())
         else:
-            _print(found, floor.from_repeats)
+            _print(found)
 
 
-def _result(found: Gap, from_repeats: bool) -> dict[str, Any]:
-    return {
-        "schema": "ffcomp-gap/1",
-        **_size(found.whole),
-        "noise_from_repeats": from_repeats,
-        "signals": {name: _size(size) for name, size in found.signals.items()},
-        "where": {
-            "frequency_hz": [{"from": low, "to": high, "share": share} for low, high, share in found.bands],
-            "signal": {name: _over(size) for name, size in found.signals.items()},
-            "region": [{"place_mm": list(place), "share": share} for place, share in found.places.items()],
-            "near_reversals": found.near_reversals,
-            "runs": {name: _size(size) for name, size in found.recordings.items()},
-        },
-    }
+def _print(discrepancy: Discrepancy) -> None:
+    from ffcomp.diagnose.gap import over_noise
 
-
-def _size(size: Size) -> dict[str, float]:
-    return {"nrms": size.nrms, "noise_nrms": size.noise_nrms}
-
-
-def _over(size: Size) -> float:
-    """How many times the noise."""
-    return size.nrms / size.noise_nrms
-
-
-def _print(found: Gap, from_repeats: bool) -> None:
+    found = discrepancy.found
     origin = (
-        "repeats" if from_repeats else "the spectrum above the model's band, which is weaker: measure something twice"
+        "repeats"
+        if discrepancy.from_repeats
+        else "the spectrum above the model's band, which is weaker: measure something twice"
     )
     print(
         f"Simulation and measurement differ by {100 * found.whole.nrms:.2f} % of the signals; noise alone would leave "
@@ -80,8 +50,8 @@ def _print(found: Gap, from_repeats: bool) -> None:
     for title, sizes in (("signal", found.signals), ("run", found.recordings)):
         width = max(map(len, sizes))
         for name, size in sizes.items():
-            print(f"  {title} {name:{width}}  {100 * size.nrms:7.2f} %  {_over(size):7.1f} times the noise")
-    if _over(found.whole) < NO_GAP:
+            print(f"  {title} {name:{width}}  {100 * size.nrms:7.2f} %  {over_noise(size):7.1f} times the noise")
+    if over_noise(found.whole) < NO_GAP:
         print("There is no gap: what differs is noise.")
         return
     loud = sorted(found.bands, key=lambda band: -band[2])[:3]

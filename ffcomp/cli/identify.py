@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -13,10 +13,8 @@ from ffcomp.cli.identify_plan import plan as write_plan
 from ffcomp.cli.options import AsJson, Figure, Force, HighestFitted, LowestFitted, MachineFile, MachineName, Quiet
 
 if TYPE_CHECKING:
-    from ffcomp.identify.identify import Identified
-    from ffcomp.identify.load import Gathered
-    from ffcomp.identify.modal_fit import AxisFit, IdentifiedAxes
-    from models.machine import Machine
+    from ffcomp.identify.machine_fit import MachineFit
+    from ffcomp.identify.machine_fit import Method as FitMethod
 
 app = typer.Typer(
     cls=Group,
@@ -122,6 +120,7 @@ def fit(
     with exit_codes():
         from ffcomp.identify.experiment_files import load_plan
         from ffcomp.identify.load import gather
+        from ffcomp.identify.machine_fit import fit_measurements
         from models.file import load_machine
 
         start = load_machine(machine)
@@ -135,11 +134,16 @@ def fit(
         gathered = gather(data, start, band_hz=band, plan=account, axes=axes, shaken_axis=axis, progress=progress)
         for sentence in gathered.skipped:
             say(f"ffcomp: {sentence}", quiet)
-        outcome = _Outcome(start, gathered, data, numbers, output, name)
-        result = outcome.of(method, progress)
+        named = name or (output.stem if output else start.name)
+        started, wanted = output is not None, cast("FitMethod", method)
+        found = fit_measurements(
+            start, gathered, data, numbers, named, method=wanted, write_start=started, progress=progress
+        )
+        written = _written(found, output)
         if figure is not None:
-            outcome.draw(figure)
+            _draw(found, figure)
             say(f"ffcomp: {figure}", quiet)
+        result = found.to_dict(written)
         if as_json:
             print_json(result)
         else:
@@ -214,217 +218,28 @@ def _known(text: str) -> tuple[str, tuple[float, float]]:
         raise typer.BadParameter(f"--known {text!r}: it reads KEY=VALUE±SD, with numbers.") from None
 
 
-OF_A_MODE = ("frequency_hz", "damping_ratio", "share")
+def _written(found: MachineFit, output: Path | None) -> str | None:
+    """Write the machine file, if one is asked for; check it in any case, for a later run would write it."""
+    from models.file import check_text
+
+    if output is None:
+        if found.text:
+            check_text(found.text, found.name)
+        return None
+    found.write(output)
+    return str(output)
 
 
-class _Outcome:
-    """What a fit leads to: a result to print, and a file."""
+def _draw(fitted: MachineFit, target: Path) -> None:
+    from ffcomp.identify.identify import Identified
+    from ffcomp.report.identify import draw_axes, draw_fit
 
-    def __init__(
-        self,
-        start: Machine,
-        gathered: Gathered,
-        data: list[Path],
-        known: dict[str, tuple[float, float]],
-        output: Path | None,
-        name: str | None,
-    ) -> None:
-        self.start, self.gathered, self.known, self.output = start, gathered, known, output
-        self.name = name or (output.stem if output else start.name)
-        self.hashes = [hash_of(path) for path in data]
-        self.identified: Identified | None = None
-        self.axes: IdentifiedAxes | None = None
-
-    def of(self, method: str, progress: Any) -> dict[str, Any]:
-        if self.start.has_straight_axes:
-            return self.from_axes(method, progress)
-        return self.from_responses(method, progress) if self.gathered.responses else self.from_modes()
-
-    def draw(self, target: Path) -> None:
-        from ffcomp.report.identify import draw_axes, draw_fit
-
-        if self.identified is not None:
-            draw_fit(self.identified, target)
-        elif self.axes is not None:
-            draw_axes(self.axes, self.name, target)
-        else:
-            raise typer.BadParameter("--figure shows frequency responses; these files hold none (see: --plan).")
-
-    def from_axes(self, method: str, progress: Any) -> dict[str, Any]:
-        """The modes of straight axes."""
-        from datetime import date
-
-        from ffcomp.identify.identify import axes_file_text
-        from ffcomp.identify.modal_fit import identify_axes
-
-        if method == "stepwise" or self.known:
-            raise typer.BadParameter("--method stepwise and --known are for deltas; this machine's axes are straight.")
-        found = identify_axes(self.gathered.shaken, self.gathered.responses, progress)
-        self.axes = found
-        text = axes_file_text(Path(self.start.path), found, self.name, self.hashes, date.today().isoformat())
-        return {
-            **self._head(),
-            "method": "axes",
-            "axes": {axis.name: _axis_answer(axis) for axis in found.axes},
-            "advice": list(found.advice),
-            "output": self._written(text),
-        }
-
-    def from_responses(self, method: str, progress: Any) -> dict[str, Any]:
-        from datetime import date
-
-        from ffcomp.identify.identify import identify, machine_file_text
-
-        if method == "stepwise":
-            return self._stepwise()
-        found = identify(self.start, self.gathered.responses, self.known, progress)
-        self.identified = found
-        text = machine_file_text(Path(self.start.path), found, self.name, self.hashes, date.today().isoformat())
-        return {
-            **self._head(),
-            "method": "direct",
-            "numbers": {key: _estimate(e) for key, e in found.fitted.estimates.items()},
-            "delays_s": {key: _estimate(e) for key, e in found.fitted.delays_s.items()},
-            "kept": list(found.kept),
-            "weak": {key: dict(others) for key, others in found.fitted.weak.items()},
-            "advice": list(found.advice),
-            "misfit": found.fitted.misfit,
-            "model_error": found.fitted.model_error,
-            "responses": _fit_quality(found),
-            "output": self._written(text),
-        }
-
-    def _stepwise(self) -> dict[str, Any]:
-        from dataclasses import replace
-        from datetime import date
-
-        from ffcomp.identify.identify import stepwise_file_text
-        from ffcomp.identify.output_error import TOTAL_MASS
-        from ffcomp.identify.paper import identify_stepwise
-
-        if TOTAL_MASS not in self.known:
-            raise typer.BadParameter(f"--method stepwise needs the effector's weight: --known {TOTAL_MASS}=KG±SD.")
-        found = identify_stepwise(self.start, self.gathered.responses, *self.known[TOTAL_MASS])
-        named = replace(found, machine=replace(found.machine, name=self.name))
-        text = stepwise_file_text(Path(self.start.path), named, self.hashes, date.today().isoformat())
-        return {
-            **self._head(),
-            "method": "stepwise",
-            "steps": [
-                {
-                    "step": step.title,
-                    "chi_squared_per_degree_of_freedom": step.consistency,
-                    "numbers": {key: _estimate(e) for key, e in step.found.estimates().items()},
-                }
-                for step in found.steps
-            ],
-            "advice": [],
-            "output": self._written(text),
-        }
-
-    def from_modes(self) -> dict[str, Any]:
-        """Only resonances are known: a table of modes, and a starting file if one is asked for."""
-        from datetime import date
-
-        from ffcomp.identify.from_resonances import starting_machine
-        from ffcomp.identify.identify import modes_file_text
-        from ffcomp.identify.load import resonances_of
-
-        spectra = [
-            {
-                "file": fit.source,
-                "signal": fit.signal,
-                "verdict": fit.verdict,
-                "modes": [_mode(m) for m in fit.modes],
-            }
-            for fit in self.gathered.spectra
-        ]
-        result: dict[str, Any] = {**self._head(), "method": "modes", "spectra": spectra, "output": None}
-        result["advice"] = [
-            "Spectra hold no phase and no command: they say where it resonates, not why. For a model that can be "
-            "compensated with, run `ffcomp identify plan` and bring its captures."
-        ]
-        if self.output is not None:
-            started = starting_machine(self.start, resonances_of(self.gathered.spectra))
-            when = date.today().isoformat()
-            text = modes_file_text(Path(self.start.path), started, self.name, self.hashes, when)
-            result["numbers"] = {key: _estimate(e) for key, e in started.estimates.items()}
-            result["output"] = self._written(text)
-        return result
-
-    def _head(self) -> dict[str, Any]:
-        return {
-            "schema": "ffcomp-identify-fit/1",
-            "started_from": {"name": self.start.name, "sha256": self.start.sha256},
-            "data": self.hashes,
-            "skipped": self.gathered.skipped,
-        }
-
-    def _written(self, text: str) -> str | None:
-        from gcode.atomic_write import replace_atomically
-        from models.file import check_text
-
-        check_text(text, str(self.output or self.name))  # never leave a file behind that cannot be read
-        if self.output is None:
-            return None
-        replace_atomically(self.output, [line.encode() for line in text.splitlines(keepends=True)])
-        return str(self.output)
-
-
-def hash_of(path: Path) -> str:
-    import hashlib
-
-    return f"{path.name} sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}"
-
-
-def _estimate(e: Any) -> dict[str, float]:
-    return {"value": float(e.value), "sd": float(e.sd), "low": float(e.low), "high": float(e.high)}
-
-
-def _axis_answer(axis: AxisFit) -> dict[str, Any]:
-    return {
-        "modes": [{key: _estimate(getattr(mode, key)) for key in OF_A_MODE} for mode in axis.modes],
-        "verdict": axis.verdict,
-        "data": [
-            {"source": Path(datum.source).name, "lines": len(datum.frequency_hz), "model_error": error}
-            for datum, error in zip(axis.data, axis.errors, strict=True)
-        ],
-    }
-
-
-def _mode(m: Any) -> dict[str, Any]:
-    return {
-        "frequency_hz": m.frequency_hz,
-        "frequency_sd_hz": m.frequency_sd_hz,
-        "damping_ratio": m.damping_ratio,
-        "damping_ratio_sd": m.damping_ratio_sd,
-        "power": m.power,
-        "clear": m.clear,
-    }
-
-
-def _fit_quality(found: Identified) -> list[dict[str, Any]]:
-    import numpy as np
-
-    rows = []
-    fitted = found.fitted
-    for r, h, share in zip(fitted.responses, fitted.predictions, fitted.model_errors, strict=True):
-        error = float(np.sqrt(np.sum(np.abs(r.value - h) ** 2) / np.sum(np.abs(r.value) ** 2)))
-        noise = float(np.sqrt(np.sum(r.variance) / np.sum(np.abs(r.value) ** 2)))
-        rows.append(
-            {
-                "source": r.source,
-                "setup": r.setup,
-                "input": r.input,
-                "output": r.output,
-                "position_mm": r.position_mm,
-                "points": len(r.frequency_hz),
-                "relative_error": error,
-                "relative_noise": noise,
-                "model_error": float(share),
-            }
-        )
-    return rows
+    if fitted.found is None:
+        raise typer.BadParameter("--figure shows frequency responses; these files hold none (see: --plan).")
+    if isinstance(fitted.found, Identified):
+        draw_fit(fitted.found, target)
+    else:
+        draw_axes(fitted.found, fitted.name, target)
 
 
 def _print(result: dict[str, Any]) -> None:

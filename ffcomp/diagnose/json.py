@@ -1,0 +1,42 @@
+"""Write a diagnosis as the JSON object of `ffcomp diagnose`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ffcomp.diagnose.result import Outcome
+
+
+def diagnosis_json(found: Outcome, written: str | None, report: str | None, seconds: float) -> dict[str, Any]:
+    """Return the JSON object ffcomp-diagnose/1.
+
+    written, report : paths of the machine file and of the page; None: not written
+    seconds : that the diagnosis took
+    """
+    named = found.effects if found.verdict == "effects" else {}
+    return {
+        "schema": "ffcomp-diagnose/1",
+        "verdict": found.verdict,
+        "effects": [
+            {
+                "name": name,
+                "parameters": found.parameters(name),
+                "confidence": found.confidence[name],
+                "evidence": found.gained,
+            }
+            for name in named
+        ],
+        "refused": {"effects": list(found.effects), "because": list(found.refused)} if found.refused else None,
+        "invisible": list(found.invisible),
+        "retuned": {key: {"from": a, "to": b} for key, (a, b) in found.retuned.items()},
+        "confusable_with": [{"name": name, "separate_by": how} for name, how in found.confusable_with],
+        "gap": {
+            "before": found.before.nrms,
+            "after": found.after.nrms,
+            "noise": found.before.noise_nrms,
+            "held_out": {"before": found.held_out[0], "after": found.held_out[1], "noise": found.before.noise_nrms},
+        },
+        "machine": written,
+        "report": report,
+        "seconds": seconds,
+    }

@@ -1,0 +1,245 @@
+"""Fit a machine file to whatever was measured: from files to a new machine file and the JSON of `identify fit`."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import date
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ffcomp.errors import MeasurementError, RequestError
+from ffcomp.identify.from_resonances import starting_machine
+from ffcomp.identify.identify import (
+    Identified,
+    axes_file_text,
+    identify,
+    machine_file_text,
+    modes_file_text,
+    stepwise_file_text,
+)
+from ffcomp.identify.load import Gathered, resonances_of
+from ffcomp.identify.modal_fit import AxisFit, IdentifiedAxes, identify_axes
+from ffcomp.identify.output_error import TOTAL_MASS
+from ffcomp.identify.paper import identify_stepwise
+from gcode.atomic_write import replace_atomically
+from models.file import check_text
+from models.machine import Machine
+
+Method = Literal["direct", "stepwise"]
+Progress = Callable[[str], None]
+
+OF_A_MODE = ("frequency_hz", "damping_ratio", "share")
+
+
+@dataclass(frozen=True, eq=False)
+class MachineFit:
+    """A machine file's parameters as measurements give them."""
+
+    answer: Mapping[str, Any]  # ffcomp-identify-fit/1, but for the output
+    text: str  # of the new machine file; empty: spectra alone do not make one
+    name: str  # of the new machine
+    found: Identified | IdentifiedAxes | None  # to be drawn; None: there are no responses to draw
+
+    def to_dict(self, output: str | None = None) -> dict[str, Any]:
+        """Return the JSON object ffcomp-identify-fit/1; output : path of the machine file that was written."""
+        return {**self.answer, "output": output}
+
+    def write(self, path: Path) -> None:
+        """Write the machine file, whole or not at all.
+
+        Raises
+        ------
+        MachineFileError
+            If the text is no valid machine file.
+        MeasurementError
+            If the data do not make a machine file.
+        """
+        if not self.text:
+            raise MeasurementError(str(path), ["These data hold no resonance, so there is no machine file to write."])
+        check_text(self.text, str(path))
+        replace_atomically(path, [line.encode() for line in self.text.splitlines(keepends=True)])
+
+
+def fit_measurements(
+    start: Machine,
+    gathered: Gathered,
+    data: Sequence[Path],
+    known: Mapping[str, tuple[float, float]],
+    name: str = "",
+    *,
+    method: Method = "direct",
+    write_start: bool = True,
+    progress: Progress = lambda _: None,
+) -> MachineFit:
+    """Fit whatever the data can tell: all parameters, the axes' modes, or resonances alone.
+
+    Parameters
+    ----------
+    start : the machine to start from
+    gathered, data : what the files held (see `load.gather`), and the files
+    known : value and standard deviation of parameters that are known
+    name : of the new machine; "": the name of `start`
+    method : "stepwise" is the paper's
+    write_start : make a starting file of resonances where there is nothing else
+
+    Raises
+    ------
+    RequestError
+        If the method cannot use what is known or measured.
+    """
+    task = _Task(start, gathered, [hash_of(path) for path in data], dict(known), name or start.name)
+    if start.has_straight_axes:
+        return task.axes(method, progress)
+    if not gathered.responses:
+        return task.resonances(write_start)
+    return task.stepwise() if method == "stepwise" else task.direct(progress)
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    start: Machine
+    gathered: Gathered
+    hashes: list[str]
+    known: dict[str, tuple[float, float]]
+    name: str
+
+    def axes(self, method: Method, progress: Progress) -> MachineFit:
+        """Fit the modes of cartesian and CoreXY axes."""
+        if method == "stepwise" or self.known:
+            raise RequestError("--method stepwise and --known are for deltas; this machine's axes are straight.")
+        found = identify_axes(self.gathered.shaken, self.gathered.responses, progress)
+        text = axes_file_text(Path(self.start.path), found, self.name, self.hashes, _today())
+        answer = {
+            **self._head(),
+            "method": "axes",
+            "axes": {axis.name: _axis_answer(axis) for axis in found.axes},
+            "advice": list(found.advice),
+        }
+        return MachineFit(answer, text, self.name, found)
+
+    def direct(self, progress: Progress) -> MachineFit:
+        """Fit all parameters to all frequency responses."""
+        found = identify(self.start, self.gathered.responses, self.known, progress)
+        text = machine_file_text(Path(self.start.path), found, self.name, self.hashes, _today())
+        answer = {
+            **self._head(),
+            "method": "direct",
+            "numbers": {key: _estimate(e) for key, e in found.fitted.estimates.items()},
+            "delays_s": {key: _estimate(e) for key, e in found.fitted.delays_s.items()},
+            "kept": list(found.kept),
+            "weak": {key: dict(others) for key, others in found.fitted.weak.items()},
+            "advice": list(found.advice),
+            "misfit": found.fitted.misfit,
+            "model_error": found.fitted.model_error,
+            "responses": _fit_quality(found),
+        }
+        return MachineFit(answer, text, self.name, found)
+
+    def stepwise(self) -> MachineFit:
+        """Fit by the paper's method."""
+        if TOTAL_MASS not in self.known:
+            raise RequestError(f"--method stepwise needs the effector's weight: --known {TOTAL_MASS}=KG±SD.")
+        found = identify_stepwise(self.start, self.gathered.responses, *self.known[TOTAL_MASS])
+        named = replace(found, machine=replace(found.machine, name=self.name))
+        text = stepwise_file_text(Path(self.start.path), named, self.hashes, _today())
+        steps = [
+            {
+                "step": step.title,
+                "chi_squared_per_degree_of_freedom": step.consistency,
+                "numbers": {key: _estimate(e) for key, e in step.found.estimates().items()},
+            }
+            for step in found.steps
+        ]
+        return MachineFit({**self._head(), "method": "stepwise", "steps": steps, "advice": []}, text, self.name, None)
+
+    def resonances(self, write_start: bool) -> MachineFit:
+        """Tabulate resonances where nothing else is known, and make a starting file of them."""
+        spectra = [
+            {
+                "file": fit.source,
+                "signal": fit.signal,
+                "verdict": fit.verdict,
+                "modes": [_mode(m) for m in fit.modes],
+            }
+            for fit in self.gathered.spectra
+        ]
+        answer: dict[str, Any] = {**self._head(), "method": "modes", "spectra": spectra}
+        answer["advice"] = [
+            "Spectra hold no phase and no command: they say where it resonates, not why. For a model that can be "
+            "compensated with, run `ffcomp identify plan` and bring its captures."
+        ]
+        if not write_start:
+            return MachineFit(answer, "", self.name, None)
+        started = starting_machine(self.start, resonances_of(self.gathered.spectra))
+        text = modes_file_text(Path(self.start.path), started, self.name, self.hashes, _today())
+        answer["numbers"] = {key: _estimate(e) for key, e in started.estimates.items()}
+        return MachineFit(answer, text, self.name, None)
+
+    def _head(self) -> dict[str, Any]:
+        return {
+            "schema": "ffcomp-identify-fit/1",
+            "started_from": {"name": self.start.name, "sha256": self.start.sha256},
+            "data": self.hashes,
+            "skipped": self.gathered.skipped,
+        }
+
+
+def hash_of(path: Path) -> str:
+    """Return a file's name with the hash of its content, for provenance."""
+    return f"{path.name} sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}"
+
+
+def _today() -> str:
+    return date.today().isoformat()
+
+
+def _estimate(e: Any) -> dict[str, float]:
+    return {"value": float(e.value), "sd": float(e.sd), "low": float(e.low), "high": float(e.high)}
+
+
+def _axis_answer(axis: AxisFit) -> dict[str, Any]:
+    return {
+        "modes": [{key: _estimate(getattr(mode, key)) for key in OF_A_MODE} for mode in axis.modes],
+        "verdict": axis.verdict,
+        "data": [
+            {"source": Path(datum.source).name, "lines": len(datum.frequency_hz), "model_error": error}
+            for datum, error in zip(axis.data, axis.errors, strict=True)
+        ],
+    }
+
+
+def _mode(m: Any) -> dict[str, Any]:
+    return {
+        "frequency_hz": m.frequency_hz,
+        "frequency_sd_hz": m.frequency_sd_hz,
+        "damping_ratio": m.damping_ratio,
+        "damping_ratio_sd": m.damping_ratio_sd,
+        "power": m.power,
+        "clear": m.clear,
+    }
+
+
+def _fit_quality(found: Identified) -> list[dict[str, Any]]:
+    rows = []
+    fitted = found.fitted
+    for r, h, share in zip(fitted.responses, fitted.predictions, fitted.model_errors, strict=True):
+        error = float(np.sqrt(np.sum(np.abs(r.value - h) ** 2) / np.sum(np.abs(r.value) ** 2)))
+        noise = float(np.sqrt(np.sum(r.variance) / np.sum(np.abs(r.value) ** 2)))
+        rows.append(
+            {
+                "source": r.source,
+                "setup": r.setup,
+                "input": r.input,
+                "output": r.output,
+                "position_mm": r.position_mm,
+                "points": len(r.frequency_hz),
+                "relative_error": error,
+                "relative_noise": noise,
+                "model_error": float(share),
+            }
+        )
+    return rows
