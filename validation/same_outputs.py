@@ -292,6 +292,7 @@ def _judged() -> Iterator[Run]:
 
 def _measured() -> Iterator[Run]:
     """What reads measurements, and what asks for them."""
+    order: tuple[str, ...]
     for machine, more in ((DELTA, ("--at", "0,0")), (VORON, ("--kind", "sweep"))):
         out = f"excite-{machine}"
         order = ("identify", "plan", "-m", machine, "-o", f"{out}.gcode", "--json", *more)
@@ -695,8 +696,8 @@ def main() -> None:
         shutil.rmtree(asked.output)
     runs = [run for run in all_runs() if (run.quick or not asked.quick) and asked.only in run.name]
     with tempfile.TemporaryDirectory(prefix="same-outputs-") as work:
-        paths = asked.data, asked.samples, asked.examples
-        place = Place(asked.checkout.resolve(), asked.python, *(path.absolute() for path in paths), Path(work))
+        data, samples, examples = (path.absolute() for path in (asked.data, asked.samples, asked.examples))
+        place = Place(asked.checkout.resolve(), asked.python, data, samples, examples, Path(work))
         capture(asked.output, place, runs)
 
 
