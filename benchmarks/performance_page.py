@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks import steps
 from benchmarks.performance_methods import REACH, SAMPLE_S
 from benchmarks.performance_prints import LARGEST, REPEATED, SMALL_S
-from benchmarks.performance_ways import DENSE, EXACT, MACHINE, MORE_CORRECTIONS, OURS, PLAIN_EXACT, ZERO_PHASE
+from benchmarks.performance_ways import COMPENSATED, DENSE, EXACT, MACHINE, MORE_CORRECTIONS, PLAIN_EXACT, ZERO_PHASE
 from benchmarks.performance_where import ONCE, REST
 from models.vibration.scheduled import SAME_MM
 from studies.effects_compensated import LAYERS, PRINT, SECONDS, as_table
@@ -292,8 +292,8 @@ multiplication and addition after the other, each waiting for the last, {peaks["
 
 def limits(found: Numbers) -> Iterator[str]:
     lengths_, work, tables = found["lengths"], floor(found), found["ways"].values()
-    deep = [_us(t["rows"], EXACT) / _us(t["rows"], OURS) for t in tables]
-    plain = [_us(t["rows"], PLAIN_EXACT) / _us(t["rows"], OURS) for t in tables]
+    deep = [_us(t["rows"], EXACT) / _us(t["rows"], COMPENSATED) for t in tables]
+    plain = [_us(t["rows"], PLAIN_EXACT) / _us(t["rows"], COMPENSATED) for t in tables]
     cheaper, contour, tracking, peak = (zero_phase(tables, what) for what in ZERO_PHASE_SHOWN)
     yield listed(f"""
 - **The arithmetic itself**: the kernels, with all their passes over it, need {work["operations"]:,.0f}
@@ -367,7 +367,9 @@ def _operations(kernel: Numbers) -> float:
 
 def zero_phase(tables: Iterable[Numbers], what: str) -> list[float]:
     """A number of zero-phase-error tracking, as a share of ours; one of each print."""
-    pairs = [[next(r[what] for r in t["rows"] if r["name"] == name) for name in (ZERO_PHASE, OURS)] for t in tables]
+    pairs = [
+        [next(r[what] for r in t["rows"] if r["name"] == name) for name in (ZERO_PHASE, COMPENSATED)] for t in tables
+    ]
     return [its / ours for its, ours in pairs]
 
 

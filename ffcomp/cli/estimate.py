@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from ffcomp.estimate.engine import Estimate
-    from ffcomp.estimate.statistics import Account
+    from ffcomp.estimate.statistics import Statistics
     from ffcomp.estimate.unknown import Unknown
     from gcode.container import Source
     from models.machine import Machine
@@ -50,8 +50,6 @@ def estimate(
             raise typer.BadParameter("--figure is for one file.")
         if figure is not None and figure.suffix not in FIGURES:
             raise typer.BadParameter(f"--figure {figure}: a name that ends in {', '.join(FIGURES)}.")
-        from ffcomp.estimate.engine import as_json as told
-
         results = []
         for found in (each for file in files for each in _estimates(file, machine, flavor, offset)):
             if figure is not None:
@@ -59,7 +57,7 @@ def estimate(
 
                 draw(found, figure)
             if as_json:
-                results.append(told(found))
+                results.append(found.to_dict())
             else:
                 _print(found, layers)
         if as_json:
@@ -100,18 +98,18 @@ def _print(found: Estimate, every_layer: bool) -> None:
 
     console = Console(highlight=False, soft_wrap=True)
     console.print(f"{found.path} on {found.machine.name}: {_sentence(found)}", markup=False)
-    account = found.account
+    statistics = found.statistics
     whole = found.time_s
     table = Table("", "time", "share", "filament", box=None)
-    for kind, spent in _kinds(account):
+    for kind, spent in _kinds(statistics):
         table.add_row(kind, short(spent), f"{100 * spent / whole:.1f} %", "")
     table.add_row()
-    for name, row in sorted(account.features.items(), key=lambda item: -seconds(item[1])):
+    for name, row in sorted(statistics.features.items(), key=lambda item: -seconds(item[1])):
         spent = seconds(row)
         table.add_row(name, short(spent), f"{100 * spent / whole:.1f} %", f"{max(row[FILAMENT], 0.0) / 1e3:.2f} m")
     console.print(table)
     _print_layers(console, found, every_layer)
-    for sentence in _unknown(account):
+    for sentence in _unknown(statistics):
         console.print(sentence, markup=False)
 
 
@@ -123,15 +121,17 @@ def _sentence(found: Estimate) -> str:
     told = f"{short(found.time_s)} ({found.time_s:.3f} s)"
     if found.original is not None:
         told += f", before compensation {short(seconds(found.original.total))}"
-    said = found.account.slicer_s
+    said = found.statistics.slicer_s
     told += "" if said is None else f"; the slicer says {short(said)}"
-    return f"{told}. {found.account.filament_mm / 1e3:.2f} m of filament, {found.account.retractions} retractions."
+    return (
+        f"{told}. {found.statistics.filament_mm / 1e3:.2f} m of filament, {found.statistics.retractions} retractions."
+    )
 
 
-def _kinds(account: Account) -> list[tuple[str, float]]:
+def _kinds(statistics: Statistics) -> list[tuple[str, float]]:
     from ffcomp.estimate.statistics import KINDS
 
-    return [(kind, float(spent)) for kind, spent in zip(KINDS, account.total, strict=False) if spent]
+    return [(kind, float(spent)) for kind, spent in zip(KINDS, statistics.total, strict=False) if spent]
 
 
 def _print_layers(console: Console, found: Estimate, every: bool) -> None:
@@ -142,7 +142,7 @@ def _print_layers(console: Console, found: Estimate, every: bool) -> None:
     from ffcomp.estimate.layers import BEFORE
     from gcode.metadata import short
 
-    layers = found.account.layers.in_order()
+    layers = found.statistics.layers.in_order()
     own = sorted((seconds(layer.row), number) for number, layer in layers if number != BEFORE)
     if not every:
         if own:
@@ -150,8 +150,8 @@ def _print_layers(console: Console, found: Estimate, every: bool) -> None:
             span = f"{short(least)} (layer {low}) to {short(most)} (layer {high})"
             console.print(f"{len(own)} layers: {span}; --layers tells them all.")
         return
-    table = Table("layer", "line", "z mm", "time", *(kind for kind, _ in _kinds(found.account)), box=None)
-    kinds = [kind for kind, spent in enumerate(found.account.total[:5]) if spent]
+    table = Table("layer", "line", "z mm", "time", *(kind for kind, _ in _kinds(found.statistics)), box=None)
+    kinds = [kind for kind, spent in enumerate(found.statistics.total[:5]) if spent]
     for number, layer in layers:
         cells = [f"{layer.row[kind]:.1f}" for kind in kinds]
         name = "before" if number == BEFORE else str(number)
@@ -159,12 +159,12 @@ def _print_layers(console: Console, found: Estimate, every: bool) -> None:
     console.print(table)
 
 
-def _unknown(account: Account) -> list[str]:
+def _unknown(statistics: Statistics) -> list[str]:
     """What takes a time that no file tells, one sentence for all."""
-    if not account.unknown:
-        return account.warnings
-    told = [f"{each.what} ({each.command}, {_lines(each)})" for each in account.unknown.values()]
-    return [f"Not in the time, for no file tells it: {'; '.join(told)}.", *account.warnings]
+    if not statistics.unknown:
+        return statistics.warnings
+    told = [f"{each.what} ({each.command}, {_lines(each)})" for each in statistics.unknown.values()]
+    return [f"Not in the time, for no file tells it: {'; '.join(told)}.", *statistics.warnings]
 
 
 def _lines(unknown: Unknown) -> str:

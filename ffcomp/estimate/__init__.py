@@ -1,1 +1,1 @@
-"""How long a print takes as the firmware will plan it, and what it spends that time on."""
+"""Estimate the time of a print by planning it as the firmware does."""

@@ -1,4 +1,4 @@
-"""One file's times: as it is written, and of the original that a compensated file keeps."""
+"""Estimate the time of one file, as it is written and of the original that a compensated file keeps."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from ffcomp.errors import NothingToDo
 from ffcomp.estimate.layers import BEFORE, Layer
-from ffcomp.estimate.spans import spans
-from ffcomp.estimate.statistics import FILAMENT, KINDS, Account
+from ffcomp.estimate.slices import planned_slices
+from ffcomp.estimate.statistics import FILAMENT, KINDS, Statistics
 from ffcomp.planner.program import plan_program
 from ffcomp.planner.trajectory import PlannedMotion
+from ffcomp.serialise import to_json
 from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import FLAVORS, flavor_by_ends
 from gcode.embedded import original_blocks
@@ -27,21 +26,37 @@ from models.machine import Machine
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What a print takes on a machine."""
+    """Time and filament of a print on a machine."""
 
     path: str
     machine: Machine
     flavor: str
-    account: Account  # of the file as it is written
-    original: Account | None  # of the print before its compensation; None: the file is no compensated one
+    statistics: Statistics  # of the file as it is written
+    original: Statistics | None  # of the print before its compensation; None: the file is no compensated one
 
     @property
     def time_s(self) -> float:
-        return seconds(self.account.total)
+        """Of the file as it is written."""
+        return seconds(self.statistics.total)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object of `ffcomp estimate` (ffcomp-estimate/1)."""
+        machine = self.machine
+        values = {
+            "schema": "ffcomp-estimate/1",
+            "input": self.path,
+            "machine": {"name": machine.name, "sha256": machine.sha256},
+            "flavor": self.flavor,
+            "compensated": self.original is not None,
+            **_values(self.statistics),
+            "original": _values(self.original) if self.original else None,
+        }
+        found: dict[str, Any] = to_json(values)
+        return found
 
 
 def stamp_of(source: Source) -> Stamp | None:
-    """The stamp of a compensated file."""
+    """Return the stamp of a compensated file."""
     head, tail, _ = ends_of(source)
     return find_stamp(head, tail)
 
@@ -54,20 +69,26 @@ def estimate(
     flavor: str = "",
     offset: tuple[float, float] = (0.0, 0.0),
 ) -> Estimate:
-    """Plan a file as the firmware does, and add up. Memory does not grow with the file.
+    """Plan a file as the firmware does, and add up its times. Memory does not grow with the file.
 
     Parameters
     ----------
-    path : the file's name, for errors
-    flavor : "klipper", "marlin" or "reprapfirmware"; "": as the file says
-    offset : mm, added to every position of a print that is not compensated yet
+    source : Source
+        The file.
+    path : str
+        Its name, for errors.
+    machine : Machine
+    flavor : {"", "klipper", "marlin", "reprapfirmware"}
+        "" for what the file says.
+    offset : (float, float)
+        Added to every position of a print that is not compensated yet, mm.
 
     Raises
     ------
     GcodeError
-        A line that cannot be followed, or a place that the machine does not reach.
+        If a line cannot be followed, or a position is out of the machine's reach.
     NothingToDo
-        A file that moves nothing.
+        If nothing moves.
     """
     head, tail, _ = ends_of(source)
     stamp = find_stamp(head, tail)
@@ -75,58 +96,43 @@ def estimate(
     if flavor not in FLAVORS:
         raise UnsupportedGcode(f"The flavor {flavor!r} is none of {', '.join(sorted(FLAVORS))}.", path=path)
     if stamp is None:
-        return Estimate(path, machine, flavor, _account(blocks_of(source), path, machine, flavor, offset), None)
-    written = _account(blocks_of(source), path, machine, flavor, (0.0, 0.0))
+        return Estimate(path, machine, flavor, _statistics(blocks_of(source), path, machine, flavor, offset), None)
+    written = _statistics(blocks_of(source), path, machine, flavor, (0.0, 0.0))
     before = original_blocks(blocks_of(source))
-    return Estimate(path, machine, flavor, written, _account(before, path, machine, flavor, find_offset(head)))
+    return Estimate(path, machine, flavor, written, _statistics(before, path, machine, flavor, find_offset(head)))
 
 
-def _account(blocks: Iterable[bytes], path: str, machine: Machine, flavor: str, offset: tuple[float, float]) -> Account:
+def _statistics(
+    blocks: Iterable[bytes], path: str, machine: Machine, flavor: str, offset: tuple[float, float]
+) -> Statistics:
     def plan_of(program: Program) -> PlannedMotion:
         return plan_program(program, machine, offset).trajectory
 
-    account = Account()
-    for span in spans(read_parts(blocks, path, flavor=flavor, offset_mm=offset), plan_of):
-        account.add(span)
-    if not account.moves:
+    statistics = Statistics()
+    for part in planned_slices(read_parts(blocks, path, flavor=flavor, offset_mm=offset), plan_of):
+        statistics.add(part)
+    if not statistics.moves:
         raise NothingToDo(f"{path}: no move whose start is known; there is no time to tell.")
-    return account
+    return statistics
 
 
 def seconds(row: FloatArray) -> float:
-    """All the time in a row."""
+    """Return all the time in a row."""
     return float(row[:FILAMENT].sum())
 
 
-def as_json(found: Estimate) -> dict[str, Any]:
-    """The JSON object of `estimate`."""
-    machine = found.machine
+def _values(statistics: Statistics) -> dict[str, Any]:
     return {
-        "schema": "ffcomp-estimate/1",
-        "input": found.path,
-        "machine": {"name": machine.name, "sha256": machine.sha256},
-        "flavor": found.flavor,
-        "compensated": found.original is not None,
-        **_told(found.account),
-        "original": _told(found.original) if found.original else None,
-    }
-
-
-def _told(account: Account) -> dict[str, Any]:
-    return {
-        "time_s": seconds(account.total),
-        **_row(account.total),
-        "filament_mm": account.filament_mm,
-        "moves": account.moves,
-        "retractions": account.retractions,
-        "slicer_time_s": account.slicer_s,
-        "features": {name: {"time_s": seconds(row), **_row(row)} for name, row in account.features.items()},
-        "layers": [_layer(number, layer) for number, layer in account.layers.in_order()],
-        "unknown": [
-            {"what": each.what, "command": each.command, "count": each.count, "lines": each.lines}
-            for each in account.unknown.values()
-        ],
-        "warnings": account.warnings,
+        "time_s": seconds(statistics.total),
+        **_row(statistics.total),
+        "filament_mm": statistics.filament_mm,
+        "moves": statistics.moves,
+        "retractions": statistics.retractions,
+        "slicer_time_s": statistics.slicer_s,
+        "features": {name: {"time_s": seconds(row), **_row(row)} for name, row in statistics.features.items()},
+        "layers": [_layer(number, layer) for number, layer in statistics.layers.in_order()],
+        "unknown": list(statistics.unknown.values()),
+        "warnings": statistics.warnings,
     }
 
 
@@ -138,7 +144,7 @@ def _layer(number: int, layer: Layer) -> dict[str, Any]:
     return {
         "layer": None if number == BEFORE else number,
         "line": layer.line,
-        "z_mm": layer.z_mm if np.isfinite(layer.z_mm) else None,
+        "z_mm": layer.z_mm,
         "time_s": seconds(layer.row),
         **_row(layer.row),
         "filament_mm": float(layer.row[FILAMENT]),

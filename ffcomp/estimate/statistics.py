@@ -1,6 +1,6 @@
-"""Adding up: every move's time and filament by its layer, its feature, and what the nozzle does meanwhile.
+"""Add up every move's time and filament by its layer, its feature, and its kind of motion.
 
-What is added up are rows, (6,) arrays: the seconds of each kind of motion and of waiting, and mm of filament.
+Rows are added up, (6,) arrays: the seconds of each kind of motion and of waiting, and mm of filament.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.estimate.layers import Layers, summed
-from ffcomp.estimate.spans import Span
+from ffcomp.estimate.slices import PlannedSlice
 from ffcomp.estimate.unknown import Unknown, unknown_in
 from ffcomp.planner.limits import lines_of
 from gcode.embedded import TIME_WAS, WAS
@@ -29,7 +29,7 @@ RETRACTED_MM = 0.05  # of filament at least, to call it a retraction
 
 @dataclass(slots=True)
 class _Marks:
-    """Where a span's comments begin something: index into the program's lines, and what."""
+    """Lines of a slice whose comments begin layers and features: indices into the program's lines."""
 
     layers: list[int] = field(default_factory=list)
     features: list[int] = field(default_factory=list)
@@ -37,13 +37,13 @@ class _Marks:
 
 
 @dataclass(slots=True)
-class Account:
-    """What has been counted so far."""
+class Statistics:
+    """Time and filament that have been counted so far."""
 
     moves: int = 0
     retractions: int = 0
     filament_mm: float = 0.0
-    slicer_s: float | None = None  # what the slicer's comment says
+    slicer_s: float | None = None  # that the slicer's comment states
     features: dict[str, FloatArray] = field(default_factory=dict)
     layers: Layers = field(default_factory=Layers)
     unknown: dict[tuple[str, str], Unknown] = field(default_factory=dict)
@@ -58,21 +58,21 @@ class Account:
         """(6,) of everything."""
         return np.sum([np.zeros(COLUMNS), *self.features.values()], axis=0)
 
-    def add(self, span: Span) -> None:
-        """Count a span's own moves and lines."""
-        marks = self._read(span)
-        if span.plan is not None and span.last > span.first:
-            self._add_moves(span, span.plan.duration[span.first : span.last], marks)
+    def add(self, part: PlannedSlice) -> None:
+        """Count a slice's own moves and lines."""
+        marks = self._read(part)
+        if part.plan is not None and part.last > part.first:
+            self._add_moves(part, part.plan.duration[part.first : part.last], marks)
         self.layers.leave(len(marks.layers))
         self._feature = marks.names[-1]
-        self.warnings += span.program.warnings
+        self.warnings += part.program.warnings
 
-    def _read(self, span: Span) -> _Marks:
-        """Follow what its lines say."""
+    def _read(self, part: PlannedSlice) -> _Marks:
+        """Read its lines."""
         marks = _Marks(names=[self._feature])
-        number = span.program.first_line + 1  # in the file, of the program's first line
-        for event in span.events:
-            line = span.program.lines[event.line]
+        number = part.program.first_line + 1  # in the file, of the program's first line
+        for event in part.events:
+            line = part.program.lines[event.line]
             if line.startswith(TIME_WAS):
                 self._time_was = line[len(TIME_WAS) :].rstrip()
                 continue
@@ -80,7 +80,7 @@ class Account:
                 self._comment(line, event, marks)
             elif event.dwell_s:
                 self._wait(event, number, marks)
-            elif found := unknown_in(span.program, event):
+            elif found := unknown_in(part.program, event):
                 self.unknown.setdefault(found, Unknown(*found)).add(number + event.line)
             self._time_was = None
         return marks
@@ -102,8 +102,8 @@ class Account:
         _put(self.features, marks.names[-1], row)
         self.layers.wait(len(marks.layers), row, number + event.line)
 
-    def _add_moves(self, span: Span, seconds: FloatArray, marks: _Marks) -> None:
-        moves, own = span.program.moves, slice(span.first, span.last)
+    def _add_moves(self, part: PlannedSlice, seconds: FloatArray, marks: _Marks) -> None:
+        moves, own = part.program.moves, slice(part.first, part.last)
         fed = moves.end[own, 3] - moves.start[own, 3]
         kind = _kinds(lines_of(moves).travels[own], fed)
         rows = np.zeros((len(seconds), COLUMNS))
@@ -115,23 +115,23 @@ class Account:
         for k, row, _ in summed(np.searchsorted(marks.features, line, side="right"), rows):
             _put(self.features, marks.names[k], row)
         begun = np.searchsorted(marks.layers, line, side="right")
-        self.layers.add(begun, rows, moves.end[own, 2], kind == EXTRUDING, span.program.first_line + 1 + line)
+        self.layers.add(begun, rows, moves.end[own, 2], kind == EXTRUDING, part.program.first_line + 1 + line)
 
     def _feed(self, fed: FloatArray) -> None:
-        """Count retractions, and the filament that was never there before: what is pulled back comes again for free."""
+        """Count retractions, and new filament: retracted filament that is fed again does not count."""
         steps = np.append(self._pulled_mm, fed)
         steps = steps[np.abs(steps) > STILL_MM]
         turns = np.flatnonzero(np.diff(np.sign(steps), prepend=0.0))
-        ways = np.add.reduceat(steps, turns) if turns.size else np.zeros(1)  # there and back again
-        self.retractions += int(np.count_nonzero(ways <= -RETRACTED_MM)) - (self._pulled_mm <= -RETRACTED_MM)
-        self._pulled_mm = min(float(ways[-1]), 0.0)
+        runs = np.add.reduceat(steps, turns) if turns.size else np.zeros(1)  # of one direction
+        self.retractions += int(np.count_nonzero(runs <= -RETRACTED_MM)) - (self._pulled_mm <= -RETRACTED_MM)
+        self._pulled_mm = min(float(runs[-1]), 0.0)
         gone = self._fed_mm + np.cumsum(fed)
         self._fed_mm = float(gone[-1])
         self.filament_mm = max(self.filament_mm, float(gone.max()))
 
 
 def _kinds(travels: NDArray[np.bool_], fed: FloatArray) -> IntArray:
-    """What each move does, (n,); fed : (n,) mm"""
+    """Return the kind of each move, (n,); fed : (n,) mm"""
     moving = np.where(fed > STILL_MM, EXTRUDING, TRAVELLING)
     return np.where(travels, moving, np.where(fed < 0.0, RETRACTING, PRIMING))
 

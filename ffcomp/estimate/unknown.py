@@ -1,4 +1,4 @@
-"""What a file asks for that takes a time nobody can read out of it: heating, homing, macros."""
+"""Find commands whose time no file states: heating, homing, macros."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from gcode.program import Event, EventKind, Program
 from gcode.words import commands
 
-TOLD = 50  # lines of each command that are remembered
+REMEMBERED = 50  # lines of each command that are remembered
 
 _NO_TIME = re.compile(
     r"M2|M3|M4|M5|M17|M18|M30|M8[01]|M84|M206|M400|M420|M428|M575|M593|M66[56]|G92|SET_INPUT_SHAPER|BED_MESH_CLEAR"
@@ -39,18 +39,19 @@ class Unknown:
     lines: list[int] = field(default_factory=list)  # from 1, the first of them
 
     def add(self, line: int) -> None:
+        """Count one more line."""
         self.count += 1
-        if len(self.lines) < TOLD:
+        if len(self.lines) < REMEMBERED:
             self.lines.append(line)
 
 
 def unknown_in(program: Program, event: Event) -> tuple[str, str] | None:
-    """What the line does that may take time, and its command; None for lines that take none, or a known time."""
+    """Return the kind of wait and the command of a line; None for lines that take no time, or a known one."""
     if event.kind not in (EventKind.STOP, EventKind.RAW_MOVE):
         return None
     line = program.lines[event.line]
-    said = commands(line, program.first_line + event.line + 1)
-    name = said[0].name if said else ""
+    words = commands(line, program.first_line + event.line + 1)
+    name = words[0].name if words else ""
     if event.kind is EventKind.RAW_MOVE:
         return _FROM_NOWHERE, name or "G1"
     if not name or (_NO_TIME.fullmatch(name) and b"MOVE=1" not in line.upper()):

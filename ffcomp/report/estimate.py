@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from ffcomp.estimate.engine import Estimate, seconds
 from ffcomp.estimate.layers import BEFORE
-from ffcomp.estimate.statistics import KINDS, WAITING, Account
+from ffcomp.estimate.statistics import KINDS, WAITING, Statistics
 from ffcomp.report.shared.drawing import file_of, layout
 from ffcomp.report.shared.style import RC, grid
 from ffcomp.version import __version__
@@ -26,8 +26,8 @@ def draw(found: Estimate, path: Path) -> None:
     with matplotlib.rc_context(RC):
         figure = Figure(figsize=(10.0, 4.6), layout=layout())
         left, right = figure.subplots(1, 2, width_ratios=(1.7, 1.0))
-        _layers(left, found.account)
-        _features(right, found.account)
+        _layers(left, found.statistics)
+        _features(right, found.statistics)
         told = f"{Path(found.path).name} on {found.machine.name}: {short(found.time_s)}"
         figure.suptitle(told, x=0.01, ha="left", fontweight="bold")
         note = f"planned as the firmware does; heating, homing and macros left out; ffcomp v{__version__}"
@@ -35,8 +35,8 @@ def draw(found: Estimate, path: Path) -> None:
         path.write_bytes(file_of(figure, path.suffix.removeprefix(".")))
 
 
-def _layers(axes: Axes, account: Account) -> None:
-    layers = account.layers.in_order()
+def _layers(axes: Axes, statistics: Statistics) -> None:
+    layers = statistics.layers.in_order()
     number = np.array([number for number, _ in layers])
     rows = np.stack([layer.row[: WAITING + 1] for _, layer in layers]) / 60
     below = np.zeros(len(rows))
@@ -52,10 +52,10 @@ def _layers(axes: Axes, account: Account) -> None:
     grid(axes, "y")
 
 
-def _features(axes: Axes, account: Account) -> None:
-    names = sorted(account.features, key=lambda name: seconds(account.features[name]))[-MOST_FEATURES:]
+def _features(axes: Axes, statistics: Statistics) -> None:
+    names = sorted(statistics.features, key=lambda name: seconds(statistics.features[name]))[-MOST_FEATURES:]
     left = np.zeros(len(names))
-    rows = np.stack([account.features[name][: WAITING + 1] for name in names]) / 60
+    rows = np.stack([statistics.features[name][: WAITING + 1] for name in names]) / 60
     for column, colour in zip(rows.T, COLOURS, strict=True):
         axes.barh(names, column, left=left, color=colour)
         left += column

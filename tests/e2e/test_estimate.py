@@ -21,11 +21,11 @@ from ffcomp.compensate.gcode_output import print_time as times
 from ffcomp.compensate.gcode_output.print_time import with_times_retold
 from ffcomp.compensate.job import Job
 from ffcomp.errors import NothingToDo
-from ffcomp.estimate import spans as cutting
-from ffcomp.estimate.engine import Estimate, as_json, estimate, seconds
+from ffcomp.estimate import slices as cutting
+from ffcomp.estimate.engine import Estimate, estimate, seconds
 from ffcomp.estimate.layers import BEFORE
-from ffcomp.estimate.spans import spans
-from ffcomp.estimate.statistics import EXTRUDING, FILAMENT, PRIMING, RETRACTING, TRAVELLING, WAITING, Account
+from ffcomp.estimate.slices import planned_slices
+from ffcomp.estimate.statistics import EXTRUDING, FILAMENT, PRIMING, RETRACTING, TRAVELLING, WAITING, Statistics
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.lookahead import stops_and_waits
@@ -71,31 +71,31 @@ SIMPLE = START + (
 
 
 def test_every_kind_of_time_in_closed_form() -> None:
-    account = estimated(SIMPLE).account
+    statistics = estimated(SIMPLE).statistics
     filament_acceleration = machine().limits.acceleration_mm_per_s2 * 16 * 0.4**2 / (math.pi * 1.75**2)
-    total = account.total
+    total = statistics.total
     assert total[EXTRUDING] == pytest.approx(2 * ramp_s(40, 50, 2000))
     assert total[TRAVELLING] == pytest.approx(ramp_s(40, 100, 2000) + ramp_s(0.2, 10, 2000))
     assert total[RETRACTING] == total[PRIMING] == pytest.approx(ramp_s(1, 20, filament_acceleration))
     assert total[WAITING] == 1.5
-    assert account.filament_mm == pytest.approx(5.0)  # the millimetre that was pulled back came again
-    assert account.retractions == 1
+    assert statistics.filament_mm == pytest.approx(5.0)  # the millimetre that was pulled back came again
+    assert statistics.retractions == 1
 
 
 def test_layers_and_features_share_all_of_it() -> None:
-    account = estimated(SIMPLE).account
-    layers = dict(account.layers.in_order())
+    statistics = estimated(SIMPLE).statistics
+    layers = dict(statistics.layers.in_order())
     assert list(layers) == [0, 1]
     assert [layer.z_mm for layer in layers.values()] == [0.2, 0.4]
     assert [layer.line for layer in layers.values()] == [9, 16]
     for column in range(FILAMENT + 1):
-        assert sum(layer.row[column] for layer in layers.values()) == pytest.approx(account.total[column])
-    assert account.features["Skirt"][WAITING] == 1.5
-    assert account.features["Infill"][EXTRUDING] == pytest.approx(ramp_s(40, 50, 2000))
+        assert sum(layer.row[column] for layer in layers.values()) == pytest.approx(statistics.total[column])
+    assert statistics.features["Skirt"][WAITING] == 1.5
+    assert statistics.features["Infill"][EXTRUDING] == pytest.approx(ramp_s(40, 50, 2000))
 
 
 def test_what_no_file_tells_is_named_with_its_lines() -> None:
-    unknown = estimated(SIMPLE).account.unknown.values()
+    unknown = estimated(SIMPLE).statistics.unknown.values()
     assert [(each.what, each.command, each.lines) for each in unknown] == [
         ("homing", "G28", [1]),
         ("heating", "M109", [2, 20]),
@@ -106,11 +106,11 @@ def test_what_no_file_tells_is_named_with_its_lines() -> None:
 
 def test_layers_by_height_where_no_comment_names_them() -> None:
     rings = [b"G1 Z%.1f\nG1 X40 E1\nG1 Y40 E1\nG1 X0 E1\nG1 Y0 E1\n" % z for z in (0.3, 0.5, 0.7)]
-    layers = estimated(START + b"".join(rings)).account.layers.in_order()
+    layers = estimated(START + b"".join(rings)).statistics.layers.in_order()
     assert [number for number, _ in layers] == [BEFORE, 0, 1, 2]
     assert [layer.z_mm for _, layer in layers[1:]] == [0.3, 0.5, 0.7]
     slope = b"".join(b"G1 X%.2f Y%.2f Z%.4f E.05\n" % (*spiral(k), 0.3 + 0.002 * k) for k in range(300))
-    sliced = [layer for number, layer in estimated(START + slope).account.layers.in_order() if number != BEFORE]
+    sliced = [layer for number, layer in estimated(START + slope).statistics.layers.in_order() if number != BEFORE]
     assert 3 <= len(sliced) <= 5 and sum(layer.extruding for layer in sliced) == 300
 
 
@@ -118,14 +118,14 @@ def spiral(k: int) -> tuple[float, float]:
     return 20 * math.cos(k / 10), 20 * math.sin(k / 10)
 
 
-def account_of(data: bytes, part_bytes: int = 1 << 20) -> Account:
+def account_of(data: bytes, part_bytes: int = 1 << 20) -> Statistics:
     def plan_of(program: Program) -> object:
         return plan_program(program, machine()).trajectory
 
-    account = Account()
-    for span in spans(read_parts([data], flavor="klipper", part_bytes=part_bytes), plan_of):  # type: ignore[arg-type]
-        account.add(span)
-    return account
+    statistics = Statistics()
+    for span in planned_slices(read_parts([data], flavor="klipper", part_bytes=part_bytes), plan_of):  # type: ignore[arg-type]
+        statistics.add(span)
+    return statistics
 
 
 def test_parts_add_up_to_the_whole_plan() -> None:
@@ -135,10 +135,10 @@ def test_parts_add_up_to_the_whole_plan() -> None:
     whole = plan_program(program, machine()).firmware_s
     assert stops_and_waits(program)[1].sum() == 0.0
     for part_bytes in (300, 5_000, 1 << 20):
-        account = account_of(data, part_bytes)
-        assert seconds(account.total) == pytest.approx(whole, rel=1e-12)
-        assert account.moves == len(program.moves)
-        assert [number for number, _ in account.layers.in_order()] == list(range(len(account.layers.in_order())))
+        statistics = account_of(data, part_bytes)
+        assert seconds(statistics.total) == pytest.approx(whole, rel=1e-12)
+        assert statistics.moves == len(program.moves)
+        assert [number for number, _ in statistics.layers.in_order()] == list(range(len(statistics.layers.in_order())))
 
 
 def test_a_spiral_without_rests_is_cut_in_motion(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -146,11 +146,14 @@ def test_a_spiral_without_rests_is_cut_in_motion(monkeypatch: pytest.MonkeyPatch
     data = START + b"".join(places)
     whole = seconds(account_of(data).total)
     monkeypatch.setattr(cutting, "LONGEST", 500)
-    held = [len(span.program.moves) for span in spans(read_parts([data], flavor="klipper", part_bytes=9_000), planned)]
+    held = [
+        len(span.program.moves)
+        for span in planned_slices(read_parts([data], flavor="klipper", part_bytes=9_000), planned)
+    ]
     assert len(held) > 5 and max(held) < 2000
-    account = account_of(data, 9_000)
-    assert account.moves == 6001 - 1  # the first one begins nowhere
-    assert seconds(account.total) == pytest.approx(whole, abs=1e-9)
+    statistics = account_of(data, 9_000)
+    assert statistics.moves == 6001 - 1  # the first one begins nowhere
+    assert seconds(statistics.total) == pytest.approx(whole, abs=1e-9)
 
 
 def planned(program: Program) -> object:
@@ -175,10 +178,10 @@ def test_the_real_host_takes_as_long() -> None:
         delta_radius=float(geometry.delta_radii_mm.max()),
         arm_length=float(geometry.arm_lengths_mm.min()),
     )
-    account = Account()
-    for span in spans(read_parts([text], flavor="klipper", start=(0.0, 0.0, 10.0)), planned):
-        account.add(span)
-    assert seconds(account.total) == pytest.approx(host["print_s"], abs=1e-6)
+    statistics = Statistics()
+    for span in planned_slices(read_parts([text], flavor="klipper", start=(0.0, 0.0, 10.0)), planned):
+        statistics.add(span)
+    assert seconds(statistics.total) == pytest.approx(host["print_s"], abs=1e-6)
 
 
 # -- the times in a compensated file --
@@ -298,7 +301,7 @@ def test_a_real_print_says_its_time() -> None:
     assert found.time_s == pytest.approx(job.summary.print_time_s, rel=1e-3)
     assert found.original is not None
     assert seconds(found.original.total) == pytest.approx(job.summary.original_print_time_s)
-    assert found.account.slicer_s == found.original.slicer_s == 5563
+    assert found.statistics.slicer_s == found.original.slicer_s == 5563
     assert original(text) == data
 
 
@@ -329,7 +332,8 @@ def test_the_command_tells_both_times(tmp_path: Path) -> None:
     told = run(path, "--json", "--figure", tmp_path / "a.png")
     assert told.exit_code == 0, told.stderr
     result = json.loads(told.stdout)
-    assert result == json.loads(json.dumps(as_json(replace(estimated(timed()[0]), path=str(path)))))
+    found = replace(estimated(timed()[0]), path=str(path))
+    assert result == json.loads(json.dumps(found.to_dict()))
     assert result["compensated"] and result["time_s"] > result["original"]["time_s"] > 10
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
