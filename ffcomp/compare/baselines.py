@@ -15,8 +15,9 @@ from ffcomp import shapers
 from ffcomp.compare.evaluation import SETTLE_S
 from ffcomp.compare.sampling import PrintSlice
 from ffcomp.metrics import contour_error, rms
-from ffcomp.shapers.apply import FrequencyOfPlace
-from ffcomp.shapers.calibration import Fixed, best_fixed, calibrated_frequencies
+from ffcomp.shapers.apply import FrequencyOfPosition
+from ffcomp.shapers.calibration import calibrated_frequencies
+from ffcomp.shapers.search import Fixed, best_fixed
 from ffcomp.simulate.linear import KEEP_EVERY, STEP_S, LinearPlayback, whole_steps
 from ffcomp.simulate.motion import Motion
 from models.arrays import FloatArray
@@ -55,7 +56,7 @@ class LinearPrinter:
 
         return best_fixed(kind, cost, (25.0, 100.0), DAMPING_RATIOS)
 
-    def best_factor(self, kind: str, of_position: FrequencyOfPlace) -> float:
+    def best_factor(self, kind: str, of_position: FrequencyOfPosition) -> float:
         """Find the ratio of a scheduled shaper's frequency to the mode's with the least contour rms."""
 
         def cost(factor: float) -> float:
@@ -71,12 +72,12 @@ def shaped(motion: Motion, x: shapers.Shaper, y: shapers.Shaper) -> Motion:
     return replace(motion, position=lambda t: shapers.shape(motion.position, t, x, y))
 
 
-def shaped_by_position(motion: Motion, frequency_of_position: FrequencyOfPlace, kind: str) -> Motion:
+def shaped_by_position(motion: Motion, frequency_of_position: FrequencyOfPosition, kind: str) -> Motion:
     """Shape a motion with the frequency of the position where the plan is at each time."""
     return replace(motion, position=lambda t: shapers.scheduled_shape(motion.position, t, frequency_of_position, kind))
 
 
-def scaled(of_position: FrequencyOfPlace, factor: float) -> FrequencyOfPlace:
+def scaled(of_position: FrequencyOfPosition, factor: float) -> FrequencyOfPosition:
     """Multiply the frequency of every position."""
     return lambda xy: factor * of_position(xy)
 

@@ -50,6 +50,7 @@ class PrintSlice:
 
     @property
     def trajectory(self) -> PlannedMotion:
+        """The plan of its moves."""
         return self.planned.trajectory
 
     @cached_property
@@ -98,10 +99,12 @@ class Print:
 
     @property
     def program(self) -> Program:
+        """The whole program."""
         return self.planned.program
 
     @property
     def print_time_s(self) -> float:
+        """Of the whole print."""
         return self.planned.trajectory.end_t
 
     def slices(

@@ -116,14 +116,14 @@ def _banded(heights: dict[int, Layer]) -> list[Layer]:
 
 
 def _layers(keys: IntArray, rows: FloatArray, tops: FloatArray, line: IntArray) -> Iterator[tuple[int, Layer]]:
-    """Yield layers of moves by their key. tops : (n,) mm, -inf where nothing is extruded"""
+    """Yield layers of moves by their key. tops : (n,) mm, -inf where nothing is extruded."""
     flows = np.isfinite(tops)
     for key, row, first in summed(keys, np.column_stack([rows, flows])):
         yield key, Layer(row[:-1], int(line[first]), float(tops[keys == key].max()), round(float(row[-1])))
 
 
 def summed(keys: IntArray, rows: FloatArray) -> Iterator[tuple[int, FloatArray, int]]:
-    """Yield each key once, with its rows' sum and the index of the first. keys : (n,), rows : (n, m)"""
+    """Yield each key once, with its rows' sum and the index of the first. keys : (n,), rows : (n, m)."""
     unique, first, which = np.unique(keys, return_index=True, return_inverse=True)
     sums = [np.bincount(which, column, minlength=len(unique)) for column in rows.T]
     yield from zip(unique.tolist(), np.stack(sums, axis=1), first.tolist(), strict=True)

@@ -131,7 +131,7 @@ class Statistics:
 
 
 def _kinds(travels: NDArray[np.bool_], fed: FloatArray) -> IntArray:
-    """Return the kind of each move, (n,); fed : (n,) mm"""
+    """Return the kind of each move, (n,); fed : (n,) mm."""
     moving = np.where(fed > STILL_MM, EXTRUDING, TRAVELLING)
     return np.where(travels, moving, np.where(fed < 0.0, RETRACTING, PRIMING))
 

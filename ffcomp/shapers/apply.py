@@ -1,4 +1,4 @@
-"""A planned motion, shaped: with the same shapers everywhere, or with a frequency that changes over the bed."""
+"""Shape a planned motion, with the same shapers everywhere or with a frequency that changes over the bed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ffcomp.shapers.pulses import DAMPING_RATIO, SHAPERS, Shaper
 from models.arrays import FloatArray
 
 Position = Callable[[FloatArray], FloatArray]  # t : (k,) s → (k, 3) mm, at any time, resting before and after
-FrequencyOfPlace = Callable[[FloatArray], FloatArray]  # (k, 2) mm, columns X Y → (k, 2) Hz, of the x and y shapers
+FrequencyOfPosition = Callable[[FloatArray], FloatArray]  # (k, 2) mm, columns X Y → (k, 2) Hz, of the x and y shapers
 
 
 def shape(
@@ -20,7 +20,7 @@ def shape(
     y: Shaper | None = None,
     z: Shaper | None = None,
 ) -> FloatArray:
-    """The shaped position : (k, 3) mm at the times t : (k,) s; an axis without a shaper stays as planned.
+    """Return the shaped position : (k, 3) mm at the times t : (k,) s; an axis without a shaper stays as planned.
 
     Exact: the planned motion is evaluated at the pulses' own times, never interpolated between samples.
     """
@@ -37,11 +37,11 @@ def shape(
 def scheduled_shape(
     position: Position,
     t: FloatArray,
-    frequency_of_place: FrequencyOfPlace,
+    frequency_of_position: FrequencyOfPosition,
     kind: str,
     damping_ratio: float = DAMPING_RATIO,
 ) -> FloatArray:
-    """As `shape`, with x and y shapers whose frequency is that of the place where the plan is at each time.
+    """Shape with x and y shapers whose frequency is that of the position where the plan is at each time.
 
     x_s(t) = Σ A_i x(t - T_i / f(x(t))), T_i in periods. No firmware has it: there a change of the shaper is a full
     stop. Looked up at t, not when the pulses set out: so the amplitudes still sum to one, rest stays rest, and the
@@ -53,16 +53,24 @@ def scheduled_shape(
 
     Parameters
     ----------
-    t : (k,) s
-    kind : a name in `SHAPERS`
+    position : callable
+        The planned motion.
+    t : (k,) array
+        Times in s.
+    frequency_of_position : callable
+        Frequencies of the x and y shapers.
+    kind : str
+        A name in `SHAPERS`.
+    damping_ratio : float
 
     Returns
     -------
-    (k, 3) mm, z as planned.
+    (k, 3) array
+        In mm, z as planned.
     """
     in_periods = SHAPERS[kind](1.0, damping_ratio)
     out = np.array(position(t), dtype=float)
-    frequency = _checked(frequency_of_place(out[:, :2].copy()))
+    frequency = _checked(frequency_of_position(out[:, :2].copy()))
     for axis in range(2):
         out[:, axis] = sum(
             a * position(t - delay / frequency[:, axis])[:, axis]
@@ -74,5 +82,5 @@ def scheduled_shape(
 def _checked(frequency_hz: FloatArray) -> FloatArray:
     wrong = frequency_hz[~(frequency_hz > 0)]
     if wrong.size:
-        raise ValueError(f"A shaper's frequency must be above zero at every place, not {wrong[0]} Hz.")
+        raise ValueError(f"A shaper's frequency must be above zero at every position, not {wrong[0]} Hz.")
     return frequency_hz

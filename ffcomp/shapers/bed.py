@@ -1,4 +1,4 @@
-"""Which frequency to shape at which place: a table over the bed, read by the x and y shapers along the path."""
+"""Shaper frequencies over the bed: a table that the x and y shapers read along the path."""
 
 from __future__ import annotations
 
@@ -7,25 +7,28 @@ from collections.abc import Callable
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from ffcomp.shapers.apply import FrequencyOfPlace
+from ffcomp.shapers.apply import FrequencyOfPosition
 from models.arrays import FloatArray
 from models.machine import Machine
 from models.vibration.receptance import modes, nozzle_frf
 
 
 def dominant_frequencies(machine: Machine, xy: FloatArray) -> FloatArray:
-    """Of the modes at one place, the one in which the nozzle vibrates most for the same commanded acceleration.
+    """Return the frequencies of the modes at one position in which the nozzle vibrates most.
 
-    That is the largest |X/Ẍ_d| = |G|/ω² at a natural frequency, with G from commanded to real nozzle. The drive's own
-    resonance is not among the modes: it is the same everywhere.
+    For the same commanded acceleration, that is the largest |X/Ẍ_d| = |G|/ω² at a natural frequency, with G from
+    commanded to real nozzle. The drive's own resonance is not among the modes: it is the same everywhere.
 
     Parameters
     ----------
-    xy : (2,) mm, columns X Y.
+    machine : Machine
+    xy : (2,) array
+        In mm, columns X Y.
 
     Returns
     -------
-    (2,) Hz, of what is commanded and answers along X, and along Y.
+    (2,) array
+        In Hz, for command and response along X, and along Y.
     """
     natural = modes(machine, xy).frequencies_hz
     loudness = np.abs(nozzle_frf(machine, xy, natural)) / natural[:, None, None] ** 2  # (modes, 3, 3)
@@ -34,15 +37,18 @@ def dominant_frequencies(machine: Machine, xy: FloatArray) -> FloatArray:
 
 def over_the_bed(
     machine: Machine, frequencies_at: Callable[[FloatArray], FloatArray], pitch_mm: float = 10.0
-) -> FrequencyOfPlace:
-    """`frequencies_at` asked once at every node of a square grid, then interpolated linearly between them.
+) -> FrequencyOfPosition:
+    """Tabulate frequencies at the nodes of a square grid, and interpolate linearly between them.
 
     Where the dominant mode changes, its frequency jumps, and with it the shaped position would; between two nodes the
     interpolation makes a slope of it. Outside the bed the value at the rim's nearest node holds.
 
     Parameters
     ----------
-    frequencies_at : (2,) mm, columns X Y → (2,) Hz, along X and Y
+    machine : Machine
+    frequencies_at : callable
+        (2,) mm, columns X Y → (2,) Hz, along X and Y.
+    pitch_mm : float
     """
     reach = machine.kinematics.model_reach_mm
     if not reach:
@@ -51,16 +57,16 @@ def over_the_bed(
     x = np.linspace(-reach, reach, 2 * int(np.ceil(reach / pitch_mm)) + 1)
     nodes = _inside(np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2), reach)
     values = np.array([frequencies_at(node) for node in nodes]).reshape(len(x), len(x), 2)
-    # a place on the rim may round to just outside the grid
+    # a position on the rim may round to just outside the grid
     table = RegularGridInterpolator((x, x), values, bounds_error=False, fill_value=None)
 
-    def of_place(xy: FloatArray) -> FloatArray:
+    def of_position(xy: FloatArray) -> FloatArray:
         return np.asarray(table(_inside(xy, reach)), dtype=float)
 
-    return of_place
+    return of_position
 
 
 def _inside(xy: FloatArray, reach_mm: float) -> FloatArray:
-    """Places (n, 2) mm outside the bed are drawn in to its rim."""
+    """Move positions (n, 2) mm outside the bed to its rim."""
     distance = np.hypot(xy[:, 0], xy[:, 1])
     return xy * (reach_mm / np.maximum(distance, reach_mm))[:, None]

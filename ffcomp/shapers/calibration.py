@@ -1,13 +1,13 @@
-"""The shaper a firmware would choose for itself, and the best one there is: baselines at their best.
+"""Calibrate a shaper as a firmware does, from its own resonance test.
 
-Klipper shakes the nozzle with a train of pulses whose frequency rises slowly, measures the acceleration, and takes the
+Klipper excites the nozzle with a train of pulses whose frequency rises slowly, measures the acceleration, and takes the
 shaper whose score is lowest (its resonance tester and shaper calibration; Kalico has the same):
 
     score = smoothing (V^1.5 + V/5 + 1/100),   V = Σ max(v S - S_max/20, 0) / Σ max(S - S_max/20, 0)
 
 with S the power spectral density divided by (f + 0.1 Hz), v the vibration that the shaper leaves, the worst of three
 damping ratios, and the smoothing the offset from the path at a corner of 90° or 180°, at 5 m/s². It fits no model: no
-phase, no damping, nothing of the other places on the bed.
+phase, no damping, nothing of the other positions on the bed.
 
     x, y = calibrated(*(resonance_test_psd(machine, xy, axis) for axis in "xy"))
 
@@ -16,7 +16,7 @@ mm, s, Hz.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -51,8 +51,6 @@ _TEST_DAMPING_RATIOS = (0.075, 0.1, 0.15)
 _REDUCTION = 20.0  # what is this many times below the peak does not count
 _TEST_ACCELERATION = 5000.0  # mm/s²
 
-_COARSE = 1.08  # ratio of neighbouring frequencies in the scans of `best_fixed`
-
 
 @dataclass(frozen=True, slots=True)
 class Fit:
@@ -66,12 +64,13 @@ class Fit:
 
     @property
     def shaper(self) -> Shaper:
+        """The shaper itself."""
         return SHAPERS[self.kind](self.frequency_hz, DAMPING_RATIO)
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Of one axis."""
+    """The calibration of one axis."""
 
     fits: Mapping[str, Fit]  # by kind
     recommended: Fit
@@ -83,14 +82,14 @@ class Calibration:
 def resonance_test_psd(
     machine: Machine, xy: FloatArray, axis: Axis, acceleration_per_hz: float = ACCELERATION_PER_HZ
 ) -> Spectrum:
-    """What a firmware makes of the `resonance_test` of a machine at one place."""
+    """Return the spectrum that a firmware computes from the `resonance_test` of a machine at one position."""
     return normalised(*_density(resonance_test(machine, xy, axis, acceleration_per_hz)))
 
 
 def resonance_test(
     machine: Machine, xy: FloatArray, axis: Axis, acceleration_per_hz: float = ACCELERATION_PER_HZ
 ) -> FloatArray:
-    """The nozzle's acceleration while a firmware's resonance test shakes it along one axis, for small motion.
+    """Return the nozzle's acceleration while a firmware's resonance test excites it along one axis, for small motion.
 
     The command's pulses, ±acceleration_per_hz · f for a quarter period each, pass the nozzle's frequency response,
     which is the same for accelerations as for positions. The slow sweep that newer firmware adds is left out: it keeps
@@ -98,12 +97,17 @@ def resonance_test(
 
     Parameters
     ----------
-    xy : (2,) mm, columns X Y, where the nozzle is shaken.
-    acceleration_per_hz : mm/s² per Hz
+    machine : Machine
+    xy : (2,) array
+        Position that is tested, mm, columns X Y.
+    axis : {"x", "y"}
+    acceleration_per_hz : float
+        mm/s² per Hz.
 
     Returns
     -------
-    (n, 3) mm/s², columns X Y Z, at RATE_HZ.
+    (n, 3) array
+        mm/s², columns X Y Z, at RATE_HZ.
     """
     command = _commanded_acceleration(acceleration_per_hz)
     ratio = _FINE_RATE_HZ // RATE_HZ
@@ -115,7 +119,7 @@ def resonance_test(
 
 
 def _commanded_acceleration(acceleration_per_hz: float) -> FloatArray:
-    """(n,) mm/s² at _FINE_RATE_HZ, the mean over each sample; whole seconds."""
+    """Return (n,) mm/s² at _FINE_RATE_HZ, the mean over each sample; whole seconds."""
     time, velocity = pulse_train(acceleration_per_hz)
     seconds = int(np.ceil(time[-1] + _SETTLE_S))
     grid = np.arange(seconds * _FINE_RATE_HZ + 1) / _FINE_RATE_HZ
@@ -123,7 +127,7 @@ def _commanded_acceleration(acceleration_per_hz: float) -> FloatArray:
 
 
 def pulse_train(acceleration_per_hz: float) -> tuple[FloatArray, FloatArray]:
-    """Corners of the commanded velocity: times (n,) s and (n,) mm/s.
+    """Return corners of the commanded velocity: times (n,) s and (n,) mm/s.
 
     ± acceleration_per_hz · f for a quarter period is the same change of speed at every frequency.
     """
@@ -138,7 +142,7 @@ def pulse_train(acceleration_per_hz: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _density(acceleration: FloatArray) -> Spectrum:
-    """Of (n, 3) mm/s² at RATE_HZ, by Welch's method as Klipper does it; the axes' powers added."""
+    """Return the density of (n, 3) mm/s² at RATE_HZ by Welch's method as Klipper does; the axes' powers are added."""
     samples = 1 << int(np.ceil(np.log2(_WINDOW_S * RATE_HZ)))
     window = np.kaiser(samples, _KAISER_BETA)
     frequency, psd = welch(acceleration, RATE_HZ, window, axis=0)
@@ -147,7 +151,7 @@ def _density(acceleration: FloatArray) -> Spectrum:
 
 
 def normalised(frequency_hz: FloatArray, psd: FloatArray) -> Spectrum:
-    """A density in mm²/s⁴/Hz as it is judged: divided by the frequency, as the test shakes in proportion to it."""
+    """Divide a density in mm²/s⁴/Hz by the frequency, for the test's excitation is proportional to it."""
     fade = np.exp(1 - (_NOISY_HZ / (frequency_hz + _NORMALISING_HZ)) ** 2)
     weight = np.where(frequency_hz < _NOISY_HZ, fade, 1.0)
     return frequency_hz, psd / (frequency_hz + _NORMALISING_HZ) * weight
@@ -159,12 +163,15 @@ def normalised(frequency_hz: FloatArray, psd: FloatArray) -> Spectrum:
 def calibrated(
     x: Spectrum, y: Spectrum, square_corner_velocity: float = 5.0, slack: float = 0.0
 ) -> tuple[Calibration, Calibration]:
-    """The frequency of every kind and the recommended shaper, for the x and the y axis.
+    """Return the frequency of every kind and the recommended shaper, for the x and the y axis.
 
     Parameters
     ----------
-    square_corner_velocity : mm/s, the printer's
-    slack : see `fit`
+    x, y : Spectrum
+    square_corner_velocity : float
+        The printer's, mm/s.
+    slack : float
+        See `fit`.
     """
     first, second = (_calibrated(axis, square_corner_velocity, slack) for axis in (x, y))
     return first, second
@@ -176,12 +183,18 @@ def _calibrated(spectrum: Spectrum, square_corner_velocity: float, slack: float)
 
 
 def fit(kind: str, spectrum: Spectrum, square_corner_velocity: float = 5.0, slack: float = 0.0) -> Fit:
-    """The frequency with the lowest score among those that leave hardly more vibration than the best.
+    """Find the frequency with the lowest score among those that leave hardly more vibration than the best.
 
     Parameters
     ----------
-    slack : how much more of the vibration may remain than 1.1 times the least: nothing in Kalico and in Klipper until
-        2023, 0.0005 in Klipper today
+    kind : str
+        A name in `SHAPERS`.
+    spectrum : Spectrum
+    square_corner_velocity : float
+        In mm/s.
+    slack : float
+        Vibration that may remain beyond 1.1 times the least: none in Kalico and in Klipper until 2023, 0.0005 in
+        Klipper today.
     """
     tried = np.arange(_LOWEST_HZ[kind], _UP_TO_HZ, _STEP_HZ)
     vibration = _remaining(SHAPERS[kind](1.0, DAMPING_RATIO), tried, *_checked(*spectrum))
@@ -194,18 +207,22 @@ def fit(kind: str, spectrum: Spectrum, square_corner_velocity: float = 5.0, slac
 
 
 def calibrated_frequencies(machine: Machine, xy: FloatArray, kind: str) -> FloatArray:
-    """What `fit` chooses where the nozzle is, (2,) Hz for x and y: the calibration that a firmware does at one place.
+    """Return what `fit` chooses at one position, (2,) Hz for x and y, as a firmware's calibration there does.
 
     Parameters
     ----------
-    xy : (2,) mm, columns X Y.
+    machine : Machine
+    xy : (2,) array
+        In mm, columns X Y.
+    kind : str
+        A name in `SHAPERS`.
     """
     axes: tuple[Axis, Axis] = ("x", "y")
     return np.array([fit(kind, resonance_test_psd(machine, xy, axis)).frequency_hz for axis in axes])
 
 
 def recommended(fits: Iterable[Fit]) -> Fit:
-    """A challenger, wider than those before it, must win clearly: by 20 %, or by 5 % with 10 % less smoothing."""
+    """Choose among fits: a wider one must win clearly, by 20 %, or by 5 % with 10 % less smoothing."""
     best, *challengers = fits
     for other in challengers:
         clearly = other.score * 1.2 < best.score
@@ -215,7 +232,7 @@ def recommended(fits: Iterable[Fit]) -> Fit:
 
 
 def smoothing(shaper: Shaper, square_corner_velocity: float = 5.0, acceleration: float = _TEST_ACCELERATION) -> float:
-    """How far (mm) the shaped path is off a corner: the worse of a right angle, cut, and of a reversal, cut short."""
+    """Return how far (mm) the shaped path is off a corner: the worse of a right angle and of a reversal."""
     a, t = shaper.amplitude, shaper.time
     late = np.maximum(t, 0.0)
     right_angle = np.sqrt(2) * a @ ((square_corner_velocity + acceleration / 2 * late) * late)
@@ -224,7 +241,7 @@ def smoothing(shaper: Shaper, square_corner_velocity: float = 5.0, acceleration:
 
 
 def _remaining(of_one_hz: Shaper, tried_hz: FloatArray, frequency_hz: FloatArray, psd: FloatArray) -> FloatArray:
-    """V for each tried frequency (m,), from the spectrum (k,): only the ratio of two frequencies matters."""
+    """Return V for each tried frequency (m,), from the spectrum (k,): only the ratio of two frequencies matters."""
     ratio = frequency_hz / tried_hz[:, None]  # (m, k)
     threshold = psd.max() / _REDUCTION
     total = np.maximum(psd - threshold, 0.0).sum()
@@ -242,69 +259,3 @@ def _checked(frequency_hz: FloatArray, psd: FloatArray) -> Spectrum:
     if not (np.isfinite(psd[keep]).all() and psd[keep].any()):
         raise ValueError(f"A spectrum must have some power up to {_HIGHEST_HZ:g} Hz, and no gaps.")
     return frequency_hz[keep], psd[keep]
-
-
-# ---- the best for one motion ---------------------------------------------------------------------
-
-Judge = Callable[[Shaper, Shaper], float]  # the cost of an x and a y shaper
-
-
-@dataclass(frozen=True, slots=True)
-class Fixed:
-    """Shapers that stay the same everywhere, and how badly they did."""
-
-    x: Shaper
-    y: Shaper
-    frequency_hz: tuple[float, float]  # of x and y
-    damping_ratio: float
-    cost: float
-
-
-def best_fixed(
-    kind: str,
-    judge: Judge,
-    range_hz: tuple[float, float] = (20.0, 120.0),
-    damping_ratios: Sequence[float] = (DAMPING_RATIO,),
-    tolerance: float = 0.005,
-) -> Fixed:
-    """The fixed shapers of one kind with the least cost: scans, then ever finer steps about the best.
-
-    One frequency for both axes is scanned with every damping ratio, then x alone, then y alone: some 80 judgements for
-    one damping ratio, and 20 for the steps.
-
-    Parameters
-    ----------
-    judge : best on the very motion the shapers are to serve: no calibration can do better
-    range_hz : lowest and highest frequency of the scans
-    damping_ratios : the scans' best one is kept
-    tolerance : relative step of the frequencies at which the search ends
-    """
-    count = int(np.ceil(np.log(range_hz[1] / range_hz[0]) / np.log(_COARSE))) + 1
-    scan = np.geomspace(*range_hz, count).tolist()
-    best = _best(kind, judge, [(f, f, zeta) for f in scan for zeta in damping_ratios])
-    best = _best(kind, judge, [(f, best.frequency_hz[1], best.damping_ratio) for f in scan], best)
-    best = _best(kind, judge, [(best.frequency_hz[0], f, best.damping_ratio) for f in scan], best)
-    return _refined(kind, judge, best, tolerance)
-
-
-def _refined(kind: str, judge: Judge, best: Fixed, tolerance: float) -> Fixed:
-    step = float(np.sqrt(_COARSE))
-    while step > 1 + tolerance:
-        x, y = best.frequency_hz
-        around = [(x * step, y), (x / step, y), (x, y * step), (x, y / step)]
-        nearby = _best(kind, judge, [(*pair, best.damping_ratio) for pair in around], best)
-        if nearby is best:
-            step = float(np.sqrt(step))
-        best = nearby
-    return best
-
-
-def _best(
-    kind: str, judge: Judge, candidates: Iterable[tuple[float, float, float]], so_far: Fixed | None = None
-) -> Fixed:
-    """Of candidates (x Hz, y Hz, damping ratio) and the best so far, which wins a tie."""
-    judged = [] if so_far is None else [so_far]
-    for x_hz, y_hz, zeta in candidates:
-        x, y = SHAPERS[kind](x_hz, zeta), SHAPERS[kind](y_hz, zeta)
-        judged.append(Fixed(x, y, (x_hz, y_hz), zeta, float(judge(x, y))))
-    return min(judged, key=lambda each: each.cost)

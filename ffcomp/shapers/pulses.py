@@ -1,4 +1,4 @@
-"""The kinds of shapers as Klipper and Kalico define them, and what vibration they leave.
+"""The kinds of shapers as Klipper and Kalico define them, and the vibration they leave.
 
 With K = exp(-ζπ/√(1-ζ²)), the decay over half a period, and T_d = 1/(f√(1-ζ²)), the damped period:
 
@@ -14,8 +14,8 @@ lets through at its own frequency to be wider around it (Singhose, Seering & Sin
 a = (3X² + 2X + 3v²)/(16X), X = ∛(v²(√(1-v²) + 1)), and b = (1 + 3v + 2√(2v(1+v)))/16
 (Singhose, Porter, Tuttle & Singer 1997).
 
-NOTE: for a damped vibration the EI pulses are the undamped ones times powers of K, which is what Kalico plays; Klipper
-of 2026 has polynomials in ζ and v instead, about 1 % different.
+NOTE: for a damped vibration the EI pulses are the undamped ones times powers of K, as in Kalico; Klipper of 2026 has
+polynomials in ζ and v instead, about 1 % different.
 """
 
 from __future__ import annotations
@@ -42,23 +42,28 @@ class Shaper:
 
     @property
     def duration_s(self) -> float:
+        """From the first pulse to the last."""
         return float(self.time[-1] - self.time[0])
 
 
 def zv(frequency_hz: float, damping_ratio: float = DAMPING_RATIO) -> Shaper:
+    """Return the zero vibration shaper."""
     return _half_periods("zv", [1.0, 1.0], frequency_hz, damping_ratio)
 
 
 def mzv(frequency_hz: float, damping_ratio: float = DAMPING_RATIO) -> Shaper:
+    """Return the modified zero vibration shaper."""
     outer, inner = 1 - 1 / np.sqrt(2), np.sqrt(2) - 1
     return _evenly("mzv", [outer, inner, outer], 0.75, frequency_hz, damping_ratio)
 
 
 def zvd(frequency_hz: float, damping_ratio: float = DAMPING_RATIO) -> Shaper:
+    """Return the zero vibration and derivative shaper."""
     return _half_periods("zvd", [1.0, 2.0, 1.0], frequency_hz, damping_ratio)
 
 
 def ei(frequency_hz: float, damping_ratio: float = DAMPING_RATIO, tolerated: float = TOLERATED_VIBRATION) -> Shaper:
+    """Return the extra insensitive shaper."""
     outer, inner = (1 + tolerated) / 4, (1 - tolerated) / 2
     return _half_periods("ei", [outer, inner, outer], frequency_hz, damping_ratio)
 
@@ -66,6 +71,7 @@ def ei(frequency_hz: float, damping_ratio: float = DAMPING_RATIO, tolerated: flo
 def two_hump_ei(
     frequency_hz: float, damping_ratio: float = DAMPING_RATIO, tolerated: float = TOLERATED_VIBRATION
 ) -> Shaper:
+    """Return the two-hump extra insensitive shaper."""
     x = np.cbrt(tolerated**2 * (np.sqrt(1 - tolerated**2) + 1))
     outer = (3 * x**2 + 2 * x + 3 * tolerated**2) / (16 * x)
     inner = 0.5 - outer
@@ -75,6 +81,7 @@ def two_hump_ei(
 def three_hump_ei(
     frequency_hz: float, damping_ratio: float = DAMPING_RATIO, tolerated: float = TOLERATED_VIBRATION
 ) -> Shaper:
+    """Return the three-hump extra insensitive shaper."""
     outer = (1 + 3 * tolerated + 2 * np.sqrt(2 * tolerated * (1 + tolerated))) / 16
     inner, middle = (1 - tolerated) / 4, (1 + tolerated) / 2 - 2 * outer
     return _half_periods("3hump_ei", [outer, inner, middle, inner, outer], frequency_hz, damping_ratio)
@@ -91,8 +98,7 @@ SHAPERS: dict[str, Callable[[float, float], Shaper]] = {
 
 
 def residual_vibration(shaper: Shaper, frequency_hz: FloatArray, damping_ratio: float) -> FloatArray:
-    """Vibration left after the last pulse : like frequency_hz, as a share of what one plain step would leave, per
-    frequency.
+    """Return the vibration left after the last pulse, as a share of what one plain step would leave, per frequency.
 
     |Σ A_i exp(-(ζω - iω_d)(T_n - T_i))|, ω_d = ω√(1-ζ²) (Singer & Seering 1990).
     """
@@ -106,7 +112,7 @@ def _half_periods(name: str, undamped: ArrayLike, frequency_hz: float, damping_r
 
 
 def _evenly(name: str, undamped: ArrayLike, spacing: float, frequency_hz: float, damping_ratio: float) -> Shaper:
-    """Pulses `spacing` half periods apart, each smaller by what the vibration decays meanwhile."""
+    """Put pulses `spacing` half periods apart, each smaller by what the vibration decays meanwhile."""
     decay, period = _decay_and_period(frequency_hz, damping_ratio)
     amplitude = np.asarray(undamped, dtype=float)
     at = spacing * np.arange(len(amplitude))  # half periods
@@ -117,7 +123,7 @@ def _evenly(name: str, undamped: ArrayLike, spacing: float, frequency_hz: float,
 
 
 def _decay_and_period(frequency_hz: float, damping_ratio: float) -> tuple[float, float]:
-    """(K, T_d): decay over half a damped period, the damped period in s."""
+    """Return (K, T_d): decay over half a damped period, the damped period in s."""
     if not frequency_hz > 0:
         raise ValueError(f"A shaper's frequency must be above zero, not {frequency_hz} Hz.")
     if not 0 <= damping_ratio < 1:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ffcomp import shapers
 from ffcomp.measurement.klipper import Resonances, read_vibration
 from ffcomp.shapers import calibration as calibrate
+from ffcomp.shapers import search
 from models.arrays import constant
 from models.file import load_machine
 from models.machine import Machine
@@ -203,7 +204,7 @@ def test_the_best_fixed_shapers_sit_on_the_vibrations_they_are_for(kind: str) ->
     def judge(x: shapers.Shaper, y: shapers.Shaper) -> float:
         return left(x, 41.3, 0.05) ** 2 + left(y, 66.6, 0.05) ** 2 + 0.01 * (x.duration_s + y.duration_s)
 
-    best = calibrate.best_fixed(kind, judge, damping_ratios=(0.02, 0.05, 0.1))
+    best = search.best_fixed(kind, judge, damping_ratios=(0.02, 0.05, 0.1))
     assert best.cost == judge(best.x, best.y)
     beside = [(f, 1.0) for f in (0.95, 1.05)] + [(1.0, f) for f in (0.95, 1.05)]
     for a, b in beside:
@@ -220,5 +221,5 @@ def test_the_best_fixed_shaper_is_found_beyond_a_nearer_dip() -> None:
         hz = np.array([0.5 / x.duration_s, 0.5 / y.duration_s])  # of undamped zv
         return float(np.sum(np.minimum(1 + np.abs(hz - 30.0), np.abs(hz - 77.0) / 3)))
 
-    best = calibrate.best_fixed("zv", judge, damping_ratios=(0.0,))
+    best = search.best_fixed("zv", judge, damping_ratios=(0.0,))
     assert best.frequency_hz == pytest.approx((77.0, 77.0), rel=0.01)

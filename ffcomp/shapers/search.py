@@ -1,0 +1,81 @@
+"""Search the best shaper for one motion: scans, then ever finer steps about the best."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ffcomp.shapers.pulses import DAMPING_RATIO, SHAPERS, Shaper
+
+_COARSE = 1.08  # ratio of neighbouring frequencies in the scans
+
+Cost = Callable[[Shaper, Shaper], float]  # of an x and a y shaper
+
+
+@dataclass(frozen=True, slots=True)
+class Fixed:
+    """Shapers that stay the same everywhere, and their cost."""
+
+    x: Shaper
+    y: Shaper
+    frequency_hz: tuple[float, float]  # of x and y
+    damping_ratio: float
+    cost: float
+
+
+def best_fixed(
+    kind: str,
+    cost: Cost,
+    range_hz: tuple[float, float] = (20.0, 120.0),
+    damping_ratios: Sequence[float] = (DAMPING_RATIO,),
+    tolerance: float = 0.005,
+) -> Fixed:
+    """Find the fixed shapers of one kind with the least cost.
+
+    One frequency for both axes is scanned with every damping ratio, then x alone, then y alone: some 80 costs for one
+    damping ratio, and 20 for the steps.
+
+    Parameters
+    ----------
+    kind : str
+        A name in `SHAPERS`.
+    cost : callable
+        Best on the very motion the shapers are to serve: no calibration can do better.
+    range_hz : (float, float)
+        Lowest and highest frequency of the scans.
+    damping_ratios : sequence of float
+        The scans' best one is kept.
+    tolerance : float
+        Relative step of the frequencies at which the search ends.
+    """
+    count = int(np.ceil(np.log(range_hz[1] / range_hz[0]) / np.log(_COARSE))) + 1
+    scan = np.geomspace(*range_hz, count).tolist()
+    best = _best(kind, cost, [(f, f, zeta) for f in scan for zeta in damping_ratios])
+    best = _best(kind, cost, [(f, best.frequency_hz[1], best.damping_ratio) for f in scan], best)
+    best = _best(kind, cost, [(best.frequency_hz[0], f, best.damping_ratio) for f in scan], best)
+    return _refined(kind, cost, best, tolerance)
+
+
+def _refined(kind: str, cost: Cost, best: Fixed, tolerance: float) -> Fixed:
+    step = float(np.sqrt(_COARSE))
+    while step > 1 + tolerance:
+        x, y = best.frequency_hz
+        around = [(x * step, y), (x / step, y), (x, y * step), (x, y / step)]
+        nearby = _best(kind, cost, [(*pair, best.damping_ratio) for pair in around], best)
+        if nearby is best:
+            step = float(np.sqrt(step))
+        best = nearby
+    return best
+
+
+def _best(
+    kind: str, cost: Cost, candidates: Iterable[tuple[float, float, float]], so_far: Fixed | None = None
+) -> Fixed:
+    """Return the best of candidates (x Hz, y Hz, damping ratio) and the best so far, which wins a tie."""
+    tried = [] if so_far is None else [so_far]
+    for x_hz, y_hz, zeta in candidates:
+        x, y = SHAPERS[kind](x_hz, zeta), SHAPERS[kind](y_hz, zeta)
+        tried.append(Fixed(x, y, (x_hz, y_hz), zeta, float(cost(x, y))))
+    return min(tried, key=lambda each: each.cost)
