@@ -76,7 +76,7 @@ def whole_rows(name: str, original: judge.Original) -> Iterator[Row]:
 def our_rows(original: judge.Original, plan: judge.Answer, none: judge.Score) -> Iterator[Row]:
     ours = judge.compensated(original)
     own = judge.segments(original, ours)
-    answer = judge.answer(original, segments_motion(ours, own))
+    answer = judge.answer(original, segments_motion(own))
     yield row("**ours**", judge.score(original, answer), none, own.trajectory, original.trajectory)
     far = np.hypot(*plan.wanted[:, :2].T).max() >= FAR_MM
     if os.environ.get("KALICO_PYTHON"):
@@ -155,7 +155,7 @@ def ablation_rows(original: judge.Original) -> Iterator[Row]:
     for label, changed in ABLATIONS.items():
         ours = judge.compensated(original, replace(usual, **changed))
         own = judge.segments(original, ours)
-        score = judge.judge(original, segments_motion(ours, own))
+        score = judge.judge(original, segments_motion(own))
         yield row(label, score, none, own.trajectory, original.trajectory)
 
 

@@ -177,7 +177,7 @@ def original_through_kalico(original: Original) -> Replanned:
 
 def ours_through_kalico(original: Original, found: Compensated, own: Segments) -> Replanned:
     played = kalico_trajectory(original, found.text, own.trajectory)
-    return Replanned(played, motion_of(played, own.clock(found, played.start_t)))
+    return Replanned(played, motion_of(played, own.clock(played.start_t)))
 
 
 def kalico_trajectory(original: Original, text: bytes, own: Trajectory) -> Trajectory:

@@ -15,7 +15,7 @@ from ffcomp.compare.sampling import PrintSlice
 from ffcomp.compensate.program import Summary
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
-from ffcomp.shapers.apply import FrequencyOfPlace
+from ffcomp.shapers.apply import FrequencyOfPosition
 from ffcomp.simulate.motion import Motion
 from models.effects.catalogue import effective_machine
 from models.machine import Machine
@@ -73,7 +73,7 @@ def best_fixed(linear: LinearPrinter, kind: str) -> TunedMethod:
     return TunedMethod(kind, f"{kind.upper()}, best fixed", "best fixed", tuning, _shaping(found.x, found.y))
 
 
-def scheduled(linear: LinearPrinter, of_position: FrequencyOfPlace, kind: str) -> TunedMethod:
+def scheduled(linear: LinearPrinter, of_position: FrequencyOfPosition, kind: str) -> TunedMethod:
     """Return a shaper whose frequency follows the mode over the bed; no firmware has it."""
     factor = linear.best_factor(kind, of_position)
     tuning = (
@@ -105,19 +105,19 @@ def _shaping(x: shapers.Shaper, y: shapers.Shaper) -> Executor:
     return lambda print_slice: (shaped(print_slice.motion, x, y), None)
 
 
-def _by_position(of_position: FrequencyOfPlace, kind: str) -> Executor:
+def _by_position(of_position: FrequencyOfPosition, kind: str) -> Executor:
     return lambda print_slice: (shaped_by_position(print_slice.motion, of_position, kind), None)
 
 
 def _inverting(inverter: InverseModel) -> Executor:
     def motion(s: PrintSlice) -> tuple[Motion, Summary | None]:
         file = compensated(s.planned, s.machine, inverter, s.flavor, s.offset)
-        return segments_motion(file, segments(file, s.machine, s.before, s.start)), file.summary
+        return segments_motion(segments(file, s.machine, s.before, s.start)), file.summary
 
     return motion
 
 
-def mode_frequencies(plant: Machine) -> FrequencyOfPlace:
+def mode_frequencies(plant: Machine) -> FrequencyOfPosition:
     """Return the dominant mode's frequency over the plant's bed, along x and along y."""
     own = effective_machine(plant)
 

@@ -1,6 +1,7 @@
 """Align the clock of a compensated file with that of its original, which its comments keep.
 
-A note stands in the compensated file where each line of the original was; the moves of both are tied together there.
+A comment before each section tells its time. Files of an old ffcomp have none: there the notes that stand where each
+line of the original was tie the moves of both together.
 """
 
 from __future__ import annotations
@@ -14,15 +15,52 @@ from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.sections import Section
 from ffcomp.planner.trajectory import PlannedMotion
 from ffcomp.simulate.motion import Clock
-from gcode.embedded import WAS, noted
+from gcode.embedded import WAS, noted, section_times
 from gcode.program import Program
 from models.arrays import FloatArray, IntArray
 
 FEWEST_HZ, MOST_HZ = 125.0, 500.0  # of segments
 
 
+@dataclass(frozen=True, slots=True)
+class SectionStarts:
+    """The m sections of the original that begin in a compensated file, as its comments tell."""
+
+    move: IntArray  # (m,) first travelling move of each in the compensated file
+    plan_t: FloatArray  # (m,) s on the original's clock when that move begins
+    begin_t: FloatArray  # (m,) s on that clock when the section's path begins
+    end_t: FloatArray  # (m,) s and ends
+
+    def clock(self, start_t: FloatArray) -> Clock:
+        """Return the clock if move k of the compensated file begins at start_t[k], whoever planned it."""
+        return Clock(start_t[self.move], self.plan_t, self.begin_t, self.end_t)
+
+
+def section_starts(compensated: Program, original: PlannedProgram) -> SectionStarts:
+    """Read from a compensated file when each section of its original begins; nothing from a file of an old ffcomp."""
+    program, moves = original.program, compensated.moves
+    line_of = program.first_line + program.moves.line
+    by_line = {int(line_of[section.first]): section for section in original.runs if section.travels}
+    times = [time for time in section_times(compensated.lines) if time.line in by_line]
+    travels = np.flatnonzero(np.any(moves.end[:, :3] != moves.start[:, :3], axis=1))
+    after = np.searchsorted(moves.line[travels], [time.at for time in times], side="right")
+    begin_t = np.array([by_line[time.line].begin_t for time in times])
+    return SectionStarts(
+        travels[after],
+        begin_t + np.array([time.t for time in times]),
+        begin_t,
+        np.array([by_line[time.line].end_t for time in times]),
+    )
+
+
 def section_clock(compensated: PlannedProgram, original: PlannedProgram) -> Clock:
-    """Return when each section of the original begins in the compensated file: where its first move is noted.
+    """Align a planned compensated file with its planned original, section by section."""
+    starts = section_starts(compensated.program, original)
+    return starts.clock(compensated.trajectory.start_t) if len(starts.move) else _noted_clock(compensated, original)
+
+
+def _noted_clock(compensated: PlannedProgram, original: PlannedProgram) -> Clock:
+    """Align by where each section's first move is noted: all that a file of an old ffcomp tells.
 
     The note stands at the knot at or before the section's beginning, `lead_s` after the first knot. NOTE: where both
     fall together, rounding may have put it one knot early; the time left until the section's end tells.

@@ -28,7 +28,7 @@ def both(name: str) -> tuple[judge.Answer, judge.Answer]:
     """The plant's answers to the plan itself and to the compensated file."""
     case = case_of(name)
     plain = judge.answer(case.original, case.original.motion)
-    return plain, judge.answer(case.original, segments_motion(case.ours, case.segments))
+    return plain, judge.answer(case.original, segments_motion(case.segments))
 
 
 @pytest.mark.parametrize("name", judge.PRINTS)
@@ -86,7 +86,7 @@ def test_the_parts_are_printed_at_speed(name: str) -> None:
 def test_a_wrong_clock_would_be_seen() -> None:
     """The judge itself: the same command, said to be 1 ms later, has a delay of 1 ms and is told off for it."""
     case = case_of("ringing_tower")
-    motion = segments_motion(case.ours, case.segments)
+    motion = segments_motion(case.segments)
     right = judge.judge(case.original, motion)
     clock = motion.clock
     late = Clock(clock.executed_t, clock.plan_t + 1e-3, clock.begin_t, clock.end_t)

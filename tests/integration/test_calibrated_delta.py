@@ -40,7 +40,7 @@ def test_a_crooked_delta_prints_as_well_as_a_straight_one(tmp_path: Path) -> Non
     found = judge.compensated(original)
     ours = judge.segments(original, found)
     before = judge.judge(original, original.motion)
-    after = judge.judge(original, judge.motion_of(ours.trajectory, ours.clock(found, ours.trajectory.start_t)))
+    after = judge.judge(original, judge.motion_of(ours.trajectory, ours.clock(ours.trajectory.start_t)))
     assert before.contour_rms_um > 30.0
     assert after.contour_rms_um < 2.0
     assert after.peak_m_per_s2 < 1.2 * before.peak_m_per_s2

@@ -112,7 +112,7 @@ def test_a_print_is_far_better_on_the_modes_themselves(corexy: Machine) -> None:
     planned = plan_program(read_program(print_text(), flavor="klipper"), corexy)
     compensated = ours.compensated(planned, corexy, InverseModel(corexy, settings_for(corexy)), "klipper")
     segments = ours.segments(compensated, corexy)
-    played = motion_of(segments.trajectory, segments.clock(compensated, segments.trajectory.start_t))
+    played = motion_of(segments.trajectory, segments.clock(segments.trajectory.start_t))
     before = contour_rms_um(planned, planned_motion(planned.trajectory))
     after = contour_rms_um(planned, played)
     assert before > 20.0
@@ -143,7 +143,7 @@ def test_a_rigid_machine_prints_the_plan(tmp_path: Path) -> None:
     planned = plan_program(read_program(print_text(2), flavor="klipper"), machine)
     compensated = ours.compensated(planned, machine, InverseModel(machine, settings_for(machine)), "klipper")
     segments = ours.segments(compensated, machine)
-    played = motion_of(segments.trajectory, segments.clock(compensated, segments.trajectory.start_t))
+    played = motion_of(segments.trajectory, segments.clock(segments.trajectory.start_t))
     t = np.arange(played.begin_t, played.end_t, 0.01)
     wanted = planned.trajectory.position(played.clock.plan_time(t))[:, :3]
     error = contour_error(*path_corners(planned.trajectory), played.clock.plan_time(t), played.position(t))

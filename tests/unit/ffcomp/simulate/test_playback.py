@@ -43,7 +43,7 @@ def test_the_independent_plant_says_the_same(name: str) -> None:
     """Other equations, another integrator and step, and no weight, which changes a violent ringing by 0.2 %."""
     case = judge.part(name)
     machine, corners = case.original.machine, case.original.corners
-    for motion in (case.original.motion, segments_motion(case.ours, case.segments)):
+    for motion in (case.original.motion, segments_motion(case.segments)):
         t, (nozzle,) = simulate_nozzles([machine], motion, machine)
         other_t, other = judge.play(case.original.plant, motion)
         inside = (other_t > t[0]) & (other_t < t[-1])
