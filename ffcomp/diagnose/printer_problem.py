@@ -28,7 +28,8 @@ from models.effects.effect import Effect, Parameter
 from models.machine import Machine
 from models.parameters import value_of, with_values
 from models.printer.kernels.record import LANES
-from models.printer.printer import SMOOTH_STEP_S, PrinterMotion, longest_step, printer_numbers, simulate_printers
+from models.printer.parameters import printer_numbers
+from models.printer.printer import SMOOTH_STEP_S, PrinterMotion, longest_step, simulate_printers
 
 STEP_S = 1 / 3200  # of a printer without dry friction or play: some nanometres off
 COARSE_STEP_S, COARSE_KINKED_STEP_S = 1 / 1600, 1 / 3200  # where only the effects' order is asked for

@@ -22,7 +22,8 @@ from models.effects.effect import Signals
 from models.errors import MachineFileError, UnreachableError
 from models.machine import Machine
 from models.printer import playback
-from models.printer.printer import Hold, printer_numbers, rest_values
+from models.printer.parameters import printer_numbers
+from models.printer.printer import Hold, rest_values
 from models.printer.static_deflection import sag
 
 Item = TypeVar("Item")

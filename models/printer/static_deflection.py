@@ -11,7 +11,8 @@ from models.arrays import FloatArray
 from models.effects.catalogue import effective_machine
 from models.machine import DeltaKinematics, Machine
 from models.printer.kernels.record import Q
-from models.printer.printer import printer_numbers, rest_values
+from models.printer.parameters import printer_numbers
+from models.printer.printer import rest_values
 
 ORDER = 8
 _RINGS, _ANGLES = 9, 18

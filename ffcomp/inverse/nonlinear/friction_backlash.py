@@ -28,7 +28,7 @@ from models.arrays import FloatArray
 from models.machine import Machine
 from models.printer.kernels.friction import MOST_STRAIN
 from models.printer.kernels.record import Numbers
-from models.printer.printer import printer_numbers
+from models.printer.parameters import printer_numbers
 from models.vibration.scheduled import Schedule, rest_state
 from models.vibration.state_space import plant_table
 

@@ -21,7 +21,7 @@ from models.file import load_machine
 from models.printer.kernels import record
 from models.printer.kernels.friction import guide_friction
 from models.printer.kernels.integrate import laid_out
-from models.printer.printer import printer_numbers
+from models.printer.parameters import printer_numbers
 
 # ---- fit -----------------------------------------------------------------------------------------
 

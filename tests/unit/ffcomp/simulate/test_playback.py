@@ -29,7 +29,8 @@ def test_weight_bends_the_belts_by_the_load_they_carry() -> None:
 
 def test_the_polynomial_of_the_sag_holds_between_its_places() -> None:
     from models.printer.kernels.record import Q
-    from models.printer.printer import printer_numbers, rest_values
+    from models.printer.parameters import printer_numbers
+    from models.printer.printer import rest_values
 
     place = np.array([[37.0, -61.0, 0.0]])
     command = MACHINE.kinematics.inverse(place)[0]

@@ -12,7 +12,8 @@ from scipy.interpolate import CubicSpline
 from models.arrays import constant
 from models.errors import UnreachableError
 from models.machine import DeltaKinematics, Machine
-from models.printer.printer import GRAVITY_M_PER_S2, PrinterMotion, simulate_printer
+from models.printer.parameters import GRAVITY_M_PER_S2
+from models.printer.printer import PrinterMotion, simulate_printer
 from models.vibration.state_space import continuous_plant, discretise
 from validation.plants import delta_plant  # the judge: it shares nothing with ours
 

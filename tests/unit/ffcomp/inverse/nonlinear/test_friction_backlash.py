@@ -20,7 +20,8 @@ from models.effects.catalogue import with_effect
 from models.file import load_machine
 from models.machine import Machine
 from models.printer.kernels.friction import MOST_STRAIN
-from models.printer.printer import printer_numbers, simulate_printer
+from models.printer.parameters import printer_numbers
+from models.printer.printer import simulate_printer
 from tests.support.prints import squares
 
 FloatArray = NDArray[np.float64]
