@@ -38,7 +38,7 @@ from ffcomp.measurement.recording import read_recording
 from models.file import load_machine, updated_text
 from models.machine import Machine
 from models.parameters import value_of
-from models.printer.static_deflection import sag
+from models.printer.static_deflection import static_deflection
 from studies.diagnosis import ffcomp
 from studies.prose import filled
 from validation import judge
@@ -304,7 +304,7 @@ def on_the_real(printer: Printer, stretch: PrintSlice, motion: Any) -> Execution
     told = Motion("printed", lambda t: motion.position(began + t), motion.end_t - began)
     reading = played(printer.real, printer.real.machine["kinematics"], told)
     t, nozzle = began + reading.t[KEPT_EVERY::KEPT_EVERY], reading.nozzle_mm[KEPT_EVERY::KEPT_EVERY]
-    return Execution(stretch, motion, t, nozzle - sag(printer.levelled, nozzle))
+    return Execution(stretch, motion, t, nozzle - static_deflection(printer.levelled, nozzle))
 
 
 # ---- the page ------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ from ffcomp.cli.options import AsJson
 
 if TYPE_CHECKING:
     from models.arrays import FloatArray
-    from models.checks.physics import Extreme, Soundness
+    from models.checks.physics import Extreme, PhysicsChecks
     from models.checks.redundancy import Quantity
     from models.machine import Machine
 
@@ -87,18 +87,18 @@ def show_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
 def check_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
     """Check a machine file: mistakes, redundant parameters that disagree, stability and passivity."""
     from ffcomp.importers.hints import still_assumed
-    from models.checks.physics import soundness, unstable_places
-    from models.checks.redundancy import inconsistencies, redundant
+    from models.checks.physics import check_physics, unstable_positions
+    from models.checks.redundancy import redundancy_problems, redundant_quantities
     from models.file import load_machine
 
     with _machine_errors(as_json):
         loaded = load_machine(machine)
     if loaded.has_straight_axes:
-        _check_axes(loaded, _instability(unstable_places(loaded)), as_json)
+        _check_axes(loaded, _instability(unstable_positions(loaded)), as_json)
         return
-    quantities, sound = redundant(loaded), soundness(loaded)
-    disagreements = inconsistencies(loaded)
-    problems, notes = _instability(unstable_places(loaded)), [*disagreements, *_energy_notes(loaded, sound)]
+    quantities, sound = redundant_quantities(loaded), check_physics(loaded)
+    disagreements = redundancy_problems(loaded)
+    problems, notes = _instability(unstable_positions(loaded)), [*disagreements, *_energy_notes(loaded, sound)]
     notes += still_assumed(loaded.provenance)
     if as_json:
         consistency = [_quantity_json(quantity) for quantity in quantities]
@@ -177,7 +177,7 @@ def _identity(machine: Machine) -> dict[str, str]:
     return {"name": machine.name, "sha256": machine.sha256, "path": machine.path}
 
 
-def _verdict(machine: Machine, sound: Soundness, disagreements: int) -> str:
+def _verdict(machine: Machine, sound: PhysicsChecks, disagreements: int) -> str:
     agreement = f"{disagreements} numbers disagree with measured ones" if disagreements else "no numbers disagree"
     energy = "it makes no energy" if sound.is_passive else "it can make energy"
     return f"{machine.name}: the file is valid, its vibrations decay all over the bed, {energy}, {agreement}."
@@ -212,7 +212,7 @@ def _print_consistency(quantities: Sequence[Quantity]) -> None:
         print()
 
 
-def _print_soundness(sound: Soundness) -> None:
+def _print_soundness(sound: PhysicsChecks) -> None:
     load = f"{sound.least_load.value:.3f} to {sound.most_load.value:.3f}"
     rows = [
         ["slowest decay", f"{sound.growth_per_s.value:.1f} 1/s", _where(sound.growth_per_s)],
@@ -234,7 +234,7 @@ def _where(extreme: Extreme) -> str:
     return place if extreme.frequency_hz is None else f"{place}, {extreme.frequency_hz:.0f} Hz"
 
 
-def _energy_notes(machine: Machine, sound: Soundness) -> list[str]:
+def _energy_notes(machine: Machine, sound: PhysicsChecks) -> list[str]:
     """What the force map does to the books of energy; nothing, by virtual work."""
     force_map, notes = f"The force map {machine.effector.force_map!r}", []
     if not sound.is_reciprocal:

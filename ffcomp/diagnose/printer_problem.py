@@ -28,7 +28,7 @@ from models.effects.effect import Effect, Parameter
 from models.machine import Machine
 from models.parameters import value_of, with_values
 from models.printer.kernels.record import LANES
-from models.printer.parameters import printer_numbers
+from models.printer.parameters import printer_parameters
 from models.printer.printer import SMOOTH_STEP_S, PrinterMotion, longest_step, simulate_printers
 
 STEP_S = 1 / 3200  # of a printer without dry friction or play: some nanometres off
@@ -153,7 +153,7 @@ class _Steps:
 
 
 def _steps(machine: Machine, rate_hz: float, coarse: bool) -> _Steps:
-    longest = longest_step(printer_numbers(machine))
+    longest = longest_step(printer_parameters(machine))
     if longest == SMOOTH_STEP_S:
         longest = COARSE_STEP_S if coarse else STEP_S
     elif coarse:

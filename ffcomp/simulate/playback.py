@@ -22,9 +22,9 @@ from models.effects.effect import Signals
 from models.errors import MachineFileError, UnreachableError
 from models.machine import Machine
 from models.printer import playback
-from models.printer.parameters import printer_numbers
-from models.printer.printer import Hold, rest_values
-from models.printer.static_deflection import sag
+from models.printer.parameters import printer_parameters
+from models.printer.printer import Hold, equilibrium_state
+from models.printer.static_deflection import static_deflection
 
 Item = TypeVar("Item")
 
@@ -115,7 +115,7 @@ def _section(
 
 def _check_rest(plant: Machine, actuators: FloatArray, gravity: bool) -> None:
     try:
-        rest_values(plant, actuators, printer_numbers(plant, gravity=gravity))
+        equilibrium_state(plant, actuators, printer_parameters(plant, gravity=gravity))
     except UnreachableError:
         raise
     except ValueError as error:
@@ -133,7 +133,7 @@ def _ahead(items: Iterator[Item]) -> Iterator[Item]:
 
 def levelled(plant: Machine, nozzle: FloatArray) -> FloatArray:
     """Take the static deflection out of positions (n, 3) mm, as bed levelling does on a calibrated printer."""
-    return nozzle - sag(plant, nozzle)
+    return nozzle - static_deflection(plant, nozzle)
 
 
 def simulate_nozzles(

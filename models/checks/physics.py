@@ -37,7 +37,7 @@ class Extreme:
 
 
 @dataclass(frozen=True)
-class Soundness:
+class PhysicsChecks:
     """The worst of the whole bed; shares are of the 2-norm (dissipation, asymmetry) or Frobenius norm (load)."""
 
     growth_per_s: Extreme  # largest real part of a pole: below zero, everything decays
@@ -62,14 +62,14 @@ class Soundness:
         return self.asymmetry.value < ROUNDING
 
 
-def soundness(machine: Machine) -> Soundness:
+def check_physics(machine: Machine) -> PhysicsChecks:
     """Look at the model on a polar grid over the bed."""
     xy = bed(machine)
     y = np.stack([receptance(machine, place, FREQUENCIES_HZ) for place in xy])
     j = machine.kinematics.jacobian(xy)
     load = load_map(machine, xy) @ j
     ratio = np.diagonal(load, axis1=1, axis2=2) / np.sum(j**2, axis=1)
-    return Soundness(
+    return PhysicsChecks(
         _largest(poles(machine, xy).real.max(axis=1), xy),
         _smallest(_dissipation(y), xy),
         _largest(_skew(y, 2), xy),
@@ -79,7 +79,7 @@ def soundness(machine: Machine) -> Soundness:
     )
 
 
-def unstable_places(machine: Machine, radii: int = 6, directions: int = 24) -> FloatArray:
+def unstable_positions(machine: Machine, radii: int = 6, directions: int = 24) -> FloatArray:
     """Where, on a polar grid over the bed, a vibration of the model grows (or never decays).
 
     Returns

@@ -225,16 +225,16 @@ REDUNDANT = (
 )
 
 
-def redundant(machine: Machine) -> list[Quantity]:
+def redundant_quantities(machine: Machine) -> list[Quantity]:
     """Every number of the file that the measured ones give too, with each way to it."""
     measured = _usable(machine)
     found = [_quantity(each, machine, measured) for each in REDUNDANT]
     return [quantity for quantity in found if quantity.others]
 
 
-def inconsistencies(machine: Machine) -> list[str]:
+def redundancy_problems(machine: Machine) -> list[str]:
     """Sentences: what cannot be used of the measured numbers, and each quantity whose ways differ by more than 5 %."""
-    return [*_unusable(machine), *(_sentence(each) for each in redundant(machine) if each.disagreeing)]
+    return [*_unusable(machine), *(_sentence(each) for each in redundant_quantities(machine) if each.disagreeing)]
 
 
 def _sentence(quantity: Quantity) -> str:

@@ -1,7 +1,7 @@
-"""The commands of a chapter's runs, played on the whole virtual printer: in pieces, side by side.
+"""Simulate the commands of a chunk's sections on the nonlinear printer, several at once in the SIMD lanes.
 
-A piece begins from rest, some time before what counts of it: until then the printer has forgotten how it began. It
-comes up to speed gently, for a motor that is torn along loses steps, and that is not forgotten.
+Long commands are cut into windows. A window starts from rest, long enough before the rows that count for the printer
+to forget its start. Its first rows accelerate gently, since a motor that loses steps at the start never recovers them.
 """
 
 from __future__ import annotations
@@ -18,58 +18,78 @@ from models.machine import Machine
 from models.printer.kernels.record import LANES
 from models.printer.printer import PrinterMotion, simulate_printers
 
-Seen = Callable[[PrinterMotion], FloatArray]  # (n, 3) mm of a motion of n rows
+Observe = Callable[[PrinterMotion], FloatArray]  # (n, 3) mm of a motion of n rows
 
-REMEMBERED_S = 1.0  # by a printer; by its frame until e to the −7 is left
-FORGOTTEN, LONGEST_S = 7.0, 30.0
-STARTING_S = 0.25
+MEMORY_S = 1.0  # of a printer without a vibrating frame
+DECAY, LONGEST_S = 7.0, 30.0  # a frame's vibration has decayed to e to the −7
+START_S = 0.25
 
 
-def rehearsed(
+def simulate_batch(
     machine: Machine,
     commands: Sequence[FloatArray],
     rests: Sequence[int | None],
     row_s: float,
     after: int,
-    seen: Seen,
-    late_s: float = 0.0,
+    observe: Observe,
+    delay_s: float = 0.0,
 ) -> list[FloatArray]:
-    """What is seen in every run and so many rows after it, (n + after, 3) mm.
+    """Simulate every section and observe it, together with the rows right after it.
 
     Parameters
     ----------
-    commands : (n, 3) mm each, carriage heights every `row_s`
-    rests : rows since the run before; None: others have moved the nozzle
-    late_s : by how much later the printer is looked at
+    commands : sequence of (n, 3) array
+        Carriage heights of each section, mm, columns A B C.
+    rests : sequence of int or None
+        Rows of rest since the section before. None: the nozzle has been moved in between.
+    row_s : float
+        Time from row to row, s.
+    after : int
+        Rows to observe after a section's last.
+    observe : callable
+        The observed quantity of a motion.
+    delay_s : float
+        Time by which the observation is later than the command, s.
+
+    Returns
+    -------
+    list of (n + after, 3) array
+        mm.
+
+    Raises
+    ------
+    ValueError
+        If the printer cannot be simulated under a command.
     """
-    remembered = round(memory_s(machine) / row_s)
-    lines, found = _lines(commands, rests, after, remembered), []
-    played = _in_pieces(machine, [line.rows for line in lines], row_s, remembered, seen)
-    for line, values in zip(lines, played, strict=True):
+    memory = round(memory_s(machine) / row_s)
+    lines, observed = _lines(commands, rests, after, memory), []
+    motions = _in_windows(machine, [line.rows for line in lines], row_s, memory, observe)
+    for line, values in zip(lines, motions, strict=True):
         t = np.arange(len(values), dtype=np.float64)
-        for (begin, end), until in zip(line.runs, [*(begin for begin, _ in line.runs[1:]), t[-1]], strict=True):
-            own = np.minimum(np.arange(begin, end + after) + late_s / row_s, until)  # there, the next run begins
-            found.append(np.stack([np.interp(own, t, axis) for axis in values.T], axis=1))
-    return found
+        next_begins = [*(begin for begin, _ in line.sections[1:]), t[-1]]
+        for (begin, end), until in zip(line.sections, next_begins, strict=True):
+            at = np.minimum(np.arange(begin, end + after) + delay_s / row_s, until)
+            observed.append(np.stack([np.interp(at, t, axis) for axis in values.T], axis=1))
+    return observed
 
 
 def memory_s(machine: Machine) -> float:
-    """After how long it no longer matters what came before."""
+    """Return the time, s, after which the printer's earlier motion no longer matters."""
     frame = values_of(machine, "frame_mode")
     rate = np.inf if frame is None else 2 * np.pi * float(frame["frequency_hz"]) * float(frame["damping_ratio"])
-    return max(REMEMBERED_S, FORGOTTEN / max(rate, FORGOTTEN / LONGEST_S))
+    return max(MEMORY_S, DECAY / max(rate, DECAY / LONGEST_S))
 
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """Runs that follow each other, with the rests between them."""
+    """Consecutive sections with the rests between them."""
 
     rows: FloatArray  # (n, 3) mm
-    runs: list[tuple[int, int]]  # the row at which each begins, and the one after its last
+    sections: list[tuple[int, int]]  # the first row of each, and the one after its last
 
 
 def _lines(commands: Sequence[FloatArray], rests: Sequence[int | None], after: int, longest: int) -> list[_Line]:
-    """longest : rows of a rest; more make no difference"""
+    """Join sections up to the next unknown rest; a rest of more than `longest` rows is cut to that."""
     new = [i for i, rest in enumerate(rests) if i == 0 or rest is None]
     return [
         _line(commands[a:b], [min(rest or 0, longest) for rest in rests[a + 1 : b]], after)
@@ -78,35 +98,35 @@ def _lines(commands: Sequence[FloatArray], rests: Sequence[int | None], after: i
 
 
 def _line(commands: Sequence[FloatArray], rests: Sequence[int], after: int) -> _Line:
-    rows, runs = [commands[0]], [(0, len(commands[0]))]
+    rows, sections = [commands[0]], [(0, len(commands[0]))]
     for command, rest in zip(commands[1:], rests, strict=True):
-        begin = runs[-1][1] + rest
+        begin = sections[-1][1] + rest
         rows += [np.repeat(command[:1], rest, axis=0), command]
-        runs.append((begin, begin + len(command)))
-    return _Line(np.concatenate([*rows, np.repeat(commands[-1][-1:], after + 1, axis=0)]), runs)
+        sections.append((begin, begin + len(command)))
+    return _Line(np.concatenate([*rows, np.repeat(commands[-1][-1:], after + 1, axis=0)]), sections)
 
 
-def _in_pieces(
-    machine: Machine, lines: Sequence[FloatArray], row_s: float, remembered: int, seen: Seen
+def _in_windows(
+    machine: Machine, lines: Sequence[FloatArray], row_s: float, memory: int, observe: Observe
 ) -> list[FloatArray]:
-    """What is seen at every row of commands (n, 3) mm, in about as many pieces as the printer has lanes."""
-    enough = max(sum(map(len, lines)) / LANES, remembered)
+    """Observe every row of commands (n, 3) mm, simulated in about as many windows as the printer has lanes."""
+    enough = max(sum(map(len, lines)) / LANES, memory)
     cuts = [np.linspace(0, len(line), max(int(len(line) / enough), 1) + 1).astype(int) for line in lines]
-    pieces = [(line, a, b) for line, at in zip(lines, cuts, strict=True) for a, b in pairwise(at)]
-    starting = round(STARTING_S / row_s)
-    commands = [_started(line[a - remembered : b], starting) if a > remembered else line[:b] for line, a, b in pieces]
-    motions, values = simulate_printers([machine] * len(pieces), commands, row_s, hold="linear"), []
-    for (_, a, b), motion in zip(pieces, motions, strict=True):
+    windows = [(line, a, b) for line, at in zip(lines, cuts, strict=True) for a, b in pairwise(at)]
+    start = round(START_S / row_s)
+    commands = [_gentle_start(line[a - memory : b], start) if a > memory else line[:b] for line, a, b in windows]
+    motions, values = simulate_printers([machine] * len(windows), commands, row_s, hold="linear"), []
+    for (_, a, b), motion in zip(windows, motions, strict=True):
         if isinstance(motion, ValueError):
             raise motion
-        values.append(seen(motion)[a - b :])
+        values.append(observe(motion)[a - b :])
     ends = np.cumsum([len(at) - 1 for at in cuts])
     return [np.concatenate(values[end - len(at) + 1 : end]) for at, end in zip(cuts, ends, strict=True)]
 
 
-def _started(rows: FloatArray, starting: int) -> FloatArray:
-    """A command that sets out from rest: what it does first, in so many rows instead of half of them."""
-    slow = np.arange(starting, dtype=np.float64) ** 2 / (2 * starting)
-    index, half = np.arange(len(rows), dtype=np.float64), starting // 2
+def _gentle_start(rows: FloatArray, start: int) -> FloatArray:
+    """Accelerate a command from rest: its first `start // 2` rows take `start` rows."""
+    slow = np.arange(start, dtype=np.float64) ** 2 / (2 * start)
+    index, half = np.arange(len(rows), dtype=np.float64), start // 2
     first = np.stack([np.interp(slow, index, axis) for axis in rows.T], axis=1)
     return np.concatenate([first, rows[half:]])

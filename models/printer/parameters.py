@@ -9,13 +9,13 @@ import numpy as np
 from models.arrays import FloatArray
 from models.effects.catalogue import effect_named, effective_machine, values_of
 from models.machine import Drive, Machine
-from models.printer.kernels.record import NUMBERS, Numbers
+from models.printer.kernels.record import PARAMETERS, PrinterParameters
 from models.vibration.effector import load_distribution, load_map
 
 GRAVITY_M_PER_S2 = 9.80665
 
 
-def printer_numbers(machine: Machine, *, gravity: bool = True) -> Numbers:
+def printer_parameters(machine: Machine, *, gravity: bool = True) -> PrinterParameters:
     """The machine and its effects as the kernels' record, SI."""
     for name in machine.effects:
         effect_named(name)  # refuses an unknown one
@@ -32,7 +32,7 @@ def printer_numbers(machine: Machine, *, gravity: bool = True) -> Numbers:
         **_frame_effect(effective),
         "gravity": g,
     }
-    record = np.zeros(1, dtype=NUMBERS)
+    record = np.zeros(1, dtype=PARAMETERS)
     for name, value in parts.items():
         record[name][0] = value
     return record.view(np.recarray)[0]
@@ -84,7 +84,7 @@ def _belt_effects(machine: Machine) -> Part:
     if (values := values_of(machine, "belt_position_stiffness")) is not None:
         part |= {"slope": values["slope_per_m"], "centre": values["q_centre_mm"] / 1e3}
     if (values := values_of(machine, "belt_backlash")) is not None:
-        part |= {"half_play": values["width_mm"] / 2e3, "landing": values["landing_s_per_m"]}
+        part |= {"half_backlash": values["width_mm"] / 2e3, "landing": values["landing_s_per_m"]}
     if (values := values_of(machine, "torque_angle")) is not None:
         part["bend"] = 1e3 / values["amplitude_mm"]
     return part

@@ -22,9 +22,9 @@ from models.effects.effect import Signals
 from models.errors import UnreachableError
 from models.machine import Machine
 from models.printer.kernels.integrate import rest, run
-from models.printer.kernels.record import LANES, STATES, Numbers, Q, V, table
+from models.printer.kernels.record import LANES, STATES, PrinterParameters, Q, V, table
 from models.printer.kernels.spline import cubics
-from models.printer.parameters import printer_numbers
+from models.printer.parameters import printer_parameters
 
 SMOOTH_STEP_S = 1 / 6400  # a quarter of a nanometre on a violent motion
 KINKED_STEP_S = 1 / 12800  # with play or dry friction; with strong friction down to
@@ -152,7 +152,7 @@ def simulate_printers(
 class _Task:
     """One simulation, ready for a lane."""
 
-    numbers: Numbers
+    numbers: PrinterParameters
     steps: int  # from row to row
     pieces: FloatArray  # (n, 3, 4), see `kernels.motors.Said`
     first: int  # row of the command at which it begins
@@ -171,12 +171,12 @@ def _task(
     start: PrinterState | None = None,
 ) -> _Task:
     """A machine under a command : (n, 3) mm with its `pieces`."""
-    p = printer_numbers(machine, gravity=gravity)
+    p = printer_parameters(machine, gravity=gravity)
     steps = substeps or math.ceil(dt_s / longest_step(p) * (1 - 1e-9))
     _limit_stiffness(p, dt_s / steps)
     kept = math.ceil(float(np.max(p.delay)) / dt_s) + SPLINE_ROWS + 1
     if start is None:
-        return _Task(p, steps, pieces, 0, 0.0, rest_values(machine, command[0], p), command[-kept:].copy())
+        return _Task(p, steps, pieces, 0, 0.0, equilibrium_state(machine, command[0], p), command[-kept:].copy())
     history = np.concatenate([start.history[:-1], command])[-kept:]
     return _Task(p, steps, pieces, len(start.history) - 1, start.t_s, start.values, history)
 
@@ -205,22 +205,22 @@ def _played(tasks: Sequence[_Task], dt_s: float) -> list[PrinterMotion | Unreach
     return [_motion(task, own, end, dt_s) for task, own, end in lanes]
 
 
-def longest_step(p: Numbers) -> float:
+def longest_step(p: PrinterParameters) -> float:
     """The step, s, that serves this printer: short where dry friction turns over, or play ends with a knock."""
     friction = float(np.max(p.dry + p.sticking))
-    if friction == p.joint_dry == np.max(p.half_play) == 0:
+    if friction == p.joint_dry == np.max(p.half_backlash) == 0:
         return SMOOTH_STEP_S
     gentle = float(np.min(p.creep)) * GUIDE_STIFFNESS * p.least_inertia / max(friction, 1e-9)
     return float(np.clip(gentle, FINEST_STEP_S, KINKED_STEP_S))
 
 
-def _limit_stiffness(p: Numbers, step_s: float) -> None:
+def _limit_stiffness(p: PrinterParameters, step_s: float) -> None:
     """Dry friction turns over as near to rest as its creep speed says, or as the step allows."""
     p.creep = np.maximum(p.creep, (p.dry + p.sticking) * step_s / (GUIDE_STIFFNESS * p.least_inertia))
     p.joint_creep = max(p.joint_creep, p.joint_dry * step_s / (JOINT_STIFFNESS * p.holder_mass))
 
 
-def rest_values(machine: Machine, command: FloatArray, p: Numbers) -> FloatArray:
+def equilibrium_state(machine: Machine, command: FloatArray, p: PrinterParameters) -> FloatArray:
     """The state : (30,) SI in which the printer rests under the command : (3,) mm, belts stretched by weight."""
     effective_machine(machine).kinematics.forward(command[None])  # refuses carriages the arms cannot join
     states = np.zeros((1, STATES))

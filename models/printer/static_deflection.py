@@ -1,4 +1,4 @@
-"""How far weight alone bends a resting printer: what a calibrated printer's bed levelling takes out."""
+"""Compute the nozzle's displacement by weight at rest, which bed levelling takes out of a printer."""
 
 from __future__ import annotations
 
@@ -11,24 +11,27 @@ from models.arrays import FloatArray
 from models.effects.catalogue import effective_machine
 from models.machine import DeltaKinematics, Machine
 from models.printer.kernels.record import Q
-from models.printer.parameters import printer_numbers
-from models.printer.printer import rest_values
+from models.printer.parameters import printer_parameters
+from models.printer.printer import equilibrium_state
 
 ORDER = 8
 _RINGS, _ANGLES = 9, 18
 
 
-def sag(plant: Machine, nozzle: FloatArray) -> FloatArray:
-    """How far weight alone bends the resting printer at places (m, 3) mm → (m, 3) mm."""
-    if not isinstance(plant.kinematics, DeltaKinematics):  # weight stands on the frame, not on what vibrates
+def static_deflection(plant: Machine, nozzle: FloatArray) -> FloatArray:
+    """Compute the static deflection at positions (m, 3) mm → (m, 3) mm.
+
+    Zero for cartesian and CoreXY axes, whose weight rests on the frame and not on what vibrates.
+    """
+    if not isinstance(plant.kinematics, DeltaKinematics):
         return np.zeros((len(nozzle), 3))
-    reach = plant.kinematics.bed_radius_mm
+    reach = plant.kinematics.print_radius_mm
     return np.asarray(_powers(np.ascontiguousarray(nozzle[:, :2] / reach)) @ _coefficients(plant))
 
 
 @njit(cache=True, nogil=True)
 def _powers(xy: FloatArray) -> FloatArray:
-    """x^i y^j for all i + j up to ORDER : (m, 45) of (m, 2)."""
+    """Compute x^i y^j for all i + j up to ORDER : (m, 45) of (m, 2)."""
     out = np.empty((len(xy), (ORDER + 1) * (ORDER + 2) // 2))
     for m in range(len(xy)):
         k, of_x = 0, 1.0
@@ -44,18 +47,20 @@ def _powers(xy: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def _coefficients(plant: Machine) -> FloatArray:
-    """Of a polynomial of the eighth order over the bed, (45, 3) mm; 10 nm off at the most."""
-    reach = plant.kinematics.bed_radius_mm
+    """Fit a polynomial of the eighth order over the bed, (45, 3) mm; its error is at most 10 nm."""
+    reach = plant.delta.print_radius_mm
     radius, angle = np.meshgrid(
         reach * np.sqrt(np.linspace(0.0, 1.0, _RINGS)), 2 * np.pi / _ANGLES * np.arange(_ANGLES)
     )
-    places = np.column_stack([(radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel(), 0 * radius.ravel()])
-    commands = plant.kinematics.compiled().inverse(places)
-    heavy, weightless = (printer_numbers(plant, gravity=g) for g in (True, False))
+    positions = np.column_stack(
+        [(radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel(), 0 * radius.ravel()]
+    )
+    commands = plant.kinematics.compiled().inverse(positions)
+    heavy, weightless = (printer_parameters(plant, gravity=g) for g in (True, False))
     kinematics = effective_machine(plant).kinematics
     bent, straight = (
-        kinematics.forward(1e3 * np.array([rest_values(plant, c, p)[Q : Q + 3] for c in commands]))
+        kinematics.forward(1e3 * np.array([equilibrium_state(plant, c, p)[Q : Q + 3] for c in commands]))
         for p in (heavy, weightless)
     )
-    powers = _powers(places[:, :2] / reach)
+    powers = _powers(positions[:, :2] / reach)
     return np.asarray(np.linalg.lstsq(powers, bent - straight, rcond=None)[0])

@@ -33,9 +33,9 @@ from ffcomp.inverse.solve import Solution
 from models.arrays import FloatArray
 from models.effects.catalogue import values_of, without_effects
 from models.machine import Machine
-from models.printer.batch import Seen, rehearsed
+from models.printer.batch import Observe, simulate_batch
 from models.printer.printer import PrinterMotion
-from models.printer.static_deflection import sag
+from models.printer.static_deflection import static_deflection
 
 ROUNDS = 16  # of the whole printer at most
 WORTH = 0.97  # a round that leaves more of the error than this was the last
@@ -120,7 +120,7 @@ def _round(model: InverseModel, machine: Machine, rounds: Sequence[_Round]) -> N
     """Play the commands as they stand."""
 
     def nozzle(motion: PrinterMotion) -> FloatArray:
-        return motion.nozzle_mm - sag(machine, motion.nozzle_mm)
+        return motion.nozzle_mm - static_deflection(machine, motion.nozzle_mm)
 
     for each, places in zip(rounds, _played(model, machine, rounds, nozzle), strict=True):
         _judge(each, places)
@@ -136,13 +136,13 @@ def _promised(rounds: Sequence[_Round]) -> float:
     return float(np.sqrt(np.mean(np.concatenate([each.local[1 : each.run.last + 1] for each in rounds]))))
 
 
-def _played(model: InverseModel, machine: Machine, rounds: Sequence[_Round], seen: Seen) -> list[FloatArray]:
+def _played(model: InverseModel, machine: Machine, rounds: Sequence[_Round], seen: Observe) -> list[FloatArray]:
     """What is seen of the printer in every run and a while after it, (rows + rest, 3) mm, from its first knot on."""
     s, late = model.settings, values_of(machine, "command_delay")
     commands = [model.kinematics.inverse(KnotWindow(each.run, 0, each.run.last).as_played()) for each in rounds]
     rests = [each.rest_rows for each in rounds]
     late_s = float(np.mean(late["delay_s"])) if late else 0.0
-    return rehearsed(machine, commands, rests, s.segment_s / s.substeps, REST_ROWS * s.substeps, seen, late_s)
+    return simulate_batch(machine, commands, rests, s.segment_s / s.substeps, REST_ROWS * s.substeps, seen, late_s)
 
 
 def _judge(each: _Round, nozzle: FloatArray) -> None:

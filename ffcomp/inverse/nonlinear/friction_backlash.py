@@ -27,8 +27,8 @@ from ffcomp.inverse.riccati import REST_ROWS
 from models.arrays import FloatArray
 from models.machine import Machine
 from models.printer.kernels.friction import MOST_STRAIN
-from models.printer.kernels.record import Numbers
-from models.printer.parameters import printer_numbers
+from models.printer.kernels.record import PrinterParameters
+from models.printer.parameters import printer_parameters
 from models.vibration.scheduled import Schedule, rest_state
 from models.vibration.state_space import plant_table
 
@@ -43,14 +43,14 @@ class FrictionBacklash:
 
     def __init__(self, model: InverseModel, printer: Machine) -> None:
         s = model.settings
-        self._model, self._numbers, self._row_s = model, printer_numbers(printer), s.segment_s / s.substeps
+        self._model, self._numbers, self._row_s = model, printer_parameters(printer), s.segment_s / s.substeps
         self._undriven = replace(model.machine, carriage=replace(model.machine.carriage, drive=None))
         self._belts = Schedule(self._undriven, plant_table(self._undriven, self._row_s))
 
     @property
     def crosses(self) -> bool:
         """Whether the stretch matters."""
-        return bool(np.any(self._numbers.half_play > 0.0))
+        return bool(np.any(self._numbers.half_backlash > 0.0))
 
     def command(self, run: Iterate, stretch: FloatArray) -> FloatArray:
         """What the linear inverse of a run lacks, γ (n + 1, 3) mm, from rest to rest.
@@ -71,7 +71,7 @@ class FrictionBacklash:
         n = self._numbers
         more = 1e3 * guide_friction(n, q / 1e3, self._row_s) / n.belt_k
         padded = stretch[np.minimum(np.arange(len(q)), len(stretch) - 1)]
-        return np.asarray(more + 1e3 * n.half_play * np.clip((padded + more) / TURNS_MM, -1.0, 1.0))
+        return np.asarray(more + 1e3 * n.half_backlash * np.clip((padded + more) / TURNS_MM, -1.0, 1.0))
 
 
 class _Answer:
@@ -100,7 +100,7 @@ class _Answer:
         return fast.answer(self._run, np.zeros_like(self._run.gamma), left[stride - 1 :: stride])
 
 
-def guide_friction(n: Numbers, q: FloatArray, row_s: float) -> FloatArray:
+def guide_friction(n: PrinterParameters, q: FloatArray, row_s: float) -> FloatArray:
     """F (m, 3) N of `models/printer/kernels` on carriages that move as q (m, 3) m says, from rest."""
     rate = np.gradient(q, row_s, axis=0)
     level = n.dry + n.sticking * np.exp(-(np.abs(rate * n.fading) ** (2.0 * n.fading_power)))

@@ -38,7 +38,7 @@ from models.printer.kernels.vectors import at
 WEIGHT, BELT_K, BELT_C, GUIDE_B = parameter_rows("weight", "belt_k", "belt_c", "guide_b")
 IDEAL, D0, LEAD, D2 = parameter_rows("ideal_drive", "d0", "lead", "d2")
 HARDENING, QUINTIC, GIVE = parameter_rows("cubic", "quintic", "give")
-SLOPE, CENTRE, HALF_PLAY, LANDING = parameter_rows("slope", "centre", "half_play", "landing")
+SLOPE, CENTRE, HALF_BACKLASH, LANDING = parameter_rows("slope", "centre", "half_backlash", "landing")
 BEND, DELAY, COGGING, WAVE, AHEAD = parameter_rows("bend", "delay", "ripple", "wave", "ahead")
 SECOND_SINE, SECOND_COSINE = parameter_rows("second_sine", "second_cosine")
 
@@ -128,8 +128,8 @@ def motors(m: FloatArray) -> None:
         vdd = at(m, D0, n) * (told - v) - at(m, D2, n) * vd
         u = (told if ideal else v + lead * vd) + at(m, RIPPLE, n)
         ud = (told_rate if ideal else vd + lead * vdd) + at(m, RIPPLE_RATE, n)
-        stretch, half_play, give = u - at(m, NOW + Q, n), at(m, HALF_PLAY, n), at(m, GIVE, n)
-        stretch -= min(max(stretch, -half_play), half_play)
+        stretch, half_backlash, give = u - at(m, NOW + Q, n), at(m, HALF_BACKLASH, n), at(m, GIVE, n)
+        stretch -= min(max(stretch, -half_backlash), half_backlash)
         stretch = min(max(stretch, -give), give)
         m[MOTOR * LANES + n], m[MOTOR_RATE * LANES + n] = u, ud
         m[STRETCH * LANES + n], m[SPRING * LANES + n] = stretch, stretch
@@ -156,6 +156,6 @@ def belts(m: FloatArray) -> None:
         spring = k * at(m, SPRING, n) + harder * stretch * squared
         damping = at(m, BELT_C, n) + k * abs(stretch) * at(m, LANDING, n)
         belt = spring + damping * (at(m, MOTOR_RATE, n) - qd)
-        belt = 0.0 if abs(at(m, MOTOR, n) - q) < at(m, HALF_PLAY, n) else belt
+        belt = 0.0 if abs(at(m, MOTOR, n) - q) < at(m, HALF_BACKLASH, n) else belt
         m[PULL * LANES + n] = belt - at(m, GUIDE_B, n) * qd - at(m, GUIDES, n) - at(m, WEIGHT, n)
         m[(RATE + Q) * LANES + n] = qd

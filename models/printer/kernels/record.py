@@ -19,7 +19,7 @@ V, VD, Q, QD, ETA, ETAD, D, DD, GUIDE, JOINT = np.arange(0, 30, 3)
 STATES = 30
 
 # The numbers of one printer.
-NUMBERS = np.dtype(
+PARAMETERS = np.dtype(
     [
         ("towers", "f8", (3, 2)),  # m, DeltaKinematics.towers_mm
         ("arms_squared", "f8", 3),  # m²
@@ -49,7 +49,7 @@ NUMBERS = np.dtype(
         ("give", "f8", 3),
         ("slope", "f8", 3),  # 1/m, belt_position_stiffness
         ("centre", "f8", 3),  # m
-        ("half_play", "f8", 3),  # m, belt_backlash
+        ("half_backlash", "f8", 3),  # m, belt_backlash
         ("landing", "f8", 3),  # s/m, of its flanks
         ("bend", "f8", 3),  # 1/m, 1/a of torque_angle
         ("delay", "f8", 3),  # s, command_delay
@@ -74,8 +74,8 @@ NUMBERS = np.dtype(
         ("sway_b", "f8"),  # 1/s, 2 ζ ω
     ]
 )
-Numbers: TypeAlias = np.record
-COUNT = NUMBERS.itemsize // 8
+PrinterParameters: TypeAlias = np.record
+COUNT = PARAMETERS.itemsize // 8
 
 # The rows of m. Four states: at the step's beginning, where the rate is asked for, the rate, the sum of a step's rates.
 BASE, NOW, RATE, SUM = np.arange(0, 4 * STATES, STATES)
@@ -85,13 +85,13 @@ TIME, CUBIC, TOLD, TOLD_RATE, RIPPLE, RIPPLE_RATE = np.array([120, 123, 135, 138
 MOTOR, MOTOR_RATE, STRETCH, SPRING, LEVEL, GUIDES, PULL, BENDING = np.arange(147, 171, 3)
 # X Y Z: m, m/s; against the ground, m/s²; N; f₀, N. ρ of the frame's two directions, m/s². J, column by column.
 X, XD, ACC, JOINTS, F0, RHO, J = np.arange(171, 192, 3)
-# The printer's numbers, as `NUMBERS` has them.
+# The printer's numbers, as `PARAMETERS` has them.
 PRINTER = 198
 ROWS = PRINTER + COUNT
 
 
 def parameter_rows(*names: str) -> list[np.int64]:
-    fields: Mapping[str, Any] = NUMBERS.fields or {}
+    fields: Mapping[str, Any] = PARAMETERS.fields or {}
     return [np.int64(PRINTER + fields[name][1] // 8) for name in names]
 
 
@@ -100,9 +100,9 @@ Row: TypeAlias = int | np.signedinteger
 Rows: TypeAlias = NDArray[np.int64]
 
 
-def table(printers: Sequence[Numbers]) -> FloatArray:
+def table(printers: Sequence[PrinterParameters]) -> FloatArray:
     """(k, COUNT): a printer a row."""
-    return np.array(printers, NUMBERS).view(np.float64).reshape(len(printers), COUNT)
+    return np.array(printers, PARAMETERS).view(np.float64).reshape(len(printers), COUNT)
 
 
 class Acting(NamedTuple):

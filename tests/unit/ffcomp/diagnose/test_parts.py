@@ -21,7 +21,7 @@ from models.file import load_machine
 from models.printer.kernels import record
 from models.printer.kernels.friction import guide_friction
 from models.printer.kernels.integrate import laid_out
-from models.printer.parameters import printer_numbers
+from models.printer.parameters import printer_parameters
 
 # ---- fit -----------------------------------------------------------------------------------------
 
@@ -97,7 +97,7 @@ def test_a_fit_finds_both_numbers() -> None:
 def test_friction_that_never_holds_is_a_plain_hyperbolic_tangent() -> None:
     shape = {"force_n": 2.0, "creep_mm_per_s": 4.0, "hold_per_s": 0.0}
     machine = with_effect(load_machine("mp-delta-pro"), "coulomb_friction", **shape)
-    m = laid_out(np.zeros((1, record.STATES)), record.table([printer_numbers(machine)]))
+    m = laid_out(np.zeros((1, record.STATES)), record.table([printer_parameters(machine)]))
     rows = m.reshape(record.ROWS, record.LANES)
     for speed in (-0.01, -1e-4, 2e-3, 0.3):
         rows[record.NOW + record.QD : record.NOW + record.QD + 3, 0] = speed
@@ -111,7 +111,7 @@ def test_two_kinds_of_friction_turn_over_as_their_forces_weigh() -> None:
     both = with_effect(
         machine, "stribeck_friction", force_n=1.0, extra_force_n=0.0, velocity_mm_per_s=5.0, creep_mm_per_s=3.0
     )
-    np.testing.assert_allclose(printer_numbers(both).creep, 1.5e-3)
+    np.testing.assert_allclose(printer_parameters(both).creep, 1.5e-3)
 
 
 # ---- what runs must be ---------------------------------------------------------------------------

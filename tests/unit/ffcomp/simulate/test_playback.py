@@ -12,7 +12,7 @@ from ffcomp.simulate.motion import planned_motion
 from ffcomp.simulate.playback import simulate_nozzles
 from models.effects.catalogue import with_effect
 from models.file import load_machine
-from models.printer.static_deflection import sag
+from models.printer.static_deflection import static_deflection
 from validation import judge
 
 MACHINE = load_machine("mp-delta-pro")
@@ -24,19 +24,19 @@ def test_weight_bends_the_belts_by_the_load_they_carry() -> None:
     carriage, effector = MACHINE.carriage, MACHINE.effector
     load = carriage.moving_mass_kg + (MACHINE.nozzle_side_mass_kg + effector.extruder_mass_kg) / 3
     expected = -1e3 * load * GRAVITY / carriage.belt_stiffness_n_per_m
-    np.testing.assert_allclose(sag(MACHINE, np.zeros((1, 3)))[0], [0, 0, expected], atol=2e-4)
+    np.testing.assert_allclose(static_deflection(MACHINE, np.zeros((1, 3)))[0], [0, 0, expected], atol=2e-4)
 
 
 def test_the_polynomial_of_the_sag_holds_between_its_places() -> None:
     from models.printer.kernels.record import Q
-    from models.printer.parameters import printer_numbers
-    from models.printer.printer import rest_values
+    from models.printer.parameters import printer_parameters
+    from models.printer.printer import equilibrium_state
 
     place = np.array([[37.0, -61.0, 0.0]])
     command = MACHINE.kinematics.inverse(place)[0]
-    bent = rest_values(MACHINE, command, printer_numbers(MACHINE))[Q : Q + 3]
+    bent = equilibrium_state(MACHINE, command, printer_parameters(MACHINE))[Q : Q + 3]
     nozzle = MACHINE.kinematics.forward(1e3 * bent[None])
-    np.testing.assert_allclose(sag(MACHINE, place), nozzle - place, atol=1e-5)
+    np.testing.assert_allclose(static_deflection(MACHINE, place), nozzle - place, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["ringing_tower", "far_star"])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from models.arrays import constant
-from models.checks.physics import bed, soundness, unstable_places
+from models.checks.physics import bed, check_physics, unstable_positions
 from models.file import LIBRARY, load_machine
 from models.machine import Machine
 from models.vibration.receptance import poles, receptance
@@ -22,7 +22,7 @@ def with_map(machine: Machine, force_map: str) -> Machine:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_virtual_work_keeps_the_books(name: str) -> None:
-    sound = soundness(with_map(load_machine(name), "virtual_work"))
+    sound = check_physics(with_map(load_machine(name), "virtual_work"))
     assert sound.is_stable and sound.is_passive and sound.is_reciprocal
     assert sound.dissipation.value > 1e-4  # not merely by rounding
     assert max(sound.asymmetry.value, sound.load_asymmetry.value) < 1e-13
@@ -30,7 +30,7 @@ def test_virtual_work_keeps_the_books(name: str) -> None:
 
 
 def test_the_papers_map_with_table_1_is_stable_but_makes_energy(as_printed: Machine) -> None:
-    sound = soundness(as_printed)
+    sound = check_physics(as_printed)
     assert sound.is_stable and sound.growth_per_s.value < -3.0
     assert not sound.is_passive and sound.dissipation.value == pytest.approx(-0.228, abs=0.005)
     assert not sound.is_reciprocal and sound.asymmetry.value == pytest.approx(0.45, abs=0.01)
@@ -39,8 +39,8 @@ def test_the_papers_map_with_table_1_is_stable_but_makes_energy(as_printed: Mach
 
 
 def test_where_energy_comes_from_it_really_does(as_printed: Machine) -> None:
-    """The force that Soundness says gets work out of the machine: its mean power, ½ Re(F* v), is below zero."""
-    worst = soundness(as_printed).dissipation
+    """The force that PhysicsChecks says gets work out of the machine: its mean power, ½ Re(F* v), is below zero."""
+    worst = check_physics(as_printed).dissipation
     assert worst.frequency_hz is not None
     y = receptance(as_printed, np.array([worst.x_mm, worst.y_mm]), np.array([worst.frequency_hz]))[0]
     mobility = 2j * np.pi * worst.frequency_hz * y
@@ -53,7 +53,7 @@ def test_where_energy_comes_from_it_really_does(as_printed: Machine) -> None:
 
 def test_a_centred_mass_is_a_third_of_the_load(as_printed: Machine) -> None:
     centred = replace(as_printed, effector=replace(as_printed.effector, center_of_mass_mm=constant([0.0, 0.0, 0.0])))
-    sound = soundness(centred)
+    sound = check_physics(centred)
     assert sound.least_load.value == pytest.approx(1 / 3) and sound.most_load.value == pytest.approx(1 / 3)
     assert sound.is_passive and sound.is_reciprocal
 
@@ -61,18 +61,18 @@ def test_a_centred_mass_is_a_third_of_the_load(as_printed: Machine) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_vibrations_of_the_library_decay_all_over_the_bed(name: str) -> None:
     machine = load_machine(name)
-    assert unstable_places(machine).shape == (0, 2)
+    assert unstable_positions(machine).shape == (0, 2)
     assert poles(machine, np.zeros((1, 2))).real.max() < -3.0  # 1/s: not merely by rounding
 
 
 def test_a_map_that_conserves_no_energy_can_shake_itself_to_pieces(as_printed: Machine) -> None:
     far = replace(as_printed.effector, center_of_mass_mm=constant([35.0, -60.0, 120.0]))
     machine = replace(as_printed, effector=far)
-    places, sound = unstable_places(machine), soundness(machine)
+    places, sound = unstable_positions(machine), check_physics(machine)
     assert len(places) > 0 and not sound.is_stable
     worst = np.array([[sound.growth_per_s.x_mm, sound.growth_per_s.y_mm]])
     assert poles(machine, worst).real.max() == pytest.approx(sound.growth_per_s.value, rel=1e-3)
-    assert len(unstable_places(with_map(machine, "virtual_work"))) == 0
+    assert len(unstable_positions(with_map(machine, "virtual_work"))) == 0
 
 
 def test_the_bed_is_the_bed(printer: Machine) -> None:

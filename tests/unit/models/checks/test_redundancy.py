@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from models.checks.redundancy import Quantity, inconsistencies, redundant
+from models.checks.redundancy import Quantity, redundancy_problems, redundant_quantities
 from models.file import LIBRARY, load_machine
 from models.machine import Machine
 
@@ -19,7 +19,7 @@ def with_measured(machine: Machine, **numbers: object) -> Machine:
 
 
 def quantity(machine: Machine, key: str) -> Quantity:
-    return next(each for each in redundant(machine) if key in each.key)
+    return next(each for each in redundant_quantities(machine) if key in each.key)
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_the_spread_and_what_the_file_uses(as_printed: Machine, printer: Machine
 
 
 def test_sentences_name_every_value_that_disagrees(as_printed: Machine) -> None:
-    notes = inconsistencies(as_printed)
+    notes = redundancy_problems(as_printed)
     assert len(notes) == 5  # m, k, c + b, m_2, hammer; Eq. 49's m_1 agrees within 5 %
     assert sum(note.count(" by Eq") for note in notes) == 3 + 3 + 2 + 1 + 2
     assert any("0.195 kg" in note and "0.164 by Eq. 41" in note and "-16 %" in note for note in notes)
@@ -63,19 +63,19 @@ def test_sentences_name_every_value_that_disagrees(as_printed: Machine) -> None:
 
 def test_a_wrong_nozzle_mass_is_seen(as_printed: Machine) -> None:
     lighter = replace(as_printed, effector=replace(as_printed.effector, nozzle_mass_kg=0.3))
-    assert any(note.startswith("effector.nozzle_mass_kg") for note in inconsistencies(lighter))
+    assert any(note.startswith("effector.nozzle_mass_kg") for note in redundancy_problems(lighter))
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "mp-delta-pro-as-printed"])
 def test_the_other_machines_agree_with_themselves(name: str) -> None:
-    assert inconsistencies(load_machine(name)) == []
+    assert redundancy_problems(load_machine(name)) == []
 
 
 def test_the_scale_is_one_more_way(printer: Machine) -> None:
-    assert inconsistencies(with_measured(printer, total_effector_mass_kg=0.651)) == []
+    assert redundancy_problems(with_measured(printer, total_effector_mass_kg=0.651)) == []
     heavier = with_measured(printer, total_effector_mass_kg=0.75)
-    assert len(inconsistencies(heavier)) == 3  # the sum, m_1 and m_2
-    by_hammer = next(each for each in redundant(heavier) if each.key == "effector.nozzle_mass_kg").others
+    assert len(redundancy_problems(heavier)) == 3  # the sum, m_1 and m_2
+    by_hammer = next(each for each in redundant_quantities(heavier) if each.key == "effector.nozzle_mass_kg").others
     assert by_hammer[1].value == pytest.approx((1519 / 1674) ** 2 * 0.75)
 
 
@@ -97,13 +97,13 @@ def test_the_hammers_axis_can_be_said(as_printed: Machine) -> None:
     ],
 )
 def test_measured_numbers_that_cannot_be_are_named(printer: Machine, numbers: dict[str, object], words: str) -> None:
-    assert any(words in note for note in inconsistencies(with_measured(printer, **numbers)))
+    assert any(words in note for note in redundancy_problems(with_measured(printer, **numbers)))
 
 
 def test_a_load_that_speeds_up_gives_no_mass(as_printed: Machine) -> None:
     odd = with_measured(as_printed, loaded_natural_frequency_rad_per_s=730.0)
-    assert not any("41" in way.equation for each in redundant(odd) for way in each.others)
+    assert not any("41" in way.equation for each in redundant_quantities(odd) for way in each.others)
 
 
 def test_nothing_measured_nothing_to_compare(printer: Machine) -> None:
-    assert redundant(replace(printer, provenance={})) == []
+    assert redundant_quantities(replace(printer, provenance={})) == []

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from models.effects.catalogue import with_effect
 from models.file import load_machine
-from models.printer import batch as rehearsal
-from models.printer.batch import REMEMBERED_S, memory_s, rehearsed
+from models.printer import batch
+from models.printer.batch import MEMORY_S, memory_s, simulate_batch
 from models.printer.printer import PrinterMotion
 
 FloatArray = NDArray[np.float64]
@@ -43,9 +43,9 @@ def curves(seconds: float, seed: int) -> FloatArray:
 def test_pieces_are_as_good_as_the_whole(name: str, numbers: dict[str, float], monkeypatch: pytest.MonkeyPatch) -> None:
     machine = with_effect(MACHINE, name, **numbers)
     command = curves(5.0, 1)
-    (pieces,) = rehearsed(machine, [command], [None], ROW_S, AFTER, carriages)
-    monkeypatch.setattr(rehearsal, "LANES", 1)
-    (whole,) = rehearsed(machine, [command], [None], ROW_S, AFTER, carriages)
+    (pieces,) = simulate_batch(machine, [command], [None], ROW_S, AFTER, carriages)
+    monkeypatch.setattr(batch, "LANES", 1)
+    (whole,) = simulate_batch(machine, [command], [None], ROW_S, AFTER, carriages)
     assert len(whole) == len(command) + AFTER
     assert 1e3 * np.abs(pieces - whole).max() < 0.3  # µm
     assert np.abs(pieces - whole).max() > 0.0  # it has been cut
@@ -54,8 +54,8 @@ def test_pieces_are_as_good_as_the_whole(name: str, numbers: dict[str, float], m
 def test_a_run_hears_the_one_before_it_and_only_that() -> None:
     first, second = curves(1.0, 1), curves(1.0, 2)
     second = second + first[-1] - second[0]
-    joined = rehearsed(MACHINE, [first, second], [None, 5], ROW_S, AFTER, carriages)
-    apart = rehearsed(MACHINE, [first, second], [None, None], ROW_S, AFTER, carriages)
+    joined = simulate_batch(MACHINE, [first, second], [None, 5], ROW_S, AFTER, carriages)
+    apart = simulate_batch(MACHINE, [first, second], [None, None], ROW_S, AFTER, carriages)
     assert np.array_equal(joined[0][: len(first)], apart[0][: len(first)])
     ringing = np.abs(joined[1] - apart[1]).max(axis=1)
     assert ringing[:20].max() > 0.01 and ringing[-200:].max() < 1e-3
@@ -64,14 +64,16 @@ def test_a_run_hears_the_one_before_it_and_only_that() -> None:
 def test_nothing_of_the_next_run_is_seen_in_the_rows_after_one() -> None:
     first, second = curves(0.5, 1), curves(0.5, 2)
     second = second + first[-1] - second[0]
-    found = rehearsed(MACHINE, [first, second], [None, 10], ROW_S, AFTER, carriages)[0]
+    found = simulate_batch(MACHINE, [first, second], [None, 10], ROW_S, AFTER, carriages)[0]
     assert len(found) == len(first) + AFTER
     assert np.array_equal(found[len(first) + 10 :], np.repeat(found[-1:], AFTER - 10, axis=0))
 
 
 def test_a_late_look_is_one_at_later_rows() -> None:
     command = curves(1.0, 3)
-    now, later = (rehearsed(MACHINE, [command], [None], ROW_S, AFTER, carriages, late_s)[0] for late_s in (0.0, 2e-3))
+    now, later = (
+        simulate_batch(MACHINE, [command], [None], ROW_S, AFTER, carriages, late_s)[0] for late_s in (0.0, 2e-3)
+    )
     assert np.allclose(later[:-2], now[2:])
 
 
@@ -80,11 +82,11 @@ def test_a_frame_that_sways_long_is_remembered_long() -> None:
         frame = {"mass_kg": 8.0, "direction": "x", "frequency_hz": frequency_hz, "damping_ratio": damping_ratio}
         return memory_s(with_effect(MACHINE, "frame_mode", **frame))
 
-    assert memory_s(MACHINE) == memory(60.0, 0.1) == REMEMBERED_S
+    assert memory_s(MACHINE) == memory(60.0, 0.1) == MEMORY_S
     assert np.exp(-2 * np.pi * 5.0 * 0.05 * memory(5.0, 0.05)) == pytest.approx(np.exp(-7.0))
     assert memory(5.0, 1e-6) == pytest.approx(30.0)
 
 
 def test_what_the_printer_cannot_do_is_said() -> None:
     with pytest.raises(ValueError, match="must be finite"):
-        rehearsed(MACHINE, [np.full((50, 3), np.nan)], [None], ROW_S, AFTER, carriages)
+        simulate_batch(MACHINE, [np.full((50, 3), np.nan)], [None], ROW_S, AFTER, carriages)
