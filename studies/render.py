@@ -26,6 +26,8 @@ ROOT = Path(__file__).parents[1]
 TEMPLATES, RESULTS, DOCS = ROOT / "studies" / "templates", ROOT / "studies" / "results", ROOT / "docs"
 PAGES = {
     "accuracy": "ACCURACY.md",
+    "comparison": "COMPARISON.md",
+    "robust": "ROBUST.md",
 }
 DIGITS = 6  # significant ones in a result
 

@@ -1,6 +1,6 @@
 """Robust against plain inversion, side by side, on printers that are not as their file says.
 
-    python -m studies.robust [--plants N] > docs/ROBUST.md
+    python -m studies.robust [--plants N]     docs/ROBUST.md, some ten minutes
 
 For each sample print eight stretches, 36 s in all, and a small square far from the bed's middle; N printers (20) whose
 dynamic numbers are all off. The machine file says how unsure it is; robust inversion wants what is best over that.
@@ -17,6 +17,7 @@ import argparse
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -35,6 +36,7 @@ from ffcomp.simulate.playback import simulate_nozzles
 from models.file import load_machine
 from models.machine import Machine
 from models.parameters import dynamic_numbers, value_of, with_values
+from studies.render import save
 
 ROOT = Path(__file__).parents[1]
 PRINTS = ("ringing_tower", "lobed_vase", "far_star")
@@ -154,6 +156,7 @@ class Against:
     off: Off
     way: Found
     shaper: Found
+    kind: str = ""  # of the inversion
 
     @property
     def times(self) -> float:
@@ -165,101 +168,79 @@ class Against:
         return sum(a > b for a, b in zip(self.way.off, self.shaper.off, strict=True))
 
 
-def rows(name: str, off: Off, plans: Sequence[Comparison], count: int, seen: dict[str, list[Against]]) -> Iterator[str]:
-    """The given plan first, then those that take longer. seen : what was found for each of our ways on the first"""
+def against_shapers(name: str, off: Off, plans: Sequence[Comparison], count: int) -> Iterator[tuple[Against, Found]]:
+    """Yield each method, and the best shaper on its own plan: the given plan first, then those that take longer."""
     machine = plans[0].machine
     plants = [machine, *off.draw(machine, count)]
     given = plans[0].shaper(plants)
     for plan in plans:
         shaper = given if plan is plans[0] else plan.shaper(plants)
-        yield row(Against(name, off, shaper, given), shaper)
+        yield Against(name, off, shaper, given), shaper
         for kind in (COMPENSATED, ROBUST) if plan is plans[0] else (ROBUST,):
-            against = Against(name, off, plan.inversion(kind, off.sd, plants), given)
-            if plan is plans[0]:
-                seen[kind].append(against)
-            yield row(against, shaper)
+            yield Against(name, off, plan.inversion(kind, off.sd, plants), given, kind), shaper
 
 
-def row(against: Against, shaper: Found) -> str:
-    """shaper : the best on the method's own plan"""
-    found, times, same, above = against.way, "", "", ""
-    if found is not shaper:
-        times, same = f"{against.times:.1f}", f"{shaper.median / found.median:.1f}"
-        above = f"{against.above} of {len(found.off)}"
-    numbers = (found.nominal, found.median, float(np.mean(found.off)), max(found.off))
-    errors = " | ".join(f"{number:.2f}" for number in numbers)
-    longer = f"{100 * found.longer:g} %"
-    return (
-        f"| {against.name} | {against.off.label} | {longer} | {found.label} | {errors} | {times} | {same} | {above} |"
-    )
+def row(against: Against, shaper: Found) -> dict[str, Any]:
+    """Return what the page says of a method. shaper : the best on the method's own plan"""
+    found, compared = against.way, against.way is not shaper
+    return {
+        "print": against.name,
+        "off_by": against.off.label,
+        "longer": found.longer,
+        "method": found.label,
+        "nominal_um": found.nominal,
+        "median_um": found.median,
+        "mean_um": np.mean(found.off),
+        "worst_um": max(found.off),
+        "times_below": against.times if compared else None,
+        "times_below_same_plan": shaper.median / found.median if compared else None,
+        "above": against.above if compared else None,
+    }
 
 
-def told(seen: dict[str, list[Against]]) -> Iterator[str]:
-    """How many times below the shaper the medians are, on the firmware's plan, and what is above it."""
-    yield "\nTimes below the best shaper, on the firmware's plan; and printers on which a way is above it, of all:\n"
-    for kind, label in ((COMPENSATED, "Scheduled inversion"), (ROBUST, "Robust inversion")):
-        found = seen[kind]
-        cases = []
-        for off in CASES:
-            on_prints = [each.times for each in found if each.off is off and each.name != SQUARE]
-            on_square = next(each.times for each in found if each.off is off and each.name == SQUARE)
-            cases.append(f"{off.label}: {min(on_prints):.1f} to {max(on_prints):.1f}, square {on_square:.1f}")
-        above, of = sum(each.above for each in found), sum(len(each.way.off) for each in found)
-        yield f"- {label}: {'; '.join(cases)}; above: {above} of {of}."
-    short = [each for each in seen[ROBUST] if each.off is not CASES[0] and each.times < AIM]
-    missed = ", ".join(f"{each.name} ({each.off.label})" for each in short)
-    yield f"\nThe aim, {AIM:g} times at 10 %, is {'missed on ' + missed if short else 'met'} by robust inversion."
+def summary(found: Sequence[Against], label: str) -> dict[str, Any]:
+    """Return how many times below the shaper the medians of a method are on the given plan, and where it is above."""
+    cases = []
+    for off in CASES:
+        on_prints = [each.times for each in found if each.off is off and each.name != SQUARE]
+        on_square = next(each.times for each in found if each.off is off and each.name == SQUARE)
+        cases.append({"off_by": off.label, "least": min(on_prints), "most": max(on_prints), "square": on_square})
+    above, of = sum(each.above for each in found), sum(len(each.way.off) for each in found)
+    return {"method": label, "cases": cases, "above": above, "of": of}
 
 
 def main() -> None:
+    """Measure, and write the results and the page."""
     parser = argparse.ArgumentParser(description="Robust and plain inversion on printers that are off.")
     parser.add_argument("--plants", type=int, default=20)
     count = parser.parse_args().plants
     machine = load_machine("mp-delta-pro")
-    print(HEAD.format(name=machine.name, seconds=SECONDS, count=count, shapers=", ".join(SHAPERS)))
-    seen: dict[str, list[Against]] = {COMPENSATED: [], ROBUST: []}
+    found: list[tuple[Against, Found]] = []
     for name in (*PRINTS, SQUARE):
         stretches = stretches_of(name, machine)
         given, gentler = Comparison(stretches), list[Comparison]()
         if name != SQUARE:
             gentler = [Comparison([slower(each, share) for each in stretches], share) for share in BUDGETS]
         for off in CASES:
-            for line in rows(name, off, [given, *(gentler if off is CASES[-1] else ())], count, seen):
-                print(line, flush=True)
-    for line in told(seen):
-        print(line)
-    print(TAIL, end="")
-
-
-HEAD = """# Robust inversion
-
-Made by `python -m studies.robust > docs/ROBUST.md`. {name}, {seconds:g} s of each print on the
-nonlinear virtual printer, and ten rounds of a square of 20 mm around (-90, -20) at 200 mm/s and 10 m/s². {count}
-printers have all their 15 masses, stiffnesses, dampings and drive numbers off, each by its own draw: normal with a
-standard deviation of 5 % or 10 %, or even within ±10 %. The machine file's `[uncertainty]` says how far. Every method
-keeps the tuning of the nominal machine; the shaper is the best fixed one of {shapers} by the median. Contour
-error, rms, µm; of ours, the compensated G-code, read again and planned as the firmware plans it.
-
-"Longer" is by how much the plan takes longer than the firmware's; ramps are then gentler (`ffcomp/planner/s_curve.py`;
-0.9 % is what `--s-curve` does). "Times below" is the shaper's median on the firmware's plan by the method's, "same
-plan" that of the shaper which is best on the method's own plan. "Above it" counts printers on which the method is worse
-than the shaper on the firmware's plan.
-
-| print | off by | longer | method | as the file says | median | mean | worst | times below | same plan | above it |
-|---|---|---|---|---|---|---|---|---|---|---|"""
-
-TAIL = """
-What robust inversion does costs no print time: the nozzle is told to be elsewhere on its path, by about a tenth of a
-millimetre at most, and to leave out a little at corners, so that less of the command lies where the machine is least
-known. On a machine that is as its file says it is farther off the path than scheduled inversion. Gentler ramps help it
-and the shaper. Working it out takes some forty times as long as scheduled inversion (19 s of CPU time for the 346 s of
-`ringing_tower`, file to file): it is not the default (`--robust`). Knowing the machine to 5 % instead of 10 %
-(`ffcomp identify`) helps scheduled inversion about as much as this does, and both together help most.
-
-What limits it: on curves the nozzle misses its path by the acceleration across it times the error of the machine's
-compliance, whatever is commanded when; `lobed_vase` is all curves, and gains least. At corners the direction has to
-change within the corner's own time, and what is not known of the FRF near the modes comes out wrong.
-"""
+            found += against_shapers(name, off, [given, *(gentler if off is CASES[-1] else ())], count)
+    of_kind = {kind: [a for a, _ in found if a.kind == kind and a.way.longer == 0.0] for kind in (COMPENSATED, ROBUST)}
+    missed = [each for each in of_kind[ROBUST] if each.off is not CASES[0] and each.times < AIM]
+    save(
+        "robust",
+        {
+            "machine": machine.name,
+            "seconds": SECONDS,
+            "plants": count,
+            "shapers": SHAPERS,
+            "aim_times": AIM,
+            "rows": [row(*each) for each in found],
+            "summary": [
+                summary(of_kind[COMPENSATED], "Scheduled inversion"),
+                summary(of_kind[ROBUST], "Robust inversion"),
+            ],
+            "missed": [{"print": each.name, "off_by": each.off.label} for each in missed],
+        },
+    )
 
 
 if __name__ == "__main__":

@@ -1,17 +1,48 @@
-"""For all tests: runs of the command line leave the user's log and cache alone, and everybody tries the same examples.
+"""Set up all tests: which are slow, no log and no cache of the user's, and the same draws of properties every time.
 
-Properties are tried on the same draws each time, so that a change is judged by what it changes. New draws are sought by
-`validation/fuzz.py`, and here with HYPOTHESIS_PROFILE=default.
+New draws are sought by `validation/fuzz.py`, and here with HYPOTHESIS_PROFILE=default.
 """
 
 from __future__ import annotations
 
 import os
+import sys
+from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
 os.environ["FFCOMP_LOG"] = "off"
 os.environ["FFCOMP_CACHE"] = "off"
+sys.dont_write_bytecode = False  # pytest keeps the tests it has compiled: that halves the time of collection
 
 settings.register_profile("same", derandomize=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
+
+TESTS = Path(__file__).parent
+NOT_SLOW = "not slow"
+SLOW = (  # folders and files; single tests have the marker themselves
+    "docs/test_examples.py",
+    "docs/test_performance_page.py",
+    "e2e",
+    "fuzz",
+    "integration",
+    "unit/validation",
+)
+
+
+def is_slow(path: Path) -> bool:
+    """Return whether a folder or a file of tests is one of SLOW, or in one."""
+    return any(path.is_relative_to(TESTS / slow) for slow in SLOW)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave slow files unread where no slow test is wanted: what they import takes long too."""
+    return True if config.option.markexpr == NOT_SLOW and is_slow(collection_path) else None
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests of slow files."""
+    for item in items:
+        if is_slow(item.path):
+            item.add_marker(pytest.mark.slow)
