@@ -1,6 +1,6 @@
 """Our virtual printer against MuJoCo, an engine nobody here wrote, with the arms as bodies.
 
-    python -m studies.cross_check > docs/CROSS_CHECK.md     some two minutes
+    python -m studies.cross_check     docs/CROSS_CHECK.md, some two minutes
 
 What is built in MuJoCo stands in `validation/plants/multibody.py`.
 """
@@ -8,10 +8,10 @@ What is built in MuJoCo stands in `validation/plants/multibody.py`.
 from __future__ import annotations
 
 import math
-import platform
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
 from functools import cache
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -23,6 +23,7 @@ from models.file import load_machine
 from models.machine import Machine
 from models.printer.printer import SMOOTH_STEP_S, simulate_printer
 from models.vibration.receptance import poles
+from studies.render import save
 from validation import judge
 from validation.plants.multibody import STEP_S, Answer, Choice, build, energy_drift, modes, motor_motion, play, rest_mm
 
@@ -50,57 +51,35 @@ PUSH_M_PER_S, SWING_S = 0.1, 0.5
 
 
 def main() -> None:
+    """Measure, and write the results and the page."""
     machine = load_machine(judge.MACHINE_FILE)
     refitted = with_masses(machine, fitted_masses(machine))
-    tell(introduction())
-    tell(frequencies(machine, refitted))
-    tell(sag(machine))
-    tell(responses(machine, refitted))
-    tell(own_error(machine))
-    tell([REMAINS])
+    masses = np.column_stack([masses_of(machine), masses_of(refitted)]) * 1e3
+    parts = (about(), frequencies(machine, refitted), responses(machine, refitted), own_error(machine))
+    found = {key: value for part in parts for key, value in part.items()}
+    save("cross_check", found | {"carriage_g": masses[0], "nozzle_g": masses[1], "sag": sag(machine)})
 
 
-def tell(lines: Iterable[str]) -> None:
-    for line in lines:
-        print(line, flush=True)
-
-
-def introduction() -> Iterator[str]:
-    yield f"""# Cross-check against MuJoCo
-
-Made by `python -m studies.cross_check > docs/CROSS_CHECK.md` (MuJoCo {mujoco.__version__}, Python
-{platform.python_version()}, machine file `{judge.MACHINE_FILE.name}`).
-
-Our virtual printer (`models/printer/printer.py`) and its linear model (`models/vibration/receptance.py`) treat each
-arm pair as half its
-mass on the carriage and half on the nozzle holder. Here the same printer is built from rigid bodies in an engine nobody
-here wrote (`validation/plants/multibody.py`): carriages on slides with the belt's and the guide's spring and damper,
-rods with ball joints at both ends, the extruder on three sprung slides. MuJoCo gets masses, lengths, stiffnesses and
-dampings, no kinematics and no equation of ours. The drive is a transfer function on both sides: here by `scipy`.
-
-- **two points**: each rod is a body with half its mass at either end. This is our assumption, so all but numerical
-  error must vanish.
-- **six rods**: the same masses, but two rods a tower, and an effector free to turn, with its centre of mass where the
-  machine file has it. In the other rows the effector only translates and has one rod a tower.
-- **weight**: two points, with gravity.
-- **uniform rods**: thin uniform rods, as arms really are. What appears here is the error of the half-mass assumption.
-- **uniform rods, masses refitted**: the same rods, against our model with the carriage's and the nozzle holder's mass
-  chosen anew so that the poles fit best over the bed: what identification on a real printer would do.
-"""
-
-
-REMAINS = """
-## What remains, and why
-
-- With the same assumption on both sides nothing remains but the engines' own errors, nearly all of it MuJoCo's step
-  and the give of its constraints.
-- Six rods hold the effector upright, whatever its centre of mass: that it only translates is no assumption about ideal
-  arms, and a load by virtual work is theirs.
-- Half masses at the ends of the arms are not uniform rods. With weighed masses put in, that is the whole difference,
-  beyond the aims; with masses identified from the printer's own poles, little of it is left. The term that would remove
-  it for good is the one of the last row of the frequencies; the linear model played with it keeps a difference in the
-  responses because it is frozen at one place, which shrinks with the motion.
-"""
+def about() -> dict[str, Any]:
+    """Return how everything is measured."""
+    star, tower = (judge.PARTS_S[name][0] for name in (STAR, TOWER))
+    return {
+        "mujoco": mujoco.__version__,
+        "machine_file": judge.MACHINE_FILE.name,
+        "mode_aim": MODE_AIM,
+        "response_aim": RESPONSE_AIM,
+        "places": len(places()),
+        "directions": len(ANGLES_DEG),
+        "radii_mm": [round(radius) for radius in RADII_MM],
+        "seconds": SECONDS,
+        "rows_per_s": 1 / ROW_S,
+        "star_from_s": star,
+        "tower_from_s": tower,
+        "multisine": {"lowest_hz": LOWEST_HZ, "highest_hz": HIGHEST_HZ, "peak_mm": PEAK_MM},
+        "push_mm_per_s": PUSH_M_PER_S * 1e3,
+        "push_place_mm": SHAKEN_MM[0][:2],
+        "swing_s": SWING_S,
+    }
 
 
 # ---- frequencies ---------------------------------------------------------------------------------
@@ -113,7 +92,8 @@ def places() -> FloatArray:
     return np.vstack([np.zeros((1, 2)), *(radius * ring for radius in RADII_MM)])
 
 
-def frequencies(machine: Machine, refitted: Machine) -> Iterator[str]:
+def frequencies(machine: Machine, refitted: Machine) -> dict[str, Any]:
+    """Compare the poles over the bed."""
     ours, again = our_poles(machine), our_poles(refitted)
     natural_hz = np.abs(ours) / (2 * np.pi)
     compared = {
@@ -125,45 +105,10 @@ def frequencies(machine: Machine, refitted: Machine) -> Iterator[str]:
         "uniform rods, linear with their term": (UNIFORM, rods_poles(machine)),
     }
     worst = {label: mode_differences(their_poles(machine, choice), mine) for label, (choice, mine) in compared.items()}
-    rings = " and ".join(f"{radius:g}" for radius in RADII_MM)
-    yield f"""## Frequencies over the bed
-
-Poles at rest, motors held, at {len(ours)} places: the centre, and {len(ANGLES_DEG)} directions at {rings} mm.
-MuJoCo's by central differences of the accelerations it computes (constraints included), ours by
-`models.vibration.receptance.poles`. Each cell: worst difference over the places of the natural frequency, and of the
-damping ratio, relative to MuJoCo's. Modes are counted from the slowest at each place.
-"""
-    yield "| | " + " | ".join(f"mode {n + 1}: {span(natural_hz[:, n])} Hz" for n in range(MODES)) + " | |"
-    yield "|---" * (MODES + 2) + "|"
-    for label, (of_frequency, of_damping) in worst.items():
-        cells = " | ".join(f"{percent(f)}, {percent(z)}" for f, z in zip(of_frequency, of_damping, strict=True))
-        yield f"| {label} | {cells} | {verdict(float(of_frequency.max()), MODE_AIM)} |"
-    yield from about_rods(machine, refitted)
-
-
-def about_rods(machine: Machine, refitted: Machine) -> Iterator[str]:
-    carriage, nozzle = masses_of(machine) * 1e3
-    new_carriage, new_nozzle = masses_of(refitted) * 1e3
-    yield f"""
-The verdict is on frequencies; the aim is {MODE_AIM * 100:g} %. The last row adds to our linear model the one term by
-which a uniform rod's kinetic energy differs from two half masses, -m_f/12 |Ẋ - ẑ q̇|² for each arm pair. With it the
-rods agree as the two points do: the half-mass assumption is all of their difference.
-Refitting moved the carriage from {carriage:.1f} to {new_carriage:.1f} g and the nozzle holder from {nozzle:.1f} to
-{new_nozzle:.1f} g. With weight, MuJoCo's arms carry load and so add stiffness of their own; our linear model leaves
-that out, our virtual printer has it (see the responses).
-"""
-
-
-def span(values: FloatArray) -> str:
-    return f"{values.min():.0f}-{values.max():.0f}"
-
-
-def verdict(worst: float, aim: float) -> str:
-    return f"{'within' if worst <= aim else '**beyond**'} {aim * 100:g} %"
-
-
-def percent(share: float) -> str:
-    return f"{100 * share:.2g} %" if share >= 1e-5 else "< 0.001 %"
+    return {
+        "modes_hz": np.column_stack([natural_hz.min(axis=0), natural_hz.max(axis=0)]),
+        "frequencies": [{"label": label, "of_frequency": f, "of_damping": z} for label, (f, z) in worst.items()],
+    }
 
 
 def upper(found: ComplexArray) -> ComplexArray:
@@ -266,24 +211,16 @@ def fitted_masses(machine: Machine) -> FloatArray:
 # ---- sag -----------------------------------------------------------------------------------------
 
 
-def sag(machine: Machine) -> Iterator[str]:
-    yield """## Sag under weight
-
-Where the nozzle rests, seen from where it is told to be, µm.
-
-| place, mm | ours x, y, z | MuJoCo, six rods: x, y, z | largest difference |
-|---|---|---|---|"""
+def sag(machine: Machine) -> list[dict[str, Any]]:
+    """Compare where the nozzle rests under weight, seen from where it is told to be."""
+    rows = []
     for place in map(np.array, SAGGING_MM):
         command = np.tile(machine.kinematics.inverse(place[None]), (2, 1))
         ours = (simulate_printer(machine, command, ROW_S).nozzle_mm[0] - place) * 1e3
         theirs = (rest_mm(build(machine, place, replace(PAIRS, gravity=True)))[0] - place) * 1e3
         apart = np.abs(ours - theirs).max()
-        yield f"| {place[0]:g}, {place[1]:g} | {micrometres(ours)} | {micrometres(theirs)} | {apart:.1g} |"
-    yield ""
-
-
-def micrometres(values: FloatArray) -> str:
-    return ", ".join(f"{value:.2f}" for value in values.round(2) + 0.0)  # no -0.00
+        rows.append({"place_mm": place, "ours_um": ours, "mujoco_um": theirs, "largest_um": apart})
+    return rows
 
 
 # ---- responses -----------------------------------------------------------------------------------
@@ -301,37 +238,15 @@ class Difference:
     of_acceleration: float  # the nozzle's, of what it has beyond the command's
 
 
-def responses(machine: Machine, refitted: Machine) -> Iterator[str]:
-    yield about_responses()
-    for label, path in commands().items():
-        for kind, found in differences(machine, refitted, path):
-            shares = (found.of_nozzle, found.of_error, found.of_carriages, found.of_acceleration)
-            cells = " | ".join(percent(share) for share in shares)
-            judged = verdict(found.of_nozzle, RESPONSE_AIM)
-            yield f"| {label} | {kind} | {found.vibration_um:.1f} | {found.nozzle_um:.3g} | {cells} | {judged} |"
+def responses(machine: Machine, refitted: Machine) -> dict[str, Any]:
+    """Compare the answers to the same commands."""
+    rows = [
+        {"command": label, "mujoco": kind} | asdict(found)
+        for label, path in commands().items()
+        for kind, found in differences(machine, refitted, path)
+    ]
     swinging = our_poles(machine)
-    least_damped = float(np.min(-swinging.real / np.abs(swinging)))
-    yield f"""
-The verdict is on the vibration; the aim is {RESPONSE_AIM * 100:g} %. At resonance, a frequency that is off by a share e
-changes the answer by e/ζ, and ζ is {least_damped:.2f} where it is least: so uniform rods cost more here than among the
-frequencies.
-"""
-
-
-def about_responses() -> str:
-    star, tower = (judge.PARTS_S[name][0] for name in (STAR, TOWER))
-    return f"""## Responses
-
-{SECONDS:g} s each, from rest, both engines given the same carriage command ({1 / ROW_S:.0f} rows a second, cubic in
-between). *star* and *tower* are `{STAR}` from {star:g} s and `{TOWER}` from {tower:g} s on, as the firmware plans them.
-*shaken* is a multisine of {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz along x, y and z at once, amplitudes falling as 1/f, peak
-{PEAK_MM:g} mm. The difference is rms over time, all three axes together: in µm; in % of the rms vibration, which is the
-nozzle against where its motors hold it (the drive's delay taken off: the strictest measure); in % of nozzle minus
-command; and the same for the carriages' vibration, and for the nozzle's acceleration beyond the command's (second
-differences). Where the motion is small, our linear model with the rods' term, frozen at the place, is played too.
-
-| command | MuJoCo | vibration µm | difference µm | of vibration | of nozzle - command | carriages | acceleration | |
-|---|---|---|---|---|---|---|---|---|"""
+    return {"responses": rows, "least_damping_ratio": np.min(-swinging.real / np.abs(swinging))}
 
 
 def differences(machine: Machine, refitted: Machine, path: FloatArray) -> Iterator[tuple[str, Difference]]:
@@ -418,32 +333,32 @@ def accelerations(values: FloatArray) -> FloatArray:
 # ---- MuJoCo's own error --------------------------------------------------------------------------
 
 
-def own_error(machine: Machine) -> Iterator[str]:
+def own_error(machine: Machine) -> dict[str, Any]:
+    """Find how far MuJoCo's answer depends on its step and on the give of its constraints."""
     path = commands()["star"]
     settings = [(step, max(IMPEDANCES)) for step in STEPS_S] + [(STEP_S, d) for d in IMPEDANCES[:-1]]
     choices = [replace(LUMPED, step_s=step, impedance=d) for step, d in settings]
     answers = {choice: played(machine, path, choice) for choice in choices}
     finest = answers[replace(LUMPED, step_s=min(STEPS_S))]
-    yield f"""## MuJoCo's own error
-
-MuJoCo's constraints give way by design: their impedance d may not exceed {max(IMPEDANCES)}, and their time constant
-is two steps. Runge-Kutta of order 4, Newton's solver; *star*, two points, nozzle, rms; "finest" is
-{1 / min(STEPS_S):.0f} and {max(IMPEDANCES)}. Everything above was computed with the row in bold.
-
-| steps a second | impedance d | from MuJoCo's finest, nm | from ours, nm | from ours, of vibration |
-|---|---|---|---|---|"""
+    rows = []
     for choice, answer in answers.items():
-        step_nm = rms(answer.nozzle_mm - finest.nozzle_mm) * 1e6
         ours = compared(machine, path, answer)
-        mark = "**" if choice == LUMPED else ""
-        cells = f"{step_nm:.1f} | {ours.nozzle_um * 1e3:.1f} | {percent(ours.of_nozzle)}"
-        yield f"| {mark}{1 / choice.step_s:.0f}{mark} | {mark}{choice.impedance:g}{mark} | {cells} |"
-    limit_nm, own_nm = extrapolated_nm(machine, path, answers), our_own_nm(machine, path)
-    yield f"""
-The difference goes with the square of the step, as the constraints' give does too. Extrapolated to no step at all
-(Richardson, from the two finest), MuJoCo is {limit_nm:.2g} nm from ours; ours moves by {own_nm:.2g} nm when its step
-is halved."""
-    yield from energy(machine)
+        rows.append(
+            {
+                "steps_per_s": 1 / choice.step_s,
+                "impedance": choice.impedance,
+                "used": choice == LUMPED,
+                "from_finest_nm": rms(answer.nozzle_mm - finest.nozzle_mm) * 1e6,
+                "from_ours_nm": ours.nozzle_um * 1e3,
+                "of_vibration": ours.of_nozzle,
+            }
+        )
+    return {
+        "own_error": rows,
+        "extrapolated_nm": extrapolated_nm(machine, path, answers),
+        "halved_step_nm": our_own_nm(machine, path),
+        "energy": energy(machine),
+    }
 
 
 def extrapolated_nm(machine: Machine, path: FloatArray, answers: dict[Choice, Answer]) -> float:
@@ -459,16 +374,13 @@ def our_own_nm(machine: Machine, path: FloatArray) -> float:
     return rms(usual.nozzle_mm - fine.nozzle_mm) * 1e6
 
 
-def energy(machine: Machine) -> Iterator[str]:
-    yield f"""
-Without dampers, after a push of {PUSH_M_PER_S * 1e3:g} mm/s along x at ({SHAKEN_MM[0][0]:g}, {SHAKEN_MM[0][1]:g}),
-MuJoCo's energy must stay. Largest change in {SWING_S:g} s, of the energy given:
-
-| steps a second | change |
-|---|---|"""
+def energy(machine: Machine) -> list[dict[str, float]]:
+    """Find by how much MuJoCo's energy changes after a push, without dampers."""
+    rows = []
     for step in STEPS_S:
         printer = build(machine, np.array(SHAKEN_MM[0]), replace(LUMPED, step_s=step, damped=False))
-        yield f"| {1 / step:.0f} | {energy_drift(printer, PUSH_M_PER_S, SWING_S):.1g} |"
+        rows.append({"steps_per_s": 1 / step, "change": energy_drift(printer, PUSH_M_PER_S, SWING_S)})
+    return rows
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ TEMPLATES, RESULTS, DOCS = ROOT / "studies" / "templates", ROOT / "studies" / "r
 PAGES = {
     "accuracy": "ACCURACY.md",
     "comparison": "COMPARISON.md",
+    "cross_check": "CROSS_CHECK.md",
     "robust": "ROBUST.md",
 }
 DIGITS = 6  # significant ones in a result
