@@ -133,7 +133,7 @@ def _page(
     from ffcomp.diagnose.summary import picture
     from ffcomp.identify.machine_fit import hash_of
     from ffcomp.report.diagnose.html import page
-    from ffcomp.report.diagnose.told import Origin, Told
+    from ffcomp.report.diagnose.inputs import Origin, ReportInput
     from ffcomp.version import __version__
 
     drawn, proposals = picture(plant, search), propose(plant, search)
@@ -146,7 +146,7 @@ def _page(
         seconds=time.monotonic() - began,
         written="" if better is None else better.name,
     )
-    return {target: page(Told(found, drawn, proposals, origin))}
+    return {target: page(ReportInput(found, drawn, proposals, origin))}
 
 
 def _write(files: dict[Path, bytes]) -> None:

@@ -1,0 +1,1 @@
+"""Figures and pages of every verb; they read results only."""

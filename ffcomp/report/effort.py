@@ -1,4 +1,4 @@
-"""Accuracy against command acceleration, with the knee: why a machine's bandwidth is what it is."""
+"""Draw accuracy against command acceleration, with the knee that sets a machine's bandwidth."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ffcomp.report.shared.style import RC
 
 
 def draw_effort(curves: Mapping[float, EffortCurve], title: str, path: Path) -> None:
-    """One curve for each number of segments a second; `path` ends in .png or .svg."""
+    """Draw one curve for each number of segments a second into `path`, which ends in .png or .svg."""
     with matplotlib.rc_context(RC):
         figure = Figure(figsize=(7.2, 4.6), layout=layout())
         axes = figure.subplots()

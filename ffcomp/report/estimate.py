@@ -1,4 +1,4 @@
-"""Where a print's time goes: each layer, by what the nozzle does, and each feature."""
+"""Draw the time of a print: each layer by kind of motion, and each feature."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ MOST_FEATURES = 14
 
 
 def draw(found: Estimate, path: Path) -> None:
-    """`path` ends in .png, .svg or .pdf."""
+    """Draw an estimate into `path`, which ends in .png, .svg or .pdf."""
     with matplotlib.rc_context(RC):
         figure = Figure(figsize=(10.0, 4.6), layout=layout())
         left, right = figure.subplots(1, 2, width_ratios=(1.7, 1.0))
         _layers(left, found.statistics)
         _features(right, found.statistics)
-        told = f"{Path(found.path).name} on {found.machine.name}: {short(found.time_s)}"
-        figure.suptitle(told, x=0.01, ha="left", fontweight="bold")
+        title = f"{Path(found.path).name} on {found.machine.name}: {short(found.time_s)}"
+        figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
         note = f"planned as the firmware does; heating, homing and macros left out; ffcomp v{__version__}"
         figure.supxlabel(note, x=0.99, ha="right", fontsize=7)
         path.write_bytes(file_of(figure, path.suffix.removeprefix(".")))

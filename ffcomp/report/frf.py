@@ -1,4 +1,4 @@
-"""Pictures of the model: Bode figures with what was measured beside, and the modes over the bed.
+"""Draw the model: Bode figures with measured responses beside, and the modes over the bed.
 
 Sizes are inches throughout, so that text keeps its room however many panels there are.
 """
@@ -9,12 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
-
-from models.arrays import FloatArray
-
-matplotlib.use("Agg")
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
@@ -24,6 +19,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from ffcomp.identify.accuracy import phases_deg
 from ffcomp.identify.frf_study import RINGS, Compared, NumberedMode, Station, Study, verdict
 from ffcomp.version import __version__
+from models.arrays import FloatArray
 from models.machine import Machine
 from models.vibration.mode_map import ModeMap
 
@@ -41,7 +37,7 @@ MODE_WIDTH, STATION_WIDTH = 1.38, 2.3  # of the table's columns
 
 
 def draw_bode(found: Study, target: Path, full: bool = False) -> None:
-    """A panel of magnitude and phase a response, modes numbered above, and a table of them below."""
+    """Draw magnitude and phase of every response, modes numbered above, and a table of them below."""
     pairs = found.view.all_pairs if full else found.view.pairs
     columns = min(3, len(pairs))
     rows = len(pairs) // columns
@@ -77,15 +73,15 @@ def _axes(figure: Figure, x: float, y: float, width: float, height: float) -> Ax
     return axes
 
 
-def _band(figure: Figure, title: str, said: str, machine: Machine) -> None:
-    """Title, verdict, and which machine file and program this is of."""
+def _band(figure: Figure, title: str, finding: str, machine: Machine) -> None:
+    """Draw title, verdict, machine file and program."""
     width, height = figure.get_size_inches()
     share = BAND_HEIGHT / height
     figure.add_artist(Rectangle((0, 1 - share), 1, share, color=BAND, transform=figure.transFigure, zorder=-1))
     of = f"{machine.name}  ·  machine file sha256 {machine.sha256[:12]}"
     told = "straight axes" if machine.has_straight_axes else f"load map {machine.effector.force_map}"
     by = f"{told}  ·  ffcomp {__version__}"
-    lines = ((0.31, title, 14, "bold", "#ffffff"), (0.6, said, 11, "normal", "#ffd08a"))
+    lines = ((0.31, title, 14, "bold", "#ffffff"), (0.6, finding, 11, "normal", "#ffd08a"))
     for down, text, size, weight, colour in (*lines, (0.85, f"{of}  ·  {by}", 8.5, "normal", "#b9c2cf")):
         y = 1 - down / height
         figure.text(0.35 / width, y, text, fontsize=size, weight=weight, color=colour, va="center")
@@ -136,7 +132,7 @@ def _colours(found: Study) -> list[str]:
 
 
 def _numbered(found: Study) -> list[tuple[Station, str]]:
-    """The stations whose modes are numbered above the panels."""
+    """Return the stations whose modes are numbered above the panels."""
     shown = list(zip(found.stations, _colours(found), strict=True))
     return shown if len(shown) <= NUMBERED_STATIONS else shown[:1]
 
@@ -146,7 +142,7 @@ def _curves(
 ) -> None:
     value = station.value[:, *pair]
     if np.abs(value).max() < UNCOUPLED * np.abs(station.value).max():
-        upper.text(0.5, 0.5, "does not answer here", transform=upper.transAxes, ha="center", color=colour, fontsize=9)
+        upper.text(0.5, 0.5, "no response", transform=upper.transAxes, ha="center", color=colour, fontsize=9)
         return
     upper.plot(frequency_hz, np.abs(value), color=colour, linewidth=1.7, zorder=3)
     lower.plot(frequency_hz, np.degrees(np.unwrap(np.angle(value))), color=colour, linewidth=1.7, zorder=3)
@@ -191,25 +187,25 @@ def _mode_numbers(axes: Axes, modes: list[NumberedMode], colour: str, row: int) 
 
 
 def _spread(at: FloatArray, gap: float) -> FloatArray:
-    """Rising places, moved as little as it takes to be `gap` apart: each crowd is centred on its mean."""
-    crowds = [[x] for x in at.tolist()]
+    """Move rising positions as little as it takes to be `gap` apart: each group is centred on its mean."""
+    groups = [[x] for x in at.tolist()]
     k = 1
-    while k < len(crowds):
-        before, after = crowds[k - 1], crowds[k]
+    while k < len(groups):
+        before, after = groups[k - 1], groups[k]
         room = np.mean(after) - np.mean(before) - gap * (len(before) + len(after)) / 2
         if room < 0:
-            crowds[k - 1 : k + 1] = [before + after]
+            groups[k - 1 : k + 1] = [before + after]
             k = max(k - 1, 1)
         else:
             k += 1
-    return np.array([np.mean(crowd) + gap * (i - (len(crowd) - 1) / 2) for crowd in crowds for i in range(len(crowd))])
+    return np.array([np.mean(group) + gap * (i - (len(group) - 1) / 2) for group in groups for i in range(len(group))])
 
 
 # --- The table under the panels
 
 
 def _signs(found: Study) -> list[str]:
-    """The table's columns: every mode of any station."""
+    """Return the table's columns: every mode of any station."""
     signs = [mode.sign for station in found.stations for mode in station.modes]
     return sorted(dict.fromkeys(signs), key=lambda sign: (not sign.isdigit(), sign))
 
@@ -224,7 +220,7 @@ def _table_width(found: Study) -> float:
 
 
 def _table(figure: Figure, found: Study) -> None:
-    """A line a station: its colour, each mode's frequency and damping ratio, and how well it was predicted."""
+    """Write a line a station: its colour, each mode's frequency and damping ratio, and how well it was predicted."""
     width, height = figure.get_size_inches()
     top = ROW_HEIGHT * _lines(found) + 0.1
     left = (width - _table_width(found)) / 2 + 0.1
@@ -282,7 +278,7 @@ def draw_map(machine: Machine, found: ModeMap, target: Path) -> None:
     width = 0.8 + columns * (MAP_SIZE + MAP_ASIDE)
     height = BAND_HEIGHT + rows * (MAP_ABOVE + MAP_SIZE + MAP_BELOW) + 0.15
     figure = Figure(figsize=(width, height), facecolor=PAPER)
-    key = "colour: frequency  ·  white lines: damping ratio  ·  strokes: the direction it shakes in; none: up and down"
+    key = "colour: frequency  ·  white lines: damping ratio  ·  strokes: the direction of vibration; none: vertical"
     figure.text(0.5, 0.17 / height, key, ha="center", va="center", fontsize=8.5, color=SOFT)
     _band(figure, "Modes over the bed", map_verdict(found), machine)
     for mode in range(count):
@@ -304,7 +300,7 @@ def map_verdict(found: ModeMap) -> str:
     low, high = span[worst]
     return (
         f"Mode {worst + 1} ({found.kinds[worst]}) moves most: {low:.0f} to {high:.0f} Hz, by "
-        f"{100 * (high / low - 1):.0f} %; a shaper tuned at one place is wrong at the others."
+        f"{100 * (high / low - 1):.0f} %; a shaper tuned at one position is wrong at the others."
         if high / low > 1.05
         else f"No mode that rings moves by more than {100 * (high / low - 1):.0f} %."
     )

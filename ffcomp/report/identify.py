@@ -6,12 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import matplotlib
 import numpy as np
-
-from models.arrays import ComplexArray, FloatArray
-
-matplotlib.use("Agg")
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -19,6 +14,7 @@ from ffcomp.identify.axis_spectra import Datum
 from ffcomp.identify.identify import Identified
 from ffcomp.identify.modal_fit import AxisFit, IdentifiedAxes
 from ffcomp.version import __version__
+from models.arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
     from ffcomp.measurement.frf import FrequencyResponse
@@ -98,12 +94,12 @@ def _magnitude(axes: Axes, response: FrequencyResponse, model: ComplexArray) -> 
 
 
 def _phase(axes: Axes, response: FrequencyResponse, model: ComplexArray) -> None:
-    """The measured phase on the model's branch."""
+    """Draw the measured phase on the model's branch."""
     f = response.frequency_hz
-    wanted = np.unwrap(np.angle(model))
-    real = wanted + np.angle(response.value * np.exp(-1j * wanted))
+    unwrapped = np.unwrap(np.angle(model))
+    real = unwrapped + np.angle(response.value * np.exp(-1j * unwrapped))
     axes.plot(f, np.degrees(real), ".", color=MEASURED, markersize=3)
-    axes.plot(f, np.degrees(wanted), color=FITTED, linewidth=1.4)
+    axes.plot(f, np.degrees(unwrapped), color=FITTED, linewidth=1.4)
     axes.set_xlabel("Hz", fontsize=8)
     axes.set_ylabel("phase, °", fontsize=8)
     axes.grid(alpha=0.3)

@@ -1,25 +1,21 @@
-"""The picture of `ffcomp show`: wanted, without and with compensation, close up, over a layer, along the time."""
+"""Draw a compensated print beside its original: reference, before and after, close up, over a layer, along the time."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
 import numpy as np
-
-from models.arrays import BoolArray, FloatArray
-
-matplotlib.use("Agg")
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
+from ffcomp.report.shared.style import AFTER, BEFORE, REFERENCE
 from ffcomp.simulate.preview import Curve, Preview
+from models.arrays import BoolArray, FloatArray
 
-WANTED, BEFORE, AFTER = "#222222", "#d55e00", "#0072b2"
 CLOSE_UP_MM = 2.5  # half the width of the close-up
 LAYER_MM = 0.15  # half the height of what counts as one layer
 SETTLE_S = 0.5  # at the beginning: the nozzle may come from anywhere
@@ -35,11 +31,13 @@ class Numbers:
 
 
 def numbers(curve: Curve) -> Numbers:
+    """Return the contour error over the whole print."""
     found = curve.statistics
     return Numbers(found.rms_um, found.p99_um, found.max_um)
 
 
 def verdict(preview: Preview) -> str:
+    """State the improvement in one sentence."""
     before, after = numbers(preview.before), numbers(preview.after)
     return (
         f"Contour error {before.rms:.1f} → {after.rms:.2f} µm rms ({before.rms / after.rms:.0f} times less), "
@@ -48,11 +46,18 @@ def verdict(preview: Preview) -> str:
 
 
 def draw(preview: Preview, title: str, footer: str, target: Path, z_mm: float | None = None) -> None:
-    """Write the picture; the suffix of `target` names the format.
+    """Write the figure.
 
-    z_mm : the layer to show; None: the one with the largest uncompensated error.
+    Parameters
+    ----------
+    preview : Preview
+    title, footer : str
+    target : Path
+        Its suffix names the format.
+    z_mm : float, optional
+        The layer to show; None: the one with the largest error before.
     """
-    worst = _worst_place(preview.before, z_mm)
+    worst = _worst_position(preview.before, z_mm)
     figure = Figure(figsize=(16, 8.4), layout="constrained")
     figure.suptitle(f"{title}\n{verdict(preview)}", fontsize=13, x=0.01, ha="left")
     rooms = figure.subplot_mosaic([["close", "before", "after"], ["time"] * 3], height_ratios=[2.2, 1])
@@ -63,8 +68,8 @@ def draw(preview: Preview, title: str, footer: str, target: Path, z_mm: float | 
     figure.savefig(target, dpi=100)
 
 
-def _worst_place(curve: Curve, z_mm: float | None) -> FloatArray:
-    """The wanted place (3,) mm, after the start, where the error without compensation is largest."""
+def _worst_position(curve: Curve, z_mm: float | None) -> FloatArray:
+    """Return the reference position (3,) mm, after the start, where the error without compensation is largest."""
     candidates = curve.t > curve.t[0] + SETTLE_S
     if z_mm is not None:
         candidates &= np.abs(curve.reference[:, 2] - z_mm) < LAYER_MM
@@ -73,39 +78,39 @@ def _worst_place(curve: Curve, z_mm: float | None) -> FloatArray:
     return curve.reference[int(np.argmax(np.where(candidates, curve.contour, -1.0)))]
 
 
-def _close_up(axes: Axes, preview: Preview, place: FloatArray) -> None:
-    """The worst corner in its layer: parts of the curves that pass through the window."""
+def _close_up(axes: Axes, preview: Preview, position: FloatArray) -> None:
+    """Draw the worst corner in its layer: parts of the curves that pass through the window."""
     for curve, colour, label, width in (
-        (preview.before, BEFORE, "what the machine would have done", 1.6),
-        (preview.after, AFTER, "what it will do now", 2.2),
+        (preview.before, BEFORE, "without compensation", 1.6),
+        (preview.after, AFTER, "with compensation", 2.2),
     ):
-        inside = _near(curve, place, 2 * CLOSE_UP_MM)
+        inside = _near(curve, position, 2 * CLOSE_UP_MM)
         _lines(axes, curve.nozzle, inside, colour, width, label)
-    path = np.abs(preview.path[:, 2] - place[2]) < LAYER_MM
-    _lines(axes, preview.path, path, WANTED, 0.8, "what was wanted")
+    path = np.abs(preview.path[:, 2] - position[2]) < LAYER_MM
+    _lines(axes, preview.path, path, REFERENCE, 0.8, "reference")
     axes.set(
-        xlim=(place[0] - CLOSE_UP_MM, place[0] + CLOSE_UP_MM),
-        ylim=(place[1] - CLOSE_UP_MM, place[1] + CLOSE_UP_MM),
+        xlim=(position[0] - CLOSE_UP_MM, position[0] + CLOSE_UP_MM),
+        ylim=(position[1] - CLOSE_UP_MM, position[1] + CLOSE_UP_MM),
         xlabel="X, mm",
         ylabel="Y, mm",
         aspect="equal",
-        title=f"Where it shakes most: X {place[0]:.1f}, Y {place[1]:.1f}, Z {place[2]:.2f} mm",
+        title=f"Largest error: X {position[0]:.1f}, Y {position[1]:.1f}, Z {position[2]:.2f} mm",
     )
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=1, frameon=False)
-    _scale_bar(axes, place)
+    _scale_bar(axes, position)
 
 
-def _scale_bar(axes: Axes, place: FloatArray) -> None:
-    x, y = place[0] - 0.9 * CLOSE_UP_MM, place[1] - 0.9 * CLOSE_UP_MM
-    axes.plot([x, x + 0.5], [y, y], color=WANTED, linewidth=3, solid_capstyle="butt")
+def _scale_bar(axes: Axes, position: FloatArray) -> None:
+    x, y = position[0] - 0.9 * CLOSE_UP_MM, position[1] - 0.9 * CLOSE_UP_MM
+    axes.plot([x, x + 0.5], [y, y], color=REFERENCE, linewidth=3, solid_capstyle="butt")
     axes.text(x + 0.25, y + 0.05 * CLOSE_UP_MM, "500 µm", ha="center", backgroundcolor="#ffffffcc")
 
 
-def _layer_maps(figure: Figure, above: Axes, below: Axes, preview: Preview, place: FloatArray) -> None:
-    """The whole layer, coloured by error, both on one scale."""
+def _layer_maps(figure: Figure, above: Axes, below: Axes, preview: Preview, position: FloatArray) -> None:
+    """Draw the whole layer, coloured by error, both on one scale."""
     norm = LogNorm(0.5, max(500.0, 1e3 * float(preview.before.contour.max())))
     for axes, curve, name in ((above, preview.before, "without"), (below, preview.after, "with compensation")):
-        inside = np.abs(curve.reference[:, 2] - place[2]) < LAYER_MM
+        inside = np.abs(curve.reference[:, 2] - position[2]) < LAYER_MM
         points = curve.nozzle[:, :2]
         joined = inside[1:] & inside[:-1]
         pieces = np.stack([points[:-1], points[1:]], axis=1)[joined]
@@ -118,9 +123,9 @@ def _layer_maps(figure: Figure, above: Axes, below: Axes, preview: Preview, plac
     figure.colorbar(ScalarMappable(norm, "viridis_r"), ax=[above, below], label="contour error, µm")
 
 
-def _along_time(axes: Axes, preview: Preview, place: FloatArray) -> None:
+def _along_time(axes: Axes, preview: Preview, position: FloatArray) -> None:
     for curve, colour, name in ((preview.before, BEFORE, "without"), (preview.after, AFTER, "with")):
-        inside = np.flatnonzero(np.abs(curve.reference[:, 2] - place[2]) < LAYER_MM)
+        inside = np.flatnonzero(np.abs(curve.reference[:, 2] - position[2]) < LAYER_MM)
         if inside.size:
             part = slice(int(inside[0]), int(inside[-1]) + 1)
             n = numbers(curve)
@@ -137,12 +142,12 @@ def _along_time(axes: Axes, preview: Preview, place: FloatArray) -> None:
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False, title="Over the whole print")
 
 
-def _near(curve: Curve, place: FloatArray, reach: float) -> BoolArray:
-    away = np.abs(curve.reference - place)
+def _near(curve: Curve, position: FloatArray, reach: float) -> BoolArray:
+    away = np.abs(curve.reference - position)
     return (away[:, 2] < LAYER_MM) & (away[:, :2].max(axis=1) < reach)
 
 
 def _lines(axes: Axes, points: FloatArray, keep: BoolArray, colour: str, width: float, label: str) -> None:
-    """The kept points joined, with a gap wherever one is missing."""
+    """Join the kept points, with a gap wherever one is missing."""
     shown = np.where(keep[:, None], points[:, :2], np.nan)
     axes.plot(shown[:, 0], shown[:, 1], color=colour, linewidth=width, label=label)

@@ -1,4 +1,4 @@
-"""The figures of a diagnosis: what the excess depends on, the bed, overlays, spectra, likeness."""
+"""Draw the figures of a diagnosis: splits of the excess, the bed, overlays, spectra, confounded effects."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ CLOSE = 0.4  # of it: there the labels of two places need room
 
 
 def draw_split(box: Box, split: Split) -> None:
+    """Draw the error before and after by the labels of one split."""
     axes = box.subplots()
     before, after = (np.maximum([times_noise(x) for x in part], LEAST_SHOWN) for part in (split.before, split.after))
     if split.spans:
@@ -81,7 +82,7 @@ def _times_scale(axes: Axes, which: str, *values: FloatArray) -> None:
 
 
 def draw_bed(box: Box, split: Split, radius_mm: float) -> None:
-    """A circle a place, its radius growing with the logarithm of the error: before around after."""
+    """Draw a circle a position, its radius growing with the logarithm of the error: before around after."""
     axes = box.subplots()
     axes.add_patch(Circle((0, 0), radius_mm, facecolor="#f5f7fa", edgecolor=NOISE, linewidth=1.5))
     axes.plot(0, 0, "+", color=SOFT, markersize=10)
@@ -117,6 +118,7 @@ def _magnitude(times: float) -> float:
 
 
 def draw_places(box: Box, places: Sequence[Place], labels: Sequence[str]) -> None:
+    """Draw the error before and after at positions left out of the fit."""
     before, after = (
         np.maximum([times_noise(getattr(p, what)) for p in places], LEAST_SHOWN) for what in ("before", "after")
     )
@@ -127,7 +129,7 @@ def draw_places(box: Box, places: Sequence[Place], labels: Sequence[str]) -> Non
 
 
 def draw_overlay(box: Box, overlay: Overlay, unit: str) -> None:
-    """Above what was measured and simulated, below what is left of it, with the noise's rms as a band."""
+    """Draw measured and simulated signals, and below their difference, with the noise's rms as a band."""
     above, below = box.subplots(2, 1, sharex=True, height_ratios=(1.4, 1))
     t = overlay.time_s
     above.plot(t, overlay.before, color=BEFORE, linewidth=1.2)
@@ -148,6 +150,7 @@ def _around(x: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:
 
 
 def draw_spectrum(box: Box, spectrum: Spectrum) -> None:
+    """Draw spectra of the measured signal, of the errors and of the noise."""
     axes = box.subplots()
     f = spectrum.frequency_hz
     top = max(float(x.max()) for x in (spectrum.measured, spectrum.before))
@@ -164,10 +167,11 @@ def draw_spectrum(box: Box, spectrum: Spectrum) -> None:
     grid(axes)
 
 
-# ---- who can be taken for whom -------------------------------------------------------------------
+# ---- confounded effects -------------------------------------------------------------------
 
 
 def draw_alike(box: Box, alike: Alike, named: Sequence[str]) -> None:
+    """Draw the similarity (cos²) of every pair of effects."""
     axes = box.subplots()
     names, count = alike.names, len(alike.names)
     picture = axes.imshow(alike.cos2, cmap="Blues", vmin=0, vmax=1)

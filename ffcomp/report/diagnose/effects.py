@@ -63,8 +63,8 @@ def _direction(value: Any) -> str:
 
 def in_words(found: Outcome, effect: str) -> str:
     """`more on the nozzle holder (effector_mass): added_kg 0.0801 kg (90 %: 0.0795 to 0.0807)`."""
-    told = [_amplitude(found, effect, p) for p in CATALOGUE[effect].amplitudes]
-    numbers = joined([words for words in told if words])
+    given = [_amplitude(found, effect, p) for p in CATALOGUE[effect].amplitudes]
+    numbers = joined([words for words in given if words])
     return f"{title(effect)} ({effect}){f': {numbers}' if numbers else ''}"
 
 

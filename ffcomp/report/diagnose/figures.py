@@ -1,4 +1,4 @@
-"""Every figure of the report, with what it says."""
+"""List every figure of the report, with its finding."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ROW, AXIS = 0.26, 0.75  # inches a row, and below them
 TITLES = {
     "frequency": "By frequency",
     "signal": "By signal",
-    "place": "By place",
+    "place": "By position",
     "run": "By run",
     "share of the run's time": "Along the run",
     "motion": "By direction, and at reversals",
@@ -27,7 +27,7 @@ UNITS = {"acc": "m/s²", "pos": "mm"}
 
 
 def splits(found: Picture) -> list[Drawing]:
-    """What the excess depends on; the place as a map of the bed."""
+    """Return the figures of what the excess depends on; the position as a map of the bed."""
     return [_bed(found, split) if split.at else _split(split) for split in found.splits]
 
 
@@ -44,6 +44,7 @@ def _bed(found: Picture, split: Split) -> Drawing:
 
 
 def overlays(found: Picture) -> list[Drawing]:
+    """Return the overlays of measured and simulated signals."""
     return [_overlay(each) for each in found.overlays]
 
 
@@ -54,10 +55,11 @@ def _overlay(each: Overlay) -> Drawing:
 
 def _left(each: Overlay) -> str:
     sizes = [float(((each.measured - x) ** 2).mean()) ** 0.5 / each.noise_rms for x in (each.before, each.after)]
-    return f"Error in this stretch: {times(sizes[0])} the noise before, {times(sizes[1])} after."
+    return f"Error in this interval: {times(sizes[0])} the noise before, {times(sizes[1])} after."
 
 
 def spectra(found: Picture) -> list[Drawing]:
+    """Return the spectra of the errors."""
     return [_spectrum(each) for each in found.spectra]
 
 
@@ -73,14 +75,16 @@ def _spectrum(each: Spectrum) -> Drawing:
 
 
 def alike(found: Picture, named: tuple[str, ...]) -> Drawing | None:
+    """Return the figure of confounded effects, if there are two or more."""
     if len(found.alike.names) < 2:
         return None
     side = 0.27 * len(found.alike.names) + 2.2
     draw = partial(charts.draw_alike, alike=found.alike, named=named)
-    return Drawing("alike", "Who can be taken for whom", "", "", side + 0.8, side, draw)
+    return Drawing("alike", "Confounded effects", "", "", side + 0.8, side, draw)
 
 
 def held_out(found: Picture, labels: list[str]) -> Drawing | None:
+    """Return the figure of what was left out of the fit in turn, if anything was."""
     if not found.places:
         return None
     label, worst = max(zip(labels, found.places, strict=True), key=lambda pair: pair[1].after)

@@ -14,8 +14,8 @@ GLOSSARY = {
     "effect.",
     "−2 ln Z": "Evidence: how badly a hypothesis fits plus what its numbers cost. 10 less is strong, 30 practically "
     "certain, as far as errors are noise; shapes are never exactly ours, so it is not the only gate.",
-    "left out of the fit": "Each place in turn: all numbers are fitted to the runs at the other places, then this "
-    "place is simulated. An effect that only bends the curves to fit fails here.",
+    "left out of the fit": "Each position in turn: all parameters are fitted to the runs at the other positions, then "
+    "this position is simulated. An effect that only bends the curves to fit fails here.",
     "90 %": "The interval in which the value lies with 90 % probability if the effect is of the kind named.",
     "cos²": "Of the angle between what two effects do to these very runs, less what retuning can do: 1 if one can be "
     "taken for the other, 0 if they have nothing in common.",

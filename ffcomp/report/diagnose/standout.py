@@ -1,4 +1,4 @@
-"""What stands out where the excess is split by something: one sentence, computed."""
+"""State in one sentence what stands out where the excess is split."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MOTIONS = {"backward": "moving backward", "forward": "moving forward"}
 SPREAD = {
     "frequency": "no band holds more than its part",
     "signal": "all signals have their part",
-    "place": "all places have their part",
+    "place": "all positions contribute",
     "run": "all runs have their part",
     "share of the run's time": "early and late alike",
     "motion": "forward, backward and turning back alike",
@@ -39,7 +39,7 @@ SPREAD = {
 
 
 def stands_out(split: Split) -> str:
-    """`81 % of the excess lies at 60-80 Hz (10 % of what was compared).`"""
+    """Return `81 % of the excess lies at 60-80 Hz (10 % of what was compared).`."""
     excess, weight = np.maximum(split.before, 0.0), np.array(split.weight)
     mean = float(excess @ weight)
     if mean < NOTHING:
@@ -55,7 +55,7 @@ def stands_out(split: Split) -> str:
 
 
 def _spread(split: Split, excess: np.ndarray, mean: float) -> str:
-    """It is everywhere, or nearly."""
+    """State that the excess is everywhere, or nearly."""
     spared = [] if split.spans else [int(i) for i in np.argsort(excess) if excess[i] < LITTLE * mean]
     if not spared:
         return f"Nothing stands out: {SPREAD[split.title]}."

@@ -23,7 +23,7 @@ class Tile:
 
 
 def tiles(found: Outcome) -> list[Tile]:
-    """What the simulation is off by, before and after, and what noise alone would be."""
+    """Return the error of the simulation before and after, and that of noise alone."""
     names = " + ".join(found.effects)
     after = {"effects": f"with {names}", "none": "retuned", "unknown": f"with {names or 'retuning'}, refused"}
     before, noise = found.before.nrms, found.before.noise_nrms
@@ -38,6 +38,8 @@ def tiles(found: Outcome) -> list[Tile]:
 
 @dataclass(frozen=True, slots=True)
 class EvidenceRow:
+    """One hypothesis."""
+
     effects: str
     titles: str
     left: str  # error, times the noise
@@ -47,7 +49,7 @@ class EvidenceRow:
 
 
 def evidence_rows(found: Picture) -> list[EvidenceRow]:
-    """The likeliest first."""
+    """Return the hypotheses, the likeliest first."""
     return [
         EvidenceRow(
             together(e.effects),
@@ -63,6 +65,8 @@ def evidence_rows(found: Picture) -> list[EvidenceRow]:
 
 @dataclass(frozen=True, slots=True)
 class PromiseRow:
+    """One effect in the score test."""
+
     name: str
     title: str
     gain: str
@@ -71,6 +75,7 @@ class PromiseRow:
 
 
 def promise_rows(found: Picture) -> list[PromiseRow]:
+    """Return the effects in the score test, visible ones first."""
     return [
         PromiseRow(
             p.name,
@@ -89,6 +94,8 @@ def _sigmas(strength: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class RetunedRow:
+    """One retuned parameter."""
+
     name: str
     start: str
     now: str
@@ -98,6 +105,7 @@ class RetunedRow:
 
 
 def retuned_rows(found: Picture) -> list[RetunedRow]:
+    """Return the retuned parameters."""
     return [
         RetunedRow(
             r.name,
@@ -113,6 +121,8 @@ def retuned_rows(found: Picture) -> list[RetunedRow]:
 
 @dataclass(frozen=True, slots=True)
 class PlaceRow:
+    """One position left out of the fit."""
+
     label: str
     before: str  # error, times the noise
     after: str
@@ -120,6 +130,7 @@ class PlaceRow:
 
 
 def place_rows(found: Picture, labels: list[str]) -> list[PlaceRow]:
+    """Return the positions left out of the fit."""
     return [
         PlaceRow(
             label,

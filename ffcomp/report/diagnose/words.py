@@ -24,18 +24,19 @@ def percent(share: float) -> str:
 
 
 def most_of(share: float) -> str:
-    """A share of a gap: rounding must not make 99.96 % everything."""
+    """Format a share of a gap, so that rounding does not make 99.96 % everything."""
     if share >= 0.9995:
         return "more than 99.9 %"
     return f"{100 * share:.1f} %" if share > 0.985 else percent(share)
 
 
 def times_noise(excess: float) -> float:
-    """How large the error is, in rms, of the noise."""
+    """Return the error as a multiple of the noise, in rms."""
     return math.sqrt(max(1 + excess, 0.0))
 
 
 def times(value: float) -> str:
+    """Format a ratio: `6.4 times`, `57 times`."""
     return f"{digits(value, 2)} times" if value < 99.5 else f"{value:.0f} times"
 
 
@@ -62,11 +63,12 @@ def title(effect: str) -> str:
 
 
 def joined(parts: Sequence[str], last: str = "and") -> str:
-    """`a`, `a and b`, `a, b and c`."""
+    """Join names: `a`, `a and b`, `a, b and c`."""
     if len(parts) < 2:
         return "".join(parts)
     return f"{', '.join(parts[:-1])} {last} {parts[-1]}"
 
 
 def together(effects: Sequence[str]) -> str:
+    """Name a hypothesis by its effects."""
     return " + ".join(effects) if effects else "nothing added, only retuned"

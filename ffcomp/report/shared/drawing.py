@@ -1,4 +1,4 @@
-"""A figure that is not drawn yet, and how it becomes a file or an image on a page."""
+"""Deferred figures, and how they become files or images on a page."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Drawing:
 
     name: str  # of the files
     title: str
-    said: str  # its verdict in one line
+    said: str  # its finding in one line
     how_to_read: str
     width: float  # inches
     height: float
@@ -33,7 +33,7 @@ class Drawing:
 
 
 def svg(drawing: Drawing) -> bytes:
-    """The figure alone: on the page, heading and caption are text."""
+    """Draw the figure alone: on the page, heading and caption are text."""
     with matplotlib.rc_context(RC):
         figure = Figure(figsize=(drawing.width, drawing.height), layout=layout())
         drawing.draw(figure)
@@ -41,11 +41,12 @@ def svg(drawing: Drawing) -> bytes:
 
 
 def layout() -> ConstrainedLayoutEngine:
+    """Return the layout of every figure."""
     return ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.1)
 
 
 def file_of(figure: Figure, form: str) -> bytes:
-    """form : png or svg."""
+    """Return the figure as a file of the form "png" or "svg"."""
     file = io.BytesIO()
     with warnings.catch_warnings():  # a print's name may be written in any script: what the font lacks is a box
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
@@ -65,6 +66,6 @@ class Image:
 
 
 def image(drawing: Drawing, content: bytes) -> Image:
-    """content : the drawing as SVG."""
+    """Embed a drawing, given as SVG."""
     data = base64.b64encode(content).decode("ascii")
     return Image(drawing.title, drawing.said, data, round(96 * drawing.width), round(96 * drawing.height))

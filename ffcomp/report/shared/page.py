@@ -1,4 +1,4 @@
-"""What every page of ffcomp is made with: one file that opens offline, all text from files escaped, nothing fetched."""
+"""Render pages: one file that opens offline, all text from files escaped, nothing fetched."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FOLDER = "ffcomp.report"
 
 
 def rendered(report: str, filters: dict[str, Callable[..., str]], **values: Any) -> bytes:
-    """The page of one report: `REPORT/report.html.jinja`, with the styles of all pages and its own."""
+    """Render one report, `REPORT/report.html.jinja`, with the styles of all pages and its own."""
     environment = Environment(
         loader=FunctionLoader(resource),
         autoescape=True,
@@ -30,9 +30,10 @@ def rendered(report: str, filters: dict[str, Callable[..., str]], **values: Any)
 
 
 def resource(name: str) -> str:
+    """Read a file of the reports' folder."""
     return files(FOLDER).joinpath(name).read_text(encoding="utf-8")
 
 
 def tied(sentence: str) -> str:
-    """A number and its unit stay on one line."""
+    """Keep numbers and their units on one line."""
     return re.sub(r"(?<=\d) (?=(%|µm|mm|kg|N|Hz|mm/s|m/s²|s|min|h)\b|%|m/s²)", "\N{NO-BREAK SPACE}", sentence)

@@ -22,10 +22,10 @@ from ffcomp.diagnose.result import Outcome, Size
 from ffcomp.diagnose.summary import Picture, Split
 from ffcomp.identify.uncertainty import Estimate, normal
 from ffcomp.report.diagnose import effects, html, words
+from ffcomp.report.diagnose.confounded import confounded
 from ffcomp.report.diagnose.html import page
-from ffcomp.report.diagnose.rivals import look_alikes
+from ffcomp.report.diagnose.inputs import ReportInput, explained, explained_elsewhere
 from ffcomp.report.diagnose.standout import stands_out
-from ffcomp.report.diagnose.told import Told, explained, explained_elsewhere
 from ffcomp.report.diagnose.verdict import verdict
 from models.effects.catalogue import CATALOGUE, with_effect
 from models.file import LIBRARY, load_machine
@@ -80,7 +80,7 @@ class Case:
     runs: list[str]
     result: dict[str, Any]
     text: str
-    told: Told
+    told: ReportInput
 
 
 def made(folder: Path, hidden: dict[str, dict[str, Any]], names: tuple[str, ...]) -> Case:
@@ -117,7 +117,7 @@ def strange(tmp_path_factory: pytest.TempPathFactory) -> Case:
 
 
 @pytest.fixture(scope="module")
-def told(heavy: Case) -> Told:
+def told(heavy: Case) -> ReportInput:
     return heavy.told
 
 
@@ -289,11 +289,11 @@ def test_shares_of_the_gap_are_of_what_stands_above_the_noise() -> None:
 # ---- odd outcomes --------------------------------------------------------------------------------
 
 
-def changed(told: Told, **about: Any) -> Told:
+def changed(told: ReportInput, **about: Any) -> ReportInput:
     return replace(told, outcome=replace(told.outcome, **about))
 
 
-def test_the_splits_say_what_the_search_found(told: Told) -> None:
+def test_the_splits_say_what_the_search_found(told: ReportInput) -> None:
     found: Picture = told.picture
     titles = [each.title for each in found.splits]
     assert titles[:3] == ["frequency", "signal", "place"] and len(titles) == 8
@@ -310,24 +310,24 @@ def test_the_splits_say_what_the_search_found(told: Told) -> None:
     assert found.alike.names[0] == "effector_mass"
 
 
-def test_rivals_are_named_with_what_tells_them_apart(told: Told) -> None:
+def test_rivals_are_named_with_what_tells_them_apart(told: ReportInput) -> None:
     alike = replace(
         told.picture.alike, cos2=np.array([[1.0, 0.9], [0.9, 1.0]]), names=("effector_mass", "belt_stiffness")
     )
-    (row,) = look_alikes(replace(told, picture=replace(told.picture, alike=alike)))
+    (row,) = confounded(replace(told, picture=replace(told.picture, alike=alike)))
     assert (row.other, row.cos2) == ("belt_stiffness", "0.90")
     assert row.apart == CATALOGUE["effector_mass"].rivals["belt_stiffness"]
     said = verdict(changed(told, confusable_with=[("belt_stiffness", "somehow")]))
     assert any("It may be taken for belt_stiffness" in sentence for sentence in said)
 
 
-def test_noise_that_is_a_guess_is_called_one(told: Told) -> None:
+def test_noise_that_is_a_guess_is_called_one(told: ReportInput) -> None:
     guess = replace(told, picture=replace(told.picture, noise_from_repeats=False))
     assert "weaker evidence" in verdict(guess)[-1] and "weaker evidence" not in verdict(told)[-1]
     assert b"a guess from above" in page(guess)
 
 
-def test_effects_of_every_kind_have_words(told: Told) -> None:
+def test_effects_of_every_kind_have_words(told: ReportInput) -> None:
     """Every effect of the catalogue, all its parameters named, towers and axes apart."""
     for effect in CATALOGUE.values():
         table, intervals = {}, {}
@@ -343,14 +343,14 @@ def test_effects_of_every_kind_have_words(told: Told) -> None:
         assert effect.name in verdict(replace(told, outcome=found))[0]
 
 
-def test_text_from_files_is_escaped(told: Told) -> None:
+def test_text_from_files_is_escaped(told: ReportInput) -> None:
     nasty = '"><script>alert(1)</script>$x_1$'
     runs = replace(told.picture.splits[3], labels=tuple(nasty for _ in told.picture.splits[3].labels))
     splits = (*told.picture.splits[:3], runs, *told.picture.splits[4:])
     overlays = tuple(replace(each, recording=nasty) for each in told.picture.overlays)
     found = replace(told.picture, splits=splits, overlays=overlays)
     origin = replace(told.origin, machine=nasty, machine_file=nasty, runs=[nasty], written=nasty)
-    text = page(Told(told.outcome, found, told.proposals, origin)).decode()
+    text = page(ReportInput(told.outcome, found, told.proposals, origin)).decode()
     assert "alert(1)" in text and "<script" not in text
 
 

@@ -1,4 +1,4 @@
-"""What the report is told: what was found, as numbers and as a picture, and what it rests on."""
+"""The input of the report: the diagnosis, its summary, proposals, and their origin."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ffcomp.diagnose.summary import Picture
 
 @dataclass(frozen=True)
 class Origin:
-    """Where everything comes from; files by name and hash, not by folder."""
+    """Origin of a diagnosis; files by name and hash, not by folder."""
 
     machine: str  # its name
     machine_file: str  # `my-delta.toml sha256:…`
@@ -24,7 +24,9 @@ class Origin:
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class ReportInput:
+    """Everything that the report shows."""
+
     outcome: Outcome
     picture: Picture
     proposals: Sequence[Proposal]
@@ -32,12 +34,12 @@ class Told:
 
 
 def explained(before: Size, after: Size) -> float:
-    """Share of the gap above the noise, in power, that is gone."""
+    """Return the explained share of the gap above the noise, in power."""
     gap, left = (size.nrms**2 - size.noise_nrms**2 for size in (before, after))
     return 1 - max(left, 0.0) / gap if gap > 0 else 0.0
 
 
 def explained_elsewhere(found: Picture) -> float:
-    """The same at places that were left out of the fit in turn."""
+    """Return the explained share at positions that were left out of the fit in turn."""
     before, after = (sum(getattr(p, what) * p.rows for p in found.places) for what in ("before", "after"))
     return 1 - max(after, 0.0) / before if before > 0 else 0.0
