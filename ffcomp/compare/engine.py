@@ -359,7 +359,7 @@ def _bed(plant: Machine) -> BedMap:
     places = np.stack(np.meshgrid(x, y), axis=-1)
     frequency = every.mode_frequencies(plant)(places.reshape(-1, 2)).reshape(places.shape)
     inside = plant.kinematics.contains(places.reshape(-1, 2), 1e-3 * plant.kinematics.bed_radius_mm)
-    frequency[~inside.reshape(frequency.shape)] = np.nan
+    frequency[~inside.reshape(frequency.shape[:2])] = np.nan
     return BedMap(x, y, frequency)
 
 

@@ -40,7 +40,7 @@ def test_a_long_print_is_sampled_without_being_asked() -> None:
     path = judge.ROOT / "sample_prints" / "far_star.gcode"
     stretches, sentence = Print(path.read_bytes(), path.name, MACHINE).slices(Sampling())
     assert 100.0 < sum(each.trajectory.end_t for each in stretches) < 150.0
-    assert "stretches" in sentence
+    assert "slices" in sentence
 
 
 def test_layers_are_taken_whole_and_nothing_else() -> None:
