@@ -30,6 +30,7 @@ from ffcomp.errors import MeasurementError
 from ffcomp.identify.axis_spectra import AXES, COARSE, SMALLEST_ERROR, Datum, Response, Spectrum, usable
 from ffcomp.identify.uncertainty import Estimate, lognormal, normal
 from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.numerics.least_squares import minimise
 from models.arrays import ComplexArray, FloatArray
 
 START_DAMPING = 0.06
@@ -192,8 +193,6 @@ def _refined(fit: _Fit) -> _Fit:
 def _solved(
     data: Sequence[Datum], theta: FloatArray, count: int, errors: FloatArray, evaluations: int = 60
 ) -> FloatArray:
-    from scipy.optimize import least_squares
-
     own = np.concatenate([datum.limits for datum in data])
     free = np.full(_of_modes(count), np.inf)
     low, high = np.concatenate([-free, own[:, 0]]), np.concatenate([free, own[:, 1]])
@@ -204,15 +203,14 @@ def _solved(
     if count == 2:
         low[4], high[4] = SHARES
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # of a step too far, which is taken back
-        found = least_squares(
+        found = minimise(
             lambda at: np.concatenate(_residuals(data, at, count, errors)),
             np.clip(theta, low + 1e-9, high - 1e-9),
             lambda at: _jacobian(data, at, count, errors),
+            evaluations=evaluations,
             bounds=(low, high),
-            x_scale="jac",
-            max_nfev=evaluations,
         )
-    return np.asarray(found.x)
+    return found.x
 
 
 def _residuals(data: Sequence[Datum], theta: FloatArray, count: int, errors: FloatArray) -> list[FloatArray]:

@@ -20,6 +20,7 @@ from ffcomp.identify.predict import predicted
 from ffcomp.identify.rational import scaled_inverse
 from ffcomp.identify.uncertainty import Estimate, lognormal, normal
 from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.numerics.least_squares import central_differences, minimise
 from models.arrays import ComplexArray, FloatArray
 from models.machine import Machine
 from models.parameters import value_of, with_values
@@ -51,6 +52,7 @@ OTHER_MOUNTS = (0.02, 50.0)  # factors on a mount's stiffness
 NEAR = 0.1  # of the values may be far off where the search for a start ends
 STARTS = (1.0, 0.75, 1.33, 0.6, 1.7)  # factors on every frequency of the starting machine
 RANDOM_STARTS = 30
+STEP = 1e-5  # of differences: the unknowns are of order one, the error 1e-10
 ROUNDS = 10  # of fitting and weighing anew
 SMALLEST_MODEL_ERROR = 1e-4
 
@@ -289,29 +291,19 @@ def _faster(problem: _Problem, factor: float) -> FloatArray:
 
 
 def _least_squares(problem: _Problem, theta: FloatArray, epsilon: FloatArray, evaluations: int = 200) -> FloatArray:
-    from scipy.optimize import least_squares
-
-    def jacobian(at: FloatArray) -> FloatArray:
-        return _jacobian(problem, at, epsilon)
-
-    def residual(at: FloatArray) -> FloatArray:
-        return problem.residual(at, epsilon)
-
-    found = least_squares(residual, theta, jacobian, method="lm", x_scale="jac", max_nfev=evaluations)
+    found = minimise(
+        lambda at: problem.residual(at, epsilon),
+        theta,
+        lambda at: _jacobian(problem, at, epsilon),
+        evaluations=evaluations,
+    )
     if not np.all(np.isfinite(found.x)):
-        raise SolverError("The direct fit left the numbers it can compute with: check the measurements' units.")
-    return np.asarray(found.x)
+        raise SolverError("The output-error fit overflowed: check the measurements' units.")
+    return found.x
 
 
-def _jacobian(problem: _Problem, theta: FloatArray, epsilon: FloatArray, step: float = 1e-5) -> FloatArray:
-    """Central differences: the unknowns are of order one, the error 1e-10."""
-    columns = []
-    for i in range(len(theta)):
-        shift = np.zeros_like(theta)
-        shift[i] = step
-        ahead, behind = problem.residual(theta + shift, epsilon), problem.residual(theta - shift, epsilon)
-        columns.append((ahead - behind) / (2 * step))
-    return np.stack(columns, axis=1)
+def _jacobian(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> FloatArray:
+    return central_differences(lambda at: problem.residual(at, epsilon), theta, np.full(len(theta), STEP))
 
 
 def _model_error(problem: _Problem, theta: FloatArray, together: bool) -> FloatArray:

@@ -26,6 +26,7 @@ from ffcomp.identify.predict import AXES, CARRIAGES
 from ffcomp.identify.rational import RationalFit, fit_rational, scaled_inverse
 from ffcomp.identify.uncertainty import Joint
 from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.numerics.least_squares import minimise
 from models.arrays import ComplexArray, FloatArray, constant
 from models.machine import Carriage, Drive, Machine
 
@@ -214,8 +215,6 @@ def _solved(
     extra: Callable[[FloatArray], FloatArray],
 ) -> tuple[Joint, float]:
     """Weighted least squares of coefficients = equations(numbers), and what `extra` adds, in its own deviations."""
-    from scipy.optimize import least_squares
-
     coefficients = np.concatenate([np.append(fit.numerators.ravel(), fit.denominator[:-1]) for fit in fits])
     whiten = [np.linalg.cholesky(_positive(scaled_inverse(fit.covariance))).T for fit in fits]
     ends = np.cumsum([0, *(len(w) for w in whiten)])
@@ -228,10 +227,10 @@ def _solved(
             [*(w @ error[a:e] for w, a, e in zip(whiten, ends, ends[1:], strict=False)), extra(numbers)]
         )
 
-    best = least_squares(residual, start / unit, method="lm", x_scale="jac", max_nfev=2000)
-    covariance = scaled_inverse(best.jac.T @ best.jac) * np.outer(unit, unit)
-    freedom = len(best.fun) - len(start)
-    consistency = float(2 * best.cost / freedom)
+    best = minimise(residual, start / unit, evaluations=2000)
+    covariance = scaled_inverse(best.jacobian.T @ best.jacobian) * np.outer(unit, unit)
+    freedom = len(best.residual) - len(start)
+    consistency = best.cost / freedom
     wider = max(1.0, consistency) if freedom >= SURE_FREEDOM else 1.0
     return Joint(tuple(names), best.x * unit, covariance * wider), consistency
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ffcomp.errors import SolverError
 from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.numerics.least_squares import minimise
 from models.arrays import ComplexArray, FloatArray
 
 ITERATIONS = 30  # of the linear step: it either settles in ten or wanders
@@ -186,10 +187,8 @@ def _stabilised(theta: FloatArray, na: int) -> FloatArray:
 
 
 def _refined(problem: _Problem, start: FloatArray) -> FloatArray:
-    from scipy.optimize import least_squares
-
-    found = least_squares(problem.residual, start, problem.jacobian, method="lm", x_scale="jac", max_nfev=400)
-    return np.asarray(found.x if found.success or found.cost < np.sum(problem.residual(start) ** 2) / 2 else start)
+    found = minimise(problem.residual, start, problem.jacobian, evaluations=400)
+    return found.x if found.converged or found.cost < np.sum(problem.residual(start) ** 2) else start
 
 
 def _unscaled(problem: _Problem, theta: FloatArray, scale: float) -> RationalFit:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ffcomp.numerics.least_squares import central_differences
 from models.arrays import FloatArray
 
 NINETY_PERCENT = 1.6449  # standard deviations to each side
@@ -74,9 +75,5 @@ def through(function: Callable[[FloatArray], FloatArray], names: Sequence[str], 
     """A formula's results with covariance, to first order (GUM, JCGM 100:2008, 5.2), by central differences."""
     centre = np.asarray(function(inputs.values), dtype=float)
     steps = 1e-2 * np.sqrt(np.maximum(np.diag(inputs.covariance), 0.0))
-    slope = np.zeros((len(centre), len(steps)))
-    for i in np.flatnonzero(steps):
-        shift = np.zeros(len(steps))
-        shift[i] = steps[i]
-        slope[:, i] = (function(inputs.values + shift) - function(inputs.values - shift)) / (2 * steps[i])
+    slope = central_differences(function, inputs.values, steps)
     return Joint(tuple(names), centre, slope @ inputs.covariance @ slope.T)

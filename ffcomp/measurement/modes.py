@@ -19,12 +19,12 @@ from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.optimize import least_squares
 from scipy.signal import find_peaks
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.estimators import lines_of_dft
 from ffcomp.measurement.klipper import Capture, Resonances, read_vibration
+from ffcomp.numerics.least_squares import minimise
 from models.arrays import ComplexArray, FloatArray
 
 LOWEST_HZ, HIGHEST_HZ = 10.0, 130.0  # Klipper's sweep ends at 133 Hz; below 10 Hz its spectra are attenuated
@@ -195,13 +195,14 @@ class _Model:
         low[1:-2:3], high[1:-2:3] = np.log(self.frequency_hz[[0, -1]])
         low[2:-2:3], high[2:-2:3] = np.log(_DAMPING)
         # NOTE: soft_l1, because a spectrum has single lines (fans, steppers) that no mode explains
-        found = least_squares(
+        found = minimise(
             lambda p: weight * (target - self.log(p, signs)),
             np.clip(start, low + 1e-9, high - 1e-9),
             lambda p: -weight[:, None] * self.slopes(p, signs),
+            evaluations=60,
             bounds=(low, high),
-            loss="soft_l1",
-            max_nfev=60,
+            scaled=False,
+            robust=True,
         )
         residual = target - self.log(found.x, signs)
         return _Fit(found.x[:-2].reshape(-1, 3), signs, target, weight, residual, self.slopes(found.x, signs))

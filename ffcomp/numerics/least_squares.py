@@ -1,0 +1,299 @@
+"""Damped nonlinear least squares, for cheap residuals and for residuals that are simulations.
+
+`minimise` serves residuals that cost little and are smooth: Levenberg-Marquardt as in MINPACK (Moré, 1978) without
+bounds, a trust region (Branch, Coleman & Li, SIAM J. Sci. Comput. 21, 1999) with bounds or a robust loss.
+
+`minimise_batched` serves residuals that cost a simulation each. It is Levenberg-Marquardt (Levenberg 1944, Marquardt
+1963) with bounds and a unit prior on every unknown; its Jacobian is kept from step to step and corrected by secants
+(Broyden, Math. Comp. 19, 1965), and its differences and damped trials are evaluated in batches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]  # as models.arrays, which numerics lies below
+Residual = Callable[[FloatArray], FloatArray]  # (p,) -> (rows,)
+Bounds = tuple[FloatArray, FloatArray]  # lowest and highest, (p,) each
+
+STEP = 0.01  # of a prior's standard deviation, for differences: simulations have no noise of their own
+ENOUGH_CHANGE, SMALLEST_STEP = 30.0, 1e-5  # a step is smaller where it would change the residual by more than this
+REGULAR = 1e-12  # of the diagonal: keeps the normal matrix of confounded unknowns regular
+CLOSE_ENOUGH = 0.3  # of the cost, times the misfit: a fit ends when less than this can be gained
+SMALL_GAIN = 1e-7  # or less than this share of the cost
+TRUST = 0.3  # of its predicted gain must a step reach, or the kept columns of the Jacobian are too old
+DAMPINGS = (10.0, 100.0, 1e3, 1e4, 1e5)  # tried at once, times the last one, where a step does not help
+SMALLEST_DAMPING = 1e-3
+MOST_PASSES = 1000  # of the search for the bounds that are active in a step
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The least found by `minimise`."""
+
+    x: FloatArray  # (p,)
+    residual: FloatArray  # (rows,)
+    jacobian: FloatArray  # (rows, p), ∂residual/∂x
+    cost: float  # |residual|²; of a robust loss, twice what was minimised
+    converged: bool  # False where the evaluations ran out
+
+
+def minimise(
+    residual: Residual,
+    start: FloatArray,
+    jacobian: Residual | None = None,
+    *,
+    evaluations: int,
+    bounds: Bounds | None = None,
+    scaled: bool = True,
+    robust: bool = False,
+) -> Solution:
+    """Minimise |residual(x)|² from `start`.
+
+    Parameters
+    ----------
+    start : (p,), inside the bounds.
+    jacobian : (p,) -> (rows, p); forward differences if there is none.
+    evaluations : of the residual, at most.
+    scaled : measure steps by the Jacobian's columns (Moré, 1978), for unknowns of different sizes.
+    robust : minimise Σ 2 (√(1 + r²) − 1) in place of Σ r² (soft L1), so that single outliers count less.
+    """
+    from scipy.optimize import least_squares
+
+    found = least_squares(
+        residual,
+        start,
+        jacobian or "2-point",
+        bounds=(-np.inf, np.inf) if bounds is None else bounds,
+        method="lm" if bounds is None and not robust else "trf",
+        x_scale="jac" if scaled else 1.0,
+        loss="soft_l1" if robust else "linear",
+        max_nfev=evaluations,
+    )
+    return Solution(np.asarray(found.x), found.fun, found.jac, 2.0 * float(found.cost), bool(found.success))
+
+
+def central_differences(function: Residual, x: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return ∂function/∂x, (rows, p); a column is zero where its step, of (p,), is zero."""
+    columns: dict[int, FloatArray] = {}
+    for i in np.flatnonzero(steps).tolist():
+        shift = np.zeros(len(x))
+        shift[i] = steps[i]
+        columns[i] = (function(x + shift) - function(x - shift)) / (2 * steps[i])
+    unmoved = np.zeros_like(next(iter(columns.values())) if columns else function(x))
+    return np.stack([columns.get(i, unmoved) for i in range(len(x))], axis=1)
+
+
+# ---- residuals that are simulations --------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class BatchedProblem:
+    """Minimise |r(z)|² + |z|² inside bounds, r(z) = y − f(z), where many points are evaluated together.
+
+    The unknowns z are in units of their priors' standard deviations.
+    """
+
+    residuals: Callable[[Sequence[FloatArray]], Iterator[FloatArray]]  # points (p,) -> (rows,) each, in order
+    low: FloatArray  # (p,)
+    high: FloatArray  # (p,)
+
+    def clip(self, z: FloatArray) -> FloatArray:
+        """Move a point (p,) inside the bounds."""
+        return np.clip(z, self.low, self.high)
+
+    def at(self, z: FloatArray) -> FloatArray:
+        """Evaluate one point: (rows,)."""
+        return next(self.residuals([z]))
+
+    def step(self, z: FloatArray, normal: FloatArray, gradient: FloatArray) -> FloatArray:
+        """Return the best step (p,) from z of the quadratic model ½ sᵀ normal s − gradientᵀ s."""
+        return bounded_step(normal, gradient, self.low - z, self.high - z)
+
+
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """A point of a batched fit with what is known there."""
+
+    z: FloatArray  # (p,)
+    residual: FloatArray  # (rows,)
+    jacobian: FloatArray  # (rows, p), ∂f/∂z = −∂r/∂z
+
+    @property
+    def cost(self) -> float:
+        """|r|² + |z|²."""
+        return float(self.residual @ self.residual + self.z @ self.z)
+
+
+def minimise_batched(
+    problem: BatchedProblem,
+    start: FloatArray,
+    jacobian: FloatArray | None = None,
+    *,
+    renew: Sequence[int] = (),
+    iterations: int = 6,
+    small_gain: float = SMALL_GAIN,
+    renew_all: bool = True,
+    exact: bool = False,
+) -> Iterate:
+    """Minimise |r|² + |z|² from `start`.
+
+    Parameters
+    ----------
+    start : (p,).
+    jacobian : (rows, p) to begin with; None: take all of it, by central differences.
+    renew : columns to take anew at every step: those of unknowns that act nonlinearly.
+    small_gain : the share of the cost that must still be gained for another step.
+    renew_all : where no step helps, take all columns anew and go on.
+    exact : take all of the Jacobian by central differences, with steps as fine as the given one asks for.
+    """
+    here, fresh = _begin(problem, start, jacobian, exact)
+    everything: Sequence[int] = range(len(here.z))
+    damping = 0.0
+    for _ in range(iterations):
+        least = max(CLOSE_ENOUGH * max(1.0, here.cost / len(here.residual)), small_gain * here.cost)
+        predicted = predicted_gain(problem, here)
+        better = None if predicted < least else _damped_step(problem, here, damping)
+        if better is None and (fresh or not renew_all):
+            break
+        # where no step helps any more, or one gains far less than predicted, the columns that were kept are too old
+        fresh = better is None or here.cost - better[0].cost < TRUST * predicted
+        if better is not None:
+            here, damping = better
+        columns = everything if fresh else renew
+        if len(columns):
+            here = _renewed(problem, here, columns, central=fresh and exact)
+    return here
+
+
+def _begin(
+    problem: BatchedProblem, start: FloatArray, jacobian: FloatArray | None, exact: bool
+) -> tuple[Iterate, bool]:
+    """Evaluate the start; also tell whether its Jacobian is fresh."""
+    z = problem.clip(start)
+    residual = problem.at(z)
+    if jacobian is not None and not exact:
+        return Iterate(z, residual, jacobian), False
+    sizes = None if jacobian is None else np.linalg.norm(jacobian, axis=0)
+    return Iterate(z, residual, differences(problem, z, residual, range(len(z)), central=True, sizes=sizes)), True
+
+
+def _renewed(problem: BatchedProblem, here: Iterate, columns: Sequence[int], central: bool) -> Iterate:
+    jacobian = here.jacobian.copy()
+    sizes = np.linalg.norm(jacobian, axis=0)
+    jacobian[:, list(columns)] = differences(problem, here.z, here.residual, columns, central, sizes)
+    return Iterate(here.z, here.residual, jacobian)
+
+
+def differences(
+    problem: BatchedProblem,
+    z: FloatArray,
+    residual: FloatArray,
+    columns: Sequence[int],
+    central: bool = False,
+    sizes: FloatArray | None = None,
+) -> FloatArray:
+    """Return ∂f/∂z, (rows, len(columns)): one-sided, away from the nearer bound, or central where there is room.
+
+    Central differences cost twice as much, and are worth it at the end of a fit: the effects of confounded unknowns (a
+    heavier machine on stiffer belts) cancel in exact derivatives only.
+
+    Parameters
+    ----------
+    sizes : (p,) about how much the residual changes with each unknown, which sets the steps.
+    """
+    steps = np.full(len(z), STEP)
+    if sizes is not None:
+        steps = np.clip(ENOUGH_CHANGE / np.maximum(sizes, 1e-300), SMALLEST_STEP, STEP)
+    pairs = [_either_side(problem, z, i, steps[i], central) for i in columns]
+    residuals = problem.residuals([x for pair in pairs for x in pair if x is not z])
+    found = []
+    for i, (low, high) in zip(columns, pairs, strict=True):
+        below = residual if low is z else next(residuals)
+        above = residual if high is z else next(residuals)
+        found.append((below - above) / max(high[i] - low[i], SMALLEST_STEP))
+    return np.stack(found, axis=1)
+
+
+def _either_side(
+    problem: BatchedProblem, z: FloatArray, i: int, step: float, central: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Return z with unknown i a step lower and higher; z itself at a bound, or where one side is enough."""
+    behind, ahead = _shifted(problem, z, i, -step), _shifted(problem, z, i, step)
+    high = ahead if ahead[i] > z[i] else z
+    low = behind if behind[i] < z[i] and (central or high is z) else z
+    return low, high
+
+
+def _shifted(problem: BatchedProblem, z: FloatArray, i: int, step: float) -> FloatArray:
+    shifted = z.copy()
+    shifted[i] += step
+    return problem.clip(shifted)
+
+
+def predicted_gain(problem: BatchedProblem, here: Iterate) -> float:
+    """Return what the best step would take off the cost if f were linear."""
+    normal, gradient = _quadratic(here)
+    step = problem.step(here.z, normal, gradient)
+    return float(2 * gradient @ step - step @ normal @ step)
+
+
+def _quadratic(here: Iterate) -> tuple[FloatArray, FloatArray]:
+    """Normal matrix (p, p) and gradient (p,) of the Gauss-Newton model."""
+    normal = np.eye(len(here.z)) + here.jacobian.T @ here.jacobian
+    return normal, here.jacobian.T @ here.residual - here.z
+
+
+def bounded_step(normal: FloatArray, gradient: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Minimise ½ sᵀNs − gᵀs with low ≤ s ≤ high, N positive definite.
+
+    As least squares, |Lᵀs − L⁻¹g|² with N = L Lᵀ scaled to a diagonal of ones, so that confounded unknowns share a
+    step (bounded-variable least squares: Stark & Parker, Comp. Stat. 10, 1995).
+
+    Parameters
+    ----------
+    normal : (p, p).
+    gradient, low, high : (p,).
+    """
+    from scipy.linalg import solve_triangular
+    from scipy.optimize import lsq_linear
+
+    free = high > low
+    step = np.zeros(len(gradient))
+    if not free.any():
+        return step
+    scale = 1 / np.sqrt(np.diag(normal)[free])
+    regular = normal[np.ix_(free, free)] * np.outer(scale, scale) + REGULAR * np.eye(len(scale))
+    lower = np.linalg.cholesky(regular)
+    right = solve_triangular(lower, scale * gradient[free], lower=True)
+    bounds = (np.minimum(low[free], 0.0) / scale, np.maximum(high[free], 0.0) / scale)
+    step[free] = scale * lsq_linear(lower.T, right, bounds, "bvls", tol=1e-14, max_iter=MOST_PASSES).x
+    return step
+
+
+def _damped_step(problem: BatchedProblem, here: Iterate, damping: float) -> tuple[Iterate, float] | None:
+    """Take one step; if it does not help, the best of several that are damped more and more; None if none helps.
+
+    Returns the new point, its Jacobian corrected by the secant, and the damping to begin the next step with.
+    """
+    normal, gradient = _quadratic(here)
+    for dampings in ((damping,), tuple(max(damping, SMALLEST_DAMPING) * grown for grown in DAMPINGS)):
+        damped = [normal + d * np.diag(np.diag(normal)) for d in dampings]
+        trials = [problem.clip(here.z + problem.step(here.z, matrix, gradient)) for matrix in damped]
+        found = [Iterate(z, r, here.jacobian) for z, r in zip(trials, problem.residuals(trials), strict=True)]
+        best = int(np.argmin([trial.cost for trial in found]))
+        if found[best].cost < here.cost:
+            used = dampings[best]
+            return _secant(here, found[best]), used / 10 if used > SMALLEST_DAMPING else 0.0
+    return None
+
+
+def _secant(here: Iterate, there: Iterate) -> Iterate:
+    """Correct the Jacobian by what the step really did."""
+    step, change = there.z - here.z, here.residual - there.residual
+    jacobian = here.jacobian + np.outer(change - here.jacobian @ step, step) / (step @ step)
+    return Iterate(there.z, there.residual, jacobian)

@@ -1,0 +1,138 @@
+"""Least squares: known minima, bounds, outliers, and the bounded step and fit of a batched problem."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ffcomp.numerics.least_squares import (
+    BatchedProblem,
+    bounded_step,
+    central_differences,
+    differences,
+    minimise,
+    minimise_batched,
+)
+from models.arrays import FloatArray
+
+T = np.linspace(0.0, 1.0, 40)
+
+
+def decay(x: FloatArray) -> FloatArray:
+    return x[0] * np.exp(-x[1] * T)
+
+
+def test_minimise_finds_a_known_minimum_with_and_without_a_jacobian() -> None:
+    def residual(x: FloatArray) -> FloatArray:
+        return decay(x) - decay(np.array([2.0, 3.0]))
+
+    def jacobian(x: FloatArray) -> FloatArray:
+        return np.stack([np.exp(-x[1] * T), -T * decay(x)], axis=1)
+
+    for slopes in (None, jacobian):
+        found = minimise(residual, np.array([1.0, 1.0]), slopes, evaluations=100)
+        np.testing.assert_allclose(found.x, [2.0, 3.0], rtol=1e-6)
+        assert found.converged and found.cost < 1e-12
+        np.testing.assert_allclose(found.jacobian, jacobian(found.x), atol=1e-5)
+
+
+def test_minimise_stays_inside_bounds_and_says_when_evaluations_run_out() -> None:
+    def residual(x: FloatArray) -> FloatArray:
+        return decay(x) - decay(np.array([2.0, 3.0]))
+
+    bounds = np.array([0.0, 0.0]), np.array([5.0, 2.0])
+    assert minimise(residual, np.array([1.0, 1.0]), bounds=bounds, evaluations=100).x[1] == pytest.approx(2.0, abs=1e-3)
+    assert not minimise(residual, np.array([1.0, 1.0]), evaluations=3).converged
+
+
+def test_a_robust_fit_takes_little_notice_of_an_outlier() -> None:
+    data = np.append(np.zeros(30), 1000.0)
+    plain, robust = (
+        minimise(lambda x: data - x, np.ones(1), evaluations=100, robust=robust).x[0] for robust in (False, True)
+    )
+    assert plain == pytest.approx(1000 / 31, rel=1e-3)
+    assert abs(robust) < 0.1
+
+
+def test_central_differences_are_of_second_order_and_skip_what_does_not_move() -> None:
+    x, exact = np.array([2.0, 3.0]), np.stack([np.exp(-3 * T), np.zeros_like(T)], axis=1)
+    found = central_differences(decay, x, np.array([1e-4, 0.0]))
+    np.testing.assert_allclose(found, exact, atol=1e-9)
+    errors = [np.abs(central_differences(decay, x, np.array([0.0, h]))[:, 1] + T * decay(x)).max() for h in (0.1, 0.05)]
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.05)
+
+
+# ---- batched problems ----------------------------------------------------------------------------
+
+
+def batched(y: FloatArray) -> BatchedProblem:
+    """y = a (t + t²) + a³ t², a toy simulation whose second unknown moves nothing beyond its bounds."""
+
+    def residuals(points: Sequence[FloatArray]) -> Iterator[FloatArray]:
+        return (y - model(z) for z in points)
+
+    return BatchedProblem(residuals, np.array([-5.0, 0.0]), np.array([5.0, 0.5]))
+
+
+def model(z: FloatArray) -> FloatArray:
+    return 1e3 * (z[0] * T + z[0] ** 3 * T**2 + z[1] * np.cos(5 * T))
+
+
+def test_a_batched_fit_finds_the_minimum_inside_the_bounds() -> None:
+    found = minimise_batched(batched(model(np.array([1.5, 0.25]))), np.zeros(2), iterations=20)
+    np.testing.assert_allclose(found.z, [1.5, 0.25], atol=1e-3)
+    at_bound = minimise_batched(batched(model(np.array([1.5, 2.0]))), np.zeros(2), iterations=20)
+    assert at_bound.z[1] == pytest.approx(0.5)
+
+
+def test_differences_turn_inward_at_a_bound() -> None:
+    problem, z = batched(np.zeros(len(T))), np.array([1.0, 0.5])
+    found = differences(problem, z, problem.at(z), [0, 1], central=True)
+    np.testing.assert_allclose(found[:, 1], 1e3 * np.cos(5 * T), rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(found[:, 0], 1e3 * (T + 3 * T**2), rtol=1e-3, atol=1e-2)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.floats(-5, 5), min_size=3, max_size=3), st.integers(0, 10**6))
+def test_a_bounded_step_stays_inside_and_gains_no_less_than_the_free_step_cut_off(
+    slope: list[float], seed: int
+) -> None:
+    half = np.random.default_rng(seed).standard_normal((5, 3))
+    normal, gradient = np.eye(3) + half.T @ half, np.array(slope)
+    step = bounded_step(normal, gradient, -np.ones(3), np.ones(3))
+    assert np.all(np.abs(step) <= 1 + 1e-12)
+    free = np.linalg.solve(normal, gradient)
+    if np.abs(free).max() < 1:
+        np.testing.assert_allclose(step, free)
+    assert gradient @ step - step @ normal @ step / 2 >= -1e-9  # never worse than standing still
+
+
+def test_confounded_unknowns_share_a_step() -> None:
+    """A normal matrix that is singular to rounding: the step still goes down, and no farther than needed."""
+    column = 1e9 * np.ones((50, 1)) + np.arange(50)[:, None]
+    jacobian = np.hstack([column, column, np.arange(50.0)[:, None]])
+    normal = np.eye(3) + jacobian.T @ jacobian
+    step = bounded_step(normal, jacobian.T @ np.arange(50.0), np.full(3, -np.inf), np.full(3, np.inf))
+    assert np.all(np.isfinite(step))
+    assert step[0] == pytest.approx(step[1], rel=1e-3, abs=1e-6)
+    assert step[2] == pytest.approx(1.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_bounded_step_is_the_best_inside_the_bounds(seed: int) -> None:
+    """At the least of a convex parabola in a box, the slope points outward at every wall and is zero elsewhere."""
+    rng = np.random.default_rng(seed)
+    jacobian = rng.normal(size=(60, 12)) @ rng.normal(size=(12, 12))
+    normal, gradient = np.eye(12) + jacobian.T @ jacobian, jacobian.T @ rng.normal(size=60) * 300
+    z = rng.uniform(-1, 1, 12)
+    step = bounded_step(normal, gradient, -1 - z, 1 - z)
+    slope, at = gradient - normal @ step, z + step
+    assert np.all(np.abs(at) <= 1 + 1e-12)
+    inside = np.abs(at) < 1 - 1e-9
+    assert np.abs(slope[inside]).max(initial=0.0) < 1e-6 * np.abs(gradient).max()
+    assert np.all(slope[~inside] * at[~inside] > -1e-6 * np.abs(gradient).max())
+    assert (~inside).any()  # the parabola is long enough to reach them
