@@ -30,9 +30,9 @@ from ffcomp.compare.evaluation import Execution, contour
 from ffcomp.compare.methods import COMPENSATED, inversion, none
 from ffcomp.compare.monte_carlo import draw_plants, dynamic_numbers
 from ffcomp.compare.sampling import Print, PrintSlice, Sampling
-from ffcomp.diagnose.engine import diagnose
-from ffcomp.diagnose.printer_problem import Delta
-from ffcomp.diagnose.result import better_file, outcome
+from ffcomp.diagnose.diagnosis import diagnose
+from ffcomp.diagnose.printer_problem import PrinterProblem
+from ffcomp.diagnose.result import better_file, result_of
 from ffcomp.inverse.settings import settings_for
 from ffcomp.measurement.recording import read_recording
 from models.file import load_machine, updated_text
@@ -252,14 +252,14 @@ def forced(folder: Path, owner: Path, runs: Sequence[Path], name: str) -> Wrong:
     """The same runs with one candidate only; its machine file is written although it was refused."""
     path = folder / f"wrong-{name}.json"
     if not path.exists():
-        plant = Delta(load_machine(owner), [read_recording(run) for run in runs], (name,))
+        plant = PrinterProblem(load_machine(owner), [read_recording(run) for run in runs], (name,))
         found = diagnose(plant)
-        told = outcome(plant, found)
+        told = result_of(plant, found)
         gaps = {"gap_before": told.before.nrms, "gap_after": told.after.nrms}
         said = {
             "name": name,
             "verdict": told.verdict,
-            "refused": told.refused,
+            "refused": told.rejections,
             "table": dict(told.effects.get(name, {})),
         }
         path.with_suffix(".toml").write_text(better_file(owner, "wrong", told, [], "never"), encoding="utf-8")

@@ -24,9 +24,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ffcomp.diagnose.engine import diagnose
-from ffcomp.diagnose.printer_problem import Delta
-from ffcomp.diagnose.summary import Picture, picture
+from ffcomp.diagnose.diagnosis import diagnose
+from ffcomp.diagnose.printer_problem import PrinterProblem
+from ffcomp.diagnose.summary import DiagnosisSummary, summarise
 from ffcomp.identify.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
@@ -230,8 +230,8 @@ def diagnosis() -> Image.Image:
     """Where the gap is, by frequency, and one stretch of a run, before and after, as in the report."""
     tutorial("first_diagnosis", until="## 2.")
     runs = [read_recording(path) for path in sorted(Path("runs").glob("*.csv"))]
-    plant = Delta(load_machine("my-delta.toml"), runs)
-    found: Picture = picture(plant, diagnose(plant))
+    plant = PrinterProblem(load_machine("my-delta.toml"), runs)
+    found: DiagnosisSummary = summarise(plant, diagnose(plant))
     return side_by_side([figures.overlays(found)[0], figures.spectra(found)[0]])
 
 

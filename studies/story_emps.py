@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import butter, filtfilt
 
-from ffcomp.diagnose.axis_problem import FRICTION, MASS, OFFSET, SHOT_S, VISCOUS, Axis, ForceDriven, read_emps
-from ffcomp.diagnose.engine import Diagnosis, diagnose
+from ffcomp.diagnose.axis_problem import FRICTION, MASS, OFFSET, SHOT_S, VISCOUS, AxisProblem, ForceDriven, read_emps
+from ffcomp.diagnose.diagnosis import Diagnosis, diagnose
 from studies.prose import filled
 
 FloatArray = NDArray[np.float64]
@@ -57,7 +57,7 @@ class Answer:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", action="store_true", help=f"write {PAGE.relative_to(ROOT)} and its figures")
-    found = diagnose(Axis([read_emps(ESTIMATION)], *GUESS))
+    found = diagnose(AxisProblem([read_emps(ESTIMATION)], *GUESS))
     fitted, fresh = (answer(path, found) for path in (ESTIMATION, PULSES))
     text = filled([*page(found, fitted, fresh), *about_pulses()])
     if not parser.parse_args().write:
@@ -70,7 +70,7 @@ def main() -> None:
 
 def answer(path: Path, found: Diagnosis) -> Answer:
     """Both plants begin anew at every shot, with the measured position and speed."""
-    axis = Axis([read_emps(path)], *GUESS)
+    axis = AxisProblem([read_emps(path)], *GUESS)
     measured = np.concatenate([r.measured[:, 0] for r in axis.observations])
     before, after = (
         1e3 * (measured - np.concatenate([y[:, 0] for y in axis.simulate(values)]))
@@ -136,7 +136,7 @@ noise (mean square, less one; nothing was repeated, so the noise is a guess from
 
 | left out from | before | after |
 |---|---|---|"""
-    yield from (f"| {place.place[0]:.0f} s | {place.before:.1f} | {place.after:.1f} |" for place in found.places)
+    yield from (f"| {place.position[0]:.0f} s | {place.before:.1f} | {place.after:.1f} |" for place in found.held_out)
     yield f"""
 ![error over time, and by the sign of the speed]({FIGURES["error"].name})
 
@@ -162,9 +162,9 @@ def rms(x: FloatArray) -> float:
 
 
 def about_pulses() -> Iterator[str]:
-    alone, both = (diagnose(Axis([read_emps(path) for path in paths], *GUESS)) for paths in ([PULSES], BOTH))
-    wrong = diagnose(Axis([twice_pushed(read_emps(PULSES))], *GUESS))
-    worst = max(both.places, key=lambda p: p.after)
+    alone, both = (diagnose(AxisProblem([read_emps(path) for path in paths], *GUESS)) for paths in ([PULSES], BOTH))
+    wrong = diagnose(AxisProblem([twice_pushed(read_emps(PULSES))], *GUESS))
+    worst = max(both.held_out, key=lambda p: p.after)
     inside_force, left_n = pulses_in_force()
     yield f"""## The recording with pulses
 
@@ -179,7 +179,7 @@ jumps when they do, and a regression of that force on acceleration, speed, its s
 {-GAIN_N_PER_V:.0f}); it leaves {left_n:.1f} N rms.
 
 Read rightly, this recording alone gives {said(alone)}, and both together {said(both)}. With both, the stretch from
-{worst.place[0]:.0f} s does worst: {left(worst.after)}. The publishers say that the pulses shake a flexibility of the
+{worst.position[0]:.0f} s does worst: {left(worst.after)}. The publishers say that the pulses shake a flexibility of the
 axis, which neither their model has nor ours.
 """
 
@@ -202,7 +202,7 @@ def left(excess: float) -> str:
 
 def said(found: Diagnosis) -> str:
     if found.named is None:
-        return f"`{found.verdict}` ({'; '.join(found.refused)})"
+        return f"`{found.verdict}` ({'; '.join(found.rejections)})"
     return f"{' and '.join(f'`{n}`' for n in found.named.names)}, {found.final.values[FRICTION]:.1f} N"
 
 

@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.diagnose.printer_problem import Delta
+from ffcomp.diagnose.printer_problem import PrinterProblem
 from ffcomp.measurement.recording import read_recording
 from models.effects.catalogue import effective_machine
 from models.file import load_machine
@@ -356,7 +356,7 @@ def draw_overlay(told: Told, path: Path) -> None:
     from matplotlib import pyplot
 
     runs = [read_recording(sorted((told.folder / "fresh").glob("infill*.csv"))[0])]
-    plants = [Delta(load_machine(file), runs, ()) for file in (told.owner, told.better)]
+    plants = [PrinterProblem(load_machine(file), runs, ()) for file in (told.owner, told.better)]
     old, new = (plant.simulate({})[0] for plant in plants)
     observation = plants[0].observations[0]
     figure, axes = pyplot.subplots(2, 1, figsize=(8, 4.6), sharex=True, layout="constrained")

@@ -11,9 +11,9 @@ from ffcomp.cli.help import ACCURACY, OUTPUT
 from ffcomp.cli.options import AsJson, Force, MachineName, Quiet, Report, Runs
 
 if TYPE_CHECKING:
-    from ffcomp.diagnose.engine import Diagnosis
-    from ffcomp.diagnose.printer_problem import Delta
-    from ffcomp.diagnose.result import Outcome
+    from ffcomp.diagnose.diagnosis import Diagnosis
+    from ffcomp.diagnose.printer_problem import PrinterProblem
+    from ffcomp.diagnose.result import DiagnosisResult
 
 Output = Annotated[
     Path | None,
@@ -59,10 +59,10 @@ def diagnose(
     with exit_codes():
         import time
 
-        from ffcomp.diagnose.engine import diagnose as searched
+        from ffcomp.diagnose.diagnosis import diagnose as searched
         from ffcomp.diagnose.json import diagnosis_json
-        from ffcomp.diagnose.printer_problem import Delta
-        from ffcomp.diagnose.result import outcome
+        from ffcomp.diagnose.printer_problem import PrinterProblem
+        from ffcomp.diagnose.result import result_of
         from ffcomp.diagnose.validation import check_alike, check_repeats
         from ffcomp.measurement.recording import read_recording
         from models.file import load_machine
@@ -70,14 +70,14 @@ def diagnose(
         began = time.monotonic()
         loaded = load_machine(machine)
         measured = [read_recording(path) for path in runs]
-        plant = Delta(loaded, measured)
+        problem = PrinterProblem(loaded, measured)
         check_alike(measured)
         if not without_repeats:
             check_repeats(measured)
-        search = searched(plant, lambda sentence: say(f"ffcomp: {sentence}", quiet))
-        found = outcome(plant, search)
+        search = searched(problem, lambda sentence: say(f"ffcomp: {sentence}", quiet))
+        found = result_of(problem, search)
         better = output if found.mends else None
-        files = _better(plant, found, better, runs) | _page(plant, search, found, better, report, runs, began)
+        files = _better(problem, found, better, runs) | _page(problem, search, found, better, report, runs, began)
         _write(files)
         if as_json:
             print_json(diagnosis_json(found, _text(better), _text(report), time.monotonic() - began))
@@ -98,7 +98,9 @@ def _check_targets(output: Path | None, report: Path | None, force: bool) -> Non
         raise typer.BadParameter(f"{report}: --report and --output must be two files.")
 
 
-def _better(plant: Delta, found: Outcome, target: Path | None, runs: list[Path]) -> dict[Path, bytes]:
+def _better(
+    problem: PrinterProblem, found: DiagnosisResult, target: Path | None, runs: list[Path]
+) -> dict[Path, bytes]:
     """The better machine file, if it is asked for and an effect is named."""
     if target is None:
         return {}
@@ -109,15 +111,15 @@ def _better(plant: Delta, found: Outcome, target: Path | None, runs: list[Path])
     from models.file import check_text
 
     hashes = [hash_of(path) for path in runs]
-    text = better_file(Path(plant.machine.path), target.stem, found, hashes, date.today().isoformat())
+    text = better_file(Path(problem.machine.path), target.stem, found, hashes, date.today().isoformat())
     check_text(text, str(target))
     return {target: text.encode()}
 
 
 def _page(
-    plant: Delta,
+    problem: PrinterProblem,
     search: Diagnosis,
-    found: Outcome,
+    found: DiagnosisResult,
     better: Path | None,
     target: Path | None,
     runs: list[Path],
@@ -130,16 +132,16 @@ def _page(
     from datetime import date
 
     from ffcomp.diagnose.next_experiment import propose
-    from ffcomp.diagnose.summary import picture
+    from ffcomp.diagnose.summary import summarise
     from ffcomp.identify.machine_fit import hash_of
     from ffcomp.report.diagnose.html import page
     from ffcomp.report.diagnose.inputs import Origin, ReportInput
     from ffcomp.version import __version__
 
-    drawn, proposals = picture(plant, search), propose(plant, search)
+    drawn, proposals = summarise(problem, search), propose(problem, search)
     origin = Origin(
-        machine=plant.machine.name,
-        machine_file=hash_of(Path(plant.machine.path)),
+        machine=problem.machine.name,
+        machine_file=hash_of(Path(problem.machine.path)),
         runs=[hash_of(path) for path in runs],
         date=date.today().isoformat(),
         version=__version__,
@@ -167,7 +169,7 @@ def _digits(value: Any) -> str:
     return value if isinstance(value, str) else f"{value:.4g}"
 
 
-def _print(found: Outcome, written: Path | None, report: Path | None) -> None:
+def _print(found: DiagnosisResult, written: Path | None, report: Path | None) -> None:
     from models.effects.catalogue import CATALOGUE
 
     size = f"{100 * found.before.nrms:.2f} % of the signals (noise {100 * found.before.noise_nrms:.2f} %)"
@@ -177,8 +179,8 @@ def _print(found: Outcome, written: Path | None, report: Path | None) -> None:
             print(f"With {len(found.retuned)} of the file's numbers retuned, {100 * found.after.nrms:.2f} % are left.")
     elif found.verdict == "unknown":
         print(f"There is a gap of {size}, and nothing known explains it.")
-        if found.refused:
-            print(f"Nearest: {', '.join(found.effects)}; refused because {'; '.join(found.refused)}.")
+        if found.rejections:
+            print(f"Nearest: {', '.join(found.effects)}; refused because {'; '.join(found.rejections)}.")
     else:
         print(f"The gap of {size} shrinks to {100 * found.after.nrms:.2f} % with:")
         for name in found.effects:
@@ -186,7 +188,7 @@ def _print(found: Outcome, written: Path | None, report: Path | None) -> None:
             for key, e in found.parameters(name).items():
                 print(f"    {key} = {_digits(e['value'])}   (90 %: {_digits(e['low'])} to {_digits(e['high'])})")
         print("At places it was not fitted to: {:.2f} → {:.2f} %.".format(*(100 * x for x in found.held_out)))
-    for name, how in found.confusable_with if found.verdict == "effects" else ():
+    for name, how in found.confounded_with if found.verdict == "effects" else ():
         print(f"Looks alike: {name}. To tell them apart: {how}")
     if found.invisible:
         print(f"These runs could not show: {', '.join(found.invisible)}.")

@@ -44,8 +44,8 @@ def _print(discrepancy: Discrepancy) -> None:
         else "the spectrum above the model's band, which is weaker: measure something twice"
     )
     print(
-        f"Simulation and measurement differ by {100 * found.whole.nrms:.2f} % of the signals; noise alone would leave "
-        f"{100 * found.whole.noise_nrms:.2f} % (known from {origin})."
+        f"Simulation and measurement differ by {100 * found.total.nrms:.2f} % of the signals; noise alone would leave "
+        f"{100 * found.total.noise_nrms:.2f} % (known from {origin})."
     )
     for title, sizes in (("signal", found.signals), ("run", found.recordings)):
         width = max(map(len, sizes))
@@ -56,6 +56,6 @@ def _print(discrepancy: Discrepancy) -> None:
         return
     loud = sorted(found.bands, key=lambda band: -band[2])[:3]
     print("  most of it: " + ", ".join(f"{low:g}-{high:g} Hz {100 * share:.0f} %" for low, high, share in loud))
-    for place, share in sorted(found.places.items(), key=lambda item: -item[1]):
+    for place, share in sorted(found.positions.items(), key=lambda item: -item[1]):
         print(f"  at ({', '.join(f'{x:g}' for x in place)}) mm: {100 * share:.0f} %")
     print(f"  while something turns back or rests: {100 * found.near_reversals:.0f} %")

@@ -1,16 +1,21 @@
-"""Where simulation and measurement disagree, and which physical effect is missing.
+"""Find where simulation and measurement disagree, and which physical effect is missing.
 
-plant      what the engine asks of a machine: recordings, numbers that may move, candidate effects, a simulation
-noise      the noise floor, and the whitener that puts every signal and frequency on its scale
-fit        Gauss-Newton on the whitened output error, with priors, evidence and intervals
-screen     one simulation a candidate: what is it worth, and for what can it be taken
-search     hypotheses: begun, refined, in another shape, with an effect more or fewer
-gates      what must hold before an effect is named
-engine     the whole diagnosis, step by step
-outcome    a diagnosis in the terms of the machine file
-picture    a diagnosis as something to look at
-where      the gap by signal, frequency, place and run, without a diagnosis
-intake     what runs must be
-delta      the printer as a plant
-axis       a force-driven axis as a plant
+Stages, each a module that knows only the ones before it:
+
+problem        interface to a machine: observations, parameters, candidate effects, simulation
+               (printer_problem: a printer; axis_problem: a force-driven axis; validation: checks of recordings)
+noise          noise floor, and the whitener that puts every signal and frequency on its scale
+estimation     parameter values in, whitened residual out
+fit            fit parameters with priors; evidence and covariance (intervals: 90 % intervals)
+score_test     screen candidates: one simulation each
+hypotheses     effects with all parameters fitted, and how hypotheses are compared
+initial_fits   from promising candidates to quick fits
+refinement     continue, refit and refine one hypothesis; converge on the shapes of its effects
+parsimony      fewer effects, fewer parameters, where more are not significant
+selection      the passes that lead to the best hypothesis
+acceptance     tests before an effect is named (confounding: effects that it could be as well)
+diagnosis      all stages together
+
+Results: result (in the terms of the machine file), summary (for reports), residuals (where the residual is, without a
+diagnosis), next_experiment (which move separates what is still in question).
 """

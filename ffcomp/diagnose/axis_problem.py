@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 
-from ffcomp.diagnose.problem import Candidate, Impossible, Number, Observation, Plant
+from ffcomp.diagnose.problem import Candidate, InfeasibleParameters, Observation, Parameter, Problem
 from ffcomp.errors import MeasurementError
 from models.arrays import FloatArray
 
@@ -65,21 +65,21 @@ def read_emps(path: str | Path) -> ForceDriven:
     return ForceDriven(Path(path).stem, t, float(data["gtau"].ravel()[0]) * voltage, q * 1e3)
 
 
-class Axis(Plant):
+class AxisProblem(Problem):
     """The plant. Rough guesses are enough to begin: the priors are wide."""
 
     band_hz = (0.02, 50.0)
 
     def __init__(self, recordings: Sequence[ForceDriven], mass_kg: float, viscous_n_s_per_m: float) -> None:
-        whole = [(recording, _speed(recording)) for recording in recordings]
+        with_speed = [(recording, _speed(recording)) for recording in recordings]
         self.stretches = [
-            (_cut(recording, part), speed[part]) for recording, speed in whole for part in _parts(recording)
+            (_cut(recording, part), speed[part]) for recording, speed in with_speed for part in _parts(recording)
         ]
         self.observations = [_observation(recording, speed) for recording, speed in self.stretches]
-        self.numbers = (
-            Number(MASS, mass_kg, 0.5 * mass_kg, 0.05 * mass_kg),
-            Number(VISCOUS, viscous_n_s_per_m, viscous_n_s_per_m, 0.0),
-            Number(OFFSET, 0.0, 10.0),
+        self.parameters = (
+            Parameter(MASS, mass_kg, 0.5 * mass_kg, 0.05 * mass_kg),
+            Parameter(VISCOUS, viscous_n_s_per_m, viscous_n_s_per_m, 0.0),
+            Parameter(OFFSET, 0.0, 10.0),
         )
         self.candidates = CANDIDATES
 
@@ -87,19 +87,25 @@ class Axis(Plant):
         self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
     ) -> list[FloatArray]:
         del coarse  # it is quick anyway
-        given = {**{n.name: n.start for n in self.numbers}, **values}
+        given = {**{n.name: n.start for n in self.parameters}, **values}
         chosen = range(len(self.stretches)) if only is None else only
         return [self._one(i, given) for i in chosen]
 
     def _one(self, i: int, v: Mapping[str, float]) -> FloatArray:
         recording, speed = self.stretches[i]
-        numbers = np.array([v.get(name, neutral) for name, neutral in _NUMBERS])
+        parameters = np.array([v.get(name, neutral) for name, neutral in _NUMBERS])
         shot = round(SHOT_S * recording.rate_hz)
         q = _simulated_shots(
-            recording.force_n, 1 / recording.rate_hz, SUBSTEPS, shot, recording.position_mm / 1e3, speed / 1e3, numbers
+            recording.force_n,
+            1 / recording.rate_hz,
+            SUBSTEPS,
+            shot,
+            recording.position_mm / 1e3,
+            speed / 1e3,
+            parameters,
         )
         if not np.all(np.isfinite(q)):
-            raise Impossible("Such forces drive the axis to infinity within one shot.")
+            raise InfeasibleParameters("Such forces drive the axis to infinity within one shot.")
         return (q * 1e3)[:, None]
 
 
@@ -124,8 +130,10 @@ def _cut(recording: ForceDriven, part: slice) -> ForceDriven:
 
 def _observation(recording: ForceDriven, speed: FloatArray) -> Observation:
     name = f"{recording.name} from {recording.time_s[0]:g} s"
-    place = (float(recording.time_s[0]),)
-    return Observation(name, name, place, recording.rate_hz, ("pos_q",), recording.position_mm[:, None], speed[:, None])
+    position = (float(recording.time_s[0]),)
+    return Observation(
+        name, name, position, recording.rate_hz, ("pos_q",), recording.position_mm[:, None], speed[:, None]
+    )
 
 
 FRICTION = "effects.coulomb_friction.force_n"
@@ -147,24 +155,24 @@ _NUMBERS = (
 )
 
 CANDIDATES = (
-    Candidate("coulomb_friction", (Number(FRICTION, 0.0, 20.0, 0.0, 500.0),), {FRICTION: 2.0}),
+    Candidate("coulomb_friction", (Parameter(FRICTION, 0.0, 20.0, 0.0, 500.0),), {FRICTION: 2.0}),
     Candidate(
         "stribeck_friction",
-        (Number(_STRIBECK[0], 0.0, 20.0, 0.0, 500.0), Number(_STRIBECK[1], 0.0, 10.0, 0.0, 500.0)),
+        (Parameter(_STRIBECK[0], 0.0, 20.0, 0.0, 500.0), Parameter(_STRIBECK[1], 0.0, 10.0, 0.0, 500.0)),
         {_STRIBECK[0]: 2.0, _STRIBECK[1]: 2.0},
-        (Number(_STRIBECK[2], 10.0, 10.0, 0.5, 200.0),),
+        (Parameter(_STRIBECK[2], 10.0, 10.0, 0.5, 200.0),),
     ),
-    Candidate("spring", (Number(_SPRING, 0.0, 100.0),), {_SPRING: 5.0}),
-    Candidate("quadratic_drag", (Number(_DRAG, 0.0, 500.0),), {_DRAG: 20.0}),
+    Candidate("spring", (Parameter(_SPRING, 0.0, 100.0),), {_SPRING: 5.0}),
+    Candidate("quadratic_drag", (Parameter(_DRAG, 0.0, 500.0),), {_DRAG: 20.0}),
     Candidate(
         "cogging_force",
-        (Number(_COGGING[0], 0.0, 5.0), Number(_COGGING[1], 0.0, 5.0)),
+        (Parameter(_COGGING[0], 0.0, 5.0), Parameter(_COGGING[1], 0.0, 5.0)),
         {_COGGING[0]: 0.5, _COGGING[1]: 0.5},
-        (Number(_COGGING[2], 20.0, 5.0, 1.0, 200.0),),
+        (Parameter(_COGGING[2], 20.0, 5.0, 1.0, 200.0),),
         tuple({_COGGING[2]: pitch} for pitch in (5.0, 10.0, 20.0, 40.0)),
     ),
     # of one direction dry friction is no candidate: with the offset free it is the same as of both
-    Candidate("one_sided_damping", (Number(_ASYMMETRY, 0.0, 100.0),), {_ASYMMETRY: 10.0}),
+    Candidate("one_sided_damping", (Parameter(_ASYMMETRY, 0.0, 100.0),), {_ASYMMETRY: 10.0}),
 )
 
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ffcomp.diagnose.engine import noise_floor
+from ffcomp.diagnose.diagnosis import noise_floor
 from ffcomp.diagnose.noise import whitener
-from ffcomp.diagnose.printer_problem import Delta
-from ffcomp.diagnose.residuals import Gap, Size, find_gap
+from ffcomp.diagnose.printer_problem import PrinterProblem
+from ffcomp.diagnose.residuals import ResidualBreakdown, ResidualSize, locate_residual
 from ffcomp.diagnose.validation import check_alike
 from ffcomp.measurement.recording import Recording
 from models.machine import Machine
@@ -19,7 +19,7 @@ from models.machine import Machine
 class Discrepancy:
     """The model discrepancy of a machine file on some recordings."""
 
-    found: Gap
+    found: ResidualBreakdown
     from_repeats: bool  # whether repeats give the noise; else the spectrum above the model's band does
 
     def to_dict(self) -> dict[str, Any]:
@@ -27,13 +27,13 @@ class Discrepancy:
         found = self.found
         return {
             "schema": "ffcomp-gap/1",
-            **_size(found.whole),
+            **_size(found.total),
             "noise_from_repeats": self.from_repeats,
             "signals": {name: _size(size) for name, size in found.signals.items()},
             "where": {
                 "frequency_hz": [{"from": low, "to": high, "share": share} for low, high, share in found.bands],
                 "signal": {name: over_noise(size) for name, size in found.signals.items()},
-                "region": [{"place_mm": list(place), "share": share} for place, share in found.places.items()],
+                "region": [{"place_mm": list(position), "share": share} for position, share in found.positions.items()],
                 "near_reversals": found.near_reversals,
                 "runs": {name: _size(size) for name, size in found.recordings.items()},
             },
@@ -48,19 +48,19 @@ def measure_gap(machine: Machine, recordings: Sequence[Recording]) -> Discrepanc
     MeasurementError
         If the recordings cannot belong to this machine or to each other.
     """
-    plant = Delta(machine, recordings, ())
+    problem = PrinterProblem(machine, recordings, ())
     check_alike(recordings)
-    simulated = plant.simulate({})
-    floor = noise_floor(plant, simulated)
+    simulated = problem.simulate({})
+    floor = noise_floor(problem, simulated)
     return Discrepancy(
-        find_gap(whitener(plant.observations, floor, plant.band_hz), floor, simulated), floor.from_repeats
+        locate_residual(whitener(problem.observations, floor, problem.band_hz), floor, simulated), floor.from_repeats
     )
 
 
-def over_noise(size: Size) -> float:
+def over_noise(size: ResidualSize) -> float:
     """Return how many times the noise a discrepancy is."""
     return size.nrms / size.noise_nrms
 
 
-def _size(size: Size) -> dict[str, float]:
+def _size(size: ResidualSize) -> dict[str, float]:
     return {"nrms": size.nrms, "noise_nrms": size.noise_nrms}

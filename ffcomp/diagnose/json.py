@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from ffcomp.diagnose.result import Outcome
+from ffcomp.diagnose.result import DiagnosisResult
 
 
-def diagnosis_json(found: Outcome, written: str | None, report: str | None, seconds: float) -> dict[str, Any]:
+def diagnosis_json(found: DiagnosisResult, written: str | None, report: str | None, seconds: float) -> dict[str, Any]:
     """Return the JSON object ffcomp-diagnose/1.
 
     written, report : paths of the machine file and of the page; None: not written
@@ -26,10 +26,10 @@ def diagnosis_json(found: Outcome, written: str | None, report: str | None, seco
             }
             for name in named
         ],
-        "refused": {"effects": list(found.effects), "because": list(found.refused)} if found.refused else None,
+        "refused": {"effects": list(found.effects), "because": list(found.rejections)} if found.rejections else None,
         "invisible": list(found.invisible),
         "retuned": {key: {"from": a, "to": b} for key, (a, b) in found.retuned.items()},
-        "confusable_with": [{"name": name, "separate_by": how} for name, how in found.confusable_with],
+        "confusable_with": [{"name": name, "separate_by": how} for name, how in found.confounded_with],
         "gap": {
             "before": found.before.nrms,
             "after": found.after.nrms,

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ffcomp.diagnose.acceptance import ALIKE, look_alikes
-from ffcomp.diagnose.engine import Diagnosis
+from ffcomp.diagnose.confounding import CONFOUNDED, confounded_with
+from ffcomp.diagnose.diagnosis import Diagnosis
 from ffcomp.diagnose.noise import whitener
-from ffcomp.diagnose.printer_problem import Delta
-from ffcomp.diagnose.problem import Impossible
+from ffcomp.diagnose.printer_problem import PrinterProblem
+from ffcomp.diagnose.problem import InfeasibleParameters
 from ffcomp.diagnose.score_test import Screened
 from ffcomp.measurement.recording import Recording
 from ffcomp.planner.program import plan_program
@@ -45,7 +45,7 @@ class Proposal:
     """One move that is worth making next."""
 
     kind: str  # as a person says it
-    place_mm: Point
+    position_mm: Point
     seconds: float
     rival: tuple[str, ...]  # the effects it tells from those that were found; or shows, where none was
     sigmas_per_second: float  # standard deviations of the noise after one second; they grow as √seconds
@@ -78,12 +78,12 @@ class _Played:
     """A move at a place, and how well it answers a question."""
 
     move: Move
-    place: Point
+    position: Point
     seconds: float
     rate: float  # |d|/√s
 
 
-def propose(plant: Delta, found: Diagnosis, count: int = 3) -> list[Proposal]:
+def propose(problem: PrinterProblem, found: Diagnosis, count: int = 3) -> list[Proposal]:
     """The moves that say most: for each rival the best one, then the best other kinds for the nearest rival.
 
     With verdict `unknown` the two nearest hypotheses are the rivals. With `none` it is asked what would show the
@@ -91,27 +91,27 @@ def propose(plant: Delta, found: Diagnosis, count: int = 3) -> list[Proposal]:
     """
     proposals: list[Proposal] = []
     spare: list[Proposal] = []
-    for question in _questions(plant, found)[:count]:
-        best, *others = _ranked(plant, found, question)
-        proposals.append(_proposal(plant.machine, question, best))
-        spare += [_proposal(plant.machine, question, other) for other in others if _tells(other)]
+    for question in _questions(problem, found)[:count]:
+        best, *others = _ranked(problem, found, question)
+        proposals.append(_proposal(problem.machine, question, best))
+        spare += [_proposal(problem.machine, question, other) for other in others if _tells(other)]
     return [*proposals, *spare][:count]
 
 
 # ---- what is in question -------------------------------------------------------------------------
 
 
-def _questions(plant: Delta, found: Diagnosis) -> list[_Question]:
+def _questions(problem: PrinterProblem, found: Diagnosis) -> list[_Question]:
     if found.best is None:
         unseen = sorted((s for s in found.screened if not s.visible), key=lambda s: -s.strength)
         return [_shown(found, s) for s in unseen[:RIVALS]]
     best = found.best
-    others = [h for h in (*found.rivals, *found.tried) if h.names != best.names]
+    others = [h for h in (*found.competing, *found.tried) if h.names != best.names]
     nearest = list({h.names: h for h in reversed(others)}.items())[::-1]
     asked = [_told_apart(found, names, h.fit.values) for names, h in nearest]
-    alike = {name for name, _ in look_alikes(best, found.screened, ALIKE)}
+    confounded = {name for name, _ in confounded_with(best, found.screened, CONFOUNDED)}
     known = {name for names, _ in nearest for name in names}
-    asked += [_told_apart(found, (s.candidate.name,), _linear(found, s)) for s in _named(found, alike - known)]
+    asked += [_told_apart(found, (s.candidate.name,), _linear(found, s)) for s in _named(found, confounded - known)]
     return asked[: RIVALS if found.named is not None else NEAREST]
 
 
@@ -159,16 +159,16 @@ def _linear(found: Diagnosis, screened: Screened) -> dict[str, float]:
 # ---- what answers --------------------------------------------------------------------------------
 
 
-def _ranked(plant: Delta, found: Diagnosis, question: _Question) -> list[_Played]:
+def _ranked(problem: PrinterProblem, found: Diagnosis, question: _Question) -> list[_Played]:
     """The best place of the best kind of move, then the other kinds at the centre, best first."""
-    machine = plant.machine
-    centre, *around = places(machine)
-    kinds = _asked(plant, found, question, [(move, centre) for move in library(machine)])
+    machine = problem.machine
+    centre, *around = positions(machine)
+    kinds = _asked(problem, found, question, [(move, centre) for move in library(machine)])
     best = max(kinds, key=lambda p: p.rate)
-    tried = _asked(plant, found, question, [(best.move, place) for place in around])
+    tried = _asked(problem, found, question, [(best.move, position) for position in around])
     top = max([best, *tried], key=lambda p: p.rate)
-    x, y, _ = top.place
-    high = _asked(plant, found, question, [(best.move, (x, y, HIGH * machine.kinematics.height_mm))])
+    x, y, _ = top.position
+    high = _asked(problem, found, question, [(best.move, (x, y, HIGH * machine.kinematics.height_mm))])
     top = max([top, *high], key=lambda p: p.rate)
     return [top, *sorted((p for p in kinds if p.move is not best.move), key=lambda p: -p.rate)]
 
@@ -177,29 +177,33 @@ def _tells(played: _Played) -> bool:
     return played.rate * np.sqrt(played.seconds) > TELLING
 
 
-def _asked(plant: Delta, found: Diagnosis, question: _Question, tries: Sequence[tuple[Move, Point]]) -> list[_Played]:
+def _asked(
+    problem: PrinterProblem, found: Diagnosis, question: _Question, tries: Sequence[tuple[Move, Point]]
+) -> list[_Played]:
     """Each move at its place, played by both printers."""
-    observations = plant.observations
+    observations = problem.observations
     signals, rate_hz = observations[0].signals, observations[0].rate_hz
-    recordings = [_blank_recording(plant.machine, move, place, signals, rate_hz) for move, place in tries]
-    virtual = Delta(plant.machine, recordings, ())
+    recordings = [_blank_recording(problem.machine, move, position, signals, rate_hz) for move, position in tries]
+    virtual = PrinterProblem(problem.machine, recordings, ())
     whiten = whitener(virtual.observations, found.noise, virtual.band_hz)
     try:
         one, other = (virtual.simulate(values, coarse=True) for values in (question.one, question.other))
         apart = whiten([a - b for a, b in zip(one, other, strict=True)])
-    except Impossible:  # a rival that leaves the arms' reach there: nothing is learnt from it
+    except InfeasibleParameters:  # a rival that leaves the arms' reach there: nothing is learnt from it
         apart = np.zeros(whiten.rows[-1].stop)
     seconds = [float(recording.time_s[-1]) for recording in recordings]
     sizes = [float(np.linalg.norm(apart[rows])) for rows in whiten.rows]
     return [
-        _Played(move, place, s, size / float(np.sqrt(s)))
-        for (move, place), s, size in zip(tries, seconds, sizes, strict=True)
+        _Played(move, position, s, size / float(np.sqrt(s)))
+        for (move, position), s, size in zip(tries, seconds, sizes, strict=True)
     ]
 
 
-def _blank_recording(machine: Machine, move: Move, place: Point, signals: Sequence[str], rate_hz: float) -> Recording:
+def _blank_recording(
+    machine: Machine, move: Move, position: Point, signals: Sequence[str], rate_hz: float
+) -> Recording:
     """The move as a recording that holds nothing yet."""
-    text = _text(machine, move, place)
+    text = _text(machine, move, position)
     trajectory = plan_program(read_program(text.encode(), move.kind), machine).trajectory
     begin = float(trajectory.start_t[0])
     t = np.arange(0.0, trajectory.end_t - begin + BEFORE_S + AFTER_S, 1 / rate_hz)
@@ -213,7 +217,7 @@ def _blank_recording(machine: Machine, move: Move, place: Point, signals: Sequen
 
 
 def _proposal(machine: Machine, question: _Question, played: _Played) -> Proposal:
-    x, y, z = played.place
+    x, y, z = played.position
     sigmas = played.rate * np.sqrt(played.seconds)
     where = f"{played.move.kind} at ({x:.0f}, {y:.0f}, {z:.0f}) mm"
     if _tells(played):
@@ -226,19 +230,19 @@ def _proposal(machine: Machine, question: _Question, played: _Played) -> Proposa
         )
     return Proposal(
         played.move.kind,
-        played.place,
+        played.position,
         played.seconds,
         question.rival,
         played.rate,
         text[0].upper() + text[1:],
-        _text(machine, played.move, played.place),
+        _text(machine, played.move, played.position),
     )
 
 
 # ---- the moves -----------------------------------------------------------------------------------
 
 
-def places(machine: Machine) -> list[Point]:
+def positions(machine: Machine) -> list[Point]:
     """The centre, then six around it; low."""
     around = machine.kinematics.around(OUT, ROOM_MM)
     return [(*machine.kinematics.centre_mm, LOW_MM), *((round(x, 1), round(y, 1), LOW_MM) for x, y in around.tolist())]
@@ -257,9 +261,9 @@ def library(machine: Machine) -> list[Move]:
     ]
 
 
-def _text(machine: Machine, move: Move, place: Point) -> str:
+def _text(machine: Machine, move: Move, position: Point) -> str:
     """The G-code of a move, with the way to its place."""
-    x, y, z = place
+    x, y, z = position
     travel = min(50.0, machine.limits.velocity_mm_per_s)
     return "\n".join(
         [
@@ -268,9 +272,9 @@ def _text(machine: Machine, move: Move, place: Point) -> str:
             "G21",
             "G90",
             f"M204 S{move.acceleration:.0f}",
-            _to(place, travel),
+            _to(position, travel),
             "G4 P1000",
-            *move.lines(place),
+            *move.lines(position),
             "G4 P500",
             "",
         ]
@@ -282,49 +286,49 @@ def _to(point: Sequence[float], speed: float) -> str:
     return f"G1 X{x:.3f} Y{y:.3f} Z{z:.3f} F{60 * speed:.0f}"
 
 
-def _beside(place: Point, *offset: float) -> Point:
-    x, y, z = (float(a + b) for a, b in zip(place, offset, strict=True))
+def _beside(position: Point, *offset: float) -> Point:
+    x, y, z = (float(a + b) for a, b in zip(position, offset, strict=True))
     return x, y, z
 
 
-def _to_and_fro(place: Point, reach: float, speed: float, times: int) -> Lines:
+def _to_and_fro(position: Point, reach: float, speed: float, times: int) -> Lines:
     for _ in range(times):
         for offset in ((reach, 0.0, 0.0), (0.0, reach, 0.0)):
-            yield _to(_beside(place, *offset), speed)
-            yield _to(place, speed)
+            yield _to(_beside(position, *offset), speed)
+            yield _to(position, speed)
 
 
-def _singles(place: Point, reach: float, speed: float) -> Lines:
+def _singles(position: Point, reach: float, speed: float) -> Lines:
     for offset in ((reach, 0.0, 0.0), (0.0, reach, 0.0), (-reach, -reach, 0.0), (0.0, 0.0, reach / 3)):
-        yield _to(_beside(place, *offset), speed)
+        yield _to(_beside(position, *offset), speed)
         yield f"G4 P{WAIT_MS}"
-        yield _to(place, speed)
+        yield _to(position, speed)
         yield f"G4 P{WAIT_MS}"
 
 
-def _zigzag(place: Point, speed: float, lines: int) -> Lines:
+def _zigzag(position: Point, speed: float, lines: int) -> Lines:
     """Lines of 16 mm, 0.8 mm apart, at 45 degrees."""
     half, beside = 5.66, 0.57
     for i in range(lines):
         side = half * (-1) ** i
-        yield _to(_beside(place, side + beside * i, side - beside * i, 0.0), speed)
-        yield _to(_beside(place, side + beside * (i + 1), side - beside * (i + 1), 0.0), speed)
-    yield _to(place, speed)
+        yield _to(_beside(position, side + beside * i, side - beside * i, 0.0), speed)
+        yield _to(_beside(position, side + beside * (i + 1), side - beside * (i + 1), 0.0), speed)
+    yield _to(position, speed)
 
 
-def _circles(place: Point, radius: float, speed: float) -> Lines:
+def _circles(position: Point, radius: float, speed: float) -> Lines:
     """One turn up, one turn down."""
     turn = np.linspace(0.0, 2 * np.pi, round(2 * np.pi * radius / CHORD_MM) + 1)[1:]
     for rise in (turn, turn[::-1]):
         for angle, height in zip(turn, rise, strict=True):
             offset = (radius * np.sin(angle), radius * (1 - np.cos(angle)), height)
-            yield _to(_beside(place, *offset), speed)
-    yield _to(place, speed)
+            yield _to(_beside(position, *offset), speed)
+    yield _to(position, speed)
 
 
-def _strokes(place: Point, speed: float) -> Lines:
+def _strokes(position: Point, speed: float) -> Lines:
     """From 6 mm down to 0.15 mm, along x, then along y: the shorter, the higher the frequency they shake with."""
     for axis in np.eye(3)[:2]:
         for length in np.geomspace(6.0, 0.15, 24):
-            yield _to(_beside(place, *(length * axis)), speed)
-            yield _to(place, speed)
+            yield _to(_beside(position, *(length * axis)), speed)
+            yield _to(position, speed)

@@ -51,8 +51,8 @@ def noise_from_repeats(observations: Sequence[Observation]) -> NoiseFloor | None
         averages = sum(len(a.measured) / a.rate_hz for a, _ in both) / SEGMENT_S * SMOOTHED_LINES
         density[signal] = _smooth(np.mean(spectra, axis=0), grid) * (1 + 1 / averages)
     for signal in {name for r in observations for name in r.signals} - set(density):
-        alike = [d for name, d in density.items() if name[:3] == signal[:3]]
-        density[signal] = np.mean(alike, axis=0)
+        same_kind = [d for name, d in density.items() if name[:3] == signal[:3]]
+        density[signal] = np.mean(same_kind, axis=0)
     return NoiseFloor(grid, density, True)
 
 
@@ -69,7 +69,7 @@ def noise_from_residual(
             for r, e in zip(observations, errors, strict=True)
             if signal in r.signals
         ]
-        spectrum = np.mean([_density(filled(column), rate, grid) for column, rate in columns], axis=0)
+        spectrum = np.mean([_density(fill_gaps(column), rate, grid) for column, rate in columns], axis=0)
         density[signal] = np.full(len(grid), np.median(spectrum[high]))
     return NoiseFloor(grid, density, False)
 
@@ -83,16 +83,16 @@ def _repeat(a: Observation, b: Observation) -> bool:
 
 
 def _column(observation: Observation, signal: str) -> FloatArray:
-    return filled(observation.measured[:, observation.signals.index(signal)])
+    return fill_gaps(observation.measured[:, observation.signals.index(signal)])
 
 
-def filled(values: FloatArray) -> FloatArray:
+def fill_gaps(values: FloatArray) -> FloatArray:
     """Gaps bridged by straight lines."""
-    gap = ~np.isfinite(values)
-    if not gap.any():
+    missing = ~np.isfinite(values)
+    if not missing.any():
         return values
     t = np.arange(len(values))
-    return np.where(gap, np.interp(t, t[~gap], values[~gap]), values)
+    return np.where(missing, np.interp(t, t[~missing], values[~missing]), values)
 
 
 def _density(x: FloatArray, rate_hz: float, grid: FloatArray) -> FloatArray:

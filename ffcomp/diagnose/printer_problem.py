@@ -17,14 +17,15 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.diagnose.noise import BAND_HZ, filled
-from ffcomp.diagnose.problem import Candidate, Impossible, Number, Observation, Plant
+from ffcomp.diagnose.noise import BAND_HZ, fill_gaps
+from ffcomp.diagnose.problem import Candidate, InfeasibleParameters, Observation, Parameter, Problem
 from ffcomp.diagnose.validation import carriages_of
 from ffcomp.identify.output_error import UNKNOWNS
 from ffcomp.measurement.recording import Recording
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE, measured
-from models.effects.effect import Effect, Parameter
+from models.effects.effect import Effect
+from models.effects.effect import Parameter as EffectParameter
 from models.machine import Machine
 from models.parameters import value_of, with_values
 from models.printer.kernels.record import LANES
@@ -48,7 +49,7 @@ _Key = tuple[tuple[tuple[str, float], ...], tuple[int, ...], bool]
 _NAME = re.compile(r"effects\.(?P<effect>\w+)\.(?P<parameter>\w+)(\[(?P<index>\d)\])?")
 
 
-class Delta(Plant):
+class PrinterProblem(Problem):
     """A machine file and its runs."""
 
     band_hz = BAND_HZ
@@ -61,7 +62,7 @@ class Delta(Plant):
         self.observations = [
             _observation(machine, recording, c) for recording, c in zip(recordings, self.commands, strict=True)
         ]
-        self.numbers = tuple(_numbers(machine))
+        self.parameters = tuple(_parameters(machine))
         self.candidates = tuple(_candidate(machine, CATALOGUE[n]) for n in names if n not in machine.effects)
         self.same_command = [_first_equal(self.commands, i) for i in range(len(recordings))]
         self.kept: dict[_Key, dict[int, PrinterMotion]] = {}
@@ -70,20 +71,20 @@ class Delta(Plant):
         self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
     ) -> list[FloatArray]:
         found = next(iter(self.simulate_many([values], only, coarse=coarse)))
-        if isinstance(found, Impossible):
+        if isinstance(found, InfeasibleParameters):
             raise found
         return found
 
     def simulate_many(
         self, many: Sequence[Mapping[str, float]], only: Sequence[int] | None = None, *, coarse: bool = False
-    ) -> Iterator[list[FloatArray] | Impossible]:
+    ) -> Iterator[list[FloatArray] | InfeasibleParameters]:
         """Some at a time, all their runs together."""
         chosen = range(len(self.recordings)) if only is None else only
         needed = sorted({self.same_command[i] for i in chosen})
         for first in range(0, len(many), AT_ONCE):
             part = many[first : first + AT_ONCE]
             for values, motions in zip(part, self._motions(part, needed, coarse), strict=True):
-                yield motions if isinstance(motions, Impossible) else self._answer(values, motions, chosen)
+                yield motions if isinstance(motions, InfeasibleParameters) else self._answer(values, motions, chosen)
 
     def _answer(
         self, values: Mapping[str, float], motions: Mapping[int, PrinterMotion], chosen: Sequence[int]
@@ -93,37 +94,41 @@ class Delta(Plant):
 
     def _motions(
         self, many: Sequence[Mapping[str, float]], needed: Sequence[int], coarse: bool
-    ) -> list[dict[int, PrinterMotion] | Impossible]:
+    ) -> list[dict[int, PrinterMotion] | InfeasibleParameters]:
         """By index of the run. The last few are kept: what only changes the sensors needs no other motion."""
         plain = [_without_sensors(values) for values in many]
         keys = [(tuple(sorted(values.items())), tuple(needed), coarse) for values in plain]
         new = {key: values for key, values in zip(keys, plain, strict=True) if key not in self.kept}
-        found: dict[_Key, dict[int, PrinterMotion] | Impossible] = {k: self.kept[k] for k in keys if k in self.kept}
-        found |= dict(zip(new, self._played(list(new.values()), needed, coarse), strict=True))
+        found: dict[_Key, dict[int, PrinterMotion] | InfeasibleParameters] = {
+            k: self.kept[k] for k in keys if k in self.kept
+        }
+        found |= dict(zip(new, self._simulated(list(new.values()), needed, coarse), strict=True))
         answers = [found[key] for key in keys]
-        fresh = {key: motions for key, motions in found.items() if not isinstance(motions, Impossible)}
+        fresh = {key: motions for key, motions in found.items() if not isinstance(motions, InfeasibleParameters)}
         self.kept = dict([*self.kept.items(), *fresh.items()][-KEPT:])
         return answers
 
-    def _played(
+    def _simulated(
         self, many: Sequence[Mapping[str, float]], needed: Sequence[int], coarse: bool
-    ) -> list[dict[int, PrinterMotion] | Impossible]:
+    ) -> list[dict[int, PrinterMotion] | InfeasibleParameters]:
         """On every core, side by side what takes equal steps."""
         machines = [self.machine_with(values) for values in many]
-        alike: dict[_Steps, list[tuple[int, int]]] = {}
+        by_steps: dict[_Steps, list[tuple[int, int]]] = {}
         for i in sorted(needed, key=lambda i: len(self.commands[i])):
             for n, machine in enumerate(machines):
-                alike.setdefault(_steps(machine, self.observations[i].rate_hz, coarse), []).append((n, i))
-        packs = [(steps, tasks[k : k + LANES]) for steps, tasks in alike.items() for k in range(0, len(tasks), LANES)]
+                by_steps.setdefault(_steps(machine, self.observations[i].rate_hz, coarse), []).append((n, i))
+        packs = [
+            (steps, tasks[k : k + LANES]) for steps, tasks in by_steps.items() for k in range(0, len(tasks), LANES)
+        ]
 
-        def play(pack: tuple[_Steps, Sequence[tuple[int, int]]]) -> Sequence[PrinterMotion | ValueError]:
+        def simulate(pack: tuple[_Steps, Sequence[tuple[int, int]]]) -> Sequence[PrinterMotion | ValueError]:
             steps, tasks = pack
             commands = [self.commands[i] for _, i in tasks]
             return simulate_printers([machines[n] for n, _ in tasks], commands, steps.row_s, substeps=steps.substeps)
 
         motions: list[dict[int, PrinterMotion | ValueError]] = [{} for _ in machines]
         with ThreadPoolExecutor(WORKERS) as pool:
-            for (_, tasks), found in zip(packs, pool.map(play, packs), strict=True):
+            for (_, tasks), found in zip(packs, pool.map(simulate, packs), strict=True):
                 for (n, i), motion in zip(tasks, found, strict=True):
                     motions[n][i] = motion
         return [_whole(by_run) for by_run in motions]
@@ -161,11 +166,11 @@ def _steps(machine: Machine, rate_hz: float, coarse: bool) -> _Steps:
     return _Steps(1 / rate_hz, math.ceil(1 / rate_hz / longest * (1 - 1e-9)))
 
 
-def _whole(motions: Mapping[int, PrinterMotion | ValueError]) -> dict[int, PrinterMotion] | Impossible:
+def _whole(motions: Mapping[int, PrinterMotion | ValueError]) -> dict[int, PrinterMotion] | InfeasibleParameters:
     """Arms too short, or belts that hold nothing, in a single run are enough."""
     failed = [m for m in motions.values() if isinstance(m, ValueError)]
     if failed:
-        return Impossible(str(failed[0]))
+        return InfeasibleParameters(str(failed[0]))
     return {i: m for i, m in motions.items() if isinstance(m, PrinterMotion)}
 
 
@@ -202,7 +207,7 @@ def _acts(effect: Effect, table: Mapping[str, Any]) -> bool:
     return any(np.any(np.asarray(table[a.name]) != a.neutral) for a in effect.amplitudes if a.name in table)
 
 
-def _machine_value(parameter: Parameter, value: float, of_three: bool = False) -> Any:
+def _machine_value(parameter: EffectParameter, value: float, of_three: bool = False) -> Any:
     if parameter.logarithmic:
         return math.exp(value)
     if parameter.size == "direction":
@@ -217,9 +222,9 @@ def _machine_value(parameter: Parameter, value: float, of_three: bool = False) -
 # ---- numbers and candidates ----------------------------------------------------------------------
 
 
-def _numbers(machine: Machine) -> list[Number]:
+def _parameters(machine: Machine) -> list[Parameter]:
     names = [n for n in UNKNOWNS if machine.carriage.drive is not None or "drive" not in n]
-    numbers = []
+    parameters = []
     for name in names:
         value = value_of(machine, name)
         table_key = name.partition("[")[0]
@@ -227,23 +232,25 @@ def _numbers(machine: Machine) -> list[Number]:
         if value and relative:
             sd = relative * abs(value)
             low = value - REACH * sd
-            numbers.append(Number(name, value, sd, low if value < 0 else max(low, 0.05 * value), value + REACH * sd))
-    return numbers
+            parameters.append(
+                Parameter(name, value, sd, low if value < 0 else max(low, 0.05 * value), value + REACH * sd)
+            )
+    return parameters
 
 
 def _candidate(machine: Machine, effect: Effect) -> Candidate:
     if not effect.amplitudes:
         name = f"effects.{effect.name}.{WHOLE}"
-        return Candidate(effect.name, (Number(name, 0.0, 1.0, 1.0, 1.0),), {name: 1.0}, switch=True)
-    alike = _of(machine, effect, each=False)
+        return Candidate(effect.name, (Parameter(name, 0.0, 1.0, 1.0, 1.0),), {name: 1.0}, switch=True)
+    shared = _of(machine, effect, each=False)
     if any(p.size == "direction" for p in effect.shapes):
-        return replace(alike, other=replace(alike, shapes=tuple(_in_both(n) for n in alike.shapes)))
+        return replace(shared, other=replace(shared, shapes=tuple(_in_both(n) for n in shared.shapes)))
     if all(p.size != "per_tower" for p in effect.amplitudes):
-        return alike
-    return replace(alike, other=_of(machine, effect, each=True))
+        return shared
+    return replace(shared, other=_of(machine, effect, each=True))
 
 
-def _in_both(shape: Number) -> Number:
+def _in_both(shape: Parameter) -> Parameter:
     """A direction that is none."""
     return replace(shape, start=BOTH, low=BOTH, high=BOTH) if shape.name.endswith(".direction") else shape
 
@@ -257,44 +264,44 @@ def _of(machine: Machine, effect: Effect, each: bool) -> Candidate:
     return Candidate(effect.name, tuple(amplitudes), probe, tuple(shapes), tuple(_grid(effect, machine)), tuple(finer))
 
 
-def _searched(p: Parameter) -> bool:
+def _searched(p: EffectParameter) -> bool:
     return p.default is None or bool(p.starts)
 
 
-def _finer(effect: Effect, p: Parameter, usual: float) -> Number:
+def _finer(effect: Effect, p: EffectParameter, usual: float) -> Parameter:
     if p.logarithmic:
         low, high = (math.log(max(x, LEAST)) for x in p.bounds)
-        return Number(_full(effect, p), math.log(usual), SPREAD, low, high)
-    return Number(_full(effect, p), usual, p.typical[1] / 2, *p.bounds)
+        return Parameter(_full(effect, p), math.log(usual), SPREAD, low, high)
+    return Parameter(_full(effect, p), usual, p.typical[1] / 2, *p.bounds)
 
 
-def _full(effect: Effect, p: Parameter) -> str:
+def _full(effect: Effect, p: EffectParameter) -> str:
     return f"effects.{effect.name}.{p.name}"
 
 
-def _amplitude(effect: Effect, p: Parameter, each: bool) -> list[Number]:
+def _amplitude(effect: Effect, p: EffectParameter, each: bool) -> list[Parameter]:
     """One number, or one an axis, or one a tower."""
     low, high = sorted(_linear(p, b) for b in p.bounds)
     width = max(abs(_linear(p, t)) for t in p.typical if t)
     three = p.size == "vector3" or (each and p.size == "per_tower")
     names = [_full(effect, p) + suffix for suffix in (("[0]", "[1]", "[2]") if three else ("",))]
-    return [Number(name, 0.0, width, 0.0 if p.power < 0 else low, high) for name in names]
+    return [Parameter(name, 0.0, width, 0.0 if p.power < 0 else low, high) for name in names]
 
 
-def _linear(p: Parameter, value: float) -> float:
+def _linear(p: EffectParameter, value: float) -> float:
     return float(value**p.power) if value else 0.0
 
 
-def _shape(effect: Effect, p: Parameter, machine: Machine) -> Number:
+def _shape(effect: Effect, p: EffectParameter, machine: Machine) -> Parameter:
     name = _full(effect, p)
     if p.size == "direction":
-        return Number(name, 0.0, 2.0, -2 * np.pi, 2 * np.pi)
+        return Parameter(name, 0.0, 2.0, -2 * np.pi, 2 * np.pi)
     low, high = p.typical
     middle = _starts(effect, p, machine)[0]
-    return Number(name, middle, max(high - low, abs(middle)) / 2, *p.bounds)
+    return Parameter(name, middle, max(high - low, abs(middle)) / 2, *p.bounds)
 
 
-def _starts(effect: Effect, p: Parameter, machine: Machine) -> list[float]:
+def _starts(effect: Effect, p: EffectParameter, machine: Machine) -> list[float]:
     if p.starts:
         return list(p.starts)
     if p.size == "direction":
@@ -333,11 +340,11 @@ def _observation(machine: Machine, recording: Recording, command: FloatArray) ->
     every = _every(recording)
     values = [_thinned(x, every) for x in (*recording.acceleration.values(), *recording.position.values())]
     nozzle = machine.kinematics.forward(command)
-    place = tuple(float(5 * round(x / 5)) for x in (np.min(nozzle, axis=0) + np.max(nozzle, axis=0))[:2] / 2)
+    position = tuple(float(5 * round(x / 5)) for x in (np.min(nozzle, axis=0) + np.max(nozzle, axis=0))[:2] / 2)
     rate = recording.sample_rate_hz / every
     moving = {**dict(zip("ABC", command.T, strict=True)), **dict(zip("xyz", nozzle.T, strict=True))}
     speed = np.stack([np.gradient(moving[s[4:]], 1 / rate) for s in signals], axis=1)
-    return Observation(recording.source, recording.repeat_of, place, rate, signals, np.stack(values, axis=1), speed)
+    return Observation(recording.source, recording.repeat_of, position, rate, signals, np.stack(values, axis=1), speed)
 
 
 def _thinned(x: FloatArray, every: int) -> FloatArray:
@@ -346,9 +353,9 @@ def _thinned(x: FloatArray, every: int) -> FloatArray:
         return x
     from scipy.signal import resample_poly
 
-    gap = ~np.isfinite(x)
-    gaps = np.convolve(gap, np.ones(2 * every + 1), "same")[::every] > 0
-    smooth = resample_poly(filled(x), 1, every, padtype="line")
+    missing = ~np.isfinite(x)
+    gaps = np.convolve(missing, np.ones(2 * every + 1), "same")[::every] > 0
+    smooth = resample_poly(fill_gaps(x), 1, every, padtype="line")
     return np.where(gaps, np.nan, smooth)
 
 

@@ -1,4 +1,4 @@
-"""What the diagnosis asks of a machine: one small interface, whatever is driven and measured."""
+"""The interface between the diagnosis and a machine, whatever is driven and measured."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from models.arrays import FloatArray
 
 
 @dataclass(frozen=True)
-class Number:
-    """A number that a fit may move, with what is believed of it before the data: normal about `start`."""
+class Parameter:
+    """A parameter that a fit may move; its prior is normal about `start`."""
 
     name: str  # as in the machine file: carriage.belt_stiffness_n_per_m, effects.coulomb_friction.force_n
     start: float
@@ -25,68 +25,72 @@ class Candidate:
     """An effect that may be missing. Its amplitudes vanish at their `start`; its shapes begin at one of `grid`."""
 
     name: str
-    amplitudes: tuple[Number, ...]
+    amplitudes: tuple[Parameter, ...]
     probe: Mapping[str, float]  # amplitudes at which its signature is taken
-    shapes: tuple[Number, ...] = ()
+    shapes: tuple[Parameter, ...] = ()
     grid: tuple[Mapping[str, float], ...] = ({},)
-    finer: tuple[Number, ...] = ()  # shapes that have a usual value: fitted only once the effect is chosen
-    other: Candidate | None = None  # the same effect with a number for each tower, or alike in all directions
+    finer: tuple[Parameter, ...] = ()  # shapes that have a usual value: fitted only once the effect is chosen
+    other: Candidate | None = None  # the same effect with a parameter for each tower, or alike in all directions
     switch: bool = False  # there or not: its one amplitude is 1 or 0
 
     @property
-    def numbers(self) -> tuple[Number, ...]:
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Amplitudes, then shapes."""
         return (*self.amplitudes, *self.shapes)
 
     @property
     def shaped(self) -> Candidate:
-        """With its finer shapes free."""
+        """The same effect with its finer shapes free."""
         return replace(self, shapes=(*self.shapes, *self.finer), finer=())
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What was measured in one run: n samples of m signals, all in one unit a signal; NaN where nothing was."""
+    """One recording as it is compared: n samples of m signals, NaN where nothing was measured."""
 
     name: str
-    repeat_of: str  # recordings that share it repeat one experiment
-    place: tuple[float, ...]  # on the bed, mm; of an axis the stretch of time, s: what generalises is tested by place
+    repeat_of: str  # observations that share it repeat one experiment
+    position: tuple[float, ...]  # on the bed, mm; of an axis the window of time, s: held out together
     rate_hz: float
     signals: tuple[str, ...]
-    measured: FloatArray  # (n, m)
-    speed: FloatArray  # (n, m) of the part each signal is measured on, in the wanted motion; for the maps
+    measured: FloatArray  # (n, m), all in one unit a signal
+    speed: FloatArray  # (n, m) of the part each signal is measured on, in the reference motion
 
 
-class Impossible(ValueError):
-    """A machine of such numbers does not hold together; a fit must not go there."""
+class InfeasibleParameters(ValueError):
+    """Raised for parameters with which the machine cannot be simulated; a fit must not go there."""
 
 
-class Plant(ABC):
-    """A machine, its recordings, and how it would have answered with other numbers."""
+class Problem(ABC):
+    """A machine, its observations, and what it would have measured with other parameters."""
 
     band_hz: tuple[float, float]  # where measurement and model are compared
     observations: Sequence[Observation]
-    numbers: Sequence[Number]  # what may be retuned within its uncertainty: not a missing effect
+    parameters: Sequence[Parameter]  # what may be retuned within its uncertainty: not a missing effect
     candidates: Sequence[Candidate]
 
     @abstractmethod
     def simulate(
         self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
     ) -> list[FloatArray]:
-        """(n, m) for each recording (or those in `only`); what `values` does not name stays as it is.
+        """Simulate every observation, or those in `only`: (n, m) each.
 
-        coarse : quicker, with kinks rounded off: good enough to choose who is looked at closely.
+        Parameters
+        ----------
+        values : parameters by name; those that are not named stay as they are.
+        coarse : quicker, with kinks rounded off: good enough to rank candidates.
 
         Raises
         ------
-        Impossible
+        InfeasibleParameters
         """
 
     def simulate_many(
         self, many: Sequence[Mapping[str, float]], only: Sequence[int] | None = None, *, coarse: bool = False
-    ) -> Iterator[list[FloatArray] | Impossible]:
-        """The same for many; a plant that is quicker with many at once has its own way."""
+    ) -> Iterator[list[FloatArray] | InfeasibleParameters]:
+        """Simulate several sets of values in order; override it where a batch is quicker."""
         for values in many:
             try:
                 yield self.simulate(values, only, coarse=coarse)
-            except Impossible as error:
+            except InfeasibleParameters as error:
                 yield error

@@ -19,7 +19,7 @@ SLOW_SHARE = 0.05  # of a signal's largest speed: slower than that it is near a 
 
 
 @dataclass(frozen=True)
-class Size:
+class ResidualSize:
     """√(Σ(measured − simulated)²/Σ measured²) inside the band, and what noise alone would leave."""
 
     nrms: float
@@ -27,33 +27,33 @@ class Size:
 
 
 @dataclass(frozen=True, eq=False)
-class Gap:
-    whole: Size
-    signals: Mapping[str, Size]
-    recordings: Mapping[str, Size]
-    places: Mapping[tuple[float, ...], float]  # share of the excess
+class ResidualBreakdown:
+    total: ResidualSize
+    signals: Mapping[str, ResidualSize]
+    recordings: Mapping[str, ResidualSize]
+    positions: Mapping[tuple[float, ...], float]  # share of the excess
     bands: Sequence[tuple[float, float, float]]  # from Hz, to Hz, share of the excess
     near_reversals: float  # share of the excess while what a signal is measured on turns back or rests
 
 
-def find_gap(whiten: Whitener, floor: NoiseFloor, simulated: Sequence[FloatArray]) -> Gap:
+def locate_residual(whiten: Whitener, floor: NoiseFloor, simulated: Sequence[FloatArray]) -> ResidualBreakdown:
     """Compare all recordings with their simulation, (n, m) each."""
     tables = [_table(whiten, floor, r, y) for r, y in zip(whiten.observations, simulated, strict=True)]
     excess = [np.maximum(t.error - t.noise, 0.0) for t in tables]
     total = max(sum(float(e.sum()) for e in excess), 1e-300)
     observations = whiten.observations
     signals = sorted({s for r in observations for s in r.signals})
-    places: dict[tuple[float, ...], float] = {}
+    positions: dict[tuple[float, ...], float] = {}
     for r, e in zip(observations, excess, strict=True):
-        places[r.place] = places.get(r.place, 0.0) + float(e.sum()) / total
-    return Gap(
+        positions[r.position] = positions.get(r.position, 0.0) + float(e.sum()) / total
+    return ResidualBreakdown(
         _size(tables, [np.ones(len(r.signals), bool) for r in observations]),
         {s: _size(tables, [np.array([name == s for name in r.signals]) for r in observations]) for s in signals},
         {
             Path(r.name).name: _size([t], [np.ones(len(r.signals), bool)])
             for r, t in zip(observations, tables, strict=True)
         },
-        places,
+        positions,
         _bands(tables, excess, total),
         _near_reversals(observations, simulated),
     )
@@ -77,12 +77,12 @@ def _table(whiten: Whitener, floor: NoiseFloor, observation: Observation, simula
     return _Table(frequency, np.abs(error) ** 2, noise, np.abs(signal) ** 2)
 
 
-def _size(tables: Sequence[_Table], chosen: Sequence[NDArray[np.bool_]]) -> Size:
+def _size(tables: Sequence[_Table], chosen: Sequence[NDArray[np.bool_]]) -> ResidualSize:
     sums = [
         sum(float(getattr(t, part)[keep].sum()) for t, keep in zip(tables, chosen, strict=True))
         for part in ("error", "noise", "signal")
     ]
-    return Size(float(np.sqrt(sums[0] / sums[2])), float(np.sqrt(sums[1] / sums[2])))
+    return ResidualSize(float(np.sqrt(sums[0] / sums[2])), float(np.sqrt(sums[1] / sums[2])))
 
 
 def _bands(tables: Sequence[_Table], excess: Sequence[FloatArray], total: float) -> list[tuple[float, float, float]]:
@@ -94,9 +94,9 @@ def _bands(tables: Sequence[_Table], excess: Sequence[FloatArray], total: float)
 
 
 def _near_reversals(observations: Sequence[Observation], simulated: Sequence[FloatArray]) -> float:
-    near = whole = 0.0
+    near = total = 0.0
     for r, y in zip(observations, simulated, strict=True):
         power = np.nan_to_num((r.measured - y) ** 2)
         slow = np.abs(r.speed) < SLOW_SHARE * np.max(np.abs(r.speed), axis=0)
-        near, whole = near + float(power[slow].sum()), whole + float(power.sum())
-    return near / max(whole, 1e-300)
+        near, total = near + float(power[slow].sum()), total + float(power.sum())
+    return near / max(total, 1e-300)

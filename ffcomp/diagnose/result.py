@@ -10,32 +10,32 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.diagnose.engine import Diagnosis
-from ffcomp.diagnose.printer_problem import WHOLE, Delta, effect_tables
-from ffcomp.diagnose.residuals import Size, find_gap
+from ffcomp.diagnose.diagnosis import Diagnosis
+from ffcomp.diagnose.printer_problem import WHOLE, PrinterProblem, effect_tables
+from ffcomp.diagnose.residuals import ResidualSize, locate_residual
 from ffcomp.identify.uncertainty import Estimate
 from models.effects.catalogue import CATALOGUE
 from models.file import updated_text
 
-GAP, CLOSED = 0.1, 0.5  # of the noise, to be a gap; of the gap, to be closed by retuning
+DISCREPANCY, CLOSED = 0.1, 0.5  # of the noise, to be a gap; of the gap, to be closed by retuning
 MOVED = 0.1  # standard deviations of its uncertainty from which a number is said to be retuned
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class DiagnosisResult:
     """What is printed, and written into the better machine file."""
 
     verdict: str
     effects: Mapping[str, Mapping[str, Any]]  # of the best hypothesis, as tables of a machine file
     intervals: Mapping[str, Estimate]  # effects.name.key -> in the machine file's terms
     retuned: Mapping[str, tuple[float, float]]  # from, to
-    confusable_with: Sequence[tuple[str, str]]  # effect, how to tell them apart
-    before: Size
-    after: Size
+    confounded_with: Sequence[tuple[str, str]]  # effect, how to tell them apart
+    before: ResidualSize
+    after: ResidualSize
     held_out: tuple[float, float]  # nrms before and after, on places the numbers were not fitted to
     gained: float  # −2 ln Z against retuning alone
     confidence: Mapping[str, float]  # of each effect against the best that was tried without it
-    refused: Sequence[str]
+    rejections: Sequence[str]
     invisible: Sequence[str]  # effects of which the runs could not show a usual size
 
     @property
@@ -43,8 +43,8 @@ class Outcome:
         """Is a machine file worth writing: with effects, or with numbers retuned that close a gap without any?"""
         if self.verdict != "none":
             return self.verdict == "effects"
-        gap, left = self.before.nrms - self.before.noise_nrms, self.after.nrms - self.before.noise_nrms
-        return gap > GAP * self.before.noise_nrms and left < CLOSED * gap
+        discrepancy, left = self.before.nrms - self.before.noise_nrms, self.after.nrms - self.before.noise_nrms
+        return discrepancy > DISCREPANCY * self.before.noise_nrms and left < CLOSED * discrepancy
 
     def parameters(self, effect: str) -> dict[str, dict[str, Any]]:
         """Of one effect, by the machine file's keys: value, low, high; lists where the file has lists."""
@@ -52,33 +52,35 @@ class Outcome:
         for name, e in self.intervals.items():
             if name.startswith(prefix):
                 found.setdefault(name.removeprefix(prefix).partition("[")[0], []).append(e)
-        return {key: _told(effect, key, own, self.effects[effect][key]) for key, own in found.items() if key != WHOLE}
+        return {
+            key: _file_values(effect, key, own, self.effects[effect][key]) for key, own in found.items() if key != WHOLE
+        }
 
 
-def outcome(plant: Delta, found: Diagnosis) -> Outcome:
+def result_of(problem: PrinterProblem, found: Diagnosis) -> DiagnosisResult:
     """Translate; the best hypothesis is told even if it was refused."""
     fitted = found.final
     tables = effect_tables(fitted.values) if found.best is not None else {}
-    names = [n for n in fitted.numbers if not n.name.startswith("effects.")]
+    names = [n for n in fitted.parameters if not n.name.startswith("effects.")]
     retuned = {
         n.name: (n.start, fitted.values[n.name])
-        for n, z in zip(fitted.numbers, fitted.z, strict=True)
+        for n, z in zip(fitted.parameters, fitted.z, strict=True)
         if n in names and abs(z) > MOVED
     }
-    noise = find_gap(found.bench.whiten, found.noise, plant.simulate({})).whole
-    after = find_gap(found.bench.whiten, found.noise, plant.simulate(fitted.values)).whole
-    return Outcome(
+    noise = locate_residual(found.estimation.whiten, found.noise, problem.simulate({})).total
+    after = locate_residual(found.estimation.whiten, found.noise, problem.simulate(fitted.values)).total
+    return DiagnosisResult(
         found.verdict,
         tables,
         {name: _in_file_terms(name, e) for name, e in found.intervals.items() if name.startswith("effects.")},
         retuned,
-        [(name, _apart(tables, name)) for name in found.confusable],
+        [(name, _apart(tables, name)) for name in found.confounded],
         noise,
         after,
         _held_out(found, noise.noise_nrms),
         found.base.evidence - fitted.evidence,
         {name: _confidence(found, name) for name in tables},
-        found.refused,
+        found.rejections,
         found.invisible,
     )
 
@@ -109,7 +111,7 @@ def _in_file_terms(name: str, e: Estimate) -> Estimate:
     return Estimate(value, value * e.sd / e.value / abs(power), min(ends), max(ends))
 
 
-def _told(effect: str, key: str, own: Sequence[Estimate], table: Any) -> dict[str, Any]:
+def _file_values(effect: str, key: str, own: Sequence[Estimate], table: Any) -> dict[str, Any]:
     """table : what the machine file gets."""
     if CATALOGUE[effect].parameter(key).size == "direction":
         ends = [[round(math.cos(x), 6), round(math.sin(x), 6)] for x in (own[0].low, own[0].high)]
@@ -130,13 +132,13 @@ def _apart(tables: Mapping[str, Any], other: str) -> str:
 
 def _held_out(found: Diagnosis, noise: float) -> tuple[float, float]:
     """nrms over all places, each left out of the fit in turn: with the file as it is, and with what was found."""
-    if not found.places:
+    if not found.held_out:
         return noise, noise
-    filed, after, signals = np.sum([p.power for p in found.places], axis=0)
+    filed, after, signals = np.sum([p.power for p in found.held_out], axis=0)
     return float(np.sqrt(filed / signals)), float(np.sqrt(after / signals))
 
 
-def better_file(source: Path, name: str, found: Outcome, data: Sequence[str], when: str) -> str:
+def better_file(source: Path, name: str, found: DiagnosisResult, data: Sequence[str], when: str) -> str:
     """The machine file with the named effects, the retuned numbers, and what they rest on; comments survive."""
     values: dict[str, Any] = {key: float(f"{to:.6g}") for key, (_, to) in found.retuned.items()}
     for effect, table in found.effects.items():

@@ -1,8 +1,8 @@
-"""Screening: one simulation a candidate tells what it is worth beyond retuning, and for what it can be taken.
+"""Screen candidates: one simulation an amplitude tells its gain beyond retuning, and what it is confounded with.
 
-Score test with the numbers that may be retuned projected out (Rao 1948; as the Lagrange multiplier test in
-econometrics). With N the derivative of the simulation by those numbers, S the candidate's signature, both in units of
-their priors, and the base fit at its optimum:
+Score test with the parameters that may be retuned projected out (Rao 1948; as the Lagrange multiplier test in
+econometrics). With N the derivative of the simulation by those parameters, S the candidate's signature, both in units
+of their priors, and the base fit at its optimum:
 
     Σ = I + SᵀS − SᵀN (I + NᵀN)⁻¹ NᵀS,   g = Sᵀr,   gain = gᵀΣ⁻¹g,   Δ(−2 ln Z) = −gain + ln det Σ
 """
@@ -14,11 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ffcomp.diagnose.fit import Bench, Fit, bounded_step, promise
-from ffcomp.diagnose.problem import Candidate, Number
+from ffcomp.diagnose.estimation import EstimationProblem
+from ffcomp.diagnose.fit import Fit, step_within
+from ffcomp.diagnose.problem import Candidate, Parameter
 from models.arrays import FloatArray
 
-SEEN = 3.0  # standard deviations: of an effect of a usual size, to be seen at all
+VISIBLE = 3.0  # standard deviations of an effect of a usual size
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,31 +37,32 @@ class Screened:
 
     @property
     def visible(self) -> bool:
-        return self.strength > SEEN
+        """Whether these recordings would show a usual size."""
+        return self.strength > VISIBLE
 
 
-def screen(bench: Bench, base: Fit, candidates: Sequence[Candidate]) -> list[Screened]:
-    """Every candidate with the best of its shapes and in the better of its forms, best first."""
-    alike = _best(base, candidates, _signatures(bench, base, [(c, shape) for c in candidates for shape in c.grid]))
-    others = [(c.other, shape) for c in candidates if c.other is not None for shape in _other_shapes(c, alike[c.name])]
-    other = _best(base, candidates, _signatures(bench, base, others))
-    found = [min((x[c.name] for x in (alike, other) if c.name in x), key=lambda s: s.evidence) for c in candidates]
+def screen(estimation: EstimationProblem, base: Fit, candidates: Sequence[Candidate]) -> list[Screened]:
+    """Score every candidate with the best of its shapes and in the better of its forms; the best one first."""
+    shared = _best(base, _signatures(estimation, base, [(c, shape) for c in candidates for shape in c.grid]))
+    others = [(c.other, shape) for c in candidates if c.other is not None for shape in _other_shapes(c, shared[c.name])]
+    other = _best(base, _signatures(estimation, base, others))
+    found = [min((x[c.name] for x in (shared, other) if c.name in x), key=lambda s: s.evidence) for c in candidates]
     return sorted(found, key=lambda s: s.evidence)
 
 
 def _other_shapes(c: Candidate, best: Screened) -> list[Mapping[str, float]]:
-    """Where other amplitudes are asked for, the best shape so far; where another shape is, those of the others."""
-    held = {n.name: n.start for n in (c.other or c).shapes if n.low == n.high}
-    if not held:
+    """Shapes to try the other form with: the best one so far; the whole grid where the other form fixes a shape."""
+    fixed = {n.name: n.start for n in (c.other or c).shapes if n.low == n.high}
+    if not fixed:
         return [best.shape]
-    distinct = {tuple(({**shape, **held}).items()) for shape in c.grid}
+    distinct = {tuple(({**shape, **fixed}).items()) for shape in c.grid}
     return [dict(shape) for shape in sorted(distinct)]
 
 
 Tried = tuple[Candidate, Mapping[str, float], FloatArray]
 
 
-def _best(base: Fit, candidates: Sequence[Candidate], tries: Iterator[Tried]) -> dict[str, Screened]:
+def _best(base: Fit, tries: Iterator[Tried]) -> dict[str, Screened]:
     found: dict[str, Screened] = {}
     for candidate, shape, signature in tries:
         one = _scored(base, candidate, shape, signature)
@@ -69,14 +71,16 @@ def _best(base: Fit, candidates: Sequence[Candidate], tries: Iterator[Tried]) ->
     return found
 
 
-def _signatures(bench: Bench, base: Fit, tries: Sequence[tuple[Candidate, Mapping[str, float]]]) -> Iterator[Tried]:
-    """One probe an amplitude, the others without effect."""
+def _signatures(
+    estimation: EstimationProblem, base: Fit, tries: Sequence[tuple[Candidate, Mapping[str, float]]]
+) -> Iterator[Tried]:
+    """Simulate one probe an amplitude, the others without effect."""
     probes = [{}, *(_probe(c, a.name, shape) for c, shape in tries for a in c.amplitudes)]
-    residuals = bench.residuals([{**base.values, **probe} for probe in probes])
-    reference = next(residuals)
+    residuals = estimation.residuals([{**base.values, **probe} for probe in probes])
+    without = next(residuals)
     for candidate, shape in tries:
         columns = [
-            (reference - next(residuals)) * (a.sd / (candidate.probe[a.name] - a.start)) for a in candidate.amplitudes
+            (without - next(residuals)) * (a.sd / (candidate.probe[a.name] - a.start)) for a in candidate.amplitudes
         ]
         yield candidate, shape, np.stack(columns, axis=1)
 
@@ -103,16 +107,17 @@ def _scored(base: Fit, candidate: Candidate, shape: Mapping[str, float], signatu
 
 
 def _joint_step(base: Fit, signature: FloatArray, cross: FloatArray, added: FloatArray) -> tuple[FloatArray, float]:
-    """The best step of the machine's numbers, inside their bounds, and of the amplitudes; and what it gains beyond
-    the best of the numbers alone."""
-    free = tuple(Number(f"amplitude {i}", 0.0, 1.0) for i in range(signature.shape[1]))
+    """Find the best step of the machine's parameters, inside their bounds, and of the amplitudes; and its gain beyond
+    the best of the parameters alone.
+    """
+    free = tuple(Parameter(f"amplitude {i}", 0.0, 1.0) for i in range(signature.shape[1]))
     normal = np.block([[base.information, cross], [cross.T, added]])
     gradient = np.concatenate([base.jacobian.T @ base.residual - base.z, signature.T @ base.residual])
     z = np.concatenate([base.z, np.zeros(len(free))])
-    step = bounded_step((*base.numbers, *free), z, normal, gradient)
-    return step, float(2 * gradient @ step - step @ normal @ step) - promise(base)
+    step = step_within((*base.parameters, *free), z, normal, gradient)
+    return step, float(2 * gradient @ step - step @ normal @ step) - base.predicted_gain
 
 
-def likeness(a: Screened, b: Screened) -> float:
-    """cos² between two projected signatures: 1 if one can be taken for the other."""
+def similarity(a: Screened, b: Screened) -> float:
+    """cos² between two projected signatures: 1 where the effects are fully confounded."""
     return float(a.projected @ b.projected) ** 2

@@ -15,16 +15,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.diagnose.acceptance import Place, intervals_of
-from ffcomp.diagnose.engine import Diagnosis
-from ffcomp.diagnose.fit import Bench
-from ffcomp.diagnose.hypotheses import gap_of
+from ffcomp.diagnose.acceptance import HeldOut
+from ffcomp.diagnose.diagnosis import Diagnosis
+from ffcomp.diagnose.estimation import EstimationProblem
+from ffcomp.diagnose.hypotheses import discrepancy_of
+from ffcomp.diagnose.intervals import intervals_of
 from ffcomp.diagnose.noise import lines, taper
-from ffcomp.diagnose.printer_problem import Delta
-from ffcomp.diagnose.problem import Number
+from ffcomp.diagnose.printer_problem import PrinterProblem
+from ffcomp.diagnose.problem import Parameter
 from ffcomp.diagnose.residuals import EDGES_HZ, SLOW_SHARE
 from ffcomp.diagnose.result import MOVED
-from ffcomp.diagnose.score_test import likeness
+from ffcomp.diagnose.score_test import similarity
 from ffcomp.identify.uncertainty import Estimate
 from models.arrays import FloatArray
 
@@ -89,7 +90,7 @@ class Promise:
 
 
 @dataclass(frozen=True, eq=False)
-class Alike:
+class Confounding:
     """cos² between what visible effects do beyond retuning: 1 if one can be taken for the other."""
 
     names: tuple[str, ...]
@@ -114,12 +115,12 @@ class Evidence:
     effects: tuple[str, ...]
     left: float  # gap, of the noise
     against_best: float  # −2 ln Z more than the best's
-    numbers: int
+    parameters: int
     named: bool
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class DiagnosisSummary:
     band_hz: tuple[float, float]  # where measurement and simulation are compared
     noise_from_repeats: bool
     bed_radius_mm: float
@@ -128,27 +129,27 @@ class Picture:
     spectra: tuple[Spectrum, ...]
     evidence: tuple[Evidence, ...]
     promises: tuple[Promise, ...]
-    alike: Alike
-    places: tuple[Place, ...]
+    confounding: Confounding
+    held_out: tuple[HeldOut, ...]
     retuned: tuple[Retuned, ...]
 
 
-def picture(plant: Delta, found: Diagnosis) -> Picture:
+def summarise(problem: PrinterProblem, found: Diagnosis) -> DiagnosisSummary:
     """What a report shows of a diagnosis: before is the machine file as it is, after with what was found."""
-    desk = found.bench
-    answers = plant.simulate({}), plant.simulate(found.final.values)
-    before, after = (desk.measured - desk.whiten(simulated) for simulated in answers)
-    return Picture(
-        desk.whiten.band_hz,
+    estimation = found.estimation
+    answers = problem.simulate({}), problem.simulate(found.final.values)
+    before, after = (estimation.measured - estimation.whiten(simulated) for simulated in answers)
+    return DiagnosisSummary(
+        estimation.whiten.band_hz,
         found.noise.from_repeats,
-        plant.machine.kinematics.bed_radius_mm,
-        tuple(_splits(plant, desk, before, after)),
-        tuple(_overlays(plant, desk, answers, before)),
-        tuple(_spectra(desk, answers)),
+        problem.machine.kinematics.bed_radius_mm,
+        tuple(_splits(problem, estimation, before, after)),
+        tuple(_overlays(problem, estimation, answers, before)),
+        tuple(_spectra(estimation, answers)),
         tuple(_evidence(found)),
         tuple(Promise(s.candidate.name, -s.evidence, s.strength, s.visible) for s in found.screened),
-        _alike(found),
-        tuple(found.places),
+        _confounding(found),
+        tuple(found.held_out),
         tuple(_retuned(found)),
     )
 
@@ -156,14 +157,16 @@ def picture(plant: Delta, found: Diagnosis) -> Picture:
 # ---- where ---------------------------------------------------------------------------------------
 
 
-def _splits(plant: Delta, desk: Bench, before: FloatArray, after: FloatArray) -> list[Split]:
-    bands = np.digitize(desk.whiten.frequencies(), EDGES_HZ[1:-1])
+def _splits(
+    problem: PrinterProblem, estimation: EstimationProblem, before: FloatArray, after: FloatArray
+) -> list[Split]:
+    bands = np.digitize(estimation.whiten.frequencies(), EDGES_HZ[1:-1])
     edges = tuple(pairwise(EDGES_HZ))
     blank = Split("frequency", tuple(f"{a:g}-{b:g} Hz" for a, b in edges), (), (), (), edges, "Hz")
     found = [_filled(blank, bands, np.ones(len(bands)), before, after)]
-    parts = (_expected(desk), series(desk, before), series(desk, after))
+    parts = (_expected(estimation), series(estimation, before), series(estimation, after))
     joined = [np.concatenate([x.ravel() for x in part]) for part in parts]
-    for empty, groups in _by(plant):
+    for empty, groups in _by(problem):
         found.append(_filled(empty, np.concatenate([g.ravel() for g in groups]), *joined))
     return found
 
@@ -194,19 +197,20 @@ def _filled(
     )
 
 
-def _expected(desk: Bench) -> list[FloatArray]:
+def _expected(estimation: EstimationProblem) -> list[FloatArray]:
     """(n, m) a recording: the square that noise alone has in `series`; the ends are faded."""
-    faded = [taper(len(r.measured), r.rate_hz) ** 2 for r in desk.whiten.observations]
+    faded = [taper(len(r.measured), r.rate_hz) ** 2 for r in estimation.whiten.observations]
     return [
-        np.outer(w / w.mean(), np.ones(len(r.signals))) for w, r in zip(faded, desk.whiten.observations, strict=True)
+        np.outer(w / w.mean(), np.ones(len(r.signals)))
+        for w, r in zip(faded, estimation.whiten.observations, strict=True)
     ]
 
 
-def series(desk: Bench, residual: FloatArray) -> list[FloatArray]:
+def series(estimation: EstimationProblem, residual: FloatArray) -> list[FloatArray]:
     """The whitened residual (rows,) back in time, (n, m) a recording: noise alone has a mean square of one."""
     found = []
-    for observation, rows in zip(desk.whiten.observations, desk.whiten.rows, strict=True):
-        _, keep = lines(observation, desk.whiten.band_hz)
+    for observation, rows in zip(estimation.whiten.observations, estimation.whiten.rows, strict=True):
+        _, keep = lines(observation, estimation.whiten.band_hz)
         real, imaginary = residual[rows].reshape(2, len(observation.signals), -1)
         spectrum = np.zeros((len(observation.signals), len(keep)), dtype=complex)
         spectrum[:, keep] = real + 1j * imaginary
@@ -215,28 +219,28 @@ def series(desk: Bench, residual: FloatArray) -> list[FloatArray]:
     return found
 
 
-def _by(plant: Delta) -> list[tuple[Split, list[NDArray[np.int64]]]]:
+def _by(problem: PrinterProblem) -> list[tuple[Split, list[NDArray[np.int64]]]]:
     """For every thing to split by: its labels, and which of them each sample (n, m) of each recording has."""
-    observations = plant.observations
+    observations = problem.observations
     signals = sorted({s for r in observations for s in r.signals})
-    places = list(dict.fromkeys(r.place for r in observations))
+    positions = list(dict.fromkeys(r.position for r in observations))
     full: list[NDArray[np.int64]] = [np.ones(r.measured.shape, dtype=np.int64) for r in observations]
     by_signal = [
         one * np.array([signals.index(s) for s in r.signals]) for one, r in zip(full, observations, strict=True)
     ]
-    by_place = [one * places.index(r.place) for one, r in zip(full, observations, strict=True)]
+    by_position = [one * positions.index(r.position) for one, r in zip(full, observations, strict=True)]
     by_run = [one * i for i, one in enumerate(full)]
     by_time = [one * (np.arange(len(one)) * TIME_BINS // len(one))[:, None] for one in full]
     moved = [_direction(r.speed) for r in observations]
     sizes = [_size(r.measured) for r in observations]
     return [
         (_named("signal", signals), by_signal),
-        (replace(_named("place", [_place_name(p) for p in places]), at=tuple(places)), by_place),
+        (replace(_named("place", [_position_name(p) for p in positions]), at=tuple(positions)), by_position),
         (_named("run", [Path(r.name).name for r in observations]), by_run),
         (_shares("share of the run's time", np.linspace(0, 1, TIME_BINS + 1)), by_time),
         (_named("motion", ["backward", "turning back or at rest", "forward"]), moved),
         (_shares("size of motion", QUANTILES), sizes),
-        (_shares("motor's step cycle", np.linspace(0, 1, PHASE_BINS + 1)), _phases(plant)),
+        (_shares("motor's step cycle", np.linspace(0, 1, PHASE_BINS + 1)), _phases(problem)),
     ]
 
 
@@ -249,8 +253,8 @@ def _shares(title: str, edges: Sequence[float] | FloatArray) -> Split:
     return Split(title, tuple(f"{a:.0f}-{b:.0f} %" for a, b in spans), (), (), (), spans, "%")
 
 
-def _place_name(place: Sequence[float]) -> str:
-    return "(" + ", ".join(f"{x:g}" for x in place) + ") mm"
+def _position_name(position: Sequence[float]) -> str:
+    return "(" + ", ".join(f"{x:g}" for x in position) + ") mm"
 
 
 def _direction(speed: FloatArray) -> NDArray[np.int64]:
@@ -264,11 +268,11 @@ def _size(measured: FloatArray) -> NDArray[np.int64]:
     return np.sum(size[None] > edges[:, None], axis=0).astype(np.int64)
 
 
-def _phases(plant: Delta) -> list[NDArray[np.int64]]:
+def _phases(problem: PrinterProblem) -> list[NDArray[np.int64]]:
     """Of the signal's own motor; of motor A for the nozzle's."""
-    cycle = CYCLE_STEPS / float(plant.machine.steps.full_per_motor[0])
+    cycle = CYCLE_STEPS / float(problem.machine.steps.full_per_motor[0])
     found = []
-    for r, command in zip(plant.observations, plant.commands, strict=True):
+    for r, command in zip(problem.observations, problem.commands, strict=True):
         own = command[:, ["ABC".find(s[-1]) if s[-1] in "ABC" else 0 for s in r.signals]]
         found.append((np.mod(own / cycle, 1.0) * PHASE_BINS).astype(np.int64) % PHASE_BINS)
     return found
@@ -279,52 +283,56 @@ def _phases(plant: Delta) -> list[NDArray[np.int64]]:
 Answers = tuple[list[FloatArray], list[FloatArray]]  # (n, m) a recording, before and after
 
 
-def _overlays(plant: Delta, desk: Bench, answers: Answers, before: FloatArray) -> list[Overlay]:
+def _overlays(
+    problem: PrinterProblem, estimation: EstimationProblem, answers: Answers, before: FloatArray
+) -> list[Overlay]:
     """The signals with the largest excess, around the moment where it was largest."""
-    errors = series(desk, before)
+    errors = series(estimation, before)
     ranked = sorted(
         ((float(np.mean(e[:, k] ** 2)), i, k) for i, e in enumerate(errors) for k in range(e.shape[1])), reverse=True
     )
-    distinct = {plant.observations[i].signals[k]: (i, k) for _, i, k in reversed(ranked)}
-    chosen = [(i, k) for _, i, k in ranked if distinct[plant.observations[i].signals[k]] == (i, k)]
-    return [_overlay(plant, desk, answers, errors[i][:, k], i, k) for i, k in chosen[:OVERLAYS]]
+    distinct = {problem.observations[i].signals[k]: (i, k) for _, i, k in reversed(ranked)}
+    chosen = [(i, k) for _, i, k in ranked if distinct[problem.observations[i].signals[k]] == (i, k)]
+    return [_overlay(problem, estimation, answers, errors[i][:, k], i, k) for i, k in chosen[:OVERLAYS]]
 
 
-def _overlay(plant: Delta, desk: Bench, answers: Answers, error: FloatArray, i: int, k: int) -> Overlay:
-    r = plant.observations[i]
+def _overlay(
+    problem: PrinterProblem, estimation: EstimationProblem, answers: Answers, error: FloatArray, i: int, k: int
+) -> Overlay:
+    r = problem.observations[i]
     half = round(WINDOW_S * r.rate_hz / 2)
     power = np.convolve(error**2, np.ones(2 * half), "same")
     middle = min(max(int(power.argmax()), half), max(len(power) - half, half))
     part = slice(middle - half, middle + half)
-    measured, before, after = (_in_band(desk, i, x)[part, k] for x in (r.measured, answers[0][i], answers[1][i]))
-    frequency, _ = lines(r, desk.whiten.band_hz)
-    noise = desk.whiten.floor.at(r.signals[k], frequency)
+    measured, before, after = (_in_band(estimation, i, x)[part, k] for x in (r.measured, answers[0][i], answers[1][i]))
+    frequency, _ = lines(r, estimation.whiten.band_hz)
+    noise = estimation.whiten.floor.at(r.signals[k], frequency)
     rms = float(np.sqrt(np.sum(noise) * (frequency[1] - frequency[0])))
     time = np.arange(part.start, part.stop) / r.rate_hz
     return Overlay(Path(r.name).name, r.signals[k], time, measured, before, after, rms)
 
 
-def _in_band(desk: Bench, i: int, x: FloatArray) -> FloatArray:
+def _in_band(estimation: EstimationProblem, i: int, x: FloatArray) -> FloatArray:
     """(n, m) of recording i inside the band, as it is compared."""
-    observation = desk.whiten.observations[i]
-    _, keep = lines(observation, desk.whiten.band_hz)
+    observation = estimation.whiten.observations[i]
+    _, keep = lines(observation, estimation.whiten.band_hz)
     spectrum = np.zeros((len(keep), x.shape[1]), dtype=complex)
-    spectrum[keep] = desk.whiten.spectrum(observation, x)[0].T
+    spectrum[keep] = estimation.whiten.spectrum(observation, x)[0].T
     return np.asarray(np.fft.irfft(spectrum, len(x), axis=0))
 
 
-def _spectra(desk: Bench, answers: Answers) -> list[Spectrum]:
-    kinds = {(s[:3], s[4] in "ABC") for r in desk.whiten.observations for s in r.signals}
-    return [_spectrum(desk, answers, *kind) for kind in sorted(kinds)]
+def _spectra(estimation: EstimationProblem, answers: Answers) -> list[Spectrum]:
+    kinds = {(s[:3], s[4] in "ABC") for r in estimation.whiten.observations for s in r.signals}
+    return [_spectrum(estimation, answers, *kind) for kind in sorted(kinds)]
 
 
-def _spectrum(desk: Bench, answers: Answers, quantity: str, carriage: bool) -> Spectrum:
+def _spectrum(estimation: EstimationProblem, answers: Answers, quantity: str, carriage: bool) -> Spectrum:
     """Mean powers in bands as wide everywhere on a logarithmic axis; bands that hold no line are left out."""
-    edges = np.geomspace(*desk.whiten.band_hz, SPECTRUM_BANDS + 1)
+    edges = np.geomspace(*estimation.whiten.band_hz, SPECTRUM_BANDS + 1)
     sums, counts = np.zeros((4, SPECTRUM_BANDS)), np.zeros(SPECTRUM_BANDS)
-    for i, r in enumerate(desk.whiten.observations):
+    for i, r in enumerate(estimation.whiten.observations):
         own = [k for k, s in enumerate(r.signals) if s.startswith(quantity) and (s[4] in "ABC") == carriage]
-        frequency, densities = _densities(desk, i, [r.measured, *(r.measured - a[i] for a in answers)])
+        frequency, densities = _densities(estimation, i, [r.measured, *(r.measured - a[i] for a in answers)])
         band = np.digitize(frequency, edges[1:-1])
         counts += len(own) * np.bincount(band, minlength=SPECTRUM_BANDS)
         sums += [np.bincount(band, d[own].sum(axis=0), SPECTRUM_BANDS) for d in densities]
@@ -335,12 +343,14 @@ def _spectrum(desk: Bench, answers: Answers, quantity: str, carriage: bool) -> S
     return Spectrum(f"{whose} {kind}", unit, np.sqrt(edges[1:] * edges[:-1])[kept], *amplitudes)
 
 
-def _densities(desk: Bench, i: int, many: Sequence[FloatArray]) -> tuple[FloatArray, list[FloatArray]]:
+def _densities(
+    estimation: EstimationProblem, i: int, many: Sequence[FloatArray]
+) -> tuple[FloatArray, list[FloatArray]]:
     """(k,) Hz, and the one-sided densities (m, k) of each, unit²/Hz; the noise's last."""
-    observation = desk.whiten.observations[i]
-    spectra = [desk.whiten.spectrum(observation, x) for x in many]
-    frequency, scale = spectra[0][1], 2 * desk.whiten.power(observation)
-    noise = np.stack([desk.whiten.floor.at(s, frequency) for s in observation.signals])
+    observation = estimation.whiten.observations[i]
+    spectra = [estimation.whiten.spectrum(observation, x) for x in many]
+    frequency, scale = spectra[0][1], 2 * estimation.whiten.power(observation)
+    noise = np.stack([estimation.whiten.floor.at(s, frequency) for s in observation.signals])
     return frequency, [*(np.abs(x) ** 2 / scale for x, _ in spectra), noise]
 
 
@@ -351,29 +361,32 @@ def _evidence(found: Diagnosis) -> list[Evidence]:
     if found.best is None:
         return []
     best = found.best.fit.evidence
-    rows = [Evidence(h.names, h.gap, h.fit.evidence - best, len(h.fit.numbers), h is found.named) for h in found.tried]
+    rows = [
+        Evidence(h.names, h.discrepancy, h.fit.evidence - best, len(h.fit.parameters), h is found.named)
+        for h in found.tried
+    ]
     base = found.base
-    nothing = Evidence((), gap_of(base), base.evidence - best, len(base.numbers), False)
+    nothing = Evidence((), discrepancy_of(base), base.evidence - best, len(base.parameters), False)
     return [*rows, nothing]
 
 
-def _alike(found: Diagnosis) -> Alike:
+def _confounding(found: Diagnosis) -> Confounding:
     """The named ones first."""
     best = () if found.best is None else found.best.names
     seen = sorted((s for s in found.screened if s.visible), key=lambda s: s.candidate.name not in best)
-    table = np.array([[likeness(a, b) for b in seen] for a in seen]).reshape(len(seen), len(seen))
-    return Alike(tuple(s.candidate.name for s in seen), table)
+    table = np.array([[similarity(a, b) for b in seen] for a in seen]).reshape(len(seen), len(seen))
+    return Confounding(tuple(s.candidate.name for s in seen), table)
 
 
 def _retuned(found: Diagnosis) -> list[Retuned]:
     """Every number of the machine file, those that moved furthest first."""
-    whole = found.base if found.best is None else found.best.fit
+    full = found.base if found.best is None else found.best.fit
     values = found.final.values
-    intervals = found.intervals or intervals_of(found.bench, whole, values)
-    own = [n for n in whole.numbers if not n.name.startswith("effects.")]
+    intervals = found.intervals or intervals_of(found.estimation, full, values)
+    own = [n for n in full.parameters if not n.name.startswith("effects.")]
     rows = [_row(n, values.get(n.name, n.start), intervals[n.name]) for n in own]
     return sorted(rows, key=lambda r: -abs(r.now.value - r.start) / r.sd)
 
 
-def _row(n: Number, value: float, interval: Estimate) -> Retuned:
+def _row(n: Parameter, value: float, interval: Estimate) -> Retuned:
     return Retuned(n.name, n.start, n.sd, interval, abs(value - n.start) > MOVED * n.sd)

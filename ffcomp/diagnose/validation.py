@@ -137,8 +137,8 @@ def check_repeats(recordings: Sequence[Recording]) -> None:
 def _lengths(recordings: Sequence[Recording]) -> str:
     """What repeats by name have for lengths, as a sentence; '' if there are none."""
     for recording in recordings:
-        alike = [other for other in recordings if other.repeat_of == recording.repeat_of]
-        if len(alike) > 1:
-            rows = ", ".join(f"{Path(other.source).name} {len(other.time_s)}" for other in alike)
+        repeats = [other for other in recordings if other.repeat_of == recording.repeat_of]
+        if len(repeats) > 1:
+            rows = ", ".join(f"{Path(other.source).name} {len(other.time_s)}" for other in repeats)
             return f" These are named as repeats, and have other numbers of rows: {rows}. Cut them to the same."
     return ""

@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from ffcomp.cli.diagnose import _result as diagnosis_json
-from ffcomp.diagnose.residuals import Size
-from ffcomp.diagnose.result import Outcome
+from ffcomp.diagnose.residuals import ResidualSize
+from ffcomp.diagnose.result import DiagnosisResult
 from ffcomp.identify.uncertainty import normal
 from ffcomp.measurement.frf_files import write_frf
 from models.file import LIBRARY, load_machine
@@ -153,16 +153,16 @@ def test_diagnose(page: Page) -> None:
     )
 
 
-def _outcome(verdict: str) -> Outcome:
+def _outcome(verdict: str) -> DiagnosisResult:
     name = "coulomb_friction"
-    return Outcome(
+    return DiagnosisResult(
         verdict,
         {name: {"force_n": 1.1}},
         {f"effects.{name}.force_n": normal(1.1, 0.1)},
         {"carriage.mass_kg": (0.18, 0.181)},
         [("joint_friction", "Move one carriage by itself.")],
-        Size(0.3, 0.01),
-        Size(0.02, 0.01),
+        ResidualSize(0.3, 0.01),
+        ResidualSize(0.02, 0.01),
         (0.3, 0.02),
         800.0,
         {name: 0.99},

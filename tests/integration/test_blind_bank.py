@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.diagnose import diagnose
-from ffcomp.diagnose.engine import noise_floor
+from ffcomp.diagnose.diagnosis import noise_floor
 from ffcomp.diagnose.noise import whitener
-from ffcomp.diagnose.printer_problem import Delta
-from ffcomp.diagnose.residuals import find_gap
+from ffcomp.diagnose.printer_problem import PrinterProblem
+from ffcomp.diagnose.residuals import locate_residual
 from ffcomp.measurement.recording import read_recording
 from models.effects.catalogue import CATALOGUE, measured, with_effect
 from models.file import load_machine
@@ -118,13 +118,13 @@ def test_nothing_hidden_leaves_only_the_noise(stratum: str, tmp_path: Path) -> N
     assert made.label.effects == {} and made.label.visible
     true = toml_of(draw(21, stratum, SECONDS).real.machine, "true")
     folder = written(replace(made, machine=true), tmp_path)
-    plant = Delta(
+    plant = PrinterProblem(
         load_machine(folder / "machine.toml"), [read_recording(p) for p in sorted((folder / "runs").iterdir())], ()
     )
     simulated = plant.simulate({})
     floor = noise_floor(plant, simulated)
-    found = find_gap(whitener(plant.observations, floor, plant.band_hz), floor, simulated)
-    assert found.whole.nrms < 1.1 * found.whole.noise_nrms
+    found = locate_residual(whitener(plant.observations, floor, plant.band_hz), floor, simulated)
+    assert found.total.nrms < 1.1 * found.total.noise_nrms
     assert all(size.nrms < 1.2 * size.noise_nrms for size in found.signals.values())
 
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.diagnose.engine import Diagnosis, diagnose
-from ffcomp.diagnose.printer_problem import Delta
-from ffcomp.diagnose.result import outcome
-from ffcomp.diagnose.summary import picture
+from ffcomp.diagnose.diagnosis import Diagnosis, diagnose
+from ffcomp.diagnose.printer_problem import PrinterProblem
+from ffcomp.diagnose.result import result_of
+from ffcomp.diagnose.summary import summarise
 from ffcomp.measurement.recording import Recording
 from models.effects.catalogue import with_effect
 from models.file import load_machine
@@ -50,18 +50,18 @@ def recordings_of(truth: Machine, noise: float = NOISE) -> list[Recording]:
     for i, place in enumerate(PLACES):
         q = command(place, rng)
         blank = dict.fromkeys(SENSORS, np.zeros(len(t)))
-        true = Delta(truth, [Recording("x.csv", t, q, "carriage", blank, {}, none, {})], ()).simulate({})[0]
+        true = PrinterProblem(truth, [Recording("x.csv", t, q, "carriage", blank, {}, none, {})], ()).simulate({})[0]
         for repeat in (1, 2):
             felt = dict(zip(SENSORS, (true + noise * rng.standard_normal(true.shape)).T, strict=True))
             recordings.append(Recording(f"p{i}-{repeat}.csv", t, q, "carriage", felt, {}, none, {}))
     return recordings
 
 
-def found(candidates: tuple[str, ...], **hidden: dict[str, Any]) -> tuple[Delta, Diagnosis]:
+def found(candidates: tuple[str, ...], **hidden: dict[str, Any]) -> tuple[PrinterProblem, Diagnosis]:
     truth = believed()
     for name, table in hidden.items():
         truth = with_effect(truth, name, **table)
-    plant = Delta(believed(), recordings_of(truth), candidates)
+    plant = PrinterProblem(believed(), recordings_of(truth), candidates)
     return plant, diagnose(plant)
 
 
@@ -77,13 +77,13 @@ CASES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
 def test_the_hidden_effect_is_named_among_rivals(name: str) -> None:
     hidden, rivals = CASES[name]
     plant, diagnosis = found((name, *rivals), **{name: hidden})
-    assert diagnosis.verdict == "effects", diagnosis.refused
-    told = outcome(plant, diagnosis)
+    assert diagnosis.verdict == "effects", diagnosis.rejections
+    told = result_of(plant, diagnosis)
     assert list(told.effects) == [name]
     for key, value in hidden.items():
         np.testing.assert_allclose(np.array(told.effects[name][key]), value, rtol=0.03, atol=0.002)
     assert told.retuned == {}  # the file was right, so nothing else had to move
-    assert all(place.after < 0.1 for place in diagnosis.places)
+    assert all(place.after < 0.1 for place in diagnosis.held_out)
 
 
 def test_a_belt_of_one_tower_is_named_with_a_number_for_each() -> None:
@@ -106,8 +106,8 @@ def test_two_hidden_effects_are_both_named() -> None:
 
 def test_what_no_candidate_explains_is_unknown_and_pictured() -> None:
     plant, diagnosis = found(("command_delay", "guide_damping"), cogging={"amplitude_mm": 0.03, "pitch_mm": 0.8})
-    assert diagnosis.verdict == "unknown" and diagnosis.refused and diagnosis.named is None
-    shown = picture(plant, diagnosis)
+    assert diagnosis.verdict == "unknown" and diagnosis.rejections and diagnosis.named is None
+    shown = summarise(plant, diagnosis)
     splits = {split.title: split for split in shown.splits}
     cycle = splits["motor's step cycle"]  # ripple follows the motor's position
     assert len(cycle.labels) == 16 and min(cycle.before) > 10
@@ -120,7 +120,7 @@ def test_what_cannot_be_seen_is_said_to_be_invisible_and_noise_pictures_as_nothi
     plant, diagnosis = found(("center_of_mass", "guide_damping"))
     assert diagnosis.verdict == "none"
     assert diagnosis.invisible == ["center_of_mass"]  # by virtual work the carriages do not feel it
-    for split in picture(plant, diagnosis).splits:
+    for split in summarise(plant, diagnosis).splits:
         inner = np.array(split.after[1:-1] if "time" in split.title else split.after)  # the ends are faded out
         assert np.abs(inner).max() < 0.6, split.title  # where an effect is, hundreds
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.diagnose.engine import Diagnosis, diagnose
-from ffcomp.diagnose.printer_problem import Delta
-from ffcomp.diagnose.result import better_file, outcome
+from ffcomp.diagnose.diagnosis import Diagnosis, diagnose
+from ffcomp.diagnose.printer_problem import PrinterProblem
+from ffcomp.diagnose.result import better_file, result_of
 from ffcomp.measurement.recording import read_recording
 from models.effects.catalogue import with_effect
 from models.file import load_machine
@@ -35,16 +35,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @cache
-def asked(folder: Path, *names: str) -> tuple[Delta, Diagnosis]:
+def asked(folder: Path, *names: str) -> tuple[PrinterProblem, Diagnosis]:
     runs = [read_recording(path) for path in sorted((folder / "runs").iterdir())]
-    plant = Delta(load_machine(folder / "owner.toml"), runs, names)
+    plant = PrinterProblem(load_machine(folder / "owner.toml"), runs, names)
     return plant, diagnose(plant)
 
 
 def written(folder: Path, *names: str) -> Path:
     plant, found = asked(folder, *names)
     path = folder / ("+".join(names) + ".toml")
-    path.write_text(better_file(folder / "owner.toml", "better", outcome(plant, found), [], "today"), encoding="utf-8")
+    path.write_text(
+        better_file(folder / "owner.toml", "better", result_of(plant, found), [], "today"), encoding="utf-8"
+    )
     return path
 
 
@@ -70,6 +72,6 @@ def test_a_wrong_effect_is_refused_for_what_it_leaves_at_places_left_out(folder:
     _, found = asked(folder, wrong)
     assert (found.verdict, found.named) == ("unknown", None)
     assert found.best is not None and found.best.names == (wrong,)
-    assert any("left out of the fit" in reason for reason in found.refused)
-    assert any("% of the gap are left" in reason for reason in found.refused)
-    assert np.mean([place.after for place in found.places]) > 1.0  # of the noise
+    assert any("left out of the fit" in reason for reason in found.rejections)
+    assert any("% of the discrepancy is left" in reason for reason in found.rejections)
+    assert np.mean([place.after for place in found.held_out]) > 1.0  # of the noise

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle
 from matplotlib.ticker import NullLocator
 
-from ffcomp.diagnose.acceptance import Place
-from ffcomp.diagnose.summary import Alike, Overlay, Spectrum, Split
+from ffcomp.diagnose.acceptance import HeldOut
+from ffcomp.diagnose.summary import Confounding, Overlay, Spectrum, Split
 from ffcomp.report.diagnose.words import digits, times_noise
 from ffcomp.report.shared.drawing import Box
 from ffcomp.report.shared.style import AFTER, BEFORE, INK, SOFT, grid, plain_decades
@@ -117,7 +117,7 @@ def _magnitude(times: float) -> float:
     return 1.0 + max(np.log2(max(times, 1.0)), 0.0)
 
 
-def draw_places(box: Box, places: Sequence[Place], labels: Sequence[str]) -> None:
+def draw_places(box: Box, places: Sequence[HeldOut], labels: Sequence[str]) -> None:
     """Draw the error before and after at positions left out of the fit."""
     before, after = (
         np.maximum([times_noise(getattr(p, what)) for p in places], LEAST_SHOWN) for what in ("before", "after")
@@ -170,7 +170,7 @@ def draw_spectrum(box: Box, spectrum: Spectrum) -> None:
 # ---- confounded effects -------------------------------------------------------------------
 
 
-def draw_alike(box: Box, alike: Alike, named: Sequence[str]) -> None:
+def draw_alike(box: Box, alike: Confounding, named: Sequence[str]) -> None:
     """Draw the similarity (cos²) of every pair of effects."""
     axes = box.subplots()
     names, count = alike.names, len(alike.names)

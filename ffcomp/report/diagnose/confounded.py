@@ -27,7 +27,7 @@ class Confounded:
 
 def confounded(given: ReportInput) -> list[Confounded]:
     """List for each effect of the best hypothesis the visible ones most like it."""
-    alike, own = given.picture.alike, tuple(given.outcome.effects)
+    alike, own = given.picture.confounding, tuple(given.outcome.effects)
     found = []
     for name in own:
         if name not in alike.names:

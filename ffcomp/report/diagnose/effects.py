@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ffcomp.diagnose.result import Outcome
+from ffcomp.diagnose.result import DiagnosisResult
 from ffcomp.identify.uncertainty import Estimate
 from ffcomp.report.diagnose.words import INFINITELY, digits, interval, joined, title
 from models.effects.catalogue import CATALOGUE
@@ -27,7 +27,7 @@ class Row:
     meaning: str
 
 
-def rows(found: Outcome, effect: str) -> list[Row]:
+def rows(found: DiagnosisResult, effect: str) -> list[Row]:
     """Every number that was found, in the order of the catalogue."""
     intervals = _of(found.intervals, effect)
     return [
@@ -61,14 +61,14 @@ def _direction(value: Any) -> str:
     return f"{math.degrees(math.atan2(value[1], value[0])):.0f}° from x"
 
 
-def in_words(found: Outcome, effect: str) -> str:
+def in_words(found: DiagnosisResult, effect: str) -> str:
     """`more on the nozzle holder (effector_mass): added_kg 0.0801 kg (90 %: 0.0795 to 0.0807)`."""
     given = [_amplitude(found, effect, p) for p in CATALOGUE[effect].amplitudes]
     numbers = joined([words for words in given if words])
     return f"{title(effect)} ({effect}){f': {numbers}' if numbers else ''}"
 
 
-def _amplitude(found: Outcome, effect: str, p: Parameter) -> str:
+def _amplitude(found: DiagnosisResult, effect: str, p: Parameter) -> str:
     own = [e for name, e in _of(found.intervals, effect).items() if name.partition("[")[0] == p.name]
     if len(own) == 1:
         return interval(own[0], p.unit)

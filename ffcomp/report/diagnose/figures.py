@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-from ffcomp.diagnose.summary import Overlay, Picture, Spectrum, Split
+from ffcomp.diagnose.summary import Overlay, DiagnosisSummary, Spectrum, Split
 from ffcomp.report.diagnose import charts
 from ffcomp.report.diagnose.standout import stands_out
 from ffcomp.report.diagnose.words import times, times_noise
@@ -26,7 +26,7 @@ TITLES = {
 UNITS = {"acc": "m/s²", "pos": "mm"}
 
 
-def splits(found: Picture) -> list[Drawing]:
+def splits(found: DiagnosisSummary) -> list[Drawing]:
     """Return the figures of what the excess depends on; the position as a map of the bed."""
     return [_bed(found, split) if split.at else _split(split) for split in found.splits]
 
@@ -38,12 +38,12 @@ def _split(split: Split) -> Drawing:
     )
 
 
-def _bed(found: Picture, split: Split) -> Drawing:
+def _bed(found: DiagnosisSummary, split: Split) -> Drawing:
     draw = partial(charts.draw_bed, split=split, radius_mm=found.bed_radius_mm)
     return Drawing("where", TITLES[split.title], stands_out(split), "", WIDTH, 4.0, draw)
 
 
-def overlays(found: Picture) -> list[Drawing]:
+def overlays(found: DiagnosisSummary) -> list[Drawing]:
     """Return the overlays of measured and simulated signals."""
     return [_overlay(each) for each in found.overlays]
 
@@ -58,7 +58,7 @@ def _left(each: Overlay) -> str:
     return f"Error in this interval: {times(sizes[0])} the noise before, {times(sizes[1])} after."
 
 
-def spectra(found: Picture) -> list[Drawing]:
+def spectra(found: DiagnosisSummary) -> list[Drawing]:
     """Return the spectra of the errors."""
     return [_spectrum(each) for each in found.spectra]
 
@@ -74,24 +74,24 @@ def _spectrum(each: Spectrum) -> Drawing:
     return Drawing("spectrum", title, said, "", 5.4, 3.4, partial(charts.draw_spectrum, spectrum=each))
 
 
-def alike(found: Picture, named: tuple[str, ...]) -> Drawing | None:
+def alike(found: DiagnosisSummary, named: tuple[str, ...]) -> Drawing | None:
     """Return the figure of confounded effects, if there are two or more."""
-    if len(found.alike.names) < 2:
+    if len(found.confounding.names) < 2:
         return None
-    side = 0.27 * len(found.alike.names) + 2.2
-    draw = partial(charts.draw_alike, alike=found.alike, named=named)
+    side = 0.27 * len(found.confounding.names) + 2.2
+    draw = partial(charts.draw_alike, alike=found.confounding, named=named)
     return Drawing("alike", "Confounded effects", "", "", side + 0.8, side, draw)
 
 
-def held_out(found: Picture, labels: list[str]) -> Drawing | None:
+def held_out(found: DiagnosisSummary, labels: list[str]) -> Drawing | None:
     """Return the figure of what was left out of the fit in turn, if anything was."""
-    if not found.places:
+    if not found.held_out:
         return None
-    label, worst = max(zip(labels, found.places, strict=True), key=lambda pair: pair[1].after)
+    label, worst = max(zip(labels, found.held_out, strict=True), key=lambda pair: pair[1].after)
     said = (
         f"At the worst of them, {label}, the error is {times(times_noise(worst.before))} the noise before and "
         f"{times(times_noise(worst.after))} after."
     )
-    draw = partial(charts.draw_places, places=found.places, labels=labels)
+    draw = partial(charts.draw_places, places=found.held_out, labels=labels)
     height = ROW * len(labels) + AXIS + 0.3
     return Drawing("held-out", "Places left out of the fit", said, "", 6.5, height, draw)

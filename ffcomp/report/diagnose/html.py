@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ffcomp.diagnose.summary import Picture
+from ffcomp.diagnose.summary import DiagnosisSummary
 from ffcomp.report.diagnose import effects, figures
 from ffcomp.report.diagnose.confounded import confounded
 from ffcomp.report.diagnose.glossary import GLOSSARY
@@ -44,12 +44,12 @@ def page(given: ReportInput) -> bytes:
     )
 
 
-def place_labels(found: Picture) -> list[str]:
+def place_labels(found: DiagnosisSummary) -> list[str]:
     """Label what was left out in turn: positions on the bed, or recordings where all are at one position."""
-    if all(len(p.place) > 1 for p in found.places):
-        return ["(" + ", ".join(f"{x:g}" for x in p.place) + ") mm" for p in found.places]
+    if all(len(p.position) > 1 for p in found.held_out):
+        return ["(" + ", ".join(f"{x:g}" for x in p.position) + ") mm" for p in found.held_out]
     (runs,) = (split.labels for split in found.splits if split.title == "run")
-    return [runs[int(p.place[0])] for p in found.places]
+    return [runs[int(p.position[0])] for p in found.held_out]
 
 
 def _image(drawing: Drawing) -> Image:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ffcomp.diagnose.next_experiment import Proposal
-from ffcomp.diagnose.result import Outcome, Size
-from ffcomp.diagnose.summary import Picture
+from ffcomp.diagnose.result import DiagnosisResult, ResidualSize
+from ffcomp.diagnose.summary import DiagnosisSummary
 
 
 @dataclass(frozen=True)
@@ -27,19 +27,19 @@ class Origin:
 class ReportInput:
     """Everything that the report shows."""
 
-    outcome: Outcome
-    picture: Picture
+    outcome: DiagnosisResult
+    picture: DiagnosisSummary
     proposals: Sequence[Proposal]
     origin: Origin
 
 
-def explained(before: Size, after: Size) -> float:
+def explained(before: ResidualSize, after: ResidualSize) -> float:
     """Return the explained share of the gap above the noise, in power."""
     gap, left = (size.nrms**2 - size.noise_nrms**2 for size in (before, after))
     return 1 - max(left, 0.0) / gap if gap > 0 else 0.0
 
 
-def explained_elsewhere(found: Picture) -> float:
+def explained_elsewhere(found: DiagnosisSummary) -> float:
     """Return the explained share at positions that were left out of the fit in turn."""
-    before, after = (sum(getattr(p, what) * p.rows for p in found.places) for what in ("before", "after"))
+    before, after = (sum(getattr(p, what) * p.rows for p in found.held_out) for what in ("before", "after"))
     return 1 - max(after, 0.0) / before if before > 0 else 0.0

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ffcomp.diagnose.acceptance import Place
-from ffcomp.diagnose.result import Outcome
-from ffcomp.diagnose.summary import Picture
+from ffcomp.diagnose.acceptance import HeldOut
+from ffcomp.diagnose.result import DiagnosisResult
+from ffcomp.diagnose.summary import DiagnosisSummary
 from ffcomp.report.diagnose.words import digits, evidence, interval, percent, times, times_noise, title, together
 from ffcomp.report.shared.style import AFTER, BEFORE, SOFT
 
@@ -22,7 +22,7 @@ class Tile:
     share: float  # of the largest, %
 
 
-def tiles(found: Outcome) -> list[Tile]:
+def tiles(found: DiagnosisResult) -> list[Tile]:
     """Return the error of the simulation before and after, and that of noise alone."""
     names = " + ".join(found.effects)
     after = {"effects": f"with {names}", "none": "retuned", "unknown": f"with {names or 'retuning'}, refused"}
@@ -48,7 +48,7 @@ class EvidenceRow:
     named: bool
 
 
-def evidence_rows(found: Picture) -> list[EvidenceRow]:
+def evidence_rows(found: DiagnosisSummary) -> list[EvidenceRow]:
     """Return the hypotheses, the likeliest first."""
     return [
         EvidenceRow(
@@ -56,7 +56,7 @@ def evidence_rows(found: Picture) -> list[EvidenceRow]:
             "; ".join(title(name) for name in e.effects),
             digits(times_noise(e.left)),
             evidence(e.against_best),
-            e.numbers,
+            e.parameters,
             e.named,
         )
         for e in sorted(found.evidence, key=lambda e: e.against_best)
@@ -74,7 +74,7 @@ class PromiseRow:
     visible: bool
 
 
-def promise_rows(found: Picture) -> list[PromiseRow]:
+def promise_rows(found: DiagnosisSummary) -> list[PromiseRow]:
     """Return the effects in the score test, visible ones first."""
     return [
         PromiseRow(
@@ -104,7 +104,7 @@ class RetunedRow:
     sds: str
 
 
-def retuned_rows(found: Picture) -> list[RetunedRow]:
+def retuned_rows(found: DiagnosisSummary) -> list[RetunedRow]:
     """Return the retuned parameters."""
     return [
         RetunedRow(
@@ -129,7 +129,7 @@ class PlaceRow:
     left: str  # of the excess
 
 
-def place_rows(found: Picture, labels: list[str]) -> list[PlaceRow]:
+def place_rows(found: DiagnosisSummary, labels: list[str]) -> list[PlaceRow]:
     """Return the positions left out of the fit."""
     return [
         PlaceRow(
@@ -138,11 +138,11 @@ def place_rows(found: Picture, labels: list[str]) -> list[PlaceRow]:
             digits(times_noise(p.after)),
             _left(p),
         )
-        for label, p in zip(labels, found.places, strict=True)
+        for label, p in zip(labels, found.held_out, strict=True)
     ]
 
 
-def _left(p: Place) -> str:
+def _left(p: HeldOut) -> str:
     if p.before <= 0:
         return "–"
     share = max(p.after, 0.0) / p.before

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ffcomp.diagnose.result import Outcome
+from ffcomp.diagnose.result import DiagnosisResult
 from ffcomp.report.diagnose.effects import in_words
 from ffcomp.report.diagnose.inputs import ReportInput, explained, explained_elsewhere
 from ffcomp.report.diagnose.standout import stands_out
@@ -63,13 +63,13 @@ def _unknown(given: ReportInput) -> list[str]:
         f"Something is missing from the machine file, and it is none of what ffcomp knows ({known}).",
         f"{_size(found)} That is a real gap, and it is not explained.",
         f"Nearest came {nearest}: it would explain {most_of(explained(found.before, found.after))} of the gap, and was "
-        f"refused because {'; '.join(found.refused)}.",
+        f"refused because {'; '.join(found.rejections)}.",
         *_where(given),
         LOOK,
     ]
 
 
-def _size(found: Outcome) -> str:
+def _size(found: DiagnosisResult) -> str:
     size = found.before
     ratio = size.nrms / size.noise_nrms
     more = f"{times(ratio)} as much as noise alone" if ratio > 1.05 else "as much as noise alone"
@@ -95,7 +95,7 @@ def _where(given: ReportInput) -> list[str]:
     return [f"Where it shows: {' '.join(telling)}"] if telling else []
 
 
-def _sure(found: Outcome) -> str:
+def _sure(found: DiagnosisResult) -> str:
     least = min(found.confidence.values(), default=0.0)
     return f"{_odds(least)} (−2 ln Z: {evidence(found.gained)} better than retuning alone)."
 
@@ -106,10 +106,10 @@ def _odds(confidence: float) -> str:
     return f"Among the effects that ffcomp knows it is {percent(confidence)} likely"
 
 
-def _confounded(found: Outcome) -> str:
-    if not found.confusable_with:
+def _confounded(found: DiagnosisResult) -> str:
+    if not found.confounded_with:
         return "No other effect that these runs could show looks like it."
-    names = joined([f"{name} ({title(name)})" for name, _ in found.confusable_with], "or")
+    names = joined([f"{name} ({title(name)})" for name, _ in found.confounded_with], "or")
     return f"It may be taken for {names}; what tells them apart stands below."
 
 
@@ -135,7 +135,7 @@ def _nearest_promise(given: ReportInput) -> list[str]:
     ]
 
 
-def _invisible(found: Outcome) -> list[str]:
+def _invisible(found: DiagnosisResult) -> list[str]:
     if not found.invisible:
         return []
     return [f"These runs could not have shown: {joined(list(found.invisible))}. Nothing is said about them."]

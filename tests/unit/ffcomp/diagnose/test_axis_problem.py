@@ -9,9 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.diagnose.axis_problem import CANDIDATES, FRICTION, MASS, OFFSET, VISCOUS, Axis, ForceDriven, read_emps
-from ffcomp.diagnose.engine import Diagnosis, diagnose
-from ffcomp.diagnose.problem import Impossible
+from ffcomp.diagnose.axis_problem import (
+    CANDIDATES,
+    FRICTION,
+    MASS,
+    OFFSET,
+    VISCOUS,
+    AxisProblem,
+    ForceDriven,
+    read_emps,
+)
+from ffcomp.diagnose.diagnosis import Diagnosis, diagnose
+from ffcomp.diagnose.problem import InfeasibleParameters
 from ffcomp.errors import MeasurementError
 
 EMPS = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[5] / "shared" / "data")) / "emps"
@@ -22,9 +31,9 @@ DRAG = "effects.quadratic_drag.force_n_s2_per_m2"
 # ---- closed forms --------------------------------------------------------------------------------
 
 
-def pushed(force_n: float, position_mm: np.ndarray) -> Axis:
+def pushed(force_n: float, position_mm: np.ndarray) -> AxisProblem:
     t = np.arange(len(position_mm)) / 1000.0
-    return Axis([ForceDriven("pushed", t, np.full(len(t), force_n), position_mm)], 100.0, 500.0)
+    return AxisProblem([ForceDriven("pushed", t, np.full(len(t), force_n), position_mm)], 100.0, 500.0)
 
 
 def test_a_constant_force_against_friction_in_closed_form() -> None:
@@ -52,7 +61,7 @@ def test_every_shot_begins_where_the_axis_was_measured() -> None:
 
 
 def test_forces_that_drive_it_to_infinity_are_impossible() -> None:
-    with pytest.raises(Impossible), np.errstate(over="ignore", invalid="ignore"):
+    with pytest.raises(InfeasibleParameters), np.errstate(over="ignore", invalid="ignore"):
         pushed(1e4, np.zeros(1000)).simulate({DRAG: -1e6})
 
 
@@ -71,7 +80,7 @@ def test_what_is_no_emps_file_is_refused(tmp_path: Path) -> None:
 def found() -> Diagnosis:
     if not FITTED.is_file():
         pytest.skip("the EMPS data set is not beside the project")
-    return diagnose(Axis([read_emps(FITTED)], 50.0, 100.0))
+    return diagnose(AxisProblem([read_emps(FITTED)], 50.0, 100.0))
 
 
 def test_the_real_axis_has_dry_friction_of_the_published_size() -> None:
@@ -83,14 +92,14 @@ def test_the_real_axis_has_dry_friction_of_the_published_size() -> None:
     assert told.final.values[VISCOUS] == pytest.approx(203.5, rel=0.05)
     assert told.final.values[FRICTION] == pytest.approx(20.4, rel=0.05)
     assert told.final.values[OFFSET] == pytest.approx(-3.2, abs=0.35)
-    assert len(told.places) == 6
-    for place in told.places:  # stretches of time left out of the fit
+    assert len(told.held_out) == 6
+    for place in told.held_out:  # stretches of time left out of the fit
         assert place.before > 5 and place.after < 0.1 * place.before
     assert {c.name for c in CANDIDATES} > {"coulomb_friction"}
 
 
 def test_what_was_fitted_to_one_recording_holds_for_the_other() -> None:
-    told, axis = found(), Axis([read_emps(PULSES)], 50.0, 100.0)
+    told, axis = found(), AxisProblem([read_emps(PULSES)], 50.0, 100.0)
 
     def rms(values: dict[str, float]) -> float:
         errors = [r.measured - y for r, y in zip(axis.observations, axis.simulate(values), strict=True)]

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnose import next_experiment as experiment
-from ffcomp.diagnose.engine import Diagnosis, noise_floor
-from ffcomp.diagnose.fit import Bench, Fit, bench
+from ffcomp.diagnose.diagnosis import Diagnosis, noise_floor
+from ffcomp.diagnose.estimation import EstimationProblem, estimation_problem
+from ffcomp.diagnose.fit import Fit
 from ffcomp.diagnose.hypotheses import Hypothesis
 from ffcomp.diagnose.next_experiment import Proposal, library, places, propose
 from ffcomp.diagnose.noise import whitener
-from ffcomp.diagnose.printer_problem import Delta
-from ffcomp.diagnose.problem import Number
+from ffcomp.diagnose.printer_problem import PrinterProblem
+from ffcomp.diagnose.problem import Parameter
 from ffcomp.diagnose.score_test import screen
 from ffcomp.measurement.recording import Recording
 from ffcomp.planner.program import plan_program
@@ -42,7 +43,7 @@ def recorded(machine: Machine, noise: float) -> list[Recording]:
     blank = Recording(
         "x-1.csv", t, machine.kinematics.inverse(nozzle), "carriage", dict.fromkeys(names, 0 * t), {}, gaps, {}
     )
-    true = Delta(machine, [blank], ()).simulate({})[0]
+    true = PrinterProblem(machine, [blank], ()).simulate({})[0]
     hiss = noise * np.random.default_rng(0).standard_normal((2, *true.shape))
     return [
         replace(blank, source=f"x-{i}.csv", acceleration=dict(zip(names, (true + n).T, strict=True)))
@@ -51,29 +52,31 @@ def recorded(machine: Machine, noise: float) -> list[Recording]:
 
 
 @pytest.fixture(scope="module")
-def plant(machine: Machine) -> Delta:
-    return Delta(machine, recorded(machine, QUIET), NAMES)
+def plant(machine: Machine) -> PrinterProblem:
+    return PrinterProblem(machine, recorded(machine, QUIET), NAMES)
 
 
-def fitted(desk: Bench, values: dict[str, float]) -> Fit:
+def fitted(estimation: EstimationProblem, values: dict[str, float]) -> Fit:
     """Numbers held at some values."""
-    numbers = tuple(Number(name, x, 1.0) for name, x in values.items())
-    residual = desk.residual(values)
-    return Fit(numbers, np.zeros(len(numbers)), residual, np.zeros((len(residual), len(numbers))))
+    parameters = tuple(Parameter(name, x, 1.0) for name, x in values.items())
+    residual = estimation.residual(values)
+    return Fit(parameters, np.zeros(len(parameters)), residual, np.zeros((len(residual), len(parameters))))
 
 
-def diagnosed(plant: Delta, *hypotheses: tuple[Sequence[str], dict[str, float]], named: bool = True) -> Diagnosis:
+def diagnosed(
+    plant: PrinterProblem, *hypotheses: tuple[Sequence[str], dict[str, float]], named: bool = True
+) -> Diagnosis:
     """A diagnosis with these hypotheses, the first the best; none if there are none."""
     noise = noise_floor(plant)
-    desk = bench(plant, whitener(plant.observations, noise, plant.band_hz))
-    base = fitted(desk, {})
-    screened = screen(desk, base, plant.candidates) if not hypotheses else ()
-    kinds = {c.name: c for c in Delta(plant.machine, plant.recordings).candidates}
-    tried = [Hypothesis(tuple(kinds[n] for n in names), fitted(desk, values)) for names, values in hypotheses]
+    estimation = estimation_problem(plant, whitener(plant.observations, noise, plant.band_hz))
+    base = fitted(estimation, {})
+    screened = screen(estimation, base, plant.candidates) if not hypotheses else ()
+    kinds = {c.name: c for c in PrinterProblem(plant.machine, plant.recordings).candidates}
+    tried = [Hypothesis(tuple(kinds[n] for n in names), fitted(estimation, values)) for names, values in hypotheses]
     best = tried[0] if tried else None
     verdict = "none" if best is None else "effects" if named else "unknown"
     final = best.fit if best else base
-    return Diagnosis(verdict, best if named else None, best, base, final, desk, noise, screened, tried, (), (), ())
+    return Diagnosis(verdict, best if named else None, best, base, final, estimation, noise, screened, tried)
 
 
 LATE = (("command_delay",), {DELAY: 1e-3})
@@ -108,7 +111,7 @@ def test_every_move_is_safe_at_every_place(name: str) -> None:
             check(machine, Proposal(move.kind, place, 1.0, (), 0.0, "", gcode))
 
 
-def test_the_moves_differ_and_last_seconds(plant: Delta) -> None:
+def test_the_moves_differ_and_last_seconds(plant: PrinterProblem) -> None:
     kinds = library(plant.machine)
     recordings = [
         experiment._blank_recording(plant.machine, move, (0.0, 0.0, 30.0), ("acc_A",), 1600.0) for move in kinds
@@ -121,7 +124,7 @@ def test_the_moves_differ_and_last_seconds(plant: Delta) -> None:
         assert np.ptp(recording.command[-round(experiment.AFTER_S * 1600) :], axis=0).max() < 1e-9
 
 
-def test_a_rival_is_told_apart_by_moves_that_really_differ(plant: Delta) -> None:
+def test_a_rival_is_told_apart_by_moves_that_really_differ(plant: PrinterProblem) -> None:
     found = diagnosed(plant, LATE, DAMPED)
     first, *others = propose(plant, found, 3)
     assert first.rival == ("guide_damping",)
@@ -133,15 +136,17 @@ def test_a_rival_is_told_apart_by_moves_that_really_differ(plant: Delta) -> None
 
     # the promise: played once on both printers, the whitened difference is so many standard deviations
     move = next(m for m in library(plant.machine) if m.kind == first.kind)
-    recording = experiment._blank_recording(plant.machine, move, first.place_mm, plant.observations[0].signals, 1600.0)
-    virtual = Delta(plant.machine, [recording], ())
+    recording = experiment._blank_recording(
+        plant.machine, move, first.position_mm, plant.observations[0].signals, 1600.0
+    )
+    virtual = PrinterProblem(plant.machine, [recording], ())
     late, damped = (virtual.simulate(values)[0] for _, values in (LATE, DAMPED))
     apart = np.linalg.norm(whitener(virtual.observations, found.noise, virtual.band_hz)([late - damped]))
     assert first.sigmas_per_second * np.sqrt(first.seconds) == pytest.approx(apart, rel=0.02)
     assert recording.time_s[-1] == pytest.approx(first.seconds)
 
 
-def test_no_other_place_or_kind_at_the_centre_is_better(plant: Delta) -> None:
+def test_no_other_place_or_kind_at_the_centre_is_better(plant: PrinterProblem) -> None:
     first = propose(plant, diagnosed(plant, LATE, DAMPED), 1)[0]
     question = experiment._questions(plant, diagnosed(plant, LATE, DAMPED))[0]
     kinds = experiment._asked(
@@ -151,14 +156,14 @@ def test_no_other_place_or_kind_at_the_centre_is_better(plant: Delta) -> None:
     assert first.kind == max(kinds, key=lambda p: p.rate).move.kind
 
 
-def test_unknown_asks_between_the_two_nearest(plant: Delta) -> None:
+def test_unknown_asks_between_the_two_nearest(plant: PrinterProblem) -> None:
     found = diagnosed(plant, LATE, DAMPED, BOTH, named=False)
     assert [p.rival for p in propose(plant, found, 2)] == [("guide_damping",), ("command_delay", "guide_damping")]
     assert "show whether guide_damping acts as well" in propose(plant, found, 2)[1].text
 
 
 def test_none_asks_for_what_could_not_be_seen(machine: Machine) -> None:
-    noisy = Delta(machine, recorded(machine, LOUD), NAMES)
+    noisy = PrinterProblem(machine, recorded(machine, LOUD), NAMES)
     found = diagnosed(noisy)
     assert found.invisible == ["belt_position_stiffness"]  # of one short, gentle run in so much noise
     (shown,) = propose(noisy, found, 1)
@@ -167,7 +172,7 @@ def test_none_asks_for_what_could_not_be_seen(machine: Machine) -> None:
     assert shown.sigmas_per_second * np.sqrt(shown.seconds) > 3.0
 
 
-def test_twins_are_said_to_be_twins(plant: Delta) -> None:
+def test_twins_are_said_to_be_twins(plant: PrinterProblem) -> None:
     """Where nothing differs, no number of standard deviations is promised."""
     twin = (("guide_damping",), {DELAY: 1e-3})
     proposals = propose(plant, diagnosed(plant, LATE, twin))

@@ -1,4 +1,4 @@
-"""The parts of the diagnosis by themselves: bounded steps, derivatives, what runs must be; and a measured axis."""
+"""The parts of the diagnosis by themselves: derivatives, what runs must be; and a measured axis."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from ffcomp.diagnose.fit import Bench, bounded_step, derivatives, fit
+from ffcomp.diagnose.estimation import EstimationProblem
+from ffcomp.diagnose.fit import derivatives, fit
 from ffcomp.diagnose.noise import NoiseFloor, whitener
-from ffcomp.diagnose.problem import Candidate, Number, Observation, Plant
+from ffcomp.diagnose.problem import Candidate, Observation, Parameter, Problem
 from ffcomp.diagnose.validation import carriages_of, check_repeats
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import Recording
@@ -25,31 +24,14 @@ from models.printer.parameters import printer_parameters
 
 # ---- fit -----------------------------------------------------------------------------------------
 
-BOX = tuple(Number(f"n{i}", 0.0, 1.0, -1.0, 1.0) for i in range(3))
-
-
-@settings(max_examples=50, deadline=None)
-@given(st.lists(st.floats(-5, 5), min_size=3, max_size=3), st.integers(0, 10**6))
-def test_a_bounded_step_stays_inside_and_gains_no_less_than_the_free_step_cut_off(
-    slope: list[float], seed: int
-) -> None:
-    half = np.random.default_rng(seed).standard_normal((5, 3))
-    normal, gradient = np.eye(3) + half.T @ half, np.array(slope)
-    step = bounded_step(BOX, np.zeros(3), normal, gradient)
-    assert np.all(np.abs(step) <= 1 + 1e-12)
-    free = np.linalg.solve(normal, gradient)
-    if np.abs(free).max() < 1:
-        np.testing.assert_allclose(step, free)
-    assert gradient @ step - step @ normal @ step / 2 >= -1e-9  # never worse than standing still
-
 
 @dataclass
-class Line(Plant):
-    """y = (a + b) t² + a³ t, a toy plant."""
+class Line(Problem):
+    """y = (a + b) t² + a³ t, a toy problem."""
 
     band_hz: tuple[float, float] = (1.0, 40.0)
     observations: Sequence[Observation] = ()
-    numbers: Sequence[Number] = (Number("a", 1.0, 0.5), Number("b", 0.0, 0.5, 0.0, 2.0))
+    parameters: Sequence[Parameter] = (Parameter("a", 1.0, 0.5), Parameter("b", 0.0, 0.5, 0.0, 2.0))
     candidates: Sequence[Candidate] = field(default_factory=tuple)
 
     def simulate(
@@ -60,33 +42,33 @@ class Line(Plant):
         return [np.asarray((a + b) * t**2 + a**3 * t) for _ in self.observations]
 
 
-def toy(a: float, b: float) -> Bench:
-    plant = Line()
+def toy(a: float, b: float) -> EstimationProblem:
+    problem = Line()
     blank = Observation("x", "x", (0.0,), 200.0, ("acc_A",), np.zeros((200, 1)), np.zeros((200, 1)))
-    plant.observations = [blank]
-    measured = plant.simulate({"a": a, "b": b})
-    plant.observations = [replace(blank, measured=measured[0])]
+    problem.observations = [blank]
+    measured = problem.simulate({"a": a, "b": b})
+    problem.observations = [replace(blank, measured=measured[0])]
     floor = NoiseFloor(np.array([0.0, 100.0]), {"acc_A": np.full(2, 1e-10)}, True)
-    whiten = whitener(plant.observations, floor, plant.band_hz)
-    return Bench(plant, whiten, whiten(measured))
+    whiten = whitener(problem.observations, floor, problem.band_hz)
+    return EstimationProblem(problem, whiten, whiten(measured))
 
 
-def test_derivatives_are_exact_where_central_and_zero_for_a_number_that_cannot_move() -> None:
-    bench, z = toy(1.0, 0.0), np.array([0.3, 0.0])
-    numbers = (Number("a", 1.0, 0.5), Number("fixed", 0.0, 1.0, 0.0, 0.0))
-    residual = bench.residual({"a": 1.15})
-    rough = derivatives(bench, numbers, z, residual, [0, 1])
+def test_derivatives_are_exact_where_central_and_zero_for_a_parameter_that_cannot_move() -> None:
+    estimation, z = toy(1.0, 0.0), np.array([0.3, 0.0])
+    parameters = (Parameter("a", 1.0, 0.5), Parameter("fixed", 0.0, 1.0, 0.0, 0.0))
+    residual = estimation.residual({"a": 1.15})
+    rough = derivatives(estimation, parameters, z, residual, [0, 1])
     sizes = np.linalg.norm(rough, axis=0)
-    fine = derivatives(bench, numbers, z, residual, [0, 1], central=True, sizes=sizes)
+    fine = derivatives(estimation, parameters, z, residual, [0, 1], central=True, sizes=sizes)
     t = np.arange(200)[:, None] / 200
-    exact = bench.whiten([0.5 * (t**2 + 3 * 1.15**2 * t)])
+    exact = estimation.whiten([0.5 * (t**2 + 3 * 1.15**2 * t)])
     assert np.linalg.norm(fine[:, 0] - exact) < 1e-5 * np.linalg.norm(exact)
     assert not fine[:, 1].any() and not rough[:, 1].any()
 
 
-def test_a_fit_finds_both_numbers() -> None:
-    bench = toy(1.2, 0.3)
-    found = fit(bench, bench.plant.numbers, np.zeros(2), iterations=12)
+def test_a_fit_finds_both_parameters() -> None:
+    estimation = toy(1.2, 0.3)
+    found = fit(estimation, estimation.problem.parameters, np.zeros(2), iterations=12)
     assert found.values["a"] == pytest.approx(1.2, abs=1e-3)
     assert found.values["b"] == pytest.approx(0.3, abs=3e-3)
 
@@ -139,31 +121,3 @@ def test_runs_without_a_repeat_are_refused() -> None:
     with pytest.raises(MeasurementError, match="None of the 2 recordings repeats another"):
         check_repeats([one, other])
     check_repeats([one, recording_at((0, 0, 30), "a-2.csv")])
-
-
-def test_numbers_that_do_the_same_share_a_step() -> None:
-    """A normal matrix that is singular to rounding: the step still goes down, and no farther than needed."""
-    column = 1e9 * np.ones((50, 1)) + np.arange(50)[:, None]
-    jacobian = np.hstack([column, column, np.arange(50.0)[:, None]])
-    normal = np.eye(3) + jacobian.T @ jacobian
-    step = bounded_step([Number(str(i), 0.0, 1.0) for i in range(3)], np.zeros(3), normal, jacobian.T @ np.arange(50.0))
-    assert np.all(np.isfinite(step))
-    assert step[0] == pytest.approx(step[1], rel=1e-3, abs=1e-6)
-    assert step[2] == pytest.approx(1.0, rel=1e-3)
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_a_bounded_step_is_the_best_inside_the_bounds(seed: int) -> None:
-    """At the least of a convex parabola in a box, the slope points outward at every wall and is zero elsewhere."""
-    rng = np.random.default_rng(seed)
-    numbers = [Number(str(i), 0.0, 1.0, -1.0, 1.0) for i in range(12)]
-    jacobian = rng.normal(size=(60, 12)) @ rng.normal(size=(12, 12))
-    normal, gradient = np.eye(12) + jacobian.T @ jacobian, jacobian.T @ rng.normal(size=60) * 300
-    z = rng.uniform(-1, 1, 12)
-    step = bounded_step(numbers, z, normal, gradient)
-    slope, at = gradient - normal @ step, z + step
-    assert np.all(np.abs(at) <= 1 + 1e-12)
-    inside = np.abs(at) < 1 - 1e-9
-    assert np.abs(slope[inside]).max(initial=0.0) < 1e-6 * np.abs(gradient).max()
-    assert np.all(slope[~inside] * at[~inside] > -1e-6 * np.abs(gradient).max())
-    assert (~inside).any()  # the parabola is long enough to reach them

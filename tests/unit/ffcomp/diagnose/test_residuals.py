@@ -12,9 +12,9 @@ import pytest
 from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
-from ffcomp.diagnose.engine import noise_floor
+from ffcomp.diagnose.diagnosis import noise_floor
 from ffcomp.diagnose.noise import whitener
-from ffcomp.diagnose.printer_problem import Delta
+from ffcomp.diagnose.printer_problem import PrinterProblem
 from ffcomp.measurement.recording import Recording
 from models.file import load_machine
 
@@ -61,7 +61,7 @@ def made_recordings(noise: float, count: int, rng: np.random.Generator) -> list[
     blank = {f"acc_{a}": np.zeros(len(t)) for a in "ABCxyz"}
     gaps = np.zeros(len(t), dtype=bool)
     first = Recording("x-1.csv", t, rest + moved, "carriage", blank, {}, gaps, {})
-    true = Delta(machine, [first], ()).simulate({})[0]
+    true = PrinterProblem(machine, [first], ()).simulate({})[0]
     return [
         Recording(f"x-{i}.csv", t, rest + moved, "carriage", dict(zip(blank, (true + n).T, strict=True)), {}, gaps, {})
         for i, n in enumerate(noise * rng.standard_normal((count, *true.shape)), 1)
@@ -70,7 +70,7 @@ def made_recordings(noise: float, count: int, rng: np.random.Generator) -> list[
 
 def test_whitened_noise_has_variance_one() -> None:
     recordings = made_recordings(0.2, 6, np.random.default_rng(0))
-    plant = Delta(load_machine("mp-delta-pro"), recordings, ())
+    plant = PrinterProblem(load_machine("mp-delta-pro"), recordings, ())
     simulated = plant.simulate({})
     floor = noise_floor(plant)
     assert floor.from_repeats
@@ -82,7 +82,7 @@ def test_whitened_noise_has_variance_one() -> None:
 
 
 def test_without_repeats_the_floor_is_taken_above_the_band() -> None:
-    plant = Delta(load_machine("mp-delta-pro"), made_recordings(0.2, 1, np.random.default_rng(1)), ())
+    plant = PrinterProblem(load_machine("mp-delta-pro"), made_recordings(0.2, 1, np.random.default_rng(1)), ())
     floor = noise_floor(plant)
     assert not floor.from_repeats
     assert floor.density["acc_x"][0] == pytest.approx(0.2**2 / 800, rel=0.15)

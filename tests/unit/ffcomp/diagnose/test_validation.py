@@ -92,7 +92,7 @@ def plus(offset: float, first: int = 0) -> Callable[[NDArray[np.float64]], objec
     return lambda x: np.add(x[first:], offset, out=x[first:])
 
 
-def filled(value: float, rows: slice = slice(None)) -> Callable[[NDArray[np.float64]], object]:
+def fill_gaps(value: float, rows: slice = slice(None)) -> Callable[[NDArray[np.float64]], object]:
     return lambda x: x.__setitem__(rows, value)
 
 
@@ -155,9 +155,9 @@ SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     "back": (lambda s: s.changed(plus(-0.2, 500), "t_s"), ("time must rise", "at row 502")),
     "again": (lambda s: s.changed(plus(-1 / 1600, 500), "t_s"), ("from 0.811875 s to 0.811875 s at row 502",)),
     "clipped": (lambda s: s.changed(flat, "acc_x_m_per_s2"), ("acc_x_m_per_s2 stands at its", "it is clipped")),
-    "constant": (lambda s: s.changed(filled(0.04), "acc_B_m_per_s2"), ("is 0.04 in all 3200 rows",)),
+    "constant": (lambda s: s.changed(fill_gaps(0.04), "acc_B_m_per_s2"), ("is 0.04 in all 3200 rows",)),
     "stopped": (
-        lambda s: s.changed(filled(0.3, slice(2000, None)), "acc_B_m_per_s2"),
+        lambda s: s.changed(fill_gaps(0.3, slice(2000, None)), "acc_B_m_per_s2"),
         ("Sensor acc_B stands at 0.3 for 0.75 s, from 1.25 s after the beginning on, while it is commanded to move",),
     ),
     "dead": (lambda s: s.changed(noise, "acc_x_m_per_s2"), ("Sensor acc_x feels 0.", "it is dead, not fastened")),
@@ -178,7 +178,7 @@ SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
         ("Sensor acc_A moves with the command of B",),
     ),
     "late": (lambda s: s.changed(late, *SENSORS), ("The sensors fit the command best 0.12", "s late")),
-    "nothing": (lambda s: s.changed(filled(np.nan), *SENSORS), ("acc_A_m_per_s2 holds no number at all",)),
+    "nothing": (lambda s: s.changed(fill_gaps(np.nan), *SENSORS), ("acc_A_m_per_s2 holds no number at all",)),
     "short": (lambda s: replace(s, values=s.values[:600]), ("The run is 0.3744 s long (600 rows)",)),
     "slow": (lambda s: replace(s, values=s.values[::4]), ("sample rate in column t_s is 400 Hz",)),
     "other sensors": (

@@ -18,8 +18,8 @@ import ffcomp.diagnose.printer_problem as delta
 from ffcomp.cli.app import app
 from ffcomp.diagnose import next_experiment as experiment
 from ffcomp.diagnose.next_experiment import Proposal
-from ffcomp.diagnose.result import Outcome, Size
-from ffcomp.diagnose.summary import Picture, Split
+from ffcomp.diagnose.result import DiagnosisResult, ResidualSize
+from ffcomp.diagnose.summary import DiagnosisSummary, Split
 from ffcomp.identify.uncertainty import Estimate, normal
 from ffcomp.report.diagnose import effects, html, words
 from ffcomp.report.diagnose.confounded import confounded
@@ -88,7 +88,7 @@ def made(folder: Path, hidden: dict[str, dict[str, Any]], names: tuple[str, ...]
     write_machine(folder)
     runs, report, told = write_runs(folder, hidden), folder / "d.html", []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(delta, "Delta", partial(delta.Delta, names=names))
+        patch.setattr(delta, "Delta", partial(delta.PrinterProblem, names=names))
         patch.setattr(html, "page", lambda given: told.append(given) or page(given))
         patch.setattr(experiment, "propose", lambda *_: [PROPOSAL])
         answer = run(runs, "-o", str(folder / "better.toml"), "--report", str(report))
@@ -126,7 +126,7 @@ def found_already(plain: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     """The verb without its search: the picture and the answer of a case that was searched before."""
     monkeypatch.setattr("ffcomp.diagnose.engine.diagnose", lambda *_: None)
     monkeypatch.setattr("ffcomp.diagnose.result.outcome", lambda *_: plain.told.outcome)
-    monkeypatch.setattr("ffcomp.diagnose.summary.picture", lambda *_: plain.told.picture)
+    monkeypatch.setattr("ffcomp.diagnose.summary.summarise", lambda *_: plain.told.picture)
     monkeypatch.setattr("ffcomp.diagnose.next_experiment.propose", lambda *_: [PROPOSAL])
 
 
@@ -280,10 +280,10 @@ def test_numbers_in_words() -> None:
 
 
 def test_shares_of_the_gap_are_of_what_stands_above_the_noise() -> None:
-    assert explained(Size(0.5, 0.3), Size(0.3, 0.3)) == 1.0
-    assert explained(Size(0.5, 0.3), Size(0.5, 0.3)) == 0.0
-    assert explained(Size(0.5, 0.3), Size(0.34, 0.3)) == pytest.approx(1 - 0.0256 / 0.16)
-    assert explained(Size(0.3, 0.3), Size(0.3, 0.3)) == 0.0
+    assert explained(ResidualSize(0.5, 0.3), ResidualSize(0.3, 0.3)) == 1.0
+    assert explained(ResidualSize(0.5, 0.3), ResidualSize(0.5, 0.3)) == 0.0
+    assert explained(ResidualSize(0.5, 0.3), ResidualSize(0.34, 0.3)) == pytest.approx(1 - 0.0256 / 0.16)
+    assert explained(ResidualSize(0.3, 0.3), ResidualSize(0.3, 0.3)) == 0.0
 
 
 # ---- odd outcomes --------------------------------------------------------------------------------
@@ -294,7 +294,7 @@ def changed(told: ReportInput, **about: Any) -> ReportInput:
 
 
 def test_the_splits_say_what_the_search_found(told: ReportInput) -> None:
-    found: Picture = told.picture
+    found: DiagnosisSummary = told.picture
     titles = [each.title for each in found.splits]
     assert titles[:3] == ["frequency", "signal", "place"] and len(titles) == 8
     for each in found.splits:
@@ -305,19 +305,19 @@ def test_the_splits_say_what_the_search_found(told: ReportInput) -> None:
     assert explained_elsewhere(found) > 0.95
     spectrum = found.spectra[0]
     assert np.median(spectrum.after / spectrum.noise) == pytest.approx(1.0, abs=0.3)
-    np.testing.assert_allclose(found.alike.cos2, found.alike.cos2.T)
-    np.testing.assert_allclose(np.diag(found.alike.cos2), 1.0)
-    assert found.alike.names[0] == "effector_mass"
+    np.testing.assert_allclose(found.confounding.cos2, found.confounding.cos2.T)
+    np.testing.assert_allclose(np.diag(found.confounding.cos2), 1.0)
+    assert found.confounding.names[0] == "effector_mass"
 
 
 def test_rivals_are_named_with_what_tells_them_apart(told: ReportInput) -> None:
     alike = replace(
-        told.picture.alike, cos2=np.array([[1.0, 0.9], [0.9, 1.0]]), names=("effector_mass", "belt_stiffness")
+        told.picture.confounding, cos2=np.array([[1.0, 0.9], [0.9, 1.0]]), names=("effector_mass", "belt_stiffness")
     )
-    (row,) = confounded(replace(told, picture=replace(told.picture, alike=alike)))
+    (row,) = confounded(replace(told, picture=replace(told.picture, confounding=alike)))
     assert (row.other, row.cos2) == ("belt_stiffness", "0.90")
     assert row.apart == CATALOGUE["effector_mass"].rivals["belt_stiffness"]
-    said = verdict(changed(told, confusable_with=[("belt_stiffness", "somehow")]))
+    said = verdict(changed(told, confounded_with=[("belt_stiffness", "somehow")]))
     assert any("It may be taken for belt_stiffness" in sentence for sentence in said)
 
 
@@ -336,7 +336,7 @@ def test_effects_of_every_kind_have_words(told: ReportInput) -> None:
             table[p.name] = [0.6, 0.8] if p.size == "direction" else p.typical[1]
             for suffix in [f"[{i}]" for i in range(many)] or [""]:
                 intervals[f"effects.{effect.name}.{p.name}{suffix}"] = normal(p.typical[1], 0.1)
-        found: Outcome = replace(told.outcome, effects={effect.name: table}, intervals=intervals)
+        found: DiagnosisResult = replace(told.outcome, effects={effect.name: table}, intervals=intervals)
         rows = effects.rows(found, effect.name)
         assert len(rows) == len(intervals) and all(row.value and row.meaning for row in rows)
         assert f"({effect.name})" in effects.in_words(found, effect.name)

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.diagnose.engine import diagnose
-from ffcomp.diagnose.printer_problem import Delta, effect_tables
-from ffcomp.diagnose.residuals import find_gap
-from ffcomp.diagnose.result import better_file, outcome
+from ffcomp.diagnose.diagnosis import diagnose
+from ffcomp.diagnose.printer_problem import PrinterProblem, effect_tables
+from ffcomp.diagnose.residuals import locate_residual
+from ffcomp.diagnose.result import better_file, result_of
 from ffcomp.measurement.recording import Recording
 from models.file import LIBRARY, load_machine
 from validation.plants import delta_plant
@@ -47,7 +47,7 @@ def made_recordings(hidden: dict[str, Any], noise: float, seed: int) -> list[Rec
 
 
 def verdict(hidden: dict[str, Any]) -> Any:
-    return diagnose(Delta(load_machine(TRUTH), made_recordings(hidden, 0.15, 0), CANDIDATES))
+    return diagnose(PrinterProblem(load_machine(TRUTH), made_recordings(hidden, 0.15, 0), CANDIDATES))
 
 
 def test_nothing_hidden_is_called_none() -> None:
@@ -55,21 +55,23 @@ def test_nothing_hidden_is_called_none() -> None:
 
 
 def test_hidden_friction_is_named_with_its_force(tmp_path: Path) -> None:
-    plant = Delta(
+    plant = PrinterProblem(
         load_machine(TRUTH), made_recordings({"towers": {"friction_n": [3.0, 3.0, 3.0]}}, 0.15, 0), CANDIDATES
     )
     found = diagnose(plant)
     assert (found.verdict, found.named.names) == ("effects", ("coulomb_friction",))
     assert found.intervals["effects.coulomb_friction.force_n"].value == pytest.approx(3.0, rel=0.1)
-    assert all(place.after < 0.15 * place.before for place in found.places)
+    assert all(place.after < 0.15 * place.before for place in found.held_out)
 
-    told = outcome(plant, found)
+    told = result_of(plant, found)
     assert told.after.nrms < 0.2 * told.before.nrms and told.confidence["coulomb_friction"] > 0.99
     better = tmp_path / "better.toml"
     better.write_text(better_file(TRUTH, "better", told, ["x.csv sha256:0"], "2026-11-21"), encoding="utf-8")
     machine = load_machine(better)
     assert machine.effects["coulomb_friction"]["force_n"] == pytest.approx(3.0, rel=0.1)
-    closed = find_gap(found.bench.whiten, found.noise, Delta(machine, plant.recordings, ()).simulate({})).whole
+    closed = locate_residual(
+        found.estimation.whiten, found.noise, PrinterProblem(machine, plant.recordings, ()).simulate({})
+    ).total
     assert closed.nrms == pytest.approx(told.after.nrms, rel=0.05)  # the file says what the fit found
 
 

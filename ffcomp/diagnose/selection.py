@@ -1,0 +1,245 @@
+"""Selection of the best hypothesis by passes: initial fits, rounds that add effects, a last refinement."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from ffcomp.diagnose.estimation import EstimationProblem
+from ffcomp.diagnose.fit import Fit, derivatives, fit, values_at
+from ffcomp.diagnose.hypotheses import (
+    LARGE,
+    Hypothesis,
+    Progress,
+    comparable,
+    discrepancy_of,
+    distinct,
+    implausible,
+    incomplete,
+    likeliest,
+    log_fit,
+    significant,
+    without_effect,
+)
+from ffcomp.diagnose.initial_fits import (
+    CONTENDER,
+    FEW,
+    QUICK,
+    SCALES,
+    USUAL,
+    Start,
+    best_start,
+    fit_start,
+    initial_fits,
+    select_starts,
+)
+from ffcomp.diagnose.intervals import intervals_of, superfluous
+from ffcomp.diagnose.parsimony import most_parsimonious, simplest
+from ffcomp.diagnose.problem import Candidate
+from ffcomp.diagnose.refinement import continue_or_restart, converge, drop, refine, refit, restart_from_file
+from ffcomp.diagnose.score_test import Screened, screen, similarity
+
+MOST_EFFECTS = 3  # at once
+POOR = 0.15  # of the discrepancy left by one effect: then pairs are tried
+CONTENDERS = 3  # fitted well
+CLOSE = 5.0  # times the best discrepancy: a hypothesis that leaves more keeps its shape
+ADDED = 3  # effects that are tried as one more
+PAIRED = 5  # candidates whose pairs are tried
+ALIKE = 0.5  # cos² of two signatures from which one effect may stand in for the other
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Everything the passes work with."""
+
+    estimation: EstimationProblem
+    bases: Sequence[tuple[Fit, Sequence[Screened]]]  # fits of the machine's parameters, with what was screened there
+    retuned: Fit  # the machine's parameters alone, at their best
+    progress: Progress
+
+    @property
+    def quick(self) -> EstimationProblem:
+        """The same problem, simulated coarsely."""
+        return replace(self.estimation, coarse=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """The best hypothesis so far, and all that were tried."""
+
+    best: Hypothesis
+    tried: tuple[Hypothesis, ...]
+    complete: bool = False  # no further effect is looked for
+
+
+Pass = Callable[[Search, Selection], Selection]
+
+
+def select(search: Search) -> Selection:
+    """Run all passes."""
+    selection = _begin(search)
+    while not selection.complete:
+        for one in ROUND:
+            selection = one(search, selection)
+            if selection.complete:
+                break
+    for one in FINAL:
+        selection = one(search, selection)
+    return selection
+
+
+def _begin(search: Search) -> Selection:
+    """Fit the candidates quickly, the contenders well, and those nearly as good as the best in their best shape."""
+    ranked = initial_fits(search.estimation, search.bases, search.progress)
+    close = [h for h in ranked[:CONTENDERS] if comparable(h, ranked[0], CONTENDER)]
+    fitted = [continue_or_restart(search.estimation, h, search.progress) for h in close]
+    best = min(fitted, key=lambda h: h.fit.evidence)
+    shaped = [converge(search.estimation, h, search.progress) if comparable(h, best, CLOSE) else h for h in fitted]
+    tried = (*shaped, *(h for h in ranked if h not in close))
+    return Selection(simplest(min(tried, key=lambda h: h.fit.evidence), tried), tried)
+
+
+# ---- passes --------------------------------------------------------------------------------------
+
+
+def refit_best(search: Search, so_far: Selection) -> Selection:
+    """Refit the best hypothesis; the selection is complete if that leaves no discrepancy."""
+    if len(so_far.best.effects) >= MOST_EFFECTS or not incomplete(search.estimation, so_far.best):
+        return replace(so_far, complete=True)
+    best = refit(search.estimation, so_far.best, search.progress)
+    return replace(so_far, best=best, complete=not incomplete(search.estimation, best))
+
+
+def add_effect(search: Search, so_far: Selection) -> Selection:
+    """Add the effect that helps most; the selection is complete if none is significant."""
+    more = add(search, so_far.best)
+    likeliest_one = min(more, key=lambda h: h.fit.evidence, default=so_far.best)
+    tried = (*so_far.tried, *more)
+    if not significant(likeliest_one.fit, so_far.best.fit):
+        return replace(so_far, tried=tried, complete=True)
+    return replace(so_far, best=likeliest_one, tried=tried)
+
+
+def converge_best(search: Search, so_far: Selection) -> Selection:
+    """Converge on the shapes of the best hypothesis' effects."""
+    return replace(so_far, best=converge(search.estimation, so_far.best, search.progress))
+
+
+def swap_effects(search: Search, so_far: Selection) -> Selection:
+    """Try smaller effects in place of those of the best hypothesis."""
+    return replace(so_far, tried=(*so_far.tried, *swap(search, so_far)))
+
+
+def keep_simplest(_: Search, so_far: Selection) -> Selection:
+    """Prefer fewer effects or parameters where more are not significant."""
+    return replace(so_far, best=simplest(so_far.best, so_far.tried))
+
+
+def refine_best(search: Search, so_far: Selection) -> Selection:
+    """Fit the best hypothesis with exact derivatives."""
+    return replace(so_far, best=refine(search.estimation, so_far.best, search.progress))
+
+
+def drop_superfluous(search: Search, so_far: Selection) -> Selection:
+    """Drop effects whose intervals include none, as long as that costs nothing significant."""
+    best = so_far.best
+    intervals = intervals_of(search.estimation, best.fit, best.fit.values)
+    idle = [c for c in best.effects if superfluous(c, intervals)]
+    if not idle or len(idle) == len(best.effects):
+        return so_far
+    smaller = drop(search.estimation, best, idle[0], search.progress)
+    if significant(best.fit, smaller.fit):
+        return so_far
+    return drop_superfluous(search, refine_best(search, replace(so_far, best=smaller)))
+
+
+def keep_most_parsimonious(search: Search, so_far: Selection) -> Selection:
+    """Prefer a competing hypothesis of fewer parameters that fits as well."""
+    best = most_parsimonious(search.estimation, so_far.best, so_far.tried, search.progress)
+    return replace(so_far, best=best)
+
+
+ROUND: tuple[Pass, ...] = (refit_best, add_effect, converge_best, swap_effects, keep_simplest)
+FINAL: tuple[Pass, ...] = (refine_best, drop_superfluous, keep_most_parsimonious)
+
+
+# ---- add and swap effects ------------------------------------------------------------------------
+
+
+def add(search: Search, best: Hypothesis) -> list[Hypothesis]:
+    """Fit the best hypothesis with one effect more; where a single one explains poorly, also pairs of the screened."""
+    estimation, quick, (start, screened) = search.estimation, search.quick, search.bases[0]
+    others = [c for c in estimation.problem.candidates if c.name not in best.names]
+    added = select_starts(quick, best.fit, screen(quick, best.fit, others)[:ADDED], large=False)
+    begun = [(best, one) for one in added]
+    if best.discrepancy > LARGE or implausible(best.fit, best.own):
+        restarted = restart_from_file(quick, best)
+        helpful = select_starts(quick, restarted.fit, screen(quick, restarted.fit, others), large=True)
+        begun += [(restarted, one) for one in sorted(helpful, key=lambda one: one.cost)[:ADDED]]
+    grown = distinct(likeliest([_with_one_more(quick, *one, search.progress) for one in begun]))
+    if best.discrepancy > POOR * discrepancy_of(search.retuned) and len(best.effects) == 1:
+        pairs = [p for p in combinations(screened[:PAIRED], 2) if {s.candidate.name for s in p} not in _names(grown)]
+        likely = sorted(pairs, key=lambda pair: _pair_evidence(start, pair))[:2]
+        grown += [fit_start(quick, start, best_start(quick, start, pair), search.progress) for pair in likely]
+    ranked = likeliest(grown)
+    fitted = [
+        continue_or_restart(estimation, h, search.progress) for h in ranked[:2] if comparable(h, ranked[0], CLOSE)
+    ]
+    return fitted + ranked[len(fitted) :]
+
+
+def _names(hypotheses: Sequence[Hypothesis]) -> list[set[str]]:
+    return [set(h.names) for h in hypotheses]
+
+
+def _with_one_more(estimation: EstimationProblem, h: Hypothesis, start: Start, progress: Progress) -> Hypothesis:
+    """Add one effect: fit first the effects together, then all parameters."""
+    own = h.own
+    parameters = (*h.effect_parameters, *start.parameters)
+    given = dict(list(h.fit.values.items())[:own])
+    fixed, everything = replace(estimation, given={**estimation.given, **given}), range(len(parameters))
+    z = np.concatenate([h.effect_z, start.z])
+    columns = derivatives(fixed, parameters, z, fixed.residual(values_at(parameters, z)), everything)
+    renew = everything if len(parameters) <= 2 * FEW else ()
+    effects = fit(fixed, parameters, z, columns, renew, iterations=5, small_gain=QUICK, renew_all=False)
+    both = np.hstack([h.fit.jacobian[:, :own], effects.jacobian])
+    z = np.concatenate([h.fit.z[:own], effects.z])
+    everyone = (*h.own_parameters, *parameters)
+    found = fit(estimation, everyone, z, both, iterations=4, small_gain=QUICK, renew_all=False)
+    return log_fit(Hypothesis((*h.effects, *(s.candidate for s in start.chosen)), found), progress)
+
+
+def _pair_evidence(base: Fit, pair: Sequence[Screened]) -> float:
+    """Change of −2 ln Z by two effects together, to first order."""
+    signature = np.hstack([s.signature for s in pair])
+    cross = base.jacobian.T @ signature
+    schur = np.eye(signature.shape[1]) + signature.T @ signature - cross.T @ np.linalg.solve(base.information, cross)
+    slope = signature.T @ base.residual
+    return float(-slope @ np.linalg.solve(schur, slope) + np.linalg.slogdet(schur)[1])
+
+
+def swap(search: Search, so_far: Selection) -> list[Hypothesis]:
+    """Fit the best hypothesis with one of its effects replaced by a smaller one that is nearly confounded with it."""
+    estimation, progress, best, found = search.estimation, search.progress, so_far.best, list[Hypothesis]()
+    screened = search.bases[0][1]
+    for effect in best.effects:
+        for s in screened:
+            if _may_replace(s, effect, so_far, screened):
+                others = without_effect(restart_from_file(estimation, best), effect)
+                begun = best_start(estimation, others.fit, (s,), SCALES[:4], USUAL)
+                grown = _with_one_more(estimation, others, begun, progress)
+                found.append(converge(estimation, continue_or_restart(estimation, grown, progress), progress))
+    return found
+
+
+def _may_replace(s: Screened, effect: Candidate, so_far: Selection, screened: Sequence[Screened]) -> bool:
+    """Whether an effect is smaller than one of the best hypothesis, similar to it, and not tried in its place yet."""
+    names = so_far.best.names
+    if len(s.candidate.parameters) >= len(effect.parameters) or s.candidate.name in names:
+        return False
+    if {s.candidate.name, *names} - {effect.name} in _names(so_far.tried):
+        return False
+    return any(similarity(s, own) > ALIKE for own in screened if own.candidate.name == effect.name)
