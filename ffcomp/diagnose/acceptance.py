@@ -78,7 +78,7 @@ def hold_out(estimation: EstimationProblem, base: Fit, best: Fit) -> list[HeldOu
 
 
 def groups(problem: Problem) -> dict[tuple[float, ...], list[int]]:
-    """Indices of the observations that are held out together: by position, or one by one."""
+    """Group the observations that are held out together, by index: by position, or one by one."""
     positions: dict[tuple[float, ...], list[int]] = {}
     for i, observation in enumerate(problem.observations):
         positions.setdefault(observation.position, []).append(i)

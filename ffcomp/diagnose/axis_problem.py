@@ -1,13 +1,13 @@
-"""A force-driven axis as a plant: force in, position out; the EMPS benchmark is one.
+"""The diagnosis of a force-driven axis: force in, position out; the EMPS benchmark is one.
 
-    M q̈ = F − F_v q̇ − F_0 − (what is missing)
+    M q̈ = F − F_v q̇ − F_0 − (missing effects)
 
 EMPS: A. Janot, M. Gautier and M. Brunot, "Data Set and Reference Models of EMPS", Nonlinear System Identification
-Benchmarks, 2019. Unlike the printer it has no command and no spring: the measured force drives it, and whatever is
-missing adds up in its position without bound. So the simulation begins anew every tenth of a second, with the measured
-position and speed (multiple shooting; Bock 1981): its error is what a missing force does in that time. An axis has one
-place only; what generalises is tested by stretches of time instead, of some seconds each. Recordings are taken to
-follow one reference motion, as the benchmark's two do: a stretch is left out of all of them at once.
+Benchmarks, 2019. Unlike the printer it has no command and no spring: the measured force drives it, and a missing
+effect adds up in its position without bound. So the simulation begins anew every tenth of a second, with the measured
+position and speed (multiple shooting; Bock 1981): its error is the effect of a missing force in that time. An axis has
+one position only; windows of time, of some seconds each, are held out instead. Recordings are taken to follow one
+reference motion, as the benchmark's two do: a window is left out of all of them at once.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ SUBSTEPS = 4
 # NOTE: of 0.05 to 1 s the length with the narrowest intervals on EMPS, and with the values nearest to the published:
 # shorter shots suffer from the speed they begin with, longer ones from every newton by which the force is wrong.
 SHOT_S = 0.1
-STRETCH_SHOTS = 40  # in a stretch of time
+WINDOW_SHOTS = 40  # in a window of time
 SPEED_SPAN_S = 0.02  # the speed a shot begins with is the slope over so much of the measured position
 
 MASS, VISCOUS, OFFSET = "axis.mass_kg", "axis.viscous_n_s_per_m", "axis.offset_n"
@@ -45,11 +45,12 @@ class ForceDriven:
 
     @property
     def rate_hz(self) -> float:
+        """Mean sample rate."""
         return (len(self.time_s) - 1) / float(self.time_s[-1] - self.time_s[0])
 
 
 def read_emps(path: str | Path) -> ForceDriven:
-    """One of the benchmark's MATLAB files: motor voltage times gain is force, `qm` the measured position.
+    """Read one of the benchmark's MATLAB files: motor voltage times gain is force, `qm` the measured position.
 
     NOTE: the file with pulses holds them once more as `pulses_N`. They are in `vir` already, and in volts: `vir` jumps
     by 5 V where they do, and regressing gain · vir on mass, frictions, offset and `pulses_N` gives the last a factor
@@ -66,16 +67,16 @@ def read_emps(path: str | Path) -> ForceDriven:
 
 
 class AxisProblem(Problem):
-    """The plant. Rough guesses are enough to begin: the priors are wide."""
+    """Recordings of one axis, with rough guesses of mass and viscous friction: their priors are wide."""
 
     band_hz = (0.02, 50.0)
 
     def __init__(self, recordings: Sequence[ForceDriven], mass_kg: float, viscous_n_s_per_m: float) -> None:
         with_speed = [(recording, _speed(recording)) for recording in recordings]
-        self.stretches = [
+        self.windows = [
             (_cut(recording, part), speed[part]) for recording, speed in with_speed for part in _parts(recording)
         ]
-        self.observations = [_observation(recording, speed) for recording, speed in self.stretches]
+        self.observations = [_observation(recording, speed) for recording, speed in self.windows]
         self.parameters = (
             Parameter(MASS, mass_kg, 0.5 * mass_kg, 0.05 * mass_kg),
             Parameter(VISCOUS, viscous_n_s_per_m, viscous_n_s_per_m, 0.0),
@@ -86,14 +87,15 @@ class AxisProblem(Problem):
     def simulate(
         self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
     ) -> list[FloatArray]:
-        del coarse  # it is quick anyway
+        """Simulate windows of time; `coarse` makes no difference, for it is quick anyway."""
+        del coarse
         given = {**{n.name: n.start for n in self.parameters}, **values}
-        chosen = range(len(self.stretches)) if only is None else only
+        chosen = range(len(self.windows)) if only is None else only
         return [self._one(i, given) for i in chosen]
 
     def _one(self, i: int, v: Mapping[str, float]) -> FloatArray:
-        recording, speed = self.stretches[i]
-        parameters = np.array([v.get(name, neutral) for name, neutral in _NUMBERS])
+        recording, speed = self.windows[i]
+        parameters = np.array([v.get(name, neutral) for name, neutral in _PARAMETERS])
         shot = round(SHOT_S * recording.rate_hz)
         q = _simulated_shots(
             recording.force_n,
@@ -110,7 +112,7 @@ class AxisProblem(Problem):
 
 
 def _speed(recording: ForceDriven) -> FloatArray:
-    """(n,) mm/s"""
+    """Return the speed, (n,) mm/s."""
     from scipy.signal import savgol_filter
 
     span = 2 * round(SPEED_SPAN_S * recording.rate_hz / 2) + 1
@@ -118,8 +120,8 @@ def _speed(recording: ForceDriven) -> FloatArray:
 
 
 def _parts(recording: ForceDriven) -> list[slice]:
-    """Whole stretches; what is left at the end makes the last one longer."""
-    rows = STRETCH_SHOTS * round(SHOT_S * recording.rate_hz)
+    """Split into whole windows; the rest at the end makes the last one longer."""
+    rows = WINDOW_SHOTS * round(SHOT_S * recording.rate_hz)
     starts = range(0, max(len(recording.time_s) - rows, 0) + 1, rows)
     return [slice(a, a + rows) for a in starts[:-1]] + [slice(starts[-1], None)]
 
@@ -142,7 +144,7 @@ _SPRING = "effects.spring.stiffness_n_per_m"
 _DRAG = "effects.quadratic_drag.force_n_s2_per_m2"
 _COGGING = tuple(f"effects.cogging_force.{p}" for p in ("sine_n", "cosine_n", "pitch_mm"))
 _ASYMMETRY = "effects.one_sided_damping.added_n_s_per_m"
-_NUMBERS = (
+_PARAMETERS = (
     (MASS, 1.0),
     (VISCOUS, 0.0),
     (OFFSET, 0.0),
@@ -197,7 +199,7 @@ def _simulated_shots(
     speed: FloatArray,
     p: FloatArray,
 ) -> FloatArray:
-    """(n,) m: midpoint steps, the force straight between its samples, begun anew every `shot` samples."""
+    """Integrate by midpoint steps, the force linear between samples, begun anew every `shot` samples: (n,) m."""
     out = np.empty(len(force))
     h = dt / substeps
     q, v = position[0], speed[0]

@@ -112,7 +112,7 @@ def noise_floor(problem: Problem, simulated: Sequence[FloatArray] | None = None)
 
 
 def _spread(estimation: EstimationProblem) -> float:
-    """Standard deviation of the discrepancy if there is none: of the residual's mean square, and of its floor."""
+    """Compute the standard deviation of a discrepancy of zero: of the residual's mean square, and of its floor."""
     observations, rows = estimation.whiten.observations, estimation.whiten.rows
     repeats = [sum(a.repeat_of == b.repeat_of for b in observations) for a in observations]
     apart = sum((part.stop - part.start) * (1 - 1 / n) for part, n in zip(rows, repeats, strict=True))
@@ -120,7 +120,7 @@ def _spread(estimation: EstimationProblem) -> float:
 
 
 def _as_filed(estimation: EstimationProblem) -> Fit:
-    """The machine file as it is, with the derivatives there."""
+    """Return the machine file as it is, with the derivatives there."""
     parameters = tuple(estimation.problem.parameters)
     z = np.zeros(len(parameters))
     residual = estimation.residual({})
@@ -130,7 +130,7 @@ def _as_filed(estimation: EstimationProblem) -> Fit:
 def _bases(
     estimation: EstimationProblem, filed: Fit, base: Fit, screened: Sequence[Screened], small: bool
 ) -> list[tuple[Fit, Sequence[Screened]]]:
-    """Fits of the machine's parameters to begin the search at, with the candidates screened there.
+    """Select the fits of the machine's parameters to begin the search at, with the candidates screened there.
 
     The file's own parameters are one of them: with the right effect they need no retuning, and a fit that made them
     implausible to mimic it leads astray; but where they are far off, it is their error that is seen from there.

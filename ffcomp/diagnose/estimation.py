@@ -27,11 +27,11 @@ class EstimationProblem:
     tolerance: float = WELL_KNOWN  # of the noise: a smaller discrepancy counts as none
 
     def residual(self, values: Mapping[str, float]) -> FloatArray:
-        """(rows,) measured − simulated, whitened."""
+        """Return measured − simulated, whitened: (rows,)."""
         return next(self.residuals([values]))
 
     def residuals(self, many: Sequence[Mapping[str, float]]) -> Iterator[FloatArray]:
-        """Residuals of several sets of values, in order."""
+        """Evaluate several sets of values, in order."""
         for simulated in self.problem.simulate_many([{**self.given, **v} for v in many], coarse=self.coarse):
             if isinstance(simulated, InfeasibleParameters):
                 yield np.full(len(self.measured), INFEASIBLE)
@@ -40,7 +40,7 @@ class EstimationProblem:
                 yield residual if np.isfinite(residual @ residual) else np.full(len(self.measured), INFEASIBLE)
 
     def rows_of(self, observations: Sequence[int]) -> FloatArray:
-        """Indices of the rows of some observations."""
+        """Return the indices of the rows of some observations."""
         return np.concatenate([np.arange(len(self.measured))[self.whiten.rows[i]] for i in observations])
 
 

@@ -106,12 +106,12 @@ class Fit:
 
 
 def values_at(parameters: Sequence[Parameter], z: FloatArray) -> dict[str, float]:
-    """Parameter values by name at z, (p,)."""
+    """Return the parameter values by name at z, (p,)."""
     return {n.name: n.start + n.sd * float(x) for n, x in zip(parameters, z, strict=True)}
 
 
 def limits_of(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest z of the parameters, (p,) each."""
+    """Return the lowest and highest z of the parameters, (p,) each."""
     low = np.array([(n.low - n.start) / n.sd for n in parameters])
     return low, np.array([(n.high - n.start) / n.sd for n in parameters])
 

@@ -58,17 +58,17 @@ class Hypothesis:
 
     @property
     def effect_z(self) -> FloatArray:
-        """z of the effects' parameters."""
+        """Values of the effects' parameters as z, (p,)."""
         return self.fit.z[self.own :]
 
 
 def discrepancy_of(fitted: Fit) -> float:
-    """How far the cost stands above noise alone, as a share of it."""
+    """Return how far the cost stands above noise alone, as a share of it."""
     return fitted.cost / len(fitted.residual) - 1
 
 
 def misfit(fitted: Fit) -> float:
-    """Mean square of the whitened residual, at least one.
+    """Return the mean square of the whitened residual, at least one.
 
     Evidence is divided by it: the model's shapes are never exactly the machine's, so where a misfit is left, a
     difference in evidence says that much less.
@@ -77,14 +77,14 @@ def misfit(fitted: Fit) -> float:
 
 
 def significant(fitted: Fit, before: Fit, share: float = ADDED_SHARE) -> bool:
-    """Whether the larger model is worth its cost, and removes a good share of the discrepancy."""
+    """Tell whether the larger model is worth its cost, and removes a good share of the discrepancy."""
     remains = max(before.cost - len(before.residual), 0.0)
     gained = (before.evidence - fitted.evidence) / misfit(fitted)
     return gained > SIGNIFICANT and before.cost - fitted.cost > share * remains
 
 
 def comparable(h: Hypothesis, best: Hypothesis, factor: float) -> bool:
-    """Whether a hypothesis leaves at most `factor` times the discrepancy of the best."""
+    """Tell whether a hypothesis leaves at most `factor` times the discrepancy of the best."""
     return h.discrepancy + NEAR <= factor * max(best.discrepancy + NEAR, NEAR)
 
 
@@ -99,18 +99,18 @@ def distinct(ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 
 def implausible(fitted: Fit, own: int | None = None) -> bool:
-    """Whether the first `own` parameters moved further than their uncertainties make likely."""
+    """Tell whether the first `own` parameters moved further than their uncertainties make likely."""
     z = fitted.z[:own]
     return float(z @ z) > IMPLAUSIBLE * len(z)
 
 
 def incomplete(estimation: EstimationProblem, h: Hypothesis) -> bool:
-    """Whether a discrepancy is left somewhere, or implausible parameters were needed to close it."""
+    """Tell whether a discrepancy is left somewhere, or implausible parameters were needed to close it."""
     return largest_excess(estimation, h.fit) > estimation.tolerance or implausible(h.fit, h.own)
 
 
 def largest_excess(estimation: EstimationProblem, fitted: Fit) -> float:
-    """The largest mean square residual of any observation, above its noise, as a share of it."""
+    """Return the largest mean square residual of any observation, above its noise, as a share of it."""
     parts = [fitted.residual[rows] for rows in estimation.whiten.rows]
     return max(float(r @ r) / len(r) - 1 for r in parts)
 

@@ -133,7 +133,7 @@ def fit_start(
 
 
 def _estimated(s: Screened, scale: float = 1.0) -> FloatArray:
-    """z of the amplitudes by the linear estimate, kept within what is usual, and of the shapes as screened."""
+    """Begin at the linear estimates of the amplitudes, kept within what is usual, and at the shapes as screened."""
     if s.candidate.switch:
         return np.ones(1)
     return np.concatenate([scale * np.clip(s.estimate, -2.0, 2.0), _shapes(s)])

@@ -28,7 +28,7 @@ def _interval(n: Parameter, value: float, spread: float) -> Estimate:
 
 
 def superfluous(candidate: Candidate, intervals: Mapping[str, Estimate]) -> bool:
-    """Whether the intervals of an effect include no effect at all."""
+    """Tell whether the intervals of an effect include no effect at all."""
     return not candidate.switch and all(_includes(intervals[a.name], a.start) for a in candidate.amplitudes)
 
 

@@ -1,10 +1,10 @@
-"""The next experiment: which safe move, at which place, separates what is still in question best per second.
+"""The next experiment: the safe move, and its position, that separates competing hypotheses best per second.
 
-Every move of a small library is G-code within the machine's limits, planned as the firmware plans it, and played on the
-virtual printer once for each hypothesis. What separates two of them is the whitened difference d of what the sensors
-would feel: with the noise that was found, |d| standard deviations. Noise adds up as the square root of time, so moves
-of different length are compared by |d|/√s. Both hypotheses are taken as they were fitted: what the next fit can retune
-is not counted off, so the numbers are the most that can be expected.
+Every move of a small library is G-code within the machine's limits, planned as the firmware plans it, and simulated on
+the virtual printer once for each hypothesis. Two hypotheses are separated by the whitened difference d of the simulated
+sensor signals: |d| standard deviations of the noise. Noise adds up as the square root of time, so moves of different
+length are compared by |d|/√s. Both hypotheses are taken as they were fitted: the next fit may retune part of the
+difference away, so the values are upper bounds.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
 from models.machine import Machine
 
-OUT = 0.6  # of the print radius: the six places around the centre
+OUT = 0.6  # of the print radius: the six positions around the centre
 LOW_MM, HIGH = 30.0, 0.5  # height, and share of the print height
-ROOM_MM = 12.0  # that a move may need around its place
+MARGIN_MM = 12.0  # that a move may need around its position
 BEFORE_S, AFTER_S = 0.12, 0.3  # of rest in the recording: the printer rings for 0.2 s
-TELLING, MANY = 3.0, 100.0  # standard deviations: enough, and more than anyone needs to know
-RIVALS, NEAREST = 3, 2  # in question at most; and where nothing is named
+ENOUGH, MANY = 3.0, 100.0  # standard deviations: to separate two hypotheses; no more are reported
+MOST_QUESTIONS, NEAREST = 3, 2  # in question at most; and where nothing is named
 CHORD_MM = 1.0  # of a circle
 WAIT_MS = 150  # until the nozzle rests, after a hard move
 
@@ -44,38 +44,38 @@ Lines = Iterator[str]
 class Proposal:
     """One move that is worth making next."""
 
-    kind: str  # as a person says it
+    kind: str  # in plain words
     position_mm: Point
     seconds: float
-    rival: tuple[str, ...]  # the effects it tells from those that were found; or shows, where none was
+    competing: tuple[str, ...]  # the effects it separates from the best hypothesis; or shows, where there is none
     sigmas_per_second: float  # standard deviations of the noise after one second; they grow as √seconds
     text: str  # one sentence for the user
-    gcode: str  # plays it once
+    gcode: str  # executes it once
 
 
 @dataclass(frozen=True)
 class Move:
-    """One kind of motion, from rest to rest around a place."""
+    """One kind of motion, from rest to rest around a position."""
 
     kind: str
     acceleration: float  # mm/s²; the machine's own, where that is less
-    lines: Callable[[Point], Lines]  # G-code, the nozzle resting at the place before and after
+    lines: Callable[[Point], Lines]  # G-code, the nozzle resting at the position before and after
 
 
 @dataclass(frozen=True, eq=False)
 class _Question:
-    """Two printers to be told apart, as values of their numbers."""
+    """Two printers to be told apart, as values of their parameters."""
 
-    rival: tuple[str, ...]
+    competing: tuple[str, ...]
     one: Mapping[str, float]
     other: Mapping[str, float]
-    words: str  # what the move does: tell a from b
+    words: str  # the task of the move: tell a from b
     sentence: str  # how to tell them apart, if no move does
 
 
 @dataclass(frozen=True, eq=False)
-class _Played:
-    """A move at a place, and how well it answers a question."""
+class _Trial:
+    """A move at a position, and how well it answers a question."""
 
     move: Move
     position: Point
@@ -84,10 +84,10 @@ class _Played:
 
 
 def propose(problem: PrinterProblem, found: Diagnosis, count: int = 3) -> list[Proposal]:
-    """The moves that say most: for each rival the best one, then the best other kinds for the nearest rival.
+    """Propose moves: for each competing hypothesis the best one, then the best other kinds for the nearest of them.
 
-    With verdict `unknown` the two nearest hypotheses are the rivals. With `none` it is asked what would show the
-    effects that these runs could not show.
+    With verdict `unknown` the two nearest hypotheses compete. With `none` the moves are those that would show the
+    effects that these recordings could not show.
     """
     proposals: list[Proposal] = []
     spare: list[Proposal] = []
@@ -98,48 +98,48 @@ def propose(problem: PrinterProblem, found: Diagnosis, count: int = 3) -> list[P
     return [*proposals, *spare][:count]
 
 
-# ---- what is in question -------------------------------------------------------------------------
+# ---- questions ----------------------------------------------------------------------------------
 
 
 def _questions(problem: PrinterProblem, found: Diagnosis) -> list[_Question]:
     if found.best is None:
         unseen = sorted((s for s in found.screened if not s.visible), key=lambda s: -s.strength)
-        return [_shown(found, s) for s in unseen[:RIVALS]]
+        return [_shown(found, s) for s in unseen[:MOST_QUESTIONS]]
     best = found.best
     others = [h for h in (*found.competing, *found.tried) if h.names != best.names]
     nearest = list({h.names: h for h in reversed(others)}.items())[::-1]
-    asked = [_told_apart(found, names, h.fit.values) for names, h in nearest]
+    asked = [_separation(found, names, h.fit.values) for names, h in nearest]
     confounded = {name for name, _ in confounded_with(best, found.screened, CONFOUNDED)}
     known = {name for names, _ in nearest for name in names}
-    asked += [_told_apart(found, (s.candidate.name,), _linear(found, s)) for s in _named(found, confounded - known)]
-    return asked[: RIVALS if found.named is not None else NEAREST]
+    asked += [_separation(found, (s.candidate.name,), _linear(found, s)) for s in _named(found, confounded - known)]
+    return asked[: MOST_QUESTIONS if found.named is not None else NEAREST]
 
 
 def _named(found: Diagnosis, names: set[str]) -> list[Screened]:
     return [s for s in found.screened if s.candidate.name in names]
 
 
-def _told_apart(found: Diagnosis, rival: tuple[str, ...], values: Mapping[str, float]) -> _Question:
+def _separation(found: Diagnosis, other: tuple[str, ...], values: Mapping[str, float]) -> _Question:
     assert found.best is not None
     ours = found.best.names
     sentences = [
         CATALOGUE[a].rivals.get(b) or CATALOGUE[b].rivals.get(a, "")
         for a in ours
-        for b in rival
+        for b in other
         if a in CATALOGUE and b in CATALOGUE
     ]
-    words = _difference([n for n in ours if n not in rival], [n for n in rival if n not in ours])
-    return _Question(rival, found.best.fit.values, values, words, next(filter(None, sentences), ""))
+    words = _difference([n for n in ours if n not in other], [n for n in other if n not in ours])
+    return _Question(other, found.best.fit.values, values, words, next(filter(None, sentences), ""))
 
 
 def _difference(ours: Sequence[str], theirs: Sequence[str]) -> str:
-    """What two hypotheses do not share, as a task."""
+    """Name the effects that two hypotheses do not share, as a task."""
     a, b = " and ".join(ours), " and ".join(theirs)
     return f"tell {a} from {b}" if a and b else f"show whether {a or b} acts as well"
 
 
 def _shown(found: Diagnosis, screened: Screened) -> _Question:
-    """An effect of a usual size against none."""
+    """Ask for an effect of a usual size against none."""
     name = screened.candidate.name
     usual = {a.name: a.start + a.sd for a in screened.candidate.amplitudes}
     values = {**found.base.values, **screened.shape, **usual}
@@ -148,7 +148,7 @@ def _shown(found: Diagnosis, screened: Screened) -> _Question:
 
 
 def _linear(found: Diagnosis, screened: Screened) -> dict[str, float]:
-    """A look-alike that was not fitted: as large as its signature says."""
+    """Estimate a confounded effect that was not fitted: as large as its signature says."""
     amplitudes = screened.candidate.amplitudes
     sizes = [
         float(np.clip(a.start + a.sd * x, a.low, a.high)) for a, x in zip(amplitudes, screened.estimate, strict=True)
@@ -156,11 +156,11 @@ def _linear(found: Diagnosis, screened: Screened) -> dict[str, float]:
     return {**found.base.values, **screened.shape, **dict(zip((a.name for a in amplitudes), sizes, strict=True))}
 
 
-# ---- what answers --------------------------------------------------------------------------------
+# ---- answers -------------------------------------------------------------------------------------
 
 
-def _ranked(problem: PrinterProblem, found: Diagnosis, question: _Question) -> list[_Played]:
-    """The best place of the best kind of move, then the other kinds at the centre, best first."""
+def _ranked(problem: PrinterProblem, found: Diagnosis, question: _Question) -> list[_Trial]:
+    """Rank the best position of the best kind of move, then the other kinds at the centre, best first."""
     machine = problem.machine
     centre, *around = positions(machine)
     kinds = _asked(problem, found, question, [(move, centre) for move in library(machine)])
@@ -173,14 +173,14 @@ def _ranked(problem: PrinterProblem, found: Diagnosis, question: _Question) -> l
     return [top, *sorted((p for p in kinds if p.move is not best.move), key=lambda p: -p.rate)]
 
 
-def _tells(played: _Played) -> bool:
-    return played.rate * np.sqrt(played.seconds) > TELLING
+def _tells(trial: _Trial) -> bool:
+    return trial.rate * np.sqrt(trial.seconds) > ENOUGH
 
 
 def _asked(
     problem: PrinterProblem, found: Diagnosis, question: _Question, tries: Sequence[tuple[Move, Point]]
-) -> list[_Played]:
-    """Each move at its place, played by both printers."""
+) -> list[_Trial]:
+    """Simulate each move at its position on both printers."""
     observations = problem.observations
     signals, rate_hz = observations[0].signals, observations[0].rate_hz
     recordings = [_blank_recording(problem.machine, move, position, signals, rate_hz) for move, position in tries]
@@ -189,12 +189,12 @@ def _asked(
     try:
         one, other = (virtual.simulate(values, coarse=True) for values in (question.one, question.other))
         apart = whiten([a - b for a, b in zip(one, other, strict=True)])
-    except InfeasibleParameters:  # a rival that leaves the arms' reach there: nothing is learnt from it
+    except InfeasibleParameters:  # a printer that leaves the arms' reach there: nothing is learnt from it
         apart = np.zeros(whiten.rows[-1].stop)
     seconds = [float(recording.time_s[-1]) for recording in recordings]
     sizes = [float(np.linalg.norm(apart[rows])) for rows in whiten.rows]
     return [
-        _Played(move, position, s, size / float(np.sqrt(s)))
+        _Trial(move, position, s, size / float(np.sqrt(s)))
         for (move, position), s, size in zip(tries, seconds, sizes, strict=True)
     ]
 
@@ -202,7 +202,7 @@ def _asked(
 def _blank_recording(
     machine: Machine, move: Move, position: Point, signals: Sequence[str], rate_hz: float
 ) -> Recording:
-    """The move as a recording that holds nothing yet."""
+    """Make the move a recording that holds nothing yet."""
     text = _text(machine, move, position)
     trajectory = plan_program(read_program(text.encode(), move.kind), machine).trajectory
     begin = float(trajectory.start_t[0])
@@ -216,26 +216,26 @@ def _blank_recording(
     return Recording(move.kind, t, carriages, "carriage", blank["acc"], blank["pos"], gaps, {})
 
 
-def _proposal(machine: Machine, question: _Question, played: _Played) -> Proposal:
-    x, y, z = played.position
-    sigmas = played.rate * np.sqrt(played.seconds)
-    where = f"{played.move.kind} at ({x:.0f}, {y:.0f}, {z:.0f}) mm"
-    if _tells(played):
+def _proposal(machine: Machine, question: _Question, trial: _Trial) -> Proposal:
+    x, y, z = trial.position
+    sigmas = trial.rate * np.sqrt(trial.seconds)
+    where = f"{trial.move.kind} at ({x:.0f}, {y:.0f}, {z:.0f}) mm"
+    if _tells(trial):
         size = f"{sigmas:.0f}" if sigmas < MANY else f"more than {MANY:.0f}"
-        text = f"{where}: {played.seconds:.1f} s of them {question.words} with {size} standard deviations."
+        text = f"{where}: {trial.seconds:.1f} s of them {question.words} with {size} standard deviations."
     else:
         text = (
             f"None of the safe moves would {question.words.removeprefix('would ')}: the best, {where.lower()}, "
             f"has less than {max(sigmas, 1.0):.1f} standard deviations. {question.sentence}".rstrip()
         )
     return Proposal(
-        played.move.kind,
-        played.position,
-        played.seconds,
-        question.rival,
-        played.rate,
+        trial.move.kind,
+        trial.position,
+        trial.seconds,
+        question.competing,
+        trial.rate,
         text[0].upper() + text[1:],
-        _text(machine, played.move, played.position),
+        _text(machine, trial.move, trial.position),
     )
 
 
@@ -243,13 +243,13 @@ def _proposal(machine: Machine, question: _Question, played: _Played) -> Proposa
 
 
 def positions(machine: Machine) -> list[Point]:
-    """The centre, then six around it; low."""
-    around = machine.kinematics.around(OUT, ROOM_MM)
+    """Return the centre, then six positions around it; low."""
+    around = machine.kinematics.around(OUT, MARGIN_MM)
     return [(*machine.kinematics.centre_mm, LOW_MM), *((round(x, 1), round(y, 1), LOW_MM) for x, y in around.tolist())]
 
 
 def library(machine: Machine) -> list[Move]:
-    """Moves that a printer makes anyway, none faster than its limits."""
+    """Return moves that a printer makes anyway, none faster than its limits."""
     own = machine.limits.acceleration_mm_per_s2
     return [
         Move("slow moves to and fro (8 mm/s)", min(600.0, own), lambda p: _to_and_fro(p, 3.0, 8.0, 2)),
@@ -262,7 +262,7 @@ def library(machine: Machine) -> list[Move]:
 
 
 def _text(machine: Machine, move: Move, position: Point) -> str:
-    """The G-code of a move, with the way to its place."""
+    """Write the G-code of a move, with the travel to its position."""
     x, y, z = position
     travel = min(50.0, machine.limits.velocity_mm_per_s)
     return "\n".join(
@@ -307,7 +307,7 @@ def _singles(position: Point, reach: float, speed: float) -> Lines:
 
 
 def _zigzag(position: Point, speed: float, lines: int) -> Lines:
-    """Lines of 16 mm, 0.8 mm apart, at 45 degrees."""
+    """Draw lines of 16 mm, 0.8 mm apart, at 45 degrees."""
     half, beside = 5.66, 0.57
     for i in range(lines):
         side = half * (-1) ** i
@@ -317,7 +317,7 @@ def _zigzag(position: Point, speed: float, lines: int) -> Lines:
 
 
 def _circles(position: Point, radius: float, speed: float) -> Lines:
-    """One turn up, one turn down."""
+    """Draw one turn up, one turn down."""
     turn = np.linspace(0.0, 2 * np.pi, round(2 * np.pi * radius / CHORD_MM) + 1)[1:]
     for rise in (turn, turn[::-1]):
         for angle, height in zip(turn, rise, strict=True):
@@ -327,7 +327,7 @@ def _circles(position: Point, radius: float, speed: float) -> Lines:
 
 
 def _strokes(position: Point, speed: float) -> Lines:
-    """From 6 mm down to 0.15 mm, along x, then along y: the shorter, the higher the frequency they shake with."""
+    """Shorten strokes from 6 mm to 0.15 mm, along x, then along y: the shorter, the higher the excited frequency."""
     for axis in np.eye(3)[:2]:
         for length in np.geomspace(6.0, 0.15, 24):
             yield _to(_beside(position, *(length * axis)), speed)

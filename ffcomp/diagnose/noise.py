@@ -1,9 +1,8 @@
-"""The noise floor, and the whitener: a residual in which every number has variance one if only noise is left.
+"""The noise floor, and the whitener: a residual in which every entry has variance one if only noise is left.
 
 Repeats of one experiment differ by noise alone: half the spectrum of their difference is the floor. Without repeats
-it is taken from what is left where the model has nothing to say, above its band; that is weaker, and said so.
-Whitening happens in the frequency domain, which is zero-phase, holds the band exactly, and treats measurement and
-simulation alike.
+it is taken from the residual above the model's band; that is weaker, and users are told so. Whitening happens in the
+frequency domain, which is zero-phase, holds the band exactly, and treats measurement and simulation alike.
 """
 
 from __future__ import annotations
@@ -35,11 +34,12 @@ class NoiseFloor:
     from_repeats: bool
 
     def at(self, signal: str, frequency_hz: FloatArray) -> FloatArray:
+        """Interpolate the density of one signal: (n,) Hz -> (n,) unit²/Hz."""
         return np.interp(frequency_hz, self.frequency_hz, self.density[signal])
 
 
 def noise_from_repeats(observations: Sequence[Observation]) -> NoiseFloor | None:
-    """None if nothing was measured twice."""
+    """Estimate the noise from repeats; None if nothing was measured twice."""
     pairs = [(a, b) for a, b in pairwise(sorted(observations, key=_by_repeat)) if _repeat(a, b)]
     if not pairs:
         return None
@@ -59,7 +59,12 @@ def noise_from_repeats(observations: Sequence[Observation]) -> NoiseFloor | None
 def noise_from_residual(
     observations: Sequence[Observation], errors: Sequence[FloatArray], band_hz: tuple[float, float]
 ) -> NoiseFloor:
-    """White at the level that is left above the model's band. errors : (n, m) a recording, measured − simulated."""
+    """Take white noise at the level of the residual above the model's band.
+
+    Parameters
+    ----------
+    errors : (n, m) an observation, measured − simulated.
+    """
     grid = np.arange(0.0, min(r.rate_hz for r in observations) / 2 + 1e-9, 1 / SEGMENT_S)
     high = (grid > FLOOR_BAND[0] * band_hz[1]) & (grid < FLOOR_BAND[1] * grid[-1])
     density = {}
@@ -87,7 +92,7 @@ def _column(observation: Observation, signal: str) -> FloatArray:
 
 
 def fill_gaps(values: FloatArray) -> FloatArray:
-    """Gaps bridged by straight lines."""
+    """Bridge missing samples by straight lines: (n,) -> (n,)."""
     missing = ~np.isfinite(values)
     if not missing.any():
         return values
@@ -103,7 +108,7 @@ def _density(x: FloatArray, rate_hz: float, grid: FloatArray) -> FloatArray:
 
 
 def _smooth(density: FloatArray, grid: FloatArray) -> FloatArray:
-    """Averaged over SMOOTHING_HZ: the floor has no lines."""
+    """Average over SMOOTHING_HZ: the floor has no lines."""
     half = max(1, round(SMOOTHING_HZ / 2 / (grid[1] - grid[0])))
     kernel = np.ones(2 * half + 1)
     return np.convolve(density, kernel, "same") / np.convolve(np.ones_like(density), kernel, "same")
@@ -111,7 +116,7 @@ def _smooth(density: FloatArray, grid: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Whitener:
-    """Errors of all recordings → one vector of variance one; rows of recording i are `rows[i]`."""
+    """Errors of all observations -> one vector of variance one; the rows of observation i are `rows[i]`."""
 
     observations: Sequence[Observation]
     floor: NoiseFloor
@@ -119,7 +124,7 @@ class Whitener:
     band_hz: tuple[float, float]
 
     def __call__(self, signals: Sequence[FloatArray], only: Sequence[int] | None = None) -> FloatArray:
-        """(rows,) from one (n, m) a recording (or of those in `only`)."""
+        """Whiten (n, m) an observation, or of those in `only`: (rows,)."""
         chosen = range(len(self.observations)) if only is None else only
         parts = [self._whitened(self.observations[i], x) for i, x in zip(chosen, signals, strict=True)]
         return np.concatenate(parts) if parts else np.zeros(0)
@@ -132,20 +137,20 @@ class Whitener:
         return np.concatenate([white.real.ravel(), white.imag.ravel()])
 
     def power(self, observation: Observation) -> float:
-        """Of a real or imaginary part of the transform, per unit²/Hz of density."""
+        """Return the power of a real or imaginary part of the transform, per unit²/Hz of density."""
         window = taper(len(observation.measured), observation.rate_hz)
         return float(np.sum(window**2)) * observation.rate_hz / 4
 
     def spectrum(self, observation: Observation, x: FloatArray) -> tuple[ComplexArray, FloatArray]:
-        """(m, k) transform of the faded signals inside the band, and (k,) Hz."""
+        """Transform the faded signals (n, m): (m, k) inside the band, and (k,) Hz."""
         frequency, keep = lines(observation, self.band_hz)
         faded = x * taper(len(x), observation.rate_hz)[:, None]
         gaps = ~np.isfinite(observation.measured)
-        faded = np.where(gaps, 0.0, faded)  # no one knows what was there: neither side has it
+        faded = np.where(gaps, 0.0, faded)  # missing samples count on neither side
         return np.fft.rfft(faded, axis=0)[keep].T, frequency
 
     def frequencies(self) -> FloatArray:
-        """(rows,) Hz of every entry of the vector."""
+        """Return the frequency of every entry of the vector, (rows,) Hz."""
         parts = [np.tile(lines(r, self.band_hz)[0], 2 * len(r.signals)) for r in self.observations]
         return np.concatenate(parts)
 
@@ -153,20 +158,21 @@ class Whitener:
 def whitener(
     observations: Sequence[Observation], floor: NoiseFloor, band_hz: tuple[float, float] = BAND_HZ
 ) -> Whitener:
+    """Lay out the rows of all observations inside the band."""
     sizes = [2 * len(r.signals) * len(lines(r, band_hz)[0]) for r in observations]
     ends = np.cumsum([0, *sizes])
     return Whitener(observations, floor, [slice(a, b) for a, b in pairwise(ends.tolist())], band_hz)
 
 
 def lines(observation: Observation, band_hz: tuple[float, float]) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """(k,) Hz inside the band, and where they are among all of the transform's."""
+    """Return the frequencies inside the band, (k,) Hz, and a mask of them among all of the transform's."""
     frequency = np.fft.rfftfreq(len(observation.measured), 1 / observation.rate_hz)
     keep = (frequency >= band_hz[0]) & (frequency <= band_hz[1])
     return np.asarray(frequency[keep]), keep
 
 
 def taper(n: int, rate_hz: float) -> FloatArray:
-    """(n,) from 0 to 1 and back over TAPER_S (Tukey's window)."""
+    """Return Tukey's window, (n,): from 0 to 1 and back over TAPER_S."""
     ramp = min(round(TAPER_S * rate_hz), n // 2)
     edge = (1 - np.cos(np.pi * (np.arange(ramp) + 0.5) / ramp)) / 2
     window = np.ones(n)

@@ -1,7 +1,7 @@
-"""The printer as a plant: commands in, accelerations or positions of carriages and effector out.
+"""The diagnosis of a printer: commands in, accelerations or positions of carriages and effector out.
 
-Every effect of the catalogue becomes a candidate. Its numbers are those of the machine file, but for amplitudes whose
-answer does not grow in proportion: those are fitted as `value ** power`, which is zero without effect. A direction is
+Every effect of the catalogue becomes a candidate. Its parameters are those of the machine file, except amplitudes whose
+effect does not grow in proportion: those are fitted as `value ** power`, which is zero without effect. A direction is
 fitted as an angle.
 """
 
@@ -32,25 +32,25 @@ from models.printer.kernels.record import LANES
 from models.printer.parameters import printer_parameters
 from models.printer.printer import SMOOTH_STEP_S, PrinterMotion, longest_step, simulate_printers
 
-STEP_S = 1 / 3200  # of a printer without dry friction or play: some nanometres off
-COARSE_STEP_S, COARSE_KINKED_STEP_S = 1 / 1600, 1 / 3200  # where only the effects' order is asked for
-ENOUGH_HZ = 1600.0  # rows a second: eight times the band's end; what was recorded faster is thinned
+STEP_S = 1 / 3200  # of a printer without dry friction or backlash: some nanometres off
+COARSE_STEP_S, COARSE_KINKED_STEP_S = 1 / 1600, 1 / 3200  # where effects are only ranked
+ENOUGH_HZ = 1600.0  # eight times the band's end; faster recordings are thinned to it
 KEPT, AT_ONCE = 4, 24  # machines whose motions are held
 WORKERS = min(8, os.cpu_count() or 1)
-REACH = 5.0  # standard deviations by which a number may be retuned: what must move further is an effect
+REACH = 5.0  # standard deviations by which a parameter may be retuned: beyond, it is an effect
 FULL_STEPS = (1.0, 4.0)  # cogging repeats every full step, or every four
-GRID = 3  # starting values of a shape that is known by its range only
+GRID = 3  # starting values of a shape of which only the range is known
 MANY = {"frequency_hz": 20}  # shapes whose signature changes quickly
 BOTH = 9.0  # in place of an angle: alike in x and y
-LEAST, SPREAD = 1e-3, 1.5  # of what is known by its order of magnitude: counts as none; ln's standard deviation
-WHOLE = "whole"  # the one number of an effect that is there or not
+LEAST, SPREAD = 1e-3, 1.5  # of a parameter known by its order of magnitude: counts as none; ln's standard deviation
+WHOLE = "whole"  # the one parameter of an effect that is there or not
 
 _Key = tuple[tuple[tuple[str, float], ...], tuple[int, ...], bool]
 _NAME = re.compile(r"effects\.(?P<effect>\w+)\.(?P<parameter>\w+)(\[(?P<index>\d)\])?")
 
 
 class PrinterProblem(Problem):
-    """A machine file and its runs."""
+    """A machine file and its recordings."""
 
     band_hz = BAND_HZ
 
@@ -70,6 +70,7 @@ class PrinterProblem(Problem):
     def simulate(
         self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
     ) -> list[FloatArray]:
+        """Simulate the recordings: (n, m) each."""
         found = next(iter(self.simulate_many([values], only, coarse=coarse)))
         if isinstance(found, InfeasibleParameters):
             raise found
@@ -78,7 +79,7 @@ class PrinterProblem(Problem):
     def simulate_many(
         self, many: Sequence[Mapping[str, float]], only: Sequence[int] | None = None, *, coarse: bool = False
     ) -> Iterator[list[FloatArray] | InfeasibleParameters]:
-        """Some at a time, all their runs together."""
+        """Simulate in batches, all recordings of a batch together."""
         chosen = range(len(self.recordings)) if only is None else only
         needed = sorted({self.same_command[i] for i in chosen})
         for first in range(0, len(many), AT_ONCE):
@@ -95,7 +96,7 @@ class PrinterProblem(Problem):
     def _motions(
         self, many: Sequence[Mapping[str, float]], needed: Sequence[int], coarse: bool
     ) -> list[dict[int, PrinterMotion] | InfeasibleParameters]:
-        """By index of the run. The last few are kept: what only changes the sensors needs no other motion."""
+        """Simulate motions by index of the recording; the last few are kept, for sensor effects need no new motion."""
         plain = [_without_sensors(values) for values in many]
         keys = [(tuple(sorted(values.items())), tuple(needed), coarse) for values in plain]
         new = {key: values for key, values in zip(keys, plain, strict=True) if key not in self.kept}
@@ -111,7 +112,7 @@ class PrinterProblem(Problem):
     def _simulated(
         self, many: Sequence[Mapping[str, float]], needed: Sequence[int], coarse: bool
     ) -> list[dict[int, PrinterMotion] | InfeasibleParameters]:
-        """On every core, side by side what takes equal steps."""
+        """Simulate on every core, in SIMD lanes what takes equal steps."""
         machines = [self.machine_with(values) for values in many]
         by_steps: dict[_Steps, list[tuple[int, int]]] = {}
         for i in sorted(needed, key=lambda i: len(self.commands[i])):
@@ -134,7 +135,7 @@ class PrinterProblem(Problem):
         return [_whole(by_run) for by_run in motions]
 
     def machine_with(self, values: Mapping[str, float]) -> Machine:
-        """The machine file's machine with these numbers and effects."""
+        """Return the machine file's machine with these parameters and effects."""
         plain = {name: value for name, value in values.items() if not name.startswith("effects.")}
         machine = with_values(self.machine, plain)
         return replace(machine, effects={**machine.effects, **effect_tables(values)})
@@ -151,7 +152,7 @@ def _is_sensor(name: str) -> bool:
 
 @dataclass(frozen=True)
 class _Steps:
-    """How a run is integrated."""
+    """Integration steps of a recording."""
 
     row_s: float
     substeps: int
@@ -167,7 +168,7 @@ def _steps(machine: Machine, rate_hz: float, coarse: bool) -> _Steps:
 
 
 def _whole(motions: Mapping[int, PrinterMotion | ValueError]) -> dict[int, PrinterMotion] | InfeasibleParameters:
-    """Arms too short, or belts that hold nothing, in a single run are enough."""
+    """Return the motions, or the first error: one infeasible recording makes the parameters infeasible."""
     failed = [m for m in motions.values() if isinstance(m, ValueError)]
     if failed:
         return InfeasibleParameters(str(failed[0]))
@@ -175,12 +176,12 @@ def _whole(motions: Mapping[int, PrinterMotion | ValueError]) -> dict[int, Print
 
 
 def _first_equal(commands: Sequence[FloatArray], i: int) -> int:
-    """Repeats need one simulation."""
+    """Return the first recording with the same command: repeats need one simulation."""
     return next(k for k in range(i + 1) if np.array_equal(commands[k], commands[i]))
 
 
 def effect_tables(values: Mapping[str, float]) -> dict[str, dict[str, Any]]:
-    """Fitted numbers as the tables of a machine file; what has no effect is left out."""
+    """Turn fitted parameters into the tables of a machine file, without effects that do nothing."""
     tables: dict[str, dict[str, Any]] = {}
     for name, value in values.items():
         match = _NAME.fullmatch(name)
@@ -219,7 +220,7 @@ def _machine_value(parameter: EffectParameter, value: float, of_three: bool = Fa
     return float(value ** (1 / parameter.power)) if value > 0 else parameter.neutral
 
 
-# ---- numbers and candidates ----------------------------------------------------------------------
+# ---- parameters and candidates ----------------------------------------------------------------------
 
 
 def _parameters(machine: Machine) -> list[Parameter]:
@@ -251,12 +252,17 @@ def _candidate(machine: Machine, effect: Effect) -> Candidate:
 
 
 def _in_both(shape: Parameter) -> Parameter:
-    """A direction that is none."""
+    """Fix the direction to both: alike in x and y."""
     return replace(shape, start=BOTH, low=BOTH, high=BOTH) if shape.name.endswith(".direction") else shape
 
 
 def _of(machine: Machine, effect: Effect, each: bool) -> Candidate:
-    """each : a value for each tower, or one that all share."""
+    """Make the candidate of an effect.
+
+    Parameters
+    ----------
+    each : a value for each tower, or one that all share.
+    """
     amplitudes = [n for p in effect.amplitudes for n in _amplitude(effect, p, each)]
     probe = {n.name: _linear(p, p.probe) for p in effect.amplitudes for n in _amplitude(effect, p, each)}
     shapes = [_shape(effect, p, machine) for p in effect.shapes if _searched(p)]
@@ -280,7 +286,7 @@ def _full(effect: Effect, p: EffectParameter) -> str:
 
 
 def _amplitude(effect: Effect, p: EffectParameter, each: bool) -> list[Parameter]:
-    """One number, or one an axis, or one a tower."""
+    """Make one parameter, or one an axis, or one a tower."""
     low, high = sorted(_linear(p, b) for b in p.bounds)
     width = max(abs(_linear(p, t)) for t in p.typical if t)
     three = p.size == "vector3" or (each and p.size == "per_tower")
@@ -317,7 +323,7 @@ def _starts(effect: Effect, p: EffectParameter, machine: Machine) -> list[float]
 
 
 def _grid(effect: Effect, machine: Machine) -> list[dict[str, float]]:
-    """Every combination of the shapes' starting values."""
+    """List every combination of the shapes' starting values."""
     grid: list[dict[str, float]] = [{}]
     for p in effect.shapes:
         if not _searched(p):
@@ -335,7 +341,12 @@ def _every(recording: Recording) -> int:
 
 
 def _observation(machine: Machine, recording: Recording, command: FloatArray) -> Observation:
-    """command : (n, 3) mm, carriages, thinned as the recording is."""
+    """Thin a recording and put its signals in one array.
+
+    Parameters
+    ----------
+    command : (n, 3) mm, carriages, thinned as the recording is.
+    """
     signals = (*recording.acceleration, *recording.position)
     every = _every(recording)
     values = [_thinned(x, every) for x in (*recording.acceleration.values(), *recording.position.values())]
@@ -348,7 +359,7 @@ def _observation(machine: Machine, recording: Recording, command: FloatArray) ->
 
 
 def _thinned(x: FloatArray, every: int) -> FloatArray:
-    """Every so many rows, what is too fast for them taken out (zero-phase); gaps stay gaps."""
+    """Keep every so many rows after a zero-phase low-pass; missing samples stay missing."""
     if every == 1:
         return x
     from scipy.signal import resample_poly
@@ -360,15 +371,15 @@ def _thinned(x: FloatArray, every: int) -> FloatArray:
 
 
 def _signals(machine: Machine, motion: PrinterMotion, names: Sequence[str]) -> FloatArray:
-    """(n, m) in the order of the recording's signals."""
-    felt = measured(machine, motion.signals)
+    """Return the sensor signals, (n, m), in the order of `names`."""
+    sensed = measured(machine, motion.signals)
     columns = []
     for name in names:
         kind, axis = name.split("_")
         carriage = axis in "ABC"
         i = "ABC".index(axis) if carriage else "xyz".index(axis)
         if kind == "acc":
-            columns.append((felt.carriage if carriage else felt.nozzle)[:, i])
+            columns.append((sensed.carriage if carriage else sensed.nozzle)[:, i])
         else:
             columns.append((motion.carriage_mm if carriage else motion.nozzle_mm)[:, i])
     return np.stack(columns, axis=1)

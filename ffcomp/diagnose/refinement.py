@@ -158,7 +158,7 @@ def _changed(estimation: EstimationProblem, h: Hypothesis, change: ShapeChange) 
 
 
 def _begun(effects: tuple[Candidate, ...], h: Hypothesis) -> Hypothesis:
-    """Other parameters for the same effects, where they stand now."""
+    """Take over the present values for the effects' other parameters."""
     parameters = (*h.own_parameters, *(n for c in effects for n in c.parameters))
     known = {n.name: float(z) for n, z in zip(h.fit.parameters, h.fit.z, strict=True)}
     z = clipped(parameters, np.array([_known(n, known) for n in parameters]))
@@ -185,7 +185,7 @@ def _moved(parameters: Sequence[Parameter], z: FloatArray, which: Sequence[int],
 
 
 def _known(n: Parameter, known: Mapping[str, float]) -> float:
-    """z of the parameter itself, or of all towers, or the mean of the towers'; zero if it is new."""
+    """Return z of the parameter itself, or of all towers, or the mean of the towers'; zero if it is new."""
     stem = n.name.partition("[")[0]
     if n.name in known or stem in known:
         return known.get(n.name, known.get(stem, 0.0))

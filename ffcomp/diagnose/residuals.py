@@ -1,4 +1,4 @@
-"""Where the gap is: its size against what was measured and against the noise, by signal, frequency, place and run."""
+"""Where the residual is: its size by signal, frequency, position and recording, against measurement and noise."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SLOW_SHARE = 0.05  # of a signal's largest speed: slower than that it is near a 
 
 @dataclass(frozen=True)
 class ResidualSize:
-    """√(Σ(measured − simulated)²/Σ measured²) inside the band, and what noise alone would leave."""
+    """√(Σ(measured − simulated)²/Σ measured²) inside the band, and the same of noise alone."""
 
     nrms: float
     noise_nrms: float
@@ -28,16 +28,18 @@ class ResidualSize:
 
 @dataclass(frozen=True, eq=False)
 class ResidualBreakdown:
+    """The residual as a whole and in parts; the excess is its power above the noise."""
+
     total: ResidualSize
     signals: Mapping[str, ResidualSize]
     recordings: Mapping[str, ResidualSize]
     positions: Mapping[tuple[float, ...], float]  # share of the excess
     bands: Sequence[tuple[float, float, float]]  # from Hz, to Hz, share of the excess
-    near_reversals: float  # share of the excess while what a signal is measured on turns back or rests
+    near_reversals: float  # share of the excess while the part a signal is measured on reverses or rests
 
 
 def locate_residual(whiten: Whitener, floor: NoiseFloor, simulated: Sequence[FloatArray]) -> ResidualBreakdown:
-    """Compare all recordings with their simulation, (n, m) each."""
+    """Compare all observations with their simulation, (n, m) each."""
     tables = [_table(whiten, floor, r, y) for r, y in zip(whiten.observations, simulated, strict=True)]
     excess = [np.maximum(t.error - t.noise, 0.0) for t in tables]
     total = max(sum(float(e.sum()) for e in excess), 1e-300)
@@ -61,7 +63,7 @@ def locate_residual(whiten: Whitener, floor: NoiseFloor, simulated: Sequence[Flo
 
 @dataclass(frozen=True, eq=False)
 class _Table:
-    """Powers of one recording by signal and frequency, (m, k): of the error, of the noise, of what was measured."""
+    """Powers of one observation by signal and frequency, (m, k): of error, noise and measured signals."""
 
     frequency_hz: FloatArray
     error: FloatArray

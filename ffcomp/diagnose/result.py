@@ -1,4 +1,4 @@
-"""A diagnosis in the terms of the machine file: effects with intervals, retuned numbers, the gap before and after."""
+"""A diagnosis in the terms of the machine file: effects with intervals, retuned parameters, residuals."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ from typing import Any
 import numpy as np
 
 from ffcomp.diagnose.diagnosis import Diagnosis
+from ffcomp.diagnose.hypotheses import misfit
 from ffcomp.diagnose.printer_problem import WHOLE, PrinterProblem, effect_tables
 from ffcomp.diagnose.residuals import ResidualSize, locate_residual
 from ffcomp.identify.uncertainty import Estimate
 from models.effects.catalogue import CATALOGUE
 from models.file import updated_text
 
-DISCREPANCY, CLOSED = 0.1, 0.5  # of the noise, to be a gap; of the gap, to be closed by retuning
-MOVED = 0.1  # standard deviations of its uncertainty from which a number is said to be retuned
+DISCREPANCY, CLOSED = 0.1, 0.5  # of the noise, to be one; of the discrepancy, to be closed by retuning
+MOVED = 0.1  # standard deviations of its uncertainty from which a parameter counts as retuned
 
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisResult:
-    """What is printed, and written into the better machine file."""
+    """The contents of the answer and of the better machine file."""
 
     verdict: str
     effects: Mapping[str, Mapping[str, Any]]  # of the best hypothesis, as tables of a machine file
@@ -32,22 +33,22 @@ class DiagnosisResult:
     confounded_with: Sequence[tuple[str, str]]  # effect, how to tell them apart
     before: ResidualSize
     after: ResidualSize
-    held_out: tuple[float, float]  # nrms before and after, on places the numbers were not fitted to
+    held_out: tuple[float, float]  # nrms before and after, at positions that were left out of the fit
     gained: float  # −2 ln Z against retuning alone
     confidence: Mapping[str, float]  # of each effect against the best that was tried without it
     rejections: Sequence[str]
-    invisible: Sequence[str]  # effects of which the runs could not show a usual size
+    invisible: Sequence[str]  # effects of which the recordings could not show a usual size
 
     @property
     def mends(self) -> bool:
-        """Is a machine file worth writing: with effects, or with numbers retuned that close a gap without any?"""
+        """Tell whether a better file exists: with effects, or with retuned parameters that suffice."""
         if self.verdict != "none":
             return self.verdict == "effects"
         discrepancy, left = self.before.nrms - self.before.noise_nrms, self.after.nrms - self.before.noise_nrms
         return discrepancy > DISCREPANCY * self.before.noise_nrms and left < CLOSED * discrepancy
 
     def parameters(self, effect: str) -> dict[str, dict[str, Any]]:
-        """Of one effect, by the machine file's keys: value, low, high; lists where the file has lists."""
+        """Return value, low and high of one effect by the machine file's keys; lists where the file has lists."""
         prefix, found = f"effects.{effect}.", dict[str, list[Estimate]]()
         for name, e in self.intervals.items():
             if name.startswith(prefix):
@@ -58,7 +59,7 @@ class DiagnosisResult:
 
 
 def result_of(problem: PrinterProblem, found: Diagnosis) -> DiagnosisResult:
-    """Translate; the best hypothesis is told even if it was refused."""
+    """Translate a diagnosis; the best hypothesis is reported even if it was rejected."""
     fitted = found.final
     tables = effect_tables(fitted.values) if found.best is not None else {}
     names = [n for n in fitted.parameters if not n.name.startswith("effects.")]
@@ -86,20 +87,16 @@ def result_of(problem: PrinterProblem, found: Diagnosis) -> DiagnosisResult:
 
 
 def _confidence(found: Diagnosis, effect: str) -> float:
-    """Probability against the best hypothesis without the effect, both equally likely beforehand.
-
-    Where a misfit is left, evidence counts for that much less: shapes are never exactly ours.
-    """
+    """Compute the probability against the best hypothesis without the effect, both equally likely beforehand."""
     if found.best is None:
         return 0.0
     fitted = found.best.fit
     without = min([h.fit.evidence for h in found.tried if effect not in h.names] + [found.base.evidence])
-    misfit = max(1.0, fitted.chi_squared / len(fitted.residual))
-    return float(1 / (1 + np.exp(-np.clip((without - fitted.evidence) / misfit / 2, -50, 50))))
+    return float(1 / (1 + np.exp(-np.clip((without - fitted.evidence) / misfit(fitted) / 2, -50, 50))))
 
 
 def _in_file_terms(name: str, e: Estimate) -> Estimate:
-    """Back from value ** power, which turns an interval round if the power is negative."""
+    """Convert back from value ** power, which reverses an interval if the power is negative."""
     _, effect, key = name.split(".")
     key = key.partition("[")[0]
     if key != WHOLE and CATALOGUE[effect].parameter(key).logarithmic:
@@ -112,7 +109,12 @@ def _in_file_terms(name: str, e: Estimate) -> Estimate:
 
 
 def _file_values(effect: str, key: str, own: Sequence[Estimate], table: Any) -> dict[str, Any]:
-    """table : what the machine file gets."""
+    """Return value, low and high of one key.
+
+    Parameters
+    ----------
+    table : the key's value in the machine file.
+    """
     if CATALOGUE[effect].parameter(key).size == "direction":
         ends = [[round(math.cos(x), 6), round(math.sin(x), 6)] for x in (own[0].low, own[0].high)]
         low, high = (table, table) if isinstance(table, str) else ends
@@ -122,16 +124,16 @@ def _file_values(effect: str, key: str, own: Sequence[Estimate], table: Any) -> 
 
 
 def _apart(tables: Mapping[str, Any], other: str) -> str:
-    """How to tell another effect from the named ones."""
+    """Say how to tell another effect from the named ones."""
     for name in tables:
         sentence = CATALOGUE[name].rivals.get(other) or CATALOGUE[other].rivals.get(name)
         if sentence:
             return sentence
-    return "Runs at more places and at several speeds."
+    return "Recordings at more positions and at several speeds."
 
 
 def _held_out(found: Diagnosis, noise: float) -> tuple[float, float]:
-    """nrms over all places, each left out of the fit in turn: with the file as it is, and with what was found."""
+    """Compute nrms over all positions, each left out of the fit in turn: with the file as it is, and with the fit."""
     if not found.held_out:
         return noise, noise
     filed, after, signals = np.sum([p.power for p in found.held_out], axis=0)
@@ -139,7 +141,7 @@ def _held_out(found: Diagnosis, noise: float) -> tuple[float, float]:
 
 
 def better_file(source: Path, name: str, found: DiagnosisResult, data: Sequence[str], when: str) -> str:
-    """The machine file with the named effects, the retuned numbers, and what they rest on; comments survive."""
+    """Write the machine file with the named effects, the retuned parameters and their provenance; comments survive."""
     values: dict[str, Any] = {key: float(f"{to:.6g}") for key, (_, to) in found.retuned.items()}
     for effect, table in found.effects.items():
         if not table:

@@ -51,7 +51,7 @@ def screen(estimation: EstimationProblem, base: Fit, candidates: Sequence[Candid
 
 
 def _other_shapes(c: Candidate, best: Screened) -> list[Mapping[str, float]]:
-    """Shapes to try the other form with: the best one so far; the whole grid where the other form fixes a shape."""
+    """List the shapes to try the other form with: the best one so far; all of them where that form fixes a shape."""
     fixed = {n.name: n.start for n in (c.other or c).shapes if n.low == n.high}
     if not fixed:
         return [best.shape]
@@ -107,8 +107,9 @@ def _scored(base: Fit, candidate: Candidate, shape: Mapping[str, float], signatu
 
 
 def _joint_step(base: Fit, signature: FloatArray, cross: FloatArray, added: FloatArray) -> tuple[FloatArray, float]:
-    """Find the best step of the machine's parameters, inside their bounds, and of the amplitudes; and its gain beyond
-    the best of the parameters alone.
+    """Find the best joint step of the machine's parameters, inside their bounds, and of the amplitudes.
+
+    Returns the step and its gain beyond the best step of the parameters alone.
     """
     free = tuple(Parameter(f"amplitude {i}", 0.0, 1.0) for i in range(signature.shape[1]))
     normal = np.block([[base.information, cross], [cross.T, added]])
@@ -119,5 +120,5 @@ def _joint_step(base: Fit, signature: FloatArray, cross: FloatArray, added: Floa
 
 
 def similarity(a: Screened, b: Screened) -> float:
-    """cos² between two projected signatures: 1 where the effects are fully confounded."""
+    """Return cos² between two projected signatures: 1 where the effects are fully confounded."""
     return float(a.projected @ b.projected) ** 2

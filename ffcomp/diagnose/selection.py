@@ -213,7 +213,7 @@ def _with_one_more(estimation: EstimationProblem, h: Hypothesis, start: Start, p
 
 
 def _pair_evidence(base: Fit, pair: Sequence[Screened]) -> float:
-    """Change of −2 ln Z by two effects together, to first order."""
+    """Predict the change of −2 ln Z by two effects together, to first order."""
     signature = np.hstack([s.signature for s in pair])
     cross = base.jacobian.T @ signature
     schur = np.eye(signature.shape[1]) + signature.T @ signature - cross.T @ np.linalg.solve(base.information, cross)
@@ -236,7 +236,7 @@ def swap(search: Search, so_far: Selection) -> list[Hypothesis]:
 
 
 def _may_replace(s: Screened, effect: Candidate, so_far: Selection, screened: Sequence[Screened]) -> bool:
-    """Whether an effect is smaller than one of the best hypothesis, similar to it, and not tried in its place yet."""
+    """Tell whether an effect is smaller than one of the best hypothesis, similar to it, and not tried there yet."""
     names = so_far.best.names
     if len(s.candidate.parameters) >= len(effect.parameters) or s.candidate.name in names:
         return False

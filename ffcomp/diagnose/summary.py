@@ -1,6 +1,6 @@
-"""A diagnosis as something to look at: where the gap was and is, curves, spectra, the evidence, who looks alike.
+"""A diagnosis as data for reports: where the residual was and is, curves, spectra, evidence, confounding.
 
-Numbers only; drawing is for `ffcomp.report`. Excess is the mean square of the whitened error, less one: 0 is noise
+Drawing is for `ffcomp.report`. Excess is the mean square of the whitened error, less one: 0 is noise
 alone, 3 means that the error is twice as large as the noise.
 """
 
@@ -41,21 +41,21 @@ KINDS = {"acc": ("acceleration", "m/s²"), "pos": ("position", "mm")}
 
 @dataclass(frozen=True)
 class Split:
-    """The excess over one thing it may depend on; a value for each label."""
+    """The excess over one quantity it may depend on; a value for each label."""
 
     title: str
     labels: tuple[str, ...]
     before: tuple[float, ...]
     after: tuple[float, ...]
-    weight: tuple[float, ...]  # share of all that was compared
+    weight: tuple[float, ...]  # share of all entries compared
     spans: tuple[tuple[float, float], ...] = ()  # from and to of each label, where labels follow one another
     unit: str = ""  # of the spans
-    at: tuple[tuple[float, ...], ...] = ()  # mm on the bed, where labels are places
+    at: tuple[tuple[float, ...], ...] = ()  # mm on the bed, where labels are positions
 
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """One signal of one run where the gap was largest."""
+    """One signal of one recording where the residual was largest."""
 
     recording: str
     signal: str
@@ -68,7 +68,7 @@ class Overlay:
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Amplitude densities of one kind of signal, unit/√Hz, rms over its signals and runs."""
+    """Amplitude densities of one kind of signal, unit/√Hz, rms over its signals and recordings."""
 
     kind: str  # carriages' acceleration, nozzle's position, …
     unit: str
@@ -81,17 +81,17 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class Promise:
-    """What screening said of one effect before anything was fitted."""
+    """The prediction of screening for one effect before anything was fitted."""
 
     name: str
-    gain: float  # −2 ln Z that it promised to win
+    gain: float  # of −2 ln Z, predicted
     strength: float  # standard deviations by which a usual size would stand out
     visible: bool
 
 
 @dataclass(frozen=True, eq=False)
 class Confounding:
-    """cos² between what visible effects do beyond retuning: 1 if one can be taken for the other."""
+    """cos² between the signatures of visible effects beyond retuning: 1 if one can be taken for the other."""
 
     names: tuple[str, ...]
     cos2: FloatArray  # (n, n)
@@ -99,7 +99,7 @@ class Confounding:
 
 @dataclass(frozen=True)
 class Retuned:
-    """A number of the machine file that the diagnosis could have moved."""
+    """A parameter of the machine file that the diagnosis could have moved."""
 
     name: str
     start: float
@@ -113,7 +113,7 @@ class Evidence:
     """One hypothesis that was tried."""
 
     effects: tuple[str, ...]
-    left: float  # gap, of the noise
+    left: float  # discrepancy, of the noise
     against_best: float  # −2 ln Z more than the best's
     parameters: int
     named: bool
@@ -121,6 +121,8 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisSummary:
+    """Everything a report shows."""
+
     band_hz: tuple[float, float]  # where measurement and simulation are compared
     noise_from_repeats: bool
     bed_radius_mm: float
@@ -135,7 +137,7 @@ class DiagnosisSummary:
 
 
 def summarise(problem: PrinterProblem, found: Diagnosis) -> DiagnosisSummary:
-    """What a report shows of a diagnosis: before is the machine file as it is, after with what was found."""
+    """Collect a report's data: before is the machine file as it is, after is the final fit."""
     estimation = found.estimation
     answers = problem.simulate({}), problem.simulate(found.final.values)
     before, after = (estimation.measured - estimation.whiten(simulated) for simulated in answers)
@@ -174,7 +176,7 @@ def _splits(
 def _filled(
     blank: Split, group: NDArray[np.int64], expected: FloatArray, before: FloatArray, after: FloatArray
 ) -> Split:
-    """The split with its numbers, labels without any entry left out.
+    """Fill a split with values; labels without any entry are left out.
 
     expected : the square that noise alone has in each entry.
     """
@@ -198,7 +200,7 @@ def _filled(
 
 
 def _expected(estimation: EstimationProblem) -> list[FloatArray]:
-    """(n, m) a recording: the square that noise alone has in `series`; the ends are faded."""
+    """Return the square that noise alone has in `series`, (n, m) an observation; the ends are faded."""
     faded = [taper(len(r.measured), r.rate_hz) ** 2 for r in estimation.whiten.observations]
     return [
         np.outer(w / w.mean(), np.ones(len(r.signals)))
@@ -207,7 +209,7 @@ def _expected(estimation: EstimationProblem) -> list[FloatArray]:
 
 
 def series(estimation: EstimationProblem, residual: FloatArray) -> list[FloatArray]:
-    """The whitened residual (rows,) back in time, (n, m) a recording: noise alone has a mean square of one."""
+    """Transform the whitened residual (rows,) back to time, (n, m) an observation; noise has a mean square of one."""
     found = []
     for observation, rows in zip(estimation.whiten.observations, estimation.whiten.rows, strict=True):
         _, keep = lines(observation, estimation.whiten.band_hz)
@@ -220,7 +222,7 @@ def series(estimation: EstimationProblem, residual: FloatArray) -> list[FloatArr
 
 
 def _by(problem: PrinterProblem) -> list[tuple[Split, list[NDArray[np.int64]]]]:
-    """For every thing to split by: its labels, and which of them each sample (n, m) of each recording has."""
+    """List every split: its labels, and which of them each sample (n, m) of each observation has."""
     observations = problem.observations
     signals = sorted({s for r in observations for s in r.signals})
     positions = list(dict.fromkeys(r.position for r in observations))
@@ -269,7 +271,7 @@ def _size(measured: FloatArray) -> NDArray[np.int64]:
 
 
 def _phases(problem: PrinterProblem) -> list[NDArray[np.int64]]:
-    """Of the signal's own motor; of motor A for the nozzle's."""
+    """Return the phase of the signal's own motor; of motor A for the nozzle's."""
     cycle = CYCLE_STEPS / float(problem.machine.steps.full_per_motor[0])
     found = []
     for r, command in zip(problem.observations, problem.commands, strict=True):
@@ -280,13 +282,13 @@ def _phases(problem: PrinterProblem) -> list[NDArray[np.int64]]:
 
 # ---- curves --------------------------------------------------------------------------------------
 
-Answers = tuple[list[FloatArray], list[FloatArray]]  # (n, m) a recording, before and after
+Answers = tuple[list[FloatArray], list[FloatArray]]  # (n, m) an observation, before and after
 
 
 def _overlays(
     problem: PrinterProblem, estimation: EstimationProblem, answers: Answers, before: FloatArray
 ) -> list[Overlay]:
-    """The signals with the largest excess, around the moment where it was largest."""
+    """Select the signals with the largest excess, around the time where it was largest."""
     errors = series(estimation, before)
     ranked = sorted(
         ((float(np.mean(e[:, k] ** 2)), i, k) for i, e in enumerate(errors) for k in range(e.shape[1])), reverse=True
@@ -313,7 +315,7 @@ def _overlay(
 
 
 def _in_band(estimation: EstimationProblem, i: int, x: FloatArray) -> FloatArray:
-    """(n, m) of recording i inside the band, as it is compared."""
+    """Filter signals (n, m) of observation i to the band, as they are compared."""
     observation = estimation.whiten.observations[i]
     _, keep = lines(observation, estimation.whiten.band_hz)
     spectrum = np.zeros((len(keep), x.shape[1]), dtype=complex)
@@ -327,7 +329,7 @@ def _spectra(estimation: EstimationProblem, answers: Answers) -> list[Spectrum]:
 
 
 def _spectrum(estimation: EstimationProblem, answers: Answers, quantity: str, carriage: bool) -> Spectrum:
-    """Mean powers in bands as wide everywhere on a logarithmic axis; bands that hold no line are left out."""
+    """Average powers in bands that are even on a logarithmic axis; bands that hold no line are left out."""
     edges = np.geomspace(*estimation.whiten.band_hz, SPECTRUM_BANDS + 1)
     sums, counts = np.zeros((4, SPECTRUM_BANDS)), np.zeros(SPECTRUM_BANDS)
     for i, r in enumerate(estimation.whiten.observations):
@@ -346,7 +348,7 @@ def _spectrum(estimation: EstimationProblem, answers: Answers, quantity: str, ca
 def _densities(
     estimation: EstimationProblem, i: int, many: Sequence[FloatArray]
 ) -> tuple[FloatArray, list[FloatArray]]:
-    """(k,) Hz, and the one-sided densities (m, k) of each, unit²/Hz; the noise's last."""
+    """Return (k,) Hz, and the one-sided densities (m, k) of each signal array, unit²/Hz; the noise's last."""
     observation = estimation.whiten.observations[i]
     spectra = [estimation.whiten.spectrum(observation, x) for x in many]
     frequency, scale = spectra[0][1], 2 * estimation.whiten.power(observation)
@@ -371,7 +373,7 @@ def _evidence(found: Diagnosis) -> list[Evidence]:
 
 
 def _confounding(found: Diagnosis) -> Confounding:
-    """The named ones first."""
+    """Compute the similarity of all visible effects, the named ones first."""
     best = () if found.best is None else found.best.names
     seen = sorted((s for s in found.screened if s.visible), key=lambda s: s.candidate.name not in best)
     table = np.array([[similarity(a, b) for b in seen] for a in seen]).reshape(len(seen), len(seen))
@@ -379,7 +381,7 @@ def _confounding(found: Diagnosis) -> Confounding:
 
 
 def _retuned(found: Diagnosis) -> list[Retuned]:
-    """Every number of the machine file, those that moved furthest first."""
+    """List every parameter of the machine file, those that moved furthest first."""
     full = found.base if found.best is None else found.best.fit
     values = found.final.values
     intervals = found.intervals or intervals_of(found.estimation, full, values)

@@ -1,4 +1,4 @@
-"""What runs must be, beyond being readable, before a diagnosis can rest on them."""
+"""Checks of recordings, beyond being readable, before a diagnosis can rest on them."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from models.arrays import FloatArray
 from models.errors import UnreachableError
 from models.machine import Machine
 
-ROOM_MM = 25.0  # around the print volume, in which a nozzle may still be commanded
+MARGIN_MM = 25.0  # around the print volume, in which a nozzle may still be commanded
 SAME_COMMAND_MM = 0.01  # a microstep or less: what two repeats may differ by
 
 
 def carriages_of(machine: Machine, recording: Recording) -> FloatArray:
-    """(n, 3) mm: what the motors were told. A nozzle command goes through the file's kinematics, as in firmware.
+    """Return the carriages' command, (n, 3) mm; a nozzle command goes through the file's kinematics, as in firmware.
 
     Raises
     ------
     MeasurementError
-        If this machine cannot have been told so, or the sensors of the run move otherwise than they are named.
+        If this machine cannot execute the command, or the sensors move otherwise than they are named.
     """
     try:
         carriages = (
@@ -50,15 +50,17 @@ def carriages_of(machine: Machine, recording: Recording) -> FloatArray:
 
 
 def _expected(carriages: FloatArray, nozzle: FloatArray, recording: Recording) -> dict[str, FloatArray]:
-    """What every sensor would feel if the printer followed its command exactly; m/s² and mm."""
+    """Compute every sensor signal of a printer that follows its command exactly; m/s² and mm."""
     moving = dict(zip("ABCxyz", np.hstack([carriages, nozzle]).T, strict=True))
-    felt = {f"acc_{axis}": np.pad(np.diff(x * 1e-3, 2) * recording.sample_rate_hz**2, 1) for axis, x in moving.items()}
-    return felt | {f"pos_{axis}": x for axis, x in moving.items()}
+    accelerations = {
+        f"acc_{axis}": np.pad(np.diff(x * 1e-3, 2) * recording.sample_rate_hz**2, 1) for axis, x in moving.items()
+    }
+    return accelerations | {f"pos_{axis}": x for axis, x in moving.items()}
 
 
 def _outside(machine: Machine, recording: Recording, nozzle: FloatArray) -> str:
-    """Where the nozzle leaves the print volume, as a sentence; '' if nowhere."""
-    beyond = ~machine.kinematics.contains(nozzle, ROOM_MM)
+    """Say where the nozzle leaves the print volume, in a sentence; '' if nowhere."""
+    beyond = ~machine.kinematics.contains(nozzle, MARGIN_MM)
     if not beyond.any():
         return ""
     i = int(np.argmax(beyond))
@@ -71,11 +73,11 @@ def _outside(machine: Machine, recording: Recording, nozzle: FloatArray) -> str:
 
 
 def _another(machine: Machine) -> str:
-    return f"Was the run made on another machine than {machine.name}, or does its file hold another geometry?"
+    return f"Was the recording made on another machine than {machine.name}, or does its file hold another geometry?"
 
 
 def check_alike(recordings: Sequence[Recording]) -> None:
-    """Refuse runs that are named as repeats of one experiment, and are none.
+    """Refuse recordings that are named as repeats of one experiment, and are none.
 
     Raises
     ------
@@ -113,7 +115,7 @@ def _another_command(first: Recording, recording: Recording) -> str:
 
 
 def check_repeats(recordings: Sequence[Recording]) -> None:
-    """Refuse runs of which none was made twice, for what noise can do would be a guess; or whose repeats are none.
+    """Refuse recordings without repeats, for the noise would be a guess, and repeats that are none.
 
     Raises
     ------
@@ -135,10 +137,10 @@ def check_repeats(recordings: Sequence[Recording]) -> None:
 
 
 def _lengths(recordings: Sequence[Recording]) -> str:
-    """What repeats by name have for lengths, as a sentence; '' if there are none."""
+    """Say which lengths the repeats by name have, in a sentence; '' if there are none."""
     for recording in recordings:
         repeats = [other for other in recordings if other.repeat_of == recording.repeat_of]
         if len(repeats) > 1:
             rows = ", ".join(f"{Path(other.source).name} {len(other.time_s)}" for other in repeats)
-            return f" These are named as repeats, and have other numbers of rows: {rows}. Cut them to the same."
+            return f" These are named as repeats, but differ in length (rows): {rows}. Cut them to the same."
     return ""

@@ -243,7 +243,7 @@ def predicted_gain(problem: BatchedProblem, here: Iterate) -> float:
 
 
 def _quadratic(here: Iterate) -> tuple[FloatArray, FloatArray]:
-    """Normal matrix (p, p) and gradient (p,) of the Gauss-Newton model."""
+    """Return the normal matrix (p, p) and the gradient (p,) of the Gauss-Newton model."""
     normal = np.eye(len(here.z)) + here.jacobian.T @ here.jacobian
     return normal, here.jacobian.T @ here.residual - here.z
 

@@ -13,7 +13,7 @@ from ffcomp.diagnose.diagnosis import Diagnosis, noise_floor
 from ffcomp.diagnose.estimation import EstimationProblem, estimation_problem
 from ffcomp.diagnose.fit import Fit
 from ffcomp.diagnose.hypotheses import Hypothesis
-from ffcomp.diagnose.next_experiment import Proposal, library, places, propose
+from ffcomp.diagnose.next_experiment import Proposal, library, positions, propose
 from ffcomp.diagnose.noise import whitener
 from ffcomp.diagnose.printer_problem import PrinterProblem
 from ffcomp.diagnose.problem import Parameter
@@ -106,7 +106,7 @@ def test_every_move_is_safe_at_every_place(name: str) -> None:
     machine = load_machine(name)
     high = experiment.HIGH * machine.kinematics.print_height_mm
     for move in library(machine):
-        for place in [*places(machine), (0.0, 0.0, high)]:
+        for place in [*positions(machine), (0.0, 0.0, high)]:
             gcode = experiment._text(machine, move, place)
             check(machine, Proposal(move.kind, place, 1.0, (), 0.0, "", gcode))
 
@@ -127,10 +127,10 @@ def test_the_moves_differ_and_last_seconds(plant: PrinterProblem) -> None:
 def test_a_rival_is_told_apart_by_moves_that_really_differ(plant: PrinterProblem) -> None:
     found = diagnosed(plant, LATE, DAMPED)
     first, *others = propose(plant, found, 3)
-    assert first.rival == ("guide_damping",)
+    assert first.competing == ("guide_damping",)
     assert "tell command_delay from guide_damping with" in first.text
     assert first.text.lower().startswith(f"{first.kind} at (")
-    assert {p.rival for p in others} == {("guide_damping",)}
+    assert {p.competing for p in others} == {("guide_damping",)}
     assert len({p.kind for p in (first, *others)}) == 3  # then other kinds of moves
     check(plant.machine, first)
 
@@ -158,7 +158,7 @@ def test_no_other_place_or_kind_at_the_centre_is_better(plant: PrinterProblem) -
 
 def test_unknown_asks_between_the_two_nearest(plant: PrinterProblem) -> None:
     found = diagnosed(plant, LATE, DAMPED, BOTH, named=False)
-    assert [p.rival for p in propose(plant, found, 2)] == [("guide_damping",), ("command_delay", "guide_damping")]
+    assert [p.competing for p in propose(plant, found, 2)] == [("guide_damping",), ("command_delay", "guide_damping")]
     assert "show whether guide_damping acts as well" in propose(plant, found, 2)[1].text
 
 
@@ -167,7 +167,7 @@ def test_none_asks_for_what_could_not_be_seen(machine: Machine) -> None:
     found = diagnosed(noisy)
     assert found.invisible == ["belt_position_stiffness"]  # of one short, gentle run in so much noise
     (shown,) = propose(noisy, found, 1)
-    assert shown.rival == ("belt_position_stiffness",)
+    assert shown.competing == ("belt_position_stiffness",)
     assert "would show belt_position_stiffness of a usual size with" in shown.text
     assert shown.sigmas_per_second * np.sqrt(shown.seconds) > 3.0
 

@@ -229,7 +229,7 @@ def test_runs_of_another_machine_are_refused(refusal: Callable[..., str], sheet:
     larger = tmp_path.parent / f"{tmp_path.name}-larger.toml"
     text = (CASE / "machine.toml").read_text(encoding="utf-8")
     larger.write_text(text.replace("arm_length_mm = 311", "arm_length_mm = 511"), encoding="utf-8")
-    assert "Was the run made on another machine than example effector-mass" in refusal(sheet, machine=str(larger))
+    assert "Was the recording made on another machine than example effector-mass" in refusal(sheet, machine=str(larger))
 
 
 def test_diagnose_needs_a_repeat_and_says_why_there_is_none(tmp_path: Path, sheet: Sheet) -> None:
@@ -239,7 +239,7 @@ def test_diagnose_needs_a_repeat_and_says_why_there_is_none(tmp_path: Path, shee
     called = ["diagnose", *map(str, files), "-m", str(CASE / "machine.toml"), "--quiet"]
     answer = CliRunner().invoke(app, called)
     assert answer.exit_code == 5 and "None of the 2 recordings repeats another" in answer.stderr
-    assert "have other numbers of rows: turn-1.csv 3000, turn-2.csv 2990" in answer.stderr
+    assert "differ in length (rows): turn-1.csv 3000, turn-2.csv 2990" in answer.stderr
 
 
 def test_good_runs_are_not_refused() -> None:
