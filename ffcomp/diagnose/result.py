@@ -129,7 +129,7 @@ def _apart(tables: Mapping[str, Any], other: str) -> str:
         sentence = CATALOGUE[name].rivals.get(other) or CATALOGUE[other].rivals.get(name)
         if sentence:
             return sentence
-    return "Recordings at more positions and at several speeds."
+    return "Runs at more places and at several speeds."
 
 
 def _held_out(found: Diagnosis, noise: float) -> tuple[float, float]:
