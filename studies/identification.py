@@ -18,7 +18,7 @@ import numpy as np
 
 from ffcomp.identify.accuracy import complex_log_error, error_reduction, mean_absolute_percentage_accuracy
 from ffcomp.identify.output_error import TOTAL_MASS, UNKNOWNS, fit_machine
-from ffcomp.identify.paper import identify_stepwise
+from ffcomp.identify.paper import identify_as_paper
 from ffcomp.identify.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from models.file import LIBRARY, load_machine
@@ -85,7 +85,7 @@ def study(title: str, real: dict[str, Any]) -> Iterable[str]:
     began = time.perf_counter()
     direct = fit_machine(start, bench, {TOTAL_MASS: (weighed, 0.001 * weighed)})
     seconds = time.perf_counter() - began
-    stepwise = identify_stepwise(start, bench, weighed, 0.001 * weighed)
+    stepwise = identify_as_paper(start, bench, weighed, 0.001 * weighed)
     yield f"## {title}\n"
     share = 100 * direct.model_error
     yield f"Direct fit: {seconds:.1f} s; it explains the values of a typical response to {share:.1f} %.\n"
@@ -139,7 +139,7 @@ def parameters(truth: dict[str, Any]) -> Iterable[str]:
     bench = measure_bench(truth, SNR_DB, seed=3)
     weighed = machine.effector.nozzle_mass_kg + machine.effector.extruder_mass_kg
     direct = fit_machine(start, bench, {TOTAL_MASS: (weighed, 0.001 * weighed)})
-    stepwise = identify_stepwise(start, bench, weighed, 0.001 * weighed).machine
+    stepwise = identify_as_paper(start, bench, weighed, 0.001 * weighed).machine
     yield "## Numbers recovered: an even printer without friction, 40 dB\n"
     yield "| number | true | direct, error % (stated sd %) | step by step, error % |"
     yield "|---|---|---|---|"

@@ -170,7 +170,7 @@ def decouple(
 
     with exit_codes():
         from ffcomp.identify.decoupling import decouple as turned_round
-        from ffcomp.identify.decoupling import judge_parts
+        from ffcomp.identify.decoupling import evaluate_parts
         from ffcomp.identify.load import gather
         from models.errors import MachineFileError
         from models.file import load_machine
@@ -186,7 +186,7 @@ def decouple(
                 "position_mm": place,
                 "parts": [
                     {"part": p.name, "statement": p.statement, "error": p.error, "noise": p.noise, "holds": p.holds}
-                    for p in judge_parts(turned_round(loaded, [r for r in responses if r.position_mm == place]))
+                    for p in evaluate_parts(turned_round(loaded, [r for r in responses if r.position_mm == place]))
                 ],
             }
             for place in places

@@ -1,7 +1,7 @@
-"""What files say about a straight axis, each as something that its modes can be fitted to.
+"""Measurements along one axis of a cartesian machine, each as data that its modes are fitted to.
 
-A datum has numbers of its own, two of them, which nobody asks for and which are found along with the modes: a gain and
-a floor, or a gain and a delay. What is seen of the modes H(f) (see `axes.py`) stands in its `model`.
+A datum has two nuisance parameters of its own, which are fitted along with the modes: a gain and a floor, or a gain and
+a delay. Its `model` says how the modes H(f) (see `modal_fit.py`) show in it.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from models.arrays import ComplexArray, FloatArray
 
 AXES, CARRIAGES = "xyz", "ABC"
 NO_FLOOR = 10.0  # ln of a share of the smallest power
-LATEST_MS = 100.0
-LATE_MS = np.linspace(-40.0, 40.0, 161)  # tried: a capture that is upside down is aligned half a period wrong
+LONGEST_DELAY_MS = 100.0
+DELAYS_MS = np.linspace(-40.0, 40.0, 161)  # tried: a capture that is upside down is aligned half a period wrong
 FEWEST_LINES = 20  # of one file, in the band
 USUAL_AVERAGES = 400  # segments of half a second or so, half overlapping, of a test that takes two minutes
 FLOOR_SHARE = 0.1
@@ -35,29 +35,54 @@ class Datum(Protocol):
     """One file's view of one axis."""
 
     @property
-    def source(self) -> str: ...
+    def source(self) -> str:
+        """File name."""
+
     @property
-    def axis(self) -> str: ...
+    def axis(self) -> str:
+        """x, y or z."""
+
     @property
-    def frequency_hz(self) -> FloatArray: ...
+    def frequency_hz(self) -> FloatArray:
+        """(k,) Hz."""
+
     @property
-    def value(self) -> FloatArray | ComplexArray: ...
+    def value(self) -> FloatArray | ComplexArray:
+        """(k,) as measured."""
+
     @property
-    def level(self) -> FloatArray: ...
+    def level(self) -> FloatArray:
+        """(k,) the factor that levels the value of an axis that does not vibrate."""
+
     @property
-    def unit(self) -> str: ...
+    def unit(self) -> str:
+        """Unit of the levelled value, for figures."""
+
     @property
-    def limits(self) -> FloatArray: ...
-    def begin(self, modes: FloatArray) -> FloatArray: ...
-    def model(self, modes: FloatArray, own: FloatArray) -> FloatArray | ComplexArray: ...
-    def residual(self, modes: FloatArray, own: FloatArray) -> FloatArray: ...
-    def slopes(self, modes: FloatArray, own: FloatArray) -> FloatArray: ...
-    def variance(self, error: float) -> FloatArray: ...
-    def remarks(self, own: FloatArray) -> list[str]: ...
+    def limits(self) -> FloatArray:
+        """(2, 2) lowest and highest value of each nuisance parameter."""
+
+    def begin(self, modes: FloatArray) -> FloatArray:
+        """Estimate the nuisance parameters (2,) with given modes (m, 3)."""
+
+    def model(self, modes: FloatArray, own: FloatArray) -> FloatArray | ComplexArray:
+        """Predict the value (k,) from modes (m, 3) and nuisance parameters (2,)."""
+
+    def residual(self, modes: FloatArray, own: FloatArray) -> FloatArray:
+        """Compare value and model: (n,) real."""
+
+    def slopes(self, modes: FloatArray, own: FloatArray) -> FloatArray:
+        """Differentiate the residual: (n, p)."""
+
+    def variance(self, error: float) -> FloatArray:
+        """Return the residual's variance (n,) for a relative model error."""
+
+    def remarks(self, own: FloatArray) -> list[str]:
+        """Describe oddities that the nuisance parameters show, in sentences."""
 
 
 def closed_form(modes: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
-    """H at any frequencies; modes (m, 3), columns frequency Hz, damping ratio, share."""
+    """Evaluate H at any frequencies; modes (m, 3), columns frequency Hz, damping ratio, share."""
     total = np.zeros(frequency_hz.shape, dtype=np.complex128)
     for frequency, damping, share in modes:
         ratio = frequency_hz / frequency
@@ -66,7 +91,7 @@ def closed_form(modes: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
 
 
 def closed_form_slopes(modes: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
-    """∂H by ln f and ln ζ of each mode, then by the first's share if there are two; the first index says which."""
+    """Differentiate H by ln f and ln ζ of each mode, then by the first's share if there are two: (p, …)."""
     found, alone = [], []
     for frequency, damping, share in modes:
         ratio = frequency_hz / frequency
@@ -79,7 +104,7 @@ def closed_form_slopes(modes: FloatArray, frequency_hz: FloatArray) -> ComplexAr
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """The power that a resonance test left along the axis it shook. Its own numbers are ln g and ln c."""
+    """The spectrum of a resonance test along the axis it excited; nuisance parameters are ln g and ln c."""
 
     source: str
     axis: str
@@ -90,16 +115,17 @@ class Spectrum:
 
     @property
     def level(self) -> FloatArray:
-        """(k,) what the value is multiplied by, to be level for an axis that does not vibrate."""
+        """(k,) the factor that levels the value of an axis that does not vibrate."""
         return np.asarray(1.0 / self.frequency_hz**2)
 
     @property
     def unit(self) -> str:
+        """Unit of the levelled value."""
         return "power / f², of any scale"
 
     @property
     def limits(self) -> FloatArray:
-        """(2, 2) of its own numbers, lowest and highest."""
+        """(2, 2) lowest and highest ln g and ln c."""
         lowest = float(np.log(self.value.min()))
         return np.array([[-np.inf, np.inf], [lowest - NO_FLOOR, lowest + 1.0]])
 
@@ -111,50 +137,58 @@ class Spectrum:
         return np.maximum(self.frequency_hz[:, None] + offset * line, 1e-3), weight
 
     def begin(self, modes: FloatArray) -> FloatArray:
+        """Estimate ln g and ln c with given modes."""
         floor = float(np.log(self.value.min())) - 1.0
         ratio = np.log(self.value / self.model(modes, np.array([0.0, -100.0])))
         return np.array([np.average(ratio, weights=1 / self.variance(1.0)), floor])
 
     def model(self, modes: FloatArray, own: FloatArray) -> FloatArray:
+        """Predict the power through the window."""
         fine, weight = self._fine
         power = ((fine / fine.mean()) ** 2 * np.abs(closed_form(modes, fine)) ** 2) @ weight
         return np.asarray(np.exp(own[0]) * power + np.exp(own[1]))
 
     def residual(self, modes: FloatArray, own: FloatArray) -> FloatArray:
+        """Compare logarithms: (k,)."""
         return np.log(self.value / self.model(modes, own))
 
     def slopes(self, modes: FloatArray, own: FloatArray) -> FloatArray:
+        """Differentiate the residual: (k, p)."""
         fine, weight = self._fine
-        shaken = (fine / fine.mean()) ** 2
+        excitation = (fine / fine.mean()) ** 2
         h, steep = closed_form(modes, fine), closed_form_slopes(modes, fine)
         gain, floor = np.exp(own)
-        power = gain * (shaken * np.abs(h) ** 2) @ weight
-        by_modes = gain * (2 * shaken * (h.conj() * steep).real) @ weight
+        power = gain * (excitation * np.abs(h) ** 2) @ weight
+        by_modes = gain * (2 * excitation * (h.conj() * steep).real) @ weight
         columns = np.stack([*by_modes, power, np.full_like(power, floor)], axis=1)
         return np.asarray(-columns / (power + floor)[:, None])
 
     def variance(self, error: float) -> FloatArray:
+        """Return the variance of ln S, (k,)."""
         answer = self.value / self.frequency_hz**2  # of the axis to even accelerations
         noise = self.value.min() / self.value  # at most: it is even, and there is some motion everywhere
         own = max(error, SMALLEST_ERROR) ** 2 * (1 + FLOOR_SHARE * answer.max() / answer)
         return np.asarray(own + (2 * noise + noise**2) / self.averages)
 
     def remarks(self, own: FloatArray) -> list[str]:
+        """Pass on the remark made while reading."""
         return [self.remark] if self.remark else []
 
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """A frequency response along the axis. Its own numbers are the gain and the delay in ms."""
+    """A frequency response along the axis; nuisance parameters are the gain and the delay in ms."""
 
     measured: FrequencyResponse
 
     @property
     def source(self) -> str:
+        """File name."""
         return self.measured.source
 
     @property
     def axis(self) -> str:
+        """The measured axis."""
         return self.measured.output[-1]
 
     @property
@@ -164,60 +198,69 @@ class Response:
 
     @property
     def frequency_hz(self) -> FloatArray:
+        """(k,) Hz."""
         return self.measured.frequency_hz
 
     @property
     def value(self) -> ComplexArray:
+        """(k,) as measured."""
         return self.measured.value
 
     @property
     def level(self) -> FloatArray:
-        """As of a spectrum."""
+        """(k,) the factor that levels the value of an axis that does not vibrate."""
         omega2 = (2 * np.pi * self.frequency_hz) ** 2
         return np.asarray(1.0 / omega2 if self._accelerates else np.ones_like(omega2))
 
     @property
     def unit(self) -> str:
+        """Unit of the levelled value."""
         return f"{self.measured.input} to {self.measured.output}, mm/mm"
 
     @property
     def limits(self) -> FloatArray:
-        """As of a spectrum."""
-        return np.array([[-np.inf, np.inf], [-LATEST_MS, LATEST_MS]])
+        """(2, 2) lowest and highest gain and delay."""
+        return np.array([[-np.inf, np.inf], [-LONGEST_DELAY_MS, LONGEST_DELAY_MS]])
 
     @property
     def _accelerates(self) -> bool:
         return self.measured.output.startswith("acc_")
 
     def begin(self, modes: FloatArray) -> FloatArray:
+        """Estimate gain and delay with given modes."""
         h = self.model(modes, np.array([1.0, 0.0]))
         weight = 1 / self.variance(COARSE)[: len(h)]
-        turned = np.exp(1e-3 * np.outer(LATE_MS, self.measured.s))
+        turned = np.exp(1e-3 * np.outer(DELAYS_MS, self.measured.s))
         gain = (turned @ (weight * h.conj() * self.value)).real / float(np.sum(weight * np.abs(h) ** 2))
         best = int(np.argmax(np.abs(gain)))
-        return np.array([gain[best], LATE_MS[best]])
+        return np.array([gain[best], DELAYS_MS[best]])
 
     def model(self, modes: FloatArray, own: FloatArray) -> ComplexArray:
+        """Predict the response."""
         s = self.measured.s
         h = closed_form(modes, self.frequency_hz) * (s**2 if self._accelerates else 1.0)
         return np.asarray(own[0] * np.exp(-1e-3 * own[1] * s) * h)
 
     def residual(self, modes: FloatArray, own: FloatArray) -> FloatArray:
+        """Compare real, then imaginary parts: (2 k,)."""
         error = self.value - self.model(modes, own)
         return np.concatenate([error.real, error.imag])
 
     def slopes(self, modes: FloatArray, own: FloatArray) -> FloatArray:
+        """Differentiate the residual: (2 k, p)."""
         model, h = self.model(modes, own), closed_form(modes, self.frequency_hz)
         by_modes = model / h * closed_form_slopes(modes, self.frequency_hz)
         columns = np.stack([*by_modes, model / own[0], -1e-3 * self.measured.s * model], axis=1)
         return -np.concatenate([columns.real, columns.imag])
 
     def variance(self, error: float) -> FloatArray:
+        """Return the variance of real, then imaginary parts, (2 k,)."""
         size = np.abs(self.value) ** 2
         v = self.measured.variance + max(error, SMALLEST_ERROR) ** 2 * size + 1e-16 * np.mean(size)
         return np.tile(v / 2, 2)
 
     def remarks(self, own: FloatArray) -> list[str]:
+        """Describe a reversed sensor, a wrong scale or an unknown delay."""
         gain, delay_ms = own
         what = f"{Path(self.source).name}, {self.measured.input} to {self.measured.output}"
         if gain < 0:
@@ -230,11 +273,11 @@ class Response:
 
 
 def spectrum_of(path: Path, said_axis: str | None, band_hz: tuple[float, float]) -> Spectrum | str:
-    """The spectrum of a resonance test's file, or a sentence that says why it is of no use here.
+    """Read the spectrum of a resonance test, or return a sentence that says why it is of no use here.
 
     Parameters
     ----------
-    said_axis : what was shaken, where the file's name does not say it.
+    said_axis : the excited axis, where the file's name does not say it.
 
     Raises
     ------
@@ -244,14 +287,14 @@ def spectrum_of(path: Path, said_axis: str | None, band_hz: tuple[float, float])
     found = read_vibration(path)
     axis = found.axis or said_axis
     if isinstance(found, Capture) and found.excitation_hz is not None:
-        return f"{path.name}: it was shaken at one frequency, {found.excitation_hz:g} Hz, which shows no modes."
+        return f"{path.name}: it was excited at one frequency, {found.excitation_hz:g} Hz, which shows no modes."
     if axis is None:
         return (
-            f"{path.name}: nothing says what was shaken. If it is of a resonance test, say --axis x or y; a capture of "
-            "`identify plan` needs --plan."
+            f"{path.name}: the excited axis is not stated. If it is of a resonance test, say --axis x or y; a capture "
+            "of `identify plan` needs --plan."
         )
     if axis not in AXES:
-        return f"{path.name}: it was shaken along a diagonal ({axis}); the modes are those of x and y by themselves."
+        return f"{path.name}: it was excited along a diagonal ({axis}); the modes are those of x and y by themselves."
     return _spectrum(found, axis, band_hz)
 
 
@@ -264,7 +307,7 @@ def _spectrum(found: Capture | Resonances, axis: str, band_hz: tuple[float, floa
         return f"{name}: there is no spectrum along {axis} in it, only {', '.join(powers)}."
     if inside.sum() < FEWEST_LINES:
         return f"{name}: {inside.sum()} lines between {low:g} and {high:g} Hz are too few; {FEWEST_LINES} are needed."
-    power, remark = _felt({letter: each[inside] for letter, each in powers.items()}, axis, name)
+    power, remark = _along_axis({letter: each[inside] for letter, each in powers.items()}, axis, name)
     kept = frequency[inside][power > 0]
     even = np.linspace(kept[0], kept[-1], len(kept))  # files round
     return Spectrum(found.source, axis, even, power[power > 0], averages, remark)
@@ -280,21 +323,21 @@ def _powers(found: Capture | Resonances) -> tuple[FloatArray, dict[str, FloatArr
     return frequency, {letter: powers.mean(axis=0) for letter, (_, powers) in segments.items()}, len(first)
 
 
-def _felt(powers: Mapping[str, FloatArray], axis: str, name: str) -> tuple[FloatArray, str]:
-    """The power along the axis that was shaken; of all three where the sensor is not mounted along the axes."""
+def _along_axis(powers: Mapping[str, FloatArray], axis: str, name: str) -> tuple[FloatArray, str]:
+    """Return the power along the excited axis; of all three where the sensor is not mounted along the axes."""
     along = {letter: float(powers[letter].sum()) for letter in AXES if letter in powers}
     strongest = max(along, key=lambda letter: along[letter])
     if strongest == axis:
         return powers[axis], ""
     remark = (
-        f"{name}: {axis} was shaken, but the sensor's {strongest} felt {along[strongest] / along[axis]:.1f} times as "
+        f"{name}: {axis} was excited, but the sensor's {strongest} shows {along[strongest] / along[axis]:.1f} times as "
         "much, so the sum of its axes was taken. Are its axes the printer's (axes_map in the firmware's settings)?"
     )
     return np.sum([powers[letter] for letter in along], axis=0), remark
 
 
 def usable(responses: Iterable[FrequencyResponse]) -> tuple[list[Response], list[str]]:
-    """The responses of axes to commands, their own or another's, and sentences on what is no such response."""
+    """Select the responses of axes to commands, their own or another's; describe the others in sentences."""
     kept: list[Response] = []
     left_out = []
     for response in map(_of_axes, responses):
@@ -309,12 +352,12 @@ def usable(responses: Iterable[FrequencyResponse]) -> tuple[list[Response], list
 
 
 def _of_axes(response: FrequencyResponse) -> FrequencyResponse:
-    """cmd_x for cmd_A: the carriages of such a machine are its axes."""
+    """Rename cmd_A to cmd_x: the carriages of such a machine are its axes."""
     named = (name.translate(str.maketrans(CARRIAGES, AXES)) for name in (response.input, response.output))
     told, answers = named
     return replace(response, input=told, output=answers)
 
 
 def _same(one: FrequencyResponse, other: FrequencyResponse) -> bool:
-    """A simulated carriage is the nozzle, to the last digit."""
+    """Tell whether two responses are one: a simulated carriage is the nozzle, to the last digit."""
     return (one.input, one.output) == (other.input, other.output) and np.array_equal(one.value, other.value)

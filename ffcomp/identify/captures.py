@@ -1,8 +1,8 @@
 """Accelerometer captures of a planned excitation → frequency responses.
 
-A capture knows neither when the motion began nor what was commanded; the plan's account knows the command exactly.
-The capture is aligned with what the starting machine would have felt, brought onto the command's clock, and analysed
-over the plan's whole periods. What is left of the unknown start is a delay that the fit finds with the numbers
+A capture holds neither the start of the motion nor the command; the plan's file holds the command exactly. The capture
+is aligned with the simulated acceleration of the starting machine, brought onto the command's clock, and analysed over
+the plan's whole periods. The remaining error of the start is a delay that is fitted with the parameters
 (`FrequencyResponse.clock`): a drive's own delay and a capture's are told apart by resonances, not by alignment.
 """
 
@@ -31,12 +31,12 @@ STRAIGHT = ("x", "y", "z")
 def frfs_from_captures(
     plan: Plan, paths: Sequence[str | Path], machine: Machine, axes: Sequence[str] = STRAIGHT
 ) -> list[FrequencyResponse]:
-    """Three responses a capture: the excited command to the nozzle's acceleration along x, y, z.
+    """Estimate three responses a capture: the excited command to the nozzle's acceleration along x, y, z.
 
     Parameters
     ----------
     paths : one capture each; its name holds the name of its experiment.
-    machine : to say what the capture should look like; a rough one serves.
+    machine : to simulate the expected capture; a rough one serves.
     axes : the printer's x, y and z in the sensor's own axes, such as ("x", "-z", "y").
 
     Raises
@@ -49,7 +49,7 @@ def frfs_from_captures(
 
 
 def turning(axes: Sequence[str]) -> FloatArray:
-    """(3, 3): sensor axes to printer axes.
+    """Return the matrix (3, 3) from sensor axes to printer axes.
 
     Raises
     ------
@@ -79,15 +79,15 @@ def _experiment_of(plan: Plan, path: str | Path) -> Experiment:
 
 
 def _responses(experiment: Experiment, capture: Capture, machine: Machine, turn: FloatArray) -> list[FrequencyResponse]:
-    felt = capture.acceleration @ turn.T
+    measured = capture.acceleration @ turn.T
     t, expected = _expected(experiment, machine)
-    found = align(capture.time_s, felt, t, expected, capture.source, experiment.period_s)
+    found = align(capture.time_s, measured, t, expected, capture.source, experiment.period_s)
     when = experiment.measured_from_s + np.arange(_samples(experiment) * experiment.periods) / RATE_HZ
     own = capture.time_s[0] + (when - found.offset_s) / found.clock_ratio
     if own[0] < capture.time_s[0] or own[-1] > capture.time_s[-1]:
         rule = f"It covers {capture.time_s[-1] - capture.time_s[0]:.1f} s, not all of the motion to be measured."
         raise MeasurementError(capture.source, [f"{rule} Start capturing before the motion, stop after it."])
-    y = _resampled(capture.time_s, felt, own)
+    y = _resampled(capture.time_s, measured, own)
     matrix = periodic_frf(_excited(experiment, when), y, RATE_HZ, _samples(experiment), transient_periods=0)
     band = matrix.between(experiment.band.lowest_hz, experiment.band.highest_hz)
     return band.responses(
@@ -104,14 +104,14 @@ def _samples(experiment: Experiment) -> int:
 
 
 def _expected(experiment: Experiment, machine: Machine) -> tuple[FloatArray, FloatArray]:
-    """(n,) s and (n, 3) m/s²: what the machine would feel."""
+    """Simulate the nozzle's acceleration: (n,) s and (n, 3) m/s²."""
     t = np.arange(0.0, experiment.duration_s + TAIL_S, 1 / RATE_HZ)
     motion = simulate_printer(machine, experiment.command(t), 1 / RATE_HZ, hold="linear")
     return t, motion.nozzle_acceleration
 
 
 def _excited(experiment: Experiment, t: FloatArray) -> FloatArray:
-    """(n, 1) m: the one coordinate that the experiment moves."""
+    """Return the one coordinate that the experiment moves, (n, 1) m."""
     if experiment.direction in TOWERS:
         moved = experiment.command(t)[:, TOWERS.index(experiment.direction)]
     else:

@@ -4,8 +4,8 @@ Eq. 29 turned round. With the measured G and sub-model 1 known,
 
     Γ W J = (c s + k) G_e G⁻¹ − (m s² + (c + b) s + k) I
 
-so what the carriages really carry is seen frequency by frequency, with the variance that the measured G gives it,
-δ(ΓWJ) = −(c s + k) G_e G⁻¹ δG G⁻¹. Its parts then say which part of the model is wrong.
+so the load on the carriages is measured frequency by frequency, with the variance that the measured G gives it,
+δ(ΓWJ) = −(c s + k) G_e G⁻¹ δG G⁻¹. Its parts then show which part of the model is wrong.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ class Decoupled:
     j: FloatArray  # (3, 3)
 
     def effector(self) -> tuple[ComplexArray, FloatArray]:
-        """W as measured, J⁻ᵀ (ΓWJ) J⁻¹ : (k, 3, 3) N/m, rows force X Y Z, columns motion X Y Z; and its variance."""
+        """Return W as measured, J⁻ᵀ (ΓWJ) J⁻¹ : (k, 3, 3) N/m, rows force, columns motion X Y Z; and its variance."""
         back = np.linalg.inv(self.j)
         w = np.einsum("ai,kab,bj->kij", back, self.load, back)
         return w, np.einsum("ai,kab,bj->kij", back**2, self.variance, back**2)
 
 
 def decouple(machine: Machine, responses: Sequence[FrequencyResponse]) -> Decoupled:
-    """From the nine responses `cmd_A` … `cmd_C` to `pos_A` … `pos_C` (or `acc_`) of one place.
+    """Decouple the nine responses `cmd_A` … `cmd_C` to `pos_A` … `pos_C` (or `acc_`) of one position.
 
     Raises
     ------
     MeasurementError
-        If one of the nine is missing, or they are not of one place and one frequency grid.
+        If one of the nine is missing, or they are not of one position and one frequency grid.
     """
     g, variance, first = _square(responses)
     s = first.s
@@ -64,18 +64,18 @@ def decouple(machine: Machine, responses: Sequence[FrequencyResponse]) -> Decoup
 
 
 def _square(responses: Sequence[FrequencyResponse]) -> tuple[ComplexArray, FloatArray, FrequencyResponse]:
-    """G and its variance, (k, 3, 3), position to position."""
+    """Stack G and its variance, (k, 3, 3), position to position."""
     table = {(r.output[-1], r.input[-1]): r for r in responses if r.input[:4] == "cmd_" and r.setup == "assembly"}
-    wanted = [[table.get((row, column)) for column in CARRIAGES] for row in CARRIAGES]
-    flat = [r for row in wanted for r in row if r is not None]
+    needed = [[table.get((row, column)) for column in CARRIAGES] for row in CARRIAGES]
+    flat = [r for row in needed for r in row if r is not None]
     if len(flat) < 9:
         missing = [f"cmd_{c} to pos_{r}" for r in CARRIAGES for c in CARRIAGES if (r, c) not in table]
-        rule = f"Decoupling needs nine responses of one place; missing: {', '.join(missing)}."
+        rule = f"Decoupling needs nine responses of one position; missing: {', '.join(missing)}."
         raise MeasurementError("the measurements", [rule])
     first = flat[0]
     for other in flat:
         if other.position_mm != first.position_mm or not np.array_equal(other.frequency_hz, first.frequency_hz):
-            rule = f"It is not of the place and frequencies of {first.source or 'the first response'}."
+            rule = f"It is not of the position and frequencies of {first.source or 'the first response'}."
             raise MeasurementError(other.source or f"{other.input} to {other.output}", [rule])
     squared = [r.s**2 if r.output.startswith("acc_") else np.ones_like(r.s) for r in flat]
     k = len(first.frequency_hz)
@@ -90,8 +90,8 @@ class Part:
 
     name: str
     statement: str
-    error: float  # what contradicts it, as a share of the measured load (rms over frequencies, variance-weighted)
-    noise: float  # what noise alone would show, the same way
+    error: float  # the contradiction, as a share of the measured load (rms over frequencies, variance-weighted)
+    noise: float  # the same of noise alone
 
     @property
     def holds(self) -> bool:
@@ -99,17 +99,17 @@ class Part:
         return self.error**2 - self.noise**2 < max(self.noise, 0.005) ** 2
 
 
-def judge_parts(found: Decoupled) -> list[Part]:
-    """Symmetry (energy), directions (geometry and force map), and each axis of W (masses and mount)."""
+def evaluate_parts(found: Decoupled) -> list[Part]:
+    """Evaluate symmetry (energy), directions (geometry and force map), and each axis of W (masses and mount)."""
     w, variance = found.effector()
     back = np.linalg.inv(found.j)
     model = np.einsum("ai,kab,bj->kij", back, found.model, back)
     size = np.einsum("kii->k", np.abs(w)) / 3
     odd = (w - w.transpose(0, 2, 1)) / 2
     off = ~np.eye(3, dtype=bool)
-    swapped = (variance + variance.transpose(0, 2, 1)) / 4
+    mirrored = (variance + variance.transpose(0, 2, 1)) / 4
     parts = [
-        _part("force map", "the load is symmetric: no motion round a loop gains energy", odd, swapped, size, off),
+        _part("force map", "the load is symmetric: no motion round a loop gains energy", odd, mirrored, size, off),
         _part("directions", "each axis of the nozzle's motion needs a force along itself only", w, variance, size, off),
     ]
     for i, axis in enumerate("xyz"):
@@ -128,7 +128,7 @@ def _part(
     size: FloatArray,
     mask: np.typing.NDArray[np.bool_],
 ) -> Part:
-    """Weighted rms over frequencies of |error|/size over the entries of `mask`."""
+    """Compute the weighted rms over frequencies of |error|/size over the entries of `mask`."""
     e = np.sum(np.abs(error[:, mask]) ** 2, axis=1) / size**2
     v = np.sum(variance[:, mask], axis=1) / size**2
     weight = 1 / (v + np.median(v) * 1e-3 + 1e-12)

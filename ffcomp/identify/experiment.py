@@ -1,9 +1,9 @@
-"""Experiments that a printer runs on itself: G-code that shakes it, and the exact account of what it commands.
+"""Experiments that a printer runs on itself: G-code that excites it, and an exact record of the command.
 
 Each experiment moves one coordinate from rest to rest, at one place: one carriage alone (A, B, C; the nozzle follows
-by forward kinematics) or the nozzle along one axis (x, y, z), which is all that straight axes need. What is played
-between the knots, ramps included, follows from the vertices and the limits they are played under (`ffcomp.planner`), so
-the account holds no more than these.
+by forward kinematics) or the nozzle along one axis (x, y, z), which suffices for a cartesian machine. The motion
+between the knots, ramps included, follows from the vertices and the limits they are executed under (`ffcomp.planner`),
+so the record holds no more than these.
 
 mm, s, mm/s, mm/s²; carriages in the order A, B, C. Times of an experiment begin with its first segment.
 """
@@ -32,12 +32,12 @@ from models.errors import UnreachableError
 from models.machine import Kinematics, Machine
 
 TOWERS, AXES = ("A", "B", "C"), ("x", "y", "z")
-ON_TIME_S = 5e-5  # a knot that is reached later than this was asked for too much
+ON_TIME_S = 5e-5  # a knot reached later than this demands too much
 CLEARANCE_MM = 5.0  # kept between nozzle and bed
 LINE_OF_ACTION = 80.0 / 135.0  # of the print radius: where the paper measured, away from each tower
 COARSE = 0.25  # a microstep error from which on the user is warned
 FEED_COUNTS = 60 * F_COUNTS  # of F, in one mm/s
-SHARES = np.geomspace(0.98, 0.02, 80)  # of an amplitude, tried for one that can be played
+SHARES = np.geomspace(0.98, 0.02, 80)  # of an amplitude, tried for one that can be executed
 SUBSTEPS = 32  # samples per segment where a spectrum is taken
 
 
@@ -53,15 +53,15 @@ class Peaks:
 
 
 # Without an amplitude from the user, these shares of what the machine file allows: motors keep reserves, the nozzle is
-# shaken no harder than in a print, and segments that turn back in Z keep their time. With one, only what the motors and
-# the nozzle's speed allow counts, as in compensation.
+# excited no harder than in a print, and segments that turn back in Z keep their time. With one, only the limits of the motors
+# and the nozzle's speed allow counts, as in compensation.
 CONSERVATIVE = Peaks(0.5, 0.25, 0.5, 0.9, 0.2)
 HARD = ("carriage_velocity_mm_per_s", "carriage_acceleration_mm_per_s2", "nozzle_velocity_mm_per_s")
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What the user wants to be excited, and how."""
+    """The requested excitation."""
 
     places_mm: Sequence[tuple[float, float]] = ((0.0, 0.0),)
     height_mm: float = 50.0
@@ -80,7 +80,7 @@ class Request:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """One motion from rest to rest, as it is played."""
+    """One motion from rest to rest, as it is executed."""
 
     name: str  # ffcomp-<direction>-<place>-<realisation>
     direction: str  # A B C: this carriage alone; x y z: the nozzle along this axis
@@ -95,37 +95,40 @@ class Experiment:
 
     @cached_property
     def trajectory(self) -> Trajectory:
-        """The nozzle's motion as the firmware plays the segments."""
+        """The nozzle's motion as the firmware executes the segments."""
         return play(self.vertices_mm, self.segment_s, self.output)
 
     @property
     def duration_s(self) -> float:
+        """From rest to rest."""
         return self.trajectory.end_t
 
     @property
     def segment_s(self) -> float:
+        """Time between two knots."""
         return self.band.segment_s
 
     @property
     def period_s(self) -> float:
+        """Period of the excitation."""
         return self.band.period_s
 
     @property
     def measured_from_s(self) -> float:
-        """When the first period begins whose response is periodic; its lines' phases count from here."""
+        """Start of the first period whose response is periodic; its lines' phases count from here."""
         return float(self.trajectory.start_t[self.first_knot])
 
     def nozzle(self, t_s: FloatArray) -> FloatArray:
-        """Where the nozzle is told to be at the times (k,) s: (k, 3) mm. It rests before and after."""
+        """Return the nozzle's command at the times (k,) s: (k, 3) mm. It rests before and after."""
         return np.ascontiguousarray(self.trajectory.position(t_s)[:, :3])
 
     def command(self, t_s: FloatArray) -> FloatArray:
-        """Where the carriages are told to be at the times (k,) s: (k, 3) mm, as played, between the knots too."""
+        """Return the carriages' command at the times (k,) s: (k, 3) mm, as executed, between the knots too."""
         return self.geometry.inverse(self.nozzle(t_s))
 
     @cached_property
     def lines(self) -> Lines:
-        """What the excited coordinate does in one measured period: the spectrum of what is really played.
+        """Spectrum of the excited coordinate in one measured period, as it is executed.
 
         NOTE: between segments the firmware ramps; that lifts the highest lines by up to 15 % over those of straight
         lines between the knots, which were designed.
@@ -133,19 +136,19 @@ class Experiment:
         return lines_of(self._excited(self.period_times()), self.band)
 
     def period_times(self) -> FloatArray:
-        """Times of the first measured period, (k,) s."""
+        """Return the times of the first measured period, (k,) s."""
         count = self.band.knots * SUBSTEPS
         return self.measured_from_s + self.period_s / count * np.arange(count, dtype=np.float64)
 
     def _excited(self, t_s: FloatArray) -> FloatArray:
-        """The excited coordinate, (k,) mm."""
+        """Return the excited coordinate, (k,) mm."""
         if self.direction in TOWERS:
             return self.command(t_s)[:, TOWERS.index(self.direction)]
         return self.nozzle(t_s)[:, AXES.index(self.direction)]
 
     @cached_property
     def peaks(self) -> Peaks:
-        """Differences from knot to knot."""
+        """Largest differences from knot to knot."""
         nozzle, s = self.vertices_mm, self.segment_s
         carriages = self.geometry.inverse(nozzle) @ self.geometry.motors.T
         bends = np.diff(nozzle, 2, axis=0) / s**2
@@ -185,7 +188,7 @@ def make_plan(machine: Machine, request: Request) -> Plan:
     Raises
     ------
     LimitsError
-        What is out of reach, too fast or too hard, with what would fit.
+        For a motion out of reach, too fast or too hard, with one that would fit.
     """
     wanted = band(request.lowest_hz, request.highest_hz, request.period_s, request.segments_per_second)
     output = _output(machine, request)
@@ -213,13 +216,13 @@ def _output(machine: Machine, request: Request) -> SegmentLimits:
 
 
 def _each(request: Request) -> list[tuple[int, int, str]]:
-    """Place, realisation, direction of every experiment, in the order of the file."""
+    """List place, realisation, direction of every experiment, in the order of the file."""
     places, realisations = range(len(request.places_mm)), range(request.realisations)
     return [(place, r, direction) for place in places for r in realisations for direction in request.directions]
 
 
 def limits_of(machine: Machine, output: SegmentLimits) -> Peaks:
-    """What the machine file allows."""
+    """Return the peaks that the machine file allows."""
     own = machine.limits
     return Peaks(
         own.carriage_velocity_mm_per_s,
@@ -231,7 +234,7 @@ def limits_of(machine: Machine, output: SegmentLimits) -> Peaks:
 
 
 def _allowed(machine: Machine, request: Request, direction: str, limits: Peaks) -> tuple[float, float]:
-    """Acceleration and velocity of the excited coordinate that suit every place, mm/s² and mm/s."""
+    """Return acceleration and velocity of the excited coordinate that suit every position, mm/s² and mm/s."""
     gains = [_gains(machine.kinematics, place, direction) for place in request.places_mm]
     fitting = {
         each.name: min(
@@ -246,7 +249,7 @@ def _allowed(machine: Machine, request: Request, direction: str, limits: Peaks) 
 
 
 def _gains(geometry: Kinematics, place: tuple[float, float], direction: str) -> Peaks:
-    """How fast carriages and nozzle are when the excited coordinate moves at 1 mm/s (Eq. 12: Ẋ = J q̇)."""
+    """Return the speeds of carriages and nozzle when the excited coordinate moves at 1 mm/s (Eq. 12: Ẋ = J q̇)."""
     j = geometry.jacobian(np.array([place]))[0]
     if direction in TOWERS:
         carriage, nozzle = 1.0, j[:, TOWERS.index(direction)]
@@ -283,7 +286,7 @@ def _experiment(
 def _vertices(
     geometry: Kinematics, direction: str, position: tuple[float, float, float], displacement: FloatArray
 ) -> FloatArray:
-    """Where the nozzle goes when one coordinate moves by (n + 1,) mm: (n + 1, 3) mm, as the file can state it."""
+    """Move one coordinate by (n + 1,) mm: the nozzle's vertices, (n + 1, 3) mm, as the file can state them."""
     rest = np.array([position])
     if direction in TOWERS:
         q = geometry.inverse(rest) + displacement[:, None] * np.eye(3)[TOWERS.index(direction)]
@@ -302,7 +305,7 @@ def _forward(geometry: Kinematics, q: FloatArray, direction: str) -> FloatArray:
 
 
 def _always_moving(counts: list[list[int]], axis: int) -> FloatArray:
-    """The same places (n + 1, 3) in counts, none like the one before.
+    """Make every vertex (n + 1, 3), in counts, differ from the one before.
 
     A segment that goes nowhere would be left out, and its time lost: its end is moved by one count along an axis.
     """
@@ -313,7 +316,7 @@ def _always_moving(counts: list[list[int]], axis: int) -> FloatArray:
 
 
 def play(vertices: FloatArray, segment_s: float, output: SegmentLimits) -> Trajectory:
-    """The firmware's motion through (n + 1, 3) mm, every segment meant to last S, with F as it is written.
+    """Plan the firmware's motion through (n + 1, 3) mm, every segment meant to last S, with F as it is written.
 
     Raises
     ------
@@ -334,7 +337,7 @@ def play(vertices: FloatArray, segment_s: float, output: SegmentLimits) -> Traje
 
 
 def _planned(vertices: FloatArray, speed: FloatArray, output: SegmentLimits) -> Trajectory:
-    """What the firmware's planner makes of moves through (n + 1, 3) mm at (n,) mm/s, from rest to rest."""
+    """Plan moves through (n + 1, 3) mm at (n,) mm/s, from rest to rest, as the firmware does."""
     n = len(speed)
     places = np.column_stack([vertices, np.zeros(n + 1)])
     own = (np.full(n, np.nan) for _ in range(4))
@@ -350,7 +353,7 @@ def _planned(vertices: FloatArray, speed: FloatArray, output: SegmentLimits) -> 
 
 
 def _as_written(length: FloatArray, speeds: SegmentSpeeds) -> FloatArray:
-    """Speeds as F states them, (n,) mm/s: what its rounding makes one segment late, the next one makes up for."""
+    """Round speeds to F, (n,) mm/s: each segment makes up for the delay that rounding gave the one before."""
     late, written = 0.0, []
     columns = (length, speeds.cruise, speeds.acceleration, speeds.duration, speeds.junction[:-1], speeds.junction[1:])
     for d, wanted, a, lasting, before, after in zip(*(column.tolist() for column in columns), strict=True):
@@ -365,7 +368,7 @@ def _as_written(length: FloatArray, speeds: SegmentSpeeds) -> FloatArray:
 
 
 def _check_place(machine: Machine, x: float, y: float, z: float) -> None:
-    """Inside the print volume, and where the firmware does not slow down."""
+    """Check that a place is inside the print volume, and where the firmware does not slow down."""
     try:
         machine.kinematics.check_reach(np.array([[x, y, z]]))
     except UnreachableError as error:
@@ -379,13 +382,13 @@ def _check_place(machine: Machine, x: float, y: float, z: float) -> None:
 
 
 def _widest(machine: Machine) -> float | None:
-    """The radius within which a delta's firmware plays every segment at its own speed, mm; None: no delta."""
+    """Return the radius within which a delta's firmware keeps every segment's speed, mm; None: no delta."""
     reach = planner_limits(machine).delta
     return None if reach is None else min(reach.radius_of_ratio(SLOW_RATIOS[0][0]), machine.kinematics.bed_radius_mm)
 
 
 def _check(machine: Machine, made: Experiment, acceleration: float, limits: Peaks) -> None:
-    """Every vertex inside, and no peak over its limit."""
+    """Check that every vertex is inside, and no peak over its limit."""
     _check_sideways(machine, made)
     z, heights = made.position_mm[2], made.vertices_mm[:, 2]
     lowest, highest, top = float(heights.min()), float(heights.max()), machine.kinematics.height_mm
@@ -422,15 +425,15 @@ def _check_sideways(machine: Machine, made: Experiment) -> None:
 
 
 def _check_timing(made: Experiment, displacement: FloatArray, acceleration: float) -> None:
-    """Every segment can be played in its time."""
+    """Check that every segment can be executed in its time."""
     try:
         _ = made.trajectory
     except LimitsError as error:
-        share = _playable_share(made, displacement)
+        share = _feasible_share(made, displacement)
         raise LimitsError(f"{made.name}: {error} An amplitude of {share * acceleration:.0f} mm/s² would fit.") from None
 
 
-def _playable_share(made: Experiment, displacement: FloatArray) -> float:
+def _feasible_share(made: Experiment, displacement: FloatArray) -> float:
     for share in SHARES.tolist():
         vertices = _vertices(made.geometry, made.direction, made.position_mm, share * displacement)
         try:
@@ -442,16 +445,16 @@ def _playable_share(made: Experiment, displacement: FloatArray) -> float:
 
 
 def _words(name: str) -> str:
-    """`nozzle_velocity_mm_per_s` as a person says it."""
+    """Put `nozzle_velocity_mm_per_s` in plain words."""
     what, _, unit = name.partition("_mm_")
     return f"{what.replace('_', ' ')} in mm/{unit.removeprefix('per_').replace('s2', 's²')}"
 
 
-# What microsteps leave of it
+# Microsteps
 
 
 def microstep_error(made: Experiment, steps_per_mm: FloatArray) -> float:
-    """Rounding to microsteps, at the lines of the band's upper half, as a share of what is commanded there.
+    """Compute the rounding to microsteps, at the lines of the band's upper half, as a share of the command there.
 
     Motors step when the command crosses half a step. One measured period is compared with itself, rounded so; it is
     the same in every period, and no averaging takes it away.

@@ -1,8 +1,8 @@
-"""A plan on disk: the G-code that plays it, and the JSON account (ffcomp-excitation/1) that says what was commanded.
+"""A plan on disk: the G-code that executes it, and the JSON file (ffcomp-excitation/1) that holds its command.
 
-The account is complete: vertices as the G-code states them, the time between them, the limits they are played under and
-the geometry that turns them into carriage heights. What follows from these (the lines, times) is there for readers that
-are not ours, and is not read back.
+The JSON file is complete: vertices as the G-code states them, the time between them, the limits they are executed under
+and the geometry that turns them into carriage heights. Derived values (lines, times) are there for other readers, and
+are not read back.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ TRAVEL_SHARE = 0.2  # of the machine's velocity, between experiments
 NOISE_S, DECAY_S = 1.0, 0.5  # at rest before and after each experiment, in the capture
 
 
-# The account
+# The JSON file
 
 
 def save_plan(plan: Plan, path: Path) -> None:
-    """Write the account in place of the file."""
+    """Write the JSON file, replacing it atomically."""
     replace_atomically(path, [json.dumps(_account(plan), ensure_ascii=False).encode(), b"\n"])
 
 
@@ -76,12 +76,12 @@ def _entry(experiment: Experiment) -> dict[str, Any]:
 
 
 def load_plan(path: str | Path) -> Plan:
-    """The plan of an account, with the command of every experiment at any time.
+    """Load a plan from its JSON file, with the command of every experiment at any time.
 
     Raises
     ------
     MeasurementError
-        A file that is no such account, or not a whole one.
+        For a file that is no such record, or an incomplete one.
     """
     try:
         account = json.loads(Path(path).read_text(encoding="utf-8"))
@@ -95,7 +95,9 @@ def load_plan(path: str | Path) -> Plan:
     except (TypeError, ValueError) as error:
         if isinstance(error, MeasurementError):
             raise
-        raise MeasurementError(str(path), [f"This is no whole account of an excitation ({SCHEMA}): {error}."]) from None
+        raise MeasurementError(
+            str(path), [f"This is no complete record of an excitation ({SCHEMA}): {error}."]
+        ) from None
 
 
 def _plan(account: Mapping[str, Any]) -> Plan:
@@ -120,7 +122,7 @@ def _experiment(entry: Mapping[str, Any], geometry: Kinematics, output: SegmentL
 def gcode_lines(
     plan: Plan, machine: Machine, flavor: str, chips: Sequence[str] = ("adxl345",), switch_shaper_off: bool = True
 ) -> Iterator[bytes]:
-    """The file, line by line.
+    """Yield the G-code file line by line.
 
     Parameters
     ----------
@@ -145,12 +147,12 @@ def gcode_lines(
 def _measured(
     experiment: Experiment, machine: Machine, flavor: str, chips: Sequence[str], travel: float
 ) -> Iterator[bytes]:
-    """One experiment from rest to rest, between the start and the end of its capture."""
+    """Yield one experiment from rest to rest, between the start and the end of its capture."""
     toggles = [b"ACCELEROMETER_MEASURE CHIP=%b NAME=%b\n" % (c.encode(), experiment.name.encode()) for c in chips]
     there = b"G1 X%.10g Y%.10g Z%.10g F%.10g\n" % (*experiment.vertices_mm[0].tolist(), 60 * travel)
     yield from (there, b"M400\n", b"M117 %b\n" % experiment.name.encode(), *toggles)
     yield b"G4 P%.0f\n" % (1e3 * NOISE_S)
-    yield there  # said again: a reader of the file knows the place after a command of which it knows nothing
+    yield there  # repeated: a reader of the file then knows the position after a command it does not know
     out = experiment.output
     yield from open_limits(
         flavor, out.velocity_mm_per_s, out.acceleration_mm_per_s2, out.square_corner_velocity_mm_per_s
@@ -161,7 +163,7 @@ def _measured(
 
 
 def segment_lines(experiment: Experiment) -> list[bytes]:
-    """The `G1` lines of one experiment, from its place on."""
+    """Write the `G1` lines of one experiment, from its position on."""
     moves = MoveWriter()
     moves.reset(Frame(), experiment.vertices_mm[0].tolist(), 0.0)
     ends = experiment.vertices_mm[1:]
@@ -182,18 +184,19 @@ def _comments(sentences: Sequence[str]) -> Iterator[bytes]:
 
 
 def what_moves(experiment: Experiment) -> str:
+    """Name the moving coordinate and its position."""
     x, y, z = experiment.position_mm
     which = "carriage {} alone" if experiment.direction in TOWERS else "the nozzle along {}"
     return f"{which.format(experiment.direction)} at X{x:g} Y{y:g} Z{z:g}"
 
 
 def capture_name(experiment: Experiment) -> str:
-    """How the file of a capture by Klipper ends; it begins with the chip."""
+    """Return the pattern of a Klipper capture's file name; it begins with the chip."""
     return f"*-{experiment.name}.csv"
 
 
 def duration_s(plan: Plan) -> float:
-    """From the first experiment to the end of the last, without homing and travel."""
+    """Sum the time from the first experiment to the end of the last, without homing and travel."""
     return sum(experiment.duration_s + NOISE_S + DECAY_S for experiment in plan.experiments)
 
 
@@ -208,17 +211,17 @@ def _instructions(plan: Plan, machine: Machine, flavor: str, captures: bool) -> 
         "- Heaters off and cold, no filament needed, nothing on the bed; it homes by itself.",
         "- The accelerometer is screwed to the nozzle holder, rigidly, its axes along the printer's or written down;",
         "  a second one may sit on a carriage.",
-        "- Bed mesh, skew correction and speed or flow overrides are off: every move must be played as it is written.",
+        "- Bed mesh, skew correction and speed or flow overrides are off: moves must be executed as written.",
         *first.geometry.setup_notes,
         *_of_heights(plan, machine),
-        "- It plays from the printer's own storage; a serial line is too slow.",
-        "- Stay near: limits are opened for each experiment, so do not pause while it shakes.",
-        *([] if captures else ["- Record each experiment in a file of its own, from a second before it shakes."]),
+        "- Print it from the printer's own storage; a serial line is too slow.",
+        "- Stay near: limits are opened for each experiment, so do not pause during one.",
+        *([] if captures else ["- Record each experiment in a file of its own, from a second before it moves."]),
     ]
 
 
 def _of_heights(plan: Plan, machine: Machine) -> list[str]:
-    """What the firmware must allow in Z, if anything moves there."""
+    """Tell which limits in Z the firmware must allow, if anything moves there."""
     if not any(np.ptp(experiment.vertices_mm[:, 2]) for experiment in plan.experiments):
         return []
     out = plan.experiments[0].output

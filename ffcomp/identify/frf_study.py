@@ -1,8 +1,8 @@
-"""The model's frequency responses at chosen places, with what was measured there: ready to be printed or drawn.
+"""The model's frequency responses at chosen positions, with the measured ones, as data for tables and figures.
 
-A *view* says which responses: of the whole printer (what answers per what is commanded), of a carriage by itself
-(sub-model 1) or of the effector by itself (sub-model 2). A *station* is one case of it: a place on the bed, or a
-mass on the bare carriage.
+A *view* selects the responses: of the whole printer (output per command), of a carriage by itself (sub-model 1) or of
+the effector by itself (sub-model 2). A *station* is one case of it: a position on the bed, or a mass on the bare
+carriage.
 """
 
 from __future__ import annotations
@@ -38,36 +38,41 @@ CLOSE, FAIR = 90.0, 70.0  # %; the paper reaches 68-78 in magnitude and 80-84 in
 
 @dataclass(frozen=True)
 class View:
+    """Which responses: the output `of` the printer or a part, `per` command."""
+
     of: Of = "carriage"
     per: Per = "carriage"
 
     @property
     def depends_on_place(self) -> bool:
+        """Whether the response differs over the bed."""
         return self.of in ("carriage", "nozzle", "acceleration")
 
     @property
     def answering(self) -> Output:
-        """What of the whole printer answers; the carriages, for a sub-model."""
+        """The output of the whole printer; the carriages, for a sub-model."""
         return self.of if self.of in ("nozzle", "acceleration") else "carriage"
 
     @property
     def rows(self) -> tuple[str, ...]:
-        """What answers."""
+        """Names of the outputs."""
         return {"carriage": CARRIAGES, "carriage-alone": ("carriage",)}.get(self.of, AXES)
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """What is commanded or struck."""
+        """Names of the inputs, commanded or struck."""
         if not self.depends_on_place:
             return self.rows
         return CARRIAGES if self.per == "carriage" else AXES
 
     @property
     def unit(self) -> str:
+        """Unit of the response."""
         return {"acceleration": "1/s²", "effector-alone": "1/kg"}.get(self.of, "mm/mm")
 
     @property
     def title(self) -> str:
+        """Heading for figures and tables."""
         alone = {
             "carriage-alone": "One carriage on its belt, effector off: command to position",
             "effector-alone": "The effector by itself: force on the nozzle holder to its acceleration",
@@ -77,7 +82,7 @@ class View:
 
     @property
     def pairs(self) -> list[Pair]:
-        """(row, column) worth looking at first: what each command does to its own."""
+        """(row, column) shown by default: the response of each output to its own input."""
         if self.rows == self.columns:
             return [(i, i) for i in range(len(self.rows))]
         return self.all_pairs
@@ -92,6 +97,8 @@ class View:
 
 @dataclass(frozen=True)
 class NumberedMode:
+    """A mode at one station."""
+
     number: int | None  # as over the whole bed, by frequency at its centre; None: the drive's own, electrical
     frequency_hz: float
     damping_ratio: float
@@ -100,10 +107,12 @@ class NumberedMode:
 
     @property
     def sign(self) -> str:
+        """Label in figures."""
         return "D" if self.number is None else str(self.number or "–")
 
     @property
     def rings(self) -> bool:
+        """Whether the mode makes a peak."""
         return self.damping_ratio < RINGS
 
 
@@ -123,6 +132,8 @@ class Compared:
 
 @dataclass(frozen=True, eq=False)
 class Station:
+    """The model at one case of a view, with the measurements there."""
+
     label: str
     xy: FloatArray  # (2,) mm
     added_mass_kg: float
@@ -134,6 +145,8 @@ class Station:
 
 @dataclass(frozen=True, eq=False)
 class Study:
+    """All stations of a view."""
+
     machine: Machine
     view: View
     frequency_hz: FloatArray  # (k,)
@@ -142,6 +155,7 @@ class Study:
 
     @property
     def compared(self) -> list[Compared]:
+        """Every measured response of the view."""
         return [each for station in self.stations for each in station.compared]
 
 
@@ -154,7 +168,7 @@ def study(
     added_masses_kg: Sequence[float] = (),
     with_arms: bool = False,
 ) -> Study:
-    """The view at every place asked for and every place measured (or with every mass)."""
+    """Evaluate a view at every requested and every measured position (or with every mass)."""
     if machine.has_straight_axes:
         _straight_view(view)
         centre = machine.kinematics.centre_mm
@@ -164,12 +178,12 @@ def study(
     for response, _ in fitting:
         _within_reach(machine, response)
     cases = _cases(view, places, [response for response, _ in fitting], added_masses_kg)
-    bench = _Bench(machine, view, frequency_hz, with_arms)
+    model = _Model(machine, view, frequency_hz, with_arms)
     stations = []
     for xy, mass in cases:
         here = [(r, pair) for r, pair in fitting if _belongs(view, r, xy, mass)]
         compared = tuple(_compare(machine, view, response, pair) for response, pair in here)
-        stations.append(Station(*bench.case(xy, mass), compared))
+        stations.append(Station(*model.case(xy, mass), compared))
     return Study(machine, view, frequency_hz, tuple(stations), left_out)
 
 
@@ -189,7 +203,7 @@ def _straight_view(view: View) -> None:
 
 
 def view_of(response: FrequencyResponse) -> View:
-    """The view that a measured response belongs to."""
+    """Return the view that a measured response belongs to."""
     if response.setup == "effector":
         return View("effector-alone")
     if response.setup != "assembly":
@@ -199,7 +213,7 @@ def view_of(response: FrequencyResponse) -> View:
 
 
 def verdict(found: Study) -> str:
-    """The study in a sentence of plain words."""
+    """Summarise a study in one sentence."""
     return _measured_verdict(found.compared) if found.compared else _model_verdict(found)
 
 
@@ -239,7 +253,7 @@ def _loudest(found: Study, station: Station, pair: Pair) -> tuple[float, float, 
 def _cases(
     view: View, places: Sequence[FloatArray], measured: Sequence[FrequencyResponse], masses: Sequence[float]
 ) -> list[tuple[FloatArray, float]]:
-    """(place, added mass), without repeats."""
+    """List (position, added mass), without repeats."""
     if not view.depends_on_place:
         alone = {round(mass, 6) for mass in [*masses, *(r.added_mass_kg for r in measured)]}
         return [(np.zeros(2), mass) for mass in sorted(alone or {0.0})]
@@ -269,7 +283,7 @@ def _belongs(view: View, response: FrequencyResponse, xy: FloatArray, mass: floa
 
 
 def _pair(view: View, response: FrequencyResponse) -> Pair | None:
-    """Row and column of the view that a measured response is; None: of no panel."""
+    """Return row and column of a measured response in the view; None: it is not in it."""
     of, per = view_of(response).of, view_of(response).per
     if view.of == "carriage-alone" and of == view.of:
         return 0, 0
@@ -294,7 +308,7 @@ def _left_out(view: View, response: FrequencyResponse) -> str:
 
 
 def _compare(machine: Machine, view: View, response: FrequencyResponse, pair: Pair) -> Compared:
-    """In the view's unit: an acceleration per position is turned into the position, or the other way round."""
+    """Compare in the view's unit: an acceleration per position becomes the position, or the other way round."""
     there = np.abs(response.value) > 0  # a line of nothing has no relative error
     s = response.s[there]
     is_acceleration = response.output.startswith("acc_")
@@ -310,8 +324,8 @@ _Case = tuple[str, ComplexArray, tuple[NumberedMode, ...]]  # label, response, m
 
 
 @dataclass(frozen=True, eq=False)
-class _Bench:
-    """What is the same for every station."""
+class _Model:
+    """Everything that all stations share."""
 
     machine: Machine
     view: View
@@ -321,7 +335,7 @@ class _Bench:
     def case(
         self, xy: FloatArray, mass: float
     ) -> tuple[str, FloatArray, float, ComplexArray, ComplexArray, tuple[NumberedMode, ...]]:
-        """All of a station but what was measured."""
+        """Return the fields of a station before the measurements."""
         label, value, found = {"carriage-alone": self._carriage, "effector-alone": self._effector}.get(
             self.view.of, self._assembly
         )(xy, mass)
@@ -353,7 +367,7 @@ class _Bench:
 
 
 def _assembly_modes(machine: Machine, over: ModeMap, xy: FloatArray) -> tuple[NumberedMode, ...]:
-    """Numbered as over the whole bed, so that one number is one mode at every place."""
+    """Give modes the numbers they have over the whole bed, so that one number is one mode at every position."""
     found = modes(machine, xy)
     each = zip(
         numbers(machine, over, xy, found),
@@ -366,14 +380,14 @@ def _assembly_modes(machine: Machine, over: ModeMap, xy: FloatArray) -> tuple[Nu
 
 
 def _straight_modes(found: Modes) -> tuple[NumberedMode, ...]:
-    """Each swings along one axis alone, wherever the nozzle is."""
+    """Give the modes of modal axes their numbers: each along one axis alone, wherever the nozzle is."""
     along = np.argmax(np.abs(found.shapes).reshape(-1, 2, 3).max(axis=1), axis=1)
     each = zip(found.frequencies_hz.tolist(), found.damping_ratios.tolist(), along.tolist(), strict=True)
     return tuple(NumberedMode(i, f, z, f"along {AXES[a]}", AXES[a]) for i, (f, z, a) in enumerate(each, 1))
 
 
 def _drive_mode(machine: Machine) -> tuple[NumberedMode, ...]:
-    """The pole of Eq. 34: ω = √d₀, ζ = d₂/(2 √d₀)."""
+    """Return the pole of Eq. 34: ω = √d₀, ζ = d₂/(2 √d₀)."""
     drive = machine.carriage.drive
     if drive is None or drive.d2_per_s >= 2 * np.sqrt(drive.d0_per_s2):
         return ()
@@ -382,14 +396,14 @@ def _drive_mode(machine: Machine) -> tuple[NumberedMode, ...]:
 
 
 def _carriage_mode(machine: Machine, mass: float) -> tuple[NumberedMode, ...]:
-    """ω_n = √(k/m), ζ = (c + b)/(2 √(k m)) (Eqs. 35, 36)."""
+    """Return ω_n = √(k/m), ζ = (c + b)/(2 √(k m)) (Eqs. 35, 36)."""
     m, k = machine.carriage.moving_mass_kg + mass, machine.carriage.belt_stiffness_n_per_m
     zeta = damping(machine.carriage) / (2 * np.sqrt(k * m))
     return (NumberedMode(1, float(np.sqrt(k / m) / (2 * np.pi)), float(zeta), "on its belt"), *_drive_mode(machine))
 
 
 def _effector_modes(machine: Machine, with_arms: bool) -> tuple[NumberedMode, ...]:
-    """ω_p of Eq. 48 along each axis, ζ = b ω_p/(2 k), slowest first."""
+    """Return ω_p of Eq. 48 along each axis, ζ = b ω_p/(2 k), slowest first."""
     effector = machine.effector
     m1 = machine.nozzle_side_mass_kg if with_arms else effector.nozzle_mass_kg
     m2, k = effector.extruder_mass_kg, effector.extruder_stiffness_n_per_m

@@ -1,9 +1,9 @@
 """A starting machine file from resonances alone, as Klipper's own test measures them.
 
-Power spectra hold no phase and no force: they cannot tell masses from stiffnesses, nor the parts of the damping. What
-they do fix is where the nozzle resonates and how sharply. So two numbers of the starting file are scaled, the belts'
-stiffness until its main resonances lie where the measured ones do, and its dampings until they are as sharp; the rest
-stays the starting file's, with its uncertainty.
+Power spectra hold no phase and no force: they cannot tell masses from stiffnesses, nor the parts of the damping. They
+do determine where the nozzle resonates and how sharply. So two parameters of the starting file are scaled: the belts'
+stiffness until the main resonances lie at the measured ones, and the dampings until they are as sharp; the rest stays
+the starting file's, with its uncertainty.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ STIFFNESS = "carriage.belt_stiffness_n_per_m"
 DAMPINGS = ("carriage.belt_damping_n_s_per_m", "carriage.guide_damping_n_s_per_m")
 SCALES = np.geomspace(0.1, 10.0, 81)  # of the stiffness, searched before it is refined
 BAND_HZ = np.arange(8.0, 160.0, 0.25)
-MODEL_SD = 0.10  # of a frequency: what two numbers cannot express
+MODEL_SD = 0.10  # of a frequency: the error of a model of two parameters
 
 
 @dataclass(frozen=True)
@@ -39,13 +39,15 @@ class Resonance:
 
 
 @dataclass(frozen=True, eq=False)
-class Started:
+class ResonanceStart:
+    """A starting machine scaled to resonances."""
+
     machine: Machine
     estimates: dict[str, Estimate]
     predicted_hz: list[float]  # of each resonance, by the tuned machine
 
 
-def starting_machine(start: Machine, resonances: Sequence[Resonance]) -> Started:
+def starting_machine(start: Machine, resonances: Sequence[Resonance]) -> ResonanceStart:
     """Scale the starting machine to the resonances.
 
     Raises
@@ -67,9 +69,11 @@ def starting_machine(start: Machine, resonances: Sequence[Resonance]) -> Started
     scale = _refined(start, resonances, float(SCALES[nearest - 1]), float(SCALES[nearest + 1]))
     tuned = with_values(start, {STIFFNESS: stiffness * scale})
     factor = _damping_factor(tuned, resonances)
-    numbers = {name: value_of(tuned, name) * factor for name in DAMPINGS}
-    tuned = with_values(tuned, numbers)
-    return Started(tuned, _estimates(stiffness * scale, numbers, resonances), [_main(tuned, r) for r in resonances])
+    dampings = {name: value_of(tuned, name) * factor for name in DAMPINGS}
+    tuned = with_values(tuned, dampings)
+    return ResonanceStart(
+        tuned, _estimates(stiffness * scale, dampings, resonances), [_main(tuned, r) for r in resonances]
+    )
 
 
 def _misfit(machine: Machine, resonances: Sequence[Resonance]) -> float:
@@ -81,7 +85,7 @@ def _sd(r: Resonance) -> float:
 
 
 def _main(machine: Machine, r: Resonance) -> float:
-    """Where the nozzle answers most along the axis, Hz."""
+    """Find where the nozzle responds most along the axis, Hz."""
     i = AXES.index(r.axis)
     size = np.abs(nozzle_frf(machine, np.array(r.place_mm), BAND_HZ)[:, i, i])
     return float(BAND_HZ[np.argmax(size)])
@@ -94,7 +98,7 @@ def _refined(start: Machine, resonances: Sequence[Resonance], low: float, high: 
 
 
 def _damping_factor(machine: Machine, resonances: Sequence[Resonance]) -> float:
-    """Mean ratio of measured to modelled damping ratio; both are proportional to c + b while they are small."""
+    """Average the ratio of measured to modelled damping ratio; both are proportional to c + b while small."""
     ratios = []
     for r in resonances:
         found = modes(machine, np.array(r.place_mm))
@@ -104,7 +108,7 @@ def _damping_factor(machine: Machine, resonances: Sequence[Resonance]) -> float:
 
 
 def _estimates(stiffness: float, dampings: dict[str, float], resonances: Sequence[Resonance]) -> dict[str, Estimate]:
-    """Twice a frequency's relative uncertainty for the stiffness; the ratios' scatter for the dampings."""
+    """Take twice a frequency's relative uncertainty for the stiffness; the ratios' scatter for the dampings."""
     weight: FloatArray = np.array([1 / _sd(r) ** 2 for r in resonances])
     relative = [r.mode.damping_ratio_sd / r.mode.damping_ratio for r in resonances]
     spread = float(np.hypot(np.sqrt(np.mean(np.square(relative)) / len(resonances)), 0.3))

@@ -1,4 +1,4 @@
-"""From frequency responses to a machine file: fit, decide on the drive, say what is weak, write the numbers down."""
+"""From frequency responses to a machine file: fit, decide on the drive, advise on weak parameters, write the file."""
 
 from __future__ import annotations
 
@@ -9,40 +9,41 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ffcomp.identify.from_resonances import Started
+from ffcomp.identify.from_resonances import ResonanceStart
 from ffcomp.identify.modal_fit import AxisFit, IdentifiedAxes
 from ffcomp.identify.output_error import DAMPING, DRIVE, STIFFNESS, TOTAL_MASS, UNKNOWNS, Fitted, fit_machine
-from ffcomp.identify.paper import Stepwise
+from ffcomp.identify.paper import PaperIdentification
 from ffcomp.identify.uncertainty import Estimate
 from ffcomp.measurement.frf import FrequencyResponse
 from models.file import updated_text
 from models.machine import Drive, Machine
 from models.parameters import value_of, with_values
 
-UNDETERMINED = 0.25  # of the weak prior's variance: above it the data say next to nothing, and the old number stays
-FAR = 0.10  # model error of a response from which the load's map is doubted
+UNDETERMINED = 0.25  # of the weak prior's variance: above it the data say next to nothing; the old value is kept
+FAR = 0.10  # model error of a response from which the other force map is tried
 FORCE_MAP_COSTS = 100.0  # BIC
 DRIVE_COSTS = 10.0  # BIC by which a drive filter must be better than an ideal drive to be kept
 NEUTRAL_DRIVE = Drive(4.0e5, 0.0, 250.0)  # 100 Hz, where a search for a drive begins
-SUREST = 0.002  # relative: no frequency of a printer stays the same better than that from day to day
+SMALLEST_SD = 0.002  # relative: no frequency of a printer is more constant from day to day
 MASSES = ("carriage.mass_kg", "effector.nozzle_mass_kg", "effector.extruder_mass_kg")
 
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """A machine tuned to responses, and what to do about what they do not say."""
+    """A machine tuned to responses, with advice on parameters that they do not determine."""
 
     fitted: Fitted
-    kept: tuple[str, ...]  # numbers that stay the starting file's: the data do not reach them
+    kept: tuple[str, ...]  # parameters that stay the starting file's: the data do not determine them
     advice: tuple[str, ...]
 
     @property
     def machine(self) -> Machine:
+        """The tuned machine."""
         return self.fitted.machine
 
     @property
     def found(self) -> dict[str, Estimate]:
-        """What the data determined."""
+        """Parameters that the data determined."""
         return {name: e for name, e in self.fitted.estimates.items() if name not in self.kept}
 
 
@@ -52,7 +53,7 @@ def identify(
     known: Mapping[str, tuple[float, float]] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Identified:
-    """The direct fit; a starting machine with an ideal drive is tried with a drive filter too.
+    """Fit the output error; a starting machine with an ideal drive is tried with a drive filter too.
 
     Raises
     ------
@@ -71,7 +72,7 @@ def identify(
 def _other_force_map(
     fitted: Fitted, known: Mapping[str, tuple[float, float]] | None, progress: Callable[[str], None]
 ) -> list[str]:
-    """Where the model is far from a response of the whole printer: does the other way to share the load meet it?"""
+    """Advise on the other force map where it fits the responses of the whole printer far better."""
     far = any(r.setup == "assembly" and e > FAR for r, e in zip(fitted.responses, fitted.model_errors, strict=True))
     if not far:
         return []
@@ -95,14 +96,14 @@ def _with_drive(
     known: Mapping[str, tuple[float, float]] | None,
     progress: Callable[[str], None],
 ) -> Fitted:
-    """Fitted with a drive filter; where the starting file has none, without it again unless it is worth its cost."""
+    """Fit with a drive filter; where the starting file has none, drop it again unless it is significant."""
     if start.carriage.drive is not None:
         return fit_machine(start, responses, known, progress=progress)
     driven = replace(start, carriage=replace(start.carriage, drive=NEUTRAL_DRIVE))
     fitted = fit_machine(driven, responses, known, progress=progress)
     progress("the same without a drive filter")
-    numbers = {name: e.value for name, e in fitted.estimates.items() if name not in (*DRIVE, TOTAL_MASS)}
-    ideal = fit_machine(start, responses, known, starts=[numbers, {}], progress=progress)
+    values = {name: e.value for name, e in fitted.estimates.items() if name not in (*DRIVE, TOTAL_MASS)}
+    ideal = fit_machine(start, responses, known, starts=[values, {}], progress=progress)
     return fitted if fitted.bic < ideal.bic - DRIVE_COSTS else ideal
 
 
@@ -120,13 +121,13 @@ def _with_old(fitted: Fitted, start: Machine, kept: Sequence[str]) -> Fitted:
     return replace(fitted, machine=with_values(fitted.machine, old))
 
 
-# ---- what to measure next ------------------------------------------------------------------------
+# ---- advice --------------------------------------------------------------------------------------
 
 
 def _advice(fitted: Fitted, kept: Sequence[str]) -> list[str]:
-    """A sentence for each group of numbers that is weak or was not reached at all."""
+    """Write a sentence for each group of parameters that is weak or not determined at all."""
     poor = {*fitted.weak, *kept}
-    if poor & set(MASSES):  # what is weak only as the masses are needs no measurement of its own
+    if poor & set(MASSES):  # parameters that are weak only with the masses need no measurement of their own
         poor -= {n for n, others in fitted.weak.items() if n not in (*kept, *MASSES) and set(others) & set(MASSES)}
     highest = max(float(r.frequency_hz[-1]) for r in fitted.responses)
     sentences = []
@@ -155,37 +156,37 @@ def _advice(fitted: Fitted, kept: Sequence[str]) -> list[str]:
 
 
 def machine_file_text(source: Path, found: Identified, name: str, data: Sequence[str], when: str) -> str:
-    """The starting file's text with the identified numbers, their uncertainties and where they are from.
+    """Write the starting file's text with the identified parameters, their uncertainties and provenance.
 
     Parameters
     ----------
     data : file names with hashes, for the provenance.
     when : date.
     """
-    numbers = {key: e for key, e in found.found.items() if key != TOTAL_MASS}
-    values = {key: _rounded(e) for key, e in numbers.items()}
+    parameters = {key: e for key, e in found.found.items() if key != TOTAL_MASS}
+    values = {key: _rounded(e) for key, e in parameters.items()}
     origin = f"identified {when} by ffcomp identify fit"
     provenance: dict[str, Any] = {}
     uncertainty: dict[str, float] = {}
-    for key, estimate in numbers.items():
+    for key, estimate in parameters.items():
         table_key = key.partition("[")[0]
         spread = min(estimate.relative_sd, 10.0)
         uncertainty[table_key] = float(f"{max(uncertainty.get(table_key, 0.0), spread):.2g}")
-        provenance[table_key] = f"{origin}; 90 % interval {_intervals(numbers, table_key)}"
+        provenance[table_key] = f"{origin}; 90 % interval {_intervals(parameters, table_key)}"
     provenance["identified"] = _summary(source, found, data, when)
     return updated_text(source, values, name=name, uncertainty=uncertainty, provenance=provenance)
 
 
 def _rounded(estimate: Estimate) -> float:
-    """To a tenth of the standard uncertainty: enough, and readable."""
+    """Round to a tenth of the standard uncertainty."""
     if not estimate.sd > 0 or not np.isfinite(estimate.sd):
         return float(f"{estimate.value:.6g}")
     digits = int(np.clip(np.ceil(np.log10(abs(estimate.value) / estimate.sd)) + 2, 3, 8))
     return float(f"{estimate.value:.{digits}g}")
 
 
-def _intervals(numbers: Mapping[str, Estimate], table_key: str) -> str:
-    parts = [e for key, e in numbers.items() if key.partition("[")[0] == table_key]
+def _intervals(parameters: Mapping[str, Estimate], table_key: str) -> str:
+    parts = [e for key, e in parameters.items() if key.partition("[")[0] == table_key]
     return ", ".join(f"{e.low:.4g} to {e.high:.4g}" for e in parts)
 
 
@@ -202,8 +203,8 @@ def _summary(source: Path, found: Identified, data: Sequence[str], when: str) ->
     }
 
 
-def stepwise_file_text(source: Path, found: Stepwise, data: Sequence[str], when: str) -> str:
-    """The same for the paper's step-by-step method; `found.machine.name` is the new file's."""
+def paper_file_text(source: Path, found: PaperIdentification, data: Sequence[str], when: str) -> str:
+    """Write the file of the paper's method; `found.machine.name` is the new file's."""
     machine = found.machine
     names = [n for n in UNKNOWNS if machine.carriage.drive is not None or n not in DRIVE]
     origin = f"identified {when} by ffcomp identify fit --method stepwise"
@@ -219,8 +220,8 @@ def stepwise_file_text(source: Path, found: Stepwise, data: Sequence[str], when:
     return updated_text(source, values, name=machine.name, provenance=provenance)
 
 
-def modes_file_text(source: Path, started: Started, name: str, data: Sequence[str], when: str) -> str:
-    """The same for a start from resonances."""
+def modes_file_text(source: Path, started: ResonanceStart, name: str, data: Sequence[str], when: str) -> str:
+    """Write the file of a resonance start."""
     origin = f"scaled {when} by ffcomp identify fit until the resonances are the measured ones"
     predicted = [float(f"{f:.4g}") for f in started.predicted_hz]
     identified = {"date": when, "started_from": source.stem, "data": list(data), "resonances_hz": predicted}
@@ -231,7 +232,7 @@ def modes_file_text(source: Path, started: Started, name: str, data: Sequence[st
 
 
 def axes_file_text(source: Path, found: IdentifiedAxes, name: str, data: Sequence[str], when: str) -> str:
-    """The same for straight axes: `[axes.x]` and its like, of the axes that were measured."""
+    """Write the file of a machine of modal axes: `[axes.x]` and its like, of the axes that were measured."""
     origin = f"identified {when} by ffcomp identify fit"
     values: dict[str, Any] = {}
     uncertainty: dict[str, float] = {}
@@ -242,7 +243,7 @@ def axes_file_text(source: Path, found: IdentifiedAxes, name: str, data: Sequenc
             intervals = ", ".join(f"{e.low:.4g} to {e.high:.4g}" for e in estimates)
             values[f"axes.{axis.name}.{key}"] = [_rounded(e) for e in estimates]
             provenance[f"axes.{axis.name}.{key}"] = f"{origin}; 90 % interval {intervals}"
-            spread = max(SUREST, *(min(e.relative_sd, 10.0) for e in estimates))
+            spread = max(SMALLEST_SD, *(min(e.relative_sd, 10.0) for e in estimates))
             uncertainty[f"axes.{axis.name}.{key}"] = float(f"{spread:.2g}")
         del uncertainty[f"axes.{axis.name}.share"]  # a machine file has none for it
         values[f"axes.{axis.name}.share"] = _shares(axis)
@@ -255,7 +256,7 @@ def axes_file_text(source: Path, found: IdentifiedAxes, name: str, data: Sequenc
 
 
 def _shares(axis: AxisFit) -> list[float]:
-    """To three decimals, and of sum one."""
+    """Round to three decimals, and to a sum of one."""
     if len(axis.modes) == 1:
         return [1.0]
     first = round(axis.modes[0].share.value, 3)

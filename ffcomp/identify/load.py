@@ -1,4 +1,4 @@
-"""Whatever files a user brings → frequency responses, or at least resonances. Content decides, never the name."""
+"""Load measured files of any kind as frequency responses, or at least resonances; content decides, not the name."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from ffcomp.measurement.table import read_text
 from ffcomp.measurement.uff import is_universal
 from models.machine import Machine
 
-Kind = Literal["frf", "run", "vibration"]
-PLACE_PITCH_MM = 5.0  # runs whose middles are nearer than this were made at one place
-LARGEST_MOTION_MM = 25.0  # of the nozzle about its middle: beyond it one linear response does not describe a run
+Kind = Literal["frf", "recording", "vibration"]
+POSITION_PITCH_MM = 5.0  # recordings whose middles are nearer than this were made at one position
+LARGEST_MOTION_MM = 25.0  # of the nozzle about its middle: beyond it one linear response does not describe a recording
 
 
 @dataclass
 class Gathered:
-    """What the files held."""
+    """Everything the files held."""
 
     responses: list[FrequencyResponse] = field(default_factory=list)
-    spectra: list[ModeFit] = field(default_factory=list)  # of files that only show resonances
-    shaken: list[Spectrum] = field(default_factory=list)  # the same of a machine with straight axes
+    spectra: list[ModeFit] = field(default_factory=list)  # of files that show resonances only
+    shaken: list[Spectrum] = field(default_factory=list)  # the same of a machine of modal axes
     skipped: list[str] = field(default_factory=list)  # sentences
 
 
@@ -54,7 +54,7 @@ def gather(
     Parameters
     ----------
     axes : the printer's axes in the sensor's own, of captures of a plan.
-    shaken_axis : what was shaken in resonance tests whose names do not say it.
+    shaken_axis : the excited axis of resonance tests whose names do not say it.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def gather(
         kind = kind_of(path)
         if kind == "frf":
             found.responses += [r.between(*band_hz) for r in read_frfs(path)]
-        elif kind == "run":
+        elif kind == "recording":
             recordings.append(read_recording(path))
         elif plan is not None:
             found.responses += [r.between(*band_hz) for r in frfs_from_captures(plan, [path], machine, axes)]
@@ -78,8 +78,8 @@ def gather(
     if machine.has_straight_axes:
         found.responses += [r for recording in recordings for r in frfs_from_recordings([recording], *band_hz)]
         recordings = []
-    for place, members in _by_place(recordings, machine, found.skipped).items():
-        found.responses += frfs_from_recordings(members, *band_hz, position_mm=place)
+    for position, members in _by_position(recordings, machine, found.skipped).items():
+        found.responses += frfs_from_recordings(members, *band_hz, position_mm=position)
     found.responses = [r for r in found.responses if len(r.frequency_hz)]
     return found
 
@@ -92,12 +92,12 @@ def _take(spectrum: Spectrum | str, found: Gathered) -> None:
 
 
 def kind_of(path: Path) -> Kind:
-    """By its first line that is not a comment of ours.
+    """Tell the kind of a file by its first line that is no comment of ours.
 
     Raises
     ------
     MeasurementError
-        If it is no file that can be read, or nothing we know.
+        If it cannot be read, or is of no known kind.
     """
     if not path.is_file():
         raise MeasurementError(str(path), ["There is no such file."])
@@ -110,14 +110,14 @@ def kind_of(path: Path) -> Kind:
     if header.startswith("frequency_hz"):
         return "frf"
     if "t_s" in [name.strip() for name in header.split(",")] or "cmd_" in header:
-        return "run"
+        return "recording"
     return "vibration"
 
 
-def _by_place(
+def _by_position(
     recordings: Sequence[Recording], machine: Machine, skipped: list[str]
 ) -> dict[tuple[float, float, float], list[Recording]]:
-    places: dict[tuple[float, float, float], list[Recording]] = {}
+    positions: dict[tuple[float, float, float], list[Recording]] = {}
     for recording in recordings:
         middle, extent = _extent(recording, machine)
         if extent > LARGEST_MOTION_MM:
@@ -126,21 +126,21 @@ def _by_place(
                 f"to one place (at most {LARGEST_MOTION_MM:g} mm), so this recording is left out."
             )
             continue
-        x, y, z = (float(PLACE_PITCH_MM * round(c / PLACE_PITCH_MM)) for c in middle)
-        places.setdefault((x, y, z), []).append(recording)
-    return places
+        x, y, z = (float(POSITION_PITCH_MM * round(c / POSITION_PITCH_MM)) for c in middle)
+        positions.setdefault((x, y, z), []).append(recording)
+    return positions
 
 
 def _extent(recording: Recording, machine: Machine) -> tuple[list[float], float]:
-    """Middle of the nozzle's commanded path, and how far it goes from there, mm."""
+    """Return the middle of the nozzle's commanded path, and its distance from there, mm."""
     nozzle = recording.command if recording.command_space == "nozzle" else machine.kinematics.forward(recording.command)
     low, high = nozzle.min(axis=0), nozzle.max(axis=0)
-    machine.kinematics.inverse(nozzle[:1])  # refuses what the arms cannot reach
+    machine.kinematics.inverse(nozzle[:1])  # raises where the arms cannot reach
     return ((low + high) / 2).tolist(), float(np.linalg.norm(high - low) / 2)
 
 
 def resonances_of(spectra: Sequence[ModeFit], place: tuple[float, float] = (0.0, 0.0)) -> list[Resonance]:
-    """The main clear mode of each spectrum whose axis is known."""
+    """Select the main clear mode of each spectrum whose axis is known."""
     found = []
     for spectrum in spectra:
         clear = [m for m in spectrum.modes if m.clear]

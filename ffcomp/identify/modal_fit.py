@@ -1,18 +1,17 @@
-"""The modes of straight axes, one or two each, from everything that was measured along them.
+"""The modes of a cartesian machine's axes, one or two each, from all measurements along them.
 
     H(f) = Σ_j σ_j / (1 − (f/f_j)² + 2i ζ_j f/f_j),   σ₁ + σ₂ = 1
 
-is how an axis answers its command (`models/vibration/modal.py`). A frequency response shows g e^(−iωτ) H: the
-sensor's gain g and
-a delay τ are found along with it. A spectrum of a firmware's resonance test shows g f² |H|² + c through the window's
-|W|²: the test shakes with a power that goes with f², and the share of a second mode is told by its height against the
-first one's and by the gap between them.
+is the response of an axis to its command (`models/vibration/modal.py`). A frequency response shows g e^(−iωτ) H: the
+sensor's gain g and a delay τ are fitted along with it. A spectrum of a firmware's resonance test shows g f² |H|² + c
+through the window's |W|²: the test excites with a power that grows with f², and the share of a second mode follows from
+its height against the first one's and from the dip between them.
 
     minimise  Σ r²/v(ε),   v = (σ² + ε²|H|²)/2 of the real and the imaginary part,   v = ε² (1 + P/S) + σ² of ln S
 
-σ² is the noise, ε the model's own error, found for each file such that χ² is what it should be. A second mode is
-believed only where the Bayesian information criterion asks for it, with residuals that go together counted as fewer,
-and where its frequency and its share are sharp.
+σ² is the noise, ε the model's own error, chosen for each file such that χ² has its expected value. A second mode is
+accepted only where the Bayesian information criterion asks for it, with correlated residuals counted as fewer, and
+where its frequency and its share are sharp.
 """
 
 from __future__ import annotations
@@ -36,20 +35,20 @@ from models.arrays import ComplexArray, FloatArray
 START_DAMPING = 0.06
 DAMPINGS = (0.002, 0.7)
 SHARES = (0.01, 0.99)  # searched
-SMALLEST_SHARE = 0.02  # believed
+SMALLEST_SHARE = 0.02  # accepted
 SEARCHED = 12  # steps of least squares from each start
 START_SHARE = 0.8  # of the first of two modes
 STARTS, PEAKS = 6, 2  # frequencies tried for each mode: evenly over the band, and where the data stand highest
 OUTSIDE = 1.3  # how far beyond the band a mode may be looked for, a factor
-BROADEST = 0.4  # damping ratio; what is broader is no resonance
-ROUNDS = 10  # of fitting and weighing anew
+BROADEST = 0.4  # damping ratio of a resonance
+ROUNDS = 10  # of fitting and reweighting
 BETTER_BIC = 2.0  # by which a second mode must win
 CLEAR = 0.05  # relative standard uncertainty of a frequency
 SHARP = 2.0  # standard uncertainties that a share must be away from zero
-WEAK_DAMPING = 0.25  # relative standard uncertainty from which the user is told
-POORLY_TOLD = 0.35  # model error from which the user is told
+WEAK_DAMPING = 0.25  # relative standard uncertainty from which the user is warned
+POOR_FIT = 0.35  # model error from which the user is warned
 APART = 0.05  # relative distance of frequencies by which two files disagree
-CROSS_TALK = 0.1  # of the direct response's power, from which coupling is told
+CROSS_TALK = 0.1  # of the direct response's power, from which coupling is reported
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ class AxisMode:
 
 @dataclass(frozen=True, eq=False)
 class AxisFit:
-    """What the files say about one axis."""
+    """The modes of one axis, and the data they are from."""
 
     name: str  # x, y or z
     modes: tuple[AxisMode, ...]  # the larger share first
@@ -90,7 +89,7 @@ class _Fit:
 
     @property
     def own(self) -> FloatArray:
-        """(d, 2)"""
+        """(d, 2) nuisance parameters of each datum."""
         return self.theta[_of_modes(self.count) :].reshape(-1, 2)
 
     @cached_property
@@ -100,54 +99,54 @@ class _Fit:
 
     @cached_property
     def independent(self) -> FloatArray:
-        """(d,) the share of each datum's residuals that counts."""
+        """(d,) the share of each datum's residuals that is independent."""
         return np.array([_independent(r, d) for r, d in zip(self.residuals, self.data, strict=True)])
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """(p, p)"""
+        """(p, p) of theta."""
         rows = np.concatenate([np.full(len(r), n) for r, n in zip(self.residuals, self.independent, strict=True)])
         j = _jacobian(self.data, self.theta, self.count, self.errors)
         return np.linalg.pinv((j * rows[:, None]).T @ j, rcond=1e-13, hermitian=True)
 
     def deviance(self, shares: FloatArray) -> float:
-        """−2 ln likelihood, each datum's residuals counted by its share (d,)."""
+        """Return −2 ln likelihood, each datum's residuals counted by its share (d,)."""
         variances = [d.variance(e) for d, e in zip(self.data, self.errors, strict=True)]
         each = [float(np.sum(r**2 + np.log(v))) for r, v in zip(self.residuals, variances, strict=True)]
         return float(shares @ np.array(each))
 
 
 def fit_axis(name: str, data: Sequence[Datum]) -> AxisFit:
-    """One mode or two, whichever the data say.
+    """Fit one mode or two, whichever the data ask for.
 
     Raises
     ------
     MeasurementError
-        If no resonance lies within what was measured.
+        If no resonance lies within the measured band.
     """
     peaks = _peaks(data)
     starts = [*peaks, *_even(data)]
     one = _refined(_searched(data, starts, 1))
     found = [np.log(one.modes[:, :2]), *peaks]
     two = _refined(_searched(data, [np.vstack([first, second]) for first in found for second in starts], 2))
-    believed, verdict = _judged(name, one, two)
-    _within(name, believed)
-    modes, disagreement = _with_scatter(name, _estimated(believed), believed)
-    remarks = [text for datum, own in zip(data, believed.own, strict=True) for text in datum.remarks(own)]
-    fitted = tuple(datum.model(believed.modes, own) for datum, own in zip(data, believed.own, strict=True))
-    errors = tuple(float(e) if e > SMALLEST_ERROR else 0.0 for e in believed.errors)
+    accepted, verdict = _accepted(name, one, two)
+    _within(name, accepted)
+    modes, disagreement = _with_scatter(name, _estimated(accepted), accepted)
+    remarks = [text for datum, own in zip(data, accepted.own, strict=True) for text in datum.remarks(own)]
+    fitted = tuple(datum.model(accepted.modes, own) for datum, own in zip(data, accepted.own, strict=True))
+    errors = tuple(float(e) if e > SMALLEST_ERROR else 0.0 for e in accepted.errors)
     advice = (*disagreement, *_weak(name, modes, errors), *remarks)
     return AxisFit(name, modes, tuple(data), fitted, errors, verdict, advice)
 
 
 def _modes(theta: FloatArray, count: int) -> FloatArray:
-    """(m, 3) frequency, damping ratio, share."""
+    """Return (m, 3) frequency, damping ratio, share."""
     shares = [1.0] if count == 1 else [theta[4], 1 - theta[4]]
     return np.column_stack([np.exp(theta[: 2 * count].reshape(count, 2)), shares])
 
 
 def _of_modes(count: int) -> int:
-    """How many numbers tell so many modes."""
+    """Count the parameters of so many modes."""
     return 3 * count - 1
 
 
@@ -156,20 +155,20 @@ def _band(data: Sequence[Datum]) -> tuple[float, float]:
 
 
 def _even(data: Sequence[Datum]) -> list[FloatArray]:
-    """(1, 2) ln f and ln ζ, over the band."""
+    """Return starts (1, 2), ln f and ln ζ, evenly over the band."""
     low, high = _band(data)
     return [np.log([[f, START_DAMPING]]) for f in np.geomspace(1.2 * low, 0.95 * high, STARTS)]
 
 
 def _peaks(data: Sequence[Datum]) -> list[FloatArray]:
-    """(1, 2) ln f and ln ζ, where the first datum stands highest; half levelled, for noise rises when levelled."""
+    """Return starts (1, 2) where the first datum stands highest; half levelled, for noise rises when levelled."""
     answer = gaussian_filter1d(np.log(np.abs(data[0].value) * np.sqrt(data[0].level) + 1e-300), 1.0)
     tops, _ = find_peaks(answer)
     return [np.log([[data[0].frequency_hz[at], START_DAMPING]]) for at in tops[np.argsort(-answer[tops])][:PEAKS]]
 
 
 def _searched(data: Sequence[Datum], starts: Sequence[FloatArray], count: int) -> _Fit:
-    """A coarse fit from each of the modes (m, 2), all files weighed alike; the best of them."""
+    """Fit coarsely from each of the modes (m, 2), all files weighted alike; return the best."""
     alike = np.full(len(data), COARSE)
     fits = []
     for start in starts:
@@ -180,7 +179,7 @@ def _searched(data: Sequence[Datum], starts: Sequence[FloatArray], count: int) -
 
 
 def _refined(fit: _Fit) -> _Fit:
-    """Fitted and weighed anew, until the files' errors stay."""
+    """Fit and reweight until the files' errors converge."""
     data, theta, count, errors = fit.data, fit.theta, fit.count, fit.errors
     for _ in range(ROUNDS):
         theta = _solved(data, theta, count, errors)
@@ -219,7 +218,7 @@ def _residuals(data: Sequence[Datum], theta: FloatArray, count: int, errors: Flo
 
 
 def _jacobian(data: Sequence[Datum], theta: FloatArray, count: int, errors: FloatArray) -> FloatArray:
-    """(n, p) of the residuals of all files, one below the other."""
+    """Stack the derivatives of all files' residuals, (n, p)."""
     p = _of_modes(count)
     modes, own = _modes(theta, count), theta[p:].reshape(-1, 2)
     blocks = []
@@ -232,7 +231,7 @@ def _jacobian(data: Sequence[Datum], theta: FloatArray, count: int, errors: Floa
 
 
 def _model_errors(data: Sequence[Datum], theta: FloatArray, count: int) -> FloatArray:
-    """(d,) the ε that makes each file's χ² what it should be; the smallest one where the noise explains it all."""
+    """Find the ε, (d,), that gives each file's χ² its expected value; the smallest one where noise explains it all."""
     modes, own = _modes(theta, count), theta[_of_modes(count) :].reshape(-1, 2)
     used = _of_modes(count) / len(data) + 2
     return np.array([_level(d.residual(modes, mine), d, used) for d, mine in zip(data, own, strict=True)])
@@ -248,7 +247,7 @@ def _level(residual: FloatArray, datum: Datum, used: float) -> float:
 
 
 def _independent(residual: FloatArray, datum: Datum) -> float:
-    """(1 − ρ)/(1 + ρ): neighbouring lines go together, by window and by model error."""
+    """Return (1 − ρ)/(1 + ρ): neighbouring lines are correlated by window and by model error."""
     parts = residual.reshape(-1, len(datum.frequency_hz))  # of a response, real and imaginary
     rho = float(np.sum(parts[:, 1:] * parts[:, :-1]) / max(float(np.sum(parts**2)), 1e-300))
     rho = min(max(rho, 0.0), 0.95)
@@ -265,32 +264,34 @@ def _within(name: str, fit: _Fit) -> None:
         return
     sources = ", ".join(dict.fromkeys(Path(d.source).name for d in fit.data))
     rule = f"No resonance of {name} stands out between {low:.0f} and {high:.0f} Hz"
-    raise MeasurementError(sources, [f"{rule}: [axes.{name}] stays as it was. A wider band, or harder shaking?"])
+    raise MeasurementError(
+        sources, [f"{rule}: [axes.{name}] stays as it was. Try a wider band, or a harder excitation."]
+    )
 
 
-def _judged(name: str, one: _Fit, two: _Fit) -> tuple[_Fit, str]:
-    """The fit to believe, and why."""
+def _accepted(name: str, one: _Fit, two: _Fit) -> tuple[_Fit, str]:
+    """Return the accepted fit, and why."""
     lines = float(two.independent @ [len(r) for r in two.residuals])
     gain = one.deviance(two.independent) - two.deviance(two.independent) - 3 * float(np.log(max(lines, 2.0)))
     if gain < BETTER_BIC:
-        return one, f"One mode tells {name}: a second one at its side explains no more than chance would."
+        return one, f"One mode describes {name}: a second one explains no more than chance would."
     problem = _unclear(two)
     if problem:
         return one, f"One mode is kept for {name}; there is more in the data, but {problem}."
-    return two, f"Two modes tell {name} (Bayesian information criterion: {gain:.0f} in favour of the second)."
+    return two, f"Two modes describe {name} (Bayesian information criterion: {gain:.0f} in favour of the second)."
 
 
 def _unclear(two: _Fit) -> str:
-    """What is wrong with a second mode; nothing if it may be believed."""
+    """Say what is wrong with a second mode; '' if it may be accepted."""
     sd = np.sqrt(np.diag(two.covariance))
     share, low, high = float(two.theta[4]), *_band(two.data)
     other = int(share > 0.5)
     frequency = float(two.modes[other, 0])
     place = f"at {frequency:.0f} Hz"
     if min(share, 1 - share) < max(SMALLEST_SHARE, SHARP * sd[4]):
-        return f"the share of what swings {place} is not known better than {min(share, 1 - share):.2f} ± {sd[4]:.2f}"
+        return f"the share of the mode {place} is not known better than {min(share, 1 - share):.2f} ± {sd[4]:.2f}"
     if max(sd[0], sd[2]) > CLEAR or not low < frequency < high or two.modes[:, 1].max() > BROADEST:
-        return f"what swings {place} is too uncertain or too broad to be a mode"
+        return f"the one {place} is too uncertain or too broad to be a mode"
     return ""
 
 
@@ -309,7 +310,7 @@ def _estimated(fit: _Fit) -> tuple[AxisMode, ...]:
 
 
 def _with_scatter(name: str, modes: tuple[AxisMode, ...], fit: _Fit) -> tuple[tuple[AxisMode, ...], list[str]]:
-    """Each file by itself: where they disagree by more than their noise, the main mode is no surer than that."""
+    """Fit each file by itself, and widen the main mode's uncertainty to their scatter."""
     if len(fit.data) < 2:
         return modes, []
     main, files = modes[0].frequency_hz, len(fit.data)
@@ -324,7 +325,7 @@ def _with_scatter(name: str, modes: tuple[AxisMode, ...], fit: _Fit) -> tuple[tu
 
 
 def _main_frequency(data: Sequence[Datum], fit: _Fit) -> float:
-    """Of the mode with the largest share, as one file by itself has it, Hz."""
+    """Return the frequency of the mode with the largest share, fitted to one file by itself, Hz."""
     begin = fit.theta[: _of_modes(fit.count)]
     theta = np.concatenate([begin, *(datum.begin(fit.modes) for datum in data)])
     found = _solved(data, theta, fit.count, np.full(len(data), COARSE))
@@ -335,14 +336,14 @@ def _main_frequency(data: Sequence[Datum], fit: _Fit) -> float:
 def _weak(name: str, modes: Sequence[AxisMode], errors: Sequence[float]) -> list[str]:
     advice = [
         f"The damping of {name} at {mode.frequency_hz.value:.0f} Hz is known to "
-        f"{100 * mode.damping_ratio.relative_sd:.0f} % only: measure it again, shaken harder or longer."
+        f"{100 * mode.damping_ratio.relative_sd:.0f} % only: measure it again, excited harder or longer."
         for mode in modes
         if mode.damping_ratio.relative_sd > WEAK_DAMPING
     ]
-    if max(errors) > POORLY_TOLD:
+    if max(errors) > POOR_FIT:
         advice.append(
-            f"The modes tell {name} poorly, to {100 * max(errors):.0f} % of what was measured: it has more modes than "
-            "a machine file holds, or it rattles. Look at it with --figure."
+            f"The modes describe {name} poorly, to {100 * max(errors):.0f} % of the measurement: it has more modes "
+            "than a machine file holds, or it rattles. Look at it with --figure."
         )
     return advice
 
@@ -352,6 +353,8 @@ def _weak(name: str, modes: Sequence[AxisMode], errors: Sequence[float]) -> list
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedAxes:
+    """All fitted axes, with advice."""
+
     axes: tuple[AxisFit, ...]
     advice: tuple[str, ...]
 
@@ -361,7 +364,7 @@ def identify_axes(
     responses: Sequence[FrequencyResponse],
     progress: Callable[[str], None] = lambda _: None,
 ) -> IdentifiedAxes:
-    """The modes of every axis that something was measured along.
+    """Fit the modes of every measured axis.
 
     Raises
     ------
@@ -371,7 +374,7 @@ def identify_axes(
     answers, sentences = usable(responses)
     data: list[Datum] = [*spectra, *(answer for answer in answers if answer.direct)]
     if not data:
-        raise MeasurementError("data", [*sentences, "None of the files tells how an axis answers its command."])
+        raise MeasurementError("data", [*sentences, "None of the files holds the response of an axis to its command."])
     found = []
     for name in AXES:
         mine = [datum for datum in data if datum.axis == name]
@@ -394,7 +397,7 @@ def identify_axes(
 
 
 def _crossing(answers: Sequence[Response], moved: Sequence[str]) -> list[str]:
-    """How much of an axis' motion the others show, which the model knows nothing of."""
+    """Report how much of an axis' motion the others show, which the model does not have."""
     power = {
         (a.measured.input, a.measured.output): float(np.sum(np.maximum(np.abs(a.value) ** 2 - a.measured.variance, 0)))
         for a in answers

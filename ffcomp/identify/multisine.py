@@ -1,12 +1,12 @@
-"""Signals that excite one coordinate of a printer, as the firmware plays them: polylines with a knot every S seconds.
+"""Signals that excite one coordinate of a printer, as firmware executes them: polylines, a knot every S seconds.
 
 Straight lines between knots pass a frequency f on by sinc²(f S), for what happens between the knots is a convolution
 with a triangle of that width. Twice differentiating in steps of S has the same gain: a sine of amplitude A at the
-knots is played, at its own frequency, as one of amplitude sinc²(f S) A, and
+knots is executed, at its own frequency, as one of amplitude sinc²(f S) A, and
 
     A (2 sin(π f S) / S)²  =  sinc²(f S) A (2π f)²
 
-is the amplitude both of its second difference and of the acceleration that is played. So the signals are designed by
+is the amplitude both of its second difference and of the acceleration that is executed. So the signals are designed by
 their second differences, and no frequency is weaker in the machine than it was asked for. Images stand at |f ± n/S|.
 
 mm, s, mm/s, mm/s²; one period of a signal is (knots,) mm.
@@ -25,7 +25,7 @@ from models.arrays import ComplexArray, FloatArray, IntArray
 
 HIGHEST_SHARE = 0.45  # of the segments' rate: nearer to half of it, the image at 1/S − f is as strong as the signal
 FASTEST_RATE = 500.0  # segments a second that firmwares' hosts follow
-MARKER_S, QUIET_S = 1.0, 0.4  # the chirp a capture is lined up by; the rest after a chirp, in which modes decay
+MARKER_S, QUIET_S = 1.0, 0.4  # the chirp a capture is aligned by; the rest after a chirp, in which modes decay
 RAMP_S = 0.5  # over which a signal that never rests is faded in and out
 EDGE_S = 0.25  # the same for chirps
 CREST_PASSES = 150
@@ -49,7 +49,7 @@ class Band:
 
     @property
     def lines(self) -> IntArray:
-        """(m,) how often each frequency of the band fits into the period."""
+        """(m,) periods of each frequency of the band in one period of the signal."""
         first, last = ceil(self.lowest_hz * self.period_s - 1e-9), floor(self.highest_hz * self.period_s + 1e-9)
         return np.arange(first, last + 1)
 
@@ -60,12 +60,12 @@ class Band:
 
 
 def band(lowest_hz: float, highest_hz: float, period_s: float, segments_per_second: float) -> Band:
-    """A band with as many knots as asked for, or more if its highest frequency needs them.
+    """Make a band with the requested number of knots, or more if its highest frequency needs them.
 
     Raises
     ------
     LimitsError
-        A band that is empty, or that needs more segments than a firmware's host can follow.
+        For a band that is empty, or that needs more segments than a firmware's host can follow.
     """
     rate = max(segments_per_second, highest_hz / HIGHEST_SHARE)
     if rate > FASTEST_RATE:
@@ -82,24 +82,24 @@ def band(lowest_hz: float, highest_hz: float, period_s: float, segments_per_seco
     return found
 
 
-def played_gain(frequency_hz: FloatArray, segment_s: float) -> FloatArray:
-    """sinc²(f S), the share of a sine at the knots that straight lines between them pass on."""
+def polyline_gain(frequency_hz: FloatArray, segment_s: float) -> FloatArray:
+    """Return sinc²(f S), the share of a sine at the knots that straight lines between them pass on."""
     return np.asarray(np.sinc(frequency_hz * segment_s) ** 2)
 
 
 def second_difference_gain(frequency_hz: FloatArray, segment_s: float) -> FloatArray:
-    """(2 sin(π f S) / S)² = sinc²(f S) (2π f)², 1/s²: from a sine's amplitude at the knots to its acceleration's."""
-    return played_gain(frequency_hz, segment_s) * (2.0 * np.pi * frequency_hz) ** 2
+    """Return (2 sin(π f S) / S)² = sinc²(f S) (2π f)², 1/s²: from a sine's amplitude at the knots to acceleration."""
+    return polyline_gain(frequency_hz, segment_s) * (2.0 * np.pi * frequency_hz) ** 2
 
 
 # One period
 
 
 def multisine(band: Band, corner_hz: float, seed: int) -> FloatArray:
-    """All lines at once with random phases, their second difference flat above the corner: (knots,).
+    """Sum all lines with random phases, their second difference flat above the corner: (knots,).
 
-    The phases are moved to where peaks are low: the signal is clipped, its phases are kept and its amplitudes put back,
-    again and again (Van der Ouderaa, Schoukens & Renneboog, IEEE Trans. Instrum. Meas. 37, 1988, 207-212).
+    The crest factor is reduced: the signal is clipped, its phases are kept and its amplitudes restored, repeatedly
+    (Van der Ouderaa, Schoukens & Renneboog, IEEE Trans. Instrum. Meas. 37, 1988, 207-212).
     """
     weight = _weight(band.frequencies_hz, corner_hz)
     phase = np.random.default_rng(seed).uniform(-np.pi, np.pi, len(weight))
@@ -115,7 +115,7 @@ def multisine(band: Band, corner_hz: float, seed: int) -> FloatArray:
 
 
 def linear_sweep(band: Band, corner_hz: float, seed: int) -> FloatArray:
-    """A sine whose frequency rises evenly, and a rest: (knots,). All frequencies get the same time."""
+    """Sweep a sine with evenly rising frequency, then rest: (knots,). All frequencies get the same time."""
     t, active_s = _active(band)
     rise = (band.highest_hz - band.lowest_hz) / active_s
     frequency = band.lowest_hz + rise * t
@@ -123,7 +123,7 @@ def linear_sweep(band: Band, corner_hz: float, seed: int) -> FloatArray:
 
 
 def log_sweep(band: Band, corner_hz: float, seed: int) -> FloatArray:
-    """A sine whose frequency rises by the same factor in the same time, and a rest: (knots,). Low ones get more."""
+    """Sweep a sine with exponentially rising frequency, then rest: (knots,). Low frequencies get more time."""
     t, active_s = _active(band)
     rate = np.log(band.highest_hz / band.lowest_hz) / active_s
     frequency = band.lowest_hz * np.exp(rate * t)
@@ -138,18 +138,18 @@ KINDS: dict[str, Callable[[Band, float, int], FloatArray]] = {
 
 
 def _weight(frequency_hz: FloatArray, corner_hz: float) -> FloatArray:
-    """Flat acceleration above the corner, flat velocity below."""
+    """Weight lines for flat acceleration above the corner, flat velocity below."""
     return np.minimum(1.0, frequency_hz / corner_hz)
 
 
 def _active(band: Band) -> tuple[FloatArray, float]:
-    """Times at the knots of a chirp, and how long it lasts; it rests where the time has come to its end."""
+    """Return the times at the knots of a chirp, clipped at its end, and its duration."""
     active_s = band.period_s - QUIET_S
     return np.minimum(band.segment_s * np.arange(band.knots), active_s), active_s
 
 
 def _chirp(band: Band, corner_hz: float, frequency_hz: FloatArray, turns: FloatArray) -> FloatArray:
-    """The sine of so many turns, from rest to rest."""
+    """Return the sine of so many turns, from rest to rest."""
     t, active_s = _active(band)
     edge_s = min(EDGE_S, 0.4 * active_s)
     window = smooth_step(t / edge_s) * smooth_step((active_s - t) / edge_s)
@@ -158,13 +158,13 @@ def _chirp(band: Band, corner_hz: float, frequency_hz: FloatArray, turns: FloatA
 
 
 def smooth_step(x: FloatArray) -> FloatArray:
-    """From 0 to 1 over 0 <= x <= 1, velocity and acceleration zero at both ends."""
+    """Step from 0 to 1 over 0 <= x <= 1, velocity and acceleration zero at both ends."""
     s = np.clip(x, 0.0, 1.0)
     return s**3 * (10.0 + s * (6.0 * s - 15.0))
 
 
 def scaled(kind: str, band: Band, acceleration: float, velocity: float, seed: int) -> FloatArray:
-    """One period whose second difference peaks at `acceleration` mm/s²: (knots,) mm.
+    """Scale one period so that its second difference peaks at `acceleration` mm/s²: (knots,) mm.
 
     Where its speed would pass `velocity` mm/s, the low frequencies give way: the corner below which velocity and not
     acceleration is even rises until it does not.
@@ -185,7 +185,7 @@ def scaled(kind: str, band: Band, acceleration: float, velocity: float, seed: in
 
 
 def peak_acceleration(wave: FloatArray, segment_s: float) -> float:
-    """The largest second difference of one period, mm/s²."""
+    """Return the largest second difference of one period, mm/s²."""
     return float(np.abs(np.roll(wave, -1) - 2.0 * wave + np.roll(wave, 1)).max()) / segment_s**2
 
 
@@ -194,7 +194,7 @@ def peak_acceleration(wave: FloatArray, segment_s: float) -> float:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Excitation:
-    """What one coordinate does in one experiment: marker, transient, whole periods, rest."""
+    """Motion of one coordinate in one experiment: marker, transient, whole periods, rest."""
 
     displacement_mm: FloatArray  # (n + 1,) at the knots, zero at both ends
     marker_knots: int  # how many segments the marker has
@@ -203,7 +203,7 @@ class Excitation:
 
 
 def excitation(kind: str, band: Band, periods: int, acceleration: float, velocity: float, seed: int) -> Excitation:
-    """The marker, then the signal, which has settled before the first of its `periods` begins.
+    """Join the marker and the signal, whose transient ends before the first of its `periods` begins.
 
     The marker is a chirp and a rest. A multisine is faded in over the end of a period, and one whole period goes by
     before the first that counts; a sweep rests before and after by itself.
@@ -223,7 +223,7 @@ class Lines:
     """The frequencies of a periodic command: Σ amplitude cos(2π f t + phase), t from the start of a period."""
 
     frequency_hz: FloatArray  # (m,)
-    amplitude_mm: FloatArray  # (m,) as it is played
+    amplitude_mm: FloatArray  # (m,) as it is executed
     phase_rad: FloatArray  # (m,)
 
     @property
@@ -233,6 +233,6 @@ class Lines:
 
 
 def lines_of(moved: FloatArray, band: Band) -> Lines:
-    """What one period, (k,) mm in even steps of time, holds inside its band."""
+    """Transform one period, (k,) mm in even steps of time, inside its band."""
     spectrum = 2.0 / len(moved) * np.fft.rfft(moved)[band.lines]
     return Lines(band.frequencies_hz, np.abs(spectrum), np.angle(spectrum))

@@ -1,11 +1,11 @@
-"""The direct fit: all frequency responses at once, output error, the machine file's own numbers as unknowns.
+"""The output-error fit: all frequency responses at once, the machine file's own parameters as unknowns.
 
     minimise  Σ |H − Ĥ(θ)|²/(σ² + ε²|H|²)  +  Σ ((θ − θ₀)/σ₀)²
 
-σ² is the measured variance, ε the model's own error: zero where the noise explains what is left of a response,
-otherwise the share of each of its values that makes it so. The second sum holds what is known beforehand (a part put
-on a scale), and keeps a number that the data do not reach near the starting file's. Recommended over the step-by-step
-method: it uses every measured value once, needs no fit of coefficients, and works at any place.
+σ² is the measured variance, ε the model's own error: zero where the noise explains the residual of a response, else the
+share of its values that does. The second sum holds prior knowledge (a part put on a scale), and keeps a parameter that
+the data do not determine near the starting file's. Recommended over the paper's method: it uses every measured value
+once, needs no fit of coefficients, and works at any position.
 """
 
 from __future__ import annotations
@@ -39,32 +39,32 @@ UNKNOWNS = (
     *STIFFNESS,
     *DAMPING,
 )
-TOTAL_MASS = "effector.total_mass_kg"  # m_1 + m_2, what a scale shows
-SIGNED = {"carriage.drive.d1_per_s"}  # every other number is positive, and fitted as its logarithm
+TOTAL_MASS = "effector.total_mass_kg"  # m_1 + m_2, as a scale shows it
+SIGNED = {"carriage.drive.d1_per_s"}  # every other parameter is positive, and fitted as its logarithm
 
-PRIOR_SD = 1.0  # of a logarithm nobody knows anything about: a factor of e
+PRIOR_SD = 1.0  # of the logarithm of an unknown parameter: a factor of e
 SIGNED_UNIT = 100.0  # 1/s, the size of one step of d1
 DELAY_UNIT_S = 1e-3
 BLOCK_HZ = 5.0  # the model's error keeps its sign over about so wide a band
 COARSE = 0.3  # model error of the coarse fit
-FINE = 0.05  # of what decides between fits that are both near
+FINE = 0.05  # model error with which two near fits are compared
 OTHER_MOUNTS = (0.02, 50.0)  # factors on a mount's stiffness
 NEAR = 0.1  # of the values may be far off where the search for a start ends
 STARTS = (1.0, 0.75, 1.33, 0.6, 1.7)  # factors on every frequency of the starting machine
 RANDOM_STARTS = 30
 STEP = 1e-5  # of differences: the unknowns are of order one, the error 1e-10
-ROUNDS = 10  # of fitting and weighing anew
+ROUNDS = 10  # of fitting and reweighting
 SMALLEST_MODEL_ERROR = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """What the direct fit found."""
+    """The result of the output-error fit."""
 
     machine: Machine
     estimates: Mapping[str, Estimate]  # unknowns by their names in the machine file, and the total mass
     prior_share: Mapping[str, float]  # 0: the data alone say it … 1: the data say nothing
-    weak: Mapping[str, Mapping[str, float]]  # ill-determined number -> the others it moves with (correlation)
+    weak: Mapping[str, Mapping[str, float]]  # ill-determined parameter -> the others it is correlated with
     delays_s: Mapping[str, Estimate]  # of each clock
     misfit: float  # χ² by degree of freedom against the measured noise alone
     bic: float  # Bayesian information criterion: of two models of the same responses the smaller one is preferred
@@ -91,9 +91,9 @@ def fit_machine(
 
     Parameters
     ----------
-    known : name -> (value, standard uncertainty), of machine-file numbers or of TOTAL_MASS.
-    unknowns : what is fitted; every other number stays the starting machine's.
-    starts : numbers to begin with in place of the starting machine's, one try each. By default the starting
+    known : name -> (value, standard uncertainty), of machine-file parameters or of TOTAL_MASS.
+    unknowns : parameters that are fitted; all others stay the starting machine's.
+    starts : values to begin with in place of the starting machine's, one try each. By default the starting
         machine, four that are slower or faster throughout, and then random ones, until one comes near.
 
     Raises
@@ -105,7 +105,7 @@ def fit_machine(
     """
     problem = _problem(start, responses, dict(known or {}), unknowns)
     if 2 * sum(map(len, problem.values)) <= len(problem.names):
-        raise SolverError("There are fewer measured values than unknown numbers: measure more frequencies.")
+        raise SolverError("There are fewer measured values than unknown parameters: measure more frequencies.")
     theta = _best_start(problem, starts, progress)
     epsilon = _model_error(problem, theta, together=True)
     for _ in range(ROUNDS):
@@ -128,13 +128,13 @@ class _Problem:
     clocks: tuple[str, ...]
     values: list[ComplexArray]
     known: dict[str, tuple[float, float]]
-    weak_mean: FloatArray  # (p,) θ₀ of the prior that only holds what nothing else holds
+    weak_mean: FloatArray  # (p,) θ₀ of the weak prior
 
-    def numbers(self, theta: FloatArray) -> dict[str, float]:
-        return {name: _number(name, t) for name, t in zip(self.names, theta, strict=False)}
+    def parameters(self, theta: FloatArray) -> dict[str, float]:
+        return {name: _parameter(name, t) for name, t in zip(self.names, theta, strict=False)}
 
     def machine(self, theta: FloatArray) -> Machine:
-        return with_values(self.start, self.numbers(theta))
+        return with_values(self.start, self.parameters(theta))
 
     def model(self, theta: FloatArray) -> list[ComplexArray]:
         found = predicted(self.machine(theta), self.responses)
@@ -145,10 +145,10 @@ class _Problem:
         ]
 
     def prior(self, theta: FloatArray) -> FloatArray:
-        """Residuals of what is known, then of the weak prior."""
-        numbers = self.numbers(theta)
-        numbers[TOTAL_MASS] = _total_mass(self.start, numbers)
-        known = [(numbers[name] - value) / sd for name, (value, sd) in self.known.items()]
+        """Return the residuals of known parameters, then of the weak prior."""
+        values = self.parameters(theta)
+        values[TOTAL_MASS] = _total_mass(self.start, values)
+        known = [(values[name] - value) / sd for name, (value, sd) in self.known.items()]
         return np.concatenate([known, (theta - self.weak_mean) / PRIOR_SD])
 
     def residual(self, theta: FloatArray, epsilon: FloatArray) -> FloatArray:
@@ -169,7 +169,7 @@ def _problem(
     unknown = set(known) - {*names, TOTAL_MASS}
     if unknown:
         raise SolverError(
-            f"{sorted(unknown)[0]!r} is no number of this fit; it knows {', '.join(names)}, {TOTAL_MASS}."
+            f"{sorted(unknown)[0]!r} is no parameter of this fit; known are {', '.join(names)}, {TOTAL_MASS}."
         )
     clocks = tuple(sorted({r.clock for r in responses} - {""}))
     mean = np.array([_unknown(name, value_of(start, name)) for name in names] + [0.0] * len(clocks))
@@ -185,13 +185,13 @@ def _unknown(name: str, value: float) -> float:
     return value / SIGNED_UNIT if name in SIGNED else float(np.log(max(value, 1e-12)))
 
 
-def _number(name: str, theta: float) -> float:
+def _parameter(name: str, theta: float) -> float:
     return float(theta * SIGNED_UNIT if name in SIGNED else np.exp(np.clip(theta, -30.0, 30.0)))
 
 
-def _total_mass(start: Machine, numbers: Mapping[str, float]) -> float:
+def _total_mass(start: Machine, values: Mapping[str, float]) -> float:
     both = ("effector.nozzle_mass_kg", "effector.extruder_mass_kg")
-    return sum(numbers.get(name, value_of(start, name)) for name in both)
+    return sum(values.get(name, value_of(start, name)) for name in both)
 
 
 # ---- solving -------------------------------------------------------------------------------------
@@ -200,11 +200,11 @@ def _total_mass(start: Machine, numbers: Mapping[str, float]) -> float:
 def _best_start(
     problem: _Problem, starts: Sequence[Mapping[str, float]], progress: Callable[[str], None]
 ) -> FloatArray:
-    """From several machines the one that a coarse fit likes best; the first that comes near ends the search.
+    """Fit coarsely from several machines and return the best; the first that comes near ends the search.
 
-    The coarse fit weighs every value alike (model error 30 %), so that no sharp resonance traps it.
+    The coarse fit weights every value alike (model error 30 %), so that no sharp resonance traps it.
     """
-    tries = [_with(problem, numbers) for numbers in starts] or list(_tries(problem))
+    tries = [_with(problem, values) for values in starts] or list(_tries(problem))
     best, least = problem.weak_mean, np.inf
     for number, start in enumerate(tries, 1):
         theta = _least_squares(problem, start, _same(problem, COARSE), evaluations=30)
@@ -218,7 +218,7 @@ def _best_start(
 
 
 def _other_mounts(problem: _Problem, best: FloatArray, progress: Callable[[str], None]) -> FloatArray:
-    """A mount taken for far too soft or too hard is a local optimum that looks fair: try the others too."""
+    """Try far softer and harder mounts too: a mount taken for one of them is a local optimum that looks fair."""
     share = _same(problem, FINE)
     best = _least_squares(problem, best, share, evaluations=30)
     least = float(np.sum(problem.residual(best, share) ** 2))
@@ -237,12 +237,12 @@ def _other_mounts(problem: _Problem, best: FloatArray, progress: Callable[[str],
 
 
 def _same(problem: _Problem, share: float) -> FloatArray:
-    """(r,) one model error for all responses."""
+    """Return one model error for all responses, (r,)."""
     return np.full(len(problem.responses), share)
 
 
 def _tries(problem: _Problem) -> Iterator[FloatArray]:
-    """The starting machine, slower and faster ones, then random ones (the same in every call)."""
+    """Yield the starting machine, slower and faster ones, then random ones (the same in every call)."""
     for factor in STARTS:
         yield _faster(problem, factor)
     rng = np.random.default_rng(0)
@@ -252,33 +252,33 @@ def _tries(problem: _Problem) -> Iterator[FloatArray]:
 
 
 def _errors(problem: _Problem, theta: FloatArray) -> list[FloatArray]:
-    """|H − Ĥ|² of each response."""
+    """Compute |H − Ĥ|² of each response."""
     return [np.abs(h - v) ** 2 for h, v in zip(problem.model(theta), problem.values, strict=True)]
 
 
 def _far_share(problem: _Problem, theta: FloatArray) -> float:
-    """Share of the values that are off by more than twice the coarse model error and the noise together."""
+    """Count the share of the values that are off by more than twice the coarse model error and the noise together."""
     pairs = zip(_errors(problem, theta), problem.responses, strict=True)
     far = sum(int(np.sum(e > 4 * _variance(r, COARSE))) for e, r in pairs)
     return far / sum(map(len, problem.values))
 
 
 def _excess(problem: _Problem, errors: Sequence[FloatArray], epsilon: float) -> float:
-    """What the errors have beyond the measured noise, as a share of σ² + ε²|H|², on average."""
+    """Average the errors beyond the measured noise, as a share of σ² + ε²|H|²."""
     pairs = zip(errors, problem.responses, strict=True)
     over = sum(float(np.sum((e - _variance(r, 0.0)) / _variance(r, epsilon))) for e, r in pairs)
     return over / sum(map(len, problem.values))
 
 
-def _with(problem: _Problem, numbers: Mapping[str, float]) -> FloatArray:
+def _with(problem: _Problem, values: Mapping[str, float]) -> FloatArray:
     theta = problem.weak_mean.copy()
-    for name, value in numbers.items():
+    for name, value in values.items():
         theta[problem.names.index(name)] = _unknown(name, value)
     return theta
 
 
 def _faster(problem: _Problem, factor: float) -> FloatArray:
-    """The starting machine with every natural frequency multiplied, the damping ratios kept."""
+    """Multiply every natural frequency of the starting machine; keep the damping ratios."""
     theta = problem.weak_mean.copy()
     for i, name in enumerate(problem.names):
         if "stiffness" in name or name.endswith("d0_per_s2"):
@@ -307,9 +307,9 @@ def _jacobian(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> Floa
 
 
 def _model_error(problem: _Problem, theta: FloatArray, together: bool) -> FloatArray:
-    """(r,) the ε that makes Σ|H − Ĥ|²/(σ² + ε²|H|²) its expected value, 0 if the noise explains it already.
+    """Find the ε, (r,), that makes Σ|H − Ĥ|²/(σ² + ε²|H|²) its expected value, 0 if the noise explains it already.
 
-    One for all responses to begin with, so that none is given up on before a common fit; then one for each.
+    One for all responses to begin with, so that a common fit comes first; then one for each.
     """
     errors = _errors(problem, theta)
     total = sum(map(len, problem.values))
@@ -341,9 +341,9 @@ def _level(pairs: Sequence[tuple[FloatArray, FrequencyResponse]], count: float) 
 def _result(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> Fitted:
     covariance = _covariance(problem, theta, epsilon)
     sd = np.sqrt(np.diag(covariance))
-    numbers = problem.numbers(theta)
-    estimates = {name: _estimate(name, numbers[name], sd[i]) for i, name in enumerate(problem.names)}
-    estimates[TOTAL_MASS] = _total_estimate(problem, numbers, covariance)
+    values = problem.parameters(theta)
+    estimates = {name: _estimate(name, values[name], sd[i]) for i, name in enumerate(problem.names)}
+    estimates[TOTAL_MASS] = _total_estimate(problem, values, covariance)
     share = {name: float(min(1.0, covariance[i, i] / PRIOR_SD**2)) for i, name in enumerate(problem.names)}
     clocks = zip(problem.clocks, theta[len(problem.names) :], sd[len(problem.names) :], strict=True)
     errors = _errors(problem, theta)
@@ -364,15 +364,15 @@ def _result(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> Fitted
 
 
 def _deviance(problem: _Problem, errors: Sequence[FloatArray], epsilon: FloatArray) -> float:
-    """−2 ln of the likelihood of circular complex noise, but for a constant."""
+    """Return −2 ln of the likelihood of circular complex noise, up to a constant."""
     pairs = [(e, _variance(r, share)) for e, r, share in zip(errors, problem.responses, epsilon, strict=True)]
     return 2 * sum(float(np.sum(e / v + np.log(v))) for e, v in pairs)
 
 
 def _covariance(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> FloatArray:
-    """(p, p) of the unknowns.
+    """Estimate the covariance (p, p) of the unknowns.
 
-    Where the model's error is more than noise it is alike over neighbouring frequencies: the sandwich of Huber and
+    Where the model's error is more than noise it is correlated over neighbouring frequencies: the sandwich of Huber and
     White with blocks of 5 Hz (Liang & Zeger, Biometrika 73, 1986) then widens the inverse information.
     """
     j = _jacobian(problem, theta, epsilon)
@@ -388,7 +388,7 @@ def _covariance(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> Fl
 
 
 def _blocks(problem: _Problem) -> list[FloatArray]:
-    """Rows of the residual, both real and imaginary, of each 5 Hz of each response."""
+    """List the rows of the residual, both real and imaginary, of each 5 Hz of each response."""
     rows, at = [], 0
     for response in problem.responses:
         k = len(response.frequency_hz)
@@ -404,13 +404,13 @@ def _estimate(name: str, value: float, sd: float) -> Estimate:
     return normal(value, SIGNED_UNIT * sd) if name in SIGNED else lognormal(value, sd)
 
 
-def _total_estimate(problem: _Problem, numbers: Mapping[str, float], covariance: FloatArray) -> Estimate:
+def _total_estimate(problem: _Problem, values: Mapping[str, float], covariance: FloatArray) -> Estimate:
     both = ("effector.nozzle_mass_kg", "effector.extruder_mass_kg")
-    slope = np.array([numbers[n] if n in both else 0.0 for n in problem.names] + [0.0] * len(problem.clocks))
-    return normal(_total_mass(problem.start, numbers), float(np.sqrt(slope @ covariance @ slope)))
+    slope = np.array([values[n] if n in both else 0.0 for n in problem.names] + [0.0] * len(problem.clocks))
+    return normal(_total_mass(problem.start, values), float(np.sqrt(slope @ covariance @ slope)))
 
 
-WEAK_SD = 0.1  # a number known worse than 10 % is weak
+WEAK_SD = 0.1  # a parameter known worse than 10 % is weak
 STRONG_CORRELATION = 0.9
 
 

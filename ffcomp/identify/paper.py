@@ -1,11 +1,11 @@
-"""Identification step by step, as in the paper (Eqs. 30-49 and 63-69, corrected), with standard uncertainties.
+"""The paper's identification, step by step (Eqs. 30-49 and 63-69, corrected), with standard uncertainties.
 
     carriage alone, carriage with a known mass     → m, k, c, b and the drive's d₀ d₁ d₂     (Eqs. 30-43)
     effector struck by a hammer, and its weight    → m₁, m₂                                  (Eqs. 45-49)
     the whole printer at the centre, x, y, z       → b_j, k_j                                (Eqs. 63-69)
 
 Each step fits rational functions to the responses and solves the equations between their coefficients and the
-numbers by least squares, each coefficient weighed by its covariance: the paper's redundant equations (36 and 40,
+parameters by least squares, each coefficient weighed by its covariance: the paper's redundant equations (36 and 40,
 35 and 39) then share their error instead of contradicting each other, and the χ² of each step says whether they do.
 
 Corrected: Eq. 68's s² term is (c+b) b_j, without α; α is the ratio of load to carriage motion, σ_j² of J at the
@@ -39,7 +39,7 @@ EARLIER = {
     "m1": "effector.nozzle_mass_kg",
     "m2": "effector.extruder_mass_kg",
 }
-CENTRE_MM = 1.0  # how far from the centre its symmetry may be assumed
+CENTRE_MM = 1.0  # from the centre, within which its symmetry is assumed
 SILENT = 0.05  # of the largest response of an axis: below it a carriage does not take part
 
 SURE_FREEDOM = 5  # degrees of freedom from which a large χ² widens the intervals
@@ -48,7 +48,7 @@ WEIGHED_SD = 1e-6  # relative, of a weight given without an uncertainty
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """What one step found, and what it was found from."""
+    """The result of one step, and its data."""
 
     title: str
     found: Joint
@@ -61,12 +61,12 @@ class Step:
 
 
 def carriage_step(alone: FrequencyResponse, loaded: FrequencyResponse, added_sd_kg: float = 0.0) -> Step:
-    """m, k, c, b, d₀, d₁, d₂ from the carriage without and with `loaded.added_mass_kg` (Eqs. 30-43).
+    """Identify m, k, c, b, d₀, d₁, d₂ from the carriage without and with `loaded.added_mass_kg` (Eqs. 30-43).
 
     Raises
     ------
     SolverError
-        If the two responses do not show what the added mass changed.
+        If the two responses do not show the effect of the added mass.
     """
     fits = [fit_rational([response], 2, 4) for response in (alone, loaded)]
     added = loaded.added_mass_kg
@@ -84,7 +84,7 @@ def carriage_step(alone: FrequencyResponse, loaded: FrequencyResponse, added_sd_
 
 
 def _coefficients(numbers: FloatArray, added_kg: float) -> FloatArray:
-    """g₀ g₁ g₂, h₀ h₁ h₂ h₃ of Eq. 42 from the numbers (Eq. 43)."""
+    """Compute g₀ g₁ g₂, h₀ h₁ h₂ h₃ of Eq. 42 from the parameters (Eq. 43)."""
     m, k, c, b, d0, d1, d2 = numbers
     m = m + added_kg
     omega2, damping = k / m, (c + b) / m  # ω_n², 2 ζ ω_n
@@ -94,7 +94,7 @@ def _coefficients(numbers: FloatArray, added_kg: float) -> FloatArray:
 
 
 def _carriage_start(alone: RationalFit, loaded: RationalFit, added_kg: float) -> FloatArray:
-    """The paper's closed forms: the pole that the mass moved is the carriage's, the other one the drive's."""
+    """Begin at the paper's closed forms: the pole moved by the mass is the carriage's, the other one the drive's."""
     free, held = (_oscillating(fit.poles) for fit in (alone, loaded))
     if len(free) < 2 or len(held) < 2:
         raise SolverError("The carriage's response does not show two oscillating poles (belt and drive, Eq. 42).")
@@ -122,10 +122,10 @@ def _oscillating(poles: ComplexArray) -> ComplexArray:
 
 
 def hammer_step(struck: FrequencyResponse, total_mass_kg: float, total_sd_kg: float = 0.0) -> Step:
-    """m₁, m₂ and the struck axis' b, k from the free effector's accelerance and its weight (Eqs. 45-49).
+    """Identify m₁, m₂ and the struck axis' b, k from the free effector's accelerance and its weight (Eqs. 45-49).
 
     Only the ratio of zero to pole and the weight give the masses, so the hammer needs no calibration; its gain is
-    found too.
+    fitted too.
     """
     fit = fit_rational([struck], 2, 2)
     zero, pole = abs(fit.zeros()[-1]), abs(fit.poles[-1])
@@ -152,7 +152,7 @@ def hammer_step(struck: FrequencyResponse, total_mass_kg: float, total_sd_kg: fl
 
 
 def assembly_step(machine: Machine, responses: Sequence[FrequencyResponse], earlier: Sequence[Joint]) -> Step:
-    """b_j and k_j of one axis j from the carriages' responses to its command (Eqs. 66-68).
+    """Identify b_j and k_j of one axis j from the carriages' responses to its command (Eqs. 66-68).
 
     At the centre the axes are apart, and each carriage answers the command of axis j with
 
@@ -161,12 +161,12 @@ def assembly_step(machine: Machine, responses: Sequence[FrequencyResponse], earl
     NOTE: the paper fits free coefficients (Eq. 66) and then solves Eq. 68 for b_j and k_j. At 40 dB that is
     ill-conditioned: the extruder is well damped along x and y (ζ = 0.5 and 0.7) and beyond the band along z, so a
     pole cancels a zero along x in two of three noise draws, and the coefficients scatter by 8 % along y and 40 %
-    along z. Here the coefficients are kept to Eq. 68 while fitting, by output error, and the numbers of the steps
+    along z. Here the coefficients are kept to Eq. 68 while fitting, by output error, and the parameters of the steps
     before are held by their uncertainties: k_x, k_y to 0.3 %.
 
     Parameters
     ----------
-    machine : with the numbers of the earlier steps.
+    machine : with the parameters of the earlier steps.
     responses : `cmd_j` to `pos_A`, `pos_B`, `pos_C`, at the centre.
     earlier : results of the earlier steps, whose names are in EARLIER.
     """
@@ -186,7 +186,7 @@ def assembly_step(machine: Machine, responses: Sequence[FrequencyResponse], earl
 
 
 def _mounts(m2: float, names: Sequence[str]) -> list[dict[str, float]]:
-    """Extruders on soft and hard, damped and less damped mounts: where to begin when nothing is known."""
+    """List soft and hard, damped and less damped mounts, to begin at when nothing is known."""
     omegas = 2 * np.pi * np.geomspace(12.0, 300.0, 6)
     pairs = [(m2 * w**2, 2 * zeta * w * m2) for w in omegas for zeta in (0.1, 0.5)]
     return [dict(zip(names, pair, strict=True)) for pair in pairs]
@@ -196,15 +196,15 @@ def _require_centre(responses: Sequence[FrequencyResponse]) -> None:
     for response in responses:
         place = response.position_mm
         if place is not None and np.hypot(*place[:2]) > CENTRE_MM:
-            rule = f"The step-by-step method needs the printer measured at the centre, not at {place[:2]} mm."
-            raise MeasurementError(response.source or "response", [f"{rule} Use the direct fit."])
+            rule = f"The paper's method needs the printer measured at the centre, not at {place[:2]} mm."
+            raise MeasurementError(response.source or "response", [f"{rule} Use the output-error fit."])
 
 
 def _amplitude(response: FrequencyResponse) -> float:
     return float(np.sqrt(np.mean(np.abs(response.value) ** 2)))
 
 
-# ---- coefficients to numbers ---------------------------------------------------------------------
+# ---- coefficients to parameters ------------------------------------------------------------------
 
 
 def _solved(
@@ -214,7 +214,7 @@ def _solved(
     fits: Sequence[RationalFit],
     extra: Callable[[FloatArray], FloatArray],
 ) -> tuple[Joint, float]:
-    """Weighted least squares of coefficients = equations(numbers), and what `extra` adds, in its own deviations."""
+    """Solve coefficients = equations(parameters) by weighted least squares, with further whitened residuals `extra`."""
     coefficients = np.concatenate([np.append(fit.numerators.ravel(), fit.denominator[:-1]) for fit in fits])
     whiten = [np.linalg.cholesky(_positive(scaled_inverse(fit.covariance))).T for fit in fits]
     ends = np.cumsum([0, *(len(w) for w in whiten)])
@@ -236,7 +236,7 @@ def _solved(
 
 
 def _positive(matrix: FloatArray) -> FloatArray:
-    """Symmetric, and with a diagonal that rounding cannot turn negative."""
+    """Make a matrix symmetric, with a diagonal that rounding cannot turn negative."""
     return np.asarray((matrix + matrix.T) / 2 + 1e-12 * np.diag(np.diag(matrix)))
 
 
@@ -244,7 +244,7 @@ def _positive(matrix: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Stepwise:
+class PaperIdentification:
     """The machine of all steps, and each step."""
 
     machine: Machine
@@ -254,14 +254,14 @@ class Stepwise:
         return next(step for step in self.steps if step.title == title)
 
 
-def identify_stepwise(
+def identify_as_paper(
     start: Machine, responses: Sequence[FrequencyResponse], total_mass_kg: float, total_sd_kg: float = 0.0
-) -> Stepwise:
-    """Every step of the paper, from responses of all four benches.
+) -> PaperIdentification:
+    """Run every step of the paper, from responses of all four setups.
 
     Parameters
     ----------
-    start : for the kinematics, the arms' mass, limits; its vibration numbers are replaced, never used.
+    start : for the kinematics, the arms' mass, limits; its vibration parameters are replaced, never used.
 
     Raises
     ------
@@ -279,7 +279,7 @@ def identify_stepwise(
     groups = ([r for r in responses if r.input == f"cmd_{axis}" and r.output in _CARRIAGES] for axis in AXES)
     assembly = [assembly_step(so_far, group, earlier) for group in groups if group]
     steps = (carriage, *hammers, *assembly)
-    return Stepwise(_machine(start, *earlier, (*hammers, *assembly)), steps)
+    return PaperIdentification(_machine(start, *earlier, (*hammers, *assembly)), steps)
 
 
 _CARRIAGES = tuple(f"pos_{name}" for name in CARRIAGES)
@@ -295,7 +295,7 @@ def _only(responses: Sequence[FrequencyResponse], setup: str) -> FrequencyRespon
 
 
 def _machine(start: Machine, carriage: Joint, hammer: Joint, mounts: Sequence[Step]) -> Machine:
-    """The mount of each axis is from the step that knows it best."""
+    """Assemble the machine; the mount of each axis is from the step that determines it best."""
     arms = start.carriage.arm_pair_mass_kg
     stiffness = np.array(start.effector.extruder_stiffness_n_per_m)
     damping = np.array(start.effector.extruder_damping_n_s_per_m)

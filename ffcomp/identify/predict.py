@@ -1,4 +1,4 @@
-"""What a machine file says a measured frequency response should have been."""
+"""Frequency responses that a machine file predicts, in the form of measured ones."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CARRIAGES, AXES = "ABC", "xyz"
 
 
 def predicted(machine: Machine, responses: Sequence[FrequencyResponse]) -> list[ComplexArray]:
-    """One array of shape (k,) a response, in its units.
+    """Predict every response, (k,) each, in its units.
 
     Raises
     ------

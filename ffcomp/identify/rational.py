@@ -21,7 +21,7 @@ from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.numerics.least_squares import minimise
 from models.arrays import ComplexArray, FloatArray
 
-ITERATIONS = 30  # of the linear step: it either settles in ten or wanders
+ITERATIONS = 30  # of the linear step: it either converges in ten or never
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class RationalFit:
         return self.chi_squared / max(self.degrees_of_freedom, 1)
 
     def __call__(self, s: ComplexArray) -> ComplexArray:
-        """(r, k) values at s : (k,) 1/s."""
+        """Evaluate at s : (k,) 1/s; (r, k)."""
         above = np.stack([np.polyval(row[::-1], s) for row in self.numerators])
         return np.asarray(above / np.polyval(self.denominator[::-1], s))
 
@@ -51,18 +51,18 @@ class RationalFit:
         return found[np.argsort(np.abs(found))]
 
     def zeros(self, response: int = 0) -> ComplexArray:
-        """(nb,) 1/s of one response, slowest first."""
+        """Return the zeros of one response, (nb,) 1/s, slowest first."""
         found = np.roots(self.numerators[response][::-1]).astype(np.complex128)
         return found[np.argsort(np.abs(found))]
 
     def mode(self, pole: complex) -> Mode:
-        """The mode of one of `poles` with its uncertainty, to first order in the coefficients."""
+        """Return the mode of one of `poles` with its uncertainty, to first order in the coefficients."""
         n = len(self.denominator) - 1
         slope = np.polyval(np.polyder(self.denominator[::-1]), pole)
         return _mode(pole, -(pole ** np.arange(n)) / slope, self.covariance[-n:, -n:])
 
     def zero_mode(self, zero: complex, response: int = 0) -> Mode:
-        """The same of one of the `zeros` of a response: an antiresonance."""
+        """Return the antiresonance of one of the `zeros` of a response, with its uncertainty."""
         count = self.numerators.shape[1]
         row = slice(response * count, (response + 1) * count)
         slope = np.polyval(np.polyder(self.numerators[response][::-1]), zero)
@@ -80,7 +80,12 @@ class Mode:
 
 
 def _mode(root: complex, gradient: ComplexArray, covariance: FloatArray) -> Mode:
-    """|p| and −Re p/|p|; `gradient` : (q,) dp/dcoefficient."""
+    """Compute |p| and −Re p/|p|.
+
+    Parameters
+    ----------
+    gradient : (q,) dp/dcoefficient.
+    """
     size = abs(root)
     d_size = np.real(np.conj(root) * gradient) / size
     d_damping = -np.real(gradient) / size + root.real / size**2 * d_size
@@ -125,7 +130,7 @@ class _Problem:
     na: int
 
     def parts(self, theta: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """N : (r, k) and D : (k,)."""
+        """Evaluate N : (r, k) and D : (k,)."""
         rows = theta[: -self.na].reshape(len(self.value), self.nb + 1)
         above = rows @ np.vander(self.x, self.nb + 1, increasing=True).T
         below = np.vander(self.x, self.na + 1, increasing=True) @ np.append(theta[-self.na :], 1.0)
@@ -140,7 +145,7 @@ class _Problem:
         return self._columns(self.weight / below, -self.weight * above / below**2)
 
     def _columns(self, of_numerator: ComplexArray, of_denominator: ComplexArray) -> FloatArray:
-        """(2 r k, p) from what multiplies each power of x in the numerator and the denominator, (r, k) both."""
+        """Build (2 r k, p) from the factors of the powers of x in numerator and denominator, (r, k) both."""
         r, k = self.value.shape
         powers = np.vander(self.x, max(self.nb + 1, self.na), increasing=True).T  # (·, k)
         above = np.zeros((r, k, r, self.nb + 1), dtype=np.complex128)
@@ -151,7 +156,7 @@ class _Problem:
         return np.stack([joined.real, joined.imag]).reshape(2 * r * k, -1)
 
     def linear_step(self, below: ComplexArray) -> FloatArray:
-        """Least squares of w (N − H D)/D_before: the Sanathanan-Koerner step."""
+        """Minimise |w (N − H D)/D_before|: the Sanathanan-Koerner step."""
         weight = self.weight / np.abs(below)
         columns = self._columns(weight.astype(np.complex128), -weight * self.value)
         target = _real(weight * self.value * self.x**self.na).ravel()
@@ -165,7 +170,7 @@ def _real(values: ComplexArray) -> FloatArray:
 
 
 def _linear_start(problem: _Problem) -> FloatArray:
-    """The iterate with the smallest output error."""
+    """Return the iterate with the smallest output error."""
     below = np.ones_like(problem.x)
     best, least = None, np.inf
     for _ in range(ITERATIONS):
@@ -180,7 +185,7 @@ def _linear_start(problem: _Problem) -> FloatArray:
 
 
 def _stabilised(theta: FloatArray, na: int) -> FloatArray:
-    """Poles of the right half-plane mirrored into the left, and off the axis: only for the next weighting."""
+    """Mirror poles of the right half-plane into the left: only for the next weighting."""
     roots = np.roots(np.append(theta[-na:], 1.0)[::-1])
     roots = np.where(roots.real > 0, -roots.conj(), roots)
     return np.concatenate([theta[:-na], np.real(np.poly(roots))[::-1][:-1]])
@@ -204,6 +209,6 @@ def _unscaled(problem: _Problem, theta: FloatArray, scale: float) -> RationalFit
 
 
 def scaled_inverse(information: NDArray[np.float64]) -> FloatArray:
-    """Inverse of a positive matrix whose rows have very different sizes."""
+    """Invert a positive matrix whose rows have very different sizes."""
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
     return np.linalg.pinv(information / np.outer(size, size), hermitian=True, rcond=1e-15) / np.outer(size, size)

@@ -1,4 +1,4 @@
-"""Numbers with standard uncertainties, and how uncertainty travels through a formula."""
+"""Values with standard uncertainties, and propagation of uncertainty through a formula."""
 
 from __future__ import annotations
 
@@ -24,22 +24,24 @@ class Estimate:
 
     @property
     def relative_sd(self) -> float:
+        """Standard uncertainty over value."""
         return self.sd / abs(self.value) if self.value else np.inf
 
 
 def normal(value: float, sd: float) -> Estimate:
+    """Estimate with a normal distribution."""
     return Estimate(value, sd, value - NINETY_PERCENT * sd, value + NINETY_PERCENT * sd)
 
 
 def lognormal(value: float, log_sd: float) -> Estimate:
-    """For what cannot be negative; `log_sd` is the relative standard uncertainty."""
+    """Estimate a positive quantity; `log_sd` is the relative standard uncertainty."""
     factor = float(np.exp(min(NINETY_PERCENT * log_sd, 50.0)))
     return Estimate(value, value * log_sd, value / factor, value * factor)
 
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """Several numbers and their covariance, by name."""
+    """Several values and their covariance, by name."""
 
     names: tuple[str, ...]
     values: FloatArray  # (p,)
@@ -49,12 +51,13 @@ class Joint:
         return float(self.values[self.names.index(name)])
 
     def estimates(self) -> dict[str, Estimate]:
+        """Return each value by itself."""
         sd = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return {name: normal(float(v), float(s)) for name, v, s in zip(self.names, self.values, sd, strict=True)}
 
 
 def joined(*parts: Joint) -> Joint:
-    """Independent results side by side."""
+    """Join independent results."""
     names = tuple(name for part in parts for name in part.names)
     covariance = np.zeros((len(names), len(names)))
     at = 0
@@ -66,13 +69,13 @@ def joined(*parts: Joint) -> Joint:
 
 
 def measured(numbers: Mapping[str, tuple[float, float]]) -> Joint:
-    """Numbers measured each by itself: name -> (value, standard uncertainty)."""
+    """Join values measured each by itself: name -> (value, standard uncertainty)."""
     values = np.array([value for value, _ in numbers.values()], dtype=float)
     return Joint(tuple(numbers), values, np.diag([float(sd) ** 2 for _, sd in numbers.values()]))
 
 
 def through(function: Callable[[FloatArray], FloatArray], names: Sequence[str], inputs: Joint) -> Joint:
-    """A formula's results with covariance, to first order (GUM, JCGM 100:2008, 5.2), by central differences."""
+    """Propagate covariance through a formula to first order (GUM, JCGM 100:2008, 5.2), by central differences."""
     centre = np.asarray(function(inputs.values), dtype=float)
     steps = 1e-2 * np.sqrt(np.maximum(np.diag(inputs.covariance), 0.0))
     slope = central_differences(function, inputs.values, steps)

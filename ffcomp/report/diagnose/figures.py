@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-from ffcomp.diagnose.summary import Overlay, DiagnosisSummary, Spectrum, Split
+from ffcomp.diagnose.summary import DiagnosisSummary, Overlay, Spectrum, Split
 from ffcomp.report.diagnose import charts
 from ffcomp.report.diagnose.standout import stands_out
 from ffcomp.report.diagnose.words import times, times_noise

@@ -30,7 +30,7 @@ from ffcomp.identify.experiment import (
     microstep_error,
 )
 from ffcomp.identify.experiment_files import gcode_lines, load_plan, save_plan, segment_lines
-from ffcomp.identify.multisine import lines_of, played_gain
+from ffcomp.identify.multisine import lines_of, polyline_gain
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.trajectory import Trajectory
@@ -145,7 +145,7 @@ def test_the_lines_are_those_of_the_polyline_that_quick_ramps_come_near() -> Non
     band, first = experiment.band, experiment.first_knot
     period = experiment.vertices_mm[first : first + band.knots]
     at_knots = lines_of(experiment.geometry.inverse(period)[:, 0], band).complex_mm
-    designed = at_knots * played_gain(band.frequencies_hz, band.segment_s)
+    designed = at_knots * polyline_gain(band.frequencies_hz, band.segment_s)
 
     def error(acceleration: float) -> float:
         output = replace(experiment.output, acceleration_mm_per_s2=acceleration, z_acceleration_mm_per_s2=acceleration)
@@ -219,7 +219,7 @@ def test_a_plant_that_plays_it_shows_its_frequency_response() -> None:
         carriages[k] = rest[6:9]
     frequency = experiment.lines.frequency_hz
     period = slice(experiment.first_knot * substeps, periods * substeps)
-    given = lines_of(command[period, 1], experiment.band).complex_mm * played_gain(frequency, step)
+    given = lines_of(command[period, 1], experiment.band).complex_mm * polyline_gain(frequency, step)
     wanted = carriage_frf(machine(), np.zeros(2), frequency)[:, :, 1]
     for output in range(3):
         answer = lines_of(carriages[period.start - 1 : period.stop - 1, output], experiment.band).complex_mm
@@ -347,9 +347,9 @@ def test_an_account_comes_back_as_it_was(tmp_path: Path) -> None:
     [
         (lambda text: text[:100], "not JSON"),
         (lambda text: text.replace("excitation/1", "excitation/9"), "'ffcomp-excitation/9'"),
-        (lambda text: text.replace('"periods"', '"perods"'), "no whole account"),
+        (lambda text: text.replace('"periods"', '"perods"'), "no complete record"),
         (lambda text: text.replace('"vertices_mm"', '"vertexes"'), "'vertices_mm' is missing"),
-        (lambda text: "[]", "no whole account"),
+        (lambda text: "[]", "no complete record"),
     ],
 )
 def test_a_spoilt_account_is_refused(tmp_path: Path, spoil: Callable[[str], str], sentence: str) -> None:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import MeasurementError, SolverError
-from ffcomp.identify.decoupling import decouple, judge_parts
+from ffcomp.identify.decoupling import decouple, evaluate_parts
 from ffcomp.identify.output_error import TOTAL_MASS, UNKNOWNS, fit_machine
-from ffcomp.identify.paper import carriage_step, identify_stepwise
+from ffcomp.identify.paper import carriage_step, identify_as_paper
 from ffcomp.identify.predict import predicted
 from ffcomp.identify.uncertainty import Joint, joined, through
 from ffcomp.identify.uncertainty import measured as by_scale
@@ -34,7 +34,7 @@ def somewhere_else() -> Machine:
 
 
 def test_step_by_step_within_2_percent_and_dampings_within_10() -> None:
-    found = identify_stepwise(somewhere_else(), measured(TRUTH, paper_bench(), 40.0, 0), 0.651, 0.0005)
+    found = identify_as_paper(somewhere_else(), measured(TRUTH, paper_bench(), 40.0, 0), 0.651, 0.0005)
     for name in UNKNOWNS:
         close = 0.10 if "damping" in name else 0.02
         assert value_of(found.machine, name) == pytest.approx(value_of(TRUTH, name), rel=close), name
@@ -44,12 +44,12 @@ def test_step_by_step_within_2_percent_and_dampings_within_10() -> None:
 def test_step_by_step_says_what_is_missing() -> None:
     bench = measured(TRUTH, paper_bench(COARSE), 60.0, 0)
     with pytest.raises(MeasurementError, match=r"setup 'carriage\+mass' is there"):
-        identify_stepwise(TRUTH, [r for r in bench if r.setup != "carriage+mass"], 0.651)
+        identify_as_paper(TRUTH, [r for r in bench if r.setup != "carriage+mass"], 0.651)
     with pytest.raises(MeasurementError, match="effector alone"):
-        identify_stepwise(TRUTH, [r for r in bench if r.setup != "effector"], 0.651)
+        identify_as_paper(TRUTH, [r for r in bench if r.setup != "effector"], 0.651)
     moved = [replace(r, position_mm=(-80.0, 0.0, 30.0)) if r.setup == "assembly" else r for r in bench]
     with pytest.raises(MeasurementError, match="centre"):
-        identify_stepwise(TRUTH, moved, 0.651)
+        identify_as_paper(TRUTH, moved, 0.651)
 
 
 def test_an_added_mass_that_changes_nothing_is_refused() -> None:
@@ -136,7 +136,7 @@ def test_predictions_agree_with_the_frfs_of_the_model() -> None:
 
 def verdicts(truth: Machine, at: tuple[float, float]) -> dict[str, bool]:
     bench = measured(truth, towers_bench(*at, np.arange(2.0, 125.1, 0.5)), 40.0, 0)
-    return {part.name: part.holds for part in judge_parts(decouple(TRUTH, bench))}
+    return {part.name: part.holds for part in evaluate_parts(decouple(TRUTH, bench))}
 
 
 @pytest.mark.parametrize("at", [(0.0, 0.0), (-80.0, 0.0), (40.0, 69.0)])

@@ -16,7 +16,7 @@ from ffcomp.identify.multisine import (
     band,
     excitation,
     lines_of,
-    played_gain,
+    polyline_gain,
     scaled,
     second_difference_gain,
     smooth_step,
@@ -47,7 +47,7 @@ def test_straight_lines_pass_a_sine_on_by_sinc_squared(turns: int) -> None:
     spectrum = 2.0 / (n * FINE) * np.abs(np.fft.rfft(polyline(np.cos(2 * np.pi * turns * np.arange(n) / n + 0.3))))
     both = np.array([turns, n - turns])
     # what is left is the sampled spectrum's own aliasing, of images beyond FINE/2 segments' rates
-    np.testing.assert_allclose(spectrum[both], played_gain(both / 1.0, 1.0 / n), rtol=3e-3, atol=1e-4)
+    np.testing.assert_allclose(spectrum[both], polyline_gain(both / 1.0, 1.0 / n), rtol=3e-3, atol=1e-4)
 
 
 @pytest.mark.parametrize(("lowest", "highest", "rate", "knots"), [(5, 110, 250, 1000), (5, 150, 250, 1334)])
