@@ -52,9 +52,9 @@ class Peaks:
     z_acceleration_mm_per_s2: float  # of the nozzle; a G-code file cannot raise the firmware's own limit
 
 
-# Without an amplitude from the user, these shares of what the machine file allows: motors keep reserves, the nozzle is
-# excited no harder than in a print, and segments that turn back in Z keep their time. With one, only the limits of the motors
-# and the nozzle's speed allow counts, as in compensation.
+# Without an amplitude from the user, these shares of the machine file's limits: motors keep reserves, the nozzle is
+# excited no harder than in a print, and segments that turn back in Z keep their time. With one, only the limits of the
+# motors and of the nozzle's speed count, as in compensation.
 CONSERVATIVE = Peaks(0.5, 0.25, 0.5, 0.9, 0.2)
 HARD = ("carriage_velocity_mm_per_s", "carriage_acceleration_mm_per_s2", "nozzle_velocity_mm_per_s")
 

@@ -19,12 +19,12 @@ from ffcomp.identify.identify import (
     identify,
     machine_file_text,
     modes_file_text,
-    stepwise_file_text,
+    paper_file_text,
 )
 from ffcomp.identify.load import Gathered, resonances_of
 from ffcomp.identify.modal_fit import AxisFit, IdentifiedAxes, identify_axes
 from ffcomp.identify.output_error import TOTAL_MASS
-from ffcomp.identify.paper import identify_stepwise
+from ffcomp.identify.paper import identify_as_paper
 from gcode.atomic_write import replace_atomically
 from models.file import check_text
 from models.machine import Machine
@@ -143,9 +143,9 @@ class _Task:
         """Fit by the paper's method."""
         if TOTAL_MASS not in self.known:
             raise RequestError(f"--method stepwise needs the effector's weight: --known {TOTAL_MASS}=KG±SD.")
-        found = identify_stepwise(self.start, self.gathered.responses, *self.known[TOTAL_MASS])
+        found = identify_as_paper(self.start, self.gathered.responses, *self.known[TOTAL_MASS])
         named = replace(found, machine=replace(found.machine, name=self.name))
-        text = stepwise_file_text(Path(self.start.path), named, self.hashes, _today())
+        text = paper_file_text(Path(self.start.path), named, self.hashes, _today())
         steps = [
             {
                 "step": step.title,
