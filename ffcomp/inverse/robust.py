@@ -68,7 +68,7 @@ class RobustReference:
         """effort : ρ against one row, as in the sweeps"""
         self.sensitivity = Sensitivity(machine, row_s, bandwidth_hz, effort)
 
-    def of(self, rows: FloatArray, moving: BoolArray) -> FloatArray:
+    def offset(self, rows: FloatArray, moving: BoolArray) -> FloatArray:
         """What is wanted beyond a path (n + 2 MARGIN, 3) mm, which has MARGIN rows more at either end: d (n, 3) mm.
 
         moving : (n + 2 MARGIN,) where d may be something; outside, the command rests on the path

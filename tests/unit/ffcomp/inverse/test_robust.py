@@ -50,7 +50,7 @@ def unsure(machine: Machine, sd: float) -> Machine:
 
 @pytest.fixture(scope="module")
 def softening(machine: Machine) -> RobustReference:
-    return InverseModel(unsure(machine, 0.1), settings_for(machine)).robust
+    return InverseModel(unsure(machine, 0.1), settings_for(machine))._robust
 
 
 def zigzag(rows: int, side_rows: int = 50) -> FloatArray:
@@ -68,7 +68,7 @@ def wish(softening: RobustReference, path: FloatArray) -> FloatArray:
     rested = np.concatenate([np.repeat(path[:1], MARGIN, axis=0), path, np.repeat(path[-1:], MARGIN, axis=0)])
     moving = np.zeros(len(rested), dtype=np.bool_)
     moving[MARGIN:-MARGIN] = True
-    return softening.of(rested, moving)
+    return softening.offset(rested, moving)
 
 
 def response(softening: RobustReference) -> Response:
@@ -161,14 +161,14 @@ def test_rest_is_left_alone(softening: RobustReference) -> None:
 
 def test_steady_motion_is_left_alone(softening: RobustReference) -> None:
     path = PLACE + np.arange(MARGIN * 2 + 300.0)[:, None] * np.array([0.05, 0.02, 0.0])
-    assert np.abs(softening.of(path, np.ones(len(path), dtype=np.bool_))[100:200]).max() < 1e-3
+    assert np.abs(softening.offset(path, np.ones(len(path), dtype=np.bool_))[100:200]).max() < 1e-3
 
 
 def test_nothing_is_wanted_beyond_the_path_where_the_command_rests(softening: RobustReference) -> None:
     path = zigzag(600 + 2 * MARGIN)
     moving = np.ones(len(path), dtype=np.bool_)
     moving[: MARGIN + 40] = False
-    d = softening.of(path, moving)
+    d = softening.offset(path, moving)
     assert np.array_equal(d[:40], np.zeros((40, 3)))
     assert np.abs(d).max() > 5e-3
 
@@ -198,7 +198,7 @@ def test_where_a_span_ends_does_not_show(softening: RobustReference) -> None:
     path = zigzag(2600 + 2 * MARGIN)
     moving = np.ones(len(path), dtype=np.bool_)
     later = 700
-    whole, part = softening.of(path, moving), softening.of(path[later:], moving[later:])
+    whole, part = softening.offset(path, moving), softening.offset(path[later:], moving[later:])
     apart = np.abs(whole[later + 200 : -200] - part[200:-200])
     assert apart.max() < 0.1 * np.abs(whole).max()
 

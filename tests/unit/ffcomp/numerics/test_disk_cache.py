@@ -44,44 +44,44 @@ def test_the_next_one_has_the_same_numbers_without_working_them_out(
     folder: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = been_at(machine, HERE)
-    first.keep()
+    first.save_cache()
     assert len(list(folder.glob("*.npz"))) == 1
     monkeypatch.setattr("ffcomp.inverse.model.plant_table", None)  # would fail
     second = InverseModel(machine, settings_for(machine))
-    monkeypatch.setattr(second.preview, "_work_out", None)
+    monkeypatch.setattr(second.gains, "_work_out", None)
     for one, other in zip(gains_at(first, HERE), gains_at(second, HERE), strict=True):
         np.testing.assert_array_equal(one, other)
-    np.testing.assert_array_equal(first.coarse.plant.a, second.coarse.plant.a)
-    slot = int(second.preview.at(HERE)[0][1])
-    np.testing.assert_array_equal(second.preview.end(slot).forward, first.preview.end(slot).forward)
+    np.testing.assert_array_equal(first.row_table.plant.a, second.row_table.plant.a)
+    slot = int(second.gains.at(HERE)[0][1])
+    np.testing.assert_array_equal(second.gains.end(slot).forward, first.gains.end(slot).forward)
 
 
 def test_two_that_went_elsewhere_keep_both(folder: Path, machine: Machine) -> None:
     one, other = been_at(machine, HERE), been_at(machine, THERE)
-    one.keep()
-    other.keep()
+    one.save_cache()
+    other.save_cache()
     assert len(InverseModel(machine, settings_for(machine)).gains) == len(HERE) + len(THERE)
 
 
 def test_another_machine_finds_nothing(folder: Path, machine: Machine) -> None:
-    been_at(machine, HERE).keep()
+    been_at(machine, HERE).save_cache()
     heavier = replace(machine, effector=replace(machine.effector, extruder_mass_kg=0.3))
     for stranger in (
         InverseModel(heavier, settings_for(machine)),
         InverseModel(machine, replace(settings_for(machine), substeps=2)),
     ):
-        assert len(stranger.preview) == 0
+        assert len(stranger.gains) == 0
 
 
 @pytest.mark.parametrize("harm", ["cut", "bits", "empty"])
 def test_a_damaged_file_is_not_there(folder: Path, machine: Machine, harm: str) -> None:
-    been_at(machine, HERE).keep()
+    been_at(machine, HERE).save_cache()
     (file,) = folder.glob("*.npz")
     content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 0x40
     file.write_bytes({"cut": content[: len(content) // 2], "bits": content, "empty": b""}[harm])
     again = been_at(machine, HERE)
-    again.keep()
+    again.save_cache()
     assert len(InverseModel(machine, settings_for(machine)).gains) == len(HERE)
 
 
@@ -91,7 +91,7 @@ def test_a_cache_that_cannot_be_written_stops_nobody(
     (tmp_path / "file").write_bytes(b"")
     for said in (str(tmp_path / "file" / "below"), "off"):
         monkeypatch.setenv(kept.VARIABLE, said)
-        been_at(machine, HERE).keep()
+        been_at(machine, HERE).save_cache()
         assert len(InverseModel(machine, settings_for(machine)).gains) == 0
 
 
