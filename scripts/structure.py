@@ -46,12 +46,13 @@ OUTSIDE = ("validation", "studies", "benchmarks", "tests")
 """Top-level folders that use the product and are never imported by it."""
 
 LAYERS: tuple[tuple[str, ...], ...] = (
-    ("gcode", "models", "ffcomp.errors", "ffcomp.numerics", "ffcomp.metrics", "ffcomp.serialise", "ffcomp.version"),
+    ("gcode", "models", "ffcomp.errors", "ffcomp.numerics", "ffcomp.metrics", "ffcomp.version"),
     ("ffcomp.measurement", "ffcomp.shapers", "ffcomp.planner", "ffcomp.importers", "ffcomp.integrations"),
     ("ffcomp.steps", "ffcomp.inverse"),
     ("ffcomp.compensate", "ffcomp.simulate", "ffcomp.identify", "ffcomp.record"),
     ("ffcomp.estimate", "ffcomp.compare", "ffcomp.diagnose"),
     ("ffcomp.report",),
+    ("ffcomp.api",),
     ("ffcomp.__init__",),
     ("ffcomp.cli", "ffcomp.__main__"),
     ("validation",),

@@ -15,7 +15,7 @@ from typing import Any
 
 from ffcomp.cli.log import note
 from ffcomp.errors import INPUT_ERRORS, explain
-from ffcomp.serialise import json_line
+from ffcomp.numerics.serialise import json_line
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ffcomp.metrics import Track
-from ffcomp.serialise import to_json
+from ffcomp.numerics.serialise import to_json
 from models.arrays import BoolArray, FloatArray, IntArray
 
 Family = Literal["none", "calibrated", "best fixed", "scheduled", "inversion"]

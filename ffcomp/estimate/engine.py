@@ -10,9 +10,9 @@ from ffcomp.errors import NothingToDo
 from ffcomp.estimate.layers import BEFORE, Layer
 from ffcomp.estimate.slices import planned_slices
 from ffcomp.estimate.statistics import FILAMENT, KINDS, Statistics
+from ffcomp.numerics.serialise import to_json
 from ffcomp.planner.program import plan_program
 from ffcomp.planner.trajectory import PlannedMotion
-from ffcomp.serialise import to_json
 from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import FLAVORS, flavor_by_ends
 from gcode.embedded import original_blocks

@@ -22,7 +22,12 @@ MOST_FEATURES = 14
 
 
 def draw(found: Estimate, path: Path) -> None:
-    """Draw an estimate into `path`, which ends in .png, .svg or .pdf."""
+    """Write the figure; `path` ends in .png, .svg or .pdf."""
+    path.write_bytes(file_of(estimate_figure(found), path.suffix.removeprefix(".")))
+
+
+def estimate_figure(found: Estimate) -> Figure:
+    """Draw the time by layer and by feature."""
     with matplotlib.rc_context(RC):
         figure = Figure(figsize=(10.0, 4.6), layout=layout())
         left, right = figure.subplots(1, 2, width_ratios=(1.7, 1.0))
@@ -32,7 +37,7 @@ def draw(found: Estimate, path: Path) -> None:
         figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
         note = f"planned as the firmware does; heating, homing and macros left out; ffcomp v{__version__}"
         figure.supxlabel(note, x=0.99, ha="right", fontsize=7)
-        path.write_bytes(file_of(figure, path.suffix.removeprefix(".")))
+        return figure
 
 
 def _layers(axes: Axes, statistics: Statistics) -> None:

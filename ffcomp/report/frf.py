@@ -37,7 +37,12 @@ MODE_WIDTH, STATION_WIDTH = 1.38, 2.3  # of the table's columns
 
 
 def draw_bode(found: Study, target: Path, full: bool = False) -> None:
-    """Draw magnitude and phase of every response, modes numbered above, and a table of them below."""
+    """Write the Bode figure; the suffix of `target` names the format."""
+    bode_figure(found, full).savefig(target, dpi=110)
+
+
+def bode_figure(found: Study, full: bool = False) -> Figure:
+    """Draw a panel of magnitude and phase for each response, modes numbered above, and a table of them below."""
     pairs = found.view.all_pairs if full else found.view.pairs
     columns = min(3, len(pairs))
     rows = len(pairs) // columns
@@ -57,7 +62,7 @@ def draw_bode(found: Study, target: Path, full: bool = False) -> None:
         lower = _axes(figure, x, y - BETWEEN - PHASE_HEIGHT, panel, PHASE_HEIGHT)
         _panel(upper, lower, found, pair, first=number % columns == 0)
     _table(figure, found)
-    figure.savefig(target, dpi=110)
+    return figure
 
 
 # --- The parts of every figure

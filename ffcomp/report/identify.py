@@ -24,7 +24,12 @@ COLUMNS = 4
 
 
 def draw_fit(found: Identified, target: Path) -> None:
-    """One panel a response: measured values, the fit through them, and the standard deviation of the noise."""
+    """Write the figure of a fit; the suffix of `target` names the format."""
+    fit_figure(found).savefig(target, dpi=110)
+
+
+def fit_figure(found: Identified) -> Figure:
+    """Draw one panel for each response: measured values, the fit, and the standard deviation of the noise."""
     fitted = found.fitted
     pairs = list(zip(fitted.responses, fitted.predictions, strict=True))
     columns = min(COLUMNS, len(pairs))
@@ -35,11 +40,16 @@ def draw_fit(found: Identified, target: Path) -> None:
         upper, lower = box.subplots(2, 1, sharex=True, height_ratios=(2, 1))
         _magnitude(upper, response, model)
         _phase(lower, response, model)
-    figure.savefig(target, dpi=110)
+    return figure
 
 
 def draw_axes(found: IdentifiedAxes, name: str, target: Path) -> None:
-    """One panel a file and axis: what was measured, the modes' sum through it, and where the modes are."""
+    """Write the figure of the axes' modes; the suffix of `target` names the format."""
+    axes_figure(found, name).savefig(target, dpi=110)
+
+
+def axes_figure(found: IdentifiedAxes, name: str) -> Figure:
+    """Draw one panel for each file and axis: measured values, the sum of the modes, and the modes' frequencies."""
     panels = [(axis, *each) for axis in found.axes for each in zip(axis.data, axis.fitted, axis.errors, strict=True)]
     columns = min(COLUMNS, len(panels))
     rows = -(-len(panels) // columns)
@@ -48,7 +58,7 @@ def draw_axes(found: IdentifiedAxes, name: str, target: Path) -> None:
     figure.suptitle(f"{name} · {verdict}\nffcomp {__version__}", x=0.01, ha="left", fontsize=11)
     for box, panel in zip(figure.subplots(rows, columns, squeeze=False).ravel(), panels, strict=False):
         _axis_panel(box, *panel)
-    figure.savefig(target, dpi=110)
+    return figure
 
 
 def _said(axis: AxisFit) -> str:

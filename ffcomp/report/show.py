@@ -46,14 +46,17 @@ def verdict(preview: Preview) -> str:
 
 
 def draw(preview: Preview, title: str, footer: str, target: Path, z_mm: float | None = None) -> None:
-    """Write the figure.
+    """Write the picture; the suffix of `target` names the format. See `show_figure`."""
+    show_figure(preview, title, footer, z_mm).savefig(target, dpi=100)
+
+
+def show_figure(preview: Preview, title: str, footer: str = "", z_mm: float | None = None) -> Figure:
+    """Draw the reference, the uncompensated and the compensated path.
 
     Parameters
     ----------
     preview : Preview
     title, footer : str
-    target : Path
-        Its suffix names the format.
     z_mm : float, optional
         The layer to show; None: the one with the largest error before.
     """
@@ -65,7 +68,7 @@ def draw(preview: Preview, title: str, footer: str, target: Path, z_mm: float | 
     _layer_maps(figure, rooms["before"], rooms["after"], preview, worst)
     _along_time(rooms["time"], preview, worst)
     figure.supxlabel(footer, fontsize=8, color="#666666")
-    figure.savefig(target, dpi=100)
+    return figure
 
 
 def _worst_position(curve: Curve, z_mm: float | None) -> FloatArray:

@@ -11,7 +11,7 @@ from typing import Any
 
 from ffcomp.errors import NothingToDo
 from ffcomp.metrics import Track
-from ffcomp.serialise import to_json
+from ffcomp.numerics.serialise import to_json
 from ffcomp.simulate.command import Command
 from ffcomp.simulate.compatibility import check_same_kinematics
 from ffcomp.simulate.evaluation import Evaluation, Evaluator

@@ -61,6 +61,16 @@ def _close_up(found: Comparison, place: Place) -> Drawing:
     return Drawing("close-up", f"X {x:.1f}, Y {y:.1f}, Z {z:.2f} mm", "", "", 3.9, 6.0, draw)
 
 
+def comparison_figures(found: Comparison) -> dict[str, Callable[[], Figure]]:
+    """Offer each figure of the report by name; it is drawn when it is called for."""
+
+    def drawn(drawing: Drawing) -> Figure:
+        with matplotlib.rc_context(RC):
+            return _with_band(drawing, found)
+
+    return {drawing.name: partial(drawn, drawing) for drawing in drawings(found)}
+
+
 def write_figures(comparison: Comparison, folder: Path) -> list[Path]:
     """PNG and SVG of each figure in `folder`, and their paths."""
     written = []

@@ -7,7 +7,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from ffcomp.serialise import json_line, to_json
+from ffcomp.numerics.serialise import json_line, to_json
 
 
 class Colour(Enum):

@@ -1,0 +1,202 @@
+"""Measurements: the machine's parameters, the model discrepancy and its cause."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ffcomp.api.machines import load_machine
+from ffcomp.diagnose.diagnosis import Diagnosis as Search
+from ffcomp.diagnose.diagnosis import diagnose as search_effects
+from ffcomp.diagnose.gap import Discrepancy, measure_gap
+from ffcomp.diagnose.json import diagnosis_json
+from ffcomp.diagnose.printer_problem import PrinterProblem
+from ffcomp.diagnose.result import DiagnosisResult, better_file, result_of
+from ffcomp.diagnose.validation import check_alike, check_repeats
+from ffcomp.errors import RequestError
+from ffcomp.identify.experiment_files import load_plan
+from ffcomp.identify.identify import Identified
+from ffcomp.identify.load import gather
+from ffcomp.identify.machine_fit import MachineFit, Method, fit_measurements, hash_of
+from ffcomp.measurement.recording import Recording, read_recording
+from gcode.atomic_write import replace_atomically
+from models.file import check_text
+from models.machine import Machine
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Files = Sequence[str | Path] | str | Path
+Progress = Callable[[str], None]
+
+
+def _paths(files: Files) -> list[Path]:
+    return [Path(files)] if isinstance(files, str | Path) else [Path(file) for file in files]
+
+
+def _recordings(recordings: Files | Sequence[Recording]) -> list[Recording]:
+    if isinstance(recordings, str | Path):
+        return [read_recording(Path(recordings))]
+    return [each if isinstance(each, Recording) else read_recording(Path(each)) for each in recordings]
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """A machine's parameters as measurements give them."""
+
+    fit: MachineFit
+    output: Path | None  # of the machine file; None: not written
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object ffcomp-identify-fit/1."""
+        return self.fit.to_dict(None if self.output is None else str(self.output))
+
+    def plot(self) -> Figure:
+        """Draw the measured responses beside the fitted model.
+
+        Raises
+        ------
+        RequestError
+            If the data hold no responses.
+        """
+        from ffcomp.report.identify import axes_figure, fit_figure
+
+        found = self.fit.found
+        if found is None:
+            raise RequestError("These data hold no frequency responses to draw.")
+        return fit_figure(found) if isinstance(found, Identified) else axes_figure(found, self.fit.name)
+
+
+def identify(
+    data: Files,
+    machine: str | Path | Machine,
+    output: str | Path | None = None,
+    *,
+    plan: str | Path | None = None,
+    known: Mapping[str, tuple[float, float]] | None = None,
+    method: Method = "direct",
+    name: str = "",
+    band_hz: tuple[float, float] = (2.0, 400.0),
+    axes_map: Sequence[str] = ("x", "y", "z"),
+    axis: str | None = None,
+    progress: Progress = lambda sentence: None,
+) -> Identification:
+    """Fit a machine file's parameters to measurements, with their uncertainties.
+
+    Parameters
+    ----------
+    data : frequency responses, recordings, captures of a plan, or a firmware's resonance tests
+    machine : the machine to start from
+    output : the machine file to write; None: write nothing
+    plan : the file that `ffcomp identify plan` wrote beside its G-code, for its captures
+    known : value and standard deviation of parameters that are known, e.g. by a scale
+    method : "direct", the output-error fit, or "stepwise", the paper's method
+    name : of the new machine; "": the output file's
+    band_hz : frequencies that are used
+    axes_map : the printer's axes in the accelerometer's own
+    axis : excited axis of resonance tests whose names do not state it
+
+    Raises
+    ------
+    MeasurementError, MachineFileError, RequestError
+    """
+    start, files = load_machine(machine), _paths(data)
+    target = None if output is None else Path(output)
+    gathered = gather(
+        files,
+        start,
+        band_hz=band_hz,
+        plan=None if plan is None else load_plan(Path(plan)),
+        axes=list(axes_map),
+        shaken_axis=axis,
+        progress=progress,
+    )
+    named = name or (target.stem if target else start.name)
+    fit = fit_measurements(
+        start, gathered, files, known or {}, named, method=method, write_start=target is not None, progress=progress
+    )
+    if target is not None:
+        fit.write(target)
+    return Identification(fit, target)
+
+
+def gap(recordings: Files | Sequence[Recording], machine: str | Path | Machine) -> Discrepancy:
+    """Measure where and how much recordings and simulation disagree.
+
+    Parameters
+    ----------
+    recordings : files or recordings; names that differ in a trailing -1, -2, … only are repeats
+    machine : the machine file whose simulation is compared, with its effects
+
+    Raises
+    ------
+    MeasurementError, MachineFileError
+    """
+    return measure_gap(load_machine(machine), _recordings(recordings))
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The effects that a machine file lacks, if any.
+
+    Attributes
+    ----------
+    result : verdict, effects with intervals, retuned parameters and the discrepancy before and after
+    output : the improved machine file; None: not written
+    """
+
+    result: DiagnosisResult
+    search: Search
+    output: Path | None
+    seconds: float
+
+    @property
+    def verdict(self) -> str:
+        """Return "effects", "none" or "unknown"."""
+        return self.result.verdict
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object ffcomp-diagnose/1."""
+        return diagnosis_json(self.result, None if self.output is None else str(self.output), None, self.seconds)
+
+
+def diagnose(
+    recordings: Sequence[str | Path],
+    machine: str | Path | Machine,
+    output: str | Path | None = None,
+    *,
+    without_repeats: bool = False,
+    progress: Progress = lambda sentence: None,
+) -> Diagnosis:
+    """Find the physical effect that a machine file lacks, and its size.
+
+    Parameters
+    ----------
+    recordings : files of the moving printer; names that differ in a trailing -1, -2, … only are repeats
+    machine : the machine file
+    output : the improved machine file; written only if an effect is named or retuning closes the discrepancy
+    without_repeats : guess the noise where no experiment was repeated
+
+    Raises
+    ------
+    MeasurementError, MachineFileError
+    """
+    began, loaded, files = time.monotonic(), load_machine(machine), _paths(recordings)
+    measured = [read_recording(path) for path in files]
+    problem = PrinterProblem(loaded, measured)
+    check_alike(measured)
+    if not without_repeats:
+        check_repeats(measured)
+    search = search_effects(problem, progress)
+    found = result_of(problem, search)
+    target = Path(output) if output is not None and found.mends else None
+    if target is not None:
+        hashes = [hash_of(path) for path in files]
+        text = better_file(Path(loaded.path), target.stem, found, hashes, date.today().isoformat())
+        check_text(text, str(target))
+        replace_atomically(target, [text.encode()])
+    return Diagnosis(found, search, target, time.monotonic() - began)

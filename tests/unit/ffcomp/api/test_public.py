@@ -1,0 +1,102 @@
+"""`import ffcomp`: light, complete, callable by the verbs' names whatever was imported before, and documented."""
+
+from __future__ import annotations
+
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ffcomp
+import ffcomp.api
+from ffcomp.errors import RequestError
+
+ROOT = Path(__file__).parents[4]
+PRINT = ROOT / "docs" / "examples" / "print.gcode"
+HEAVY = ("numpy", "scipy", "numba", "matplotlib", "pydantic", "control", "osqp", "cvxpy", "typer", "rich")
+
+
+def python(code: str) -> str:
+    """What a fresh interpreter prints."""
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    return answer.stdout.strip()
+
+
+def test_importing_it_is_light() -> None:
+    assert python(f"import sys, ffcomp; print(*[m for m in {HEAVY!r} if m in sys.modules])") == ""
+
+
+@pytest.mark.parametrize("name", [name for name in ffcomp.__all__ if name != "__version__"])
+def test_every_name_is_a_documented_function(name: str) -> None:
+    function = getattr(ffcomp.api, name)
+    assert inspect.isfunction(function)
+    assert function.__doc__ and "Parameters" in function.__doc__ and "Raises" in function.__doc__
+    parameters = set(inspect.signature(function).parameters)
+    described = function.__doc__.split("Parameters")[1]
+    assert all(parameter in described for parameter in parameters - {"progress"}), name
+    assert callable(getattr(ffcomp, name))
+    assert inspect.signature(getattr(ffcomp, name)) == inspect.signature(function)
+    assert name in dir(ffcomp)
+
+
+@pytest.mark.parametrize(
+    "first",
+    ["import ffcomp.compensate.batch", "from ffcomp.compensate import batch", "import ffcomp", "import ffcomp.api"],
+)
+def test_a_verb_is_a_function_and_a_folder_in_any_order(first: str) -> None:
+    code = (
+        f"{first}\nimport ffcomp, ffcomp.compensate.batch as b\nfrom ffcomp import compensate\n"
+        "print(callable(compensate), callable(ffcomp.compensate), b is ffcomp.compensate.batch)"
+    )
+    assert python(code) == "True True True"
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="nothing_of_the_kind"):
+        _ = ffcomp.nothing_of_the_kind  # type: ignore[attr-defined]
+
+
+def test_a_print_from_file_to_figure(tmp_path: Path) -> None:
+    target = tmp_path / "out.gcode"
+    machine = ffcomp.load_machine("mp-delta-pro")
+    result = ffcomp.compensate(PRINT, machine, target)
+    assert result.compensated is not None and result.uncompensated is not None
+    assert result.compensated.contour_rms_um < 0.2 * result.uncompensated.contour_rms_um
+    assert result.to_dict()["segments"] == result.segments > 0
+    assert result.plot().get_axes()
+
+    before, after = (ffcomp.simulate(path, machine, to_s=4.0) for path in (PRINT, target))
+    assert after.track.contour_rms_um < 0.2 * before.track.contour_rms_um
+    assert after.time_s.shape == after.error_um.shape and after.nozzle_mm.shape == after.reference_mm.shape
+    assert np.sqrt(np.mean(after.error_um**2)) == pytest.approx(after.track.contour_rms_um)
+    assert after.plot().get_axes()
+
+    times = ffcomp.estimate(target, machine)
+    assert times.time_s == pytest.approx(result.print_time_s, rel=1e-3)
+    assert times.plot().get_axes()
+
+    with pytest.raises(RequestError, match="already"):
+        ffcomp.compensate(target, machine, tmp_path / "again.gcode")
+
+
+def test_nothing_is_written_without_an_output(tmp_path: Path) -> None:
+    before = PRINT.read_bytes()
+    result = ffcomp.compensate(PRINT, "mp-delta-pro", predict=False)
+    assert result.output is None and result.compensated is None and PRINT.read_bytes() == before
+    with pytest.raises(RequestError, match="output"):
+        result.plot()
+
+
+def test_frequency_responses_are_those_of_the_model() -> None:
+    found = ffcomp.frf("mp-delta-pro", [(0.0, 0.0), (-80.0, 0.0)], frequency_hz=np.array([10.0, 40.0]))
+    assert found.values.shape == (2, 2, 3, 3) and found.positions_mm.tolist() == [[0, 0], [-80, 0]]
+    answers = found.to_dict()
+    assert [answer["position_mm"][:2] for answer in answers] == [[0, 0], [-80, 0]]
+    magnitude = answers[1]["response"]["values"][0][0]["magnitude"]
+    assert magnitude == pytest.approx(np.abs(found.values[1, :, 0, 0]))
+    control = found.to_control()[0]
+    assert np.asarray(control(2j * np.pi * 40.0)) == pytest.approx(found.values[0, 1])
+    assert found.plot().get_axes()
