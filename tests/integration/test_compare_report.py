@@ -39,7 +39,7 @@ from ffcomp.report.compare import html, packed, table
 from ffcomp.report.compare.figures import drawings, svg, write_figures
 from ffcomp.report.compare.html import write_report
 from ffcomp.report.compare.off_path import contour_vectors, unbroken
-from ffcomp.report.compare.places import worst_places
+from ffcomp.report.compare.positions import worst_positions
 from ffcomp.report.compare.spectrum import spectrum
 from ffcomp.report.compare.verdict import verdict
 from ffcomp.report.compare.words import duration, times, um
@@ -283,7 +283,7 @@ def _cut(s: Samples, count: int) -> Samples:
 
 
 def test_close_ups_are_at_corners_that_are_apart() -> None:
-    places = worst_places(comparison())
+    places = worst_positions(comparison())
     assert len(places) == 3
     for place in places:
         assert np.abs(place.at[:2]) == pytest.approx([SIDE / 2, SIDE / 2], abs=0.1)
@@ -380,7 +380,7 @@ def test_best_is_marked_but_not_beyond_the_limits() -> None:
 def test_columns_that_nobody_asked_for_are_missing_and_gaps_are_dashes() -> None:
     assert not any("printers" in column.group for column in table.columns(comparison()))
     found = changed(everything(), "mzv", residual_rms_um=math.nan)
-    assert cells(found, "mzv")["still rings", "µm rms"] == table.Cell("–", "")
+    assert cells(found, "mzv")["residual ringing", "µm rms"] == table.Cell("–", "")
     assert cells(found, "fbs-lpv")["on Monte-Carlo plants, µm rms", "tuned again"].text == "–"
     fast = {name: cells(found, name)["for 99 % below 25 µm", "m/s²"] for name in found.methods}
     assert fast["none"].text == "–" and fast["mzv"].best and not fast["fbs-lpv"].best

@@ -1,11 +1,11 @@
-"""What each figure says, in one line, and how to read it."""
+"""Captions: the finding of each figure in one line, and how to read it."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ffcomp.compare.result import Comparison
-from ffcomp.report.compare.places import Place
+from ffcomp.report.compare.positions import Position
 from ffcomp.report.compare.words import duration, fastest_shaper, metres, nick, shown, um
 
 HOW_TO_READ = {
@@ -19,7 +19,7 @@ HOW_TO_READ = {
     "frequencies is corners cut, what is left above is not worth compensating.",
     "bed-map": "The lowest resonance that motion along X or Y excites well, over the bed of the evaluation plant; "
     "white dots: where the evaluated part was printed. An input shaper has one frequency for the whole bed.",
-    "limits": "The most that any carriage is asked for, over one segment's time, and what the machine file allows (red "
+    "limits": "The largest demand on any carriage, over one segment's time, and what the machine file allows (red "
     "line). What is beyond the limit no motor follows: such a method's accuracy is not to be had.",
     "methods": "Every method on the same print and the same virtual printer, over all moves; left is better, and one "
     "step of the grid is ten times.",
@@ -30,24 +30,24 @@ HOW_TO_READ = {
 }
 
 
-def said(name: str, found: Comparison, places: list[Place]) -> str:
-    """One line for the title band of a figure."""
+def said(name: str, found: Comparison, positions: list[Position]) -> str:
+    """Return one line for the title band of a figure."""
     if name == "close-up":
-        return _close_up(places)
+        return _close_up(positions)
     own = {"bed-map": _bed, "limits": _limits, "mismatch": _mismatch, "equal-quality": _equal_quality}
     return own.get(name, headline)(found)
 
 
 def headline(found: Comparison) -> str:
-    """`Contour error over all moves, rms: 110 µm (no compensation) · 4.94 µm (MZV) · 1.17 µm (ffcomp)`."""
+    """Return `Contour error over all moves, rms: 110 µm (no compensation) · 4.94 µm (MZV) · 1.17 µm (ffcomp)`."""
     parts = [f"{um(m.track.contour_rms_um)} µm ({nick(m)})" for m in shown(found)]
     return f"Contour error over all moves, rms: {' · '.join(parts)}"
 
 
-def _close_up(places: list[Place]) -> str:
-    first = places[0]
+def _close_up(positions: list[Position]) -> str:
+    first = positions[0]
     parts = [f"{um(float(each.contour_um.max(initial=0.0)))} µm ({nick(each.method)})" for each in first.passes]
-    return f"Largest error where it shakes most, X {first.at[0]:.1f} Y {first.at[1]:.1f}: {' · '.join(parts)}"
+    return f"Largest error, at X {first.at[0]:.1f} Y {first.at[1]:.1f}: {' · '.join(parts)}"
 
 
 def _bed(found: Comparison) -> str:

@@ -1,4 +1,4 @@
-"""The figures with axes: by layer and feature, spectrum, bed map, limits, methods, mismatch, equal quality."""
+"""Draw the figures with axes: by layer and feature, spectrum, bed map, limits, methods, mismatch, equal quality."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ffcomp.report.shared.style import BAND, INK, grid, plain_decades
 from models.arrays import FloatArray
 
 BEYOND = "#b00020"  # more than the machine allows
-FLOOR_UM = 1e-3  # zeros have no place on a logarithmic axis
+FLOOR_UM = 1e-3  # zeros have no position on a logarithmic axis
 MAP_GRAINS = 120  # dots across the bed map that say where the print was
 
 
@@ -29,6 +29,7 @@ MAP_GRAINS = 120  # dots across the bed map that say where the print was
 
 
 def draw_layers(box: Box, found: Comparison) -> None:
+    """Draw the error by layer and by feature."""
     left, right = box.subplots(1, 2, width_ratios=(1.5, 1))
     _by_layer(left, found)
     _by_feature(right, found)
@@ -51,7 +52,7 @@ def _by_layer(axes: Axes, found: Comparison) -> None:
 
 
 def _by_feature(axes: Axes, found: Comparison) -> None:
-    """A line a feature, the most frequent one on top."""
+    """Draw a line a feature, the most frequent one on top."""
     none = found.methods["none"].by_feature
     names = sorted(none, key=lambda name: none[name].share)
     for method in shown(found):
@@ -69,6 +70,7 @@ def _by_feature(axes: Axes, found: Comparison) -> None:
 
 
 def draw_spectrum(box: Box, found: Comparison) -> None:
+    """Draw the spectrum of the contour error."""
     axes = box.subplots()
     if (mode := resonance_band(found)) is not None:
         axes.axvspan(
@@ -101,6 +103,7 @@ def draw_spectrum(box: Box, found: Comparison) -> None:
 
 
 def draw_bed(box: Box, found: Comparison) -> None:
+    """Draw the resonances over the bed."""
     assert found.bed is not None
     bed = found.bed
     grain = float(np.ptp(bed.x_mm)) / MAP_GRAINS
@@ -125,7 +128,7 @@ def draw_bed(box: Box, found: Comparison) -> None:
 
 
 def _to_the_rim(values: FloatArray) -> FloatArray:
-    """The map with the nearest known value where there is none, so that the bed's edge comes out round."""
+    """Extend the map by the nearest known value, so that the bed's edge comes out round."""
     nearest = distance_transform_edt(np.isnan(values), return_distances=False, return_indices=True)
     return np.asarray(values[tuple(nearest)])
 
@@ -134,6 +137,7 @@ def _to_the_rim(values: FloatArray) -> FloatArray:
 
 
 def draw_limits(box: Box, found: Comparison) -> None:
+    """Draw the demand on the carriages beside their limits."""
     left, right = box.subplots(1, 2, sharey=True)
     limits = found.limits
     _bars(left, found, lambda m: m.peaks.velocity_mm_per_s, limits.get("carriage_velocity_mm_per_s"))
@@ -168,7 +172,7 @@ def _rows(axes: Axes, found: Comparison, methods: Sequence[Method]) -> None:
 
 
 def draw_methods(box: Box, found: Comparison) -> None:
-    """Rms, 99th percentile and maximum of every method on one logarithmic line."""
+    """Draw rms, 99th percentile and maximum of every method on one logarithmic line."""
     axes = box.subplots()
     methods = list(found.methods.values())
     for k, method in enumerate(methods):
@@ -187,7 +191,7 @@ def draw_methods(box: Box, found: Comparison) -> None:
 
 
 def draw_mismatch(box: Box, found: Comparison) -> None:
-    """Every Monte-Carlo plant a dot; the bar is their median, the ring the printer as the file has it."""
+    """Draw every Monte-Carlo plant as a dot; the bar is their median, the ring the nominal plant."""
     axes = box.subplots()
     methods = [method for method in found.methods.values() if method.spread is not None]
     for k, method in enumerate(methods):
@@ -207,13 +211,13 @@ def draw_mismatch(box: Box, found: Comparison) -> None:
 
 
 def _dots(axes: Axes, row: int, spread: Spread, marker: str, **look: Any) -> None:
-    """One a Monte-Carlo plant, over the row's height, so that they do not hide each other."""
+    """Draw one dot a Monte-Carlo plant, spread over the row's height."""
     values = np.maximum(spread.contour_rms_um, FLOOR_UM)
     axes.semilogx(values, row + 0.25 * np.sin(2.4 * np.arange(len(values))), marker, markersize=4, **look)
 
 
 def draw_equal_quality(box: Box, found: Comparison) -> None:
-    """How fast each method may go, and how long the print then takes."""
+    """Draw how fast each method may go, and the print time then."""
     left, right = box.subplots(1, 2, sharey=True)
     methods = [method for method in found.methods.values() if method.equal_quality is not None]
     for k, method in enumerate(methods):

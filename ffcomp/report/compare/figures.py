@@ -1,4 +1,4 @@
-"""Every figure of the comparison: on the page as SVG, in a folder as PNG and SVG with a title band of their own."""
+"""List every figure of the comparison: on the page as SVG, in a folder as PNG and SVG with a title band."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ffcomp.compare.result import Comparison
 from ffcomp.report.compare import charts
 from ffcomp.report.compare.captions import HOW_TO_READ, said
 from ffcomp.report.compare.closeup import draw_places
-from ffcomp.report.compare.places import Place, worst_places
+from ffcomp.report.compare.positions import Position, worst_positions
 from ffcomp.report.compare.style import band
 from ffcomp.report.shared.drawing import Drawing, file_of, layout, svg
 from ffcomp.report.shared.style import RC
@@ -25,17 +25,17 @@ BAND_INCHES, ROW_INCHES = 0.95, 0.24
 
 
 def drawings(found: Comparison) -> list[Drawing]:
-    """In the order of the page; those whose numbers were not asked for are missing."""
-    places = worst_places(found)
+    """Return the figures in the order of the page, without those that were not requested."""
+    positions = worst_positions(found)
     rows = ROW_INCHES * len(found.methods) + 1.1
 
     def of(name: str, title: str, width: float, height: float, draw: Callable[..., None]) -> Drawing:
-        line = said(name, found, places)
+        line = said(name, found, positions)
         return Drawing(name, title, line, HOW_TO_READ[name], width, height, partial(draw, found=found))
 
-    close_up = partial(draw_places, places=places)
+    close_up = partial(draw_places, positions=positions)
     every = [
-        of("close-up", "Where it shakes most", 3.6 * len(places) + 0.4, 6.2, close_up),
+        of("close-up", "Largest errors", 3.6 * len(positions) + 0.4, 6.2, close_up),
         of("errors-by-layer", "Error by layer and by feature", 11.0, 4.2, charts.draw_layers),
         of("spectrum", "Spectrum of the error", 9.5, 4.2, charts.draw_spectrum),
     ]
@@ -51,13 +51,13 @@ def drawings(found: Comparison) -> list[Drawing]:
 
 
 def close_ups(found: Comparison) -> list[Drawing]:
-    """The places of the close-up one by one, for narrow screens."""
-    return [_close_up(found, place) for place in worst_places(found)]
+    """Return the positions of the close-up one by one, for narrow screens."""
+    return [_close_up(found, position) for position in worst_positions(found)]
 
 
-def _close_up(found: Comparison, place: Place) -> Drawing:
-    x, y, z = place.at
-    draw = partial(draw_places, found=found, places=[place])
+def _close_up(found: Comparison, position: Position) -> Drawing:
+    x, y, z = position.at
+    draw = partial(draw_places, found=found, positions=[position])
     return Drawing("close-up", f"X {x:.1f}, Y {y:.1f}, Z {z:.2f} mm", "", "", 3.9, 6.0, draw)
 
 
@@ -72,7 +72,7 @@ def comparison_figures(found: Comparison) -> dict[str, Callable[[], Figure]]:
 
 
 def write_figures(comparison: Comparison, folder: Path) -> list[Path]:
-    """PNG and SVG of each figure in `folder`, and their paths."""
+    """Write PNG and SVG of each figure into `folder`, and return their paths."""
     written = []
     for drawing in drawings(comparison):
         with matplotlib.rc_context(RC):

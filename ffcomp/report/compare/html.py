@@ -1,4 +1,4 @@
-"""The page of the comparison."""
+"""The report of a comparison as one HTML page."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ DARKEST = 0.18  # of the colour map: below, lines would not show on the viewer's
 
 
 def write_report(comparison: Comparison, target: Path) -> None:
-    """The whole comparison as one HTML file; what stood there before stays until the new one is complete."""
+    """Write the whole comparison as one HTML file; an old one stays until the new one is complete."""
     replace_atomically(target, _page(comparison))
 
 
@@ -68,19 +68,19 @@ def _page(found: Comparison) -> Iterator[bytes]:
 
 
 def _json(value: Any) -> Markup:
-    """Inside a <script> element, which only `</` could end."""
+    """Escape JSON for a <script> element, which only `</` could end."""
     return Markup(json.dumps(value, ensure_ascii=True, separators=(",", ":")).replace("<", "\\u003c"))
 
 
 def _colours() -> list[str]:
-    """From dark purple (on the path) to bright yellow (far off), even to the eye."""
+    """Return colours from dark purple (on the path) to bright yellow (far off), even to the eye."""
     colours = matplotlib.colormaps["inferno"]
     shares = [DARKEST + (1 - DARKEST) * k / (COLOURS - 1) for k in range(COLOURS)]
     return [matplotlib.colors.to_hex(colours(share)) for share in shares]
 
 
 def _ticks(found: Comparison) -> list[tuple[float, str]]:
-    """Where on the colour bar, in %, powers of ten stand."""
+    """Return where on the colour bar, in %, powers of ten stand."""
     highest = max(1e3 * float(method.samples.contour.max()) for method in shown(found))
     decades = math.log10(max(highest, 1.0) / LOWEST_UM)
     return [(100 * k / decades, f"{LOWEST_UM * 10**k:g}") for k in range(math.floor(decades) + 1)]

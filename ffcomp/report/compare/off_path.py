@@ -15,14 +15,14 @@ LATE_S, EARLY_S = 0.0125, 0.005  # the nearest part of the path was due this lon
 
 
 def unbroken(due: FloatArray) -> list[slice]:
-    """Pieces of (m,) s without a gap."""
+    """Return the intervals of times (m,) s without a gap."""
     steps = np.diff(due)
     cuts = [0, *(np.flatnonzero((steps > GAP_S) | (steps < 0.0)) + 1).tolist(), len(due)]
     return [slice(a, b) for a, b in pairwise(cuts)]
 
 
 def contour_vectors(samples: Samples, sample_s: float) -> FloatArray:
-    """(m, 3) mm, as long as the contour error, from the nearest point of the reference path to the nozzle.
+    """Return vectors (m, 3) mm, as long as the contour error, from the nearest point of the path to the nozzle.
 
     The direction is taken from the sampled path, the length from the exact one: the first may be off by what a chord
     of one sample cuts from a corner, the second is the table's.

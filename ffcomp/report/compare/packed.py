@@ -1,4 +1,4 @@
-"""The samples as the page's viewer gets them: thinned out, in few bytes, as base64.
+"""Pack the samples for the page's viewer: thinned out, in few bytes, as base64.
 
 Points on a straight line between their neighbours, in the reference path and in the error alike, go first; each
 point that stays has the largest error of those it stands for, so that no peak is lost. All are whole numbers, see
@@ -39,7 +39,7 @@ EXTRUDING, BREAK, FEATURES = 128, 64, 63  # plastic flows; not joined with the p
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """How numbers become integers, the same for all methods."""
+    """The conversion of numbers to integers, the same for all methods."""
 
     origin_mm: FloatArray  # (3,)
     grain_mm: float
@@ -57,7 +57,7 @@ class Trace:
 
 
 def packed(found: Comparison) -> dict[str, Any]:
-    """All that the viewer knows, ready for JSON."""
+    """Return the viewer's data, ready for JSON."""
     traces = [_trace(method, found.sample_s) for method in shown(found)]
     scale = _scale(traces)
     numbers = [layer.number for layer in found.layers]
@@ -81,7 +81,7 @@ def _trace(method: Method, sample_s: float) -> Trace:
 
 
 def thinned_out(found: Comparison) -> str:
-    """A sentence on what the viewer leaves out; empty if nothing."""
+    """State what the viewer leaves out; empty if nothing."""
     share = min(1.0, POINTS / sum(len(method.samples.due) for method in shown(found)))
     if share == 1.0:
         return ""
@@ -123,7 +123,7 @@ def _method(trace: Trace, scale: Scale, numbers: list[int], limit: int) -> dict[
 
 
 def _steps(column: NDArray[Any]) -> bytes:
-    """Differences from point to point, which may wrap, byte plane after byte plane."""
+    """Return differences from point to point, which may wrap, byte plane after byte plane."""
     whole = column.reshape(len(column), -1)
     steps = np.diff(whole, axis=0, prepend=np.zeros_like(whole[:1]))
     planes = np.ascontiguousarray(steps.T).view(np.uint8).reshape(whole.shape[1], len(whole), -1)
@@ -131,13 +131,13 @@ def _steps(column: NDArray[Any]) -> bytes:
 
 
 def log_share(error_um: FloatArray, highest_um: float) -> FloatArray:
-    """0 at LOWEST_UM and below, 1 at highest_um."""
+    """Scale errors logarithmically: 0 at LOWEST_UM and below, 1 at highest_um."""
     share = np.log(np.maximum(error_um, LOWEST_UM) / LOWEST_UM) / np.log(highest_um / LOWEST_UM)
     return np.asarray(np.minimum(share, 1.0))
 
 
 def thin(trace: Trace, limit: int) -> tuple[IntArray, BoolArray]:
-    """The samples that stay, in order, `limit` of them or a few more; whether each is joined with the one before."""
+    """Return the samples that stay, `limit` of them or a few more, and whether each is joined with the one before."""
     samples = trace.method.samples
     starts = np.array([piece.start for piece in unbroken(samples.due)])
     significance = _significance(np.column_stack([trace.foot, ERROR_WEIGHT * trace.away]))
@@ -152,7 +152,7 @@ def thin(trace: Trace, limit: int) -> tuple[IntArray, BoolArray]:
 
 
 def _significance(points: FloatArray) -> FloatArray:
-    """(m,) : how far each point (m, 6) is from the straight line that would replace it; infinite if nothing may.
+    """Return how far each point (m, 6) is from the straight line that would replace it; infinite if nothing may.
 
     A binary hierarchy: level k has every 2^k-th sample. A point's significance is its distance to the middle of its
     two neighbours on the coarsest level that has it, and never less than that of the finer points that lean on it.

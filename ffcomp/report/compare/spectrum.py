@@ -1,4 +1,4 @@
-"""The error's spectrum: at which frequencies the nozzle is off the path, and by how much."""
+"""The spectrum of the contour error."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ HIGHEST_HZ = 160.0  # nothing rings above it that a print would show
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """One-sided; its integral over all frequencies is the mean square of the contour error."""
+    """A one-sided density; its integral over all frequencies is the mean square of the contour error."""
 
     frequency_hz: FloatArray  # (n,)
     density_um2_per_hz: FloatArray  # (n,)
 
 
 def spectrum(method: Method, sample_s: float) -> Spectrum | None:
-    """Welch's mean over all unbroken pieces, each weighted by its length; None if all are too short.
+    """Return Welch's mean over all unbroken intervals, weighted by their lengths; None if all are too short.
 
     The contour error as a vector, from the path to the nozzle: its mean square is that of the table.
     """
@@ -45,7 +45,7 @@ def spectrum(method: Method, sample_s: float) -> Spectrum | None:
 
 
 def resonance_band(found: Comparison) -> tuple[float, float] | None:
-    """Lowest and highest frequency of the bed map where the evaluated part was printed, Hz."""
+    """Return the lowest and highest frequency of the bed map where the evaluated part was printed, Hz."""
     if found.bed is None:
         return None
     here = _cells(found, found.methods["none"].samples)
@@ -56,7 +56,7 @@ def resonance_band(found: Comparison) -> tuple[float, float] | None:
 
 
 def _cells(found: Comparison, samples: Samples) -> NDArray[np.int64]:
-    """(k, 2) : which points of the bed map are nearest to the print, ix and iy."""
+    """Return the points of the bed map that are nearest to the print, (k, 2): ix and iy."""
     assert found.bed is not None
     nearest = [
         np.abs(axis[:, None] - samples.reference[None, ::100, k]).argmin(axis=0)

@@ -1,4 +1,4 @@
-"""What the figures of the comparison look like beside what all reports share."""
+"""The style of the comparison's figures beside the one that all reports share."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ FAMILIES: dict[Family, str] = {
 
 
 def colour_of(found: Comparison, method: Method) -> str:
-    """Of the three methods that pictures show."""
+    """Return the colour of one of the three methods that figures show."""
     return {found.compensated: COMPENSATED, found.best_fixed: BEST}.get(method.name, NONE)
 
 
 def band(box: SubFigure, title: str, said: str, found: Comparison) -> None:
-    """Title, verdict, and of what print, machine and program this is."""
+    """Draw title, finding, print, machine and program."""
     box.add_artist(Rectangle((0, 0), 1, 1, color=BAND, transform=box.transSubfigure, zorder=-1))
     of = f"{file_name(found)}  ·  {found.machine.name}, machine file sha256 {found.machine.sha256[:12]}"
     by = f"evaluated on {found.plant.name}  ·  ffcomp {found.version}"

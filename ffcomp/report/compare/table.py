@@ -1,4 +1,4 @@
-"""The table of methods: its columns, which value is best in each, what is beyond the limits."""
+"""Build the table of methods: its columns, the best value of each, and what is beyond the limits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FAMILY_WORDS: dict[Family, str] = {
     "none": "as the firmware would print it",
     "calibrated": "input shapers as the firmware's own resonance test sets them",
     "best fixed": "input shapers at the best frequencies for this print, the printer known",
-    "scheduled": "input shapers whose frequency follows the place: no firmware has them",
+    "scheduled": "input shapers whose frequency follows the position: no firmware has them",
     "inversion": "the motion computed backwards through a model of the printer",
 }
 
@@ -40,6 +40,8 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
+    """One value of the table."""
+
     text: str
     key: str  # to sort by; empty: nothing there
     best: bool = False
@@ -48,11 +50,14 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Row:
+    """One method of the table."""
+
     method: Method
     cells: list[Cell]
 
 
 def columns(found: Comparison) -> list[Column]:
+    """Return the columns that the comparison has values for."""
     every = [*(_extruding() if extrudes(found) else []), *_all_moves(), *_effort()]
     if any(method.spread is not None for method in found.methods.values()):
         every += _mismatch()
@@ -80,7 +85,9 @@ def _all_moves() -> list[Column]:
         Column(tracking, "raw", "distance to where the nozzle should be then", lambda m: m.track.tracking_rms_um),
         Column(tracking, "no delay", no_delay, lambda m: m.track.tracking_rms_no_delay_um),
         Column(tracking, "delay, ms", "that constant delay", lambda m: 1e3 * m.track.delay_s, _delay, None),
-        Column("still rings", "µm rms", "residual ringing in steady motion and at rest", lambda m: m.residual_rms_um),
+        Column(
+            "residual ringing", "µm rms", "residual ringing in steady motion and at rest", lambda m: m.residual_rms_um
+        ),
     ]
 
 
@@ -91,8 +98,8 @@ def _delay(method: Method, value: float) -> str:
 def _effort() -> list[Column]:
     speed = partial(Column, "fastest carriage", best=None, limited=True)
     return [
-        speed("mm/s", "largest speed it is asked for", _velocity, lambda m, v: f"{v:.0f}"),
-        speed("m/s²", "largest acceleration it is asked for", _peak, lambda m, v: f"{v:.1f}"),
+        speed("mm/s", "largest commanded speed", _velocity, lambda m, v: f"{v:.0f}"),
+        speed("m/s²", "largest commanded acceleration", _peak, lambda m, v: f"{v:.1f}"),
     ]
 
 
@@ -127,7 +134,7 @@ def _equal_quality(bound_um: float) -> list[Column]:
 
 
 def _reached(of: Callable[[EqualQuality], float]) -> Value:
-    """None where the bound is missed even at the lowest acceleration: no figure of merit."""
+    """Return a figure of merit, None where the bound is missed even at the lowest acceleration."""
 
     def value(method: Method) -> float | None:
         quality = method.equal_quality
@@ -142,7 +149,7 @@ def _acceleration(method: Method, value: float) -> str:
 
 
 def rows(found: Comparison) -> list[Row]:
-    """In the order of the comparison. Best are only methods that the carriages can follow."""
+    """Return the rows in the order of the comparison. Best are only methods that the carriages can follow."""
     table = columns(found)
     methods = list(found.methods.values())
     best = [_best(column, [method for method in methods if method.peaks.within_limits]) for column in table]

@@ -1,4 +1,4 @@
-"""What the comparison says, in plain sentences, the bad news as plainly as the good."""
+"""State the comparison in plain sentences, the bad news as plainly as the good."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ALIKE = 1.05  # two errors closer than this are called the same
 
 
 def verdict(found: Comparison) -> list[str]:
-    """The most important first: how much better than nothing, than a shaper, and what to be careful about."""
+    """Return the sentences, the most important first."""
     own_method, none, best = (found.methods[name] for name in (found.compensated, "none", found.best_fixed))
     return [
         _against_none(found, none, own_method),
@@ -67,7 +67,7 @@ def _against_best(found: Comparison, best: Method, own_method: Method) -> str:
 
 
 def _calibrated(found: Comparison) -> str:
-    """What owners have: the best of the shapers that a firmware's own calibration sets."""
+    """State what owners have: the best shaper that a firmware's own calibration sets."""
     usual = [method for method in found.methods.values() if method.family == "calibrated"]
     if not usual:
         return ""
@@ -77,12 +77,12 @@ def _calibrated(found: Comparison) -> str:
 
 
 def _short(tuning: str) -> str:
-    """What was chosen, without the explanation how."""
+    """Return the choice without its explanation."""
     return tuning.split(": ")[0].rstrip(".")
 
 
 def _against_all(found: Comparison, own_method: Method) -> list[str]:
-    """A method beside the two above that does better than own_method is named."""
+    """Name a method beside those above that is better."""
     first = min(found.methods.values(), key=lambda method: contour_rms_um(found, method))
     own, least = contour_rms_um(found, own_method), contour_rms_um(found, first)
     if first.name in (found.compensated, found.best_fixed, "none") or own <= ALIKE * least:
@@ -91,7 +91,7 @@ def _against_all(found: Comparison, own_method: Method) -> list[str]:
 
 
 def _mismatch(found: Comparison, best: Method, own_method: Method) -> list[str]:
-    """Against the shaper that stands it best, and against the best one tuned again."""
+    """Compare with the most tolerant shaper, and with the best one tuned again."""
     own = own_method.spread
     if own is None:
         return []
@@ -135,7 +135,7 @@ def _speed(quality: EqualQuality) -> str:
 
 
 def _saved(theirs: EqualQuality, own: EqualQuality) -> str:
-    """Time against the shaper; only where both keep the bound."""
+    """State the time saved against the shaper, where both keep the bound."""
     if not (own.reached and theirs.reached):
         return ""
     share = 1 - own.print_time_s / theirs.print_time_s

@@ -1,4 +1,4 @@
-"""Numbers as people read them, and the names of methods inside a sentence."""
+"""Format numbers for people, and name methods inside a sentence."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ffcomp.compare.result import Comparison, Method
 
 
 def um(value: float) -> str:
-    """Three digits are more than anyone believes: 0.31, 4.82, 62.3, 416."""
+    """Format with three digits at most: 0.31, 4.82, 62.3, 416."""
     if math.isnan(value):
         return "–"
     digits = 2 if value < 9.995 else 1 if value < 99.95 else 0
@@ -16,22 +16,22 @@ def um(value: float) -> str:
 
 
 def times(ratio: float) -> str:
-    """`57 times`, `6.4 times`."""
+    """Format a ratio: `57 times`, `6.4 times`."""
     return f"{ratio:.0f} times" if ratio >= 9.95 else f"{ratio:.1f} times"
 
 
 def metres(acceleration_mm_per_s2: float) -> str:
-    """`12.4 m/s²`."""
+    """Format an acceleration: `12.4 m/s²`."""
     return f"{acceleration_mm_per_s2 / 1e3:.3g} m/s²"
 
 
 def clipped(text: str, most: int = 34) -> str:
-    """For figures: names that come from files have any length."""
+    """Shorten a name for figures: names from files have any length."""
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
 def duration(seconds: float) -> str:
-    """`48 s`, `14 min 02 s`, `3 h 05 min`."""
+    """Format a time: `48 s`, `14 min 02 s`, `3 h 05 min`."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"
@@ -42,42 +42,43 @@ def duration(seconds: float) -> str:
 
 
 def file_name(found: Comparison) -> str:
-    """The print's name without its folders, which are nobody's business."""
+    """Return the print's name without its folders."""
     return found.print_name.replace("\\", "/").rsplit("/", 1)[-1]
 
 
 def shown(found: Comparison) -> list[Method]:
-    """The methods that pictures show, each once: without compensation, the best fixed shaper, ours."""
+    """Return the methods that figures show: without compensation, the best fixed shaper, the compensated print."""
     names = dict.fromkeys(name for name in ("none", found.best_fixed, found.compensated) if name in found.methods)
     return [found.methods[name] for name in names]
 
 
 def nick(method: Method) -> str:
-    """`MZV`, `ffcomp`: the label's first word or words, where a sentence has said which family."""
+    """Return the label's first words, where the family is known: `MZV`, `ffcomp`."""
     return method.label.split(",")[0]
 
 
 def shapers(found: Comparison) -> list[Method]:
-    """What firmware can do today: one shaper for the whole bed, calibrated or at its best."""
+    """Return what firmware can do today: one shaper for the whole bed, calibrated or at its best."""
     return [method for method in found.methods.values() if method.family in ("calibrated", "best fixed")]
 
 
 def fastest_shaper(found: Comparison) -> Method | None:
-    """At equal quality; it need not be the one with the least error at the print's own speed."""
+    """Return the fastest shaper at equal quality; at the print's own speed another may have the least error."""
     evaluated = [(method.equal_quality, method) for method in shapers(found) if method.equal_quality is not None]
     first = sorted(evaluated, key=lambda each: (not each[0].reached, each[0].print_time_s))[:1]
     return first[0][1] if first else None
 
 
 def extrudes(found: Comparison) -> bool:
-    """Whether any plastic flows in the part that was evaluated."""
+    """Tell whether any plastic flows in the evaluated part."""
     return bool(found.methods[found.compensated].samples.extruding.any())
 
 
 def contour_rms_um(found: Comparison, method: Method) -> float:
-    """What shows on the print: where plastic flows, or everywhere if it flows nowhere."""
+    """Return the rms that shows on the print: where plastic flows, or everywhere if it flows nowhere."""
     return (method.extruding if extrudes(found) else method.track).contour_rms_um
 
 
 def contour_p99_um(found: Comparison, method: Method) -> float:
+    """Return the 99th percentile of the same."""
     return (method.extruding if extrudes(found) else method.track).contour_p99_um

@@ -1,4 +1,4 @@
-"""Where it shakes most, and how the nozzle of each method passes there."""
+"""Find the positions with the largest errors, and the pass of each method's nozzle there."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ffcomp.compare.result import Comparison, Method, Samples
 from ffcomp.report.compare.words import shown
 from models.arrays import BoolArray, FloatArray
 
-COUNT = 3  # places that are shown, if the print is large enough
+COUNT = 3  # positions that are shown, if the print is large enough
 APART = 0.15  # of the print's width: nearer ones look the same
 AROUND_S = 0.4  # of the reference plan, before and after the worst instant: other passes are not this one's
 CLOSEST_MM, WIDEST_MM = 0.4, 2.5  # half the width of the window
@@ -32,7 +32,7 @@ class Pass:
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class Position:
     """A corner and its surroundings."""
 
     at: FloatArray  # (3,) mm, the corner of the reference path
@@ -40,13 +40,13 @@ class Place:
     feature: str
     half_mm: float  # half the width of the window
     passes: list[Pass]  # as `shown`
-    neighbours: list[FloatArray]  # (k, 2) mm each, other reference lines of the layer
+    neighbours: list[FloatArray]  # (k, 2) mm each, other lines of the layer
 
 
-def worst_places(found: Comparison, count: int = COUNT) -> list[Place]:
-    """The places, apart from each other, with the largest errors without compensation; where plastic flows, if any."""
+def worst_positions(found: Comparison, count: int = COUNT) -> list[Position]:
+    """Find positions, apart from each other, with the largest errors before; where plastic flows, if any."""
     samples = found.methods["none"].samples
-    return [_place(found, int(k)) for k in _worst(samples, count)]
+    return [_position(found, int(k)) for k in _worst(samples, count)]
 
 
 def _worst(samples: Samples, count: int) -> Iterator[int]:
@@ -62,12 +62,12 @@ def _worst(samples: Samples, count: int) -> Iterator[int]:
         left[np.hypot(*(xy - xy[k]).T) <= apart] = -1.0
 
 
-def _place(found: Comparison, k: int) -> Place:
+def _position(found: Comparison, k: int) -> Position:
     samples = found.methods["none"].samples
     half = float(np.clip(WIDTH_IN_ERRORS * samples.contour[k], CLOSEST_MM, WIDEST_MM))
     corner = _corner(samples, k, half)
     at, due, layer = samples.reference[corner], float(samples.due[corner]), int(samples.layer[k])
-    return Place(
+    return Position(
         at=at,
         layer=layer,
         feature=found.features[int(samples.feature[k])],
@@ -78,7 +78,7 @@ def _place(found: Comparison, k: int) -> Place:
 
 
 def _corner(samples: Samples, k: int, half: float) -> int:
-    """The sharpest turn on the last bit of the way to the worst sample, which is usually a little behind its corner."""
+    """Return the sharpest turn just before the worst sample, which is usually a little behind its corner."""
     back = np.flatnonzero(np.abs(samples.due[: k + 1] - samples.due[k]) < AROUND_S)
     back = back[np.abs(samples.reference[back] - samples.reference[k]).max(axis=1) < 0.8 * half]
     steps = np.diff(samples.reference[max(back[0] - 1, 0) : back[-1] + 2, :2], axis=0)
@@ -102,7 +102,7 @@ def _pass(method: Method, at: FloatArray, due: float, half: float) -> Pass:
 
 
 def _unbroken(inside: NDArray[np.int64], due_of: FloatArray, due: float) -> NDArray[np.int64]:
-    """The run of neighbouring samples that holds the instant `due`."""
+    """Return the neighbouring samples around the instant `due`."""
     if not inside.size:
         return inside
     runs = np.split(inside, np.flatnonzero(np.diff(inside) > 1) + 1)
@@ -115,7 +115,7 @@ def _within(points: FloatArray, at: FloatArray, half: float) -> BoolArray:
 
 
 def _neighbours(samples: Samples, at: FloatArray, layer: int, due: float, half: float) -> list[FloatArray]:
-    """Where else plastic was reference in this layer."""
+    """Return the other extruding lines of this layer."""
     other = (samples.layer == layer) & (np.abs(samples.due - due) >= AROUND_S) & samples.extruding
     inside = np.flatnonzero(other & _within(samples.reference, at, 1.5 * half))
     runs = np.split(inside, np.flatnonzero(np.diff(inside) > 1) + 1)
