@@ -16,11 +16,17 @@ GRAVITY_M_PER_S2 = 9.80665
 
 
 def printer_parameters(machine: Machine, *, gravity: bool = True) -> PrinterParameters:
-    """The machine and its effects as the kernels' record, SI."""
+    """Convert the machine and its effects to the kernels' record, in SI units.
+
+    Raises
+    ------
+    ValueError
+        If an effect is unknown or incomplete.
+    """
     for name in machine.effects:
-        effect_named(name)  # refuses an unknown one
+        effect_named(name)  # raises if it is unknown
     effective = effective_machine(machine)
-    # straight axes' weight stands on the frame, not on what vibrates
+    # the weight of cartesian and CoreXY axes rests on the frame, not on what vibrates
     g = GRAVITY_M_PER_S2 if gravity and not effective.has_straight_axes else 0.0
     parts = {
         **_geometry(effective),
@@ -43,7 +49,7 @@ Part = dict[str, FloatArray | float | bool]
 
 def _geometry(machine: Machine) -> Part:
     if machine.first_share is not None:
-        return {"first_share": machine.first_share}  # no arms: the axes are the nozzle's
+        return {"first_share": machine.first_share}  # no arms: the axes move the nozzle directly
     return {**machine.kinematics.printer_parameters()}
 
 
@@ -76,24 +82,24 @@ def _effector(machine: Machine) -> Part:
 
 
 def _belt_effects(machine: Machine) -> Part:
-    part: Part = {"give": np.inf}
+    part: Part = {"peak_stretch": np.inf}
     if (values := values_of(machine, "belt_hardening")) is not None:
         cubic, quintic = values["cubic_n_per_m3"], values["quintic_n_per_m5"]
-        give = _give(machine.carriage.belt_stiffness_n_per_m, cubic, quintic)
-        part |= {"cubic": cubic, "quintic": quintic, "give": give}
+        peak = _peak_stretch(machine.carriage.belt_stiffness_n_per_m, cubic, quintic)
+        part |= {"cubic": cubic, "quintic": quintic, "peak_stretch": peak}
     if (values := values_of(machine, "belt_position_stiffness")) is not None:
         part |= {"slope": values["slope_per_m"], "centre": values["q_centre_mm"] / 1e3}
     if (values := values_of(machine, "belt_backlash")) is not None:
         part |= {"half_backlash": values["width_mm"] / 2e3, "landing": values["landing_s_per_m"]}
     if (values := values_of(machine, "torque_angle")) is not None:
-        part["bend"] = 1e3 / values["amplitude_mm"]
+        part["inverse_amplitude"] = 1e3 / values["amplitude_mm"]
     return part
 
 
-def _give(stiffness: FloatArray | float, cubic: FloatArray, quintic: FloatArray) -> FloatArray:
-    """(3,) m: the least stretch s > 0 with k + 3 k₃ s² + 5 k₅ s⁴ = 0; infinite where a belt never softens so far."""
+def _peak_stretch(stiffness: FloatArray | float, cubic: FloatArray, quintic: FloatArray) -> FloatArray:
+    """Return the least stretch s > 0 with k + 3 k₃ s² + 5 k₅ s⁴ = 0 : (3,) m; infinite where the force has no peak."""
     inside = 9 * cubic**2 - 20 * stiffness * quintic
-    # 2 k/(−3 k₃ + √…): the smaller root of the two, and the only one without a fifth power
+    # 2 k/(−3 k₃ + √…) is the smaller root s², and holds for k₅ = 0 too
     below = -3 * cubic + np.sqrt(np.maximum(inside, 0.0))
     softens = (inside >= 0) & (below > 0)
     return np.where(softens, np.sqrt(2 * stiffness / np.where(softens, below, 1.0)), np.inf)
@@ -106,17 +112,17 @@ def _motor_effects(machine: Machine) -> Part:
     if (values := values_of(machine, "cogging")) is not None:
         part |= {"ripple": values["amplitude_mm"] / 1e3, "wave": 2e3 * np.pi / values["pitch_mm"]}
         part |= {"second_sine": values["second_sine"], "second_cosine": values["second_cosine"]}
-        part["ahead"] = np.radians(values["phase_deg"])
+        part["phase"] = np.radians(values["phase_deg"])
     return part
 
 
 def _friction_effects(machine: Machine) -> Part:
     part: Part = {"least_inertia": _least_inertia(machine), "creep": np.ones(3), "joint_creep": 1.0}
-    found = [values_of(machine, name) for name in ("coulomb_friction", "stribeck_friction")]
-    guides = [values for values in found if values is not None]
+    frictions = [values_of(machine, name) for name in ("coulomb_friction", "stribeck_friction")]
+    guides = [values for values in frictions if values is not None]
     if guides:
-        part |= {"dry": sum(values["force_n"] for values in guides), **_turning_over(guides)}
-    if (values := found[1]) is not None:
+        part |= {"dry": sum(values["force_n"] for values in guides), **_reversal(guides)}
+    if (values := frictions[1]) is not None:
         part |= {"sticking": values["extra_force_n"], "fading": 1e3 / values["velocity_mm_per_s"]}
         part["fading_power"] = values["exponent"] / 2
     if (values := values_of(machine, "joint_friction")) is not None:
@@ -125,8 +131,8 @@ def _friction_effects(machine: Machine) -> Part:
     return part
 
 
-def _turning_over(guides: Sequence[Mapping[str, FloatArray]]) -> Part:
-    """v₀ and κ of the guides; where two kinds of friction act, each counts as much as its force."""
+def _reversal(guides: Sequence[Mapping[str, FloatArray]]) -> Part:
+    """Return v₀ and κ of the guides; of two kinds of friction, the mean weighted by their forces."""
     share = np.array([np.maximum(values["force_n"] + values.get("extra_force_n", 0.0), 1e-12) for values in guides])
     creep, hold = (
         np.sum(share * [values[key] for values in guides], axis=0) / share.sum(axis=0)
@@ -136,11 +142,11 @@ def _turning_over(guides: Sequence[Mapping[str, FloatArray]]) -> Part:
 
 
 def _least_inertia(machine: Machine) -> float:
-    """kg: the least that a combination of forces on the carriages moves, at the centre and on the rim."""
+    """Return the smallest effective inertia of the carriages, kg, at the centre and on the rim."""
     reach = machine.kinematics.model_reach_mm
     angles = np.arange(0, 2 * np.pi, np.pi / 6)
-    places = np.vstack([np.zeros((1, 2)), reach * np.column_stack([np.cos(angles), np.sin(angles)])])
-    load = machine.nozzle_side_mass_kg * load_map(machine, places) @ machine.kinematics.jacobian(places)
+    positions = np.vstack([np.zeros((1, 2)), reach * np.column_stack([np.cos(angles), np.sin(angles)])])
+    load = machine.nozzle_side_mass_kg * load_map(machine, positions) @ machine.kinematics.jacobian(positions)
     return float(np.linalg.eigvals(machine.carriage.moving_mass_kg * np.eye(3) + load).real.min())
 
 
@@ -149,11 +155,11 @@ def _frame_effect(machine: Machine) -> Part:
     if values is None:
         return {}
     omega = 2 * np.pi * float(values["frequency_hz"])
-    sway = np.zeros((2, 2))
-    sway[: len(values["direction"])] = values["direction"]
+    directions = np.zeros((2, 2))
+    directions[: len(values["direction"])] = values["direction"]
     return {
-        "sway": sway,
-        "sway_share": machine.nozzle_side_mass_kg / (float(values["mass_kg"]) + machine.nozzle_side_mass_kg),
-        "sway_k": omega**2,
-        "sway_b": 2 * float(values["damping_ratio"]) * omega,
+        "frame_directions": directions,
+        "frame_mass_ratio": machine.nozzle_side_mass_kg / (float(values["mass_kg"]) + machine.nozzle_side_mass_kg),
+        "frame_k": omega**2,
+        "frame_b": 2 * float(values["damping_ratio"]) * omega,
     }

@@ -1,7 +1,8 @@
-"""The virtual printer: commanded carriage heights in, the whole nonlinear machine's motion out.
+"""Simulate the motion of the nonlinear printer under commanded carriage heights.
 
-Full delta kinematics with J̇ q̇, gravity, drives, belts, guides, arms' halves, the extruder on its mount, and any of
-the effects of `models/effects` that the machine lists, together. The equations stand in `models/printer/kernels`.
+The model has full delta kinematics with J̇ q̇, gravity, drives, belts, guides, half the arms' masses at either end, the
+extruder on its mount, and all effects of `models/effects` that the machine lists. Its equations are in
+`models/printer/kernels`.
 
 Lengths mm, velocities mm/s, accelerations m/s² (as accelerometers are read), time s.
 """
@@ -21,19 +22,20 @@ from models.effects.catalogue import effective_machine
 from models.effects.effect import Signals
 from models.errors import UnreachableError
 from models.machine import Machine
-from models.printer.kernels.integrate import rest, run
-from models.printer.kernels.record import LANES, STATES, PrinterParameters, Q, V, table
-from models.printer.kernels.spline import cubics
+from models.printer.kernels.equilibrium import find_equilibrium
+from models.printer.kernels.integrate import integrate
+from models.printer.kernels.record import LANES, STATES, PrinterParameters, Q, V, parameter_table
+from models.printer.kernels.spline import cubic_spline
 from models.printer.parameters import printer_parameters
 
 SMOOTH_STEP_S = 1 / 6400  # a quarter of a nanometre on a violent motion
-KINKED_STEP_S = 1 / 12800  # with play or dry friction; with strong friction down to
+KINKED_STEP_S = 1 / 12800  # with backlash or dry friction; with strong friction down to
 FINEST_STEP_S = 1 / 25600
 SPLINE_ROWS = 24  # a cubic spline forgets a row's neighbours by 0.27 a row: 1e-14 after these
 
 # friction / (speed x inertia) x step; guides and joints together below 2.78, where a Runge-Kutta step of order 4 grows
 GUIDE_STIFFNESS, JOINT_STIFFNESS = 1.9, 0.8
-LOOSEST_REST_M = 1e-9
+EQUILIBRIUM_TOLERANCE_M = 1e-9
 BORDER_MM = 1e-6
 
 UNITS = np.array([1e3, 1e3, 1.0, 1e3, 1e3, 1.0, 1e3])  # of PrinterMotion's arrays, in their order
@@ -43,7 +45,7 @@ Hold = Literal["cubic", "linear"]
 
 @dataclass(frozen=True, eq=False)
 class PrinterState:
-    """Where a simulation ended, to go on from."""
+    """The state at the end of a simulation, from which it can be continued."""
 
     t_s: float
     values: FloatArray  # (30,) SI, see `kernels.record`
@@ -52,21 +54,21 @@ class PrinterState:
 
 @dataclass(frozen=True, eq=False)
 class PrinterMotion:
-    """n samples, at the times of the command's rows. Accelerations are plain second derivatives: zero at rest."""
+    """Motion at the n rows of a command. Accelerations are second derivatives of position: zero at rest."""
 
     t_s: FloatArray  # (n,)
     carriage_mm: FloatArray  # (n, 3) columns A B C
     carriage_velocity: FloatArray  # (n, 3) mm/s
     carriage_acceleration: FloatArray  # (n, 3) m/s²
-    nozzle_mm: FloatArray  # (n, 3) columns X Y Z, seen from the bed
-    nozzle_velocity: FloatArray  # (n, 3) mm/s, seen from the bed
-    nozzle_acceleration: FloatArray  # (n, 3) m/s², seen from the ground: a swaying frame is felt
-    motor_mm: FloatArray  # (n, 3) where each motor holds its end of the belt
+    nozzle_mm: FloatArray  # (n, 3) columns X Y Z, relative to the bed
+    nozzle_velocity: FloatArray  # (n, 3) mm/s, relative to the bed
+    nozzle_acceleration: FloatArray  # (n, 3) m/s², relative to the ground: includes the frame's
+    motor_mm: FloatArray  # (n, 3) position of the motor's end of each belt
     state: PrinterState
 
     @property
     def signals(self) -> Signals:
-        """The accelerations, as perfect sensors would record them."""
+        """Sensor signals of ideal accelerometers."""
         return Signals(self.t_s, self.carriage_acceleration, self.nozzle_acceleration)
 
 
@@ -81,7 +83,7 @@ def simulate_printer(
     hold: Hold = "cubic",
     ahead: FloatArray | None = None,
 ) -> PrinterMotion:
-    """Play a command on the printer, with all effects of `machine.effects` but those of the sensors.
+    """Simulate a printer under a command, with all effects of `machine.effects` except those of the sensors.
 
     Parameters
     ----------
@@ -90,7 +92,7 @@ def simulate_printer(
         row, the printer rests under it.
     start : the `state` of the chunk before, whose last row is this chunk's first. None: from rest.
     substeps : integration steps from row to row. None: as many as `longest_step` asks for.
-    hold : how the command runs between rows: "cubic" spline, or "linear" for played straight segments.
+    hold : how the command runs between rows: "cubic" spline, or "linear" for executed straight segments.
     ahead : (k, 3) mm, rows of the command that follow this chunk. A cubic spline needs some 20 of them to run over
         the border as if there were none.
 
@@ -121,7 +123,7 @@ def simulate_printers(
     hold: Hold = "cubic",
     ahead: FloatArray | None = None,
 ) -> list[PrinterMotion | ValueError]:
-    """Play the i-th command on the i-th machine, several at once in the processor's vectors.
+    """Simulate the i-th machine under the i-th command, up to LANES of them at once.
 
     `starts` and `ahead` are those of `simulate_printer`; `ahead` follows every command. Each gives what
     `simulate_printer` gives, whatever the others do; where that would raise, its ValueError or UnreachableError stands
@@ -130,21 +132,21 @@ def simulate_printers(
     """
     found: dict[int, PrinterMotion | ValueError] = {}
     tasks: dict[int, _Task] = {}
-    pieces: dict[tuple[int, bytes], FloatArray] = {}  # many machines play one command: its spline is made once
-    commands = list(commands)  # an array of them would make a new object of each at every look
+    cubics: dict[tuple[int, bytes], FloatArray] = {}  # a spline is computed once for all machines under one command
+    commands = list(commands)  # indexing an array of them would make a new object each time
     for i, (machine, command) in enumerate(zip(machines, commands, strict=True)):
         try:
             start = None if starts is None else starts[i]
             key = (id(command), b"" if start is None else start.history.tobytes())
-            if key not in pieces:
+            if key not in cubics:
                 _check(command, dt_s, start)
                 rows = command if start is None else np.concatenate([start.history[:-1], command])
-                pieces[key] = HOLDS[hold](rows, command[:0] if ahead is None else ahead, dt_s)
-            tasks[i] = _task(machine, command, pieces[key], dt_s, substeps, gravity, start)
+                cubics[key] = HOLDS[hold](rows, command[:0] if ahead is None else ahead, dt_s)
+            tasks[i] = _task(machine, command, cubics[key], dt_s, substeps, gravity, start)
         except ValueError as error:
             found[i] = error
     for together in _batches(tasks):
-        found |= zip(together, _played([tasks[i] for i in together], dt_s), strict=True)
+        found |= zip(together, _simulate([tasks[i] for i in together], dt_s), strict=True)
     return [found[i] for i in range(len(machines))]
 
 
@@ -152,61 +154,61 @@ def simulate_printers(
 class _Task:
     """One simulation, ready for a lane."""
 
-    numbers: PrinterParameters
+    parameters: PrinterParameters
     steps: int  # from row to row
-    pieces: FloatArray  # (n, 3, 4), see `kernels.motors.Said`
+    cubics: FloatArray  # (n, 3, 4), see `kernels.motors.Commands`
     first: int  # row of the command at which it begins
     begin_s: float
-    values: FloatArray  # (30,) SI, then
+    values: FloatArray  # (30,) SI, state there
     history: FloatArray  # (k, 3) mm, see `PrinterState`
 
 
 def _task(
     machine: Machine,
     command: FloatArray,
-    pieces: FloatArray,
+    cubics: FloatArray,
     dt_s: float,
     substeps: int | None,
     gravity: bool,
     start: PrinterState | None = None,
 ) -> _Task:
-    """A machine under a command : (n, 3) mm with its `pieces`."""
+    """Prepare the simulation of a machine under a command : (n, 3) mm with its cubics."""
     p = printer_parameters(machine, gravity=gravity)
     steps = substeps or math.ceil(dt_s / longest_step(p) * (1 - 1e-9))
     _limit_stiffness(p, dt_s / steps)
     kept = math.ceil(float(np.max(p.delay)) / dt_s) + SPLINE_ROWS + 1
     if start is None:
-        return _Task(p, steps, pieces, 0, 0.0, equilibrium_state(machine, command[0], p), command[-kept:].copy())
+        return _Task(p, steps, cubics, 0, 0.0, equilibrium_state(machine, command[0], p), command[-kept:].copy())
     history = np.concatenate([start.history[:-1], command])[-kept:]
-    return _Task(p, steps, pieces, len(start.history) - 1, start.t_s, start.values, history)
+    return _Task(p, steps, cubics, len(start.history) - 1, start.t_s, start.values, history)
 
 
 def _batches(tasks: Mapping[int, _Task]) -> Iterator[list[int]]:
-    """Name tasks that go side by side: of one kind, steps from row to row and first row, and of about one length."""
+    """Group tasks for the lanes: of one kind, steps from row to row and first row, and of about one length."""
 
     def kind(i: int) -> tuple[bool, int, int]:
-        return bool(tasks[i].numbers.arms_squared.any()), tasks[i].steps, tasks[i].first
+        return bool(tasks[i].parameters.arms_squared.any()), tasks[i].steps, tasks[i].first
 
-    for _, group in groupby(sorted(tasks, key=lambda i: (kind(i), len(tasks[i].pieces))), kind):
+    for _, group in groupby(sorted(tasks, key=lambda i: (kind(i), len(tasks[i].cubics))), kind):
         names = list(group)
         yield from (names[n : n + LANES] for n in range(0, len(names), LANES))
 
 
-def _played(tasks: Sequence[_Task], dt_s: float) -> list[PrinterMotion | UnreachableError]:
-    """At most LANES of them, with as many steps and the same first row."""
-    values, numbers = np.array([task.values for task in tasks]), table([task.numbers for task in tasks])
-    commands = {id(task.pieces): task.pieces for task in tasks}
-    ends = dict(zip(commands, np.cumsum([len(pieces) for pieces in commands.values()]), strict=True))
-    spans = [(ends[id(task.pieces)] - len(task.pieces), ends[id(task.pieces)]) for task in tasks]
+def _simulate(tasks: Sequence[_Task], dt_s: float) -> list[PrinterMotion | UnreachableError]:
+    """Simulate at most LANES tasks with the same number of steps and the same first row."""
+    values, parameters = np.array([task.values for task in tasks]), parameter_table([t.parameters for t in tasks])
+    commands = {id(task.cubics): task.cubics for task in tasks}
+    ends = dict(zip(commands, np.cumsum([len(cubics) for cubics in commands.values()]), strict=True))
+    ranges = [(ends[id(task.cubics)] - len(task.cubics), ends[id(task.cubics)]) for task in tasks]
     first, steps = tasks[0].first, tasks[0].steps
-    pieces = np.concatenate(list(commands.values())) if len(commands) > 1 else tasks[0].pieces
-    samples = run(values, numbers, pieces, np.array(spans, dtype=np.int64), first, dt_s, steps, UNITS)
+    cubics = np.concatenate(list(commands.values())) if len(commands) > 1 else tasks[0].cubics
+    samples = integrate(values, parameters, cubics, np.array(ranges, dtype=np.int64), first, dt_s, steps, UNITS)
     lanes = zip(tasks, zip(*samples, strict=True), values, strict=True)
     return [_motion(task, own, end, dt_s) for task, own, end in lanes]
 
 
 def longest_step(p: PrinterParameters) -> float:
-    """The step, s, that serves this printer: short where dry friction turns over, or play ends with a knock."""
+    """Return the longest step, s, for this printer: shorter with backlash, and with dry friction at its reversals."""
     friction = float(np.max(p.dry + p.sticking))
     if friction == p.joint_dry == np.max(p.half_backlash) == 0:
         return SMOOTH_STEP_S
@@ -215,36 +217,44 @@ def longest_step(p: PrinterParameters) -> float:
 
 
 def _limit_stiffness(p: PrinterParameters, step_s: float) -> None:
-    """Dry friction turns over as near to rest as its creep speed says, or as the step allows."""
+    """Widen the reversal of dry friction, given by its creep speed, to what the step can resolve."""
     p.creep = np.maximum(p.creep, (p.dry + p.sticking) * step_s / (GUIDE_STIFFNESS * p.least_inertia))
     p.joint_creep = max(p.joint_creep, p.joint_dry * step_s / (JOINT_STIFFNESS * p.holder_mass))
 
 
 def equilibrium_state(machine: Machine, command: FloatArray, p: PrinterParameters) -> FloatArray:
-    """The state : (30,) SI in which the printer rests under the command : (3,) mm, belts stretched by weight."""
-    effective_machine(machine).kinematics.forward(command[None])  # refuses carriages the arms cannot join
+    """Return the equilibrium : (30,) SI under the command : (3,) mm, with belts stretched by weight.
+
+    Raises
+    ------
+    UnreachableError
+        If the arms cannot join the carriages.
+    ValueError
+        If there is no equilibrium.
+    """
+    effective_machine(machine).kinematics.forward(command[None])  # raises where the arms cannot join the carriages
     states = np.zeros((1, STATES))
     states[0, V : V + 3] = states[0, Q : Q + 3] = command / 1e3
-    (moved,) = rest(states, table([p]))
-    if not moved < LOOSEST_REST_M:
+    (moved,) = find_equilibrium(states, parameter_table([p]))
+    if not moved < EQUILIBRIUM_TOLERANCE_M:
         raise ValueError(f"The printer cannot rest with its carriages at {command} mm: its motors do not hold it.")
     return states[0]
 
 
 def _cubic(rows: FloatArray, ahead: FloatArray, dt_s: float) -> FloatArray:
-    return cubics(np.concatenate([rows, ahead]) / 1e3, dt_s)[: len(rows)]
+    return cubic_spline(np.concatenate([rows, ahead]) / 1e3, dt_s)[: len(rows)]
 
 
 def _linear(rows: FloatArray, ahead: FloatArray, dt_s: float) -> FloatArray:
-    pieces = np.zeros((len(rows), 3, 4))
-    pieces[:-1, :, 2] = np.diff(rows / 1e3, axis=0) / dt_s
-    pieces[-1, :, 2] = pieces[-2, :, 2]
-    pieces[:, :, 3] = rows / 1e3
-    return pieces
+    cubics = np.zeros((len(rows), 3, 4))
+    cubics[:-1, :, 2] = np.diff(rows / 1e3, axis=0) / dt_s
+    cubics[-1, :, 2] = cubics[-2, :, 2]
+    cubics[:, :, 3] = rows / 1e3
+    return cubics
 
 
-# From rows : (n, 3) mm and those ahead, (n, 3, 4) as in `kernels.motors.Said`: a piece of each interval, and a last
-# one that only goes on from the end of the one before.
+# From rows : (n, 3) mm and those ahead to (n, 3, 4) of `kernels.motors.Commands`: a cubic of each interval, and a line
+# that continues the last one.
 HOLDS: Mapping[Hold, Callable[[FloatArray, FloatArray, float], FloatArray]] = {"cubic": _cubic, "linear": _linear}
 
 
@@ -264,10 +274,10 @@ def _check(command: FloatArray, dt_s: float, start: PrinterState | None = None) 
 def _motion(
     task: _Task, samples: Sequence[FloatArray], values: FloatArray, dt_s: float
 ) -> PrinterMotion | UnreachableError:
-    """samples : seven of (n, 3), and values : (30,) the last state, SI, from the kernels."""
-    own = [each[: len(task.pieces) - task.first] for each in samples]
+    """Build the motion from samples : seven of (n, 3), and values : (30,) the last state, SI, from the kernels."""
+    own = [each[: len(task.cubics) - task.first] for each in samples]
     t = task.begin_s + dt_s * np.arange(len(own[0]), dtype=np.float64)
-    if not np.isfinite([each[-1] for each in own]).all():  # what is lost is not found again
+    if not np.isfinite([each[-1] for each in own]).all():  # NaN persists
         lost = np.flatnonzero(~np.isfinite(np.hstack(own)).all(axis=1))
         rule = f"At t = {t[lost[0]]:.4f} s the simulated nozzle has left the reach of its arms."
         return UnreachableError(rule, lost)

@@ -1,4 +1,4 @@
-"""Cartesian and CoreXY axes."""
+"""Evaluate cartesian and CoreXY axes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ EXTRUDER_MASS, MOUNT_K, MOUNT_B = parameter_rows("extruder_mass", "mount_k", "mo
 
 @compiled
 def axes(m: FloatArray) -> None:
-    """Straight axes by themselves, all of `rate` behind the motors: two oscillators each (`vibration/modal.py`)."""
+    """Evaluate all rates behind the motors: two oscillators for each axis (`models/vibration/modal.py`)."""
     for l in range(LANES):
         for a in range(3):
             q, qd = at(m, NOW + Q + a, l), at(m, NOW + QD + a, l)

@@ -1,4 +1,4 @@
-"""Arms, effector and frame of a delta."""
+"""Solve the coupled equations of a delta's carriages, effector, extruder and frame."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from models.arrays import FloatArray
 from models.printer.kernels.jit import compiled, inlined
 from models.printer.kernels.record import (
     ACC,
-    BENDING,
+    CENTRIPETAL,
     DD,
     ETA,
     ETAD,
@@ -28,22 +28,20 @@ from models.printer.kernels.record import (
     X,
     parameter_rows,
 )
-from models.printer.kernels.vectors import at, cross, dot, mixed, plus, put, scaled, solved, three
+from models.printer.kernels.vectors import add, at, combine, cross, dot, put, scale, solve, vector
 
-TOWERS, ARMS_SQUARED, HEIGHT, TO_PLANE, OFFSET = parameter_rows(
-    "towers", "arms_squared", "height", "to_plane", "offset"
-)
-(CARRIAGE_MASS,) = parameter_rows("carriage_mass")
-(SHARES,) = parameter_rows("shares")
+TOWERS, ARMS_SQUARED, HEIGHT = parameter_rows("towers", "arms_squared", "height")
+TO_PLANE, OFFSET = parameter_rows("to_plane", "offset")
+CARRIAGE_MASS, SHARES, GRAVITY = parameter_rows("carriage_mass", "shares", "gravity")
 HOLDER_MASS, EXTRUDER_MASS, MOUNT_K, MOUNT_B = parameter_rows("holder_mass", "extruder_mass", "mount_k", "mount_b")
-(GRAVITY,) = parameter_rows("gravity")
-SWAY, SWAY_SHARE, SWAY_K, SWAY_B = parameter_rows("sway", "sway_share", "sway_k", "sway_b")
+DIRECTIONS, MASS_RATIO = parameter_rows("frame_directions", "frame_mass_ratio")
+FRAME_K, FRAME_B = parameter_rows("frame_k", "frame_b")
 
 
 @inlined
-def _placed(m: FloatArray, l: int) -> Vector:
-    """The nozzle of the carriages: `models.kinematics.delta.forward` for one point."""
-    q = three(m, NOW + Q, l)
+def _nozzle(m: FloatArray, l: int) -> Vector:
+    """Return the nozzle's position: `models.kinematics.delta.forward` for one point."""
+    q = vector(m, NOW + Q, l)
     rise_b, rise_c = q[1] - q[0], q[2] - q[0]
     off_b, off_c = at(m, OFFSET, l) + 0.5 * rise_b * rise_b, at(m, OFFSET + 1, l) + 0.5 * rise_c * rise_c
     xb, xc, yb, yc = at(m, TO_PLANE, l), at(m, TO_PLANE + 1, l), at(m, TO_PLANE + 2, l), at(m, TO_PLANE + 3, l)
@@ -57,26 +55,26 @@ def _placed(m: FloatArray, l: int) -> Vector:
 
 @inlined
 def _arm(m: FloatArray, i: int, x: Vector, l: int) -> Vector:
-    """s_i with the nozzle at x."""
+    """Return s_i with the nozzle at x."""
     sx, sy = x[0] - at(m, TOWERS + 2 * i, l), x[1] - at(m, TOWERS + 2 * i + 1, l)
     return sx, sy, -math.sqrt(at(m, ARMS_SQUARED + i, l) - sx * sx - sy * sy)
 
 
 @compiled
-def arms(m: FloatArray) -> None:
-    """Where the nozzle is and how it moves, J, and w_i = |Ẋ − ẑ q̇_i|²/h_i."""
+def arm_kinematics(m: FloatArray) -> None:
+    """Evaluate the nozzle's position and velocity, J, and w_i = |Ẋ − ẑ q̇_i|²/h_i."""
     for l in range(LANES):
-        x, qd = _placed(m, l), three(m, NOW + QD, l)
+        x, qd = _nozzle(m, l), vector(m, NOW + QD, l)
         a, b, c = _arm(m, 0, x, l), _arm(m, 1, x, l), _arm(m, 2, x, l)
         bc = cross(b, c)
         over_det = 1.0 / dot(a, bc)
-        j_a, j_b = scaled(a[2] * over_det, bc), scaled(b[2] * over_det, cross(c, a))
-        j_c = scaled(c[2] * over_det, cross(a, b))
-        xd = mixed(qd, j_a, j_b, j_c)
+        j_a, j_b = scale(a[2] * over_det, bc), scale(b[2] * over_det, cross(c, a))
+        j_c = scale(c[2] * over_det, cross(a, b))
+        xd = combine(qd, j_a, j_b, j_c)
         level = xd[0] * xd[0] + xd[1] * xd[1]
         sink_a, sink_b, sink_c = xd[2] - qd[0], xd[2] - qd[1], xd[2] - qd[2]
         w_a, w_b = -(level + sink_a * sink_a) / a[2], -(level + sink_b * sink_b) / b[2]
-        put(m, BENDING, l, (w_a, w_b, -(level + sink_c * sink_c) / c[2]))
+        put(m, CENTRIPETAL, l, (w_a, w_b, -(level + sink_c * sink_c) / c[2]))
         put(m, J, l, j_a)
         put(m, J + 3, l, j_b)
         put(m, J + 6, l, j_c)
@@ -85,8 +83,8 @@ def arms(m: FloatArray) -> None:
 
 
 @compiled
-def holder(m: FloatArray) -> None:
-    """f₀, ρ, and the extruder's own part of η̈."""
+def holder_forces(m: FloatArray) -> None:
+    """Evaluate f₀, ρ, and the extruder's own part of η̈."""
     for l in range(LANES):
         gravity, over = at(m, GRAVITY, l), 1.0 / at(m, EXTRUDER_MASS, l)
         for a in range(3):
@@ -95,69 +93,71 @@ def holder(m: FloatArray) -> None:
             m[(RATE + ETA + a) * LANES + l], m[(RATE + ETAD + a) * LANES + l] = etad, -over * mount
             m[(F0 + a) * LANES + l] = at(m, JOINTS + a, l) - mount
             d, dd = at(m, NOW + D + a, l), at(m, NOW + DD + a, l)
-            m[(RHO + a) * LANES + l], m[(RATE + D + a) * LANES + l] = at(m, SWAY_K, l) * d + at(m, SWAY_B, l) * dd, dd
+            m[(RHO + a) * LANES + l], m[(RATE + D + a) * LANES + l] = at(m, FRAME_K, l) * d + at(m, FRAME_B, l) * dd, dd
         m[(RATE + ETAD + 2) * LANES + l] -= gravity
         m[(F0 + 2) * LANES + l] += at(m, HOLDER_MASS, l) * gravity
 
 
 @inlined
-def _directions(m: FloatArray, l: int) -> tuple[Vector, Vector]:
-    """The two columns of D."""
-    return (at(m, SWAY, l), at(m, SWAY + 1, l), 0.0), (at(m, SWAY + 2, l), at(m, SWAY + 3, l), 0.0)
+def _frame_directions(m: FloatArray, l: int) -> tuple[Vector, Vector]:
+    """Return the two columns of D."""
+    d_a = at(m, DIRECTIONS, l), at(m, DIRECTIONS + 1, l), 0.0
+    d_b = at(m, DIRECTIONS + 2, l), at(m, DIRECTIONS + 3, l), 0.0
+    return d_a, d_b
 
 
 @inlined
-def _swayed(m: FloatArray, vector: Vector, l: int) -> Vector:
-    """R vector, R = I − μ D Dᵀ."""
-    share, (d_a, d_b) = at(m, SWAY_SHARE, l), _directions(m, l)
-    return mixed((1.0, -share * dot(d_a, vector), -share * dot(d_b, vector)), vector, d_a, d_b)
+def _with_frame_reaction(m: FloatArray, force: Vector, l: int) -> Vector:
+    """Return R force, R = I − μ D Dᵀ."""
+    mu, (d_a, d_b) = at(m, MASS_RATIO, l), _frame_directions(m, l)
+    return combine((1.0, -mu * dot(d_a, force), -mu * dot(d_b, force)), force, d_a, d_b)
 
 
 @inlined
-def _felt(m: FloatArray, i: int, j_i: Vector, l: int) -> Vector:
-    """Γ's row J_iᵀ P_i."""
+def _load_row(m: FloatArray, i: int, j_i: Vector, l: int) -> Vector:
+    """Return row J_iᵀ P_i of Γ."""
     share = SHARES + 9 * i
-    return mixed(j_i, three(m, share, l), three(m, share + 3, l), three(m, share + 6, l))
+    return combine(j_i, vector(m, share, l), vector(m, share + 3, l), vector(m, share + 6, l))
 
 
 @inlined
 def _load(m: FloatArray, l: int) -> Vector:
-    """R (M₁ J w + f₀) − M₁ (1 − μ) D ρ."""
-    mass, rho, (d_a, d_b) = at(m, HOLDER_MASS, l), three(m, RHO, l), _directions(m, l)
-    bent = mixed(three(m, BENDING, l), three(m, J, l), three(m, J + 3, l), three(m, J + 6, l))
-    free = _swayed(m, plus(scaled(mass, bent), three(m, F0, l)), l)
-    still = -mass * (1.0 - at(m, SWAY_SHARE, l))
-    return mixed((1.0, still * rho[0], still * rho[1]), free, d_a, d_b)
+    """Return R (M₁ J w + f₀) − M₁ (1 − μ) D ρ."""
+    mass, rho, (d_a, d_b) = at(m, HOLDER_MASS, l), vector(m, RHO, l), _frame_directions(m, l)
+    centripetal = combine(vector(m, CENTRIPETAL, l), vector(m, J, l), vector(m, J + 3, l), vector(m, J + 6, l))
+    free = _with_frame_reaction(m, add(scale(mass, centripetal), vector(m, F0, l)), l)
+    still = -mass * (1.0 - at(m, MASS_RATIO, l))
+    return combine((1.0, still * rho[0], still * rho[1]), free, d_a, d_b)
 
 
 @compiled
-def coupled(m: FloatArray) -> None:
+def solve_carriages(m: FloatArray) -> None:
     """Solve for q̈: (m I + Γ R M₁ J) q̈ = pull − Γ (R (M₁ J w + f₀) − M₁ (1 − μ) D ρ)."""
     for l in range(LANES):
-        j_a, j_b, j_c = three(m, J, l), three(m, J + 3, l), three(m, J + 6, l)
-        mass, own, load = at(m, HOLDER_MASS, l), three(m, CARRIAGE_MASS, l), _load(m, l)
-        a, b, c = scaled(mass, j_a), scaled(mass, j_b), scaled(mass, j_c)
-        a, b, c = _swayed(m, a, l), _swayed(m, b, l), _swayed(m, c, l)
-        g_a, g_b, g_c = _felt(m, 0, j_a, l), _felt(m, 1, j_b, l), _felt(m, 2, j_c, l)
-        pull = plus(three(m, PULL, l), (-dot(g_a, load), -dot(g_b, load), -dot(g_c, load)))
+        j_a, j_b, j_c = vector(m, J, l), vector(m, J + 3, l), vector(m, J + 6, l)
+        mass, own, load = at(m, HOLDER_MASS, l), vector(m, CARRIAGE_MASS, l), _load(m, l)
+        a, b, c = scale(mass, j_a), scale(mass, j_b), scale(mass, j_c)
+        a, b, c = _with_frame_reaction(m, a, l), _with_frame_reaction(m, b, l), _with_frame_reaction(m, c, l)
+        g_a, g_b, g_c = _load_row(m, 0, j_a, l), _load_row(m, 1, j_b, l), _load_row(m, 2, j_c, l)
+        pull = add(vector(m, PULL, l), (-dot(g_a, load), -dot(g_b, load), -dot(g_c, load)))
         put(m, PULL, l, pull)
         row_a = dot(g_a, a) + own[0], dot(g_a, b), dot(g_a, c)
         row_b = dot(g_b, a), dot(g_b, b) + own[1], dot(g_b, c)
         row_c = dot(g_c, a), dot(g_c, b), dot(g_c, c) + own[2]
-        put(m, RATE + QD, l, solved(row_a, row_b, row_c, pull))
+        put(m, RATE + QD, l, solve(row_a, row_b, row_c, pull))
 
 
 @compiled
-def followers(m: FloatArray) -> None:
-    """What q̈ brings with it: a, and of frame and extruder d̈ = −(1 − μ) ρ − μ Dᵀ (Ẍ + f₀/M₁) and η̈."""
+def effector_and_frame(m: FloatArray) -> None:
+    """Evaluate what follows from q̈: a, η̈, and d̈ = −(1 − μ) ρ − μ Dᵀ (Ẍ + f₀/M₁)."""
     for l in range(LANES):
-        share, rho, (d_a, d_b) = at(m, SWAY_SHARE, l), three(m, RHO, l), _directions(m, l)
-        speeding = plus(three(m, RATE + QD, l), three(m, BENDING, l))
-        acc = mixed(speeding, three(m, J, l), three(m, J + 3, l), three(m, J + 6, l))
-        shake = plus(acc, scaled(1.0 / at(m, HOLDER_MASS, l), three(m, F0, l)))
-        sway_a = -(1.0 - share) * rho[0] - share * dot(d_a, shake)
-        sway_b = -(1.0 - share) * rho[1] - share * dot(d_b, shake)
-        acc = mixed((1.0, sway_a, sway_b), acc, d_a, d_b)
+        mu, rho, (d_a, d_b) = at(m, MASS_RATIO, l), vector(m, RHO, l), _frame_directions(m, l)
+        q_part = add(vector(m, RATE + QD, l), vector(m, CENTRIPETAL, l))
+        acc = combine(q_part, vector(m, J, l), vector(m, J + 3, l), vector(m, J + 6, l))
+        free = add(acc, scale(1.0 / at(m, HOLDER_MASS, l), vector(m, F0, l)))
+        frame_a = -(1.0 - mu) * rho[0] - mu * dot(d_a, free)
+        frame_b = -(1.0 - mu) * rho[1] - mu * dot(d_b, free)
+        acc = combine((1.0, frame_a, frame_b), acc, d_a, d_b)
         put(m, ACC, l, acc)
-        put(m, RATE + DD, l, (sway_a, sway_b, 0.0))
-        put(m, RATE + ETAD, l, plus(three(m, RATE + ETAD, l), scaled(-1.0, acc)))
+        put(m, RATE + DD, l, (frame_a, frame_b, 0.0))
+        put(m, RATE + ETAD, l, add(vector(m, RATE + ETAD, l), scale(-1.0, acc)))

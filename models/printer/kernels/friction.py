@@ -1,4 +1,4 @@
-"""Dry friction of guides and joints."""
+"""Evaluate the dry friction of guides and joints."""
 
 from __future__ import annotations
 
@@ -19,25 +19,24 @@ from models.printer.kernels.record import (
     XD,
     parameter_rows,
 )
-from models.printer.kernels.vectors import at, dot, plus, put, scaled, tanh, three
+from models.printer.kernels.vectors import add, at, dot, put, scale, tanh, vector
 
 DRY, STICKING, FADING, FADING_POWER = parameter_rows("dry", "sticking", "fading", "fading_power")
-CREEP, HOLD, JOINT_DRY, JOINT_CREEP, JOINT_HOLD = parameter_rows(
-    "creep", "hold", "joint_dry", "joint_creep", "joint_hold"
-)
+CREEP, HOLD = parameter_rows("creep", "hold")
+JOINT_DRY, JOINT_CREEP, JOINT_HOLD = parameter_rows("joint_dry", "joint_creep", "joint_hold")
 
 MOST_STRAIN = 3.0  # φ_m
 
 
 @inlined
 def strain_rate(hold: float, ratio: float, speed: float, strain: float) -> float:
-    """φ̇ along one direction: `hold` = κ, `ratio` = r along it, `speed` = |r|."""
+    """Return φ̇ along one direction, with `hold` = κ, `ratio` = r along it and `speed` = |r|."""
     return hold * (ratio - (speed / MOST_STRAIN + speed * speed) * strain) / (1.0 + speed * speed)
 
 
 @compiled
-def fading(m: FloatArray) -> None:
-    """ℓ with its surplus near rest, exp −|q̇/v_s|^δ; e to the −2x is (1 − tanh x)/(1 + tanh x)."""
+def stribeck(m: FloatArray) -> None:
+    """Evaluate ℓ with its Stribeck part near rest, exp −|q̇/v_s|^δ; e to the −2x is (1 − tanh x)/(1 + tanh x)."""
     for n in range(3 * LANES):
         squared, power = (at(m, NOW + QD, n) * at(m, FADING, n)) ** 2, at(m, FADING_POWER, n)
         m[LEVEL * LANES + n] = squared if power == 1.0 else squared**power
@@ -48,7 +47,7 @@ def fading(m: FloatArray) -> None:
 
 @compiled
 def guide_friction(m: FloatArray) -> None:
-    """Dry friction against the carriages, positive when they move up, and the rate of its strain."""
+    """Evaluate the friction on the carriages, positive when they move up, and the rate of its strain."""
     for n in range(3 * LANES):
         ratio, strain = at(m, NOW + QD, n) / at(m, CREEP, n), at(m, NOW + GUIDE, n)
         m[GUIDES * LANES + n] = at(m, LEVEL, n) * tanh(ratio + strain)
@@ -57,12 +56,12 @@ def guide_friction(m: FloatArray) -> None:
 
 @compiled
 def joint_friction(m: FloatArray) -> None:
-    """Dry friction against the nozzle holder, along its motion, and the rate of its strain."""
+    """Evaluate the friction on the nozzle holder, along its motion, and the rate of its strain."""
     for l in range(LANES):
-        strain, hold = three(m, NOW + JOINT, l), at(m, JOINT_HOLD, l)
-        ratio = scaled(1.0 / at(m, JOINT_CREEP, l), three(m, XD, l))
-        along, speed = plus(ratio, strain), math.sqrt(dot(ratio, ratio))
+        strain, hold = vector(m, NOW + JOINT, l), at(m, JOINT_HOLD, l)
+        ratio = scale(1.0 / at(m, JOINT_CREEP, l), vector(m, XD, l))
+        along, speed = add(ratio, strain), math.sqrt(dot(ratio, ratio))
         size = math.sqrt(dot(along, along))
-        put(m, JOINTS, l, scaled(at(m, JOINT_DRY, l) * tanh(size) / max(size, 1e-300), along))
+        put(m, JOINTS, l, scale(at(m, JOINT_DRY, l) * tanh(size) / max(size, 1e-300), along))
         for a in range(3):
             m[(RATE + JOINT + a) * LANES + l] = strain_rate(hold, ratio[a], speed, strain[a])

@@ -1,4 +1,4 @@
-"""How the kernels are compiled, and when their cached code is out of date."""
+"""Compile the kernels, and tell when their cached code is out of date."""
 
 from __future__ import annotations
 

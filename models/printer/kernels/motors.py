@@ -1,4 +1,4 @@
-"""Commands, motors, drives and belts."""
+"""Evaluate the commands, the motors with their drives, and the belts' forces."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import numpy as np
 from models.arrays import FloatArray
 from models.printer.kernels.jit import compiled
 from models.printer.kernels.record import (
+    COMMAND,
+    COMMAND_RATE,
     CUBIC,
     GUIDES,
     LANES,
@@ -24,10 +26,8 @@ from models.printer.kernels.record import (
     SPRING,
     STRETCH,
     TIME,
-    TOLD,
-    TOLD_RATE,
     VD,
-    Acting,
+    ActiveEffects,
     Q,
     Rows,
     V,
@@ -37,117 +37,117 @@ from models.printer.kernels.vectors import at
 
 WEIGHT, BELT_K, BELT_C, GUIDE_B = parameter_rows("weight", "belt_k", "belt_c", "guide_b")
 IDEAL, D0, LEAD, D2 = parameter_rows("ideal_drive", "d0", "lead", "d2")
-HARDENING, QUINTIC, GIVE = parameter_rows("cubic", "quintic", "give")
+HARDENING, QUINTIC, PEAK_STRETCH = parameter_rows("cubic", "quintic", "peak_stretch")
 SLOPE, CENTRE, HALF_BACKLASH, LANDING = parameter_rows("slope", "centre", "half_backlash", "landing")
-BEND, DELAY, COGGING, WAVE, AHEAD = parameter_rows("bend", "delay", "ripple", "wave", "ahead")
+INVERSE_AMPLITUDE, DELAY, COGGING, WAVE, PHASE = parameter_rows("inverse_amplitude", "delay", "ripple", "wave", "phase")
 SECOND_SINE, SECOND_COSINE = parameter_rows("second_sine", "second_cosine")
 
 
 @compiled
-def late(m: FloatArray, dt: float, substeps: int) -> tuple[FloatArray, Rows]:
-    """What each motor hears at every half of a step of a row, its `delay` after it was said.
+def command_times(m: FloatArray, dt: float, substeps: int) -> tuple[FloatArray, Rows]:
+    """Tabulate the part of the command that each motor executes, its delay late, at every half step of a row.
 
     Returns
     -------
-    (2 substeps + 1, 3 LANES): the time since a row of the command, s, and how many rows ago that one was.
+    (2 substeps + 1, 3 LANES) twice: the time since a row of the command, s, and how many rows back that row is.
     """
-    since, ago = np.empty((2 * substeps + 1, 3 * LANES)), np.zeros((2 * substeps + 1, 3 * LANES), np.int64)
+    elapsed, rows_back = np.empty((2 * substeps + 1, 3 * LANES)), np.zeros((2 * substeps + 1, 3 * LANES), np.int64)
     for half in range(2 * substeps + 1):
         for n in range(3 * LANES):
             t = 0.5 * half * (dt / substeps) - m[DELAY * LANES + n]
             while t < 0.0:
                 t += dt
-                ago[half, n] += 1
-            since[half, n] = t
-    return since, ago
+                rows_back[half, n] += 1
+            elapsed[half, n] = t
+    return elapsed, rows_back
 
 
-class Said(NamedTuple):
-    """All commands, and when they are heard."""
+class Commands(NamedTuple):
+    """The commands of all lanes, with the time at which the motors execute them."""
 
-    pieces: FloatArray  # (n, 3, 4) cubics of each row and tower, m, highest power first
-    spans: Rows  # (k, 2) the pieces where each command begins and ends
-    since: FloatArray  # from `late`
-    ago: Rows
+    cubics: FloatArray  # (n, 3, 4) cubics of each row and tower, m, highest power first
+    ranges: Rows  # (k, 2) first cubic of each lane's command, and the one after its last
+    elapsed: FloatArray  # from `command_times`
+    rows_back: Rows
 
 
 @compiled
-def listen(m: FloatArray, row: int, half: int, said: Said, has: Acting) -> None:
-    """What the motors are told at one half of a step of a row."""
+def read_command(m: FloatArray, row: int, half: int, commands: Commands, has: ActiveEffects) -> None:
+    """Evaluate the command at one half step of a row."""
     if half == 0 or has.delay:
-        fetch(m, row, said.ago[half], said.pieces, said.spans)
-    tell(m, said.since[half])
+        load_cubics(m, row, commands.rows_back[half], commands.cubics, commands.ranges)
+    evaluate_command(m, commands.elapsed[half])
     if has.ripple:
         cogging(m)
 
 
 @compiled
-def fetch(m: FloatArray, row: int, ago: Rows, pieces: FloatArray, spans: Rows) -> None:
-    """The cubics that the motors hear in a row of the command. Before the first row, they rest."""
-    for l in range(len(spans)):
+def load_cubics(m: FloatArray, row: int, rows_back: Rows, cubics: FloatArray, ranges: Rows) -> None:
+    """Load the cubics that the motors execute in a row of the command. Before the first row, they rest."""
+    for l in range(len(ranges)):
         for i in range(3):
-            own = spans[l, 0] + row - ago[i * LANES + l]
-            piece = pieces[min(max(own, spans[l, 0]), spans[l, 1] - 1), i]
+            own = ranges[l, 0] + row - rows_back[i * LANES + l]
+            cubic = cubics[min(max(own, ranges[l, 0]), ranges[l, 1] - 1), i]
             for power in range(4):
-                m[(CUBIC + 3 * power + i) * LANES + l] = piece[power] if own >= spans[l, 0] or power == 3 else 0.0
+                m[(CUBIC + 3 * power + i) * LANES + l] = cubic[power] if own >= ranges[l, 0] or power == 3 else 0.0
 
 
 @compiled
-def tell(m: FloatArray, since: FloatArray) -> None:
-    """The command and its rate."""
+def evaluate_command(m: FloatArray, elapsed: FloatArray) -> None:
+    """Evaluate the command and its rate."""
     for n in range(3 * LANES):
-        m[TIME * LANES + n] = since[n]
+        m[TIME * LANES + n] = elapsed[n]
     for n in range(3 * LANES):
         t = at(m, TIME, n)
         a, b, c = at(m, CUBIC, n), at(m, CUBIC + 3, n), at(m, CUBIC + 6, n)
-        m[TOLD * LANES + n] = ((a * t + b) * t + c) * t + at(m, CUBIC + 9, n)
-        m[TOLD_RATE * LANES + n] = (3.0 * a * t + 2.0 * b) * t + c
+        m[COMMAND * LANES + n] = ((a * t + b) * t + c) * t + at(m, CUBIC + 9, n)
+        m[COMMAND_RATE * LANES + n] = (3.0 * a * t + 2.0 * b) * t + c
 
 
 @compiled
 def cogging(m: FloatArray) -> None:
-    """The ripple of the motors' positions, and its rate."""
+    """Evaluate the ripple of the motors' positions, and its rate."""
     for n in range(3 * LANES):
         amplitude, wave = m[COGGING * LANES + n], m[WAVE * LANES + n]
         if amplitude != 0.0:
-            phase = wave * m[TOLD * LANES + n] + m[AHEAD * LANES + n]
+            phase = wave * m[COMMAND * LANES + n] + m[PHASE * LANES + n]
             sine, cosine = math.sin(phase), math.cos(phase)
             up, down = m[SECOND_SINE * LANES + n], m[SECOND_COSINE * LANES + n]
             twice_sine, twice_cosine = 2.0 * sine * cosine, 1.0 - 2.0 * sine * sine
             m[RIPPLE * LANES + n] = amplitude * (sine + up * twice_sine + down * twice_cosine)
             slope = cosine + 2.0 * (up * twice_cosine - down * twice_sine)
-            m[RIPPLE_RATE * LANES + n] = amplitude * wave * slope * m[TOLD_RATE * LANES + n]
+            m[RIPPLE_RATE * LANES + n] = amplitude * wave * slope * m[COMMAND_RATE * LANES + n]
 
 
 @compiled
 def motors(m: FloatArray) -> None:
-    """u, u̇, the drives' own rates, and each belt's stretch: without its slack, and up to its give."""
+    """Evaluate u, u̇, the drives' rates, and each belt's stretch, less its backlash and up to its peak-force stretch."""
     for n in range(3 * LANES):
-        told, told_rate, v, vd = at(m, TOLD, n), at(m, TOLD_RATE, n), at(m, NOW + V, n), at(m, NOW + VD, n)
+        command, command_rate, v, vd = at(m, COMMAND, n), at(m, COMMAND_RATE, n), at(m, NOW + V, n), at(m, NOW + VD, n)
         lead, ideal = at(m, LEAD, n), at(m, IDEAL, n) != 0.0
-        vdd = at(m, D0, n) * (told - v) - at(m, D2, n) * vd
-        u = (told if ideal else v + lead * vd) + at(m, RIPPLE, n)
-        ud = (told_rate if ideal else vd + lead * vdd) + at(m, RIPPLE_RATE, n)
-        stretch, half_backlash, give = u - at(m, NOW + Q, n), at(m, HALF_BACKLASH, n), at(m, GIVE, n)
+        vdd = at(m, D0, n) * (command - v) - at(m, D2, n) * vd
+        u = (command if ideal else v + lead * vd) + at(m, RIPPLE, n)
+        ud = (command_rate if ideal else vd + lead * vdd) + at(m, RIPPLE_RATE, n)
+        stretch, half_backlash, peak_stretch = u - at(m, NOW + Q, n), at(m, HALF_BACKLASH, n), at(m, PEAK_STRETCH, n)
         stretch -= min(max(stretch, -half_backlash), half_backlash)
-        stretch = min(max(stretch, -give), give)
+        stretch = min(max(stretch, -peak_stretch), peak_stretch)
         m[MOTOR * LANES + n], m[MOTOR_RATE * LANES + n] = u, ud
         m[STRETCH * LANES + n], m[SPRING * LANES + n] = stretch, stretch
         m[(RATE + V) * LANES + n], m[(RATE + VD) * LANES + n] = vd, vdd
 
 
 @compiled
-def sines(m: FloatArray) -> None:
-    """A motor pulls with the sine of its angle."""
+def torque_angle(m: FloatArray) -> None:
+    """Replace the effective stretch s by a sin(s/a): a stepper's torque is a sine of its angle."""
     for n in range(3 * LANES):
-        bend = m[BEND * LANES + n]
-        if bend != 0.0:
-            m[SPRING * LANES + n] = math.sin(bend * m[STRETCH * LANES + n]) / bend
+        inverse = m[INVERSE_AMPLITUDE * LANES + n]
+        if inverse != 0.0:
+            m[SPRING * LANES + n] = math.sin(inverse * m[STRETCH * LANES + n]) / inverse
 
 
 @compiled
 def belts(m: FloatArray) -> None:
-    """All forces on the carriages but the effector's: slack, hardening, the motors' sine, stiffness by height."""
+    """Sum the forces on the carriages except the effector's: belt, viscous and dry friction, weight."""
     for n in range(3 * LANES):
         q, qd, stretch = at(m, NOW + Q, n), at(m, NOW + QD, n), at(m, STRETCH, n)
         k = at(m, BELT_K, n) * (1.0 + at(m, SLOPE, n) * (q - at(m, CENTRE, n)))

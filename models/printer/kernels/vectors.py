@@ -1,4 +1,4 @@
-"""Vectors of three in the lanes of the kernels."""
+"""Access the lanes of the kernels' array, and compute with vectors of three components."""
 
 from __future__ import annotations
 
@@ -9,56 +9,66 @@ from models.printer.kernels.record import LANES, Row, Vector
 
 @inlined
 def at(m: FloatArray, row: Row, l: int) -> float:
+    """Return a row of lane l."""
     return m[row * LANES + l]
 
 
 @inlined
-def three(m: FloatArray, row: Row, l: int) -> Vector:
+def vector(m: FloatArray, row: Row, l: int) -> Vector:
+    """Return three rows of lane l."""
     return m[row * LANES + l], m[(row + 1) * LANES + l], m[(row + 2) * LANES + l]
 
 
 @inlined
-def put(m: FloatArray, row: Row, l: int, vector: Vector) -> None:
-    m[row * LANES + l], m[(row + 1) * LANES + l], m[(row + 2) * LANES + l] = vector
+def put(m: FloatArray, row: Row, l: int, value: Vector) -> None:
+    """Store three rows of lane l."""
+    m[row * LANES + l], m[(row + 1) * LANES + l], m[(row + 2) * LANES + l] = value
 
 
 @inlined
 def dot(a: Vector, b: Vector) -> float:
+    """Return a·b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @inlined
 def cross(a: Vector, b: Vector) -> Vector:
+    """Return a × b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @inlined
-def scaled(f: float, a: Vector) -> Vector:
+def scale(f: float, a: Vector) -> Vector:
+    """Return f a."""
     return f * a[0], f * a[1], f * a[2]
 
 
 @inlined
-def plus(a: Vector, b: Vector) -> Vector:
+def add(a: Vector, b: Vector) -> Vector:
+    """Return a + b."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @inlined
-def mixed(r: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
-    """r₀ a + r₁ b + r₂ c: the matrix with columns a, b, c times r."""
+def combine(r: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
+    """Return r₀ a + r₁ b + r₂ c, the matrix with columns a, b, c times r."""
     x, y, z = r
     return x * a[0] + y * b[0] + z * c[0], x * a[1] + y * b[1] + z * c[1], x * a[2] + y * b[2] + z * c[2]
 
 
 @inlined
-def solved(a: Vector, b: Vector, c: Vector, r: Vector) -> Vector:
-    """x of a·x = r₀, b·x = r₁, c·x = r₂."""
+def solve(a: Vector, b: Vector, c: Vector, r: Vector) -> Vector:
+    """Solve a·x = r₀, b·x = r₁, c·x = r₂ for x."""
     bc = cross(b, c)
-    return scaled(1.0 / dot(a, bc), mixed(r, bc, cross(c, a), cross(a, b)))
+    return scale(1.0 / dot(a, bc), combine(r, bc, cross(c, a), cross(a, b)))
 
 
 @inlined
 def tanh(x: float) -> float:
-    """To 1e-14 of it, without branches: a Padé fraction at x/32, then tanh 2a = 2 tanh a/(1 + tanh² a) five times."""
+    """Compute tanh x to 1e-14 without branches.
+
+    A Padé fraction at x/32, then tanh 2a = 2 tanh a/(1 + tanh² a) five times.
+    """
     a = min(max(x, -20.0), 20.0) / 32.0
     s = a * a
     n = a * (135135.0 + s * (17325.0 + s * (378.0 + s)))

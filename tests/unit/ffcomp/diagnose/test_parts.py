@@ -19,7 +19,7 @@ from models.effects.catalogue import with_effect
 from models.file import load_machine
 from models.printer.kernels import record
 from models.printer.kernels.friction import guide_friction
-from models.printer.kernels.integrate import laid_out
+from models.printer.kernels.integrate import fill_lanes
 from models.printer.parameters import printer_parameters
 
 # ---- fit -----------------------------------------------------------------------------------------
@@ -79,7 +79,7 @@ def test_a_fit_finds_both_parameters() -> None:
 def test_friction_that_never_holds_is_a_plain_hyperbolic_tangent() -> None:
     shape = {"force_n": 2.0, "creep_mm_per_s": 4.0, "hold_per_s": 0.0}
     machine = with_effect(load_machine("mp-delta-pro"), "coulomb_friction", **shape)
-    m = laid_out(np.zeros((1, record.STATES)), record.table([printer_parameters(machine)]))
+    m = fill_lanes(np.zeros((1, record.STATES)), record.parameter_table([printer_parameters(machine)]))
     rows = m.reshape(record.ROWS, record.LANES)
     for speed in (-0.01, -1e-4, 2e-3, 0.3):
         rows[record.NOW + record.QD : record.NOW + record.QD + 3, 0] = speed

@@ -16,8 +16,9 @@ from scipy.interpolate import CubicSpline
 from models.effects.catalogue import with_effect
 from models.errors import UnreachableError
 from models.machine import DeltaKinematics, Machine
-from models.printer.kernels import record
-from models.printer.kernels.spline import cubics
+from models.printer.kernels import integrate, jit, record
+from models.printer.kernels.equilibrium import find_equilibrium
+from models.printer.kernels.spline import cubic_spline
 from models.printer.kernels.vectors import tanh
 from models.printer.printer import PrinterMotion, simulate_printer, simulate_printers
 
@@ -155,7 +156,7 @@ def test_our_hyperbolic_tangent(x: float) -> None:
 @pytest.mark.parametrize("n", [2, 3, 4, 5, 40])
 def test_our_spline(n: int) -> None:
     rows = np.random.default_rng(n).normal(size=(n, 3))
-    pieces = cubics(rows, 0.3)
+    pieces = cubic_spline(rows, 0.3)
     expected = CubicSpline(0.3 * np.arange(n), rows)
     np.testing.assert_allclose(pieces[:-1], expected.c.transpose(1, 2, 0), atol=1e-11)
     end = np.stack([0 * rows[-1], 0 * rows[-1], expected(0.3 * (n - 1), 1), rows[-1]], axis=-1)
@@ -165,7 +166,14 @@ def test_our_spline(n: int) -> None:
 def test_rows_of_the_array_do_not_overlap() -> None:
     """Every name's rows begin where those of another end."""
     sizes = {"CUBIC": 12, "J": 9, "BASE": 30, "NOW": 30, "RATE": 30, "SUM": 30}
-    names = "BASE NOW RATE SUM TIME CUBIC TOLD TOLD_RATE RIPPLE RIPPLE_RATE MOTOR MOTOR_RATE STRETCH SPRING"
-    names += " LEVEL GUIDES PULL BENDING X XD ACC JOINTS F0 RHO J"
+    names = "BASE NOW RATE SUM TIME CUBIC COMMAND COMMAND_RATE RIPPLE RIPPLE_RATE MOTOR MOTOR_RATE STRETCH SPRING"
+    names += " LEVEL GUIDES PULL CENTRIPETAL X XD ACC JOINTS F0 RHO J"
     ends = [(getattr(record, name), getattr(record, name) + sizes.get(name, 3)) for name in names.split()]
     assert [end for _, end in ends] == [begin for begin, _ in ends[1:]] + [record.PRINTER]
+
+
+def test_cached_code_depends_on_every_file_of_the_kernels() -> None:
+    """Numba alone would keep the code of a function whose callee in another file has changed."""
+    kernels = [find_equilibrium, cubic_spline, *(f for f in vars(integrate).values() if hasattr(f, "py_func"))]
+    cached = [f for f in kernels if f.targetoptions.get("forceinline") is None]
+    assert {f._cache._cache_file._source_stamp for f in cached} == {jit.SOURCES}
