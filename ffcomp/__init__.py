@@ -18,7 +18,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from ffcomp.numerics.numba_cache import find_a_place
+from ffcomp.numerics.numba_cache import ensure_cache_folder
 from ffcomp.version import __version__
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ __all__ = [
 FUNCTIONS = ("frf", "gap", "load_machine")
 FOLDERS = ("compare", "compensate", "diagnose", "estimate", "identify", "simulate")  # verbs that are folders as well
 
-find_a_place()  # for compiled code, before anything is imported that compiles
+ensure_cache_folder()  # for compiled code, before anything is imported that compiles
 
 
 class _Verb(ModuleType):

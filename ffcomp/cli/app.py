@@ -1,4 +1,4 @@
-"""The `ffcomp` command: verbs are mounted here; each has its own file and imports what it needs when it runs."""
+"""The `ffcomp` command. Each verb has its own file and imports what it needs when it runs."""
 
 from __future__ import annotations
 
@@ -94,19 +94,19 @@ def options(
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:
-    """A slicer's or a host's way to cancel: what is half written is cleared away, as for an interrupt."""
+    """End as for an interrupt, so that half-written files are cleared away: slicers and hosts cancel like this."""
     raise SystemExit(128 + number)
 
 
 def _open_streams() -> None:
-    """Where the caller has left an output closed: it goes nowhere, and no file of ours is taken for it."""
+    """Replace an output that the caller has closed, so that no file of ours is taken for it."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 (as long as the process)
 
 
 def main() -> None:
-    """The console script."""
+    """Run the command line; the console script."""
     _open_streams()
     signal.signal(signal.SIGTERM, _terminate)
     with logged(sys.argv[1:]):

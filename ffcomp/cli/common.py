@@ -1,6 +1,7 @@
-"""What the verbs share: errors become sentences on stderr and exit codes, progress goes to stderr.
+"""Messages, exit codes and progress of all verbs.
 
-What is said goes into the log as well (`ffcomp.cli.log`), but for progress.
+Errors become sentences on stderr and exit codes. Messages go to stderr and to the log (`ffcomp.cli.log`), progress to
+stderr only.
 """
 
 from __future__ import annotations
@@ -33,23 +34,25 @@ def exit_codes() -> Iterator[None]:
 
 
 def fail(sentence: str, code: int) -> None:
+    """Print a sentence on stderr and exit with this code."""
     say(f"ffcomp: {sentence}")
     raise SystemExit(code)
 
 
 def say(sentence: str, quiet: bool = False) -> None:
-    """A message: never on stdout, which is for results."""
+    """Print a message on stderr; stdout is for results."""
     note(sentence)
     if not quiet:
         print(sentence, file=sys.stderr)
 
 
 def print_json(result: dict[str, Any]) -> None:
+    """Print a result as one JSON object on stdout."""
     print(json_line(result), flush=True)
 
 
 class Progress:
-    """A bar with the time left on a terminal, a line a tenth elsewhere (a slicer's log), nothing when quiet."""
+    """Progress: a bar with the time left on a terminal, a line a tenth elsewhere (a slicer's log), nothing if quiet."""
 
     def __init__(self, total_s: float, quiet: bool, what: str = "compensating") -> None:
         self.total_s, self.quiet, self.what = max(total_s, 1e-9), quiet, what
@@ -76,6 +79,7 @@ class Progress:
             self.bar.stop()
 
     def __call__(self, done_s: float) -> None:
+        """Show how much is done."""
         if self.quiet:
             return
         if self.live:
@@ -89,7 +93,7 @@ class Progress:
             print(f"ffcomp: {min(10 * tenth, 100)} %, {max(left, 0):.0f} s left", file=sys.stderr)
 
     def phase(self, what: str, share: float) -> None:
-        """Several things one after the other: what is being done now, and how much of it is done (0 to 1)."""
+        """Show the current step of several, and the share of it that is done (0 to 1)."""
         if self.quiet:
             return
         if self.live:

@@ -1,4 +1,4 @@
-"""`ffcomp compare`: how much better will this print be, where, and than what."""
+"""`ffcomp compare`: evaluate ffcomp and every input shaper on one print."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def compare(
     from ffcomp.cli.common import exit_codes, print_json
 
     request = _request(mismatch, seeds, _sampling(layers, sample), quality_um, only)
-    with _threads_die_with_us(), exit_codes():
+    with _ExitWithoutThreads(), exit_codes():
         _check_targets(report, figures)
         found = _compare(file, machine, plant, request, offset_mm, flavor, max_segments_per_second, plate, quiet)
         written = _write(found, report, figures)
@@ -125,8 +125,8 @@ def compare(
             _print(found, report, written)
 
 
-class _threads_die_with_us:
-    """An interruption does not wait for searches that run in threads; nothing of theirs is on disk."""
+class _ExitWithoutThreads:
+    """Exit at an interruption without waiting for searches that run in threads; nothing of theirs is on disk."""
 
     def __enter__(self) -> None: ...
 
@@ -179,7 +179,7 @@ def _request(mismatch: str, seeds: int, sampling: Sampling, quality_um: float, o
 
 
 def _check_targets(report: Path | None, figures: Path | None) -> None:
-    """What cannot be written is said before the work, not after it."""
+    """Refuse, before the work, targets that cannot be written."""
     for path in (report, figures):
         parent = None if path is None else path.resolve().parent
         if parent is not None and not parent.is_dir():
@@ -276,13 +276,13 @@ def _columns(found: Comparison) -> list[str]:
 
 
 def _legend(found: Comparison) -> str:
-    """What the columns are."""
+    """Explain the columns."""
     parts = [
         "µm. rms, p99, max: distance to the reference path, over all moves; track: at equal times, constant delay "
         "removed; ring: what still swings in straight cruise; peak: m/s² asked of a carriage ('!': beyond its limit)."
     ]
     if found.mismatch:
-        parts.append("off, worst: rms on printers that are off, median and worst.")
+        parts.append("off, worst: contour rms on Monte-Carlo plants, median and worst.")
     if found.quality_bound_um:
         bound = f"{found.quality_bound_um:g} µm"
         parts.append(f"m/s², time: the highest acceleration that keeps p99 below {bound}, and its print time, s.")

@@ -234,9 +234,9 @@ def compensate(
             force=force,
             steps=_steps(known, output, inverse == "none", extruder_steps_per_mm),
         )
-        order = _Order(files, targets, known, options, jobs, scheduler, quiet, advice)
-        outcomes = [] if len(files) == 1 else _compensate_all(order)
-        result = _answer(outcomes) if outcomes else _compensate_one(order)
+        request = _Request(files, targets, known, options, jobs, scheduler, quiet, advice)
+        outcomes = [] if len(files) == 1 else _compensate_all(request)
+        result = _batch_json(outcomes) if outcomes else _compensate_one(request)
         if as_json:
             print_json(result)
     for outcome in outcomes:
@@ -245,7 +245,7 @@ def compensate(
 
 
 @dataclass(frozen=True, slots=True)
-class _Order:
+class _Request:
     """Everything that was asked for."""
 
     files: list[Path]
@@ -261,23 +261,23 @@ class _Order:
 def _advised(
     machine: Machine, files: list[Path], offset: tuple[float, float], auto: bool
 ) -> tuple[tuple[float, float], list[str]]:
-    """The offset to be used, and what the slicer's settings give reason to say."""
+    """Choose the offset, and collect warnings about the slicer's settings."""
     from ffcomp.integrations.slicer import auto_sentence, bed_of, bed_warning, call_warnings, offset_for, read_call
 
     call = read_call(os.environ)
-    told = call_warnings(call)
+    warnings = call_warnings(call)
     bed = call.bed or (bed_of(files[0]) if len(files) == 1 else None)  # several may be for several beds
     if bed is None:
         if auto:
             raise typer.BadParameter("--offset-mm auto: neither the slicer nor a single file says what the bed is.")
-        return offset, told
+        return offset, warnings
     if auto:
-        return offset_for(bed, machine.kinematics.centre_mm), [*told, auto_sentence(bed, machine)]
-    return offset, told + bed_warning(bed, machine, offset)
+        return offset_for(bed, machine.kinematics.centre_mm), [*warnings, auto_sentence(bed, machine)]
+    return offset, warnings + bed_warning(bed, machine, offset)
 
 
 def _steps(machine: Machine, output: str, plain: bool, per_mm: float | None) -> StepOutput | None:
-    """What step timings are to be like; None for G-code."""
+    """Describe the step timings that are asked for; None for G-code."""
     if output == "gcode":
         return None
     from ffcomp.compensate.file import StepOutput
@@ -295,7 +295,7 @@ def _steps(machine: Machine, output: str, plain: bool, per_mm: float | None) -> 
 def _targets(
     files: list[Path], output_file: Path | None, output_dir: Path | None, dry_run: bool, suffix: str
 ) -> list[Path] | list[None]:
-    """Where each file goes; with a suffix, what is written is no G-code and never replaces any."""
+    """Choose the target of each file. With a suffix the output is no G-code and never replaces any."""
     from ffcomp.compensate.batch import check_targets, targets_in
 
     if output_file is not None and (len(files) > 1 or output_dir is not None):
@@ -320,10 +320,10 @@ def _settings(machine: Machine, rate: float, **changes: Any) -> Settings:
     return replace(settings_for(machine, rate), **changes)
 
 
-def _compensate_one(order: _Order) -> dict[str, Any]:
-    """The JSON object of a single file; the processes work at its chapters.
+def _compensate_one(request: _Request) -> dict[str, Any]:
+    """Compensate a single file, its chunks on several processes, and return its JSON object.
 
-    A slicer's file has a name that the user never sees: messages name the output instead.
+    The user never sees the name of a slicer's temporary file, so messages name the output instead.
     """
     from ffcomp.cli.common import Progress, say
     from ffcomp.cli.compensate_report import report
@@ -331,38 +331,38 @@ def _compensate_one(order: _Order) -> dict[str, Any]:
     from ffcomp.compensate.file import compensate_file
     from gcode.text import PART_BYTES
 
-    (file,), (target,), quiet = order.files, order.targets, order.quiet
+    (file,), (target,), quiet = request.files, request.targets, request.quiet
     name = os.environ.get("SLIC3R_PP_OUTPUT_NAME") or str(file)
     chapters = max(size_of(file) // PART_BYTES, 1)
-    with workers(min(order.jobs, chapters), order.scheduler) as at_once, Progress(1.0, quiet) as progress:
-        result = compensate_file(file, name, order.machine, order.options, target, jobs=at_once, progress=progress)
+    with workers(min(request.jobs, chapters), request.scheduler) as at_once, Progress(1.0, quiet) as progress:
+        result = compensate_file(file, name, request.machine, request.options, target, jobs=at_once, progress=progress)
     result["input"] = str(file)
     if "already" in result:
         say(result["already"], quiet)
         return {**result, "output": str(file)}
     for warning in result["warnings"]:
         say(f"ffcomp: {warning}", quiet)
-    result["warnings"] = [*order.advice, *result["warnings"]]
-    report(result, order.machine.path, quiet)
+    result["warnings"] = [*request.advice, *result["warnings"]]
+    report(result, request.machine.path, quiet)
     return result
 
 
-def _compensate_all(order: _Order) -> list[Outcome]:
-    """What became of each, in the order given."""
+def _compensate_all(request: _Request) -> list[Outcome]:
+    """Compensate several files; return their results in the order given."""
     from ffcomp.cli.common import Progress, fail
     from ffcomp.cli.compensate_report import report_all
     from ffcomp.compensate.batch import compensate_files, size_of
 
-    files = order.files
+    files = request.files
     outcomes: list[Outcome] = []
-    with Progress(sum(map(size_of, files)), order.quiet) as progress:
+    with Progress(sum(map(size_of, files)), request.quiet) as progress:
         work = compensate_files(
             files,
-            order.machine,
-            order.options,
-            targets=order.targets,
-            jobs=order.jobs,
-            scheduler=order.scheduler,
+            request.machine,
+            request.options,
+            targets=request.targets,
+            jobs=request.jobs,
+            scheduler=request.scheduler,
             progress=progress,
         )
         try:
@@ -371,12 +371,12 @@ def _compensate_all(order: _Order) -> list[Outcome]:
         except KeyboardInterrupt:
             fail(f"Interrupted; {len(outcomes)} of {len(files)} files are done, the others as they were.", 130)
     outcomes.sort(key=lambda outcome: outcome.number)
-    report_all(outcomes, order.quiet)
+    report_all(outcomes, request.quiet)
     return outcomes
 
 
-def _answer(outcomes: list[Outcome]) -> dict[str, Any]:
-    """The JSON object of several files."""
+def _batch_json(outcomes: list[Outcome]) -> dict[str, Any]:
+    """Return the JSON object of several files."""
     results = [_result(outcome) for outcome in outcomes]
     failed = sum(outcome.failure is not None for outcome in outcomes)
     return {"schema": "ffcomp-compensate-batch/1", "results": results, "failed": failed}

@@ -16,7 +16,7 @@ from ffcomp.compensate.file import Outcome
 
 
 def report_all(outcomes: list[Outcome], quiet: bool) -> None:
-    """A table on stderr, and what failed; quietly only the latter."""
+    """Print a table and the failures on stderr; only the failures if quiet."""
     if not quiet:
         for warning, files in _warnings(outcomes).items():
             say(f"ffcomp: {files[0] if len(files) == 1 else f'{len(files)} files'}: {warning}")
@@ -51,7 +51,7 @@ def _cells(outcome: Outcome) -> tuple[str, ...]:
 
 
 def report(result: dict[str, Any], machine_path: str, quiet: bool) -> None:
-    """The predicted gain and the cost, on stderr."""
+    """Print the predicted gain and the cost on stderr."""
     if result["predicted"]:
         rms = [f"{name} {track['contour_rms_um']:.2f} µm" for name, track in result["predicted"].items()]
         note(f"predicted contour error, rms: {', '.join(rms)}")
@@ -74,7 +74,7 @@ def report(result: dict[str, Any], machine_path: str, quiet: bool) -> None:
 
 
 def _machine(path: str, verb: str) -> str:
-    """What the next command must be told of the machine; `show` finds by itself what has a name."""
+    """Return the option that the next command needs; `show` finds machines that have a name."""
     from models.file import machine_paths
 
     names = [name for name, known in machine_paths().items() if str(known) == path]

@@ -1,4 +1,4 @@
-"""`ffcomp diagnose`: which physical effect is missing from the machine file?"""
+"""`ffcomp diagnose`: find the physical effect that a machine file lacks."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def diagnose(
 
 
 def _check_targets(output: Path | None, report: Path | None, force: bool) -> None:
-    """What cannot be written is said before the work, not after it."""
+    """Refuse, before the work, targets that cannot be written."""
     for path, option in ((output, "--output"), (report, "--report")):
         if path is None:
             continue
@@ -101,7 +101,7 @@ def _check_targets(output: Path | None, report: Path | None, force: bool) -> Non
 def _better(
     problem: PrinterProblem, found: DiagnosisResult, target: Path | None, runs: list[Path]
 ) -> dict[Path, bytes]:
-    """The better machine file, if it is asked for and an effect is named."""
+    """Make the improved machine file, if it is asked for and an effect is named."""
     if target is None:
         return {}
     from datetime import date
@@ -125,7 +125,7 @@ def _page(
     runs: list[Path],
     began: float,
 ) -> dict[Path, bytes]:
-    """The report, if it is asked for."""
+    """Make the report, if it is asked for."""
     if target is None:
         return {}
     import time

@@ -1,4 +1,4 @@
-"""`ffcomp estimate`: how long a print takes, and what it spends that time on."""
+"""`ffcomp estimate`: estimate how long a print takes, by layer and by feature."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _estimates(file: Path, machine: str, flavor: str, offset: tuple[float, float
 
 
 def _machine(text: Source, path: str, name: str) -> Machine:
-    """The machine asked for, or that of the print's stamp."""
+    """Load the machine asked for, or that of the print's stamp."""
     from ffcomp.estimate.engine import stamp_of
     from models.file import find_by_sha256, load_machine
 
@@ -114,7 +114,7 @@ def _print(found: Estimate, every_layer: bool) -> None:
 
 
 def _sentence(found: Estimate) -> str:
-    """The time, what it was before compensation, and what the slicer says."""
+    """Print the time, the time before compensation, and the slicer's own estimate."""
     from ffcomp.estimate.engine import seconds
     from gcode.metadata import short
 
@@ -160,7 +160,7 @@ def _print_layers(console: Console, found: Estimate, every: bool) -> None:
 
 
 def _unknown(statistics: Statistics) -> list[str]:
-    """What takes a time that no file tells, one sentence for all."""
+    """List commands whose duration no file states, in one sentence."""
     if not statistics.unknown:
         return statistics.warnings
     told = [f"{each.what} ({each.command}, {_lines(each)})" for each in statistics.unknown.values()]

@@ -1,4 +1,4 @@
-"""`ffcomp frf`: how the machine answers, anywhere on its bed, and how it answered when it was measured."""
+"""`ffcomp frf`: compute frequency responses anywhere on the bed, and compare them with measured ones."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 
 class Of(StrEnum):
+    """Outputs."""
+
     carriage = "carriage"
     nozzle = "nozzle"
     acceleration = "acceleration"
@@ -28,6 +30,8 @@ class Of(StrEnum):
 
 
 class Per(StrEnum):
+    """Inputs."""
+
     carriage = "carriage"
     nozzle = "nozzle"
 
@@ -132,7 +136,7 @@ def frf(
 
 
 def _view(of: Of | None, per: Per | None, measured: list[FrequencyResponse], masses: list[float], arms: bool) -> View:
-    """What was asked for; else what the first measurement is of; else the carriages."""
+    """Choose input and output: those asked for, else those of the first measurement, else the carriages."""
     from ffcomp.identify.frf_study import View, view_of
 
     if of is None and per is None and measured:

@@ -1,4 +1,4 @@
-"""`ffcomp gap`: do simulation and measurement disagree, where, and how much against the noise."""
+"""`ffcomp gap`: measure where and how much recordings and simulation disagree."""
 
 from __future__ import annotations
 

@@ -190,7 +190,7 @@ def plan(
 
 
 def _directions(axes: str | None, machine: Machine) -> tuple[str, ...]:
-    """What is moved by itself, the kind's own default first."""
+    """Choose the directions to excite; the first group is the machine's default."""
     groups = machine.kinematics.excitation_directions
     chosen = axes or next(iter(groups))
     check_choice("--axes", chosen, list(groups))
@@ -290,7 +290,7 @@ def _warnings(experiments: list[dict[str, Any]]) -> list[str]:
 
 
 def _report(result: dict[str, Any], shaper_off: bool) -> None:
-    """What the file does and what to do with it."""
+    """Describe the file and the next steps."""
     from rich.console import Console
     from rich.table import Table
 

@@ -36,7 +36,7 @@ def log_path(environment: Mapping[str, str] = os.environ) -> Path | None:
 
 
 def note(text: str) -> None:
-    """A message into the log of the run under way, every line with its time and process."""
+    """Write a message into the log of this run, every line with its time and process."""
     if _log is None:
         return
     begin = f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')} [{os.getpid()}] "
@@ -47,7 +47,7 @@ def note(text: str) -> None:
 
 @contextmanager
 def logged(arguments: list[str]) -> Iterator[None]:
-    """A run of the command line: its beginning, what `note` is told, its end."""
+    """Log one run of the command line: its beginning, the messages given to `note`, its end."""
     global _log
     _log, started, code = _prepared(), time.perf_counter(), "1"
     note(f"ffcomp {__version__}, Python {platform.python_version()}, {platform.system()}, in {_folder()}")
@@ -79,7 +79,7 @@ def _folder() -> str:
 
 
 def _prepared() -> Path | None:
-    """The log, with room in it; None if it cannot be written."""
+    """Open the log, shortened if it is full; None if it cannot be written."""
     with suppress(OSError, RuntimeError):  # RuntimeError: no home folder
         path = log_path()
         if path is None:

@@ -235,7 +235,7 @@ def _where(extreme: Extreme) -> str:
 
 
 def _energy_notes(machine: Machine, sound: PhysicsChecks) -> list[str]:
-    """What the force map does to the books of energy; nothing, by virtual work."""
+    """Describe the energy that the force map creates; none by virtual work."""
     force_map, notes = f"The force map {machine.effector.force_map!r}", []
     if not sound.is_reciprocal:
         notes.append(

@@ -20,6 +20,8 @@ INCOMPLETE = 5  # the file was written, but it is no machine file yet
 
 
 class Kind(StrEnum):
+    """Kinematics that Marlin does not state."""
+
     CARTESIAN = "cartesian"
     COREXY = "corexy"
 

@@ -1,8 +1,8 @@
-"""What is worked out once for a machine, kept in the user's cache for the next time.
+"""On-disk cache for per-machine tables and gains.
 
-A file's name is a hash of all that its numbers follow from: the machine, what was asked for, and the source of the code
-that works them out. So nothing in it is ever out of date: it is there, or it is worked out anew. Nobody waits for the
-cache and nothing fails for it: a file that cannot be read is not there, one that cannot be written is not kept.
+A file's name is a hash of everything that determines its arrays: the machine, the settings and the source of the code
+that computes them. So an entry is never out of date. Cache errors are never fatal: unreadable entries are misses,
+failed writes are ignored.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from ffcomp.numerics.numba_cache import user_cache
 
 Arrays = Mapping[str, NDArray[Any]]
 
-VARIABLE = "FFCOMP_CACHE"  # another folder; `off`: nothing is kept
-MOST = 24  # files; those used longest ago go
-PACKAGES = ("ffcomp/inverse", "models")  # whose code the numbers come of
+VARIABLE = "FFCOMP_CACHE"  # another folder; `off`: no cache
+MOST = 24  # files; the least recently used are deleted
+PACKAGES = ("ffcomp/inverse", "models")  # whose code computes the arrays
 
 
 def name_of(*given: object) -> str:
-    """A file's name for numbers that follow from what is given."""
+    """Return the name of the cache file for results of these inputs."""
     return sha256(pickle.dumps(given) + _code()).hexdigest()[:32]
 
 
 def load(name: str) -> Arrays:
-    """The arrays of a file, or none."""
+    """Load the arrays of a file; an unreadable or missing file gives none."""
     file = _folder() / f"{name}.npz"
     try:
         with file.open("rb") as content, np.load(content, allow_pickle=False) as arrays:
@@ -48,7 +48,7 @@ def load(name: str) -> Arrays:
 
 
 def save(name: str, arrays: Arrays) -> None:
-    """Keep them, whole or not at all."""
+    """Write the arrays, whole or not at all; a failure is ignored."""
     folder = _folder()
     draft = folder / f".{name}.{os.getpid()}.npz"
     with suppress(OSError):
@@ -64,13 +64,13 @@ def save(name: str, arrays: Arrays) -> None:
 
 
 def _folder() -> Path:
-    said = os.environ.get(VARIABLE, "")
-    return Path(os.devnull) if said == "off" else Path(said) if said else user_cache() / "ffcomp"
+    folder = os.environ.get(VARIABLE, "")
+    return Path(os.devnull) if folder == "off" else Path(folder) if folder else user_cache() / "ffcomp"
 
 
 @cache
 def _code() -> bytes:
-    """A hash of the code, and of the library whose rounding it has."""
+    """Hash the code, and the library that determines its rounding."""
     root = Path(__file__).parents[2]
     known = sha256(np.__version__.encode())
     for package in PACKAGES:

@@ -1,5 +1,7 @@
-"""Where compiled code is kept: numba finds its place beside our files or in the user's cache, and stops if both are
-read-only, as for a service without a home. Then a folder for temporary files has to do. Before numba is imported.
+"""Choose the folder of numba's compiled code.
+
+Numba caches beside our files or in the user's cache, and fails if both are read-only, as for a service without a home.
+Then a temporary folder serves. This must happen before numba is imported.
 """
 
 from __future__ import annotations
@@ -12,28 +14,28 @@ from pathlib import Path
 VARIABLE = "NUMBA_CACHE_DIR"
 
 
-def find_a_place() -> None:
-    """See above; what the user has set stays."""
+def ensure_cache_folder() -> None:
+    """Set numba's cache folder where it would find none; a folder that the user has set stays."""
     places = (Path(__file__).parent / "__pycache__", user_cache() / "numba")
     if VARIABLE not in os.environ and not any(map(_writable, places)):
         os.environ[VARIABLE] = str(_temporary())
 
 
 def user_cache() -> Path:
-    """Where programmes keep what they can work out again."""
+    """Return the user's cache folder."""
     if os.name == "nt":
         return Path(os.environ.get("LOCALAPPDATA") or Path.home())
     return Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
 
 
 def _writable(folder: Path) -> bool:
-    """Whether it is there to write in, or can be made."""
+    """Return whether the folder exists and is writable, or can be made."""
     there = next((place for place in (folder, *folder.parents) if place.exists()), folder)
     return there.is_dir() and os.access(there, os.W_OK | os.X_OK)
 
 
 def _temporary() -> Path:
-    """The same one next time, but only if nobody else can have put anything into it: code is loaded from there."""
+    """Return a folder that is the same next time and that nobody else can write to: code is loaded from it."""
     import tempfile
 
     user = getattr(os, "getuid", lambda: 0)()

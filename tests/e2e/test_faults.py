@@ -19,7 +19,7 @@ import pytest
 
 from ffcomp.compensate.file import Options, compensate_file, failure_of
 from ffcomp.inverse.settings import settings_for
-from ffcomp.numerics.numba_cache import VARIABLE, find_a_place
+from ffcomp.numerics.numba_cache import VARIABLE, ensure_cache_folder
 from gcode.embedded import original
 from gcode.stamp import already_processed
 from models.file import load_machine
@@ -264,20 +264,20 @@ def test_compiled_code_has_a_place_where_nothing_else_is_writable(
     monkeypatch.delenv(VARIABLE, raising=False)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr(os, "access", lambda *_: False)
-    find_a_place()
+    ensure_cache_folder()
     folder = Path(os.environ[VARIABLE])
     assert folder.parent == tmp_path and stat.S_IMODE(folder.stat().st_mode) == 0o700
     monkeypatch.delenv(VARIABLE)
-    find_a_place()
+    ensure_cache_folder()
     assert Path(os.environ[VARIABLE]) == folder
     folder.chmod(0o777)  # now anybody can have put code into it
     monkeypatch.delenv(VARIABLE)
-    find_a_place()
+    ensure_cache_folder()
     assert Path(os.environ[VARIABLE]) != folder
 
 
 def test_a_place_that_the_user_has_chosen_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "access", lambda *_: False)
     monkeypatch.setenv(VARIABLE, "chosen")
-    find_a_place()
+    ensure_cache_folder()
     assert os.environ[VARIABLE] == "chosen"
