@@ -13,7 +13,7 @@ from ffcomp.cli.help import MACHINE, OUTPUT
 from ffcomp.cli.options import AsJson
 
 if TYPE_CHECKING:
-    from ffcomp.importers.builder import Draft
+    from ffcomp.importers.builder import MachineDraft
     from ffcomp.importers.values import Value
 
 INCOMPLETE = 5  # the file was written, but it is no machine file yet
@@ -72,13 +72,13 @@ def import_machine(
     from ffcomp.cli.common import exit_codes, fail, print_json
 
     with exit_codes():
-        from ffcomp.importers.builder import draft, machine_text
+        from ffcomp.importers.builder import build_draft, machine_text
         from ffcomp.importers.detect import read_printer_config
         from models.file import check_text, find_machine, user_folder
 
         found = read_printer_config(file, kinematics)
         path = output or user_folder() / f"{file.stem}.toml"
-        made = draft(found, path.stem, None if like is None else find_machine(like))
+        made = build_draft(found, path.stem, None if like is None else find_machine(like))
         text = machine_text(made, file)
         if made.is_complete:
             check_text(text, str(file))
@@ -114,7 +114,7 @@ def _loudest_hz(path: Path) -> float:
     return float(dominant_frequencies(machine, np.array(machine.kinematics.centre_mm)).min())
 
 
-def _as_json(made: Draft, path: Path, model_hz: float | None) -> dict[str, object]:
+def _as_json(made: MachineDraft, path: Path, model_hz: float | None) -> dict[str, object]:
     from dataclasses import asdict
 
     return {
@@ -141,7 +141,7 @@ TITLES = {
 }
 
 
-def _print(made: Draft, path: Path, model_hz: float | None) -> None:
+def _print(made: MachineDraft, path: Path, model_hz: float | None) -> None:
     from ffcomp.importers.hints import is_assumed
 
     print(f"{path}: a {made.found.kinematics} machine, from a {made.found.firmware} configuration.")
@@ -169,11 +169,11 @@ def _print_values(title: str, values: Mapping[str, Value]) -> None:
 
 
 def _print_remedies(title: str, keys: Collection[str]) -> None:
-    from ffcomp.importers.hints import by_remedy
+    from ffcomp.importers.hints import by_hint
 
     if keys:
         print(f"\n{title}")
-    for what, same in by_remedy(keys).items():
+    for what, same in by_hint(keys).items():
         print(f"  {', '.join(same)}\n      {what}")
 
 

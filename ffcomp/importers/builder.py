@@ -1,8 +1,8 @@
-"""A machine file made of what a configuration says: what it does not say is assumed, or named as missing.
+"""Build a machine file from a configuration: other values are assumed, or named as missing.
 
-The vibration numbers of a delta are a library machine's until they are measured; those of a Cartesian or CoreXY
-machine come from the firmware's input shaper, from a machine that the user names, or stay missing. Each number says
-in [provenance] where it is from.
+The vibration parameters of a delta are a library machine's until they are measured; those of a Cartesian or CoreXY
+machine come from the firmware's input shaper, from a machine that the user names, or stay missing. [provenance] holds
+the origin of each.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from typing import Any
 import tomlkit
 
 from ffcomp.importers.delta import farthest_reach
-from ffcomp.importers.hints import ASSUMED, IMPORTED, remedy
-from ffcomp.importers.values import Found, PrinterConfigError, Value
+from ffcomp.importers.hints import ASSUMED, IMPORTED, hint
+from ffcomp.importers.values import ConfigValues, PrinterConfigError, Value
 from models.file import LIBRARY, load_machine
 from models.machine import MotionLimits, Steps
 
@@ -38,8 +38,8 @@ REQUIRED = {
 }
 REQUIRED["corexy"] = REQUIRED["cartesian"]
 REQUIRED_OF_ALL = ("limits.velocity_mm_per_s", "limits.acceleration_mm_per_s2")
-BORROWED = ("carriage", "effector", "axes")  # tables that are the library machine's where the configuration is silent
-DEFAULTS = {  # what a machine file may leave out, but an import says
+BORROWED = ("carriage", "effector", "axes")  # tables taken from the library machine where the configuration is silent
+DEFAULTS = {  # optional in a machine file, but written by an import
     "limits.square_corner_velocity_mm_per_s": MotionLimits(0, 0).square_corner_velocity_mm_per_s,
     "limits.carriage_velocity_mm_per_s": MotionLimits(0, 0).carriage_velocity_mm_per_s,
     "limits.carriage_acceleration_mm_per_s2": MotionLimits(0, 0).carriage_acceleration_mm_per_s2,
@@ -51,26 +51,27 @@ UNCERTAIN, MEASURED_LENGTH = 0.2, 0.01  # relative standard deviations, as the l
 
 
 @dataclass(frozen=True)
-class Draft:
-    """A machine file in the making."""
+class MachineDraft:
+    """A machine file before it is written."""
 
     name: str
-    found: Found
+    found: ConfigValues
     values: Mapping[str, Value]  # those found and those assumed
     missing: Mapping[str, str]  # key -> how to get it
-    like: str | None  # the machine that lent numbers
+    like: str | None  # the machine that lent values
 
     @property
     def is_complete(self) -> bool:
+        """Whether nothing is missing."""
         return not self.missing
 
 
-def draft(found: Found, name: str, like: Path | None = None) -> Draft:
-    """Fill in what can be assumed, and name the rest.
+def build_draft(found: ConfigValues, name: str, like: Path | None = None) -> MachineDraft:
+    """Fill in the values that can be assumed, and name the missing ones.
 
     Parameters
     ----------
-    like : machine file to take the unknown numbers from; for deltas the library's one with the nearest arm length,
+    like : machine file to take the unknown values from; for deltas the library's one with the nearest arm length,
         if none is given.
     """
     source = like or (_nearest(found) if found.kinematics == "delta" else None)
@@ -81,11 +82,11 @@ def draft(found: Found, name: str, like: Path | None = None) -> Draft:
         values.setdefault(key, value)
     has_arms = any(key in values for key in ARMS)
     required = [key for key in (*REQUIRED[found.kinematics], *REQUIRED_OF_ALL) if not (key in ARMS and has_arms)]
-    return Draft(name, found, values, {key: remedy(key) for key in required if key not in values}, stem or None)
+    return MachineDraft(name, found, values, {key: hint(key) for key in required if key not in values}, stem or None)
 
 
-def _nearest(found: Found) -> Path:
-    """The library's delta with the nearest arm length; the first of all where it is not known."""
+def _nearest(found: ConfigValues) -> Path:
+    """Find the library's delta with the nearest arm length; the first of all where it is not known."""
     arm = _shortest_arm(found) or 0.0
 
     def distance(path: Path) -> float:
@@ -94,7 +95,7 @@ def _nearest(found: Found) -> Path:
     return min(_deltas(), key=distance)
 
 
-def _shortest_arm(found: Found) -> float | None:
+def _shortest_arm(found: ConfigValues) -> float | None:
     arms = next((found.values[key].value for key in ARMS if key in found.values), None)
     return min(arms) if isinstance(arms, list) else arms
 
@@ -104,12 +105,12 @@ def _deltas() -> Iterator[Path]:
     return (path for path in paths if _document(path)["kinematics"]["type"] == "delta")
 
 
-def _lender(path: Path, found: Found) -> dict[str, Any]:
-    load_machine(path)  # says what is wrong with it
+def _lender(path: Path, found: ConfigValues) -> dict[str, Any]:
+    load_machine(path)  # raises for an invalid file
     document = _document(path)
     kind = document["kinematics"]["type"]
     if (kind == "delta") != (found.kinematics == "delta"):
-        raise PrinterConfigError(f"{path}: a {kind} machine cannot lend numbers to a {found.kinematics} machine.")
+        raise PrinterConfigError(f"{path}: a {kind} machine cannot lend values to a {found.kinematics} machine.")
     return document
 
 
@@ -120,11 +121,11 @@ def _document(path: Path) -> dict[str, Any]:
 # --- Assumptions
 
 
-def _assumed(found: Found, lender: Mapping[str, Any], like: str) -> Iterator[tuple[str, Value]]:
+def _assumed(found: ConfigValues, lender: Mapping[str, Any], like: str) -> Iterator[tuple[str, Value]]:
     known_axes = {key[: len("axes.x.")] for key in found.values if key.startswith("axes.")}
     for table in BORROWED:
         for key, value in _flat(lender.get(table, {}), f"{table}."):
-            if not key.startswith(tuple(known_axes)):  # an axis's numbers belong together
+            if not key.startswith(tuple(known_axes)):  # an axis's values belong together
                 yield key, Value(value, "assumed", f"{ASSUMED}: as the machine {like!r}")
     if found.kinematics == "delta":
         yield from _assumed_reach(found, lender, like)
@@ -137,7 +138,7 @@ def _assumed(found: Found, lender: Mapping[str, Any], like: str) -> Iterator[tup
         yield key, Value(lender.get(table, {}).get(name, default), "assumed", f"{ASSUMED}: {whose}")
 
 
-def _assumed_reach(found: Found, lender: Mapping[str, Any], like: str) -> Iterator[tuple[str, Value]]:
+def _assumed_reach(found: ConfigValues, lender: Mapping[str, Any], like: str) -> Iterator[tuple[str, Value]]:
     height = lender["kinematics"]["effector_height_mm"]
     yield "kinematics.effector_height_mm", Value(height, "assumed", f"{ASSUMED}: as the machine {like!r}")
     radius, arm = found.values.get("kinematics.delta_radius_mm"), _shortest_arm(found)
@@ -163,8 +164,8 @@ def _over(value: float | list[float], divisor: float) -> float | list[float]:
 # --- Text
 
 
-def machine_text(draft: Draft, source: Path) -> str:
-    """The machine file, to be loaded once nothing is missing."""
+def machine_text(draft: MachineDraft, source: Path) -> str:
+    """Write the machine file, to be loaded once nothing is missing."""
     document = tomlkit.document()
     for line in _heading(draft, source):
         document.add(tomlkit.comment(line))
@@ -185,7 +186,7 @@ def machine_text(draft: Draft, source: Path) -> str:
     return tomlkit.dumps(document)
 
 
-def _heading(draft: Draft, source: Path) -> Iterator[str]:
+def _heading(draft: MachineDraft, source: Path) -> Iterator[str]:
     yield f"{draft.name}, imported from the {draft.found.firmware} configuration {source.name}."
     yield "A start: what is assumed says so in [provenance]; `ffcomp machines check` lists it."
     if draft.missing:
@@ -203,13 +204,13 @@ def _table_of(document: tomlkit.TOMLDocument, key: str) -> Any:
     return table
 
 
-def _uncertainty(draft: Draft) -> dict[str, float]:
+def _uncertainty(draft: MachineDraft) -> dict[str, float]:
     lengths = (*ARMS, "kinematics.delta_radius_mm")
     read = {key: MEASURED_LENGTH for key in lengths if key in draft.found.values}
     return {"default": UNCERTAIN, **read}
 
 
-def _provenance(draft: Draft, source: Path) -> dict[str, Any]:
+def _provenance(draft: MachineDraft, source: Path) -> dict[str, Any]:
     digest = hashlib.sha256(source.read_bytes()).hexdigest()
     return {
         "kinematics.type": draft.found.kinematics_origin,

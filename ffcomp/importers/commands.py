@@ -1,4 +1,4 @@
-"""Configurations made of G-code commands: RepRapFirmware's `config.g`, and what Marlin answers to M503."""
+"""Configurations made of G-code commands: RepRapFirmware's `config.g`, and Marlin's answer to M503."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Command:
     conditional: bool  # stands under RepRapFirmware's `if` or `while`
 
     def numbers(self, letter: str, *, above: float = -math.inf) -> list[Value]:
-        """The numbers after a letter, with colons between them; none if it is not there or has a formula."""
+        """Parse the numbers after a letter, with colons between them; none if it is missing or has a formula."""
         text = self.words.get(letter, "")
         if not text or text.startswith("{"):
             return []
@@ -35,12 +35,12 @@ class Command:
         return [Value(plain_number(part, place, above=above), "read", origin) for part in text.split(":")]
 
     def number(self, letter: str, *, above: float = -math.inf) -> Value | None:
-        """The first of the numbers after a letter."""
+        """Parse the first of the numbers after a letter."""
         return next(iter(self.numbers(letter, above=above)), None)
 
 
 def commands(text: str, name: str) -> Iterator[Command]:
-    """The commands of a text; every other line is passed over."""
+    """Yield the commands of a text; other lines are skipped."""
     block: int | None = None  # how far the condition that is open is indented
     for line_number, line in enumerate(text.split("\n"), 1):
         uncommented = UNCOMMENTED.match(line)

@@ -14,18 +14,18 @@ from operator import add
 from ffcomp.importers.values import Value, changed, converted, listed, together
 
 TOWER_ANGLES_DEG = (210.0, 330.0, 90.0)
-STEEPEST_ARM = 12.0  # carriage speed per nozzle speed beyond which Klipper lets no move go
+STEEPEST_ARM = 12.0  # carriage speed per nozzle speed beyond which Klipper allows no move
 
 
 def arm_lengths(arms: Sequence[Value | None]) -> dict[str, Value | None]:
-    """`arm_length_mm`, or `arm_lengths_mm` where the towers' arms differ."""
+    """Return `arm_length_mm`, or `arm_lengths_mm` where the towers' arms differ."""
     value = together(arms)
     many = value is not None and isinstance(value.value, list)
     return {"kinematics.arm_lengths_mm" if many else "kinematics.arm_length_mm": value}
 
 
 def tower_angles(trims: Sequence[Value | None]) -> Value:
-    """Of firmwares that give each tower's angle as a trim."""
+    """Convert trims of the towers' angles to angles."""
     angles = [
         changed(trim, partial(add, angle), f"added to {angle:g} degrees")
         or Value(angle, "default", "M665 gives no angles: the firmware's towers")
@@ -35,12 +35,12 @@ def tower_angles(trims: Sequence[Value | None]) -> Value:
 
 
 def farthest_reach(arm_mm: float, radius_mm: float) -> float:
-    """Where an arm is as steep as it may be: 12 L / √(12² + 1) − radius, short of lying flat by 0.3 % of its length."""
+    """Return the reach of the steepest arm: 12 L / √(12² + 1) − radius, 0.3 % of its length short of lying flat."""
     return arm_mm * STEEPEST_ARM / math.hypot(STEEPEST_ARM, 1.0) - radius_mm
 
 
 def print_radius(asked: Value | None, radius: Value | None, arm: Value | None) -> Value | None:
-    """The print radius of the configuration, and no more than its shortest arm allows."""
+    """Limit the configured print radius to the reach of the shortest arm."""
     if asked is None or radius is None or arm is None:
         return asked
     reach = farthest_reach(arm.number, radius.number)

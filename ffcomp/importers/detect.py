@@ -1,4 +1,4 @@
-"""Which firmware's configuration a file is, by what it holds."""
+"""Detect the firmware of a configuration by its content."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ffcomp.importers.klipper_file import read_klipper
 from ffcomp.importers.marlin import from_marlin
 from ffcomp.importers.reprapfirmware import from_reprapfirmware
 from ffcomp.importers.text import decoded
-from ffcomp.importers.values import Found, PrinterConfigError
+from ffcomp.importers.values import ConfigValues, PrinterConfigError
 
 KLIPPER = re.compile(r"^\[(?:printer\]|include |stepper_\w+\]|mcu\])", re.MULTILINE)
 MARLIN = re.compile(r"\becho:|\bFIRMWARE_NAME:Marlin", re.IGNORECASE)
@@ -22,8 +22,8 @@ MARLIN_ANSWER = {"M92", "M201", "M203"}  # a slicer writes the latter two as wel
 MOVES = {"G0", "G1", "G28"}  # a print, whatever limits it sets
 
 
-def read_printer_config(path: Path, kinematics: str | None = None) -> Found:
-    """What the configuration in a file says, whichever of the firmwares it is for.
+def read_printer_config(path: Path, kinematics: str | None = None) -> ConfigValues:
+    """Read the configuration in a file, whichever of the firmwares it is for.
 
     Parameters
     ----------

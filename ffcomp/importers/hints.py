@@ -1,4 +1,4 @@
-"""How to get the numbers that no firmware knows, and which of an imported machine's numbers are still assumed."""
+"""Hints for values that no firmware knows, and which values of an imported machine are still assumed."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 IDENTIFY = "measure: ffcomp identify plan, run its G-code with an accelerometer, then ffcomp identify fit"
-REMEDIES = {  # the beginning of a key -> what to do
+HINTS = {  # the beginning of a key -> how to get its value
     "kinematics.effector_height_mm": "measure from the arms' lower joints down to the nozzle's tip",
     "kinematics.print_radius_mm": "how far from the centre the nozzle may go, from the printer's description",
     "kinematics.print_height_mm": "how high the nozzle may go, from the printer's description",
     "kinematics.arm_length": "from the printer's description, or measure from joint to joint",
     "kinematics.delta_radius": "the firmware's delta calibration finds it",
-    "kinematics.": "the lowest and the highest place of the axis; Marlin answers it to M115 or M211",
+    "kinematics.": "the lowest and the highest position of the axis; Marlin answers it to M115 or M211",
     "carriage.": IDENTIFY,
     "effector.joint_radius_mm": "measure from the effector's centre to the arms' joints",
     "effector.": IDENTIFY,
@@ -22,30 +22,32 @@ REMEDIES = {  # the beginning of a key -> what to do
     "steps.full_steps_per_mm": "full steps of a motor's turn (200, or 400) over the mm of a turn",
     "steps.": "microsteps of a motor's turn over the mm of a turn",
 }
-ASSUMED = "assumed"  # how the provenance of an assumed number begins
-START = "as a start"  # stands in the provenance of a number that is only near the one meant
+ASSUMED = "assumed"  # beginning of the provenance of an assumed value
+START = "as a start"  # part of the provenance of a value that is only near the true one
 IMPORTED = "imported"  # the entry in [provenance] that an import leaves
 
 
-def remedy(key: str) -> str:
-    return next(what for beginning, what in REMEDIES.items() if key.startswith(beginning))
+def hint(key: str) -> str:
+    """Say how to get the value of a key."""
+    return next(what for beginning, what in HINTS.items() if key.startswith(beginning))
 
 
 def is_assumed(origin: str) -> bool:
+    """Tell whether a provenance marks an assumed value."""
     return origin.startswith(ASSUMED) or START in origin
 
 
-def by_remedy(keys: Iterable[str]) -> dict[str, list[str]]:
-    """What to do -> the keys that it would give."""
+def by_hint(keys: Iterable[str]) -> dict[str, list[str]]:
+    """Group keys by hint."""
     grouped: dict[str, list[str]] = {}
     for key in keys:
-        grouped.setdefault(remedy(key), []).append(key)
+        grouped.setdefault(hint(key), []).append(key)
     return grouped
 
 
 def still_assumed(provenance: Mapping[str, Any]) -> Iterator[str]:
-    """A sentence for each thing to do about an imported machine file; nothing about one that began otherwise."""
+    """Yield a sentence for each group of assumed values of an imported machine file."""
     if IMPORTED not in provenance:
         return
-    for what, keys in by_remedy(key for key, origin in provenance.items() if is_assumed(str(origin))).items():
+    for what, keys in by_hint(key for key, origin in provenance.items() if is_assumed(str(origin))).items():
         yield f"Not measured: {', '.join(keys)}. To know better: {what}."

@@ -1,4 +1,4 @@
-"""What a Klipper or Kalico configuration says about the machine."""
+"""Values of a Klipper or Kalico configuration."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ffcomp.importers.delta import TOWER_ANGLES_DEG, arm_lengths, print_radius
 from ffcomp.importers.klipper_file import KlipperConfig
 from ffcomp.importers.values import (
     AXES,
-    Found,
+    ConfigValues,
     PrinterConfigError,
     Value,
     changed,
@@ -36,19 +36,19 @@ CRUISE_RATIO = 0.5  # ffcomp plans with the firmware's default
 DAMPING_RATIO = 0.1
 
 
-def from_klipper(config: KlipperConfig) -> Found:
-    """All of a configuration that a machine file can hold.
+def from_klipper(config: KlipperConfig) -> ConfigValues:
+    """Collect all values of a configuration that a machine file can hold.
 
     Raises
     ------
     PrinterConfigError
-        Where it is no configuration of a printer, or of one whose kinematics ffcomp does not have.
+        If it is no configuration of a printer, or of one with unsupported kinematics.
     """
     kind, origin = _kinematics(config)
     of_kind = _delta(config) if kind == "delta" else _straight(config)
     values = known({**of_kind, **_limits(config), **_steps(config, TOWERS if kind == "delta" else AXES)})
     shaper_hz = _shaper_hz(config) if kind == "delta" else ()
-    return Found("Klipper", kind, origin, values, tuple(_notes(config)), shaper_hz)
+    return ConfigValues("Klipper", kind, origin, values, tuple(_notes(config)), shaper_hz)
 
 
 def _kinematics(config: KlipperConfig) -> tuple[str, str]:
@@ -92,7 +92,7 @@ def _asked_radius(config: KlipperConfig, radius: Value | None) -> Value | None:
 
 
 def _of_towers(config: KlipperConfig, option: str) -> list[Value | None]:
-    """Towers B and C are as A where they say nothing."""
+    """Read an option of each tower; towers B and C default to A."""
     first = config.number("stepper_a", option, above=0)
     return [config.number(f"stepper_{tower}", option, above=0) or first for tower in TOWERS]
 
@@ -118,7 +118,7 @@ def _shaper_hz(config: KlipperConfig) -> tuple[float, ...]:
 
 
 def _shaper_frequency(config: KlipperConfig, axis: str) -> Value | None:
-    """Kalico calls some shapers smoothers; zero switches either off."""
+    """Read the shaper's frequency; Kalico calls some shapers smoothers; zero switches either off."""
     found = (config.number("input_shaper", f"{name}_{axis}") for name in ("shaper_freq", "smoother_freq"))
     return next((each for each in found if each is not None and each.number > 0), None)
 
@@ -156,7 +156,7 @@ def _steps(config: KlipperConfig, motors: str) -> dict[str, Value | None]:
 
 
 def _motor(config: KlipperConfig, section: str) -> tuple[Value | None, Value | None]:
-    """Microsteps and full steps for each mm."""
+    """Compute microsteps and full steps for each mm."""
     microsteps = config.number(section, "microsteps", above=0)
     distance = config.number(section, "rotation_distance", above=0)
     if microsteps is None or distance is None:
@@ -173,7 +173,7 @@ def _motor(config: KlipperConfig, section: str) -> tuple[Value | None, Value | N
 def _motor_of_old_file(
     config: KlipperConfig, section: str, microsteps: Value | None
 ) -> tuple[Value | None, Value | None]:
-    """Until 2021 a motor had a step_distance."""
+    """Convert step_distance, which a motor had until 2021."""
     distance = config.number(section, "step_distance", above=0)
     if distance is None:
         return None, None
@@ -185,7 +185,7 @@ def _motor_of_old_file(
 
 
 def _gear_ratio(config: KlipperConfig, section: str) -> float:
-    """`80:16, 3:1`: motor turns for each turn of what moves the axis."""
+    """Parse `80:16, 3:1`: motor turns for each turn of the pulley."""
     option = config.text(section, "gear_ratio")
     if option is None or not option.text:
         return 1.0
@@ -196,7 +196,7 @@ def _gear_ratio(config: KlipperConfig, section: str) -> float:
     return math.prod(plain_number(up, place, above=0) / plain_number(down, place, above=0) for up, down in pairs)
 
 
-# --- What a machine file has no place for
+# --- Settings that a machine file cannot hold
 
 
 def _notes(config: KlipperConfig) -> Iterator[str]:

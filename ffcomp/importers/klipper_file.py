@@ -1,9 +1,9 @@
 """Klipper's and Kalico's configuration files: sections, options, includes and the SAVE_CONFIG block.
 
-The rules are those of the firmware's reader. An option that is given twice counts as it stands last; what the
-SAVE_CONFIG block says counts only where the rest does not give the same option. `[include …]` is relative to the
-file it stands in. Kalico also fills in `${section.option}`. Values are looked at only when they are asked for, so
-macros, whatever they hold, do no harm.
+The rules are those of the firmware's reader. Of an option that is given twice the last counts; an option of the
+SAVE_CONFIG block counts only where the rest does not give it. `[include …]` is relative to the
+file it stands in. Kalico also fills in `${section.option}`. Values are parsed only on demand, so macros
+do no harm.
 """
 
 from __future__ import annotations
@@ -34,11 +34,14 @@ MOST_FILES = 1000
 
 @dataclass(frozen=True)
 class Option:
+    """One option of a section."""
+
     lines: list[str]  # what follows the name, and indented lines below
     place: str  # file:line
 
     @property
     def text(self) -> str:
+        """Value without surrounding space."""
         return "\n".join(self.lines).strip()
 
 
@@ -48,11 +51,11 @@ class KlipperConfig:
 
     name: str
     options: dict[tuple[str, str], Option] = field(default_factory=dict)  # (section, option in small letters)
-    remarks: list[str] = field(default_factory=list)  # sentences about what was not read
+    remarks: list[str] = field(default_factory=list)  # sentences about parts that were not read
     files: int = 0  # included so far
 
     def text(self, section: str, option: str) -> Option | None:
-        """An option with Kalico's references filled in."""
+        """Return an option with Kalico's references filled in."""
         found = self.options.get((section, option))
         for _ in range(DEEPEST_REFERENCE):
             if found is None or not (reference := REFERENCE.search(found.text)):
@@ -61,7 +64,7 @@ class KlipperConfig:
         raise PrinterConfigError(f"{found.place if found else ''}: [{section}] {option} refers to itself.")
 
     def number(self, section: str, option: str, *, above: float = -math.inf) -> Value | None:
-        """The number that an option gives; nothing if it is not given."""
+        """Parse the number of an option; None if it is not given."""
         found = self.text(section, option)
         if found is None:
             return None
@@ -69,15 +72,15 @@ class KlipperConfig:
         return Value(plain_number(found.text, f"{found.place}: {name}", above=above), "read", f"{found.place} {name}")
 
     def _filled(self, option: Option, reference: re.Match[str], section: str) -> str:
-        wanted = (reference["section"] or section, reference["option"].lower())
-        if wanted not in self.options:
-            name = f"[{wanted[0]}] {wanted[1]}"
+        referred = (reference["section"] or section, reference["option"].lower())
+        if referred not in self.options:
+            name = f"[{referred[0]}] {referred[1]}"
             raise PrinterConfigError(f"{option.place}: {reference[0]} refers to {name}, which is not given.")
-        return option.text[: reference.start()] + self.options[wanted].text + option.text[reference.end() :]
+        return option.text[: reference.start()] + self.options[referred].text + option.text[reference.end() :]
 
 
 def read_klipper(path: Path) -> KlipperConfig:
-    """A `printer.cfg` with all it includes.
+    """Read a `printer.cfg` with all it includes.
 
     Raises
     ------
@@ -95,7 +98,7 @@ def read_klipper(path: Path) -> KlipperConfig:
 
 
 def _overruled(config: KlipperConfig, saved: KlipperConfig) -> Iterator[str]:
-    """Saved options that the rest of the configuration gives differently."""
+    """Report saved options that the rest of the configuration gives differently."""
     for (section, key), option in saved.options.items():
         regular = config.options.get((section, key), option)
         if regular.text != option.text:
@@ -106,7 +109,7 @@ def _overruled(config: KlipperConfig, saved: KlipperConfig) -> Iterator[str]:
 
 
 def _refuse_stray_marks(regular: str, path: Path) -> None:
-    """Saved values above the block, or without its head."""
+    """Raise for saved values above the block, or without its head."""
     for line_number, line in enumerate(regular.split("\n"), 1):
         if line.startswith("#*# "):
             raise PrinterConfigError(
@@ -116,7 +119,7 @@ def _refuse_stray_marks(regular: str, path: Path) -> None:
 
 
 def _unmarked(block: str, first_line: int, path: Path) -> str:
-    """The lines of the SAVE_CONFIG block without their marks."""
+    """Strip the marks from the lines of the SAVE_CONFIG block."""
     lines = block.rstrip().split("\n") if block.strip() else []
     found = [SAVED_LINE.fullmatch(line) for line in lines]
     for line_number, (line, match) in enumerate(zip(lines, found, strict=True), first_line):

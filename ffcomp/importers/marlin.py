@@ -1,7 +1,7 @@
-"""What Marlin's answer to M503 says about the machine, with M115's answer if it is in the same text.
+"""Values of Marlin's answer to M503, with M115's answer if it is in the same text.
 
 The text may come from a terminal: `Recv:`, `echo:` and times before the commands do no harm. M503 tells neither
-whether a machine without towers is Cartesian or CoreXY, nor how far it goes: M211 and M115 tell the latter.
+whether a machine without towers is Cartesian or CoreXY, nor its range: M211 and M115 tell the latter.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ffcomp.importers.delta import arm_lengths, tower_angles
 from ffcomp.importers.text import decoded
 from ffcomp.importers.values import (
     AXES,
-    Found,
+    ConfigValues,
     PrinterConfigError,
     Value,
     changed,
@@ -49,12 +49,12 @@ RIGHT_ANGLE = math.sqrt(2.0) - 1.0
 Settings = Mapping[tuple[str, str], Value]
 
 
-def from_marlin(path: Path, kinematics: str | None) -> Found:
-    """All that the answer says of what a machine file can hold.
+def from_marlin(path: Path, kinematics: str | None) -> ConfigValues:
+    """Collect all values of the answer that a machine file can hold.
 
     Parameters
     ----------
-    kinematics : what kind of machine it is, where M503 does not tell; None: it must tell.
+    kinematics : kind of machine, where M503 does not tell; None: it must tell.
 
     Raises
     ------
@@ -67,11 +67,11 @@ def from_marlin(path: Path, kinematics: str | None) -> Found:
     of_kind = _delta(settings) if kind == "delta" else _straight(settings, _places(text, path.name))
     values = known({**of_kind, **_limits(settings), **_steps(settings)})
     shaper_hz = _shaper_hz(settings) if kind == "delta" else ()
-    return Found("Marlin", kind, origin, values, tuple(_notes(kind)), shaper_hz)
+    return ConfigValues("Marlin", kind, origin, values, tuple(_notes(kind)), shaper_hz)
 
 
 def _received(text: str, name: str) -> Iterator[Command]:
-    """What the printer said, not what was sent to it."""
+    """Yield the printer's answers, not the commands sent to it."""
     lines = text.split("\n")
     quiet = [bool(QUIET_MODE.search(before)) for before in ["", *lines[:-1]]]
     kept = ["" if SENT.search(line) or after_quiet else line for line, after_quiet in zip(lines, quiet, strict=True)]
@@ -90,7 +90,7 @@ def _words(command: Command) -> Iterator[tuple[tuple[str, str], Value]]:
 
 
 def _shaper_words(command: Command) -> Iterator[tuple[tuple[str, str], Value]]:
-    """`M593 X F40 D0.15`, of both axes where it names none."""
+    """Parse `M593 X F40 D0.15`, of both axes where it names none."""
     axes = [axis for axis in "XYZ" if axis in command.words] or ["X", "Y"]
     for letter in "FD":
         value = command.number(letter)
@@ -122,7 +122,7 @@ def _delta(settings: Settings) -> dict[str, Value | None]:
 
 
 def _arms(settings: Settings) -> list[Value | None]:
-    """L and the towers' trims A B C; a lone B is an older firmware's calibration radius."""
+    """Add the towers' trims A B C to L; a lone B is an older firmware's calibration radius."""
     rod = settings["M665", "L"]
     trims = [settings.get(("M665", letter)) for letter in "ABC"]
     if any(trim is None for trim in trims):
@@ -143,7 +143,7 @@ def _straight(settings: Settings, places: Mapping[str, Value]) -> dict[str, Valu
 
 
 def _places(text: str, name: str) -> dict[str, Value]:
-    """How far each axis goes: M115's area, or M211's soft endstops."""
+    """Read the range of each axis: M115's area, or M211's soft endstops."""
     for line_number, line in enumerate(text.split("\n"), 1):
         match = AREA.search(line) or ENDS.search(line)
         if match is None:
@@ -166,7 +166,7 @@ def _shaper_hz(settings: Settings) -> tuple[float, ...]:
 
 
 def _shaped_axis(settings: Settings, axis: str) -> dict[str, Value]:
-    """The shaper's frequency as a start; zero switches it off."""
+    """Take the shaper's frequency as a start; zero switches it off."""
     frequency = settings.get((f"M593 {axis.upper()}", "F"))
     if frequency is None or frequency.number <= 0:
         return {}
@@ -190,12 +190,12 @@ def _limits(settings: Settings) -> dict[str, Value | None]:
 
 
 def _print_acceleration(settings: Settings) -> tuple[str, str]:
-    """P; older firmwares say S."""
+    """Select P; older firmwares use S."""
     return ("M204", "P") if ("M204", "P") in settings else ("M204", "S")
 
 
 def _corner(settings: Settings, acceleration: Value | None) -> Value | None:
-    """The jerk of X or Y; or, of a junction deviation J, v² = J a / (√2 − 1) at a right angle."""
+    """Return the jerk of X or Y; or, of a junction deviation J, v² = J a / (√2 − 1) at a right angle."""
     deviation = settings.get(("M205", "J"))
     if deviation is None:
         jerk = least([settings.get(("M205", "X")), settings.get(("M205", "Y"))])

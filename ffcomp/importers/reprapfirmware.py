@@ -1,8 +1,8 @@
-"""What a RepRapFirmware `config.g` says about the machine.
+"""Values of a RepRapFirmware `config.g`.
 
 Commands are followed in the firmware's order: M350 after M92 changes the steps per mm, M98 runs another file, M501
-runs `config-override.g`. Commands under an `if` or a `while`, and formulas in braces, are not evaluated: each one
-that would matter is a note.
+runs `config-override.g`. Commands under an `if` or a `while`, and formulas in braces, are not evaluated: each
+relevant one is noted.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ffcomp.importers.delta import arm_lengths, print_radius, tower_angles
 from ffcomp.importers.text import decoded
 from ffcomp.importers.values import (
     AXES,
-    Found,
+    ConfigValues,
     PrinterConfigError,
     Value,
     changed,
@@ -54,7 +54,7 @@ PER_MINUTE = "mm/min over 60"
 
 @dataclass
 class Settings:
-    """What the firmware holds after the commands so far."""
+    """State of the firmware after the commands so far."""
 
     kept: dict[tuple[str, str], list[Value]] = field(default_factory=dict)  # (command, letter) -> its numbers
     steps_per_mm: dict[str, Value] = field(default_factory=dict)  # letter -> number
@@ -66,16 +66,17 @@ class Settings:
     files: int = 0  # run so far
 
     def first(self, code: str, letter: str) -> Value | None:
+        """Return the first number of a letter of a command."""
         return next(iter(self.kept.get((code, letter), [])), None)
 
 
-def from_reprapfirmware(path: Path) -> Found:
-    """All of a `config.g` that a machine file can hold.
+def from_reprapfirmware(path: Path) -> ConfigValues:
+    """Collect all values of a `config.g` that a machine file can hold.
 
     Raises
     ------
     PrinterConfigError
-        Where a number is none, macros run in a circle, or ffcomp does not have the kinematics.
+        Where a number is none, macros run in a circle, or the kinematics are unsupported.
     """
     settings = Settings()
     for command in _run(path, settings, (path.resolve(),)):
@@ -85,14 +86,14 @@ def from_reprapfirmware(path: Path) -> Found:
     values = known({**of_kind, **_limits(settings), **_steps(settings)})
     shaper = _shaper(settings) if kind == "delta" else None
     shaper_hz = () if shaper is None else (shaper.number,)
-    return Found("RepRapFirmware", kind, origin, values, (*settings.notes, *_notes(settings)), shaper_hz)
+    return ConfigValues("RepRapFirmware", kind, origin, values, (*settings.notes, *_notes(settings)), shaper_hz)
 
 
 # --- The firmware's order
 
 
 def _run(path: Path, settings: Settings, within: tuple[Path, ...]) -> Iterator[Command]:
-    """The commands of a file and of those it runs."""
+    """Yield the commands of a file and of those it runs."""
     for command in commands(decoded(path), path.name):
         if command.conditional and command.code in {*READ, "M98", "M501"}:
             settings.notes.append(f"{command.place}: this {command.code} stands under a condition and was not read.")
@@ -107,7 +108,7 @@ def _run(path: Path, settings: Settings, within: tuple[Path, ...]) -> Iterator[C
 def _macro(
     command: Command, name: str, source: Path, settings: Settings, within: tuple[Path, ...]
 ) -> Iterator[Command]:
-    """Files lie beside each other in /sys, or in another folder of the same card."""
+    """Find a macro in /sys, or in another folder of the same card, and yield its commands."""
     relative = name.removeprefix("0:").removeprefix("/sys/").lstrip("/")
     file = next(
         (place / relative for place in (source.parent, source.parent.parent) if (place / relative).is_file()), None
@@ -134,7 +135,7 @@ def _apply(command: Command, settings: Settings) -> None:
 
 
 def _m92(command: Command, settings: Settings) -> None:
-    """Steps per mm, for the microsteps in force or those of S."""
+    """Set steps per mm, for the microsteps in effect or those of S."""
     meant = command.number("S", above=0)
     for letter in "XYZE":
         steps = command.number(letter, above=0)
@@ -146,7 +147,7 @@ def _m92(command: Command, settings: Settings) -> None:
 
 
 def _m350(command: Command, settings: Settings) -> None:
-    """Other microsteps: what M92 has set so far keeps its meaning in mm."""
+    """Change microsteps: steps per mm set so far keep their meaning in mm."""
     for letter in "XYZE":
         new = command.number(letter, above=0)
         if new is None:
@@ -166,7 +167,7 @@ def _microsteps(settings: Settings, letter: str) -> Value:
 
 
 def _m208(command: Command, settings: Settings) -> None:
-    """`M208 X0:220`, or the lowest places with S1 and the highest with S0."""
+    """Set ranges: `M208 X0:220`, or the lowest positions with S1 and the highest with S0."""
     end = "low" if command.words.get("S") == "1" else "high"
     for letter in "XYZ":
         numbers = command.numbers(letter)
@@ -183,7 +184,7 @@ def _m665(command: Command, settings: Settings) -> None:
 
 
 def _m667(command: Command, settings: Settings) -> None:
-    """The older command; S1 is CoreXY."""
+    """Set the kinematics by the older command; S1 is CoreXY."""
     _set_kind(command, command.words.get("S", "0"), settings)
 
 
@@ -208,7 +209,7 @@ def _set_kind(command: Command, word: str, settings: Settings) -> None:
 APPLY = {"M92": _m92, "M208": _m208, "M350": _m350, "M593": _m593, "M665": _m665, "M667": _m667, "M669": _m669}
 
 
-# --- What it makes of the machine
+# --- Values of the machine
 
 
 def _delta(settings: Settings) -> dict[str, Value | None]:
@@ -245,7 +246,7 @@ def _shaper(settings: Settings) -> Value | None:
 
 
 def _shaped_axes(settings: Settings) -> dict[str, Value]:
-    """One frequency for both axes, as this firmware's shaper has it."""
+    """Use one frequency for both axes, as this firmware's shaper does."""
     frequency = _shaper(settings)
     if frequency is None:
         return {}

@@ -10,7 +10,7 @@ LARGEST_BYTES = 16_000_000  # a configuration has some kilobytes, a day's termin
 
 
 def decoded(path: Path) -> str:
-    """The file's text, lines ending in \\n.
+    r"""Read a file's text, with lines ending in \n.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What a configuration says about a machine: numbers of the machine file, each with the place it is from."""
+"""Values of a configuration: entries of the machine file, each with its origin."""
 
 from __future__ import annotations
 
@@ -11,7 +11,12 @@ from ffcomp.errors import FfcompError
 from ffcomp.importers.hints import START
 
 How = Literal["read", "default", "converted", "assumed"]
-ORDER: tuple[How, ...] = ("default", "read", "converted", "assumed")  # what is made of several counts as the last
+ORDER: tuple[How, ...] = (
+    "default",
+    "read",
+    "converted",
+    "assumed",
+)  # of several sources the last counts
 AXES = "xyz"
 
 
@@ -31,40 +36,41 @@ class Value:
 
     @property
     def number(self) -> float:
+        """The value, of one number."""
         assert not isinstance(self.value, list), "a list is no number"
         return self.value
 
 
 @dataclass(frozen=True)
-class Found:
-    """Everything a configuration says that a machine file can hold."""
+class ConfigValues:
+    """All values of a configuration that a machine file can hold."""
 
     firmware: str
     kinematics: str  # delta, cartesian, corexy
     kinematics_origin: str
     values: Mapping[str, Value]  # "table.key" -> value; a key that is not here is not known
-    notes: tuple[str, ...] = ()  # what a machine file cannot hold, and what was not read
+    notes: tuple[str, ...] = ()  # settings that a machine file cannot hold, and parts that were not read
     shaper_hz: tuple[float, ...] = ()  # of a delta: the input shaper's frequencies, where it is on
 
 
 def converted(value: float | list[float], rule: str, *sources: Value) -> Value:
-    """A value that a rule makes of others."""
+    """Make a value of others by a rule."""
     exact = value if isinstance(value, list) else float(f"{value:.9g}")
     return Value(exact, "converted", f"{_origins(sources)}: {rule}")
 
 
 def changed(value: Value | None, change: Callable[[float], float], rule: str) -> Value | None:
-    """A value after a conversion, if there is one."""
+    """Convert a value, if there is one."""
     return None if value is None else converted(change(value.number), rule, value)
 
 
 def listed(values: Sequence[Value]) -> Value:
-    """Single values as one list."""
+    """Join single values in one list."""
     return _combined([each.number for each in values], values)
 
 
 def together(values: Sequence[Value | None]) -> Value | None:
-    """One number if all are the same, a list otherwise; nothing unless all are known."""
+    """Join values: one number if all are the same, a list otherwise; None unless all are known."""
     given = [each for each in values if each is not None]
     if len(given) < len(values):
         return None
@@ -76,25 +82,25 @@ def together(values: Sequence[Value | None]) -> Value | None:
 
 
 def least(values: Sequence[Value | None]) -> Value | None:
-    """The smallest of the values that are known; all of them are where it is from."""
+    """Return the smallest of the known values; its origin names all of them."""
     given = [each for each in values if each is not None]
     return _combined(min(each.number for each in given), given) if given else None
 
 
 def full_steps(steps: Value | None, microsteps: Value | None) -> Value | None:
-    """Full steps per mm of microsteps per mm."""
+    """Convert microsteps per mm to full steps per mm."""
     if steps is None or microsteps is None:
         return None
     return converted(steps.number / microsteps.number, f"{microsteps.number:g} microsteps each", steps, microsteps)
 
 
 def known(values: Mapping[str, Value | None]) -> dict[str, Value]:
-    """Without the keys of which nothing is known."""
+    """Drop the keys without a value."""
     return {key: value for key, value in values.items() if value is not None}
 
 
 def shaped_axis(axis: str, frequency: Value, damping: Value) -> dict[str, Value]:
-    """A shaper's numbers as an axis's: its frequency lies where it cancels best, near the resonance."""
+    """Take a shaper's values for an axis: its frequency lies where it cancels best, near the resonance."""
     start = f"the shaper's frequency {START}, not a measured resonance"
     if damping.how == "default":
         damping = replace(damping, origin=f"{damping.origin}, {START}")
@@ -105,7 +111,7 @@ def shaped_axis(axis: str, frequency: Value, damping: Value) -> dict[str, Value]
 
 
 def plain_number(text: str, place: str, *, above: float = -math.inf) -> float:
-    """The number in a text; `place` says where it stands and what it is.
+    """Parse the number in a text; `place` names its position in the file and its meaning.
 
     Raises
     ------

@@ -1,1 +1,1 @@
-"""Measurements: runs, frequency responses and accelerometer captures, from files to arrays."""
+"""Read measurements into arrays: recordings, frequency responses and accelerometer captures."""

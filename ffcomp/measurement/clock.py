@@ -1,4 +1,4 @@
-"""Sample times to one uniform clock: missing rows become gaps, jitter is interpolated away."""
+"""Bring sample times to one uniform clock: missing rows become gaps, jitter is interpolated away."""
 
 from __future__ import annotations
 
@@ -28,15 +28,16 @@ class Clock:
 
     @property
     def count(self) -> int:
+        """Number of grid points."""
         return int(self.index[-1]) + 1
 
     @property
     def grid_s(self) -> FloatArray:
-        """(n,) s"""
+        """(n,) s."""
         return np.asarray(self.start_s + self.period_s * np.arange(self.count), dtype=np.float64)
 
     def on_grid(self, values: FloatArray) -> FloatArray:
-        """Rows (rows,) with NaN for gaps → grid (n,) with NaN for gaps.
+        """Resample rows (rows,) to the grid (n,); gaps are NaN in both.
 
         Where the rows do not fall on the grid, a cubic spline through the rows takes them there; a grid point is
         a gap when its own row is missing.
@@ -51,12 +52,12 @@ class Clock:
         return out
 
     def _jitter(self) -> float:
-        """Largest distance of a row from its grid point, in sample periods."""
+        """Return the largest distance of a row from its grid point, in sample periods."""
         return float(np.abs(self.time_s - self.grid_s[self.index]).max() / self.period_s)
 
 
 def clock_of(time_s: FloatArray, row: IntArray) -> tuple[Clock | None, list[str]]:
-    """The clock of rows taken at these times (rows,), or what is wrong with them, in full sentences.
+    """Return the clock of rows taken at these times (rows,), or the problems with them, in full sentences.
 
     The period is the median interval, refined by a straight line through all the times.
     """
@@ -75,7 +76,7 @@ def clock_of(time_s: FloatArray, row: IntArray) -> tuple[Clock | None, list[str]
 
 def _falling(time_s: FloatArray, row: IntArray) -> list[str]:
     if len(time_s) < 2:
-        return [f"A run needs at least two rows with a time, but there are {len(time_s)}."]
+        return [f"A recording needs at least two rows with a time, but there are {len(time_s)}."]
     back = np.flatnonzero(np.diff(time_s) <= 0)
     if not len(back):
         return []
@@ -96,14 +97,14 @@ def _bad_rate(period_s: float, count: int, length_s: float) -> list[str]:
         )
     if length_s + period_s < SHORTEST_S:
         problems.append(
-            f"The run is {length_s:.4g} s long ({count} rows); it must last at least {SHORTEST_S:g} s, for the "
-            "printer rings for 0.2 s."
+            f"The recording is {length_s:.4g} s long ({count} rows); it must last at least {SHORTEST_S:g} s, "
+            "for the printer rings for 0.2 s."
         )
     return problems
 
 
 def _other_unit(rate_hz: float) -> str:
-    """The unit in which the rate would be right, as a sentence; '' if none."""
+    """Name the unit in which the rate would be right, in a sentence; '' if none."""
     for unit, per_second in _UNITS.items():
         if LOWEST_RATE_HZ * 0.999 <= rate_hz * per_second <= HIGHEST_RATE_HZ * 1.001:
             return f" It looks as if the time were in {unit}, not in s: multiply it by {1 / per_second:g}."
@@ -111,7 +112,7 @@ def _other_unit(rate_hz: float) -> str:
 
 
 def _uneven(periods: FloatArray, time_s: FloatArray, row: IntArray) -> list[str]:
-    """`periods` (rows - 1,): the intervals in sample periods."""
+    """Check intervals in sample periods, (rows - 1,)."""
     off: NDArray[np.int64] = np.flatnonzero(np.abs(periods - np.rint(periods)) > _LARGEST_JITTER)
     off = np.union1d(off, np.flatnonzero(periods < 1 - _LARGEST_JITTER))
     if not len(off):

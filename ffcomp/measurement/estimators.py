@@ -1,6 +1,6 @@
 """Time records to frequency responses: periodic excitation, and random excitation by averaged spectra.
 
-Three estimators, by what was played: `periodic_frf` for whole periods of a multisine or stepped sine, `welch_frf` for
+Three estimators, by excitation: `periodic_frf` for whole periods of a multisine or stepped sine, `welch_frf` for
 noise and long prints, `sweep_frf` (in sweep.py) for a single sweep or any record that is not periodic.
 
 Records are samples of smooth signals: the command is what its samples say if its spectrum ends below half the rate,
@@ -34,7 +34,7 @@ _AROUND = 21  # lines
 
 @dataclass(frozen=True, eq=False)
 class FrfMatrix:
-    """How every output answers every input."""
+    """The response of every output to every input."""
 
     frequency_hz: FloatArray  # (k,)
     value: ComplexArray  # (k, o, i)
@@ -53,7 +53,7 @@ class FrfMatrix:
         source: str = "",
         clock: str = "",
     ) -> list[FrequencyResponse]:
-        """One response for each output and input, output by output; `coherence` only where it is of one input."""
+        """Split into one response for each output and input; `coherence` only where there is one input."""
         one_input = len(inputs) == 1 and self.coherence is not None
         return [
             FrequencyResponse(
@@ -74,7 +74,7 @@ class FrfMatrix:
         ]
 
     def between(self, lowest_hz: float, highest_hz: float) -> FrfMatrix:
-        """The same in a band, both ends included."""
+        """Restrict to a band, both ends included."""
         keep = (self.frequency_hz >= lowest_hz) & (self.frequency_hz <= highest_hz)
         return replace(
             self,
@@ -86,7 +86,7 @@ class FrfMatrix:
 
 
 def as_position(response: FrequencyResponse) -> FrequencyResponse:
-    """The response of the position from that of the acceleration: H / (jω)²."""
+    """Convert the response of an acceleration to that of the position: H / (jω)²."""
     if not response.output.startswith("acc_"):
         return response
     omega2 = (2 * np.pi * response.frequency_hz) ** 2
@@ -107,7 +107,7 @@ def periodic_frf(
     transient_periods: int = 1,
     lines_hz: FloatArray | None = None,
 ) -> FrfMatrix:
-    """Response to a periodic excitation, from the mean over whole periods; its variance from their spread.
+    """Estimate the response to a periodic excitation from the mean over whole periods; its variance from their spread.
 
     With several inputs, H = Y U⁺ from at least as many experiments with different commands. The spread of
     Y − H U over the periods holds the noise of outputs and inputs alike (Pintelon & Schoukens, System
@@ -152,7 +152,7 @@ def welch_frf(
     window: str = "hann",
     estimator: Estimator = "h1",
 ) -> FrfMatrix:
-    """Response from spectra averaged over overlapping windowed segments (Welch, 1967).
+    """Estimate the response from spectra averaged over overlapping windowed segments (Welch, 1967).
 
     H1 = S_yu S_uu⁻¹ is free of bias from noise on the outputs, H2 = S_yy / S_uy of noise on the input, and
     Hv, their geometric mean, errs least where both have equal shares (Rocklin, Crowley & Vold, 1985). H1 takes any
@@ -196,8 +196,10 @@ def welch_frf(
 
 
 def effective_averages(taper: FloatArray, step: int, segments: int) -> float:
-    """How many independent segments so many overlapping ones are worth: m / (1 + 2 Σ_d (1 − d/m) ρ_d²), ρ_d the
-    window's correlation with itself d steps on (Welch, 1967)."""
+    """Return the effective number of independent segments among overlapping ones.
+
+    m / (1 + 2 Σ_d (1 − d/m) ρ_d²), ρ_d the window's correlation with itself d steps on (Welch, 1967).
+    """
     power = float(taper @ taper)
     shifts = range(1, min(segments, -(-len(taper) // step)))
     loss = sum(
@@ -207,7 +209,7 @@ def effective_averages(taper: FloatArray, step: int, segments: int) -> float:
 
 
 def _other_estimator(h1: FrfMatrix, coherence: FloatArray, estimator: Estimator) -> FrfMatrix:
-    """H2 = H1/γ² and Hv = H1/γ of one input, by what coherence means.
+    """Convert H1 of one input to H2 = H1/γ² or Hv = H1/γ.
 
     The relative variance of H2 is that of H1 (change u and y); of Hv it is (1 − γ²)(1 + 1/γ²)/(2 m): phase as H1,
     magnitude as ½ ln S_yy/S_uu.
@@ -221,12 +223,12 @@ def _other_estimator(h1: FrfMatrix, coherence: FloatArray, estimator: Estimator)
 
 
 def _without_ends(matrix: FrfMatrix) -> FrfMatrix:
-    """Lines next to 0 Hz hold the mean that was taken out; the last one is real."""
+    """Drop lines next to 0 Hz, which lack the removed mean, and the last one, which is real."""
     return matrix.between(float(matrix.frequency_hz[2]), float(matrix.frequency_hz[-2]))
 
 
 def _segments(record: FloatArray, taper: FloatArray, step: int) -> ComplexArray:
-    """(n, c) → spectra (s, k, c) of tapered segments without their means."""
+    """Transform tapered segments without their means: (n, c) -> (s, k, c)."""
     length = len(taper)
     starts = np.arange(0, len(record) - length + 1, step)
     cut = record[starts[:, None] + np.arange(length)]  # (s, length, c)
@@ -247,19 +249,19 @@ def _enough_experiments(u: FloatArray) -> None:
 
 
 def _period_spectra(record: FloatArray, period: int, skipped: int, periods: int) -> ComplexArray:
-    """(e, n, c) → (p, e, k, c), each period's DFT."""
+    """Transform each period: (e, n, c) -> (p, e, k, c)."""
     e, _, c = record.shape
     cut = record[:, skipped * period : (skipped + periods) * period].reshape(e, periods, period, c)
     return np.asarray(np.fft.rfft(cut - cut.mean(axis=(1, 2), keepdims=True), axis=2).transpose(1, 0, 2, 3))
 
 
 def lines_of_dft(samples: int, rate_hz: float) -> FloatArray:
-    """Frequencies of a real record's DFT, (samples // 2 + 1,) Hz."""
+    """Return the frequencies of a real record's DFT, (samples // 2 + 1,) Hz."""
     return np.arange(samples // 2 + 1, dtype=np.float64) * (rate_hz / samples)
 
 
 def _excited(mean_u: ComplexArray) -> IntArray:
-    """Lines where all inputs can be told apart, (e, k, i) → indices."""
+    """Find the lines where all inputs can be told apart, (e, k, i) -> indices."""
     singular = np.linalg.svd(mean_u.transpose(1, 0, 2), compute_uv=False)  # (k, i)
     strongest, weakest = singular[:, 0], singular[:, -1]
     nearby = maximum_filter1d(strongest, _AROUND, mode="nearest")

@@ -1,6 +1,6 @@
-"""A measured frequency response, and how sure it is.
+"""A measured frequency response with its variance.
 
-Signals are named as the columns of a run, without the unit: `cmd_A` `cmd_x` (commanded position), `pos_A` `pos_x`
+Signals are named as the columns of a recording, without the unit: `cmd_A` `cmd_x` (commanded position), `pos_A` `pos_x`
 (position), `acc_A` `acc_x` (acceleration), `force_x` (a hammer on the effector). Values are SI: position to
 position is dimensionless, position to acceleration 1/s², force to acceleration 1/kg.
 """
@@ -14,14 +14,14 @@ import numpy as np
 
 from models.arrays import ComplexArray, FloatArray
 
-# What was on the bench: the carriage alone on its belt (with the arms' upper halves, Eq. 30), the same with a known
+# The measured setup: the carriage alone on its belt (with the arms' upper halves, Eq. 30), the same with a known
 # mass added, the effector alone, taken off its arms, or the whole printer.
 Setup = Literal["carriage", "carriage+mass", "effector", "assembly"]
 
 
 @dataclass(frozen=True, eq=False)
 class FrequencyResponse:
-    """How `output` answers `input`."""
+    """The response of `output` to `input`."""
 
     input: str
     output: str
@@ -41,7 +41,7 @@ class FrequencyResponse:
         return np.asarray(2j * np.pi * self.frequency_hz, dtype=np.complex128)
 
     def between(self, lowest_hz: float, highest_hz: float) -> FrequencyResponse:
-        """The same response in a band, both ends included."""
+        """Restrict to a band, both ends included."""
         keep = (self.frequency_hz >= lowest_hz) & (self.frequency_hz <= highest_hz)
         return replace(
             self,
@@ -53,7 +53,7 @@ class FrequencyResponse:
 
 
 def variance_from_coherence(value: ComplexArray, coherence: FloatArray, averages: float) -> FloatArray:
-    """E|δH|² = |H|² (1 − γ²)/(γ² n) of an H1 estimate from n independent averages (Bendat & Piersol, 2010, 9.1.2).
+    """Compute E|δH|² = |H|² (1 − γ²)/(γ² n) of an H1 estimate from n independent averages (Bendat & Piersol, 2010).
 
     Parameters
     ----------

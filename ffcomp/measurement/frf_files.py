@@ -1,4 +1,4 @@
-"""Files of frequency responses: our CSV here, universal files (UFF 58) in `uff.py`.
+"""Files of frequency responses: CSV here, universal files (UFF 58) in `uff.py`.
 
 The CSV holds one response. Comments name it, columns `frequency_hz,real,imag` hold it, `coherence` and `variance`
 (E|δ|², SI²) may follow::
@@ -23,6 +23,7 @@ import numpy as np
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement import uff
 from ffcomp.measurement.frf import FrequencyResponse, variance_from_coherence
+from ffcomp.measurement.header import repeated_columns
 from ffcomp.measurement.labels import describe, read_labels, unknown
 from ffcomp.measurement.roughness import roughness_variance
 from ffcomp.measurement.table import read_table, read_text
@@ -31,11 +32,11 @@ from models.arrays import ComplexArray, FloatArray
 FEWEST_LINES = 10  # the roughness needs nine lines around one
 
 _COLUMNS = ("frequency_hz", "real", "imag", "coherence", "variance")
-_SMALLEST_RELATIVE_VARIANCE = 1e-8  # 0.01 % of |H|: no measurement is surer than that, whatever its coherence says
+_SMALLEST_RELATIVE_VARIANCE = 1e-8  # 0.01 % of |H|: no measurement is better, whatever its coherence
 
 
 def read_frfs(path: str | Path) -> list[FrequencyResponse]:
-    """The frequency responses in a file; its content decides what it is, not its name.
+    """Read the frequency responses in a file; its content decides its kind, not its name.
 
     The variance is the file's own if there is a `variance` column. Else, with coherence and the number of averages,
     it follows from them; with coherence alone its shape follows from the coherence and its size from the response's
@@ -77,7 +78,7 @@ def build(
     coherence: FloatArray | None = None,
     variance: FloatArray | None = None,
 ) -> tuple[FrequencyResponse | None, list[str]]:
-    """A response from its labels and its lines (k,), or what is wrong with it, in full sentences."""
+    """Build a response from its labels and its lines (k,), or return the problems, in full sentences."""
     labels, problems = read_labels(said)
     problems += _bad_lines(frequency_hz, value, coherence, variance)
     if labels is None or problems:
@@ -129,8 +130,7 @@ def _estimated_variance(value: ComplexArray, coherence: FloatArray | None, avera
 def _bad_header(columns: tuple[str, ...]) -> list[str]:
     problems = [unknown(f"Column {name!r}", name, _COLUMNS) for name in columns if name not in _COLUMNS]
     problems += [f"Column {name} is missing." for name in _COLUMNS[:3] if name not in columns]
-    twice = [name for name in dict.fromkeys(columns) if columns.count(name) > 1]
-    return problems + [f"Column {name!r} is there {columns.count(name)} times; one is needed." for name in twice]
+    return problems + repeated_columns(columns)
 
 
 def _bad_lines(

@@ -1,4 +1,4 @@
-"""What accelerometers on printers write: Klipper's and Kalico's captures and spectra, and py3dpaxxel's captures.
+"""Files of accelerometers on printers: Klipper's and Kalico's captures and spectra, and py3dpaxxel's captures.
 
 | file | what it holds |
 |---|---|
@@ -22,11 +22,9 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.clock import clock_of
-from ffcomp.measurement.sensors import broken_sensor
+from ffcomp.measurement.sensors import G, broken_sensor
 from ffcomp.measurement.table import Table, read_table, read_text, rows_of
 from models.arrays import FloatArray
-
-G = 9.80665  # m/s²
 
 _RAW_HEADER = ("time", "accel_x", "accel_y", "accel_z")
 _PAXXEL_HEADER = ("seq", "sample", "x", "y", "z")
@@ -47,12 +45,13 @@ class Capture:
     source: str
     time_s: FloatArray  # (n,) s, uniform
     acceleration: FloatArray  # (n, 3) m/s², columns X Y Z of the chip; NaN where a row is missing
-    axis: str | None = None  # what was shaken: x, y, z or axis=1.000,0.500
+    axis: str | None = None  # excited: x, y, z or axis=1.000,0.500
     position_mm: tuple[float, float, float] | None = None
     excitation_hz: float | None = None
 
     @property
     def sample_rate_hz(self) -> float:
+        """Mean sample rate."""
         return float((len(self.time_s) - 1) / (self.time_s[-1] - self.time_s[0]))
 
 
@@ -69,7 +68,7 @@ class Resonances:
     accel_per_hz: float | None = None  # mm/s² per Hz, if the file says it
 
     def power(self, name: str) -> tuple[FloatArray, FloatArray]:
-        """Frequencies (k,) Hz and power spectral density (k,) (mm/s²)²/Hz, the normalisation undone."""
+        """Return frequencies (k,) Hz and power spectral density (k,) (mm/s²)²/Hz, the normalisation undone."""
         if not self.normalised:
             return self.frequency_hz, self.psd[name]
         keep = self.frequency_hz >= _UNTOUCHED_HZ
@@ -95,7 +94,7 @@ def read_vibration(path: str | Path) -> Capture | Resonances:
 
 
 def read_capture(path: str | Path) -> Capture:
-    """As `read_vibration`, for a record of acceleration in time only."""
+    """Read a record of acceleration in time; see `read_vibration`."""
     found = read_vibration(path)
     if not isinstance(found, Capture):
         raise MeasurementError(str(path), ["It holds spectra; a record of acceleration in time is needed."])
@@ -106,10 +105,15 @@ def _names(line: str, delimiter: str | None) -> tuple[str, ...]:
     return tuple(name.strip().lower() for name in line.split(delimiter))
 
 
-def _raw_capture(path: str, text: str) -> Capture:
+def _rows(path: str, text: str, header: tuple[str, ...], delimiter: str | None) -> Table:
+    """Read the rows below the first line that is not empty."""
     lines = text.splitlines()
     first = next(k for k, line in enumerate(lines) if line.strip()) + 1
-    table = rows_of(path, lines, first, _RAW_HEADER, {})
+    return rows_of(path, lines, first, header, {}, delimiter)
+
+
+def _raw_capture(path: str, text: str) -> Capture:
+    table = _rows(path, text, _RAW_HEADER, ",")
     axis, point = _AXIS.search(Path(path).name), _POINT.search(Path(path).name)
     return _capture(
         path,
@@ -122,9 +126,7 @@ def _raw_capture(path: str, text: str) -> Capture:
 
 
 def _paxxel_capture(path: str, text: str) -> Capture:
-    lines = text.splitlines()
-    first = next(k for k, line in enumerate(lines) if line.strip()) + 1
-    table = rows_of(path, lines, first, _PAXXEL_HEADER, {}, delimiter=None)
+    table = _rows(path, text, _PAXXEL_HEADER, None)
     rate = re.search(r"ODR(\d+)", text)
     if rate is None:
         raise MeasurementError(path, ["The sample rate is missing; a comment must name it, as in 'ODR3200'."])
@@ -164,7 +166,7 @@ def _capture(
 
 
 def _implausible(acceleration: FloatArray) -> list[str]:
-    """`acceleration` (n, 3) m/s²."""
+    """Check the size of an acceleration (n, 3) m/s²."""
     known = acceleration[np.isfinite(acceleration).all(axis=1)]
     rms = float(np.sqrt((known**2).sum(axis=1).mean())) if len(known) else 1.0
     low, high = _PLAUSIBLE_RMS

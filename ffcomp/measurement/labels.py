@@ -1,4 +1,4 @@
-"""What a file says about its frequency response besides the numbers: names, place, setup."""
+"""Labels of a frequency response in a file: names, position, setup."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ KEYS = ("input", "output", "position_mm", "setup", "added_mass_kg", "averages", 
 
 @dataclass(frozen=True)
 class Labels:
+    """Everything a file states about a response besides its lines."""
+
     input: str
     output: str
     setup: Setup = "assembly"
@@ -29,8 +31,10 @@ class Labels:
 
 
 def read_labels(said: Mapping[str, str]) -> tuple[Labels | None, list[str]]:
-    """Labels from `key: value` pairs, or what is wrong with them, in full sentences. Other keys say nothing to us,
-    unless they are nearly one of ours."""
+    """Parse labels from `key: value` pairs, or return the problems, in full sentences.
+
+    Unknown keys are ignored, unless they are nearly a known one.
+    """
     problems = [unknown(f"Label {key!r}", key, KEYS) for key in said if _nearly_ours(key)]
     problems += _bad_name(said, "input", INPUTS) + _bad_name(said, "output", OUTPUTS)
     setup = said.get("setup", "assembly")
@@ -45,12 +49,12 @@ def read_labels(said: Mapping[str, str]) -> tuple[Labels | None, list[str]]:
         problems.append(f"Label 'averages' is {averages[0]:g}; an estimate has at least one.")
     if problems:
         return None, problems
-    place = cast("tuple[float, float, float]", tuple(position)) if position else None
+    given = cast("tuple[float, float, float]", tuple(position)) if position else None
     return Labels(
         said["input"],
         said["output"],
         cast(Setup, setup),
-        place,
+        given,
         mass[0] if mass else 0.0,
         averages[0] if averages else None,
         said.get("clock", ""),
@@ -58,7 +62,7 @@ def read_labels(said: Mapping[str, str]) -> tuple[Labels | None, list[str]]:
 
 
 def describe(response: FrequencyResponse) -> dict[str, str]:
-    """The `key: value` pairs that `read_labels` reads back."""
+    """Write the `key: value` pairs that `read_labels` reads back."""
     said = {"input": response.input, "output": response.output, "setup": str(response.setup)}
     if response.position_mm is not None:
         said["position_mm"] = ", ".join(f"{p:.12g}" for p in response.position_mm)
@@ -70,6 +74,7 @@ def describe(response: FrequencyResponse) -> dict[str, str]:
 
 
 def unknown(what: str, name: str, known: Sequence[str]) -> str:
+    """Write a sentence about an unknown name, with the nearest known one."""
     near = closest(name, known)
     return f"{what} is unknown; " + (f"did you mean {near!r}?" if near else f"known are {', '.join(known)}.")
 

@@ -1,14 +1,14 @@
-"""Modes, with uncertainty, from power spectra alone: no command is known but how its power goes with frequency.
+"""Modes, with uncertainty, from power spectra alone: only the shape of the excitation's spectrum is known.
 
 The spectrum is fitted, in logarithms, by the power of single-mode responses with real amplitudes over a floor,
 
     S(f) = e(f) | Σ_j ±√a_j / (1 − (f/f_j)² + 2i ζ_j f/f_j) + √b |² + c ,   seen through the window's |W|².
 
-The responses are added before the power is taken: where two modes cancel, the spectrum has a gap that no sum of
+The responses are added before the power is taken: where two modes cancel, the spectrum has a notch that no sum of
 powers has (38 and 82 Hz side by side: a factor 16 at 48 Hz, and the first mode 1.2 Hz off).
 
-Klipper's resonance test sweeps at 1 Hz/s with an acceleration proportional to f, so the power density of what it
-commands goes with f²: e = f². Nothing known about the excitation: e = 1. A window of 0.6 s is as wide as a mode of
+Klipper's resonance test sweeps at 1 Hz/s with an acceleration proportional to f, so the power density of its
+command grows with f²: e = f². Nothing known about the excitation: e = 1. A window of 0.6 s is as wide as a mode of
 ζ = 0.03 at 40 Hz; without the convolution with |W|² (its shape in lines is known) dampings come out too high.
 """
 
@@ -35,10 +35,10 @@ _MOST_MODES = 5
 _DAMPING = (0.005, 0.5)
 _BLOCKS = 4  # interleaved groups of segments of a capture
 _WINDOW_S = 0.5
-_SHARE = 0.02  # of the largest peak: what is lower is not said to be a mode
-_BROADEST = 0.3  # damping ratio; what is broader is a slope of the floor
+_SHARE = 0.02  # of the largest peak: lower ones are not reported as modes
+_BROADEST = 0.3  # damping ratio; broader ones are a slope of the floor
 _START_DAMPING = 0.05
-_PLACES = 2  # tried for each further mode
+_TOPS = 2  # tried for each further mode
 _FULL_WEIGHT = 0.03  # of the largest power
 _TONE_WIDTH = 0.7  # half-power width in lines
 _GOOD_MISFIT = 0.35  # rms of ln S
@@ -51,6 +51,8 @@ _SPARE_LINES = 12  # beyond the unknowns
 
 @dataclass(frozen=True)
 class Mode:
+    """One resonance of a spectrum."""
+
     frequency_hz: float
     frequency_sd_hz: float
     damping_ratio: float
@@ -60,18 +62,18 @@ class Mode:
 
     @property
     def clear(self) -> bool:
-        """A mode whose frequency is known to 3 %; how well the damping is known, its uncertainty says."""
+        """Whether the frequency is known to 3 % and the mode is no tone."""
         return self.frequency_sd_hz < _CLEAR_FREQUENCY * self.frequency_hz and not self.tone
 
 
 @dataclass(frozen=True, eq=False)
 class ModeFit:
-    """The modes of one spectrum, the strongest first, and how well they tell the whole of it."""
+    """The modes of one spectrum, the strongest first, and the quality of the fit."""
 
     source: str
     signal: str
     modes: tuple[Mode, ...]
-    frequency_hz: FloatArray  # (k,) Hz, what was fitted
+    frequency_hz: FloatArray  # (k,) Hz, of the fitted lines
     power: FloatArray  # (k,)
     fitted: FloatArray  # (k,)
     misfit: float  # rms of ln(power / fitted) where there is power
@@ -79,9 +81,9 @@ class ModeFit:
 
 
 def modes_of(path: str | Path, signal: str | None = None) -> ModeFit:
-    """The modes in a file of spectra or in a capture; `signal` x, y, z, xyz or a set's name.
+    """Fit the modes in a file of spectra or in a capture; `signal` x, y, z, xyz or a set's name.
 
-    Without `signal` it is the axis that was shaken, if the file says so, else the sum of all. A capture that was
+    Without `signal` it is the excited axis, if the file states it, else the sum of all. A capture that was
     made by Klipper's test (its name says raw_data) counts as swept; any other as excited evenly.
     """
     found = read_vibration(path)
@@ -105,10 +107,10 @@ def fit_modes(
     source: str = "",
     signal: str = "",
 ) -> ModeFit:
-    """Modes of a power spectrum made with a Kaiser window (β = 6) of one line's width.
+    """Fit the modes of a power spectrum made with a Kaiser window (β = 6) of one line's width.
 
     Modes are added one by one where the spectrum stands highest above the fit, as long as the Bayesian information
-    criterion gets better. The uncertainties are those of least squares, widened for residuals that go together.
+    criterion gets better. The uncertainties are those of least squares, widened for correlated residuals.
 
     Parameters
     ----------
@@ -125,7 +127,7 @@ def fit_modes(
     target = np.log(power[keep])
     best = model.fit(target, np.empty((0, 3)), np.empty(0))
     while len(best.peaks) < _MOST_MODES and best.spare > _SPARE_LINES + 3:
-        wider = [fit for start in model.with_another(best) if model.honest(fit := model.fit(target, *start))]
+        wider = [fit for start in model.with_another(best) if model.plausible(fit := model.fit(target, *start))]
         if not wider or min(fit.bic for fit in wider) >= best.bic - _BETTER_BIC:
             break
         best = min(wider, key=lambda fit: fit.bic)
@@ -161,7 +163,7 @@ class _Fit:
 
     @property
     def independent(self) -> float:
-        """How many independent residuals there are: neighbours go together, by window and by model error."""
+        """Number of independent residuals: neighbours are correlated by window and by model error."""
         r = self.weight * self.residual
         rho = float(np.clip((r[1:] @ r[:-1]) / max(float(r @ r), 1e-300), 0.0, 0.9))
         return len(r) * (1 - rho) / (1 + rho)
@@ -173,7 +175,7 @@ class _Fit:
 
     @property
     def misfit(self) -> float:
-        """rms of the residual where the spectrum is strong."""
+        """The rms of the residual where the spectrum is strong."""
         return float(np.sqrt(((self.weight * self.residual) ** 2).sum() / (self.weight**2).sum()))
 
 
@@ -188,7 +190,7 @@ class _Model:
         self._excitation = (self._fine / frequency_hz.mean()) ** exponent
 
     def fit(self, target: FloatArray, peaks: FloatArray, signs: FloatArray) -> _Fit:
-        """target (k,) ln S, starting from peaks (p, 3)."""
+        """Fit ln S, (k,), starting from peaks (p, 3)."""
         weight = _weight(target)
         start = np.concatenate([peaks.ravel(), [target.min() - 1, target.min() - 1]])
         low, high = start - 30, start + 30
@@ -208,12 +210,12 @@ class _Model:
         return _Fit(found.x[:-2].reshape(-1, 3), signs, target, weight, residual, self.slopes(found.x, signs))
 
     def log(self, parameters: FloatArray, signs: FloatArray) -> FloatArray:
-        """ln S, (k,)"""
+        """Predict ln S, (k,)."""
         total, _ = self._responses(parameters, signs)
         return np.asarray(np.log((self._excitation * np.abs(total) ** 2) @ self._window + np.exp(parameters[-1])))
 
     def slopes(self, parameters: FloatArray, signs: FloatArray) -> FloatArray:
-        """∂ ln S / ∂ parameters, (k, 3 p + 2), in closed form."""
+        """Differentiate ln S by the parameters, (k, 3 p + 2), in closed form."""
         total, parts = self._responses(parameters, signs)
         along = []  # of the summed response
         for (_, log_f, log_zeta), (part, denominator) in zip(parameters[:-2].reshape(-1, 3), parts, strict=True):
@@ -229,7 +231,7 @@ class _Model:
     def _responses(
         self, parameters: FloatArray, signs: FloatArray
     ) -> tuple[ComplexArray, list[tuple[ComplexArray, ComplexArray]]]:
-        """The sum (k, w), and each peak's part with its denominator."""
+        """Return the sum (k, w), and each peak's part with its denominator."""
         total = np.full(self._fine.shape, np.exp(parameters[-2] / 2), dtype=np.complex128)
         parts = []
         for sign, (log_a, log_f, log_zeta) in zip(signs, parameters[:-2].reshape(-1, 3), strict=True):
@@ -240,22 +242,22 @@ class _Model:
         return total, parts
 
     def height(self, peak: FloatArray) -> float:
-        """The most that a peak alone, (3,), adds to S in the band."""
+        """Return the most that a peak alone, (3,), adds to S in the band."""
         return float(np.exp(self.log(np.concatenate([peak, [-200.0, -200.0]]), np.ones(1)).max()))
 
-    def honest(self, fit: _Fit) -> bool:
-        """Whether no two peaks are invented to cancel: nearer than a line, or one far higher than the spectrum."""
-        places = np.sort(np.exp(fit.peaks[:, 1]))
+    def plausible(self, fit: _Fit) -> bool:
+        """Tell whether no two peaks merely cancel: nearer than a line, or one far higher than the spectrum."""
+        positions = np.sort(np.exp(fit.peaks[:, 1]))
         highest = max(self.height(peak) for peak in fit.peaks)
-        apart = bool((np.diff(places) > self._line_hz).all())
+        apart = bool((np.diff(positions) > self._line_hz).all())
         return apart and highest < _CANCELLING * float(np.exp(fit.target.max()))
 
     def with_another(self, fit: _Fit) -> list[tuple[FloatArray, FloatArray]]:
-        """The fit's peaks and one more, (p + 1, 3), where the spectrum stands highest above it, with either sign."""
+        """Add a peak, (p + 1, 3), where the spectrum stands highest above the fit, with either sign."""
         smooth = gaussian_filter1d(fit.residual, 1.0)
         tops, _ = find_peaks(smooth)
         starts = []
-        for at in tops[np.argsort(-smooth[tops])][:_PLACES]:
+        for at in tops[np.argsort(-smooth[tops])][:_TOPS]:
             height = float(fit.target[at] - np.log(self._excitation[at].mean()))
             new = [height + 2 * np.log(2 * _START_DAMPING), np.log(self.frequency_hz[at]), np.log(_START_DAMPING)]
             starts += [(np.vstack([fit.peaks, new]), np.append(fit.signs, sign)) for sign in (1.0, -1.0)]
@@ -263,13 +265,13 @@ class _Model:
 
 
 def _weight(target: FloatArray) -> FloatArray:
-    """Lines count by their power up to a share of the largest: the modes are to be told, not the depths between."""
+    """Weight lines by their power up to a share of the largest: modes matter, not the notches between."""
     power = np.exp(target - target.max())
     return np.asarray(np.sqrt(power / (power + _FULL_WEIGHT)))
 
 
 def window_kernel() -> tuple[FloatArray, FloatArray]:
-    """|W|² of a Kaiser window between the lines: offsets (w,) in lines, weights (w,) of sum one."""
+    """Return |W|² of a Kaiser window between the lines: offsets (w,) in lines, weights (w,) of sum one."""
     taper = np.kaiser(64, _KAISER_BETA)
     power = np.abs(np.fft.fft(taper, 64 * _FINE)) ** 2
     reach = np.arange(-_KERNEL_LINES * _FINE, _KERNEL_LINES * _FINE + 1)
@@ -278,7 +280,7 @@ def window_kernel() -> tuple[FloatArray, FloatArray]:
 
 
 def _modes(model: _Model, fit: _Fit, line_hz: float) -> tuple[Mode, ...]:
-    """The fit's peaks that are modes, the strongest first."""
+    """Select the peaks that are modes, the strongest first."""
     weighted = fit.weight[:, None] * fit.jacobian
     scatter = float(((fit.weight * fit.residual) ** 2).sum()) / fit.spare * len(fit.residual) / fit.independent
     covariance = scatter * np.linalg.pinv(weighted.T @ weighted, rcond=1e-12, hermitian=True)
@@ -305,8 +307,8 @@ def _verdict(modes: tuple[Mode, ...], misfit: float) -> str:
     quality = "well" if misfit < _GOOD_MISFIT else f"only to a factor of {np.exp(misfit):.1f}"
     if not clear:
         kind = "a narrow tone (a motor, a fan)" if all(mode.tone for mode in modes) else "too uncertain to be used"
-        return f"No clear mode: what stands out is {kind}. The spectrum is told {quality}."
-    return f"Clear: {listed}; {len(modes) - len(clear)} more are uncertain or tones. The spectrum is told {quality}."
+        return f"No clear mode: what stands out is {kind}. The spectrum is fitted {quality}."
+    return f"Clear: {listed}; {len(modes) - len(clear)} more are uncertain or tones. The spectrum is fitted {quality}."
 
 
 def _default(found: Resonances) -> str:
@@ -332,7 +334,7 @@ def _capture_modes(found: Capture, signal: str) -> ModeFit:
 
 
 def segment_powers(found: Capture, axes: list[int]) -> tuple[FloatArray, FloatArray]:
-    """Frequencies (k,) Hz and the power spectral density of each segment without gaps, (s, k) (m/s²)²/Hz."""
+    """Return frequencies (k,) Hz and the power spectral density of each segment without gaps, (s, k) (m/s²)²/Hz."""
     rate = found.sample_rate_hz
     length = 2 ** int(np.ceil(np.log2(_WINDOW_S * rate)))
     taper = np.kaiser(length, _KAISER_BETA)
@@ -340,7 +342,7 @@ def segment_powers(found: Capture, axes: list[int]) -> tuple[FloatArray, FloatAr
     cuts = [found.acceleration[start : start + length, axes] for start in starts]
     whole = [cut for cut in cuts if np.isfinite(cut).all()]
     if not whole:
-        rule = f"There is no stretch of {length / rate:.2g} s without gaps; a spectrum needs at least one."
+        rule = f"There is no window of {length / rate:.2g} s without gaps; a spectrum needs at least one."
         raise MeasurementError(found.source, [rule])
     spectra = [np.fft.rfft((cut - cut.mean(axis=0)) * taper[:, None], axis=0) for cut in whole]
     power = [2 * (np.abs(one) ** 2).sum(axis=1) / (rate * float(taper @ taper)) for one in spectra]
@@ -348,7 +350,7 @@ def segment_powers(found: Capture, axes: list[int]) -> tuple[FloatArray, FloatAr
 
 
 def _with_block_spread(mode: Mode, blocks: list[ModeFit]) -> Mode:
-    """The larger of the fit's uncertainties and of what interleaved parts of the record disagree by.
+    """Take the larger of the fit's uncertainties and of the scatter of interleaved parts of the record.
 
     Parts overlap by half a window with their neighbours, which makes them agree a little too well.
     """

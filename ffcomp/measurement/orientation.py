@@ -1,7 +1,7 @@
-"""Does each sensor move as its name says? Told at low frequency, where any printer follows its command.
+"""Check that each sensor moves as its name says, at low frequency, where any printer follows its command.
 
-Swapped and reversed columns, a sensor turned against the axes, a dead one and a record that is late look like huge
-effects of the machine, and no model mends them. What the low frequencies do not tell is left to the diagnosis.
+Swapped and reversed columns, a sensor turned against the axes, a dead one and a late record look like huge
+effects of the machine, and no model explains them. Errors that low frequencies do not show are left to the diagnosis.
 """
 
 from __future__ import annotations
@@ -16,53 +16,53 @@ from models.arrays import FloatArray
 
 _BAND_HZ = (2.0, 20.0)  # no offsets and drifts, and far below the first mode
 _FADED = 0.1  # of the run, at both ends together
-_AS_NAMED = 0.6  # correlation with its own command from which nothing is said
+_AS_NAMED = 0.6  # correlation with its own command that is accepted
 _REVERSED = -0.9
 _ANOTHERS = 0.95  # correlation with another's command, if it is not its own
 _DISTINCT = 0.8  # correlation of two commands from which they cannot be told apart
 _EXPLAINED = 0.95  # of a sensor's square, by all commands of its kind together
-_DEAD, _MUCH = 0.02, 0.3  # of what is expected is there; of the largest that is expected, to be missed
-_STUCK_S, _EDGE_S = 0.1, 0.025  # of one and the same value; at its ends nothing is asked for
+_DEAD, _MUCH = 0.02, 0.3  # of the expected motion is there; of the largest expected motion, to be missed
+_STUCK_S, _MARGIN_S = 0.1, 0.025  # of one and the same value; its ends are not checked
 _SHAKEN = 0.3  # of its whole range must the command move in that time
 _LATE_S, _LATE = 0.025, 0.9  # from when a record is late and no sensor slow; and how well it must fit then
 
 
 def misplaced(measured: Mapping[str, FloatArray], expected: Mapping[str, FloatArray], rate_hz: float) -> list[str]:
-    """Which sensors do not move as they are named, in full sentences.
+    """Report the sensors that do not move as they are named, in full sentences.
 
     Parameters
     ----------
-    measured : signal (acc_A, pos_x, …) → (n,), NaN where missing. One that is constant tells nothing.
+    measured : signal (acc_A, pos_x, …) → (n,), NaN where missing. A constant one is ignored.
     expected : the same and other signals of these kinds → (n,), if the printer followed its command exactly.
     """
     telling = {name: x for name, x in measured.items() if np.nanmax(x) > np.nanmin(x)}
     if not telling:
         return []
-    felt, wanted = _in_band(telling, rate_hz), _in_band(expected, rate_hz)
-    odd = [name for name, x in felt.items() if _correlation(x, wanted[name]) < _AS_NAMED]
-    late = _late(felt, wanted, rate_hz) if odd else ""
+    signals, reference = _in_band(telling, rate_hz), _in_band(expected, rate_hz)
+    odd = [name for name, x in signals.items() if _correlation(x, reference[name]) < _AS_NAMED]
+    late = _late(signals, reference, rate_hz) if odd else ""
     if late:
         return [late]
     stuck = [text for name, x in telling.items() for text in _stuck(name, x, expected[name], rate_hz)]
-    return stuck or [sentence for name in odd for sentence in _about(name, felt, _kin(name, wanted))]
+    return stuck or [sentence for name in odd for sentence in _about(name, signals, _kin(name, reference))]
 
 
 def _stuck(name: str, measured: FloatArray, expected: FloatArray, rate_hz: float) -> list[str]:
-    """It stands still in a stretch in which it should be shaken."""
+    """Report a sensor that is constant while it should move."""
     begin, end = _longest_rest(measured)
     low = sosfiltfilt(butter(2, _BAND_HZ[1], fs=rate_hz, output="sos"), expected)
-    edge = round(_EDGE_S * rate_hz)
+    edge = round(_MARGIN_S * rate_hz)
     if end - begin < _STUCK_S * rate_hz or np.ptp(low[begin + edge : end - edge]) < _SHAKEN * np.ptp(low):
         return []
     return [
         f"Sensor {name} stands at {measured[begin]:.6g} for {(end - begin) / rate_hz:.3g} s, from "
         f"{begin / rate_hz:.4g} s after the beginning on, while it is commanded to move: it, or its recording, "
-        "stopped. Cut the run there."
+        "stopped. Cut the recording there."
     ]
 
 
 def _longest_rest(x: FloatArray) -> tuple[int, int]:
-    """First index of the longest stretch of one and the same value, and the index behind it."""
+    """Return the first index of the longest window of one value, and the index behind it."""
     changes = np.flatnonzero(np.diff(x) != 0) + 1
     edges = np.concatenate([[0], changes, [len(x)]])
     k = int(np.diff(edges).argmax())
@@ -79,21 +79,21 @@ def _in_band(signals: Mapping[str, FloatArray], rate_hz: float) -> dict[str, Flo
     }
 
 
-def _kin(name: str, wanted: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """What the sensors of its kind are expected to feel: on the carriages, or on the nozzle."""
+def _kin(name: str, reference: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return the expected signals of the sensors of its kind: on the carriages, or on the nozzle."""
     axes = "ABC" if name[-1] in "ABC" else "xyz"
-    return {other: x for other, x in wanted.items() if other[:4] == name[:4] and other[-1] in axes}
+    return {other: x for other, x in reference.items() if other[:4] == name[:4] and other[-1] in axes}
 
 
-def _about(name: str, felt: Mapping[str, FloatArray], kin: Mapping[str, FloatArray]) -> list[str]:
-    measured, own = felt[name], kin[name]
+def _about(name: str, signals: Mapping[str, FloatArray], kin: Mapping[str, FloatArray]) -> list[str]:
+    measured, own = signals[name], kin[name]
     expected, much = float(own.std()), _MUCH * max(float(x.std()) for x in kin.values())
     alike = _correlation(measured, own)
     if max(expected, float(measured.std())) < much:
         return []
     if expected > much and measured.std() < _DEAD * expected:
         return [
-            f"Sensor {name} feels {measured.std() / expected:.1%} of the motion that is commanded between "
+            f"Sensor {name} measures {measured.std() / expected:.1%} of the motion that is commanded between "
             f"{_BAND_HZ[0]:g} and {_BAND_HZ[1]:g} Hz: it is dead, not fastened, or in another unit."
         ]
     if alike < _REVERSED:
@@ -105,7 +105,7 @@ def _about(name: str, felt: Mapping[str, FloatArray], kin: Mapping[str, FloatArr
 
 
 def _anothers(name: str, measured: FloatArray, kin: Mapping[str, FloatArray], alike: float) -> list[str]:
-    """It moves as another one should."""
+    """Report a sensor that moves as another one should."""
     others = {o: _correlation(measured, x) for o, x in kin.items() if o != name}
     other = max(others, key=lambda o: abs(others[o]))
     if abs(others[other]) < _ANOTHERS or abs(_correlation(kin[name], kin[other])) > _DISTINCT:
@@ -119,7 +119,7 @@ def _anothers(name: str, measured: FloatArray, kin: Mapping[str, FloatArray], al
 
 
 def _turned(name: str, measured: FloatArray, kin: Mapping[str, FloatArray], alike: float) -> list[str]:
-    """It moves as several together."""
+    """Report a sensor that moves as several together."""
     basis = np.column_stack(list(kin.values()))
     moving = basis.std(axis=0) > _MUCH * basis.std(axis=0).max()
     basis[:, ~moving] = 0.0
@@ -134,10 +134,10 @@ def _turned(name: str, measured: FloatArray, kin: Mapping[str, FloatArray], alik
     ]
 
 
-def _late(felt: Mapping[str, FloatArray], wanted: Mapping[str, FloatArray], rate_hz: float) -> str:
-    """A record that fits its command clearly better at another time, as a sentence; '' if it does not."""
-    names = [name for name in felt if name.startswith("acc")] or list(felt)
-    measured, expected = (np.column_stack([signals[name] for name in names]) for signals in (felt, wanted))
+def _late(signals: Mapping[str, FloatArray], reference: Mapping[str, FloatArray], rate_hz: float) -> str:
+    """Report a record that fits its command clearly better at another time, in a sentence; '' if it does not."""
+    names = [name for name in signals if name.startswith("acc")] or list(signals)
+    measured, expected = (np.column_stack([one[name] for name in names]) for one in (signals, reference))
     size = np.linalg.norm(measured) * np.linalg.norm(expected)
     curve = fftconvolve(measured, expected[::-1], axes=0).sum(axis=1) / max(float(size), 1e-300)
     lag = (int(curve.argmax()) - len(expected) + 1) / rate_hz

@@ -1,6 +1,6 @@
-"""A measured run: what was commanded, what was measured, on one uniform clock.
+"""A recording: the command and the measured signals, on one uniform clock.
 
-One CSV file is one run. Comment lines `# key: value` may come first, then a header, then rows. Columns:
+One CSV file is one recording. Comment lines `# key: value` may come first, then a header, then rows. Columns:
 `t_s`; `cmd_A_mm` `cmd_B_mm` `cmd_C_mm` (or `cmd_x_mm` `cmd_y_mm` `cmd_z_mm`); any subset of `acc_*_m_per_s2` and
 `pos_*_mm`, * one of A B C x y z. An empty field or NaN is a gap.
 """
@@ -30,7 +30,7 @@ _LONGEST_COMMAND_GAP_S = 0.02  # a cubic through a longer hole would invent moti
 
 _CAPTURE = "#time,accel_x"  # Klipper's
 _NO_COMMAND = (
-    "It is an accelerometer's capture, and does not say what was commanded; a run holds both. Put its accelerations "
+    "It is an accelerometer's capture without a command; a recording holds both. Put its accelerations "
     "(in m/s², without gravity, along the printer's axes) beside the command at the same times; "
     "`ffcomp simulate PRINT.gcode -o run.csv` writes such a file with the command of a print."
 )
@@ -51,22 +51,23 @@ class Recording:
 
     @property
     def sample_rate_hz(self) -> float:
+        """Mean sample rate."""
         return float((len(self.time_s) - 1) / (self.time_s[-1] - self.time_s[0]))
 
     @property
     def inputs(self) -> tuple[str, str, str]:
-        """The names of the command's columns: cmd_A … or cmd_x …"""
+        """The names of the command's columns: cmd_A … or cmd_x …."""
         a, b, c = (f"cmd_{axis}" for axis in AXES[self.command_space])
         return a, b, c
 
     @property
     def repeat_of(self) -> str:
-        """The file's stem without a trailing -1, -2, …: runs that share it repeat one experiment."""
+        """The file's stem without a trailing -1, -2, …: recordings that share it repeat one experiment."""
         return re.sub(r"-\d+$", "", Path(self.source).stem)
 
 
 def read_recording(path: str | Path) -> Recording:
-    """Read one run; every mistake in the file is reported at once, as a MeasurementError.
+    """Read one recording; a MeasurementError reports every mistake in the file at once.
 
     Rows that are missing altogether (their times are whole sample periods apart) are gaps too. A clock with jitter
     is resampled to a uniform one by cubic splines.
@@ -103,14 +104,14 @@ def _clock(table: Table) -> tuple[Clock | None, list[str]]:
 
 
 def _holes(table: Table, clock: Clock | None) -> list[str]:
-    """Rows that are missing altogether, for longer than a command may."""
+    """Report rows that are missing altogether, for longer than a command may be."""
     if clock is None or np.diff(clock.index).max() * clock.period_s <= _LONGEST_COMMAND_GAP_S:
         return []
     k = int(np.diff(clock.index).argmax())
     row = table.row[np.isfinite(table.column("t_s"))][k + 1]
     return [
         f"The time jumps from {clock.time_s[k]:.6g} s to {clock.time_s[k + 1]:.6g} s at row {row}; rows may be missing "
-        f"for at most {_LONGEST_COMMAND_GAP_S:g} s, for what was commanded there cannot be known. Cut the run there."
+        f"for at most {_LONGEST_COMMAND_GAP_S:g} s, for the command there cannot be known. Cut the recording there."
     ]
 
 
@@ -139,12 +140,12 @@ def _assemble(path: str, table: Table, clock: Clock) -> tuple[Recording, list[st
 
 
 def _filled(name: str, command: FloatArray, clock: Clock) -> tuple[FloatArray, list[str]]:
-    """The command with its short gaps closed by a cubic spline."""
+    """Close short gaps of the command by a cubic spline."""
     known = np.flatnonzero(np.isfinite(command))
     if len(known) == len(command):
         return command, []
     if len(known) < 4 or known[0] > 0 or known[-1] < len(command) - 1:
-        return command, [f"Column {name}_mm must be known in the first and in the last row of the run."]
+        return command, [f"Column {name}_mm must be known in the first and in the last row of the recording."]
     holes = np.diff(known) - 1
     longest = int(holes.argmax())
     if holes[longest] * clock.period_s > _LONGEST_COMMAND_GAP_S:
@@ -152,6 +153,6 @@ def _filled(name: str, command: FloatArray, clock: Clock) -> tuple[FloatArray, l
         return command, [
             f"Column {name}_mm is missing for {holes[longest] * clock.period_s:.3g} s from t = "
             f"{clock.grid_s[first]:.6g} s; a command may be missing for at most {_LONGEST_COMMAND_GAP_S:g} s, for "
-            "what was commanded there cannot be known."
+            "the command there cannot be known."
         ]
     return CubicSpline(known, command[known])(np.arange(len(command))), []

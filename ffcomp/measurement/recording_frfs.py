@@ -1,7 +1,7 @@
-"""Measured runs to frequency responses: picks the estimator's inputs, units and repeats; the estimators are elsewhere.
+"""From recordings to frequency responses: select the estimator, its inputs, units and repeats.
 
-Runs with one and the same command are repeats: they are averaged. Runs with different commands, at one place, are
-the experiments that tell the inputs apart.
+Recordings with one and the same command are repeats: they are averaged. Recordings with different commands, at one
+position, are the experiments that tell the inputs apart.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ def frfs_from_recordings(
     position_mm: tuple[float, float, float] | None = None,
     added_mass_kg: float = 0.0,
 ) -> list[FrequencyResponse]:
-    """All responses of the runs' sensors to their commands that move, in a band.
+    """Estimate all responses of the recordings' sensors to their commands that move, in a band.
 
-    With `period_s` (or a comment `# period_s:` in the runs) by `periodic_frf`; with `segment_s` by H1 of the runs'
-    segments; else by `sweep_frf`. Accelerations answer in 1/s², positions without dimension.
+    With `period_s` (or a comment `# period_s:` in the recordings) by `periodic_frf`; with `segment_s` by H1 of their
+    segments; else by `sweep_frf`. Responses of accelerations are in 1/s², of positions without dimension.
     """
     _belong_together(recordings)
     inputs = [name for name, column in zip(recordings[0].inputs, _commands(recordings), strict=True) if column]
@@ -69,12 +69,12 @@ def frfs_from_recordings(
 
 
 def _commands(recordings: Sequence[Recording]) -> list[bool]:
-    """Which of the three commands move at all."""
+    """Tell which of the three commands move at all."""
     return [any(np.ptp(recording.command[:, j]) > _SAME_COMMAND_MM for recording in recordings) for j in range(3)]
 
 
 def _experiments(recordings: Sequence[Recording]) -> list[list[Recording]]:
-    """The runs, those with one and the same command together."""
+    """Group recordings with one and the same command."""
     groups: list[list[Recording]] = []
     for recording in recordings:
         for group in groups:
@@ -87,7 +87,7 @@ def _experiments(recordings: Sequence[Recording]) -> list[list[Recording]]:
 
 
 def _sensors(recording: Recording, names: Sequence[str]) -> FloatArray:
-    """(n, o) in m/s² and m."""
+    """Stack the sensors' signals, (n, o) in m/s² and m."""
     columns = [
         recording.acceleration[name] if name in recording.acceleration else recording.position[name] * 1e-3
         for name in names
@@ -104,7 +104,7 @@ def _bridged(recording: Recording, name: str, values: FloatArray) -> FloatArray:
         since = float(recording.time_s[0 if holes.argmax() == 0 else known[holes.argmax() - 1]])
         rule = f"Sensor {name} is missing for {holes.max() / recording.sample_rate_hz:.3g} s after t = {since:.6g} s"
         raise MeasurementError(
-            recording.source, [f"{rule}; a spectrum bears at most {_LONGEST_GAP_S:g} s. Cut the run there."]
+            recording.source, [f"{rule}; a spectrum bears at most {_LONGEST_GAP_S:g} s. Cut the recording there."]
         )
     at = np.clip(np.arange(len(values)), known[0], known[-1])  # at the ends the nearest value: a cubic would run away
     return np.asarray(CubicSpline(known, values[known])(at), dtype=np.float64)
@@ -112,7 +112,7 @@ def _bridged(recording: Recording, name: str, values: FloatArray) -> FloatArray:
 
 def _belong_together(recordings: Sequence[Recording]) -> None:
     if not recordings:
-        raise MeasurementError("", ["No run is given; at least one is needed for a frequency response."])
+        raise MeasurementError("", ["No recording is given; at least one is needed for a frequency response."])
     first = recordings[0]
     for recording in recordings[1:]:
         same = recording.command_space == first.command_space and len(recording.time_s) == len(first.time_s)
@@ -120,7 +120,8 @@ def _belong_together(recordings: Sequence[Recording]) -> None:
         if not same or {*recording.acceleration, *recording.position} != {*first.acceleration, *first.position}:
             rule = f"It does not go with {Path(first.source).name}"
             raise MeasurementError(
-                recording.source, [f"{rule}: runs of one response need the same columns, rate and number of samples."]
+                recording.source,
+                [f"{rule}: recordings of one response need the same columns, rate and number of samples."],
             )
     if not any(_commands(recordings)):
         raise MeasurementError(first.source, ["Nothing is commanded to move, so there is no response to it."])

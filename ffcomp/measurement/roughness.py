@@ -1,4 +1,4 @@
-"""How noisy a curve is, judged by itself: what a smooth curve through the neighbours leaves over."""
+"""Noise of a curve from the curve itself: its residual to a smooth curve through the neighbours."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _DEGREE = 2
 
 
 def roughness_variance(value: ComplexArray, window: int = _WINDOW) -> FloatArray:
-    """E|δ|² of each line from the residual to a quadratic through the lines around it, (k,) → (k,).
+    """Estimate E|δ|² of each line from the residual to a quadratic through the lines around it, (k,) → (k,).
 
     A quadratic through the w = `window` lines around a line leaves of white noise at that line 1 − h, h the middle
     coefficient of the fit (Savitzky & Golay, 1964); the squares are averaged over w lines.

@@ -1,4 +1,4 @@
-"""Is a sensor alive, within its range, free of gravity, and in the unit its name says?"""
+"""Checks of sensors: alive, within range, free of gravity, and in the unit of their name."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _SCALE_BAND_HZ = 20.0  # far below the first mode, where the machine follows its
 _MUCH = 0.3  # of the command that moves most
 _SINGULAR = 0.05  # of the largest singular value: below, commands move in proportion
 _SCALE_R2 = 0.5  # of the sensor explained by the command, before the gain means anything
-_G = 9.80665  # m/s²
-_UNITS = {"mm/s²": 1000.0, "mg": 1000 / _G, "cm/s²": 100.0, "g": 1 / _G, "km/s²": 1e-3}
+G = 9.80665  # m/s²
+_UNITS = {"mm/s²": 1000.0, "mg": 1000 / G, "cm/s²": 100.0, "g": 1 / G, "km/s²": 1e-3}
 _HEIGHTS_MM = (30.0, 3000.0)  # of a delta's carriages above its bed
 _LENGTHS = {"m": 1000.0, "cm": 10.0, "inches": 25.4, "µm": 1e-3}  # mm
 _LARGEST_MEAN = 2.0  # m/s²: from rest to rest the mean is zero, and sensors' zeros are off by up to half of this
@@ -27,7 +27,7 @@ _NEARLY_G = 0.1  # of g
 
 
 def broken_sensor(name: str, values: FloatArray, row: IntArray) -> list[str]:
-    """What is wrong with one column (n,) by itself, in full sentences."""
+    """List the problems of one column (n,) by itself, in full sentences."""
     known = np.isfinite(values)
     if not known.any():
         return [f"Column {name} holds no number at all; leave a missing sensor's column out."]
@@ -42,7 +42,7 @@ def broken_sensor(name: str, values: FloatArray, row: IntArray) -> list[str]:
 
 
 def _clipped(name: str, values: FloatArray, row: IntArray) -> list[str]:
-    """A clipped sensor piles up at its extreme everything beyond it; a quantised one does not.
+    """Report a clipped sensor, which piles up at its extreme everything beyond; a quantised one does not.
 
     The top level of a quantised sine holds at most 2.4 times as many samples as the next one.
     """
@@ -61,13 +61,13 @@ def _clipped(name: str, values: FloatArray, row: IntArray) -> list[str]:
 
 
 def with_gravity(acceleration: Mapping[str, FloatArray]) -> list[str]:
-    """Accelerations (n,) m/s² with a mean, in full sentences: a motion that begins and ends at rest has none."""
+    """Report accelerations (n,) m/s² with a mean: a motion that begins and ends at rest has none."""
     means = {name: float(np.nanmean(values)) for name, values in acceleration.items()}
     return [_gravity(name, mean) for name, mean in means.items() if abs(mean) > _LARGEST_MEAN]
 
 
 def _gravity(name: str, mean: float) -> str:
-    what = "gravity" if abs(abs(mean) / _G - 1) < _NEARLY_G else "gravity as a tilted sensor feels it, or an offset,"
+    what = "gravity" if abs(abs(mean) / G - 1) < _NEARLY_G else "gravity on a tilted sensor, or an offset,"
     return (
         f"Column {name}_m_per_s2 has a mean of {mean:.4g} m/s², and a motion from rest to rest has none: {what} is "
         f"still in it. Subtract {mean:.4g} from the column."
@@ -77,11 +77,11 @@ def _gravity(name: str, mean: float) -> str:
 def wrong_scale(
     command: FloatArray, inputs: Sequence[str], acceleration: Mapping[str, FloatArray], rate_hz: float
 ) -> list[str]:
-    """Accelerations whose size does not fit the command's own, in full sentences.
+    """Report accelerations whose size does not fit the command's own, in full sentences.
 
     Below 20 Hz the machine follows its command: a carriage its own, any other sensor a linear combination of all
-    three with coefficients of order one. Where a sensor does not (noise, a command too fast or at rest), nothing can
-    be said.
+    three with coefficients of order one. Where a sensor does not (noise, a command too fast or at rest), nothing is
+    reported.
 
     Parameters
     ----------
@@ -102,14 +102,14 @@ def wrong_scale(
 
 
 def _moving_with(own: str, inputs: Sequence[str], commanded: FloatArray) -> FloatArray:
-    """The sensor's own command, if it moves much; else all of them."""
+    """Select the sensor's own command, if it moves much; else all of them."""
     size = commanded.std(axis=0)
     j = list(inputs).index(own) if own in inputs else -1
     return commanded[:, [j]] if j >= 0 and size[j] > _MUCH * float(size.max()) else commanded
 
 
 def _gain(measured: FloatArray, basis: FloatArray) -> float | None:
-    """How many times as large as its command a sensor is; None where that is plausible, or cannot be told."""
+    """Compute how many times as large as its command a sensor is; None where that is plausible, or unclear."""
     coefficients, _, rank, _ = np.linalg.lstsq(basis, measured, rcond=_SINGULAR)
     explained = float((basis @ coefficients).var()) / max(float(measured.var()), 1e-300)
     gain = float(np.linalg.norm(coefficients))
@@ -133,14 +133,14 @@ def _unit_of(gain: float) -> str:
 
 
 def _all_alike(gains: Sequence[float | None]) -> list[str]:
-    """If all sensors are off by one factor, it may be the nozzle's command that is; a carriage's height would tell."""
+    """Report a factor that all sensors share: it may be the nozzle's command that is wrong."""
     units = {None if gain is None else _unit_of(gain) for gain in gains}
     unit = {"mm/s²": "m", "km/s²": "µm"}.get(units.pop() or "") if len(units) == 1 < len(gains) else None
     return [f"All sensors are off by this factor: or is it the command, in {unit} and not in mm?"] if unit else []
 
 
 def command_unit(command: FloatArray, inputs: Sequence[str]) -> list[str]:
-    """Carriages : (n, 3) at heights that no delta has, but would have in another unit, in full sentences."""
+    """Report carriages (n, 3) at heights that no delta has, but would have in another unit."""
     if inputs[0] != "cmd_A":
         return []
     sentences = []
@@ -155,6 +155,6 @@ def command_unit(command: FloatArray, inputs: Sequence[str]) -> list[str]:
 
 
 def _second_derivative(position: FloatArray, rate_hz: float) -> FloatArray:
-    """(n, 3) → (n, 3), at rest before and after."""
+    """Differentiate a position (n, 3) twice, at rest before and after."""
     inner = np.diff(position, 2, axis=0) * rate_hz**2
     return np.pad(inner, ((1, 1), (0, 0)))

@@ -1,12 +1,12 @@
-"""A single sweep, or any record that is not periodic: the local polynomial method.
+"""Responses from a single sweep, or any record that is not periodic, by the local polynomial method.
 
-The DFT of a finite record of a linear system is Y = H U + T: the transient T, of what rang before the record and what
-rings after it, is as smooth a function of frequency as H itself. So in a narrow window of lines around each line,
+The DFT of a finite record of a linear system is Y = H U + T: the transient T, of vibration from before the record and
+after it, is as smooth a function of frequency as H itself. So in a narrow window of lines around each line,
 H and T are taken as polynomials, and least squares tells them apart, for U is rough: leakage is not windowed away
 but estimated (Pintelon & Schoukens, System Identification, 2012, ch. 7).
 
-A sweep's own spectrum is rough where it was played well inside the record: what is played in the first or last
-1/half_width seconds looks like a transient itself. So let a record begin and end with that much rest.
+A sweep's own spectrum is rough where it lies well inside the record: motion in the first or last 1/half_width seconds
+looks like a transient itself. So let a record begin and end with that much rest.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def sweep_frf(
     half_width_hz: float = 1.0,
     degree: int = 2,
 ) -> FrfMatrix:
-    """Response from single records by the local polynomial method; several inputs may move at once.
+    """Estimate the response from single records by the local polynomial method; several inputs may move at once.
 
     The variance is of the residual, so it holds noise, nonlinear distortion, and what a polynomial cannot follow:
     where a mode is narrower than the window, it is large. Neighbouring windows share lines; the lines given are so
@@ -55,9 +55,9 @@ def sweep_frf(
     return FrfMatrix(frequency[centre], value, variance)
 
 
-def _half_width(wanted: float, experiments: int, inputs: int, degree: int) -> int:
+def _half_width(lines: float, experiments: int, inputs: int, degree: int) -> int:
     unknowns = (degree + 1) * (inputs + experiments)
-    return max(round(wanted), int(np.ceil((_SPARE_EQUATIONS * unknowns / experiments - 1) / 2)))
+    return max(round(lines), int(np.ceil((_SPARE_EQUATIONS * unknowns / experiments - 1) / 2)))
 
 
 def _centres(frequency: FloatArray, lowest_hz: float, highest_hz: float, half: int, degree: int) -> IntArray:
@@ -73,7 +73,7 @@ def _centres(frequency: FloatArray, lowest_hz: float, highest_hz: float, half: i
 def _local(
     u: ComplexArray, y: ComplexArray, centre: IntArray, half: int, degree: int
 ) -> tuple[ComplexArray, FloatArray]:
-    """(e, lines, i), (e, lines, o), (k,) → value (k, o, i) and variance (k, o, i)."""
+    """Solve around each centre, (k,): value and variance (k, o, i) from u (e, lines, i) and y (e, lines, o)."""
     inputs = u.shape[2]
     offset = np.arange(-half, half + 1)
     powers = (offset[:, None] / half) ** np.arange(degree + 1)  # (w, d)
@@ -92,7 +92,7 @@ def _local(
 
 
 def _regressor(u: ComplexArray, powers: FloatArray) -> ComplexArray:
-    """Columns: each input times each power (power by power, the inputs side by side), then each record's transient.
+    """Stack columns: each input times each power (power by power, inputs side by side), then each record's transient.
 
     u (e, k, w, i), powers (w, d) → (k, e w, d i + e d)
     """

@@ -1,4 +1,4 @@
-"""Comma-separated text to an array: comments, a header, rows; every cell that is no number named by its line."""
+"""Read comma-separated text into an array: comments, a header, rows; report bad cells by their line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from ffcomp.errors import MeasurementError
 from models.arrays import FloatArray, IntArray
 
-_NAMED_MISTAKES = 5  # of one kind; a broken file has thousands, and nobody reads them
+_NAMED_MISTAKES = 5  # of one kind; a broken file has thousands
 
 _LARGEST = 1e30  # beyond it squares overflow; of whatever unit, nothing that is measured comes near
 
@@ -21,6 +21,8 @@ _NO_TEXT = "the file is not a text file. Save it as CSV with the encoding UTF-8.
 
 @dataclass(frozen=True, eq=False)
 class Table:
+    """The rows of a file, with its header and comments."""
+
     columns: tuple[str, ...]
     values: FloatArray  # (n, columns); NaN where a field was empty
     row: IntArray  # (n,) 1-based line of the file
@@ -28,12 +30,12 @@ class Table:
     problems: tuple[str, ...] = ()  # full sentences about cells and rows
 
     def column(self, name: str) -> FloatArray:
-        """(n,)"""
+        """Return a column, (n,)."""
         return self.values[:, self.columns.index(name)]
 
 
 def read_text(path: str | Path) -> str:
-    """A measurement file as text; MeasurementError if it is not there, empty, or no text."""
+    """Read a measurement file as text; MeasurementError if it is missing, empty, or no text."""
     try:
         content = Path(path).read_bytes()
     except OSError as error:
@@ -50,7 +52,7 @@ def read_text(path: str | Path) -> str:
 
 
 def read_table(path: str | Path, text: str) -> Table:
-    """`# key: value` lines, a header line, then rows of numbers."""
+    """Read `# key: value` lines, a header line, then rows of numbers."""
     lines = text.splitlines()
     head = next((k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None)
     if head is None:
@@ -63,7 +65,7 @@ def read_table(path: str | Path, text: str) -> Table:
 
 
 def comments_of(lines: Sequence[str]) -> dict[str, str]:
-    """`# key: value` lines as a dictionary, keys in small letters; other comments say nothing to us."""
+    """Parse `# key: value` lines, keys in small letters; other comments are ignored."""
     pairs = (line.lstrip("# ").split(":", 1) for line in lines if ":" in line)
     return {key.strip().lower(): value.strip() for key, value in pairs}
 
@@ -76,7 +78,7 @@ def rows_of(
     comments: dict[str, str],
     delimiter: str | None = ",",
 ) -> Table:
-    """The rows from lines[first] on; `delimiter` None is any white space."""
+    """Read the rows from lines[first] on; `delimiter` None is any white space."""
     kept = [k for k in range(first, len(lines)) if lines[k].strip() and not lines[k].lstrip().startswith("#")]
     if not kept:
         raise MeasurementError(str(path), ["There are no rows after the header line."])
@@ -96,7 +98,7 @@ def rows_of(
 def _cell_by_cell(
     body: Sequence[str], row: IntArray, columns: tuple[str, ...], delimiter: str | None
 ) -> tuple[FloatArray, list[str]]:
-    """The slow way, for files with empty fields or mistakes: it knows where each stands."""
+    """Read cell by cell, for files with empty fields or mistakes: slow, but it locates each."""
     values = np.full((len(body), len(columns)), np.nan)
     bad_cells, bad_rows = [], []
     for i, line in enumerate(body):

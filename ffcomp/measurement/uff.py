@@ -1,10 +1,10 @@
 """Universal files, data set 58 (function at nodal DOF), through `pyuff`.
 
-What we write says everything about a response in its ID lines, as `key: value; key: value`, and in the DOF fields:
+Files written here describe a response completely in its ID lines, as `key: value; key: value`, and in the DOF fields:
 nodes 1, 2, 3 are the carriages A, B, C, moving along direction 3 (z); node 4 is the nozzle, directions 1, 2, 3 are
 x, y, z. A coherence follows as function type 6, a variance as type 0; all three share a version number.
 
-What others wrote is understood by those fields and by the data types of ordinate and denominator: displacement,
+Files of others are read by those fields and by the data types of ordinate and denominator: displacement,
 velocity (differentiated), acceleration, force. Values are taken to SI by the units' labels, else by data set 164.
 """
 
@@ -49,7 +49,7 @@ class Dataset:
 
 
 def is_universal(path: str | Path) -> bool:
-    """Whether a file begins as universal files do: a line `-1`, then one with the data set's number."""
+    """Tell whether a file begins as universal files do: a line `-1`, then one with the data set's number."""
     try:
         with open(path, "rb") as file:
             head = file.read(400).splitlines()[:2]
@@ -59,7 +59,7 @@ def is_universal(path: str | Path) -> bool:
 
 
 def read_universal(path: str | Path) -> dict[int, Dataset]:
-    """The responses of a universal file by the number of their data set (from 1); MeasurementError if there is none."""
+    """Read the responses of a universal file by data set number (from 1); MeasurementError if there is none."""
     sets = _sets(str(path))
     length, force = _unit_factors(sets)
     kinds = {number: _function(one) for number, one in sets.items() if one["type"] == 58}
@@ -102,20 +102,20 @@ def _sets(path: str) -> dict[int, dict[str, Any]]:
     pyuff = _pyuff(path)
     try:
         file = pyuff.UFF(path)
-        wanted = [n for n, kind in enumerate(file.get_set_types()) if int(kind) in (58, 164)]
-        return {n + 1: file.read_sets(n) for n in wanted}
+        read = [n for n, kind in enumerate(file.get_set_types()) if int(kind) in (58, 164)]
+        return {n + 1: file.read_sets(n) for n in read}
     except Exception as error:  # pyuff raises plain Exception, and whatever a broken line makes of it
         raise MeasurementError(path, [f"It is no universal file that can be read: {error}."]) from error
 
 
 def _function(one: Mapping[str, Any]) -> int:
-    """The set's function type; a general one is only ours if its ID lines say so."""
+    """Return the set's function type; a general one is only ours if its ID lines say so."""
     kind = int(one["func_type"])
     return kind if kind != _GENERAL or "input" in _said(one) else -1
 
 
 def _dof(one: Mapping[str, Any]) -> tuple[int, ...]:
-    """What a response and its coherence have in common."""
+    """Return the fields that a response and its coherence have in common."""
     return (*(int(one[key]) for key in ("rsp_node", "rsp_dir", "ref_node", "ref_dir", "ver_num")), len(one["x"]))
 
 
@@ -131,7 +131,7 @@ def _dataset(number: int, one: Mapping[str, Any], length: float, force: float, p
     for end in ("input", "output"):
         if not said[end]:
             problems.append(
-                f"Data set {number}: its {end} cannot be told from its direction and data type "
+                f"Data set {number}: its {end} cannot be derived from its direction and data type "
                 f"{kinds[end == 'input']}; say 'input: cmd_A; output: pos_A' (or what it is) in the ID lines."
             )
     value = value * _scale(number, one, kinds, length, force, problems)
@@ -147,7 +147,7 @@ def _said(one: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _signal(one: Mapping[str, Any], end: str, kinds: Mapping[int, str], kind: int) -> str:
-    """A signal's name from its node, direction and data type; empty if they do not say."""
+    """Name a signal by its node, direction and data type; '' if they do not tell."""
     node, direction = int(one[f"{end}_node"]), abs(int(one[f"{end}_dir"]))
     if kind not in kinds or direction not in (1, 2, 3):
         return ""
@@ -160,7 +160,7 @@ def _signal(one: Mapping[str, Any], end: str, kinds: Mapping[int, str], kind: in
 def _scale(
     number: int, one: Mapping[str, Any], kinds: list[int], length: float, force: float, problems: list[str]
 ) -> float:
-    """What the values are multiplied by to be SI, with the sign of their directions."""
+    """Return the factor to SI, with the sign of the directions."""
     sign = float(np.sign(int(one["rsp_dir"]) or 1) * np.sign(int(one["ref_dir"]) or 1))
     factors = []
     for part, kind in zip(("ordinate", "orddenom"), kinds, strict=True):
@@ -173,7 +173,7 @@ def _scale(
 
 
 def _unit_factors(sets: Mapping[int, Mapping[str, Any]]) -> tuple[float, float]:
-    """Data set 164's factors of length and force: what SI values are multiplied by to be the file's."""
+    """Return data set 164's factors of length and force, from SI to the file's units."""
     units: Mapping[str, Any] = next((one for one in sets.values() if one["type"] == 164), {})
     return float(units.get("length", 1.0)) or 1.0, float(units.get("force", 1.0)) or 1.0
 

@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
-from ffcomp.cli.diagnose import _result as diagnosis_json
+from ffcomp.diagnose.json import diagnosis_json
 from ffcomp.diagnose.residuals import ResidualSize
 from ffcomp.diagnose.result import DiagnosisResult
 from ffcomp.identify.uncertainty import normal

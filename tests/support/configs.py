@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ffcomp.importers.builder import Draft, draft, machine_text
+from ffcomp.importers.builder import MachineDraft, build_draft, machine_text
 from ffcomp.importers.detect import read_printer_config
 from models.file import load_machine
 from models.machine import Machine
@@ -99,8 +99,8 @@ def written(folder: Path, text: str | bytes, name: str = "x") -> Path:
     return path
 
 
-def drafted(path: Path, like: Path | None = None, kinematics: str | None = None) -> Draft:
-    return draft(read_printer_config(path, kinematics), path.stem, like)
+def drafted(path: Path, like: Path | None = None, kinematics: str | None = None) -> MachineDraft:
+    return build_draft(read_printer_config(path, kinematics), path.stem, like)
 
 
 def imported(path: Path, **options: str) -> Machine:

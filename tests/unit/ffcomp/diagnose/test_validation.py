@@ -112,7 +112,7 @@ Spoil = Callable[[Sheet], Sheet]
 SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     "no time": (lambda s: s.without("t_s"), ("turn-1.csv: Column t_s (time, seconds) is missing",)),
     "no command of B": (lambda s: s.without("cmd_B_mm"), ("Column cmd_B_mm is missing; a command needs",)),
-    "no command": (lambda s: s.without(*COMMAND), ("The command is missing; a run needs cmd_A_mm",)),
+    "no command": (lambda s: s.without(*COMMAND), ("The command is missing; a recording needs cmd_A_mm",)),
     "no sensor": (lambda s: s.without(*SENSORS), ("No sensor column is there",)),
     "twice": (lambda s: s.renamed({"acc_B_m_per_s2": "acc_A_m_per_s2"}), ("'acc_A_m_per_s2' is there 2 times",)),
     "unknown": (lambda s: s.renamed({"acc_z_m_per_s2": "temperature"}), ("'temperature' is unknown",)),
@@ -146,7 +146,7 @@ SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
         lambda s: s.changed(plus(9.81), "acc_A_m_per_s2", "acc_z_m_per_s2"),
         ("Column acc_A_m_per_s2 has a mean of 9.8", "gravity is still in it", "Column acc_z_m_per_s2"),
     ),
-    "tilted": (lambda s: s.changed(plus(-3.0), "acc_y_m_per_s2"), ("of -3.0", "gravity as a tilted sensor feels it")),
+    "tilted": (lambda s: s.changed(plus(-3.0), "acc_y_m_per_s2"), ("of -3.0", "gravity on a tilted sensor")),
     "a jump": (
         lambda s: s.changed(plus(0.3003, 500), "t_s"),
         ("column t_s steps by 481.48 periods at row 502",),
@@ -160,7 +160,7 @@ SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
         lambda s: s.changed(fill_gaps(0.3, slice(2000, None)), "acc_B_m_per_s2"),
         ("Sensor acc_B stands at 0.3 for 0.75 s, from 1.25 s after the beginning on, while it is commanded to move",),
     ),
-    "dead": (lambda s: s.changed(noise, "acc_x_m_per_s2"), ("Sensor acc_x feels 0.", "it is dead, not fastened")),
+    "dead": (lambda s: s.changed(noise, "acc_x_m_per_s2"), ("Sensor acc_x measures 0.", "it is dead, not fastened")),
     "turned round": (
         lambda s: s.changed(times(-1), "acc_A_m_per_s2", "acc_x_m_per_s2"),
         ("Sensor acc_A moves against its command (correlation -0.9", "Sensor acc_x moves against"),
@@ -179,7 +179,7 @@ SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     ),
     "late": (lambda s: s.changed(late, *SENSORS), ("The sensors fit the command best 0.12", "s late")),
     "nothing": (lambda s: s.changed(fill_gaps(np.nan), *SENSORS), ("acc_A_m_per_s2 holds no number at all",)),
-    "short": (lambda s: replace(s, values=s.values[:600]), ("The run is 0.3744 s long (600 rows)",)),
+    "short": (lambda s: replace(s, values=s.values[:600]), ("The recording is 0.3744 s long (600 rows)",)),
     "slow": (lambda s: replace(s, values=s.values[::4]), ("sample rate in column t_s is 400 Hz",)),
     "other sensors": (
         lambda s: s.without("acc_x_m_per_s2", "acc_y_m_per_s2"),
@@ -208,7 +208,10 @@ def test_a_spoilt_run_is_refused_in_words(refusal: Callable[..., str], sheet: Sh
         (bytes(range(256)) * 50, "Byte 128 is not UTF-8: the file is not a text file. Save it as CSV"),
         ("# Name: Jörg\nt_s\n0\n".encode("latin-1"), "Byte 9 is not UTF-8"),
         (b"#time,accel_x,accel_y,accel_z\n0.1,12,3,9811\n", "It is an accelerometer's capture, and does not say what"),
-        (b"freq,psd_x,psd_y\n1,2,3\n", "The first line, 'freq,psd_x,psd_y', names no column of a run; a run has t_s"),
+        (
+            b"freq,psd_x,psd_y\n1,2,3\n",
+            "The first line, 'freq,psd_x,psd_y', names no column of a recording; a recording has t_s",
+        ),
         (b"t_s;cmd_A_mm;cmd_B_mm\n0;1;2\n", "separates its columns by semicolons"),
     ],
 )

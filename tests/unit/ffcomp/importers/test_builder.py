@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from ffcomp.importers.builder import machine_text
-from ffcomp.importers.hints import REMEDIES, still_assumed
+from ffcomp.importers.hints import HINTS, still_assumed
 from ffcomp.importers.values import PrinterConfigError
 from models.errors import MachineFileError
 from models.file import LIBRARY, check_text, entries, load_machine
@@ -68,7 +68,7 @@ def test_what_is_missing_stays_missing(tmp_path: Path) -> None:
     with pytest.raises(MachineFileError) as refused:
         check_text(text, "x.toml")
     assert [problem.split()[0] for problem in refused.value.problems] == list(made.missing)
-    gap = "# y_range_mm is missing: " + REMEDIES["kinematics."]
+    gap = "# y_range_mm is missing: " + HINTS["kinematics."]
     assert gap in text
     filled = text.replace(gap, "y_range_mm = [0.0, 302.5]")
     for line in filled.splitlines():
@@ -94,7 +94,7 @@ def test_a_named_machine_fills_the_axes_that_have_no_shaper(tmp_path: Path) -> N
 
 
 def test_a_delta_lends_nothing_to_a_corexy_machine(tmp_path: Path) -> None:
-    with pytest.raises(PrinterConfigError, match="a delta machine cannot lend numbers to a corexy machine"):
+    with pytest.raises(PrinterConfigError, match="a delta machine cannot lend values to a corexy machine"):
         drafted(written(tmp_path, COREXY), like=LIBRARY / "kossel.toml")
 
 

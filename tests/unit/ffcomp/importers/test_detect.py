@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ffcomp.importers.builder import draft, machine_text
+from ffcomp.importers.builder import build_draft, machine_text
 from ffcomp.importers.detect import read_printer_config
 from ffcomp.importers.values import PrinterConfigError
 from models.errors import MachineFileError
@@ -80,7 +80,7 @@ def test_edited_configurations_end_in_a_machine_or_a_sentence(text: str, changes
 def outcome(path: Path) -> str:
     """What is wrong with a configuration, or with the machine file made of it."""
     try:
-        made = draft(read_printer_config(path, "cartesian"), "x")
+        made = build_draft(read_printer_config(path, "cartesian"), "x")
         check_text(machine_text(made, path), "x.toml")
     except (PrinterConfigError, MachineFileError) as error:
         return str(error)

@@ -9,7 +9,7 @@ import pytest
 
 from ffcomp.importers.detect import read_printer_config
 from ffcomp.importers.klipper_file import read_klipper
-from ffcomp.importers.values import Found, PrinterConfigError
+from ffcomp.importers.values import ConfigValues, PrinterConfigError
 from tests.support.configs import COREXY, SAVED, SHAPER, Delta, imported, written
 
 PLAIN = """
@@ -32,11 +32,11 @@ rotation_distance: 32
 """
 
 
-def found(folder: Path, text: str | bytes) -> Found:
+def found(folder: Path, text: str | bytes) -> ConfigValues:
     return read_printer_config(written(folder, text, "printer.cfg"))
 
 
-def value(says: Found, key: str) -> object:
+def value(says: ConfigValues, key: str) -> object:
     return says.values[key].value
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ffcomp.importers.detect import read_printer_config
-from ffcomp.importers.values import Found, PrinterConfigError
+from ffcomp.importers.values import ConfigValues, PrinterConfigError
 from tests.support.configs import imported, written
 
 LIMITS = (
@@ -24,11 +24,11 @@ AREA = (
 TOWERS = "echo:  M665 L280.0000 R141.9439 H354.3339 S200.00 X0.0353 Y0.2565 Z-0.2919 A0.0 B0.5 C-0.25\n"
 
 
-def found(folder: Path, text: str, kinematics: str | None = None) -> Found:
+def found(folder: Path, text: str, kinematics: str | None = None) -> ConfigValues:
     return read_printer_config(written(folder, text, "m503.txt"), kinematics)
 
 
-def value(says: Found, key: str) -> object:
+def value(says: ConfigValues, key: str) -> object:
     return says.values[key].value
 
 

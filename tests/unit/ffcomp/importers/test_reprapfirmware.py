@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ffcomp.importers.detect import read_printer_config
-from ffcomp.importers.values import Found, PrinterConfigError
+from ffcomp.importers.values import ConfigValues, PrinterConfigError
 from tests.support.configs import imported, written
 
 HEAD = "; Configuration\nG90\nM83\nM569 P0 S1 ; forwards\nM584 X0 Y1 Z2 E3\n"
@@ -15,11 +15,11 @@ DELTA = HEAD + "M665 R105.6 L215.0 B85 H250\nM92 X80 Y80 Z80 E420:415\n"
 CARTESIAN = HEAD + "M208 X0 Y-10 Z0 S1\nM208 X235 Y225 Z250 S0\nM92 X80 Y80 Z400\nM350 X16 Y16 Z16 E16 I1\n"
 
 
-def found(folder: Path, text: str) -> Found:
+def found(folder: Path, text: str) -> ConfigValues:
     return read_printer_config(written(folder, text, "config.g"))
 
 
-def value(says: Found, key: str) -> object:
+def value(says: ConfigValues, key: str) -> object:
     return says.values[key].value
 
 

@@ -102,7 +102,7 @@ def test_a_capture_full_of_holes_is_refused(tmp_path: Path) -> None:
     path = raw_data(tmp_path / "raw_data_x_test.csv", swept([(43.0, 0.05)], 0.5, 3, 3.0))
     lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
     path.write_text("".join(line for k, line in enumerate(lines) if k == 0 or k % 500), encoding="utf-8")
-    with pytest.raises(MeasurementError, match=r"no stretch of 0\.64 s without gaps"):
+    with pytest.raises(MeasurementError, match=r"no window of 0\.64 s without gaps"):
         modes_of(path)
 
 

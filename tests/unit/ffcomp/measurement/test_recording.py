@@ -152,7 +152,7 @@ def infinite(columns: Columns) -> None:
         ),
         (slow, "The sample rate in column t_s is 160 Hz; it must lie between 800 and 25600 Hz"),
         (uneven, "column t_s steps by 1.5 periods at row 602, t = 0.3753125 s (1 such rows)"),
-        (short, "The run is 0.4369 s long (700 rows); it must last at least 0.5 s"),
+        (short, "The recording is 0.4369 s long (700 rows); it must last at least 0.5 s"),
         (constant, "Column acc_B_m_per_s2 is 0.0383 in all 1600 rows"),
         (silent, "Column acc_B_m_per_s2 holds no number at all"),
         (gappy, "Column acc_B_m_per_s2 is missing in 56% of the rows"),

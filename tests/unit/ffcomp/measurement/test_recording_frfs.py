@@ -74,7 +74,7 @@ def test_small_gaps_are_bridged_and_large_ones_refused() -> None:
 @pytest.mark.parametrize(
     ("recordings", "how", "words"),
     [
-        ([], {}, "No run is given"),
+        ([], {}, "No recording is given"),
         ([recording(np.zeros((1600, 3)))], {}, "Nothing is commanded to move"),
         ([recording(multisine(0)), recording(multisine(1, 3))], {}, "It does not go with r-0.csv"),
         ([recording(multisine(0))], {"segment_s": 3.9}, r"r-0\.csv: 1 segments of 6240 samples"),
