@@ -484,9 +484,11 @@ def _values(values: Mapping[str, Any]) -> str:
 
 
 def _rivals(effect: Effect) -> str:
-    if not effect.rivals:
+    if not effect.confounded_with:
         return ""
-    return "\n".join(["Taken for, and how to tell:\n", *(f"- {_linked(n)}: {how}" for n, how in effect.rivals.items())])
+    return "\n".join(
+        ["Taken for, and how to tell:\n", *(f"- {_linked(n)}: {how}" for n, how in effect.confounded_with.items())]
+    )
 
 
 def _linked(name: str) -> str:

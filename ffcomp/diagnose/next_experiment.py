@@ -123,7 +123,7 @@ def _separation(found: Diagnosis, other: tuple[str, ...], values: Mapping[str, f
     assert found.best is not None
     ours = found.best.names
     sentences = [
-        CATALOGUE[a].rivals.get(b) or CATALOGUE[b].rivals.get(a, "")
+        CATALOGUE[a].confounded_with.get(b) or CATALOGUE[b].confounded_with.get(a, "")
         for a in ours
         for b in other
         if a in CATALOGUE and b in CATALOGUE

@@ -126,7 +126,7 @@ def _file_values(effect: str, key: str, own: Sequence[Estimate], table: Any) -> 
 def _apart(tables: Mapping[str, Any], other: str) -> str:
     """Say how to tell another effect from the named ones."""
     for name in tables:
-        sentence = CATALOGUE[name].rivals.get(other) or CATALOGUE[other].rivals.get(name)
+        sentence = CATALOGUE[name].confounded_with.get(other) or CATALOGUE[other].confounded_with.get(name)
         if sentence:
             return sentence
     return "Runs at more places and at several speeds."

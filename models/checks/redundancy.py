@@ -1,8 +1,8 @@
-"""Do a machine's numbers agree with each other and with what was measured?
+"""Compare a machine's parameters with each other and with its measurements.
 
-The paper's identification finds some numbers in more than one way (Eqs. 30-49). A machine file may keep the
-measurements in `[provenance.measured]`; each equation whose measurements are there is worked out beside the file's own
-number:
+The paper's identification determines some parameters in more than one way (Eqs. 30-49). A machine file may contain the
+measurements in `[provenance.measured]`; every equation whose measurements are given is evaluated and compared with the
+file's own parameter:
 
     natural_frequency_rad_per_s          ω_n   carriage without effector
     damping_ratio                        ζ
@@ -10,9 +10,9 @@ number:
     loaded_natural_frequency_rad_per_s   ω'_n  the same with m_add on it
     loaded_damping_ratio                 ζ'
     total_effector_mass_kg               m_tot effector on the scale, without arms (Table I: m_1 + m_2)
-    hammer_zero_rad_per_s                ω_z   effector struck by a hammer
+    hammer_zero_rad_per_s                ω_z   effector hit by a hammer
     hammer_pole_rad_per_s                ω_p
-    hammer_axis                          "x", "y" or "z": along which; not said: along the stiffest
+    hammer_axis                          "x", "y" or "z": its direction; default: the stiffest
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ import numpy as np
 from models.machine import Machine
 from models.vibration.carriage import damping
 
-TOLERANCE = 0.05  # of the file's number; what two careful measurements of one quantity may differ by
-THE_SAME = 0.005  # of the file's number: it is this one, rounded
+TOLERANCE = 0.05  # relative to the file; two careful measurements of one quantity may differ by this much
+SAME = 0.005  # relative to the file: the same value, rounded
 
-NUMBERS = (
+MEASURED = (
     "natural_frequency_rad_per_s",
     "damping_ratio",
     "added_mass_kg",
@@ -46,42 +46,43 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class Value:
-    """One way to the quantity."""
+    """A value of the quantity by another equation."""
 
     equation: str  # "Eq. 41: m = ω'_n²/(ω_n² − ω'_n²) m_add"
     value: float
-    difference: float  # from the file's number, as a share of it
+    difference: float  # from the file's parameter, relative to it
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number of the file, and every other way to it."""
+    """A parameter of the file, with its value by every other equation."""
 
     key: str
     unit: str
     of_file: float
-    basis: str  # how the file comes to it
+    basis: str  # how the file determines it
     others: tuple[Value, ...]  # at least one
 
     @property
     def spread(self) -> float:
-        """Largest minus smallest of all ways, the file's among them, as a share of the file's."""
+        """Largest minus smallest of all values, the file's included, relative to the file's."""
         every = [self.of_file, *(other.value for other in self.others)]
         return (max(every) - min(every)) / abs(self.of_file)
 
     @property
     def the_file_uses(self) -> str:
-        """What stands in the file, and which equations give the same."""
-        same = [other.equation.partition(":")[0] for other in self.others if abs(other.difference) < THE_SAME]
+        """Name the file's basis and the equations that agree with it."""
+        same = [other.equation.partition(":")[0] for other in self.others if abs(other.difference) < SAME]
         return f"{self.basis}, as {' and '.join(same)}" if same else self.basis
 
     @property
     def disagreeing(self) -> tuple[Value, ...]:
+        """Values that differ from the file's by more than the tolerance."""
         return tuple(other for other in self.others if abs(other.difference) > TOLERANCE)
 
 
 @dataclass(frozen=True)
-class _Way:
+class _Equation:
     equation: str
     needs: tuple[str, ...]  # keys of [provenance.measured]
     value: Callable[..., float]  # (machine, *needs)
@@ -92,7 +93,7 @@ class _Redundant:
     key: str
     unit: str
     of_file: Callable[[Machine, int], float]  # (machine, hammer's axis)
-    ways: tuple[_Way, ...]
+    equations: tuple[_Equation, ...]
     basis: str = "the number given"
 
 
@@ -109,12 +110,12 @@ def _masses(machine: Machine) -> tuple[float, float]:
 
 
 def _mass_by_frequencies(_: Machine, omega: float, loaded: float, added: float) -> float:
-    """Eq. 41; without a number if the load did not slow the carriage down."""
+    """Apply Eq. 41; NaN if the load did not slow the carriage down."""
     return loaded**2 / (omega**2 - loaded**2) * added if omega > loaded else math.nan
 
 
 def _series(machine: Machine) -> float:
-    """m_1 m_2/(m_1 + m_2), kg."""
+    """Return m_1 m_2/(m_1 + m_2), kg."""
     m1, m2 = _masses(machine)
     return m1 * m2 / (m1 + m2)
 
@@ -128,9 +129,9 @@ REDUNDANT = (
         "kg",
         lambda machine, _: _mass(machine),
         (
-            _Way("Eq. 41: m = ω'_n²/(ω_n² − ω'_n²) m_add", (_ALONE, _LOADED, _ADDED), _mass_by_frequencies),
-            _Way("Eq. 36: m = k/ω_n²", (_ALONE,), lambda machine, omega: _stiffness(machine) / omega**2),
-            _Way(
+            _Equation("Eq. 41: m = ω'_n²/(ω_n² − ω'_n²) m_add", (_ALONE, _LOADED, _ADDED), _mass_by_frequencies),
+            _Equation("Eq. 36: m = k/ω_n²", (_ALONE,), lambda machine, omega: _stiffness(machine) / omega**2),
+            _Equation(
                 "Eq. 40: m = k/ω'_n² − m_add",
                 (_LOADED, _ADDED),
                 lambda machine, loaded, added: _stiffness(machine) / loaded**2 - added,
@@ -143,13 +144,13 @@ REDUNDANT = (
         "N/m",
         lambda machine, _: _stiffness(machine),
         (
-            _Way("Eq. 36: k = m ω_n²", (_ALONE,), lambda machine, omega: _mass(machine) * omega**2),
-            _Way(
+            _Equation("Eq. 36: k = m ω_n²", (_ALONE,), lambda machine, omega: _mass(machine) * omega**2),
+            _Equation(
                 "Eq. 40: k = (m + m_add) ω'_n²",
                 (_LOADED, _ADDED),
                 lambda machine, loaded, added: (_mass(machine) + added) * loaded**2,
             ),
-            _Way(
+            _Equation(
                 "Eqs. 36, 41: k = m ω_n² with the m of Eq. 41",
                 (_ALONE, _LOADED, _ADDED),
                 lambda machine, omega, loaded, added: _mass_by_frequencies(machine, omega, loaded, added) * omega**2,
@@ -161,12 +162,12 @@ REDUNDANT = (
         "N s/m",
         lambda machine, _: damping(machine.carriage),
         (
-            _Way(
+            _Equation(
                 "Eq. 35: c + b = 2 ζ ω_n m",
                 (_ALONE, "damping_ratio"),
                 lambda machine, omega, zeta: 2 * zeta * omega * _mass(machine),
             ),
-            _Way(
+            _Equation(
                 "Eq. 39: c + b = 2 ζ' ω'_n (m + m_add)",
                 (_LOADED, "loaded_damping_ratio", _ADDED),
                 lambda machine, omega, zeta, added: 2 * zeta * omega * (_mass(machine) + added),
@@ -177,19 +178,19 @@ REDUNDANT = (
         "effector.nozzle_mass_kg + extruder_mass_kg",
         "kg",
         lambda machine, _: sum(_masses(machine)),
-        (_Way("the scale: m_tot", (_TOTAL,), lambda _, total: total),),
+        (_Equation("the scale: m_tot", (_TOTAL,), lambda _, total: total),),
     ),
     _Redundant(
         "effector.nozzle_mass_kg",
         "kg",
         lambda machine, _: _masses(machine)[0],
         (
-            _Way(
+            _Equation(
                 "Eq. 49: m_1 = (ω_z/ω_p)² (m_1 + m_2)",
                 (_ZERO, _POLE),
                 lambda machine, zero, pole: (zero / pole) ** 2 * sum(_masses(machine)),
             ),
-            _Way(
+            _Equation(
                 "Eq. 49: m_1 = (ω_z/ω_p)² m_tot",
                 (_ZERO, _POLE, _TOTAL),
                 lambda _, zero, pole, total: (zero / pole) ** 2 * total,
@@ -201,12 +202,12 @@ REDUNDANT = (
         "kg",
         lambda machine, _: _masses(machine)[1],
         (
-            _Way(
+            _Equation(
                 "Eq. 49: m_2 = (1 − (ω_z/ω_p)²) (m_1 + m_2)",
                 (_ZERO, _POLE),
                 lambda machine, zero, pole: (1 - (zero / pole) ** 2) * sum(_masses(machine)),
             ),
-            _Way(
+            _Equation(
                 "Eq. 49: m_2 = (1 − (ω_z/ω_p)²) m_tot",
                 (_ZERO, _POLE, _TOTAL),
                 lambda _, zero, pole, total: (1 - (zero / pole) ** 2) * total,
@@ -218,22 +219,24 @@ REDUNDANT = (
         "N/m",
         lambda machine, axis: float(machine.effector.extruder_stiffness_n_per_m[axis]),
         (
-            _Way("Eq. 47: k = m_2 ω_z²", (_ZERO,), lambda machine, zero: _masses(machine)[1] * zero**2),
-            _Way("Eq. 48: k = m_1 m_2/(m_1 + m_2) ω_p²", (_POLE,), lambda machine, pole: _series(machine) * pole**2),
+            _Equation("Eq. 47: k = m_2 ω_z²", (_ZERO,), lambda machine, zero: _masses(machine)[1] * zero**2),
+            _Equation(
+                "Eq. 48: k = m_1 m_2/(m_1 + m_2) ω_p²", (_POLE,), lambda machine, pole: _series(machine) * pole**2
+            ),
         ),
     ),
 )
 
 
 def redundant_quantities(machine: Machine) -> list[Quantity]:
-    """Every number of the file that the measured ones give too, with each way to it."""
+    """List every parameter of the file that the measurements determine too, with each value."""
     measured = _usable(machine)
     found = [_quantity(each, machine, measured) for each in REDUNDANT]
     return [quantity for quantity in found if quantity.others]
 
 
 def redundancy_problems(machine: Machine) -> list[str]:
-    """Sentences: what cannot be used of the measured numbers, and each quantity whose ways differ by more than 5 %."""
+    """List, as sentences, unusable measurements, and quantities whose values differ by more than 5 %."""
     return [*_unusable(machine), *(_sentence(each) for each in redundant_quantities(machine) if each.disagreeing)]
 
 
@@ -251,8 +254,8 @@ def _sentence(quantity: Quantity) -> str:
 def _quantity(each: _Redundant, machine: Machine, measured: Mapping[str, Any]) -> Quantity:
     axis = _hammer_axis(machine, measured)
     of_file = each.of_file(machine, axis)
-    ways = [way for way in each.ways if all(need in measured for need in way.needs)]
-    values = [way.value(machine, *(measured[need] for need in way.needs)) for way in ways]
+    usable = [way for way in each.equations if all(need in measured for need in way.needs)]
+    values = [way.value(machine, *(measured[need] for need in way.needs)) for way in usable]
     key = f"{each.key}[{AXES[axis]}]" if each.key.endswith("extruder_stiffness_n_per_m") else each.key
     return Quantity(
         key,
@@ -261,7 +264,7 @@ def _quantity(each: _Redundant, machine: Machine, measured: Mapping[str, Any]) -
         each.basis,
         tuple(
             Value(way.equation, value, value / of_file - 1)
-            for way, value in zip(ways, values, strict=True)
+            for way, value in zip(usable, values, strict=True)
             if math.isfinite(value)
         ),
     )
@@ -273,7 +276,7 @@ def _hammer_axis(machine: Machine, measured: Mapping[str, Any]) -> int:
 
 
 def _usable(machine: Machine) -> dict[str, Any]:
-    """The entries of [provenance.measured] that are what they should be."""
+    """Select the valid entries of [provenance.measured]."""
     measured: Mapping[str, Any] = machine.provenance.get("measured", {})
     return {key: value for key, value in measured.items() if not _wrong(key, value)}
 
@@ -291,11 +294,11 @@ def _unusable(machine: Machine) -> list[str]:
 
 
 def _wrong(key: str, value: object) -> str:
-    """What keeps an entry from being used, or nothing."""
+    """Return why an entry cannot be used; '' if it can."""
     if key == "hammer_axis":
         return "" if value in AXES else f"provenance.measured.{key} = {value!r} must be one of 'x', 'y', 'z'."
-    if key not in NUMBERS:
-        near = difflib.get_close_matches(key, (*NUMBERS, "hammer_axis"), 1)
+    if key not in MEASURED:
+        near = difflib.get_close_matches(key, (*MEASURED, "hammer_axis"), 1)
         return f"provenance.measured.{key} is not known, nothing is compared with it" + (
             f"; did you mean {near[0]!r}?" if near else "."
         )

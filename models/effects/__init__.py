@@ -1,1 +1,1 @@
-"""What printers do beyond the model: one file per effect, found by `catalogue.py`."""
+"""Non-ideal behaviour of printers: one file for each effect, found by `catalogue.py`."""

@@ -1,4 +1,4 @@
-"""Arms or towers not quite as long or as far as the file says."""
+"""Declare arms and towers whose sizes differ from the machine file."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from models.machine import Machine
 
 
 def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
+    """Add the deviations to arm lengths and delta radii."""
     """Change the arms' lengths and the towers' radii of the true geometry."""
     true = machine.kinematics.recalibrated(values["arm_length_mm"], values["delta_radius_mm"])
     return replace(machine, kinematics=true or machine.kinematics)
@@ -27,6 +28,6 @@ EFFECT = Effect(
         Parameter("delta_radius_mm", "mm", "ΔR", (-50, 50), (-2, 2), 0.2, size="per_tower"),
     ),
     in_data="Wrong sizes and a bowed first layer; accelerations change by parts in a thousand.",
-    rivals={"sensor_misalignment": "A measured print, not accelerations: they can hardly tell the two."},
+    confounded_with={"sensor_misalignment": "A measured print, not accelerations: they can hardly tell the two."},
     fold=fold,
 )

@@ -1,4 +1,4 @@
-"""Play between motor and carriage."""
+"""Declare backlash between motor and carriage."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ EFFECT = Effect(
         "Knocks when the belt's force changes sign. A vertical belt always carries the weight: play shows only where "
         "the motion pushes harder than gravity pulls."
     ),
-    rivals={
+    confounded_with={
         "coulomb_friction": "Friction acts whenever a carriage turns back, play only when the belt's force does.",
         "torque_angle": "Slack softens small forces, a motor's torque softens large ones.",
     },

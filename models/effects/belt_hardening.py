@@ -1,4 +1,4 @@
-"""A belt whose stiffness depends on its stretch."""
+"""Declare a belt whose stiffness depends on its stretch."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ EFFECT = Effect(
         "Resonances shift with amplitude; a sine answers with harmonics: the third, and, as the weight has stretched "
         "the belts already, the second."
     ),
-    rivals={
+    confounded_with={
         "torque_angle": "Its cubic part is the same, k₃ = −k/(6a²); only a larger stretch separates the two.",
         "belt_stiffness": "Two amplitudes: only here the stiffness depends on them.",
     },

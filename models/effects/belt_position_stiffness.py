@@ -1,4 +1,4 @@
-"""A belt whose stiffness depends on where the carriage stands."""
+"""Declare a belt whose stiffness depends on the carriage's position."""
 
 from __future__ import annotations
 
@@ -24,5 +24,5 @@ EFFECT = Effect(
         ),
     ),
     in_data="Resonances differ between low and high prints at the same place over the bed.",
-    rivals={"belt_stiffness": "Two heights: a constant change does not depend on them."},
+    confounded_with={"belt_stiffness": "Two heights: a constant change does not depend on them."},
 )

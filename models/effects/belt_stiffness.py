@@ -1,4 +1,4 @@
-"""Belts stiffer or softer than the file says."""
+"""Declare belts whose stiffness differs from the machine file."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from models.machine import Machine
 
 
 def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
+    """Scale the belts' stiffness."""
     carriage = machine.carriage
     stiffness = same_or_each(carriage.belt_stiffness_n_per_m * (1 + values["relative_change"]))
     return replace(machine, carriage=replace(carriage, belt_stiffness_n_per_m=stiffness))
@@ -26,7 +27,7 @@ EFFECT = Effect(
         Parameter("relative_change", "", "r, of belt stiffness", (-0.9, 10), (-0.3, 0.3), 0.02, size="per_tower"),
     ),
     in_data="Resonances shift together; with one tower's belt, those that move this tower.",
-    rivals={
+    confounded_with={
         "effector_mass": "Two places on the bed: mass shifts the modes in other proportions.",
         "belt_position_stiffness": "Two heights: only there the shift depends on the carriage's height.",
         "torque_angle": "Two amplitudes: a belt's stiffness is the same for both.",

@@ -1,4 +1,4 @@
-"""Every effect by name, and what a machine's `[effects]` do to its numbers and to its recorded signals."""
+"""Find every effect by name, and apply a machine's `[effects]` to its parameters and to its sensor signals."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from models.arrays import FloatArray
 from models.effects.effect import Effect, Signals
 from models.machine import Machine
 
-NOT_EFFECTS = {"catalogue", "dry", "effect"}  # the files of this folder that declare none
+NOT_EFFECTS = {"catalogue", "dry", "effect"}  # files of this folder that declare no effect
 
 
 def _found() -> Iterator[Effect]:
@@ -26,7 +26,7 @@ CATALOGUE: Mapping[str, Effect] = {effect.name: effect for effect in _found()}
 
 
 def effect_named(name: str) -> Effect:
-    """The effect of that name.
+    """Return the effect of that name.
 
     Raises
     ------
@@ -39,10 +39,10 @@ def effect_named(name: str) -> Effect:
 
 
 def values_of(machine: Machine, name: str) -> dict[str, FloatArray] | None:
-    """The parameters of one effect of a machine as arrays (see `Parameter.numbers`); None if it is not there.
+    """Return the parameters of one effect of a machine as arrays (see `Parameter.as_array`); None if it is absent.
 
-    An amplitude that is left out has its neutral value, a shape its default; an effect without any amplitude is not
-    there.
+    An amplitude that is left out has its neutral value, a shape its default; an effect without any amplitude is
+    absent.
 
     Raises
     ------
@@ -58,25 +58,25 @@ def values_of(machine: Machine, name: str) -> dict[str, FloatArray] | None:
         return None
     if missing := effect.missing(table):
         raise ValueError(f"effects.{name}.{missing[0]} is missing; without it this effect has no shape.")
-    return {p.name: p.numbers(table.get(p.name, p.absent)) for p in effect.parameters}
+    return {p.name: p.as_array(table.get(p.name, p.absent)) for p in effect.parameters}
 
 
 def with_effect(machine: Machine, name: str, **parameters: Any) -> Machine:
-    """The machine with one effect more, or with another value of one it has."""
+    """Return the machine with this effect, added or replaced."""
     return replace(machine, effects={**machine.effects, effect_named(name).name: parameters})
 
 
 def without_effects(machine: Machine, *names: str) -> Machine:
-    """The machine without these effects, or without any if none is named."""
+    """Return the machine without these effects, or without any if none is named."""
     kept = {name: table for name, table in machine.effects.items() if names and name not in names}
     return replace(machine, effects=kept)
 
 
 def effective_machine(machine: Machine) -> Machine:
-    """The machine with every effect folded in that only changes its numbers; the others stay in its `effects`.
+    """Apply every effect that only changes the machine's parameters; the others stay in its `effects`.
 
-    A value per tower makes the carriage's number an array (3,), A B C. Without such an effect the machine itself
-    is returned, so that what is cached for it stays of use.
+    A value per tower makes a carriage's parameter an array (3,), A B C. Without such an effect the machine itself
+    is returned, so that caches keyed by it stay valid.
     """
     folded = [name for name in machine.effects if effect_named(name).kind == "parameter"]
     if not folded:
@@ -90,10 +90,10 @@ def effective_machine(machine: Machine) -> Machine:
 
 
 def design_machine(machine: Machine) -> tuple[Machine, tuple[str, ...]]:
-    """The machine as the linear design model knows it, and its effects that the model cannot hold.
+    """Return the machine of the linear design model, and the names of the effects that it cannot include.
 
-    Geometry stays that of the firmware, which turns the nozzle's path into carriage paths; sensors' effects are none of
-    the machine's.
+    The geometry stays the firmware's, which converts the nozzle's path to carriage paths. Sensor effects are not part
+    of the machine.
     """
     effective = effective_machine(machine)
     known = effective if effective is machine else replace(effective, kinematics=machine.kinematics)
@@ -102,7 +102,7 @@ def design_machine(machine: Machine) -> tuple[Machine, tuple[str, ...]]:
 
 
 def measured(machine: Machine, true: Signals) -> Signals:
-    """What the machine's sensors record of a true motion: its sensor effects, in the order of its `effects`."""
+    """Apply the machine's sensor effects to the signals of a true motion, in the order of its `effects`."""
     for name in machine.effects:
         measure, values = effect_named(name).measure, values_of(machine, name)
         if measure is not None and values is not None:

@@ -1,4 +1,4 @@
-"""An effector heavier on one side than the file says."""
+"""Declare an effector whose centre of mass differs from the machine file."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from models.machine import Machine
 
 
 def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
+    """Move the effector's centre of mass."""
     effector = machine.effector
     moved = constant(effector.center_of_mass_mm + values["offset_mm"])
     return replace(machine, effector=replace(effector, center_of_mass_mm=moved))
@@ -27,6 +28,6 @@ EFFECT = Effect(
     equation="δ → δ + Δδ   (Eq. 20)",
     parameters=(Parameter("offset_mm", "mm", "Δδ, along x, y, z", (-200, 200), (-20, 20), 1.0, size="vector3"),),
     in_data="With force_map 'paper': towers differ. With 'virtual_work': nothing at all.",
-    rivals={"force_map": "Which tower is off: a change of map shows on a centred mass too."},
+    confounded_with={"force_map": "Which tower is off: a change of map shows on a centred mass too."},
     fold=fold,
 )

@@ -1,4 +1,4 @@
-"""A motor whose position ripples with its step cycle."""
+"""Declare a motor whose position has a ripple over its step cycle."""
 
 from __future__ import annotations
 
@@ -48,5 +48,7 @@ EFFECT = Effect(
         Parameter("second_cosine", "", "c₂", (-2, 2), (-0.3, 0.3), 0.02, "per_tower", "shape", default=0.0),
     ),
     in_data="A line at speed/p that moves with the speed; stripes on the print at a fixed pitch.",
-    rivals={"belt_stiffness": "Moves at several speeds: a resonance stays where it is, ripple moves with the speed."},
+    confounded_with={
+        "belt_stiffness": "Moves at several speeds: a resonance stays where it is, ripple moves with the speed."
+    },
 )

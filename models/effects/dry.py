@@ -1,12 +1,12 @@
-"""What all dry friction shares: how it turns over when the motion does, and how it takes hold at rest."""
+"""Declare the parameters that all dry friction shares: its width at reversals and its hold at rest."""
 
 from __future__ import annotations
 
 from models.effects.effect import Parameter, Size
 
 
-def turning_over(size: Size) -> tuple[Parameter, Parameter]:
-    """The two shapes of F = ℓ tanh(v/v₀ + φ) (models/printer/kernels), which a machine file need not give."""
+def reversal_parameters(size: Size) -> tuple[Parameter, Parameter]:
+    """Declare v₀ and κ of F = ℓ tanh(v/v₀ + φ) (`models/printer/kernels`), optional in a machine file."""
     return (
         Parameter(
             "creep_mm_per_s",

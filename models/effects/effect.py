@@ -1,4 +1,4 @@
-"""What an effect declares: its physics in words, its parameters, what it looks like in data, and its rivals."""
+"""Define the declaration of an effect: physics, parameters, appearance in data, and confounded effects."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ UNIT_TOLERANCE = 1e-3  # a unit vector written with four digits is one
 class Parameter:
     """One key of `[effects.name]`.
 
-    An amplitude's answer grows as `value ** power` while it is small, and the effect is gone at `neutral`; every
-    other parameter only shapes the answer.
+    The response to an amplitude grows as `value ** power` while it is small, and is zero at `neutral`; every other
+    parameter only shapes the response.
     """
 
     name: str
     unit: str  # '' for a ratio
     meaning: str
-    bounds: tuple[float, float]  # what a machine file may say
-    typical: tuple[float, float]  # what printers have
-    probe: float  # amplitude: a value that shows and is still small; shape: a step for finite differences
+    bounds: tuple[float, float]  # allowed in a machine file
+    typical: tuple[float, float]  # of real printers
+    probe: float  # amplitude: a small value whose response is still clear; shape: a step for finite differences
     size: Size = "scalar"
     role: Literal["amplitude", "shape"] = "amplitude"
     power: int = 1
-    default: float | None = None  # of a shape that a machine file need not give
+    default: float | None = None  # of a shape that is optional in a machine file
     logarithmic: bool = False  # a shape that is known by its order of magnitude only
-    starts: tuple[float, ...] = ()  # of a shape: where a search must begin, if its usual range does not tell
+    starts: tuple[float, ...] = ()  # of a shape: starts of a search, instead of its typical range
 
     @property
     def neutral(self) -> float:
@@ -51,18 +51,18 @@ class Parameter:
 
     @property
     def absent(self) -> Any:
-        """What a parameter means that is left out of the file."""
+        """The value of a parameter that the file leaves out."""
         value = self.neutral if self.default is None else self.default
         return [value] * 3 if self.size == "vector3" else value
 
-    def numbers(self, value: Any) -> FloatArray:
-        """The value as arrays are wanted: scalar (); per tower or vector (3,); direction (1 or 2, 2) unit vectors."""
+    def as_array(self, value: Any) -> FloatArray:
+        """Convert the value: scalar to (); per tower or vector to (3,); direction to (1 or 2, 2) unit vectors."""
         if self.size == "direction":
             return np.array(DIRECTIONS[value] if isinstance(value, str) else [value], dtype=np.float64)
         return np.array(np.broadcast_to(value, 3 if self.size == "per_tower" else np.shape(value)), dtype=np.float64)
 
     def problem(self, value: Any) -> str:
-        """Which rule a value in a machine file breaks, as the end of a sentence; '' if none."""
+        """Return the rule that a value in a machine file breaks, as the end of a sentence; '' if none."""
         if self.size == "direction":
             return "" if _is_direction(value) else "must be 'x', 'y', 'both', or a unit vector [x, y]"
         if not self._has_size(value):
@@ -94,7 +94,7 @@ SIZES: Mapping[Size, str] = {
 
 @dataclass(frozen=True)
 class Signals:
-    """What the accelerometers record, or would record if they were perfect."""
+    """Signals of the accelerometers, of ideal ones or as recorded."""
 
     t_s: FloatArray  # (n,)
     carriage: FloatArray  # (n, 3) m/s², columns A B C
@@ -105,8 +105,8 @@ class Signals:
 class Effect:
     """One way in which a printer differs from the model.
 
-    A `parameter` effect changes the machine's numbers, by `fold`; a `sensor` effect changes what is recorded of a
-    motion, by `measure`; a `force`, `command` or `frame` effect is a term of `models/printer/kernels`.
+    A `parameter` effect changes the machine's parameters, by `fold`; a `sensor` effect changes the recorded signals of
+    a motion, by `measure`; a `force`, `command` or `frame` effect is a term of `models/printer/kernels`.
     """
 
     name: str  # of its table in a machine file, and of its file here
@@ -116,42 +116,45 @@ class Effect:
     equation: str
     parameters: tuple[Parameter, ...]
     in_data: str  # what to look for
-    # effect, or number of the machine, that it is taken for -> how to tell them apart
-    rivals: Mapping[str, str] = field(default_factory=dict)
+    # confounded effect, or parameter of the machine -> how to tell them apart
+    confounded_with: Mapping[str, str] = field(default_factory=dict)
     fold: Callable[[Machine, Mapping[str, FloatArray]], Machine] | None = None
     measure: Callable[[Signals, Mapping[str, FloatArray]], Signals] | None = None
 
     def parameter(self, name: str) -> Parameter:
-        """The parameter of that name; KeyError if there is none."""
+        """Return the parameter of that name; KeyError if there is none."""
         return self.by_name[name]
 
     @property
     def by_name(self) -> dict[str, Parameter]:
+        """All parameters by name."""
         return {parameter.name: parameter for parameter in self.parameters}
 
     @property
     def amplitudes(self) -> tuple[Parameter, ...]:
+        """The parameters without which there is no effect."""
         return tuple(parameter for parameter in self.parameters if parameter.role == "amplitude")
 
     @property
     def shapes(self) -> tuple[Parameter, ...]:
+        """All other parameters."""
         return tuple(parameter for parameter in self.parameters if parameter.role == "shape")
 
     def missing(self, table: Mapping[str, Any]) -> list[str]:
-        """Shape parameters a table must still give: all without a default, once it gives an amplitude."""
+        """Name the shapes that a table lacks: with an amplitude, it must give all that have no default."""
         if not any(amplitude.name in table for amplitude in self.amplitudes):
             return []
         return [shape.name for shape in self.shapes if shape.default is None and shape.name not in table]
 
 
 def same_or_each(values: FloatArray) -> Any:
-    """(3,) per tower → the one number if all agree, else the read-only array: what a carriage's numbers may be."""
+    """Convert (3,) per tower to one number if all agree, else to a read-only array, as carriages' parameters are."""
     return float(values[0]) if np.all(values == values[0]) else constant(values)
 
 
 def resampled(signals: Signals, t_s: FloatArray) -> Signals:
-    """The signals at other times, by cubic splines; outside the recording its first and last values hold."""
-    from scipy.interpolate import CubicSpline  # 0.3 s to import: only when a sensor is really simulated
+    """Interpolate the signals at other times by cubic splines; hold the first and last values outside."""
+    from scipy.interpolate import CubicSpline  # 0.3 s to import, needed for sensors only
 
     inside = np.clip(t_s, signals.t_s[0], signals.t_s[-1])
     carriage, nozzle = (CubicSpline(signals.t_s, values)(inside) for values in (signals.carriage, signals.nozzle))

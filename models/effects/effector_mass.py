@@ -1,4 +1,4 @@
-"""More on the nozzle holder than the file says."""
+"""Declare additional mass on the nozzle holder."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from models.machine import Machine
 
 
 def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
+    """Add the mass to the nozzle holder."""
     effector = machine.effector
     heavier = replace(effector, nozzle_mass_kg=effector.nozzle_mass_kg + float(values["added_kg"]))
     return replace(machine, effector=heavier)
@@ -24,7 +25,7 @@ EFFECT = Effect(
     equation="m₁ → m₁ + Δm",
     parameters=(Parameter("added_kg", "kg", "Δm", (-1, 10), (-0.1, 0.3), 0.01),),
     in_data="Lower resonances, all towers alike; the belts sag a little more.",
-    rivals={
+    confounded_with={
         "belt_stiffness": "Two places on the bed: stiffness shifts all modes in one proportion, mass does not.",
         "effector.extruder_mass_kg": "The mode of the extruder on its mount: mass on the holder lifts it.",
     },

@@ -1,4 +1,4 @@
-"""An extruder held more loosely or firmly than the file says."""
+"""Declare an extruder mount whose stiffness and damping differ from the machine file."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from models.machine import Machine
 
 
 def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
+    """Scale the mount's stiffness and damping."""
     effector = machine.effector
     mount = replace(
         effector,
@@ -35,6 +36,8 @@ EFFECT = Effect(
         Parameter("relative_damping_change", "", "r_b, of x, y, z", (-1, 50), (-0.5, 1), 0.05, size="vector3"),
     ),
     in_data="The resonance of one axis of the nozzle shifts or broadens; the carriages hardly notice.",
-    rivals={"effector.extruder_mass_kg": "The antiresonance and the mode together: mass shifts both, stiffness one."},
+    confounded_with={
+        "effector.extruder_mass_kg": "The antiresonance and the mode together: mass shifts both, stiffness one."
+    },
     fold=fold,
 )

@@ -1,4 +1,4 @@
-"""The other way to share the effector's load among the carriages."""
+"""Declare that the other map distributes the effector's load among the carriages."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ OTHER: Mapping[str, Literal["virtual_work", "paper"]] = {"virtual_work": "paper"
 
 
 def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
+    """Replace the machine's force map by the other one."""
     effector = machine.effector
     return replace(machine, effector=replace(effector, force_map=OTHER[effector.force_map]))
 
@@ -29,6 +30,6 @@ EFFECT = Effect(
     equation="F_q = Jᵀ W X against F_qi = J_iᵀ P_i W X   (Eq. 25)",
     parameters=(),
     in_data="The lowest modes are off by a factor near 1.5, differently over the bed.",
-    rivals={"effector_mass": "Three places on the bed: no single mass mends all of them."},
+    confounded_with={"effector_mass": "Three places on the bed: no single mass mends all of them."},
     fold=fold,
 )

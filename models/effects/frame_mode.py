@@ -1,4 +1,4 @@
-"""A frame that sways."""
+"""Declare a vibrating frame."""
 
 from __future__ import annotations
 
@@ -23,5 +23,7 @@ EFFECT = Effect(
         ),
     ),
     in_data="A pair of peak and dip in one horizontal direction, at the same frequency all over the bed.",
-    rivals={"extruder_mount": "The carriages: a frame shakes the effector whole, the mount only the extruder."},
+    confounded_with={
+        "extruder_mount": "The carriages: a frame shakes the effector whole, the mount only the extruder."
+    },
 )

@@ -1,4 +1,4 @@
-"""More viscous friction in the guides."""
+"""Declare additional viscous friction in the guides."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from models.machine import Machine
 
 
 def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
+    """Add the damping to the guides."""
     carriage = machine.carriage
     damping = same_or_each(carriage.guide_damping_n_s_per_m + values["added_n_s_per_m"])
     return replace(machine, carriage=replace(carriage, guide_damping_n_s_per_m=damping))
@@ -24,7 +25,7 @@ EFFECT = Effect(
     equation="b → b + Δb",
     parameters=(Parameter("added_n_s_per_m", "N s/m", "Δb", (-1000, 10000), (-10, 50), 1.0, size="per_tower"),),
     in_data="Lower, broader resonances, and a carriage that lags in proportion to its speed.",
-    rivals={
+    confounded_with={
         "command_delay": "Several speeds and frequencies: a delay keeps the resonance's height.",
         "coulomb_friction": "Two speeds: dry friction does not grow with speed.",
         "carriage.belt_damping_n_s_per_m": "Long moves at constant speed: the belt's damper is not stretched there.",

@@ -1,8 +1,8 @@
-"""Dry friction in the ball joints."""
+"""Declare dry friction in the ball joints."""
 
 from __future__ import annotations
 
-from models.effects.dry import turning_over
+from models.effects.dry import reversal_parameters
 from models.effects.effect import Effect, Parameter
 
 EFFECT = Effect(
@@ -13,8 +13,8 @@ EFFECT = Effect(
     equation="F = −f Ẋ/|Ẋ|; at rest any |F| ≤ f",
     parameters=(
         Parameter("force_n", "N", "f, on the effector", (0, 200), (0.2, 5), 0.5),
-        *turning_over("scalar"),
+        *reversal_parameters("scalar"),
     ),
     in_data="Jumps of the nozzle's acceleration at reversals of the path, shared by all three towers.",
-    rivals={"coulomb_friction": "One tower at a time: guide friction stays on the tower that turns back."},
+    confounded_with={"coulomb_friction": "One tower at a time: guide friction stays on the tower that turns back."},
 )

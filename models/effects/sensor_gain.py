@@ -1,4 +1,4 @@
-"""Accelerometers that read too much or too little."""
+"""Declare accelerometers with gain errors."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from models.effects.effect import Effect, Parameter, Signals
 
 
 def measure(true: Signals, values: Mapping[str, FloatArray]) -> Signals:
+    """Scale every channel."""
     carriage = true.carriage * (1 + values["carriage_relative_change"])
     return replace(true, carriage=carriage, nozzle=true.nozzle * (1 + values["nozzle_relative_change"]))
 
@@ -25,6 +26,6 @@ EFFECT = Effect(
         Parameter("nozzle_relative_change", "", "g of x, y, z", (-0.9, 9), (-0.1, 0.1), 0.02, size="vector3"),
     ),
     in_data="One channel too large or too small by one factor at all frequencies and places.",
-    rivals={"effector_mass": "Frequencies: a gain shifts none."},
+    confounded_with={"effector_mass": "Frequencies: a gain shifts none."},
     measure=measure,
 )

@@ -1,4 +1,4 @@
-"""An accelerometer mounted askew."""
+"""Declare an accelerometer that is rotated relative to the printer."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from models.arrays import FloatArray
 from models.effects.effect import Effect, Parameter, Signals
 
 
-def turn(angles: FloatArray) -> FloatArray:
-    """(3, 3), the rotation by the vector `angles` : (3,) rad (Rodrigues' formula)."""
+def rotation(angles: FloatArray) -> FloatArray:
+    """Return the rotation : (3, 3) by the vector `angles` : (3,) rad (Rodrigues' formula)."""
     angle = float(np.linalg.norm(angles))
     x, y, z = angles
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -20,8 +20,9 @@ def turn(angles: FloatArray) -> FloatArray:
 
 
 def measure(true: Signals, values: Mapping[str, FloatArray]) -> Signals:
-    # A sensor turned by R reads Rᵀ a in its own axes; as rows, a R.
-    return replace(true, nozzle=true.nozzle @ turn(np.radians(values["angles_deg"])))
+    """Rotate the nozzle's signals to the sensor's axes."""
+    # A sensor rotated by R reads Rᵀ a in its own axes; as rows, a R.
+    return replace(true, nozzle=true.nozzle @ rotation(np.radians(values["angles_deg"])))
 
 
 EFFECT = Effect(
@@ -32,6 +33,6 @@ EFFECT = Effect(
     equation="a → Rᵀ a, R the turn by the rotation vector φ",
     parameters=(Parameter("angles_deg", "degrees", "φ about x, y, z", (-180, 180), (-5, 5), 1.0, size="vector3"),),
     in_data="A motion along x shows in y and z, in one proportion at all frequencies.",
-    rivals={"arm_geometry": "Several places: a turned sensor errs alike everywhere."},
+    confounded_with={"arm_geometry": "Several places: a turned sensor errs alike everywhere."},
     measure=measure,
 )

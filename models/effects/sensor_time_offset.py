@@ -1,4 +1,4 @@
-"""A recording that starts early or late."""
+"""Declare a constant time offset of a recording."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from models.effects.effect import Effect, Parameter, Signals, resampled
 
 
 def measure(true: Signals, values: Mapping[str, FloatArray]) -> Signals:
+    """Shift the signals in time."""
     return resampled(true, true.t_s - float(values["offset_s"]))
 
 
@@ -20,6 +21,6 @@ EFFECT = Effect(
     equation="a(t) → a(t − τ)",
     parameters=(Parameter("offset_s", "s", "τ: the record is late", (-10, 10), (-0.01, 0.01), 1e-4),),
     in_data="All channels late alike.",
-    rivals={"command_delay": "Alike in every channel: only position sensors on the command's clock can tell."},
+    confounded_with={"command_delay": "Alike in every channel: only position sensors on the command's clock can tell."},
     measure=measure,
 )

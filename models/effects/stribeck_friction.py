@@ -1,8 +1,8 @@
-"""Friction in the guides that is larger at rest than in motion."""
+"""Declare friction in the guides that is larger at rest than in motion."""
 
 from __future__ import annotations
 
-from models.effects.dry import turning_over
+from models.effects.dry import reversal_parameters
 from models.effects.effect import Effect, Parameter
 
 EFFECT = Effect(
@@ -27,8 +27,8 @@ EFFECT = Effect(
         Parameter(
             "exponent", "", "δ: how suddenly it fades", (0.3, 6), (0.5, 2), 0.1, "per_tower", "shape", default=2.0
         ),
-        *turning_over("per_tower"),
+        *reversal_parameters("per_tower"),
     ),
     in_data="As dry friction, with a spike at each start; very slow moves go in jerks.",
-    rivals={"coulomb_friction": "Moves slower than v_s: only here the friction rises towards rest."},
+    confounded_with={"coulomb_friction": "Moves slower than v_s: only here the friction rises towards rest."},
 )

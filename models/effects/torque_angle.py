@@ -1,4 +1,4 @@
-"""A motor that yields more than in proportion as the load pulls it off its step."""
+"""Declare a motor whose torque is a sine of its angle from the step."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ EFFECT = Effect(
         ),
     ),
     in_data="Nothing at normal current; near the peak force k a, softer resonances and lost steps (slips of 2 π a).",
-    rivals={
+    confounded_with={
         "belt_hardening": "The same to third order; only a larger stretch separates the two.",
         "belt_backlash": "Small motions: play softens them, the sine does not.",
     },

@@ -39,5 +39,5 @@ def confounded(given: ReportInput) -> list[Confounded]:
 
 
 def _one(name: str, other: str, cos2: float) -> Confounded:
-    apart = CATALOGUE[name].rivals.get(other) or CATALOGUE[other].rivals.get(name) or ""
+    apart = CATALOGUE[name].confounded_with.get(other) or CATALOGUE[other].confounded_with.get(name) or ""
     return Confounded(name, other, title(other), f"{cos2:.2f}", apart)

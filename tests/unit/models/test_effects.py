@@ -69,8 +69,8 @@ def test_kind_and_hooks_agree(effect: Effect) -> None:
 
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_rivals_exist(effect: Effect, printer: Machine) -> None:
-    assert effect.name not in effect.rivals
-    for rival in effect.rivals:
+    assert effect.name not in effect.confounded_with
+    for rival in effect.confounded_with:
         if rival not in CATALOGUE:
             value_of(printer, rival)
 

@@ -316,7 +316,7 @@ def test_rivals_are_named_with_what_tells_them_apart(told: ReportInput) -> None:
     )
     (row,) = confounded(replace(told, picture=replace(told.picture, confounding=alike)))
     assert (row.other, row.cos2) == ("belt_stiffness", "0.90")
-    assert row.apart == CATALOGUE["effector_mass"].rivals["belt_stiffness"]
+    assert row.apart == CATALOGUE["effector_mass"].confounded_with["belt_stiffness"]
     said = verdict(changed(told, confounded_with=[("belt_stiffness", "somehow")]))
     assert any("It may be taken for belt_stiffness" in sentence for sentence in said)
 
