@@ -1,6 +1,6 @@
 """Straight axes from a firmware's resonance tests: simulated ones, whose truth is known, and real printers'.
 
-    python -m studies.identification_axes --write     the last section of docs/IDENTIFICATION.md, a minute
+    python -m studies.identification_axes     the last section of docs/IDENTIFICATION.md, a minute
 
 The simulated tests pass the response of the modes' sum, with white noise in every sample; an ADXL345 read 3200 times a
 second has 0.15 m/s², which is 0.08 m/s² here. The real spectra are read from ../shared/data or FFCOMP_DATA.
@@ -9,11 +9,10 @@ second has 0.15 m/s², which is 0.08 m/s² here. The real spectra are read from 
 from __future__ import annotations
 
 import os
-import sys
 import tempfile
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,42 +26,15 @@ from models.arrays import constant
 from models.kinematics.cartesian import CARTESIAN, CartesianKinematics
 from models.machine import Machine, MotionLimits
 from models.vibration.modal import Axis, parts
+from studies.render import save
 
 FloatArray = NDArray[np.float64]
 
 ROOT = Path(__file__).parents[1]
 DATA = Path(os.environ.get("FFCOMP_DATA", ROOT.parent / "shared" / "data")) / "vibration" / "klipper_resonances_bassco"
-PAGE, BEGIN = ROOT / "docs" / "IDENTIFICATION.md", "\n## Cartesian and CoreXY machines\n"
 NOISES = (0.08, 0.25, 0.8)  # m/s² in each of 800 samples a second
 MACHINES = 16  # of each number of modes
 BAND_HZ = (2.0, 400.0)
-HOW_TO = """
-Made by `python -m studies.identification_axes --write`.
-
-Each axis of such a machine is one mode or two (`models/vibration/modal.py`). `ffcomp identify fit` finds their
-frequencies, damping ratios and shares from any of these, together if there are several:
-
-- captures of a firmware's resonance test, `raw_data_x_*.csv`, or its spectra, `resonances_x_*.csv` and
-  `calibration_data_x_*.csv`. The axis is in the name; `--axis x` says it where it is not;
-- captures of `ffcomp identify plan`, with `--plan`;
-- frequency responses (CSV, UFF 58) of `cmd_x` to `acc_x` or `pos_x`;
-- measured runs, which may be whole prints: straight axes answer alike everywhere.
-
-<!-- not run: it needs captures of a printer -->
-```sh
-ffcomp identify fit raw_data_x_*.csv raw_data_y_*.csv -m voron-300 -o mine.toml --figure fit.png
-```
-
-A spectrum holds no phase, but the test's power is known to go with f²: so where the axis does not vibrate yet, the
-spectrum says how large the command was, and the heights of the peaks over that say damping and shares. A second mode is
-written only where the Bayesian information criterion asks for it, residuals of neighbouring lines counted as fewer, and
-where its frequency is known to 5 % and its share is two standard uncertainties from zero. What the modes leave
-unexplained is printed as a share of the measured values. Where an axis is told to worse than 35 %, the file says little
-about it.
-
-What cannot be had from it: a second peak that swings against the first (its share would be negative), a third one, and
-what one axis does to another. The first two show in the figure, the third is said.
-"""
 
 
 @dataclass(frozen=True)
@@ -76,28 +48,32 @@ class Row:
 
 
 def main() -> None:
-    text = BEGIN + HOW_TO + "".join(f"{line}\n" for line in [*simulated(), *real()])
-    if "--write" not in sys.argv:
-        print(text)
-        return
-    page = PAGE.read_text(encoding="utf-8").split(BEGIN)[0]
-    PAGE.write_text(page + text, encoding="utf-8")
+    """Measure, and write the results and the page."""
+    found = {"axes_machines": MACHINES, "axes_simulated": simulated()}
+    files = sorted(DATA.glob("*.csv"))
+    save("identification", found | ({"axes_real": [real(path) for path in files]} if files else {}))
 
 
 # ---- simulated tests -----------------------------------------------------------------------------
 
 
-def simulated() -> Iterator[str]:
-    yield f"\n### Simulated resonance tests, {2 * MACHINES} machines\n"
-    yield "Modes drawn at random: 25 to 70 Hz, damping ratio 0.03 to 0.12; a second one 1.35 to 2.2 times as high with"
-    yield "a share of 0.1 to 0.4. Errors are the worst of all.\n"
-    yield "| noise, m/s² | modes | wrong number found | frequency, % | damping, % | share |"
-    yield "|---|---|---|---|---|---|"
+def simulated() -> list[dict[str, Any]]:
+    """Identify machines whose modes are known from simulated resonance tests."""
+    rows = []
     for noise in NOISES:
         for count in (1, 2):
             row = _row(count, noise)
-            errors = f"{100 * row.frequency:.2f} | {100 * row.damping:.1f} | {row.share:.3f}"
-            yield f"| {noise:g} | {count} | {row.wrong} of {MACHINES} | {errors} |"
+            rows.append(
+                {
+                    "noise_m_per_s2": noise,
+                    "modes": count,
+                    "wrong": row.wrong,
+                    "frequency_percent": 100 * row.frequency,
+                    "damping_percent": 100 * row.damping,
+                    "share": row.share,
+                }
+            )
+    return rows
 
 
 def _row(count: int, noise: float) -> Row:
@@ -144,43 +120,39 @@ def _identified(modes: FloatArray, noise: float, seed: int) -> AxisFit:
 # ---- real printers -------------------------------------------------------------------------------
 
 
-def real() -> Iterator[str]:
-    files = sorted(DATA.glob("*.csv"))
-    if not files:
-        return
-    yield "\n### Real printers\n"
-    yield "Spectra measured by others, beside the frequencies that a firmware's own calibration of the same file gives"
-    yield "its shapers (what it recommends in bold). Where several peaks stand side by side, a shaper's frequency is a"
-    yield "compromise between them. *Sum*: the sensor was not mounted along the axis, so its axes were added up.\n"
-    yield "| file | modes: Hz, damping ratio, share | unexplained | ZV | MZV | EI |"
-    yield "|---|---|---|---|---|---|"
-    for path in files:
-        yield f"| {path.stem.replace('__', ' ')} | {_told(path)} | {_shapers(path)} |"
+def real(path: Path) -> dict[str, Any]:
+    """Return what is found in a measured spectrum, and what the firmware's calibration makes of it."""
+    return {"file": path.stem.replace("__", " ")} | modes_of(path) | shapers_of(path)
 
 
-def _told(path: Path) -> str:
+def modes_of(path: Path) -> dict[str, Any]:
+    nothing: dict[str, Any] = {"problem": None, "modes": [], "summed": False, "unexplained": None}
     spectrum = spectrum_of(path, None, BAND_HZ)
     if isinstance(spectrum, str):
-        return f"{spectrum} | -"
+        return nothing | {"problem": spectrum}
     try:
         found = fit_axis(spectrum.axis, [spectrum])
     except MeasurementError as error:
-        return f"{error.problems[0].partition(':')[0]} | -"
-    modes = "; ".join(
-        f"{m.frequency_hz.value:.1f} ± {m.frequency_hz.sd:.1f}, {m.damping_ratio.value:.3f}, {m.share.value:.2f}"
+        return nothing | {"problem": error.problems[0].partition(":")[0]}
+    modes = [
+        {
+            "frequency_hz": m.frequency_hz.value,
+            "frequency_sd_hz": m.frequency_hz.sd,
+            "damping_ratio": m.damping_ratio.value,
+            "share": m.share.value,
+        }
         for m in found.modes
-    )
-    return f"{modes}{' *sum*' if spectrum.remark else ''} | {100 * found.errors[0]:.0f} %"
+    ]
+    return nothing | {"modes": modes, "summed": bool(spectrum.remark), "unexplained": found.errors[0]}
 
 
-def _shapers(path: Path) -> str:
+def shapers_of(path: Path) -> dict[str, Any]:
     file = read_vibration(path)
     assert isinstance(file, Resonances)
     spectrum = (file.frequency_hz, file.psd["xyz"]) if file.normalised else normalised(*file.power("xyz"))
     found = calibrated(spectrum, spectrum)[0]
-    cells = [f"{found.fits[kind].frequency_hz:.1f}" for kind in ("zv", "mzv", "ei")]
-    chosen = ("zv", "mzv", "ei").index(found.recommended.kind) if found.recommended.kind in ("zv", "mzv", "ei") else -1
-    return " | ".join(f"**{cell}**" if i == chosen else cell for i, cell in enumerate(cells))
+    frequencies = {kind: found.fits[kind].frequency_hz for kind in ("zv", "mzv", "ei")}
+    return {"shapers_hz": frequencies, "recommended": found.recommended.kind}
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ PAGES = {
     "accuracy": "ACCURACY.md",
     "comparison": "COMPARISON.md",
     "cross_check": "CROSS_CHECK.md",
+    "identification": "IDENTIFICATION.md",
     "robust": "ROBUST.md",
 }
 DIGITS = 6  # significant ones in a result
