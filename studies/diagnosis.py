@@ -1,6 +1,6 @@
 """The full blind test of `ffcomp diagnose`: makes the bank, asks the command line, opens the labels, writes the page.
 
-    python -m studies.diagnosis --cases 120 --jobs 2 --resume DIR --write      → docs/DIAGNOSIS.md and its figure
+    python -m studies.diagnosis --cases 120 --jobs 2 --resume DIR      docs/DIAGNOSIS.md and its figure
 
 The bank is `validation/blind`. Everything is kept in DIR (see `validation/blind/seal.py`), so that it can be
 interrupted and
@@ -13,17 +13,17 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from studies.render import save
 from validation.blind import score
 from validation.blind.bank import case
 from validation.blind.seal import open_labels, verdict_path, write_case
@@ -31,7 +31,7 @@ from validation.blind.strata import full_bank
 
 ROOT = Path(__file__).parents[1]
 LONGEST_S = 3600.0
-PAGE, FIGURE = ROOT / "docs" / "DIAGNOSIS.md", ROOT / "docs" / "diagnosis_confusion.png"
+FIGURE = ROOT / "docs" / "diagnosis_confusion.png"
 EDGES = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, np.inf)
 
 
@@ -51,12 +51,8 @@ def main() -> None:
         score.Judged(name, label, _read(verdict_path(bank, name)), _read(_proof_path(bank, name)))
         for name, label in labels.items()
     ]
-    text = "\n".join(page(judged, options)) + "\n"
-    if options.write:
-        PAGE.write_text(text, encoding="utf-8")
-        draw_confusion(judged, FIGURE)
-    else:
-        print(text)
+    save("diagnosis", results(judged, options))
+    draw_confusion(judged, FIGURE)
 
 
 def _options() -> argparse.Namespace:
@@ -66,7 +62,6 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--resume", required=True, metavar="DIR", help="where cases, verdicts and labels are kept")
     parser.add_argument("--seconds", type=float, default=3.0, help="of each run")
     parser.add_argument("--seed", type=int, default=1, help="another number, another bank")
-    parser.add_argument("--write", action="store_true", help=f"write {PAGE.relative_to(ROOT)} and its figure")
     return parser.parse_args()
 
 
@@ -143,96 +138,67 @@ def _write(path: Path, content: dict[str, Any]) -> None:
     beside.replace(path)
 
 
-# ---- the page ------------------------------------------------------------------------------------
+# ---- the results ---------------------------------------------------------------------------------
 
 
-def page(judged: Sequence[score.Judged], options: argparse.Namespace) -> Iterable[str]:
-    yield from introduction(judged, options)
-    yield from aims(judged)
-    yield from what_is_seen(judged)
-    yield from answers(judged)
-    yield from failures(judged)
+def results(judged: Sequence[score.Judged], options: argparse.Namespace) -> dict[str, Any]:
+    """Return what the page says of all cases."""
+    return {
+        "cases": options.cases,
+        "seed": options.seed,
+        "seconds": options.seconds,
+        "verdict_s": np.nanmedian([j.verdict.get("seconds", np.nan) for j in judged]),
+        "rates": [rate_of(rate) for rate in score.rates(judged)],
+        "shrink": shrink_of(score.shrink(judged)),
+        "power": [
+            {"low": low, "high": high, "right": rate.hits, "of": rate.total}
+            for low, high, rate in score.power(judged, EDGES)
+        ],
+        "confusion": [
+            {"hidden": row, "said": [{"answer": answer, "count": n} for answer, n in counts.most_common()]}
+            for row, counts in sorted(score.confusion(judged).items())
+        ],
+        "misses": [miss(j) for j in judged if not _as_wanted(j)],
+    }
 
 
-def introduction(judged: Sequence[score.Judged], options: argparse.Namespace) -> Iterable[str]:
-    fast = np.nanmedian([j.verdict.get("seconds", np.nan) for j in judged])
-    yield "# Diagnosis: the blind test\n"
-    yield (
-        f"Made by `python -m studies.diagnosis --cases {options.cases} --resume DIR --write` (seed {options.seed}, "
-        f"runs of {options.seconds:g} s at 1600 Hz, Python {platform.python_version()}; in the median a verdict takes "
-        f"{fast:.0f} s).\n"
-    )
-    yield (
-        "`validation/blind` draws a delta printer, hides something in it, measures it, and writes a machine file that "
-        "is off by some percent. Its equations share no line with the tool's: Lagrange's in the nozzle's position, "
-        "with the frame as bodies of their own, integrated at 12.8 kHz. Its effects have other shapes than the "
-        "catalogue's: friction is a bristle or a tanh, stiction fades as exp(-|v|/v_s), play has soft flanks and a "
-        "damped landing, a hardening belt has a fifth power, cogging a second harmonic, a stepper's sine acts in "
-        "series with its belt, a delay wanders, grease thins with speed, a frame has two modes a few percent apart. "
-        "The sensors have coloured noise, channels of differing levels, and counts. Every label is hashed before the "
-        "first verdict and opened after the last.\n"
-    )
-    yield (
-        "An effect is *visible* (decided before any verdict) if the runs with and without it differ by a tenth of the "
-        "noise (rms, 1 to 200 Hz) and if what no retuning within the file's uncertainties explains is worth a "
-        "−2 ln likelihood of 30. Machine files are off by 2 % (`rough-file` 5 %, `exact-file` 0, `nothing` any of "
-        "these). `few` has one repeated motion, the others two. *Wrong name alone*: something was named and the truth "
-        "is not in it, visible or not. The fresh runs are at a place and with motions that the diagnosis never saw.\n"
-    )
+def rate_of(rate: score.Rate) -> dict[str, Any]:
+    low, high = rate.interval
+    return {
+        "title": rate.title,
+        "hits": rate.hits,
+        "total": rate.total,
+        "low": low,
+        "high": high,
+        "aim": rate.aim,
+        "verdict": rate.verdict,
+    }
 
 
-def aims(judged: Sequence[score.Judged]) -> Iterable[str]:
-    yield "## Against the aims\n"
-    yield "| | found | 95 % interval (Wilson) | aim | |"
-    yield "|---|---|---|---|---|"
-    for rate in score.rates(judged):
-        low, high = rate.interval
-        found = f"{100 * rate.share:.1f} % ({rate.hits} of {rate.total})" if rate.total else "no case"
-        yield f"| {rate.title} | {found} | {100 * low:.0f}-{100 * high:.0f} % | {rate.aim} | {rate.verdict} |"
-    left = score.shrink(judged)
-    if left:
-        middle = float(np.median(left))
-        quarters = "-".join(f"{x:.2f}" for x in np.percentile(left, [25, 75]))
-        verdict = "reached" if middle <= 0.1 else "missed"
-        yield (
-            f"| gap above noise on fresh runs, after/before, median of {len(left)} | {middle:.3f} "
-            f"| quartiles {quarters} | ≤ 0.10 | {verdict} |"
-        )
-    yield ""
+def shrink_of(left: Sequence[float]) -> dict[str, Any] | None:
+    """Return what is left of the gap on fresh runs, or None if nothing was measured."""
+    if not left:
+        return None
+    median = float(np.median(left))
+    return {
+        "count": len(left),
+        "median": median,
+        "quartiles": np.percentile(left, [25, 75]),
+        "verdict": "reached" if median <= 0.1 else "missed",
+    }
 
 
-def what_is_seen(judged: Sequence[score.Judged]) -> Iterable[str]:
-    yield "## Power against what retuning leaves\n"
-    yield "rms of the effect's trace after the best retuning, in standard deviations of the noise; single effects.\n"
-    yield "| left | right | of |"
-    yield "|---|---|---|"
-    for low, high, rate in score.power(judged, EDGES):
-        yield f"| {low:g} to {high:g} | {rate.hits} | {rate.total} |"
-    yield ""
-
-
-def answers(judged: Sequence[score.Judged]) -> Iterable[str]:
-    yield "## What was hidden, what was said\n"
-    yield f"![confusion matrix]({FIGURE.name})\n"
-    yield "| hidden | said |"
-    yield "|---|---|"
-    for row, counts in sorted(score.confusion(judged).items()):
-        yield f"| {row} | {', '.join(f'{answer} {n}' for answer, n in counts.most_common())} |"
-    yield ""
-
-
-def failures(judged: Sequence[score.Judged]) -> Iterable[str]:
-    """Every visible case that ended otherwise than it should, with what the tool said about it."""
-    yield "## Every miss\n"
-    yield "| case | stratum | hidden | left by retuning | said | because |"
-    yield "|---|---|---|---|---|---|"
-    for j in judged:
-        if _as_wanted(j):
-            continue
-        left = ", ".join(f"{np.sqrt(max(v.left, 0) / v.rows):.2f}" for v in j.label.visibility.values())
-        seen = left if j.label.visible else f"{left} (invisible)"
-        yield f"| {j.name} | {j.label.stratum} | {j.question} | {seen} | {j.answer} | {_because(j)} |"
-    yield ""
+def miss(j: score.Judged) -> dict[str, Any]:
+    """Describe a visible case that ended otherwise than it should, with what the tool said about it."""
+    return {
+        "case": j.name,
+        "stratum": j.label.stratum,
+        "hidden": j.question,
+        "left": [np.sqrt(max(v.left, 0) / v.rows) for v in j.label.visibility.values()],
+        "visible": j.label.visible,
+        "said": j.answer,
+        "because": _because(j),
+    }
 
 
 def _as_wanted(j: score.Judged) -> bool:

@@ -1,6 +1,6 @@
 """The last proof of a diagnosis: does the print get better on the printer that hides the effect?
 
-    python -m studies.diagnosis_proof --keep DIR --write      some 15 minutes; docs/DIAGNOSIS_PROOF.md, its figure
+    python -m studies.diagnosis_proof --keep DIR      docs/DIAGNOSIS_PROOF.md and its figure, some 15 minutes
 
 Effects are hidden in the independent printer of `validation/blind`, which is measured, diagnosed through the command
 line,
@@ -13,11 +13,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import platform
 import re
 import sys
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -40,7 +39,7 @@ from models.machine import Machine
 from models.parameters import value_of
 from models.printer.static_deflection import static_deflection
 from studies.diagnosis import ffcomp
-from studies.prose import filled
+from studies.render import save
 from validation import judge
 from validation.blind.hidden import EFFECTS
 from validation.blind.motions import KINDS, Motion, Place
@@ -52,7 +51,7 @@ from validation.blind.sensors import csv_of, draw_sensors
 FloatArray = NDArray[np.float64]
 
 ROOT = Path(__file__).parents[1]
-PAGE, FIGURE = ROOT / "docs" / "DIAGNOSIS_PROOF.md", ROOT / "docs" / "diagnosis_proof.png"
+FIGURE = ROOT / "docs" / "diagnosis_proof.png"
 PRINT, LAYERS, PRINTED_S = ROOT / "sample_prints" / "ringing_tower.gcode", Sampling(4, 7), 20.0
 SAMPLE_HZ, SECONDS = 1600.0, 3.0
 FILE_ERROR = 0.02  # standard deviation of every dynamic number of the owner's file, and what it says of itself
@@ -99,21 +98,13 @@ FRESH = (
 
 
 def main() -> None:
-    options = _options()
-    found = [proof(Path(options.keep) / name, name) for name in HIDDEN]
-    text = filled(page(found))
-    if options.write:
-        PAGE.write_text(text, encoding="utf-8")
-        draw(found, FIGURE)
-    else:
-        print(text)
-
-
-def _options() -> argparse.Namespace:
+    """Hide, measure, diagnose and print, and write the results and the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--keep", required=True, metavar="DIR", help="where runs, verdicts and machine files are kept")
-    parser.add_argument("--write", action="store_true", help=f"write {PAGE.relative_to(ROOT)} and its figure")
-    return parser.parse_args()
+    keep = Path(parser.parse_args().keep)
+    found = [proof(keep / name, name) for name in HIDDEN]
+    save("diagnosis_proof", about() | results(found))
+    draw(found, FIGURE)
 
 
 # ---- runs and files, also of other stories -------------------------------------------------------
@@ -160,14 +151,6 @@ def owners_file(truth: Machine, **changed: Any) -> str:
     values: dict[str, Any] = {name: float(f"{value_of(off, name):.6g}") for name in dynamic_numbers(truth)}
     values |= {name.replace("__", "."): value for name, value in changed.items()}
     return updated_text(judge.MACHINE_FILE, values, name="owner's printer", uncertainty={"default": FILE_ERROR})
-
-
-def motions_in_words() -> str:
-    words = {1: "once", 2: "twice"}
-    return "; ".join(
-        f"{e.kind} at ({e.place_mm[0]:.0f}, {e.place_mm[1]:.0f}, {e.place_mm[2]:.0f}) mm, {words[e.times]}"
-        for e in MEASURED
-    )
 
 
 # ---- one hidden effect ---------------------------------------------------------------------------
@@ -307,58 +290,65 @@ def on_the_real(printer: Printer, stretch: PrintSlice, motion: Any) -> Execution
     return Execution(stretch, motion, t, nozzle - static_deflection(printer.levelled, nozzle))
 
 
-# ---- the page ------------------------------------------------------------------------------------
+# ---- the results ---------------------------------------------------------------------------------
 
 
-def page(found: Sequence[Proof]) -> Iterator[str]:
-    yield from introduction()
-    yield from diagnoses(found)
-    yield from prints(found)
-    yield from refusals(found)
+def about() -> dict[str, Any]:
+    """Return how everything is measured."""
+    return {
+        "machine_file": judge.MACHINE_FILE.name,
+        "file_error": FILE_ERROR,
+        "seconds": SECONDS,
+        "motions": [{"kind": e.kind, "place_mm": [round(x) for x in e.place_mm], "times": e.times} for e in MEASURED],
+        "printed_s": PRINTED_S,
+        "print": PRINT.name,
+        "layers": [LAYERS.first_layer, LAYERS.last_layer],
+    }
 
 
-def introduction() -> Iterator[str]:
-    yield f"""# Diagnosis: the last proof
-
-Made by `python -m studies.diagnosis_proof --keep DIR --write` (Python {platform.python_version()}).
-
-A diagnosis is worth something if the print gets better. Here a printer hides an effect: it is the independent printer
-of the blind test (`validation/blind`: other equations, other shapes of friction, coloured noise, counts), with the
-numbers
-of `{judge.MACHINE_FILE.name}`. Its owner's file knows nothing of the effect, and every dynamic number in it is off by a
-draw of {100 * FILE_ERROR:g} %, which it says. Sizes and shapes are draws of the blind test, chosen large: what retuning
-within reach explains is no effect. {len(MEASURED)} motions of {SECONDS:g} s are measured
-({motions_in_words()}), then:
-
-    ffcomp diagnose runs/*.csv --machine owner.toml -o better.toml
-
-and {PRINTED_S:g} s of `{PRINT.name}` (layers {LAYERS.first_layer} to {LAYERS.last_layer}) are compensated with the
-owner's file, with the better one, and with one that is right in every number and names the effect as it was hidden.
-They print on the printer that hides it.
-"""
+def results(found: Sequence[Proof]) -> dict[str, Any]:
+    """Return what the page says of all printers."""
+    accepted = [
+        {"hidden": p.hidden, "name": w.name, "verdict": w.verdict}
+        for p in found
+        for w in p.wrong
+        if w.verdict != "unknown"
+    ]
+    return {"printers": [result(p) for p in found], "accepted": accepted}
 
 
-def diagnoses(found: Sequence[Proof]) -> Iterator[str]:
-    yield """## What was hidden, what was said
-
-Gap: of simulation and measurement, on fresh runs at a place where nothing was measured before.
-
-| hidden | really | said | with | gap before | after | noise | seconds |
-|---|---|---|---|---|---|---|---|"""
-    for p in found:
-        effects = p.verdict["effects"]
-        said = " + ".join(f"`{e['name']}`" for e in effects) or f"`{p.verdict['verdict']}`"
-        numbers = "; ".join(parameters(e["parameters"]) for e in effects)
-        gaps = " | ".join(f"{100 * share:.2f} %" for share in p.fresh)
-        yield f"| `{p.hidden}` | {sizes(p.table)} | {said} | {numbers} | {gaps} | {p.verdict['seconds']:.0f} |"
-    yield ""
-    for p in found:
-        if refused := p.verdict["refused"]:
-            yield f"`{p.hidden}`: nearest came {' + '.join(refused['effects'])}; {in_short(refused['because'])}.\n"
+def result(p: Proof) -> dict[str, Any]:
+    """Return what the page says of one printer."""
+    before, after, noise = p.fresh
+    refused = p.verdict["refused"]
+    return {
+        "hidden": p.hidden,
+        "table": p.table,
+        "verdict": p.verdict["verdict"],
+        "effects": [{key: e[key] for key in ("name", "parameters")} for e in p.verdict["effects"]],
+        "gap_before": before,
+        "gap_after": after,
+        "noise": noise,
+        "seconds": p.verdict["seconds"],
+        "nearest": {"effects": refused["effects"], "because": in_short(refused["because"])} if refused else None,
+        "contour_um": {kind: um for kind, um in p.contour_um.items() if not kind.startswith("wrong-")},
+        "bandwidths_hz": bandwidths(p) if p.contour_um["perfect"] > p.contour_um["owner"] else None,
+        "wrong": [
+            {
+                "name": w.name,
+                "gap_before": w.gap_before,
+                "gap_after": w.gap_after,
+                "verdict": w.verdict,
+                "because": in_short(w.refused),
+                "contour_um": p.contour_um[f"wrong-{w.name}"],
+            }
+            for w in p.wrong
+        ],
+    }
 
 
 def in_short(reasons: Sequence[str]) -> str:
-    """The places left out together, the other reasons as they are."""
+    """Join reasons, all places left out of the fit as one."""
     at_places = [int(m[1]) for m in map(OF_A_PLACE.search, reasons) if m]
     others = [reason for reason in reasons if not OF_A_PLACE.search(reason)]
     if at_places:
@@ -366,59 +356,12 @@ def in_short(reasons: Sequence[str]) -> str:
     return "; ".join(others)
 
 
-def sizes(table: dict[str, Any]) -> str:
-    return ", ".join(f"{key} {number(value)}" for key, value in table.items()) or "there"
-
-
-def number(value: Any) -> str:
-    if isinstance(value, list):
-        return "[" + ", ".join(f"{x:.3g}" for x in value) + "]"
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
-
-
-def parameters(told: dict[str, dict[str, Any]]) -> str:
-    return ", ".join(
-        f"{key} {digits(x['value'])} [{digits(x['low'])} to {digits(x['high'])}]" for key, x in told.items()
-    )
-
-
-def digits(value: Any) -> str:
-    if isinstance(value, list):
-        return " / ".join(digits(x) for x in value)
-    return value if isinstance(value, str) else f"{value:.3g}"
-
-
-def prints(found: Sequence[Proof]) -> Iterator[str]:
-    yield f"""## What it does to the print
-
-Contour error, rms, µm.
-
-![contour error by file]({FIGURE.name})
-
-| hidden | no compensation | owner's file | better file | perfect file |
-|---|---|---|---|---|"""
-    for p in found:
-        cells = " | ".join(micrometres(p.contour_um, kind) for kind in ("none", "owner", "better", "perfect"))
-        yield f"| `{p.hidden}` | {cells} |"
-    yield ""
-    for p in found:
-        if p.contour_um["perfect"] > p.contour_um["owner"]:
-            yield about_worse(p)
-
-
-def micrometres(by_file: dict[str, float], kind: str) -> str:
-    return f"{by_file[kind]:.2f}" if kind in by_file else "none written"
-
-
-def about_worse(p: Proof) -> str:
+def bandwidths(p: Proof) -> dict[str, float]:
+    """Return the bandwidths, Hz, of the compensation with the effect and without it."""
     true = {f"effects.{p.hidden}.{key}": value for key, value in p.table.items()}
     text = updated_text(judge.MACHINE_FILE, true, name="perfect")
     wide, narrow = (settings_for(m).bandwidth_hz for m in (load_machine(judge.MACHINE_FILE), machine_of(text)))
-    return (
-        f"With `{p.hidden}` even the perfect file prints worse than the owner's: knowing the effect, the compensation "
-        f"takes a bandwidth of {narrow:.0f} Hz, without it {wide:.0f} Hz. That is the compensation's fault, not the "
-        "diagnosis'.\n"
-    )
+    return {"knowing": narrow, "without": wide}
 
 
 def machine_of(text: str) -> Machine:
@@ -426,35 +369,6 @@ def machine_of(text: str) -> Machine:
         path = Path(folder) / "machine.toml"
         path.write_text(text, encoding="utf-8")
         return load_machine(path)
-
-
-def refusals(found: Sequence[Proof]) -> Iterator[str]:
-    yield """## A wrong effect, forced upon the runs
-
-The same runs, but the search may only use one effect, and that one is not what is hidden. It is fitted with all its
-freedom, together with every number of the file. What the gates say then, and what the print would have become if they
-had let it pass (contour rms, µm, of the owner's file and of the file with the wrong effect). A refused file may still
-print better than the owner's, because all other numbers were retuned beside the wrong effect.
-
-| hidden | forced | gap before | after | verdict | because | owner's | wrong |
-|---|---|---|---|---|---|---|---|"""
-    for p, w in [(each, wrong) for each in found for wrong in each.wrong]:
-        gaps = f"{100 * w.gap_before:.2f} % | {100 * w.gap_after:.2f} %"
-        contours = f"{p.contour_um['owner']:.2f} | {p.contour_um[f'wrong-{w.name}']:.2f}"
-        why = in_short(w.refused) or "-"
-        yield f"| `{p.hidden}` | `{w.name}` | {gaps} | `{w.verdict}` | {why} | {contours} |"
-    yield ""
-    explained = [(p, w) for p in found for w in p.wrong if w.verdict != "unknown"]
-    if explained:
-        yield (
-            "Not refused were "
-            + " and ".join(f"`{w.name}` for `{p.hidden}` (`{w.verdict}`)" for p, w in explained)
-            + ". `none` means that the file's own numbers, within five times their uncertainties, explain the gap: "
-            "nothing was named, so nothing wrong was added. `effects` means that the wrong effect and retuning "
-            "together describe the same machine: masses, stiffnesses and dampings that all grow by one factor move "
-            "alike, so a heavier effector is nearly a softer belt with everything else scaled. The print knows no "
-            "difference either, as the last column says.\n"
-        )
 
 
 # ---- the figure ----------------------------------------------------------------------------------

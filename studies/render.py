@@ -16,6 +16,7 @@ import json
 import math
 import platform
 import sys
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -28,15 +29,23 @@ PAGES = {
     "accuracy": "ACCURACY.md",
     "comparison": "COMPARISON.md",
     "cross_check": "CROSS_CHECK.md",
+    "diagnosis": "DIAGNOSIS.md",
+    "diagnosis_proof": "DIAGNOSIS_PROOF.md",
     "identification": "IDENTIFICATION.md",
     "robust": "ROBUST.md",
 }
+WIDTH = 120  # of a line of a paragraph
 DIGITS = 6  # significant ones in a result
 
 
 def formatted(value: Any, spec: str) -> str:
     """Format a value by a specification of Python's, such as `.2f` or `+.1%`; a missing one is empty."""
     return "" if value is None else format(value, spec)
+
+
+def filled(text: str) -> str:
+    """Fill the lines of a paragraph anew: numbers have any length."""
+    return textwrap.fill(" ".join(text.split()), WIDTH, break_long_words=False, break_on_hyphens=False) + "\n"
 
 
 ENVIRONMENT = jinja2.Environment(
@@ -47,6 +56,7 @@ ENVIRONMENT = jinja2.Environment(
     keep_trailing_newline=True,
 )
 ENVIRONMENT.filters["fmt"] = formatted
+ENVIRONMENT.filters["fill"] = filled
 
 
 def page_of(name: str) -> Path:
