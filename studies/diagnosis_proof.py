@@ -3,10 +3,8 @@
     python -m studies.diagnosis_proof --keep DIR      docs/DIAGNOSIS_PROOF.md and its figure, some 15 minutes
 
 Effects are hidden in the independent printer of `validation/blind`, which is measured, diagnosed through the command
-line,
-and then prints: with the owner's file, with the better one, with one that is right in everything, and with one into
-which a wrong effect was forced. Runs, verdicts and machine files stay in DIR; what is there is not made again. Without
-`--write` the page goes to standard output.
+line, and then prints: with the owner's file, with the better one, with one that is right in everything, and with one
+into which a wrong effect was forced. Runs, verdicts and machine files stay in DIR; what is there is not made again.
 """
 
 from __future__ import annotations
@@ -299,7 +297,7 @@ def about() -> dict[str, Any]:
         "machine_file": judge.MACHINE_FILE.name,
         "file_error": FILE_ERROR,
         "seconds": SECONDS,
-        "motions": [{"kind": e.kind, "place_mm": [round(x) for x in e.place_mm], "times": e.times} for e in MEASURED],
+        "motions": motions(),
         "printed_s": PRINTED_S,
         "print": PRINT.name,
         "layers": [LAYERS.first_layer, LAYERS.last_layer],
@@ -345,6 +343,11 @@ def result(p: Proof) -> dict[str, Any]:
             for w in p.wrong
         ],
     }
+
+
+def motions() -> list[dict[str, Any]]:
+    """Return the motions that are measured."""
+    return [{"kind": e.kind, "place_mm": [round(x) for x in e.place_mm], "times": e.times} for e in MEASURED]
 
 
 def in_short(reasons: Sequence[str]) -> str:

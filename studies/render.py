@@ -33,6 +33,8 @@ PAGES = {
     "diagnosis_proof": "DIAGNOSIS_PROOF.md",
     "identification": "IDENTIFICATION.md",
     "robust": "ROBUST.md",
+    "story_emps": "STORY_EMPS.md",
+    "story_force_map": "STORY_FORCE_MAP.md",
 }
 WIDTH = 120  # of a line of a paragraph
 DIGITS = 6  # significant ones in a result

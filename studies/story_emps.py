@@ -1,20 +1,16 @@
 """Story: a real axis, where rigid mass and viscous friction are not enough.
 
-    python -m studies.story_emps --write      some 20 s; docs/STORY_EMPS.md and its figures
+    python -m studies.story_emps      docs/STORY_EMPS.md and its figures, some 20 s
 
-Needs the EMPS data set (see `ffcomp/diagnose/axis_problem.py`) in `../shared/data/emps`, or in `emps` of
-$FFCOMP_DATA. Without
-`--write` the page goes to standard output.
+Needs the EMPS data set (see `ffcomp/diagnose/axis_problem.py`) in `../shared/data/emps`, or in `emps` of $FFCOMP_DATA.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
-import platform
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +19,13 @@ from scipy.signal import butter, filtfilt
 
 from ffcomp.diagnose.axis_problem import FRICTION, MASS, OFFSET, SHOT_S, VISCOUS, AxisProblem, ForceDriven, read_emps
 from ffcomp.diagnose.diagnosis import Diagnosis, diagnose
-from studies.prose import filled
+from studies.render import save
 
 FloatArray = NDArray[np.float64]
 
 ROOT = Path(__file__).parents[1]
 DATA = Path(os.environ.get("FFCOMP_DATA", ROOT.parent / "shared" / "data")) / "emps"
 ESTIMATION, PULSES = DATA / "DATA_EMPS.mat", DATA / "DATA_EMPS_PULSES.mat"
-PAGE = ROOT / "docs" / "STORY_EMPS.md"
 FIGURES = {name: ROOT / "docs" / f"story_emps_{name}.png" for name in ("error", "force")}
 GUESS = (50.0, 100.0)  # kg and N s/m: anything of the right order
 PUBLISHED = {MASS: (95.11, "kg"), VISCOUS: (203.5, "N s/m"), FRICTION: (20.39, "N"), OFFSET: (-3.16, "N")}
@@ -55,15 +50,10 @@ class Answer:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", action="store_true", help=f"write {PAGE.relative_to(ROOT)} and its figures")
+    """Diagnose the axis, and write the results, the page and its figures."""
     found = diagnose(AxisProblem([read_emps(ESTIMATION)], *GUESS))
     fitted, fresh = (answer(path, found) for path in (ESTIMATION, PULSES))
-    text = filled([*page(found, fitted, fresh), *about_pulses()])
-    if not parser.parse_args().write:
-        print(text)
-        return
-    PAGE.write_text(text, encoding="utf-8")
+    save("story_emps", results(found, fitted, fresh) | {"pulses": about_pulses()})
     draw_error(fitted, fresh, FIGURES["error"])
     draw_force(found, FIGURES["force"])
 
@@ -81,107 +71,65 @@ def answer(path: Path, found: Diagnosis) -> Answer:
     return Answer(shot, time, np.concatenate([speed for _, speed in axis.stretches]), before, after)
 
 
-# ---- the page ------------------------------------------------------------------------------------
+# ---- the results ---------------------------------------------------------------------------------
 
 
-def page(found: Diagnosis, fitted: Answer, fresh: Answer) -> Iterator[str]:
-    names = " and ".join(f"`{name}`" for name in (found.named.names if found.named else ()))
-    yield f"""# Story: a real axis and its friction
-
-Made by `python -m studies.story_emps --write` (Python {platform.python_version()}).
-
-EMPS is a linear axis on a ball screw: a motor's force goes in, a position comes out, 1000 times a second for 25 s
-(A. Janot, M. Gautier and M. Brunot, Nonlinear System Identification Benchmarks, 2019). It is a real machine, not a
-simulated one, and no printer: the same engine that diagnoses a printer gets another plant
-(`ffcomp/diagnose/axis_problem.py`).
-What it is told: a rigid mass with viscous friction, mass {GUESS[0]:g} kg and {GUESS[1]:g} N s/m to begin with, both of
-which it may move as it likes.
-
-## What it said
-
-Verdict: **{names or found.verdict}**. Six effects were tried: dry friction, dry friction that is larger at rest,
-viscous friction that is larger in one direction, a spring, a drag that grows with the speed's square, and a force that
-repeats along the screw.
-
-| | found | 90 % interval | published | found/published |
-|---|---|---|---|---|"""
-    for name, (published, unit) in PUBLISHED.items():
-        e = found.intervals[name]
-        yield (
-            f"| {NAMES[name]}, {unit} | {e.value:.4g} | {e.low:.4g} to {e.high:.4g} | {published:g} "
-            f"| {e.value / published:.3f} |"
-        )
-    base = found.base.values
-    yield f"""
-The published values come of another method (least squares on the force, with the position differentiated twice) on the
-same recording; ours of simulating the position. The axis is not quite what either says: its publishers found later that
-its viscous friction is not the same in both directions (166.7 one way, 240.4 N s/m the other). Our intervals know of
-noise and of what the fit leaves, not of that: they {inside(found)}.
-
-Without dry friction the fit does its best with what it has, and arrives at {base[MASS]:.3g} kg and
-{base[VISCOUS]:.3g} N s/m.
-
-## Does it hold where it was not fitted?
-
-The simulation begins anew with the measured position and speed every {SHOT_S:g} s, and runs so long by the force alone.
-Rms error of the position, µm:
-
-| | mass and viscous friction | with dry friction | less by |
-|---|---|---|---|"""
-    yield row("the recording it was fitted to", rms(fitted.before_um), rms(fitted.after_um))
-    yield row("a second recording, with pulses, never seen by the fit", rms(fresh.before_um), rms(fresh.after_um))
-    yield """
-In the first recording each stretch of 4 s was also left out of the fit in turn. What is left there, in units of the
-noise (mean square, less one; nothing was repeated, so the noise is a guess from above 50 Hz, and here too large):
-
-| left out from | before | after |
-|---|---|---|"""
-    yield from (f"| {place.position[0]:.0f} s | {place.before:.1f} | {place.after:.1f} |" for place in found.held_out)
-    yield f"""
-![error over time, and by the sign of the speed]({FIGURES["error"].name})
-
-![force against speed]({FIGURES["force"].name})
-
-The second picture is the friction itself: the measured force less mass times acceleration, against the speed. Viscous
-friction alone is a straight line through the offset; what was measured lies on two, 40 N apart.
-"""
+def results(found: Diagnosis, fitted: Answer, fresh: Answer) -> dict[str, Any]:
+    """Return what the page says of the recording that was fitted, and of the one that was not."""
+    intervals = {name: found.intervals[name] for name in PUBLISHED}
+    return {
+        "guess": dict(zip(("mass_kg", "viscous_n_s_per_m"), GUESS, strict=True)),
+        "verdict": said(found),
+        "parameters": [
+            {
+                "label": NAMES[name],
+                "unit": unit,
+                "found": intervals[name].value,
+                "low": intervals[name].low,
+                "high": intervals[name].high,
+                "published": published,
+                "ratio": intervals[name].value / published,
+            }
+            for name, (published, unit) in PUBLISHED.items()
+        ],
+        "missed": [NAMES[n] for n, (p, _) in PUBLISHED.items() if not intervals[n].low <= p <= intervals[n].high],
+        "without": {"mass_kg": found.base.values[MASS], "viscous_n_s_per_m": found.base.values[VISCOUS]},
+        "shot_s": SHOT_S,
+        "errors": [
+            row("the recording it was fitted to", fitted),
+            row("a second recording, with pulses, never seen by the fit", fresh),
+        ],
+        "left_out": [{"from_s": p.position[0], "before": p.before, "after": p.after} for p in found.held_out],
+    }
 
 
-def inside(found: Diagnosis) -> str:
-    """Which published values the intervals hold, in words."""
-    out = [NAMES[n] for n, (p, _) in PUBLISHED.items() if not found.intervals[n].low <= p <= found.intervals[n].high]
-    return f"miss the published value of {', '.join(out)}" if out else "hold all published values"
-
-
-def row(label: str, before: float, after: float) -> str:
-    return f"| {label} | {before:.3g} | {after:.3g} | {before / after:.1f} times |"
+def row(label: str, found: Answer) -> dict[str, Any]:
+    before, after = rms(found.before_um), rms(found.after_um)
+    return {"label": label, "before_um": before, "after_um": after, "times": before / after}
 
 
 def rms(x: FloatArray) -> float:
     return float(np.sqrt(np.mean(x**2)))
 
 
-def about_pulses() -> Iterator[str]:
+def about_pulses() -> dict[str, Any]:
+    """Diagnose the recording with pulses: with them added to the force, alone, and together with the other one."""
     alone, both = (diagnose(AxisProblem([read_emps(path) for path in paths], *GUESS)) for paths in ([PULSES], BOTH))
     wrong = diagnose(AxisProblem([twice_pushed(read_emps(PULSES))], *GUESS))
     worst = max(both.held_out, key=lambda p: p.after)
     inside_force, left_n = pulses_in_force()
-    yield f"""## The recording with pulses
-
-The second file is the same motion with a disturbance every half second, which it names `pulses_N`. The name invites to
-add it to the force, and at first we did. Then a force of 5 N acts half of the time that nothing had felt. An earlier
-version of the search explained it, from both files, with a force that repeats every 38 mm of the screw, beside dry
-friction; today's says {said(wrong)} of this recording alone, with an offset of {wrong.final.values[OFFSET]:.2f} N
-instead of {alone.final.values[OFFSET]:.2f} N. The mistake was in the reading, not in the axis: the pulses are volts
-(5 V are {5 * GAIN_N_PER_V:.0f} N), and the motor's voltage, from which we take the force, has them in it already. It
-jumps when they do, and a regression of that force on acceleration, speed, its sign, an offset and the pulses finds
-{inside_force:+.2f} N for each unit of `pulses_N` (newtons missing in the force would come out as -1, volts as
-{-GAIN_N_PER_V:.0f}); it leaves {left_n:.1f} N rms.
-
-Read rightly, this recording alone gives {said(alone)}, and both together {said(both)}. With both, the stretch from
-{worst.position[0]:.0f} s does worst: {left(worst.after)}. The publishers say that the pulses shake a flexibility of the
-axis, which neither their model has nor ours.
-"""
+    return {
+        "added": said(wrong),
+        "added_offset_n": wrong.final.values[OFFSET],
+        "offset_n": alone.final.values[OFFSET],
+        "gain_n_per_v": GAIN_N_PER_V,
+        "force_for_each": inside_force,
+        "regression_leaves_n": left_n,
+        "alone": said(alone),
+        "both": said(both),
+        "worst_from_s": worst.position[0],
+        "worst_after": worst.after,
+    }
 
 
 def twice_pushed(run: ForceDriven) -> ForceDriven:
@@ -196,14 +144,14 @@ def pulses() -> FloatArray:
     return np.asarray(loadmat(PULSES)["pulses_N"], dtype=float).ravel()
 
 
-def left(excess: float) -> str:
-    return "nothing above the noise is left there" if excess <= 0 else f"{excess:.1f} times the noise are left there"
-
-
-def said(found: Diagnosis) -> str:
-    if found.named is None:
-        return f"`{found.verdict}` ({'; '.join(found.rejections)})"
-    return f"{' and '.join(f'`{n}`' for n in found.named.names)}, {found.final.values[FRICTION]:.1f} N"
+def said(found: Diagnosis) -> dict[str, Any]:
+    """Return what a diagnosis named, or why it named nothing."""
+    return {
+        "names": found.named.names if found.named else (),
+        "verdict": found.verdict,
+        "rejections": found.rejections,
+        "friction_n": found.final.values.get(FRICTION),
+    }
 
 
 def pulses_in_force() -> tuple[float, float]:

@@ -1,16 +1,14 @@
 """Story: a printer whose machine file shares the effector's load as the source paper prints it.
 
-    python -m studies.story_force_map --keep DIR --write      some 10 minutes; docs/STORY_FORCE_MAP.md, its figures
+    python -m studies.story_force_map --keep DIR      docs/STORY_FORCE_MAP.md and its figures, some 10 minutes
 
 The printer is built of bodies and joints in MuJoCo (`validation/plants/multibody.py`, needs the `mujoco` package):
-none of our equations is in it. Runs, verdicts and machine files stay in DIR; what is there is not made again. Without
-`--write` the page goes to standard output.
+none of our equations is in it. Runs, verdicts and machine files stay in DIR; what is there is not made again.
 """
 
 from __future__ import annotations
 
 import argparse
-import platform
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,11 +33,11 @@ from studies.diagnosis_proof import (
     SECONDS,
     Moved,
     kept,
-    motions_in_words,
+    motions,
     owners_file,
     record,
 )
-from studies.prose import filled
+from studies.render import save
 from validation import judge
 from validation.blind.motions import Path as NozzlePath
 from validation.blind.real import Reading
@@ -48,7 +46,6 @@ from validation.plants.multibody import Choice, build, modes, play
 FloatArray = NDArray[np.float64]
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "STORY_FORCE_MAP.md"
 FIGURES = {name: ROOT / "docs" / f"story_force_map_{name}.png" for name in ("gap", "overlay", "modes")}
 COMMAND_HZ = 3200.0
 HEIGHT_MM = 30.0  # at which modes are compared
@@ -60,24 +57,15 @@ OLD, NEW = "#c0392b", "#2471a3"
 
 
 def main() -> None:
-    options = _options()
-    folder = Path(options.keep)
+    """Measure and diagnose, and write the results, the page and its figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--keep", required=True, metavar="DIR", help="where runs, verdicts and machine files are kept")
+    folder = Path(parser.parse_args().keep)
     told = {arms: story(folder / arms, arms) for arms in CHOICES}
-    text = filled(page(told))
-    if not options.write:
-        print(text)
-        return
-    PAGE.write_text(text, encoding="utf-8")
+    save("story_force_map", about() | results(told))
     draw_gap(told["half"], FIGURES["gap"])
     draw_overlay(told["half"], FIGURES["overlay"])
     draw_modes(told["half"], FIGURES["modes"])
-
-
-def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--keep", required=True, metavar="DIR", help="where runs, verdicts and machine files are kept")
-    parser.add_argument("--write", action="store_true", help=f"write {PAGE.relative_to(ROOT)} and its figures")
-    return parser.parse_args()
 
 
 # ---- the printer, its runs, its owner's file -----------------------------------------------------
@@ -147,159 +135,66 @@ def _acceleration(moved_mm: FloatArray, step_s: float) -> FloatArray:
     return np.vstack([np.zeros((1, 3)), inner, np.zeros((1, 3))])
 
 
-# ---- the page ------------------------------------------------------------------------------------
+# ---- the results ---------------------------------------------------------------------------------
 
 
-def page(told: dict[str, Told]) -> Iterator[str]:
-    yield from introduction()
-    yield from answer(told["half"])
-    yield from proof(told["half"])
-    yield from places_and_modes(told["half"])
-    yield from with_rods(told["rods"])
+def results(told: dict[str, Told]) -> dict[str, Any]:
+    """Return what the page says of both printers, and of the modes of the first."""
+    return {arms: result(each) for arms, each in told.items()} | {"modes": compared_modes(told["half"])}
 
 
-def introduction() -> Iterator[str]:
-    yield f"""# Story: the machine file that felt a third of the load
-
-Made by `python -m studies.story_force_map --keep DIR --write` (MuJoCo {mujoco.__version__}, Python
-{platform.python_version()}).
-
-An owner has typed the numbers of a paper into a machine file, and with them the paper's way of sharing the effector's
-load among the three carriages: `force_map = "paper"`. That way gives the carriages about a third of the load they
-really carry. The printer knows nothing of it: here it is built of bodies, slides and rods in MuJoCo, an engine nobody
-here wrote, weight included, and measured with six accelerometers that have coloured noise of 0.1 to 0.25 m/s² and
-counts. Every mass, stiffness, damping and drive number of the owner's file is off by a draw of {100 * FILE_ERROR:g} %,
-and the file says so. Its arms are taken as half their mass at either end, which is also what our model assumes; what
-arms with real, spread-out mass change stands at the end.
-
-{len(MEASURED)} motions of {SECONDS:g} s were measured ({motions_in_words()}). Then:
-
-    ffcomp diagnose runs/*.csv --machine owner.toml -o better.toml
-"""
+def about() -> dict[str, Any]:
+    """Return how everything is measured."""
+    return {
+        "mujoco": mujoco.__version__,
+        "file_error": FILE_ERROR,
+        "seconds": SECONDS,
+        "motions": motions(),
+        "fresh_place_mm": [round(x) for x in FRESH[0].place_mm],
+    }
 
 
-def answer(told: Told) -> Iterator[str]:
-    gap = told.verdict["gap"]
-    yield f"""## What it said
-
-After {told.verdict["seconds"]:.0f} s: missing is **{named(told)}**. The gap between simulation and measurement goes
-from {percent(gap["before"])} of the signals to {percent(gap["after"])}; noise alone would leave
-{percent(gap["noise"])}. At places left out of the fit it goes from {percent(gap["held_out"]["before"])} to
-{percent(gap["held_out"]["after"])}.
-`force_map` has no size: it is there or it is not.
-
-With the load in its place, the owner's other numbers come out right too. Beside what the printer was really built with:
-
-| number | owner's file | better file | really |
-|---|---|---|---|"""
-    truth = load_machine(judge.MACHINE_FILE)
-    for name, moved in told.verdict["retuned"].items():
-        yield f"| `{name}` | {moved['from']:.5g} | {moved['to']:.5g} | {value_of(truth, name):.5g} |"
-    yield ""
+def result(told: Told) -> dict[str, Any]:
+    """Return what the page says of one printer."""
+    verdict, truth = told.verdict, load_machine(judge.MACHINE_FILE)
+    return {
+        "seconds": verdict["seconds"],
+        "verdict": verdict["verdict"],
+        "effects": [{key: effect[key] for key in ("name", "parameters")} for effect in verdict["effects"]],
+        "nearest": verdict["refused"],
+        "gap": {key: verdict["gap"][key] for key in ("before", "after", "noise", "held_out")},
+        "retuned": [
+            {"name": name, "owner": step["from"], "to": step["to"], "really": value_of(truth, name)}
+            for name, step in verdict["retuned"].items()
+        ],
+        "fresh": gap_rows(told.fresh_before, told.fresh_after),
+        "fresh_noise_times": told.fresh_after["nrms"] / told.fresh_after["noise_nrms"],
+    }
 
 
-def named(told: Told) -> str:
-    """The verdict in words."""
-    if told.verdict["verdict"] == "effects":
-        return " and ".join(f"`{effect['name']}`" for effect in told.verdict["effects"])
-    refused = told.verdict["refused"]
-    if refused:
-        return (
-            f"`{told.verdict['verdict']}`: nearest came {' and '.join(f'`{n}`' for n in refused['effects'])}, refused "
-            f"because {'; '.join(refused['because'])}"
-        )
-    return f"`{told.verdict['verdict']}`"
-
-
-def percent(share: float) -> str:
-    return f"{100 * share:.3g} %"
-
-
-def proof(told: Told) -> Iterator[str]:
-    x, y, z = FRESH[0].place_mm
-    yield f"""## Does the better file hold where nothing was measured?
-
-Fresh runs, made afterwards at ({x:.0f}, {y:.0f}, {z:.0f}) mm, that the diagnosis never saw (`ffcomp gap fresh/*.csv`):
-
-| run | owner's file | better file | noise |
-|---|---|---|---|"""
-    yield from gap_rows(told.fresh_before, told.fresh_after)
-    yield f"""
-![gap by run]({FIGURES["gap"].name})
-
-![one of the fresh runs]({FIGURES["overlay"].name})
-"""
-
-
-def gap_rows(before: dict[str, Any], after: dict[str, Any]) -> Iterator[str]:
+def gap_rows(before: dict[str, Any], after: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the gap of all runs together, then of each."""
     runs = {"all": (before, after)}
     runs |= {name: (size, after["where"]["runs"][name]) for name, size in before["where"]["runs"].items()}
-    for name, (old, new) in runs.items():
-        yield f"| {name} | {percent(old['nrms'])} | {percent(new['nrms'])} | {percent(old['noise_nrms'])} |"
+    return [
+        {"run": name, "before": old["nrms"], "after": new["nrms"], "noise": old["noise_nrms"]}
+        for name, (old, new) in runs.items()
+    ]
 
 
-def places_and_modes(told: Told) -> Iterator[str]:
+def compared_modes(told: Told) -> dict[str, Any]:
+    """Return the lowest modes in the middle, and how far off both files are at worst along a line."""
     at = line_of_places()
     theirs, old, new = (np.abs(x) / (2 * np.pi) for x in lowest_modes(told, at))
     wrong, right = (np.max(np.abs(x / theirs - 1), axis=0) for x in (old, new))
     middle = len(at) // 2
-    yield f"""## The frequencies over the bed
-
-![lowest modes over the bed]({FIGURES["modes"].name})
-
-The three lowest modes along a line across the bed (y = 0). In the middle they really are
-{_hertz(theirs[middle])} Hz; the owner's file says {_hertz(old[middle])}, the better one {_hertz(new[middle])}. At worst
-along the line the owner's file is {_shares(wrong)} % off, the better one {_shares(right)} %. No wrong mass does
-that: it would move all of them alike over the bed. That is how the two are told apart.
-"""
-
-
-def _hertz(values: FloatArray) -> str:
-    return ", ".join(f"{x:.1f}" for x in values)
-
-
-def _shares(values: FloatArray) -> str:
-    return ", ".join(f"{100 * x:.2g}" for x in values)
-
-
-def with_rods(told: Told) -> Iterator[str]:
-    gap = told.verdict["gap"]
-    yield f"""## And with real arms?
-
-Real arms are rods whose mass is spread out, and our model does not know that (see `CROSS_CHECK.md`). The same story
-with uniform rods: {named(told)}. The gap goes from {percent(gap["before"])} to {percent(gap["after"])}, with noise at
-{percent(gap["noise"])}; at places left out of the fit from {percent(gap["held_out"]["before"])} to
-{percent(gap["held_out"]["after"])}; on the fresh runs from {percent(told.fresh_before["nrms"])} to
-{percent(told.fresh_after["nrms"])} (noise {percent(told.fresh_after["noise_nrms"])}).
-{stand_ins(told)}
-"""
-    moved = told.verdict["retuned"]
-    if moved:
-        yield "| number | owner's file | retuned to | really |"
-        yield "|---|---|---|---|"
-        truth = load_machine(judge.MACHINE_FILE)
-        for name in moved:
-            step = moved[name]
-            yield f"| `{name}` | {step['from']:.5g} | {step['to']:.5g} | {value_of(truth, name):.5g} |"
-        yield ""
-
-
-def stand_ins(told: Told) -> str:
-    """What was named beside the truth, with its size."""
-    others = [effect for effect in told.verdict["effects"] if effect["name"] != "force_map"]
-    if not others:
-        return "What is left above the noise is the error of the half-mass assumption."
-    sizes = [f"`{e['name']}` ({_sizes(e['parameters'])})" for e in others]
-    return (
-        f"That printer has no {' and no '.join(sizes)}: this is the nearest that our catalogue comes to what "
-        "the half-mass assumption leaves out. It passed the gates, and it is wrong. The numbers below tell: many of "
-        "them had to be retuned, and away from the truth, and the fresh runs keep "
-        f"{told.fresh_after['nrms'] / told.fresh_after['noise_nrms']:.1f} times the noise."
-    )
-
-
-def _sizes(parameters: dict[str, dict[str, float]]) -> str:
-    return ", ".join(f"{key} {x['value']:.2g} [{x['low']:.2g} to {x['high']:.2g}]" for key, x in parameters.items())
+    return {
+        "really_hz": theirs[middle],
+        "owner_hz": old[middle],
+        "better_hz": new[middle],
+        "owner_off": wrong,
+        "better_off": right,
+    }
 
 
 # ---- figures -------------------------------------------------------------------------------------
