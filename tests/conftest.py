@@ -27,13 +27,23 @@ SLOW = (  # folders and files; single tests have the marker themselves
     "e2e",
     "fuzz",
     "integration",
+    "unit/ffcomp/compare/test_engine.py",
+    "unit/ffcomp/compensate/gcode_output/test_pieces.py",
+    "unit/ffcomp/diagnose",
+    "unit/ffcomp/identify/test_frf_accuracy.py",
+    "unit/ffcomp/identify/test_identify.py",
+    "unit/ffcomp/inverse/test_robust.py",
+    "unit/ffcomp/inverse/test_time_scaling.py",
+    "unit/ffcomp/report/test_diagnose_report.py",
+    "unit/ffcomp/shapers/test_calibration.py",
     "unit/validation",
 )
+SLOW_NAMES = ("test_against_kalico.py",)  # wherever they are
 
 
 def is_slow(path: Path) -> bool:
     """Return whether a folder or a file of tests is one of SLOW, or in one."""
-    return any(path.is_relative_to(TESTS / slow) for slow in SLOW)
+    return path.name in SLOW_NAMES or any(path.is_relative_to(TESTS / slow) for slow in SLOW)
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
