@@ -44,7 +44,7 @@ from gcode.limits import MotionLimits
 from gcode.program import Event, Frame
 from gcode.reader import read_program
 from models.file import load_machine
-from tests.unit.ffcomp.compensate.gcode_output.test_pieces import smoothed
+from tests.unit.ffcomp.compensate.gcode_output.test_layout import smoothed
 from tests.unit.gcode.test_emit import Said
 
 ROOT = Path(__file__).parents[1]
