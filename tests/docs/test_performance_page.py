@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +21,7 @@ from models.file import load_machine
 from models.machine import Machine
 from studies.effects_compensated import machines_effects
 
-DOCS, BENCHMARKS = performance.DOCS, Path(performance.__file__).parent
+DOCS = performance.DOCS
 PAGE = performance.PAGE.read_text(encoding="utf-8")
 PLACE = np.array([60.0, -40.0])
 
@@ -60,12 +59,6 @@ def test_the_operations_told_are_those_of_the_gains() -> None:
     counts = performance_where.per_knot()
     assert counts["sweep_back"] == 2 * 33 * 27 and counts["sweep_forward"] == 2 * 27 * AUGMENTED
     assert all(f"{number:,}" in PAGE for number in counts.values())
-
-
-def test_every_script_has_a_row_in_the_readme() -> None:
-    readme = (BENCHMARKS / "README.md").read_text(encoding="utf-8")
-    scripts = [path.name for path in BENCHMARKS.glob("*.py") if "__main__" in path.read_text(encoding="utf-8")]
-    assert [name for name in scripts if f"benchmarks/{name}" not in readme] == []
 
 
 # ---- zero-phase-error tracking -------------------------------------------------------------------

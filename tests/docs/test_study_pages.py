@@ -1,4 +1,4 @@
-"""Pages of measured results are what their templates and their JSON files make."""
+"""Pages of measured results are what their templates and JSON files make, and every script has a row in a README."""
 
 from __future__ import annotations
 
@@ -45,3 +45,10 @@ def test_missing_values_are_empty_and_missing_names_errors() -> None:
     assert render.formatted(None, ".2f") == "" and render.formatted(0.0071, "+.2%") == "+0.71%"
     with pytest.raises(render.jinja2.UndefinedError):
         render.ENVIRONMENT.from_string("{{ nothing }}").render()
+
+
+@pytest.mark.parametrize("folder", ["benchmarks", "studies", "validation"])
+def test_every_script_has_a_row_in_the_readme_of_its_folder(folder: str) -> None:
+    readme = (render.ROOT / folder / "README.md").read_text(encoding="utf-8")
+    scripts = [p.stem for p in (render.ROOT / folder).glob("*.py") if "__main__" in p.read_text(encoding="utf-8")]
+    assert [name for name in scripts if f"{folder}.{name}" not in readme and f"{folder}/{name}.py" not in readme] == []
