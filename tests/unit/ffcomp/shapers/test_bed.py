@@ -83,7 +83,7 @@ def test_where_the_vibration_changes_the_scheduled_shaper_leaves_least() -> None
 
 
 def test_a_frequency_that_is_none_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"every place, not 0\.0 Hz"):
+    with pytest.raises(ValueError, match=r"every position, not 0\.0 Hz"):
         shapers.scheduled_shape(there_and_rest, T, lambda xy: 0.0 * xy, "zv")
 
 
