@@ -33,7 +33,7 @@ def test_a_lifted_nozzle_is_off_by_as_much_everywhere(stretch: PrintSlice) -> No
     everywhere = np.ones(len(found.samples.due), dtype=np.bool_)
     numbers = track(found, everywhere, 1.0, 2.0)
     assert numbers.tracking_rms_um == pytest.approx(10.0, rel=1e-9)
-    flat = np.ptp(found.samples.wanted[:, 2]) < 1e-9
+    flat = np.ptp(found.samples.reference[:, 2]) < 1e-9
     assert flat or contour_numbers(found.samples.contour, found.samples.extruding).rms_um == pytest.approx(10.0)
     assert found.residual_rms_um < 1e-6  # it does not swing
     assert (numbers.print_time_s, numbers.peak_command_acceleration_mm_per_s2) == (1.0, 2.0)
@@ -57,17 +57,17 @@ def test_what_swings_in_a_cruise_is_ringing(stretch: PrintSlice) -> None:
     assert evaluate([played(stretch, error)]).residual_rms_um == pytest.approx(7.07, rel=0.05)
 
 
-def test_stretches_are_put_together_and_labelled(stretch: PrintSlice) -> None:
+def test_slices_are_put_together_and_labelled(stretch: PrintSlice) -> None:
     once, twice = evaluate([played(stretch)]), evaluate([played(stretch), played(stretch)])
     assert len(twice.samples.due) == 2 * len(once.samples.due)
     assert twice.delay_s == pytest.approx(0.0, abs=1e-6)
     s = once.samples
     assert s.due[0] >= SETTLE_S
-    corners = np.abs(s.wanted[:, :2]).max(axis=1)
+    corners = np.abs(s.reference[:, :2]).max(axis=1)
     outer = s.feature == 2  # External perimeter, at 20 mm
     assert corners[outer & s.extruding].min() > 19.99
     assert set(s.layer) == {0, 1, 2}
-    np.testing.assert_allclose(s.wanted[s.extruding & (s.layer == 1), 2], 0.4)
+    np.testing.assert_allclose(s.reference[s.extruding & (s.layer == 1), 2], 0.4)
 
 
 def test_numbers_by_label() -> None:
