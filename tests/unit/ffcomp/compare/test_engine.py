@@ -48,7 +48,7 @@ def test_every_sample_is_accounted_for() -> None:
         s = method.samples
         assert sum(error.share for error in method.by_layer.values()) == pytest.approx(1.0)
         assert sum(error.share for error in method.by_feature.values()) == pytest.approx(1.0)
-        assert len(s.due) == len(s.wanted) == len(s.nozzle) == len(s.contour) == len(s.layer)
+        assert len(s.due) == len(s.reference) == len(s.nozzle) == len(s.contour) == len(s.layer)
         assert set(method.by_layer) == {layer.number for layer in found().layers}
         assert method.track.contour_rms_um == pytest.approx(1e3 * np.sqrt(np.mean(s.contour**2)))
         assert np.any(s.extruding) and not np.all(s.extruding)
