@@ -193,7 +193,7 @@ not to be printed.)
 CPU time is {found["once_s"]:.2f} s once and a second for every {found["print_s_per_s"]:.0f} print-seconds; between the
 two longest it grows with the power {found["exponent"]:.3f} of the length. Memory does not grow: {most:.0f} MB at most,
 for up to {largest:.0f} MB of text, of which {loaded:.0f} MB are there after a print of one layer
-(Python, its libraries, the tables over the bed). A file is cut into chapters of five minutes at most, where the nozzle
+(Python, its libraries, the tables over the bed). A file is cut into chunks of five minutes at most, where the nozzle
 rests or in motion, and only they are held.
 """
 

@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.performance_ways import MACHINE, PRINTS, ROOT, sample_print
-from ffcomp.compensate.job import Job
+from ffcomp.compensate.job import Job, Options
+from ffcomp.compensate.statistics import Statistics
 from models.file import load_machine
 from tests.e2e.test_files import OFFSETS
 
@@ -65,7 +66,7 @@ def _compile() -> None:
 def load() -> None:
     """Compensate a small print, for the sake of the compiled code."""
     small = (ROOT / "sample_prints" / f"{REPEATED}.gcode").read_bytes()
-    Job(b"".join(repeated(small, [1.0], 0.0)), "small", load_machine(MACHINE), predict=False).write(None)
+    Job(b"".join(repeated(small, [1.0], 0.0)), "small", load_machine(MACHINE), Options(predict=False)).write(None)
 
 
 def report(told: str) -> None:
@@ -76,18 +77,18 @@ def report(told: str) -> None:
     loaded_mb = _peak_mb()
 
     def once() -> tuple[float, float]:
-        nonlocal job
+        nonlocal done
         cpu, wall = time.process_time(), time.perf_counter()
-        job = Job(Path(source), source, machine, offset=tuple(offset), predict=False, jobs=jobs)
-        job.write(Path(target))
+        options = Options(offset=(offset[0], offset[1]), predict=False)
+        done = Job(Path(source), source, machine, options, jobs=jobs).write(Path(target)).statistics
         return time.process_time() - cpu, time.perf_counter() - wall
 
-    job: Job
+    done: Statistics
     found = [once() for _ in range(rounds)]
     with TemporaryDirectory() as cache:
         os.environ["FFCOMP_CACHE"] = cache
         again = [once() for _ in range(1 + rounds)][1:]
-    s = job.summary
+    s = done
     answer = {
         "print_s": s.original_print_time_s,
         "moves": s.moves,

@@ -21,7 +21,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from benchmarks.performance_ways import MACHINE, PRINTS, ROOT
-from ffcomp.compensate.job import Job
+from ffcomp.compensate.job import Job, Options
+from ffcomp.compensate.statistics import Statistics
 from ffcomp.inverse import time_scaling
 from ffcomp.inverse.riccati import AUGMENTED, AXES, BACKWARD, FORWARD
 from ffcomp.inverse.solve import Solution, solve
@@ -36,8 +37,8 @@ ONCE = "bandwidth, plant over the bed"
 
 # stage → where the names are looked up that belong to it; what is called inside of them counts to its own stage
 STAGES = {
-    "read": ("ffcomp.compensate.job.chapters", "ffcomp.compensate.job.read_parts"),
-    "plan": ("ffcomp.compensate.job.plan_program",),
+    "read": ("ffcomp.compensate.job.split_chunks", "ffcomp.compensate.job.read_parts"),
+    "plan": ("ffcomp.compensate.plan.plan_program",),
     ONCE: ("ffcomp.compensate.job.settings_for", "ffcomp.compensate.job.InverseModel"),
     "invert: gains": ("ffcomp.inverse.riccati.PreviewGains.at", "ffcomp.inverse.riccati.PreviewGains.end"),
     "invert: sweeps": ("ffcomp.inverse.lq_preview.sweep_back", "ffcomp.inverse.lq_preview.sweep_forward"),
@@ -62,10 +63,10 @@ STAGES = {
         "ffcomp.inverse.model.InverseModel.state_after_rest",
     ),
     "write": (
-        "ffcomp.compensate.program.timeline",
-        "ffcomp.compensate.program.pieces",
-        "ffcomp.compensate.program.keep_inside",
-        "ffcomp.compensate.gcode_output.writer.Writer.run",
+        "ffcomp.compensate.gcode_output.renderer.timeline",
+        "ffcomp.compensate.gcode_output.renderer.tiles",
+        "ffcomp.compensate.gcode_output.renderer.keep_inside",
+        "ffcomp.compensate.gcode_output.writer.Writer.section",
         "ffcomp.compensate.gcode_output.writer.Writer.event",
         "ffcomp.compensate.gcode_output.writer.Writer.extrude",
         "ffcomp.compensate.gcode_output.writer.Writer.close",
@@ -160,7 +161,7 @@ def stages_of(name: str, rounds: int) -> dict[str, Any]:
                 for path in paths:
                     owner, last = named(path)
                     stack.enter_context(patch.object(owner, last, watch.timed(stage, getattr(owner, last))))
-            job = compensated(name)
+            done = compensated(name)
             watch.switch()
         found.append(watch.seconds)
     alone = []
@@ -169,16 +170,15 @@ def stages_of(name: str, rounds: int) -> dict[str, Any]:
         compensated(name)
         alone.append(time.process_time() - began)
     best = min(found, key=lambda each: sum(each.values()))
-    print_s, segments = job.summary.original_print_time_s, job.summary.segments
+    print_s, segments = done.original_print_time_s, done.segments
     return {"seconds": best, "unwatched_s": min(alone), "print_s": print_s, "segments": segments}
 
 
-def compensated(name: str) -> Job:
+def compensated(name: str) -> Statistics:
     path = ROOT / "sample_prints" / f"{name}.gcode"
     with TemporaryDirectory() as folder:
-        job = Job(path, path.name, load_machine(MACHINE), predict=False)
-        job.write(Path(folder, "out.gcode"))
-    return job
+        job = Job(path, path.name, load_machine(MACHINE), Options(predict=False))
+        return job.write(Path(folder, "out.gcode")).statistics
 
 
 # ---- kernels -------------------------------------------------------------------------------------
@@ -215,7 +215,7 @@ def part_of(name: str) -> None:
     """The beginning of a print, compensated."""
     path = ROOT / "sample_prints" / f"{name}.gcode"
     lines = path.read_bytes().splitlines(keepends=True)
-    Job(b"".join(lines[: len(lines) // 4]), path.name, load_machine(MACHINE), predict=False).write(None)
+    Job(b"".join(lines[: len(lines) // 4]), path.name, load_machine(MACHINE), Options(predict=False)).write(None)
 
 
 def knots_of(kernel: str, inputs: tuple[Any, ...]) -> int:

@@ -20,7 +20,7 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from ffcomp.compensate.job import Job
+from ffcomp.compensate.job import Job, Options
 from models.file import load_machine
 from models.machine import Machine
 
@@ -46,10 +46,9 @@ class Round:
 def compensate_once(name: str, machine: Machine, target: Path) -> Round:
     path = ROOT / "sample_prints" / f"{name}.gcode"
     wall, process = time.perf_counter(), time.process_time()
-    job = Job(path, path.name, machine, predict=False)
-    job.write(target)
+    found = Job(path, path.name, machine, Options(predict=False)).write(target).statistics
     wall, process = time.perf_counter() - wall, time.process_time() - process
-    return Round(job.summary.original_print_time_s, wall, process, job.summary.segments)
+    return Round(found.original_print_time_s, wall, process, found.segments)
 
 
 def measure(rounds: int) -> tuple[Round, dict[str, Round]]:

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compensate.gcode_output.layout import Timeline, pieces, timeline
+from ffcomp.compensate.gcode_output.layout import Timeline, tiles, timeline
 from ffcomp.compensate.gcode_output.writer import Writer
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import Settings, settings_for
@@ -83,19 +83,19 @@ class Round:
         for run, inside in _runs(self.planned):
             wanted = Reference(self.planned.trajectory, run, self.settings)
             command = smoothed(wanted.at_knots(np.arange(wanted.knots + 1)))
-            for piece in pieces(wanted.knots):
+            for piece in tiles(wanted.knots):
                 vertices = command[piece.first : piece.last + 1]
                 place = (self.planned.program, self.planned.trajectory, run, wanted, vertices, inside, piece)
                 line_up = self.timed("lines", timeline, *place)
                 self.lines += len(line_up.line)
-                self.timed("write", lambda *inputs: list(self.writer.run(*inputs)), run.first, vertices, line_up)
+                self.timed("write", lambda *inputs: list(self.writer.section(*inputs)), run.first, vertices, line_up)
                 self.stages(vertices, line_up)
         return self
 
     def stages(self, vertices: FloatArray, line_up: Timeline) -> None:
         """The parts of `Writer.run` by themselves, on the same piece."""
         s, at = self.settings, line_up.at
-        knots = np.arange(line_up.piece.first, line_up.piece.last + 1)
+        knots = np.arange(line_up.tile.first, line_up.tile.last + 1)
         points = np.stack([np.interp(at, knots, axis) for axis in vertices.T], axis=1).round(4)
         longest = s.longest_merged_s / s.segment_s
         kept = self.timed("join", merge, at, points, line_up.e, line_up.cut, 1e-3 * s.merge_um, longest)

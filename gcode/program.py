@@ -78,3 +78,17 @@ class Program:
     frames: list[Frame]
     warnings: list[str]  # sentences with line numbers
     first_line: int = 0  # number in the file, from 0, of lines[0]: not 0 in a later part of a file read in parts
+
+
+class EventQueue:
+    """Events in the file's order, taken out as the moves go by."""
+
+    def __init__(self, events: list[Event]) -> None:
+        self._events, self._taken = events, 0
+
+    def up_to(self, move: int) -> list[Event]:
+        """Take the events that stand before this move or an earlier one, and have not been taken yet."""
+        first = self._taken
+        while self._taken < len(self._events) and self._events[self._taken].move <= move:
+            self._taken += 1
+        return self._events[first : self._taken]

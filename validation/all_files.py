@@ -14,7 +14,7 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 ROOT = Path(__file__).parents[1]
-from ffcomp.compensate.job import Job  # noqa: E402
+from ffcomp.compensate.job import Job, Options  # noqa: E402
 from gcode.errors import GcodeError  # noqa: E402
 from models.file import load_machine  # noqa: E402
 from models.machine import Machine  # noqa: E402
@@ -36,11 +36,11 @@ def row(path: Path, machine: Machine, offset: tuple[float, float]) -> tuple[list
     """The table's row, and what is wrong with the result."""
     data = path.read_bytes()
     begin = time.perf_counter()
-    job = Job(data, str(path), machine, offset=offset, predict=False)
-    out = b"".join(job.lines())
+    lines = Job(data, str(path), machine, Options(offset=offset, predict=False)).lines()
+    out = b"".join(lines)
     took = time.perf_counter() - begin
     found = violations(data, out, machine, offset)
-    s = job.summary
+    s = lines.value.statistics
     numbers = (
         f"{s.print_time_s:.0f}",
         f"{100 * (s.print_time_s / s.original_print_time_s - 1):.2f} %",

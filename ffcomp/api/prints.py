@@ -13,7 +13,8 @@ from ffcomp.compare import engine
 from ffcomp.compare.result import Comparison
 from ffcomp.compare.sampling import Sampling
 from ffcomp.compensate.batch import workers
-from ffcomp.compensate.file import Options, compensate_file
+from ffcomp.compensate.file import compensate_file
+from ffcomp.compensate.job import Options
 from ffcomp.errors import RequestError
 from ffcomp.estimate import engine as estimation
 from ffcomp.estimate.statistics import Statistics

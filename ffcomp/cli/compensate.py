@@ -16,7 +16,8 @@ from ffcomp.cli.options import AsJson, Flavor, Quiet, SegmentRate, check_choice,
 from ffcomp.inverse.solver_names import SOLVERS
 
 if TYPE_CHECKING:
-    from ffcomp.compensate.file import Options, Outcome, StepOutput
+    from ffcomp.compensate.job import Options, StepOutput
+    from ffcomp.compensate.result import FileResult
     from ffcomp.inverse.settings import Settings
     from models.machine import Machine
 
@@ -209,7 +210,7 @@ def compensate(
         offset = (0.0, 0.0) if offset_mm == "auto" else parsed_offset(offset_mm)
         targets = _targets(files, output_file, output_dir, dry_run, ".npz" if output != "gcode" else "")
 
-        from ffcomp.compensate.file import Options
+        from ffcomp.compensate.job import Options
         from models.file import load_machine
 
         known = load_machine(machine)
@@ -280,7 +281,7 @@ def _steps(machine: Machine, output: str, plain: bool, per_mm: float | None) -> 
     """Describe the step timings that are asked for; None for G-code."""
     if output == "gcode":
         return None
-    from ffcomp.compensate.file import StepOutput
+    from ffcomp.compensate.job import StepOutput
     from ffcomp.steps.sink import Board
 
     per_mm = per_mm or machine.steps.extruder_steps_per_mm
@@ -333,8 +334,8 @@ def _compensate_one(request: _Request) -> dict[str, Any]:
 
     (file,), (target,), quiet = request.files, request.targets, request.quiet
     name = os.environ.get("SLIC3R_PP_OUTPUT_NAME") or str(file)
-    chapters = max(size_of(file) // PART_BYTES, 1)
-    with workers(min(request.jobs, chapters), request.scheduler) as at_once, Progress(1.0, quiet) as progress:
+    chunks = max(size_of(file) // PART_BYTES, 1)
+    with workers(min(request.jobs, chunks), request.scheduler) as at_once, Progress(1.0, quiet) as progress:
         result = compensate_file(file, name, request.machine, request.options, target, jobs=at_once, progress=progress)
     result["input"] = str(file)
     if "already" in result:
@@ -347,14 +348,14 @@ def _compensate_one(request: _Request) -> dict[str, Any]:
     return result
 
 
-def _compensate_all(request: _Request) -> list[Outcome]:
+def _compensate_all(request: _Request) -> list[FileResult]:
     """Compensate several files; return their results in the order given."""
     from ffcomp.cli.common import Progress, fail
     from ffcomp.cli.compensate_report import report_all
     from ffcomp.compensate.batch import compensate_files, size_of
 
     files = request.files
-    outcomes: list[Outcome] = []
+    outcomes: list[FileResult] = []
     with Progress(sum(map(size_of, files)), request.quiet) as progress:
         work = compensate_files(
             files,
@@ -375,14 +376,14 @@ def _compensate_all(request: _Request) -> list[Outcome]:
     return outcomes
 
 
-def _batch_json(outcomes: list[Outcome]) -> dict[str, Any]:
+def _batch_json(outcomes: list[FileResult]) -> dict[str, Any]:
     """Return the JSON object of several files."""
     results = [_result(outcome) for outcome in outcomes]
     failed = sum(outcome.failure is not None for outcome in outcomes)
     return {"schema": "ffcomp-compensate-batch/1", "results": results, "failed": failed}
 
 
-def _result(outcome: Outcome) -> dict[str, Any]:
+def _result(outcome: FileResult) -> dict[str, Any]:
     failure = outcome.failure
     if failure is None:
         return outcome.result

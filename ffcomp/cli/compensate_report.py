@@ -12,10 +12,10 @@ from rich.table import Column, Table
 
 from ffcomp.cli.common import say
 from ffcomp.cli.log import note
-from ffcomp.compensate.file import Outcome
+from ffcomp.compensate.result import FileResult
 
 
-def report_all(outcomes: list[Outcome], quiet: bool) -> None:
+def report_all(outcomes: list[FileResult], quiet: bool) -> None:
     """Print a table and the failures on stderr; only the failures if quiet."""
     if not quiet:
         for warning, files in _warnings(outcomes).items():
@@ -29,7 +29,7 @@ def report_all(outcomes: list[Outcome], quiet: bool) -> None:
             say(f"{outcome.failure.trace}ffcomp: {outcome.failure.sentence}")
 
 
-def _warnings(outcomes: list[Outcome]) -> dict[str, list[Path]]:
+def _warnings(outcomes: list[FileResult]) -> dict[str, list[Path]]:
     """Each once, with the files that it is about."""
     found: dict[str, list[Path]] = {}
     for outcome in outcomes:
@@ -38,7 +38,7 @@ def _warnings(outcomes: list[Outcome]) -> dict[str, list[Path]]:
     return found
 
 
-def _cells(outcome: Outcome) -> tuple[str, ...]:
+def _cells(outcome: FileResult) -> tuple[str, ...]:
     """Print time and predicted error before → after, and what it took."""
     result = outcome.result
     if outcome.failure is not None:

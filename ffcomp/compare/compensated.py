@@ -8,7 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compensate.program import Summary, compensate
+from ffcomp.compensate.gcode_output.renderer import GcodeRenderer
+from ffcomp.compensate.plan import Context, PlannedChunk
+from ffcomp.compensate.program import compensate
+from ffcomp.compensate.statistics import Statistics
+from ffcomp.compensate.stream import Stream
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
 from ffcomp.planner.program import PlannedProgram, plan_program
@@ -28,7 +32,7 @@ class Compensated:
     planned: PlannedProgram  # the original
     settings: Settings
     flavor: str
-    summary: Summary
+    statistics: Statistics
 
 
 def compensated(
@@ -52,9 +56,10 @@ def compensated(
     progress : callable
         Called with the print seconds done so far.
     """
-    summary = Summary()
-    text = b"".join(compensate(planned, machine, inverter, flavor, summary, progress, offset))
-    return Compensated(text, planned, inverter.settings, flavor, summary)
+    chunk, context = PlannedChunk.whole(planned), Context(machine, inverter.settings, flavor, offset)
+    lines = Stream(compensate(chunk, context, inverter, GcodeRenderer(chunk, context), progress=progress))
+    text = b"".join(lines)
+    return Compensated(text, planned, inverter.settings, flavor, lines.value)
 
 
 @dataclass(frozen=True, slots=True)

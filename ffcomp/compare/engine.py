@@ -28,7 +28,7 @@ from ffcomp.compare.methods import COMPENSATED, TunedMethod
 from ffcomp.compare.monte_carlo import draw_plants, dynamic_numbers
 from ffcomp.compare.result import BedMap, Comparison, Layer, Method, Party, Peaks, Spread
 from ffcomp.compare.sampling import Print, PrintSlice, Sampling
-from ffcomp.compensate.program import Summary
+from ffcomp.compensate.statistics import Statistics
 from ffcomp.errors import NothingToDo
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import rms
@@ -205,22 +205,22 @@ def _executed(
 
 
 def _execute(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -> _Executed:
-    executions, peaks, summaries = [], [], []
+    executions, peaks, statistics = [], [], []
     for print_slice in slices:
-        motion, summary = method.motion(print_slice)
+        motion, own = method.motion(print_slice)
         t, (nozzle,) = simulate_nozzles([plant], motion, print_slice.machine)
         executions.append(Execution(print_slice, motion, t, nozzle))
         peaks.append(motion.peaks(print_slice.machine))
-        summaries.append(summary)
+        statistics.append(own)
     velocity, acceleration = (float(most) for most in np.max(peaks, axis=0))
     within = within_limits(velocity, acceleration, slices[0].machine)
-    longer = sum(s.print_time_s - s.original_print_time_s for s in summaries if s is not None)
+    longer = sum(s.print_time_s - s.original_print_time_s for s in statistics if s is not None)
     seconds = sum(each.trajectory.end_t for each in slices) + longer
-    return _Executed(executions, Peaks(velocity, acceleration, within), seconds, _warnings(summaries))
+    return _Executed(executions, Peaks(velocity, acceleration, within), seconds, _warnings(statistics))
 
 
-def _warnings(summaries: Sequence[Summary | None]) -> tuple[str, ...]:
-    return tuple(sentence for summary in summaries if summary is not None for sentence in summary.warnings)
+def _warnings(statistics: Sequence[Statistics | None]) -> tuple[str, ...]:
+    return tuple(sentence for each in statistics if each is not None for sentence in each.warnings)
 
 
 def _method(method: TunedMethod, executed: _Executed, features: Sequence[str]) -> Method:

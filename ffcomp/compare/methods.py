@@ -12,7 +12,7 @@ from ffcomp.compare.baselines import LinearPrinter, calibrated_shapers, scaled, 
 from ffcomp.compare.compensated import compensated, segments, segments_motion
 from ffcomp.compare.result import Family
 from ffcomp.compare.sampling import PrintSlice
-from ffcomp.compensate.program import Summary
+from ffcomp.compensate.statistics import Statistics
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
 from ffcomp.shapers.apply import FrequencyOfPosition
@@ -34,7 +34,7 @@ NAMES = (
 )  # in the order of the table
 
 
-Executor = Callable[[PrintSlice], tuple[Motion, Summary | None]]
+Executor = Callable[[PrintSlice], tuple[Motion, Statistics | None]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,9 +110,9 @@ def _by_position(of_position: FrequencyOfPosition, kind: str) -> Executor:
 
 
 def _inverting(inverter: InverseModel) -> Executor:
-    def motion(s: PrintSlice) -> tuple[Motion, Summary | None]:
+    def motion(s: PrintSlice) -> tuple[Motion, Statistics | None]:
         file = compensated(s.planned, s.machine, inverter, s.flavor, s.offset)
-        return segments_motion(segments(file, s.machine, s.before, s.start)), file.summary
+        return segments_motion(segments(file, s.machine, s.before, s.start)), file.statistics
 
     return motion
 

@@ -1,7 +1,7 @@
 """Many files, on the cores of this computer or on a cluster.
 
 A file is one task, the biggest first (`ffcomp.compensate.worker_pool`). Where the others would have to wait for a
-file at last, all processes work at it together instead, chapter by chapter. The bytes are those of a single process.
+file at last, all processes work at it together instead, chunk by chunk. The bytes are those of a single process.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from dataclasses import dataclass
 from os.path import normcase, realpath
 from pathlib import Path
 
-from ffcomp.compensate.file import DIED, Options, Outcome, compensate_file, outcome_of
+from ffcomp.compensate.file import compensate_file
+from ffcomp.compensate.job import Options
+from ffcomp.compensate.result import DIED, FileResult, attempt
 from ffcomp.compensate.worker_pool import Pool
 from ffcomp.errors import FfcompError
 from gcode.text import PART_BYTES
@@ -34,7 +36,7 @@ def compensate_files(
     jobs: int = 1,
     scheduler: str = "",
     progress: Callable[[float], None] = lambda done: None,
-) -> Generator[Outcome, None, None]:
+) -> Generator[FileResult, None, None]:
     """Compensate files; what became of each comes as soon as it is known. A file that fails does not stop the others.
 
     Parameters
@@ -117,7 +119,7 @@ class _Batch:
     options: Options
     progress: Callable[[float], None]
 
-    def run(self, jobs: int, scheduler: str) -> Generator[Outcome, None, None]:
+    def run(self, jobs: int, scheduler: str) -> Generator[FileResult, None, None]:
         sizes, done = [size_of(file) for file in self.files], 0
         tell = _Forwards(self.progress)
         with workers(jobs, scheduler) as at_once, ExitStack() as drafts:
@@ -133,10 +135,10 @@ class _Batch:
                     tell(done)
                     yield outcome
 
-    def _alone(self, number: int, jobs: int, progress: Callable[[float], None]) -> Outcome:
+    def _alone(self, number: int, jobs: int, progress: Callable[[float], None]) -> FileResult:
         """A file that all work at."""
         machine, options, target = self.machine, self.options, self.targets[number]
-        return outcome_of(
+        return attempt(
             number,
             self.files[number],
             lambda path: compensate_file(path, str(path), machine, options, target, jobs=jobs, progress=progress),
@@ -183,7 +185,7 @@ def _shares(sizes: Sequence[int], jobs: int, largest: float) -> tuple[list[int],
     """Which files all work at together, one after the other, and which are done side by side; the biggest first.
 
     Of all ways the one that takes least, in bytes: no file side by side is quicker than one process can be, and none
-    that all work at is quicker than a chapter.
+    that all work at is quicker than a chunk.
     """
     if jobs == 1:
         return list(range(len(sizes))), []

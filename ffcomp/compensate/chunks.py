@@ -1,15 +1,15 @@
-"""A print of any length in chapters of some minutes, so that each can be planned and compensated alone.
+"""Split a print of any length into chunks of some minutes, each of which can be planned and compensated alone.
 
-They are cut where the nozzle rests. A motion that does not rest for long, a vase in one spiral or a line that takes
-hours, is cut under way, at a knot: both chapters then hold the path around the cut, and each writes its own side of it.
+Chunks are cut where the nozzle rests. A motion that does not rest for long, a vase in one spiral or a line that takes
+hours, is cut under way, at a knot: both chunks then hold the path around the cut, and each writes its own side of it.
 
-A chapter brings along what the ones before it leave behind: the moves of which the printer may still ring, and what the
-file has said of limits. So chapters can be worked at side by side, and what comes out does not depend on how many are.
+A chunk brings along what the ones before it leave behind: the moves of which the printer may still ring, and the limits
+in effect. So chunks can be compensated in parallel, and the result does not depend on how many are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
@@ -32,8 +32,8 @@ Ease = Callable[
     [Program, PathPosition, int], tuple[Moves, tuple[TimeScaling, ...]]
 ]  # what is around a cut, cut, layers before
 
-REMEMBERED_S = 0.5  # of motion before a chapter: more than twice what the printer remembers
-LONGEST_S = 300.0  # of motion in a chapter
+REMEMBERED_S = 0.5  # of motion before a chunk: more than twice what the printer remembers
+LONGEST_S = 300.0  # of motion in a chunk
 LONGEST = 50_000  # moves without a rest, before they are cut in motion
 CLEAR = 0.25  # knots around such a cut in which no line may have its place
 SHORTEST_S = 1.0  # of a move that is left when one is cut
@@ -41,34 +41,41 @@ ROUNDING = 1e-6  # of a segment
 
 
 @dataclass(frozen=True, slots=True)
-class Chapter:
+class Chunk:
     """A program from rest to rest, or what is written of it."""
 
     program: Program
-    before: Program | None  # the moves just before it, from a rest on; None: nothing of ours has moved the nozzle
-    said: dict[bytes, bytes]  # of limits, in the lines before
-    layers: int  # that have begun in them
-    last: bool
-    ends: Extent = WHOLE  # what is written of it
-    eased: tuple[TimeScaling, ...] = ()  # what had to become slower before its end could be cut
+    before: Program | None = None  # the moves just before it, from a rest on; None: others have moved the nozzle
+    limits: Mapping[bytes, bytes] = field(default_factory=dict)  # in effect where it begins (`gcode.limits`)
+    layers: int = 0  # that have begun before it
+    last: bool = True
+    extent: Extent = WHOLE  # what is written of it
+    slowed: tuple[TimeScaling, ...] = ()  # what had to become slower before its end could be cut
     cuts: int = 0  # in motion, before it
 
 
-def chapters(
+def split_chunks(
     parts: Iterable[Program],
     segment_s: float,
     lead_s: float,
     plan_of: PlanOf,
     longest_s: float = LONGEST_S,
     ease: Ease | None = None,
-) -> Iterator[Chapter]:
-    """Programs that follow each other, cut anew. What is left of a part goes together with the next one.
+) -> Iterator[Chunk]:
+    """Split programs that follow each other anew; what is left of one goes together with the next.
 
     Parameters
     ----------
-    plan_of : the firmware's plan for a program
-    longest_s : of motion without a rest, before it is cut; inf: never
-    ease : makes a motion slower, where that has to be, around the place where it is to be cut; None: nothing has to be
+    parts : iterable of Program
+        A file's programs, in order.
+    segment_s, lead_s : float
+        Length of a segment, and time from a section's first knot to the beginning of its path, s.
+    plan_of : callable
+        Returns the firmware's plan for a program.
+    longest_s : float
+        Motion without a rest, s, before it is cut; inf: never.
+    ease : callable, optional
+        Makes a motion slower, where that has to be, around the position where it is to be cut.
     """
     settings = _Settings(segment_s, lead_s, longest_s, plan_of, ease)
     ahead: _Ahead | None = None
@@ -78,16 +85,16 @@ def chapters(
             continue
         known = _Known.of(ahead, settings)
         while (cut := known.first()) is not None:
-            chapter, known = cut
-            yield chapter
+            chunk, known = cut
+            yield chunk
         ahead = known.ahead
     if ahead is not None:
-        yield ahead.chapter(ahead.program, last=True)
+        yield ahead.chunk(ahead.program, last=True)
 
 
 @dataclass(frozen=True, slots=True)
 class _Settings:
-    """See `chapters`."""
+    """The arguments of `split_chunks`."""
 
     segment_s: float
     lead_s: float
@@ -98,29 +105,29 @@ class _Settings:
 
 @dataclass(frozen=True, slots=True)
 class _Ahead:
-    """What is not in a chapter yet, and what the chapters before it leave behind."""
+    """What is not in a chunk yet, and what the chunks before it leave behind."""
 
     program: Program
     before: Program | None = None
-    said: dict[bytes, bytes] = field(default_factory=dict)
+    limits: Mapping[bytes, bytes] = field(default_factory=dict)
     layers: int = 0
     begin: PathPosition | None = None
-    eased: tuple[TimeScaling, ...] = ()
+    slowed: tuple[TimeScaling, ...] = ()
     cuts: int = 0
 
-    def chapter(self, program: Program, last: bool = False, end: PathPosition | None = None) -> Chapter:
-        """What it begins with."""
-        ends = Extent(self.begin, end)
-        return Chapter(program, self.before, self.said, self.layers, last, ends, self.eased, self.cuts)
+    def chunk(self, program: Program, last: bool = False, end: PathPosition | None = None) -> Chunk:
+        """Return the chunk that it begins with."""
+        extent = Extent(self.begin, end)
+        return Chunk(program, self.before, self.limits, self.layers, last, extent, self.slowed, self.cuts)
 
 
 @dataclass(frozen=True, slots=True)
 class _Known:
-    """It with its plan."""
+    """What is ahead, with its plan."""
 
     ahead: _Ahead
     plan: Trajectory  # of its moves; one that is cut begins as if it were whole
-    begin_t: float  # s, when the next chapter begins
+    begin_t: float  # s, when the next chunk begins
     settings: _Settings
 
     @staticmethod
@@ -129,8 +136,8 @@ class _Known:
         begin_t = float(plan.start_t[0]) - settings.lead_s if ahead.begin is None else ahead.begin.time_in(plan)
         return _Known(ahead, plan, begin_t, settings)
 
-    def first(self) -> tuple[Chapter, _Known] | None:
-        """The next chapter, and what is left; None: what comes after must be known."""
+    def first(self) -> tuple[Chunk, _Known] | None:
+        """Return the next chunk, and what is left; None: what comes after must be known."""
         rests = rests_of(self.ahead.program)
         near = rests[self.plan.start_t[rests] <= self.begin_t + LONGEST_S]
         if near.size:
@@ -142,7 +149,7 @@ class _Known:
         return None if rest is None else self._at_rest(rest)
 
     def _latest_t(self, rest: int | None) -> float | None:
-        """When a motion that is too long for a chapter has to be cut; None: it is not.
+        """Return when a motion that is too long for a chunk has to be cut, s; None: it is not.
 
         rest : the move before which it ends; None: not in sight
         """
@@ -159,7 +166,7 @@ class _Known:
         return context_s(self.ahead.program.moves, self.plan)
 
     def _clear_cut(self, latest_t: float) -> int:
-        """After how many segments to cut, not later: far from the last cut and from any line, in no wipe; 0: nowhere.
+        """Return after how many segments to cut, not later: far from the last cut and any line, in no wipe; 0: nowhere.
 
         Filament that is pulled back is shared out over its whole way (`ffcomp/compensate/gcode_output/layout.py`).
         """
@@ -172,63 +179,63 @@ class _Known:
                 return knots
         return 0
 
-    def _at_rest(self, move: int) -> tuple[Chapter, _Known]:
+    def _at_rest(self, move: int) -> tuple[Chunk, _Known]:
         ahead, plan = self.ahead, _columns(self.plan, slice(move, None))
         head, tail = split(ahead.program, move)
         before = _remembered(head, _columns(self.plan, slice(0, move)))
         layers = ahead.layers + len(layer_starts(head))
-        left = _Ahead(tail, before, limits_in_effect(head, ahead.said), layers, cuts=ahead.cuts)
+        left = _Ahead(tail, before, limits_in_effect(head, ahead.limits), layers, cuts=ahead.cuts)
         begin_t = float(plan.start_t[0]) - self.settings.lead_s
-        return ahead.chapter(head), _Known(left, plan, begin_t, self.settings)
+        return ahead.chunk(head), _Known(left, plan, begin_t, self.settings)
 
-    def _in_motion(self, knots: int, rest: int | None) -> tuple[Chapter, _Known]:
+    def _in_motion(self, knots: int, rest: int | None) -> tuple[Chunk, _Known]:
         """Cut after about so many segments. rest : the move before which the motion ends, if that is known"""
         eased = self._eased(knots, rest)
-        if eased is not None and (fewer := eased._clear_cut(self._place(knots).time_in(eased.plan))):
+        if eased is not None and (fewer := eased._clear_cut(self._position(knots).time_in(eased.plan))):
             return eased._in_motion(fewer, rest)
         return self._cut(knots, rest)
 
     def _t(self, knots: int) -> float:
         return self.begin_t + knots * self.settings.segment_s
 
-    def _place(self, knots: int) -> PathPosition:
-        """The place that is passed after so many segments."""
+    def _position(self, knots: int) -> PathPosition:
+        """Return the position that is passed after so many segments."""
         t = self._t(knots)
         move = int(self.plan.move_at(t))
         return PathPosition(move, _far(self.plan.position([t])[0], self.ahead.program.moves.start[move]))
 
-    def _cut(self, knots: int, rest: int | None) -> tuple[Chapter, _Known]:
+    def _cut(self, knots: int, rest: int | None) -> tuple[Chunk, _Known]:
         ahead, plan, around = self.ahead, self.plan, self._around_s
-        t, place = self._t(knots), self._place(knots)
+        t, place = self._t(knots), self._position(knots)
         first, tail = _from(ahead.program, plan, t - around)
         begin = PathPosition(place.move - first, _far(plan.position([t])[0], tail.moves.start[place.move - first]))
-        said = limits_in_effect(excerpt(ahead.program, 0, place.move + 1), ahead.said)
+        limits = limits_in_effect(excerpt(ahead.program, 0, place.move + 1), ahead.limits)
         passed = layer_starts(excerpt(ahead.program, 0, first)) if first else []
         tail = replace(tail, warnings=[])
-        left = _Ahead(tail, None, said, ahead.layers + len(passed), begin, cuts=ahead.cuts + 1)
-        chapter = ahead.chapter(_until(ahead.program, plan, t + around, rest), end=place)
-        return chapter, _Known(left, _columns(plan, slice(first, None)), t, self.settings)
+        left = _Ahead(tail, None, limits, ahead.layers + len(passed), begin, cuts=ahead.cuts + 1)
+        chunk = ahead.chunk(_until(ahead.program, plan, t + around, rest), end=place)
+        return chunk, _Known(left, _columns(plan, slice(first, None)), t, self.settings)
 
     def _eased(self, knots: int, rest: int | None) -> _Known | None:
-        """It, slower around the place where it is to be cut; None: that need not be."""
+        """Slow it down around the position where it is to be cut; None: that need not be."""
         ease, ahead, plan, t = self.settings.ease, self.ahead, self.plan, self._t(knots)
         if ease is None:
             return None
         first, tail = _from(ahead.program, plan, t - self._around_s)
         last = None if rest is None else rest - first
         around = _until(tail, _columns(plan, slice(first, None)), t + self._around_s, last)
-        place = self._place(knots)
+        place = self._position(knots)
         cut = PathPosition(place.move - first, _far(plan.position([t])[0], around.moves.start[place.move - first]))
         passed = layer_starts(excerpt(ahead.program, 0, first)) if first else []
         slower, records = ease(around, cut, ahead.layers + len(passed))
         if not records:
             return None
         program = replace(ahead.program, moves=_with(ahead.program.moves, first, slower))
-        return _Known.of(replace(ahead, program=program, eased=ahead.eased + records), self.settings)
+        return _Known.of(replace(ahead, program=program, slowed=ahead.slowed + records), self.settings)
 
 
 def _with(moves: Moves, first: int, slower: Moves) -> Moves:
-    """Moves of which some, from one on, have another speed, acceleration and corner speed."""
+    """Give some moves, from one on, another speed, acceleration and corner speed."""
     changed = {}
     for name in ("speed", "acceleration", "square_corner_velocity"):
         column = getattr(moves, name).copy()
@@ -238,12 +245,12 @@ def _with(moves: Moves, first: int, slower: Moves) -> Moves:
 
 
 def _far(place: FloatArray, start: FloatArray) -> float:
-    """From one place to another, both (4,) mm, along the nozzle's path."""
+    """Return the distance from one position to another, both (4,) mm, along the nozzle's path."""
     return float(np.sqrt(((place - start)[:3] ** 2).sum()))
 
 
 def _from(program: Program, plan: Trajectory, t: float) -> tuple[int, Program]:
-    """The first move of what is under way from a time on, and that: what began long before begins at that time."""
+    """Return the first move under way from a time on, and the program from it: what began long before begins then."""
     move = int(plan.move_at(t))
     start_t, duration = float(plan.start_t[move]), float(plan.duration[move])
     tail = excerpt(program, move)
@@ -252,7 +259,7 @@ def _from(program: Program, plan: Trajectory, t: float) -> tuple[int, Program]:
 
 
 def _until(program: Program, plan: Trajectory, t: float, rest: int | None) -> Program:
-    """What is under way up to a time, or to the rest before a move: what goes on long after it ends at that time."""
+    """Return what is under way up to a time, or to the rest before a move: what goes on long after it ends then."""
     if rest is not None and t >= plan.start_t[rest - 1] + plan.duration[rest - 1]:
         return excerpt(program, 0, rest)
     move = int(plan.move_at(t))
@@ -267,7 +274,7 @@ def _columns(plan: Trajectory, which: slice) -> Trajectory:
 
 
 def rests_of(program: Program) -> IntArray:
-    """The moves before whose lines the nozzle rests, but for the first."""
+    """Return the moves before whose lines the nozzle rests, but for the first."""
     moves = program.moves
     stops, _ = stops_and_waits(program)
     lines = lines_of(moves)
@@ -279,16 +286,16 @@ def rests_of(program: Program) -> IntArray:
     return np.flatnonzero(rests)
 
 
-def _remembered(chapter: Program, plan: Trajectory) -> Program | None:
-    """The last moves of a chapter, from a rest on, that take half a second at least; of a long motion its end."""
-    moves = chapter.moves
-    if any(e.move == len(moves) and e.kind in (EventKind.STOP, EventKind.RAW_MOVE) for e in reversed(chapter.events)):
+def _remembered(chunk: Program, plan: Trajectory) -> Program | None:
+    """Return the last moves of a chunk, from a rest on, that take half a second at least; of a long motion its end."""
+    moves = chunk.moves
+    if any(e.move == len(moves) and e.kind in (EventKind.STOP, EventKind.RAW_MOVE) for e in reversed(chunk.events)):
         return None
     quickest = lines_of(moves).length / moves.speed
     left = np.cumsum(quickest[::-1])[::-1]  # until the end, at least
-    rests = rests_of(chapter)
+    rests = rests_of(chunk)
     enough = rests[left[rests] >= REMEMBERED_S]
     first = int(enough[-1]) if enough.size else 0
     if plan.end_t - plan.start_t[first] > 2 * LEAST_CONTEXT_S and not rests[rests > first].size:
-        return _from(chapter, plan, plan.end_t - LEAST_CONTEXT_S)[1]
-    return excerpt(chapter, first)
+        return _from(chunk, plan, plan.end_t - LEAST_CONTEXT_S)[1]
+    return excerpt(chunk, first)

@@ -45,17 +45,27 @@ class Samples:
     before: _Motion = field(default_factory=_Motion)
     after: _Motion = field(default_factory=_Motion)
 
-    def join(self, later: Samples) -> None:
-        """Take in what another has collected of what comes after."""
-        self.wanted += [each + self.place for each in later.wanted]
-        self.path += [each + self.place for each in later.path]
-        self.path_t += [each + self.clock for each in later.path_t]
-        for mine, theirs in ((self.before, later.before), (self.after, later.after)):
-            mine.actual += [each + self.place for each in theirs.actual]
-            mine.peak = max(mine.peak, theirs.peak)
-        self.place = self.place + later.place
-        self.clock += later.clock
-        self.covered_s += later.covered_s
+    def __add__(self, later: Samples) -> Samples:
+        """Put what comes after this behind it, in time and in space."""
+
+        def moved(points: list[FloatArray]) -> list[FloatArray]:
+            return [each + self.place for each in points]
+
+        before, after = (
+            _Motion(mine.actual + moved(theirs.actual), max(mine.peak, theirs.peak))
+            for mine, theirs in ((self.before, later.before), (self.after, later.after))
+        )
+        return Samples(
+            self.sample_s,
+            self.clock + later.clock,
+            self.covered_s + later.covered_s,
+            self.place + later.place,
+            self.wanted + moved(later.wanted),
+            self.path_t + [each + self.clock for each in later.path_t],
+            self.path + moved(later.path),
+            before,
+            after,
+        )
 
     def tracks(self) -> dict[str, Track]:
         """ "uncompensated" and "compensated", each judged over the runs that were taken in."""

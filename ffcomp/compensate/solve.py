@@ -6,6 +6,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
+
+from ffcomp.errors import LimitsError
 from ffcomp.inverse.extent import WHOLE, Extent
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.nonlinear.correction import LinearSolution, correct_sections
@@ -19,7 +22,7 @@ from ffcomp.planner.trajectory import PlannedMotion
 from gcode.layers import LayerLookup
 from gcode.program import EventKind
 from models.arrays import FloatArray
-from models.machine import Machine
+from models.machine import Kinematics, Machine
 from models.vibration.scheduled import rest_state
 
 
@@ -125,3 +128,25 @@ def _moved_before(planned: PlannedProgram) -> dict[int, bool]:
         if run.travels:
             found[run.first], pending, last = pending, False, run.last - 1
     return found
+
+
+def keep_inside(kinematics: Kinematics, vertices: FloatArray, heights: FloatArray) -> FloatArray:
+    """Move a command to where the firmware lets it go: it aborts a print over a µm outside the radius or below the bed.
+
+    Parameters
+    ----------
+    kinematics : Kinematics
+        Those of the machine.
+    vertices : (n, 3) array
+        The command at its knots, mm.
+    heights : (m,) array
+        Heights of the path itself, mm.
+
+    Raises
+    ------
+    LimitsError
+        If the command cannot be reached at all.
+    """
+    if not np.isfinite(vertices).all():
+        raise LimitsError("The command leaves the arms' reach; the path runs too close to it.")
+    return kinematics.drawn_in(vertices, heights)

@@ -15,7 +15,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from ffcomp.compensate.file import Options, Outcome, compensate_file, failure_of, outcome_of
+from ffcomp.compensate.file import compensate_file
+from ffcomp.compensate.job import Options
+from ffcomp.compensate.result import FileResult, attempt, failure_of
 from ffcomp.errors import FfcompError
 from gcode.atomic_write import replace_atomically
 from gcode.errors import GcodeError
@@ -40,7 +42,7 @@ class _Task:
 class _Done:
     """What another process gives back."""
 
-    outcome: Outcome
+    outcome: FileResult
     text: bytes | None = None
 
 
@@ -65,7 +67,7 @@ class Pool:
                     done += mark.stat().st_size
         return done
 
-    def outcomes(self, numbers: Sequence[int]) -> Generator[Outcome, None, None]:
+    def outcomes(self, numbers: Sequence[int]) -> Generator[FileResult, None, None]:
         """What became of the files. When a process dies, those that are left are tried one by one."""
         if not numbers:
             return
@@ -117,7 +119,7 @@ class Pool:
             self.folders[place] = Path(self.drafts.enter_context(made))
         return self.folders[place] / str(number)
 
-    def _written(self, done: _Done) -> Outcome:
+    def _written(self, done: _Done) -> FileResult:
         """The draft, or what was sent back, takes the target's place."""
         outcome, target = done.outcome, self.targets[done.outcome.number]
         for folder in self.folders.values():
@@ -137,9 +139,9 @@ class Pool:
             return self._failed(outcome.number, error)
         return replace(outcome, result={**outcome.result, "output": str(target)})
 
-    def _failed(self, number: int, error: Exception) -> Outcome:
+    def _failed(self, number: int, error: Exception) -> FileResult:
         file = self.files[number]
-        return Outcome(number, file, 0.0, {}, failure_of(error, str(file)))
+        return FileResult(number, file, 0.0, {}, failure_of(error, str(file)))
 
 
 @contextmanager
@@ -156,9 +158,9 @@ def _closing(answers: Generator[_Done, None, None]) -> Iterator[Generator[_Done,
 def _work(task: _Task, machine: Machine, options: Options) -> _Done:
     """A file in a process of its own."""
 
-    def to(draft: Path | None, progress: Callable[[float], None]) -> Outcome:
+    def to(draft: Path | None, progress: Callable[[float], None]) -> FileResult:
         source = task.file if task.data is None else task.data
-        return outcome_of(
+        return attempt(
             task.number,
             task.file,
             lambda path: compensate_file(source, str(path), machine, options, draft, progress=progress),

@@ -18,7 +18,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ffcomp.compensate.batch import _shares, check_targets, compensate_files, targets_in, workers
-from ffcomp.compensate.file import Failure, Options, Outcome, compensate_file
+from ffcomp.compensate.file import compensate_file
+from ffcomp.compensate.job import Options
+from ffcomp.compensate.result import Failure, FileResult
 from gcode.stamp import Stamp
 from gcode.text import PART_BYTES
 from models.file import load_machine
@@ -66,7 +68,7 @@ def alone(prints: list[Path], machine: Machine, tmp_path: Path) -> list[bytes]:
     return [target.read_bytes() for target in targets]
 
 
-def in_order(outcomes: Iterator[Outcome]) -> list[Outcome]:
+def in_order(outcomes: Iterator[FileResult]) -> list[FileResult]:
     return sorted(outcomes, key=lambda outcome: outcome.number)
 
 
@@ -202,7 +204,7 @@ def test_shares_hold_every_file_once(sizes: list[int], jobs: int) -> None:
 def test_shares() -> None:
     mega = PART_BYTES
     assert _shares([mega] * 6, 2, 1e9) == ([], [0, 1, 2, 3, 4, 5])  # one each
-    assert _shares([mega // 4] * 3, 8, 1e9) == ([], [0, 1, 2])  # a chapter is not split
+    assert _shares([mega // 4] * 3, 8, 1e9) == ([], [0, 1, 2])  # a chunk is not split
     assert _shares([20 * mega, mega, mega], 4, 1e9) == ([0], [1, 2])  # nobody waits for the big one
     assert _shares([20 * mega, 24 * mega], 8, 1e9) == ([1, 0], [])
     assert _shares([1, 3, 2], 1, 1e9) == ([0, 1, 2], [])  # one process: as given
@@ -220,7 +222,7 @@ class Poisoned(Options):
         return super().job(source, path, machine, stamp, jobs)
 
 
-def poisoned(prints: list[Path], machine: Machine, **where: Any) -> list[Outcome]:
+def poisoned(prints: list[Path], machine: Machine, **where: Any) -> list[FileResult]:
     """All of them in place, one of which is poison and one a fault."""
     poison, fault = prints[0].with_name("poison.gcode"), prints[0].with_name("fault.gcode")
     files = [prints[0], poison, fault, *prints[1:]]
@@ -232,7 +234,7 @@ def poisoned(prints: list[Path], machine: Machine, **where: Any) -> list[Outcome
     return outcomes
 
 
-def check_poisoned(outcomes: list[Outcome]) -> None:
+def check_poisoned(outcomes: list[FileResult]) -> None:
     failures = [outcome.failure for outcome in outcomes]
     assert failures[0] is failures[3] is failures[4] is None
     assert isinstance(failures[1], Failure) and isinstance(failures[2], Failure)
@@ -269,7 +271,7 @@ def test_on_a_cluster(prints: list[Path], alone: list[bytes], machine: Machine, 
     assert answer.returncode == 0, answer.stderr
     assert [(folder / path.name).read_bytes() for path in prints] == alone
     (folder / "b.gcode").unlink()
-    with workers(1, scheduler) as at_once:  # one file: its chapters
+    with workers(1, scheduler) as at_once:  # one file: its chunks
         compensate_file(prints[1], "b", machine, Options(), folder / "b.gcode", jobs=at_once)
     assert (folder / "b.gcode").read_bytes() == alone[1]
     check_poisoned(poisoned(prints, machine, scheduler=scheduler))

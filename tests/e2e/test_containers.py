@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from ffcomp.compensate.batch import compensate_files
-from ffcomp.compensate.file import Options
+from ffcomp.compensate.job import Options
 from gcode.container import read_bytes
 from gcode.metadata import slicer_time_s
 from models.file import load_machine

@@ -8,6 +8,7 @@ import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,11 +16,11 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
-from ffcomp.compensate import chunks as chapters
+from ffcomp.compensate import chunks
 from ffcomp.compensate import job as jobs
 from ffcomp.compensate.gcode_output import print_time as times
 from ffcomp.compensate.gcode_output.print_time import with_times_retold
-from ffcomp.compensate.job import Job
+from ffcomp.compensate.statistics import Statistics as Compensation
 from ffcomp.errors import NothingToDo
 from ffcomp.estimate import slices as cutting
 from ffcomp.estimate.engine import Estimate, estimate, seconds
@@ -36,6 +37,7 @@ from gcode.program import Program
 from gcode.reader import read_parts, read_program
 from models.file import load_machine
 from models.machine import Machine
+from tests.support.compensated import compensated as anywhere
 from tests.support.data import real
 from validation.judge import HOST_KNOWS
 from validation.kalico import kalico_plan
@@ -203,15 +205,15 @@ def timed_print(layers: int = 3) -> bytes:
     return head + START.replace(b"\n", b"\r\n") + b"".join(body) + tail
 
 
-def compensated(data: bytes, **options: object) -> tuple[bytes, Job]:
-    job = Job(data, "print.gcode", machine(), predict=False, inverter=inverter(), **options)  # type: ignore[arg-type]
-    return b"".join(job.lines()), job
+def compensated(data: bytes, **options: Any) -> tuple[bytes, Compensation]:
+    text, result = anywhere(data, machine(), predict=False, **options)
+    return text, result.statistics
 
 
 @cache
 def timed() -> tuple[bytes, float]:
-    text, job = compensated(timed_print())
-    return text, job.summary.print_time_s
+    text, found = compensated(timed_print())
+    return text, found.print_time_s
 
 
 def numbers(line: bytes) -> list[int]:
@@ -264,12 +266,12 @@ def test_times_do_not_depend_on_who_works(monkeypatch: pytest.MonkeyPatch) -> No
 
     monkeypatch.setattr(jobs, "read_parts", lambda *a, **options: read_parts(*a, **options, part_bytes=400))
     monkeypatch.setattr(times, "IN_MEMORY", 100)
-    one, job = compensated(timed_print())
+    one, found = compensated(timed_print())
     with parallel_config(backend="threading"):
         two, _ = compensated(timed_print(), jobs=2)
     assert one == two
     text, total_s = timed()
-    assert job.summary.print_time_s == pytest.approx(total_s)
+    assert found.print_time_s == pytest.approx(total_s)
     assert [line for line in one.splitlines() if tells(line)] == [line for line in text.splitlines() if tells(line)]
 
 
@@ -279,16 +281,16 @@ def test_times_of_a_print_that_is_cut_in_motion(monkeypatch: pytest.MonkeyPatch)
     data = START + b"".join(places) + b";TIME:7\n"
     whole, _ = compensated(data)
     monkeypatch.setattr(jobs, "read_parts", lambda *a, **options: read_parts(*a, **options, part_bytes=9000))
-    monkeypatch.setattr(chapters, "LONGEST", 500)
-    cut, job = compensated(data)
-    assert job.summary.print_time_s == pytest.approx(seconds(account_of(whole).total), abs=0.05)
+    monkeypatch.setattr(chunks, "LONGEST", 500)
+    cut, found = compensated(data)
+    assert found.print_time_s == pytest.approx(seconds(account_of(whole).total), abs=0.05)
     assert [line for line in cut.splitlines() if tells(line)] == [line for line in whole.splitlines() if tells(line)]
 
 
 def test_a_wait_at_the_end_counts() -> None:
-    text, job = compensated(SIMPLE + b"G4 P2500\nM73 P99 R1\n")
-    assert job.summary.original_print_time_s == pytest.approx(estimated(SIMPLE).time_s + 2.5)
-    assert job.summary.print_time_s == pytest.approx(estimated(text).time_s, abs=0.05)
+    text, found = compensated(SIMPLE + b"G4 P2500\nM73 P99 R1\n")
+    assert found.original_print_time_s == pytest.approx(estimated(SIMPLE).time_s + 2.5)
+    assert found.print_time_s == pytest.approx(estimated(text).time_s, abs=0.05)
     assert text.splitlines()[-2] == b"M73 P100 R0"
 
 
@@ -296,11 +298,11 @@ def test_a_real_print_says_its_time() -> None:
     """Orca's M73 all through the file, on a bed with its origin in a corner."""
     lines = real("makreeltje_orca_slicer.gcode").splitlines(keepends=True)
     data = b"".join(lines[:330] + [line for line in lines[-800:] if line.startswith(b";")])
-    text, job = compensated(data, offset=(-150.0, -150.0))
+    text, done = compensated(data, offset=(-150.0, -150.0))
     found = estimate(text, "print.gcode", machine())
-    assert found.time_s == pytest.approx(job.summary.print_time_s, rel=1e-3)
+    assert found.time_s == pytest.approx(done.print_time_s, rel=1e-3)
     assert found.original is not None
-    assert seconds(found.original.total) == pytest.approx(job.summary.original_print_time_s)
+    assert seconds(found.original.total) == pytest.approx(done.original_print_time_s)
     assert found.statistics.slicer_s == found.original.slicer_s == 5563
     assert original(text) == data
 

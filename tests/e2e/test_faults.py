@@ -17,7 +17,9 @@ from pathlib import Path
 
 import pytest
 
-from ffcomp.compensate.file import Options, compensate_file, failure_of
+from ffcomp.compensate.file import compensate_file
+from ffcomp.compensate.job import Options
+from ffcomp.compensate.result import failure_of
 from ffcomp.inverse.settings import settings_for
 from ffcomp.numerics.numba_cache import VARIABLE, ensure_cache_folder
 from gcode.embedded import original

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import os
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ffcomp.compensate.gcode_output.writer import STILL_MOVE
-from ffcomp.compensate.job import Job
+from ffcomp.compensate.job import Job, Options
 from ffcomp.errors import NothingToDo
-from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.settings import settings_for
 from gcode.container import read_bytes
 from gcode.embedded import original
 from gcode.errors import GcodeError
@@ -21,7 +18,6 @@ from gcode.program import Program
 from gcode.reader import read_program
 from gcode.stamp import already_processed
 from models.file import load_machine
-from models.machine import Machine
 from tests.unit.ffcomp.compensate.gcode_output.test_writer import others
 
 DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[3] / "shared" / "data")) / "gcode"
@@ -41,15 +37,9 @@ REAL = sorted(DATA.glob("*.gcode")) if DATA.is_dir() else []
 ODD = sorted((DATA / "odd").iterdir()) if DATA.is_dir() else []
 
 
-@cache
-def inverter() -> tuple[Machine, InverseModel]:
-    machine = load_machine("mp-delta-pro")
-    return machine, InverseModel(machine, settings_for(machine))
-
-
 def job(data: bytes, path: Path) -> Job:
-    machine, shared = inverter()
-    return Job(data, str(path), machine, offset=OFFSETS.get(path.name, (0.0, 0.0)), predict=False, inverter=shared)
+    options = Options(offset=OFFSETS.get(path.name, (0.0, 0.0)), predict=False)
+    return Job(data, str(path), load_machine("mp-delta-pro"), options)
 
 
 def shortened(path: Path) -> bytes:
@@ -72,7 +62,8 @@ def layers(program: Program) -> list[float]:
 def test_a_real_print_comes_through(path: Path) -> None:
     data = shortened(path)
     work = job(data, path)
-    out = b"".join(work.lines())
+    lines = work.lines()
+    out, found = b"".join(lines), lines.value.statistics
     assert others(out) == others(data)
     assert original(out) == data
     assert already_processed(out) is not None
@@ -81,8 +72,8 @@ def test_a_real_print_comes_through(path: Path) -> None:
     np.testing.assert_allclose(after.moves.end[-1, :3], before.moves.end[-1, :3], atol=1e-4)
     work.machine.kinematics.check_reach(after.moves.end[:, :3])
     assert (after.moves.speed > 0).all()
-    assert work.summary.segments < 260 * work.summary.print_time_s
-    assert work.summary.warnings == []
+    assert found.segments < 260 * found.print_time_s
+    assert found.warnings == ()
 
 
 @needs_data

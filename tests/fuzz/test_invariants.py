@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from ffcomp.compensate.job import Job
+from ffcomp.compensate.job import Job, Options
 from ffcomp.errors import NothingToDo
 from gcode.errors import GcodeError
 from tests.e2e.test_files import ODD, OFFSETS, REAL, needs_data
@@ -44,7 +44,8 @@ def beginning(path: Path) -> bytes:
 
 def job(data: bytes, path: Path) -> Job:
     own, offset = inverter(), OFFSETS.get(path.name, (0.0, 0.0))
-    return Job(data, str(path), own.machine, offset=offset, predict=False, settings=own.settings, inverter=own)
+    options = Options(offset=offset, predict=False, settings=own.settings)
+    return Job(data, str(path), own.machine, options)
 
 
 @pytest.mark.parametrize("path", [*SAMPLES, *REAL], ids=lambda path: path.name)

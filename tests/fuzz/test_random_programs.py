@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.compensate.job import Job
+from ffcomp.compensate.job import Job, Options
 from ffcomp.compensate.solve import SolvedSection, solutions
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
@@ -238,7 +238,7 @@ def _inverter(machine: Machine) -> InverseModel:
 
 def compensated(data: bytes, own: InverseModel) -> bytes:
     """Through the main job."""
-    job = Job(data, "print.gcode", own.machine, predict=False, settings=own.settings, inverter=own)
+    job = Job(data, "print.gcode", own.machine, Options(predict=False, settings=own.settings))
     return b"".join(job.lines())
 
 

@@ -1,4 +1,4 @@
-"""A long print in chapters: what comes out is what comes out in one piece, however many work at it."""
+"""A long print in chunks: what comes out is what comes out in one piece, however many work at it."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp.compensate import job as jobs
-from ffcomp.compensate.chunks import LONGEST_S, REMEMBERED_S, Chapter, chapters
-from ffcomp.compensate.job import Job, Recipe
+from ffcomp.compensate import plan
+from ffcomp.compensate.chunks import LONGEST_S, REMEMBERED_S, Chunk, split_chunks
+from ffcomp.compensate.job import StepOutput
+from ffcomp.compensate.plan import _is_simulated
 from ffcomp.errors import LimitsError
 from ffcomp.inverse.extent import Extent
 from ffcomp.inverse.settings import settings_for
@@ -32,6 +34,7 @@ from gcode.reader import read_parts, read_program
 from gcode.slicing import join, split
 from models.file import load_machine
 from models.machine import Machine
+from tests.support.compensated import compensated, job
 from validation.invariants import violations
 
 PRINTS = Path(__file__).parents[2] / "sample_prints"
@@ -46,7 +49,7 @@ def machine() -> Machine:
 
 @pytest.fixture
 def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Many chapters of a small file."""
+    """Many chunks of a small file."""
 
     def parts(blocks: Iterator[bytes], path: str, **options: object) -> Iterator[Program]:
         return read_parts(blocks, path, part_bytes=SMALL, **options)  # type: ignore[arg-type]
@@ -54,14 +57,9 @@ def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jobs, "read_parts", parts)
 
 
-def cut(data: bytes, machine: Machine, part_bytes: int = SMALL, longest_s: float = np.inf) -> list[Chapter]:
+def cut(data: bytes, machine: Machine, part_bytes: int = SMALL, longest_s: float = np.inf) -> list[Chunk]:
     parts = read_parts([data], flavor="klipper", part_bytes=part_bytes)
-    return list(chapters(parts, 0.004, 0.008, lambda program: firmware_plan(program, machine), longest_s))
-
-
-def text_of(data: bytes, machine: Machine, **options: object) -> tuple[bytes, Job]:
-    job = Job(data, "print.gcode", machine, **options)  # type: ignore[arg-type]
-    return b"".join(job.lines()), job
+    return list(split_chunks(parts, 0.004, 0.008, lambda program: firmware_plan(program, machine), longest_s))
 
 
 def places(text: bytes) -> NDArray[np.float64]:
@@ -75,7 +73,7 @@ def tower() -> bytes:
     return (PRINTS / "ringing_tower.gcode").read_bytes()[:100_000].rpartition(b"\n")[0] + b"\n"
 
 
-def test_chapters_are_the_program(tower: bytes, machine: Machine) -> None:
+def test_chunks_are_the_program(tower: bytes, machine: Machine) -> None:
     whole, several = read_program(tower), cut(tower, machine)
     assert len(several) >= 4
     assert [each.last for each in several] == [False] * (len(several) - 1) + [True]
@@ -91,7 +89,7 @@ def test_chapters_are_the_program(tower: bytes, machine: Machine) -> None:
         assert together.frames[event.frame] == whole.frames[other.frame]
 
 
-def test_a_chapter_is_planned_as_in_the_whole(tower: bytes, machine: Machine) -> None:
+def test_a_chunk_is_planned_as_in_the_whole(tower: bytes, machine: Machine) -> None:
     whole = plan_program(read_program(tower), machine).trajectory
     durations = [plan_program(each.program, machine).trajectory.duration for each in cut(tower, machine)]
     np.testing.assert_allclose(np.concatenate(durations), whole.duration, rtol=0, atol=1e-15)
@@ -112,14 +110,14 @@ def test_splitting_and_joining_gives_the_program_again(tower: bytes, machine: Ma
     np.testing.assert_array_equal(again.moves.end, program.moves.end)
 
 
-def test_the_command_is_the_same_in_chapters(tower: bytes, machine: Machine, small_parts: None) -> None:
-    several, cut_job = text_of(tower, machine, predict=False)
+def test_the_command_is_the_same_in_chunks(tower: bytes, machine: Machine, small_parts: None) -> None:
+    several, cut_result = compensated(tower, machine, predict=False)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(jobs, "read_parts", read_parts)
-        whole, job = text_of(tower, machine, predict=False)
-    assert several.count(b"SET_VELOCITY_LIMIT") > whole.count(b"SET_VELOCITY_LIMIT")  # there were chapters
+        whole, result = compensated(tower, machine, predict=False)
+    assert several.count(b"SET_VELOCITY_LIMIT") > whole.count(b"SET_VELOCITY_LIMIT")  # there were chunks
     assert original(several) == original(whole) == tower
-    assert cut_job.summary.print_time_s == pytest.approx(job.summary.print_time_s, abs=1e-9)
+    assert cut_result.statistics.print_time_s == pytest.approx(result.statistics.print_time_s, abs=1e-9)
     mine, theirs = places(several), places(whole)
     # after a cut the state is known but for what the printer has forgotten; corrections may then stop a pass earlier
     assert len(mine) == len(theirs)
@@ -129,10 +127,10 @@ def test_the_command_is_the_same_in_chapters(tower: bytes, machine: Machine, sma
 
 
 def test_jobs_change_no_byte(tower: bytes, machine: Machine, small_parts: None) -> None:
-    alone, one = text_of(tower, machine)
-    together, two = text_of(tower, machine, jobs=2)
+    alone, one = compensated(tower, machine)
+    together, two = compensated(tower, machine, jobs=2)
     assert alone == together
-    first, second = one.result(), two.result()
+    first, second = one.to_dict(), two.to_dict()
     assert first["predicted"]["compensated"]["contour_rms_um"] > 0
     assert {**first, "compute_time_s": 0} == {**second, "compute_time_s": 0}
 
@@ -140,7 +138,7 @@ def test_jobs_change_no_byte(tower: bytes, machine: Machine, small_parts: None) 
 def test_an_error_names_the_line_of_the_file(tower: bytes, machine: Machine, small_parts: None) -> None:
     lines = tower.count(b"\n")
     with pytest.raises(GcodeError, match=rf"print.gcode:{lines + 1}: ") as error:
-        text_of(tower + b"G1 X500 Y0\n", machine, predict=False)
+        compensated(tower + b"G1 X500 Y0\n", machine, predict=False)
     assert error.value.line == lines + 1
 
 
@@ -161,15 +159,15 @@ def short_spirals(monkeypatch: pytest.MonkeyPatch, small_parts: None) -> None:
 
 
 def test_a_spiral_is_cut_in_motion_without_a_trace(spiral: bytes, machine: Machine, short_spirals: None) -> None:
-    several, cut_job = text_of(spiral, machine)
+    several, cut_result = compensated(spiral, machine)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("ffcomp.compensate.chunks.LONGEST", 10**9)
-        whole, job = text_of(spiral, machine)
-    assert cut_job.summary.windows > job.summary.windows  # there were cuts
+        whole, result = compensated(spiral, machine)
+    assert cut_result.statistics.windows > result.statistics.windows  # there were cuts
     assert original(several) == original(whole) == spiral
     assert several.count(b"SET_VELOCITY_LIMIT") <= whole.count(b"SET_VELOCITY_LIMIT") + 4  # none of them in the spiral
     for name in ("print_time_s", "original_print_time_s", "moves"):
-        assert getattr(cut_job.summary, name) == pytest.approx(getattr(job.summary, name), abs=1e-6)
+        assert getattr(cut_result.statistics, name) == pytest.approx(getattr(result.statistics, name), abs=1e-6)
     # joined segments end elsewhere after a cut: both commands, where they pass the same time
     mine, theirs = (plan_program(read_program(text), machine).trajectory for text in (several, whole))
     assert mine.end_t == pytest.approx(theirs.end_t, abs=0.02)
@@ -183,8 +181,8 @@ def test_a_spiral_is_cut_in_motion_without_a_trace(spiral: bytes, machine: Machi
 
 
 def test_jobs_change_no_byte_of_a_spiral(spiral: bytes, machine: Machine, short_spirals: None) -> None:
-    alone, _ = text_of(spiral, machine, predict=False)
-    together, _ = text_of(spiral, machine, predict=False, jobs=2)
+    alone, _ = compensated(spiral, machine, predict=False)
+    together, _ = compensated(spiral, machine, predict=False, jobs=2)
     assert alone == together
 
 
@@ -194,7 +192,7 @@ def test_steps_of_a_spiral_cut_in_motion(spiral: bytes, machine: Machine, short_
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("ffcomp.compensate.chunks.LONGEST", longest)
             target = tmp_path / f"{longest}.npz"
-            Job(spiral, "spiral.gcode", machine, predict=False).write_steps(target, Board(400.0))
+            job(spiral, machine, predict=False).write_steps(target, StepOutput(Board(400.0), None))
             found.append((read_steps(target), read_events(target)))
     (cut_motors, cut_events), (motors, events) = found
     assert cut_events[1] == events[1]
@@ -206,7 +204,7 @@ def test_steps_of_a_spiral_cut_in_motion(spiral: bytes, machine: Machine, short_
         assert np.abs(levels[0] - levels[1]).max() <= 1.01 * motors[name].step_mm  # half a step apart may be a step
 
 
-def test_a_print_without_rests_is_one_chapter(machine: Machine) -> None:
+def test_a_print_without_rests_is_one_chunk(machine: Machine) -> None:
     spiral = b"G28\nG1 X0 Y0 Z1 F6000\n" + b"".join(b"G1 X%d Y%d E%d\n" % (k % 7, k % 5, k) for k in range(3000))
     (only,) = cut(spiral, machine, 5000)
     assert only.last and only.program.lines == spiral.splitlines(keepends=True)
@@ -234,15 +232,15 @@ def vase(facets: int, speed: float, lift: float = 0.002) -> bytes:
         VASE + b"".join(b"G1 X%d F60\nG1 E.1 F60\n" % (20 * (k % 2)) for k in range(400)),  # rests every 20 s
     ],
 )
-def test_no_chapter_holds_more_than_some_minutes(machine: Machine, data: bytes) -> None:
+def test_no_chunk_holds_more_than_some_minutes(machine: Machine, data: bytes) -> None:
     several = cut(data, machine, 10**6, longest_s=LONGEST_S)
     plans = [firmware_plan(each.program, machine) for each in several]
     assert max(plan.end_t for plan in plans) < LONGEST_S + 15.0  # what is around the cuts, whole moves of it
     assert max(map(len, plans)) < 1000
     assert max(len(each.program.frames) for each in several) < 10
     written_s = [
-        (plan.end_t if each.ends.end is None else each.ends.end.time_in(plan))
-        - (0.0 if each.ends.begin is None else each.ends.begin.time_in(plan))
+        (plan.end_t if each.extent.end is None else each.extent.end.time_in(plan))
+        - (0.0 if each.extent.begin is None else each.extent.begin.time_in(plan))
         for each, plan in zip(several, plans, strict=True)
     ]
     assert sum(written_s) == pytest.approx(firmware_plan(read_program(data), machine).end_t, abs=1e-6)
@@ -255,13 +253,13 @@ def test_both_sides_of_a_cut_see_the_same_motion(machine: Machine, limits: bytes
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("ffcomp.compensate.chunks.LONGEST_S", 20.0)
         several = cut(data, machine, 10**6, longest_s=20.0)
-    cuts = [(a, b) for a, b in pairwise(several) if a.ends.end is not None]
+    cuts = [(a, b) for a, b in pairwise(several) if a.extent.end is not None]
     assert len(cuts) >= 2
     for before, after in cuts:
         first, second = (firmware_plan(each.program, machine) for each in (before, after))
-        assert before.ends.end is not None and after.ends.begin is not None
+        assert before.extent.end is not None and after.extent.begin is not None
         t = np.linspace(-0.9, 0.9, 200)
-        t_first, t_second = before.ends.end.time_in(first) + t, after.ends.begin.time_in(second) + t
+        t_first, t_second = before.extent.end.time_in(first) + t, after.extent.begin.time_in(second) + t
         np.testing.assert_allclose(first.position(t_first)[:, :3], second.position(t_second)[:, :3], atol=1e-7)
         speeds = [np.abs(plan.velocity(at)[:, :3]).max(axis=1) for plan, at in ((first, t_first), (second, t_second))]
         np.testing.assert_allclose(*speeds, atol=1e-5)
@@ -271,10 +269,10 @@ def test_one_long_line_is_cut_without_a_trace(machine: Machine) -> None:
     data = VASE + b"G1 X-25 Y10 E20 F72\nM106 S255\nG1 X0 Y0 F3000\nG1 E-1 F1800\n"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("ffcomp.compensate.chunks.LONGEST_S", 12.0)
-        text, job = text_of(data, machine, predict=False)
+        text, result = compensated(data, machine, predict=False)
     assert original(text) == data and violations(data, text, machine) == []
-    assert job.summary.moves == 4 and job.summary.windows >= 4
-    assert job.summary.original_print_time_s == pytest.approx(
+    assert result.statistics.moves == 4 and result.statistics.windows >= 4
+    assert result.statistics.original_print_time_s == pytest.approx(
         plan_program(read_program(data), machine).firmware_s, abs=1e-6
     )
     assert text.count(b"SET_VELOCITY_LIMIT") <= 8  # none of them in the line
@@ -285,13 +283,13 @@ def test_limits_are_held_in_a_motion_that_is_cut(machine: Machine, monkeypatch: 
     monkeypatch.setattr("ffcomp.compensate.chunks.LONGEST_S", 8.0)
     tight = replace(machine, limits=replace(machine.limits, carriage_velocity_mm_per_s=45.0))
     data = vase(1150, 4800.0)
-    text, job = text_of(data, tight, predict=False)
+    text, result = compensated(data, tight, predict=False)
     assert original(text) == data and violations(data, text, tight) == []
-    summary, planned = job.summary, plan_program(read_program(data), machine)
-    assert summary.warnings == []  # nowhere is more than a limit asked for
-    assert summary.original_print_time_s == pytest.approx(planned.firmware_s, abs=2e-3)
-    assert 0.1 < summary.print_time_s - summary.original_print_time_s < 0.4
-    assert {record.layer for record in summary.slowed} == set(range(7))
+    done, planned = result.statistics, plan_program(read_program(data), machine)
+    assert done.warnings == ()  # nowhere is more than a limit asked for
+    assert done.original_print_time_s == pytest.approx(planned.firmware_s, abs=2e-3)
+    assert 0.1 < done.print_time_s - done.original_print_time_s < 0.4
+    assert {record.layer for record in done.slowed} == set(range(7))
 
 
 def test_a_cut_that_must_be_slower_is_refused_when_strict(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -299,7 +297,7 @@ def test_a_cut_that_must_be_slower_is_refused_when_strict(machine: Machine, monk
     settings = replace(settings_for(tight), strict=True)
     monkeypatch.setattr("ffcomp.compensate.chunks.LONGEST_S", 8.0)
     with pytest.raises(LimitsError, match="would have to be slowed"):
-        text_of(vase(1150, 4800.0), tight, predict=False, settings=settings)
+        compensated(vase(1150, 4800.0), tight, predict=False, settings=settings)
 
 
 def test_a_motion_too_long_for_s_curves_is_planned_without_them(machine: Machine) -> None:
@@ -307,21 +305,21 @@ def test_a_motion_too_long_for_s_curves_is_planned_without_them(machine: Machine
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("ffcomp.compensate.chunks.LONGEST_S", 8.0)
         patch.setattr(jobs, "S_CURVE_LONGEST_S", 9.0)
-        text, job = text_of(data, machine, predict=False, settings=settings)
-    (warning,) = job.warnings
+        patch.setattr(plan, "S_CURVE_LONGEST_S", 9.0)
+        text, result = compensated(data, machine, predict=False, settings=settings)
+    (warning,) = result.warnings
     assert warning.startswith("line 8: the motion that begins here does not rest for 0.15 minutes")
     assert original(text) == data and violations(data, text, machine) == []
 
 
-def test_of_a_motion_in_many_chapters_few_are_simulated(machine: Machine) -> None:
-    recipe = Recipe(machine, settings_for(machine), "klipper", (0.0, 0.0), share=0.02)
-    (chapter,) = cut(VASE, machine)
-    motion = [replace(chapter, ends=Extent(end=PathPosition(0, 0.0)), cuts=cuts) for cuts in range(200)]
-    assert sum(map(recipe._is_simulated, motion)) == 4 and recipe._is_simulated(motion[0])
-    assert recipe._is_simulated(chapter)
+def test_of_a_motion_in_many_chunks_few_are_simulated(machine: Machine) -> None:
+    (chunk,) = cut(VASE, machine)
+    motion = [replace(chunk, extent=Extent(end=PathPosition(0, 0.0)), cuts=cuts) for cuts in range(200)]
+    assert [_is_simulated(each, 0.02) for each in motion].count(True) == 4 and _is_simulated(motion[0], 0.02)
+    assert _is_simulated(chunk, 0.02)
 
 
-def test_layers_are_counted_through_the_chapters(tower: bytes, machine: Machine) -> None:
+def test_layers_are_counted_through_the_chunks(tower: bytes, machine: Machine) -> None:
     whole = read_program(tower)
     of_line = dict(zip(whole.moves.line.tolist(), map(LayerLookup(whole, 0).of, range(len(whole.moves))), strict=True))
     for each in cut(tower, machine):
@@ -332,10 +330,10 @@ def test_layers_are_counted_through_the_chapters(tower: bytes, machine: Machine)
     assert max(of_line.values()) >= 3
 
 
-def test_s_curves_in_chapters_keep_the_time(tower: bytes, machine: Machine, small_parts: None) -> None:
+def test_s_curves_in_chunks_keep_the_time(tower: bytes, machine: Machine, small_parts: None) -> None:
     settings = settings_for(machine)
-    _, plain = text_of(tower, machine, settings=settings, predict=False)
-    text, smooth = text_of(tower, machine, settings=replace(settings, s_curve=True), predict=False)
-    assert smooth.summary.original_print_time_s == pytest.approx(plain.summary.original_print_time_s)
-    assert plain.summary.print_time_s < smooth.summary.print_time_s < 1.01 * plain.summary.print_time_s
+    _, plain = compensated(tower, machine, settings=settings, predict=False)
+    text, smooth = compensated(tower, machine, settings=replace(settings, s_curve=True), predict=False)
+    assert smooth.statistics.original_print_time_s == pytest.approx(plain.statistics.original_print_time_s)
+    assert plain.statistics.print_time_s < smooth.statistics.print_time_s < 1.01 * plain.statistics.print_time_s
     assert original(text) == tower

@@ -8,7 +8,6 @@ import pytest
 from ffcomp.compare.evaluation import Execution, contour
 from ffcomp.compare.methods import COMPENSATED, inversion
 from ffcomp.compare.sampling import Print, Sampling
-from ffcomp.compensate.job import Job
 from ffcomp.inverse import lq_preview as fast
 from ffcomp.inverse.model import GEOMETRY, InverseModel
 from ffcomp.inverse.settings import settings_for
@@ -16,6 +15,7 @@ from ffcomp.simulate.playback import simulate_nozzles
 from models.effects.catalogue import CATALOGUE, with_effect
 from models.file import load_machine
 from models.machine import Machine
+from tests.support.compensated import compensated, job
 from tests.support.prints import squares
 
 MACHINE = load_machine("mp-delta-pro")
@@ -77,14 +77,14 @@ def test_every_effect_is_compensated_or_belongs_elsewhere() -> None:
 
 def test_a_wrong_geometry_is_named_not_compensated() -> None:
     machine = with_effect(MACHINE, GEOMETRY, arm_length_mm=0.3)
-    job = Job(squares(1), "squares.gcode", machine, predict=False)
-    assert any(f"not compensated: {GEOMETRY}." in sentence for sentence in job.result()["warnings"])
+    _, result = compensated(squares(1), machine, predict=False)
+    assert any(f"not compensated: {GEOMETRY}." in sentence for sentence in result.warnings)
     both = with_effect(machine, "coulomb_friction", force_n=2.0)
     printer = InverseModel(both, settings_for(both)).printer
     assert printer is not None and set(printer.effects) == {"coulomb_friction"}
-    plain = Job(squares(1), "squares.gcode", MACHINE, predict=False)
-    assert plain.result()["warnings"] == [] and plain.inverter.machine is MACHINE
-    assert plain.inverter.printer is None
+    plain = job(squares(1), MACHINE, predict=False)
+    assert plain.write(None).warnings == [] and plain.model.machine is MACHINE
+    assert plain.model.printer is None
 
 
 def test_the_loop_never_makes_a_run_worse(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.compensate.job import Job
+from ffcomp.compensate.job import StepOutput
+from ffcomp.compensate.result import Result
 from ffcomp.compensate.step_output import BEFORE_S
 from ffcomp.errors import NothingToDo
 from ffcomp.planner.program import plan_program
@@ -16,6 +17,7 @@ from ffcomp.steps.sink import Board
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
+from tests.support.compensated import job
 from tests.support.prints import squares
 
 BOARD = Board(extruder_steps_per_mm=400.0)
@@ -26,10 +28,8 @@ def machine() -> Machine:
     return load_machine("mp-delta-pro")
 
 
-def written(machine: Machine, path: Path, plain: bool = False, error_s: float | None = None) -> Job:
-    job = Job(squares(1), "squares.gcode", machine)
-    job.write_steps(path, BOARD, error_s, plain)
-    return job
+def written(machine: Machine, path: Path, plain: bool = False, error_s: float | None = None) -> Result:
+    return job(squares(1), machine).write_steps(path, StepOutput(BOARD, error_s, plain))
 
 
 def level_at(steps: object, t: np.ndarray) -> np.ndarray:
@@ -39,12 +39,12 @@ def level_at(steps: object, t: np.ndarray) -> np.ndarray:
 
 def test_plain_steps_are_the_plan(machine: Machine, tmp_path: Path) -> None:
     target = tmp_path / "plain.npz"
-    job = written(machine, target, plain=True)
+    result = written(machine, target, plain=True)
     trajectory = plan_program(read_program(squares(1)), machine).trajectory
     t = np.linspace(0.0, trajectory.end_t, 4001)
     place = trajectory.position(np.minimum(t, np.nextafter(trajectory.end_t, 0)))
     motors = read_steps(target)
-    assert job.summary.original_print_time_s == pytest.approx(trajectory.end_t)
+    assert result.statistics.original_print_time_s == pytest.approx(trajectory.end_t)
     heights = machine.kinematics.inverse(place[:, :3])
     for i, name in enumerate("abc"):
         off = level_at(motors[name], BEFORE_S + t) - heights[:, i]
@@ -68,7 +68,7 @@ def test_compensated_steps_are_the_command(
 
     monkeypatch.setattr(stepping, "knot_pieces", watched)
     target = tmp_path / "steps.npz"
-    job = written(machine, target, error_s=error_s)
+    result = written(machine, target, error_s=error_s)
     motors = read_steps(target)
     fastest = 300.0  # mm/s, of a carriage: what an error in time can make of one in place
     for start_t, spacing_s, vertices, filament in seen:
@@ -80,8 +80,8 @@ def test_compensated_steps_are_the_command(
         # a step that turns back within 750 µs is left out, as Klipper does: then up to a step
         assert np.abs(level_at(motors["e"], t) - filament).max() < 1.01 / 400 + 60 * (error_s or 1e-7)
     ends = [start_t + spacing_s * (len(vertices) - 1) for start_t, spacing_s, vertices, _ in seen]
-    assert ends[-1] - BEFORE_S == pytest.approx(job.summary.print_time_s, abs=1e-9)
-    assert job.result()["predicted"]["compensated"]["contour_rms_um"] > 0
+    assert ends[-1] - BEFORE_S == pytest.approx(result.statistics.print_time_s, abs=1e-9)
+    assert result.to_dict()["predicted"]["compensated"]["contour_rms_um"] > 0
 
 
 def test_every_other_line_has_its_moment(machine: Machine, tmp_path: Path) -> None:
@@ -94,7 +94,7 @@ def test_every_other_line_has_its_moment(machine: Machine, tmp_path: Path) -> No
 
 
 def test_nothing_is_left_behind_by_a_print_that_cannot_be(machine: Machine, tmp_path: Path) -> None:
-    job = Job(b"G28\nM104 S200\n", "empty.gcode", machine)
+    empty = job(b"G28\nM104 S200\n", machine, "empty.gcode")
     with pytest.raises(NothingToDo):
-        job.write_steps(tmp_path / "steps.npz", BOARD)
+        empty.write_steps(tmp_path / "steps.npz", StepOutput(BOARD, None))
     assert list(tmp_path.iterdir()) == []

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter
 
 from ffcomp.compare import compensated as ours
-from ffcomp.compensate.file import Options, StepOutput, compensate_file
+from ffcomp.compensate.file import compensate_file
+from ffcomp.compensate.job import Options, StepOutput
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error

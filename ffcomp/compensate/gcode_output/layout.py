@@ -1,7 +1,7 @@
 """Where the lines of the original go out in a run: at their move's time, with the filament that had gone by then.
 
-A long run is laid out and written piece by piece. No segment is joined across a knot whose number is a multiple of CUT,
-and what is asked of the filament reaches no further than that: so pieces that end there say, with a little of what lies
+A long run is laid out and written tile by tile. No segment is joined across a knot whose number is a multiple of CUT,
+and what is asked of the filament reaches no further than that: so tiles that end there say, with a little of what lies
 around them in sight, what the whole run says.
 """
 
@@ -23,16 +23,16 @@ from gcode.program import Event, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 
 ROUNDING = 1e-9  # of a segment
-NEAR = 0.1  # of a segment: so near to a knot, a line goes out at the knot; shorter pieces cannot be played in time
+NEAR = 0.1  # of a segment: so near to a knot, a line goes out at the knot; shorter tiles cannot be played in time
 FLOWS_MM = 1e-6  # filament per segment from which on the exact place of a line matters
 STEEPEST = 0.1  # by which share the flow may be changed between two lines to meet both
 SPREAD = 10  # segments' worth of flow over which a difference of filament is spread
-AROUND = 2 * CUT  # knots on either side of a piece, until which one junction of a wipe leans on the next
-PIECE = 64 * CUT
+AROUND = 2 * CUT  # knots on either side of a tile, until which one junction of a wipe leans on the next
+TILE = 64 * CUT
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
+class Tile:
     """The part of a run that is written at one go: knots, all of them multiples of CUT or the run's ends.
 
     The context around it is not written, but decides how fast its ends are passed.
@@ -44,18 +44,18 @@ class Piece:
     last: int  # its context ends here
 
     @staticmethod
-    def whole(knots: int) -> Piece:
+    def whole(knots: int) -> Tile:
         """A run of so many segments at one go."""
-        return Piece(0, 0, knots, knots)
+        return Tile(0, 0, knots, knots)
 
 
-def pieces(knots: int, length: int = PIECE, begin: int = 0, end: int | None = None) -> list[Piece]:
-    """A run of so many segments, or what lies between two of its knots, in pieces of `length`, a multiple of CUT."""
+def tiles(knots: int, length: int = TILE, begin: int = 0, end: int | None = None) -> list[Tile]:
+    """A run of so many segments, or what lies between two of its knots, in tiles of `length`, a multiple of CUT."""
     if length % CUT:
-        raise ValueError(f"A piece of {length} segments would end between two cuts; its length must divide by {CUT}.")
+        raise ValueError(f"A tile of {length} segments would end between two cuts; its length must divide by {CUT}.")
     end = knots if end is None else end
     edges = [*range(begin, max(end, begin + 1), length), end]
-    return [Piece(max(a - AROUND, 0), a, b, min(b + AROUND, knots)) for a, b in pairwise(edges)]
+    return [Tile(max(a - AROUND, 0), a, b, min(b + AROUND, knots)) for a, b in pairwise(edges)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +65,8 @@ class Timeline:
     m points, k lines of the original in the file's order.
     """
 
-    piece: Piece
-    at: FloatArray  # (m,) in knots of the run, strictly rising from piece.first to piece.last
+    tile: Tile
+    at: FloatArray  # (m,) in knots of the run, strictly rising from tile.first to tile.last
     e: FloatArray  # (m,) mm of filament
     cut: BoolArray  # (m,) no segment is joined across it: a point with a line, every CUT-th knot, the end
     point: IntArray  # (k,) index into `at`: where the line goes out
@@ -92,7 +92,7 @@ def timeline(
     wanted: Reference,
     vertices: FloatArray,
     inside: list[Event],
-    piece: Piece | None = None,
+    tile: Tile | None = None,
 ) -> Timeline:
     """Lay the events inside a run, and its moves, on its knots.
 
@@ -101,20 +101,20 @@ def timeline(
 
     Parameters
     ----------
-    vertices : (n + 1, 3) mm, columns X Y Z, at the knots piece.first … piece.last
+    vertices : (n + 1, 3) mm, columns X Y Z, at the knots tile.first … tile.last
     inside : all events of the run, in the file's order
-    piece : what is laid out; by default the whole run
+    tile : what is laid out; by default the whole run
     """
-    piece = piece or Piece.whole(wanted.knots)
-    e = wanted.extrusion(piece.first, piece.last)
-    if piece.last == wanted.knots:
+    tile = tile or Tile.whole(wanted.knots)
+    e = wanted.extrusion(tile.first, tile.last)
+    if tile.last == wanted.knots:
         e[-1] = program.moves.end[run.last - 1, 3]
-    lines, among, at = _lines_of(program, trajectory, run, wanted, inside, piece)
-    laid = _Laid(*_lay_out(at, lines.event >= 0, e, vertices, piece.first))
-    laid.cut[np.searchsorted(laid.at, piece.end)] = True  # where a motion is cut that had to be slowed down
+    lines, among, at = _lines_of(program, trajectory, run, wanted, inside, tile)
+    laid = _Laid(*_lay_out(at, lines.event >= 0, e, vertices, tile.first))
+    laid.cut[np.searchsorted(laid.at, tile.end)] = True  # where a motion is cut that had to be slowed down
     _meet_the_events(laid, program, run, e, lines, among)
     lead_s = run.begin_t - wanted.t0
-    return Timeline(piece, laid.at, laid.e, laid.cut, laid.point, lines.line, lines.event, among, lead_s)
+    return Timeline(tile, laid.at, laid.e, laid.cut, laid.point, lines.line, lines.event, among, lead_s)
 
 
 class _Laid(NamedTuple):
@@ -128,18 +128,18 @@ class _Laid(NamedTuple):
 
 
 def _lines_of(
-    program: Program, trajectory: PlannedMotion, run: Section, wanted: Reference, inside: list[Event], piece: Piece
+    program: Program, trajectory: PlannedMotion, run: Section, wanted: Reference, inside: list[Event], tile: Tile
 ) -> tuple[_Lines, list[Event], FloatArray]:
-    """The original's lines whose time lies in a piece or its context, the events among them, and their times in knots.
+    """The original's lines whose time lies in a tile or its context, the events among them, and their times in knots.
 
     Before a run's first knot and after its last there may be lines too.
     """
     begun = trajectory.start_t[run.first : run.last]
     first, last = run.first, run.last
-    if piece.first > 0:
-        first += bisect_left(begun, float(piece.first), key=wanted.knot_of)
-    if piece.last < wanted.knots:
-        last = run.first + bisect_left(begun, float(piece.last), key=wanted.knot_of)
+    if tile.first > 0:
+        first += bisect_left(begun, float(tile.first), key=wanted.knot_of)
+    if tile.last < wanted.knots:
+        last = run.first + bisect_left(begun, float(tile.last), key=wanted.knot_of)
     own = program.moves.line[max(first - 1, run.first) : last]
     new = np.flatnonzero(own[1:] != own[:-1]) + 1  # the chords of an arc share a line
     if first == run.first:

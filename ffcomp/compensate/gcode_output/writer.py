@@ -58,7 +58,10 @@ class Writer:
         self.segments = 0
         self.now_s = 0.0  # since the program's beginning, as far as it is written
         self.begun, self.rest = False, 0.0  # whether the run has moved, and for how long it has not since, s
-        self.section = (0, 0.0)  # the line of its first move in the file, from 0; s from its first knot to its path
+        self.section_begin = (
+            0,
+            0.0,
+        )  # line of its first move in the file, from 0; s from knot 0 to its path
 
     # -- what is not a run
 
@@ -130,36 +133,36 @@ class Writer:
 
     # -- a run
 
-    def run(self, first: int, vertices: FloatArray, line_up: Timeline) -> Iterator[bytes]:
+    def section(self, first: int, vertices: FloatArray, timeline: Timeline) -> Iterator[bytes]:
         """The segments of one run, or of its next piece: many lines in one bytes object, times apart (`joined`).
 
         Parameters
         ----------
         first : the run's first move
         vertices : (n + 1, 3) mm, columns X Y Z, at the knots of the piece and its context
-        line_up : the points at which segments may end, and the original's lines between them
+        timeline : the points at which segments may end, and the original's lines between them
         """
-        if line_up.piece.begin == 0:
+        if timeline.tile.begin == 0:
             yield from self._begin(first)
             self.rest, self.begun = 0.0, False
-            self.section = (self.program.first_line + int(self.program.moves.line[first]), line_up.lead_s)
-        segments = self._segments(first, vertices, line_up)
-        lines = segments.lines(line_up)
+            self.section_begin = (self.program.first_line + int(self.program.moves.line[first]), timeline.lead_s)
+        segments = self._segments(first, vertices, timeline)
+        lines = segments.lines(timeline)
         text: list[bytes] = []
         since = 0
         for a, b in pairwise([0, *self._turns(lines), len(lines)]):
             until = lines[b][0] if b < len(lines) else len(segments.e)
-            text += self._stretch(segments.part(since, until), [(k - since, line) for k, line in lines[a:b]])
+            text += self._segments_and_lines(segments.part(since, until), [(k - since, line) for k, line in lines[a:b]])
             since = until
         yield from joined(text)
 
-    def _segments(self, first: int, vertices: FloatArray, line_up: Timeline) -> _Segments:
+    def _segments(self, first: int, vertices: FloatArray, timeline: Timeline) -> _Segments:
         """What is worth writing of a piece: all where the command bends, little where it runs straight and evenly."""
-        s, piece, at = self.settings, line_up.piece, line_up.at
+        s, piece, at = self.settings, timeline.tile, timeline.at
         frame = self.program.frames[int(self.program.moves.frame[first])]
         points = _stated(vertices, at, piece.first, frame.base, frame.unit_mm)
-        kept = merge(at, points, line_up.e, line_up.cut, 1e-3 * s.merge_um, s.longest_merged_s / s.segment_s)
-        at, points, e = at[kept], points[kept], line_up.e[kept]
+        kept = merge(at, points, timeline.e, timeline.cut, 1e-3 * s.merge_um, s.longest_merged_s / s.segment_s)
+        at, points, e = at[kept], points[kept], timeline.e[kept]
         lasting = (at[1:] - at[:-1]) * s.segment_s
         speeds = segment_speeds(points, e[1:] - e[:-1], lasting, s.output).cruise
         begin, end = at.searchsorted([piece.begin, piece.end]).tolist()
@@ -173,7 +176,7 @@ class Writer:
                 frame = line.frame
                 yield k
 
-    def _stretch(self, segments: _Segments, lines: list[tuple[int, _Line]]) -> list[bytes]:
+    def _segments_and_lines(self, segments: _Segments, lines: list[tuple[int, _Line]]) -> list[bytes]:
         """Segments with the lines between them, of which only the first may change how numbers are written."""
         passed = [self.now_s, *(self.now_s + np.cumsum(segments.lasting)).tolist()]
         before = bisect_right(lines, 0, key=itemgetter(0))
@@ -204,7 +207,7 @@ class Writer:
         ]
         if written and not self.begun:
             self.begun, first = True, int((ends > 0).argmax())
-            line, lead_s = self.section
+            line, lead_s = self.section_begin
             begun_s = since_s + float(lasting[:first].sum())
             added.insert(0, (first, section_time_line(line, begun_s - lead_s)))
         self.segments += written
@@ -294,14 +297,14 @@ class _Segments:
         s = slice(begin, end)
         return _Segments(self.begins[s], self.points[s], self.e[s], self.speeds[s], self.lasting[s])
 
-    def lines(self, line_up: Timeline) -> list[tuple[int, _Line]]:
+    def lines(self, timeline: Timeline) -> list[tuple[int, _Line]]:
         """The lines of the original that go out among them, each with the segment it stands before."""
-        piece, place = line_up.piece, line_up.at[line_up.point]
+        piece, place = timeline.tile, timeline.at[timeline.point]
         own = (place >= piece.begin) & ((place < piece.end) | (piece.end == piece.last))
-        before = np.searchsorted(self.begins, line_up.point[own])
-        columns = (before, line_up.line[own], line_up.event[own])
+        before = np.searchsorted(self.begins, timeline.point[own])
+        columns = (before, timeline.line[own], timeline.event[own])
         return [
-            (k, line_up.events[n] if n >= 0 else line)
+            (k, timeline.events[n] if n >= 0 else line)
             for k, line, n in zip(*(c.tolist() for c in columns), strict=True)
         ]
 

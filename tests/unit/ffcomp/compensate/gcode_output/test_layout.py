@@ -11,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ffcomp.compensate.gcode_output.layout import AROUND, Piece, pieces, timeline
+from ffcomp.compensate.gcode_output.layout import AROUND, Tile, tiles, timeline
 from ffcomp.compensate.gcode_output.writer import Writer
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import CUT, settings_for
@@ -57,10 +57,10 @@ def written(data: bytes, length: int) -> tuple[bytes, int]:
             continue
         wanted = Reference(planned.trajectory, run, writer.settings)
         command = smoothed(wanted.at_knots(np.arange(wanted.knots + 1)))
-        for piece in pieces(wanted.knots, length) if length else [Piece.whole(wanted.knots)]:
-            vertices = command[piece.first : piece.last + 1]
-            line_up = timeline(program, planned.trajectory, run, wanted, vertices, inside, piece)
-            text += writer.run(run.first, vertices, line_up)
+        for tile in tiles(wanted.knots, length) if length else [Tile.whole(wanted.knots)]:
+            vertices = command[tile.first : tile.last + 1]
+            events = timeline(program, planned.trajectory, run, wanted, vertices, inside, tile)
+            text += writer.section(run.first, vertices, events)
     for event in program.events[taken:]:
         text += writer.event(event)
     return b"".join([*text, *writer.close()]), writer.segments
@@ -145,7 +145,7 @@ def test_a_rest_across_a_cut_is_one_rest() -> None:
 
 @pytest.mark.parametrize("knots", [1, CUT - 1, CUT, CUT + 1, 5 * CUT, 5 * CUT + 7])
 def test_pieces_cover_a_run_once(knots: int) -> None:
-    cut = pieces(knots, 2 * CUT)
+    cut = tiles(knots, 2 * CUT)
     assert cut[0].first == cut[0].begin == 0 and cut[-1].end == cut[-1].last == knots
     assert all(a.end == b.begin for a, b in pairwise(cut))
     assert all(p.begin < p.end for p in cut)
@@ -154,4 +154,4 @@ def test_pieces_cover_a_run_once(knots: int) -> None:
 
 def test_pieces_that_would_end_between_cuts_are_refused() -> None:
     with pytest.raises(ValueError, match=f"must divide by {CUT}"):
-        pieces(1000, CUT + 1)
+        tiles(1000, CUT + 1)

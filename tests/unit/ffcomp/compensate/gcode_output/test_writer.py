@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import re
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ffcomp.compensate.job import Job
-from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.machine_limits import planner_limits
@@ -22,6 +21,7 @@ from gcode.program import Program
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
+from tests.support.compensated import compensated as anywhere
 
 MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*[0-3](?!\d)", re.IGNORECASE)
 
@@ -31,14 +31,8 @@ def machine() -> Machine:
     return load_machine("mp-delta-pro")
 
 
-@cache
-def inverter() -> InverseModel:
-    return InverseModel(machine(), settings_for(machine()))
-
-
-def compensated(data: bytes, **options: object) -> bytes:
-    job = Job(data, "print.gcode", machine(), predict=False, inverter=inverter(), **options)  # type: ignore[arg-type]
-    return b"".join(job.lines())
+def compensated(data: bytes, **options: Any) -> bytes:
+    return anywhere(data, machine(), predict=False, **options)[0]
 
 
 def others(data: bytes) -> list[bytes]:
@@ -139,15 +133,15 @@ def test_filament_is_exact_between_any_two_lines_of_a_spiral() -> None:
 
 
 def test_the_file_lasts_as_long_as_it_should() -> None:
-    """Planned as a firmware plans it, every segment takes its time: the sum is what the summary says."""
+    """Planned as a firmware plans it, every segment takes its time: the sum is what the statistics say."""
     data = START + b"".join(b"G1 X%d Y%d E.4 F9000\n" % (20 * np.cos(k) + k / 3, 20 * np.sin(k)) for k in range(40))
-    job = Job(data, "x", machine(), predict=False, inverter=inverter())
-    program = read_program(b"".join(job.lines()))
+    text, result = anywhere(data, machine(), predict=False)
+    program = read_program(text)
     stop_before, wait_before = stops_and_waits(program)
     plan = plan_moves(program.moves, planner_limits(machine()), stop_before=stop_before, wait_before=wait_before)
     lead_and_tail = 0.012  # rests at a run's ends are not written
     runs = len(plan_program(read_program(data), machine()).runs)
-    assert plan.end_t == pytest.approx(job.summary.print_time_s, abs=lead_and_tail * runs)
+    assert plan.end_t == pytest.approx(result.statistics.print_time_s, abs=lead_and_tail * runs)
 
 
 def test_a_stop_comes_to_rest_on_the_path_and_the_limits_are_back() -> None:
@@ -198,11 +192,11 @@ def test_a_wipe_costs_no_time() -> None:
     """Filament pulled back while moving: firmwares hold its acceleration down, so it must flow evenly."""
     wipe = b"G1 X%d Y20 E1 F9000\nG1 X%d Y16 E-.8\nG1 E-1 F2400\nG1 X%d Y18 F9000\nG1 E1.8 F2400\n"
     data = START + b"".join(wipe % (k, k, k + 1) for k in range(10, 20))
-    job = Job(data, "x", machine(), predict=False, inverter=inverter())
-    program = read_program(b"".join(job.lines()), flavor=job.flavor)
+    text, result = anywhere(data, machine(), predict=False)
+    program = read_program(text, flavor=result.flavor)
     stop_before, wait_before = stops_and_waits(program)
     plan = plan_moves(program.moves, planner_limits(machine()), stop_before=stop_before, wait_before=wait_before)
-    assert plan.end_t == pytest.approx(job.summary.print_time_s, rel=0.015)  # 9 % when it follows the clock
+    assert plan.end_t == pytest.approx(result.statistics.print_time_s, rel=0.015)  # 9 % when it follows the clock
     falls = program.moves.end[:, 3] < program.moves.start[:, 3]
     moving = np.abs(program.moves.end[:, :3] - program.moves.start[:, :3]).max(axis=1) > 0
     pulled = (program.moves.end[:, 3] - program.moves.start[:, 3])[falls & moving]

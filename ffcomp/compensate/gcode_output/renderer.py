@@ -1,0 +1,69 @@
+"""Render a chunk's solved sections as G-code."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ffcomp.compensate.gcode_output.layout import tiles, timeline
+from ffcomp.compensate.gcode_output.writer import Writer
+from ffcomp.compensate.plan import Context, PlannedChunk
+from ffcomp.compensate.solve import SolvedSection, keep_inside
+from ffcomp.planner.sections import Section
+from gcode.limits import MotionLimits
+from gcode.program import EventQueue
+from models.machine import Machine
+
+
+class GcodeRenderer:
+    """Lines of the compensated file, of one chunk; see `compensate.program.Renderer`."""
+
+    def __init__(self, chunk: PlannedChunk, context: Context) -> None:
+        self._planned, self._extent, self._kinematics = chunk.planned, chunk.chunk.extent, context.machine.kinematics
+        program, settings = chunk.planned.program, context.settings
+        own = _own_limits(context.machine)
+        self._writer = Writer(program, context.flavor, own, settings, context.offset, chunk.chunk.limits)
+        self._events = EventQueue(program.events)
+
+    @property
+    def segments(self) -> int:
+        """How many segments have been written."""
+        return self._writer.segments
+
+    def before(self, section: Section) -> Iterator[bytes]:
+        """Write the lines before a section."""
+        yield from self._events_before(section.first)
+
+    def extrude(self, section: Section) -> Iterator[bytes]:
+        """Write a section in which only the extruder moves."""
+        yield from self._writer.extrude(section.first)
+        self._writer.now_s += section.end_t - section.begin_t
+
+    def section(self, section: Section, solved: SolvedSection) -> Iterator[bytes]:
+        """Write the segments of a section, tile by tile, and the lines in it."""
+        planned, reference, (begin, end) = self._planned, solved.wanted, solved.knots
+        heights = planned.program.moves.end[section.first : section.last, 2]
+        vertices = keep_inside(self._kinematics, solved.result.vertices, heights)
+        inside = self._events.up_to(section.last - 1)
+        if self._extent.begin is not None and section is planned.runs[0]:
+            position = [*vertices[begin].tolist(), float(reference.extrusion(begin, begin)[0])]
+            self._writer.resume(self._extent.begin.move, position)
+        for tile in tiles(reference.knots, begin=begin, end=end):
+            part = vertices[tile.first : tile.last + 1]
+            events = timeline(planned.program, solved.trajectory, solved.run, reference, part, inside, tile)
+            yield from self._writer.section(section.first, part, events)
+
+    def finish(self) -> Iterator[bytes]:
+        """Write the lines after the last section, and restore the file's limits."""
+        if self._extent.end is None:
+            yield from self._events_before(len(self._planned.program.moves))
+            yield from self._writer.close()
+
+    def _events_before(self, move: int) -> Iterator[bytes]:
+        for event in self._events.up_to(move):
+            yield from self._writer.event(event)
+
+
+def _own_limits(machine: Machine) -> MotionLimits:
+    """Return what is put back where the file itself has set nothing."""
+    own = machine.limits
+    return MotionLimits(own.velocity_mm_per_s, own.acceleration_mm_per_s2, own.square_corner_velocity_mm_per_s, 0.5)

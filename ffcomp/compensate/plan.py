@@ -1,0 +1,86 @@
+"""Plan a chunk as the firmware will, and find in which state the printer begins it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import ceil
+
+from ffcomp.compensate.chunks import Chunk
+from ffcomp.compensate.solve import solutions
+from ffcomp.compensate.statistics import Statistics, of_plan
+from ffcomp.inverse.extent import WHOLE
+from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.settings import Settings
+from ffcomp.planner.program import PlannedProgram, plan_program
+from models.arrays import FloatArray
+from models.machine import Machine
+
+S_CURVE_LONGEST_S = 900.0  # of motion without a rest that is planned with S-curves
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """What is the same for every chunk of a file."""
+
+    machine: Machine
+    settings: Settings
+    flavor: str
+    offset: tuple[float, float] = (0.0, 0.0)  # mm, by which the program's positions were shifted when they were read
+    share: float = 0.0  # of the print that is simulated for the prediction, 0 to 1
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedChunk:
+    """A chunk with the firmware's plan for it."""
+
+    chunk: Chunk
+    planned: PlannedProgram
+    state: FloatArray | None = None  # (18,) of the plant as the chunk begins; None: at rest
+    simulated: bool = False  # whether some of it is, for the prediction
+    statistics: Statistics = field(default_factory=Statistics)  # what it takes by its plan
+
+    @staticmethod
+    def whole(planned: PlannedProgram) -> PlannedChunk:
+        """Take a planned program as one chunk."""
+        return PlannedChunk(Chunk(planned.program), planned, statistics=of_plan(planned, WHOLE))
+
+
+def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedChunk:
+    """Plan a chunk, and solve the moves before it of which the printer may still ring."""
+    machine, s_curve, offset = context.machine, context.settings.s_curve, context.offset
+    smooth = s_curve and chunk.extent == WHOLE
+    planned = plan_program(chunk.program, machine, offset, smooth)
+    state = None
+    if chunk.before is not None:
+        past = plan_program(chunk.before, machine, offset, s_curve)
+        for solved in solutions(past, machine, model, None, lambda reference: False):
+            state = solved.result.state
+    lost_s, waits_s = sum(each.seconds for each in chunk.slowed), 0.0
+    warnings = list(chunk.program.warnings)
+    if smooth < s_curve and chunk.extent.begin is None:
+        warnings.append(_not_smooth(chunk))
+    if chunk.extent.end is None:
+        moves = len(chunk.program.moves)
+        waits_s = sum(event.dwell_s for event in chunk.program.events if event.move == moves)
+    own = Statistics(
+        original_print_time_s=waits_s - lost_s,
+        print_time_s=waits_s,
+        warnings=tuple(warnings),
+        slowed=chunk.slowed,
+    )
+    return PlannedChunk(
+        chunk, planned, state, _is_simulated(chunk, context.share), own + of_plan(planned, chunk.extent)
+    )
+
+
+def _is_simulated(chunk: Chunk, share: float) -> bool:
+    """Tell whether some of it is. Of a motion in several chunks, only as many of them as are a share of it."""
+    if chunk.extent == WHOLE:
+        return share > 0.0
+    return ceil(share * (chunk.cuts + 1)) > ceil(share * chunk.cuts)
+
+
+def _not_smooth(chunk: Chunk) -> str:
+    line = chunk.program.first_line + int(chunk.program.moves.line[0]) + 1
+    longest = f"{S_CURVE_LONGEST_S / 60:g} minutes"
+    return f"line {line}: the motion that begins here does not rest for {longest}; it is planned without S-curves."

@@ -1,0 +1,22 @@
+"""Compensate a print in memory."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ffcomp.compensate.options import Options
+
+from ffcomp.compensate.job import Job
+from ffcomp.compensate.result import Result
+from models.machine import Machine
+
+
+def job(data: bytes, machine: Machine, path: str = "print.gcode", *, jobs: int = 1, **options: Any) -> Job:
+    """A request with these options."""
+    return Job(data, path, machine, Options(**options), jobs=jobs)
+
+
+def compensated(data: bytes, machine: Machine, path: str = "print.gcode", **options: Any) -> tuple[bytes, Result]:
+    """The compensated print, and the result."""
+    lines = job(data, machine, path, **options).lines()
+    return b"".join(lines), lines.value
