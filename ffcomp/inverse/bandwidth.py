@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ffcomp.planner.trajectory import Trajectory
 from models.arrays import FloatArray
 from models.machine import Machine
 from models.vibration.receptance import nozzle_frf
@@ -45,11 +46,12 @@ class EffortCurve:
 
     @property
     def knee_hz(self) -> float:
+        """The bandwidth at the knee, Hz."""
         return float(self.bandwidth_hz[self.knee])
 
 
 def effort_weight(machine: Machine, bandwidth_hz: float, segment_s: float, rows: int = 1) -> float:
-    """ρ for which accuracy and effort weigh alike at the bandwidth: ρ |D²(ω)|² = mean |G(ω)|² at the centre."""
+    """Return ρ for which accuracy and effort weigh alike at the bandwidth: ρ |D²(ω)|² = mean |G(ω)|² at the centre."""
     g = nozzle_frf(machine, np.zeros(2), np.array([bandwidth_hz]))[0]
     hat = np.sinc(bandwidth_hz * segment_s) ** 2  # the hats' own spectrum
     second_difference = (2 * np.sin(np.pi * bandwidth_hz * segment_s)) ** 2
@@ -58,7 +60,7 @@ def effort_weight(machine: Machine, bandwidth_hz: float, segment_s: float, rows:
 
 
 def effort_curve(machine: Machine, segment_s: float) -> EffortCurve:
-    """The curve of one machine, for segments of so many s."""
+    """Compute the curve of one machine, for segments of `segment_s` seconds."""
     f: FloatArray = np.fft.rfftfreq(KNOTS, segment_s).astype(np.float64)
     wanted = np.fft.rfft(_square(machine, segment_s), axis=0)
     bend = -((2 * np.sin(np.pi * f * segment_s)) ** 2)
@@ -70,7 +72,7 @@ def effort_curve(machine: Machine, segment_s: float) -> EffortCurve:
     bandwidths = np.geomspace(LOWEST_HZ, HIGHEST / segment_s, max(count, 2))
 
     def acceleration(spectrum: NDArray[np.complex128]) -> float:
-        """The peak of the carriages' acceleration under nozzle commands (places, lines, 3)."""
+        """Return the peak of the carriages' acceleration under nozzle commands (places, lines, 3)."""
         second = np.fft.irfft(bend[:, None] * spectrum, axis=1) / segment_s**2
         return float(np.abs(np.einsum("pij,ptj->pti", to_carriages, second)).max())
 
@@ -88,15 +90,17 @@ def effort_curve(machine: Machine, segment_s: float) -> EffortCurve:
 
 
 def _square(machine: Machine, segment_s: float) -> FloatArray:
-    """The nozzle on a square, (KNOTS, 3) mm at the knots, its corners passed as fast as the firmware lets them pass."""
+    """Return the nozzle's path round a square at the firmware's corner speed, (KNOTS, 3) mm at the knots."""
     a = min(machine.limits.acceleration_mm_per_s2, ACCELERATION_MM_PER_S2)
     corner = machine.limits.square_corner_velocity_mm_per_s
     speed = min(SPEED_MM_PER_S, machine.limits.velocity_mm_per_s, float(np.sqrt(corner**2 + 0.8 * a * SIDE_MM)))
     ramp = (speed - corner) / a
     cruise = (SIDE_MM - (corner + speed) * ramp) / speed
     side = 2 * ramp + cruise
-    t = segment_s * np.arange(KNOTS, dtype=np.float64)[:, None] - 0.1 - side * np.arange(4)  # since each side began
-    up, down = np.clip(t, 0, ramp), np.clip(t - ramp - cruise, 0, ramp)
-    gone = corner * up + 0.5 * a * up**2 + speed * np.clip(t - ramp, 0, cruise) + speed * down - 0.5 * a * down**2
-    corners = SIDE_MM * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-    return np.asarray(gone / SIDE_MM @ corners)
+    corners = SIDE_MM * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    origin, direction = np.zeros((4, 4)), np.zeros((4, 4))
+    origin[:, :2], direction[:, :2] = corners, np.diff(corners, axis=0, append=corners[:1]) / SIDE_MM
+    begin_t = 0.1 + side * np.arange(4, dtype=np.float64)
+    ramps, cruises, corner_v, cruise_v, acceleration = (np.full(4, each) for each in (ramp, cruise, corner, speed, a))
+    plan = Trajectory(begin_t, ramps, cruises, ramps, corner_v, cruise_v, corner_v, acceleration, origin, direction)
+    return plan.position(segment_s * np.arange(KNOTS, dtype=np.float64))[:, :3]

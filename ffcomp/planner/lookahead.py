@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from ffcomp.planner.corner import corner_ratios
 from ffcomp.planner.limits import Bounds, Lines, PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.trajectory import Trajectory
 from gcode.errors import GcodeError
@@ -182,16 +183,10 @@ def _corners(
 
 @njit(nogil=True)
 def _turn(ahead: FloatArray, behind: FloatArray, deviation_gain: float, gain: float) -> float:
-    """Highest v² by the angle theta between two moves; infinite where the path goes straight on.
-
-    A circle replaces the corner. Its radius is s/(1 - s) of its distance from the corner, s = sin(theta/2), and
-    tan(theta/2) of the distance from the corner to where it touches the moves, which stays within half of either.
-    """
-    along = ahead[0] * behind[0] + ahead[1] * behind[1] + ahead[2] * behind[2]
-    sine = np.sqrt(max(0.5 * (1.0 + along), 0.0))
-    cosine = np.sqrt(max(0.5 * (1.0 - along), 0.0))
-    if sine < 1.0 and cosine > 0.0:
-        return min(sine / (1.0 - sine) * deviation_gain, sine / cosine * (0.25 * gain))
+    """Return the highest v² by the angle between two moves; infinite where the path goes straight on."""
+    by_deviation, by_circle = corner_ratios(ahead[0] * behind[0] + ahead[1] * behind[1] + ahead[2] * behind[2])
+    if by_deviation < np.inf:
+        return min(by_deviation * deviation_gain, by_circle * (0.25 * gain))
     return np.inf
 
 

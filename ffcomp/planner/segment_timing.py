@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from ffcomp.planner.corner import corner_ratios
 from models.arrays import BoolArray, FloatArray, IntArray
 
 SWEEPS = 12  # at most, of the fixed point between neighbouring speeds; it contracts by about Δv/(a S), 0.1 or less
@@ -157,13 +158,11 @@ def _junction_limits(
         if d[k] <= 1e-9 or d[k - 1] <= 1e-9:
             continue
         dot = unit[k, 0] * unit[k - 1, 0] + unit[k, 1] * unit[k - 1, 1] + unit[k, 2] * unit[k - 1, 2]
-        sine = np.sqrt(max(0.5 * (1.0 + dot), 0.0))  # of half the angle between the two segments
-        cosine = np.sqrt(max(0.5 * (1.0 - dot), 0.0))
+        by_deviation, by_circle = corner_ratios(dot)
         v2 = 1e12
-        if sine < 1.0 and cosine > 0.0:
-            by_deviation = sine / (1.0 - sine) * deviation * min(a[k], a[k - 1])
-            by_circle = 0.5 * sine / cosine * min(d[k] * a[k], d[k - 1] * a[k - 1])
-            v2 = min(by_deviation, by_circle)
+        if by_deviation < np.inf:
+            smallest = min(d[k] * a[k], d[k - 1] * a[k - 1])
+            v2 = min(by_deviation * deviation * min(a[k], a[k - 1]), 0.5 * by_circle * smallest)
         jump = abs(ratio[k] - ratio[k - 1])
         if jump > 0.0 and (ratio[k] != 0.0 or ratio[k - 1] != 0.0):
             v2 = min(v2, (extruder_corner_v / jump) ** 2)
