@@ -39,71 +39,81 @@ class Per(StrEnum):
 MOST_LINES = 100_000  # of one response: more is a slip of the finger
 
 
+At = Annotated[
+    list[str] | None,
+    typer.Option(metavar="X,Y", rich_help_panel=MACHINE, help="Position on the bed, mm. May be repeated."),
+]
+Output = Annotated[
+    Of | None,
+    typer.Option(
+        metavar="OUTPUT",
+        rich_help_panel=MACHINE,
+        help="Output: carriage (default), nozzle, acceleration (of the nozzle), carriage-alone (sub-model 1, "
+        "without the effector) or effector-alone (sub-model 2, force on the free effector).",
+    ),
+]
+Input = Annotated[
+    Per | None,
+    typer.Option(metavar="INPUT", rich_help_panel=MACHINE, help="Input: carriage or nozzle. Default: as --of."),
+]
+Measured = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="FILE",
+        rich_help_panel=MACHINE,
+        help="Measured responses (CSV, UFF) to compare with. May be repeated.",
+    ),
+]
+AddedMass = Annotated[
+    list[float] | None,
+    typer.Option(
+        metavar="KG", rich_help_panel=MACHINE, min=0.0, help="Mass added to --of carriage-alone. May be repeated."
+    ),
+]
+WithArms = Annotated[
+    bool,
+    typer.Option(
+        "--with-arms", rich_help_panel=MACHINE, help="Add the lower halves of the arms to --of effector-alone."
+    ),
+]
+Lowest = Annotated[
+    float | None,
+    typer.Option(metavar="HZ", rich_help_panel=ADVANCED, min=0.0, help="Lowest frequency. Default: one step."),
+]
+Highest = Annotated[float, typer.Option(metavar="HZ", rich_help_panel=ADVANCED, min=1.0, help="Highest frequency.")]
+Step = Annotated[float, typer.Option(metavar="HZ", rich_help_panel=ADVANCED, min=0.01, help="Frequency step.")]
+Full = Annotated[
+    bool, typer.Option("--full", rich_help_panel=OUTPUT, help="Draw all nine responses, not only the diagonal.")
+]
+BedMap = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--map",
+        metavar="FILE",
+        rich_help_panel=OUTPUT,
+        help="Draw each mode over the bed: .png, .svg, .pdf; .json: its numbers.",
+    ),
+]
+AcceptedJson = Annotated[
+    bool, typer.Option("--json", rich_help_panel=OUTPUT, help="Accepted; the output is JSON in any case.")
+]
+
+
 def frf(
     machine: MachineName,
-    at: Annotated[
-        list[str] | None,
-        typer.Option(metavar="X,Y", rich_help_panel=MACHINE, help="Position on the bed, mm. May be repeated."),
-    ] = None,
-    of: Annotated[
-        Of | None,
-        typer.Option(
-            metavar="OUTPUT",
-            rich_help_panel=MACHINE,
-            help="Output: carriage (default), nozzle, acceleration (of the nozzle), carriage-alone (sub-model 1, "
-            "without the effector) or effector-alone (sub-model 2, force on the free effector).",
-        ),
-    ] = None,
-    per: Annotated[
-        Per | None,
-        typer.Option(metavar="INPUT", rich_help_panel=MACHINE, help="Input: carriage or nozzle. Default: as --of."),
-    ] = None,
-    measured: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="FILE",
-            rich_help_panel=MACHINE,
-            help="Measured responses (CSV, UFF) to compare with. May be repeated.",
-        ),
-    ] = None,
-    added_mass_kg: Annotated[
-        list[float] | None,
-        typer.Option(
-            metavar="KG", rich_help_panel=MACHINE, min=0.0, help="Mass added to --of carriage-alone. May be repeated."
-        ),
-    ] = None,
-    with_arms: Annotated[
-        bool,
-        typer.Option(
-            "--with-arms", rich_help_panel=MACHINE, help="Add the lower halves of the arms to --of effector-alone."
-        ),
-    ] = False,
-    lowest_hz: Annotated[
-        float | None,
-        typer.Option(metavar="HZ", rich_help_panel=ADVANCED, min=0.0, help="Lowest frequency. Default: one step."),
-    ] = None,
-    highest_hz: Annotated[
-        float, typer.Option(metavar="HZ", rich_help_panel=ADVANCED, min=1.0, help="Highest frequency.")
-    ] = 200.0,
-    step_hz: Annotated[
-        float, typer.Option(metavar="HZ", rich_help_panel=ADVANCED, min=0.01, help="Frequency step.")
-    ] = 0.5,
+    at: At = None,
+    of: Output = None,
+    per: Input = None,
+    measured: Measured = None,
+    added_mass_kg: AddedMass = None,
+    with_arms: WithArms = False,
+    lowest_hz: Lowest = None,
+    highest_hz: Highest = 200.0,
+    step_hz: Step = 0.5,
     figure: Figure = None,
-    full: Annotated[
-        bool, typer.Option("--full", rich_help_panel=OUTPUT, help="Draw all nine responses, not only the diagonal.")
-    ] = False,
-    bed_map: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--map",
-            metavar="FILE",
-            rich_help_panel=OUTPUT,
-            help="Draw each mode over the bed: .png, .svg, .pdf; .json: its numbers.",
-        ),
-    ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", rich_help_panel=OUTPUT, help="Accepted; the output is JSON in any case.")
-    ] = False,
+    full: Full = False,
+    bed_map: BedMap = None,
+    as_json: AcceptedJson = False,
 ) -> None:
     """Compute the machine's frequency responses anywhere on the bed.
 
