@@ -28,6 +28,7 @@ import subprocess
 import sys
 import tarfile
 import tempfile
+import tokenize
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -87,6 +88,7 @@ MACHINE_NAMES = ("machine", "plant", "loaded")
 """Variables and attributes that hold a machine: their `.delta` asks for one kind."""
 
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
+DOCUMENTED = (*FUNCTIONS, ast.ClassDef, ast.Module)
 BODIES = (*FUNCTIONS, ast.Lambda)  # what is imported inside is imported when they are called
 ASSIGNMENTS = (ast.Assign, ast.AnnAssign)
 ASKING = (ast.expr, ast.pattern, ast.keyword)
@@ -133,6 +135,27 @@ class Module:
         """List the nodes of the tree."""
         return _nodes(self.tree)
 
+    @cached_property
+    def code_lines(self) -> frozenset[int]:
+        """Return the numbers of the lines that hold code: no comment, no docstring, not blank."""
+        told = {
+            line
+            for here in self.nodes
+            if isinstance(here.node, DOCUMENTED) and (text := _docstring(here.node)) is not None
+            for line in range(text.lineno, (text.end_lineno or text.lineno) + 1)
+        }
+        skipped = (
+            tokenize.COMMENT,
+            tokenize.NL,
+            tokenize.NEWLINE,
+            tokenize.INDENT,
+            tokenize.DEDENT,
+            tokenize.ENDMARKER,
+        )
+        tokens = tokenize.generate_tokens(io.StringIO(self.text).readline)
+        held = {n for each in tokens if each.type not in skipped for n in range(each.start[0], each.end[0] + 1)}
+        return frozenset(held - told)
+
     @property
     def is_init(self) -> bool:
         """Tell whether this is the `__init__` of a package."""
@@ -146,11 +169,23 @@ class Module:
 
 @dataclass(frozen=True)
 class Function:
-    """One function or method and its length in lines, from `def` to the last line."""
+    """One function or method and its lines of code, from `def` to the last line, without its docstring."""
 
     name: str
     path: str
     lines: int
+
+
+def _docstring(node: ast.AST) -> ast.expr | None:
+    """Return the expression that is the docstring of a module, class or function."""
+    body = getattr(node, "body", [])
+    first = body[0].value if body and isinstance(body[0], ast.Expr) else None
+    return first if isinstance(first, ast.Constant) and isinstance(first.value, str) else None
+
+
+def _code_in(module: Module, node: ast.stmt) -> int:
+    """Count the lines of code of a definition."""
+    return sum(n in module.code_lines for n in range(node.lineno, (node.end_lineno or node.lineno) + 1))
 
 
 class Checkout:
@@ -243,7 +278,7 @@ class Checkout:
     def functions(self) -> list[Function]:
         """List all functions and methods of the product."""
         return [
-            Function(here.node.name, m.path, (here.node.end_lineno or here.node.lineno) - here.node.lineno + 1)
+            Function(here.node.name, m.path, _code_in(m, here.node))
             for m in self.product
             for here in m.nodes
             if isinstance(here.node, FUNCTIONS)
@@ -338,9 +373,10 @@ class Checkout:
             ("Forbidden imports", f"{len(self.forbidden)}"),
             ("Python files of product", f"{len(self.product)}"),
             ("Lines of product", f"{sum(m.lines for m in self.product):,}"),
+            ("Lines of code: no comment, no docstring, not blank", f"{sum(len(m.code_lines) for m in self.product):,}"),
             ("Functions", f"{len(lengths):,}"),
-            ("Lines of a function, median", f"{statistics.median(lengths):g}"),
-            ("Lines of a function, nine of ten within", f"{lengths[math.ceil(0.9 * len(lengths)) - 1]}"),
+            ("Lines of code of a function, median", f"{statistics.median(lengths):g}"),
+            ("Lines of code of a function, nine of ten within", f"{lengths[math.ceil(0.9 * len(lengths)) - 1]}"),
             ("Longest function", f"{longest.lines} ({longest.path}: {longest.name})"),
             ("Largest file", f"{largest.lines} ({largest.path})"),
             ("Public names defined twice or more", f"{len(self.named_twice)}"),
