@@ -207,7 +207,7 @@ def test_a_spoilt_run_is_refused_in_words(refusal: Callable[..., str], sheet: Sh
         (b"t_s,cmd_A_mm,cmd_B_mm,cmd_C_mm,acc_A_m_per_s2\n", "There are no rows after the header line."),
         (bytes(range(256)) * 50, "Byte 128 is not UTF-8: the file is not a text file. Save it as CSV"),
         ("# Name: Jörg\nt_s\n0\n".encode("latin-1"), "Byte 9 is not UTF-8"),
-        (b"#time,accel_x,accel_y,accel_z\n0.1,12,3,9811\n", "It is an accelerometer's capture, and does not say what"),
+        (b"#time,accel_x,accel_y,accel_z\n0.1,12,3,9811\n", "It is an accelerometer's capture without a command"),
         (
             b"freq,psd_x,psd_y\n1,2,3\n",
             "The first line, 'freq,psd_x,psd_y', names no column of a recording; a recording has t_s",

@@ -441,7 +441,7 @@ def test_coarse_microsteps_are_warned_of(tmp_path: Path) -> None:
     [
         (["--highest-hz", "400"], 6, "enough for 225 Hz"),
         (["--amplitude-mm-per-s2", "90000"], 6, "would fit"),
-        (["--kind", "noise"], 2, "multisine, sweep, log-sweep"),
+        (["--kind", "noise"], 2, "multisine, sweep or log-sweep"),
         (["--axes", "q"], 2, "towers, xyz, all"),
         (["--flavor", "grbl"], 2, "klipper, marlin"),
         (["--at", "1;2"], 2, "two numbers"),

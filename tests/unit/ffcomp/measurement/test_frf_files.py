@@ -117,8 +117,8 @@ def test_universal_files_in_millimetres(tmp_path: Path) -> None:
     ("changes", "words"),
     [
         ({"func_type": 1}, "no frequency response"),
-        ({"ordinate_spec_data_type": 0}, "Data set 1: its output cannot be told from its direction and data type 0"),
-        ({"ref_dir": 5}, "Data set 1: its input cannot be told"),
+        ({"ordinate_spec_data_type": 0}, "Data set 1: its output cannot be derived from its direction and data type 0"),
+        ({"ref_dir": 5}, "Data set 1: its input cannot be derived"),
         ({"ordinate_axis_units_lab": "furlong"}, "Data set 1: unit 'furlong' is unknown"),
         ({"x": FREQUENCY[:5], "data": response().value[:5]}, "There are 5 lines above 0 Hz; at least 10"),
     ],
