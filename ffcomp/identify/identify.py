@@ -61,8 +61,11 @@ def identify(
         As `fit_machine`.
     """
     commanded = any(r.input.startswith("cmd_") for r in responses)
-    fit = _with_drive if commanded else _without_command
-    fitted = fit(start, responses, known, progress)
+    fitted = (
+        _with_drive(start, responses, known, progress)
+        if commanded
+        else fit_machine(start, responses, known, progress=progress)
+    )
     kept = tuple(name for name, share in fitted.prior_share.items() if share > UNDETERMINED)
     restored = _with_old(fitted, start, kept)
     advice = [*_other_force_map(fitted, known, progress), *_advice(restored, kept)]
@@ -105,15 +108,6 @@ def _with_drive(
     values = {name: e.value for name, e in fitted.estimates.items() if name not in (*DRIVE, TOTAL_MASS)}
     ideal = fit_machine(start, responses, known, starts=[values, {}], progress=progress)
     return fitted if fitted.bic < ideal.bic - DRIVE_COSTS else ideal
-
-
-def _without_command(
-    start: Machine,
-    responses: Sequence[FrequencyResponse],
-    known: Mapping[str, tuple[float, float]] | None,
-    progress: Callable[[str], None],
-) -> Fitted:
-    return fit_machine(start, responses, known, progress=progress)
 
 
 def _with_old(fitted: Fitted, start: Machine, kept: Sequence[str]) -> Fitted:
