@@ -77,18 +77,18 @@ def our_rows(original: judge.Original, plan: judge.Answer, none: judge.Score) ->
     ours = judge.compensated(original)
     own = judge.segments(original, ours)
     answer = judge.answer(original, segments_motion(own))
-    yield row("**ours**", judge.score(original, answer), none, own.trajectory, original.trajectory)
+    yield row("**ffcomp**", judge.score(original, answer), none, own.trajectory, original.trajectory)
     far = np.hypot(*plan.wanted[:, :2].T).max() >= FAR_MM
     if os.environ.get("KALICO_PYTHON"):
         before = judge.original_through_kalico(original)
         after = judge.ours_through_kalico(original, ours, own)
         yield row("none, through Kalico", judge.judge(original, before.motion), none)
         score = judge.judge(original, after.motion)
-        yield row("**ours**, through Kalico", score, none, after.trajectory, before.trajectory)
+        yield row("**ffcomp**, through Kalico", score, none, after.trajectory, before.trajectory)
     if far:
         there = judge.score(original, plan, FAR_MM)
         yield row(f"none, beyond {FAR_MM:g} mm", there, there)
-        yield row(f"**ours**, beyond {FAR_MM:g} mm", judge.score(original, answer, FAR_MM), there)
+        yield row(f"**ffcomp**, beyond {FAR_MM:g} mm", judge.score(original, answer, FAR_MM), there)
 
 
 def row(

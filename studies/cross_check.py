@@ -57,7 +57,10 @@ def main() -> None:
     masses = np.column_stack([masses_of(machine), masses_of(refitted)]) * 1e3
     parts = (about(), frequencies(machine, refitted), responses(machine, refitted), own_error(machine))
     found = {key: value for part in parts for key, value in part.items()}
-    save("cross_check", found | {"carriage_g": masses[0], "nozzle_g": masses[1], "sag": sag(machine)})
+    save(
+        "cross_check",
+        found | {"carriage_g": masses[0], "nozzle_g": masses[1], "static_deflection": deflections(machine)},
+    )
 
 
 def about() -> dict[str, Any]:
@@ -208,10 +211,10 @@ def fitted_masses(machine: Machine) -> FloatArray:
     return np.asarray(least_squares(apart, start, x_scale=start).x)
 
 
-# ---- sag -----------------------------------------------------------------------------------------
+# ---- static deflection ---------------------------------------------------------------------------
 
 
-def sag(machine: Machine) -> list[dict[str, Any]]:
+def deflections(machine: Machine) -> list[dict[str, Any]]:
     """Compare where the nozzle rests under weight, seen from where it is told to be."""
     rows = []
     for place in map(np.array, SAGGING_MM):
@@ -270,7 +273,7 @@ def commands() -> dict[str, FloatArray]:
     for label, name in (("star", STAR), ("tower", TOWER)):
         found[label] = judge.sample_print(name, *judge.PARTS_S[name]).trajectory.position(due)[:, :3]
     for seed, place in enumerate(SHAKEN_MM):
-        found[f"shaken at {place[0]:g}, {place[1]:g}"] = np.array(place) + multisine(due, seed)
+        found[f"excited at {place[0]:g}, {place[1]:g}"] = np.array(place) + multisine(due, seed)
     return found
 
 
@@ -318,7 +321,7 @@ def difference(model: Machine, path: FloatArray, held: FloatArray, ours: Answer,
 
 
 def moved(values: FloatArray) -> FloatArray:
-    """Seen from the first row: weight's sag is no vibration."""
+    """Seen from the first row: static deflection is no vibration."""
     return values - values[0]
 
 

@@ -61,7 +61,7 @@ def study(title: str, real: dict[str, Any]) -> dict[str, Any]:
     seconds = time.perf_counter() - began
     stepwise = identify_as_paper(start, bench, weighed, 0.001 * weighed)
     measured = measure_places(real, SNR_DB, seed=2)
-    found = (("Direct fit", direct.machine), ("Step by step", stepwise.machine))
+    found = (("Output-error fit", direct.machine), ("The paper's method", stepwise.machine))
     return {
         "title": title,
         "direct_s": seconds,
