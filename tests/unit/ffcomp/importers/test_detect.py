@@ -64,6 +64,7 @@ edits = st.tuples(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(text=st.sampled_from(WHOLE), changes=st.lists(edits, max_size=4))
 def test_edited_configurations_end_in_a_machine_or_a_sentence(text: str, changes: list[tuple[float, int, str]]) -> None:

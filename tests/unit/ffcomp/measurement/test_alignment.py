@@ -37,6 +37,7 @@ def test_without_noise_it_is_exact() -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_uncertainties_are_true() -> None:
     scores = []
     for seed in range(16):

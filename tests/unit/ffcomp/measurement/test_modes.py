@@ -49,6 +49,7 @@ def test_known_modes_are_found_again(truth: list[tuple[float, float]]) -> None:
     assert found.verdict.startswith("Clear: ")
 
 
+@pytest.mark.slow
 def test_the_uncertainty_of_a_noisy_spectrum_is_true() -> None:
     scores = []
     generator = np.random.default_rng(0)
@@ -89,6 +90,7 @@ def raw_data(path: Path, record: np.ndarray) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_swept_capture_and_its_parts_agree(tmp_path: Path) -> None:
     path = raw_data(tmp_path / "raw_data_x_test.csv", swept([(43.0, 0.05)], 0.5, 3, 80.0))
     found = modes_of(path)
@@ -121,6 +123,7 @@ PEAKS = {  # Hz: the highest line of the shaken axis, by eye
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "peak"), PEAKS.items())
 def test_real_spectra_have_their_main_mode(data: Path, name: str, peak: float) -> None:
     found = modes_of(data / "vibration" / "klipper_resonances_bassco" / f"{name}.csv")

@@ -85,6 +85,7 @@ lines = st.lists(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(body=lines, crlf=st.booleans())
 def test_any_program_keeps_its_lines_its_filament_and_its_places(body: list[bytes], crlf: bool) -> None:
