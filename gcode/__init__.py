@@ -1,0 +1,1 @@
+"""Turn G-code text into moves and back; no physics, no machine."""

@@ -48,7 +48,7 @@ _Open = Callable[[], BinaryIO]
 
 @dataclass(frozen=True, slots=True)
 class Archive:
-    """prints : by their members' names;  checksums : what the members hold that say a print's MD5, by its name"""
+    """Hold the prints by their members' names, and by a print's name the member that says its MD5."""
 
     prints: Mapping[str, Source]
     checksums: Mapping[str, bytes]
@@ -56,6 +56,7 @@ class Archive:
     path: str
 
     def write(self, file: BinaryIO, texts: Iterable[Iterable[bytes]]) -> None:
+        """Write the archive anew with these texts."""
         with self.reopen() as packed, ZipFile(packed) as old, tempfile.TemporaryFile() as scratch:
             longer_s: dict[int, int] = {}
             with ZipFile(scratch, "w") as new:
@@ -76,6 +77,7 @@ class Archive:
 
 @contextmanager
 def open_archive(reopen: _Open, path: str) -> Iterator[Archive]:
+    """Open a slicer's archive."""
     with _damage_is_said(path), reopen() as file, ZipFile(file) as archive:
         members = {each.filename: each for each in archive.infolist()}
         _check(archive.infolist(), path)
@@ -140,7 +142,7 @@ def _check(members: Sequence[ZipInfo], path: str) -> None:
 
 
 def _check_records(archive: ZipFile, file: BinaryIO) -> None:
-    """What is copied as it is must lie where the directory says, and nothing else among it."""
+    """Check that what is copied as it is lies where the directory says, and nothing else among it."""
     for place, each in enumerate(sorted(archive.infolist(), key=lambda each: each.header_offset)):
         begins = each.header_offset == 0 if place == 0 else each.header_offset > 0
         if not begins or _at(file, each.header_offset, 4) != _RECORD:
@@ -178,7 +180,7 @@ def _check_digest(print_: Source, said: bytes, path: str) -> None:
 
 
 def _add(new: ZipFile, old: ZipInfo, lines: Iterable[bytes], size: int) -> tuple[str, bytes]:
-    """A member with this text, as the old one but for that; its MD5 and its head. size : of the old text, in bytes"""
+    """Add a member with this text, else as the old one (of `size` bytes); return its MD5 and its head."""
     digest, head = hashlib.md5(usedforsecurity=False), b""
     with new.open(_like(old), "w", force_zip64=size > _LARGEST // 32) as member:  # what comes is some ten times as much
         for piece in lines:
@@ -190,12 +192,12 @@ def _add(new: ZipFile, old: ZipInfo, lines: Iterable[bytes], size: int) -> tuple
 
 
 def _time_s(head: bytes) -> int:
-    """What a print's first lines say that it takes, whole seconds; zero where they do not."""
+    """Read the print time from a print's first lines, whole seconds; zero where they do not say it."""
     return round(slicer_time_s(head[:_HEAD_BYTES].splitlines(keepends=True)) or 0.0)
 
 
 def _with_predictions(info: bytes, longer_s: Mapping[int, int]) -> bytes:
-    """The archive's own account of its plates, each predicted to take so much longer."""
+    """Update the archive's own predictions: each plate takes so much longer."""
 
     def plate(found: re.Match[bytes]) -> bytes:
         index = _INDEX.search(found[0])
@@ -206,7 +208,7 @@ def _with_predictions(info: bytes, longer_s: Mapping[int, int]) -> bytes:
 
 
 def _like(old: ZipInfo) -> ZipInfo:
-    """A member of the same name, date, rights and way of packing."""
+    """Make a member of the same name, date, rights and way of packing."""
     new = ZipInfo(old.filename, old.date_time)
     for name in ("compress_type", "comment", "extra", "create_system", "internal_attr", "external_attr"):
         setattr(new, name, getattr(old, name))
@@ -214,7 +216,7 @@ def _like(old: ZipInfo) -> ZipInfo:
 
 
 def _with_digest(old: bytes, digest: str) -> bytes:
-    """The checksum file as it was, with another MD5 in letters of the same size."""
+    """Put another MD5 into the checksum file, in letters of the same size."""
     was = _MD5.search(old)
     upper = was is not None and was[0] == was[0].upper() != was[0].lower()
     return _MD5.sub((digest.upper() if upper else digest).encode(), old, count=1)
@@ -250,7 +252,7 @@ def _entry(file: BinaryIO) -> bytes:
 def _join(
     out: BinaryIO, kept: Mapping[str, _Member], changed: Mapping[str, _Member], comment: bytes, path: str
 ) -> None:
-    """The archive anew: records as they are packed, in the places and the order that they had."""
+    """Write the archive anew: records as they are packed, in the positions and the order that they had."""
     places = {}
     for name in sorted(kept, key=lambda name: kept[name].begin):
         places[name] = out.tell()

@@ -45,7 +45,7 @@ class Arc:
         return _sweep(self.start, self.end, self.centre, self.clockwise)
 
     def chords(self, tolerance: float = ARC_TOLERANCE_MM, longest: float = MAX_CHORD_MM) -> FloatArray:
-        """Ends of the chords.
+        """Return the ends of the chords.
 
         Returns
         -------
@@ -103,7 +103,7 @@ def is_sound(start: Point2, end: Point2, centre: Point2, clockwise: bool) -> boo
 
 
 def arc_by_centre(start: Point2, end: Point2, offset: Point2, clockwise: bool, line: int | None = None) -> Arc:
-    """The arc whose centre lies `offset` (I, J) from the start."""
+    """Return the arc whose centre lies `offset` (I, J) from the start."""
     arc = _checked(Arc(start, end, (start[0] + offset[0], start[1] + offset[1]), clockwise), line)
     first, last = arc.radii
     if first < _SAME_POINT_MM:
@@ -115,7 +115,7 @@ def arc_by_centre(start: Point2, end: Point2, offset: Point2, clockwise: bool, l
 
 
 def arc_by_radius(start: Point2, end: Point2, radius: float, clockwise: bool, line: int | None = None) -> Arc:
-    """The arc of this radius: the shorter of two, the longer when R is negative (NIST RS274/NGC 3.5.3)."""
+    """Return the arc of this radius: the shorter of two, the longer when R is negative (NIST RS274/NGC 3.5.3)."""
     chord = _distance(start, end)
     if chord < _SAME_POINT_MM:
         raise GcodeError("An arc given by R ends where it starts; a full circle needs I and J.", line)

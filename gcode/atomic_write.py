@@ -14,7 +14,7 @@ from typing import BinaryIO
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[BinaryIO]:
-    """A new file, which takes the place of `path` at the end: that holds the old or the new content at every moment.
+    """Open a new file that takes the place of `path` at the end: that holds the old or the new content at every moment.
 
     A symbolic link stays one (the file behind it is replaced), permission bits stay, failures leave nothing.
     """
@@ -42,7 +42,7 @@ def _created(draft: Path, path: str | Path) -> BinaryIO:
 
 
 def unchanged(source: bytes | Path) -> Callable[[], None]:
-    """A check, to be called later, that a file is still what it is now: who reads it meanwhile has read one file."""
+    """Return a check, to be called later, that a file is still what it is now."""
 
     def seen() -> tuple[int, ...]:
         now = source.stat() if isinstance(source, Path) else None

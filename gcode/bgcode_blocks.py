@@ -24,6 +24,8 @@ _PARAMETERS_BYTES = {_THUMBNAIL: 6}  # others: 2, their encoding
 
 @dataclass(frozen=True, slots=True)
 class Block:
+    """One block of a binary G-code file."""
+
     kind: int
     compression: int
     unpacked: int  # bytes
@@ -33,7 +35,7 @@ class Block:
 
 
 def blocks_of(file: BinaryIO, path: str) -> Iterator[Block]:
-    """The blocks of a file that is open at its beginning, each one checked."""
+    """Yield the blocks of a file that is open at its beginning, each one checked."""
     magic, version, checksum = HEADER.unpack(_exactly(file, HEADER.size, path))
     if magic != b"GCDE" or version != 1 or checksum > 1:
         rule = f"version {version}, checksum type {checksum}; version 1 with CRC32 or none is known"
@@ -71,7 +73,7 @@ def _exactly(file: BinaryIO, count: int, path: str) -> bytes:
 
 
 def with_metadata(block: Block, change: Callable[[dict[bytes, bytes]], dict[bytes, bytes]]) -> bytes:
-    """The block with other metadata; as it is, if nothing changes."""
+    """Return the block with other metadata; as it is, if nothing changes."""
     before = metadata_of(block)
     after = change(before)
     if before == after:
@@ -85,6 +87,7 @@ def with_metadata(block: Block, change: Callable[[dict[bytes, bytes]], dict[byte
 
 
 def metadata_of(block: Block) -> dict[bytes, bytes]:
+    """Read a metadata block."""
     if block.compression not in (_STORED, _DEFLATED) or block.kind not in (_PRINTER, _PRINT):
         return {}
     text = block.data if block.compression == _STORED else _inflated(block)

@@ -17,7 +17,7 @@ MEMORY_BYTES = 1 << 30
 
 
 def convert(source: str, target: str, options: dict[str, str] | None) -> str:
-    """Empty, or why not. options : for packing; None: unpack"""
+    """Convert a file and return nothing, or why not; `options` are for packing, None unpacks."""
     codec = import_module("pybgcode")
     files = [codec.open(source, "rb"), codec.open(target, "wb")]
     try:

@@ -19,6 +19,8 @@ from gcode.words import Command
 
 
 class Effect(NamedTuple):
+    """What one command does."""
+
     kind: EventKind
     dwell_s: float = 0.0
     touches_limits: bool = False
@@ -36,7 +38,7 @@ LIMITS = Effect(EventKind.PASS, touches_limits=True)
 
 
 def apply(modal: Modal, command: Command) -> Effect:
-    """The effect of one command; unknown ones stop the motion, for they may move the machine."""
+    """Apply one command; unknown ones stop the motion, for they may move the machine."""
     if handler := EFFECTS.get(command.name):
         return handler(modal, command)
     if _TOOL_NAME.fullmatch(command.name):
@@ -51,12 +53,12 @@ def _pass(modal: Modal, command: Command) -> Effect:
 
 
 def _rest(modal: Modal, command: Command) -> Effect:
-    """The machine waits, or does something at the place where it is."""
+    """Rest: the machine waits, or does something at its position."""
     return STOP
 
 
 def _move_away(modal: Modal, command: Command) -> Effect:
-    """The machine moves by rules of its own."""
+    """Rest and forget: the machine moves by rules of its own."""
     modal.forget()
     return STOP
 

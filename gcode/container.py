@@ -32,7 +32,7 @@ class Container(Protocol):
         """Plain G-code by its name within the container; "" where it has none."""
 
     def write(self, file: BinaryIO, texts: Iterable[Iterable[bytes]]) -> None:
-        """The same container with other text for each print, in their order, into an empty file."""
+        """Write the same container with other text for each print, in their order, into an empty file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ _KINDS: dict[bytes, Callable[[_Open, str], AbstractContextManager[Container]]] =
 
 @contextmanager
 def opened(source: bytes | Path, path: str = "") -> Iterator[Container]:
-    """A file, or its content, by what its first bytes say it is.
+    """Open a file, or its content, by what its first bytes say it is.
 
     path : as the user named it, for messages
     """
@@ -82,7 +82,7 @@ def opened(source: bytes | Path, path: str = "") -> Iterator[Container]:
 
 @contextmanager
 def opened_print(source: Source, plate: int | None = None) -> Iterator[Source]:
-    """The plain G-code of a file of any kind. A Text, and bytes, are plain already.
+    """Open the plain G-code of a file of any kind. A Text, and bytes, are plain already.
 
     plate : which one, of an archive that holds several
     """
@@ -105,13 +105,13 @@ def _chosen(names: list[str], plate: int | None, path: str) -> str:
 
 
 def read_bytes(path: str | Path, plate: int | None = None) -> bytes:
-    """The plain G-code of a file of any kind; see `opened_print`."""
+    """Read the plain G-code of a file of any kind; see `opened_print`."""
     with opened_print(Path(path), plate) as source:
         return b"".join(text.blocks(source))
 
 
 def ends_of(source: Source, reach: int = ENDS) -> tuple[bytes, bytes, int]:
-    """The first and the last bytes of the G-code in a file of any kind, and its size; of several prints the first's."""
+    """Read the first and last bytes of a file's G-code, and its size; of several prints the first's."""
     if not isinstance(source, Path):
         return text.ends(source, reach)
     with opened(source) as container:
@@ -119,6 +119,6 @@ def ends_of(source: Source, reach: int = ENDS) -> tuple[bytes, bytes, int]:
 
 
 def blocks_of(source: Source, block: int = BLOCK) -> Iterator[bytes]:
-    """The G-code of a file of any kind, in pieces cut anywhere; see `opened_print`."""
+    """Yield the G-code of a file of any kind, in pieces cut anywhere; see `opened_print`."""
     with opened_print(source) as plain:
         yield from text.blocks(plain, block)

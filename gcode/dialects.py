@@ -44,7 +44,7 @@ _HEAD_LINES = 200
 
 
 def detect_flavor(lines: Iterable[bytes]) -> str:
-    """ "klipper", "marlin" or "reprapfirmware"; Marlin's dialect when nothing says otherwise."""
+    """Detect "klipper", "marlin" or "reprapfirmware"; Marlin's dialect when nothing says otherwise."""
     text = b"".join(lines)
     if _first(text, *_KLIPPER_COMMAND):
         return KLIPPER
@@ -55,7 +55,7 @@ def detect_flavor(lines: Iterable[bytes]) -> str:
 
 
 def flavor_by_ends(head: bytes, tail: bytes) -> str:
-    """The flavor, by a file's first and last MiB, say: slicers put start and end scripts and settings there.
+    """Detect the flavor by a file's first and last MiB, say: slicers put start and end scripts and settings there.
 
     Only a file whose first sign of a firmware stands in between would be taken for another's.
     """
@@ -64,7 +64,7 @@ def flavor_by_ends(head: bytes, tail: bytes) -> str:
 
 
 def _first(text: bytes, sign: bytes, line: re.Pattern[bytes]) -> re.Match[bytes] | None:
-    """The first line that matches; all that do hold the sign, in small or in capital letters."""
+    """Find the first line that matches; all that do hold the sign, in small or in capital letters."""
     sought = text.lower() if line.flags & re.IGNORECASE else text
     at = sought.find(sign)
     while at >= 0:
@@ -76,7 +76,7 @@ def _first(text: bytes, sign: bytes, line: re.Pattern[bytes]) -> re.Match[bytes]
 
 
 def detect_slicer(lines: list[bytes]) -> str:
-    """The slicer's name as its header comments say it, or "unknown"."""
+    """Return the slicer's name as its header comments say it, or "unknown"."""
     comments = [line for line in lines[:_HEAD_LINES] if line.lstrip().startswith(b";")]
     head = b"".join(comments)
     return next((name for name, pattern in _SLICERS.items() if re.search(pattern, head)), "unknown")
@@ -150,7 +150,7 @@ def _reprapfirmware(limits: MotionLimits, axes: str) -> list[bytes]:
 
 
 def _each(command: str, axes: str) -> str:
-    """The command with the same number for every axis."""
+    """Write the command with the same number for every axis."""
     return " ".join([command, *(f"{axis}{{0}}" for axis in axes)])
 
 

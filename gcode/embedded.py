@@ -63,17 +63,17 @@ def joined(pieces: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def original(data: bytes) -> bytes:
-    """The file as it was before compensation."""
+    """Restore the file as it was before compensation."""
     return b"".join(original_lines(data.splitlines(keepends=True)))
 
 
 def original_blocks(blocks: Iterable[bytes]) -> Iterator[bytes]:
-    """The same of a file that comes in blocks of bytes, cut anywhere."""
+    """Restore a file that comes in blocks of bytes, cut anywhere."""
     return original_lines(line for part in whole_lines(blocks) for line in part.splitlines(keepends=True))
 
 
 def original_lines(lines: Iterable[bytes]) -> Iterator[bytes]:
-    """The file as it was before compensation (`gcode.metadata`'s stamps left out)."""
+    """Restore the lines as they were before compensation; stamps are left out."""
     inside, told = False, None
     for line in lines:
         if line.startswith(TIME_WAS):
@@ -88,15 +88,17 @@ def original_lines(lines: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def noted(line: bytes) -> bytes | None:
-    """The line of the original that this comment keeps, if it keeps one."""
+    """Return the line of the original that this comment keeps, if it keeps one."""
     if line.startswith(CUT_SHORT):
         return line[len(CUT_SHORT) :].removesuffix(b"\n")
     return line[len(WAS) :] if line.startswith(WAS) else None
 
 
 def is_ours(line: bytes) -> bool:
+    """Tell whether ffcomp has added this line."""
     return line.rstrip().endswith(OURS)
 
 
 def like_ours(line: bytes) -> bool:
+    """Tell whether a line of the original looks like one of ours."""
     return line.startswith((WAS, TIME_WAS, *STAMPS)) or is_ours(line)

@@ -25,7 +25,7 @@ class MoveWriter:
         self.reset(Frame(), (0.0, 0.0, 0.0), 0.0)
 
     def reset(self, frame: Frame, xyz: Sequence[float], e: float) -> None:
-        """The firmware is in this state: toolhead at `xyz`, filament at `e`, mm. The next move says F."""
+        """Start from this state: toolhead at `xyz`, filament at `e`, mm. The next move says F."""
         unit = frame.unit_mm
         self._per_mm = per_mm = (*[XYZ_COUNTS / unit] * 3, E_COUNTS / (unit * frame.flow))
         self._base = base = frame.base

@@ -76,7 +76,7 @@ def _write_move(
 
 @njit(cache=True, nogil=True)
 def _write_word(letter: int, counts: np.int64, decimals: int, out: ByteArray, at: int) -> int:
-    """A letter and counts / 10^decimals in as few digits as it takes."""
+    """Write a letter and counts / 10^decimals in as few digits as it takes."""
     out[at], out[at + 1] = _SPACE, letter
     at += 2
     if counts < 0:

@@ -1,5 +1,6 @@
-"""The quiet bulk of a print, followed straight from its bytes: plain `G0` to `G3`, `G92 E0`, M codes that
-change nothing, comments, empty lines.
+"""Follow the plain bulk of a print straight from its bytes.
+
+That is plain `G0` to `G3`, `G92 E0`, M codes that change nothing, comments, empty lines.
 
 A plain line is `G0` or `G1` with each of the words X Y Z E F at most once, or `G2` or `G3` in the plane XY with those
 and I or J or both, in capitals, as plain decimals of at most 15 digits, 6 of them before the point. It says the same as
@@ -179,7 +180,7 @@ def _arc(start: Place, end: Place, clockwise: bool, words: FloatArray, modes: Mo
 
 @njit(nogil=True, error_model="numpy")
 def _state(states: FloatArray, told: int, feed: float, origin_e: float) -> int:
-    """The row of this state: one of the last few, for prints go to and fro between feeds, or a new one."""
+    """Return the row of this state: one of the last few, for prints go to and fro between feeds, or a new one."""
     for row in range(told - 1, max(told - _RECENT, 0) - 1, -1):
         if states[row, 0] == feed and states[row, 1] == origin_e:
             return row

@@ -19,13 +19,14 @@ _LEVEL = 6  # that of the gzip command
 
 @dataclass(frozen=True, slots=True)
 class Gzip:
-    """prints : the one print;  name, time_s : of the file that was packed, as the header says them"""
+    """Hold the one print, and the name and time of the packed file as the header says them."""
 
     prints: Mapping[str, Source]
     name: str
     time_s: int
 
     def write(self, file: BinaryIO, texts: Iterable[Iterable[bytes]]) -> None:
+        """Write the file anew with this text."""
         (lines,) = texts
         with (
             gzip.GzipFile(self.name, "wb", _LEVEL, file, self.time_s) as packed,
@@ -36,6 +37,7 @@ class Gzip:
 
 @contextmanager
 def open_gzip(reopen: Callable[[], BinaryIO], path: str) -> Iterator[Gzip]:
+    """Open a file compressed by gzip."""
     with reopen() as file:
         header = file.read(1 << 10)
         size = file.seek(0, io.SEEK_END)
@@ -57,7 +59,7 @@ def _unpacked(reopen: Callable[[], BinaryIO], path: str) -> Generator[bytes, Non
 
 
 def _name(header: bytes) -> str:
-    """The packed file's name; empty if the header says none."""
+    """Return the packed file's name; empty if the header says none."""
     if not header[3] & _HAS_NAME or header[3] & _HAS_EXTRA:
         return ""
     return header[10:].partition(b"\0")[0].decode("latin-1")

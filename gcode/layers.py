@@ -21,12 +21,15 @@ SLOPE_MM = 0.2  # which is then cut into layers of this height
 
 @dataclass(frozen=True, slots=True)
 class Labels:
+    """What the slicer's comments call each of n moves."""
+
     layer: IntArray  # (n,) of each move, from 0; what comes before the first layer counts to it
     feature: IntArray  # (n,) index into `features`
     features: tuple[str, ...]
 
     @property
     def layers(self) -> int:
+        """Return how many layers there are."""
         return int(self.layer.max(initial=-1)) + 1
 
 
@@ -54,13 +57,13 @@ def begins_layer(line: bytes) -> bool:
 
 
 def begins_feature(line: bytes) -> str:
-    """The name of what a comment says is printed from here on; empty if it says nothing of it."""
+    """Return the name of what a comment says is printed from here on; empty if it says nothing of it."""
     match = _FEATURE.match(line) if line.startswith(b";") else None
     return match[1].decode("utf-8", "replace") if match else ""
 
 
 def layer_starts(program: Program) -> list[int]:
-    """The moves before which comments say that a layer begins."""
+    """Return the moves before which comments say that a layer begins."""
     return [event.move for event in program.events if begins_layer(program.lines[event.line])]
 
 
@@ -88,7 +91,7 @@ class LayerLookup:
     """The layers of a program's moves, worked out when somebody asks."""
 
     def __init__(self, program: Program, before: int) -> None:
-        """before : layers of the file that have begun before this program"""
+        """Count `before` layers of the file that have begun before this program."""
         self.program, self.before = program, before
 
     @cached_property
@@ -100,7 +103,7 @@ class LayerLookup:
         return labels(self.program).layer
 
     def of(self, move: int) -> int:
-        """Counted from 0."""
+        """Return a move's layer, counted from 0."""
         if not self._starts and not self.before:
             return int(self._by_height[move])
         return max(self.before + bisect_right(self._starts, move) - 1, 0)

@@ -25,6 +25,7 @@ class Timed(bytes):
 
     @classmethod
     def at(cls, line: bytes, at_s: float) -> Timed:
+        """Attach a time to a line."""
         timed = cls(line)
         timed.at_s = at_s
         return timed
@@ -146,7 +147,7 @@ def tells(line: bytes) -> Tells | None:
 
 
 def slicer_time_s(lines: Iterable[bytes]) -> float | None:
-    """The print time as the slicer states it, s; None when it does not."""
+    """Return the print time as the slicer states it, s; None when it does not."""
     for line in lines:
         if (found := _found(line)) and found[0].tells is Tells.TOTAL:
             return _seconds(found[1][2], found[0].bare_s)
@@ -154,19 +155,19 @@ def slicer_time_s(lines: Iterable[bytes]) -> float | None:
 
 
 def time_told(line: bytes) -> bytes:
-    """The time in a line that tells one, as it is written there."""
+    """Return the time in a line that tells one, as it is written there."""
     found = _found(line)
     return found[1][2] if found else b""
 
 
 def with_time(line: bytes, told: bytes) -> bytes:
-    """The same line with another time; a line that tells none comes back as it is."""
+    """Return the same line with another time; a line that tells none comes back as it is."""
     found = _found(line)
     return found[1][1] + told + found[1][3] if found else line
 
 
 def retold(line: Timed, durations: Durations) -> bytes:
-    """The line with the time as it is now. What is not known stays."""
+    """Return the line with the time as it is now; what is not known stays."""
     found = _found(line)
     if found is None:
         return line

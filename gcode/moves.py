@@ -25,6 +25,7 @@ class MoveTable:
         self.jumps = {0: list(start)}  # move number → its start
 
     def make_room(self, more: int) -> None:
+        """Make room for so many more moves."""
         missing = self.count + more - len(self.ends)
         if missing > 0:
             added = max(missing, len(self.ends))
@@ -32,7 +33,7 @@ class MoveTable:
             self.rows = np.concatenate((self.rows, np.empty((added, 3), dtype=np.int64)))
 
     def add(self, line: int, state: int, limit: int, ends: ArrayLike) -> None:
-        """The moves of one line: one, or an arc's chords, (k, 4) mm."""
+        """Add the moves of one line: one, or an arc's chords, (k, 4) mm."""
         ends = np.atleast_2d(ends)
         self.make_room(len(ends))
         new = slice(self.count, self.count + len(ends))
@@ -40,7 +41,7 @@ class MoveTable:
         self.count += len(ends)
 
     def moves(self, frame_of_state: IntArray, frames: list[Frame], limits: list[MotionLimits]) -> Moves:
-        """The table as arrays; speeds and limits are looked up from the frames and limits in force."""
+        """Return the table as arrays; speeds and limits are looked up from the frames and limits in force."""
         line, state, limit = self.rows[: self.count].T.copy()
         frame = frame_of_state[state]
         columns = np.array(
@@ -82,12 +83,14 @@ class EventTable:
     effects: dict[int, Effect] = field(default_factory=dict)  # event number → what it does
 
     def add(self, line: int, moves: int, state: int, effect: Effect) -> None:
+        """Add the event of a line."""
         self.rows[self.count] = line, moves, state
         if effect is not PASS:
             self.effects[self.count] = effect
         self.count += 1
 
     def events(self, frame_of_state: IntArray) -> list[Event]:
+        """Return the table as events."""
         line, moves, state = self.rows[: self.count].T
         passing = zip(line.tolist(), moves.tolist(), repeat(EventKind.PASS), frame_of_state[state].tolist())
         events = [Event(*row) for row in passing]

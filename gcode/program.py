@@ -24,6 +24,8 @@ class EventKind(Enum):
 
 
 class Event(NamedTuple):
+    """A line that is not a compensated move."""
+
     line: int  # index into Program.lines
     move: int  # how many moves of Program.moves come before it
     kind: EventKind
@@ -71,6 +73,8 @@ class Moves:
 
 @dataclass(frozen=True, slots=True)
 class Program:
+    """A G-code file, or a slice of one."""
+
     path: str
     lines: list[bytes]  # every line with its line ending; b"".join(lines) is the file
     moves: Moves

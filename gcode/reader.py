@@ -286,7 +286,7 @@ class _Reader:
         self._event(at, effect)
 
     def _motion(self, at: int, command: Command) -> None:
-        """A move in any form: unusual spelling, arcs, no displacement, unknown places."""
+        """Follow a move in any form: unusual spelling, arcs, no displacement, unknown positions."""
         modal = self.modal
         words = command.numbers()
         modal.motion = command.name or modal.motion or ("G1" if words.keys() == {"F"} else "")
@@ -331,7 +331,7 @@ class _Reader:
     # -- arcs --
 
     def _arc(self, motion: str, words: dict[str, float], end: Vector4, at: int) -> Arc | None:
-        """The circle in the active plane; None where start or end is not known: the move passes through."""
+        """Return the circle in the active plane; None where start or end is not known: the move passes through."""
         modal = self.modal
         u, v, _ = modal.arc_axes()
         here, there = (modal.position[u], modal.position[v]), (end[u], end[v])
@@ -357,7 +357,7 @@ class _Reader:
     # -- book-keeping --
 
     def _number(self, at: int) -> int:
-        """The number of a line in the file, from 1."""
+        """Return the number of a line in the file, from 1."""
         return self.first_line + at + 1
 
     def _event(self, at: int, effect: Effect) -> None:

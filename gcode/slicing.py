@@ -13,12 +13,12 @@ from gcode.program import Moves, Program
 
 
 def split(program: Program, move: int) -> tuple[Program, Program]:
-    """What stands before the line of a move, and the rest. The move must not be a later chord of an arc."""
+    """Split a program before the line of a move, which must not be a later chord of an arc."""
     return excerpt(program, 0, move), replace(excerpt(program, move), warnings=[])
 
 
 def excerpt(program: Program, first: int, last: int | None = None) -> Program:
-    """The moves first … last - 1 (one at least), with the lines from that of the first one on up to that of `last`.
+    """Return the moves first … last - 1 (one at least), with the lines from that of the first up to that of `last`.
 
     Begun or ended within an arc, it has the arc's line, and of the arc the chords that are named.
     """
@@ -42,7 +42,7 @@ def excerpt(program: Program, first: int, last: int | None = None) -> Program:
 
 
 def _frame_before(program: Program, move: int, event: int) -> int:
-    """The frame in force before the line of a move, and of the event that is the first one after it."""
+    """Return the frame in force before the line of a move, and of the event that is the first one after it."""
     moves, last = program.moves, program.events[event - 1] if event else None
     if not move:
         return 0
@@ -50,7 +50,7 @@ def _frame_before(program: Program, move: int, event: int) -> int:
 
 
 def shortened(program: Program, start: FloatArray | None, end: FloatArray | None) -> Program:
-    """The first move begins later on its way, and the last one ends earlier: at (4,) mm; None: where it did."""
+    """Let the first move begin later on its way, and the last one end earlier: at (4,) mm; None: where it did."""
     moves = program.moves
     starts, ends = moves.start.copy(), moves.end.copy()
     if start is not None:
@@ -86,7 +86,7 @@ def _some(moves: Moves, which: slice) -> Moves:
 
 
 def part(program: Program, first: int, last: int) -> Program:
-    """The moves first..last-1 with their lines and the events between them; frames stay those of the whole.
+    """Return the moves first..last-1 with their lines and the events between them; frames stay those of the whole.
 
     Arcs must stay whole: neither `first` nor `last` may be a later chord of the same line.
     """
@@ -105,7 +105,7 @@ def part(program: Program, first: int, last: int) -> Program:
 
 
 def preamble(program: Program, move: int) -> bytes:
-    """What a reader that knows where the nozzle is must be told to go on from this move: modes, names, feed."""
+    """Return what a reader that knows where the nozzle is must be told to go on from this move: modes, names, feed."""
     moves = program.moves
     frame = program.frames[int(moves.frame[move])]
     x, y, z = ((moves.start[move, i] - frame.base[i]) / frame.unit_mm for i in range(3))

@@ -15,6 +15,8 @@ _STAMP = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
+    """Who has compensated a file, and for what."""
+
     version: str
     machine: str
     sha256: str  # the first digits of the machine file's hash
@@ -22,19 +24,19 @@ class Stamp:
 
 
 def stamp_line(version: str, machine: str, sha256: str, flavor: str) -> bytes:
-    """The comment line for head and tail of a compensated file."""
+    """Return the comment line for head and tail of a compensated file."""
     name = " ".join(machine.split())
     return f"; Processed by ffcomp v{version}, machine {name} sha256:{sha256[:8]}, flavor {flavor}\n".encode()
 
 
 def find_stamp(head: bytes, tail: bytes) -> Stamp | None:
-    """The stamp in the beginning or the end of a file."""
+    """Find the stamp in the beginning or the end of a file."""
     match = _STAMP.search(head) or _STAMP.search(tail)
     return Stamp(*(part.decode("utf-8", "replace") for part in match.groups())) if match else None
 
 
 def already_processed(data: bytes) -> Stamp | None:
-    """The stamp of an earlier run, if there is one."""
+    """Return the stamp of an earlier run, if there is one."""
     return find_stamp(data[:STAMP_REACH], data[-STAMP_REACH:])
 
 
@@ -44,6 +46,6 @@ def offset_line(offset: tuple[float, float]) -> bytes:
 
 
 def find_offset(head: bytes) -> tuple[float, float]:
-    """The offset that `offset_line` wrote; zero if it wrote none."""
+    """Read the offset that `offset_line` wrote; zero if it wrote none."""
     found = re.search(rb"^; ffcomp offset_mm=([-+.\de]+),([-+.\de]+)", head, re.MULTILINE)
     return (float(found[1]), float(found[2])) if found else (0.0, 0.0)

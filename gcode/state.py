@@ -68,11 +68,11 @@ class Modal:
         self.shift = [*self.offset, 0.0, 0.0]
 
     def frame(self) -> Frame:
-        """The part of the state that a writer needs."""
+        """Return the part of the state that a writer needs."""
         return Frame(*self.frame_values())
 
     def frame_values(self) -> FrameValues:
-        """The values of `frame`, in its order: many times quicker to look up than the frame itself."""
+        """Return the values of `frame`, in its order: many times quicker to look up than the frame itself."""
         x, y, z, e = self.base
         absolute_e = self.absolute_e and self.absolute
         return (x, y, z, e), self.unit, self.absolute, absolute_e, self.flow, self.feed_factor, self.feed
@@ -88,10 +88,11 @@ class Modal:
         self.forget()
 
     def scale(self, axis: int) -> float:
-        """mm of toolhead or filament per unit of the file."""
+        """Return mm of toolhead or filament per unit of the file."""
         return self.unit * self.flow if axis == 3 else self.unit
 
     def is_absolute(self, axis: int) -> bool:
+        """Tell whether the axis is in absolute mode."""
         return self.absolute and (axis < 3 or self.absolute_e)
 
     def target(self, words: dict[str, float]) -> Vector4:
@@ -137,6 +138,7 @@ class Modal:
         self.homing[axis] = offset
 
     def save(self, name: str) -> None:
+        """Keep the state under a name (SAVE_GCODE_STATE)."""
         self.saved[name] = Saved(
             tuple(self.base),
             tuple(self.shift),
@@ -160,7 +162,7 @@ class Modal:
                 self.position[axis] = nan
 
     def arc_axes(self) -> tuple[int, int, int]:
-        """The two axes of the arc's plane, then its normal."""
+        """Return the two axes of the arc's plane, then its normal."""
         return FIRST_AXES[self.plane]
 
     def set_limits(self, **changes: float) -> None:
@@ -169,10 +171,12 @@ class Modal:
         self._bound()
 
     def reset_limits(self) -> None:
+        """Take back the limits that the file has asked for."""
         self.own = MACHINE_LIMITS
         self._bound()
 
     def set_caps(self, **changes: float) -> None:
+        """Set the caps on what the file may ask for."""
         self.caps = replace(self.caps, **changes)
         self._bound()
 
@@ -184,5 +188,5 @@ class Modal:
 
 
 def _smaller(a: float, b: float) -> float:
-    """The smaller of two limits; NaN binds nothing."""
+    """Return the smaller of two limits; NaN binds nothing."""
     return b if isnan(a) else a if isnan(b) else min(a, b)

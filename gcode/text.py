@@ -58,7 +58,7 @@ Source = bytes | Path | Text
 
 
 def ends(source: Source, reach: int = ENDS) -> tuple[bytes, bytes, int]:
-    """The first and the last bytes of plain G-code, and its size."""
+    """Read the first and the last bytes of plain G-code, and its size."""
     if isinstance(source, bytes):
         return source[:reach], source[-reach:], len(source)
     if isinstance(source, Text):
@@ -82,17 +82,20 @@ def blocks(source: Source, block: int = BLOCK) -> Iterator[bytes]:
 
 
 class Readable(Protocol):
-    def read(self, size: int, /) -> bytes: ...
+    """An open file, or part of one."""
+
+    def read(self, size: int, /) -> bytes:
+        """Return at most `size` bytes; none at the end."""
 
 
 def pieces(file: Readable, block: int = BLOCK) -> Iterator[bytes]:
-    """What is left of an open file."""
+    """Yield what is left of an open file."""
     while piece := file.read(block):
         yield piece
 
 
 def limited(unpacked: Generator[bytes, None, None], packed_bytes: int, path: str) -> Iterator[bytes]:
-    """The same, but no more than a print can be: archives can be made that fill any disk."""
+    """Pass blocks on, but no more than a print can be: archives can be made that fill any disk."""
     most, size = most_unpacked(packed_bytes), 0
     with closing(unpacked):
         for block in unpacked:
@@ -103,10 +106,12 @@ def limited(unpacked: Generator[bytes, None, None], packed_bytes: int, path: str
 
 
 def most_unpacked(packed_bytes: int) -> int:
+    """Return how many bytes a packed file may unpack to."""
     return max(UNPACKED_RATIO * packed_bytes, UNPACKED_LEAST)
 
 
 def too_much(packed_bytes: int, path: str) -> GcodeError:
+    """Return the error of a file that unpacks to more than a print can be."""
     most = f"more than {most_unpacked(packed_bytes) >> 20} MiB"
     return GcodeError(f"The file's {packed_bytes} bytes unpack to {most}, which no sliced print does.", path=path)
 
@@ -127,14 +132,14 @@ def check_text(head: bytes, path: str) -> None:
 
 
 def check_regular(path: Path) -> None:
-    """A pipe would make us wait for ever, and cannot be read twice."""
+    """Refuse a pipe: it would make us wait for ever, and cannot be read twice."""
     mode = path.stat().st_mode
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):  # opening a folder says what it is
         raise OSError(EINVAL, "This is a pipe or a device, and G-code is read from files only", str(path))
 
 
 def raw_blocks(path: Path) -> Iterator[bytes]:
-    """The bytes of a file as they are, in pieces cut anywhere."""
+    """Yield the bytes of a file as they are, in pieces cut anywhere."""
     check_regular(path)
     with open(path, "rb") as file:
         yield from pieces(file)

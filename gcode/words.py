@@ -37,20 +37,20 @@ class Command:
     line: int  # 1-based, for error sentences
 
     def numbers(self) -> dict[str, float]:
-        """The words as letter → value; every word needs a number."""
+        """Return the words as letter → value; every word needs a number."""
         return numbers(self.args, self.name, self.line)
 
     def letters(self) -> set[str]:
-        """The letters of the words, values ignored."""
+        """Return the letters of the words, values ignored."""
         return {word.decode().upper() for word in re.findall(rb"[A-Za-z]", without_round_comments(self.args))}
 
     def fields(self) -> dict[str, str]:
-        """The `KEY=VALUE` pairs of a Klipper command, keys in capitals, quotes taken off."""
+        """Return the `KEY=VALUE` pairs of a Klipper command, keys in capitals, quotes taken off."""
         pairs = _FIELD.findall(self.args.decode("utf-8", "replace"))
         return {key.upper(): value.strip("\"'") for key, value in pairs}
 
     def field_numbers(self) -> dict[str, float]:
-        """The `KEY=VALUE` pairs whose value must be a number; ask only where all of them are."""
+        """Return the `KEY=VALUE` pairs whose value must be a number; ask only where all of them are."""
         return {key: self._number(key, text) for key, text in self.fields().items()}
 
     def _number(self, key: str, text: str) -> float:
@@ -62,7 +62,7 @@ class Command:
 
 
 def comment(line: bytes) -> bytes:
-    """What stands behind the first semicolon, without it and without the line ending."""
+    """Return what stands behind the first semicolon, without it and without the line ending."""
     return line.partition(b";")[2].rstrip(b"\r\n")
 
 
@@ -72,7 +72,7 @@ def without_round_comments(text: bytes) -> bytes:
 
 
 def bounded(value: float, letter: str, line: int) -> float:
-    """The value itself when it is a number a printer can use."""
+    """Return the value itself when it is a number a printer can use."""
     if not abs(value) <= LARGEST_NUMBER:
         raise GcodeError(f"{letter}{value:g} is out of range; numbers reach ±{LARGEST_NUMBER:,.0f}.", line)
     return value
@@ -100,13 +100,13 @@ def numbers(args: bytes, name: str, line: int) -> dict[str, float]:
 
 
 def shown(text: bytes) -> str:
-    """A piece of the file, short and printable, for an error sentence."""
+    """Return a piece of the file, short and printable, for an error sentence."""
     readable = text[:40].decode("latin-1")
     return repr(readable + "…" if len(text) > 40 else readable)
 
 
 def commands(line: bytes, number: int) -> list[Command]:
-    """The commands of one line: none for blank lines and comments, several for `G17 G21 G90`."""
+    """Return the commands of one line: none for blank lines and comments, several for `G17 G21 G90`."""
     text = _without_number(line.partition(b";")[0], number)
     text = text[_matched_length(_LEADING_COMMENTS, text) :].strip()
     if not text or text == b"%":  # % frames a program on paper tape; some CAM programs still write it

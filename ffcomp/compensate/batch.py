@@ -136,7 +136,7 @@ class _Batch:
                     yield outcome
 
     def _alone(self, number: int, jobs: int, progress: Callable[[float], None]) -> FileResult:
-        """A file that all work at."""
+        """Compensate a file that all processes work at."""
         machine, options, target = self.machine, self.options, self.targets[number]
         return attempt(
             number,

@@ -189,7 +189,7 @@ class _Known:
         return ahead.chunk(head), _Known(left, plan, begin_t, self.settings)
 
     def _in_motion(self, knots: int, rest: int | None) -> tuple[Chunk, _Known]:
-        """Cut after about so many segments. rest : the move before which the motion ends, if that is known"""
+        """Cut after about so many segments; `rest` is the move before which the motion ends, if that is known."""
         eased = self._eased(knots, rest)
         if eased is not None and (fewer := eased._clear_cut(self._position(knots).time_in(eased.plan))):
             return eased._in_motion(fewer, rest)

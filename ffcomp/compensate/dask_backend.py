@@ -32,11 +32,13 @@ class Cluster(DaskDistributedBackend):
         return max(2, super().effective_n_jobs(n_jobs))
 
     def submit(self, func: Callable[[], Any], callback: Callable[[Any], None]) -> Future[Any]:
+        """Submit a task, and report its error to whoever waits."""
         future: Future[Any] = super().submit(func, callback)
         future.add_done_callback(lambda done: callback(done.exception()) if done.exception() else None)
         return future
 
     def retrieve_result_callback(self, out: Any) -> Any:
+        """Return a task's result, or raise its error as one of ours."""
         if isinstance(out, KilledWorker):
             raise BrokenExecutor("The workers of the cluster died over it, perhaps for want of memory.") from out
         if isinstance(out, CancelledError):
@@ -48,7 +50,7 @@ class Cluster(DaskDistributedBackend):
 
 @contextmanager
 def cluster(address: str) -> Iterator[Cluster]:
-    """The cluster whose scheduler is at this address, once its workers are found to be as we are."""
+    """Connect to the cluster whose scheduler is at this address, and check its workers."""
     for name in ("distributed", "distributed.client"):  # what goes wrong is said once, by us
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:

@@ -281,7 +281,7 @@ class Job:
 
 
 def _lines_of(chunk: Chunk, context: Context, model: InverseModel, progress: Progress = lambda share: None) -> Lines:
-    """Plan a chunk and yield its compensated lines. progress : called with the share of it that is done"""
+    """Plan a chunk and yield its compensated lines; `progress` is called with the share of it that is done."""
     planned = plan_chunk(chunk, context, model)
     end_t = planned.planned.trajectory.end_t
     return (
@@ -328,7 +328,7 @@ def _share(first: Program, size: int) -> float:
 
 
 def _with_shaper_off(pieces: Iterator[bytes], flavor: str) -> Iterator[bytes]:
-    """The firmware's own shaper is switched off where our first block opens."""
+    """Switch the firmware's own shaper off where our first block opens."""
     waiting = True
     for piece in pieces:
         at = piece.find(OURS) if waiting else -1
@@ -343,7 +343,7 @@ def _with_shaper_off(pieces: Iterator[bytes], flavor: str) -> Iterator[bytes]:
 
 
 def _stamped(pieces: Iterator[bytes], stamp: bytes, offset: bytes) -> Iterator[bytes]:
-    """The stamp after the first line (slicers are known by it) and at the end, before a last line without newline."""
+    """Put the stamp after the first line (slicers are known by it) and before a last line without newline."""
     kept = next(pieces, b"")
     begin = kept.find(b"\n") + 1
     if b"\r" in kept[:begin].removesuffix(b"\r\n"):

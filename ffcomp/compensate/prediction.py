@@ -68,7 +68,7 @@ class Samples:
         )
 
     def tracks(self) -> dict[str, Track]:
-        """ "uncompensated" and "compensated", each judged over the runs that were taken in."""
+        """Evaluate the sampled sections, "uncompensated" and "compensated"."""
         if not self.wanted:
             return {}
         wanted = np.concatenate(self.wanted)
@@ -84,7 +84,7 @@ class Prediction:
     """Collects samples of runs while they are compensated."""
 
     def __init__(self, inverter: InverseModel, share: float) -> None:
-        """share : of the print that is simulated, 0 to 1"""
+        """Simulate this share of the print, 0 to 1."""
         self.inverter, self.share = inverter, share
         s = inverter.settings
         self.every = max(1, round(SAMPLE_S * s.substeps / s.segment_s))  # substeps from sample to sample
@@ -92,7 +92,7 @@ class Prediction:
         self.seen_s = 0.0
 
     def wants(self, wanted: Reference) -> bool:
-        """Is it this run's turn? (Ask once for each run.)"""
+        """Tell whether it is this section's turn; to be asked once for each."""
         length = wanted.knots * self.inverter.settings.segment_s
         due = self.samples.covered_s <= self.share * self.seen_s
         self.seen_s += length

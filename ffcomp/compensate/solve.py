@@ -47,7 +47,7 @@ def solutions(
     layers_before: int = 0,
     ends: Extent = WHOLE,
 ) -> Iterator[SolvedSection]:
-    """The runs that travel, one after the other: what rings when one ends is known to the next.
+    """Solve the sections that travel, one after the other: what rings when one ends is known to the next.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def _by_the_model(
 
 
 def _moved_before(planned: PlannedProgram) -> dict[int, bool]:
-    """For the first move of each run that travels: has something else moved the nozzle since the run before?"""
+    """Tell for the first move of each section that travels whether others have moved the nozzle since the last one."""
     others = {e.move for e in planned.program.events if e.kind in (EventKind.STOP, EventKind.RAW_MOVE)}
     found, pending, last = {}, False, -1
     for run in planned.runs:

@@ -68,7 +68,7 @@ class Pool:
         return done
 
     def outcomes(self, numbers: Sequence[int]) -> Generator[FileResult, None, None]:
-        """What became of the files. When a process dies, those that are left are tried one by one."""
+        """Yield the files' results. When a process dies, those that are left are tried one by one."""
         if not numbers:
             return
         left = list(numbers)
@@ -97,7 +97,7 @@ class Pool:
         return found
 
     def _call(self, number: int) -> Any:
-        """What `Parallel` takes. It never raises: its errors would be those of all files."""
+        """Return what `Parallel` takes; never raises: its errors would be those of all files."""
         from joblib import delayed
 
         file = self.files[number]
@@ -120,7 +120,7 @@ class Pool:
         return self.folders[place] / str(number)
 
     def _written(self, done: _Done) -> FileResult:
-        """The draft, or what was sent back, takes the target's place."""
+        """Put the draft, or what was sent back, in the target's place."""
         outcome, target = done.outcome, self.targets[done.outcome.number]
         for folder in self.folders.values():
             (folder / f"{outcome.number}{MARK}").unlink(missing_ok=True)
@@ -156,7 +156,7 @@ def _closing(answers: Generator[_Done, None, None]) -> Iterator[Generator[_Done,
 
 
 def _work(task: _Task, machine: Machine, options: Options) -> _Done:
-    """A file in a process of its own."""
+    """Compensate a file in a process of its own."""
 
     def to(draft: Path | None, progress: Callable[[float], None]) -> FileResult:
         source = task.file if task.data is None else task.data

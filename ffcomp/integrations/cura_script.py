@@ -35,6 +35,7 @@ class Ffcomp(Script):
     """One entry of Extensions > Post Processing > Modify G-Code."""
 
     def getSettingDataString(self) -> str:
+        """Return the script's settings as Cura wants them, as JSON."""
         settings = {
             "machine": _setting("Machine", "A name from 'ffcomp machines list', or a machine file's path.", MACHINE),
             "options": _setting("Options", "More of 'ffcomp compensate --help', e.g. --offset-mm -110,-110.", ""),
@@ -44,6 +45,7 @@ class Ffcomp(Script):
         return json.dumps({**head, "settings": settings})
 
     def execute(self, data: list[str]) -> list[str]:
+        """Compensate the print that Cura hands over."""
         try:
             text, warnings = self._compensated("".join(data))
         except Exception as error:  # whatever it is: Cura would save the print as it was, without a word
@@ -53,7 +55,7 @@ class Ffcomp(Script):
         return _pieces(text, data)
 
     def _compensated(self, print_text: str) -> tuple[str, list[str]]:
-        """The new text, and what the user should know."""
+        """Return the new text and what the user should know."""
         with TemporaryDirectory(prefix="ffcomp-cura-") as folder:
             path = Path(folder, "print.gcode")
             path.write_bytes(print_text.encode("utf-8", "surrogateescape"))
@@ -61,7 +63,7 @@ class Ffcomp(Script):
             return path.read_bytes().decode("utf-8", "surrogateescape"), result.get("warnings", [])
 
     def _run(self, path: Path) -> dict[str, Any]:
-        """What `ffcomp compensate --json` answers."""
+        """Run `ffcomp compensate --json` and return its object."""
         machine, options, executable = map(self.getSettingValueByKey, ("machine", "options", "executable"))
         named = ["--machine", machine] if machine else []
         answer = subprocess.run(
@@ -80,12 +82,12 @@ class Ffcomp(Script):
 
 
 def _last_sentence(said: str) -> str:
-    """What ffcomp said at last, without the frame that it draws around an error of usage."""
+    """Return ffcomp's last words, without the frame that it draws around an error of usage."""
     return re.sub("[│╭╮╰╯─]+", " ", re.split("ffcomp: |╭─ Error ─+╮", said)[-1])
 
 
 def _environment(cura: Any) -> dict[str, str]:
-    """What a slicer that calls programs would tell them of the print: its name, and where the bed is."""
+    """Describe the print as slicers that call programs do: its name, and where the bed is."""
     printer = cura.getGlobalContainerStack()
     width, depth, centred = (
         printer.getProperty(f"machine_{key}", "value") for key in ("width", "depth", "center_is_zero")
@@ -101,7 +103,7 @@ def _environment(cura: Any) -> dict[str, str]:
 
 
 def _pieces(text: str, data: list[str]) -> list[str]:
-    """The text cut where the pieces of `data` began, so that other scripts find header, layers and end again.
+    """Cut the text where the pieces of `data` began, so that other scripts find header, layers and end again.
 
     Every line of the original is still there, a move as a comment `;~`. An empty line before a layer, as other scripts
     leave it, goes to the piece before. So does a piece whose first line is not found.
@@ -116,12 +118,12 @@ def _pieces(text: str, data: list[str]) -> list[str]:
 
 
 def _failed(data: list[str], why: str) -> list[str]:
-    """The print as it was, but for a comment below its first line; and a word on the screen."""
+    """Return the print as it was, but for a comment below its first line, and show a message."""
     _tell(f"The print is NOT compensated. {why}")
     first, newline, rest = data[0].partition("\n") if data else ("", "", "")
     return [f"{first}{newline or chr(10)};ffcomp FAILED, this print is NOT compensated: {why}\n{rest}", *data[1:]]
 
 
 def _tell(text: str) -> None:
-    """A message that stays until the user closes it: a print may take longer to save than people wait."""
+    """Show a message that stays until the user closes it: a print may take longer to save than people wait."""
     Message(text, lifetime=0, title="ffcomp").show()

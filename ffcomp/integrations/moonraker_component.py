@@ -40,4 +40,5 @@ class Ffcomp:
 
 
 def load_component(config: Any) -> Ffcomp:
+    """Create the component; Moonraker calls this."""
     return Ffcomp(config)

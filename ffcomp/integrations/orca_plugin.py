@@ -37,12 +37,15 @@ class Compensate(orca.slicing.SlicingPipelineCapabilityBase):
     """The step after G-code generation and classic post-processing scripts."""
 
     def get_name(self) -> str:
+        """Return the name that OrcaSlicer shows."""
         return "Compensate vibration"
 
     def get_default_config(self) -> dict[str, str]:
+        """Return the settings a new profile begins with."""
         return DEFAULTS
 
     def execute(self, ctx: Any) -> Any:
+        """Compensate the file that OrcaSlicer is about to export."""
         if ctx.step != orca.slicing.Step.psGCodePostProcess:
             return orca.ExecutionResult.skipped()
         try:
@@ -53,7 +56,7 @@ class Compensate(orca.slicing.SlicingPipelineCapabilityBase):
 
 
 def _compensate(ctx: Any, config: dict[str, str]) -> str:
-    """The last line that ffcomp said. Raises ValueError with a sentence when it did not end well, or was cancelled."""
+    """Return ffcomp's last line; raises ValueError with a sentence when it failed or was cancelled."""
     named = ["--machine", config["machine"]] if config["machine"] else []
     process = subprocess.Popen(
         [config["executable"], "compensate", *named, *shlex.split(config["options"]), ctx.gcode_path],
@@ -72,7 +75,7 @@ def _compensate(ctx: Any, config: dict[str, str]) -> str:
 
 
 def _wait(process: Any, ctx: Any) -> str:
-    """What the process said, once it has ended; it is ended when the user cancels."""
+    """Return the process's output once it has ended; end it when the user cancels."""
     while True:
         try:
             return process.communicate(timeout=LOOK_S)[1]
@@ -84,7 +87,7 @@ def _wait(process: Any, ctx: Any) -> str:
 
 
 def _environment(ctx: Any) -> dict[str, str]:
-    """What a classic post-processing script would be told, as far as ffcomp asks."""
+    """Return the environment of a classic post-processing script, as far as ffcomp asks."""
     told = {"SLIC3R_PP_HOST": ctx.host, "SLIC3R_PP_OUTPUT_NAME": ctx.output_name, "PYTHONUTF8": "1"}
     told |= {f"SLIC3R_{key.upper()}": ctx.config_value(key) for key in SETTINGS}
     kept = {key: value for key, value in os.environ.items() if key not in ORCAS_OWN}
@@ -93,5 +96,8 @@ def _environment(ctx: Any) -> dict[str, str]:
 
 @orca.plugin
 class Package(orca.base):
+    """The plugin's package."""
+
     def register_capabilities(self) -> None:
+        """Register the post-processing step."""
         orca.register_capability(Compensate)

@@ -21,10 +21,12 @@ keep showing the original. If ffcomp fails the export fails: the print is never 
 
 
 def nowhere() -> list[Path]:
+    """Return no folder: the program has none of its own."""
     return []
 
 
 def here() -> list[Path]:
+    """Return the current folder."""
     return [Path.cwd()]
 
 
@@ -41,25 +43,25 @@ class Recipe:
 
 
 def executable() -> str:
-    """The full path of the program that runs: slicers that were started from an icon do not know the shell's PATH."""
+    """Return the full path of the running program: slicers started from an icon do not know the shell's PATH."""
     own = sys.argv[0] if Path(sys.argv[0]).stem == "ffcomp" else "ffcomp"
     found = shutil.which(own)
     return os.path.abspath(found) if found else "ffcomp"
 
 
 def joined(arguments: Sequence[str]) -> str:
-    """A command line, quoted as this platform wants it."""
+    """Join a command line, quoted as this platform wants it."""
     return subprocess.list2cmdline(arguments) if sys.platform == "win32" else shlex.join(arguments)
 
 
 def instructions(recipe: Recipe, machine: str, program: str) -> str:
-    """What is to be done, with this machine and this program."""
+    """Return the steps to take, with this machine and this program."""
     line = joined([program, "compensate", "--machine", machine])
     return recipe.steps.format(line=line, machine=machine, quoted=joined([machine]), classic=CLASSIC)
 
 
 def wrapper(recipe: Recipe, machine: str, program: str) -> str:
-    """The wrapper's text, which knows this program, and this machine if one is named."""
+    """Return the wrapper's text with this program, and this machine if one is named."""
     text = (HERE / recipe.wrapper).read_text(encoding="utf-8")
     for name, value in (("EXECUTABLE", program), ("MACHINE", machine)):
         default = f"\n{name} = {json.dumps(DEFAULTS[name])}\n"

@@ -32,10 +32,12 @@ class Bed:
 
     @property
     def centre(self) -> tuple[float, float]:
+        """Return the middle of the bed, X Y mm."""
         return (self.low[0] + self.high[0]) / 2, (self.low[1] + self.high[1]) / 2
 
     @property
     def size(self) -> tuple[float, float]:
+        """Return the width and depth of the bed, mm."""
         return self.high[0] - self.low[0], self.high[1] - self.low[1]
 
 
@@ -51,7 +53,7 @@ class Call:
 
 
 def read_call(environment: Mapping[str, str]) -> Call:
-    """What the environment says."""
+    """Read what the environment says of the print."""
     bed = environment.get("SLIC3R_BED_SHAPE") or environment.get("SLIC3R_PRINTABLE_AREA") or ""
     return Call(
         environment.get("SLIC3R_PP_HOST", ""),
@@ -63,7 +65,7 @@ def read_call(environment: Mapping[str, str]) -> Call:
 
 
 def read_bed(corners: str) -> Bed | None:
-    """A bed's outline as slicers write it, `0x0,220x0,220x220,0x220`; None if it is none."""
+    """Read a bed's outline as slicers write it, `0x0,220x0,220x220,0x220`; None if it is none."""
     try:
         xs, ys = zip(*((float(x), float(y)) for x, y in _CORNER.findall(corners)), strict=True)
     except ValueError:  # no corner, or one that is no number
@@ -73,28 +75,28 @@ def read_bed(corners: str) -> Bed | None:
 
 
 def bed_of(source: bytes | Path) -> Bed | None:
-    """The bed in the settings that the slicer has written at either end of a file, or of its content."""
+    """Read the bed in the settings that the slicer has written at either end of a file, or of its content."""
     head, tail, _ = ends_of(source)
     found = _BED_COMMENT.search(tail) or _BED_COMMENT.search(head)
     return read_bed(found.group(1).decode("ascii")) if found else None
 
 
 def _later(scripts: str) -> tuple[str, ...]:
-    """Scripts after the last that names us; lines within one setting are written as \\n."""
+    r"""Return the scripts after the last that names us; lines within one setting are written as \n."""
     lines = [line.strip().strip('"') for line in re.split(r"\\n|\\r|[;\r\n]", scripts)]
     ours = [i for i, line in enumerate(lines) if "ffcomp" in line]
     return tuple(filter(None, lines[ours[-1] + 1 :])) if ours else ()
 
 
 def offset_for(bed: Bed, middle: tuple[float, float]) -> tuple[float, float]:
-    """What brings a print made for `bed` to a machine whose bed lies about `middle`, mm; nothing where they agree."""
+    """Return the offset, mm, from a print for `bed` to a machine whose bed lies about `middle`."""
     away = tuple(m - c for m, c in zip(middle, bed.centre, strict=True))
     agree = all(abs(a) <= FAR * size for a, size in zip(away, bed.size, strict=True))
     return (0.0, 0.0) if agree else (away[0], away[1])
 
 
 def bed_warning(bed: Bed, machine: Machine, offset: tuple[float, float]) -> list[str]:
-    """A sentence, if the print will not be where the machine file has its bed."""
+    """Warn if the print will not be where the machine file has its bed."""
     middle = machine.kinematics.centre_mm
     shifted = Bed(*((x + offset[0], y + offset[1]) for x, y in (bed.low, bed.high)))
     if not any(offset_for(shifted, middle)):
@@ -108,7 +110,7 @@ def bed_warning(bed: Bed, machine: Machine, offset: tuple[float, float]) -> list
 
 
 def auto_sentence(bed: Bed, machine: Machine) -> str:
-    """What `--offset-mm auto` has chosen, and why."""
+    """Say what `--offset-mm auto` has chosen, and why."""
     middle = machine.kinematics.centre_mm
     return (
         f"--offset-mm auto: {_pair(offset_for(bed, middle))}; the slicer's bed lies about {_place(bed.centre)}, "
@@ -117,7 +119,7 @@ def auto_sentence(bed: Bed, machine: Machine) -> str:
 
 
 def call_warnings(call: Call) -> list[str]:
-    """What in a slicer's settings a user would want to know."""
+    """Return what in a slicer's settings a user would want to know."""
     told = []
     if call.flavor and call.flavor not in KNOWN:
         told.append(

@@ -26,18 +26,19 @@ class Column:
         self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 - `close` closes it
 
     def append(self, values: NDArray[Any]) -> None:
-        """values : (n,), of the column's type or one that fits into it"""
+        """Append values (n,) of the column's type, or one that fits into it."""
         self._file.write(np.ascontiguousarray(values, dtype=self.dtype).data)
         self.length += len(values)
 
     def npy(self) -> Iterator[bytes]:
-        """The bytes of its `.npy` file."""
+        """Yield the bytes of its `.npy` file."""
         yield _header(self.dtype, (self.length,))
         self._file.seek(0)
         while block := self._file.read(_BLOCK_BYTES):
             yield block
 
     def close(self) -> None:
+        """Give up the gathered values."""
         self._file.close()
 
 
@@ -49,18 +50,20 @@ class TextColumn:
         self._length, self._width = 0, 1
 
     def append(self, line: bytes) -> None:
-        """line : no line ending in it"""
+        """Append a line without its line ending."""
         self._file.write(line + b"\n")
         self._length += 1
         self._width = max(self._width, len(line))
 
     def npy(self) -> Iterator[bytes]:
+        """Yield the bytes of its `.npy` file."""
         yield _header(np.dtype(f"S{self._width}"), (self._length,))
         self._file.seek(0)
         for line in self._file:
             yield line[:-1].ljust(self._width, b"\0")
 
     def close(self) -> None:
+        """Give up the gathered lines."""
         self._file.close()
 
 
@@ -72,7 +75,7 @@ def _header(dtype: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
 
 
 def number_npy(value: float) -> Iterator[bytes]:
-    """The bytes of a `.npy` file that holds one number."""
+    """Return the bytes of a `.npy` file that holds one number."""
     yield _header(np.dtype(np.float64), ())
     yield np.float64(value).tobytes()
 

@@ -1,5 +1,6 @@
-"""Steps as rows `interval count add`: step k = 1 … count of a row comes k interval + add k (k − 1)/2 ticks after the
-last step of the row before it, as Klipper's `queue_step` has it.
+"""Compress steps into rows `interval count add`, as Klipper's `queue_step` has them.
+
+Step k = 1 … count of a row comes k interval + add k (k − 1)/2 ticks after the last step of the row before it.
 
 Every step has a window of time about its exact tick, and a row must pass through all of its steps' windows. With
 k i + a k (k − 1)/2 = low … high, step k asks of the interval
@@ -37,8 +38,11 @@ BATCH_STEPS = 1 << 18  # enough that the steps kept for the next batch (a row, a
 
 @njit(cache=True, nogil=True)
 def _windows(tick: IntArray, before: int, slack: int, spacing: int) -> tuple[IntArray, IntArray]:
-    """The first and the last tick allowed for each step, (n,) each: no more than `slack` from the exact one, no more
-    than a quarter of the way to the neighbour on that side, nor so far that pulses come too close."""
+    """Return the first and the last tick allowed for each step, (n,) each.
+
+    They lie no more than `slack` from the exact one, no more than a quarter of the way to the neighbour on that side,
+    nor so far that pulses come too close.
+    """
     low, high = np.empty_like(tick), np.empty_like(tick)
     for k in range(len(tick)):
         gap = tick[k] - (tick[k - 1] if k else before)
@@ -51,7 +55,7 @@ def _windows(tick: IntArray, before: int, slack: int, spacing: int) -> tuple[Int
 
 @njit(cache=True, nogil=True)
 def _stretch(tick: IntArray, way: WayArray, first: int, before: int) -> int:
-    """The end of the steps that may share rows: one way, and no long rest between them or just after the first."""
+    """Find the end of the steps that may share rows: one way, and no long rest between them or just after the first."""
     if tick[first] - before >= FAR_TICKS:
         return first + 1
     for k in range(first + 1, len(tick)):
@@ -62,8 +66,10 @@ def _stretch(tick: IntArray, way: WayArray, first: int, before: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _try(low: IntArray, high: IntArray, first: int, end: int, last: int, add: int) -> tuple[int, int, int, int, float]:
-    """How many steps a row with this `add` holds, and the least and the largest interval for that. And what other rows
-    that reach the step where this one fails need of their `add`: 1 at least, −1 at most, 0 it did not fail; the bound.
+    """Return how many steps a row with this `add` holds, and the least and the largest interval for that.
+
+    And what other rows that reach the step where this one fails need of their `add`: 1 at least, −1 at most, 0 it did
+    not fail; the bound.
     """
     least, most, at_least, at_most = -math.inf, math.inf, 0, 0
     count, shortest, longest = 0, 0, 0
@@ -91,7 +97,7 @@ def _try(low: IntArray, high: IntArray, first: int, end: int, last: int, add: in
 def _row(
     low: IntArray, high: IntArray, tick: IntArray, first: int, end: int, last: int, open_end: bool, guess: int
 ) -> tuple[int, int, int]:
-    """The longest row: count, interval, add. Count 0: it may go on after the end of what is known."""
+    """Find the longest row: count, interval, add. Count 0: it may go on after the end of what is known."""
     best, best_add, from_, to = 0, 0, 0, 0
     least, most, add = -MOST_ADD - 1, MOST_ADD, guess
     for _ in range(MOST_TRIES):
@@ -160,14 +166,14 @@ class Compressor:
         self._waiting = 0
 
     def add(self, tick: IntArray, way: WayArray) -> Rows:
-        """The rows that are complete with these steps. tick : (n,) rising;  way : (n,) ±1"""
+        """Return the rows that are complete with these steps, ticks (n,) rising and ways (n,) ±1."""
         self._tick.append(tick)
         self._way.append(way)
         self._waiting += len(tick)
         return self._rows(final=False) if self._waiting >= BATCH_STEPS else _NO_ROWS
 
     def finish(self) -> Rows:
-        """The rows of all steps that are left."""
+        """Return the rows of all steps that are left."""
         return self._rows(final=True) if self._waiting else _NO_ROWS
 
     def _rows(self, final: bool) -> Rows:

@@ -47,7 +47,7 @@ STATE_SIZE = 10
 
 @njit(cache=True, nogil=True)
 def _line(origin: FloatArray, direction: FloatArray, k: int, arm: Arm) -> tuple[float, float, float, float, float]:
-    """A motor's place at the piece's origin, its slope but for the arm's, and of the arm |d_xy|², p·d_xy and g."""
+    """Return a motor's position at the origin, its slope but for the arm's, and of the arm |d_xy|², p·d_xy and g."""
     x, y, squared, place, slope = arm[0], arm[1], arm[2], arm[3], 0.0
     for axis in range(4):
         place += arm[4 + axis] * origin[k, axis]
@@ -104,7 +104,7 @@ def _time_at(s: float, v: float, a: float, duration: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _release(state: IntArray, rules: Rules, tick: IntArray, way: WayArray, n: int) -> int:
-    """The held step goes out, no sooner after the one before than the electronics can follow."""
+    """Write the held step, no sooner after the one before than the electronics can follow."""
     _, spacing, setup = rules
     wait = spacing if state[HELD_WAY] == state[LAST_WAY] else max(spacing, setup)
     at = max(state[HELD_TICK], state[LAST_TICK] + wait)
@@ -132,7 +132,7 @@ def _step(at: int, up: int, state: IntArray, rules: Rules, tick: IntArray, way: 
 
 @njit(cache=True, nogil=True)
 def _room(array: NDArray[Any], used: int, more: int) -> NDArray[Any]:
-    """The array itself, or a longer copy that `more` entries fit in."""
+    """Return the array itself, or a longer copy that `more` entries fit in."""
     if used + more <= len(array):
         return array
     longer = np.empty(2 * (used + more), array.dtype)
@@ -149,7 +149,7 @@ def step_times(
     rules: Rules,
     state: IntArray,
 ) -> tuple[IntArray, WayArray]:
-    """The steps of one motor along a chunk of pieces; `state` goes on to the next chunk.
+    """Compute the steps of one motor along a chunk of pieces; `state` goes on to the next chunk.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def step_times(
 
 @njit(cache=True, nogil=True)
 def last_step(rules: Rules, state: IntArray) -> tuple[IntArray, WayArray]:
-    """The step that is still held, if there is one."""
+    """Return the step that is still held, if there is one."""
     tick, way = np.empty(1, np.int64), np.empty(1, np.int8)
     n = _release(state, rules, tick, way, 0) if state[HELD_WAY] != 0 else 0
     return tick[:n], way[:n]

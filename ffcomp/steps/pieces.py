@@ -51,7 +51,7 @@ class Pieces:
 
 
 def trajectory_pieces(trajectory: Trajectory, shift_t: float = 0.0) -> Iterator[Pieces]:
-    """A plan's phases, in chunks; the plan's clock begins at `shift_t` s."""
+    """Yield a plan's phases, in chunks; the plan's clock begins at `shift_t` s."""
     for first in range(0, len(trajectory), CHUNK_MOVES):
         yield _phases(trajectory, slice(first, first + CHUNK_MOVES), shift_t)
 

@@ -64,7 +64,7 @@ def is_step_archive(path: str | Path) -> bool:
 
 
 def read_steps(path: str | Path) -> dict[str, MotorSteps]:
-    """The steps of every motor in the archive.
+    """Read the steps of every motor in the archive.
 
     Raises
     ------

@@ -52,6 +52,7 @@ class Board:
     most_late_s: float = 25e-6  # by which a pulse may be put off for its spacing, before that is an error
 
     def ticks(self, seconds: float) -> int:
+        """Convert seconds to ticks of the board's clock."""
         return max(round(seconds * self.clock_hz), 1)
 
 
@@ -157,7 +158,7 @@ class _Motor:
 
 
 def _arm(geometry: Kinematics, motor: str) -> Arm:
-    """The motor's row of `Kinematics.motor_rows`; the filament's own."""
+    """Return the motor's row of `Kinematics.motor_rows`, or the filament's own."""
     rows = [*geometry.motor_rows.tolist(), [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]
     return cast(Arm, tuple(rows[(MOTORS + FOLLOWING).index(motor)]))
 
@@ -210,7 +211,7 @@ class StepSink:
         self.close()
 
     def pieces(self, pieces: Pieces) -> None:
-        """The next stretch of path; how a path is cut into calls changes nothing.
+        """Take the next part of the path; how a path is cut into calls changes nothing.
 
         Raises
         ------
@@ -256,7 +257,7 @@ class StepSink:
             raise StepsError(f"A piece begins at t = {block.start_t[k]:.7f} s, before {ended[k]:.7f} s; time goes on.")
 
     def event(self, t: float, line: bytes) -> None:
-        """A G-code line to run at the time t, s, no earlier than the event before it."""
+        """Add a G-code line to run at the time t, s, no earlier than the event before it."""
         if t < self._last_event_t:
             last = self._last_event_t
             raise StepsError(f"An event at t = {t:g} s comes after one at {last:g} s; events are given in order.")
@@ -265,7 +266,7 @@ class StepSink:
         self._event_line.append(line.rstrip(b"\r\n"))
 
     def finish(self) -> dict[str, MotorTotal]:
-        """Writes the archive; what became of each motor's steps, by its letter."""
+        """Write the archive, and return what became of each motor's steps, by its letter."""
         for motor in self._motors:
             motor.finish()
         write_archive(self._target, dict(self._members()))
@@ -284,7 +285,7 @@ class StepSink:
         yield "events_line", self._event_line.npy()
 
     def close(self) -> None:
-        """Gives up what was gathered; after `finish` there is nothing left of it."""
+        """Give up what was gathered; after `finish` there is nothing left of it."""
         for motor in self._motors:
             for column in motor.part.columns.values():
                 column.close()

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ffcomp.compensate.options import Options
-
-from ffcomp.compensate.job import Job
+from ffcomp.compensate.job import Job, Options
 from ffcomp.compensate.result import Result
 from models.machine import Machine
 

@@ -45,12 +45,12 @@ class Tile:
 
     @staticmethod
     def whole(knots: int) -> Tile:
-        """A run of so many segments at one go."""
+        """Return the one tile of a section of so many segments."""
         return Tile(0, 0, knots, knots)
 
 
 def tiles(knots: int, length: int = TILE, begin: int = 0, end: int | None = None) -> list[Tile]:
-    """A run of so many segments, or what lies between two of its knots, in tiles of `length`, a multiple of CUT."""
+    """Cut a section, or what lies between two of its knots, into tiles of `length` segments, a multiple of CUT."""
     if length % CUT:
         raise ValueError(f"A tile of {length} segments would end between two cuts; its length must divide by {CUT}.")
     end = knots if end is None else end
@@ -130,7 +130,7 @@ class _Laid(NamedTuple):
 def _lines_of(
     program: Program, trajectory: PlannedMotion, run: Section, wanted: Reference, inside: list[Event], tile: Tile
 ) -> tuple[_Lines, list[Event], FloatArray]:
-    """The original's lines whose time lies in a tile or its context, the events among them, and their times in knots.
+    """Return the original's lines whose time lies in a tile or its context, the events among them, and times in knots.
 
     Before a run's first knot and after its last there may be lines too.
     """
@@ -165,7 +165,7 @@ def _before(events: list[Event], move: int) -> int:
 def _lay_out(
     at: FloatArray, stands: BoolArray, e: FloatArray, vertices: FloatArray, first: int
 ) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray, IntArray]:
-    """The columns of `_Laid`; of lines that stand where filament flows, the points are places between the knots.
+    """Compute the columns of `_Laid`; lines that stand where filament flows have points between the knots.
 
     Parameters
     ----------

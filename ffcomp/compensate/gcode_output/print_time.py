@@ -21,7 +21,7 @@ IN_MEMORY, BLOCK = 4 << 20, 1 << 20  # bytes
 def with_times_retold(
     pieces: Iterable[bytes], total_s: Callable[[], float], folder: Path | None = None
 ) -> Iterator[bytes]:
-    """The same pieces; lines that tell a time say what it is now, and a comment before them what it was.
+    """Rewrite the lines that tell a time; a comment before each keeps what it was.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def _read(held: IO[bytes], size: int) -> Iterator[bytes]:
 
 
 def _retold(line: Timed, durations: Durations) -> bytes:
-    """The line as it is to be written, after a comment with what it has told if that was another time."""
+    """Return the line to be written, after a comment with its old time if that was another."""
     new = retold(line, durations)
     ending = line[len(line.rstrip(b"\r\n")) :] or b"\n"
     return new if new == line else TIME_WAS + time_told(line) + ending + new

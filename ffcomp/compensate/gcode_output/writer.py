@@ -66,7 +66,7 @@ class Writer:
     # -- what is not a run
 
     def event(self, event: Event) -> Iterator[bytes]:
-        """A line that is not a move of ours, between runs."""
+        """Write a line that is not a move of ours, between sections."""
         if event.kind in (EventKind.STOP, EventKind.RAW_MOVE):
             yield from self.close()
         line = self.program.lines[event.line]
@@ -99,7 +99,7 @@ class Writer:
             yield b"G1 F" + told + OURS + self.ending
 
     def extrude(self, move: int) -> Iterator[bytes]:
-        """An extruder-only move, as it was but for its feed, which is always said."""
+        """Write an extruder-only move as it was, but always with its feed."""
         moves = self.program.moves
         yield self._original(int(moves.line[move]))
         yield from self._begin(move)
@@ -107,7 +107,7 @@ class Writer:
         yield self._finish(self.moves.move(x, y, z, e, float(moves.speed[move])))
 
     def _shifted(self, line: bytes) -> bytes:
-        """A move that the firmware plans itself, to where the offset puts it."""
+        """Shift a move that the firmware plans itself by the offset."""
         frame = self.program.frames[self.frame]
         code = line.partition(b";")[0].strip()
         if not frame.absolute:
@@ -134,7 +134,7 @@ class Writer:
     # -- a run
 
     def section(self, first: int, vertices: FloatArray, timeline: Timeline) -> Iterator[bytes]:
-        """The segments of one run, or of its next piece: many lines in one bytes object, times apart (`joined`).
+        """Write a section, or its next tile: many lines in one bytes object, times apart (`joined`).
 
         Parameters
         ----------
@@ -157,7 +157,7 @@ class Writer:
         yield from joined(text)
 
     def _segments(self, first: int, vertices: FloatArray, timeline: Timeline) -> _Segments:
-        """What is worth writing of a piece: all where the command bends, little where it runs straight and evenly."""
+        """Select the segments of a tile: all where the command bends, few where it runs straight and evenly."""
         s, piece, at = self.settings, timeline.tile, timeline.at
         frame = self.program.frames[int(self.program.moves.frame[first])]
         points = _stated(vertices, at, piece.first, frame.base, frame.unit_mm)
@@ -239,7 +239,7 @@ class Writer:
         return WAS + text if text.endswith(b"\n") else CUT_SHORT + text + b"\n"
 
     def _escaped(self, event: Event) -> bytes:
-        """A line of the original that would be taken for one of ours: as a comment it can be told apart."""
+        """Keep a line of the original that would be taken for one of ours as a comment."""
         line = self.program.lines[event.line]
         if not line.lstrip().startswith(b";"):
             rule = "only files that ffcomp has compensated have such lines, and this one has lost its stamp"
@@ -257,7 +257,7 @@ class Writer:
         self.moves.reset(self.program.frames[self.frame], place[:3], place[3])
 
     def _closing(self) -> list[bytes]:
-        """The limits that the file has set, over the machine's own."""
+        """Return the lines that restore the limits of the file, or the machine's own."""
         axes = self.settings.output.raised_axes
         if self.flavor == KLIPPER:
             return close_limits(self.flavor, _first_known(self._limits_at(self.move), self.own), axes)
@@ -298,7 +298,7 @@ class _Segments:
         return _Segments(self.begins[s], self.points[s], self.e[s], self.speeds[s], self.lasting[s])
 
     def lines(self, timeline: Timeline) -> list[tuple[int, _Line]]:
-        """The lines of the original that go out among them, each with the segment it stands before."""
+        """Return the original's lines that go out among them, each with the segment it stands before."""
         piece, place = timeline.tile, timeline.at[timeline.point]
         own = (place >= piece.begin) & ((place < piece.end) | (piece.end == piece.last))
         before = np.searchsorted(self.begins, timeline.point[own])
@@ -341,7 +341,7 @@ def _unwritten(
 
 @njit(cache=True, nogil=True)
 def _stated(vertices: FloatArray, at: FloatArray, first: int, base: _Place, unit: float) -> FloatArray:
-    """The command at the points, as the file will state it: 4 decimals in its own coordinates and unit. (m, 3) mm
+    """Round the command at the points to what the file states, 4 decimals in its own coordinates and unit: (m, 3) mm.
 
     vertices : (n + 1, 3) mm at the knots from `first` on;  at : (m,) in knots;  base : X Y Z E, mm;  unit : mm
     """
@@ -359,6 +359,6 @@ def _stated(vertices: FloatArray, at: FloatArray, first: int, base: _Place, unit
 
 
 def _first_known(file: MotionLimits, own: MotionLimits) -> MotionLimits:
-    """The file's limits, and the machine's own where the file has set none."""
+    """Return the file's limits, and the machine's own where the file has set none."""
     pairs = ((getattr(file, name), getattr(own, name)) for name in MotionLimits.__dataclass_fields__)
     return MotionLimits(*(mine if theirs != theirs else theirs for theirs, mine in pairs))
