@@ -2,8 +2,8 @@
 
 The wanted motion is the firmware's plan of the original file. A method is a nozzle command over time (the plan
 itself, the plan shaped, the segments of the compensated file as our planner or as the Kalico host plans them) and a
-`Clock`, which says at what time of the wanted plan each instant of it is: compensated runs begin a little earlier
-and end a little later than the path does, and nothing may hide in that.
+`SectionClock`, which says at what time of the wanted plan each instant of it is: compensated runs begin a little
+earlier and end a little later than the path does, and nothing may hide in that.
 
 All methods are judged alike: contour error to the wanted path's segments, tracking raw and with the best constant
 delay removed, and beside them the largest acceleration that any carriage is asked for over one segment's time. The
@@ -31,7 +31,7 @@ from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import contour_error, peak_acceleration, tracking
 from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.trajectory import Trajectory
-from ffcomp.simulate.motion import Clock, Motion, motion_of, path_corners, planned_motion
+from ffcomp.simulate.motion import Motion, SectionClock, motion_of, path_corners, planned_motion
 from gcode.program import Program
 from gcode.reader import read_program
 from models.file import load_machine
@@ -172,7 +172,7 @@ def original_through_kalico(original: Original) -> Replanned:
     runs = [run for run in original.planned.runs if run.travels]
     firsts = np.searchsorted(np.flatnonzero(travels), [run.first for run in runs])
     begin_t, end_t = np.array([run.begin_t for run in runs]), np.array([run.end_t for run in runs])
-    return Replanned(played, motion_of(played, Clock(played.start_t[firsts], begin_t, begin_t, end_t)))
+    return Replanned(played, motion_of(played, SectionClock(played.start_t[firsts], begin_t, begin_t, end_t)))
 
 
 def ours_through_kalico(original: Original, found: Compensated, own: Segments) -> Replanned:

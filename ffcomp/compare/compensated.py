@@ -18,7 +18,7 @@ from ffcomp.inverse.settings import Settings
 from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from ffcomp.simulate.alignment import SectionStarts, section_starts
-from ffcomp.simulate.motion import Clock, Motion, motion_of
+from ffcomp.simulate.motion import Motion, SectionClock, motion_of
 from gcode.reader import read_program
 from models.arrays import FloatArray
 from models.machine import Machine
@@ -69,7 +69,7 @@ class Segments:
     trajectory: Trajectory  # of the moves that travel
     starts: SectionStarts  # of them
 
-    def clock(self, start_t: FloatArray) -> Clock:
+    def clock(self, start_t: FloatArray) -> SectionClock:
         """Return the clock of these segments when segment k begins at start_t[k], whoever planned them."""
         return self.starts.clock(start_t)
 

@@ -23,7 +23,7 @@ import numpy as np
 from ffcomp.compare import methods as every
 from ffcomp.compare.baselines import LinearPrinter
 from ffcomp.compare.equal_quality import equal_quality, within_limits
-from ffcomp.compare.evaluation import SAMPLE_S, SETTLE_S, Evaluation, Execution, by, contour, evaluate, track
+from ffcomp.compare.evaluation import SAMPLE_S, SETTLE_S, Execution, MethodEvaluation, by, contour, evaluate, track
 from ffcomp.compare.methods import COMPENSATED, TunedMethod
 from ffcomp.compare.monte_carlo import draw_plants, dynamic_numbers
 from ffcomp.compare.result import BedMap, Comparison, Layer, Method, Party, Peaks, Spread
@@ -224,7 +224,7 @@ def _warnings(statistics: Sequence[Statistics | None]) -> tuple[str, ...]:
 
 
 def _method(method: TunedMethod, executed: _Executed, features: Sequence[str]) -> Method:
-    evaluation: Evaluation = evaluate(executed.executions)
+    evaluation: MethodEvaluation = evaluate(executed.executions)
     s, peak = evaluation.samples, executed.peaks.acceleration_mm_per_s2
     everywhere = np.ones(len(s.due), dtype=np.bool_)
     return Method(

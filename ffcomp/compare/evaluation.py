@@ -34,7 +34,7 @@ STEADY_MM_PER_S = 1e-3  # change of the reference speed from sample to sample th
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluation:
+class MethodEvaluation:
     """One method, evaluated at m samples of all slices."""
 
     samples: Samples
@@ -72,7 +72,7 @@ def _contour(execution: Execution) -> FloatArray:
     return contour_error(*execution.print_slice.corners, due, execution.nozzle[execution.counted])
 
 
-def evaluate(executions: Sequence[Execution]) -> Evaluation:
+def evaluate(executions: Sequence[Execution]) -> MethodEvaluation:
     """Evaluate one method over all slices.
 
     Raises
@@ -103,10 +103,10 @@ def evaluate(executions: Sequence[Execution]) -> Evaluation:
         extruding=np.concatenate([each.print_slice.extrudes[m] for each, m in zip(executions, moves, strict=True)]),
     )
     residual = _residual_um([n - w for n, w in zip(nozzle, reference, strict=True)], reference)
-    return Evaluation(samples, np.concatenate(late), delay, residual)
+    return MethodEvaluation(samples, np.concatenate(late), delay, residual)
 
 
-def track(evaluation: Evaluation, which: BoolArray, print_time_s: float, peak_acceleration: float) -> Track:
+def track(evaluation: MethodEvaluation, which: BoolArray, print_time_s: float, peak_acceleration: float) -> Track:
     """Build the TRACK of some of the samples: which : (m,)."""
     s = evaluation.samples
     distance = np.linalg.norm((s.nozzle - s.reference)[which], axis=1)

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import matplotlib
 import numpy as np
-
-matplotlib.use("Agg")
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ffcomp.report.shared.style import AFTER, REFERENCE
 from ffcomp.simulate.simulation import SimulationResult
 from ffcomp.version import __version__
 
-REFERENCE, NOZZLE = "#222222", "#0072b2"
 CLOSE_UP_MM = 2.5  # half the width of the close-up
 LEAST_UM = 0.01  # smaller errors are drawn as this
 
@@ -29,7 +26,7 @@ def simulation_figure(result: SimulationResult) -> Figure:
     )
     left, right = figure.subplots(1, 2, width_ratios=(1, 1.7))
     _close_up(left, result)
-    right.semilogy(result.time_s, np.maximum(result.error_um, LEAST_UM), color=NOZZLE, linewidth=0.6)
+    right.semilogy(result.time_s, np.maximum(result.error_um, LEAST_UM), color=AFTER, linewidth=0.6)
     right.set(xlabel="time, s", ylabel="contour error, µm", title="Along the time")
     right.grid(alpha=0.3)
     figure.supxlabel(f"ffcomp v{__version__}", fontsize=7, x=0.99, ha="right")
@@ -42,7 +39,7 @@ def _close_up(axes: Axes, result: SimulationResult) -> None:
     away = np.abs(result.reference_mm - centre)
     near = (away[:, 2] < 0.15) & (away[:, :2].max(axis=1) < 2 * CLOSE_UP_MM)
     for points, colour, label in (
-        (result.nozzle_mm, NOZZLE, "nozzle"),
+        (result.nozzle_mm, AFTER, "nozzle"),
         (result.reference_mm, REFERENCE, "reference"),
     ):
         shown = np.where(near[:, None], points[:, :2], np.nan)

@@ -14,7 +14,7 @@ from ffcomp.inverse.settings import Settings
 from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.sections import Section
 from ffcomp.planner.trajectory import PlannedMotion
-from ffcomp.simulate.motion import Clock
+from ffcomp.simulate.motion import SectionClock
 from gcode.embedded import WAS, noted, section_times
 from gcode.program import Program
 from models.arrays import FloatArray, IntArray
@@ -31,9 +31,9 @@ class SectionStarts:
     begin_t: FloatArray  # (m,) s on that clock when the section's path begins
     end_t: FloatArray  # (m,) s and ends
 
-    def clock(self, start_t: FloatArray) -> Clock:
+    def clock(self, start_t: FloatArray) -> SectionClock:
         """Return the clock if move k of the compensated file begins at start_t[k], whoever planned it."""
-        return Clock(start_t[self.move], self.plan_t, self.begin_t, self.end_t)
+        return SectionClock(start_t[self.move], self.plan_t, self.begin_t, self.end_t)
 
 
 def section_starts(compensated: Program, original: PlannedProgram) -> SectionStarts:
@@ -53,13 +53,13 @@ def section_starts(compensated: Program, original: PlannedProgram) -> SectionSta
     )
 
 
-def section_clock(compensated: PlannedProgram, original: PlannedProgram) -> Clock:
+def section_clock(compensated: PlannedProgram, original: PlannedProgram) -> SectionClock:
     """Align a planned compensated file with its planned original, section by section."""
     starts = section_starts(compensated.program, original)
     return starts.clock(compensated.trajectory.start_t) if len(starts.move) else _noted_clock(compensated, original)
 
 
-def _noted_clock(compensated: PlannedProgram, original: PlannedProgram) -> Clock:
+def _noted_clock(compensated: PlannedProgram, original: PlannedProgram) -> SectionClock:
     """Align by where each section's first move is noted: all that a file of an old ffcomp tells.
 
     The note stands at the knot at or before the section's beginning, `lead_s` after the first knot. NOTE: where both
@@ -72,7 +72,7 @@ def _noted_clock(compensated: PlannedProgram, original: PlannedProgram) -> Clock
     before = np.floor(usual.lead_s / segment_s + 1e-9)
     early = executed_end_t - note_t > (knots - before + 0.5) * segment_s
     executed_t = note_t + segment_s * early + (usual.lead_s - before * segment_s)
-    return Clock(executed_t, begin_t, begin_t, end_t)
+    return SectionClock(executed_t, begin_t, begin_t, end_t)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from ffcomp.planner.trajectory import PlannedMotion
 from ffcomp.simulate.alignment import section_clock
 from ffcomp.simulate.command import Command, CommandSection, ReferencePath
 from ffcomp.simulate.linear import continuous_intervals
-from ffcomp.simulate.motion import Clock, own_clock, path_corners_with_rests
+from ffcomp.simulate.motion import SectionClock, own_clock, path_corners_with_rests
 from gcode.embedded import original
 from gcode.program import Program
 from gcode.reader import read_program
@@ -68,7 +68,7 @@ def compensated_command(compensated: PlannedProgram, original: PlannedProgram, m
 
 
 def _command(
-    executed: PlannedMotion, reference: PlannedMotion, clock: Clock, machine: Machine, description: str
+    executed: PlannedMotion, reference: PlannedMotion, clock: SectionClock, machine: Machine, description: str
 ) -> Command:
     intervals = continuous_intervals(executed)
     sections = [_section(executed, begin, end, reference, clock, machine) for begin, end in intervals]
@@ -76,7 +76,12 @@ def _command(
 
 
 def _section(
-    executed: PlannedMotion, begin_s: float, end_s: float, reference: PlannedMotion, clock: Clock, machine: Machine
+    executed: PlannedMotion,
+    begin_s: float,
+    end_s: float,
+    reference: PlannedMotion,
+    clock: SectionClock,
+    machine: Machine,
 ) -> CommandSection:
     kinematics = machine.kinematics.compiled()
     last = np.nextafter(end_s, -np.inf)  # at the end itself the next section may have begun

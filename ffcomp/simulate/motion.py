@@ -14,7 +14,7 @@ from models.machine import Machine
 
 
 @dataclass(frozen=True, slots=True)
-class Clock:
+class SectionClock:
     """Alignment of an executed motion with the reference plan, section by section.
 
     Section i of m begins at executed_t[i], which is plan_t[i] on the plan's clock. The reference moves only from
@@ -39,7 +39,7 @@ class Motion:
     position: OfTime
     begin_t: float  # s
     end_t: float  # s
-    clock: Clock
+    clock: SectionClock
 
     def actuators(self, machine: Machine) -> Callable[[FloatArray], FloatArray]:
         """Return the actuators' command at times (k,) s, by the inverse kinematics that the firmware believes in."""
@@ -51,16 +51,16 @@ class Motion:
         return command_peaks(self.actuators(machine), self.begin_t, self.end_t)
 
 
-def motion_of(trajectory: PlannedMotion, clock: Clock) -> Motion:
+def motion_of(trajectory: PlannedMotion, clock: SectionClock) -> Motion:
     """Execute a plan as it stands."""
     begin, end = float(trajectory.start_t[0]), trajectory.end_t
     return Motion(lambda t: trajectory.position(np.clip(t, begin, end))[:, :3], begin, end, clock)
 
 
-def own_clock(trajectory: PlannedMotion) -> Clock:
+def own_clock(trajectory: PlannedMotion) -> SectionClock:
     """Return the clock of the reference plan itself."""
     begin, end = trajectory.start_t[:1], np.array([trajectory.end_t])
-    return Clock(begin, begin, begin, end)
+    return SectionClock(begin, begin, begin, end)
 
 
 def planned_motion(trajectory: PlannedMotion) -> Motion:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ffcomp.compare.compensated import segments_motion
-from ffcomp.simulate.motion import Clock, motion_of
+from ffcomp.simulate.motion import SectionClock, motion_of
 from validation import judge
 
 FAR_MM = 100.0  # the star's arms reach 110 mm, 81 % of the bed's radius
@@ -89,7 +89,7 @@ def test_a_wrong_clock_would_be_seen() -> None:
     motion = segments_motion(case.segments)
     right = judge.judge(case.original, motion)
     clock = motion.clock
-    late = Clock(clock.executed_t, clock.plan_t + 1e-3, clock.begin_t, clock.end_t)
+    late = SectionClock(clock.executed_t, clock.plan_t + 1e-3, clock.begin_t, clock.end_t)
     wrong = judge.judge(case.original, motion_of(case.segments.trajectory, late))
     assert wrong.delay_s == pytest.approx(right.delay_s + 1e-3, abs=2e-5)
     assert wrong.tracking_rms_um > 20 * right.tracking_rms_um
