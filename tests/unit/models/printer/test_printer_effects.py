@@ -14,7 +14,8 @@ from models.effects.catalogue import CATALOGUE, effective_machine, with_effect
 from models.effects.effect import Effect
 from models.machine import Machine
 from models.printer.kernels.record import GUIDE
-from models.printer.printer import GRAVITY_M_PER_S2, PrinterMotion, simulate_printer
+from models.printer.parameters import GRAVITY_M_PER_S2
+from models.printer.printer import PrinterMotion, simulate_printer
 
 RATE_HZ = 1600
 CENTRE = np.array([[0.0, 0.0, 40.0]])
