@@ -1,0 +1,1 @@
+"""The inverse: from a reference to the command whose response it is."""

@@ -1,4 +1,4 @@
-"""What a command asks of the carriages at every instant.
+"""The demand of a command on the carriages at every instant.
 
 The command is a polygon of the nozzle: straight and even from knot to knot, S seconds each. On a straight line a
 carriage stands at q = z + H + h, h² = L² − |d|², d the nozzle's place in the plane as seen from the tower. With the
@@ -32,7 +32,7 @@ TOLERANCE = 1.03  # times a limit: a path that asks for no more is held under it
 
 @dataclass(frozen=True, slots=True)
 class CommandLimits:
-    """Of every carriage's command."""
+    """The limits of every carriage's command."""
 
     velocity_mm_per_s: FloatArray  # (3,)
     acceleration_mm_per_s2: float
@@ -43,7 +43,7 @@ class CommandLimits:
 
     @classmethod
     def of(cls, machine: Machine, segment_s: float) -> CommandLimits:
-        """A step rate is a velocity: no step comes sooner than the last one allows."""
+        """Read the limits of a machine; a step rate is a velocity."""
         own, geometry = machine.limits, machine.kinematics
         by_steps = np.inf if own.step_rate_hz is None else own.step_rate_hz / machine.steps.per_motor
         return cls(
@@ -56,13 +56,13 @@ class CommandLimits:
         )
 
     def demand(self, vertices: FloatArray) -> Demand:
-        """What the command (n + 1, 3) mm, a nozzle polygon, asks of the carriages."""
+        """Return the demand of a command (n + 1, 3) mm, a nozzle polygon, on the carriages."""
         return Demand(*_demand(np.ascontiguousarray(vertices), self.rows, self.segment_s))
 
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """Of n segments, for carriages A B C; the last axis holds both ends of a range, of time or of height."""
+    """The demand of n segments on carriages A B C; the last axis holds both ends of a range, of time or of height."""
 
     velocity: FloatArray  # (n, 3, 2) mm/s, just after the segment's beginning and just before its end
     height: FloatArray  # (n, 3, 2) mm, lowest and highest
@@ -72,7 +72,7 @@ class Demand:
         return np.asarray(np.diff(self.velocity, axis=0) / segment_s)
 
     def utilisation(self, limits: CommandLimits) -> FloatArray:
-        """(n, 3, 3): of segment, limit (`NAMES`) and carriage, how many times the limit is asked for.
+        """Return the demand over the limit, (n, 3, 3) of segment, limit (`NAMES`) and carriage.
 
         Acceleration is what leads into the segment, none into the first. Travel counts from its middle.
         """
@@ -83,13 +83,13 @@ class Demand:
 
 
 def utilisation_from_rest(vertices: FloatArray, limits: CommandLimits) -> FloatArray:
-    """The shares (n + 2, 3, 3) of a command (n + 1, 3) mm that rests for a segment before and after it."""
+    """Return the utilisation (n + 2, 3, 3) by a command (n + 1, 3) mm that rests for a segment before and after it."""
     resting = np.concatenate([vertices[:1], vertices, vertices[-1:]])
     return limits.demand(resting).utilisation(limits)
 
 
 def peak_utilisation(vertices: FloatArray, limits: CommandLimits) -> float:
-    """How many times the tightest limit a command (n + 1, 3) mm, from rest to rest, asks for; up to 1 is allowed."""
+    """Return the peak demand over its limit of a command (n + 1, 3) mm from rest to rest; up to 1 is allowed."""
     return float(utilisation_from_rest(vertices, limits).max())
 
 

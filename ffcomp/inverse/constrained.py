@@ -1,9 +1,9 @@
-"""The fast inverse under hard limits: its answer is kept, and solved again only around places where it asks too much.
+"""The preview inverse under hard limits: its command is solved again only around positions where it exceeds one.
 
-From left to right: the answer is played up to a few knots before a limit is exceeded; there a window of the least
-squares of `exact.py` begins, with the plant's state, and ends some knots after the command is within its limits again.
-The errors that follow the window are weighed in it as well: so the answer after it, found from another state, still
-fits.
+From left to right: the command is simulated up to a few knots before a limit is exceeded; there a window of the least
+squares of `windowed_qr.py` begins, with the plant's state, and ends some knots after the command is within its limits
+again. The errors that follow the window are weighed in it as well: so the command after it, found from another state,
+still fits.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ AT_A_TIME = 512  # knots played
 def enforce(
     run: Iterate, state: FloatArray, keep_response: bool
 ) -> tuple[FloatArray, FloatArray, list[ConstrainedWindow]]:
-    """Solve again where the answer exceeds a limit, from the plant's state (18,) at the run's first knot.
+    """Solve again where the command exceeds a limit, from the plant's state (18,) at the section's first knot.
 
     Returns
     -------
@@ -45,7 +45,7 @@ def enforce(
 
 
 def _too_much(run: Iterate, first: int, last: int) -> BoolArray:
-    """Which of the segments (last - first,) between two knots exceed a limit; how the run ends belongs to its last."""
+    """Mark the segments (last - first,) between knots that exceed a limit; the section's end belongs to the last."""
     before = max(first - 1, 0)
     shares = utilisation_from_rest(run.vertices[before : last + 1], run.model.limits)
     over = shares.max(axis=(1, 2)) > 1.0
@@ -55,7 +55,7 @@ def _too_much(run: Iterate, first: int, last: int) -> BoolArray:
 
 
 def _end_of_cluster(knots: IntArray) -> int:
-    """The last of the knots that belong together: windows around them would overlap."""
+    """Return the last of the knots that belong together: windows around them would overlap."""
     gaps = np.flatnonzero(np.diff(knots) > BEFORE + AFTER)
     return int(knots[gaps[0]] if len(gaps) else knots[-1])
 
@@ -70,7 +70,7 @@ def _window(run: Iterate, first: int, last_beyond: int, state: FloatArray) -> Wi
 
 
 def play(run: Iterate, first: int, last: int, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Nozzle (n·substeps, 3) mm between two knots, and the state (18,) at the latter."""
+    """Simulate the command between two knots: the nozzle (n·substeps, 3) mm, and the state (18,) at the latter."""
     responses, substeps = [np.empty((0, 3))], run.model.settings.substeps
     for at in range(first, last, AT_A_TIME):
         kept = min(AT_A_TIME, last - at)

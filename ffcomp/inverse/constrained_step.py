@@ -1,4 +1,4 @@
-"""The least squares of `exact.py` under the hard limits of `limits.py`.
+"""The least squares of `windowed_qr.py` under the hard limits of `command_limits.py`.
 
 The inverse is a quadratic programme in the change δ of the carriages' heights u at the knots
 
@@ -34,7 +34,7 @@ def constrained_step(
     kinematics: Compiled,
     backend: Backend = "osqp",
 ) -> FloatArray:
-    """The best change of the unknown knots that keeps the limits.
+    """Find the best change of the unknown knots that keeps the limits.
 
     Where the plan itself is well beyond a limit, its own demand is the limit there: following it is always possible.
 
@@ -51,7 +51,7 @@ def constrained_step(
     Raises
     ------
     SolverError
-        When there is no answer even with the widest room.
+        When there is no solution even with the widest margin.
     """
     rows = _Rows(command, plan, limits, kinematics)
     for room in ROOM:
@@ -70,7 +70,7 @@ class _Rows:
         self._now, self._plan = (limits.demand(kinematics.forward(each)) for each in (command, plan))
 
     def within(self, room: float) -> tuple[sparse.csc_matrix, FloatArray, FloatArray]:
-        """A δ between low and high."""
+        """Return the rows A and their bounds: low ≤ A δ ≤ high."""
         parts = [self._velocity(room), self._acceleration(room)]
         if np.isfinite(self._limits.travel_mm).any():
             parts.append(self._travel(room))

@@ -1,4 +1,4 @@
-"""One run while it is inverted: its coefficients, and what the plant makes of them as the firmware plays them."""
+"""The iterate of one section: its coefficients, and the plant's response to them as the firmware executes them."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from ffcomp.inverse.model import InverseModel
 
 
-CONTEXT = 4  # segments before a stretch that decide how fast it is entered
+CONTEXT = 4  # segments before a window that decide how fast it is entered
 
 
 class Iterate:
-    """The coefficients γ of one run (n + 1, 3) mm over its knots and those in sight after its end.
+    """The coefficients γ of one section (n + 1, 3) mm over its knots and those in sight after its end.
 
-    `softened` (m, 3) mm is what is wanted beyond the path at the rows of its segments; empty: nothing is.
+    `robust_offset` (m, 3) mm is the robust reference less the path at the rows of its segments; empty: none.
     """
 
     def __init__(self, model: InverseModel, reference: Reference) -> None:
@@ -34,7 +34,7 @@ class Iterate:
 
 
 class KnotWindow:
-    """The knots `at` … `end` of a run: what is wanted there, and what comes of the coefficients as they stand."""
+    """The knots `at` … `end` of a section: the reference there, and the response to the coefficients as they stand."""
 
     def __init__(self, run: Iterate, at: int, end: int) -> None:
         s = run.model.settings
@@ -50,20 +50,20 @@ class KnotWindow:
         self._due[: len(own)] += own
 
     def vertices(self) -> FloatArray:
-        """Nozzle commands at the knots, (n + 1, 3) mm."""
+        """Return the nozzle commands at the knots, (n + 1, 3) mm."""
         return self.run.model.kinematics.forward(self.wanted + self.run.gamma[self.at : self.end + 1])
 
     def respond(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Nozzle (m, 3) mm after every substep and states at the knots, from a state (18,) at the first knot."""
+        """Return the nozzle (m, 3) mm after every substep and the states at the knots, from the first one's (18,)."""
         q, states = self._carriages(state)
         return self.run.model.kinematics.forward(q), states
 
     def error(self, response: FloatArray) -> FloatArray:
-        """Where the nozzle should have been instead, at the rows that are weighed: (rows, 3) mm."""
+        """Return the error of a response at the rows that are weighed, (rows, 3) mm."""
         return self._due - response[self._stride - 1 :: self._stride]
 
     def error_from(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The same, and the states at the knots, from a state (18,) at the first knot."""
+        """Return the error by the plant, and the states at the knots, from a state (18,) at the first knot."""
         q, states = self._carriages(state)
         rows = np.ascontiguousarray(q[self._stride - 1 :: self._stride])
         return self._due - self.run.model.kinematics.forward(rows), states
@@ -74,7 +74,7 @@ class KnotWindow:
         return model.plant.play(self.place, self._centripetal, command, state, model.settings.substeps)
 
     def as_played(self) -> FloatArray:
-        """The command as the firmware plays the segments: straight for the nozzle, with its ramps. (m, 3) mm."""
+        """Return the command as the firmware executes the segments: straight, with its ramps, (m, 3) mm."""
         run, s = self.run, self.run.model.settings
         before = min(self.at, CONTEXT)
         first = self.at - before

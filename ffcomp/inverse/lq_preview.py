@@ -1,9 +1,9 @@
-"""The fast inverse of a run: the gains of `preview.py`, corrected by what the scheduled plant really does.
+"""The preview inverse of a section: the gains of `riccati.py`, corrected by the scheduled plant's response.
 
-A run is taken in stretches. The coefficients begin as what a slow motion needs, γ = τ q̇* + C q̈*; segments are played
-through the plant scheduled along the path, with the firmware's ramps; the error that comes out is swept backwards and
-forwards once; and again. The gains are those of the nearest node of the grid, the plant is the one at the very place:
-what the first sweep misses for that, the second one finds.
+A section is solved in windows. The coefficients begin as what a slow motion needs, γ = τ q̇* + C q̈*; segments are
+executed through the plant scheduled along the path, with the firmware's ramps; the error that comes out is swept
+backwards and forwards once; and again. The gains are those of the nearest node of the grid, the plant is the one at the
+very position: what the first sweep misses for that, the second one finds.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ SIGHT = 32  # knots in sight after them: what comes later asks for a hundred-tho
 
 
 def solve(run: Iterate, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray, int]:
-    """All coefficients of a run, from the plant's state (18,) at its first knot.
+    """Find all coefficients of a section, from the plant's state (18,) at its first knot.
 
     Returns
     -------
-    the nozzle's response (n·substeps, 3) mm, empty if not asked for; the state (18,) at the end; stretches solved
+    the nozzle's response (n·substeps, 3) mm, empty if not asked for; the state (18,) at the end; windows solved
     """
     responses, at, stretches = [np.empty((0, 3))], 0, 0
     while at < run.last:
@@ -40,7 +40,7 @@ def solve(run: Iterate, state: FloatArray, keep_response: bool) -> tuple[FloatAr
 
 
 class _Part:
-    """The knots at+1 … stop of a run, with those in sight."""
+    """The knots at+1 … stop of a section, with those in sight."""
 
     def __init__(self, run: Iterate, at: int, stop: int, begin: bool = True) -> None:
         self.run, self.at, self.stop = run, at, stop
@@ -53,7 +53,7 @@ class _Part:
             self._begin()
 
     def _begin(self) -> None:
-        """γ = τ q̇* + C q̈* where nothing is known yet: what a slow motion needs."""
+        """Begin with what a slow motion needs, γ = τ q̇* + C q̈*, where nothing is known yet."""
         run, stretch = self.run, self.stretch
         last = min(stretch.end, run.last - 1)
         n = last - self.at
@@ -81,7 +81,7 @@ class _Part:
         return np.empty((0, 3)), states[kept] + answer
 
     def improve(self, error: FloatArray) -> tuple[FloatArray, float]:
-        """γ += the answer to the error (rows, 3) mm that is left.
+        """Add to γ the answer to the error (rows, 3) mm that is left.
 
         Returns
         -------
@@ -98,7 +98,7 @@ class _Part:
 
 
 def _to_rest(gains: PreviewGains, node: NDArray[np.int64], steady: int) -> Gains:
-    """The gains before the run's end; from there on `node` (n,) points to them, counted after the steady ones."""
+    """Return the gains before the section's end, to which `node` (n,) then points, counted after the steady ones."""
     felt = TO_THE_END + REST_ROWS
     n = min(felt, len(node))
     ending = gains.end(int(node[-1]))
@@ -107,9 +107,9 @@ def _to_rest(gains: PreviewGains, node: NDArray[np.int64], steady: int) -> Gains
 
 
 def answer(run: Iterate, gamma: FloatArray, error: FloatArray) -> FloatArray:
-    """By how much a command γ (n + 1, 3) mm of a whole run is changed that leaves an error.
+    """Return the change of a command γ (n + 1, 3) mm of a whole section that leaves an error.
 
-    error : (rows, 3) mm, of the run and `REST_ROWS` knots after it
+    error : (rows, 3) mm, of the section and `REST_ROWS` knots after it
     """
     run.gamma[:] = gamma
     _Part(run, 0, run.last, begin=False).improve(np.ascontiguousarray(error))

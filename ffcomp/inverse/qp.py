@@ -47,7 +47,9 @@ def solve_qp(
     *,
     backend: Backend = "osqp",
 ) -> FloatArray:
-    """The x (n,) of the programme; p (n, n) positive definite, a (m, n), low ≤ high (m,), infinite where there is none.
+    """Solve the programme for x (n,).
+
+    p (n, n) is positive definite, a (m, n), low ≤ high (m,), infinite where there is none.
 
     Raises
     ------
@@ -104,7 +106,7 @@ def _piqp(problem: Problem) -> tuple[str, FloatArray]:
 
 
 def _clarabel(problem: Problem) -> tuple[str, FloatArray]:
-    """Its form is A x + s = b with s ≥ 0: every row twice."""
+    """Solve in the form A x + s = b with s ≥ 0: every row twice."""
     clarabel = _module("clarabel")
     settings = clarabel.DefaultSettings()
     settings.verbose = False

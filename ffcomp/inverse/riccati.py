@@ -1,7 +1,8 @@
-"""The fast inverse: the same least squares, solved by dynamic programming with gains that depend on place only.
+"""The preview inverse: the same least squares, solved by dynamic programming with gains that depend on place only.
 
-In error coordinates q_d = q* + N γ the least squares of `exact.py` over a whole run is an optimal tracking problem
-(linear-quadratic, with preview). Its state holds the answer x to γ and the last two coefficients, its control is
+In error coordinates q_d = q* + N γ the least squares of `windowed_qr.py` over a whole section is an optimal tracking
+problem (linear-quadratic, with preview). Its state holds the answer x to γ and the last two coefficients, its control
+is
 
     w_k = γ_{k+1} − 2 γ_k + γ_{k−1}          z_k = (x_k, γ_k, γ_{k−1})          z_{k+1} = 𝒜 z_k + ℬ w_k
 
@@ -69,7 +70,7 @@ class Gains:
     forward: Float32Array  # (g, 24 + 3, 24): (z, ψ) -> z
 
     def with_room(self, places: int) -> Gains:
-        """The same, with at least so many places."""
+        """Return the same gains, with room for at least so many positions."""
         if places <= len(self.backward):
             return self
         more = max(places, 2 * len(self.backward)) - len(self.backward)
@@ -82,6 +83,7 @@ class Gains:
 
 
 def no_gains() -> Gains:
+    """Return gains for no position."""
     return Gains(np.empty((0, *BACKWARD), np.float32), np.empty((0, *FORWARD), np.float32))
 
 
@@ -112,7 +114,7 @@ class PreviewGains:
         self._add(node, _gains(problem, _riccati(problem, self.effort), self.effort))
 
     def problem(self, node: IntArray) -> Problem:
-        """What is solved at nodes (g,) of the grid."""
+        """Return the problem that is solved at nodes (g,) of the grid."""
         across = 2 * self._half + 1
         xy = PITCH_MM * (np.stack([node // across, node % across], axis=1) - self._half).astype(np.float64)
         return _problem(*self._plant_at(xy), self._rows)
@@ -141,9 +143,9 @@ class PreviewGains:
             self._add(known["node"][new], Gains(known["backward"][new], known["forward"][new]))
 
     def end(self, slot: int) -> Gains:
-        """The gains of the last `TO_THE_END` intervals of a run that ends in a place, first to last.
+        """Return the gains of the last `TO_THE_END` intervals of a section that ends at a position, first to last.
 
-        The interval that ends the run has no choice left, nor have those after it: their gains are zero.
+        The interval that ends the section has no choice left, nor have those after it: their gains are zero.
         """
         with self._working:
             if slot in self._ends:
@@ -166,7 +168,7 @@ class PreviewGains:
 
 
 def _problem(p: DiscretePlant, jacobian: FloatArray, rows: int) -> Problem:
-    """The interval of `rows` steps of the plant, at all of its places; jacobian (g, 3, 3)."""
+    """Build the interval of `rows` steps of the plant, at all of its positions; jacobian (g, 3, 3)."""
     g = len(jacobian)
     x, now, before = slice(0, STATES), slice(STATES, STATES + AXES), slice(STATES + AXES, AUGMENTED)
     eye = np.eye(AXES)

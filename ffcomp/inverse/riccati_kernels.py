@@ -57,7 +57,7 @@ def basis_response(
 def sweep_back(
     steady: Float32Array, ending: Float32Array, node: IntArray, error: FloatArray, gamma: FloatArray
 ) -> Float32Array:
-    """What the errors to come ask for now: ψ (n, 3) of `preview`, from the last interval to the first.
+    """Sweep backwards: ψ (n, 3) of `riccati`, what the errors to come demand now, from the last interval on.
 
     steady (g, 33, 32), ending (m, 33, 32): gains.   node (n,): which of them; beyond g counts into `ending`.
     error (n, 6) mm, at the interval's rows.   gamma (n + 2, 3) mm: the command's coefficients, from the knot before on.
@@ -82,7 +82,7 @@ def sweep_back(
 def sweep_forward(
     steady: Float32Array, ending: Float32Array, node: IntArray, psi: Float32Array, kept: int
 ) -> tuple[FloatArray, FloatArray]:
-    """The change of the command: γ (n, 3) at the ends of the intervals, and the plant's answer x (18,) after `kept`.
+    """Sweep forwards: the change γ (n, 3) at the ends of the intervals, and the plant's answer x (18,) after `kept`.
 
     steady (g, 27, 24), ending (m, 27, 24): gains.   psi (n, 3): see `sweep_back`.
     """
@@ -105,7 +105,7 @@ def sweep_forward(
 def riccati_backwards(
     interval: FloatArray, effort: float, resting: int, feedback: FloatArray, preview: FloatArray
 ) -> None:
-    """The finite problem of `preview`, from its end on backwards: F and the rows of ψ for every interval.
+    """Solve the finite problem of `riccati`, from its end on backwards: F and the rows of ψ for every interval.
 
     interval (30, 27): z⁺ and the nozzle's rows from (z, w), 𝒜 ℬ over C̄ D̄.   In the last `resting` intervals F is given
     and there is no choice.   feedback (n, 3, 24), preview (n, 3, 33): of all intervals, filled in before those.

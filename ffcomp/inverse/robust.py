@@ -1,4 +1,4 @@
-"""What may be wanted of a machine that is not exactly known.
+"""Robust reference modification under parameter uncertainty.
 
 The numbers of a machine file have standard deviations (its `[uncertainty]`), so its FRF G is one draw of many, and so
 is D = G K₀ with the plain inverse K₀: what comes of the path r if it is wanted as it is. Near a lightly damped mode D
@@ -65,11 +65,11 @@ class RobustReference:
     """d over the bed of one machine, for rows `row_s` apart."""
 
     def __init__(self, machine: Machine, row_s: float, bandwidth_hz: float, effort: float) -> None:
-        """effort : ρ against one row, as in the sweeps"""
+        """Prepare the sensitivity; effort: ρ against one row, as in the sweeps."""
         self.sensitivity = Sensitivity(machine, row_s, bandwidth_hz, effort)
 
     def offset(self, rows: FloatArray, moving: BoolArray) -> FloatArray:
-        """What is wanted beyond a path (n + 2 MARGIN, 3) mm, which has MARGIN rows more at either end: d (n, 3) mm.
+        """Return the offset d (n, 3) mm from a path (n + 2 MARGIN, 3) mm, which has MARGIN rows more at either end.
 
         moving : (n + 2 MARGIN,) where d may be something; outside, the command rests on the path
         """
@@ -84,7 +84,7 @@ class RobustReference:
         return out[BLEND : n + BLEND]
 
     def _span(self, rows: FloatArray, moving: BoolArray) -> FloatArray:
-        """d (m, 3) mm of one span (m, 3) mm, found by itself."""
+        """Find d (m, 3) mm of one span (m, 3) mm by itself."""
         length = next(each for each in SPANS if len(rows) <= each)
         response = self.sensitivity.along(rows[:, :2], length)
         allowed = moving[:, None].astype(np.float32)
@@ -96,10 +96,10 @@ class RobustReference:
             return allowed * response.adjoint(gathered(errors))
 
         for _ in range(ROUNDS):
-            left, along = beside(rows, sigma_points(missed + response.to_wish(d)))
+            left, along = beside(rows, sigma_points(missed + response.to_offset(d)))
 
             def curvature(change: ShortArray, along: ShortArray = along) -> ShortArray:
-                return gradient(across(sigma_points(response.to_wish(change)), along)) + CALM * change
+                return gradient(across(sigma_points(response.to_offset(change)), along)) + CALM * change
 
             d = d + conjugate_gradients(curvature, -gradient(left) - CALM * d, STEPS)
         return d.astype(np.float64)
@@ -112,7 +112,7 @@ def sigma_points(errors: ShortArray) -> ShortArray:
 
 
 def gathered(points: ShortArray) -> ShortArray:
-    """The transpose of `sigma_points` over their number: (1 + k, m, 3) of (2 k, m, 3)."""
+    """Apply the transpose of `sigma_points` over their number: (1 + k, m, 3) of (2 k, m, 3)."""
     k = len(points) // 2
     apart = (points[:k] - points[k:]) * np.float32(0.5 / np.sqrt(k))
     return np.concatenate([points.mean(axis=0, keepdims=True), apart])
@@ -125,7 +125,7 @@ def across(errors: ShortArray, along: ShortArray) -> ShortArray:
 
 @njit(cache=True, nogil=True)
 def beside(rows: FloatArray, missed: ShortArray) -> tuple[ShortArray, ShortArray]:
-    """n + ε l, and T, for the path (m, 3) mm whose places are missed by (p, m, 3) mm.
+    """Return n + ε l, and T, for the path (m, 3) mm whose positions are missed by (p, m, 3) mm.
 
     Returns
     -------
@@ -151,7 +151,7 @@ def beside(rows: FloatArray, missed: ShortArray) -> tuple[ShortArray, ShortArray
 
 @njit(cache=True, nogil=True)
 def _nearest(rows: FloatArray, at: FloatArray, low: int, high: int) -> tuple[int, float]:
-    """The nearest of the path's steps low ≤ k < high to a place (3,), and the share of it that lies before that place.
+    """Find the nearest of the path's steps low ≤ k < high to a position (3,), and the share of it before that position.
 
     A share below zero or above one: one of its ends is nearest.
     """
@@ -172,7 +172,7 @@ def _nearest(rows: FloatArray, at: FloatArray, low: int, high: int) -> tuple[int
 
 
 def conjugate_gradients(apply: Callable[[ShortArray], ShortArray], wanted: ShortArray, steps: int) -> ShortArray:
-    """x with A x = b for a positive definite A, as far as so many steps go. Hestenes & Stiefel 1952."""
+    """Solve A x = b for a positive definite A, as far as so many steps go. Hestenes & Stiefel 1952."""
     x = np.zeros_like(wanted)
     left, direction = wanted, wanted
     size = first = np.vdot(left, left)
@@ -188,7 +188,7 @@ def conjugate_gradients(apply: Callable[[ShortArray], ShortArray], wanted: Short
     return x
 
 
-# ---- what the machine may make of a wish ---------------------------------------------------------
+# ---- the machine's response to an offset ---------------------------------------------------------
 
 
 class Sensitivity:
@@ -226,13 +226,13 @@ class Sensitivity:
             known = [self._node((i, j)) for i, j in nodes[used].tolist()]
         every = SPANS[-1] // length
         f = self.frequency[::every]
-        # beyond the bandwidth nothing is commanded: leave the wish alone
+        # beyond the bandwidth nothing is commanded: leave the offset alone
         band = np.clip(2.0 - f / self.bandwidth_hz, 0.0, 1.0)
         rate = np.exp(2j * np.pi * f * self.row_s) - 1.0
         return Response(np.array(known)[..., ::every], near[used], band, rate, length)
 
     def _node(self, node: tuple[int, int]) -> ShortComplexArray:
-        """(1 + DIRECTIONS, 3, 3, lines)"""
+        """Return D at a node, (1 + DIRECTIONS, 3, 3, lines)."""
         if node not in self._nodes:
             mixed = np.tensordot(self._mixing, self._of_draws(np.array(node) * PITCH_MM), axes=1)
             self._nodes[node] = np.moveaxis(mixed, 1, -1).astype(np.complex64)
@@ -251,7 +251,7 @@ class Sensitivity:
 
 
 class Response:
-    """What the mean machine and those off in each direction make of a wish, at the places of one span of m rows.
+    """The response of the mean machine and of those off in each direction to an offset, over one span of m rows.
 
     The machine changes along the path: what each node of the grid would answer is weighed by how near it is.
     """
@@ -259,9 +259,11 @@ class Response:
     def __init__(
         self, known: ShortComplexArray, near: FloatArray, band: FloatArray, rate: ComplexArray, length: int
     ) -> None:
-        """known : (nodes, 1 + DIRECTIONS, 3, 3, lines);  near : (nodes, m)
+        """Hold the nodes' responses.
 
-        band : (lines,) of a wish;  rate : (lines,) of the step from one row to the next, for a row of one
+        known : (nodes, 1 + DIRECTIONS, 3, 3, lines);  near : (nodes, m)
+
+        band : (lines,) of an offset;  rate : (lines,) of the step from one row to the next, for a row of one
         """
         self._nodes, self._length, self._near = len(known), length, near.astype(np.float32)
         missed = known.copy()
@@ -274,12 +276,12 @@ class Response:
         """D r − r of a path with these steps (m, 3) mm from row to row: (1 + DIRECTIONS, m, 3) mm."""
         return self._through(self._missed, steps)
 
-    def to_wish(self, d: ShortArray) -> ShortArray:
+    def to_offset(self, d: ShortArray) -> ShortArray:
         """D d of (m, 3) mm: (1 + DIRECTIONS, m, 3) mm."""
         return self._through(self._known, d)
 
     def adjoint(self, errors: ShortArray) -> ShortArray:
-        """(m, 3) of errors (1 + DIRECTIONS, m, 3): the transpose of `to_wish`."""
+        """(m, 3) of errors (1 + DIRECTIONS, m, 3): the transpose of `to_offset`."""
         weighed = self._near[:, None, None, :] * np.swapaxes(errors, 1, 2)
         return self._rows(_transposed(self._known, self._lines(weighed.reshape(-1, weighed.shape[-1])))).T
 
@@ -297,13 +299,13 @@ class Response:
 
 
 def _flat(known: NDArray[np.complexfloating[Any, Any]]) -> ShortComplexArray:
-    """(nodes · (1 + DIRECTIONS) · 3, 3, lines)"""
+    """Flatten to (nodes · (1 + DIRECTIONS) · 3, 3, lines)."""
     return np.ascontiguousarray(known.reshape(-1, 3, known.shape[-1]), dtype=np.complex64)
 
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _applied(known: ShortComplexArray, lines: ShortComplexArray) -> ShortComplexArray:
-    """known (p, 3, f), lines (3, f) -> (p, f)."""
+    """Multiply known (p, 3, f) by lines (3, f): (p, f)."""
     out = np.empty((len(known), lines.shape[1]), np.complex64)
     for p in range(len(known)):
         for f in range(lines.shape[1]):
@@ -313,7 +315,7 @@ def _applied(known: ShortComplexArray, lines: ShortComplexArray) -> ShortComplex
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _transposed(known: ShortComplexArray, lines: ShortComplexArray) -> ShortComplexArray:
-    """known (p, 3, f), lines (p, f) -> (3, f)."""
+    """Multiply the adjoint of known (p, 3, f) by lines (p, f): (3, f)."""
     out = np.zeros((3, lines.shape[1]), np.complex64)
     for p in range(len(known)):
         for j in range(3):

@@ -18,6 +18,8 @@ CUT = 256  # knots: no segment is joined across a knot whose number is a multipl
 
 @dataclass(frozen=True, slots=True)
 class Settings:
+    """How the inverse is discretised, solved and limited."""
+
     segment_s: float = 0.004  # S, one G1
     rows_per_segment: int = 2  # where the error is weighed
     substeps: int = 4  # of the simulation, per segment
@@ -42,7 +44,7 @@ class Settings:
 
 
 def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SECOND) -> Settings:
-    """The settings for a machine: its bandwidth at the knee, and from its own limits what no G-code file can raise."""
+    """Choose a machine's settings: its bandwidth at the knee, and from its own limits what no G-code file can raise."""
     limits = planner_limits(machine)
     output = SegmentLimits(
         z_acceleration_mm_per_s2=limits.z_acceleration_mm_per_s2 or limits.acceleration_mm_per_s2,

@@ -1,15 +1,16 @@
 """The exact inverse, window by window: filtered B-splines on the plant scheduled at every knot. The reference.
 
-The basis is what is played: the firmware plays our G1 segments, so the command is a spline of degree 1 with a knot at
-the end of every segment. One run (from rest to rest) is solved in windows; the state is carried from each to the next.
+The basis is what is executed: the firmware executes our G1 segments, so the command is a spline of degree 1 with a
+knot at the end of every segment. One section (from rest to rest) is solved in windows; the state is carried from each
+to the next.
 
-In error coordinates q_d = q* + N γ (q*: the wanted carriage path, N: the hats of the spline), each window minimises
+In error coordinates q_d = q* + N γ (q*: the reference carriage path, N: the hats of the spline), each window minimises
 
     ‖ e₀ − Φ γ ‖² + ρ ‖ D² γ ‖²                                 Φ = J G N: the basis filtered through the plant
 
 by QR. e₀ is the nozzle's error with γ = 0 from the carried state; D² γ S⁻² is the acceleration asked for beyond the
-plan's. Then the very segments are played through the plant (ramps, chords, J̇ q̇) and the same factors remove what error
-is left. γ is zero at both ends of a run: rest stays rest, and hand-over is exact.
+plan's. Then the very segments are executed through the plant (ramps, chords, J̇ q̇) and the same factors remove what
+error is left. γ is zero at both ends of a section: rest stays rest, and hand-over is exact.
 
 Duan, Yoon & Okwudire, A limited-preview filtered B-spline approach to tracking control, Mechatronics 56 (2018) 287-296.
 """
@@ -29,7 +30,7 @@ from models.vibration.scheduled import interpolate, models_along
 
 @dataclass(frozen=True, slots=True)
 class ConstrainedWindow:
-    """Where a limit had to be enforced."""
+    """A window in which a limit is active."""
 
     first: int  # knots of the run
     last: int
@@ -37,7 +38,7 @@ class ConstrainedWindow:
 
 
 def solve(run: Iterate, state: FloatArray) -> tuple[FloatArray, FloatArray, int, list[ConstrainedWindow]]:
-    """All windows of a run, from the plant's state (18,) at its first knot.
+    """Solve all windows of a section, from the plant's state (18,) at its first knot.
 
     Returns
     -------
@@ -55,7 +56,7 @@ def solve(run: Iterate, state: FloatArray) -> tuple[FloatArray, FloatArray, int,
 
 
 def next_window(run: Iterate, at: int, state: FloatArray) -> WindowProblem:
-    """The window after the knot `at`: what is kept of it, and the preview."""
+    """Return the window after the knot `at`: what is kept of it, and the preview."""
     s = run.model.settings
     commit_end = min(at + s.commit, run.last)
     if run.last - commit_end < s.preview // 2:
@@ -84,7 +85,7 @@ class WindowProblem:
         self._left_mm = 0.0
 
     def held(self) -> ConstrainedWindow:
-        """The part that is kept, as it was solved."""
+        """Record the part that is kept, as it was solved."""
         return ConstrainedWindow(self.at, self.commit_end, self._left_mm)
 
     def solve(self) -> tuple[FloatArray, FloatArray]:
@@ -167,7 +168,7 @@ class _Rows:
         return np.asarray(self.matrix.T @ self.matrix)
 
     def free_answer(self, left: FloatArray) -> FloatArray:
-        """The x for which the rows come nearest to what is left."""
+        """Return the x for which the rows come nearest to what is left."""
         from scipy.linalg import solve_triangular  # 0.2 s to import: the fast inverse does without
 
         q, r = self._factors

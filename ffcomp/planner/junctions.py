@@ -12,7 +12,7 @@ from models.arrays import FloatArray
 
 
 def junction_limits(moves: Moves, limits: PlannerLimits, stop_before: NDArray[np.bool_]) -> FloatArray:
-    """The firmware's limit on the speed at the start of each move, (n,) mm/s: its corner, and both moves' own.
+    """Return the firmware's limit on the speed at the start of each move, (n,) mm/s: its corner, and both moves' own.
 
     stop_before : (n,) the motion comes to rest before the move, waits included
     """

@@ -67,7 +67,7 @@ class PlannerLimits:
 
 
 def _complaint(name: str, value: float | None) -> str:
-    """What is wrong with a firmware limit; empty if nothing is."""
+    """Say what is wrong with a firmware limit; empty if nothing is."""
     if value is None or name == "delta":
         return ""
     if name == "minimum_cruise_ratio":
@@ -100,7 +100,7 @@ class Bounds:
 
 
 def lines_of(moves: Moves) -> Lines:
-    """The geometry of the moves, extruder-only ones recognised."""
+    """Compute the geometry of the moves, extruder-only ones recognised."""
     return Lines(*_lines(moves.start, moves.end))
 
 
@@ -176,7 +176,7 @@ def _bounds(
     set_by_the_file: tuple[FloatArray, ...],
     own: _Own,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """The columns of `Bounds`. set_by_the_file : velocity, acceleration, corner and cruise ratio, (n,) each"""
+    """Compute the columns of `Bounds`; set_by_the_file: velocity, acceleration, corner and cruise ratio, (n,) each."""
     n = len(speed)
     top, acceleration, smooth, deviation = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     velocities, accelerations, corners, ratios = set_by_the_file

@@ -63,7 +63,7 @@ def plan_moves(
     wait_before: FloatArray,
     start_t: float = 0.0,
 ) -> Trajectory:
-    """The motion the firmware makes of the moves, from rest to rest.
+    """Plan the motion that the firmware makes of the moves, from rest to rest.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def _phases(
     acceleration: FloatArray,
     smooth_acceleration: FloatArray,
 ) -> FloatArray:
-    """The trapezoids, (7, n), rows as `Phases`. kept, corner : (m,) of the moves that go somewhere; others stay zero"""
+    """Compute the trapezoids, (7, n), rows as `Phases`; kept, corner: (m,) of the moves that go somewhere."""
     # NOTE: loops, not expressions of whole arrays: those take seconds to compile
     m = len(kept)
     gain, smooth_gain, cap = np.empty(m), np.empty(m), np.empty(m)
@@ -135,7 +135,7 @@ def _timed(moves: Moves, lines: Lines, phases: Phases, wait_before: FloatArray, 
 
 
 def corners(lines: Lines, bounds: Bounds, limits: PlannerLimits, stop_before: BoolArray) -> tuple[IntArray, FloatArray]:
-    """The moves that go somewhere, (m,), and the highest v² at which each of them may follow the last, (m,).
+    """Return the moves that go somewhere, (m,), and the highest v² at which each may follow the last, (m,).
 
     stop_before : (n,) the motion comes to rest before the move, or before what goes nowhere in front of it
     """
@@ -206,7 +206,7 @@ def _reached_from_rest(limit: FloatArray, gain: FloatArray) -> FloatArray:
 
 @njit(nogil=True)
 def _stopping_at_the_end(limit: FloatArray, gain: FloatArray) -> FloatArray:
-    """The same from the other side, (n+1,): move i can take away at most gain[i]; rest after the last one."""
+    """Do the same from the other side, (n+1,): move i can take away at most gain[i]; rest after the last one."""
     n = len(limit)
     start = np.zeros(n + 1)
     for i in range(n - 1, -1, -1):

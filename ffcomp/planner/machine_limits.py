@@ -10,7 +10,7 @@ from models.machine import Machine, Steps
 
 
 def planner_limits(machine: Machine) -> PlannerLimits:
-    """What the printer's own configuration allows, as the machine file states it."""
+    """Return the limits of the printer's own configuration, as the machine file states it."""
     own = machine.limits
     return PlannerLimits(
         velocity_mm_per_s=own.velocity_mm_per_s,

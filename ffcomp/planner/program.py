@@ -49,7 +49,7 @@ def plan_program(
 
 
 def firmware_plan(program: Program, machine: Machine, offset: tuple[float, float] = (0.0, 0.0)) -> Trajectory:
-    """Every move, once it is known that the nozzle can get there. offset : as for `plan_program`"""
+    """Plan every move, once it is known that the nozzle can get there; offset: as for `plan_program`."""
     moves = program.moves
     if not len(moves):
         raise NothingToDo(f"{program.path or 'The file'} holds no move whose start is known: nothing to compensate.")

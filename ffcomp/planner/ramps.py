@@ -1,6 +1,6 @@
 """Ramps of speed over many moves: planned with constant acceleration, then rounded to S-curves without moving an end.
 
-A ramp is a stretch of the path on which the speed only rises. Braking is the same seen from the other end: every
+A ramp is a part of the path on which the speed only rises. Braking is the same seen from the other end: every
 function here is called a second time with all arrays reversed. As in `lookahead.py` speeds are squared where nothing
 else is said, for v² grows linearly along the path.
 """
@@ -23,7 +23,7 @@ NEWTON_STEPS = 60  # never needed: each at least halves what is uncertain
 def sweep(
     length: FloatArray, corner: FloatArray, top: FloatArray, up: FloatArray, down: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The fastest v² from rest to rest: at the junctions (m + 1,), and the highest of each move (m,).
+    """Find the fastest v² from rest to rest: at the junctions (m + 1,), and the highest of each move (m,).
 
     length : (m,) mm;  corner : (m + 1,) and top : (m,) mm²/s², bounds of v²;  up, down : (m,) mm/s²
     """
@@ -112,7 +112,7 @@ def cruise_times(
 
 @njit(cache=True, nogil=True)
 def total_time(length: FloatArray, start: FloatArray, peak: FloatArray, up: FloatArray, down: FloatArray) -> float:
-    """What all moves together take, s: rounding the ramps does not change it."""
+    """Return the duration of all moves together, s: rounding the ramps does not change it."""
     total = 0.0
     for i in range(len(length)):
         ramps = (peak[i] - start[i]) / (2.0 * up[i]) + (peak[i] - start[i + 1]) / (2.0 * down[i])
@@ -126,7 +126,7 @@ def total_time(length: FloatArray, start: FloatArray, peak: FloatArray, up: Floa
 def rounded(
     length: FloatArray, start: FloatArray, peak: FloatArray, up: FloatArray, highest: FloatArray, corner: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The ramps as S-curves: (m, 5) as `SmoothTrajectory` holds them, and how long each move is in one, (m,) s.
+    """Round the ramps to S-curves: (m, 5) as `SmoothTrajectory` holds them, and each move's time in one, (m,) s.
 
     highest : (m,) mm/s², what the plateau may be;  corner : (m + 1,) mm²/s², bounds of v² at the junctions
     An S-curve runs ahead in its second half. One that would pass a junction too fast ends there, and another begins.

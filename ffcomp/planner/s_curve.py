@@ -105,7 +105,7 @@ def s_curve(
     held: Held | None = None,
     delay_s: float = 0.0,
 ) -> SmoothTrajectory:
-    """The plan's path with S-curves.
+    """Plan the same path with S-curves.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def s_curve(
 
 
 def hold(plan: Trajectory, carriages: Carriages | None = None, settings: SCurve | None = None) -> Held:
-    """The lowest level under which the plan's path takes no longer than allowed."""
+    """Find the lowest level under which the plan's path takes no longer than allowed."""
     settings = settings or SCurve()
     return _hold(_path_of(plan, carriages, settings.limit_mm_per_s2), settings)
 
@@ -209,7 +209,7 @@ def _profile(path: _Path, settings: SCurve, held: Held) -> _Profile:
 
 
 def _plateaus(path: _Path, settings: SCurve, level: float, found: _Profile) -> FloatArray:
-    """What the plateaus may be, (m,) mm/s². Extruder-only moves keep their ramps: no carriage feels them."""
+    """Return the plateaus' upper bounds, (m,) mm/s². Extruder-only moves keep their ramps: no carriage feels them."""
     moving = path.gain > 0.0
     under = np.divide(level, path.gain, out=np.full_like(path.gain, np.inf), where=moving)
     beside = _beside_curves(path, settings, level, found.start)
@@ -220,7 +220,7 @@ def _plateaus(path: _Path, settings: SCurve, level: float, found: _Profile) -> F
 
 
 def _beside_curves(path: _Path, settings: SCurve, level: float, start: FloatArray) -> FloatArray:
-    """What a plateau may be, so that it and the curve that the move lies in are under the level together, (m,) mm/s².
+    """Bound the plateaus so that each and the curve that its move lies in are under the level together, (m,) mm/s².
 
     Only edges, which ask for higher plateaus, are held back by it: lowering the ramps of a curved print themselves
     would take the time that its corners need.
@@ -267,7 +267,7 @@ def _timed(
 def _highest_v(
     peak: FloatArray, rise: FloatArray, accel_t: FloatArray, fall: FloatArray, decel_t: FloatArray
 ) -> FloatArray:
-    """The highest speed of each move, (m,) mm/s: in the middle of a rounded ramp it is not quite the planned one."""
+    """Return the highest speed of each move, (m,) mm/s: inside a rounded ramp it is not quite the planned one."""
     brakes = np.where(decel_t > 0.0, speeds(fall, decel_t), np.sqrt(peak))
     return np.where(accel_t > 0.0, speeds(rise, accel_t), brakes)
 

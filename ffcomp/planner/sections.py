@@ -16,6 +16,8 @@ from ffcomp.planner.trajectory import PlannedMotion
 
 @dataclass(frozen=True, slots=True)
 class Section:
+    """Consecutive moves of a plan, from rest to rest."""
+
     first: int  # moves first..last-1
     last: int
     travels: bool  # False: one extruder-only move
@@ -24,7 +26,7 @@ class Section:
 
 
 def split_sections(trajectory: PlannedMotion, stop_before: NDArray[np.bool_]) -> list[Section]:
-    """The plan's runs in order; moves that go nowhere and take no time belong to the run they stand in."""
+    """Return the plan's sections in order; moves that go nowhere and take no time belong to the one they stand in."""
     travels = np.any(trajectory.direction[:, :3] != 0.0, axis=1)
     extrudes = ~travels & (trajectory.direction[:, 3] != 0.0)
     edge = stop_before.copy()

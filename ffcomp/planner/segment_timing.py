@@ -1,4 +1,4 @@
-"""What the firmware plays when it is given our G1 segments, in closed form.
+"""The firmware's execution of our G1 segments, in closed form.
 
 A segment of length d must last S seconds. The firmware enters it at the junction speed, ramps at its acceleration to
 the segment's own speed c (its F), and ramps down to the next junction. Distance d in time S asks for
@@ -25,7 +25,7 @@ SETTLED_MM_PER_S = 1e-9  # a junction that moves less no longer moves the segmen
 
 @dataclass(frozen=True, slots=True)
 class SegmentLimits:
-    """The limits our segments are played under (the header opens them, the footer closes them)."""
+    """The limits under which our segments are executed: the header opens them, the footer closes them."""
 
     velocity_mm_per_s: float = 1000.0
     acceleration_mm_per_s2: float = 100_000.0
@@ -38,7 +38,7 @@ class SegmentLimits:
 
 @dataclass(frozen=True, slots=True)
 class SegmentSpeeds:
-    """Speeds of n segments as the firmware will play them."""
+    """Speeds of n segments as the firmware will execute them."""
 
     cruise: FloatArray  # (n,) mm/s: what F asks for
     junction: FloatArray  # (n + 1,) mm/s
@@ -49,7 +49,7 @@ class SegmentSpeeds:
 def segment_speeds(
     vertices: FloatArray, extrusion: FloatArray, lasting: FloatArray, limits: SegmentLimits
 ) -> SegmentSpeeds:
-    """Speeds that make each segment last as long as it should, from rest to rest.
+    """Choose the speeds that make each segment last as long as it should, from rest to rest.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def _settle(
 
 @njit(cache=True, nogil=True, inline="always")
 def _speed(d: float, t: float, a: float, v0: float, v1: float) -> float:
-    """The c of the module's docstring; where the ramps cannot make it in time, the fastest there is."""
+    """Return c of the module's docstring; where the ramps cannot make it in time, the fastest there is."""
     if d <= 1e-9:
         return 0.0
     b = t + (v0 + v1) / a
@@ -151,7 +151,7 @@ def _speed(d: float, t: float, a: float, v0: float, v1: float) -> float:
 def _junction_limits(
     d: FloatArray, a: FloatArray, unit: FloatArray, ratio: FloatArray, deviation: float, extruder_corner_v: float
 ) -> FloatArray:
-    """Largest speed at each junction by angle (junction deviation, centripetal) and by the extruder's jump. mm/s."""
+    """Return the largest speed at each junction, mm/s: by its angle and by the extruder's jump."""
     n = len(d)
     limit = np.zeros(n + 1)
     for k in range(1, n):
@@ -179,7 +179,7 @@ def sample_segments(
     duration: FloatArray,
     substeps: int,
 ) -> FloatArray:
-    """Nozzle command at `substeps` equal parts of every segment, ramps included: (n·substeps + 1, 3) mm."""
+    """Sample the nozzle command at `substeps` equal parts of every segment, ramps included: (n·substeps + 1, 3) mm."""
     n = len(cruise)
     out = np.empty((n * substeps + 1, 3))
     for k in range(n):
@@ -213,7 +213,7 @@ def sample_segments(
 def merge(
     at: FloatArray, points: FloatArray, e: FloatArray, pinned: BoolArray, tolerance: float, longest: float
 ) -> IntArray:
-    """Points that are enough: between two of them the command runs straight and evenly, so one segment will do.
+    """Choose the points to keep: between two of them the command runs straight and evenly, so one segment will do.
 
     Parameters
     ----------

@@ -97,7 +97,7 @@ def _acceleration(u: float, plateau: float, jerk_t: float, lasting: float) -> fl
 
 @njit(cache=True, nogil=True)
 def speeds(ramps: FloatArray, since: FloatArray) -> FloatArray:
-    """The speed of each ramp (n, 5) at times (n,) s from where its move enters it at the slow side, (n,) mm/s."""
+    """Return the speed of each ramp (n, 5) at times (n,) s since its move entered it at the slow side, (n,) mm/s."""
     out = np.empty(len(ramps))
     for i in range(len(ramps)):
         u = ramps[i, GONE] + since[i]

@@ -48,19 +48,19 @@ class PlannedMotion(ABC):
         return float(self.start_t[-1] + (self.accel_t[-1] + self.cruise_t[-1] + self.decel_t[-1]))
 
     def move_at(self, t: ArrayLike) -> IntArray:
-        """The move under way at each time t, or the last one before it; the first one before it has begun."""
+        """Return the move under way at each time t, or the last one before it; the first one before it has begun."""
         return np.maximum(np.searchsorted(self.start_t, t, side="right") - 1, 0)
 
     def position(self, t: ArrayLike) -> FloatArray:
-        """t (k,) s, best sorted → (k, 4) mm, columns X Y Z E."""
+        """Return positions (k, 4) mm, columns X Y Z E, at times t (k,) s, best sorted."""
         return self._sampled(t, POSITION)
 
     def velocity(self, t: ArrayLike) -> FloatArray:
-        """t (k,) s, best sorted → (k, 4) mm/s, columns X Y Z E."""
+        """Return velocities (k, 4) mm/s, columns X Y Z E, at times t (k,) s, best sorted."""
         return self._sampled(t, VELOCITY)
 
     def acceleration_at(self, t: ArrayLike) -> FloatArray:
-        """t (k,) s, best sorted → (k, 4) mm/s², columns X Y Z E."""
+        """Return accelerations (k, 4) mm/s², columns X Y Z E, at times t (k,) s, best sorted."""
         return self._sampled(t, ACCELERATION)
 
     def _sampled(self, t: ArrayLike, derivative: int) -> FloatArray:
@@ -70,7 +70,7 @@ class PlannedMotion(ABC):
 
     @abstractmethod
     def _sample(self, t: FloatArray, derivative: int) -> FloatArray:
-        """A derivative of the place, (k, 4), at times t (k,) s."""
+        """Return a derivative of the position, (k, 4), at times t (k,) s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,7 @@ class Trajectory(PlannedMotion):
 
 @njit(cache=True, nogil=True)
 def move_near(start_t: FloatArray, t: float, i: int) -> int:
-    """The last move that begins at or before t (the first one if none does), sought from move i on."""
+    """Find the last move that begins at or before t (the first one if none does), from move i on."""
     if t < start_t[i] or (i + _NEAR_MOVES < len(start_t) and start_t[i + _NEAR_MOVES] <= t):
         return max(int(np.searchsorted(start_t, t, side="right")) - 1, 0)
     while i + 1 < len(start_t) and start_t[i + 1] <= t:

@@ -23,7 +23,7 @@ REGULAR, LEAST_MM2 = 1e-2, 1e-12  # what keeps the weights small: of the squares
 
 
 def mixed(tried: Sequence[Tried], share: float) -> FloatArray:
-    """The next point (n, 3) mm, from those tried, oldest first, and the share β of an answer that is taken up."""
+    """Return the next point (n, 3) mm, from those tried, oldest first, and the share β of an answer to take up."""
     (x, f), before = tried[-1], tried[:-1]
     if not before:
         return np.asarray(x + share * f)
@@ -36,7 +36,7 @@ def mixed(tried: Sequence[Tried], share: float) -> FloatArray:
 
 
 def around(values: FloatArray, knots: int) -> FloatArray:
-    """Means over so many knots on either side, (n, …); fewer at the ends."""
+    """Average over so many knots on either side, (n, …); fewer at the ends."""
     at, n = np.arange(len(values)), len(values)
     low, high = np.maximum(at - knots, 0), np.minimum(at + knots + 1, n)
     sums = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])

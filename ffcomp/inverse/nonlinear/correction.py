@@ -46,7 +46,7 @@ SMOOTHINGS, NEAR, KEPT = 60, 4, 0.9  # of a change that breaks a limit: how ofte
 
 @dataclass(frozen=True, slots=True)
 class LinearSolution:
-    """A run as the linear model has solved it."""
+    """A section as the linear model has solved it."""
 
     wanted: Reference
     result: Solution
@@ -55,7 +55,7 @@ class LinearSolution:
 
 @dataclass
 class _Round:
-    """One run: what is played next, the last commands that were, the best, and the one put together."""
+    """One section: what is simulated next, the last commands that were, the best, and the one put together."""
 
     run: Iterate  # its γ: what is played next
     rest_rows: int | None  # since the run before it
@@ -71,7 +71,7 @@ class _Round:
 
 
 def correct_sections(model: InverseModel, machine: Machine, runs: Sequence[LinearSolution]) -> list[Solution]:
-    """The runs of a chapter, with the printer's effects allowed for. `machine` lists them."""
+    """Correct the sections of a chunk for the printer's nonlinear effects, which `machine` lists."""
     if not runs:
         return []
     rounds, before = [_begin(model, each) for each in runs], np.inf
@@ -104,7 +104,7 @@ def _begin(model: InverseModel, ran: LinearSolution) -> _Round:
 
 
 def _foresee(model: InverseModel, machine: Machine, rounds: Sequence[_Round]) -> None:
-    """Add to each command what friction and play are known to ask for."""
+    """Add to each command the feedforward of friction and backlash."""
     foresight, stretches = FrictionBacklash(model, machine), [np.zeros((1, 3))] * len(rounds)
     if foresight.crosses:
         _round(model, machine, rounds)  # in case that play is too wide to be crossed in time
@@ -117,7 +117,7 @@ def _foresee(model: InverseModel, machine: Machine, rounds: Sequence[_Round]) ->
 
 
 def _round(model: InverseModel, machine: Machine, rounds: Sequence[_Round]) -> None:
-    """Play the commands as they stand."""
+    """Simulate the commands as they stand."""
 
     def nozzle(motion: PrinterMotion) -> FloatArray:
         return motion.nozzle_mm - static_deflection(machine, motion.nozzle_mm)
@@ -127,17 +127,17 @@ def _round(model: InverseModel, machine: Machine, rounds: Sequence[_Round]) -> N
 
 
 def _reached(rounds: Sequence[_Round]) -> float:
-    """The error's rms with the best commands played, mm."""
+    """Return the error's rms with the best commands simulated, mm."""
     return float(np.sqrt(np.average([each.rms**2 for each in rounds], weights=[each.run.last for each in rounds])))
 
 
 def _promised(rounds: Sequence[_Round]) -> float:
-    """The same with those put together, mm, if every place is again what it was at its best."""
+    """Return the rms with those put together, mm, if every position is again what it was at its best."""
     return float(np.sqrt(np.mean(np.concatenate([each.local[1 : each.run.last + 1] for each in rounds]))))
 
 
 def _played(model: InverseModel, machine: Machine, rounds: Sequence[_Round], seen: Observe) -> list[FloatArray]:
-    """What is seen of the printer in every run and a while after it, (rows + rest, 3) mm, from its first knot on."""
+    """Return what is observed in every section and a while after it, (rows + rest, 3) mm, from its first knot on."""
     s, late = model.settings, values_of(machine, "command_delay")
     commands = [model.kinematics.inverse(KnotWindow(each.run, 0, each.run.last).as_played()) for each in rounds]
     rests = [each.rest_rows for each in rounds]
@@ -146,7 +146,7 @@ def _played(model: InverseModel, machine: Machine, rounds: Sequence[_Round], see
 
 
 def _judge(each: _Round, nozzle: FloatArray) -> None:
-    """Keep what was played if it is the best, and of it the places that are."""
+    """Keep what was simulated if it is the best, and of it the positions that are."""
     run, s = each.run, each.run.model.settings
     wanted, _ = run.reference.substeps(0, run.last + REST_ROWS)
     rows = min(len(nozzle), len(wanted))
@@ -166,7 +166,7 @@ def _judge(each: _Round, nozzle: FloatArray) -> None:
 
 
 def _put_together(each: _Round, local: FloatArray) -> None:
-    """Take what was played wherever it is the best so far."""
+    """Take what was simulated wherever it is the best so far."""
     if not len(each.gamma):
         each.gamma, each.local = each.run.gamma.copy(), local
         return
@@ -177,7 +177,7 @@ def _put_together(each: _Round, local: FloatArray) -> None:
 
 
 def _step(each: _Round, share: float) -> None:
-    """The command that is played next."""
+    """Set the command that is simulated next."""
     played = each.run.gamma.copy()
     gamma = played - each.foreseen
     each.tried = [*each.tried[1 - TRIED :], (gamma, fast.answer(each.run, gamma, each.error))]
@@ -201,7 +201,7 @@ def _change(each: _Round, gamma: FloatArray, change: FloatArray) -> None:
 
 
 def _vertices(run: Iterate, gamma: FloatArray) -> FloatArray:
-    """Nozzle commands (n + 1, 3) mm at the knots."""
+    """Return nozzle commands (n + 1, 3) mm at the knots."""
     delta, knots = run.model.kinematics, np.arange(run.last + 1)
     return delta.forward(delta.inverse(run.reference.at_knots(knots)) + gamma[: run.last + 1])
 

@@ -1,4 +1,4 @@
-"""What friction and play ask of the motors, known before anything is played: where `whole.py` begins.
+"""Friction and backlash feedforward: what they demand of the motors, where `correction.py` begins.
 
 A belt pulls as far as its motor is ahead of its carriage, F = k s. Dry friction of the wanted motion asks for a force
 more. Play takes half of its width w on the side to which the belt pulls, and as much on the other once it pulls there:
@@ -39,7 +39,7 @@ SWEEPS = 3
 
 
 class FrictionBacklash:
-    """Of one printer."""
+    """The feedforward of one printer."""
 
     def __init__(self, model: InverseModel, printer: Machine) -> None:
         s = model.settings
@@ -49,11 +49,11 @@ class FrictionBacklash:
 
     @property
     def crosses(self) -> bool:
-        """Whether the stretch matters."""
+        """Return whether the belts' stretch matters."""
         return bool(np.any(self._numbers.half_backlash > 0.0))
 
     def command(self, run: Iterate, stretch: FloatArray) -> FloatArray:
-        """What the linear inverse of a run lacks, γ (n + 1, 3) mm, from rest to rest.
+        """Return what the linear inverse of a section lacks, γ (n + 1, 3) mm, from rest to rest.
 
         stretch : (rows, 3) mm, of the belts at the run's substeps, without these effects; its last row stays
         """
@@ -67,7 +67,7 @@ class FrictionBacklash:
         return gamma
 
     def _beyond(self, q: FloatArray, stretch: FloatArray) -> FloatArray:
-        """e (m, 3) mm of carriages (m, 3) mm on their wanted paths."""
+        """Return e (m, 3) mm of carriages (m, 3) mm on their reference paths."""
         n = self._numbers
         more = 1e3 * guide_friction(n, q / 1e3, self._row_s) / n.belt_k
         padded = stretch[np.minimum(np.arange(len(q)), len(stretch) - 1)]
@@ -75,7 +75,7 @@ class FrictionBacklash:
 
 
 class _Answer:
-    """What the linear plant makes of something added to a run's wanted motion."""
+    """The linear plant's response to something added to a section's reference."""
 
     def __init__(self, model: InverseModel, run: Iterate) -> None:
         self._model, self._run = model, run
@@ -83,25 +83,25 @@ class _Answer:
         self.q = model.kinematics.inverse(self.nozzle)
 
     def of(self, plant: Schedule, added: FloatArray, begin: FloatArray) -> FloatArray:
-        """The nozzle's, (m, 3) mm after every substep, to carriage commands added : (m + 1, 3) mm."""
+        """Return the nozzle's response, (m, 3) mm after every substep, to added carriage commands (m + 1, 3) mm."""
         forward, substeps = self._model.kinematics.forward, self._model.settings.substeps
         moved, still = (plant.respond(forward(q), self._velocity, begin, substeps)[0] for q in (self.q + added, self.q))
         return moved - still
 
     def along(self, gamma: FloatArray) -> FloatArray:
-        """Coefficients at every substep, (m + 1, 3) mm."""
+        """Return the coefficients at every substep, (m + 1, 3) mm."""
         knots, t = np.arange(len(gamma)), np.arange(len(self.q)) / self._model.settings.substeps
         return np.stack([np.interp(t, knots, axis) for axis in gamma.T], axis=1)
 
     def sweep(self, left: FloatArray) -> FloatArray:
-        """The inverse's answer γ (n + 1, 3) mm to what is left to be done, by itself."""
+        """Return the inverse's answer γ (n + 1, 3) mm to the error that is left, by itself."""
         s = self._model.settings
         stride = s.substeps // s.rows_per_segment
         return fast.answer(self._run, np.zeros_like(self._run.gamma), left[stride - 1 :: stride])
 
 
 def guide_friction(n: PrinterParameters, q: FloatArray, row_s: float) -> FloatArray:
-    """F (m, 3) N of `models/printer/kernels` on carriages that move as q (m, 3) m says, from rest."""
+    """Return F (m, 3) N of `models/printer/kernels` on carriages that move as q (m, 3) m says, from rest."""
     rate = np.gradient(q, row_s, axis=0)
     level = n.dry + n.sticking * np.exp(-(np.abs(rate * n.fading) ** (2.0 * n.fading_power)))
     ratio = rate / n.creep

@@ -126,7 +126,7 @@ def test_conjugate_gradients_solve_in_as_many_steps_as_unknowns() -> None:
 def test_the_adjoint_is_one(softening: RobustReference) -> None:
     rng, known = np.random.default_rng(5), response(softening)
     d = rng.normal(size=(700, 3)).astype(np.float32)
-    answers = known.to_wish(d)
+    answers = known.to_offset(d)
     errors = rng.normal(size=answers.shape).astype(np.float32)
     assert np.vdot(answers, errors) == pytest.approx(np.vdot(d, known.adjoint(errors)), rel=1e-4)
 
@@ -134,7 +134,7 @@ def test_the_adjoint_is_one(softening: RobustReference) -> None:
 def test_a_path_is_a_wish_that_need_not_end_where_it_begins(softening: RobustReference) -> None:
     known, t = response(softening), np.arange(700)[:, None]
     bump = np.exp(-0.5 * ((t - 350) / 8.0) ** 2) * np.array([1.0, -0.7, 0.1])  # there and back, up to 20 Hz
-    expected = known.to_wish(bump.astype(np.float32))
+    expected = known.to_offset(bump.astype(np.float32))
     expected[0] -= bump
     found = known.to_path(np.diff(bump, axis=0, append=bump[-1:]).astype(np.float32))
     assert np.abs(expected).max() > 5e-3
