@@ -54,7 +54,7 @@ def read_emps(path: str | Path) -> ForceDriven:
 
     NOTE: the file with pulses holds them once more as `pulses_N`. They are in `vir` already, and in volts: `vir` jumps
     by 5 V where they do, and regressing gain · vir on mass, frictions, offset and `pulses_N` gives the last a factor
-    of -0.03 to -0.07. Added as a force they would be half the time a push that nothing felt.
+    of -0.03 to -0.07. Added as a force they would be half the time a force that did not act.
     """
     from scipy.io import loadmat
 

@@ -71,7 +71,7 @@ class Fit:
 
     @property
     def predicted_gain(self) -> float:
-        """What the best step would take off the cost."""
+        """The decrease of the cost by the best step."""
         gradient, step = self.jacobian.T @ self.residual - self.z, self.best_step
         return float(2 * gradient @ step - step @ self.information @ step)
 

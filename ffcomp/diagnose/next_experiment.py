@@ -64,7 +64,7 @@ class Move:
 
 @dataclass(frozen=True, eq=False)
 class _Question:
-    """Two printers to be told apart, as values of their parameters."""
+    """Two printers to be separated, as values of their parameters."""
 
     competing: tuple[str, ...]
     one: Mapping[str, float]

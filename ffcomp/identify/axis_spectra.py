@@ -354,8 +354,8 @@ def usable(responses: Iterable[FrequencyResponse]) -> tuple[list[Response], list
 def _of_axes(response: FrequencyResponse) -> FrequencyResponse:
     """Rename cmd_A to cmd_x: the carriages of such a machine are its axes."""
     named = (name.translate(str.maketrans(CARRIAGES, AXES)) for name in (response.input, response.output))
-    told, answers = named
-    return replace(response, input=told, output=answers)
+    command, answers = named
+    return replace(response, input=command, output=answers)
 
 
 def _same(one: FrequencyResponse, other: FrequencyResponse) -> bool:

@@ -169,12 +169,12 @@ def _peaks(data: Sequence[Datum]) -> list[FloatArray]:
 
 def _searched(data: Sequence[Datum], starts: Sequence[FloatArray], count: int) -> _Fit:
     """Fit coarsely from each of the modes (m, 2), all files weighted alike; return the best."""
-    alike = np.full(len(data), COARSE)
+    equal = np.full(len(data), COARSE)
     fits = []
     for start in starts:
         begin = np.concatenate([start.ravel(), [START_SHARE] * (count - 1)])
         own = [datum.begin(_modes(begin, count)) for datum in data]
-        fits.append(_Fit(data, _solved(data, np.concatenate([begin, *own]), count, alike, SEARCHED), count, alike))
+        fits.append(_Fit(data, _solved(data, np.concatenate([begin, *own]), count, equal, SEARCHED), count, equal))
     return min(fits, key=lambda fit: sum(float(r @ r) for r in fit.residuals))
 
 
@@ -287,11 +287,11 @@ def _unclear(two: _Fit) -> str:
     share, low, high = float(two.theta[4]), *_band(two.data)
     other = int(share > 0.5)
     frequency = float(two.modes[other, 0])
-    place = f"at {frequency:.0f} Hz"
+    where = f"at {frequency:.0f} Hz"
     if min(share, 1 - share) < max(SMALLEST_SHARE, SHARP * sd[4]):
-        return f"the share of the mode {place} is not known better than {min(share, 1 - share):.2f} ± {sd[4]:.2f}"
+        return f"the share of the mode {where} is not known better than {min(share, 1 - share):.2f} ± {sd[4]:.2f}"
     if max(sd[0], sd[2]) > CLEAR or not low < frequency < high or two.modes[:, 1].max() > BROADEST:
-        return f"the one {place} is too uncertain or too broad to be a mode"
+        return f"the one {where} is too uncertain or too broad to be a mode"
     return ""
 
 
@@ -320,7 +320,7 @@ def _with_scatter(name: str, modes: tuple[AxisMode, ...], fit: _Fit) -> tuple[tu
     advice = []
     if max(alone) / min(alone) - 1 > APART:
         listed = ", ".join(f"{f:.1f} Hz in {Path(d.source).name}" for f, d in zip(alone, fit.data, strict=True))
-        advice = [f"The files disagree about {name}: {listed}. Was it the same machine, at one place?"]
+        advice = [f"The files disagree about {name}: {listed}. Was it the same machine, at one position?"]
     return (replace(modes[0], frequency_hz=sure), *modes[1:]), advice
 
 
@@ -403,11 +403,11 @@ def _crossing(answers: Sequence[Response], moved: Sequence[str]) -> list[str]:
         for a in answers
     }
     sentences = []
-    for (told, output), crossed in power.items():
-        direct = power.get((told, output[:-1] + told[-1]), 0.0)
-        if told[-1] in moved and output[-1] != told[-1] and crossed > CROSS_TALK * direct > 0:
+    for (cmd, output), crossed in power.items():
+        direct = power.get((cmd, output[:-1] + cmd[-1]), 0.0)
+        if cmd[-1] in moved and output[-1] != cmd[-1] and crossed > CROSS_TALK * direct > 0:
             sentences.append(
-                f"{told} shows in {output} too ({100 * np.sqrt(crossed / direct):.0f} % of the direct response): the "
+                f"{cmd} shows in {output} too ({100 * np.sqrt(crossed / direct):.0f} % of the direct response): the "
                 "model's axes do not disturb each other. Are the sensor's axes the printer's?"
             )
     return sentences

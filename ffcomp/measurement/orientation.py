@@ -15,7 +15,7 @@ from scipy.signal.windows import tukey
 from models.arrays import FloatArray
 
 _BAND_HZ = (2.0, 20.0)  # no offsets and drifts, and far below the first mode
-_FADED = 0.1  # of the run, at both ends together
+_FADED = 0.1  # of the recording, at both ends together
 _AS_NAMED = 0.6  # correlation with its own command that is accepted
 _REVERSED = -0.9
 _ANOTHERS = 0.95  # correlation with another's command, if it is not its own
@@ -88,7 +88,7 @@ def _kin(name: str, reference: Mapping[str, FloatArray]) -> dict[str, FloatArray
 def _about(name: str, signals: Mapping[str, FloatArray], kin: Mapping[str, FloatArray]) -> list[str]:
     measured, own = signals[name], kin[name]
     expected, much = float(own.std()), _MUCH * max(float(x.std()) for x in kin.values())
-    alike = _correlation(measured, own)
+    match = _correlation(measured, own)
     if max(expected, float(measured.std())) < much:
         return []
     if expected > much and measured.std() < _DEAD * expected:
@@ -96,15 +96,15 @@ def _about(name: str, signals: Mapping[str, FloatArray], kin: Mapping[str, Float
             f"Sensor {name} measures {measured.std() / expected:.1%} of the motion that is commanded between "
             f"{_BAND_HZ[0]:g} and {_BAND_HZ[1]:g} Hz: it is dead, not fastened, or in another unit."
         ]
-    if alike < _REVERSED:
+    if match < _REVERSED:
         return [
-            f"Sensor {name} moves against its command (correlation {alike:.2f}): its axis points the other way, or its "
+            f"Sensor {name} moves against its command (correlation {match:.2f}): its axis points the other way, or its "
             "sign is reversed. Multiply its numbers by -1."
         ]
-    return _anothers(name, measured, kin, alike) or _turned(name, measured, kin, alike)
+    return _anothers(name, measured, kin, match) or _turned(name, measured, kin, match)
 
 
-def _anothers(name: str, measured: FloatArray, kin: Mapping[str, FloatArray], alike: float) -> list[str]:
+def _anothers(name: str, measured: FloatArray, kin: Mapping[str, FloatArray], match: float) -> list[str]:
     """Report a sensor that moves as another one should."""
     others = {o: _correlation(measured, x) for o, x in kin.items() if o != name}
     other = max(others, key=lambda o: abs(others[o]))
@@ -113,12 +113,12 @@ def _anothers(name: str, measured: FloatArray, kin: Mapping[str, FloatArray], al
     way = "with" if others[other] > 0 else "against"
     return [
         f"Sensor {name} moves {way} the command of {other[-1]} (correlation {others[other]:.2f}), not with that of "
-        f"{name[-1]} ({alike:.2f}): columns of the sensors or of the command are swapped, or the order of the towers "
+        f"{name[-1]} ({match:.2f}): columns of the sensors or of the command are swapped, or the order of the towers "
         "in the machine file is another."
     ]
 
 
-def _turned(name: str, measured: FloatArray, kin: Mapping[str, FloatArray], alike: float) -> list[str]:
+def _turned(name: str, measured: FloatArray, kin: Mapping[str, FloatArray], match: float) -> list[str]:
     """Report a sensor that moves as several together."""
     basis = np.column_stack(list(kin.values()))
     moving = basis.std(axis=0) > _MUCH * basis.std(axis=0).max()
@@ -129,7 +129,7 @@ def _turned(name: str, measured: FloatArray, kin: Mapping[str, FloatArray], alik
         return []
     mixed = " ".join(f"{c:+.2f} {o[-1]}" for o, c in zip(kin, share, strict=True) if abs(c) > 0.05)
     return [
-        f"Sensor {name} moves as {mixed} of what is commanded (correlation with its own {alike:.2f}): its axes are "
+        f"Sensor {name} moves as {mixed} of what is commanded (correlation with its own {match:.2f}): its axes are "
         "turned against the machine file's, or the order of the towers is another."
     ]
 
