@@ -32,6 +32,7 @@ SLOW = (  # folders and files; single tests have the marker themselves
     "unit/ffcomp/compensate/gcode_output/test_layout.py",
     "unit/ffcomp/diagnose",
     "unit/ffcomp/identify/test_identify.py",
+    "unit/ffcomp/identify/test_modal_fit.py",
     "unit/ffcomp/inverse/test_robust.py",
     "unit/ffcomp/inverse/test_time_scaling.py",
     "unit/ffcomp/report/test_diagnose.py",
