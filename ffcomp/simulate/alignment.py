@@ -54,9 +54,12 @@ def section_starts(compensated: Program, original: PlannedProgram) -> SectionSta
 
 
 def section_clock(compensated: PlannedProgram, original: PlannedProgram) -> SectionClock:
-    """Align a planned compensated file with its planned original, section by section."""
+    """Align a planned compensated file with its planned original: each section from the beginning of its path on."""
     starts = section_starts(compensated.program, original)
-    return starts.clock(compensated.trajectory.start_t) if len(starts.move) else _noted_clock(compensated, original)
+    if not len(starts.move):
+        return _noted_clock(compensated, original)
+    path_begins = compensated.trajectory.start_t[starts.move] + (starts.begin_t - starts.plan_t)
+    return SectionClock(path_begins, starts.begin_t, starts.begin_t, starts.end_t)
 
 
 def _noted_clock(compensated: PlannedProgram, original: PlannedProgram) -> SectionClock:
