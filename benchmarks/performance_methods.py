@@ -141,13 +141,13 @@ def dense(window: WindowProblem) -> FloatArray:
     """The nozzle command at the knots by one cvxpy problem, and once more for every correction. (n + 1, 3) mm"""
     import cvxpy as cp
 
-    run, stretch = window.run, window.stretch
+    iterate, stretch = window.iterate, window.stretch
     phi = window.phi()
     second = np.diff(np.eye(window.unknowns + 4), 2, axis=0)[:, 2:-2]  # with knots at zero on both sides
-    bend = np.sqrt(run.model.effort) * np.kron(second, np.eye(3))
-    for _ in range(1 + run.model.settings.corrections):
+    bend = np.sqrt(iterate.model.effort) * np.kron(second, np.eye(3))
+    for _ in range(1 + iterate.model.settings.corrections):
         response, _ = stretch.respond(window.state)
-        now = run.gamma[1 : window.unknowns + 1]
+        now = iterate.gamma[1 : window.unknowns + 1]
         change = cp.Variable(now.size)
         left = stretch.error(response).ravel() - phi @ change
         cost = cp.sum_squares(left) + cp.sum_squares(bend @ (now.ravel() + change))
@@ -156,4 +156,4 @@ def dense(window: WindowProblem) -> FloatArray:
         if problem.status != cp.OPTIMAL:
             raise RuntimeError(f"The dense problem of {now.size} unknowns ended as {problem.status}.")
         now += change.value.reshape(-1, 3)
-    return stretch.vertices()[: run.last + 1]
+    return stretch.vertices()[: iterate.last + 1]

@@ -186,7 +186,7 @@ def row(
 
 def dense_row(planned: PlannedProgram, machine: Machine) -> dict[str, float] | None:
     """The dense formulation on one run, exact and ours on the same; None if no run is of that length."""
-    runs = [r for r in planned.runs if r.travels and DENSE_S[0] <= r.end_t - r.begin_t <= DENSE_S[1]]
+    runs = [r for r in planned.sections if r.travels and DENSE_S[0] <= r.end_t - r.begin_t <= DENSE_S[1]]
     if not runs:
         return None
     exact, ours = InverseModel(machine, exact_settings(machine)), InverseModel(machine, settings_for(machine))
@@ -200,7 +200,7 @@ def dense_row(planned: PlannedProgram, machine: Machine) -> dict[str, float] | N
         return work
 
     def by(inverter: InverseModel) -> Callable[[], FloatArray]:
-        return lambda: solve(inverter, whole_run(planned, runs[0], inverter).run.reference, start.state).vertices
+        return lambda: solve(inverter, whole_run(planned, runs[0], inverter).iterate.reference, start.state).vertices
 
     start = whole_run(planned, runs[0], exact)
     works = {EXACT: told(EXACT, by(exact)), COMPENSATED: told(COMPENSATED, by(ours))}

@@ -110,7 +110,7 @@ class Round:
 def _runs(planned: PlannedProgram) -> Iterator[tuple[Section, list[Event]]]:
     """Every run in which the nozzle moves, and the events inside it."""
     events = planned.program.events
-    for run in planned.runs:
+    for run in planned.sections:
         if run.travels:
             yield run, [event for event in events if run.first < event.move < run.last]
 

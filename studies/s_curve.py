@@ -111,9 +111,9 @@ def compare(path: Path, machine: Machine, seconds: float) -> tuple[Row, Row]:
     planned = plan_program(read_program(path.read_bytes(), path.name), machine)
     stops, _ = stops_and_waits(planned.program)
     motion = smooth(planned.program, planned.trajectory, machine)
-    chosen = drawn(planned.runs, seconds)
+    chosen = drawn(planned.sections, seconds)
     return (
-        measure(planned.trajectory, planned.runs, chosen, machine),
+        measure(planned.trajectory, planned.sections, chosen, machine),
         measure(motion, split_sections(motion, stops), chosen, machine),
     )
 

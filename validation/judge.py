@@ -169,7 +169,7 @@ def original_through_kalico(original: Original) -> Replanned:
     travels = np.any(original.trajectory.direction[:, :3] != 0.0, axis=1)
     own = pick(original.trajectory, travels)
     played = kalico_trajectory(original, original.data, own)
-    runs = [run for run in original.planned.runs if run.travels]
+    runs = [run for run in original.planned.sections if run.travels]
     firsts = np.searchsorted(np.flatnonzero(travels), [run.first for run in runs])
     begin_t, end_t = np.array([run.begin_t for run in runs]), np.array([run.end_t for run in runs])
     return Replanned(played, motion_of(played, SectionClock(played.start_t[firsts], begin_t, begin_t, end_t)))

@@ -161,7 +161,7 @@ class Print:
         begin, end = float(start_t[first]), float(start_t[last])
         count = max(1, round(evaluated_s / slice_s))
         length, period = evaluated_s / count, (end - begin) / count
-        rests = np.array([run.first for run in self.planned.runs])
+        rests = np.array([run.first for run in self.planned.sections])
         for k in range(count):
             t = begin + k * period + (period - length) / 2
             a = int(np.searchsorted(start_t, t))

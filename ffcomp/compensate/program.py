@@ -74,7 +74,7 @@ def compensate(
     keep = prediction.wants if prediction is not None else lambda reference: False
     solved_sections = solutions(planned, context.machine, model, chunk.state, keep, chunk.chunk.layers, extent)
     statistics = chunk.statistics
-    for section in planned.runs:
+    for section in planned.sections:
         yield from renderer.before(section)
         if not section.travels:
             yield from renderer.extrude(section)

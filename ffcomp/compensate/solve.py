@@ -87,7 +87,7 @@ def _by_the_model(
     replan = partial(smooth_section, machine, limits) if settings.s_curve else partial(plan_section, limits)
     layers = LayerLookup(program, layers_before)
     rested = later = 0.0
-    for run in planned.runs:
+    for run in planned.sections:
         if not run.travels:
             continue
         start, rest_s = trajectory.origin[run.first, :3], run.begin_t - rested
@@ -98,7 +98,7 @@ def _by_the_model(
             state, rest = inverter.state_after_rest(state, start, rest_s), rest_s
         if later:
             run = replace(run, begin_t=run.begin_t + later, end_t=run.end_t + later)
-        own = ends if run is planned.runs[0] else WHOLE
+        own = ends if run is planned.sections[0] else WHOLE
         written = own.written(trajectory, run, settings)
         keep_response = keep(written.reference)
         if settings.slow_down:
@@ -122,7 +122,7 @@ def _moved_before(planned: PlannedProgram) -> dict[int, bool]:
     """Tell for the first move of each section that travels whether others have moved the nozzle since the last one."""
     others = {e.move for e in planned.program.events if e.kind in (EventKind.STOP, EventKind.RAW_MOVE)}
     found, pending, last = {}, False, -1
-    for run in planned.runs:
+    for run in planned.sections:
         pending = pending or any(move in others for move in range(last + 1, run.first + 1))
         last = run.first
         if run.travels:

@@ -87,7 +87,7 @@ def _counted_s(section: Section, planned: PlannedProgram, extent: Extent) -> flo
     """Return how much of a section's time `of_plan` has counted as print time."""
     if extent.end is not None:
         return 0.0
-    first = section is planned.runs[0]
+    first = section is planned.sections[0]
     return section.end_t - (_on(extent.begin, planned.trajectory, section.begin_t) if first else section.begin_t)
 
 

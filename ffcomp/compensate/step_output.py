@@ -57,7 +57,7 @@ class StepRenderer:
 
     def before(self, section: Section) -> Iterable[bytes]:
         """Wait until a section begins, and give the lines before it their tick."""
-        if self._extent.begin is None or section is not self._planned.runs[0]:
+        if self._extent.begin is None or section is not self._planned.sections[0]:
             self._stream.clock_s += section.begin_t - self._rested
             self._events_before(section.first)
         self._rested = section.end_t

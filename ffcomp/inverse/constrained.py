@@ -22,7 +22,7 @@ AT_A_TIME = 512  # knots played
 
 
 def enforce(
-    run: Iterate, state: FloatArray, keep_response: bool
+    iterate: Iterate, state: FloatArray, keep_response: bool
 ) -> tuple[FloatArray, FloatArray, list[ConstrainedWindow]]:
     """Solve again where the command exceeds a limit, from the plant's state (18,) at the section's first knot.
 
@@ -31,25 +31,25 @@ def enforce(
     the nozzle's response (n·substeps, 3) mm, empty if not asked for; the state (18,) at the end; the windows
     """
     begin, at, held = state, 0, list[ConstrainedWindow]()
-    too_much = _too_much(run, 0, run.last)
+    too_much = _too_much(iterate, 0, iterate.last)
     while len(beyond := at + np.flatnonzero(too_much[at:])):
         first = max(at, int(beyond[0]) - BEFORE)
-        state = play(run, at, first, state)[1]
-        window = _window(run, first, _end_of_cluster(beyond), state)
+        state = play(iterate, at, first, state)[1]
+        window = _window(iterate, first, _end_of_cluster(beyond), state)
         _, state = window.solve()
         held.append(window.held())
-        at, changed = window.commit_end, min(window.stretch.end, run.last)
-        too_much[first:changed] = _too_much(run, first, changed)[: changed - first]
-    response, state = play(run, 0, run.last, begin) if keep_response else play(run, at, run.last, state)
+        at, changed = window.commit_end, min(window.stretch.end, iterate.last)
+        too_much[first:changed] = _too_much(iterate, first, changed)[: changed - first]
+    response, state = play(iterate, 0, iterate.last, begin) if keep_response else play(iterate, at, iterate.last, state)
     return (response if keep_response else response[:0]), state, held
 
 
-def _too_much(run: Iterate, first: int, last: int) -> BoolArray:
+def _too_much(iterate: Iterate, first: int, last: int) -> BoolArray:
     """Mark the segments (last - first,) between knots that exceed a limit; the section's end belongs to the last."""
     before = max(first - 1, 0)
-    shares = utilisation_from_rest(run.vertices[before : last + 1], run.model.limits)
+    shares = utilisation_from_rest(iterate.vertices[before : last + 1], iterate.model.limits)
     over = shares.max(axis=(1, 2)) > 1.0
-    if last == run.last:
+    if last == iterate.last:
         over[-2] |= over[-1]
     return np.asarray(over[1 + first - before : 1 + last - before])
 
@@ -60,22 +60,24 @@ def _end_of_cluster(knots: IntArray) -> int:
     return int(knots[gaps[0]] if len(gaps) else knots[-1])
 
 
-def _window(run: Iterate, first: int, last_beyond: int, state: FloatArray) -> WindowProblem:
-    whole = min(last_beyond + AFTER, run.last - 1)  # the run's last knot is given
+def _window(iterate: Iterate, first: int, last_beyond: int, state: FloatArray) -> WindowProblem:
+    whole = min(last_beyond + AFTER, iterate.last - 1)  # the section's last knot is given
     last = min(whole, first + LONGEST)
     commit_end = last - AFTER if last < whole else last
-    if last >= run.last - 1:
-        commit_end = run.last
-    return WindowProblem(run, first, state, commit_end, last - first, min(last + FOLLOWING, run.n), limited=True)
+    if last >= iterate.last - 1:
+        commit_end = iterate.last
+    return WindowProblem(
+        iterate, first, state, commit_end, last - first, min(last + FOLLOWING, iterate.n), limited=True
+    )
 
 
-def play(run: Iterate, first: int, last: int, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+def play(iterate: Iterate, first: int, last: int, state: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Simulate the command between two knots: the nozzle (n·substeps, 3) mm, and the state (18,) at the latter."""
-    responses, substeps = [np.empty((0, 3))], run.model.settings.substeps
+    responses, substeps = [np.empty((0, 3))], iterate.model.settings.substeps
     for at in range(first, last, AT_A_TIME):
         kept = min(AT_A_TIME, last - at)
         # how a segment ends depends on the few that follow
-        response, states = KnotWindow(run, at, min(at + kept + CONTEXT, run.n)).respond(state)
+        response, states = KnotWindow(iterate, at, min(at + kept + CONTEXT, iterate.n)).respond(state)
         responses.append(response[: kept * substeps])
         state = states[kept]
     return np.concatenate(responses), state

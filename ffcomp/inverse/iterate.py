@@ -36,27 +36,27 @@ class Iterate:
 class KnotWindow:
     """The knots `at` … `end` of a section: the reference there, and the response to the coefficients as they stand."""
 
-    def __init__(self, run: Iterate, at: int, end: int) -> None:
-        s = run.model.settings
-        self.run, self.at, self.end = run, at, end
-        self.nozzle, self.velocity = run.reference.substeps(at, end)
-        self.wanted = run.model.kinematics.inverse(self.nozzle[:: s.substeps])
+    def __init__(self, iterate: Iterate, at: int, end: int) -> None:
+        s = iterate.model.settings
+        self.iterate, self.at, self.end = iterate, at, end
+        self.nozzle, self.velocity = iterate.reference.substeps(at, end)
+        self.wanted = iterate.model.kinematics.inverse(self.nozzle[:: s.substeps])
         self.place = np.ascontiguousarray(self.nozzle[s.substeps // 2 :: s.substeps, :2])
-        self._centripetal = run.model.kinematics.rate_term(self.nozzle, np.ascontiguousarray(self.velocity))
+        self._centripetal = iterate.model.kinematics.rate_term(self.nozzle, np.ascontiguousarray(self.velocity))
         self._stride = s.substeps // s.rows_per_segment
         self._due = self.nozzle[self._stride :: self._stride].copy()  # at the rows that are weighed
         first = at * s.rows_per_segment
-        own = run.robust_offset[first : first + len(self._due)]
+        own = iterate.robust_offset[first : first + len(self._due)]
         self._due[: len(own)] += own
 
     def vertices(self) -> FloatArray:
         """Return the nozzle commands at the knots, (n + 1, 3) mm."""
-        return self.run.model.kinematics.forward(self.wanted + self.run.gamma[self.at : self.end + 1])
+        return self.iterate.model.kinematics.forward(self.wanted + self.iterate.gamma[self.at : self.end + 1])
 
     def respond(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the nozzle (m, 3) mm after every substep and the states at the knots, from the first one's (18,)."""
         q, states = self._carriages(state)
-        return self.run.model.kinematics.forward(q), states
+        return self.iterate.model.kinematics.forward(q), states
 
     def error(self, response: FloatArray) -> FloatArray:
         """Return the error of a response at the rows that are weighed, (rows, 3) mm."""
@@ -66,21 +66,21 @@ class KnotWindow:
         """Return the error by the plant, and the states at the knots, from a state (18,) at the first knot."""
         q, states = self._carriages(state)
         rows = np.ascontiguousarray(q[self._stride - 1 :: self._stride])
-        return self._due - self.run.model.kinematics.forward(rows), states
+        return self._due - self.iterate.model.kinematics.forward(rows), states
 
     def _carriages(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        model = self.run.model
+        model = self.iterate.model
         command = model.kinematics.inverse(self.as_played())
         return model.plant.play(self.place, self._centripetal, command, state, model.settings.substeps)
 
     def as_played(self) -> FloatArray:
         """Return the command as the firmware executes the segments: straight, with its ramps, (m, 3) mm."""
-        run, s = self.run, self.run.model.settings
+        iterate, s = self.iterate, self.iterate.model.settings
         before = min(self.at, CONTEXT)
         first = self.at - before
-        vertices = np.concatenate([run.vertices[first : self.at], self.vertices()])
+        vertices = np.concatenate([iterate.vertices[first : self.at], self.vertices()])
         lasting = np.full(len(vertices) - 1, s.segment_s)
-        speeds = segment_speeds(vertices, run.extrusion[first : self.end], lasting, s.output)
+        speeds = segment_speeds(vertices, iterate.extrusion[first : self.end], lasting, s.output)
         nozzle = sample_segments(
             vertices, speeds.cruise, speeds.junction, speeds.acceleration, speeds.duration, s.substeps
         )

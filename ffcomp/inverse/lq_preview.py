@@ -22,7 +22,7 @@ CLOSE_MM = 5e-3  # a change of the command so small leaves a tenth of it to the 
 SIGHT = 32  # knots in sight after them: what comes later asks for a hundred-thousandth now
 
 
-def solve(run: Iterate, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray, int]:
+def solve(iterate: Iterate, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray, int]:
     """Find all coefficients of a section, from the plant's state (18,) at its first knot.
 
     Returns
@@ -30,9 +30,9 @@ def solve(run: Iterate, state: FloatArray, keep_response: bool) -> tuple[FloatAr
     the nozzle's response (n·substeps, 3) mm, empty if not asked for; the state (18,) at the end; windows solved
     """
     responses, at, stretches = [np.empty((0, 3))], 0, 0
-    while at < run.last:
-        stop = at + STRETCH if run.last - at > STRETCH + SIGHT else run.last
-        part = _Part(run, at, stop)
+    while at < iterate.last:
+        stop = at + STRETCH if iterate.last - at > STRETCH + SIGHT else iterate.last
+        part = _Part(iterate, at, stop)
         response, state = part.solve(state, keep_response)
         responses.append(response)
         at, stretches = stop, stretches + 1
@@ -42,11 +42,11 @@ def solve(run: Iterate, state: FloatArray, keep_response: bool) -> tuple[FloatAr
 class _Part:
     """The knots at+1 … stop of a section, with those in sight."""
 
-    def __init__(self, run: Iterate, at: int, stop: int, begin: bool = True) -> None:
-        self.run, self.at, self.stop = run, at, stop
-        whole = stop == run.last
-        self.stretch = KnotWindow(run, at, stop + (REST_ROWS if whole else SIGHT))
-        gains = run.model.gains
+    def __init__(self, iterate: Iterate, at: int, stop: int, begin: bool = True) -> None:
+        self.iterate, self.at, self.stop = iterate, at, stop
+        whole = stop == iterate.last
+        self.stretch = KnotWindow(iterate, at, stop + (REST_ROWS if whole else SIGHT))
+        gains = iterate.model.gains
         self.node, self.steady = gains.at(self.stretch.place)
         self.ending = _to_rest(gains, self.node, len(self.steady.backward)) if whole else no_gains()
         if begin:
@@ -54,27 +54,29 @@ class _Part:
 
     def _begin(self) -> None:
         """Begin with what a slow motion needs, γ = τ q̇* + C q̈*, where nothing is known yet."""
-        run, stretch = self.run, self.stretch
-        last = min(stretch.end, run.last - 1)
+        iterate, stretch = self.iterate, self.stretch
+        last = min(stretch.end, iterate.last - 1)
         n = last - self.at
         if n > 0:
-            s = run.model.settings
+            s = iterate.model.settings
             knots = slice(s.substeps, (n + 1) * s.substeps, s.substeps)
-            ahead = stretch.nozzle[knots] + stretch.velocity[knots] * run.model.delay_s
-            edges = run.reference.at_knots(np.array([self.at - 1, stretch.end + 1, stretch.end + 2]))
-            q = np.insert(run.model.kinematics.inverse(edges), 1, stretch.wanted, axis=0)[: n + 4]
+            ahead = stretch.nozzle[knots] + stretch.velocity[knots] * iterate.model.delay_s
+            edges = iterate.reference.at_knots(np.array([self.at - 1, stretch.end + 1, stretch.end + 2]))
+            q = np.insert(iterate.model.kinematics.inverse(edges), 1, stretch.wanted, axis=0)[: n + 4]
             bend = (q[4:] - 2 * q[2:-2] + q[:-4]) / (2 * s.segment_s) ** 2  # NOTE: over two knots, for less noise
-            bent = np.einsum("nij,nj->ni", run.model.compliance_at(stretch.nozzle[knots, :2]), bend)
-            run.gamma[self.at + 1 : last + 1] = run.model.kinematics.inverse(ahead) - stretch.wanted[1 : n + 1] + bent
+            bent = np.einsum("nij,nj->ni", iterate.model.compliance_at(stretch.nozzle[knots, :2]), bend)
+            iterate.gamma[self.at + 1 : last + 1] = (
+                iterate.model.kinematics.inverse(ahead) - stretch.wanted[1 : n + 1] + bent
+            )
 
     def solve(self, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray]:
-        run, s, kept = self.run, self.run.model.settings, self.stop - self.at
+        iterate, s, kept = self.iterate, self.iterate.model.settings, self.stop - self.at
         for _ in range(MOST_PASSES):
             error, states = self.stretch.error_from(state)
             answer, change = self.improve(error)
             if change < CLOSE_MM:
                 break
-        run.vertices[self.at : self.stop + 1] = self.stretch.vertices()[: kept + 1]
+        iterate.vertices[self.at : self.stop + 1] = self.stretch.vertices()[: kept + 1]
         if keep_response:
             response, states = self.stretch.respond(state)
             return response[: kept * s.substeps], states[kept]
@@ -88,8 +90,8 @@ class _Part:
         what the plant makes of the change, (18,), at the last knot that is kept; the largest change of what is kept, mm
         """
         stretch, steady, ending, kept = self.stretch, self.steady, self.ending, self.stop - self.at
-        gamma = self.run.gamma[stretch.at : stretch.end + 1]
-        before = self.run.gamma[stretch.at - 1 : stretch.at] if stretch.at else np.zeros((1, 3))
+        gamma = self.iterate.gamma[stretch.at : stretch.end + 1]
+        before = self.iterate.gamma[stretch.at - 1 : stretch.at] if stretch.at else np.zeros((1, 3))
         rows = error.reshape(stretch.end - stretch.at, -1)
         psi = sweep_back(steady.backward, ending.backward, self.node, rows, np.concatenate([before, gamma]))
         change, answer = sweep_forward(steady.forward, ending.forward, self.node, psi, kept)
@@ -106,11 +108,11 @@ def _to_rest(gains: PreviewGains, node: NDArray[np.int64], steady: int) -> Gains
     return ending
 
 
-def answer(run: Iterate, gamma: FloatArray, error: FloatArray) -> FloatArray:
+def answer(iterate: Iterate, gamma: FloatArray, error: FloatArray) -> FloatArray:
     """Return the change of a command γ (n + 1, 3) mm of a whole section that leaves an error.
 
     error : (rows, 3) mm, of the section and `REST_ROWS` knots after it
     """
-    run.gamma[:] = gamma
-    _Part(run, 0, run.last, begin=False).improve(np.ascontiguousarray(error))
-    return run.gamma - gamma
+    iterate.gamma[:] = gamma
+    _Part(iterate, 0, iterate.last, begin=False).improve(np.ascontiguousarray(error))
+    return iterate.gamma - gamma

@@ -6,11 +6,11 @@ is
 
     w_k = γ_{k+1} − 2 γ_k + γ_{k−1}          z_k = (x_k, γ_k, γ_{k−1})          z_{k+1} = 𝒜 z_k + ℬ w_k
 
-and the cost of one interval ‖ē_k − C̄ z_k − D̄ w_k‖² + ρ ‖w_k + d_k‖², with ē the nozzle's error at the interval's rows
-and d the second difference that the command already has. Because J depends on the place alone, the Riccati equation is
-solved once for every place of a grid. What is left for each knot is one product with a 33 × 27 matrix backwards (the
-preview: what the errors to come ask for now) and one with 27 × 24 forwards. At a run's end the command must rest: there
-the gains are those of the finite problem, counted from the end, for the place where it ends.
+and the cost of one interval ‖ē_k − C̄ z_k − D̄ w_k‖² + ρ ‖w_k + d_k‖², with ē the nozzle's error at the interval's
+rows and d the second difference that the command already has. Because J depends on the place alone, the Riccati
+equation is solved once for every place of a grid. What is left for each knot is one product with a 33 × 27 matrix
+backwards (the preview: what the errors to come ask for now) and one with 27 × 24 forwards. At a section's end the
+command must rest: there the gains are those of the finite problem, counted from the end, for the place where it ends.
 
     s_k = (𝒜 − ℬF)ᵀ s_{k+1} + (C̄ − D̄F)ᵀ ē_k + ρ Fᵀ d_k         ψ_k = R⁻¹ (ℬᵀ s_{k+1} + D̄ᵀ ē_k − ρ d_k)
     w_k = ψ_k − F z_k                                           R = ρ I + D̄ᵀD̄ + ℬᵀPℬ,  F = R⁻¹ (D̄ᵀC̄ + ℬᵀP𝒜)
@@ -44,7 +44,7 @@ BACKWARD, FORWARD = (AUGMENTED + 9, AUGMENTED + 8), (AUGMENTED + 3, AUGMENTED)
 PITCH_MM = 5.0  # of the grid: what the nearest node misses, the correction finds
 AT_A_TIME = 256  # places
 DOUBLINGS = 9  # 512 knots: a state is forgotten by then, whatever places are worked out together
-TO_THE_END = 40  # knots before a run's end from which on the end is felt
+TO_THE_END = 40  # knots before a section's end from which on the end is felt
 ENDS_KEPT = 64  # places, 0.8 MB each
 REST_ROWS = 24  # knots after the end whose ringing counts
 

@@ -32,12 +32,12 @@ from models.vibration.scheduled import interpolate, models_along
 class ConstrainedWindow:
     """A window in which a limit is active."""
 
-    first: int  # knots of the run
+    first: int  # knots of the section
     last: int
     error_mm: float  # how far the nozzle is from the path at the worst, by the design model
 
 
-def solve(run: Iterate, state: FloatArray) -> tuple[FloatArray, FloatArray, int, list[ConstrainedWindow]]:
+def solve(iterate: Iterate, state: FloatArray) -> tuple[FloatArray, FloatArray, int, list[ConstrainedWindow]]:
     """Solve all windows of a section, from the plant's state (18,) at its first knot.
 
     Returns
@@ -45,8 +45,8 @@ def solve(run: Iterate, state: FloatArray) -> tuple[FloatArray, FloatArray, int,
     the nozzle's response (n·substeps, 3) mm, the state (18,) at the end, windows solved, those with a limit
     """
     responses, held, windows, at = [np.empty((0, 3))], [], 0, 0
-    while at < run.last:
-        window = next_window(run, at, state)
+    while at < iterate.last:
+        window = next_window(iterate, at, state)
         response, state = window.solve()
         responses.append(response)
         if window.limited:
@@ -55,14 +55,14 @@ def solve(run: Iterate, state: FloatArray) -> tuple[FloatArray, FloatArray, int,
     return np.concatenate(responses), state, windows, held
 
 
-def next_window(run: Iterate, at: int, state: FloatArray) -> WindowProblem:
+def next_window(iterate: Iterate, at: int, state: FloatArray) -> WindowProblem:
     """Return the window after the knot `at`: what is kept of it, and the preview."""
-    s = run.model.settings
-    commit_end = min(at + s.commit, run.last)
-    if run.last - commit_end < s.preview // 2:
-        commit_end = run.last  # a short remainder joins this window
-    end = min(commit_end + s.preview, run.n)
-    return WindowProblem(run, at, state, commit_end, min(end, run.last - 1) - at, end)
+    s = iterate.model.settings
+    commit_end = min(at + s.commit, iterate.last)
+    if iterate.last - commit_end < s.preview // 2:
+        commit_end = iterate.last  # a short remainder joins this window
+    end = min(commit_end + s.preview, iterate.n)
+    return WindowProblem(iterate, at, state, commit_end, min(end, iterate.last - 1) - at, end)
 
 
 class WindowProblem:
@@ -70,7 +70,7 @@ class WindowProblem:
 
     def __init__(
         self,
-        run: Iterate,
+        iterate: Iterate,
         at: int,
         state: FloatArray,
         commit_end: int,
@@ -78,10 +78,10 @@ class WindowProblem:
         end: int,
         limited: bool = False,
     ) -> None:
-        self.run, self.at, self.state = run, at, state
+        self.iterate, self.at, self.state = iterate, at, state
         self.limited = limited  # the answer without limits is known to exceed them, or was found to
         self.commit_end, self.unknowns = commit_end, unknowns
-        self.stretch = KnotWindow(run, at, end)
+        self.stretch = KnotWindow(iterate, at, end)
         self._left_mm = 0.0
 
     def held(self) -> ConstrainedWindow:
@@ -89,24 +89,24 @@ class WindowProblem:
         return ConstrainedWindow(self.at, self.commit_end, self._left_mm)
 
     def solve(self) -> tuple[FloatArray, FloatArray]:
-        """Set the run's γ for this window; returns the committed response (mm) and the state at its end."""
-        run, s, stretch = self.run, self.run.model.settings, self.stretch
+        """Set the iterate's γ for this window; return the committed response (mm) and the state at its end."""
+        iterate, s, stretch = self.iterate, self.iterate.model.settings, self.stretch
         response, states = stretch.respond(self.state)
         if self.unknowns > 0:
-            effort = _second_differences(self.unknowns) * np.sqrt(run.model.effort)
+            effort = _second_differences(self.unknowns) * np.sqrt(iterate.model.effort)
             rows = _Rows(np.concatenate([self.phi(), effort]))
             for _ in range(1 + s.corrections):
                 self._improve(rows, np.concatenate([stretch.error(response).ravel(), -self._effort().ravel()]))
                 response, states = stretch.respond(self.state)
         kept = self.commit_end - self.at
-        shown = min(self.stretch.end, run.last) - self.at
-        run.vertices[self.at : self.at + shown + 1] = stretch.vertices()[: shown + 1]
+        shown = min(self.stretch.end, iterate.last) - self.at
+        iterate.vertices[self.at : self.at + shown + 1] = stretch.vertices()[: shown + 1]
         self._left_mm = float(np.sqrt((stretch.error(response)[: kept * s.rows_per_segment] ** 2).sum(axis=1)).max())
         return response[: kept * s.substeps], states[kept]
 
     def phi(self) -> FloatArray:
         """Φ (rows, 3 unknowns) with the models at the places of its intervals."""
-        model = self.run.model
+        model = self.iterate.model
         table, place = model.row_table, self.stretch.place
         a, b0, b1, _ = models_along(table, place)
         j = interpolate(table.jacobian, table.x0_mm, table.pitch_mm, table.nodes, place)
@@ -114,7 +114,7 @@ class WindowProblem:
 
     def _improve(self, rows: _Rows, left: FloatArray) -> None:
         """γ += the least-squares answer to the error that is left, within the limits."""
-        model, step = self.run.model, np.empty(0)
+        model, step = self.iterate.model, np.empty(0)
         command, plan = self.around()
         if not self.limited:
             step = rows.free_answer(left)
@@ -134,22 +134,22 @@ class WindowProblem:
                 model.kinematics,
                 model.settings.solver,
             )
-        self.run.gamma[self.at + 1 : self.at + 1 + self.unknowns] += step.reshape(-1, 3)
+        self.iterate.gamma[self.at + 1 : self.at + 1 + self.unknowns] += step.reshape(-1, 3)
 
     def around(self) -> tuple[FloatArray, FloatArray]:
         """Command and plan at the unknown knots and two on either side, each (unknowns + 4, 3) mm."""
-        run, knots = self.run, np.arange(self.at - 1, self.at + self.unknowns + 3)
-        plan = run.model.kinematics.inverse(run.reference.at_knots(knots))
-        return plan + run.gamma[np.clip(knots, 0, run.n)], plan
+        iterate, knots = self.iterate, np.arange(self.at - 1, self.at + self.unknowns + 3)
+        plan = iterate.model.kinematics.inverse(iterate.reference.at_knots(knots))
+        return plan + iterate.gamma[np.clip(knots, 0, iterate.n)], plan
 
     def _effort(self) -> FloatArray:
         """√ρ D² γ as it stands, (unknowns + 2, 3)."""
-        gamma, first = self.run.gamma, self.at + 1
+        gamma, first = self.iterate.gamma, self.at + 1
         around = np.zeros((self.unknowns + 4, 3))
         low = max(first - 2, 0)
         known = gamma[low : first + self.unknowns + 2]
         around[low - first + 2 : low - first + 2 + len(known)] = known
-        return np.asarray(np.sqrt(self.run.model.effort) * np.diff(around, 2, axis=0))
+        return np.asarray(np.sqrt(self.iterate.model.effort) * np.diff(around, 2, axis=0))
 
 
 class _Rows:

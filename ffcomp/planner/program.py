@@ -27,7 +27,7 @@ class PlannedProgram:
 
     program: Program
     trajectory: PlannedMotion
-    runs: list[Section]
+    sections: list[Section]
     firmware_s: float  # what the firmware's own plan takes
 
 

@@ -40,7 +40,7 @@ def section_starts(compensated: Program, original: PlannedProgram) -> SectionSta
     """Read from a compensated file when each section of its original begins; nothing from a file of an old ffcomp."""
     program, moves = original.program, compensated.moves
     line_of = program.first_line + program.moves.line
-    by_line = {int(line_of[section.first]): section for section in original.runs if section.travels}
+    by_line = {int(line_of[section.first]): section for section in original.sections if section.travels}
     times = [time for time in section_times(compensated.lines) if time.line in by_line]
     travels = np.flatnonzero(np.any(moves.end[:, :3] != moves.start[:, :3], axis=1))
     after = np.searchsorted(moves.line[travels], [time.at for time in times], side="right")
@@ -100,9 +100,9 @@ def _noted_sections(
     executed = compensated.trajectory
     notes, moves = _noted_moves(compensated.program, original.program)
     note_of = dict(zip(moves.tolist(), notes.tolist(), strict=True))
-    sections = [section for section in original.runs if section.travels and section.first in note_of]
+    sections = [section for section in original.sections if section.travels and section.first in note_of]
     note_t = np.append(executed.start_t, executed.end_t)[[note_of[section.first] for section in sections]]
-    ends = np.array([section.end_t for section in compensated.runs if section.travels])
+    ends = np.array([section.end_t for section in compensated.sections if section.travels])
     return sections, note_t, ends[np.minimum(np.searchsorted(ends, note_t, side="right"), len(ends) - 1)]
 
 

@@ -99,9 +99,9 @@ def test_the_dense_formulation_agrees_with_the_exact_inverse(machine: Machine) -
     text = b"G28\nM83\nG1 Z5 F6000\nG1 E1 F3000\nG1 X6 Y3 E.2 F6000\nG1 X-12 Y28 E.2\nG1 E1 F3000\n"
     planned = plan_program(read_program(text, "corner", flavor="klipper"), machine)
     inverter = InverseModel(machine, exact_settings(machine))
-    run = [run for run in planned.runs if run.travels][-1]
+    run = [run for run in planned.sections if run.travels][-1]
     window = whole_run(planned, run, inverter)
-    expected = solve(inverter, window.run.reference, window.state).vertices
+    expected = solve(inverter, window.iterate.reference, window.state).vertices
     np.testing.assert_allclose(dense(whole_run(planned, run, inverter)), expected, atol=1e-4)
     assert len(expected) > 30
 

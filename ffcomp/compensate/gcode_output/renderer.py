@@ -44,7 +44,7 @@ class GcodeRenderer:
         heights = planned.program.moves.end[section.first : section.last, 2]
         vertices = keep_inside(self._kinematics, solved.result.vertices, heights)
         inside = self._events.up_to(section.last - 1)
-        if self._extent.begin is not None and section is planned.runs[0]:
+        if self._extent.begin is not None and section is planned.sections[0]:
             position = [*vertices[begin].tolist(), float(reference.extrusion(begin, begin)[0])]
             self._writer.resume(self._extent.begin.move, position)
         for tile in tiles(reference.knots, begin=begin, end=end):

@@ -8,7 +8,7 @@ instead is swept through the same gains, and the command takes the answer up:
 
 Each step is mixed with the ones before it (`mixing.py`), and smoothed where it would break a limit. What a command does
 is over after some ten segments: at the end, what each place had when it was at its best is put together and played
-too. A run ends with the best command that was played whole.
+too. A section ends with the best command that was simulated whole.
 
 What the weight bends is left to bed levelling. A delay that all motors share is left to the clock: the nozzle comes
 late along the right path.
@@ -50,15 +50,15 @@ class LinearSolution:
 
     wanted: Reference
     result: Solution
-    rest_s: float | None  # since the run before it ended; None: others have moved the nozzle, or there was none
+    rest_s: float | None  # since the section before it ended; None: others have moved the nozzle, or there was none
 
 
 @dataclass
 class _Round:
     """One section: what is simulated next, the last commands that were, the best, and the one put together."""
 
-    run: Iterate  # its γ: what is played next
-    rest_rows: int | None  # since the run before it
+    iterate: Iterate  # its γ: what is played next
+    rest_rows: int | None  # since the section before it
     most: float  # times the limits that a command may ask for
     best: FloatArray  # γ (n + 1, 3) mm of the best that was played
     foreseen: FloatArray  # γ beyond the linear inverse; no effort is counted for it
@@ -93,14 +93,14 @@ def correct_sections(model: InverseModel, machine: Machine, runs: Sequence[Linea
 
 
 def _begin(model: InverseModel, ran: LinearSolution) -> _Round:
-    run, s = Iterate(model, ran.wanted), model.settings
-    knots = np.arange(run.last + 1)
-    run.gamma[: run.last + 1] = model.kinematics.inverse(ran.result.vertices) - model.kinematics.inverse(
+    iterate, s = Iterate(model, ran.wanted), model.settings
+    knots = np.arange(iterate.last + 1)
+    iterate.gamma[: iterate.last + 1] = model.kinematics.inverse(ran.result.vertices) - model.kinematics.inverse(
         ran.wanted.at_knots(knots)
     )
     row_s = s.segment_s / s.substeps
     rest = None if ran.rest_s is None else max(round(ran.rest_s / row_s), 0)
-    return _Round(run, rest, max(1.0, ran.result.utilisation), run.gamma.copy(), np.zeros_like(run.gamma))
+    return _Round(iterate, rest, max(1.0, ran.result.utilisation), iterate.gamma.copy(), np.zeros_like(iterate.gamma))
 
 
 def _foresee(model: InverseModel, machine: Machine, rounds: Sequence[_Round]) -> None:
@@ -111,9 +111,9 @@ def _foresee(model: InverseModel, machine: Machine, rounds: Sequence[_Round]) ->
         without = without_effects(machine, *FORESEEN)
         stretches = _played(model, without, rounds, lambda motion: motion.motor_mm - motion.carriage_mm)
     for each, stretch in zip(rounds, stretches, strict=True):
-        linear = each.run.gamma.copy()
-        _change(each, linear, foresight.command(each.run, stretch))
-        each.foreseen = each.run.gamma - linear
+        linear = each.iterate.gamma.copy()
+        _change(each, linear, foresight.command(each.iterate, stretch))
+        each.foreseen = each.iterate.gamma - linear
 
 
 def _round(model: InverseModel, machine: Machine, rounds: Sequence[_Round]) -> None:
@@ -128,18 +128,18 @@ def _round(model: InverseModel, machine: Machine, rounds: Sequence[_Round]) -> N
 
 def _reached(rounds: Sequence[_Round]) -> float:
     """Return the error's rms with the best commands simulated, mm."""
-    return float(np.sqrt(np.average([each.rms**2 for each in rounds], weights=[each.run.last for each in rounds])))
+    return float(np.sqrt(np.average([each.rms**2 for each in rounds], weights=[each.iterate.last for each in rounds])))
 
 
 def _promised(rounds: Sequence[_Round]) -> float:
     """Return the rms with those put together, mm, if every position is again what it was at its best."""
-    return float(np.sqrt(np.mean(np.concatenate([each.local[1 : each.run.last + 1] for each in rounds]))))
+    return float(np.sqrt(np.mean(np.concatenate([each.local[1 : each.iterate.last + 1] for each in rounds]))))
 
 
 def _played(model: InverseModel, machine: Machine, rounds: Sequence[_Round], seen: Observe) -> list[FloatArray]:
     """Return what is observed in every section and a while after it, (rows + rest, 3) mm, from its first knot on."""
     s, late = model.settings, values_of(machine, "command_delay")
-    commands = [model.kinematics.inverse(KnotWindow(each.run, 0, each.run.last).as_played()) for each in rounds]
+    commands = [model.kinematics.inverse(KnotWindow(each.iterate, 0, each.iterate.last).as_played()) for each in rounds]
     rests = [each.rest_rows for each in rounds]
     late_s = float(np.mean(late["delay_s"])) if late else 0.0
     return simulate_batch(machine, commands, rests, s.segment_s / s.substeps, REST_ROWS * s.substeps, seen, late_s)
@@ -147,67 +147,67 @@ def _played(model: InverseModel, machine: Machine, rounds: Sequence[_Round], see
 
 def _judge(each: _Round, nozzle: FloatArray) -> None:
     """Keep what was simulated if it is the best, and of it the positions that are."""
-    run, s = each.run, each.run.model.settings
-    wanted, _ = run.reference.substeps(0, run.last + REST_ROWS)
+    iterate, s = each.iterate, each.iterate.model.settings
+    wanted, _ = iterate.reference.substeps(0, iterate.last + REST_ROWS)
     rows = min(len(nozzle), len(wanted))
     error = np.zeros_like(wanted)
     error[:rows] = wanted[:rows] - nozzle[:rows]
-    end, stride = run.last * s.substeps, s.substeps // s.rows_per_segment
-    if len(run.robust_offset):
-        error[1 : end + 1] += np.repeat(run.robust_offset, stride, axis=0)
+    end, stride = iterate.last * s.substeps, s.substeps // s.rows_per_segment
+    if len(iterate.robust_offset):
+        error[1 : end + 1] += np.repeat(iterate.robust_offset, stride, axis=0)
     square = np.sum(error[1 : end + 1] ** 2, axis=1)
     rms = float(np.sqrt(np.mean(square)))
     if rms < each.rms:
-        each.best, each.rms, each.response = run.gamma.copy(), rms, nozzle[1 : end + 1]
+        each.best, each.rms, each.response = iterate.gamma.copy(), rms, nozzle[1 : end + 1]
     each.error = error[stride::stride].copy()
-    local = np.zeros(len(run.gamma))
-    local[1 : run.last + 1] = square.reshape(-1, s.substeps).mean(axis=1)
+    local = np.zeros(len(iterate.gamma))
+    local[1 : iterate.last + 1] = square.reshape(-1, s.substeps).mean(axis=1)
     _put_together(each, around(local, AROUND))
 
 
 def _put_together(each: _Round, local: FloatArray) -> None:
     """Take what was simulated wherever it is the best so far."""
     if not len(each.gamma):
-        each.gamma, each.local = each.run.gamma.copy(), local
+        each.gamma, each.local = each.iterate.gamma.copy(), local
         return
     better = local < each.local
     taken = around(better.astype(np.float64), EASED)[:, None]  # eased, for the command must not jump
-    each.gamma = taken * each.run.gamma + (1.0 - taken) * each.gamma
+    each.gamma = taken * each.iterate.gamma + (1.0 - taken) * each.gamma
     each.local = np.where(better, local, each.local)
 
 
 def _step(each: _Round, share: float) -> None:
     """Set the command that is simulated next."""
-    played = each.run.gamma.copy()
+    played = each.iterate.gamma.copy()
     gamma = played - each.foreseen
-    each.tried = [*each.tried[1 - TRIED :], (gamma, fast.answer(each.run, gamma, each.error))]
+    each.tried = [*each.tried[1 - TRIED :], (gamma, fast.answer(each.iterate, gamma, each.error))]
     _change(each, played, mixed(each.tried, share) - gamma)
 
 
 def _change(each: _Round, gamma: FloatArray, change: FloatArray) -> None:
     """Go from one command, which keeps the limits, to the next: smoother and less far around where that breaks one."""
-    run = each.run
+    iterate = each.iterate
     for _ in range(SMOOTHINGS):
-        run.gamma[:] = gamma + change
-        asked = utilisation_from_rest(_vertices(run, run.gamma), run.model.limits).max(axis=(1, 2))
+        iterate.gamma[:] = gamma + change
+        asked = utilisation_from_rest(_vertices(iterate, iterate.gamma), iterate.model.limits).max(axis=(1, 2))
         beyond = np.zeros((len(gamma), 1))
-        beyond[: run.last + 1, 0] = np.maximum(asked[:-1], asked[1:]) > each.most
+        beyond[: iterate.last + 1, 0] = np.maximum(asked[:-1], asked[1:]) > each.most
         if not beyond.any():
             return
         near = around(np.ceil(around(beyond, NEAR)), NEAR)
         change = change - near * (change - KEPT * around(change, 1))
-        change[0] = change[run.last :] = 0.0  # it begins and ends on the path
-    run.gamma[:] = gamma
+        change[0] = change[iterate.last :] = 0.0  # it begins and ends on the path
+    iterate.gamma[:] = gamma
 
 
-def _vertices(run: Iterate, gamma: FloatArray) -> FloatArray:
+def _vertices(iterate: Iterate, gamma: FloatArray) -> FloatArray:
     """Return nozzle commands (n + 1, 3) mm at the knots."""
-    delta, knots = run.model.kinematics, np.arange(run.last + 1)
-    return delta.forward(delta.inverse(run.reference.at_knots(knots)) + gamma[: run.last + 1])
+    delta, knots = iterate.model.kinematics, np.arange(iterate.last + 1)
+    return delta.forward(delta.inverse(iterate.reference.at_knots(knots)) + gamma[: iterate.last + 1])
 
 
 def _result(model: InverseModel, each: _Round, ran: LinearSolution) -> Solution:
-    vertices = _vertices(each.run, each.best)
+    vertices = _vertices(each.iterate, each.best)
     response = each.response if len(ran.result.response) else ran.result.response
     return replace(
         ran.result, vertices=vertices, response=response, utilisation=peak_utilisation(vertices, model.limits)

@@ -52,15 +52,15 @@ class FrictionBacklash:
         """Return whether the belts' stretch matters."""
         return bool(np.any(self._numbers.half_backlash > 0.0))
 
-    def command(self, run: Iterate, stretch: FloatArray) -> FloatArray:
+    def command(self, iterate: Iterate, stretch: FloatArray) -> FloatArray:
         """Return what the linear inverse of a section lacks, γ (n + 1, 3) mm, from rest to rest.
 
-        stretch : (rows, 3) mm, of the belts at the run's substeps, without these effects; its last row stays
+        stretch : (rows, 3) mm, of the belts at the section's substeps, without these effects; its last row stays
         """
-        answer = _Answer(self._model, run)
+        answer = _Answer(self._model, iterate)
         e = self._beyond(answer.q, stretch)
         asked = answer.of(self._belts, e - e[0], rest_state(self._undriven, answer.nozzle[0]))
-        begin, gamma = rest_state(self._model.machine, answer.nozzle[0]), np.zeros_like(run.gamma)
+        begin, gamma = rest_state(self._model.machine, answer.nozzle[0]), np.zeros_like(iterate.gamma)
         for _ in range(SWEEPS):
             left = asked - answer.of(self._model.plant, answer.along(gamma), begin)
             gamma += answer.sweep(left)
@@ -77,9 +77,9 @@ class FrictionBacklash:
 class _Answer:
     """The linear plant's response to something added to a section's reference."""
 
-    def __init__(self, model: InverseModel, run: Iterate) -> None:
-        self._model, self._run = model, run
-        self.nozzle, self._velocity = run.reference.substeps(0, run.last + REST_ROWS)
+    def __init__(self, model: InverseModel, iterate: Iterate) -> None:
+        self._model, self._iterate = model, iterate
+        self.nozzle, self._velocity = iterate.reference.substeps(0, iterate.last + REST_ROWS)
         self.q = model.kinematics.inverse(self.nozzle)
 
     def of(self, plant: Schedule, added: FloatArray, begin: FloatArray) -> FloatArray:
@@ -97,7 +97,7 @@ class _Answer:
         """Return the inverse's answer γ (n + 1, 3) mm to the error that is left, by itself."""
         s = self._model.settings
         stride = s.substeps // s.rows_per_segment
-        return fast.answer(self._run, np.zeros_like(self._run.gamma), left[stride - 1 :: stride])
+        return fast.answer(self._iterate, np.zeros_like(self._iterate.gamma), left[stride - 1 :: stride])
 
 
 def guide_friction(n: PrinterParameters, q: FloatArray, row_s: float) -> FloatArray:

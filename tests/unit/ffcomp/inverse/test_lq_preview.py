@@ -41,7 +41,7 @@ def references(name: str, machine: Machine, settings: Settings, seconds: float) 
     """The first runs of a print that move in the plane, `seconds` of them."""
     planned = plan_program(read_program((PRINTS / f"{name}.gcode").read_bytes()), machine)
     found, left = [], seconds
-    for run in planned.runs:
+    for run in planned.sections:
         moves = planned.program.moves
         flat = (moves.start[run.first : run.last, 2] == moves.end[run.first : run.last, 2]).all()
         if run.travels and flat and left > 0:

@@ -105,7 +105,7 @@ def error_um(found: FeasibleSection) -> float:
 
 
 def test_where_nothing_binds_nothing_changes(machine: Machine, planned: PlannedProgram) -> None:
-    inverter, run = inverter_of(machine), planned.runs[0]
+    inverter, run = inverter_of(machine), planned.sections[0]
     found = solved(inverter, planned, run, machine)
     state = rest_state(machine, np.array(START))
     plain = solve(inverter, Reference(planned.trajectory, run, inverter.settings), state, keep_response=True)
@@ -131,7 +131,7 @@ def test_limits_below_the_plan_are_held_at_every_instant(
     machine: Machine, planned: PlannedProgram, limits: dict[str, float], names: set[str]
 ) -> None:
     tight = limited(machine, **limits)
-    inverter, run = inverter_of(tight), planned.runs[0]
+    inverter, run = inverter_of(tight), planned.sections[0]
     found = solved(inverter, planned, run, tight)
     velocity, acceleration = dense_peaks(found.solution.vertices, machine, inverter.settings)
     assert velocity <= inverter.limits.velocity_mm_per_s[0] * (1 + 1e-6)
@@ -151,7 +151,7 @@ def test_limits_below_the_plan_are_held_at_every_instant(
 def test_only_the_moves_concerned_become_slower(machine: Machine, planned: PlannedProgram) -> None:
     """The gentle lines at both ends keep their speed; every other run of the plan keeps its shape."""
     tight = limited(machine, carriage_velocity_mm_per_s=100.0)
-    found = solved(inverter_of(tight), planned, planned.runs[0], tight)
+    found = solved(inverter_of(tight), planned, planned.sections[0], tight)
     (record,) = found.records
     assert (record.first_line, record.last_line) == (2, 5)
     assert record.sentence().startswith(f"line 2-5: slowed to {100 * record.factor:.0f} %")
@@ -168,12 +168,12 @@ def test_the_rest_of_the_plan_is_later_and_otherwise_the_same(machine: Machine) 
     found = solved(
         inverter_of(tight),
         planned,
-        planned.runs[0],
+        planned.sections[0],
         tight,
         program=replace(planned.program, first_line=100),
         layer_of=lambda move: 7,
     )
-    last = planned.runs[-1]
+    last = planned.sections[-1]
     t = np.linspace(last.begin_t, last.end_t - 1e-6, 50)
     np.testing.assert_allclose(found.trajectory.position(t + found.lost_s), planned.trajectory.position(t), atol=1e-9)
     assert found.records[0].sentence().startswith("line 102-105 (layer 7): slowed to ")
@@ -182,9 +182,9 @@ def test_the_rest_of_the_plan_is_later_and_otherwise_the_same(machine: Machine) 
 def test_strict_refuses_with_the_same_sentence(machine: Machine, planned: PlannedProgram) -> None:
     tight = limited(machine, carriage_velocity_mm_per_s=100.0)
     inverter = inverter_of(tight)
-    found = solved(inverter, planned, planned.runs[0], tight)
+    found = solved(inverter, planned, planned.sections[0], tight)
     with pytest.raises(LimitsError) as caught:
-        solved(inverter, planned, planned.runs[0], tight, strict=True)
+        solved(inverter, planned, planned.sections[0], tight, strict=True)
     assert str(caught.value) == found.records[0].sentence("would have to be slowed")
     assert caught.value.exit_code == 6
 
@@ -192,7 +192,7 @@ def test_strict_refuses_with_the_same_sentence(machine: Machine, planned: Planne
 def test_a_tolerance_decides_between_an_error_and_a_delay(machine: Machine, planned: PlannedProgram) -> None:
     """The acceleration that the command needs beyond the plan's is taken from it: an error, or slower moves."""
     inverter = inverter_of(machine)
-    run = planned.runs[0]
+    run = planned.sections[0]
     settings = replace(inverter.settings, bandwidth_hz=112.0, lead_s=0.004)
     free = solved(InverseModel(machine, settings), planned, run, machine).solution.utilisation
     tight = limited(machine, carriage_acceleration_mm_per_s2=0.6 * free * 30000.0)
@@ -211,7 +211,7 @@ def test_a_path_beyond_the_travel_is_refused(machine: Machine, planned: PlannedP
     top = float(heights[:5].max()) - 1.0
     tight = limited(machine, carriage_travel_mm=(0.0, top))
     with pytest.raises(LimitsError, match=r"line \d: the path needs carriage [ABC] at .* it travels from 0 to"):
-        solved(inverter_of(tight), planned, planned.runs[0], tight)
+        solved(inverter_of(tight), planned, planned.sections[0], tight)
 
 
 def test_segments_can_be_played_in_their_time(machine: Machine) -> None:
@@ -219,7 +219,7 @@ def test_segments_can_be_played_in_their_time(machine: Machine) -> None:
     planned = plan_program(read_program(b"G1 X-40 Y20 F3000\nG1 Z20 F12000\nG1 X-60 F3000\n", start=START), machine)
     settings = settings_for(machine)
     output = replace(settings.output, z_acceleration_mm_per_s2=5000.0)
-    inverter, (run,) = InverseModel(machine, replace(settings, output=output)), planned.runs
+    inverter, (run,) = InverseModel(machine, replace(settings, output=output)), planned.sections
 
     def behind_um(vertices: FloatArray, wanted: Reference) -> float:
         each = np.full(len(vertices) - 1, settings.segment_s)
@@ -247,7 +247,7 @@ def test_a_plan_with_s_curves_is_planned_again_with_them(machine: Machine) -> No
         plan = plan_program(program, machine).trajectory
         return s_curve(replace(plan, start_t=plan.start_t + start_t), machine.kinematics.compiled().inverse)
 
-    found = solved(inverter_of(tight), smooth, smooth.runs[0], tight, replan=replan)
+    found = solved(inverter_of(tight), smooth, smooth.sections[0], tight, replan=replan)
     assert type(found.trajectory) is type(smooth.trajectory)
     assert found.records and found.solution.utilisation <= 1.001
 

@@ -92,7 +92,7 @@ def test_a_column_of_phi_is_the_simulated_response_to_one_hat(inverter: InverseM
 def test_a_window_is_the_problem_that_cvxpy_solves(inverter: InverseModel, machine: Machine) -> None:
     """The same problem, written as in the module's docstring, by a second solver."""
     window = window_of(inverter, reference_of(CORNER, machine, SETTINGS))
-    run = window.run
+    run = window.iterate
     start, _ = window.stretch.respond(window.state)
     error = window.stretch.error(start).ravel()
     phi = window.phi()

@@ -46,7 +46,7 @@ def written(data: bytes, length: int) -> tuple[bytes, int]:
     writer = Writer(program, KLIPPER, MotionLimits(), settings_for(machine()))
     text: list[bytes] = []
     taken = 0
-    for run in planned.runs:
+    for run in planned.sections:
         before = [event for event in program.events[taken:] if event.move <= run.first]
         inside = [event for event in program.events[taken:] if run.first < event.move < run.last]
         taken += len(before) + len(inside)

@@ -141,7 +141,7 @@ def test_the_file_lasts_as_long_as_it_should() -> None:
     stop_before, wait_before = stops_and_waits(program)
     plan = plan_moves(program.moves, planner_limits(machine()), stop_before=stop_before, wait_before=wait_before)
     lead_and_tail = 0.012  # rests at a run's ends are not written
-    runs = len(plan_program(read_program(data), machine()).runs)
+    runs = len(plan_program(read_program(data), machine()).sections)
     assert plan.end_t == pytest.approx(result.statistics.print_time_s, abs=lead_and_tail * runs)
 
 
@@ -211,10 +211,10 @@ def test_the_comment_before_a_section_ties_its_clock_to_the_originals() -> None:
     assert original(out) == data
     marks = section_times(out.splitlines(keepends=True))
     wanted, played = (plan_program(read_program(text), machine()) for text in (data, out))
-    sections = [section for section in wanted.runs if section.travels]
+    sections = [section for section in wanted.sections if section.travels]
     assert [mark.line for mark in marks] == [wanted.program.moves.line[section.first] for section in sections]
     begins = {event.line: event.move for event in played.program.events}
-    ends = np.array([section.end_t for section in played.runs if section.travels])
+    ends = np.array([section.end_t for section in played.sections if section.travels])
     s = settings_for(machine())
     for mark, section in zip(marks, sections, strict=True):
         begin_t = played.trajectory.start_t[begins[mark.at]] - mark.t
