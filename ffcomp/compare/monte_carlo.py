@@ -19,7 +19,7 @@ def draw_plants(machine: Machine, relative_sd: float, seeds: int) -> list[Machin
     relative_sd : float
         Standard deviation of parameter / nominal.
     seeds : int
-        Seed k gives machine k, whatever else is drawn.
+        Seed k gives machine k, independent of the number of seeds.
     """
     names = dynamic_numbers(machine)
     found = []

@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 
 from models.arrays import FloatArray
 
-DAMPING_RATIO = 0.1  # what Klipper assumes unless it is told
+DAMPING_RATIO = 0.1  # Klipper's default
 TOLERATED_VIBRATION = 0.05
 
 

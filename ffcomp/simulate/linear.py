@@ -21,7 +21,7 @@ JUMP_MM = 1e-3  # a move that begins elsewhere: something else has moved the noz
 
 
 class LinearPlayback:
-    """The linear model of a machine, played with a fixed step of STEP_S."""
+    """The linear model of a machine, simulated with a fixed step of STEP_S."""
 
     def __init__(self, machine: Machine) -> None:
         self._machine = machine

@@ -110,7 +110,7 @@ def read_command(
     flavor: str = "",
     plate: int | None = None,
 ) -> tuple[Command, list[str]]:
-    """Read a G-code file or a step archive, told apart by their content.
+    """Read a G-code file or a step archive, recognised by their content.
 
     Parameters
     ----------

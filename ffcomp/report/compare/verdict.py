@@ -174,10 +174,10 @@ def _warnings(own_method: Method) -> list[str]:
 def _plant(found: Comparison) -> str:
     effects = f", with {', '.join(found.plant.effects)}" if found.plant.effects else ""
     if found.plant.sha256 == found.machine.sha256:
-        drawn = "" if found.mismatch else "; --mismatch 10% shows by how much"
+        hint = "" if found.mismatch else "; --mismatch 10% shows by how much"
         return (
             "All of this is simulated, and the virtual printer has the very numbers of the machine file that ffcomp "
-            f"plans with{effects}. A real printer differs from its file, so in reality it will be less good{drawn}."
+            f"plans with{effects}. A real printer differs from its file, so in reality it will be less good{hint}."
         )
     return (
         f"All of this is simulated: every method uses the model of {found.machine.name}, and the virtual printer that "

@@ -13,7 +13,7 @@ GLOSSARY = {
     "retuning": "Moving the file's own numbers within the uncertainty it states. What that explains is no missing "
     "effect.",
     "−2 ln Z": "Evidence: how badly a hypothesis fits plus what its numbers cost. 10 less is strong, 30 practically "
-    "certain, as far as errors are noise; shapes are never exactly ours, so it is not the only gate.",
+    "certain, as far as errors are noise; real effects never match the model exactly, so it is not the only test.",
     "left out of the fit": "Each position in turn: all parameters are fitted to the runs at the other positions, then "
     "this position is simulated. An effect that only bends the curves to fit fails here.",
     "90 %": "The interval in which the value lies with 90 % probability if the effect is of the kind named.",
