@@ -229,7 +229,7 @@ def accuracy(names: Sequence[str] = PRINTS) -> dict[str, Any]:
 
 
 def apart(planned: PlannedProgram, machine: Machine) -> dict[str, Any]:
-    deep, usual = (replace(each, slow_down=False) for each in (exact_settings(machine), settings_for(machine)))
+    deep, usual = (replace(each, time_scaling=False) for each in (exact_settings(machine), settings_for(machine)))
     exact, ours = InverseModel(machine, deep), InverseModel(machine, usual)
     more = InverseModel(machine, replace(deep, corrections=MORE_CORRECTIONS))
     last = last_extruding(planned)

@@ -97,7 +97,7 @@ def inversion(machine: Machine, settings: Settings, name: str) -> TunedMethod:
         f"{settings.bandwidth_hz:.0f} Hz; the compensated G-code, read again and planned as the firmware plans it."
     )
     # every method keeps the plan's time
-    inverter = InverseModel(machine, replace(settings, one_model=one_model, robust=robust, slow_down=False))
+    inverter = InverseModel(machine, replace(settings, one_model=one_model, robust=robust, time_scaling=False))
     return TunedMethod(name, label, "inversion", tuning, _inverting(inverter))
 
 

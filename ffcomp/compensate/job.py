@@ -263,7 +263,7 @@ class Job:
         # plain steps are written from rest to rest, and an S-curve has one level of acceleration
         s = self.settings
         longest_s = inf if plain else S_CURVE_LONGEST_S if s.s_curve else chunks.LONGEST_S
-        ease = self._eased if s.slow_down and not plain else None
+        ease = self._eased if s.time_scaling and not plain else None
         return split_chunks(parts, s.segment_s, s.lead_s, self._plan_of, longest_s=longest_s, ease=ease)
 
     def _plan_of(self, program: Program) -> Trajectory:

@@ -101,7 +101,7 @@ def _by_the_model(
         own = ends if run is planned.sections[0] else WHOLE
         written = own.written(trajectory, run, settings)
         keep_response = keep(written.reference)
-        if settings.slow_down:
+        if settings.time_scaling:
             request = SectionRequest(
                 program, trajectory, run, written, state, limits, replan, own, keep_response, layers.of
             )

@@ -28,17 +28,17 @@ class Settings:
     bandwidth_hz: float = 100.0  # where accuracy is given up for a gentler command
     lead_s: float = 0.008  # how long before the path's start the command may begin
     tail_s: float = 0.004  # how long after the path's end the command comes to rest
-    corrections: int = 1  # of the exact inverse, by the segments as they are played
+    corrections: int = 1  # of the exact inverse, by the segments as they are executed
     inverse: Literal["fast", "exact"] = "fast"
-    robust: bool = False  # what is best over the machine file's uncertainties is wanted, not the path
+    robust: bool = False  # the robust reference instead of the path
     memory: int = 60  # segments after which the plant has forgotten (1 % is left after 240 ms)
-    slow_down: bool = True  # where limits do not let the nozzle follow, the plan becomes slower
-    tolerance_um: float = 25.0  # by which a held limit may take the nozzle off its path before that
+    time_scaling: bool = True  # where limits do not let the nozzle follow, the plan becomes slower
+    tolerance_um: float = 25.0  # by which an active limit may take the nozzle off its path before that
     strict: bool = False  # an error instead
     s_curve: bool = False  # the plan's ramps with limited jerk
     solver: Backend = "osqp"  # of the quadratic programmes where a limit binds
-    one_model: bool = False  # the bed's middle everywhere, as methods do that know no place
-    merge_um: float = 0.2  # segments are joined while what is played stays this close to what was solved
+    one_model: bool = False  # that of the bed's middle everywhere
+    merge_um: float = 0.2  # segments are joined while the execution stays this close to the solution
     longest_merged_s: float = 0.1  # and no longer than this, so that the firmware's clock is kept in short steps
     output: SegmentLimits = field(default_factory=SegmentLimits)
 

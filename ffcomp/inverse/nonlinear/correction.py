@@ -1,13 +1,13 @@
-"""The correction loop with the whole printer inside: effects that no linear model holds.
+"""Iterative correction on the simulated printer, for effects that no linear model holds.
 
-The commands of a chapter's runs, found with the linear model and with what friction and play ask for beyond it
-(`foreseen.py`), are played on the nonlinear virtual printer with all its effects; where the nozzle should have been
-instead is swept through the same gains, and the command takes the answer up:
+The commands of a chunk's sections, found with the linear model and the feedforward of friction and backlash
+(`friction_backlash.py`), are simulated on the nonlinear printer with all its effects; the nozzle's error is swept
+through the same gains, and the command takes the answer up:
 
     u ← u + K (r − P(u))                                      P the printer, K the linear inverse
 
-Each step is mixed with the ones before it (`mixing.py`), and smoothed where it would break a limit. What a command does
-is over after some ten segments: at the end, what each place had when it was at its best is put together and played
+Each step is mixed with the ones before it (`anderson.py`), and smoothed where it would break a limit. The effect of a
+command is over after some ten segments: at the end, the best command at each position is put together and simulated
 too. A section ends with the best command that was simulated whole.
 
 What the weight bends is left to bed levelling. A delay that all motors share is left to the clock: the nozzle comes
