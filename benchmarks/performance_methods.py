@@ -16,8 +16,8 @@ from ffcomp.planner.sections import Section
 from ffcomp.simulate.motion import Motion
 from models.effects.catalogue import design_machine
 from models.machine import Machine
-from models.vibration.scheduled import rest_state
-from models.vibration.state_space import STATES, Q, continuous_plant, discretise
+from models.vibration.delta import STATES, Q
+from models.vibration.state_space import discretise
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -85,7 +85,7 @@ def taps(machine: Machine, xy: FloatArray) -> FloatArray:
 
 def sampled(machine: Machine, xy: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """A, B, C, D of the carriages at a place (2,) mm: ξ = x - B₁ u takes the command's next sample out of x⁺."""
-    p = discretise(continuous_plant(machine, xy[None]), SAMPLE_S)
+    p = discretise(machine.vibration.state_space(xy[None]), SAMPLE_S)
     a, b0, b1 = p.a[0], p.b0[0], p.b1[0]
     c = np.eye(STATES)[Q]
     return a, a @ b1 + b0, c, c @ b1
@@ -133,7 +133,7 @@ def knots(stretch: PrintSlice) -> FloatArray:
 def whole_run(planned: PlannedProgram, run: Section, inverter: InverseModel) -> WindowProblem:
     """The exact inverse's own window over a whole run from rest, all of its knots unknown."""
     playing = Iterate(inverter, Reference(planned.trajectory, run, inverter.settings))
-    state = rest_state(inverter.machine, planned.trajectory.origin[run.first, :3])
+    state = inverter.machine.equilibrium(planned.trajectory.origin[run.first, :3])
     return WindowProblem(playing, 0, state, playing.last, playing.last - 1, playing.n)
 
 

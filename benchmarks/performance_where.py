@@ -24,12 +24,12 @@ from benchmarks.performance_ways import MACHINE, PRINTS, ROOT
 from ffcomp.compensate.job import Job, Options
 from ffcomp.compensate.statistics import Statistics
 from ffcomp.inverse import time_scaling
-from ffcomp.inverse.riccati import AUGMENTED, AXES, BACKWARD, FORWARD
+from ffcomp.inverse.riccati import AXES, augmented
 from ffcomp.inverse.solve import Solution, solve
 from models.file import load_machine
+from models.vibration.delta import STATES
 from models.vibration.scheduled import SAME_MM
 from models.vibration.small_matvec import recursion
-from models.vibration.state_space import STATES
 
 FloatArray = NDArray[np.float64]
 
@@ -80,6 +80,7 @@ KERNELS = {
 }
 PRECISION = {"sweep_back": "single", "sweep_forward": "single", "simulate": "double"}
 KEPT_CALLS = 40
+AUGMENTED = augmented(STATES)  # of a delta
 BEHIND_DRIVES = STATES - 6  # states that depend on place
 COLUMNS = BEHIND_DRIVES + 6 + 3 * AXES  # of the model's matrix: those states, the drives, u(t), u(t + h), J̇ q̇
 
@@ -236,8 +237,8 @@ def per_knot() -> dict[str, int]:
     """A multiplication and an addition for each entry of a matrix; a model is four matrices with four weights."""
     drive = AXES * (8 + 6)  # two states of a drive: four products each, three sums
     return {
-        "sweep_back": 2 * BACKWARD[0] * (AUGMENTED + AXES),  # what is filled up to a vector's length does not count
-        "sweep_forward": 2 * FORWARD[0] * FORWARD[1],
+        "sweep_back": 2 * (AUGMENTED + 9) * (AUGMENTED + AXES),  # what is filled up to a vector's length does not count
+        "sweep_forward": 2 * (AUGMENTED + AXES) * AUGMENTED,
         "simulate, a step": 2 * BEHIND_DRIVES * COLUMNS + drive + 2 * AXES,
         "a model": (4 + 3) * BEHIND_DRIVES * COLUMNS,
     }

@@ -12,7 +12,6 @@ from models.arrays import FloatArray
 from models.effects.catalogue import design_machine
 from models.file import Entry
 from models.machine import Machine
-from models.vibration.receptance import modes
 
 
 @dataclass(frozen=True)
@@ -56,6 +55,6 @@ def mode_changes(old: Machine, new: Machine) -> FloatArray:
     -------
     (k, 2) Hz, columns old and new; k = 6 unless a mode is overdamped in one of them.
     """
-    found = [modes(design_machine(machine)[0], np.zeros(2)).frequencies_hz for machine in (old, new)]
+    found = [design_machine(machine)[0].vibration.modes_at(np.zeros(2)).frequencies_hz for machine in (old, new)]
     count = min(map(len, found))
     return np.stack([each[:count] for each in found], axis=1)

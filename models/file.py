@@ -20,19 +20,15 @@ from typing import Any
 import platformdirs
 import tomlkit
 
-from models.arrays import constant
 from models.errors import MachineFileError
-from models.machine import Carriage, Drive, Effector, Machine
+from models.machine import Machine
 from models.schema import (
-    CarriageTable,
     DeltaDocument,
-    EffectorTable,
     StraightDocument,
     did_you_mean,
     unit_of,
     validated,
 )
-from models.vibration import modal as axes
 
 LIBRARY = Path(__file__).parent / "library"
 DEFAULT_UNCERTAINTY = 0.02
@@ -97,45 +93,19 @@ def _parsed(data: bytes, path: str) -> DeltaDocument | StraightDocument:
 
 
 def _machine(document: DeltaDocument | StraightDocument, sha256: str, path: str) -> Machine:
-    uncertainty = {"default": DEFAULT_UNCERTAINTY, **document.uncertainty}
-    if isinstance(document, DeltaDocument):
-        vibrating: dict[str, Any] = {"carriage": _carriage(document.carriage), "effector": _effector(document.effector)}
-    else:
-        vibrating, uncertainty = axes.parts(document.axes.axes()), _of_modes(uncertainty)
+    kinematics, vibration = document.machine_parts()
     return Machine(
         name=document.name,
-        kinematics=document.kinematics.geometry(),
+        kinematics=kinematics,
+        vibration=vibration,
         limits=document.limits.limits(),
         steps=document.steps.steps(),
         effects=document.effects,
-        uncertainty=uncertainty,
+        uncertainty={"default": DEFAULT_UNCERTAINTY, **document.uncertainty},
         provenance=document.provenance,
         sha256=sha256,
         path=path,
-        **vibrating,
     )
-
-
-def _of_modes(uncertainty: Mapping[str, float]) -> dict[str, float]:
-    """What the uncertainties of the axes' modes are for the numbers of the model; its masses are exact."""
-    found, default = {"default": 0.0}, uncertainty["default"]
-    for i, axis in enumerate("xyz"):
-        frequency, damping = (
-            uncertainty.get(f"axes.{axis}.{key}", default) for key in ("frequency_hz", "damping_ratio")
-        )
-        found |= axes.uncertainties(i, frequency, damping)
-    return found
-
-
-def _carriage(table: CarriageTable) -> Carriage:
-    drive = None if table.drive is None else Drive(**table.drive.model_dump())
-    return Carriage(**table.model_dump(exclude={"drive"}), drive=drive)
-
-
-def _effector(table: EffectorTable) -> Effector:
-    values = table.model_dump()
-    arrays = {key: constant(value) for key, value in values.items() if isinstance(value, list)}
-    return Effector(**{**values, **arrays})
 
 
 @dataclass(frozen=True)

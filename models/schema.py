@@ -16,9 +16,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from models.arrays import FloatArray, constant
 from models.effects.catalogue import CATALOGUE
 from models.errors import MachineFileError
+from models.kinematics.base import Kinematics
 from models.kinematics.cartesian import CARTESIAN, COREXY, CartesianKinematics
-from models.machine import DeltaKinematics, MotionLimits, Steps
-from models.vibration.modal import Axis
+from models.kinematics.delta import DeltaKinematics
+from models.machine import MotionLimits, Steps
+from models.vibration.base import VibrationModel
+from models.vibration.carriage import Carriage, Drive
+from models.vibration.delta import DeltaVibration
+from models.vibration.effector import Effector
+from models.vibration.modal import Axis, ModalAxes
 
 # The ranges hold any printer, and catch most numbers in a wrong unit.
 Length = Annotated[float, Field(ge=10, le=2000)]
@@ -136,6 +142,11 @@ class CarriageTable(Table):
     guide_damping_n_s_per_m: Damping
     drive: DriveTable | None = None
 
+    def carriage(self) -> Carriage:
+        """Return the carriage."""
+        drive = None if self.drive is None else Drive(**self.drive.model_dump())
+        return Carriage(**self.model_dump(exclude={"drive"}), drive=drive)
+
 
 class EffectorTable(Table):
     nozzle_mass_kg: float = Field(ge=0.001, le=20)
@@ -145,6 +156,12 @@ class EffectorTable(Table):
     joint_radius_mm: float = Field(ge=1, le=500)
     center_of_mass_mm: Annotated[list[Offset], THREE]
     force_map: Literal["virtual_work", "paper"] = "virtual_work"
+
+    def effector(self) -> Effector:
+        """Return the effector."""
+        values = self.model_dump()
+        arrays = {key: constant(value) for key, value in values.items() if isinstance(value, list)}
+        return Effector(**{**values, **arrays})
 
 
 class LimitsTable(Table):
@@ -232,16 +249,34 @@ class Document(Table):
         )
         return uncertainty
 
+    @classmethod
+    def missing(cls, document: Mapping[str, Any]) -> list[str]:
+        """Return sentences about tables' keys of which one or another must be there."""
+        return []
+
 
 class DeltaDocument(Document):
     kinematics: KinematicsTable
     carriage: CarriageTable
     effector: EffectorTable
 
+    @classmethod
+    def missing(cls, document: Mapping[str, Any]) -> list[str]:
+        return _missing_lengths(document)
+
+    def machine_parts(self) -> tuple[Kinematics, VibrationModel]:
+        """Return kinematics and vibration model."""
+        kinematics = self.kinematics.geometry()
+        return kinematics, DeltaVibration(self.carriage.carriage(), self.effector.effector(), kinematics)
+
 
 class StraightDocument(Document):
     kinematics: StraightTable
     axes: AxesTable = Field(default_factory=lambda: AxesTable())
+
+    def machine_parts(self) -> tuple[Kinematics, VibrationModel]:
+        """Return kinematics and vibration model."""
+        return self.kinematics.geometry(), ModalAxes.of(self.axes.axes())
 
     @field_validator("effects")
     @classmethod
@@ -256,18 +291,19 @@ class StraightDocument(Document):
         return effects
 
 
-STRAIGHT = ("cartesian", "corexy")
+# kinematics.type -> what a file of this kind holds; of any other, a delta's mistakes are told
+KINDS: Mapping[str, type[DeltaDocument | StraightDocument]] = {
+    "delta": DeltaDocument,
+    "cartesian": StraightDocument,
+    "corexy": StraightDocument,
+}
 OF_STRAIGHT_AXES = ("command_delay", "cogging")
 
 
 def validated(document: Mapping[str, Any], path: str) -> DeltaDocument | StraightDocument:
     """The document, checked; MachineFileError with every mistake otherwise."""
-    kind: type[DeltaDocument] | type[StraightDocument] = DeltaDocument
-    problems = []
-    if _kind(document) in STRAIGHT:
-        kind = StraightDocument
-    else:
-        problems = _missing_lengths(document)
+    kind = KINDS.get(str(_kind(document)), DeltaDocument)
+    problems = kind.missing(document)
     try:
         checked = kind.model_validate(document)
     except ValidationError as error:

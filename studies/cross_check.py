@@ -22,7 +22,7 @@ from scipy.signal import lsim
 from models.file import load_machine
 from models.machine import Machine
 from models.printer.printer import SMOOTH_STEP_S, simulate_printer
-from models.vibration.receptance import poles
+from models.vibration.delta import delta_vibration, with_parts
 from studies.render import save
 from validation import judge
 from validation.plants.multibody import STEP_S, Answer, Choice, build, energy_drift, modes, motor_motion, play, rest_mm
@@ -45,7 +45,7 @@ SAGGING_MM = ((0.0, 0.0, HEIGHT_MM), (110.0, 0.0, HEIGHT_MM), *SHAKEN_MM)
 STAR, TOWER = "far_star", "ringing_tower"
 
 LUMPED, UNIFORM = Choice("lumped"), Choice("uniform")
-PAIRS, WEIGHT = replace(LUMPED, effector="parallelograms"), replace(LUMPED, gravity=True)
+PAIRS, WEIGHT = with_parts(LUMPED, effector="parallelograms"), replace(LUMPED, gravity=True)
 STEPS_S, IMPEDANCES = (2 * STEP_S, STEP_S, STEP_S / 2), (0.99, 0.999, 0.9999)
 PUSH_M_PER_S, SWING_S = 0.1, 0.5
 
@@ -122,7 +122,7 @@ def upper(found: ComplexArray) -> ComplexArray:
 
 def our_poles(machine: Machine) -> ComplexArray:
     """(places, MODES) 1/s"""
-    return np.array([upper(found) for found in poles(machine, places())])
+    return np.array([upper(found) for found in machine.vibration.poles(places())])
 
 
 @cache
@@ -153,12 +153,12 @@ def rods_matrices(machine: Machine, j: FloatArray) -> tuple[FloatArray, FloatArr
     Our linear model at the place of the Jacobian j, with the rods' term in the kinetic energy:
     ½m|q̇|² + ½M₁|J q̇|² + ½m₂|J q̇ + η̇|² - m_f/12 Σ|J q̇ - ẑ q̇_i|².
     """
-    carriage, effector = machine.carriage, machine.effector
+    carriage, effector = delta_vibration(machine).carriage, delta_vibration(machine).effector
     damping = carriage.belt_damping_n_s_per_m + carriage.guide_damping_n_s_per_m
     stiffness = np.diag([*[carriage.belt_stiffness_n_per_m] * 3, *effector.extruder_stiffness_n_per_m])
     damper = np.diag([*[damping] * 3, *effector.extruder_damping_n_s_per_m])
     mass = np.zeros((6, 6))
-    mass[:3, :3] = carriage.moving_mass_kg * np.eye(3) + machine.nozzle_side_mass_kg * j.T @ j
+    mass[:3, :3] = carriage.moving_mass_kg * np.eye(3) + delta_vibration(machine).nozzle_side_mass_kg * j.T @ j
     mass += effector.extruder_mass_kg * np.hstack([j, np.eye(3)]).T @ np.hstack([j, np.eye(3)])
     for i in range(3):
         turning = j - np.outer([0, 0, 1], np.eye(3)[i])
@@ -176,7 +176,7 @@ def rods_poles(machine: Machine) -> ComplexArray:
 def rods_played(machine: Machine, path: FloatArray) -> Answer:
     """The same linear model, frozen where the path begins, played: good for small motion only."""
     q, geometry = machine.kinematics.inverse(path), machine.kinematics
-    carriage, step = machine.carriage, ROW_S / FINER
+    carriage, step = delta_vibration(machine).carriage, ROW_S / FINER
     u, speed = motor_motion(machine, q - q[0], ROW_S, step)
     force = carriage.belt_stiffness_n_per_m * u + carriage.belt_damping_n_s_per_m * speed
     rate, push = rods_matrices(machine, geometry.jacobian(path[:1])[0])
@@ -191,12 +191,14 @@ def rods_played(machine: Machine, path: FloatArray) -> Answer:
 
 def masses_of(machine: Machine) -> FloatArray:
     """(2,) kg: carriage, nozzle holder."""
-    return np.array([machine.carriage.mass_kg, machine.effector.nozzle_mass_kg])
+    return np.array([delta_vibration(machine).carriage.mass_kg, delta_vibration(machine).effector.nozzle_mass_kg])
 
 
 def with_masses(machine: Machine, masses: FloatArray) -> Machine:
-    carriage = replace(machine.carriage, mass_kg=float(masses[0]))
-    return replace(machine, carriage=carriage, effector=replace(machine.effector, nozzle_mass_kg=float(masses[1])))
+    carriage = replace(delta_vibration(machine).carriage, mass_kg=float(masses[0]))
+    return with_parts(
+        machine, carriage=carriage, effector=replace(delta_vibration(machine).effector, nozzle_mass_kg=float(masses[1]))
+    )
 
 
 def fitted_masses(machine: Machine) -> FloatArray:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from ffcomp.compare.evaluation import Execution, contour
 from ffcomp.compare.methods import COMPENSATED, inversion, none
-from ffcomp.compare.monte_carlo import draw_plants, dynamic_numbers
+from ffcomp.compare.monte_carlo import draw_plants
 from ffcomp.compare.sampling import Print, PrintSlice, Sampling
 from ffcomp.diagnose.diagnosis import diagnose
 from ffcomp.diagnose.printer_problem import PrinterProblem
@@ -146,7 +146,7 @@ def kept(path: Path, *arguments: str | Path) -> dict[str, Any]:
 def owners_file(truth: Machine, **changed: Any) -> str:
     """Every dynamic number a little off, and what is changed on purpose."""
     off = draw_plants(truth, FILE_ERROR, 1)[0]
-    values: dict[str, Any] = {name: float(f"{value_of(off, name):.6g}") for name in dynamic_numbers(truth)}
+    values: dict[str, Any] = {name: float(f"{value_of(off, name):.6g}") for name in truth.vibration.parameters().names}
     values |= {name.replace("__", "."): value for name, value in changed.items()}
     return updated_text(judge.MACHINE_FILE, values, name="owner's printer", uncertainty={"default": FILE_ERROR})
 

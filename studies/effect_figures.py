@@ -23,6 +23,7 @@ from models.effects.effect import Effect, Parameter
 from models.file import load_machine
 from models.machine import Machine
 from models.printer.printer import simulate_printer
+from models.vibration.delta import delta_vibration, with_parts
 
 FloatArray = NDArray[np.float64]
 RealArray = NDArray[np.floating[Any]]
@@ -360,7 +361,7 @@ def machines(effect: Effect, seen: Shown) -> tuple[Machine, Machine]:
     """Without the effect, and with it."""
     base = load_machine(MACHINE)
     if seen.paper:
-        base = replace(base, effector=replace(base.effector, force_map="paper"))
+        base = with_parts(base, effector=replace(delta_vibration(base).effector, force_map="paper"))
     for name, table in seen.base.items():
         base = with_effect(base, name, **table)
     alone = replace(base, effects={}) if seen.base else base  # the effect takes the place of what it is compared with

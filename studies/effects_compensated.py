@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import os
 
+from models.vibration.delta import delta_vibration, with_parts
+
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # one core: said before numpy and scipy start their threads
 
 import argparse
@@ -110,7 +112,7 @@ def row(name: str, seconds: float) -> Row:
     ignorant = load_machine(judge.MACHINE_FILE)
     tables = tomllib.loads(judge.MACHINE_FILE.read_text(encoding="utf-8"))
     if name in PAPER:
-        ignorant = replace(ignorant, effector=replace(ignorant.effector, force_map="paper"))
+        ignorant = with_parts(ignorant, effector=replace(delta_vibration(ignorant).effector, force_map="paper"))
         tables["effector"]["force_map"] = "paper"
     plain = Real(tables)
     table, real = EFFECTS[name](np.random.default_rng(SEEDS.get(name, SEED)), 1.0, plain)

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import os
 
+from models.vibration.delta import delta_vibration, with_parts
+
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["FFCOMP_LOG"] = "off"
 
@@ -170,8 +172,10 @@ def frf_noisy() -> Image.Image:
 def frf_wrong_mode() -> Image.Image:
     """The printer's nozzle holder is twice as heavy as the file says."""
     machine = load_machine("mp-delta-pro")
-    heavy = replace(machine.effector, nozzle_mass_kg=2.0 * machine.effector.nozzle_mass_kg)
-    return measured_frf("wrong-mode", replace(machine, effector=heavy), 0.03)
+    heavy = replace(
+        delta_vibration(machine).effector, nozzle_mass_kg=2.0 * delta_vibration(machine).effector.nozzle_mass_kg
+    )
+    return measured_frf("wrong-mode", with_parts(machine, effector=heavy), 0.03)
 
 
 def measured_frf(name: str, real: Machine, noise: float) -> Image.Image:

@@ -21,8 +21,10 @@ from ffcomp.identify.paper import identify_as_paper
 from ffcomp.identify.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from models.file import LIBRARY, load_machine
-from models.machine import Drive, Machine
+from models.machine import Machine
 from models.parameters import value_of
+from models.vibration.carriage import Drive
+from models.vibration.delta import delta_vibration, with_parts
 from studies.render import save
 from validation.plants import delta_plant
 from validation.plants.study import PLACES, measure_bench, measure_places, uneven
@@ -46,9 +48,9 @@ def main() -> None:
 def far_off(machine: Machine) -> Machine:
     """Another printer's numbers on this one's kinematics."""
     other = load_machine("kossel")
-    arms = machine.carriage.arm_pair_mass_kg
-    carriage = replace(other.carriage, arm_pair_mass_kg=arms, drive=Drive(2.5e5, -50.0, 100.0))
-    return replace(other, kinematics=machine.kinematics, carriage=carriage)
+    arms = delta_vibration(machine).carriage.arm_pair_mass_kg
+    carriage = replace(delta_vibration(other).carriage, arm_pair_mass_kg=arms, drive=Drive(2.5e5, -50.0, 100.0))
+    return with_parts(replace(other, kinematics=machine.kinematics), carriage=carriage)
 
 
 def study(title: str, real: dict[str, Any]) -> dict[str, Any]:
@@ -112,7 +114,7 @@ def parameters(truth: dict[str, Any]) -> list[dict[str, Any]]:
     machine = load_machine("mp-delta-pro")
     start = far_off(machine)
     bench = measure_bench(truth, SNR_DB, seed=3)
-    weighed = machine.effector.nozzle_mass_kg + machine.effector.extruder_mass_kg
+    weighed = delta_vibration(machine).effector.nozzle_mass_kg + delta_vibration(machine).effector.extruder_mass_kg
     direct = fit_machine(start, bench, {TOTAL_MASS: (weighed, 0.001 * weighed)})
     stepwise = identify_as_paper(start, bench, weighed, 0.001 * weighed).machine
     rows = []

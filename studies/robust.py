@@ -35,7 +35,7 @@ from ffcomp.planner.sections import split_sections
 from ffcomp.simulate.playback import simulate_nozzles
 from models.file import load_machine
 from models.machine import Machine
-from models.parameters import dynamic_numbers, value_of, with_values
+from models.parameters import value_of, with_values
 from studies.render import save
 
 ROOT = Path(__file__).parents[1]
@@ -60,7 +60,7 @@ class Off:
 
 def within(machine: Machine, share: float, count: int) -> list[Machine]:
     """Machines whose dynamic numbers are all off, each by its own even draw from ± share."""
-    names = dynamic_numbers(machine)
+    names = machine.vibration.parameters().names
     off = np.random.default_rng(3).uniform(-share, share, (count, len(names)))
     return [
         with_values(machine, {name: value_of(machine, name) * (1 + d) for name, d in zip(names, row, strict=True)})

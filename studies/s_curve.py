@@ -36,7 +36,6 @@ from gcode.program import Program
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
-from models.vibration.scheduled import rest_state
 
 FloatArray = NDArray[np.float64]
 
@@ -100,7 +99,7 @@ def measure(motion: PlannedMotion, runs: list[Section], chosen: list[int], machi
     for i in chosen:
         wanted = Reference(motion, runs[i], inverter.settings)
         start = motion.origin[runs[i].first, :3]
-        result = solve(inverter, wanted, rest_state(machine, start), keep_response=True)
+        result = solve(inverter, wanted, machine.equilibrium(start), keep_response=True)
         after.append(bends(delta.inverse(result.vertices), knot_s))
         prediction.add(motion, runs[i], wanted, result)
     track = prediction.samples.tracks()["compensated"]

@@ -24,7 +24,6 @@ from models.effects.catalogue import effective_machine
 from models.file import load_machine
 from models.machine import Machine
 from models.parameters import value_of
-from models.vibration.receptance import poles
 from studies.diagnosis_proof import (
     FILE_ERROR,
     FRESH,
@@ -211,7 +210,7 @@ def lowest_modes(told: Told, places: FloatArray) -> list[FloatArray]:
     truth = load_machine(judge.MACHINE_FILE)
     choice = CHOICES[told.arms]
     theirs = [modes(build(truth, np.append(xy, HEIGHT_MM), choice))[:3] for xy in places]
-    ours = [poles(effective_machine(load_machine(file)), places) for file in (told.owner, told.better)]
+    ours = [effective_machine(load_machine(file)).vibration.poles(places) for file in (told.owner, told.better)]
     return [np.abs(np.array(theirs)), *(np.array([_slowest(x) for x in found]) for found in ours)]
 
 

@@ -14,6 +14,7 @@ from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.report.frf import draw_bode, draw_map
 from models.file import load_machine
 from models.machine import Machine
+from models.vibration.delta import delta_vibration, with_parts
 from models.vibration.mode_map import mode_map
 
 FREQUENCIES_HZ = np.arange(0.5, 125.1, 0.5)
@@ -22,7 +23,7 @@ PLACES = [np.array([0.0, 0.0]), np.array([-80.0, 0.0])]
 
 def main(folder: Path) -> None:
     machine = load_machine("mp-delta-pro")
-    draw_map(machine, mode_map(machine), folder / "frf_map.png")
+    draw_map(machine, mode_map(delta_vibration(machine)), folder / "frf_map.png")
     found = study(machine, View(), FREQUENCIES_HZ, [], as_if_measured(machine))
     draw_bode(found, folder / "frf_measured.png")
     print(verdict(found))
@@ -30,8 +31,8 @@ def main(folder: Path) -> None:
 
 def as_if_measured(machine: Machine) -> list[FrequencyResponse]:
     """Nobody's printer: a belt 6 % stiffer and a guide 30 % more damped than the file says, and 3 % of noise."""
-    carriage = machine.carriage
-    real = replace(
+    carriage = delta_vibration(machine).carriage
+    real = with_parts(
         machine,
         carriage=replace(
             carriage,

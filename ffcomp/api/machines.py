@@ -99,7 +99,7 @@ def frf(
         If a position lies outside the bed.
     """
     loaded = load_machine(machine)
-    output = of or ("nozzle" if loaded.has_straight_axes else "carriage")
+    output = of or ("nozzle" if not loaded.vibration.position_dependent else "carriage")
     view = View(output, per or ("carriage" if output == "carriage" else "nozzle"))
     places = [np.array(xy, dtype=float) for xy in positions_mm or [loaded.kinematics.centre_mm]]
     loaded.kinematics.check_reach(np.array([[x, y, 0.0] for x, y in places]))

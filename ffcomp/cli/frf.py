@@ -131,7 +131,7 @@ def frf(
 
         loaded = load_machine(machine)
         responses = [response for path in measured or [] for response in read_frfs(path)]
-        if loaded.has_straight_axes:
+        if not loaded.vibration.position_dependent:
             of = of or Of.nozzle
         view = _view(of, per, responses, added_mass_kg or [], with_arms)
         centre = "{:g},{:g}".format(*loaded.kinematics.centre_mm)
@@ -208,12 +208,13 @@ def _draw(found: Study, figure: Path | None, full: bool, maps: list[Path]) -> No
 def _write_map(machine: Machine, target: Path) -> None:
     from ffcomp.identify.frf_json import mode_map_json
     from models.errors import MachineFileError
+    from models.vibration.delta import delta_vibration
     from models.vibration.mode_map import mode_map
 
-    if machine.has_straight_axes:
+    if not machine.vibration.position_dependent:
         rule = "Straight axes answer alike everywhere on the bed, so there is no map; --figure shows how."
         raise MachineFileError("--map", [rule])
-    modes = mode_map(machine)
+    modes = mode_map(delta_vibration(machine))
     if target.suffix == ".json":
         target.write_text(json.dumps(mode_map_json(machine, modes)), encoding="utf-8")
         return

@@ -176,7 +176,7 @@ def decouple(
         from models.file import load_machine
 
         loaded = load_machine(machine)
-        if loaded.has_straight_axes:
+        if not loaded.vibration.position_dependent:
             rule = "Straight axes carry no effector to be decoupled from: `ffcomp identify fit` says what they do."
             raise MachineFileError(loaded.path, [rule])
         responses = gather(data, loaded, band_hz=(lowest_hz, highest_hz)).responses

@@ -20,6 +20,7 @@ from ffcomp.cli.machines_diff import diff_machines
 from ffcomp.cli.machines_effort import effort
 from ffcomp.cli.machines_import import import_machine
 from ffcomp.cli.options import AsJson
+from models.vibration.delta import delta_vibration
 
 if TYPE_CHECKING:
     from models.arrays import FloatArray
@@ -93,7 +94,7 @@ def check_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
 
     with _machine_errors(as_json):
         loaded = load_machine(machine)
-    if loaded.has_straight_axes:
+    if not loaded.vibration.position_dependent:
         _check_axes(loaded, _instability(unstable_positions(loaded)), as_json)
         return
     quantities, sound = redundant_quantities(loaded), check_physics(loaded)
@@ -236,7 +237,7 @@ def _where(extreme: Extreme) -> str:
 
 def _energy_notes(machine: Machine, sound: PhysicsChecks) -> list[str]:
     """Describe the energy that the force map creates; none by virtual work."""
-    force_map, notes = f"The force map {machine.effector.force_map!r}", []
+    force_map, notes = f"The force map {delta_vibration(machine).effector.force_map!r}", []
     if not sound.is_reciprocal:
         notes.append(
             f"{force_map} is not reciprocal: the skew part of the carriages' receptance is up to "
@@ -264,10 +265,9 @@ def _instability(places: FloatArray) -> list[str]:
 
 def _modes(machine: Machine) -> list[dict[str, Any]]:
     """Return the modes at the positions that show how they change over the bed."""
-    from models.vibration.receptance import modes
 
     places = machine.kinematics.sample_positions
-    found = {place: modes(machine, xy) for place, xy in places.items()}
+    found = {place: machine.vibration.modes_at(xy) for place, xy in places.items()}
     return [
         {
             "place": place,

@@ -25,7 +25,7 @@ from ffcomp.compare.baselines import LinearPrinter
 from ffcomp.compare.equal_quality import equal_quality, within_limits
 from ffcomp.compare.evaluation import SAMPLE_S, SETTLE_S, Execution, MethodEvaluation, by, contour, evaluate, track
 from ffcomp.compare.methods import COMPENSATED, TunedMethod
-from ffcomp.compare.monte_carlo import draw_plants, dynamic_numbers
+from ffcomp.compare.monte_carlo import draw_plants
 from ffcomp.compare.result import BedMap, Comparison, Layer, Method, Party, Peaks, Spread
 from ffcomp.compare.sampling import Print, PrintSlice, Sampling
 from ffcomp.compensate.statistics import Statistics
@@ -322,7 +322,7 @@ def _mismatch(plant: Machine, request: Request) -> str:
     if not request.seeds:
         return ""
     return (
-        f"{request.seeds} plants whose {len(dynamic_numbers(plant))} dynamic parameters (masses, stiffnesses, "
+        f"{request.seeds} plants whose {len(plant.vibration.parameters())} dynamic parameters (masses, stiffnesses, "
         f"dampings, drive) are each off by a normal draw with a standard deviation of {request.mismatch:.0%} "
         f"(seeds 0 to {request.seeds - 1}); every method keeps its tuning; {SOME_S:.0f} s of the print on each."
     )

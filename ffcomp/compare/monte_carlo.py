@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from models.machine import Machine
-from models.parameters import dynamic_numbers, value_of, with_values
+from models.parameters import with_values
 
 FARTHEST = 2.5  # standard deviations; farther draws are drawn again
 
@@ -21,13 +21,12 @@ def draw_plants(machine: Machine, relative_sd: float, seeds: int) -> list[Machin
     seeds : int
         Seed k gives machine k, independent of the number of seeds.
     """
-    names = dynamic_numbers(machine)
+    parameters = machine.vibration.parameters()
     found = []
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
-        off = rng.standard_normal(len(names))
+        off = rng.standard_normal(parameters.columns)
         while np.any(far := np.abs(off) > FARTHEST):
             off[far] = rng.standard_normal(int(far.sum()))
-        values = {name: value_of(machine, name) * (1 + relative_sd * d) for name, d in zip(names, off, strict=True)}
-        found.append(with_values(machine, values))
+        found.append(with_values(machine, parameters.scaled(off, relative_sd)))
     return found

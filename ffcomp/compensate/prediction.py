@@ -17,7 +17,6 @@ from ffcomp.metrics import Track, peak_acceleration, track
 from ffcomp.planner.sections import Section
 from ffcomp.planner.trajectory import PlannedMotion
 from models.arrays import FloatArray
-from models.vibration.scheduled import rest_state
 
 LONGEST_S = 300.0  # of print time that is simulated for the prediction
 SAMPLE_S = 1e-3  # about
@@ -109,7 +108,7 @@ class Prediction:
         found.wanted.append(nozzle[every::every] + shift)
         found.place = found.wanted[-1][-1]
         self._add_path(trajectory, run, wanted, shift)
-        state = rest_state(inverter.machine, nozzle[0])
+        state = inverter.machine.equilibrium(nozzle[0])
         plain, _ = inverter.plant.respond(nozzle, velocity, state, s.substeps)
         knots = nozzle[:: s.substeps]
         for motion, actual, command in ((found.before, plain, knots), (found.after, result.response, result.vertices)):

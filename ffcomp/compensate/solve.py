@@ -22,8 +22,8 @@ from ffcomp.planner.trajectory import PlannedMotion
 from gcode.layers import LayerLookup
 from gcode.program import EventKind
 from models.arrays import FloatArray
-from models.machine import Kinematics, Machine
-from models.vibration.scheduled import rest_state
+from models.kinematics.base import Kinematics
+from models.machine import Machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +93,7 @@ def _by_the_model(
         start, rest_s = trajectory.origin[run.first, :3], run.begin_t - rested
         rested = run.end_t
         if state is None or moved[run.first]:
-            state, rest = rest_state(machine, start), None
+            state, rest = machine.equilibrium(start), None
         else:
             state, rest = inverter.state_after_rest(state, start, rest_s), rest_s
         if later:

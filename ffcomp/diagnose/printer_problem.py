@@ -31,6 +31,7 @@ from models.parameters import value_of, with_values
 from models.printer.kernels.record import LANES
 from models.printer.parameters import printer_parameters
 from models.printer.printer import SMOOTH_STEP_S, PrinterMotion, longest_step, simulate_printers
+from models.vibration.delta import delta_vibration
 
 STEP_S = 1 / 3200  # of a printer without dry friction or backlash: some nanometres off
 COARSE_STEP_S, COARSE_KINKED_STEP_S = 1 / 1600, 1 / 3200  # where effects are only ranked
@@ -224,7 +225,7 @@ def _machine_value(parameter: EffectParameter, value: float, of_three: bool = Fa
 
 
 def _parameters(machine: Machine) -> list[Parameter]:
-    names = [n for n in UNKNOWNS if machine.carriage.drive is not None or "drive" not in n]
+    names = [n for n in UNKNOWNS if delta_vibration(machine).carriage.drive is not None or "drive" not in n]
     parameters = []
     for name in names:
         value = value_of(machine, name)

@@ -21,7 +21,7 @@ from ffcomp.measurement.frf import FrequencyResponse
 from models.arrays import ComplexArray, FloatArray
 from models.machine import Machine
 from models.vibration.carriage import belt, drive_frf, impedance
-from models.vibration.effector import effector_impedance, load_map
+from models.vibration.delta import delta_vibration
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,12 +54,12 @@ def decouple(machine: Machine, responses: Sequence[FrequencyResponse]) -> Decoup
     s = first.s
     xy = np.array((first.position_mm or (0.0, 0.0, 0.0))[:2])
     inverse = np.linalg.inv(g)
-    drive = belt(machine.carriage, s) * drive_frf(machine.carriage.drive, s)
-    own = impedance(machine.carriage, s)[:, None, None] * np.eye(3)
+    drive = belt(delta_vibration(machine).carriage, s) * drive_frf(delta_vibration(machine).carriage.drive, s)
+    own = impedance(delta_vibration(machine).carriage, s)[:, None, None] * np.eye(3)
     size = np.abs(inverse) ** 2
     spread = np.abs(drive[:, None, None]) ** 2 * np.einsum("kia,kab,kbj->kij", size, variance, size)
-    j, gamma = machine.kinematics.jacobian(xy[None])[0], load_map(machine, xy[None])[0]
-    model = (gamma * effector_impedance(machine, s)[:, None, :]) @ j
+    j, gamma = machine.kinematics.jacobian(xy[None])[0], delta_vibration(machine).load_map(xy[None])[0]
+    model = (gamma * delta_vibration(machine).effector_impedance(s)[:, None, :]) @ j
     return Decoupled(first.frequency_hz, xy, drive[:, None, None] * inverse - own, spread, model, j)
 
 

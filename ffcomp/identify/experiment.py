@@ -29,7 +29,8 @@ from gcode.emit import F_COUNTS, XYZ_COUNTS
 from gcode.program import Moves
 from models.arrays import FloatArray
 from models.errors import UnreachableError
-from models.machine import Kinematics, Machine
+from models.kinematics.base import Kinematics
+from models.machine import Machine
 
 TOWERS, AXES = ("A", "B", "C"), ("x", "y", "z")
 ON_TIME_S = 5e-5  # a knot reached later than this demands too much

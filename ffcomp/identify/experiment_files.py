@@ -25,8 +25,10 @@ from gcode.emit import MoveWriter
 from gcode.limits import MotionLimits
 from gcode.program import Frame
 from models.arrays import constant
+from models.kinematics.base import Kinematics
 from models.kinematics.cartesian import CartesianKinematics
-from models.machine import DeltaKinematics, Kinematics, Machine
+from models.kinematics.delta import DeltaKinematics
+from models.machine import Machine
 
 SCHEMA = "ffcomp-excitation/1"
 TRAVEL_SHARE = 0.2  # of the machine's velocity, between experiments

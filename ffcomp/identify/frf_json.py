@@ -9,6 +9,7 @@ import numpy as np
 from ffcomp.identify.frf_study import Compared, Station, Study, verdict
 from models.arrays import FloatArray
 from models.machine import Machine
+from models.vibration.delta import delta_vibration
 from models.vibration.mode_map import ModeMap
 
 
@@ -20,7 +21,9 @@ def frf_json(found: Study, station: Station) -> dict[str, Any]:
     return {
         "schema": "ffcomp-frf/1",
         "machine": {"name": found.machine.name, "sha256": found.machine.sha256},
-        "force_map": found.machine.effector.force_map if not found.machine.has_straight_axes else None,
+        "force_map": found.machine.vibration.describe().force_map
+        if found.machine.vibration.position_dependent
+        else None,
         "position_mm": [*station.xy.tolist(), 0.0],
         "frequency_hz": found.frequency_hz.tolist(),
         "carriage": [[_bode(station.carriage, carriage_phase, i, k) for k in range(3)] for i in range(3)],
@@ -67,7 +70,7 @@ def mode_map_json(machine: Machine, modes: ModeMap) -> dict[str, Any]:
     return {
         "schema": "ffcomp-frf-map/1",
         "machine": {"name": machine.name, "sha256": machine.sha256},
-        "force_map": machine.effector.force_map,
+        "force_map": delta_vibration(machine).effector.force_map,
         "x_mm": modes.x_mm.tolist(),
         "y_mm": modes.x_mm.tolist(),
         "modes": [

@@ -21,10 +21,10 @@ from ffcomp.measurement.frf import FrequencyResponse
 from models.arrays import ComplexArray, FloatArray
 from models.errors import MachineFileError, UnreachableError
 from models.machine import Machine
+from models.vibration.base import Modes, Output
 from models.vibration.carriage import command_frf, damping, with_added_mass
-from models.vibration.effector import struck_frf
+from models.vibration.delta import delta_vibration
 from models.vibration.mode_map import ModeMap, kinds, mode_map, numbers
-from models.vibration.receptance import Modes, Output, assembly_frf, modes
 
 Of = Literal["carriage", "nozzle", "acceleration", "carriage-alone", "effector-alone"]
 Per = Literal["carriage", "nozzle"]
@@ -169,7 +169,7 @@ def study(
     with_arms: bool = False,
 ) -> Study:
     """Evaluate a view at every requested and every measured position (or with every mass)."""
-    if machine.has_straight_axes:
+    if not machine.vibration.position_dependent:
         _straight_view(view)
         centre = machine.kinematics.centre_mm
         places, measured = [np.array(centre)], [_of_axes(response, centre) for response in measured]
@@ -339,27 +339,27 @@ class _Model:
         label, value, found = {"carriage-alone": self._carriage, "effector-alone": self._effector}.get(
             self.view.of, self._assembly
         )(xy, mass)
-        return label, xy, mass, value, assembly_frf(self.machine, xy, self.frequency_hz), found
+        return label, xy, mass, value, self.machine.vibration.frequency_response(xy, self.frequency_hz), found
 
     def _assembly(self, xy: FloatArray, _: float) -> _Case:
-        value = assembly_frf(self.machine, xy, self.frequency_hz, self.view.answering, self.view.per)
-        if self.machine.has_straight_axes:
-            return "anywhere", value, _straight_modes(modes(self.machine, xy))
+        value = self.machine.vibration.frequency_response(xy, self.frequency_hz, self.view.answering, self.view.per)
+        if not self.machine.vibration.position_dependent:
+            return "anywhere", value, _straight_modes(self.machine.vibration.modes_at(xy))
         return f"at ({xy[0]:g}, {xy[1]:g}) mm", value, _assembly_modes(self.machine, self._over_the_bed, xy)
 
     def _carriage(self, _: FloatArray, mass: float) -> _Case:
-        value = command_frf(with_added_mass(self.machine.carriage, mass), self._s)[:, None, None]
+        value = command_frf(with_added_mass(delta_vibration(self.machine).carriage, mass), self._s)[:, None, None]
         label = f"with {1e3 * mass:g} g more" if mass else "as it is"
         return label, value, _carriage_mode(self.machine, mass)
 
     def _effector(self, _: FloatArray, __: float) -> _Case:
-        value = struck_frf(self.machine, self._s, self.with_arms)[:, :, None] * np.eye(3)
+        value = delta_vibration(self.machine).struck_frf(self._s, self.with_arms)[:, :, None] * np.eye(3)
         label = "with the arms' lower halves" if self.with_arms else "by itself"
         return label, value, _effector_modes(self.machine, self.with_arms)
 
     @cached_property
     def _over_the_bed(self) -> ModeMap:
-        return mode_map(self.machine)
+        return mode_map(delta_vibration(self.machine))
 
     @property
     def _s(self) -> ComplexArray:
@@ -368,12 +368,12 @@ class _Model:
 
 def _assembly_modes(machine: Machine, over: ModeMap, xy: FloatArray) -> tuple[NumberedMode, ...]:
     """Give modes the numbers they have over the whole bed, so that one number is one mode at every position."""
-    found = modes(machine, xy)
+    found = machine.vibration.modes_at(xy)
     each = zip(
-        numbers(machine, over, xy, found),
+        numbers(delta_vibration(machine), over, xy, found),
         found.frequencies_hz.tolist(),
         found.damping_ratios.tolist(),
-        kinds(machine, xy, found),
+        kinds(delta_vibration(machine), xy, found),
         strict=True,
     )
     return (*(NumberedMode(*row) for row in sorted(each)), *_drive_mode(machine))
@@ -388,7 +388,7 @@ def _straight_modes(found: Modes) -> tuple[NumberedMode, ...]:
 
 def _drive_mode(machine: Machine) -> tuple[NumberedMode, ...]:
     """Return the pole of Eq. 34: ω = √d₀, ζ = d₂/(2 √d₀)."""
-    drive = machine.carriage.drive
+    drive = delta_vibration(machine).carriage.drive
     if drive is None or drive.d2_per_s >= 2 * np.sqrt(drive.d0_per_s2):
         return ()
     omega = np.sqrt(drive.d0_per_s2)
@@ -397,15 +397,18 @@ def _drive_mode(machine: Machine) -> tuple[NumberedMode, ...]:
 
 def _carriage_mode(machine: Machine, mass: float) -> tuple[NumberedMode, ...]:
     """Return ω_n = √(k/m), ζ = (c + b)/(2 √(k m)) (Eqs. 35, 36)."""
-    m, k = machine.carriage.moving_mass_kg + mass, machine.carriage.belt_stiffness_n_per_m
-    zeta = damping(machine.carriage) / (2 * np.sqrt(k * m))
+    m, k = (
+        delta_vibration(machine).carriage.moving_mass_kg + mass,
+        delta_vibration(machine).carriage.belt_stiffness_n_per_m,
+    )
+    zeta = damping(delta_vibration(machine).carriage) / (2 * np.sqrt(k * m))
     return (NumberedMode(1, float(np.sqrt(k / m) / (2 * np.pi)), float(zeta), "on its belt"), *_drive_mode(machine))
 
 
 def _effector_modes(machine: Machine, with_arms: bool) -> tuple[NumberedMode, ...]:
     """Return ω_p of Eq. 48 along each axis, ζ = b ω_p/(2 k), slowest first."""
-    effector = machine.effector
-    m1 = machine.nozzle_side_mass_kg if with_arms else effector.nozzle_mass_kg
+    effector = delta_vibration(machine).effector
+    m1 = delta_vibration(machine).nozzle_side_mass_kg if with_arms else effector.nozzle_mass_kg
     m2, k = effector.extruder_mass_kg, effector.extruder_stiffness_n_per_m
     omega = np.sqrt((m1 + m2) * k / (m1 * m2))
     zeta = effector.extruder_damping_n_s_per_m * omega / (2 * k)

@@ -20,7 +20,6 @@ from ffcomp.measurement.modes import Mode
 from models.arrays import FloatArray
 from models.machine import Machine
 from models.parameters import value_of, with_values
-from models.vibration.receptance import modes, nozzle_frf
 
 STIFFNESS = "carriage.belt_stiffness_n_per_m"
 DAMPINGS = ("carriage.belt_damping_n_s_per_m", "carriage.guide_damping_n_s_per_m")
@@ -87,7 +86,7 @@ def _sd(r: Resonance) -> float:
 def _main(machine: Machine, r: Resonance) -> float:
     """Find where the nozzle responds most along the axis, Hz."""
     i = AXES.index(r.axis)
-    size = np.abs(nozzle_frf(machine, np.array(r.place_mm), BAND_HZ)[:, i, i])
+    size = np.abs(machine.vibration.frequency_response(np.array(r.place_mm), BAND_HZ, "nozzle", "nozzle")[:, i, i])
     return float(BAND_HZ[np.argmax(size)])
 
 
@@ -101,7 +100,7 @@ def _damping_factor(machine: Machine, resonances: Sequence[Resonance]) -> float:
     """Average the ratio of measured to modelled damping ratio; both are proportional to c + b while small."""
     ratios = []
     for r in resonances:
-        found = modes(machine, np.array(r.place_mm))
+        found = machine.vibration.modes_at(np.array(r.place_mm))
         nearest = int(np.argmin(np.abs(np.log(found.frequencies_hz / _main(machine, r)))))
         ratios.append(r.mode.damping_ratio / found.damping_ratios[nearest])
     return float(np.clip(np.exp(np.mean(np.log(ratios))), 0.1, 10.0))

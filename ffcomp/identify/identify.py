@@ -16,8 +16,10 @@ from ffcomp.identify.paper import PaperIdentification
 from ffcomp.identify.uncertainty import Estimate
 from ffcomp.measurement.frf import FrequencyResponse
 from models.file import updated_text
-from models.machine import Drive, Machine
+from models.machine import Machine
 from models.parameters import value_of, with_values
+from models.vibration.carriage import Drive
+from models.vibration.delta import delta_vibration, with_parts
 
 UNDETERMINED = 0.25  # of the weak prior's variance: above it the data say next to nothing; the old value is kept
 FAR = 0.10  # model error of a response from which the other force map is tried
@@ -79,10 +81,10 @@ def _other_force_map(
     far = any(r.setup == "assembly" and e > FAR for r, e in zip(fitted.responses, fitted.model_errors, strict=True))
     if not far:
         return []
-    effector = fitted.machine.effector
+    effector = delta_vibration(fitted.machine).effector
     other: Literal["paper", "virtual_work"] = "paper" if effector.force_map == "virtual_work" else "virtual_work"
     progress(f"the same with force_map = {other!r}")
-    turned = replace(fitted.machine, effector=replace(effector, force_map=other))
+    turned = with_parts(fitted.machine, effector=replace(effector, force_map=other))
     tried = fit_machine(turned, fitted.responses, known, progress=progress)
     if tried.bic > fitted.bic - FORCE_MAP_COSTS:
         return []
@@ -100,9 +102,9 @@ def _with_drive(
     progress: Callable[[str], None],
 ) -> Fitted:
     """Fit with a drive filter; where the starting file has none, drop it again unless it is significant."""
-    if start.carriage.drive is not None:
+    if delta_vibration(start).carriage.drive is not None:
         return fit_machine(start, responses, known, progress=progress)
-    driven = replace(start, carriage=replace(start.carriage, drive=NEUTRAL_DRIVE))
+    driven = with_parts(start, carriage=replace(delta_vibration(start).carriage, drive=NEUTRAL_DRIVE))
     fitted = fit_machine(driven, responses, known, progress=progress)
     progress("the same without a drive filter")
     values = {name: e.value for name, e in fitted.estimates.items() if name not in (*DRIVE, TOTAL_MASS)}
@@ -111,7 +113,11 @@ def _with_drive(
 
 
 def _with_old(fitted: Fitted, start: Machine, kept: Sequence[str]) -> Fitted:
-    old = {name: value_of(start, name) for name in kept if name not in DRIVE or start.carriage.drive is not None}
+    old = {
+        name: value_of(start, name)
+        for name in kept
+        if name not in DRIVE or delta_vibration(start).carriage.drive is not None
+    }
     return replace(fitted, machine=with_values(fitted.machine, old))
 
 
@@ -200,7 +206,7 @@ def _summary(source: Path, found: Identified, data: Sequence[str], when: str) ->
 def paper_file_text(source: Path, found: PaperIdentification, data: Sequence[str], when: str) -> str:
     """Write the file of the paper's method; `found.machine.name` is the new file's."""
     machine = found.machine
-    names = [n for n in UNKNOWNS if machine.carriage.drive is not None or n not in DRIVE]
+    names = [n for n in UNKNOWNS if delta_vibration(machine).carriage.drive is not None or n not in DRIVE]
     origin = f"identified {when} by ffcomp identify fit --method stepwise"
     provenance: dict[str, Any] = {name.partition("[")[0]: origin for name in names}
     steps = {step.title: float(f"{step.consistency:.4g}") for step in found.steps}

@@ -71,11 +71,11 @@ def gather(
             recordings.append(read_recording(path))
         elif plan is not None:
             found.responses += [r.between(*band_hz) for r in frfs_from_captures(plan, [path], machine, axes)]
-        elif not machine.has_straight_axes:
+        elif machine.vibration.position_dependent:
             found.spectra.append(modes_of(path))
         else:
             _take(spectrum_of(path, shaken_axis, band_hz), found)
-    if machine.has_straight_axes:
+    if not machine.vibration.position_dependent:
         found.responses += [r for recording in recordings for r in frfs_from_recordings([recording], *band_hz)]
         recordings = []
     for position, members in _by_position(recordings, machine, found.skipped).items():

@@ -92,7 +92,7 @@ def fit_measurements(
         If the method cannot use what is known or measured.
     """
     task = _Task(start, gathered, [hash_of(path) for path in data], dict(known), name or start.name)
-    if start.has_straight_axes:
+    if not start.vibration.position_dependent:
         return task.axes(method, progress)
     if not gathered.responses:
         return task.resonances(write_start)

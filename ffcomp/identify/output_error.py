@@ -24,6 +24,7 @@ from ffcomp.numerics.least_squares import central_differences, minimise
 from models.arrays import ComplexArray, FloatArray
 from models.machine import Machine
 from models.parameters import value_of, with_values
+from models.vibration.delta import delta_vibration
 
 STIFFNESS = tuple(f"effector.extruder_stiffness_n_per_m[{i}]" for i in range(3))
 DAMPING = tuple(f"effector.extruder_damping_n_s_per_m[{i}]" for i in range(3))
@@ -165,7 +166,7 @@ def _problem(
     known: dict[str, tuple[float, float]],
     unknowns: Sequence[str],
 ) -> _Problem:
-    names = tuple(name for name in unknowns if start.carriage.drive is not None or name not in DRIVE)
+    names = tuple(name for name in unknowns if delta_vibration(start).carriage.drive is not None or name not in DRIVE)
     unknown = set(known) - {*names, TOTAL_MASS}
     if unknown:
         raise SolverError(

@@ -28,7 +28,9 @@ from ffcomp.identify.uncertainty import Joint
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.numerics.least_squares import minimise
 from models.arrays import ComplexArray, FloatArray, constant
-from models.machine import Carriage, Drive, Machine
+from models.machine import Machine
+from models.vibration.carriage import Carriage, Drive
+from models.vibration.delta import delta_vibration, with_parts
 
 EARLIER = {
     "m": "carriage.mass_kg",
@@ -177,8 +179,8 @@ def assembly_step(machine: Machine, responses: Sequence[FrequencyResponse], earl
     i = AXES.index(axis)
     mount = (STIFFNESS[i], DAMPING[i])
     known = {EARLIER[n]: (e.value, e.sd) for part in earlier for n, e in part.estimates().items() if n in EARLIER}
-    known["carriage.mass_kg"] = (machine.carriage.mass_kg, known["carriage.mass_kg"][1])
-    m2 = machine.effector.extruder_mass_kg
+    known["carriage.mass_kg"] = (delta_vibration(machine).carriage.mass_kg, known["carriage.mass_kg"][1])
+    m2 = delta_vibration(machine).effector.extruder_mass_kg
     fitted = fit_machine(machine, taking_part, known, unknowns=(*known, *mount), starts=_mounts(m2, mount))
     found = [fitted.estimates[name] for name in mount]
     joint = Joint((f"k_{axis}", f"b_{axis}"), np.array([e.value for e in found]), np.diag([e.sd**2 for e in found]))
@@ -296,9 +298,9 @@ def _only(responses: Sequence[FrequencyResponse], setup: str) -> FrequencyRespon
 
 def _machine(start: Machine, carriage: Joint, hammer: Joint, mounts: Sequence[Step]) -> Machine:
     """Assemble the machine; the mount of each axis is from the step that determines it best."""
-    arms = start.carriage.arm_pair_mass_kg
-    stiffness = np.array(start.effector.extruder_stiffness_n_per_m)
-    damping = np.array(start.effector.extruder_damping_n_s_per_m)
+    arms = delta_vibration(start).carriage.arm_pair_mass_kg
+    stiffness = np.array(delta_vibration(start).effector.extruder_stiffness_n_per_m)
+    damping = np.array(delta_vibration(start).effector.extruder_damping_n_s_per_m)
     for i, axis in enumerate(AXES):
         found = [step.found for step in mounts if f"k_{axis}" in step.found.names]
         if found:
@@ -307,13 +309,13 @@ def _machine(start: Machine, carriage: Joint, hammer: Joint, mounts: Sequence[St
     drive = Drive(carriage["d0"], carriage["d1"], carriage["d2"])
     parts = Carriage(carriage["m"] - arms / 2, arms, carriage["k"], carriage["c"], carriage["b"], drive)
     effector = replace(
-        start.effector,
+        delta_vibration(start).effector,
         nozzle_mass_kg=hammer["m1"],
         extruder_mass_kg=hammer["m2"],
         extruder_stiffness_n_per_m=constant(stiffness),
         extruder_damping_n_s_per_m=constant(damping),
     )
-    return replace(start, carriage=parts, effector=effector)
+    return with_parts(start, carriage=parts, effector=effector)
 
 
 def _spread(joint: Joint, name: str) -> float:

@@ -13,8 +13,7 @@ from ffcomp.measurement.frf import FrequencyResponse
 from models.arrays import ComplexArray, FloatArray
 from models.machine import Machine
 from models.vibration.carriage import belt, command_frf, drive_frf, impedance
-from models.vibration.effector import effector_impedance, load_map, struck_frf
-from models.vibration.modal import axis_frf
+from models.vibration.delta import delta_vibration
 
 CARRIAGES, AXES = "ABC", "xyz"
 
@@ -33,7 +32,7 @@ def predicted(machine: Machine, responses: Sequence[FrequencyResponse]) -> list[
 
 def _one(machine: Machine, response: FrequencyResponse, benches: dict[tuple[object, ...], _Assembly]) -> ComplexArray:
     s = response.s
-    if machine.has_straight_axes:
+    if not machine.vibration.position_dependent:
         return np.asarray(_straight(machine, response, s) * _differentiated(response, s))
     if response.setup == "effector":
         return _effector(machine, response, s)
@@ -51,7 +50,7 @@ def _straight(machine: Machine, response: FrequencyResponse, s: ComplexArray) ->
     if response.setup != "assembly" or not response.input.startswith("cmd_"):
         _refuse(response, f"The axes answer commands, such as cmd_x; {response.input!r} ({response.setup}) is none.")
     told, answers = (_axis(response, name[-1]) for name in (response.input, response.output))
-    return axis_frf(machine, s)[:, told] * float(told == answers)
+    return machine.vibration.carriage_response(np.zeros(2), s)[:, answers, told]
 
 
 def _axis(response: FrequencyResponse, letter: str) -> int:
@@ -71,8 +70,8 @@ def _carriage(machine: Machine, response: FrequencyResponse, s: ComplexArray) ->
     """Eqs. 31 and 37, position to position."""
     if not response.input.startswith("cmd_"):
         _refuse(response, f"A carriage by itself is driven by its command, not by {response.input!r}.")
-    mass = machine.carriage.mass_kg + response.added_mass_kg
-    return command_frf(replace(machine.carriage, mass_kg=mass), s)
+    mass = delta_vibration(machine).carriage.mass_kg + response.added_mass_kg
+    return command_frf(replace(delta_vibration(machine).carriage, mass_kg=mass), s)
 
 
 def _effector(machine: Machine, response: FrequencyResponse, s: ComplexArray) -> ComplexArray:
@@ -82,7 +81,7 @@ def _effector(machine: Machine, response: FrequencyResponse, s: ComplexArray) ->
         _refuse(
             response, f"An effector by itself is struck: force_x to acc_x, not {response.input} to {response.output}."
         )
-    return struck_frf(machine, s)[:, AXES.index(axis)]
+    return delta_vibration(machine).struck_frf(s)[:, AXES.index(axis)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,10 +119,10 @@ class _Assembly:
 
 
 def _assembly(machine: Machine, xy: FloatArray, s: ComplexArray) -> _Assembly:
-    j, gamma = machine.kinematics.jacobian(xy[None])[0], load_map(machine, xy[None])[0]
-    load = (gamma * effector_impedance(machine, s)[:, None, :]) @ j
-    stiffness = load + impedance(machine.carriage, s)[:, None, None] * np.eye(3)
-    drive = belt(machine.carriage, s) * drive_frf(machine.carriage.drive, s)
+    j, gamma = machine.kinematics.jacobian(xy[None])[0], delta_vibration(machine).load_map(xy[None])[0]
+    load = (gamma * delta_vibration(machine).effector_impedance(s)[:, None, :]) @ j
+    stiffness = load + impedance(delta_vibration(machine).carriage, s)[:, None, None] * np.eye(3)
+    drive = belt(delta_vibration(machine).carriage, s) * drive_frf(delta_vibration(machine).carriage.drive, s)
     return _Assembly(np.linalg.inv(stiffness), drive, j, gamma)
 
 

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from ffcomp.planner.trajectory import Trajectory
 from models.arrays import FloatArray
 from models.machine import Machine
-from models.vibration.receptance import nozzle_frf
 
 LOWEST_HZ, HIGHEST, STEP = 60.0, 0.46, 1.06  # Hz, of the segments' rate, from one bandwidth to the next
 FLOOR_UM = 1.0  # what other things leave anyway: the path's own facets, the segments, the motors' steps
@@ -66,7 +65,10 @@ def effort_curve(machine: Machine, segment_s: float) -> EffortCurve:
     bend = -((2 * np.sin(np.pi * f * segment_s)) ** 2)
     around = REACH * machine.kinematics.model_reach_mm * np.exp(1j * np.pi / 3 * np.arange(6))
     places = np.array([[0.0, 0.0], *zip(around.real.tolist(), around.imag.tolist(), strict=True)])
-    frfs = np.array([nozzle_frf(machine, xy, f) for xy in places]) * (np.sinc(f * segment_s) ** 2)[:, None, None]
+    frfs = (
+        np.array([machine.vibration.frequency_response(xy, f, "nozzle", "nozzle") for xy in places])
+        * (np.sinc(f * segment_s) ** 2)[:, None, None]
+    )
     to_carriages = np.linalg.inv(machine.kinematics.jacobian(places))
     count = int(np.log(HIGHEST / segment_s / LOWEST_HZ) / np.log(STEP)) + 1
     bandwidths = np.geomspace(LOWEST_HZ, HIGHEST / segment_s, max(count, 2))

@@ -48,7 +48,7 @@ class _Part:
         self.stretch = KnotWindow(iterate, at, stop + (REST_ROWS if whole else SIGHT))
         gains = iterate.model.gains
         self.node, self.steady = gains.at(self.stretch.place)
-        self.ending = _to_rest(gains, self.node, len(self.steady.backward)) if whole else no_gains()
+        self.ending = _to_rest(gains, self.node, len(self.steady.backward)) if whole else no_gains(gains.size)
         if begin:
             self._begin()
 
@@ -96,7 +96,7 @@ class _Part:
         psi = sweep_back(steady.backward, ending.backward, self.node, rows, np.concatenate([before, gamma]))
         change, answer = sweep_forward(steady.forward, ending.forward, self.node, psi, kept)
         gamma[1:] += change
-        return answer, float(np.abs(change[:kept]).max())
+        return answer[: self.run.model.plant.table.plant.a.shape[1]], float(np.abs(change[:kept]).max())
 
 
 def _to_rest(gains: PreviewGains, node: NDArray[np.int64], steady: int) -> Gains:

@@ -17,10 +17,17 @@ from ffcomp.numerics import disk_cache
 from models.arrays import FloatArray
 from models.effects.catalogue import design_machine, without_effects
 from models.kinematics.base import Compiled
-from models.machine import Drive, Machine
-from models.vibration.modal import low_frequency
-from models.vibration.scheduled import Schedule, interpolate, models_along, rest_state
-from models.vibration.state_space import TABLE_ARRAYS, DiscretePlant, PlantTable, plant_table
+from models.machine import Machine
+from models.vibration.scheduled import (
+    TABLE_ARRAYS,
+    PlantTable,
+    Schedule,
+    interpolate,
+    models_along,
+    plant_table,
+    table_positions,
+)
+from models.vibration.state_space import DiscretePlant
 
 GEOMETRY = "arm_geometry"  # a delta is calibrated, not compensated: at rest the nozzle must be where it is said to be
 
@@ -86,7 +93,8 @@ class InverseModel:
     def gains(self) -> PreviewGains:
         """The gains of the preview inverse."""
         reach = self.machine.kinematics.model_reach_mm
-        gains = PreviewGains(self._plant_at, reach, self.settings.rows_per_segment, self.effort)
+        states = self.row_table.plant.a.shape[1]
+        gains = PreviewGains(self._plant_at, states, reach, self.settings.rows_per_segment, self.effort)
         if self._cache.arrays:
             gains.take_up(self._cache.arrays)
         return gains
@@ -122,7 +130,9 @@ class InverseModel:
     def _plant_at(self, xy: FloatArray) -> tuple[DiscretePlant, FloatArray]:
         """Return the plant for half a segment at positions (g, 2) mm, and the nozzle's Jacobian there."""
         step_s = self.settings.segment_s / self.settings.rows_per_segment
-        return DiscretePlant(step_s, *models_along(self.row_table, xy)), self.machine.kinematics.jacobian(xy)
+        p = self.row_table.plant
+        at = DiscretePlant(step_s, *models_along(self.row_table, xy), p.carriage, p.drive_states, p.oscillators)
+        return at, self.machine.kinematics.jacobian(xy)
 
     def compliance_at(self, xy: FloatArray) -> FloatArray:
         """Return C of G⁻¹(s) ≈ I + τ s + C s² for the carriages at positions (n, 2) mm: (n, 3, 3) s²."""
@@ -132,23 +142,10 @@ class InverseModel:
     @cached_property
     def _compliance(self) -> FloatArray:
         """Return C at the table's nodes: Eq. 29 and Eq. 34, inverted and expanded at s = 0."""
-        carriage, effector, j = self.machine.carriage, self.machine.effector, self.row_table.jacobian
-        if self.machine.has_straight_axes:
-            return np.tile(np.diag(low_frequency(self.machine)[1]), (len(j), 1, 1))
+        _, positions = table_positions(self.machine.kinematics)
         if self.settings.one_model:
-            j = np.broadcast_to(j[len(j) // 2], j.shape)
-        k, c, b = (
-            np.broadcast_to(number, 3)
-            for number in (
-                carriage.belt_stiffness_n_per_m,
-                carriage.belt_damping_n_s_per_m,
-                carriage.guide_damping_n_s_per_m,
-            )
-        )
-        load = (self.machine.nozzle_side_mass_kg + effector.extruder_mass_kg) * np.swapaxes(j, 1, 2) @ j
-        moving = (carriage.moving_mass_kg * np.eye(3) + load) / k[:, None]
-        first, second = drive_lag(carriage.drive)
-        return np.asarray(moving + np.diag(second + b / k * first - b * c / k**2))
+            positions = np.broadcast_to(positions[len(positions) // 2], positions.shape)
+        return self.machine.vibration.low_frequency(positions)[1]
 
     @cached_property
     def _robust(self) -> RobustReference:
@@ -157,7 +154,8 @@ class InverseModel:
 
     def robust_offset(self, reference: Reference) -> FloatArray:
         """Return the offset of the robust reference from the path, (rows, 3) mm; empty where it is not used."""
-        if not (self.settings.robust and any(self.machine.uncertainty.values())):
+        parameters = self.machine.vibration.parameters()
+        if not (self.settings.robust and np.any(parameters.relative_sd(self.machine.uncertainty))):
             return np.empty((0, 3))
         s = self.settings
         rows = np.arange(1 - MARGIN, reference.knots * s.rows_per_segment + 1 + MARGIN, dtype=np.float64)
@@ -169,7 +167,7 @@ class InverseModel:
         s = self.settings
         intervals = round(duration_s / s.segment_s)
         if intervals > 2 * s.memory:
-            return rest_state(self.machine, nozzle)
+            return self.machine.equilibrium(nozzle)
         if intervals <= 0:
             return state
         still = np.repeat(nozzle[None], intervals * s.substeps + 1, axis=0)
@@ -184,18 +182,6 @@ class _Cache:
     arrays: disk_cache.Arrays  # as they were loaded or saved; empty: there are none
 
 
-def drive_lag(drive: Drive | None) -> tuple[float, float]:
-    """Return p and q of the drive filter's inverse, 1 + p s + q s² + …; s and s²."""
-    if drive is None:
-        return 0.0, 0.0
-    d0, d1, d2 = drive.d0_per_s2, drive.d1_per_s, drive.d2_per_s
-    return (d2 - d1) / d0, 1.0 / d0 - (d2 - d1) * d1 / d0**2
-
-
 def steady_delay(machine: Machine) -> float:
     """Return τ of G(s) ≈ I − τ s, the machine's lag behind a steady motion, s, on average of its towers."""
-    carriage = machine.carriage
-    if machine.has_straight_axes:
-        return float(np.mean(low_frequency(machine)[0]))
-    lag = carriage.guide_damping_n_s_per_m / carriage.belt_stiffness_n_per_m
-    return float(np.mean(lag)) + drive_lag(carriage.drive)[0]
+    return float(np.mean(machine.vibration.low_frequency(np.zeros((1, 2)))[0]))

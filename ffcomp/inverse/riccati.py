@@ -32,15 +32,15 @@ from numpy.typing import NDArray
 
 from ffcomp.inverse.riccati_kernels import riccati_backwards
 from models.arrays import FloatArray, IntArray
-from models.vibration.state_space import STATES, DiscretePlant
+from models.vibration.state_space import DiscretePlant
 
 Float32Array = NDArray[np.float32]
 PlantAt = Callable[[FloatArray], tuple[DiscretePlant, FloatArray]]  # places (g, 2) mm -> plant, jacobian (g, 3, 3)
 
 AXES = 3
-AUGMENTED = STATES + 2 * AXES  # z
-# of one place, with two rows; the products of the first are filled up to a multiple of a vector's length
-BACKWARD, FORWARD = (AUGMENTED + 9, AUGMENTED + 8), (AUGMENTED + 3, AUGMENTED)
+# numbers of z that the sweeps are compiled for, states that a plant lacks are zero: one mode an axis, a delta, more
+SIZES = (12, 24, 48)
+VECTOR = 16  # the products of the backward gains are filled up to a multiple of it
 PITCH_MM = 5.0  # of the grid: what the nearest node misses, the correction finds
 AT_A_TIME = 256  # places
 DOUBLINGS = 9  # 512 knots: a state is forgotten by then, whatever places are worked out together
@@ -90,12 +90,13 @@ def no_gains() -> Gains:
 class PreviewGains:
     """The gains of one machine over its bed, worked out for the nodes that a path comes by."""
 
-    def __init__(self, plant_at: PlantAt, reach_mm: float, rows_per_segment: int, effort: float) -> None:
+    def __init__(self, plant_at: PlantAt, states: int, reach_mm: float, rows_per_segment: int, effort: float) -> None:
         self._plant_at, self._rows, self.effort = plant_at, rows_per_segment, effort
         self._half = int(np.ceil(reach_mm / PITCH_MM)) + (reach_mm > 0.0)
         self._node = np.empty(0, dtype=np.int64)  # of each slot
         self._slot = np.full((2 * self._half + 1) ** 2, -1)  # where in the arrays a node's gains are; -1: nowhere yet
-        self._steady = no_gains()
+        self.size = augmented(states)
+        self._steady = no_gains(self.size)
         self._ends: OrderedDict[int, Gains] = OrderedDict()
         self._working = Lock()
 
@@ -158,10 +159,11 @@ class PreviewGains:
 
     def _finite(self, p: Problem) -> Gains:
         """From the end on backwards: where the command rests already, then where it still has a choice."""
-        feedback = np.zeros((TO_THE_END + REST_ROWS, AXES, AUGMENTED))
-        preview = np.zeros((TO_THE_END + REST_ROWS, AXES, BACKWARD[0]))
+        states = self.size - 2 * AXES
+        feedback = np.zeros((TO_THE_END + REST_ROWS, AXES, self.size))
+        preview = np.zeros((TO_THE_END + REST_ROWS, AXES, self.size + 9))
         rests = feedback[TO_THE_END - 1 :]  # γ_{k+1} = 0: w = −2 γ_k + γ_{k−1}
-        rests[:, :, STATES : STATES + AXES], rests[:, :, STATES + AXES :] = 2 * np.eye(AXES), -np.eye(AXES)
+        rests[:, :, states : states + AXES], rests[:, :, states + AXES :] = 2 * np.eye(AXES), -np.eye(AXES)
         interval = np.block([[p.a[0], p.b[0]], [p.c[0], p.d[0]]])
         riccati_backwards(interval, self.effort, len(rests), feedback, preview)
         return _packed(p, feedback, preview, self.effort)
@@ -173,21 +175,20 @@ def _problem(p: DiscretePlant, jacobian: FloatArray, rows: int) -> Problem:
     x, now, before = slice(0, STATES), slice(STATES, STATES + AXES), slice(STATES + AXES, AUGMENTED)
     eye = np.eye(AXES)
     # the command at the interval's two ends, as rows of (z, w)
-    first, last = np.zeros((AXES, AUGMENTED + AXES)), np.zeros((AXES, AUGMENTED + AXES))
+    first, last = np.zeros((AXES, size + AXES)), np.zeros((AXES, size + AXES))
     first[:, now] = eye
-    last[:, now], last[:, before], last[:, AUGMENTED:] = 2 * eye, -eye, eye
-    state = np.zeros((g, STATES, AUGMENTED + AXES))
-    state[:, :, x] = np.eye(STATES)
+    last[:, now], last[:, before], last[:, size:] = 2 * eye, -eye, eye
+    state = np.zeros((g, own, size + AXES))
+    state[:, :, x] = np.eye(own)
     seen = []
     for row in range(rows):
         u0, u1 = (first + (last - first) * share for share in (row / rows, (row + 1) / rows))
         state = p.a @ state + p.b0 @ u0 + p.b1 @ u1
-        seen.append(jacobian @ state[:, 6:9])
-    step = np.zeros((g, AUGMENTED, AUGMENTED + AXES))
+        seen.append(jacobian @ (p.carriage @ state))
+    step = np.zeros((g, size, size + AXES))
     step[:, x], step[:, now], step[:, before] = state, last, first
     output = np.concatenate(seen, axis=1)
-    split = AUGMENTED
-    return Problem(step[..., :split], step[..., split:], output[..., :split], output[..., split:])
+    return Problem(step[..., :size], step[..., size:], output[..., :size], output[..., size:])
 
 
 def _riccati(p: Problem, effort: float) -> FloatArray:
@@ -197,10 +198,11 @@ def _riccati(p: Problem, effort: float) -> FloatArray:
     a = p.a - p.b @ cross
     h = _t(p.c) @ p.c - _t(p.c) @ p.d @ cross
     g = p.b @ np.linalg.solve(r, _t(p.b))
-    eye = np.eye(AUGMENTED)
+    size = p.a.shape[-1]
+    eye = np.eye(size)
     for _ in range(DOUBLINGS):  # a: what is left of a state after 1, 2, 4, … knots
         solved = np.linalg.solve(eye + g @ h, np.concatenate([a, g @ _t(a)], axis=2))
-        ahead, spread = solved[..., :AUGMENTED], solved[..., AUGMENTED:]
+        ahead, spread = solved[..., :size], solved[..., size:]
         h = h + _t(a) @ h @ ahead
         g = g + a @ spread
         a = a @ ahead
@@ -220,13 +222,14 @@ def _gains(p: Problem, value: FloatArray, effort: float) -> Gains:
 
 def _packed(p: Problem, f: FloatArray, psi: FloatArray, effort: float) -> Gains:
     """F (n, 3, 24) and the rows of ψ (n, 3, 33), each at its own place or all at one."""
-    gains = Gains(np.zeros((len(f), *BACKWARD), np.float32), np.zeros((len(f), *FORWARD), np.float32))
-    state, rows = slice(0, AUGMENTED), slice(AUGMENTED, AUGMENTED + p.c.shape[1])
+    size = p.a.shape[-1]
+    gains = no_gains(size, len(f))
+    state, rows = slice(0, size), slice(size, size + p.c.shape[1])
     closed = p.a - p.b @ f
     gains.backward[:, state, state], gains.backward[:, rows, state] = closed, p.c - p.d @ f
     gains.backward[:, rows.stop :, state] = effort * f
-    gains.backward[:, :, AUGMENTED : AUGMENTED + AXES] = _t(psi)
-    gains.forward[:, state], gains.forward[:, AUGMENTED:] = _t(closed), _t(p.b)
+    gains.backward[:, :, size : size + AXES] = _t(psi)
+    gains.forward[:, state], gains.forward[:, size:] = _t(closed), _t(p.b)
     return gains
 
 

@@ -7,29 +7,36 @@ from numba import njit
 from numpy.typing import NDArray
 
 from models.arrays import FloatArray, IntArray
-from models.vibration.small_matvec import recursion
+from models.vibration.small_matvec import sized_recursion
 
 Float32Array = NDArray[np.float32]
 
-# (s, ψ) ← (s, ē, d), five numbers of 32 unused; z ← (z, ψ)
-_back = recursion(rows=32, of_state=24, of_input=9)
-_forward = recursion(rows=24, of_state=24, of_input=3)
+# (s, ψ) ← (s, ē, d), of a delta five numbers of 32 unused; z ← (z, ψ)
+_back = sized_recursion(of_input=9)
+_forward = sized_recursion(of_input=3)
 
 
 @njit(cache=True)
 def basis_response(
-    a: FloatArray, b0: FloatArray, b1: FloatArray, jacobian: FloatArray, unknowns: int, per_knot: int
+    a: FloatArray,
+    b0: FloatArray,
+    b1: FloatArray,
+    carriage: FloatArray,
+    jacobian: FloatArray,
+    unknowns: int,
+    per_knot: int,
 ) -> FloatArray:
     """Φ: the nozzle's response to each coefficient of the degree-1 spline, through the scheduled plant.
 
-    a (n, 18, 18), b0 b1 (n, 18, 3): models of the n intervals for steps of S/per_knot.   jacobian (n, 3, 3).
+    a (n, s, s), b0 b1 (n, s, 3): models of the n intervals for steps of S/per_knot.   carriage (3, s): actuators of the
+    states.   jacobian (n, 3, 3).
     Unknown coefficient u (0-based) is the hat centred on knot u + 1 of the window; knot 0 is given.
     Returns (3 n per_knot, 3 unknowns) mm per mm: rows by step (X Y Z inside), columns by knot (A B C inside).
     """
-    n = len(a)
+    n, states = a.shape[0], a.shape[1]
     columns = 3 * unknowns
-    x = np.zeros((columns, 18))
-    phi = np.zeros((3 * n * per_knot, columns))
+    x = np.zeros((columns, states))
+    phi, of_states = np.zeros((3 * n * per_knot, columns)), np.ascontiguousarray(carriage.T)
     for k in range(n):
         live = 3 * min(k + 1, unknowns)
         at, t0, t1 = np.ascontiguousarray(a[k].T), b0[k], b1[k]
@@ -38,49 +45,86 @@ def basis_response(
             before, after = s / per_knot, (s + 1) / per_knot
             if k < unknowns:  # the rising half of the hat on knot k + 1
                 for c in range(3):
-                    for r in range(18):
+                    for r in range(states):
                         x[3 * k + c, r] += before * t0[r, c] + after * t1[r, c]
             if 0 < k <= unknowns:  # the falling half of the hat on knot k
                 for c in range(3):
-                    for r in range(18):
+                    for r in range(states):
                         x[3 * k - 3 + c, r] += (1 - before) * t0[r, c] + (1 - after) * t1[r, c]
             row = 3 * (k * per_knot + s)
+            q = np.dot(x[:live], of_states)
             for i in range(3):
                 for col in range(live):
                     phi[row + i, col] = (
-                        jacobian[k, i, 0] * x[col, 6] + jacobian[k, i, 1] * x[col, 7] + jacobian[k, i, 2] * x[col, 8]
+                        jacobian[k, i, 0] * q[col, 0] + jacobian[k, i, 1] * q[col, 1] + jacobian[k, i, 2] * q[col, 2]
                     )
     return phi
 
 
-@njit(cache=True, nogil=True)
 def sweep_back(
     steady: Float32Array, ending: Float32Array, node: IntArray, error: FloatArray, gamma: FloatArray
 ) -> Float32Array:
     """Sweep backwards: ψ (n, 3) of `riccati`, what the errors to come demand now, from the last interval on.
 
-    steady (g, 33, 32), ending (m, 33, 32): gains.   node (n,): which of them; beyond g counts into `ending`.
-    error (n, 6) mm, at the interval's rows.   gamma (n + 2, 3) mm: the command's coefficients, from the knot before on.
+    steady (g, N + 9, M), ending (m, N + 9, M): gains; N: numbers of z, M: N + 3 filled up to a vector's length.
+    node (n,): which of them; beyond g counts into `ending`.   error (n, 6) mm, at the interval's rows.
+    gamma (n + 2, 3) mm: the command's coefficients, from the knot before on.
     """
-    n, g = len(node), len(steady)
-    psi, s, given = np.empty((n, 3), np.float32), np.zeros(32, np.float32), np.empty((1, 9), np.float32)
+    return np.asarray(_sweep_back(steady, ending, node, error, gamma, *_sizes(steady, 9)))
+
+
+def sweep_forward(
+    steady: Float32Array, ending: Float32Array, node: IntArray, psi: Float32Array, kept: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return the change of the command and the plant's response to it.
+
+    steady (g, N + 3, N), ending (m, N + 3, N): gains.   psi (n, 3): see `sweep_back`.
+    Returns γ (n, 3) at the ends of the intervals, and the response x (N − 6,) after `kept`.
+    """
+    gamma, state = _sweep_forward(steady, ending, node, psi, kept, *_sizes(steady, 3))
+    return gamma, state
+
+
+def _sizes(gains: Float32Array, of_input: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return tuples as long as a gain has rows and numbers of state, see `sized_recursion`."""
+    return (0,) * gains.shape[2], (0,) * (gains.shape[1] - of_input)
+
+
+@njit(cache=True, nogil=True)
+def _sweep_back(
+    steady: Float32Array,
+    ending: Float32Array,
+    node: IntArray,
+    error: FloatArray,
+    gamma: FloatArray,
+    rows: tuple[int, ...],
+    of_state: tuple[int, ...],
+) -> Float32Array:
+    n, g, first = len(node), len(steady), len(of_state)
+    psi, s, given = np.empty((n, 3), np.float32), np.zeros(len(rows), np.float32), np.empty((1, 9), np.float32)
     for k in range(n - 1, -1, -1):
         for r in range(6):
             given[0, r] = error[k, r]
         for r in range(3):
             given[0, 6 + r] = gamma[k + 2, r] - 2 * gamma[k + 1, r] + gamma[k, r]
         if node[k] < g:
-            _back(steady, node[k], s, given, 0)
+            _back(rows, of_state, steady, node[k], s, given, 0)
         else:
-            _back(ending, node[k] - g, s, given, 0)
+            _back(rows, of_state, ending, node[k] - g, s, given, 0)
         for r in range(3):
-            psi[k, r] = s[24 + r]
+            psi[k, r] = s[first + r]
     return psi
 
 
 @njit(cache=True, nogil=True)
-def sweep_forward(
-    steady: Float32Array, ending: Float32Array, node: IntArray, psi: Float32Array, kept: int
+def _sweep_forward(
+    steady: Float32Array,
+    ending: Float32Array,
+    node: IntArray,
+    psi: Float32Array,
+    kept: int,
+    rows: tuple[int, ...],
+    of_state: tuple[int, ...],
 ) -> tuple[FloatArray, FloatArray]:
     """Sweep forwards: the change γ (n, 3) at the ends of the intervals, and the plant's answer x (18,) after `kept`.
 
@@ -90,13 +134,13 @@ def sweep_forward(
     gamma, state, z = np.empty((n, 3)), np.zeros(18), np.zeros(24, np.float32)
     for k in range(n):
         if node[k] < g:
-            _forward(steady, node[k], z, psi, k)
+            _forward(rows, of_state, steady, node[k], z, psi, k)
         else:
-            _forward(ending, node[k] - g, z, psi, k)
+            _forward(rows, of_state, ending, node[k] - g, z, psi, k)
         for r in range(3):
-            gamma[k, r] = z[18 + r]
+            gamma[k, r] = z[states + r]
         if k == kept - 1:
-            for r in range(18):
+            for r in range(states):
                 state[r] = z[r]
     return gamma, state
 
@@ -107,26 +151,27 @@ def riccati_backwards(
 ) -> None:
     """Solve the finite problem of `riccati`, from its end on backwards: F and the rows of ψ for every interval.
 
-    interval (30, 27): z⁺ and the nozzle's rows from (z, w), 𝒜 ℬ over C̄ D̄.   In the last `resting` intervals F is given
-    and there is no choice.   feedback (n, 3, 24), preview (n, 3, 33): of all intervals, filled in before those.
+    interval (N + 6, N + 3): z⁺ and the nozzle's rows from (z, w), 𝒜 ℬ over C̄ D̄.   In the last `resting` intervals F is
+    given and there is no choice.   feedback (n, 3, N), preview (n, 3, N + 9): of all intervals, filled in before those.
     """
-    rows, state = interval.shape[0], 24
-    value, weighed, worth = np.zeros((state, state)), np.empty_like(interval), np.empty((27, 27))
+    rows, state = interval.shape[0], interval.shape[1] - 3
+    both = state + 3
+    value, weighed, worth = np.zeros((state, state)), np.empty_like(interval), np.empty((both, both))
     for k in range(len(feedback) - 1, -1, -1):
         # what the interval's end and its rows cost, as a form of (z, w)
         for i in range(rows):
-            for j in range(27):
+            for j in range(both):
                 weighed[i, j] = 0.0 if i < state else interval[i, j]
         for i in range(state):
             for m in range(state):
-                for j in range(27):
+                for j in range(both):
                     weighed[i, j] += value[i, m] * interval[m, j]
         worth[:] = 0.0
         for m in range(rows):
-            for i in range(27):
-                for j in range(27):
+            for i in range(both):
+                for j in range(both):
                     worth[i, j] += interval[m, i] * weighed[m, j]
-        for i in range(state, 27):
+        for i in range(state, both):
             worth[i, i] += effort
         if k < len(feedback) - resting:
             _best_of(worth, interval, effort, feedback[k], preview[k])
@@ -143,8 +188,9 @@ def riccati_backwards(
 
 @njit(cache=True, nogil=True)
 def _best_of(worth: FloatArray, interval: FloatArray, effort: float, f: FloatArray, preview: FloatArray) -> None:
-    """F (3, 24) and the rows of ψ (3, 33) for which a form (27, 27) of (z, w) is least."""
-    r, state = worth[24:, 24:], 24
+    """Find F (3, N) and the rows of ψ (3, N + 9) for which a form (N + 3, N + 3) of (z, w) is least."""
+    state = len(worth) - 3
+    r = worth[state:, state:]
     inverse, determinant = np.empty((3, 3)), 0.0
     for i in range(3):
         for j in range(3):

@@ -36,8 +36,7 @@ from scipy import fft
 
 from models.arrays import BoolArray, ComplexArray, FloatArray
 from models.machine import Machine
-from models.parameters import dynamic_numbers, value_of, with_values
-from models.vibration.receptance import nozzle_frf
+from models.parameters import with_values
 
 # NOTE: single precision is enough for d, which is a tenth of a millimetre, and takes half the time.
 ShortArray = NDArray[np.float32]
@@ -243,11 +242,14 @@ class Sensitivity:
         reach = self.machine.kinematics.model_reach_mm
         xy = xy * min(1.0, reach / max(float(np.hypot(*xy)), 1e-9))
         f = self.frequency
-        known = nozzle_frf(self.machine, xy, f)
+        known = self.machine.vibration.frequency_response(xy, f, "nozzle", "nozzle")
         bend = (2 * np.sin(np.pi * f * 2 * self.row_s)) ** 4  # of the command, over a segment of two rows
         weight = (self.effort / 2 * bend)[:, None, None] * np.eye(3)
         plain = np.linalg.solve(_h(known) @ known + weight, _h(known))
-        return np.array([nozzle_frf(machine, xy, f) for machine in self._possible]) @ plain
+        return (
+            np.array([machine.vibration.frequency_response(xy, f, "nozzle", "nozzle") for machine in self._possible])
+            @ plain
+        )
 
 
 class Response:
@@ -326,15 +328,12 @@ def _transposed(known: ShortComplexArray, lines: ShortComplexArray) -> ShortComp
 
 def _draws(machine: Machine) -> list[Machine]:
     """Machines as the uncertainties allow them, the same ones every time."""
-    names = dynamic_numbers(machine)
-    sd = machine.uncertainty
-    spread = np.array([sd.get(name, sd.get(name.split("[")[0], sd.get("default", 0.0))) for name in names])
+    parameters = machine.vibration.parameters()
+    spread = parameters.relative_sd(machine.uncertainty)
     rng = np.random.default_rng(1)
-    half = np.clip(rng.standard_normal((DRAWS // 2, len(names))), -FARTHEST, FARTHEST)
-    draws = np.concatenate([half, -half]) * spread  # in pairs: their mean is the machine
-    nominal = np.array([value_of(machine, name) for name in names])
-    factors = np.maximum(1.0 + draws, 0.2)
-    return [with_values(machine, dict(zip(names, row.tolist(), strict=True))) for row in nominal * factors]
+    half = np.clip(rng.standard_normal((DRAWS // 2, parameters.columns)), -FARTHEST, FARTHEST)
+    draws = np.concatenate([half, -half])  # in pairs: their mean is the machine
+    return [with_values(machine, parameters.scaled(row, spread, least=0.2)) for row in draws]
 
 
 def _blending(n: int, rises: bool, falls: bool) -> FloatArray:

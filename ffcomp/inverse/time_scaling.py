@@ -47,7 +47,6 @@ from ffcomp.planner.segment_timing import segment_speeds
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from gcode.program import Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
-from models.vibration.scheduled import rest_state
 
 Replan = Callable[[Moves, float], PlannedMotion]  # the moves of a section, when it begins (s) → its plan
 LayerOf = Callable[[int], int | None]  # move → its layer
@@ -187,7 +186,7 @@ def scale_around_cut(
         return moves, ()
     first, last = np.flatnonzero(inner)[[0, -1]].tolist()
     middle = Extent(PathPosition(first, 0.0), PathPosition(last, float(lines_of(moves).length[last])))
-    state = rest_state(model.machine, moves.start[0, :3])
+    state = model.machine.equilibrium(moves.start[0, :3])
     scaled = _ScaledSection(model, moves, limits, replan, 0.0, middle, state, program.first_line, fixed=~inner)
     scaled.scale(NO_TOLERANCE_MM)
     records = tuple(scaled.records(plan.duration, layer_of)) if scaled.reasons else ()

@@ -110,7 +110,7 @@ class WindowProblem:
         table, place = model.row_table, self.stretch.place
         a, b0, b1, _ = models_along(table, place)
         j = interpolate(table.jacobian, table.x0_mm, table.pitch_mm, table.nodes, place)
-        return basis_response(a, b0, b1, j, self.unknowns, model.settings.rows_per_segment)
+        return basis_response(a, b0, b1, table.plant.carriage, j, self.unknowns, model.settings.rows_per_segment)
 
     def _improve(self, rows: _Rows, left: FloatArray) -> None:
         """γ += the least-squares answer to the error that is left, within the limits."""

@@ -84,7 +84,7 @@ def _band(figure: Figure, title: str, finding: str, machine: Machine) -> None:
     share = BAND_HEIGHT / height
     figure.add_artist(Rectangle((0, 1 - share), 1, share, color=BAND, transform=figure.transFigure, zorder=-1))
     of = f"{machine.name}  ·  machine file sha256 {machine.sha256[:12]}"
-    told = "straight axes" if machine.has_straight_axes else f"load map {machine.effector.force_map}"
+    told = machine.vibration.describe().heading
     by = f"{told}  ·  ffcomp {__version__}"
     lines = ((0.31, title, 14, "bold", "#ffffff"), (0.6, finding, 11, "normal", "#ffd08a"))
     for down, text, size, weight, colour in (*lines, (0.85, f"{of}  ·  {by}", 8.5, "normal", "#b9c2cf")):

@@ -10,7 +10,6 @@ from scipy.interpolate import RegularGridInterpolator
 from ffcomp.shapers.apply import FrequencyOfPosition
 from models.arrays import FloatArray
 from models.machine import Machine
-from models.vibration.receptance import modes, nozzle_frf
 
 
 def dominant_frequencies(machine: Machine, xy: FloatArray) -> FloatArray:
@@ -30,8 +29,10 @@ def dominant_frequencies(machine: Machine, xy: FloatArray) -> FloatArray:
     (2,) array
         In Hz, for command and response along X, and along Y.
     """
-    natural = modes(machine, xy).frequencies_hz
-    loudness = np.abs(nozzle_frf(machine, xy, natural)) / natural[:, None, None] ** 2  # (modes, 3, 3)
+    natural = machine.vibration.modes_at(xy).frequencies_hz
+    loudness = (
+        np.abs(machine.vibration.frequency_response(xy, natural, "nozzle", "nozzle")) / natural[:, None, None] ** 2
+    )  # (modes, 3, 3)
     return natural[np.argmax(loudness[:, [0, 1], [0, 1]], axis=0)]
 
 

@@ -26,7 +26,6 @@ from scipy.signal import welch
 from ffcomp.shapers import DAMPING_RATIO, SHAPERS, Shaper, residual_vibration
 from models.arrays import FloatArray
 from models.machine import Machine
-from models.vibration.receptance import nozzle_frf
 
 Axis = Literal["x", "y"]
 Spectrum = tuple[FloatArray, FloatArray]  # (k,) Hz; (k,) mm²/s⁴/Hz², a density as `normalised` makes it
@@ -113,7 +112,7 @@ def resonance_test(
     ratio = _FINE_RATE_HZ // RATE_HZ
     kept = len(command) // (2 * ratio) + 1  # lines up to half the slow rate
     lines = np.linspace(0.0, RATE_HZ / 2, kept)
-    response = nozzle_frf(machine, xy, lines)[:, :, "xy".index(axis)]  # (lines, 3)
+    response = machine.vibration.frequency_response(xy, lines, "nozzle", "nozzle")[:, :, "xy".index(axis)]  # (lines, 3)
     answered = response * np.fft.rfft(command)[:kept, None] / ratio
     return np.fft.irfft(answered, len(command) // ratio, axis=0)
 

@@ -10,8 +10,7 @@ from ffcomp.planner.trajectory import PlannedMotion
 from models.arrays import FloatArray
 from models.effects.catalogue import design_machine
 from models.machine import Machine
-from models.vibration.scheduled import Schedule, rest_state
-from models.vibration.state_space import plant_table
+from models.vibration.scheduled import Schedule, plant_table
 
 STEP_S = 5e-4
 SUBSTEPS = 8  # steps for which one model serves
@@ -47,7 +46,7 @@ class LinearPlayback:
             Nozzle in mm after every step.
         state : (18,) array
         """
-        begin = rest_state(self._machine, nozzle[0]) if state is None else state
+        begin = self._machine.equilibrium(nozzle[0]) if state is None else state
         return self._schedule.respond(nozzle, velocity, begin, SUBSTEPS)
 
 

@@ -15,7 +15,8 @@ from ffcomp.simulate.command import Command, CommandSection, OfTime, ReferencePa
 from ffcomp.steps.reader import MOTORS, MotorSteps, StepsError
 from models.arrays import FloatArray
 from models.errors import UnreachableError
-from models.machine import Kinematics, Machine
+from models.kinematics.base import Kinematics
+from models.machine import Machine
 
 REFERENCE = "the path of the steps themselves, with the microsteps smoothed out"
 LEAD_S = 0.05  # of rest before the first step

@@ -27,7 +27,8 @@ from ffcomp.steps.crossings import (
 from ffcomp.steps.pieces import Pieces
 from ffcomp.steps.reader import FOLLOWING, MOTORS, StepsError
 from models.arrays import FloatArray, IntArray
-from models.machine import Kinematics, Machine
+from models.kinematics.base import Kinematics
+from models.machine import Machine
 
 WayArray = NDArray[np.int8]
 

@@ -19,8 +19,7 @@ import numpy as np
 
 from models.arrays import ComplexArray, FloatArray
 from models.machine import Machine
-from models.vibration.effector import load_map
-from models.vibration.receptance import poles, receptance
+from models.vibration.delta import delta_vibration
 
 FREQUENCIES_HZ = np.geomspace(1.0, 300.0, 120)
 ROUNDING = 1e-9  # relative to a norm: less than this is rounding
@@ -67,13 +66,14 @@ class PhysicsChecks:
 
 def check_physics(machine: Machine) -> PhysicsChecks:
     """Check the model on a polar grid over the bed."""
-    xy = bed(machine)
-    y = np.stack([receptance(machine, position, FREQUENCIES_HZ) for position in xy])
+    xy, model = bed(machine), delta_vibration(machine)
+    s = np.asarray(2j * np.pi * FREQUENCIES_HZ, dtype=np.complex128)
+    y = np.stack([model.receptance(position, s) for position in xy])
     j = machine.kinematics.jacobian(xy)
-    load = load_map(machine, xy) @ j
+    load = model.load_map(xy) @ j
     ratio = np.diagonal(load, axis1=1, axis2=2) / np.sum(j**2, axis=1)
     return PhysicsChecks(
-        _largest(poles(machine, xy).real.max(axis=1), xy),
+        _largest(machine.vibration.poles(xy).real.max(axis=1), xy),
         _smallest(_dissipation(y), xy),
         _largest(_skew(y, 2), xy),
         _largest(_skew(load, "fro"), xy),
@@ -90,7 +90,7 @@ def unstable_positions(machine: Machine, radii: int = 6, directions: int = 24) -
     (k, 2) mm, columns X Y; empty for a stable machine.
     """
     xy = bed(machine, radii, directions)
-    return xy[poles(machine, xy).real.max(axis=1) >= 0]
+    return xy[machine.vibration.poles(xy).real.max(axis=1) >= 0]
 
 
 def bed(machine: Machine, radii: int = 6, directions: int = 24) -> FloatArray:

@@ -27,6 +27,7 @@ import numpy as np
 
 from models.machine import Machine
 from models.vibration.carriage import damping
+from models.vibration.delta import delta_vibration
 
 TOLERANCE = 0.05  # relative to the file; two careful measurements of one quantity may differ by this much
 SAME = 0.005  # relative to the file: the same value, rounded
@@ -98,15 +99,15 @@ class _Redundant:
 
 
 def _mass(machine: Machine) -> float:
-    return machine.carriage.moving_mass_kg
+    return delta_vibration(machine).carriage.moving_mass_kg
 
 
 def _stiffness(machine: Machine) -> float:
-    return machine.carriage.belt_stiffness_n_per_m
+    return delta_vibration(machine).carriage.belt_stiffness_n_per_m
 
 
 def _masses(machine: Machine) -> tuple[float, float]:
-    return machine.effector.nozzle_mass_kg, machine.effector.extruder_mass_kg
+    return delta_vibration(machine).effector.nozzle_mass_kg, delta_vibration(machine).effector.extruder_mass_kg
 
 
 def _mass_by_frequencies(_: Machine, omega: float, loaded: float, added: float) -> float:
@@ -160,7 +161,7 @@ REDUNDANT = (
     _Redundant(
         "carriage.belt_damping_n_s_per_m + guide_damping_n_s_per_m",
         "N s/m",
-        lambda machine, _: damping(machine.carriage),
+        lambda machine, _: damping(delta_vibration(machine).carriage),
         (
             _Equation(
                 "Eq. 35: c + b = 2 ζ ω_n m",
@@ -217,7 +218,7 @@ REDUNDANT = (
     _Redundant(
         "effector.extruder_stiffness_n_per_m",
         "N/m",
-        lambda machine, axis: float(machine.effector.extruder_stiffness_n_per_m[axis]),
+        lambda machine, axis: float(delta_vibration(machine).effector.extruder_stiffness_n_per_m[axis]),
         (
             _Equation("Eq. 47: k = m_2 ω_z²", (_ZERO,), lambda machine, zero: _masses(machine)[1] * zero**2),
             _Equation(
@@ -271,7 +272,7 @@ def _quantity(each: _Redundant, machine: Machine, measured: Mapping[str, Any]) -
 
 
 def _hammer_axis(machine: Machine, measured: Mapping[str, Any]) -> int:
-    stiffest = int(np.argmax(machine.effector.extruder_stiffness_n_per_m))
+    stiffest = int(np.argmax(delta_vibration(machine).effector.extruder_stiffness_n_per_m))
     return AXES.index(measured["hammer_axis"]) if "hammer_axis" in measured else stiffest
 
 

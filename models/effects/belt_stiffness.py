@@ -8,13 +8,14 @@ from dataclasses import replace
 from models.arrays import FloatArray
 from models.effects.effect import Effect, Parameter, same_or_each
 from models.machine import Machine
+from models.vibration.delta import delta_vibration, with_parts
 
 
 def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
     """Scale the belts' stiffness."""
-    carriage = machine.carriage
+    carriage = delta_vibration(machine).carriage
     stiffness = same_or_each(carriage.belt_stiffness_n_per_m * (1 + values["relative_change"]))
-    return replace(machine, carriage=replace(carriage, belt_stiffness_n_per_m=stiffness))
+    return with_parts(machine, carriage=replace(carriage, belt_stiffness_n_per_m=stiffness))
 
 
 EFFECT = Effect(

@@ -8,13 +8,14 @@ from dataclasses import replace
 from models.arrays import FloatArray, constant
 from models.effects.effect import Effect, Parameter
 from models.machine import Machine
+from models.vibration.delta import delta_vibration, with_parts
 
 
 def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
     """Move the effector's centre of mass."""
-    effector = machine.effector
+    effector = delta_vibration(machine).effector
     moved = constant(effector.center_of_mass_mm + values["offset_mm"])
-    return replace(machine, effector=replace(effector, center_of_mass_mm=moved))
+    return with_parts(machine, effector=replace(effector, center_of_mass_mm=moved))
 
 
 EFFECT = Effect(

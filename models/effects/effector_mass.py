@@ -8,13 +8,14 @@ from dataclasses import replace
 from models.arrays import FloatArray
 from models.effects.effect import Effect, Parameter
 from models.machine import Machine
+from models.vibration.delta import delta_vibration, with_parts
 
 
 def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
     """Add the mass to the nozzle holder."""
-    effector = machine.effector
+    effector = delta_vibration(machine).effector
     heavier = replace(effector, nozzle_mass_kg=effector.nozzle_mass_kg + float(values["added_kg"]))
-    return replace(machine, effector=heavier)
+    return with_parts(machine, effector=heavier)
 
 
 EFFECT = Effect(

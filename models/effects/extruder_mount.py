@@ -8,11 +8,12 @@ from dataclasses import replace
 from models.arrays import FloatArray, constant
 from models.effects.effect import Effect, Parameter
 from models.machine import Machine
+from models.vibration.delta import delta_vibration, with_parts
 
 
 def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
     """Scale the mount's stiffness and damping."""
-    effector = machine.effector
+    effector = delta_vibration(machine).effector
     mount = replace(
         effector,
         extruder_stiffness_n_per_m=constant(
@@ -22,7 +23,7 @@ def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
             effector.extruder_damping_n_s_per_m * (1 + values["relative_damping_change"])
         ),
     )
-    return replace(machine, effector=mount)
+    return with_parts(machine, effector=mount)
 
 
 EFFECT = Effect(

@@ -9,14 +9,15 @@ from typing import Literal
 from models.arrays import FloatArray
 from models.effects.effect import Effect
 from models.machine import Machine
+from models.vibration.delta import delta_vibration, with_parts
 
 OTHER: Mapping[str, Literal["virtual_work", "paper"]] = {"virtual_work": "paper", "paper": "virtual_work"}
 
 
 def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
     """Replace the machine's force map by the other one."""
-    effector = machine.effector
-    return replace(machine, effector=replace(effector, force_map=OTHER[effector.force_map]))
+    effector = delta_vibration(machine).effector
+    return with_parts(machine, effector=replace(effector, force_map=OTHER[effector.force_map]))
 
 
 EFFECT = Effect(

@@ -8,13 +8,14 @@ from dataclasses import replace
 from models.arrays import FloatArray
 from models.effects.effect import Effect, Parameter, same_or_each
 from models.machine import Machine
+from models.vibration.delta import delta_vibration, with_parts
 
 
 def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
     """Add the damping to the guides."""
-    carriage = machine.carriage
+    carriage = delta_vibration(machine).carriage
     damping = same_or_each(carriage.guide_damping_n_s_per_m + values["added_n_s_per_m"])
-    return replace(machine, carriage=replace(carriage, guide_damping_n_s_per_m=damping))
+    return with_parts(machine, carriage=replace(carriage, guide_damping_n_s_per_m=damping))
 
 
 EFFECT = Effect(

@@ -8,9 +8,9 @@ import numpy as np
 
 from models.arrays import FloatArray
 from models.effects.catalogue import effect_named, effective_machine, values_of
-from models.machine import Drive, Machine
+from models.machine import Machine
 from models.printer.kernels.record import PARAMETERS, PrinterParameters
-from models.vibration.effector import load_distribution, load_map
+from models.vibration.base import PrinterFields
 
 GRAVITY_M_PER_S2 = 9.80665
 
@@ -26,17 +26,14 @@ def printer_parameters(machine: Machine, *, gravity: bool = True) -> PrinterPara
     for name in machine.effects:
         effect_named(name)  # raises if it is unknown
     effective = effective_machine(machine)
-    # the weight of cartesian and CoreXY axes rests on the frame, not on what vibrates
-    g = GRAVITY_M_PER_S2 if gravity and not effective.has_straight_axes else 0.0
+    model = effective.vibration.printer_parameters(GRAVITY_M_PER_S2 if gravity else 0.0)
     parts = {
-        **_geometry(effective),
-        **_carriages(effective, g),
-        **_effector(effective),
-        **_belt_effects(effective),
+        **effective.kinematics.printer_parameters(),
+        **model,
+        **_belt_effects(effective, model["belt_k"]),
         **_motor_effects(effective),
         **_friction_effects(effective),
-        **_frame_effect(effective),
-        "gravity": g,
+        **_frame_effect(effective, float(model["holder_mass"])),
     }
     record = np.zeros(1, dtype=PARAMETERS)
     for name, value in parts.items():
@@ -44,48 +41,11 @@ def printer_parameters(machine: Machine, *, gravity: bool = True) -> PrinterPara
     return record.view(np.recarray)[0]
 
 
-Part = dict[str, FloatArray | float | bool]
-
-
-def _geometry(machine: Machine) -> Part:
-    if machine.first_share is not None:
-        return {"first_share": machine.first_share}  # no arms: the axes move the nozzle directly
-    return {**machine.kinematics.printer_parameters()}
-
-
-def _carriages(machine: Machine, gravity: float) -> Part:
-    carriage = machine.carriage
-    return {
-        "carriage_mass": carriage.moving_mass_kg,
-        "weight": carriage.moving_mass_kg * gravity,
-        "belt_k": carriage.belt_stiffness_n_per_m,
-        "belt_c": carriage.belt_damping_n_s_per_m,
-        "guide_b": carriage.guide_damping_n_s_per_m,
-        **(_drive(carriage.drive) if carriage.drive else {"ideal_drive": True}),
-    }
-
-
-def _drive(drive: Drive) -> Part:
-    return {"d0": drive.d0_per_s2, "lead": drive.d1_per_s / drive.d0_per_s2, "d2": drive.d2_per_s}
-
-
-def _effector(machine: Machine) -> Part:
-    effector = machine.effector
-    paper = effector.force_map == "paper"
-    return {
-        "shares": load_distribution(machine.delta, effector) if paper else np.stack([np.eye(3)] * 3),
-        "holder_mass": machine.nozzle_side_mass_kg,
-        "extruder_mass": effector.extruder_mass_kg,
-        "mount_k": effector.extruder_stiffness_n_per_m,
-        "mount_b": effector.extruder_damping_n_s_per_m,
-    }
-
-
-def _belt_effects(machine: Machine) -> Part:
-    part: Part = {"peak_stretch": np.inf}
+def _belt_effects(machine: Machine, stiffness: FloatArray | float) -> PrinterFields:
+    part: PrinterFields = {"peak_stretch": np.inf}
     if (values := values_of(machine, "belt_hardening")) is not None:
         cubic, quintic = values["cubic_n_per_m3"], values["quintic_n_per_m5"]
-        peak = _peak_stretch(machine.carriage.belt_stiffness_n_per_m, cubic, quintic)
+        peak = _peak_stretch(stiffness, cubic, quintic)
         part |= {"cubic": cubic, "quintic": quintic, "peak_stretch": peak}
     if (values := values_of(machine, "belt_position_stiffness")) is not None:
         part |= {"slope": values["slope_per_m"], "centre": values["q_centre_mm"] / 1e3}
@@ -105,8 +65,8 @@ def _peak_stretch(stiffness: FloatArray | float, cubic: FloatArray, quintic: Flo
     return np.where(softens, np.sqrt(2 * stiffness / np.where(softens, below, 1.0)), np.inf)
 
 
-def _motor_effects(machine: Machine) -> Part:
-    part: Part = {}
+def _motor_effects(machine: Machine) -> PrinterFields:
+    part: PrinterFields = {}
     if (values := values_of(machine, "command_delay")) is not None:
         part["delay"] = values["delay_s"]
     if (values := values_of(machine, "cogging")) is not None:
@@ -116,8 +76,8 @@ def _motor_effects(machine: Machine) -> Part:
     return part
 
 
-def _friction_effects(machine: Machine) -> Part:
-    part: Part = {"least_inertia": _least_inertia(machine), "creep": np.ones(3), "joint_creep": 1.0}
+def _friction_effects(machine: Machine) -> PrinterFields:
+    part: PrinterFields = {"creep": np.ones(3), "joint_creep": 1.0}
     frictions = [values_of(machine, name) for name in ("coulomb_friction", "stribeck_friction")]
     guides = [values for values in frictions if values is not None]
     if guides:
@@ -131,7 +91,7 @@ def _friction_effects(machine: Machine) -> Part:
     return part
 
 
-def _reversal(guides: Sequence[Mapping[str, FloatArray]]) -> Part:
+def _reversal(guides: Sequence[Mapping[str, FloatArray]]) -> PrinterFields:
     """Return v₀ and κ of the guides; of two kinds of friction, the mean weighted by their forces."""
     share = np.array([np.maximum(values["force_n"] + values.get("extra_force_n", 0.0), 1e-12) for values in guides])
     creep, hold = (
@@ -141,16 +101,7 @@ def _reversal(guides: Sequence[Mapping[str, FloatArray]]) -> Part:
     return {"creep": creep / 1e3, "hold": hold}
 
 
-def _least_inertia(machine: Machine) -> float:
-    """Return the smallest effective inertia of the carriages, kg, at the centre and on the rim."""
-    reach = machine.kinematics.model_reach_mm
-    angles = np.arange(0, 2 * np.pi, np.pi / 6)
-    positions = np.vstack([np.zeros((1, 2)), reach * np.column_stack([np.cos(angles), np.sin(angles)])])
-    load = machine.nozzle_side_mass_kg * load_map(machine, positions) @ machine.kinematics.jacobian(positions)
-    return float(np.linalg.eigvals(machine.carriage.moving_mass_kg * np.eye(3) + load).real.min())
-
-
-def _frame_effect(machine: Machine) -> Part:
+def _frame_effect(machine: Machine, holder_mass_kg: float) -> PrinterFields:
     values = values_of(machine, "frame_mode")
     if values is None:
         return {}
@@ -159,7 +110,7 @@ def _frame_effect(machine: Machine) -> Part:
     directions[: len(values["direction"])] = values["direction"]
     return {
         "frame_directions": directions,
-        "frame_mass_ratio": machine.nozzle_side_mass_kg / (float(values["mass_kg"]) + machine.nozzle_side_mass_kg),
+        "frame_mass_ratio": holder_mass_kg / (float(values["mass_kg"]) + holder_mass_kg),
         "frame_k": omega**2,
         "frame_b": 2 * float(values["damping_ratio"]) * omega,
     }

@@ -9,7 +9,7 @@ from numba import njit
 
 from models.arrays import FloatArray
 from models.effects.catalogue import effective_machine
-from models.machine import DeltaKinematics, Machine
+from models.machine import Machine
 from models.printer.kernels.record import Q
 from models.printer.parameters import printer_parameters
 from models.printer.printer import equilibrium_state
@@ -23,9 +23,9 @@ def static_deflection(plant: Machine, nozzle: FloatArray) -> FloatArray:
 
     Zero for cartesian and CoreXY axes, whose weight rests on the frame and not on what vibrates.
     """
-    if not isinstance(plant.kinematics, DeltaKinematics):
+    if not plant.vibration.gravity_loaded:
         return np.zeros((len(nozzle), 3))
-    reach = plant.kinematics.print_radius_mm
+    reach = plant.kinematics.bed_radius_mm
     return np.asarray(_powers(np.ascontiguousarray(nozzle[:, :2] / reach)) @ _coefficients(plant))
 
 
@@ -48,7 +48,7 @@ def _powers(xy: FloatArray) -> FloatArray:
 @lru_cache(maxsize=64)
 def _coefficients(plant: Machine) -> FloatArray:
     """Fit a polynomial of the eighth order over the bed, (45, 3) mm; its error is at most 10 nm."""
-    reach = plant.delta.print_radius_mm
+    reach = plant.kinematics.bed_radius_mm
     radius, angle = np.meshgrid(
         reach * np.sqrt(np.linspace(0.0, 1.0, _RINGS)), 2 * np.pi / _ANGLES * np.arange(_ANGLES)
     )

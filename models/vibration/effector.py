@@ -1,52 +1,33 @@
-"""Sub-model 2: the force the effector's motion asks for, and how the three carriages share it.
-
-Paper, Eqs. 14-27 and 50-62. Two ways to share it, `force_map` in the machine file:
-
-- `virtual_work`: F_q = Jᵀ F. Six two-force rods carry exactly this, wherever the centre of mass is.
-- `paper`: F_qi = J_iᵀ P_i F (Eq. 25), with the minimum-norm P_i of Eq. 22 and J_i the column of J that is
-  carriage i's. For a centred mass that is a third of the virtual-work load. For checking the paper's figures.
-"""
+"""Sub-model 2: the force the effector's motion asks for, and how three arms share it (paper, Eqs. 14-27 and 50-62)."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from models.arrays import ComplexArray, FloatArray
-from models.machine import DeltaKinematics, Effector, Machine
 
 
-def effector_impedance(machine: Machine, s: ComplexArray) -> ComplexArray:
-    """The diagonal of W(s) = M₁s² + Bs + K − (Bs+K)(M₂s²+Bs+K)⁻¹(Bs+K) (Eq. 61), for three uncoupled axes.
+@dataclass(frozen=True, eq=False)
+class Effector:
+    """Nozzle holder and extruder, joined by a spring and a damper per axis: sub-model 2 (Eqs. 50-62)."""
 
-    Parameters
-    ----------
-    s : (k,) 1/s.
+    nozzle_mass_kg: float  # m_1, without the arms' halves
+    extruder_mass_kg: float  # m_2
+    extruder_stiffness_n_per_m: FloatArray  # (3,) k_x k_y k_z
+    extruder_damping_n_s_per_m: FloatArray  # (3,) b_x b_y b_z
+    joint_radius_mm: float  # D_e
+    center_of_mass_mm: FloatArray  # (3,) delta_x delta_y delta_z, from the joints' centroid
+    force_map: Literal["virtual_work", "paper"] = "virtual_work"  # "paper": Eqs. 22-27
 
-    Returns
-    -------
-    (k, 3) N/m, columns X Y Z: nozzle position to force.
+
+def apparent_mass(effector: Effector, nozzle_side_kg: float, s: ComplexArray) -> ComplexArray:
+    """Return W(s)/s², (k, 3) kg: the mass the effector appears to have when it is excited.
+
+    W(s) = M₁s² + Bs + K − (Bs+K)(M₂s²+Bs+K)⁻¹(Bs+K) (Eq. 61), for three uncoupled axes.
     """
-    return s[:, None] ** 2 * _apparent_mass(machine.effector, machine.nozzle_side_mass_kg, s)
-
-
-def struck_frf(machine: Machine, s: ComplexArray, with_arms: bool = False) -> ComplexArray:
-    """Force on the nozzle holder to its acceleration, the effector hanging free, per axis (Eq. 45).
-
-    Parameters
-    ----------
-    s : (k,) 1/s.
-    with_arms : the arms' lower halves ride along, and this is s²/W; else it is Eq. 45, the effector by itself.
-
-    Returns
-    -------
-    (k, 3) 1/kg, columns X Y Z.
-    """
-    nozzle_side = machine.nozzle_side_mass_kg if with_arms else machine.effector.nozzle_mass_kg
-    return 1 / _apparent_mass(machine.effector, nozzle_side, s)
-
-
-def _apparent_mass(effector: Effector, nozzle_side_kg: float, s: ComplexArray) -> ComplexArray:
-    """W(s)/s², (k, 3) kg: what the effector seems to weigh when it is shaken."""
     s = s[:, None]
     mount = effector.extruder_damping_n_s_per_m * s + effector.extruder_stiffness_n_per_m
     # Eq. 61 with its two mount terms joined: Bs + K − (Bs+K)²/(M₂s²+Bs+K) = M₂s² (Bs+K)/(M₂s²+Bs+K),
@@ -54,31 +35,14 @@ def _apparent_mass(effector: Effector, nozzle_side_kg: float, s: ComplexArray) -
     return nozzle_side_kg + effector.extruder_mass_kg * mount / (effector.extruder_mass_kg * s**2 + mount)
 
 
-def load_map(machine: Machine, xy: FloatArray) -> FloatArray:
-    """Γ, the share of each carriage: F_q = Γ W X, with Γ = Jᵀ or rows J_iᵀ P_i (Eq. 27).
-
-    Parameters
-    ----------
-    xy : (n, 2) mm, columns X Y.
-
-    Returns
-    -------
-    (n, 3, 3) N/N, rows carriages A B C, columns X Y Z of the force.
-    """
-    j = machine.kinematics.jacobian(xy)
-    if machine.effector.force_map == "virtual_work":
-        return j.transpose(0, 2, 1)
-    return np.einsum("nai,iab->nib", j, load_distribution(machine.delta, machine.effector))
-
-
-def load_distribution(geometry: DeltaKinematics, effector: Effector) -> FloatArray:
-    """The matrices P_i: arm i's share of the force on the effector, minimum norm (Eqs. 19-23).
+def load_distribution(tower_angles_rad: FloatArray, effector: Effector) -> FloatArray:
+    """Return the matrices P_i: arm i's share of the force on the effector, minimum norm (Eqs. 19-23).
 
     Returns
     -------
     (3, 3, 3) N/N: arms A B C, rows X Y Z of the arm's force, columns X Y Z of the whole force.
     """
-    angles = geometry.tower_angles_rad
+    angles = tower_angles_rad
     joints = effector.joint_radius_mm * np.stack([np.cos(angles), np.sin(angles), np.zeros(3)], axis=-1)
     moments = [_cross_matrix(r) for r in joints - effector.center_of_mass_mm]  # S(r_i), Eq. 20
     balance = np.block([[np.eye(3)] * 3, moments])  # L of Eq. 21
@@ -86,6 +50,6 @@ def load_distribution(geometry: DeltaKinematics, effector: Effector) -> FloatArr
 
 
 def _cross_matrix(r: FloatArray) -> FloatArray:
-    """S(r), with S(r) f = r × f."""
+    """Return S(r), with S(r) f = r × f."""
     x, y, z = r
     return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

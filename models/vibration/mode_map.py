@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.arrays import ComplexArray, FloatArray, IntArray
-from models.machine import Machine
-from models.vibration.receptance import Modes, modes_at
+from models.vibration.base import Modes
+from models.vibration.delta import DeltaVibration
 
 Node = tuple[int, int]  # a place on the grid
 Matched = list[int | None]  # where the centre's modes are among a place's; None: it does not swing there
@@ -45,37 +45,37 @@ class ModeMap:
     kinds: tuple[str, ...]  # (m,) what each one moves, on the average over the inner half of the bed
 
 
-def kinds(machine: Machine, xy: FloatArray, found: Modes) -> list[str]:
+def kinds(model: DeltaVibration, xy: FloatArray, found: Modes) -> list[str]:
     """What each mode at one place moves, in words."""
-    j = machine.kinematics.jacobian(xy[None])[0]
-    axes, extruder = _shares(np.concatenate(_motion(machine, j, found.shapes), axis=1))
+    j = model.kinematics.jacobian(xy[None])[0]
+    axes, extruder = _shares(np.concatenate(_motion(model, j, found.shapes), axis=1))
     return [_words(a, e) for a, e in zip(axes, extruder.tolist(), strict=True)]
 
 
-def mode_map(machine: Machine, pitch_mm: float = 6.0) -> ModeMap:
+def mode_map(model: DeltaVibration, pitch_mm: float = 6.0) -> ModeMap:
     """Every mode of the centre, followed to every place of the bed."""
-    reach = machine.kinematics.bed_radius_mm
+    reach = model.kinematics.bed_radius_mm
     half = int(np.ceil(reach / pitch_mm))
     x = np.linspace(-reach, reach, 2 * half + 1)
     radius = np.hypot(x[:, None], x)
     near: list[Node] = [(int(i), int(k)) for i, k in np.argwhere(radius <= reach + 2 * pitch_mm)]
     places = np.array([[x[i], x[k]] for i, k in near])
     places *= np.minimum(1.0, reach / np.maximum(np.hypot(*places.T), pitch_mm / 2))[:, None]
-    j = machine.kinematics.jacobian(places)
+    j = model.kinematics.jacobian(places)
     stations = {
-        node: _Station(found, np.concatenate(_motion(machine, j_here, found.shapes), axis=1))
-        for node, j_here, found in zip(near, j, modes_at(machine, places), strict=True)
+        node: _Station(found, np.concatenate(_motion(model, j_here, found.shapes), axis=1))
+        for node, j_here, found in zip(near, j, model.modes(places), strict=True)
     }
     return _assembled(x, radius <= reach * (1 + 1e-9), stations, _follow(stations, (half, half)))
 
 
-def numbers(machine: Machine, over: ModeMap, xy: FloatArray, found: Modes) -> list[int]:
+def numbers(model: DeltaVibration, over: ModeMap, xy: FloatArray, found: Modes) -> list[int]:
     """Which modes of the map, counted from 1, those found at one place are; 0 for one that is not on the map there."""
     from scipy.optimize import linear_sum_assignment
 
     i, k = (int(np.abs(over.x_mm - at).argmin()) for at in xy)
-    j = machine.kinematics.jacobian(xy[None])[0]
-    here = np.concatenate(_motion(machine, j, found.shapes), axis=1)
+    j = model.kinematics.jacobian(xy[None])[0]
+    here = np.concatenate(_motion(model, j, found.shapes), axis=1)
     mac = np.nan_to_num(np.abs(here.conj() @ over.motion[i, k].T) ** 2)
     rows, columns = linear_sum_assignment(-mac)
     there = {row: column + 1 for row, column in zip(rows.tolist(), columns.tolist(), strict=True) if mac[row, column]}
@@ -162,12 +162,12 @@ def _mean(over_the_bed: FloatArray) -> FloatArray:
     return np.asarray(np.nanmean(over_the_bed, axis=(0, 1)))
 
 
-def _motion(machine: Machine, j: FloatArray, shapes: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+def _motion(model: DeltaVibration, j: FloatArray, shapes: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     """√mass times motion of the nozzle side and of the extruder, (n, 3) each, from shapes (n, 6); together length 1."""
     nozzle = shapes[:, :3] @ j.T
     parts = (
-        np.sqrt(machine.nozzle_side_mass_kg) * nozzle,
-        np.sqrt(machine.effector.extruder_mass_kg) * (nozzle + shapes[:, 3:]),
+        np.sqrt(model.nozzle_side_mass_kg) * nozzle,
+        np.sqrt(model.effector.extruder_mass_kg) * (nozzle + shapes[:, 3:]),
     )
     length = np.linalg.norm(np.concatenate(parts, axis=1), axis=1, keepdims=True)
     return parts[0] / length, parts[1] / length

@@ -6,41 +6,82 @@ the bed; inside an interval the discrete model is exact for a command that is li
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from models.arrays import FloatArray
+from models.arrays import FloatArray, IntArray
+from models.kinematics.base import Kinematics
 from models.machine import Machine
 from models.vibration.small_matvec import recursion
-from models.vibration.state_space import QD, STATES, WD, PlantTable, Q, W
+from models.vibration.state_space import DiscretePlant, discretise
 
+PITCH_MM = 10.0  # of the table over the bed
 SAME_MM = 1.0  # so near to a place its model still serves
 
 _advance = recursion(rows=12, of_state=12, of_input=15)
 
 
-def rest_state(machine: Machine, nozzle: FloatArray) -> FloatArray:
-    """The state (18,) at rest with the nozzle at (3,) mm."""
-    q = machine.kinematics.inverse(nozzle[None])[0]
-    state = np.zeros(STATES)
-    drive = machine.carriage.drive
-    state[W] = q / drive.d0_per_s2 if drive else 0.0
-    state[Q] = q
-    return state
+@dataclass(frozen=True, slots=True)
+class PlantTable:
+    """Discrete plants on a square grid over the bed; everything between is interpolated bilinearly."""
+
+    x0_mm: float  # the grid's first node, both axes
+    pitch_mm: float
+    nodes: int  # per axis; node (ix, iy) is place ix * nodes + iy
+    plant: DiscretePlant
+    jacobian: FloatArray  # (nodes², 3, 3)
+
+    def frozen(self) -> PlantTable:
+        """Return the table with the plant of the middle of the bed everywhere; the kinematics stay what they are."""
+        middle = len(self.jacobian) // 2
+        values = {each.name: getattr(self.plant, each.name) for each in fields(self.plant)}
+        same: dict[str, Any] = {
+            name: np.repeat(value[middle : middle + 1], len(value), axis=0)
+            for name, value in values.items()
+            if np.ndim(value) == 3
+        }
+        return replace(self, plant=replace(self.plant, **same))
+
+    def arrays(self) -> dict[str, FloatArray | IntArray]:
+        """Return all of it, to be kept."""
+        p = self.plant
+        grid = np.array([self.x0_mm, self.pitch_mm, self.nodes, p.step_s, p.drive_states])
+        plant = (p.a, p.b0, p.b1, p.b_centripetal, p.carriage, p.oscillators)
+        return dict(zip(TABLE_ARRAYS, (grid, *plant, self.jacobian), strict=True))
+
+    @classmethod
+    def of_arrays(cls, kept: Mapping[str, NDArray[Any]]) -> PlantTable:
+        """Return a table from its arrays."""
+        grid, a, b0, b1, b_centripetal, carriage, oscillators, jacobian = (kept[name] for name in TABLE_ARRAYS)
+        x0, pitch, nodes, step_s, drive_states = grid.tolist()
+        plant = DiscretePlant(step_s, a, b0, b1, b_centripetal, carriage, int(drive_states), oscillators)
+        return cls(x0, pitch, int(nodes), plant, jacobian)
 
 
-def moving_state(machine: Machine, nozzle: FloatArray, velocity: FloatArray, delay_s: float) -> FloatArray:
-    """The state (18,) in steady motion: the carriages are on the path, their command leads it by the delay."""
-    step = 1e-4  # s, for the carriages' velocities
-    q, ahead, later = machine.kinematics.inverse(nozzle + np.array([[0.0], [delay_s], [step]]) * velocity)
-    rate = (later - q) / step
-    state = np.zeros(STATES)
-    state[Q], state[QD] = q, rate
-    drive = machine.carriage.drive
-    if drive:
-        state[WD] = rate / drive.d0_per_s2
-        state[W] = (ahead - drive.d2_per_s * state[WD]) / drive.d0_per_s2
-    return state
+TABLE_ARRAYS = ("grid", "a", "b0", "b1", "b_centripetal", "carriage", "oscillators", "jacobian")
+
+
+def table_positions(kinematics: Kinematics, pitch_mm: float = PITCH_MM) -> tuple[FloatArray, FloatArray]:
+    """Return the nodes' places along one axis (k,) and all nodes (k², 2) mm, those beyond the rim moved back to it."""
+    reach = kinematics.model_reach_mm
+    half = int(np.ceil(reach / pitch_mm)) + 1
+    axis = pitch_mm * np.arange(-half, half + 1)
+    xy = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    radius = np.hypot(*xy.T)
+    rim = reach + min(pitch_mm, 0.9 * kinematics.spare_reach_mm)
+    return axis.astype(np.float64), xy * np.minimum(1.0, rim / np.maximum(radius, 1e-9))[:, None]
+
+
+def plant_table(machine: Machine, step_s: float, pitch_mm: float = PITCH_MM) -> PlantTable:
+    """Return the plant over the whole bed. Nodes outside the print radius repeat the rim's plant."""
+    axis, xy = table_positions(machine.kinematics, pitch_mm)
+    plant = discretise(machine.vibration.state_space(xy), step_s)
+    return PlantTable(float(axis[0]), pitch_mm, len(axis), plant, machine.kinematics.jacobian(xy))
 
 
 class Schedule:
@@ -48,7 +89,7 @@ class Schedule:
 
     def __init__(self, machine: Machine, table: PlantTable) -> None:
         self.delta, self.table = machine.kinematics.compiled(), table
-        self._mechanics, self._drive = _packed(table)
+        self._coupled = None if len(table.plant.oscillators) else _packed(table)
 
     def play(
         self,
@@ -65,15 +106,19 @@ class Schedule:
         place : (n, 2) mm, where the nozzle is meant to be in the middle of each knot interval
         centripetal : (n·substeps + 1, 3) mm/s², J̇ q̇ of the motion that is meant, at the table's steps
         command : (n·substeps + 1, 3) mm, carriage heights, linear between the steps
-        state : (18,) at the first sample
+        state : (s,) at the first sample
         substeps : steps for which one model serves
 
         Returns
         -------
-        carriages (n·substeps, 3) mm after every step; states (n + 1, 18) at the knots
+        carriages (n·substeps, 3) mm after every step; states (n + 1, s) at the knots
         """
+        if self._coupled is None:
+            p = self.table.plant
+            return simulate_oscillators(p.oscillators, p.a[0], p.b0[0], p.b1[0], len(place), substeps, state, command)
+        mechanics, drive = self._coupled
         grid = (self.table.x0_mm, self.table.pitch_mm, self.table.nodes)
-        return simulate(self._mechanics, self._drive, *grid, place, substeps, state, command, centripetal)
+        return simulate(mechanics, drive, *grid, place, substeps, state, command, centripetal)
 
     def respond(
         self, nozzle: FloatArray, velocity: FloatArray, state: FloatArray, substeps: int
@@ -106,7 +151,7 @@ def _packed(table: PlantTable) -> tuple[FloatArray, FloatArray]:
 
 
 def models_along(table: PlantTable, place: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A (n, 18, 18), B₀, B₁ and B_f (n, 18, 3) at the places (n, 2) mm of n intervals."""
+    """Return A (n, s, s), B₀, B₁ and B_f (n, s, 3) at the places (n, 2) mm of n intervals."""
     p, grid = table.plant, (table.x0_mm, table.pitch_mm, table.nodes, np.ascontiguousarray(place))
     return (
         interpolate(p.a, *grid),
@@ -202,4 +247,38 @@ def simulate(
             knots[k + 1, r] = given[0, r]
         for r in range(12):
             knots[k + 1, 6 + r] = x[r]
+    return kept, knots
+
+
+@njit(cache=True, nogil=True)
+def simulate_oscillators(
+    axes: IntArray,
+    a: FloatArray,
+    b0: FloatArray,
+    b1: FloatArray,
+    n: int,
+    substeps: int,
+    state: FloatArray,
+    command: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Run oscillators that nothing couples over n intervals of `substeps` steps each, the same at every position.
+
+    axes (m,): of each pair of states.   a (2 m, 2 m), b0 b1 (2 m, 3): the discrete plant.   state (2 m,).
+    command (n·substeps + 1, 3) mm: positions asked for, linear between.
+    Returns axes (n·substeps, 3) mm after every step, and the states (n + 1, 2 m) at the knots.
+    """
+    kept, knots = np.zeros((n * substeps, 3)), np.empty((n + 1, len(state)))
+    knots[0] = state
+    for m in range(len(axes)):
+        axis, i = axes[m], 2 * m
+        a00, a01, a10, a11 = a[i, i], a[i, i + 1], a[i + 1, i], a[i + 1, i + 1]
+        p0, v0, p1, v1 = b0[i, axis], b0[i + 1, axis], b1[i, axis], b1[i + 1, axis]
+        p, v, after, step = state[i], state[i + 1], command[0, axis], 0
+        for k in range(n):
+            for _ in range(substeps):
+                before, after = after, command[step + 1, axis]
+                p, v = a00 * p + a01 * v + (p0 * before + p1 * after), a10 * p + a11 * v + (v0 * before + v1 * after)
+                kept[step, axis] += p
+                step += 1
+            knots[k + 1, i], knots[k + 1, i + 1] = p, v
     return kept, knots

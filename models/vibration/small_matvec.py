@@ -27,40 +27,61 @@ def recursion(rows: int, of_state: int, of_input: int) -> Any:
 
     @intrinsic
     def step(typing: Any, matrices: Any, at: Any, state: Any, given: Any, k: Any) -> Any:
-        def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            where = [
-                context.make_array(kind)(context, builder, value).data
-                for kind, value in zip(signature.args, arguments, strict=True)
-                if isinstance(kind, types.Array)
-            ]
-            size = context.get_abi_sizeof(context.get_data_type(matrices.dtype))
-            column = ir.VectorType(context.get_value_type(matrices.dtype), rows)
-            index = [context.cast(builder, arguments[i], signature.args[i], types.intp) for i in (1, 4)]
-            first = builder.gep(where[0], [builder.mul(index[0], _number(rows * (of_state + of_input)))])
-            inputs = builder.gep(where[2], [builder.mul(index[1], _number(of_input))])
-            # fused where the processor can, a multiplication and an addition where it cannot
-            name = f"llvm.fmuladd.v{rows}f{8 * size}"
-            kind = ir.FunctionType(column, [column] * 3)
-            multiply_add = cgutils.get_or_insert_function(builder.module, kind, name)
-            sums: list[Any] = [None] * SUMS
-            # what the state does not decide comes first: it need not wait for the step before
-            for turn, c in enumerate([*range(of_state, of_state + of_input), *range(of_state)]):
-                source, i = (where[1], c) if c < of_state else (inputs, c - of_state)
-                factor = _spread(builder, builder.load(builder.gep(source, [_number(i)])), rows)
-                pointer = builder.bitcast(builder.gep(first, [_number(c * rows)]), column.as_pointer())
-                entries = builder.load(pointer, align=size)
-                so_far = sums[turn % SUMS]
-                added = [factor, entries] if so_far is None else [factor, entries, so_far]
-                sums[turn % SUMS] = builder.fmul(*added) if so_far is None else builder.call(multiply_add, added)
-            total = sums[0]
-            for each in sums[1:]:
-                total = builder.fadd(total, each)
-            builder.store(total, builder.bitcast(where[1], column.as_pointer()), align=size)
-            return context.get_dummy_value()
-
-        return types.void(matrices, at, state, given, k), emit
+        return types.void(matrices, at, state, given, k), _emitter(rows, of_state, of_input, matrices.dtype, 0)
 
     return step
+
+
+def sized_recursion(of_input: int) -> Any:
+    """Return a compiled function step(rows, of_state, matrices, at, state, given, k), as `recursion` for any size.
+
+    rows, of_state: tuples whose lengths are the sizes. A tuple's length is part of its type, so that each size is
+    compiled by itself, and cached.
+    """
+
+    @intrinsic
+    def step(typing: Any, rows: Any, of_state: Any, matrices: Any, at: Any, state: Any, given: Any, k: Any) -> Any:
+        emit = _emitter(rows.count, of_state.count, of_input, matrices.dtype, 2)
+        return types.void(rows, of_state, matrices, at, state, given, k), emit
+
+    return step
+
+
+def _emitter(rows: int, of_state: int, of_input: int, dtype: Any, before: int) -> Any:
+    """Return what writes the step's code; its own arguments follow `before` others."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        where = [
+            context.make_array(kind)(context, builder, value).data
+            for kind, value in zip(signature.args, arguments, strict=True)
+            if isinstance(kind, types.Array)
+        ]
+        size = context.get_abi_sizeof(context.get_data_type(dtype))
+        column = ir.VectorType(context.get_value_type(dtype), rows)
+        index = [context.cast(builder, arguments[i], signature.args[i], types.intp) for i in (before + 1, before + 4)]
+        first = builder.gep(where[0], [builder.mul(index[0], _number(rows * (of_state + of_input)))])
+        inputs = builder.gep(where[2], [builder.mul(index[1], _number(of_input))])
+        # fused where the processor can, a multiplication and an addition where it cannot
+        name = f"llvm.fmuladd.v{rows}f{8 * size}"
+        kind = ir.FunctionType(column, [column] * 3)
+        multiply_add = cgutils.get_or_insert_function(builder.module, kind, name)
+        sums: list[Any] = [None] * SUMS
+        # what the state does not decide comes first: it need not wait for the step before
+        for turn, c in enumerate([*range(of_state, of_state + of_input), *range(of_state)]):
+            source, i = (where[1], c) if c < of_state else (inputs, c - of_state)
+            factor = _spread(builder, builder.load(builder.gep(source, [_number(i)])), rows)
+            pointer = builder.bitcast(builder.gep(first, [_number(c * rows)]), column.as_pointer())
+            entries = builder.load(pointer, align=size)
+            so_far = sums[turn % SUMS]
+            added = [factor, entries] if so_far is None else [factor, entries, so_far]
+            sums[turn % SUMS] = builder.fmul(*added) if so_far is None else builder.call(multiply_add, added)
+        total = sums[0]
+        for each in sums[1:]:
+            total = builder.fadd(total, each)
+        builder.store(total, builder.bitcast(where[1], column.as_pointer()), align=size)
+        return context.get_dummy_value()
+
+    return emit
 
 
 def _number(value: int) -> Any:

@@ -13,12 +13,12 @@ from benchmarks.performance_methods import LINES, REACH, ZeroPhase, dense, left_
 from benchmarks.performance_prints import LAYER, repeated
 from benchmarks.performance_ways import LABELS, MACHINE, PRINTS, exact_settings, pattern
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.riccati import AUGMENTED
 from ffcomp.inverse.solve import solve
 from ffcomp.planner.program import plan_program
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
+from models.vibration.delta import delta_vibration
 from studies.effects_compensated import machines_effects
 
 DOCS = performance.DOCS
@@ -57,7 +57,7 @@ def test_every_way_is_in_the_table_of_every_print_and_every_effect_in_its_own() 
 
 def test_the_operations_told_are_those_of_the_gains() -> None:
     counts = performance_where.per_knot()
-    assert counts["sweep_back"] == 2 * 33 * 27 and counts["sweep_forward"] == 2 * 27 * AUGMENTED
+    assert counts["sweep_back"] == 2 * 33 * 27 and counts["sweep_forward"] == 2 * 27 * 24
     assert all(f"{number:,}" in PAGE for number in counts.values())
 
 
@@ -67,7 +67,7 @@ def test_the_operations_told_are_those_of_the_gains() -> None:
 def test_the_plant_has_six_zeros_outside_the_unit_circle(machine: Machine) -> None:
     """The drive's zero at 674 rad/s, from 4 ms to 4 ms, once a tower; and three negative ones, of the sampling."""
     zeros = unstable_zeros(*sampled(machine, PLACE))
-    drive = machine.carriage.drive
+    drive = delta_vibration(machine).carriage.drive
     assert drive is not None and np.abs(zeros.imag).max() == 0.0
     expected = np.exp(-drive.d0_per_s2 / drive.d1_per_s * performance_methods.SAMPLE_S)
     np.testing.assert_allclose(np.sort(zeros.real)[3:], expected, rtol=0.1)

@@ -19,7 +19,6 @@ from models.effects.catalogue import CATALOGUE
 from models.errors import MachineFileError
 from models.file import load_machine
 from models.schema import OF_STRAIGHT_AXES, DeltaDocument, StraightDocument, unit_of
-from models.vibration.receptance import modes
 from studies import cli_reference
 from tests.support.reference import MACHINE, MACHINE_FILE, REFERENCE, ROOT, SMALL, call, examples, rows_of
 
@@ -132,7 +131,7 @@ def test_the_examples_are_machines_and_the_mistakes_are_found(tmp_path: Path) ->
     for number, text in enumerate(good):
         path = tmp_path / f"{number}.toml"
         path.write_text(text, encoding="utf-8")
-        kinds.append(load_machine(path).first_share is None)
+        kinds.append(load_machine(path).vibration.position_dependent)
     assert kinds == [True, False]
     path = tmp_path / "mistakes.toml"
     path.write_text(bad, encoding="utf-8")
@@ -209,7 +208,7 @@ def test_exit_codes_are_those_of_the_errors() -> None:
 
 def test_the_tables_of_the_explanation_are_what_comes_out() -> None:
     for place, *cells in rows_of(ROOT / "docs" / "explanation" / "the_model.md", "What changes over the bed"):
-        found = modes(TRUTH, np.array([float(x) for x in place.split(",")]))
+        found = TRUTH.vibration.modes_at(np.array([float(x) for x in place.split(",")]))
         pairs = zip(found.frequencies_hz, found.damping_ratios, strict=True)
         assert sorted(cells) == sorted(f"{frequency:.1f} ({damping:.2f})" for frequency, damping in pairs)
     curve = effort_curve(TRUTH, 0.004)

@@ -11,7 +11,6 @@ from typer.testing import CliRunner, Result
 
 from ffcomp.cli.machines import app
 from models.file import load_machine
-from models.vibration.receptance import modes
 from tests.support.configs import COREXY, SHAPER, Delta, written
 
 
@@ -45,7 +44,7 @@ def test_a_delta_becomes_a_machine_that_checks_well(run, own_folder: Path, tmp_p
 def test_the_shaper_of_a_delta_is_held_against_the_assumed_model(run, tmp_path: Path) -> None:
     path = tmp_path / "shaped.toml"
     told = run(written(tmp_path, Delta().klipper() + SHAPER), "-o", path).stdout
-    found = modes(load_machine(path), np.zeros(2))
+    found = load_machine(path).vibration.modes_at(np.zeros(2))
     ringing = found.frequencies_hz[found.damping_ratios < 0.2]
     assert "The input shaper is set to 61.2 and 43.4 Hz;" in told
     assert f"loudest vibration is at {ringing[0]:.1f} Hz" in told

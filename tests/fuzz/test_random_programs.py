@@ -23,6 +23,7 @@ from gcode.program import Frame, Moves
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
+from models.vibration.delta import delta_vibration, with_parts
 from validation.invariants import violations
 
 FloatArray = NDArray[np.float64]
@@ -288,9 +289,9 @@ STEADY_S = 0.06  # from any change of speed or direction on: there the command i
 
 def ideal(machine: Machine) -> Machine:
     """As stiff as a machine file may say, its drives without dynamics."""
-    carriage = replace(machine.carriage, belt_stiffness_n_per_m=1e9, drive=None)
-    effector = replace(machine.effector, extruder_stiffness_n_per_m=np.full(3, 1e9))
-    return replace(machine, carriage=carriage, effector=effector)
+    carriage = replace(delta_vibration(machine).carriage, belt_stiffness_n_per_m=1e9, drive=None)
+    effector = replace(delta_vibration(machine).effector, extruder_stiffness_n_per_m=np.full(3, 1e9))
+    return with_parts(machine, carriage=carriage, effector=effector)
 
 
 def test_an_ideal_machine_is_told_the_plan_itself() -> None:
@@ -323,12 +324,12 @@ def distance_to_changes(plan: PlannedMotion, t: FloatArray) -> FloatArray:
 def even(machine: Machine) -> Machine:
     """With an effector that is alike in all horizontal directions."""
     effector = replace(
-        machine.effector,
+        delta_vibration(machine).effector,
         extruder_stiffness_n_per_m=np.array([5e3, 5e3, 2.6e5]),
         extruder_damping_n_s_per_m=np.array([30.0, 30.0, 19.6]),
         center_of_mass_mm=np.array([0.0, 0.0, 19.31]),
     )
-    return replace(machine, effector=effector)
+    return with_parts(machine, effector=effector)
 
 
 def turned(places: FloatArray, degrees: float) -> FloatArray:

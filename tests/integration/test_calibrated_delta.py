@@ -9,7 +9,7 @@ import numpy as np
 import tomlkit
 
 from models.file import load_machine
-from models.vibration.state_space import plant_table
+from models.vibration.scheduled import plant_table
 from validation import judge
 
 ROOT = Path(__file__).parents[2]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from models.file import load_machine
 from models.machine import Machine
 from models.printer.printer import simulate_printer
-from models.vibration.receptance import poles
+from models.vibration.delta import delta_vibration, with_parts
 from validation import judge
 
 pytest.importorskip("mujoco")
@@ -33,7 +33,7 @@ def machine() -> Machine:
 def pole_difference(machine: Machine, choice: Choice, model: Machine | None = None) -> float:
     """Largest distance of a pole of ours (of `model`) from MuJoCo's nearest, relative."""
     theirs = multibody.modes(multibody.build(machine, PLACE_MM, choice))
-    ours = poles(model or machine, PLACE_MM[None, :2])[0]
+    ours = model or machine.vibration.poles(PLACE_MM[None, :2])[0]
     ours = ours[ours.imag > 1.0]
     assert theirs.shape == ours.shape == (6,)
     return float(np.max(np.min(np.abs(ours[:, None] / theirs - 1), axis=1)))
@@ -48,8 +48,11 @@ def test_small_motion_is_that_of_bodies_whose_arms_are_two_points(machine: Machi
 @pytest.mark.parametrize(("arms", "least"), [("lumped", 1e-3), ("uniform", 1e-2)])
 def test_what_is_not_the_same_is_seen(machine: Machine, arms: Arms, least: float) -> None:
     """A belt softer by 1 %; and uniform rods, against which half masses at the ends are 1 to 2 % off in frequency."""
-    softer = replace(machine.carriage, belt_stiffness_n_per_m=0.99 * machine.carriage.belt_stiffness_n_per_m)
-    model = replace(machine, carriage=softer) if arms == "lumped" else machine
+    softer = replace(
+        delta_vibration(machine).carriage,
+        belt_stiffness_n_per_m=0.99 * delta_vibration(machine).carriage.belt_stiffness_n_per_m,
+    )
+    model = with_parts(machine, carriage=softer) if arms == "lumped" else machine
     assert least < pole_difference(machine, Choice(arms), model) < 5e-2
 
 

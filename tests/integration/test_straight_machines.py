@@ -23,7 +23,6 @@ from ffcomp.steps.sink import Board
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
-from models.vibration.receptance import modes
 from validation.judge import HOST_KNOWS
 from validation.kalico import kalico_moves
 
@@ -136,7 +135,7 @@ def test_the_real_host_keeps_the_pace(corexy: Machine) -> None:
 
 
 def test_only_the_modes_of_the_file_swing(corexy: Machine) -> None:
-    assert modes(corexy, np.zeros(2)).frequencies_hz == pytest.approx([41.0, 58.0, 93.0], rel=1e-3)
+    assert corexy.vibration.modes_at(np.zeros(2)).frequencies_hz == pytest.approx([41.0, 58.0, 93.0], rel=1e-3)
 
 
 def test_a_rigid_machine_prints_the_plan(tmp_path: Path) -> None:

@@ -29,7 +29,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import StateSpace, lsim
 
-from models.machine import Drive, Machine
+from models.machine import Machine
+from models.vibration.carriage import Drive
+from models.vibration.delta import delta_vibration
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -137,7 +139,7 @@ class Rod:
 
 
 def _joints(machine: Machine, home: FloatArray, home_q: FloatArray, choice: Choice) -> Iterator[Rod]:
-    geometry, ring = machine.kinematics, machine.effector.joint_radius_mm / 1e3
+    geometry, ring = machine.kinematics, delta_vibration(machine).effector.joint_radius_mm / 1e3
     aside = (-HALF_PAIR_M, HALF_PAIR_M) if choice.effector == "parallelograms" else (0.0,)
     parts = zip("ABC", geometry.tower_angles_rad, geometry.delta_radii_mm / 1e3, home_q, strict=True)
     for tower, angle, radius, height in parts:
@@ -145,11 +147,18 @@ def _joints(machine: Machine, home: FloatArray, home_q: FloatArray, choice: Choi
         for n, offset in enumerate(aside):
             seat = ring * outward + offset * tangent + [0.0, 0.0, geometry.effector_height_mm / 1e3]
             upper = (radius + ring) * outward + offset * tangent + [0.0, 0.0, height]
-            yield Rod(tower, f"{tower}{n}", machine.carriage.arm_pair_mass_kg / len(aside), upper, home + seat, seat)
+            yield Rod(
+                tower,
+                f"{tower}{n}",
+                delta_vibration(machine).carriage.arm_pair_mass_kg / len(aside),
+                upper,
+                home + seat,
+                seat,
+            )
 
 
 def _carriage(machine: Machine, tower: str, rods: list[Rod], height: float, choice: Choice) -> Iterator[str]:
-    carriage = machine.carriage
+    carriage = delta_vibration(machine).carriage
     damping = carriage.belt_damping_n_s_per_m + carriage.guide_damping_n_s_per_m
     axis = _sprung("z", f"q_{tower}", carriage.belt_stiffness_n_per_m, damping, choice)
     middle = np.mean([rod.upper_m for rod in rods], axis=0)
@@ -173,7 +182,10 @@ def _rod(rod: Rod, carriage: FloatArray, arms: Arms) -> Iterator[str]:
 
 def _effector(machine: Machine, home: FloatArray, rods: list[Rod], choice: Choice) -> Iterator[str]:
     """The nozzle holder, its origin at the nozzle tip, and the extruder on its mount at the centre of mass."""
-    effector, plane = machine.effector, np.array([0.0, 0.0, machine.kinematics.effector_height_mm / 1e3])
+    effector, plane = (
+        delta_vibration(machine).effector,
+        np.array([0.0, 0.0, machine.kinematics.effector_height_mm / 1e3]),
+    )
     centre = _row(plane + effector.center_of_mass_mm / 1e3)
     inertia = _row(np.full(3, effector.nozzle_mass_kg * EFFECTOR_GYRATION_M**2))
     yield f"<body name='effector' pos='{_row(home)}'>"
@@ -293,17 +305,17 @@ def play(machine: Machine, nozzle_mm: FloatArray, command_mm: FloatArray, dt_s: 
 
 def _motor_force(printer: Multibody, told: FloatArray, dt_s: float) -> FloatArray:
     """k u + c u̇ in the middle of each step, (steps, 3) N, for commands (n, 3) m from home."""
-    carriage, half = printer.machine.carriage, printer.model.opt.timestep / 2
+    carriage, half = delta_vibration(printer.machine).carriage, printer.model.opt.timestep / 2
     u, speed = motor_motion(printer.machine, told, dt_s, half)
     return (carriage.belt_stiffness_n_per_m * u + carriage.belt_damping_n_s_per_m * speed)[1::2]
 
 
 def motor_motion(machine: Machine, told: FloatArray, dt_s: float, step_s: float) -> tuple[FloatArray, FloatArray]:
     """u and u̇ : (m, 3) each `step_s`, the drive's answer from rest to commands (n, 3) each `dt_s`."""
-    assert machine.carriage.drive is not None
+    assert delta_vibration(machine).carriage.drive is not None
     rows = dt_s * np.arange(len(told))
     t = step_s * np.arange(round(rows[-1] / step_s) + 1)
-    drive = _drive(machine.carriage.drive)
+    drive = _drive(delta_vibration(machine).carriage.drive)
     moved = np.stack([lsim(drive, column, t)[1] for column in CubicSpline(rows, told)(t).T], axis=-1)
     return moved[:, 0], moved[:, 1]
 

@@ -29,8 +29,7 @@ from models.machine import Machine
 from models.printer.kernels.friction import MOST_STRAIN
 from models.printer.kernels.record import PrinterParameters
 from models.printer.parameters import printer_parameters
-from models.vibration.scheduled import Schedule, rest_state
-from models.vibration.state_space import plant_table
+from models.vibration.scheduled import Schedule, plant_table
 
 PLAY = "belt_backlash"
 FORESEEN = ("coulomb_friction", "stribeck_friction", PLAY)
@@ -44,7 +43,7 @@ class FrictionBacklash:
     def __init__(self, model: InverseModel, printer: Machine) -> None:
         s = model.settings
         self._model, self._numbers, self._row_s = model, printer_parameters(printer), s.segment_s / s.substeps
-        self._undriven = replace(model.machine, carriage=replace(model.machine.carriage, drive=None))
+        self._undriven = replace(model.machine, vibration=model.machine.vibration.undriven())
         self._belts = Schedule(self._undriven, plant_table(self._undriven, self._row_s))
 
     @property

@@ -12,7 +12,10 @@ import pytest
 
 from models.arrays import constant
 from models.file import load_machine
-from models.machine import Carriage, DeltaKinematics, Effector, Machine, MotionLimits
+from models.kinematics.delta import DeltaKinematics
+from models.machine import Machine, MotionLimits
+from models.vibration.carriage import Carriage
+from models.vibration.effector import Effector
 
 TABLE_I_OFFSET = (10.21, -16.52, 19.31)
 

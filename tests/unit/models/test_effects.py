@@ -23,7 +23,7 @@ from models.errors import MachineFileError
 from models.file import LIBRARY, load_machine
 from models.machine import Machine
 from models.parameters import value_of
-from models.vibration.state_space import continuous_plant
+from models.vibration.delta import delta_vibration
 
 NAMED_BY_THE_FORMAT = {
     "coulomb_friction": {"force_n"},
@@ -213,14 +213,17 @@ def test_effects_fold_into_the_machines_numbers(printer: Machine, name, table, n
 def test_the_force_map_turns_over(printer: Machine, as_printed: Machine) -> None:
     for machine in (printer, as_printed):
         there = effective_machine(with_effect(machine, "force_map"))
-        assert {machine.effector.force_map, there.effector.force_map} == {"virtual_work", "paper"}
+        assert {delta_vibration(machine).effector.force_map, delta_vibration(there).effector.force_map} == {
+            "virtual_work",
+            "paper",
+        }
 
 
 def test_a_value_per_tower_reaches_the_linear_plant(printer: Machine) -> None:
     """q̈ of a carriage pulled by its own belt grows by its own belt's change, and by no other's."""
     place = np.array([[30.0, -20.0]])
     changed = effective_machine(with_effect(printer, "belt_stiffness", relative_change=[0.0, 0.1, 0.0]))
-    before, after = (continuous_plant(m, place).a[0, 9:12, 6:9] for m in (printer, changed))
+    before, after = (m.vibration.state_space(place).a[0, 9:12, 6:9] for m in (printer, changed))
     np.testing.assert_allclose(after / before, np.tile([1.0, 1.1, 1.0], (3, 1)), rtol=1e-12)
 
 

@@ -13,8 +13,7 @@ import pytest
 
 from models.arrays import constant
 from models.machine import Machine
-from models.vibration.effector import effector_impedance, load_map
-from models.vibration.receptance import assembly_frf, carriage_frf, modes, poles
+from models.vibration.delta import delta_vibration, with_parts
 
 M_C, M_F, M_1, M_2, M_ADD = 0.179, 0.032, 0.542, 0.109, 0.2
 C, B, K = 5.31, 13.4, 1.21e5
@@ -66,7 +65,7 @@ def test_the_hammer_met_a_stiffness_that_no_axis_has() -> None:
 
 
 def test_the_drives_zero_lies_in_the_right_half_plane(as_printed: Machine) -> None:
-    drive = as_printed.carriage.drive
+    drive = delta_vibration(as_printed).carriage.drive
     assert drive is not None
     (zero,) = np.roots([drive.d1_per_s, drive.d0_per_s2])
     assert zero == pytest.approx(674, abs=0.5)
@@ -74,11 +73,11 @@ def test_the_drives_zero_lies_in_the_right_half_plane(as_printed: Machine) -> No
 
 def test_the_drives_delay(as_printed: Machine) -> None:
     """−dφ/dω at zero: (d₂ − d₁)/d₀ by the drive, 1.5 ms of it |d₁|/d₀ by its zero; b/k more by the guide."""
-    drive = as_printed.carriage.drive
+    drive = delta_vibration(as_printed).carriage.drive
     assert drive is not None
     assert abs(drive.d1_per_s) / drive.d0_per_s2 == pytest.approx(1.5e-3, abs=2e-5)
     slow = np.array([0.01])
-    g = np.diag(carriage_frf(as_printed, np.zeros(2), slow)[0])
+    g = np.diag(as_printed.vibration.frequency_response(np.zeros(2), slow)[0])
     delay = -np.angle(g) / (2 * np.pi * slow)
     np.testing.assert_allclose(delay, (drive.d2_per_s - drive.d1_per_s) / drive.d0_per_s2 + B / K, rtol=1e-4)
 
@@ -121,15 +120,15 @@ def test_the_determinant_of_the_assembly_is_equation_68_three_times_over(rigid) 
     """At the centre of a centred machine α is J's singular value squared: det Z is the product of three such D."""
     machine = rigid()
     effector = replace(
-        machine.effector,
+        delta_vibration(machine).effector,
         extruder_stiffness_n_per_m=constant([9e3] * 3),
         extruder_damping_n_s_per_m=constant([20.0] * 3),
     )
-    carriage = replace(machine.carriage, belt_damping_n_s_per_m=C, guide_damping_n_s_per_m=B)
-    machine = replace(machine, carriage=carriage, effector=effector)
+    carriage = replace(delta_vibration(machine).carriage, belt_damping_n_s_per_m=C, guide_damping_n_s_per_m=B)
+    machine = with_parts(machine, carriage=carriage, effector=effector)
     alphas = np.linalg.svd(machine.kinematics.jacobian(np.zeros((1, 2)))[0], compute_uv=False) ** 2
     expected = np.concatenate([np.roots(_corrected(alpha, 20.0, 9e3)) for alpha in alphas])
-    found = poles(machine, np.zeros((1, 2)))[0]
+    found = machine.vibration.poles(np.zeros((1, 2)))[0]
     np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(expected), rtol=1e-6)
 
 
@@ -150,7 +149,7 @@ def test_y_motion_at_the_centre_leaves_carriage_a_alone(as_printed: Machine, pri
     to_carriages = np.linalg.inv(as_printed.kinematics.jacobian(np.zeros((1, 2)))[0])
     assert np.sum(np.abs(to_carriages) > 1e-12) == 8
     assert to_carriages[0, 1] == pytest.approx(0, abs=1e-12)
-    moved = assembly_frf(printer, np.zeros(2), np.geomspace(1, 200, 20), "carriage", "nozzle")
+    moved = printer.vibration.frequency_response(np.zeros(2), np.geomspace(1, 200, 20), "carriage", "nozzle")
     assert np.abs(moved[:, 0, 1]).max() < 1e-12 * np.abs(moved).max()
 
 
@@ -162,7 +161,7 @@ def test_the_papers_load_at_the_centre(as_printed: Machine) -> None:
     for length in (290.0, 300.0):
         machine = with_arms(as_printed, length)
         j = machine.kinematics.jacobian(PAPERS_PLACES[:1])[0]
-        load = load_map(machine, PAPERS_PLACES[:1])[0] @ j
+        load = delta_vibration(machine).load_map(PAPERS_PLACES[:1])[0] @ j
         ratio = np.diag(load) / np.diag(j.T @ j)
         assert np.all((ratio > 0.22) & (ratio < 0.28))
 
@@ -171,7 +170,7 @@ def test_the_papers_load_is_not_symmetric(as_printed: Machine) -> None:
     """Skew part over the whole, at the paper's four places: 6 to 19 %."""
     for length in (290.0, 300.0):
         machine = with_arms(as_printed, length)
-        load = load_map(machine, PAPERS_PLACES) @ machine.kinematics.jacobian(PAPERS_PLACES)
+        load = delta_vibration(machine).load_map(PAPERS_PLACES) @ machine.kinematics.jacobian(PAPERS_PLACES)
         skew = np.linalg.norm(load - load.swapaxes(1, 2), axis=(1, 2)) / 2 / np.linalg.norm(load, axis=(1, 2))
         assert skew.min() > 0.06 and 0.17 < skew.max() < 0.19
 
@@ -183,30 +182,32 @@ def test_eq_25_makes_the_rigid_modes_too_fast(rigid) -> None:
         machine = rigid(force_map, offset)
         mass = (
             M * np.eye(3)
-            + total * load_map(machine, np.zeros((1, 2)))[0] @ machine.kinematics.jacobian(np.zeros((1, 2)))[0]
+            + total
+            * delta_vibration(machine).load_map(np.zeros((1, 2)))[0]
+            @ machine.kinematics.jacobian(np.zeros((1, 2)))[0]
         )
         own = np.sort(np.sqrt(K / np.linalg.eigvals(mass).real)) / (2 * np.pi)
         np.testing.assert_allclose(own, expected, atol=0.1)
-        np.testing.assert_allclose(modes(machine, np.zeros(2)).frequencies_hz[:3], own, rtol=1e-6)
+        np.testing.assert_allclose(machine.vibration.modes_at(np.zeros(2)).frequencies_hz[:3], own, rtol=1e-6)
 
 
 def test_a_uniform_effector_in_closed_form(rigid) -> None:
     """W = w I: G = V diag(c s + k)/(m s² + (c+b) s + k + w σ_r²) Vᵀ, with J = U S Vᵀ."""
     machine = rigid()
-    machine = replace(
+    machine = with_parts(
         machine,
-        carriage=replace(machine.carriage, belt_damping_n_s_per_m=C, guide_damping_n_s_per_m=B),
+        carriage=replace(delta_vibration(machine).carriage, belt_damping_n_s_per_m=C, guide_damping_n_s_per_m=B),
         effector=replace(
-            machine.effector,
+            delta_vibration(machine).effector,
             extruder_stiffness_n_per_m=constant([8e4] * 3),
             extruder_damping_n_s_per_m=constant([15.0] * 3),
         ),
     )
     frequency = np.geomspace(1, 300, 30)
     s = 2j * np.pi * frequency
-    w = effector_impedance(machine, s)[:, 0]
+    w = delta_vibration(machine).effector_impedance(s)[:, 0]
     for place in PAPERS_PLACES:
         _, sigma, v = np.linalg.svd(machine.kinematics.jacobian(place[None])[0])
         each = (C * s + K)[:, None] / ((M * s**2 + (C + B) * s + K)[:, None] + w[:, None] * sigma**2)
         closed = np.einsum("ra,kr,rb->kab", v, each, v)
-        np.testing.assert_allclose(carriage_frf(machine, place, frequency), closed, atol=1e-11)
+        np.testing.assert_allclose(machine.vibration.frequency_response(place, frequency), closed, atol=1e-11)

@@ -13,6 +13,7 @@ import pytest
 
 from models.errors import MachineFileError
 from models.file import LIBRARY, entries, load_machine, machine_paths, starting_text
+from models.vibration.delta import delta_vibration
 
 LIBRARY_FILES = sorted(LIBRARY.glob("*.toml"))
 
@@ -82,8 +83,8 @@ def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_what_a_file_leaves_out_gets_the_documented_defaults(write) -> None:
     machine = load_machine(write(MINIMAL))
-    assert machine.carriage.drive is None
-    assert machine.effector.force_map == "virtual_work"
+    assert delta_vibration(machine).carriage.drive is None
+    assert delta_vibration(machine).effector.force_map == "virtual_work"
     assert machine.limits.square_corner_velocity_mm_per_s == 5.0
     assert machine.limits.carriage_velocity_mm_per_s == 500.0
     assert machine.limits.carriage_acceleration_mm_per_s2 == 30000.0
@@ -94,8 +95,8 @@ def test_what_a_file_leaves_out_gets_the_documented_defaults(write) -> None:
 
 def test_masses_are_put_together_as_the_paper_says(write) -> None:
     machine = load_machine(write(MINIMAL))
-    assert machine.carriage.moving_mass_kg == pytest.approx(0.195)  # Eq. 30
-    assert machine.nozzle_side_mass_kg == pytest.approx(0.545)  # three lower halves of 0.03 kg
+    assert delta_vibration(machine).carriage.moving_mass_kg == pytest.approx(0.195)  # Eq. 30
+    assert delta_vibration(machine).nozzle_side_mass_kg == pytest.approx(0.545)  # three lower halves of 0.03 kg
 
 
 def test_towers_stand_counter_clockwise_from_x(write) -> None:
@@ -136,8 +137,8 @@ who = { name = "me" }
 """
         )
     )
-    assert machine.carriage.drive is not None
-    assert machine.carriage.drive.d1_per_s == -200
+    assert delta_vibration(machine).carriage.drive is not None
+    assert delta_vibration(machine).carriage.drive.d1_per_s == -200
     assert machine.effects["coulomb_friction"] == {"force_n": [2.1, 2.2, 2.3]}
     assert machine.uncertainty["carriage.belt_stiffness_n_per_m"] == 0.05
     assert machine.provenance["who"] == {"name": "me"}
@@ -328,7 +329,7 @@ def test_every_number_of_the_library_has_its_provenance(path: Path) -> None:
 
 
 def test_the_library_prints_table_1(as_printed) -> None:
-    carriage, effector = as_printed.carriage, as_printed.effector
+    carriage, effector = delta_vibration(as_printed).carriage, delta_vibration(as_printed).effector
     assert (carriage.mass_kg, carriage.arm_pair_mass_kg, carriage.belt_stiffness_n_per_m) == (
         0.179,
         0.032,
@@ -353,8 +354,8 @@ def test_machine_files_made_by_others_load(runs_folder: Path) -> None:
     for path in paths:
         machine = load_machine(path)
         document = tomllib.loads(path.read_text())
-        assert machine.effector.nozzle_mass_kg == document["effector"]["nozzle_mass_kg"]
-        assert machine.carriage.drive is not None
+        assert delta_vibration(machine).effector.nozzle_mass_kg == document["effector"]["nozzle_mass_kg"]
+        assert delta_vibration(machine).carriage.drive is not None
         assert machine.steps.steps_per_mm == 80.0
 
 
@@ -362,7 +363,7 @@ def test_machine_files_made_by_others_load(runs_folder: Path) -> None:
 
 
 def test_models_are_light_to_import() -> None:
-    modules = "models.machine, models.vibration.receptance, models.kinematics.delta, models.checks.redundancy"
+    modules = "models.machine, models.vibration.delta, models.kinematics.delta, models.checks.redundancy"
     heavy = {"scipy", "control", "pydantic", "numba", "matplotlib", "tomlkit"}
     code = f"import sys, {modules}; print(*{heavy!r}.intersection(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -7,25 +7,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffcomp.compare.monte_carlo import FARTHEST, draw_plants, dynamic_numbers
+from ffcomp.compare.monte_carlo import FARTHEST, draw_plants
 from ffcomp.simulate.compatibility import check_same_kinematics
 from models.arrays import constant
 from models.errors import MachineFileError
 from models.file import load_machine
 from models.parameters import value_of
+from models.vibration.delta import delta_vibration, with_parts
 
 MACHINE = load_machine("mp-delta-pro")
 
 
 def test_a_seed_always_draws_the_same_printer() -> None:
     few, many = draw_plants(MACHINE, 0.1, 2), draw_plants(MACHINE, 0.1, 5)
-    for name in dynamic_numbers(MACHINE):
+    for name in MACHINE.vibration.parameters().names:
         assert [value_of(m, name) for m in few] == [value_of(m, name) for m in many[:2]]
 
 
 def test_every_dynamic_number_is_off_by_the_standard_deviation() -> None:
     plants = draw_plants(MACHINE, 0.1, 400)
-    for name in dynamic_numbers(MACHINE):
+    for name in MACHINE.vibration.parameters().names:
         off = np.array([value_of(m, name) for m in plants]) / value_of(MACHINE, name) - 1
         assert np.std(off) == pytest.approx(0.1, rel=0.15)
         assert abs(np.mean(off)) < 0.02 and np.abs(off).max() <= 0.1 * FARTHEST + 1e-12
@@ -33,9 +34,13 @@ def test_every_dynamic_number_is_off_by_the_standard_deviation() -> None:
 
 
 def test_no_dynamic_number_is_forgotten() -> None:
-    names = set(dynamic_numbers(MACHINE))
+    names = set(MACHINE.vibration.parameters().names)
     tables = ("carriage", "carriage.drive", "effector")
-    parts = (MACHINE.carriage, MACHINE.carriage.drive, MACHINE.effector)
+    parts = (
+        delta_vibration(MACHINE).carriage,
+        delta_vibration(MACHINE).carriage.drive,
+        delta_vibration(MACHINE).effector,
+    )
     keys = {f"{t}.{k}" for t, part in zip(tables, parts, strict=True) for k in part.__dataclass_fields__}
     left = keys - names - {name[:-3] for name in names}
     assert left == {
@@ -48,7 +53,7 @@ def test_no_dynamic_number_is_forgotten() -> None:
 
 
 def test_a_machine_without_drive_has_none_to_draw() -> None:
-    plain = replace(MACHINE, carriage=replace(MACHINE.carriage, drive=None))
+    plain = with_parts(MACHINE, carriage=replace(delta_vibration(MACHINE).carriage, drive=None))
     assert draw_plants(plain, 0.1, 1)[0].carriage.drive is None
 
 

@@ -14,7 +14,6 @@ from ffcomp.identify.accuracy import (
     phases_deg,
 )
 from models.file import load_machine
-from models.vibration.receptance import carriage_frf
 
 FREQUENCIES = np.arange(2.0, 125.1, 0.5)  # the paper's 247 lines
 LAG = np.exp(-1j * np.radians(np.linspace(20.0, 320.0, 247)))
@@ -53,7 +52,7 @@ def test_a_phase_near_zero_is_judged_in_tenths_of_a_degree() -> None:
 
 def test_noise_in_an_antiresonance_does_not_wind_the_phase_up() -> None:
     machine = load_machine("mp-delta-pro")
-    model = carriage_frf(machine, np.zeros(2), FREQUENCIES)[:, 0, 0]
+    model = machine.vibration.frequency_response(np.zeros(2), FREQUENCIES)[:, 0, 0]
     generator = np.random.default_rng(4)
     noisy = model + 0.3 * (generator.normal(size=247) + 1j * generator.normal(size=247))
     measured, predicted = phases_deg(noisy, model)

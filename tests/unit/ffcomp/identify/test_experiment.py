@@ -39,9 +39,7 @@ from gcode.reader import read_program
 from models.arrays import FloatArray, constant
 from models.file import load_machine
 from models.machine import Machine
-from models.vibration.receptance import carriage_frf
-from models.vibration.scheduled import rest_state
-from models.vibration.state_space import continuous_plant, discretise
+from models.vibration.state_space import discretise
 from validation import kalico
 
 SHORT = Request(directions=TOWERS + AXES, period_s=2.0, periods=1, highest_hz=110.0, places_mm=((0.0, 0.0),))
@@ -210,8 +208,8 @@ def test_a_plant_that_plays_it_shows_its_frequency_response() -> None:
     step = experiment.segment_s / substeps
     periods = experiment.first_knot + experiment.band.knots
     command = experiment.command(step * np.arange(periods * substeps + 1))
-    plant = discretise(continuous_plant(machine(), np.zeros((1, 2))), step)
-    rest = rest_state(machine(), np.array(experiment.position_mm))
+    plant = discretise(machine().vibration.state_space(np.zeros((1, 2))), step)
+    rest = machine().equilibrium(np.array(experiment.position_mm))
     a, b0, b1 = plant.a[0], plant.b0[0], plant.b1[0]
     carriages = np.empty((len(command) - 1, 3))
     for k in range(len(carriages)):
@@ -220,7 +218,7 @@ def test_a_plant_that_plays_it_shows_its_frequency_response() -> None:
     frequency = experiment.lines.frequency_hz
     period = slice(experiment.first_knot * substeps, periods * substeps)
     given = lines_of(command[period, 1], experiment.band).complex_mm * polyline_gain(frequency, step)
-    wanted = carriage_frf(machine(), np.zeros(2), frequency)[:, :, 1]
+    wanted = machine().vibration.frequency_response(np.zeros(2), frequency)[:, :, 1]
     for output in range(3):
         answer = lines_of(carriages[period.start - 1 : period.stop - 1, output], experiment.band).complex_mm
         assert np.abs(answer / given - wanted[:, output]).max() < 3e-3 * np.abs(wanted).max()

@@ -15,9 +15,10 @@ from ffcomp.identify.predict import predicted
 from ffcomp.identify.uncertainty import Joint, joined, through
 from ffcomp.identify.uncertainty import measured as by_scale
 from models.file import load_machine
-from models.machine import Drive, Machine
+from models.machine import Machine
 from models.parameters import value_of, with_values
-from models.vibration.receptance import carriage_frf
+from models.vibration.carriage import Drive
+from models.vibration.delta import delta_vibration, with_parts
 from tests.support.identification import blank, measured, paper_bench, towers_bench
 
 TRUTH = load_machine("mp-delta-pro")
@@ -29,8 +30,10 @@ def somewhere_else() -> Machine:
     """Another printer's numbers on this one's kinematics: 40 % and more off, every one."""
     other = load_machine("kossel")
     drive = Drive(2.5e5, -50.0, 100.0)
-    carriage = replace(other.carriage, arm_pair_mass_kg=TRUTH.carriage.arm_pair_mass_kg, drive=drive)
-    return replace(other, kinematics=TRUTH.kinematics, carriage=carriage)
+    carriage = replace(
+        delta_vibration(other).carriage, arm_pair_mass_kg=delta_vibration(TRUTH).carriage.arm_pair_mass_kg, drive=drive
+    )
+    return with_parts(replace(other, kinematics=TRUTH.kinematics), carriage=carriage)
 
 
 def test_step_by_step_within_2_percent_and_dampings_within_10() -> None:
@@ -126,7 +129,7 @@ def test_a_response_the_model_does_not_have_is_refused() -> None:
 
 def test_predictions_agree_with_the_frfs_of_the_model() -> None:
     at = np.array([-80.0, 20.0])
-    g = carriage_frf(TRUTH, at, COARSE)
+    g = TRUTH.vibration.frequency_response(at, COARSE)
     nine = np.stack(predicted(TRUTH, towers_bench(*at, COARSE)), axis=1).reshape(-1, 3, 3)
     np.testing.assert_allclose(nine, g, rtol=1e-12)
 
@@ -149,7 +152,7 @@ def test_decoupling_shows_which_part_is_wrong() -> None:
     assert [name for name, holds in verdicts(soft, (0.0, 0.0)).items() if not holds] == ["effector y"]
     heavy = with_values(TRUTH, {"effector.nozzle_mass_kg": 0.65})
     assert [n for n, holds in verdicts(heavy, (0.0, 0.0)).items() if not holds] == [f"effector {a}" for a in "xyz"]
-    paper = replace(TRUTH, effector=replace(TRUTH.effector, force_map="paper"))
+    paper = with_parts(TRUTH, effector=replace(delta_vibration(TRUTH).effector, force_map="paper"))
     assert not verdicts(paper, (-80.0, 0.0))["force map"]
 
 

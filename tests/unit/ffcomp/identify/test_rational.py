@@ -7,10 +7,11 @@ from ffcomp.errors import SolverError
 from ffcomp.identify.rational import fit_rational, fit_values
 from models.file import load_machine
 from models.vibration.carriage import command_frf
+from models.vibration.delta import delta_vibration
 from tests.support.identification import FREQUENCY_HZ, blank, measured
 
 MACHINE = load_machine("mp-delta-pro")
-CARRIAGE = MACHINE.carriage
+CARRIAGE = delta_vibration(MACHINE).carriage
 S = 2j * np.pi * FREQUENCY_HZ
 
 

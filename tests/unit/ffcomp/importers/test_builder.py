@@ -12,6 +12,7 @@ from ffcomp.importers.hints import HINTS, still_assumed
 from ffcomp.importers.values import PrinterConfigError
 from models.errors import MachineFileError
 from models.file import LIBRARY, check_text, entries, load_machine
+from models.vibration.delta import delta_vibration
 from tests.support.configs import COREXY, SHAPER, Delta, drafted, imported, written
 
 
@@ -20,8 +21,11 @@ def test_the_nearest_arm_lends_its_vibrations(arm: float, like: str, tmp_path: P
     path = written(tmp_path, Delta(arms=(arm, arm, arm)).klipper())
     assert drafted(path).like == like
     machine, lender = imported(path), load_machine(like)
-    assert machine.carriage == lender.carriage
-    assert machine.effector.extruder_stiffness_n_per_m.tolist() == lender.effector.extruder_stiffness_n_per_m.tolist()
+    assert delta_vibration(machine).carriage == delta_vibration(lender).carriage
+    assert (
+        delta_vibration(machine).effector.extruder_stiffness_n_per_m.tolist()
+        == delta_vibration(lender).effector.extruder_stiffness_n_per_m.tolist()
+    )
     assert machine.kinematics.arm_lengths_mm.tolist() == [arm] * 3
     assert machine.uncertainty["default"] == 0.2
 

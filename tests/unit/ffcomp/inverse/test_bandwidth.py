@@ -15,7 +15,7 @@ from ffcomp.inverse.bandwidth import HIGHEST, LOWEST_HZ, _square, effort_curve, 
 from ffcomp.inverse.settings import settings_for
 from models.file import load_machine
 from models.machine import Machine
-from models.vibration.receptance import modes, nozzle_frf
+from models.vibration.delta import delta_vibration, with_parts
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def machine() -> Machine:
 def test_the_knee_lies_above_the_modes_that_ring(name: str) -> None:
     machine = load_machine(name)
     curve = effort_curve(machine, 0.004)
-    found = modes(machine, np.zeros(2))
+    found = machine.vibration.modes_at(np.zeros(2))
     slow = found.frequencies_hz[found.frequencies_hz < 90.0]
     assert curve.knee_hz > slow.max()
     assert settings_for(machine).bandwidth_hz == curve.knee_hz
@@ -44,13 +44,13 @@ def test_more_bandwidth_costs_more_and_errs_less(machine: Machine) -> None:
 
 
 def test_grease_in_the_guides_does_not_take_bandwidth_away(machine: Machine) -> None:
-    carriage = replace(machine.carriage, guide_damping_n_s_per_m=120.0)
-    assert effort_curve(replace(machine, carriage=carriage), 0.004).knee_hz > 80.0
+    carriage = replace(delta_vibration(machine).carriage, guide_damping_n_s_per_m=120.0)
+    assert effort_curve(with_parts(machine, carriage=carriage), 0.004).knee_hz > 80.0
 
 
 def test_the_weight_is_where_accuracy_and_effort_weigh_alike(machine: Machine) -> None:
     rho = effort_weight(machine, 90.0, 0.004)
-    g = nozzle_frf(machine, np.zeros(2), np.array([90.0]))[0] * np.sinc(0.36) ** 2
+    g = machine.vibration.frequency_response(np.zeros(2), np.array([90.0]), "nozzle", "nozzle")[0] * np.sinc(0.36) ** 2
     bend = (2 * np.sin(np.pi * 0.36)) ** 2
     assert rho * bend**2 == pytest.approx(np.linalg.norm(g) ** 2 / 3, rel=1e-9)
 

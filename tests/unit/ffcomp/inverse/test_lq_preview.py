@@ -19,8 +19,6 @@ from ffcomp.planner.program import plan_program
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
-from models.vibration.receptance import carriage_frf
-from models.vibration.scheduled import rest_state
 
 FloatArray = NDArray[np.float64]
 
@@ -52,7 +50,7 @@ def references(name: str, machine: Machine, settings: Settings, seconds: float) 
 
 def solved(inverter: InverseModel, reference: Reference) -> Solution:
     return solve(
-        inverter, reference, rest_state(inverter.machine, reference.at_knots(np.array([0]))[0]), keep_response=True
+        inverter, reference, inverter.machine.equilibrium(reference.at_knots(np.array([0]))[0]), keep_response=True
     )
 
 
@@ -133,7 +131,7 @@ def test_the_beginning_is_what_a_slow_motion_needs(machine: Machine) -> None:
     """C and τ are the real and imaginary parts of the FRF's inverse, at a frequency where little more is in it."""
     inverter = InverseModel(machine, Settings())
     place, s = np.array([40.0, -30.0]), 2 * np.pi * 0.5
-    inverse = np.linalg.inv(carriage_frf(machine, place, np.array([0.5]))[0])
+    inverse = np.linalg.inv(machine.vibration.frequency_response(place, np.array([0.5]))[0])
     found = inverter.compliance_at(place[None])[0]
     np.testing.assert_allclose(found, (np.eye(3) - inverse.real) / s**2, atol=2e-3 * np.abs(found).max())
     np.testing.assert_allclose(np.diag(inverse.imag) / s, inverter.delay_s, rtol=1e-3)

@@ -31,8 +31,7 @@ from ffcomp.metrics import contour_error
 from ffcomp.simulate.playback import simulate_nozzles
 from models.file import load_machine
 from models.machine import Machine
-from models.parameters import dynamic_numbers, value_of
-from models.vibration.receptance import nozzle_frf
+from models.parameters import value_of
 from tests.support.prints import squares
 
 FloatArray = NDArray[np.float64]
@@ -146,8 +145,9 @@ def test_directions_hold_the_spread_of_the_draws(softening: RobustReference) -> 
     sensitivity, xy = softening.sensitivity, np.zeros(2)
     known = sensitivity._node((0, 0)).astype(np.complex128)
     f = sensitivity.frequency[60:280:20]  # 15 to 65 Hz
-    plain = np.linalg.inv(nozzle_frf(sensitivity.machine, xy, f))
-    plants = np.array([nozzle_frf(plant, xy, f) for plant in draw_plants(sensitivity.machine, 0.1, 100)]) @ plain
+    plain = np.linalg.inv(sensitivity.machine.vibration.frequency_response(xy, f, "nozzle", "nozzle"))
+    plants = draw_plants(sensitivity.machine, 0.1, 100)
+    plants = np.array([each.vibration.frequency_response(xy, f, "nozzle", "nozzle") for each in plants]) @ plain
     held = np.sum(np.abs(known[1:, 0, 0, 60:280:20]) ** 2, axis=0)
     assert 0.5 < np.sum(held) / np.sum(plants.var(axis=0)[:, 0, 0]) < 1.4
 
@@ -178,14 +178,18 @@ def test_the_expected_contour_error_is_lower(softening: RobustReference, machine
     path, known = zigzag(800), softening.sensitivity  # ends where it begins
     wanted, length = path + wish(softening, path), 4096
     f = np.asarray(np.fft.rfftfreq(length, known.row_s), dtype=np.float64)
-    g = nozzle_frf(machine, PLACE[:2], f)
+    g = machine.vibration.frequency_response(PLACE[:2], f, "nozzle", "nozzle")
     weight = known.effort / 2 * (2 * np.sin(np.pi * f * 2 * known.row_s)) ** 4
     adjoint = np.conj(np.swapaxes(g, 1, 2))
     plain = np.linalg.solve(adjoint @ g + weight[:, None, None] * np.eye(3), adjoint)
     t = np.arange(len(path), dtype=np.float64) * known.row_s
 
     def error(plant: Machine, wanted: FloatArray) -> float:
-        lines = nozzle_frf(plant, PLACE[:2], f) @ plain @ np.fft.rfft(wanted - path[0], length, axis=0)[:, :, None]
+        lines = (
+            plant.vibration.frequency_response(PLACE[:2], f, "nozzle", "nozzle")
+            @ plain
+            @ np.fft.rfft(wanted - path[0], length, axis=0)[:, :, None]
+        )
         nozzle = path[0] + np.fft.irfft(lines[..., 0], length, axis=0)[: len(path)]
         return float(np.mean(contour_error(t, path, t, nozzle) ** 2))
 
@@ -206,7 +210,7 @@ def test_where_a_span_ends_does_not_show(softening: RobustReference) -> None:
 def test_named_uncertainties_count_for_their_numbers_alone(machine: Machine) -> None:
     sure = replace(machine, uncertainty={"default": 0.0, "carriage.belt_stiffness_n_per_m": 0.1})
     draws = _draws(sure)
-    for name in dynamic_numbers(machine):
+    for name in machine.vibration.parameters().names:
         values = np.array([value_of(each, name) for each in draws])
         moved = name == "carriage.belt_stiffness_n_per_m"
         assert (np.ptp(values) > 0) == moved

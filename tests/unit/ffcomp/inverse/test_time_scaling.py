@@ -27,7 +27,6 @@ from gcode.program import Program
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
-from models.vibration.scheduled import rest_state
 
 FloatArray = NDArray[np.float64]
 
@@ -70,7 +69,7 @@ def solved(
     layer_of: LayerOf = lambda move: None,
     **options: Any,
 ) -> FeasibleSection:
-    state, limits = rest_state(machine, planned.trajectory.origin[run.first, :3]), planner_limits(machine)
+    state, limits = machine.equilibrium(planned.trajectory.origin[run.first, :3]), planner_limits(machine)
     model = InverseModel(machine, replace(inverter.settings, **options)) if options else inverter
     written = WHOLE.written(planned.trajectory, run, model.settings)
     request = SectionRequest(
@@ -107,7 +106,7 @@ def error_um(found: FeasibleSection) -> float:
 def test_where_nothing_binds_nothing_changes(machine: Machine, planned: PlannedProgram) -> None:
     inverter, run = inverter_of(machine), planned.sections[0]
     found = solved(inverter, planned, run, machine)
-    state = rest_state(machine, np.array(START))
+    state = machine.equilibrium(np.array(START))
     plain = solve(inverter, Reference(planned.trajectory, run, inverter.settings), state, keep_response=True)
     assert found.trajectory is planned.trajectory and found.section is run
     assert found.records == () and found.lost_s == 0.0 and not found.solution.constrained
@@ -227,7 +226,7 @@ def test_segments_can_be_played_in_their_time(machine: Machine) -> None:
         return 1e3 * float(((speeds.duration - each) * speeds.cruise).max())
 
     wanted = Reference(planned.trajectory, run, inverter.settings)
-    plain = solve(inverter, wanted, rest_state(machine, np.array(START)))
+    plain = solve(inverter, wanted, machine.equilibrium(np.array(START)))
     assert behind_um(plain.vertices, wanted) > 10.0
     found = solved(inverter, planned, run, machine)
     assert behind_um(found.solution.vertices, found.written.reference) <= 1.0

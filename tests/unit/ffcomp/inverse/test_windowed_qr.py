@@ -26,8 +26,8 @@ from ffcomp.planner.sections import split_sections
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
-from models.vibration.receptance import nozzle_frf
-from models.vibration.scheduled import interpolate, models_along, rest_state
+from models.vibration.delta import delta_vibration, with_parts
+from models.vibration.scheduled import interpolate, models_along
 
 FloatArray = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ def reference_of(
 
 def window_of(inverter: InverseModel, reference: Reference) -> WindowProblem:
     run = Iterate(inverter, reference)
-    return next_window(run, 0, rest_state(inverter.machine, reference.at_knots(np.array([0]))[0]))
+    return next_window(run, 0, inverter.machine.equilibrium(reference.at_knots(np.array([0]))[0]))
 
 
 def simulated(models: tuple[FloatArray, ...], rows: int, command: FloatArray) -> FloatArray:
@@ -111,7 +111,7 @@ def test_a_window_is_the_problem_that_cvxpy_solves(inverter: InverseModel, machi
 
 def test_a_run_begins_and_ends_at_rest_on_the_path(inverter: InverseModel, machine: Machine) -> None:
     reference = reference_of(CORNER, machine, SETTINGS)
-    result = solve(inverter, reference, rest_state(machine, np.array([-60.0, 20, 0.3])))
+    result = solve(inverter, reference, machine.equilibrium(np.array([-60.0, 20, 0.3])))
     np.testing.assert_allclose(result.vertices[0], [-60, 20, 0.3], atol=1e-10)
     np.testing.assert_allclose(result.vertices[-1], [-57, 26, 0.3], atol=1e-10)
 
@@ -122,7 +122,7 @@ def test_short_windows_give_what_long_ones_give(machine: Machine) -> None:
     for commit in (8, 20, 400):
         settings = replace(EXACT, commit=commit, preview=40)
         reference = reference_of(CORNER, machine, settings)
-        state = rest_state(machine, np.array([-60.0, 20, 0.3]))
+        state = machine.equilibrium(np.array([-60.0, 20, 0.3]))
         answers.append(solve(InverseModel(machine, settings), reference, state).vertices)
     np.testing.assert_allclose(answers[0], answers[2], atol=1e-3)  # a µm
     np.testing.assert_allclose(answers[1], answers[2], atol=1e-3)
@@ -133,7 +133,7 @@ def test_the_response_is_the_path(machine: Machine, inverse: Literal["exact", "f
     settings = replace(EXACT, inverse=inverse)
     inverter = InverseModel(machine, settings)
     reference = reference_of(CORNER, machine, settings)
-    state = rest_state(machine, np.array([-60.0, 20, 0.3]))
+    state = machine.equilibrium(np.array([-60.0, 20, 0.3]))
     result = solve(inverter, reference, state, keep_response=True)
     nozzle, velocity = reference.substeps(0, reference.knots)
     plain, _ = inverter.plant.respond(nozzle, velocity, state, settings.substeps)
@@ -158,7 +158,7 @@ def test_a_limit_between_plan_and_free_answer_is_held(
 ) -> None:
     """The free answer asks for more than the plan; half of that is allowed, and no more is taken at any instant."""
     settings = replace(EXACT, bandwidth_hz=112.0, lead_s=0.004, inverse=inverse)  # a late start asks for much
-    state = rest_state(machine, np.array([-60.0, 20, 0.3]))
+    state = machine.equilibrium(np.array([-60.0, 20, 0.3]))
     gcode = {VELOCITY: b"G1 X-20 Y0 Z20 F9000\n", TRAVEL: b"G1 X-50 Y20 F9000\n"}.get(limit, CORNER)
     reference = reference_of(gcode, machine, settings)
     inverter = InverseModel(machine, settings)
@@ -194,7 +194,7 @@ def test_every_solver_finds_the_command_of_the_readable_formulation(machine: Mac
     """On the constrained windows of a section: to a hundredth of a micrometre; osqp, which stops early, to one."""
     pytest.importorskip(solver)
     settings = replace(EXACT, bandwidth_hz=112.0, lead_s=0.004, inverse="fast")
-    state, reference = rest_state(machine, np.array([-60.0, 20, 0.3])), reference_of(CORNER, machine, settings)
+    state, reference = machine.equilibrium(np.array([-60.0, 20, 0.3])), reference_of(CORNER, machine, settings)
     free = solve(InverseModel(machine, settings), reference, state)
     tight = replace(machine.limits, carriage_acceleration_mm_per_s2=0.8 * free.utilisation * 30000.0)
     commands = [
@@ -209,7 +209,7 @@ def test_every_solver_finds_the_command_of_the_readable_formulation(machine: Mac
 def test_where_no_limit_binds_nothing_changes_after_a_limited_window(machine: Machine) -> None:
     """The fast answer is solved again at the late start only: what follows is kept to the last bit, and fits."""
     settings = replace(SETTINGS, corrections=1, bandwidth_hz=112.0, lead_s=0.004, inverse="fast")
-    state = rest_state(machine, np.array([-60.0, 20, 0.3]))
+    state = machine.equilibrium(np.array([-60.0, 20, 0.3]))
     reference = reference_of(CORNER + b"G1 X-20 Y10\nG1 X-20 Y60\n", machine, settings)
     free = solve(InverseModel(machine, settings), reference, state, keep_response=True)
     tight = replace(machine.limits, carriage_acceleration_mm_per_s2=0.6 * free.utilisation * 30000.0)
@@ -225,11 +225,14 @@ def test_where_no_limit_binds_nothing_changes_after_a_limited_window(machine: Ma
 
 def test_a_machine_turned_by_120_degrees_gives_the_turned_answer(machine: Machine) -> None:
     """Towers are alike; only the extruder's axes do not turn, so it is made the same in x and y."""
-    k, b = machine.effector.extruder_stiffness_n_per_m, machine.effector.extruder_damping_n_s_per_m
-    round_one = replace(
+    k, b = (
+        delta_vibration(machine).effector.extruder_stiffness_n_per_m,
+        delta_vibration(machine).effector.extruder_damping_n_s_per_m,
+    )
+    round_one = with_parts(
         machine,
         effector=replace(
-            machine.effector,
+            delta_vibration(machine).effector,
             extruder_stiffness_n_per_m=np.array([k[0], k[0], k[2]]),
             extruder_damping_n_s_per_m=np.array([b[0], b[0], b[2]]),
         ),
@@ -242,18 +245,20 @@ def test_a_machine_turned_by_120_degrees_gives_the_turned_answer(machine: Machin
     for corners in (points, points @ turn.T):
         gcode = b"".join(b"G1 X%.9f Y%.9f F9000\n" % (x, y) for x, y, _ in corners[1:])
         reference = reference_of(gcode, round_one, Settings(), tuple(corners[0]))
-        answers.append(solve(inverter, reference, rest_state(round_one, corners[0])).vertices)
+        answers.append(solve(inverter, reference, round_one.equilibrium(corners[0])).vertices)
     # the table over the bed is square: its interpolation does not turn exactly
     np.testing.assert_allclose(answers[1], answers[0] @ turn.T, atol=2e-3)
 
 
 def test_a_stiff_machine_is_left_alone(machine: Machine) -> None:
     """Infinite stiffness, ideal drive: the command is the plan, within a µm."""
-    carriage = replace(machine.carriage, belt_stiffness_n_per_m=1e10, drive=None, guide_damping_n_s_per_m=0.0)
-    stiff = replace(machine, carriage=carriage)
+    carriage = replace(
+        delta_vibration(machine).carriage, belt_stiffness_n_per_m=1e10, drive=None, guide_damping_n_s_per_m=0.0
+    )
+    stiff = with_parts(machine, carriage=carriage)
     inverter = InverseModel(stiff, Settings())
     reference = reference_of(CORNER, stiff, Settings())
-    result = solve(inverter, reference, rest_state(stiff, np.array([-60.0, 20, 0.3])))
+    result = solve(inverter, reference, stiff.equilibrium(np.array([-60.0, 20, 0.3])))
     plan = reference.at_knots(np.arange(reference.knots + 1))
     # a polyline cannot follow an accelerating path between its knots: a S²/8, and spreads what it cannot do
     assert np.abs(result.vertices - plan).max() < 0.06
@@ -261,7 +266,7 @@ def test_a_stiff_machine_is_left_alone(machine: Machine) -> None:
 
 def test_the_steady_delay_is_the_slope_of_the_phase(machine: Machine) -> None:
     f = 0.01
-    g = nozzle_frf(machine, np.array([40.0, -30.0]), np.array([f]))[0]
+    g = machine.vibration.frequency_response(np.array([40.0, -30.0]), np.array([f]), "nozzle", "nozzle")[0]
     assert -np.angle(g[0, 0]) / (2 * np.pi * f) == pytest.approx(steady_delay(machine), rel=1e-6)
 
 
@@ -270,7 +275,7 @@ def test_phi_needs_no_more_than_its_models() -> None:
     a = np.zeros((3, 18, 18))
     b0, b1 = np.zeros((3, 18, 3)), np.zeros((3, 18, 3))
     b1[:, 6:9] = np.eye(3)
-    phi = basis_response(a, b0, b1, np.repeat(np.eye(3)[None], 3, axis=0), 2, 2)
+    phi = basis_response(a, b0, b1, np.eye(18)[6:9], np.repeat(np.eye(3)[None], 3, axis=0), 2, 2)
     hat = np.array([0.5, 1, 0.5, 0, 0, 0])
     np.testing.assert_allclose(phi[0::3, 0], hat)
     np.testing.assert_allclose(phi[1::3, 4], np.roll(hat, 2))

@@ -14,7 +14,6 @@ from ffcomp.measurement.estimators import as_position
 from ffcomp.measurement.recording import Recording, read_recording
 from ffcomp.measurement.recording_frfs import frfs_from_recordings
 from models.file import load_machine
-from models.vibration.receptance import carriage_frf
 
 RATE = 1600.0
 B, A = [0.02, 0.01], [1.0, -1.9, 0.93]
@@ -93,7 +92,7 @@ def test_three_carriages_at_once_in_measured_runs(data: Path) -> None:
     names = ("centre-1", "centre-2", "centre-3", "centre-4", "centre-large")
     recordings = [read_recording(folder / "runs" / f"multisine-{name}.csv") for name in names]
     found = [as_position(one) for one in frfs_from_recordings(recordings, 10, 130, half_width_hz=2.0)]
-    truth = carriage_frf(load_machine(folder / "machine.toml"), np.zeros(2), found[0].frequency_hz)
+    truth = load_machine(folder / "machine.toml").vibration.frequency_response(np.zeros(2), found[0].frequency_hz)
     errors, stated = [], []
     for one in found[:9]:  # of acc_A, acc_B, acc_C
         sure = one.variance < 0.2**2

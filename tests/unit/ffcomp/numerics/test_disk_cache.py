@@ -13,6 +13,7 @@ from ffcomp.inverse.settings import settings_for
 from ffcomp.numerics import disk_cache as kept
 from models.file import load_machine
 from models.machine import Machine
+from models.vibration.delta import delta_vibration, with_parts
 
 HERE, THERE = np.array([[0.0, 0.0], [12.0, -30.0]]), np.array([[-50.0, 20.0]])
 
@@ -65,7 +66,7 @@ def test_two_that_went_elsewhere_keep_both(folder: Path, machine: Machine) -> No
 
 def test_another_machine_finds_nothing(folder: Path, machine: Machine) -> None:
     been_at(machine, HERE).save_cache()
-    heavier = replace(machine, effector=replace(machine.effector, extruder_mass_kg=0.3))
+    heavier = with_parts(machine, effector=replace(delta_vibration(machine).effector, extruder_mass_kg=0.3))
     for stranger in (
         InverseModel(heavier, settings_for(machine)),
         InverseModel(machine, replace(settings_for(machine), substeps=2)),

@@ -19,9 +19,8 @@ from ffcomp.report.frf import _spread, draw_bode, draw_map, map_verdict
 from models.file import load_machine
 from models.machine import Machine
 from models.vibration.carriage import command_frf, with_added_mass
-from models.vibration.effector import struck_frf
+from models.vibration.delta import delta_vibration
 from models.vibration.mode_map import mode_map
-from models.vibration.receptance import assembly_frf, modes
 
 FREQUENCIES = np.arange(2.0, 125.1, 0.5)
 PNG = b"\x89PNG"
@@ -63,7 +62,7 @@ def test_the_schema_stays_whatever_is_asked(machine: Machine) -> None:
         (answer,) = answers("--of", of, "--at", "0,0", "--step-hz", 5, "--json")
         assert answer["schema"] == "ffcomp-frf/1"
         frequency = np.array(answer["frequency_hz"])
-        g = assembly_frf(machine, np.zeros(2), frequency)
+        g = machine.vibration.frequency_response(np.zeros(2), frequency)
         for i in range(3):
             np.testing.assert_allclose(complex_of(answer["carriage"][i][i]), g[:, i, i], rtol=1e-9)
         assert answer["response"]["of"] == of
@@ -75,7 +74,7 @@ def test_responses_of_the_printer(machine: Machine, of, per) -> None:
     (answer,) = answers("--of", of, "--per", per, "--at", "-40,25", "--lowest-hz", 10, "--step-hz", 10)
     response, wanted = (
         answer["response"],
-        assembly_frf(machine, np.array([-40.0, 25.0]), np.arange(10, 201, 10.0), of, per),
+        machine.vibration.frequency_response(np.array([-40.0, 25.0]), np.arange(10, 201, 10.0), of, per),
     )
     assert (response["rows"][0], response["columns"][0]) == (
         "A" if of == "carriage" else "x",
@@ -89,9 +88,9 @@ def test_sub_model_1_with_masses(machine: Machine) -> None:
     found = answers("--of", "carriage-alone", "--added-mass-kg", 0, "--added-mass-kg", 0.2, "--step-hz", 10)
     assert [each["added_mass_kg"] for each in found] == [0.0, 0.2]
     s = 2j * np.pi * np.array(found[1]["frequency_hz"])
-    wanted = command_frf(with_added_mass(machine.carriage, 0.2), s)
+    wanted = command_frf(with_added_mass(delta_vibration(machine).carriage, 0.2), s)
     np.testing.assert_allclose(complex_of(found[1]["response"]["values"][0][0]), wanted, rtol=1e-9)
-    k, m = machine.carriage.belt_stiffness_n_per_m, 0.395
+    k, m = delta_vibration(machine).carriage.belt_stiffness_n_per_m, 0.395
     assert found[1]["modes"][0]["frequency_hz"] == pytest.approx(np.sqrt(k / m) / (2 * np.pi))
     drive = found[1]["modes"][1]
     assert drive["number"] is None and drive["frequency_hz"] == pytest.approx(np.sqrt(1.43e5) / (2 * np.pi))
@@ -102,7 +101,7 @@ def test_sub_model_2(machine: Machine, arms: list[str]) -> None:
     (answer,) = answers("--of", "effector-alone", *arms, "--step-hz", 10)
     s = 2j * np.pi * np.array(answer["frequency_hz"])
     found = complex_of(answer["response"]["values"][2][2])
-    np.testing.assert_allclose(found, struck_frf(machine, s, bool(arms))[:, 2], rtol=1e-9)
+    np.testing.assert_allclose(found, delta_vibration(machine).struck_frf(s, bool(arms))[:, 2], rtol=1e-9)
     assert answer["modes"][2]["kind"] == "along z"
 
 
@@ -208,7 +207,7 @@ def test_the_verdict_grades(machine: Machine, factor: float, grade: str) -> None
 
 def test_the_verdict_on_a_model_names_its_worst_peak(machine: Machine) -> None:
     said = verdict(study(machine, View(), FREQUENCIES, [np.array([100.0, 0.0])]))
-    g = np.abs(assembly_frf(machine, np.array([100.0, 0.0]), FREQUENCIES)[:, 0, 0])
+    g = np.abs(machine.vibration.frequency_response(np.array([100.0, 0.0]), FREQUENCIES)[:, 0, 0])
     assert f"A answers {g.max():.1f} times its command, at {FREQUENCIES[g.argmax()]:.0f} Hz" in said
 
 
@@ -259,12 +258,14 @@ def test_the_map_in_pictures_and_numbers(tmp_path: Path) -> None:
     assert told["schema"] == "ffcomp-frf-map/1"
     half = len(told["x_mm"]) // 2
     centre = [mode["frequency_hz"][half][half] for mode in told["modes"]]
-    np.testing.assert_allclose(centre, modes(load_machine("mp-delta-pro"), np.zeros(2)).frequencies_hz, atol=1e-6)
+    np.testing.assert_allclose(
+        centre, load_machine("mp-delta-pro").vibration.modes_at(np.zeros(2)).frequencies_hz, atol=1e-6
+    )
     assert told["modes"][0]["frequency_hz"][0][0] is None  # a corner: no bed
 
 
 def test_the_maps_verdict_names_the_mode_that_moves(machine: Machine, tmp_path: Path) -> None:
-    over = mode_map(machine, 15.0)
+    over = mode_map(delta_vibration(machine), 15.0)
     assert map_verdict(over).startswith("Mode 3 (mostly x) moves most: 39 to 58 Hz")
     draw_map(machine, over, tmp_path / "map.svg")
     text = (tmp_path / "map.svg").read_text(encoding="utf-8")

@@ -24,7 +24,7 @@ from ffcomp.shapers import calibration as calibrate
 from gcode.reader import read_program
 from models.arrays import constant
 from models.file import load_machine
-from models.machine import DeltaKinematics
+from models.kinematics.delta import DeltaKinematics
 from validation import kalico
 
 FloatArray = NDArray[np.float64]

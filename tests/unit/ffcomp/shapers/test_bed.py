@@ -13,6 +13,7 @@ from ffcomp import shapers
 from models.arrays import constant
 from models.file import load_machine
 from models.machine import Machine
+from models.vibration.delta import delta_vibration, with_parts
 
 FloatArray = NDArray[np.float64]
 
@@ -94,15 +95,19 @@ def rigid() -> Machine:
     """Hardly damped, an ideal drive, an extruder that does not flex, arms without mass."""
     machine = load_machine("kossel")
     carriage = replace(
-        machine.carriage, arm_pair_mass_kg=0.0, drive=None, belt_damping_n_s_per_m=0.1, guide_damping_n_s_per_m=0.1
+        delta_vibration(machine).carriage,
+        arm_pair_mass_kg=0.0,
+        drive=None,
+        belt_damping_n_s_per_m=0.1,
+        guide_damping_n_s_per_m=0.1,
     )
     effector = replace(
-        machine.effector,
+        delta_vibration(machine).effector,
         extruder_stiffness_n_per_m=constant([1e9] * 3),
         center_of_mass_mm=constant([0.0] * 3),
         force_map="virtual_work",
     )
-    return replace(machine, carriage=carriage, effector=effector)
+    return with_parts(machine, carriage=carriage, effector=effector)
 
 
 def test_at_the_centre_the_dominant_mode_is_the_closed_form() -> None:
@@ -110,8 +115,11 @@ def test_at_the_centre_the_dominant_mode_is_the_closed_form() -> None:
     machine = rigid()
     length, radius = machine.kinematics.arm_lengths_mm[0], machine.kinematics.delta_radii_mm[0]
     sigma_squared = 2 / 3 * (length**2 - radius**2) / radius**2
-    load = machine.nozzle_side_mass_kg + machine.effector.extruder_mass_kg
-    omega = np.sqrt(machine.carriage.belt_stiffness_n_per_m / (machine.carriage.mass_kg + load * sigma_squared))
+    load = delta_vibration(machine).nozzle_side_mass_kg + delta_vibration(machine).effector.extruder_mass_kg
+    omega = np.sqrt(
+        delta_vibration(machine).carriage.belt_stiffness_n_per_m
+        / (delta_vibration(machine).carriage.mass_kg + load * sigma_squared)
+    )
     assert shapers.dominant_frequencies(machine, np.zeros(2)) == pytest.approx([omega / (2 * np.pi)] * 2, rel=1e-3)
 
 

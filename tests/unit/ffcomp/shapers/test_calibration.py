@@ -18,7 +18,7 @@ from ffcomp.shapers import search
 from models.arrays import constant
 from models.file import load_machine
 from models.machine import Machine
-from models.vibration.receptance import nozzle_frf
+from models.vibration.delta import delta_vibration, with_parts
 
 FloatArray = NDArray[np.float64]
 
@@ -134,11 +134,11 @@ def test_spectra_that_say_nothing_are_refused(psd: FloatArray, message: str) -> 
 def stiff() -> Machine:
     """Follows every command."""
     machine = load_machine("kossel")
-    carriage = replace(machine.carriage, belt_stiffness_n_per_m=1e12, drive=None)
-    return replace(
+    carriage = replace(delta_vibration(machine).carriage, belt_stiffness_n_per_m=1e12, drive=None)
+    return with_parts(
         machine,
         carriage=carriage,
-        effector=replace(machine.effector, extruder_stiffness_n_per_m=constant([1e12] * 3)),
+        effector=replace(delta_vibration(machine).effector, extruder_stiffness_n_per_m=constant([1e12] * 3)),
     )
 
 
@@ -163,7 +163,9 @@ def test_the_spectrum_is_the_commands_times_the_frequency_response() -> None:
     machine, place = load_machine("kossel"), np.array([30.0, -40.0])
     frequency, command = undone(calibrate.resonance_test_psd(stiff(), place, "y"))
     _, answer = undone(calibrate.resonance_test_psd(machine, place, "y"))
-    gain = np.sum(np.abs(nozzle_frf(machine, place, frequency)[:, :, 1]) ** 2, axis=1)
+    gain = np.sum(
+        np.abs(machine.vibration.frequency_response(place, frequency, "nozzle", "nozzle")[:, :, 1]) ** 2, axis=1
+    )
     swept = frequency > 10
     assert answer[swept].sum() == pytest.approx((gain * command)[swept].sum(), rel=0.03)
 

@@ -11,13 +11,15 @@ from models.arrays import constant
 from models.checks.physics import bed, check_physics, unstable_positions
 from models.file import LIBRARY, load_machine
 from models.machine import Machine
-from models.vibration.receptance import poles, receptance
+from models.vibration.delta import delta_vibration, with_parts
 
-NAMES = sorted(path.stem for path in LIBRARY.glob("*.toml") if load_machine(path).first_share is None)  # deltas
+NAMES = sorted(
+    path.stem for path in LIBRARY.glob("*.toml") if load_machine(path).vibration.position_dependent
+)  # deltas
 
 
 def with_map(machine: Machine, force_map: str) -> Machine:
-    return replace(machine, effector=replace(machine.effector, force_map=force_map))
+    return with_parts(machine, effector=replace(delta_vibration(machine).effector, force_map=force_map))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -42,7 +44,9 @@ def test_where_energy_comes_from_it_really_does(as_printed: Machine) -> None:
     """The force that PhysicsChecks says gets work out of the machine: its mean power, ½ Re(F* v), is below zero."""
     worst = check_physics(as_printed).dissipation
     assert worst.frequency_hz is not None
-    y = receptance(as_printed, np.array([worst.x_mm, worst.y_mm]), np.array([worst.frequency_hz]))[0]
+    y = delta_vibration(as_printed).receptance(
+        np.array([worst.x_mm, worst.y_mm]), 2j * np.pi * np.array([worst.frequency_hz])
+    )[0]
     mobility = 2j * np.pi * worst.frequency_hz * y
     values, vectors = np.linalg.eigh((mobility + mobility.conj().T) / 2)
     force = vectors[:, 0]
@@ -52,7 +56,9 @@ def test_where_energy_comes_from_it_really_does(as_printed: Machine) -> None:
 
 
 def test_a_centred_mass_is_a_third_of_the_load(as_printed: Machine) -> None:
-    centred = replace(as_printed, effector=replace(as_printed.effector, center_of_mass_mm=constant([0.0, 0.0, 0.0])))
+    centred = with_parts(
+        as_printed, effector=replace(delta_vibration(as_printed).effector, center_of_mass_mm=constant([0.0, 0.0, 0.0]))
+    )
     sound = check_physics(centred)
     assert sound.least_load.value == pytest.approx(1 / 3) and sound.most_load.value == pytest.approx(1 / 3)
     assert sound.is_passive and sound.is_reciprocal
@@ -62,16 +68,16 @@ def test_a_centred_mass_is_a_third_of_the_load(as_printed: Machine) -> None:
 def test_vibrations_of_the_library_decay_all_over_the_bed(name: str) -> None:
     machine = load_machine(name)
     assert unstable_positions(machine).shape == (0, 2)
-    assert poles(machine, np.zeros((1, 2))).real.max() < -3.0  # 1/s: not merely by rounding
+    assert machine.vibration.poles(np.zeros((1, 2))).real.max() < -3.0  # 1/s: not merely by rounding
 
 
 def test_a_map_that_conserves_no_energy_can_shake_itself_to_pieces(as_printed: Machine) -> None:
-    far = replace(as_printed.effector, center_of_mass_mm=constant([35.0, -60.0, 120.0]))
-    machine = replace(as_printed, effector=far)
+    far = replace(delta_vibration(as_printed).effector, center_of_mass_mm=constant([35.0, -60.0, 120.0]))
+    machine = with_parts(as_printed, effector=far)
     places, sound = unstable_positions(machine), check_physics(machine)
     assert len(places) > 0 and not sound.is_stable
     worst = np.array([[sound.growth_per_s.x_mm, sound.growth_per_s.y_mm]])
-    assert poles(machine, worst).real.max() == pytest.approx(sound.growth_per_s.value, rel=1e-3)
+    assert machine.vibration.poles(worst).real.max() == pytest.approx(sound.growth_per_s.value, rel=1e-3)
     assert len(unstable_positions(with_map(machine, "virtual_work"))) == 0
 
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from models.arrays import constant
 from models.errors import UnreachableError
+from models.kinematics.delta import DeltaKinematics
 from models.kinematics.delta_kernels import inverse_point
-from models.machine import DeltaKinematics
 
 SYMMETRIC = DeltaKinematics(
     constant([300.0] * 3), constant([140.0] * 3), constant([0.0, 120.0, 240.0]), 50.0, 135.0, 300.0

@@ -11,10 +11,12 @@ from scipy.interpolate import CubicSpline
 
 from models.arrays import constant
 from models.errors import UnreachableError
-from models.machine import DeltaKinematics, Machine
+from models.kinematics.delta import DeltaKinematics
+from models.machine import Machine
 from models.printer.parameters import GRAVITY_M_PER_S2
 from models.printer.printer import PrinterMotion, simulate_printer
-from models.vibration.state_space import continuous_plant, discretise
+from models.vibration.delta import delta_vibration, with_parts
+from models.vibration.state_space import discretise
 from validation.plants import delta_plant  # the judge: it shares nothing with ours
 
 RATE_HZ = 1600
@@ -36,7 +38,7 @@ def judged(machine: Machine, command: np.ndarray, gravity: bool) -> dict[str, np
     finer = 16  # half steps of 1/12800 s
     half_steps = CubicSpline(t, command)(np.arange((len(t) - 1) * finer + 1) / (RATE_HZ * finer))
     document = delta_plant.load_machine(machine.path)
-    if machine.carriage.drive is None:
+    if delta_vibration(machine).carriage.drive is None:
         del document["carriage"]["drive"]
     document["kinematics"]["arm_lengths_mm"] = list(machine.kinematics.arm_lengths_mm)
     document["kinematics"]["delta_radii_mm"] = list(machine.kinematics.delta_radii_mm)
@@ -51,7 +53,7 @@ def uneven(machine: Machine) -> Machine:
 
 
 def ideal(machine: Machine) -> Machine:
-    return replace(machine, carriage=replace(machine.carriage, drive=None))
+    return with_parts(machine, carriage=replace(delta_vibration(machine).carriage, drive=None))
 
 
 @pytest.mark.parametrize("gravity", [True, False])
@@ -62,7 +64,9 @@ def test_the_judge_agrees(printer: Machine, change, gravity: bool) -> None:
     ours, theirs = simulate_printer(machine, command, 1 / RATE_HZ, gravity=gravity), judged(machine, command, gravity)
     for field in ("carriage_mm", "nozzle_mm"):
         np.testing.assert_allclose(getattr(ours, field), theirs[field], rtol=0, atol=1e-6)
-    atol = 1e-4 if machine.carriage.drive else 1e-2  # the judge differentiates an ideal drive's command numerically
+    atol = (
+        1e-4 if delta_vibration(machine).carriage.drive else 1e-2
+    )  # the judge differentiates an ideal drive's command numerically
     np.testing.assert_allclose(ours.carriage_acceleration, theirs["carriage_acc_m_per_s2"], atol=atol)
     np.testing.assert_allclose(ours.nozzle_acceleration, theirs["nozzle_acc_m_per_s2"], atol=atol)
 
@@ -107,24 +111,28 @@ def test_rest_stays_rest(printer: Machine) -> None:
 
 def sag_load(machine: Machine) -> float:
     """N on each belt at rest at the centre: the carriage's weight and a third of the effector's."""
-    effector = machine.nozzle_side_mass_kg + machine.effector.extruder_mass_kg
-    return GRAVITY_M_PER_S2 * (machine.carriage.moving_mass_kg + effector / 3)
+    effector = delta_vibration(machine).nozzle_side_mass_kg + delta_vibration(machine).effector.extruder_mass_kg
+    return GRAVITY_M_PER_S2 * (delta_vibration(machine).carriage.moving_mass_kg + effector / 3)
 
 
 def test_belts_carry_the_weight(printer: Machine) -> None:
     motion = resting(printer)
     sag = motion.motor_mm[-1] - motion.carriage_mm[-1]
-    np.testing.assert_allclose(sag, 1e3 * sag_load(printer) / printer.carriage.belt_stiffness_n_per_m, rtol=1e-9)
+    np.testing.assert_allclose(
+        sag, 1e3 * sag_load(printer) / delta_vibration(printer).carriage.belt_stiffness_n_per_m, rtol=1e-9
+    )
     still = resting(printer, gravity=False)
     np.testing.assert_allclose(still.motor_mm, still.carriage_mm, atol=1e-9)
 
 
 def test_the_papers_map_carries_a_third_of_a_centred_mass(printer: Machine) -> None:
-    effector = replace(printer.effector, center_of_mass_mm=constant([0, 0, 0]), force_map="paper")
-    motion = resting(replace(printer, effector=effector))
-    load = sag_load(printer) - GRAVITY_M_PER_S2 * printer.carriage.moving_mass_kg
-    expected = GRAVITY_M_PER_S2 * printer.carriage.moving_mass_kg + load / 3
-    pull = printer.carriage.belt_stiffness_n_per_m * (motion.motor_mm[-1] - motion.carriage_mm[-1]) / 1e3
+    effector = replace(delta_vibration(printer).effector, center_of_mass_mm=constant([0, 0, 0]), force_map="paper")
+    motion = resting(with_parts(printer, effector=effector))
+    load = sag_load(printer) - GRAVITY_M_PER_S2 * delta_vibration(printer).carriage.moving_mass_kg
+    expected = GRAVITY_M_PER_S2 * delta_vibration(printer).carriage.moving_mass_kg + load / 3
+    pull = (
+        delta_vibration(printer).carriage.belt_stiffness_n_per_m * (motion.motor_mm[-1] - motion.carriage_mm[-1]) / 1e3
+    )
     np.testing.assert_allclose(pull, expected, rtol=1e-9)
 
 
@@ -134,14 +142,14 @@ def test_the_papers_map_carries_a_third_of_a_centred_mass(printer: Machine) -> N
 @pytest.mark.parametrize("drive", [True, False])
 @pytest.mark.parametrize("force_map", ["virtual_work", "paper"])
 def test_small_motions_are_those_of_the_linear_plant(printer: Machine, force_map: str, drive: bool) -> None:
-    machine = replace(printer, effector=replace(printer.effector, force_map=force_map))
+    machine = with_parts(printer, effector=replace(delta_vibration(printer).effector, force_map=force_map))
     machine = machine if drive else ideal(machine)
     place = np.array([[40.0, -30.0, 25.0]])
     steps = 1e-5 * np.random.default_rng(5).standard_normal((200, 3))  # 10 nm: nothing bends
     small = np.cumsum(steps, axis=0) - steps[0]
     command = machine.kinematics.inverse(place) + small
     motion = simulate_printer(machine, command, 1e-3, hold="linear", gravity=False)
-    plant = discretise(continuous_plant(machine, place[:, :2]), 1e-3)
+    plant = discretise(machine.vibration.state_space(place[:, :2]), 1e-3)
     state = np.zeros(18)
     linear = [state[6:9]]
     for before, after in pairwise(small):
@@ -156,17 +164,17 @@ def test_small_motions_are_those_of_the_linear_plant(printer: Machine, force_map
 @pytest.fixture
 def symmetric(printer: Machine) -> Machine:
     effector = replace(
-        printer.effector,
+        delta_vibration(printer).effector,
         extruder_stiffness_n_per_m=constant([5e3, 5e3, 1e5]),
         extruder_damping_n_s_per_m=constant([30, 30, 20]),
         center_of_mass_mm=constant([0, 0, 15]),
     )
-    return replace(printer, effector=effector)
+    return with_parts(printer, effector=effector)
 
 
 @pytest.mark.parametrize("force_map", ["virtual_work", "paper"])
 def test_a_turn_of_120_degrees_turns_the_answer(symmetric: Machine, force_map: str) -> None:
-    machine = replace(symmetric, effector=replace(symmetric.effector, force_map=force_map))
+    machine = with_parts(symmetric, effector=replace(delta_vibration(symmetric).effector, force_map=force_map))
     command = sweeping(machine.kinematics, 0.5)
     motion = simulate_printer(machine, command, 1 / RATE_HZ)
     turned = simulate_printer(machine, np.roll(command, 1, axis=1), 1 / RATE_HZ)  # A's command to B: +120°

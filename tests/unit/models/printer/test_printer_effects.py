@@ -52,8 +52,8 @@ def stretch_m(motion: PrinterMotion) -> np.ndarray:
 
 def weight(machine: Machine) -> float:
     """N on each belt at rest at the centre."""
-    effector = machine.nozzle_side_mass_kg + machine.effector.extruder_mass_kg
-    return GRAVITY_M_PER_S2 * (machine.carriage.moving_mass_kg + effector / 3)
+    effector = delta_vibration(machine).nozzle_side_mass_kg + delta_vibration(machine).effector.extruder_mass_kg
+    return GRAVITY_M_PER_S2 * (delta_vibration(machine).carriage.moving_mass_kg + effector / 3)
 
 
 def rest_stretch(machine: Machine) -> np.ndarray:
@@ -65,7 +65,7 @@ def rest_stretch(machine: Machine) -> np.ndarray:
 
 def belt_work(motion: PrinterMotion, machine: Machine, period: slice) -> float:
     """J that one belt's spring does over a period."""
-    force = machine.carriage.belt_stiffness_n_per_m * stretch_m(motion)[period, 0]
+    force = delta_vibration(machine).carriage.belt_stiffness_n_per_m * stretch_m(motion)[period, 0]
     return float(np.sum(force * motion.carriage_velocity[period, 0])) / 1e3 / RATE_HZ
 
 
@@ -84,7 +84,7 @@ def test_dry_friction_takes_4fa_a_cycle(printer: Machine, name: str, share: floa
 @pytest.mark.parametrize("speed", [1.0, 100.0])
 def test_dry_friction_is_the_same_at_every_speed(printer: Machine, speed: float) -> None:
     rough, smooth = steady(with_effect(printer, "coulomb_friction", force_n=3.0), speed), steady(printer, speed)
-    more = printer.carriage.belt_stiffness_n_per_m * (stretch_m(rough) - stretch_m(smooth))[-1]
+    more = delta_vibration(printer).carriage.belt_stiffness_n_per_m * (stretch_m(rough) - stretch_m(smooth))[-1]
     np.testing.assert_allclose(more, 3.0, rtol=0.03)
 
 
@@ -102,7 +102,7 @@ def test_friction_holds_a_carriage_off_its_command(printer: Machine) -> None:
     move = np.where(t < 0.3, (1 - np.cos(np.pi * t / 0.3)) / 2, 1.0)
     up, down = (on_z(rough, 5 * sign * (move - 1), gravity=False) for sign in (1, -1))
     apart = down.carriage_mm[:, 0] - up.carriage_mm[:, 0]
-    hysteresis = 2e3 * 3.0 / printer.carriage.belt_stiffness_n_per_m
+    hysteresis = 2e3 * 3.0 / delta_vibration(printer).carriage.belt_stiffness_n_per_m
     assert 0.5 * hysteresis < apart[-1] < 1.01 * hysteresis
     assert apart[-1] == pytest.approx(apart[-RATE_HZ // 4], rel=0.01)
 
@@ -112,7 +112,7 @@ def test_sticking_friction_fades_with_speed(printer: Machine) -> None:
     for speed in (1.0, 20.0, 100.0):
         more = stretch_m(steady(sticky, speed, 1.0)) - stretch_m(steady(printer, speed, 1.0))
         expected = 2.0 + 1.5 * np.exp(-((speed / 20) ** 2))
-        force = printer.carriage.belt_stiffness_n_per_m * more[-RATE_HZ // 4 :].mean(axis=0)
+        force = delta_vibration(printer).carriage.belt_stiffness_n_per_m * more[-RATE_HZ // 4 :].mean(axis=0)
         np.testing.assert_allclose(force, expected, rtol=0.04)
 
 
@@ -130,26 +130,28 @@ def test_strong_friction_stays_stable(printer: Machine) -> None:
 def test_viscous_friction_lags_by_its_force(printer: Machine) -> None:
     slow = with_effect(printer, "guide_damping", added_n_s_per_m=[0.0, 10.0, 20.0])
     lag = stretch_m(steady(slow, 100.0))[-1] - stretch_m(steady(printer, 100.0))[-1]
-    np.testing.assert_allclose(printer.carriage.belt_stiffness_n_per_m * lag, [0, 1, 2], atol=0.01)
+    np.testing.assert_allclose(delta_vibration(printer).carriage.belt_stiffness_n_per_m * lag, [0, 1, 2], atol=0.01)
 
 
 def test_a_hardening_belt_obeys_its_cubic(printer: Machine) -> None:
     for cubic in (1e13, -5e12):
         s = rest_stretch(with_effect(printer, "belt_hardening", cubic_n_per_m3=cubic))
-        force = printer.carriage.belt_stiffness_n_per_m * s + cubic * s**3
+        force = delta_vibration(printer).carriage.belt_stiffness_n_per_m * s + cubic * s**3
         np.testing.assert_allclose(force, weight(printer), rtol=1e-6)
 
 
 def test_an_overloaded_soft_belt_keeps_its_peak_force(printer: Machine) -> None:
     """At constant speed through more viscous friction than the belt can pull, the carriage falls behind in balance."""
-    k, cubic = printer.carriage.belt_stiffness_n_per_m, -2e13
+    k, cubic = delta_vibration(printer).carriage.belt_stiffness_n_per_m, -2e13
     peak = 2 / 3 * k * np.sqrt(k / (-3 * cubic))
     soft = with_effect(printer, "belt_hardening", cubic_n_per_m3=cubic)
     speed = 120.0  # mm/s: 3.2 N at the guides' damping alone
     motion = steady(with_effect(soft, "guide_damping", added_n_s_per_m=30.0), speed)
     behind = speed - motion.carriage_velocity[-1]
-    resisting = (printer.carriage.guide_damping_n_s_per_m + 30.0) * motion.carriage_velocity[-1] / 1e3
-    np.testing.assert_allclose(resisting, peak + printer.carriage.belt_damping_n_s_per_m * behind / 1e3, rtol=0.01)
+    resisting = (delta_vibration(printer).carriage.guide_damping_n_s_per_m + 30.0) * motion.carriage_velocity[-1] / 1e3
+    np.testing.assert_allclose(
+        resisting, peak + delta_vibration(printer).carriage.belt_damping_n_s_per_m * behind / 1e3, rtol=0.01
+    )
     assert behind.min() > 10
 
 
@@ -159,7 +161,7 @@ def test_a_belt_is_stiffer_above_its_centre(printer: Machine) -> None:
         with_effect(printer, "belt_position_stiffness", slope_per_m=2.0, q_centre_mm=list(q - [100, 0, -50]))
     )
     k = weight(printer) / s
-    np.testing.assert_allclose(k / printer.carriage.belt_stiffness_n_per_m, [1.2, 1.0, 0.9], rtol=2e-4)
+    np.testing.assert_allclose(k / delta_vibration(printer).carriage.belt_stiffness_n_per_m, [1.2, 1.0, 0.9], rtol=2e-4)
 
 
 def test_play_is_a_hysteresis_of_its_width(printer: Machine) -> None:
@@ -173,7 +175,7 @@ def test_play_is_a_hysteresis_of_its_width(printer: Machine) -> None:
 
 def test_play_under_weight_only_moves_the_rest(printer: Machine) -> None:
     s = rest_stretch(with_effect(printer, "belt_backlash", width_mm=[0.0, 0.1, 0.2]))
-    sag = weight(printer) / printer.carriage.belt_stiffness_n_per_m
+    sag = weight(printer) / delta_vibration(printer).carriage.belt_stiffness_n_per_m
     np.testing.assert_allclose(s - sag, [0, 0.05e-3, 0.1e-3], atol=1e-7)
 
 
@@ -217,7 +219,7 @@ def test_cogging_is_a_wave_of_the_motor(printer: Machine) -> None:
 
 def test_cogging_of_an_ideal_drive_is_a_rippled_command(printer: Machine) -> None:
     """Fast enough for the belt's damper to feel the rate of the ripple."""
-    direct = replace(printer, carriage=replace(printer.carriage, drive=None))
+    direct = with_parts(printer, carriage=replace(delta_vibration(printer).carriage, drive=None))
     t = np.arange(0, 0.4, 1e-4)
     q = direct.kinematics.inverse(CENTRE) + (20 * (1 - np.cos(6 * t)))[:, None]
     rippled = simulate_printer(with_effect(direct, "cogging", amplitude_mm=0.02, pitch_mm=0.8), q, 1e-4)
@@ -229,7 +231,7 @@ def test_cogging_of_an_ideal_drive_is_a_rippled_command(printer: Machine) -> Non
 
 
 def test_a_motors_torque_is_a_sine_of_its_lag(printer: Machine) -> None:
-    k, a = printer.carriage.belt_stiffness_n_per_m, 0.06e-3
+    k, a = delta_vibration(printer).carriage.belt_stiffness_n_per_m, 0.06e-3
     s = rest_stretch(with_effect(printer, "torque_angle", amplitude_mm=1e3 * a))
     np.testing.assert_allclose(s, a * np.arcsin(weight(printer) / (k * a)), rtol=1e-6)
     assert s[0] > 1.05 * rest_stretch(printer)[0]
@@ -286,10 +288,12 @@ def test_rods_carry_an_offset_mass_among_themselves(printer: Machine) -> None:
 
 def test_a_loose_extruder_rings_slower(printer: Machine) -> None:
     """The nozzle's own vibration along x, after a jerk, has the frequency the softened mount predicts."""
-    firm = replace(
+    firm = with_parts(
         printer,
-        carriage=replace(printer.carriage, belt_stiffness_n_per_m=1e8, belt_damping_n_s_per_m=1e3, drive=None),
-        effector=replace(printer.effector, extruder_damping_n_s_per_m=constant([0.5] * 3)),
+        carriage=replace(
+            delta_vibration(printer).carriage, belt_stiffness_n_per_m=1e8, belt_damping_n_s_per_m=1e3, drive=None
+        ),
+        effector=replace(delta_vibration(printer).effector, extruder_damping_n_s_per_m=constant([0.5] * 3)),
     )
     soft = with_effect(firm, "extruder_mount", relative_stiffness_change=[-0.5, 0.0, 0.0])
     t = times(0.6)
@@ -310,9 +314,11 @@ def test_the_frame_answers_as_a_mass_on_a_spring(printer: Machine, frequency: fl
 
     At the frame's own frequency that is a dip: the ground hardly feels the nozzle.
     """
-    effector = replace(printer.effector, extruder_mass_kg=1e-4, extruder_damping_n_s_per_m=constant([0.1] * 3))
+    effector = replace(
+        delta_vibration(printer).effector, extruder_mass_kg=1e-4, extruder_damping_n_s_per_m=constant([0.1] * 3)
+    )
     frame = {"mass_kg": 4.0, "frequency_hz": 20.0, "damping_ratio": 0.05, "direction": "x"}
-    machine = with_effect(replace(printer, effector=effector), "frame_mode", **frame)
+    machine = with_effect(with_parts(printer, effector=effector), "frame_mode", **frame)
     t = times(2.0)
     path = CENTRE + np.column_stack([np.sin(2 * np.pi * frequency * t) * np.minimum(t / 0.5, 1), 0 * t, 0 * t])
     motion = simulate_printer(machine, machine.kinematics.inverse(path), 1 / RATE_HZ, gravity=False, substeps=16)
@@ -320,25 +326,27 @@ def test_the_frame_answers_as_a_mass_on_a_spring(printer: Machine, frequency: fl
     wave = np.exp(-2j * np.pi * frequency * t[last])
     s, omega = 2j * np.pi * frequency, 2 * np.pi * 20
     relative = s * np.sum(motion.nozzle_velocity[last, 0] * wave) / 1e3
-    m, sway = machine.nozzle_side_mass_kg, 2 * 0.05 * omega * s + omega**2
+    m, sway = delta_vibration(machine).nozzle_side_mass_kg, 2 * 0.05 * omega * s + omega**2
     expected = 4.0 * (s**2 + sway) / ((4.0 + m) * s**2 + 4.0 * sway)
     assert np.sum(motion.nozzle_acceleration[last, 0] * wave) / relative == pytest.approx(expected, rel=2e-3)
 
 
 def test_a_free_frame_lightens_the_nozzle(printer: Machine) -> None:
     """Sideways the belts swing the reduced mass M₁ M_f/(M₁ + M_f): ω² = k/(m + M σ²), σ² = ⅔ (h/R)² at the centre."""
-    geometry, carriage = printer.kinematics, printer.carriage
-    effector = replace(printer.effector, extruder_mass_kg=1e-4, extruder_damping_n_s_per_m=constant([0.1] * 3))
+    geometry, carriage = printer.kinematics, delta_vibration(printer).carriage
+    effector = replace(
+        delta_vibration(printer).effector, extruder_mass_kg=1e-4, extruder_damping_n_s_per_m=constant([0.1] * 3)
+    )
     belts = replace(carriage, drive=None, belt_damping_n_s_per_m=0.0, guide_damping_n_s_per_m=0.5)
     frame = {"mass_kg": 1.0, "frequency_hz": 0.5, "damping_ratio": 0.0, "direction": "both"}
-    machine = with_effect(replace(printer, effector=effector, carriage=belts), "frame_mode", **frame)
+    machine = with_effect(with_parts(printer, effector=effector, carriage=belts), "frame_mode", **frame)
     t = times(1.0)
     push = CENTRE + np.column_stack([0.1 * np.minimum(t / 0.005, 1), 0 * t, 0 * t])
     motion = simulate_printer(machine, geometry.inverse(push), 1 / RATE_HZ, hold="linear", gravity=False, substeps=16)
     spectrum = np.abs(np.fft.rfft(motion.nozzle_velocity[50:, 0] * np.hanning(len(t) - 50), 1 << 16))
     height2 = geometry.arm_lengths_mm[0] ** 2 - geometry.delta_radii_mm[0] ** 2
     sigma2 = 2 / 3 * height2 / geometry.delta_radii_mm[0] ** 2
-    reduced = machine.nozzle_side_mass_kg / (machine.nozzle_side_mass_kg + 1.0)
+    reduced = delta_vibration(machine).nozzle_side_mass_kg / (delta_vibration(machine).nozzle_side_mass_kg + 1.0)
     expected = np.sqrt(carriage.belt_stiffness_n_per_m / (carriage.moving_mass_kg + reduced * sigma2)) / (2 * np.pi)
     assert np.argmax(spectrum) * RATE_HZ / (1 << 16) == pytest.approx(expected, rel=0.01)
 
@@ -427,7 +435,7 @@ def test_all_effects_together_stay_stable(everything: Machine) -> None:
 
 def test_a_turn_of_120_degrees_turns_towers_effects_too(printer: Machine, everything: Machine) -> None:
     effector = replace(
-        printer.effector,
+        delta_vibration(printer).effector,
         extruder_stiffness_n_per_m=constant([5e3, 5e3, 1e5]),
         extruder_damping_n_s_per_m=constant([30, 30, 20]),
         center_of_mass_mm=constant([0, 0, 15]),
@@ -438,7 +446,7 @@ def test_a_turn_of_120_degrees_turns_towers_effects_too(printer: Machine, everyt
         name: {key: [v[2], v[0], v[1]] if isinstance(v, list) else v for key, v in table.items()}
         for name, table in tables.items()
     }
-    here, there = (replace(printer, effector=effector, effects=each) for each in (tables, rolled))
+    here, there = (with_parts(replace(printer, effects=each), effector=effector) for each in (tables, rolled))
     t = times(0.3)[:, None]
     command = 340 + np.hstack([3 * np.sin(40 * t), 2 * np.sin(50 * t), 1 * np.sin(33 * t)]) * np.sin(5 * t)
     motion = simulate_printer(here, command, 1 / RATE_HZ)

@@ -15,12 +15,14 @@ from scipy.interpolate import CubicSpline
 
 from models.effects.catalogue import with_effect
 from models.errors import UnreachableError
-from models.machine import DeltaKinematics, Machine
+from models.kinematics.delta import DeltaKinematics
+from models.machine import Machine
 from models.printer.kernels import integrate, jit, record
 from models.printer.kernels.equilibrium import find_equilibrium
 from models.printer.kernels.spline import cubic_spline
 from models.printer.kernels.vectors import tanh
 from models.printer.printer import PrinterMotion, simulate_printer, simulate_printers
+from models.vibration.delta import delta_vibration, with_parts
 
 RATE_HZ = 1600
 FIELDS = (
@@ -71,7 +73,7 @@ def assert_alike(ours: PrinterMotion | ValueError, alone: PrinterMotion) -> None
 def mixture(printer: Machine) -> list[Machine]:
     """Eighteen printers, hardly two of a kind."""
     paper = with_effect(with_effect(printer, "force_map"), "center_of_mass", offset_mm=[15.0, -10.0, 5.0])
-    ideal = replace(printer, carriage=replace(printer.carriage, drive=None))
+    ideal = with_parts(printer, carriage=replace(delta_vibration(printer).carriage, drive=None))
     changed = {name: with_effect(printer, name, **table) for name, table in EFFECTS.items()}
     every = paper
     for name, table in EFFECTS.items():

@@ -17,9 +17,7 @@ from models.file import load_machine
 from models.kinematics.cartesian import CARTESIAN, CartesianKinematics
 from models.machine import Machine, MotionLimits
 from models.printer.printer import simulate_printer
-from models.vibration.modal import Axis, axis_frf, low_frequency, parts
-from models.vibration.receptance import modes, nozzle_frf
-from models.vibration.state_space import QD, STATES, Q, continuous_plant
+from models.vibration.modal import Axis, ModalAxes
 
 RIGID = Axis()
 BOX = CartesianKinematics(constant([[0, 200], [0, 200], [0, 200]]), CARTESIAN)
@@ -27,8 +25,7 @@ F = np.linspace(1.0, 120.0, 240)
 
 
 def machine(*axes: Axis) -> Machine:
-    vibrating = parts([*axes, *[RIGID] * (3 - len(axes))])
-    return Machine("axes", BOX, limits=MotionLimits(200.0, 3000.0), **vibrating)
+    return Machine("axes", BOX, ModalAxes.of([*axes, *[RIGID] * (3 - len(axes))]), MotionLimits(200.0, 3000.0))
 
 
 def closed_form(axis: Axis, f: NDArray[np.float64]) -> NDArray[np.complex128]:
@@ -40,7 +37,7 @@ def closed_form(axis: Axis, f: NDArray[np.float64]) -> NDArray[np.complex128]:
 
 def test_one_mode_is_the_textbook_resonance() -> None:
     axis = Axis([47.0], [0.06])
-    found = nozzle_frf(machine(axis, RIGID), np.array([20.0, 180.0]), F)
+    found = machine(axis, RIGID).vibration.frequency_response(np.array([20.0, 180.0]), F, "nozzle", "nozzle")
     assert np.abs(found[:, 0, 0] - closed_form(axis, F)).max() < 2e-3 * np.abs(closed_form(axis, F)).max()
     assert np.abs(found[:, 1, 1] - 1.0).max() < 7e-3
     off_diagonal = found.copy()
@@ -52,26 +49,33 @@ def test_one_mode_is_the_textbook_resonance() -> None:
 def test_two_modes_add_up(f: float, ratio: float, first: float, second: float, share: float) -> None:
     axis = Axis([f, f * ratio], [first, second], [share, 1.0 - share])
     known, place = machine(axis), np.zeros(2)
-    assert nozzle_frf(known, place, F)[:, 0, 0] == pytest.approx(closed_form(axis, F), rel=1e-9)
-    found = modes(known, place)  # what is silent or rigid does not swing
+    assert known.vibration.frequency_response(place, F, "nozzle", "nozzle")[:, 0, 0] == pytest.approx(
+        closed_form(axis, F), rel=1e-9
+    )
+    found = known.vibration.modes_at(place)  # what is silent or rigid does not swing
     assert found.frequencies_hz == pytest.approx(axis.frequency_hz, rel=1e-5)
 
 
 def test_the_state_matrices_say_the_same_as_the_responses() -> None:
     known = machine(Axis([40.0, 70.0], [0.05, 0.06], [0.7, 0.3]), Axis([33.0], [0.1]))
-    plant = continuous_plant(known, np.zeros((1, 2)))
+    plant = known.vibration.state_space(np.zeros((1, 2)))
     s = 2j * np.pi * 35.0
     b = plant.b_command[0] + s * plant.b_slope[0]
-    answer = np.linalg.solve(s * np.eye(STATES) - plant.a[0], b)
-    assert answer[Q] == pytest.approx(nozzle_frf(known, np.zeros(2), np.array([35.0]))[0], abs=1e-9)
-    assert answer[QD] == pytest.approx(s * answer[Q])
+    answer = np.linalg.solve(s * np.eye(len(plant.names)) - plant.a[0], b)
+    assert plant.carriage @ answer == pytest.approx(
+        known.vibration.frequency_response(np.zeros(2), np.array([35.0]), "nozzle", "nozzle")[0], abs=1e-9
+    )
+    assert answer[1::2] == pytest.approx(s * answer[::2])
+    assert len(plant.names) == 8, "two states for each mode, a rigid axis among them"
 
 
 def test_the_series_at_zero_frequency_turns_the_response_over() -> None:
     known = machine(Axis([40.0, 70.0], [0.05, 0.2], [0.7, 0.3]), Axis([33.0], [0.1]))
     s = 2j * np.pi * np.array([0.5])
-    tau, bend = low_frequency(known)
-    assert 1.0 / axis_frf(known, s)[0] == pytest.approx(1.0 + tau * s[0] + bend * s[0] ** 2, abs=1e-6)
+    tau, bend = known.vibration.low_frequency(np.zeros((1, 2)))
+    assert 1.0 / np.diagonal(known.vibration.carriage_response(np.zeros(2), s)[0]) == pytest.approx(
+        1.0 + tau * s[0] + np.diagonal(bend[0]) * s[0] ** 2, abs=1e-6
+    )
 
 
 def test_the_virtual_printer_plays_the_same_modes() -> None:

@@ -10,18 +10,18 @@ import pytest
 from models.arrays import constant
 from models.file import load_machine
 from models.machine import Machine
+from models.vibration.delta import delta_vibration, with_parts
 from models.vibration.mode_map import ModeMap, kinds, mode_map, numbers
-from models.vibration.receptance import modes
 
 
 @pytest.fixture(scope="module")
 def over(printer: Machine) -> ModeMap:
-    return mode_map(printer, 10.0)
+    return mode_map(delta_vibration(printer), 10.0)
 
 
 def test_modes_at_the_centre_are_named(printer: Machine) -> None:
     centre = np.zeros(2)
-    assert kinds(printer, centre, modes(printer, centre)) == [
+    assert kinds(delta_vibration(printer), centre, printer.vibration.modes_at(centre)) == [
         "extruder, mostly x",
         "mostly y",
         "mostly x",
@@ -33,7 +33,7 @@ def test_modes_at_the_centre_are_named(printer: Machine) -> None:
 
 def test_every_place_has_the_centres_modes_in_some_order(printer: Machine, over: ModeMap) -> None:
     for i, k in np.argwhere(over.on_bed)[::11]:
-        found = modes(printer, over.x_mm[[i, k]])
+        found = printer.vibration.modes_at(over.x_mm[[i, k]])
         np.testing.assert_allclose(np.sort(over.frequency_hz[i, k]), found.frequencies_hz, rtol=1e-9)
         order = np.argsort(over.frequency_hz[i, k])
         np.testing.assert_allclose(over.damping_ratio[i, k, order], found.damping_ratios, rtol=1e-6)
@@ -46,7 +46,7 @@ def test_the_centre_is_numbered_by_frequency(over: ModeMap) -> None:
 
 @pytest.mark.parametrize("name", ["mp-delta-pro", "kossel", "flsun-qqs"])
 def test_no_mode_jumps_from_place_to_place(name: str) -> None:
-    over = mode_map(load_machine(name), 8.0)
+    over = mode_map(delta_vibration(load_machine(name)), 8.0)
     assert _largest_step(over.frequency_hz) < 0.07
     assert _largest_step(over.damping_ratio) < 0.35
 
@@ -70,7 +70,7 @@ def _largest_step(table: np.ndarray) -> float:
 def test_a_symmetric_printer_looks_the_same_from_every_tower() -> None:
     """Turned by 120°, the whole map of a centred machine with equal mounts; also the pair that is one at the centre."""
     machine = load_machine("kossel")
-    over = mode_map(machine, 5.0)
+    over = mode_map(delta_vibration(machine), 5.0)
     for number in range(6):
         for place in ((40.0, 20.0), (-70.0, 35.0)):
             values = [_at(over, _turned(place, k * 2 * np.pi / 3), number) for k in range(3)]
@@ -89,8 +89,8 @@ def _at(over: ModeMap, xy: np.ndarray, mode: int) -> float:
 
 def test_numbers_of_the_map_at_any_place(printer: Machine, over: ModeMap) -> None:
     for xy in (np.array([12.0, 47.0]), np.array([-80.0, 0.0]), np.array([95.0, -20.0])):
-        found = modes(printer, xy)
-        which = numbers(printer, over, xy, found)
+        found = printer.vibration.modes_at(xy)
+        which = numbers(delta_vibration(printer), over, xy, found)
         assert sorted(which) == [1, 2, 3, 4, 5, 6]
         near = [_at(over, xy, number - 1) for number in which]
         np.testing.assert_allclose(found.frequencies_hz, near, rtol=0.05)
@@ -99,8 +99,10 @@ def test_numbers_of_the_map_at_any_place(printer: Machine, over: ModeMap) -> Non
 def test_a_mode_that_stops_swinging_leaves_a_hole(printer: Machine) -> None:
     """With so much damping along y that its mode is overdamped everywhere, five modes are left, and followed."""
     damped = constant([20.4, 100.0, 19.6])
-    machine = replace(printer, effector=replace(printer.effector, extruder_damping_n_s_per_m=damped))
-    over = mode_map(machine, 20.0)
+    machine = with_parts(
+        printer, effector=replace(delta_vibration(printer).effector, extruder_damping_n_s_per_m=damped)
+    )
+    over = mode_map(delta_vibration(machine), 20.0)
     assert over.frequency_hz.shape[2] == 5
     assert not any(kind == "extruder, mostly y" for kind in over.kinds)
     assert np.isfinite(over.frequency_hz[over.on_bed]).all()

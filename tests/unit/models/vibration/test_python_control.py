@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from models.vibration.delta import delta_vibration, with_parts
+
 pytest.importorskip("control", reason="python-control is not installed: pip install 'ffcomp[control]'.")
 
 from models.machine import Machine
 from models.vibration.carriage import command_frf, force_frf, with_added_mass
-from models.vibration.effector import effector_impedance, struck_frf
-from models.vibration.python_control import assembly, carriage_alone, carriage_load, effector_alone, effector_load
-from models.vibration.receptance import assembly_frf, modes
+from models.vibration.python_control import carriage_alone, carriage_load, effector_alone, effector_load
 
 FREQUENCIES = np.geomspace(0.5, 400, 25)
 S = 2j * np.pi * FREQUENCIES
@@ -22,8 +22,12 @@ PLACES = [(0.0, 0.0), (-80.0, 0.0), (40.0, -69.0), (-30.0, 110.0)]
 
 
 def variant(machine: Machine, force_map: str, with_drive: bool) -> Machine:
-    carriage = machine.carriage if with_drive else replace(machine.carriage, drive=None)
-    return replace(machine, carriage=carriage, effector=replace(machine.effector, force_map=force_map))
+    carriage = (
+        delta_vibration(machine).carriage if with_drive else replace(delta_vibration(machine).carriage, drive=None)
+    )
+    return with_parts(
+        machine, carriage=carriage, effector=replace(delta_vibration(machine).effector, force_map=force_map)
+    )
 
 
 def response(system) -> np.ndarray:
@@ -44,60 +48,67 @@ def close(actual: np.ndarray, wanted: np.ndarray) -> None:
 def test_the_assembly_is_its_frequency_response(printer: Machine, force_map, with_drive, of, per) -> None:
     machine = variant(printer, force_map, with_drive)
     for place in PLACES:
-        close(response(assembly(machine, place, of, per)), assembly_frf(machine, np.array(place), FREQUENCIES, of, per))
+        close(
+            response(machine.vibration.to_control(place, of, per)),
+            machine.vibration.frequency_response(np.array(place), FREQUENCIES, of, per),
+        )
 
 
 @pytest.mark.parametrize("force_map", ["virtual_work", "paper"])
 @pytest.mark.parametrize("per", ["carriage", "nozzle"])
 def test_the_acceleration_too(printer: Machine, force_map: str, per) -> None:
     machine = variant(printer, force_map, True)
-    wanted = assembly_frf(machine, np.array(PLACES[2]), FREQUENCIES, "acceleration", per)
-    close(response(assembly(machine, PLACES[2], "acceleration", per)), wanted)
+    wanted = machine.vibration.frequency_response(np.array(PLACES[2]), FREQUENCIES, "acceleration", per)
+    close(response(machine.vibration.to_control(PLACES[2], "acceleration", per)), wanted)
 
 
 def test_an_ideal_drive_on_a_damped_belt_has_no_acceleration(printer: Machine) -> None:
     with pytest.raises(ValueError, match=r"drive is ideal and its belt damping is 7\.44 N s/m"):
-        assembly(variant(printer, "virtual_work", False), (0.0, 0.0), "acceleration")
-    undamped = replace(printer.carriage, drive=None, belt_damping_n_s_per_m=0.0)
-    machine = replace(printer, carriage=undamped)
-    wanted = assembly_frf(machine, np.zeros(2), FREQUENCIES, "acceleration")
-    close(response(assembly(machine, (0.0, 0.0), "acceleration")), wanted)
+        variant(printer, "virtual_work", False).vibration.to_control((0.0, 0.0), "acceleration")
+    undamped = replace(delta_vibration(printer).carriage, drive=None, belt_damping_n_s_per_m=0.0)
+    machine = with_parts(printer, carriage=undamped)
+    wanted = machine.vibration.frequency_response(np.zeros(2), FREQUENCIES, "acceleration")
+    close(response(machine.vibration.to_control((0.0, 0.0), "acceleration")), wanted)
 
 
 def test_signals_and_states_are_named(printer: Machine) -> None:
-    system = assembly(printer, (0.0, 0.0), "nozzle", "carriage")
+    system = printer.vibration.to_control((0.0, 0.0), "nozzle", "carriage")
     assert system.input_labels == ["cmd_A", "cmd_B", "cmd_C"]
     assert system.output_labels == ["pos_x", "pos_y", "pos_z"]
     assert len(system.state_labels) == 18 and system.state_labels[6] == "pos_A"
-    ideal = assembly(variant(printer, "virtual_work", False), (0.0, 0.0), per="nozzle")
+    ideal = variant(printer, "virtual_work", False).vibration.to_control((0.0, 0.0), input="nozzle")
     assert ideal.input_labels == ["cmd_x", "cmd_y", "cmd_z"] and len(ideal.state_labels) == 12
 
 
 def test_an_ideal_drive_leaves_the_mechanical_poles(printer: Machine) -> None:
     machine, place = variant(printer, "virtual_work", False), (60.0, -70.0)
-    found = assembly(machine, place).poles()
+    found = machine.vibration.to_control(place).poles()
     upper = np.sort(np.abs(found[found.imag > 0]))
-    np.testing.assert_allclose(upper / (2 * np.pi), modes(machine, np.array(place)).frequencies_hz, rtol=1e-9)
+    np.testing.assert_allclose(
+        upper / (2 * np.pi), machine.vibration.modes_at(np.array(place)).frequencies_hz, rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize("with_drive", [True, False])
 @pytest.mark.parametrize("added_kg", [0.0, 0.2])
 def test_sub_model_1(printer: Machine, with_drive: bool, added_kg: float) -> None:
     machine = variant(printer, "virtual_work", with_drive)
-    wanted = command_frf(with_added_mass(machine.carriage, added_kg), S)
-    np.testing.assert_allclose(carriage_alone(machine, added_kg)(S), wanted, rtol=1e-9)
-    np.testing.assert_allclose(carriage_load(machine)(S), force_frf(machine.carriage, S), rtol=1e-9)
+    wanted = command_frf(with_added_mass(delta_vibration(machine).carriage, added_kg), S)
+    np.testing.assert_allclose(carriage_alone(delta_vibration(machine), added_kg)(S), wanted, rtol=1e-9)
+    np.testing.assert_allclose(
+        carriage_load(delta_vibration(machine))(S), force_frf(delta_vibration(machine).carriage, S), rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize("with_arms", [True, False])
 def test_sub_model_2(printer: Machine, with_arms: bool) -> None:
-    wanted = struck_frf(printer, S, with_arms)[:, :, None] * np.eye(3)
-    np.testing.assert_allclose(response(effector_alone(printer, with_arms)), wanted, rtol=1e-9)
-    load = effector_impedance(printer, S)[:, :, None] * np.eye(3)
-    np.testing.assert_allclose(response(effector_load(printer)), load, rtol=1e-9)
+    wanted = delta_vibration(printer).struck_frf(S, with_arms)[:, :, None] * np.eye(3)
+    np.testing.assert_allclose(response(effector_alone(delta_vibration(printer), with_arms)), wanted, rtol=1e-9)
+    load = delta_vibration(printer).effector_impedance(S)[:, :, None] * np.eye(3)
+    np.testing.assert_allclose(response(effector_load(delta_vibration(printer))), load, rtol=1e-9)
 
 
 def test_without_the_library_it_says_what_to_install(printer: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "control", None)
     with pytest.raises(ModuleNotFoundError, match=r"pip install 'ffcomp\[control\]'"):
-        carriage_alone(printer)
+        carriage_alone(delta_vibration(printer))

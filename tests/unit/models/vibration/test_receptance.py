@@ -10,9 +10,8 @@ import pytest
 from models.arrays import constant
 from models.machine import Machine
 from models.vibration.carriage import command_frf, drive_frf, force_frf, impedance, with_added_mass
-from models.vibration.effector import effector_impedance, load_distribution, load_map, struck_frf
-from models.vibration.receptance import assembly_frf, carriage_frf, modes, nozzle_frf, poles, receptance
-from models.vibration.state_space import STATES, Q, continuous_plant
+from models.vibration.delta import STATES, Q, delta_vibration, with_parts
+from models.vibration.effector import load_distribution
 
 FREQUENCIES = np.geomspace(0.5, 400, 60)
 S = 2j * np.pi * FREQUENCIES
@@ -23,7 +22,7 @@ PLACES = [(0.0, 0.0), (80.0, 0.0), (-40.0, 69.0), (30.0, -100.0)]
 
 
 def test_carriage_frf_is_equation_33(as_printed: Machine) -> None:
-    carriage = as_printed.carriage
+    carriage = delta_vibration(as_printed).carriage
     m, k = 0.179 + 0.016, 1.21e5
     omega, zeta = np.sqrt(k / m), (5.31 + 13.4) / (2 * np.sqrt(k * m))
     mechanical = (5.31 / m * S + omega**2) / (S**2 + 2 * zeta * omega * S + omega**2)
@@ -34,38 +33,38 @@ def test_carriage_frf_is_equation_33(as_printed: Machine) -> None:
 def test_an_added_mass_is_equation_38(as_printed: Machine) -> None:
     m, k = 0.195 + 0.2, 1.21e5
     omega, zeta = np.sqrt(k / m), (5.31 + 13.4) / (2 * np.sqrt(k * m))
-    loaded = replace(with_added_mass(as_printed.carriage, 0.2), drive=None)
+    loaded = replace(with_added_mass(delta_vibration(as_printed).carriage, 0.2), drive=None)
     expected = (5.31 / m * S + omega**2) / (S**2 + 2 * zeta * omega * S + omega**2)
     np.testing.assert_allclose(command_frf(loaded, S), expected, rtol=1e-12)
 
 
 def test_a_load_at_rest_stretches_the_belt(printer: Machine) -> None:
-    at_rest = force_frf(printer.carriage, np.zeros(1, dtype=complex))
-    np.testing.assert_allclose(at_rest, -1 / printer.carriage.belt_stiffness_n_per_m)
+    at_rest = force_frf(delta_vibration(printer).carriage, np.zeros(1, dtype=complex))
+    np.testing.assert_allclose(at_rest, -1 / delta_vibration(printer).carriage.belt_stiffness_n_per_m)
 
 
 def test_the_drive_has_its_zero_in_the_right_half_plane(as_printed: Machine) -> None:
-    assert as_printed.carriage.drive is not None
+    assert delta_vibration(as_printed).carriage.drive is not None
     zero = np.array([1.43e5 / 212.1 + 0j])  # 674 1/s
-    np.testing.assert_allclose(drive_frf(as_printed.carriage.drive, zero), 0, atol=1e-12)
+    np.testing.assert_allclose(drive_frf(delta_vibration(as_printed).carriage.drive, zero), 0, atol=1e-12)
 
 
 # --- Sub-model 2
 
 
 def test_effector_impedance_is_equation_61(printer: Machine) -> None:
-    effector = printer.effector
-    m1 = effector.nozzle_mass_kg + 1.5 * printer.carriage.arm_pair_mass_kg
+    effector = delta_vibration(printer).effector
+    m1 = effector.nozzle_mass_kg + 1.5 * delta_vibration(printer).carriage.arm_pair_mass_kg
     mount = np.outer(S, effector.extruder_damping_n_s_per_m) + effector.extruder_stiffness_n_per_m
     s2 = S[:, None] ** 2
     verbatim = m1 * s2 + mount - mount**2 / (effector.extruder_mass_kg * s2 + mount)
-    np.testing.assert_allclose(effector_impedance(printer, S), verbatim, rtol=1e-8)
+    np.testing.assert_allclose(delta_vibration(printer).effector_impedance(S), verbatim, rtol=1e-8)
 
 
 def test_slow_motion_feels_every_mass(printer: Machine) -> None:
     s = np.array([0.01j])
     total = 0.536 + 0.115 + 1.5 * 0.032
-    np.testing.assert_allclose(effector_impedance(printer, s) / s**2, [[total] * 3], rtol=1e-4)
+    np.testing.assert_allclose(delta_vibration(printer).effector_impedance(s) / s**2, [[total] * 3], rtol=1e-4)
 
 
 @pytest.mark.parametrize("with_arms", [True, False])
@@ -74,24 +73,28 @@ def test_a_struck_effector_is_equation_45(as_printed: Machine, with_arms: bool) 
     b, k = np.array([20.4, 40.5, 19.6]), np.array([3.31e3, 7.04e3, 1.29e5])
     s = S[:, None]
     verbatim = (m2 * s**2 + b * s + k) / (m1 * m2 * s**2 + (m1 + m2) * (b * s + k))
-    np.testing.assert_allclose(struck_frf(as_printed, S, with_arms), verbatim, rtol=1e-12)
+    np.testing.assert_allclose(delta_vibration(as_printed).struck_frf(S, with_arms), verbatim, rtol=1e-12)
 
 
 def test_with_its_arms_it_is_the_load_of_the_assembly(printer: Machine) -> None:
-    load = effector_impedance(printer, S)
-    np.testing.assert_allclose(struck_frf(printer, S, with_arms=True), S[:, None] ** 2 / load, rtol=1e-12)
+    load = delta_vibration(printer).effector_impedance(S)
+    np.testing.assert_allclose(
+        delta_vibration(printer).struck_frf(S, with_arms=True), S[:, None] ** 2 / load, rtol=1e-12
+    )
 
 
 def test_effector_resonates_where_equation_48_says(as_printed: Machine) -> None:
-    undamped = replace(as_printed.effector, extruder_damping_n_s_per_m=constant([0.0] * 3))
-    bare = replace(as_printed, effector=undamped, carriage=replace(as_printed.carriage, arm_pair_mass_kg=0.0))
+    undamped = replace(delta_vibration(as_printed).effector, extruder_damping_n_s_per_m=constant([0.0] * 3))
+    bare = with_parts(
+        as_printed, effector=undamped, carriage=replace(delta_vibration(as_printed).carriage, arm_pair_mass_kg=0.0)
+    )
     pole = np.sqrt((0.542 + 0.109) * 1.29e5 / (0.542 * 0.109))
-    around = effector_impedance(bare, 1j * pole * np.array([0.9, 1.0]))[:, 2]
+    around = delta_vibration(bare).effector_impedance(1j * pole * np.array([0.9, 1.0]))[:, 2]
     assert abs(around[1]) < 1e-9 * abs(around[0])
 
 
 def test_shares_add_up_to_the_whole_force(as_printed: Machine) -> None:
-    shares = load_distribution(as_printed.kinematics, as_printed.effector)
+    shares = load_distribution(as_printed.kinematics.tower_angles_rad, delta_vibration(as_printed).effector)
     np.testing.assert_allclose(shares.sum(axis=0), np.eye(3), atol=1e-14)
 
 
@@ -100,13 +103,13 @@ def test_shares_balance_the_moments(as_printed: Machine) -> None:
     angles = as_printed.kinematics.tower_angles_rad
     joints = 39.91 * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(3)])
     force = np.array([3.0, -5.0, 7.0])
-    arms = load_distribution(as_printed.kinematics, as_printed.effector) @ force
-    moments = np.cross(joints - as_printed.effector.center_of_mass_mm, arms)
+    arms = load_distribution(as_printed.kinematics.tower_angles_rad, delta_vibration(as_printed).effector) @ force
+    moments = np.cross(joints - delta_vibration(as_printed).effector.center_of_mass_mm, arms)
     np.testing.assert_allclose(moments.sum(axis=0), 0, atol=1e-12)
 
 
 def test_the_papers_map_carries_a_third_of_a_centred_load(rigid, bed: np.ndarray) -> None:
-    paper, work = load_map(rigid("paper"), bed), load_map(rigid("virtual_work"), bed)
+    paper, work = delta_vibration(rigid("paper")).load_map(bed), delta_vibration(rigid("virtual_work")).load_map(bed)
     np.testing.assert_allclose(paper, work / 3, atol=1e-14)
 
 
@@ -114,7 +117,7 @@ def test_the_papers_map_with_table_1_carries_a_quarter_and_is_not_symmetric(as_p
     """Two faults of Eq. 25 in one: too small a load, and no energy behind it."""
     xy = np.zeros((1, 2))
     j = as_printed.kinematics.jacobian(xy)[0]
-    paper = load_map(as_printed, xy)[0] @ j
+    paper = delta_vibration(as_printed).load_map(xy)[0] @ j
     ratio = np.diag(paper) / np.diag(j.T @ j)
     assert np.all((ratio > 0.2) & (ratio < 0.3))
     assert np.abs(paper - paper.T).max() > 0.05 * np.abs(paper).max()
@@ -128,9 +131,9 @@ def test_six_rods_carry_the_virtual_work_load(rigid, seed: int, bed: np.ndarray)
     """
     generator = np.random.default_rng(seed)
     machine = rigid(offset=tuple(generator.uniform(-60, 60, 3)))
-    w = effector_impedance(machine, S[[30]])[0].real
+    w = delta_vibration(machine).effector_impedance(S[[30]])[0].real
     force = w * generator.normal(size=3)
-    wanted = load_map(machine, bed) @ force
+    wanted = delta_vibration(machine).load_map(bed) @ force
     rods = [_rod_loads(machine, xy, force) for xy in bed]
     np.testing.assert_allclose(rods / np.abs(wanted).max(), wanted / np.abs(wanted).max(), rtol=0, atol=1e-12)
 
@@ -145,7 +148,7 @@ def _rod_loads(machine: Machine, xy: np.ndarray, force: np.ndarray) -> np.ndarra
     tangent = np.column_stack([-np.sin(angles), np.cos(angles), np.zeros(3)])
     joints = [39.91 * radial[i] + side * tangent[i] for i in range(3) for side in (-25.0, 25.0)]
     axes = np.repeat(rods, 2, axis=0)
-    moments = np.cross(np.array(joints) - machine.effector.center_of_mass_mm, axes)
+    moments = np.cross(np.array(joints) - delta_vibration(machine).effector.center_of_mass_mm, axes)
     axial = np.linalg.solve(np.vstack([axes.T, moments.T]), np.concatenate([force, np.zeros(3)]))
     return axial.reshape(3, 2).sum(axis=1) * rods[:, 2]
 
@@ -156,25 +159,27 @@ def _rod_loads(machine: Machine, xy: np.ndarray, force: np.ndarray) -> np.ndarra
 @pytest.mark.parametrize("force_map", ["virtual_work", "paper"])
 @pytest.mark.parametrize("xy", PLACES)
 def test_slow_commands_are_followed_exactly(printer: Machine, force_map: str, xy: tuple[float, float]) -> None:
-    machine = replace(printer, effector=replace(printer.effector, force_map=force_map))
-    np.testing.assert_allclose(carriage_frf(machine, np.array(xy), np.zeros(1))[0], np.eye(3), atol=1e-14)
+    machine = with_parts(printer, effector=replace(delta_vibration(printer).effector, force_map=force_map))
+    np.testing.assert_allclose(
+        machine.vibration.frequency_response(np.array(xy), np.zeros(1))[0], np.eye(3), atol=1e-14
+    )
 
 
 @pytest.mark.parametrize("xy", PLACES)
 def test_frf_solves_equation_29(as_printed: Machine, xy: tuple[float, float]) -> None:
     """The paper's own form, sub-models by themselves: (I − G_Fq Γ W J) G = G_qd."""
     place = np.array(xy)
-    j, gamma = as_printed.kinematics.jacobian(place[None])[0], load_map(as_printed, place[None])[0]
-    g = carriage_frf(as_printed, place, FREQUENCIES)
-    w = effector_impedance(as_printed, S)[:, :, None] * np.eye(3)
-    loop = np.eye(3) - force_frf(as_printed.carriage, S)[:, None, None] * (gamma @ w @ j)
-    alone = command_frf(as_printed.carriage, S)[:, None, None] * np.eye(3)
+    j, gamma = as_printed.kinematics.jacobian(place[None])[0], delta_vibration(as_printed).load_map(place[None])[0]
+    g = as_printed.vibration.frequency_response(place, FREQUENCIES)
+    w = delta_vibration(as_printed).effector_impedance(S)[:, :, None] * np.eye(3)
+    loop = np.eye(3) - force_frf(delta_vibration(as_printed).carriage, S)[:, None, None] * (gamma @ w @ j)
+    alone = command_frf(delta_vibration(as_printed).carriage, S)[:, None, None] * np.eye(3)
     np.testing.assert_allclose(loop @ g, alone, atol=1e-10)
 
 
 @pytest.mark.parametrize("xy", PLACES)
 def test_virtual_work_is_reciprocal(printer: Machine, xy: tuple[float, float]) -> None:
-    g = carriage_frf(printer, np.array(xy), FREQUENCIES)
+    g = printer.vibration.frequency_response(np.array(xy), FREQUENCIES)
     np.testing.assert_allclose(g, g.transpose(0, 2, 1), atol=1e-11)
 
 
@@ -182,7 +187,10 @@ def test_virtual_work_is_reciprocal(printer: Machine, xy: tuple[float, float]) -
 def test_nozzle_and_carriages_tell_the_same_story(printer: Machine, xy: tuple[float, float]) -> None:
     place = np.array(xy)
     j = printer.kinematics.jacobian(place[None])[0]
-    nozzle, carriages = nozzle_frf(printer, place, FREQUENCIES), carriage_frf(printer, place, FREQUENCIES)
+    nozzle, carriages = (
+        printer.vibration.frequency_response(place, FREQUENCIES, "nozzle", "nozzle"),
+        printer.vibration.frequency_response(place, FREQUENCIES),
+    )
     np.testing.assert_allclose(nozzle @ j, j @ carriages, atol=1e-11)
 
 
@@ -190,43 +198,45 @@ def test_nozzle_and_carriages_tell_the_same_story(printer: Machine, xy: tuple[fl
 def test_every_output_per_every_input(printer: Machine, xy: tuple[float, float]) -> None:
     place, f = np.array(xy), FREQUENCIES
     j = printer.kinematics.jacobian(place[None])[0]
-    g, to_carriages = carriage_frf(printer, place, f), np.linalg.inv(j)
+    g, to_carriages = printer.vibration.frequency_response(place, f), np.linalg.inv(j)
     s2 = (S**2)[:, None, None]
     expected = {
         ("carriage", "carriage"): g,
         ("carriage", "nozzle"): g @ to_carriages,
         ("nozzle", "carriage"): j @ g,
         ("acceleration", "carriage"): s2 * (j @ g),
-        ("acceleration", "nozzle"): s2 * nozzle_frf(printer, place, f),
+        ("acceleration", "nozzle"): s2 * printer.vibration.frequency_response(place, f, "nozzle", "nozzle"),
     }
     for (of, per), wanted in expected.items():
-        np.testing.assert_allclose(assembly_frf(printer, place, f, of, per), wanted, rtol=1e-12)
+        np.testing.assert_allclose(printer.vibration.frequency_response(place, f, of, per), wanted, rtol=1e-12)
 
 
 def test_a_force_and_a_command_move_the_carriages_alike(printer: Machine) -> None:
     """The command is a force of the belt, (c s + k) G_e per mm."""
     place = np.array([30.0, -100.0])
-    carriage = printer.carriage
+    carriage = delta_vibration(printer).carriage
     belt = (carriage.belt_damping_n_s_per_m * S + carriage.belt_stiffness_n_per_m) * drive_frf(carriage.drive, S)
-    wanted = carriage_frf(printer, place, FREQUENCIES)
-    np.testing.assert_allclose(receptance(printer, place, FREQUENCIES) * belt[:, None, None], wanted, rtol=1e-12)
+    wanted = printer.vibration.frequency_response(place, FREQUENCIES)
+    np.testing.assert_allclose(
+        delta_vibration(printer).receptance(place, 2j * np.pi * FREQUENCIES) * belt[:, None, None], wanted, rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize("force_map", ["virtual_work", "paper"])
 def test_shapes_are_free_vibrations(printer: Machine, force_map: str) -> None:
     """(λ² m_c + …) q = −load, with the carriages' part of each shape: Z(λ) q = 0."""
-    machine = replace(printer, effector=replace(printer.effector, force_map=force_map))
+    machine = with_parts(printer, effector=replace(delta_vibration(printer).effector, force_map=force_map))
     place = np.array([50.0, -60.0])
-    found = modes(machine, place)
+    found = machine.vibration.modes_at(place)
     zeta = found.damping_ratios
     every = 2 * np.pi * found.frequencies_hz * (-zeta + 1j * np.sqrt(1 - zeta**2))
-    j, gamma = machine.kinematics.jacobian(place[None])[0], load_map(machine, place[None])[0]
+    j, gamma = machine.kinematics.jacobian(place[None])[0], delta_vibration(machine).load_map(place[None])[0]
     for pole, shape in zip(every, found.shapes, strict=True):
-        w = effector_impedance(machine, np.array([pole]))[0]
-        z = impedance(machine.carriage, np.array([pole]))[0] * np.eye(3) + gamma * w @ j
+        w = delta_vibration(machine).effector_impedance(np.array([pole]))[0]
+        z = impedance(delta_vibration(machine).carriage, np.array([pole]))[0] * np.eye(3) + gamma * w @ j
         assert np.linalg.norm(z @ shape[:3]) < 1e-9 * np.linalg.norm(z, 2)
         nozzle = j @ shape[:3]
-        m2, effector = machine.effector.extruder_mass_kg, machine.effector
+        m2, effector = delta_vibration(machine).effector.extruder_mass_kg, delta_vibration(machine).effector
         mount = effector.extruder_damping_n_s_per_m * pole + effector.extruder_stiffness_n_per_m
         np.testing.assert_allclose(
             m2 * pole**2 * (nozzle + shape[3:]), -mount * shape[3:], atol=1e-6 * np.abs(mount).max()
@@ -239,13 +249,13 @@ def test_rigid_modes_in_closed_form(rigid, xy: tuple[float, float]) -> None:
     machine = rigid()
     sigma = np.linalg.svd(machine.kinematics.jacobian(np.array([xy]))[0], compute_uv=False)
     expected = np.sqrt(1.21e5 / (0.195 + 0.651 * sigma**2)) / (2 * np.pi)
-    np.testing.assert_allclose(modes(machine, np.array(xy)).frequencies_hz[:3], expected, rtol=1e-6)
+    np.testing.assert_allclose(machine.vibration.modes_at(np.array(xy)).frequencies_hz[:3], expected, rtol=1e-6)
 
 
 def test_both_maps_at_the_centre_with_table_1(rigid) -> None:
     """0.651 kg, rigid, Table I's offset; m = 0.195 kg (Eq. 30), k = 1.21e5 N/m, L = 290 mm, R = 140 mm."""
     offset = (10.21, -16.52, 19.31)
-    work, paper = (modes(rigid(force_map, offset), np.zeros(2)) for force_map in ("virtual_work", "paper"))
+    work, paper = (rigid(force_map, offset).vibration.modes_at(np.zeros(2)) for force_map in ("virtual_work", "paper"))
     np.testing.assert_allclose(work.frequencies_hz[:3], [43.45, 43.45, 86.25], atol=0.01)
     np.testing.assert_allclose(paper.frequencies_hz[:3], [75.05, 75.05, 107.07], atol=0.01)
 
@@ -253,31 +263,35 @@ def test_both_maps_at_the_centre_with_table_1(rigid) -> None:
 @pytest.mark.parametrize("force_map", ["virtual_work", "paper"])
 def test_the_frf_blows_up_at_the_poles(printer: Machine, force_map: str) -> None:
     """Poles come from masses, the FRF from impedances: at a pole the impedance loses rank."""
-    machine = replace(printer, effector=replace(printer.effector, force_map=force_map))
+    machine = with_parts(printer, effector=replace(delta_vibration(printer).effector, force_map=force_map))
     place = np.array([50.0, -60.0])
-    j, gamma = machine.kinematics.jacobian(place[None])[0], load_map(machine, place[None])[0]
-    for pole in poles(machine, place[None])[0]:
+    j, gamma = machine.kinematics.jacobian(place[None])[0], delta_vibration(machine).load_map(place[None])[0]
+    for pole in machine.vibration.poles(place[None])[0]:
         s = np.array([pole])
-        carriage = machine.carriage
+        carriage = delta_vibration(machine).carriage
         damping = carriage.belt_damping_n_s_per_m + carriage.guide_damping_n_s_per_m
         own = carriage.moving_mass_kg * pole**2 + damping * pole + carriage.belt_stiffness_n_per_m
-        singular = np.linalg.svd(own * np.eye(3) + gamma * effector_impedance(machine, s) @ j, compute_uv=False)
+        singular = np.linalg.svd(
+            own * np.eye(3) + gamma * delta_vibration(machine).effector_impedance(s) @ j, compute_uv=False
+        )
         assert singular[-1] < 1e-9 * singular[0] + 1e-5
 
 
 def test_damping_ratios_of_a_carriage_that_carries_nothing(printer: Machine) -> None:
     """With next to nothing on the effector each carriage vibrates alone: ζ = (c + b)/(2 √(k m)), Eq. 35."""
-    light = replace(printer.effector, nozzle_mass_kg=1e-9, extruder_mass_kg=1e-9)
-    machine = replace(printer, effector=light, carriage=replace(printer.carriage, arm_pair_mass_kg=0.0))
-    slow = modes(machine, np.zeros(2))
-    carriage = machine.carriage
+    light = replace(delta_vibration(printer).effector, nozzle_mass_kg=1e-9, extruder_mass_kg=1e-9)
+    machine = with_parts(
+        printer, effector=light, carriage=replace(delta_vibration(printer).carriage, arm_pair_mass_kg=0.0)
+    )
+    slow = machine.vibration.modes_at(np.zeros(2))
+    carriage = delta_vibration(machine).carriage
     zeta = 26.2 / (2 * np.sqrt(carriage.belt_stiffness_n_per_m * carriage.mass_kg))
     near = np.isclose(slow.damping_ratios, zeta, rtol=1e-4)
     assert near.sum() == 3
 
 
 def test_modes_move_over_the_bed(printer: Machine) -> None:
-    centre, rim = modes(printer, np.zeros(2)), modes(printer, np.array([-108.0, 0.0]))
+    centre, rim = printer.vibration.modes_at(np.zeros(2)), printer.vibration.modes_at(np.array([-108.0, 0.0]))
     assert rim.frequencies_hz[3] / centre.frequencies_hz[3] > 1.1
 
 
@@ -285,10 +299,14 @@ def test_modes_move_over_the_bed(printer: Machine) -> None:
 @pytest.mark.parametrize("with_drive", [True, False])
 def test_frf_equals_the_scheduled_plants(printer: Machine, force_map: str, with_drive: bool) -> None:
     """Eq. 29 against the state space that is integrated in time: C (sI − A)⁻¹ (B_u + s B_s)."""
-    carriage = printer.carriage if with_drive else replace(printer.carriage, drive=None)
-    machine = replace(printer, carriage=carriage, effector=replace(printer.effector, force_map=force_map))
+    carriage = (
+        delta_vibration(printer).carriage if with_drive else replace(delta_vibration(printer).carriage, drive=None)
+    )
+    machine = with_parts(
+        printer, carriage=carriage, effector=replace(delta_vibration(printer).effector, force_map=force_map)
+    )
     place = np.array([60.0, -70.0])
-    plant = continuous_plant(machine, place[None])
+    plant = machine.vibration.state_space(place[None])
     s = S[:, None, None]
     states = np.linalg.solve(s * np.eye(STATES) - plant.a[0], plant.b_command[0] + s * plant.b_slope[0])
-    np.testing.assert_allclose(states[:, Q], carriage_frf(machine, place, FREQUENCIES), atol=1e-9)
+    np.testing.assert_allclose(states[:, Q], machine.vibration.frequency_response(place, FREQUENCIES), atol=1e-9)

@@ -1,0 +1,232 @@
+"""The interface of a linear model of a machine's vibrations: commanded actuators in, real actuators and nozzle out.
+
+Two models implement it: `DeltaVibration` (carriages that carry an effector) and `ModalAxes` (axes that vibrate by
+themselves). A model is frozen; it knows the kinematics it works with (`on`). Positions are (x, y) in mm, since nothing
+depends on z; small motion around a position is linear.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Literal, Self
+
+import numpy as np
+
+from models.arrays import ComplexArray, FloatArray
+from models.kinematics.base import Kinematics
+from models.vibration.state_space import StateSpace
+
+if TYPE_CHECKING:
+    from control import StateSpace as ControlStateSpace
+
+SWINGING = 1e-6  # imaginary part of a pole over its size; below, rounding alone keeps two real poles from meeting
+
+Output = Literal["carriage", "nozzle", "acceleration"]  # what responds; acceleration: of the nozzle, s² X
+Input = Literal["carriage", "nozzle"]  # what is commanded: three actuators, or the nozzle's three axes
+PrinterFields = dict[str, FloatArray | float | bool]  # fields of the nonlinear printer's record, SI
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """The vibrations at one position, slowest first; a drive filter's own poles are not among them."""
+
+    frequencies_hz: FloatArray  # (k,) undamped natural frequencies, without overdamped ones
+    damping_ratios: FloatArray  # (k,)
+    shapes: ComplexArray  # (k, m) amplitudes of the model's own coordinates, length 1
+    nozzle: ComplexArray  # (k, 3) of the nozzle along x, y, z, in the same scale
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that decides how a machine vibrates.
+
+    `column` is which of a draw's normal deviates moves it: parameters of one column move together. Its relative
+    standard deviation is that of `file_key` in `[uncertainty]`, times `power` (a stiffness is a frequency squared).
+    """
+
+    name: str  # "carriage.belt_stiffness_n_per_m", "effector.extruder_stiffness_n_per_m[2]"
+    value: float
+    column: int
+    file_key: str = ""  # '' if no entry of the file tells how well it is known: exact
+    power: float = 1.0
+
+
+@dataclass(frozen=True)
+class ParameterSet:
+    """The parameters of a model by name, in a fixed order."""
+
+    parameters: tuple[Parameter, ...]
+    columns: int  # normal deviates of a draw
+
+    def __iter__(self) -> Iterator[Parameter]:
+        return iter(self.parameters)
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    @property
+    def names(self) -> list[str]:
+        """Return every name, in order."""
+        return [each.name for each in self.parameters]
+
+    def relative_sd(self, uncertainty: Mapping[str, float]) -> FloatArray:
+        """Return (n,) relative standard deviations, from a machine file's `[uncertainty]`."""
+        default = uncertainty.get("default", 0.0)
+        return np.array(
+            [
+                uncertainty.get(p.name, p.power * uncertainty.get(p.file_key, default)) if p.file_key else 0.0
+                for p in self.parameters
+            ]
+        )
+
+    def scaled(self, deviates: FloatArray, relative_sd: FloatArray | float, least: float = 0.0) -> dict[str, float]:
+        """Return name -> value of one draw: each value times 1 + sd · deviate, at least `least` of it.
+
+        deviates : (columns,) standard normal
+        """
+        sd = np.broadcast_to(relative_sd, len(self.parameters))
+        factors = (1.0 + s * deviates[p.column] for p, s in zip(self.parameters, sd.tolist(), strict=True))
+        return {p.name: p.value * max(float(f), least) for p, f in zip(self.parameters, factors, strict=True)}
+
+
+@dataclass(frozen=True)
+class Description:
+    """Words for headings and results."""
+
+    heading: str  # "load map virtual_work", "straight axes"
+    force_map: str | None  # how a load is shared among the actuators; None: there is none
+
+
+class VibrationModel(ABC):
+    """Linear response of actuators and nozzle to commanded actuator positions."""
+
+    position_dependent: ClassVar[bool]
+    """Whether the response changes over the bed."""
+    channels: ClassVar[tuple[str, str, str]]
+    """Names of the actuators."""
+    gravity_loaded: ClassVar[bool]
+    """Whether weight stretches what vibrates."""
+
+    def on(self, kinematics: Kinematics) -> Self:
+        """Return the model bound to a machine's kinematics."""
+        return self
+
+    @abstractmethod
+    def parameters(self) -> ParameterSet:
+        """Return the numbers that decide how the machine vibrates; its geometry is calibrated, not guessed."""
+
+    @abstractmethod
+    def value(self, name: str) -> float:
+        """Return one parameter; KeyError if there is none of this name."""
+
+    @abstractmethod
+    def with_parameters(self, values: Mapping[str, float]) -> Self:
+        """Return the model with some parameters replaced; KeyError for an unknown name."""
+
+    @abstractmethod
+    def carriage_response(self, xy: FloatArray, s: ComplexArray) -> ComplexArray:
+        """Return G, commanded to real actuator positions, at (2,) mm and s (k,) 1/s: (k, 3, 3)."""
+
+    @abstractmethod
+    def jacobian(self, xy: FloatArray) -> FloatArray:
+        """Return J of the nozzle's motion from the actuators' at (n, 2) mm: (n, 3, 3)."""
+
+    def frequency_response(
+        self, xy: FloatArray, frequency_hz: FloatArray, output: Output = "carriage", input: Input = "carriage"
+    ) -> ComplexArray:
+        """Return G, J G, G J⁻¹ or J G J⁻¹ at one position, for small motion, or one of them times s².
+
+        Parameters
+        ----------
+        xy : (2,) mm, columns X Y.
+        frequency_hz : (k,) Hz.
+
+        Returns
+        -------
+        (k, 3, 3) mm/mm, of acceleration 1/s²; rows outputs (actuators or X Y Z), columns inputs.
+        """
+        s = np.asarray(2j * np.pi * frequency_hz, dtype=np.complex128)
+        g = self.carriage_response(xy, s)
+        j = self.jacobian(xy[None])[0]
+        if output != "carriage":
+            g = j @ g
+        if input == "nozzle":
+            g = g @ np.linalg.inv(j)
+        return g * s[:, None, None] ** 2 if output == "acceleration" else g
+
+    @abstractmethod
+    def state_space(self, xy: FloatArray) -> StateSpace:
+        """Return the equations of motion frozen at each of the positions (g, 2) mm, in the model's own states."""
+
+    def poles(self, xy: FloatArray) -> ComplexArray:
+        """Return the mechanical poles (n, m) 1/s at positions (n, 2) mm."""
+        return np.linalg.eigvals(self.mechanics(xy)).astype(np.complex128)
+
+    def modes(self, xy: FloatArray) -> list[Modes]:
+        """Return natural frequencies, damping ratios and shapes at each of the positions (n, 2) mm."""
+        values, vectors = np.linalg.eig(self.mechanics(xy))
+        half, nozzle = values.shape[1] // 2, self.nozzle_motion(xy)
+        found = (_vibrations(pole, vector[:half]) for pole, vector in zip(values, vectors, strict=True))
+        return [Modes(f, zeta, shape, shape @ rows.T) for (f, zeta, shape), rows in zip(found, nozzle, strict=True)]
+
+    def modes_at(self, xy: FloatArray) -> Modes:
+        """Return the modes at one position (2,) mm."""
+        return self.modes(xy[None])[0]
+
+    @abstractmethod
+    def mechanics(self, xy: FloatArray) -> FloatArray:
+        """Return d/dt of the m/2 coordinates and their rates with the motors held, (n, m, m), at (n, 2) mm."""
+
+    @abstractmethod
+    def nozzle_motion(self, xy: FloatArray) -> FloatArray:
+        """Return the nozzle's motion from the coordinates', (n, 3, m/2), at positions (n, 2) mm."""
+
+    @abstractmethod
+    def low_frequency(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return τ and C of the series G⁻¹(s) = I + τ s + C s² + ….
+
+        Returns
+        -------
+        (3,) s, of the actuators; (n, 3, 3) s², at positions (n, 2) mm.
+        """
+
+    @abstractmethod
+    def equilibrium(self, q: FloatArray) -> FloatArray:
+        """Return the state at rest with the actuators at (3,) mm."""
+
+    @abstractmethod
+    def steady_motion(self, q: FloatArray, qd: FloatArray) -> FloatArray:
+        """Return the state with the actuators at (3,) mm, in motion at (3,) mm/s since long."""
+
+    @abstractmethod
+    def undriven(self) -> Self:
+        """Return the model behind ideal drives: motors stand where they are told to."""
+
+    @abstractmethod
+    def printer_parameters(self, gravity_m_per_s2: float) -> PrinterFields:
+        """Return what the nonlinear printer's kernels need of the model, SI."""
+
+    @abstractmethod
+    def describe(self) -> Description:
+        """Return the words for headings."""
+
+    def to_control(
+        self, xy: Sequence[float] | FloatArray, output: Output = "carriage", input: Input = "carriage"
+    ) -> ControlStateSpace:
+        """Return the model at one position (2,) mm as a state space of python-control, which is imported here."""
+        from models.vibration.to_control import to_control
+
+        at = np.asarray(xy, dtype=np.float64)[None]
+        return to_control(self.state_space(at), self.jacobian(at)[0], self.channels, output, input)
+
+
+def _vibrations(pole: ComplexArray, shape: ComplexArray) -> tuple[FloatArray, FloatArray, ComplexArray]:
+    """Return frequencies, ratios and shapes of those of m poles (m,) with shapes (m/2, m) that swing."""
+    upper = np.flatnonzero(pole.imag > SWINGING * np.abs(pole))
+    upper = upper[np.argsort(np.abs(pole[upper]))]
+    natural = np.abs(pole[upper])
+    swinging = shape[:, upper].T
+    length = np.linalg.norm(swinging, axis=1, keepdims=True)
+    return natural / (2 * np.pi), -pole[upper].real / natural, swinging / length

@@ -1,0 +1,362 @@
+"""A linear delta's vibrations: three carriages on belts, joined by their arms to an effector (paper, Eqs. 14-62).
+
+In the carriages q and the extruder's displacement against the nozzle holder, η = X₂ − X, with Ẍ = J q̈ + f:
+
+    ⎡ m I + Γ (M₁ + M₂) J   Γ M₂ ⎤ ⎡q̈⎤   ⎡(c+b) I  0⎤ ⎡q̇⎤   ⎡k I  0⎤ ⎡q⎤   ⎡k u + c u̇ − Γ (M₁ + M₂) f⎤
+    ⎣        M₂ J            M₂  ⎦ ⎣η̈⎦ + ⎣   0     B⎦ ⎣η̇⎦ + ⎣ 0   K⎦ ⎣η⎦ = ⎣            − M₂ f        ⎦
+
+M, C and K are derived here once. With η eliminated they are Z of Eq. 29, Z(s) = (m s² + (c+b) s + k) I + Γ W(s) J,
+and solved for the accelerations they are the state space of 18, three entries each:
+
+    [ w, ẇ, q, q̇, η, η̇ ]      w of the drive filter: ẅ = u_d − d₂ ẇ − d₀ w,   u = d₀ w + d₁ ẇ    (Eq. 34)
+
+The centripetal term f = J̇ q̇ of the planned motion is a known input. Only accelerations and relative displacements of
+the effector enter, so the model holds for large motion. k, c and b may be three numbers, A B C. mm for lengths;
+stiffness N/m over mass kg is 1/s² all the same.
+
+Γ is how the carriages share the effector's load (`force_map` in the machine file):
+
+- `virtual_work`: F_q = Jᵀ F. Six two-force rods carry exactly this, wherever the centre of mass is.
+- `paper`: F_qi = J_iᵀ P_i F (Eq. 25), with the minimum-norm P_i of Eq. 22 and J_i the column of J that is
+  carriage i's. For a centred mass that is a third of the virtual-work load. For checking the paper's figures.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from models.arrays import ComplexArray, FloatArray, constant
+from models.errors import MachineFileError
+from models.kinematics.base import Kinematics
+from models.kinematics.delta import DeltaKinematics
+from models.machine import Machine
+from models.vibration.base import Description, Parameter, ParameterSet, PrinterFields, VibrationModel
+from models.vibration.carriage import Carriage, Drive, belt, damping, drive_frf
+from models.vibration.effector import Effector, apparent_mass, load_distribution
+from models.vibration.state_space import StateSpace
+
+STATES = 18
+W, WD, Q, QD, ETA, ETAD = (slice(3 * i, 3 * i + 3) for i in range(6))
+NAMES = tuple(
+    f"{kind}_{letter}"
+    for kinds, letters in (
+        (("drive", "drive_rate", "pos", "vel"), "ABC"),
+        (("extruder", "extruder_rate"), "xyz"),
+    )
+    for kind in kinds
+    for letter in letters
+)
+
+CARRIAGE = ("mass_kg", "belt_stiffness_n_per_m", "belt_damping_n_s_per_m", "guide_damping_n_s_per_m")
+DRIVE = ("d0_per_s2", "d1_per_s", "d2_per_s")
+EFFECTOR = ("nozzle_mass_kg", "extruder_mass_kg")
+MOUNT = ("extruder_stiffness_n_per_m", "extruder_damping_n_s_per_m")
+NAME = re.compile(r"(?P<path>[\w.]+?)(\[(?P<index>\d)\])?")
+
+
+@dataclass(frozen=True, slots=True)
+class EquationsOfMotion:
+    """M, C and K of the six coordinates at n positions, see the top of this module."""
+
+    mass: FloatArray  # (n, 6, 6) kg
+    damping: FloatArray  # (6,) N s/m, diagonal
+    stiffness: FloatArray  # (6,) N/m, diagonal
+
+
+@dataclass(frozen=True, eq=False)
+class DeltaVibration(VibrationModel):
+    """Carriages and effector by receptance coupling."""
+
+    carriage: Carriage
+    effector: Effector
+    kinematics: DeltaKinematics
+
+    position_dependent: ClassVar[bool] = True
+    channels: ClassVar[tuple[str, str, str]] = ("A", "B", "C")
+    gravity_loaded: ClassVar[bool] = True
+
+    def on(self, kinematics: Kinematics) -> DeltaVibration:
+        """Return the model bound to a delta's kinematics; TypeError for any other."""
+        if kinematics is self.kinematics:
+            return self
+        if not isinstance(kinematics, DeltaKinematics):
+            raise TypeError("Carriages that carry an effector need a delta's kinematics.")
+        return replace(self, kinematics=kinematics)
+
+    @property
+    def nozzle_side_mass_kg(self) -> float:
+        """Return M₁ of Eq. 61: the nozzle holder and the lower halves of the three arm pairs, m_1 + 3 m_f / 2."""
+        return self.effector.nozzle_mass_kg + 1.5 * self.carriage.arm_pair_mass_kg
+
+    # ---- parameters
+
+    def parameters(self) -> ParameterSet:
+        names = []
+        for key in CARRIAGE:  # three of them, where an effect has made towers differ
+            several = np.ndim(getattr(self.carriage, key)) > 0
+            names += [f"carriage.{key}[{i}]" for i in range(3)] if several else [f"carriage.{key}"]
+        if self.carriage.drive is not None:
+            names += [f"carriage.drive.{key}" for key in DRIVE]
+        names += [f"effector.{key}" for key in EFFECTOR] + [f"effector.{key}[{i}]" for key in MOUNT for i in range(3)]
+        each = (Parameter(name, self.value(name), i, name.partition("[")[0]) for i, name in enumerate(names))
+        return ParameterSet(tuple(each), len(names))
+
+    def value(self, name: str) -> float:
+        path, index = _parsed(name)
+        part: Any = self
+        for key in path:
+            part = getattr(part, key, None)
+            if part is None:
+                raise KeyError(name)
+        return float(part if index is None else part[index])
+
+    def with_parameters(self, values: Mapping[str, float]) -> DeltaVibration:
+        changed = self
+        for name, value in values.items():
+            changed = _with(changed, *_parsed(name), value)
+        return changed
+
+    # ---- the equations
+
+    def jacobian(self, xy: FloatArray) -> FloatArray:
+        return self.kinematics.jacobian(xy)
+
+    def load_map(self, xy: FloatArray) -> FloatArray:
+        """Return Γ, the share of each carriage: F_q = Γ W X, with Γ = Jᵀ or rows J_iᵀ P_i (Eq. 27).
+
+        Parameters
+        ----------
+        xy : (n, 2) mm, columns X Y.
+
+        Returns
+        -------
+        (n, 3, 3) N/N, rows carriages A B C, columns X Y Z of the force.
+        """
+        j = self.kinematics.jacobian(xy)
+        if self.effector.force_map == "virtual_work":
+            return j.transpose(0, 2, 1)
+        return np.einsum("nai,iab->nib", j, load_distribution(self.kinematics.tower_angles_rad, self.effector))
+
+    def equations(self, xy: FloatArray) -> EquationsOfMotion:
+        """Return M, C and K at positions (n, 2) mm."""
+        carriage, effector = self.carriage, self.effector
+        j, gamma = self.kinematics.jacobian(xy), self.load_map(xy)
+        extruder = effector.extruder_mass_kg
+        carriages = carriage.moving_mass_kg * np.eye(3) + (self.nozzle_side_mass_kg + extruder) * gamma @ j
+        relative = np.broadcast_to(extruder * np.eye(3), j.shape)
+        return EquationsOfMotion(
+            np.block([[carriages, extruder * gamma], [extruder * j, relative]]),
+            np.concatenate([np.broadcast_to(damping(carriage), 3), effector.extruder_damping_n_s_per_m]),
+            np.concatenate([np.broadcast_to(carriage.belt_stiffness_n_per_m, 3), effector.extruder_stiffness_n_per_m]),
+        )
+
+    def receptance(self, xy: FloatArray, s: ComplexArray) -> ComplexArray:
+        """Return Z⁻¹ at one position, motors held: forces on the carriages to their positions.
+
+        Parameters
+        ----------
+        xy : (2,) mm, columns X Y.
+        s : (k,) 1/s.
+
+        Returns
+        -------
+        (k, 3, 3) m/N, rows position of carriage A B C, columns force on carriage A B C.
+        """
+        eq, s2 = self.equations(xy[None]), s[:, None] ** 2
+        mass = eq.mass[0]
+        own = eq.damping * s[:, None] + eq.stiffness  # (k, 6)
+        extruder = np.diagonal(mass)[3:] * s2 + own[:, 3:]
+        z = mass[:3, :3] * s2[:, :, None] + own[:, :3, None] * np.eye(3)
+        eliminated = (mass[:3, 3:] * (s2**2 / extruder)[:, None, :]) @ mass[3:, :3]
+        return np.linalg.inv(z - eliminated)
+
+    def carriage_response(self, xy: FloatArray, s: ComplexArray) -> ComplexArray:
+        """Return G of Eq. 29: Z⁻¹ (c s + k) G_e."""
+        each = s[:, None]  # against carriages that may differ
+        drive = belt(self.carriage, each) * drive_frf(self.carriage.drive, each)
+        return np.asarray(self.receptance(xy, s) * drive[:, None, :])
+
+    def effector_impedance(self, s: ComplexArray) -> ComplexArray:
+        """Return the diagonal of W(s) (Eq. 61), (k, 3) N/m, columns X Y Z: nozzle position to force; s (k,) 1/s."""
+        return np.asarray(s[:, None] ** 2 * apparent_mass(self.effector, self.nozzle_side_mass_kg, s))
+
+    def struck_frf(self, s: ComplexArray, with_arms: bool = False) -> ComplexArray:
+        """Return force on the nozzle holder to its acceleration, the effector hanging free, per axis (Eq. 45).
+
+        Parameters
+        ----------
+        s : (k,) 1/s.
+        with_arms : the arms' lower halves ride along, and this is s²/W; else it is Eq. 45, the effector by itself.
+
+        Returns
+        -------
+        (k, 3) 1/kg, columns X Y Z.
+        """
+        nozzle_side = self.nozzle_side_mass_kg if with_arms else self.effector.nozzle_mass_kg
+        return np.asarray(1 / apparent_mass(self.effector, nozzle_side, s))
+
+    def mechanics(self, xy: FloatArray) -> FloatArray:
+        """Return d/dt of (q, η, q̇, η̇), (n, 12, 12)."""
+        eq = self.equations(xy)
+        state = np.zeros((len(xy), 12, 12))
+        state[:, :6, 6:] = np.eye(6)
+        state[:, 6:, :6] = -np.linalg.solve(eq.mass, np.broadcast_to(np.diag(eq.stiffness), eq.mass.shape))
+        state[:, 6:, 6:] = -np.linalg.solve(eq.mass, np.broadcast_to(np.diag(eq.damping), eq.mass.shape))
+        return state
+
+    def nozzle_motion(self, xy: FloatArray) -> FloatArray:
+        j = self.jacobian(xy)
+        return np.concatenate([j, np.zeros_like(j)], axis=2)
+
+    def state_space(self, xy: FloatArray) -> StateSpace:
+        """Return the plant of 18 states frozen at each of the positions (g, 2) mm."""
+        g, eq = len(xy), self.equations(xy)
+        forces = np.zeros((g, 6, 12 + 9))  # of (q, η, q̇, η̇), u, u̇, f
+        forces[:, :, :6], forces[:, :, 6:12] = -np.diag(eq.stiffness), -np.diag(eq.damping)
+        forces[:, :3, 12:15] = np.diag(eq.stiffness[:3])
+        forces[:, :3, 15:18] = np.broadcast_to(self.carriage.belt_damping_n_s_per_m, 3) * np.eye(3)
+        m2 = self.effector.extruder_mass_kg
+        forces[:, :3, 18:], forces[:, 3:, 18:] = -(self.nozzle_side_mass_kg + m2) * self.load_map(xy), -m2 * np.eye(3)
+        accelerations = np.linalg.solve(eq.mass, forces)
+        a, inputs = np.zeros((g, STATES, STATES)), np.zeros((3, g, STATES, 3))
+        a[:, Q, QD] = a[:, ETA, ETAD] = np.eye(3)
+        for rows, of in ((QD, accelerations[:, :3]), (ETAD, accelerations[:, 3:])):
+            for state, columns in zip((Q, ETA, QD, ETAD), np.split(of[:, :, :12], 4, axis=2), strict=True):
+                a[:, rows, state] = columns
+            inputs[:, :, rows] = np.moveaxis(of[:, :, 12:].reshape(g, 3, 3, 3), 2, 0)
+        return self._with_drive(a, *inputs)
+
+    def _with_drive(self, a: FloatArray, u: FloatArray, slope: FloatArray, centripetal: FloatArray) -> StateSpace:
+        """Put the drive filter between command and belt: u = d₀ w + d₁ ẇ, u̇ = d₀ ẇ + d₁ (u_d − d₂ ẇ − d₀ w)."""
+        carriage, eye = np.eye(STATES)[Q], np.eye(3)
+        a[:, W, WD] = eye
+        drive = self.carriage.drive
+        if drive is None:  # an ideal drive: the filter's states idle, decoupled and stable
+            a[:, WD, W], a[:, WD, WD] = -eye * 1e4, -eye * 200.0
+            return StateSpace(a, u, slope, centripetal, carriage, NAMES, drive_states=6)
+        d0, d1, d2 = drive.d0_per_s2, drive.d1_per_s, drive.d2_per_s
+        a[:, WD, W], a[:, WD, WD] = -d0 * eye, -d2 * eye
+        a[:, :, W] += d0 * u - d1 * d0 * slope
+        a[:, :, WD] += d1 * u + (d0 - d1 * d2) * slope
+        b_command = d1 * slope
+        b_command[:, WD] += eye
+        return StateSpace(a, b_command, np.zeros_like(slope), centripetal, carriage, NAMES, drive_states=6)
+
+    def low_frequency(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return τ and C: Eq. 29 and Eq. 34 turned over and expanded at s = 0."""
+        carriage = self.carriage
+        k, c, b = (
+            np.broadcast_to(number, 3)
+            for number in (
+                carriage.belt_stiffness_n_per_m,
+                carriage.belt_damping_n_s_per_m,
+                carriage.guide_damping_n_s_per_m,
+            )
+        )
+        moving = self.equations(xy).mass[:, :3, :3] / k[:, None]
+        first, second = carriage.drive.lag if carriage.drive else (0.0, 0.0)
+        return b / k + first, np.asarray(moving + np.diag(second + b / k * first - b * c / k**2))
+
+    def equilibrium(self, q: FloatArray) -> FloatArray:
+        state = np.zeros(STATES)
+        drive = self.carriage.drive
+        state[W] = q / drive.d0_per_s2 if drive else 0.0
+        state[Q] = q
+        return state
+
+    def steady_motion(self, q: FloatArray, qd: FloatArray) -> FloatArray:
+        state = np.zeros(STATES)
+        state[Q], state[QD] = q, qd
+        drive = self.carriage.drive
+        if drive:
+            tau, _ = self.low_frequency(np.zeros((1, 2)))
+            state[WD] = qd / drive.d0_per_s2
+            state[W] = (q + tau * qd - drive.d2_per_s * state[WD]) / drive.d0_per_s2
+        return state
+
+    def undriven(self) -> DeltaVibration:
+        return replace(self, carriage=replace(self.carriage, drive=None))
+
+    # ---- the nonlinear printer
+
+    def printer_parameters(self, gravity_m_per_s2: float) -> PrinterFields:
+        carriage, effector = self.carriage, self.effector
+        paper = effector.force_map == "paper"
+        return {
+            "carriage_mass": carriage.moving_mass_kg,
+            "weight": carriage.moving_mass_kg * gravity_m_per_s2,
+            "belt_k": carriage.belt_stiffness_n_per_m,
+            "belt_c": carriage.belt_damping_n_s_per_m,
+            "guide_b": carriage.guide_damping_n_s_per_m,
+            **(_drive_parameters(carriage.drive) if carriage.drive else {"ideal_drive": True}),
+            "shares": load_distribution(self.kinematics.tower_angles_rad, effector)
+            if paper
+            else np.stack([np.eye(3)] * 3),
+            "holder_mass": self.nozzle_side_mass_kg,
+            "extruder_mass": effector.extruder_mass_kg,
+            "mount_k": effector.extruder_stiffness_n_per_m,
+            "mount_b": effector.extruder_damping_n_s_per_m,
+            "least_inertia": self._least_inertia(),
+            "gravity": gravity_m_per_s2,
+        }
+
+    def _least_inertia(self) -> float:
+        """Return the least mass, kg, that a combination of forces on the carriages moves, at the centre and the rim."""
+        reach = self.kinematics.model_reach_mm
+        angles = np.arange(0, 2 * np.pi, np.pi / 6)
+        places = np.vstack([np.zeros((1, 2)), reach * np.column_stack([np.cos(angles), np.sin(angles)])])
+        load = self.nozzle_side_mass_kg * self.load_map(places) @ self.kinematics.jacobian(places)
+        return float(np.linalg.eigvals(self.carriage.moving_mass_kg * np.eye(3) + load).real.min())
+
+    def describe(self) -> Description:
+        return Description(f"load map {self.effector.force_map}", self.effector.force_map)
+
+
+def delta_vibration(machine: Machine) -> DeltaVibration:
+    """Return the machine's carriages and effector.
+
+    Raises
+    ------
+    MachineFileError
+        If the machine's vibrations are told otherwise.
+    """
+    if not isinstance(machine.vibration, DeltaVibration):
+        rule = "The machine is no delta (kinematics.type), and this works for deltas only."
+        raise MachineFileError(machine.path or machine.name, [rule])
+    return machine.vibration
+
+
+def with_parts(machine: Machine, *, carriage: Carriage | None = None, effector: Effector | None = None) -> Machine:
+    """Return the machine with another carriage or another effector; MachineFileError for a machine without them."""
+    own = delta_vibration(machine)
+    return replace(
+        machine, vibration=replace(own, carriage=carriage or own.carriage, effector=effector or own.effector)
+    )
+
+
+def _drive_parameters(drive: Drive) -> PrinterFields:
+    return {"d0": drive.d0_per_s2, "lead": drive.d1_per_s / drive.d0_per_s2, "d2": drive.d2_per_s}
+
+
+def _with(part: Any, path: list[str], index: int | None, value: float) -> Any:
+    old = getattr(part, path[0])
+    if len(path) > 1:
+        return replace(part, **{path[0]: _with(old, path[1:], index, value)})
+    if index is None:
+        return replace(part, **{path[0]: float(value)})
+    array = np.array(old, dtype=float)
+    array[index] = value
+    return replace(part, **{path[0]: constant(array)})
+
+
+def _parsed(name: str) -> tuple[list[str], int | None]:
+    match = NAME.fullmatch(name)
+    if match is None:
+        raise KeyError(name)
+    index = match["index"]
+    return match["path"].split("."), None if index is None else int(index)
