@@ -9,7 +9,6 @@ import numpy as np
 from ffcomp.identify.frf_study import Compared, Station, Study, verdict
 from models.arrays import FloatArray
 from models.machine import Machine
-from models.vibration.delta import delta_vibration
 from models.vibration.mode_map import ModeMap
 
 
@@ -70,7 +69,7 @@ def mode_map_json(machine: Machine, modes: ModeMap) -> dict[str, Any]:
     return {
         "schema": "ffcomp-frf-map/1",
         "machine": {"name": machine.name, "sha256": machine.sha256},
-        "force_map": delta_vibration(machine).effector.force_map,
+        "force_map": machine.vibration.describe().force_map,
         "x_mm": modes.x_mm.tolist(),
         "y_mm": modes.x_mm.tolist(),
         "modes": [
