@@ -25,7 +25,7 @@ from ffcomp.shapers.calibration import calibrated, normalised, resonance_test
 from models.arrays import constant
 from models.kinematics.cartesian import CARTESIAN, CartesianKinematics
 from models.machine import Machine, MotionLimits
-from models.vibration.modal import Axis, parts
+from models.vibration.modal import Axis, ModalAxes
 from studies.render import save
 
 FloatArray = NDArray[np.float64]
@@ -104,8 +104,8 @@ def _drawn(rng: np.random.Generator, count: int) -> FloatArray:
 def _identified(modes: FloatArray, noise: float, seed: int) -> AxisFit:
     """From a capture as the firmware writes it."""
     box = CartesianKinematics(constant([[0, 200]] * 3), CARTESIAN)
-    vibrating = parts([Axis(*modes.T.tolist()), Axis(), Axis()])
-    machine = Machine("truth", box, limits=MotionLimits(200.0, 3000.0), **vibrating)
+    axes = ModalAxes.of([Axis(*modes.T.tolist()), Axis(), Axis()])
+    machine = Machine("truth", box, axes, MotionLimits(200.0, 3000.0))
     felt = resonance_test(machine, np.zeros(2), "x")
     felt = felt + 1e3 * np.random.default_rng(seed).normal(0, noise, felt.shape)
     with tempfile.TemporaryDirectory() as folder:

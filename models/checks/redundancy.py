@@ -97,6 +97,10 @@ class _Redundant:
     equations: tuple[_Equation, ...]
     basis: str = "the number given"
 
+    def applies(self, measured: Mapping[str, Any]) -> bool:
+        """Return whether the measured numbers give it in any way."""
+        return any(all(need in measured for need in way.needs) for way in self.ways)
+
 
 def _mass(machine: Machine) -> float:
     return delta_vibration(machine).carriage.moving_mass_kg
@@ -232,7 +236,7 @@ REDUNDANT = (
 def redundant_quantities(machine: Machine) -> list[Quantity]:
     """List every parameter of the file that the measurements determine too, with each value."""
     measured = _usable(machine)
-    found = [_quantity(each, machine, measured) for each in REDUNDANT]
+    found = [_quantity(each, machine, measured) for each in REDUNDANT if each.applies(measured)]
     return [quantity for quantity in found if quantity.others]
 
 

@@ -15,6 +15,7 @@ from models.file import load_machine
 from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine, MotionLimits
 from models.vibration.carriage import Carriage
+from models.vibration.delta import DeltaVibration
 from models.vibration.effector import Effector
 
 TABLE_I_OFFSET = (10.21, -16.52, 19.31)
@@ -32,13 +33,9 @@ def rigid() -> Callable[..., Machine]:
 
     def make(force_map: str = "virtual_work", offset: tuple[float, ...] = (0, 0, 0), **lengths) -> Machine:
         effector = Effector(0.542, 0.109, constant([1e12] * 3), constant([0] * 3), 39.91, constant(offset))
-        return Machine(
-            "rigid",
-            geometry(**lengths),
-            Carriage(0.195, 0.0, 1.21e5, 0.0, 0.0),
-            replace(effector, force_map=force_map),
-            MotionLimits(300.0, 10000.0),
-        )
+        kinematics, carriage = geometry(**lengths), Carriage(0.195, 0.0, 1.21e5, 0.0, 0.0)
+        vibration = DeltaVibration(carriage, replace(effector, force_map=force_map), kinematics)
+        return Machine("rigid", kinematics, vibration, MotionLimits(300.0, 10000.0))
 
     return make
 

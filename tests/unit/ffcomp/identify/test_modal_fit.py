@@ -30,7 +30,7 @@ from models.arrays import constant
 from models.file import LIBRARY, load_machine
 from models.kinematics.cartesian import CARTESIAN, CartesianKinematics
 from models.machine import Machine, MotionLimits
-from models.vibration.modal import Axis, parts
+from models.vibration.modal import Axis, ModalAxes
 
 FloatArray = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ def resonance_capture(folder: Path, name: str, modes: FloatArray, noise: float, 
     axes = [Axis()] * 3
     axes[axis] = Axis(*modes.T.tolist())
     box = CartesianKinematics(constant([[0, 200]] * 3), CARTESIAN)
-    machine = Machine("truth", box, limits=MotionLimits(200.0, 3000.0), **parts(axes))
+    machine = Machine("truth", box, ModalAxes.of(axes), MotionLimits(200.0, 3000.0))
     felt = 1e-3 * resonance_test(machine, np.zeros(2), "x" if axis == 0 else "y")
     felt = felt + np.random.default_rng(seed).normal(0, noise, felt.shape) + np.array([0.0, 0.0, 9.81])
     path = folder / f"raw_data_{name}.csv"

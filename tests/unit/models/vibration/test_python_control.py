@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -63,7 +62,7 @@ def test_the_acceleration_too(printer: Machine, force_map: str, per) -> None:
 
 
 def test_an_ideal_drive_on_a_damped_belt_has_no_acceleration(printer: Machine) -> None:
-    with pytest.raises(ValueError, match=r"drive is ideal and its belt damping is 7\.44 N s/m"):
+    with pytest.raises(ValueError, match="a drive is ideal and its belt is damped"):
         variant(printer, "virtual_work", False).vibration.to_control((0.0, 0.0), "acceleration")
     undamped = replace(delta_vibration(printer).carriage, drive=None, belt_damping_n_s_per_m=0.0)
     machine = with_parts(printer, carriage=undamped)
@@ -106,9 +105,3 @@ def test_sub_model_2(printer: Machine, with_arms: bool) -> None:
     np.testing.assert_allclose(response(effector_alone(delta_vibration(printer), with_arms)), wanted, rtol=1e-9)
     load = delta_vibration(printer).effector_impedance(S)[:, :, None] * np.eye(3)
     np.testing.assert_allclose(response(effector_load(delta_vibration(printer))), load, rtol=1e-9)
-
-
-def test_without_the_library_it_says_what_to_install(printer: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "control", None)
-    with pytest.raises(ModuleNotFoundError, match=r"pip install 'ffcomp\[control\]'"):
-        carriage_alone(delta_vibration(printer))
