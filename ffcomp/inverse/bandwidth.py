@@ -51,7 +51,7 @@ class EffortCurve:
 
 def effort_weight(machine: Machine, bandwidth_hz: float, segment_s: float, rows: int = 1) -> float:
     """Return ρ for which accuracy and effort weigh alike at the bandwidth: ρ |D²(ω)|² = mean |G(ω)|² at the centre."""
-    g = nozzle_frf(machine, np.zeros(2), np.array([bandwidth_hz]))[0]
+    g = machine.vibration.frequency_response(np.zeros(2), np.array([bandwidth_hz]), "nozzle", "nozzle")[0]
     hat = np.sinc(bandwidth_hz * segment_s) ** 2  # the hats' own spectrum
     second_difference = (2 * np.sin(np.pi * bandwidth_hz * segment_s)) ** 2
     gain2 = float(np.trace((g.conj().T @ g).real)) / 3 * hat**2
