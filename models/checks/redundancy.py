@@ -98,8 +98,8 @@ class _Redundant:
     basis: str = "the number given"
 
     def applies(self, measured: Mapping[str, Any]) -> bool:
-        """Return whether the measured numbers give it in any way."""
-        return any(all(need in measured for need in way.needs) for way in self.ways)
+        """Return whether the measured numbers determine it."""
+        return any(all(need in measured for need in each.needs) for each in self.equations)
 
 
 def _mass(machine: Machine) -> float:
