@@ -16,6 +16,7 @@ from models.machine import Machine
 from models.printer.kernels.record import GUIDE
 from models.printer.parameters import GRAVITY_M_PER_S2
 from models.printer.printer import PrinterMotion, simulate_printer
+from models.vibration.delta import delta_vibration, with_parts
 
 RATE_HZ = 1600
 CENTRE = np.array([[0.0, 0.0, 40.0]])
