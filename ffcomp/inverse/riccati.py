@@ -82,9 +82,17 @@ class Gains:
         )
 
 
-def no_gains() -> Gains:
-    """Return gains for no position."""
-    return Gains(np.empty((0, *BACKWARD), np.float32), np.empty((0, *FORWARD), np.float32))
+def augmented(states: int) -> int:
+    """Return how many numbers z has for a plant of so many states."""
+    return next(size for size in SIZES if size >= states + 2 * AXES)
+
+
+def no_gains(size: int, positions: int = 0) -> Gains:
+    """Return gains that are zero, for z of so many numbers."""
+    rows = -(-(size + AXES) // VECTOR) * VECTOR
+    return Gains(
+        np.zeros((positions, size + 9, rows), np.float32), np.zeros((positions, size + AXES, size), np.float32)
+    )
 
 
 class PreviewGains:
@@ -171,8 +179,10 @@ class PreviewGains:
 
 def _problem(p: DiscretePlant, jacobian: FloatArray, rows: int) -> Problem:
     """Build the interval of `rows` steps of the plant, at all of its positions; jacobian (g, 3, 3)."""
-    g = len(jacobian)
-    x, now, before = slice(0, STATES), slice(STATES, STATES + AXES), slice(STATES + AXES, AUGMENTED)
+    g, own = p.a.shape[:2]
+    size = augmented(own)
+    states = size - 2 * AXES
+    x, now, before = slice(0, own), slice(states, states + AXES), slice(states + AXES, size)
     eye = np.eye(AXES)
     # the command at the interval's two ends, as rows of (z, w)
     first, last = np.zeros((AXES, size + AXES)), np.zeros((AXES, size + AXES))

@@ -76,7 +76,7 @@ def sweep_back(
 def sweep_forward(
     steady: Float32Array, ending: Float32Array, node: IntArray, psi: Float32Array, kept: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the change of the command and the plant's response to it.
+    """Sweep forwards: the change of the command and the plant's response to it.
 
     steady (g, N + 3, N), ending (m, N + 3, N): gains.   psi (n, 3): see `sweep_back`.
     Returns γ (n, 3) at the ends of the intervals, and the response x (N − 6,) after `kept`.
@@ -126,12 +126,8 @@ def _sweep_forward(
     rows: tuple[int, ...],
     of_state: tuple[int, ...],
 ) -> tuple[FloatArray, FloatArray]:
-    """Sweep forwards: the change γ (n, 3) at the ends of the intervals, and the plant's answer x (18,) after `kept`.
-
-    steady (g, 27, 24), ending (m, 27, 24): gains.   psi (n, 3): see `sweep_back`.
-    """
-    n, g = len(node), len(steady)
-    gamma, state, z = np.empty((n, 3)), np.zeros(18), np.zeros(24, np.float32)
+    n, g, states = len(node), len(steady), len(of_state) - 6
+    gamma, state, z = np.empty((n, 3)), np.zeros(states), np.zeros(len(rows), np.float32)
     for k in range(n):
         if node[k] < g:
             _forward(rows, of_state, steady, node[k], z, psi, k)
