@@ -96,7 +96,7 @@ class _Part:
         psi = sweep_back(steady.backward, ending.backward, self.node, rows, np.concatenate([before, gamma]))
         change, answer = sweep_forward(steady.forward, ending.forward, self.node, psi, kept)
         gamma[1:] += change
-        return answer[: self.run.model.plant.table.plant.a.shape[1]], float(np.abs(change[:kept]).max())
+        return answer[: self.iterate.model.plant.table.plant.a.shape[1]], float(np.abs(change[:kept]).max())
 
 
 def _to_rest(gains: PreviewGains, node: NDArray[np.int64], steady: int) -> Gains:

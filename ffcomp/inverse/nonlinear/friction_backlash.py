@@ -58,8 +58,8 @@ class FrictionBacklash:
         """
         answer = _Answer(self._model, iterate)
         e = self._beyond(answer.q, stretch)
-        asked = answer.of(self._belts, e - e[0], rest_state(self._undriven, answer.nozzle[0]))
-        begin, gamma = rest_state(self._model.machine, answer.nozzle[0]), np.zeros_like(iterate.gamma)
+        asked = answer.of(self._belts, e - e[0], self._undriven.equilibrium(answer.nozzle[0]))
+        begin, gamma = self._model.machine.equilibrium(answer.nozzle[0]), np.zeros_like(iterate.gamma)
         for _ in range(SWEEPS):
             left = asked - answer.of(self._model.plant, answer.along(gamma), begin)
             gamma += answer.sweep(left)
