@@ -59,11 +59,11 @@ class PrinterProblem(Problem):
         self, machine: Machine, recordings: Sequence[Recording], names: Sequence[str] = tuple(CATALOGUE)
     ) -> None:
         self.machine, self.recordings = machine, recordings
+        self.parameters = tuple(_parameters(machine))  # first: it raises for a machine without carriages
         self.commands = [carriages_of(machine, recording)[:: _every(recording)] for recording in recordings]
         self.observations = [
             _observation(machine, recording, c) for recording, c in zip(recordings, self.commands, strict=True)
         ]
-        self.parameters = tuple(_parameters(machine))
         self.candidates = tuple(_candidate(machine, CATALOGUE[n]) for n in names if n not in machine.effects)
         self.same_command = [_first_equal(self.commands, i) for i in range(len(recordings))]
         self.kept: dict[_Key, dict[int, PrinterMotion]] = {}

@@ -94,7 +94,7 @@ def check(machine: Machine, proposal: Proposal) -> None:
     nozzle = trajectory.position(t)[:, :3]
     assert np.hypot(*nozzle[:, :2].T).max() < machine.kinematics.print_radius_mm
     assert nozzle[:, 2].min() > 5.0 and nozzle[:, 2].max() < machine.kinematics.print_height_mm
-    np.testing.assert_allclose(nozzle[-1], proposal.place_mm, atol=1e-3)
+    np.testing.assert_allclose(nozzle[-1], proposal.position_mm, atol=1e-3)
     assert np.linalg.norm(trajectory.velocity(t)[:, :3], axis=1).max() <= limits.velocity_mm_per_s * (1 + 1e-9)
     assert np.linalg.norm(trajectory.acceleration_at(t)[:, :3], axis=1).max() <= limits.acceleration_mm_per_s2 * 1.001
     carriages = np.gradient(machine.kinematics.inverse(nozzle), t, axis=0)

@@ -293,7 +293,7 @@ def test_a_sensor_along_other_axes_is_told_and_its_sum_taken(tmp_path: Path) -> 
     rows = np.loadtxt(path, delimiter=",", skiprows=1)
     np.savetxt(path, rows[:, [0, 3, 2, 1]], fmt="%.5f", delimiter=",", header=HEADER.strip(), comments="")
     found = spectrum_of(path, None, (2.0, 400.0))
-    assert isinstance(found, Spectrum) and "the sensor's z felt" in found.remark
+    assert isinstance(found, Spectrum) and "the sensor's z shows" in found.remark
     near(fit_axis("x", [found]), ONE)
 
 
