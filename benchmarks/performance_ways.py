@@ -129,7 +129,7 @@ def inverting(machine: Machine, settings: Settings, name: str) -> Method:
     """Filtered B-splines: every run of a stretch, with all that an inverse keeps already worked out."""
     way = replace(ways.inversion(machine, settings, name), label=LABELS[name])
     inverter = InverseModel(machine, replace(settings, one_model=name == ONE_MODEL))
-    return Method(way, lambda stretch: sum(each.wanted.knots for each in solved(stretch.planned, inverter)))
+    return Method(way, lambda stretch: sum(each.reference.knots for each in solved(stretch.planned, inverter)))
 
 
 def solved(planned: PlannedProgram, inverter: InverseModel, keep: bool = False) -> Iterator[SolvedSection]:
@@ -235,9 +235,9 @@ def apart(planned: PlannedProgram, machine: Machine) -> dict[str, Any]:
     last = last_extruding(planned)
     while_printing, parking, passes = _Apart(), _Apart(), _Apart()
     for a, b, c in zip(*(solved(planned, each, True) for each in (exact, ours, more)), strict=True):
-        (while_printing if a.run.first <= last else parking).add(a.run, a.result, b.result)
-        if a.run.first > last:
-            passes.add(a.run, a.result, c.result)
+        (while_printing if a.section.first <= last else parking).add(a.section, a.solution, b.solution)
+        if a.section.first > last:
+            passes.add(a.section, a.solution, c.solution)
     return {"printing": while_printing.told(), "parking": parking.told(), "passes": passes.told()}
 
 
@@ -286,7 +286,7 @@ def over_the_bed(radii_mm: Sequence[float], rounds: int, exact_rounds: int, seco
     works: dict[str, Callable[[], int]] = {}
     for radius, plan in plans.items():
         for name, inverter in ((COMPENSATED, ours), (EXACT, exact)):
-            works[f"{name}-{radius:g}"] = lambda p=plan, i=inverter: sum(s.wanted.knots for s in solved(p, i))
+            works[f"{name}-{radius:g}"] = lambda p=plan, i=inverter: sum(s.reference.knots for s in solved(p, i))
     found = least(works, {name: rounds if name.startswith(COMPENSATED) else exact_rounds for name in works})
     us = {name: 1e6 * cpu_s / count for name, (count, cpu_s) in found.items()}
     return {

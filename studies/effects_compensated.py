@@ -170,7 +170,7 @@ def cost(machine: Machine, seconds: float) -> tuple[float, float, float]:
 def solve(inverter: InverseModel, parts: list[PrintSlice]) -> float:
     """The largest share of its limit that a carriage is asked for."""
     return max(
-        solved.result.utilisation
+        solved.solution.utilisation
         for part in parts
         for solved in solutions(part.planned, inverter.machine, inverter, None, lambda wanted: False)
     )

@@ -54,7 +54,7 @@ def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedCh
     if chunk.before is not None:
         past = plan_program(chunk.before, machine, offset, s_curve)
         for solved in solutions(past, machine, model, None, lambda reference: False):
-            state = solved.result.state
+            state = solved.solution.state
     lost_s, waits_s = sum(each.seconds for each in chunk.slowed), 0.0
     warnings = list(chunk.program.warnings)
     if smooth < s_curve and chunk.extent.begin is None:

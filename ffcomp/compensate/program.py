@@ -82,8 +82,8 @@ def compensate(
         solved = next(solved_sections)
         yield from renderer.section(section, solved)
         statistics += of_section(section, solved, planned, extent, model)
-        if prediction is not None and len(solved.result.response):
-            prediction.add(solved.trajectory, solved.run, solved.wanted, solved.result)
+        if prediction is not None and len(solved.solution.response):
+            prediction.add(solved.trajectory, solved.section, solved.reference, solved.solution)
         progress(section.end_t)
     yield from renderer.finish()
     samples = prediction.samples if prediction is not None else None

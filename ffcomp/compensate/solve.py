@@ -28,12 +28,12 @@ from models.machine import Machine
 
 @dataclass(frozen=True, slots=True)
 class SolvedSection:
-    """A run that travels, and the command whose response it is."""
+    """A section that travels, and the command whose response it is."""
 
     trajectory: PlannedMotion  # the plan, slower than it was before where limits asked for it
-    run: Section
-    wanted: Reference
-    result: Solution
+    section: Section
+    reference: Reference
+    solution: Solution
     slowed: tuple[TimeScaling, ...]
     knots: tuple[int, int]  # between which it is written
 
@@ -41,75 +41,85 @@ class SolvedSection:
 def solutions(
     planned: PlannedProgram,
     machine: Machine,
-    inverter: InverseModel,
+    model: InverseModel,
     state: FloatArray | None,
     keep: Callable[[Reference], bool],
     layers_before: int = 0,
-    ends: Extent = WHOLE,
+    extent: Extent = WHOLE,
 ) -> Iterator[SolvedSection]:
     """Solve the sections that travel, one after the other: what rings when one ends is known to the next.
 
     Parameters
     ----------
-    state : (18,) of the plant as the first run begins; None: at rest
-    keep : asked once for each run whether its response is wanted
-    layers_before : of the file, before this program
-    ends : what is written of the program, if it begins or ends in motion
+    planned : PlannedProgram
+        A chunk's program.
+    machine : Machine
+        What it is planned for.
+    model : InverseModel
+        The machine's inverse.
+    state : (18,) array or None
+        Of the plant as the first section begins; None: at rest.
+    keep : callable
+        Asked once for each section whether its response is needed.
+    layers_before : int
+        Layers of the file that have begun before this program.
+    extent : Extent
+        What is written of the program, if it begins or ends in motion.
 
     Raises
     ------
     LimitsError
         Where a limit cannot be held, and the plan must not or cannot be slowed down.
     """
-    ran = _by_the_model(planned, machine, inverter, state, keep, layers_before, ends)
-    if inverter.printer is None:
-        yield from (solved for solved, _ in ran)
+    linear = _linear(planned, machine, model, state, keep, layers_before, extent)
+    if model.printer is None:
+        yield from (solved for solved, _ in linear)
         return
-    known = list(ran)
+    known = list(linear)
     results = correct_sections(
-        inverter, inverter.printer, [LinearSolution(s.wanted, s.result, rest) for s, rest in known]
+        model, model.printer, [LinearSolution(s.reference, s.solution, rest) for s, rest in known]
     )
-    yield from (replace(solved, result=result) for (solved, _), result in zip(known, results, strict=True))
+    yield from (replace(solved, solution=result) for (solved, _), result in zip(known, results, strict=True))
 
 
-def _by_the_model(
+def _linear(
     planned: PlannedProgram,
     machine: Machine,
-    inverter: InverseModel,
+    model: InverseModel,
     state: FloatArray | None,
     keep: Callable[[Reference], bool],
     layers_before: int,
-    ends: Extent,
+    extent: Extent,
 ) -> Iterator[tuple[SolvedSection, float | None]]:
-    """Each run with its answer, and how long the nozzle has rested before it; None: others have moved it."""
-    program, trajectory, settings = planned.program, planned.trajectory, inverter.settings
+    """Solve each section linearly; yield it and how long the nozzle has rested before it (None: others moved it)."""
+    program, trajectory, settings = planned.program, planned.trajectory, model.settings
     moved, limits = _moved_before(planned), planner_limits(machine)
     replan = partial(smooth_section, machine, limits) if settings.s_curve else partial(plan_section, limits)
     layers = LayerLookup(program, layers_before)
     rested = later = 0.0
-    for run in planned.sections:
-        if not run.travels:
+    for section in planned.sections:
+        if not section.travels:
             continue
-        start, rest_s = trajectory.origin[run.first, :3], run.begin_t - rested
-        rested = run.end_t
-        if state is None or moved[run.first]:
+        start, rest_s = trajectory.origin[section.first, :3], section.begin_t - rested
+        rested = section.end_t
+        if state is None or moved[section.first]:
             state, rest = machine.equilibrium(start), None
         else:
-            state, rest = inverter.state_after_rest(state, start, rest_s), rest_s
+            state, rest = model.state_after_rest(state, start, rest_s), rest_s
         if later:
-            run = replace(run, begin_t=run.begin_t + later, end_t=run.end_t + later)
-        own = ends if run is planned.sections[0] else WHOLE
-        written = own.written(trajectory, run, settings)
+            section = replace(section, begin_t=section.begin_t + later, end_t=section.end_t + later)
+        own = extent if section is planned.sections[0] else WHOLE
+        written = own.written(trajectory, section, settings)
         keep_response = keep(written.reference)
         if settings.time_scaling:
             request = SectionRequest(
-                program, trajectory, run, written, state, limits, replan, own, keep_response, layers.of
+                program, trajectory, section, written, state, limits, replan, own, keep_response, layers.of
             )
-            found = solve_feasible(inverter, request)
+            found = solve_feasible(model, request)
             trajectory, later = found.trajectory, later + found.lost_s
         else:
-            result = solve(inverter, written.reference, state, keep_response=keep_response)
-            found = FeasibleSection(trajectory, run, written, result)
+            result = solve(model, written.reference, state, keep_response=keep_response)
+            found = FeasibleSection(trajectory, section, written, result)
         reference, *knots = found.written
         yield (
             SolvedSection(trajectory, found.section, reference, found.solution, found.records, (knots[0], knots[1])),
@@ -122,11 +132,11 @@ def _moved_before(planned: PlannedProgram) -> dict[int, bool]:
     """Tell for the first move of each section that travels whether others have moved the nozzle since the last one."""
     others = {e.move for e in planned.program.events if e.kind in (EventKind.STOP, EventKind.RAW_MOVE)}
     found, pending, last = {}, False, -1
-    for run in planned.sections:
-        pending = pending or any(move in others for move in range(last + 1, run.first + 1))
-        last = run.first
-        if run.travels:
-            found[run.first], pending, last = pending, False, run.last - 1
+    for section in planned.sections:
+        pending = pending or any(move in others for move in range(last + 1, section.first + 1))
+        last = section.first
+        if section.travels:
+            found[section.first], pending, last = pending, False, section.last - 1
     return found
 
 

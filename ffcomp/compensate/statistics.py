@@ -72,7 +72,7 @@ def of_section(
     """Count a solved section, which lasts longer than it was planned."""
     begin, end = solved.knots
     longer_s = (end - begin) * model.settings.segment_s - _counted_s(section, planned, extent)
-    result = solved.result
+    result = solved.solution
     warnings = tuple(_excesses(solved, planned.program, model)) if result.utilisation > BEYOND else ()
     return Statistics(
         windows=result.windows,
@@ -98,10 +98,10 @@ def _on(position: PathPosition | None, plan: PlannedMotion, otherwise: float) ->
 def _excesses(solved: SolvedSection, program: Program, model: InverseModel) -> Iterator[str]:
     """Warn if more than a limit is demanded where the section is written."""
     begin, end = solved.knots
-    demand = utilisation_from_rest(solved.result.vertices, model.limits)[begin : end + 2].max(axis=(1, 2))
+    demand = utilisation_from_rest(solved.solution.vertices, model.limits)[begin : end + 2].max(axis=(1, 2))
     worst = int(demand.argmax())
     if demand[worst] > BEYOND:
-        t = solved.wanted.t0 + (begin + worst) * model.settings.segment_s
-        move = min(max(int(solved.trajectory.move_at(t)), solved.run.first), solved.run.last - 1)
+        t = solved.reference.t0 + (begin + worst) * model.settings.segment_s
+        move = min(max(int(solved.trajectory.move_at(t)), solved.section.first), solved.section.last - 1)
         line = program.first_line + int(program.moves.line[move]) + 1
         yield f"line {line}: the command needs {demand[worst]:.2f} times a carriage's limit here."

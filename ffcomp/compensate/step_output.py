@@ -78,9 +78,14 @@ class StepRenderer:
 
     def section(self, section: Section, solved: SolvedSection) -> Iterable[bytes]:
         """Write a section that travels, and give the lines in it their ticks."""
-        run, moves, reference, (first, last) = solved.run, self._planned.program.moves, solved.wanted, solved.knots
+        run, moves, reference, (first, last) = (
+            solved.section,
+            self._planned.program.moves,
+            solved.reference,
+            solved.knots,
+        )
         heights = moves.end[run.first : run.last, 2]
-        vertices = keep_inside(self._kinematics, solved.result.vertices[first : last + 1], heights)
+        vertices = keep_inside(self._kinematics, solved.solution.vertices[first : last + 1], heights)
         filament = reference.extrusion(first, last)
         if last == reference.knots:
             filament[-1] = moves.end[run.last - 1, 3]

@@ -299,9 +299,9 @@ def test_an_ideal_machine_is_told_the_plan_itself() -> None:
     own, steady = _inverter(ideal(load_machine("mp-delta-pro"))), 0
     for seed in range(20):
         for answer in solved(random_print(seed), own):
-            plan, vertices = answer.trajectory, answer.result.vertices
-            t = answer.run.begin_t - own.settings.lead_s + own.settings.segment_s * np.arange(len(vertices))
-            wanted = plan.position(np.clip(t, answer.run.begin_t, np.nextafter(answer.run.end_t, 0.0)))
+            plan, vertices = answer.trajectory, answer.solution.vertices
+            t = answer.section.begin_t - own.settings.lead_s + own.settings.segment_s * np.arange(len(vertices))
+            wanted = plan.position(np.clip(t, answer.section.begin_t, np.nextafter(answer.section.end_t, 0.0)))
             away_um = 1e3 * np.linalg.norm(vertices - wanted[:, :3], axis=1)
             assert away_um.max() < 20.0, f"random_print({seed})"
             far = distance_to_changes(plan, t) > STEADY_S
@@ -352,7 +352,7 @@ def test_a_turned_machine_gives_the_turned_answer(degrees: float, relabelled: bo
     beside = replace(machine, kinematics=replace(machine.kinematics, tower_angles_deg=angles))
     places = np.column_stack([rng.normal(scale=25.0, size=(8, 2)), rng.uniform(5.0, 6.0, size=8)])
     (here,), (there,) = (
-        [answer.result.vertices for answer in solved(path_through(path), _inverter(one))]
+        [answer.solution.vertices for answer in solved(path_through(path), _inverter(one))]
         for path, one in ((places, machine), (turned(places, degrees), beside))
     )
     np.testing.assert_allclose(there, turned(here, degrees), atol=2e-3)  # models come from a grid that is not turned

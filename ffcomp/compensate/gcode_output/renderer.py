@@ -40,16 +40,16 @@ class GcodeRenderer:
 
     def section(self, section: Section, solved: SolvedSection) -> Iterator[bytes]:
         """Write the segments of a section, tile by tile, and the lines in it."""
-        planned, reference, (begin, end) = self._planned, solved.wanted, solved.knots
+        planned, reference, (begin, end) = self._planned, solved.reference, solved.knots
         heights = planned.program.moves.end[section.first : section.last, 2]
-        vertices = keep_inside(self._kinematics, solved.result.vertices, heights)
+        vertices = keep_inside(self._kinematics, solved.solution.vertices, heights)
         inside = self._events.up_to(section.last - 1)
         if self._extent.begin is not None and section is planned.sections[0]:
             position = [*vertices[begin].tolist(), float(reference.extrusion(begin, begin)[0])]
             self._writer.resume(self._extent.begin.move, position)
         for tile in tiles(reference.knots, begin=begin, end=end):
             part = vertices[tile.first : tile.last + 1]
-            events = timeline(planned.program, solved.trajectory, solved.run, reference, part, inside, tile)
+            events = timeline(planned.program, solved.trajectory, solved.section, reference, part, inside, tile)
             yield from self._writer.section(section.first, part, events)
 
     def finish(self) -> Iterator[bytes]:

@@ -42,8 +42,8 @@ def tracking_um(answers: list[SolvedSection]) -> float:
     """Rms of the error that the loop has seen in the end."""
     errors = []
     for each in answers:
-        wanted, _ = each.wanted.substeps(0, each.wanted.knots)
-        errors.append(np.sum((wanted[1:] - each.result.response) ** 2, axis=1))
+        wanted, _ = each.reference.substeps(0, each.reference.knots)
+        errors.append(np.sum((wanted[1:] - each.solution.response) ** 2, axis=1))
     return 1e3 * float(np.sqrt(np.mean(np.concatenate(errors))))
 
 
@@ -89,27 +89,29 @@ def test_play_too_wide_to_be_crossed_leaves_no_run_worse_than_the_linear_command
 
 @pytest.mark.parametrize("plant", [PLAY, FRICTION], ids=["play", "friction"])
 def test_no_limit_is_broken_for_an_effect(plant: Machine) -> None:
-    free = max(each.result.utilisation for each in solved(plant)[1])
-    linear = max(each.result.utilisation for each in solved(MACHINE)[1])
+    free = max(each.solution.utilisation for each in solved(plant)[1])
+    linear = max(each.solution.utilisation for each in solved(MACHINE)[1])
     assert free > 1.1 * linear
     ceiling = 0.5 * (free + linear) * plant.limits.carriage_acceleration_mm_per_s2
     tight = replace(plant, limits=replace(plant.limits, carriage_acceleration_mm_per_s2=ceiling))
     inverter, answers = solved(tight)
-    assert max(each.result.utilisation for each in answers) <= 1.0
-    assert all(peak_utilisation(each.result.vertices, inverter.limits) <= 1.0 for each in answers)
+    assert max(each.solution.utilisation for each in answers) <= 1.0
+    assert all(peak_utilisation(each.solution.vertices, inverter.limits) <= 1.0 for each in answers)
     assert tracking_um(answers) < 3.0 * without_um()
 
 
 def test_a_command_begins_and_ends_on_the_path_at_rest() -> None:
     for each in solved(PLAY)[1]:
-        ends = each.wanted.at_knots(np.array([0, each.wanted.knots]))
-        assert np.abs(each.result.vertices[[0, -1]] - ends).max() < 1e-9
+        ends = each.reference.at_knots(np.array([0, each.reference.knots]))
+        assert np.abs(each.solution.vertices[[0, -1]] - ends).max() < 1e-9
 
 
 def test_a_printer_without_effects_leaves_the_linear_command() -> None:
     """Played on the printer that the model is made from, what is left is not worth a step."""
     (_, linear), (_, again) = solved(MACHINE), solved(MACHINE, MACHINE)
-    far = max(float(np.abs(a.result.vertices - b.result.vertices).max()) for a, b in zip(linear, again, strict=True))
+    far = max(
+        float(np.abs(a.solution.vertices - b.solution.vertices).max()) for a, b in zip(linear, again, strict=True)
+    )
     assert far < 0.05
 
 

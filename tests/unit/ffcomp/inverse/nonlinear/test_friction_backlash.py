@@ -77,7 +77,7 @@ def longest_run() -> Reference:
     """Of a square."""
     (part,), _ = Print(squares(1), "squares.gcode", MACHINE).slices(Sampling())
     solved = solutions(part.planned, MACHINE, InverseModel(MACHINE, settings_for(MACHINE)), None, lambda wanted: False)
-    return max((each.wanted for each in solved), key=lambda wanted: wanted.knots)
+    return max((each.reference for each in solved), key=lambda wanted: wanted.knots)
 
 
 def foreseen(machine: Machine, stretch: FloatArray) -> tuple[Iterate, FloatArray]:
