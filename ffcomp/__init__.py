@@ -73,7 +73,7 @@ class _Verb(ModuleType):
 
 
 class _Package(ModuleType):
-    """This package: a folder that the import system binds here becomes callable, whoever imports it first."""
+    """The ffcomp package: a folder that the import system binds here becomes callable, whoever imports it first."""
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Bind a name; make a verb's folder callable."""

@@ -265,7 +265,6 @@ def _instability(places: FloatArray) -> list[str]:
 
 def _modes(machine: Machine) -> list[dict[str, Any]]:
     """Return the modes at the positions that show how they change over the bed."""
-
     places = machine.kinematics.sample_positions
     found = {place: machine.vibration.modes_at(xy) for place, xy in places.items()}
     return [
