@@ -76,7 +76,7 @@ def tables(method: str, machine: Machine, measured: Sequence[FrequencyResponse])
     """Return the cells of Tables II and III, of what a method has identified."""
     cells = {key: accuracy(r, predicted(machine, [r])[0]) for r in measured for key in [key_of(r)]}
     by_key = {key_of(r): r for r in measured}
-    rows, reductions = [], []
+    rows, reductions = list[dict[str, Any]](), list[dict[str, Any]]()
     for tower in "ABC":
         row = [cells[tower, place] for place in PLACES]
         rows.append({"tower": tower, "cells": list(map(told, row)), "mean": told(np.mean(row, axis=0))})

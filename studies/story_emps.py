@@ -66,9 +66,9 @@ def answer(path: Path, found: Diagnosis) -> Answer:
         1e3 * (measured - np.concatenate([y[:, 0] for y in axis.simulate(values)]))
         for values in (found.base.values, found.final.values)
     )
-    time = np.concatenate([run.time_s for run, _ in axis.stretches])
+    time = np.concatenate([run.time_s for run, _ in axis.windows])
     shot = round(SHOT_S * axis.observations[0].rate_hz)
-    return Answer(shot, time, np.concatenate([speed for _, speed in axis.stretches]), before, after)
+    return Answer(shot, time, np.concatenate([speed for _, speed in axis.windows]), before, after)
 
 
 # ---- the results ---------------------------------------------------------------------------------

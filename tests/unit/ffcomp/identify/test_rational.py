@@ -32,6 +32,7 @@ def test_coefficients_of_a_known_function_come_back_to_all_digits() -> None:
     assert max(fit.zeros().real) == pytest.approx(drive.d0_per_s2 / -drive.d1_per_s, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_uncertainties_are_those_of_a_hundred_noise_draws() -> None:
     found = []
     for seed in range(100):

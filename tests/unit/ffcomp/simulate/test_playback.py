@@ -40,6 +40,7 @@ def test_the_polynomial_of_the_sag_holds_between_its_places() -> None:
     np.testing.assert_allclose(static_deflection(MACHINE, place), nozzle - place, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ringing_tower", "far_star"])
 def test_the_independent_plant_says_the_same(name: str) -> None:
     """Other equations, another integrator and step, and no weight, which changes a violent ringing by 0.2 %."""
