@@ -46,7 +46,7 @@ def machine_paths() -> dict[str, Path]:
 
 
 def find_machine(name_or_path: str | Path) -> Path:
-    """The file meant by a name or a path (see the top of this module)."""
+    """Return the file meant by a name or a path (see the top of this module)."""
     path, name = Path(name_or_path), str(name_or_path)
     if path.suffix == ".toml" or len(path.parts) > 1:
         if not path.is_file():
@@ -60,7 +60,7 @@ def find_machine(name_or_path: str | Path) -> Path:
 
 
 def find_by_sha256(digits: str, name: str) -> Path:
-    """The file whose hash begins with these hexadecimal digits; `name` only serves to say which one is missing."""
+    """Return the file whose hash begins with these digits; `name` only serves to say which one is missing."""
     for path in machine_paths().values():
         if hashlib.sha256(path.read_bytes()).hexdigest().startswith(digits):
             return path
@@ -69,7 +69,7 @@ def find_by_sha256(digits: str, name: str) -> Path:
 
 
 def load_machine(name_or_path: str | Path) -> Machine:
-    """The machine of that name or in that file.
+    """Return the machine of that name or in that file.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any
 
 
 def starting_text(name: str, source: Path) -> str:
-    """The text of a new machine file: `source`, comments and all, under a new name, saying where it began."""
+    """Return the text of a new machine file: `source` under a new name, saying where it began."""
     data = source.read_bytes()
     document = tomlkit.parse(data.decode("utf-8"))
     document["name"] = name
@@ -171,7 +171,7 @@ def updated_text(
     uncertainty: Mapping[str, float] | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> str:
-    """The text of `source` with numbers replaced; comments, order and everything else stay.
+    """Return the text of `source` with numbers replaced; comments, order and everything else stay.
 
     Parameters
     ----------

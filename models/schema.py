@@ -41,6 +41,8 @@ DEFAULT_STEPS = Steps()
 
 
 class Table(BaseModel):
+    """Base of every table: no unknown keys, no conversions."""
+
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 
 
@@ -62,16 +64,20 @@ class StraightTable(Table):
         return self
 
     def geometry(self) -> CartesianKinematics:
+        """Return the kinematics."""
         ranges = constant([self.x_range_mm, self.y_range_mm, self.z_range_mm])
         return CartesianKinematics(ranges, CARTESIAN if self.type == "cartesian" else COREXY)
 
 
 class AxisTable(Table):
+    """`[axes.x]` and its like: the modes of one axis."""
+
     frequency_hz: Annotated[list[Annotated[float, Field(ge=1, le=1000)]], UP_TO_TWO]
     damping_ratio: Annotated[list[Annotated[float, Field(ge=0, lt=1)]], UP_TO_TWO]
     share: Annotated[list[Annotated[float, Field(gt=0, le=1)]], UP_TO_TWO] | None = None
 
     def axis(self) -> Axis:
+        """Return the axis with its modes."""
         return Axis(self.frequency_hz, self.damping_ratio, self.share or [1.0])
 
 
@@ -88,10 +94,13 @@ class AxesTable(Table):
         return self
 
     def axes(self) -> list[Axis]:
+        """Return three axes X Y Z."""
         return [Axis() if table is None else table.axis() for table in (self.x, self.y, self.z)]
 
 
 class KinematicsTable(Table):
+    """`[kinematics]` of a delta."""
+
     type: Literal["delta"]
     arm_length_mm: Length | None = None
     arm_lengths_mm: Annotated[list[Length], THREE] | None = None
@@ -115,9 +124,11 @@ class KinematicsTable(Table):
 
     @property
     def radii_mm(self) -> list[float] | None:
+        """Return the radius of each tower."""
         return self.delta_radii_mm or (self.delta_radius_mm and [self.delta_radius_mm] * 3) or None
 
     def geometry(self) -> DeltaKinematics:
+        """Return the kinematics."""
         return DeltaKinematics(
             arm_lengths_mm=_known(self.arms_mm),
             delta_radii_mm=_known(self.radii_mm),
@@ -129,12 +140,16 @@ class KinematicsTable(Table):
 
 
 class DriveTable(Table):
+    """`[carriage.drive]`."""
+
     d0_per_s2: float = Field(ge=100, le=1e10)
     d1_per_s: float = Field(ge=-1e6, le=1e6)
     d2_per_s: float = Field(ge=0.01, le=1e6)
 
 
 class CarriageTable(Table):
+    """`[carriage]`."""
+
     mass_kg: float = Field(ge=0.001, le=20)
     arm_pair_mass_kg: float = Field(ge=0, le=5)
     belt_stiffness_n_per_m: float = Field(ge=1e3, le=1e9)
@@ -149,6 +164,8 @@ class CarriageTable(Table):
 
 
 class EffectorTable(Table):
+    """`[effector]`."""
+
     nozzle_mass_kg: float = Field(ge=0.001, le=20)
     extruder_mass_kg: float = Field(ge=0.0001, le=20)
     extruder_stiffness_n_per_m: Annotated[list[Stiffness], THREE]
@@ -165,6 +182,8 @@ class EffectorTable(Table):
 
 
 class LimitsTable(Table):
+    """`[limits]`."""
+
     velocity_mm_per_s: float = Field(ge=1, le=1e4)
     acceleration_mm_per_s2: float = Field(ge=10, le=1e6)
     square_corner_velocity_mm_per_s: float = Field(DEFAULT_LIMITS.square_corner_velocity_mm_per_s, ge=0, le=1000)
@@ -183,6 +202,7 @@ class LimitsTable(Table):
         return self
 
     def limits(self) -> MotionLimits:
+        """Return the limits."""
         travel = self.carriage_travel_mm
         return MotionLimits(
             **self.model_dump(exclude={"carriage_travel_mm"}),
@@ -195,6 +215,8 @@ FullSteps = Annotated[float, Field(ge=0.1, le=1000)]
 
 
 class StepsTable(Table):
+    """`[steps]`."""
+
     steps_per_mm: Microsteps | Annotated[list[Microsteps], THREE] = 80.0
     full_steps_per_mm: FullSteps | Annotated[list[FullSteps], THREE] = 5.0
     extruder_steps_per_mm: float | None = Field(None, ge=1, le=1e5)
@@ -208,6 +230,7 @@ class StepsTable(Table):
         return self
 
     def steps(self) -> Steps:
+        """Return the steps."""
         return Steps(
             _number_or_tuple(self.steps_per_mm), _number_or_tuple(self.full_steps_per_mm), self.extruder_steps_per_mm
         )
@@ -256,12 +279,15 @@ class Document(Table):
 
 
 class DeltaDocument(Document):
+    """The file of a delta."""
+
     kinematics: KinematicsTable
     carriage: CarriageTable
     effector: EffectorTable
 
     @classmethod
     def missing(cls, document: Mapping[str, Any]) -> list[str]:
+        """Return sentences about lengths that are not there."""
         return _missing_lengths(document)
 
     def machine_parts(self) -> tuple[Kinematics, VibrationModel]:
@@ -271,6 +297,8 @@ class DeltaDocument(Document):
 
 
 class StraightDocument(Document):
+    """The file of a cartesian or CoreXY machine."""
+
     kinematics: StraightTable
     axes: AxesTable = Field(default_factory=lambda: AxesTable())
 
@@ -301,7 +329,7 @@ OF_STRAIGHT_AXES = ("command_delay", "cogging")
 
 
 def validated(document: Mapping[str, Any], path: str) -> DeltaDocument | StraightDocument:
-    """The document, checked; MachineFileError with every mistake otherwise."""
+    """Return the document, checked; raise MachineFileError with every mistake otherwise."""
     kind = KINDS.get(str(_kind(document)), DeltaDocument)
     problems = kind.missing(document)
     try:
@@ -408,7 +436,7 @@ def _effect_keys() -> Iterator[str]:
 
 
 def _table_of(annotation: Any) -> type[Table] | None:
-    """The table behind `X` or `X | None`."""
+    """Return the table behind `X` or `X | None`."""
     for candidate in (annotation, *getattr(annotation, "__args__", ())):
         if isinstance(candidate, type) and issubclass(candidate, Table):
             return candidate
@@ -452,7 +480,7 @@ PAIRS = ("limits.carriage_travel_mm", *(f"kinematics.{axis}_range_mm" for axis i
 
 
 def unit_of(key: str) -> str:
-    """The unit a key's name ends in, '' if none."""
+    """Return the unit a key's name ends in, '' if none."""
     return next((unit for ending, unit in UNITS.items() if key.endswith(ending)), "")
 
 
@@ -504,7 +532,7 @@ def _key(loc: tuple[int | str, ...]) -> str:
 
 
 def _right_key(loc: tuple[int | str, ...], document: type[Table]) -> str:
-    """A suggestion for an unknown key: the same key in another table, or the nearest one in its own."""
+    """Suggest for an unknown key the same key in another table, or the nearest one in its own."""
     word = str(loc[-1])
     elsewhere = [key for key in number_keys(document) if key.endswith(f".{word}")]
     if elsewhere:

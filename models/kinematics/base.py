@@ -87,7 +87,7 @@ class Kinematics(ABC):
 
     @abstractmethod
     def contains(self, xyz: FloatArray, margin_mm: float = 0.0) -> BoolArray:
-        """Return which of the points (n, 2) or (n, 3) mm lie over the bed, and inside the print volume if z is given.
+        """Return which of the points (n, 2) or (n, 3) mm lie over the bed and, if z is given, in the volume.
 
         margin_mm : by how much a point may lie outside
         """

@@ -34,9 +34,11 @@ class CartesianKinematics(Kinematics):
     raisable_axes: ClassVar[str] = "XY"
 
     def inverse(self, xyz: FloatArray) -> FloatArray:
+        """Return carriages of nozzle positions, mm."""
         return np.array(xyz, dtype=np.float64)
 
     def forward(self, q: FloatArray) -> FloatArray:
+        """Return nozzle positions of carriages, mm."""
         return np.array(q, dtype=np.float64)
 
     def rate_term(self, xyz: FloatArray, velocity: FloatArray) -> FloatArray:
@@ -46,12 +48,15 @@ class CartesianKinematics(Kinematics):
     jacobian_rate_term = rate_term  # the axes are straight
 
     def jacobian(self, xy: FloatArray) -> FloatArray:
+        """Return J with Ẋ = J q̇ at positions (n, 2) mm; further columns are ignored. (n, 3, 3), rows X Y Z."""
         return np.tile(np.eye(3), (len(xy), 1, 1))
 
     def compiled(self) -> Compiled:
+        """Return the same for loops that cannot wait for arrays of arrays."""
         return self
 
     def check_reach(self, xyz: FloatArray) -> None:
+        """Raise UnreachableError if any of the points (n, 3) mm lies outside the print volume."""
         for axis, name in enumerate("XYZ"):
             low, high = self.range_mm[axis]
             inside = (xyz[:, axis] >= low - SLACK_MM) & (xyz[:, axis] <= high + SLACK_MM)
@@ -59,18 +64,22 @@ class CartesianKinematics(Kinematics):
             require(inside, xyz, f"{place}outside the range of {name}, {low:g} to {high:g} mm.")
 
     def contains(self, xyz: FloatArray, margin_mm: float = 0.0) -> BoolArray:
+        """Return which of the points (n, 2) or (n, 3) mm lie over the bed and, if z is given, in the volume."""
         low, high = self.range_mm[: xyz.shape[1]].T
         return np.asarray(np.all((xyz >= low - margin_mm) & (xyz <= high + margin_mm), axis=1))
 
     def volume_text(self) -> str:
+        """Describe the print volume as the end of a sentence: "has a radius of 60 mm and …"."""
         ranges = (f"{axis} {low:g} to {high:g}" for axis, (low, high) in zip("XYZ", self.range_mm, strict=True))
         return f"is {', '.join(ranges)} mm"
 
     def drawn_in(self, xyz: FloatArray, heights: FloatArray) -> FloatArray:
+        """Return a command (n, 3) mm moved to where the firmware lets it go, for a path of these heights (m,) mm."""
         low, high = self.range_mm.T
         return np.asarray(np.clip(xyz, np.where(high > low, low + INSIDE_MM, low), high - INSIDE_MM))
 
     def advice(self, xy: FloatArray) -> str:
+        """Say in a sentence whether a print (n, 2) mm that does not fit would fit elsewhere on the bed."""
         needed, room = np.ptp(xy, axis=0), np.ptp(self.range_mm[:2], axis=1)
         if (needed > room).any():
             return f"The print needs {needed[0]:.0f} × {needed[1]:.0f} mm: no offset helps."
@@ -78,28 +87,34 @@ class CartesianKinematics(Kinematics):
         return f"A print made for a bed with its origin elsewhere? --offset-mm {x:.0f},{y:.0f} brings it inside."
 
     def rings(self, radii: int, directions: int) -> FloatArray:
+        """Return the origin and circles of these radii (k,) around it, (1 + k · directions, 2)."""
         share = rings(np.linspace(0, 1, radii + 1)[1:], directions)
         return np.asarray(self.centre_mm + 0.5 * np.ptp(self.range_mm[:2], axis=1) * share)
 
     def around(self, share: float, margin_mm: float) -> FloatArray:
+        """Return six positions (6, 2) mm around the centre, at a share of the way out and a margin from the border."""
         half = 0.5 * np.ptp(self.range_mm[:2], axis=1)
         return np.asarray(self.centre_mm + np.minimum(share * half, half - margin_mm) * rings(np.ones(1), 6)[1:])
 
     @property
     def bed_outline(self) -> FloatArray:
+        """Return a closed line of points (k, 2) mm along the border of the bed."""
         (x0, x1), (y0, y1) = self.range_mm[:2]
         return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]])
 
     @property
     def bed_radius_mm(self) -> float:
+        """Return how far from the middle of the bed the nozzle may go."""
         return float(0.5 * np.ptp(self.range_mm[:2], axis=1).max())
 
     @property
     def height_mm(self) -> float:
+        """Return the greatest height of the nozzle."""
         return float(self.range_mm[2, 1])
 
     @property
     def setup_notes(self) -> list[str]:
+        """Return lines of a list: what must be so on the printer before its vibrations are measured."""
         if np.array_equal(self.motor_matrix, COREXY):
             return [
                 "- The firmware's kinematics is CoreXY: the belts of both motors move the nozzle along x and along y."
@@ -112,21 +127,26 @@ class CartesianKinematics(Kinematics):
 
     @property
     def centre_mm(self) -> tuple[float, float]:
+        """Return the middle of the bed."""
         x, y = self.range_mm[:2].mean(axis=1).tolist()
         return x, y
 
     @property
     def model_reach_mm(self) -> float:
+        """Return how far from the origin the vibrations change with position; zero where they are the same."""
         return 0.0
 
     @property
     def spare_reach_mm(self) -> float:
+        """Return how far beyond `model_reach_mm` the arms could still go before one lies flat."""
         return np.inf
 
     @property
     def motors(self) -> FloatArray:
+        """Return (3, 3) mm/mm: the motors' motion from the carriages'."""
         return self.motor_matrix
 
     @property
     def motor_rows(self) -> FloatArray:
+        """Return of each motor (3, 8): tower x y mm, L² mm², base mm, and what of X Y Z E counts."""
         return np.hstack([np.zeros((3, 4)), self.motor_matrix, np.zeros((3, 1))])

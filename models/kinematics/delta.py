@@ -71,32 +71,39 @@ class DeltaKinematics(Kinematics):
 
     @property
     def centre_mm(self) -> tuple[float, float]:
+        """Return the middle of the bed."""
         return 0.0, 0.0
 
     @property
     def bed_radius_mm(self) -> float:
+        """Return how far from the middle of the bed the nozzle may go."""
         return self.print_radius_mm
 
     @property
     def height_mm(self) -> float:
+        """Return the greatest height of the nozzle."""
         return self.print_height_mm
 
     @property
     def slow_zones(self) -> SlowZones:
+        """Return the lengths by which the firmware slows down near the border; None: it does not."""
         return SlowZones(float(self.delta_radii_mm.max()), float(self.arm_lengths_mm.min()))
 
     @property
     def tower_directions(self) -> Mapping[str, FloatArray]:
+        """Return the unit vectors (2,) from the centre to each tower; empty without towers."""
         return dict(zip(TOWERS, self.towers_mm / self.delta_radii_mm[:, None], strict=True))
 
     @property
     def sample_positions(self) -> Mapping[str, FloatArray]:
+        """Return name -> position (2,) mm: the few that show how the vibrations change over the bed."""
         towards_a = OUTER_SHARE * self.print_radius_mm / self.delta_radii_mm[0] * self.towers_mm[0]
         share = f"{OUTER_SHARE:.0%}".replace("%", " %")
         return {**super().sample_positions, f"{share} towards A": towards_a, f"{share} away from A": -towards_a}
 
     @property
     def setup_notes(self) -> list[str]:
+        """Return lines of a list: what must be so on the printer before its vibrations are measured."""
         return [
             "- The firmware's arm lengths, delta radius and tower angles are those of the machine file:",
             f"  L {_listed(self.arm_lengths_mm)}, R {_listed(self.delta_radii_mm)} mm, "
@@ -105,24 +112,29 @@ class DeltaKinematics(Kinematics):
 
     @property
     def model_reach_mm(self) -> float:
+        """Return how far from the origin the vibrations change with position; zero where they are the same."""
         return self.print_radius_mm
 
     @property
     def spare_reach_mm(self) -> float:
+        """Return how far beyond `model_reach_mm` the arms could still go before one lies flat."""
         return float((self.arm_lengths_mm - self.delta_radii_mm).min()) - self.print_radius_mm
 
     @property
     def motor_rows(self) -> FloatArray:
+        """Return of each motor (3, 8): tower x y mm, L² mm², base mm, and what of X Y Z E counts."""
         up = np.array([0.0, 0.0, 1.0, 0.0])
         heights = np.full((3, 1), self.effector_height_mm)
         return np.hstack([self.towers_mm, self.arm_lengths_mm[:, None] ** 2, heights, np.tile(up, (3, 1))])
 
     def compiled(self) -> Compiled:
+        """Return the same for loops that cannot wait for arrays of arrays."""
         from models.kinematics.delta_kernels import FastDelta  # numba takes its time
 
         return FastDelta(self.towers_mm, self.arm_lengths_mm, self.effector_height_mm)
 
     def recalibrated(self, arm_length_mm: FloatArray, delta_radius_mm: FloatArray) -> DeltaKinematics:
+        """Return these kinematics with changes (3,) mm added to arms and radii; None without arms."""
         return replace(
             self,
             arm_lengths_mm=constant(self.arm_lengths_mm + arm_length_mm),
@@ -130,6 +142,7 @@ class DeltaKinematics(Kinematics):
         )
 
     def printer_parameters(self) -> dict[str, FloatArray | float]:
+        """Return the fields of the nonlinear printer's record that follow from the kinematics, SI."""
         towers, arms = self.towers_mm / 1e3, self.arm_lengths_mm / 1e3
         to_towers = towers[1:] - towers[0]
         return {
@@ -237,15 +250,18 @@ class DeltaKinematics(Kinematics):
         require(z >= LOWEST_Z_MM - SLACK_MM, xyz, f"{place}below the bed, deeper than {LOWEST_Z_MM:g} mm.")
 
     def contains(self, xyz: FloatArray, margin_mm: float = 0.0) -> BoolArray:
+        """Return which of the points (n, 2) or (n, 3) mm lie over the bed and, if z is given, in the volume."""
         inside: BoolArray = np.hypot(xyz[:, 0], xyz[:, 1]) <= self.print_radius_mm + margin_mm
         if xyz.shape[1] > 2:
             inside &= (xyz[:, 2] >= -margin_mm) & (xyz[:, 2] <= self.print_height_mm + margin_mm)
         return inside
 
     def volume_text(self) -> str:
+        """Describe the print volume as the end of a sentence: "has a radius of 60 mm and …"."""
         return f"has a radius of {self.print_radius_mm:g} mm and a height of {self.print_height_mm:g} mm"
 
     def drawn_in(self, xyz: FloatArray, heights: FloatArray) -> FloatArray:
+        """Return a command (n, 3) mm moved to where the firmware lets it go, for a path of these heights (m,) mm."""
         radius = np.hypot(xyz[:, 0], xyz[:, 1])
         shrink = np.minimum(1.0, (self.print_radius_mm - INSIDE_MM) / np.maximum(radius, 1e-9))
         floor, ceiling = min(0.0, float(heights.min())), max(self.print_height_mm, float(heights.max()))
@@ -270,9 +286,11 @@ class DeltaKinematics(Kinematics):
         return f"A print made for a bed with its origin in a corner? --offset-mm {x:.0f},{y:.0f} brings it inside."
 
     def rings(self, radii: int, directions: int) -> FloatArray:
+        """Return the origin and circles of these radii (k,) around it, (1 + k · directions, 2)."""
         return rings(np.linspace(0, self.print_radius_mm, radii + 1)[1:], directions)
 
     def around(self, share: float, margin_mm: float) -> FloatArray:
+        """Return six positions (6, 2) mm around the centre, at a share of the way out and a margin from the border."""
         radius = min(share * self.print_radius_mm, self.print_radius_mm - margin_mm)
         angles = np.deg2rad(self.tower_angles_deg[0] + 60.0 * np.arange(6))
         return np.column_stack([radius * np.cos(angles), radius * np.sin(angles)])

@@ -96,6 +96,7 @@ class DeltaVibration(VibrationModel):
     # ---- parameters
 
     def parameters(self) -> ParameterSet:
+        """Return the numbers that decide how the machine vibrates; its geometry is calibrated, not guessed."""
         names = []
         for key in CARRIAGE:  # three of them, where an effect has made towers differ
             several = np.ndim(getattr(self.carriage, key)) > 0
@@ -107,6 +108,7 @@ class DeltaVibration(VibrationModel):
         return ParameterSet(tuple(each), len(names))
 
     def value(self, name: str) -> float:
+        """Return one parameter; KeyError if there is none of this name."""
         path, index = _parsed(name)
         part: Any = self
         for key in path:
@@ -116,6 +118,7 @@ class DeltaVibration(VibrationModel):
         return float(part if index is None else part[index])
 
     def with_parameters(self, values: Mapping[str, float]) -> DeltaVibration:
+        """Return the model with some parameters replaced; KeyError for an unknown name."""
         changed = self
         for name, value in values.items():
             changed = _with(changed, *_parsed(name), value)
@@ -124,6 +127,7 @@ class DeltaVibration(VibrationModel):
     # ---- the equations
 
     def jacobian(self, xy: FloatArray) -> FloatArray:
+        """Return J of the nozzle's motion from the actuators' at (n, 2) mm: (n, 3, 3)."""
         return self.kinematics.jacobian(xy)
 
     def load_map(self, xy: FloatArray) -> FloatArray:
@@ -210,6 +214,7 @@ class DeltaVibration(VibrationModel):
         return state
 
     def nozzle_motion(self, xy: FloatArray) -> FloatArray:
+        """Return the nozzle's motion from the coordinates', (n, 3, m/2), at positions (n, 2) mm."""
         j = self.jacobian(xy)
         return np.concatenate([j, np.zeros_like(j)], axis=2)
 
@@ -263,6 +268,7 @@ class DeltaVibration(VibrationModel):
         return b / k + first, np.asarray(moving + np.diag(second + b / k * first - b * c / k**2))
 
     def equilibrium(self, q: FloatArray) -> FloatArray:
+        """Return the state at rest with the actuators at (3,) mm."""
         state = np.zeros(STATES)
         drive = self.carriage.drive
         state[W] = q / drive.d0_per_s2 if drive else 0.0
@@ -270,6 +276,7 @@ class DeltaVibration(VibrationModel):
         return state
 
     def steady_motion(self, q: FloatArray, qd: FloatArray) -> FloatArray:
+        """Return the state with the actuators at (3,) mm, in motion at (3,) mm/s since long."""
         state = np.zeros(STATES)
         state[Q], state[QD] = q, qd
         drive = self.carriage.drive
@@ -280,11 +287,13 @@ class DeltaVibration(VibrationModel):
         return state
 
     def undriven(self) -> DeltaVibration:
+        """Return the model behind ideal drives: motors stand where they are told to."""
         return replace(self, carriage=replace(self.carriage, drive=None))
 
     # ---- the nonlinear printer
 
     def printer_parameters(self, gravity_m_per_s2: float) -> PrinterFields:
+        """Return what the nonlinear printer's kernels need of the model, SI."""
         carriage, effector = self.carriage, self.effector
         paper = effector.force_map == "paper"
         return {
@@ -314,6 +323,7 @@ class DeltaVibration(VibrationModel):
         return float(np.linalg.eigvals(self.carriage.moving_mass_kg * np.eye(3) + load).real.min())
 
     def describe(self) -> Description:
+        """Return the words for headings."""
         return Description(f"load map {self.effector.force_map}", self.effector.force_map)
 
 

@@ -94,6 +94,7 @@ class ModalAxes(VibrationModel):
     # ---- parameters
 
     def parameters(self) -> ParameterSet:
+        """Return the numbers that decide how the machine vibrates; its geometry is calibrated, not guessed."""
         found = [
             Parameter(
                 f"axes.{AXES[axis]}.{kind}[{i}]", getattr(mode, kind), _column(axis, i, kind), *_of_file(axis, kind)
@@ -104,10 +105,12 @@ class ModalAxes(VibrationModel):
         return ParameterSet(tuple(found), max(COLUMNS, *(p.column + 1 for p in found)))
 
     def value(self, name: str) -> float:
+        """Return one parameter; KeyError if there is none of this name."""
         axis, i, kind = _parsed(name)
         return float(getattr(self.axes[axis][i], kind))
 
     def with_parameters(self, values: Mapping[str, float]) -> ModalAxes:
+        """Return the model with some parameters replaced; KeyError for an unknown name."""
         axes = [list(modes) for modes in self.axes]
         for name, value in values.items():
             axis, i, kind = _parsed(name)
@@ -118,6 +121,7 @@ class ModalAxes(VibrationModel):
     # ---- the equations
 
     def jacobian(self, xy: FloatArray) -> FloatArray:
+        """Return J of the nozzle's motion from the actuators' at (n, 2) mm: (n, 3, 3)."""
         return np.tile(np.eye(3), (len(xy), 1, 1))
 
     def axis_frf(self, s: ComplexArray) -> ComplexArray:
@@ -129,17 +133,21 @@ class ModalAxes(VibrationModel):
         return found
 
     def carriage_response(self, xy: FloatArray, s: ComplexArray) -> ComplexArray:
+        """Return G, commanded to real actuator positions, at (2,) mm and s (k,) 1/s: (k, 3, 3)."""
         return np.asarray(self.axis_frf(s)[:, None, :] * np.eye(3))
 
     def mechanics(self, xy: FloatArray) -> FloatArray:
+        """Return d/dt of the m/2 coordinates and their rates with the motors held, (n, m, m), at (n, 2) mm."""
         plant = self.state_space(xy[:1])
         order = np.arange(plant.a.shape[1]).reshape(-1, 2).T.ravel()  # positions, then rates
         return np.tile(plant.a[0][np.ix_(order, order)], (len(xy), 1, 1))
 
     def nozzle_motion(self, xy: FloatArray) -> FloatArray:
+        """Return the nozzle's motion from the coordinates', (n, 3, m/2), at positions (n, 2) mm."""
         return np.tile(np.eye(3)[:, [axis for axis, _, _ in self._each()]], (len(xy), 1, 1))
 
     def state_space(self, xy: FloatArray) -> StateSpace:
+        """Return the equations of motion frozen at each of the positions (g, 2) mm, in the model's own states."""
         each = list(self._each())
         n = 2 * len(each)
         a, command, slope, carriage = np.zeros((n, n)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((3, n))
@@ -173,9 +181,11 @@ class ModalAxes(VibrationModel):
         return tau, np.tile(np.diag(bend + tau**2), (len(xy), 1, 1))
 
     def equilibrium(self, q: FloatArray) -> FloatArray:
+        """Return the state at rest with the actuators at (3,) mm."""
         return self.steady_motion(q, np.zeros(3))
 
     def steady_motion(self, q: FloatArray, qd: FloatArray) -> FloatArray:
+        """Return the state with the actuators at (3,) mm, in motion at (3,) mm/s since long."""
         tau, _ = self.low_frequency(np.zeros((1, 2)))
         u = q + tau * qd
         states = [
@@ -185,11 +195,13 @@ class ModalAxes(VibrationModel):
         return np.array(states).ravel()
 
     def undriven(self) -> ModalAxes:
+        """Return the model behind ideal drives: motors stand where they are told to."""
         return self
 
     # ---- the nonlinear printer
 
     def printer_parameters(self, gravity_m_per_s2: float) -> PrinterFields:
+        """Return what the nonlinear printer's kernels need of the model, SI."""
         if max(map(len, self.axes)) > PRINTER_MODES:
             raise ValueError(f"The nonlinear printer holds at most {PRINTER_MODES} modes an axis.")
         silent = _oscillator(2 * np.pi * SILENT_HZ, SILENT_DAMPING, 0.0)
@@ -210,6 +222,7 @@ class ModalAxes(VibrationModel):
         }
 
     def describe(self) -> Description:
+        """Return the words for headings."""
         return Description("straight axes", None)
 
 

@@ -46,7 +46,7 @@ class ModeMap:
 
 
 def kinds(model: DeltaVibration, xy: FloatArray, found: Modes) -> list[str]:
-    """What each mode at one place moves, in words."""
+    """Describe what each mode at one position moves."""
     j = model.kinematics.jacobian(xy[None])[0]
     axes, extruder = _shares(np.concatenate(_motion(model, j, found.shapes), axis=1))
     return [_words(a, e) for a, e in zip(axes, extruder.tolist(), strict=True)]
@@ -121,7 +121,7 @@ def _follow(stations: Mapping[Node, _Station], centre: Node) -> dict[Node, Match
 
 
 def _match(here: _Station, which: Matched, there: _Station) -> tuple[Matched, float]:
-    """The modes found again next door, and how sure that is: by the worst MAC, less where two modes all but meet."""
+    """Match the modes to a neighbour's; surety is the worst MAC, less where two modes all but meet."""
     from scipy.optimize import linear_sum_assignment
 
     mac = np.abs(here.motion.conj() @ there.motion.T) ** 2

@@ -99,7 +99,7 @@ class Schedule:
         state: FloatArray,
         substeps: int,
     ) -> tuple[FloatArray, FloatArray]:
-        """What the carriages do under a command while the nozzle goes by.
+        """Compute the carriages under a command while the nozzle passes along its path.
 
         Parameters
         ----------
@@ -132,7 +132,7 @@ class Schedule:
 
 
 def _packed(table: PlantTable) -> tuple[FloatArray, FloatArray]:
-    """The table as the loop wants it: what depends on place, and the drives, which do not.
+    """Pack the table for the loop: what depends on position, and the drives, which do not.
 
     Returns
     -------

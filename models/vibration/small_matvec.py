@@ -18,7 +18,7 @@ SUMS = 3  # at a time
 
 
 def recursion(rows: int, of_state: int, of_input: int) -> Any:
-    """A compiled function step(matrices, at, state, given, k).
+    """Return a compiled function step(matrices, at, state, given, k).
 
     matrices (g, of_state + of_input, rows): the matrix is number `at`, its columns one after the other.
     state (rows,): of which the first `of_state` are multiplied with; overwritten with the product.
@@ -89,7 +89,7 @@ def _number(value: int) -> Any:
 
 
 def _spread(builder: Any, value: Any, count: int) -> Any:
-    """A vector of one value."""
+    """Return a vector of one value."""
     empty = ir.Constant(ir.VectorType(value.type, count), ir.Undefined)
     one = builder.insert_element(empty, value, ir.Constant(ir.IntType(32), 0))
     return builder.shuffle_vector(one, empty, ir.Constant(ir.VectorType(ir.IntType(32), count), [0] * count))
