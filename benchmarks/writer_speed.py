@@ -41,7 +41,7 @@ from ffcomp.planner.segment_timing import merge, segment_speeds
 from gcode.dialects import detect_flavor
 from gcode.emit import MoveWriter
 from gcode.limits import MotionLimits
-from gcode.program import Event, Frame
+from gcode.program import Event, ModalState
 from gcode.reader import read_program
 from models.file import load_machine
 from tests.unit.ffcomp.compensate.gcode_output.test_layout import smoothed
@@ -103,7 +103,7 @@ class Round:
         speeds = self.timed("speeds", segment_speeds, points, np.diff(e), lasting, s.output).cruise
         block = self.timed("text", MoveWriter().block, points[1:], e[1:], speeds)[0]
         rows = list(zip(np.column_stack([points, e])[1:].tolist(), speeds.tolist(), strict=True))
-        said = Said(Frame())
+        said = Said(ModalState())
         assert block == b"".join(self.timed("in Python", lambda: [said.line(*row) for row in rows]))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from gcode.arrays import FloatArray, IntArray
 from gcode.emit_kernels import E_DECIMALS, F_DECIMALS, LONGEST_LINE, XYZ_DECIMALS, write_moves
-from gcode.program import Frame
+from gcode.program import ModalState
 
 XYZ_COUNTS, E_COUNTS, F_COUNTS = 10**XYZ_DECIMALS, 10**E_DECIMALS, 10**F_DECIMALS  # per unit of the file
 
@@ -22,9 +22,9 @@ class MoveWriter:
     """Writes moves in the frame of the file. `reset` first, and after every line that is not ours."""
 
     def __init__(self) -> None:
-        self.reset(Frame(), (0.0, 0.0, 0.0), 0.0)
+        self.reset(ModalState(), (0.0, 0.0, 0.0), 0.0)
 
-    def reset(self, frame: Frame, xyz: Sequence[float], e: float) -> None:
+    def reset(self, frame: ModalState, xyz: Sequence[float], e: float) -> None:
         """Start from this state: toolhead at `xyz`, filament at `e`, mm. The next move says F."""
         unit = frame.unit_mm
         self._per_mm = per_mm = (*[XYZ_COUNTS / unit] * 3, E_COUNTS / (unit * frame.flow))

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from gcode.arrays import FloatArray, IntArray
 from gcode.commands import PASS, Effect
 from gcode.limits import MotionLimits
-from gcode.program import Event, EventKind, Frame, Moves
+from gcode.program import Event, EventKind, ModalState, Moves
 from gcode.state import Vector4
 
 
@@ -40,7 +40,7 @@ class MoveTable:
         self.ends[new], self.rows[new] = ends, (line, state, limit)
         self.count += len(ends)
 
-    def moves(self, frame_of_state: IntArray, frames: list[Frame], limits: list[MotionLimits]) -> Moves:
+    def moves(self, frame_of_state: IntArray, frames: list[ModalState], limits: list[MotionLimits]) -> Moves:
         """Return the table as arrays; speeds and limits are looked up from the frames and limits in force."""
         line, state, limit = self.rows[: self.count].T.copy()
         frame = frame_of_state[state]

@@ -2,7 +2,7 @@
 
 Units, once for the whole package: positions mm, E mm of filament, speeds mm/s, accelerations mm/s², times s.
 Positions are *toolhead* coordinates (G92 offsets, flow and feed factors, units and relative modes resolved);
-a move's `Frame` is what turns them back into the numbers of the file.
+a move's `ModalState` is what turns them back into the numbers of the file.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Event(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class ModalState:
     """How toolhead coordinates are written in the file here (the modal state a writer needs).
 
     X_file = (x - base_x) / unit_mm ;  E_file = (e - base_e) / flow / unit_mm ;
@@ -79,7 +79,7 @@ class Program:
     lines: list[bytes]  # every line with its line ending; b"".join(lines) is the file
     moves: Moves
     events: list[Event]  # in file order; every line is the line of a move or of exactly one event
-    frames: list[Frame]
+    frames: list[ModalState]
     warnings: list[str]  # sentences with line numbers
     first_line: int = 0  # number in the file, from 0, of lines[0]: not 0 in a later part of a file read in parts
 

@@ -21,7 +21,7 @@ from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.fast_scan import STILL_MM2, ByteArray, Cursor, Modes, follow
 from gcode.limits import MotionLimits
 from gcode.moves import EventTable, MoveTable
-from gcode.program import EventKind, Frame, Program
+from gcode.program import EventKind, ModalState, Program
 from gcode.state import DEFAULT_FEED_MM_PER_S, FrameValues, Modal, Vector4
 from gcode.text import PART_BYTES, whole_lines
 from gcode.words import NUMBERED, Command, commands, shown
@@ -56,7 +56,7 @@ def read_program(
     start : (x, y, z) mm or None
         Where the nozzle is before the first line; None: not known until the file names a place.
     offset_mm : (x, y) mm
-        Added to the toolhead's XY, for prints made for a bed with its origin elsewhere. `Frame.base` leaves
+        Added to the toolhead's XY, for prints made for a bed with its origin elsewhere. `ModalState.base` leaves
         it out: a writer emits the printer's coordinates. Where G92 names a place, that place keeps its name.
     arc_tolerance_mm : float
         Largest distance between an arc and its chords.
@@ -161,7 +161,7 @@ class _Reader:
         self.lines = data.splitlines(keepends=True)
         self.moves = MoveTable(len(self.lines), self.modal.position)
         self.events = EventTable(np.empty((len(self.lines), 3), dtype=np.int64))
-        self.frames: list[Frame] = []
+        self.frames: list[ModalState] = []
         self.frame_numbers: dict[FrameValues, int] = {}
         self.known_frames: dict[tuple[float, ...], dict[tuple[float, float], int]] = {}  # modes → feed, E → frame
         self.frame = self._frame_number()
@@ -381,7 +381,7 @@ class _Reader:
         values = self.modal.frame_values()
         number = self.frame_numbers.setdefault(values, len(self.frames))
         if number == len(self.frames):
-            self.frames.append(Frame(*values))
+            self.frames.append(ModalState(*values))
         return number
 
     def _warn(self, about: str, at: int, sentence: str) -> None:

@@ -12,7 +12,7 @@ from math import isnan, nan
 
 from gcode.errors import GcodeError
 from gcode.limits import MACHINE_LIMITS, MotionLimits
-from gcode.program import Frame
+from gcode.program import ModalState
 
 DEFAULT_FEED_MM_PER_S = 25.0  # Klipper's, until the first F
 INCH_MM = 25.4
@@ -67,9 +67,9 @@ class Modal:
     def __post_init__(self) -> None:
         self.shift = [*self.offset, 0.0, 0.0]
 
-    def frame(self) -> Frame:
+    def frame(self) -> ModalState:
         """Return the part of the state that a writer needs."""
-        return Frame(*self.frame_values())
+        return ModalState(*self.frame_values())
 
     def frame_values(self) -> FrameValues:
         """Return the values of `frame`, in its order: many times quicker to look up than the frame itself."""

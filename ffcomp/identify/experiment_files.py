@@ -23,7 +23,7 @@ from gcode.atomic_write import replace_atomically
 from gcode.dialects import KLIPPER, close_limits, open_limits, shaper_off
 from gcode.emit import MoveWriter
 from gcode.limits import MotionLimits
-from gcode.program import Frame
+from gcode.program import ModalState
 from models.arrays import constant
 from models.kinematics.base import Kinematics
 from models.kinematics.cartesian import CartesianKinematics
@@ -167,7 +167,7 @@ def _measured(
 def segment_lines(experiment: Experiment) -> list[bytes]:
     """Write the `G1` lines of one experiment, from its position on."""
     moves = MoveWriter()
-    moves.reset(Frame(), experiment.vertices_mm[0].tolist(), 0.0)
+    moves.reset(ModalState(), experiment.vertices_mm[0].tolist(), 0.0)
     ends = experiment.vertices_mm[1:]
     return moves.moves(np.column_stack([ends, np.zeros(len(ends))]), experiment.trajectory.cruise_v)
 

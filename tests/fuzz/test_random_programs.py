@@ -19,7 +19,7 @@ from ffcomp.planner.program import plan_program
 from ffcomp.planner.trajectory import PlannedMotion
 from gcode.dialects import FLAVORS
 from gcode.emit import MoveWriter
-from gcode.program import Frame, Moves
+from gcode.program import ModalState, Moves
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
@@ -264,7 +264,7 @@ def test_what_is_read_can_be_written_and_read_again() -> None:
         moves = read_program(random_print(seed)).moves
         x, y, z, e = moves.start[0].tolist()
         head = b"G21\nG90\nM82\nG92 E%.5f\nG1 X%.6f Y%.6f Z%.6f F6000\n" % (e, x, y, z)
-        writer.reset(Frame(), (x, y, z), e)
+        writer.reset(ModalState(), (x, y, z), e)
         goes_on = (moves.start[1:] == moves.end[:-1]).all(axis=1)  # homing leaves a gap, which no move fills
         last = int(np.argmin(np.append(goes_on, False))) + 1
         rows = np.column_stack([moves.end, moves.speed])

@@ -8,12 +8,12 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gcode.emit import MoveWriter
-from gcode.program import Frame
+from gcode.program import ModalState
 from gcode.reader import read_program
 from tests.support.data import real
 
 
-def writer(frame: Frame = Frame(), e: float = 0.0) -> MoveWriter:  # noqa: B008 - frozen
+def writer(frame: ModalState = ModalState(), e: float = 0.0) -> MoveWriter:  # noqa: B008 - frozen
     made = MoveWriter()
     made.reset(frame, (0.0, 0.0, 0.0), e)
     return made
@@ -28,21 +28,21 @@ def test_numbers_are_short_and_unchanged_axes_are_left_out() -> None:
 
 
 def test_the_frame_decides_the_numbers() -> None:
-    frame = Frame(base=(1.0, 0.0, 0.0, 2.0), unit_mm=25.4, flow=0.5, feed_factor=2.0)
+    frame = ModalState(base=(1.0, 0.0, 0.0, 2.0), unit_mm=25.4, flow=0.5, feed_factor=2.0)
     assert writer(frame).move(26.4, 0.0, 25.4, 14.7, 50.8) == b"G1 X1 Z1 E1 F60\n"
-    assert writer(Frame(absolute=False, absolute_e=False)).move(1.0, 0.0, 0.0, 2.0, 1.0) == b"G1 X1 E2 F60\n"
+    assert writer(ModalState(absolute=False, absolute_e=False)).move(1.0, 0.0, 0.0, 2.0, 1.0) == b"G1 X1 E2 F60\n"
 
 
 def test_reset_says_the_speed_again() -> None:
     lines = writer()
     lines.move(1.0, 0.0, 0.0, 0.0, 10.0)
-    lines.reset(Frame(), (1.0, 0.0, 0.0), 0.0)
+    lines.reset(ModalState(), (1.0, 0.0, 0.0), 0.0)
     assert lines.move(2.0, 0.0, 0.0, 0.0, 10.0) == b"G1 X2 F600\n"
 
 
 @given(st.lists(st.floats(-1e-4, 1e-4), min_size=1, max_size=200), st.floats(0, 100))
 def test_relative_filament_never_strays(steps: list[float], first: float) -> None:
-    lines = writer(Frame(absolute_e=False), first)
+    lines = writer(ModalState(absolute_e=False), first)
     true = first + np.cumsum(steps)
     written = first
     for k, e in enumerate(true.tolist()):
@@ -54,17 +54,17 @@ def test_relative_filament_never_strays(steps: list[float], first: float) -> Non
 
 coordinates = st.lists(st.floats(-300, 300), min_size=4, max_size=4)
 frames = st.builds(
-    Frame,
+    ModalState,
     base=st.tuples(*[st.floats(-100, 100)] * 4),
     unit_mm=st.sampled_from([1.0, 25.4]),
     absolute=st.booleans(),
     flow=st.floats(0.5, 2),
     feed_factor=st.floats(0.5, 2),
-).map(lambda f: Frame(f.base, f.unit_mm, f.absolute, f.absolute, f.flow, f.feed_factor))
+).map(lambda f: ModalState(f.base, f.unit_mm, f.absolute, f.absolute, f.flow, f.feed_factor))
 
 
 @given(st.lists(coordinates, min_size=1, max_size=30), frames)
-def test_many_at_once_are_the_same_lines(points: list[list[float]], frame: Frame) -> None:
+def test_many_at_once_are_the_same_lines(points: list[list[float]], frame: ModalState) -> None:
     one, many = writer(frame), writer(frame)
     single = [line for x, y, z, e in points if (line := one.move(x, y, z, e, 30.0))]
     assert many.moves(np.array(points), np.full(len(points), 30.0)) == single
@@ -73,7 +73,7 @@ def test_many_at_once_are_the_same_lines(points: list[list[float]], frame: Frame
 class Said:
     """The same lines, one number at a time, with Python's own formatting."""
 
-    def __init__(self, frame: Frame) -> None:
+    def __init__(self, frame: ModalState) -> None:
         self.frame = frame
         self.last: list[int] = [round(-base * per) for base, per in zip(frame.base, self.per_mm(), strict=True)]
         self.last_f = -1
@@ -109,9 +109,9 @@ places = st.lists(st.tuples(far, far, far, far, st.floats(0, 1000)), min_size=1,
 
 
 @given(places, frames, st.booleans())
-@example([(1e6, -1e6, 999999.9999, 99999.99999, 0.0), (0.0001, -0.0001, -0.5, 1e-5, 1e-9)], Frame(), True)
+@example([(1e6, -1e6, 999999.9999, 99999.99999, 0.0), (0.0001, -0.0001, -0.5, 1e-5, 1e-9)], ModalState(), True)
 def test_every_number_is_written_as_python_would(
-    rows: list[tuple[float, float, float, float, float]], frame: Frame, relative_e: bool
+    rows: list[tuple[float, float, float, float, float]], frame: ModalState, relative_e: bool
 ) -> None:
     frame = replace(frame, absolute_e=not relative_e)
     said, many = Said(frame), writer(frame)
@@ -139,7 +139,7 @@ def test_what_is_written_is_read_back(points: list[list[float]]) -> None:
 def test_a_real_print_survives_writing_and_reading() -> None:
     moves = read_program(real("makreeltje_cura_slicer.gcode")).moves
     lines = MoveWriter()
-    lines.reset(Frame(), moves.start[0, :3].tolist(), float(moves.start[0, 3]))
+    lines.reset(ModalState(), moves.start[0, :3].tolist(), float(moves.start[0, 3]))
     text = b"G92 E%f\n" % moves.start[0, 3] + b"".join(lines.moves(moves.end, moves.speed))
     again = read_program(text, start=tuple(moves.start[0, :3])).moves
     assert len(again) == len(moves)
