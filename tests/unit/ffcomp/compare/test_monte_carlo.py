@@ -54,7 +54,7 @@ def test_no_dynamic_number_is_forgotten() -> None:
 
 def test_a_machine_without_drive_has_none_to_draw() -> None:
     plain = with_parts(MACHINE, carriage=replace(delta_vibration(MACHINE).carriage, drive=None))
-    assert draw_plants(plain, 0.1, 1)[0].carriage.drive is None
+    assert delta_vibration(draw_plants(plain, 0.1, 1)[0]).carriage.drive is None
 
 
 def test_another_printer_is_refused_by_key_and_rule() -> None:
