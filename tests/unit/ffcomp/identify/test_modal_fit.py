@@ -161,7 +161,9 @@ def test_from_resonance_tests_to_a_machine_file(tmp_path: Path) -> None:
     assert tomllib.loads(out.read_text(encoding="utf-8"))["axes"]["x"]["share"] == pytest.approx([0.8, 0.2], abs=0.05)
     assert figure.stat().st_size > 20_000
     assert "identified" in found.provenance["axes.x.frequency_hz"] and "Two modes" in found.provenance["axes.x"]
-    assert found.uncertainty["carriage.belt_stiffness_n_per_m[1]"] < 0.02  # twice that of the frequency
+    parameters = found.vibration.parameters()
+    spread = dict(zip(parameters.names, parameters.relative_sd(found.uncertainty).tolist(), strict=True))
+    assert 0.0 < spread["axes.y.stiffness[0]"] < 0.02  # twice that of the frequency
     again = answer_of("identify", "fit", files[1], "-m", out, "--quiet")
     assert "Nothing was measured along x" in again["advice"][-1]
 
