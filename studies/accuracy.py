@@ -84,7 +84,7 @@ def our_rows(original: judge.Original, plan: judge.Answer, none: judge.Score) ->
         after = judge.ours_through_kalico(original, ours, own)
         yield row("none, through Kalico", judge.judge(original, before.motion), none)
         score = judge.judge(original, after.motion)
-        yield row("**ffcomp**, through Kalico", score, none, after.trajectory, before.trajectory)
+        yield row("**ffcomp**, through Kalico", score, none, after.trajectory, before.trajectory, from_first=True)
     if far:
         there = judge.score(original, plan, FAR_MM)
         yield row(f"none, beyond {FAR_MM:g} mm", there, there)
@@ -97,8 +97,12 @@ def row(
     none: judge.Score,
     after: Trajectory | None = None,
     before: Trajectory | None = None,
+    from_first: bool = False,
 ) -> Row:
-    """Describe one command: its score, beside that of none, and its segments and time after and before."""
+    """Describe one command: its score, beside that of none, and its segments and time after and before.
+
+    Times are on the plan's clock; the host's clock counts from its first move (`from_first`).
+    """
     return {
         "label": label,
         "tracking_rms_um": score.tracking_rms_um,
@@ -110,13 +114,13 @@ def row(
         "tracking_times_better": none.tracking_rms_no_delay_um / score.tracking_rms_no_delay_um,
         "contour_times_better": none.contour_rms_um / score.contour_rms_um,
         "peak_m_per_s2": score.peak_m_per_s2,
-        "segments_per_s": len(after) / seconds(after) if after else None,
-        "longer": seconds(after) / seconds(before) - 1 if after and before else None,
+        "segments_per_s": len(after) / seconds(after, from_first) if after else None,
+        "longer": seconds(after, from_first) / seconds(before, from_first) - 1 if after and before else None,
     }
 
 
-def seconds(trajectory: Trajectory) -> float:
-    return float(trajectory.end_t - trajectory.start_t[0])
+def seconds(trajectory: Trajectory, from_first: bool) -> float:
+    return float(trajectory.end_t - (trajectory.start_t[0] if from_first else 0.0))
 
 
 def tuned(name: str, original: judge.Original, kind: str) -> judge.Tuned:
