@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares, linear_sum_assignment
 from scipy.signal import lsim
 
+from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
 from models.machine import Machine
 from models.printer.printer import SMOOTH_STEP_S, simulate_printer
-from models.vibration.delta import delta_vibration, with_parts
 from studies.render import save
 from validation import judge
 from validation.plants.multibody import STEP_S, Answer, Choice, build, energy_drift, modes, motor_motion, play, rest_mm

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from models.delta_machine import delta_vibration, with_parts
 from models.effects.catalogue import CATALOGUE, effective_machine, measured, with_effect
 from models.effects.effect import Effect, Parameter
 from models.file import load_machine
 from models.machine import Machine
 from models.printer.printer import simulate_printer
-from models.vibration.delta import delta_vibration, with_parts
 
 FloatArray = NDArray[np.float64]
 RealArray = NDArray[np.floating[Any]]

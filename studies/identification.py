@@ -20,11 +20,11 @@ from ffcomp.identify.output_error import TOTAL_MASS, UNKNOWNS, fit_machine
 from ffcomp.identify.paper import identify_as_paper
 from ffcomp.identify.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
+from models.delta_machine import delta_vibration, with_parts
 from models.file import LIBRARY, load_machine
 from models.machine import Machine
 from models.parameters import value_of
 from models.vibration.carriage import Drive
-from models.vibration.delta import delta_vibration, with_parts
 from studies.render import save
 from validation.plants import delta_plant
 from validation.plants.study import PLACES, measure_bench, measure_places, uneven

@@ -15,7 +15,6 @@ from scripts.structure import INDEPENDENT, LAYERS, OUTSIDE, Checkout, cycles, fl
 
 ROOT = Path(__file__).parents[1]
 Write = Callable[[dict[str, str]], Checkout]
-MOVING = pytest.mark.xfail(strict=False, reason="the layout is being moved")
 
 
 @pytest.fixture(scope="module")
@@ -40,14 +39,13 @@ def write(tmp_path: Path) -> Write:
 # This checkout
 
 
-@MOVING
 def test_the_contract_holds() -> None:
     command = [sys.executable, "scripts/structure", "--check"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("package", ["gcode", pytest.param("models", marks=MOVING)])
+@pytest.mark.parametrize("package", ["gcode", "models"])
 def test_gcode_and_models_stand_on_their_own(here: Checkout, package: str) -> None:
     assert package in INDEPENDENT
     assert [line for line in here.forbidden if line.startswith(f"{package}/")] == []

@@ -12,9 +12,9 @@ from ffcomp.identify.frf_study import View, study, verdict
 from ffcomp.identify.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.report.frf import draw_bode, draw_map
+from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
 from models.machine import Machine
-from models.vibration.delta import delta_vibration, with_parts
 from models.vibration.mode_map import mode_map
 
 FREQUENCIES_HZ = np.arange(0.5, 125.1, 0.5)

@@ -20,7 +20,7 @@ from ffcomp.cli.machines_diff import diff_machines
 from ffcomp.cli.machines_effort import effort
 from ffcomp.cli.machines_import import import_machine
 from ffcomp.cli.options import AsJson
-from models.vibration.delta import delta_vibration
+from models.delta_machine import delta_vibration
 
 if TYPE_CHECKING:
     from models.arrays import FloatArray

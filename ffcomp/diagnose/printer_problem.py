@@ -23,6 +23,7 @@ from ffcomp.diagnose.validation import carriages_of
 from ffcomp.identify.output_error import UNKNOWNS
 from ffcomp.measurement.recording import Recording
 from models.arrays import FloatArray
+from models.delta_machine import delta_vibration
 from models.effects.catalogue import CATALOGUE, measured
 from models.effects.effect import Effect
 from models.effects.effect import Parameter as EffectParameter
@@ -31,7 +32,6 @@ from models.parameters import value_of, with_values
 from models.printer.kernels.record import LANES
 from models.printer.parameters import printer_parameters
 from models.printer.printer import SMOOTH_STEP_S, PrinterMotion, longest_step, simulate_printers
-from models.vibration.delta import delta_vibration
 
 STEP_S = 1 / 3200  # of a printer without dry friction or backlash: some nanometres off
 COARSE_STEP_S, COARSE_KINKED_STEP_S = 1 / 1600, 1 / 3200  # where effects are only ranked

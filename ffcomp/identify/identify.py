@@ -15,11 +15,11 @@ from ffcomp.identify.output_error import DAMPING, DRIVE, STIFFNESS, TOTAL_MASS, 
 from ffcomp.identify.paper import PaperIdentification
 from ffcomp.identify.uncertainty import Estimate
 from ffcomp.measurement.frf import FrequencyResponse
+from models.delta_machine import delta_vibration, with_parts
 from models.file import updated_text
 from models.machine import Machine
 from models.parameters import value_of, with_values
 from models.vibration.carriage import Drive
-from models.vibration.delta import delta_vibration, with_parts
 
 UNDETERMINED = 0.25  # of the weak prior's variance: above it the data say next to nothing; the old value is kept
 FAR = 0.10  # model error of a response from which the other force map is tried

@@ -22,9 +22,9 @@ from ffcomp.identify.uncertainty import Estimate, lognormal, normal
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.numerics.least_squares import central_differences, minimise
 from models.arrays import ComplexArray, FloatArray
+from models.delta_machine import delta_vibration
 from models.machine import Machine
 from models.parameters import value_of, with_values
-from models.vibration.delta import delta_vibration
 
 STIFFNESS = tuple(f"effector.extruder_stiffness_n_per_m[{i}]" for i in range(3))
 DAMPING = tuple(f"effector.extruder_damping_n_s_per_m[{i}]" for i in range(3))

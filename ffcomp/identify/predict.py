@@ -11,9 +11,9 @@ import numpy as np
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.frf import FrequencyResponse
 from models.arrays import ComplexArray, FloatArray
+from models.delta_machine import delta_vibration
 from models.machine import Machine
 from models.vibration.carriage import belt, command_frf, drive_frf, impedance
-from models.vibration.delta import delta_vibration
 
 CARRIAGES, AXES = "ABC", "xyz"
 

@@ -66,7 +66,7 @@ class InverseModel:
     @cached_property
     def plant(self) -> Schedule:
         """The plant along any path, at the substeps of a segment."""
-        return Schedule(self.machine, self._table("fine", self.settings.substeps))
+        return Schedule(self.machine.kinematics, self._table("fine", self.settings.substeps))
 
     @cached_property
     def row_table(self) -> PlantTable:
@@ -111,7 +111,7 @@ class InverseModel:
         """Tabulate the plant over the bed, for so many steps a segment."""
         if known := self._cache.arrays:
             return PlantTable.of_arrays({each: known[f"{name} {each}"] for each in TABLE_ARRAYS})
-        table = plant_table(self.machine, self.settings.segment_s / steps)
+        table = plant_table(self.machine.kinematics, self.machine.vibration, self.settings.segment_s / steps)
         return table.frozen() if self.settings.one_model else table
 
     def save_cache(self) -> None:

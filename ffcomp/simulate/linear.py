@@ -24,7 +24,7 @@ class LinearPlayback:
 
     def __init__(self, machine: Machine) -> None:
         self._machine = machine
-        self._schedule = Schedule(machine, plant_table(machine, STEP_S))
+        self._schedule = Schedule(machine.kinematics, plant_table(machine.kinematics, machine.vibration, STEP_S))
 
     def respond(
         self, nozzle: FloatArray, velocity: FloatArray, state: FloatArray | None = None

@@ -18,8 +18,8 @@ from typing import Literal
 import numpy as np
 
 from models.arrays import ComplexArray, FloatArray
+from models.delta_machine import delta_vibration
 from models.machine import Machine
-from models.vibration.delta import delta_vibration
 
 FREQUENCIES_HZ = np.geomspace(1.0, 300.0, 120)
 ROUNDING = 1e-9  # relative to a norm: less than this is rounding

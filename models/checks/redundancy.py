@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 
+from models.delta_machine import delta_vibration
 from models.machine import Machine
 from models.vibration.carriage import damping
-from models.vibration.delta import delta_vibration
 
 TOLERANCE = 0.05  # relative to the file; two careful measurements of one quantity may differ by this much
 SAME = 0.005  # relative to the file: the same value, rounded

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from models.arrays import FloatArray, constant
+from models.delta_machine import delta_vibration, with_parts
 from models.effects.effect import Effect, Parameter
 from models.machine import Machine
-from models.vibration.delta import delta_vibration, with_parts
 
 
 def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:

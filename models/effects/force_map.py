@@ -7,9 +7,9 @@ from dataclasses import replace
 from typing import Literal
 
 from models.arrays import FloatArray
+from models.delta_machine import delta_vibration, with_parts
 from models.effects.effect import Effect
 from models.machine import Machine
-from models.vibration.delta import delta_vibration, with_parts
 
 OTHER: Mapping[str, Literal["virtual_work", "paper"]] = {"virtual_work": "paper", "paper": "virtual_work"}
 

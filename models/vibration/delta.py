@@ -31,10 +31,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from models.arrays import ComplexArray, FloatArray, constant
-from models.errors import MachineFileError
 from models.kinematics.base import Kinematics
 from models.kinematics.delta import DeltaKinematics
-from models.machine import Machine
 from models.vibration.base import Description, Parameter, ParameterSet, PrinterFields, VibrationModel
 from models.vibration.carriage import Carriage, Drive, belt, damping, drive_frf
 from models.vibration.effector import Effector, apparent_mass, load_distribution
@@ -325,28 +323,6 @@ class DeltaVibration(VibrationModel):
     def describe(self) -> Description:
         """Return the words for headings."""
         return Description(f"load map {self.effector.force_map}", self.effector.force_map)
-
-
-def delta_vibration(machine: Machine) -> DeltaVibration:
-    """Return the machine's carriages and effector.
-
-    Raises
-    ------
-    MachineFileError
-        If the machine's vibrations are told otherwise.
-    """
-    if not isinstance(machine.vibration, DeltaVibration):
-        rule = "The machine is no delta (kinematics.type), and this works for deltas only."
-        raise MachineFileError(machine.path or machine.name, [rule])
-    return machine.vibration
-
-
-def with_parts(machine: Machine, *, carriage: Carriage | None = None, effector: Effector | None = None) -> Machine:
-    """Return the machine with another carriage or another effector; MachineFileError for a machine without them."""
-    own = delta_vibration(machine)
-    return replace(
-        machine, vibration=replace(own, carriage=carriage or own.carriage, effector=effector or own.effector)
-    )
 
 
 def _drive_parameters(drive: Drive) -> PrinterFields:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from models.arrays import FloatArray, IntArray
 from models.kinematics.base import Kinematics
-from models.machine import Machine
+from models.vibration.base import VibrationModel
 from models.vibration.small_matvec import recursion
 from models.vibration.state_space import DiscretePlant, discretise
 
@@ -77,18 +77,20 @@ def table_positions(kinematics: Kinematics, pitch_mm: float = PITCH_MM) -> tuple
     return axis.astype(np.float64), xy * np.minimum(1.0, rim / np.maximum(radius, 1e-9))[:, None]
 
 
-def plant_table(machine: Machine, step_s: float, pitch_mm: float = PITCH_MM) -> PlantTable:
+def plant_table(
+    kinematics: Kinematics, vibration: VibrationModel, step_s: float, pitch_mm: float = PITCH_MM
+) -> PlantTable:
     """Return the plant over the whole bed. Nodes outside the print radius repeat the rim's plant."""
-    axis, xy = table_positions(machine.kinematics, pitch_mm)
-    plant = discretise(machine.vibration.state_space(xy), step_s)
-    return PlantTable(float(axis[0]), pitch_mm, len(axis), plant, machine.kinematics.jacobian(xy))
+    axis, xy = table_positions(kinematics, pitch_mm)
+    plant = discretise(vibration.state_space(xy), step_s)
+    return PlantTable(float(axis[0]), pitch_mm, len(axis), plant, kinematics.jacobian(xy))
 
 
 class Schedule:
     """The plant over the bed, packed for the loop that plays commands on it."""
 
-    def __init__(self, machine: Machine, table: PlantTable) -> None:
-        self.delta, self.table = machine.kinematics.compiled(), table
+    def __init__(self, kinematics: Kinematics, table: PlantTable) -> None:
+        self.delta, self.table = kinematics.compiled(), table
         self._coupled = None if len(table.plant.oscillators) else _packed(table)
 
     def play(

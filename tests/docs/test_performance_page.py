@@ -16,9 +16,9 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.solve import solve
 from ffcomp.planner.program import plan_program
 from gcode.reader import read_program
+from models.delta_machine import delta_vibration
 from models.file import load_machine
 from models.machine import Machine
-from models.vibration.delta import delta_vibration
 from studies.effects_compensated import machines_effects
 
 DOCS = performance.DOCS

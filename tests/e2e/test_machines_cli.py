@@ -11,8 +11,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from ffcomp.cli.machines import app
+from models.delta_machine import delta_vibration
 from models.file import LIBRARY, load_machine
-from models.vibration.delta import delta_vibration
 
 
 @pytest.fixture

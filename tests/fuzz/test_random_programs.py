@@ -21,9 +21,9 @@ from gcode.dialects import FLAVORS
 from gcode.emit import MoveWriter
 from gcode.program import ModalState, Moves
 from gcode.reader import read_program
+from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
 from models.machine import Machine
-from models.vibration.delta import delta_vibration, with_parts
 from validation.invariants import violations
 
 FloatArray = NDArray[np.float64]

@@ -54,5 +54,5 @@ def test_arms_that_reach_little_farther_than_the_bed_do(tmp_path: Path) -> None:
     path = tmp_path / "short.toml"
     path.write_text(tomlkit.dumps(document))
     machine = load_machine(path)
-    table = plant_table(machine, 1e-3)
+    table = plant_table(machine.kinematics, machine.vibration, 1e-3)
     assert np.isfinite(table.plant.a).all() and np.isfinite(table.jacobian).all()

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
 from models.machine import Machine
 from models.printer.printer import simulate_printer
-from models.vibration.delta import delta_vibration, with_parts
 from validation import judge
 
 pytest.importorskip("mujoco")

@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import StateSpace, lsim
 
+from models.delta_machine import delta_vibration
 from models.machine import Machine
 from models.vibration.carriage import Drive
-from models.vibration.delta import delta_vibration
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

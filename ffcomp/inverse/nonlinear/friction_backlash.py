@@ -44,7 +44,9 @@ class FrictionBacklash:
         s = model.settings
         self._model, self._numbers, self._row_s = model, printer_parameters(printer), s.segment_s / s.substeps
         self._undriven = replace(model.machine, vibration=model.machine.vibration.undriven())
-        self._belts = Schedule(self._undriven, plant_table(self._undriven, self._row_s))
+        self._belts = Schedule(
+            self._undriven.kinematics, plant_table(self._undriven.kinematics, self._undriven.vibration, self._row_s)
+        )
 
     @property
     def crosses(self) -> bool:

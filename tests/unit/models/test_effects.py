@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from models import effects
+from models.delta_machine import delta_vibration
 from models.effects.catalogue import (
     CATALOGUE,
     NOT_EFFECTS,
@@ -23,7 +24,6 @@ from models.errors import MachineFileError
 from models.file import LIBRARY, load_machine
 from models.machine import Machine
 from models.parameters import value_of
-from models.vibration.delta import delta_vibration
 
 NAMED_BY_THE_FORMAT = {
     "coulomb_friction": {"force_n"},

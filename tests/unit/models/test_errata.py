@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from models.arrays import constant
+from models.delta_machine import delta_vibration, with_parts
 from models.machine import Machine
-from models.vibration.delta import delta_vibration, with_parts
 
 M_C, M_F, M_1, M_2, M_ADD = 0.179, 0.032, 0.542, 0.109, 0.2
 C, B, K = 5.31, 13.4, 1.21e5

@@ -10,10 +10,10 @@ import pytest
 from ffcomp.compare.monte_carlo import FARTHEST, draw_plants
 from ffcomp.simulate.compatibility import check_same_kinematics
 from models.arrays import constant
+from models.delta_machine import delta_vibration, with_parts
 from models.errors import MachineFileError
 from models.file import load_machine
 from models.parameters import value_of
-from models.vibration.delta import delta_vibration, with_parts
 
 MACHINE = load_machine("mp-delta-pro")
 

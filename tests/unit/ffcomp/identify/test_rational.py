@@ -5,9 +5,9 @@ import pytest
 
 from ffcomp.errors import SolverError
 from ffcomp.identify.rational import fit_rational, fit_values
+from models.delta_machine import delta_vibration
 from models.file import load_machine
 from models.vibration.carriage import command_frf
-from models.vibration.delta import delta_vibration
 from tests.support.identification import FREQUENCY_HZ, blank, measured
 
 MACHINE = load_machine("mp-delta-pro")

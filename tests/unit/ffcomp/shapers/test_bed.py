@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from ffcomp import shapers
 from models.arrays import constant
+from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
 from models.machine import Machine
-from models.vibration.delta import delta_vibration, with_parts
 
 FloatArray = NDArray[np.float64]
 

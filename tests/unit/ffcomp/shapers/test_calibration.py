@@ -16,9 +16,9 @@ from ffcomp.measurement.klipper import Resonances, read_vibration
 from ffcomp.shapers import calibration as calibrate
 from ffcomp.shapers import search
 from models.arrays import constant
+from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
 from models.machine import Machine
-from models.vibration.delta import delta_vibration, with_parts
 
 FloatArray = NDArray[np.float64]
 

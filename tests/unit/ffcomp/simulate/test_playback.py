@@ -10,10 +10,10 @@ from ffcomp.compare.compensated import segments_motion
 from ffcomp.metrics import contour_error
 from ffcomp.simulate.motion import planned_motion
 from ffcomp.simulate.playback import simulate_nozzles
+from models.delta_machine import delta_vibration
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from models.printer.static_deflection import static_deflection
-from models.vibration.delta import delta_vibration
 from validation import judge
 
 MACHINE = load_machine("mp-delta-pro")

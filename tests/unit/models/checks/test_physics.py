@@ -9,9 +9,9 @@ import pytest
 
 from models.arrays import constant
 from models.checks.physics import bed, check_physics, unstable_positions
+from models.delta_machine import delta_vibration, with_parts
 from models.file import LIBRARY, load_machine
 from models.machine import Machine
-from models.vibration.delta import delta_vibration, with_parts
 
 NAMES = sorted(
     path.stem for path in LIBRARY.glob("*.toml") if load_machine(path).vibration.position_dependent

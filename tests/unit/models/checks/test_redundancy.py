@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from models.checks.redundancy import Quantity, redundancy_problems, redundant_quantities
+from models.delta_machine import delta_vibration, with_parts
 from models.file import LIBRARY, load_machine
 from models.machine import Machine
-from models.vibration.delta import delta_vibration, with_parts
 
 NAMES = sorted(path.stem for path in LIBRARY.glob("*.toml"))
 

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
+from models.delta_machine import delta_vibration, with_parts
 from models.effects.catalogue import with_effect
 from models.errors import UnreachableError
 from models.kinematics.delta import DeltaKinematics
@@ -22,7 +23,6 @@ from models.printer.kernels.equilibrium import find_equilibrium
 from models.printer.kernels.spline import cubic_spline
 from models.printer.kernels.vectors import tanh
 from models.printer.printer import PrinterMotion, simulate_printer, simulate_printers
-from models.vibration.delta import delta_vibration, with_parts
 
 RATE_HZ = 1600
 FIELDS = (

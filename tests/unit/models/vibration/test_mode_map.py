@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from models.arrays import constant
+from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
 from models.machine import Machine
-from models.vibration.delta import delta_vibration, with_parts
 from models.vibration.mode_map import ModeMap, kinds, mode_map, numbers
 
 

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from models.arrays import constant
+from models.delta_machine import delta_vibration, with_parts
 from models.machine import Machine
 from models.vibration.carriage import command_frf, drive_frf, force_frf, impedance, with_added_mass
-from models.vibration.delta import STATES, Q, delta_vibration, with_parts
+from models.vibration.delta import STATES, Q
 from models.vibration.effector import load_distribution
 
 FREQUENCIES = np.geomspace(0.5, 400, 60)
