@@ -381,7 +381,7 @@ def _assembly_modes(machine: Machine, over: ModeMap, xy: FloatArray) -> tuple[Nu
 
 def _straight_modes(found: Modes) -> tuple[NumberedMode, ...]:
     """Give the modes of modal axes their numbers: each along one axis alone, wherever the nozzle is."""
-    along = np.argmax(np.abs(found.shapes).reshape(-1, 2, 3).max(axis=1), axis=1)
+    along = np.argmax(np.abs(found.nozzle), axis=1)
     each = zip(found.frequencies_hz.tolist(), found.damping_ratios.tolist(), along.tolist(), strict=True)
     return tuple(NumberedMode(i, f, z, f"along {AXES[a]}", AXES[a]) for i, (f, z, a) in enumerate(each, 1))
 

@@ -90,6 +90,12 @@ def test_nothing_is_written_without_an_output(tmp_path: Path) -> None:
         result.plot()
 
 
+def test_the_modes_of_cartesian_axes_are_named_after_them() -> None:
+    (answer,) = ffcomp.frf("voron-300", frequency_hz=np.array([10.0, 40.0])).to_dict()
+    modes = [(mode["frequency_hz"], mode["kind"]) for mode in answer["modes"]]
+    assert modes == [(pytest.approx(43.0), "along y"), (pytest.approx(52.0), "along x")]
+
+
 def test_frequency_responses_are_those_of_the_model() -> None:
     found = ffcomp.frf("mp-delta-pro", [(0.0, 0.0), (-80.0, 0.0)], frequency_hz=np.array([10.0, 40.0]))
     assert found.values.shape == (2, 2, 3, 3) and found.positions_mm.tolist() == [[0, 0], [-80, 0]]
