@@ -20,7 +20,6 @@ from ffcomp.cli.machines_diff import diff_machines
 from ffcomp.cli.machines_effort import effort
 from ffcomp.cli.machines_import import import_machine
 from ffcomp.cli.options import AsJson
-from models.delta_machine import delta_vibration
 
 if TYPE_CHECKING:
     from models.arrays import FloatArray
@@ -237,6 +236,8 @@ def _where(extreme: Extreme) -> str:
 
 def _energy_notes(machine: Machine, sound: PhysicsChecks) -> list[str]:
     """Describe the energy that the force map creates; none by virtual work."""
+    from models.delta_machine import delta_vibration
+
     force_map, notes = f"The force map {delta_vibration(machine).effector.force_map!r}", []
     if not sound.is_reciprocal:
         notes.append(

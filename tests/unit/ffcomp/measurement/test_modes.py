@@ -132,7 +132,8 @@ def test_real_spectra_have_their_main_mode(data: Path, name: str, peak: float) -
 
 
 def test_every_real_file_ends_in_a_verdict(data: Path) -> None:
-    paths = [p for p in (data / "vibration").glob("*/*") if p.suffix in (".csv", ".tsv")]
+    folders = [folder for folder in (data / "vibration").iterdir() if folder.name != "owners"]  # no resonance tests
+    paths = [p for folder in folders for p in folder.glob("*") if p.suffix in (".csv", ".tsv")]
     assert len(paths) == 21
     found = [modes_of(path) for path in paths]
     assert all(one.verdict.endswith(".") and np.isfinite(one.misfit) for one in found)
