@@ -47,7 +47,7 @@ def test_every_example_of_a_verb_names_options_that_it_has() -> None:
 SECTIONS = {  # of the page -> path into the JSON schema of a document
     "Top level": (DeltaDocument, ""),
     "kinematics: a delta": (DeltaDocument, "kinematics"),
-    "kinematics: straight axes": (StraightDocument, "kinematics"),
+    "kinematics: cartesian and CoreXY axes": (StraightDocument, "kinematics"),
     "carriage": (DeltaDocument, "carriage"),
     "carriage.drive": (DeltaDocument, "carriage.drive"),
     "effector": (DeltaDocument, "effector"),
