@@ -236,13 +236,13 @@ def compensate(
             steps=_steps(known, output, inverse == "none", extruder_steps_per_mm),
         )
         request = _Request(files, targets, known, options, jobs, scheduler, quiet, advice)
-        outcomes = [] if len(files) == 1 else _compensate_all(request)
-        result = _batch_json(outcomes) if outcomes else _compensate_one(request)
+        file_results = [] if len(files) == 1 else _compensate_all(request)
+        result = _batch_json(file_results) if file_results else _compensate_one(request)
         if as_json:
             print_json(result)
-    for outcome in outcomes:
-        if outcome.failure is not None:
-            raise typer.Exit(outcome.failure.exit_code)
+    for file_result in file_results:
+        if file_result.failure is not None:
+            raise typer.Exit(file_result.failure.exit_code)
 
 
 @dataclass(frozen=True, slots=True)
@@ -355,7 +355,7 @@ def _compensate_all(request: _Request) -> list[FileResult]:
     from ffcomp.compensate.batch import compensate_files, size_of
 
     files = request.files
-    outcomes: list[FileResult] = []
+    file_results: list[FileResult] = []
     with Progress(sum(map(size_of, files)), request.quiet) as progress:
         work = compensate_files(
             files,
@@ -368,23 +368,23 @@ def _compensate_all(request: _Request) -> list[FileResult]:
         )
         try:
             with closing(work):
-                outcomes.extend(work)
+                file_results.extend(work)
         except KeyboardInterrupt:
-            fail(f"Interrupted; {len(outcomes)} of {len(files)} files are done, the others as they were.", 130)
-    outcomes.sort(key=lambda outcome: outcome.number)
-    report_all(outcomes, request.quiet)
-    return outcomes
+            fail(f"Interrupted; {len(file_results)} of {len(files)} files are done, the others as they were.", 130)
+    file_results.sort(key=lambda file_result: file_result.number)
+    report_all(file_results, request.quiet)
+    return file_results
 
 
-def _batch_json(outcomes: list[FileResult]) -> dict[str, Any]:
+def _batch_json(file_results: list[FileResult]) -> dict[str, Any]:
     """Return the JSON object of several files."""
-    results = [_result(outcome) for outcome in outcomes]
-    failed = sum(outcome.failure is not None for outcome in outcomes)
+    results = [_result(file_result) for file_result in file_results]
+    failed = sum(file_result.failure is not None for file_result in file_results)
     return {"schema": "ffcomp-compensate-batch/1", "results": results, "failed": failed}
 
 
-def _result(outcome: FileResult) -> dict[str, Any]:
-    failure = outcome.failure
+def _result(file_result: FileResult) -> dict[str, Any]:
+    failure = file_result.failure
     if failure is None:
-        return outcome.result
-    return {"input": str(outcome.file), "error": failure.sentence, "exit_code": failure.exit_code}
+        return file_result.result
+    return {"input": str(file_result.file), "error": failure.sentence, "exit_code": failure.exit_code}

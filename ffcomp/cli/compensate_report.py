@@ -15,39 +15,39 @@ from ffcomp.cli.log import note
 from ffcomp.compensate.result import FileResult
 
 
-def report_all(outcomes: list[FileResult], quiet: bool) -> None:
+def report_all(file_results: list[FileResult], quiet: bool) -> None:
     """Print a table and the failures on stderr; only the failures if quiet."""
     if not quiet:
-        for warning, files in _warnings(outcomes).items():
+        for warning, files in _warnings(file_results).items():
             say(f"ffcomp: {files[0] if len(files) == 1 else f'{len(files)} files'}: {warning}")
         table = Table(Column("file", overflow="fold"), "print time", "contour rms", "seconds")
-        for outcome in outcomes:
-            table.add_row(str(outcome.file), *_cells(outcome))
+        for file_result in file_results:
+            table.add_row(str(file_result.file), *_cells(file_result))
         Console(stderr=True).print(table)
-    for outcome in outcomes:
-        if outcome.failure is not None:
-            say(f"{outcome.failure.trace}ffcomp: {outcome.failure.sentence}")
+    for file_result in file_results:
+        if file_result.failure is not None:
+            say(f"{file_result.failure.trace}ffcomp: {file_result.failure.sentence}")
 
 
-def _warnings(outcomes: list[FileResult]) -> dict[str, list[Path]]:
+def _warnings(file_results: list[FileResult]) -> dict[str, list[Path]]:
     """Each once, with the files that it is about."""
     found: dict[str, list[Path]] = {}
-    for outcome in outcomes:
-        for warning in outcome.result.get("warnings", ()):
-            found.setdefault(warning, []).append(outcome.file)
+    for file_result in file_results:
+        for warning in file_result.result.get("warnings", ()):
+            found.setdefault(warning, []).append(file_result.file)
     return found
 
 
-def _cells(outcome: FileResult) -> tuple[str, ...]:
+def _cells(file_result: FileResult) -> tuple[str, ...]:
     """Print time and predicted error before → after, and what it took."""
-    result = outcome.result
-    if outcome.failure is not None:
+    result = file_result.result
+    if file_result.failure is not None:
         return "failed: see below", "", ""
     if "already" in result:
         return "already processed", "", ""
     time = f"{result['original_print_time_s']:.1f} → {result['print_time_s']:.1f} s"
     rms = [f"{track['contour_rms_um']:.1f}" for track in result["predicted"].values()]
-    return time, f"{' → '.join(rms)} µm" if rms else "", f"{outcome.seconds:.1f}"
+    return time, f"{' → '.join(rms)} µm" if rms else "", f"{file_result.seconds:.1f}"
 
 
 def report(result: dict[str, Any], machine_path: str, quiet: bool) -> None:

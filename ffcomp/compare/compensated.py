@@ -38,7 +38,7 @@ class Compensated:
 def compensated(
     planned: PlannedProgram,
     machine: Machine,
-    inverter: InverseModel,
+    model: InverseModel,
     flavor: str,
     offset: tuple[float, float] = (0.0, 0.0),
     progress: Callable[[float], None] = lambda done_s: None,
@@ -49,17 +49,17 @@ def compensated(
     ----------
     planned : PlannedProgram
     machine : Machine
-    inverter : InverseModel
+    model : InverseModel
     flavor : str
     offset : (float, float)
         By which the program's positions were shifted, mm.
     progress : callable
         Called with the print seconds done so far.
     """
-    chunk, context = PlannedChunk.whole(planned), Context(machine, inverter.settings, flavor, offset)
-    lines = Stream(compensate(chunk, context, inverter, GcodeRenderer(chunk, context), progress=progress))
+    chunk, context = PlannedChunk.whole(planned), Context(machine, model.settings, flavor, offset)
+    lines = Stream(compensate(chunk, context, model, GcodeRenderer(chunk, context), progress=progress))
     text = b"".join(lines)
-    return Compensated(text, planned, inverter.settings, flavor, lines.value)
+    return Compensated(text, planned, model.settings, flavor, lines.value)
 
 
 @dataclass(frozen=True, slots=True)

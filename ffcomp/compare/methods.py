@@ -97,8 +97,8 @@ def inversion(machine: Machine, settings: Settings, name: str) -> TunedMethod:
         f"{settings.bandwidth_hz:.0f} Hz; the compensated G-code, read again and planned as the firmware plans it."
     )
     # every method keeps the plan's time
-    inverter = InverseModel(machine, replace(settings, one_model=one_model, robust=robust, time_scaling=False))
-    return TunedMethod(name, label, "inversion", tuning, _inverting(inverter))
+    inverse_model = InverseModel(machine, replace(settings, one_model=one_model, robust=robust, time_scaling=False))
+    return TunedMethod(name, label, "inversion", tuning, _inverting(inverse_model))
 
 
 def _shaping(x: shapers.Shaper, y: shapers.Shaper) -> Executor:
@@ -109,9 +109,9 @@ def _by_position(of_position: FrequencyOfPosition, kind: str) -> Executor:
     return lambda print_slice: (shaped_by_position(print_slice.motion, of_position, kind), None)
 
 
-def _inverting(inverter: InverseModel) -> Executor:
+def _inverting(inverse_model: InverseModel) -> Executor:
     def motion(s: PrintSlice) -> tuple[Motion, Statistics | None]:
-        file = compensated(s.planned, s.machine, inverter, s.flavor, s.offset)
+        file = compensated(s.planned, s.machine, inverse_model, s.flavor, s.offset)
         return segments_motion(segments(file, s.machine, s.before, s.start)), file.statistics
 
     return motion

@@ -190,9 +190,9 @@ class _Known:
 
     def _in_motion(self, knots: int, rest: int | None) -> tuple[Chunk, _Known]:
         """Cut after about so many segments; `rest` is the move before which the motion ends, if that is known."""
-        eased = self._eased(knots, rest)
-        if eased is not None and (fewer := eased._clear_cut(self._position(knots).time_in(eased.plan))):
-            return eased._in_motion(fewer, rest)
+        slowed = self._slowed(knots, rest)
+        if slowed is not None and (fewer := slowed._clear_cut(self._position(knots).time_in(slowed.plan))):
+            return slowed._in_motion(fewer, rest)
         return self._cut(knots, rest)
 
     def _t(self, knots: int) -> float:
@@ -216,7 +216,7 @@ class _Known:
         chunk = ahead.chunk(_until(ahead.program, plan, t + around, rest), end=place)
         return chunk, _Known(left, _columns(plan, slice(first, None)), t, self.settings)
 
-    def _eased(self, knots: int, rest: int | None) -> _Known | None:
+    def _slowed(self, knots: int, rest: int | None) -> _Known | None:
         """Slow it down around the position where it is to be cut; None: that need not be."""
         ease, ahead, plan, t = self.settings.ease, self.ahead, self.plan, self._t(knots)
         if ease is None:

@@ -1,7 +1,7 @@
-"""What the design model says about a print: how it would have come out, and how it comes out now.
+"""Predict a print's errors without and with compensation by the design model.
 
-A prediction by the model the command was designed with, not a proof: an independent plant judges in the tests and in
-`compare`. Long prints are sampled run by run, evenly, and the result says how much of the print it covers.
+This is a prediction by the model that the command was designed with, not a proof: an independent plant evaluates in the
+tests and in `compare`. Long prints are sampled section by section, evenly, and the result states their share.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Samples:
     clock: float = 0.0  # s
     covered_s: float = 0.0
     place: FloatArray = field(default_factory=lambda: np.zeros(3))  # mm, where the last run has ended
-    wanted: list[FloatArray] = field(default_factory=list)  # (m, 3) mm
+    reference: list[FloatArray] = field(default_factory=list)  # (m, 3) mm
     path_t: list[FloatArray] = field(default_factory=list)  # s
     path: list[FloatArray] = field(default_factory=list)  # (k, 3) mm
     before: _Motion = field(default_factory=_Motion)
@@ -59,7 +59,7 @@ class Samples:
             self.clock + later.clock,
             self.covered_s + later.covered_s,
             self.place + later.place,
-            self.wanted + moved(later.wanted),
+            self.reference + moved(later.reference),
             self.path_t + [each + self.clock for each in later.path_t],
             self.path + moved(later.path),
             before,
@@ -68,13 +68,13 @@ class Samples:
 
     def tracks(self) -> dict[str, Track]:
         """Evaluate the sampled sections, "uncompensated" and "compensated"."""
-        if not self.wanted:
+        if not self.reference:
             return {}
-        wanted = np.concatenate(self.wanted)
-        t = self.sample_s * np.arange(1, len(wanted) + 1, dtype=np.float64)
+        reference = np.concatenate(self.reference)
+        t = self.sample_s * np.arange(1, len(reference) + 1, dtype=np.float64)
         path_t, path = np.concatenate(self.path_t), np.concatenate(self.path)
         return {
-            name: track(t, wanted, np.concatenate(motion.actual), path_t, path, motion.peak)
+            name: track(t, reference, np.concatenate(motion.actual), path_t, path, motion.peak)
             for name, motion in (("uncompensated", self.before), ("compensated", self.after))
         }
 
@@ -82,44 +82,44 @@ class Samples:
 class Prediction:
     """Collects samples of runs while they are compensated."""
 
-    def __init__(self, inverter: InverseModel, share: float) -> None:
+    def __init__(self, model: InverseModel, share: float) -> None:
         """Simulate this share of the print, 0 to 1."""
-        self.inverter, self.share = inverter, share
-        s = inverter.settings
+        self.model, self.share = model, share
+        s = model.settings
         self.every = max(1, round(SAMPLE_S * s.substeps / s.segment_s))  # substeps from sample to sample
         self.samples = Samples(self.every * s.segment_s / s.substeps)
         self.seen_s = 0.0
 
-    def wants(self, wanted: Reference) -> bool:
+    def wants(self, reference: Reference) -> bool:
         """Tell whether it is this section's turn; to be asked once for each."""
-        length = wanted.knots * self.inverter.settings.segment_s
+        length = reference.knots * self.model.settings.segment_s
         due = self.samples.covered_s <= self.share * self.seen_s
         self.seen_s += length
         return due
 
-    def add(self, trajectory: PlannedMotion, run: Section, wanted: Reference, result: Solution) -> None:
+    def add(self, trajectory: PlannedMotion, run: Section, reference: Reference, result: Solution) -> None:
         """Take one compensated run in."""
-        inverter, s, found, every = self.inverter, self.inverter.settings, self.samples, self.every
-        length = wanted.knots * s.segment_s
+        model, s, found, every = self.model, self.model.settings, self.samples, self.every
+        length = reference.knots * s.segment_s
         found.covered_s += length
-        nozzle, velocity = wanted.substeps(0, wanted.knots)
+        nozzle, velocity = reference.substeps(0, reference.knots)
         # one after the other in space too: only differences count, and a jump between runs would look like an error
         shift = found.place - nozzle[0]
-        found.wanted.append(nozzle[every::every] + shift)
-        found.place = found.wanted[-1][-1]
-        self._add_path(trajectory, run, wanted, shift)
-        state = inverter.machine.equilibrium(nozzle[0])
-        plain, _ = inverter.plant.respond(nozzle, velocity, state, s.substeps)
+        found.reference.append(nozzle[every::every] + shift)
+        found.place = found.reference[-1][-1]
+        self._add_path(trajectory, run, reference, shift)
+        state = model.machine.equilibrium(nozzle[0])
+        plain, _ = model.plant.respond(nozzle, velocity, state, s.substeps)
         knots = nozzle[:: s.substeps]
         for motion, actual, command in ((found.before, plain, knots), (found.after, result.response, result.vertices)):
             motion.actual.append(actual[every - 1 :: every] + shift)
-            bend = peak_acceleration(inverter.kinematics.inverse(command), s.segment_s, s.segment_s)
+            bend = peak_acceleration(model.kinematics.inverse(command), s.segment_s, s.segment_s)
             motion.peak = max(motion.peak, bend)
         found.clock += length
 
-    def _add_path(self, trajectory: PlannedMotion, run: Section, wanted: Reference, shift: FloatArray) -> None:
+    def _add_path(self, trajectory: PlannedMotion, run: Section, reference: Reference, shift: FloatArray) -> None:
         part, found = slice(run.first, run.last), self.samples
-        corners = np.vstack([trajectory.origin[part, :3], wanted.nozzle(np.array([run.end_t]))])
+        corners = np.vstack([trajectory.origin[part, :3], reference.nozzle(np.array([run.end_t]))])
         due = np.append(trajectory.start_t[part], run.end_t)
         found.path.append(corners + shift)
-        found.path_t.append(found.clock + due - wanted.t0)
+        found.path_t.append(found.clock + due - reference.t0)

@@ -40,7 +40,7 @@ class KnotWindow:
         s = iterate.model.settings
         self.iterate, self.at, self.end = iterate, at, end
         self.nozzle, self.velocity = iterate.reference.substeps(at, end)
-        self.wanted = iterate.model.kinematics.inverse(self.nozzle[:: s.substeps])
+        self.reference_q = iterate.model.kinematics.inverse(self.nozzle[:: s.substeps])
         self.place = np.ascontiguousarray(self.nozzle[s.substeps // 2 :: s.substeps, :2])
         self._centripetal = iterate.model.kinematics.rate_term(self.nozzle, np.ascontiguousarray(self.velocity))
         self._stride = s.substeps // s.rows_per_segment
@@ -51,7 +51,7 @@ class KnotWindow:
 
     def vertices(self) -> FloatArray:
         """Return the nozzle commands at the knots, (n + 1, 3) mm."""
-        return self.iterate.model.kinematics.forward(self.wanted + self.iterate.gamma[self.at : self.end + 1])
+        return self.iterate.model.kinematics.forward(self.reference_q + self.iterate.gamma[self.at : self.end + 1])
 
     def respond(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the nozzle (m, 3) mm after every substep and the states at the knots, from the first one's (18,)."""

@@ -62,11 +62,11 @@ class _Part:
             knots = slice(s.substeps, (n + 1) * s.substeps, s.substeps)
             ahead = stretch.nozzle[knots] + stretch.velocity[knots] * iterate.model.delay_s
             edges = iterate.reference.at_knots(np.array([self.at - 1, stretch.end + 1, stretch.end + 2]))
-            q = np.insert(iterate.model.kinematics.inverse(edges), 1, stretch.wanted, axis=0)[: n + 4]
+            q = np.insert(iterate.model.kinematics.inverse(edges), 1, stretch.reference_q, axis=0)[: n + 4]
             bend = (q[4:] - 2 * q[2:-2] + q[:-4]) / (2 * s.segment_s) ** 2  # NOTE: over two knots, for less noise
             bent = np.einsum("nij,nj->ni", iterate.model.compliance_at(stretch.nozzle[knots, :2]), bend)
             iterate.gamma[self.at + 1 : last + 1] = (
-                iterate.model.kinematics.inverse(ahead) - stretch.wanted[1 : n + 1] + bent
+                iterate.model.kinematics.inverse(ahead) - stretch.reference_q[1 : n + 1] + bent
             )
 
     def solve(self, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray]:

@@ -89,7 +89,7 @@ def timeline(
     program: Program,
     trajectory: PlannedMotion,
     run: Section,
-    wanted: Reference,
+    reference: Reference,
     vertices: FloatArray,
     inside: list[Event],
     tile: Tile | None = None,
@@ -105,15 +105,15 @@ def timeline(
     inside : all events of the run, in the file's order
     tile : what is laid out; by default the whole run
     """
-    tile = tile or Tile.whole(wanted.knots)
-    e = wanted.extrusion(tile.first, tile.last)
-    if tile.last == wanted.knots:
+    tile = tile or Tile.whole(reference.knots)
+    e = reference.extrusion(tile.first, tile.last)
+    if tile.last == reference.knots:
         e[-1] = program.moves.end[run.last - 1, 3]
-    lines, among, at = _lines_of(program, trajectory, run, wanted, inside, tile)
+    lines, among, at = _lines_of(program, trajectory, run, reference, inside, tile)
     laid = _Laid(*_lay_out(at, lines.event >= 0, e, vertices, tile.first))
     laid.cut[np.searchsorted(laid.at, tile.end)] = True  # where a motion is cut that had to be slowed down
     _meet_the_events(laid, program, run, e, lines, among)
-    lead_s = run.begin_t - wanted.t0
+    lead_s = run.begin_t - reference.t0
     return Timeline(tile, laid.at, laid.e, laid.cut, laid.point, lines.line, lines.event, among, lead_s)
 
 
@@ -128,7 +128,7 @@ class _Laid(NamedTuple):
 
 
 def _lines_of(
-    program: Program, trajectory: PlannedMotion, run: Section, wanted: Reference, inside: list[Event], tile: Tile
+    program: Program, trajectory: PlannedMotion, run: Section, reference: Reference, inside: list[Event], tile: Tile
 ) -> tuple[_Lines, list[Event], FloatArray]:
     """Return the original's lines whose time lies in a tile or its context, the events among them, and times in knots.
 
@@ -137,9 +137,9 @@ def _lines_of(
     begun = trajectory.start_t[run.first : run.last]
     first, last = run.first, run.last
     if tile.first > 0:
-        first += bisect_left(begun, float(tile.first), key=wanted.knot_of)
-    if tile.last < wanted.knots:
-        last = run.first + bisect_left(begun, float(tile.last), key=wanted.knot_of)
+        first += bisect_left(begun, float(tile.first), key=reference.knot_of)
+    if tile.last < reference.knots:
+        last = run.first + bisect_left(begun, float(tile.last), key=reference.knot_of)
     own = program.moves.line[max(first - 1, run.first) : last]
     new = np.flatnonzero(own[1:] != own[:-1]) + 1  # the chords of an arc share a line
     if first == run.first:
@@ -152,7 +152,7 @@ def _lines_of(
         event = np.concatenate([event, np.arange(len(among))])
         order = np.argsort(line)
         line, move, event = line[order], move[order], event[order]
-    at = np.array([wanted.knot_of(t) for t in trajectory.start_t[move].tolist()])
+    at = np.array([reference.knot_of(t) for t in trajectory.start_t[move].tolist()])
     return _Lines(line, move, event), among, at
 
 

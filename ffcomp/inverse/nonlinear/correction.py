@@ -48,7 +48,7 @@ SMOOTHINGS, NEAR, KEPT = 60, 4, 0.9  # of a change that breaks a limit: how ofte
 class LinearSolution:
     """A section as the linear model has solved it."""
 
-    wanted: Reference
+    reference: Reference
     result: Solution
     rest_s: float | None  # since the section before it ended; None: others have moved the nozzle, or there was none
 
@@ -57,14 +57,14 @@ class LinearSolution:
 class _Round:
     """One section: what is simulated next, the last commands that were, the best, and the one put together."""
 
-    iterate: Iterate  # its γ: what is played next
+    iterate: Iterate  # its γ: what is executed next
     rest_rows: int | None  # since the section before it
     most: float  # times the limits that a command may ask for
-    best: FloatArray  # γ (n + 1, 3) mm of the best that was played
+    best: FloatArray  # γ (n + 1, 3) mm of the best that was executed
     foreseen: FloatArray  # γ beyond the linear inverse; no effort is counted for it
     rms: float = np.inf  # of the best one's error, mm
     response: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    error: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  # (rows, 3) mm of what was played last
+    error: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  # (rows, 3) mm of what was executed last
     tried: list[Tried] = field(default_factory=list)  # γ without what is foreseen, and the answer to its error
     gamma: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  # put together
     local: FloatArray = field(default_factory=lambda: np.zeros(0))  # mean square of its error around each knot, mm²
@@ -93,10 +93,10 @@ def correct_sections(model: InverseModel, machine: Machine, runs: Sequence[Linea
 
 
 def _begin(model: InverseModel, ran: LinearSolution) -> _Round:
-    iterate, s = Iterate(model, ran.wanted), model.settings
+    iterate, s = Iterate(model, ran.reference), model.settings
     knots = np.arange(iterate.last + 1)
     iterate.gamma[: iterate.last + 1] = model.kinematics.inverse(ran.result.vertices) - model.kinematics.inverse(
-        ran.wanted.at_knots(knots)
+        ran.reference.at_knots(knots)
     )
     row_s = s.segment_s / s.substeps
     rest = None if ran.rest_s is None else max(round(ran.rest_s / row_s), 0)
@@ -148,10 +148,10 @@ def _played(model: InverseModel, machine: Machine, rounds: Sequence[_Round], see
 def _judge(each: _Round, nozzle: FloatArray) -> None:
     """Keep what was simulated if it is the best, and of it the positions that are."""
     iterate, s = each.iterate, each.iterate.model.settings
-    wanted, _ = iterate.reference.substeps(0, iterate.last + REST_ROWS)
-    rows = min(len(nozzle), len(wanted))
-    error = np.zeros_like(wanted)
-    error[:rows] = wanted[:rows] - nozzle[:rows]
+    reference, _ = iterate.reference.substeps(0, iterate.last + REST_ROWS)
+    rows = min(len(nozzle), len(reference))
+    error = np.zeros_like(reference)
+    error[:rows] = reference[:rows] - nozzle[:rows]
     end, stride = iterate.last * s.substeps, s.substeps // s.rows_per_segment
     if len(iterate.robust_offset):
         error[1 : end + 1] += np.repeat(iterate.robust_offset, stride, axis=0)
@@ -178,10 +178,10 @@ def _put_together(each: _Round, local: FloatArray) -> None:
 
 def _step(each: _Round, share: float) -> None:
     """Set the command that is simulated next."""
-    played = each.iterate.gamma.copy()
-    gamma = played - each.foreseen
+    executed = each.iterate.gamma.copy()
+    gamma = executed - each.foreseen
     each.tried = [*each.tried[1 - TRIED :], (gamma, fast.answer(each.iterate, gamma, each.error))]
-    _change(each, played, mixed(each.tried, share) - gamma)
+    _change(each, executed, mixed(each.tried, share) - gamma)
 
 
 def _change(each: _Round, gamma: FloatArray, change: FloatArray) -> None:

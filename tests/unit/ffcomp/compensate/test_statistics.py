@@ -35,9 +35,9 @@ def test_samples_follow_one_another_in_time_and_in_space() -> None:
     both = (first + Statistics() + second).predicted
     assert both is not None and first.predicted is not None
     assert both.clock == both.covered_s == 5.0
-    np.testing.assert_array_equal(np.concatenate(both.wanted)[:, 0], [3.0, 7.0])
+    np.testing.assert_array_equal(np.concatenate(both.reference)[:, 0], [3.0, 7.0])
     np.testing.assert_array_equal(np.concatenate(both.path_t), [0.0, 2.0])
-    assert len(first.predicted.wanted) == 1  # what is added stays as it is
+    assert len(first.predicted.reference) == 1  # what is added stays as it is
 
 
 def test_statistics_cannot_be_changed() -> None:
