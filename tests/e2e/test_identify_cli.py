@@ -27,7 +27,7 @@ from validation.plants.study import PLACES, measure_bench, measure_places, uneve
 TRUTH_FILE = LIBRARY / "mp-delta-pro.toml"
 TRUTH = load_machine(TRUTH_FILE)
 DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[3] / "shared" / "data"))
-VIBRATION = sorted(p for p in (DATA / "vibration").rglob("*.?sv"))
+VIBRATION = sorted(p for p in (DATA / "vibration").rglob("*.?sv") if p.parent.name != "owners")  # sweeps
 STEP_S = 1 / 12800
 
 

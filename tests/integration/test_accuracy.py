@@ -67,7 +67,7 @@ def test_the_command_is_one_that_motors_follow(name: str) -> None:
 def test_every_run_takes_the_time_it_was_solved_for(name: str) -> None:
     """Segments that their limits make late shift all that follows: each run must last a whole number of knots."""
     case = case_of(name)
-    plan, first = case.segments.trajectory, case.segments.first
+    plan, first = case.segments.trajectory, case.segments.starts.move
     last = np.append(first[1:], len(plan)) - 1
     lasts_s = plan.start_t[last] + plan.duration[last] - plan.start_t[first]
     knots = lasts_s / case.ours.settings.segment_s

@@ -33,7 +33,7 @@ def machine() -> Machine:
 def pole_difference(machine: Machine, choice: Choice, model: Machine | None = None) -> float:
     """Largest distance of a pole of ours (of `model`) from MuJoCo's nearest, relative."""
     theirs = multibody.modes(multibody.build(machine, PLACE_MM, choice))
-    ours = model or machine.vibration.poles(PLACE_MM[None, :2])[0]
+    ours = (model or machine).vibration.poles(PLACE_MM[None, :2])[0]
     ours = ours[ours.imag > 1.0]
     assert theirs.shape == ours.shape == (6,)
     return float(np.max(np.min(np.abs(ours[:, None] / theirs - 1), axis=1)))

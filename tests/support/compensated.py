@@ -9,9 +9,11 @@ from ffcomp.compensate.result import Result
 from models.machine import Machine
 
 
-def job(data: bytes, machine: Machine, path: str = "print.gcode", *, jobs: int = 1, **options: Any) -> Job:
-    """A request with these options."""
-    return Job(data, path, machine, Options(**options), jobs=jobs)
+def job(
+    data: bytes, machine: Machine, path: str = "print.gcode", *, jobs: int = 1, restore: bool = False, **options: Any
+) -> Job:
+    """A request with these options; restore : compensate the original that the file holds."""
+    return Job(data, path, machine, Options(**options), restore=restore, jobs=jobs)
 
 
 def compensated(data: bytes, machine: Machine, path: str = "print.gcode", **options: Any) -> tuple[bytes, Result]:

@@ -117,7 +117,7 @@ def test_what_the_model_cannot_say_is_called_its_error() -> None:
 
 
 def test_a_number_nobody_has_is_refused() -> None:
-    with pytest.raises(SolverError, match=r"'carriage\.colour' is no number"):
+    with pytest.raises(SolverError, match=r"'carriage\.colour' is no parameter of this fit"):
         fit_machine(TRUTH, measured(TRUTH, paper_bench(COARSE), 40.0, 0), {"carriage.colour": (1.0, 0.1)})
 
 

@@ -253,7 +253,7 @@ def test_a_plan_of_a_corexy_stays_within_its_box_and_its_motors(tmp_path: Path) 
     for options, rule in (
         (["--at", "0.1,150"], "leaves the bed: The point X = -"),
         (["--at", "line-of-action"], "straight axes answer alike"),
-        (["--axes", "towers"], "one of xy, x, y, z, xyz"),
+        (["--axes", "towers"], "xy, x, y, z or xyz"),
     ):
         refused = call(*short, *options)
         assert refused.exit_code != 0 and rule in re.sub(r"[│\s]+", " ", refused.output)
@@ -268,7 +268,7 @@ HEADER = "#time,accel_x,accel_y,accel_z\n"
     ("name", "text", "rule"),
     [
         ("adxl345-test.csv", "", "the excited axis is not stated"),
-        ("raw_data_axis=1.000,1.000_20260101.csv", "", "shaken along a diagonal"),
+        ("raw_data_axis=1.000,1.000_20260101.csv", "", "excited along a diagonal"),
         ("resonances_x_20260101.csv", "freq,psd_y\n" + "".join(f"{f},1\n" for f in range(60)), "no spectrum along x"),
         ("resonances_x_20260101.csv", "freq,psd_x\n" + "".join(f"{9 * f},1\n" for f in range(1, 30)), "lines between"),
     ],

@@ -88,7 +88,7 @@ def made(folder: Path, hidden: dict[str, dict[str, Any]], names: tuple[str, ...]
     write_machine(folder)
     runs, report, told = write_runs(folder, hidden), folder / "d.html", []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(delta, "Delta", partial(delta.PrinterProblem, names=names))
+        patch.setattr(delta, "PrinterProblem", partial(delta.PrinterProblem, names=names))
         patch.setattr(html, "page", lambda given: told.append(given) or page(given))
         patch.setattr(experiment, "propose", lambda *_: [PROPOSAL])
         answer = run(runs, "-o", str(folder / "better.toml"), "--report", str(report))
@@ -124,8 +124,8 @@ def told(heavy: Case) -> ReportInput:
 @pytest.fixture
 def found_already(plain: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     """The verb without its search: the picture and the answer of a case that was searched before."""
-    monkeypatch.setattr("ffcomp.diagnose.engine.diagnose", lambda *_: None)
-    monkeypatch.setattr("ffcomp.diagnose.result.outcome", lambda *_: plain.told.outcome)
+    monkeypatch.setattr("ffcomp.diagnose.diagnosis.diagnose", lambda *_: None)
+    monkeypatch.setattr("ffcomp.diagnose.result.result_of", lambda *_: plain.told.outcome)
     monkeypatch.setattr("ffcomp.diagnose.summary.summarise", lambda *_: plain.told.picture)
     monkeypatch.setattr("ffcomp.diagnose.next_experiment.propose", lambda *_: [PROPOSAL])
 
@@ -212,7 +212,7 @@ def test_an_existing_report_is_refused_before_the_work_and_replaced_with_force(
     old = tmp_path / "old.html"
     old.write_text("old")
     with monkeypatch.context() as patch:
-        patch.setattr("ffcomp.diagnose.result.outcome", lambda *_: pytest.fail("it went to work"))
+        patch.setattr("ffcomp.diagnose.result.result_of", lambda *_: pytest.fail("it went to work"))
         answer = run(plain.runs, "--report", str(old))
     assert answer.exit_code == 2 and "exists already" in answer.output and old.read_text() == "old"
     answer = run(plain.runs, "--report", str(old), "--force")
@@ -239,7 +239,7 @@ def test_nothing_is_written_when_the_page_fails(
     def fails(drawing: object) -> bytes:
         raise RuntimeError("no room")
 
-    monkeypatch.setattr("ffcomp.diagnose.result.outcome", lambda *_: heavy.told.outcome)
+    monkeypatch.setattr("ffcomp.diagnose.result.result_of", lambda *_: heavy.told.outcome)
     monkeypatch.setattr(html, "svg", fails)
     targets = ["-o", str(tmp_path / "better.toml"), "--report", str(tmp_path / "d.html")]
     assert str(run(heavy.runs, *targets).exception) == "no room"
