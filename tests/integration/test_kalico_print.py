@@ -52,5 +52,5 @@ def test_the_host_keeps_the_pace(name: str) -> None:
 def test_the_host_stops_nowhere_but_at_the_end_of_a_run(name: str) -> None:
     after = through_kalico(name)[1].trajectory
     stops = np.flatnonzero(after.end_v < STANDS_STILL_MM_PER_S)
-    ends = np.append(judge.part(name).segments.first[1:], len(after)) - 1
+    ends = np.append(judge.part(name).segments.starts.move[1:], len(after)) - 1
     assert set(stops.tolist()) <= set(ends.tolist())
