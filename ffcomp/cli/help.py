@@ -24,6 +24,10 @@ Row = tuple[str, str]
 class Command(TyperCommand):
     """A verb whose help is plain text in groups."""
 
+    def format_usage(self, ctx: Any, formatter: Any) -> None:
+        """Write the usage line, of help pages and of usage errors."""
+        _write_usage(self, ctx, formatter)
+
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write the usage, the text, the arguments and the options by group."""
         _write_head(self, ctx, formatter)
@@ -37,6 +41,10 @@ class Command(TyperCommand):
 class Group(TyperGroup):
     """A verb that holds verbs."""
 
+    def format_usage(self, ctx: Any, formatter: Any) -> None:
+        """Write the usage line, of help pages and of usage errors."""
+        _write_usage(self, ctx, formatter)
+
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write the usage, the text, the verbs and the options."""
         _write_head(self, ctx, formatter)
@@ -49,10 +57,14 @@ class Group(TyperGroup):
         return list(self.commands)
 
 
-def _write_head(command: Any, ctx: Any, formatter: Any) -> None:
+def _write_usage(command: Any, ctx: Any, formatter: Any) -> None:
     arguments = [f"{each.metavar or each.name.upper()}" for each in command.get_params(ctx) if _is_argument(each)]
     verbs = ["VERB"] if isinstance(command, TyperGroup) else []
     formatter.write_usage(ctx.command_path, " ".join([*arguments, *verbs, "[OPTIONS]"]))
+
+
+def _write_head(command: Any, ctx: Any, formatter: Any) -> None:
+    command.format_usage(ctx, formatter)
     for paragraph in (command.help or "").split("\n\n"):
         formatter.write_paragraph()
         words = " ".join(paragraph.split())

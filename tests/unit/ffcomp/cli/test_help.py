@@ -70,3 +70,10 @@ def test_first_lines_are_imperative_and_plain() -> None:
     assert first["compensate"] == "Compensate a print for your printer's vibration."
     for verb, line in first.items():
         assert re.fullmatch(r"[A-Z][a-z]+[ ,].*\.", " ".join(line.split())), verb
+
+
+def test_a_usage_error_shows_the_usage_of_the_help_page() -> None:
+    from typer.testing import CliRunner
+
+    first = help_of(("compensate",)).split("\n")[0].split("compensate")[1]
+    assert first in CliRunner().invoke(app, ["compensate"]).output
