@@ -4,7 +4,7 @@ A machine is asked for by name (a file in the user's own folder, then the librar
 `.toml` or holds a folder separator). The user's file wins: a machine may be refitted under its old name.
 
 Defaults of what a file may leave out: `[carriage.drive]` an ideal drive; `[effector] force_map` virtual work;
-`[limits]` all but velocity and acceleration, and `[steps]`, as in `MotionLimits` and `Steps`;
+`[limits]` all but velocity and acceleration, and `[steps]`, as in `MotionLimits` and `Steps`; `[firmware]` not said;
 `[uncertainty] default` 0.02; no effects.
 """
 
@@ -105,6 +105,7 @@ def _machine(document: DeltaDocument | StraightDocument, sha256: str, path: str)
         provenance=document.provenance,
         sha256=sha256,
         path=path,
+        flavor=document.firmware.flavor or "",
     )
 
 

@@ -65,6 +65,7 @@ class Machine:
     provenance: Mapping[str, Any] = field(default_factory=dict)  # "table.key" -> where the number is from; free
     sha256: str = ""  # of the file's bytes; empty: made in memory
     path: str = ""
+    flavor: str = ""  # of its firmware: "klipper", "marlin" or "reprapfirmware"; empty: not said
 
     def __post_init__(self) -> None:
         """Bind the vibration model to the kinematics."""

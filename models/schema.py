@@ -236,6 +236,12 @@ class StepsTable(Table):
         )
 
 
+class FirmwareTable(Table):
+    """`[firmware]`: which one the printer runs."""
+
+    flavor: Literal["klipper", "marlin", "reprapfirmware"] | None = None
+
+
 def _number_or_tuple(value: float | list[float]) -> float | tuple[float, ...]:
     return tuple(value) if isinstance(value, list) else value
 
@@ -251,6 +257,7 @@ class Document(Table):
     name: str = Field(min_length=1)
     limits: LimitsTable
     steps: StepsTable = StepsTable()
+    firmware: FirmwareTable = FirmwareTable()
     effects: dict[str, dict[str, Any]] = {}
     uncertainty: dict[str, Annotated[float, Field(ge=0, le=10)]] = {}
     provenance: dict[str, Any] = {}

@@ -138,7 +138,7 @@ def compensate(
     machine : a machine, its name or its file
     output : compensated file to write; None: write nothing. It may be `file` itself.
     offset_mm : shift added to every position
-    flavor : "klipper", "marlin" or "reprapfirmware"; "": what the file says
+    flavor : "klipper", "marlin" or "reprapfirmware"; "": what the machine file says, or else the file
     shaper_off : switch the firmware's input shaper off in the file
     robust : minimise the expected contour error over the machine file's uncertainties
     s_curve : limit the jerk of the ramps

@@ -52,7 +52,7 @@ Flavor = Annotated[
     typer.Option(
         metavar="NAME",
         rich_help_panel=MACHINE,
-        help="Firmware: klipper, marlin or reprapfirmware. Default: what the file says.",
+        help="Firmware: klipper, marlin or reprapfirmware. Default: what the machine file says, or else the print.",
     ),
 ]
 Plate = Annotated[

@@ -86,7 +86,7 @@ def compare(
     offset : (float, float)
         Added to every position, mm.
     flavor : str
-        "" for what the file says.
+        "" for what the machine file says, or else the file.
     progress : callable
         Called with the current step and the share of it that is done.
 

@@ -92,8 +92,9 @@ class Print:
         self, data: bytes, path: str, machine: Machine, offset: tuple[float, float] = (0.0, 0.0), flavor: str = ""
     ) -> None:
         self.path, self.machine, self.offset = path, machine, offset
-        program = read_program(data, path, offset_mm=offset, flavor=flavor or None)
-        self.flavor = flavor or detect_flavor(program.lines)
+        stated = flavor or machine.flavor
+        program = read_program(data, path, offset_mm=offset, flavor=stated or None)
+        self.flavor = stated or detect_flavor(program.lines)
         self.planned = plan_program(program, machine, offset)
         self.labels: Labels = labels(program)
 

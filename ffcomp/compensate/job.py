@@ -81,7 +81,7 @@ class Options:
     """The options that are the same for many files."""
 
     offset: tuple[float, float] = (0.0, 0.0)  # mm, added to every position
-    flavor: str = ""  # "": what the file says
+    flavor: str = ""  # "": what the machine file says, or else the file
     settings: Settings | None = None  # None: what the machine's limits give
     predict: bool = True
     shaper_off: bool = False
@@ -178,7 +178,7 @@ class Job:
     @cached_property
     def flavor(self) -> str:
         """The firmware asked for, or the one that the file is for."""
-        flavor = self.options.flavor or flavor_by_ends(*self._ends[:2])
+        flavor = self.options.flavor or self.machine.flavor or flavor_by_ends(*self._ends[:2])
         if flavor not in FLAVORS:
             rule = f"The flavor {flavor!r} is none of {', '.join(sorted(FLAVORS))}."
             raise UnsupportedGcode(rule, path=self.path)

@@ -79,7 +79,7 @@ def estimate(
         Its name, for errors.
     machine : Machine
     flavor : {"", "klipper", "marlin", "reprapfirmware"}
-        "" for what the file says.
+        "" for what the machine file says, or else the file.
     offset : (float, float)
         Added to every position of a print that is not compensated yet, mm.
 
@@ -92,7 +92,7 @@ def estimate(
     """
     head, tail, _ = ends_of(source)
     stamp = find_stamp(head, tail)
-    flavor = flavor or (stamp.flavor if stamp else flavor_by_ends(head, tail))
+    flavor = flavor or (stamp.flavor if stamp else machine.flavor or flavor_by_ends(head, tail))
     if flavor not in FLAVORS:
         raise UnsupportedGcode(f"The flavor {flavor!r} is none of {', '.join(sorted(FLAVORS))}.", path=path)
     if stamp is None:

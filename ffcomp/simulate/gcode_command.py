@@ -37,7 +37,7 @@ def read_gcode(
     offset : (float, float)
         Added to every position, mm; a compensated file states its own.
     flavor : str
-        "" for what the file says.
+        "" for what the machine file says, or else the file.
 
     Returns
     -------
@@ -46,7 +46,7 @@ def read_gcode(
     """
     stamp = already_processed(data)
     if stamp is None:
-        program = read_program(data, path, offset_mm=offset, flavor=flavor or None)
+        program = read_program(data, path, offset_mm=offset, flavor=flavor or machine.flavor or None)
         return gcode_command(plan_program(program, machine, offset), machine), program
     program = read_program(data, path, flavor=stamp.flavor)
     offset = find_offset(data[:STAMP_REACH])

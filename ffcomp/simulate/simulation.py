@@ -120,7 +120,7 @@ def read_command(
     offset : (float, float)
         Added to every position, mm.
     flavor : str
-        "" for what the file says.
+        "" for what the machine file says, or else the file.
     plate : int, optional
         Of an archive that holds several prints.
 

@@ -54,8 +54,20 @@ SECTIONS = {  # of the page -> path into the JSON schema of a document
     "axes": (StraightDocument, "axes.x"),
     "limits": (DeltaDocument, "limits"),
     "steps": (DeltaDocument, "steps"),
+    "firmware": (DeltaDocument, "firmware"),
 }
-TABLES = {"kinematics", "carriage", "effector", "axes", "limits", "steps", "effects", "uncertainty", "provenance"}
+TABLES = {
+    "kinematics",
+    "carriage",
+    "effector",
+    "axes",
+    "limits",
+    "steps",
+    "firmware",
+    "effects",
+    "uncertainty",
+    "provenance",
+}
 
 
 def of_schema(document: Any, path: str) -> dict[str, list[str]]:

@@ -91,6 +91,7 @@ def test_what_a_file_leaves_out_gets_the_documented_defaults(write) -> None:
     assert (machine.steps.steps_per_mm, machine.steps.full_steps_per_mm) == (80.0, 5.0)
     assert machine.uncertainty == {"default": 0.02}
     assert machine.effects == {}
+    assert machine.flavor == ""
 
 
 def test_masses_are_put_together_as_the_paper_says(write) -> None:
@@ -118,6 +119,8 @@ def test_everything_else_a_file_may_say(write) -> None:
             + """
 [steps]
 steps_per_mm = 160
+[firmware]
+flavor = "reprapfirmware"
 [carriage.drive]
 d0_per_s2 = 1.4e5
 d1_per_s = -200
@@ -140,6 +143,7 @@ who = { name = "me" }
     assert delta_vibration(machine).carriage.drive is not None
     assert delta_vibration(machine).carriage.drive.d1_per_s == -200
     assert machine.effects["coulomb_friction"] == {"force_n": [2.1, 2.2, 2.3]}
+    assert machine.flavor == "reprapfirmware"
     assert machine.uncertainty["carriage.belt_stiffness_n_per_m"] == 0.05
     assert machine.provenance["who"] == {"name": "me"}
 
@@ -228,6 +232,8 @@ def test_mistakes_are_named_with_key_value_and_rule(problems, old: str, new: str
             "[uncertainty]\n'carriage.mas_kg' = 0.1",
             "names no number of this file. Did you mean 'carriage.mass_kg'?",
         ),
+        ("[firmware]\nflavor = 'kliper'", "firmware.flavor = 'kliper' must be"),
+        ("[firmware]\nflavour = 'klipper'", "firmware.flavour is not a key of a machine file. Did you mean 'flavor'?"),
         ("[uncertainty]\ndefault = -1", "uncertainty.default = -1 must be at least 0."),
     ],
 )
