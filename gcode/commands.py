@@ -25,16 +25,19 @@ class Effect(NamedTuple):
     dwell_s: float = 0.0
     touches_limits: bool = False
     warning: str = ""
+    unknown: bool = False  # nobody knows what the command does; all such codes share a warning
 
 
 Handler = Callable[[Modal, Command], Effect]
 
 _TOOL_NAME = re.compile(r"T(-?\d+|\?)")
 _M_CODE = re.compile(r"M\d+(\.\d+)?")
+_PARK_NAME = re.compile(r"P\d+")  # Prusa XL: the tool that is picked up next comes from the dock
 
 PASS = Effect(EventKind.PASS)
 STOP = Effect(EventKind.STOP)
 LIMITS = Effect(EventKind.PASS, touches_limits=True)
+UNKNOWN = Effect(EventKind.STOP, unknown=True)
 
 
 def apply(modal: Modal, command: Command) -> Effect:
@@ -69,15 +72,17 @@ def _home(modal: Modal, command: Command) -> Effect:
 
 
 def _unknown(modal: Modal, command: Command) -> Effect:
-    if _M_CODE.fullmatch(command.name):
-        return Effect(EventKind.STOP, warning=f"{command.name} is not known; the motion rests while it runs")
-    modal.forget()
-    modal.motion = ""  # it may be one that goes on with bare words
-    rule = "the motion rests, and nothing is compensated until the file names a place again"
-    return Effect(EventKind.STOP, warning=f"{command.name} is not known and may move the machine; {rule}")
+    if not _M_CODE.fullmatch(command.name):
+        modal.forget()
+        modal.motion = ""  # it may be one that goes on with bare words
+    if _PARK_NAME.fullmatch(command.name):
+        modal.tool = command.name
+    return UNKNOWN
 
 
 def _refuse(modal: Modal, command: Command) -> Effect:
+    if modal.flavor == "klipper":  # it knows none of these: they are messages, or somebody's macros
+        return _unknown(modal, command)
     what = "makes numbers depend on offsets, units, turns or conditions that are not followed"
     raise UnsupportedGcode(f"{command.name} {what}; slice without it.", command.line)
 
@@ -90,13 +95,20 @@ def _tool(modal: Modal, command: Command) -> Effect:
 
 
 def _dwell(modal: Modal, command: Command) -> Effect:
-    words = command.numbers()
+    words = command.settings()
     seconds = words.get("P", 0.0) / 1000
     if "S" in words and modal.flavor != "klipper":
         seconds = words["S"]
     if seconds < 0:
         raise GcodeError(f"G4 waits {seconds:g} s; a wait cannot be negative.", command.line)
     return Effect(EventKind.DWELL, seconds)
+
+
+def _finish_moves(modal: Modal, command: Command) -> Effect:
+    """M400: Bambu's also waits, P ms or S s."""
+    words = command.settings()
+    seconds = max(words.get("S", 0.0) + words.get("P", 0.0) / 1000, 0.0)
+    return Effect(EventKind.STOP, seconds) if seconds else STOP
 
 
 def _retraction_or_tool_setting(modal: Modal, command: Command) -> Effect:
@@ -160,8 +172,17 @@ def _rename(modal: Modal, command: Command) -> Effect:
     return STOP
 
 
+def _names_back(modal: Modal, command: Command) -> Effect:
+    """G92.1 takes back what G92 did to X, Y and Z; Klipper does not know it."""
+    if modal.flavor == "klipper":
+        return UNKNOWN
+    modal.take_names_back()
+    return STOP
+
+
 def _percent(command: Command) -> float | None:
-    share = command.numbers().get("S")
+    """Return the factor; None: none is set (Bambu's `M221 S` and `M221 Z0` are about its endstops)."""
+    share = command.settings().get("S")
     if share is not None and share <= 0:
         raise GcodeError(f"{command.name} S{share:g} is no factor; a percentage must be above zero.", command.line)
     return None if share is None else share / 100
@@ -185,19 +206,21 @@ def _flow(modal: Modal, command: Command) -> Effect:
 
 
 def _gcode_offset(modal: Modal, command: Command) -> Effect:
-    fields = command.field_numbers()
+    fields, before = command.field_numbers(), modal.homing[:]
     for axis, letter in enumerate(AXES):
         if letter in fields:
             modal.offset_axis(axis, fields[letter])
         elif f"{letter}_ADJUST" in fields:
             modal.offset_axis(axis, modal.homing[axis] + fields[f"{letter}_ADJUST"])
-    return _moving(modal, command)
-
-
-def _moving(modal: Modal, command: Command) -> Effect:
-    if command.fields().get("MOVE", "0") != "0":
-        modal.forget()
+    if _moves(command):  # by as much as the offsets have changed
+        modal.position[:3] = [p + new - old for p, new, old in zip(modal.position, modal.homing, before, strict=True)][
+            :3
+        ]
     return STOP
+
+
+def _moves(command: Command) -> bool:
+    return command.fields().get("MOVE", "0") != "0"
 
 
 def _save_state(modal: Modal, command: Command) -> Effect:
@@ -208,10 +231,14 @@ def _save_state(modal: Modal, command: Command) -> Effect:
 def _restore_state(modal: Modal, command: Command) -> Effect:
     name = command.fields().get("NAME", "default")
     if name not in modal.saved:
-        rule = "SAVE_GCODE_STATE must come first"
-        raise GcodeError(f"RESTORE_GCODE_STATE names the state {name!r}, which was never saved; {rule}.", command.line)
+        modal.forget()
+        rule = "it is taken to keep modes and offsets, and nothing is compensated until the file names a place again"
+        warning = f"RESTORE_GCODE_STATE names the state {name!r}, which the file has not saved; {rule}"
+        return Effect(EventKind.STOP, warning=warning)
     modal.restore(modal.saved[name])
-    return _moving(modal, command)
+    if _moves(command):  # back to where it was saved, by a motion of the firmware's own
+        modal.position[:3] = modal.saved[name].position[:3]
+    return STOP
 
 
 # -- limits --
@@ -219,7 +246,7 @@ def _restore_state(modal: Modal, command: Command) -> Effect:
 
 def _acceleration(modal: Modal, command: Command) -> Effect:
     """M204: Klipper takes S, or the smaller of P and T if both are there; others P for printing, T for travel."""
-    words = command.numbers()
+    words = command.settings()
     if modal.flavor != "klipper" and ("P" in words or "T" in words):
         if "P" in words:
             modal.set_limits(acceleration=_positive(words["P"], command) * modal.unit)
@@ -242,7 +269,7 @@ def _positive(value: float, command: Command) -> float:
 
 
 def _smallest_xy(modal: Modal, command: Command) -> float | None:
-    words = command.numbers()
+    words = command.settings()
     named = [_positive(words[letter], command) for letter in "XY" if letter in words]
     return min(named) * modal.unit if named else None
 
@@ -310,9 +337,30 @@ def _reset_limits(modal: Modal, command: Command) -> Effect:
     return LIMITS
 
 
+def _motors_off(modal: Modal, command: Command) -> Effect:
+    """M18 and M84: the extruder's motor may be switched off alone, and S only sets when they are."""
+    said = command.letters()
+    if said == {"S"}:
+        return PASS
+    return STOP if said == {"E"} else _move_away(modal, command)
+
+
+def _begin_condition(modal: Modal, command: Command) -> Effect:
+    """Bambu's M622: what stands before its M623 may not be run."""
+    modal.conditions.append(modal.whereabouts())
+    return STOP
+
+
+def _end_condition(modal: Modal, command: Command) -> Effect:
+    """M623: only where nothing has moved in between is the place known."""
+    if not modal.conditions or modal.conditions.pop() != modal.whereabouts():
+        modal.forget()
+    return STOP
+
+
 def _volumetric(modal: Modal, command: Command) -> Effect:
     """M200 D0 keeps E in mm; any other diameter makes it mm³."""
-    return _refuse(modal, command) if command.numbers().get("D") else PASS
+    return _refuse(modal, command) if command.settings().get("D") else PASS
 
 
 def _names(text: str) -> list[str]:
@@ -323,27 +371,31 @@ _PASSING = _names("""
     G15 G40 G49 G50 G54 G69 G80 G91.1 G94 M20 M21 M27 M31 M42 M73 M75 M76 M77 M78 M85 M92 M104 M105 M106 M107 M108
     M110 M111 M112 M113 M114 M115 M117 M118 M119 M140 M141 M150 M155 M163 M207 M208 M209 M211 M218
     M300 M301 M302 M304 M413 M486 M503 M550 M555 M562 M568 M572 M603 M851 M862.1 M862.2 M862.3
-    M862.4 M862.5 M862.6 M900 M907 ACTION_NOTIFICATION DISPLAY_STATUS RESPOND SAVE_VARIABLE
+    M862.4 M862.5 M862.6 M900 M907 M16 M73.2 M74 M122 M142 M201.2 M204.2 M217 M220.2 M355 M404 M405 M406 M412 M591
+    M592
+    ACTION_NOTIFICATION DISPLAY_STATUS RESPOND SAVE_VARIABLE
     SET_DISPLAY_GROUP SET_DISPLAY_TEXT SET_FAN_SPEED SET_FILAMENT_SENSOR SET_GCODE_VARIABLE
     SET_HEATER_TEMPERATURE SET_IDLE_TIMEOUT SET_LED SET_LED_TEMPLATE SET_PIN SET_PRESSURE_ADVANCE
     SET_PRINT_STATS_INFO SET_RETRACTION SET_TEMPERATURE_FAN_TARGET TURN_OFF_HEATERS
-    UPDATE_DELAYED_GCODE ECHO
+    UPDATE_DELAYED_GCODE ECHO VAR GLOBAL SET
 """)
 _RESTING = _names("""
-    G11 M0 M1 M3 M4 M5 M17 M25 M80 M109 M116 M190 M191 M226 M280 M303 M400 M420 M575 M593 M600 M601
-    M602 PAUSE RESUME MANUAL_STEPPER SET_INPUT_SHAPER SYNC_EXTRUDER_MOTION TEMPERATURE_WAIT
+    G11 G29.1 G29.2 G392 M0 M1 M3 M4 M5 M17 M25 M80 M101 M103 M109 M116 M190 M191 M226 M280 M303 M420 M500 M501 M502
+    M504 M569 M575 M593 M600 M601 M602 M620.1 M620.3 M622.1 M630 M906 M911 M912 M913 M914 M915 M919 M960 M971 M973
+    M975 M981 M982.2 M991 M1002 M1003 M1007 M9833.2
+    PAUSE RESUME MANUAL_STEPPER SET_INPUT_SHAPER SYNC_EXTRUDER_MOTION TEMPERATURE_WAIT
 """)
 _MOVING_AWAY = _names("""
-    G12 G27 G29 G30 G31 G32 G33 G34 G38.2 G38.3 G38.4 G38.5 M2 M18 M30 M48 M81 M84 M98 M125 M206
-    M401 M402 M428 M524 M620 M621 M622 M622.1 M623 M665 M666 M701 M702 M970 M970.3 M971 M972 M973
-    M974 M976 M977 M981 M982 M982.2 M983 M983.1 M983.3 M983.4 M984 M1006 ACTIVATE_EXTRUDER SET_KINEMATIC_POSITION
+    G12 G27 G29 G30 G31 G32 G33 G34 G38.2 G38.3 G38.4 G38.5 G53 M2 M30 M48 M81 M98 M125 M206
+    M401 M402 M428 M524 M620 M621 M665 M666 M701 M702 M970 M970.3 M972
+    M974 M976 M977 M982 M983 M983.1 M983.3 M983.4 M984 M1006 ACTIVATE_EXTRUDER SET_KINEMATIC_POSITION
     BED_MESH_CALIBRATE BED_MESH_CLEAR BED_MESH_OFFSET BED_MESH_PROFILE CANCEL_PRINT CLEAN_NOZZLE
     DELTA_CALIBRATE END_PRINT PRINT_END PRINT_START PROBE QUAD_GANTRY_LEVEL START_PRINT
     TIMELAPSE_TAKE_FRAME Z_TILT_ADJUST
 """)
 _REFUSED = _names("""
-    G16 G41 G42 G43 G43.1 G43.2 G51 G52 G53 G55 G56 G57 G58 G59 G59.1 G59.2 G59.3 G68 G90.1 G92.1
-    G92.2 G92.3 G93 G95 IF ELIF ELSE WHILE BREAK CONTINUE VAR GLOBAL ABORT
+    G16 G41 G42 G43 G43.1 G43.2 G51 G52 G55 G56 G57 G58 G59 G59.1 G59.2 G59.3 G68 G90.1
+    G92.2 G92.3 G93 G95 IF ELIF ELSE WHILE BREAK CONTINUE ABORT
 """)
 
 PASSING_M_CODES = frozenset(int(name[1:]) for name in _PASSING if re.fullmatch(r"M\d+", name))
@@ -353,6 +405,7 @@ EFFECTS: dict[str, Handler] = {
     **dict.fromkeys(_MOVING_AWAY, _move_away),
     **dict.fromkeys(_REFUSED, _refuse),
     "G4": _dwell,
+    "M400": _finish_moves,
     "G10": _retraction_or_tool_setting,
     **dict.fromkeys(("G17", "G18", "G19"), _plane),
     "G20": _inches,
@@ -361,6 +414,8 @@ EFFECTS: dict[str, Handler] = {
     "G90": _absolute,
     "G91": _relative,
     "G92": _rename,
+    "G92.1": _names_back,
+    **dict.fromkeys(("M18", "M84"), _motors_off),
     "M82": _absolute_e,
     "M83": _relative_e,
     "M200": _volumetric,
@@ -371,6 +426,8 @@ EFFECTS: dict[str, Handler] = {
     "M220": _feed_factor,
     "M221": _flow,
     "M566": _jerk_per_minute,
+    "M622": _begin_condition,
+    "M623": _end_condition,
     "RESET_VELOCITY_LIMIT": _reset_limits,
     "RESTORE_GCODE_STATE": _restore_state,
     "SAVE_GCODE_STATE": _save_state,

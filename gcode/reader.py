@@ -6,6 +6,7 @@ the bytes (some thirty times faster than the general way, which reads everything
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from math import isnan, nan
 from pathlib import Path
@@ -16,7 +17,7 @@ from numpy.typing import ArrayLike
 from gcode.arcs import ARC_TOLERANCE_MM, Arc, arc_by_centre, arc_by_radius
 from gcode.commands import LIMITS, PASS, PASSING_M_CODES, STOP, Effect, apply
 from gcode.container import read_bytes
-from gcode.dialects import detect_flavor
+from gcode.dialects import REPRAPFIRMWARE, detect_flavor
 from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.fast_scan import STILL_MM2, ByteArray, Cursor, Modes, follow
 from gcode.limits import MotionLimits
@@ -27,12 +28,15 @@ from gcode.text import PART_BYTES, whole_lines
 from gcode.words import NUMBERED, Command, commands, shown
 
 MOTIONS = frozenset(("G0", "G1", "G2", "G3"))
-SETTINGS = frozenset(["G17", "G18", "G19", "G20", "G21", "G40", "G49", "G54", "G80", "G90", "G91", "G94"])
+SETTINGS = frozenset(["G17", "G18", "G19", "G20", "G21", "G40", "G49", "G54", "G80", "G90", "G91", "G94", "M82", "M83"])
 _MOTION_WORDS = {"G0": "XYZEF", "G1": "XYZEF", "G2": "XYZEFIJKR", "G3": "XYZEFIJKR"}
+_AXIS_WORDS = "ABCUVW"  # of axes that are not followed
 _ARC_WORDS = frozenset("XYZIJKR")
 _IGNORED_WORDS = "SPHNO"  # laser power, priorities, endstop flags: they do not change where the nozzle goes
 _QUIET_STARTS = (b"G1", b"G0", b"G2", b"G3", b"G92 E", b"M", b";", b"\n", b"\r", b" ", b"\t")
 _STATES_AT_A_TIME = 4096
+_NAMED = 6  # codes that a warning lists
+_M_CODE = re.compile(r"M\d+(\.\d+)?")
 _PASSING = np.isin(np.arange(1 + max(PASSING_M_CODES)), list(PASSING_M_CODES))
 
 LimitState = tuple[MotionLimits, MotionLimits, float]  # own, caps, unit: what a command that sets limits depends on
@@ -139,6 +143,7 @@ class _Reader:
         if start is not None:
             self.modal.position[:3] = [float(coordinate) for coordinate in start]
         self.warned: set[str] = set()  # what sentences were about
+        self.unknown: dict[str, int] = {}  # codes that nobody knows, and the line of each, of this part
         self.first_line = 0
         self.lines: list[bytes] = []
         self.modes: Modes | None = None  # None: to be found anew, for a command may have changed them
@@ -151,6 +156,7 @@ class _Reader:
             self._follow(data)
         except GcodeError as error:
             raise error.located(self.path) from None
+        self._warn_of_unknown_codes()
         frame_of_state = np.array(self.states, dtype=np.int64)
         moves = self.moves.moves(frame_of_state, self.frames, self.limits)
         events = self.events.events(frame_of_state)
@@ -249,17 +255,24 @@ class _Reader:
             self._command(at, said[0])
 
     def _settings(self, at: int, said: list[Command]) -> None:
-        """`G17 G21 G90` on one line; a move among them could not be replaced without losing the rest."""
+        """`G17 G21 G90` on one line: RepRapFirmware obeys all, Klipper and Marlin only the first.
+
+        A move among them could not be replaced without losing the rest, so it goes out as it is.
+        """
         names = [command.name for command in said]
-        if not SETTINGS.issuperset(names):
-            rule = "only modes (G17, G21, G90, …) may share a line"
-            raise UnsupportedGcode(f"The line holds {' and '.join(names)}; {rule}.", self._number(at))
         self._warn("several", at, f"{' '.join(names)} share a line, of which Klipper and Marlin obey only the first")
         self.modes = None
-        for command in said:
-            apply(self.modal, command)
-        self._settle()
-        self._event(at, PASS)
+        obeyed = said if self.modal.flavor == REPRAPFIRMWARE else said[:1]
+        if SETTINGS.issuperset(command.name for command in obeyed):
+            for command in obeyed:
+                apply(self.modal, command)
+            self._settle()
+            self._event(at, PASS)
+        elif obeyed[0].name == "G53" or (len(obeyed) == 1 and obeyed[0].name not in MOTIONS):
+            self._command(at, obeyed[0])
+        else:
+            rule = "only modes (G17, G21, G90, …) may share a line"
+            raise UnsupportedGcode(f"The line holds {' and '.join(names)}; {rule}.", self._number(at))
 
     def _limits_as_before(self, at: int) -> bool:
         """Follow a line that sets limits, if it has been met under the same ones: slicers alternate between few."""
@@ -277,6 +290,9 @@ class _Reader:
         effect = apply(self.modal, command)
         if effect.warning:
             self._warn(command.name, at, effect.warning)
+        if effect.unknown and command.name not in self.warned:
+            self.warned.add(command.name)
+            self.unknown[command.name] = at
         if self.modal.position != before:
             self.moves.jumps[self.moves.count] = self.modal.position[:]
         if effect is LIMITS:
@@ -308,7 +324,10 @@ class _Reader:
         for letter in words:
             if letter not in _MOTION_WORDS[motion] and letter not in _IGNORED_WORDS:
                 rule = f"a move has the words {' '.join(_MOTION_WORDS[motion])}"
-                raise GcodeError(f"{motion} has the word {letter}{words[letter]:g}; {rule}.", self._number(at))
+                said = f"{motion} has the word {letter}{words[letter]:g}"
+                if letter in _AXIS_WORDS:
+                    raise GcodeError(f"{said}; {rule}.", self._number(at))
+                self._warn(motion + letter, at, f"{said}, which no firmware heeds; {rule}")
 
     def _travel(self, at: int, end: Vector4, arc: Arc | None) -> None:
         start = self.modal.position
@@ -389,10 +408,29 @@ class _Reader:
             self.warned.add(about)
             self.warnings.append(f"line {self._number(at)}: {sentence}.")
 
+    def _warn_of_unknown_codes(self) -> None:
+        """One sentence for all codes that this part is the first to have, and one for those that may move."""
+        still = {name: at for name, at in self.unknown.items() if _M_CODE.fullmatch(name)}
+        moving = {name: at for name, at in self.unknown.items() if name not in still}
+        self.unknown = {}
+        if still:
+            self._warn(f"unknown {still}", min(still.values()), f"{_are(still)} not known; the motion rests meanwhile")
+        if moving:
+            rule = "the motion rests, and nothing is compensated until the file names a place again"
+            self._warn(f"unknown {moving}", min(moving.values()), f"{_are(moving)} not known and may move; {rule}")
+
     def _warn_of_default_feed(self, at: int) -> None:
         if not self.modal.feed_known:
             speed = f"{DEFAULT_FEED_MM_PER_S:g} mm/s are taken until the first F"
             self._warn("feed", at, f"the first move has no speed; {speed}")
+
+
+def _are(names: Iterable[str]) -> str:
+    """`M1 is`, `M1 and M2 are`, `M1, M2 and 7 more are`."""
+    first, more = list(names)[:_NAMED], len(list(names)) - _NAMED
+    if more > 0:
+        return f"{', '.join(first)} and {more} more are"
+    return f"{', '.join(first[:-1])} and {first[-1]} are" if len(first) > 1 else f"{first[0]} is"
 
 
 def _modes(modal: Modal, arc_tolerance: float) -> Modes:

@@ -20,6 +20,7 @@ AXES = "XYZE"
 FIRST_AXES = {"XY": (0, 1, 2), "ZX": (2, 0, 1), "XZ": (0, 2, 1), "YZ": (1, 2, 0)}
 
 Vector4 = list[float]
+Whereabouts = tuple[Vector4, Vector4, bool]  # position and base, mm; absolute
 FrameValues = tuple[tuple[float, float, float, float], float, bool, bool, float, float, float]
 
 
@@ -30,7 +31,7 @@ class Saved:
     base: tuple[float, ...]
     shift: tuple[float, ...]
     homing: tuple[float, ...]
-    e: float
+    position: tuple[float, ...]
     absolute: bool
     absolute_e: bool
     feed: float
@@ -63,6 +64,7 @@ class Modal:
     own: MotionLimits = MACHINE_LIMITS  # asked for by the file, before `caps`
     caps: MotionLimits = MACHINE_LIMITS  # M201 and M203 of Marlin and RepRapFirmware
     saved: dict[str, Saved] = field(default_factory=dict)
+    conditions: list[Whereabouts] = field(default_factory=list)  # where each M622 that is open has begun
 
     def __post_init__(self) -> None:
         self.shift = [*self.offset, 0.0, 0.0]
@@ -83,9 +85,17 @@ class Modal:
 
     def home(self) -> None:
         """Homing also takes back what G92 did. On a delta it moves all axes, whichever were named."""
+        self.take_names_back()
+        self.forget()
+
+    def take_names_back(self) -> None:
+        """Coordinates are those of the machine again, but for SET_GCODE_OFFSET: what G92 did is undone."""
         self.base[:3] = self.homing[:3]
         self.shift = [*self.offset, 0.0, 0.0]
-        self.forget()
+
+    def whereabouts(self) -> Whereabouts:
+        """Return what a block of lines that may not be run must leave as it is."""
+        return self.position[:], self.base[:], self.absolute
 
     def scale(self, axis: int) -> float:
         """Return mm of toolhead or filament per unit of the file."""
@@ -107,7 +117,7 @@ class Modal:
 
     def set_feed(self, words: dict[str, float], line: int) -> None:
         """Take the F word, if there is one."""
-        if "F" not in words:
+        if "F" not in words or (words["F"] <= 0 and self.flavor != "klipper"):  # others go on with the last feed
             return
         if words["F"] <= 0:
             raise GcodeError(f"F{words['F']:g} asks for no speed; a feed must be above zero.", line)
@@ -143,7 +153,7 @@ class Modal:
             tuple(self.base),
             tuple(self.shift),
             tuple(self.homing),
-            self.position[3],
+            tuple(self.position),
             self.absolute,
             self.absolute_e,
             self.feed,
@@ -154,7 +164,7 @@ class Modal:
     def restore(self, saved: Saved) -> None:
         """RESTORE_GCODE_STATE without its move; E goes on from where it is."""
         self.base, self.shift, self.homing = list(saved.base), list(saved.shift), list(saved.homing)
-        self.base[3] += self.position[3] - saved.e
+        self.base[3] += self.position[3] - saved.position[3]
         self.absolute, self.absolute_e = saved.absolute, saved.absolute_e
         self.feed, self.feed_factor, self.flow = saved.feed, saved.feed_factor, saved.flow
         for axis in range(3):

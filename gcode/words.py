@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from functools import reduce
+from math import nan
 from operator import xor
 
 from gcode.errors import GcodeError
@@ -22,9 +23,11 @@ _LEADING_COMMENTS = re.compile(rb"(?:\s|\([^)]*\)?)*")
 _EXTENDED = re.compile(rb"(@?(?:[A-Za-z_]{2}\w*|[A-Za-z]\w*_\w*))(?!\S)")
 _CODE = re.compile(rb"([GgMm])\s*(\d+)(?:\.(\d*))?")
 _TOOL = re.compile(rb"[Tt]\s*(-?\d+|\?)(?![\w.])")
+_OTHER_CODE = re.compile(rb"([DHLPQSdhlpqs])\s*(\d+)(?![\w.])")  # the Prusa XL parks its tool with P0
 _BARE_WORD = re.compile(rb"[XYZEFIJKRABCUVWxyzefijkrabcuvw]\s*[-+.\d]")
 _WORD = re.compile(rb"\s*([A-Za-z])\s*([-+]?(?:\d+\.?\d*|\.\d+))?")
 _EXPONENT = re.compile(rb"[A-Z]\s*[-+]?[\d.]+e[-+]?\d")
+_LOOSE_WORD = re.compile(rb"([A-Za-z])\s*([-+]?(?:\d+\.?\d*|\.\d+))(?![\w.{])")
 _FIELD = re.compile(r"(?<!\w)([A-Za-z_]\w*+)\s*+=\s*(\"[^\"]*\"|'[^']*'|\S*)")
 
 
@@ -40,6 +43,15 @@ class Command:
         """Return the words as letter → value; every word needs a number."""
         return numbers(self.args, self.name, self.line)
 
+    def settings(self) -> dict[str, float]:
+        """Return the words that have a number, the last of each letter; what cannot be read is left out.
+
+        For commands that only set something: the firmware knows what their other words mean, and no move depends on it.
+        """
+        found = _LOOSE_WORD.findall(without_round_comments(self.args))
+        values = {letter.decode().upper(): float(number) for letter, number in found}
+        return {letter: value for letter, value in values.items() if abs(value) <= LARGEST_NUMBER}
+
     def letters(self) -> set[str]:
         """Return the letters of the words, values ignored."""
         return {word.decode().upper() for word in re.findall(rb"[A-Za-z]", without_round_comments(self.args))}
@@ -50,15 +62,16 @@ class Command:
         return {key.upper(): value.strip("\"'") for key, value in pairs}
 
     def field_numbers(self) -> dict[str, float]:
-        """Return the `KEY=VALUE` pairs whose value must be a number; ask only where all of them are."""
-        return {key: self._number(key, text) for key, text in self.fields().items()}
+        """Return the `KEY=VALUE` pairs whose value is a number that a printer can use; others are left out."""
+        values = {key: _number(text) for key, text in self.fields().items()}
+        return {key: value for key, value in values.items() if abs(value) <= LARGEST_NUMBER}
 
-    def _number(self, key: str, text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            raise GcodeError(f"{self.name} has {key}={text}; {key} needs a number.", self.line) from None
-        return bounded(value, key, self.line)
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return nan
 
 
 def comment(line: bytes) -> bytes:
@@ -119,6 +132,8 @@ def _commands(text: bytes, number: int) -> list[Command]:
         return [Command(extended.group(1).decode().upper(), text[extended.end() :], number)]
     if tool := _TOOL.match(text):
         return [Command("T" + tool.group(1).decode(), text[tool.end() :], number)]
+    if other := _OTHER_CODE.match(text):
+        return [Command(other.group(1).decode().upper() + other.group(2).decode(), text[other.end() :], number)]
     if _CODE.match(text):
         return [_coded(piece, number) for piece in _pieces(text)]
     if _BARE_WORD.match(text):

@@ -147,7 +147,7 @@ def test_a_part_counts_from_its_own_beginning() -> None:
 
 
 def test_mistakes_name_the_line_of_the_file() -> None:
-    parts = read_parts([b"; first\nG1 X1\nG1 X1 Q3\n"], "part.gcode", flavor="klipper", start=HOME, part_bytes=1)
+    parts = read_parts([b"; first\nG1 X1\nG1 X1 A3\n"], "part.gcode", flavor="klipper", start=HOME, part_bytes=1)
     assert [next(parts).warnings for _ in range(2)] == [[], [f"line 2: {NO_SPEED}."]]
     with pytest.raises(GcodeError, match=r"^part\.gcode:3: "):
         next(parts)
