@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from ffcomp.errors import MeasurementError
 from ffcomp.identify.axis_spectra import Spectrum, spectrum_of
 from ffcomp.identify.modal_fit import AxisFit, fit_axis
-from ffcomp.measurement.klipper import Resonances, read_vibration
+from ffcomp.measurement.klipper import Resonances
+from ffcomp.measurement.vibration import read_vibration
 from ffcomp.shapers.calibration import calibrated, normalised, resonance_test
 from models.arrays import constant
 from models.kinematics.cartesian import CARTESIAN, CartesianKinematics

@@ -88,7 +88,7 @@ def _frf() -> Callable[[bytes], None]:
 
 def _capture() -> Callable[[bytes], None]:
     from ffcomp.errors import MeasurementError
-    from ffcomp.measurement.klipper import read_vibration
+    from ffcomp.measurement.vibration import read_vibration
 
     return _by_file(read_vibration, MeasurementError, ".csv")
 

@@ -14,9 +14,11 @@ from typing import Protocol
 
 import numpy as np
 
+from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.frf import FrequencyResponse
-from ffcomp.measurement.klipper import Capture, Resonances, read_vibration
+from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.modes import HIGHEST_HZ, LOWEST_HZ, segment_powers, window_kernel
+from ffcomp.measurement.vibration import read_vibration
 from models.arrays import ComplexArray, FloatArray
 
 AXES, CARRIAGES = "xyz", "ABC"

@@ -16,9 +16,10 @@ import numpy as np
 from ffcomp.errors import MeasurementError
 from ffcomp.identify.experiment import AXES, TOWERS, Experiment, Plan
 from ffcomp.measurement.alignment import align
+from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.estimators import periodic_frf
 from ffcomp.measurement.frf import FrequencyResponse
-from ffcomp.measurement.klipper import Capture, read_capture
+from ffcomp.measurement.vibration import read_capture
 from models.arrays import FloatArray
 from models.machine import Machine
 from models.printer.printer import simulate_printer

@@ -18,8 +18,10 @@ from ffcomp.identify.predict import AXES
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import read_frfs
 from ffcomp.measurement.modes import ModeFit, modes_of
+from ffcomp.measurement.plain_capture import columns_of
 from ffcomp.measurement.recording import Recording, read_recording
 from ffcomp.measurement.recording_frfs import frfs_from_recordings
+from ffcomp.measurement.shake_and_tune import is_stdata
 from ffcomp.measurement.table import read_text
 from ffcomp.measurement.uff import is_universal
 from models.machine import Machine
@@ -101,6 +103,8 @@ def kind_of(path: Path) -> Kind:
     """
     if not path.is_file():
         raise MeasurementError(str(path), ["There is no such file."])
+    if is_stdata(path):
+        return "vibration"
     if is_universal(path):
         return "frf"
     lines = [line.strip().lower() for line in read_text(path).splitlines() if line.strip()]
@@ -109,6 +113,8 @@ def kind_of(path: Path) -> Kind:
     header = next((line for line in lines if not line.startswith("# ") and ":" not in line.split(",")[0]), lines[0])
     if header.startswith("frequency_hz"):
         return "frf"
+    if columns_of(header) is not None and "cmd_" not in header:
+        return "vibration"
     if "t_s" in [name.strip() for name in header.split(",")] or "cmd_" in header:
         return "recording"
     return "vibration"

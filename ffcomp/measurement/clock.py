@@ -56,7 +56,9 @@ class Clock:
         return float(np.abs(self.time_s - self.grid_s[self.index]).max() / self.period_s)
 
 
-def clock_of(time_s: FloatArray, row: IntArray) -> tuple[Clock | None, list[str]]:
+def clock_of(
+    time_s: FloatArray, row: IntArray, lowest_rate_hz: float = LOWEST_RATE_HZ
+) -> tuple[Clock | None, list[str]]:
     """Return the clock of rows taken at these times (rows,), or the problems with them, in full sentences.
 
     The period is the median interval, refined by a straight line through all the times.
@@ -66,7 +68,9 @@ def clock_of(time_s: FloatArray, row: IntArray) -> tuple[Clock | None, list[str]
         return None, problems
     steps = np.diff(time_s)
     median = float(np.median(steps))
-    problems = _bad_rate(median, len(time_s), float(time_s[-1] - time_s[0])) + _uneven(steps / median, time_s, row)
+    problems = _bad_rate(median, len(time_s), float(time_s[-1] - time_s[0]), lowest_rate_hz) + _uneven(
+        steps / median, time_s, row
+    )
     if problems:
         return None, problems
     index = np.concatenate([[0], np.cumsum(np.rint(steps / median))]).astype(np.int64)
@@ -87,12 +91,12 @@ def _falling(time_s: FloatArray, row: IntArray) -> list[str]:
     ]
 
 
-def _bad_rate(period_s: float, count: int, length_s: float) -> list[str]:
+def _bad_rate(period_s: float, count: int, length_s: float, lowest_hz: float) -> list[str]:
     problems = []
     rate = 1.0 / period_s
-    if not LOWEST_RATE_HZ * 0.999 <= rate <= HIGHEST_RATE_HZ * 1.001:
+    if not lowest_hz * 0.99 <= rate <= HIGHEST_RATE_HZ * 1.01:
         problems.append(
-            f"The sample rate in column t_s is {rate:.6g} Hz; it must lie between {LOWEST_RATE_HZ:g} and "
+            f"The sample rate in column t_s is {rate:.6g} Hz; it must lie between {lowest_hz:g} and "
             f"{HIGHEST_RATE_HZ:g} Hz.{_other_unit(rate)}"
         )
     if length_s + period_s < SHORTEST_S:

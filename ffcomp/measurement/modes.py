@@ -22,8 +22,10 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from ffcomp.errors import MeasurementError
+from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.estimators import lines_of_dft
-from ffcomp.measurement.klipper import Capture, Resonances, read_vibration
+from ffcomp.measurement.klipper import Resonances
+from ffcomp.measurement.vibration import read_vibration
 from ffcomp.numerics.least_squares import minimise
 from models.arrays import ComplexArray, FloatArray
 

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 
 from ffcomp.errors import LimitsError, MeasurementError
 from ffcomp.measurement.frf_files import read_frfs
-from ffcomp.measurement.klipper import read_vibration
 from ffcomp.measurement.recording import read_recording
+from ffcomp.measurement.vibration import read_vibration
 from gcode.errors import GcodeError
 from gcode.reader import read_parts, read_program
 from models.errors import MachineFileError

@@ -24,7 +24,8 @@ from ffcomp.identify.experiment_files import load_plan
 from ffcomp.identify.modal_fit import AxisFit, fit_axis, identify_axes
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
-from ffcomp.measurement.klipper import Resonances, read_vibration
+from ffcomp.measurement.klipper import Resonances
+from ffcomp.measurement.vibration import read_vibration
 from ffcomp.shapers.calibration import calibrated, normalised, resonance_test
 from models.arrays import constant
 from models.file import LIBRARY, load_machine

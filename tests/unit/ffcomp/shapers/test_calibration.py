@@ -12,7 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp import shapers
-from ffcomp.measurement.klipper import Resonances, read_vibration
+from ffcomp.measurement.klipper import Resonances
+from ffcomp.measurement.vibration import read_vibration
 from ffcomp.shapers import calibration as calibrate
 from ffcomp.shapers import search
 from models.arrays import constant

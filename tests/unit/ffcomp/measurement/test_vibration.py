@@ -1,0 +1,132 @@
+"""Captures of every kind: recognised by content, in m/s², with their clock and what the file says of lost samples."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ffcomp.errors import MeasurementError
+from ffcomp.measurement.sensors import G
+from ffcomp.measurement.vibration import read_capture, read_captures, read_vibration
+
+RATE, COUNT = 3200.0, 3200
+RNG = np.random.default_rng(3)
+FELT = RNG.standard_normal((COUNT, 3)) * 2 + [0, 0, G]  # m/s²
+T = np.arange(COUNT) / RATE
+OWNERS = Path(__file__).parents[5].parent / "shared" / "data" / "vibration" / "owners"
+
+
+def rows(*columns: np.ndarray, delimiter: str = ",") -> str:
+    return "\n".join(delimiter.join(f"{x:.9g}" for x in row) for row in np.column_stack(columns)) + "\n"
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_klippers_comments_before_the_header_count_what_was_lost(tmp_path: Path) -> None:
+    text = "##drops=3,overflows=2,time_per_sample=0.000312,start_range=0.000068\n#time,accel_x,accel_y,accel_z\n"
+    found = read_capture(write(tmp_path / "adxl345-20200810.csv", text + rows(357.8 + T, FELT * 1e3)))
+    assert (found.overflows, found.clock) == (5, "firmware")
+    np.testing.assert_allclose(found.acceleration, FELT, rtol=1e-5)
+
+
+def test_reprapfirmware_states_its_rate_in_the_last_line(tmp_path: Path) -> None:
+    text = "Sample,X,Y,Z\n" + rows(np.arange(COUNT), FELT / G) + "Rate 1344, overflows 4\n"
+    found = read_capture(write(tmp_path / "0_2026-11-22.csv", text))
+    assert found.sample_rate_hz == pytest.approx(1344) and (found.overflows, found.clock) == (4, "free")
+    np.testing.assert_allclose(found.acceleration, FELT, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("tail", "words"),
+    [("", "the recording was cut short"), ("Failed to start accelerometer\n", "Check M955, and record it again")],
+)
+def test_reprapfirmware_without_its_last_line_is_refused(tmp_path: Path, tail: str, words: str) -> None:
+    path = write(tmp_path / "a.csv", "Sample,X,Y,Z\n" + rows(np.arange(COUNT), FELT / G) + tail)
+    with pytest.raises(MeasurementError, match=words):
+        read_capture(path)
+
+
+@pytest.mark.parametrize(
+    ("header", "time_unit", "unit", "delimiter"),
+    [
+        ("t_s,ax_m_per_s2,ay_m_per_s2,az_m_per_s2", 1.0, 1.0, ","),
+        ("t,ax,ay,az", 1.0, 1.0, ","),
+        ("t,ax,ay,az", 1.0, G, ","),
+        ("time_ms;acc_x;acc_y;acc_z", 1e-3, 1e-3, ";"),
+        ('"Time (s)";"Acceleration x (m/s^2)";"Acceleration y (m/s^2)";"Acceleration z (m/s^2)"', 1.0, 1.0, ";"),
+        ("Time [s]\tx [mg]\ty [mg]\tz [mg]", 1.0, 1e-3 * G, "\t"),
+    ],
+)
+def test_any_table_with_a_time_and_three_accelerations(
+    tmp_path: Path, header: str, time_unit: float, unit: float, delimiter: str
+) -> None:
+    text = header + "\n" + rows(T / time_unit, FELT / unit, delimiter=delimiter)
+    found = read_capture(write(tmp_path / "phone.csv", text))
+    assert found.sample_rate_hz == pytest.approx(RATE, rel=1e-4) and found.clock == "free"
+    np.testing.assert_allclose(found.acceleration, FELT, rtol=1e-4, atol=1e-4)
+
+
+def test_a_unit_that_nothing_tells_is_asked_for(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", "t,ax,ay,az\n" + rows(T, FELT * 7))
+    with pytest.raises(MeasurementError, match="The unit of the accelerations is not stated"):
+        read_capture(path)
+
+
+def test_a_capture_needs_400_rows_a_second(tmp_path: Path) -> None:
+    text = "t_s,ax_m_per_s2,ay_m_per_s2,az_m_per_s2\n"
+    assert read_capture(write(tmp_path / "a.csv", text + rows(T * 8, FELT))).sample_rate_hz == pytest.approx(400)
+    with pytest.raises(MeasurementError, match="The sample rate in column t_s is 200 Hz; it must lie between 400"):
+        read_capture(write(tmp_path / "b.csv", text + rows(T * 16, FELT)))
+
+
+def stdata(path: Path, names: list[str]) -> Path:
+    zstandard = pytest.importorskip("zstandard")
+    samples = np.column_stack([180 + T, FELT * 1e3]).tolist()
+    lines = "".join(json.dumps({"name": name, "samples": samples}) + "\n" for name in names)
+    path.write_bytes(zstandard.ZstdCompressor().compress(lines.encode()))
+    return path
+
+
+def test_shake_and_tune_holds_several_captures_in_one_file(tmp_path: Path) -> None:
+    path = stdata(tmp_path / "belts.stdata", ["belt_A_20251203_133943", "belt_B_20251203_134036"])
+    found = read_captures(path)
+    assert [each.axis for each in found] == ["axis=1.000,-1.000", "axis=1.000,1.000"]
+    assert {each.clock for each in found} == {"firmware"}
+    np.testing.assert_allclose(found[0].acceleration, FELT, rtol=1e-6)
+    with pytest.raises(MeasurementError, match=r"holds 2 captures \(belt_A_20251203_133943, belt_B"):
+        read_vibration(path)
+    assert read_capture(stdata(tmp_path / "one.stdata", ["axis_X_2025"])).axis == "x"
+
+
+def test_shake_and_tune_in_pieces_is_refused(tmp_path: Path) -> None:
+    path = stdata(tmp_path / "belts.stdata", ["belt_A_20251203_133943"])
+    path.write_bytes(path.read_bytes()[:2000])
+    with pytest.raises(MeasurementError, match=r"unpacked|cannot be read"):
+        read_captures(path)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not OWNERS.is_dir(), reason="the vibration data from outside are not beside the project")
+@pytest.mark.parametrize(
+    ("name", "axes", "rate_hz"),
+    [
+        ("adxl345-20200810_214044.csv", [None], 3272),
+        ("inputshaper_20250509_131055_axis_X.stdata", ["x"], 3107),
+        ("inputshaper_20250804_214702_axis_Y.stdata", ["y"], 3208),
+        ("sovol_belts.stdata", ["axis=1.000,-1.000", "axis=1.000,1.000"], 3277),
+    ],
+)
+def test_captures_of_owners_are_read(name: str, axes: list[str | None], rate_hz: float) -> None:
+    if name.endswith(".stdata"):
+        pytest.importorskip("zstandard")
+    found = read_captures(OWNERS / name)
+    assert [each.axis for each in found] == axes
+    for each in found:
+        assert each.sample_rate_hz == pytest.approx(rate_hz, rel=1e-3) and each.overflows == 0
+        assert np.linalg.norm(np.nanmedian(each.acceleration, axis=0)) == pytest.approx(G, rel=0.06)
