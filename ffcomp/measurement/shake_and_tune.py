@@ -21,7 +21,6 @@ from models.arrays import FloatArray
 
 MAGIC = b"\x28\xb5\x2f\xfd"
 _COLUMNS = ("time", "accel_x", "accel_y", "accel_z")
-_MOST_BYTES = 2**31  # unpacked: ten hours of one chip
 _AXIS = re.compile(r"(axis_[XYZ]|belt_[AB])(?=_|$)")
 _EXCITED = {
     "axis_X": "x",
@@ -104,6 +103,12 @@ def _standard(library: Any, packed: bytes) -> bytes:
 
 
 def _package(library: Any, packed: bytes) -> bytes:
-    """Unpack with the package zstandard; the frame need not state its size."""
-    with library.ZstdDecompressor().stream_reader(packed) as reader:
-        return bytes(reader.read(_MOST_BYTES))
+    """Unpack with the package zstandard, frame by frame; a frame need not state its size."""
+    pieces = []
+    while packed:
+        frame = library.ZstdDecompressor().decompressobj()
+        pieces.append(frame.decompress(packed))
+        if not frame.eof:
+            raise ValueError("the file ends in the middle")
+        packed = frame.unused_data
+    return b"".join(pieces)
