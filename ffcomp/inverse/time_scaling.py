@@ -49,7 +49,7 @@ from gcode.program import Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 
 Replan = Callable[[Moves, float], PlannedMotion]  # the moves of a section, when it begins (s) → its plan
-LayerOf = Callable[[int], int | None]  # move → its layer
+LayerOf = Callable[[int], int | None]  # move of the program → its layer
 Motion = TypeVar("Motion", bound=PlannedMotion)
 
 ROUNDS = 8
@@ -147,7 +147,11 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
     if not scaled.reasons:
         return FeasibleSection(trajectory, section, written, solution)
     spliced, lost = _spliced(trajectory, section, scaled.plan)
-    records = tuple(scaled.records(trajectory.duration[section.first : section.last], request.layer_of))
+    records = tuple(
+        scaled.records(
+            trajectory.duration[section.first : section.last], lambda move: request.layer_of(section.first + move)
+        )
+    )
     if settings.strict:
         _refuse(records)
     return FeasibleSection(spliced, replace(section, end_t=scaled.section.end_t), written, solution, records, lost)

@@ -178,6 +178,16 @@ def test_the_rest_of_the_plan_is_later_and_otherwise_the_same(machine: Machine) 
     assert found.records[0].sentence().startswith("line 102-105 (layer 7): slowed to ")
 
 
+def test_the_layer_of_a_record_is_that_of_its_move_in_the_program(machine: Machine) -> None:
+    """Moves of a section are counted from its first one, layers by the program's moves."""
+    before = b"G1 X-58 Y20 F3000\nG1 X-60 Y20\nG4 P500\n"
+    planned = plan_program(read_program(before + CORNERS, start=START), machine)
+    tight = limited(machine, carriage_velocity_mm_per_s=100.0)
+    found = solved(inverter_of(tight), planned, planned.sections[-1], tight, layer_of=lambda move: move)
+    (record,) = found.records
+    assert (record.first_line, record.layer) == (5, 3)
+
+
 def test_strict_refuses_with_the_same_sentence(machine: Machine, planned: PlannedProgram) -> None:
     tight = limited(machine, carriage_velocity_mm_per_s=100.0)
     inverter = inverter_of(tight)
