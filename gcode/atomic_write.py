@@ -9,7 +9,38 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from errno import EBUSY, EINVAL
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
+
+
+class _Draft(NamedTuple):
+    """A file that is about to take another's place, noted before it does."""
+
+    name: str  # of the other, as the caller gave it
+    target: Path
+    device: int
+    inode: int
+
+    @property
+    def in_place(self) -> bool:
+        """Whether it has: the target is this very file."""
+        try:
+            found = self.target.stat()
+        except OSError:
+            return False
+        return (found.st_dev, found.st_ino) == (self.device, self.inode)
+
+
+_drafts: list[_Draft] = []
+
+
+def drafts_noted() -> int:
+    """Return how many files `replacing` has been about to put in place, for `replaced_since`."""
+    return len(_drafts)
+
+
+def replaced_since(noted: int) -> list[str]:
+    """Return the names of the files that are in place, of those noted since; true wherever an interrupt has come."""
+    return list(dict.fromkeys(draft.name for draft in _drafts[noted:] if draft.in_place))
 
 
 @contextmanager
@@ -27,8 +58,10 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
             yield file
             file.flush()
             os.fsync(file.fileno())
+            made = os.fstat(file.fileno())
         if target.exists():
             shutil.copymode(target, draft)
+        _drafts.append(_Draft(str(path), target, made.st_dev, made.st_ino))
         os.replace(draft, target)
     finally:
         draft.unlink(missing_ok=True)

@@ -17,20 +17,30 @@ from typing import Any
 from ffcomp.cli.log import note
 from ffcomp.errors import INPUT_ERRORS, explain
 from ffcomp.numerics.serialise import json_line
+from gcode.atomic_write import drafts_noted, replaced_since
 
 
 @contextmanager
 def exit_codes() -> Iterator[None]:
     """Turn errors of the input into one sentence and the documented exit code. A bug keeps its traceback (1)."""
+    noted = drafts_noted()
     try:
         yield
     except KeyboardInterrupt:
-        fail("Interrupted; no file was changed.", 130)
+        fail(f"Interrupted; {written_already(noted)}.", 130)
     except BrokenPipeError:  # who reads our output has seen enough (`| head`): end as other tools do
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(141) from None
     except INPUT_ERRORS as error:
         fail(*explain(error))
+
+
+def written_already(noted: int) -> str:
+    """Say which files are complete after an interrupt, of those noted since (`gcode.atomic_write.drafts_noted`)."""
+    names = replaced_since(noted)
+    if not names:
+        return "no file was changed"
+    return f"{', '.join(names)} had been written before, and {'is' if len(names) == 1 else 'are'} complete"
 
 
 def fail(sentence: str, code: int) -> None:

@@ -353,8 +353,9 @@ def _compensate_all(request: _Request) -> list[FileResult]:
     from ffcomp.cli.common import Progress, fail
     from ffcomp.cli.compensate_report import report_all
     from ffcomp.compensate.batch import compensate_files, size_of
+    from gcode.atomic_write import drafts_noted, replaced_since
 
-    files = request.files
+    files, noted = request.files, drafts_noted()
     file_results: list[FileResult] = []
     with Progress(sum(map(size_of, files)), request.quiet) as progress:
         work = compensate_files(
@@ -370,7 +371,8 @@ def _compensate_all(request: _Request) -> list[FileResult]:
             with closing(work):
                 file_results.extend(work)
         except KeyboardInterrupt:
-            fail(f"Interrupted; {len(file_results)} of {len(files)} files are done, the others as they were.", 130)
+            done = len(replaced_since(noted))
+            fail(f"Interrupted; {done} of {len(files)} files are done, the others as they were.", 130)
     file_results.sort(key=lambda file_result: file_result.number)
     report_all(file_results, request.quiet)
     return file_results

@@ -207,6 +207,7 @@ def _draw(found: Study, figure: Path | None, full: bool, maps: list[Path]) -> No
 
 def _write_map(machine: Machine, target: Path) -> None:
     from ffcomp.identify.frf_json import mode_map_json
+    from gcode.atomic_write import replace_atomically
     from models.delta_machine import delta_vibration
     from models.errors import MachineFileError
     from models.vibration.mode_map import mode_map
@@ -216,7 +217,7 @@ def _write_map(machine: Machine, target: Path) -> None:
         raise MachineFileError("--map", [rule])
     modes = mode_map(delta_vibration(machine))
     if target.suffix == ".json":
-        target.write_text(json.dumps(mode_map_json(machine, modes)), encoding="utf-8")
+        replace_atomically(target, [json.dumps(mode_map_json(machine, modes)).encode()])
         return
     from ffcomp.report.frf import draw_map
 

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from ffcomp.inverse.bandwidth import EffortCurve
 from ffcomp.report.shared.drawing import file_of, layout
 from ffcomp.report.shared.style import RC
+from gcode.atomic_write import replace_atomically
 
 
 def draw_effort(curves: Mapping[float, EffortCurve], title: str, path: Path) -> None:
@@ -31,4 +32,4 @@ def draw_effort(curves: Mapping[float, EffortCurve], title: str, path: Path) -> 
         axes.set_title(title)
         axes.legend(title="bandwidth at the knee (circle)", frameon=False)
         axes.grid(True, which="both", alpha=0.25)
-        path.write_bytes(file_of(figure, "svg" if path.suffix == ".svg" else "png"))
+        replace_atomically(path, [file_of(figure, "svg" if path.suffix == ".svg" else "png")])

@@ -15,6 +15,7 @@ from ffcomp.estimate.statistics import KINDS, WAITING, Statistics
 from ffcomp.report.shared.drawing import file_of, layout
 from ffcomp.report.shared.style import RC, grid
 from ffcomp.version import __version__
+from gcode.atomic_write import replace_atomically
 from gcode.metadata import short
 
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#56b4e9", "#b8bec9")  # as KINDS
@@ -23,7 +24,7 @@ MOST_FEATURES = 14
 
 def draw(found: Estimate, path: Path) -> None:
     """Write the figure; `path` ends in .png, .svg or .pdf."""
-    path.write_bytes(file_of(estimate_figure(found), path.suffix.removeprefix(".")))
+    replace_atomically(path, [file_of(estimate_figure(found), path.suffix.removeprefix("."))])
 
 
 def estimate_figure(found: Estimate) -> Figure:

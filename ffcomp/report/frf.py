@@ -18,6 +18,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from ffcomp.identify.accuracy import phases_deg
 from ffcomp.identify.frf_study import RINGS, Compared, NumberedMode, Station, Study, verdict
+from ffcomp.report.shared.drawing import write_figure
 from ffcomp.version import __version__
 from models.arrays import FloatArray
 from models.machine import Machine
@@ -38,7 +39,7 @@ MODE_WIDTH, STATION_WIDTH = 1.38, 2.3  # of the table's columns
 
 def draw_bode(found: Study, target: Path, full: bool = False) -> None:
     """Write the Bode figure; the suffix of `target` names the format."""
-    bode_figure(found, full).savefig(target, dpi=110)
+    write_figure(bode_figure(found, full), target, dpi=110)
 
 
 def bode_figure(found: Study, full: bool = False) -> Figure:
@@ -292,7 +293,7 @@ def draw_map(machine: Machine, found: ModeMap, target: Path) -> None:
         axes = _axes(figure, x, y, MAP_SIZE, MAP_SIZE)
         bar = _axes(figure, x + 0.25, y - 0.55, MAP_SIZE - 0.5, 0.1)
         _map_panel(axes, bar, machine, found, mode)
-    figure.savefig(target, dpi=110)
+    write_figure(figure, target, dpi=110)
 
 
 def map_verdict(found: ModeMap) -> str:

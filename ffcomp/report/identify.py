@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from ffcomp.identify.axis_spectra import Datum
 from ffcomp.identify.identify import Identified
 from ffcomp.identify.modal_fit import AxisFit, IdentifiedAxes
+from ffcomp.report.shared.drawing import write_figure
 from ffcomp.version import __version__
 from models.arrays import ComplexArray, FloatArray
 
@@ -25,7 +26,7 @@ COLUMNS = 4
 
 def draw_fit(found: Identified, target: Path) -> None:
     """Write the figure of a fit; the suffix of `target` names the format."""
-    fit_figure(found).savefig(target, dpi=110)
+    write_figure(fit_figure(found), target, dpi=110)
 
 
 def fit_figure(found: Identified) -> Figure:
@@ -45,7 +46,7 @@ def fit_figure(found: Identified) -> Figure:
 
 def draw_axes(found: IdentifiedAxes, name: str, target: Path) -> None:
     """Write the figure of the axes' modes; the suffix of `target` names the format."""
-    axes_figure(found, name).savefig(target, dpi=110)
+    write_figure(axes_figure(found, name), target, dpi=110)
 
 
 def axes_figure(found: IdentifiedAxes, name: str) -> Figure:

@@ -12,6 +12,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
+from ffcomp.report.shared.drawing import write_figure
 from ffcomp.report.shared.style import AFTER, BEFORE, REFERENCE
 from ffcomp.simulate.preview import Curve, Preview
 from models.arrays import BoolArray, FloatArray
@@ -47,7 +48,7 @@ def verdict(preview: Preview) -> str:
 
 def draw(preview: Preview, title: str, footer: str, target: Path, z_mm: float | None = None) -> None:
     """Write the picture; the suffix of `target` names the format. See `show_figure`."""
-    show_figure(preview, title, footer, z_mm).savefig(target, dpi=100)
+    write_figure(show_figure(preview, title, footer, z_mm), target, dpi=100)
 
 
 def show_figure(preview: Preview, title: str, footer: str = "", z_mm: float | None = None) -> Figure:

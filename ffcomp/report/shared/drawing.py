@@ -7,12 +7,14 @@ import io
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import matplotlib
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from ffcomp.report.shared.style import RC
+from gcode.atomic_write import replace_atomically
 
 DPI = 150
 
@@ -52,6 +54,14 @@ def file_of(figure: Figure, form: str) -> bytes:
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         figure.savefig(file, format=form, dpi=DPI, metadata={"Date": None} if form == "svg" else None)
     return file.getvalue()
+
+
+def write_figure(figure: Figure, target: Path, dpi: float) -> None:
+    """Write the figure whole or not at all; the suffix of `target` names the format, without one it becomes .png."""
+    named = target if target.suffix else target.with_name(f"{target.name}.png")
+    content = io.BytesIO()
+    figure.savefig(content, format=named.suffix.removeprefix("."), dpi=dpi)
+    replace_atomically(named, [content.getvalue()])
 
 
 @dataclass(frozen=True, slots=True)
