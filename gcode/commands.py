@@ -13,7 +13,7 @@ from math import isnan
 from typing import NamedTuple
 
 from gcode.errors import GcodeError, UnsupportedGcode
-from gcode.program import EventKind
+from gcode.program import EventKind, RawMove
 from gcode.state import AXES, INCH_MM, Modal
 from gcode.words import Command
 
@@ -26,28 +26,41 @@ class Effect(NamedTuple):
     touches_limits: bool = False
     warning: str = ""
     unknown: bool = False  # nobody knows what the command does; all such codes share a warning
+    moves_itself: bool = False
+    returns: bool = False
+    raw: RawMove | None = None
 
 
 Handler = Callable[[Modal, Command], Effect]
 
 _TOOL_NAME = re.compile(r"T(-?\d+|\?)")
 _M_CODE = re.compile(r"M\d+(\.\d+)?")
+_STATUS_NAME = re.compile(r"_?STATUS_[A-Z_]+|_?SET_\w*LEDS?\w*")  # Voron's Stealthburner and its like
 _PARK_NAME = re.compile(r"P\d+")  # Prusa XL: the tool that is picked up next comes from the dock
 
 PASS = Effect(EventKind.PASS)
 STOP = Effect(EventKind.STOP)
 LIMITS = Effect(EventKind.PASS, touches_limits=True)
-UNKNOWN = Effect(EventKind.STOP, unknown=True)
+MOVED = Effect(EventKind.STOP, moves_itself=True)
+RETURNED = Effect(EventKind.STOP, moves_itself=True, returns=True)
+UNKNOWN = Effect(EventKind.STOP, unknown=True, moves_itself=True)
 
 
 def apply(modal: Modal, command: Command) -> Effect:
     """Apply one command; unknown ones stop the motion, for they may move the machine."""
+    if command.name in modal.returns:
+        return RETURNED
     if handler := EFFECTS.get(command.name):
         return handler(modal, command)
     if _TOOL_NAME.fullmatch(command.name):
         return _tool(modal, command)
+    if _PARK_NAME.fullmatch(command.name):
+        modal.tool = command.name
+        return _move_away(modal, command)
     if command.name.startswith("EXCLUDE_OBJECT"):
         return PASS
+    if _STATUS_NAME.fullmatch(command.name):
+        return STOP
     return _unknown(modal, command)
 
 
@@ -63,20 +76,23 @@ def _rest(modal: Modal, command: Command) -> Effect:
 def _move_away(modal: Modal, command: Command) -> Effect:
     """Rest and forget: the machine moves by rules of its own."""
     modal.forget()
-    return STOP
+    return MOVED
+
+
+def _come_back(modal: Modal, command: Command) -> Effect:
+    """Rest: the machine may move, and comes back to where it was."""
+    return RETURNED
 
 
 def _home(modal: Modal, command: Command) -> Effect:
-    modal.home()
-    return STOP
+    modal.home(command.letters() & set("XYZ"))
+    return MOVED
 
 
 def _unknown(modal: Modal, command: Command) -> Effect:
     if not _M_CODE.fullmatch(command.name):
         modal.forget()
         modal.motion = ""  # it may be one that goes on with bare words
-    if _PARK_NAME.fullmatch(command.name):
-        modal.tool = command.name
     return UNKNOWN
 
 
@@ -88,10 +104,9 @@ def _refuse(modal: Modal, command: Command) -> Effect:
 
 
 def _tool(modal: Modal, command: Command) -> Effect:
-    if command.name != (modal.tool or "T0"):  # firmware begins with its first tool
-        modal.forget()
+    same = command.name == (modal.tool or "T0")  # firmware begins with its first tool
     modal.tool = command.name
-    return STOP
+    return STOP if same else _move_away(modal, command)
 
 
 def _dwell(modal: Modal, command: Command) -> Effect:
@@ -234,10 +249,11 @@ def _restore_state(modal: Modal, command: Command) -> Effect:
         modal.forget()
         rule = "it is taken to keep modes and offsets, and nothing is compensated until the file names a place again"
         warning = f"RESTORE_GCODE_STATE names the state {name!r}, which the file has not saved; {rule}"
-        return Effect(EventKind.STOP, warning=warning)
+        return Effect(EventKind.STOP, warning=warning, moves_itself=True)
     modal.restore(modal.saved[name])
-    if _moves(command):  # back to where it was saved, by a motion of the firmware's own
-        modal.position[:3] = modal.saved[name].position[:3]
+    if _moves(command):
+        modal.return_to(modal.saved[name])
+        return MOVED
     return STOP
 
 
@@ -342,7 +358,10 @@ def _motors_off(modal: Modal, command: Command) -> Effect:
     said = command.letters()
     if said == {"S"}:
         return PASS
-    return STOP if said == {"E"} else _move_away(modal, command)
+    if said == {"E"}:
+        return STOP
+    modal.forget_even_roughly()
+    return STOP
 
 
 def _begin_condition(modal: Modal, command: Command) -> Effect:
@@ -354,7 +373,7 @@ def _begin_condition(modal: Modal, command: Command) -> Effect:
 def _end_condition(modal: Modal, command: Command) -> Effect:
     """M623: only where nothing has moved in between is the place known."""
     if not modal.conditions or modal.conditions.pop() != modal.whereabouts():
-        modal.forget()
+        return _move_away(modal, command)
     return STOP
 
 
@@ -380,28 +399,54 @@ _PASSING = _names("""
     UPDATE_DELAYED_GCODE ECHO VAR GLOBAL SET
 """)
 _RESTING = _names("""
-    G11 G29.1 G29.2 G392 M0 M1 M3 M4 M5 M17 M25 M80 M101 M103 M109 M116 M190 M191 M226 M280 M303 M420 M500 M501 M502
-    M504 M569 M575 M593 M600 M601 M602 M620.1 M620.3 M622.1 M630 M906 M911 M912 M913 M914 M915 M919 M960 M971 M973
+    G11 G29.1 G29.2 G392 M3 M4 M5 M17 M80 M101 M103 M109 M116 M190 M191 M280 M303 M420 M500 M501 M502
+    M504 M569 M575 M593 M620.1 M620.3 M622.1 M630 M906 M911 M912 M913 M914 M915 M919 M960 M971 M973
     M975 M981 M982.2 M991 M1002 M1003 M1007 M9833.2
-    PAUSE RESUME MANUAL_STEPPER SET_INPUT_SHAPER SYNC_EXTRUDER_MOTION TEMPERATURE_WAIT
+    MANUAL_STEPPER SET_INPUT_SHAPER SYNC_EXTRUDER_MOTION TEMPERATURE_WAIT
+""")
+# Pauses and filament changes; timelapse of Moonraker, Mainsail, Creality, Qidi; wiping; fans, lamps, states and layer
+# hooks of Voron, Klippain, RatOS, Creality, FLSUN, SuperSlicer and others.
+_RETURNING = _names("""
+    M0 M1 M25 M226 M600 M601 M602 PAUSE RESUME M240
+    TIMELAPSE_TAKE_FRAME HYPERLAPSE TIMELAPSE_RENDER _TIMELAPSE_NEW_FRAME TAKE_FRAME TIMELAPSE TAKE_TIMELAPSE
+    TAKE_PHOTO TAKE_SNAPSHOT SNAPSHOT
+    CLEAN_NOZZLE NOZZLE_CLEAN CLEANNOZZLE WIPE_NOZZLE NOZZLE_WIPE NOZZLE_CLEANING NOZZLE_SCRUB SCRUB_NOZZLE
+    BRUSH_NOZZLE NOZZLE_BRUSH WIPE BRUSH
+    PART_FAN PART_FANS PART_FAN_ON PART_FAN_OFF SET_PART_FAN COOLING_FAN AUX_FAN AUX_FAN_ON AUX_FAN_OFF SET_AUX_FAN
+    CHAMBER_FAN EXHAUST_FAN EXHAUST_FAN_ON EXHAUST_FAN_OFF SIDE_FAN NEVERMORE_ON NEVERMORE_OFF START_FILTER STOP_FILTER
+    FILTER_ON FILTER_OFF AIR_FILTER FAN_ON FAN_OFF SET_EXHAUST_FAN
+    LIGHT LIGHT_ON LIGHT_OFF LIGHTS LIGHTS_ON LIGHTS_OFF LED LED_ON LED_OFF LEDS_ON LEDS_OFF CASELIGHT_ON CASELIGHT_OFF
+    CASE_LIGHT_ON CASE_LIGHT_OFF STOP_LED_EFFECTS BEEP BEEPER 
+    SET_PAUSE_NEXT_LAYER SET_PAUSE_AT_LAYER LAYER_CHANGE _LAYER_CHANGE ON_LAYER_CHANGE _ON_LAYER_CHANGE
+    AFTER_LAYER_CHANGE BEFORE_LAYER_CHANGE _AFTER_LAYER_CHANGE _BEFORE_LAYER_CHANGE BEFORE_LAYER AFTER_LAYER
+    _ON_LAYER _PRINT_STATUS PRINT_STATUS UPDATE_PRINT_STATS SET_PRINT_STATE SET_PRINT_PROGRESS PRINT_PROGRESS
+    CLEAR_DISPLAY DISPLAY_MESSAGE
+""")
+_STILL = _names("""
+    SET_TMC_CURRENT SET_TMC_FIELD SET_SMOOTH_TIME SET_EXTRUDER_ROTATION_DISTANCE SET_SERVO SET_DIGIPOT
+    QUERY_FILAMENT_SENSOR QUERY_ENDSTOPS GET_POSITION HELP CLEAR_PAUSE
+    ENABLE_FILAMENT_SENSOR DISABLE_FILAMENT_SENSOR SET_SKEW SKEW_PROFILE
 """)
 _MOVING_AWAY = _names("""
     G12 G27 G29 G30 G31 G32 G33 G34 G38.2 G38.3 G38.4 G38.5 G53 M2 M30 M48 M81 M98 M125 M206
     M401 M402 M428 M524 M620 M621 M665 M666 M701 M702 M970 M970.3 M972
     M974 M976 M977 M982 M983 M983.1 M983.3 M983.4 M984 M1006 ACTIVATE_EXTRUDER SET_KINEMATIC_POSITION
-    BED_MESH_CALIBRATE BED_MESH_CLEAR BED_MESH_OFFSET BED_MESH_PROFILE CANCEL_PRINT CLEAN_NOZZLE
+    BED_MESH_CALIBRATE BED_MESH_CLEAR BED_MESH_OFFSET BED_MESH_PROFILE CANCEL_PRINT
     DELTA_CALIBRATE END_PRINT PRINT_END PRINT_START PROBE QUAD_GANTRY_LEVEL START_PRINT
-    TIMELAPSE_TAKE_FRAME Z_TILT_ADJUST
+    Z_TILT_ADJUST
 """)
 _REFUSED = _names("""
     G16 G41 G42 G43 G43.1 G43.2 G51 G52 G55 G56 G57 G58 G59 G59.1 G59.2 G59.3 G68 G90.1
     G92.2 G92.3 G93 G95 IF ELIF ELSE WHILE BREAK CONTINUE ABORT
 """)
 
+RETURNING = frozenset(_RETURNING)
 PASSING_M_CODES = frozenset(int(name[1:]) for name in _PASSING if re.fullmatch(r"M\d+", name))
 EFFECTS: dict[str, Handler] = {
     **dict.fromkeys(_PASSING, _pass),
     **dict.fromkeys(_RESTING, _rest),
+    **dict.fromkeys(_STILL, _rest),
+    **dict.fromkeys(_RETURNING, _come_back),
     **dict.fromkeys(_MOVING_AWAY, _move_away),
     **dict.fromkeys(_REFUSED, _refuse),
     "G4": _dwell,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
+from math import nan
 
 from gcode.limits import MotionLimits
 
@@ -42,6 +43,16 @@ _SLICERS = {
 }
 _HEAD_LINES = 200
 
+# A mode of E, a move that extrudes on its way, or a new name for E.
+_FILAMENT = re.compile(
+    rb"^[ \t]*(?:(M8[23]|G91)(?!\d)"
+    rb"|G0*[123](?!\d)[^;\n\r]*[XY][^;\n\r]*?E(-?(?:\d+\.?\d*|\.\d+))"
+    rb"|(G92[^;\n\r]*E))",
+    re.MULTILINE,
+)
+_FILAMENT_MODE = re.compile(rb"^[ \t]*M8[23](?!\d)", re.MULTILINE)
+_ENOUGH_MOVES, _MOST_WIPES = 40, 0.25
+
 
 def detect_flavor(lines: Iterable[bytes]) -> str:
     """Detect "klipper", "marlin" or "reprapfirmware"; Marlin's dialect when nothing says otherwise."""
@@ -73,6 +84,30 @@ def _first(text: bytes, sign: bytes, line: re.Pattern[bytes]) -> re.Match[bytes]
         end = text.find(b"\n", at)
         at = sought.find(sign, end) if end >= 0 else -1
     return None
+
+
+def filament_is_relative(text: bytes) -> bool | None:
+    """Tell how E counts where no line says it; None: a line does, or too few extrude to tell.
+
+    Absolute numbers grow from one extruding move to the next, but for wipes; relative ones do so by chance, half the
+    time. Files without M82 and M83 leave it to the printer's start macro.
+    """
+    last, growing, others = nan, 0, 0
+    for mode, number, renamed in _FILAMENT.findall(text):
+        if mode:
+            return None
+        if not renamed:
+            value = float(number)
+            growing, others = growing + (value > last), others + (value <= last)
+            if growing + others >= _ENOUGH_MOVES:
+                return others > _MOST_WIPES * (growing + others)
+        last = float(number) if not renamed else nan
+    return None
+
+
+def says_how_filament_counts(text: bytes) -> bool:
+    """Tell whether a line sets absolute or relative E."""
+    return _FILAMENT_MODE.search(text) is not None
 
 
 def detect_slicer(lines: list[bytes]) -> str:

@@ -31,6 +31,7 @@ class MoveWriter:
         self._base = base = frame.base
         self._f_counts = 60 * F_COUNTS / frame.feed_factor / unit
         self._relative = not frame.absolute, not frame.absolute_e
+        self._holds_z = frame.absolute and not frame.z_known
         counts = [round((at - base[i]) * per_mm[i]) for i, at in enumerate((*xyz, e))]
         self._state = np.array([*counts, -1], dtype=np.int64)  # of X Y Z E F; F has none yet
 
@@ -39,6 +40,17 @@ class MoveWriter:
         """Where the lines written so far have the toolhead: X Y Z E, mm. Given to `reset`, no rounding is lost."""
         counts = self._state.tolist()
         return tuple(counts[i] / self._per_mm[i] + self._base[i] for i in range(4))
+
+    def here(self, speed: float) -> bytes:
+        """One line that states the place itself, but no height that is not known; empty in relative mode.
+
+        Nothing moves, unless somebody has moved the toolhead away and not back.
+        """
+        if self._relative[0]:
+            return b""
+        letters = b"XY" if self._holds_z else b"XYZ"
+        words = (b" %c%.4f" % (letters[k], self._state[k] / XYZ_COUNTS) for k in range(len(letters)))
+        return b"G1%b F%.3f\n" % (b"".join(words), max(speed * self._f_counts / F_COUNTS, 1e-3))
 
     def move(self, x: float, y: float, z: float, e: float, speed: float) -> bytes:
         """One line to this place (mm) at `speed` mm/s; empty when nothing moves by a count."""
@@ -56,6 +68,8 @@ class MoveWriter:
 
         xyz : (n, 3) mm;  e : (n,) mm of filament;  speeds : (n,) mm/s
         """
+        if self._holds_z:  # a height that is not known is not written
+            xyz = np.column_stack([xyz[:, :2], np.full(len(xyz), self.place[2])])
         out = np.empty(len(e) * LONGEST_LINE, dtype=np.uint8)
         ends = write_moves(
             np.ascontiguousarray(xyz),

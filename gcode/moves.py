@@ -96,5 +96,6 @@ class EventTable:
         events = [Event(*row) for row in passing]
         for number, effect in self.effects.items():
             line, move, _, frame, *_ = events[number]
-            events[number] = Event(line, move, effect.kind, frame, effect.dwell_s, effect.touches_limits)
+            own = effect.moves_itself, effect.returns, effect.raw
+            events[number] = Event(line, move, effect.kind, frame, effect.dwell_s, effect.touches_limits, *own)
         return events

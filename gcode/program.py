@@ -23,6 +23,19 @@ class EventKind(Enum):
     RAW_MOVE = "raw move"  # from or to a place not known: passed through, the firmware plans it; also a stop
 
 
+class RawMove(NamedTuple):
+    """A move that goes out as it is, as far as it is known: for its time, and for what is not compensated."""
+
+    start: tuple[float, ...]  # mm, X Y Z E; where others have moved the nozzle, the last place known before; NaN: none
+    end: tuple[float, ...]
+    path_mm: float  # of the nozzle's way, 0 where it is not known
+    filament_mm: float  # that is pushed on the way
+    speed: float  # mm/s, requested
+    velocity_limit: float  # mm/s; NaN: the machine's own, as below
+    acceleration: float  # mm/s²
+    square_corner_velocity: float  # mm/s
+
+
 class Event(NamedTuple):
     """A line that is not a compensated move."""
 
@@ -34,6 +47,9 @@ class Event(NamedTuple):
     touches_limits: bool = (
         False  # changes velocity, acceleration or corner limits (M201-M205, M566, SET_VELOCITY_LIMIT)
     )
+    moves_itself: bool = False  # the firmware may move, uncompensated: homing, a macro, a pause, a raw move
+    returns: bool = False  # and comes back to where it was
+    raw: RawMove | None = None  # of a RAW_MOVE
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +67,7 @@ class ModalState:
     flow: float = 1.0  # M221
     feed_factor: float = 1.0  # M220
     feed_mm_per_s: float = 25.0  # speed in force, feed factor included (Klipper's default until the first F)
+    z_known: bool = True  # False: Z is only taken to be that of before a macro, and may not be written
 
 
 @dataclass(frozen=True, slots=True)

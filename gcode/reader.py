@@ -8,21 +8,21 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from math import isnan, nan
+from math import hypot, isnan, nan
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gcode.arcs import ARC_TOLERANCE_MM, Arc, arc_by_centre, arc_by_radius
-from gcode.commands import LIMITS, PASS, PASSING_M_CODES, STOP, Effect, apply
+from gcode.commands import LIMITS, MOVED, PASS, PASSING_M_CODES, Effect, apply
 from gcode.container import read_bytes
-from gcode.dialects import REPRAPFIRMWARE, detect_flavor
+from gcode.dialects import REPRAPFIRMWARE, detect_flavor, filament_is_relative, says_how_filament_counts
 from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.fast_scan import STILL_MM2, ByteArray, Cursor, Modes, follow
 from gcode.limits import MotionLimits
 from gcode.moves import EventTable, MoveTable
-from gcode.program import EventKind, ModalState, Program
+from gcode.program import EventKind, ModalState, Program, RawMove
 from gcode.state import DEFAULT_FEED_MM_PER_S, FrameValues, Modal, Vector4
 from gcode.text import PART_BYTES, whole_lines
 from gcode.words import NUMBERED, Command, commands, shown
@@ -30,7 +30,7 @@ from gcode.words import NUMBERED, Command, commands, shown
 MOTIONS = frozenset(("G0", "G1", "G2", "G3"))
 SETTINGS = frozenset(["G17", "G18", "G19", "G20", "G21", "G40", "G49", "G54", "G80", "G90", "G91", "G94", "M82", "M83"])
 _MOTION_WORDS = {"G0": "XYZEF", "G1": "XYZEF", "G2": "XYZEFIJKR", "G3": "XYZEFIJKR"}
-_AXIS_WORDS = "ABCUVW"  # of axes that are not followed
+_FOLLOWED_BY_NOBODY = "ABCUVWGMT"  # axes that are not followed, and other commands
 _ARC_WORDS = frozenset("XYZIJKR")
 _IGNORED_WORDS = "SPHNO"  # laser power, priorities, endstop flags: they do not change where the nozzle goes
 _QUIET_STARTS = (b"G1", b"G0", b"G2", b"G3", b"G92 E", b"M", b";", b"\n", b"\r", b" ", b"\t")
@@ -50,6 +50,8 @@ def read_program(
     offset_mm: tuple[float, float] = (0.0, 0.0),
     arc_tolerance_mm: float = ARC_TOLERANCE_MM,
     flavor: str | None = None,
+    returns: Iterable[str] = (),
+    homed_mm: tuple[float, float, float] | None = None,
 ) -> Program:
     """Read a file's bytes.
 
@@ -66,14 +68,18 @@ def read_program(
         Largest distance between an arc and its chords.
     flavor : str or None
         "klipper", "marlin" or "reprapfirmware"; None: as the file says.
+    returns : names
+        Of macros after which the nozzle is where it was, besides those that are known to come back.
+    homed_mm : (x, y, z) mm or None
+        Where homing all axes ends; None: not known.
 
     Raises
     ------
     GcodeError
         A line that cannot be followed, with its number.
     """
-    reader = _Reader(path, start, offset_mm, arc_tolerance_mm, flavor or detect_flavor([data]))
-    return reader.program(data)
+    flavor = flavor or detect_flavor([data])
+    return _Reader(path, start, offset_mm, arc_tolerance_mm, flavor, returns, homed_mm).program(data)
 
 
 def read_parts(
@@ -85,6 +91,8 @@ def read_parts(
     offset_mm: tuple[float, float] = (0.0, 0.0),
     arc_tolerance_mm: float = ARC_TOLERANCE_MM,
     part_bytes: int = PART_BYTES,
+    returns: Iterable[str] = (),
+    homed_mm: tuple[float, float, float] | None = None,
 ) -> Iterator[Program]:
     """Read a file of any length in parts: consecutive programs that together say what `read_program` says.
 
@@ -103,7 +111,7 @@ def read_parts(
 
     Other parameters, and errors, are those of `read_program`; an error comes when its part is read.
     """
-    reader = _Reader(path, start, offset_mm, arc_tolerance_mm, flavor)
+    reader = _Reader(path, start, offset_mm, arc_tolerance_mm, flavor, returns, homed_mm)
     for data in whole_lines(blocks, part_bytes):
         yield reader.program(data)
 
@@ -137,13 +145,16 @@ class _Reader:
         offset: tuple[float, float],
         arc_tolerance: float,
         flavor: str,
+        returns: Iterable[str],
+        homed: tuple[float, float, float] | None,
     ) -> None:
         self.path, self.arc_tolerance = path, arc_tolerance
-        self.modal = Modal(offset=offset, flavor=flavor)
+        self.modal = Modal(offset=offset, flavor=flavor, returns=frozenset(map(str.upper, returns)), homed=homed)
         if start is not None:
             self.modal.position[:3] = [float(coordinate) for coordinate in start]
         self.warned: set[str] = set()  # what sentences were about
         self.unknown: dict[str, int] = {}  # codes that nobody knows, and the line of each, of this part
+        self.e_is_settled = False  # whether a line has said how E counts, or the numbers have told
         self.first_line = 0
         self.lines: list[bytes] = []
         self.modes: Modes | None = None  # None: to be found anew, for a command may have changed them
@@ -151,7 +162,9 @@ class _Reader:
 
     def program(self, data: bytes) -> Program:
         """Read the next part of the file."""
+        settled = self._settle_filament(data)
         self._begin(data)
+        self.warnings += settled
         try:
             self._follow(data)
         except GcodeError as error:
@@ -161,6 +174,18 @@ class _Reader:
         moves = self.moves.moves(frame_of_state, self.frames, self.limits)
         events = self.events.events(frame_of_state)
         return Program(self.path, self.lines, moves, events, self.frames, self.warnings, self.first_line)
+
+    def _settle_filament(self, data: bytes) -> list[str]:
+        """Where no line says how E counts, see it by the numbers: a start macro has told the printer."""
+        if self.e_is_settled:
+            return []
+        relative = filament_is_relative(data)
+        self.e_is_settled = relative is not None or says_how_filament_counts(data)
+        if not relative:
+            return []
+        self.modal.absolute_e, self.modes = False, None
+        rule = "its numbers do not grow, so they are read as relative"
+        return [f"line {self.first_line + 1}: no M82 or M83 says how E counts; {rule}."]
 
     def _begin(self, data: bytes) -> None:
         self.first_line += len(self.lines)
@@ -221,7 +246,15 @@ class _Reader:
     def _take_states(self, states: list[list[float]], in_force: int) -> None:
         """States that differ in feed and E's origin only; prints use few feeds many times: frames are remembered."""
         modal = self.modal
-        modes = (*modal.base[:3], modal.unit, modal.absolute, modal.absolute_e, modal.flow, modal.feed_factor)
+        modes = (
+            *modal.base[:3],
+            modal.unit,
+            modal.absolute,
+            modal.absolute_e,
+            modal.flow,
+            modal.feed_factor,
+            modal.z_known,
+        )
         known = self.known_frames.setdefault(modes, {})
         for feed, origin_e in states:
             modal.base[3] = origin_e
@@ -314,18 +347,56 @@ class _Reader:
         self._settle()
         if words.get("H"):  # towards an endstop, or by single motors: only the firmware knows where that ends
             modal.forget()
-            self._event(at, STOP)
+            self._event(at, MOVED)
             return
         end = modal.target(words)
+        if any(isnan(number) for number in (*modal.position, *end)) or not self._z_can_be_followed(words):
+            self._pass_through(at, words)
+            return
         arc = modal.motion in ("G2", "G3") and not _ARC_WORDS.isdisjoint(words)
-        self._travel(at, end, self._arc(modal.motion, words, end, at) if arc else None)
+        self._travel(at, end, self._arc(modal.motion, words, modal.position, end, at) if arc else None)
+
+    def _z_can_be_followed(self, words: dict[str, float]) -> bool:
+        modal = self.modal
+        return modal.z_known or "Z" not in words or not modal.is_absolute(2)
+
+    def _pass_through(self, at: int, words: dict[str, float]) -> None:
+        """Let the firmware plan a move from or to a place that is not known."""
+        modal, limits = self.modal, self.modal.limits
+        start, end = modal.pass_through(words)
+        self.modes = None
+        self.moves.jumps[self.moves.count] = modal.position[:]
+        raw = RawMove(
+            tuple(start),
+            tuple(end),
+            path_mm=self._raw_length(start, end, words, at),
+            filament_mm=end[3] - start[3],
+            speed=modal.feed,
+            velocity_limit=limits.velocity,
+            acceleration=limits.acceleration,
+            square_corner_velocity=limits.square_corner_velocity,
+        )
+        self._settle()
+        self._event(at, Effect(EventKind.RAW_MOVE, moves_itself=True, raw=raw))
+
+    def _raw_length(self, start: Vector4, end: Vector4, words: dict[str, float], at: int) -> float:
+        """Return the length as far as axes are known at both ends, mm."""
+        known = [b - a for a, b in zip(start[:3], end[:3], strict=True) if not isnan(b - a)]
+        straight = hypot(*known)
+        if self.modal.motion not in ("G2", "G3") or _ARC_WORDS.isdisjoint(words) or len(known) < 3:
+            return straight
+        try:
+            arc = self._arc(self.modal.motion, words, start, end, at)
+        except GcodeError:
+            return straight
+        return abs(arc.sweep) * arc.radii[0]
 
     def _check_words(self, motion: str, words: dict[str, float], at: int) -> None:
         for letter in words:
             if letter not in _MOTION_WORDS[motion] and letter not in _IGNORED_WORDS:
                 rule = f"a move has the words {' '.join(_MOTION_WORDS[motion])}"
                 said = f"{motion} has the word {letter}{words[letter]:g}"
-                if letter in _AXIS_WORDS:
+                if letter in _FOLLOWED_BY_NOBODY:
                     raise GcodeError(f"{said}; {rule}.", self._number(at))
                 self._warn(motion + letter, at, f"{said}, which no firmware heeds; {rule}")
 
@@ -333,10 +404,7 @@ class _Reader:
         start = self.modal.position
         travelled = sum((b - a) ** 2 for a, b in zip(start, end, strict=True))
         self.modal.position = end
-        if isnan(travelled):
-            self.moves.jumps[self.moves.count] = end
-            self._event(at, Effect(EventKind.RAW_MOVE))
-        elif arc is not None:
+        if arc is not None:
             self._chords(at, start, end, arc)
         elif travelled > STILL_MM2:
             self._warn_of_default_feed(at)
@@ -349,13 +417,11 @@ class _Reader:
 
     # -- arcs --
 
-    def _arc(self, motion: str, words: dict[str, float], end: Vector4, at: int) -> Arc | None:
-        """Return the circle in the active plane; None where start or end is not known: the move passes through."""
+    def _arc(self, motion: str, words: dict[str, float], start: Vector4, end: Vector4, at: int) -> Arc:
+        """Return the circle in the active plane."""
         modal = self.modal
         u, v, _ = modal.arc_axes()
-        here, there = (modal.position[u], modal.position[v]), (end[u], end[v])
-        if any(isnan(number) for number in (*here, *there)):
-            return None
+        here, there = (start[u], start[v]), (end[u], end[v])
         if "R" in words:
             return arc_by_radius(here, there, words["R"] * modal.unit, motion == "G2", self._number(at))
         offset = words.get("IJK"[u], 0.0) * modal.unit, words.get("IJK"[v], 0.0) * modal.unit
@@ -437,4 +503,5 @@ def _modes(modal: Modal, arc_tolerance: float) -> Modes:
     x, y, z, _ = (base + shift for base, shift in zip(modal.base, modal.shift, strict=True))
     relative, relative_e = not modal.is_absolute(0), not modal.is_absolute(3)
     arcs = arc_tolerance if modal.plane == "XY" else nan
+    z = z if modal.z_known else nan  # an absolute Z from a height that is not known needs more care
     return Modes(x, y, z, relative, relative_e, modal.scale(0), modal.scale(3), modal.feed_factor, arcs)

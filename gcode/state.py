@@ -20,8 +20,8 @@ AXES = "XYZE"
 FIRST_AXES = {"XY": (0, 1, 2), "ZX": (2, 0, 1), "XZ": (0, 2, 1), "YZ": (1, 2, 0)}
 
 Vector4 = list[float]
-Whereabouts = tuple[Vector4, Vector4, bool]  # position and base, mm; absolute
-FrameValues = tuple[tuple[float, float, float, float], float, bool, bool, float, float, float]
+Whereabouts = tuple[Vector4, Vector4, bool, bool]  # position and base, mm; absolute; z_known
+FrameValues = tuple[tuple[float, float, float, float], float, bool, bool, float, float, float, bool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +32,7 @@ class Saved:
     shift: tuple[float, ...]
     homing: tuple[float, ...]
     position: tuple[float, ...]
+    z_known: bool
     absolute: bool
     absolute_e: bool
     feed: float
@@ -44,6 +45,8 @@ class Modal:
     """Everything a line of G-code can change. Vectors hold X Y Z E in mm."""
 
     position: Vector4 = field(default_factory=lambda: [nan, nan, nan, 0.0])
+    z_known: bool = True  # False: the position's Z is a guess
+    guess: Vector4 = field(default_factory=lambda: [nan, nan, nan, 0.0])  # for what is NaN in the position
     base: Vector4 = field(default_factory=lambda: [0.0, 0.0, 0.0, 0.0])
     offset: tuple[float, float] = (0.0, 0.0)  # from the file's bed to the printer's, mm
     shift: Vector4 = field(default_factory=lambda: [0.0, 0.0, 0.0, 0.0])  # it, except where G92 named a place
@@ -64,6 +67,8 @@ class Modal:
     own: MotionLimits = MACHINE_LIMITS  # asked for by the file, before `caps`
     caps: MotionLimits = MACHINE_LIMITS  # M201 and M203 of Marlin and RepRapFirmware
     saved: dict[str, Saved] = field(default_factory=dict)
+    returns: frozenset[str] = frozenset()  # macros that come back, besides those of gcode.commands
+    homed: tuple[float, float, float] | None = None  # where homing all axes ends, mm; None: not known
     conditions: list[Whereabouts] = field(default_factory=list)  # where each M622 that is open has begun
 
     def __post_init__(self) -> None:
@@ -77,16 +82,43 @@ class Modal:
         """Return the values of `frame`, in its order: many times quicker to look up than the frame itself."""
         x, y, z, e = self.base
         absolute_e = self.absolute_e and self.absolute
-        return (x, y, z, e), self.unit, self.absolute, absolute_e, self.flow, self.feed_factor, self.feed
+        return (x, y, z, e), self.unit, self.absolute, absolute_e, self.flow, self.feed_factor, self.feed, self.z_known
+
+    def guessed(self) -> Vector4:
+        """Return the position; where nobody knows it, what is most likely: where it was before a macro."""
+        return [guess if isnan(known) else known for known, guess in zip(self.position, self.guess, strict=True)]
 
     def forget(self) -> None:
-        """Nobody knows where the toolhead is: homing, probing, a macro."""
+        """Nobody knows where the toolhead is: probing, a macro."""
+        self.guess = self.guessed()
         self.position[:3] = [nan, nan, nan]
+        self.z_known = True
 
-    def home(self) -> None:
+    def forget_even_roughly(self) -> None:
+        """Nor is it likely to be near where it was: homing, motors off."""
+        self.forget()
+        self.guess[:3] = [nan, nan, nan]
+
+    def home(self, axes: set[str]) -> None:
         """Homing also takes back what G92 did. On a delta it moves all axes, whichever were named."""
         self.take_names_back()
-        self.forget()
+        self.forget_even_roughly()
+        if self.homed is not None and not axes:
+            self.position[:3] = self.homed
+
+    def pass_through(self, words: dict[str, float]) -> tuple[Vector4, Vector4]:
+        """Follow a move from or to a place that is not known; returns its start and end as far as they can be guessed.
+
+        Where X and Y are known after it and Z is not, Z is taken to be the last one: vibration does not depend on it.
+        """
+        start, end = self.guessed(), self.target(words)
+        self.guess = self.target(words, start)
+        self.position = end
+        if "Z" in words and self.is_absolute(2):
+            self.z_known = True
+        elif isnan(end[2]) and not isnan(end[0] + end[1] + self.guess[2]):
+            end[2], self.z_known = self.guess[2], False
+        return start, self.guess[:]
 
     def take_names_back(self) -> None:
         """Coordinates are those of the machine again, but for SET_GCODE_OFFSET: what G92 did is undone."""
@@ -95,7 +127,7 @@ class Modal:
 
     def whereabouts(self) -> Whereabouts:
         """Return what a block of lines that may not be run must leave as it is."""
-        return self.position[:], self.base[:], self.absolute
+        return self.position[:], self.base[:], self.absolute, self.z_known
 
     def scale(self, axis: int) -> float:
         """Return mm of toolhead or filament per unit of the file."""
@@ -105,14 +137,15 @@ class Modal:
         """Tell whether the axis is in absolute mode."""
         return self.absolute and (axis < 3 or self.absolute_e)
 
-    def target(self, words: dict[str, float]) -> Vector4:
-        """Where a move with these words ends."""
-        return [self._coordinate(axis, words.get(letter)) for axis, letter in enumerate(AXES)]
+    def target(self, words: dict[str, float], start: Vector4 | None = None) -> Vector4:
+        """Where a move with these words ends, from the position or another start."""
+        start = self.position if start is None else start
+        return [self._coordinate(axis, words.get(letter), start[axis]) for axis, letter in enumerate(AXES)]
 
-    def _coordinate(self, axis: int, number: float | None) -> float:
+    def _coordinate(self, axis: int, number: float | None, start: float) -> float:
         if number is None:
-            return self.position[axis]
-        origin = self.base[axis] + self.shift[axis] if self.is_absolute(axis) else self.position[axis]
+            return start
+        origin = self.base[axis] + self.shift[axis] if self.is_absolute(axis) else start
         return number * self.scale(axis) + origin
 
     def set_feed(self, words: dict[str, float], line: int) -> None:
@@ -130,6 +163,8 @@ class Modal:
         for axis, number in (named or dict.fromkeys(range(4), 0.0)).items():
             self.base[axis] = self.position[axis] - number * self.scale(axis)
             self.shift[axis] = 0.0  # the new name is tied to the true place, shift included
+            if axis == 2:
+                self.z_known = True  # under its new name
 
     def set_feed_factor(self, factor: float) -> None:
         """M220: also the speed in force changes, as in Klipper."""
@@ -154,12 +189,17 @@ class Modal:
             tuple(self.shift),
             tuple(self.homing),
             tuple(self.position),
+            self.z_known,
             self.absolute,
             self.absolute_e,
             self.feed,
             self.feed_factor,
             self.flow,
         )
+
+    def return_to(self, saved: Saved) -> None:
+        """RESTORE_GCODE_STATE's move, after it has restored the rest."""
+        self.position[:3], self.z_known = saved.position[:3], saved.z_known
 
     def restore(self, saved: Saved) -> None:
         """RESTORE_GCODE_STATE without its move; E goes on from where it is."""

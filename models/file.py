@@ -105,8 +105,14 @@ def _machine(document: DeltaDocument | StraightDocument, sha256: str, path: str)
         provenance=document.provenance,
         sha256=sha256,
         path=path,
+        returns=tuple(document.macros.returns or ()),
+        homed_mm=_place(document.homing.position_mm),
         flavor=document.firmware.flavor or "",
     )
+
+
+def _place(numbers: list[float] | None) -> tuple[float, float, float] | None:
+    return None if numbers is None else (numbers[0], numbers[1], numbers[2])
 
 
 @dataclass(frozen=True)

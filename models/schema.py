@@ -242,6 +242,18 @@ class FirmwareTable(Table):
     flavor: Literal["klipper", "marlin", "reprapfirmware"] | None = None
 
 
+class MacrosTable(Table):
+    """`[macros]`: what is known of the printer's own."""
+
+    returns: list[Annotated[str, Field(pattern=r"^@?[A-Za-z_]\w*$")]] | None = None
+
+
+class HomingTable(Table):
+    """`[homing]`: where homing all axes ends."""
+
+    position_mm: Annotated[list[Place], THREE] | None = None
+
+
 def _number_or_tuple(value: float | list[float]) -> float | tuple[float, ...]:
     return tuple(value) if isinstance(value, list) else value
 
@@ -258,6 +270,8 @@ class Document(Table):
     limits: LimitsTable
     steps: StepsTable = StepsTable()
     firmware: FirmwareTable = FirmwareTable()
+    macros: MacrosTable = MacrosTable()
+    homing: HomingTable = HomingTable()
     effects: dict[str, dict[str, Any]] = {}
     uncertainty: dict[str, Annotated[float, Field(ge=0, le=10)]] = {}
     provenance: dict[str, Any] = {}
@@ -475,6 +489,7 @@ RULES = {  # pydantic's type of error -> our rule, filled in from its context
     "finite_number": "must be a finite number{unit}",
     "string_type": "must be a text in quotes",
     "string_too_short": "must not be empty",
+    "string_pattern_mismatch": "must be a name: a letter or _ first, then letters, digits and _",
     "list_type": "must be a list of {count} numbers{unit}",
     "too_short": "must be a list of {count} numbers{unit}",
     "too_long": "must be a list of {count} numbers{unit}",

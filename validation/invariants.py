@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,8 +79,9 @@ def violations(
     flavor: str | None = None,
 ) -> list[str]:
     """What is wrong with a compensated file, in sentences; `before` is the file it was made of."""
-    read, lines = read_program(before, offset_mm=offset_mm, flavor=flavor), after.splitlines(keepends=True)
-    written, text = read_program(after, flavor=flavor), told_apart(lines)
+    own = partial(read_program, flavor=flavor, returns=machine.returns, homed_mm=machine.home_mm)
+    read, lines = own(before, offset_mm=offset_mm), after.splitlines(keepends=True)
+    written, text = own(after), told_apart(lines)
     found = [] if original(after) == before else ["The original cannot be read out of the file byte for byte."]
     return [
         *found,

@@ -88,7 +88,7 @@ def segments(
     start : (float, float, float), optional
         Where the nozzle is then, mm.
     """
-    program = read_program(before + file.text, "compensated", start=start, flavor=file.flavor)
+    program = read_program(before + file.text, "compensated", start=start, flavor=file.flavor, returns=machine.returns)
     trajectory = plan_program(program, machine).trajectory
     travels = np.any(trajectory.direction[:, :3] != 0.0, axis=1)
     starts = section_starts(program, file.planned)

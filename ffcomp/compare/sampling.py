@@ -93,7 +93,9 @@ class Print:
     ) -> None:
         self.path, self.machine, self.offset = path, machine, offset
         stated = flavor or machine.flavor
-        program = read_program(data, path, offset_mm=offset, flavor=stated or None)
+        program = read_program(
+            data, path, offset_mm=offset, flavor=stated or None, returns=machine.returns, homed_mm=machine.home_mm
+        )
         self.flavor = stated or detect_flavor(program.lines)
         self.planned = plan_program(program, machine, offset)
         self.labels: Labels = labels(program)

@@ -257,7 +257,15 @@ class Job:
         blocks = blocks_of(self.source)
         if self.restore:
             blocks = original_blocks(blocks)
-        return read_parts(blocks, self.path, flavor=self.flavor, offset_mm=self.offset)
+        own = self.machine
+        return read_parts(
+            blocks,
+            self.path,
+            flavor=self.flavor,
+            offset_mm=self.offset,
+            returns=own.returns,
+            homed_mm=own.home_mm,
+        )
 
     def _chunks(self, parts: Iterable[Program], plain: bool) -> Iterator[Chunk]:
         # plain steps are written from rest to rest, and an S-curve has one level of acceleration

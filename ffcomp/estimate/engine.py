@@ -108,8 +108,9 @@ def _statistics(
     def plan_of(program: Program) -> PlannedMotion:
         return plan_program(program, machine, offset).trajectory
 
+    parts = read_parts(blocks, path, flavor=flavor, offset_mm=offset, returns=machine.returns, homed_mm=machine.home_mm)
     statistics = Statistics()
-    for part in planned_slices(read_parts(blocks, path, flavor=flavor, offset_mm=offset), plan_of):
+    for part in planned_slices(parts, plan_of):
         statistics.add(part)
     if not statistics.moves:
         raise NothingToDo(f"{path}: no move whose start is known; there is no time to tell.")

@@ -5,6 +5,8 @@ A compensated file is evaluated against the original that its comments keep.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from ffcomp.planner.program import PlannedProgram, plan_program
@@ -44,13 +46,14 @@ def read_gcode(
     Command, Program
         The command, and the program that was read.
     """
+    read = partial(read_program, path=path, returns=machine.returns, homed_mm=machine.home_mm)
     stamp = already_processed(data)
     if stamp is None:
-        program = read_program(data, path, offset_mm=offset, flavor=flavor or machine.flavor or None)
+        program = read(data, offset_mm=offset, flavor=flavor or machine.flavor or None)
         return gcode_command(plan_program(program, machine, offset), machine), program
-    program = read_program(data, path, flavor=stamp.flavor)
+    program = read(data, flavor=stamp.flavor)
     offset = find_offset(data[:STAMP_REACH])
-    reference = read_program(original(data), path, offset_mm=offset, flavor=stamp.flavor)
+    reference = read(original(data), offset_mm=offset, flavor=stamp.flavor)
     executed = plan_program(program, machine)
     return compensated_command(executed, plan_program(reference, machine, offset), machine), program
 

@@ -7,6 +7,7 @@ restored from the comments that keep it, and the two clocks are aligned where th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -65,8 +66,9 @@ def preview(
         None: as the file says.
     """
     lines = data.splitlines(keepends=True)
-    original = read_program(b"".join(original_lines(lines)), path, offset_mm=offset, flavor=flavor)
-    compensated = read_program(data, path, flavor=flavor)
+    read = partial(read_program, path=path, flavor=flavor, returns=machine.returns, homed_mm=machine.home_mm)
+    original = read(b"".join(original_lines(lines)), offset_mm=offset)
+    compensated = read(data)
     reference, executed = _plan(original, machine), _plan(compensated, machine)
     path_t, corners = path_corners_with_rests(reference)
     times = move_times(compensated, executed, original, reference)

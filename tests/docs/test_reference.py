@@ -55,6 +55,8 @@ SECTIONS = {  # of the page -> path into the JSON schema of a document
     "limits": (DeltaDocument, "limits"),
     "steps": (DeltaDocument, "steps"),
     "firmware": (DeltaDocument, "firmware"),
+    "macros": (DeltaDocument, "macros"),
+    "homing": (DeltaDocument, "homing"),
 }
 TABLES = {
     "kinematics",
@@ -64,6 +66,8 @@ TABLES = {
     "limits",
     "steps",
     "firmware",
+    "macros",
+    "homing",
     "effects",
     "uncertainty",
     "provenance",
@@ -103,6 +107,8 @@ def _range(field: dict[str, Any]) -> str:
     (kind,) = kinds
     if "const" in kind or "enum" in kind:
         return ", ".join(f"`{each}`" for each in kind.get("enum", [kind.get("const")]))
+    if kind["type"] == "array" and "minItems" not in kind:
+        return "a list of names in quotes"
     if kind["type"] == "array":
         count = {(3, 3): "three", (2, 2): "two", (1, 2): "one or two"}[kind["minItems"], kind["maxItems"]]
         return f"{count}, {_range(kind['items'])} each"

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gcode.commands import RETURNING
 from gcode.embedded import original
 from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.program import EventKind, Program
@@ -23,7 +24,7 @@ OUTCOMES = {
     "passes": "goes out as it is, at its move's time; the motion goes on",
     "waits": "the motion rests for that long, and the line goes out",
     "rests": "the motion rests before it; the line goes out as it is",
-    "rests, place unknown": "and moves go out as they are until the file has named X, Y and Z again",
+    "rests, place unknown": "and moves go out as they are until the file has named X and Y again",
     "refused": "the file is not changed; exit code 4, with the line and the rule",
 }
 
@@ -82,6 +83,12 @@ def test_a_refusal_names_the_line_and_the_rule() -> None:
                 read_program((START + code).encode(), "print.gcode", flavor=flavor)
             assert caught.value.line == (START + code).count("\n") + 1
             assert str(caught.value).startswith("print.gcode:") and caught.value.rule.endswith(".")
+
+
+def test_the_page_lists_the_macros_that_come_back() -> None:
+    section = PAGE.read_text(encoding="utf-8").partition("### Macros that come back")[2].partition("##")[0]
+    names = set(re.findall(r"`([A-Z_0-9]+)`", section.partition("|---")[2].partition("After any other")[0]))
+    assert names == RETURNING
 
 
 # -- what only shows between lines --

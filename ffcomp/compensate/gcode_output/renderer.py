@@ -23,6 +23,7 @@ class GcodeRenderer:
         own = _own_limits(context.machine)
         self._writer = Writer(program, context.flavor, own, settings, context.offset, chunk.chunk.limits)
         self._events = EventQueue(program.events)
+        self._writer.to_return = program.first_line > 0 and chunk.chunk.before is None and self._extent.begin is None
 
     @property
     def segments(self) -> int:

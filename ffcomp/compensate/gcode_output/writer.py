@@ -52,6 +52,7 @@ class Writer:
         self.moves = MoveWriter()
         self.frame = 0
         self.open = False
+        self.to_return = False  # a macro that comes back has run since the last move
         self.move = 0  # the last that was begun: its limits are the file's own
         self.said: dict[bytes, bytes] = dict(said or {})  # the file's last word on each limit
         self.ending = b"\r\n" if program.lines and program.lines[0].endswith(b"\r\n") else b"\n"
@@ -82,6 +83,7 @@ class Writer:
         else:
             yield Timed.at(line, self.now_s) if tells(line) or begins_layer(line) else line
         self.now_s += event.dwell_s
+        self.to_return = event.returns or (self.to_return and not event.moves_itself)
         self._take_frame(event.frame)
         if event.touches_limits:
             self.said |= limit_set_by(line)
@@ -232,6 +234,10 @@ class Writer:
             self.frame = int(moves.frame[move])
             yield from self._limits(self._opening())
             self._tell_frame(moves.start[move].tolist())
+        if self.to_return:  # so that a macro that did not come back is made up for at travel speed, not at a segment's
+            self.to_return = False
+            if stated := self.moves.here(float(moves.speed[move])):
+                yield stated.rstrip(b"\n") + OURS + self.ending
         self._take_frame(int(moves.frame[move]))
 
     def _original(self, line: int) -> bytes:

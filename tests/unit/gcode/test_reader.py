@@ -490,3 +490,58 @@ def test_any_bytes_are_read_or_refused(data: bytes) -> None:
         check_whole(program, data)
     else:
         assert error is not None and error.line is not None
+
+
+# -- places that are not known --
+
+
+def test_a_macro_that_comes_back_keeps_the_place_and_others_do_not() -> None:
+    for name in ("TIMELAPSE_TAKE_FRAME", "my_photo", "MY_PHOTO"):
+        program = read("G1 X1 Y2 Z3 F600", name, "G1 X5", returns=["My_Photo"])
+        assert ends(program)[1:] == [[5, 2, 3, 0]]
+        assert program.events[0].returns and program.events[0].moves_itself
+    assert kinds(read("G1 X1 Y2 Z3 F600", "MY_PHOTO", "G1 X5")) == [EventKind.STOP, EventKind.RAW_MOVE]
+
+
+def test_where_only_z_is_not_known_it_is_taken_to_be_the_last() -> None:
+    program = read(
+        "G1 X1 Y2 Z3 F600", "MY_MACRO", "G1 X4 Y4", "G1 X5 E1", "G91", "G1 Z2", "G90", "G1 Y6", "G1 Z9 Y7", "G1 X7"
+    )  # fmt: skip
+    assert ends(program)[1:] == [[5, 4, 3, 1], [5, 4, 5, 1], [5, 6, 5, 1], [7, 7, 9, 1]]
+    raw = [event.raw for event in program.events if event.kind is EventKind.RAW_MOVE]
+    assert [(move.start[:3], move.end[:3]) for move in raw if move] == [
+        ((1, 2, 3), (4, 4, 3)),
+        ((5, 6, 5), (5, 7, 9)),
+    ]
+    assert [program.frames[frame].z_known for frame in program.moves.frame] == [True, False, False, False, True]
+
+
+def test_z_is_not_guessed_where_nobody_has_known_it() -> None:
+    program = read_program(b"G28\nG1 X1 Y1 F600\nG1 X2\nG1 Z1\nG1 X3\n")
+    assert ends(program) == [[3, 1, 1, 0]]
+
+
+def test_homing_ends_where_the_machine_file_says_if_all_axes_are_homed() -> None:
+    data = b"G28\nG1 Z5 F600\n"
+    assert read_program(data, homed_mm=(0, 0, 200)).moves.start[0, :3].tolist() == [0, 0, 200]
+    assert not len(read_program(data.replace(b"G28", b"G28 X"), homed_mm=(0, 0, 200)).moves)
+
+
+def test_what_is_known_of_a_raw_move() -> None:
+    (raw,) = (e.raw for e in read("G1 X1 Y2 Z3 F600", "M204 S500", "MY_MACRO", "G1 X4 Y6 E.5 F1200").events if e.raw)
+    assert raw.path_mm == 5 and raw.filament_mm == 0.5
+    assert (raw.speed, raw.acceleration) == (20, 500)
+    (raw,) = (e.raw for e in read_program(b"G28\nG1 X4 Y6 F1200\n").events if e.raw)
+    assert raw.path_mm == 0, "nobody knows from where"
+
+
+def test_numbers_tell_how_filament_counts_where_no_line_does() -> None:
+    amounts = [0.2, 0.1, 0.3, 0.1, 0.2] * 12
+    moves = [f"G1 X{k} E{amount}" for k, amount in enumerate(amounts)]
+    relative = read("PRINT_START", "G1 Z1 Y1 F600", *moves)
+    assert relative.moves.end[-1, 3] == pytest.approx(sum(amounts)) and "relative" in relative.warnings[0]
+    grown = [f"G1 X{k} E{sum(amounts[:k]):.3f}" for k in range(60)]
+    for first in ([], ["M82"]):
+        absolute = read("PRINT_START", *first, "G1 Z1 Y1 F600", *grown)
+        assert absolute.moves.end[-1, 3] == pytest.approx(sum(amounts[:59])) and not absolute.warnings
+    assert read("M82", "G1 Z1 Y1 F600", *moves).moves.end[-1, 3] == pytest.approx(0.2), "a line has said it"

@@ -48,14 +48,15 @@ def said(programs: list[Program]) -> dict[str, object]:
         texts = [repr(frame) for frame in program.frames]  # as text, where NaN equals NaN
         frames += [texts[number] for number in program.moves.frame.tolist()]
         for line, move, kind, frame, *rest in program.events:
-            events.append((line + program.first_line, move + before, kind, texts[frame], *rest))
+            events.append((line + program.first_line, move + before, kind, texts[frame], repr(rest)))
     columns = {name: np.concatenate([getattr(p.moves, name) for p in programs]).tobytes() for name in COLUMNS}
     return {
         "lines": [line for program in programs for line in program.lines],
         "line of each move": np.concatenate(lines).tolist(),
         "frame of each move": frames,
         "events": events,
-        "warnings": [sentence for program in programs for sentence in program.warnings],
+        # codes that are not known share a sentence in each part
+        "warnings": [told for program in programs for told in program.warnings if "not known" not in told],
         **columns,
     }
 

@@ -121,6 +121,10 @@ def test_everything_else_a_file_may_say(write) -> None:
 steps_per_mm = 160
 [firmware]
 flavor = "reprapfirmware"
+[macros]
+returns = ["MY_PHOTO", "nozzle_dance"]
+[homing]
+position_mm = [0, 0, 200]
 [carriage.drive]
 d0_per_s2 = 1.4e5
 d1_per_s = -200
@@ -144,6 +148,8 @@ who = { name = "me" }
     assert delta_vibration(machine).carriage.drive.d1_per_s == -200
     assert machine.effects["coulomb_friction"] == {"force_n": [2.1, 2.2, 2.3]}
     assert machine.flavor == "reprapfirmware"
+    assert machine.returns == ("MY_PHOTO", "nozzle_dance")
+    assert machine.homed_mm == (0, 0, 200)
     assert machine.uncertainty["carriage.belt_stiffness_n_per_m"] == 0.05
     assert machine.provenance["who"] == {"name": "me"}
 
@@ -233,6 +239,8 @@ def test_mistakes_are_named_with_key_value_and_rule(problems, old: str, new: str
             "names no number of this file. Did you mean 'carriage.mass_kg'?",
         ),
         ("[firmware]\nflavor = 'kliper'", "firmware.flavor = 'kliper' must be"),
+        ("[macros]\nreturns = ['G 1']", "macros.returns[0] = 'G 1' must be a name"),
+        ("[homing]\nposition_mm = [0, 0]", "homing.position_mm = [0, 0] must be a list of three numbers"),
         ("[firmware]\nflavour = 'klipper'", "firmware.flavour is not a key of a machine file. Did you mean 'flavor'?"),
         ("[uncertainty]\ndefault = -1", "uncertainty.default = -1 must be at least 0."),
     ],
