@@ -1,7 +1,8 @@
 """Which firmware and slicer a file was made for, and each firmware's words for motion limits.
 
 A slicer's word for the firmware can be wrong (Cura says `FLAVOR:Marlin` to most Klipper printers), a Klipper
-command in the file cannot: commands are believed first.
+command in the file cannot: commands are believed first. An acceleration told by `M204 S` alone is Klipper's: Marlin's
+slicers set its limits for each axis as well, or by P and T.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from math import nan
+from typing import NamedTuple
 
 from gcode.limits import MotionLimits
 
@@ -21,6 +23,13 @@ _DECLARED = b"flavor", re.compile(rb";[ \t]*(?:gcode_)?flavor[ \t]*[=:][ \t]*([\
 _RRF_COMMANDS = tuple(
     (command, re.compile(rb"[ \t]*" + command + rb"(?!\d)")) for command in (b"M566", b"M572", b"M593 P", b"G32")
 )
+_CURA_MARLIN = re.compile(rb";FLAVOR:Marlin\s*\Z")  # Cura's word for all that is not RepRap
+_KLIPPER_ACCELERATION = b"M204", re.compile(rb"[ \t]*M204[ \t]+S[ \t]*\d+")
+_MARLIN_LIMITS = tuple(
+    (command, re.compile(rb"[ \t]*" + command + more))
+    for command, more in ((b"M204", rb"[^;\n]*[PT]"), (b"M201", rb"[ \t]"), (b"M203", rb"[ \t]"), (b"M900", rb"[ \t]"))
+)
+_JERK = b"M205", re.compile(rb"[ \t]*M205[ \t]")
 _CURA_RRF = b";FLAVOR:RepRap", re.compile(rb";FLAVOR:RepRap\b")  # Cura's name; Slic3r's `reprap` is old Marlin
 _FLAVORS = {
     b"klipper": KLIPPER,
@@ -54,24 +63,62 @@ _FILAMENT_MODE = re.compile(rb"^[ \t]*M8[23](?!\d)", re.MULTILINE)
 _ENOUGH_MOVES, _MOST_WIPES = 40, 0.25
 
 
+class FlavorSign(NamedTuple):
+    """What in a file says which firmware it is for."""
+
+    flavor: str
+    text: str = ""  # of the line that says it; empty: no line does
+    certain: bool = False
+
+
 def detect_flavor(lines: Iterable[bytes]) -> str:
     """Detect "klipper", "marlin" or "reprapfirmware"; Marlin's dialect when nothing says otherwise."""
+    return flavor_sign(lines).flavor
+
+
+def flavor_sign(lines: Iterable[bytes]) -> FlavorSign:
+    """Find what says which firmware the lines are for; Marlin's dialect when nothing says otherwise."""
     text = b"".join(lines)
-    if _first(text, *_KLIPPER_COMMAND):
-        return KLIPPER
+    if command := _first(text, *_KLIPPER_COMMAND):
+        return FlavorSign(KLIPPER, _shown(command), certain=True)
     declared = _first(text, *_DECLARED)
-    if declared and (flavor := _FLAVORS.get(declared.group(1).lower())):
-        return flavor
-    return REPRAPFIRMWARE if any(_first(text, *sign) for sign in (*_RRF_COMMANDS, _CURA_RRF)) else MARLIN
+    flavor = _FLAVORS.get(declared.group(1).lower()) if declared else None
+    by_cura = declared is not None and _CURA_MARLIN.match(declared.group()) is not None
+    if declared is None or by_cura:
+        acceleration = _klipper_acceleration(text, by_cura)
+        if acceleration is not None:
+            return FlavorSign(KLIPPER, f"{_shown(acceleration)} and no limits in another firmware's words")
+    if declared is not None and flavor:
+        return FlavorSign(flavor, _shown(declared), certain=not by_cura)
+    for sign in (*_RRF_COMMANDS, _CURA_RRF):
+        if found := _first(text, *sign):
+            return FlavorSign(REPRAPFIRMWARE, _shown(found), certain=True)
+    return FlavorSign(MARLIN)
+
+
+def _klipper_acceleration(text: bytes, by_cura: bool) -> re.Match[bytes] | None:
+    """Return the `M204 S` of a file in which no other command sets limits, but for the jerk, which Cura always sets."""
+    acceleration = _first(text, *_KLIPPER_ACCELERATION)
+    others = _MARLIN_LIMITS if by_cura else (*_MARLIN_LIMITS, _JERK)
+    return None if acceleration is None or any(_first(text, *sign) for sign in others) else acceleration
+
+
+def _shown(found: re.Match[bytes]) -> str:
+    return " ".join(found.group().decode("ascii", "replace").split())
 
 
 def flavor_by_ends(head: bytes, tail: bytes) -> str:
-    """Detect the flavor by a file's first and last MiB, say: slicers put start and end scripts and settings there.
+    """Detect the flavor by a file's first and last MiB; see `sign_by_ends`."""
+    return sign_by_ends(head, tail).flavor
+
+
+def sign_by_ends(head: bytes, tail: bytes) -> FlavorSign:
+    """Find the sign in a file's first and last MiB, say: slicers put start and end scripts and settings there.
 
     Only a file whose first sign of a firmware stands in between would be taken for another's.
     """
     _, _, whole_lines = tail.partition(b"\n")
-    return detect_flavor([head, b"\n", whole_lines])
+    return flavor_sign([head, b"\n", whole_lines])
 
 
 def _first(text: bytes, sign: bytes, line: re.Pattern[bytes]) -> re.Match[bytes] | None:
@@ -133,7 +180,8 @@ def close_limits(flavor: str, limits: MotionLimits, axes: str = "XYZ") -> list[b
 def shaper_off(flavor: str) -> list[bytes]:
     """Lines that switch the firmware's own input shaper off.
 
-    On Klipper this stops the motion, and it is an error on a printer without an [input_shaper] section.
+    On Klipper this stops the motion for a moment; without an [input_shaper] section the host only says that it does not
+    know the command.
     """
     return [_SHAPER_OFF[flavor]]
 

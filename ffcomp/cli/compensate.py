@@ -89,7 +89,7 @@ ShaperOff = Annotated[
     typer.Option(
         "--shaper-off",
         rich_help_panel=MACHINE,
-        help="Switch the firmware's input shaper off in the file (Klipper: needs an [input_shaper] section).",
+        help="Switch the firmware's input shaper off in the file.",
     ),
 ]
 Predict = Annotated[

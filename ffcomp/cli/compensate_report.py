@@ -57,6 +57,7 @@ def report(result: dict[str, Any], machine_path: str, quiet: bool) -> None:
         note(f"predicted contour error, rms: {', '.join(rms)}")
         if not quiet:
             _table(result["predicted"])
+    say(result["flavor_reason"], quiet)
     segments = "" if "steps" in result else f" in {result['segments']} segments"
     speed = result["print_time_s"] / max(result["compute_time_s"], 1e-9)
     say(

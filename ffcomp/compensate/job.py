@@ -41,9 +41,9 @@ from ffcomp.steps.sink import Board, StepSink
 from ffcomp.version import __version__
 from gcode.atomic_write import replace_atomically
 from gcode.container import Source, blocks_of, ends_of
-from gcode.dialects import FLAVORS, flavor_by_ends, shaper_off
+from gcode.dialects import shaper_off, sign_by_ends
 from gcode.embedded import OURS, joined, original_blocks
-from gcode.errors import UnsupportedGcode
+from gcode.flavor import FlavorChoice, choose_flavor
 from gcode.layers import LayerLookup
 from gcode.metadata import Timed
 from gcode.program import Moves, Program
@@ -138,7 +138,7 @@ class Job:
             statistics = self._stepped(split, context, StepStream(sink), steps.plain, progress)
             totals = sink.finish()
         self.model.save_cache()
-        return Result(self.path, self.machine, self.flavor, statistics, time.perf_counter() - started, totals)
+        return Result(self.path, self.machine, self._flavor_choice, statistics, time.perf_counter() - started, totals)
 
     def _stepped(
         self, split: Iterator[Chunk], context: Context, stream: StepStream, plain: bool, progress: Progress
@@ -175,14 +175,14 @@ class Job:
         """Bytes of the print."""
         return self._ends[2]
 
-    @cached_property
+    @property
     def flavor(self) -> str:
         """The firmware asked for, or the one that the file is for."""
-        flavor = self.options.flavor or self.machine.flavor or flavor_by_ends(*self._ends[:2])
-        if flavor not in FLAVORS:
-            rule = f"The flavor {flavor!r} is none of {', '.join(sorted(FLAVORS))}."
-            raise UnsupportedGcode(rule, path=self.path)
-        return flavor
+        return self._flavor_choice.flavor
+
+    @cached_property
+    def _flavor_choice(self) -> FlavorChoice:
+        return choose_flavor(self.options.flavor, self.machine.flavor, sign_by_ends(*self._ends[:2]), self.path)
 
     @property
     def offset(self) -> tuple[float, float]:
@@ -199,7 +199,7 @@ class Job:
             pieces = _with_shaper_off(pieces, self.flavor)
         yield from _stamped(pieces, stamp, offset_line(self.offset))
         self.model.save_cache()
-        return Result(self.path, self.machine, self.flavor, body.value, time.perf_counter() - started)
+        return Result(self.path, self.machine, self._flavor_choice, body.value, time.perf_counter() - started)
 
     def _body(self, progress: Progress) -> Lines:
         split, context = self._split()
@@ -282,10 +282,10 @@ class Job:
         return scale_around_cut(self.model, around, limits, cut, partial(plan_section, limits), layer_of)
 
     def _at_first(self) -> Statistics:
-        """Warn if the machine file lists effects that the command does not allow for."""
+        """Warn of another firmware's print, and of effects that the command does not allow for."""
         names = ", ".join(self.model.not_modelled)
-        sentence = f"The machine file lists effects that are not compensated: {names}."
-        return Statistics(warnings=(sentence,) if names else ())
+        sentence = f"The machine file lists effects that are not compensated: {names}." if names else ""
+        return Statistics(warnings=tuple(filter(None, (self._flavor_choice.warning, sentence))))
 
 
 def _lines_of(chunk: Chunk, context: Context, model: InverseModel, progress: Progress = lambda share: None) -> Lines:

@@ -14,6 +14,7 @@ from ffcomp.compensate.statistics import Statistics
 from ffcomp.errors import INPUT_ERRORS, explain
 from ffcomp.numerics.serialise import to_json
 from ffcomp.steps.sink import MotorTotal
+from gcode.flavor import FlavorChoice
 from gcode.stamp import Stamp
 from models.machine import Machine
 
@@ -28,7 +29,7 @@ class Result:
 
     path: str
     machine: Machine
-    flavor: str
+    flavor: FlavorChoice
     statistics: Statistics
     compute_time_s: float
     steps: Mapping[str, MotorTotal] | None = None  # by the motor's letter; None: G-code was written
@@ -57,7 +58,8 @@ class Result:
             "schema": SCHEMA,
             "input": self.path,
             "machine": {"name": self.machine.name, "sha256": self.machine.sha256},
-            "flavor": self.flavor,
+            "flavor": self.flavor.flavor,
+            "flavor_reason": self.flavor.reason,
             "print_time_s": numbers.print_time_s,
             "original_print_time_s": numbers.original_print_time_s,
             "compute_time_s": self.compute_time_s,

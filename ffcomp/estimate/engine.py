@@ -14,9 +14,9 @@ from ffcomp.numerics.serialise import to_json
 from ffcomp.planner.program import plan_program
 from ffcomp.planner.trajectory import PlannedMotion
 from gcode.container import Source, blocks_of, ends_of
-from gcode.dialects import FLAVORS, flavor_by_ends
+from gcode.dialects import sign_by_ends
 from gcode.embedded import original_blocks
-from gcode.errors import UnsupportedGcode
+from gcode.flavor import choose_flavor
 from gcode.program import Program
 from gcode.reader import read_parts
 from gcode.stamp import Stamp, find_offset, find_stamp
@@ -92,9 +92,8 @@ def estimate(
     """
     head, tail, _ = ends_of(source)
     stamp = find_stamp(head, tail)
-    flavor = flavor or (stamp.flavor if stamp else machine.flavor or flavor_by_ends(head, tail))
-    if flavor not in FLAVORS:
-        raise UnsupportedGcode(f"The flavor {flavor!r} is none of {', '.join(sorted(FLAVORS))}.", path=path)
+    asked = flavor or (stamp.flavor if stamp else "")
+    flavor = choose_flavor(asked, machine.flavor, sign_by_ends(head, tail), path).flavor
     if stamp is None:
         return Estimate(path, machine, flavor, _statistics(blocks_of(source), path, machine, flavor, offset), None)
     written = _statistics(blocks_of(source), path, machine, flavor, (0.0, 0.0))

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from gcode.dialects import close_limits, detect_flavor, detect_slicer, open_limits, shaper_off
+from gcode.dialects import close_limits, detect_flavor, detect_slicer, flavor_sign, open_limits, shaper_off
 from gcode.limits import MotionLimits
 from gcode.reader import read_program
 from tests.support.data import real
@@ -27,10 +27,31 @@ from tests.support.data import real
         ([b"; M566\n", b"  M566 X600\r\n"], "reprapfirmware"),
         ([b"; by_hand\n", b"; Flavor\n", b"; GCODE_FLAVOR: RRF\n"], "reprapfirmware"),
         ([b"; by_hand SET_PIN\n", b"\tSET_PIN PIN=a"], "klipper"),
+        ([b"M204 S3000\n", b"G1 X1\n"], "klipper"),
+        ([b";FLAVOR:Marlin\n", b"M204 S500\n", b"M205 X8 Y8\n"], "klipper"),  # Cura, which knows no Klipper
+        ([b"M204 S3000\n", b"M205 X8 Y8\n"], "marlin"),
+        ([b"M204 S3000\n", b"M201 X500\n"], "marlin"),
+        ([b"M204 P900 T900\n", b"M204 S3000\n"], "marlin"),
+        ([b"; gcode_flavor = marlin\n", b"M204 S3000\n"], "marlin"),  # of a slicer that knows Klipper too
     ],
 )
 def test_flavor(lines: list[bytes], flavor: str) -> None:
     assert detect_flavor(lines) == flavor
+
+
+@pytest.mark.parametrize(
+    ("line", "text", "certain"),
+    [
+        (b"START_PRINT BED=60\n", "START_PRINT", True),
+        (b"; gcode_flavor = klipper\n", "; gcode_flavor = klipper", True),
+        (b";FLAVOR:Marlin\r\n", ";FLAVOR:Marlin", False),
+        (b"M204 S500 ; slowly\n", "M204 S500 and no limits in another firmware's words", False),
+        (b"G28\n", "", False),
+    ],
+)
+def test_what_says_it_is_quoted(line: bytes, text: str, certain: bool) -> None:
+    sign = flavor_sign([b"; a print\n", line])
+    assert (sign.text, sign.certain) == (text, certain)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,39 @@
+"""The command line goes before the machine file, and that before the print; a contradiction is said."""
+
+from __future__ import annotations
+
+import pytest
+
+from gcode.dialects import FlavorSign
+from gcode.errors import UnsupportedGcode
+from gcode.flavor import choose_flavor
+
+CURA = FlavorSign("marlin", ";FLAVOR:Marlin")
+
+
+@pytest.mark.parametrize(
+    ("asked", "stated", "sign", "reason"),
+    [
+        ("", "", FlavorSign("klipper", "START_PRINT", certain=True), "klipper, because the print holds START_PRINT."),
+        ("", "", CURA, "marlin, because the print holds ;FLAVOR:Marlin. If that is wrong: --flavor NAME, or"),
+        ("", "", FlavorSign("marlin"), "marlin, because nothing in the print names another. If that is wrong:"),
+        ("", "klipper", FlavorSign("marlin"), "klipper, as the machine file says."),
+        ("marlin", "klipper", CURA, "marlin, as it was asked for."),
+    ],
+)
+def test_the_reason_is_a_sentence(asked: str, stated: str, sign: FlavorSign, reason: str) -> None:
+    choice = choose_flavor(asked, stated, sign)
+    assert choice.reason.startswith(f"Firmware: {reason}") and not choice.warning
+
+
+def test_a_contradiction_is_a_warning() -> None:
+    choice = choose_flavor("", "klipper", CURA)
+    assert choice.flavor == "klipper"
+    assert choice.warning.startswith(
+        "The print is made for marlin (;FLAVOR:Marlin), but compensated for klipper, as the"
+    )
+
+
+def test_a_flavor_that_is_none_is_refused_with_the_file() -> None:
+    with pytest.raises(UnsupportedGcode, match=r"a\.gcode: The flavor 'smoothie' is none of klipper, marlin"):
+        choose_flavor("smoothie", "klipper", CURA, "a.gcode")
