@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ RATE, COUNT = 3200.0, 3200
 RNG = np.random.default_rng(3)
 FELT = RNG.standard_normal((COUNT, 3)) * 2 + [0, 0, G]  # m/s²
 T = np.arange(COUNT) / RATE
-OWNERS = Path(__file__).parents[5].parent / "shared" / "data" / "vibration" / "owners"
+OWNERS = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[5] / "shared" / "data")) / "vibration" / "owners"
 
 
 def rows(*columns: np.ndarray, delimiter: str = ",") -> str:
