@@ -25,6 +25,7 @@ from ffcomp.cli.identify import app as identify  # noqa: E402
 from ffcomp.cli.integrations import app as integrations  # noqa: E402
 from ffcomp.cli.log import log_path, logged, note  # noqa: E402
 from ffcomp.cli.machines import app as machines  # noqa: E402
+from ffcomp.cli.record import app as record  # noqa: E402
 from ffcomp.cli.restore import restore  # noqa: E402
 from ffcomp.cli.show import show  # noqa: E402
 from ffcomp.cli.simulate import simulate  # noqa: E402
@@ -64,6 +65,7 @@ app.command(cls=Command)(frf)
 app.command(cls=Command)(gap)
 app.command(cls=Command)(diagnose)
 app.add_typer(identify, name="identify")
+app.add_typer(record, name="record")
 app.add_typer(machines, name="machines")
 app.add_typer(integrations, name="integrations")
 

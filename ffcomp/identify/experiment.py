@@ -295,7 +295,7 @@ def _vertices(
     else:
         nozzle = rest + displacement[:, None] * np.eye(3)[AXES.index(direction)]
     nudged = AXES.index("z" if direction in TOWERS else direction)
-    return _always_moving(np.rint(nozzle * XYZ_COUNTS).astype(np.int64).tolist(), nudged) / XYZ_COUNTS
+    return always_moving(np.rint(nozzle * XYZ_COUNTS).astype(np.int64).tolist(), nudged) / XYZ_COUNTS
 
 
 def _forward(geometry: Kinematics, q: FloatArray, direction: str) -> FloatArray:
@@ -305,7 +305,7 @@ def _forward(geometry: Kinematics, q: FloatArray, direction: str) -> FloatArray:
         raise LimitsError(f"Carriage {direction} cannot be moved so far: {error}") from error
 
 
-def _always_moving(counts: list[list[int]], axis: int) -> FloatArray:
+def always_moving(counts: list[list[int]], axis: int) -> FloatArray:
     """Make every vertex (n + 1, 3), in counts, differ from the one before.
 
     A segment that goes nowhere would be left out, and its time lost: its end is moved by one count along an axis.

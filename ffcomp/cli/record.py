@@ -1,0 +1,233 @@
+"""`ffcomp record`: moves for the printer's own sensor, and its captures joined with their command."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ffcomp.cli.help import ACCURACY, ADVANCED, MACHINE, OUTPUT, Command, Group
+from ffcomp.cli.options import AsJson, MachineName, check_choice
+
+if TYPE_CHECKING:
+    from ffcomp.record.firmware import Firmware
+    from ffcomp.record.plan import MovesPlan
+
+app = typer.Typer(
+    cls=Group,
+    no_args_is_help=True,
+    help="Record the printer's vibrations with its own accelerometer.\n\n"
+    "First ffcomp record plan, then run its G-code, then give the captures to ffcomp diagnose with --plan; or keep "
+    "them as measured runs with ffcomp record join.",
+)
+
+Output = Annotated[
+    Path,
+    typer.Option(
+        "--output-file",
+        "-o",
+        metavar="FILE",
+        rich_help_panel=OUTPUT,
+        help="G-code to write. The plan is written beside it (.json).",
+    ),
+]
+At = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="X,Y",
+        rich_help_panel=MACHINE,
+        help="Place of experiments, mm. May be repeated; places are 40 mm apart or more. Default: the centre, and "
+        "three places around it.",
+    ),
+]
+Seconds = Annotated[
+    float,
+    typer.Option(metavar="S", rich_help_panel=ACCURACY, min=2.0, max=20.0, help="Duration of an experiment, about."),
+]
+Repeats = Annotated[
+    int,
+    typer.Option(
+        metavar="N", rich_help_panel=ACCURACY, min=1, max=9, help="How often each is made. Repeats show the noise."
+    ),
+]
+Amplitude = Annotated[
+    float | None,
+    typer.Option(
+        "--amplitude-mm-per-s2",
+        metavar="A",
+        rich_help_panel=ACCURACY,
+        min=1.0,
+        help="Acceleration of the nozzle. Default: the machine file's limit.",
+    ),
+]
+Height = Annotated[
+    float, typer.Option("--height-mm", metavar="MM", rich_help_panel=MACHINE, help="Nozzle height above the bed.")
+]
+FirmwareName = Annotated[
+    str,
+    typer.Option(
+        "--flavor",
+        metavar="NAME",
+        rich_help_panel=MACHINE,
+        help="Firmware: klipper, marlin or reprapfirmware. Default: the machine file's, or klipper.",
+    ),
+]
+Chips = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--chip",
+        metavar="NAME",
+        rich_help_panel=MACHINE,
+        help="Accelerometer: Klipper's name of it (default adxl345), or RepRapFirmware's address (default 0). May be "
+        "repeated.",
+    ),
+]
+ShaperBack = Annotated[
+    str,
+    typer.Option(
+        "--shaper",
+        metavar="X,Y",
+        rich_help_panel=MACHINE,
+        help="Frequencies of the firmware's input shaper, Hz, to be switched on again at the end. RepRapFirmware knows "
+        "them by itself.",
+    ),
+]
+Seed = Annotated[int, typer.Option(metavar="N", rich_help_panel=ADVANCED, min=0, help="Seed of the moves.")]
+
+
+@app.command("plan", cls=Command)
+def plan(
+    machine: MachineName,
+    output_file: Output,
+    at: At = None,
+    seconds: Seconds = 4.0,
+    repeats: Repeats = 2,
+    amplitude_mm_per_s2: Amplitude = None,
+    height_mm: Height = 30.0,
+    flavor: FirmwareName = "",
+    chip: Chips = None,
+    shaper: ShaperBack = "",
+    seed: Seed = 1,
+    as_json: AsJson = False,
+) -> None:
+    """Write the G-code of moves that are worth recording.
+
+    At most 12 experiments and 5 minutes: hard zigzags, slow reversals, loops and multisines at several places, each
+    made twice. The capture commands are inside.
+
+    Example: ffcomp record plan -m mp-delta-pro -o moves.gcode
+    """
+    from ffcomp.cli.common import exit_codes, print_json
+    from gcode.dialects import FLAVORS, KLIPPER
+
+    if flavor:
+        check_choice("--flavor", flavor, sorted(FLAVORS))
+    account = output_file.with_suffix(".json")
+    if account == output_file:
+        raise typer.BadParameter(f"-o {output_file}: the G-code needs another ending, for .json is that of its plan.")
+    with exit_codes():
+        from ffcomp.record.firmware import DEFAULT_CHIPS, Firmware
+        from ffcomp.record.gcode_text import gcode_lines
+        from ffcomp.record.plan import Request, make_plan
+        from ffcomp.record.plan_files import save_plan
+        from gcode.atomic_write import replace_atomically
+        from models.file import load_machine
+
+        loaded = load_machine(machine)
+        request = Request(
+            places_mm=[_pair("--at", text) for text in at or []],
+            height_mm=height_mm,
+            seconds=seconds,
+            repeats=repeats,
+            acceleration_mm_per_s2=amplitude_mm_per_s2,
+            seed=seed,
+        )
+        made = make_plan(loaded, request)
+        spoken = flavor or loaded.flavor or KLIPPER
+        firmware = Firmware(spoken, chip or DEFAULT_CHIPS[spoken], _pair("--shaper", shaper) if shaper else None)
+        replace_atomically(output_file, gcode_lines(made, loaded, firmware))
+        save_plan(made, account)
+        result = _result(made, firmware, output_file, account, machine)
+        if as_json:
+            print_json(result)
+        else:
+            _report(result)
+
+
+def _pair(option: str, text: str) -> tuple[float, float]:
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"{option} {text!r}: two numbers with a comma between them.") from None
+    return x, y
+
+
+def _result(made: MovesPlan, firmware: Firmware, target: Path, account: Path, machine: str) -> dict[str, Any]:
+    from ffcomp.record.plan_files import capture_name
+
+    experiments = [
+        {
+            "name": each.name,
+            "kind": each.kind,
+            "position_mm": each.position_mm,
+            "duration_s": each.duration_s,
+            "moves": len(each.motion.speed),
+            "microstep_error": each.rounding,
+        }
+        for each in made.experiments
+    ]
+    return {
+        "schema": "ffcomp-record-plan/1",
+        "machine": {"name": made.machine, "sha256": made.machine_sha256},
+        "output": str(target),
+        "plan": str(account),
+        "flavor": firmware.flavor,
+        "duration_s": made.duration_s,
+        "repeats": made.repeats,
+        "experiments": experiments,
+        "captures": [capture_name(each.name, repeat) for each, repeat in made.runs()],
+        "restores": firmware.restores(),
+        "warnings": _warnings(experiments),
+        "next": f"ffcomp diagnose CAPTURES --plan {account} -m {machine}",
+    }
+
+
+def _warnings(experiments: list[dict[str, Any]]) -> list[str]:
+    from ffcomp.record.plan import MOST_ROUNDING
+
+    coarse = [each for each in experiments if each["microstep_error"] > MOST_ROUNDING]
+    if not coarse:
+        return []
+    worst = max(coarse, key=lambda each: float(each["microstep_error"]))
+    return [
+        f"In {len(coarse)} of {len(experiments)} experiments rounding to microsteps is more than {MOST_ROUNDING:.0%} "
+        f"of the command; most in {worst['name']}, {worst['microstep_error']:.0%}. Finer microsteps or higher limits "
+        "in the machine file make it smaller."
+    ]
+
+
+def _report(result: dict[str, Any]) -> None:
+    """Describe the file and the next steps."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    table = Table("experiment", "at, mm", "s", "microstep error")
+    for each in result["experiments"]:
+        place = "{:g}, {:g}".format(*each["position_mm"])
+        table.add_row(each["name"], place, f"{each['duration_s']:.1f}", f"{100 * each['microstep_error']:.0f} %")
+    console.print(table)
+    for sentence in _sentences(result):
+        console.print(sentence, highlight=False, soft_wrap=True)
+
+
+def _sentences(result: dict[str, Any]) -> list[str]:
+    count, minutes = len(result["experiments"]), result["duration_s"] / 60
+    return [
+        *(f"warning: {warning}" for warning in result["warnings"]),
+        f"{result['output']}: {count} experiments, {result['repeats']} times each, {minutes:.1f} min and homing.",
+        *result["restores"],
+        f"Bring back the captures, {len(result['captures'])} for each accelerometer, and keep {result['plan']}.",
+        f"Then: {result['next']}",
+    ]

@@ -1,0 +1,169 @@
+"""The planned recording: short, at several places, loud enough for microsteps, and exactly what its G-code says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ffcomp.errors import LimitsError, MeasurementError
+from ffcomp.planner.limits import PlannerLimits
+from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.record.firmware import DEFAULT_CHIPS, RESTORE, Firmware
+from ffcomp.record.gcode_text import gcode_lines
+from ffcomp.record.plan import MOST_ROUNDING, NEAREST_MM, MovesPlan, Request, make_plan, schedule
+from ffcomp.record.plan_files import load_moves, save_plan
+from gcode.reader import read_program
+from models.file import load_machine
+from models.machine import Machine
+
+MACHINES = ("mp-delta-pro", "kossel", "flsun-qqs", "ender-3", "voron-300")
+
+
+@pytest.fixture(scope="module")
+def delta() -> Machine:
+    return load_machine("mp-delta-pro")
+
+
+@pytest.fixture(scope="module")
+def plan(delta: Machine) -> MovesPlan:
+    return make_plan(delta, Request(seconds=2.0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MACHINES)
+def test_the_usual_plan_is_short_loud_and_at_four_places(name: str) -> None:
+    plan = make_plan(load_machine(name), Request())
+    assert plan.duration_s < 300 and len(plan.experiments) <= 12 and plan.repeats == 2
+    assert max(each.rounding for each in plan.experiments) <= MOST_ROUNDING
+    places = {each.position_mm[:2] for each in plan.experiments}
+    assert len(places) == 4
+    apart = [np.hypot(a[0] - b[0], a[1] - b[1]) for a in places for b in places if a != b]
+    assert min(apart) >= NEAREST_MM
+
+
+def test_every_kind_is_made_at_three_of_four_places() -> None:
+    found = schedule(4)
+    assert len(found) == 12 == len(set(found))
+    for kind in ("zigzag", "reversals", "loop", "multisine"):
+        assert len({place for k, place in found if k == kind}) == 3
+
+
+def test_repeats_follow_when_everything_was_made_once(plan: MovesPlan) -> None:
+    names = [(each.name, repeat) for each, repeat in plan.runs()]
+    assert names[: len(plan.experiments)] == [(each.name, 1) for each in plan.experiments]
+    assert len(names) == 24 and len({name for name, _ in names}) == 12
+
+
+def test_each_motion_begins_and_ends_at_its_place(plan: MovesPlan) -> None:
+    for each in plan.experiments:
+        ends = each.motion.nozzle(np.array([0.0, each.duration_s]))
+        np.testing.assert_allclose(ends, [each.position_mm, each.position_mm], atol=2e-3)
+        away = each.motion.vertices_mm - each.position_mm
+        assert np.abs(away).max() < 22.0
+
+
+def test_the_json_file_holds_the_command(plan: MovesPlan, tmp_path: Path) -> None:
+    save_plan(plan, tmp_path / "moves.json")
+    again = load_moves(tmp_path / "moves.json")
+    assert (again.machine_sha256, again.repeats) == (plan.machine_sha256, plan.repeats)
+    for a, b in zip(plan.experiments, again.experiments, strict=True):
+        t = np.linspace(-0.1, a.duration_s + 0.1, 999)
+        np.testing.assert_array_equal(a.motion.nozzle(t), b.motion.nozzle(t))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{", "This is not JSON"),
+        ('{"schema": "ffcomp-excitation/1"}', "Plans of `identify plan` belong to `identify fit`"),
+        ('{"schema": "ffcomp-moves/1"}', "The key 'machine' is missing"),
+    ],
+)
+def test_another_file_is_refused(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "moves.json").write_text(text, encoding="utf-8")
+    with pytest.raises(MeasurementError, match=words):
+        load_moves(tmp_path / "moves.json")
+
+
+def text_of(plan: MovesPlan, machine: Machine, flavor: str, shaper: tuple[float, float] | None = None) -> str:
+    return b"".join(gcode_lines(plan, machine, Firmware(flavor, DEFAULT_CHIPS[flavor], shaper))).decode()
+
+
+def test_the_gcode_is_the_command(plan: MovesPlan, delta: Machine) -> None:
+    """Read back and planned with the limits that the file sets, the moves of each execution take their time."""
+    program = read_program(text_of(plan, delta, "klipper").encode(), "moves.gcode")
+    stops, waits = stops_and_waits(program)
+    whole = plan_moves(program.moves, PlannerLimits(300.0, 10000.0, 5.0), stop_before=stops, wait_before=waits)
+    rests = np.flatnonzero(waits > 0.9)  # a second before each execution
+    assert len(rests) == 24
+    for first, (experiment, _) in zip(rests.tolist(), plan.runs(), strict=True):
+        n = len(experiment.motion.speed)
+        begin = whole.start_t[first]
+        t = np.linspace(0.0, experiment.duration_s, 500)
+        np.testing.assert_allclose(whole.position(begin + t)[:, :3], experiment.motion.nozzle(t), atol=1e-6)
+        assert whole.start_t[first + n - 1] + whole.duration[first + n - 1] - begin == pytest.approx(
+            experiment.duration_s, abs=1e-7
+        )
+
+
+def test_captures_are_started_and_stopped_with_time_in_hand(plan: MovesPlan, delta: Machine) -> None:
+    lines = text_of(plan, delta, "klipper").splitlines()
+    toggles = [i for i, line in enumerate(lines) if line.startswith("ACCELEROMETER_MEASURE")]
+    assert len(toggles) == 48
+    for start, stop in zip(toggles[::2], toggles[1::2], strict=True):
+        assert lines[start] == lines[stop]
+        assert lines[start - 1] == "G4 P500" and lines[start + 1] == "G4 P1000"  # never directly after M400
+        assert lines[stop - 1] == "G4 P500" and lines[stop + 1].startswith(
+            "SET_VELOCITY_LIMIT VELOCITY=300 ACCEL=10000"
+        )
+
+
+@pytest.mark.parametrize(
+    ("flavor", "off", "on"),
+    [
+        (
+            "klipper",
+            "SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0",
+            "SET_INPUT_SHAPER SHAPER_FREQ_X=47 SHAPER_FREQ_Y=50.2",
+        ),
+        ("marlin", "M593 F0", "M593 X F47\nM593 Y F50.2"),
+        ("reprapfirmware", 'M593 P"none"', "M593 P{var.ffcompShaper} F{var.ffcompFrequency} S{var.ffcompDamping}"),
+    ],
+)
+def test_the_shaper_is_switched_off_and_on_again(
+    plan: MovesPlan, delta: Machine, flavor: str, off: str, on: str
+) -> None:
+    text = text_of(plan, delta, flavor, (47.0, 50.2))
+    first_move = text.index("\nG1 ")
+    assert text.index(f"\n{off}\n") < first_move < text.rindex("\nG1 ") < text.index(f"\n{on}\n")
+
+
+def test_klipper_restores_by_a_macro_that_the_file_prints(plan: MovesPlan, delta: Machine) -> None:
+    text = text_of(plan, delta, "klipper")
+    assert text.endswith(f"\n{RESTORE}\n") and f"; [gcode_macro {RESTORE}]" in text
+    assert "SHAPER_FREQ_X=0" in text and "--shaper X,Y" in text  # says that the shaper would stay off
+
+
+def test_reprapfirmware_records_long_enough_with_a_fast_chip(plan: MovesPlan, delta: Machine) -> None:
+    lines = text_of(plan, delta, "reprapfirmware").splitlines()
+    starts = [line for line in lines if line.startswith("M956")]
+    assert len(starts) == 24 and starts[0].endswith('F"ffcomp-zigzag-0-1.csv"')
+    samples = int(starts[0].split(" S")[1].split()[0])
+    assert samples >= 1600 * (1.5 + plan.experiments[0].duration_s)
+
+
+@pytest.mark.parametrize(
+    ("request_", "words"),
+    [
+        (Request(places_mm=[(0, 0), (20, 0)]), "20 mm apart; places are at least 40 mm apart"),
+        (Request(places_mm=[(200, 0)]), "The nozzle cannot be moved there"),
+        (Request(places_mm=[(0, 130)]), "Choose a place farther in|leaves the bed"),
+        (Request(seconds=20.0), "The file would take"),
+        (Request(acceleration_mm_per_s2=1e5), "is more than the machine's limits allow"),
+    ],
+)
+def test_what_cannot_be_planned_says_what_would_fit(delta: Machine, request_: Request, words: str) -> None:
+    with pytest.raises(LimitsError, match=words):
+        make_plan(delta, request_)
