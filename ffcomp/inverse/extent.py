@@ -6,7 +6,7 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from ffcomp.inverse.reference import Reference
+from ffcomp.inverse.reference import Reference, Room
 from ffcomp.inverse.settings import CUT, Settings
 from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.sections import Section
@@ -35,7 +35,9 @@ class Extent(NamedTuple):
     def written(self, plan: PlannedMotion, section: Section, settings: Settings) -> WrittenReference:
         """Lay the section's knots, one of them where the written part begins, and find those of the written part."""
         begin_t, end_t = (None if cut is None else cut.time_in(cast(Trajectory, plan)) for cut in self)
-        reference = Reference(plan, section, settings, None if begin_t is None else (begin_t, CUT))
+        # both sides of a cut must find the same knots, whatever becomes slower on one of them
+        room = None if self == WHOLE else Room(settings.lead_s, settings.tail_s)
+        reference = Reference(plan, section, settings, None if begin_t is None else (begin_t, CUT), room)
         first = 0 if begin_t is None else round(reference.knot_of(begin_t))
         last = reference.knots if end_t is None else round(reference.knot_of(end_t))
         return WrittenReference(reference, first, last)

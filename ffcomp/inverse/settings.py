@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+
 from ffcomp.inverse.bandwidth import effort_curve
 from ffcomp.inverse.solver_names import Backend
 from ffcomp.planner.machine_limits import planner_limits
@@ -26,8 +28,9 @@ class Settings:
     commit: int = 64  # segments kept of each window of the exact inverse
     preview: int = 24  # segments looked ahead there, thrown away
     bandwidth_hz: float = 100.0  # where accuracy is given up for a gentler command
-    lead_s: float = 0.008  # how long before the path's start the command may begin
-    tail_s: float = 0.004  # how long after the path's end the command comes to rest
+    lead_s: float = 0.008  # how long before the path's start the command may begin, at most
+    tail_s: float = 0.004  # how long after the path's end the command comes to rest, at most
+    compliance_s2: tuple[float, float, float] = (1.0, 1.0, 1.0)  # nozzle's lag per acceleration along X Y Z: mm s²/mm
     corrections: int = 1  # of the exact inverse, by the segments as they are executed
     inverse: Literal["fast", "exact"] = "fast"
     robust: bool = False  # the robust reference instead of the path
@@ -52,5 +55,17 @@ def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SEC
         retract_acceleration_mm_per_s2=limits.acceleration_mm_per_s2 * limits.extrusion_ratio,
     )
     segment_s = 1.0 / segments_per_second
-    bandwidth = effort_curve(design_machine(machine)[0], segment_s).knee_hz
-    return Settings(output=output, segment_s=segment_s, bandwidth_hz=bandwidth)
+    design = design_machine(machine)[0]
+    bandwidth = effort_curve(design, segment_s).knee_hz
+    return Settings(
+        output=output, segment_s=segment_s, bandwidth_hz=bandwidth, compliance_s2=_nozzle_compliance(design)
+    )
+
+
+def _nozzle_compliance(machine: Machine) -> tuple[float, float, float]:
+    """Return by how much the nozzle lags at most per acceleration along X, Y and Z, s²."""
+    positions = np.stack(list(machine.kinematics.sample_positions.values()))
+    jacobian = machine.vibration.jacobian(positions)
+    lag = jacobian @ machine.vibration.low_frequency(positions)[1] @ np.linalg.inv(jacobian)
+    x, y, z = np.linalg.norm(lag, axis=1).max(axis=0).tolist()
+    return x, y, z

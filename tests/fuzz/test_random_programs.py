@@ -300,7 +300,7 @@ def test_an_ideal_machine_is_told_the_plan_itself() -> None:
     for seed in range(20):
         for answer in solved(random_print(seed), own):
             plan, vertices = answer.trajectory, answer.solution.vertices
-            t = answer.section.begin_t - own.settings.lead_s + own.settings.segment_s * np.arange(len(vertices))
+            t = answer.reference.t0 + own.settings.segment_s * np.arange(len(vertices))
             wanted = plan.position(np.clip(t, answer.section.begin_t, np.nextafter(answer.section.end_t, 0.0)))
             away_um = 1e3 * np.linalg.norm(vertices - wanted[:, :3], axis=1)
             assert away_um.max() < 20.0, f"random_print({seed})"

@@ -202,7 +202,8 @@ def test_a_tolerance_decides_between_an_error_and_a_delay(machine: Machine, plan
     """The acceleration that the command needs beyond the plan's is taken from it: an error, or slower moves."""
     inverter = inverter_of(machine)
     run = planned.sections[0]
-    settings = replace(inverter.settings, bandwidth_hz=112.0, lead_s=0.004)
+    soft = (1.0, 1.0, 1.0)  # all of the lead
+    settings = replace(inverter.settings, bandwidth_hz=112.0, lead_s=0.004, compliance_s2=soft)
     free = solved(InverseModel(machine, settings), planned, run, machine).solution.utilisation
     tight = limited(machine, carriage_acceleration_mm_per_s2=0.6 * free * 30000.0)
     wide = solved(InverseModel(tight, settings), planned, run, tight, tolerance_um=100.0)
@@ -241,7 +242,8 @@ def test_segments_can_be_played_in_their_time(machine: Machine) -> None:
     found = solved(inverter, planned, run, machine)
     assert behind_um(found.solution.vertices, found.written.reference) <= 1.0
     (record,) = found.records
-    assert (record.first_line, record.last_line, record.carriage) == (2, 2, "")
+    assert (record.first_line, record.carriage) == (2, "")
+    assert record.last_line in (2, 3)  # a segment may hold the end of the lift and the beginning of what follows
     assert "firmware's own acceleration" in record.sentence()
     assert 0 < found.lost_s < 0.1
     assert found.solution.utilisation <= 1.0

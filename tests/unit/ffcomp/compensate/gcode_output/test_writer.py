@@ -219,14 +219,13 @@ def test_the_comment_before_a_section_ties_its_clock_to_the_originals() -> None:
     for mark, section in zip(marks, sections, strict=True):
         begin_t = played.trajectory.start_t[begins[mark.at]] - mark.t
         lasts = ends[np.searchsorted(ends, begin_t)] - begin_t
-        assert lasts == pytest.approx(section.end_t - section.begin_t + s.tail_s, abs=s.segment_s)
-    assert {round(mark.t, 9) for mark in marks} == {-s.lead_s}
+        assert -1e-9 <= lasts - (section.end_t - section.begin_t) <= s.tail_s + s.segment_s
+    assert all(-s.lead_s <= mark.t <= 0.0 for mark in marks) and any(mark.t < 0.0 for mark in marks)
 
 
 def test_segments_that_need_no_line_do_not_shift_the_sections_clock() -> None:
     """A crawl begins with segments that round to nothing; the comment allows for them."""
-    out = compensated(START + b"G4 P500\nG1 X10.05 F0.5\n")
+    out = compensated(START + b"G4 P500\nG1 X10.002 F0.02\n")
     marks = section_times(out.splitlines(keepends=True))
-    s = settings_for(machine())
-    late = (marks[-1].t + s.lead_s) / s.segment_s
+    late = marks[-1].t / settings_for(machine()).segment_s  # a crawl needs no time before its path
     assert late > 0.5 and late == pytest.approx(round(late), abs=1e-6)
