@@ -9,15 +9,18 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ffcomp.cli.log import note
 from ffcomp.errors import INPUT_ERRORS, explain
 from ffcomp.numerics.serialise import json_line
 from gcode.atomic_write import drafts_noted, replaced_since
+
+if TYPE_CHECKING:
+    from models.machine import Machine
 
 
 @contextmanager
@@ -54,6 +57,14 @@ def say(sentence: str, quiet: bool = False) -> None:
     note(sentence)
     if not quiet:
         print(sentence, file=sys.stderr)
+
+
+def say_assumed(machines: Iterable[Machine], quiet: bool = False) -> None:
+    """Say of each machine whose modes are assumed that they are, once."""
+    from models.provenance import assumed_modes
+
+    for sentence in dict.fromkeys(filter(None, map(assumed_modes, machines))):
+        say(f"ffcomp: {sentence}", quiet)
 
 
 def print_json(result: dict[str, Any]) -> None:

@@ -199,7 +199,7 @@ def compensate(
 
     Example: ffcomp compensate sample_prints/ringing_tower.gcode --machine mp-delta-pro -o out.gcode
     """
-    from ffcomp.cli.common import exit_codes, print_json, say
+    from ffcomp.cli.common import exit_codes, print_json, say, say_assumed
 
     with exit_codes():
         check_choice("--output", output, OUTPUTS)
@@ -214,6 +214,7 @@ def compensate(
         from models.file import load_machine
 
         known = load_machine(machine)
+        say_assumed([known], quiet)
         offset, advice = _advised(known, files, offset, offset_mm == "auto")
         for sentence in advice:
             say(f"ffcomp: {sentence}", quiet)

@@ -246,6 +246,7 @@ def _result(made: Plan, machine: Machine, request: Request, target: Path, accoun
 
     from ffcomp.identify.experiment import microstep_error
     from ffcomp.identify.experiment_files import capture_name, duration_s
+    from models.provenance import identity
 
     experiments = [
         {
@@ -262,7 +263,7 @@ def _result(made: Plan, machine: Machine, request: Request, target: Path, accoun
     ]
     return {
         "schema": "ffcomp-identify-plan/1",
-        "machine": {"name": machine.name, "sha256": machine.sha256},
+        "machine": identity(machine),
         "output": str(target),
         "account": str(account),
         "flavor": flavor,

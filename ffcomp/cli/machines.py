@@ -173,8 +173,10 @@ def _machine_errors(as_json: bool = False) -> Iterator[None]:
         raise typer.Exit(BAD_MACHINE) from None
 
 
-def _identity(machine: Machine) -> dict[str, str]:
-    return {"name": machine.name, "sha256": machine.sha256, "path": machine.path}
+def _identity(machine: Machine) -> dict[str, str | None]:
+    from models.provenance import identity
+
+    return {**identity(machine), "path": machine.path}
 
 
 def _verdict(machine: Machine, sound: PhysicsChecks, disagreements: int) -> str:

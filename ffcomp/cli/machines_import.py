@@ -142,7 +142,7 @@ TITLES = {
 
 
 def _print(made: MachineDraft, path: Path, model_hz: float | None) -> None:
-    from ffcomp.importers.hints import is_assumed
+    from models.provenance import is_assumed
 
     print(f"{path}: a {made.found.kinematics} machine, from a {made.found.firmware} configuration.")
     for how, title in TITLES.items():

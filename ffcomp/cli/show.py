@@ -53,6 +53,7 @@ def show(
 def _show(file: Path, picture: Path, machine_name: str, z_mm: float | None, plate: int | None) -> dict[str, Any]:
     from dataclasses import asdict
 
+    from ffcomp.cli.common import say_assumed
     from ffcomp.errors import NothingToDo
     from ffcomp.report.show import draw, numbers, verdict
     from ffcomp.simulate.preview import preview
@@ -60,12 +61,14 @@ def _show(file: Path, picture: Path, machine_name: str, z_mm: float | None, plat
     from gcode.container import read_bytes
     from gcode.stamp import STAMP_REACH, already_processed, find_offset
     from models.file import find_by_sha256, load_machine
+    from models.provenance import identity
 
     data = read_bytes(file, plate)
     stamp = already_processed(data)
     if stamp is None:
         raise NothingToDo(f"{file}: not compensated by ffcomp; first: ffcomp compensate {file} --machine NAME.")
     machine = load_machine(machine_name or str(find_by_sha256(stamp.sha256, stamp.machine)))
+    say_assumed([machine])
     seen = preview(data, str(file), machine, find_offset(data[:STAMP_REACH]), stamp.flavor)
     footer = (
         f"design model of {machine.name}, machine file sha256 {machine.sha256[:8]}; planned as the firmware does; "
@@ -75,7 +78,7 @@ def _show(file: Path, picture: Path, machine_name: str, z_mm: float | None, plat
     return {
         "schema": "ffcomp-show/1",
         "input": str(file),
-        "machine": {"name": machine.name, "sha256": machine.sha256},
+        "machine": identity(machine),
         "picture": str(picture),
         "verdict": verdict(seen),
         "contour_um": {"uncompensated": asdict(numbers(seen.before)), "compensated": asdict(numbers(seen.after))},

@@ -118,12 +118,13 @@ def _simulate(
     plate: int | None,
     quiet: bool,
 ) -> dict[str, Any]:
-    from ffcomp.cli.common import Progress, say
+    from ffcomp.cli.common import Progress, say, say_assumed
     from ffcomp.simulate.simulation import read_command, simulate_command
     from models.file import load_machine
 
     machine = load_machine(machine_name)
     plant = load_machine(plant_name) if plant_name else machine
+    say_assumed([machine, plant], quiet)
     command, warnings = read_command(file, machine, parsed_offset(offset), flavor, plate)
     for warning in warnings:
         say(f"ffcomp: {warning}", quiet)

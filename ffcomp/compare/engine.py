@@ -37,6 +37,7 @@ from ffcomp.simulate.playback import JOBS, ROW_S, simulate_nozzles
 from ffcomp.version import __version__
 from models.arrays import FloatArray
 from models.machine import Machine
+from models.provenance import assumed_modes
 
 SHORTEST_S = 3 * SETTLE_S
 SOME_S = 60.0  # of print time that is executed on every Monte-Carlo plant
@@ -315,7 +316,7 @@ def _all(tasks: Sequence[Callable[[], T]], what: str, progress: Progress) -> lis
 
 
 def _party(machine: Machine) -> Party:
-    return Party(machine.name, machine.sha256, tuple(machine.effects))
+    return Party(machine.name, machine.sha256, tuple(machine.effects), assumed_modes(machine))
 
 
 def _mismatch(plant: Machine, request: Request) -> str:

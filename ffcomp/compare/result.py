@@ -135,6 +135,7 @@ class Party:
     name: str
     sha256: str
     effects: tuple[str, ...] = ()
+    assumed: str | None = None  # the sentence that its modes are assumed
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from ffcomp.steps.sink import MotorTotal
 from gcode.flavor import FlavorChoice
 from gcode.stamp import Stamp
 from models.machine import Machine
+from models.provenance import identity
 
 SCHEMA = "ffcomp-compensate/1"
 LISTED = 12  # places that were slowed down, of which each has its sentence
@@ -57,7 +58,7 @@ class Result:
         found = {
             "schema": SCHEMA,
             "input": self.path,
-            "machine": {"name": self.machine.name, "sha256": self.machine.sha256},
+            "machine": identity(self.machine),
             "flavor": self.flavor.flavor,
             "flavor_reason": self.flavor.reason,
             "print_time_s": numbers.print_time_s,

@@ -22,6 +22,7 @@ from gcode.reader import read_parts
 from gcode.stamp import Stamp, find_offset, find_stamp
 from models.arrays import FloatArray
 from models.machine import Machine
+from models.provenance import identity
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +42,10 @@ class Estimate:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object of `ffcomp estimate` (ffcomp-estimate/1)."""
-        machine = self.machine
         values = {
             "schema": "ffcomp-estimate/1",
             "input": self.path,
-            "machine": {"name": machine.name, "sha256": machine.sha256},
+            "machine": identity(self.machine),
             "flavor": self.flavor,
             "compensated": self.original is not None,
             **_values(self.statistics),

@@ -9,6 +9,7 @@ import numpy as np
 from ffcomp.identify.frf_study import Compared, Station, Study, verdict
 from models.arrays import FloatArray
 from models.machine import Machine
+from models.provenance import identity
 from models.vibration.mode_map import ModeMap
 
 
@@ -19,7 +20,7 @@ def frf_json(found: Study, station: Station) -> dict[str, Any]:
     phase, carriage_phase = (np.degrees(np.unwrap(np.angle(g), axis=0)) for g in (station.value, station.carriage))
     return {
         "schema": "ffcomp-frf/1",
-        "machine": {"name": found.machine.name, "sha256": found.machine.sha256},
+        "machine": identity(found.machine),
         "force_map": found.machine.vibration.describe().force_map
         if found.machine.vibration.position_dependent
         else None,
@@ -68,7 +69,7 @@ def mode_map_json(machine: Machine, modes: ModeMap) -> dict[str, Any]:
     """
     return {
         "schema": "ffcomp-frf-map/1",
-        "machine": {"name": machine.name, "sha256": machine.sha256},
+        "machine": identity(machine),
         "force_map": machine.vibration.describe().force_map,
         "x_mm": modes.x_mm.tolist(),
         "y_mm": modes.x_mm.tolist(),

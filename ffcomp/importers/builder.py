@@ -17,10 +17,11 @@ from typing import Any
 import tomlkit
 
 from ffcomp.importers.delta import farthest_reach
-from ffcomp.importers.hints import ASSUMED, IMPORTED, hint
+from ffcomp.importers.hints import IMPORTED, hint
 from ffcomp.importers.values import ConfigValues, PrinterConfigError, Value
 from models.file import LIBRARY, load_machine
 from models.machine import MotionLimits, Steps
+from models.provenance import ASSUMED
 
 TABLES = ("kinematics", "carriage", "effector", "axes", "limits", "steps")
 ARMS = ("kinematics.arm_length_mm", "kinematics.arm_lengths_mm")

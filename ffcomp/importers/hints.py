@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+from models.provenance import is_assumed
+
 IDENTIFY = "measure: ffcomp identify plan, run its G-code with an accelerometer, then ffcomp identify fit"
 HINTS = {  # the beginning of a key -> how to get its value
     "kinematics.effector_height_mm": "measure from the arms' lower joints down to the nozzle's tip",
@@ -22,19 +24,12 @@ HINTS = {  # the beginning of a key -> how to get its value
     "steps.full_steps_per_mm": "full steps of a motor's turn (200, or 400) over the mm of a turn",
     "steps.": "microsteps of a motor's turn over the mm of a turn",
 }
-ASSUMED = "assumed"  # beginning of the provenance of an assumed value
-START = "as a start"  # part of the provenance of a value that is only near the true one
 IMPORTED = "imported"  # the entry in [provenance] that an import leaves
 
 
 def hint(key: str) -> str:
     """Say how to get the value of a key."""
     return next(what for beginning, what in HINTS.items() if key.startswith(beginning))
-
-
-def is_assumed(origin: str) -> bool:
-    """Tell whether a provenance marks an assumed value."""
-    return origin.startswith(ASSUMED) or START in origin
 
 
 def by_hint(keys: Iterable[str]) -> dict[str, list[str]]:

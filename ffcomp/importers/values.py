@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from ffcomp.errors import FfcompError
-from ffcomp.importers.hints import START
+from models.provenance import START
 
 How = Literal["read", "default", "converted", "assumed"]
 ORDER: tuple[How, ...] = (

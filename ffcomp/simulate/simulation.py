@@ -28,6 +28,7 @@ from gcode.text import check_regular
 from models.arrays import FloatArray
 from models.errors import UnreachableError
 from models.machine import Machine
+from models.provenance import identity
 
 Progress = Callable[[float], None]
 
@@ -84,8 +85,8 @@ class SimulationResult:
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers of `ffcomp simulate --json`, without names of files and without samples."""
         return {
-            "machine": _file_of(self.machine),
-            "plant": _file_of(self.plant),
+            "machine": identity(self.machine),
+            "plant": identity(self.plant),
             "effects": list(self.plant.effects),
             "gravity": self.request.gravity,
             "rate_hz": self.request.rate_hz,
@@ -97,10 +98,6 @@ class SimulationResult:
             "track": to_json(self.track),
             "peak_carriage_velocity_mm_per_s": self.evaluation.peak_actuator_velocity_mm_per_s,
         }
-
-
-def _file_of(machine: Machine) -> dict[str, str]:
-    return {"name": machine.name, "sha256": machine.sha256}
 
 
 def read_command(

@@ -109,6 +109,11 @@ class VibrationModel(ABC):
     gravity_loaded: ClassVar[bool]
     """Whether weight stretches what vibrates."""
 
+    @property
+    @abstractmethod
+    def frequency_keys(self) -> tuple[str, ...]:
+        """Return the machine file's keys that set the natural frequencies and that only a measurement gives."""
+
     def on(self, kinematics: Kinematics) -> Self:
         """Return the model bound to a machine's kinematics."""
         return self

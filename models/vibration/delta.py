@@ -91,6 +91,11 @@ class DeltaVibration(VibrationModel):
         """Return M₁ of Eq. 61: the nozzle holder and the lower halves of the three arm pairs, m_1 + 3 m_f / 2."""
         return self.effector.nozzle_mass_kg + 1.5 * self.carriage.arm_pair_mass_kg
 
+    @property
+    def frequency_keys(self) -> tuple[str, ...]:
+        """Return the belts' stiffness; masses can be weighed."""
+        return ("carriage.belt_stiffness_n_per_m",)
+
     # ---- parameters
 
     def parameters(self) -> ParameterSet:

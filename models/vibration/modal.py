@@ -91,6 +91,12 @@ class ModalAxes(VibrationModel):
             for i, mode in enumerate(modes):
                 yield axis, i, mode
 
+    @property
+    def frequency_keys(self) -> tuple[str, ...]:
+        """Return the frequencies of each axis that is not rigid; c damps rigid axes only."""
+        vibrating = (name for name, modes in zip(AXES, self.axes, strict=True) if not modes[0].belt_damping)
+        return tuple(f"axes.{name}.frequency_hz" for name in vibrating)
+
     # ---- parameters
 
     def parameters(self) -> ParameterSet:

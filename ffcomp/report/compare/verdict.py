@@ -31,6 +31,7 @@ def verdict(found: Comparison) -> list[str]:
         *_limits(found, own_method),
         *_warnings(own_method),
         found.sampling,
+        *_assumed(found),
         _plant(found),
     ]
 
@@ -169,6 +170,11 @@ def _allowed(found: Comparison) -> str:
 
 def _warnings(own_method: Method) -> list[str]:
     return [f"Warning: {sentence}" for sentence in dict.fromkeys(own_method.warnings)]
+
+
+def _assumed(found: Comparison) -> list[str]:
+    """Say whose modes are assumed, of the machine and the plant; each once."""
+    return list(dict.fromkeys(party.assumed for party in (found.machine, found.plant) if party.assumed))
 
 
 def _plant(found: Comparison) -> str:

@@ -1,0 +1,53 @@
+"""A small print on a library machine of each kind: it is compensated, and its assumed modes are said at every use."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.support.reference import call
+
+SQUARE = "G28\nG90\nM83\nG1 Z0.3 F600\nG1 X{0} Y{0} F9000\nG1 X{1} E1 F6000\nG1 Y{1} E1\nG1 X{0} E1\nG1 Y{0} E1\n"
+MACHINES = {"flsun-v400": (-10, 10), "bambu-p1": (100, 120), "prusa-mk4": (100, 120)}  # delta, CoreXY, cartesian
+
+
+@pytest.fixture(scope="module", params=MACHINES)
+def compensated(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, str, str]:
+    """Machine, file, and what was said on stdout and stderr."""
+    name = str(request.param)
+    folder = tmp_path_factory.mktemp(name)
+    (folder / "square.gcode").write_text(SQUARE.format(*MACHINES[name]), encoding="utf-8")
+    done = call("compensate", folder / "square.gcode", "-m", name, "-o", folder / "out.gcode", "--json")
+    return name, folder / "out.gcode", done.stdout, done.stderr
+
+
+def sentence(name: str) -> str:
+    return f"The modes of {name} are assumed, not measured"
+
+
+def test_a_small_print_is_compensated_and_says_what_is_assumed(compensated: tuple[str, Path, str, str]) -> None:
+    name, _, stdout, stderr = compensated
+    result = json.loads(stdout)
+    predicted = result["predicted"]
+    assert predicted["compensated"]["contour_rms_um"] < 0.1 * predicted["uncompensated"]["contour_rms_um"]
+    assert result["machine"]["assumed"].startswith(sentence(name))
+    assert stderr.count(sentence(name)) == 1
+
+
+def test_show_and_simulate_say_it_too(compensated: tuple[str, Path, str, str], tmp_path: Path) -> None:
+    name, out, *_ = compensated
+    shown = call("show", out, "-o", tmp_path / "out.png", "--json")
+    simulated = call("simulate", out, "-m", name, "--json")
+    for done in (shown, simulated):
+        assert json.loads(done.stdout)["machine"]["assumed"].startswith(sentence(name))
+        assert done.stderr.count(sentence(name)) == 1
+    assert sentence(name) not in call("simulate", out, "-m", name, "--quiet").stderr
+
+
+def test_a_measured_machine_says_nothing(tmp_path: Path) -> None:
+    (tmp_path / "square.gcode").write_text(SQUARE.format(-10, 10), encoding="utf-8")
+    done = call("compensate", tmp_path / "square.gcode", "-m", "mp-delta-pro", "--dry-run", "--json")
+    assert json.loads(done.stdout)["machine"]["assumed"] is None
+    assert "assumed" not in done.stderr
