@@ -55,6 +55,13 @@ class CommandLimits:
             geometry.motors,
         )
 
+    @property
+    def scales(self) -> tuple[FloatArray, float, float, float]:
+        """What demands are divided by: velocities (3,), a segment's change of them, middle and half of the travel."""
+        low, high = self.travel_mm
+        middle, half = (0.5 * (low + high), 0.5 * (high - low)) if np.isfinite(high - low) else (0.0, np.inf)
+        return self.velocity_mm_per_s, self.acceleration_mm_per_s2 * self.segment_s, middle, half
+
     def demand(self, vertices: FloatArray) -> Demand:
         """Return the demand of a command (n + 1, 3) mm, a nozzle polygon, on the carriages."""
         return Demand(*_demand(np.ascontiguousarray(vertices), self.rows, self.segment_s))
@@ -76,10 +83,7 @@ class Demand:
 
         Acceleration is what leads into the segment, none into the first. Travel counts from its middle.
         """
-        low, high = limits.travel_mm
-        change = limits.acceleration_mm_per_s2 * limits.segment_s
-        middle, half = (0.5 * (low + high), 0.5 * (high - low)) if np.isfinite(high - low) else (0.0, np.inf)
-        return np.asarray(_utilisation(self.velocity, self.height, limits.velocity_mm_per_s, change, middle, half))
+        return np.asarray(_utilisation(self.velocity, self.height, *limits.scales))
 
 
 def utilisation_from_rest(vertices: FloatArray, limits: CommandLimits) -> FloatArray:
@@ -90,7 +94,8 @@ def utilisation_from_rest(vertices: FloatArray, limits: CommandLimits) -> FloatA
 
 def peak_utilisation(vertices: FloatArray, limits: CommandLimits) -> float:
     """Return the peak demand over its limit of a command (n + 1, 3) mm from rest to rest; up to 1 is allowed."""
-    return float(utilisation_from_rest(vertices, limits).max())
+    velocity, height = _demand(np.ascontiguousarray(vertices), limits.rows, limits.segment_s)
+    return float(_peak(velocity, height, *limits.scales))
 
 
 @njit(cache=True, nogil=True)
@@ -108,6 +113,30 @@ def _utilisation(
                 before = velocity[k - 1, i]
                 utilisation[k, ACCELERATION, i] = max(abs(v[0] - before[0]), abs(v[1] - before[1])) / change
     return utilisation
+
+
+@njit(cache=True, nogil=True)
+def _peak(
+    velocity: FloatArray, height: FloatArray, most: FloatArray, change: float, middle: float, half: float
+) -> float:
+    """Return the maximum of `_utilisation` by a command that rests before and after; NaN where one is."""
+    peak, n = 0.0, len(velocity)
+    for i in range(3):
+        before0 = before1 = 0.0
+        for k in range(n + 1):
+            v0, v1 = (velocity[k, i, 0], velocity[k, i, 1]) if k < n else (0.0, 0.0)
+            demands = max(abs(v0), abs(v1)) / most[i], max(abs(v0 - before0), abs(v1 - before1)) / change
+            before0, before1 = v0, v1
+            for demand in demands:
+                if not demand <= peak:
+                    peak = demand
+            if k < n:
+                demand = max(abs(height[k, i, 0] - middle), abs(height[k, i, 1] - middle)) / half
+                if not demand <= peak:
+                    peak = demand
+            if peak != peak:
+                return peak
+    return peak
 
 
 @njit(cache=True, nogil=True)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ffcomp.inverse.reference import Reference
-from ffcomp.planner.segment_timing import sample_segments, segment_speeds
+from ffcomp.planner.segment_timing import sample_even_segments
 from models.arrays import FloatArray
 
 if TYPE_CHECKING:
@@ -78,10 +78,8 @@ class KnotWindow:
         iterate, s = self.iterate, self.iterate.model.settings
         before = min(self.at, CONTEXT)
         first = self.at - before
-        vertices = np.concatenate([iterate.vertices[first : self.at], self.vertices()])
-        lasting = np.full(len(vertices) - 1, s.segment_s)
-        speeds = segment_speeds(vertices, iterate.extrusion[first : self.end], lasting, s.output)
-        nozzle = sample_segments(
-            vertices, speeds.cruise, speeds.junction, speeds.acceleration, speeds.duration, s.substeps
-        )
-        return nozzle[before * s.substeps :]
+        vertices = self.vertices()
+        if before:
+            vertices = np.concatenate([iterate.vertices[first : self.at], vertices])
+        extrusion = iterate.extrusion[first : self.end]
+        return sample_even_segments(vertices, extrusion, s.segment_s, s.output, s.substeps)[before * s.substeps :]

@@ -9,6 +9,7 @@ very position: what the first sweep misses for that, the second one finds.
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from ffcomp.inverse.iterate import Iterate, KnotWindow
@@ -62,12 +63,10 @@ class _Part:
             knots = slice(s.substeps, (n + 1) * s.substeps, s.substeps)
             ahead = stretch.nozzle[knots] + stretch.velocity[knots] * iterate.model.delay_s
             edges = iterate.reference.at_knots(np.array([self.at - 1, stretch.end + 1, stretch.end + 2]))
-            q = np.insert(iterate.model.kinematics.inverse(edges), 1, stretch.reference_q, axis=0)[: n + 4]
-            bend = (q[4:] - 2 * q[2:-2] + q[:-4]) / (2 * s.segment_s) ** 2  # NOTE: over two knots, for less noise
-            bent = np.einsum("nij,nj->ni", iterate.model.compliance_at(stretch.nozzle[knots, :2]), bend)
-            iterate.gamma[self.at + 1 : last + 1] = (
-                iterate.model.kinematics.inverse(ahead) - stretch.reference_q[1 : n + 1] + bent
-            )
+            q_edges, q_ahead = iterate.model.kinematics.inverse(edges), iterate.model.kinematics.inverse(ahead)
+            compliance = iterate.model.compliance_at(stretch.nozzle[knots, :2])
+            gamma = iterate.gamma[self.at + 1 : last + 1]
+            _slow_motion(q_edges, stretch.reference_q, q_ahead, compliance, 2 * s.segment_s, gamma)
 
     def solve(self, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray]:
         iterate, s, kept = self.iterate, self.iterate.model.settings, self.stop - self.at
@@ -97,6 +96,29 @@ class _Part:
         change, answer = sweep_forward(steady.forward, ending.forward, self.node, psi, kept)
         gamma[1:] += change
         return answer[: self.iterate.model.plant.table.plant.a.shape[1]], float(np.abs(change[:kept]).max())
+
+
+@njit(cache=True, nogil=True)
+def _slow_motion(
+    edges: FloatArray, q: FloatArray, ahead: FloatArray, compliance: FloatArray, two_knots_s: float, gamma: FloatArray
+) -> None:
+    """Write γ (n, 3) mm of a slow motion, in place; q̈ is taken over two knots, for less noise.
+
+    edges : (3, 3) mm, actuators a knot before q and one and two after its last;  q : (m, 3) mm, of the window
+    ahead : (n, 3) mm, actuators one delay later;  compliance : (n, 3, 3) s²
+    """
+    m = len(q)
+    bend = np.empty(3)
+    for k in range(len(gamma)):
+        for i in range(3):
+            before = edges[0, i] if k == 0 else q[k - 1, i]
+            after = q[k + 3, i] if k + 3 < m else edges[k + 4 - m, i]
+            bend[i] = (after - 2 * q[k + 1, i] + before) / two_knots_s**2
+        for i in range(3):
+            bent = 0.0
+            for j in range(3):
+                bent += compliance[k, i, j] * bend[j]
+            gamma[k, i] = ahead[k, i] - q[k + 1, i] + bent
 
 
 def _to_rest(gains: PreviewGains, node: NDArray[np.int64], steady: int) -> Gains:

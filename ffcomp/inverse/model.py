@@ -154,10 +154,9 @@ class InverseModel:
 
     def robust_offset(self, reference: Reference) -> FloatArray:
         """Return the offset of the robust reference from the path, (rows, 3) mm; empty where it is not used."""
-        parameters = self.machine.vibration.parameters()
-        if not (self.settings.robust and np.any(parameters.relative_sd(self.machine.uncertainty))):
-            return np.empty((0, 3))
         s = self.settings
+        if not s.robust or not np.any(self.machine.vibration.parameters().relative_sd(self.machine.uncertainty)):
+            return np.empty((0, 3))
         rows = np.arange(1 - MARGIN, reference.knots * s.rows_per_segment + 1 + MARGIN, dtype=np.float64)
         t = reference.t0 + rows * s.segment_s / s.rows_per_segment
         return self._robust.offset(reference.nozzle(t), reference.moving(t))
@@ -170,8 +169,9 @@ class InverseModel:
             return self.machine.equilibrium(nozzle)
         if intervals <= 0:
             return state
-        still = np.repeat(nozzle[None], intervals * s.substeps + 1, axis=0)
-        return self.plant.respond(still, np.zeros_like(still), state, s.substeps)[1]
+        command = np.repeat(self.kinematics.inverse(nozzle[None]), intervals * s.substeps + 1, axis=0)
+        place = np.repeat(nozzle[None, :2], intervals, axis=0)
+        return self.plant.play(place, np.zeros_like(command), command, state, s.substeps)[1][-1]
 
 
 @dataclass

@@ -113,10 +113,13 @@ class PreviewGains:
         i, j = np.clip(np.rint(place / PITCH_MM), -self._half, self._half).astype(np.int64).T + self._half
         node = i * (2 * self._half + 1) + j
         with self._working:
-            missing = np.unique(node[self._slot[node] < 0])
-            for some in np.array_split(missing, np.ceil(len(missing) / AT_A_TIME)) if len(missing) else ():
-                self._work_out(some)
-            return self._slot[node], self._steady
+            slot = self._slot[node]
+            if slot.min(initial=0) < 0:
+                missing = np.unique(node[slot < 0])
+                for some in np.array_split(missing, np.ceil(len(missing) / AT_A_TIME)):
+                    self._work_out(some)
+                slot = self._slot[node]
+            return slot, self._steady
 
     def _work_out(self, node: IntArray) -> None:
         problem = self.problem(node)

@@ -72,6 +72,37 @@ def segment_speeds(
     )
 
 
+def sample_even_segments(
+    vertices: FloatArray, extrusion: FloatArray, lasting_s: float, limits: SegmentLimits, substeps: int
+) -> FloatArray:
+    """Sample segments that all last the same time, from rest to rest: `segment_speeds`, then `sample_segments`.
+
+    Parameters
+    ----------
+    vertices : (n + 1, 3) mm, columns X Y Z
+    extrusion : (n,) mm of filament in each segment
+    lasting_s : s, of every segment
+    limits : under which they are executed
+    substeps : samples of each segment
+
+    Returns
+    -------
+    (n·substeps + 1, 3) mm
+    """
+    return _sampled_evenly(
+        vertices,
+        extrusion,
+        lasting_s,
+        limits.acceleration_mm_per_s2,
+        limits.square_corner_velocity_mm_per_s,
+        limits.z_acceleration_mm_per_s2,
+        limits.instantaneous_corner_velocity_mm_per_s,
+        limits.retract_acceleration_mm_per_s2,
+        limits.velocity_mm_per_s,
+        substeps,
+    )
+
+
 @njit(cache=True, nogil=True)
 def _played(
     vertices: FloatArray,
@@ -207,6 +238,34 @@ def sample_segments(
             out[row, 2] = vertices[k, 2] + f * ahead_z
     out[n * substeps] = vertices[n]
     return out
+
+
+@njit(cache=True, nogil=True)
+def _sampled_evenly(
+    vertices: FloatArray,
+    extrusion: FloatArray,
+    lasting_s: float,
+    acceleration: float,
+    corner_v: float,
+    z_acceleration: float,
+    extruder_corner_v: float,
+    retract_acceleration: float,
+    top_v: float,
+    substeps: int,
+) -> FloatArray:
+    lasting = np.full(len(vertices) - 1, lasting_s)
+    cruise, junction, own, duration = _played(
+        vertices,
+        extrusion,
+        lasting,
+        acceleration,
+        corner_v,
+        z_acceleration,
+        extruder_corner_v,
+        retract_acceleration,
+        top_v,
+    )
+    return sample_segments(vertices, cruise, junction, own, duration, substeps)
 
 
 @njit(cache=True, nogil=True)
