@@ -34,6 +34,7 @@ class RawMove(NamedTuple):
     velocity_limit: float  # mm/s; NaN: the machine's own, as below
     acceleration: float  # mm/s²
     square_corner_velocity: float  # mm/s
+    cause: tuple[int, str] = (0, "")  # the line in the file, from 1, and the command since which nobody knows the place
 
 
 class Event(NamedTuple):

@@ -153,6 +153,7 @@ class _Reader:
         if start is not None:
             self.modal.position[:3] = [float(coordinate) for coordinate in start]
         self.warned: set[str] = set()  # what sentences were about
+        self.lost: tuple[int, str] = (0, "")  # line and command since which the place is not known
         self.unknown: dict[str, int] = {}  # codes that nobody knows, and the line of each, of this part
         self.e_is_settled = False  # whether a line has said how E counts, or the numbers have told
         self.first_line = 0
@@ -327,6 +328,7 @@ class _Reader:
             self.warned.add(command.name)
             self.unknown[command.name] = at
         if self.modal.position != before:
+            self.lost = self._number(at), command.name
             self.moves.jumps[self.moves.count] = self.modal.position[:]
         if effect is LIMITS:
             limits_after = self.modal.own, self.modal.caps, self.modal.limits
@@ -347,6 +349,7 @@ class _Reader:
         self._settle()
         if words.get("H"):  # towards an endstop, or by single motors: only the firmware knows where that ends
             modal.forget()
+            self.lost = self._number(at), f"{modal.motion} H{words['H']:g}"
             self._event(at, MOVED)
             return
         end = modal.target(words)
@@ -375,6 +378,7 @@ class _Reader:
             velocity_limit=limits.velocity,
             acceleration=limits.acceleration,
             square_corner_velocity=limits.square_corner_velocity,
+            cause=self.lost,
         )
         self._settle()
         self._event(at, Effect(EventKind.RAW_MOVE, moves_itself=True, raw=raw))

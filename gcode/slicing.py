@@ -27,7 +27,7 @@ def excerpt(program: Program, first: int, last: int | None = None) -> Program:
     begin = int(moves.line[first]) if first else 0
     end = max(int(moves.line[last]), int(moves.line[last - 1]) + 1) if last < len(moves) else len(program.lines)
     a, b = (bisect_left(program.events, line, key=by_line) for line in (begin, end))
-    own, events = _some(moves, slice(first, last)), program.events[a:b]
+    own, events = some(moves, slice(first, last)), program.events[a:b]
     used = list(dict.fromkeys([_frame_before(program, first, a), *own.frame.tolist(), *(e.frame for e in events)]))
     number = {frame: k for k, frame in enumerate(used)}
     frame = np.array([number[each] for each in own.frame.tolist()], dtype=np.int64)
@@ -81,7 +81,8 @@ def join(first: Program, second: Program) -> Program:
     )
 
 
-def _some(moves: Moves, which: slice) -> Moves:
+def some(moves: Moves, which: slice) -> Moves:
+    """Return a slice of moves."""
     return Moves(**{each.name: getattr(moves, each.name)[which] for each in fields(Moves)})
 
 

@@ -13,6 +13,7 @@ from rich.table import Column, Table
 from ffcomp.cli.common import say
 from ffcomp.cli.log import note
 from ffcomp.compensate.result import FileResult
+from ffcomp.compensate.share import ENOUGH
 
 
 def report_all(file_results: list[FileResult], quiet: bool) -> None:
@@ -47,7 +48,9 @@ def _cells(file_result: FileResult) -> tuple[str, ...]:
         return "already processed", "", ""
     time = f"{result['original_print_time_s']:.1f} → {result['print_time_s']:.1f} s"
     rms = [f"{track['contour_rms_um']:.1f}" for track in result["predicted"].values()]
-    return time, f"{' → '.join(rms)} µm" if rms else "", f"{file_result.seconds:.1f}"
+    share = result["compensated_share"]["path"]
+    of_part = "" if share >= ENOUGH else f" of {_percent(share)}"
+    return time, f"{' → '.join(rms)} µm{of_part}" if rms else "", f"{file_result.seconds:.1f}"
 
 
 def report(result: dict[str, Any], machine_path: str, quiet: bool) -> None:
@@ -66,12 +69,19 @@ def report(result: dict[str, Any], machine_path: str, quiet: bool) -> None:
         f"{result['compute_time_s']:.1f} s, {speed:.0f} times faster than printing.",
         quiet,
     )
+    share = result["compensated_share"]
+    say(f"Compensated: {_percent(share['path'])} of the path, {_percent(share['filament'])} of the filament.", quiet)
     if "steps" in result:
         told = ", ".join(f"{motor.upper()} {total['steps']}" for motor, total in result["steps"].items())
         say(f"Steps: {told}.", quiet)
     if place := _place(result):
         verb = "simulate" if "steps" in result else "show"
         say(f"Look at it: ffcomp {verb} {place}{_machine(machine_path, verb)}", quiet)
+
+
+def _percent(share: float) -> str:
+    """Return a share in per cent, and 100 only if nothing is missing."""
+    return "100 %" if share == 1.0 else f"{min(100 * share, 99.9):.1f} %"
 
 
 def _machine(path: str, verb: str) -> str:

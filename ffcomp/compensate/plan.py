@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import ceil
 
 from ffcomp.compensate.chunks import Chunk
 from ffcomp.compensate.solve import solutions
-from ffcomp.compensate.statistics import Statistics, of_plan
+from ffcomp.compensate.statistics import Statistics, of_plan, of_raw
 from ffcomp.inverse.extent import WHOLE
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
+from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.program import PlannedProgram, plan_program
+from ffcomp.planner.raw_moves import raw_durations
+from gcode.program import Event
 from models.arrays import FloatArray
 from models.machine import Machine
 
@@ -38,6 +42,7 @@ class PlannedChunk:
     state: FloatArray | None = None  # (18,) of the plant as the chunk begins; None: at rest
     simulated: bool = False  # whether some of it is, for the prediction
     statistics: Statistics = field(default_factory=Statistics)  # what it takes by its plan
+    raw_s: Mapping[int, float] = field(default_factory=dict)  # what moves take that go out as they are, by their line
 
     @staticmethod
     def whole(planned: PlannedProgram) -> PlannedChunk:
@@ -68,9 +73,22 @@ def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedCh
         warnings=tuple(warnings),
         slowed=chunk.slowed,
     )
-    return PlannedChunk(
-        chunk, planned, state, _is_simulated(chunk, context.share), own + of_plan(planned, chunk.extent)
-    )
+    raw = _raw_events(chunk)
+    raw_s = raw_durations(raw, planner_limits(machine))
+    statistics = own + of_plan(planned, chunk.extent) + of_raw(raw, raw_s)
+    return PlannedChunk(chunk, planned, state, _is_simulated(chunk, context.share), statistics, raw_s)
+
+
+def _raw_events(chunk: Chunk) -> list[Event]:
+    """Return the moves that go out as they are, of those events that this chunk writes."""
+    begin, end = chunk.extent
+    return [
+        event
+        for event in chunk.program.events
+        if event.raw is not None
+        and (begin is None or event.move > begin.move)
+        and (end is None or event.move <= end.move)
+    ]
 
 
 def _is_simulated(chunk: Chunk, share: float) -> bool:

@@ -45,7 +45,7 @@ class Result:
             sentences.append(
                 f"{len(slowed) - LISTED} more places were slowed down in the same way, {more_s:.2g} s longer in all."
             )
-        return [*self.statistics.warnings, *sentences]
+        return [*self.statistics.shares.warnings(), *self.statistics.warnings, *sentences]
 
     def __add__(self, other: Result) -> Result:
         """Add another print of the same file."""
@@ -64,6 +64,7 @@ class Result:
             "print_time_s": numbers.print_time_s,
             "original_print_time_s": numbers.original_print_time_s,
             "compute_time_s": self.compute_time_s,
+            **numbers.shares.to_dict(),
             "moves": numbers.moves,
             "segments": numbers.segments,
             "windows": numbers.windows,

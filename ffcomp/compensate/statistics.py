@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import cast
 
 import numpy as np
 
 from ffcomp.compensate.prediction import Samples
+from ffcomp.compensate.share import Shares, of_moves, of_raw_moves
 from ffcomp.compensate.solve import SolvedSection
 from ffcomp.inverse.command_limits import utilisation_from_rest
 from ffcomp.inverse.extent import Extent
@@ -18,7 +19,8 @@ from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.sections import Section
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
-from gcode.program import Program
+from gcode.program import Event, Program
+from gcode.slicing import some
 
 BEYOND = 1.001  # times a limit, above which there is a warning
 
@@ -36,6 +38,7 @@ class Statistics:
     warnings: tuple[str, ...] = ()
     slowed: tuple[TimeScaling, ...] = ()
     predicted: Samples | None = None
+    shares: Shares = field(default_factory=Shares)
 
     def __add__(self, later: Statistics) -> Statistics:
         """Add what comes after this; a warning is kept once."""
@@ -50,6 +53,7 @@ class Statistics:
             tuple(dict.fromkeys(self.warnings + later.warnings)) if later.warnings else self.warnings,
             self.slowed + later.slowed,
             samples[0] + samples[1] if len(samples) > 1 else next(iter(samples), None),
+            self.shares + later.shares,
         )
 
 
@@ -61,9 +65,18 @@ def of_plan(planned: PlannedProgram, extent: Extent) -> Statistics:
     if extent.end is not None:
         end = _on(extent.end, plan, 0.0)
         last = int(np.searchsorted(plan.start_t, end))
-        return Statistics(moves=last - first, original_print_time_s=end - begin)
+        shares = Shares(of_moves(some(moves, slice(first, last))))
+        return Statistics(moves=last - first, original_print_time_s=end - begin, shares=shares)
     original_s, print_s = planned.firmware_s - begin, float(plan.end_t) - begin
-    return Statistics(moves=len(moves) - first, original_print_time_s=original_s, print_time_s=print_s)
+    shares = Shares(of_moves(some(moves, slice(first, None))))
+    return Statistics(moves=len(moves) - first, original_print_time_s=original_s, print_time_s=print_s, shares=shares)
+
+
+def of_raw(events: list[Event], seconds: Mapping[int, float]) -> Statistics:
+    """Count moves that go out as they were, which take as long before and after."""
+    shares = of_raw_moves(events, seconds)
+    lasting_s = shares.uncompensated.seconds
+    return Statistics(original_print_time_s=lasting_s, print_time_s=lasting_s, shares=shares)
 
 
 def of_section(

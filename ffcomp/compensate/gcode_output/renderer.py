@@ -21,7 +21,7 @@ class GcodeRenderer:
         self._planned, self._extent, self._kinematics = chunk.planned, chunk.chunk.extent, context.machine.kinematics
         program, settings = chunk.planned.program, context.settings
         own = _own_limits(context.machine)
-        self._writer = Writer(program, context.flavor, own, settings, context.offset, chunk.chunk.limits)
+        self._writer = Writer(program, context.flavor, own, settings, context.offset, chunk.chunk.limits, chunk.raw_s)
         self._events = EventQueue(program.events)
         self._writer.to_return = program.first_line > 0 and chunk.chunk.before is None and self._extent.begin is None
 

@@ -46,9 +46,11 @@ class Writer:
         settings: Settings,
         offset: tuple[float, float] = (0.0, 0.0),
         said: Mapping[bytes, bytes] | None = None,
+        raw_s: Mapping[int, float] | None = None,
     ) -> None:
         self.program, self.flavor, self.own, self.settings = program, flavor, own, settings
         self.offset = offset
+        self.raw_s = raw_s or {}  # what moves take that go out as they are, by their line
         self.moves = MoveWriter()
         self.frame = 0
         self.open = False
@@ -82,7 +84,7 @@ class Writer:
             yield self._shifted(line)
         else:
             yield Timed.at(line, self.now_s) if tells(line) or begins_layer(line) else line
-        self.now_s += event.dwell_s
+        self.now_s += event.dwell_s + self.raw_s.get(event.line, 0.0)
         self.to_return = event.returns or (self.to_return and not event.moves_itself)
         self._take_frame(event.frame)
         if event.touches_limits:

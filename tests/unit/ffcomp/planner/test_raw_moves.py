@@ -1,0 +1,38 @@
+"""How long moves take that go out as they are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ffcomp.planner.limits import PlannerLimits
+from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.raw_moves import raw_durations
+from gcode.reader import read_program
+
+LIMITS = PlannerLimits(velocity_mm_per_s=300.0, acceleration_mm_per_s2=1000.0, square_corner_velocity_mm_per_s=5.0)
+
+
+def test_they_take_what_the_firmware_takes_for_the_same_moves() -> None:
+    path = "G1 X50 F6000\nG1 X90 Z8\n; a comment\nG1 X0 F1200\nG4 P100\nG1 X7\n"
+    known = read_program(path.encode(), start=(0, 0, 5))
+    stops, waits = stops_and_waits(known)
+    expected = plan_moves(known.moves, LIMITS, stop_before=stops, wait_before=waits).duration
+    raw = read_program(f"G1 X0 Z5 F60\n{path}".encode())  # Y is never named
+    assert not len(raw.moves)
+    first, *durations = raw_durations(raw.events, LIMITS).values()
+    assert first == 0.0, "from nowhere"
+    assert durations == pytest.approx(expected.tolist())
+
+
+def test_a_stop_separates_and_a_comment_does_not() -> None:
+    together = _seconds("G1 X10 F60000\n;\nG1 X20\nG1 X30\n")
+    apart = _seconds("G1 X10 F60000\nM400\nG1 X20\nM400\nG1 X30\n")
+    assert together == pytest.approx(2 * np.sqrt(30 / 1000), rel=1e-6)
+    assert apart == pytest.approx(3 * 2 * np.sqrt(10 / 1000), rel=1e-6)
+
+
+def _seconds(lines: str) -> float:
+    """Y is never named, so that all are raw; X is known to begin at 0."""
+    program = read_program(f"G1 X0 F60000\n{lines}".encode())
+    return sum(raw_durations(program.events, LIMITS).values())
