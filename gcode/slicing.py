@@ -9,7 +9,7 @@ from operator import attrgetter
 import numpy as np
 
 from gcode.arrays import FloatArray
-from gcode.program import Moves, Program
+from gcode.program import Moves, Program, shifted
 
 
 def split(program: Program, move: int) -> tuple[Program, Program]:
@@ -35,7 +35,7 @@ def excerpt(program: Program, first: int, last: int | None = None) -> Program:
         program,
         lines=program.lines[begin:end],
         moves=replace(own, line=own.line - begin, frame=frame),
-        events=[e._replace(line=e.line - begin, move=e.move - first, frame=number[e.frame]) for e in events],
+        events=shifted(events, -begin, -first, number),
         frames=[program.frames[each] for each in used] if program.frames else [],  # where they do not matter
         first_line=program.first_line + begin,
     )
@@ -67,10 +67,7 @@ def join(first: Program, second: Program) -> Program:
     own = replace(own, line=own.line + lines, frame=own.frame + frames)
     columns = (each.name for each in fields(Moves))
     both = Moves(**{name: np.concatenate([getattr(first.moves, name), getattr(own, name)]) for name in columns})
-    later = [
-        event._replace(line=event.line + lines, move=event.move + moves, frame=event.frame + frames)
-        for event in second.events
-    ]
+    later = shifted(second.events, lines, moves, range(frames, frames + len(second.frames)))
     return replace(
         first,
         lines=first.lines + second.lines,
@@ -96,11 +93,7 @@ def part(program: Program, first: int, last: int) -> Program:
     end = int(moves.line[last]) if last < len(moves) else len(program.lines)
     columns = {each.name: getattr(moves, each.name)[first:last] for each in fields(Moves)}
     own = Moves(**{**columns, "line": columns["line"] - begin})
-    events = [
-        event._replace(line=event.line - begin, move=event.move - first)
-        for event in program.events
-        if begin <= event.line < end
-    ]
+    events = shifted((event for event in program.events if begin <= event.line < end), -begin, -first)
     lines, first_line = program.lines[begin:end], program.first_line + begin
     return replace(program, lines=lines, moves=own, events=events, first_line=first_line)
 
