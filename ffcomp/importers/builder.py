@@ -23,7 +23,7 @@ from models.file import LIBRARY, load_machine
 from models.machine import MotionLimits, Steps
 from models.provenance import ASSUMED
 
-TABLES = ("kinematics", "carriage", "effector", "axes", "limits", "steps")
+TABLES = ("kinematics", "carriage", "effector", "axes", "limits", "steps", "homing")
 ARMS = ("kinematics.arm_length_mm", "kinematics.arm_lengths_mm")
 REQUIRED = {
     "delta": (
@@ -47,6 +47,7 @@ DEFAULTS = {  # optional in a machine file, but written by an import
     "steps.steps_per_mm": Steps().steps_per_mm,
     "steps.full_steps_per_mm": Steps().full_steps_per_mm,
 }
+FLAVOR = "firmware.flavor"
 USUAL_MICROSTEPS = 16.0
 UNCERTAIN, MEASURED_LENGTH = 0.2, 0.01  # relative standard deviations, as the library's assumed machines have them
 
@@ -182,6 +183,7 @@ def machine_text(draft: MachineDraft, source: Path) -> str:
         for key, what in draft.missing.items():
             if key.startswith(f"{table}."):
                 _table_of(document, key).add(tomlkit.comment(f"{key.rpartition('.')[2]} is missing: {what}"))
+    _put(document, FLAVOR, draft.found.firmware.lower())
     document["uncertainty"] = _uncertainty(draft)
     document["provenance"] = _provenance(draft, source)
     return tomlkit.dumps(document)
@@ -216,6 +218,7 @@ def _provenance(draft: MachineDraft, source: Path) -> dict[str, Any]:
     return {
         "kinematics.type": draft.found.kinematics_origin,
         **{key: value.origin for key, value in draft.values.items()},
+        FLAVOR: f"the configuration is one of {draft.found.firmware}",
         IMPORTED: {
             "from": f"{draft.found.firmware} configuration {source.name} sha256:{digest}",
             "notes": list(draft.found.notes),

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import numpy as np
+
 from ffcomp.importers.delta import TOWER_ANGLES_DEG, arm_lengths, print_radius
 from ffcomp.importers.klipper_file import KlipperConfig
 from ffcomp.importers.values import (
@@ -21,6 +23,7 @@ from ffcomp.importers.values import (
     shaped_axis,
     together,
 )
+from models.kinematics.delta import DeltaKinematics
 
 KINDS = {
     "delta": "delta",
@@ -30,6 +33,7 @@ KINDS = {
     "limited_corexy": "corexy",
 }
 TOWERS = "abc"
+HOMES_ELSEWHERE = ("safe_z_home", "homing_override", "gcode_macro g28")
 FULL_STEPS_PER_ROTATION = 200.0
 SQUARE_CORNER_VELOCITY_MM_PER_S = 5.0
 CRUISE_RATIO = 0.5  # ffcomp plans with the firmware's default
@@ -46,7 +50,9 @@ def from_klipper(config: KlipperConfig) -> ConfigValues:
     """
     kind, origin = _kinematics(config)
     of_kind = _delta(config) if kind == "delta" else _straight(config)
-    values = known({**of_kind, **_limits(config), **_steps(config, TOWERS if kind == "delta" else AXES)})
+    homed = None if _homes_elsewhere(config) else (_homed_delta if kind == "delta" else _homed)(config)
+    homing = {"homing.position_mm": homed}
+    values = known({**of_kind, **_limits(config), **_steps(config, TOWERS if kind == "delta" else AXES), **homing})
     shaper_hz = _shaper_hz(config) if kind == "delta" else ()
     return ConfigValues("Klipper", kind, origin, values, tuple(_notes(config)), shaper_hz)
 
@@ -73,17 +79,29 @@ def _default(number: float, option: str) -> Value:
 def _delta(config: KlipperConfig) -> dict[str, Value | None]:
     radius = config.number("printer", "delta_radius", above=0)
     arms = _of_towers(config, "arm_length")
-    angles = [
-        config.number(f"stepper_{tower}", "angle") or _default(angle, f"[stepper_{tower}] angle")
-        for tower, angle in zip(TOWERS, TOWER_ANGLES_DEG, strict=True)
-    ]
     return {
         **arm_lengths(arms),
         "kinematics.delta_radius_mm": radius,
-        "kinematics.tower_angles_deg": listed(angles),
+        "kinematics.tower_angles_deg": listed(_towers(config)),
         "kinematics.print_radius_mm": print_radius(_asked_radius(config, radius), radius, least(arms)),
-        "kinematics.print_height_mm": least(_of_towers(config, "position_endstop")),
+        "kinematics.print_height_mm": _print_height(config),
     }
+
+
+def _towers(config: KlipperConfig) -> list[Value]:
+    """Read the towers' angles."""
+    return [
+        config.number(f"stepper_{tower}", "angle") or _default(angle, f"[stepper_{tower}] angle")
+        for tower, angle in zip(TOWERS, TOWER_ANGLES_DEG, strict=True)
+    ]
+
+
+def _print_height(config: KlipperConfig) -> Value | None:
+    """Return the lowest endstop; homing may end a little above it, where the endstops differ."""
+    lowest, homed = least(_of_towers(config, "position_endstop")), _homed_delta(config)
+    if lowest is None or homed is None or isinstance(homed.value, float) or homed.value[2] <= lowest.number:
+        return lowest
+    return converted(homed.value[2], "where homing ends", lowest)
 
 
 def _asked_radius(config: KlipperConfig, radius: Value | None) -> Value | None:
@@ -129,6 +147,36 @@ def _shaped_axis(config: KlipperConfig, axis: str) -> dict[str, Value]:
         return {}
     damping = config.number("input_shaper", f"damping_ratio_{axis}", above=0)
     return shaped_axis(axis, frequency, damping or _default(DAMPING_RATIO, f"damping_ratio_{axis}"))
+
+
+# --- Where homing all axes ends
+
+
+def _homes_elsewhere(config: KlipperConfig) -> str | None:
+    """Return the section by which homing ends elsewhere than at the endstops; None if there is none."""
+    return next((section for section, _ in config.options if section.lower() in HOMES_ELSEWHERE), None)
+
+
+def _homed(config: KlipperConfig) -> Value | None:
+    """Return the endstops' position, if every axis has one; a probe that homes Z gives none."""
+    found = [config.number(f"stepper_{axis}", "position_endstop") for axis in AXES]
+    given = [each for each in found if each is not None]
+    return listed(given) if len(given) == len(found) else None
+
+
+def _homed_delta(config: KlipperConfig) -> Value | None:
+    """Return the nozzle's position with each carriage at its endstop."""
+    radius, towers = config.number("printer", "delta_radius", above=0), _towers(config)
+    arms, endstops = (_of_towers(config, option) for option in ("arm_length", "position_endstop"))
+    sources = [each for each in (radius, *arms, *endstops) if each is not None]
+    if radius is None or len(sources) < 7:
+        return None
+    lengths, heights = (np.array([each.number for each in several if each]) for several in (arms, endstops))
+    radii = np.full(3, radius.number)
+    angles = np.array([each.number for each in towers])
+    delta = DeltaKinematics(lengths, radii, angles, effector_height_mm=0.0, print_radius_mm=1.0, print_height_mm=1.0)
+    nozzle = delta.forward((heights + np.sqrt(lengths**2 - radii**2))[None])[0]
+    return converted([round(float(each), 4) + 0.0 for each in nozzle], "the carriages at their endstops", *sources)
 
 
 # --- Limits and steps
@@ -201,6 +249,11 @@ def _gear_ratio(config: KlipperConfig, section: str) -> float:
 
 def _notes(config: KlipperConfig) -> Iterator[str]:
     yield from config.remarks
+    if elsewhere := _homes_elsewhere(config):
+        yield (
+            f"Homing ends where [{elsewhere}] leaves the nozzle: if that is always one place, give it as position_mm "
+            "in [homing], and the first travel is compensated too."
+        )
     ratio = config.number("printer", "minimum_cruise_ratio")
     if ratio is not None and ratio.number != CRUISE_RATIO:
         yield (
