@@ -17,10 +17,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import platformdirs
 import tomlkit
 
 from models.errors import MachineFileError
+from models.finding import LIBRARY as LIBRARY
+from models.finding import machine_paths as machine_paths
 from models.machine import Machine
 from models.schema import (
     DeltaDocument,
@@ -30,19 +31,7 @@ from models.schema import (
     validated,
 )
 
-LIBRARY = Path(__file__).parent / "library"
 DEFAULT_UNCERTAINTY = 0.02
-
-
-def user_folder() -> Path:
-    """Where the user's own machine files live."""
-    return Path(platformdirs.user_config_dir("ffcomp")) / "machines"
-
-
-def machine_paths() -> dict[str, Path]:
-    """Every machine that can be asked for by name, in alphabetical order."""
-    found = {path.stem: path for folder in (LIBRARY, user_folder()) for path in folder.glob("*.toml")}
-    return dict(sorted(found.items()))
 
 
 def find_machine(name_or_path: str | Path) -> Path:

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from models.checks.redundancy import Quantity
     from models.machine import Machine
 
+KINDS = ("delta", "corexy", "cartesian")  # in the order of the list
+UNREADABLE = "?"  # `ffcomp machines check` says why
 USAGE, BAD_MACHINE = 2, 5  # exit codes, the same for the whole program
 
 app = typer.Typer(cls=Group, help="List, show, check, create and compare machine files.", no_args_is_help=True)
@@ -51,17 +53,20 @@ Source = Annotated[
 
 @app.command("list", cls=Command)
 def list_machines(as_json: AsJson = False) -> None:
-    """List the machines that have a name."""
-    from models.file import LIBRARY, machine_paths
+    """List the machines that have a name: deltas, CoreXY machines, cartesian ones."""
+    from models.finding import LIBRARY, glance, machine_paths
 
-    rows = [
-        {"name": name, "origin": "library" if path.parent == LIBRARY else "user", "path": str(path)}
-        for name, path in machine_paths().items()
-    ]
+    rows: list[dict[str, str | None]] = []
+    for name, path in machine_paths().items():
+        kind, printer = glance(path)
+        origin = "library" if path.parent == LIBRARY else "user"
+        rows.append({"name": name, "origin": origin, "path": str(path), "kinematics": kind, "printer": printer})
     if as_json:
         _print_json("machines-list", machines=rows)
-    else:
-        _print_table(["name", "origin", "path"], [[*row.values()] for row in rows])
+        return
+    rows.sort(key=lambda row: KINDS.index(row["kinematics"]) if row["kinematics"] in KINDS else len(KINDS))
+    columns = ("name", "kinematics", "origin", "printer")
+    _print_table(columns, [[row[column] or UNREADABLE for column in columns] for row in rows])
 
 
 @app.command("show", cls=Command)
@@ -133,7 +138,8 @@ def _check_axes(machine: Machine, problems: list[str], as_json: bool) -> None:
 @app.command("new", cls=Command)
 def new_machine(name: NewName, output: Output = None, source: Source = "mp-delta-pro") -> None:
     """Create a machine file as a copy of another one. Never overwrites."""
-    from models.file import load_machine, starting_text, user_folder
+    from models.file import load_machine, starting_text
+    from models.finding import user_folder
 
     if Path(name).name != name:
         _refuse(f"{name!r} cannot be a machine's name: it would name a folder. Give the file with --output.")

@@ -74,7 +74,8 @@ def import_machine(
     with exit_codes():
         from ffcomp.importers.builder import build_draft, machine_text
         from ffcomp.importers.detect import read_printer_config
-        from models.file import check_text, find_machine, user_folder
+        from models.file import check_text, find_machine
+        from models.finding import user_folder
 
         found = read_printer_config(file, kinematics)
         path = output or user_folder() / f"{file.stem}.toml"

@@ -16,7 +16,7 @@ from tests.support.configs import COREXY, SHAPER, Delta, written
 
 @pytest.fixture
 def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr("models.file.user_folder", lambda: tmp_path / "own")
+    monkeypatch.setattr("models.finding.user_folder", lambda: tmp_path / "own")
     return tmp_path / "own"
 
 

@@ -17,7 +17,7 @@ from models.file import LIBRARY, load_machine
 
 @pytest.fixture
 def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr("models.file.user_folder", lambda: tmp_path / "own")
+    monkeypatch.setattr("models.finding.user_folder", lambda: tmp_path / "own")
     return tmp_path / "own"
 
 
@@ -43,7 +43,27 @@ def test_list(run) -> None:
     machines = {machine["name"]: machine["origin"] for machine in json.loads(result.stdout)["machines"]}
     assert machines["mine"] == "user"
     assert machines["mp-delta-pro"] == machines["kossel"] == "library"
-    assert run("list").stdout.splitlines()[0].split() == ["name", "origin", "path"]
+    assert run("list").stdout.splitlines()[0].split() == ["name", "kinematics", "origin", "printer"]
+
+
+def test_list_stands_in_groups(run) -> None:
+    lines = run("list").stdout.splitlines()[1:]
+    kinds = [line.split()[1] for line in lines]
+    assert list(dict.fromkeys(kinds)) == ["delta", "corexy", "cartesian"]
+    assert kinds == sorted(kinds, key=["delta", "corexy", "cartesian"].index)
+    assert next(line for line in lines if line.startswith("bambu-p1")).endswith(
+        "Bambu Lab P1P, P1S, X1, X1C (assumed dynamics)"
+    )
+
+
+def test_list_survives_a_broken_file(run, own_folder: Path) -> None:
+    own_folder.mkdir()
+    (own_folder / "broken.toml").write_text("name = 'x\n")
+    (own_folder / "odd.toml").write_bytes(b"name = 3\nkinematics = '\xc3\xa9'\n")
+    result = run("list", "--json")
+    rows = {row["name"]: row for row in json.loads(result.stdout)["machines"]}
+    assert rows["broken"]["printer"] is rows["broken"]["kinematics"] is rows["odd"]["printer"] is None
+    assert run("list").stdout.splitlines()[-1].split() == ["odd", "?", "user", "?"]
 
 
 def test_show_tells_values_provenance_and_modes(run) -> None:
@@ -148,3 +168,12 @@ def test_the_verb_is_light_to_import() -> None:
     code = f"import sys, ffcomp.cli.machines; print(*{heavy!r}.intersection(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""
+
+
+def test_the_list_needs_no_numbers() -> None:
+    """It stays quick however many machines there are: neither numpy nor the schema is imported."""
+    told = "print(*{'numpy', 'models.schema'}.intersection(sys.modules))"
+    code = f"import sys; from ffcomp.cli.app import main\ntry: main()\nfinally: {told}"
+    done = subprocess.run([sys.executable, "-c", code, "machines", "list"], capture_output=True, text=True, check=True)
+    assert "kossel" in done.stdout
+    assert done.stdout.splitlines()[-1] == ""

@@ -77,7 +77,7 @@ def problems(write):
 def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "own machines"
     folder.mkdir()
-    monkeypatch.setattr("models.file.user_folder", lambda: folder)
+    monkeypatch.setattr("models.finding.user_folder", lambda: folder)
     return folder
 
 

@@ -1,0 +1,36 @@
+"""The machine files that have a name, and what a list says of them; light to import, unlike reading one."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import platformdirs
+
+LIBRARY = Path(__file__).parent / "library"
+
+
+def user_folder() -> Path:
+    """Where the user's own machine files live."""
+    return Path(platformdirs.user_config_dir("ffcomp")) / "machines"
+
+
+def machine_paths() -> dict[str, Path]:
+    """Every machine that can be asked for by name, in alphabetical order."""
+    found = {path.stem: path for folder in (LIBRARY, user_folder()) for path in folder.glob("*.toml")}
+    return dict(sorted(found.items()))
+
+
+def glance(path: Path) -> tuple[str | None, str | None]:
+    """Return what a list needs of a machine file, its `kinematics.type` and `name`, unchecked; None if not there."""
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return None, None
+    kinematics = document.get("kinematics")
+    kind = kinematics.get("type") if isinstance(kinematics, dict) else None
+    return _text(kind), _text(document.get("name"))
+
+
+def _text(value: object) -> str | None:
+    return value if isinstance(value, str) else None
