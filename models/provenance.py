@@ -9,6 +9,8 @@ from models.machine import Machine
 ASSUMED = "assumed"  # beginning of the provenance of an assumed value
 START = "as a start"  # part of the provenance of a value that is only near the true one
 
+SOURCES = "sources"  # the table in [provenance] of what origins are called by
+
 
 def is_assumed(origin: str) -> bool:
     """Tell whether a provenance marks an assumed value."""
@@ -30,6 +32,12 @@ def assumed_modes(machine: Machine) -> str | None:
         f"The modes of {name} are assumed{part}, not measured, so how much less your printer vibrates is not known: "
         "measure yours with `ffcomp identify plan`, then `ffcomp identify fit`."
     )
+
+
+def sources(machine: Machine) -> dict[str, str]:
+    """Return the addresses of the sources that origins begin with, by their titles."""
+    named = machine.provenance.get(SOURCES, {})
+    return {str(title): str(address) for title, address in named.items()} if isinstance(named, dict) else {}
 
 
 def identity(machine: Machine) -> dict[str, str | None]:

@@ -73,19 +73,25 @@ def list_machines(as_json: AsJson = False) -> None:
 def show_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
     """Show every parameter of a machine with its provenance, and its modes."""
     from models.file import entries, load_machine
+    from models.provenance import assumed_modes, sources
 
     with _machine_errors(as_json):
         loaded = load_machine(machine)
-    values, modes = entries(Path(loaded.path)), _modes(loaded)
+    values, modes, named = entries(Path(loaded.path)), _modes(loaded), sources(loaded)
     if as_json:
         numbers = {e.key: {"value": e.value, "unit": e.unit, "provenance": e.provenance} for e in values}
-        _print_json("machine-show", machine=_identity(loaded), values=numbers, modes=modes)
+        _print_json("machine-show", machine=_identity(loaded), values=numbers, modes=modes, sources=named)
         return
     print(f"{loaded.name}\n{loaded.path}\nsha256 {loaded.sha256}\n")
     rows = [[e.key, _number(e.value), e.unit, e.provenance or "not stated"] for e in values]
     _print_table(["key", "value", "unit", "provenance"], rows)
     print()
+    if named:
+        _print_table(["source", "address"], [[*each] for each in named.items()])
+        print()
     _print_table(["modes at", "Hz (damping ratio)"], [[mode["place"], _mode_text(mode)] for mode in modes])
+    if assumed := assumed_modes(loaded):
+        print(f"\n{assumed}")
 
 
 @app.command("check", cls=Command)
@@ -104,7 +110,7 @@ def check_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
     quantities, sound = redundant_quantities(loaded), check_physics(loaded)
     disagreements = redundancy_problems(loaded)
     problems, notes = _instability(unstable_positions(loaded)), [*disagreements, *_energy_notes(loaded, sound)]
-    notes += still_assumed(loaded.provenance)
+    notes += [*_assumed(loaded), *still_assumed(loaded.provenance)]
     if as_json:
         consistency = [_quantity_json(quantity) for quantity in quantities]
         found = {"problems": problems, "notes": notes, "consistency": consistency, "soundness": asdict(sound)}
@@ -123,7 +129,7 @@ def _check_axes(machine: Machine, problems: list[str], as_json: bool) -> None:
     """Modes of straight axes: no forces, so no energy to keep account of."""
     from ffcomp.importers.hints import still_assumed
 
-    notes = list(still_assumed(machine.provenance))
+    notes = [*_assumed(machine), *still_assumed(machine.provenance)]
     if as_json:
         _print_json("machine-check", machine=_identity(machine), problems=problems, notes=notes)
     for problem in problems:
@@ -177,6 +183,13 @@ def _machine_errors(as_json: bool = False) -> Iterator[None]:
         if as_json:
             _print_json("machine-error", path=error.path, problems=error.problems)
         raise typer.Exit(BAD_MACHINE) from None
+
+
+def _assumed(machine: Machine) -> list[str]:
+    from models.provenance import assumed_modes
+
+    sentence = assumed_modes(machine)
+    return [] if sentence is None else [sentence]
 
 
 def _identity(machine: Machine) -> dict[str, str | None]:

@@ -83,6 +83,17 @@ def test_show_as_text(run) -> None:
     assert "80 % away from A" in text
 
 
+def test_show_and_check_say_what_is_assumed_and_from_where(run) -> None:
+    text = run("show", "bambu-a1").stdout
+    assert "The modes of bambu-a1 are assumed, not measured" in text.splitlines()[-1]
+    assert any(line.startswith("A1  ") and "https://github.com/" in line for line in text.splitlines())
+    shown = json.loads(run("show", "bambu-a1", "--json").stdout)
+    assert set(shown["sources"]) == {"common", "A1"} and "assumed" in shown["machine"]["assumed"]
+    for name in ("bambu-a1", "flsun-v400"):
+        assert f"note: The modes of {name} are assumed" in run("check", name).stdout
+    assert "are assumed" not in run("show", "mp-delta-pro").stdout + run("check", "mp-delta-pro").stdout
+
+
 def test_check_of_a_sound_machine(run) -> None:
     result = run("check", "kossel")
     assert (result.exit_code, result.stderr) == (0, "")
