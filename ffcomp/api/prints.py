@@ -116,7 +116,7 @@ def compensate(
     machine: Named,
     output: str | Path | None = None,
     *,
-    offset_mm: Offset = (0.0, 0.0),
+    offset_mm: Offset | None = None,
     flavor: str = "",
     shaper_off: bool = False,
     robust: bool = False,
@@ -137,7 +137,8 @@ def compensate(
     file : sliced print: G-code, also in .gz, .gcode.3mf or .bgcode
     machine : a machine, its name or its file
     output : compensated file to write; None: write nothing. It may be `file` itself.
-    offset_mm : shift added to every position
+    offset_mm : shift added to every position; None: none where the print lies inside as it is, else one that brings it
+        inside
     flavor : "klipper", "marlin" or "reprapfirmware"; "": what the machine file says, or else the file
     shaper_off : switch the firmware's input shaper off in the file
     robust : minimise the expected contour error over the machine file's uncertainties

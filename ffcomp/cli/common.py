@@ -53,8 +53,13 @@ def fail(sentence: str, code: int) -> None:
 
 
 def say(sentence: str, quiet: bool = False) -> None:
-    """Print a message on stderr; stdout is for results."""
+    """Print a message on stderr, and keep it in the log; stdout is for results."""
     note(sentence)
+    tell(sentence, quiet)
+
+
+def tell(sentence: str, quiet: bool = False) -> None:
+    """Print a message on stderr that the log has in more detail."""
     if not quiet:
         print(sentence, file=sys.stderr)
 

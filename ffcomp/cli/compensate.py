@@ -18,6 +18,7 @@ from ffcomp.inverse.solver_names import SOLVERS
 if TYPE_CHECKING:
     from ffcomp.compensate.job import Options, StepOutput
     from ffcomp.compensate.result import FileResult
+    from ffcomp.integrations.slicer import Call
     from ffcomp.inverse.settings import Settings
     from models.machine import Machine
 
@@ -76,8 +77,8 @@ AutoOffset = Annotated[
         "--offset-mm",
         metavar="X,Y",
         rich_help_panel=MACHINE,
-        help="Shift added to every position, for a print whose origin is a corner of the bed, e.g. -110,-110. auto: "
-        "move the middle of the slicer's bed to the middle of the machine's where they differ by more than a quarter.",
+        help="Move the print: a shift added to every position, e.g. -110,-110 for a print whose origin is a corner of "
+        "the bed. auto: none where the print lies inside as it is, else one that brings it inside.",
     ),
 ]
 DryRun = Annotated[bool, typer.Option("--dry-run", rich_help_panel=OUTPUT, help="Do everything, write nothing.")]
@@ -170,7 +171,7 @@ def compensate(
     output_file: Output = None,
     output_dir: OutputDir = None,
     output: Kind = "gcode",
-    offset_mm: AutoOffset = "0,0",
+    offset_mm: AutoOffset = "auto",
     flavor: Flavor = "",
     dry_run: DryRun = False,
     as_json: AsJson = False,
@@ -207,16 +208,17 @@ def compensate(
         check_choice("--solver", solver, SOLVERS)
         if inverse == "none" and output == "gcode":
             raise typer.BadParameter("--inverse none leaves the G-code as it is; it is for --output steps.")
-        offset = (0.0, 0.0) if offset_mm == "auto" else parsed_offset(offset_mm)
+        offset = None if offset_mm == "auto" else parsed_offset(offset_mm)
         targets = _targets(files, output_file, output_dir, dry_run, ".npz" if output != "gcode" else "")
 
         from ffcomp.compensate.job import Options
+        from ffcomp.integrations.slicer import read_call
         from models.file import load_machine
 
-        known = load_machine(machine)
+        known, call = load_machine(machine), read_call(os.environ)
         say_assumed([known], quiet)
-        offset, advice = _advised(known, files, offset, offset_mm == "auto")
-        for sentence in advice:
+        advice = _advised(known, files, offset, call)
+        for sentence in advice if len(files) > 1 else ():
             say(f"ffcomp: {sentence}", quiet)
         options = Options(
             offset=offset,
@@ -235,6 +237,7 @@ def compensate(
             shaper_off=shaper_off,
             force=force,
             steps=_steps(known, output, inverse == "none", extruder_steps_per_mm),
+            bed=call.bed,
         )
         request = _Request(files, targets, known, options, jobs, scheduler, quiet, advice)
         file_results = [] if len(files) == 1 else _compensate_all(request)
@@ -260,22 +263,13 @@ class _Request:
     advice: list[str]  # said before the work begins
 
 
-def _advised(
-    machine: Machine, files: list[Path], offset: tuple[float, float], auto: bool
-) -> tuple[tuple[float, float], list[str]]:
-    """Choose the offset, and collect warnings about the slicer's settings."""
-    from ffcomp.integrations.slicer import auto_sentence, bed_of, bed_warning, call_warnings, offset_for, read_call
+def _advised(machine: Machine, files: list[Path], offset: tuple[float, float] | None, call: Call) -> list[str]:
+    """Collect warnings about the slicer's settings, and about an offset that does not suit its bed."""
+    from ffcomp.integrations.slicer import bed_of, bed_warning, call_warnings
 
-    call = read_call(os.environ)
     warnings = call_warnings(call)
     bed = call.bed or (bed_of(files[0]) if len(files) == 1 else None)  # several may be for several beds
-    if bed is None:
-        if auto:
-            raise typer.BadParameter("--offset-mm auto: neither the slicer nor a single file says what the bed is.")
-        return offset, warnings
-    if auto:
-        return offset_for(bed, machine.kinematics.centre_mm), [*warnings, auto_sentence(bed, machine)]
-    return offset, warnings + bed_warning(bed, machine, offset)
+    return warnings if bed is None or offset is None else warnings + bed_warning(bed, machine, offset)
 
 
 def _steps(machine: Machine, output: str, plain: bool, per_mm: float | None) -> StepOutput | None:
@@ -327,10 +321,12 @@ def _compensate_one(request: _Request) -> dict[str, Any]:
 
     The user never sees the name of a slicer's temporary file, so messages name the output instead.
     """
-    from ffcomp.cli.common import Progress, say
+    from ffcomp.cli.common import Progress, say, tell
     from ffcomp.cli.compensate_report import report
+    from ffcomp.cli.log import note
     from ffcomp.compensate.batch import size_of, workers
     from ffcomp.compensate.file import compensate_file
+    from ffcomp.compensate.warning_lines import shortened
     from gcode.text import PART_BYTES
 
     (file,), (target,), quiet = request.files, request.targets, request.quiet
@@ -342,9 +338,12 @@ def _compensate_one(request: _Request) -> dict[str, Any]:
     if "already" in result:
         say(result["already"], quiet)
         return {**result, "output": str(file)}
-    for warning in result["warnings"]:
-        say(f"ffcomp: {warning}", quiet)
     result["warnings"] = [*request.advice, *result["warnings"]]
+    result["warning_lines"] = shortened([*request.advice, *result["warning_lines"]])
+    for warning in result["warnings"]:
+        note(f"ffcomp: {warning}")
+    for line in result["warning_lines"]:
+        tell(f"ffcomp: {line}", quiet)
     report(result, request.machine.path, quiet)
     return result
 

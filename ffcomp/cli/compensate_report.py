@@ -10,17 +10,21 @@ from typing import Any
 from rich.console import Console
 from rich.table import Column, Table
 
-from ffcomp.cli.common import say
+from ffcomp.cli.common import say, tell
 from ffcomp.cli.log import note
 from ffcomp.compensate.result import FileResult
 from ffcomp.compensate.share import ENOUGH
+from ffcomp.compensate.warning_lines import cause_of, shortened
 
 
 def report_all(file_results: list[FileResult], quiet: bool) -> None:
     """Print a table and the failures on stderr; only the failures if quiet."""
+    for warning, files in _warnings(file_results, "warnings").items():
+        note(f"ffcomp: {_about(files)}: {warning}")
     if not quiet:
-        for warning, files in _warnings(file_results).items():
-            say(f"ffcomp: {files[0] if len(files) == 1 else f'{len(files)} files'}: {warning}")
+        lines = [f"{_about(files)}: {line}" for line, files in _warnings(file_results, "warning_lines").items()]
+        for line in shortened(lines):
+            tell(f"ffcomp: {line}")
         table = Table(Column("file", overflow="fold"), "print time", "contour rms", "seconds")
         for file_result in file_results:
             table.add_row(str(file_result.file), *_cells(file_result))
@@ -30,13 +34,18 @@ def report_all(file_results: list[FileResult], quiet: bool) -> None:
             say(f"{file_result.failure.trace}ffcomp: {file_result.failure.sentence}")
 
 
-def _warnings(file_results: list[FileResult]) -> dict[str, list[Path]]:
-    """Each once, with the files that it is about."""
+def _warnings(file_results: list[FileResult], key: str) -> dict[str, list[Path]]:
+    """Each once, of those that differ in numbers only the first, with the files that it is about; most files first."""
     found: dict[str, list[Path]] = {}
+    first: dict[str, str] = {}
     for file_result in file_results:
-        for warning in file_result.result.get("warnings", ()):
-            found.setdefault(warning, []).append(file_result.file)
-    return found
+        for warning in file_result.result.get(key, ()):
+            found.setdefault(first.setdefault(cause_of(warning), warning), []).append(file_result.file)
+    return dict(sorted(found.items(), key=lambda each: -len(each[1])))
+
+
+def _about(files: list[Path]) -> str:
+    return str(files[0]) if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
 
 
 def _cells(file_result: FileResult) -> tuple[str, ...]:
@@ -61,6 +70,8 @@ def report(result: dict[str, Any], machine_path: str, quiet: bool) -> None:
         if not quiet:
             _table(result["predicted"])
     say(result["flavor_reason"], quiet)
+    if result["offset_reason"] not in result["warnings"]:
+        say(result["offset_reason"], quiet)
     segments = "" if "steps" in result else f" in {result['segments']} segments"
     speed = result["print_time_s"] / max(result["compute_time_s"], 1e-9)
     say(

@@ -16,6 +16,7 @@ from ffcomp.compensate.stream import Stream
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
 from ffcomp.planner.program import PlannedProgram, plan_program
+from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from ffcomp.simulate.alignment import SectionStarts, section_starts
 from ffcomp.simulate.motion import Motion, SectionClock, motion_of
@@ -89,6 +90,7 @@ def segments(
         Where the nozzle is then, mm.
     """
     program = read_program(before + file.text, "compensated", start=start, flavor=file.flavor, returns=machine.returns)
+    program = within_reach(program, machine.kinematics)
     trajectory = plan_program(program, machine).trajectory
     travels = np.any(trajectory.direction[:, :3] != 0.0, axis=1)
     starts = section_starts(program, file.planned)

@@ -39,7 +39,7 @@ def equal_quality(
         return _p99_um(method, [each.with_acceleration(acceleration) for each in slices], plant)
 
     def result(acceleration: float, p99: float, **about: bool) -> EqualQuality:
-        plan = accelerated(printed.planned, printed.machine, acceleration, printed.offset)
+        plan = accelerated(printed.planned, printed.machine, acceleration)
         return EqualQuality(acceleration, plan.trajectory.end_t, p99, **about)
 
     if (p99 := p99_um(HIGHEST)) <= bound_um:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ffcomp.errors import NothingToDo
 from ffcomp.planner.program import PlannedProgram, plan_program
+from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion
 from ffcomp.simulate.motion import Motion, path_corners, planned_motion
 from gcode.dialects import detect_flavor
@@ -71,18 +72,16 @@ class PrintSlice:
 
     def with_acceleration(self, acceleration: float) -> PrintSlice:
         """Plan the same moves with another acceleration, mm/s²."""
-        return replace(self, planned=accelerated(self.planned, self.machine, acceleration, self.offset))
+        return replace(self, planned=accelerated(self.planned, self.machine, acceleration))
 
 
-def accelerated(
-    planned: PlannedProgram, machine: Machine, acceleration: float, offset: tuple[float, float]
-) -> PlannedProgram:
+def accelerated(planned: PlannedProgram, machine: Machine, acceleration: float) -> PlannedProgram:
     """Plan the same moves with one acceleration (mm/s²) for all that travel."""
     program = planned.program
     moves = program.moves
     travels = np.any(moves.end[:, :3] != moves.start[:, :3], axis=1)
     changed = replace(moves, acceleration=np.where(travels, acceleration, moves.acceleration))
-    return plan_program(replace(program, moves=changed), machine, offset)
+    return plan_program(replace(program, moves=changed), machine)
 
 
 class Print:
@@ -97,8 +96,8 @@ class Print:
             data, path, offset_mm=offset, flavor=stated or None, returns=machine.returns, homed_mm=machine.home_mm
         )
         self.flavor = stated or detect_flavor(program.lines)
-        self.planned = plan_program(program, machine, offset)
-        self.labels: Labels = labels(program)
+        self.planned = plan_program(within_reach(program, machine.kinematics), machine)
+        self.labels: Labels = labels(self.program)
 
     @property
     def program(self) -> Program:
@@ -179,7 +178,7 @@ class Print:
         return PrintSlice(self.machine, self.planned, self.flavor, self.offset, kinds.layer, kinds.feature)
 
     def _part(self, first: int, last: int) -> PrintSlice:
-        planned = plan_program(part(self.program, first, last), self.machine, self.offset)
+        planned = plan_program(part(self.program, first, last), self.machine)
         x, y, z, _ = self.program.moves.start[first]
         return PrintSlice(
             self.machine,

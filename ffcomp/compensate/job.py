@@ -21,6 +21,7 @@ from ffcomp.compensate import chunks
 from ffcomp.compensate.chunks import Chunk, split_chunks
 from ffcomp.compensate.gcode_output.print_time import with_times_retold
 from ffcomp.compensate.gcode_output.renderer import GcodeRenderer
+from ffcomp.compensate.placement import NOWHERE, Footprint, Offset, Placement, advice, choose_offset, footprint_of
 from ffcomp.compensate.plan import S_CURVE_LONGEST_S, Context, plan_chunk
 from ffcomp.compensate.prediction import LONGEST_S
 from ffcomp.compensate.program import compensate
@@ -29,6 +30,7 @@ from ffcomp.compensate.statistics import Statistics
 from ffcomp.compensate.step_output import StepRenderer, StepStream
 from ffcomp.compensate.stream import Stream
 from ffcomp.errors import NothingToDo
+from ffcomp.integrations.slicer import Bed, bed_in, pair
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.time_scaling import TimeScaling, scale_around_cut
@@ -36,6 +38,7 @@ from ffcomp.planner.limits import lines_of
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.program import firmware_plan, plan_section
+from ffcomp.planner.reach import OutOfReach, Reach
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps.sink import Board, StepSink
 from ffcomp.version import __version__
@@ -80,13 +83,14 @@ class StepOutput:
 class Options:
     """The options that are the same for many files."""
 
-    offset: tuple[float, float] = (0.0, 0.0)  # mm, added to every position
+    offset: Offset | None = None  # mm, added to every position; None: chosen so that the print lies inside
     flavor: str = ""  # "": what the machine file says, or else the file
     settings: Settings | None = None  # None: what the machine's limits give
     predict: bool = True
     shaper_off: bool = False
     force: bool = False  # compensate again what is stamped
     steps: StepOutput | None = None  # None: G-code
+    bed: Bed | None = None  # the slicer's, if it has said it otherwise than in the file
 
     def job(self, source: Source, path: str, machine: Machine, stamp: Stamp | None, jobs: int) -> Job:
         """Return the request for a print. With a stamp, the original that the file keeps is compensated."""
@@ -131,14 +135,24 @@ class Job:
     def write_steps(self, target: Path | None, steps: StepOutput, progress: Progress = lambda share: None) -> Result:
         """Write step timings into an archive (None: nowhere), which is replaced whole at the end or not at all."""
         started = time.perf_counter()
-        split, context = self._split(steps.plain)
+        reach = Reach(self.machine.kinematics)
+        split, context = self._split(reach, steps.plain)
         with ExitStack() as stack:
             target = target or Path(stack.enter_context(TemporaryDirectory()), "steps.npz")
             sink = stack.enter_context(StepSink(self.machine, steps.board, target, steps.error_s))
             statistics = self._stepped(split, context, StepStream(sink), steps.plain, progress)
+            statistics += Statistics(warnings=reach.warnings)
             totals = sink.finish()
         self.model.save_cache()
-        return Result(self.path, self.machine, self._flavor_choice, statistics, time.perf_counter() - started, totals)
+        return Result(
+            self.path,
+            self.machine,
+            self._flavor_choice,
+            self._placement,
+            statistics,
+            time.perf_counter() - started,
+            totals,
+        )
 
     def _stepped(
         self, split: Iterator[Chunk], context: Context, stream: StepStream, plain: bool, progress: Progress
@@ -185,10 +199,26 @@ class Job:
         return choose_flavor(self.options.flavor, self.machine.flavor, sign_by_ends(*self._ends[:2]), self.path)
 
     @property
-    def offset(self) -> tuple[float, float]:
-        """The offset asked for, mm, or the one that a compensated file was shifted by."""
-        known = self.restore and not any(self.options.offset)
-        return find_offset(self._ends[0]) if known else self.options.offset
+    def offset(self) -> Offset:
+        """The offset that is added to every position, mm."""
+        return self._placement.offset
+
+    @cached_property
+    def _placement(self) -> Placement:
+        """The offset asked for, the one that a compensated file was shifted by, or one that brings the print inside."""
+        if self.options.offset is not None:
+            return Placement(self.options.offset, f"Offset {pair(self.options.offset)}, as it was asked for.")
+        if self.restore:
+            offset = find_offset(self._ends[0])
+            return Placement(offset, f"Offset {pair(offset)}, as the file was compensated before.")
+        return choose_offset(self.machine.kinematics, self._bed, self._footprint)
+
+    @property
+    def _bed(self) -> Bed | None:
+        return self.options.bed or bed_in(*self._ends[:2])
+
+    def _footprint(self) -> Footprint | None:
+        return footprint_of(self._programs(NOWHERE))
 
     def _lines(self, progress: Progress, folder: Path | None) -> Generator[bytes, None, Result]:
         started = time.perf_counter()
@@ -199,10 +229,13 @@ class Job:
             pieces = _with_shaper_off(pieces, self.flavor)
         yield from _stamped(pieces, stamp, offset_line(self.offset))
         self.model.save_cache()
-        return Result(self.path, self.machine, self._flavor_choice, body.value, time.perf_counter() - started)
+        return Result(
+            self.path, self.machine, self._flavor_choice, self._placement, body.value, time.perf_counter() - started
+        )
 
     def _body(self, progress: Progress) -> Lines:
-        split, context = self._split()
+        reach = Reach(self.machine.kinematics)
+        split, context = self._split(reach)
         statistics, done = self._at_first(), 0
         for lines, size in (
             self._in_turn(split, context, progress) if self.jobs == 1 else self._parallel(split, context)
@@ -212,7 +245,7 @@ class Job:
             statistics += chunk.value
             done += size
             progress(min(done / max(self.size, 1), 1.0))
-        return statistics
+        return statistics + Statistics(warnings=reach.warnings)
 
     def _in_turn(self, split: Iterator[Chunk], context: Context, progress: Progress) -> Iterator[tuple[Lines, int]]:
         """Yield each chunk's lines, and its size in bytes."""
@@ -241,9 +274,9 @@ class Job:
         for text, statistics in pool(tasks()):
             yield _again(text, statistics), sizes.popleft()
 
-    def _split(self, plain: bool = False) -> tuple[Iterator[Chunk], Context]:
+    def _split(self, reach: Reach, plain: bool = False) -> tuple[Iterator[Chunk], Context]:
         """Split the print into chunks; plain: to be written uncompensated."""
-        parts = self._parts()
+        parts = self._parts(reach)
         first = list(islice(parts, 1))
         if not first:
             raise NothingToDo(f"{self.path or 'The file'} holds no line: nothing to compensate.")
@@ -253,7 +286,15 @@ class Job:
         context = Context(self.machine, self.settings, self.flavor, self.offset, share)
         return self._chunks(chain(first, parts), plain), context
 
-    def _parts(self) -> Iterator[Program]:
+    def _parts(self, reach: Reach) -> Iterator[Program]:
+        """Read the print; what lies beside the print volume goes out as it is, unless it is the part."""
+        try:
+            yield from reach.whole(self._programs(self.offset))
+        except OutOfReach as error:
+            hint = advice(self.machine.kinematics, self._bed, self._footprint(), self.offset)
+            raise OutOfReach(f"{error.rule} {hint}".strip(), error.line, error.path) from error
+
+    def _programs(self, offset: Offset) -> Iterator[Program]:
         blocks = blocks_of(self.source)
         if self.restore:
             blocks = original_blocks(blocks)
@@ -262,7 +303,7 @@ class Job:
             blocks,
             self.path,
             flavor=self.flavor,
-            offset_mm=self.offset,
+            offset_mm=offset,
             returns=own.returns,
             homed_mm=own.home_mm,
         )
@@ -275,17 +316,18 @@ class Job:
         return split_chunks(parts, s.segment_s, s.lead_s, self._plan_of, longest_s=longest_s, ease=ease)
 
     def _plan_of(self, program: Program) -> Trajectory:
-        return firmware_plan(program, self.machine, self.offset)
+        return firmware_plan(program, self.machine)
 
     def _eased(self, around: Program, cut: PathPosition, layers: int) -> tuple[Moves, tuple[TimeScaling, ...]]:
         limits, layer_of = planner_limits(self.machine), LayerLookup(around, layers).of
         return scale_around_cut(self.model, around, limits, cut, partial(plan_section, limits), layer_of)
 
     def _at_first(self) -> Statistics:
-        """Warn of another firmware's print, and of effects that the command does not allow for."""
+        """Warn of a print that is moved or made for another firmware, and of effects that nothing compensates."""
         names = ", ".join(self.model.not_modelled)
         sentence = f"The machine file lists effects that are not compensated: {names}." if names else ""
-        return Statistics(warnings=tuple(filter(None, (self._flavor_choice.warning, sentence))))
+        moved = self._placement.reason if self._placement.notable else ""
+        return Statistics(warnings=tuple(filter(None, (moved, self._flavor_choice.warning, sentence))))
 
 
 def _lines_of(chunk: Chunk, context: Context, model: InverseModel, progress: Progress = lambda share: None) -> Lines:

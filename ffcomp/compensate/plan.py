@@ -52,12 +52,12 @@ class PlannedChunk:
 
 def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedChunk:
     """Plan a chunk, and solve the moves before it of which the printer may still ring."""
-    machine, s_curve, offset = context.machine, context.settings.s_curve, context.offset
+    machine, s_curve = context.machine, context.settings.s_curve
     smooth = s_curve and chunk.extent == WHOLE
-    planned = plan_program(chunk.program, machine, offset, smooth)
+    planned = plan_program(chunk.program, machine, smooth)
     state = None
     if chunk.before is not None:
-        past = plan_program(chunk.before, machine, offset, s_curve)
+        past = plan_program(chunk.before, machine, s_curve)
         for solved in solutions(past, machine, model, None, lambda reference: False):
             state = solved.solution.state
     lost_s, waits_s = sum(each.seconds for each in chunk.slowed), 0.0

@@ -10,7 +10,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from ffcomp.compensate.placement import Placement
 from ffcomp.compensate.statistics import Statistics
+from ffcomp.compensate.warning_lines import warning_lines
 from ffcomp.errors import INPUT_ERRORS, explain
 from ffcomp.numerics.serialise import to_json
 from ffcomp.steps.sink import MotorTotal
@@ -31,6 +33,7 @@ class Result:
     path: str
     machine: Machine
     flavor: FlavorChoice
+    placement: Placement
     statistics: Statistics
     compute_time_s: float
     steps: Mapping[str, MotorTotal] | None = None  # by the motor's letter; None: G-code was written
@@ -47,6 +50,13 @@ class Result:
             )
         return [*self.statistics.shares.warnings(), *self.statistics.warnings, *sentences]
 
+    @property
+    def warning_lines(self) -> list[str]:
+        """The same for people, in a few lines."""
+        numbers = self.statistics
+        warnings = [*numbers.shares.warnings(), *numbers.warnings]
+        return warning_lines(warnings, numbers.slowed, self.machine, numbers.original_print_time_s)
+
     def __add__(self, other: Result) -> Result:
         """Add another print of the same file."""
         statistics, compute_time_s = self.statistics + other.statistics, self.compute_time_s + other.compute_time_s
@@ -61,6 +71,8 @@ class Result:
             "machine": identity(self.machine),
             "flavor": self.flavor.flavor,
             "flavor_reason": self.flavor.reason,
+            "offset_mm": self.placement.offset,
+            "offset_reason": self.placement.reason,
             "print_time_s": numbers.print_time_s,
             "original_print_time_s": numbers.original_print_time_s,
             "compute_time_s": self.compute_time_s,
@@ -70,6 +82,7 @@ class Result:
             "windows": numbers.windows,
             "limited_windows": numbers.limited_windows,
             "warnings": self.warnings,
+            "warning_lines": self.warning_lines,
             "slowed": numbers.slowed,
             "predicted": numbers.predicted.tracks() if numbers.predicted else {},
             "predicted_over_s": numbers.predicted.covered_s if numbers.predicted else 0.0,

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ffcomp.planner.limits import lines_of
+from ffcomp.planner.reach import BESIDE
 from gcode.program import Event, Moves
 
 ENOUGH = 0.95  # of the path or the filament: below it there is a warning
@@ -119,6 +120,8 @@ def _share(part: float, rest: float) -> float:
 
 
 def _because(cause: Cause) -> str:
+    if cause.command == BESIDE:
+        return f"from line {cause.line} on, moves lie beside the print volume."
     if not cause.line:
         return "the file never says where the nozzle is; name X and Y before it prints."
     where = f"after {cause.command} in line {cause.line} nobody knows where the nozzle is"

@@ -12,6 +12,7 @@ from ffcomp.estimate.slices import planned_slices
 from ffcomp.estimate.statistics import FILAMENT, KINDS, Statistics
 from ffcomp.numerics.serialise import to_json
 from ffcomp.planner.program import plan_program
+from ffcomp.planner.reach import Reach
 from ffcomp.planner.trajectory import PlannedMotion
 from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import sign_by_ends
@@ -105,11 +106,11 @@ def _statistics(
     blocks: Iterable[bytes], path: str, machine: Machine, flavor: str, offset: tuple[float, float]
 ) -> Statistics:
     def plan_of(program: Program) -> PlannedMotion:
-        return plan_program(program, machine, offset).trajectory
+        return plan_program(program, machine).trajectory
 
     parts = read_parts(blocks, path, flavor=flavor, offset_mm=offset, returns=machine.returns, homed_mm=machine.home_mm)
     statistics = Statistics()
-    for part in planned_slices(parts, plan_of):
+    for part in planned_slices(Reach(machine.kinematics).whole(parts), plan_of):
         statistics.add(part)
     if not statistics.moves:
         raise NothingToDo(f"{path}: no move whose start is known; there is no time to tell.")

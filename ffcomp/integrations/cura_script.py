@@ -60,7 +60,7 @@ class Ffcomp(Script):
             path = Path(folder, "print.gcode")
             path.write_bytes(print_text.encode("utf-8", "surrogateescape"))
             result = self._run(path)
-            return path.read_bytes().decode("utf-8", "surrogateescape"), result.get("warnings", [])
+            return path.read_bytes().decode("utf-8", "surrogateescape"), result.get("warning_lines", [])
 
     def _run(self, path: Path) -> dict[str, Any]:
         """Run `ffcomp compensate --json` and return its object."""

@@ -76,7 +76,11 @@ def read_bed(corners: str) -> Bed | None:
 
 def bed_of(source: bytes | Path) -> Bed | None:
     """Read the bed in the settings that the slicer has written at either end of a file, or of its content."""
-    head, tail, _ = ends_of(source)
+    return bed_in(*ends_of(source)[:2])
+
+
+def bed_in(head: bytes, tail: bytes) -> Bed | None:
+    """Read the bed in a file's first and last bytes."""
     found = _BED_COMMENT.search(tail) or _BED_COMMENT.search(head)
     return read_bed(found.group(1).decode("ascii")) if found else None
 
@@ -101,21 +105,12 @@ def bed_warning(bed: Bed, machine: Machine, offset: tuple[float, float]) -> list
     shifted = Bed(*((x + offset[0], y + offset[1]) for x, y in (bed.low, bed.high)))
     if not any(offset_for(shifted, middle)):
         return []
-    there = f"shifted by {_pair(offset)} " if any(offset) else ""
+    there = f"shifted by {pair(offset)} " if any(offset) else ""
     return [
-        f"The slicer's bed {there}lies about {_place(shifted.centre)}, that of {machine.name} about {_place(middle)}: "
-        "the print is compensated for another place than it is printed at, unless --offset-mm "
-        f"{_pair(offset_for(bed, middle))} is given."
+        f"The slicer's bed {there}lies about {place(shifted.centre)}, that of {machine.name} about {place(middle)}: "
+        "one of them is another printer's, or the print belongs elsewhere, where --offset-mm "
+        f"{pair(offset_for(bed, middle))} puts it."
     ]
-
-
-def auto_sentence(bed: Bed, machine: Machine) -> str:
-    """Say what `--offset-mm auto` has chosen, and why."""
-    middle = machine.kinematics.centre_mm
-    return (
-        f"--offset-mm auto: {_pair(offset_for(bed, middle))}; the slicer's bed lies about {_place(bed.centre)}, "
-        f"that of {machine.name} about {_place(middle)}."
-    )
 
 
 def call_warnings(call: Call) -> list[str]:
@@ -134,9 +129,11 @@ def call_warnings(call: Call) -> list[str]:
     return told
 
 
-def _pair(xy: tuple[float, float]) -> str:
+def pair(xy: tuple[float, float]) -> str:
+    """Write an offset as `--offset-mm` takes it."""
     return f"{xy[0]:.6g},{xy[1]:.6g}"
 
 
-def _place(xy: tuple[float, float]) -> str:
+def place(xy: tuple[float, float]) -> str:
+    """Write a position as G-code does."""
     return f"X{xy[0]:.6g} Y{xy[1]:.6g}"

@@ -12,12 +12,12 @@ from ffcomp.planner.junctions import junction_limits
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.reach import check_moves
 from ffcomp.planner.s_curve import SCurve, s_curve
 from ffcomp.planner.sections import Section, split_sections
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from gcode.errors import GcodeError
 from gcode.program import Moves, Program
-from models.errors import UnreachableError
 from models.machine import Machine
 
 
@@ -31,16 +31,13 @@ class PlannedProgram:
     firmware_s: float  # what the firmware's own plan takes
 
 
-def plan_program(
-    program: Program, machine: Machine, offset: tuple[float, float] = (0.0, 0.0), smooth: bool = False
-) -> PlannedProgram:
+def plan_program(program: Program, machine: Machine, smooth: bool = False) -> PlannedProgram:
     """Check that every move can be reached, and plan them all.
 
-    offset : mm, what the program's positions were shifted by when they were read
     smooth : with S-curves, within a percent of the firmware's time
     """
     trajectory: PlannedMotion
-    trajectory = plan = firmware_plan(program, machine, offset)
+    trajectory = plan = firmware_plan(program, machine)
     stop_before, wait_before = stops_and_waits(program)
     if smooth:
         rests = stop_before | (wait_before > 0.0)
@@ -48,18 +45,12 @@ def plan_program(
     return PlannedProgram(program, trajectory, split_sections(trajectory, stop_before), plan.end_t)
 
 
-def firmware_plan(program: Program, machine: Machine, offset: tuple[float, float] = (0.0, 0.0)) -> Trajectory:
-    """Plan every move, once it is known that the nozzle can get there; offset: as for `plan_program`."""
+def firmware_plan(program: Program, machine: Machine) -> Trajectory:
+    """Plan every move, once it is known that the nozzle can get there; what need not is out of it (`Reach`)."""
     moves = program.moves
     if not len(moves):
         raise NothingToDo(f"{program.path or 'The file'} holds no move whose start is known: nothing to compensate.")
-    for ends in (moves.start, moves.end):
-        try:
-            machine.kinematics.check_reach(ends[:, :3])
-        except UnreachableError as error:
-            line = program.first_line + int(moves.line[error.indices[0]]) + 1
-            advice = machine.kinematics.advice(moves.end[:, :2] - offset)
-            raise GcodeError(f"{error} {advice}", line, program.path) from error
+    check_moves(program, machine.kinematics)
     stop_before, wait_before = stops_and_waits(program)
     try:
         return plan_moves(moves, planner_limits(machine), stop_before=stop_before, wait_before=wait_before)

@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 
 from ffcomp.planner.program import PlannedProgram, plan_program
+from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion
 from ffcomp.simulate.alignment import section_clock
 from ffcomp.simulate.command import Command, CommandSection, ReferencePath
@@ -47,15 +48,16 @@ def read_gcode(
         The command, and the program that was read.
     """
     read = partial(read_program, path=path, returns=machine.returns, homed_mm=machine.home_mm)
+    inside = partial(within_reach, kinematics=machine.kinematics)
     stamp = already_processed(data)
     if stamp is None:
         program = read(data, offset_mm=offset, flavor=flavor or machine.flavor or None)
-        return gcode_command(plan_program(program, machine, offset), machine), program
+        return gcode_command(plan_program(inside(program), machine), machine), program
     program = read(data, flavor=stamp.flavor)
     offset = find_offset(data[:STAMP_REACH])
     reference = read(original(data), offset_mm=offset, flavor=stamp.flavor)
-    executed = plan_program(program, machine)
-    return compensated_command(executed, plan_program(reference, machine, offset), machine), program
+    executed = plan_program(inside(program), machine)
+    return compensated_command(executed, plan_program(inside(reference), machine), machine), program
 
 
 def gcode_command(planned: PlannedProgram, machine: Machine) -> Command:

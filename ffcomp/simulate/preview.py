@@ -14,6 +14,7 @@ import numpy as np
 from ffcomp.metrics import ContourStatistics, contour_error, contour_statistics
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion
 from ffcomp.simulate.alignment import move_times
 from ffcomp.simulate.linear import simulate_linear
@@ -69,6 +70,7 @@ def preview(
     read = partial(read_program, path=path, flavor=flavor, returns=machine.returns, homed_mm=machine.home_mm)
     original = read(b"".join(original_lines(lines)), offset_mm=offset)
     compensated = read(data)
+    original, compensated = (within_reach(program, machine.kinematics) for program in (original, compensated))
     reference, executed = _plan(original, machine), _plan(compensated, machine)
     path_t, corners = path_corners_with_rests(reference)
     times = move_times(compensated, executed, original, reference)

@@ -101,8 +101,16 @@ class Kinematics(ABC):
         """Return a command (n, 3) mm moved to where the firmware lets it go, for a path of these heights (m,) mm."""
 
     @abstractmethod
-    def advice(self, xy: FloatArray) -> str:
-        """Say in a sentence whether a print (n, 2) mm that does not fit would fit elsewhere on the bed."""
+    def reachable(self, xyz: FloatArray) -> BoolArray:
+        """Return which of the points (n, 3) mm lie in the print volume, as `check_reach` has it."""
+
+    @abstractmethod
+    def centring(self, xy: FloatArray) -> tuple[float, float]:
+        """Return the shift, whole mm, that puts points (n, 2) mm in the middle of the bed."""
+
+    @abstractmethod
+    def widening(self, xyz: FloatArray) -> str:
+        """Say how the machine file would describe a printer that reaches these points (n, 3) mm; empty: it cannot."""
 
     @abstractmethod
     def rings(self, radii: int, directions: int) -> FloatArray:
@@ -170,6 +178,11 @@ class Kinematics(ABC):
     def sample_positions(self) -> Mapping[str, FloatArray]:
         """Return name -> position (2,) mm: the few that show how the vibrations change over the bed."""
         return {"centre": np.array(self.centre_mm)}
+
+    @property
+    @abstractmethod
+    def actuator_names(self) -> tuple[str, str, str]:
+        """Return what people call what the limits of carriages or motors A B C are of."""
 
     @property
     @abstractmethod

@@ -78,13 +78,22 @@ class CartesianKinematics(Kinematics):
         low, high = self.range_mm.T
         return np.asarray(np.clip(xyz, np.where(high > low, low + INSIDE_MM, low), high - INSIDE_MM))
 
-    def advice(self, xy: FloatArray) -> str:
-        """Say in a sentence whether a print (n, 2) mm that does not fit would fit elsewhere on the bed."""
-        needed, room = np.ptp(xy, axis=0), np.ptp(self.range_mm[:2], axis=1)
-        if (needed > room).any():
-            return f"The print needs {needed[0]:.0f} × {needed[1]:.0f} mm: no offset helps."
-        x, y = np.round(self.centre_mm - 0.5 * (xy.min(axis=0) + xy.max(axis=0))) + 0.0  # no minus before a zero
-        return f"A print made for a bed with its origin elsewhere? --offset-mm {x:.0f},{y:.0f} brings it inside."
+    def reachable(self, xyz: FloatArray) -> BoolArray:
+        """Return which of the points (n, 3) mm lie in the print volume, as `check_reach` has it."""
+        return self.contains(xyz, SLACK_MM)
+
+    def centring(self, xy: FloatArray) -> tuple[float, float]:
+        """Return the shift, whole mm, that puts points (n, 2) mm in the middle of the bed."""
+        x, y = (np.round(self.centre_mm - 0.5 * (xy.min(axis=0) + xy.max(axis=0))) + 0.0).tolist()  # no minus zero
+        return x, y
+
+    def widening(self, xyz: FloatArray) -> str:
+        """Say how the machine file would describe a printer that reaches these points (n, 3) mm."""
+        low = np.minimum(self.range_mm[:, 0], np.floor(10 * xyz.min(axis=0)) / 10)
+        high = np.maximum(self.range_mm[:, 1], np.ceil(10 * xyz.max(axis=0)) / 10)
+        changed = np.flatnonzero((low < self.range_mm[:, 0]) | (high > self.range_mm[:, 1])).tolist()
+        keys = ", ".join(f"{AXES[axis]}_range_mm = [{low[axis]:g}, {high[axis]:g}]" for axis in changed)
+        return f"write {keys} in [kinematics] of the machine file"
 
     def rings(self, radii: int, directions: int) -> FloatArray:
         """Return the origin and circles of these radii (k,) around it, (1 + k · directions, 2)."""
@@ -111,6 +120,12 @@ class CartesianKinematics(Kinematics):
     def height_mm(self) -> float:
         """Return the greatest height of the nozzle."""
         return float(self.range_mm[2, 1])
+
+    @property
+    def actuator_names(self) -> tuple[str, str, str]:
+        """Return what people call what the limits of carriages or motors A B C are of."""
+        by_belts = np.array_equal(self.motor_matrix, COREXY)
+        return ("motor A", "motor B", "axis Z") if by_belts else ("axis X", "axis Y", "axis Z")
 
     @property
     def setup_notes(self) -> list[str]:

@@ -102,6 +102,11 @@ class DeltaKinematics(Kinematics):
         return {**super().sample_positions, f"{share} towards A": towards_a, f"{share} away from A": -towards_a}
 
     @property
+    def actuator_names(self) -> tuple[str, str, str]:
+        """Return what people call what the limits of carriages or motors A B C are of."""
+        return "carriage A", "carriage B", "carriage C"
+
+    @property
     def setup_notes(self) -> list[str]:
         """Return lines of a list: what must be so on the printer before its vibrations are measured."""
         return [
@@ -269,21 +274,31 @@ class DeltaKinematics(Kinematics):
         inside[:, 2] = np.clip(xyz[:, 2], floor, ceiling)
         return np.asarray(inside)
 
-    def advice(self, xy: FloatArray) -> str:
-        """Say whether shifting the print would bring it inside the circle, and by how much.
+    def reachable(self, xyz: FloatArray) -> BoolArray:
+        """Return which of the points (n, 3) mm lie in the print volume, as `check_reach` has it."""
+        z = xyz[:, 2]
+        inside = np.hypot(xyz[:, 0], xyz[:, 1]) <= self.print_radius_mm + SLACK_MM
+        return np.asarray(inside & (z <= self.print_height_mm + SLACK_MM) & (z >= LOWEST_Z_MM - SLACK_MM))
 
-        The smallest circle round all places, by steps towards the farthest of them (Badoiu & Clarkson, 2003).
+    def centring(self, xy: FloatArray) -> tuple[float, float]:
+        """Return the shift, whole mm, that puts points (n, 2) mm in the middle of the bed.
+
+        The smallest circle round all of them, by steps towards the farthest (Badoiu & Clarkson, 2003).
         """
         places = np.unique(np.round(xy, 1), axis=0)
         centre = 0.5 * (places.min(axis=0) + places.max(axis=0))
         for step in range(1, 400):
             away = np.hypot(*(places - centre).T)
             centre = centre + (places[int(np.argmax(away))] - centre) / (step + 1)
-        x, y = np.round(-centre) + 0.0  # no minus before a zero
-        needed = float(np.hypot(*(xy + np.array([x, y])).T).max())
-        if needed > self.print_radius_mm:
-            return f"The print needs a radius of {needed:.0f} mm wherever it is put: no offset helps."
-        return f"A print made for a bed with its origin in a corner? --offset-mm {x:.0f},{y:.0f} brings it inside."
+        x, y = (np.round(-centre) + 0.0).tolist()  # no minus before a zero
+        return x, y
+
+    def widening(self, xyz: FloatArray) -> str:
+        """Say how the machine file would describe a printer that reaches these points; empty: it cannot."""
+        radius, height = float(np.ceil(np.hypot(*xyz[:, :2].T).max())), float(np.ceil(xyz[:, 2].max()))
+        keys = [f"print_radius_mm = {radius:g}"] if radius > self.print_radius_mm else []
+        keys += [f"print_height_mm = {height:g}"] if height > self.print_height_mm else []
+        return f"write {', '.join(keys)} in [kinematics] of the machine file" if keys else ""
 
     def rings(self, radii: int, directions: int) -> FloatArray:
         """Return the origin and circles of these radii (k,) around it, (1 + k · directions, 2)."""

@@ -15,6 +15,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 SMALL = b"G28\nG90\nM83\nG1 Z0.3 F6000\nG1 X10 Y10 F9000\n;LAYER:0\nG1 X30 Y12 E1\nG1 X28 Y30 E1\nM107\n"
+FAR = SMALL.replace(b"X", b"X1").replace(b"Y", b"Y1")  # and no layer comment, which has a Y as well
 TRACK = {
     "tracking_rms_um",
     "tracking_max_um",
@@ -102,8 +103,9 @@ def test_a_dry_run_writes_nothing(small: Path) -> None:
         (b"PK\x03\x04zip", [], 4, "zip"),
         (b"; only comments\nM117 hello\n", [], 3, "nothing to compensate"),
         (SMALL + b"G1 X1e30\n", [], 4, ":10: "),
-        (SMALL + b"G1 X400\n", [], 4, ":10: "),
-        (SMALL.replace(b"X", b"X1").replace(b"Y", b"Y1"), [], 4, "--offset-mm -129,-121 brings it inside"),
+        (SMALL + b"G1 X400 E9\n", [], 4, ":10: "),
+        (FAR, ["--offset-mm", "0,0"], 4, "--offset-mm -119,-120 brings it inside"),
+        (SMALL + b"G1 X900 E9\nG1 X0 E12\n", [], 4, "no offset helps"),
         (SMALL, ["--machine", "mp-delta-por"], 5, "Did you mean"),
         (SMALL, ["--flavor", "marlyn"], 4, "marlyn"),
         (SMALL, ["--offset-mm", "1;2"], 2, "offset"),

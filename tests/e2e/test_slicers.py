@@ -148,17 +148,19 @@ def test_auto_brings_the_print_to_the_machines_middle(run: Callable[..., Result]
     known = {"SLIC3R_PRINTABLE_AREA": "0x0,220x0,220x220,0x220"} if where == "in the environment" else {}
     done = run("compensate", "-m", "kossel", "--no-predict", "--offset-mm", "auto", "--json", temporary, **known)
     assert done.exit_code == 0, done.output
-    assert "--offset-mm auto: -110,-110" in done.stderr and '"--offset-mm auto: -110,-110' in done.stdout
+    assert done.stderr.count("Offset -110,-110: the slicer's bed lies about X110 Y110") == 1
+    result = json.loads(done.stdout)
+    assert result["offset_mm"] == [-110.0, -110.0] and result["offset_reason"] in result["warnings"]
     end = read_program(temporary.read_bytes()).moves.end[-1]
     assert end[:2] == pytest.approx([128 - 110, 130 - 110], abs=1e-4)
 
 
-def test_a_bed_in_a_corner_is_warned_of_and_auto_needs_a_bed(run: Callable[..., Result], temporary: Path) -> None:
-    nowhere = run("compensate", "-m", "kossel", "--offset-mm", "auto", temporary)
-    assert nowhere.exit_code == 2 and "what the bed is" in nowhere.stderr.replace("\n", " ")
+def test_a_bed_in_a_corner_is_warned_of_and_no_bed_is_no_error(run: Callable[..., Result], temporary: Path) -> None:
+    nowhere = run("compensate", "-m", "kossel", "--no-predict", temporary)
+    assert nowhere.exit_code == 0 and "Offset 0,0: the print lies inside as it is." in nowhere.stderr
     temporary.write_bytes(SMALL + CORNER)
-    warned = run("compensate", "-m", "kossel", "--no-predict", temporary)
-    assert warned.exit_code == 0 and "unless --offset-mm -110,-110 is given" in warned.stderr
+    warned = run("compensate", "-m", "kossel", "--no-predict", "--offset-mm", "0,0", temporary)
+    assert warned.exit_code == 0 and "where --offset-mm -110,-110 puts it" in warned.stderr
 
 
 def test_a_closed_stderr_does_not_spill_into_the_result(tmp_path: Path) -> None:
@@ -301,7 +303,7 @@ MARLIN = {"gcode_flavor": "marlin2", "machine_limits_usage": "emit_to_gcode", "b
 @needs_slicer
 @pytest.mark.parametrize(
     ("settings", "more", "centre"),
-    [(KLIPPER, "", 0.0), (MARLIN, " --offset-mm auto;true", 100.0)],  # and another script behind it
+    [(KLIPPER, "", 0.0), (MARLIN, ";true", 100.0)],  # and another script behind it
     ids=["klipper", "marlin"],
 )
 def test_what_prusaslicer_exports_is_the_compensated_print(
@@ -411,8 +413,8 @@ def test_what_cura_saves_is_the_compensated_print_and_a_failure_is_told(
     ours = {"options": "--no-predict --offset-mm auto", "executable": shlex.split(slicer.program)[0]}
     seen = cura([{**once, "settings": ours}, again, {**failed, "settings": {"executable": NOWHERE}}])
     assert seen["label"] == "ffcomp: compensate vibration"
-    assert len(seen["said"]) == 2 and "auto: 0,0; the slicer's bed lies about X0 Y0" in seen["said"][0]
-    assert "The print is NOT compensated." in seen["said"][1] and repr(NOWHERE) in seen["said"][1]
+    assert len(seen["said"]) == 1
+    assert "The print is NOT compensated." in seen["said"][0] and repr(NOWHERE) in seen["said"][0]
     done, twice, uncompensated = map(slicer.bytes_of, names)
     assert already_processed(done) is not None and twice == done and done.count(b";POSTPROCESSED\n") == 1
     sliced = slicer.bytes_of("box.gcode.sliced")

@@ -1,0 +1,143 @@
+"""Choose where a print is put: by how much its positions are shifted, X and Y, and why.
+
+A print that the machine can print where it is stays there. Otherwise the slicer's bed is laid over the machine's, or
+the print is put in the middle, and an offset counts only if every move then lies inside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ffcomp.integrations.slicer import Bed, offset_for, pair, place
+from ffcomp.planner.reach import PartMoves
+from gcode.program import Program
+from models.arrays import FloatArray
+from models.kinematics.base import SLACK_MM, Kinematics
+
+Offset = tuple[float, float]
+NOWHERE: Offset = (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Footprint:
+    """Where a print's moves go as it is written: corners of what encloses them."""
+
+    part: FloatArray  # (k, 2) mm, of the moves that extrude the part; of all moves where nothing is extruded
+    everything: FloatArray  # (k, 2) mm
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and depth of the part, mm."""
+        x, y = np.ptp(self.part, axis=0).tolist()
+        return x, y
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """An offset, mm, and a sentence why."""
+
+    offset: Offset
+    reason: str
+    notable: bool = False  # something to look at: the print is moved, or lies where the slicer does not have its bed
+
+
+def footprint_of(programs: Iterable[Program]) -> Footprint | None:
+    """Return the footprint of a file's programs, read without an offset; None: nothing moves."""
+    moves = PartMoves()
+    part, everything = np.empty((0, 2)), np.empty((0, 2))
+    for program in programs:
+        which = moves.of(program)
+        for ends in (program.moves.start[:, :2], program.moves.end[:, :2]):
+            part, everything = _enclosing(part, ends[which]), _enclosing(everything, ends)
+    if not len(everything):
+        return None
+    return Footprint(part if len(part) else everything, everything)
+
+
+def _enclosing(known: FloatArray, more: FloatArray) -> FloatArray:
+    """Return the corners of the convex hull of all."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    points = np.unique(np.concatenate([known, more]), axis=0)
+    if len(points) < 4:
+        return points
+    try:
+        return np.asarray(points[ConvexHull(points).vertices])
+    except QhullError:  # all on a line: its ends
+        return points[[0, -1]]
+
+
+def choose_offset(kinematics: Kinematics, bed: Bed | None, footprint: Callable[[], Footprint | None]) -> Placement:
+    """Choose the offset of a print.
+
+    Parameters
+    ----------
+    kinematics : Kinematics
+        Those of the machine.
+    bed : Bed or None
+        The slicer's, if it is known.
+    footprint : callable
+        Finds where the print is; asked only where the beds do not tell.
+    """
+    by_bed = NOWHERE if bed is None else offset_for(bed, kinematics.centre_mm)
+    if bed is not None and by_bed == NOWHERE:
+        return Placement(NOWHERE, "Offset 0,0: the slicer's bed lies about where the machine's does.")
+    found = footprint()
+    if found is None or _fits(kinematics, found.part, NOWHERE):
+        elsewhere = "" if bed is None else _other_bed(kinematics, bed, by_bed)
+        return Placement(NOWHERE, f"Offset 0,0: the print lies inside as it is{elsewhere}.", notable=bool(elsewhere))
+    offset = _helping(kinematics, bed, found)
+    if offset is None:
+        return Placement(NOWHERE, f"Offset 0,0: {no_offset(kinematics, found)}.", notable=True)
+    if bed is not None and offset == by_bed:
+        rule = f"{_beds(kinematics, bed)}, and the print would lie outside"
+    else:
+        rule = "the print would lie outside as it is, and is put in the middle of the bed"
+    return Placement(offset, f"Offset {pair(offset)}: {rule}.", notable=True)
+
+
+def advice(kinematics: Kinematics, bed: Bed | None, found: Footprint | None, refused: Offset) -> str:
+    """Say in a sentence which offset would bring a refused print inside; checked with every move of it."""
+    if found is None:
+        return ""
+    if _fits(kinematics, found.part, refused):
+        return "No offset helps: it does not lie beside the bed, but too high or too low."
+    offset = _helping(kinematics, bed, found)
+    if offset is None:
+        sentence = no_offset(kinematics, found)
+        return f"{sentence[:1].upper()}{sentence[1:]}."
+    if not _fits(kinematics, found.everything, offset):
+        return f"--offset-mm {pair(offset)} brings the part inside; moves beside it would go out as they are."
+    return f"A print made for a bed with its origin elsewhere? --offset-mm {pair(offset)} brings it inside."
+
+
+def _helping(kinematics: Kinematics, bed: Bed | None, found: Footprint) -> Offset | None:
+    """Return an offset that brings all moves inside, or at least the part; None: there is none."""
+    for points in (found.everything, found.part):
+        by_bed = [] if bed is None else [offset_for(bed, kinematics.centre_mm)]
+        for offset in (*by_bed, kinematics.centring(points)):
+            if _fits(kinematics, points, offset):
+                return offset
+    return None
+
+
+def no_offset(kinematics: Kinematics, found: Footprint) -> str:
+    """Say that a print is too large."""
+    width, depth = found.size
+    volume = kinematics.volume_text()
+    return f"the print needs {width:.0f} × {depth:.0f} mm, and the print volume {volume}: no offset helps"
+
+
+def _fits(kinematics: Kinematics, points: FloatArray, offset: Offset) -> bool:
+    return bool(kinematics.contains(points + offset, SLACK_MM).all())
+
+
+def _other_bed(kinematics: Kinematics, bed: Bed, by_bed: Offset) -> str:
+    return f" ({_beds(kinematics, bed)}: --offset-mm {pair(by_bed)} would move it there)"
+
+
+def _beds(kinematics: Kinematics, bed: Bed) -> str:
+    return f"the slicer's bed lies about {place(bed.centre)}, the machine's about {place(kinematics.centre_mm)}"

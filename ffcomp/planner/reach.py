@@ -1,0 +1,142 @@
+"""What of a print lies outside the machine's print volume: the part must not, and what else does goes out as it is.
+
+Start and end code parks, wipes and purges beside the bed, where many machine files have the print volume end and the
+printer does not: a purge line at X-2, say. Such a move is not compensated and not refused. The firmware gets it as it
+was, and knows best whether it can go there. What is extruded in the layers must lie inside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from gcode.errors import GcodeError
+from gcode.layers import layer_starts
+from gcode.pass_through import passed_through
+from gcode.program import EventKind, Program
+from models.arrays import BoolArray
+from models.errors import UnreachableError
+from models.kinematics.base import Kinematics
+
+BESIDE = "beside the print volume"  # why moves go out as they are
+PURGE_MOVES = 20  # extruding moves at the beginning of a print without layer comments that may be a purge line …
+PART_MOVES = 100  # … if so many are in sight
+
+
+class PartMoves:
+    """Tell which moves extrude the part, program after program of a file: not what comes before its first layer."""
+
+    def __init__(self) -> None:
+        self._begun = False  # whether a comment has begun a layer
+        self._extruded = 0  # moves so far, as long as none has
+
+    def of(self, program: Program) -> BoolArray:
+        """Return which moves of the next program do, (n,)."""
+        moves = program.moves
+        way = moves.end - moves.start
+        extrudes = (way[:, 3] > 0.0) & np.any(way[:, :2] != 0.0, axis=1)
+        if self._begun:
+            return np.asarray(extrudes)
+        numbers = self._extruded + np.cumsum(extrudes)
+        starts = layer_starts(program)
+        self._begun = bool(starts)
+        self._extruded = int(numbers[-1]) if numbers.size else self._extruded
+        if starts:
+            return np.asarray(extrudes & (np.arange(len(moves)) >= starts[0]))
+        return np.asarray(extrudes & ((numbers > PURGE_MOVES) | (self._extruded < PART_MOVES)))
+
+
+class Reach:
+    """Passes the moves beside the print volume through, program after program of a file."""
+
+    def __init__(self, kinematics: Kinematics) -> None:
+        self._kinematics, self._part = kinematics, PartMoves()
+        self._lines, self._left = 0, 0  # that go out as they are; moves that stay
+        self._points = np.empty((0, 3))  # mm, where those lines go beside the volume
+        self._first: GcodeError | None = None  # about the first of them
+
+    def of(self, program: Program) -> Program:
+        """Return the program without the moves beside the volume, which become lines that go out as they are.
+
+        Raises
+        ------
+        OutOfReach
+            If the part itself lies outside, with the line.
+        """
+        moves, part = program.moves, self._part.of(program)
+        begin, end = (self._kinematics.reachable(points[:, :3]) for points in (moves.start, moves.end))
+        outside = ~(begin & end)
+        self._left += int(np.count_nonzero(~outside))
+        if not outside.any():
+            return program
+        if (error := self._about(program, part & ~end, part & ~begin)) is not None:
+            raise error
+        self._first = self._first or self._about(program, ~end, ~begin)
+        self._lines += len(np.unique(moves.line[outside]))
+        points = np.concatenate([self._points, moves.start[~begin, :3], moves.end[~end, :3]])
+        self._points = np.unique(np.round(points, 3), axis=0)
+        return passed_through(program, outside, BESIDE)
+
+    def whole(self, parts: Iterable[Program]) -> Iterator[Program]:
+        """Yield a file's programs, one after the other, as `of` returns them; a file of which nothing is left fails."""
+        yield from map(self.of, parts)
+        if self._first is not None and not self._left:
+            raise self._first
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Say once for the whole file what goes out as it is, and what would change that."""
+        if self._first is None:
+            return ()
+        others = f", and so do {self._lines - 1} more lines" if self._lines > 1 else ""
+        widening = self._kinematics.widening(self._points)
+        remedy = f" If the printer reaches it, {widening}; the firmware decides in any case." if widening else ""
+        rule = f"{self._first.rule.rstrip('.')}{others}: not of the part, so it goes out as it was, uncompensated."
+        return (f"line {self._first.line}: {rule}{remedy}",)
+
+    def _about(self, program: Program, at_end: BoolArray, at_start: BoolArray) -> OutOfReach | None:
+        return _about(self._kinematics, program, at_end, at_start)
+
+
+class OutOfReach(GcodeError):
+    """A position that the machine cannot reach."""
+
+
+def within_reach(program: Program, kinematics: Kinematics) -> Program:
+    """Return a whole file's program without the moves beside the print volume; see `Reach`."""
+    (inside,) = Reach(kinematics).whole([program])
+    return inside
+
+
+def check_moves(program: Program, kinematics: Kinematics) -> None:
+    """Raise OutOfReach, with the line, unless every move lies in the print volume."""
+    moves = program.moves
+    begin, end = (kinematics.reachable(points[:, :3]) for points in (moves.start, moves.end))
+    if (error := _about(kinematics, program, ~end, ~begin)) is not None:
+        raise error
+
+
+def _about(kinematics: Kinematics, program: Program, at_end: BoolArray, at_start: BoolArray) -> OutOfReach | None:
+    """Return what is said of the first of the moves that end or start outside; None: none does."""
+    moves, which = program.moves, at_end if at_end.any() else at_start
+    if not which.any():
+        return None
+    numbers = np.flatnonzero(which)
+    points = (moves.end if at_end.any() else moves.start)[numbers, :3]
+    try:
+        kinematics.check_reach(points)
+    except UnreachableError as error:
+        move = int(numbers[error.indices[0]])
+        line = int(moves.line[move]) if at_end.any() else _line_to_start(program, move)
+        return OutOfReach(error.rule, program.first_line + line + 1, program.path)
+    return None
+
+
+def _line_to_start(program: Program, move: int) -> int:
+    """Return the line that has brought the nozzle to where a move starts."""
+    moves = program.moves
+    lines = [event.line for event in program.events if event.move <= move and event.kind is EventKind.RAW_MOVE]
+    if move and np.array_equal(moves.end[move - 1, :3], moves.start[move, :3]):
+        lines.append(int(moves.line[move - 1]))
+    return max((line for line in lines if line < moves.line[move]), default=int(moves.line[move]))

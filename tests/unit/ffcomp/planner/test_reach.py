@@ -1,0 +1,90 @@
+"""Moves beside the print volume: those of the part are refused with their line, all others go out as they are."""
+
+from __future__ import annotations
+
+import pytest
+
+from ffcomp.planner.reach import OutOfReach, Reach, within_reach
+from gcode.program import EventKind
+from gcode.reader import read_parts, read_program
+from models.file import load_machine
+from models.machine import Machine
+
+PRINT = b"""G1 X-2 Y20 Z0.3 F6000
+G1 X-2 Y90 E9 F1200
+G1 X40 Y90 F6000
+;LAYER:0
+G1 X60 Y90 E12
+G1 X60 Y50 E15
+G1 X0 Y240 F6000
+"""
+
+
+@pytest.fixture(scope="module")
+def ender() -> Machine:
+    return load_machine("ender-3")
+
+
+def read(text: bytes, machine: Machine) -> Reach:
+    reach = Reach(machine.kinematics)
+    list(reach.whole([read_program(text, "a.gcode", start=(10.0, 10.0, 5.0))]))
+    return reach
+
+
+def test_a_purge_line_and_parking_go_out_as_they_are(ender: Machine) -> None:
+    program = read_program(PRINT, start=(10.0, 10.0, 5.0))
+    left = within_reach(program, ender.kinematics)
+    assert [event.line for event in left.events if event.kind is EventKind.RAW_MOVE] == [0, 1, 2, 6]
+    assert left.moves.line.tolist() == [4, 5]
+
+
+def test_one_warning_names_the_line_itself_and_the_range_that_it_needs(ender: Machine) -> None:
+    (said,) = read(PRINT, ender).warnings
+    assert said.startswith(
+        "line 1: The point X = -2.000, Y = 20.000, Z = 0.300 mm lies outside the range of X, 0 to 235"
+    )
+    assert "and so do 3 more lines" in said
+    assert "write x_range_mm = [-2, 235], y_range_mm = [0, 240] in [kinematics] of the machine file" in said
+
+
+def test_a_print_inside_says_nothing(ender: Machine) -> None:
+    assert read(PRINT.replace(b"X-2", b"X2").replace(b"Y240", b"Y230"), ender).warnings == ()
+
+
+def test_the_part_is_refused_with_its_own_line(ender: Machine) -> None:
+    with pytest.raises(OutOfReach, match=r"^a\.gcode:5: The point X = 260\.000, Y = 90\.000"):
+        read(PRINT.replace(b"X60 Y90", b"X260 Y90"), ender)
+
+
+def test_a_part_that_begins_outside_names_the_line_that_went_there(ender: Machine) -> None:
+    with pytest.raises(OutOfReach, match=r"^a\.gcode:3: The point X = 240\.000, Y = 90\.000"):
+        read(PRINT.replace(b"X40 Y90", b"X240 Y90"), ender)
+
+
+def test_lines_are_counted_through_the_parts_of_a_file(ender: Machine) -> None:
+    reach = Reach(ender.kinematics)
+    parts = read_parts([PRINT], "a.gcode", flavor="marlin", start=(10.0, 10.0, 5.0), part_bytes=75)
+    left = list(reach.whole(parts))
+    assert len(left) > 1 and sum(len(program.moves) for program in left) == 2
+    assert reach.warnings[0].startswith("line 1: ") and "3 more lines" in reach.warnings[0]
+
+
+def test_without_layer_comments_the_first_extrusions_may_be_a_purge_line(ender: Machine) -> None:
+    text = PRINT.replace(b";LAYER:0\n", b"")
+    many = b"".join(b"G1 X%d Y50 E%d\n" % (50 + k % 9, 20 + k) for k in range(100))
+    assert "so do 4 more" in read(text + many, ender).warnings[0]
+    with pytest.raises(OutOfReach, match=r"a\.gcode:107: The point X = -3\.000"):
+        read(text + many + b"G1 X-3 E600\n", ender)
+    with pytest.raises(OutOfReach, match=r"a\.gcode:2: The point X = -2\.000"):  # there is nothing but the purge line
+        read(text, ender)
+
+
+def test_a_file_of_which_nothing_lies_inside_is_refused(ender: Machine) -> None:
+    with pytest.raises(OutOfReach, match=r"a\.gcode:1: .*outside the range of X"):
+        read(b"G1 X-50 F600\nG1 X-60\n", ender)
+
+
+def test_a_delta_names_its_radius() -> None:
+    machine = load_machine("kossel")
+    (said,) = read(PRINT.replace(b"X-2", b"X-120").replace(b"Y240", b"Y90").replace(b"X60", b"X30"), machine).warnings
+    assert "outside the print radius of 115 mm" in said and "write print_radius_mm = 150 in [kinematics]" in said
