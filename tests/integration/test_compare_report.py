@@ -207,6 +207,14 @@ def test_limits_and_warnings_are_in_the_verdict() -> None:
     assert "allows" not in " ".join(verdict(comparison()))
 
 
+def test_assumed_modes_are_said_once_for_the_machine_and_its_plant() -> None:
+    guess = "The modes of a delta are assumed."
+    assumed = Party("a delta", "12" * 32, assumed=guess)
+    assert verdict(comparison(machine=assumed, plant=assumed)).count(guess) == 1
+    assert verdict(comparison(plant=Party("another", "34" * 32, assumed=guess))).count(guess) == 1
+    assert guess not in verdict(comparison())
+
+
 def test_another_plant_is_named_with_its_effects() -> None:
     said = verdict(comparison(plant=Party("a worn delta", "34" * 32, ("friction", "backlash"))))[-1]
     assert "a worn delta, with friction, backlash" in said and "very numbers" not in said
