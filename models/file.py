@@ -11,8 +11,9 @@ Defaults of what a file may leave out: `[carriage.drive]` an ideal drive; `[effe
 from __future__ import annotations
 
 import hashlib
+import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,13 @@ from models.schema import (
 
 DEFAULT_UNCERTAINTY = 0.02
 
+# Klipper's printer.cfg, RepRapFirmware's config.g, Marlin's answer to M503; a line of a machine file
+_CONFIGURATION = re.compile(
+    rb"^\[(?:printer|mcu|stepper_\w+|include [^\]]+)\][ \t\r]*$|^(?:\w+:)?[ \t]*M(?:92|201|203|550|665|669)[ \t]",
+    re.MULTILINE,
+)
+_FORMAT = re.compile(rb"^format[ \t]*=", re.MULTILINE)
+
 
 def find_machine(name_or_path: str | Path) -> Path:
     """Return the file meant by a name or a path (see the top of this module)."""
@@ -42,17 +50,25 @@ def find_machine(name_or_path: str | Path) -> Path:
             raise MachineFileError(name, ["There is no such file."])
         return path
     known = machine_paths()
+    if name not in known and path.is_file():
+        return path
     if name not in known:
         hint, names = did_you_mean(name, known), ", ".join(known)
         raise MachineFileError(name, [f"There is no machine of this name.{hint} Known machines: {names}."])
     return known[name]
 
 
-def find_by_sha256(digits: str, name: str) -> Path:
-    """Return the file whose hash begins with these digits; `name` only serves to say which one is missing."""
-    for path in machine_paths().values():
-        if hashlib.sha256(path.read_bytes()).hexdigest().startswith(digits):
-            return path
+def find_by_sha256(digits: str, name: str, more: Iterable[Path] = ()) -> Path:
+    """Return the file whose hash begins with these digits, known by its name or one of `more`.
+
+    `name` only serves to say which one is missing.
+    """
+    for path in (*machine_paths().values(), *more):
+        try:
+            if hashlib.sha256(path.read_bytes()).hexdigest().startswith(digits):
+                return path
+        except OSError:  # gone since it was used
+            continue
     rule = f"No machine file here has the hash {digits}…; name the file with --machine."
     raise MachineFileError(name, [rule])
 
@@ -71,6 +87,9 @@ def load_machine(name_or_path: str | Path) -> Machine:
 
 
 def _parsed(data: bytes, path: str) -> DeltaDocument | StraightDocument:
+    if _CONFIGURATION.search(data) and not _FORMAT.search(data):
+        remedy = f"ffcomp machines import {path} -o my-printer.toml makes a machine of it"
+        raise MachineFileError(path, [f"This is a printer's configuration; {remedy}."])
     try:
         document = tomllib.loads(data.decode("utf-8"))
     except UnicodeDecodeError as error:

@@ -211,11 +211,13 @@ def compensate(
         offset = None if offset_mm == "auto" else parsed_offset(offset_mm)
         targets = _targets(files, output_file, output_dir, dry_run, ".npz" if output != "gcode" else "")
 
+        from ffcomp.cli.machine_files import remember
         from ffcomp.compensate.job import Options
         from ffcomp.integrations.slicer import read_call
         from models.file import load_machine
 
         known, call = load_machine(machine), read_call(os.environ)
+        remember(known)
         say_assumed([known], quiet)
         advice = _advised(known, files, offset, call)
         for sentence in advice if len(files) > 1 else ():

@@ -77,15 +77,16 @@ def _estimates(file: Path, machine: str, flavor: str, offset: tuple[float, float
 
 def _machine(text: Source, path: str, name: str) -> Machine:
     """Load the machine asked for, or that of the print's stamp."""
+    from ffcomp.cli.machine_files import machine_of
     from ffcomp.estimate.engine import stamp_of
-    from models.file import find_by_sha256, load_machine
+    from models.file import load_machine
 
     if name:
         return load_machine(name)
     stamp = stamp_of(text)
     if stamp is None:
         raise typer.BadParameter(f"{path} does not say which machine it is for: --machine NAME (ffcomp machines list).")
-    return load_machine(str(find_by_sha256(stamp.sha256, stamp.machine)))
+    return machine_of(stamp, Path(path))
 
 
 def _print(found: Estimate, every_layer: bool) -> None:

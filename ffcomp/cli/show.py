@@ -54,20 +54,21 @@ def _show(file: Path, picture: Path, machine_name: str, z_mm: float | None, plat
     from dataclasses import asdict
 
     from ffcomp.cli.common import say_assumed
+    from ffcomp.cli.machine_files import machine_of
     from ffcomp.errors import NothingToDo
     from ffcomp.report.show import draw, numbers, verdict
     from ffcomp.simulate.preview import preview
     from ffcomp.version import __version__
     from gcode.container import read_bytes
     from gcode.stamp import STAMP_REACH, already_processed, find_offset
-    from models.file import find_by_sha256, load_machine
+    from models.file import load_machine
     from models.provenance import identity
 
     data = read_bytes(file, plate)
     stamp = already_processed(data)
     if stamp is None:
         raise NothingToDo(f"{file}: not compensated by ffcomp; first: ffcomp compensate {file} --machine NAME.")
-    machine = load_machine(machine_name or str(find_by_sha256(stamp.sha256, stamp.machine)))
+    machine = load_machine(machine_name) if machine_name else machine_of(stamp, file)
     say_assumed([machine])
     seen = preview(data, str(file), machine, find_offset(data[:STAMP_REACH]), stamp.flavor)
     footer = (

@@ -37,7 +37,7 @@ def name_of(*given: object) -> str:
 
 def load(name: str) -> Arrays:
     """Load the arrays of a file; an unreadable or missing file gives none."""
-    file = _folder() / f"{name}.npz"
+    file = cache_folder() / f"{name}.npz"
     try:
         with file.open("rb") as content, np.load(content, allow_pickle=False) as arrays:
             found = {each: arrays[each] for each in arrays.files}
@@ -49,7 +49,7 @@ def load(name: str) -> Arrays:
 
 def save(name: str, arrays: Arrays) -> None:
     """Write the arrays, whole or not at all; a failure is ignored."""
-    folder = _folder()
+    folder = cache_folder()
     draft = folder / f".{name}.{os.getpid()}.npz"
     with suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
@@ -63,7 +63,8 @@ def save(name: str, arrays: Arrays) -> None:
             file.unlink(missing_ok=True)
 
 
-def _folder() -> Path:
+def cache_folder() -> Path:
+    """Return the folder of the cache, which need not exist; without a cache no folder can be made there."""
     folder = os.environ.get(VARIABLE, "")
     return Path(os.devnull) if folder == "off" else Path(folder) if folder else user_cache() / "ffcomp"
 
