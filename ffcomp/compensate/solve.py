@@ -36,6 +36,7 @@ class SolvedSection:
     solution: Solution
     slowed: tuple[TimeScaling, ...]
     knots: tuple[int, int]  # between which it is written
+    late_s: float = 0.0  # by which it takes longer than its knots
 
 
 def solutions(
@@ -122,7 +123,15 @@ def _linear(
             found = FeasibleSection(trajectory, section, written, result)
         reference, *knots = found.written
         yield (
-            SolvedSection(trajectory, found.section, reference, found.solution, found.records, (knots[0], knots[1])),
+            SolvedSection(
+                trajectory,
+                found.section,
+                reference,
+                found.solution,
+                found.records,
+                (knots[0], knots[1]),
+                found.late_s,
+            ),
             rest,
         )
         state = found.solution.state

@@ -15,6 +15,7 @@ from models.effects.catalogue import design_machine
 from models.machine import Machine
 
 SEGMENTS_PER_SECOND = 250.0
+LIFT_LAG_MM = 0.02  # of the nozzle in a lift, that is left as it is
 CUT = 256  # knots: no segment is joined across a knot whose number is a multiple of it
 
 
@@ -44,6 +45,11 @@ class Settings:
     merge_um: float = 0.2  # segments are joined while the execution stays this close to the solution
     longest_merged_s: float = 0.1  # and no longer than this, so that the firmware's clock is kept in short steps
     output: SegmentLimits = field(default_factory=SegmentLimits)
+
+    @property
+    def joins_lifts(self) -> bool:
+        """Whether the nozzle follows a lift so well that it is written as it was planned, in one segment."""
+        return self.compliance_s2[2] * self.output.z_acceleration_mm_per_s2 <= LIFT_LAG_MM
 
 
 def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SECOND) -> Settings:

@@ -7,6 +7,8 @@ A section whose command keeps all limits is taken as it is. Otherwise, in a few 
     segments that the firmware cannot execute in their time                → those moves become slower
     none of these                                                          → done
 
+Lifts, and the travel beside them, may come a few ms late instead: that costs less, and the print time counts it.
+
 Speed follows a velocity limit in proportion. Acceleration and the speed of corners follow an acceleration limit in
 proportion; where the nozzle keeps its speed, in curves and far from the middle, it is v² that does.
 
@@ -29,6 +31,7 @@ from ffcomp.inverse.command_limits import NAMES, TRAVEL, VELOCITY, utilisation_f
 from ffcomp.inverse.extent import SLOWEST_RAMPS, WHOLE, Extent, WrittenReference, context_s
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
+from ffcomp.inverse.settings import CUT
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.inverse.violations import (
     SLOWEST,
@@ -40,6 +43,7 @@ from ffcomp.inverse.violations import (
     solution_violations,
     timing_violations,
 )
+from ffcomp.planner.lifts import FLOWS_MM, join_lifts
 from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.sections import Section
@@ -56,6 +60,8 @@ ROUNDS = 8
 PHASES = 4  # of the knots, at which a path is looked at
 APART = 8  # moves: scaled ones that lie closer share a record
 LATE_MM = 1e-3  # how far a segment may fall behind
+LATE_TRAVEL_MM = 25e-3  # and how far in XY where no filament flows, on a machine that joins lifts
+LATEST_S = 0.01  # that a section may end later than planned because of such segments
 NO_TOLERANCE_MM = 0.0  # around a cut: where no limit is active, both sides find the same command
 KNOT = 1e-6  # of a segment: nearer is at a knot
 SCALED = 0.75  # share of the context of a cut that may become slower before the cut
@@ -113,6 +119,7 @@ class FeasibleSection:
     solution: Solution
     records: tuple[TimeScaling, ...] = ()
     lost_s: float = 0.0
+    late_s: float = 0.0  # by which it takes longer than its knots: lifts, and the travel beside them
 
 
 def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSection:
@@ -129,8 +136,9 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
     trajectory, section, settings = request.trajectory, request.section, model.settings
     written, keep = request.written, request.keep_response
     solution = solve(model, written.reference, request.state, keep_response=keep, enforce_limits=False)
-    if not _exceeds(model, written, solution):
-        return FeasibleSection(trajectory, section, written, solution)
+    late = _late(model, written, solution.vertices)
+    if not _exceeds(model, written, solution, late.segments):
+        return FeasibleSection(trajectory, section, written, solution, late_s=late.late_s)
     moves, first_line = _slice(request.program.moves, section), request.program.first_line
     scaled = _ScaledSection(
         model,
@@ -144,8 +152,9 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
         keep_response=keep,
     )
     written, solution = scaled.solve(settings.tolerance_um * 1e-3)
+    late_s = _late(model, written, solution.vertices).late_s
     if not scaled.reasons:
-        return FeasibleSection(trajectory, section, written, solution)
+        return FeasibleSection(trajectory, section, written, solution, late_s=late_s)
     spliced, lost = _spliced(trajectory, section, scaled.plan)
     records = tuple(
         scaled.records(
@@ -154,7 +163,8 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
     )
     if settings.strict:
         _refuse(records)
-    return FeasibleSection(spliced, replace(section, end_t=scaled.section.end_t), written, solution, records, lost)
+    section = replace(section, end_t=scaled.section.end_t)
+    return FeasibleSection(spliced, section, written, solution, records, lost, late_s)
 
 
 def scale_around_cut(
@@ -203,11 +213,9 @@ def _refuse(records: tuple[TimeScaling, ...]) -> None:
     raise LimitsError(" ".join(record.sentence("would have to be slowed") for record in records))
 
 
-def _exceeds(model: InverseModel, written: WrittenReference, solution: Solution) -> bool:
+def _exceeds(model: InverseModel, written: WrittenReference, solution: Solution, late: BoolArray) -> bool:
     # what is not finite is out of reach, which is nothing that speed could help
-    inside = slice(written.first, written.last)
-    late = _late(model, written.reference, solution.vertices)
-    return _utilisation(model, written, solution) > 1.0 or bool(late[inside].any())
+    return _utilisation(model, written, solution) > 1.0 or bool(late[written.first : written.last].any())
 
 
 def _utilisation(model: InverseModel, written: WrittenReference, solution: Solution) -> float:
@@ -218,12 +226,30 @@ def _utilisation(model: InverseModel, written: WrittenReference, solution: Solut
     return float(utilisation_from_rest(solution.vertices, model.limits)[1:-1][inside].max())
 
 
-def _late(model: InverseModel, reference: Reference, vertices: FloatArray) -> BoolArray:
-    """Find the segments (n,) that the firmware cannot execute in their time."""
+class _Late(NamedTuple):
+    """What the firmware cannot execute in its time."""
+
+    segments: BoolArray  # (n,) those that must have more time
+    late_s: float  # by which the written part ends late because of the others
+
+
+def _late(model: InverseModel, written: WrittenReference, vertices: FloatArray) -> _Late:
+    """Find the segments that the firmware cannot execute in their time, and where that matters."""
     s = model.settings
-    durations = np.full(len(vertices) - 1, s.segment_s)
-    speeds = segment_speeds(vertices, np.diff(reference.extrusion()), durations, s.output)
-    return np.asarray((speeds.duration - durations) * speeds.cruise > LATE_MM)
+    e, stay = written.reference.extrusion(), np.arange(len(vertices))
+    if s.joins_lifts:
+        stay = join_lifts(vertices, e, stay % CUT == 0).stay
+    step, filament, lasting = np.diff(vertices[stay], axis=0), np.diff(e[stay]), np.diff(stay) * s.segment_s
+    speeds = segment_speeds(vertices[stay], filament, lasting, s.output)
+    behind_s = np.maximum(speeds.duration - lasting, 0.0)
+    late = behind_s * speeds.cruise > LATE_MM
+    if s.joins_lifts and late.any():
+        waits = late & (np.abs(filament) <= FLOWS_MM)
+        waits &= behind_s / lasting * np.hypot(step[:, 0], step[:, 1]) <= LATE_TRAVEL_MM
+        if behind_s[waits].sum() <= LATEST_S:
+            late &= ~waits
+    accepted = ~late & (stay[:-1] >= written.first) & (stay[:-1] < written.last)
+    return _Late(np.repeat(late, np.diff(stay)), float(behind_s[accepted].sum()))
 
 
 class _Attempt(NamedTuple):
@@ -349,7 +375,7 @@ class _ScaledSection:
         utilisation = utilisation_from_rest(free.vertices, model.limits)[1:-1]
         violations = _among(path_violations(self._path_utilisation(written.reference), utilisation), written)
         if not violations and feasible:
-            violations = _among(timing_violations(_late(model, written.reference, free.vertices)), written)
+            violations = _among(timing_violations(_late(model, written, free.vertices).segments), written)
         if violations or feasible:
             return _Attempt(written, free, violations)
         try:
@@ -357,7 +383,7 @@ class _ScaledSection:
         except SolverError:  # no command keeps the limits
             return _Attempt(written, free, _among(command_violations(utilisation), written))
         violations = _among(solution_violations(solution, utilisation, tolerance_mm, model.limits), written)
-        violations += _among(timing_violations(_late(model, written.reference, solution.vertices)), written)
+        violations += _among(timing_violations(_late(model, written, solution.vertices).segments), written)
         return _Attempt(written, solution, violations)
 
     def _path_utilisation(self, reference: Reference) -> FloatArray:

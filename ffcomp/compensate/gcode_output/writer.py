@@ -19,6 +19,7 @@ from numba import njit
 
 from ffcomp.compensate.gcode_output.layout import Timeline
 from ffcomp.inverse.settings import Settings
+from ffcomp.planner.lifts import join_lifts
 from ffcomp.planner.segment_timing import merge, segment_speeds
 from gcode.dialects import KLIPPER, MARLIN, close_limits, open_limits
 from gcode.embedded import CUT_SHORT, OURS, WAS, joined, like_ours, section_time_line
@@ -165,12 +166,17 @@ class Writer:
         s, piece, at = self.settings, timeline.tile, timeline.at
         frame = self.program.frames[int(self.program.moves.frame[first])]
         points = _stated(vertices, at, piece.first, frame.base, frame.unit_mm)
-        kept = merge(at, points, timeline.e, timeline.cut, 1e-3 * s.merge_um, s.longest_merged_s / s.segment_s)
+        stay, pinned = np.arange(len(at)), timeline.cut
+        if s.joins_lifts:
+            stay, pinned = join_lifts(points, timeline.e, timeline.cut)
+        tolerance, longest = 1e-3 * s.merge_um, s.longest_merged_s / s.segment_s
+        kept = stay[merge(at[stay], points[stay], timeline.e[stay], pinned, tolerance, longest)]
         at, points, e = at[kept], points[kept], timeline.e[kept]
         lasting = (at[1:] - at[:-1]) * s.segment_s
-        speeds = segment_speeds(points, e[1:] - e[:-1], lasting, s.output).cruise
+        speeds = segment_speeds(points, e[1:] - e[:-1], lasting, s.output)
+        lasting = np.maximum(lasting, speeds.duration)  # lifts may be late
         begin, end = at.searchsorted([piece.begin, piece.end]).tolist()
-        return _Segments(kept[:-1], points[1:], e[1:], speeds, lasting).part(begin, end)
+        return _Segments(kept[:-1], points[1:], e[1:], speeds.cruise, lasting).part(begin, end)
 
     def _turns(self, lines: list[tuple[int, _Line]]) -> Iterator[int]:
         """Which of the lines change how numbers are written."""

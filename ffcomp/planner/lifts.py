@@ -1,0 +1,87 @@
+"""Lifts: stretches of a command that are written as one segment, although their speed changes.
+
+A segment is executed with ramps at the firmware's acceleration, and passes its ends no faster than its neighbours: a
+ramp in several segments needs twice the acceleration that it has itself. A printer's own acceleration of Z is often no
+more than the plan's, and no G-code file can raise it. But while only Z moves and no filament flows, it does not matter
+when exactly the nozzle is at which height: one segment with the firmware's own ramps takes the time of the plan.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from models.arrays import BoolArray, FloatArray, IntArray
+
+STRAIGHT_MM = 5e-3  # from the straight line between its ends, at most
+STEEP = 2.0  # times as far in Z as in XY, in every part
+FLOWS_MM = 1e-6  # filament, at most
+FEWEST = 2  # parts
+
+
+class Joined(NamedTuple):
+    """The points of a command that are left when lifts have been joined."""
+
+    stay: IntArray  # (m,) their indices
+    pinned: BoolArray  # (m,) which of them must stay: the ends of lifts too
+
+
+def join_lifts(points: FloatArray, e: FloatArray, pinned: BoolArray) -> Joined:
+    """Leave out the points inside lifts.
+
+    Parameters
+    ----------
+    points : (n, 3) mm;  e : (n,) mm of filament
+    pinned : (n,) points that must stay
+    """
+    stay, must = _joined(np.ascontiguousarray(points), e, pinned)
+    left = np.flatnonzero(stay)
+    return Joined(left, must[left])
+
+
+@njit(cache=True, nogil=True)
+def _joined(points: FloatArray, e: FloatArray, pinned: BoolArray) -> tuple[BoolArray, BoolArray]:
+    n = len(points) - 1
+    stay, must = np.ones(n + 1, dtype=np.bool_), pinned.copy()
+    k = 0
+    while k < n:
+        up = points[k + 1, 2] - points[k, 2]
+        end = k
+        while end < n and (end == k or not pinned[end]) and _is_steep(points, e, end, up):
+            end += 1
+        first, last = _straight_part(points, k, end)
+        if last - first >= FEWEST:
+            stay[first + 1 : last] = False
+            must[first] = must[last] = True
+        k = max(end, k + 1)
+    return stay, must
+
+
+@njit(nogil=True)
+def _is_steep(points: FloatArray, e: FloatArray, k: int, up: float) -> bool:
+    """Whether the part from point k on leads up (or down, as `up` does) steeply, without filament."""
+    x, y, z = points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1], points[k + 1, 2] - points[k, 2]
+    return z * up > 0.0 and z * z >= STEEP**2 * (x * x + y * y) and abs(e[k + 1] - e[k]) <= FLOWS_MM
+
+
+@njit(nogil=True)
+def _straight_part(points: FloatArray, first: int, last: int) -> tuple[int, int]:
+    """Shorten a steep stretch at the end where it bends, until it is straight."""
+    while last - first >= FEWEST:
+        rise = points[last, 2] - points[first, 2]
+        worst, where = STRAIGHT_MM, -1
+        for k in range(first + 1, last):
+            f = (points[k, 2] - points[first, 2]) / rise
+            for i in range(2):
+                away = abs(points[first, i] + f * (points[last, i] - points[first, i]) - points[k, i])
+                if away > worst:
+                    worst, where = away, k
+        if where < 0:
+            break
+        if where - first < last - where:
+            first = where
+        else:
+            last = where
+    return first, last

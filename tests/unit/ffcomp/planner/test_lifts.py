@@ -1,0 +1,76 @@
+"""Lifts are written as one segment."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ffcomp.planner.lifts import STRAIGHT_MM, join_lifts
+from ffcomp.planner.segment_timing import SegmentLimits, segment_speeds
+from models.arrays import FloatArray
+
+S = 0.004
+
+
+def hop(n: int = 12, height: float = 0.2) -> FloatArray:
+    """Travel along X, a lift that speeds up and slows down, travel along Y, (·, 3) mm."""
+    t = np.linspace(0.0, 1.0, n + 1)
+    z = height * np.where(t < 0.5, 2 * t**2, 1 - 2 * (1 - t) ** 2)
+    before = np.stack([np.linspace(-2.0, 0.0, 11), np.zeros(11), np.zeros(11)], axis=1)
+    lift = np.stack([np.zeros(n + 1), np.zeros(n + 1), z], axis=1)
+    after = np.stack([np.zeros(10), np.linspace(0.2, 2.0, 10), np.full(10, height)], axis=1)
+    return np.concatenate([before, lift[1:], after])
+
+
+def joined(points: FloatArray, e: FloatArray | None = None, pinned: list[int] | None = None) -> list[int]:
+    must = np.zeros(len(points), dtype=np.bool_)
+    must[pinned or []] = True
+    return join_lifts(points, np.zeros(len(points)) if e is None else e, must).stay.tolist()
+
+
+def test_a_lift_is_one_segment() -> None:
+    points = hop()
+    stay, pinned = join_lifts(points, np.zeros(len(points)), np.zeros(len(points), dtype=np.bool_))
+    assert stay.tolist() == [*range(11), *range(22, len(points))]
+    assert stay[pinned].tolist() == [10, 22]
+
+
+def test_a_point_that_must_stay_stays() -> None:
+    assert 15 in joined(hop(), pinned=[15])
+
+
+def test_a_lift_with_filament_is_left_as_it_is() -> None:
+    points = hop()
+    assert joined(points, 0.01 * np.arange(len(points))) == list(range(len(points)))
+
+
+def test_a_slope_is_left_as_it_is() -> None:
+    points = hop()
+    points[:, 0] = np.linspace(0.0, 5.0, len(points))
+    assert joined(points) == list(range(len(points)))
+
+
+def test_where_the_command_still_moves_aside_the_lift_begins_later() -> None:
+    points = hop()
+    points[10, 0] += 4 * STRAIGHT_MM
+    points[11, 0] += 2 * STRAIGHT_MM
+    stay = joined(points)
+    assert 11 in stay and 13 not in stay and 21 not in stay
+
+
+def test_up_and_down_are_two_lifts() -> None:
+    z = np.concatenate([np.linspace(0.0, 0.3, 8), np.linspace(0.3, 0.1, 6)[1:]])
+    assert joined(np.stack([0 * z, 0 * z, z], axis=1)) == [0, 7, 12]
+
+
+def test_one_segment_takes_the_time_of_the_plan_where_many_cannot() -> None:
+    """0.2 mm at the screw's own 350 mm/s²: what the plan takes, which in segments of 4 ms is out of reach."""
+    n = 12
+    points = hop(n)[10 : 10 + n + 1]
+    least_s = 2 * (0.2 / 350.0) ** 0.5
+    assert least_s < n * S < least_s + S
+    limits = SegmentLimits(z_acceleration_mm_per_s2=350.0)
+    many = segment_speeds(points, np.zeros(n), np.full(n, S), limits)
+    one = segment_speeds(points[[0, -1]], np.zeros(1), np.array([n * S]), limits)
+    assert many.duration.sum() > n * S + 1e-4
+    assert one.duration.sum() == pytest.approx(n * S, rel=1e-9)
