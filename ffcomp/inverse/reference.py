@@ -14,7 +14,7 @@ from ffcomp.planner.trajectory import PlannedMotion
 from models.arrays import FloatArray
 
 FELT_S = 0.03  # of motion, that a command feels which begins too late or ends too early
-JUMP_MM = {True: (0.03, 0.1), False: (0.08, 0.2)}  # by whether filament flows there; see `room_of`
+JUMP_MM = {True: (0.03, 0.1), False: (0.05, 0.12)}  # by whether filament flows there; see `room_of`
 
 
 class Room(NamedTuple):
