@@ -41,6 +41,7 @@ SLOW = (  # folders and files; single tests have the marker themselves
     "unit/ffcomp/inverse/test_time_scaling.py",
     "unit/ffcomp/inverse/test_windowed_qr.py",
     "unit/ffcomp/measurement/test_modes.py",
+    "unit/ffcomp/record",
     "unit/ffcomp/report/test_diagnose.py",
     "unit/ffcomp/report/test_frf.py",
     "unit/ffcomp/shapers/test_calibration.py",

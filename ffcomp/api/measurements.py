@@ -22,7 +22,8 @@ from ffcomp.identify.experiment_files import load_plan
 from ffcomp.identify.identify import Identified
 from ffcomp.identify.load import gather
 from ffcomp.identify.machine_fit import MachineFit, Method, fit_measurements, hash_of
-from ffcomp.measurement.recording import Recording, read_recording
+from ffcomp.measurement.recording import Recording
+from ffcomp.record.load import load_recordings
 from gcode.atomic_write import replace_atomically
 from models.file import check_text
 from models.machine import Machine
@@ -38,10 +39,11 @@ def _paths(files: Files) -> list[Path]:
     return [Path(files)] if isinstance(files, str | Path) else [Path(file) for file in files]
 
 
-def _recordings(recordings: Files | Sequence[Recording]) -> list[Recording]:
+def _recordings(recordings: Files | Sequence[Recording], machine: Machine, plan: str | Path | None) -> list[Recording]:
     if isinstance(recordings, str | Path):
-        return [read_recording(Path(recordings))]
-    return [each if isinstance(each, Recording) else read_recording(Path(each)) for each in recordings]
+        return load_recordings([recordings], machine, plan)
+    made = [each for each in recordings if isinstance(each, Recording)]
+    return made + load_recordings([each for each in recordings if not isinstance(each, Recording)], machine, plan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,19 +126,23 @@ def identify(
     return Identification(fit, target)
 
 
-def gap(recordings: Files | Sequence[Recording], machine: str | Path | Machine) -> Discrepancy:
+def gap(
+    recordings: Files | Sequence[Recording], machine: str | Path | Machine, *, plan: str | Path | None = None
+) -> Discrepancy:
     """Measure where and how much recordings and simulation disagree.
 
     Parameters
     ----------
     recordings : files or recordings; names that differ in a trailing -1, -2, … only are repeats
     machine : the machine file whose simulation is compared, with its effects
+    plan : the file that `ffcomp record plan` wrote beside its G-code, for captures
 
     Raises
     ------
     MeasurementError, MachineFileError
     """
-    return measure_gap(load_machine(machine), _recordings(recordings))
+    loaded = load_machine(machine)
+    return measure_gap(loaded, _recordings(recordings, loaded, plan))
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,6 +175,7 @@ def diagnose(
     machine: str | Path | Machine,
     output: str | Path | None = None,
     *,
+    plan: str | Path | None = None,
     without_repeats: bool = False,
     progress: Progress = lambda sentence: None,
 ) -> Diagnosis:
@@ -179,6 +186,7 @@ def diagnose(
     recordings : files of the moving printer; names that differ in a trailing -1, -2, … only are repeats
     machine : the machine file
     output : the improved machine file; written only if an effect is named or retuning closes the discrepancy
+    plan : the file that `ffcomp record plan` wrote beside its G-code, for captures
     without_repeats : guess the noise where no experiment was repeated
 
     Raises
@@ -186,7 +194,7 @@ def diagnose(
     MeasurementError, MachineFileError
     """
     began, loaded, files = time.monotonic(), load_machine(machine), _paths(recordings)
-    measured = [read_recording(path) for path in files]
+    measured = load_recordings(files, loaded, plan, progress=progress)
     problem = PrinterProblem(loaded, measured)
     check_alike(measured)
     if not without_repeats:

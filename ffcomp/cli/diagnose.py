@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ffcomp.cli.help import ACCURACY, OUTPUT
-from ffcomp.cli.options import AsJson, Force, MachineName, Quiet, Report, Runs
+from ffcomp.cli.options import AsJson, CaptureAxes, Force, MachineName, MovesPlanFile, Quiet, Report, Runs
 
 if TYPE_CHECKING:
     from ffcomp.diagnose.diagnosis import Diagnosis
@@ -38,6 +38,8 @@ NoRepeats = Annotated[
 def diagnose(
     runs: Runs,
     machine: MachineName,
+    plan: MovesPlanFile = None,
+    axes_map: CaptureAxes = None,
     output: Output = None,
     report: Report = None,
     force: Force = False,
@@ -50,6 +52,8 @@ def diagnose(
     The answer is one effect or several, none, or unknown. A change of the file's own parameters within their
     uncertainty is retuning, not an effect. An effect is named only if it explains the discrepancy at positions it was
     not fitted to.
+
+    Captures of ffcomp record plan are joined with their commands by --plan.
 
     Example: ffcomp diagnose runs/*.csv --machine my-delta.toml -o better.toml --report diagnosis.html
     """
@@ -64,17 +68,22 @@ def diagnose(
         from ffcomp.diagnose.printer_problem import PrinterProblem
         from ffcomp.diagnose.result import result_of
         from ffcomp.diagnose.validation import check_alike, check_repeats
-        from ffcomp.measurement.recording import read_recording
+        from ffcomp.record.axes import turn_of
+        from ffcomp.record.load import load_recordings
         from models.file import load_machine
 
         began = time.monotonic()
         loaded = load_machine(machine)
-        measured = [read_recording(path) for path in runs]
+
+        def progress(sentence: str) -> None:
+            say(f"ffcomp: {sentence}", quiet)
+
+        measured = load_recordings(runs, loaded, plan, turn_of(axes_map), progress)
         problem = PrinterProblem(loaded, measured)
         check_alike(measured)
         if not without_repeats:
             check_repeats(measured)
-        search = searched(problem, lambda sentence: say(f"ffcomp: {sentence}", quiet))
+        search = searched(problem, progress)
         found = result_of(problem, search)
         better = output if found.mends else None
         files = _better(problem, found, better, runs) | _page(problem, search, found, better, report, runs, began)

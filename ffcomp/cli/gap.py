@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ffcomp.cli.options import AsJson, MachineName, Runs
+from ffcomp.cli.options import AsJson, CaptureAxes, MachineName, MovesPlanFile, Runs
 
 if TYPE_CHECKING:
     from ffcomp.diagnose.gap import Discrepancy
@@ -12,22 +12,31 @@ if TYPE_CHECKING:
 NO_GAP = 1.1  # times the noise
 
 
-def gap(runs: Runs, machine: MachineName, as_json: AsJson = False) -> None:
+def gap(
+    runs: Runs,
+    machine: MachineName,
+    plan: MovesPlanFile = None,
+    axes_map: CaptureAxes = None,
+    as_json: AsJson = False,
+) -> None:
     """Measure where and how much recordings and simulation disagree.
 
     ffcomp simulates each recording with the machine file and its effects. Repeats give the noise: files whose names
-    differ in a trailing -1, -2, … only.
+    differ in a trailing -1, -2, … only. Captures of ffcomp record plan are joined with their commands by --plan.
 
     Example: ffcomp gap runs/*.csv --machine my-delta.toml
     """
-    from ffcomp.cli.common import exit_codes, print_json
+    from ffcomp.cli.common import exit_codes, print_json, say
 
     with exit_codes():
         from ffcomp.diagnose.gap import measure_gap
-        from ffcomp.measurement.recording import read_recording
+        from ffcomp.record.axes import turn_of
+        from ffcomp.record.load import load_recordings
         from models.file import load_machine
 
-        found = measure_gap(load_machine(machine), [read_recording(path) for path in runs])
+        loaded = load_machine(machine)
+        measured = load_recordings(runs, loaded, plan, turn_of(axes_map), lambda text: say(f"ffcomp: {text}", False))
+        found = measure_gap(loaded, measured)
         if as_json:
             print_json(found.to_dict())
         else:

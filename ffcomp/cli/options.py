@@ -93,7 +93,25 @@ Quiet = Annotated[
 ]
 Runs = Annotated[
     list[Path],
-    typer.Argument(metavar="RUNS...", help="Recordings (CSV). Names that differ in -1, -2, … only are repeats."),
+    typer.Argument(
+        metavar="RUNS...",
+        help="Recordings (CSV), or captures with --plan. Names that differ in -1, -2, … only are repeats.",
+    ),
+]
+MovesPlanFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--plan", metavar="FILE", rich_help_panel=MACHINE, help="Plan (.json) of captures, as `record plan` wrote it."
+    ),
+]
+CaptureAxes = Annotated[
+    str | None,
+    typer.Option(
+        "--axes-map",
+        metavar="X,Y,Z",
+        rich_help_panel=MACHINE,
+        help="The printer's axes in the accelerometer's own, e.g. x,-z,y. Default: found in the captures.",
+    ),
 ]
 LowestFitted = Annotated[
     float, typer.Option(rich_help_panel=ADVANCED, metavar="HZ", min=0.1, help="Ignore frequencies below.")

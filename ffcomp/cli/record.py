@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ffcomp.cli.help import ACCURACY, ADVANCED, MACHINE, OUTPUT, Command, Group
-from ffcomp.cli.options import AsJson, MachineName, check_choice
+from ffcomp.cli.options import AsJson, CaptureAxes, Force, MachineName, Quiet, check_choice
 
 if TYPE_CHECKING:
     from ffcomp.record.firmware import Firmware
+    from ffcomp.record.join import JoinResult
     from ffcomp.record.plan import MovesPlan
 
 app = typer.Typer(
@@ -92,6 +93,22 @@ ShaperBack = Annotated[
         help="Frequencies of the firmware's input shaper, Hz, to be switched on again at the end. RepRapFirmware knows "
         "them by itself.",
     ),
+]
+Captures = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="CAPTURES...",
+        help="Captures of the plan: files of Klipper, Kalico, RepRapFirmware or Shake&Tune, or tables with a time and "
+        "three accelerations.",
+    ),
+]
+PlanFile = Annotated[
+    Path,
+    typer.Option("--plan", metavar="FILE", rich_help_panel=MACHINE, help="Plan (.json) that `record plan` wrote."),
+]
+Folder = Annotated[
+    Path,
+    typer.Option("--output", "-o", metavar="FOLDER", rich_help_panel=OUTPUT, help="Folder for the measured runs."),
 ]
 Seed = Annotated[int, typer.Option(metavar="N", rich_help_panel=ADVANCED, min=0, help="Seed of the moves.")]
 
@@ -231,3 +248,64 @@ def _sentences(result: dict[str, Any]) -> list[str]:
         f"Bring back the captures, {len(result['captures'])} for each accelerometer, and keep {result['plan']}.",
         f"Then: {result['next']}",
     ]
+
+
+@app.command("join", cls=Command)
+def join(
+    captures: Captures,
+    plan_file: PlanFile,
+    machine: MachineName,
+    output: Folder,
+    axes_map: CaptureAxes = None,
+    force: Force = False,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Join captures with their commands: one measured run for each experiment and repeat.
+
+    Klipper's and Kalico's captures are on the clock of the motion already. Others are aligned with it below 20 Hz. What
+    cannot be joined is named with its reason; exit code 5 if nothing could be.
+
+    Example: ffcomp record join captures/*.csv --plan moves.json -m my-delta.toml -o runs/
+    """
+    from ffcomp.cli.common import exit_codes, print_json, say
+
+    with exit_codes():
+        from ffcomp.record.axes import turn_of
+        from ffcomp.record.join import join_captures, recording_lines
+        from ffcomp.record.plan_files import load_moves
+        from gcode.atomic_write import replace_atomically
+        from models.file import load_machine
+
+        made, loaded = load_moves(plan_file), load_machine(machine)
+        found = join_captures(captures, made, loaded, turn_of(axes_map), lambda text: say(f"ffcomp: {text}", quiet))
+        targets = [output / f"{each.name}.csv" for each in found.joined]
+        if taken := [path for path in targets if path.exists() and not force]:
+            raise typer.BadParameter(f"{taken[0]} exists already; give another --output, or --force.")
+        if targets:
+            output.mkdir(parents=True, exist_ok=True)
+        for each, path in zip(found.joined, targets, strict=True):
+            replace_atomically(path, recording_lines(each.recording))
+        if as_json:
+            print_json(found.to_dict([str(path) for path in targets]))
+        else:
+            _report_join(found, output, made, machine)
+        for sentence in found.notes(made, loaded):
+            say(f"ffcomp: {sentence}", quiet)
+        found.check()
+
+
+def _report_join(found: JoinResult, output: Path, plan: MovesPlan, machine: str) -> None:
+    for each in found.joined:
+        clock = each.clock
+        print(
+            f"{each.name}: offset {clock.offset_s:.6f} ± {clock.offset_sd_s:.6f} s, ratio {clock.ratio:.6f}, "
+            f"correlation below 20 Hz {clock.correlation:.3f}"
+        )
+    for refused in found.refused:
+        print(f"refused: {refused.file}: {refused.why}")
+    if found.joined:
+        print(
+            f"{len(found.joined)} of {len(plan.runs())} executions joined in {output}; axes {found.joined[0].axes_map}."
+        )
+        print(f"Then: ffcomp diagnose {output}/*.csv -m {machine}")

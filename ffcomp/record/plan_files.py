@@ -60,6 +60,9 @@ def capture_name(name: str, repeat: int) -> str:
 
 def _entry(experiment: Experiment) -> dict[str, Any]:
     motion = experiment.motion
+    own = {name: _known(motion.own[:, i]) for i, name in enumerate(OWN) if not _unknown(motion.own[:, i])}
+    waits = {str(i): float(motion.wait_before[i]) for i in np.flatnonzero(motion.wait_before).tolist()}
+    of_prints = {"own_limits": own, "stops": np.flatnonzero(motion.stop_before).tolist(), "waits_s": waits}
     return {
         "name": experiment.name,
         "kind": experiment.kind,
@@ -68,13 +71,11 @@ def _entry(experiment: Experiment) -> dict[str, Any]:
         "duration_s": experiment.duration_s,
         "measured_from_s": 0.0,
         "microstep_error": experiment.rounding,
-        "limits": {key: value for key, value in asdict(motion.limits).items() if key != "delta"},
+        "limits": {k: v for k, v in asdict(motion.limits).items() if k != "delta" and v is not None},
         "start_mm": motion.start_mm.tolist(),
         "ends_mm": motion.ends_mm.tolist(),
         "speed_mm_per_s": motion.speed.tolist(),
-        "own_limits": {name: _known(motion.own[:, i]) for i, name in enumerate(OWN) if not _unknown(motion.own[:, i])},
-        "stops": np.flatnonzero(motion.stop_before).tolist(),
-        "waits_s": {str(i): float(motion.wait_before[i]) for i in np.flatnonzero(motion.wait_before).tolist()},
+        **{key: value for key, value in of_prints.items() if value},
     }
 
 
@@ -144,11 +145,11 @@ def _experiment(entry: Mapping[str, Any]) -> Experiment:
     n = len(ends)
     own = np.full((n, len(OWN)), np.nan)
     for i, name in enumerate(OWN):
-        if name in entry["own_limits"]:
+        if name in entry.get("own_limits", {}):
             own[:, i] = np.array(entry["own_limits"][name], dtype=np.float64)
     stops, waits = np.zeros(n, dtype=np.bool_), np.zeros(n)
-    stops[entry["stops"]] = True
-    for index, wait in entry["waits_s"].items():
+    stops[entry.get("stops", [])] = True
+    for index, wait in entry.get("waits_s", {}).items():
         waits[int(index)] = wait
     motion = Motion(
         start_mm=np.array(entry["start_mm"], dtype=np.float64),

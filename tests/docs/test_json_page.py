@@ -25,6 +25,7 @@ from tests.support.containers import archive_3mf
 from tests.support.identification import measured, paper_bench, towers_bench
 from tests.support.json_page import Page
 from tests.support.prints import squares
+from tests.support.recordings import write_captures
 from tests.support.reference import MACHINE, MACHINE_FILE, REFERENCE, ROOT, SMALL, call, examples
 
 TRUTH = load_machine("mp-delta-pro")
@@ -179,6 +180,16 @@ def test_identify_plan(page: Page, folder: Path, corexy: Path) -> None:
         accounts.append(json.loads((folder / "excite.json").read_text(encoding="utf-8")))
     hold(page, "ffcomp-identify-plan/1", answers)
     hold(page, "ffcomp-excitation/1", accounts)
+
+
+def test_record(page: Page, folder: Path) -> None:
+    plan = ("record", "plan", *MACHINE, "-o", folder / "moves.gcode", "--seconds", "2", "--at", "0,0")
+    hold(page, "ffcomp-record-plan/1", told(*plan))
+    hold(page, "ffcomp-moves/1", [json.loads((folder / "moves.json").read_text(encoding="utf-8"))])
+    captures = write_captures(folder / "moves.json", TRUTH, folder / "captures", kinds=("zigzag",))
+    captures[1].write_text(captures[0].read_text(encoding="utf-8").replace("accel_x", "##drops=1"), encoding="utf-8")
+    joined = ("record", "join", *captures, "--plan", folder / "moves.json", *MACHINE, "-o", folder / "runs", "-q")
+    hold(page, "ffcomp-join/1", told(*joined))
 
 
 def test_identify_fit_and_decouple(page: Page, folder: Path, corexy: Path) -> None:

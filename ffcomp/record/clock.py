@@ -1,0 +1,161 @@
+"""Put a capture on its experiment's clock: τ = offset + ratio (t − t₀), t₀ the capture's first row, motion from τ = 0.
+
+Where the firmware dates the samples, the offset is known to a sample and the ratio is one. Otherwise both are fitted to
+the motion below 20 Hz, where every printer follows its command: above, what the machine file lacks would be taken for a
+delay. Unknown gains of the axes and the signatures of unknown effects are fitted along (`ffcomp.record.expected`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import butter, fftconvolve, sosfiltfilt
+
+from ffcomp.record.expected import Expectation
+from models.arrays import FloatArray
+
+BAND_HZ = (2.0, 20.0)
+ORDER = 6  # of the filter, twice: the modes, from 30 Hz on, ring loudly
+THIN_HZ = 200.0  # ten times the band: rows that are fitted
+WORST_CLOCK = 0.03  # chips are within 2 %
+CYCLES_OF_CLOCK_STEP = 0.1  # of the band's middle, between two ratios that are tried
+BLOCKS = 24  # for an uncertainty that holds with coloured residuals
+ITERATIONS = 12
+
+
+@dataclass(frozen=True)
+class ClockFit:
+    """A capture's clock on the experiment's."""
+
+    offset_s: float
+    offset_sd_s: float
+    ratio: float
+    ratio_sd: float
+    correlation: float  # below 20 Hz, of what was measured and what is expected, 0 to 1
+
+    def experiment_time(self, time_s: FloatArray) -> FloatArray:
+        """Convert the capture's times (n,) s."""
+        return np.asarray(self.offset_s + self.ratio * (time_s - time_s[0]), dtype=np.float64)
+
+
+def filtered(time_s: FloatArray, values: FloatArray) -> FloatArray:
+    """Keep 2 to 20 Hz of (n, m), without delay."""
+    rate = (len(time_s) - 1) / float(time_s[-1] - time_s[0])
+    band = butter(ORDER, BAND_HZ, "bandpass", fs=rate, output="sos")
+    return np.asarray(sosfiltfilt(band, values - values[: max(1, len(values) // 50)].mean(axis=0), axis=0))
+
+
+class Reference:
+    """The expected acceleration and the signatures between 2 and 20 Hz, at any time; at rest outside."""
+
+    def __init__(self, expected: Expectation) -> None:
+        columns = [expected.acceleration, *expected.signatures]
+        self._begin, self._end = float(expected.time_s[0]), float(expected.time_s[-1])
+        self._splines = [CubicSpline(expected.time_s, filtered(expected.time_s, each)) for each in columns]
+
+    def at(self, t: FloatArray, derivative: int = 0) -> list[FloatArray]:
+        """Return the expectation and each signature at (n,) s: (n, 3) each."""
+        inside = ((t >= self._begin) & (t <= self._end))[:, None]
+        kept = np.clip(t, self._begin, self._end)
+        return [np.asarray(spline(kept, derivative) * inside) for spline in self._splines]
+
+
+def thinned(time_s: FloatArray, measured: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return times from the first row on (k,) s and the signal between 2 and 20 Hz (k, 3), at a tenth of the rows."""
+    known = without_gaps(time_s, measured)
+    every = max(1, int((len(time_s) - 1) / float(time_s[-1] - time_s[0]) / THIN_HZ))
+    return (time_s - time_s[0])[::every], filtered(time_s, known)[::every]
+
+
+def without_gaps(time_s: FloatArray, measured: FloatArray) -> FloatArray:
+    """Bridge missing rows (NaN) of (n, m) by straight lines."""
+    known = np.isfinite(measured).all(axis=1)
+    if known.all():
+        return measured
+    return np.column_stack([np.interp(time_s, time_s[known], column[known]) for column in measured.T])
+
+
+def fit_clock(
+    since: FloatArray, record: FloatArray, reference: Reference, start: tuple[float, float], free_ratio: bool
+) -> ClockFit:
+    """Refine offset and ratio by Gauss-Newton, the gains of the axes and the signatures eliminated.
+
+    Parameters
+    ----------
+    since : (k,) s from the capture's first row
+    record : (k, 3) m/s² as of `thinned`, along the printer's axes
+    start : offset and ratio to begin with
+    """
+    estimate, centre = np.array(start), float(since.mean())
+    free = 2 if free_ratio else 1
+    for _ in range(ITERATIONS):
+        t = estimate[0] + estimate[1] * since
+        linear, slope = _linear(reference.at(t)), reference.at(t, 1)[0]
+        gains, *_ = np.linalg.lstsq(linear, record.ravel(), rcond=1e-9)
+        residual = record.ravel() - linear @ gains
+        early = (gains[:3] * slope).ravel()
+        jacobian = np.column_stack([early, early * np.repeat(since - centre, 3)])[:, :free]
+        jacobian = jacobian - linear @ np.linalg.lstsq(linear, jacobian, rcond=1e-9)[0]
+        normal = jacobian.T @ jacobian
+        step = np.linalg.solve(normal + 1e-12 * np.trace(normal) * np.eye(free), jacobian.T @ residual)
+        rate = step[1] if free == 2 else 0.0
+        estimate = estimate + np.array([step[0] - centre * rate, rate])
+        if abs(step[0]) < 1e-9 and abs(rate) * since[-1] < 1e-9:
+            break
+    covariance = _sandwich(jacobian, residual, normal)
+    explained = 1 - float(residual @ residual) / float(record.ravel() @ record.ravel())
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    ratio_sd = float(sd[1]) if free == 2 else 0.0
+    # at the first row, which is where the offset counts from
+    offset_sd = float(np.hypot(sd[0], centre * ratio_sd))
+    return ClockFit(float(estimate[0]), offset_sd, float(estimate[1]), ratio_sd, float(np.sqrt(max(explained, 0.0))))
+
+
+def _linear(values: list[FloatArray]) -> FloatArray:
+    """Build the columns whose sizes are free, (3 k, 3 + s): each axis by itself, each signature on all together."""
+    expected, *signatures = values
+    axes = [np.where(np.arange(3) == axis, expected, 0.0).ravel() for axis in range(3)]
+    return np.column_stack([*axes, *(each.ravel() for each in signatures)])
+
+
+def _sandwich(jacobian: FloatArray, residual: FloatArray, normal: FloatArray) -> FloatArray:
+    """Covariance with residuals of any colour, by sums of scores over blocks (Huber's sandwich)."""
+    scores = (jacobian * residual[:, None]).reshape(-1, 3, jacobian.shape[1]).sum(axis=1)
+    blocks = np.array([part.sum(axis=0) for part in np.array_split(scores, BLOCKS)])
+    inverse = np.linalg.inv(normal + 1e-12 * np.trace(normal) * np.eye(len(normal)))
+    return np.asarray(inverse @ (blocks.T @ blocks) @ inverse * BLOCKS / (BLOCKS - 2))
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """How well each axis of a capture fits each axis of the expectation, at one clock of each kind that is possible."""
+
+    starts: list[tuple[float, float]]  # offset and ratio
+    correlation: FloatArray  # (starts, 3, 3): sensor axis, printer axis; one in all if everything fits
+
+
+def known_clock(since: FloatArray, record: FloatArray, reference: Reference, start: tuple[float, float]) -> Matches:
+    """Correlate at the clock that the firmware states."""
+    expected = reference.at(start[0] + start[1] * since)[0]
+    size = np.linalg.norm(record) * np.linalg.norm(expected)
+    return Matches([start], (record.T @ expected)[None] / max(float(size), 1e-300))
+
+
+def every_clock(since: FloatArray, record: FloatArray, reference: Reference, expected: Expectation) -> Matches:
+    """Correlate at every offset and every ratio of the clocks."""
+    period, length = float(since[1] - since[0]), float(since[-1] - since[0])
+    steps = int(np.ceil(WORST_CLOCK * length * float(np.mean(BAND_HZ)) / CYCLES_OF_CLOCK_STEP / 4))
+    starts, tables = [], []
+    for ratio in 1 + WORST_CLOCK * np.arange(-steps, steps + 1) / max(steps, 1):
+        t = np.arange(expected.time_s[0], expected.time_s[-1], period * ratio)
+        values = reference.at(t)[0]
+        size = max(float(np.linalg.norm(record) * np.linalg.norm(values)), 1e-300)
+        curves = np.stack(
+            [fftconvolve(values, record[::-1, [i]], axes=0) for i in range(3)], axis=1
+        )  # (lags, sensor axis, printer axis)
+        best = int(np.abs(curves).sum(axis=(1, 2)).argmax())
+        starts.append((float(t[0] + (best - len(record) + 1) * period * ratio), float(ratio)))
+        tables.append(curves[best] / size)
+    return Matches(starts, np.array(tables))

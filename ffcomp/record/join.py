@@ -1,0 +1,408 @@
+"""Captures of a recording, put on one clock with their commands: the order of the work on one page.
+
+Read and match with the plan → find each chip's axes → find each capture's clock → subtract gravity → check → recording.
+A capture that cannot be joined is refused in sentences; the others are joined all the same.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import resample_poly
+
+from ffcomp.errors import MeasurementError
+from ffcomp.measurement.capture import Capture
+from ffcomp.measurement.recording import Recording
+from ffcomp.measurement.vibration import read_captures
+from ffcomp.record.axes import best_score, find_turn, tilt, words
+from ffcomp.record.clock import ClockFit, Matches, Reference, every_clock, fit_clock, known_clock, thinned, without_gaps
+from ffcomp.record.expected import Expectation, expectation
+from ffcomp.record.plan import Experiment, MovesPlan
+from ffcomp.record.plan_files import run_name
+from models.arrays import FloatArray
+from models.machine import Machine
+
+KEPT_REST_S = (0.5, 0.4)  # before and after the motion, in a recording
+LEAST_REST_S = 0.2  # for gravity
+LEAST_CORRELATION = 0.9
+FARTHEST_S = 2e-3  # a firmware's clock from what the motion says
+WORST_RATIO = 1e-3  # of a firmware's clock: beyond it, speeds were overridden
+MOST_MISSING = 0.02  # rows in the motion
+BIAS_SD_S = 1.5e-4  # of a clock that is fitted, by what the machine file lacks
+REPEATS_SD_S, SURE = 3e-5, 2.0  # by which the motion tells two repeats apart at best; standard deviations
+DELAY_SD_S = {"firmware": 3e-4, "free": 1e-3}
+DRIFT_SD = 5e-5
+LOWEST_RATE_HZ = 800.0  # of a recording
+
+
+@dataclass(frozen=True, eq=False)
+class Joined:
+    """One execution of an experiment on one clock."""
+
+    recording: Recording
+    experiment: str
+    repeat: int
+    clock: ClockFit
+    overflows: int
+    source: str
+    axes_map: str
+
+    @property
+    def name(self) -> str:
+        """The stem of its file."""
+        return run_name(self.experiment, self.repeat)
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A capture that cannot be joined."""
+
+    file: str
+    why: str
+
+
+@dataclass(frozen=True, eq=False)
+class JoinResult:
+    """What became of the captures."""
+
+    joined: tuple[Joined, ...]
+    refused: tuple[Refused, ...]
+
+    @property
+    def recordings(self) -> list[Recording]:
+        """The recordings, repeats beside each other."""
+        return [each.recording for each in self.joined]
+
+    def check(self) -> None:
+        """Raise a MeasurementError with every reason if nothing could be joined."""
+        if self.joined:
+            return
+        first = self.refused[0].file if self.refused else "captures"
+        reasons = [f"{Path(each.file).name}: {each.why}" for each in self.refused]
+        raise MeasurementError(first, ["None of the captures could be joined.", *reasons])
+
+    def notes(self, plan: MovesPlan, machine: Machine) -> list[str]:
+        """Say in sentences what the user should know, though it is no reason to refuse anything."""
+        notes = []
+        if plan.machine_sha256 and plan.machine_sha256 != machine.sha256:
+            notes.append(
+                f"The plan was made with another machine file ({plan.machine}, sha256 {plan.machine_sha256[:8]}); the "
+                "command is the plan's own all the same."
+            )
+        got = {(each.experiment, each.repeat) for each in self.joined}
+        missing = [run_name(each.name, repeat) for each, repeat in plan.runs() if (each.name, repeat) not in got]
+        if missing and self.joined:
+            notes.append(f"No recording of {len(missing)} executions of the plan: {', '.join(missing)}.")
+        return notes
+
+    def to_dict(self, files: Sequence[str]) -> dict[str, Any]:
+        """Return the JSON object ffcomp-join/1; files: of the runs, "" where none is written."""
+        runs = [
+            {
+                "file": file,
+                "experiment": each.experiment,
+                "repeat": each.repeat,
+                "offset_s": each.clock.offset_s,
+                "offset_sd_s": each.clock.offset_sd_s,
+                "clock_ratio": each.clock.ratio,
+                "clock_sd": each.clock.ratio_sd,
+                "correlation": each.clock.correlation,
+                "overflows": each.overflows,
+                "capture": each.source,
+                "axes_map": each.axes_map,
+            }
+            for each, file in zip(self.joined, files, strict=True)
+        ]
+        refused = [{"file": each.file, "why": each.why} for each in self.refused]
+        return {"schema": "ffcomp-join/1", "runs": runs, "refused": refused}
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """A capture and the execution that it belongs to."""
+
+    capture: Capture
+    experiment: Experiment
+    repeat: int
+    chip: str
+    since: FloatArray  # (k,) s, of the thinned record
+    record: FloatArray  # (k, 3) m/s², the sensor's axes
+    matches: Matches
+
+    @property
+    def gravity(self) -> FloatArray:
+        """Return the mean, (3,) m/s²: a motion from rest to rest has none of its own."""
+        return np.asarray(np.nanmean(self.capture.acceleration, axis=0))
+
+
+def join_captures(
+    paths: Sequence[str | Path],
+    plan: MovesPlan,
+    machine: Machine,
+    turn: FloatArray | None = None,
+    progress: Callable[[str], None] = lambda sentence: None,
+) -> JoinResult:
+    """Join captures with the commands of their plan.
+
+    Parameters
+    ----------
+    turn : (3, 3) from the sensor's axes to the printer's; None: found in the captures
+    """
+    refused: list[Refused] = []
+    expected: dict[str, tuple[Expectation, Reference]] = {}
+    tasks: list[_Task] = []
+    for path in paths:
+        progress(f"reading {Path(path).name}")
+        try:
+            tasks += _tasks(path, plan, machine, expected)
+        except MeasurementError as error:
+            refused += [Refused(str(path), problem) for problem in error.problems]
+    joined: list[Joined] = []
+    for chip in dict.fromkeys(task.chip for task in tasks):
+        own = [task for task in tasks if task.chip == chip]
+        axes = turn if turn is not None else find_turn([task.matches for task in own], own[0].gravity)
+        progress(f"joining {len(own)} captures of {chip or 'the accelerometer'}")
+        clocks: list[tuple[_Task, _Clock]] = []
+        for task in own:
+            try:
+                clocks.append((task, _clock(task, plan, axes, expected[task.experiment.name][1])))
+            except MeasurementError as error:
+                refused += [Refused(task.capture.source, problem) for problem in error.problems]
+        rate = float(np.round(np.median([task.capture.sample_rate_hz for task in own])))
+        for task, clock in _narrowed(clocks):
+            try:
+                joined.append(_joined(task, clock, axes, expected[task.experiment.name][0], rate))
+            except MeasurementError as error:
+                refused += [Refused(task.capture.source, problem) for problem in error.problems]
+    return JoinResult(tuple(sorted(_best(joined), key=lambda each: each.name)), tuple(refused))
+
+
+def _tasks(
+    path: str | Path, plan: MovesPlan, machine: Machine, expected: dict[str, tuple[Expectation, Reference]]
+) -> list[_Task]:
+    tasks = []
+    for capture in read_captures(path):
+        experiment, repeat, chip = _belongs(capture, plan)
+        _check_rows(capture)
+        if experiment.name not in expected:
+            found = expectation(experiment, machine, plan.rest_before_s)
+            expected[experiment.name] = found, Reference(found)
+        ready, reference = expected[experiment.name]
+        since, record = thinned(capture.time_s, capture.acceleration)
+        if capture.clock == "firmware":
+            matches = known_clock(since, record, reference, (_stated(capture, plan, experiment)[0], 1.0))
+        else:
+            matches = every_clock(since, record, reference, ready)
+        tasks.append(_Task(capture, experiment, repeat, chip, since, record, matches))
+    return tasks
+
+
+def _belongs(capture: Capture, plan: MovesPlan) -> tuple[Experiment, int, str]:
+    """Find experiment, repeat and chip by the name that the capture's command gave it."""
+    stem = capture.name or Path(capture.source).stem
+    for experiment in sorted(plan.experiments, key=lambda each: -len(each.name)):
+        found = re.search(rf"{re.escape(experiment.name)}-(\d+)(?!\d)", stem)
+        if found and 1 <= int(found[1]) <= plan.repeats:
+            return experiment, int(found[1]), stem[: found.start()].strip("-_")
+    first = run_name(plan.experiments[0].name, 1)
+    raise MeasurementError(
+        capture.source,
+        [
+            f"Its name {stem!r} holds none of the plan's experiments, as {first!r} does. Give the plan that its G-code "
+            "was made with, or name the file EXPERIMENT-REPEAT.csv."
+        ],
+    )
+
+
+def _check_rows(capture: Capture) -> None:
+    if capture.overflows:
+        raise MeasurementError(
+            capture.source,
+            [
+                f"The chip lost samples ({capture.overflows} overflows or drops), so its times are wrong. Record it "
+                "again, with less load on the printer's host, or at a lower rate of the chip."
+            ],
+        )
+    missing = float(np.isnan(capture.acceleration).any(axis=1).mean())
+    if missing > MOST_MISSING:
+        raise MeasurementError(
+            capture.source,
+            [f"{missing:.1%} of its rows are missing; {MOST_MISSING:.0%} may be. Record it again."],
+        )
+
+
+# The clock
+
+
+@dataclass(frozen=True)
+class _Clock:
+    """What the motion says of a clock, and in which interval the firmware has its offset, if it has."""
+
+    fit: ClockFit
+    stated: tuple[float, float] | None  # s
+
+
+def _stated(capture: Capture, plan: MovesPlan, experiment: Experiment) -> tuple[float, float]:
+    """Return between which times of the experiment the firmware has the first row, s.
+
+    The first row is the first one at or after the beginning of the rest, the last row the last one at or before the end
+    of the rest behind: two intervals of one sample, of which the common part is what is left.
+    """
+    period = 1.0 / capture.sample_rate_hz
+    low, high = -plan.rest_before_s, -plan.rest_before_s + period
+    span = float(capture.time_s[-1] - capture.time_s[0])
+    end = experiment.duration_s + plan.rest_after_s - span
+    both = max(low, end - period), min(high, end)
+    return both if both[1] > both[0] else (low, high)
+
+
+def _clock(task: _Task, plan: MovesPlan, axes: FloatArray, reference: Reference) -> _Clock:
+    record = task.record @ axes.T
+    if task.capture.clock == "free":
+        found = fit_clock(task.since, record, reference, best_score(task.matches, axes)[1], free_ratio=True)
+        _check_match(task, found)
+        return _Clock(replace(found, offset_sd_s=float(np.hypot(found.offset_sd_s, BIAS_SD_S))), None)
+    stated = _stated(task.capture, plan, task.experiment)
+    found = fit_clock(task.since, record, reference, (float(np.mean(stated)), 1.0), free_ratio=False)
+    _check_match(task, found)
+    early = float(np.mean(stated)) - found.offset_s
+    if abs(early) > FARTHEST_S:
+        raise MeasurementError(
+            task.capture.source,
+            [
+                f"The motion in it begins {1e3 * early:+.1f} ms from where the plan has it, and may be "
+                f"{1e3 * FARTHEST_S:g} ms off: it is of another motion, or the printer did not run the plan's G-code "
+                "as it is. Run the file again, from its beginning, with a speed factor of 100 %."
+            ],
+        )
+    return _Clock(found, stated)
+
+
+def _narrowed(clocks: Sequence[tuple[_Task, _Clock]]) -> list[tuple[_Task, ClockFit]]:
+    """Choose each offset inside the firmware's interval.
+
+    What the machine file lacks shifts the fitted offsets of all repeats of an experiment alike, and the intervals of
+    all repeats bound this shift.
+    """
+    found = []
+    for task, clock in clocks:
+        if clock.stated is None:
+            found.append((task, clock.fit))
+            continue
+        own = clock.fit.offset_s
+        low, high = (edge - own for edge in clock.stated)
+        for sibling, other in clocks:
+            if sibling is not task and sibling.experiment is task.experiment and other.stated is not None:
+                slack = SURE * float(np.hypot(other.fit.offset_sd_s, clock.fit.offset_sd_s))
+                bound = [edge - other.fit.offset_s for edge in other.stated]
+                both = max(low, bound[0] - slack), min(high, bound[1] + slack)
+                low, high = both if both[1] > both[0] else (low, high)
+        sd = float(np.hypot((high - low) / np.sqrt(12.0), REPEATS_SD_S))
+        trusted = BIAS_SD_S**2 / (BIAS_SD_S**2 + sd**2)  # the middle of the bounds, against no shift at all
+        offset = float(np.clip(own + trusted * 0.5 * (low + high), *clock.stated))
+        found.append((task, replace(clock.fit, offset_s=offset, offset_sd_s=sd, ratio=1.0, ratio_sd=0.0)))
+    return found
+
+
+# The recording
+
+
+def _joined(task: _Task, clock: ClockFit, axes: FloatArray, ready: Expectation, rate_hz: float) -> Joined:
+    capture = task.capture
+    tau = clock.experiment_time(capture.time_s)
+    if tau[0] > -LEAST_REST_S or tau[-1] < ready.duration_s:
+        raise MeasurementError(
+            capture.source,
+            [
+                f"It runs from {tau[0]:.2f} to {tau[-1]:.2f} s of a motion of {ready.duration_s:.2f} s; it must begin "
+                f"{LEAST_REST_S:g} s before and end after it. Record longer."
+            ],
+        )
+    rest = tau < -0.5 * LEAST_REST_S
+    gravity = np.nanmean(capture.acceleration[rest] @ axes.T, axis=0)
+    upright = tilt(gravity)
+    felt = (capture.acceleration @ axes.T - gravity) @ upright.T
+    first, last = max(float(tau[0]), -KEPT_REST_S[0]), min(float(tau[-1]), ready.duration_s + KEPT_REST_S[1])
+    # repeats are compared row by row: all have their rows at the same times of the experiment
+    factor = max(1, int(np.ceil(LOWEST_RATE_HZ / rate_hz)))
+    step = 1.0 / (factor * rate_hz)
+    grid = step * np.arange(np.ceil(first / step), np.floor(last / step) + 1)
+    recording = _recording(task, clock, grid, _on_grid(tau, felt, grid, factor), words(axes))
+    return Joined(recording, task.experiment.name, task.repeat, clock, capture.overflows, capture.source, words(axes))
+
+
+def _check_match(task: _Task, clock: ClockFit) -> None:
+    if clock.correlation >= LEAST_CORRELATION:
+        return
+    raise MeasurementError(
+        task.capture.source,
+        [
+            f"It does not fit the motion of {task.experiment.name} below 20 Hz: correlation {clock.correlation:.2f}, "
+            f"and {LEAST_CORRELATION:g} is needed. It is of another motion, of another machine or of a loose sensor, "
+            "or its axes are others than --axes-map says. Check these, and record it again."
+        ],
+    )
+
+
+def _on_grid(tau: FloatArray, felt: FloatArray, grid: FloatArray, factor: int) -> FloatArray:
+    """Interpolate rows (n, 3) at times (n,) to a grid (k,); NaN beside a missing row."""
+    missing = np.asarray(np.isnan(felt).any(axis=1))
+    at, rows = tau, without_gaps(tau, felt)
+    if factor > 1:  # a slow sensor: more rows of the same spectrum
+        rows = np.asarray(resample_poly(rows, factor, 1, axis=0))
+        at = tau[0] + (tau[-1] - tau[0]) / (len(tau) - 1) / factor * np.arange(len(rows))
+    found = np.asarray(CubicSpline(at, rows)(grid))
+    near = np.clip(np.searchsorted(tau, grid), 1, len(tau) - 1)
+    found[missing[near] | missing[near - 1]] = np.nan
+    return found
+
+
+def _recording(task: _Task, clock: ClockFit, tau: FloatArray, felt: FloatArray, axes_map: str) -> Recording:
+    comments = {
+        "joined": f"offset_s {clock.offset_s:.6f} ± {clock.offset_sd_s:.6f}, ratio {clock.ratio:.7f} ± "
+        f"{clock.ratio_sd:.7f}, correlation below 20 Hz {clock.correlation:.4f}, overflows {task.capture.overflows}",
+        "experiment": task.experiment.name,
+        "repeat": str(task.repeat),
+        "capture": Path(task.capture.source).name,
+        "axes_map": axes_map,
+        "delay_sd_s": f"{DELAY_SD_S[task.capture.clock]:g}",
+        "drift_sd": f"{DRIFT_SD:g}",
+    }
+    return Recording(
+        source=f"{run_name(task.experiment.name, task.repeat)}.csv",
+        time_s=tau - tau[0],
+        command=task.experiment.motion.nozzle(tau),
+        command_space="nozzle",
+        acceleration={f"acc_{axis}": felt[:, i] for i, axis in enumerate("xyz")},
+        position={},
+        gaps=np.asarray(np.isnan(felt).any(axis=1)),
+        comments=comments,
+    )
+
+
+def _best(joined: Sequence[Joined]) -> list[Joined]:
+    """Keep of several chips' captures of one execution the one that fits its command best."""
+    found: dict[str, Joined] = {}
+    for each in joined:
+        other = found.get(each.name)
+        if other is None or each.clock.correlation > other.clock.correlation:
+            found[each.name] = each
+    return list(found.values())
+
+
+def recording_lines(recording: Recording) -> list[bytes]:
+    """Write a recording as a measured run."""
+    head = "".join(f"# {key}: {text}\n" for key, text in recording.comments.items())
+    columns = {f"{name}_mm": recording.command[:, i] for i, name in enumerate(recording.inputs)}
+    columns |= {f"{name}_m_per_s2": values for name, values in recording.acceleration.items()}
+    columns |= {f"{name}_mm": values for name, values in recording.position.items()}
+    table = np.column_stack([recording.time_s, *columns.values()])
+    row = ",".join(["%.7f", *["%.6f"] * len(columns)]) + "\n"
+    text = (row * len(table) % tuple(table.ravel().tolist())).replace("nan", "")
+    return [head.encode(), (",".join(["t_s", *columns]) + "\n").encode(), text.encode()]

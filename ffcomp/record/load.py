@@ -1,0 +1,54 @@
+"""Read measured runs and captures alike, as a diagnosis needs them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from ffcomp.errors import MeasurementError
+from ffcomp.identify.load import kind_of
+from ffcomp.measurement.recording import Recording, read_recording
+from ffcomp.record.join import join_captures
+from ffcomp.record.plan_files import load_moves
+from models.arrays import FloatArray
+from models.machine import Machine
+
+
+def load_recordings(
+    paths: Sequence[str | Path],
+    machine: Machine,
+    plan: str | Path | None = None,
+    turn: FloatArray | None = None,
+    progress: Callable[[str], None] = lambda sentence: None,
+) -> list[Recording]:
+    """Read measured runs, and join captures with the commands of their plan.
+
+    Parameters
+    ----------
+    plan : the file that `ffcomp record plan` wrote beside its G-code; None: there are no captures
+    turn : (3, 3) from the accelerometer's axes to the printer's; None: found in the captures
+    progress : told what is read, joined, and refused
+
+    Raises
+    ------
+    MeasurementError
+        For a run that cannot be used, for captures without a plan, and if no capture can be joined.
+    """
+    captures = [path for path in paths if kind_of(Path(path)) == "vibration"]
+    runs = [read_recording(path) for path in paths if path not in captures]
+    if not captures:
+        return runs
+    if plan is None:
+        rule = (
+            "It is an accelerometer's capture without a command. Give the plan of its moves with --plan (`ffcomp "
+            "record plan` writes moves and plan), or put its accelerations beside the command as a measured run."
+        )
+        raise MeasurementError(str(captures[0]), [rule])
+    moves = load_moves(plan)
+    found = join_captures(captures, moves, machine, turn, progress)
+    found.check()
+    for each in found.refused:
+        progress(f"left out {each.file}: {each.why}")
+    for sentence in found.notes(moves, machine):
+        progress(sentence)
+    return [*runs, *found.recordings]
