@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -82,7 +83,7 @@ class Reference:
         """Return nozzle (m, 3) mm and velocity (m, 3) mm/s at every substep between two knots, both included."""
         count = (last - first) * self._substeps + 1
         t = self.t0 + first * self._segment_s + np.arange(count, dtype=np.float64) * self._substep_s
-        return self.nozzle(t), self._velocity(t)
+        return self._trajectory.motion_within(t, self._section.begin_t, self._section.end_t)
 
     def nozzle(self, t: FloatArray) -> FloatArray:
         """Return the nozzle (m, 3) mm at times (m,) s of the plan's clock."""
@@ -102,16 +103,15 @@ class Reference:
 
     def extrusion(self, first: int = 0, last: int | None = None) -> FloatArray:
         """Return the filament at the knots first … last (all of them), (n,) mm."""
-        knots = np.arange(first, (self.knots if last is None else last) + 1, dtype=np.float64)
+        return self._filament[first : (self.knots if last is None else last) + 1].copy()
+
+    @cached_property
+    def _filament(self) -> FloatArray:
+        """The filament at all knots, (n + 1,) mm: asked for when a section is solved, timed and written."""
+        knots = np.arange(self.knots + 1, dtype=np.float64)
         return self._position(self.t0 + knots * self._segment_s)[:, 3].copy()
 
     def _position(self, t: FloatArray) -> FloatArray:
         # at end_t itself the next section may have begun, somewhere else
         last = math.nextafter(self._section.end_t, -math.inf)
         return self._trajectory.position(np.minimum(np.maximum(t, self._section.begin_t), last))
-
-    def _velocity(self, t: FloatArray) -> FloatArray:
-        velocity = self._trajectory.velocity(t)[:, :3].copy()
-        begin, end = np.searchsorted(t, [self._section.begin_t, self._section.end_t])
-        velocity[:begin], velocity[end:] = 0.0, 0.0
-        return velocity

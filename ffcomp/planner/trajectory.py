@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
@@ -63,6 +64,25 @@ class PlannedMotion(ABC):
         """Return accelerations (k, 4) mm/s², columns X Y Z E, at times t (k,) s, best sorted."""
         return self._sampled(t, ACCELERATION)
 
+    def motion_within(self, t: FloatArray, begin_t: float, end_t: float) -> tuple[FloatArray, FloatArray]:
+        """Return the nozzle and its velocity as if it rested before `begin_t` and from `end_t` on.
+
+        Parameters
+        ----------
+        t : (k,) s, sorted
+        begin_t, end_t : s
+
+        Returns
+        -------
+        (k, 3) mm and (k, 3) mm/s, columns X Y Z
+        """
+        last = math.nextafter(end_t, -math.inf)  # at end_t itself another motion may have begun, somewhere else
+        nozzle = np.ascontiguousarray(self.position(np.minimum(np.maximum(t, begin_t), last))[:, :3])
+        velocity = self.velocity(t)[:, :3].copy()
+        begin, end = np.searchsorted(t, [begin_t, end_t])
+        velocity[:begin], velocity[end:] = 0.0, 0.0
+        return nozzle, velocity
+
     def _sampled(self, t: ArrayLike, derivative: int) -> FloatArray:
         if not len(self):
             raise ValueError("A trajectory without moves has no place at any time; plan at least one move.")
@@ -88,8 +108,16 @@ class Trajectory(PlannedMotion):
     origin: FloatArray  # (n, 4) mm, columns X Y Z E: where the move begins
     direction: FloatArray  # (n, 4) mm per mm of path, columns X Y Z E; extruder-only: XYZ zero and E ±1
 
+    def motion_within(self, t: FloatArray, begin_t: float, end_t: float) -> tuple[FloatArray, FloatArray]:
+        """Return what `PlannedMotion.motion_within` says, in one pass."""
+        return _sample_within(t, begin_t, end_t, self.start_t, self._phases, self.origin, self.direction)
+
     def _sample(self, t: FloatArray, derivative: int) -> FloatArray:
-        phases = (
+        return _sample(t, derivative, self.start_t, self._phases, self.origin, self.direction)
+
+    @property
+    def _phases(self) -> tuple[FloatArray, ...]:
+        return (
             self.accel_t,
             self.cruise_t,
             self.decel_t,
@@ -98,7 +126,6 @@ class Trajectory(PlannedMotion):
             self.end_v,
             self.acceleration,
         )
-        return _sample(t, derivative, self.start_t, phases, self.origin, self.direction)
 
 
 @njit(cache=True, nogil=True)
@@ -160,3 +187,31 @@ def _sample(
             if derivative == POSITION:
                 out[k, c] += origin[i, c]
     return out
+
+
+@njit(cache=True, nogil=True)
+def _sample_within(
+    t: FloatArray,
+    begin_t: float,
+    end_t: float,
+    start_t: FloatArray,
+    phases: tuple[FloatArray, ...],
+    origin: FloatArray,
+    direction: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    accel_t, cruise_t, decel_t, start_v, cruise_v, end_v, acceleration = phases
+    nozzle, velocity = np.empty((len(t), 3)), np.zeros((len(t), 3))
+    last = np.nextafter(end_t, -np.inf)
+    i = 0
+    for k in range(len(t)):
+        at = min(max(t[k], begin_t), last)
+        i = move_near(start_t, at, i)
+        phase = (accel_t[i], cruise_t[i], decel_t[i], start_v[i], cruise_v[i], end_v[i], acceleration[i])
+        along = _along(POSITION, at - start_t[i], *phase)
+        for c in range(3):
+            nozzle[k, c] = direction[i, c] * along + origin[i, c]
+        if t[k] >= begin_t and t[k] < end_t:
+            speed = _along(VELOCITY, at - start_t[i], *phase)
+            for c in range(3):
+                velocity[k, c] = direction[i, c] * speed
+    return nozzle, velocity
