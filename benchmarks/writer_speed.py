@@ -6,7 +6,7 @@ The command is the planned path with its corners smoothed, which takes about as 
 are written in pieces of the usual length. Every round goes through the whole print; each stage's best of N (5) counts.
 
     lines      where the original's lines go out, and the filament at every knot (`marks.timeline`)
-    join       which points are worth a segment (`played.merge`)
+    join       which points are worth a segment (`segment_merging.merge`)
     speeds     F of each segment, so that it lasts as long as it should (`played.played`)
     text       the `G1` lines (`MoveWriter.block`)
     in Python  the same lines, one number at a time
@@ -34,10 +34,11 @@ from numpy.typing import NDArray
 from ffcomp.compensate.gcode_output.layout import Timeline, tiles, timeline
 from ffcomp.compensate.gcode_output.writer import Writer
 from ffcomp.inverse.reference import Reference
-from ffcomp.inverse.settings import Settings, settings_for
+from ffcomp.inverse.settings import CUT, Settings, settings_for
 from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.sections import Section
-from ffcomp.planner.segment_timing import merge, segment_speeds
+from ffcomp.planner.segment_merging import merge
+from ffcomp.planner.segment_timing import segment_speeds
 from gcode.dialects import detect_flavor
 from gcode.emit import MoveWriter
 from gcode.limits import MotionLimits
@@ -97,8 +98,7 @@ class Round:
         s, at = self.settings, line_up.at
         knots = np.arange(line_up.tile.first, line_up.tile.last + 1)
         points = np.stack([np.interp(at, knots, axis) for axis in vertices.T], axis=1).round(4)
-        longest = s.longest_merged_s / s.segment_s
-        kept = self.timed("join", merge, at, points, line_up.e, line_up.cut, 1e-3 * s.merge_um, longest)
+        kept = self.timed("join", merge, at, points, line_up.e, line_up.cut, s.merging, CUT)
         points, e, lasting = points[kept], line_up.e[kept], np.diff(at[kept]) * s.segment_s
         speeds = self.timed("speeds", segment_speeds, points, np.diff(e), lasting, s.output).cruise
         block = self.timed("text", MoveWriter().block, points[1:], e[1:], speeds)[0]

@@ -1,8 +1,9 @@
 """Toolhead motion → `G1` lines: few bytes, no jumps, and no error that adds up.
 
-XYZ have four decimals (three double Klipper's cost per segment), E five, F three. A number is rounded to a
-whole count of its last decimal; what has not changed in counts is left out, and relative numbers are
-differences of counts, so their sum never strays from the truth by more than half a count.
+XYZ have up to four decimals (three double Klipper's cost of a short segment), E five, F three. A number is rounded to a
+whole count of its last decimal, or, where the move has slack, to the fewest digits within it. What has not changed in
+counts is left out, and relative numbers are differences of counts, so their sum never strays from the truth by more
+than that.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ class MoveWriter:
         self._holds_z = frame.absolute and not frame.z_known
         counts = [round((at - base[i]) * per_mm[i]) for i, at in enumerate((*xyz, e))]
         self._state = np.array([*counts, -1], dtype=np.int64)  # of X Y Z E F; F has none yet
+        self._given = np.array([*xyz, 0.0])  # X Y Z of the last move, mm, and how late its end is, s
 
     @property
     def place(self) -> tuple[float, ...]:
@@ -63,23 +65,39 @@ class MoveWriter:
         """
         return self.block(points[:, :3], points[:, 3], speeds)[0].splitlines(keepends=True)
 
-    def block(self, xyz: FloatArray, e: FloatArray, speeds: FloatArray) -> tuple[bytes, IntArray]:
+    def block(
+        self,
+        xyz: FloatArray,
+        e: FloatArray,
+        speeds: FloatArray,
+        lasting: FloatArray | None = None,
+        slack: FloatArray | None = None,
+    ) -> tuple[bytes, IntArray]:
         """Many lines in one piece, and where each ends in it, (n,) bytes; a line that says nothing is empty.
 
+        Parameters
+        ----------
         xyz : (n, 3) mm;  e : (n,) mm of filament;  speeds : (n,) mm/s
+        lasting : (n,) s, how long each is to take at that speed; needed with a slack
+        slack : (n,) mm, how far from its place a move may end, and be in between, if that takes fewer digits or words;
+            0, the default: as near as the last decimal lets it
         """
         if self._holds_z:  # a height that is not known is not written
             xyz = np.column_stack([xyz[:, :2], np.full(len(xyz), self.place[2])])
+        none = np.zeros(len(e))
         out = np.empty(len(e) * LONGEST_LINE, dtype=np.uint8)
         ends = write_moves(
             np.ascontiguousarray(xyz),
             np.ascontiguousarray(e),
             np.ascontiguousarray(speeds),
+            none if lasting is None else np.ascontiguousarray(lasting),
+            none if slack is None else np.ascontiguousarray(slack),
             self._base,
             self._per_mm,
             self._f_counts,
             self._relative,
             self._state,
+            self._given,
             out,
         )
         return out[: ends[-1]].tobytes() if len(ends) else b"", ends

@@ -75,6 +75,7 @@ class Reference:
             self.t0 = t - multiple * int(np.ceil((t - self.t0) / settings.segment_s / multiple)) * settings.segment_s
         length = section.end_t - self.t0 + room.tail_s
         self.knots = int(np.ceil(length / settings.segment_s - 1e-9))  # segments of the section
+        self.shortest_knots = settings.shortest_knots  # that a segment must have
         self._trajectory, self._section = trajectory, section
         self._segment_s, self._substep_s = settings.segment_s, settings.segment_s / settings.substeps
         self._substeps = settings.substeps

@@ -10,6 +10,7 @@ import numpy as np
 from ffcomp.inverse.bandwidth import effort_curve
 from ffcomp.inverse.solver_names import Backend
 from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.segment_merging import MergeLimits
 from ffcomp.planner.segment_timing import SegmentLimits
 from models.effects.catalogue import design_machine
 from models.machine import Machine
@@ -42,14 +43,35 @@ class Settings:
     s_curve: bool = False  # the plan's ramps with limited jerk
     solver: Backend = "osqp"  # of the quadratic programmes where a limit binds
     one_model: bool = False  # that of the bed's middle everywhere
-    merge_um: float = 0.2  # segments are joined while the execution stays this close to the solution
-    longest_merged_s: float = 0.1  # and no longer than this, so that the firmware's clock is kept in short steps
+    merge_um: float = 1.0  # segments are joined while they miss the command by less than this across its direction,
+    merge_along_um: float = 3.0  # than this along it: the nozzle is early or late, not beside its path,
+    merge_filament_um: float = 0.2  # and than this in filament;
+    longest_merged_s: float = 0.25  # and no longer than this
+    shortest_um: float = 10.6  # no segment is shorter than this, as rounded numbers may take 1 µm of it,
+    shortest_s: float = 1e-3  # or than this
     output: SegmentLimits = field(default_factory=SegmentLimits)
 
     @property
     def joins_lifts(self) -> bool:
         """Whether the nozzle follows a lift so well that it is written as it was planned, in one segment."""
         return self.compliance_s2[2] * self.output.z_acceleration_mm_per_s2 <= LIFT_LAG_MM
+
+    @property
+    def merging(self) -> MergeLimits:
+        """What a segment may be."""
+        return MergeLimits(
+            1e-3 * self.merge_um,
+            1e-3 * self.merge_along_um,
+            1e-3 * self.merge_filament_um,
+            self.longest_merged_s / self.segment_s,
+            self.shortest_knots,
+            1e-3 * self.shortest_um,
+        )
+
+    @property
+    def shortest_knots(self) -> float:
+        """The shortest segment that a line of the file may ask for, in knots; never more than one."""
+        return min(self.shortest_s / self.segment_s, 1.0)
 
 
 def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SECOND) -> Settings:

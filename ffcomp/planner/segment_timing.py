@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 
 from ffcomp.planner.corner import corner_ratios
-from models.arrays import BoolArray, FloatArray, IntArray
+from models.arrays import FloatArray
 
 SWEEPS = 12  # at most, of the fixed point between neighbouring speeds; it contracts by about Δv/(a S), 0.1 or less
 SETTLED_MM_PER_S = 1e-9  # a junction that moves less no longer moves the segments beside it
@@ -266,47 +266,3 @@ def _sampled_evenly(
         top_v,
     )
     return sample_segments(vertices, cruise, junction, own, duration, substeps)
-
-
-@njit(cache=True, nogil=True)
-def merge(
-    at: FloatArray, points: FloatArray, e: FloatArray, pinned: BoolArray, tolerance: float, longest: float
-) -> IntArray:
-    """Choose the points to keep: between two of them the command runs straight and evenly, so one segment will do.
-
-    Parameters
-    ----------
-    at : (n,) times of the points, in any unit
-    points : (n, 3) mm;  e : (n,) mm of filament
-    pinned : (n,) points that must stay
-    tolerance : mm, of position; a hundredth of it for filament
-    longest : how long a segment may become by joining, in the unit of `at`
-
-    Returns
-    -------
-    (m,) indices of the points to keep, first and last among them
-    """
-    n = len(points) - 1
-    kept = [0]
-    first = 0
-    while first < n:
-        last = first + 1
-        while last < n and not pinned[last] and at[last + 1] - at[first] <= longest:
-            if not _straight(at, points, e, first, last + 1, tolerance):
-                break
-            last += 1
-        kept.append(last)
-        first = last
-    return np.array(kept)
-
-
-@njit(cache=True, nogil=True)
-def _straight(at: FloatArray, points: FloatArray, e: FloatArray, first: int, last: int, tolerance: float) -> bool:
-    for k in range(first + 1, last):
-        f = (at[k] - at[first]) / (at[last] - at[first])
-        for i in range(3):
-            if abs(points[first, i] + f * (points[last, i] - points[first, i]) - points[k, i]) > tolerance:
-                return False
-        if abs(e[first] + f * (e[last] - e[first]) - e[k]) > 0.01 * tolerance + 1e-5:
-            return False
-    return True

@@ -23,7 +23,6 @@ from gcode.program import Event, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 
 ROUNDING = 1e-9  # of a segment
-NEAR = 0.1  # of a segment: so near to a knot, a line goes out at the knot; shorter tiles cannot be played in time
 FLOWS_MM = 1e-6  # filament per segment from which on the exact place of a line matters
 STEEPEST = 0.1  # by which share the flow may be changed between two lines to meet both
 SPREAD = 10  # segments' worth of flow over which a difference of filament is spread
@@ -68,7 +67,7 @@ class Timeline:
     tile: Tile
     at: FloatArray  # (m,) in knots of the run, strictly rising from tile.first to tile.last
     e: FloatArray  # (m,) mm of filament
-    cut: BoolArray  # (m,) no segment is joined across it: a point with a line, every CUT-th knot, the end
+    cut: BoolArray  # (m,) no segment is joined across it: a point with an event, every CUT-th knot, the end
     point: IntArray  # (k,) index into `at`: where the line goes out
     line: IntArray  # (k,) index into Program.lines
     event: IntArray  # (k,) index into `events`; -1: a move, kept as a comment
@@ -110,7 +109,7 @@ def timeline(
     if tile.last == reference.knots:
         e[-1] = program.moves.end[run.last - 1, 3]
     lines, among, at = _lines_of(program, trajectory, run, reference, inside, tile)
-    laid = _Laid(*_lay_out(at, lines.event >= 0, e, vertices, tile.first))
+    laid = _Laid(*_lay_out(at, lines.event >= 0, e, vertices, tile.first, reference.shortest_knots))
     laid.cut[np.searchsorted(laid.at, tile.end)] = True  # where a motion is cut that had to be slowed down
     _meet_the_events(laid, program, run, e, lines, among)
     lead_s = run.begin_t - reference.t0
@@ -163,7 +162,7 @@ def _before(events: list[Event], move: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _lay_out(
-    at: FloatArray, stands: BoolArray, e: FloatArray, vertices: FloatArray, first: int
+    at: FloatArray, stands: BoolArray, e: FloatArray, vertices: FloatArray, first: int, shortest: float
 ) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray, IntArray]:
     """Compute the columns of `_Laid`; lines that stand where filament flows have points between the knots.
 
@@ -173,8 +172,9 @@ def _lay_out(
     stands : (k,) whether it stands between moves (an event) or is one
     e : (n + 1,) mm of filament at the knots from `first` on; wipes are evened in place
     vertices : (n + 1, 3) mm
+    shortest : knots that a segment must have
     """
-    place = _places(at, stands, e, first)
+    place = _places(at, stands, e, first, shortest)
     _even_wipes(e, vertices, first)
     n = len(e)
     points, filament, cut = np.empty(n + len(at)), np.empty(n + len(at)), np.zeros(n + len(at), dtype=np.bool_)
@@ -187,15 +187,16 @@ def _lay_out(
             if since > 0.0 and place[line] > points[m]:
                 m += 1
                 points[m], filament[m] = place[line], (e[k + 1] - e[k]) * since + e[k]
-            point[line], cut[m] = m, True
+            point[line] = m
+            cut[m] |= stands[line]  # a move of ours is a comment: it does not matter which segment it stands before
             line += 1
         m += 1
     return points[:m], filament[:m], cut[:m], place, point
 
 
 @njit(nogil=True)
-def _places(at: FloatArray, stands: BoolArray, e: FloatArray, first: int) -> FloatArray:
-    """Where lines go out, (k,) in knots, rising."""
+def _places(at: FloatArray, stands: BoolArray, e: FloatArray, first: int, shortest: float) -> FloatArray:
+    """Where lines go out, (k,) in knots, rising: at knots and at each other, or at least the shortest segment apart."""
     places = np.empty(len(at))
     last = first + len(e) - 1
     latest = 0.0
@@ -206,8 +207,11 @@ def _places(at: FloatArray, stands: BoolArray, e: FloatArray, first: int) -> Flo
         flows = abs(e[min(knot + 1, last) - first] - e[knot - first]) > FLOWS_MM
         if not stands[i] or not flows:
             place = float(knot)  # never later than its time: what follows may need its exact place
-        elif abs(place - np.rint(place)) < NEAR:
-            place = np.rint(place)
+        else:
+            if 0.0 < place - latest < shortest:
+                place = latest if place - latest < 0.5 * shortest else latest + shortest
+            if abs(place - np.rint(place)) < shortest:
+                place = np.rint(place)
         latest = max(latest, place)
         places[i] = latest
     return places

@@ -18,9 +18,10 @@ import numpy as np
 from numba import njit
 
 from ffcomp.compensate.gcode_output.layout import Timeline
-from ffcomp.inverse.settings import Settings
+from ffcomp.inverse.settings import CUT, Settings
 from ffcomp.planner.lifts import join_lifts
-from ffcomp.planner.segment_timing import merge, segment_speeds
+from ffcomp.planner.segment_merging import lengthen, merge
+from ffcomp.planner.segment_timing import segment_speeds
 from gcode.dialects import KLIPPER, MARLIN, close_limits, open_limits
 from gcode.embedded import CUT_SHORT, OURS, WAS, joined, like_ours, section_time_line
 from gcode.emit import MoveWriter
@@ -33,6 +34,8 @@ from models.arrays import FloatArray, IntArray
 
 _Place = tuple[float, float, float, float]  # X Y Z E, mm
 _Line = int | Event | bytes  # a move of the original (index into its lines), another line of it, a line of ours
+SLACK_MM = 5e-4  # how far from its place the end of a segment may be written, if that takes fewer digits,
+SLACK_MM_PER_S = 0.05  # and how much that may change the speeds beside it
 STILL_MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*[0-3](?!\d)", re.IGNORECASE)
 
 
@@ -165,18 +168,23 @@ class Writer:
         """Select the segments of a tile: all where the command bends, few where it runs straight and evenly."""
         s, piece, at = self.settings, timeline.tile, timeline.at
         frame = self.program.frames[int(self.program.moves.frame[first])]
-        points = _stated(vertices, at, piece.first, frame.base, frame.unit_mm)
+        points = _points(vertices, at, piece.first)
         stay, pinned = np.arange(len(at)), timeline.cut
         if s.joins_lifts:
-            stay, pinned = join_lifts(points, timeline.e, timeline.cut)
-        tolerance, longest = 1e-3 * s.merge_um, s.longest_merged_s / s.segment_s
-        kept = stay[merge(at[stay], points[stay], timeline.e[stay], pinned, tolerance, longest)]
+            stay, pinned = join_lifts(_stated(points, frame.base, frame.unit_mm), timeline.e, timeline.cut)
+        chosen = merge(at[stay], points[stay], timeline.e[stay], pinned, s.merging, CUT)
+        kept, fixed = stay[chosen], pinned[chosen]
         at, points, e = at[kept], points[kept], timeline.e[kept]
+        fixed[0] = fixed[-1] = True
+        lengthen(at, points, e, fixed, s.shortest_knots, s.merging.shortest_mm)
+        points = _stated(points, frame.base, frame.unit_mm)
         lasting = (at[1:] - at[:-1]) * s.segment_s
+        slack = np.minimum(SLACK_MM, SLACK_MM_PER_S * np.minimum(lasting, np.append(lasting[1:], 0.0)))
+        slack[fixed[1:]] = 0.0  # another writer may go on from there, and the filament must be exact
         speeds = segment_speeds(points, e[1:] - e[:-1], lasting, s.output)
         lasting = np.maximum(lasting, speeds.duration)  # lifts may be late
         begin, end = at.searchsorted([piece.begin, piece.end]).tolist()
-        return _Segments(kept[:-1], points[1:], e[1:], speeds.cruise, lasting).part(begin, end)
+        return _Segments(kept[:-1], points[1:], e[1:], speeds.cruise, lasting, slack).part(begin, end)
 
     def _turns(self, lines: list[tuple[int, _Line]]) -> Iterator[int]:
         """Which of the lines change how numbers are written."""
@@ -191,7 +199,7 @@ class Writer:
         passed = [self.now_s, *(self.now_s + np.cumsum(segments.lasting)).tolist()]
         before = bisect_right(lines, 0, key=itemgetter(0))
         text = [piece for _, line in lines[:before] for piece in self._line(line)]
-        block, ends = self.moves.block(segments.points, segments.e, segments.speeds)
+        block, ends = self.moves.block(segments.points, segments.e, segments.speeds, segments.lasting, segments.slack)
         starts, done = [0, *ends.tolist()], 0
         rests = self._rests(ends, segments.lasting)
         lines = lines[before:]
@@ -306,16 +314,24 @@ class _Segments:
     e: FloatArray  # (n,) mm of filament at their ends
     speeds: FloatArray  # (n,) mm/s
     lasting: FloatArray  # (n,) s
+    slack: FloatArray  # (n,) mm, how far from its end it may be written
 
     def part(self, begin: int, end: int) -> _Segments:
         s = slice(begin, end)
-        return _Segments(self.begins[s], self.points[s], self.e[s], self.speeds[s], self.lasting[s])
+        return _Segments(self.begins[s], self.points[s], self.e[s], self.speeds[s], self.lasting[s], self.slack[s])
 
     def lines(self, timeline: Timeline) -> list[tuple[int, _Line]]:
-        """Return the original's lines that go out among them, each with the segment it stands before."""
+        """Return the original's lines that go out among them, each with the segment it stands before.
+
+        An event has a segment that begins there; a move, which is a comment, stands before the one that it is part of.
+        """
         piece, place = timeline.tile, timeline.at[timeline.point]
         own = (place >= piece.begin) & ((place < piece.end) | (piece.end == piece.last))
-        before = np.searchsorted(self.begins, timeline.point[own])
+        points, is_event = timeline.point[own], timeline.event[own] >= 0
+        before = np.where(
+            is_event, np.searchsorted(self.begins, points), np.searchsorted(self.begins, points, side="right") - 1
+        )
+        before = np.maximum.accumulate(before)  # a move without length that ends the run stays behind the last event
         columns = (before, timeline.line[own], timeline.event[own])
         return [
             (k, timeline.events[n] if n >= 0 else line)
@@ -354,12 +370,11 @@ def _unwritten(
 
 
 @njit(cache=True, nogil=True)
-def _stated(vertices: FloatArray, at: FloatArray, first: int, base: _Place, unit: float) -> FloatArray:
-    """Round the command at the points to what the file states, 4 decimals in its own coordinates and unit: (m, 3) mm.
+def _points(vertices: FloatArray, at: FloatArray, first: int) -> FloatArray:
+    """Return the command at the points : (m, 3) mm.
 
-    vertices : (n + 1, 3) mm at the knots from `first` on;  at : (m,) in knots;  base : X Y Z E, mm;  unit : mm
+    vertices : (n + 1, 3) mm at the knots from `first` on;  at : (m,) in knots
     """
-    counts = 1e4 if unit == 1.0 else 1e6
     points = np.empty((len(at), 3))
     for k in range(len(at)):
         knot = int(at[k])
@@ -368,8 +383,18 @@ def _stated(vertices: FloatArray, at: FloatArray, first: int, base: _Place, unit
             place = vertices[knot - first, i]
             if f > 0.0:
                 place += f * (vertices[knot + 1 - first, i] - place)
-            points[k, i] = np.rint((place - base[i]) / unit * counts) / counts * unit + base[i]
+            points[k, i] = place
     return points
+
+
+def _stated(points: FloatArray, base: _Place, unit: float) -> FloatArray:
+    """Round points (m, 3) mm to what the file can state, 4 decimals in its own coordinates and unit.
+
+    base : X Y Z E, mm;  unit : mm
+    """
+    counts = 1e4 if unit == 1.0 else 1e6
+    origin = np.array(base[:3])
+    return np.asarray(np.rint((points - origin) / unit * counts) / counts * unit + origin)
 
 
 def _first_known(file: MotionLimits, own: MotionLimits) -> MotionLimits:

@@ -21,9 +21,9 @@ def writer(frame: ModalState = ModalState(), e: float = 0.0) -> MoveWriter:  # n
 
 def test_numbers_are_short_and_unchanged_axes_are_left_out() -> None:
     lines = writer()
-    assert lines.move(10.0, -0.00001, 0.25, 0.00001, 50.0) == b"G1 X10 Z0.25 E0.00001 F3000\n"
+    assert lines.move(10.0, -0.00001, 0.25, 0.00001, 50.0) == b"G1 X10 Z.25 E.00001 F3000\n"
     assert lines.move(10.0, 0.0, 0.25, 0.00001, 20.0) == b""
-    assert lines.move(10.12344, -0.5, 0.25, 0.00001, 50.0) == b"G1 X10.1234 Y-0.5\n"
+    assert lines.move(10.12344, -0.5, 0.25, 0.00001, 50.0) == b"G1 X10.1234 Y-.5\n"
     assert lines.move(123456.7891, 0.0, 0.25, 1234.5, 100 / 3) == b"G1 X123456.7891 Y0 E1234.5 F2000\n"
 
 
@@ -101,7 +101,8 @@ class Said:
     @staticmethod
     def number(counts: int, decimals: int) -> str:
         text = f"{counts / 10**decimals:.{decimals}f}"
-        return text.rstrip("0").rstrip(".")
+        short = text.rstrip("0").rstrip(".")
+        return short.replace("0.", ".", 1) if short.lstrip("-").startswith("0.") else short
 
 
 far = st.one_of(st.floats(-300, 300), st.floats(-1e6, 1e6), st.integers(-3000, 3000).map(lambda k: k * 1e-4))

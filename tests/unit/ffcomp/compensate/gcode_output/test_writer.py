@@ -225,7 +225,7 @@ def test_the_comment_before_a_section_ties_its_clock_to_the_originals() -> None:
 
 def test_segments_that_need_no_line_do_not_shift_the_sections_clock() -> None:
     """A crawl begins with segments that round to nothing; the comment allows for them."""
-    out = compensated(START + b"G4 P500\nG1 X10.002 F0.02\n")
+    out = compensated(START + b"G4 P500\nG1 X10.0005 F0.002\n")
     marks = section_times(out.splitlines(keepends=True))
     late = marks[-1].t / settings_for(machine()).segment_s  # a crawl needs no time before its path
     assert late > 0.5 and late == pytest.approx(round(late), abs=1e-6)

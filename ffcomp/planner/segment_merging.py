@@ -1,0 +1,232 @@
+"""Which points of a command become the ends of segments: as few as the accuracy allows, none too close to the last.
+
+Between two points that are kept, the command as it is written runs straight and at one speed. What it misses by that
+is told apart: across its direction, where it bends the path, and along it, where the nozzle is only early or late.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from models.arrays import BoolArray, FloatArray, IntArray
+
+AHEAD, BEHIND = 2.0, 0.5  # knots by which time may be ahead of the segments, one a knot, or behind them
+AT_FIRST = 1.0  # by which it is ahead after a cut
+ROUNDING = 1e-9  # of a knot
+COARSE = 0.5  # of the shortest segment: what may be missed for it
+
+
+@dataclass(frozen=True, slots=True)
+class MergeLimits:
+    """What a segment may be."""
+
+    across_mm: float  # by which the command may be missed across its direction,
+    along_mm: float  # and along it
+    filament_mm: float
+    longest: float  # in knots
+    shortest: float  # in knots, wherever lines of the file do not ask for a shorter one
+    shortest_mm: float
+
+
+def merge(
+    at: FloatArray, points: FloatArray, e: FloatArray, pinned: BoolArray, limits: MergeLimits, cut: int = 1 << 40
+) -> IntArray:
+    """Choose the points to keep: between two of them the command runs straight and evenly, so one segment will do.
+
+    In no span of time there are more segments than knots, but for AHEAD and BEHIND: where a line cuts a segment in two,
+    a knot was left out before, or is left out near it.
+
+    Parameters
+    ----------
+    at : (n,) times of the points, in knots
+    points : (n, 3) mm;  e : (n,) mm of filament
+    pinned : (n,) points that must stay
+    limits : what a segment may be
+    cut : what is kept after a knot whose number divides by it does not depend on what was kept before
+
+    Returns
+    -------
+    (m,) indices of the points to keep, first and last among them
+    """
+    tolerance = (limits.across_mm, limits.along_mm, limits.filament_mm)
+    shortest = (limits.shortest, limits.shortest_mm)
+    return _chosen(at, points, e, pinned, tolerance, limits.longest, shortest, float(cut))
+
+
+@njit(cache=True, nogil=True)
+def lengthen(
+    at: FloatArray, points: FloatArray, e: FloatArray, pinned: BoolArray, shortest: float, shortest_mm: float
+) -> None:
+    """Let segments that are too short, from and to rest mostly, end later, or begin earlier, on the next one, in place.
+
+    Parameters
+    ----------
+    at : (n,) times of the points that are kept, in knots;  points : (n, 3) mm;  e : (n,) mm of filament
+    pinned : (n,) points that must stay where they are
+    shortest : knots, and shortest_mm : mm, that segments must have
+    """
+    n = len(points) - 1
+    for k in range(n):
+        if 0.0 < _apart(points, k, k + 1) < shortest_mm:
+            if not pinned[k + 1] and k + 2 <= n:
+                _slide(at, points, e, k + 1, k, k + 2, shortest, shortest_mm)
+            elif not pinned[k] and k > 0:
+                _slide(at, points, e, k, k + 1, k - 1, shortest, shortest_mm)
+
+
+@njit(cache=True, nogil=True)
+def _slide(
+    at: FloatArray,
+    points: FloatArray,
+    e: FloatArray,
+    k: int,
+    near: int,
+    far: int,
+    shortest: float,
+    shortest_mm: float,
+) -> None:
+    """Move a point towards the far one, in time as in space, until it is far enough from the near one."""
+    ahead, behind, both = 0.0, 0.0, 0.0
+    for i in range(3):
+        step, apart = points[far, i] - points[k, i], points[k, i] - points[near, i]
+        ahead += step * step
+        behind += apart * apart
+        both += step * apart
+    if ahead <= 0.0:
+        return
+    share = (np.sqrt(both * both + ahead * (shortest_mm * shortest_mm - behind)) - both) / ahead
+    left = 1.0 - share
+    if left * np.sqrt(ahead) < shortest_mm or left * abs(at[far] - at[k]) < shortest:
+        return  # no room
+    at[k] += share * (at[far] - at[k])
+    e[k] += share * (e[far] - e[k])
+    for i in range(3):
+        points[k, i] += share * (points[far, i] - points[k, i])
+
+
+@njit(cache=True, nogil=True)
+def _chosen(
+    at: FloatArray,
+    points: FloatArray,
+    e: FloatArray,
+    pinned: BoolArray,
+    tolerance: tuple[float, float, float],
+    longest: float,
+    shortest: tuple[float, float],
+    cut: float,
+) -> IntArray:
+    n = len(points) - 1
+    kept = np.empty(n + 1, dtype=np.int64)
+    kept[0] = 0
+    count, first, pin = 1, 0, 0
+    ahead = AT_FIRST  # knots that have gone by, less the segments that were used for them
+    while first < n:
+        if pin <= first:
+            pin = first + 1
+            while pin < n and not pinned[pin]:
+                pin += 1
+        if at[first] % cut == 0.0:
+            ahead = AT_FIRST
+        least = max(shortest[0], 1.0 - BEHIND - ahead) - ROUNDING
+        wider = 2.0 if ahead < 0.0 else 1.0  # rather here than where the next line cuts a segment
+        within = (wider * tolerance[0], wider * tolerance[1], tolerance[2])
+        last = _furthest(at, points, e, first, pin, within, longest, least, shortest[1])
+        if last < pin:
+            both = 2.0 * 1.0 - BEHIND - ahead - ROUNDING
+            last = _balanced(at, points, e, first, last, pin, least, shortest, both)
+        ahead = min(ahead + at[last] - at[first] - 1.0, AHEAD)
+        kept[count] = last
+        count += 1
+        first = last
+    return kept[:count].copy()
+
+
+@njit(cache=True, nogil=True)
+def _furthest(
+    at: FloatArray,
+    points: FloatArray,
+    e: FloatArray,
+    first: int,
+    pin: int,
+    tolerance: tuple[float, float, float],
+    longest: float,
+    least: float,
+    shortest_mm: float,
+) -> int:
+    """Where the segment from `first` may end at the latest; before that, where it must be long enough."""
+    last = first + 1
+    while last < pin:
+        long_enough = _apart(points, first, last) >= shortest_mm
+        if at[last] - at[first] >= least and (
+            long_enough or not _may_miss(at, points, e, first, last + 1, shortest_mm)
+        ):
+            break  # the latter: too short a segment rather than a turn that is cut off
+        last += 1
+    while last < pin and at[last + 1] - at[first] <= longest:
+        if not _straight(at, points, e, first, last + 1, tolerance):
+            break
+        last += 1
+    return last
+
+
+@njit(cache=True, nogil=True)
+def _balanced(
+    at: FloatArray,
+    points: FloatArray,
+    e: FloatArray,
+    first: int,
+    last: int,
+    pin: int,
+    least: float,
+    shortest: tuple[float, float],
+    both: float,
+) -> int:
+    """Where the segment from `first` ends so that what is left until the pinned point is not too short.
+
+    both : knots that this segment and the next one must have together
+    """
+    shortest_knots, shortest_mm = shortest
+    enough = at[pin] - at[first] >= both
+    if enough:
+        for j in range(last, first, -1):
+            in_time = at[pin] - at[j] >= shortest_knots and at[j] - at[first] >= least
+            if in_time and min(_apart(points, first, j), _apart(points, j, pin)) >= shortest_mm:
+                return j
+    return pin if not enough or _may_miss(at, points, e, first, pin, shortest_mm) else last
+
+
+@njit(cache=True, nogil=True)
+def _may_miss(at: FloatArray, points: FloatArray, e: FloatArray, first: int, last: int, shortest_mm: float) -> bool:
+    """Whether one segment may do because two would be too short."""
+    coarse = (COARSE * shortest_mm, COARSE * shortest_mm, 1e9)
+    return _apart(points, first, last) < 2.0 * shortest_mm or _straight(at, points, e, first, last, coarse)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _apart(points: FloatArray, a: int, b: int) -> float:
+    x, y, z = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+    return np.sqrt(x * x + y * y + z * z)
+
+
+@njit(cache=True, nogil=True)
+def _straight(
+    at: FloatArray, points: FloatArray, e: FloatArray, first: int, last: int, tolerance: tuple[float, float, float]
+) -> bool:
+    """Whether one segment stays so close to all points between: across its direction, along it, and in filament."""
+    x, y, z = points[first, 0], points[first, 1], points[first, 2]
+    dx, dy, dz = points[last, 0] - x, points[last, 1] - y, points[last, 2] - z
+    length = np.sqrt(dx * dx + dy * dy + dz * dz)
+    per_mm = 1.0 / length if length > 0.0 else 0.0
+    across, along, filament = tolerance
+    for k in range(last - 1, first, -1):
+        f = (at[k] - at[first]) / (at[last] - at[first])
+        rx, ry, rz = points[k, 0] - x - f * dx, points[k, 1] - y - f * dy, points[k, 2] - z - f * dz
+        late = (rx * dx + ry * dy + rz * dz) * per_mm
+        if abs(late) > along or rx * rx + ry * ry + rz * rz - late * late > across * across:
+            return False
+        if abs(e[first] + f * (e[last] - e[first]) - e[k]) > filament:
+            return False
+    return True

@@ -1,0 +1,122 @@
+"""Which points of a command become the ends of segments."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from ffcomp.planner.segment_merging import AHEAD, AT_FIRST, BEHIND, MergeLimits, lengthen, merge
+from tests.unit.ffcomp.planner.test_segment_timing import wave
+
+FloatArray = NDArray[np.float64]
+
+LIMITS = MergeLimits(1.5e-3, 4e-3, 2e-4, 64.0, 0.25, 0.0)
+
+
+def unpinned(points: FloatArray) -> NDArray[np.bool_]:
+    return np.zeros(len(points), dtype=np.bool_)
+
+
+def missed(at: FloatArray, points: FloatArray, kept: NDArray[np.int64]) -> tuple[float, float]:
+    """The most that the kept points miss the others by, across and along their segment."""
+    across = along = 0.0
+    for a, b in pairwise(kept.tolist()):
+        direction = (points[b] - points[a]) / np.linalg.norm(points[b] - points[a])
+        f = ((at[a:b] - at[a]) / (at[b] - at[a]))[:, None]
+        error = points[a:b] - points[a] - f * (points[b] - points[a])
+        along = max(along, np.abs(error @ direction).max())
+        across = max(across, np.linalg.norm(error - np.outer(error @ direction, direction), axis=1).max())
+    return across, along
+
+
+@pytest.mark.parametrize("scale", [0.1, 1.0, 10.0])
+def test_segments_stay_within_the_tolerances(scale: float) -> None:
+    vertices, e = wave(400)
+    limits = replace(LIMITS, across_mm=1e-3 * scale, along_mm=4e-3 * scale, longest=25.0)
+    pinned = unpinned(vertices)
+    pinned[[57, 58, 211]] = True
+    kept = merge(np.arange(401.0), vertices, e, pinned, limits)
+    assert kept[0] == 0 and kept[-1] == 400 and {57, 58, 211} <= set(kept.tolist())
+    assert 1 <= np.diff(kept).min() <= np.diff(kept).max() <= 25
+    across, along = missed(np.arange(401.0), vertices, kept)
+    assert 0.5 * limits.along_mm < along <= limits.along_mm + 1e-12 and across <= limits.across_mm + 1e-12
+    assert np.abs(np.interp(np.arange(401), kept, e[kept]) - e).max() <= limits.filament_mm + 1e-12
+
+
+def test_a_ramp_on_a_straight_line_needs_fewer_segments_than_a_bend() -> None:
+    t = np.arange(101.0)
+    far, near = 1e-3 * t**2, np.zeros(101)
+    ramp, bend = np.stack([far, near, near], axis=1), np.stack([t, far, near], axis=1)
+    on_ramp, on_bend = (merge(t, points, near, unpinned(points), LIMITS) for points in (ramp, bend))
+    assert len(on_ramp) < 0.7 * len(on_bend)
+
+
+def test_a_straight_even_line_becomes_as_few_segments_as_allowed() -> None:
+    vertices = np.linspace([0.0, 0, 0], [10.0, 5, 0], 101)
+    limits = replace(LIMITS, longest=25.0)
+    assert merge(np.arange(101.0), vertices, np.linspace(0, 1, 101), unpinned(vertices), limits).tolist() == [
+        *range(0, 101, 25)
+    ]
+
+
+cuts = st.lists(st.integers(1, 399), max_size=60, unique=True)
+
+
+@given(cuts, st.integers(0, 3), st.floats(0.0, 1.0))
+def test_no_second_has_more_segments_than_it_may(quarters: list[int], seed: int, roughness: float) -> None:
+    """Lines of the file cut segments a quarter of a knot apart at the least; the knots beside them make room."""
+    lines = np.array(sorted(quarters), dtype=float)
+    lines = lines[np.diff(lines, prepend=-9.0) >= 6] / 4  # closer ones, all along, leave no choice
+    at = np.unique(np.concatenate([np.arange(101.0), lines]))
+    rng = np.random.default_rng(seed)
+    points = np.cumsum(np.diff(at, prepend=0.0)[:, None] * (1 + roughness * rng.normal(0, 1, (len(at), 3))), axis=0)
+    kept = at[merge(at, points, np.zeros(len(at)), np.isin(at, lines), LIMITS, 64)]
+    assert set(lines) <= set(kept) and np.diff(kept).min() >= 0.25
+    assert max(np.searchsorted(kept, kept + 50.0) - np.arange(len(kept))) <= 50 + AHEAD + BEHIND + AT_FIRST
+    if not roughness:
+        assert len(kept) < 0.3 * len(at) + 2 * len(lines)
+
+
+def test_slow_segments_are_long_enough() -> None:
+    t = np.arange(201.0)
+    slow = np.stack([2e-3 * t, np.zeros(201), np.zeros(201)], axis=1) + 1e-4 * np.sin(t)[:, None]
+    kept = merge(t, slow, np.zeros(201), unpinned(slow), replace(LIMITS, longest=1.0, shortest_mm=0.01))
+    assert np.linalg.norm(np.diff(slow[kept], axis=0), axis=1).min() >= 0.01
+
+
+def test_a_turn_on_the_spot_is_not_cut_off() -> None:
+    """Back to where it came from: no chord is long there, and nothing is left out for that."""
+    t = np.arange(41.0)
+    there_and_back = np.stack([0.03 * np.abs(t - 20), np.zeros(41), np.zeros(41)], axis=1)
+    kept = merge(t, there_and_back, np.zeros(41), unpinned(t), replace(LIMITS, shortest_mm=0.01))
+    assert kept.tolist() == [0, 20, 40]
+
+
+def test_what_is_kept_after_a_cut_does_not_depend_on_what_came_before() -> None:
+    vertices, e = wave(400)
+    t = np.sort(np.append(np.arange(401.0), [3.5, 17.25, 63.75, 64.5, 150.5]))
+    points, filament = (np.stack([np.interp(t, np.arange(401), c) for c in v.T], 1) for v in (vertices, e[:, None]))
+    pinned = (t % 64 == 0) | (t % 1 != 0)
+    limits = replace(LIMITS, shortest_mm=0.01)
+    whole = merge(t, points, filament[:, 0], pinned, limits, 64)
+    begin = int(np.searchsorted(t, 64.0))
+    part = merge(t[begin:], points[begin:], filament[begin:, 0], pinned[begin:], limits, 64)
+    assert (whole[whole >= begin] - begin).tolist() == part.tolist()
+
+
+def test_the_first_segment_from_rest_is_made_long_enough() -> None:
+    at, e = np.arange(6.0), np.linspace(0.0, 1.0, 6)
+    points = np.array([[0, 0, 0], [0.002, 0, 0], [0.03, 0.04, 0], [0.06, 0.08, 0], [0.06, 0.083, 0], [0.06, 0.088, 0]])
+    before = points.copy()
+    lengthen(at, points, e, np.array([True, False, False, True, False, True]), 0.25, 0.01)
+    assert np.linalg.norm(points[1]) == pytest.approx(0.01) and 1.0 < at[1] < 1.25
+    for axis in range(3):
+        assert points[1, axis] == pytest.approx(np.interp(at[1], np.arange(6), before[:, axis]))
+    assert e[1] == pytest.approx(0.2 * at[1])
+    assert (points[2:] == before[2:]).all()  # too little room between the last ones, which must stay
