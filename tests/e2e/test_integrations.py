@@ -186,7 +186,7 @@ def test_ffcomp_is_told_what_cura_knows(
     cura: Callable[..., list[str]], told: list[str], printer: dict[str, Any], tmp_path: Path
 ) -> None:
     stub = tmp_path / "ffcomp"
-    said = '{"warnings": ["%s, %s, %s"]}'
+    said = '{"warning_lines": ["%s, %s, %s"]}'
     stub.write_text(f"#!/bin/sh\nprintf '{said}' $SLIC3R_PP_HOST $SLIC3R_PP_OUTPUT_NAME $SLIC3R_PRINTABLE_AREA\n")
     stub.chmod(0o755)
     cura(list(CURA), executable=str(stub))
