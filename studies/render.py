@@ -32,6 +32,7 @@ PAGES = {
     "diagnosis": "DIAGNOSIS.md",
     "diagnosis_proof": "DIAGNOSIS_PROOF.md",
     "identification": "IDENTIFICATION.md",
+    "real_files": "REAL_FILES.md",
     "robust": "ROBUST.md",
     "story_emps": "STORY_EMPS.md",
     "story_force_map": "STORY_FORCE_MAP.md",

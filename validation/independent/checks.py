@@ -70,7 +70,7 @@ def printer_of(machine: dict[str, dict[str, object]], firmware: str = "klipper")
         def outside(places: FloatArray) -> FloatArray:
             return np.maximum(ranges[:, 0] - places, places - ranges[:, 1]).max(axis=1).clip(0.0)
 
-    # Klipper's defaults for an extruder that moves alone: a nozzle of 0.4 mm, filament of 1.75 mm
+    # an extruder that moves alone, by Klipper's defaults: a nozzle of 0.4 mm, filament of 1.75 mm
     filament = [NARROWER * of for of in (limits.velocity, limits.acceleration)]
     if firmware == "klipper":  # its limits of Z, where the configuration states none, are those of the nozzle
         z_velocity, z_acceleration = z_velocity or limits.velocity, z_acceleration or limits.acceleration
@@ -145,10 +145,19 @@ def check(before: bytes, after: bytes, printer: Printer, firmware: str = "klippe
     _places(read, written, lines[0], laid, offset, report)
     clock = times(written, printer.own)
     plan = times(read, printer.own)
-    report.numbers |= {"own_clock_s": clock.end_s, "own_clock_original_s": plan.end_s}
+    report.numbers |= {
+        "own_clock_s": clock.end_s - _from_nowhere(written, clock),
+        "own_clock_original_s": plan.end_s - _from_nowhere(read, plan),
+    }
     _segments(written, clock, laid, lines[1], report)
     _reach(written, laid, printer, report)
     return report
+
+
+def _from_nowhere(moves: Moves, clock: Times) -> float:
+    """What moves take that begin where nobody knows, as after homing."""
+    travels = np.linalg.norm(moves.step[:, :3], axis=1) > 0.0
+    return float(clock.lasts_s[travels & ~moves.known].sum())
 
 
 def _restored(before: bytes, after: list[bytes], laid: Lines, report: Report) -> None:

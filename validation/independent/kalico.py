@@ -85,7 +85,7 @@ def config_of(machine: dict[str, Any]) -> str:
     for pin, name in (("", "a"), ("1", "b"), ("2", "c")) if delta else (("", "x"), ("1", "y"), ("2", "z")):
         if not delta:
             low, high = kinematics[f"{name}_range_mm"]
-            more = f"position_min: {low - ROOM_MM}\nposition_max: {high + ROOM_MM}\nposition_endstop: {low}"
+            more = f"position_min: {low - ROOM_MM}\nposition_max: {high + ROOM_MM}\nposition_endstop: {low - ROOM_MM}"
         else:
             more = f"arm_length: {kinematics['arm_length_mm']}"
             more += "\nhoming_speed: 50\nposition_endstop: 600" if name == "a" else ""
@@ -113,24 +113,30 @@ def judged(text: bytes, machine: dict[str, Any], relative_e: bool = False) -> di
     known = b"".join(line for line in text.splitlines(keepends=True) if _KNOWN.match(line))
     host = kalico_moves(config_of(machine), (b"M83\n" if relative_e else b"") + known)
     written = reader.read(text, printer.limits, relative_e=relative_e)
-    lasts = host[:, 1:4].sum(axis=1)
-    found: dict[str, float | int | None] = {
-        "total_s": float(host[-1, 0] + lasts[-1] - host[0, 0]),
-        "moves": len(host),
-    }
-    travels = np.linalg.norm(written.step[:, :3], axis=1) > 1e-9
-    if travels.sum() < len(host) or not _same(host, written, travels):
-        return found | {"late_percent": None, "late_s": None, "stops": None}
-    which = np.flatnonzero(travels)[-len(host) :]
     clock = times(written, printer.own)
+    travels = np.flatnonzero(np.linalg.norm(written.step[:, :3], axis=1) > 1e-9)
+    found: dict[str, float | int | None] = {"moves": len(host), "total_s": None, "late_percent": None}
+    found |= {"late_s": None, "stops": None}
+    first = _same_from(host, written, travels)
+    if first is None:
+        return found
+    which, host = travels[-len(host) :][first:], host[first:]
+    # before the first move that both have, a printer comes from where it was: only our clock has that, from the origin
+    nowhere = float(clock.lasts_s[travels[~written.known[travels]]].sum())
+    lasts = host[:, 1:4].sum(axis=1)
+    found["total_s"] = float(clock.begin_s[which[0]]) - nowhere + float(host[-1, 0] + lasts[-1] - host[0, 0])
     found["own_clock_off_s"] = float(np.abs(clock.lasts_s[which] - lasts)[1:].max())
     return found | late_and_stops(text, written, printer, which, host)
 
 
-def _same(host: FloatArray, written: Moves, travels: BoolArray) -> bool:
-    """Whether the host's moves are those of our reader, from the second on."""
-    starts = written.start[travels][-len(host) :, :3]
-    return bool(np.abs(starts[1:] - host[1:, 4:7]).max(initial=0.0) < 1e-4)
+def _same_from(host: FloatArray, written: Moves, travels: IntArray) -> int | None:
+    """From which of the host's moves on they are those of our reader; None: never."""
+    if len(travels) < len(host):
+        return None
+    starts = written.start[travels[-len(host) :], :3]
+    other = np.flatnonzero(np.abs(starts - host[:, 4:7]).max(axis=1) > 1e-4)
+    first = int(other[-1]) + 1 if len(other) else 0
+    return first if first < 0.1 * len(host) else None
 
 
 def late_and_stops(

@@ -17,7 +17,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 ARC_MM = 2e-3  # how far a chord may leave its arc
-E_RESTARTS = 0.3  # share of extrusions that begin below the last E, from which on E is taken as relative
+E_RESTARTS = 0.3  # share of extrusions whose E is no more than the last one's, from which on E must be relative
 X, Y, Z, E = range(4)
 
 MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*([0-3])(?![\d.])", re.IGNORECASE)
@@ -112,7 +112,7 @@ def relative_without_saying(text: bytes) -> bool:
     if _MODE.search(text):
         return False
     e = np.array([float(m[1]) for m in _EXTRUSION.finditer(text)])
-    return bool(len(e) > 10 and np.mean(np.diff(e) < 0.0) > E_RESTARTS)
+    return bool(len(e) > 10 and np.mean(np.diff(e) <= 0.0) > E_RESTARTS)
 
 
 def read(text: bytes, limits: Limits, firmware: str = "klipper", relative_e: bool | None = None) -> Moves:
@@ -205,7 +205,7 @@ class _Reader:
             return
         if (letter, number) in _RESTS:
             self.rest = True
-            if number == 4 and letter == "G":
+            if number == 4 or (letter == "M" and number == 400):  # Bambu Lab's M400 waits, too
                 self.wait_s += said.get(b"P", 0.0) / 1e3 + said.get(b"S", 0.0)
             if number == 28:
                 now.named = [False] * 3
