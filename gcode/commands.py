@@ -43,6 +43,7 @@ STOP = Effect(EventKind.STOP)
 LIMITS = Effect(EventKind.PASS, touches_limits=True)
 MOVED = Effect(EventKind.STOP, moves_itself=True)
 RETURNED = Effect(EventKind.STOP, moves_itself=True, returns=True)
+STAYED = Effect(EventKind.STOP, returns=True)
 UNKNOWN = Effect(EventKind.STOP, unknown=True, moves_itself=True)
 
 
@@ -50,6 +51,8 @@ def apply(modal: Modal, command: Command) -> Effect:
     """Apply one command; unknown ones stop the motion, for they may move the machine."""
     if command.name in modal.returns:
         return RETURNED
+    if command.name in modal.still:
+        return STAYED
     if handler := EFFECTS.get(command.name):
         return handler(modal, command)
     if _TOOL_NAME.fullmatch(command.name):
@@ -82,6 +85,11 @@ def _move_away(modal: Modal, command: Command) -> Effect:
 def _come_back(modal: Modal, command: Command) -> Effect:
     """Rest: the machine may move, and comes back to where it was."""
     return RETURNED
+
+
+def _stay(modal: Modal, command: Command) -> Effect:
+    """Rest: the macro moves nothing; should it do so after all, it comes back."""
+    return STAYED
 
 
 def _home(modal: Modal, command: Command) -> Effect:
@@ -404,19 +412,23 @@ _RESTING = _names("""
     M975 M981 M982.2 M991 M1002 M1003 M1007 M9833.2
     MANUAL_STEPPER SET_INPUT_SHAPER SYNC_EXTRUDER_MOTION TEMPERATURE_WAIT
 """)
-# Pauses and filament changes; timelapse of Moonraker, Mainsail, Creality, Qidi; wiping; fans, lamps, states and layer
-# hooks of Voron, Klippain, RatOS, Creality, FLSUN, SuperSlicer and others.
+# Pauses, filament changes, wiping.
 _RETURNING = _names("""
-    M0 M1 M25 M226 M600 M601 M602 PAUSE RESUME M240
-    TIMELAPSE_TAKE_FRAME HYPERLAPSE TIMELAPSE_RENDER _TIMELAPSE_NEW_FRAME TAKE_FRAME TIMELAPSE TAKE_TIMELAPSE
-    TAKE_PHOTO TAKE_SNAPSHOT SNAPSHOT
+    M0 M1 M25 M226 M600 M601 M602 PAUSE RESUME
     CLEAN_NOZZLE NOZZLE_CLEAN CLEANNOZZLE WIPE_NOZZLE NOZZLE_WIPE NOZZLE_CLEANING NOZZLE_SCRUB SCRUB_NOZZLE
     BRUSH_NOZZLE NOZZLE_BRUSH WIPE BRUSH
+""")
+# These move nothing unless somebody has set them up to, and then come back: timelapse of Moonraker, Mainsail, Creality,
+# Qidi, whose parking is off by default; fans, lamps, states and layer hooks of Voron, Klippain, RatOS, Creality.
+_STILL_MACROS = _names("""
+    M240
+    TIMELAPSE_TAKE_FRAME HYPERLAPSE TIMELAPSE_RENDER _TIMELAPSE_NEW_FRAME TAKE_FRAME TIMELAPSE TAKE_TIMELAPSE
+    TAKE_PHOTO TAKE_SNAPSHOT SNAPSHOT
     PART_FAN PART_FANS PART_FAN_ON PART_FAN_OFF SET_PART_FAN COOLING_FAN AUX_FAN AUX_FAN_ON AUX_FAN_OFF SET_AUX_FAN
     CHAMBER_FAN EXHAUST_FAN EXHAUST_FAN_ON EXHAUST_FAN_OFF SIDE_FAN NEVERMORE_ON NEVERMORE_OFF START_FILTER STOP_FILTER
     FILTER_ON FILTER_OFF AIR_FILTER FAN_ON FAN_OFF SET_EXHAUST_FAN
     LIGHT LIGHT_ON LIGHT_OFF LIGHTS LIGHTS_ON LIGHTS_OFF LED LED_ON LED_OFF LEDS_ON LEDS_OFF CASELIGHT_ON CASELIGHT_OFF
-    CASE_LIGHT_ON CASE_LIGHT_OFF STOP_LED_EFFECTS BEEP BEEPER 
+    CASE_LIGHT_ON CASE_LIGHT_OFF STOP_LED_EFFECTS BEEP BEEPER
     SET_PAUSE_NEXT_LAYER SET_PAUSE_AT_LAYER LAYER_CHANGE _LAYER_CHANGE ON_LAYER_CHANGE _ON_LAYER_CHANGE
     AFTER_LAYER_CHANGE BEFORE_LAYER_CHANGE _AFTER_LAYER_CHANGE _BEFORE_LAYER_CHANGE BEFORE_LAYER AFTER_LAYER
     _ON_LAYER _PRINT_STATUS PRINT_STATUS UPDATE_PRINT_STATS SET_PRINT_STATE SET_PRINT_PROGRESS PRINT_PROGRESS
@@ -440,13 +452,14 @@ _REFUSED = _names("""
     G92.2 G92.3 G93 G95 IF ELIF ELSE WHILE BREAK CONTINUE ABORT
 """)
 
-RETURNING = frozenset(_RETURNING)
+RETURNING = frozenset(_RETURNING + _STILL_MACROS)
 PASSING_M_CODES = frozenset(int(name[1:]) for name in _PASSING if re.fullmatch(r"M\d+", name))
 EFFECTS: dict[str, Handler] = {
     **dict.fromkeys(_PASSING, _pass),
     **dict.fromkeys(_RESTING, _rest),
     **dict.fromkeys(_STILL, _rest),
     **dict.fromkeys(_RETURNING, _come_back),
+    **dict.fromkeys(_STILL_MACROS, _stay),
     **dict.fromkeys(_MOVING_AWAY, _move_away),
     **dict.fromkeys(_REFUSED, _refuse),
     "G4": _dwell,

@@ -36,6 +36,7 @@ class RawMove(NamedTuple):
     acceleration: float  # mm/s²
     square_corner_velocity: float  # mm/s
     cause: tuple[int, str] = (0, "")  # the line in the file, from 1, and the command since which nobody knows the place
+    axes: tuple[int, ...] = (0, 1, 2)  # along which it moves, or may
 
 
 class Event(NamedTuple):

@@ -51,6 +51,7 @@ def read_program(
     arc_tolerance_mm: float = ARC_TOLERANCE_MM,
     flavor: str | None = None,
     returns: Iterable[str] = (),
+    still: Iterable[str] = (),
     homed_mm: tuple[float, float, float] | None = None,
 ) -> Program:
     """Read a file's bytes.
@@ -70,6 +71,8 @@ def read_program(
         "klipper", "marlin" or "reprapfirmware"; None: as the file says.
     returns : names
         Of macros after which the nozzle is where it was, besides those that are known to come back.
+    still : names
+        Of macros that move nothing, besides those that are known not to.
     homed_mm : (x, y, z) mm or None
         Where homing all axes ends; None: not known.
 
@@ -79,7 +82,7 @@ def read_program(
         A line that cannot be followed, with its number.
     """
     flavor = flavor or detect_flavor([data])
-    return _Reader(path, start, offset_mm, arc_tolerance_mm, flavor, returns, homed_mm).program(data)
+    return _Reader(path, start, offset_mm, arc_tolerance_mm, flavor, (returns, still), homed_mm).program(data)
 
 
 def read_parts(
@@ -92,6 +95,7 @@ def read_parts(
     arc_tolerance_mm: float = ARC_TOLERANCE_MM,
     part_bytes: int = PART_BYTES,
     returns: Iterable[str] = (),
+    still: Iterable[str] = (),
     homed_mm: tuple[float, float, float] | None = None,
 ) -> Iterator[Program]:
     """Read a file of any length in parts: consecutive programs that together say what `read_program` says.
@@ -111,7 +115,7 @@ def read_parts(
 
     Other parameters, and errors, are those of `read_program`; an error comes when its part is read.
     """
-    reader = _Reader(path, start, offset_mm, arc_tolerance_mm, flavor, returns, homed_mm)
+    reader = _Reader(path, start, offset_mm, arc_tolerance_mm, flavor, (returns, still), homed_mm)
     for data in whole_lines(blocks, part_bytes):
         yield reader.program(data)
 
@@ -145,11 +149,12 @@ class _Reader:
         offset: tuple[float, float],
         arc_tolerance: float,
         flavor: str,
-        returns: Iterable[str],
+        macros: tuple[Iterable[str], Iterable[str]],
         homed: tuple[float, float, float] | None,
     ) -> None:
         self.path, self.arc_tolerance = path, arc_tolerance
-        self.modal = Modal(offset=offset, flavor=flavor, returns=frozenset(map(str.upper, returns)), homed=homed)
+        returns, still = (frozenset(map(str.upper, names)) for names in macros)
+        self.modal = Modal(offset=offset, flavor=flavor, returns=returns, still=still, homed=homed)
         if start is not None:
             self.modal.position[:3] = [float(coordinate) for coordinate in start]
         self.warned: set[str] = set()  # what sentences were about
@@ -366,6 +371,7 @@ class _Reader:
     def _pass_through(self, at: int, words: dict[str, float]) -> None:
         """Let the firmware plan a move from or to a place that is not known."""
         modal, limits = self.modal, self.modal.limits
+        before = modal.position[:3] if modal.z_known else [*modal.position[:2], nan]
         start, end = modal.pass_through(words)
         self.modes = None
         self.moves.jumps[self.moves.count] = modal.position[:]
@@ -378,6 +384,7 @@ class _Reader:
             velocity_limit=limits.velocity,
             acceleration=limits.acceleration,
             square_corner_velocity=limits.square_corner_velocity,
+            axes=tuple(k for k in range(3) if before[k] != modal.position[k]),  # NaN is unlike itself
             cause=self.lost,
         )
         self._settle()

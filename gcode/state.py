@@ -68,6 +68,7 @@ class Modal:
     caps: MotionLimits = MACHINE_LIMITS  # M201 and M203 of Marlin and RepRapFirmware
     saved: dict[str, Saved] = field(default_factory=dict)
     returns: frozenset[str] = frozenset()  # macros that come back, besides those of gcode.commands
+    still: frozenset[str] = frozenset()  # and those that move nothing
     homed: tuple[float, float, float] | None = None  # where homing all axes ends, mm; None: not known
     conditions: list[Whereabouts] = field(default_factory=list)  # where each M622 that is open has begun
 

@@ -114,6 +114,7 @@ def _machine(document: DeltaDocument | StraightDocument, sha256: str, path: str)
         sha256=sha256,
         path=path,
         returns=tuple(document.macros.returns or ()),
+        still=tuple(document.macros.still or ()),
         homed_mm=_place(document.homing.position_mm),
         flavor=document.firmware.flavor or "",
     )

@@ -66,6 +66,7 @@ class Machine:
     sha256: str = ""  # of the file's bytes; empty: made in memory
     path: str = ""
     returns: tuple[str, ...] = ()  # macros after which the nozzle is where it was
+    still: tuple[str, ...] = ()  # macros that move nothing
     homed_mm: tuple[float, float, float] | None = None  # where homing all axes ends; None: not known
     flavor: str = ""  # of its firmware: "klipper", "marlin" or "reprapfirmware"; empty: not said
 

@@ -242,10 +242,14 @@ class FirmwareTable(Table):
     flavor: Literal["klipper", "marlin", "reprapfirmware"] | None = None
 
 
+MacroName = Annotated[str, Field(pattern=r"^@?[A-Za-z_]\w*$")]
+
+
 class MacrosTable(Table):
     """`[macros]`: what is known of the printer's own."""
 
-    returns: list[Annotated[str, Field(pattern=r"^@?[A-Za-z_]\w*$")]] | None = None
+    returns: list[MacroName] | None = None
+    still: list[MacroName] | None = None
 
 
 class HomingTable(Table):

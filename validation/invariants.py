@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ffcomp.inverse.settings import SEGMENTS_PER_SECOND
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.machine_limits import known_to_the_firmware, planner_limits
 from gcode.embedded import OURS, TIME_WAS, WAS, original
 from gcode.metadata import tells
 from gcode.program import Program
@@ -79,7 +79,7 @@ def violations(
     flavor: str | None = None,
 ) -> list[str]:
     """What is wrong with a compensated file, in sentences; `before` is the file it was made of."""
-    own = partial(read_program, flavor=flavor, returns=machine.returns, homed_mm=machine.home_mm)
+    own = partial(read_program, flavor=flavor, **known_to_the_firmware(machine))
     read, lines = own(before, offset_mm=offset_mm), after.splitlines(keepends=True)
     written, text = own(after), told_apart(lines)
     found = [] if original(after) == before else ["The original cannot be read out of the file byte for byte."]

@@ -82,6 +82,10 @@ def report(result: dict[str, Any], machine_path: str, quiet: bool) -> None:
     )
     share = result["compensated_share"]
     say(f"Compensated: {_percent(share['path'])} of the path, {_percent(share['filament'])} of the filament.", quiet)
+    if times := result["settling"]["times"]:
+        waits = "waits once" if times == 1 else f"waits {times} times"
+        why = "so that what the firmware moves by itself has stopped ringing when extrusion begins"
+        say(f"The nozzle {waits}, {result['settling']['seconds']:.2g} s in all, {why}.", quiet)
     if "steps" in result:
         told = ", ".join(f"{motor.upper()} {total['steps']}" for motor, total in result["steps"].items())
         say(f"Steps: {told}.", quiet)

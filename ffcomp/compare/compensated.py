@@ -15,6 +15,7 @@ from ffcomp.compensate.statistics import Statistics
 from ffcomp.compensate.stream import Stream
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
+from ffcomp.planner.machine_limits import known_to_the_firmware
 from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
@@ -89,7 +90,9 @@ def segments(
     start : (float, float, float), optional
         Where the nozzle is then, mm.
     """
-    program = read_program(before + file.text, "compensated", start=start, flavor=file.flavor, returns=machine.returns)
+    program = read_program(
+        before + file.text, "compensated", start=start, flavor=file.flavor, **known_to_the_firmware(machine)
+    )
     program = within_reach(program, machine.kinematics)
     trajectory = plan_program(program, machine).trajectory
     travels = np.any(trajectory.direction[:, :3] != 0.0, axis=1)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.errors import NothingToDo
+from ffcomp.planner.machine_limits import known_to_the_firmware
 from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion
@@ -92,9 +93,7 @@ class Print:
     ) -> None:
         self.path, self.machine, self.offset = path, machine, offset
         stated = flavor or machine.flavor
-        program = read_program(
-            data, path, offset_mm=offset, flavor=stated or None, returns=machine.returns, homed_mm=machine.home_mm
-        )
+        program = read_program(data, path, offset_mm=offset, flavor=stated or None, **known_to_the_firmware(machine))
         self.flavor = stated or detect_flavor(program.lines)
         self.planned = plan_program(within_reach(program, machine.kinematics), machine)
         self.labels: Labels = labels(self.program)

@@ -23,7 +23,7 @@ from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.trajectory import Trajectory
 from gcode.layers import layer_starts
 from gcode.limits import limits_in_effect
-from gcode.program import EventKind, Moves, Program
+from gcode.program import Event, EventKind, Moves, Program
 from gcode.slicing import excerpt, join, shortened, split
 from models.arrays import FloatArray, IntArray
 
@@ -46,6 +46,7 @@ class Chunk:
 
     program: Program
     before: Program | None = None  # the moves just before it, from a rest on; None: others have moved the nozzle
+    since: tuple[Event, ...] = ()  # the lines after these
     limits: Mapping[bytes, bytes] = field(default_factory=dict)  # in effect where it begins (`gcode.limits`)
     layers: int = 0  # that have begun before it
     last: bool = True
@@ -109,6 +110,7 @@ class _Ahead:
 
     program: Program
     before: Program | None = None
+    since: tuple[Event, ...] = ()
     limits: Mapping[bytes, bytes] = field(default_factory=dict)
     layers: int = 0
     begin: PathPosition | None = None
@@ -118,7 +120,7 @@ class _Ahead:
     def chunk(self, program: Program, last: bool = False, end: PathPosition | None = None) -> Chunk:
         """Return the chunk that it begins with."""
         extent = Extent(self.begin, end)
-        return Chunk(program, self.before, self.limits, self.layers, last, extent, self.slowed, self.cuts)
+        return Chunk(program, self.before, self.since, self.limits, self.layers, last, extent, self.slowed, self.cuts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +186,8 @@ class _Known:
         head, tail = split(ahead.program, move)
         before = _remembered(head, _columns(self.plan, slice(0, move)))
         layers = ahead.layers + len(layer_starts(head))
-        left = _Ahead(tail, before, limits_in_effect(head, ahead.limits), layers, cuts=ahead.cuts)
+        since = tuple(event for event in head.events if event.move == len(head.moves))
+        left = _Ahead(tail, before, since, limits_in_effect(head, ahead.limits), layers, cuts=ahead.cuts)
         begin_t = float(plan.start_t[0]) - self.settings.lead_s
         return ahead.chunk(head), _Known(left, plan, begin_t, self.settings)
 
@@ -212,7 +215,7 @@ class _Known:
         limits = limits_in_effect(excerpt(ahead.program, 0, place.move + 1), ahead.limits)
         passed = layer_starts(excerpt(ahead.program, 0, first)) if first else []
         tail = replace(tail, warnings=[])
-        left = _Ahead(tail, None, limits, ahead.layers + len(passed), begin, cuts=ahead.cuts + 1)
+        left = _Ahead(tail, None, (), limits, ahead.layers + len(passed), begin, cuts=ahead.cuts + 1)
         chunk = ahead.chunk(_until(ahead.program, plan, t + around, rest), end=place)
         return chunk, _Known(left, _columns(plan, slice(first, None)), t, self.settings)
 

@@ -35,7 +35,7 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.time_scaling import TimeScaling, scale_around_cut
 from ffcomp.planner.limits import lines_of
-from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.machine_limits import known_to_the_firmware, planner_limits
 from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.program import firmware_plan, plan_section
 from ffcomp.planner.reach import OutOfReach, Reach
@@ -298,14 +298,8 @@ class Job:
         blocks = blocks_of(self.source)
         if self.restore:
             blocks = original_blocks(blocks)
-        own = self.machine
         return read_parts(
-            blocks,
-            self.path,
-            flavor=self.flavor,
-            offset_mm=offset,
-            returns=own.returns,
-            homed_mm=own.home_mm,
+            blocks, self.path, flavor=self.flavor, offset_mm=offset, **known_to_the_firmware(self.machine)
         )
 
     def _chunks(self, parts: Iterable[Program], plain: bool) -> Iterator[Chunk]:

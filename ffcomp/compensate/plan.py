@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from math import ceil
 
 from ffcomp.compensate.chunks import Chunk
+from ffcomp.compensate.settling import settling_waits
 from ffcomp.compensate.solve import solutions
-from ffcomp.compensate.statistics import Statistics, of_plan, of_raw
+from ffcomp.compensate.statistics import Statistics, of_plan, of_raw, of_waits
 from ffcomp.inverse.extent import WHOLE
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
@@ -43,6 +44,7 @@ class PlannedChunk:
     simulated: bool = False  # whether some of it is, for the prediction
     statistics: Statistics = field(default_factory=Statistics)  # what it takes by its plan
     raw_s: Mapping[int, float] = field(default_factory=dict)  # what moves take that go out as they are, by their line
+    waits_s: Mapping[int, float] = field(default_factory=dict)  # until ringing dies away, by a section's first move
 
     @staticmethod
     def whole(planned: PlannedProgram) -> PlannedChunk:
@@ -75,8 +77,10 @@ def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedCh
     )
     raw = _raw_events(chunk)
     raw_s = raw_durations(raw, planner_limits(machine))
-    statistics = own + of_plan(planned, chunk.extent) + of_raw(raw, raw_s)
-    return PlannedChunk(chunk, planned, state, _is_simulated(chunk, context.share), statistics, raw_s)
+    begun = planned.sections if chunk.extent.begin is None else planned.sections[1:]
+    waits = settling_waits(planned, machine, raw_s, begun, chunk.since)
+    statistics = own + of_plan(planned, chunk.extent) + of_raw(raw, raw_s) + of_waits(waits)
+    return PlannedChunk(chunk, planned, state, _is_simulated(chunk, context.share), statistics, raw_s, waits)
 
 
 def _raw_events(chunk: Chunk) -> list[Event]:

@@ -77,6 +77,7 @@ class Result:
             "original_print_time_s": numbers.original_print_time_s,
             "compute_time_s": self.compute_time_s,
             **numbers.shares.to_dict(),
+            "settling": {"times": numbers.settlings, "seconds": numbers.settling_s},
             "moves": numbers.moves,
             "segments": numbers.segments,
             "windows": numbers.windows,

@@ -128,6 +128,6 @@ def _because(cause: Cause) -> str:
     if _MACRO.fullmatch(cause.command):
         return (
             f"{where}. If it comes back to where it was, say so in the machine file: "
-            f'[macros] returns = ["{cause.command}"]; otherwise name X and Y after it.'
+            f'[macros] returns = ["{cause.command}"]; otherwise name X and Y after it in the slicer.'
         )
     return f"{where}; name X and Y after it."

@@ -39,6 +39,8 @@ class Statistics:
     slowed: tuple[TimeScaling, ...] = ()
     predicted: Samples | None = None
     shares: Shares = field(default_factory=Shares)
+    settlings: int = 0  # waits until the ringing of what the firmware has moved by itself has died away
+    settling_s: float = 0.0
 
     def __add__(self, later: Statistics) -> Statistics:
         """Add what comes after this; a warning is kept once."""
@@ -54,6 +56,8 @@ class Statistics:
             self.slowed + later.slowed,
             samples[0] + samples[1] if len(samples) > 1 else next(iter(samples), None),
             self.shares + later.shares,
+            self.settlings + later.settlings,
+            self.settling_s + later.settling_s,
         )
 
 
@@ -77,6 +81,12 @@ def of_raw(events: list[Event], seconds: Mapping[int, float]) -> Statistics:
     shares = of_raw_moves(events, seconds)
     lasting_s = shares.uncompensated.seconds
     return Statistics(original_print_time_s=lasting_s, print_time_s=lasting_s, shares=shares)
+
+
+def of_waits(waits_s: Mapping[int, float]) -> Statistics:
+    """Count waits until ringing has died away."""
+    total_s = sum(waits_s.values())
+    return Statistics(print_time_s=total_s, settlings=len(waits_s), settling_s=total_s)
 
 
 def of_section(

@@ -52,7 +52,7 @@ class StepRenderer:
     def __init__(self, stream: StepStream, chunk: PlannedChunk, context: Context) -> None:
         self._stream, self._planned, self._extent = stream, chunk.planned, chunk.chunk.extent
         self._kinematics, self._segment_s = context.machine.kinematics, context.settings.segment_s
-        self._events = EventQueue(chunk.planned.program.events)
+        self._events, self._waits_s = EventQueue(chunk.planned.program.events), chunk.waits_s
         self._rested = 0.0  # s of the plan's clock, when the section before has ended
 
     def before(self, section: Section) -> Iterable[bytes]:
@@ -60,6 +60,7 @@ class StepRenderer:
         if self._extent.begin is None or section is not self._planned.sections[0]:
             self._stream.clock_s += section.begin_t - self._rested
             self._events_before(section.first)
+            self._stream.clock_s += self._waits_s.get(section.first, 0.0)
         self._rested = section.end_t
         return ()
 

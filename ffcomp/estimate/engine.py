@@ -11,6 +11,7 @@ from ffcomp.estimate.layers import BEFORE, Layer
 from ffcomp.estimate.slices import planned_slices
 from ffcomp.estimate.statistics import FILAMENT, KINDS, Statistics
 from ffcomp.numerics.serialise import to_json
+from ffcomp.planner.machine_limits import known_to_the_firmware
 from ffcomp.planner.program import plan_program
 from ffcomp.planner.reach import Reach
 from ffcomp.planner.trajectory import PlannedMotion
@@ -108,7 +109,7 @@ def _statistics(
     def plan_of(program: Program) -> PlannedMotion:
         return plan_program(program, machine).trajectory
 
-    parts = read_parts(blocks, path, flavor=flavor, offset_mm=offset, returns=machine.returns, homed_mm=machine.home_mm)
+    parts = read_parts(blocks, path, flavor=flavor, offset_mm=offset, **known_to_the_firmware(machine))
     statistics = Statistics()
     for part in planned_slices(Reach(machine.kinematics).whole(parts), plan_of):
         statistics.add(part)

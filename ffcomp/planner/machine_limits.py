@@ -1,6 +1,8 @@
-"""Read the planner's limits from a machine file."""
+"""Read from a machine file what the printer's own configuration says: the planner's limits, macros, homing."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +22,11 @@ def planner_limits(machine: Machine) -> PlannerLimits:
         z_acceleration_mm_per_s2=own.z_acceleration_mm_per_s2,
         delta=_slow_zones(machine.kinematics, machine.steps),
     )
+
+
+def known_to_the_firmware(machine: Machine) -> dict[str, Any]:
+    """Return what a G-code reader must know besides the file, as its keyword arguments."""
+    return {"returns": machine.returns, "still": machine.still, "homed_mm": machine.home_mm}
 
 
 def _slow_zones(kinematics: Kinematics, steps: Steps) -> DeltaSlowZones | None:

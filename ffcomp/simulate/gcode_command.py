@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from ffcomp.planner.machine_limits import known_to_the_firmware
 from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion
@@ -47,15 +48,15 @@ def read_gcode(
     Command, Program
         The command, and the program that was read.
     """
-    read = partial(read_program, path=path, returns=machine.returns, homed_mm=machine.home_mm)
+    own = known_to_the_firmware(machine)
     inside = partial(within_reach, kinematics=machine.kinematics)
     stamp = already_processed(data)
     if stamp is None:
-        program = read(data, offset_mm=offset, flavor=flavor or machine.flavor or None)
+        program = read_program(data, path, offset_mm=offset, flavor=flavor or machine.flavor or None, **own)
         return gcode_command(plan_program(inside(program), machine), machine), program
-    program = read(data, flavor=stamp.flavor)
+    program = read_program(data, path, flavor=stamp.flavor, **own)
     offset = find_offset(data[:STAMP_REACH])
-    reference = read(original(data), offset_mm=offset, flavor=stamp.flavor)
+    reference = read_program(original(data), path, offset_mm=offset, flavor=stamp.flavor, **own)
     executed = plan_program(inside(program), machine)
     return compensated_command(executed, plan_program(inside(reference), machine), machine), program
 

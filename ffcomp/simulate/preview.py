@@ -7,13 +7,12 @@ restored from the comments that keep it, and the two clocks are aligned where th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from ffcomp.metrics import ContourStatistics, contour_error, contour_statistics
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.machine_limits import known_to_the_firmware, planner_limits
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion
 from ffcomp.simulate.alignment import move_times
@@ -67,9 +66,9 @@ def preview(
         None: as the file says.
     """
     lines = data.splitlines(keepends=True)
-    read = partial(read_program, path=path, flavor=flavor, returns=machine.returns, homed_mm=machine.home_mm)
-    original = read(b"".join(original_lines(lines)), offset_mm=offset)
-    compensated = read(data)
+    own = known_to_the_firmware(machine)
+    original = read_program(b"".join(original_lines(lines)), path, offset_mm=offset, flavor=flavor, **own)
+    compensated = read_program(data, path, flavor=flavor, **own)
     original, compensated = (within_reach(program, machine.kinematics) for program in (original, compensated))
     reference, executed = _plan(original, machine), _plan(compensated, machine)
     path_t, corners = path_corners_with_rests(reference)

@@ -22,8 +22,8 @@ class GcodeRenderer:
         program, settings = chunk.planned.program, context.settings
         own = _own_limits(context.machine)
         self._writer = Writer(program, context.flavor, own, settings, context.offset, chunk.chunk.limits, chunk.raw_s)
-        self._events = EventQueue(program.events)
-        self._writer.to_return = program.first_line > 0 and chunk.chunk.before is None and self._extent.begin is None
+        self._events, self._waits_s = EventQueue(program.events), chunk.waits_s
+        self._writer.told(chunk.chunk.since)
 
     @property
     def segments(self) -> int:
@@ -33,6 +33,8 @@ class GcodeRenderer:
     def before(self, section: Section) -> Iterator[bytes]:
         """Write the lines before a section."""
         yield from self._events_before(section.first)
+        if wait_s := self._waits_s.get(section.first):
+            yield from self._writer.wait(wait_s)
 
     def extrude(self, section: Section) -> Iterator[bytes]:
         """Write a section in which only the extruder moves."""

@@ -89,12 +89,22 @@ class Writer:
         else:
             yield Timed.at(line, self.now_s) if tells(line) or begins_layer(line) else line
         self.now_s += event.dwell_s + self.raw_s.get(event.line, 0.0)
-        self.to_return = event.returns or (self.to_return and not event.moves_itself)
+        self.told([event])
         self._take_frame(event.frame)
         if event.touches_limits:
             self.said |= limit_set_by(line)
         if self.open and event.touches_limits:
             yield from self._limits(self._opening())
+
+    def told(self, events: Iterable[Event]) -> None:
+        """Note whether the last to have moved the nozzle is a macro that comes back."""
+        for event in events:
+            self.to_return = event.returns or (self.to_return and not event.moves_itself)
+
+    def wait(self, seconds: float) -> Iterator[bytes]:
+        """Rest until the ringing of a motion that is not compensated has died away."""
+        self.now_s += seconds
+        yield b"G4 P%.0f" % (1e3 * seconds) + OURS + self.ending
 
     def close(self) -> Iterator[bytes]:
         """End a block: the file's limits and feed are in force again."""

@@ -499,7 +499,7 @@ def test_a_macro_that_comes_back_keeps_the_place_and_others_do_not() -> None:
     for name in ("TIMELAPSE_TAKE_FRAME", "my_photo", "MY_PHOTO"):
         program = read("G1 X1 Y2 Z3 F600", name, "G1 X5", returns=["My_Photo"])
         assert ends(program)[1:] == [[5, 2, 3, 0]]
-        assert program.events[0].returns and program.events[0].moves_itself
+        assert program.events[0].returns
     assert kinds(read("G1 X1 Y2 Z3 F600", "MY_PHOTO", "G1 X5")) == [EventKind.STOP, EventKind.RAW_MOVE]
 
 

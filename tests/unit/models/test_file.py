@@ -123,6 +123,7 @@ steps_per_mm = 160
 flavor = "reprapfirmware"
 [macros]
 returns = ["MY_PHOTO", "nozzle_dance"]
+still = ["MY_LAMP"]
 [homing]
 position_mm = [0, 0, 200]
 [carriage.drive]
@@ -148,7 +149,7 @@ who = { name = "me" }
     assert delta_vibration(machine).carriage.drive.d1_per_s == -200
     assert machine.effects["coulomb_friction"] == {"force_n": [2.1, 2.2, 2.3]}
     assert machine.flavor == "reprapfirmware"
-    assert machine.returns == ("MY_PHOTO", "nozzle_dance")
+    assert machine.returns == ("MY_PHOTO", "nozzle_dance") and machine.still == ("MY_LAMP",)
     assert machine.homed_mm == (0, 0, 200)
     assert machine.uncertainty["carriage.belt_stiffness_n_per_m"] == 0.05
     assert machine.provenance["who"] == {"name": "me"}

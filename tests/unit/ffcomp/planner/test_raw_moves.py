@@ -29,7 +29,7 @@ def test_a_stop_separates_and_a_comment_does_not() -> None:
     together = _seconds("G1 X10 F60000\n;\nG1 X20\nG1 X30\n")
     apart = _seconds("G1 X10 F60000\nM400\nG1 X20\nM400\nG1 X30\n")
     assert 2 * np.sqrt(30 / 1000) < together < 0.65 * apart
-    assert apart == pytest.approx(3 * 2 * np.sqrt(10 / 1000), rel=1e-6)
+    assert apart == pytest.approx(3 * _seconds("G1 X10 F60000\n"), rel=1e-6)
 
 
 def _seconds(lines: str) -> float:
