@@ -67,7 +67,8 @@ def join(first: Program, second: Program) -> Program:
     own = replace(own, line=own.line + lines, frame=own.frame + frames)
     columns = (each.name for each in fields(Moves))
     both = Moves(**{name: np.concatenate([getattr(first.moves, name), getattr(own, name)]) for name in columns})
-    later = shifted(second.events, lines, moves, range(frames, frames + len(second.frames)))
+    numbers = range(frames, frames + len(second.frames)) if second.frames else None  # where they do not matter
+    later = shifted(second.events, lines, moves, numbers)
     return replace(
         first,
         lines=first.lines + second.lines,

@@ -11,8 +11,9 @@ from ffcomp.estimate.layers import BEFORE, Layer
 from ffcomp.estimate.slices import planned_slices
 from ffcomp.estimate.statistics import FILAMENT, KINDS, Statistics
 from ffcomp.numerics.serialise import to_json
-from ffcomp.planner.machine_limits import known_to_the_firmware
+from ffcomp.planner.machine_limits import known_to_the_firmware, planner_limits
 from ffcomp.planner.program import plan_program
+from ffcomp.planner.raw_moves import raw_durations
 from ffcomp.planner.reach import Reach
 from ffcomp.planner.trajectory import PlannedMotion
 from gcode.container import Source, blocks_of, ends_of
@@ -110,9 +111,9 @@ def _statistics(
         return plan_program(program, machine).trajectory
 
     parts = read_parts(blocks, path, flavor=flavor, offset_mm=offset, **known_to_the_firmware(machine))
-    statistics = Statistics()
+    statistics, limits = Statistics(), planner_limits(machine)
     for part in planned_slices(Reach(machine.kinematics).whole(parts), plan_of):
-        statistics.add(part)
+        statistics.add(part, raw_durations(part.events, limits))
     if not statistics.moves:
         raise NothingToDo(f"{path}: no move whose start is known; there is no time to tell.")
     return statistics

@@ -5,7 +5,9 @@ Rows are added up, (6,) arrays: the seconds of each kind of motion and of waitin
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,16 +60,23 @@ class Statistics:
         """(6,) of everything."""
         return np.sum([np.zeros(COLUMNS), *self.features.values()], axis=0)
 
-    def add(self, part: PlannedSlice) -> None:
-        """Count a slice's own moves and lines."""
-        marks = self._read(part)
+    def add(self, part: PlannedSlice, raw_s: Mapping[int, float] = MappingProxyType({})) -> None:
+        """Count a slice's own moves and lines.
+
+        Parameters
+        ----------
+        part : PlannedSlice
+        raw_s : mapping
+            What moves from a place not known take, s, by their line's index.
+        """
+        marks = self._read(part, raw_s)
         if part.plan is not None and part.last > part.first:
             self._add_moves(part, part.plan.duration[part.first : part.last], marks)
         self.layers.leave(len(marks.layers))
         self._feature = marks.names[-1]
         self.warnings += part.program.warnings
 
-    def _read(self, part: PlannedSlice) -> _Marks:
+    def _read(self, part: PlannedSlice, raw_s: Mapping[int, float]) -> _Marks:
         """Read its lines."""
         marks = _Marks(names=[self._feature])
         number = part.program.first_line + 1  # in the file, of the program's first line
@@ -79,7 +88,10 @@ class Statistics:
             if line.startswith(b";"):
                 self._comment(line, event, marks)
             elif event.dwell_s:
-                self._wait(event, number, marks)
+                self._wait(event, event.dwell_s, WAITING, number, marks)
+            elif event.raw is not None and raw_s.get(event.line):
+                kind = EXTRUDING if event.raw.filament_mm > STILL_MM else TRAVELLING
+                self._wait(event, raw_s[event.line], kind, number, marks)
             elif found := unknown_in(part.program, event):
                 self.unknown.setdefault(found, Unknown(*found)).add(number + event.line)
             self._time_was = None
@@ -96,9 +108,9 @@ class Statistics:
         elif self.slicer_s is None:
             self.slicer_s = slicer_time_s([line if self._time_was is None else with_time(line, self._time_was)])
 
-    def _wait(self, event: Event, number: int, marks: _Marks) -> None:
+    def _wait(self, event: Event, seconds: float, kind: int, number: int, marks: _Marks) -> None:
         row = np.zeros(COLUMNS)
-        row[WAITING] = event.dwell_s
+        row[kind] = seconds
         _put(self.features, marks.names[-1], row)
         self.layers.wait(len(marks.layers), row, number + event.line)
 

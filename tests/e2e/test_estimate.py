@@ -351,3 +351,11 @@ def test_the_command_in_words(tmp_path: Path) -> None:
     assert run(path, "-m", "mp-delta-pro", "--figure", "picture.gcode").exit_code == 2
     lost = run(path)
     assert lost.exit_code == 2 and "--machine" in lost.stderr
+
+
+def test_moves_that_go_out_as_they_are_count() -> None:
+    """Y is never named, so nothing is compensated but the moves after it; X moves 60 mm at 10 mm/s."""
+    known = "G28\nG1 X0 Y0 Z5 F600\nG1 X60\nG1 X0\n"
+    unknown = "G28\nG1 X0 Z5 F600\nG1 X60\nG1 X0\nG1 Y0\nG1 X1\n"
+    whole, raw = (estimate(text.encode(), "print.gcode", machine()).statistics for text in (known, unknown))
+    assert float(raw.total[:5].sum()) == pytest.approx(float(whole.total[:5].sum()) + 0.1, abs=0.05)
