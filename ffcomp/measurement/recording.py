@@ -20,6 +20,7 @@ from ffcomp.errors import MeasurementError
 from ffcomp.measurement.clock import Clock, clock_of
 from ffcomp.measurement.header import check_header, signal_of
 from ffcomp.measurement.sensors import broken_sensor, with_gravity, wrong_scale
+from ffcomp.measurement.shake_and_tune import is_stdata
 from ffcomp.measurement.table import Table, read_table, read_text
 from models.arrays import FloatArray
 
@@ -28,11 +29,11 @@ AXES: dict[CommandSpace, str] = {"carriage": "ABC", "nozzle": "xyz"}
 
 _LONGEST_COMMAND_GAP_S = 0.02  # a cubic through a longer hole would invent motion
 
-_CAPTURE = "#time,accel_x"  # Klipper's
+_CAPTURES = ("#time,accel_x", "##", "sample,x,y,z")  # Klipper's, the same of 2020, RepRapFirmware's
 _NO_COMMAND = (
-    "It is an accelerometer's capture without a command; a recording holds both. Put its accelerations "
-    "(in m/s², without gravity, along the printer's axes) beside the command at the same times; "
-    "`ffcomp simulate PRINT.gcode -o run.csv` writes such a file with the command of a print."
+    "It is an accelerometer's capture without a command; a recording holds both. Give the plan of its moves with "
+    "--plan (`ffcomp record plan` writes moves and plan); or put its accelerations (in m/s², without gravity, along the "
+    "printer's axes) beside the command at the same times."
 )
 
 
@@ -72,8 +73,10 @@ def read_recording(path: str | Path) -> Recording:
     Rows that are missing altogether (their times are whole sample periods apart) are gaps too. A clock with jitter
     is resampled to a uniform one by cubic splines.
     """
+    if Path(path).is_file() and is_stdata(path):
+        raise MeasurementError(str(path), [_NO_COMMAND])
     text = read_text(path)
-    if text.lstrip().lower().startswith(_CAPTURE):
+    if text.lstrip().lower().startswith(_CAPTURES):
         raise MeasurementError(str(path), [_NO_COMMAND])
     table = read_table(path, text)
     problems = [*table.problems, *check_header(table.columns)]

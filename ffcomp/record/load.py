@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ffcomp.errors import MeasurementError
 from ffcomp.identify.load import kind_of
 from ffcomp.measurement.recording import Recording, read_recording
 from ffcomp.record.join import join_captures
@@ -34,16 +33,12 @@ def load_recordings(
     MeasurementError
         For a run that cannot be used, for captures without a plan, and if no capture can be joined.
     """
+    if plan is None:
+        return [read_recording(path) for path in paths]  # which says what to do with a capture
     captures = [path for path in paths if kind_of(Path(path)) == "vibration"]
     runs = [read_recording(path) for path in paths if path not in captures]
     if not captures:
         return runs
-    if plan is None:
-        rule = (
-            "It is an accelerometer's capture without a command. Give the plan of its moves with --plan (`ffcomp "
-            "record plan` writes moves and plan), or put its accelerations beside the command as a measured run."
-        )
-        raise MeasurementError(str(captures[0]), [rule])
     moves = load_moves(plan)
     found = join_captures(captures, moves, machine, turn, progress)
     found.check()
