@@ -32,8 +32,8 @@ _LONGEST_COMMAND_GAP_S = 0.02  # a cubic through a longer hole would invent moti
 _CAPTURES = ("#time,accel_x", "##", "sample,x,y,z")  # Klipper's, the same of 2020, RepRapFirmware's
 _NO_COMMAND = (
     "It is an accelerometer's capture without a command; a recording holds both. Give the plan of its moves with "
-    "--plan (`ffcomp record plan` writes moves and plan); or put its accelerations (in m/s², without gravity, along the "
-    "printer's axes) beside the command at the same times."
+    "--plan (`ffcomp record plan` writes moves and plan); or put its accelerations (in m/s², without gravity, along "
+    "the printer's axes) beside the command at the same times."
 )
 
 
