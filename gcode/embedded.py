@@ -1,7 +1,8 @@
 """Define the format of a compensated file: its comments keep the original's lines and tell when each section begins.
 
 Every line that ffcomp adds is a segment (`G1 ...`), ends in OURS, or begins with TIME_WAS or a stamp (`gcode.stamp`).
-Every line of the original is there: as it was, with another time behind a comment TIME_WAS, or as a comment WAS.
+Every line of the original is there: as it was, with another time behind a comment TIME_WAS, or as a comment WAS. With
+`--no-embed` there are no such comments, and a line WITHOUT_ORIGINAL in the head says so.
 """
 
 from __future__ import annotations
@@ -11,13 +12,18 @@ from collections.abc import Iterable, Iterator
 from itertools import groupby
 from typing import NamedTuple
 
+from gcode.errors import UnsupportedGcode
 from gcode.metadata import Timed, with_time
-from gcode.stamp import STAMPS
+from gcode.stamp import STAMPS, WITHOUT_ORIGINAL
 from gcode.text import whole_lines
 
 OURS = b" ; ffcomp"  # ends every line of ours that is not a move
 WAS = b";~"  # before a line of the original that is now a comment: a move, mostly
 CUT_SHORT = b";~~"  # the same before a line that does not end in a newline; the newline behind it is ours
+NOT_HELD = (
+    "The file was compensated with --no-embed and does not hold its original. Use the file that the slicer wrote, or "
+    "compensate that one again without --no-embed."
+)
 TIME_WAS = b"; ffcomp was "  # before a line whose time is ours now: the original's
 
 _SECTION = re.compile(rb";section line=(\d+) t=(-?[\d.]+(?:e-?\d+)?) ; ffcomp")
@@ -73,9 +79,17 @@ def original_blocks(blocks: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def original_lines(lines: Iterable[bytes]) -> Iterator[bytes]:
-    """Restore the lines as they were before compensation; stamps are left out."""
+    """Restore the lines as they were before compensation; stamps are left out.
+
+    Raises
+    ------
+    UnsupportedGcode
+        If the file does not hold its original.
+    """
     inside, told = False, None
     for line in lines:
+        if line.startswith(WITHOUT_ORIGINAL):
+            raise UnsupportedGcode(NOT_HELD)
         if line.startswith(TIME_WAS):
             told = line[len(TIME_WAS) :].rstrip(b"\r\n")
         elif (kept := noted(line)) is not None:

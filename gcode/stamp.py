@@ -6,7 +6,8 @@ import re
 from dataclasses import dataclass
 
 STAMP_REACH = 1 << 20  # bytes at either end in which a stamp is looked for
-STAMPS = b"; Processed by ffcomp", b"; ffcomp offset_mm="  # how these lines begin
+WITHOUT_ORIGINAL = b"; ffcomp original=none"  # of a file that does not hold the moves it was made of
+STAMPS = b"; Processed by ffcomp", b"; ffcomp offset_mm=", WITHOUT_ORIGINAL  # how these lines begin
 
 _STAMP = re.compile(
     rb"^; Processed by ffcomp v(\S+), machine (.*) sha256:([0-9a-f]+), flavor (\w+)[ \t]*\r?$", re.MULTILINE
@@ -49,3 +50,8 @@ def find_offset(head: bytes) -> tuple[float, float]:
     """Read the offset that `offset_line` wrote; zero if it wrote none."""
     found = re.search(rb"^; ffcomp offset_mm=([-+.\de]+),([-+.\de]+)", head, re.MULTILINE)
     return (float(found[1]), float(found[2])) if found else (0.0, 0.0)
+
+
+def holds_original(head: bytes) -> bool:
+    """Tell whether a compensated file, which begins like this, holds the file that it was made of."""
+    return not any(line.startswith(WITHOUT_ORIGINAL) for line in head.splitlines())

@@ -125,6 +125,7 @@ def compensate(
     tolerance_um: float = 25.0,
     solver: Backend = "osqp",
     max_segments_per_second: float = SEGMENTS_PER_SECOND,
+    embed: bool = True,
     predict: bool = True,
     force: bool = False,
     jobs: int = 1,
@@ -147,6 +148,7 @@ def compensate(
     tolerance_um : largest path error that an active limit may cause before the print is slowed down
     solver : of the quadratic programmes where limits are active
     max_segments_per_second : highest segment rate
+    embed : keep the original's moves in the file as comments
     predict : simulate the print before and after with the design model
     force : compensate a file that is compensated already
     jobs : number of processes
@@ -164,6 +166,7 @@ def compensate(
         strict=strict,
         tolerance_um=tolerance_um,
         solver=solver,
+        embed=embed,
     )
     options = Options(offset_mm, flavor, settings, predict, shaper_off, force)
     target = None if output is None else Path(output)

@@ -85,6 +85,14 @@ DryRun = Annotated[bool, typer.Option("--dry-run", rich_help_panel=OUTPUT, help=
 Recompensate = Annotated[
     bool, typer.Option("--force", rich_help_panel=OUTPUT, help="Compensate a file that is already compensated.")
 ]
+Embed = Annotated[
+    bool,
+    typer.Option(
+        "--embed/--no-embed",
+        rich_help_panel=OUTPUT,
+        help="Keep the original's moves in the file as comments, for restore, show, simulate and compare.",
+    ),
+]
 ShaperOff = Annotated[
     bool,
     typer.Option(
@@ -178,6 +186,7 @@ def compensate(
     quiet: Quiet = False,
     force: Recompensate = False,
     max_segments_per_second: SegmentRate = 250.0,
+    embed: Embed = True,
     shaper_off: ShaperOff = False,
     predict: Predict = True,
     inverse: Inverse = "fast",
@@ -234,6 +243,7 @@ def compensate(
                 strict=strict,
                 tolerance_um=tolerance_um,
                 solver=solver,
+                embed=embed,
             ),
             predict=predict,
             shaper_off=shaper_off,

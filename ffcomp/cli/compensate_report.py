@@ -86,6 +86,8 @@ def report(result: dict[str, Any], machine_path: str, quiet: bool) -> None:
         waits = "waits once" if times == 1 else f"waits {times} times"
         why = "so that what the firmware moves by itself has stopped ringing when extrusion begins"
         say(f"The nozzle {waits}, {result['settling']['seconds']:.2g} s in all, {why}.", quiet)
+    if not result.get("original_embedded", True):
+        say("The original is not in the file (--no-embed): keep the sliced one, for ffcomp restore cannot.", quiet)
     if "steps" in result:
         told = ", ".join(f"{motor.upper()} {total['steps']}" for motor, total in result["steps"].items())
         say(f"Steps: {told}.", quiet)

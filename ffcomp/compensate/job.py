@@ -51,7 +51,7 @@ from gcode.layers import LayerLookup
 from gcode.metadata import Timed
 from gcode.program import Moves, Program
 from gcode.reader import read_parts
-from gcode.stamp import Stamp, find_offset, offset_line, stamp_line
+from gcode.stamp import WITHOUT_ORIGINAL, Stamp, find_offset, offset_line, stamp_line
 from models.machine import Machine
 
 Progress = Callable[[float], None]  # called with the share that is done, 0 to 1
@@ -224,13 +224,21 @@ class Job:
         started = time.perf_counter()
         stamp = stamp_line(__version__, self.machine.name, self.machine.sha256, self.flavor)
         body = Stream(self._body(progress))
-        pieces = with_times_retold(body, lambda: body.value.print_time_s, folder)
+        pieces = with_times_retold(body, lambda: body.value.print_time_s, folder, embed=self.settings.embed)
         if self.options.shaper_off:
             pieces = _with_shaper_off(pieces, self.flavor)
-        yield from _stamped(pieces, stamp, offset_line(self.offset))
+        notes = offset_line(self.offset) + (b"" if self.settings.embed else WITHOUT_ORIGINAL + b"\n")
+        yield from _stamped(filter(None, pieces), stamp, notes)
         self.model.save_cache()
+        took_s, embedded = time.perf_counter() - started, self.settings.embed
         return Result(
-            self.path, self.machine, self._flavor_choice, self._placement, body.value, time.perf_counter() - started
+            self.path,
+            self.machine,
+            self._flavor_choice,
+            self._placement,
+            body.value,
+            took_s,
+            embedded=embedded,
         )
 
     def _body(self, progress: Progress) -> Lines:
@@ -386,7 +394,7 @@ def _with_shaper_off(pieces: Iterator[bytes], flavor: str) -> Iterator[bytes]:
         yield piece
 
 
-def _stamped(pieces: Iterator[bytes], stamp: bytes, offset: bytes) -> Iterator[bytes]:
+def _stamped(pieces: Iterator[bytes], stamp: bytes, notes: bytes) -> Iterator[bytes]:
     """Put the stamp after the first line (slicers are known by it) and before a last line without newline."""
     kept = next(pieces, b"")
     begin = kept.find(b"\n") + 1
@@ -394,7 +402,7 @@ def _stamped(pieces: Iterator[bytes], stamp: bytes, offset: bytes) -> Iterator[b
         begin = 0  # lines that end in other ways: the stamp comes first of all
     ending = b"\r\n" if kept[:begin].endswith(b"\r\n") else b"\n"
     stamp = stamp.rstrip(b"\n") + ending
-    yield kept[:begin] + stamp + offset.replace(b"\n", ending)
+    yield kept[:begin] + stamp + notes.replace(b"\n", ending)
     kept = kept[begin:]
     for piece in filter(None, pieces):
         yield kept

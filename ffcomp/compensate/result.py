@@ -37,6 +37,7 @@ class Result:
     statistics: Statistics
     compute_time_s: float
     steps: Mapping[str, MotorTotal] | None = None  # by the motor's letter; None: G-code was written
+    embedded: bool = True  # whether the G-code holds its original
 
     @property
     def warnings(self) -> list[str]:
@@ -87,7 +88,7 @@ class Result:
             "slowed": numbers.slowed,
             "predicted": numbers.predicted.tracks() if numbers.predicted else {},
             "predicted_over_s": numbers.predicted.covered_s if numbers.predicted else 0.0,
-            **({} if self.steps is None else {"steps": self.steps}),
+            **({"original_embedded": self.embedded} if self.steps is None else {"steps": self.steps}),
         }
         return dict(to_json(found))
 

@@ -22,7 +22,7 @@ from gcode.embedded import original_blocks
 from gcode.flavor import choose_flavor
 from gcode.program import Program
 from gcode.reader import read_parts
-from gcode.stamp import Stamp, find_offset, find_stamp
+from gcode.stamp import Stamp, find_offset, find_stamp, holds_original
 from models.arrays import FloatArray
 from models.machine import Machine
 from models.provenance import identity
@@ -100,6 +100,8 @@ def estimate(
     if stamp is None:
         return Estimate(path, machine, flavor, _statistics(blocks_of(source), path, machine, flavor, offset), None)
     written = _statistics(blocks_of(source), path, machine, flavor, (0.0, 0.0))
+    if not holds_original(head):
+        return Estimate(path, machine, flavor, written, None)
     before = original_blocks(blocks_of(source))
     return Estimate(path, machine, flavor, written, _statistics(before, path, machine, flavor, find_offset(head)))
 

@@ -49,6 +49,7 @@ class Settings:
     longest_merged_s: float = 0.25  # and no longer than this
     shortest_um: float = 10.6  # no segment is shorter than this, as rounded numbers may take 1 µm of it,
     shortest_s: float = 1e-3  # or than this
+    embed: bool = True  # the file holds its original, as comments
     output: SegmentLimits = field(default_factory=SegmentLimits)
 
     @property

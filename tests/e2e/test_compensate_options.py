@@ -11,6 +11,8 @@ from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from ffcomp.steps.reader import read_events, read_steps
+from gcode.embedded import TIME_WAS
+from gcode.stamp import WITHOUT_ORIGINAL
 from models.file import load_machine
 from tests.support.prints import squares
 
@@ -34,6 +36,27 @@ def weak(tmp_path: Path, limit: str) -> Path:
     path = tmp_path / "weak.toml"
     path.write_text(text.replace("[limits]\n", f"[limits]\n{limit}\n"), encoding="utf-8")
     return path
+
+
+def test_without_its_original_a_file_is_smaller_and_says_so(printed: Path, tmp_path: Path) -> None:
+    """The same segments at the same times, no comment that keeps a move, and a sentence wherever one is needed."""
+    whole, small = tmp_path / "whole.gcode", tmp_path / "small.gcode"
+    words = (printed, "-m", MACHINE, "-o")
+    said = call(*words, whole, "--json", "-q"), call(*words, small, "--no-embed")
+    results = [json.loads(said[0].stdout)["original_embedded"], "keep the sliced one" in said[1].output]
+    assert results == [True, True] and "keep the sliced one" not in said[0].output
+    kept, left = (path.read_bytes().splitlines(keepends=True) for path in (whole, small))
+    assert any(line.startswith(b";~") for line in kept) and not any(line.startswith(b";~") for line in left)
+    assert [line for line in kept if not line.startswith((b";~", TIME_WAS))] == [
+        line for line in left if not line.startswith(WITHOUT_ORIGINAL)
+    ]
+    before = small.read_bytes()
+    for verb in (["restore"], ["show"], ["compensate", "--force", "-m", MACHINE], ["compare", "-m", MACHINE]):
+        done = CliRunner().invoke(app, [*verb, str(small)])
+        assert done.exit_code == 4 and "--no-embed" in done.output, (verb, done.output)
+        assert small.read_bytes() == before
+    timed = CliRunner().invoke(app, ["estimate", str(small), "-m", MACHINE, "--json"])
+    assert timed.exit_code == 0, timed.output
 
 
 @pytest.mark.parametrize(("kind", "rows"), [("steps", False), ("klipper-steps", True)])

@@ -24,6 +24,7 @@ from models.arrays import BoolArray, FloatArray, IntArray
 
 ROUNDING = 1e-9  # of a segment
 FLOWS_MM = 1e-6  # filament per segment from which on the exact place of a line matters
+NEAR = 0.1  # of a segment: so near to a knot, a line goes out at the knot
 STEEPEST = 0.1  # by which share the flow may be changed between two lines to meet both
 SPREAD = 10  # segments' worth of flow over which a difference of filament is spread
 AROUND = 2 * CUT  # knots on either side of a tile, until which one junction of a wipe leans on the next
@@ -210,8 +211,9 @@ def _places(at: FloatArray, stands: BoolArray, e: FloatArray, first: int, shorte
         else:
             if 0.0 < place - latest < shortest:
                 place = latest if place - latest < 0.5 * shortest else latest + shortest
-            if abs(place - np.rint(place)) < shortest:
-                place = np.rint(place)
+            knot = int(np.rint(place))
+            if abs(place - knot) < (shortest if knot in (0, last) or knot % CUT == 0 else min(NEAR, shortest)):
+                place = float(knot)
         latest = max(latest, place)
         places[i] = latest
     return places

@@ -19,7 +19,7 @@ IN_MEMORY, BLOCK = 4 << 20, 1 << 20  # bytes
 
 
 def with_times_retold(
-    pieces: Iterable[bytes], total_s: Callable[[], float], folder: Path | None = None
+    pieces: Iterable[bytes], total_s: Callable[[], float], folder: Path | None = None, *, embed: bool = True
 ) -> Iterator[bytes]:
     """Rewrite the lines that tell a time; a comment before each keeps what it was.
 
@@ -28,6 +28,7 @@ def with_times_retold(
     pieces : with every line that tells a time, or begins a layer, as a `Timed` of its own
     total_s : asked at the end of the pieces
     folder : where they may wait; None: where the system keeps such files
+    embed : whether the comments are written
     """
     layers: list[float] = []  # when each begins
     waiting: list[tuple[int, Timed]] = []  # each with how much is held before it
@@ -37,7 +38,7 @@ def with_times_retold(
             if isinstance(piece, Timed) and told is None:
                 layers.append(piece.at_s)
             elif isinstance(piece, Timed) and told is Tells.ELAPSED:
-                text = _retold(piece, Durations(piece.at_s))
+                text = _retold(piece, Durations(piece.at_s), embed)
             elif isinstance(piece, Timed):
                 waiting.append((held.tell(), piece))
                 continue
@@ -46,15 +47,15 @@ def with_times_retold(
             else:
                 yield text
         first_layer_s = layers[1] - layers[0] if len(layers) > 1 else None
-        yield from _released(held, waiting, Durations(total_s(), first_layer_s))
+        yield from _released(held, waiting, Durations(total_s(), first_layer_s), embed)
 
 
-def _released(held: IO[bytes], waiting: list[tuple[int, Timed]], durations: Durations) -> Iterator[bytes]:
+def _released(held: IO[bytes], waiting: list[tuple[int, Timed]], durations: Durations, embed: bool) -> Iterator[bytes]:
     held.seek(0)
     done = 0
     for until, line in waiting:
         yield from _read(held, until - done)
-        yield _retold(line, durations)
+        yield _retold(line, durations, embed)
         done = until
     while piece := held.read(BLOCK):
         yield piece
@@ -67,8 +68,8 @@ def _read(held: IO[bytes], size: int) -> Iterator[bytes]:
         yield piece
 
 
-def _retold(line: Timed, durations: Durations) -> bytes:
+def _retold(line: Timed, durations: Durations, embed: bool) -> bytes:
     """Return the line to be written, after a comment with its old time if that was another."""
     new = retold(line, durations)
     ending = line[len(line.rstrip(b"\r\n")) :] or b"\n"
-    return new if new == line else TIME_WAS + time_told(line) + ending + new
+    return new if new == line or not embed else TIME_WAS + time_told(line) + ending + new

@@ -267,7 +267,10 @@ class Writer:
         self._take_frame(int(moves.frame[move]))
 
     def _original(self, line: int) -> bytes:
+        """Keep a line of the original as a comment, if the file shall hold its original."""
         text = self.program.lines[line]
+        if not self.settings.embed:
+            return b""
         return WAS + text if text.endswith(b"\n") else CUT_SHORT + text + b"\n"
 
     def _escaped(self, event: Event) -> bytes:
@@ -277,7 +280,7 @@ class Writer:
             rule = "only files that ffcomp has compensated have such lines, and this one has lost its stamp"
             number = self.program.first_line + event.line + 1
             raise UnsupportedGcode(f"The line ends in '{OURS.decode().strip()}'; {rule}.", number, self.program.path)
-        return self._original(event.line)
+        return self._original(event.line) or line
 
     def _take_frame(self, frame: int) -> None:
         if frame != self.frame:
