@@ -200,7 +200,7 @@ def _places(at: FloatArray, stands: BoolArray, e: FloatArray, first: int, shorte
     """Where lines go out, (k,) in knots, rising: at knots and at each other, or at least the shortest segment apart."""
     places = np.empty(len(at))
     last = first + len(e) - 1
-    latest = 0.0
+    latest = pinned = 0.0
     for i in range(len(at)):
         place = min(max(at[i], 0.0), float(last))
         place = max(place, np.floor(place + ROUNDING))  # a knot that rounding has put just before itself
@@ -209,12 +209,14 @@ def _places(at: FloatArray, stands: BoolArray, e: FloatArray, first: int, shorte
         if not stands[i] or not flows:
             place = float(knot)  # never later than its time: what follows may need its exact place
         else:
-            if 0.0 < place - latest < shortest:
-                place = latest if place - latest < 0.5 * shortest else latest + shortest
+            if 0.0 < place - pinned < shortest:
+                place = pinned if place - pinned < 0.5 * shortest else pinned + shortest
             knot = int(np.rint(place))
             if abs(place - knot) < (shortest if knot in (0, last) or knot % CUT == 0 else min(NEAR, shortest)):
                 place = float(knot)
         latest = max(latest, place)
+        if stands[i]:
+            pinned = latest
         places[i] = latest
     return places
 
