@@ -29,6 +29,7 @@ _MARLIN_LIMITS = tuple(
     (command, re.compile(rb"[ \t]*" + command + more))
     for command, more in ((b"M204", rb"[^;\n]*[PT]"), (b"M201", rb"[ \t]"), (b"M203", rb"[ \t]"), (b"M900", rb"[ \t]"))
 )
+_PRUSA = b"M862", re.compile(rb"[ \t]*M862(?:\.\d)?[ \t]")  # whose firmware, a Marlin, knows M572 too
 _JERK = b"M205", re.compile(rb"[ \t]*M205[ \t]")
 _CURA_RRF = b";FLAVOR:RepRap", re.compile(rb";FLAVOR:RepRap\b")  # Cura's name; Slic3r's `reprap` is old Marlin
 _FLAVORS = {
@@ -90,6 +91,8 @@ def flavor_sign(lines: Iterable[bytes]) -> FlavorSign:
             return FlavorSign(KLIPPER, f"{_shown(acceleration)} and no limits in another firmware's words")
     if declared is not None and flavor:
         return FlavorSign(flavor, _shown(declared), certain=not by_cura)
+    if check := _first(text, *_PRUSA):
+        return FlavorSign(MARLIN, _shown(check), certain=True)
     for sign in (*_RRF_COMMANDS, _CURA_RRF):
         if found := _first(text, *sign):
             return FlavorSign(REPRAPFIRMWARE, _shown(found), certain=True)
@@ -99,7 +102,7 @@ def flavor_sign(lines: Iterable[bytes]) -> FlavorSign:
 def _klipper_acceleration(text: bytes, by_cura: bool) -> re.Match[bytes] | None:
     """Return the `M204 S` of a file in which no other command sets limits, but for the jerk, which Cura always sets."""
     acceleration = _first(text, *_KLIPPER_ACCELERATION)
-    others = _MARLIN_LIMITS if by_cura else (*_MARLIN_LIMITS, _JERK)
+    others = (*_MARLIN_LIMITS, _PRUSA) if by_cura else (*_MARLIN_LIMITS, _PRUSA, _JERK)
     return None if acceleration is None or any(_first(text, *sign) for sign in others) else acceleration
 
 

@@ -48,7 +48,8 @@ def choose_flavor(asked: str, stated: str, sign: FlavorSign, path: str = "") -> 
     if not sign.text or sign.flavor == flavor:
         return FlavorChoice(flavor, reason)
     rule = f"The print is made for {sign.flavor} ({sign.text}), but compensated for {flavor}, as {by}"
-    return FlavorChoice(flavor, reason, f"{rule}: with the words of another firmware most segments would be late.")
+    remedy = f"If the printer runs {sign.flavor}, many segments will come late: --flavor {sign.flavor}"
+    return FlavorChoice(flavor, reason, f"{rule}. {remedy}.")
 
 
 def _shown(sign: FlavorSign) -> str:

@@ -338,8 +338,9 @@ def _compensate_one(request: _Request) -> dict[str, Any]:
     from ffcomp.cli.log import note
     from ffcomp.compensate.batch import size_of, workers
     from ffcomp.compensate.file import compensate_file
-    from ffcomp.compensate.warning_lines import shortened
+    from ffcomp.compensate.warning_lines import MOST_LINES, shortened
     from gcode.text import PART_BYTES
+    from models.provenance import assumed_modes
 
     (file,), (target,), quiet = request.files, request.targets, request.quiet
     name = os.environ.get("SLIC3R_PP_OUTPUT_NAME") or str(file)
@@ -354,7 +355,8 @@ def _compensate_one(request: _Request) -> dict[str, Any]:
     result["warning_lines"] = shortened([*request.advice, *result["warning_lines"]])
     for warning in result["warnings"]:
         note(f"ffcomp: {warning}")
-    for line in result["warning_lines"]:
+    said = assumed_modes(request.machine) is not None  # before the work began: five lines altogether
+    for line in shortened(result["warning_lines"], MOST_LINES - said):
         tell(f"ffcomp: {line}", quiet)
     report(result, request.machine.path, quiet)
     return result

@@ -37,11 +37,11 @@ def warning_lines(
     return shortened([*grouped(warnings), *_slowed(slowed, machine, original_s)])
 
 
-def shortened(lines: Sequence[str]) -> list[str]:
+def shortened(lines: Sequence[str], most: int = MOST_LINES) -> list[str]:
     """Return no more lines than a person reads."""
-    if len(lines) <= MOST_LINES:
+    if len(lines) <= most:
         return list(lines)
-    kept = MOST_LINES - 1
+    kept = most - 1
     return [*lines[:kept], f"{len(lines) - kept} more kinds of warnings: {_MORE}."]
 
 

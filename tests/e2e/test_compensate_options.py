@@ -124,3 +124,18 @@ def test_robust_and_s_curve_are_options(printed: Path, tmp_path: Path) -> None:
         assert call(printed, "-m", MACHINE, "-q", "--no-predict", "-o", target, *words).exit_code == 0
         texts.append(target.read_bytes())
     assert len(set(texts)) == 3
+
+
+def test_people_read_a_line_for_each_cause(printed: Path, tmp_path: Path) -> None:
+    """Places, seconds and the remedy; the log has the lines, `--json` every place."""
+    machine = weak(tmp_path, "step_rate_hz = 4000.0")
+    done = call(printed, "-m", machine, "--no-predict", "--json", "--dry-run")
+    assert done.exit_code == 0, done.output
+    lines = [line for line in done.stderr.splitlines() if line.startswith("ffcomp: ") and " s left" not in line]
+    result = json.loads(done.stdout)
+    assert len(lines) <= 5 and result["warning_lines"] == [line.removeprefix("ffcomp: ") for line in lines]
+    (slowed,) = (line for line in lines if "Slowed at" in line)
+    seconds = sum(each["seconds"] for each in result["slowed"])
+    assert f"Slowed at {len(result['slowed'])} place" in slowed and f"{seconds:.2g} s longer in all" in slowed
+    assert "the velocity limit of carriage" in slowed and "or step_rate_hz = 4000" in slowed
+    assert sum("slowed to" in warning for warning in result["warnings"]) >= 1

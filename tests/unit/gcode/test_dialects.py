@@ -30,6 +30,8 @@ from tests.support.data import real
         ([b"M204 S3000\n", b"G1 X1\n"], "klipper"),
         ([b";FLAVOR:Marlin\n", b"M204 S500\n", b"M205 X8 Y8\n"], "klipper"),  # Cura, which knows no Klipper
         ([b"M204 S3000\n", b"M205 X8 Y8\n"], "marlin"),
+        ([b'M862.3 P "XL"\n', b"M572 S0.03\n"], "marlin"),  # Prusa's firmware
+        ([b'M862.3 P "MK3S"\n', b"M204 S1000\n"], "marlin"),
         ([b"M204 S3000\n", b"M201 X500\n"], "marlin"),
         ([b"M204 P900 T900\n", b"M204 S3000\n"], "marlin"),
         ([b"; gcode_flavor = marlin\n", b"M204 S3000\n"], "marlin"),  # of a slicer that knows Klipper too

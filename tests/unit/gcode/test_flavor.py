@@ -29,9 +29,8 @@ def test_the_reason_is_a_sentence(asked: str, stated: str, sign: FlavorSign, rea
 def test_a_contradiction_is_a_warning() -> None:
     choice = choose_flavor("", "klipper", CURA)
     assert choice.flavor == "klipper"
-    assert choice.warning.startswith(
-        "The print is made for marlin (;FLAVOR:Marlin), but compensated for klipper, as the"
-    )
+    assert choice.warning.startswith("The print is made for marlin (;FLAVOR:Marlin), but compensated for klipper, as")
+    assert choice.warning.endswith("If the printer runs marlin, many segments will come late: --flavor marlin.")
 
 
 def test_a_flavor_that_is_none_is_refused_with_the_file() -> None:

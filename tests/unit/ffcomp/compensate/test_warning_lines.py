@@ -56,6 +56,7 @@ def test_never_more_than_five_lines() -> None:
     lines = shortened([f"cause {letter}" for letter in "abcdefgh"])
     assert len(lines) == MOST_LINES == 5 and lines[-1].startswith("4 more kinds of warnings: see --json")
     assert shortened(["a", "b"]) == ["a", "b"]
+    assert len(shortened([f"cause {letter}" for letter in "abcde"], most=4)) == 4
 
 
 def test_what_differs_in_numbers_only_is_one_cause() -> None:
