@@ -43,12 +43,13 @@ from ffcomp.inverse.violations import (
     solution_violations,
     timing_violations,
 )
-from ffcomp.planner.lifts import FLOWS_MM, join_lifts
+from ffcomp.planner.lifts import join_lifts
 from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.sections import Section
 from ffcomp.planner.segment_timing import segment_speeds
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
+from ffcomp.planner.wipes import FLOWS_MM, even_wipes
 from gcode.program import Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 
@@ -60,8 +61,8 @@ ROUNDS = 8
 PHASES = 4  # of the knots, at which a path is looked at
 APART = 8  # moves: scaled ones that lie closer share a record
 LATE_MM = 1e-3  # how far a segment may fall behind
-LATE_TRAVEL_MM = 25e-3  # and how far in XY where no filament flows, on a machine that joins lifts
-LATEST_S = 0.01  # that a section may end later than planned because of such segments
+LATE_TRAVEL_MM = 50e-3  # and how far in XY where no filament flows, on a machine that joins lifts
+LATEST_S = 0.04  # that a section may end later than planned because of such segments
 NO_TOLERANCE_MM = 0.0  # around a cut: where no limit is active, both sides find the same command
 KNOT = 1e-6  # of a segment: nearer is at a knot
 SCALED = 0.75  # share of the context of a cut that may become slower before the cut
@@ -237,6 +238,7 @@ def _late(model: InverseModel, written: WrittenReference, vertices: FloatArray) 
     """Find the segments that the firmware cannot execute in their time, and where that matters."""
     s = model.settings
     e, stay = written.reference.extrusion(), np.arange(len(vertices))
+    even_wipes(e, vertices, 0, CUT)
     if s.joins_lifts:
         stay = join_lifts(vertices, e, stay % CUT == 0).stay
     step, filament, lasting = np.diff(vertices[stay], axis=0), np.diff(e[stay]), np.diff(stay) * s.segment_s
@@ -244,8 +246,8 @@ def _late(model: InverseModel, written: WrittenReference, vertices: FloatArray) 
     behind_s = np.maximum(speeds.duration - lasting, 0.0)
     late = behind_s * speeds.cruise > LATE_MM
     if s.joins_lifts and late.any():
-        waits = late & (np.abs(filament) <= FLOWS_MM)
-        waits &= behind_s / lasting * np.hypot(step[:, 0], step[:, 1]) <= LATE_TRAVEL_MM
+        waits = late & (filament <= FLOWS_MM)
+        waits &= np.minimum(behind_s / lasting, 1.0) * np.hypot(step[:, 0], step[:, 1]) <= LATE_TRAVEL_MM
         if behind_s[waits].sum() <= LATEST_S:
             late &= ~waits
     accepted = ~late & (stay[:-1] >= written.first) & (stay[:-1] < written.last)

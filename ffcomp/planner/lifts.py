@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from ffcomp.planner.wipes import FLOWS_MM
 from models.arrays import BoolArray, FloatArray, IntArray
 
 STRAIGHT_MM = 5e-3  # from the straight line between its ends, at most
 STEEP = 2.0  # times as far in Z as in XY, in every part
-FLOWS_MM = 1e-6  # filament, at most
 FEWEST = 2  # parts
 
 

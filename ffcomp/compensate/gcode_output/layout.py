@@ -19,11 +19,11 @@ from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import CUT
 from ffcomp.planner.sections import Section
 from ffcomp.planner.trajectory import PlannedMotion
+from ffcomp.planner.wipes import FLOWS_MM, even_wipes
 from gcode.program import Event, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 
 ROUNDING = 1e-9  # of a segment
-FLOWS_MM = 1e-6  # filament per segment from which on the exact place of a line matters
 NEAR = 0.1  # of a segment: so near to a knot, a line goes out at the knot
 STEEPEST = 0.1  # by which share the flow may be changed between two lines to meet both
 SPREAD = 10  # segments' worth of flow over which a difference of filament is spread
@@ -176,7 +176,7 @@ def _lay_out(
     shortest : knots that a segment must have
     """
     place = _places(at, stands, e, first, shortest)
-    _even_wipes(e, vertices, first)
+    even_wipes(e, vertices, first, CUT)
     n = len(e)
     points, filament, cut = np.empty(n + len(at)), np.empty(n + len(at)), np.zeros(n + len(at), dtype=np.bool_)
     point = np.empty(len(at), dtype=np.int64)
@@ -219,37 +219,6 @@ def _places(at: FloatArray, stands: BoolArray, e: FloatArray, first: int, shorte
             pinned = latest
         places[i] = latest
     return places
-
-
-@njit(nogil=True)
-def _even_wipes(e: FloatArray, vertices: FloatArray, first: int) -> None:
-    """Share out filament that is pulled back while the nozzle moves by the command's path, in place.
-
-    When exactly a retraction pulls does not matter; but firmwares hold its acceleration down and slow down wherever it
-    changes against the path, and a wipe pulls so hard that every unevenness would cost time.
-
-    Parameters
-    ----------
-    e : (n + 1,) mm of filament at the knots, the first of which has the number `first`
-    vertices : (n + 1, 3) mm
-    """
-    n = len(e) - 1
-    begin = 0
-    while begin < n:
-        end = begin
-        while end < n and e[end + 1] - e[end] < -FLOWS_MM and (end == begin or (first + end) % CUT):
-            end += 1
-        if end > begin + 1:
-            gone = np.zeros(end - begin + 1)
-            for k in range(begin, end):
-                x, y = vertices[k + 1, 0] - vertices[k, 0], vertices[k + 1, 1] - vertices[k, 1]
-                z = vertices[k + 1, 2] - vertices[k, 2]
-                gone[k + 1 - begin] = gone[k - begin] + np.sqrt(x * x + y * y + z * z)
-            if gone[-1] > 0.0:
-                before, pulled = e[begin], e[end] - e[begin]
-                for k in range(begin, end + 1):
-                    e[k] = before + pulled * gone[k - begin] / gone[-1]
-        begin = max(end, begin + 1)
 
 
 def _meet_the_events(
