@@ -110,6 +110,16 @@ Folder = Annotated[
     Path,
     typer.Option("--output", "-o", metavar="FOLDER", rich_help_panel=OUTPUT, help="Folder for the measured runs."),
 ]
+Print = Annotated[
+    Path | None,
+    typer.Option(
+        "--print",
+        metavar="FILE",
+        rich_help_panel=OUTPUT,
+        help="Record this print instead of ffcomp's own moves: up to 12 stretches of its first layers. Print the file "
+        "that -o names.",
+    ),
+]
 Seed = Annotated[int, typer.Option(metavar="N", rich_help_panel=ADVANCED, min=0, help="Seed of the moves.")]
 
 
@@ -125,13 +135,15 @@ def plan(
     flavor: FirmwareName = "",
     chip: Chips = None,
     shaper: ShaperBack = "",
+    print_file: Print = None,
     seed: Seed = 1,
     as_json: AsJson = False,
 ) -> None:
     """Write the G-code of moves that are worth recording.
 
     At most 12 experiments and 5 minutes: hard zigzags, slow reversals, loops and multisines at several places, each
-    made twice. The capture commands are inside.
+    made twice. The capture commands are inside. With --print, a print is recorded while it prints; nothing is repeated
+    then, and ffcomp diagnose needs --without-repeats.
 
     Example: ffcomp record plan -m mp-delta-pro -o moves.gcode
     """
@@ -148,6 +160,7 @@ def plan(
         from ffcomp.record.gcode_text import gcode_lines
         from ffcomp.record.plan import Request, make_plan
         from ffcomp.record.plan_files import save_plan
+        from ffcomp.record.prints import plan_print, print_lines
         from gcode.atomic_write import replace_atomically
         from models.file import load_machine
 
@@ -160,10 +173,15 @@ def plan(
             acceleration_mm_per_s2=amplitude_mm_per_s2,
             seed=seed,
         )
-        made = make_plan(loaded, request)
         spoken = flavor or loaded.flavor or KLIPPER
         firmware = Firmware(spoken, chip or DEFAULT_CHIPS[spoken], _pair("--shaper", shaper) if shaper else None)
-        replace_atomically(output_file, gcode_lines(made, loaded, firmware))
+        if print_file is None:
+            made = make_plan(loaded, request)
+            lines = gcode_lines(made, loaded, firmware)
+        else:
+            made, program = plan_print(print_file, loaded, spoken)
+            lines = print_lines(made, program, firmware)
+        replace_atomically(output_file, lines)
         save_plan(made, account)
         result = _result(made, firmware, output_file, account, machine)
         if as_json:
@@ -206,7 +224,8 @@ def _result(made: MovesPlan, firmware: Firmware, target: Path, account: Path, ma
         "captures": [capture_name(each.name, repeat) for each, repeat in made.runs()],
         "restores": firmware.restores(),
         "warnings": _warnings(experiments),
-        "next": f"ffcomp diagnose CAPTURES --plan {account} -m {machine}",
+        "next": f"ffcomp diagnose CAPTURES --plan {account} -m {machine}"
+        + ("" if made.repeats > 1 else " --without-repeats"),
     }
 
 
@@ -243,7 +262,7 @@ def _sentences(result: dict[str, Any]) -> list[str]:
     count, minutes = len(result["experiments"]), result["duration_s"] / 60
     return [
         *(f"warning: {warning}" for warning in result["warnings"]),
-        f"{result['output']}: {count} experiments, {result['repeats']} times each, {minutes:.1f} min and homing.",
+        f"{result['output']}: {count} experiments, {result['repeats']} times each, {minutes:.1f} min recorded.",
         *result["restores"],
         f"Bring back the captures, {len(result['captures'])} for each accelerometer, and keep {result['plan']}.",
         f"Then: {result['next']}",

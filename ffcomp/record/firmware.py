@@ -60,18 +60,29 @@ class Firmware:
             return [f"G4 P{math.ceil(1e3 * lasting_s * (FASTEST_HZ / SLOWEST_HZ - 1.0)) + 200}"]
         return []
 
+    def shaper_off(self) -> list[str]:
+        """Return the lines that switch the firmware's input shaper off."""
+        kept = _KEEP_SHAPER if self.flavor == REPRAPFIRMWARE else ()
+        return [*kept, *(line.decode().rstrip() for line in shaper_off(self.flavor))]
+
+    def shaper_on(self) -> list[str]:
+        """Return the lines that switch it on again, as far as it is known how it was."""
+        if self.flavor == REPRAPFIRMWARE:
+            return list(_BACK)
+        known = [] if self.shaper is None else [_SHAPER_ON[self.flavor].format(*self.shaper)]
+        return [*known, *([RESTORE] if self.flavor == KLIPPER else [])]
+
     def corrections_off(self) -> list[str]:
         """Return the lines that switch shaper, bed mesh and skew correction off."""
-        kept = _KEEP_SHAPER if self.flavor == REPRAPFIRMWARE else ()
-        shaper = [line.decode().rstrip() for line in shaper_off(self.flavor)]
-        return [*kept, *shaper, *_OFF[self.flavor]]
+        return [*self.shaper_off(), *_OFF[self.flavor]]
 
     def corrections_on(self) -> list[str]:
         """Return the lines that switch them on again, as far as it is known how they were."""
-        if self.flavor == REPRAPFIRMWARE:
-            return [*_BACK, "G29 S1"]
-        known = [] if self.shaper is None else [_SHAPER_ON[self.flavor].format(*self.shaper)]
-        return [*known, *([RESTORE] if self.flavor == KLIPPER else ["M420 S1"])]
+        return [*_MESH_ON.get(self.flavor, ()), *self.shaper_on()]
+
+    def explained(self) -> list[str]:
+        """Return the comments at the head of a file: how everything is put back, with the macro that does it."""
+        return [*self.restores(), *(["", *MACRO.splitlines()] if self.flavor == KLIPPER else [])]
 
     def restores(self) -> list[str]:
         """Say in sentences how everything is put back, also after a cancelled run."""
@@ -100,6 +111,7 @@ _OFF: Mapping[str, Sequence[str]] = {
     REPRAPFIRMWARE: ("G29 S2",),
     MARLIN: ("M420 S0",),
 }
+_MESH_ON: Mapping[str, Sequence[str]] = {REPRAPFIRMWARE: ("G29 S1",), MARLIN: ("M420 S1",)}  # Klipper: the macro
 _SHAPER_ON = {
     KLIPPER: "SET_INPUT_SHAPER SHAPER_FREQ_X={:g} SHAPER_FREQ_Y={:g}",
     MARLIN: "M593 X F{:g}\nM593 Y F{:g}",

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ffcomp.record.firmware import MACRO, Firmware
+from ffcomp.record.firmware import Firmware
 from ffcomp.record.plan import SETTLE_S, TRAVEL_SHARE, Experiment, MovesPlan
 from ffcomp.record.plan_files import capture_name, run_name
 from gcode.dialects import KLIPPER, close_limits, open_limits
@@ -118,8 +118,7 @@ def _instructions(plan: MovesPlan, machine: Machine, firmware: Firmware) -> list
         ),
         *([] if firmware.records else ["  named NAME-REPEAT.csv as below."]),
         "",
-        *firmware.restores(),
-        *(["", *MACRO.splitlines()] if firmware.flavor == KLIPPER else []),
+        *firmware.explained(),
         "",
     ]
 

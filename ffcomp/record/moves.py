@@ -34,6 +34,7 @@ LOOP_RADIUS_MM, CHORD_MM = 10.0, 5.0  # polygons: at every corner the speed chan
 LOOP_SPEEDS = (0.2, 0.35, 0.5)  # of the velocity limit
 LOOP_SHARE = 0.8  # of the acceleration limit, towards the centre
 RISE_MM, RISE_SHARE = 6.0, 0.5  # of a loop; of the velocity limit in Z
+MODES_HZ = 80.0  # below which the main modes of printers lie: there rounding to microsteps is compared
 LOWEST_HZ, HIGHEST_HZ, PERIOD_S = 4.0, 100.0, 2.0  # of a multisine
 AXIS_SHARE = 0.85  # of what the nozzle may, along x and along y: their peaks hardly ever meet
 FADE_S, SEGMENTS_PER_SECOND = 0.4, 250.0

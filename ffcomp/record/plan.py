@@ -16,7 +16,7 @@ from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.limits import SLOW_RATIOS
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.record.motion import Motion
-from ffcomp.record.moves import HIGHEST_HZ, KINDS, LOWEST_HZ, Demand
+from ffcomp.record.moves import HIGHEST_HZ, KINDS, LOWEST_HZ, MODES_HZ, Demand
 from models.arrays import FloatArray
 from models.errors import UnreachableError
 from models.kinematics.base import Kinematics
@@ -32,7 +32,6 @@ LONGEST_S = 300.0
 TRAVEL_SHARE = 0.2  # of the machine's velocity, between experiments
 MOST_ROUNDING = 0.15  # of the command, by microsteps
 LOWEST_TOP_HZ = 40.0  # of a multisine, which is narrowed until microsteps do not matter
-MODES_HZ = 80.0  # below which the main modes of printers lie: there the rounding of all other moves is compared
 MOST_PACE = 3.0  # of slow moves, which become faster until then
 RATE_HZ = 3200.0
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ffcomp.errors import MeasurementError
-from ffcomp.planner.limits import PlannerLimits
+from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits
 from ffcomp.record.motion import OWN, Motion
 from ffcomp.record.plan import Experiment, MovesPlan
 from gcode.atomic_write import replace_atomically
@@ -71,7 +71,7 @@ def _entry(experiment: Experiment) -> dict[str, Any]:
         "duration_s": experiment.duration_s,
         "measured_from_s": 0.0,
         "microstep_error": experiment.rounding,
-        "limits": {k: v for k, v in asdict(motion.limits).items() if k != "delta" and v is not None},
+        "limits": {key: value for key, value in asdict(motion.limits).items() if value is not None},
         "start_mm": motion.start_mm.tolist(),
         "ends_mm": motion.ends_mm.tolist(),
         "speed_mm_per_s": motion.speed.tolist(),
@@ -139,6 +139,11 @@ def _plan(read: Mapping[str, Any]) -> MovesPlan:
     )
 
 
+def _limits(read: Mapping[str, Any]) -> PlannerLimits:
+    zones = {"delta": DeltaSlowZones(*read["delta"])} if "delta" in read else {}
+    return PlannerLimits(**{**read, **zones})
+
+
 def _experiment(entry: Mapping[str, Any]) -> Experiment:
     x, y, z = entry["position_mm"]
     ends = np.array(entry["ends_mm"], dtype=np.float64)
@@ -155,7 +160,7 @@ def _experiment(entry: Mapping[str, Any]) -> Experiment:
         start_mm=np.array(entry["start_mm"], dtype=np.float64),
         ends_mm=ends,
         speed=np.array(entry["speed_mm_per_s"], dtype=np.float64),
-        limits=PlannerLimits(**entry["limits"]),
+        limits=_limits(entry["limits"]),
         own=own,
         stop_before=stops,
         wait_before=waits,

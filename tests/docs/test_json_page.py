@@ -184,8 +184,18 @@ def test_identify_plan(page: Page, folder: Path, corexy: Path) -> None:
 
 def test_record(page: Page, folder: Path) -> None:
     plan = ("record", "plan", *MACHINE, "-o", folder / "moves.gcode", "--seconds", "2", "--at", "0,0")
-    hold(page, "ffcomp-record-plan/1", told(*plan))
-    hold(page, "ffcomp-moves/1", [json.loads((folder / "moves.json").read_text(encoding="utf-8"))])
+    example = (
+        "record",
+        "plan",
+        *MACHINE,
+        "-o",
+        folder / "print.g",
+        "--print",
+        ROOT / "docs" / "examples" / "print.gcode",
+    )
+    hold(page, "ffcomp-record-plan/1", [*told(*plan), *told(*example)])
+    plans = [json.loads((folder / name).read_text(encoding="utf-8")) for name in ("moves.json", "print.json")]
+    hold(page, "ffcomp-moves/1", plans)
     captures = write_captures(folder / "moves.json", TRUTH, folder / "captures", kinds=("zigzag",))
     captures[1].write_text(captures[0].read_text(encoding="utf-8").replace("accel_x", "##drops=1"), encoding="utf-8")
     joined = ("record", "join", *captures, "--plan", folder / "moves.json", *MACHINE, "-o", folder / "runs", "-q")

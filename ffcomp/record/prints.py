@@ -1,0 +1,119 @@
+"""A real print as the experiment: captures of some of its sections, so that a printer is recorded while it prints.
+
+A section is motion from rest to rest without a retraction inside: the firmware's plan of it is known exactly. The file
+stays what it is; around each chosen section there are the commands of a capture, and rests in which the nozzle stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ffcomp.errors import NothingToDo
+from ffcomp.planner.lookahead import stops_and_waits
+from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.program import firmware_plan
+from ffcomp.planner.sections import Section, split_sections
+from ffcomp.record.firmware import Firmware
+from ffcomp.record.motion import OWN, Motion
+from ffcomp.record.moves import MODES_HZ
+from ffcomp.record.plan import MOST_EXPERIMENTS, SETTLE_S, Experiment, MovesPlan, rounding_share
+from ffcomp.record.plan_files import run_name
+from gcode.program import Program
+from gcode.reader import read_program
+from models.machine import Machine
+
+SHORTEST_S, LONGEST_S = 1.5, 15.0  # of a section
+WITHIN_S = 1800.0  # of the print: its first layers
+REST_BEFORE_S, REST_AFTER_S = 0.5, 0.3  # shorter than elsewhere: filament oozes
+
+
+def plan_print(path: Path, machine: Machine, flavor: str) -> tuple[MovesPlan, Program]:
+    """Choose up to twelve sections of a print, those with the hardest motion among its first layers.
+
+    Raises
+    ------
+    NothingToDo
+        If no section is long enough to be recorded.
+    """
+    program = read_program(path.read_bytes(), str(path), flavor=flavor or None)
+    trajectory = firmware_plan(program, machine)
+    stops, _ = stops_and_waits(program)
+    sections = [each for each in split_sections(trajectory, stops) if _suits(each, program)]
+    if not sections:
+        raise NothingToDo(
+            f"{path.name} has no motion of {SHORTEST_S:g} to {LONGEST_S:g} s without a stop or a retraction inside in "
+            f"its first {WITHIN_S / 60:g} min; record another print, or ffcomp's own moves (without --print)."
+        )
+    made = [_experiment(each, program, machine) for each in sections]
+    hardest = sorted(range(len(made)), key=lambda k: -_hardness(made[k]))[:MOST_EXPERIMENTS]
+    chosen = [replace(made[k], name=f"ffcomp-print-{n}", place=n) for n, k in enumerate(sorted(hardest))]
+    rounded = [
+        replace(e, rounding=rounding_share(e.motion, machine.kinematics, machine.steps.per_motor, MODES_HZ))
+        for e in chosen
+    ]
+    plan = MovesPlan(machine.name, machine.sha256, tuple(rounded), 1, REST_BEFORE_S, REST_AFTER_S, print_file=path.name)
+    return plan, program
+
+
+def _suits(section: Section, program: Program) -> bool:
+    lasting = section.end_t - section.begin_t
+    lines = program.moves.line[section.first : section.last]
+    whole = section.last >= len(program.moves) or program.moves.line[section.last] != lines[-1]
+    return section.travels and SHORTEST_S <= lasting <= LONGEST_S and section.begin_t < WITHIN_S and bool(whole)
+
+
+def _experiment(section: Section, program: Program, machine: Machine) -> Experiment:
+    part, moves = slice(section.first, section.last), program.moves
+    n = section.last - section.first
+    x, y, z, _ = moves.start[section.first].tolist()
+    motion = Motion(
+        start_mm=moves.start[section.first],
+        ends_mm=moves.end[part],
+        speed=moves.speed[part],
+        limits=planner_limits(machine),
+        own=np.column_stack([getattr(moves, name)[part] for name in OWN]),
+        stop_before=np.zeros(n, dtype=np.bool_),
+        wait_before=np.zeros(n),
+    )
+    return Experiment("", "print", section.first, (x, y, z), motion, 0.0)
+
+
+def _hardness(experiment: Experiment) -> float:
+    """Return the motion's acceleration, rms mm/s²."""
+    t = np.arange(0.0, experiment.duration_s, 1e-3)
+    acceleration = experiment.motion.trajectory.acceleration_at(t)[:, :2]
+    return float(np.sqrt((acceleration**2).sum(axis=1).mean()))
+
+
+def print_lines(plan: MovesPlan, program: Program, firmware: Firmware) -> Iterator[bytes]:
+    """Yield the print's lines, with captures around the plan's sections."""
+    before: dict[int, list[str]] = {}
+    after: dict[int, list[str]] = {}
+    for each in plan.experiments:
+        first = _first_move(each, program)
+        name = run_name(each.name, 1)
+        lasting = plan.rest_before_s + each.duration_s + plan.rest_after_s
+        rests = [f"G4 P{1e3 * seconds:.0f}" for seconds in (SETTLE_S, plan.rest_before_s, plan.rest_after_s)]
+        before[int(program.moves.line[first])] = ["M400", rests[0], *firmware.start(name, lasting), rests[1]]
+        after[int(program.moves.line[first + len(each.motion.speed) - 1])] = [rests[2], *firmware.stop(name, lasting)]
+    yield from (f"; {sentence}\n".encode() for sentence in firmware.explained())
+    yield from (f"{line}\n".encode() for line in firmware.shaper_off())
+    for number, line in enumerate(program.lines):
+        yield from (f"{text}\n".encode() for text in before.get(number, ()))
+        yield line if line.endswith(b"\n") else line + b"\n"
+        yield from (f"{text}\n".encode() for text in after.get(number, ()))
+    yield from (f"{line}\n".encode() for line in firmware.shaper_on())
+
+
+def _first_move(experiment: Experiment, program: Program) -> int:
+    """Find where an experiment begins in the program: its end points are the program's own."""
+    ends = program.moves.end
+    n = len(experiment.motion.speed)
+    for k in np.flatnonzero((ends == experiment.motion.ends_mm[0]).all(axis=1)).tolist():
+        if np.array_equal(ends[k : k + n], experiment.motion.ends_mm):
+            return int(k)
+    raise ValueError(f"{experiment.name} is not in the print.")
