@@ -123,7 +123,7 @@ def _because(cause: Cause) -> str:
     if cause.command == BESIDE:
         return f"from line {cause.line} on, moves lie beside the print volume."
     if not cause.line:
-        return "the file never says where the nozzle is; name X and Y before it prints."
+        return "the file does not say where the nozzle begins; home, or name X, Y and Z, before it prints."
     where = f"after {cause.command} in line {cause.line} nobody knows where the nozzle is"
     if _MACRO.fullmatch(cause.command):
         return (

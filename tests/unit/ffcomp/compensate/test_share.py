@@ -36,4 +36,4 @@ def test_a_low_share_names_the_cause_and_the_remedy() -> None:
     assert Shares(Part(96.0, 96.0), ((Cause(1, "G28"), Part(4.0, 4.0)),)).warnings() == ()
     assert Shares().path == Shares().filament == 1.0
     (sentence,) = Shares(left=((Cause(0, ""), Part(30.0, 10.0)),)).warnings()
-    assert "name X and Y before it prints" in sentence
+    assert "name X, Y and Z, before it prints" in sentence
