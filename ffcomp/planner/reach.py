@@ -122,12 +122,11 @@ def _about(kinematics: Kinematics, program: Program, at_end: BoolArray, at_start
     moves, which = program.moves, at_end if at_end.any() else at_start
     if not which.any():
         return None
-    numbers = np.flatnonzero(which)
-    points = (moves.end if at_end.any() else moves.start)[numbers, :3]
+    move = int(np.flatnonzero(which)[0])
+    points = moves.end if at_end.any() else moves.start
     try:
-        kinematics.check_reach(points)
+        kinematics.check_reach(points[move : move + 1, :3])
     except UnreachableError as error:
-        move = int(numbers[error.indices[0]])
         line = int(moves.line[move]) if at_end.any() else _line_to_start(program, move)
         return OutOfReach(error.rule, program.first_line + line + 1, program.path)
     return None

@@ -47,6 +47,13 @@ def test_one_warning_names_the_line_itself_and_the_range_that_it_needs(ender: Ma
     assert "write x_range_mm = [-2, 235], y_range_mm = [0, 240] in [kinematics] of the machine file" in said
 
 
+def test_the_first_line_is_named_whichever_axis_it_leaves(ender: Machine) -> None:
+    (said,) = read(
+        PRINT.replace(b"X-2", b"X2").replace(b"Y20", b"Y-4").replace(b"X0 Y240", b"X-9 Y230"), ender
+    ).warnings
+    assert said.startswith("line 1: The point X = 2.000, Y = -4.000")
+
+
 def test_a_print_inside_says_nothing(ender: Machine) -> None:
     assert read(PRINT.replace(b"X-2", b"X2").replace(b"Y240", b"Y230"), ender).warnings == ()
 
