@@ -139,7 +139,7 @@ def test_jobs_change_no_byte(tower: bytes, machine: Machine, small_parts: None) 
 def test_an_error_names_the_line_of_the_file(tower: bytes, machine: Machine, small_parts: None) -> None:
     lines = tower.count(b"\n")
     with pytest.raises(GcodeError, match=rf"print.gcode:{lines + 1}: ") as error:
-        compensated(tower + b"G1 X500 Y0\n", machine, predict=False)
+        compensated(tower + b"G1 X500 Y0 E1\n", machine, predict=False)
     assert error.value.line == lines + 1
 
 
