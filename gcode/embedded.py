@@ -39,7 +39,8 @@ class SectionTime(NamedTuple):
 
 def section_time_line(line: int, t: float) -> bytes:
     """Return the comment before a section's first segment; see `SectionTime`."""
-    return b";section line=%d t=%.9g" % (line + 1, t) + OURS
+    seconds = (b"%.7f" % t).rstrip(b"0").rstrip(b".")
+    return b";section line=%d t=" % (line + 1) + (b"0" if seconds == b"-0" else seconds) + OURS
 
 
 def section_times(lines: Iterable[bytes]) -> list[SectionTime]:
