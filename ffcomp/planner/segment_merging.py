@@ -200,9 +200,20 @@ def _balanced(
 
 @njit(cache=True, nogil=True)
 def _may_miss(at: FloatArray, points: FloatArray, e: FloatArray, first: int, last: int, shortest_mm: float) -> bool:
-    """Whether one segment may do because two would be too short."""
+    """Whether one segment may do because two would be too short; a loop that ends where it began may not."""
     coarse = (COARSE * shortest_mm, COARSE * shortest_mm, 1e9)
-    return _apart(points, first, last) < 2.0 * shortest_mm or _straight(at, points, e, first, last, coarse)
+    return _stays_near(points, first, last, 2.0 * shortest_mm) or _straight(at, points, e, first, last, coarse)
+
+
+@njit(cache=True, nogil=True)
+def _stays_near(points: FloatArray, first: int, last: int, near_mm: float) -> bool:
+    """Whether all points between are near the first one, and the last is."""
+    furthest = 0.0
+    for k in range(last, first, -1):
+        furthest = max(furthest, _apart(points, first, k))
+        if furthest >= near_mm:
+            break
+    return furthest < near_mm
 
 
 @njit(cache=True, nogil=True, inline="always")

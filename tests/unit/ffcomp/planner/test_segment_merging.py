@@ -120,3 +120,13 @@ def test_the_first_segment_from_rest_is_made_long_enough() -> None:
         assert points[1, axis] == pytest.approx(np.interp(at[1], np.arange(6), before[:, axis]))
     assert e[1] == pytest.approx(0.2 * at[1])
     assert (points[2:] == before[2:]).all()  # too little room between the last ones, which must stay
+
+
+def test_a_loop_that_ends_where_it_began_is_not_left_out() -> None:
+    """From rest to rest: the first point is as near to the last as to the one where the loop began."""
+    way = np.concatenate([[0.0], np.cumsum(np.sin(np.pi * (np.arange(43) + 0.5) / 43))])
+    angle = 2 * np.pi * way / way[-1]
+    points = np.column_stack([0.8 * np.sin(angle), 0.8 - 0.8 * np.cos(angle), np.full(44, 0.2)])
+    limits = MergeLimits(1e-3, 3e-3, 2e-4, 62.5, 0.25, 0.0106)
+    kept = merge(np.arange(44.0), points, 0.01 * way, unpinned(points), limits)
+    assert np.ptp(points[kept], axis=0)[:2] == pytest.approx([1.6, 1.6], abs=0.05)
