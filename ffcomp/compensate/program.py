@@ -33,6 +33,10 @@ class Renderer(Protocol):
     def segments(self) -> int:
         """How many segments have been written."""
 
+    @property
+    def late_s(self) -> float:
+        """By how much what has been written takes longer than its knots, s."""
+
     def before(self, section: Section) -> Iterable[bytes]:
         """Write what stands before a section."""
 
@@ -87,4 +91,5 @@ def compensate(
         progress(section.end_t)
     yield from renderer.finish()
     samples = prediction.samples if prediction is not None else None
-    return replace(statistics, segments=renderer.segments, predicted=samples)
+    print_s = statistics.print_time_s + renderer.late_s
+    return replace(statistics, print_time_s=print_s, segments=renderer.segments, predicted=samples)

@@ -36,7 +36,6 @@ class SolvedSection:
     solution: Solution
     slowed: tuple[TimeScaling, ...]
     knots: tuple[int, int]  # between which it is written
-    late_s: float = 0.0  # by which it takes longer than its knots
 
 
 def solutions(
@@ -130,7 +129,6 @@ def _linear(
                 found.solution,
                 found.records,
                 (knots[0], knots[1]),
-                found.late_s,
             ),
             rest,
         )

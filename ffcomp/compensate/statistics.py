@@ -94,7 +94,7 @@ def of_section(
 ) -> Statistics:
     """Count a solved section, which lasts longer than it was planned."""
     begin, end = solved.knots
-    longer_s = (end - begin) * model.settings.segment_s + solved.late_s - _counted_s(section, planned, extent)
+    longer_s = (end - begin) * model.settings.segment_s - _counted_s(section, planned, extent)
     result = solved.solution
     warnings = tuple(_excesses(solved, planned.program, model)) if result.utilisation > BEYOND else ()
     return Statistics(

@@ -47,7 +47,7 @@ class StepStream:
 class StepRenderer:
     """Steps of one chunk; see `compensate.program.Renderer`. It yields no text."""
 
-    segments = 0
+    segments, late_s = 0, 0.0  # steps keep any time
 
     def __init__(self, stream: StepStream, chunk: PlannedChunk, context: Context) -> None:
         self._stream, self._planned, self._extent = stream, chunk.planned, chunk.chunk.extent

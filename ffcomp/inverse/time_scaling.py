@@ -120,7 +120,6 @@ class FeasibleSection:
     solution: Solution
     records: tuple[TimeScaling, ...] = ()
     lost_s: float = 0.0
-    late_s: float = 0.0  # by which it takes longer than its knots: lifts, and the travel beside them
 
 
 def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSection:
@@ -138,8 +137,8 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
     written, keep = request.written, request.keep_response
     solution = solve(model, written.reference, request.state, keep_response=keep, enforce_limits=False)
     late = _late(model, written, solution.vertices)
-    if not _exceeds(model, written, solution, late.segments):
-        return FeasibleSection(trajectory, section, written, solution, late_s=late.late_s)
+    if not _exceeds(model, written, solution, late):
+        return FeasibleSection(trajectory, section, written, solution)
     moves, first_line = _slice(request.program.moves, section), request.program.first_line
     scaled = _ScaledSection(
         model,
@@ -153,9 +152,8 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
         keep_response=keep,
     )
     written, solution = scaled.solve(settings.tolerance_um * 1e-3)
-    late_s = _late(model, written, solution.vertices).late_s
     if not scaled.reasons:
-        return FeasibleSection(trajectory, section, written, solution, late_s=late_s)
+        return FeasibleSection(trajectory, section, written, solution)
     spliced, lost = _spliced(trajectory, section, scaled.plan)
     records = tuple(
         scaled.records(
@@ -165,7 +163,7 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
     if settings.strict:
         _refuse(records)
     section = replace(section, end_t=scaled.section.end_t)
-    return FeasibleSection(spliced, section, written, solution, records, lost, late_s)
+    return FeasibleSection(spliced, section, written, solution, records, lost)
 
 
 def scale_around_cut(
@@ -227,15 +225,8 @@ def _utilisation(model: InverseModel, written: WrittenReference, solution: Solut
     return float(utilisation_from_rest(solution.vertices, model.limits)[1:-1][inside].max())
 
 
-class _Late(NamedTuple):
-    """What the firmware cannot execute in its time."""
-
-    segments: BoolArray  # (n,) those that must have more time
-    late_s: float  # by which the written part ends late because of the others
-
-
-def _late(model: InverseModel, written: WrittenReference, vertices: FloatArray) -> _Late:
-    """Find the segments that the firmware cannot execute in their time, and where that matters."""
+def _late(model: InverseModel, written: WrittenReference, vertices: FloatArray) -> BoolArray:
+    """Find the segments (n,) that the firmware cannot execute in their time, where that matters."""
     s = model.settings
     e, stay = written.reference.extrusion(), np.arange(len(vertices))
     even_wipes(e, vertices, 0, CUT)
@@ -250,8 +241,7 @@ def _late(model: InverseModel, written: WrittenReference, vertices: FloatArray) 
         waits &= np.minimum(behind_s / lasting, 1.0) * np.hypot(step[:, 0], step[:, 1]) <= LATE_TRAVEL_MM
         if behind_s[waits].sum() <= LATEST_S:
             late &= ~waits
-    accepted = ~late & (stay[:-1] >= written.first) & (stay[:-1] < written.last)
-    return _Late(np.repeat(late, np.diff(stay)), float(behind_s[accepted].sum()))
+    return np.repeat(late, np.diff(stay))
 
 
 class _Attempt(NamedTuple):
@@ -377,7 +367,7 @@ class _ScaledSection:
         utilisation = utilisation_from_rest(free.vertices, model.limits)[1:-1]
         violations = _among(path_violations(self._path_utilisation(written.reference), utilisation), written)
         if not violations and feasible:
-            violations = _among(timing_violations(_late(model, written, free.vertices).segments), written)
+            violations = _among(timing_violations(_late(model, written, free.vertices)), written)
         if violations or feasible:
             return _Attempt(written, free, violations)
         try:
@@ -385,7 +375,7 @@ class _ScaledSection:
         except SolverError:  # no command keeps the limits
             return _Attempt(written, free, _among(command_violations(utilisation), written))
         violations = _among(solution_violations(solution, utilisation, tolerance_mm, model.limits), written)
-        violations += _among(timing_violations(_late(model, written, solution.vertices).segments), written)
+        violations += _among(timing_violations(_late(model, written, solution.vertices)), written)
         return _Attempt(written, solution, violations)
 
     def _path_utilisation(self, reference: Reference) -> FloatArray:

@@ -30,6 +30,11 @@ class GcodeRenderer:
         """How many segments have been written."""
         return self._writer.segments
 
+    @property
+    def late_s(self) -> float:
+        """By how much the segments written take longer than their knots, s."""
+        return self._writer.late_s
+
     def before(self, section: Section) -> Iterator[bytes]:
         """Write the lines before a section."""
         yield from self._events_before(section.first)

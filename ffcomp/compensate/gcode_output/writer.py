@@ -63,6 +63,7 @@ class Writer:
         self.said: dict[bytes, bytes] = dict(said or {})  # the file's last word on each limit
         self.ending = b"\r\n" if program.lines and program.lines[0].endswith(b"\r\n") else b"\n"
         self.segments = 0
+        self.late_s = 0.0  # by which they take longer than their knots
         self.now_s = 0.0  # since the program's beginning, as far as it is written
         self.begun, self.rest = False, 0.0  # whether the run has moved, and for how long it has not since, s
         self.section_begin = (
@@ -192,8 +193,10 @@ class Writer:
         slack = np.minimum(SLACK_MM, SLACK_MM_PER_S * np.minimum(lasting, np.append(lasting[1:], 0.0)))
         slack[fixed[1:]] = 0.0  # another writer may go on from there, and the filament must be exact
         speeds = segment_speeds(points, e[1:] - e[:-1], lasting, s.output)
-        lasting = np.maximum(lasting, speeds.duration)  # lifts may be late
         begin, end = at.searchsorted([piece.begin, piece.end]).tolist()
+        late_s = np.maximum(speeds.duration - lasting, 0.0)  # lifts may be late
+        self.late_s += float(late_s[begin:end].sum())
+        lasting += late_s
         return _Segments(kept[:-1], points[1:], e[1:], speeds.cruise, lasting, slack).part(begin, end)
 
     def _turns(self, lines: list[tuple[int, _Line]]) -> Iterator[int]:
