@@ -88,7 +88,10 @@ def load_plan(path: str | Path) -> Plan:
     try:
         account = json.loads(Path(path).read_text(encoding="utf-8"))
         if account["schema"] != SCHEMA:
-            raise MeasurementError(str(path), [f"The schema is {account['schema']!r}; this version reads {SCHEMA!r}."])
+            moves = str(account["schema"]).startswith("ffcomp-moves/")
+            hint = " Plans of `record plan` belong to `ffcomp diagnose` and `ffcomp record join`." if moves else ""
+            rule = f"The schema is {account['schema']!r}; this version reads {SCHEMA!r}.{hint}"
+            raise MeasurementError(str(path), [rule])
         return _plan(account)
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise MeasurementError(str(path), [f"This is not JSON: {error}."]) from None

@@ -27,6 +27,11 @@ from ffcomp.measurement.uff import is_universal
 from models.machine import Machine
 
 Kind = Literal["frf", "recording", "vibration"]
+_OURS = "ffcomp-"  # in the names that our plans give to captures
+_NEEDS_PLAN = (
+    "By its name it is a capture of a plan of ffcomp's, and holds no resonance test. Captures of `identify plan` need "
+    "the .json file beside its G-code (--plan); those of `record plan` belong to `ffcomp diagnose --plan`."
+)
 POSITION_PITCH_MM = 5.0  # recordings whose middles are nearer than this were made at one position
 LARGEST_MOTION_MM = 25.0  # of the nozzle about its middle: beyond it one linear response does not describe a recording
 
@@ -73,6 +78,8 @@ def gather(
             recordings.append(read_recording(path))
         elif plan is not None:
             found.responses += [r.between(*band_hz) for r in frfs_from_captures(plan, [path], machine, axes)]
+        elif _OURS in path.stem:
+            raise MeasurementError(str(path), [_NEEDS_PLAN])
         elif machine.vibration.position_dependent:
             found.spectra.append(modes_of(path))
         else:

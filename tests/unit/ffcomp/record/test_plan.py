@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import LimitsError, MeasurementError
+from ffcomp.identify.experiment_files import load_plan
+from ffcomp.identify.load import gather
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.record.firmware import DEFAULT_CHIPS, RESTORE, Firmware
@@ -167,3 +169,13 @@ def test_reprapfirmware_records_long_enough_with_a_fast_chip(plan: MovesPlan, de
 def test_what_cannot_be_planned_says_what_would_fit(delta: Machine, request_: Request, words: str) -> None:
     with pytest.raises(LimitsError, match=words):
         make_plan(delta, request_)
+
+
+def test_identify_fit_takes_neither_its_captures_nor_its_plan(plan: MovesPlan, delta: Machine, tmp_path: Path) -> None:
+    capture = tmp_path / "adxl345-ffcomp-zigzag-0-1.csv"
+    capture.write_text("#time,accel_x,accel_y,accel_z\n1,2,3,4\n", encoding="utf-8")
+    with pytest.raises(MeasurementError, match=r"those of `record plan` belong to `ffcomp diagnose --plan`"):
+        gather([capture], delta, band_hz=(2.0, 200.0))
+    save_plan(plan, tmp_path / "moves.json")
+    with pytest.raises(MeasurementError, match=r"Plans of `record plan` belong to `ffcomp diagnose`"):
+        load_plan(tmp_path / "moves.json")
