@@ -115,7 +115,7 @@ def word(line: bytes, letter: bytes, change: Callable[[float], float]) -> bytes:
         (lambda line: line + b" S1", "no plain G1"),
         (lambda line: b"M107\n" + line, "not those of the original"),
         (lambda line: line + b"\nG28", "not those of the original"),
-        (lambda line: line + b"\nM203 X1e5 ; ffcomp", "exponent"),
+        (lambda line: line + b"\nM203 X1e5 ; ffcomp", "no plain decimal"),
         (lambda line: line + b"\n;~G1 X3", "byte for byte"),
     ],
 )
