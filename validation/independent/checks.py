@@ -31,6 +31,7 @@ KEPT, KEPT_CUT, OURS, TIME_WAS = b";~", b";~~", b"; ffcomp", b"; ffcomp was "
 STAMPS = b"; Processed by ffcomp", b"; ffcomp offset_mm="
 FILAMENT_MM, LINE_MM, PLACE_MM, REACH_MM = 1e-3, 5e-3, 2.0, 2e-3  # what is found wrong from where on
 NARROWER = 4 * 0.4**2 / (np.pi * (1.75 / 2) ** 2)  # the widest bead that Klipper expects, over the filament
+NEAR_MM, MOVE_MM, WINDOW = 0.2, 1.0, 400  # the last in moves of the result
 SHOWN = 5  # examples of each kind
 _NUMBERS = re.compile(rb"[\d.:]+\s*[dhms]?\s*")
 _SHIFT = re.compile(rb"^; ffcomp offset_mm=([-+.\de]+),([-+.\de]+)", re.MULTILINE)
@@ -213,6 +214,7 @@ def _places(read: Moves, written: Moves, before: list[bytes], laid: Lines, offse
     was, now = read.at(number), written.at(laid.place[number])
     was[:, :2] += offset
     filament = np.abs(now[:, 3] - was[:, 3])
+    _moves_in_place(read, written, laid, offset, report)
     command = np.array([not before[k].lstrip().startswith(b";") for k in chosen], dtype=np.bool_)
     # before anything has moved, and after homing, nobody knows the place
     apart = np.linalg.norm((now - was)[:, :3], axis=1)
@@ -234,6 +236,38 @@ def _places(read: Moves, written: Moves, before: list[bytes], laid: Lines, offse
                 f"{len(wrong)} lines go out at another {what}; the worst, line {chosen[k] + 1} "
                 f"({before[chosen[k]][:40]!r}), {off[k]:.4f} {unit} away."
             )
+
+
+def _moves_in_place(read: Moves, written: Moves, laid: Lines, offset: FloatArray, report: Report) -> None:
+    """Whether the result passes near the beginning of each move: a path that was cut short is found by this.
+
+    On straight stretches the comments that keep moves may stand together: the result is looked through from there on.
+    """
+    first = np.flatnonzero(np.diff(read.line, prepend=-1) & (laid.place[read.line] >= 0) & read.known)
+    if not len(first):
+        return
+    was, at = read.start[first, :3].copy(), laid.place[read.line[first]]
+    was[:, :2] += offset
+    apart = np.linalg.norm(written.at(at)[:, :3] - was, axis=1)
+    for k in np.flatnonzero(apart > NEAR_MM).tolist():
+        begin = int(written.after[at[k]])
+        later = slice(max(begin - 1, 0), begin + WINDOW)
+        apart[k] = min(float(apart[k]), _nearest(was[k], written.start[later, :3], written.step[later, :3]))
+    report.numbers["move_place_mm"] = float(apart.max())
+    if apart.max() > MOVE_MM:
+        k = int(apart.argmax())
+        report.wrong.append(
+            f"{int((apart > MOVE_MM).sum())} moves begin where the result never comes; the worst, of line "
+            f"{int(read.line[first[k]]) + 1}, {apart[k]:.3f} mm away."
+        )
+
+
+def _nearest(place: FloatArray, start: FloatArray, step: FloatArray) -> float:
+    """How far a place (3,) is from the nearest of some lines (n, 3)."""
+    if not len(start):
+        return float("inf")
+    share = np.einsum("ij,ij->i", place - start, step) / np.maximum(np.einsum("ij,ij->i", step, step), 1e-18)
+    return float(np.linalg.norm(start + np.clip(share, 0.0, 1.0)[:, None] * step - place, axis=1).min())
 
 
 def _segments(written: Moves, clock: Times, laid: Lines, after: list[bytes], report: Report) -> None:

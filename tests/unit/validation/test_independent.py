@@ -76,8 +76,8 @@ def test_a_lost_line_is_found(result: bytes, printer: Printer, line: bytes) -> N
 
 def test_other_filament_is_found(result: bytes, printer: Printer) -> None:
     lines = result.splitlines(keepends=True)
-    k = next(i for i, line in enumerate(lines) if line.startswith(b"G1 ") and b" E0." in line)
-    lines[k] = lines[k].replace(b" E0.", b" E0.1", 1)
+    k = next(i for i, line in enumerate(lines) if line.startswith(b"G1 X") and b" E." in line)
+    lines[k] = lines[k].replace(b" E.", b" E.1", 1)
     wrong = of(printer, b"".join(lines)).wrong
     assert any("in all" in each for each in wrong)
     assert any("another filament" in each for each in wrong)
@@ -182,3 +182,11 @@ def test_no_code_of_the_compensator_is_used() -> None:
         names = [n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)]
         names += [alias.name for n in ast.walk(tree) if isinstance(n, ast.Import) for alias in n.names]
         assert not {name.partition(".")[0] for name in names} & {"ffcomp", "gcode", "models"}, path.name
+
+
+def test_a_path_that_is_cut_short_is_found(result: bytes, printer: Printer) -> None:
+    lines = result.splitlines(keepends=True)
+    first, last = lines.index(b";~G1 X130 Y112 E.5\n"), lines.index(b"M117 half way\n")
+    kept = [line for line in lines[first - 12 : last + 12] if not line.startswith(b"G1 ")]
+    cut = b"".join([*lines[: first - 12], *kept, *lines[last + 12 :]])
+    assert any("never comes" in wrong for wrong in of(printer, cut).wrong)
