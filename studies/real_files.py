@@ -349,7 +349,7 @@ def verdicts(ends: dict[str, Any]) -> dict[str, str]:
         return "met" if all(met) else "missed"
 
     def least(key: str, most: float) -> str:
-        return word((ends[key]["worst"] or 0.0) >= most)
+        return word(ends[key]["worst"] >= most) if ends[key]["count"] else "not measured"
 
     time, size = ends["longer_percent"], ends["size"]
     return {

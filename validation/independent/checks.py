@@ -33,7 +33,7 @@ FILAMENT_MM, LINE_MM, PLACE_MM, REACH_MM = 1e-3, 5e-3, 2.0, 2e-3  # what is foun
 NARROWER = 4 * 0.4**2 / (np.pi * (1.75 / 2) ** 2)  # the widest bead that Klipper expects, over the filament
 NEAR_MM, MOVE_MM, WINDOW = 0.2, 1.0, 400  # the last in moves of the result
 SHOWN = 5  # examples of each kind
-_NUMBERS = re.compile(rb"[\d.:]+\s*[dhms]?\s*")
+_NUMBERS = re.compile(rb"[\d.:]+\s*(?:[dhms]\b|hours?|minutes?|seconds?)?\s*")
 _SHIFT = re.compile(rb"^; ffcomp offset_mm=([-+.\de]+),([-+.\de]+)", re.MULTILINE)
 
 
