@@ -76,10 +76,10 @@ class _Part:
             if change < CLOSE_MM:
                 break
         iterate.vertices[self.at : self.stop + 1] = self.stretch.vertices()[: kept + 1]
+        after = states[kept] + answer  # the same with and without a response: not a digit may depend on a prediction
         if keep_response:
-            response, states = self.stretch.respond(state)
-            return response[: kept * s.substeps], states[kept]
-        return np.empty((0, 3)), states[kept] + answer
+            return self.stretch.respond(state)[0][: kept * s.substeps], after
+        return np.empty((0, 3)), after
 
     def improve(self, error: FloatArray) -> tuple[FloatArray, float]:
         """Add to γ the answer to the error (rows, 3) mm that is left.

@@ -68,7 +68,7 @@ def test_json_is_one_object_with_the_documented_keys(small: Path, tmp_path: Path
     assert result["schema"] == "ffcomp-compensate/1"
     assert {"input", "output", "machine", "print_time_s", "original_print_time_s", "compute_time_s"} <= result.keys()
     assert {"moves", "segments", "windows", "limited_windows", "warnings", "predicted"} <= result.keys()
-    assert result["machine"].keys() == {"name", "sha256"}
+    assert result["machine"].keys() == {"name", "sha256", "assumed"}
     for name in ("uncompensated", "compensated"):
         assert result["predicted"][name].keys() == TRACK
     before, after = (result["predicted"][name]["contour_rms_um"] for name in ("uncompensated", "compensated"))

@@ -143,6 +143,11 @@ def test_an_error_names_the_line_of_the_file(tower: bytes, machine: Machine, sma
     assert error.value.line == lines + 1
 
 
+def test_not_a_digit_depends_on_the_prediction(tower: bytes, machine: Machine) -> None:
+    beginning = b"".join(tower.splitlines(keepends=True)[:600])
+    assert compensated(beginning, machine, predict=True)[0] == compensated(beginning, machine, predict=False)[0]
+
+
 @pytest.fixture(scope="module")
 def spiral() -> bytes:
     """A vase of 6,000 facets in one go, with lines between them, and rests before and after."""

@@ -33,7 +33,7 @@ def found() -> Comparison:
 def test_the_methods_rank_as_they_should() -> None:
     rms = {name: method.track.contour_rms_um for name, method in found().methods.items()}
     assert rms["none"] > rms["zv-calibrated"] > rms["mzv"] > rms[COMPENSATED]
-    assert rms["none"] > 40 * rms[COMPENSATED]
+    assert rms["none"] > 20 * rms[COMPENSATED]  # 23.5; segments are joined as far as the path allows, up to 1 µm
     assert rms["mzv"] > 3 * rms[COMPENSATED]
 
 
