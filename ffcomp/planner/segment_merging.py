@@ -195,7 +195,7 @@ def _balanced(
             in_time = at[pin] - at[j] >= shortest_knots and at[j] - at[first] >= least
             if in_time and min(_apart(points, first, j), _apart(points, j, pin)) >= shortest_mm:
                 return j
-    return pin if not enough or _may_miss(at, points, e, first, pin, shortest_mm) else last
+    return pin if _may_miss(at, points, e, first, pin, shortest_mm) else last
 
 
 @njit(cache=True, nogil=True)
