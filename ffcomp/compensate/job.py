@@ -291,7 +291,7 @@ class Job:
         while not len(first[-1].moves) and (more := next(parts, None)) is not None:
             first.append(more)
         share = _share(first[-1], self.size) if self.options.predict else 0.0
-        context = Context(self.machine, self.settings, self.flavor, self.offset, share)
+        context = Context(self.machine, self.settings, self.flavor, self.offset, share, plain)
         return self._chunks(chain(first, parts), plain), context
 
     def _parts(self, reach: Reach) -> Iterator[Program]:

@@ -32,6 +32,7 @@ class Context:
     flavor: str
     offset: tuple[float, float] = (0.0, 0.0)  # mm, by which the program's positions were shifted when they were read
     share: float = 0.0  # of the print that is simulated for the prediction, 0 to 1
+    plain: bool = False  # written uncompensated: it waits for nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +79,7 @@ def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedCh
     raw = _raw_events(chunk)
     raw_s = raw_durations(raw, planner_limits(machine))
     begun = planned.sections if chunk.extent.begin is None else planned.sections[1:]
-    waits = settling_waits(planned, machine, raw_s, begun, chunk.since)
+    waits = {} if context.plain else settling_waits(planned, machine, raw_s, begun, chunk.since)
     statistics = own + of_plan(planned, chunk.extent) + of_raw(raw, raw_s) + of_waits(waits)
     return PlannedChunk(chunk, planned, state, _is_simulated(chunk, context.share), statistics, raw_s, waits)
 

@@ -32,11 +32,16 @@ class Extent(NamedTuple):
     begin: PathPosition | None = None  # None: from the section's beginning
     end: PathPosition | None = None  # None: to the section's end
 
-    def written(self, plan: PlannedMotion, section: Section, settings: Settings) -> WrittenReference:
-        """Lay the section's knots, one of them where the written part begins, and find those of the written part."""
+    def written(
+        self, plan: PlannedMotion, section: Section, settings: Settings, all_room: bool = False
+    ) -> WrittenReference:
+        """Lay the section's knots, one of them where the written part begins, and find those of the written part.
+
+        all_room : give the command all the time before and after its path that it may have, not what it needs
+        """
         begin_t, end_t = (None if cut is None else cut.time_in(cast(Trajectory, plan)) for cut in self)
         # both sides of a cut must find the same knots, whatever becomes slower on one of them
-        room = None if self == WHOLE else Room(settings.lead_s, settings.tail_s)
+        room = None if self == WHOLE and not all_room else Room(settings.lead_s, settings.tail_s)
         reference = Reference(plan, section, settings, None if begin_t is None else (begin_t, CUT), room)
         first = 0 if begin_t is None else round(reference.knot_of(begin_t))
         last = reference.knots if end_t is None else round(reference.knot_of(end_t))

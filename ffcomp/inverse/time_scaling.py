@@ -139,6 +139,8 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
     late = _late(model, written, solution.vertices)
     if not _exceeds(model, written, solution, late):
         return FeasibleSection(trajectory, section, written, solution)
+    if (roomy := _with_all_room(model, request, written)) is not None:
+        return roomy
     moves, first_line = _slice(request.program.moves, section), request.program.first_line
     scaled = _ScaledSection(
         model,
@@ -164,6 +166,20 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
         _refuse(records)
     section = replace(section, end_t=scaled.section.end_t)
     return FeasibleSection(spliced, section, written, solution, records, lost)
+
+
+def _with_all_room(model: InverseModel, request: SectionRequest, tight: WrittenReference) -> FeasibleSection | None:
+    """Solve a section with all the time before and after its path that a command may have; None: that is not enough.
+
+    A few ms there are less than what slower moves would take.
+    """
+    written = request.extent.written(request.trajectory, request.section, model.settings, all_room=True)
+    if written.reference.knots == tight.reference.knots:
+        return None
+    solution = solve(model, written.reference, request.state, keep_response=request.keep_response, enforce_limits=False)
+    if _exceeds(model, written, solution, _late(model, written, solution.vertices)):
+        return None
+    return FeasibleSection(request.trajectory, request.section, written, solution)
 
 
 def scale_around_cut(

@@ -16,6 +16,7 @@ from models.arrays import BoolArray, FloatArray, IntArray
 AHEAD, BEHIND = 2.0, 0.5  # knots by which time may be ahead of the segments, one a knot, or behind them
 AT_FIRST = 1.0  # by which it is ahead after a cut
 ROUNDING = 1e-9  # of a knot
+WIDEST = 4.0  # times the tolerance, where time is behind
 COARSE = 0.5  # of the shortest segment: what may be missed for it
 
 
@@ -36,8 +37,9 @@ def merge(
 ) -> IntArray:
     """Choose the points to keep: between two of them the command runs straight and evenly, so one segment will do.
 
-    In no span of time there are more segments than knots, but for AHEAD and BEHIND: where a line cuts a segment in two,
-    a knot was left out before, or is left out near it.
+    Where a line cuts a segment in two, a knot was left out before, or is left out after it as soon as the path allows
+    at a few times the tolerance: so there are hardly more segments than knots in any span of time, and no turn is cut
+    off.
 
     Parameters
     ----------
@@ -130,13 +132,12 @@ def _chosen(
                 pin += 1
         if at[first] % cut == 0.0:
             ahead = AT_FIRST
-        least = max(shortest[0], 1.0 - BEHIND - ahead) - ROUNDING
-        wider = 2.0 if ahead < 0.0 else 1.0  # rather here than where the next line cuts a segment
+        least = shortest[0] - ROUNDING
+        wider = min(max(1.0 - BEHIND - ahead, 0.0) + 1.0, WIDEST)  # rather here than where the next line cuts one
         within = (wider * tolerance[0], wider * tolerance[1], tolerance[2])
         last = _furthest(at, points, e, first, pin, within, longest, least, shortest[1])
         if last < pin:
-            both = 2.0 * 1.0 - BEHIND - ahead - ROUNDING
-            last = _balanced(at, points, e, first, last, pin, least, shortest, both)
+            last = _balanced(at, points, e, first, last, pin, least, shortest)
         ahead = min(ahead + at[last] - at[first] - 1.0, AHEAD)
         kept[count] = last
         count += 1
@@ -182,19 +183,13 @@ def _balanced(
     pin: int,
     least: float,
     shortest: tuple[float, float],
-    both: float,
 ) -> int:
-    """Where the segment from `first` ends so that what is left until the pinned point is not too short.
-
-    both : knots that this segment and the next one must have together
-    """
+    """Where the segment from `first` ends so that what is left until the pinned point is not too short."""
     shortest_knots, shortest_mm = shortest
-    enough = at[pin] - at[first] >= both
-    if enough:
-        for j in range(last, first, -1):
-            in_time = at[pin] - at[j] >= shortest_knots and at[j] - at[first] >= least
-            if in_time and min(_apart(points, first, j), _apart(points, j, pin)) >= shortest_mm:
-                return j
+    for j in range(last, first, -1):
+        in_time = at[pin] - at[j] >= shortest_knots and at[j] - at[first] >= least
+        if in_time and min(_apart(points, first, j), _apart(points, j, pin)) >= shortest_mm:
+            return j
     return pin if _may_miss(at, points, e, first, pin, shortest_mm) else last
 
 

@@ -17,18 +17,19 @@ from models.file import load_machine
 from models.machine import Machine
 from tests.support.compensated import compensated, job
 from tests.support.prints import squares
+from tests.support.settings import finely_joined
 
 MACHINE = load_machine("mp-delta-pro")
 FOLDED = {
     "belt_stiffness": {"relative_change": -0.15},
     "effector_mass": {"added_kg": 0.1},
-    "extruder_mount": {"relative_stiffness_change": [0.3, 0.3, 0.0], "relative_damping_change": [0.0] * 3},
+    "extruder_mount": {"relative_stiffness_change": [-0.4, -0.4, 0.0], "relative_damping_change": [0.0] * 3},
 }
 
 
 def contour_rms_um(believed: Machine, plant: Machine) -> float:
     (stretch,), _ = Print(squares(1), "squares.gcode", believed).slices(Sampling())
-    motion, _ = inversion(believed, settings_for(believed), COMPENSATED).motion(stretch)
+    motion, _ = inversion(believed, finely_joined(believed), COMPENSATED).motion(stretch)
     t, (nozzle,) = simulate_nozzles([plant], motion, believed)
     return float(1e3 * np.sqrt(np.mean(contour([Execution(stretch, motion, t, nozzle)]) ** 2)))
 

@@ -33,6 +33,7 @@ from models.file import load_machine
 from models.machine import Machine
 from models.parameters import value_of
 from tests.support.prints import squares
+from tests.support.settings import finely_joined
 
 FloatArray = NDArray[np.float64]
 PLACE = np.array([40.0, -30.0, 5.0])
@@ -225,7 +226,7 @@ def test_printers_that_are_off_print_better_on_average(machine: Machine) -> None
     plants = draw_plants(machine, 0.1, 6)
     means = []
     for name in (COMPENSATED, ROBUST):
-        motion, _ = inversion(believed, settings_for(believed), name).motion(stretch)
+        motion, _ = inversion(believed, finely_joined(believed), name).motion(stretch)
         t, nozzles = simulate_nozzles(plants, motion, believed)
         squared = [np.mean(contour([Execution(stretch, motion, t, nozzle)]) ** 2) for nozzle in nozzles]
         means.append(float(np.mean(squared)))
