@@ -220,7 +220,7 @@ def test_where_no_limit_binds_nothing_changes_after_a_limited_window(machine: Ma
     np.testing.assert_array_equal(held.vertices[after:], free.vertices[after:])
     later = after * settings.substeps
     np.testing.assert_allclose(held.response[later:], free.response[later:], atol=3e-4)
-    np.testing.assert_allclose(held.state, free.state, atol=1e-3)
+    np.testing.assert_allclose(held.state, free.state, atol=5e-3)  # played through, and by the sweep's own sum: mm/s
 
 
 def test_a_machine_turned_by_120_degrees_gives_the_turned_answer(machine: Machine) -> None:
