@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ffcomp.cli.help import ACCURACY, ADVANCED, MACHINE, OUTPUT
-from ffcomp.cli.options import AsJson, MachineName, check_choice
+from ffcomp.cli.help import ACCURACY, ADVANCED, MACHINE
+from ffcomp.cli.options import AsJson, MachineName, PlanOutput, check_choice
 
 if TYPE_CHECKING:
     from ffcomp.identify.experiment import Plan, Request
@@ -16,16 +16,6 @@ if TYPE_CHECKING:
 
 LINE_OF_ACTION, CENTRE = "line-of-action", "centre"
 
-Output = Annotated[
-    Path,
-    typer.Option(
-        "--output-file",
-        "-o",
-        metavar="FILE",
-        rich_help_panel=OUTPUT,
-        help="G-code to write. The plan is written beside it (.json).",
-    ),
-]
 At = Annotated[
     list[str] | None,
     typer.Option(
@@ -127,7 +117,7 @@ Seed = Annotated[int, typer.Option(metavar="N", rich_help_panel=ADVANCED, min=0,
 
 def plan(
     machine: MachineName,
-    output_file: Output,
+    output_file: PlanOutput,
     at: At = None,
     kind: Kind = "multisine",
     axes: Directions = None,

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ffcomp.cli.help import ACCURACY, ADVANCED, MACHINE, OUTPUT, Command, Group
-from ffcomp.cli.options import AsJson, CaptureAxes, Force, MachineName, Quiet, check_choice
+from ffcomp.cli.options import AsJson, CaptureAxes, Force, MachineName, PlanOutput, Quiet, check_choice
 
 if TYPE_CHECKING:
     from ffcomp.record.firmware import Firmware
-    from ffcomp.record.join import JoinResult
     from ffcomp.record.plan import MovesPlan
+    from ffcomp.record.result import JoinResult
 
 app = typer.Typer(
     cls=Group,
@@ -23,16 +23,6 @@ app = typer.Typer(
     "them as measured runs with ffcomp record join.",
 )
 
-Output = Annotated[
-    Path,
-    typer.Option(
-        "--output-file",
-        "-o",
-        metavar="FILE",
-        rich_help_panel=OUTPUT,
-        help="G-code to write. The plan is written beside it (.json).",
-    ),
-]
 At = Annotated[
     list[str] | None,
     typer.Option(
@@ -126,7 +116,7 @@ Seed = Annotated[int, typer.Option(metavar="N", rich_help_panel=ADVANCED, min=0,
 @app.command("plan", cls=Command)
 def plan(
     machine: MachineName,
-    output_file: Output,
+    output_file: PlanOutput,
     at: At = None,
     seconds: Seconds = 4.0,
     repeats: Repeats = 2,
@@ -183,7 +173,7 @@ def plan(
             lines = print_lines(made, program, firmware)
         replace_atomically(output_file, lines)
         save_plan(made, account)
-        result = _result(made, firmware, output_file, account, machine)
+        result = _result(made, firmware, output_file, account, machine, loaded.vibration.diagnosable)
         if as_json:
             print_json(result)
         else:
@@ -198,7 +188,16 @@ def _pair(option: str, text: str) -> tuple[float, float]:
     return x, y
 
 
-def _result(made: MovesPlan, firmware: Firmware, target: Path, account: Path, machine: str) -> dict[str, Any]:
+def _next(made: MovesPlan, account: Path, machine: str, diagnosable: bool) -> str:
+    if not diagnosable:
+        return f"ffcomp record join CAPTURES --plan {account} -m {machine} -o runs/"
+    repeated = "" if made.repeats > 1 else " --without-repeats"
+    return f"ffcomp diagnose CAPTURES --plan {account} -m {machine}{repeated}"
+
+
+def _result(
+    made: MovesPlan, firmware: Firmware, target: Path, account: Path, machine: str, diagnosable: bool
+) -> dict[str, Any]:
     from ffcomp.record.plan_files import capture_name
 
     experiments = [
@@ -224,8 +223,7 @@ def _result(made: MovesPlan, firmware: Firmware, target: Path, account: Path, ma
         "captures": [capture_name(each.name, repeat) for each, repeat in made.runs()],
         "restores": firmware.restores(),
         "warnings": _warnings(experiments),
-        "next": f"ffcomp diagnose CAPTURES --plan {account} -m {machine}"
-        + ("" if made.repeats > 1 else " --without-repeats"),
+        "next": _next(made, account, machine, diagnosable),
     }
 
 
@@ -291,8 +289,9 @@ def join(
 
     with exit_codes():
         from ffcomp.record.axes import turn_of
-        from ffcomp.record.join import join_captures, recording_lines
+        from ffcomp.record.join import join_captures
         from ffcomp.record.plan_files import load_moves
+        from ffcomp.record.result import recording_lines
         from gcode.atomic_write import replace_atomically
         from models.file import load_machine
 
@@ -308,13 +307,13 @@ def join(
         if as_json:
             print_json(found.to_dict([str(path) for path in targets]))
         else:
-            _report_join(found, output, made, machine)
+            _report_join(found, output, made, machine, loaded.vibration.diagnosable)
         for sentence in found.notes(made, loaded):
             say(f"ffcomp: {sentence}", quiet)
         found.check()
 
 
-def _report_join(found: JoinResult, output: Path, plan: MovesPlan, machine: str) -> None:
+def _report_join(found: JoinResult, output: Path, plan: MovesPlan, machine: str, diagnosable: bool) -> None:
     for each in found.joined:
         clock = each.clock
         print(
@@ -327,4 +326,5 @@ def _report_join(found: JoinResult, output: Path, plan: MovesPlan, machine: str)
         print(
             f"{len(found.joined)} of {len(plan.runs())} executions joined in {output}; axes {found.joined[0].axes_map}."
         )
-        print(f"Then: ffcomp diagnose {output}/*.csv -m {machine}")
+        if diagnosable:
+            print(f"Then: ffcomp diagnose {output}/*.csv -m {machine}")

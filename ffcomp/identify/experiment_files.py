@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.errors import MeasurementError
 from ffcomp.identify.experiment import TOWERS, Experiment, Plan
 from ffcomp.identify.multisine import Band, Lines
+from ffcomp.measurement.plan_json import read_plan_json
 from ffcomp.planner.segment_timing import SegmentLimits
 from gcode.atomic_write import replace_atomically
 from gcode.dialects import KLIPPER, close_limits, open_limits, shaper_off
@@ -85,24 +85,7 @@ def load_plan(path: str | Path) -> Plan:
     MeasurementError
         For a file that is no such record, or an incomplete one.
     """
-    try:
-        account = json.loads(Path(path).read_text(encoding="utf-8"))
-        if account["schema"] != SCHEMA:
-            moves = str(account["schema"]).startswith("ffcomp-moves/")
-            hint = " Plans of `record plan` belong to `ffcomp diagnose` and `ffcomp record join`." if moves else ""
-            rule = f"The schema is {account['schema']!r}; this version reads {SCHEMA!r}.{hint}"
-            raise MeasurementError(str(path), [rule])
-        return _plan(account)
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise MeasurementError(str(path), [f"This is not JSON: {error}."]) from None
-    except KeyError as error:
-        raise MeasurementError(str(path), [f"The key {error} is missing; it belongs to {SCHEMA}."]) from None
-    except (TypeError, ValueError) as error:
-        if isinstance(error, MeasurementError):
-            raise
-        raise MeasurementError(
-            str(path), [f"This is no complete record of an excitation ({SCHEMA}): {error}."]
-        ) from None
+    return read_plan_json(path, SCHEMA, _plan)
 
 
 def _plan(account: Mapping[str, Any]) -> Plan:

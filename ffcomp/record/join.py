@@ -10,7 +10,6 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -25,6 +24,7 @@ from ffcomp.record.clock import ClockFit, Matches, Reference, every_clock, fit_c
 from ffcomp.record.expected import Expectation, expectation
 from ffcomp.record.plan import Experiment, MovesPlan
 from ffcomp.record.plan_files import run_name
+from ffcomp.record.result import Joined, JoinResult, Refused
 from models.arrays import FloatArray
 from models.machine import Machine
 
@@ -39,88 +39,6 @@ REPEATS_SD_S, SURE = 3e-5, 2.0  # by which the motion tells two repeats apart at
 DELAY_SD_S = {"firmware": 3e-4, "free": 1e-3}
 DRIFT_SD = 5e-5
 LOWEST_RATE_HZ = 800.0  # of a recording
-
-
-@dataclass(frozen=True, eq=False)
-class Joined:
-    """One execution of an experiment on one clock."""
-
-    recording: Recording
-    experiment: str
-    repeat: int
-    clock: ClockFit
-    overflows: int
-    source: str
-    axes_map: str
-
-    @property
-    def name(self) -> str:
-        """The stem of its file."""
-        return run_name(self.experiment, self.repeat)
-
-
-@dataclass(frozen=True)
-class Refused:
-    """A capture that cannot be joined."""
-
-    file: str
-    why: str
-
-
-@dataclass(frozen=True, eq=False)
-class JoinResult:
-    """What became of the captures."""
-
-    joined: tuple[Joined, ...]
-    refused: tuple[Refused, ...]
-
-    @property
-    def recordings(self) -> list[Recording]:
-        """The recordings, repeats beside each other."""
-        return [each.recording for each in self.joined]
-
-    def check(self) -> None:
-        """Raise a MeasurementError with every reason if nothing could be joined."""
-        if self.joined:
-            return
-        first = self.refused[0].file if self.refused else "captures"
-        reasons = [f"{Path(each.file).name}: {each.why}" for each in self.refused]
-        raise MeasurementError(first, ["None of the captures could be joined.", *reasons])
-
-    def notes(self, plan: MovesPlan, machine: Machine) -> list[str]:
-        """Say in sentences what the user should know, though it is no reason to refuse anything."""
-        notes = []
-        if plan.machine_sha256 and plan.machine_sha256 != machine.sha256:
-            notes.append(
-                f"The plan was made with another machine file ({plan.machine}, sha256 {plan.machine_sha256[:8]}); the "
-                "command is the plan's own all the same."
-            )
-        got = {(each.experiment, each.repeat) for each in self.joined}
-        missing = [run_name(each.name, repeat) for each, repeat in plan.runs() if (each.name, repeat) not in got]
-        if missing and self.joined:
-            notes.append(f"No recording of {len(missing)} executions of the plan: {', '.join(missing)}.")
-        return notes
-
-    def to_dict(self, files: Sequence[str]) -> dict[str, Any]:
-        """Return the JSON object ffcomp-join/1; files: of the runs, "" where none is written."""
-        runs = [
-            {
-                "file": file,
-                "experiment": each.experiment,
-                "repeat": each.repeat,
-                "offset_s": each.clock.offset_s,
-                "offset_sd_s": each.clock.offset_sd_s,
-                "clock_ratio": each.clock.ratio,
-                "clock_sd": each.clock.ratio_sd,
-                "correlation": each.clock.correlation,
-                "overflows": each.overflows,
-                "capture": each.source,
-                "axes_map": each.axes_map,
-            }
-            for each, file in zip(self.joined, files, strict=True)
-        ]
-        refused = [{"file": each.file, "why": each.why} for each in self.refused]
-        return {"schema": "ffcomp-join/1", "runs": runs, "refused": refused}
 
 
 @dataclass(frozen=True, eq=False)
@@ -394,15 +312,3 @@ def _best(joined: Sequence[Joined]) -> list[Joined]:
         if other is None or each.clock.correlation > other.clock.correlation:
             found[each.name] = each
     return list(found.values())
-
-
-def recording_lines(recording: Recording) -> list[bytes]:
-    """Write a recording as a measured run."""
-    head = "".join(f"# {key}: {text}\n" for key, text in recording.comments.items())
-    columns = {f"{name}_mm": recording.command[:, i] for i, name in enumerate(recording.inputs)}
-    columns |= {f"{name}_m_per_s2": values for name, values in recording.acceleration.items()}
-    columns |= {f"{name}_mm": values for name, values in recording.position.items()}
-    table = np.column_stack([recording.time_s, *columns.values()])
-    row = ",".join(["%.7f", *["%.6f"] * len(columns)]) + "\n"
-    text = (row * len(table) % tuple(table.ravel().tolist())).replace("nan", "")
-    return [head.encode(), (",".join(["t_s", *columns]) + "\n").encode(), text.encode()]

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.errors import MeasurementError
+from ffcomp.measurement.plan_json import read_plan_json
 from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits
 from ffcomp.record.motion import OWN, Motion
 from ffcomp.record.plan import Experiment, MovesPlan
@@ -104,26 +104,7 @@ def load_moves(path: str | Path) -> MovesPlan:
     MeasurementError
         For a file that is no such plan, or an incomplete one.
     """
-    try:
-        read = json.loads(Path(path).read_text(encoding="utf-8"))
-        if read["schema"] != SCHEMA:
-            raise MeasurementError(str(path), [f"The schema is {read['schema']!r}; {SCHEMA!r} is needed.{_hint(read)}"])
-        return _plan(read)
-    except OSError as error:
-        raise MeasurementError(str(path), [f"The plan cannot be read: {error.strerror}."]) from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise MeasurementError(str(path), [f"This is not JSON: {error}."]) from None
-    except KeyError as error:
-        raise MeasurementError(str(path), [f"The key {error} is missing; it belongs to {SCHEMA}."]) from None
-    except (TypeError, ValueError, IndexError) as error:
-        if isinstance(error, MeasurementError):
-            raise
-        raise MeasurementError(str(path), [f"This is no complete plan ({SCHEMA}): {error}."]) from None
-
-
-def _hint(read: Mapping[str, Any]) -> str:
-    excitation = str(read["schema"]).startswith("ffcomp-excitation/")
-    return " Plans of `identify plan` belong to `identify fit`." if excitation else ""
+    return read_plan_json(path, SCHEMA, _plan)
 
 
 def _plan(read: Mapping[str, Any]) -> MovesPlan:

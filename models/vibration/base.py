@@ -108,6 +108,8 @@ class VibrationModel(ABC):
     """Names of the actuators."""
     gravity_loaded: ClassVar[bool]
     """Whether weight stretches what vibrates."""
+    diagnosable: ClassVar[bool]
+    """Whether `gap` and `diagnose` know what its printer feels."""
 
     @property
     @abstractmethod

@@ -77,6 +77,7 @@ class DeltaVibration(VibrationModel):
     position_dependent: ClassVar[bool] = True
     channels: ClassVar[tuple[str, str, str]] = ("A", "B", "C")
     gravity_loaded: ClassVar[bool] = True
+    diagnosable: ClassVar[bool] = True
 
     def on(self, kinematics: Kinematics) -> DeltaVibration:
         """Return the model bound to a delta's kinematics; TypeError for any other."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from functools import cache
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
 from tests.support.compensated import compensated
+from validation.independent.kalico import config_of
 from validation.judge import HOST_KNOWS
 from validation.kalico import kalico_moves
 
@@ -125,7 +127,7 @@ def test_the_real_host_keeps_the_pace(corexy: Machine) -> None:
     """A cartesian printer whose Z is slow: the host's own plan of both files takes what ours says."""
     planned = plan_program(read_program(print_text(), flavor="klipper"), corexy)
     compensated = ours.compensated(planned, corexy, InverseModel(corexy, settings_for(corexy)), "klipper")
-    config = CARTESIAN_CFG.format(scv=5.0)
+    config = config_of(tomllib.loads(machine_text())) + EXTRUDER_MOTOR
     took = []
     for text in (print_text(), compensated.text):
         known = b"".join(line for line in text.splitlines(keepends=True) if HOST_KNOWS.match(line))
@@ -194,60 +196,7 @@ def test_steps_of_a_corexy_are_those_of_its_two_motors(tmp_path: Path) -> None:
     assert not len(motors["c"][0])
 
 
-CARTESIAN_CFG = """
-[stepper_x]
-step_pin: gpio1
-dir_pin: gpio2
-enable_pin: !gpio3
-microsteps: 16
-rotation_distance: 40
-endstop_pin: gpio4
-position_min: -150
-position_max: 150
-position_endstop: -150
-[stepper_y]
-step_pin: gpio11
-dir_pin: gpio12
-enable_pin: !gpio13
-microsteps: 16
-rotation_distance: 40
-endstop_pin: gpio14
-position_min: -150
-position_max: 150
-position_endstop: -150
-[stepper_z]
-step_pin: gpio21
-dir_pin: gpio22
-enable_pin: !gpio23
-microsteps: 16
-rotation_distance: 8
-endstop_pin: gpio24
-position_min: -2
-position_max: 300
-position_endstop: -2
-[printer]
-kinematics: corexy
-max_velocity: 300
-max_accel: 5000
-max_z_velocity: 20
-max_z_accel: 500
-square_corner_velocity: {scv}
-[mcu]
-serial: /dev/null
-[force_move]
-enable_force_move: True
-[extruder]
-nozzle_diameter: 0.4
-filament_diameter: 1.75
-heater_pin: gpio44
-sensor_type: EPCOS 100K B57560G104F
-sensor_pin: analog0
-control: watermark
-min_temp: 0
-max_temp: 300
-min_extrude_temp: 0
-max_extrude_cross_section: 50
-max_extrude_only_distance: 1000
+EXTRUDER_MOTOR = """\
 step_pin: gpio41
 dir_pin: gpio42
 enable_pin: !gpio43

@@ -345,9 +345,9 @@ def test_an_account_comes_back_as_it_was(tmp_path: Path) -> None:
     [
         (lambda text: text[:100], "not JSON"),
         (lambda text: text.replace("excitation/1", "excitation/9"), "'ffcomp-excitation/9'"),
-        (lambda text: text.replace('"periods"', '"perods"'), "no complete record"),
+        (lambda text: text.replace('"periods"', '"perods"'), "no complete plan"),
         (lambda text: text.replace('"vertices_mm"', '"vertexes"'), "'vertices_mm' is missing"),
-        (lambda text: "[]", "no complete record"),
+        (lambda text: "[]", "no complete plan"),
     ],
 )
 def test_a_spoilt_account_is_refused(tmp_path: Path, spoil: Callable[[str], str], sentence: str) -> None:

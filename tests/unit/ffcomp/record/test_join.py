@@ -6,6 +6,7 @@ them: turned, tilted by 2°, with counts of 3.9 mg, noise of 0.15 m/s², gravity
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,10 +17,11 @@ from scipy.interpolate import CubicSpline
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import read_recording
 from ffcomp.record.axes import tilt, turn_of, words
-from ffcomp.record.join import JoinResult, join_captures, recording_lines
+from ffcomp.record.join import join_captures
 from ffcomp.record.load import load_recordings
 from ffcomp.record.plan import MovesPlan, Request, make_plan
 from ffcomp.record.plan_files import save_plan
+from ffcomp.record.result import JoinResult, Refused, recording_lines
 from models.file import load_machine
 from models.machine import Machine
 from tests.support.recordings import write_captures
@@ -157,9 +159,24 @@ def one(bench: Bench) -> Path:
 def refused(bench: Bench, path: Path, turn: str | None = None) -> str:
     found = join_captures([path], bench.plan, bench.machine, turn_of(turn))
     assert not found.joined and found.refused[0].file == str(path)
-    with pytest.raises(MeasurementError, match="None of the captures could be joined"):
+    with pytest.raises(MeasurementError, match="^" + re.escape(f"{path}: ")):
         found.check()
     return " ".join(each.why for each in found.refused)
+
+
+def test_a_refusal_names_each_file_once() -> None:
+    alone = JoinResult((), (Refused("empty.csv", "The file is empty."),))
+    with pytest.raises(MeasurementError) as one_of_one:
+        alone.check()
+    assert str(one_of_one.value) == "empty.csv: The file is empty."
+    both = JoinResult((), (*alone.refused, Refused("x.csv", "It is cut short.")))
+    with pytest.raises(MeasurementError) as neither:
+        both.check()
+    assert str(neither.value).splitlines() == [
+        "captures: None of them could be joined.",
+        "captures: empty.csv: The file is empty.",
+        "captures: x.csv: It is cut short.",
+    ]
 
 
 def test_a_capture_of_another_motion_is_refused(bench: Bench, tmp_path: Path) -> None:

@@ -1,0 +1,111 @@
+"""What became of the captures of a recording: joined ones with their clocks, and refused ones with the reason."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ffcomp.errors import MeasurementError
+from ffcomp.measurement.recording import Recording
+from ffcomp.record.clock import ClockFit
+from ffcomp.record.plan import MovesPlan
+from ffcomp.record.plan_files import run_name
+from models.machine import Machine
+
+
+@dataclass(frozen=True, eq=False)
+class Joined:
+    """One execution of an experiment on one clock."""
+
+    recording: Recording
+    experiment: str
+    repeat: int
+    clock: ClockFit
+    overflows: int
+    source: str
+    axes_map: str
+
+    @property
+    def name(self) -> str:
+        """The stem of its file."""
+        return run_name(self.experiment, self.repeat)
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A capture that cannot be joined."""
+
+    file: str
+    why: str
+
+
+@dataclass(frozen=True, eq=False)
+class JoinResult:
+    """What became of the captures."""
+
+    joined: tuple[Joined, ...]
+    refused: tuple[Refused, ...]
+
+    @property
+    def recordings(self) -> list[Recording]:
+        """The recordings, repeats beside each other."""
+        return [each.recording for each in self.joined]
+
+    def check(self) -> None:
+        """Raise a MeasurementError with every reason if nothing could be joined."""
+        if self.joined:
+            return
+        if len({each.file for each in self.refused}) == 1:
+            raise MeasurementError(self.refused[0].file, [each.why for each in self.refused])
+        reasons = [f"{each.file}: {each.why}" for each in self.refused]
+        raise MeasurementError("captures", ["None of them could be joined.", *reasons])
+
+    def notes(self, plan: MovesPlan, machine: Machine) -> list[str]:
+        """Say in sentences what the user should know, though it is no reason to refuse anything."""
+        notes = []
+        if plan.machine_sha256 and plan.machine_sha256 != machine.sha256:
+            notes.append(
+                f"The plan was made with another machine file ({plan.machine}, sha256 {plan.machine_sha256[:8]}); the "
+                "command is the plan's own all the same."
+            )
+        got = {(each.experiment, each.repeat) for each in self.joined}
+        missing = [run_name(each.name, repeat) for each, repeat in plan.runs() if (each.name, repeat) not in got]
+        if missing and self.joined:
+            notes.append(f"No recording of {len(missing)} executions of the plan: {', '.join(missing)}.")
+        return notes
+
+    def to_dict(self, files: Sequence[str]) -> dict[str, Any]:
+        """Return the JSON object ffcomp-join/1; files: of the runs, "" where none is written."""
+        runs = [
+            {
+                "file": file,
+                "experiment": each.experiment,
+                "repeat": each.repeat,
+                "offset_s": each.clock.offset_s,
+                "offset_sd_s": each.clock.offset_sd_s,
+                "clock_ratio": each.clock.ratio,
+                "clock_sd": each.clock.ratio_sd,
+                "correlation": each.clock.correlation,
+                "overflows": each.overflows,
+                "capture": each.source,
+                "axes_map": each.axes_map,
+            }
+            for each, file in zip(self.joined, files, strict=True)
+        ]
+        refused = [{"file": each.file, "why": each.why} for each in self.refused]
+        return {"schema": "ffcomp-join/1", "runs": runs, "refused": refused}
+
+
+def recording_lines(recording: Recording) -> list[bytes]:
+    """Write a recording as a measured run."""
+    head = "".join(f"# {key}: {text}\n" for key, text in recording.comments.items())
+    columns = {f"{name}_mm": recording.command[:, i] for i, name in enumerate(recording.inputs)}
+    columns |= {f"{name}_m_per_s2": values for name, values in recording.acceleration.items()}
+    columns |= {f"{name}_mm": values for name, values in recording.position.items()}
+    table = np.column_stack([recording.time_s, *columns.values()])
+    row = ",".join(["%.7f", *["%.6f"] * len(columns)]) + "\n"
+    text = (row * len(table) % tuple(table.ravel().tolist())).replace("nan", "")
+    return [head.encode(), (",".join(["t_s", *columns]) + "\n").encode(), text.encode()]
