@@ -6,15 +6,17 @@ tests and in `compare`. Long prints are sampled section by section, evenly, and 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from ffcomp.compensate.solve import SolvedSection
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
-from ffcomp.inverse.solve import Solution
 from ffcomp.metrics import Track, peak_acceleration, track
 from ffcomp.planner.sections import Section
+from ffcomp.planner.segment_timing import TimedSegments, sample_even_segments
 from ffcomp.planner.trajectory import PlannedMotion
 from models.arrays import FloatArray
 
@@ -97,9 +99,10 @@ class Prediction:
         self.seen_s += length
         return due
 
-    def add(self, trajectory: PlannedMotion, run: Section, reference: Reference, result: Solution) -> None:
-        """Take one compensated run in."""
+    def add(self, solved: SolvedSection, written: Sequence[TimedSegments] = ()) -> None:
+        """Take one compensated section in; `written`: its segments, where they are other than the solved ones."""
         model, s, found, every = self.model, self.model.settings, self.samples, self.every
+        reference, result = solved.reference, solved.solution
         length = reference.knots * s.segment_s
         found.covered_s += length
         nozzle, velocity = reference.substeps(0, reference.knots)
@@ -107,15 +110,34 @@ class Prediction:
         shift = found.place - nozzle[0]
         found.reference.append(nozzle[every::every] + shift)
         found.place = found.reference[-1][-1]
-        self._add_path(trajectory, run, reference, shift)
+        self._add_path(solved.trajectory, solved.section, reference, shift)
         state = model.machine.equilibrium(nozzle[0])
         plain, _ = model.plant.respond(nozzle, velocity, state, s.substeps)
+        response = result.response + self._joining(solved, nozzle, written)
         knots = nozzle[:: s.substeps]
-        for motion, actual, command in ((found.before, plain, knots), (found.after, result.response, result.vertices)):
+        for motion, actual, command in ((found.before, plain, knots), (found.after, response, result.vertices)):
             motion.actual.append(actual[every - 1 :: every] + shift)
             bend = peak_acceleration(model.kinematics.inverse(command), s.segment_s, s.segment_s)
             motion.peak = max(motion.peak, bend)
         found.clock += length
+
+    def _joining(self, solved: SolvedSection, nozzle: FloatArray, written: Sequence[TimedSegments]) -> FloatArray:
+        """Return what the joined segments add to the response, (n, 3) mm: the model is linear in the command."""
+        model, s, vertices = self.model, self.model.settings, solved.solution.vertices
+        filament = np.diff(solved.reference.extrusion())
+        command = sample_even_segments(vertices, filament, s.segment_s, s.output, s.substeps)
+        joined = command.copy()
+        times = np.arange(len(command), dtype=np.float64) * (s.segment_s / s.substeps)
+        for piece in written:
+            rows = slice(*times.searchsorted([piece.due[0], piece.due[-1]]).tolist())
+            joined[rows] = piece.positions(times[rows])
+        kinematics, still = model.kinematics, np.zeros_like(command)
+        added = kinematics.inverse(joined) - kinematics.inverse(command)
+        place = np.ascontiguousarray(nozzle[s.substeps // 2 :: s.substeps, :2][: len(vertices) - 1])
+        at_rest = np.zeros_like(model.machine.equilibrium(nozzle[0]))
+        q, _ = model.plant.play(place, still, added, at_rest, s.substeps)
+        response = solved.solution.response
+        return kinematics.forward(kinematics.inverse(response) + q) - response
 
     def _add_path(self, trajectory: PlannedMotion, run: Section, reference: Reference, shift: FloatArray) -> None:
         part, found = slice(run.first, run.last), self.samples

@@ -14,7 +14,7 @@ render    compensate.gcode_output  command and events → text, limits opened an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -24,6 +24,7 @@ from ffcomp.compensate.solve import SolvedSection, solutions
 from ffcomp.compensate.statistics import Statistics, of_section
 from ffcomp.inverse.model import InverseModel
 from ffcomp.planner.sections import Section
+from ffcomp.planner.segment_timing import TimedSegments
 
 
 class Renderer(Protocol):
@@ -45,6 +46,9 @@ class Renderer(Protocol):
 
     def section(self, section: Section, solved: SolvedSection) -> Iterable[bytes]:
         """Write a section that travels, and what stands in it."""
+
+    def written(self) -> Sequence[TimedSegments]:
+        """Return the last section's segments where joining made them other than the command; s since its first knot."""
 
     def finish(self) -> Iterable[bytes]:
         """Write what stands after the last section."""
@@ -87,7 +91,7 @@ def compensate(
         yield from renderer.section(section, solved)
         statistics += of_section(section, solved, planned, extent, model)
         if prediction is not None and len(solved.solution.response):
-            prediction.add(solved.trajectory, solved.section, solved.reference, solved.solution)
+            prediction.add(solved, renderer.written())
         progress(section.end_t)
     yield from renderer.finish()
     samples = prediction.samples if prediction is not None else None

@@ -6,7 +6,7 @@ where the plan rests, so do the motors. A line that is not a move gets the tick 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -16,6 +16,7 @@ from ffcomp.compensate.plan import Context, PlannedChunk
 from ffcomp.compensate.solve import SolvedSection, keep_inside
 from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.sections import Section
+from ffcomp.planner.segment_timing import TimedSegments
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps.pieces import knot_pieces, trajectory_pieces
 from ffcomp.steps.sink import StepSink
@@ -100,6 +101,10 @@ class StepRenderer:
                 self._tell(event, stream.clock_s + segment_s * (at - first))
         stream.sink.pieces(knot_pieces(stream.clock_s, segment_s, vertices, filament))
         stream.clock_s += segment_s * (last - first)
+        return ()
+
+    def written(self) -> Sequence[TimedSegments]:
+        """Return nothing: steps follow the command as it was solved."""
         return ()
 
     def finish(self) -> Iterable[bytes]:

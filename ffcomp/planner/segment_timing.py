@@ -46,6 +46,28 @@ class SegmentSpeeds:
     duration: FloatArray  # (n,) s; S wherever the acceleration allows it
 
 
+@dataclass(frozen=True, slots=True)
+class TimedSegments:
+    """Segments of uneven lengths, each from when it is due."""
+
+    due: FloatArray  # (n + 1,) s, rising
+    vertices: FloatArray  # (n + 1, 3) mm
+    speeds: SegmentSpeeds
+
+    def part(self, first: int, last: int) -> TimedSegments:
+        """Return the segments from one to before another."""
+        s = self.speeds
+        speeds = SegmentSpeeds(
+            s.cruise[first:last], s.junction[first : last + 1], s.acceleration[first:last], s.duration[first:last]
+        )
+        return TimedSegments(self.due[first : last + 1], self.vertices[first : last + 1], speeds)
+
+    def positions(self, times: FloatArray) -> FloatArray:
+        """Return where the firmware is at times (m,) s, rising, (m, 3) mm; outside the segments, at their ends."""
+        s = self.speeds
+        return _positions(self.due, self.vertices, s.cruise, s.junction, s.acceleration, s.duration, times)
+
+
 def segment_speeds(
     vertices: FloatArray, extrusion: FloatArray, lasting: FloatArray, limits: SegmentLimits
 ) -> SegmentSpeeds:
@@ -201,6 +223,46 @@ def _junction_limits(
     return limit
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _travelled(
+    t: float, left: float, length: float, v0: float, v1: float, c: float, a: float, t_up: float, t_down: float
+) -> float:
+    """Return the distance along a segment, mm, at time `t` after its beginning and `left` before its end."""
+    if t < t_up:
+        return v0 * t + 0.5 * a * t * t
+    if left < t_down:
+        return length - v1 * left - 0.5 * a * left * left
+    return v0 * t_up + 0.5 * a * t_up * t_up + c * (t - t_up)
+
+
+@njit(cache=True, nogil=True)
+def _positions(
+    due: FloatArray,
+    vertices: FloatArray,
+    cruise: FloatArray,
+    junction: FloatArray,
+    acceleration: FloatArray,
+    duration: FloatArray,
+    times: FloatArray,
+) -> FloatArray:
+    n, k = len(cruise), 0
+    out = np.empty((len(times), 3))
+    for i in range(len(times)):
+        while k < n - 1 and times[i] >= due[k + 1]:
+            k += 1
+        t = times[i] - due[k]
+        if t <= 0.0 or t >= duration[k] or cruise[k] <= 0.0:
+            out[i] = vertices[k] if t <= 0.0 else vertices[k + 1]
+            continue
+        c, a = cruise[k], acceleration[k]
+        v0, v1 = min(junction[k], c), min(junction[k + 1], c)
+        ahead = vertices[k + 1] - vertices[k]
+        length = np.sqrt(np.sum(ahead * ahead))
+        f = _travelled(t, duration[k] - t, length, v0, v1, c, a, (c - v0) / a, (c - v1) / a)
+        out[i] = vertices[k] + f / length * ahead
+    return out
+
+
 @njit(cache=True, nogil=True)
 def sample_segments(
     vertices: FloatArray,
@@ -224,14 +286,7 @@ def sample_segments(
         per_mm = 1.0 / length if length > 0.0 else 0.0
         for s in range(substeps):
             t = t_all * s / substeps
-            left = t_all - t
-            if t < t_up:
-                f = v0 * t + 0.5 * a * t * t
-            elif left < t_down:
-                f = length - v1 * left - 0.5 * a * left * left
-            else:
-                f = v0 * t_up + 0.5 * a * t_up * t_up + c * (t - t_up)
-            f *= per_mm
+            f = per_mm * _travelled(t, t_all - t, length, v0, v1, c, a, t_up, t_down)
             row = k * substeps + s
             out[row, 0] = vertices[k, 0] + f * ahead_x
             out[row, 1] = vertices[k, 1] + f * ahead_y

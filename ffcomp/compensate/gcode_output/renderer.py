@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from ffcomp.compensate.gcode_output.layout import tiles, timeline
 from ffcomp.compensate.gcode_output.writer import Writer
 from ffcomp.compensate.plan import Context, PlannedChunk
 from ffcomp.compensate.solve import SolvedSection, keep_inside
 from ffcomp.planner.sections import Section
+from ffcomp.planner.segment_timing import TimedSegments
 from gcode.limits import MotionLimits
 from gcode.program import EventQueue
 from models.machine import Machine
@@ -59,6 +60,10 @@ class GcodeRenderer:
             part = vertices[tile.first : tile.last + 1]
             events = timeline(planned.program, solved.trajectory, solved.section, reference, part, inside, tile)
             yield from self._writer.section(section.first, part, events)
+
+    def written(self) -> Sequence[TimedSegments]:
+        """Return the last section's segments, piece by piece."""
+        return self._writer.written
 
     def finish(self) -> Iterator[bytes]:
         """Write the lines after the last section, and restore the file's limits."""

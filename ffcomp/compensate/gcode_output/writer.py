@@ -21,7 +21,7 @@ from ffcomp.compensate.gcode_output.layout import Timeline
 from ffcomp.inverse.settings import CUT, Settings
 from ffcomp.planner.lifts import join_lifts
 from ffcomp.planner.segment_merging import lengthen, merge
-from ffcomp.planner.segment_timing import segment_speeds
+from ffcomp.planner.segment_timing import TimedSegments, segment_speeds
 from gcode.dialects import KLIPPER, MARLIN, close_limits, open_limits
 from gcode.embedded import CUT_SHORT, OURS, WAS, joined, like_ours, section_time_line
 from gcode.emit import MoveWriter
@@ -65,6 +65,7 @@ class Writer:
         self.segments = 0
         self.late_s = 0.0  # by which they take longer than their knots
         self.now_s = 0.0  # since the program's beginning, as far as it is written
+        self.written: list[TimedSegments] = []  # the section's, by tile; s since its first knot
         self.begun, self.rest = False, 0.0  # whether the run has moved, and for how long it has not since, s
         self.section_begin = (
             0,
@@ -164,6 +165,7 @@ class Writer:
         if timeline.tile.begin == 0:
             yield from self._begin(first)
             self.rest, self.begun = 0.0, False
+            self.written = []
             self.section_begin = (self.program.first_line + int(self.program.moves.line[first]), timeline.lead_s)
         segments = self._segments(first, vertices, timeline)
         lines = segments.lines(timeline)
@@ -194,6 +196,7 @@ class Writer:
         slack[fixed[1:]] = 0.0  # another writer may go on from there, and the filament must be exact
         speeds = segment_speeds(points, e[1:] - e[:-1], lasting, s.output)
         begin, end = at.searchsorted([piece.begin, piece.end]).tolist()
+        self.written.append(TimedSegments(at * s.segment_s, points, speeds).part(begin, end))
         late_s = np.maximum(speeds.duration - lasting, 0.0)  # lifts may be late
         self.late_s += float(late_s[begin:end].sum())
         lasting += late_s
