@@ -80,7 +80,9 @@ Only = Annotated[
         metavar="NAMES",
         rich_help_panel=SPEED,
         help="Evaluate only these methods beside none and ffcomp, e.g. mzv,ei-calibrated. Shapers: zv, mzv, zvd, ei, "
-        "2hump_ei, 3hump_ei, each also with -calibrated and -scheduled; fbs-lti, fbs-robust.",
+        "2hump_ei, 3hump_ei, and, compared only when named, zvdd, zvddd (Marlin), smooth_zv, smooth_mzv, smooth_ei, "
+        "smooth_2hump_ei, smooth_zvd_ei, smooth_si (Kalico's other branches); each also with -calibrated and "
+        "-scheduled; fbs-lti, fbs-robust.",
     ),
 ]
 

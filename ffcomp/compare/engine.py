@@ -158,7 +158,7 @@ def names(request: Request) -> Collection[str]:
         raise ValueError(f"No method is named {unknown[0]!r}; there are {', '.join(every.NAMES)}.")
     if request.only and not set(request.only) & set(every.KINDS):
         raise ValueError(f"Name at least one shaper to compare with: {', '.join(every.KINDS)}.")
-    return {"none", COMPENSATED, *request.only} if request.only else every.NAMES
+    return {"none", COMPENSATED, *request.only} if request.only else every.USUAL_NAMES
 
 
 # ---- the methods ---------------------------------------------------------------------------------

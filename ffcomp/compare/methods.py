@@ -20,7 +20,9 @@ from ffcomp.simulate.motion import Motion
 from models.effects.catalogue import effective_machine
 from models.machine import Machine
 
-KINDS = ("zv", "mzv", "zvd", "ei", "2hump_ei", "3hump_ei")
+KINDS = tuple(shapers.SHAPERS)
+# what firmware has today: compared unless others are named
+USUAL = ("zv", "mzv", "zvd", "ei", "2hump_ei", "3hump_ei")
 CALIBRATED, SCHEDULED = "-calibrated", "-scheduled"  # behind a kind
 ONE_MODEL, ROBUST, COMPENSATED = "fbs-lti", "fbs-robust", "fbs-lpv"
 NAMES = (
@@ -32,6 +34,9 @@ NAMES = (
     ROBUST,
     COMPENSATED,
 )  # in the order of the table
+USUAL_NAMES = tuple(
+    name for name in NAMES if name.removesuffix(CALIBRATED).removesuffix(SCHEDULED) not in set(KINDS) - set(USUAL)
+)
 
 
 Executor = Callable[[PrintSlice], tuple[Motion, Statistics | None]]

@@ -7,9 +7,9 @@ constant speed, so a `Shaper` holds the times with T̄ taken off already.
 
 from ffcomp.shapers.apply import Position, scheduled_shape, shape
 from ffcomp.shapers.bed import dominant_frequencies, over_the_bed
+from ffcomp.shapers.kinds import SHAPERS
 from ffcomp.shapers.pulses import (
     DAMPING_RATIO,
-    SHAPERS,
     TOLERATED_VIBRATION,
     Shaper,
     ei,
@@ -19,6 +19,8 @@ from ffcomp.shapers.pulses import (
     two_hump_ei,
     zv,
     zvd,
+    zvdd,
+    zvddd,
 )
 
 __all__ = [
@@ -38,4 +40,6 @@ __all__ = [
     "two_hump_ei",
     "zv",
     "zvd",
+    "zvdd",
+    "zvddd",
 ]

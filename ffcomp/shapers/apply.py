@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ffcomp.shapers.pulses import DAMPING_RATIO, SHAPERS, Shaper
+from ffcomp.shapers.kinds import SHAPERS
+from ffcomp.shapers.pulses import DAMPING_RATIO, Shaper
 from models.arrays import FloatArray
 
 Position = Callable[[FloatArray], FloatArray]  # t : (k,) s → (k, 3) mm, at any time, resting before and after

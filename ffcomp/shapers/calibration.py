@@ -43,7 +43,11 @@ _HIGHEST_HZ = 200.0  # of the spectrum
 _NORMALISING_HZ = 0.1
 _NOISY_HZ = 10.0  # below, the spectrum is faded out
 
-_LOWEST_HZ = {"zv": 21.0, "mzv": 23.0, "zvd": 29.0, "ei": 29.0, "2hump_ei": 39.0, "3hump_ei": 48.0}
+_LOWEST_HZ = {  # where a print could still accelerate by about 1.5 m/s²
+    **{"zv": 21.0, "mzv": 23.0, "zvd": 29.0, "zvdd": 35.0, "zvddd": 40.0, "ei": 29.0, "2hump_ei": 39.0},
+    **{"3hump_ei": 48.0, "smooth_zv": 18.0, "smooth_mzv": 20.0, "smooth_ei": 21.0, "smooth_2hump_ei": 21.5},
+    **{"smooth_zvd_ei": 26.0, "smooth_si": 21.5},
+}
 _CANDIDATES = ("zv", "mzv", "ei", "2hump_ei", "3hump_ei")  # in the order of choice; zvd is never recommended
 _UP_TO_HZ, _STEP_HZ = 150.0, 0.2
 _TEST_DAMPING_RATIOS = (0.075, 0.1, 0.15)

@@ -1,15 +1,18 @@
-"""The kinds of shapers as Klipper and Kalico define them, and the vibration they leave.
+"""Shapers of a few pulses as Klipper, Kalico and Marlin define them, and the vibration they leave.
 
 With K = exp(-ζπ/√(1-ζ²)), the decay over half a period, and T_d = 1/(f√(1-ζ²)), the damped period:
 
     zv        1, K                                        0, T_d/2
     mzv       1-1/√2, (√2-1)K', (1-1/√2)K'², K' = K^¾     0, ⅜T_d, ¾T_d
     zvd       1, 2K, K²                                   0, T_d/2, T_d
+    zvdd      1, 3K, 3K², K³                              0, T_d/2, T_d, 3T_d/2
+    zvddd     1, 4K, 6K², 4K³, K⁴                         0, T_d/2, T_d, 3T_d/2, 2T_d
     ei        (1+v)/4, (1-v)K/2, (1+v)K²/4                0, T_d/2, T_d
     2hump_ei  a, (½-a)K, (½-a)K², aK³                     0, T_d/2, T_d, 3T_d/2
     3hump_ei  b, (1-v)K/4, ((1+v)/2-2b)K², (1-v)K³/4, bK⁴   0, T_d/2, T_d, 3T_d/2, 2T_d
 
-zv leaves nothing at its own frequency, zvd nothing and no slope (Singer & Seering 1990). v is the vibration EI
+zv leaves nothing at its own frequency, zvd nothing and no slope (Singer & Seering 1990), each further d one more
+derivative. v is the vibration EI
 lets through at its own frequency to be wider around it (Singhose, Seering & Singer 1994);
 a = (3X² + 2X + 3v²)/(16X), X = ∛(v²(√(1-v²) + 1)), and b = (1 + 3v + 2√(2v(1+v)))/16
 (Singhose, Porter, Tuttle & Singer 1997).
@@ -20,7 +23,6 @@ polynomials in ζ and v instead, about 1 % different.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,6 +64,16 @@ def zvd(frequency_hz: float, damping_ratio: float = DAMPING_RATIO) -> Shaper:
     return _half_periods("zvd", [1.0, 2.0, 1.0], frequency_hz, damping_ratio)
 
 
+def zvdd(frequency_hz: float, damping_ratio: float = DAMPING_RATIO) -> Shaper:
+    """Return the shaper with two zero derivatives of the vibration."""
+    return _half_periods("zvdd", [1.0, 3.0, 3.0, 1.0], frequency_hz, damping_ratio)
+
+
+def zvddd(frequency_hz: float, damping_ratio: float = DAMPING_RATIO) -> Shaper:
+    """Return the shaper with three zero derivatives of the vibration."""
+    return _half_periods("zvddd", [1.0, 4.0, 6.0, 4.0, 1.0], frequency_hz, damping_ratio)
+
+
 def ei(frequency_hz: float, damping_ratio: float = DAMPING_RATIO, tolerated: float = TOLERATED_VIBRATION) -> Shaper:
     """Return the extra insensitive shaper."""
     outer, inner = (1 + tolerated) / 4, (1 - tolerated) / 2
@@ -85,16 +97,6 @@ def three_hump_ei(
     outer = (1 + 3 * tolerated + 2 * np.sqrt(2 * tolerated * (1 + tolerated))) / 16
     inner, middle = (1 - tolerated) / 4, (1 + tolerated) / 2 - 2 * outer
     return _half_periods("3hump_ei", [outer, inner, middle, inner, outer], frequency_hz, damping_ratio)
-
-
-SHAPERS: dict[str, Callable[[float, float], Shaper]] = {
-    "zv": zv,
-    "mzv": mzv,
-    "zvd": zvd,
-    "ei": ei,
-    "2hump_ei": two_hump_ei,
-    "3hump_ei": three_hump_ei,
-}
 
 
 def residual_vibration(shaper: Shaper, frequency_hz: FloatArray, damping_ratio: float) -> FloatArray:

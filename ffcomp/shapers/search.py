@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ffcomp.shapers.pulses import DAMPING_RATIO, SHAPERS, Shaper
+from ffcomp.shapers.kinds import SHAPERS
+from ffcomp.shapers.pulses import DAMPING_RATIO, Shaper
 
 _COARSE = 1.08  # ratio of neighbouring frequencies in the scans
 
