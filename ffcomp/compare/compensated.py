@@ -97,7 +97,9 @@ def segments(
     trajectory = plan_program(program, machine).trajectory
     travels = np.any(trajectory.direction[:, :3] != 0.0, axis=1)
     starts = section_starts(program, file.planned)
-    return Segments(pick(trajectory, travels), replace(starts, move=np.cumsum(travels)[starts.move] - 1))
+    number = np.cumsum(travels) - 1
+    starts = replace(starts, move=number[starts.move], passing=number[starts.passing])
+    return Segments(pick(trajectory, travels), starts)
 
 
 def segments_motion(own: Segments) -> Motion:

@@ -6,19 +6,21 @@ line of the original was tie the moves of both together.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ffcomp.inverse.settings import Settings
+from ffcomp.numerics.progress import progress_in_order
 from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.sections import Section
 from ffcomp.planner.trajectory import PlannedMotion
-from ffcomp.simulate.motion import SectionClock
+from ffcomp.simulate.motion import SectionClock, path_corners_with_rests
 from gcode.embedded import WAS, noted, section_times
 from gcode.program import Program
 from models.arrays import FloatArray, IntArray
 
+RETIMED_S = 0.02  # a section that ends so much earlier or later by its path than by its clock is on another one
 FEWEST_HZ, MOST_HZ = 125.0, 500.0  # of segments
 
 
@@ -30,10 +32,18 @@ class SectionStarts:
     plan_t: FloatArray  # (m,) s on the original's clock when that move begins
     begin_t: FloatArray  # (m,) s on that clock when the section's path begins
     end_t: FloatArray  # (m,) s and ends
+    passing: IntArray  # (k,) the travelling moves from the first section on
+    due_t: FloatArray  # (k,) s on the original's clock, when the plan is where each of them begins
 
     def clock(self, start_t: FloatArray) -> SectionClock:
         """Return the clock if move k of the compensated file begins at start_t[k], whoever planned it."""
-        return SectionClock(start_t[self.move], self.plan_t, self.begin_t, self.end_t)
+        if not len(self.move):
+            return SectionClock(start_t[self.move], self.plan_t, self.begin_t, self.end_t)
+        last = np.append(np.searchsorted(self.passing, self.move[1:]), len(self.passing)) - 1
+        kept_t = self.plan_t + start_t[self.passing[last]] - start_t[self.move]
+        retimed = np.abs(np.minimum(kept_t, self.end_t) - self.due_t[last]) > RETIMED_S
+        passed_t = start_t[self.passing]
+        return SectionClock(start_t[self.move], self.plan_t, self.begin_t, self.end_t, retimed, passed_t, self.due_t)
 
 
 def section_starts(compensated: Program, original: PlannedProgram) -> SectionStarts:
@@ -45,12 +55,23 @@ def section_starts(compensated: Program, original: PlannedProgram) -> SectionSta
     travels = np.flatnonzero(np.any(moves.end[:, :3] != moves.start[:, :3], axis=1))
     after = np.searchsorted(moves.line[travels], [time.at for time in times], side="right")
     begin_t = np.array([by_line[time.line].begin_t for time in times])
-    return SectionStarts(
-        travels[after],
-        begin_t + np.array([time.t for time in times]),
-        begin_t,
-        np.array([by_line[time.line].end_t for time in times]),
-    )
+    end_t = np.array([by_line[time.line].end_t for time in times])
+    passing = travels[after[0] :] if len(after) else travels[:0]
+    section = np.searchsorted(travels[after], passing, side="right") - 1
+    due_t = _due(moves.start[passing, :3], begin_t[section], end_t[section], original.trajectory)
+    plan_t = begin_t + np.array([time.t for time in times])
+    return SectionStarts(travels[after], plan_t, begin_t, end_t, passing, due_t)
+
+
+def _due(places: FloatArray, begin_t: FloatArray, end_t: FloatArray, plan: PlannedMotion) -> FloatArray:
+    """Return when the plan is at each of the places (k, 3) mm, which lie on sections between these times (k,), s."""
+    path_t, path = path_corners_with_rests(plan)
+    if not len(places):
+        return np.empty(0)
+    low = np.searchsorted(path_t[1:], begin_t, side="right")
+    high = np.maximum(np.searchsorted(path_t[:-1], end_t, side="left"), low + 1)
+    segment, share = progress_in_order(path, places, low, high)
+    return np.asarray(path_t[segment] + share * np.diff(path_t)[segment])
 
 
 def section_clock(compensated: PlannedProgram, original: PlannedProgram) -> SectionClock:
@@ -58,8 +79,8 @@ def section_clock(compensated: PlannedProgram, original: PlannedProgram) -> Sect
     starts = section_starts(compensated.program, original)
     if not len(starts.move):
         return _noted_clock(compensated, original)
-    path_begins = compensated.trajectory.start_t[starts.move] + (starts.begin_t - starts.plan_t)
-    return SectionClock(path_begins, starts.begin_t, starts.begin_t, starts.end_t)
+    clock = starts.clock(compensated.trajectory.start_t)
+    return replace(clock, executed_t=clock.executed_t + (starts.begin_t - starts.plan_t), plan_t=starts.begin_t)
 
 
 def _noted_clock(compensated: PlannedProgram, original: PlannedProgram) -> SectionClock:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ffcomp.planner.trajectory import PlannedMotion
 from ffcomp.simulate.command import OfTime, command_peaks
-from models.arrays import FloatArray
+from models.arrays import BoolArray, FloatArray
 from models.machine import Machine
 
 
@@ -18,18 +18,25 @@ class SectionClock:
     """Alignment of an executed motion with the reference plan, section by section.
 
     Section i of m begins at executed_t[i], which is plan_t[i] on the plan's clock. The reference moves only from
-    begin_t[i] to end_t[i] of that clock, and rests around it.
+    begin_t[i] to end_t[i] of that clock, and rests around it. Where a section takes another time than planned
+    (`retimed`), the plan's time is that of the place on the path where the command is.
     """
 
     executed_t: FloatArray  # (m,) s
     plan_t: FloatArray  # (m,) s
     begin_t: FloatArray  # (m,) s
     end_t: FloatArray  # (m,) s
+    retimed: BoolArray | None = None  # (m,); None: no section is
+    passed_t: FloatArray | None = None  # (k,) s, when the command passes some places,
+    due_t: FloatArray | None = None  # (k,) s, and when the plan does
 
     def plan_time(self, t: FloatArray) -> FloatArray:
         """Return the plan's time at each executed time, (k,) s → (k,) s."""
         i = np.maximum(np.searchsorted(self.executed_t, t, side="right") - 1, 0)
-        return np.clip(self.plan_t[i] + (t - self.executed_t[i]), self.begin_t[i], self.end_t[i])
+        planned = self.plan_t[i] + (t - self.executed_t[i])
+        if self.retimed is not None and self.passed_t is not None and self.due_t is not None:
+            planned = np.where(self.retimed[i], np.interp(t, self.passed_t, self.due_t), planned)
+        return np.clip(planned, self.begin_t[i], self.end_t[i])
 
 
 @dataclass(frozen=True, slots=True)
