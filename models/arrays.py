@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -16,3 +18,8 @@ def constant(values: ArrayLike) -> FloatArray:
     array = np.array(values, dtype=np.float64)
     array.setflags(write=False)
     return array
+
+
+def same_or_each(values: FloatArray) -> Any:
+    """Convert (3,) per tower to one number if all agree, else to a read-only array, as carriages' parameters are."""
+    return float(values[0]) if np.all(values == values[0]) else constant(values)

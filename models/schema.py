@@ -14,7 +14,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from models.arrays import FloatArray, constant
-from models.effects.catalogue import CATALOGUE
+from models.effects.catalogue import CATALOGUE, effects_of
+from models.effects.effect import PER_KILOGRAM
 from models.errors import MachineFileError
 from models.kinematics.base import Kinematics
 from models.kinematics.cartesian import CARTESIAN, COREXY, CartesianKinematics
@@ -34,7 +35,7 @@ Place = Annotated[float, Field(ge=-1000, le=10000)]
 Stiffness = Annotated[float, Field(ge=1, le=1e9)]
 Damping = Annotated[float, Field(ge=0, le=1e5)]
 TWO, THREE = Field(min_length=2, max_length=2), Field(min_length=3, max_length=3)
-UP_TO_TWO = Field(min_length=1, max_length=2)
+MODES = Field(min_length=1, max_length=8)
 
 DEFAULT_LIMITS = MotionLimits(velocity_mm_per_s=0, acceleration_mm_per_s2=0)  # these two have no default
 DEFAULT_STEPS = Steps()
@@ -72,13 +73,14 @@ class StraightTable(Table):
 class AxisTable(Table):
     """`[axes.x]` and its like: the modes of one axis."""
 
-    frequency_hz: Annotated[list[Annotated[float, Field(ge=1, le=1000)]], UP_TO_TWO]
-    damping_ratio: Annotated[list[Annotated[float, Field(ge=0, lt=1)]], UP_TO_TWO]
-    share: Annotated[list[Annotated[float, Field(gt=0, le=1)]], UP_TO_TWO] | None = None
+    frequency_hz: Annotated[list[Annotated[float, Field(ge=1, le=1000)]], MODES]
+    damping_ratio: Annotated[list[Annotated[float, Field(ge=0, lt=1)]], MODES]
+    share: Annotated[list[Annotated[float, Field(ge=-10, le=10)]], MODES] | None = None
+    mass_kg: float | None = Field(None, ge=0.001, le=1000)
 
     def axis(self) -> Axis:
         """Return the axis with its modes."""
-        return Axis(self.frequency_hz, self.damping_ratio, self.share or [1.0])
+        return Axis(self.frequency_hz, self.damping_ratio, self.share or [1.0], self.mass_kg)
 
 
 class AxesTable(Table):
@@ -90,7 +92,14 @@ class AxesTable(Table):
 
     @model_validator(mode="after")
     def _possible(self) -> AxesTable:
-        _refuse(problem for name in "xyz" for problem in _axis_problems(name, getattr(self, name)))
+        tables = {name: getattr(self, name) for name in "xyz" if getattr(self, name) is not None}
+        _refuse(problem for name, table in tables.items() for problem in _axis_problems(name, table))
+        weighed = [name for name, table in tables.items() if table.mass_kg is not None]
+        if weighed and len(weighed) < len(tables):
+            lacking = next(name for name in tables if name not in weighed)
+            _refuse(
+                [f"axes.{lacking}.mass_kg is missing; axes.{weighed[0]} has one. State the mass of all, or of none."]
+            )
         return self
 
     def axes(self) -> list[Axis]:
@@ -331,12 +340,25 @@ class StraightDocument(Document):
         """Return kinematics and vibration model."""
         return self.kinematics.geometry(), ModalAxes.of(self.axes.axes())
 
+    @model_validator(mode="before")
+    @classmethod
+    def _forces_per_kilogram(cls, document: Any) -> Any:
+        """Read `force_n_per_kg` as `force_n` of axes whose mass is 1, where no axis states its mass."""
+        tables, axes = document.get("effects"), document.get("axes")
+        if not isinstance(tables, dict):
+            return document
+        weighed = isinstance(axes, dict) and any(isinstance(t, dict) and "mass_kg" in t for t in axes.values())
+        _refuse(
+            problem for name, table in tables.items() for problem in _mass_problems(name, table, weighed) if problem
+        )
+        return {**document, "effects": {name: _plain_keys(table) for name, table in tables.items()}}
+
     @field_validator("effects")
     @classmethod
-    def _without_forces(cls, effects: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-        able = [name for name in CATALOGUE if name in OF_STRAIGHT_AXES or CATALOGUE[name].kind == "sensor"]
+    def _of_axes(cls, effects: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        able = effects_of("axes")
         _refuse(
-            f"effects.{name} is none of a machine with straight axes: modes know no forces and no arms. "
+            f"effects.{name} is none of a machine with straight axes: they have no arms and no effector. "
             f"Known there: {', '.join(able)}."
             for name in effects
             if name in CATALOGUE and name not in able
@@ -350,7 +372,6 @@ KINDS: Mapping[str, type[DeltaDocument | StraightDocument]] = {
     "cartesian": StraightDocument,
     "corexy": StraightDocument,
 }
-OF_STRAIGHT_AXES = ("command_delay", "cogging")
 
 
 def validated(document: Mapping[str, Any], path: str) -> DeltaDocument | StraightDocument:
@@ -391,14 +412,35 @@ def _refuse(problems: Iterable[str]) -> None:
         raise ValueError(text)
 
 
-def _axis_problems(name: str, table: AxisTable | None) -> Iterator[str]:
-    if table is None:
+def _mass_problems(name: str, table: Any, weighed: bool) -> Iterator[str]:
+    """Yield what is wrong with the keys of forces of an effect on axes whose mass is stated, or is not."""
+    if name not in CATALOGUE or not isinstance(table, dict):
         return
+    for key in table:
+        plain = key.removesuffix(PER_KILOGRAM)
+        if plain not in CATALOGUE[name].by_name or not CATALOGUE[name].parameter(plain).of_mass:
+            continue
+        if weighed and plain != key:
+            yield f"effects.{name}.{key}: the axes state their mass_kg, so this is {plain}."
+        elif not weighed and plain == key:
+            yield (
+                f"effects.{name}.{key}: no axis states its mass. State axes.x.mass_kg and axes.y.mass_kg, "
+                f"or give {key}{PER_KILOGRAM}, per kilogram of what the axis moves."
+            )
+
+
+def _plain_keys(table: Any) -> Any:
+    if not isinstance(table, dict):
+        return table
+    return {key.removesuffix(PER_KILOGRAM): value for key, value in table.items()}
+
+
+def _axis_problems(name: str, table: AxisTable) -> Iterator[str]:
     modes = len(table.frequency_hz)
     if len(table.damping_ratio) != modes or len(table.share or table.frequency_hz) != modes:
         yield f"axes.{name}: frequency_hz, damping_ratio and share must have as many numbers each, one for each mode."
-    elif table.share is None and modes == 2:
-        yield f"axes.{name}.share is missing; of two modes it says how much each takes of the response at rest."
+    elif table.share is None and modes > 1:
+        yield f"axes.{name}.share is missing; of several modes it says how much each takes of the response at rest."
     elif table.share is not None and abs(sum(table.share) - 1.0) > 1e-3:
         yield f"axes.{name}.share = {table.share} must sum to 1: at rest an axis stands where it is told to."
 
@@ -540,7 +582,7 @@ def _wrong_word(loc: tuple[int | str, ...], value: object, kind: str, context: M
 
 def _broken_rule(loc: tuple[int | str, ...], value: object, kind: str, context: Mapping[str, Any]) -> str:
     unit = unit_of(_key(loc).split("[")[0])
-    count = "two" if _key(loc) in PAIRS else "one or two" if _key(loc).startswith("axes.") else "three"
+    count = "two" if _key(loc) in PAIRS else "one to eight" if _key(loc).startswith("axes.") else "three"
     rule = RULES[kind].format(**context, count=count, unit=f" ({unit})" if unit else "")
     return f"{_key(loc)} = {'{…}' if isinstance(value, dict) else repr(value)} {rule}."
 

@@ -30,7 +30,7 @@ from models.effects.effect import Parameter as EffectParameter
 from models.machine import Machine
 from models.parameters import value_of, with_values
 from models.printer.kernels.record import LANES
-from models.printer.parameters import printer_parameters
+from models.printer.parameters import printer_modes, printer_parameters
 from models.printer.printer import SMOOTH_STEP_S, PrinterMotion, longest_step, simulate_printers
 
 STEP_S = 1 / 3200  # of a printer without dry friction or backlash: some nanometres off
@@ -160,7 +160,7 @@ class _Steps:
 
 
 def _steps(machine: Machine, rate_hz: float, coarse: bool) -> _Steps:
-    longest = longest_step(printer_parameters(machine))
+    longest = longest_step(printer_parameters(machine), printer_modes(machine))
     if longest == SMOOTH_STEP_S:
         longest = COARSE_STEP_S if coarse else STEP_S
     elif coarse:

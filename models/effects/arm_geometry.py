@@ -30,4 +30,5 @@ EFFECT = Effect(
     in_data="Wrong sizes and a bowed first layer; accelerations change by parts in a thousand.",
     confounded_with={"sensor_misalignment": "A measured print, not accelerations: they can hardly tell the two."},
     fold=fold,
+    of=("carriages",),
 )

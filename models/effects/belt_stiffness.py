@@ -6,16 +6,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from models.arrays import FloatArray
-from models.delta_machine import delta_vibration, with_parts
-from models.effects.effect import Effect, Parameter, same_or_each
+from models.effects.effect import Effect, Parameter
 from models.machine import Machine
 
 
 def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
     """Scale the belts' stiffness."""
-    carriage = delta_vibration(machine).carriage
-    stiffness = same_or_each(carriage.belt_stiffness_n_per_m * (1 + values["relative_change"]))
-    return with_parts(machine, carriage=replace(carriage, belt_stiffness_n_per_m=stiffness))
+    vibration = machine.vibration.with_belts(values["relative_change"], machine.kinematics.motors)
+    return replace(machine, vibration=vibration)
 
 
 EFFECT = Effect(

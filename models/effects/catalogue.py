@@ -10,7 +10,7 @@ from typing import Any
 
 from models import effects
 from models.arrays import FloatArray
-from models.effects.effect import Effect, Signals
+from models.effects.effect import PER_KILOGRAM, Effect, Signals
 from models.machine import Machine
 
 NOT_EFFECTS = {"catalogue", "dry", "effect"}  # files of this folder that declare no effect
@@ -36,6 +36,17 @@ def effect_named(name: str) -> Effect:
     if name not in CATALOGUE:
         raise ValueError(f"effects.{name} is not an effect ffcomp knows; it knows {', '.join(CATALOGUE)}.")
     return CATALOGUE[name]
+
+
+def effects_of(moves: str) -> tuple[str, ...]:
+    """Return the names of the effects of machines whose motors move that (`VibrationModel.moves`)."""
+    return tuple(name for name, effect in CATALOGUE.items() if moves in effect.of)
+
+
+def key_in_file(machine: Machine, effect: str, key: str) -> str:
+    """Return the key of a parameter in the machine's file: `force_n`, or `force_n_per_kg` where no mass is stated."""
+    per_kilogram = machine.vibration.per_kilogram and effect_named(effect).parameter(key).of_mass
+    return f"{key}{PER_KILOGRAM}" if per_kilogram else key
 
 
 def values_of(machine: Machine, name: str) -> dict[str, FloatArray] | None:

@@ -31,4 +31,5 @@ EFFECT = Effect(
     in_data="With force_map 'paper': towers differ. With 'virtual_work': nothing at all.",
     confounded_with={"force_map": "Which tower is off: a change of map shows on a centred mass too."},
     fold=fold,
+    of=("carriages",),
 )

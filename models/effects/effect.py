@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from models.arrays import FloatArray, constant
+from models.arrays import FloatArray
 from models.machine import Machine
 
 Kind = Literal["parameter", "force", "command", "frame", "sensor"]
@@ -20,6 +20,7 @@ DIRECTIONS: Mapping[str, tuple[tuple[float, float], ...]] = {
     "y": ((0.0, 1.0),),
     "both": ((1.0, 0.0), (0.0, 1.0)),
 }
+PER_KILOGRAM = "_per_kg"  # ending of a key whose force is per kilogram of what moves
 UNIT_TOLERANCE = 1e-3  # a unit vector written with four digits is one
 
 
@@ -48,6 +49,11 @@ class Parameter:
     def neutral(self) -> float:
         """The value of an amplitude without effect."""
         return 0.0 if self.power > 0 else math.inf
+
+    @property
+    def of_mass(self) -> bool:
+        """Whether it is a force or a mass: per kilogram on axes whose mass nobody knows."""
+        return self.unit.startswith(("N", "kg"))
 
     @property
     def absent(self) -> Any:
@@ -120,6 +126,7 @@ class Effect:
     confounded_with: Mapping[str, str] = field(default_factory=dict)
     fold: Callable[[Machine, Mapping[str, FloatArray]], Machine] | None = None
     measure: Callable[[Signals, Mapping[str, FloatArray]], Signals] | None = None
+    of: tuple[str, ...] = ("carriages", "axes")  # `VibrationModel.moves` of the machines that may have it
 
     def parameter(self, name: str) -> Parameter:
         """Return the parameter of that name; KeyError if there is none."""
@@ -145,11 +152,6 @@ class Effect:
         if not any(amplitude.name in table for amplitude in self.amplitudes):
             return []
         return [shape.name for shape in self.shapes if shape.default is None and shape.name not in table]
-
-
-def same_or_each(values: FloatArray) -> Any:
-    """Convert (3,) per tower to one number if all agree, else to a read-only array, as carriages' parameters are."""
-    return float(values[0]) if np.all(values == values[0]) else constant(values)
 
 
 def resampled(signals: Signals, t_s: FloatArray) -> Signals:

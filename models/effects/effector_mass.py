@@ -31,4 +31,5 @@ EFFECT = Effect(
         "effector.extruder_mass_kg": "The mode of the extruder on its mount: mass on the holder lifts it.",
     },
     fold=fold,
+    of=("carriages",),
 )

@@ -41,4 +41,5 @@ EFFECT = Effect(
         "effector.extruder_mass_kg": "The antiresonance and the mode together: mass shifts both, stiffness one."
     },
     fold=fold,
+    of=("carriages",),
 )

@@ -33,4 +33,5 @@ EFFECT = Effect(
     in_data="The lowest modes are off by a factor near 1.5, differently over the bed.",
     confounded_with={"effector_mass": "Three places on the bed: no single mass mends all of them."},
     fold=fold,
+    of=("carriages",),
 )

@@ -6,16 +6,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from models.arrays import FloatArray
-from models.delta_machine import delta_vibration, with_parts
-from models.effects.effect import Effect, Parameter, same_or_each
+from models.effects.effect import Effect, Parameter
 from models.machine import Machine
 
 
 def fold(machine: Machine, values: Mapping[str, FloatArray]) -> Machine:
     """Add the damping to the guides."""
-    carriage = delta_vibration(machine).carriage
-    damping = same_or_each(carriage.guide_damping_n_s_per_m + values["added_n_s_per_m"])
-    return with_parts(machine, carriage=replace(carriage, guide_damping_n_s_per_m=damping))
+    return replace(machine, vibration=machine.vibration.with_guide_damping(values["added_n_s_per_m"]))
 
 
 EFFECT = Effect(

@@ -17,4 +17,5 @@ EFFECT = Effect(
     ),
     in_data="Jumps of the nozzle's acceleration at reversals of the path, shared by all three towers.",
     confounded_with={"coulomb_friction": "One tower at a time: guide friction stays on the tower that turns back."},
+    of=("carriages",),
 )

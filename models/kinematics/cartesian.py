@@ -156,6 +156,11 @@ class CartesianKinematics(Kinematics):
         """Return how far beyond `model_reach_mm` the arms could still go before one lies flat."""
         return np.inf
 
+    def printer_parameters(self) -> dict[str, FloatArray | float]:
+        """Return the fields of the nonlinear printer's record that follow from the kinematics, SI."""
+        to_axes: FloatArray = np.linalg.inv(self.motor_matrix).astype(np.float64)
+        return {"motor_matrix": self.motor_matrix, "axis_matrix": to_axes}
+
     @property
     def motors(self) -> FloatArray:
         """Return (3, 3) mm/mm: the motors' motion from the carriages'."""

@@ -27,10 +27,13 @@ def printer_parameters(machine: Machine, *, gravity: bool = True) -> PrinterPara
         effect_named(name)  # raises if it is unknown
     effective = effective_machine(machine)
     model = effective.vibration.printer_parameters(GRAVITY_M_PER_S2 if gravity else 0.0)
+    geometry = effective.kinematics.printer_parameters()
+    motor_k = np.asarray(geometry.get("axis_matrix", np.eye(3))).T ** 2 @ np.broadcast_to(model["belt_k"], 3)
     parts = {
-        **effective.kinematics.printer_parameters(),
+        **geometry,
         **model,
-        **_belt_effects(effective, model["belt_k"]),
+        "motor_k": motor_k,
+        **_belt_effects(effective, motor_k),
         **_motor_effects(effective),
         **_friction_effects(effective),
         **_frame_effect(effective, float(model["holder_mass"])),
@@ -41,7 +44,12 @@ def printer_parameters(machine: Machine, *, gravity: bool = True) -> PrinterPara
     return record.view(np.recarray)[0]
 
 
-def _belt_effects(machine: Machine, stiffness: FloatArray | float) -> PrinterFields:
+def printer_modes(machine: Machine) -> FloatArray:
+    """Return the modes of a machine with straight axes and its effects, (n, 6, 3) SI; none of a delta."""
+    return effective_machine(machine).vibration.printer_modes()
+
+
+def _belt_effects(machine: Machine, stiffness: FloatArray) -> PrinterFields:
     part: PrinterFields = {"peak_stretch": np.inf}
     if (values := values_of(machine, "belt_hardening")) is not None:
         cubic, quintic = values["cubic_n_per_m3"], values["quintic_n_per_m5"]
@@ -56,7 +64,7 @@ def _belt_effects(machine: Machine, stiffness: FloatArray | float) -> PrinterFie
     return part
 
 
-def _peak_stretch(stiffness: FloatArray | float, cubic: FloatArray, quintic: FloatArray) -> FloatArray:
+def _peak_stretch(stiffness: FloatArray, cubic: FloatArray, quintic: FloatArray) -> FloatArray:
     """Return the least stretch s > 0 with k + 3 k₃ s² + 5 k₅ s⁴ = 0 : (3,) m; infinite where the force has no peak."""
     inside = 9 * cubic**2 - 20 * stiffness * quintic
     # 2 k/(−3 k₃ + √…) is the smaller root s², and holds for k₅ = 0 too
@@ -113,4 +121,5 @@ def _frame_effect(machine: Machine, holder_mass_kg: float) -> PrinterFields:
         "frame_mass_ratio": holder_mass_kg / (float(values["mass_kg"]) + holder_mass_kg),
         "frame_k": omega**2,
         "frame_b": 2 * float(values["damping_ratio"]) * omega,
+        "frame_inverse_mass": 1 / float(values["mass_kg"]),
     }

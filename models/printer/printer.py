@@ -1,8 +1,8 @@
 """Simulate the motion of the nonlinear printer under commanded carriage heights.
 
-The model has full delta kinematics with J̇ q̇, gravity, drives, belts, guides, half the arms' masses at either end, the
-extruder on its mount, and all effects of `models/effects` that the machine lists. Its equations are in
-`models/printer/kernels`.
+A delta has full kinematics with J̇ q̇, gravity, drives, belts, guides, half the arms' masses at either end, and the
+extruder on its mount; straight axes have their modes. Both have all effects of `models/effects` that the machine lists.
+The equations are in `models/printer/kernels`, of straight axes in `axes.py` there.
 
 Lengths mm, velocities mm/s, accelerations m/s² (as accelerometers are read), time s.
 """
@@ -22,16 +22,20 @@ from models.effects.catalogue import effective_machine
 from models.effects.effect import Signals
 from models.errors import UnreachableError
 from models.machine import Machine
+from models.printer.kernels.axes import BELT_DAMPING, FIRST, FREQUENCY2, SHARE
 from models.printer.kernels.equilibrium import find_equilibrium
 from models.printer.kernels.integrate import integrate
+from models.printer.kernels.integrate_axes import integrate_axes
 from models.printer.kernels.record import LANES, STATES, PrinterParameters, Q, V, parameter_table
 from models.printer.kernels.spline import cubic_spline
-from models.printer.parameters import printer_parameters
+from models.printer.parameters import printer_modes, printer_parameters
 
 SMOOTH_STEP_S = 1 / 6400  # a quarter of a nanometre on a violent motion
 KINKED_STEP_S = 1 / 12800  # with backlash or dry friction; with strong friction down to
 FINEST_STEP_S = 1 / 25600
 SPLINE_ROWS = 24  # a cubic spline forgets a row's neighbours by 0.27 a row: 1e-14 after these
+
+WELL_FOLLOWED, RESOLVED = 0.6, 2.5  # step x the quickest mode's ω; step x a rigid axis' pole, below 2.78
 
 # friction / (speed x inertia) x step; guides and joints together below 2.78, where a Runge-Kutta step of order 4 grows
 GUIDE_STIFFNESS, JOINT_STIFFNESS = 1.9, 0.8
@@ -48,7 +52,7 @@ class PrinterState:
     """The state at the end of a simulation, from which it can be continued."""
 
     t_s: float
-    values: FloatArray  # (30,) SI, see `kernels.record`
+    values: FloatArray  # SI: (30,), see `kernels.record`; of straight axes (rows, 3), see `kernels.axes`
     history: FloatArray  # (k, 3) mm, the command's last rows, the border row among them
 
 
@@ -155,11 +159,12 @@ class _Task:
     """One simulation, ready for a lane."""
 
     parameters: PrinterParameters
+    modes: FloatArray  # (n, 6, 3) of straight axes, n = 0 of a delta; see `VibrationModel.printer_modes`
     steps: int  # from row to row
     cubics: FloatArray  # (n, 3, 4), see `kernels.motors.Commands`
     first: int  # row of the command at which it begins
     begin_s: float
-    values: FloatArray  # (30,) SI, state there
+    values: FloatArray  # state there, see `PrinterState`
     history: FloatArray  # (k, 3) mm, see `PrinterState`
 
 
@@ -173,21 +178,22 @@ def _task(
     start: PrinterState | None = None,
 ) -> _Task:
     """Prepare the simulation of a machine under a command : (n, 3) mm with its cubics."""
-    p = printer_parameters(machine, gravity=gravity)
-    steps = substeps or math.ceil(dt_s / longest_step(p) * (1 - 1e-9))
+    p, modes = printer_parameters(machine, gravity=gravity), printer_modes(machine)
+    steps = substeps or math.ceil(dt_s / longest_step(p, modes) * (1 - 1e-9))
     _limit_stiffness(p, dt_s / steps)
+    modes = _limit_rigidity(modes, dt_s / steps)
     kept = math.ceil(float(np.max(p.delay)) / dt_s) + SPLINE_ROWS + 1
     if start is None:
-        return _Task(p, steps, cubics, 0, 0.0, equilibrium_state(machine, command[0], p), command[-kept:].copy())
+        return _Task(p, modes, steps, cubics, 0, 0.0, equilibrium_state(machine, command[0], p), command[-kept:].copy())
     history = np.concatenate([start.history[:-1], command])[-kept:]
-    return _Task(p, steps, cubics, len(start.history) - 1, start.t_s, start.values, history)
+    return _Task(p, modes, steps, cubics, len(start.history) - 1, start.t_s, start.values, history)
 
 
 def _batches(tasks: Mapping[int, _Task]) -> Iterator[list[int]]:
-    """Group tasks for the lanes: of one kind, steps from row to row and first row, and of about one length."""
+    """Group tasks for the lanes: of as many modes, alike motors, steps and first row, and of about one length."""
 
-    def kind(i: int) -> tuple[bool, int, int]:
-        return bool(tasks[i].parameters.arms_squared.any()), tasks[i].steps, tasks[i].first
+    def kind(i: int) -> tuple[int, bytes, int, int]:
+        return len(tasks[i].modes), tasks[i].parameters.motor_matrix.tobytes(), tasks[i].steps, tasks[i].first
 
     for _, group in groupby(sorted(tasks, key=lambda i: (kind(i), len(tasks[i].cubics))), kind):
         names = list(group)
@@ -202,18 +208,30 @@ def _simulate(tasks: Sequence[_Task], dt_s: float) -> list[PrinterMotion | Unrea
     ranges = [(ends[id(task.cubics)] - len(task.cubics), ends[id(task.cubics)]) for task in tasks]
     first, steps = tasks[0].first, tasks[0].steps
     cubics = np.concatenate(list(commands.values())) if len(commands) > 1 else tasks[0].cubics
-    samples = integrate(values, parameters, cubics, np.array(ranges, dtype=np.int64), first, dt_s, steps, UNITS)
+    where = (np.array(ranges, dtype=np.int64), first, dt_s, steps, UNITS)
+    if len(tasks[0].modes):
+        motors = np.einsum("ma,nac->nmc", tasks[0].parameters.motor_matrix, cubics)
+        samples = integrate_axes(values, np.array([task.modes for task in tasks]), parameters, motors, *where)
+    else:
+        samples = integrate(values, parameters, cubics, *where)
     lanes = zip(tasks, zip(*samples, strict=True), values, strict=True)
     return [_motion(task, own, end, dt_s) for task, own, end in lanes]
 
 
-def longest_step(p: PrinterParameters) -> float:
+def longest_step(p: PrinterParameters, modes: FloatArray) -> float:
     """Return the longest step, s, for this printer: shorter with backlash, and with dry friction at its reversals."""
     friction = float(np.max(p.dry + p.sticking))
+    smooth = min(SMOOTH_STEP_S, longest_of_modes(modes))
     if friction == p.joint_dry == np.max(p.half_backlash) == 0:
-        return SMOOTH_STEP_S
+        return smooth
     gentle = float(np.min(p.creep)) * GUIDE_STIFFNESS * p.least_inertia / max(friction, 1e-9)
-    return float(np.clip(gentle, FINEST_STEP_S, KINKED_STEP_S))
+    return float(np.clip(gentle, FINEST_STEP_S, min(KINKED_STEP_S, smooth)))
+
+
+def longest_of_modes(modes: FloatArray) -> float:
+    """Return the longest step, s, that follows the quickest mode of straight axes; infinite without any."""
+    swinging = modes[:, FREQUENCY2] * (modes[:, BELT_DAMPING] == 0.0) * (modes[:, SHARE] != 0.0)
+    return float(WELL_FOLLOWED / np.sqrt(np.max(swinging))) if swinging.any() else math.inf
 
 
 def _limit_stiffness(p: PrinterParameters, step_s: float) -> None:
@@ -222,8 +240,23 @@ def _limit_stiffness(p: PrinterParameters, step_s: float) -> None:
     p.joint_creep = max(p.joint_creep, p.joint_dry * step_s / (JOINT_STIFFNESS * p.holder_mass))
 
 
+def _limit_rigidity(modes: FloatArray, step_s: float) -> FloatArray:
+    """Slow a rigid axis down to what the step can resolve, with the same damping ratio."""
+    if not modes[:, BELT_DAMPING].any():
+        return modes
+    slower = np.ones_like(modes[:, 0])
+    rigid = modes[:, BELT_DAMPING] > 0.0
+    omega, c = np.sqrt(modes[:, FREQUENCY2][rigid]), modes[:, BELT_DAMPING][rigid]
+    quickest = np.maximum(0.5 * c + np.sqrt(np.maximum(0.25 * c**2 - omega**2, 0.0)), omega)
+    slower[rigid] = np.minimum(RESOLVED / (quickest * step_s), 1.0)
+    limited = modes.copy()
+    limited[:, FREQUENCY2] *= slower**2
+    limited[:, BELT_DAMPING] *= slower
+    return limited
+
+
 def equilibrium_state(machine: Machine, command: FloatArray, p: PrinterParameters) -> FloatArray:
-    """Return the equilibrium : (30,) SI under the command : (3,) mm, with belts stretched by weight.
+    """Return the state of equilibrium, SI, under the command : (3,) mm, with belts stretched by weight.
 
     Raises
     ------
@@ -233,12 +266,22 @@ def equilibrium_state(machine: Machine, command: FloatArray, p: PrinterParameter
         If there is no equilibrium.
     """
     effective_machine(machine).kinematics.forward(command[None])  # raises where the arms cannot join the carriages
+    modes = printer_modes(machine)
+    if len(modes):
+        return _axes_at_rest(modes, command / 1e3)
     states = np.zeros((1, STATES))
     states[0, V : V + 3] = states[0, Q : Q + 3] = command / 1e3
     (moved,) = find_equilibrium(states, parameter_table([p]))
     if not moved < EQUILIBRIUM_TOLERANCE_M:
         raise ValueError(f"The printer cannot rest with its carriages at {command} mm: its motors do not hold it.")
     return states[0]
+
+
+def _axes_at_rest(modes: FloatArray, command_m: FloatArray) -> FloatArray:
+    """Return the state (rows, 3) of straight axes under a command (3,) m: nothing loads their belts."""
+    state = np.zeros((FIRST + 2 * len(modes), 3))
+    state[FIRST::2] = modes[:, SHARE] * command_m
+    return state
 
 
 def _cubic(rows: FloatArray, ahead: FloatArray, dt_s: float) -> FloatArray:

@@ -110,6 +110,8 @@ class VibrationModel(ABC):
     """Whether weight stretches what vibrates."""
     diagnosable: ClassVar[bool]
     """Whether `gap` and `diagnose` know what its printer feels."""
+    moves: ClassVar[Literal["carriages", "axes"]] = "carriages"
+    """What the motors move, and with it which effects there may be."""
 
     @property
     @abstractmethod
@@ -214,6 +216,32 @@ class VibrationModel(ABC):
     @abstractmethod
     def printer_parameters(self, gravity_m_per_s2: float) -> PrinterFields:
         """Return what the nonlinear printer's kernels need of the model, SI."""
+
+    def printer_modes(self) -> FloatArray:
+        """Return the modes of straight axes, (n, 6, 3), see `models/printer/kernels/axes.py`; none of other models."""
+        return np.zeros((0, 6, 3))
+
+    @property
+    def per_kilogram(self) -> bool:
+        """Return whether forces are per kilogram of what moves, because its mass is not known."""
+        return False
+
+    @property
+    @abstractmethod
+    def tunable(self) -> tuple[str, ...]:
+        """Return the machine file's numbers that a measurement of vibrations may correct."""
+
+    @abstractmethod
+    def with_belts(self, relative_change: FloatArray, motors: FloatArray) -> Self:
+        """Return the model with belts stiffer by (3,), of motors that move as (3, 3) of the actuators says."""
+
+    @abstractmethod
+    def with_guide_damping(self, added_n_s_per_m: FloatArray) -> Self:
+        """Return the model with more friction (3,) of the guides, in proportion to speed."""
+
+    def with_moved_mass(self, added_kg: FloatArray) -> Self:
+        """Return the model with so much more (3,) on its actuators."""
+        raise ValueError("This machine's carriages have a mass of their own; moved_mass is of straight axes.")
 
     @abstractmethod
     def describe(self) -> Description:

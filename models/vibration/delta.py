@@ -30,7 +30,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from models.arrays import ComplexArray, FloatArray, constant
+from models.arrays import ComplexArray, FloatArray, constant, same_or_each
 from models.kinematics.base import Kinematics
 from models.kinematics.delta import DeltaKinematics
 from models.vibration.base import Description, Parameter, ParameterSet, PrinterFields, VibrationModel
@@ -325,6 +325,27 @@ class DeltaVibration(VibrationModel):
         places = np.vstack([np.zeros((1, 2)), reach * np.column_stack([np.cos(angles), np.sin(angles)])])
         load = self.nozzle_side_mass_kg * self.load_map(places) @ self.kinematics.jacobian(places)
         return float(np.linalg.eigvals(self.carriage.moving_mass_kg * np.eye(3) + load).real.min())
+
+    @property
+    def tunable(self) -> tuple[str, ...]:
+        """Return the machine file's numbers that a measurement of vibrations may correct."""
+        drive = DRIVE if self.carriage.drive is not None else ()
+        return (
+            *(f"carriage.{key}" for key in CARRIAGE),
+            *(f"carriage.drive.{key}" for key in drive),
+            *(f"effector.{key}" for key in EFFECTOR),
+            *(f"effector.{key}[{i}]" for key in MOUNT for i in range(3)),
+        )
+
+    def with_belts(self, relative_change: FloatArray, motors: FloatArray) -> DeltaVibration:
+        """Return the model with belts stiffer by (3,), one a carriage."""
+        stiffness = same_or_each(self.carriage.belt_stiffness_n_per_m * (1 + relative_change))
+        return replace(self, carriage=replace(self.carriage, belt_stiffness_n_per_m=stiffness))
+
+    def with_guide_damping(self, added_n_s_per_m: FloatArray) -> DeltaVibration:
+        """Return the model with more friction (3,) of the guides, in proportion to speed."""
+        damping = same_or_each(self.carriage.guide_damping_n_s_per_m + added_n_s_per_m)
+        return replace(self, carriage=replace(self.carriage, guide_damping_n_s_per_m=damping))
 
     def describe(self) -> Description:
         """Return the words for headings."""

@@ -15,7 +15,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -23,11 +23,10 @@ from models.arrays import ComplexArray, FloatArray
 from models.vibration.base import Description, Parameter, ParameterSet, PrinterFields, VibrationModel
 from models.vibration.state_space import StateSpace
 
-SILENT_HZ, SILENT_DAMPING = 400.0, 1.1  # of a second oscillator that takes no part; it does not swing
 RIGID_HZ, RIGID_DAMPING = 1500.0, 1.1
 AXES = ("x", "y", "z")
 KINDS = ("mass", "stiffness", "belt_damping", "damping")
-PRINTER_MODES = 2  # of an axis, that the nonlinear printer's kernels hold
+FILE_KINDS = ("frequency_hz", "damping_ratio", "share")
 NAME = re.compile(r"axes\.(?P<axis>[xyz])\.(?P<kind>\w+)\[(?P<mode>\d+)\]")
 # what a draw of 20 deviates moves, as when an axis had exactly two oscillators: the same seeds give the same machines
 COLUMNS = 20
@@ -41,6 +40,7 @@ class Axis:
     frequency_hz: Sequence[float] = ()  # undamped
     damping_ratio: Sequence[float] = ()
     share: Sequence[float] = (1.0,)
+    mass_kg: float | None = None  # all that the belt moves; None: forces are per kilogram of it
 
     @property
     def oscillators(self) -> tuple[Oscillator, ...]:
@@ -64,6 +64,30 @@ class Oscillator:
     share: float = 1.0  # σ, of either sign
     mass: float = 1.0  # m
 
+    @property
+    def frequency_hz(self) -> float:
+        """Return the undamped natural frequency."""
+        return float(np.sqrt(self.stiffness / self.mass) / (2 * np.pi))
+
+    @property
+    def damping_ratio(self) -> float:
+        """Return ζ of the mode with its motor held."""
+        return float((self.damping + self.belt_damping) / (2 * np.sqrt(self.stiffness * self.mass)))
+
+    def with_value(self, kind: str, value: float) -> Oscillator:
+        """Return the mode with one number replaced."""
+        if kind == "frequency_hz":
+            more = value / self.frequency_hz
+            return replace(
+                self,
+                stiffness=self.stiffness * more**2,
+                damping=self.damping * more,
+                belt_damping=self.belt_damping * more,
+            )
+        if kind == "damping_ratio":
+            return replace(self, damping=2 * value * float(np.sqrt(self.stiffness * self.mass)) - self.belt_damping)
+        return replace(self, **{kind: value})
+
 
 def _oscillator(omega: float, zeta: float, share: float) -> Oscillator:
     return Oscillator(omega**2, 2 * zeta * omega, share=share)
@@ -74,17 +98,20 @@ class ModalAxes(VibrationModel):
     """Three straight axes with one or more modes each, the same at every position."""
 
     axes: tuple[tuple[Oscillator, ...], tuple[Oscillator, ...], tuple[Oscillator, ...]]
+    masses_kg: tuple[float | None, ...] = (None, None, None)  # M of each axis, where it is known
+    exchange: float = 0.0  # δ of belts that move x and y together
 
     position_dependent: ClassVar[bool] = False
     channels: ClassVar[tuple[str, str, str]] = AXES
     gravity_loaded: ClassVar[bool] = False  # weight stands on the frame, not on what vibrates
     diagnosable: ClassVar[bool] = False
+    moves: ClassVar[Literal["carriages", "axes"]] = "axes"
 
     @classmethod
     def of(cls, axes: Sequence[Axis]) -> ModalAxes:
         """Return the model of three axes X Y Z."""
         x, y, z = (axis.oscillators for axis in axes)
-        return cls((x, y, z))
+        return cls((x, y, z), tuple(axis.mass_kg for axis in axes))
 
     def _each(self) -> Iterator[tuple[int, int, Oscillator]]:
         """Yield axis, number on the axis and oscillator, in the order of the states."""
@@ -112,18 +139,76 @@ class ModalAxes(VibrationModel):
         return ParameterSet(tuple(found), max(COLUMNS, *(p.column + 1 for p in found)))
 
     def value(self, name: str) -> float:
-        """Return one parameter; KeyError if there is none of this name."""
+        """Return one parameter, also by the file's own keys; KeyError if there is none of this name."""
         axis, i, kind = _parsed(name)
+        if i >= len(self.axes[axis]):
+            raise KeyError(name)
         return float(getattr(self.axes[axis][i], kind))
 
     def with_parameters(self, values: Mapping[str, float]) -> ModalAxes:
-        """Return the model with some parameters replaced; KeyError for an unknown name."""
+        """Return the model with some parameters replaced; KeyError for an unknown name.
+
+        By the file's keys, a frequency keeps its damping ratio.
+        """
         axes = [list(modes) for modes in self.axes]
         for name, value in values.items():
             axis, i, kind = _parsed(name)
-            axes[axis][i] = replace(axes[axis][i], **{kind: float(value)})
+            axes[axis][i] = axes[axis][i].with_value(kind, float(value))
+        return self._with_axes(axes)
+
+    def _with_axes(self, axes: Sequence[Sequence[Oscillator]]) -> ModalAxes:
         x, y, z = (tuple(modes) for modes in axes)
-        return ModalAxes((x, y, z))
+        return replace(self, axes=(x, y, z))
+
+    @property
+    def tunable(self) -> tuple[str, ...]:
+        """Return the file's numbers that a measurement may correct: frequency and damping of every mode."""
+        return tuple(
+            f"axes.{AXES[axis]}.{key}[{i}]"
+            for axis, i, mode in self._each()
+            if not mode.belt_damping
+            for key in ("frequency_hz", "damping_ratio")
+        )
+
+    # ---- forces
+
+    @property
+    def moved_kg(self) -> FloatArray:
+        """Return M of each axis, (3,) kg; 1 where it is not known."""
+        return np.array([1.0 if mass is None else mass for mass in self.masses_kg])
+
+    @property
+    def drive_stiffness(self) -> FloatArray:
+        """Return k between motor and driven point of each axis, (3,) N/m, or per kilogram."""
+        slack = [sum(abs(o.share) * o.mass / o.stiffness for o in modes) / _total(modes) for modes in self.axes]
+        return self.moved_kg / np.array(slack)
+
+    @property
+    def per_kilogram(self) -> bool:
+        """Return whether forces are per kilogram of what moves, because its mass is not known."""
+        return all(mass is None for mass in self.masses_kg)
+
+    def with_belts(self, relative_change: FloatArray, motors: FloatArray) -> ModalAxes:
+        """Return the model with belts stiffer by (3,), of motors that move as (3, 3) of the axes says."""
+        seen = np.linalg.inv(motors) @ np.diag(relative_change) @ motors  # by the axes
+        stiffer = self._changed(stiffer=np.diag(seen))
+        return replace(stiffer, exchange=self.exchange + float(seen[0, 1] / (1 + seen[0, 0])))
+
+    def with_guide_damping(self, added_n_s_per_m: FloatArray) -> ModalAxes:
+        """Return the model with more friction (3,) of the guides, in proportion to speed."""
+        return self._changed(damped=added_n_s_per_m)
+
+    def with_moved_mass(self, added_kg: FloatArray) -> ModalAxes:
+        """Return the model with so much more (3,) on the axes' driven points."""
+        heavier = self._changed(heavier=added_kg)
+        return replace(heavier, masses_kg=tuple((self.moved_kg + added_kg).tolist()))
+
+    def _changed(
+        self, stiffer: FloatArray | float = 0.0, damped: FloatArray | float = 0.0, heavier: FloatArray | float = 0.0
+    ) -> ModalAxes:
+        changes = np.stack([np.broadcast_to(x, 3) for x in (stiffer, damped, heavier)], axis=1)
+        each = zip(self.axes, self.drive_stiffness, changes.tolist(), strict=True)
+        return self._with_axes([_with_forces(modes, k, *change) if any(change) else modes for modes, k, change in each])
 
     # ---- the equations
 
@@ -133,15 +218,34 @@ class ModalAxes(VibrationModel):
 
     def axis_frf(self, s: ComplexArray) -> ComplexArray:
         """Return q/u of each axis: (k, 3) for s (k,) 1/s."""
-        found = np.zeros((len(s), 3), dtype=np.complex128)
+        return self._axis_frf(s)[0]
+
+    def _axis_frf(self, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return q/w and q_d/w of each axis: (k, 3) for s (k,) 1/s."""
+        found, driven = np.zeros((2, len(s), 3), dtype=np.complex128)
         for axis, _, o in self._each():
             drive = o.belt_damping * s + o.stiffness
-            found[:, axis] += o.share * drive / (o.mass * s**2 + (o.belt_damping + o.damping) * s + o.stiffness)
-        return found
+            mode = o.share * drive / (o.mass * s**2 + (o.belt_damping + o.damping) * s + o.stiffness)
+            found[:, axis] += mode
+            driven[:, axis] += mode * self._part(axis, o)
+        return found, driven
+
+    def _part(self, axis: int, mode: Oscillator) -> float:
+        """Return how much of a mode's p is in q_d."""
+        return float(np.sign(mode.share)) / _total(self.axes[axis])
+
+    @property
+    def _coupling(self) -> FloatArray:
+        """Return C of w = u + C (u − q_d), (3, 3)."""
+        return self.exchange * np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 
     def carriage_response(self, xy: FloatArray, s: ComplexArray) -> ComplexArray:
         """Return G, commanded to real actuator positions, at (2,) mm and s (k,) 1/s: (k, 3, 3)."""
-        return np.asarray(self.axis_frf(s)[:, None, :] * np.eye(3))
+        found, driven = self._axis_frf(s)
+        if not self.exchange:
+            return np.asarray(found[:, None, :] * np.eye(3))
+        c, eye = self._coupling, np.eye(3)
+        return np.asarray(found[:, :, None] * np.linalg.solve(eye + c * driven[:, None, :], eye + c))
 
     def mechanics(self, xy: FloatArray) -> FloatArray:
         """Return d/dt of the m/2 coordinates and their rates with the motors held, (n, m, m), at (n, 2) mm."""
@@ -164,6 +268,13 @@ class ModalAxes(VibrationModel):
             a[rate, p], a[rate, rate] = -o.stiffness / o.mass, -(o.belt_damping + o.damping) / o.mass
             command[rate, axis], slope[rate, axis] = o.share * o.stiffness / o.mass, o.share * o.belt_damping / o.mass
             carriage[axis, p] = 1.0
+        for m, (axis, _, o) in enumerate(each if self.exchange else ()):
+            other, own = 1 - axis, 2 * m + 1
+            if axis < 2:
+                command[own, other] = o.share * o.stiffness / o.mass * self.exchange
+                for k, (of, _, mode) in enumerate(each):
+                    if of == other:
+                        a[own, 2 * k] -= command[own, other] * self._part(of, mode)
 
         def everywhere(matrix: FloatArray) -> FloatArray:
             return np.tile(matrix, (len(xy), 1, 1))
@@ -175,7 +286,7 @@ class ModalAxes(VibrationModel):
             everywhere(np.zeros((n, 3))),
             carriage,
             tuple(f"{kind}_{AXES[axis]}{i + 1}" for axis, i, _ in each for kind in ("pos", "vel")),
-            oscillators=np.array([axis for axis, _, _ in each]),
+            oscillators=np.array([] if self.exchange else [axis for axis, _, _ in each], dtype=np.int64),
         )
 
     def low_frequency(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -209,33 +320,59 @@ class ModalAxes(VibrationModel):
 
     def printer_parameters(self, gravity_m_per_s2: float) -> PrinterFields:
         """Return what the nonlinear printer's kernels need of the model, SI."""
-        if max(map(len, self.axes)) > PRINTER_MODES:
-            raise ValueError(f"The nonlinear printer holds at most {PRINTER_MODES} modes an axis.")
-        silent = _oscillator(2 * np.pi * SILENT_HZ, SILENT_DAMPING, 0.0)
-        first, second = [modes[0] for modes in self.axes], [(*modes, silent)[1] for modes in self.axes]
+        k = self.drive_stiffness
+        mobility = [sum(abs(o.share) * o.stiffness / o.mass for o in modes) / _total(modes) for modes in self.axes]
         return {
-            "first_share": np.array([o.share for o in first]),
-            "carriage_mass": 1.0,
-            "belt_k": np.array([o.stiffness / o.mass for o in first]),
-            "belt_c": np.array([o.belt_damping / o.mass for o in first]),
-            "guide_b": np.array([o.damping / o.mass for o in first]),
+            "carriage_mass": self.moved_kg,
+            "belt_k": k,
+            "uneven": np.array([self.exchange, -self.exchange, 0.0]),
             "ideal_drive": True,
-            "shares": np.stack([np.eye(3)] * 3),
             "holder_mass": 1.0,
             "extruder_mass": 1.0,
-            "mount_k": np.array([o.stiffness / o.mass for o in second]),
-            "mount_b": np.array([o.damping / o.mass for o in second]),
-            "least_inertia": 1.0,
+            "least_inertia": float(np.min(k / np.array(mobility))),
         }
+
+    def printer_modes(self) -> FloatArray:
+        """Return the modes of the axes, (n, 6, 3): ω², b/m, c/m, σ, part of q_d, N s²/m of the frame's reaction."""
+        table = np.zeros((max(map(len, self.axes)), 6, 3))
+        table[:, 0] = table[:, 1] = 1.0  # of a mode that takes no part
+        for (axis, i, o), k in ((each, self.drive_stiffness[each[0]]) for each in self._each()):
+            omega2, part = o.stiffness / o.mass, self._part(axis, o)
+            table[i, :, axis] = omega2, o.damping / o.mass, o.belt_damping / o.mass, o.share, part, k * part / omega2
+        return table
 
     def describe(self) -> Description:
         """Return the words for headings."""
         return Description("straight axes", None)
 
 
-def _parameter(axis: int, mode: int, kind: str, value: float) -> Parameter:
-    name = f"axes.{AXES[axis]}.{kind}[{mode}]"
-    return Parameter(name, value, _column(axis, mode, kind), *_of_file(axis, kind))
+def _total(modes: Sequence[Oscillator]) -> float:
+    return sum(abs(o.share) for o in modes)
+
+
+def _with_forces(
+    modes: Sequence[Oscillator], k: float, stiffer: float, damped: float, heavier: float
+) -> tuple[Oscillator, ...]:
+    """Return the modes of an axis with k (1 + stiffer), and with more damping and mass at its driven point.
+
+    In coordinates of unit mass the belt drives mode i by φ_i, φ_i² = |σ_i| ω_i²/(k S), and K + r k φφᵀ and 1 + Δm φφᵀ
+    have new modes. They keep their own damping only: the rest of the damping matrix would couple them. A rigid axis
+    has no numbers that a file could change.
+    """
+    if modes[0].belt_damping:
+        return tuple(modes)
+    omega2 = np.array([o.stiffness / o.mass for o in modes])
+    share, total = np.array([o.share for o in modes]), _total(modes)
+    phi = np.sqrt(np.abs(share) * omega2 / (k * total))
+    shown = np.sign(share) * phi * total  # of the nozzle, so that σ ω² = k φ · shown
+    more = np.outer(phi, phi)
+    lower = np.linalg.inv(np.linalg.cholesky(np.eye(len(phi)) + heavier * more))
+    found, vectors = np.linalg.eigh(lower @ (np.diag(omega2) + stiffer * k * more) @ lower.T)
+    shapes = lower.T @ vectors
+    damping = shapes.T @ (np.diag([o.damping / o.mass for o in modes]) + damped * more) @ shapes
+    shares = k * (1 + stiffer) * (shapes.T @ phi) * (shapes.T @ shown) / found
+    each = zip(found.tolist(), np.diag(damping).tolist(), shares.tolist(), strict=True)
+    return tuple(Oscillator(square, own, share=sigma) for square, own, sigma in each)
 
 
 def _column(axis: int, mode: int, kind: str) -> int:
@@ -257,6 +394,6 @@ def _of_file(axis: int, kind: str) -> tuple[str, float]:
 
 def _parsed(name: str) -> tuple[int, int, str]:
     match = NAME.fullmatch(name)
-    if match is None or match["kind"] not in KINDS:
+    if match is None or match["kind"] not in (*KINDS, *FILE_KINDS):
         raise KeyError(name)
     return AXES.index(match["axis"]), int(match["mode"]), match["kind"]

@@ -18,7 +18,7 @@ from ffcomp.measurement.labels import KEYS
 from models.effects.catalogue import CATALOGUE
 from models.errors import MachineFileError
 from models.file import load_machine
-from models.schema import OF_STRAIGHT_AXES, DeltaDocument, StraightDocument, unit_of
+from models.schema import DeltaDocument, StraightDocument, unit_of
 from studies import cli_reference
 from tests.support.reference import MACHINE, MACHINE_FILE, REFERENCE, ROOT, SMALL, call, examples, rows_of
 
@@ -110,7 +110,7 @@ def _range(field: dict[str, Any]) -> str:
     if kind["type"] == "array" and "minItems" not in kind:
         return "a list of names in quotes"
     if kind["type"] == "array":
-        count = {(3, 3): "three", (2, 2): "two", (1, 2): "one or two"}[kind["minItems"], kind["maxItems"]]
+        count = {(3, 3): "three", (2, 2): "two", (1, 8): "one to eight"}[kind["minItems"], kind["maxItems"]]
         return f"{count}, {_range(kind['items'])} each"
     return "text" if kind["type"] == "string" else _interval(kind)
 
@@ -140,7 +140,8 @@ def test_every_effect_is_told_with_its_parameters() -> None:
     }
     assert told == {name: [each.name for each in CATALOGUE[name].parameters] for name in sorted(CATALOGUE)}
     text = MACHINE_FILE.read_text(encoding="utf-8")
-    assert f"It may have {', '.join(f'`{name}`' for name in OF_STRAIGHT_AXES)} and the sensors'" in text
+    only = [f"`{name}`" for name in sorted(CATALOGUE) if CATALOGUE[name].of == ("carriages",)]
+    assert f"It has every effect but {', '.join(only[:-1])} and {only[-1]}" in " ".join(text.split())
 
 
 def test_the_examples_are_machines_and_the_mistakes_are_found(tmp_path: Path) -> None:

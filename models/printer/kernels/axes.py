@@ -1,13 +1,39 @@
-"""Evaluate cartesian and CoreXY axes."""
+"""Evaluate straight axes: their modes (`models/vibration/modal.py`), and what acts on their belts and guides.
+
+Each axis is driven by w, where its motors would have to be for linear belts without friction. With T from the axes to
+the motors (a CoreXY's A = x + y, B = x − y), u the motors, q_d the axes' driven points, and g(s) the force of a belt
+over its stiffness,
+
+    w = T⁻¹ (u + g(s) − s) − F/k,   s = u − T q_d                  F the guides' friction, k of `drive_stiffness`
+    p̈_i = ω_i² (σ_i w − p_i) − b_i ṗ_i + c_i (σ_i ẇ − ṗ_i)
+
+so that an axis whose belts are linear and whose guides do not rub is the linear model itself. A rigid axis has damping
+c between motor and driven point instead of b; it is off where a belt is slack.
+
+What moves, pushes back: with f_i = p̈_i so far, N_i f_i summed is the force on the frame (d, along D) and on the yaw θ
+of a gantry with the toolhead at x from its axis, whose inertia is λ² and whose share of the mass along y is μ:
+
+    d̈ = −ω² d − 2 ζ ω ḋ − Dᵀ Σ N_i f_i/M_f,   (λ² + (1 − μ) x²) θ̈ = −λ² (ω² θ + 2 ζ ω θ̇) − x ÿ
+    p̈_i = f_i − σ_i D d̈ − σ_i μ x θ̈ (along y),   y = Σ p_i + x θ
+
+The state, three rows for each entry, is the strain of dry friction, (θ, θ̇, nothing), d, ḋ, then p_i, ṗ_i of every mode.
+"""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from models.arrays import FloatArray
+from models.printer.kernels.friction import guide_friction, stribeck
 from models.printer.kernels.jit import compiled
+from models.printer.kernels.motors import torque_angle
 from models.printer.kernels.record import (
     ACC,
-    ETA,
-    ETAD,
+    COMMAND,
+    COMMAND_RATE,
+    F0,
+    GUIDE,
+    GUIDES,
     LANES,
     MOTOR,
     MOTOR_RATE,
@@ -15,36 +41,208 @@ from models.printer.kernels.record import (
     PULL,
     QD,
     RATE,
+    RIPPLE,
+    RIPPLE_RATE,
+    SPRING,
+    STRETCH,
     XD,
+    ActiveEffects,
     Q,
+    Row,
     X,
     parameter_rows,
 )
 from models.printer.kernels.vectors import at
 
-CARRIAGE_MASS, BELT_K, BELT_C, GUIDE_B = parameter_rows("carriage_mass", "belt_k", "belt_c", "guide_b")
-(FIRST_SHARE,) = parameter_rows("first_share")
-EXTRUDER_MASS, MOUNT_K, MOUNT_B = parameter_rows("extruder_mass", "mount_k", "mount_b")
+TO_MOTORS, TO_AXES, MOTOR_K, BELT_K = parameter_rows("motor_matrix", "axis_matrix", "motor_k", "belt_k")
+HARDENING, QUINTIC, PEAK_STRETCH = parameter_rows("cubic", "quintic", "peak_stretch")
+SLOPE, CENTRE, HALF_BACKLASH, LANDING = parameter_rows("slope", "centre", "half_backlash", "landing")
+UNEVEN, GROWTH = parameter_rows("uneven", "growth")
+DIRECTIONS, FRAME_K, FRAME_B, FRAME = parameter_rows("frame_directions", "frame_k", "frame_b", "frame_inverse_mass")
+YAW_K, YAW_B, YAW_INERTIA = parameter_rows("yaw_k", "yaw_b", "yaw_inertia")
+YAW_SHARE, YAW_CENTRE = parameter_rows("yaw_share", "yaw_centre")
+
+# Rows of m that a delta uses for itself, here between the loops: w and ẇ − q̇_d of the axes, force over stiffness less
+# stretch of the belts, ẇ's of the belts, the force Σ N f; acceleration of q_d.
+DRIVE, DRIVE_RATE, BEYOND, SLIP = XD, X, PULL, F0
+WIDTH = 3 * LANES  # of a row of a state
+STRAIN, YAW, SWAY, SWAY_RATE, FIRST = 0, 1, 2, 3, 4
+FREQUENCY2, DAMPING, BELT_DAMPING, SHARE, PART, REACTION = range(6)
+
+
+class AxesState(NamedTuple):
+    """The state of all lanes, and the modes' table."""
+
+    base: FloatArray  # (rows * WIDTH,) at the step's start
+    now: FloatArray  # where the rate is evaluated
+    rate: FloatArray
+    sum: FloatArray  # of the step's rates
+    modes: FloatArray  # (n, 6, WIDTH)
+    mixed: bool  # whether a motor moves more than one axis, in any lane
+    swaying: bool  # whether there is a frame that sways, or a gantry that yaws
+    growing: bool  # whether the mass depends on the nozzle's height
 
 
 @compiled
-def axes(m: FloatArray) -> None:
-    """Evaluate all rates behind the motors: two oscillators for each axis (`models/vibration/modal.py`)."""
-    for l in range(LANES):
+def axes_rate(m: FloatArray, s: AxesState, has: ActiveEffects) -> None:
+    """Evaluate the rate of s.now under the command in m, and with it the motion (Q, QD; X, XD, ACC)."""
+    _driven_points(m, s)
+    _motors(m)
+    _mix(m, TO_MOTORS, NOW + Q, BEYOND, s.mixed)
+    _mix(m, TO_MOTORS, NOW + QD, SLIP, s.mixed)
+    _belts(m)
+    if has.torque_angle:
+        torque_angle(m)
+    if has.sticking:
+        stribeck(m)
+    if has.guides:
+        guide_friction(m)
+    _forces(m)
+    _mix(m, TO_AXES, BEYOND, DRIVE, s.mixed)
+    _mix(m, TO_AXES, SLIP, DRIVE_RATE, s.mixed)
+    _modes(m, s)
+    if s.swaying:
+        _reactions(m, s)
+    _motion(m, s)
+    if s.swaying:
+        _yawed(m, s)
+
+
+@compiled
+def _driven_points(m: FloatArray, s: AxesState) -> None:
+    """Evaluate q_d and its rate, and give the friction its strain."""
+    for n in range(WIDTH):
+        m[(NOW + GUIDE) * LANES + n] = s.now[STRAIN * WIDTH + n]
+        m[(NOW + Q) * LANES + n] = m[(NOW + QD) * LANES + n] = 0.0
+    for i in range(len(s.modes)):
+        p, pd = (FIRST + 2 * i) * WIDTH, (FIRST + 2 * i + 1) * WIDTH
+        for n in range(WIDTH):
+            m[(NOW + Q) * LANES + n] += s.modes[i, PART, n] * s.now[p + n]
+            m[(NOW + QD) * LANES + n] += s.modes[i, PART, n] * s.now[pd + n]
+
+
+@compiled
+def _mix(m: FloatArray, matrix: Row, given: Row, to: Row, mixed: bool) -> None:
+    """Evaluate a matrix times three rows."""
+    for a in range(3):
+        for l in range(LANES):
+            m[(to + a) * LANES + l] = m[(given + a) * LANES + l]
+    if mixed:
         for a in range(3):
-            q, qd = at(m, NOW + Q + a, l), at(m, NOW + QD + a, l)
-            eta, etad = at(m, NOW + ETA + a, l), at(m, NOW + ETAD + a, l)
-            u, ud = at(m, MOTOR + a, l), at(m, MOTOR_RATE + a, l)
-            share = at(m, FIRST_SHARE + a, l)
-            k, c, b = at(m, BELT_K + a, l), at(m, BELT_C + a, l), at(m, GUIDE_B + a, l)
-            p, pd = share * q - eta, share * qd - etad
-            first = (k * (share * u - p) + c * (share * ud - pd) - b * pd) / at(m, CARRIAGE_MASS + a, l)
-            p, pd = (1.0 - share) * q + eta, (1.0 - share) * qd + etad
-            second = at(m, MOUNT_K + a, l) * ((1.0 - share) * u - p) - at(m, MOUNT_B + a, l) * pd
-            second /= at(m, EXTRUDER_MASS, l)
-            acceleration = first + second
-            m[(RATE + Q + a) * LANES + l], m[(RATE + QD + a) * LANES + l] = qd, acceleration
-            m[(RATE + ETA + a) * LANES + l] = etad
-            m[(RATE + ETAD + a) * LANES + l] = share * second - (1.0 - share) * first
-            m[(X + a) * LANES + l], m[(XD + a) * LANES + l], m[(ACC + a) * LANES + l] = q, qd, acceleration
-            m[(PULL + a) * LANES + l] = k * (u - q)
+            for l in range(LANES):
+                x, y, z = at(m, given, l), at(m, given + 1, l), at(m, given + 2, l)
+                row = matrix + 3 * a
+                m[(to + a) * LANES + l] = at(m, row, l) * x + at(m, row + 1, l) * y + at(m, row + 2, l) * z
+
+
+@compiled
+def _motors(m: FloatArray) -> None:
+    """Evaluate the motors, which are where they are told to be."""
+    for n in range(WIDTH):
+        m[MOTOR * LANES + n] = m[COMMAND * LANES + n] + m[RIPPLE * LANES + n]
+        m[MOTOR_RATE * LANES + n] = m[COMMAND_RATE * LANES + n] + m[RIPPLE_RATE * LANES + n]
+
+
+@compiled
+def _belts(m: FloatArray) -> None:
+    """Evaluate the stretch of each belt, less its backlash and up to its peak-force stretch, and how fast it grows."""
+    for n in range(WIDTH):
+        stretch, half_backlash = at(m, MOTOR, n) - at(m, BEYOND, n), at(m, HALF_BACKLASH, n)
+        stretch -= min(max(stretch, -half_backlash), half_backlash)
+        stretch = min(max(stretch, -at(m, PEAK_STRETCH, n)), at(m, PEAK_STRETCH, n))
+        m[STRETCH * LANES + n] = m[SPRING * LANES + n] = stretch
+        m[SLIP * LANES + n] = m[MOTOR_RATE * LANES + n] - m[SLIP * LANES + n]
+
+
+@compiled
+def _forces(m: FloatArray) -> None:
+    """Evaluate u + g(s) − s of the belts, with s = u − T q_d, and ẇ."""
+    for n in range(WIDTH):
+        q, stretch, slip = at(m, BEYOND, n), at(m, STRETCH, n), at(m, SLIP, n)
+        k = 1.0 + at(m, UNEVEN, n) + at(m, SLOPE, n) * (q - at(m, CENTRE, n))
+        squared = stretch * stretch
+        harder = (at(m, HARDENING, n) + at(m, QUINTIC, n) * squared) * squared * stretch / at(m, MOTOR_K, n)
+        force = k * (at(m, SPRING, n) + abs(stretch) * at(m, LANDING, n) * slip) + harder
+        slack = abs(at(m, MOTOR, n) - q) < at(m, HALF_BACKLASH, n)
+        m[BEYOND * LANES + n] = q + (0.0 if slack else force)
+        m[SLIP * LANES + n] = 0.0 if slack else slip
+
+
+@compiled
+def _modes(m: FloatArray, s: AxesState) -> None:
+    """Evaluate f of every mode, Σ N f and Σ f of each axis, and the rate of the friction's strain."""
+    for n in range(WIDTH):
+        s.rate[STRAIN * WIDTH + n] = m[(RATE + GUIDE) * LANES + n]
+        m[DRIVE * LANES + n] -= at(m, GUIDES, n) / at(m, BELT_K, n)
+        m[DRIVE_RATE * LANES + n] += at(m, NOW + QD, n)
+        m[F0 * LANES + n] = m[ACC * LANES + n] = m[(RATE + QD) * LANES + n] = 0.0
+        m[PULL * LANES + n] = 1.0
+    if s.growing:
+        for n in range(WIDTH):
+            m[PULL * LANES + n] = 1.0 / (1.0 + at(m, GROWTH, n) * at(m, NOW + Q + 2, n % LANES))
+    for i in range(len(s.modes)):
+        p, pd, modes = (FIRST + 2 * i) * WIDTH, (FIRST + 2 * i + 1) * WIDTH, s.modes[i]
+        for n in range(WIDTH):
+            share, rate = modes[SHARE, n], s.now[pd + n]
+            f = modes[FREQUENCY2, n] * (share * m[DRIVE * LANES + n] - s.now[p + n]) - modes[DAMPING, n] * rate
+            follow = share * m[DRIVE_RATE * LANES + n] - rate
+            f = (f + modes[BELT_DAMPING, n] * follow) * m[PULL * LANES + n]
+            s.rate[p + n], s.rate[pd + n] = rate, f
+            m[ACC * LANES + n] += f
+            m[(RATE + QD) * LANES + n] += modes[PART, n] * f
+            m[F0 * LANES + n] += modes[REACTION, n] * f
+    for n in range(WIDTH):
+        m[PULL * LANES + n] = 0.0
+
+
+@compiled
+def _reactions(m: FloatArray, s: AxesState) -> None:
+    """Let frame and gantry move, and take what they do to the modes off: PULL, one acceleration an axis."""
+    for l in range(LANES):
+        for j in range(2):
+            d, dd = s.now[SWAY * WIDTH + j * LANES + l], s.now[SWAY_RATE * WIDTH + j * LANES + l]
+            along, across = at(m, DIRECTIONS + 2 * j, l), at(m, DIRECTIONS + 2 * j + 1, l)
+            force = along * at(m, F0, l) + across * at(m, F0 + 1, l)
+            sway = -at(m, FRAME_K, l) * d - at(m, FRAME_B, l) * dd - at(m, FRAME, l) * force
+            s.rate[SWAY * WIDTH + j * LANES + l], s.rate[SWAY_RATE * WIDTH + j * LANES + l] = dd, sway
+            m[PULL * LANES + l] += along * sway
+            m[(PULL + 1) * LANES + l] += across * sway
+        inertia = at(m, YAW_INERTIA, l)
+        if inertia > 0.0:
+            x, share = at(m, NOW + Q, l) - at(m, YAW_CENTRE, l), at(m, YAW_SHARE, l)
+            yaw, rate = s.now[YAW * WIDTH + l], s.now[YAW * WIDTH + LANES + l]
+            torque = -inertia * (at(m, YAW_K, l) * yaw + at(m, YAW_B, l) * rate) - x * at(m, RATE + QD + 1, l)
+            turn = torque / (inertia + (1.0 - share) * x * x)
+            s.rate[YAW * WIDTH + l], s.rate[YAW * WIDTH + LANES + l] = rate, turn
+            m[(PULL + 1) * LANES + l] += share * x * turn
+
+
+@compiled
+def _motion(m: FloatArray, s: AxesState) -> None:
+    """Evaluate every axis and the nozzle: Q and X seen from the frame, ACC from the ground."""
+    for n in range(WIDTH):
+        m[X * LANES + n] = m[XD * LANES + n] = 0.0
+        m[(RATE + QD) * LANES + n] = m[ACC * LANES + n] - m[PULL * LANES + n]
+    for i in range(len(s.modes)):
+        p, pd, modes = (FIRST + 2 * i) * WIDTH, (FIRST + 2 * i + 1) * WIDTH, s.modes[i]
+        for n in range(WIDTH):
+            m[X * LANES + n] += s.now[p + n]
+            m[XD * LANES + n] += s.now[pd + n]
+            s.rate[pd + n] -= modes[SHARE, n] * m[PULL * LANES + n]
+    for n in range(WIDTH):
+        m[(NOW + Q) * LANES + n], m[(NOW + QD) * LANES + n] = m[X * LANES + n], m[XD * LANES + n]
+
+
+@compiled
+def _yawed(m: FloatArray, s: AxesState) -> None:
+    """Add what a gantry's yaw moves the nozzle along y."""
+    for l in range(LANES):
+        if at(m, YAW_INERTIA, l) > 0.0:
+            x, xd = at(m, X, l) - at(m, YAW_CENTRE, l), at(m, XD, l)
+            yaw, rate = s.now[YAW * WIDTH + l], s.now[YAW * WIDTH + LANES + l]
+            m[(X + 1) * LANES + l] += x * yaw
+            m[(XD + 1) * LANES + l] += x * rate + xd * yaw
+            turn = s.rate[YAW * WIDTH + LANES + l]
+            swung = x * turn + 2.0 * xd * rate + at(m, RATE + QD, l) * yaw
+            # the share of its own reaction is in the axis' acceleration seen from the frame
+            m[(ACC + 1) * LANES + l] += swung - at(m, YAW_SHARE, l) * (at(m, NOW + Q, l) - at(m, YAW_CENTRE, l)) * turn

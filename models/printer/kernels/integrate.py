@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from models.arrays import FloatArray
-from models.printer.kernels.axes import axes
 from models.printer.kernels.delta import arm_kinematics, effector_and_frame, holder_forces, solve_carriages
 from models.printer.kernels.friction import guide_friction, joint_friction, stribeck
 from models.printer.kernels.jit import compiled
@@ -34,7 +33,6 @@ from models.printer.kernels.record import (
 )
 from models.printer.kernels.vectors import at
 
-(ARMS_SQUARED,) = parameter_rows("arms_squared")
 INVERSE_AMPLITUDE, DELAY, COGGING = parameter_rows("inverse_amplitude", "delay", "ripple")
 DRY, STICKING = parameter_rows("dry", "sticking")
 (JOINT_DRY,) = parameter_rows("joint_dry")
@@ -43,7 +41,8 @@ PAGE = 64  # samples are copied by the page: a write at a time would touch too m
 
 
 @compiled
-def _any_nonzero(m: FloatArray, row: Row, rows: int) -> bool:
+def any_nonzero(m: FloatArray, row: Row, rows: int) -> bool:
+    """Tell whether so many rows hold anything in any lane."""
     found = False
     for n in range(row * LANES, (row + rows) * LANES):
         found |= m[n] != 0.0
@@ -53,11 +52,10 @@ def _any_nonzero(m: FloatArray, row: Row, rows: int) -> bool:
 @compiled
 def active_effects(m: FloatArray) -> ActiveEffects:
     """List the effects that are active in any lane."""
-    sticking = _any_nonzero(m, STICKING, 3)
-    guides, joints = sticking or _any_nonzero(m, DRY, 3), _any_nonzero(m, JOINT_DRY, 1)
-    torque_angle, ripple = _any_nonzero(m, INVERSE_AMPLITUDE, 3), _any_nonzero(m, COGGING, 3)
-    delay, arms = _any_nonzero(m, DELAY, 3), _any_nonzero(m, ARMS_SQUARED, 3)
-    return ActiveEffects(sticking, guides, joints, torque_angle, ripple, delay, arms)
+    sticking = any_nonzero(m, STICKING, 3)
+    guides, joints = sticking or any_nonzero(m, DRY, 3), any_nonzero(m, JOINT_DRY, 1)
+    torque_angle, ripple = any_nonzero(m, INVERSE_AMPLITUDE, 3), any_nonzero(m, COGGING, 3)
+    return ActiveEffects(sticking, guides, joints, torque_angle, ripple, any_nonzero(m, DELAY, 3))
 
 
 @compiled
@@ -70,9 +68,6 @@ def rate(m: FloatArray, has: ActiveEffects) -> None:
         stribeck(m)
     if has.guides:
         guide_friction(m)
-    if not has.arms:
-        axes(m)
-        return
     belts(m)
     arm_kinematics(m)
     if has.joints:
@@ -139,7 +134,7 @@ def _sample(m: FloatArray, sample: FloatArray) -> None:
 
 
 @compiled
-def _copy_page(page: FloatArray, first: int, rows: int, units: FloatArray, samples: tuple[FloatArray, ...]) -> None:
+def copy_page(page: FloatArray, first: int, rows: int, units: FloatArray, samples: tuple[FloatArray, ...]) -> None:
     """Copy a page : (PAGE, 7, 3 LANES), each quantity in its unit, to samples : (k, n, 3) from row `first`."""
     for quantity, target in enumerate(samples):
         for l in range(len(target)):
@@ -149,7 +144,7 @@ def _copy_page(page: FloatArray, first: int, rows: int, units: FloatArray, sampl
 
 
 @compiled
-def _empty_samples(k: int, rows: int) -> tuple[FloatArray, ...]:
+def empty_samples(k: int, rows: int) -> tuple[FloatArray, ...]:
     """Allocate separate arrays, so that a reference to one does not keep the others in memory."""
     size = (k, rows, 3)
     a, b, c, d = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
@@ -194,13 +189,13 @@ def integrate(
     m, rows = fill_lanes(states, parameters), ranges[:, 1] - ranges[:, 0] - first
     elapsed, rows_back = command_times(m, dt, substeps)
     commands, has = Commands(cubics, ranges, elapsed, rows_back), active_effects(m)
-    page, samples = np.empty((PAGE, 7, 3 * LANES)), _empty_samples(len(states), rows.max())
+    page, samples = np.empty((PAGE, 7, 3 * LANES)), empty_samples(len(states), rows.max())
     for n in range(rows.max()):
         read_command(m, first + n, 0, commands, has)
         rate(m, has)
         _sample(m, page[n % PAGE])
         if n % PAGE == PAGE - 1 or n == rows.max() - 1:
-            _copy_page(page, n - n % PAGE, n % PAGE + 1, units, samples)
+            copy_page(page, n - n % PAGE, n % PAGE + 1, units, samples)
         for l in range(len(states)):
             if n == rows[l] - 1:
                 store_state(m, l, states)

@@ -26,8 +26,11 @@ PARAMETERS = np.dtype(
         ("height", "f8"),  # m, joint plane above the nozzle tip
         ("to_plane", "f8", (2, 2)),  # 1/m, inverse of the joints B and C seen from A
         ("offset", "f8", 2),  # m², constant part of the differences of the arms' spheres
-        ("first_share", "f8", 3),  # σ₁ of cartesian and CoreXY axes, `models/vibration/modal.py`
-        ("carriage_mass", "f8", 3),  # kg, m = m_c + m_f/2
+        # of cartesian and CoreXY axes, see `axes.py`: T, motors from axes; T⁻¹; N/m, of each motor's belt
+        ("motor_matrix", "f8", (3, 3)),
+        ("axis_matrix", "f8", (3, 3)),
+        ("motor_k", "f8", 3),
+        ("carriage_mass", "f8", 3),  # kg, m = m_c + m_f/2; of straight axes all that moves
         ("weight", "f8", 3),  # N, m g
         ("belt_k", "f8", 3),  # N/m
         ("belt_c", "f8", 3),  # N s/m
@@ -72,6 +75,15 @@ PARAMETERS = np.dtype(
         ("frame_mass_ratio", "f8"),  # μ = M₁/(M_f + M₁)
         ("frame_k", "f8"),  # 1/s², ω²
         ("frame_b", "f8"),  # 1/s, 2 ζ ω
+        ("frame_inverse_mass", "f8"),  # 1/kg, 1/M_f
+        # of straight axes only
+        ("uneven", "f8", 3),  # of each belt's stiffness, belt_difference
+        ("growth", "f8", 3),  # 1/m, of an axis' mass by the nozzle's height, growing_bed
+        ("yaw_k", "f8"),  # 1/s², ω² of gantry_racking
+        ("yaw_b", "f8"),  # 1/s, 2 ζ ω
+        ("yaw_inertia", "f8"),  # m², the gantry's inertia over the toolhead's mass; 0: no yaw
+        ("yaw_share", "f8"),  # of the mass that moves along y, the toolhead's
+        ("yaw_centre", "f8"),  # m, x of the axis of yaw
     ]
 )
 PrinterParameters: TypeAlias = np.record
@@ -115,4 +127,3 @@ class ActiveEffects(NamedTuple):
     torque_angle: bool
     ripple: bool
     delay: bool
-    arms: bool

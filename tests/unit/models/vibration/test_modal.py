@@ -99,12 +99,23 @@ def test_the_virtual_printer_plays_the_same_modes() -> None:
         ("frequency_hz = [40.0, 60.0]\ndamping_ratio = [0.1, 0.1]\nshare = [0.5, 0.4]", "must sum to 1"),
         (
             "frequency_hz = 40.0\ndamping_ratio = [0.1]",
-            "axes.x.frequency_hz = 40.0 must be a list of one or two",
+            "axes.x.frequency_hz = 40.0 must be a list of one to eight",
         ),
         ("frequency_hz = [40.0]\ndamping_ratio = [0.1]\nfrequenzy = 3", "frequenzy is not a key"),
         ("frequency_hz = [40.0]\ndamping_ratio = [1.1]", "axes.x.damping_ratio[0] = 1.1 must be less than 1"),
-        ("frequency_hz = [9.0, 8.0]\ndamping_ratio = [0.1, 0.1]\nshare = [1.0, 0.0]", "0.0 must be greater than 0"),
-        ("[effects.belt_hardening]\ncubic_n_per_m3 = 1e9", "modes know no forces"),
+        ("frequency_hz = [9.0, 8.0]\ndamping_ratio = [0.1, 0.1]\nshare = [12.0, -11.0]", "12.0 must be at most 10"),
+        ("[effects.joint_friction]\nforce_n_per_kg = 1.0", "they have no arms"),
+        ("[effects.belt_hardening]\ncubic_n_per_m3 = 1e9", "or give cubic_n_per_m3_per_kg"),
+        (
+            "frequency_hz = [40.0]\ndamping_ratio = [0.1]\nmass_kg = 0.4\n[effects.belt_hardening]\n"
+            "cubic_n_per_m3_per_kg = 1e9",
+            "the axes state their mass_kg, so this is cubic_n_per_m3",
+        ),
+        (
+            "frequency_hz = [40.0]\ndamping_ratio = [0.1]\nmass_kg = 0.4\n[axes.y]\nfrequency_hz = [40.0]\n"
+            "damping_ratio = [0.1]",
+            "axes.y.mass_kg is missing",
+        ),
         ("[kinematics2]\na = 1", "kinematics2 is not a key"),
     ],
 )

@@ -1,0 +1,124 @@
+"""Integrate straight axes in time by the classical Runge-Kutta method, as `integrate.py` does deltas."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from models.arrays import FloatArray
+from models.printer.kernels.axes import FRAME, GROWTH, TO_AXES, TO_MOTORS, WIDTH, YAW_INERTIA, AxesState, axes_rate
+from models.printer.kernels.integrate import PAGE, active_effects, any_nonzero, copy_page, empty_samples, fill_lanes
+from models.printer.kernels.jit import compiled
+from models.printer.kernels.motors import Commands, command_times, read_command
+from models.printer.kernels.record import (
+    ACC,
+    LANES,
+    MOTOR,
+    NOW,
+    QD,
+    RATE,
+    XD,
+    ActiveEffects,
+    Q,
+    Rows,
+    X,
+)
+from models.printer.kernels.vectors import at
+
+
+@compiled
+def _in_lanes(m: FloatArray, states: FloatArray, modes: FloatArray) -> AxesState:
+    """Return k printers' states (k, rows, 3) and modes (k, n, 6, 3) in the first lanes; idle lanes repeat the first."""
+    rows = states.shape[1]
+    base, table = np.empty(rows * WIDTH), np.empty((modes.shape[1], 6, WIDTH))
+    for l in range(LANES):
+        own = l if l < len(states) else 0
+        for a in range(3):
+            for row in range(rows):
+                base[row * WIDTH + a * LANES + l] = states[own, row, a]
+            for i in range(modes.shape[1]):
+                for field in range(6):
+                    table[i, field, a * LANES + l] = modes[own, i, field, a]
+    mixed = any_nonzero(m, TO_MOTORS + 1, 3)
+    swaying, growing = any_nonzero(m, FRAME, 1) or any_nonzero(m, YAW_INERTIA, 1), any_nonzero(m, GROWTH, 3)
+    return AxesState(base, base.copy(), np.zeros(len(base)), np.zeros(len(base)), table, mixed, swaying, growing)
+
+
+@compiled
+def _advance(s: AxesState, weight: float, by: float) -> None:
+    for n in range(len(s.base)):
+        s.sum[n] += weight * s.rate[n]
+        s.now[n] = s.base[n] + by * s.rate[n]
+
+
+@compiled
+def _finish(s: AxesState, by: float) -> None:
+    for n in range(len(s.base)):
+        y = s.base[n] + by * (s.sum[n] + s.rate[n])
+        s.base[n], s.now[n], s.sum[n] = y, y, 0.0
+
+
+@compiled
+def _step(m: FloatArray, s: AxesState, row: int, half: int, h: float, commands: Commands, has: ActiveEffects) -> None:
+    """Step by the classical Runge-Kutta method of order 4; the rate at a row's beginning is already known."""
+    if half != 0:
+        axes_rate(m, s, has)
+    _advance(s, 1.0, 0.5 * h)
+    read_command(m, row, half + 1, commands, has)
+    axes_rate(m, s, has)
+    _advance(s, 2.0, 0.5 * h)
+    axes_rate(m, s, has)
+    _advance(s, 2.0, h)
+    read_command(m, row, half + 2, commands, has)
+    axes_rate(m, s, has)
+    _finish(s, h / 6.0)
+
+
+@compiled
+def _sample(m: FloatArray, sample: FloatArray) -> None:
+    """Copy the motion to sample : (7, 3 LANES), in the order of `integrate`; motors as the axes they stand for."""
+    for n in range(WIDTH):
+        sample[0, n], sample[1, n], sample[2, n] = at(m, NOW + Q, n), at(m, NOW + QD, n), at(m, RATE + QD, n)
+        sample[3, n], sample[4, n], sample[5, n] = at(m, X, n), at(m, XD, n), at(m, ACC, n)
+        sample[6, n] = 0.0
+    for a in range(3):
+        for b in range(3):
+            for l in range(LANES):
+                sample[6, a * LANES + l] += at(m, TO_AXES + 3 * a + b, l) * at(m, MOTOR + b, l)
+
+
+@compiled
+def integrate_axes(
+    states: FloatArray,
+    modes: FloatArray,
+    parameters: FloatArray,
+    cubics: FloatArray,
+    ranges: Rows,
+    first: int,
+    dt: float,
+    substeps: int,
+    units: FloatArray,
+) -> tuple[FloatArray, ...]:
+    """Integrate k printers of straight axes: as `integrate` does, with states (k, rows, 3) and modes (k, n, 6, 3)."""
+    k, rows = len(states), ranges[:, 1] - ranges[:, 0] - first
+    idle = np.zeros((LANES, parameters.shape[1]))
+    for l in range(LANES):
+        idle[l] = parameters[min(l, k - 1)]
+    m = fill_lanes(np.zeros((LANES, 30)), idle)
+    s = _in_lanes(m, states, modes)
+    elapsed, rows_back = command_times(m, dt, substeps)
+    commands, has = Commands(cubics, ranges, elapsed, rows_back), active_effects(m)
+    page, samples = np.empty((PAGE, 7, WIDTH)), empty_samples(k, rows.max())
+    for n in range(rows.max()):
+        read_command(m, first + n, 0, commands, has)
+        axes_rate(m, s, has)
+        _sample(m, page[n % PAGE])
+        if n % PAGE == PAGE - 1 or n == rows.max() - 1:
+            copy_page(page, n - n % PAGE, n % PAGE + 1, units, samples)
+        for l in range(k):
+            if n == rows[l] - 1:
+                for row in range(states.shape[1]):
+                    for a in range(3):
+                        states[l, row, a] = s.now[row * WIDTH + a * LANES + l]
+        for half in range(0, 2 * substeps, 2):
+            _step(m, s, first + n, half, dt / substeps, commands, has)
+    return samples

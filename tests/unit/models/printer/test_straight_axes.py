@@ -1,0 +1,201 @@
+"""The virtual printer of straight axes: the linear model, forces against independent equations, belts of a CoreXY."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from models.arrays import FloatArray, constant
+from models.effects.catalogue import effects_of, with_effect
+from models.kinematics.cartesian import CARTESIAN, COREXY, CartesianKinematics
+from models.machine import Machine, MotionLimits
+from models.printer.printer import simulate_printer, simulate_printers
+from models.vibration.modal import Axis, ModalAxes
+from models.vibration.state_space import discretise
+
+RATE_HZ = 1600
+AXES = (Axis([57.0, 90.0, 130.0], [0.07, 0.05, 0.04], [1.0, 0.3, -0.3]), Axis([48.0], [0.07]), Axis())
+OMEGA = 2 * np.pi * 48.0
+
+
+def machine(motors: FloatArray = CARTESIAN, axes: tuple[Axis, ...] = AXES, **effects: dict[str, Any]) -> Machine:
+    box = CartesianKinematics(constant([[0, 200], [0, 200], [0, 200]]), motors)
+    return Machine("axes", box, ModalAxes.of(axes), MotionLimits(200.0, 3000.0), effects=effects)
+
+
+def shaken(seconds: float = 0.5, rate_hz: int = RATE_HZ) -> FloatArray:
+    """(n, 3) mm, from rest: long and short motion of x and y."""
+    t = np.arange(round(seconds * rate_hz)) / rate_hz
+    grown = np.minimum(t / 0.1, 1) ** 2
+    x = 20 * np.sin(2 * np.pi * 4 * t) + 0.3 * np.sin(2 * np.pi * 43 * t)
+    return np.column_stack([100 + grown * x, 100 + grown * 10 * np.sin(2 * np.pi * 3 * t), 50 + 0 * t])
+
+
+def linear(of: Machine, command: FloatArray) -> FloatArray:
+    """The nozzle of the linear model under straight segments."""
+    plant = discretise(of.vibration.state_space(np.zeros((1, 2))), 1 / RATE_HZ)
+    state, found = of.vibration.equilibrium(command[0]), [command[0]]
+    for before, after in pairwise(command):
+        state = plant.a[0] @ state + plant.b0[0] @ before + plant.b1[0] @ after
+        found.append(plant.carriage @ state)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("stiffer", [0.0, 0.2])
+@pytest.mark.parametrize("motors", [CARTESIAN, COREXY], ids=["cartesian", "corexy"])
+def test_it_is_the_linear_model_to_ten_nanometres(motors: FloatArray, stiffer: float) -> None:
+    """Half a sample of misplaced hold would be 50 µm."""
+    own = machine(motors)
+    own = replace(own, vibration=own.vibration.with_belts(np.array([stiffer, 0.0, 0.0]), motors))
+    found = simulate_printer(own, shaken(), 1 / RATE_HZ, hold="linear", substeps=8).nozzle_mm
+    np.testing.assert_allclose(found, linear(own, shaken()), atol=1e-5)
+
+
+def test_unequal_belts_exchange_motion_as_the_response_says() -> None:
+    own = machine(COREXY, belt_stiffness={"relative_change": [0.2, -0.1, 0.0]})
+    t = np.arange(0, 1.5, 1 / RATE_HZ)
+    command = np.column_stack([100 + np.sin(2 * np.pi * 30 * t), 100 + 0 * t, 50 + 0 * t])
+    found = simulate_printer(own, command, 1 / RATE_HZ).nozzle_mm[t > 1.3, 1] - 100
+    effective = own.vibration.with_belts(np.array([0.2, -0.1, 0.0]), COREXY)
+    g = effective.frequency_response(np.zeros(2), np.array([30.0]), "nozzle", "nozzle")[0, 1, 0]
+    assert abs(g) > 0.05
+    np.testing.assert_allclose(found, (g * np.exp(2j * np.pi * 30 * t[t > 1.3])).imag, atol=2e-4)
+
+
+def test_stiffer_belts_of_one_mode_are_a_higher_frequency() -> None:
+    own = machine().vibration.with_belts(np.array([0.0, 0.21, 0.0]), CARTESIAN)
+    assert own.value("axes.y.frequency_hz[0]") == pytest.approx(48.0 * 1.1)
+    heavier = machine().vibration.with_moved_mass(np.array([0.0, 0.21, 0.0]))
+    assert heavier.value("axes.y.frequency_hz[0]") == pytest.approx(48.0 / 1.1)
+
+
+@pytest.mark.parametrize("change", ["belts", "mass"])
+def test_changed_modes_are_those_of_the_changed_structure(change: str) -> None:
+    """Two masses on springs: q the driven one and then the other one; against its eigenvalues."""
+    m1, m2, k1, k2 = 0.4, 0.15, 5e4, 8e4
+
+    def modes(m1: float, k1: float) -> tuple[FloatArray, FloatArray]:
+        mass, stiffness = np.array([m1, m2]), np.array([[k1 + k2, -k2], [-k2, k2]])
+        square, shape = np.linalg.eigh(stiffness / np.sqrt(np.outer(mass, mass)))
+        shape /= np.sqrt(mass)[:, None]
+        return np.sqrt(square) / (2 * np.pi), k1 * shape[0] * shape[0] / square  # of the driven mass
+
+    f, share = modes(m1, k1)
+    own = ModalAxes.of([Axis(f.tolist(), [0.05, 0.05], share.tolist(), m1 + m2), Axis(), Axis()])
+    assert own.drive_stiffness[0] == pytest.approx(k1)
+    if change == "belts":
+        found, expected = own.with_belts(np.array([0.3, 0, 0]), CARTESIAN), modes(m1, 1.3 * k1)
+    else:
+        found, expected = own.with_moved_mass(np.array([0.1, 0, 0])), modes(m1 + 0.1, k1)
+    for i in range(2):
+        assert found.value(f"axes.x.frequency_hz[{i}]") == pytest.approx(expected[0][i])
+        assert found.value(f"axes.x.share[{i}]") == pytest.approx(expected[1][i])
+
+
+def test_dry_friction_is_that_of_a_fine_integration() -> None:
+    force, creep, hold, most = 3.0, 0.5e-3, 50.0, 3.0
+    own = machine(coulomb_friction={"force_n": force})
+    rate = 6400
+    command = shaken(0.4, rate)
+    found = simulate_printer(own, command, 1 / rate, hold="linear").nozzle_mm[:, 1]
+    t, y = np.arange(len(command)) / rate, command[:, 1] / 1e3
+
+    def equations(now: float, s: FloatArray) -> list[float]:
+        u = np.interp(now, t, y)
+        r = s[1] / creep
+        rubbing = force * np.tanh(r + s[2])
+        strain = hold * (r - (abs(r) / most + r * r) * s[2]) / (1 + r * r)
+        return [s[1], OMEGA**2 * (u - s[0]) - 2 * 0.07 * OMEGA * s[1] - rubbing, strain]
+
+    judged = solve_ivp(equations, (0, t[-1]), [y[0], 0, 0], "LSODA", t, rtol=1e-8, atol=1e-11, max_step=1e-3)
+    smooth = simulate_printer(machine(), command, 1 / rate, hold="linear").nozzle_mm[:, 1]
+    assert np.abs(found - smooth).max() > 0.03  # 3/ω² are 33 µm
+    np.testing.assert_allclose(found, judged.y[0] * 1e3, atol=2e-4)
+
+
+def test_slow_motion_lags_by_friction_over_stiffness_and_by_half_the_play() -> None:
+    t = np.arange(0, 1.0, 1 / RATE_HZ)
+    command = np.column_stack([100 + 0 * t, 100 + 5 * t * np.minimum(t, 1), 50 + 0 * t])
+    rubbed = simulate_printer(machine(coulomb_friction={"force_n": 4.0}), command, 1 / RATE_HZ).nozzle_mm
+    loose = machine(coulomb_friction={"force_n": 4.0}, belt_backlash={"width_mm": 0.06})
+    plain = simulate_printer(machine(), command, 1 / RATE_HZ).nozzle_mm
+    assert (plain - rubbed)[-1, 1] == pytest.approx(1e3 * 4.0 / OMEGA**2, rel=0.01)
+    assert (rubbed - simulate_printer(loose, command, 1 / RATE_HZ).nozzle_mm)[-1, 1] == pytest.approx(0.03, rel=0.02)
+
+
+def test_a_stated_mass_turns_newtons_into_newtons_per_kilogram() -> None:
+    heavy = tuple(replace(axis, mass_kg=0.5) for axis in AXES)
+    newtons = simulate_printer(machine(axes=heavy, coulomb_friction={"force_n": 1.0}), shaken(), 1 / RATE_HZ)
+    per_kilogram = simulate_printer(machine(coulomb_friction={"force_n": 2.0}), shaken(), 1 / RATE_HZ)
+    np.testing.assert_allclose(newtons.nozzle_mm, per_kilogram.nozzle_mm, atol=1e-9)
+
+
+def test_what_one_motor_of_a_corexy_does_moves_both_axes() -> None:
+    t = np.arange(0, 0.6, 1 / RATE_HZ)
+    command = np.column_stack([50 + 30 * t**2, 100 + 0 * t, 50 + 0 * t])
+    rippled = {"amplitude_mm": [0.02, 0.0, 0.0], "pitch_mm": 4.0}
+    apart = [
+        simulate_printer(machine(motors, cogging=rippled), command, 1 / RATE_HZ).nozzle_mm
+        - simulate_printer(machine(motors), command, 1 / RATE_HZ).nozzle_mm
+        for motors in (CARTESIAN, COREXY)
+    ]
+    assert np.ptp(apart[0][:, 0]) == pytest.approx(0.04, rel=0.1) and not apart[0][:, 1].any()
+    assert np.ptp(apart[1], axis=0)[:2] == pytest.approx([0.02, 0.02], rel=0.1)
+
+
+def test_a_frame_sways_as_its_closed_form_says() -> None:
+    """The sensor's response to a sine along x, with μ = M/M_f and the sway against the frame's own spring."""
+    f, zeta, ratio = 18.0, 0.04, 1 / 12.0
+    frame = {"mass_kg": 12.0, "frequency_hz": f, "damping_ratio": zeta, "direction": "x"}
+    own = machine(axes=(Axis([57.0], [0.07]), Axis(), Axis()), frame_mode=frame)
+    t = np.arange(0, 3.0, 1 / RATE_HZ)
+    command = np.column_stack([100 + np.sin(2 * np.pi * 25 * t), 100 + 0 * t, 50 + 0 * t])
+    felt = simulate_printer(own, command, 1 / RATE_HZ).nozzle_acceleration[t > 2.7, 0]
+    s, omega = 2j * np.pi * 25.0, 2 * np.pi * np.array([57.0, f])
+    mode = s**2 + 2 * 0.07 * omega[0] * s + omega[0] ** 2
+    sway = s**2 + 2 * zeta * omega[1] * s + omega[1] ** 2
+    # q (mode) = ω² u − s² d;  d sway = −ratio (ω² (u − q) − 2 ζ ω s q) = −ratio s² (q + d)
+    q, d = np.linalg.solve([[mode, s**2], [ratio * s**2, sway + ratio * s**2]], [omega[0] ** 2, 0.0])
+    expected = (s**2 * (q + d) * np.exp(2j * np.pi * 25 * t[t > 2.7])).imag / 1e3
+    assert abs(d / q) > 0.05
+    np.testing.assert_allclose(felt, expected, atol=1e-3 * np.abs(expected).max())
+
+
+PROBES: dict[str, dict[str, Any]] = {
+    "coulomb_friction": {"force_n": [1.0, 2.0, 0.0]},
+    "stribeck_friction": {"force_n": 0.5, "extra_force_n": 1.0, "velocity_mm_per_s": 10.0},
+    "belt_backlash": {"width_mm": [0.02, 0.05, 0.0]},
+    "belt_hardening": {"cubic_n_per_m3": [-1e10, 1e11, 0.0]},
+    "belt_position_stiffness": {"slope_per_m": [0.3, -0.2, 0.0], "q_centre_mm": 100.0},
+    "belt_stiffness": {"relative_change": [0.1, -0.1, 0.0]},
+    "guide_damping": {"added_n_s_per_m": 10.0},
+    "command_delay": {"delay_s": [0.001, 0.002, 0.0]},
+    "cogging": {"amplitude_mm": [0.01, 0.02, 0.0], "pitch_mm": 0.8},
+    "torque_angle": {"amplitude_mm": 1.0},
+    "frame_mode": {"mass_kg": 12.0, "frequency_hz": 18.0, "damping_ratio": 0.04, "direction": "both"},
+}
+
+
+def test_lanes_are_independent_and_every_effect_shows() -> None:
+    """Eight machines at once are as each alone; sensors' effects are not the printer's."""
+    assert set(PROBES) == {name for name in effects_of("axes") if not name.startswith("sensor")}
+    plain = machine(COREXY)
+    several = [plain, *(with_effect(plain, name, **table) for name, table in PROBES.items())]
+    still = simulate_printers(several, [shaken(0.3)] * len(several), 1 / RATE_HZ)
+    for own, together in zip(several, still, strict=True):
+        alone = simulate_printer(own, shaken(0.3), 1 / RATE_HZ)
+        np.testing.assert_array_equal(alone.nozzle_acceleration, together.nozzle_acceleration)
+        assert own is plain or np.abs(alone.nozzle_acceleration - still[0].nozzle_acceleration).max() > 0.01
+
+
+def test_chunks_go_on_where_the_one_before_ended() -> None:
+    own = machine(COREXY, coulomb_friction={"force_n": 2.0}, frame_mode=PROBES["frame_mode"])
+    whole = simulate_printer(own, shaken(0.4), 1 / RATE_HZ, hold="linear")
+    first = simulate_printer(own, shaken(0.4)[:300], 1 / RATE_HZ, hold="linear")
+    second = simulate_printer(own, shaken(0.4)[299:], 1 / RATE_HZ, hold="linear", start=first.state)
+    np.testing.assert_allclose(second.nozzle_mm, whole.nozzle_mm[299:], atol=1e-12)
