@@ -16,7 +16,7 @@ from ffcomp.diagnose.gap import Discrepancy, measure_gap
 from ffcomp.diagnose.json import diagnosis_json
 from ffcomp.diagnose.printer_problem import PrinterProblem
 from ffcomp.diagnose.result import DiagnosisResult, better_file, result_of
-from ffcomp.diagnose.validation import check_alike, check_repeats
+from ffcomp.diagnose.validation import check_alike, check_repeating, check_repeats
 from ffcomp.errors import RequestError
 from ffcomp.identify.experiment_files import load_plan
 from ffcomp.identify.identify import Identified
@@ -199,6 +199,7 @@ def diagnose(
     check_alike(measured)
     if not without_repeats:
         check_repeats(measured)
+    check_repeating(problem.repeats)
     search = search_effects(problem, progress)
     found = result_of(problem, search)
     target = Path(output) if output is not None and found.mends else None

@@ -67,7 +67,7 @@ def diagnose(
         from ffcomp.diagnose.json import diagnosis_json
         from ffcomp.diagnose.printer_problem import PrinterProblem
         from ffcomp.diagnose.result import result_of
-        from ffcomp.diagnose.validation import check_alike, check_repeats
+        from ffcomp.diagnose.validation import check_alike, check_repeating, check_repeats
         from ffcomp.record.axes import turn_of
         from ffcomp.record.load import load_recordings
         from models.file import load_machine
@@ -83,6 +83,7 @@ def diagnose(
         check_alike(measured)
         if not without_repeats:
             check_repeats(measured)
+        check_repeating(problem.repeats)
         search = searched(problem, progress)
         found = result_of(problem, search)
         better = output if found.mends else None

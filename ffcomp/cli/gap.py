@@ -60,7 +60,9 @@ def _print(discrepancy: Discrepancy) -> None:
         width = max(map(len, sizes))
         for name, size in sizes.items():
             print(f"  {title} {name:{width}}  {100 * size.nrms:7.2f} %  {over_noise(size):7.1f} times the noise")
-    if over_noise(found.total) < NO_GAP:
+    for note in discrepancy.notes:
+        print(note)
+    if over_noise(found.total) < NO_GAP and not discrepancy.notes:
         print("There is no gap: what differs is noise.")
         return
     loud = sorted(found.bands, key=lambda band: -band[2])[:3]

@@ -9,6 +9,7 @@ from typing import Any
 from ffcomp.diagnose.diagnosis import noise_floor
 from ffcomp.diagnose.noise import whitener
 from ffcomp.diagnose.printer_problem import PrinterProblem
+from ffcomp.diagnose.repeats import Repeats
 from ffcomp.diagnose.residuals import ResidualBreakdown, ResidualSize, locate_residual
 from ffcomp.diagnose.validation import check_alike
 from ffcomp.measurement.recording import Recording
@@ -21,6 +22,7 @@ class Discrepancy:
 
     found: ResidualBreakdown
     from_repeats: bool  # whether repeats give the noise; else the spectrum above the model's band does
+    notes: tuple[str, ...] = ()  # what is wrong with the repeats, in full sentences
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object ffcomp-gap/1."""
@@ -29,6 +31,7 @@ class Discrepancy:
             "schema": "ffcomp-gap/1",
             **_size(found.total),
             "noise_from_repeats": self.from_repeats,
+            "notes": list(self.notes),
             "signals": {name: _size(size) for name, size in found.signals.items()},
             "where": {
                 "frequency_hz": [{"from": low, "to": high, "share": share} for low, high, share in found.bands],
@@ -52,9 +55,15 @@ def measure_gap(machine: Machine, recordings: Sequence[Recording]) -> Discrepanc
     check_alike(recordings)
     simulated = problem.simulate({})
     floor = noise_floor(problem, simulated)
-    return Discrepancy(
-        locate_residual(whitener(problem.observations, floor, problem.band_hz), floor, simulated), floor.from_repeats
-    )
+    found = locate_residual(whitener(problem.observations, floor, problem.band_hz), floor, simulated)
+    return Discrepancy(found, floor.from_repeats, tuple(_notes(problem.repeats)))
+
+
+def _notes(repeats: Sequence[Repeats]) -> list[str]:
+    late = [
+        f"{each.late()}; they were moved onto each other before they were compared." for each in repeats if each.apart
+    ]
+    return [*late, *(each.trouble() for each in repeats if each.differ)]
 
 
 def over_noise(size: ResidualSize) -> float:

@@ -19,6 +19,8 @@ import numpy as np
 
 from ffcomp.diagnose.noise import BAND_HZ, fill_gaps
 from ffcomp.diagnose.problem import Candidate, InfeasibleParameters, Observation, Parameter, Problem
+from ffcomp.diagnose.recording_delays import as_recorded, belongs_to_recording, delay_parameters
+from ffcomp.diagnose.repeats import aligned, repeats_of
 from ffcomp.diagnose.validation import carriages_of
 from ffcomp.identify.output_error import UNKNOWNS
 from ffcomp.measurement.recording import Recording
@@ -59,11 +61,12 @@ class PrinterProblem(Problem):
         self, machine: Machine, recordings: Sequence[Recording], names: Sequence[str] = tuple(CATALOGUE)
     ) -> None:
         self.machine, self.recordings = machine, recordings
-        self.parameters = tuple(_parameters(machine))  # first: it raises for a machine without carriages
+        own = tuple(_parameters(machine))  # first: it raises for a machine without carriages
         self.commands = [carriages_of(machine, recording)[:: _every(recording)] for recording in recordings]
-        self.observations = [
-            _observation(machine, recording, c) for recording, c in zip(recordings, self.commands, strict=True)
-        ]
+        recorded = [_observation(machine, recording, c) for recording, c in zip(recordings, self.commands, strict=True)]
+        self.repeats = repeats_of(recorded)
+        self.observations = aligned(recorded, self.repeats)
+        self.parameters = (*own, *delay_parameters(recordings, recorded, self.repeats))
         self.candidates = tuple(_candidate(machine, CATALOGUE[n]) for n in names if n not in machine.effects)
         self.same_command = [_first_equal(self.commands, i) for i in range(len(recordings))]
         self.kept: dict[_Key, dict[int, PrinterMotion]] = {}
@@ -92,7 +95,14 @@ class PrinterProblem(Problem):
         self, values: Mapping[str, float], motions: Mapping[int, PrinterMotion], chosen: Sequence[int]
     ) -> list[FloatArray]:
         machine = self.machine_with(values)
-        return [_signals(machine, motions[self.same_command[i]], self.observations[i].signals) for i in chosen]
+        return [
+            as_recorded(
+                values,
+                self.observations[i],
+                _signals(machine, motions[self.same_command[i]], self.observations[i].signals),
+            )
+            for i in chosen
+        ]
 
     def _motions(
         self, many: Sequence[Mapping[str, float]], needed: Sequence[int], coarse: bool
@@ -137,13 +147,13 @@ class PrinterProblem(Problem):
 
     def machine_with(self, values: Mapping[str, float]) -> Machine:
         """Return the machine file's machine with these parameters and effects."""
-        plain = {name: value for name, value in values.items() if not name.startswith("effects.")}
+        plain = {n: x for n, x in values.items() if not (n.startswith("effects.") or belongs_to_recording(n))}
         machine = with_values(self.machine, plain)
         return replace(machine, effects={**machine.effects, **effect_tables(values)})
 
 
 def _without_sensors(values: Mapping[str, float]) -> dict[str, float]:
-    return {name: x for name, x in values.items() if not _is_sensor(name)}
+    return {name: x for name, x in values.items() if not (_is_sensor(name) or belongs_to_recording(name))}
 
 
 def _is_sensor(name: str) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 from ffcomp.diagnose.diagnosis import Diagnosis
 from ffcomp.diagnose.hypotheses import misfit
 from ffcomp.diagnose.printer_problem import WHOLE, PrinterProblem, effect_tables
+from ffcomp.diagnose.recording_delays import belongs_to_recording
 from ffcomp.diagnose.residuals import ResidualSize, locate_residual
 from ffcomp.identify.uncertainty import Estimate
 from models.effects.catalogue import CATALOGUE
@@ -62,11 +63,10 @@ def result_of(problem: PrinterProblem, found: Diagnosis) -> DiagnosisResult:
     """Translate a diagnosis; the best hypothesis is reported even if it was rejected."""
     fitted = found.final
     tables = effect_tables(fitted.values) if found.best is not None else {}
-    names = [n for n in fitted.parameters if not n.name.startswith("effects.")]
     retuned = {
         n.name: (n.start, fitted.values[n.name])
         for n, z in zip(fitted.parameters, fitted.z, strict=True)
-        if n in names and abs(z) > MOVED
+        if of_machine(n.name) and abs(z) > MOVED
     }
     noise = locate_residual(found.estimation.whiten, found.noise, problem.simulate({})).total
     after = locate_residual(found.estimation.whiten, found.noise, problem.simulate(fitted.values)).total
@@ -84,6 +84,11 @@ def result_of(problem: PrinterProblem, found: Diagnosis) -> DiagnosisResult:
         found.rejections,
         found.invisible,
     )
+
+
+def of_machine(name: str) -> bool:
+    """Tell whether a fitted parameter is one of the machine file's own numbers."""
+    return not (name.startswith("effects.") or belongs_to_recording(name))
 
 
 def _confidence(found: Diagnosis, effect: str) -> float:

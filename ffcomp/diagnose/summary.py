@@ -24,7 +24,7 @@ from ffcomp.diagnose.noise import lines, taper
 from ffcomp.diagnose.printer_problem import PrinterProblem
 from ffcomp.diagnose.problem import Parameter
 from ffcomp.diagnose.residuals import EDGES_HZ, SLOW_SHARE
-from ffcomp.diagnose.result import MOVED
+from ffcomp.diagnose.result import MOVED, of_machine
 from ffcomp.diagnose.score_test import similarity
 from ffcomp.identify.uncertainty import Estimate
 from models.arrays import FloatArray
@@ -385,7 +385,7 @@ def _retuned(found: Diagnosis) -> list[Retuned]:
     full = found.base if found.best is None else found.best.fit
     values = found.final.values
     intervals = found.intervals or intervals_of(found.estimation, full, values)
-    own = [n for n in full.parameters if not n.name.startswith("effects.")]
+    own = [n for n in full.parameters if of_machine(n.name)]
     rows = [_row(n, values.get(n.name, n.start), intervals[n.name]) for n in own]
     return sorted(rows, key=lambda r: -abs(r.now.value - r.start) / r.sd)
 

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ffcomp.diagnose.repeats import Repeats
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.orientation import misplaced
 from ffcomp.measurement.recording import Recording
-from ffcomp.measurement.sensors import command_unit
+from ffcomp.measurement.sensors import command_unit, wrong_scale
 from models.arrays import FloatArray
 from models.errors import UnreachableError
 from models.machine import Machine
@@ -44,9 +45,18 @@ def carriages_of(machine: Machine, recording: Recording) -> FloatArray:
         _expected(carriages, nozzle, recording),
         recording.sample_rate_hz,
     )
+    problems = _wrong_nozzle_scale(recording, nozzle) or problems
     if problems:
         raise MeasurementError(recording.source, problems)
     return carriages
+
+
+def _wrong_nozzle_scale(recording: Recording, nozzle: FloatArray) -> list[str]:
+    """Check the nozzle's sensors against its path, which only a machine knows where carriages are commanded."""
+    if recording.command_space == "nozzle":
+        return []  # the reader has done it
+    felt = {name: x for name, x in recording.acceleration.items() if name[-1] in "xyz"}
+    return wrong_scale(nozzle, ("cmd_x", "cmd_y", "cmd_z"), felt, recording.sample_rate_hz)
 
 
 def _expected(carriages: FloatArray, nozzle: FloatArray, recording: Recording) -> dict[str, FloatArray]:
@@ -134,6 +144,19 @@ def check_repeats(recordings: Sequence[Recording]) -> None:
         "only."
     )
     raise MeasurementError(named, [rule + _lengths(recordings)])
+
+
+def check_repeating(repeats: Sequence[Repeats]) -> None:
+    """Refuse repeats that differ by more than noise: what they differ by is no floor for anything.
+
+    Raises
+    ------
+    MeasurementError
+    """
+    differing = [each for each in repeats if each.differ]
+    if differing:
+        files = ", ".join(name for each in differing for name in each.files)
+        raise MeasurementError(files, [each.trouble() for each in differing])
 
 
 def _lengths(recordings: Sequence[Recording]) -> str:

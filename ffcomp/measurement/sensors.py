@@ -80,8 +80,9 @@ def wrong_scale(
     """Report accelerations whose size does not fit the command's own, in full sentences.
 
     Below 20 Hz the machine follows its command: a carriage its own, any other sensor a linear combination of all
-    three with coefficients of order one. Where a sensor does not (noise, a command too fast or at rest), nothing is
-    reported.
+    three with coefficients of order one, or less: in a plane a sensor of z feels nearly nothing. So too small is only
+    what has a command of its own that moves it. Where a sensor follows none (noise, a command too fast or at rest),
+    nothing is reported.
 
     Parameters
     ----------
@@ -93,28 +94,30 @@ def wrong_scale(
     commanded = sosfiltfilt(low, _second_derivative(command * 1e-3, rate_hz), axis=0)
     gains = {}
     for name, values in acceleration.items():
-        basis = _moving_with(name.replace("acc", "cmd"), inputs, commanded)
-        gains[name] = _gain(sosfiltfilt(low, np.nan_to_num(values)), basis)
+        basis, own = _moving_with(name.replace("acc", "cmd"), inputs, commanded)
+        gains[name] = _gain(sosfiltfilt(low, np.nan_to_num(values)), basis, _PLAUSIBLE_GAIN[0] if own else 0.0)
     wrong = [_too_large(name, gain) for name, gain in gains.items() if gain is not None]
     if not wrong or inputs[0] == "cmd_A":
         return (wrong and command_unit(command, inputs)) or wrong
     return wrong + _all_alike(list(gains.values()))
 
 
-def _moving_with(own: str, inputs: Sequence[str], commanded: FloatArray) -> FloatArray:
-    """Select the sensor's own command, if it moves much; else all of them."""
+def _moving_with(own: str, inputs: Sequence[str], commanded: FloatArray) -> tuple[FloatArray, bool]:
+    """Select the sensor's own command, if it moves much; else all of them, and tell which."""
     size = commanded.std(axis=0)
     j = list(inputs).index(own) if own in inputs else -1
-    return commanded[:, [j]] if j >= 0 and size[j] > _MUCH * float(size.max()) else commanded
+    alone = j >= 0 and bool(size[j] > _MUCH * float(size.max()))
+    return (commanded[:, [j]] if alone else commanded), alone
 
 
-def _gain(measured: FloatArray, basis: FloatArray) -> float | None:
-    """Compute how many times as large as its command a sensor is; None where that is plausible, or unclear."""
-    coefficients, _, rank, _ = np.linalg.lstsq(basis, measured, rcond=_SINGULAR)
+def _gain(measured: FloatArray, basis: FloatArray, lowest: float) -> float | None:
+    """Compute how many times as large as its command a sensor is; None where that is plausible, or unclear.
+
+    lowest : from which it is plausible; 0 where commands may leave a sensor still that works.
+    """
+    coefficients = np.linalg.lstsq(basis, measured, rcond=_SINGULAR)[0]
     explained = float((basis @ coefficients).var()) / max(float(measured.var()), 1e-300)
     gain = float(np.linalg.norm(coefficients))
-    # NOTE: commands that move in proportion (a straight line) may leave a sensor still that works: no lower bound then
-    lowest = _PLAUSIBLE_GAIN[0] if rank == basis.shape[1] else 0.0
     return None if explained < _SCALE_R2 or lowest <= gain < _PLAUSIBLE_GAIN[1] else gain
 
 

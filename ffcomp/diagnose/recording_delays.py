@@ -1,0 +1,75 @@
+"""Delay and drift of each experiment's recording against its command, as numbers that a fit may move.
+
+A recording that was joined with its command says how sure its clock is (`delay_sd_s`, `drift_sd`); in one that was
+joined by hand, repeats that lie apart say how far any file may lie off. They belong to the files, not to the machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ffcomp.diagnose.problem import Observation, Parameter
+from ffcomp.diagnose.repeats import Repeats
+from ffcomp.measurement.recording import Recording
+from ffcomp.numerics.delay import delayed
+from models.arrays import FloatArray
+
+PREFIX = "recording."
+FAR = 5.0  # standard deviations within which they are looked for
+FEW = 1.5  # a spread known from few lags is taken to be wider
+SMALL_DRIFT_S = 2e-5  # at the ends of a recording: less is not worth a parameter
+
+
+def belongs_to_recording(name: str) -> bool:
+    """Tell whether a parameter is a recording's, not the machine's."""
+    return name.startswith(PREFIX)
+
+
+def delay_parameters(
+    recordings: Sequence[Recording], observations: Sequence[Observation], repeats: Sequence[Repeats]
+) -> list[Parameter]:
+    """Make a delay for each experiment whose clock is in doubt, and a drift where the recording says so."""
+    by_hand = _spread_s(repeats)
+    found: dict[str, Parameter] = {}
+    for recording, o in zip(recordings, observations, strict=True):
+        sd = max(_number(recording, "delay_sd_s"), by_hand)
+        drift_sd = _number(recording, "drift_sd")
+        if sd > 0:
+            found.setdefault(o.repeat_of, _parameter(f"{PREFIX}{o.repeat_of}.delay_s", sd))
+        if drift_sd * len(o.measured) / o.rate_hz / 2 > SMALL_DRIFT_S:
+            name = f"{PREFIX}{o.repeat_of}.drift"
+            found.setdefault(name, _parameter(name, drift_sd))
+    return list(found.values())
+
+
+def _parameter(name: str, sd: float) -> Parameter:
+    return Parameter(name, 0.0, sd, -FAR * sd, FAR * sd)
+
+
+def _spread_s(repeats: Sequence[Repeats]) -> float:
+    """Return how far files lie off, s, by repeats that lie apart; 0 where all lie together."""
+    if not any(each.apart for each in repeats):
+        return 0.0
+    squares = sum(lag**2 for each in repeats for lag in each.lag_s)
+    return float(FEW * np.sqrt(squares / sum(len(each.lag_s) - 1 for each in repeats)))
+
+
+def _number(recording: Recording, key: str) -> float:
+    try:
+        value = float(recording.comments.get(key, 0.0))
+    except ValueError:
+        return 0.0
+    return value if np.isfinite(value) and value > 0 else 0.0
+
+
+def as_recorded(values: Mapping[str, float], observation: Observation, simulated: FloatArray) -> FloatArray:
+    """Move what was simulated, (n, m), to the times at which it was recorded."""
+    stem = f"{PREFIX}{observation.repeat_of}"
+    return delayed(simulated, values.get(f"{stem}.delay_s", 0.0), observation.rate_hz, values.get(f"{stem}.drift", 0.0))
+
+
+def own_delays(observations: Sequence[Observation]) -> frozenset[str]:
+    """Return the names of the parameters that belong to these observations' recordings."""
+    return frozenset(f"{PREFIX}{o.repeat_of}.{what}" for o in observations for what in ("delay_s", "drift"))

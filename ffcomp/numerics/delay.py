@@ -1,0 +1,30 @@
+"""Signals moved in time by less than a sample."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from models.arrays import FloatArray
+
+
+def delayed(x: FloatArray, late_s: float, rate_hz: float, drift: float = 0.0) -> FloatArray:
+    """Move signals (n, m), at rest at both ends, to a later time; missing samples (NaN) stay missing.
+
+    Parameters
+    ----------
+    drift : share by which their clock is slow, about the middle: to first order, for it is small.
+    """
+    if late_s == 0.0 and drift == 0.0:
+        return x
+    n = len(x)
+    spare = int(abs(late_s) * rate_hz) + 32
+    known = np.isfinite(x)
+    ends = np.pad(np.where(known, x, 0.0), ((spare, spare), (0, 0)), mode="edge")
+    w = 2 * np.pi * np.fft.rfftfreq(len(ends), 1 / rate_hz)
+    turned = np.fft.rfft(ends, axis=0) * np.exp(-1j * w * late_s)[:, None]
+    moved = np.fft.irfft(turned, len(ends), axis=0)[spare : spare + n]
+    if drift:
+        slope = np.fft.irfft(turned * (1j * w)[:, None], len(ends), axis=0)[spare : spare + n]
+        middle = (np.arange(n) - (n - 1) / 2) / rate_hz
+        moved = moved - drift * middle[:, None] * slope
+    return np.where(known, moved, np.nan)
