@@ -15,7 +15,7 @@ import numpy as np
 
 from ffcomp.diagnose.problem import Observation
 from ffcomp.numerics.delay import delayed
-from models.arrays import FloatArray
+from models.arrays import ComplexArray, FloatArray
 
 LAG_S = 1e-4  # by which repeats may lie apart before it is said, and their delays are fitted
 MOST_LAG_S, LAG_STEP_S = 0.012, 2e-4  # that is looked for; of the first search
@@ -110,10 +110,10 @@ def _columns(observation: Observation, names: Sequence[str]) -> FloatArray:
     return np.nan_to_num(x - np.nanmean(x, axis=0))
 
 
-def _lags(spectra: Sequence[FloatArray], observation: Observation) -> tuple[list[float], bool]:
+def _lags(spectra: Sequence[ComplexArray], observation: Observation) -> tuple[list[float], bool]:
     """Return each repeat's lag behind the mean of all, s, and whether they are more than noise."""
     n = len(observation.measured)
-    w = 2 * np.pi * np.fft.rfftfreq(n, 1 / observation.rate_hz)
+    w: FloatArray = 2 * np.pi * np.asarray(np.fft.rfftfreq(n, 1 / observation.rate_hz), dtype=np.float64)
     keep = (w >= 2 * np.pi * LAG_BAND_HZ[0]) & (w <= 2 * np.pi * LAG_BAND_HZ[1])
     reference = spectra[0][keep]
     lags, sds = [0.0], [0.0]
@@ -126,7 +126,7 @@ def _lags(spectra: Sequence[FloatArray], observation: Observation) -> tuple[list
     return [lag - middle for lag in lags], certain
 
 
-def _lag(reference: FloatArray, other: FloatArray, w: FloatArray) -> tuple[float, float]:
+def _lag(reference: ComplexArray, other: ComplexArray, w: FloatArray) -> tuple[float, float]:
     """Return how much later `other` (k, m) is than the reference, and its standard deviation, s."""
     cross = np.sum(np.conj(other) * reference, axis=1)
     tries = np.arange(-MOST_LAG_S, MOST_LAG_S + LAG_STEP_S / 2, LAG_STEP_S)
@@ -142,7 +142,7 @@ def _lag(reference: FloatArray, other: FloatArray, w: FloatArray) -> tuple[float
     return lag, float(np.sqrt(np.sum(w**2 * left) / 2) / max(information, 1e-300) * np.sqrt(w @ w))
 
 
-def _alike(cross: FloatArray, w: FloatArray, lag: float) -> float:
+def _alike(cross: ComplexArray, w: FloatArray, lag: float) -> float:
     return float(np.sum((cross * np.exp(-1j * w * lag)).real))
 
 
