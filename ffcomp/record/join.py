@@ -24,7 +24,10 @@ from ffcomp.record.clock import ClockFit, Matches, Reference, every_clock, fit_c
 from ffcomp.record.expected import Expectation, expectation
 from ffcomp.record.plan import Experiment, MovesPlan
 from ffcomp.record.plan_files import run_name
+from ffcomp.record.repeats import check_repeats
 from ffcomp.record.result import Joined, JoinResult, Refused
+from ffcomp.record.shaper import find_shapers
+from ffcomp.record.split import Execution, split_capture
 from models.arrays import FloatArray
 from models.machine import Machine
 
@@ -39,6 +42,25 @@ REPEATS_SD_S, SURE = 3e-5, 2.0  # by which the motion tells two repeats apart at
 DELAY_SD_S = {"firmware": 3e-4, "free": 1e-3}
 DRIFT_SD = 5e-5
 LOWEST_RATE_HZ = 800.0  # of a recording
+LONGEST, LONGER_S = 1.5, 3.0  # a capture of one execution: RepRapFirmware's go on for a while
+SHAPER_REMEDY = (
+    "It must be off: the plan's G-code switches it off (Klipper: SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0; "
+    'RepRapFirmware: M593 P"none"; Marlin: M593 F0). Run that file as it is, and record it again.'
+)
+
+
+class _Expected(dict[str, tuple[Expectation, Reference]]):
+    """What each experiment of a plan is expected to feel like, computed when first needed."""
+
+    def __init__(self, plan: MovesPlan, machine: Machine) -> None:
+        super().__init__()
+        self._plan, self._machine = plan, machine
+
+    def __missing__(self, name: str) -> tuple[Expectation, Reference]:
+        experiment = next(each for each in self._plan.experiments if each.name == name)
+        found = expectation(experiment, self._machine, self._plan.rest_before_s)
+        self[name] = found, Reference(found)
+        return self[name]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,69 +95,102 @@ def join_captures(
     turn : (3, 3) from the sensor's axes to the printer's; None: found in the captures
     """
     refused: list[Refused] = []
-    expected: dict[str, tuple[Expectation, Reference]] = {}
+    expected, taken = _Expected(plan, machine), set[str]()
     tasks: list[_Task] = []
     for path in paths:
         progress(f"reading {Path(path).name}")
         try:
-            tasks += _tasks(path, plan, machine, expected)
+            tasks += _tasks(path, plan, expected, taken)
         except MeasurementError as error:
             refused += [Refused(str(path), problem) for problem in error.problems]
     joined: list[Joined] = []
     for chip in dict.fromkeys(task.chip for task in tasks):
         own = [task for task in tasks if task.chip == chip]
-        axes = turn if turn is not None else find_turn([task.matches for task in own], own[0].gravity)
         progress(f"joining {len(own)} captures of {chip or 'the accelerometer'}")
-        clocks: list[tuple[_Task, _Clock]] = []
-        for task in own:
-            try:
-                clocks.append((task, _clock(task, plan, axes, expected[task.experiment.name][1])))
-            except MeasurementError as error:
-                refused += [Refused(task.capture.source, problem) for problem in error.problems]
-        rate = float(np.round(np.median([task.capture.sample_rate_hz for task in own])))
-        for task, clock in _narrowed(clocks):
-            try:
-                joined.append(_joined(task, clock, axes, expected[task.experiment.name][0], rate))
-            except MeasurementError as error:
-                refused += [Refused(task.capture.source, problem) for problem in error.problems]
-    return JoinResult(tuple(sorted(_best(joined), key=lambda each: each.name)), tuple(refused))
+        found, wrong = _join_chip(own, plan, turn, expected)
+        joined += found
+        refused += wrong
+    kept, unlike, notes = check_repeats(sorted(_best(joined), key=lambda each: each.name))
+    return JoinResult(tuple(kept), (*refused, *unlike), tuple(notes))
 
 
-def _tasks(
-    path: str | Path, plan: MovesPlan, machine: Machine, expected: dict[str, tuple[Expectation, Reference]]
-) -> list[_Task]:
+def _join_chip(
+    tasks: Sequence[_Task], plan: MovesPlan, turn: FloatArray | None, expected: _Expected
+) -> tuple[list[Joined], list[Refused]]:
+    """Join the captures of one accelerometer."""
+    axes = turn if turn is not None else find_turn([task.matches for task in tasks], tasks[0].gravity)
+    refused: list[Refused] = []
+    clocks: list[tuple[_Task, _Clock]] = []
+    for task in tasks:
+        try:
+            clocks.append((task, _clock(task, plan, axes, expected[task.experiment.name][1])))
+        except MeasurementError as error:
+            refused += [Refused(task.capture.source, problem) for problem in error.problems]
+    rate = float(np.round(np.median([task.capture.sample_rate_hz for task in tasks])))
+    joined: list[tuple[Joined, Expectation]] = []
+    for task, clock in _narrowed(clocks):
+        ready = expected[task.experiment.name][0]
+        try:
+            joined.append((_joined(task, clock, axes, ready, rate), ready))
+        except MeasurementError as error:
+            refused += [Refused(task.capture.source, problem) for problem in error.problems]
+    if shapers := find_shapers(joined):
+        why = " ".join(["".join(each.words for each in shapers), SHAPER_REMEDY])
+        return [], refused + [Refused(each.source, why) for each, _ in joined]
+    good = [each for each, _ in joined if each.clock.correlation >= LEAST_CORRELATION]
+    refused += [Refused(each.source, _unlike(each)) for each, _ in joined if each not in good]
+    return good, refused
+
+
+def _tasks(path: str | Path, plan: MovesPlan, expected: _Expected, taken: set[str]) -> list[_Task]:
     tasks = []
     for capture in read_captures(path):
-        experiment, repeat, chip = _belongs(capture, plan)
-        _check_rows(capture)
-        if experiment.name not in expected:
-            found = expectation(experiment, machine, plan.rest_before_s)
-            expected[experiment.name] = found, Reference(found)
-        ready, reference = expected[experiment.name]
-        since, record = thinned(capture.time_s, capture.acceleration)
-        if capture.clock == "firmware":
-            matches = known_clock(since, record, reference, (_stated(capture, plan, experiment)[0], 1.0))
-        else:
-            matches = every_clock(since, record, reference, ready)
-        tasks.append(_Task(capture, experiment, repeat, chip, since, record, matches))
+        for each in _executions(capture, plan, expected, taken):
+            _check_rows(each.capture)
+            own, (ready, reference) = each.capture, expected[each.experiment.name]
+            since, record = thinned(own.time_s, own.acceleration)
+            if own.clock == "firmware":
+                start = (_stated(own, plan, each.experiment)[0], 1.0)
+                matches = known_clock(since, record, reference, start)
+            elif each.start is not None:
+                matches = known_clock(since, record, reference, each.start)
+            else:
+                matches = every_clock(since, record, reference, ready)
+            tasks.append(_Task(own, each.experiment, each.repeat, each.chip, since, record, matches))
     return tasks
 
 
-def _belongs(capture: Capture, plan: MovesPlan) -> tuple[Experiment, int, str]:
+def _executions(capture: Capture, plan: MovesPlan, expected: _Expected, taken: set[str]) -> list[Execution]:
+    """Tell by name or motion which of the plan's executions a capture holds, of which chip."""
+    named = _belongs(capture, plan)
+    if named is not None:
+        lasting = plan.rest_before_s + named[0].duration_s + plan.rest_after_s
+        if capture.time_s[-1] - capture.time_s[0] < LONGEST * lasting + LONGER_S:
+            return [Execution(capture, *named)]
+    references = [expected[each.name][1] for each in plan.experiments]
+    found = split_capture(capture, plan, references, taken)
+    if not found:
+        first = run_name(plan.experiments[0].name, 1)
+        stem = capture.name or Path(capture.source).stem
+        raise MeasurementError(
+            capture.source,
+            [
+                f"Its name {stem!r} holds none of the plan's experiments, as {first!r} does, and its motion is none of "
+                "those that are still to be found. Give the plan that its G-code was made with, and captures of one "
+                "accelerometer and of one run of that file."
+            ],
+        )
+    return found
+
+
+def _belongs(capture: Capture, plan: MovesPlan) -> tuple[Experiment, int, str] | None:
     """Find experiment, repeat and chip by the name that the capture's command gave it."""
     stem = capture.name or Path(capture.source).stem
     for experiment in sorted(plan.experiments, key=lambda each: -len(each.name)):
         found = re.search(rf"{re.escape(experiment.name)}-(\d+)(?!\d)", stem)
         if found and 1 <= int(found[1]) <= plan.repeats:
             return experiment, int(found[1]), stem[: found.start()].strip("-_")
-    first = run_name(plan.experiments[0].name, 1)
-    raise MeasurementError(
-        capture.source,
-        [
-            f"Its name {stem!r} holds none of the plan's experiments, as {first!r} does. Give the plan that its G-code "
-            "was made with, or name the file EXPERIMENT-REPEAT.csv."
-        ],
-    )
+    return None
 
 
 def _check_rows(capture: Capture) -> None:
@@ -184,12 +239,12 @@ def _clock(task: _Task, plan: MovesPlan, axes: FloatArray, reference: Reference)
     record = task.record @ axes.T
     if task.capture.clock == "free":
         found = fit_clock(task.since, record, reference, best_score(task.matches, axes)[1], free_ratio=True)
-        _check_match(task, found)
         return _Clock(replace(found, offset_sd_s=float(np.hypot(found.offset_sd_s, BIAS_SD_S))), None)
     stated = _stated(task.capture, plan, task.experiment)
     found = fit_clock(task.since, record, reference, (float(np.mean(stated)), 1.0), free_ratio=False)
-    _check_match(task, found)
     early = float(np.mean(stated)) - found.offset_s
+    if found.correlation < LEAST_CORRELATION:  # refused later, or a shaper is to blame
+        return _Clock(replace(found, offset_s=float(np.mean(stated))), None)
     if abs(early) > FARTHEST_S:
         raise MeasurementError(
             task.capture.source,
@@ -252,19 +307,15 @@ def _joined(task: _Task, clock: ClockFit, axes: FloatArray, ready: Expectation, 
     step = 1.0 / (factor * rate_hz)
     grid = step * np.arange(np.ceil(first / step), np.floor(last / step) + 1)
     recording = _recording(task, clock, grid, _on_grid(tau, felt, grid, factor), words(axes))
-    return Joined(recording, task.experiment.name, task.repeat, clock, capture.overflows, capture.source, words(axes))
+    name, begin = task.experiment.name, float(grid[0])
+    return Joined(recording, name, task.repeat, clock, capture.overflows, capture.source, words(axes), begin)
 
 
-def _check_match(task: _Task, clock: ClockFit) -> None:
-    if clock.correlation >= LEAST_CORRELATION:
-        return
-    raise MeasurementError(
-        task.capture.source,
-        [
-            f"It does not fit the motion of {task.experiment.name} below 20 Hz: correlation {clock.correlation:.2f}, "
-            f"and {LEAST_CORRELATION:g} is needed. It is of another motion, of another machine or of a loose sensor, "
-            "or its axes are others than --axes-map says. Check these, and record it again."
-        ],
+def _unlike(joined: Joined) -> str:
+    return (
+        f"It does not fit the motion of {joined.experiment} below 20 Hz: correlation {joined.clock.correlation:.2f}, "
+        f"and {LEAST_CORRELATION:g} is needed. It is of another motion, of another machine or of a loose sensor, "
+        "or its axes are others than --axes-map says. Check these, and record it again."
     )
 
 

@@ -27,6 +27,7 @@ class Joined:
     overflows: int
     source: str
     axes_map: str
+    begin_s: float  # of the recording, on the experiment's clock: its motion begins at 0
 
     @property
     def name(self) -> str:
@@ -48,6 +49,7 @@ class JoinResult:
 
     joined: tuple[Joined, ...]
     refused: tuple[Refused, ...]
+    remarks: tuple[str, ...] = ()  # sentences about what was joined
 
     @property
     def recordings(self) -> list[Recording]:
@@ -65,7 +67,7 @@ class JoinResult:
 
     def notes(self, plan: MovesPlan, machine: Machine) -> list[str]:
         """Say in sentences what the user should know, though it is no reason to refuse anything."""
-        notes = []
+        notes = list(self.remarks)
         if plan.machine_sha256 and plan.machine_sha256 != machine.sha256:
             notes.append(
                 f"The plan was made with another machine file ({plan.machine}, sha256 {plan.machine_sha256[:8]}); the "

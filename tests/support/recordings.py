@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from ffcomp.record.plan_files import load_moves
+from ffcomp.shapers.pulses import Shaper
 from models.machine import Machine
 from models.printer.printer import simulate_printer
 from validation.plants.accelerometer import draw_chip, klipper_capture
@@ -23,8 +24,12 @@ def write_captures(
     kinds: Sequence[str] = (),
     axes: NDArray[np.float64] | None = None,
     noise_m_per_s2: float = 0.15,
+    shapers: Sequence[Shaper | None] = (None, None),
 ) -> list[Path]:
-    """Write one capture for each execution of the plan's experiments of these kinds (none: all)."""
+    """Write one capture for each execution of the plan's experiments of these kinds (none: all).
+
+    shapers : of x and y, which the firmware has left on
+    """
     moves, rng = load_moves(plan), np.random.default_rng(1)
     chip = draw_chip(rng, np.eye(3) if axes is None else axes)
     object.__setattr__(chip, "noise_m_per_s2", noise_m_per_s2)
@@ -34,10 +39,24 @@ def write_captures(
         if kinds and each.kind not in kinds:
             continue
         t = np.arange(-1.2, each.duration_s + 0.8, 1 / 3200)
-        carriages = plant.kinematics.inverse(each.motion.nozzle(t))
+        carriages = plant.kinematics.inverse(shaped(each.motion.nozzle, t, shapers))
         felt = CubicSpline(t, simulate_printer(plant, carriages, 1 / 3200).nozzle_acceleration)
         end = each.duration_s + moves.rest_after_s
         path = folder / f"adxl345-{each.name}-{repeat}.csv"
         path.write_text(klipper_capture(felt, chip, -moves.rest_before_s, end, 55.0, rng), encoding="utf-8")
         written.append(path)
     return written
+
+
+def shaped(
+    nozzle: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    t: NDArray[np.float64],
+    shapers: Sequence[Shaper | None],
+) -> NDArray[np.float64]:
+    """The nozzle's command (n, 3) mm, as the firmware's input shapers of x and y leave it."""
+    command = nozzle(t).copy()
+    for axis, shaper in enumerate(shapers):
+        if shaper is not None:
+            pulses = zip(shaper.amplitude.tolist(), shaper.time.tolist(), strict=True)
+            command[:, axis] = sum(size * nozzle(t - late)[:, axis] for size, late in pulses)
+    return command

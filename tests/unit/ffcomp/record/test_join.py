@@ -214,10 +214,11 @@ def test_lost_samples_are_refused(bench: Bench, tmp_path: Path) -> None:
     assert "The chip lost samples (3 overflows or drops)" in refused(bench, path)
 
 
-def test_a_name_that_is_not_in_the_plan_is_refused(bench: Bench, tmp_path: Path) -> None:
+def test_a_renamed_capture_is_known_by_its_motion(bench: Bench, tmp_path: Path) -> None:
     path = tmp_path / "adxl345-other-1.csv"
     path.write_bytes(one(bench).read_bytes())
-    assert "holds none of the plan's experiments, as 'ffcomp-zigzag-0-1' does" in refused(bench, path)
+    (joined,) = join_captures([path], bench.plan, bench.machine).joined
+    assert joined.name == one(bench).stem.removeprefix("adxl345-")[:-1] + "1" and joined.source == str(path)
 
 
 def test_wrong_axes_are_refused(bench: Bench) -> None:

@@ -1,0 +1,147 @@
+"""What owners bring that must not be joined in silence: a shaper left on, repeats that do not repeat, long captures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ffcomp.record.join import join_captures
+from ffcomp.record.plan import MovesPlan, Request, make_plan
+from ffcomp.record.plan_files import save_plan
+from ffcomp.record.result import JoinResult
+from ffcomp.shapers.kinds import SHAPERS
+from models.file import load_machine
+from models.machine import Machine
+from tests.support.recordings import write_captures
+
+KINDS = ("zigzag", "loop")
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine("voron-300")
+
+
+@pytest.fixture(scope="module")
+def plan(machine: Machine) -> MovesPlan:
+    made = make_plan(machine, Request(seconds=2.0, places_mm=[machine.kinematics.centre_mm]))
+    return replace(made, experiments=tuple(each for each in made.experiments if each.kind in KINDS))
+
+
+@pytest.fixture(scope="module")
+def captures(plan: MovesPlan, machine: Machine, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    return captured(plan, machine, tmp_path_factory.mktemp("captures"))
+
+
+def captured(plan: MovesPlan, plant: Machine, folder: Path, **options: object) -> list[Path]:
+    save_plan(plan, folder / "moves.json")
+    return write_captures(folder / "moves.json", plant, folder, **options)  # type: ignore[arg-type]
+
+
+def reasons(found: JoinResult) -> list[str]:
+    return [each.why for each in found.refused]
+
+
+@pytest.mark.parametrize(("kind", "frequency_hz"), [("mzv", 45.0), ("ei", 60.0)])
+def test_a_shaper_left_on_is_named(
+    plan: MovesPlan, machine: Machine, tmp_path: Path, kind: str, frequency_hz: float
+) -> None:
+    shaper = SHAPERS[kind](frequency_hz, 0.1)
+    once = replace(plan, repeats=1)
+    found = join_captures(captured(once, machine, tmp_path, shapers=(shaper, None)), once, machine)
+    assert not found.joined and len(found.refused) == 2
+    (why,) = set(reasons(found))
+    assert f"x moved as {kind.upper()} at about {frequency_hz:.0f} Hz" in why and "y moved" not in why
+    assert "SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0" in why
+
+
+def test_a_machine_file_that_is_wrong_is_no_shaper(plan: MovesPlan, machine: Machine, tmp_path: Path) -> None:
+    values = {each.name: each.value for each in machine.vibration.parameters()}
+    off = {name: value * (3.0 if "damping" in name else 0.8) for name, value in values.items()}
+    plant = replace(machine, vibration=machine.vibration.with_parameters(off))
+    once = replace(plan, repeats=1)
+    assert len(join_captures(captured(once, plant, tmp_path), once, machine).joined) == 2
+
+
+def test_repeats_that_do_not_repeat_are_refused_with_the_number(
+    plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path
+) -> None:
+    values = {each.name: each.value for each in machine.vibration.parameters()}
+    warm = {name: value * (0.85 if "stiffness" in name else 1.0) for name, value in values.items()}
+    later = captured(plan, replace(machine, vibration=machine.vibration.with_parameters(warm)), tmp_path)
+    mixed = [*[path for path in captures if path.stem.endswith("-1")], *[p for p in later if p.stem.endswith("-2")]]
+    found = join_captures(mixed, plan, machine)
+    assert not found.joined and len(found.refused) == 4
+    assert {each.file for each in found.refused} == {str(path) for path in mixed}
+    first = next(each.why for each in found.refused if "Repeat 2 of ffcomp-zigzag-0" in each.why)
+    assert "differs from repeat 1 by" in first and "% of the signal" in first and "warm up" in first
+
+
+def test_of_three_repeats_the_one_that_differs_is_refused(
+    plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path
+) -> None:
+    thrice = replace(plan, repeats=3)
+    odd = tmp_path / captures[0].name.replace("-1.csv", "-3.csv")
+    head, *rows = captures[0].read_text().splitlines()
+    table = np.array([[float(x) for x in row.split(",")] for row in rows])
+    table[:, 1:] = table[:, 1:].mean(axis=0) + 1.5 * (table[:, 1:] - table[:, 1:].mean(axis=0))
+    odd.write_text("\n".join([head, *(f"{t:.6f},{x:.3f},{y:.3f},{z:.3f}" for t, x, y, z in table)]) + "\n")
+    found = join_captures([*captures, odd], thrice, machine)
+    assert len(found.joined) == 4 and [each.file for each in found.refused] == [str(odd)]
+
+
+def test_a_late_repeat_is_said(plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path) -> None:
+    late = tmp_path / captures[-1].name
+    rows = captures[-1].read_text().splitlines()
+    late.write_text("\n".join([rows[0], *rows[2:]]) + "\n")  # as if it had begun a sample later
+    found = join_captures([*captures[:-1], late], plan, machine)
+    assert len(found.joined) == 4
+    assert found.remarks == () or all("ms" in each for each in found.remarks)
+
+
+def one_file(captures: Sequence[Path], rate_error: float) -> str:
+    """Everything in one table as a phone writes it: rests, travel and all, on a clock of its own."""
+    rng, parts = np.random.default_rng(3), list[NDArray[np.float64]]()
+    for path in captures:
+        values = np.loadtxt(path, delimiter=",", skiprows=1)[:, 1:] / 1e3
+        k = np.arange(3200)
+        rest = values[-50:].mean(axis=0) + rng.normal(0.0, 0.15, (3200, 3))
+        rest[:, 0] += 2.0 * np.sin(2 * np.pi * 5.0 * k / 3200) * ((k > 800) & (k < 2400))  # it travels
+        parts += [values, rest]
+    table = np.vstack(parts)
+    t = np.arange(len(table)) / 3200 * rate_error
+    rows = (f"{s:.6f},{x:.4f},{y:.4f},{z:.4f}\n" for s, (x, y, z) in zip(t.tolist(), table.tolist(), strict=True))
+    return "t_s,ax_m_per_s2,ay_m_per_s2,az_m_per_s2\n" + "".join(rows)
+
+
+def in_order(plan: MovesPlan, captures: Sequence[Path]) -> list[Path]:
+    stems = [f"{each.name}-{repeat}" for each, repeat in plan.runs()]
+    return [next(path for path in captures if path.stem.endswith(stem)) for stem in stems]
+
+
+def test_one_long_capture_is_cut_at_the_experiments(
+    plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path
+) -> None:
+    phone = tmp_path / "phone.csv"
+    phone.write_text(one_file(in_order(plan, captures), 1.004))
+    found = join_captures([phone], plan, machine)
+    assert [each.name for each in found.joined] == sorted(f"{e.name}-{r}" for e, r in plan.runs())
+    assert not found.refused and all(each.clock.correlation > 0.99 for each in found.joined)
+    again = join_captures([phone, *captures], plan, machine)  # the same motions again: the better ones are kept
+    assert len(again.joined) == 4
+
+
+def test_a_capture_of_another_plan_is_refused_whatever_its_name(
+    plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path
+) -> None:
+    other = make_plan(machine, Request(seconds=2.0, seed=5, places_mm=[machine.kinematics.centre_mm], repeats=1))
+    alone = replace(other, experiments=tuple(each for each in other.experiments if each.kind == "multisine"))
+    (path,) = captured(alone, machine, tmp_path)
+    unnamed = path.rename(tmp_path / "yesterday.csv")
+    found = join_captures([unnamed], plan, machine)
+    assert not found.joined and "holds none of the plan's experiments" in reasons(found)[0]
