@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.errors import MeasurementError
-from ffcomp.identify.axis_spectra import Spectrum, spectrum_of
+from ffcomp.identify.axis_spectra import Spectrum
 from ffcomp.identify.modal_fit import AxisFit, fit_axis
+from ffcomp.identify.resonance_tests import spectrum_of
 from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.vibration import read_vibration
 from ffcomp.shapers.calibration import calibrated, normalised, resonance_test
@@ -129,8 +130,8 @@ def real(path: Path) -> dict[str, Any]:
 def modes_of(path: Path) -> dict[str, Any]:
     nothing: dict[str, Any] = {"problem": None, "modes": [], "summed": False, "unexplained": None}
     spectrum = spectrum_of(path, None, BAND_HZ)
-    if isinstance(spectrum, str):
-        return nothing | {"problem": spectrum}
+    if not isinstance(spectrum, Spectrum):
+        return nothing | {"problem": str(spectrum)}
     try:
         found = fit_axis(spectrum.axis, [spectrum])
     except MeasurementError as error:

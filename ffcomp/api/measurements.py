@@ -65,12 +65,15 @@ class Identification:
         RequestError
             If the data hold no responses.
         """
+        from ffcomp.report.belts import belts_figure
         from ffcomp.report.identify import axes_figure, fit_figure
 
-        found = self.fit.found
+        found, belts = self.fit.found, self.fit.belts
+        if found is None and belts is not None:
+            return belts_figure(belts, self.fit.name)
         if found is None:
             raise RequestError("These data hold no frequency responses to draw.")
-        return fit_figure(found) if isinstance(found, Identified) else axes_figure(found, self.fit.name)
+        return fit_figure(found) if isinstance(found, Identified) else axes_figure(found, self.fit.name, belts)
 
 
 def identify(
@@ -84,7 +87,9 @@ def identify(
     name: str = "",
     band_hz: tuple[float, float] = (2.0, 400.0),
     axes_map: Sequence[str] = ("x", "y", "z"),
-    axis: str | None = None,
+    axis: str | Sequence[str] = (),
+    column: str | None = None,
+    rough: bool = False,
     progress: Progress = lambda sentence: None,
 ) -> Identification:
     """Fit a machine file's parameters to measurements, with their uncertainties.
@@ -100,7 +105,10 @@ def identify(
     name : of the new machine; "": the output file's
     band_hz : frequencies that are used
     axes_map : the printer's axes in the accelerometer's own
-    axis : excited axis of resonance tests whose names do not state it
+    axis : excited axis of resonance tests whose names do not state it: x, y, or a direction such as "1,-1"; one for
+        all of them, or one each
+    column : the spectrum to be used of files with several, where their header does not say what these are
+    rough : write modes too that leave more than 20 % of their measurement unexplained
 
     Raises
     ------
@@ -114,12 +122,21 @@ def identify(
         band_hz=band_hz,
         plan=None if plan is None else load_plan(Path(plan)),
         axes=list(axes_map),
-        shaken_axis=axis,
+        shaken_axis=[axis] if isinstance(axis, str) else axis,
+        column=column,
         progress=progress,
     )
     named = name or (target.stem if target else start.name)
     fit = fit_measurements(
-        start, gathered, files, known or {}, named, method=method, write_start=target is not None, progress=progress
+        start,
+        gathered,
+        files,
+        known or {},
+        named,
+        method=method,
+        write_start=target is not None,
+        rough=rough,
+        progress=progress,
     )
     if target is not None:
         fit.write(target)

@@ -72,11 +72,28 @@ AxesMap = Annotated[
     ),
 ]
 Axis = Annotated[
-    str | None,
+    list[str] | None,
     typer.Option(
         metavar="AXIS",
         rich_help_panel=MACHINE,
-        help="Excited axis, x or y, of resonance tests whose file names do not state it (cartesian and CoreXY).",
+        help="Excited axis of resonance tests whose file names do not state it: x, y, or a direction such as 1,-1 (a "
+        "belt of a CoreXY machine) or 0.866,-0.5 (a tower of a delta). Once for all such files, or once for each.",
+    ),
+]
+Column = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        rich_help_panel=MACHINE,
+        help="Spectrum to be used of files with several columns, where their header does not say what these are.",
+    ),
+]
+Rough = Annotated[
+    bool,
+    typer.Option(
+        "--rough",
+        rich_help_panel=ACCURACY,
+        help="Write modes too that leave more than 20 % of their measurement unexplained.",
     ),
 ]
 
@@ -95,6 +112,8 @@ def fit(
     highest_hz: HighestFitted = 400.0,
     axes_map: AxesMap = "x,y,z",
     axis: Axis = None,
+    column: Column = None,
+    rough: Rough = False,
     force: Force = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -107,12 +126,14 @@ def fit(
     --known effector.total_mass_kg=0.651±0.001 -o my-printer.toml --figure fit.png
 
     A cartesian or CoreXY machine: ffcomp identify fit raw_data_x_*.csv raw_data_y_*.csv -m voron-300 -o my.toml
+
+    Its belts, or a delta's towers, compared: ffcomp identify fit raw_data_axis=*.csv -m voron-300 --figure belts.png
     """
     from ffcomp.cli.common import exit_codes, print_json, say
 
     numbers = dict(_known(text) for text in known or [])
-    if axis not in (None, "x", "y", "z"):
-        raise typer.BadParameter(f"--axis {axis!r}: it is x, y or z.")
+    for said in axis or []:
+        _check_axis(said)
     if method not in ("direct", "stepwise"):
         raise typer.BadParameter(f"--method {method!r}: it is direct or stepwise.")
     if output is not None and output.exists() and not force:
@@ -131,13 +152,22 @@ def fit(
         account = None if plan is None else load_plan(plan)
         axes = axes_map.split(",")
         band = (lowest_hz, highest_hz)
-        gathered = gather(data, start, band_hz=band, plan=account, axes=axes, shaken_axis=axis, progress=progress)
-        for sentence in gathered.skipped:
+        gathered = gather(
+            data,
+            start,
+            band_hz=band,
+            plan=account,
+            axes=axes,
+            shaken_axis=axis or (),
+            column=column,
+            progress=progress,
+        )
+        for sentence in [] if gathered.nothing else gathered.skipped:
             say(f"ffcomp: {sentence}", quiet)
         named = name or (output.stem if output else start.name)
         started, wanted = output is not None, cast("FitMethod", method)
         found = fit_measurements(
-            start, gathered, data, numbers, named, method=wanted, write_start=started, progress=progress
+            start, gathered, data, numbers, named, method=wanted, write_start=started, rough=rough, progress=progress
         )
         written = _written(found, output)
         if figure is not None:
@@ -218,6 +248,17 @@ def _known(text: str) -> tuple[str, tuple[float, float]]:
         raise typer.BadParameter(f"--known {text!r}: it reads KEY=VALUE±SD, with numbers.") from None
 
 
+def _check_axis(said: str) -> None:
+    """Refuse what is no axis."""
+    from ffcomp.identify.resonance_tests import direction_of
+
+    try:
+        direction_of(said)
+    except ValueError:
+        rule = "it is x, y, z, or a direction of x and y such as 1,-1 or 0.866,-0.5"
+        raise typer.BadParameter(f"--axis {said!r}: {rule}.") from None
+
+
 def _written(found: MachineFit, output: Path | None) -> str | None:
     """Write the machine file, if one is asked for; check it in any case, for a later run would write it."""
     from models.file import check_text
@@ -232,14 +273,17 @@ def _written(found: MachineFit, output: Path | None) -> str | None:
 
 def _draw(fitted: MachineFit, target: Path) -> None:
     from ffcomp.identify.identify import Identified
+    from ffcomp.report.belts import draw_belts
     from ffcomp.report.identify import draw_axes, draw_fit
 
-    if fitted.found is None:
-        raise typer.BadParameter("--figure shows frequency responses; these files hold none (see: --plan).")
     if isinstance(fitted.found, Identified):
         draw_fit(fitted.found, target)
+    elif fitted.found is not None:
+        draw_axes(fitted.found, fitted.name, target, fitted.belts)
+    elif fitted.belts is not None:
+        draw_belts(fitted.belts, fitted.name, target)
     else:
-        draw_axes(fitted.found, fitted.name, target)
+        raise typer.BadParameter("--figure shows frequency responses; these files hold none (see: --plan).")
 
 
 def _print(result: dict[str, Any]) -> None:
@@ -253,6 +297,8 @@ def _print(result: dict[str, Any]) -> None:
             print(text.format(**m) + ("" if m["clear"] else "  (uncertain)"))
     for name, axis in result.get("axes", {}).items():
         _print_axis(name, axis)
+    if "belts" in result:
+        _print_belts(result["belts"])
     if "numbers" in result:
         _print_numbers(result["numbers"], result.get("kept", ()))
     if "misfit" in result:
@@ -272,6 +318,18 @@ def _print_axis(name: str, axis: dict[str, Any]) -> None:
     for datum in axis["data"]:
         left = f"{100 * datum['model_error']:.1f} %" if datum["model_error"] else "its noise"
         print(f"  {datum['source']}: told to {left} ({datum['lines']} frequencies)")
+
+
+def _print_belts(belts: dict[str, Any]) -> None:
+    for name, e in belts["relative_stiffness"].items():
+        what = f"tower {name}" if belts["kind"] == "tower" else f"belt of axis={name}"
+        low, high = (f"{100 * e[key]:+.0f}" for key in ("low", "high"))
+        print(f"{what}: {100 * e['value']:+.1f} % (90 %: {low} to {high} %) against the mean of the others")
+    first, second = belts["modes_hz"]
+    print(f"  the head resonates at {_interval(first)} and {_interval(second)} Hz")
+    for test in belts["tests"]:
+        print(f"  {test['file']}: told to {100 * test['model_error']:.1f} %")
+    print(belts["sentence"])
 
 
 def _interval(e: dict[str, float]) -> str:

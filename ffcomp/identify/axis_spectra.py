@@ -6,7 +6,7 @@ a delay. Its `model` says how the modes H(f) (see `modal_fit.py`) show in it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,18 +14,15 @@ from typing import Protocol
 
 import numpy as np
 
-from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.frf import FrequencyResponse
-from ffcomp.measurement.klipper import Resonances
-from ffcomp.measurement.modes import HIGHEST_HZ, LOWEST_HZ, segment_powers, window_kernel
-from ffcomp.measurement.vibration import read_vibration
+from ffcomp.measurement.modes import window_kernel
+from ffcomp.measurement.swept import SweptBand, cut_off
 from models.arrays import ComplexArray, FloatArray
 
 AXES, CARRIAGES = "xyz", "ABC"
 NO_FLOOR = 10.0  # ln of a share of the smallest power
 LONGEST_DELAY_MS = 100.0
 DELAYS_MS = np.linspace(-40.0, 40.0, 161)  # tried: a capture that is upside down is aligned half a period wrong
-FEWEST_LINES = 20  # of one file, in the band
 USUAL_AVERAGES = 400  # segments of half a second or so, half overlapping, of a test that takes two minutes
 FLOOR_SHARE = 0.1
 COARSE = 0.3  # model error while the modes are looked for
@@ -82,6 +79,9 @@ class Datum(Protocol):
     def remarks(self, own: FloatArray) -> list[str]:
         """Describe oddities that the nuisance parameters show, in sentences."""
 
+    def beyond(self, frequency_hz: float, damping_ratio: float) -> str:
+        """Say that the excitation ended before it passed a mode; '' if it did pass it."""
+
 
 def closed_form(modes: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
     """Evaluate H at any frequencies; modes (m, 3), columns frequency Hz, damping ratio, share."""
@@ -114,6 +114,7 @@ class Spectrum:
     value: FloatArray  # (k,) power spectral density
     averages: int = USUAL_AVERAGES  # segments behind it
     remark: str = ""
+    swept: SweptBand | None = None  # None: not known, or as wide as firmware's own tests
 
     @property
     def level(self) -> FloatArray:
@@ -175,6 +176,12 @@ class Spectrum:
     def remarks(self, own: FloatArray) -> list[str]:
         """Pass on the remark made while reading."""
         return [self.remark] if self.remark else []
+
+    def beyond(self, frequency_hz: float, damping_ratio: float) -> str:
+        """Say that the sweep ended before it passed a mode; '' if it did pass it, or if its end is not known."""
+        if self.swept is None or not cut_off(self.frequency_hz, self.value, frequency_hz, damping_ratio):
+            return ""
+        return self.swept.remedy
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,6 +268,10 @@ class Response:
         v = self.measured.variance + max(error, SMALLEST_ERROR) ** 2 * size + 1e-16 * np.mean(size)
         return np.tile(v / 2, 2)
 
+    def beyond(self, frequency_hz: float, damping_ratio: float) -> str:
+        """Say nothing: phase and gain show where the mode lies."""
+        return ""
+
     def remarks(self, own: FloatArray) -> list[str]:
         """Describe a reversed sensor, a wrong scale or an unknown delay."""
         gain, delay_ms = own
@@ -272,70 +283,6 @@ class Response:
         if not self.measured.clock and delay_ms > 0.5:
             return [f"{what}: it comes {delay_ms:.1f} ms late, which modes do not tell (see the effect command_delay)."]
         return []
-
-
-def spectrum_of(path: Path, said_axis: str | None, band_hz: tuple[float, float]) -> Spectrum | str:
-    """Read the spectrum of a resonance test, or return a sentence that says why it is of no use here.
-
-    Parameters
-    ----------
-    said_axis : the excited axis, where the file's name does not say it.
-
-    Raises
-    ------
-    MeasurementError
-        For a file that cannot be read.
-    """
-    found = read_vibration(path)
-    axis = found.axis or said_axis
-    if isinstance(found, Capture) and found.excitation_hz is not None:
-        return f"{path.name}: it was excited at one frequency, {found.excitation_hz:g} Hz, which shows no modes."
-    if axis is None:
-        return (
-            f"{path.name}: the excited axis is not stated. If it is of a resonance test, say --axis x or y; a capture "
-            "of `identify plan` needs --plan."
-        )
-    if axis not in AXES:
-        return f"{path.name}: it was excited along a diagonal ({axis}); the modes are those of x and y by themselves."
-    return _spectrum(found, axis, band_hz)
-
-
-def _spectrum(found: Capture | Resonances, axis: str, band_hz: tuple[float, float]) -> Spectrum | str:
-    name = Path(found.source).name
-    frequency, powers, averages = _powers(found)
-    low, high = max(LOWEST_HZ, band_hz[0]), min(HIGHEST_HZ, band_hz[1])
-    inside = (frequency >= low) & (frequency <= high)
-    if axis not in powers:
-        return f"{name}: there is no spectrum along {axis} in it, only {', '.join(powers)}."
-    if inside.sum() < FEWEST_LINES:
-        return f"{name}: {inside.sum()} lines between {low:g} and {high:g} Hz are too few; {FEWEST_LINES} are needed."
-    power, remark = _along_axis({letter: each[inside] for letter, each in powers.items()}, axis, name)
-    kept = frequency[inside][power > 0]
-    even = np.linspace(kept[0], kept[-1], len(kept))  # files round
-    return Spectrum(found.source, axis, even, power[power > 0], averages, remark)
-
-
-def _powers(found: Capture | Resonances) -> tuple[FloatArray, dict[str, FloatArray], int]:
-    """Frequencies (k,), the power (k,) along each of the sensor's axes, or of whatever the file holds, and averages."""
-    if isinstance(found, Resonances):
-        each = {name: found.power(name) for name in found.psd}
-        return next(iter(each.values()))[0], {name: power for name, (_, power) in each.items()}, USUAL_AVERAGES
-    segments = {letter: segment_powers(found, [i]) for i, letter in enumerate(AXES)}
-    frequency, first = segments["x"]
-    return frequency, {letter: powers.mean(axis=0) for letter, (_, powers) in segments.items()}, len(first)
-
-
-def _along_axis(powers: Mapping[str, FloatArray], axis: str, name: str) -> tuple[FloatArray, str]:
-    """Return the power along the excited axis; of all three where the sensor is not mounted along the axes."""
-    along = {letter: float(powers[letter].sum()) for letter in AXES if letter in powers}
-    strongest = max(along, key=lambda letter: along[letter])
-    if strongest == axis:
-        return powers[axis], ""
-    remark = (
-        f"{name}: {axis} was excited, but the sensor's {strongest} shows {along[strongest] / along[axis]:.1f} times as "
-        "much, so the sum of its axes was taken. Are its axes the printer's (axes_map in the firmware's settings)?"
-    )
-    return np.sum([powers[letter] for letter in along], axis=0), remark
 
 
 def usable(responses: Iterable[FrequencyResponse]) -> tuple[list[Response], list[str]]:

@@ -10,20 +10,23 @@ from typing import Literal
 import numpy as np
 
 from ffcomp.errors import MeasurementError
-from ffcomp.identify.axis_spectra import Spectrum, spectrum_of
+from ffcomp.identify.axis_spectra import Spectrum
 from ffcomp.identify.captures import STRAIGHT, frfs_from_captures
 from ffcomp.identify.experiment import Plan
 from ffcomp.identify.from_resonances import Resonance
 from ffcomp.identify.predict import AXES
+from ffcomp.identify.resonance_tests import BeltTest, Found, no_test, read_test
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import read_frfs
-from ffcomp.measurement.modes import ModeFit, modes_of
+from ffcomp.measurement.klipper import Resonances
+from ffcomp.measurement.modes import ModeFit, modes_in
 from ffcomp.measurement.plain_capture import columns_of
 from ffcomp.measurement.recording import Recording, read_recording
 from ffcomp.measurement.recording_frfs import frfs_from_recordings
 from ffcomp.measurement.shake_and_tune import is_stdata
 from ffcomp.measurement.table import read_text
 from ffcomp.measurement.uff import is_universal
+from ffcomp.measurement.vibration import read_vibrations
 from models.machine import Machine
 
 Kind = Literal["frf", "recording", "vibration"]
@@ -43,7 +46,13 @@ class Gathered:
     responses: list[FrequencyResponse] = field(default_factory=list)
     spectra: list[ModeFit] = field(default_factory=list)  # of files that show resonances only
     shaken: list[Spectrum] = field(default_factory=list)  # the same of a machine of modal axes
+    belts: list[BeltTest] = field(default_factory=list)  # of tests along a belt or a tower
     skipped: list[str] = field(default_factory=list)  # sentences
+
+    @property
+    def nothing(self) -> bool:
+        """Whether the files held nothing that can be fitted."""
+        return not (self.responses or self.spectra or self.shaken or self.belts)
 
 
 def gather(
@@ -53,7 +62,9 @@ def gather(
     band_hz: tuple[float, float],
     plan: Plan | None = None,
     axes: Sequence[str] = STRAIGHT,
-    shaken_axis: str | None = None,
+    shaken_axis: Sequence[str] = (),
+    column: str | None = None,
+    joined: Sequence[Recording] = (),
     progress: Callable[[str], None] = lambda _: None,
 ) -> Gathered:
     """Read every file.
@@ -61,14 +72,18 @@ def gather(
     Parameters
     ----------
     axes : the printer's axes in the sensor's own, of captures of a plan.
-    shaken_axis : the excited axis of resonance tests whose names do not say it.
+    shaken_axis : the excited axis of resonance tests whose names do not say it: x, y, z or a direction such as
+        "1,-1"; one for all of them, or one each in their order.
+    column : the spectrum to be taken of files with several.
+    joined : recordings that were read already.
 
     Raises
     ------
     MeasurementError
         For the first file that cannot be used, with all that is wrong with it.
     """
-    found, recordings = Gathered(), []
+    found, recordings = Gathered(), list(joined)
+    tests: list[Found] = []
     for path in paths:
         progress(f"reading {path.name}")
         kind = kind_of(path)
@@ -80,10 +95,10 @@ def gather(
             found.responses += [r.between(*band_hz) for r in frfs_from_captures(plan, [path], machine, axes)]
         elif _OURS in path.stem:
             raise MeasurementError(str(path), [_NEEDS_PLAN])
-        elif machine.vibration.position_dependent:
-            found.spectra.append(modes_of(path))
         else:
-            _take(spectrum_of(path, shaken_axis, band_hz), found)
+            tests += read_vibrations(path)
+    for test, axis in _with_axes(tests, list(shaken_axis), found.skipped):
+        _take(test, axis, machine, column or _named_column(test, shaken_axis), band_hz, found)
     if not machine.vibration.position_dependent:
         found.responses += [r for recording in recordings for r in frfs_from_recordings([recording], *band_hz)]
         recordings = []
@@ -93,11 +108,44 @@ def gather(
     return found
 
 
-def _take(spectrum: Spectrum | str, found: Gathered) -> None:
-    if isinstance(spectrum, str):
-        found.skipped.append(spectrum)
+def _with_axes(tests: Sequence[Found], said: list[str], skipped: list[str]) -> list[tuple[Found, str | None]]:
+    """Pair each resonance test with its excited axis; what is no test is skipped."""
+    usable = []
+    for test in tests:
+        sentence = no_test(test)
+        if sentence:
+            skipped.append(sentence)
+        else:
+            usable.append(test)
+    silent = [test for test in usable if test.axis is None]
+    if len(said) > 1 and len(said) != len(silent):
+        rule = f"--axis is given {len(said)} times, for {len(silent)} tests whose names do not state their axis"
+        raise MeasurementError("--axis", [f"{rule}: give it once for all of them, or once for each."])
+    given = iter(said if len(said) > 1 else said * len(silent))
+    return [(test, test.axis if test.axis is not None else next(given, None)) for test in usable]
+
+
+def _named_column(test: Found, said: Sequence[str]) -> str | None:
+    """Return the axis that the user said, where the file has a column of that name and its header does not say more."""
+    if not isinstance(test, Resonances) or test.by_axis or len(said) != 1:
+        return None
+    return said[0] if said[0] in test.psd else None
+
+
+def _take(
+    test: Found, axis: str | None, machine: Machine, column: str | None, band_hz: tuple[float, float], found: Gathered
+) -> None:
+    """Add a resonance test to what was found."""
+    if machine.vibration.position_dependent and (axis is None or axis in AXES):
+        found.spectra.append(modes_in(test, column, axis))
+        return
+    read = read_test(test, axis, band_hz, column)
+    if isinstance(read, str):
+        found.skipped.append(read)
+    elif isinstance(read, BeltTest):
+        found.belts.append(read)
     else:
-        found.shaken.append(spectrum)
+        found.shaken.append(read)
 
 
 def kind_of(path: Path) -> Kind:
@@ -152,12 +200,24 @@ def _extent(recording: Recording, machine: Machine) -> tuple[list[float], float]
     return ((low + high) / 2).tolist(), float(np.linalg.norm(high - low) / 2)
 
 
-def resonances_of(spectra: Sequence[ModeFit], place: tuple[float, float] = (0.0, 0.0)) -> list[Resonance]:
-    """Select the main clear mode of each spectrum whose axis is known."""
-    found = []
+def resonances_of(
+    spectra: Sequence[ModeFit], place: tuple[float, float] = (0.0, 0.0)
+) -> tuple[list[Resonance], list[str]]:
+    """Select the strongest mode of each spectrum whose axis is known and whose mode is clear; say what is left out."""
+    found, left_out = [], []
     for spectrum in spectra:
-        clear = [m for m in spectrum.modes if m.clear]
-        axis = spectrum.signal.removeprefix("psd_").removeprefix("acc_")
-        if clear and axis in AXES:
-            found.append(Resonance(axis, place, max(clear, key=lambda m: m.power)))
-    return found
+        modes = [m for m in spectrum.modes if not m.tone]
+        main = max(modes, key=lambda m: m.power, default=None)
+        name = Path(spectrum.source).name
+        if spectrum.axis not in AXES:
+            left_out.append(f"{name}: the excited axis is not stated, so it is not used. Say --axis x or y.")
+        elif main is None:
+            left_out.append(f"{name}: {spectrum.verdict}")
+        elif not main.clear:
+            left_out.append(
+                f"{name}: it is not used, for its strongest mode is known to {main.frequency_hz:.1f} ± "
+                f"{main.frequency_sd_hz:.1f} Hz only. Test it again, excited harder, with the sensor fastened."
+            )
+        else:
+            found.append(Resonance(spectrum.axis, place, main))
+    return found, left_out

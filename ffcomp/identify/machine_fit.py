@@ -12,7 +12,8 @@ from typing import Any, Literal
 import numpy as np
 
 from ffcomp.errors import MeasurementError, RequestError
-from ffcomp.identify.from_resonances import starting_machine
+from ffcomp.identify.belts import BeltComparison, compare_belts
+from ffcomp.identify.from_resonances import Resonance, starting_machine
 from ffcomp.identify.identify import (
     Identified,
     axes_file_text,
@@ -25,6 +26,7 @@ from ffcomp.identify.load import Gathered, resonances_of
 from ffcomp.identify.modal_fit import AxisFit, IdentifiedAxes, identify_axes
 from ffcomp.identify.output_error import TOTAL_MASS
 from ffcomp.identify.paper import identify_as_paper
+from ffcomp.measurement.modes import Mode, ModeFit
 from gcode.atomic_write import replace_atomically
 from models.file import check_text
 from models.machine import Machine
@@ -32,6 +34,8 @@ from models.machine import Machine
 Method = Literal["direct", "stepwise"]
 Progress = Callable[[str], None]
 
+ROUGH = 0.2  # of the measurement: modes that leave more of it unexplained are written if the user says so
+DAMPING_SD = 0.2  # of the towers' damping ratio, which two modes share
 OF_A_MODE = ("frequency_hz", "damping_ratio", "share")
 
 
@@ -40,9 +44,11 @@ class MachineFit:
     """A machine file's parameters as measurements give them."""
 
     answer: Mapping[str, Any]  # ffcomp-identify-fit/1, but for the output
-    text: str  # of the new machine file; empty: spectra alone do not make one
+    text: str  # of the new machine file; empty: the data do not make one
     name: str  # of the new machine
     found: Identified | IdentifiedAxes | None  # to be drawn; None: there are no responses to draw
+    belts: BeltComparison | None = None  # to be drawn
+    refusal: tuple[str, ...] = ()  # sentences: why there is no machine file
 
     def to_dict(self, output: str | None = None) -> dict[str, Any]:
         """Return the JSON object ffcomp-identify-fit/1; output : path of the machine file that was written."""
@@ -59,7 +65,8 @@ class MachineFit:
             If the data do not make a machine file.
         """
         if not self.text:
-            raise MeasurementError(str(path), ["These data hold no resonance, so there is no machine file to write."])
+            reasons = self.refusal or ("These data hold no resonance, so there is no machine file to write.",)
+            raise MeasurementError(str(path), list(reasons))
         check_text(self.text, str(path))
         replace_atomically(path, [line.encode() for line in self.text.splitlines(keepends=True)])
 
@@ -73,6 +80,7 @@ def fit_measurements(
     *,
     method: Method = "direct",
     write_start: bool = True,
+    rough: bool = False,
     progress: Progress = lambda _: None,
 ) -> MachineFit:
     """Fit whatever the data can tell: all parameters, the axes' modes, or resonances alone.
@@ -85,13 +93,21 @@ def fit_measurements(
     name : of the new machine; "": the name of `start`
     method : "stepwise" is the paper's
     write_start : make a starting file of resonances where there is nothing else
+    rough : write modes too that leave more than a fifth of the measurement unexplained
 
     Raises
     ------
     RequestError
         If the method cannot use what is known or measured.
+    MeasurementError
+        If the files hold nothing that can be fitted.
     """
-    task = _Task(start, gathered, [hash_of(path) for path in data], dict(known), name or start.name)
+    if gathered.nothing:
+        rule = "None of the files holds the response of an axis to its command."
+        raise MeasurementError("data", [*gathered.skipped, rule])
+    belts = compare_belts(start, gathered.belts) if gathered.belts else None
+    hashes = [hash_of(path) for path in data]
+    task = _Task(start, gathered, hashes, dict(known), name or start.name, belts, rough)
     if not start.vibration.position_dependent:
         return task.axes(method, progress)
     if not gathered.responses:
@@ -106,20 +122,33 @@ class _Task:
     hashes: list[str]
     known: dict[str, tuple[float, float]]
     name: str
+    belts: BeltComparison | None
+    rough: bool
 
     def axes(self, method: Method, progress: Progress) -> MachineFit:
         """Fit the modes of cartesian and CoreXY axes."""
         if method == "stepwise" or self.known:
             raise RequestError("--method stepwise and --known are for deltas; this machine's axes are straight.")
+        if not (self.gathered.shaken or self.gathered.responses):
+            return self._belts_alone()
         found = identify_axes(self.gathered.shaken, self.gathered.responses, progress)
-        text = axes_file_text(Path(self.start.path), found, self.name, self.hashes, _today())
+        rough = [] if self.rough else [_too_rough(axis) for axis in found.axes if max(axis.errors) > ROUGH]
+        kept = tuple(axis for axis in found.axes if self.rough or max(axis.errors) <= ROUGH)
+        written = replace(found, axes=kept)
+        text = axes_file_text(Path(self.start.path), written, self.name, self.hashes, _today()) if kept else ""
         answer = {
             **self._head(),
             "method": "axes",
             "axes": {axis.name: _axis_answer(axis) for axis in found.axes},
-            "advice": list(found.advice),
+            "advice": [*rough, *found.advice],
         }
-        return MachineFit(answer, text, self.name, found)
+        return MachineFit(answer, text, self.name, found, self.belts, tuple(rough))
+
+    def _belts_alone(self) -> MachineFit:
+        """Compare belts; they make no machine file."""
+        rule = "Tests along the belts compare these; for the modes of x and y test AXIS=X and AXIS=Y."
+        answer = {**self._head(), "method": "belts", "advice": [rule]}
+        return MachineFit(answer, "", self.name, None, self.belts, (rule,))
 
     def direct(self, progress: Progress) -> MachineFit:
         """Fit all parameters to all frequency responses."""
@@ -163,6 +192,7 @@ class _Task:
                 "file": fit.source,
                 "signal": fit.signal,
                 "verdict": fit.verdict,
+                "misfit": fit.misfit,
                 "modes": [_mode(m) for m in fit.modes],
             }
             for fit in self.gathered.spectra
@@ -172,20 +202,66 @@ class _Task:
             "Spectra hold no phase and no command: they say where it resonates, not why. For a model that can be "
             "compensated with, run `ffcomp identify plan` and bring its captures."
         ]
+        usable = [fit for fit in self.gathered.spectra if self.rough or fit.misfit <= ROUGH]
+        left_out = [_left_out(fit) for fit in self.gathered.spectra if fit not in usable]
+        answer["advice"] = [*left_out, *answer["advice"]]
+        resonances, unclear = resonances_of(usable)
+        resonances += _of_towers(self.belts)
+        answer["advice"] = [*unclear, *answer["advice"]]
         if not write_start:
-            return MachineFit(answer, "", self.name, None)
-        started = starting_machine(self.start, resonances_of(self.gathered.spectra))
+            return MachineFit(answer, "", self.name, None, self.belts)
+        if not resonances:
+            reasons = [*left_out, *unclear, *self.gathered.skipped]
+            return MachineFit(answer, "", self.name, None, self.belts, tuple(reasons))
+        started = starting_machine(self.start, resonances)
         text = modes_file_text(Path(self.start.path), started, self.name, self.hashes, _today())
         answer["numbers"] = {key: _estimate(e) for key, e in started.estimates.items()}
-        return MachineFit(answer, text, self.name, None)
+        return MachineFit(answer, text, self.name, None, self.belts)
 
     def _head(self) -> dict[str, Any]:
-        return {
+        head = {
             "schema": "ffcomp-identify-fit/1",
             "started_from": {"name": self.start.name, "sha256": self.start.sha256},
             "data": self.hashes,
             "skipped": self.gathered.skipped,
         }
+        return head if self.belts is None else {**head, "belts": _belts_answer(self.belts)}
+
+
+def _too_rough(axis: AxisFit) -> str:
+    return (
+        f"[axes.{axis.name}] is not written: its modes leave {100 * max(axis.errors):.0f} % of the measurement "
+        f"unexplained, and {100 * ROUGH:.0f} % is the limit. Fasten the sensor and what rattles, and test it again; or "
+        "write it all the same with --rough."
+    )
+
+
+def _left_out(fit: ModeFit) -> str:
+    return (
+        f"{Path(fit.source).name} is not used for the machine file: its modes leave {100 * fit.misfit:.0f} % of the "
+        f"spectrum unexplained, and {100 * ROUGH:.0f} % is the limit. Test it again, or say --rough."
+    )
+
+
+def _of_towers(belts: BeltComparison | None) -> list[Resonance]:
+    """Return the mean resonance of the head on all towers; at the centre of a delta all directions are alike."""
+    if belts is None:
+        return []
+    frequency, damping = (float(np.mean([e.value for e in belts.modes_hz])), float(np.mean(belts.damping_ratio)))
+    mode = Mode(frequency, belts.modes_hz[0].sd, damping, DAMPING_SD * damping, 1.0)
+    return [Resonance("x", (0.0, 0.0), mode)]
+
+
+def _belts_answer(belts: BeltComparison) -> dict[str, Any]:
+    tests = zip(belts.tests, belts.errors, strict=True)
+    return {
+        "kind": belts.kind,
+        "sentence": belts.sentence,
+        "relative_stiffness": {name: _estimate(e) for name, e in zip(belts.names, belts.stiffness, strict=True)},
+        "modes_hz": [_estimate(e) for e in belts.modes_hz],
+        "damping_ratio": list(belts.damping_ratio),
+        "tests": [{"file": t.spectrum.source, "axis": t.axis, "model_error": e} for t, e in tests],
+    }
 
 
 def hash_of(path: Path) -> str:

@@ -100,7 +100,7 @@ class _Fit:
     @cached_property
     def independent(self) -> FloatArray:
         """(d,) the share of each datum's residuals that is independent."""
-        return np.array([_independent(r, d) for r, d in zip(self.residuals, self.data, strict=True)])
+        return np.array([independent_share(r, d) for r, d in zip(self.residuals, self.data, strict=True)])
 
     @cached_property
     def covariance(self) -> FloatArray:
@@ -246,7 +246,7 @@ def _level(residual: FloatArray, datum: Datum, used: float) -> float:
     return float(low)
 
 
-def _independent(residual: FloatArray, datum: Datum) -> float:
+def independent_share(residual: FloatArray, datum: Datum) -> float:
     """Return (1 − ρ)/(1 + ρ): neighbouring lines are correlated by window and by model error."""
     parts = residual.reshape(-1, len(datum.frequency_hz))  # of a response, real and imaginary
     rho = float(np.sum(parts[:, 1:] * parts[:, :-1]) / max(float(np.sum(parts**2)), 1e-300))
@@ -259,14 +259,13 @@ def _independent(residual: FloatArray, datum: Datum) -> float:
 
 def _within(name: str, fit: _Fit) -> None:
     low, high = _band(fit.data)
-    frequency, damping = fit.modes[np.argmax(fit.modes[:, 2]), :2]
-    if low < frequency < high and damping < BROADEST:
+    frequency, damping = (float(value) for value in fit.modes[np.argmax(fit.modes[:, 2]), :2])
+    remedies = [datum.beyond(frequency, damping) for datum in fit.data]
+    if low < frequency < high and damping < BROADEST and not all(remedies):
         return
     sources = ", ".join(dict.fromkeys(Path(d.source).name for d in fit.data))
-    rule = f"No resonance of {name} stands out between {low:.0f} and {high:.0f} Hz"
-    raise MeasurementError(
-        sources, [f"{rule}: [axes.{name}] stays as it was. Try a wider band, or a harder excitation."]
-    )
+    rule = f"No resonance of {name} stands out between {low:.0f} and {high:.0f} Hz: [axes.{name}] stays as it was"
+    raise MeasurementError(sources, [f"{rule}. {remedies[0] or 'Try a wider band, or a harder excitation.'}"])
 
 
 def _accepted(name: str, one: _Fit, two: _Fit) -> tuple[_Fit, str]:

@@ -49,6 +49,7 @@ class Resonances:
     axis: str | None = None
     position_mm: tuple[float, float, float] | None = None
     accel_per_hz: float | None = None  # mm/s² per Hz, if the file says it
+    by_axis: bool = False  # its header says so, psd_x and so on; else columns may be anything
 
     def power(self, name: str) -> tuple[FloatArray, FloatArray]:
         """Return frequencies (k,) Hz and power spectral density (k,) (mm/s²)²/Hz, the normalisation undone."""
@@ -57,6 +58,30 @@ class Resonances:
         keep = self.frequency_hz >= _UNTOUCHED_HZ
         frequency = self.frequency_hz[keep]
         return frequency, self.psd[name][keep] * (frequency + _NORMALISING_HZ)
+
+    @property
+    def total(self) -> tuple[FloatArray, FloatArray]:
+        """Return frequencies (k,) and the power of all axes or sets together (k,)."""
+        names = ["xyz"] if "xyz" in self.psd else list(self.psd)
+        powers = [self.power(name) for name in names]
+        return powers[0][0], np.sum([power for _, power in powers], axis=0)
+
+    def chosen(self, name: str | None) -> str:
+        """Return the name of the spectrum to be used: the one that is asked for, or that no rule leaves in doubt.
+
+        Raises
+        ------
+        MeasurementError
+            If there is no such spectrum, or there are several and none of them is the excited axis' or the sum.
+        """
+        if name is not None and name not in self.psd:
+            rule = f"There is no spectrum {name!r}; there are {', '.join(self.psd)}."
+            raise MeasurementError(self.source, [rule])
+        known = (self.axis, "xyz") if self.by_axis else ()
+        certain = [each for each in (name, *known) if each in self.psd]
+        if certain or len(self.psd) == 1:
+            return certain[0] if certain else next(iter(self.psd))
+        raise MeasurementError(self.source, [_several(list(self.psd))])
 
 
 def is_raw(line: str) -> bool:
@@ -124,7 +149,16 @@ def resonances_of_table(path: str, table: Table) -> Resonances:
     axis, point = _AXIS.search(Path(path).name), _POINT.search(Path(path).name)
     per_hz = float(table.column("accel_per_hz")[0]) if "accel_per_hz" in table.columns else None
     normalised = bool(shapers) or any(name.startswith("shapers:") for name in table.columns)
-    return Resonances(path, frequency, sets, normalised, axis[1] if axis else None, _point(point), per_hz)
+    by_axis = all(name.startswith("psd_") for name in names if name not in shapers)
+    excited = axis[1] if axis else None
+    return Resonances(path, frequency, sets, normalised, excited, _point(point), per_hz, by_axis)
+
+
+def _several(names: list[str]) -> str:
+    return (
+        f"It holds several spectra, {', '.join(names)}, and neither its header nor its name says which one is of the "
+        "excited axis. Say --column NAME with one of them."
+    )
 
 
 def _point(found: re.Match[str] | None) -> tuple[float, float, float] | None:

@@ -25,6 +25,7 @@ from ffcomp.errors import MeasurementError
 from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.estimators import lines_of_dft
 from ffcomp.measurement.klipper import Resonances
+from ffcomp.measurement.swept import SweptBand, cut_off, swept_band, swept_band_of_spectrum
 from ffcomp.measurement.vibration import read_vibration
 from ffcomp.numerics.least_squares import minimise
 from models.arrays import ComplexArray, FloatArray
@@ -80,23 +81,40 @@ class ModeFit:
     fitted: FloatArray  # (k,)
     misfit: float  # rms of ln(power / fitted) where there is power
     verdict: str  # a sentence
+    swept: SweptBand | None = None  # None: not known
+    axis: str = ""  # that was excited, as far as it is known
 
 
 def modes_of(path: str | Path, signal: str | None = None) -> ModeFit:
-    """Fit the modes in a file of spectra or in a capture; `signal` x, y, z, xyz or a set's name.
+    """Fit the modes in a file of spectra or in a capture; see `modes_in`."""
+    return modes_in(read_vibration(path), signal)
 
-    Without `signal` it is the excited axis, if the file states it, else the sum of all. A capture that was
-    made by Klipper's test (its name says raw_data) counts as swept; any other as excited evenly.
+
+def modes_in(found: Capture | Resonances, signal: str | None = None, axis: str | None = None) -> ModeFit:
+    """Fit the modes in spectra or in a capture; `signal` x, y, z, xyz or a set's name, `axis` the excited one.
+
+    Without `signal` it is the excited axis, if the file states it, else the sum of all; of several spectra that no
+    rule tells apart none is taken. A capture with a sweep in it was excited with a power that grows with f², within
+    the sweep's band; any other counts as excited evenly.
+
+    Raises
+    ------
+    MeasurementError
+        If there is no such spectrum, or which one is not said.
     """
-    found = read_vibration(path)
-    if isinstance(found, Resonances):
-        name = signal or (found.axis if found.axis in found.psd else _default(found))
-        if name not in found.psd:
-            rule = f"There is no spectrum {name!r}; there are {', '.join(found.psd)}."
-            raise MeasurementError(found.source, [rule])
-        frequency, power = found.power(name)
-        return fit_modes(frequency, power, source=found.source, signal=name)
-    return _capture_modes(found, signal or found.axis or "xyz")
+    excited = axis or found.axis or ""
+    if isinstance(found, Capture):
+        along = excited if _strongest(found.acceleration) == excited else "xyz"
+        return replace(_capture_modes(found, signal or along), axis=excited)
+    name = found.chosen(signal)
+    frequency, power = found.power(name)
+    swept = swept_band_of_spectrum(*found.total)
+    return replace(fit_modes(frequency, power, swept=swept, source=found.source, signal=name), axis=excited)
+
+
+def _strongest(acceleration: FloatArray) -> str:
+    """Return the sensor's axis that moves most: where it is not the excited one, the sensor is mounted otherwise."""
+    return "xyz"[int(np.argmax(np.nanstd(acceleration, axis=0)))]
 
 
 def fit_modes(
@@ -104,8 +122,7 @@ def fit_modes(
     power: FloatArray,
     *,
     excitation_exponent: float = 2.0,
-    lowest_hz: float = LOWEST_HZ,
-    highest_hz: float = HIGHEST_HZ,
+    swept: SweptBand | None = None,
     source: str = "",
     signal: str = "",
 ) -> ModeFit:
@@ -119,7 +136,9 @@ def fit_modes(
     frequency_hz : (k,) evenly spaced; rounding as in Klipper's files is undone.
     power : (k,) power spectral density of the acceleration.
     excitation_exponent : e(f) = f to this power.
+    swept : the band that was excited, where it is known; there are no modes outside and at its ends
     """
+    lowest_hz, highest_hz = fitted_band(frequency_hz, swept)
     keep = (frequency_hz >= lowest_hz) & (frequency_hz <= highest_hz) & (power > 0)
     if keep.sum() < _SPARE_LINES + 5:
         rule = f"There are {keep.sum()} lines with power between {lowest_hz:g} and {highest_hz:g} Hz"
@@ -134,6 +153,8 @@ def fit_modes(
             break
         best = min(wider, key=lambda fit: fit.bic)
     modes = _modes(model, best, float(even[1] - even[0]))
+    if swept is not None and swept.high_hz < HIGHEST_HZ:
+        modes = tuple(m for m in modes if not cut_off(even[keep], power[keep], m.frequency_hz, m.damping_ratio))
     return ModeFit(
         source,
         signal,
@@ -142,8 +163,17 @@ def fit_modes(
         power[keep],
         np.exp(target - best.residual),
         best.misfit,
-        _verdict(modes, best.misfit),
+        _verdict(modes, best.misfit, swept),
+        swept,
     )
+
+
+def fitted_band(frequency_hz: FloatArray, swept: SweptBand | None) -> tuple[float, float]:
+    """Return between which frequencies a test's spectrum is fitted: where it was excited, without the ends."""
+    if swept is None:
+        return LOWEST_HZ, HIGHEST_HZ
+    low, high = swept.usable(float(frequency_hz[1] - frequency_hz[0]))
+    return max(LOWEST_HZ, low), min(HIGHEST_HZ, high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,8 +331,10 @@ def _modes(model: _Model, fit: _Fit, line_hz: float) -> tuple[Mode, ...]:
     return tuple(sorted(found, key=lambda mode: -mode.power))
 
 
-def _verdict(modes: tuple[Mode, ...], misfit: float) -> str:
+def _verdict(modes: tuple[Mode, ...], misfit: float, swept: SweptBand | None) -> str:
     clear = [mode for mode in modes if mode.clear]
+    if not modes and swept is not None and swept.high_hz < HIGHEST_HZ:
+        return f"No mode lies within the swept band. {swept.remedy}"
     if not modes:
         return "No mode stands out of the spectrum: its peaks are too broad, too low or at the band's edges."
     listed = ", ".join(f"{mode.frequency_hz:.1f} Hz" for mode in sorted(clear, key=lambda mode: mode.frequency_hz))
@@ -313,26 +345,29 @@ def _verdict(modes: tuple[Mode, ...], misfit: float) -> str:
     return f"Clear: {listed}; {len(modes) - len(clear)} more are uncertain or tones. The spectrum is fitted {quality}."
 
 
-def _default(found: Resonances) -> str:
-    return "xyz" if "xyz" in found.psd else next(iter(found.psd))
-
-
 def _capture_modes(found: Capture, signal: str) -> ModeFit:
     axes = (
         ["xyz".index(letter) for letter in signal if letter in "xyz"] if signal in ("x", "y", "z", "xyz") else [0, 1, 2]
     )
     frequency, segments = segment_powers(found, axes)
-    exponent = 2.0 if "raw_data" in Path(found.source).name else 0.0
+    swept = swept_band(found)
+    exponent = 0.0 if swept is None and "raw_data" not in Path(found.source).name else 2.0
     whole = fit_modes(
-        frequency, segments.mean(axis=0), excitation_exponent=exponent, source=found.source, signal=signal
+        frequency,
+        segments.mean(axis=0),
+        excitation_exponent=exponent,
+        swept=swept,
+        source=found.source,
+        signal=signal,
     )
     if len(segments) < 2 * _BLOCKS:
         return whole
     blocks = [
-        fit_modes(frequency, segments[k::_BLOCKS].mean(axis=0), excitation_exponent=exponent) for k in range(_BLOCKS)
+        fit_modes(frequency, segments[k::_BLOCKS].mean(axis=0), excitation_exponent=exponent, swept=swept)
+        for k in range(_BLOCKS)
     ]
     modes = tuple(_with_block_spread(mode, blocks) for mode in whole.modes)
-    return replace(whole, modes=modes, verdict=_verdict(modes, whole.misfit))
+    return replace(whole, modes=modes, verdict=_verdict(modes, whole.misfit, swept))
 
 
 def segment_powers(found: Capture, axes: list[int]) -> tuple[FloatArray, FloatArray]:

@@ -11,8 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ffcomp.identify.axis_spectra import Datum
+from ffcomp.identify.belts import BeltComparison
 from ffcomp.identify.identify import Identified
 from ffcomp.identify.modal_fit import AxisFit, IdentifiedAxes
+from ffcomp.report.belts import belts_panel
 from ffcomp.report.shared.drawing import write_figure
 from ffcomp.version import __version__
 from models.arrays import ComplexArray, FloatArray
@@ -44,21 +46,32 @@ def fit_figure(found: Identified) -> Figure:
     return figure
 
 
-def draw_axes(found: IdentifiedAxes, name: str, target: Path) -> None:
+def draw_axes(found: IdentifiedAxes, name: str, target: Path, belts: BeltComparison | None = None) -> None:
     """Write the figure of the axes' modes; the suffix of `target` names the format."""
-    write_figure(axes_figure(found, name), target, dpi=110)
+    write_figure(axes_figure(found, name, belts), target, dpi=110)
 
 
-def axes_figure(found: IdentifiedAxes, name: str) -> Figure:
-    """Draw one panel for each file and axis: measured values, the sum of the modes, and the modes' frequencies."""
+def axes_figure(found: IdentifiedAxes, name: str, belts: BeltComparison | None = None) -> Figure:
+    """Draw one panel for each file and axis: measured values, the sum of the modes, and the modes' frequencies.
+
+    Parameters
+    ----------
+    belts : compared in a panel of their own
+    """
     panels = [(axis, *each) for axis in found.axes for each in zip(axis.data, axis.fitted, axis.errors, strict=True)]
-    columns = min(COLUMNS, len(panels))
-    rows = -(-len(panels) // columns)
+    count = len(panels) + (belts is not None)
+    columns = min(COLUMNS, count)
+    rows = -(-count // columns)
     figure = Figure(figsize=(5.2 * columns + 0.4, 3.8 * rows + 0.9), layout="constrained")
     verdict = " · ".join(_said(axis) for axis in found.axes)
     figure.suptitle(f"{name} · {verdict}\nffcomp {__version__}", x=0.01, ha="left", fontsize=11)
-    for box, panel in zip(figure.subplots(rows, columns, squeeze=False).ravel(), panels, strict=False):
+    boxes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for box, panel in zip(boxes, panels, strict=False):
         _axis_panel(box, *panel)
+    if belts is not None:
+        belts_panel(boxes[len(panels)], belts)
+    for box in boxes[count:]:
+        box.set_axis_off()
     return figure
 
 

@@ -18,10 +18,11 @@ from typer.testing import CliRunner, Result
 
 from ffcomp.cli.app import app
 from ffcomp.errors import MeasurementError
-from ffcomp.identify.axis_spectra import Response, Spectrum, closed_form, spectrum_of
+from ffcomp.identify.axis_spectra import Response, Spectrum, closed_form
 from ffcomp.identify.experiment import Experiment
 from ffcomp.identify.experiment_files import load_plan
 from ffcomp.identify.modal_fit import AxisFit, fit_axis, identify_axes
+from ffcomp.identify.resonance_tests import spectrum_of
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
 from ffcomp.measurement.klipper import Resonances
@@ -268,8 +269,8 @@ HEADER = "#time,accel_x,accel_y,accel_z\n"
 @pytest.mark.parametrize(
     ("name", "text", "rule"),
     [
-        ("adxl345-test.csv", "", "the excited axis is not stated"),
-        ("raw_data_axis=1.000,1.000_20260101.csv", "", "excited along a diagonal"),
+        ("adxl345-test.csv", "", "there is no sweep in its 1.25 s"),
+        ("resonances_20260101.csv", "freq,psd_y\n" + "".join(f"{f},1\n" for f in range(60)), "axis is not stated"),
         ("resonances_x_20260101.csv", "freq,psd_y\n" + "".join(f"{f},1\n" for f in range(60)), "no spectrum along x"),
         ("resonances_x_20260101.csv", "freq,psd_x\n" + "".join(f"{9 * f},1\n" for f in range(1, 30)), "lines between"),
     ],
@@ -313,7 +314,7 @@ def test_noise_alone_is_no_machine() -> None:
         (("frf", "--of", "carriage-alone"), "told by modes, not by carriages"),
         (("identify", "decouple", "x.csv"), "Straight axes carry no effector"),
         (("identify", "fit", "x.csv", "--known", "effector.total_mass_kg=1"), "are for deltas"),
-        (("identify", "fit", "x.csv", "--axis", "w"), "it is x, y or z"),
+        (("identify", "fit", "x.csv", "--axis", "w"), "it is x, y, z, or a direction"),
         (("gap", "run.csv"), "for deltas only"),
         (("diagnose", "run.csv"), "for deltas only"),
     ],

@@ -1,0 +1,87 @@
+"""The swept band: found in captures and spectra, and no mode beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import chirp, lfilter
+
+from ffcomp.measurement.capture import Capture
+from ffcomp.measurement.modes import modes_of
+from ffcomp.measurement.swept import cut_off, swept_band, swept_band_of_spectrum
+
+RATE = 800.0
+LINES = np.arange(130) * 1.5625
+
+
+def felt(high_hz: float, mode_hz: float, *, zeta: float = 0.06, rest_s: float = 2.0) -> np.ndarray:
+    """A sweep from 5 Hz at 1 Hz/s, its third harmonic, rests around it, noise: (n,) m/s²."""
+    t = np.arange(int((high_hz - 5) * RATE)) / RATE
+    command = 0.08 * (5 + t) * (chirp(t, 5, t[-1], high_hz) + 0.3 * chirp(t, 15, t[-1], 3 * high_hz))
+    command = np.pad(command, int(rest_s * RATE))
+    radius = np.exp(-zeta * 2 * np.pi * mode_hz / RATE)
+    denominator = [1.0, -2 * radius * np.cos(2 * np.pi * mode_hz / RATE), radius**2]
+    answer = lfilter([sum(denominator)], denominator, command)
+    return np.asarray(answer + np.random.default_rng(1).normal(0, 0.1, len(command)))
+
+
+def capture(record: np.ndarray) -> Capture:
+    rows = np.column_stack([record, 0.2 * record, np.full(len(record), 9.81)])
+    return Capture("made.csv", np.arange(len(record)) / RATE, rows)
+
+
+def write(path: Path, record: np.ndarray) -> Path:
+    rows = np.column_stack([np.arange(len(record)) / RATE, 1e3 * record, 200 * record, 9810 + 300 * record])
+    np.savetxt(path, rows, fmt="%.5f", delimiter=",", header="#time,accel_x,accel_y,accel_z", comments="")
+    return path
+
+
+@pytest.mark.parametrize(("high", "rest"), [(50.0, 2.0), (133.0, 0.0), (133.0, 6.0)])
+def test_the_band_of_a_sweep(high: float, rest: float) -> None:
+    found = swept_band(capture(felt(high, 70.0, rest_s=rest)))
+    assert found is not None
+    assert found.high_hz == pytest.approx(high, abs=2.5) and found.low_hz < 16
+
+
+def test_what_is_no_sweep_has_none() -> None:
+    noise = np.random.default_rng(0).normal(0, 1.0, int(30 * RATE))
+    tone = np.sin(2 * np.pi * 60 * np.arange(len(noise)) / RATE)
+    assert swept_band(capture(noise)) is None
+    assert swept_band(capture(noise + 5 * tone)) is None
+    assert swept_band(capture(felt(133.0, 70.0)[:900])) is None
+
+
+def test_the_end_of_a_sweep_is_no_resonance(tmp_path: Path) -> None:
+    """14 of 14 captures that stopped at 50 Hz once got modes at 41 to 44 Hz."""
+    found = modes_of(write(tmp_path / "raw_data_x_a.csv", felt(50.0, 70.0)))
+    assert found.modes == () and "No mode lies within the swept band" in found.verdict
+    assert "sweep to 133 Hz" in found.verdict
+    below = modes_of(write(tmp_path / "raw_data_x_b.csv", felt(50.0, 30.0)))
+    assert below.modes[0].frequency_hz == pytest.approx(30.0, rel=0.01)
+
+
+def spectrum(mode_hz: float, zeta: float) -> np.ndarray:
+    ratio = LINES / mode_hz
+    return np.asarray(LINES**2 / ((1 - ratio**2) ** 2 + (2 * zeta * ratio) ** 2) + 0.01)
+
+
+def test_a_spectrum_says_where_its_sweep_ended() -> None:
+    full = spectrum(70.0, 0.06)
+    cut = np.where(LINES <= 50, full, 1e-3 * full)
+    found = swept_band_of_spectrum(LINES, cut)
+    assert found is not None and found.high_hz == pytest.approx(50, abs=1.6)
+    assert swept_band_of_spectrum(LINES, full) is None
+
+
+@pytest.mark.parametrize("zeta", [0.008, 0.02, 0.06, 0.2])
+def test_the_flank_of_a_sharp_mode_is_no_end(zeta: float) -> None:
+    assert swept_band_of_spectrum(LINES, spectrum(45.0, zeta)) is None
+
+
+def test_a_peak_that_was_passed_is_not_cut_off() -> None:
+    inside = (LINES > 10) & (LINES < 50)
+    assert not cut_off(LINES[inside], spectrum(40.0, 0.05)[inside], 40.0, 0.05)
+    assert not cut_off(LINES[inside], spectrum(45.0, 0.2)[inside], 45.0, 0.05)
+    assert cut_off(LINES[inside], spectrum(52.0, 0.05)[inside], 49.0, 0.05)
