@@ -33,10 +33,13 @@ class Labels:
         return int(self.layer.max(initial=-1)) + 1
 
 
-def labels(program: Program) -> Labels:
-    """Layers and features of the moves; without layer comments, layers are the heights at which plastic flows."""
+def labels(program: Program, at_first: str = UNNAMED) -> Labels:
+    """Layers and features of the moves; without layer comments, layers are the heights at which plastic flows.
+
+    at_first : the feature when the program begins
+    """
     moves = len(program.moves)
-    layer_at, feature_at = [], [(0, UNNAMED)]
+    layer_at, feature_at = [], [(0, at_first)]
     for event in program.events:
         line = program.lines[event.line]
         if begins_layer(line):
@@ -60,6 +63,12 @@ def begins_feature(line: bytes) -> str:
     """Return the name of what a comment says is printed from here on; empty if it says nothing of it."""
     match = _FEATURE.match(line) if line.startswith(b";") else None
     return match[1].decode("utf-8", "replace") if match else ""
+
+
+def last_feature(program: Program) -> str:
+    """Return the name of what is printed when the program ends; empty if its comments say nothing of it."""
+    names = (begins_feature(program.lines[event.line]) for event in reversed(program.events))
+    return next(filter(None, names), "")
 
 
 def layer_starts(program: Program) -> list[int]:

@@ -50,6 +50,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("gcode", "models", "ffcomp.errors", "ffcomp.numerics", "ffcomp.metrics", "ffcomp.version"),
     ("ffcomp.measurement", "ffcomp.shapers", "ffcomp.planner", "ffcomp.importers", "ffcomp.integrations"),
     ("ffcomp.steps", "ffcomp.inverse"),
+    ("ffcomp.faster",),
     ("ffcomp.compensate", "ffcomp.simulate", "ffcomp.identify", "ffcomp.record"),
     ("ffcomp.estimate", "ffcomp.compare", "ffcomp.diagnose"),
     ("ffcomp.report",),

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ffcomp.cli.faster_options import KeepSpeed, MaxError, MaxFlow, MaxSpeed, MinLayerTime, Safety, bound_of
 from ffcomp.cli.help import ACCURACY, ADVANCED, MACHINE, OUTPUT, SPEED
 from ffcomp.cli.options import AsJson, Flavor, Quiet, SegmentRate, check_choice, parsed_offset
 from ffcomp.inverse.solver_names import SOLVERS
@@ -194,6 +195,12 @@ def compensate(
     robust: Robust = False,
     strict: Strict = False,
     tolerance_um: Tolerance = 25.0,
+    max_error_um: MaxError = None,
+    max_flow_mm3_per_s: MaxFlow = None,
+    max_speed_mm_per_s: MaxSpeed = None,
+    min_layer_time_s: MinLayerTime = None,
+    keep_speed: KeepSpeed = None,
+    safety: Safety = 0.05,
     solver: Solver = "osqp",
     extruder_steps_per_mm: ExtruderSteps = None,
     jobs: Jobs = 1,
@@ -218,6 +225,9 @@ def compensate(
         if inverse == "none" and output == "gcode":
             raise typer.BadParameter("--inverse none leaves the G-code as it is; it is for --output steps.")
         offset = None if offset_mm == "auto" else parsed_offset(offset_mm)
+        bound = bound_of(
+            max_error_um, max_flow_mm3_per_s, max_speed_mm_per_s, min_layer_time_s, keep_speed, safety, s_curve
+        )
         targets = _targets(files, output_file, output_dir, dry_run, ".npz" if output != "gcode" else "")
 
         from ffcomp.cli.machine_files import remember
@@ -250,6 +260,7 @@ def compensate(
             force=force,
             steps=_steps(known, output, inverse == "none", extruder_steps_per_mm),
             bed=call.bed,
+            bound=bound,
         )
         request = _Request(files, targets, known, options, jobs, scheduler, quiet, advice)
         file_results = [] if len(files) == 1 else _compensate_all(request)

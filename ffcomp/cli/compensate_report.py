@@ -72,6 +72,8 @@ def report(result: dict[str, Any], machine_path: str, quiet: bool) -> None:
     say(result["flavor_reason"], quiet)
     if result["offset_reason"] not in result["warnings"]:
         say(result["offset_reason"], quiet)
+    if "faster" in result:
+        say(_faster(result["faster"]), quiet)
     segments = "" if "steps" in result else f" in {result['segments']} segments"
     speed = result["print_time_s"] / max(result["compute_time_s"], 1e-9)
     say(
@@ -131,3 +133,13 @@ def _table(predicted: dict[str, dict[str, float]]) -> None:
             f"{track['peak_command_acceleration_mm_per_s2'] / 1e3:.1f} m/s²",
         )
     Console(stderr=True).print(table)
+
+
+def _faster(faster: dict[str, Any]) -> str:
+    """Say in a line what the bound has given."""
+    was, now, least = (faster[key] for key in ("original_print_time_s", "print_time_s", "actuator_limit_s"))
+    error = faster["contour_p99_um"]
+    seen = (
+        "" if error is None else f", predicted contour error p99 {error:.1f} µm, max {faster['contour_max_um']:.1f} µm"
+    )
+    return f"Faster: {was:.1f} → {now:.1f} s ({100 * (now / was - 1):+.0f} %; actuators alone: {least:.1f} s){seen}."

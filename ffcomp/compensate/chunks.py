@@ -21,7 +21,7 @@ from ffcomp.planner.limits import lines_of
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.trajectory import Trajectory
-from gcode.layers import layer_starts
+from gcode.layers import UNNAMED, last_feature, layer_starts
 from gcode.limits import limits_in_effect
 from gcode.program import Event, EventKind, Moves, Program
 from gcode.slicing import excerpt, join, shortened, split
@@ -53,6 +53,7 @@ class Chunk:
     extent: Extent = WHOLE  # what is written of it
     slowed: tuple[TimeScaling, ...] = ()  # what had to become slower before its end could be cut
     cuts: int = 0  # in motion, before it
+    feature: str = UNNAMED  # what is printed when it begins
 
 
 def split_chunks(
@@ -91,6 +92,14 @@ def split_chunks(
         ahead = known.ahead
     if ahead is not None:
         yield ahead.chunk(ahead.program, last=True)
+
+
+def with_features(split: Iterable[Chunk]) -> Iterator[Chunk]:
+    """Tell each chunk what is printed when it begins, as the comments before it say."""
+    feature = UNNAMED
+    for chunk in split:
+        yield replace(chunk, feature=feature)
+        feature = last_feature(chunk.program) or feature
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from ffcomp.compensate import chunks
-from ffcomp.compensate.chunks import Chunk, split_chunks
+from ffcomp.compensate.chunks import Chunk, split_chunks, with_features
 from ffcomp.compensate.gcode_output.print_time import with_times_retold
 from ffcomp.compensate.gcode_output.renderer import GcodeRenderer
 from ffcomp.compensate.placement import NOWHERE, Footprint, Offset, Placement, advice, choose_offset, footprint_of
@@ -30,6 +30,7 @@ from ffcomp.compensate.statistics import Statistics
 from ffcomp.compensate.step_output import StepRenderer, StepStream
 from ffcomp.compensate.stream import Stream
 from ffcomp.errors import NothingToDo
+from ffcomp.faster.bound import Bound, with_slicer_settings
 from ffcomp.integrations.slicer import Bed, bed_in, pair
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
@@ -91,6 +92,7 @@ class Options:
     force: bool = False  # compensate again what is stamped
     steps: StepOutput | None = None  # None: G-code
     bed: Bed | None = None  # the slicer's, if it has said it otherwise than in the file
+    bound: Bound | None = None  # on the error, under which the print is as quick as can be; None: as it was sliced
 
     def job(self, source: Source, path: str, machine: Machine, stamp: Stamp | None, jobs: int) -> Job:
         """Return the request for a print. With a stamp, the original that the file keeps is compensated."""
@@ -214,6 +216,12 @@ class Job:
         return choose_offset(self.machine.kinematics, self._bed, self._footprint)
 
     @property
+    def _bound(self) -> Bound | None:
+        """The bound asked for, with what the slicer's settings in the file say beside it."""
+        bound = self.options.bound
+        return None if bound is None else with_slicer_settings(bound, *self._ends[:2])
+
+    @property
     def _bed(self) -> Bed | None:
         return self.options.bed or bed_in(*self._ends[:2])
 
@@ -291,7 +299,7 @@ class Job:
         while not len(first[-1].moves) and (more := next(parts, None)) is not None:
             first.append(more)
         share = _share(first[-1], self.size) if self.options.predict else 0.0
-        context = Context(self.machine, self.settings, self.flavor, self.offset, share, plain)
+        context = Context(self.machine, self.settings, self.flavor, self.offset, share, plain, self._bound)
         return self._chunks(chain(first, parts), plain), context
 
     def _parts(self, reach: Reach) -> Iterator[Program]:
@@ -315,7 +323,7 @@ class Job:
         s = self.settings
         longest_s = inf if plain else S_CURVE_LONGEST_S if s.s_curve else chunks.LONGEST_S
         ease = self._eased if s.time_scaling and not plain else None
-        return split_chunks(parts, s.segment_s, s.lead_s, self._plan_of, longest_s=longest_s, ease=ease)
+        return with_features(split_chunks(parts, s.segment_s, s.lead_s, self._plan_of, longest_s=longest_s, ease=ease))
 
     def _plan_of(self, program: Program) -> Trajectory:
         return firmware_plan(program, self.machine)

@@ -7,9 +7,11 @@ from dataclasses import dataclass, field
 from math import ceil
 
 from ffcomp.compensate.chunks import Chunk
+from ffcomp.compensate.faster import Faster, faster_chunk
 from ffcomp.compensate.settling import settling_waits
 from ffcomp.compensate.solve import solutions
 from ffcomp.compensate.statistics import Statistics, of_plan, of_raw, of_waits
+from ffcomp.faster.bound import Bound
 from ffcomp.inverse.extent import WHOLE
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
@@ -33,6 +35,7 @@ class Context:
     offset: tuple[float, float] = (0.0, 0.0)  # mm, by which the program's positions were shifted when they were read
     share: float = 0.0  # of the print that is simulated for the prediction, 0 to 1
     plain: bool = False  # written uncompensated: it waits for nothing
+    bound: Bound | None = None  # on the error, under which the print is as quick as can be; None: as it was sliced
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,14 +60,18 @@ def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedCh
     """Plan a chunk, and solve the moves before it of which the printer may still ring."""
     machine, s_curve = context.machine, context.settings.s_curve
     smooth = s_curve and chunk.extent == WHOLE
-    planned = plan_program(chunk.program, machine, smooth)
+    faster: Faster | None = None
+    if context.bound is None or context.plain:
+        planned = plan_program(chunk.program, machine, smooth)
+    else:
+        planned, faster = faster_chunk(chunk, context.bound, model, smooth)
     state = None
     if chunk.before is not None:
         past = plan_program(chunk.before, machine, s_curve)
         for solved in solutions(past, machine, model, None, lambda reference: False):
             state = solved.solution.state
     lost_s, waits_s = sum(each.seconds for each in chunk.slowed), 0.0
-    warnings = list(chunk.program.warnings)
+    warnings = [*chunk.program.warnings, *(faster.warnings if faster is not None else ())]
     if smooth < s_curve and chunk.extent.begin is None:
         warnings.append(_not_smooth(chunk))
     if chunk.extent.end is None:
@@ -75,6 +82,7 @@ def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedCh
         print_time_s=waits_s,
         warnings=tuple(warnings),
         slowed=chunk.slowed,
+        faster=faster,
     )
     raw = _raw_events(chunk)
     raw_s = raw_durations(raw, planner_limits(machine))

@@ -58,6 +58,24 @@ class Result:
         warnings = [*numbers.shares.warnings(), *numbers.warnings]
         return warning_lines(warnings, numbers.slowed, self.machine, numbers.original_print_time_s)
 
+    def _faster(self) -> dict[str, Any]:
+        """Return what a bound on the error has given."""
+        numbers, faster = self.statistics, self.statistics.faster
+        assert faster is not None
+        compensated = numbers.predicted.tracks()["compensated"] if numbers.predicted else None
+        names = sorted(faster.original_s, key=lambda name: -faster.original_s[name])
+        return {
+            "print_time_s": numbers.print_time_s,
+            "original_print_time_s": numbers.original_print_time_s,
+            "actuator_limit_s": faster.actuator_limit_s,
+            "contour_p99_um": compensated.contour_p99_um if compensated else None,
+            "contour_max_um": compensated.contour_max_um if compensated else None,
+            "by_feature": {
+                name: {"original_s": faster.original_s[name], "print_time_s": faster.planned_s.get(name, 0.0)}
+                for name in names
+            },
+        }
+
     def __add__(self, other: Result) -> Result:
         """Add another print of the same file."""
         statistics, compute_time_s = self.statistics + other.statistics, self.compute_time_s + other.compute_time_s
@@ -88,6 +106,7 @@ class Result:
             "slowed": numbers.slowed,
             "predicted": numbers.predicted.tracks() if numbers.predicted else {},
             "predicted_over_s": numbers.predicted.covered_s if numbers.predicted else 0.0,
+            **({"faster": self._faster()} if numbers.faster is not None else {}),
             **({"original_embedded": self.embedded} if self.steps is None else {"steps": self.steps}),
         }
         return dict(to_json(found))

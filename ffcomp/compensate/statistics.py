@@ -8,6 +8,7 @@ from typing import cast
 
 import numpy as np
 
+from ffcomp.compensate.faster import Faster
 from ffcomp.compensate.prediction import Samples
 from ffcomp.compensate.share import Shares, of_moves, of_raw_moves
 from ffcomp.compensate.solve import SolvedSection
@@ -41,6 +42,7 @@ class Statistics:
     shares: Shares = field(default_factory=Shares)
     settlings: int = 0  # waits until the ringing of what the firmware has moved by itself has died away
     settling_s: float = 0.0
+    faster: Faster | None = None  # None: no bound was asked for
 
     def __add__(self, later: Statistics) -> Statistics:
         """Add what comes after this; a warning is kept once."""
@@ -58,6 +60,7 @@ class Statistics:
             self.shares + later.shares,
             self.settlings + later.settlings,
             self.settling_s + later.settling_s,
+            self.faster + later.faster if self.faster and later.faster else self.faster or later.faster,
         )
 
 

@@ -195,7 +195,7 @@ class Sensitivity:
 
     def __init__(self, machine: Machine, row_s: float, bandwidth_hz: float, effort: float) -> None:
         self.machine, self.row_s, self.bandwidth_hz, self.effort = machine, row_s, bandwidth_hz, effort
-        self._possible = _draws(machine)
+        self._possible = drawn_machines(machine)
         self._nodes: dict[tuple[int, int], ShortComplexArray] = {}
         self._working = Lock()
 
@@ -326,12 +326,12 @@ def _transposed(known: ShortComplexArray, lines: ShortComplexArray) -> ShortComp
     return out
 
 
-def _draws(machine: Machine) -> list[Machine]:
-    """Machines as the uncertainties allow them, the same ones every time."""
+def drawn_machines(machine: Machine, count: int = DRAWS) -> list[Machine]:
+    """Return machines as the uncertainties allow them, the same ones every time; an even number of them."""
     parameters = machine.vibration.parameters()
     spread = parameters.relative_sd(machine.uncertainty)
     rng = np.random.default_rng(1)
-    half = np.clip(rng.standard_normal((DRAWS // 2, parameters.columns)), -FARTHEST, FARTHEST)
+    half = np.clip(rng.standard_normal((count // 2, parameters.columns)), -FARTHEST, FARTHEST)
     draws = np.concatenate([half, -half])  # in pairs: their mean is the machine
     return [with_values(machine, parameters.scaled(row, spread, least=0.2)) for row in draws]
 

@@ -113,7 +113,7 @@ def _window(
     first = max(at, low[begin])
     last = int(np.searchsorted(along, along[first] + AHEAD * way + AHEAD_MM, side="right"))
     if begin == 0:  # the motion may begin anywhere
-        last = high[begin]
+        last = high[end - 1]
     last = max(min(last, high[end - 1]), low[end - 1] + 1, first + 1)
     n = last - first
     cost, came = np.full(n, np.inf), np.zeros((end - begin, n), dtype=np.int32)

@@ -139,3 +139,20 @@ def test_people_read_a_line_for_each_cause(printed: Path, tmp_path: Path) -> Non
     assert f"Slowed at {len(result['slowed'])} place" in slowed and f"{seconds:.2g} s longer in all" in slowed
     assert "the velocity limit of carriage" in slowed and "or step_rate_hz = 4000" in slowed
     assert sum("slowed to" in warning for warning in result["warnings"]) >= 1
+
+
+def test_a_quicker_print_says_what_it_has_given(tmp_path: Path) -> None:
+    """Under a bound the whole command: JSON, a line for people, the original kept, and refusals."""
+    print_file = tmp_path / "line.gcode"
+    print_file.write_bytes(b"G28\nG1 X0 Y0 Z.3 F6000\n;LAYER:1\n;LAYER:2\nG1 X40 F1200\nG1 Y40\nG1 X0\nG1 Y0\n")
+    out = tmp_path / "out.gcode"
+    command = [print_file, "-m", MACHINE, "-o", out, "--json"]
+    answer = call(*command, "--max-error-um", "100")
+    assert answer.exit_code == 0, answer.output
+    faster = json.loads(answer.stdout)["faster"]
+    assert faster["actuator_limit_s"] < faster["print_time_s"] < 0.8 * faster["original_print_time_s"]
+    assert faster["contour_p99_um"] < 100.0 and set(faster["by_feature"]) == {"other"}
+    assert "Faster: " in answer.stderr
+    assert "faster" not in json.loads(call(*command).stdout)
+    for wrong in (["--max-flow-mm3-per-s", "9"], ["--max-error-um", "x"], ["--max-error-um", "Bridge=20"]):
+        assert call(*command, *wrong).exit_code == 2

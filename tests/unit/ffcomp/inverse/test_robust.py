@@ -19,10 +19,10 @@ from ffcomp.inverse.robust import (
     SPANS,
     Response,
     RobustReference,
-    _draws,
     across,
     beside,
     conjugate_gradients,
+    drawn_machines,
     gathered,
     sigma_points,
 )
@@ -210,7 +210,7 @@ def test_where_a_span_ends_does_not_show(softening: RobustReference) -> None:
 
 def test_named_uncertainties_count_for_their_numbers_alone(machine: Machine) -> None:
     sure = replace(machine, uncertainty={"default": 0.0, "carriage.belt_stiffness_n_per_m": 0.1})
-    draws = _draws(sure)
+    draws = drawn_machines(sure)
     for name in machine.vibration.parameters().names:
         values = np.array([value_of(each, name) for each in draws])
         moved = name == "carriage.belt_stiffness_n_per_m"

@@ -1,0 +1,87 @@
+"""Make a chunk as quick as its bound allows, and count what that gives, by feature."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ffcomp.compensate.chunks import Chunk
+from ffcomp.faster.bound import Bound
+from ffcomp.faster.program import FasterProgram, faster_program
+from ffcomp.inverse.extent import WHOLE
+from ffcomp.inverse.model import InverseModel
+from ffcomp.planner.program import PlannedProgram, firmware_plan, plan_program
+from ffcomp.planner.trajectory import PlannedMotion
+from gcode.layers import labels
+from gcode.program import Program
+
+
+@dataclass(frozen=True, slots=True)
+class Faster:
+    """What a bound has given: values of chunks that add up."""
+
+    original_s: Mapping[str, float] = field(default_factory=dict)  # by feature, as sliced
+    planned_s: Mapping[str, float] = field(default_factory=dict)  # by feature, now
+    actuator_limit_s: float = 0.0  # with the carriages' limits alone
+    warnings: tuple[str, ...] = ()
+
+    def __add__(self, later: Faster) -> Faster:
+        """Add what comes after this."""
+        return Faster(
+            _added(self.original_s, later.original_s),
+            _added(self.planned_s, later.planned_s),
+            self.actuator_limit_s + later.actuator_limit_s,
+        )
+
+
+def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel, smooth: bool) -> tuple[PlannedProgram, Faster]:
+    """Plan a chunk as quick as the bound allows; one that is cut in motion keeps the slicer's motion."""
+    program, machine = chunk.program, model.given
+    if chunk.extent != WHOLE:
+        plan = firmware_plan(program, machine)
+        own = _by_feature(program, plan, chunk.feature)
+        return plan_program(program, machine, smooth), Faster(own, own, plan.end_t, (_not_faster(chunk),))
+    slicers = firmware_plan(program, machine)
+    found = faster_program(program, model, bound, chunk.layers, chunk.feature)
+    planned = plan_program(found.program, machine, smooth)
+    return (
+        replace(planned, firmware_s=slicers.end_t),
+        Faster(
+            _by_feature(program, slicers, chunk.feature),
+            _by_feature(program, planned.trajectory, chunk.feature),
+            found.actuator_limit_s,
+            _given_up(chunk, found),
+        ),
+    )
+
+
+def _by_feature(program: Program, plan: PlannedMotion, feature: str) -> dict[str, float]:
+    named = labels(program, feature)
+    seconds = np.bincount(named.feature, plan.duration, len(named.features))
+    return {name: float(s) for name, s in zip(named.features, seconds, strict=True) if s > 0.0}
+
+
+def _added(some: Mapping[str, float], more: Mapping[str, float]) -> dict[str, float]:
+    return {name: some.get(name, 0.0) + more.get(name, 0.0) for name in (*some, *(n for n in more if n not in some))}
+
+
+def _not_faster(chunk: Chunk) -> str:
+    line = chunk.program.first_line + int(chunk.program.moves.line[0]) + 1
+    return (
+        f"line {line}: the motion here does not rest for minutes; it keeps the slicer's speed, and its error is not "
+        "bounded."
+    )
+
+
+def _given_up(chunk: Chunk, found: FasterProgram) -> tuple[str, ...]:
+    if not found.given_up.any():
+        return ()
+    moves = np.flatnonzero(found.given_up)
+    line = chunk.program.first_line + int(chunk.program.moves.line[moves[0]]) + 1
+    seconds = float(found.plan.duration[moves].sum())
+    return (
+        f"line {line}: {len(moves)} moves from here on ({seconds:.2g} s) keep the slicer's motion: no quicker one was "
+        "found that keeps the error under the bound.",
+    )

@@ -1,0 +1,1 @@
+"""The quickest print whose error stays under a bound."""

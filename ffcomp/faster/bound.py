@@ -1,0 +1,58 @@
+"""What was asked for: an error that the print may have, and what else it must keep."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gcode.layers import Labels
+from models.arrays import BoolArray, FloatArray
+
+_SETTING = re.compile(rb"^; (\w+) = ([\d.]+)", re.MULTILINE)
+_FLOW = (b"filament_max_volumetric_speed", b"max_volumetric_speed")
+_LAYER_TIME = (b"slowdown_below_layer_time", b"slow_down_layer_time")
+_COOLING = (b"cooling", b"slow_down_for_layer_cooling")
+KEPT_FEATURES = ("bridge", "overhang", "ironing", "custom")  # of whose names some word is one of these
+SHORTEST_LAYER_S = 5.0  # where neither the user nor the slicer says
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """The error bound of a print, and the limits beside the machine's own."""
+
+    max_error_um: float
+    of_features_um: tuple[tuple[str, float], ...] = ()  # by feature, where it is another
+    keep_speed: tuple[str, ...] = ()  # features that keep the slicer's motion
+    max_flow_mm3_per_s: float | None = None  # None: the largest that the print has as it was sliced
+    max_speed_mm_per_s: float | None = None  # None: the machine's
+    min_layer_time_s: float | None = None  # None: what the slicer's settings say
+    safety: float = 0.05  # share of the printers, as uncertain as the machine file says, that may be beyond the bound
+
+    def errors_mm(self, labels: Labels) -> FloatArray:
+        """Return each move's own bound, (n,) mm."""
+        own = {name.lower(): um for name, um in self.of_features_um}
+        by_feature = np.array([own.get(name.lower(), self.max_error_um) for name in labels.features])
+        return np.asarray(1e-3 * by_feature[labels.feature])
+
+    def keeps(self, labels: Labels) -> BoolArray:
+        """Tell which moves keep the slicer's motion because of their feature, (n,)."""
+        kept = {name.lower() for name in self.keep_speed}
+        by_feature = np.array(
+            [name.lower() in kept or any(word in name.lower() for word in KEPT_FEATURES) for name in labels.features]
+        )
+        return np.asarray(by_feature[labels.feature])
+
+
+def with_slicer_settings(bound: Bound, head: bytes, tail: bytes) -> Bound:
+    """Fill in what was not asked for from the slicer's settings, which stand in a file's first or last lines."""
+    said = {key: float(value) for key, value in _SETTING.findall(head + b"\n" + tail) if value.count(b".") < 2}
+    flow, shortest_s = bound.max_flow_mm3_per_s, bound.min_layer_time_s
+    if flow is None:
+        flow = next((said[key] for key in _FLOW if said.get(key)), None)
+    if shortest_s is None:
+        shortest_s = next((said[key] for key in _LAYER_TIME if key in said), SHORTEST_LAYER_S)
+        if any(said.get(key) == 0.0 for key in _COOLING):
+            shortest_s = 0.0
+    return replace(bound, max_flow_mm3_per_s=flow, min_layer_time_s=shortest_s)

@@ -1,0 +1,90 @@
+"""Moves from above: as fast as the limits of machine, nozzle and filament allow, whatever the slicer says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ffcomp.faster.bound import Bound
+from ffcomp.planner.limits import PlannerLimits, lines_of
+from gcode.layers import Labels
+from gcode.program import Moves
+from models.arrays import BoolArray, FloatArray
+from models.machine import Machine
+
+PROBE_MM = 0.01
+SHARE = 0.9  # of the carriages' limits, that a path may use: the command needs more than its path
+CORNER_PER_UM = 1.5  # mm/s of square corner velocity for each µm of the bound,
+CORNERS = (5.0, 40.0)  # at least and at most
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """n moves with their highest limits, and which of them keep the slicer's."""
+
+    moves: Moves
+    kept: BoolArray  # (n,)
+    bound_mm: FloatArray  # (n,)
+
+
+def opened(
+    moves: Moves, labels: Labels, first_layer: BoolArray, bound: Bound, machine: Machine, limits: PlannerLimits
+) -> Opened:
+    """Open the limits of all moves that need not keep the slicer's motion.
+
+    first_layer : (n,) the moves of the print's first layer, which keep it
+    """
+    lines, errors_mm = lines_of(moves), bound.errors_mm(labels)
+    filament = lines.direction[:, 3]
+    kept = bound.keeps(labels) | first_layer | ~lines.travels | (filament < 0.0)
+    gain = _gain(moves, lines.direction[:, :3], machine)
+    fastest = bound.max_speed_mm_per_s or limits.velocity_mm_per_s
+    velocity = float(np.min(machine.limits.carriage_velocity_mm_per_s))
+    speed = np.minimum(fastest, SHARE * velocity / gain)
+    flowing = lines.travels & (filament > 0.0)
+    speed[flowing] = np.minimum(speed[flowing], _flow(moves, filament, flowing, bound, limits) / filament[flowing])
+    corner = np.clip(CORNER_PER_UM * 1e3 * errors_mm, *CORNERS)
+    quickest = replace(
+        moves,
+        speed=np.where(flowing, speed, np.maximum(speed, moves.speed)),
+        velocity_limit=np.full(len(moves), fastest),
+        acceleration=SHARE * machine.limits.carriage_acceleration_mm_per_s2 / gain,
+        square_corner_velocity=corner,
+        minimum_cruise_ratio=np.zeros(len(moves)),
+    )
+    return Opened(chosen(quickest, moves, ~kept), kept, errors_mm)
+
+
+def at_the_carriages_limits(top: Opened) -> Moves:
+    """Return the moves with corners as quick as the carriages' limits allow: nothing can be quicker."""
+    moves = top.moves
+    return replace(
+        moves,
+        acceleration=np.where(top.kept, moves.acceleration, moves.acceleration / SHARE),
+        square_corner_velocity=np.where(top.kept, moves.square_corner_velocity, CORNERS[1]),
+    )
+
+
+def chosen(ones: Moves, others: Moves, which: BoolArray) -> Moves:
+    """Return the others' limits, but those of the ones where `which` says so, (n,)."""
+    names = ("speed", "velocity_limit", "acceleration", "square_corner_velocity", "minimum_cruise_ratio")
+    return replace(others, **{name: np.where(which, getattr(ones, name), getattr(others, name)) for name in names})
+
+
+def _flow(moves: Moves, filament: FloatArray, flowing: BoolArray, bound: Bound, limits: PlannerLimits) -> float:
+    """Return how fast the filament may go, mm/s."""
+    if bound.max_flow_mm3_per_s is not None:
+        return bound.max_flow_mm3_per_s / (0.25 * np.pi * limits.filament_diameter_mm**2)
+    return float((moves.speed * filament)[flowing].max(initial=0.0))
+
+
+def _gain(moves: Moves, direction: FloatArray, machine: Machine) -> FloatArray:
+    """Return how far the carriage that goes farthest goes for a mm of each move, (n,), at the worse of its ends."""
+    carriages = machine.kinematics.compiled().inverse
+    ends = (moves.start[:, :3], moves.end[:, :3] - PROBE_MM * direction)
+    rates = [
+        np.abs(carriages(np.ascontiguousarray(at + PROBE_MM * direction)) - carriages(np.ascontiguousarray(at)))
+        for at in ends
+    ]
+    return np.maximum(np.max(rates, axis=(0, 2)) / PROBE_MM, 0.5)

@@ -1,0 +1,119 @@
+"""A print under a bound is quicker than sliced, keeps the bound and the limits, and leaves alone what must be kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ffcomp.faster.bound import Bound, with_slicer_settings
+from ffcomp.faster.program import FasterProgram, faster_program
+from ffcomp.inverse.extent import WHOLE
+from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.settings import settings_for
+from ffcomp.inverse.solve import solve
+from ffcomp.metrics import contour_error_in_order
+from ffcomp.planner.limits import lines_of
+from ffcomp.planner.program import PlannedProgram, plan_program
+from gcode.program import Program
+from gcode.reader import read_program
+from models.file import load_machine
+
+SQUARES = b"""M83
+;LAYER_CHANGE
+;TYPE:Perimeter
+G1 X20 Y0 E.7 F1800
+G1 X20 Y20 E.7
+G1 X0 Y20 E.7
+;LAYER_CHANGE
+;TYPE:Perimeter
+G1 X0 Y0 E.7 F1800
+G1 X20 Y0 E.7
+;TYPE:External perimeter
+G1 X20 Y20 E.7
+G1 X0 Y20 E.7
+;TYPE:Bridge infill
+G1 X0 Y0 E.7
+"""
+FILAMENT_MM2 = 0.25 * np.pi * 1.75**2
+
+
+@pytest.fixture(scope="module")
+def model() -> InverseModel:
+    machine = replace(load_machine("mp-delta-pro"), uncertainty={"default": 0.0})
+    return InverseModel(machine, settings_for(machine))
+
+
+@pytest.fixture(scope="module")
+def squares() -> Program:
+    return read_program(SQUARES, "squares", start=(0.0, 0.0, 0.3), flavor="klipper")
+
+
+def planned(found: FasterProgram, model: InverseModel) -> PlannedProgram:
+    return plan_program(found.program, model.machine)
+
+
+def of(program: Program, model: InverseModel, um: float, **more: object) -> FasterProgram:
+    bound = Bound(um, max_flow_mm3_per_s=15.0, min_layer_time_s=0.0)
+    return faster_program(program, model, replace(bound, **more))  # type: ignore[arg-type]
+
+
+def test_it_is_quicker_and_the_response_keeps_the_bound(squares: Program, model: InverseModel) -> None:
+    """The judge knows no clock: distance of the predicted response to the squares' sides, in their order."""
+    found = of(squares, model, 25.0)
+    quick = planned(found, model)
+    assert quick.trajectory.end_t < 0.75 * found.plan.end_t
+    (section,) = quick.sections
+    written = WHOLE.written(quick.trajectory, section, model.settings)
+    state = model.machine.equilibrium(squares.moves.start[0, :3])
+    solution = solve(model, written.reference, state, keep_response=True, enforce_limits=False)
+    corners = np.vstack([squares.moves.start[:, :3], squares.moves.end[-1:, :3]])
+    error = contour_error_in_order(corners, solution.response)
+    assert solution.utilisation <= 1.0
+    assert np.percentile(error, 99) < 25e-3
+    assert error.max() < 1.25 * 25e-3
+
+
+def test_a_looser_bound_is_quicker(squares: Program, model: InverseModel) -> None:
+    times = [planned(of(squares, model, um), model).trajectory.end_t for um in (5.0, 25.0, 100.0)]
+    assert times[0] > times[1] > times[2]
+
+
+def test_first_layer_and_bridges_keep_the_slicers_motion(squares: Program, model: InverseModel) -> None:
+    moves, was = of(squares, model, 25.0).program.moves, squares.moves
+    kept = [0, 1, 2, 7]
+    assert np.array_equal(moves.speed[kept], was.speed[kept])
+    assert np.array_equal(moves.acceleration[kept], was.acceleration[kept], equal_nan=True)
+    assert (moves.speed[3:7] > was.speed[3:7]).all()
+
+
+def test_a_feature_keeps_its_speed_or_its_own_bound(squares: Program, model: InverseModel) -> None:
+    kept = of(squares, model, 25.0, keep_speed=("external perimeter",)).program.moves
+    assert np.array_equal(kept.speed[5:7], squares.moves.speed[5:7])
+    tight = of(squares, model, 25.0, of_features_um=(("External perimeter", 5.0),)).program.moves
+    assert tight.square_corner_velocity[5] < of(squares, model, 25.0).program.moves.square_corner_velocity[5]
+
+
+def test_the_flow_is_kept(squares: Program, model: InverseModel) -> None:
+    quick = planned(of(squares, model, 1000.0, max_flow_mm3_per_s=4.0), model)
+    filament = lines_of(squares.moves).direction[:, 3] * quick.trajectory.cruise_v
+    assert filament.max() * FILAMENT_MM2 <= 4.0 + 1e-9
+
+
+def test_a_layer_is_no_shorter_than_it_may_be(squares: Program, model: InverseModel) -> None:
+    """The second layer takes 3.4 s as sliced, 3 s are asked for; as sliced it stays where more is."""
+    for asked_s, least_s in ((3.0, 2.95), (60.0, 3.3)):
+        found = of(squares, model, 25.0, min_layer_time_s=asked_s)
+        lasting = planned(found, model).trajectory.duration[3:].sum()
+        assert least_s < lasting < found.plan.duration[3:].sum() + 0.05
+
+
+def test_the_slicers_settings_fill_in_what_was_not_asked_for() -> None:
+    head, tail = b"; filament_max_volumetric_speed = 12,15\n", b"; slow_down_layer_time = 8\n"
+    bound = with_slicer_settings(Bound(25.0), head, tail)
+    assert (bound.max_flow_mm3_per_s, bound.min_layer_time_s) == (12.0, 8.0)
+    asked = with_slicer_settings(Bound(25.0, max_flow_mm3_per_s=9.0, min_layer_time_s=1.0), head, tail)
+    assert (asked.max_flow_mm3_per_s, asked.min_layer_time_s) == (9.0, 1.0)
+    uncooled = with_slicer_settings(Bound(25.0), b"; cooling = 0\n", b"; max_volumetric_speed = 0\n")
+    assert (uncooled.max_flow_mm3_per_s, uncooled.min_layer_time_s) == (None, 0.0)
