@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -17,11 +18,12 @@ from ffcomp.record.clock import without_gaps
 from ffcomp.record.expected import Expectation
 from ffcomp.record.result import Joined
 from ffcomp.shapers.kinds import SHAPERS
-from ffcomp.shapers.pulses import Shaper
+from ffcomp.shapers.pulses import DAMPING_RATIO
 from models.arrays import ComplexArray, FloatArray
 
 BAND_HZ = (3.0, 80.0)
 FREQUENCIES_HZ = np.geomspace(15.0, 130.0, 60)
+NORMAL = np.arange(0.0, BAND_HZ[1] / FREQUENCIES_HZ[0] + 0.01, 0.01)  # frequencies, in those of the shaper
 EXPLAINED = 0.35  # of the power may be left with the shaper
 BETTER = 2.5  # times less than without it; files with dampings off by 4, belts by 20 % or 120 g gave 1.4 at most
 LEAST_WITHOUT = 0.03  # of the power: less may be anything
@@ -49,27 +51,24 @@ class FoundShaper:
 
 def find_shapers(recorded: Sequence[tuple[Joined, Expectation]]) -> list[FoundShaper]:
     """Return the shaper of each axis that has one without doubt."""
-    candidates = [SHAPERS[kind](float(f), 0.1) for kind in SHAPERS for f in FREQUENCIES_HZ]
     names = [(kind, float(f)) for kind in SHAPERS for f in FREQUENCIES_HZ]
     found = []
     for i, axis in enumerate("xy" if recorded else ""):
-        left, without = _unexplained(recorded, i, candidates)
+        left, without = _unexplained(recorded, i)
         best = int(left.argmin())
         if left[best] < EXPLAINED and without > max(BETTER * left[best], LEAST_WITHOUT):
             found.append(FoundShaper(axis, *names[best], float(left[best]), without))
     return found
 
 
-def _unexplained(
-    recorded: Sequence[tuple[Joined, Expectation]], axis: int, candidates: Sequence[Shaper]
-) -> tuple[FloatArray, float]:
+def _unexplained(recorded: Sequence[tuple[Joined, Expectation]], axis: int) -> tuple[FloatArray, float]:
     """Return the share of the power along an axis that is left by each candidate (c,), and by none."""
-    shapes = [*candidates, None]
     count = 1 + len(recorded[0][1].signatures)
-    total, normal, right = 0.0, np.zeros((len(shapes), count, count)), np.zeros((len(shapes), count))
+    tried = len(SHAPERS) * len(FREQUENCIES_HZ) + 1
+    total, normal, right = 0.0, np.zeros((tried, count, count)), np.zeros((tried, count))
     for joined, expected in recorded:
         frequency, measured, columns = _spectra(joined, expected, axis)
-        response = np.array([_response(shape, frequency) for shape in shapes])
+        response = _responses(frequency)
         total += float((np.abs(measured) ** 2).sum())
         square = np.einsum("ki,kj->kij", columns.conj(), columns).real
         normal = normal + np.tensordot(np.abs(response) ** 2, square, axes=1)
@@ -94,7 +93,15 @@ def _spectra(joined: Joined, expected: Expectation, axis: int) -> tuple[FloatArr
     return frequency[band], np.fft.rfft(felt)[band], columns
 
 
-def _response(shaper: Shaper | None, frequency_hz: FloatArray) -> ComplexArray:
-    if shaper is None:
-        return np.ones(len(frequency_hz), dtype=np.complex128)
-    return np.asarray(np.exp(-2j * np.pi * np.outer(frequency_hz, shaper.time)) @ shaper.amplitude)
+def _responses(frequency_hz: FloatArray) -> ComplexArray:
+    """Return the response of each candidate, and of no shaper at last, (c + 1, k)."""
+    relative = frequency_hz / FREQUENCIES_HZ[:, None]
+    rows = [np.interp(relative, NORMAL, _of_one_hertz(kind)) for kind in SHAPERS]
+    return np.concatenate([*rows, np.ones((1, len(frequency_hz)))])
+
+
+@cache
+def _of_one_hertz(kind: str) -> ComplexArray:
+    """Return the response of a shaper for 1 Hz at `NORMAL`."""
+    shaper = SHAPERS[kind](1.0, DAMPING_RATIO)
+    return np.asarray(np.exp(-2j * np.pi * np.outer(NORMAL, shaper.time)) @ shaper.amplitude)
