@@ -20,6 +20,7 @@ from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import read_frfs
 from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.modes import ModeFit, modes_in
+from ffcomp.measurement.motan import is_motion_log
 from ffcomp.measurement.plain_capture import columns_of
 from ffcomp.measurement.recording import Recording, read_recording
 from ffcomp.measurement.recording_frfs import frfs_from_recordings
@@ -158,7 +159,7 @@ def kind_of(path: Path) -> Kind:
     """
     if not path.is_file():
         raise MeasurementError(str(path), ["There is no such file."])
-    if is_stdata(path):
+    if is_stdata(path) or is_motion_log(path):
         return "vibration"
     if is_universal(path):
         return "frf"

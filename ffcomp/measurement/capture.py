@@ -13,7 +13,7 @@ from ffcomp.measurement.sensors import broken_sensor
 from ffcomp.measurement.table import Table
 from models.arrays import FloatArray
 
-ClockKind = Literal["firmware", "free"]
+ClockKind = Literal["log", "firmware", "free"]
 Point = tuple[float, float, float]
 
 LOWEST_RATE_HZ = 400.0  # twice the highest frequency that is compared; a phone's rate
@@ -31,7 +31,7 @@ class Capture:
     position_mm: Point | None = None
     excitation_hz: float | None = None
     name: str = ""  # of the measurement, where one file holds several
-    clock: ClockKind = "free"  # "firmware": the print time of the motion, as Klipper and Kalico write it
+    clock: ClockKind = "free"  # the print time of the motion: exact, or within a sample
     overflows: int = 0  # samples that the chip lost, as far as the file says it
 
     @property

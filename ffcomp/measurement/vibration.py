@@ -16,6 +16,7 @@ from pathlib import Path
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.klipper import Resonances, is_paxxel, is_raw, paxxel_capture, raw_capture, resonances_of_table
+from ffcomp.measurement.motan import is_motion_log
 from ffcomp.measurement.plain_capture import columns_of, plain_capture
 from ffcomp.measurement.reprapfirmware import HEADER, reprapfirmware_capture
 from ffcomp.measurement.shake_and_tune import is_stdata, stdata_captures
@@ -24,6 +25,11 @@ from ffcomp.measurement.table import read_table, read_text
 _RULE = (
     "The first line must be '#time,accel_x,accel_y,accel_z', 'freq,psd_x,…', 'Sample,X,Y,Z', 'seq sample x y z' or "
     "name a time and three accelerations, as 't_s,ax_m_per_s2,ay_m_per_s2,az_m_per_s2'"
+)
+
+_LOG = (
+    "It is a log of motion and sensors of Klipper's data_logger.py; `ffcomp record join`, `gap` and `diagnose` read "
+    "it, with the plan of its moves (--plan)."
 )
 
 
@@ -52,6 +58,8 @@ def read_vibrations(path: str | Path) -> list[Capture | Resonances]:
     """
     if Path(path).is_file() and is_stdata(path):
         return list(stdata_captures(path))
+    if Path(path).is_file() and is_motion_log(path):
+        raise MeasurementError(str(path), [_LOG])
     text = read_text(path)
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     first = next((line for line in lines if not line.startswith("##")), lines[0])

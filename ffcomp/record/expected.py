@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.record.plan import Experiment
+from ffcomp.record.motion import Commanded
 from models.arrays import FloatArray
 from models.machine import Machine
 from models.printer.printer import simulate_printers
@@ -39,16 +39,16 @@ class Expectation:
     duration_s: float  # of the motion
 
 
-def expectation(experiment: Experiment, machine: Machine, lead_s: float) -> Expectation:
-    """Simulate an experiment on the machine file's printer, at rest for `lead_s` before it.
+def expectation(motion: Commanded, machine: Machine, lead_s: float) -> Expectation:
+    """Simulate an experiment's motion on the machine file's printer, at rest for `lead_s` before it.
 
     Raises
     ------
     UnreachableError
         If the machine cannot execute the motion.
     """
-    t = np.arange(-lead_s, experiment.duration_s + TAIL_S, 1 / RATE_HZ)
-    carriages = machine.kinematics.inverse(experiment.motion.nozzle(t))
+    t = np.arange(-lead_s, motion.duration_s + TAIL_S, 1 / RATE_HZ)
+    carriages = machine.kinematics.inverse(motion.nozzle(t))
     velocity = np.gradient(carriages, 1 / RATE_HZ, axis=0)
     massive = carriages - MASS_S2 * np.gradient(velocity, 1 / RATE_HZ, axis=0)
     rubbing = [replace(machine, effects=_with_friction(machine, force)) for force in FRICTION_N]
@@ -57,7 +57,7 @@ def expectation(experiment: Experiment, machine: Machine, lead_s: float) -> Expe
     if np.abs(signatures[-1]).max() < UNFELT_M_PER_S2:  # a model without guides
         (dragged,) = _felt([machine], [carriages - FRICTION_MM * np.tanh(velocity / CREEP_MM_PER_S)])
         signatures = [heavy - plain, dragged - plain]
-    return Expectation(t, plain, np.array(signatures), experiment.duration_s)
+    return Expectation(t, plain, np.array(signatures), motion.duration_s)
 
 
 def _with_friction(machine: Machine, force_n: float) -> dict[str, Any]:

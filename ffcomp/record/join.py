@@ -6,7 +6,6 @@ A capture that cannot be joined is refused in sentences; the others are joined a
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,18 +15,16 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import resample_poly
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.recording import Recording
-from ffcomp.measurement.vibration import read_captures
 from ffcomp.record.axes import best_score, find_turn, tilt, words
-from ffcomp.record.clock import ClockFit, Matches, Reference, every_clock, fit_clock, known_clock, thinned, without_gaps
-from ffcomp.record.expected import Expectation, expectation
-from ffcomp.record.plan import Experiment, MovesPlan
+from ffcomp.record.clock import ClockFit, fit_clock, without_gaps
+from ffcomp.record.expected import Expectation
+from ffcomp.record.plan import MovesPlan
 from ffcomp.record.plan_files import run_name
 from ffcomp.record.repeats import check_repeats
 from ffcomp.record.result import Joined, JoinResult, Refused
 from ffcomp.record.shaper import find_shapers
-from ffcomp.record.split import Execution, split_capture
+from ffcomp.record.tasks import Expected, Task, read_tasks, stated
 from models.arrays import FloatArray
 from models.machine import Machine
 
@@ -36,49 +33,15 @@ LEAST_REST_S = 0.2  # for gravity
 LEAST_CORRELATION = 0.9
 FARTHEST_S = 2e-3  # a firmware's clock from what the motion says
 WORST_RATIO = 1e-3  # of a firmware's clock: beyond it, speeds were overridden
-MOST_MISSING = 0.02  # rows in the motion
 BIAS_SD_S = 1.5e-4  # of a clock that is fitted, by what the machine file lacks
 REPEATS_SD_S, SURE = 3e-5, 2.0  # by which the motion tells two repeats apart at best; standard deviations
-DELAY_SD_S = {"firmware": 3e-4, "free": 1e-3}
+DELAY_SD_S = {"log": 5e-5, "firmware": 3e-4, "free": 1e-3}
 DRIFT_SD = 5e-5
 LOWEST_RATE_HZ = 800.0  # of a recording
-LONGEST, LONGER_S = 1.5, 3.0  # a capture of one execution: RepRapFirmware's go on for a while
 SHAPER_REMEDY = (
     "It must be off: the plan's G-code switches it off (Klipper: SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0; "
     'RepRapFirmware: M593 P"none"; Marlin: M593 F0). Run that file as it is, and record it again.'
 )
-
-
-class _Expected(dict[str, tuple[Expectation, Reference]]):
-    """What each experiment of a plan is expected to feel like, computed when first needed."""
-
-    def __init__(self, plan: MovesPlan, machine: Machine) -> None:
-        super().__init__()
-        self._plan, self._machine = plan, machine
-
-    def __missing__(self, name: str) -> tuple[Expectation, Reference]:
-        experiment = next(each for each in self._plan.experiments if each.name == name)
-        found = expectation(experiment, self._machine, self._plan.rest_before_s)
-        self[name] = found, Reference(found)
-        return self[name]
-
-
-@dataclass(frozen=True, eq=False)
-class _Task:
-    """A capture and the execution that it belongs to."""
-
-    capture: Capture
-    experiment: Experiment
-    repeat: int
-    chip: str
-    since: FloatArray  # (k,) s, of the thinned record
-    record: FloatArray  # (k, 3) m/s², the sensor's axes
-    matches: Matches
-
-    @property
-    def gravity(self) -> FloatArray:
-        """Return the mean, (3,) m/s²: a motion from rest to rest has none of its own."""
-        return np.asarray(np.nanmean(self.capture.acceleration, axis=0))
 
 
 def join_captures(
@@ -95,119 +58,51 @@ def join_captures(
     turn : (3, 3) from the sensor's axes to the printer's; None: found in the captures
     """
     refused: list[Refused] = []
-    expected, taken = _Expected(plan, machine), set[str]()
-    tasks: list[_Task] = []
+    expected, taken = Expected(plan, machine), set[str]()
+    tasks: list[Task] = []
+    notes: list[str] = []
     for path in paths:
         progress(f"reading {Path(path).name}")
         try:
-            tasks += _tasks(path, plan, expected, taken)
+            found, remarks = read_tasks(path, plan, machine, expected, taken)
+            tasks += found
+            notes += [f"{Path(path).name}: {sentence}" for sentence in remarks]
         except MeasurementError as error:
             refused += [Refused(str(path), problem) for problem in error.problems]
     joined: list[Joined] = []
     for chip in dict.fromkeys(task.chip for task in tasks):
         own = [task for task in tasks if task.chip == chip]
         progress(f"joining {len(own)} captures of {chip or 'the accelerometer'}")
-        found, wrong = _join_chip(own, plan, turn, expected)
-        joined += found
-        refused += wrong
-    kept, unlike, notes = check_repeats(sorted(_best(joined), key=lambda each: each.name))
-    return JoinResult(tuple(kept), (*refused, *unlike), tuple(notes))
+        good, bad = _join_chip(own, plan, turn)
+        joined += good
+        refused += bad
+    kept, unlike, late = check_repeats(sorted(_best(joined), key=lambda each: each.name))
+    return JoinResult(tuple(kept), (*refused, *unlike), (*notes, *late))
 
 
-def _join_chip(
-    tasks: Sequence[_Task], plan: MovesPlan, turn: FloatArray | None, expected: _Expected
-) -> tuple[list[Joined], list[Refused]]:
+def _join_chip(tasks: Sequence[Task], plan: MovesPlan, turn: FloatArray | None) -> tuple[list[Joined], list[Refused]]:
     """Join the captures of one accelerometer."""
     axes = turn if turn is not None else find_turn([task.matches for task in tasks], tasks[0].gravity)
     refused: list[Refused] = []
-    clocks: list[tuple[_Task, _Clock]] = []
+    clocks: list[tuple[Task, _Clock]] = []
     for task in tasks:
         try:
-            clocks.append((task, _clock(task, plan, axes, expected[task.experiment.name][1])))
+            clocks.append((task, _clock(task, plan, axes)))
         except MeasurementError as error:
             refused += [Refused(task.capture.source, problem) for problem in error.problems]
     rate = float(np.round(np.median([task.capture.sample_rate_hz for task in tasks])))
     joined: list[tuple[Joined, Expectation]] = []
     for task, clock in _narrowed(clocks):
-        ready = expected[task.experiment.name][0]
         try:
-            joined.append((_joined(task, clock, axes, ready, rate), ready))
+            joined.append((_joined(task, clock, axes, rate), task.ready))
         except MeasurementError as error:
             refused += [Refused(task.capture.source, problem) for problem in error.problems]
     if shapers := find_shapers(joined):
-        why = " ".join(["".join(each.words for each in shapers), SHAPER_REMEDY])
+        why = " ".join([*(each.words for each in shapers), SHAPER_REMEDY])
         return [], refused + [Refused(each.source, why) for each, _ in joined]
     good = [each for each, _ in joined if each.clock.correlation >= LEAST_CORRELATION]
     refused += [Refused(each.source, _unlike(each)) for each, _ in joined if each not in good]
     return good, refused
-
-
-def _tasks(path: str | Path, plan: MovesPlan, expected: _Expected, taken: set[str]) -> list[_Task]:
-    tasks = []
-    for capture in read_captures(path):
-        for each in _executions(capture, plan, expected, taken):
-            _check_rows(each.capture)
-            own, (ready, reference) = each.capture, expected[each.experiment.name]
-            since, record = thinned(own.time_s, own.acceleration)
-            if own.clock == "firmware":
-                start = (_stated(own, plan, each.experiment)[0], 1.0)
-                matches = known_clock(since, record, reference, start)
-            elif each.start is not None:
-                matches = known_clock(since, record, reference, each.start)
-            else:
-                matches = every_clock(since, record, reference, ready)
-            tasks.append(_Task(own, each.experiment, each.repeat, each.chip, since, record, matches))
-    return tasks
-
-
-def _executions(capture: Capture, plan: MovesPlan, expected: _Expected, taken: set[str]) -> list[Execution]:
-    """Tell by name or motion which of the plan's executions a capture holds, of which chip."""
-    named = _belongs(capture, plan)
-    if named is not None:
-        lasting = plan.rest_before_s + named[0].duration_s + plan.rest_after_s
-        if capture.time_s[-1] - capture.time_s[0] < LONGEST * lasting + LONGER_S:
-            return [Execution(capture, *named)]
-    references = [expected[each.name][1] for each in plan.experiments]
-    found = split_capture(capture, plan, references, taken)
-    if not found:
-        first = run_name(plan.experiments[0].name, 1)
-        stem = capture.name or Path(capture.source).stem
-        raise MeasurementError(
-            capture.source,
-            [
-                f"Its name {stem!r} holds none of the plan's experiments, as {first!r} does, and its motion is none of "
-                "those that are still to be found. Give the plan that its G-code was made with, and captures of one "
-                "accelerometer and of one run of that file."
-            ],
-        )
-    return found
-
-
-def _belongs(capture: Capture, plan: MovesPlan) -> tuple[Experiment, int, str] | None:
-    """Find experiment, repeat and chip by the name that the capture's command gave it."""
-    stem = capture.name or Path(capture.source).stem
-    for experiment in sorted(plan.experiments, key=lambda each: -len(each.name)):
-        found = re.search(rf"{re.escape(experiment.name)}-(\d+)(?!\d)", stem)
-        if found and 1 <= int(found[1]) <= plan.repeats:
-            return experiment, int(found[1]), stem[: found.start()].strip("-_")
-    return None
-
-
-def _check_rows(capture: Capture) -> None:
-    if capture.overflows:
-        raise MeasurementError(
-            capture.source,
-            [
-                f"The chip lost samples ({capture.overflows} overflows or drops), so its times are wrong. Record it "
-                "again, with less load on the printer's host, or at a lower rate of the chip."
-            ],
-        )
-    missing = float(np.isnan(capture.acceleration).any(axis=1).mean())
-    if missing > MOST_MISSING:
-        raise MeasurementError(
-            capture.source,
-            [f"{missing:.1%} of its rows are missing; {MOST_MISSING:.0%} may be. Record it again."],
-        )
 
 
 # The clock
@@ -221,30 +116,18 @@ class _Clock:
     stated: tuple[float, float] | None  # s
 
 
-def _stated(capture: Capture, plan: MovesPlan, experiment: Experiment) -> tuple[float, float]:
-    """Return between which times of the experiment the firmware has the first row, s.
-
-    The first row is the first one at or after the beginning of the rest, the last row the last one at or before the end
-    of the rest behind: two intervals of one sample, of which the common part is what is left.
-    """
-    period = 1.0 / capture.sample_rate_hz
-    low, high = -plan.rest_before_s, -plan.rest_before_s + period
-    span = float(capture.time_s[-1] - capture.time_s[0])
-    end = experiment.duration_s + plan.rest_after_s - span
-    both = max(low, end - period), min(high, end)
-    return both if both[1] > both[0] else (low, high)
-
-
-def _clock(task: _Task, plan: MovesPlan, axes: FloatArray, reference: Reference) -> _Clock:
-    record = task.record @ axes.T
+def _clock(task: Task, plan: MovesPlan, axes: FloatArray) -> _Clock:
+    record, reference = task.record @ axes.T, task.reference
     if task.capture.clock == "free":
         found = fit_clock(task.since, record, reference, best_score(task.matches, axes)[1], free_ratio=True)
         return _Clock(replace(found, offset_sd_s=float(np.hypot(found.offset_sd_s, BIAS_SD_S))), None)
-    stated = _stated(task.capture, plan, task.experiment)
-    found = fit_clock(task.since, record, reference, (float(np.mean(stated)), 1.0), free_ratio=False)
-    early = float(np.mean(stated)) - found.offset_s
+    logged = task.capture.clock == "log"
+    interval = (task.matches.starts[0][0],) * 2 if logged else stated(task.capture, plan, task.experiment)
+    middle = float(np.mean(interval))
+    found = fit_clock(task.since, record, reference, (middle, 1.0), free_ratio=False)
     if found.correlation < LEAST_CORRELATION:  # refused later, or a shaper is to blame
-        return _Clock(replace(found, offset_s=float(np.mean(stated))), None)
+        return _Clock(replace(found, offset_s=middle), None)
+    early = middle - found.offset_s
     if abs(early) > FARTHEST_S:
         raise MeasurementError(
             task.capture.source,
@@ -254,10 +137,12 @@ def _clock(task: _Task, plan: MovesPlan, axes: FloatArray, reference: Reference)
                 "as it is. Run the file again, from its beginning, with a speed factor of 100 %."
             ],
         )
-    return _Clock(found, stated)
+    if logged:
+        return _Clock(replace(found, offset_s=middle, offset_sd_s=DELAY_SD_S["log"]), None)
+    return _Clock(found, interval)
 
 
-def _narrowed(clocks: Sequence[tuple[_Task, _Clock]]) -> list[tuple[_Task, ClockFit]]:
+def _narrowed(clocks: Sequence[tuple[Task, _Clock]]) -> list[tuple[Task, ClockFit]]:
     """Choose each offset inside the firmware's interval.
 
     What the machine file lacks shifts the fitted offsets of all repeats of an experiment alike, and the intervals of
@@ -286,8 +171,8 @@ def _narrowed(clocks: Sequence[tuple[_Task, _Clock]]) -> list[tuple[_Task, Clock
 # The recording
 
 
-def _joined(task: _Task, clock: ClockFit, axes: FloatArray, ready: Expectation, rate_hz: float) -> Joined:
-    capture = task.capture
+def _joined(task: Task, clock: ClockFit, axes: FloatArray, rate_hz: float) -> Joined:
+    capture, ready = task.capture, task.ready
     tau = clock.experiment_time(capture.time_s)
     if tau[0] > -LEAST_REST_S or tau[-1] < ready.duration_s:
         raise MeasurementError(
@@ -332,7 +217,7 @@ def _on_grid(tau: FloatArray, felt: FloatArray, grid: FloatArray, factor: int) -
     return found
 
 
-def _recording(task: _Task, clock: ClockFit, tau: FloatArray, felt: FloatArray, axes_map: str) -> Recording:
+def _recording(task: Task, clock: ClockFit, tau: FloatArray, felt: FloatArray, axes_map: str) -> Recording:
     comments = {
         "joined": f"offset_s {clock.offset_s:.6f} ± {clock.offset_sd_s:.6f}, ratio {clock.ratio:.7f} ± "
         f"{clock.ratio_sd:.7f}, correlation below 20 Hz {clock.correlation:.4f}, overflows {task.capture.overflows}",
@@ -346,7 +231,7 @@ def _recording(task: _Task, clock: ClockFit, tau: FloatArray, felt: FloatArray, 
     return Recording(
         source=f"{run_name(task.experiment.name, task.repeat)}.csv",
         time_s=tau - tau[0],
-        command=task.experiment.motion.nozzle(tau),
+        command=task.motion.nozzle(tau),
         command_space="nozzle",
         acceleration={f"acc_{axis}": felt[:, i] for i, axis in enumerate("xyz")},
         position={},

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -15,6 +16,17 @@ from models.arrays import BoolArray, FloatArray
 
 OWN = ("velocity_limit", "acceleration", "square_corner_velocity", "minimum_cruise_ratio")
 """Columns of `gcode.program.Moves` that state a move's own limits; NaN where it has none."""
+
+
+class Commanded(Protocol):
+    """A commanded motion of the nozzle from rest to rest, which begins at zero."""
+
+    @property
+    def duration_s(self) -> float:
+        """From rest to rest."""
+
+    def nozzle(self, t_s: FloatArray) -> FloatArray:
+        """Return the nozzle at the times (k,) s: (k, 3) mm."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from scipy.signal import fftconvolve
 
 from ffcomp.measurement.capture import Capture
 from ffcomp.record.clock import Reference, thinned
+from ffcomp.record.motion import Commanded
 from ffcomp.record.plan import Experiment, MovesPlan
 from ffcomp.record.plan_files import run_name
 from models.arrays import FloatArray
@@ -32,6 +33,12 @@ class Execution:
     repeat: int
     chip: str
     start: tuple[float, float] | None = None  # offset and ratio of its clock, about; None: not known
+    played: Commanded | None = None  # the command, where it is not the experiment's own
+
+    @property
+    def motion(self) -> Commanded:
+        """What was commanded."""
+        return self.played or self.experiment.motion
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,221 @@
+"""Read logs of Klipper's data logger: motion, steps and sensors on one clock.
+
+There is a log, `NAME.json.gz`, and beside it an index, `NAME.index.gz`. Both are gzip streams of JSON objects with a
+byte 3 behind each. The first object of the index holds the status of the whole printer, its configuration included. Of
+the log's messages `{"q": ID, "params": {...}}` these are read:
+
+| ID | what |
+|---|---|
+| `trapq:toolhead` | the commanded nozzle: constant accelerations, before the input shaper |
+| `stepq:<stepper>` | what a motor did, the shaper included |
+| `accelerometer:<name>` | mm/s², gravity in it, the chip's axes turned as the configuration says |
+
+All times are print times. A log that was cut off is read as far as it goes.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ffcomp.errors import MeasurementError
+from models.arrays import FloatArray
+
+_MAGIC = b"\x1f\x8b"
+_GZIP = 31  # zlib's number for a gzip stream
+_END = b"\x03"
+_HEAD = 4096  # bytes that tell what a file is
+ENDINGS = (".json.gz", ".index.gz")
+
+
+@dataclass(frozen=True, eq=False)
+class Nozzle:
+    """The commanded nozzle in n segments of constant acceleration; in between it rests."""
+
+    begin_s: FloatArray  # (n,) print time, rising
+    lasts_s: FloatArray  # (n,)
+    speed: FloatArray  # (n,) mm/s at the beginning
+    acceleration: FloatArray  # (n,) mm/s² along the way
+    start_mm: FloatArray  # (n, 3)
+    direction: FloatArray  # (n, 3)
+
+    def at(self, t: FloatArray) -> FloatArray:
+        """Return the position at print times (k,) s: (k, 3) mm."""
+        k = np.maximum(np.searchsorted(self.begin_s, t, side="right") - 1, 0)
+        since = np.clip(t - self.begin_s[k], 0.0, self.lasts_s[k])
+        way = self.speed[k] * since + 0.5 * self.acceleration[k] * since**2
+        return np.asarray(self.start_mm[k] + self.direction[k] * way[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """What a motor did: m steps."""
+
+    time_s: FloatArray  # (m,) print time
+    position_mm: FloatArray  # (m,) after each step, as the firmware counts it
+    step_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """What an accelerometer measured."""
+
+    time_s: FloatArray  # (n,) print time
+    acceleration: FloatArray  # (n, 3) m/s²
+    lost_at_s: FloatArray  # (k,) print times of messages behind which samples were lost
+
+
+@dataclass(frozen=True, eq=False)
+class MotionLog:
+    """One log."""
+
+    source: str
+    nozzle: Nozzle
+    steps: Mapping[str, Steps]  # by the stepper's name: stepper_a, stepper_x, …
+    sensors: Mapping[str, Samples]  # by the chip's name
+    settings: Mapping[str, Mapping[str, Any]]  # the configuration's sections; empty: there was no index
+
+
+@dataclass
+class _Messages:
+    """What the messages of one log say, as they come."""
+
+    moves: list[list[Any]] = field(default_factory=list)
+    steps: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    sensors: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+
+
+def is_motion_log(path: str | Path) -> bool:
+    """Tell a log or its index by its ending and its first bytes."""
+    if not str(path).endswith(ENDINGS):
+        return False
+    with Path(path).open("rb") as file:
+        return file.read(len(_MAGIC)) == _MAGIC
+
+
+def is_index(path: str | Path) -> bool:
+    """Tell an index from a log by its ending."""
+    return str(path).endswith(ENDINGS[1])
+
+
+def read_motion_log(path: str | Path) -> MotionLog:
+    """Read a log, and the index beside it if there is one.
+
+    Raises
+    ------
+    MeasurementError
+        For a file that is no such log, or lacks motion or accelerations.
+    """
+    found = _Messages()
+    for message in _objects(path):
+        _note(message, found)
+    if not found.moves or not found.sensors:
+        missing = "commanded motion (trapq:toolhead)" if not found.moves else "acceleration (accelerometer:…)"
+        raise MeasurementError(
+            str(path),
+            [
+                f"It is no log of Klipper's data_logger.py, or holds no {missing}. Log with -s 'accelerometer:*', "
+                "from before the G-code starts until it has ended."
+            ],
+        )
+    return MotionLog(
+        str(path),
+        _nozzle(found.moves),
+        {name: _steps(messages) for name, messages in found.steps.items()},
+        {name: _samples(messages) for name, messages in found.sensors.items()},
+        _settings(path),
+    )
+
+
+def _objects(path: str | Path) -> Iterator[dict[str, Any]]:
+    """Yield the JSON objects of a gzip stream, as far as it goes."""
+    unpack, rest = zlib.decompressobj(_GZIP), b""
+    try:
+        text = unpack.decompress(Path(path).read_bytes())
+    except OSError as error:
+        raise MeasurementError(str(path), [f"The file cannot be read: {error.strerror}."]) from error
+    except zlib.error as error:
+        raise MeasurementError(str(path), [f"It cannot be unpacked ({error}). Copy the file again."]) from error
+    for rest in text.split(_END):
+        if not rest.strip():
+            continue
+        try:
+            found = json.loads(rest)
+        except ValueError:
+            continue  # the last one of a log that was cut off
+        if isinstance(found, dict):
+            yield found
+
+
+def _note(message: Mapping[str, Any], found: _Messages) -> None:
+    kind, _, name = str(message.get("q", "")).partition(":")
+    params = message.get("params")
+    if not isinstance(params, dict) or not params.get("data"):
+        return
+    if kind == "trapq" and name == "toolhead":
+        found.moves += params["data"]
+    elif kind == "stepq":
+        found.steps.setdefault(name, []).append(params)
+    elif kind == "accelerometer":
+        found.sensors.setdefault(name, []).append(params)
+
+
+def _nozzle(rows: list[list[Any]]) -> Nozzle:
+    unique = {float(row[0]): row for row in rows}  # a message may repeat the last segment
+    ordered = [unique[t] for t in sorted(unique)]
+    numbers = np.array([row[:4] for row in ordered], dtype=np.float64)
+    start = np.array([row[4][:3] for row in ordered], dtype=np.float64)
+    direction = np.array([row[5][:3] for row in ordered], dtype=np.float64)
+    begin, lasts, speed, acceleration = np.ascontiguousarray(numbers.T)
+    return Nozzle(begin, lasts, speed, acceleration, start, direction)
+
+
+def _steps(messages: list[dict[str, Any]]) -> Steps:
+    times, positions = [], []
+    for each in messages:
+        rows = np.array(each["data"], dtype=np.float64)[:, :3]
+        if not rows[:, 1].all():  # the position was set anew, as homing does
+            continue
+        clocks = _clocks(float(each["first_clock"]), rows)
+        span = max(float(each["last_clock"]) - float(each["first_clock"]), 1.0)
+        rate = (float(each["last_step_time"]) - float(each["first_step_time"])) / span
+        times.append(float(each["first_step_time"]) + (clocks - float(each["first_clock"])) * rate)
+        moved = np.cumsum(np.repeat(np.sign(rows[:, 1]), np.abs(rows[:, 1]).astype(np.int64)))
+        positions.append(float(each["start_position"]) + moved * float(each["step_distance"]))
+    nothing = np.empty(0)
+    step = float(messages[0]["step_distance"])
+    return Steps(np.concatenate([nothing, *times]), np.concatenate([nothing, *positions]), step)
+
+
+def _clocks(first: float, rows: FloatArray) -> FloatArray:
+    """Return the clock of every step: |count| times the interval, which grows by `add` each time."""
+    clock, found = first - rows[0, 0], []
+    for interval, count, add in rows.tolist():
+        k = np.arange(1, abs(int(count)) + 1)
+        own = clock + interval * k + add * (k * (k - 1) // 2)
+        found.append(own)
+        clock = float(own[-1])
+    return np.concatenate(found)
+
+
+def _samples(messages: list[dict[str, Any]]) -> Samples:
+    rows = np.concatenate([np.array(each["data"], dtype=np.float64)[:, :4] for each in messages])
+    counts = [float(each.get("overflows", 0)) + float(each.get("errors", 0)) for each in messages]
+    ends = [float(each["data"][-1][0]) for each in messages]
+    lost = [end for end, count, before in zip(ends, counts, [counts[0], *counts], strict=False) if count > before]
+    return Samples(rows[:, 0], rows[:, 1:] * 1e-3, np.array(lost))
+
+
+def _settings(path: str | Path) -> dict[str, dict[str, Any]]:
+    index = Path(str(path).removesuffix(ENDINGS[0]) + ENDINGS[1])
+    if not index.is_file():
+        return {}
+    status = next(_objects(index), {}).get("status", {})
+    settings = status.get("configfile", {}).get("settings", {})
+    return {str(name): dict(section) for name, section in settings.items()}
