@@ -51,7 +51,7 @@ def diagnose(
 
     The answer is one effect or several, none, or unknown. A change of the file's own parameters within their
     uncertainty is retuning, not an effect. An effect is named only if it explains the discrepancy at positions it was
-    not fitted to.
+    not fitted to. The answer ends with what to do to the printer.
 
     Captures of ffcomp record plan are joined with their commands by --plan.
 
@@ -180,28 +180,24 @@ def _digits(value: Any) -> str:
 
 
 def _print(found: DiagnosisResult, written: Path | None, report: Path | None) -> None:
+    from ffcomp.diagnose.sentences import said
+    from ffcomp.diagnose.what_to_do import what_to_do
     from models.effects.catalogue import CATALOGUE
 
-    size = f"{100 * found.before.nrms:.2f} % of the signals (noise {100 * found.before.noise_nrms:.2f} %)"
-    if found.verdict == "none":
-        print(f"Nothing is missing: the gap of {size} is noise, or retuning within the stated uncertainties.")
-        if found.mends:
-            print(f"With {len(found.retuned)} of the file's numbers retuned, {100 * found.after.nrms:.2f} % are left.")
-    elif found.verdict == "unknown":
-        print(f"There is a gap of {size}, and nothing known explains it.")
-        if found.rejections:
-            print(f"Nearest: {', '.join(found.effects)}; refused because {'; '.join(found.rejections)}.")
-    else:
-        print(f"The gap of {size} shrinks to {100 * found.after.nrms:.2f} % with:")
-        for name in found.effects:
-            print(f"  {name}: {CATALOGUE[name].title.lower()}")
-            for key, e in found.parameters(name).items():
-                print(f"    {key} = {_digits(e['value'])}   (90 %: {_digits(e['low'])} to {_digits(e['high'])})")
-        print("At places it was not fitted to: {:.2f} → {:.2f} %.".format(*(100 * x for x in found.held_out)))
+    first, *others = said(found)
+    print(first)
+    for name in found.effects if found.verdict == "effects" else ():
+        print(f"  {name}: {CATALOGUE[name].title.lower()}")
+        for key, e in found.parameters(name).items():
+            print(f"    {key} = {_digits(e['value'])}   (90 %: {_digits(e['low'])} to {_digits(e['high'])})")
+    print(*others, sep="\n", end="\n" if others else "")
     for name, how in found.confounded_with if found.verdict == "effects" else ():
         print(f"Looks alike: {name}. To tell them apart: {how}")
     if found.invisible:
         print(f"These runs could not show: {', '.join(found.invisible)}.")
+    print("What to do:")
+    for step in what_to_do(found):
+        print(f"  - {step}")
     if written:
         print(f"{written}: written. Compare with new runs: ffcomp gap NEW-RUNS --machine {written}")
     if report:

@@ -16,23 +16,49 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ffcomp.diagnose.acceptance import HeldOut, hold_out, rejections
+from ffcomp.diagnose.acceptance import rejections, unproven
 from ffcomp.diagnose.confounding import competing_with, confounded_with
 from ffcomp.diagnose.estimation import EstimationProblem, estimation_problem
 from ffcomp.diagnose.fit import Fit, derivatives, fit
+from ffcomp.diagnose.held_out import HeldOut, hold_out
 from ffcomp.diagnose.hypotheses import LARGE, Hypothesis, Progress, discrepancy_of, implausible, likeliest, significant
 from ffcomp.diagnose.intervals import intervals_of
-from ffcomp.diagnose.noise import NoiseFloor, noise_from_repeats, noise_from_residual, whitener
+from ffcomp.diagnose.noise import (
+    NoiseFloor,
+    at_least,
+    noise_from_repeats,
+    noise_from_residual,
+    noise_share,
+    whitener,
+)
 from ffcomp.diagnose.parsimony import parsimonious_fit
-from ffcomp.diagnose.problem import Problem
+from ffcomp.diagnose.problem import Parameter, Problem
+from ffcomp.diagnose.recording_delays import belongs_to_recording
+from ffcomp.diagnose.recording_faults import Fault, fault_of_recordings, odd_signal
 from ffcomp.diagnose.score_test import Screened, screen
 from ffcomp.diagnose.selection import Search, Selection, select
 from ffcomp.identify.uncertainty import Estimate
 from models.arrays import FloatArray
 
+TOO_LOUD = 0.1  # of the signals: with more noise, nothing found is not nothing there
+WRONG_FLOOR = -0.5  # discrepancy, of the noise: with less left than that, the floor is wrong
+MOSTLY = 0.9  # of the discrepancy, from which an explanation that failed a test is worth saying
+OWN_NUMBERS = {"belt_stiffness", "guide_damping", "effector_mass", "extruder_mount", "center_of_mass"}
+LOOSER = 5.0  # times the file's uncertainties
+LOOSELY = 1.5  # times the square that the named effects leave: the file's numbers alone explain as much
 EXISTS = 0.05  # the share of the noise by which a discrepancy must stand above it, or
 CERTAIN = 4.0  # standard deviations of what short recordings and few repeats may seem to show
 PROMISING = 30.0  # −2 ln Z that a candidate must promise, where the discrepancy is smaller than that
+
+
+FINDINGS = {
+    "effects": "effects are named",
+    "nothing": "nothing is missing",
+    "cannot_tell": "the noise is too loud, or its floor is wrong, to say that nothing is missing",
+    "unproven": "one explanation holds most of the discrepancy, but failed a test",
+    "unexplained": "there is a discrepancy, and nothing known explains it",
+    "recording": "the recordings are at fault: an input shaper, a sensor",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +78,16 @@ class Diagnosis:
     held_out: Sequence[HeldOut] = ()
     rejections: tuple[str, ...] = ()  # acceptance tests that the best hypothesis failed, in words
     intervals: Mapping[str, Estimate] = field(default_factory=dict)  # of all parameters of the best hypothesis
+    finding: str = "nothing"  # more closely: see FINDINGS
+    fault: Fault | None = None  # of the recordings
+    file_off: Fit | None = (
+        None  # the machine's numbers alone, far beyond their uncertainties, where they explain as much
+    )
+
+    @property
+    def unproven(self) -> list[HeldOut]:
+        """What was left out of the fit, and is not explained there."""
+        return [] if self.best is None else unproven(self.held_out, self.estimation.tolerance)
 
     @property
     def invisible(self) -> list[str]:
@@ -69,10 +105,15 @@ class Diagnosis:
 
 def diagnose(problem: Problem, progress: Progress = lambda _: None) -> Diagnosis:
     """Find the effects that are missing from the problem's machine, if any."""
+    return _concluded(_searched(problem, progress))
+
+
+def _searched(problem: Problem, progress: Progress) -> Diagnosis:
     noise = noise_floor(problem)
     if not noise.from_repeats:
         progress("no repeats: the noise floor is taken from above the model's band")
-    estimation = estimation_problem(problem, whitener(problem.observations, noise, problem.band_hz))
+    floor = at_least(noise, problem.observations, problem.band_hz)
+    estimation = estimation_problem(problem, whitener(problem.observations, floor, problem.band_hz))
     chance = CERTAIN * _spread(estimation) if noise.from_repeats else 0.0
     estimation = replace(estimation, tolerance=max(estimation.tolerance, chance))
     least = max(EXISTS, chance) if noise.from_repeats else estimation.tolerance
@@ -80,6 +121,9 @@ def diagnose(problem: Problem, progress: Progress = lambda _: None) -> Diagnosis
     filed = _as_filed(estimation)
     base = fit(estimation, filed.parameters, filed.z, filed.jacobian, iterations=12)
     progress(f"left after retuning: {discrepancy_of(base):+.3f} of the noise")
+    fault = fault_of_recordings(estimation, problem.simulate({}), base)
+    if fault is not None:
+        return Diagnosis("unknown", None, None, base, base, estimation, noise, [], finding="recording", fault=fault)
     progress(f"screening {len(problem.candidates)} effects")
     screened = screen(replace(estimation, coarse=True), base, list(problem.candidates))
     none = Diagnosis("none", None, None, base, base, estimation, noise, screened)
@@ -94,6 +138,66 @@ def diagnose(problem: Problem, progress: Progress = lambda _: None) -> Diagnosis
     tested = _tested(none, selection)
     # where there was hardly a discrepancy, an effect that fails a test leaves nothing unexplained
     return none if small and tested.rejections else tested
+
+
+def _concluded(found: Diagnosis) -> Diagnosis:
+    """Judge what a search found: never more is said than the noise and what was left out allow."""
+    if found.fault is not None:
+        return found
+    if found.noise.from_repeats and found.estimation.whiten.floor is found.noise and _floor_is_wrong(found):
+        return replace(found, verdict="unknown", named=None, finding="cannot_tell")
+    if found.verdict == "effects":
+        return replace(found, finding="effects", file_off=_file_off(found))
+    if found.verdict == "none":
+        return _nothing(found)
+    fault = odd_signal(found.estimation, [found.base] if found.best is None else [found.base, found.best.fit])
+    if fault is not None:
+        return replace(found, finding="recording", fault=fault)
+    explained = found.best is not None and _explained(found.base, found.best) > MOSTLY
+    return replace(found, finding="unproven" if explained else "unexplained")
+
+
+def _floor_is_wrong(found: Diagnosis) -> bool:
+    return float(found.final.chi_squared) / len(found.final.residual) - 1 < WRONG_FLOOR
+
+
+def _nothing(found: Diagnosis) -> Diagnosis:
+    """Say `none` only where noise leaves room to see something; test what was retuned where it was not fitted."""
+    estimation = found.estimation
+    if noise_share(estimation.whiten, found.noise) > TOO_LOUD:
+        return replace(found, verdict="unknown", finding="cannot_tell")
+    return replace(found, held_out=hold_out(estimation, found.base, found.base))
+
+
+def _explained(base: Fit, best: Hypothesis) -> float:
+    """Return the share of the discrepancy that a hypothesis explains beyond retuning."""
+    before, left = discrepancy_of(base), best.discrepancy
+    return 1 - max(left, 0.0) / before if before > 0 else 0.0
+
+
+def _file_off(found: Diagnosis) -> Fit | None:
+    """Fit the machine's own numbers alone, far beyond what the file allows, where only such numbers are named.
+
+    A stiffness or a mass may be named because another of the file's numbers is wrong: only its owner knows how well
+    they are known.
+    """
+    if found.named is None or not set(found.named.names) <= OWN_NUMBERS:
+        return None
+    loose = tuple(_loosened(n) for n in found.base.parameters)
+    begun = Fit(loose, found.base.z / LOOSER, found.base.residual, found.base.jacobian * LOOSER)
+    alone = fit(found.estimation, loose, begun.z, begun.jacobian, iterations=6)
+    as_good = alone.chi_squared / len(alone.residual) - 1 < max(
+        LOOSELY * found.named.fit.chi_squared / len(alone.residual) - 1, found.estimation.tolerance
+    )
+    return alone if as_good else None
+
+
+def _loosened(n: Parameter) -> Parameter:
+    if belongs_to_recording(n.name):
+        return n
+    low = n.start - LOOSER * (n.start - n.low)
+    high = n.start + LOOSER * (n.high - n.start)
+    return replace(n, sd=LOOSER * n.sd, low=max(low, 0.05 * n.start) if n.start > 0 else low, high=high)
 
 
 def noise_floor(problem: Problem, simulated: Sequence[FloatArray] | None = None) -> NoiseFloor:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from ffcomp.diagnose.result import DiagnosisResult
+from ffcomp.diagnose.sentences import said
+from ffcomp.diagnose.what_to_do import what_to_do
 
 
 def diagnosis_json(found: DiagnosisResult, written: str | None, report: str | None, seconds: float) -> dict[str, Any]:
@@ -17,6 +19,8 @@ def diagnosis_json(found: DiagnosisResult, written: str | None, report: str | No
     return {
         "schema": "ffcomp-diagnose/1",
         "verdict": found.verdict,
+        "finding": found.finding,
+        "said": said(found),
         "effects": [
             {
                 "name": name,
@@ -30,6 +34,11 @@ def diagnosis_json(found: DiagnosisResult, written: str | None, report: str | No
         "invisible": list(found.invisible),
         "retuned": {key: {"from": a, "to": b} for key, (a, b) in found.retuned.items()},
         "confusable_with": [{"name": name, "separate_by": how} for name, how in found.confounded_with],
+        "late_s": dict(found.late_s),
+        "left_out": found.left_out,
+        "unproven_at": list(found.unproven),
+        "or_file_off": {key: {"from": a, "to": b} for key, (a, b) in found.file_off.items()},
+        "to_do": what_to_do(found),
         "gap": {
             "before": found.before.nrms,
             "after": found.after.nrms,

@@ -22,6 +22,7 @@ TAPER_S = 0.1  # faded in and out at both ends
 SEGMENT_S = 0.64  # of the averaged spectra: 1.6 Hz lines
 SMOOTHING_HZ = 5.0
 SMOOTHED_LINES = 4.6  # independent ones in that: dividing by a floor of n averages makes noise 1 + 1/n too large
+LEAST = 0.003  # of each signal: no simulation is nearer than that, however quiet the sensors are
 FLOOR_BAND = (1.1, 0.95)  # from 1.1 × the band's end to 0.95 × the Nyquist frequency
 
 
@@ -77,6 +78,41 @@ def noise_from_residual(
         spectrum = np.mean([_density(fill_gaps(column), rate, grid) for column, rate in columns], axis=0)
         density[signal] = np.full(len(grid), np.median(spectrum[high]))
     return NoiseFloor(grid, density, False)
+
+
+def at_least(floor: NoiseFloor, observations: Sequence[Observation], band_hz: tuple[float, float]) -> NoiseFloor:
+    """Raise the floor of sensors that are quieter than any simulation is exact.
+
+    Friction, belts and play never have our formulas: by the noise of a laboratory's sensors every fit would fail, and
+    better data would get the weaker answer.
+    """
+    powers = _powers(whitener(observations, floor, band_hz), floor)
+    factors = {  # positions are nearly the command: no share of them says how exact a simulation is
+        name: LEAST**2 * signal / max(noise, 1e-300) for name, (signal, noise) in powers.items() if name[:3] == "acc"
+    }
+    if max(factors.values(), default=0.0) <= 1.0:
+        return floor
+    raised = {name: density * max(1.0, factors.get(name, 0.0)) for name, density in floor.density.items()}
+    return NoiseFloor(floor.frequency_hz, raised, floor.from_repeats)
+
+
+def noise_share(whiten: Whitener, floor: NoiseFloor) -> float:
+    """Return the rms of the noise inside the band, of the signals'."""
+    powers = np.array(list(_powers(whiten, floor).values()))
+    signal, noise = powers.sum(axis=0)
+    return float(np.sqrt(noise / signal))
+
+
+def _powers(whiten: Whitener, floor: NoiseFloor) -> dict[str, tuple[float, float]]:
+    """Return for each signal the power inside the band of what was measured, and of its noise."""
+    found: dict[str, tuple[float, float]] = {}
+    for o in whiten.observations:
+        spectrum, frequency = whiten.spectrum(o, o.measured)
+        for name, line in zip(o.signals, spectrum, strict=True):
+            signal, noise = found.get(name, (0.0, 0.0))
+            loud = float(np.sum(floor.at(name, frequency))) * 2 * whiten.power(o)
+            found[name] = signal + float(np.sum(np.abs(line) ** 2)), noise + loud
+    return found
 
 
 def _by_repeat(observation: Observation) -> tuple[str, str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,16 @@ import numpy as np
 from ffcomp.diagnose.diagnosis import Diagnosis
 from ffcomp.diagnose.hypotheses import misfit
 from ffcomp.diagnose.printer_problem import WHOLE, PrinterProblem, effect_tables
-from ffcomp.diagnose.recording_delays import belongs_to_recording
+from ffcomp.diagnose.recording_delays import PREFIX, belongs_to_recording
 from ffcomp.diagnose.residuals import ResidualSize, locate_residual
 from ffcomp.identify.uncertainty import Estimate
 from models.effects.catalogue import CATALOGUE
 from models.file import updated_text
 
 DISCREPANCY, CLOSED = 0.1, 0.5  # of the noise, to be one; of the discrepancy, to be closed by retuning
+SAID_S = 1e-4  # from which it is said that a file lies late
+OFF = 0.05  # of a number of the file, from which it is said that it may be off by so much
+ONE_PLACE, FILE_OFF = 0.9, 0.5  # the most an effect is sure that was tested at one place, or that wrong numbers mimic
 MOVED = 0.1  # standard deviations of its uncertainty from which a parameter counts as retuned
 
 
@@ -39,14 +42,34 @@ class DiagnosisResult:
     confidence: Mapping[str, float]  # of each effect against the best that was tried without it
     rejections: Sequence[str]
     invisible: Sequence[str]  # effects of which the recordings could not show a usual size
+    finding: str = ""  # the verdict more closely, see diagnosis.FINDINGS
+    fault: str = ""  # of the recordings: a sentence
+    late_s: Mapping[str, float] = field(default_factory=dict)  # files that lie off their command by more than 0.1 ms
+    left_out: str = "places"  # what was left out of the fit in turn: places, experiments, or nothing ("")
+    unproven: Sequence[str] = ()  # places or experiments where it is not explained
+    file_off: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # numbers that would explain as much
 
     @property
     def mends(self) -> bool:
-        """Tell whether a better file exists: with effects, or with retuned parameters that suffice."""
+        """Tell whether a better file exists: with effects, or with retuned parameters that suffice also elsewhere."""
         if self.verdict != "none":
             return self.verdict == "effects"
-        discrepancy, left = self.before.nrms - self.before.noise_nrms, self.after.nrms - self.before.noise_nrms
-        return discrepancy > DISCREPANCY * self.before.noise_nrms and left < CLOSED * discrepancy
+        if self.late_s or not self.left_out:
+            return False
+        noise = self.before.noise_nrms
+        gap, left = self.before.nrms - noise, self.after.nrms - noise
+        gap_elsewhere, left_elsewhere = (x - noise for x in self.held_out)
+        return gap > DISCREPANCY * noise and left < CLOSED * gap and left_elsewhere < CLOSED * gap_elsewhere
+
+    @property
+    def explained(self) -> float:
+        """Share of the discrepancy above the noise that is explained, in power."""
+        return explained(self.before.nrms, self.after.nrms, self.before.noise_nrms)
+
+    @property
+    def explained_elsewhere(self) -> float:
+        """The same where it was left out of the fit."""
+        return explained(*self.held_out, self.before.noise_nrms)
 
     def parameters(self, effect: str) -> dict[str, dict[str, Any]]:
         """Return value, low and high of one effect by the machine file's keys; lists where the file has lists."""
@@ -57,6 +80,12 @@ class DiagnosisResult:
         return {
             key: _file_values(effect, key, own, self.effects[effect][key]) for key, own in found.items() if key != WHOLE
         }
+
+
+def explained(before: float, after: float, noise: float) -> float:
+    """Return the explained share of a discrepancy above the noise, in power; nrms all three."""
+    gap, left = before**2 - noise**2, after**2 - noise**2
+    return 1 - max(left, 0.0) / gap if gap > 0 else 0.0
 
 
 def result_of(problem: PrinterProblem, found: Diagnosis) -> DiagnosisResult:
@@ -83,7 +112,41 @@ def result_of(problem: PrinterProblem, found: Diagnosis) -> DiagnosisResult:
         {name: _confidence(found, name) for name in tables},
         found.rejections,
         found.invisible,
+        found.finding,
+        "" if found.fault is None else found.fault.sentence(),
+        _late(problem, found),
+        _left_out(found),
+        [one.label for one in found.unproven],
+        _file_off(found),
     )
+
+
+def _left_out(found: Diagnosis) -> str:
+    if not found.held_out:
+        return "" if found.best is not None or found.verdict == "none" else "places"
+    return "experiments" if found.held_out[0].experiment else "places"
+
+
+def _late(problem: PrinterProblem, found: Diagnosis) -> dict[str, float]:
+    """Return how late files lie: what repeats say of each other, and what the fit says of them together."""
+    values = found.final.values if found.best is not None else found.base.values
+    lags = {i: lag for each in problem.repeats if each.apart for i, lag in zip(each.members, each.lag_s, strict=True)}
+    late = {}
+    for i, o in enumerate(problem.observations):
+        off = lags.get(i, 0.0) + values.get(f"{PREFIX}{o.repeat_of}.delay_s", 0.0)
+        if abs(off) > SAID_S:
+            late[Path(o.name).name] = off
+    return late
+
+
+def _file_off(found: Diagnosis) -> dict[str, tuple[float, float]]:
+    """Return the machine's numbers that would have to be wrong instead, those that move most first."""
+    if found.file_off is None:
+        return {}
+    fitted = found.file_off
+    moved = sorted(zip(fitted.parameters, fitted.z, strict=True), key=lambda each: -abs(each[1]))
+    own = [(n, fitted.values[n.name]) for n, _ in moved if of_machine(n.name) and n.start]
+    return {n.name: (n.start, x) for n, x in own if abs(x / n.start - 1) > OFF}
 
 
 def of_machine(name: str) -> bool:
@@ -97,7 +160,8 @@ def _confidence(found: Diagnosis, effect: str) -> float:
         return 0.0
     fitted = found.best.fit
     without = min([h.fit.evidence for h in found.tried if effect not in h.names] + [found.base.evidence])
-    return float(1 / (1 + np.exp(-np.clip((without - fitted.evidence) / misfit(fitted) / 2, -50, 50))))
+    sure = float(1 / (1 + np.exp(-np.clip((without - fitted.evidence) / misfit(fitted) / 2, -50, 50))))
+    return min(sure, ONE_PLACE if _left_out(found) != "places" else 1.0, 1.0 if found.file_off is None else FILE_OFF)
 
 
 def _in_file_terms(name: str, e: Estimate) -> Estimate:

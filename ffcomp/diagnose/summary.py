@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.diagnose.acceptance import HeldOut
 from ffcomp.diagnose.diagnosis import Diagnosis
 from ffcomp.diagnose.estimation import EstimationProblem
+from ffcomp.diagnose.held_out import HeldOut
 from ffcomp.diagnose.hypotheses import discrepancy_of
 from ffcomp.diagnose.intervals import intervals_of
 from ffcomp.diagnose.noise import lines, taper
@@ -151,7 +151,7 @@ def summarise(problem: PrinterProblem, found: Diagnosis) -> DiagnosisSummary:
         tuple(_evidence(found)),
         tuple(Promise(s.candidate.name, -s.evidence, s.strength, s.visible) for s in found.screened),
         _confounding(found),
-        tuple(found.held_out),
+        tuple(found.held_out) if found.best is not None else (),  # of retuning alone the page says nothing
         tuple(_retuned(found)),
     )
 

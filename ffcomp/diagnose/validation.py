@@ -155,8 +155,7 @@ def check_repeating(repeats: Sequence[Repeats]) -> None:
     """
     differing = [each for each in repeats if each.differ]
     if differing:
-        files = ", ".join(name for each in differing for name in each.files)
-        raise MeasurementError(files, [each.trouble() for each in differing])
+        raise MeasurementError(differing[0].files[0], [each.trouble() for each in differing])
 
 
 def _lengths(recordings: Sequence[Recording]) -> str:

@@ -169,6 +169,9 @@ def _outcome(verdict: str) -> DiagnosisResult:
         {name: 0.99},
         ["The interval holds zero."] if verdict == "unknown" else [],
         ["cogging"],
+        late_s={"a-1.csv": 2e-3},
+        unproven=["(55, 20)"],
+        file_off={"effector.nozzle_mass_kg": (0.5, 0.56)},
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-from ffcomp.shapers.pulses import SHAPERS
+from ffcomp.shapers.pulses import ei, mzv, two_hump_ei, zv
 from validation.blind.numbers import FloatArray
 from validation.traps.bench import RATE_HZ, Recorded, Spoil
 
@@ -64,6 +64,9 @@ def _clipped(x: FloatArray, rng: np.random.Generator) -> FloatArray:
 CHANGES = {"dead": _dead, "loose": _loose, "clipped": _clipped}
 
 
+PULSES = {"zv": zv, "mzv": mzv, "ei": ei, "2hump_ei": two_hump_ei}
+
+
 @dataclass(frozen=True)
 class Shaped:
     """An order: the firmware's input shaper on the nozzle's path, left on while it was recorded."""
@@ -73,7 +76,7 @@ class Shaped:
 
     def __call__(self, t: FloatArray, command: FloatArray) -> FloatArray:
         """Shape the carriages' command (n, 3): every carriage alike, for all axes have one shaper."""
-        shaper = SHAPERS[self.kind](self.frequency_hz, 0.1)
+        shaper = PULSES[self.kind](self.frequency_hz, 0.1)
         found = np.zeros_like(command)
         for a, late in zip(shaper.amplitude, shaper.time, strict=True):
             at = np.clip(t - late, t[0], t[-1])

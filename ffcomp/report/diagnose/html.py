@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from ffcomp.diagnose.sentences import finding_of
 from ffcomp.diagnose.summary import DiagnosisSummary
+from ffcomp.diagnose.what_to_do import what_to_do
 from ffcomp.report.diagnose import effects, figures
 from ffcomp.report.diagnose.confounded import confounded
 from ffcomp.report.diagnose.glossary import GLOSSARY
@@ -12,7 +14,14 @@ from ffcomp.report.diagnose.verdict import verdict
 from ffcomp.report.shared.drawing import Drawing, Image, image, svg
 from ffcomp.report.shared.page import rendered, tied
 
-WORDS = {"effects": "an effect is missing", "none": "nothing is missing", "unknown": "something unknown is missing"}
+WORDS = {
+    "effects": "an effect is missing",
+    "nothing": "nothing is missing",
+    "unexplained": "something unknown is missing",
+    "unproven": "most of it is explained, but not proven",
+    "cannot_tell": "these recordings cannot tell",
+    "recording": "the recordings are at fault",
+}
 
 
 def page(given: ReportInput) -> bytes:
@@ -26,7 +35,7 @@ def page(given: ReportInput) -> bytes:
         origin=given.origin,
         picture=found,
         proposals=given.proposals,
-        in_words=WORDS[given.outcome.verdict],
+        in_words=WORDS[finding_of(given.outcome)],
         sentences=verdict(given),
         tiles=tiles(given.outcome),
         effect_rows={name: effects.rows(given.outcome, name) for name in named},
@@ -40,16 +49,15 @@ def page(given: ReportInput) -> bytes:
         held_out=_maybe(figures.held_out(found, labels)),
         places=place_rows(found, labels),
         retuned=retuned_rows(found),
+        to_do=what_to_do(given.outcome),
+        gain=given.gain,
         glossary=GLOSSARY,
     )
 
 
 def place_labels(found: DiagnosisSummary) -> list[str]:
-    """Label what was left out in turn: positions on the bed, or recordings where all are at one position."""
-    if all(len(p.position) > 1 for p in found.held_out):
-        return ["(" + ", ".join(f"{x:g}" for x in p.position) + ") mm" for p in found.held_out]
-    (runs,) = (split.labels for split in found.splits if split.title == "run")
-    return [runs[int(p.position[0])] for p in found.held_out]
+    """Label what was left out in turn: places on the bed, or experiments where all are at one place."""
+    return [p.label if p.experiment else f"({', '.join(f'{x:g}' for x in p.position)}) mm" for p in found.held_out]
 
 
 def _image(drawing: Drawing) -> Image:

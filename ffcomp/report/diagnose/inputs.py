@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ffcomp.diagnose.next_experiment import Proposal
-from ffcomp.diagnose.result import DiagnosisResult, ResidualSize
+from ffcomp.diagnose.residuals import ResidualSize
+from ffcomp.diagnose.result import DiagnosisResult
+from ffcomp.diagnose.result import explained as share_explained
 from ffcomp.diagnose.summary import DiagnosisSummary
 
 
@@ -31,15 +33,9 @@ class ReportInput:
     picture: DiagnosisSummary
     proposals: Sequence[Proposal]
     origin: Origin
+    gain: str = ""  # how much prints would gain, in a sentence
 
 
 def explained(before: ResidualSize, after: ResidualSize) -> float:
     """Return the explained share of the gap above the noise, in power."""
-    gap, left = (size.nrms**2 - size.noise_nrms**2 for size in (before, after))
-    return 1 - max(left, 0.0) / gap if gap > 0 else 0.0
-
-
-def explained_elsewhere(found: DiagnosisSummary) -> float:
-    """Return the explained share at positions that were left out of the fit in turn."""
-    before, after = (sum(getattr(p, what) * p.rows for p in found.held_out) for what in ("before", "after"))
-    return 1 - max(after, 0.0) / before if before > 0 else 0.0
+    return share_explained(before.nrms, after.nrms, before.noise_nrms)

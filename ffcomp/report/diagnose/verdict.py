@@ -5,27 +5,27 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from ffcomp.diagnose.result import DiagnosisResult
+from ffcomp.diagnose.sentences import elsewhere, file_off, finding_of, late, said, unproven
 from ffcomp.report.diagnose.effects import in_words
-from ffcomp.report.diagnose.inputs import ReportInput, explained, explained_elsewhere
+from ffcomp.report.diagnose.inputs import ReportInput
 from ffcomp.report.diagnose.standout import stands_out
 from ffcomp.report.diagnose.words import evidence, joined, most_of, percent, times, title
 
-LOOK = (
-    "What to do: look for something loose, rubbing, worn or bent where the maps below show most of it; measure again "
-    "with repeats, at more positions and at several speeds; and do not add the nearest effect to the file by hand, it "
-    "is wrong at positions it was not fitted to."
-)
+MUCH_LESS = 0.7  # times the noise: its floor is wrong
 
 
 def verdict(given: ReportInput) -> list[str]:
     """Return the finding, then its evidence."""
-    by_verdict: dict[str, Callable[[ReportInput], list[str]]] = {
+    by_finding: dict[str, Callable[[ReportInput], list[str]]] = {
         "effects": _effects,
-        "none": _none,
-        "unknown": _unknown,
+        "nothing": _nothing,
+        "unproven": _unproven,
+        "unexplained": _unexplained,
     }
-    said = by_verdict[given.outcome.verdict](given)
-    return [*said, *_invisible(given.outcome), *_noise(given)]
+    found = given.outcome
+    chosen = by_finding.get(finding_of(found))
+    told = chosen(given) + late(found) if chosen else said(found)
+    return [*told, *_invisible(found), *_noise(given)]
 
 
 def _effects(given: ReportInput) -> list[str]:
@@ -34,15 +34,17 @@ def _effects(given: ReportInput) -> list[str]:
     return [
         f"Missing from the machine file: {named}.",
         f"{_size(found)} With this added {percent(found.after.nrms)} are left: it explains "
-        f"{most_of(explained(found.before, found.after))} of the gap.",
-        _elsewhere(given),
+        f"{most_of(found.explained)} of the gap.",
+        elsewhere(found),
+        *unproven(found),
+        *file_off(found),
         *_where(given),
         f"{_sure(found)} {_confounded(found)}",
         _file(given),
     ]
 
 
-def _none(given: ReportInput) -> list[str]:
+def _nothing(given: ReportInput) -> list[str]:
     found = given.outcome
     moved = _count(len(found.retuned), "number")
     retuned = f" {moved} moved a little within what the file allows." if found.retuned else ""
@@ -50,22 +52,32 @@ def _none(given: ReportInput) -> list[str]:
         "Nothing is missing that these runs could show.",
         f"{_size(found)} What is left is noise, or retuning within the uncertainties that the file states.{retuned}",
         *_nearest_promise(given),
-        "What to do: nothing, as far as these runs go. Other motions, speeds and positions may still show something "
-        "that these could not.",
+        "Other motions, speeds and positions may still show something that these could not.",
     ]
 
 
-def _unknown(given: ReportInput) -> list[str]:
+def _unproven(given: ReportInput) -> list[str]:
+    found = given.outcome
+    nearest = joined([in_words(found, effect) for effect in found.effects])
+    return [
+        f"Most of the gap is explained, but not proven: {nearest}.",
+        f"{_size(found)} With this added {percent(found.after.nrms)} are left: it explains "
+        f"{most_of(found.explained)} of the gap. It is not named because {'; '.join(found.rejections)}.",
+        elsewhere(found),
+        *_where(given),
+    ]
+
+
+def _unexplained(given: ReportInput) -> list[str]:
     found = given.outcome
     known = _count(len(given.picture.promises), "effect")
     nearest = joined(list(found.effects)) or "retuning alone"
     return [
         f"Something is missing from the machine file, and it is none of what ffcomp knows ({known}).",
         f"{_size(found)} That is a real gap, and it is not explained.",
-        f"Nearest came {nearest}: it would explain {most_of(explained(found.before, found.after))} of the gap, and was "
+        f"Nearest came {nearest}: it would explain {most_of(found.explained)} of the gap, and was "
         f"refused because {'; '.join(found.rejections)}.",
         *_where(given),
-        LOOK,
     ]
 
 
@@ -73,18 +85,11 @@ def _size(found: DiagnosisResult) -> str:
     size = found.before
     ratio = size.nrms / size.noise_nrms
     more = f"{times(ratio)} as much as noise alone" if ratio > 1.05 else "as much as noise alone"
+    if ratio < MUCH_LESS:
+        more = "much less than what repeats differ by, so that is no noise"
     return (
         f"Simulated with the file as it is, the signals are {percent(size.nrms)} off, {more} "
         f"({percent(size.noise_nrms)})."
-    )
-
-
-def _elsewhere(given: ReportInput) -> str:
-    before, after = given.outcome.held_out
-    return (
-        "At positions left out of the fit, one after the other, the signals were "
-        f"{percent(before)} off and are {percent(after)} off: it explains "
-        f"{most_of(explained_elsewhere(given.picture))} of the gap where it was never fitted."
     )
 
 

@@ -5,29 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from ffcomp.diagnose.words import digits as digits
+from ffcomp.diagnose.words import joined as joined
+from ffcomp.diagnose.words import most_of as most_of
+from ffcomp.diagnose.words import percent as percent
 from ffcomp.identify.uncertainty import Estimate
 from models.effects.catalogue import CATALOGUE
 
 INFINITELY = 1e6  # beyond that nobody wants the digits
-
-
-def digits(value: float, places: int = 3) -> str:
-    """Significant ones: 0.0801, 4.5, 63, 4010."""
-    if value == 0 or not math.isfinite(value):
-        return f"{value:g}"
-    return f"{value:.{max(places - 1 - math.floor(math.log10(abs(value))), 0)}f}"
-
-
-def percent(share: float) -> str:
-    """`3.4 %`, `87 %`."""
-    return f"{100 * share:.0f} %" if abs(share) >= 0.0995 else f"{digits(100 * share, 2)} %"
-
-
-def most_of(share: float) -> str:
-    """Format a share of a gap, so that rounding does not make 99.96 % everything."""
-    if share >= 0.9995:
-        return "more than 99.9 %"
-    return f"{100 * share:.1f} %" if share > 0.985 else percent(share)
 
 
 def times_noise(excess: float) -> float:
@@ -60,13 +45,6 @@ def title(effect: str) -> str:
     """`more on the nozzle holder`: to stand inside a sentence."""
     words = CATALOGUE[effect].title
     return words[0].lower() + words[1:]
-
-
-def joined(parts: Sequence[str], last: str = "and") -> str:
-    """Join names: `a`, `a and b`, `a, b and c`."""
-    if len(parts) < 2:
-        return "".join(parts)
-    return f"{', '.join(parts[:-1])} {last} {parts[-1]}"
 
 
 def together(effects: Sequence[str]) -> str:

@@ -71,7 +71,7 @@ def test_repeats_that_do_not_repeat_are_refused_with_files_and_remedy() -> None:
     stiffer = motion() * [1.0, 0.6]
     (found,) = repeats_of([observed(motion(), 1), observed(stiffer, 2)])
     assert found.differ
-    with pytest.raises(MeasurementError, match=r"x-1.csv, x-2.csv") as error:
+    with pytest.raises(MeasurementError, match=r"x-1.csv and x-2.csv") as error:
         check_repeating([found])
     assert "do not repeat" in str(error.value) and "record both again" in str(error.value)
     assert error.value.exit_code == 5

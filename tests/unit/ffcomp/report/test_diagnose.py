@@ -24,7 +24,7 @@ from ffcomp.identify.uncertainty import Estimate, normal
 from ffcomp.report.diagnose import effects, html, words
 from ffcomp.report.diagnose.confounded import confounded
 from ffcomp.report.diagnose.html import page
-from ffcomp.report.diagnose.inputs import ReportInput, explained, explained_elsewhere
+from ffcomp.report.diagnose.inputs import ReportInput, explained
 from ffcomp.report.diagnose.standout import stands_out
 from ffcomp.report.diagnose.verdict import verdict
 from models.effects.catalogue import CATALOGUE, with_effect
@@ -35,7 +35,19 @@ from tests.support.browser import chromium, visit
 RATE_HZ, SECONDS, NOISE = 1600.0, 1.2, 0.3
 PLACES = {"centre": (0.0, 0.0, 30.0), "left": (-70.0, 20.0, 30.0), "front": (40.0, -60.0, 30.0)}
 PROPOSAL = Proposal("infill", (0.0, 0.0, 30.0), 2.0, ("guide_damping",), 40.0, "Infill tells them apart.", "G1 X1")
-SECTIONS = ("verdict", "where", "overlays", "spectra", "evidence", "alike", "held-out", "retuned", "next", "origin")
+SECTIONS = (
+    "verdict",
+    "where",
+    "overlays",
+    "spectra",
+    "evidence",
+    "alike",
+    "held-out",
+    "retuned",
+    "do",
+    "next",
+    "origin",
+)
 
 
 def write_machine(folder: Path) -> Path:
@@ -172,7 +184,11 @@ def test_an_unknown_gap_names_what_was_refused_and_why(strange: Case) -> None:
     assert "none of what ffcomp knows (1 effect)" in read
     for reason in strange.result["refused"]["because"]:
         assert reason in read
-    assert "What to do: look for something loose" in read and "Missing from the machine file:" not in read
+    assert (
+        "Look for something loose" in read
+        and "Do not add the nearest effect" in read
+        and "Missing from the machine file:" not in read
+    )
 
 
 def test_every_candidate_and_every_file_is_there(heavy: Case) -> None:
@@ -302,7 +318,7 @@ def test_the_splits_say_what_the_search_found(told: ReportInput) -> None:
         whole = np.dot(each.before, each.weight)
         assert whole == pytest.approx(np.dot(found.splits[0].before, found.splits[0].weight), rel=0.15)
         assert max(each.after) < 0.2 * max(each.before)
-    assert explained_elsewhere(found) > 0.95
+    assert told.outcome.explained_elsewhere > 0.95
     spectrum = found.spectra[0]
     assert np.median(spectrum.after / spectrum.noise) == pytest.approx(1.0, abs=0.3)
     np.testing.assert_allclose(found.confounding.cos2, found.confounding.cos2.T)

@@ -1,0 +1,181 @@
+"""What is wrong with recordings, not with the machine file: an input shaper left on, a sensor that does not measure.
+
+Both look like huge effects of the machine. A shaper acts on the command, and the printer is nearly linear: what it
+would have measured without one, filtered by the shaper's pulses, is what it measures with it. So no simulation is
+needed beyond that of the file as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ffcomp.diagnose.estimation import EstimationProblem
+from ffcomp.diagnose.fit import Fit
+from ffcomp.shapers.pulses import ei, mzv, three_hump_ei, two_hump_ei, zv, zvd
+from models.arrays import ComplexArray, FloatArray
+
+TRIED = {"zv": zv, "mzv": mzv, "zvd": zvd, "ei": ei, "2hump_ei": two_hump_ei, "3hump_ei": three_hump_ei}
+TRIED_HZ = (15.0, 120.0, 0.5)  # from, to, step of a shaper's frequency
+DAMPING_RATIO = 0.1  # the firmware's usual
+SHAPED = 0.85  # of the excess must a shaper explain
+BETTER = 0.25  # times what retuning leaves may it leave
+LOUD = 3.0  # discrepancy, of the noise, from which a shaper is looked for
+ONE_SIGNAL = 0.85  # of the excess in one signal of three or more
+OVER, ROWS = 1.4, 40  # times a sensor's largest value; rows of a simulation beyond that: it is clipped
+FLAT = 0.15  # of that value by which it may vary there
+LEVEL = 99.8  # percentile that stands for the largest value
+
+
+@dataclass(frozen=True)
+class ShaperOn:
+    """An input shaper that explains the discrepancy."""
+
+    kind: str
+    frequency_hz: float
+    explained: float  # share of the excess
+
+    def sentence(self) -> str:
+        """Say so, and what to do."""
+        return (
+            f"An input shaper of type {self.kind.upper()} at {self.frequency_hz:.0f} Hz seems to have been on while "
+            f"this was recorded: on its own it explains {100 * self.explained:.0f} % of the gap. Switch it off "
+            '(Klipper: SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0; RepRapFirmware: M593 P"none"), record again.'
+        )
+
+
+@dataclass(frozen=True)
+class BadSensor:
+    """One signal that does not measure what the others do."""
+
+    signal: str
+    what: str  # "clipped" or "holds the gap"
+    share: float  # of the excess in it
+    files: tuple[str, ...] = ()
+
+    def sentence(self) -> str:
+        """Say so, and what to do."""
+        if self.what == "clipped":
+            return (
+                f"Sensor {self.signal} is clipped in {', '.join(self.files[:3])}: it stands at one value while the "
+                "motion goes on. Set a wider range or record a gentler motion; or leave its column out."
+            )
+        return (
+            f"One signal holds the gap: {100 * self.share:.0f} % of it is in {self.signal}, while the others agree. "
+            "Look at how this sensor is fastened, at its cable and its range (loose, broken or clipped), or leave its "
+            "column out and diagnose again."
+        )
+
+
+Fault = ShaperOn | BadSensor
+
+
+def fault_of_recordings(estimation: EstimationProblem, simulated: Sequence[FloatArray], retuned: Fit) -> Fault | None:
+    """Return a fault that makes any search pointless: a clipped sensor, or a shaper.
+
+    Parameters
+    ----------
+    simulated : (n, m) an observation with the machine file as it is.
+    """
+    return shaper_on(estimation, simulated, retuned) or clipped_sensor(estimation, simulated)
+
+
+# ---- shapers -------------------------------------------------------------------------------------
+
+
+def shaper_on(estimation: EstimationProblem, simulated: Sequence[FloatArray], retuned: Fit) -> ShaperOn | None:
+    """Return the shaper that explains most of the discrepancy far better than retuning does; None if none does."""
+    filed = estimation.measured - estimation.whiten(simulated)
+    n, before = len(filed), float(filed @ filed)
+    if before < (1 + LOUD) * n or retuned.chi_squared < (1 + LOUD) * n:
+        return None
+    frequency, power, cross = _spectra(estimation, simulated)
+    kind, best_hz, gain = max(
+        ((kind, float(f), _gain(kind, float(f), frequency, power, cross)) for kind in TRIED for f in _frequencies()),
+        key=lambda each: each[2],
+    )
+    left = before - gain
+    explained = 1 - max(left - n, 0.0) / (before - n)
+    if explained < SHAPED or left > BETTER * retuned.chi_squared:
+        return None
+    return ShaperOn(kind, best_hz, explained)
+
+
+def _frequencies() -> FloatArray:
+    low, high, step = TRIED_HZ
+    return np.arange(low, high + step / 2, step)
+
+
+def _spectra(
+    estimation: EstimationProblem, simulated: Sequence[FloatArray]
+) -> tuple[FloatArray, FloatArray, ComplexArray]:
+    """Return frequencies, Σ|Y|² and Σ conj(M) Y of all observations, whitened, signals summed: (k,) each."""
+    whiten = estimation.whiten
+    frequencies, powers, crosses = [], [], []
+    for o, y in zip(whiten.observations, simulated, strict=True):
+        (m, frequency), (s, _) = whiten.spectrum(o, o.measured), whiten.spectrum(o, y)
+        scale = np.stack([whiten.floor.at(name, frequency) for name in o.signals]) * whiten.power(o)
+        frequencies.append(frequency)
+        powers.append(np.sum(np.abs(s) ** 2 / scale, axis=0))
+        crosses.append(np.sum(np.conj(m) * s / scale, axis=0))
+    return np.concatenate(frequencies), np.concatenate(powers), np.concatenate(crosses)
+
+
+def _gain(kind: str, frequency_hz: float, f: FloatArray, power: FloatArray, cross: ComplexArray) -> float:
+    """Return by how much |r|² falls if the simulation is shaped: centred, as Klipper does, or from the command on."""
+    shaper = TRIED[kind](frequency_hz, DAMPING_RATIO)
+    response = np.exp(-2j * np.pi * np.outer(f, shaper.time)) @ shaper.amplitude
+    begun = response * np.exp(2j * np.pi * f * shaper.time[0])
+    cost = [float(np.sum(np.abs(s) ** 2 * power) - 2 * np.sum((s * cross).real)) for s in (response, begun)]
+    return float(np.sum(power) - 2 * np.sum(cross.real)) - min(cost)
+
+
+# ---- sensors -------------------------------------------------------------------------------------
+
+
+def clipped_sensor(estimation: EstimationProblem, simulated: Sequence[FloatArray]) -> BadSensor | None:
+    """Return a sensor that stands at its largest value while its simulation goes far beyond."""
+    found: dict[str, list[tuple[float, str, bool]]] = {}  # by signal: how loud it should be, file, clipped
+    for o, y in zip(estimation.whiten.observations, simulated, strict=True):
+        for k, name in enumerate(o.signals):
+            if name.startswith("acc"):
+                size = float(np.max(np.abs(y[:, k])))
+                found.setdefault(name, []).append((size, Path(o.name).name, _clipped(o.measured[:, k], y[:, k])))
+    # a range ends somewhere: what is clipped at all is clipped where it is loudest
+    clipped = {name: [file for _, file, bad in rows if bad] for name, rows in found.items() if max(rows)[2]}
+    if not clipped:
+        return None
+    name = max(clipped, key=lambda each: len(clipped[each]))
+    return BadSensor(name, "clipped", 1.0, tuple(clipped[name]))
+
+
+def _clipped(measured: FloatArray, simulated: FloatArray) -> bool:
+    known = np.isfinite(measured)
+    if not known.any():
+        return False
+    limit = float(np.percentile(np.abs(measured[known]), LEVEL))
+    beyond = known & (np.abs(simulated) > OVER * limit)
+    if beyond.sum() < ROWS:
+        return False
+    there = np.abs(measured[beyond])
+    return bool(np.median(there) > (1 - FLAT) * limit and np.std(there) < FLAT * limit)
+
+
+def odd_signal(estimation: EstimationProblem, fits: Sequence[Fit]) -> BadSensor | None:
+    """Return the signal that holds nearly all of the excess of some fit, where three or more are compared."""
+    found = max((_share(estimation, fitted) for fitted in fits), key=lambda each: each[1])
+    return BadSensor(found[0], "holds the gap", found[1]) if found[1] > ONE_SIGNAL else None
+
+
+def _share(estimation: EstimationProblem, fitted: Fit) -> tuple[str, float]:
+    excess: dict[str, float] = {}
+    for o, rows in zip(estimation.whiten.observations, estimation.whiten.rows, strict=True):
+        parts = fitted.residual[rows].reshape(2, len(o.signals), -1)
+        for k, name in enumerate(o.signals):
+            excess[name] = excess.get(name, 0.0) + float(np.sum(parts[:, k] ** 2 - 1))
+    total = sum(max(x, 0.0) for x in excess.values())
+    name = max(excess, key=lambda each: excess[each])
+    return name, (excess[name] / total if total > 0 and len(excess) > 2 else 0.0)

@@ -1,0 +1,130 @@
+"""Every sentence of a diagnosis is held against its numbers: they are read out of the words and computed again."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ffcomp.diagnose.diagnosis import FINDINGS
+from ffcomp.diagnose.residuals import ResidualSize
+from ffcomp.diagnose.result import DiagnosisResult
+from ffcomp.diagnose.sentences import said
+from ffcomp.diagnose.what_to_do import REMEDIES, what_to_do
+from ffcomp.identify.uncertainty import normal
+from models.effects.catalogue import CATALOGUE
+
+NUMBER = r"(?:more than )?([\d.]+) %"
+
+
+def result(finding: str = "effects", **about: Any) -> DiagnosisResult:
+    """The numbers of the effector-mass runs, unless others are given."""
+    verdict = {"effects": "effects", "nothing": "none"}.get(finding, "unknown")
+    noise = about.pop("noise", 0.0049)
+    before, after = about.pop("before", 0.37), about.pop("after", 0.0051)
+    name = "effector_mass"
+    given: dict[str, Any] = {
+        "effects": {} if finding in ("nothing", "cannot_tell", "recording") else {name: {"added_kg": 0.08}},
+        "intervals": {f"effects.{name}.added_kg": normal(0.08, 0.001)},
+        "retuned": {"carriage.mass_kg": (0.18, 0.181)},
+        "confounded_with": [],
+        "held_out": (before, after),
+        "gained": 800.0,
+        "confidence": {name: 0.99},
+        "rejections": ["12 % of the discrepancy is left"] if finding in ("unproven", "unexplained") else [],
+        "invisible": [],
+        "fault": "Sensor acc_y is clipped." if finding == "recording" else "",
+    }
+    return DiagnosisResult(
+        verdict=verdict,
+        before=ResidualSize(before, noise),
+        after=ResidualSize(after, noise),
+        finding=finding,
+        **(given | about),
+    )
+
+
+def shares(sentence: str) -> list[float]:
+    return [float(x) / 100 for x in re.findall(NUMBER, sentence)]
+
+
+def share_of(before: float, after: float, noise: float) -> float:
+    return 1 - max(after**2 - noise**2, 0.0) / (before**2 - noise**2)
+
+
+def rounded(told: float) -> Any:
+    """What a printed share stands for: its last digit may be off by one half, and 99.9 says "more than"."""
+    return pytest.approx(told, abs=max(0.006, 0.011 * told))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_what_is_explained_follows_from_the_numbers_beside_it(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    noise, before = rng.uniform(0.002, 0.05), rng.uniform(0.1, 0.9)
+    after, elsewhere = rng.uniform(noise, before), rng.uniform(noise, before)
+    found = result(noise=noise, before=before, after=after, held_out=(before, elsewhere))
+    size, there, *_ = said(found)
+    told_before, told_noise, told_after, told_share = shares(size)
+    assert (told_before, told_noise, told_after) == (rounded(before), rounded(noise), rounded(after))
+    assert told_share == pytest.approx(share_of(told_before, told_after, told_noise), abs=0.03)
+    filed, left, explained = shares(there)
+    assert (filed, left) == (rounded(before), rounded(elsewhere))
+    assert explained == pytest.approx(share_of(filed, left, told_noise), abs=0.03)
+
+
+def test_nothing_is_said_to_be_explained_by_0_percent_beside_a_gap_that_closed() -> None:
+    """The report of the effector's mass once did: 37 -> 0.51 %, "it explains 0 % of the gap where never fitted"."""
+    assert "37 % off and are 0.51 % off: it explains more than 99.9 % of the gap there" in said(result())[1]
+
+
+@pytest.mark.parametrize(("left_out", "words"), [("experiments", "One place only"), ("", "One experiment only")])
+def test_one_place_is_not_elsewhere(left_out: str, words: str) -> None:
+    text = " ".join(said(result(left_out=left_out)))
+    assert words in text and "not tested elsewhere" in text and "places it was not fitted to" not in text
+    assert "places it was not fitted to" in " ".join(said(result()))
+
+
+def test_what_is_not_proven_is_said_with_its_share_and_place() -> None:
+    found = result("unproven", noise=0.005, before=0.45, after=0.0359, unproven=["(55, 20)"])
+    first = said(found)[0]
+    assert "99.4 % of it is explained by effector_mass; unproven at (55, 20)" in first
+    assert shares(first)[2] == rounded(share_of(0.45, 0.0359, 0.005))
+    assert "nothing known explains" not in first
+
+
+def test_noise_that_hides_everything_cannot_tell() -> None:
+    loud = said(result("cannot_tell", noise=0.22, before=0.23, after=0.22))[0]
+    assert loud.startswith("Cannot tell: the noise is 22 %")
+    wrong = said(result("cannot_tell", noise=0.09, before=0.09, after=0.03))[0]
+    assert "repeats differ by 9.0 %" in wrong and "only 3.0 % are left" in wrong
+
+
+def test_files_off_their_command_and_wrong_numbers_are_named() -> None:
+    found = result(late_s={"a-1.csv": 2.1e-3, "a-2.csv": -0.4e-3}, file_off={"effector.nozzle_mass_kg": (0.5, 0.56)})
+    text = " ".join(said(found))
+    assert "a-1.csv lies 2.1 ms late and a-2.csv lies 0.40 ms early" in text
+    assert "effector.nozzle_mass_kg by +12 %" in text and "Weigh the effector" in text
+
+
+def test_a_file_is_written_for_retuning_only_where_it_holds_elsewhere() -> None:
+    closed = {"noise": 0.005, "before": 0.02, "after": 0.0052}
+    assert result("nothing", **closed, held_out=(0.02, 0.006)).mends
+    assert not result("nothing", **closed, held_out=(0.02, 0.018)).mends
+    assert not result("nothing", **closed, held_out=(0.02, 0.006), left_out="").mends
+    assert not result("nothing", **closed, held_out=(0.02, 0.006), late_s={"a.csv": 1e-3}).mends
+
+
+@pytest.mark.parametrize("finding", FINDINGS)
+def test_every_finding_has_sentences_and_steps(finding: str) -> None:
+    found = result(finding)
+    for sentence in [*said(found), *what_to_do(found)]:
+        assert sentence[0].isupper() and sentence.endswith(".")
+
+
+def test_every_effect_has_a_remedy_and_uneven_towers_are_named() -> None:
+    assert set(REMEDIES) == set(CATALOGUE)
+    found = replace(result(), effects={"coulomb_friction": {"force_n": [1.0, 4.0, 1.1]}})
+    assert what_to_do(found)[0].startswith("Clean and oil the rails, first of tower B;")
