@@ -177,6 +177,12 @@ class Spectrum:
         """Pass on the remark made while reading."""
         return [self.remark] if self.remark else []
 
+    def around_peak(self, factor: float) -> Spectrum:
+        """Cut out what lies within a factor of the highest power per frequency."""
+        peak = self.frequency_hz[int(np.argmax(self.value / self.frequency_hz))]
+        near = (self.frequency_hz > peak / factor) & (self.frequency_hz < peak * factor)
+        return replace(self, frequency_hz=self.frequency_hz[near], value=self.value[near])
+
     def beyond(self, frequency_hz: float, damping_ratio: float) -> str:
         """Say that the sweep ended before it passed a mode; '' if it did pass it, or if its end is not known."""
         if self.swept is None or not cut_off(self.frequency_hz, self.value, frequency_hz, damping_ratio):

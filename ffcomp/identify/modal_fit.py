@@ -43,6 +43,9 @@ OUTSIDE = 1.3  # how far beyond the band a mode may be looked for, a factor
 BROADEST = 0.4  # damping ratio of a resonance
 ROUNDS = 10  # of fitting and reweighting
 BETTER_BIC = 2.0  # by which a second mode must win
+MANY_MODES = 0.2  # model error from which there are more modes than two
+PEAK_BAND = 1.45  # the band around a peak that is fitted by itself, a factor to each side
+FEWEST_AT_PEAK = 12  # lines
 CLEAR = 0.05  # relative standard uncertainty of a frequency
 SHARP = 2.0  # standard uncertainties that a share must be away from zero
 WEAK_DAMPING = 0.25  # relative standard uncertainty from which the user is warned
@@ -124,12 +127,8 @@ def fit_axis(name: str, data: Sequence[Datum]) -> AxisFit:
     MeasurementError
         If no resonance lies within the measured band.
     """
-    peaks = _peaks(data)
-    starts = [*peaks, *_even(data)]
-    one = _refined(_searched(data, starts, 1))
-    found = [np.log(one.modes[:, :2]), *peaks]
-    two = _refined(_searched(data, [np.vstack([first, second]) for first in found for second in starts], 2))
-    accepted, verdict = _accepted(name, one, two)
+    accepted, verdict = _one_or_two(name, data)
+    accepted, verdict = _at_the_peak(name, accepted, verdict)
     _within(name, accepted)
     modes, disagreement = _with_scatter(name, _estimated(accepted), accepted)
     remarks = [text for datum, own in zip(data, accepted.own, strict=True) for text in datum.remarks(own)]
@@ -137,6 +136,39 @@ def fit_axis(name: str, data: Sequence[Datum]) -> AxisFit:
     errors = tuple(float(e) if e > SMALLEST_ERROR else 0.0 for e in accepted.errors)
     advice = (*disagreement, *_weak(name, modes, errors), *remarks)
     return AxisFit(name, modes, tuple(data), fitted, errors, verdict, advice)
+
+
+def _one_or_two(name: str, data: Sequence[Datum]) -> tuple[_Fit, str]:
+    """Fit one mode and two, and return the accepted fit, and why."""
+    peaks = _peaks(data)
+    starts = [*peaks, *_even(data)]
+    one = _refined(_searched(data, starts, 1))
+    found = [np.log(one.modes[:, :2]), *peaks]
+    two = _refined(_searched(data, [np.vstack([first, second]) for first in found for second in starts], 2))
+    return _accepted(name, one, two)
+
+
+def _at_the_peak(name: str, wide: _Fit, verdict: str) -> tuple[_Fit, str]:
+    """Fit the highest peak by itself where two modes do not hold what the whole band shows.
+
+    Otherwise what is left of other modes pulls the main one off its peak, by up to a tenth. The errors stay those of
+    the whole band.
+    """
+    spectra = [datum for datum in wide.data if isinstance(datum, Spectrum)]
+    if len(spectra) < len(wide.data) or wide.errors.max() < MANY_MODES:
+        return wide, verdict
+    near = [spectrum.around_peak(PEAK_BAND) for spectrum in spectra]
+    if min(len(spectrum.frequency_hz) for spectrum in near) < FEWEST_AT_PEAK:
+        return wide, verdict
+    local, _ = _one_or_two(name, near)
+    low, high = _band(near)
+    if not low < local.modes[np.argmax(local.modes[:, 2]), 0] < high:
+        return wide, verdict
+    theta = np.concatenate([local.theta[: _of_modes(local.count)], *(datum.begin(local.modes) for datum in wide.data)])
+    sentence = (
+        f"{name} has more modes than two in its band; the highest peak is fitted by itself, {low:.0f} to {high:.0f} Hz."
+    )
+    return _Fit(wide.data, theta, local.count, _model_errors(wide.data, theta, local.count)), sentence
 
 
 def _modes(theta: FloatArray, count: int) -> FloatArray:
