@@ -22,11 +22,9 @@ from ffcomp.diagnose.problem import Candidate, InfeasibleParameters, Observation
 from ffcomp.diagnose.recording_delays import as_recorded, belongs_to_recording, delay_parameters
 from ffcomp.diagnose.repeats import aligned, repeats_of
 from ffcomp.diagnose.validation import carriages_of
-from ffcomp.identify.output_error import UNKNOWNS
 from ffcomp.measurement.recording import Recording
 from models.arrays import FloatArray
-from models.delta_machine import delta_vibration
-from models.effects.catalogue import CATALOGUE, measured
+from models.effects.catalogue import CATALOGUE, effects_of, measured
 from models.effects.effect import Effect
 from models.effects.effect import Parameter as EffectParameter
 from models.machine import Machine
@@ -44,6 +42,7 @@ REACH = 5.0  # standard deviations by which a parameter may be retuned: beyond, 
 FULL_STEPS = (1.0, 4.0)  # cogging repeats every full step, or every four
 GRID = 3  # starting values of a shape of which only the range is known
 MANY = {"frequency_hz": 20}  # shapes whose signature changes quickly
+IDLE_MM = 0.05  # an actuator that moves less rests
 BOTH = 9.0  # in place of an angle: alike in x and y
 LEAST, SPREAD = 1e-3, 1.5  # of a parameter known by its order of magnitude: counts as none; ln's standard deviation
 WHOLE = "whole"  # the one parameter of an effect that is there or not
@@ -61,13 +60,15 @@ class PrinterProblem(Problem):
         self, machine: Machine, recordings: Sequence[Recording], names: Sequence[str] = tuple(CATALOGUE)
     ) -> None:
         self.machine, self.recordings = machine, recordings
-        own = tuple(_parameters(machine))  # first: it raises for a machine without carriages
         self.commands = [carriages_of(machine, recording)[:: _every(recording)] for recording in recordings]
         recorded = [_observation(machine, recording, c) for recording, c in zip(recordings, self.commands, strict=True)]
         self.repeats = repeats_of(recorded)
         self.observations = aligned(recorded, self.repeats)
-        self.parameters = (*own, *delay_parameters(recordings, recorded, self.repeats))
-        self.candidates = tuple(_candidate(machine, CATALOGUE[n]) for n in names if n not in machine.effects)
+        self.parameters = (*_parameters(machine), *delay_parameters(recordings, recorded, self.repeats))
+        possible, idle = effects_of(machine.vibration.moves), _idle(machine, self.commands)
+        self.candidates = tuple(
+            _candidate(machine, CATALOGUE[n], idle) for n in names if n in possible and n not in machine.effects
+        )
         self.same_command = [_first_equal(self.commands, i) for i in range(len(recordings))]
         self.kept: dict[_Key, dict[int, PrinterMotion]] = {}
 
@@ -205,7 +206,8 @@ def effect_tables(values: Mapping[str, float]) -> dict[str, dict[str, Any]]:
         elif index is None:
             table[key] = _machine_value(effect.parameter(key), value)
         else:
-            table.setdefault(key, [0.0, 0.0, 0.0])[int(index)] = _machine_value(effect.parameter(key), value, True)
+            none = _machine_value(effect.parameter(key), 0.0, True)
+            table.setdefault(key, [none, none, none])[int(index)] = _machine_value(effect.parameter(key), value, True)
     return {name: _without_whole(table) for name, table in tables.items() if _acts(CATALOGUE[name], table)}
 
 
@@ -235,9 +237,8 @@ def _machine_value(parameter: EffectParameter, value: float, of_three: bool = Fa
 
 
 def _parameters(machine: Machine) -> list[Parameter]:
-    names = [n for n in UNKNOWNS if delta_vibration(machine).carriage.drive is not None or "drive" not in n]
     parameters = []
-    for name in names:
+    for name in machine.vibration.tunable:
         value = value_of(machine, name)
         table_key = name.partition("[")[0]
         relative = machine.uncertainty.get(table_key, machine.uncertainty.get("default", 0.02))
@@ -250,16 +251,23 @@ def _parameters(machine: Machine) -> list[Parameter]:
     return parameters
 
 
-def _candidate(machine: Machine, effect: Effect) -> Candidate:
+def _idle(machine: Machine, commands: Sequence[FloatArray]) -> frozenset[int]:
+    """Return which actuators rest in all recordings, and their motors with them: nothing can be said of them."""
+    moves = np.max([np.ptp(command, axis=0) for command in commands], axis=0) > IDLE_MM
+    driven = np.abs(machine.kinematics.motors) @ moves > 0
+    return frozenset(np.flatnonzero(~(moves | driven)).tolist()) if moves.any() else frozenset()
+
+
+def _candidate(machine: Machine, effect: Effect, idle: frozenset[int]) -> Candidate:
     if not effect.amplitudes:
         name = f"effects.{effect.name}.{WHOLE}"
         return Candidate(effect.name, (Parameter(name, 0.0, 1.0, 1.0, 1.0),), {name: 1.0}, switch=True)
-    shared = _of(machine, effect, each=False)
+    shared = _of(machine, effect, idle, each=False)
     if any(p.size == "direction" for p in effect.shapes):
         return replace(shared, other=replace(shared, shapes=tuple(_in_both(n) for n in shared.shapes)))
     if all(p.size != "per_tower" for p in effect.amplitudes):
         return shared
-    return replace(shared, other=_of(machine, effect, each=True))
+    return replace(shared, other=_of(machine, effect, idle, each=True))
 
 
 def _in_both(shape: Parameter) -> Parameter:
@@ -267,15 +275,15 @@ def _in_both(shape: Parameter) -> Parameter:
     return replace(shape, start=BOTH, low=BOTH, high=BOTH) if shape.name.endswith(".direction") else shape
 
 
-def _of(machine: Machine, effect: Effect, each: bool) -> Candidate:
+def _of(machine: Machine, effect: Effect, idle: frozenset[int], each: bool) -> Candidate:
     """Make the candidate of an effect.
 
     Parameters
     ----------
-    each : a value for each tower, or one that all share.
+    each : a value for each tower that is not idle, or one that all share.
     """
-    amplitudes = [n for p in effect.amplitudes for n in _amplitude(effect, p, each)]
-    probe = {n.name: _linear(p, p.probe) for p in effect.amplitudes for n in _amplitude(effect, p, each)}
+    amplitudes = [n for p in effect.amplitudes for n in _amplitude(effect, p, idle, each)]
+    probe = {n.name: _linear(p, p.probe) for p in effect.amplitudes for n in _amplitude(effect, p, idle, each)}
     shapes = [_shape(effect, p, machine) for p in effect.shapes if _searched(p)]
     finer = [_finer(effect, p, p.default) for p in effect.shapes if p.default is not None and not p.starts]
     return Candidate(effect.name, tuple(amplitudes), probe, tuple(shapes), tuple(_grid(effect, machine)), tuple(finer))
@@ -296,12 +304,14 @@ def _full(effect: Effect, p: EffectParameter) -> str:
     return f"effects.{effect.name}.{p.name}"
 
 
-def _amplitude(effect: Effect, p: EffectParameter, each: bool) -> list[Parameter]:
+def _amplitude(effect: Effect, p: EffectParameter, idle: frozenset[int], each: bool) -> list[Parameter]:
     """Make one parameter, or one an axis, or one a tower."""
     low, high = sorted(_linear(p, b) for b in p.bounds)
     width = max(abs(_linear(p, t)) for t in p.typical if t)
+    spared = idle if p.size == "per_tower" else frozenset()
     three = p.size == "vector3" or (each and p.size == "per_tower")
-    names = [_full(effect, p) + suffix for suffix in (("[0]", "[1]", "[2]") if three else ("",))]
+    suffixes = [f"[{i}]" for i in range(3) if i not in spared] if three else [""]
+    names = [_full(effect, p) + suffix for suffix in suffixes]
     return [Parameter(name, 0.0, width, 0.0 if p.power < 0 else low, high) for name in names]
 
 

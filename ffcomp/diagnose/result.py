@@ -16,7 +16,7 @@ from ffcomp.diagnose.printer_problem import WHOLE, PrinterProblem, effect_tables
 from ffcomp.diagnose.recording_delays import PREFIX, belongs_to_recording
 from ffcomp.diagnose.residuals import ResidualSize, locate_residual
 from ffcomp.identify.uncertainty import Estimate
-from models.effects.catalogue import CATALOGUE
+from models.effects.catalogue import CATALOGUE, key_in_file
 from models.file import updated_text
 
 DISCREPANCY, CLOSED = 0.1, 0.5  # of the noise, to be one; of the discrepancy, to be closed by retuning
@@ -48,6 +48,7 @@ class DiagnosisResult:
     left_out: str = "places"  # what was left out of the fit in turn: places, experiments, or nothing ("")
     unproven: Sequence[str] = ()  # places or experiments where it is not explained
     file_off: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # numbers that would explain as much
+    per_kilogram: bool = False  # forces are, on axes of unknown mass
 
     @property
     def mends(self) -> bool:
@@ -78,7 +79,9 @@ class DiagnosisResult:
             if name.startswith(prefix):
                 found.setdefault(name.removeprefix(prefix).partition("[")[0], []).append(e)
         return {
-            key: _file_values(effect, key, own, self.effects[effect][key]) for key, own in found.items() if key != WHOLE
+            key_in_file(effect, key, self.per_kilogram): _file_values(effect, key, own, self.effects[effect][key])
+            for key, own in found.items()
+            if key != WHOLE
         }
 
 
@@ -118,6 +121,7 @@ def result_of(problem: PrinterProblem, found: Diagnosis) -> DiagnosisResult:
         _left_out(found),
         [one.label for one in found.unproven],
         _file_off(found),
+        problem.machine.vibration.per_kilogram,
     )
 
 
@@ -189,6 +193,8 @@ def _file_values(effect: str, key: str, own: Sequence[Estimate], table: Any) -> 
         low, high = (table, table) if isinstance(table, str) else ends
         return {"value": table, "low": low, "high": high}
     each = {what: [float(getattr(e, what)) for e in own] for what in ("value", "low", "high")}
+    if isinstance(table, list):  # actuators that rested in all recordings have no estimate
+        each = {what: [*values, *table[len(values) :]] for what, values in each.items()}
     return {what: values if len(values) > 1 else values[0] for what, values in each.items()}
 
 
@@ -215,7 +221,10 @@ def better_file(source: Path, name: str, found: DiagnosisResult, data: Sequence[
     for effect, table in found.effects.items():
         if not table:
             values[f"effects.{effect}"] = {}
-        values |= {f"effects.{effect}.{key}": _rounded(value) for key, value in table.items()}
+        values |= {
+            f"effects.{effect}.{key_in_file(effect, key, found.per_kilogram)}": _rounded(value)
+            for key, value in table.items()
+        }
     entry = {
         "date": when,
         "started_from": source.stem,

@@ -119,7 +119,19 @@ def _holes(table: Table, clock: Clock | None) -> list[str]:
 
 
 def _signals(table: Table) -> list[str]:
-    return [name for name in dict.fromkeys(table.columns) if signal_of(name) and name != "t_s"]
+    """List the columns of signals, without those of axes that are told to rest and do so to the last digit."""
+    return [
+        name for name in dict.fromkeys(table.columns) if signal_of(name) and name != "t_s" and not _at_rest(name, table)
+    ]
+
+
+def _at_rest(name: str, table: Table) -> bool:
+    """Tell whether a simulated axis rested: nothing was measured of it, and its sensor is not broken for that."""
+    kind, _, axis = str(signal_of(name)).partition("_")
+    command = f"cmd_{axis}_mm"
+    if kind == "cmd" or command not in table.columns or table.columns.count(name) > 1:
+        return False
+    return all(bool(np.ptp(table.column(each)) == 0.0) for each in (name, command))
 
 
 def _assemble(path: str, table: Table, clock: Clock) -> tuple[Recording, list[str]]:

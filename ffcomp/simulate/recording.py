@@ -34,26 +34,32 @@ def recording_lines(
         Accelerations (m/s², gravity removed) and positions (mm).
     """
     yield "".join(f"# {key}: {' '.join(text.split())}\n" for key, text in comments.items()).encode()
-    yield (",".join(_columns(kinds)) + "\n").encode()
-    row = ",".join(["%.7f"] * (4 + 6 * len(kinds))) + "\n"
+    columns, actuators = _columns(kinds, plant.vibration.channels), _actuators(plant.vibration.channels)
+    yield (",".join(columns) + "\n").encode()
+    row = ",".join(["%.7f"] * len(columns)) + "\n"
     for chunk in _recorded(chunks, plant):
-        values = _values(chunk, kinds)
+        values = _values(chunk, kinds, bool(actuators))
         yield (row * len(values) % tuple(values.ravel().tolist())).encode()
 
 
-def _columns(kinds: Sequence[str]) -> list[str]:
+def _actuators(channels: Sequence[str]) -> list[str]:
+    """Name the actuators that are something else than the nozzle's axes."""
+    return [name for name in channels if name not in "xyz"]
+
+
+def _columns(kinds: Sequence[str], channels: Sequence[str]) -> list[str]:
     units = {"acc": "m_per_s2", "pos": "mm"}
-    sensors = [f"{kind}_{axis}_{units[kind]}" for kind in kinds for axis in "ABCxyz"]
-    return ["t_s", *(f"cmd_{axis}_mm" for axis in "ABC"), *sensors]
+    sensors = [f"{kind}_{axis}_{units[kind]}" for kind in kinds for axis in (*_actuators(channels), *"xyz")]
+    return ["t_s", *(f"cmd_{axis}_mm" for axis in channels), *sensors]
 
 
-def _values(chunk: Chunk, kinds: Sequence[str]) -> FloatArray:
-    """Return the rows : (n, columns)."""
+def _values(chunk: Chunk, kinds: Sequence[str], carriages: bool) -> FloatArray:
+    """Return the rows : (n, columns); of straight axes, which are their own carriages, without those."""
     blocks = {
         "acc": (chunk.signals.carriage, chunk.signals.nozzle),
         "pos": (chunk.carriage_mm, chunk.nozzle_mm),
     }
-    sensors = [block for kind in kinds for block in blocks[kind]]
+    sensors = [block for kind in kinds for block in blocks[kind][0 if carriages else 1 :]]
     return np.column_stack([chunk.t_s, chunk.section.actuators(chunk.t_s), *sensors])
 
 

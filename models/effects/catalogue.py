@@ -43,10 +43,9 @@ def effects_of(moves: str) -> tuple[str, ...]:
     return tuple(name for name, effect in CATALOGUE.items() if moves in effect.of)
 
 
-def key_in_file(machine: Machine, effect: str, key: str) -> str:
-    """Return the key of a parameter in the machine's file: `force_n`, or `force_n_per_kg` where no mass is stated."""
-    per_kilogram = machine.vibration.per_kilogram and effect_named(effect).parameter(key).of_mass
-    return f"{key}{PER_KILOGRAM}" if per_kilogram else key
+def key_in_file(effect: str, key: str, per_kilogram: bool) -> str:
+    """Return the key of a parameter in a machine file: `force_n`, or `force_n_per_kg` where no mass is stated."""
+    return f"{key}{PER_KILOGRAM}" if per_kilogram and effect_named(effect).parameter(key).of_mass else key
 
 
 def values_of(machine: Machine, name: str) -> dict[str, FloatArray] | None:

@@ -108,7 +108,7 @@ class VibrationModel(ABC):
     """Names of the actuators."""
     gravity_loaded: ClassVar[bool]
     """Whether weight stretches what vibrates."""
-    diagnosable: ClassVar[bool]
+    diagnosable: ClassVar[bool] = True
     """Whether `gap` and `diagnose` know what its printer feels."""
     moves: ClassVar[Literal["carriages", "axes"]] = "carriages"
     """What the motors move, and with it which effects there may be."""

@@ -104,7 +104,6 @@ class ModalAxes(VibrationModel):
     position_dependent: ClassVar[bool] = False
     channels: ClassVar[tuple[str, str, str]] = AXES
     gravity_loaded: ClassVar[bool] = False  # weight stands on the frame, not on what vibrates
-    diagnosable: ClassVar[bool] = False
     moves: ClassVar[Literal["carriages", "axes"]] = "axes"
 
     @classmethod

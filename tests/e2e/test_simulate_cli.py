@@ -186,6 +186,22 @@ def test_gap_finds_nothing_but_what_is_hidden(square: Path, tmp_path: Path) -> N
     assert hidden > 0.02
 
 
+@pytest.mark.parametrize("machine", ["ender-3", "voron-250"])
+def test_a_straight_machine_has_runs_and_gaps_too(machine: str, square: Path, tmp_path: Path) -> None:
+    rubbed = tmp_path / "rubbed.toml"
+    text = (LIBRARY / f"{machine}.toml").read_text(encoding="utf-8")
+    rubbed.write_text(f"{text}\n[effects.coulomb_friction]\nforce_n_per_kg = 2.0\n", encoding="utf-8")
+    sizes = []
+    for plant, believed in ((machine, machine), (rubbed, machine), (rubbed, rubbed)):
+        run = tmp_path / "run.csv"
+        good("simulate", square, "-m", machine, "--plant", plant, "-o", run, "--quiet")
+        sizes.append(good("gap", run, "-m", believed)["nrms"])
+    assert set(read_recording(run).acceleration) == {"acc_x", "acc_y"}, "z rests"
+    same, hidden, known = sizes
+    assert same < 1e-3 and known < 2e-3
+    assert hidden > 0.02
+
+
 def test_the_run_says_what_made_it_and_holds_every_sensor(square: Path, tmp_path: Path) -> None:
     run = written(tmp_path, square, "--rate", "3200")
     assert run.sample_rate_hz == pytest.approx(3200.0)

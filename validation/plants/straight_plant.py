@@ -1,0 +1,142 @@
+"""An independent printer with straight axes: masses, springs and dampers in place of modes, for tests of ours.
+
+Every axis is a carriage of mass m₁ on its belts, and may carry a second mass m₂ on a spring, which is what the sensor
+feels. The motors' belts pull with k (a CoreXY's two belts pull along x and y both). Friction is that of LuGre (Canudas
+de Wit, Olsson, Åström & Lischinsky, 1995), a bristle and not a hyperbolic tangent; play has hard edges; a motor's
+ripple has a third harmonic. Equations, integration (Runge-Kutta of order 4 at 25.6 kHz) and friction share nothing
+with `models/printer`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+STEP_S = 1 / 25600
+BRISTLE_N_PER_M = 4e5  # of LuGre's friction, a newton of which it takes 2.5 µm to build up
+COREXY = np.array([[1.0, 1.0], [1.0, -1.0]])
+
+
+@dataclass(frozen=True)
+class Plant:
+    """Two axes x and y, SI; lists are of axes or, of belts and motors, of A and B."""
+
+    motors: tuple[tuple[float, float], tuple[float, float]] = ((1.0, 0.0), (0.0, 1.0))
+    carriage_kg: tuple[float, float] = (0.4, 0.5)
+    tool_kg: tuple[float, float] = (0.0, 0.0)
+    belt_n_per_m: tuple[float, float] = (4e4, 3.2e4)  # of each belt
+    mount_n_per_m: tuple[float, float] = (8e4, 8e4)
+    guide_n_s_per_m: tuple[float, float] = (18.0, 18.0)
+    mount_n_s_per_m: tuple[float, float] = (2.0, 2.0)
+    friction_n: tuple[float, float] = (0.0, 0.0)
+    play_m: tuple[float, float] = (0.0, 0.0)  # of each belt, the whole dead band
+    hardening_n_per_m3: tuple[float, float] = (0.0, 0.0)
+    ripple_m: tuple[float, float] = (0.0, 0.0)
+    pitch_m: float = 0.8e-3
+    delay_s: float = 0.0
+
+    def axis_modes(self, axis: int) -> tuple[list[float], list[float], list[float]]:
+        """Return frequencies, damping ratios and shares of one axis' felt mass under its motor, belts alike."""
+        pull = np.array(self.motors)
+        k1, m1, m2 = float(pull[:, axis] ** 2 @ self.belt_n_per_m), self.carriage_kg[axis], self.tool_kg[axis]
+        if m2 == 0.0:
+            omega = np.sqrt(k1 / m1)
+            return [float(omega / 2 / np.pi)], [float(self.guide_n_s_per_m[axis] / (2 * m1 * omega))], [1.0]
+        k2, mass = self.mount_n_per_m[axis], np.array([m1, m2])
+        square, shape = np.linalg.eigh(np.array([[k1 + k2, -k2], [-k2, k2]]) / np.sqrt(np.outer(mass, mass)))
+        shape = shape / np.sqrt(mass)[:, None]
+        stretched = shape[0] - shape[1]
+        damping = self.guide_n_s_per_m[axis] * shape[0] ** 2 + self.mount_n_s_per_m[axis] * stretched**2
+        omega = np.sqrt(square)
+        share = k1 * shape[0] * shape[1] / square
+        return (omega / 2 / np.pi).tolist(), (damping / 2 / omega).tolist(), share.tolist()
+
+
+def simulate(plant: Plant, command_mm: Array, rate_hz: float) -> dict[str, Array]:
+    """Play x and y (n, 2) mm from rest; between rows the command is straight.
+
+    Returns
+    -------
+    Positions (n, 2) mm and accelerations (n, 2) m/s² of what the sensors are on, at the rows.
+    """
+    substeps = round(1 / rate_hz / STEP_S)
+    lists = (
+        plant.carriage_kg,
+        plant.tool_kg,
+        plant.belt_n_per_m,
+        plant.mount_n_per_m,
+        plant.guide_n_s_per_m,
+        plant.mount_n_s_per_m,
+        plant.friction_n,
+        plant.play_m,
+        plant.hardening_n_per_m3,
+        plant.ripple_m,
+    )
+    numbers = np.array([plant.pitch_m, plant.delay_s])
+    found = _play(command_mm / 1e3, 1 / rate_hz, substeps, np.array(plant.motors), np.array(lists), numbers)
+    return {"position_mm": 1e3 * found[0], "acceleration_m_per_s2": found[1]}
+
+
+@njit(cache=True)
+def _motors(t: float, command: Array, dt: float, motors: Array, p: Array, numbers: Array) -> Array:
+    """Return where the motors are at t, (2,) m: late, and with their ripple."""
+    at = min(max((t - numbers[1]) / dt, 0.0), len(command) - 1.0)
+    row = min(int(at), len(command) - 2)
+    place = command[row] + (at - row) * (command[row + 1] - command[row])
+    u = motors @ place
+    for i in range(2):
+        phase = 2 * np.pi * u[i] / numbers[0]
+        u[i] += p[9, i] * (np.sin(phase) + 0.1 * np.sin(3 * phase))
+    return u
+
+
+@njit(cache=True)
+def _rate(y: Array, u: Array, motors: Array, p: Array) -> Array:
+    """Return d/dt of carriages, their rates, tools, their rates, bristles: (10,)."""
+    q, v, tool, tool_v, bristle = y[0:2], y[2:4], y[4:6], y[6:8], y[8:10]
+    stretch, pull = u - motors @ q, np.zeros(2)
+    for i in range(2):
+        s = stretch[i] - min(max(stretch[i], -p[7, i] / 2), p[7, i] / 2)
+        pull[i] = p[2, i] * s + p[8, i] * s**3
+    force, rate = motors.T @ pull, np.zeros(10)
+    for a in range(2):
+        rate[a], rate[4 + a] = v[a], tool_v[a]
+        total = force[a] - p[4, a] * v[a]
+        if p[6, a] > 0.0:
+            slip = v[a] - BRISTLE_N_PER_M * abs(v[a]) / p[6, a] * bristle[a]
+            rate[8 + a] = slip
+            total -= BRISTLE_N_PER_M * bristle[a] + 1.0 * slip
+        if p[1, a] > 0.0:
+            mount = p[3, a] * (q[a] - tool[a]) + p[5, a] * (v[a] - tool_v[a])
+            rate[6 + a] = mount / p[1, a]
+            total -= mount
+        rate[2 + a] = total / p[0, a]
+        if p[1, a] == 0.0:
+            rate[4 + a], rate[6 + a] = v[a], rate[2 + a]
+    return rate
+
+
+@njit(cache=True)
+def _play(command: Array, dt: float, substeps: int, motors: Array, p: Array, numbers: Array) -> tuple[Array, Array]:
+    place, felt = np.empty((len(command), 2)), np.empty((len(command), 2))
+    y, h = np.zeros(10), dt / substeps
+    y[0:2] = command[0]
+    y[4:6] = command[0]
+    for n in range(len(command)):
+        t = n * dt
+        place[n] = y[4:6]
+        felt[n] = _rate(y, _motors(t, command, dt, motors, p, numbers), motors, p)[6:8]
+        for i in range(substeps):
+            begin = t + i * h
+            middle = _motors(begin + h / 2, command, dt, motors, p, numbers)
+            k1 = _rate(y, _motors(begin, command, dt, motors, p, numbers), motors, p)
+            k2 = _rate(y + h / 2 * k1, middle, motors, p)
+            k3 = _rate(y + h / 2 * k2, middle, motors, p)
+            k4 = _rate(y + h * k3, _motors(begin + h, command, dt, motors, p, numbers), motors, p)
+            y += h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return place, felt
