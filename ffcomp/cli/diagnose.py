@@ -12,6 +12,7 @@ from ffcomp.cli.options import AsJson, CaptureAxes, Force, MachineName, MovesPla
 
 if TYPE_CHECKING:
     from ffcomp.diagnose.diagnosis import Diagnosis
+    from ffcomp.diagnose.print_gain import PrintGain
     from ffcomp.diagnose.printer_problem import PrinterProblem
     from ffcomp.diagnose.result import DiagnosisResult
 
@@ -65,6 +66,7 @@ def diagnose(
 
         from ffcomp.diagnose.diagnosis import diagnose as searched
         from ffcomp.diagnose.json import diagnosis_json
+        from ffcomp.diagnose.print_gain import print_gain
         from ffcomp.diagnose.printer_problem import PrinterProblem
         from ffcomp.diagnose.result import result_of
         from ffcomp.diagnose.validation import check_alike, check_repeating, check_repeats
@@ -87,12 +89,14 @@ def diagnose(
         search = searched(problem, progress)
         found = result_of(problem, search)
         better = output if found.mends else None
-        files = _better(problem, found, better, runs) | _page(problem, search, found, better, report, runs, began)
+        gain = print_gain(loaded, found)
+        page = _page(problem, search, found, better, report, runs, began, gain)
+        files = _better(problem, found, better, runs) | page
         _write(files)
         if as_json:
-            print_json(diagnosis_json(found, _text(better), _text(report), time.monotonic() - began))
+            print_json(diagnosis_json(found, _text(better), _text(report), time.monotonic() - began, gain))
         else:
-            _print(found, better, report)
+            _print(found, better, report, gain)
 
 
 def _check_targets(output: Path | None, report: Path | None, force: bool) -> None:
@@ -134,6 +138,7 @@ def _page(
     target: Path | None,
     runs: list[Path],
     began: float,
+    gain: PrintGain | None,
 ) -> dict[Path, bytes]:
     """Make the report, if it is asked for."""
     if target is None:
@@ -158,7 +163,7 @@ def _page(
         seconds=time.monotonic() - began,
         written="" if better is None else better.name,
     )
-    return {target: page(ReportInput(found, drawn, proposals, origin))}
+    return {target: page(ReportInput(found, drawn, proposals, origin, "" if gain is None else gain.sentence()))}
 
 
 def _write(files: dict[Path, bytes]) -> None:
@@ -179,7 +184,7 @@ def _digits(value: Any) -> str:
     return value if isinstance(value, str) else f"{value:.4g}"
 
 
-def _print(found: DiagnosisResult, written: Path | None, report: Path | None) -> None:
+def _print(found: DiagnosisResult, written: Path | None, report: Path | None, gain: PrintGain | None) -> None:
     from ffcomp.diagnose.sentences import said
     from ffcomp.diagnose.what_to_do import what_to_do
     from models.effects.catalogue import CATALOGUE
@@ -198,6 +203,8 @@ def _print(found: DiagnosisResult, written: Path | None, report: Path | None) ->
     print("What to do:")
     for step in what_to_do(found):
         print(f"  - {step}")
+    if gain is not None:
+        print(gain.sentence())
     if written:
         print(f"{written}: written. Compare with new runs: ffcomp gap NEW-RUNS --machine {written}")
     if report:

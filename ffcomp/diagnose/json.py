@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
+from ffcomp.diagnose.print_gain import PrintGain
 from ffcomp.diagnose.result import DiagnosisResult
 from ffcomp.diagnose.sentences import said
 from ffcomp.diagnose.what_to_do import what_to_do
 
 
-def diagnosis_json(found: DiagnosisResult, written: str | None, report: str | None, seconds: float) -> dict[str, Any]:
+def diagnosis_json(
+    found: DiagnosisResult, written: str | None, report: str | None, seconds: float, gain: PrintGain | None = None
+) -> dict[str, Any]:
     """Return the JSON object ffcomp-diagnose/1.
 
     written, report : paths of the machine file and of the page; None: not written
     seconds : that the diagnosis took
+    gain : of prints by the better file; None: not predicted
     """
     named = found.effects if found.verdict == "effects" else {}
     return {
@@ -39,6 +43,7 @@ def diagnosis_json(found: DiagnosisResult, written: str | None, report: str | No
         "unproven_at": list(found.unproven),
         "or_file_off": {key: {"from": a, "to": b} for key, (a, b) in found.file_off.items()},
         "to_do": what_to_do(found),
+        "print_gain": None if gain is None else gain.to_dict(),
         "gap": {
             "before": found.before.nrms,
             "after": found.after.nrms,

@@ -21,8 +21,9 @@ from models.arrays import ComplexArray, FloatArray
 TRIED = {"zv": zv, "mzv": mzv, "zvd": zvd, "ei": ei, "2hump_ei": two_hump_ei, "3hump_ei": three_hump_ei}
 TRIED_HZ = (15.0, 120.0, 0.5)  # from, to, step of a shaper's frequency
 DAMPING_RATIO = 0.1  # the firmware's usual
-SHAPED = 0.85  # of the excess must a shaper explain
-BETTER = 0.25  # times what retuning leaves may it leave
+SHAPED = 0.95  # of the excess must a shaper explain
+BETTER = 0.25  # times what retuning, or a delay alone, leaves may it leave
+DELAYS_S = np.arange(-8e-3, 8.1e-3, 2.5e-4)  # that are tried alone
 LOUD = 3.0  # discrepancy, of the noise, from which a shaper is looked for
 ONE_SIGNAL = 0.85  # of the excess in one signal of three or more
 OVER, ROWS = 1.4, 40  # times a sensor's largest value; rows of a simulation beyond that: it is clipped
@@ -99,7 +100,9 @@ def shaper_on(estimation: EstimationProblem, simulated: Sequence[FloatArray], re
     )
     left = before - gain
     explained = 1 - max(left - n, 0.0) / (before - n)
-    if explained < SHAPED or left > BETTER * retuned.chi_squared:
+    delayed = before - max(_turned(np.exp(-2j * np.pi * frequency * late), power, cross) for late in DELAYS_S)
+    at_the_edge = best_hz in TRIED_HZ[:2]
+    if explained < SHAPED or left > BETTER * min(retuned.chi_squared, delayed) or at_the_edge:
         return None
     return ShaperOn(kind, best_hz, explained)
 
@@ -129,8 +132,13 @@ def _gain(kind: str, frequency_hz: float, f: FloatArray, power: FloatArray, cros
     shaper = TRIED[kind](frequency_hz, DAMPING_RATIO)
     response = np.exp(-2j * np.pi * np.outer(f, shaper.time)) @ shaper.amplitude
     begun = response * np.exp(2j * np.pi * f * shaper.time[0])
-    cost = [float(np.sum(np.abs(s) ** 2 * power) - 2 * np.sum((s * cross).real)) for s in (response, begun)]
-    return float(np.sum(power) - 2 * np.sum(cross.real)) - min(cost)
+    return max(_turned(s, power, cross) for s in (response, begun))
+
+
+def _turned(response: ComplexArray, power: FloatArray, cross: ComplexArray) -> float:
+    """Return by how much |r|² falls if the simulation has another frequency response (k,)."""
+    cost = float(np.sum(np.abs(response) ** 2 * power) - 2 * np.sum((response * cross).real))
+    return float(np.sum(power) - 2 * np.sum(cross.real)) - cost
 
 
 # ---- sensors -------------------------------------------------------------------------------------

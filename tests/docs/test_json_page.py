@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from ffcomp.diagnose.json import diagnosis_json
+from ffcomp.diagnose.print_gain import PrintGain
 from ffcomp.diagnose.residuals import ResidualSize
 from ffcomp.diagnose.result import DiagnosisResult
 from ffcomp.identify.uncertainty import normal
@@ -151,7 +152,10 @@ def test_diagnose(page: Page) -> None:
     hold(
         page,
         "ffcomp-diagnose/1",
-        [diagnosis_json(_outcome(why), None, "page.html", 1.0) for why in ("effects", "unknown")],
+        [
+            diagnosis_json(_outcome(why), None, "page.html", 1.0, PrintGain(90.0, 30.0, 3.0))
+            for why in ("effects", "unknown")
+        ],
     )
 
 

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnose.diagnosis import FINDINGS
+from ffcomp.diagnose.print_gain import print_gain
 from ffcomp.diagnose.residuals import ResidualSize
 from ffcomp.diagnose.result import DiagnosisResult
 from ffcomp.diagnose.sentences import said
 from ffcomp.diagnose.what_to_do import REMEDIES, what_to_do
 from ffcomp.identify.uncertainty import normal
 from models.effects.catalogue import CATALOGUE
+from models.file import load_machine
 
 NUMBER = r"(?:more than )?([\d.]+) %"
 
@@ -128,3 +130,18 @@ def test_every_effect_has_a_remedy_and_uneven_towers_are_named() -> None:
     assert set(REMEDIES) == set(CATALOGUE)
     found = replace(result(), effects={"coulomb_friction": {"force_n": [1.0, 4.0, 1.1]}})
     assert what_to_do(found)[0].startswith("Clean and oil the rails, first of tower B;")
+
+
+@pytest.mark.slow
+def test_prints_gain_by_a_heavier_effector_in_the_file() -> None:
+    found = print_gain(load_machine("mp-delta-pro"), replace(result(), retuned={}))
+    assert found is not None
+    assert found.after_um < 0.3 * found.before_um < 0.3 * found.uncompensated_um
+    told = [float(x) for x in re.findall(r"([\d.]+) µm", found.sentence())]
+    assert told == pytest.approx([found.before_um, found.after_um, found.uncompensated_um], rel=0.06)
+
+
+def test_sensors_and_nothing_gain_nothing() -> None:
+    machine = load_machine("mp-delta-pro")
+    assert print_gain(machine, result("nothing")) is None
+    assert print_gain(machine, replace(result(), effects={"sensor_time_offset": {"offset_s": 1e-3}})) is None
