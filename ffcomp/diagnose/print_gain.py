@@ -86,6 +86,6 @@ def sample_print() -> str:
         for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)):
             lines.append(f"G1 X{x * half:g} Y{y * half:g} E{half / 15:.3f}")
     for i in range(LINES):
-        x, side = SPACING_MM * i - LINE_MM, LINE_MM * (-1) ** i
-        lines += [f"G1 X{x:g} Y{-side:g} E0.05", f"G1 X{x:g} Y{side:g} E0.4"]
+        at, side = SPACING_MM * i - LINE_MM, LINE_MM * (-1) ** i
+        lines += [f"G1 X{at:g} Y{-side:g} E0.05", f"G1 X{at:g} Y{side:g} E0.4"]
     return "\n".join(lines) + "\n"
