@@ -1,4 +1,10 @@
-"""The error that a command will have, at a quantile over the printers that the machine file allows."""
+"""The error that a command will have, at a quantile over the printers that the machine file allows.
+
+The response of a printer that is a little off is that of the machine file's printer and, nearly, a sum of changes, one
+for each independent direction in which its parameters may be off. So the variance of the error across the path is the
+sum of the squares of a few changes: those of the directions in which the printer's answer changes most, by one standard
+deviation each.
+"""
 
 from __future__ import annotations
 
@@ -10,17 +16,23 @@ import numpy as np
 
 from ffcomp.inverse.extent import WrittenReference
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.robust import drawn_machines
 from ffcomp.inverse.solve import Solution
 from ffcomp.metrics import contour_error
 from ffcomp.planner.segment_timing import sample_even_segments
-from models.arrays import FloatArray
+from models.arrays import ComplexArray, FloatArray
 from models.machine import Machine
+from models.parameters import with_values
 from models.vibration.scheduled import Schedule, plant_table
 
+DIRECTIONS = 4  # of the parameters, in which a printer's answer changes most: 98 % of the variance on a delta
+LEAST = 0.2  # of a parameter's value
+PITCH_MM = 30.0  # of their tables over the bed: coarser than the machine's own, for only their difference counts
+PLACES_MM = ((0.0, 0.0), (40.0, 0.0), (0.0, 40.0))  # where the directions are found
+SLOWEST_HZ, LINES = 2.0, 60  # of the frequencies there
+EVERYWHERE = 0.8  # of the quantile at one place: no printer is that far off at all places at once
+STANDING_MM_PER_S = 1.0  # below, a motion has no direction, and all of an error counts
+
 _printers: weakref.WeakKeyDictionary[InverseModel, Printers] = weakref.WeakKeyDictionary()
-DRAWS = 6  # printers, in pairs on either side of the machine file's
-PITCH_MM = 30.0  # of their tables over the bed: coarser than the machine's own, for they are only guesses
 
 
 def printers_of(model: InverseModel, safety: float) -> Printers:
@@ -33,22 +45,37 @@ def printers_of(model: InverseModel, safety: float) -> Printers:
 
 @dataclass(frozen=True, eq=False)
 class Printers:
-    """The machine file's printer and some that are as far off as its `[uncertainty]` says."""
+    """The machine file's printer, and some that are off by what its `[uncertainty]` says."""
 
     model: InverseModel
     safety: float
 
     @cached_property
-    def drawn(self) -> list[tuple[Machine, Schedule]]:
-        """The plants of the drawn printers; none if the machine file is certain of everything."""
-        machine, s = self.model.machine, self.model.settings
-        if not np.any(machine.vibration.parameters().relative_sd(machine.uncertainty)):
+    def nominal(self) -> Schedule:
+        """The plant of the machine file's printer on the same coarse table, so that only differences count."""
+        return self._plant(self.model.machine)
+
+    @cached_property
+    def off(self) -> list[tuple[Machine, Schedule]]:
+        """The printers that are off, with their plants; none if the machine file is certain of everything."""
+        machine = self.model.machine
+        parameters = machine.vibration.parameters()
+        spread = parameters.relative_sd(machine.uncertainty)
+        if not np.any(spread):
             return []
-        step_s = s.segment_s / s.substeps
-        return [
-            (each, Schedule(each.kinematics, plant_table(each.kinematics, each.vibration, step_s, PITCH_MM)))
-            for each in drawn_machines(machine, DRAWS)
-        ]
+
+        def moved(deviates: FloatArray) -> Machine:
+            return with_values(machine, parameters.scaled(deviates, spread, least=LEAST))
+
+        each = [moved(deviates) for deviates in np.eye(parameters.columns)]
+        directions = _principal(machine, each, self.model.settings.bandwidth_hz)
+        return [(printer, self._plant(printer)) for printer in map(moved, directions)]
+
+    def _plant(self, machine: Machine) -> Schedule:
+        s = self.model.settings
+        return Schedule(
+            machine.kinematics, plant_table(machine.kinematics, machine.vibration, s.segment_s / s.substeps, PITCH_MM)
+        )
 
     @cached_property
     def far(self) -> float:
@@ -62,13 +89,14 @@ class Printers:
         s, reference = self.model.settings, written.reference
         t = reference.t0 + (1 + np.arange(len(solution.response), dtype=np.float64)) * (s.segment_s / s.substeps)
         nominal = contour_error(*path, t, solution.response)
-        if not self.drawn:
-            return nominal
-        squares = [contour_error(*path, t, each) ** 2 for each in self._answers(written, solution)]
-        return np.maximum(nominal, self.far * np.sqrt(np.mean(squares, axis=0)))
+        return (
+            np.hypot(nominal, EVERYWHERE * self.far * np.sqrt(self._variance(written, solution)))
+            if self.off
+            else nominal
+        )
 
-    def _answers(self, written: WrittenReference, solution: Solution) -> list[FloatArray]:
-        """Return what each drawn printer makes of the command, (m, 3) mm."""
+    def _variance(self, written: WrittenReference, solution: Solution) -> FloatArray:
+        """Return the variance of the error across the path, (m,) mm²."""
         model, s, reference = self.model, self.model.settings, written.reference
         nozzle, velocity = reference.substeps(0, reference.knots)
         place = np.ascontiguousarray(nozzle[s.substeps // 2 :: s.substeps, :2])
@@ -76,8 +104,36 @@ class Printers:
         filament = np.diff(reference.extrusion())
         played = sample_even_segments(solution.vertices, filament, s.segment_s, s.output, s.substeps)
         command = model.kinematics.inverse(played)
-        answers = (
-            plant.play(place, centripetal, command, each.equilibrium(nozzle[0]), s.substeps)[0]
-            for each, plant in self.drawn
-        )
-        return [model.kinematics.forward(q) for q in answers]
+
+        def answer(machine: Machine, plant: Schedule) -> FloatArray:
+            q = plant.play(place, centripetal, command, machine.equilibrium(nozzle[0]), s.substeps)[0]
+            return model.kinematics.forward(q)
+
+        usual, along = answer(model.machine, self.nominal), _directions(velocity[1:])
+        variance = np.zeros(len(usual))
+        for machine, plant in self.off:
+            change = answer(machine, plant) - usual
+            variance += (change**2).sum(axis=1) - (change * along).sum(axis=1) ** 2
+        return np.maximum(variance, 0.0)
+
+
+def _directions(velocity: FloatArray) -> FloatArray:
+    """Return the directions of velocities (m, 3), zero where the nozzle stands."""
+    speed = np.sqrt((velocity**2).sum(axis=1, keepdims=True))
+    return np.asarray(np.where(speed > STANDING_MM_PER_S, velocity / np.maximum(speed, STANDING_MM_PER_S), 0.0))
+
+
+def _principal(machine: Machine, each: list[Machine], bandwidth_hz: float) -> FloatArray:
+    """Return the directions of deviates (k, columns), of length one, that change the answer most.
+
+    each : the machine with one deviate at one standard deviation
+    """
+    f = np.linspace(SLOWEST_HZ, bandwidth_hz, LINES)
+    changes = []
+    for place in np.array(PLACES_MM):
+        known = machine.vibration.frequency_response(place, f, "nozzle", "nozzle")
+        answers = (other.vibration.frequency_response(place, f, "nozzle", "nozzle") for other in each)
+        changes.append([(answer @ np.linalg.inv(known)).ravel() for answer in answers])
+    change: ComplexArray = np.concatenate(changes, axis=1) - np.tile(np.eye(3).ravel(), LINES * len(PLACES_MM))
+    _, vectors = np.linalg.eigh((change @ np.conj(change.T)).real)
+    return np.asarray(vectors[:, ::-1].T[:DIRECTIONS])

@@ -18,7 +18,6 @@ from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL, VELOCITY, utilis
 from ffcomp.inverse.extent import WHOLE, WrittenReference
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.solve import solve
-from ffcomp.inverse.time_scaling import late_segments
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.program import plan_section
 from ffcomp.planner.sections import Section
@@ -26,14 +25,16 @@ from ffcomp.planner.trajectory import Trajectory
 from gcode.program import Moves
 from models.arrays import BoolArray, FloatArray
 
-ROUNDS = 12
-ONLY_DOWN = 4  # rounds at the end that give nothing back
-FELT_S = 0.012  # around a moment, within which moves are held responsible for it
+ROUNDS = 18
+ONLY_DOWN = 9  # rounds at the end that give nothing back
+NEARLY = 1.1  # demand that is let pass after them
+TRIES = 6  # to give some moves the slicer's motion, before all get it
+FELT_S = (0.012, 0.03)  # around a moment, within which moves are held responsible for it: at first, and
+WIDER = 6  # from this round on
 PEAKS = 1.2  # times the bound, that single spots may have: it is meant for 99 % of the print
 AIM = 0.97  # of the bound and of the limits
 ROOM = 0.8  # of the aim, below which a move that was made slower gets some of it back
-LATE = 1.2  # demand that stands for a segment that the firmware cannot execute in time
-SLOWEST, FASTEST = 0.6, 1.12  # factors of one round
+SLOWEST, FASTEST = 0.6, 1.08  # factors of one round
 SLOWEST_SPEED = 0.8
 
 
@@ -70,7 +71,7 @@ class SectionSearch:
         best: Moves | None = None
         shortest_s = np.inf
         for number in range(ROUNDS):
-            demand, took_s = self._demand(moves)
+            demand, took_s = self._demand(moves, FELT_S[number >= WIDER])
             if not self._beyond(demand, free).any():
                 if took_s < shortest_s:
                     best, shortest_s = moves, took_s
@@ -85,20 +86,19 @@ class SectionSearch:
         return self._given_up(moves, free)
 
     def _given_up(self, moves: Moves, free: BoolArray) -> Found:
-        """Give the slicer's motion back to what is still beyond the bound; to all moves if that is not enough."""
-        demand, _ = self._demand(moves)
-        kept = self._beyond(demand, free)
-        for _ in range(2):
+        """Give the slicer's motion back to what is beyond the bound and around it; to all if that is not enough."""
+        kept = self._beyond(self._demand(moves, FELT_S[1])[0], free, NEARLY)
+        for _ in range(TRIES):
             mixed = chosen(self.slicers, moves, kept)
-            beyond = self._beyond(self._demand(mixed)[0], free & ~kept)
+            beyond = self._beyond(self._demand(mixed, FELT_S[1])[0], free & ~kept, NEARLY)
             if not beyond.any():
-                return Found(mixed, kept, False)
+                return Found(mixed, kept, not kept.any())
             kept = kept | beyond
         return Found(self.slicers, free.copy(), False)
 
     @staticmethod
-    def _beyond(demand: _Demand, free: BoolArray) -> BoolArray:
-        return free & ((demand.acceleration > 1.0) | (demand.speed > 1.0))
+    def _beyond(demand: _Demand, free: BoolArray, most: float = 1.0) -> BoolArray:
+        return free & ((demand.acceleration > most) | (demand.speed > 1.0))
 
     def _next(self, moves: Moves, demand: _Demand, free: BoolArray, only_down: bool) -> Moves | None:
         """Return the moves of the next round; None: nothing would change."""
@@ -121,8 +121,11 @@ class SectionSearch:
             return None
         return replace(moves, acceleration=acceleration, square_corner_velocity=corner, speed=speed)
 
-    def _demand(self, moves: Moves) -> tuple[_Demand, float]:
-        """Plan, solve and predict; return what each move demands, and how long the section takes, s."""
+    def _demand(self, moves: Moves, felt_s: float = FELT_S[0]) -> tuple[_Demand, float]:
+        """Plan, solve and predict; return what each move demands, and how long the section takes, s.
+
+        NOTE: segments that the firmware cannot execute in their time are left to the time scaling of the solution.
+        """
         model, s = self.model, self.model.settings
         plan = plan_section(self.limits, moves, 0.0)
         section = Section(0, len(moves), True, 0.0, plan.end_t)
@@ -131,12 +134,11 @@ class SectionSearch:
         path = np.append(plan.start_t, plan.end_t), np.vstack([moves.start[:, :3], moves.end[-1:, :3]])
         error = self.printers.error(written, solution, path)
         utilisation = utilisation_from_rest(solution.vertices, model.limits)[1:-1]
-        late = late_segments(model, written, solution.vertices)
-        by_knot = np.maximum(utilisation[:, [ACCELERATION, TRAVEL]].max(axis=(1, 2)), LATE * late)
+        by_knot = utilisation[:, [ACCELERATION, TRAVEL]].max(axis=(1, 2))
         step_s = s.segment_s / s.substeps
         t = written.reference.t0 + (1 + np.arange(len(error), dtype=np.float64)) * step_s
         missed = error / (PEAKS * self.opened.bound_mm[plan.move_at(t)])
-        of_moves = _Moves(plan, written)
+        of_moves = _Moves(plan, written, felt_s)
         acceleration = np.maximum(of_moves.largest(missed, step_s), of_moves.largest(by_knot, s.segment_s))
         speed = of_moves.largest(utilisation[:, VELOCITY].max(axis=1), s.segment_s)
         return _Demand(acceleration, speed), plan.end_t
@@ -145,9 +147,9 @@ class SectionSearch:
 class _Moves:
     """Which samples of a section each of its moves is responsible for."""
 
-    def __init__(self, plan: Trajectory, written: WrittenReference) -> None:
-        self.begin = plan.start_t - FELT_S - written.reference.t0
-        self.end = plan.start_t + plan.duration + FELT_S - written.reference.t0
+    def __init__(self, plan: Trajectory, written: WrittenReference, felt_s: float) -> None:
+        self.begin = plan.start_t - felt_s - written.reference.t0
+        self.end = plan.start_t + plan.duration + felt_s - written.reference.t0
 
     def largest(self, samples: FloatArray, step_s: float) -> FloatArray:
         """Return the largest of the samples (m,), a step apart, of each move, (n,)."""

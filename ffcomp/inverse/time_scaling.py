@@ -136,7 +136,7 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
     trajectory, section, settings = request.trajectory, request.section, model.settings
     written, keep = request.written, request.keep_response
     solution = solve(model, written.reference, request.state, keep_response=keep, enforce_limits=False)
-    late = late_segments(model, written, solution.vertices)
+    late = _late(model, written, solution.vertices)
     if not _exceeds(model, written, solution, late):
         return FeasibleSection(trajectory, section, written, solution)
     if (roomy := _with_all_room(model, request, written)) is not None:
@@ -177,7 +177,7 @@ def _with_all_room(model: InverseModel, request: SectionRequest, tight: WrittenR
     if written.reference.knots == tight.reference.knots:
         return None
     solution = solve(model, written.reference, request.state, keep_response=request.keep_response, enforce_limits=False)
-    if _exceeds(model, written, solution, late_segments(model, written, solution.vertices)):
+    if _exceeds(model, written, solution, _late(model, written, solution.vertices)):
         return None
     return FeasibleSection(request.trajectory, request.section, written, solution)
 
@@ -241,7 +241,7 @@ def _utilisation(model: InverseModel, written: WrittenReference, solution: Solut
     return float(utilisation_from_rest(solution.vertices, model.limits)[1:-1][inside].max())
 
 
-def late_segments(model: InverseModel, written: WrittenReference, vertices: FloatArray) -> BoolArray:
+def _late(model: InverseModel, written: WrittenReference, vertices: FloatArray) -> BoolArray:
     """Find the segments (n,) that the firmware cannot execute in their time, where that matters."""
     s = model.settings
     e, stay = written.reference.extrusion(), np.arange(len(vertices))
@@ -383,7 +383,7 @@ class _ScaledSection:
         utilisation = utilisation_from_rest(free.vertices, model.limits)[1:-1]
         violations = _among(path_violations(self._path_utilisation(written.reference), utilisation), written)
         if not violations and feasible:
-            violations = _among(timing_violations(late_segments(model, written, free.vertices)), written)
+            violations = _among(timing_violations(_late(model, written, free.vertices)), written)
         if violations or feasible:
             return _Attempt(written, free, violations)
         try:
@@ -391,7 +391,7 @@ class _ScaledSection:
         except SolverError:  # no command keeps the limits
             return _Attempt(written, free, _among(command_violations(utilisation), written))
         violations = _among(solution_violations(solution, utilisation, tolerance_mm, model.limits), written)
-        violations += _among(timing_violations(late_segments(model, written, solution.vertices)), written)
+        violations += _among(timing_violations(_late(model, written, solution.vertices)), written)
         return _Attempt(written, solution, violations)
 
     def _path_utilisation(self, reference: Reference) -> FloatArray:
