@@ -300,7 +300,8 @@ def _print(result: dict[str, Any]) -> None:
     if "belts" in result:
         _print_belts(result["belts"])
     if "numbers" in result:
-        _print_numbers(result["numbers"], result.get("kept", ()))
+        beside = result.get("common_scale", {}).get("numbers", {})
+        _print_numbers({**result["numbers"], **beside}, result.get("kept", ()))
     if "misfit" in result:
         print(_verdict(result))
     for sentence in result["advice"]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ffcomp.identify.from_resonances import ResonanceStart
 from ffcomp.identify.modal_fit import AxisFit, IdentifiedAxes
-from ffcomp.identify.output_error import DAMPING, DRIVE, STIFFNESS, TOTAL_MASS, UNKNOWNS, Fitted, fit_machine
+from ffcomp.identify.output_error import DAMPING, DRIVE, STIFFNESS, TOTAL_MASS, UNKNOWNS, WEAK_SD, Fitted, fit_machine
 from ffcomp.identify.paper import PaperIdentification
 from ffcomp.identify.uncertainty import Estimate
 from ffcomp.measurement.frf import FrequencyResponse
@@ -22,6 +22,9 @@ from models.parameters import value_of, with_values
 from models.vibration.carriage import Drive
 
 UNDETERMINED = 0.25  # of the weak prior's variance: above it the data say next to nothing; the old value is kept
+WEAK_SCALE = 0.05  # relative sd of all masses, stiffnesses and dampings together
+SCALED = ("carriage.mass_kg", "carriage.belt_stiffness_n_per_m", "effector.nozzle_mass_kg")
+TURNED_DEG = 0.5  # from which it is worth a sentence
 FAR = 0.10  # model error of a response from which the other force map is tried
 FORCE_MAP_COSTS = 100.0  # BIC
 DRIVE_COSTS = 10.0  # BIC by which a drive filter must be better than an ideal drive to be kept
@@ -70,7 +73,7 @@ def identify(
     )
     kept = tuple(name for name, share in fitted.prior_share.items() if share > UNDETERMINED)
     restored = _with_old(fitted, start, kept)
-    advice = [*_other_force_map(fitted, known, progress), *_advice(restored, kept)]
+    advice = [*_other_force_map(fitted, known, progress), *advice_on(restored, kept)]
     return Identified(restored, kept, tuple(advice))
 
 
@@ -124,13 +127,23 @@ def _with_old(fitted: Fitted, start: Machine, kept: Sequence[str]) -> Fitted:
 # ---- advice --------------------------------------------------------------------------------------
 
 
-def _advice(fitted: Fitted, kept: Sequence[str]) -> list[str]:
+def advice_on(fitted: Fitted, kept: Sequence[str]) -> list[str]:
     """Write a sentence for each group of parameters that is weak or not determined at all."""
     poor = {*fitted.weak, *kept}
+    sentences = _of_rotation(fitted)
+    if scale_is_weak(fitted):
+        poor = {n for n, e in fitted.beside_scale.items() if n not in DRIVE and e.relative_sd > WEAK_SD} | {
+            n for n in poor if n in DRIVE
+        }
+        poor -= set(MASSES)
+        sentences.append(
+            f"All masses, stiffnesses and dampings together are known to ± {100 * fitted.common_scale_sd:.0f} % only: "
+            "motion tells their ratios, and the intervals are those of the ratios. Compensation needs no more. For "
+            f"forces, weigh the effector and say --known {TOTAL_MASS}=KG."
+        )
     if poor & set(MASSES):  # parameters that are weak only with the masses need no measurement of their own
         poor -= {n for n, others in fitted.weak.items() if n not in (*kept, *MASSES) and set(others) & set(MASSES)}
     highest = max(float(r.frequency_hz[-1]) for r in fitted.responses)
-    sentences = []
     if poor & set(MASSES):
         sentences.append(
             "The masses are weak: motion alone does not tell a heavy machine on stiff belts from a light one on soft "
@@ -150,6 +163,21 @@ def _advice(fitted: Fitted, kept: Sequence[str]) -> list[str]:
     if poor & set(DRIVE):
         sentences.append("The drive is weak: excite the carriages up to 200 Hz, smaller if it must be, but longer.")
     return sentences
+
+
+def scale_is_weak(fitted: Fitted) -> bool:
+    """Tell whether what is uncertain is above all the common scale of masses, stiffnesses and dampings."""
+    beside = float(np.median([fitted.beside_scale[name].relative_sd for name in SCALED if name in fitted.beside_scale]))
+    return fitted.common_scale_sd > max(WEAK_SCALE, 2 * beside)
+
+
+def _of_rotation(fitted: Fitted) -> list[str]:
+    """Say how far the accelerometer is turned, where it is."""
+    turned = {axis: e for axis, e in fitted.rotation_deg.items() if abs(e.value) > max(TURNED_DEG, 2 * e.sd)}
+    if not turned:
+        return []
+    listed = " and ".join(f"{e.value:+.1f} ± {e.sd:.1f}° about {axis}" for axis, e in turned.items())
+    return [f"The accelerometer is turned by {listed} against the printer's axes; the fit allows for it."]
 
 
 # ---- the machine file ----------------------------------------------------------------------------

@@ -21,10 +21,11 @@ from ffcomp.identify.identify import (
     machine_file_text,
     modes_file_text,
     paper_file_text,
+    scale_is_weak,
 )
 from ffcomp.identify.load import Gathered, resonances_of
 from ffcomp.identify.modal_fit import AxisFit, IdentifiedAxes, identify_axes
-from ffcomp.identify.output_error import TOTAL_MASS
+from ffcomp.identify.output_error import TOTAL_MASS, Fitted
 from ffcomp.identify.paper import identify_as_paper
 from ffcomp.measurement.modes import Mode, ModeFit
 from gcode.atomic_write import replace_atomically
@@ -159,6 +160,8 @@ class _Task:
             "method": "direct",
             "numbers": {key: _estimate(e) for key, e in found.fitted.estimates.items()},
             "delays_s": {key: _estimate(e) for key, e in found.fitted.delays_s.items()},
+            "rotation_deg": {key: _estimate(e) for key, e in found.fitted.rotation_deg.items()},
+            "common_scale": _common_scale(found.fitted),
             "kept": list(found.kept),
             "weak": {key: dict(others) for key, others in found.fitted.weak.items()},
             "advice": list(found.advice),
@@ -262,6 +265,12 @@ def _belts_answer(belts: BeltComparison) -> dict[str, Any]:
         "damping_ratio": list(belts.damping_ratio),
         "tests": [{"file": t.spectrum.source, "axis": t.axis, "model_error": e} for t, e in tests],
     }
+
+
+def _common_scale(fitted: Fitted) -> dict[str, Any]:
+    """Return how weak the common scale of masses, stiffnesses and dampings is, and the numbers beside it."""
+    beside = fitted.beside_scale if scale_is_weak(fitted) else {}
+    return {"sd": fitted.common_scale_sd, "numbers": {key: _estimate(e) for key, e in beside.items()}}
 
 
 def hash_of(path: Path) -> str:

@@ -18,10 +18,11 @@ import numpy as np
 from ffcomp.errors import SolverError
 from ffcomp.identify.predict import predicted
 from ffcomp.identify.rational import scaled_inverse
+from ffcomp.identify.sensor_rotation import PRIOR_SD_DEG, of_one_capture, rotated
 from ffcomp.identify.uncertainty import Estimate, lognormal, normal
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.numerics.least_squares import central_differences, minimise
-from models.arrays import ComplexArray, FloatArray
+from models.arrays import ComplexArray, FloatArray, IntArray
 from models.delta_machine import delta_vibration
 from models.machine import Machine
 from models.parameters import value_of, with_values
@@ -40,12 +41,14 @@ UNKNOWNS = (
     *STIFFNESS,
     *DAMPING,
 )
+EFFECTOR_MASSES = ("effector.nozzle_mass_kg", "effector.extruder_mass_kg")
 TOTAL_MASS = "effector.total_mass_kg"  # m_1 + m_2, as a scale shows it
 SIGNED = {"carriage.drive.d1_per_s"}  # every other parameter is positive, and fitted as its logarithm
 
 PRIOR_SD = 1.0  # of the logarithm of an unknown parameter: a factor of e
 SIGNED_UNIT = 100.0  # 1/s, the size of one step of d1
 DELAY_UNIT_S = 1e-3
+ROTATION_UNIT = float(np.radians(PRIOR_SD_DEG)) / PRIOR_SD
 BLOCK_HZ = 5.0  # the model's error keeps its sign over about so wide a band
 COARSE = 0.3  # model error of the coarse fit
 FINE = 0.05  # model error with which two near fits are compared
@@ -67,6 +70,9 @@ class Fitted:
     prior_share: Mapping[str, float]  # 0: the data alone say it … 1: the data say nothing
     weak: Mapping[str, Mapping[str, float]]  # ill-determined parameter -> the others it is correlated with
     delays_s: Mapping[str, Estimate]  # of each clock
+    rotation_deg: Mapping[str, Estimate]  # of the accelerometer about x, y, z; empty: not of captures
+    common_scale_sd: float  # relative, of all masses, stiffnesses and dampings together
+    beside_scale: Mapping[str, Estimate]  # the unknowns, that common scale being given
     misfit: float  # χ² by degree of freedom against the measured noise alone
     bic: float  # Bayesian information criterion: of two models of the same responses the smaller one is preferred
     model_errors: FloatArray  # (r,) ε of each response
@@ -125,11 +131,17 @@ def fit_machine(
 class _Problem:
     start: Machine
     responses: Sequence[FrequencyResponse]
-    names: tuple[str, ...]  # unknowns, then one a clock
+    names: tuple[str, ...]  # unknowns, then one a clock, then three of a rotation where there are captures
     clocks: tuple[str, ...]
     values: list[ComplexArray]
     known: dict[str, tuple[float, float]]
     weak_mean: FloatArray  # (p,) θ₀ of the weak prior
+    captures: IntArray  # (g, 3) the responses of one accelerometer along x, y, z
+
+    @property
+    def end_of_clocks(self) -> int:
+        """Where the rotation's angles begin in θ."""
+        return len(self.names) + len(self.clocks)
 
     def parameters(self, theta: FloatArray) -> dict[str, float]:
         return {name: _parameter(name, t) for name, t in zip(self.names, theta, strict=False)}
@@ -139,7 +151,9 @@ class _Problem:
 
     def model(self, theta: FloatArray) -> list[ComplexArray]:
         found = predicted(self.machine(theta), self.responses)
-        delays = dict(zip(self.clocks, DELAY_UNIT_S * theta[len(self.names) :], strict=True))
+        if len(self.captures):
+            found = rotated(found, self.captures, ROTATION_UNIT * theta[self.end_of_clocks :])
+        delays = dict(zip(self.clocks, DELAY_UNIT_S * theta[len(self.names) : self.end_of_clocks], strict=True))
         return [
             h * np.exp(-2j * np.pi * r.frequency_hz * delays.get(r.clock, 0.0))
             for h, r in zip(found, self.responses, strict=True)
@@ -173,8 +187,10 @@ def _problem(
             f"{sorted(unknown)[0]!r} is no parameter of this fit; known are {', '.join(names)}, {TOTAL_MASS}."
         )
     clocks = tuple(sorted({r.clock for r in responses} - {""}))
-    mean = np.array([_unknown(name, value_of(start, name)) for name in names] + [0.0] * len(clocks))
-    return _Problem(start, responses, names, clocks, [r.value for r in responses], known, mean)
+    captures = of_one_capture(responses)
+    nuisances = len(clocks) + 3 * bool(len(captures))
+    mean = np.array([_unknown(name, value_of(start, name)) for name in names] + [0.0] * nuisances)
+    return _Problem(start, responses, names, clocks, [r.value for r in responses], known, mean, captures)
 
 
 def _variance(response: FrequencyResponse, epsilon: float) -> FloatArray:
@@ -191,8 +207,7 @@ def _parameter(name: str, theta: float) -> float:
 
 
 def _total_mass(start: Machine, values: Mapping[str, float]) -> float:
-    both = ("effector.nozzle_mass_kg", "effector.extruder_mass_kg")
-    return sum(values.get(name, value_of(start, name)) for name in both)
+    return sum(values.get(name, value_of(start, name)) for name in EFFECTOR_MASSES)
 
 
 # ---- solving -------------------------------------------------------------------------------------
@@ -346,7 +361,9 @@ def _result(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> Fitted
     estimates = {name: _estimate(name, values[name], sd[i]) for i, name in enumerate(problem.names)}
     estimates[TOTAL_MASS] = _total_estimate(problem, values, covariance)
     share = {name: float(min(1.0, covariance[i, i] / PRIOR_SD**2)) for i, name in enumerate(problem.names)}
-    clocks = zip(problem.clocks, theta[len(problem.names) :], sd[len(problem.names) :], strict=True)
+    of_clocks = slice(len(problem.names), problem.end_of_clocks)
+    clocks = zip(problem.clocks, theta[of_clocks], sd[of_clocks], strict=True)
+    scale_sd, beside = _beside_common_scale(problem, values, covariance)
     errors = _errors(problem, theta)
     chi = sum(float(np.sum(e / _variance(r, 0.0))) for e, r in zip(errors, problem.responses, strict=True))
     count = sum(map(len, problem.values))
@@ -356,12 +373,39 @@ def _result(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> Fitted
         share,
         _weak(problem, covariance),
         {clock: normal(DELAY_UNIT_S * t, DELAY_UNIT_S * s) for clock, t, s in clocks},
+        _rotation(problem, theta, sd),
+        scale_sd,
+        {name: _estimate(name, values[name], beside[i]) for i, name in enumerate(problem.names)},
         chi / (count - len(theta) / 2),
         _deviance(problem, errors, epsilon) + len(theta) * float(np.log(2 * count)),
         epsilon,
         problem.responses,
         problem.model(theta),
     )
+
+
+def _rotation(problem: _Problem, theta: FloatArray, sd: FloatArray) -> dict[str, Estimate]:
+    degrees = float(np.degrees(ROTATION_UNIT))
+    pairs = zip("xyz", theta[problem.end_of_clocks :], sd[problem.end_of_clocks :], strict=False)
+    return {axis: normal(degrees * float(t), degrees * float(s)) for axis, t, s in pairs}
+
+
+def _beside_common_scale(
+    problem: _Problem, values: Mapping[str, float], covariance: FloatArray
+) -> tuple[float, FloatArray]:
+    """Return the sd of all masses, stiffnesses and dampings together, and each unknown's (p,) where that is given.
+
+    Without a force or a weight, motion tells their ratios only: so they are uncertain all together. Their scale is
+    taken to be the effector's mass, which is what one can weigh.
+    """
+    weight = np.zeros(len(covariance))
+    mass = [values[name] if name in EFFECTOR_MASSES else 0.0 for name in problem.names]
+    weight[: len(mass)] = np.array(mass) / _total_mass(problem.start, values)
+    along = covariance @ weight
+    variance = float(weight @ along)
+    if variance == 0.0:  # the effector's masses are not fitted
+        return 0.0, np.sqrt(np.diag(covariance))
+    return float(np.sqrt(variance)), np.sqrt(np.maximum(np.diag(covariance) - along**2 / variance, 0.0))
 
 
 def _deviance(problem: _Problem, errors: Sequence[FloatArray], epsilon: FloatArray) -> float:
@@ -406,8 +450,8 @@ def _estimate(name: str, value: float, sd: float) -> Estimate:
 
 
 def _total_estimate(problem: _Problem, values: Mapping[str, float], covariance: FloatArray) -> Estimate:
-    both = ("effector.nozzle_mass_kg", "effector.extruder_mass_kg")
-    slope = np.array([values[n] if n in both else 0.0 for n in problem.names] + [0.0] * len(problem.clocks))
+    slope = np.zeros(len(covariance))
+    slope[: len(problem.names)] = [values[n] if n in EFFECTOR_MASSES else 0.0 for n in problem.names]
     return normal(_total_mass(problem.start, values), float(np.sqrt(slope @ covariance @ slope)))
 
 
