@@ -64,6 +64,7 @@ def diagnose(
     with exit_codes():
         import time
 
+        from ffcomp.cli.search_progress import SearchProgress
         from ffcomp.diagnose.diagnosis import diagnose as searched
         from ffcomp.diagnose.json import diagnosis_json
         from ffcomp.diagnose.print_gain import print_gain
@@ -86,7 +87,8 @@ def diagnose(
         if not without_repeats:
             check_repeats(measured)
         check_repeating(problem.repeats)
-        search = searched(problem, progress)
+        with SearchProgress(quiet or as_json) as shown:
+            search = searched(problem, shown)
         found = result_of(problem, search)
         better = output if found.mends else None
         gain = print_gain(loaded, found)

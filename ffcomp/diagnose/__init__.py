@@ -3,11 +3,13 @@
 Stages, each a module that knows only the ones before it:
 
 problem        interface to a machine: observations, parameters, candidate effects, simulation
-               (printer_problem: a printer; axis_problem: a force-driven axis; validation: checks of recordings)
+               (printer_problem: a printer; axis_problem: a force-driven axis; validation: checks of recordings;
+               observe: recordings as they are compared; excerpts: the parts of them in which effects are searched)
 noise          noise floor, and the whitener that puts every signal and frequency on its scale
 estimation     parameter values in, whitened residual out
 fit            fit parameters with priors; evidence and covariance (intervals: 90 % intervals)
 score_test     screen candidates: one simulation each
+progress       what a search says while it works
 hypotheses     effects with all parameters fitted, and how hypotheses are compared
 initial_fits   from promising candidates to quick fits
 refinement     continue, refit and refine one hypothesis; converge on the shapes of its effects

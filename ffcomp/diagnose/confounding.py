@@ -11,9 +11,14 @@ COMPETING = 20.0  # −2 ln Z
 CONFOUNDED = 0.8  # cos² from which one effect can be taken for another
 
 
-def competing_with(best: Hypothesis, tried: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Find hypotheses of other effects, as many, that are nearly as likely."""
-    scale = misfit(best.fit)
+def competing_with(best: Hypothesis, tried: Sequence[Hypothesis], share: float = 1.0) -> list[Hypothesis]:
+    """Find hypotheses of other effects, as many, that are nearly as likely.
+
+    Parameters
+    ----------
+    share : of the data, on which all were fitted: all of it would set them apart that much further.
+    """
+    scale = misfit(best.fit) * share
     others = [h for h in tried if h.names != best.names and len(h.effects) == len(best.effects)]
     return [h for h in others if (h.fit.evidence - best.fit.evidence) / scale < COMPETING]
 

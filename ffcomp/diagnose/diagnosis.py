@@ -18,10 +18,10 @@ import numpy as np
 
 from ffcomp.diagnose.acceptance import rejections, unproven
 from ffcomp.diagnose.confounding import competing_with, confounded_with
-from ffcomp.diagnose.estimation import EstimationProblem, estimation_problem
+from ffcomp.diagnose.estimation import EstimationProblem, estimation_problem, excerpt_of
 from ffcomp.diagnose.fit import Fit, derivatives, fit
 from ffcomp.diagnose.held_out import HeldOut, hold_out
-from ffcomp.diagnose.hypotheses import LARGE, Hypothesis, Progress, discrepancy_of, implausible, likeliest, significant
+from ffcomp.diagnose.hypotheses import LARGE, Hypothesis, discrepancy_of, implausible, likeliest, significant
 from ffcomp.diagnose.intervals import intervals_of
 from ffcomp.diagnose.noise import (
     NoiseFloor,
@@ -33,10 +33,11 @@ from ffcomp.diagnose.noise import (
 )
 from ffcomp.diagnose.parsimony import parsimonious_fit
 from ffcomp.diagnose.problem import Parameter, Problem
+from ffcomp.diagnose.progress import Progress, Stage
 from ffcomp.diagnose.recording_delays import belongs_to_recording
 from ffcomp.diagnose.recording_faults import Fault, fault_of_recordings, odd_signal
 from ffcomp.diagnose.score_test import Screened, screen
-from ffcomp.diagnose.selection import Search, Selection, select
+from ffcomp.diagnose.selection import Search, Selection, find_best, finish, on_all_data
 from ffcomp.identify.uncertainty import Estimate
 from models.arrays import FloatArray
 
@@ -83,11 +84,18 @@ class Diagnosis:
     file_off: Fit | None = (
         None  # the machine's numbers alone, far beyond their uncertainties, where they explain as much
     )
+    searched: Hypothesis | None = None  # the best, on the data on which the others were tried
+    share: float = 1.0  # of the data on which they were
 
     @property
     def unproven(self) -> list[HeldOut]:
         """What was left out of the fit, and is not explained there."""
         return [] if self.best is None else unproven(self.held_out, self.estimation.tolerance)
+
+    def behind(self, h: Hypothesis) -> float:
+        """Return by how much −2 ln Z of all data a hypothesis that was tried is less likely than the best."""
+        best = self.searched or self.best
+        return 0.0 if best is None else (h.fit.evidence - best.fit.evidence) / self.share
 
     @property
     def invisible(self) -> list[str]:
@@ -109,6 +117,7 @@ def diagnose(problem: Problem, progress: Progress = lambda _: None) -> Diagnosis
 
 
 def _searched(problem: Problem, progress: Progress) -> Diagnosis:
+    progress(Stage(1, "estimating the noise"))
     noise = noise_floor(problem)
     if not noise.from_repeats:
         progress("no repeats: the noise floor is taken from above the model's band")
@@ -117,25 +126,33 @@ def _searched(problem: Problem, progress: Progress) -> Diagnosis:
     chance = CERTAIN * _spread(estimation) if noise.from_repeats else 0.0
     estimation = replace(estimation, tolerance=max(estimation.tolerance, chance))
     least = max(EXISTS, chance) if noise.from_repeats else estimation.tolerance
-    progress("fitting the machine's own parameters")
+    progress(Stage(2, "fitting the machine's own parameters"))
     filed = _as_filed(estimation)
     base = fit(estimation, filed.parameters, filed.z, filed.jacobian, iterations=12)
-    progress(f"left after retuning: {discrepancy_of(base):+.3f} of the noise")
+    times = float(np.sqrt(max(1.0 + discrepancy_of(base), 0.0)))
+    progress(f"the machine's own parameters alone: the error that is left is {times:.4g} times the noise")
     fault = fault_of_recordings(estimation, problem.simulate({}), base)
     if fault is not None:
         return Diagnosis("unknown", None, None, base, base, estimation, noise, [], finding="recording", fault=fault)
-    progress(f"screening {len(problem.candidates)} effects")
-    screened = screen(replace(estimation, coarse=True), base, list(problem.candidates))
-    none = Diagnosis("none", None, None, base, base, estimation, noise, screened)
     small = discrepancy_of(base) < least
-    if small and not implausible(base) and (not screened or screened[0].evidence > -PROMISING):
-        return none
-    bases = _bases(estimation, filed, base, screened, small)
-    selection = select(Search(estimation, bases, base, progress))
+    found = None if small else _in_excerpt(estimation, base, progress)
+    if found is None:
+        progress(Stage(3, f"screening {len(problem.candidates)} effects"))
+        screened = screen(replace(estimation, coarse=True), base, list(problem.candidates))
+        if small and not implausible(base) and (not screened or screened[0].evidence > -PROMISING):
+            return Diagnosis("none", None, None, base, base, estimation, noise, screened)
+        search = Search(estimation, _bases(estimation, filed, base, screened, small), base, progress)
+        begun = find_best(search)
+        progress(Stage(6, "fitting what was found with exact derivatives"))
+        best = finish(search, begun)
+        found = _Found(best.best, best, screened)
+    none = Diagnosis("none", None, None, base, base, estimation, noise, found.screened)
+    selection = found.selection
+    progress(Stage(7, "testing it at places that were left out of the fit"))
     retuned = _retuned(estimation, selection.best)
     if discrepancy_of(retuned) < least and not significant(selection.best.fit, retuned, 0.0):
         return replace(none, base=retuned, final=retuned)
-    tested = _tested(none, selection)
+    tested = _tested(none, found)
     # where there was hardly a discrepancy, an effect that fails a test leaves nothing unexplained
     return none if small and tested.rejections else tested
 
@@ -253,22 +270,61 @@ def _retuned(estimation: EstimationProblem, best: Hypothesis) -> Fit:
     return fit(estimation, best.own_parameters, best.fit.z[:own], best.fit.jacobian[:, :own], iterations=4)
 
 
-def _tested(none: Diagnosis, selection: Selection) -> Diagnosis:
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """What a search has found."""
+
+    searched: Hypothesis  # the best, on the data on which the others were tried
+    selection: Selection  # the best on all data, and all that were tried
+    screened: Sequence[Screened]
+    share: float = 1.0  # of the data, on which the others were tried
+
+
+def _in_excerpt(estimation: EstimationProblem, base: Fit, progress: Progress) -> _Found | None:
+    """Search in an excerpt of the recordings and fit what is found to all; None if all is needed for the search."""
+    part = excerpt_of(estimation, discrepancy_of(base))
+    if part is None:
+        return None
+    told = (
+        f"screening {len(part.problem.candidates)} effects in {100 * part.share:.0f} % of the data, for they stand out"
+    )
+    progress(Stage(3, told))
+    filed = _as_filed(part)
+    residual = part.residual(base.values)
+    columns = derivatives(part, base.parameters, base.z, residual, range(len(base.z)))
+    retuned = fit(part, base.parameters, base.z, columns, iterations=6)
+    screened = screen(replace(part, coarse=True), retuned, list(part.problem.candidates))
+    found = find_best(Search(part, _bases(part, filed, retuned, screened, small=False), retuned, progress))
+    progress(Stage(6, "fitting what was found to all data"))
+    whole = Search(estimation, (), base, progress)
+    best = on_all_data(whole, found)
+    if best is None:
+        progress("all data show more than the excerpt: the search begins anew in all of it")
+        return None
+    last = finish(whole, best)
+    return _Found(found.best, replace(last, tried=found.tried), screened, part.share)
+
+
+def _tested(none: Diagnosis, found: _Found) -> Diagnosis:
     """Put the best hypothesis to the acceptance tests."""
-    best, estimation = selection.best, none.estimation
+    best, searched, estimation = found.selection.best, found.searched, none.estimation
     final = parsimonious_fit(estimation, best)
     intervals = intervals_of(estimation, best.fit, final.values)
     held_out = hold_out(estimation, none.base, best.fit)
     failed = tuple(rejections(none.base, best, held_out, intervals, estimation.tolerance))
-    ranked = likeliest([best, *(h for h in selection.tried if h.names != best.names)])
+    if best.names != searched.names:  # a smaller rival, or fewer effects
+        searched = next((h for h in likeliest(found.selection.tried) if h.names == best.names), searched)
+    ranked = likeliest([searched, *(h for h in found.selection.tried if h.names != best.names)])
     return replace(
         none,
         verdict="unknown" if failed else "effects",
         named=None if failed else best,
         best=best,
         final=final,
+        searched=searched,
+        share=found.share,
         tried=ranked,
-        competing=competing_with(best, ranked),
+        competing=competing_with(searched, ranked, found.share),
         held_out=held_out,
         rejections=failed,
         intervals=intervals,

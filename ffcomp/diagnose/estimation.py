@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ffcomp.diagnose.noise import Whitener
+from ffcomp.diagnose.noise import Whitener, whitener
 from ffcomp.diagnose.problem import InfeasibleParameters, Problem
 from models.arrays import FloatArray
 
 WELL_KNOWN, GUESSED = 0.1, 3.0  # share of the noise to which its floor is known: from repeats, or without any
+SURE = 3000.0  # χ² of a discrepancy above its expectation in which effects are told apart
 INFEASIBLE = 1e6  # standard deviations, each entry of the residual of infeasible parameters
 
 
@@ -25,6 +26,7 @@ class EstimationProblem:
     coarse: bool = False  # quicker simulations
     given: Mapping[str, float] = field(default_factory=dict)  # values of parameters that are not fitted
     tolerance: float = WELL_KNOWN  # of the noise: a smaller discrepancy counts as none
+    share: float = 1.0  # of all data
 
     def residual(self, values: Mapping[str, float]) -> FloatArray:
         """Return measured − simulated, whitened: (rows,)."""
@@ -48,3 +50,24 @@ def estimation_problem(problem: Problem, whiten: Whitener) -> EstimationProblem:
     """Whiten the measurements; the tolerance follows from how well the noise is known."""
     tolerance = WELL_KNOWN if whiten.floor.from_repeats else GUESSED
     return EstimationProblem(problem, whiten, whiten([o.measured for o in problem.observations]), tolerance=tolerance)
+
+
+def excerpt_of(estimation: EstimationProblem, discrepancy: float) -> EstimationProblem | None:
+    """Return the problem on an excerpt of its data that shows such a discrepancy, of the noise, as surely.
+
+    None where the discrepancy is too small for that, or there is no excerpt.
+    """
+    rows = len(estimation.measured)
+    if discrepancy < 2 * estimation.tolerance or discrepancy * rows < SURE:
+        return None
+    problem = estimation.problem.excerpt()
+    if problem is None:
+        return None
+    whiten = whitener(problem.observations, estimation.whiten.floor, estimation.whiten.band_hz)
+    measured = whiten([o.measured for o in problem.observations])
+    share = len(measured) / rows
+    return (
+        None
+        if share * discrepancy * rows < SURE
+        else replace(estimation, problem=problem, whiten=whiten, measured=measured, share=share)
+    )

@@ -8,8 +8,8 @@ Laplace's approximation, with J the derivative of the simulation by z (MacKay, N
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -63,16 +63,21 @@ class Fit:
         """−2 ln Z without what all hypotheses share: the smaller the likelier."""
         return self.cost + float(np.linalg.slogdet(self.information)[1])
 
-    @property
+    @cached_property
+    def slope(self) -> FloatArray:
+        """(p,) Jᵀr: half of what |r|² falls by with each z, at first."""
+        return np.asarray(self.jacobian.T @ self.residual)
+
+    @cached_property
     def best_step(self) -> FloatArray:
         """(p,) the step to the optimum inside the bounds if the simulation were linear."""
-        gradient = self.jacobian.T @ self.residual - self.z
+        gradient = self.slope - self.z
         return step_within(self.parameters, self.z, self.information, gradient)
 
-    @property
+    @cached_property
     def predicted_gain(self) -> float:
         """The decrease of the cost by the best step."""
-        gradient, step = self.jacobian.T @ self.residual - self.z, self.best_step
+        gradient, step = self.slope - self.z, self.best_step
         return float(2 * gradient @ step - step @ self.information @ step)
 
     @property
@@ -135,9 +140,15 @@ def derivatives(
     which: Sequence[int],
     central: bool = False,
     sizes: FloatArray | None = None,
+    rough: int = 0,
 ) -> FloatArray:
-    """Differentiate the simulation by some of z: (rows, len(which)); see `least_squares.differences`."""
-    return differences(_batched(estimation, parameters), z, residual, which, central, sizes)
+    """Differentiate the simulation by some of z: (rows, len(which)); see `least_squares.differences`.
+
+    Parameters
+    ----------
+    rough : the first so many parameters are differentiated in coarse simulations.
+    """
+    return differences(_batched(estimation, parameters, rough), z, residual, which, central, sizes)
 
 
 def fit(
@@ -150,10 +161,11 @@ def fit(
     small_gain: float = SMALL_GAIN,
     renew_all: bool = True,
     exact: bool = False,
+    rough: int = 0,
 ) -> Fit:
-    """Minimise |r|² + |z|² from `start`, (p,); see `least_squares.minimise_batched` for the options."""
+    """Minimise |r|² + |z|² from `start`, (p,); see `derivatives` and `least_squares.minimise_batched`."""
     found = minimise_batched(
-        _batched(estimation, parameters),
+        _batched(estimation, parameters, rough),
         start,
         jacobian,
         renew=renew,
@@ -165,7 +177,9 @@ def fit(
     return Fit(tuple(parameters), found.z, found.residual, found.jacobian)
 
 
-def _batched(estimation: EstimationProblem, parameters: Sequence[Parameter]) -> BatchedProblem:
-    return BatchedProblem(
-        lambda points: estimation.residuals([values_at(parameters, z) for z in points]), *limits_of(parameters)
-    )
+def _batched(estimation: EstimationProblem, parameters: Sequence[Parameter], rough: int = 0) -> BatchedProblem:
+    def evaluated(problem: EstimationProblem) -> Callable[[Sequence[FloatArray]], Iterator[FloatArray]]:
+        return lambda points: problem.residuals([values_at(parameters, z) for z in points])
+
+    quick = evaluated(replace(estimation, coarse=True)) if rough and not estimation.coarse else None
+    return BatchedProblem(evaluated(estimation), *limits_of(parameters), quick, rough)

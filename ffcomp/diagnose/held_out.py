@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ffcomp.diagnose.estimation import EstimationProblem
 from ffcomp.diagnose.fit import Fit, clipped, step_within, values_at
@@ -103,12 +104,27 @@ def _left_out(estimation: EstimationProblem, fitted: Fit, members: Sequence[int]
     free = tuple(fitted.parameters[i] for i in keep)
     j, r = fitted.jacobian[inside][:, keep], fitted.residual[inside]
     normal, slope = np.eye(len(keep)) + j.T @ j, j.T @ r - fitted.z[keep]
-    step = np.zeros(len(fitted.z))
-    step[keep] = step_within(free, fitted.z[keep], normal, slope)
+    step, moved = np.zeros(len(fitted.z)), step_within(free, fitted.z[keep], normal, slope)
+    step[keep] = moved
     trials = [clipped(fitted.parameters, fitted.z + share * step) for share in SHARES]
-    residuals = estimation.residuals([values_at(fitted.parameters, z) for z in trials])
-    costs = [float(x[inside] @ x[inside] + z @ z) for x, z in zip(residuals, trials, strict=True)]
+    # the whole step, if it brings at least half of what it promises: then there is hardly a better one
+    promised, before = float(2 * slope @ moved - moved @ normal @ moved), _cost(r, fitted.z)
+    costs = _costs(estimation, fitted, trials[:1], inside)
+    if not before - costs[0] > promised / 2:
+        costs += _costs(estimation, fitted, trials[1:], inside)
     return estimation.problem.simulate(values_at(fitted.parameters, trials[int(np.argmin(costs))]), members)
+
+
+def _costs(
+    estimation: EstimationProblem, fitted: Fit, trials: Sequence[FloatArray], inside: NDArray[np.bool_]
+) -> list[float]:
+    """Simulate everything with each of these z: the cost of each outside of what is left out."""
+    residuals = estimation.residuals([values_at(fitted.parameters, z) for z in trials])
+    return [_cost(x[inside], z) for x, z in zip(residuals, trials, strict=True)]
+
+
+def _cost(residual: FloatArray, z: FloatArray) -> float:
+    return float(residual @ residual + z @ z)
 
 
 def _excess(estimation: EstimationProblem, simulated: Sequence[FloatArray], members: Sequence[int]) -> float:

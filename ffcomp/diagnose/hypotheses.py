@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from ffcomp.diagnose.estimation import EstimationProblem
 from ffcomp.diagnose.fit import Fit
 from ffcomp.diagnose.problem import Candidate, Parameter
+from ffcomp.diagnose.progress import Now, Progress
 from models.arrays import FloatArray
 
 SIGNIFICANT = 10.0  # −2 ln Z
@@ -15,8 +18,6 @@ ADDED_SHARE = 0.4  # of the discrepancy must an added effect remove
 LARGE = 1.0  # discrepancy, of the noise, from which effects may be too strong to be linear
 IMPLAUSIBLE = 3.0  # mean square of z that retuning may cost before another effect is looked for
 NEAR = 0.05  # of the noise, added where discrepancies are compared
-
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,5 +126,15 @@ def without_effect(h: Hypothesis, dropped: Candidate) -> Hypothesis:
 
 def log_fit(h: Hypothesis, progress: Progress, note: str = "") -> Hypothesis:
     """Tell the progress of a hypothesis, and return it."""
-    progress(f"{' + '.join(c.name for c in h.effects)}{note}: {h.discrepancy:+.3f} of the noise is left")
+    times = float(np.sqrt(max(1.0 + h.discrepancy, 0.0)))  # rms
+    progress(f"{_effects(h.effects)}{note}: the error that is left is {times:.4g} times the noise")
     return h
+
+
+def log_try(effects: Sequence[Candidate], progress: Progress, note: str = "") -> None:
+    """Tell what is being fitted."""
+    progress(Now(f"fitting {_effects(effects)}{note}"))
+
+
+def _effects(effects: Sequence[Candidate]) -> str:
+    return " + ".join(c.name for c in effects)

@@ -13,14 +13,15 @@ from ffcomp.diagnose.hypotheses import (
     LARGE,
     NEAR,
     Hypothesis,
-    Progress,
     comparable,
     discrepancy_of,
     distinct,
     likeliest,
     log_fit,
+    log_try,
 )
 from ffcomp.diagnose.problem import Parameter
+from ffcomp.diagnose.progress import Progress
 from ffcomp.diagnose.score_test import Screened
 from models.arrays import FloatArray
 
@@ -119,6 +120,7 @@ def fit_start(
     bar : smallest discrepancy so far; where even the linear prediction of the second fit stays far above it, that
         fit is left out.
     """
+    log_try([s.candidate for s in start.chosen], progress)
     fixed, everything = with_machine_fixed(estimation, base), range(len(start.parameters))
     residual = fixed.residual(values_at(start.parameters, start.z))
     columns = derivatives(fixed, start.parameters, start.z, residual, everything)

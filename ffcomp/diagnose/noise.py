@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -160,17 +161,38 @@ class Whitener:
     band_hz: tuple[float, float]
 
     def __call__(self, signals: Sequence[FloatArray], only: Sequence[int] | None = None) -> FloatArray:
-        """Whiten (n, m) an observation, or of those in `only`: (rows,)."""
+        """Whiten (n, m) an observation, or of those in `only`: (rows,). One array for several is transformed once."""
         chosen = range(len(self.observations)) if only is None else only
-        parts = [self._whitened(self.observations[i], x) for i, x in zip(chosen, signals, strict=True)]
+        found: dict[tuple[int, int], FloatArray] = {}
+        parts = []
+        for i, x in zip(chosen, signals, strict=True):
+            key = (id(x), self._alike[i])
+            if key not in found:
+                found[key] = self._whitened(i, x)
+            parts.append(found[key])
         return np.concatenate(parts) if parts else np.zeros(0)
 
-    def _whitened(self, observation: Observation, x: FloatArray) -> FloatArray:
-        spectrum, frequency = self.spectrum(observation, x)
-        power = self.power(observation)
-        scale = np.stack([np.sqrt(self.floor.at(s, frequency) * power) for s in observation.signals])
-        white = spectrum / scale
+    def _whitened(self, i: int, x: FloatArray) -> FloatArray:
+        white = self.spectrum(self.observations[i], x)[0] / self._scales[self._alike[i]]
         return np.concatenate([white.real.ravel(), white.imag.ravel()])
+
+    @cached_property
+    def _alike(self) -> list[int]:
+        """The first observation that is whitened in the same way, of each: as long, same signals, same gaps."""
+        kinds = [(len(o.measured), o.rate_hz, o.signals, ~np.isfinite(o.measured)) for o in self.observations]
+        return [
+            next(k for k in range(i + 1) if kinds[k][:3] == kind[:3] and np.array_equal(kinds[k][3], kind[3]))
+            for i, kind in enumerate(kinds)
+        ]
+
+    @cached_property
+    def _scales(self) -> dict[int, FloatArray]:
+        """The noise's standard deviation in the transform, (m, k), of each kind of observation."""
+        return {i: self._scale(self.observations[i]) for i in set(self._alike)}
+
+    def _scale(self, observation: Observation) -> FloatArray:
+        frequency, power = lines(observation, self.band_hz)[0], self.power(observation)
+        return np.stack([np.sqrt(self.floor.at(s, frequency) * power) for s in observation.signals])
 
     def power(self, observation: Observation) -> float:
         """Return the power of a real or imaginary part of the transform, per unit²/Hz of density."""
@@ -180,10 +202,9 @@ class Whitener:
     def spectrum(self, observation: Observation, x: FloatArray) -> tuple[ComplexArray, FloatArray]:
         """Transform the faded signals (n, m): (m, k) inside the band, and (k,) Hz."""
         frequency, keep = lines(observation, self.band_hz)
-        faded = x * taper(len(x), observation.rate_hz)[:, None]
-        gaps = ~np.isfinite(observation.measured)
-        faded = np.where(gaps, 0.0, faded)  # missing samples count on neither side
-        return np.fft.rfft(faded, axis=0)[keep].T, frequency
+        faded = x.T * taper(len(x), observation.rate_hz)
+        faded = np.where(np.isfinite(observation.measured.T), faded, 0.0)  # missing samples count on neither side
+        return np.fft.rfft(faded)[:, keep], frequency
 
     def frequencies(self) -> FloatArray:
         """Return the frequency of every entry of the vector, (rows,) Hz."""

@@ -8,8 +8,9 @@ import numpy as np
 
 from ffcomp.diagnose.estimation import EstimationProblem
 from ffcomp.diagnose.fit import Fit, fit
-from ffcomp.diagnose.hypotheses import NEAR, SIGNIFICANT, Hypothesis, Progress, likeliest, misfit, significant
+from ffcomp.diagnose.hypotheses import NEAR, SIGNIFICANT, Hypothesis, likeliest, misfit, significant
 from ffcomp.diagnose.initial_fits import FEW
+from ffcomp.diagnose.progress import Progress
 from ffcomp.diagnose.refinement import refine
 from models.arrays import FloatArray
 
@@ -28,17 +29,18 @@ def most_parsimonious(
     estimation: EstimationProblem, best: Hypothesis, tried: Sequence[Hypothesis], progress: Progress
 ) -> Hypothesis:
     """Prefer another hypothesis with as many effects and fewer parameters, if it is as good once it is refined."""
-    competing = [h for h in tried if h.names != best.names and len(h.effects) == len(best.effects)]
-    smaller = [
-        h
-        for h in competing
-        if len(h.fit.parameters) < len(best.fit.parameters) and h.discrepancy < best.discrepancy + NEAR
-    ]
-    for h in likeliest(smaller)[:1]:
+    for h in smaller_rivals(best, tried)[:1]:
         found = refine(estimation, h, progress)
         if not significant(best.fit, found.fit):
             return found
     return best
+
+
+def smaller_rivals(best: Hypothesis, tried: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """List hypotheses of other effects, as many, with fewer parameters, that leave as little; the likeliest first."""
+    competing = [h for h in tried if h.names != best.names and len(h.effects) == len(best.effects)]
+    fewer = [h for h in competing if len(h.fit.parameters) < len(best.fit.parameters)]
+    return likeliest([h for h in fewer if h.discrepancy < best.discrepancy + NEAR])
 
 
 def _within(h: Hypothesis, best: Hypothesis) -> bool:

@@ -12,13 +12,16 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ffcomp.diagnose.noise import BAND_HZ, fill_gaps
-from ffcomp.diagnose.problem import Candidate, InfeasibleParameters, Observation, Parameter, Problem
+from ffcomp.diagnose.excerpts import Part, excerpt_parts, led_in
+from ffcomp.diagnose.noise import BAND_HZ
+from ffcomp.diagnose.observe import compared, every_row, observation_of
+from ffcomp.diagnose.problem import Candidate, InfeasibleParameters, Parameter, Problem
 from ffcomp.diagnose.recording_delays import as_recorded, belongs_to_recording, delay_parameters
 from ffcomp.diagnose.repeats import aligned, repeats_of
 from ffcomp.diagnose.validation import carriages_of
@@ -30,12 +33,12 @@ from models.effects.effect import Parameter as EffectParameter
 from models.machine import Machine
 from models.parameters import value_of, with_values
 from models.printer.kernels.record import LANES
-from models.printer.parameters import printer_modes, printer_parameters
+from models.printer.parameters import ConvertedPrinter, converted_printer
 from models.printer.printer import SMOOTH_STEP_S, PrinterMotion, longest_step, simulate_printers
 
 STEP_S = 1 / 3200  # of a printer without dry friction or backlash: some nanometres off
 COARSE_STEP_S, COARSE_KINKED_STEP_S = 1 / 1600, 1 / 3200  # where effects are only ranked
-ENOUGH_HZ = 1600.0  # eight times the band's end; faster recordings are thinned to it
+LONGER_STEP = 1.03  # a step may be so much longer where that saves one a row
 KEPT, AT_ONCE = 4, 24  # machines whose motions are held
 WORKERS = min(8, os.cpu_count() or 1)
 REACH = 5.0  # standard deviations by which a parameter may be retuned: beyond, it is an effect
@@ -60,8 +63,8 @@ class PrinterProblem(Problem):
         self, machine: Machine, recordings: Sequence[Recording], names: Sequence[str] = tuple(CATALOGUE)
     ) -> None:
         self.machine, self.recordings = machine, recordings
-        self.commands = [carriages_of(machine, recording)[:: _every(recording)] for recording in recordings]
-        recorded = [_observation(machine, recording, c) for recording, c in zip(recordings, self.commands, strict=True)]
+        self.commands = [compared(carriages_of(machine, one), every_row(one)) for one in recordings]
+        recorded = [observation_of(machine, one, c) for one, c in zip(recordings, self.commands, strict=True)]
         self.repeats = repeats_of(recorded)
         self.observations = aligned(recorded, self.repeats)
         self.parameters = (*_parameters(machine), *delay_parameters(recordings, recorded, self.repeats))
@@ -71,6 +74,19 @@ class PrinterProblem(Problem):
         )
         self.same_command = [_first_equal(self.commands, i) for i in range(len(recordings))]
         self.kept: dict[_Key, dict[int, PrinterMotion]] = {}
+        self.parts = [Part(0, len(command), 0) for command in self.commands]
+
+    def excerpt(self) -> PrinterProblem | None:
+        """Return the problem on a part of each recording; None where that would hardly be quicker."""
+        parts = excerpt_parts(self.observations, self.same_command)
+        if parts is None:
+            return None
+        shorter = copy(self)
+        shorter.kept, shorter.parts = {}, parts
+        led = {i: led_in(self.commands[i], parts[i], self.observations[i].rate_hz) for i in set(self.same_command)}
+        shorter.commands = [led[i] for i in self.same_command]
+        shorter.observations = [part.of(o) for part, o in zip(parts, self.observations, strict=True)]
+        return shorter
 
     def simulate(
         self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
@@ -95,15 +111,13 @@ class PrinterProblem(Problem):
     def _answer(
         self, values: Mapping[str, float], motions: Mapping[int, PrinterMotion], chosen: Sequence[int]
     ) -> list[FloatArray]:
-        machine = self.machine_with(values)
-        return [
-            as_recorded(
-                values,
-                self.observations[i],
-                _signals(machine, motions[self.same_command[i]], self.observations[i].signals),
-            )
-            for i in chosen
-        ]
+        machine, found = self.machine_with(values), dict[tuple[int, str, tuple[str, ...]], FloatArray]()
+        kinds = [(self.same_command[i], self.observations[i].repeat_of, self.observations[i].signals) for i in chosen]
+        for i, kind in zip(chosen, kinds, strict=True):
+            if kind not in found:
+                felt = _signals(machine, motions[kind[0]], kind[2], self.parts[i])
+                found[kind] = as_recorded(values, self.observations[i], felt)
+        return [found[kind] for kind in kinds]  # the same array for repeats, which the whitener transforms once
 
     def _motions(
         self, many: Sequence[Mapping[str, float]], needed: Sequence[int], coarse: bool
@@ -126,10 +140,11 @@ class PrinterProblem(Problem):
     ) -> list[dict[int, PrinterMotion] | InfeasibleParameters]:
         """Simulate on every core, in SIMD lanes what takes equal steps."""
         machines = [self.machine_with(values) for values in many]
+        printers = [converted_printer(machine) for machine in machines]
         by_steps: dict[_Steps, list[tuple[int, int]]] = {}
         for i in sorted(needed, key=lambda i: len(self.commands[i])):
-            for n, machine in enumerate(machines):
-                by_steps.setdefault(_steps(machine, self.observations[i].rate_hz, coarse), []).append((n, i))
+            for n, printer in enumerate(printers):
+                by_steps.setdefault(_steps(printer, self.observations[i].rate_hz, coarse), []).append((n, i))
         packs = [
             (steps, tasks[k : k + LANES]) for steps, tasks in by_steps.items() for k in range(0, len(tasks), LANES)
         ]
@@ -137,7 +152,13 @@ class PrinterProblem(Problem):
         def simulate(pack: tuple[_Steps, Sequence[tuple[int, int]]]) -> Sequence[PrinterMotion | ValueError]:
             steps, tasks = pack
             commands = [self.commands[i] for _, i in tasks]
-            return simulate_printers([machines[n] for n, _ in tasks], commands, steps.row_s, substeps=steps.substeps)
+            return simulate_printers(
+                [machines[n] for n, _ in tasks],
+                commands,
+                steps.row_s,
+                substeps=steps.substeps,
+                converted=[printers[n] for n, _ in tasks],
+            )
 
         motions: list[dict[int, PrinterMotion | ValueError]] = [{} for _ in machines]
         with ThreadPoolExecutor(WORKERS) as pool:
@@ -170,13 +191,13 @@ class _Steps:
     substeps: int
 
 
-def _steps(machine: Machine, rate_hz: float, coarse: bool) -> _Steps:
-    longest = longest_step(printer_parameters(machine), printer_modes(machine))
+def _steps(printer: ConvertedPrinter, rate_hz: float, coarse: bool) -> _Steps:
+    longest = longest_step(*printer)
     if longest == SMOOTH_STEP_S:
         longest = COARSE_STEP_S if coarse else STEP_S
     elif coarse:
         longest = max(longest, COARSE_KINKED_STEP_S)
-    return _Steps(1 / rate_hz, math.ceil(1 / rate_hz / longest * (1 - 1e-9)))
+    return _Steps(1 / rate_hz, math.ceil(1 / rate_hz / longest / LONGER_STEP))
 
 
 def _whole(motions: Mapping[int, PrinterMotion | ValueError]) -> dict[int, PrinterMotion] | InfeasibleParameters:
@@ -354,53 +375,21 @@ def _grid(effect: Effect, machine: Machine) -> list[dict[str, float]]:
     return grid
 
 
-# ---- recordings ----------------------------------------------------------------------------------
+# ---- signals ---------------------------------------------------------------------------------------
 
 
-def _every(recording: Recording) -> int:
-    return max(1, int(recording.sample_rate_hz / ENOUGH_HZ * (1 + 1e-6)))
-
-
-def _observation(machine: Machine, recording: Recording, command: FloatArray) -> Observation:
-    """Thin a recording and put its signals in one array.
-
-    Parameters
-    ----------
-    command : (n, 3) mm, carriages, thinned as the recording is.
-    """
-    signals = (*recording.acceleration, *recording.position)
-    every = _every(recording)
-    values = [_thinned(x, every) for x in (*recording.acceleration.values(), *recording.position.values())]
-    nozzle = machine.kinematics.forward(command)
-    position = tuple(float(5 * round(x / 5)) for x in (np.min(nozzle, axis=0) + np.max(nozzle, axis=0))[:2] / 2)
-    rate = recording.sample_rate_hz / every
-    moving = {**dict(zip("ABC", command.T, strict=True)), **dict(zip("xyz", nozzle.T, strict=True))}
-    speed = np.stack([np.gradient(moving[s[4:]], 1 / rate) for s in signals], axis=1)
-    return Observation(recording.source, recording.repeat_of, position, rate, signals, np.stack(values, axis=1), speed)
-
-
-def _thinned(x: FloatArray, every: int) -> FloatArray:
-    """Keep every so many rows after a zero-phase low-pass; missing samples stay missing."""
-    if every == 1:
-        return x
-    from scipy.signal import resample_poly
-
-    missing = ~np.isfinite(x)
-    gaps = np.convolve(missing, np.ones(2 * every + 1), "same")[::every] > 0
-    smooth = resample_poly(fill_gaps(x), 1, every, padtype="line")
-    return np.where(gaps, np.nan, smooth)
-
-
-def _signals(machine: Machine, motion: PrinterMotion, names: Sequence[str]) -> FloatArray:
-    """Return the sensor signals, (n, m), in the order of `names`."""
-    sensed = measured(machine, motion.signals)
+def _signals(machine: Machine, motion: PrinterMotion, names: Sequence[str], part: Part) -> FloatArray:
+    """Return the sensor signals, (n, m), in the order of `names`, of the rows that are compared."""
+    rows, felt = part.compared(len(motion.t_s)), motion.signals
+    dt_s = float(motion.t_s[1] - motion.t_s[0])
+    sensed = measured(machine, replace(felt, t_s=felt.t_s + dt_s * (part.last - rows.stop)))
     columns = []
     for name in names:
         kind, axis = name.split("_")
         carriage = axis in "ABC"
         i = "ABC".index(axis) if carriage else "xyz".index(axis)
         if kind == "acc":
-            columns.append((sensed.carriage if carriage else sensed.nozzle)[:, i])
+            columns.append((sensed.carriage if carriage else sensed.nozzle)[rows, i])
         else:
-            columns.append((motion.carriage_mm if carriage else motion.nozzle_mm)[:, i])
+            columns.append((motion.carriage_mm if carriage else motion.nozzle_mm)[rows, i])
     return np.stack(columns, axis=1)

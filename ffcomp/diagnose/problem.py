@@ -85,6 +85,10 @@ class Problem(ABC):
         InfeasibleParameters
         """
 
+    def excerpt(self) -> Problem | None:
+        """Return the problem on a part of its observations, which is quicker; None if there is none."""
+        return None
+
     def simulate_many(
         self, many: Sequence[Mapping[str, float]], only: Sequence[int] | None = None, *, coarse: bool = False
     ) -> Iterator[list[FloatArray] | InfeasibleParameters]:

@@ -13,15 +13,16 @@ from ffcomp.diagnose.fit import Fit, clipped, derivatives, fit, values_at
 from ffcomp.diagnose.hypotheses import (
     LARGE,
     Hypothesis,
-    Progress,
     implausible,
     largest_excess,
     log_fit,
+    log_try,
     significant,
     without_effect,
 )
 from ffcomp.diagnose.initial_fits import FEW, QUICK
 from ffcomp.diagnose.problem import Candidate, Parameter
+from ffcomp.diagnose.progress import Progress
 from models.arrays import FloatArray
 
 SHAPE_SHARE = 0.1  # of the discrepancy must a freer shape of the same effect remove
@@ -37,13 +38,15 @@ def continue_fit(
     ----------
     known : (rows, own) derivatives by the machine's parameters, where they are known well enough.
     """
+    log_try(h.effects, progress, note)
     everything = range(len(h.fit.parameters))
     asked = everything if known is None else everything[-h.added :]
-    columns = derivatives(estimation, h.fit.parameters, h.fit.z, estimation.residual(h.fit.values), asked)
+    residual = estimation.residual(h.fit.values)
+    columns = derivatives(estimation, h.fit.parameters, h.fit.z, residual, asked, rough=h.own)
     if known is not None:
         columns = np.hstack([known, columns])
     renew = everything[-h.added :] if h.added <= FEW else ()
-    found = fit(estimation, h.fit.parameters, h.fit.z, columns, renew, iterations=10, small_gain=QUICK)
+    found = fit(estimation, h.fit.parameters, h.fit.z, columns, renew, iterations=10, small_gain=QUICK, rough=h.own)
     return log_fit(Hypothesis(h.effects, found), progress, note)
 
 
@@ -60,14 +63,21 @@ def restart_from_file(estimation: EstimationProblem, h: Hypothesis) -> Hypothesi
         estimation, added, h.effect_z, columns, renew if len(added) <= 2 * FEW else (), 6, QUICK, renew_all=False
     )
     z = np.concatenate([np.zeros(own), alone.z])
-    rest = derivatives(estimation, h.fit.parameters, z, alone.residual, range(own))
+    rest = derivatives(estimation, h.fit.parameters, z, alone.residual, range(own), rough=own)
     return Hypothesis(h.effects, Fit(h.fit.parameters, z, alone.residual, np.hstack([rest, alone.jacobian])))
 
 
-def continue_or_restart(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:
-    """Continue a fit; where that leaves a large discrepancy, also restart from the file, and keep the likelier."""
+def continue_or_restart(
+    estimation: EstimationProblem, h: Hypothesis, progress: Progress, little: float = LARGE
+) -> Hypothesis:
+    """Continue a fit; where that leaves a large discrepancy, also restart from the file, and keep the likelier.
+
+    Parameters
+    ----------
+    little : discrepancy that is not large.
+    """
     found = continue_fit(estimation, h, progress)
-    if found.discrepancy < LARGE and not implausible(found.fit, found.own):
+    if found.discrepancy < max(little, LARGE) and not implausible(found.fit, found.own):
         return found
     again = continue_fit(estimation, restart_from_file(estimation, found), progress, ", begun anew")
     return min(found, again, key=lambda x: x.fit.evidence)
@@ -76,7 +86,9 @@ def continue_or_restart(estimation: EstimationProblem, h: Hypothesis, progress: 
 def refit(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:
     """Fit to the end, so that the gain of another effect is not what this fit had not yet reached."""
     begun = continue_fit(estimation, h, progress)
-    found = fit(estimation, begun.fit.parameters, begun.fit.z, begun.fit.jacobian, iterations=8, small_gain=QUICK / 10)
+    found = fit(
+        estimation, begun.fit.parameters, begun.fit.z, begun.fit.jacobian, (), 8, small_gain=QUICK / 10, rough=h.own
+    )
     return log_fit(Hypothesis(h.effects, found), progress, " to the end")
 
 
@@ -90,6 +102,7 @@ def refine(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> 
 
     It begins at the file's own parameters if the effects by themselves explain as much there.
     """
+    log_try(h.effects, progress, " with exact derivatives")
     own, added = h.own, h.effect_parameters
     alone = fit(estimation, added, h.effect_z, h.fit.jacobian[:, own:], range(len(added)), 5, renew_all=False)
     start = np.concatenate([np.zeros(own), alone.z]) if alone.evidence < h.fit.evidence else h.fit.z

@@ -163,8 +163,9 @@ def _confidence(found: Diagnosis, effect: str) -> float:
     if found.best is None:
         return 0.0
     fitted = found.best.fit
-    without = min([h.fit.evidence for h in found.tried if effect not in h.names] + [found.base.evidence])
-    sure = float(1 / (1 + np.exp(-np.clip((without - fitted.evidence) / misfit(fitted) / 2, -50, 50))))
+    behind = [found.behind(h) for h in found.tried if effect not in h.names]
+    nearest = min([*behind, found.base.evidence - fitted.evidence])
+    sure = float(1 / (1 + np.exp(-np.clip(nearest / misfit(fitted) / 2, -50, 50))))
     return min(sure, ONE_PLACE if _left_out(found) != "places" else 1.0, 1.0 if found.file_off is None else FILE_OFF)
 
 

@@ -10,7 +10,7 @@ of their priors, and the base fit at its optimum:
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,7 +47,8 @@ def screen(estimation: EstimationProblem, base: Fit, candidates: Sequence[Candid
     others = [(c.other, shape) for c in candidates if c.other is not None for shape in _other_shapes(c, shared[c.name])]
     other = _best(base, _signatures(estimation, base, others))
     found = [min((x[c.name] for x in (shared, other) if c.name in x), key=lambda s: s.evidence) for c in candidates]
-    return sorted(found, key=lambda s: s.evidence)
+    whole = 1 / np.sqrt(estimation.share)  # an excerpt shows less than what these recordings could
+    return sorted((replace(s, strength=float(whole * s.strength)) for s in found), key=lambda s: s.evidence)
 
 
 def _other_shapes(c: Candidate, best: Screened) -> list[Mapping[str, float]]:
@@ -63,12 +64,25 @@ Tried = tuple[Candidate, Mapping[str, float], FloatArray]
 
 
 def _best(base: Fit, tries: Iterator[Tried]) -> dict[str, Screened]:
-    found: dict[str, Screened] = {}
+    found: dict[str, _Scored] = {}
     for candidate, shape, signature in tries:
         one = _scored(base, candidate, shape, signature)
         if candidate.name not in found or one.evidence < found[candidate.name].evidence:
             found[candidate.name] = one
-    return found
+    return {name: _screened(base, one) for name, one in found.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class _Scored:
+    """What products with the signature tell, without another vector of its length."""
+
+    candidate: Candidate
+    shape: Mapping[str, float]
+    signature: FloatArray
+    step: FloatArray  # of the machine's parameters and the amplitudes together
+    gain: float
+    evidence: float
+    strength: float
 
 
 def _signatures(
@@ -90,20 +104,26 @@ def _probe(candidate: Candidate, amplitude: str, shape: Mapping[str, float]) -> 
     return {**rest, amplitude: candidate.probe[amplitude], **shape}
 
 
-def _scored(base: Fit, candidate: Candidate, shape: Mapping[str, float], signature: FloatArray) -> Screened:
+def _scored(base: Fit, candidate: Candidate, shape: Mapping[str, float], signature: FloatArray) -> _Scored:
     cross = base.jacobian.T @ signature
-    retuned = np.linalg.solve(base.information, cross)
     added = np.eye(signature.shape[1]) + signature.T @ signature
-    schur = added - cross.T @ retuned
+    schur = added - cross.T @ np.linalg.solve(base.information, cross)
     step, gain = _joint_step(base, signature, cross, added)
-    estimate = step[len(base.z) :]
-    left = signature @ estimate + base.jacobian @ step[: len(base.z)]
-    left = left - base.jacobian @ np.linalg.solve(base.information, base.jacobian.T @ left)
-    length = float(np.linalg.norm(left))
     evidence = -gain + float(np.linalg.slogdet(schur)[1])
     strength = float(np.sqrt(max(np.trace(schur) - len(schur), 0.0)))
+    return _Scored(candidate, shape, signature, step, gain, evidence, strength)
+
+
+def _screened(base: Fit, one: _Scored) -> Screened:
+    """Complete what is kept of a candidate."""
+    own, estimate = one.step[: len(base.z)], one.step[len(base.z) :]
+    along = one.signature @ estimate
+    # (1 − J (I + JᵀJ)⁻¹ Jᵀ)(S e + J s) = S e + J (s − (I + JᵀJ)⁻¹ Jᵀ (S e + J s))
+    seen = base.jacobian.T @ along + (base.information - np.eye(len(own))) @ own
+    left = along + base.jacobian @ (own - np.linalg.solve(base.information, seen))
+    length = float(np.linalg.norm(left))
     projected = np.asarray(left / length if length else left)
-    return Screened(candidate, shape, signature, estimate, gain, evidence, strength, projected)
+    return Screened(one.candidate, one.shape, one.signature, estimate, one.gain, one.evidence, one.strength, projected)
 
 
 def _joint_step(base: Fit, signature: FloatArray, cross: FloatArray, added: FloatArray) -> tuple[FloatArray, float]:
@@ -113,7 +133,7 @@ def _joint_step(base: Fit, signature: FloatArray, cross: FloatArray, added: Floa
     """
     free = tuple(Parameter(f"amplitude {i}", 0.0, 1.0) for i in range(signature.shape[1]))
     normal = np.block([[base.information, cross], [cross.T, added]])
-    gradient = np.concatenate([base.jacobian.T @ base.residual - base.z, signature.T @ base.residual])
+    gradient = np.concatenate([base.slope - base.z, signature.T @ base.residual])
     z = np.concatenate([base.z, np.zeros(len(free))])
     step = step_within((*base.parameters, *free), z, normal, gradient)
     return step, float(2 * gradient @ step - step @ normal @ step) - base.predicted_gain

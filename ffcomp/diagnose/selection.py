@@ -11,9 +11,9 @@ import numpy as np
 from ffcomp.diagnose.estimation import EstimationProblem
 from ffcomp.diagnose.fit import Fit, derivatives, fit, values_at
 from ffcomp.diagnose.hypotheses import (
+    ADDED_SHARE,
     LARGE,
     Hypothesis,
-    Progress,
     comparable,
     discrepancy_of,
     distinct,
@@ -37,13 +37,24 @@ from ffcomp.diagnose.initial_fits import (
     select_starts,
 )
 from ffcomp.diagnose.intervals import intervals_of, superfluous
-from ffcomp.diagnose.parsimony import most_parsimonious, simplest
+from ffcomp.diagnose.parsimony import most_parsimonious, simplest, smaller_rivals
 from ffcomp.diagnose.problem import Candidate
-from ffcomp.diagnose.refinement import continue_or_restart, converge, drop, refine, refit, restart_from_file
+from ffcomp.diagnose.progress import Progress, Stage
+from ffcomp.diagnose.refinement import (
+    continue_fit,
+    continue_or_restart,
+    converge,
+    drop,
+    refine,
+    refit,
+    restart_from_file,
+)
 from ffcomp.diagnose.score_test import Screened, screen, similarity
 
 MOST_EFFECTS = 3  # at once
 POOR = 0.15  # of the discrepancy left by one effect: then pairs are tried
+LITTLE = 0.02  # of the discrepancy: effects that leave less have begun at the right place
+PROMISING = 0.25  # of what an added effect must remove: one that removes less in a coarse fit is not pursued
 CONTENDERS = 3  # fitted well
 CLOSE = 5.0  # times the best discrepancy: a hypothesis that leaves more keeps its shape
 ADDED = 3  # effects that are tried as one more
@@ -61,6 +72,11 @@ class Search:
     progress: Progress
 
     @property
+    def little(self) -> float:
+        """What may be left of the discrepancy by an effect of a somewhat different shape."""
+        return LITTLE * discrepancy_of(self.retuned)
+
+    @property
     def quick(self) -> EstimationProblem:
         """The same problem, simulated coarsely."""
         return replace(self.estimation, coarse=True)
@@ -73,29 +89,47 @@ class Selection:
     best: Hypothesis
     tried: tuple[Hypothesis, ...]
     complete: bool = False  # no further effect is looked for
+    left_nothing: bool = False  # for there is nothing left to explain
 
 
 Pass = Callable[[Search, Selection], Selection]
 
 
-def select(search: Search) -> Selection:
-    """Run all passes."""
+def find_best(search: Search) -> Selection:
+    """Run all passes but the last."""
     selection = _begin(search)
     while not selection.complete:
         for one in ROUND:
             selection = one(search, selection)
             if selection.complete:
                 break
+    return selection
+
+
+def finish(search: Search, selection: Selection) -> Selection:
+    """Run the last passes."""
     for one in FINAL:
         selection = one(search, selection)
     return selection
 
 
+def on_all_data(search: Search, found: Selection) -> Selection | None:
+    """Fit to all data what was found in an excerpt; None if that leaves something that the excerpt did not show."""
+    fitted = continue_fit(search.estimation, found.best, search.progress, ", on all data")
+    missed = incomplete(search.estimation, fitted) and found.left_nothing
+    if missed and len(fitted.effects) < MOST_EFFECTS:
+        return None
+    rivals = smaller_rivals(found.best, found.tried)[:1]
+    tried = tuple(continue_fit(search.estimation, h, search.progress, ", on all data") for h in rivals)
+    return Selection(fitted, tried, complete=True)
+
+
 def _begin(search: Search) -> Selection:
     """Fit the candidates quickly, the contenders well, and those nearly as good as the best in their best shape."""
+    search.progress(Stage(4, "fitting the most promising effects"))
     ranked = initial_fits(search.estimation, search.bases, search.progress)
     close = [h for h in ranked[:CONTENDERS] if comparable(h, ranked[0], CONTENDER)]
-    fitted = [continue_or_restart(search.estimation, h, search.progress) for h in close]
+    fitted = [continue_or_restart(search.estimation, h, search.progress, search.little) for h in close]
     best = min(fitted, key=lambda h: h.fit.evidence)
     shaped = [converge(search.estimation, h, search.progress) if comparable(h, best, CLOSE) else h for h in fitted]
     tried = (*shaped, *(h for h in ranked if h not in close))
@@ -108,13 +142,15 @@ def _begin(search: Search) -> Selection:
 def refit_best(search: Search, so_far: Selection) -> Selection:
     """Refit the best hypothesis; the selection is complete if that leaves no discrepancy."""
     if len(so_far.best.effects) >= MOST_EFFECTS or not incomplete(search.estimation, so_far.best):
-        return replace(so_far, complete=True)
+        return replace(so_far, complete=True, left_nothing=not incomplete(search.estimation, so_far.best))
     best = refit(search.estimation, so_far.best, search.progress)
-    return replace(so_far, best=best, complete=not incomplete(search.estimation, best))
+    nothing = not incomplete(search.estimation, best)
+    return replace(so_far, best=best, complete=nothing, left_nothing=nothing)
 
 
 def add_effect(search: Search, so_far: Selection) -> Selection:
     """Add the effect that helps most; the selection is complete if none is significant."""
+    search.progress(Stage(5, f"looking for one effect more than {' + '.join(so_far.best.names)}"))
     more = add(search, so_far.best)
     likeliest_one = min(more, key=lambda h: h.fit.evidence, default=so_far.best)
     tried = (*so_far.tried, *more)
@@ -175,7 +211,7 @@ def add(search: Search, best: Hypothesis) -> list[Hypothesis]:
     others = [c for c in estimation.problem.candidates if c.name not in best.names]
     added = select_starts(quick, best.fit, screen(quick, best.fit, others)[:ADDED], large=False)
     begun = [(best, one) for one in added]
-    if best.discrepancy > LARGE or implausible(best.fit, best.own):
+    if best.discrepancy > max(LARGE, search.little) or implausible(best.fit, best.own):
         restarted = restart_from_file(quick, best)
         helpful = select_starts(quick, restarted.fit, screen(quick, restarted.fit, others), large=True)
         begun += [(restarted, one) for one in sorted(helpful, key=lambda one: one.cost)[:ADDED]]
@@ -185,10 +221,18 @@ def add(search: Search, best: Hypothesis) -> list[Hypothesis]:
         likely = sorted(pairs, key=lambda pair: _pair_evidence(start, pair))[:2]
         grown += [fit_start(quick, start, best_start(quick, start, pair), search.progress) for pair in likely]
     ranked = likeliest(grown)
-    fitted = [
-        continue_or_restart(estimation, h, search.progress) for h in ranked[:2] if comparable(h, ranked[0], CLOSE)
-    ]
-    return fitted + ranked[len(fitted) :]
+    pursued = [h for h in ranked[:2] if comparable(h, ranked[0], CLOSE) and _promising(quick, best, h)]
+    fitted = [continue_or_restart(estimation, h, search.progress, search.little) for h in pursued]
+    return fitted + [h for h in ranked if h not in pursued]
+
+
+def _promising(quick: EstimationProblem, best: Hypothesis, larger: Hypothesis) -> bool:
+    """Tell whether a larger hypothesis, fitted coarsely, removes a part of what the best one leaves there too."""
+    if not set(best.names) < set(larger.names):
+        return True  # it has replaced an effect: the coarse fits are not one inside the other
+    residual = quick.residual(best.fit.values)
+    left = (float(residual @ residual) + float(best.fit.z @ best.fit.z)) / len(residual) - 1
+    return larger.discrepancy < (1 - PROMISING * ADDED_SHARE) * left
 
 
 def _names(hypotheses: Sequence[Hypothesis]) -> list[set[str]]:

@@ -363,9 +363,9 @@ def _evidence(found: Diagnosis) -> list[Evidence]:
     if found.best is None:
         return []
     best = found.best.fit.evidence
+    named = () if found.named is None else found.named.names
     rows = [
-        Evidence(h.names, h.discrepancy, h.fit.evidence - best, len(h.fit.parameters), h is found.named)
-        for h in found.tried
+        Evidence(h.names, h.discrepancy, found.behind(h), len(h.fit.parameters), h.names == named) for h in found.tried
     ]
     base = found.base
     nothing = Evidence((), discrepancy_of(base), base.evidence - best, len(base.parameters), False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.fft import next_fast_len
 
 from models.arrays import FloatArray
 
@@ -19,7 +20,8 @@ def delayed(x: FloatArray, late_s: float, rate_hz: float, drift: float = 0.0) ->
     n = len(x)
     spare = int(abs(late_s) * rate_hz) + 32
     known = np.isfinite(x)
-    ends = np.pad(np.where(known, x, 0.0), ((spare, spare), (0, 0)), mode="edge")
+    more = next_fast_len(n + 2 * spare, real=True) - n - spare
+    ends = np.pad(np.where(known, x, 0.0), ((spare, more), (0, 0)), mode="edge")
     w = 2 * np.pi * np.fft.rfftfreq(len(ends), 1 / rate_hz)
     turned = np.fft.rfft(ends, axis=0) * np.exp(-1j * w * late_s)[:, None]
     moved = np.fft.irfft(turned, len(ends), axis=0)[spare : spare + n]

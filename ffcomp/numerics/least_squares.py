@@ -10,7 +10,7 @@ bounds, a trust region (Branch, Coleman & Li, SIAM J. Sci. Comput. 21, 1999) wit
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,6 +101,10 @@ class BatchedProblem:
     residuals: Callable[[Sequence[FloatArray]], Iterator[FloatArray]]  # points (p,) -> (rows,) each, in order
     low: FloatArray  # (p,)
     high: FloatArray  # (p,)
+    # coarser, quicker residuals, which serve for one-sided derivatives by the first `rough` unknowns: unknowns whose
+    # effects cancel need all derivatives of one kind
+    quick: Callable[[Sequence[FloatArray]], Iterator[FloatArray]] | None = None
+    rough: int = 0
 
     def clip(self, z: FloatArray) -> FloatArray:
         """Move a point (p,) inside the bounds."""
@@ -209,14 +213,29 @@ def differences(
     steps = np.full(len(z), STEP)
     if sizes is not None:
         steps = np.clip(ENOUGH_CHANGE / np.maximum(sizes, 1e-300), SMALLEST_STEP, STEP)
-    pairs = [_either_side(problem, z, i, steps[i], central) for i in columns]
-    residuals = problem.residuals([x for pair in pairs for x in pair if x is not z])
-    found = []
-    for i, (low, high) in zip(columns, pairs, strict=True):
+    pairs = {i: _either_side(problem, z, i, steps[i], central) for i in columns}
+    rough = [i for i in columns if i < problem.rough] if problem.quick is not None and not central else []
+    found = _quotients(problem.residuals, z, residual, {i: pair for i, pair in pairs.items() if i not in rough})
+    if rough and problem.quick is not None:
+        here = next(problem.quick([z]))
+        found |= _quotients(problem.quick, z, here, {i: pairs[i] for i in rough})
+    return np.stack([found[i] for i in columns], axis=1)
+
+
+def _quotients(
+    evaluate: Callable[[Sequence[FloatArray]], Iterator[FloatArray]],
+    z: FloatArray,
+    residual: FloatArray,
+    pairs: Mapping[int, tuple[FloatArray, FloatArray]],
+) -> dict[int, FloatArray]:
+    """Return −∂r/∂z_i, (rows,) each, from r at z and at each pair of points around it; one of them may be z itself."""
+    residuals = evaluate([x for pair in pairs.values() for x in pair if x is not z])
+    found = {}
+    for i, (low, high) in pairs.items():
         below = residual if low is z else next(residuals)
         above = residual if high is z else next(residuals)
-        found.append((below - above) / max(high[i] - low[i], SMALLEST_STEP))
-    return np.stack(found, axis=1)
+        found[i] = (below - above) / max(high[i] - low[i], SMALLEST_STEP)
+    return found
 
 
 def _either_side(

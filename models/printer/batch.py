@@ -114,7 +114,7 @@ def _in_windows(
     cuts = [np.linspace(0, len(line), max(int(len(line) / enough), 1) + 1).astype(int) for line in lines]
     windows = [(line, a, b) for line, at in zip(lines, cuts, strict=True) for a, b in pairwise(at)]
     start = round(START_S / row_s)
-    commands = [_gentle_start(line[a - memory : b], start) if a > memory else line[:b] for line, a, b in windows]
+    commands = [gentle_start(line[a - memory : b], start) if a > memory else line[:b] for line, a, b in windows]
     motions, values = simulate_printers([machine] * len(windows), commands, row_s, hold="linear"), []
     for (_, a, b), motion in zip(windows, motions, strict=True):
         if isinstance(motion, ValueError):
@@ -124,7 +124,7 @@ def _in_windows(
     return [np.concatenate(values[end - len(at) + 1 : end]) for at, end in zip(cuts, ends, strict=True)]
 
 
-def _gentle_start(rows: FloatArray, start: int) -> FloatArray:
+def gentle_start(rows: FloatArray, start: int) -> FloatArray:
     """Accelerate a command from rest: its first `start // 2` rows take `start` rows."""
     slow = np.arange(start, dtype=np.float64) ** 2 / (2 * start)
     index, half = np.arange(len(rows), dtype=np.float64), start // 2

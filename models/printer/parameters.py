@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,6 +48,18 @@ def printer_parameters(machine: Machine, *, gravity: bool = True) -> PrinterPara
 def printer_modes(machine: Machine) -> FloatArray:
     """Return the modes of a machine with straight axes and its effects, (n, 6, 3) SI; none of a delta."""
     return effective_machine(machine).vibration.printer_modes()
+
+
+class ConvertedPrinter(NamedTuple):
+    """A machine with its effects as the kernels take it."""
+
+    parameters: PrinterParameters
+    modes: FloatArray  # (n, 6, 3)
+
+
+def converted_printer(machine: Machine, *, gravity: bool = True) -> ConvertedPrinter:
+    """Convert a machine: see `printer_parameters` and `printer_modes`."""
+    return ConvertedPrinter(printer_parameters(machine, gravity=gravity), printer_modes(machine))
 
 
 def _belt_effects(machine: Machine, stiffness: FloatArray) -> PrinterFields:

@@ -28,7 +28,7 @@ from models.printer.kernels.integrate import integrate
 from models.printer.kernels.integrate_axes import integrate_axes
 from models.printer.kernels.record import LANES, STATES, PrinterParameters, Q, V, parameter_table
 from models.printer.kernels.spline import cubic_spline
-from models.printer.parameters import printer_modes, printer_parameters
+from models.printer.parameters import ConvertedPrinter, converted_printer, printer_modes
 
 SMOOTH_STEP_S = 1 / 6400  # a quarter of a nanometre on a violent motion
 KINKED_STEP_S = 1 / 12800  # with backlash or dry friction; with strong friction down to
@@ -126,10 +126,12 @@ def simulate_printers(
     gravity: bool = True,
     hold: Hold = "cubic",
     ahead: FloatArray | None = None,
+    converted: Sequence[ConvertedPrinter] | None = None,
 ) -> list[PrinterMotion | ValueError]:
     """Simulate the i-th machine under the i-th command, up to LANES of them at once.
 
-    `starts` and `ahead` are those of `simulate_printer`; `ahead` follows every command. Each gives what
+    `starts` and `ahead` are those of `simulate_printer`; `ahead` follows every command. `converted` are the
+    machines as `converted_printer` returns them, where the caller has them already. Each gives what
     `simulate_printer` gives, whatever the others do; where that would raise, its ValueError or UnreachableError stands
     in the list instead. Those with as many steps from row to row go together, best when their commands are of one
     length.
@@ -146,7 +148,8 @@ def simulate_printers(
                 _check(command, dt_s, start)
                 rows = command if start is None else np.concatenate([start.history[:-1], command])
                 cubics[key] = HOLDS[hold](rows, command[:0] if ahead is None else ahead, dt_s)
-            tasks[i] = _task(machine, command, cubics[key], dt_s, substeps, gravity, start)
+            printer = converted_printer(machine, gravity=gravity) if converted is None else converted[i]
+            tasks[i] = _task(machine, command, cubics[key], dt_s, substeps, printer, start)
         except ValueError as error:
             found[i] = error
     for together in _batches(tasks):
@@ -174,11 +177,11 @@ def _task(
     cubics: FloatArray,
     dt_s: float,
     substeps: int | None,
-    gravity: bool,
+    printer: ConvertedPrinter,
     start: PrinterState | None = None,
 ) -> _Task:
     """Prepare the simulation of a machine under a command : (n, 3) mm with its cubics."""
-    p, modes = printer_parameters(machine, gravity=gravity), printer_modes(machine)
+    p, modes = printer.parameters.copy(), printer.modes
     steps = substeps or math.ceil(dt_s / longest_step(p, modes) * (1 - 1e-9))
     _limit_stiffness(p, dt_s / steps)
     modes = _limit_rigidity(modes, dt_s / steps)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import pytest
@@ -136,3 +136,15 @@ def test_a_bounded_step_is_the_best_inside_the_bounds(seed: int) -> None:
     assert np.abs(slope[inside]).max(initial=0.0) < 1e-6 * np.abs(gradient).max()
     assert np.all(slope[~inside] * at[~inside] > -1e-6 * np.abs(gradient).max())
     assert (~inside).any()  # the parabola is long enough to reach them
+
+
+@pytest.mark.parametrize(("central", "slope"), [(False, 10.0), (True, 1.0)])
+def test_rough_columns_are_one_sided_differences_of_the_quick_residuals(central: bool, slope: float) -> None:
+    def residuals(by: float) -> Callable[[Sequence[FloatArray]], Iterator[FloatArray]]:
+        return lambda points: (by * np.array([z[0], 2.0 * z[1], 3.0 * z[2]]) for z in points)
+
+    bounds = np.full(3, -5.0), np.full(3, 5.0)
+    problem = BatchedProblem(residuals(-1.0), *bounds, quick=residuals(-10.0), rough=1)
+    z = np.ones(3)
+    found = differences(problem, z, next(problem.residuals([z])), [2, 0], central=central)
+    np.testing.assert_allclose(found, [[0.0, slope], [0.0, 0.0], [3.0, 0.0]], atol=1e-9)
