@@ -72,7 +72,7 @@ def make_capture(
     problems += [text.replace("column t_s", f"column {table.columns[0]}") for text in clock_problems]
     for j, axis_name in enumerate("xyz"):
         problems += broken_sensor(f"acc_{axis_name}", acceleration[:, j], table.row)
-    problems += _implausible(acceleration) if not problems else []
+    problems += [*_implausible(acceleration), *_same_columns(acceleration)] if not problems else []
     if problems or uniform is None:
         raise MeasurementError(path, problems)
     on_grid = np.column_stack([uniform.on_grid(acceleration[timed, j]) for j in range(3)])
@@ -89,4 +89,15 @@ def _implausible(acceleration: FloatArray) -> list[str]:
     return [
         f"The acceleration is {rms:.3g} m/s² rms; a sensor on Earth measures between {low:g} and {high:g}. Are the "
         "numbers in another unit than the file's format asks for?"
+    ]
+
+
+def _same_columns(acceleration: FloatArray) -> list[str]:
+    """Report axes (n, 3) that hold the same numbers: what was exported is not what was measured."""
+    known = acceleration[np.isfinite(acceleration).all(axis=1)]
+    return [
+        f"The columns of {first} and {second} are the same in every row: one axis was exported twice. Export all three."
+        for i, first in enumerate("xyz")
+        for j, second in enumerate("xyz")
+        if i < j and np.array_equal(known[:, i], known[:, j])
     ]

@@ -97,7 +97,7 @@ def _bad_rate(period_s: float, count: int, length_s: float, lowest_hz: float) ->
     if not lowest_hz * 0.99 <= rate <= HIGHEST_RATE_HZ * 1.01:
         problems.append(
             f"The sample rate in column t_s is {rate:.6g} Hz; it must lie between {lowest_hz:g} and "
-            f"{HIGHEST_RATE_HZ:g} Hz.{_other_unit(rate)}"
+            f"{HIGHEST_RATE_HZ:g} Hz.{_other_unit(rate) or _slow(rate, lowest_hz)}"
         )
     if length_s + period_s < SHORTEST_S:
         problems.append(
@@ -115,6 +115,11 @@ def _other_unit(rate_hz: float) -> str:
     return ""
 
 
+def _slow(rate_hz: float, lowest_hz: float) -> str:
+    """Say what to do about a sensor that is too slow, in a sentence; '' if it is not."""
+    return " Record with a faster sensor: an accelerometer on the printer's own board." if rate_hz < lowest_hz else ""
+
+
 def _uneven(periods: FloatArray, time_s: FloatArray, row: IntArray) -> list[str]:
     """Check intervals in sample periods, (rows - 1,)."""
     off: NDArray[np.int64] = np.flatnonzero(np.abs(periods - np.rint(periods)) > _LARGEST_JITTER)
@@ -125,5 +130,6 @@ def _uneven(periods: FloatArray, time_s: FloatArray, row: IntArray) -> list[str]
     return [
         f"The rate must be nearly constant (each interval within {_LARGEST_JITTER:.0%} of a sample period of a whole "
         f"number of them), but column t_s steps by {periods[k]:.5g} periods at row {row[k + 1]}, t = "
-        f"{time_s[k + 1]:.9g} s ({len(off)} such rows)."
+        f"{time_s[k + 1]:.9g} s ({len(off)} such rows). "
+        "Record with a sensor whose rows are dated by its own clock, or is read without a pause."
     ]

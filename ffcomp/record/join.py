@@ -21,6 +21,7 @@ from ffcomp.record.clock import ClockFit, fit_clock, without_gaps
 from ffcomp.record.expected import Expectation
 from ffcomp.record.plan import MovesPlan
 from ffcomp.record.plan_files import run_name
+from ffcomp.record.plausible import left_handed, unlike, wrong_gravity
 from ffcomp.record.repeats import check_repeats
 from ffcomp.record.result import Joined, JoinResult, Refused
 from ffcomp.record.shaper import find_shapers
@@ -76,8 +77,8 @@ def join_captures(
         good, bad = _join_chip(own, plan, turn)
         joined += good
         refused += bad
-    kept, unlike, late = check_repeats(sorted(_best(joined), key=lambda each: each.name))
-    return JoinResult(tuple(kept), (*refused, *unlike), (*notes, *late))
+    kept, apart, late = check_repeats(sorted(_best(joined), key=lambda each: each.name))
+    return JoinResult(tuple(kept), (*refused, *apart), (*notes, *late, *left_handed(kept)))
 
 
 def _join_chip(tasks: Sequence[Task], plan: MovesPlan, turn: FloatArray | None) -> tuple[list[Joined], list[Refused]]:
@@ -101,7 +102,7 @@ def _join_chip(tasks: Sequence[Task], plan: MovesPlan, turn: FloatArray | None) 
         why = " ".join([*(each.words for each in shapers), SHAPER_REMEDY])
         return [], refused + [Refused(each.source, why) for each, _ in joined]
     good = [each for each, _ in joined if each.clock.correlation >= LEAST_CORRELATION]
-    refused += [Refused(each.source, _unlike(each)) for each, _ in joined if each not in good]
+    refused += [Refused(each.source, unlike(each, LEAST_CORRELATION)) for each, _ in joined if each not in good]
     return good, refused
 
 
@@ -184,6 +185,8 @@ def _joined(task: Task, clock: ClockFit, axes: FloatArray, rate_hz: float) -> Jo
         )
     rest = tau < -0.5 * LEAST_REST_S
     gravity = np.nanmean(capture.acceleration[rest] @ axes.T, axis=0)
+    if complaint := wrong_gravity(gravity, capture.clock):
+        raise MeasurementError(capture.source, [complaint])
     upright = tilt(gravity)
     felt = (capture.acceleration @ axes.T - gravity) @ upright.T
     first, last = max(float(tau[0]), -KEPT_REST_S[0]), min(float(tau[-1]), ready.duration_s + KEPT_REST_S[1])
@@ -194,14 +197,6 @@ def _joined(task: Task, clock: ClockFit, axes: FloatArray, rate_hz: float) -> Jo
     recording = _recording(task, clock, grid, _on_grid(tau, felt, grid, factor), words(axes))
     name, begin = task.experiment.name, float(grid[0])
     return Joined(recording, name, task.repeat, clock, capture.overflows, capture.source, words(axes), begin)
-
-
-def _unlike(joined: Joined) -> str:
-    return (
-        f"It does not fit the motion of {joined.experiment} below 20 Hz: correlation {joined.clock.correlation:.2f}, "
-        f"and {LEAST_CORRELATION:g} is needed. It is of another motion, of another machine or of a loose sensor, "
-        "or its axes are others than --axes-map says. Check these, and record it again."
-    )
 
 
 def _on_grid(tau: FloatArray, felt: FloatArray, grid: FloatArray, factor: int) -> FloatArray:

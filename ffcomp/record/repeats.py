@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
@@ -23,10 +24,16 @@ MOST_TIMES = 10.0  # what the rests show
 NOISY_TIMES = 2.0  # the same: below, the sensor's noise is all that differs
 SMALL_SHARE = 0.05  # of the signal: below, the microsteps' phase and the belts' teeth may differ
 LEAST_NOISE_M_PER_S2 = 0.01  # of chips that round what they say
+SAME_SHARE = 1e-9  # of the signal: no two measurements are so alike
 SAID_LAG_S = 1e-4
 REMEDY = (
     "Let the printer warm up for some minutes, tighten the sensor and what else is loose, and record it again; or give "
     "one repeat of each experiment, with --without-repeats."
+)
+
+COPIED = (
+    "Its rows are those of {}: one recording under two names shows no noise. Give the capture that was made when the "
+    "experiment was repeated, or leave this one out, with --without-repeats."
 )
 
 
@@ -43,8 +50,15 @@ class Difference:
     @property
     def repeats(self) -> bool:
         """Whether the same motion was measured twice."""
+        if self.copied:
+            return False
         loud = self.share > MOST_SHARE and self.times > NOISY_TIMES
         return not loud and (self.times <= MOST_TIMES or self.share <= SMALL_SHARE)
+
+    @property
+    def copied(self) -> bool:
+        """Whether it is one measurement under two names."""
+        return self.share < SAME_SHARE
 
 
 def compare(first: Joined, second: Joined) -> Difference:
@@ -84,7 +98,11 @@ def check_repeats(joined: Sequence[Joined]) -> tuple[list[Joined], list[Refused]
         apart = [compare(a, b) for i, a in enumerate(own) for b in own[i + 1 :]]
         for each in own:
             with_others = [difference for difference in apart if each in (difference.first, difference.second)]
-            if not with_others or any(difference.repeats for difference in with_others):
+            originals = [difference.first for difference in with_others if difference.copied]
+            with_others = [difference for difference in with_others if not difference.copied]
+            if originals and each is not originals[0]:
+                refused.append(Refused(each.source, COPIED.format(Path(originals[0].source).name)))
+            elif not with_others or any(difference.repeats for difference in with_others):
                 kept.append(each)
             else:
                 refused.append(_refusal(each, min(with_others, key=lambda difference: difference.share)))

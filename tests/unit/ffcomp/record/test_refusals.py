@@ -145,3 +145,56 @@ def test_a_capture_of_another_plan_is_refused_whatever_its_name(
     unnamed = path.rename(tmp_path / "yesterday.csv")
     found = join_captures([unnamed], plan, machine)
     assert not found.joined and "holds none of the plan's experiments" in reasons(found)[0]
+
+
+def rewritten(path: Path, folder: Path, turned: NDArray[np.float64]) -> Path:
+    """The same capture with its rows (n, 3) times a matrix (3, 3)."""
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    table[:, 1:] = table[:, 1:] @ turned
+    new = folder / path.name
+    np.savetxt(new, table, "%.6f", ",", header="#time,accel_x,accel_y,accel_z", comments="")
+    return new
+
+
+def test_a_copy_is_no_repeat(plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path) -> None:
+    first = next(path for path in captures if path.stem.endswith("zigzag-0-1"))
+    copy = tmp_path / first.name.replace("-1.csv", "-2.csv")
+    copy.write_bytes(first.read_bytes())
+    found = join_captures([first, copy], plan, machine)
+    assert [each.source for each in found.joined] == [str(first)]
+    assert [each.file for each in found.refused] == [str(copy)]
+    assert f"Its rows are those of {first.name}" in reasons(found)[0] and "--without-repeats" in reasons(found)[0]
+
+
+def test_numbers_that_gravity_denies_are_refused(
+    plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path
+) -> None:
+    found = join_captures([rewritten(captures[0], tmp_path, 0.5 * np.eye(3)), captures[1]], plan, machine)
+    assert len(found.joined) == 1
+    assert "its numbers are 0.5 times as large as they should be" in reasons(found)[0]
+
+
+def test_one_axis_exported_twice_is_refused(
+    plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path
+) -> None:
+    twice = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 0.0, 0.0]])
+    found = join_captures([rewritten(captures[0], tmp_path, twice)], plan, machine)
+    assert "The columns of y and z are the same in every row" in reasons(found)[0]
+
+
+def test_a_mirror_image_is_joined_and_named(
+    plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path
+) -> None:
+    found = join_captures([rewritten(captures[0], tmp_path, np.diag([-1.0, 1.0, 1.0]))], plan, machine)
+    assert found.joined[0].axes_map == "-x,y,z" and "as in a mirror" in found.remarks[-1]
+    assert not any("mirror" in each for each in join_captures(captures[:1], plan, machine).remarks)
+
+
+def test_a_printer_that_is_shaken_is_told_from_another_motion(
+    plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path
+) -> None:
+    table = np.loadtxt(captures[0], delimiter=",", skiprows=1)
+    table[:, 1:] += 15e3 * np.sin(2 * np.pi * 9.0 * table[:, [0]] + np.arange(3))
+    shaken = tmp_path / captures[0].name
+    np.savetxt(shaken, table, "%.6f", ",", header="#time,accel_x,accel_y,accel_z", comments="")
+    assert "something else shakes the printer" in reasons(join_captures([shaken], plan, machine))[0]
