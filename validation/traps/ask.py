@@ -1,0 +1,63 @@
+"""Put captures to `ffcomp record join`, and what it joins to `ffcomp diagnose`, as an owner does."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from validation.traps.captures import write
+from validation.traps.owners import CaptureTrap
+from validation.traps.run import Answer
+
+PROGRESS = ("ffcomp: reading", "ffcomp: joining")
+
+
+def joined(trap: CaptureTrap, keep: Path) -> Answer:
+    """Write the captures of a trap and join them: `found` is ffcomp-join/1, `text` all that was said."""
+    from ffcomp.cli.record import join
+
+    folder = keep / trap.name
+    captures = write(trap.bench, trap.sensing, folder, keep / "readings", trap.seed_of_plan)
+    shutil.rmtree(folder / "runs", ignore_errors=True)
+    machine, plan = str(folder / "machine.toml"), folder / "moves.json"
+    found, text, code, cpu_s = _called(
+        lambda: join(captures, plan, machine, folder / "runs", axes_map=trap.axes_map, as_json=True)
+    )
+    refusals = [f"{Path(each['file']).name}: {each['why']}" for each in found.get("refused", ())]
+    return Answer(found, " ".join([*refusals, text]), code, cpu_s)
+
+
+def diagnosed(trap: CaptureTrap, keep: Path, before: Answer) -> Answer:
+    """Diagnose what was joined; where nothing was, `before` is the answer."""
+    from ffcomp.cli.diagnose import diagnose
+
+    if before.code:
+        return Answer({}, before.text, before.code, before.cpu_s)
+    folder = keep / trap.name
+    runs, better = sorted((folder / "runs").glob("*.csv")), folder / "better.toml"
+    better.unlink(missing_ok=True)
+    found, text, code, cpu_s = _called(
+        lambda: diagnose(runs, str(folder / "machine.toml"), output=better, as_json=True, quiet=True)
+    )
+    return Answer(found, " ".join([before.text, text, *found.get("said", ())]), code, before.cpu_s + cpu_s)
+
+
+def _called(verb: Callable[[], None]) -> tuple[dict[str, Any], str, int, float]:
+    """Call a verb: its JSON, what it said beside it, its exit code, and CPU seconds."""
+    out, err, code, began = io.StringIO(), io.StringIO(), 0, time.process_time()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            verb()
+        except BaseException as error:  # typer's exit among them
+            code = int(getattr(error, "exit_code", getattr(error, "code", 1)) or 0)
+            if code == 1:
+                raise
+    found = json.loads(out.getvalue()) if out.getvalue().strip() else {}
+    lines = [line for line in err.getvalue().splitlines() if not line.startswith(PROGRESS)]
+    return found, "\n".join(lines), code, time.process_time() - began
