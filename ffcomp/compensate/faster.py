@@ -8,14 +8,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ffcomp.compensate.chunks import Chunk
+from ffcomp.compensate.solve import SolvedSection
+from ffcomp.errors import LimitsError
 from ffcomp.faster.bound import Bound
 from ffcomp.faster.program import FasterProgram, faster_program
 from ffcomp.inverse.extent import WHOLE
 from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.settings import Settings
+from ffcomp.metrics import contour_error
 from ffcomp.planner.program import PlannedProgram, firmware_plan, plan_program
 from ffcomp.planner.trajectory import PlannedMotion
 from gcode.layers import labels
 from gcode.program import Program
+
+SPOTS = 1.5  # times the bound, that single spots may have
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +42,45 @@ class Faster:
         )
 
 
+class BoundCheck:
+    """Compares the response that was solved for, effects included, with the bound, section by section."""
+
+    def __init__(self, bound: Bound, program: Program, feature: str) -> None:
+        """Take the program that is written, and what is printed when it begins."""
+        self.program, self.bound_mm = program, bound.errors_mm(labels(program, feature))
+        self.beyond: list[tuple[float, int, float]] = []  # times the bound, line and µm of each section's worst
+
+    def add(self, solved: SolvedSection, settings: Settings) -> None:
+        """Look at a section."""
+        section, trajectory, response = solved.section, solved.trajectory, solved.solution.response
+        t = (
+            solved.reference.t0
+            + np.arange(1, len(response) + 1, dtype=np.float64) * settings.segment_s / settings.substeps
+        )
+        part = slice(section.first, section.last)
+        corners = np.vstack([trajectory.origin[part, :3], solved.reference.nozzle(np.array([section.end_t]))])
+        error = contour_error(np.append(trajectory.start_t[part], section.end_t), corners, t, response)
+        move = np.clip(trajectory.move_at(t), section.first, section.last - 1)
+        times = error / self.bound_mm[move]
+        worst = int(times.argmax())
+        if times[worst] > SPOTS:
+            line = self.program.first_line + int(self.program.moves.line[move[worst]]) + 1
+            self.beyond.append((float(times[worst]), line, 1e3 * float(error[worst])))
+
+    def warnings(self, strict: bool = False) -> tuple[str, ...]:
+        """Say where the bound is not kept; strict: refuse."""
+        if not self.beyond:
+            return ()
+        _, line, um = max(self.beyond)
+        where = "one section" if len(self.beyond) == 1 else f"{len(self.beyond)} sections"
+        said = (
+            f"line {line}: the predicted error is {um:.3g} µm here; it is above {SPOTS:g} times its bound in {where}."
+        )
+        if strict:
+            raise LimitsError(said)
+        return (said,)
+
+
 def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel, smooth: bool) -> tuple[PlannedProgram, Faster]:
     """Plan a chunk as quick as the bound allows; one that is cut in motion keeps the slicer's motion."""
     program, machine = chunk.program, model.given
@@ -45,6 +90,9 @@ def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel, smooth: bool) 
         return plan_program(program, machine, smooth), Faster(own, own, plan.end_t, (_not_faster(chunk),))
     slicers = firmware_plan(program, machine)
     found = faster_program(program, model, bound, chunk.layers, chunk.feature)
+    said = _given_up(chunk, found)
+    if said and model.settings.strict:
+        raise LimitsError(said[0])
     planned = plan_program(found.program, machine, smooth)
     return (
         replace(planned, firmware_s=slicers.end_t),
@@ -52,7 +100,7 @@ def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel, smooth: bool) 
             _by_feature(program, slicers, chunk.feature),
             _by_feature(program, planned.trajectory, chunk.feature),
             found.actuator_limit_s,
-            _given_up(chunk, found),
+            said,
         ),
     )
 

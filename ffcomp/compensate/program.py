@@ -14,15 +14,18 @@ render    compensate.gcode_output  command and events → text, limits opened an
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Generator, Iterable, Sequence
 from dataclasses import replace
 from typing import Protocol
 
+from ffcomp.compensate.faster import BoundCheck
 from ffcomp.compensate.plan import Context, PlannedChunk
 from ffcomp.compensate.prediction import Prediction
 from ffcomp.compensate.solve import SolvedSection, solutions
 from ffcomp.compensate.statistics import Statistics, of_section
 from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.reference import Reference
 from ffcomp.planner.sections import Section
 from ffcomp.planner.segment_timing import TimedSegments
 
@@ -79,7 +82,16 @@ def compensate(
     """
     planned, extent = chunk.planned, chunk.chunk.extent
     prediction = Prediction(model, context.share) if chunk.simulated else None
-    keep = prediction.wants if prediction is not None else lambda reference: False
+    check = None
+    if context.bound is not None:
+        check = BoundCheck(context.bound, planned.program, chunk.chunk.feature)
+
+    wanted = deque[bool]()  # by the prediction, of the sections that are solved and not yet written
+
+    def keep(reference: Reference) -> bool:
+        wanted.append(prediction is not None and prediction.wants(reference))
+        return wanted[-1] or check is not None
+
     solved_sections = solutions(planned, context.machine, model, chunk.state, keep, chunk.chunk.layers, extent)
     statistics = chunk.statistics
     for section in planned.sections:
@@ -90,10 +102,14 @@ def compensate(
         solved = next(solved_sections)
         yield from renderer.section(section, solved)
         statistics += of_section(section, solved, planned, extent, model)
-        if prediction is not None and len(solved.solution.response):
+        if check is not None:
+            check.add(solved, model.settings)
+        if prediction is not None and wanted.popleft() and len(solved.solution.response):
             prediction.add(solved, renderer.written())
         progress(section.end_t)
     yield from renderer.finish()
+    if check is not None:
+        statistics += Statistics(warnings=check.warnings(model.settings.strict))
     samples = prediction.samples if prediction is not None else None
     print_s = statistics.print_time_s + renderer.late_s
     return replace(statistics, print_time_s=print_s, segments=renderer.segments, predicted=samples)

@@ -156,3 +156,14 @@ def test_a_quicker_print_says_what_it_has_given(tmp_path: Path) -> None:
     assert "faster" not in json.loads(call(*command).stdout)
     for wrong in (["--max-flow-mm3-per-s", "9"], ["--max-error-um", "x"], ["--max-error-um", "Bridge=20"]):
         assert call(*command, *wrong).exit_code == 2
+
+
+def test_a_bound_that_is_not_kept_is_told_and_refused(printed: Path, tmp_path: Path) -> None:
+    """A feature that keeps its speed cannot keep a tenth of a micrometre: a line says where, exit 6 if strict."""
+    bound = ("--max-error-um", "0.1", "--keep-speed", "other", "-o", tmp_path / "out.gcode")
+    answer = call(printed, "-m", MACHINE, "--json", "-q", *bound)
+    assert answer.exit_code == 0
+    (said,) = (line for line in json.loads(answer.stdout)["warnings"] if "times its bound" in line)
+    assert said.startswith("line ") and " µm here" in said
+    refused = call(printed, "-m", MACHINE, "--strict", *bound)
+    assert refused.exit_code == 6 and "times its bound" in refused.stderr
