@@ -285,7 +285,7 @@ class ModalAxes(VibrationModel):
             everywhere(np.zeros((n, 3))),
             carriage,
             tuple(f"{kind}_{AXES[axis]}{i + 1}" for axis, i, _ in each for kind in ("pos", "vel")),
-            oscillators=np.array([] if self.exchange else [axis for axis, _, _ in each], dtype=np.int64),
+            oscillators=np.array([axis for axis, _, _ in each]),
         )
 
     def low_frequency(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:

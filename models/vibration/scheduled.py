@@ -92,6 +92,7 @@ class Schedule:
     def __init__(self, kinematics: Kinematics, table: PlantTable) -> None:
         self.delta, self.table = kinematics.compiled(), table
         self._coupled = None if len(table.plant.oscillators) else _packed(table)
+        self._exchanging = _exchanging(table.plant)
 
     def play(
         self,
@@ -117,6 +118,8 @@ class Schedule:
         """
         if self._coupled is None:
             p = self.table.plant
+            if self._exchanging:
+                return simulate_constant(p.carriage, p.a[0], p.b0[0], p.b1[0], len(place), substeps, state, command)
             return simulate_oscillators(p.oscillators, p.a[0], p.b0[0], p.b1[0], len(place), substeps, state, command)
         mechanics, drive = self._coupled
         grid = (self.table.x0_mm, self.table.pitch_mm, self.table.nodes)
@@ -131,6 +134,12 @@ class Schedule:
         place = np.ascontiguousarray(nozzle[substeps // 2 :: substeps, :2][: (len(nozzle) - 1) // substeps])
         q, states = self.play(place, centripetal, self.delta.inverse(nozzle), state, substeps)
         return self.delta.forward(q), states[-1]
+
+
+def _exchanging(plant: DiscretePlant) -> bool:
+    """Tell whether oscillators act on each other."""
+    own = np.kron(np.eye(len(plant.oscillators)), np.ones((2, 2))) == 1.0
+    return bool(len(plant.oscillators)) and bool(np.any(plant.a[0][~own] != 0.0))
 
 
 def _packed(table: PlantTable) -> tuple[FloatArray, FloatArray]:
@@ -249,6 +258,28 @@ def simulate(
             knots[k + 1, r] = given[0, r]
         for r in range(12):
             knots[k + 1, 6 + r] = x[r]
+    return kept, knots
+
+
+@njit(cache=True, nogil=True)
+def simulate_constant(
+    carriage: FloatArray,
+    a: FloatArray,
+    b0: FloatArray,
+    b1: FloatArray,
+    n: int,
+    substeps: int,
+    state: FloatArray,
+    command: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Run a plant (s, s) that is the same at every position, as `simulate_oscillators` does."""
+    kept, knots, x = np.empty((n * substeps, 3)), np.empty((n + 1, len(state))), state.copy()
+    knots[0] = state
+    for step in range(n * substeps):
+        x = a @ x + b0 @ command[step] + b1 @ command[step + 1]
+        kept[step] = carriage @ x
+        if (step + 1) % substeps == 0:
+            knots[(step + 1) // substeps] = x
     return kept, knots
 
 

@@ -29,7 +29,7 @@ class StateSpace:
     drive_states: int = 0  # the first so many states are the drives': nothing acts back on them
     oscillators: IntArray = field(
         default_factory=_none
-    )  # (n/2,) axis of each pair of states (p, ṗ), if nothing couples the pairs
+    )  # (n/2,) axis of each pair of states (p, ṗ), of oscillators that are the same at every position
 
 
 @dataclass(frozen=True, slots=True)

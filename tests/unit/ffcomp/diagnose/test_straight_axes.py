@@ -41,7 +41,7 @@ def filed(plant: Plant, kind: str, folder: Path) -> Machine:
     return load_machine(path)
 
 
-def moved(place: tuple[float, float], seed: int, seconds: float = 0.9) -> FloatArray:
+def moved(place: tuple[float, float], seed: int, seconds: float = 0.7) -> FloatArray:
     """Commands of x and y (n, 2) mm: tones between 4 and 110 Hz on a slow motion of some millimetres."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(seconds * RATE_HZ))[:, None] / RATE_HZ
@@ -98,7 +98,7 @@ def test_what_is_hidden_is_named_and_the_better_file_closes_the_gap(
     kind: str, plant: Plant, hidden: dict[str, Any], name: str, key: str, truth: Any, tmp_path: Path
 ) -> None:
     machine, runs = filed(plant, kind, tmp_path), recorded(replace(plant, **hidden))
-    problem = PrinterProblem(machine, runs, list(dict.fromkeys([name, "guide_damping", "command_delay"])))
+    problem = PrinterProblem(machine, runs, list(dict.fromkeys([name, "command_delay"])))
     found = diagnose(problem)
     assert (found.verdict, found.named.names) == ("effects", (name,))
     told = result_of(problem, found)

@@ -16,6 +16,7 @@ from models.kinematics.cartesian import CARTESIAN, COREXY, CartesianKinematics
 from models.machine import Machine, MotionLimits
 from models.printer.printer import simulate_printer, simulate_printers
 from models.vibration.modal import Axis, ModalAxes
+from models.vibration.scheduled import Schedule, plant_table
 from models.vibration.state_space import discretise
 
 RATE_HZ = 1600
@@ -65,6 +66,16 @@ def test_unequal_belts_exchange_motion_as_the_response_says() -> None:
     g = effective.frequency_response(np.zeros(2), np.array([30.0]), "nozzle", "nozzle")[0, 1, 0]
     assert abs(g) > 0.05
     np.testing.assert_allclose(found, (g * np.exp(2j * np.pi * 30 * t[t > 1.3])).imag, atol=2e-4)
+
+
+def test_the_schedule_plays_unequal_belts_too() -> None:
+    own = machine(COREXY)
+    vibration = own.vibration.with_belts(np.array([0.2, -0.1, 0.0]), COREXY)
+    played = Schedule(own.kinematics, plant_table(own.kinematics, vibration, 1 / RATE_HZ))
+    command = shaken(0.2)[:301]
+    found, end = played.respond(command, 0 * command, vibration.equilibrium(command[0]), 10)
+    np.testing.assert_allclose(found, linear(replace(own, vibration=vibration), command)[1:], atol=1e-9)
+    assert len(end) == len(vibration.equilibrium(command[0]))
 
 
 def test_stiffer_belts_of_one_mode_are_a_higher_frequency() -> None:
