@@ -11,6 +11,7 @@ from ffcomp.cli.help import ACCURACY, ADVANCED, OUTPUT, SPEED
 from ffcomp.cli.options import AsJson, Flavor, MachineName, Offset, Plant, Plate, Quiet, parsed_offset
 
 if TYPE_CHECKING:
+    from ffcomp.record.virtual_sensor import Sensor
     from ffcomp.simulate.simulation import Request
 
 File = Annotated[
@@ -49,6 +50,34 @@ Signals = Annotated[
 Gravity = Annotated[
     bool, typer.Option(rich_help_panel=ADVANCED, help="Let the weight deflect the belts and the extruder's mount.")
 ]
+AsCaptures = Annotated[
+    Path | None,
+    typer.Option(
+        "--as-captures",
+        metavar="FOLDER",
+        rich_help_panel=OUTPUT,
+        help="Write what the printer's own accelerometer would record of a plan's G-code (with --plan).",
+    ),
+]
+PlanOfCaptures = Annotated[
+    Path | None,
+    typer.Option(
+        "--plan",
+        metavar="FILE",
+        rich_help_panel=OUTPUT,
+        help="Plan (.json) of --as-captures, as record plan or identify plan wrote it beside the G-code.",
+    ),
+]
+Noise = Annotated[
+    float, typer.Option(metavar="M_PER_S2", rich_help_panel=ADVANCED, min=0.0, help="Noise of captures, m/s² rms.")
+]
+Tilt = Annotated[
+    float,
+    typer.Option("--tilt-deg", metavar="DEG", rich_help_panel=ADVANCED, help="Tilt of the accelerometer, degrees."),
+]
+Seed = Annotated[
+    int, typer.Option(metavar="N", rich_help_panel=ADVANCED, min=0, help="Seed of the captures' noise, tilt and clock.")
+]
 
 
 def simulate(
@@ -64,6 +93,11 @@ def simulate(
     offset_mm: Offset = "0,0",
     flavor: Flavor = "",
     plate: Plate = None,
+    as_captures: AsCaptures = None,
+    plan: PlanOfCaptures = None,
+    noise: Noise = 0.15,
+    tilt_deg: Tilt = 2.0,
+    seed: Seed = 1,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -71,13 +105,24 @@ def simulate(
 
     The printer has full kinematics, weight, drives, extruder and effects. ffcomp plans G-code as the firmware does
     and executes step timings microstep by microstep. It evaluates the response against the reference path, and writes
-    it as a recording on request.
+    it as a recording on request. With --as-captures it writes instead what an accelerometer would: gravity, noise,
+    tilt and a clock of its own included; --rate is then the chip's.
 
     Example: ffcomp simulate sample_prints/ringing_tower.gcode -m mp-delta-pro --from 80 --to 90 -o run.csv
     """
     from ffcomp.cli.common import exit_codes, print_json
 
     with exit_codes():
+        if as_captures is not None:
+            from ffcomp.record.virtual_sensor import Sensor
+
+            sensor = Sensor(rate, noise, tilt_deg, seed)
+            result = _captures(file, machine, plant, as_captures, plan, sensor, flavor, quiet)
+            if as_json:
+                print_json(result)
+            elif not quiet:
+                print(f"{len(result['captures'])} captures of {result['plan']}: {as_captures}")
+            return
         request = _request(rate, from_s, to_s, gravity, signals)
         _check_target(file, output_file)
         result = _simulate(file, machine, plant, output_file, request, offset_mm, flavor, plate, quiet)
@@ -85,6 +130,41 @@ def simulate(
             print_json(result)
         elif not quiet:
             _print(result)
+
+
+def _captures(
+    file: Path,
+    machine_name: str,
+    plant_name: str,
+    folder: Path,
+    plan: Path | None,
+    sensor: Sensor,
+    flavor: str,
+    quiet: bool,
+) -> dict[str, Any]:
+    """Write captures of a plan, and return the JSON object ffcomp-captures/1."""
+    from ffcomp.cli.common import Progress
+    from ffcomp.record.virtual_sensor import write_captures
+    from gcode.dialects import KLIPPER
+    from gcode.reader import read_program
+    from models.file import load_machine
+
+    if plan is None:
+        raise typer.BadParameter("--as-captures needs the plan of the G-code: --plan FILE.json.")
+    machine = load_machine(machine_name)
+    plant = load_machine(plant_name) if plant_name else machine
+    spoken = flavor or machine.flavor or KLIPPER
+    program = read_program(file.read_bytes(), str(file), flavor=spoken)
+    with Progress(1.0, quiet, "simulating") as progress:
+        written = write_captures(plan, program, machine, plant, folder, sensor, spoken, progress)
+    return {
+        "schema": "ffcomp-captures/1",
+        "input": str(file),
+        "plan": str(plan),
+        "plant": {"name": plant.name, "sha256": plant.sha256, "effects": list(plant.effects)},
+        "flavor": spoken,
+        "captures": [str(path) for path in written],
+    }
 
 
 def _request(rate: float, from_s: float, to_s: float, gravity: bool, signals: str) -> Request:

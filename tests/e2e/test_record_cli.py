@@ -22,3 +22,35 @@ def test_a_plan_names_the_next_command_that_works_for_its_machine(machine: str, 
     assert done.exit_code == 0, done.output
     command = "ffcomp diagnose" if load_machine(machine).vibration.diagnosable else "ffcomp record join"
     assert f"Then: {command} CAPTURES --plan {tmp_path / 'moves.json'} -m {machine}" in done.output
+
+
+def moves(folder: Path, *more: str) -> tuple[Path, Path]:
+    target = folder / "moves.gcode"
+    done = ffcomp("record", "plan", "-m", "ender-3", "-o", target, "--seconds", "2", "--at", "110,110", *more)
+    assert done.exit_code == 0, done.output
+    return target, folder / "moves.json"
+
+
+@pytest.mark.parametrize("flavor", ["klipper", "reprapfirmware"])
+def test_captures_of_the_virtual_printer_are_joined(flavor: str, tmp_path: Path) -> None:
+    target, plan = moves(tmp_path, "--repeats", "1")
+    folder = tmp_path / "captures"
+    rate = "3200" if flavor == "klipper" else "1344"
+    played = ("simulate", target, "-m", "ender-3", "--as-captures", folder, "--plan", plan, "--rate", rate)
+    done = ffcomp(*played, "--flavor", flavor, "-q", "--seed", "4")
+    assert done.exit_code == 0, done.output
+    captures = sorted(folder.glob("*.csv"))
+    assert len(captures) == 4
+    done = ffcomp("record", "join", *captures, "--plan", plan, "-m", "ender-3", "-o", tmp_path / "runs", "-q")
+    assert done.exit_code == 0 and "4 of 4 executions joined" in done.output, done.output
+
+
+def test_captures_need_the_plan_of_their_gcode(tmp_path: Path) -> None:
+    target, plan = moves(tmp_path, "--repeats", "1")
+    call = ("simulate", target, "-m", "ender-3", "--as-captures", tmp_path / "c")
+    assert ffcomp(*call).exit_code == 2
+    assert ffcomp(*call, "--plan", plan, "--flavor", "marlin").exit_code == 2
+    lines = target.read_text().splitlines(keepends=True)
+    target.write_text("".join(line for line in lines if not line.startswith("G1 X1")))
+    done = ffcomp(*call, "--plan", plan)
+    assert done.exit_code == 2 and "give the file written with it" in done.output

@@ -1,0 +1,150 @@
+"""Captures that the virtual printer's own accelerometer would write of a plan, in its firmware's format.
+
+Gravity, noise, counts of 3.9 mg (an ADXL345), a tilt, a clock that is up to 1 % off: as owners have them. Nobody tells
+the join where the motion begins, nor how the chip sits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ffcomp.errors import RequestError
+from ffcomp.identify.experiment import Plan
+from ffcomp.identify.experiment_files import DECAY_S, NOISE_S, load_plan
+from ffcomp.measurement.sensors import G
+from ffcomp.record.motion import Commanded
+from ffcomp.record.plan import MovesPlan
+from ffcomp.record.plan_files import is_moves_plan, load_moves, run_name
+from gcode.atomic_write import replace_atomically
+from gcode.dialects import KLIPPER, REPRAPFIRMWARE
+from gcode.program import Program
+from models.arrays import FloatArray
+from models.effects.catalogue import measured
+from models.machine import Machine
+from models.printer.printer import simulate_printer
+
+COUNT = 3.9e-3 * G  # of an ADXL345, m/s²
+WORST_RATE = 0.01  # of the chip's clock
+LATEST_S = 0.15  # by which RepRapFirmware begins later than it was told
+STATED = 3e-3  # by which the rate that it states may be off
+SPARE_S = 0.4  # simulated beyond a capture
+PLAYED_HZ = 3200.0
+NAMES = {KLIPPER: "adxl345-{}.csv", REPRAPFIRMWARE: "{}.csv"}
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """An accelerometer on the nozzle holder."""
+
+    rate_hz: float = 3200.0
+    noise_m_per_s2: float = 0.15
+    tilt_deg: float = 2.0
+    seed: int = 1
+
+
+@dataclass(frozen=True)
+class _Run:
+    name: str
+    motion: Commanded
+    rest_before_s: float
+    rest_after_s: float
+
+
+def write_captures(
+    plan_file: Path,
+    program: Program,
+    machine: Machine,
+    plant: Machine,
+    folder: Path,
+    sensor: Sensor,
+    flavor: str = KLIPPER,
+    progress: Callable[[float], None] = lambda share: None,
+) -> list[Path]:
+    """Write one capture for each execution of a plan of `record plan` or `identify plan`.
+
+    Parameters
+    ----------
+    program : the plan's G-code
+    machine : what the firmware knows; the plant is what it drives
+    progress : told the share that is done
+
+    Raises
+    ------
+    RequestError
+        If the G-code is not the plan's, or the firmware records nothing itself.
+    """
+    if flavor not in NAMES:
+        raise RequestError(f"{flavor} has no accelerometer; --flavor klipper or reprapfirmware.")
+    runs = list(_runs(load_moves(plan_file) if is_moves_plan(plan_file) else load_plan(plan_file)))
+    _check_program(program, runs, plan_file)
+    rng = np.random.default_rng(sensor.seed)
+    turn, rate = _tilt(rng, sensor.tilt_deg), sensor.rate_hz * rng.uniform(1 - WORST_RATE, 1 + WORST_RATE)
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for k, run in enumerate(runs):
+        begin, end = -run.rest_before_s, run.motion.duration_s + run.rest_after_s
+        late = rng.uniform() / rate if flavor == KLIPPER else rng.uniform(0.0, LATEST_S)
+        t = np.arange(begin + late, end, 1.0 / rate)
+        own = _felt(run, machine, plant, t) @ turn.T
+        counts = np.rint((own + sensor.noise_m_per_s2 * rng.standard_normal(own.shape)) / COUNT) * COUNT
+        path = folder / NAMES[flavor].format(run.name)
+        if flavor == KLIPPER:
+            lines = _klipper(t - begin + 60.0 + 20.0 * k, counts)
+        else:
+            lines = _reprapfirmware(counts, rate * (1 + STATED * rng.uniform(-1.0, 1.0)))
+        replace_atomically(path, [text.encode() for text in lines])
+        written.append(path)
+        progress((k + 1) / len(runs))
+    return written
+
+
+def _runs(plan: MovesPlan | Plan) -> Iterator[_Run]:
+    if isinstance(plan, MovesPlan):
+        for each, repeat in plan.runs():
+            yield _Run(run_name(each.name, repeat), each.motion, plan.rest_before_s, plan.rest_after_s)
+    else:
+        for experiment in plan.experiments:
+            yield _Run(experiment.name, experiment, NOISE_S, DECAY_S)
+
+
+def _check_program(program: Program, runs: Sequence[_Run], plan_file: Path) -> None:
+    """Refuse G-code that does not end each experiment where the plan does."""
+    ends = program.moves.end[:, :3]
+    for run in runs:
+        middle = run.motion.nozzle(np.array([0.0, run.motion.duration_s]))
+        if not all((np.abs(ends - place).max(axis=1) < 1e-3).any() for place in middle):
+            raise RequestError(
+                f"{run.name} of {plan_file} is not in the G-code; give the file that was written with it."
+            )
+
+
+def _tilt(rng: np.random.Generator, tilt_deg: float) -> FloatArray:
+    """Return a rotation (3, 3) about a horizontal axis of any direction."""
+    about, angle = rng.uniform(0.0, 2.0 * np.pi), np.deg2rad(tilt_deg)
+    x, y = np.cos(about), np.sin(about)
+    skew = np.array([[0.0, 0.0, y], [0.0, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * skew + (1.0 - np.cos(angle)) * skew @ skew)
+
+
+def _felt(run: _Run, machine: Machine, plant: Machine, t: FloatArray) -> FloatArray:
+    """Return what the nozzle holder feels at times (n,) of an experiment, gravity included: (n, 3) m/s²."""
+    played = np.arange(float(t[0]) - SPARE_S, float(t[-1]) + 0.01, 1.0 / PLAYED_HZ)
+    motion = simulate_printer(plant, machine.kinematics.inverse(run.motion.nozzle(played)), 1.0 / PLAYED_HZ)
+    felt = CubicSpline(played, measured(plant, motion.signals).nozzle)(t)
+    return np.asarray(felt + np.array([0.0, 0.0, G]))
+
+
+def _klipper(print_time_s: FloatArray, acceleration: FloatArray) -> list[str]:
+    table = np.column_stack([print_time_s, 1e3 * acceleration])
+    rows = "%.6f,%.6f,%.6f,%.6f\n" * len(table) % tuple(table.ravel().tolist())
+    return ["#time,accel_x,accel_y,accel_z\n", rows]
+
+
+def _reprapfirmware(acceleration: FloatArray, stated_hz: float) -> list[str]:
+    rows = (f"{k},{x:.4f},{y:.4f},{z:.4f}\n" for k, (x, y, z) in enumerate((acceleration / G).tolist()))
+    return ["Sample,X,Y,Z\n", *rows, f"Rate {stated_hz:.0f}, overflows 0\n"]
