@@ -23,6 +23,7 @@ WORST_CLOCK = 0.03  # chips are within 2 %
 CYCLES_OF_CLOCK_STEP = 0.1  # of the band's middle, between two ratios that are tried
 BLOCKS = 24  # for an uncertainty that holds with coloured residuals
 ITERATIONS = 12
+STARTS, APART_S = 4, 0.02  # offsets that are tried for each ratio
 
 
 @dataclass(frozen=True)
@@ -155,7 +156,17 @@ def every_clock(since: FloatArray, record: FloatArray, reference: Reference, exp
         curves = np.stack(
             [fftconvolve(values, record[::-1, [i]], axes=0) for i in range(3)], axis=1
         )  # (lags, sensor axis, printer axis)
-        best = int(np.abs(curves).sum(axis=(1, 2)).argmax())
-        starts.append((float(t[0] + (best - len(record) + 1) * period * ratio), float(ratio)))
-        tables.append(curves[best] / size)
+        for best in _peaks(np.linalg.svd(curves, compute_uv=False).sum(axis=1), round(APART_S / (period * ratio))):
+            starts.append((float(t[0] + (best - len(record) + 1) * period * ratio), float(ratio)))
+            tables.append(curves[best] / size)
     return Matches(starts, np.array(tables))
+
+
+def _peaks(likeness: FloatArray, apart: int) -> list[int]:
+    """Return the best lags of (n,), some rows apart: loops fit a quarter of a turn later nearly as well."""
+    left, found = likeness.copy(), list[int]()
+    for _ in range(STARTS):
+        best = int(left.argmax())
+        found.append(best)
+        left[max(0, best - apart) : best + apart + 1] = 0.0
+    return found

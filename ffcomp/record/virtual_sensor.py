@@ -118,9 +118,7 @@ def _check_program(program: Program, runs: Sequence[_Run], plan_file: Path) -> N
     for run in runs:
         middle = run.motion.nozzle(np.array([0.0, run.motion.duration_s]))
         if not all((np.abs(ends - place).max(axis=1) < 1e-3).any() for place in middle):
-            raise RequestError(
-                f"{run.name} of {plan_file} is not in the G-code; give the file that was written with it."
-            )
+            raise RequestError(f"{run.name} of {plan_file} is not in the G-code: give the file written with it.")
 
 
 def _tilt(rng: np.random.Generator, tilt_deg: float) -> FloatArray:

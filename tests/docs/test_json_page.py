@@ -208,6 +208,8 @@ def test_record(page: Page, folder: Path) -> None:
     captures[1].write_text(captures[0].read_text(encoding="utf-8").replace("accel_x", "##drops=1"), encoding="utf-8")
     joined = ("record", "join", *captures, "--plan", folder / "moves.json", *MACHINE, "-o", folder / "runs", "-q")
     hold(page, "ffcomp-join/1", told(*joined))
+    sensor = ("--as-captures", folder / "played", "--plan", folder / "moves.json", "--rate", "800")
+    hold(page, "ffcomp-captures/1", told("simulate", folder / "moves.gcode", *MACHINE, *sensor, "-q"))
 
 
 def test_identify_fit_and_decouple(page: Page, folder: Path, corexy: Path) -> None:
