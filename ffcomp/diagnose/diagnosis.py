@@ -171,7 +171,7 @@ def _concluded(found: Diagnosis) -> Diagnosis:
     if fault is not None:
         return replace(found, finding="recording", fault=fault)
     explained = found.best is not None and _explained(found.base, found.best) > MOSTLY
-    return replace(found, finding="unproven" if explained else "unexplained")
+    return replace(found, finding="unproven" if explained else "unexplained", file_off=_file_off(found))
 
 
 def _floor_is_wrong(found: Diagnosis) -> bool:
@@ -193,18 +193,19 @@ def _explained(base: Fit, best: Hypothesis) -> float:
 
 
 def _file_off(found: Diagnosis) -> Fit | None:
-    """Fit the machine's own numbers alone, far beyond what the file allows, where only such numbers are named.
+    """Fit the machine's own numbers alone, far beyond what the file allows, where they may be what is wrong.
 
-    A stiffness or a mass may be named because another of the file's numbers is wrong: only its owner knows how well
-    they are known.
+    A stiffness or a mass may be named because another of the file's numbers is wrong, and where several are, nothing
+    known explains it: only its owner knows how well they are known.
     """
-    if found.named is None or not set(found.named.names) <= OWN_NUMBERS:
+    best = found.best
+    if best is None or (found.named is not None and not set(found.named.names) <= OWN_NUMBERS):
         return None
     loose = tuple(_loosened(n) for n in found.base.parameters)
     begun = Fit(loose, found.base.z / LOOSER, found.base.residual, found.base.jacobian * LOOSER)
     alone = fit(found.estimation, loose, begun.z, begun.jacobian, iterations=6)
     as_good = alone.chi_squared / len(alone.residual) - 1 < max(
-        LOOSELY * found.named.fit.chi_squared / len(alone.residual) - 1, found.estimation.tolerance
+        LOOSELY * best.fit.chi_squared / len(alone.residual) - 1, found.estimation.tolerance
     )
     return alone if as_good else None
 

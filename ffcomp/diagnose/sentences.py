@@ -108,6 +108,7 @@ def _unproven(found: DiagnosisResult) -> list[str]:
         f"There is a gap of {_gap(found)}; {most_of(found.explained)} of it is explained by "
         f"{joined(list(found.effects))}{where}. It is not named because {'; '.join(found.rejections)}.",
         elsewhere(found),
+        *file_off(found),
     ]
 
 
@@ -118,7 +119,7 @@ def _unexplained(found: DiagnosisResult) -> list[str]:
             f"Nearest: {joined(list(found.effects))}, which explains {most_of(found.explained)} of it; refused because "
             f"{'; '.join(found.rejections)}."
         )
-    return sentences
+    return [*sentences, *file_off(found)]
 
 
 def late(found: DiagnosisResult) -> list[str]:

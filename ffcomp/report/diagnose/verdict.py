@@ -64,6 +64,7 @@ def _unproven(given: ReportInput) -> list[str]:
         f"{_size(found)} With this added {percent(found.after.nrms)} are left: it explains "
         f"{most_of(found.explained)} of the gap. It is not named because {'; '.join(found.rejections)}.",
         elsewhere(found),
+        *file_off(found),
         *_where(given),
     ]
 
@@ -77,6 +78,7 @@ def _unexplained(given: ReportInput) -> list[str]:
         f"{_size(found)} That is a real gap, and it is not explained.",
         f"Nearest came {nearest}: it would explain {most_of(found.explained)} of the gap, and was "
         f"refused because {'; '.join(found.rejections)}.",
+        *file_off(found),
         *_where(given),
     ]
 
