@@ -423,6 +423,12 @@ Figures: the library's `{machine}` at the centre, {height:g} mm over the bed, wi
 (blue), in time also their difference (orange). Accelerations as sensors would feel them; responses are acceleration
 felt for acceleration commanded.
 
+Cartesian and CoreXY machines have all but those that are marked as of deltas only. There a list of three is of axes
+x, y, z; what acts on motors and belts is of belts A, B and of z on a CoreXY. Where no axis states its `mass_kg`,
+forces, dampings and masses are per kilogram of what the axis moves, and their keys say so: `force_n_per_kg`. A stretch
+s is that of the motor ahead of the driven point (`models/vibration/modal.py`); `frame_mode` sways under all axes that
+move.
+
 This page and its figures are written by `python -m studies.effect_figures --write`.
 """
 KINDS = {
@@ -432,6 +438,7 @@ KINDS = {
     "frame": "gives the machine something more that moves",
     "sensor": "changes what is recorded, not the motion: corrected, never compensated",
 }
+ONLY = {("carriages", "axes"): "", ("carriages",): "; of deltas only", ("axes",): "; of straight axes only"}
 SIZES = {"scalar": "one", "per_tower": "one, or one a tower", "vector3": "three, x y z", "direction": "a direction"}
 
 
@@ -450,7 +457,7 @@ def _small(title: str) -> str:
 def _section(effect: Effect) -> str:
     seen = shown(effect)
     parts = [
-        f"## {effect.name}\n\n**{effect.title}** ({KINDS[effect.kind]})",
+        f"## {effect.name}\n\n**{effect.title}** ({KINDS[effect.kind]}{ONLY[effect.of]})",
         effect.physics,
         f"    {effect.equation}",
         _table(effect),
