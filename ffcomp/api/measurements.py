@@ -18,12 +18,10 @@ from ffcomp.diagnose.printer_problem import PrinterProblem
 from ffcomp.diagnose.result import DiagnosisResult, better_file, result_of
 from ffcomp.diagnose.validation import check_alike, check_repeating, check_repeats
 from ffcomp.errors import RequestError
-from ffcomp.identify.experiment_files import load_plan
 from ffcomp.identify.identify import Identified
-from ffcomp.identify.load import gather
 from ffcomp.identify.machine_fit import MachineFit, Method, fit_measurements, hash_of
 from ffcomp.measurement.recording import Recording
-from ffcomp.record.load import load_recordings
+from ffcomp.record.load import gather_measurements, load_recordings
 from gcode.atomic_write import replace_atomically
 from models.file import check_text
 from models.machine import Machine
@@ -99,7 +97,7 @@ def identify(
     data : frequency responses, recordings, captures of a plan, or a firmware's resonance tests
     machine : the machine to start from
     output : the machine file to write; None: write nothing
-    plan : the file that `ffcomp identify plan` wrote beside its G-code, for its captures
+    plan : the file that `ffcomp identify plan` or `ffcomp record plan` wrote beside its G-code, for its captures
     known : value and standard deviation of parameters that are known, e.g. by a scale
     method : "direct", the output-error fit, or "stepwise", the paper's method
     name : of the new machine; "": the output file's
@@ -116,11 +114,11 @@ def identify(
     """
     start, files = load_machine(machine), _paths(data)
     target = None if output is None else Path(output)
-    gathered = gather(
+    gathered = gather_measurements(
         files,
         start,
+        plan,
         band_hz=band_hz,
-        plan=None if plan is None else load_plan(Path(plan)),
         axes=list(axes_map),
         shaken_axis=[axis] if isinstance(axis, str) else axis,
         column=column,

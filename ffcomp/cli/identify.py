@@ -39,7 +39,7 @@ PlanFile = Annotated[
         "--plan",
         metavar="FILE",
         rich_help_panel=MACHINE,
-        help="Plan (.json) that `identify plan` wrote, for its captures.",
+        help="Plan (.json) that `identify plan` or `record plan` wrote, for its captures.",
     ),
 ]
 Known = Annotated[
@@ -139,9 +139,8 @@ def fit(
     if output is not None and output.exists() and not force:
         raise typer.BadParameter(f"{output} exists already; give another --output, or --force.")
     with exit_codes():
-        from ffcomp.identify.experiment_files import load_plan
-        from ffcomp.identify.load import gather
         from ffcomp.identify.machine_fit import fit_measurements
+        from ffcomp.record.load import gather_measurements
         from models.file import load_machine
 
         start = load_machine(machine)
@@ -149,14 +148,13 @@ def fit(
         def progress(sentence: str) -> None:
             say(f"ffcomp: {sentence}", quiet)
 
-        account = None if plan is None else load_plan(plan)
         axes = axes_map.split(",")
         band = (lowest_hz, highest_hz)
-        gathered = gather(
+        gathered = gather_measurements(
             data,
             start,
+            plan,
             band_hz=band,
-            plan=account,
             axes=axes,
             shaken_axis=axis or (),
             column=column,

@@ -34,7 +34,7 @@ Kind = Literal["frf", "recording", "vibration"]
 _OURS = "ffcomp-"  # in the names that our plans give to captures
 _NEEDS_PLAN = (
     "By its name it is a capture of a plan of ffcomp's, and holds no resonance test. Captures of `identify plan` need "
-    "the .json file beside its G-code (--plan); those of `record plan` belong to `ffcomp diagnose --plan`."
+    "the .json file beside its G-code (--plan); those of `record plan` its moves.json."
 )
 POSITION_PITCH_MM = 5.0  # recordings whose middles are nearer than this were made at one position
 LARGEST_MOTION_MM = 25.0  # of the nozzle about its middle: beyond it one linear response does not describe a recording
@@ -65,7 +65,6 @@ def gather(
     axes: Sequence[str] = STRAIGHT,
     shaken_axis: Sequence[str] = (),
     column: str | None = None,
-    joined: Sequence[Recording] = (),
     progress: Callable[[str], None] = lambda _: None,
 ) -> Gathered:
     """Read every file.
@@ -76,14 +75,13 @@ def gather(
     shaken_axis : the excited axis of resonance tests whose names do not say it: x, y, z or a direction such as
         "1,-1"; one for all of them, or one each in their order.
     column : the spectrum to be taken of files with several.
-    joined : recordings that were read already.
 
     Raises
     ------
     MeasurementError
         For the first file that cannot be used, with all that is wrong with it.
     """
-    found, recordings = Gathered(), list(joined)
+    found, recordings = Gathered(), []
     tests: list[Found] = []
     for path in paths:
         progress(f"reading {path.name}")

@@ -12,7 +12,7 @@ from ffcomp.errors import MeasurementError
 T = TypeVar("T")
 
 _BELONG = {
-    "ffcomp-moves": " Plans of `record plan` belong to `ffcomp diagnose` and `ffcomp record join`.",
+    "ffcomp-moves": " Plans of `record plan` belong to `ffcomp diagnose`, `identify fit` and `record join`.",
     "ffcomp-excitation": " Plans of `identify plan` belong to `identify fit`.",
 }
 """What to say to the plan of another verb."""

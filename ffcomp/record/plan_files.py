@@ -96,6 +96,15 @@ def is_moves_plan(path: str | Path) -> bool:
         return False
 
 
+def is_moves(path: str | Path) -> bool:
+    """Tell by its schema whether a plan is of `record plan`."""
+    try:
+        found = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False  # whoever reads it says what is wrong
+    return isinstance(found, dict) and found.get("schema") == SCHEMA
+
+
 def load_moves(path: str | Path) -> MovesPlan:
     """Load a plan from its JSON file.
 

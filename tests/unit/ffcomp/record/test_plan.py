@@ -171,10 +171,10 @@ def test_what_cannot_be_planned_says_what_would_fit(delta: Machine, request_: Re
         make_plan(delta, request_)
 
 
-def test_identify_fit_takes_neither_its_captures_nor_its_plan(plan: MovesPlan, delta: Machine, tmp_path: Path) -> None:
+def test_its_captures_need_its_plan_and_no_other_verb_takes_it(plan: MovesPlan, delta: Machine, tmp_path: Path) -> None:
     capture = tmp_path / "adxl345-ffcomp-zigzag-0-1.csv"
     capture.write_text("#time,accel_x,accel_y,accel_z\n1,2,3,4\n", encoding="utf-8")
-    with pytest.raises(MeasurementError, match=r"those of `record plan` belong to `ffcomp diagnose --plan`"):
+    with pytest.raises(MeasurementError, match=r"those of `record plan` its moves.json"):
         gather([capture], delta, band_hz=(2.0, 200.0))
     save_plan(plan, tmp_path / "moves.json")
     with pytest.raises(MeasurementError, match=r"Plans of `record plan` belong to `ffcomp diagnose`"):
