@@ -178,7 +178,7 @@ def test_graphs() -> None:
             "from ffcomp.inverse import b",
             "ffcomp.planner (layer 2) is below ffcomp.inverse (layer 3)",
         ),
-        ("ffcomp/report/a.py", "from ffcomp import load", "ffcomp.report (layer 6) is below ffcomp.__init__ (layer 8)"),
+        ("ffcomp/report/a.py", "from ffcomp import load", "ffcomp.report (layer 7) is below ffcomp.__init__ (layer 9)"),
         ("ffcomp/cli/a.py", "from tests.x import y", "tests/ is never imported by the product"),
         ("ffcomp/cli/a.py", "from studies.x import y", "studies/ is never imported by the product"),
         ("ffcomp/cli/a.py", "from ffcomp import load", None),
@@ -254,7 +254,7 @@ def test_commits_are_compared(write: Write, tmp_path: Path, capsys: pytest.Captu
         subprocess.run([*git, *command], check=True)
     write({"ffcomp/inverse/b.py": "import ffcomp.cli.c", "ffcomp/cli/c.py": ""})
     assert main([str(tmp_path), "--check"]) == 1
-    assert "ffcomp.inverse (layer 3) is below ffcomp.cli (layer 9)" in capsys.readouterr().out
+    assert "ffcomp.inverse (layer 3) is below ffcomp.cli (layer 10)" in capsys.readouterr().out
     assert main([str(tmp_path), "--check", "--ref", "HEAD"]) == 0
     assert capsys.readouterr().out == "structure: no problems\n"
     assert main([str(tmp_path), "--compare", "HEAD"]) == 0
