@@ -23,7 +23,10 @@ def of_one_capture(responses: Sequence[FrequencyResponse]) -> IntArray:
     found: dict[tuple[object, ...], dict[str, int]] = {}
     for number, r in enumerate(responses):
         if r.clock and r.setup == "assembly" and r.output in _OUTPUTS:
-            found.setdefault((r.clock, r.input, r.position_mm, r.source), {})[r.output] = number
+            repeat = 0
+            while r.output in found.setdefault((r.clock, r.input, r.position_mm, repeat), {}):
+                repeat += 1  # the same experiment, captured again
+            found[r.clock, r.input, r.position_mm, repeat][r.output] = number
     rows = [[axes[name] for name in _OUTPUTS] for axes in found.values() if len(axes) == len(_OUTPUTS)]
     alike = [row for row in rows if len({len(responses[i].frequency_hz) for i in row}) == 1]
     return np.array(alike, dtype=np.int64).reshape(-1, 3)

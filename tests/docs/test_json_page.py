@@ -23,7 +23,7 @@ from ffcomp.measurement.frf_files import write_frf
 from models.file import LIBRARY, load_machine
 from tests.support.configs import COREXY, SHAPER, Delta, written
 from tests.support.containers import archive_3mf
-from tests.support.identification import measured, paper_bench, towers_bench
+from tests.support.identification import blank, measured, paper_bench, towers_bench
 from tests.support.json_page import Page
 from tests.support.prints import squares
 from tests.support.recordings import write_captures
@@ -220,6 +220,8 @@ def test_identify_fit_and_decouple(page: Page, folder: Path, corexy: Path) -> No
         *told("identify", "fit", *files, *MACHINE, *known, "-q", "--method", "stepwise"),
         *told("identify", "fit", _spectrum(folder), *MACHINE, "-q", "-o", folder / "modes.toml"),
         *told("identify", "fit", _spectrum(folder), "-m", corexy, "-q"),
+        *told("identify", "fit", *_of_belts(folder), "-m", corexy, "-q"),
+        *told("identify", "fit", *_of_captures(folder), *MACHINE, "-q"),  # nothing is weighed
     ]
     hold(page, "ffcomp-identify-fit/1", answers)
     nine = _measured(folder, towers_bench(-80.0, 0.0, np.arange(4.0, 125.0, 4.0)))
@@ -234,6 +236,24 @@ def _spectrum(folder: Path) -> Path:
     rows = np.column_stack([f, power, 0.01 * power, 0.01 * power, 1.02 * power])
     np.savetxt(path, rows, fmt="%.6e", delimiter=",", header="freq,psd_x,psd_y,psd_z,psd_xyz", comments="")
     return path
+
+
+def _of_belts(folder: Path) -> list[Path]:
+    """Two tests along belts: the same resonance twice."""
+    first = folder / "resonances_axis=1.000,1.000_1.csv"
+    first.write_text(_spectrum(folder).read_text(encoding="utf-8"), encoding="utf-8")
+    second = folder / "resonances_axis=1.000,-1.000_1.csv"
+    second.write_text(first.read_text(encoding="utf-8"), encoding="utf-8")
+    return [first, second]
+
+
+def _of_captures(folder: Path) -> list[Path]:
+    """Responses of one accelerometer, whose start is unknown."""
+    f, place = np.arange(4.0, 121.0, 9.0), (20.0, 10.0, 30.0)
+    bench = [
+        blank(f, input=f"cmd_{a}", output=f"acc_{o}", position_mm=place, clock="chip") for a in "ABC" for o in "xyz"
+    ]
+    return _measured(folder, bench)
 
 
 def test_machines(page: Page, folder: Path, corexy: Path) -> None:
