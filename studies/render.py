@@ -36,6 +36,7 @@ PAGES = {
     "robust": "ROBUST.md",
     "story_emps": "STORY_EMPS.md",
     "story_force_map": "STORY_FORCE_MAP.md",
+    "traps": "TRAPS.md",
 }
 WIDTH = 120  # of a line of a paragraph
 DIGITS = 6  # significant ones in a result

@@ -14,7 +14,7 @@ from models.arrays import FloatArray
 
 WITHOUT_G = 0.2  # of g: less at rest, and gravity was taken out
 REST_UNTIL_S = -0.1  # on the experiment's clock
-RESTLESS = 0.1  # of the motion's root mean square, at rest
+RESTLESS, SHAKES_M_PER_S2 = 0.1, 0.5  # at rest: of the motion's root mean square; more than a chip's noise
 
 
 def wrong_gravity(gravity: FloatArray, clock: ClockKind) -> str:
@@ -37,15 +37,15 @@ def unlike(joined: Joined, least: float) -> str:
     doubt = f"correlation {joined.clock.correlation:.2f}, and {least:g} is needed"
     start = f"It does not fit the motion of {joined.experiment} below 20 Hz: {doubt}."
     rest, motion = _loudness(joined)
-    if rest > RESTLESS * motion:
+    if rest > max(RESTLESS * motion, SHAKES_M_PER_S2):
         return (
             f"{start} It shakes by {rest:.2g} m/s² at rest already, {rest / motion:.0%} of what it does in motion: "
             "something else shakes the printer or its table, or the sensor is loose. Stop that, and record it again."
         )
     return (
         f"{start} It is of another motion (another plan, a speed factor, lower limits of the firmware, lost steps, a "
-        "bump), of another machine or of a loose sensor, or its axes are others than --axes-map says. Check these, and "
-        "record it again."
+        "bump), of another machine, or of a sensor that is loose or not on the nozzle holder; or its axes are others "
+        "than --axes-map says. Check these, and record it again."
     )
 
 
