@@ -36,7 +36,9 @@ class BeltTest:
     @property
     def axis(self) -> str:
         """The direction as people give it to the firmware, up to a factor."""
-        return ",".join(f"{c / np.abs(self.direction).max():.3g}" for c in self.direction)
+        x, y = (float(c) for c in self.direction)
+        scale = abs(x) if abs(abs(x) - abs(y)) < 1e-3 else 1.0
+        return ",".join(f"{round(c / scale, 3) + 0.0:g}" for c in (x, y))
 
 
 def no_test(found: Found) -> str:

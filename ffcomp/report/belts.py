@@ -44,18 +44,11 @@ def belts_panel(axes: Axes, belts: BeltComparison) -> None:
         top = int(np.argmax(test.spectrum.value))
         height = float(scale * test.spectrum.value[top])
         axes.plot(f[top], height, "v", color=colour, markersize=7)
-        axes.annotate(
-            f"{f[top]:.1f} Hz",
-            (float(f[top]), height),
-            xytext=(6, 4 + 11 * number),
-            textcoords="offset points",
-            color=colour,
-            fontsize=8,
-        )
     axes.set_xlabel("frequency, Hz")
     axes.set_ylabel("power of the acceleration, of its largest")
     axes.set_ylim(bottom=0.0)
-    axes.margins(x=0.0, y=0.14)
+    highest = max(float(test.spectrum.frequency_hz[-1]) for test in belts.tests)
+    axes.set_xlim(0.0, min(highest, 3.0 * belts.modes_hz[1].value))
     axes.plot([], [], color=SOFT, linewidth=1.0, linestyle=":", label="fitted: head on its belts")
     axes.legend(fontsize=8, frameon=False)
     grid(axes)
@@ -64,6 +57,7 @@ def belts_panel(axes: Axes, belts: BeltComparison) -> None:
 def _label(belts: BeltComparison, number: int) -> str:
     """Name a test by its belt and direction."""
     test = belts.tests[number]
+    peak = f"peak at {test.spectrum.frequency_hz[int(np.argmax(test.spectrum.value))]:.1f} Hz"
     if belts.kind == "belt":
-        return f"axis={test.axis}"
-    return f"tower {belts.nearest(test)} (axis={test.axis})"
+        return f"axis={test.axis}, {peak}"
+    return f"tower {belts.nearest(test)} (axis={test.axis}), {peak}"
