@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ffcomp.diagnose.noise import fill_gaps
 from ffcomp.diagnose.problem import Observation
 from ffcomp.numerics.delay import delayed
 from models.arrays import ComplexArray, FloatArray
@@ -96,6 +97,8 @@ def _compared(observations: Sequence[Observation], members: tuple[int, ...]) -> 
     spectra = [np.fft.rfft(x / scale, axis=0) for x in columns]
     lags, certain = _lags(spectra, first)
     together = [delayed(x, -lag, first.rate_hz) for x, lag in zip(columns, lags, strict=True)]
+    known = np.all([np.isfinite(observations[i].measured).all(axis=1) for i in members], axis=0)
+    together = [x * known[:, None] for x in together]  # what one of them lacks tells nothing
     differences = _in_band(np.stack(together) - np.mean(together, axis=0), first.rate_hz)
     differences *= np.sqrt(len(members) / (len(members) - 1))
     size = np.sqrt(np.mean(_in_band(np.stack(columns), first.rate_hz) ** 2))
@@ -105,9 +108,9 @@ def _compared(observations: Sequence[Observation], members: tuple[int, ...]) -> 
 
 
 def _columns(observation: Observation, names: Sequence[str]) -> FloatArray:
-    """Return some signals (n, m) without their means; gaps are zero."""
+    """Return some signals (n, m) without their means, gaps bridged."""
     x = observation.measured[:, [observation.signals.index(s) for s in names]]
-    return np.nan_to_num(x - np.nanmean(x, axis=0))
+    return np.column_stack([fill_gaps(column) for column in (x - np.nanmean(x, axis=0)).T])
 
 
 def _lags(spectra: Sequence[ComplexArray], observation: Observation) -> tuple[list[float], bool]:

@@ -11,13 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import binary_opening
 from scipy.signal import butter, fftconvolve, sosfiltfilt
 
 from ffcomp.record.expected import Expectation
-from models.arrays import FloatArray
+from models.arrays import BoolArray, FloatArray
 
 BAND_HZ = (2.0, 20.0)
 ORDER = 6  # of the filter, twice: the modes, from 30 Hz on, ring loudly
+BRIDGED_S = 1e-3  # of missing rows that a cubic spline stands for: a tenth of a period at 100 Hz
 THIN_HZ = 200.0  # ten times the band: rows that are fitted
 WORST_CLOCK = 0.03  # chips are within 2 %
 CYCLES_OF_CLOCK_STEP = 0.1  # of the band's middle, between two ratios that are tried
@@ -71,11 +73,22 @@ def thinned(time_s: FloatArray, measured: FloatArray) -> tuple[FloatArray, Float
 
 
 def without_gaps(time_s: FloatArray, measured: FloatArray) -> FloatArray:
-    """Bridge missing rows (NaN) of (n, m) by straight lines."""
+    """Bridge missing rows (NaN) of (n, m): a few in a row by a cubic spline, more by straight lines."""
     known = np.isfinite(measured).all(axis=1)
     if known.all():
         return measured
-    return np.column_stack([np.interp(time_s, time_s[known], column[known]) for column in measured.T])
+    lines = np.column_stack([np.interp(time_s, time_s[known], column[known]) for column in measured.T])
+    short = ~known & ~long_gaps(time_s, measured)
+    if short.any():
+        lines[short] = CubicSpline(time_s[known], measured[known])(time_s[short])
+    return lines
+
+
+def long_gaps(time_s: FloatArray, measured: FloatArray) -> BoolArray:
+    """Tell which rows of (n, m) are missing (NaN) with too many beside them for a bridge."""
+    missing = ~np.isfinite(measured).all(axis=1)
+    bridged = int(BRIDGED_S * (len(time_s) - 1) / float(time_s[-1] - time_s[0]))
+    return np.asarray(binary_opening(missing, np.ones(bridged + 1, dtype=np.bool_)))
 
 
 def fit_clock(

@@ -17,7 +17,7 @@ from scipy.signal import resample_poly
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import Recording
 from ffcomp.record.axes import best_score, find_turn, tilt, words
-from ffcomp.record.clock import ClockFit, fit_clock, without_gaps
+from ffcomp.record.clock import ClockFit, fit_clock, long_gaps, without_gaps
 from ffcomp.record.expected import Expectation
 from ffcomp.record.plan import MovesPlan
 from ffcomp.record.plan_files import run_name
@@ -200,8 +200,8 @@ def _joined(task: Task, clock: ClockFit, axes: FloatArray, rate_hz: float) -> Jo
 
 
 def _on_grid(tau: FloatArray, felt: FloatArray, grid: FloatArray, factor: int) -> FloatArray:
-    """Interpolate rows (n, 3) at times (n,) to a grid (k,); NaN beside a missing row."""
-    missing = np.asarray(np.isnan(felt).any(axis=1))
+    """Interpolate rows (n, 3) at times (n,) to a grid (k,); NaN beside rows that no bridge stands for."""
+    missing = long_gaps(tau, felt)
     at, rows = tau, without_gaps(tau, felt)
     if factor > 1:  # a slow sensor: more rows of the same spectrum
         rows = np.asarray(resample_poly(rows, factor, 1, axis=0))

@@ -67,6 +67,13 @@ def test_good_repeats_stay_as_they_are() -> None:
     check_repeating([found])
 
 
+def test_missing_samples_of_one_are_no_difference() -> None:
+    holes = motion()
+    holes[600:1500:100] = holes[601:1501:100] = np.nan
+    (found,) = repeats_of([observed(motion(), 1), observed(holes, 2)])
+    assert not found.apart and not found.differ and found.over_rest == pytest.approx(1.0, abs=0.3)
+
+
 def test_repeats_that_do_not_repeat_are_refused_with_files_and_remedy() -> None:
     stiffer = motion() * [1.0, 0.6]
     (found,) = repeats_of([observed(motion(), 1), observed(stiffer, 2)])

@@ -243,6 +243,17 @@ def test_a_few_lost_rows_are_gaps(bench: Bench, tmp_path: Path) -> None:
     assert 18 <= joined.recording.gaps.sum() <= 24
 
 
+def test_single_lost_rows_are_bridged_within_the_noise(bench: Bench, tmp_path: Path) -> None:
+    lines = one(bench).read_text().splitlines(keepends=True)
+    path = tmp_path / one(bench).name
+    path.write_text("".join(line for k, line in enumerate(lines) if k < 3000 or k % 500))
+    (whole,), (holed,) = (join_captures([p], bench.plan, bench.machine).joined for p in (one(bench), path))
+    assert not holed.recording.gaps.any()
+    for name, expected in whole.recording.acceleration.items():
+        apart = holed.recording.acceleration[name] - expected
+        assert np.sqrt(np.mean(apart**2)) < 0.05 and np.abs(apart).max() < 2.0, name
+
+
 def test_straight_axes_are_joined_too(tmp_path: Path) -> None:
     machine = load_machine("ender-3")
     plan = short_plan(machine)
