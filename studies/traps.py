@@ -24,6 +24,7 @@ from validation.traps.owners import CAPTURE_TRAPS, CaptureTrap
 from validation.traps.run import Answer, asked, judged
 
 NOTICED = 230  # letters of an answer in the page
+REFUSED = 5  # exit code
 
 
 def main() -> None:
@@ -94,7 +95,8 @@ def _hidden(trap: Trap) -> str:
 def _said(answer: Answer) -> str:
     """Shorten an answer for the page: the verdict and its first words, or the refusal's."""
     if not answer.found or "verdict" not in answer.found:
-        return "refused: " + _cut(re.sub(r"\S*?([\w.-]+\.csv): ", r"\1: ", answer.text.replace("ffcomp: ", "")))
+        what = "refused: " if answer.code == REFUSED else f"exit code {answer.code}, no verdict: "
+        return what + _cut(re.sub(r"\S*?([\w.-]+\.csv): ", r"\1: ", answer.text.replace("ffcomp: ", "")))
     found = answer.found
     named = [f"{e['name']} ({', '.join(_size(k, x) for k, x in e['parameters'].items())})" for e in found["effects"]]
     words = found.get("said") or [""]
@@ -104,8 +106,14 @@ def _said(answer: Answer) -> str:
 
 
 def _size(key: str, told: Mapping[str, Any]) -> str:
-    mean = {k: sum(x) / len(x) if isinstance(x, list) else x for k, x in told.items() if k != "unit"}
-    return f"{key} {mean['value']:.3g}, {mean['low']:.3g} to {mean['high']:.3g}"
+    value, low, high = (_digits(told[name]) for name in ("value", "low", "high"))
+    return f"{key} {value}" if value == low == high else f"{key} {value}, {low} to {high}"
+
+
+def _digits(x: Any) -> str:
+    if isinstance(x, list):
+        return f"[{' '.join(map(_digits, x))}]"
+    return x if isinstance(x, str) else f"{x:.3g}"
 
 
 def _cut(text: str) -> str:

@@ -70,7 +70,7 @@ def judged(trap: Trap, answer: Answer) -> list[str]:
         if effect in named and not _reaches(named[effect]["parameters"][number], low, high):
             wrong.append(f"{key} {named[effect]['parameters'][number]}")
     if said.file is not None and bool(found.get("machine")) != said.file:
-        wrong.append(f"better file: {found.get('machine')}")
+        wrong.append(f"a better file is {'written' if found.get('machine') else 'not written'}")
     return wrong
 
 
