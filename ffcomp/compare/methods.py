@@ -16,13 +16,12 @@ from ffcomp.compensate.statistics import Statistics
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
 from ffcomp.shapers.apply import FrequencyOfPosition
+from ffcomp.shapers.kinds import USUAL
 from ffcomp.simulate.motion import Motion
 from models.effects.catalogue import effective_machine
 from models.machine import Machine
 
 KINDS = tuple(shapers.SHAPERS)
-# what firmware has today: compared unless others are named
-USUAL = ("zv", "mzv", "zvd", "ei", "2hump_ei", "3hump_ei")
 CALIBRATED, SCHEDULED = "-calibrated", "-scheduled"  # behind a kind
 ONE_MODEL, ROBUST, COMPENSATED = "fbs-lti", "fbs-robust", "fbs-lpv"
 NAMES = (
@@ -34,7 +33,7 @@ NAMES = (
     ROBUST,
     COMPENSATED,
 )  # in the order of the table
-USUAL_NAMES = tuple(
+USUAL_NAMES = tuple(  # compared unless others are named
     name for name in NAMES if name.removesuffix(CALIBRATED).removesuffix(SCHEDULED) not in set(KINDS) - set(USUAL)
 )
 

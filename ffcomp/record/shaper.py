@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 from ffcomp.record.clock import without_gaps
 from ffcomp.record.expected import Expectation
 from ffcomp.record.result import Joined
-from ffcomp.shapers.kinds import SHAPERS
+from ffcomp.shapers.kinds import SHAPERS, USUAL
 from ffcomp.shapers.pulses import DAMPING_RATIO
 from models.arrays import ComplexArray, FloatArray
 
@@ -26,6 +26,7 @@ FREQUENCIES_HZ = np.geomspace(15.0, 130.0, 60)
 NORMAL = np.arange(0.0, BAND_HZ[1] / FREQUENCIES_HZ[0] + 0.01, 0.01)  # frequencies, in those of the shaper
 EXPLAINED = 0.35  # of the power may be left with the shaper
 BETTER = 2.5  # times less than without it; files with dampings off by 4, belts by 20 % or 120 g gave 1.4 at most
+AS_GOOD = 1.5  # times as much left: kinds that smooth alike are told apart by nothing else
 LEAST_WITHOUT = 0.03  # of the power: less may be anything
 
 
@@ -55,10 +56,17 @@ def find_shapers(recorded: Sequence[tuple[Joined, Expectation]]) -> list[FoundSh
     found = []
     for i, axis in enumerate("xy" if recorded else ""):
         left, without = _unexplained(recorded, i)
-        best = int(left.argmin())
+        best = _likeliest(left)
         if left[best] < EXPLAINED and without > max(BETTER * left[best], LEAST_WITHOUT):
             found.append(FoundShaper(axis, *names[best], float(left[best]), without))
     return found
+
+
+def _likeliest(left: FloatArray) -> int:
+    """Choose the candidate that leaves least; one of the usual kinds where it leaves hardly more."""
+    usual = np.repeat([kind in USUAL for kind in SHAPERS], len(FREQUENCIES_HZ))
+    best, common = int(left.argmin()), int(np.where(usual, left, np.inf).argmin())
+    return common if left[common] < AS_GOOD * left[best] + 0.01 else best
 
 
 def _unexplained(recorded: Sequence[tuple[Joined, Expectation]], axis: int) -> tuple[FloatArray, float]:

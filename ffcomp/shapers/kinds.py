@@ -20,3 +20,5 @@ SHAPERS: dict[str, Callable[[float, float], Shaper]] = {
     "3hump_ei": pulses.three_hump_ei,
     **{name: partial(smooth, name) for name in KERNELS},
 }
+
+USUAL = ("zv", "mzv", "zvd", "ei", "2hump_ei", "3hump_ei")  # what most printers have
