@@ -140,10 +140,11 @@ class PrinterProblem(Problem):
     ) -> list[dict[int, PrinterMotion] | InfeasibleParameters]:
         """Simulate on every core, in SIMD lanes what takes equal steps."""
         machines = [self.machine_with(values) for values in many]
-        printers = [converted_printer(machine) for machine in machines]
+        converted = [_converted(machine) for machine in machines]
+        printers = {n: each for n, each in enumerate(converted) if not isinstance(each, ValueError)}
         by_steps: dict[_Steps, list[tuple[int, int]]] = {}
         for i in sorted(needed, key=lambda i: len(self.commands[i])):
-            for n, printer in enumerate(printers):
+            for n, printer in printers.items():
                 by_steps.setdefault(_steps(printer, self.observations[i].rate_hz, coarse), []).append((n, i))
         packs = [
             (steps, tasks[k : k + LANES]) for steps, tasks in by_steps.items() for k in range(0, len(tasks), LANES)
@@ -160,7 +161,9 @@ class PrinterProblem(Problem):
                 converted=[printers[n] for n, _ in tasks],
             )
 
-        motions: list[dict[int, PrinterMotion | ValueError]] = [{} for _ in machines]
+        motions: list[dict[int, PrinterMotion | ValueError]] = [
+            {-1: each} if isinstance(each, ValueError) else {} for each in converted
+        ]
         with ThreadPoolExecutor(WORKERS) as pool:
             for (_, tasks), found in zip(packs, pool.map(simulate, packs), strict=True):
                 for (n, i), motion in zip(tasks, found, strict=True):
@@ -198,6 +201,14 @@ def _steps(printer: ConvertedPrinter, rate_hz: float, coarse: bool) -> _Steps:
     elif coarse:
         longest = max(longest, COARSE_KINKED_STEP_S)
     return _Steps(1 / rate_hz, math.ceil(1 / rate_hz / longest / LONGER_STEP))
+
+
+def _converted(machine: Machine) -> ConvertedPrinter | ValueError:
+    """Return the printer's numbers, or why there is no such printer: its arms may be too short for its bed."""
+    try:
+        return converted_printer(machine)
+    except ValueError as error:
+        return error
 
 
 def _whole(motions: Mapping[int, PrinterMotion | ValueError]) -> dict[int, PrinterMotion] | InfeasibleParameters:
