@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 
 from ffcomp.diagnose.fit import Fit
 from ffcomp.diagnose.held_out import LEFT, HeldOut
-from ffcomp.diagnose.hypotheses import SIGNIFICANT, Hypothesis, discrepancy_of, implausible, misfit
+from ffcomp.diagnose.hypotheses import IMPLAUSIBLE, SIGNIFICANT, Hypothesis, discrepancy_of, implausible, misfit
 from ffcomp.diagnose.intervals import superfluous
+from ffcomp.diagnose.recording_delays import belongs_to_recording
 from ffcomp.identify.uncertainty import Estimate
 
 MINOR = 0.05  # of all that was unexplained where it was left out: a place with less proves nothing against an effect
@@ -29,10 +30,27 @@ def rejections(
         failed.append("it was tested nowhere else: there is one experiment only")
     elif not implausible(base) and sum((one.before - one.after) * one.rows for one in held_out) < SIGNIFICANT:
         failed.append("data left out of the fit are simulated no better with it")
+    failed += _out_of_reach(best)
     for candidate in best.effects:
         if superfluous(candidate, intervals):
             failed.append(f"the interval of {candidate.name} includes no effect at all")
     return failed
+
+
+def _out_of_reach(best: Hypothesis) -> list[str]:
+    """Say which of the file's own numbers had to move furthest, if they had to move beyond what the file says."""
+    own = [
+        (p.name, abs(float(z)))
+        for p, z in zip(best.own_parameters, best.fit.z, strict=False)
+        if not belongs_to_recording(p.name)
+    ]
+    if sum(z**2 for _, z in own) <= IMPLAUSIBLE * len(own):
+        return []
+    name, z = max(own, key=lambda each: each[1])
+    return [
+        "with it the machine file's own numbers would have to be off by more than the file says, "
+        f"{name} by {z:.1f} times its uncertainty"
+    ]
 
 
 def against(held_out: Sequence[HeldOut], tolerance: float) -> list[HeldOut]:

@@ -12,6 +12,7 @@ from ffcomp.compensate.job import Options
 from ffcomp.diagnose.result import DiagnosisResult
 from ffcomp.diagnose.words import digits
 from ffcomp.errors import FfcompError
+from ffcomp.inverse.model import GEOMETRY
 from ffcomp.simulate.simulation import Request, read_command, simulate_command
 from gcode.errors import GcodeError
 from models.effects.catalogue import CATALOGUE
@@ -50,8 +51,13 @@ class PrintGain:
 
 
 def print_gain(machine: Machine, found: DiagnosisResult) -> PrintGain | None:
-    """Predict the gain; None without a machine's effect, or where the sample cannot be printed on this machine."""
+    """Predict the gain; None without a machine's effect, or where the sample cannot be printed on this machine.
+
+    Nor where the geometry is found to be another: prints are then off by what calibration takes out.
+    """
     if found.verdict != "effects" or all(CATALOGUE[name].kind == "sensor" for name in found.effects):
+        return None
+    if GEOMETRY in found.effects:
         return None
     retuned = with_values(machine, {key: to for key, (_, to) in found.retuned.items()})
     better = replace(retuned, effects={**machine.effects, **found.effects})

@@ -1,0 +1,30 @@
+"""What keeps effects from being named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ffcomp.diagnose.acceptance import rejections
+from ffcomp.diagnose.fit import Fit
+from ffcomp.diagnose.held_out import HeldOut
+from ffcomp.diagnose.hypotheses import Hypothesis
+from ffcomp.diagnose.problem import Candidate, Parameter
+from ffcomp.identify.uncertainty import Estimate
+
+OWN = (Parameter("carriage.mass_kg", 0.2, 0.004), Parameter("recording.zigzag-0.delay_s", 0.0, 3e-4))
+EFFECT = Parameter("effects.effector_mass.added_kg", 0.0, 0.1)
+
+
+def named(z: tuple[float, float]) -> Hypothesis:
+    fitted = Fit((*OWN, EFFECT), np.array([*z, 1.2]), np.ones(1000), np.zeros((1000, 3)))
+    return Hypothesis((Candidate("effector_mass", (EFFECT,), {EFFECT.name: 0.1}),), fitted)
+
+
+@pytest.mark.parametrize(("z", "said"), [((1.5, 4.5), False), ((-4.9, 0.0), True)])
+def test_numbers_of_the_file_may_not_move_far_beyond_what_it_says(z: tuple[float, float], said: bool) -> None:
+    """A recording's delay may: it is no number of the file."""
+    base = Fit(OWN, np.zeros(2), np.full(1000, 10.0), np.zeros((1000, 2)))
+    held_out = [HeldOut(place, 99.0, 0.0, 500, (1.0, 0.0, 1.0)) for place in ((0.0, 0.0), (55.0, 20.0))]
+    found = rejections(base, named(z), held_out, {EFFECT.name: Estimate(0.12, 0.01, 0.1, 0.14)}, 0.05)
+    assert any("carriage.mass_kg by 4.9 times its uncertainty" in text for text in found) == said
