@@ -26,6 +26,7 @@ from ffcomp.cli.integrations import app as integrations  # noqa: E402
 from ffcomp.cli.log import log_path, logged, note  # noqa: E402
 from ffcomp.cli.machines import app as machines  # noqa: E402
 from ffcomp.cli.record import app as record  # noqa: E402
+from ffcomp.cli.record_check import check as record_check  # noqa: E402
 from ffcomp.cli.restore import restore  # noqa: E402
 from ffcomp.cli.show import show  # noqa: E402
 from ffcomp.cli.simulate import simulate  # noqa: E402
@@ -65,6 +66,7 @@ app.command(cls=Command)(frf)
 app.command(cls=Command)(gap)
 app.command(cls=Command)(diagnose)
 app.add_typer(identify, name="identify")
+record.command("check", cls=Command)(record_check)
 app.add_typer(record, name="record")
 app.add_typer(machines, name="machines")
 app.add_typer(integrations, name="integrations")

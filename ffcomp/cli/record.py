@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -137,26 +138,22 @@ def plan(
 
     Example: ffcomp record plan -m mp-delta-pro -o moves.gcode
     """
-    from ffcomp.cli.common import exit_codes, print_json
+    from ffcomp.cli.common import exit_codes
     from gcode.dialects import FLAVORS, KLIPPER
 
     if flavor:
         check_choice("--flavor", flavor, sorted(FLAVORS))
-    account = output_file.with_suffix(".json")
-    if account == output_file:
-        raise typer.BadParameter(f"-o {output_file}: the G-code needs another ending, for .json is that of its plan.")
+    account = account_of(output_file)
     with exit_codes():
         from ffcomp.record.firmware import DEFAULT_CHIPS, Firmware
         from ffcomp.record.gcode_text import gcode_lines
         from ffcomp.record.plan import Request, make_plan
-        from ffcomp.record.plan_files import save_plan
         from ffcomp.record.prints import plan_print, print_lines
-        from gcode.atomic_write import replace_atomically
         from models.file import load_machine
 
         loaded = load_machine(machine)
         request = Request(
-            places_mm=[_pair("--at", text) for text in at or []],
+            places_mm=[pair("--at", text) for text in at or []],
             height_mm=height_mm,
             seconds=seconds,
             repeats=repeats,
@@ -164,23 +161,45 @@ def plan(
             seed=seed,
         )
         spoken = flavor or loaded.flavor or KLIPPER
-        firmware = Firmware(spoken, chip or DEFAULT_CHIPS[spoken], _pair("--shaper", shaper) if shaper else None)
+        firmware = Firmware(spoken, chip or DEFAULT_CHIPS[spoken], pair("--shaper", shaper) if shaper else None)
         if print_file is None:
             made = make_plan(loaded, request)
             lines = gcode_lines(made, loaded, firmware)
         else:
             made, program = plan_print(print_file, loaded, spoken)
             lines = print_lines(made, program, firmware)
-        replace_atomically(output_file, lines)
-        save_plan(made, account)
-        result = _result(made, firmware, output_file, account, machine, loaded.vibration.diagnosable)
-        if as_json:
-            print_json(result)
-        else:
-            _report(result)
+        then = _next(made, account, machine, loaded.vibration.diagnosable)
+        finish_plan(made, lines, firmware, output_file, then, as_json)
 
 
-def _pair(option: str, text: str) -> tuple[float, float]:
+def account_of(output_file: Path) -> Path:
+    """Return where the plan of a G-code file is written."""
+    account = output_file.with_suffix(".json")
+    if account == output_file:
+        raise typer.BadParameter(f"-o {output_file}: the G-code needs another ending, for .json is that of its plan.")
+    return account
+
+
+def finish_plan(
+    made: MovesPlan, lines: Iterable[bytes], firmware: Firmware, target: Path, then: str, as_json: bool
+) -> None:
+    """Write the G-code and its plan, and say what comes next."""
+    from ffcomp.cli.common import print_json
+    from ffcomp.record.plan_files import save_plan
+    from gcode.atomic_write import replace_atomically
+
+    account = account_of(target)
+    replace_atomically(target, lines)
+    save_plan(made, account)
+    result = _result(made, firmware, target, account, then)
+    if as_json:
+        print_json(result)
+    else:
+        _report(result)
+
+
+def pair(option: str, text: str) -> tuple[float, float]:
+    """Parse the two numbers of an option."""
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
@@ -195,9 +214,7 @@ def _next(made: MovesPlan, account: Path, machine: str, diagnosable: bool) -> st
     return f"ffcomp diagnose CAPTURES --plan {account} -m {machine}{repeated}"
 
 
-def _result(
-    made: MovesPlan, firmware: Firmware, target: Path, account: Path, machine: str, diagnosable: bool
-) -> dict[str, Any]:
+def _result(made: MovesPlan, firmware: Firmware, target: Path, account: Path, then: str) -> dict[str, Any]:
     from ffcomp.record.plan_files import capture_name
 
     experiments = [
@@ -223,7 +240,7 @@ def _result(
         "captures": [capture_name(each.name, repeat) for each, repeat in made.runs()],
         "restores": firmware.restores(),
         "warnings": _warnings(experiments),
-        "next": _next(made, account, machine, diagnosable),
+        "next": then,
     }
 
 

@@ -48,6 +48,7 @@ class Request:
     repeats: int = 2
     acceleration_mm_per_s2: float | None = None  # of the nozzle; None: the machine file's limit
     seed: int = 1
+    kinds: Sequence[str] = tuple(KINDS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +103,7 @@ def make_plan(machine: Machine, request: Request) -> MovesPlan:
     places = list(request.places_mm) or default_places(machine)
     _check_places(machine, places, request.height_mm)
     experiments = []
-    for kind, place in schedule(len(places)):
+    for kind, place in schedule(len(places), request.kinds):
         x, y = places[place]
         at = np.array([x, y, request.height_mm])
         rng = np.random.default_rng([request.seed, place, list(KINDS).index(kind)])
@@ -131,9 +132,8 @@ def default_places(machine: Machine) -> list[Place]:
     return chosen
 
 
-def schedule(places: int) -> list[tuple[str, int]]:
+def schedule(places: int, kinds: Sequence[str] = tuple(KINDS)) -> list[tuple[str, int]]:
     """List kind and place of each experiment, at most twelve, every kind about equally often."""
-    kinds = list(KINDS)
     if places == 1:
         return [(kind, 0) for kind in kinds]
     each = min(KINDS_AT_A_PLACE, MOST_EXPERIMENTS // places)

@@ -208,6 +208,11 @@ def test_record(page: Page, folder: Path) -> None:
     captures[1].write_text(captures[0].read_text(encoding="utf-8").replace("accel_x", "##drops=1"), encoding="utf-8")
     joined = ("record", "join", *captures, "--plan", folder / "moves.json", *MACHINE, "-o", folder / "runs", "-q")
     hold(page, "ffcomp-join/1", told(*joined))
+    checks = ("record", "check", *captures, "--plan", folder / "moves.json", *MACHINE, "--history", folder / "h.jsonl")
+    soft = replace(TRUTH, effects={"belt_stiffness": {"relative_change": [0.0, -0.1, 0.0]}})
+    later = write_captures(folder / "moves.json", soft, folder / "later", kinds=("zigzag",))
+    other = ("record", "check", *later, *checks[2 + len(captures) :])
+    hold(page, "ffcomp-check/1", [*told(*checks, "-q"), *told(*other, "-q"), *told(*other, "-q")])
     sensor = ("--as-captures", folder / "played", "--plan", folder / "moves.json", "--rate", "800")
     hold(page, "ffcomp-captures/1", told("simulate", folder / "moves.gcode", *MACHINE, *sensor, "-q"))
 

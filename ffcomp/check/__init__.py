@@ -1,0 +1,1 @@
+"""Compare what the printer's own accelerometer feels today with the machine file and with earlier checks."""

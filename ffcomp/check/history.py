@@ -1,0 +1,134 @@
+"""The history of a printer's checks: one file of lines, each a check as JSON.
+
+Each line has what was found. Motion is kept of the first check of a plan and of the last few, so that the file stays
+small; a line that cannot be read is never overwritten.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Container, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ffcomp.check.felt import Felt
+from ffcomp.errors import MeasurementError
+from ffcomp.record.plan import MovesPlan
+from ffcomp.record.plan_files import account
+from gcode.atomic_write import replace_atomically
+
+SCHEMA = "ffcomp-check-history/1"
+MOST, WITH_MOTION = 100, 5  # checks; the last ones whose motion is kept, besides the first
+MM = 1e3  # accelerations are kept as whole mm/s²
+
+
+@dataclass(frozen=True, eq=False)
+class Check:
+    """One check of the history."""
+
+    date: str  # ISO 8601
+    plan: str  # of what moves it is, see `plan_hash`
+    machine_sha256: str
+    axes_map: str
+    finding: str
+    said: str
+    gap: float  # to the machine file, as a share of the signal
+    difference: float | None  # to the check before; None: there was none
+    noise: float
+    felt: tuple[Felt, ...] = ()  # empty: no longer kept
+
+    def felt_of(self, names: Container[str]) -> list[Felt]:
+        """Return the experiments of these names."""
+        return [each for each in self.felt if each.name in names]
+
+    def is_same_recording(self, felt: Sequence[Felt]) -> bool:
+        """Tell whether these are the very captures of this check."""
+        own = {each.name: _whole(each) for each in self.felt}
+        return bool(felt) and all(each.name in own and np.array_equal(own[each.name], _whole(each)) for each in felt)
+
+
+def plan_hash(plan: MovesPlan) -> str:
+    """Return what tells moves from others."""
+    moves = account(plan)["experiments"]
+    return hashlib.sha256(json.dumps(moves, sort_keys=True).encode()).hexdigest()
+
+
+def read_history(path: Path) -> list[Check]:
+    """Read all checks, the oldest first; none where there is no file.
+
+    Raises
+    ------
+    MeasurementError
+        For a file that is damaged, or none of ours.
+    """
+    if not path.exists():
+        return []
+    checks = []
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        for line in lines:
+            checks.append(_check(json.loads(line)))
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise MeasurementError(
+            str(path),
+            [
+                f"Line {len(checks) + 1} of the history is no check of ffcomp ({error}). Nothing was changed. Give "
+                "another file with --history, or move this one away: checks then begin anew."
+            ],
+        ) from error
+    return checks
+
+
+def write_history(path: Path, checks: Sequence[Check]) -> None:
+    """Write the checks, of the oldest without their motion, replacing the file atomically."""
+    kept = list(checks)[-MOST:]
+    last = kept[-1].plan
+    first = next(k for k, each in enumerate(kept) if each.plan == last and each.felt)
+    lines = [
+        json.dumps(_entry(each, k == first or k >= len(kept) - WITH_MOTION), separators=(",", ":"), ensure_ascii=False)
+        for k, each in enumerate(kept)
+    ]
+    replace_atomically(path, [f"{line}\n".encode() for line in lines])
+
+
+def _entry(check: Check, with_motion: bool) -> dict[str, Any]:
+    own = {key: getattr(check, key) for key in _KEYS}
+    return {"schema": SCHEMA, **own, "experiments": [_felt_entry(e) for e in check.felt] if with_motion else []}
+
+
+_KEYS = ("date", "plan", "machine_sha256", "axes_map", "finding", "said", "gap", "difference", "noise")
+
+
+def _felt_entry(felt: Felt) -> dict[str, Any]:
+    return {
+        "name": felt.name,
+        "noise_m_per_s2": np.round(felt.noise, 5).tolist(),
+        "clock_sd_s": round(felt.clock_sd_s, 7),
+        "repeats": felt.repeats,
+        "acceleration_mm_per_s2": _whole(felt).T.tolist(),
+    }
+
+
+def _whole(felt: Felt) -> Any:
+    return np.rint(MM * felt.acceleration).astype(np.int64)
+
+
+def _check(read: dict[str, Any]) -> Check:
+    if read["schema"] != SCHEMA:
+        raise ValueError(f"its schema is {read['schema']!r}")
+    difference = None if read["difference"] is None else float(read["difference"])
+    texts = {key: str(read[key]) for key in _KEYS[:6]}
+    felt = tuple(map(_felt, read["experiments"]))
+    return Check(**texts, gap=float(read["gap"]), difference=difference, noise=float(read["noise"]), felt=felt)
+
+
+def _felt(read: dict[str, Any]) -> Felt:
+    rows = np.array(read["acceleration_mm_per_s2"], dtype=np.float64).T / MM
+    noise = np.array(read["noise_m_per_s2"], dtype=np.float64)
+    if rows.ndim != 2 or rows.shape[1] != 3 or noise.shape != (3,) or not np.isfinite(rows).all() or noise.min() <= 0:
+        raise ValueError("an acceleration is missing")
+    return Felt(str(read["name"]), rows, noise, float(read["clock_sd_s"]), int(read["repeats"]))

@@ -1,0 +1,152 @@
+"""What of a printer may change between two checks, and what that would change in what its sensor feels.
+
+A part is one number: belts (all, or each), mass on the nozzle holder, damping and dry friction of the guides; of
+straight axes frequency and damping of each mode. Its signature is a difference of two simulations by the machine file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ffcomp.check.felt import in_band, rows_of
+from ffcomp.record.motion import Commanded
+from models.arrays import FloatArray
+from models.effects.catalogue import effects_of, measured
+from models.machine import Machine
+from models.parameters import value_of, with_values
+from models.printer.printer import simulate_printers
+
+SIMULATED_HZ = 1600.0
+SPARE_S = 0.4  # simulated before and after
+WORDS = {
+    "frequency_hz": ("the mode of {} near {:.0f} Hz is {:.0f} % {}", "higher", "lower"),
+    "damping_ratio": ("the damping of the mode of {} near {:.0f} Hz is {:.0f} % {}", "higher", "lower"),
+}
+
+
+@dataclass(frozen=True)
+class Part:
+    """One number of the printer, as a change from the machine file."""
+
+    name: str
+    unit: str
+    probe: float  # for its signature
+    usual: float  # from printer to file: the prior's standard deviation
+    lowest: float  # sensible changes
+    highest: float
+    changed: Callable[[Machine, float], Machine]
+    words: Callable[[float], str]
+    worth: float | None = None  # a check that would not see so much tells nothing
+    special: bool = False  # a case of another part: one belt of all
+
+
+def parts_of(machine: Machine) -> list[Part]:
+    """List what may change, the simple before the special."""
+    possible = effects_of(machine.vibration.moves)
+    modes = [name for name in machine.vibration.tunable if name.partition("[")[0].rpartition(".")[2] in WORDS]
+    per_kg = "/kg" if machine.vibration.per_kilogram else ""
+    belts = partial(_with_effect, effect="belt_stiffness", key="relative_change")
+    parts = [
+        Part("belts", "", -0.02, 0.2, -0.6, 1.5, _each(belts, np.ones(3)), partial(_stiffer, "all belts are"), 0.1),
+        *(
+            Part(
+                f"belt {letter}",
+                "",
+                -0.02,
+                0.2,
+                -0.6,
+                1.5,
+                _each(belts, np.eye(3)[i]),
+                partial(_stiffer, f"belt {letter} is"),
+                special=True,
+            )
+            for i, letter in enumerate("ABC")
+        ),
+        _friction(machine, per_kg),
+    ]
+    if "effector_mass" in possible:
+        change = partial(_with_effect, effect="effector_mass", key="added_kg")
+        parts.append(Part("mass on the nozzle holder", "kg", 0.02, 0.1, -0.3, 1.0, change, _heavier, 0.1))
+    if not modes:
+        change = partial(_with_effect, effect="guide_damping", key="added_n_s_per_m")
+        parts.append(Part("damping of the guides", "N s/m", 3.0, 15.0, -100.0, 300.0, change, _damped))
+    return parts + [_mode(machine, name) for name in modes]
+
+
+def _friction(machine: Machine, per_kg: str) -> Part:
+    change = partial(_with_effect, effect="coulomb_friction", key="force_n")
+    words = partial(_rubbing, per_kg)
+    already = float(np.min(machine.effects.get("coulomb_friction", {}).get("force_n", 0.0)))
+    return Part("friction", f"N{per_kg}", 0.5, 3.0, -already, 20.0, change, words, 3.0)
+
+
+def _mode(machine: Machine, name: str) -> Part:
+    """Make a part of `axes.x.frequency_hz[0]` or its like."""
+    place, _, index = name.partition("[")
+    _, axis, key = place.split(".")
+    hertz = value_of(machine, f"axes.{axis}.frequency_hz[{index}")
+    pattern, more, less = WORDS[key]
+
+    def changed(machine: Machine, relative: float) -> Machine:
+        return with_values(machine, {name: value_of(machine, name) * (1.0 + relative)})
+
+    def words(relative: float) -> str:
+        return pattern.format(axis, hertz, 100 * abs(relative), more if relative > 0 else less)
+
+    wide = key == "damping_ratio"
+    probe, usual, low, high = (0.2, 0.5, -0.95, 4.0) if wide else (-0.01, 0.1, -0.5, 0.8)
+    return Part(name, "", probe, usual, low, high, changed, words)
+
+
+def _with_effect(machine: Machine, added: Any, effect: str, key: str) -> Machine:
+    """Return the machine with so much more of an effect."""
+    known = machine.effects.get(effect, {})
+    more = np.asarray(known.get(key, 0.0), dtype=np.float64) + np.asarray(added, dtype=np.float64)
+    return replace(machine, effects={**machine.effects, effect: {**known, key: more.tolist()}})
+
+
+def _each(change: Callable[..., Machine], which: FloatArray) -> Callable[[Machine, float], Machine]:
+    return lambda machine, value: change(machine, value * which)
+
+
+def _stiffer(what: str, value: float) -> str:
+    return f"{what} {100 * abs(value):.0f} % {'stiffer' if value > 0 else 'softer'}"
+
+
+def _heavier(value: float) -> str:
+    return f"the nozzle holder carries {1e3 * abs(value):.0f} g {'more' if value > 0 else 'less'}"
+
+
+def _damped(value: float) -> str:
+    return f"the guides' damping is {abs(value):.0f} N s/m {'higher' if value > 0 else 'lower'}"
+
+
+def _rubbing(per_kg: str, value: float) -> str:
+    return f"dry friction of the guides is {abs(value):.1f} N{per_kg} {'higher' if value > 0 else 'lower'}"
+
+
+def simulated(machines: Sequence[Machine], motion: Commanded) -> FloatArray:
+    """Simulate what the sensor feels in an experiment: (m, n, 3) m/s² at its rows, thinned as recordings are.
+
+    Raises
+    ------
+    UnreachableError
+        If a machine cannot execute the motion.
+    """
+    t = np.arange(-SPARE_S, motion.duration_s + SPARE_S, 1.0 / SIMULATED_HZ)
+    command = machines[0].kinematics.inverse(motion.nozzle(t))
+    rows = rows_of(motion.duration_s)
+    found = []
+    for machine, played in zip(
+        machines, simulate_printers(machines, [command] * len(machines), 1.0 / SIMULATED_HZ), strict=True
+    ):
+        if isinstance(played, ValueError):
+            raise played
+        found.append(CubicSpline(t, in_band(measured(machine, played.signals).nozzle, SIMULATED_HZ))(rows))
+    return np.array(found)

@@ -1,0 +1,223 @@
+"""What a check says of printers that share no line with ours: as last time, what changed, or that it cannot tell."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ffcomp.check.felt import Felt, felt_of
+from ffcomp.check.history import MOST, WITH_MOTION, Check, read_history, write_history
+from ffcomp.check.result import CheckResult, check_result
+from ffcomp.check.signatures import Signatures
+from ffcomp.errors import MeasurementError
+from ffcomp.measurement.recording import Recording
+from ffcomp.record.clock import ClockFit
+from ffcomp.record.plan import MovesPlan, Request, make_plan
+from ffcomp.record.result import Joined, JoinResult
+from models.file import load_machine
+from models.machine import Machine
+from models.parameters import with_values
+from validation.plants import delta_plant, straight_plant
+from validation.plants.accelerometer import nozzle_felt
+
+RATE_HZ = 1600.0
+DOCS = Path(__file__).parents[4] / "docs"
+AXES = "x,y,z"
+Nozzle = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    machine: Machine
+    plan: MovesPlan
+    felt: Callable[[Any, Nozzle, np.ndarray], np.ndarray]  # of a hidden printer, (n, 3) m/s²
+
+    def joined(self, hidden: Any, seed: int, noise: float = 0.15, yaw_deg: float = 0.0, axes: str = AXES) -> JoinResult:
+        """Two repeats of each experiment, joined up to 30 µs."""
+        rng, c, s = np.random.default_rng(seed), np.cos(np.deg2rad(yaw_deg)), np.sin(np.deg2rad(yaw_deg))
+        found = []
+        for each in self.plan.experiments:
+            t = np.arange(-0.4, each.duration_s + 0.3, 1 / RATE_HZ)
+            clean = self.felt(hidden, each.motion.nozzle, t) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+            for repeat in (1, 2):
+                late = 3e-5 * rng.standard_normal()
+                rows = clean + late * np.gradient(clean, 1 / RATE_HZ, axis=0)
+                rows = rows + noise * rng.standard_normal(rows.shape)
+                found.append(_joined(each.name, repeat, t, rows, axes))
+        return JoinResult(tuple(found), ())
+
+    def check(self, joined: JoinResult, history: list[Check], date: str = "2026-11-22T21:00") -> CheckResult:
+        return check_result(joined, self.plan, self.machine, history, date)
+
+
+def _joined(name: str, repeat: int, t: np.ndarray, rows: np.ndarray, axes: str) -> Joined:
+    acceleration = {f"acc_{axis}": rows[:, i] for i, axis in enumerate("xyz")}
+    gaps = np.zeros(len(t), dtype=np.bool_)
+    recording = Recording(f"{name}-{repeat}.csv", t - t[0], np.zeros_like(rows), "nozzle", acceleration, {}, gaps, {})
+    return Joined(recording, name, repeat, ClockFit(0.0, 1e-4, 1.0, 0.0, 0.99), 0, "", axes, float(t[0]))
+
+
+@pytest.fixture(scope="module")
+def delta() -> Bench:
+    machine = load_machine("mp-delta-pro")
+    request = Request([machine.kinematics.centre_mm], seconds=2.0, seed=17, kinds=("multisine", "reversals"))
+
+    def felt(hidden: Any, nozzle: Nozzle, t: np.ndarray) -> np.ndarray:
+        return nozzle_felt(hidden, nozzle, -0.6, float(t[-1]) + 0.2)(t)
+
+    return Bench(machine, make_plan(machine, request), felt)
+
+
+def delta_printer(
+    mass_kg: float = 0.0, belts: tuple[float, ...] = (1, 1, 1), friction_n: float = 0.5
+) -> dict[str, Any]:
+    """A printer with half a newton of friction that the file does not know, and a change."""
+    made = {**delta_plant.load_machine(load_machine("mp-delta-pro").path), "effects": {}}
+    stiffness = made["carriage"]["belt_stiffness_n_per_m"]
+    made["effector"] = {**made["effector"], "nozzle_mass_kg": made["effector"]["nozzle_mass_kg"] + mass_kg}
+    each = [stiffness * share for share in belts]
+    made["towers"] = {"friction_n": [friction_n] * 3, "stiction": 0.3, "belt_stiffness_n_per_m": each}
+    return made
+
+
+@pytest.fixture(scope="module")
+def history(delta: Bench) -> list[Check]:
+    return [delta.check(delta.joined(delta_printer(), 1), [], "2026-11-15T20:00").check]
+
+
+def test_the_first_check_has_only_the_machine_file(history: list[Check]) -> None:
+    assert history[0].finding == "first" and "nothing to compare with" in history[0].said
+    assert 0.01 < history[0].gap < 0.2, "half a newton"
+
+
+def test_the_same_printer_is_as_last_time(delta: Bench, history: list[Check]) -> None:
+    found = delta.check(delta.joined(delta_printer(), 2), history)
+    assert found.verdict.finding == "same", found.verdict.said
+    assert found.verdict.said.startswith("As on 2026-11-15 20:00") and not found.known
+
+
+@pytest.mark.parametrize(
+    ("hidden", "part", "size"),
+    [
+        ({"mass_kg": 0.12}, "mass on the nozzle holder", 0.12),
+        ({"belts": (0.9, 0.9, 0.9)}, "belts", -0.1),
+        ({"belts": (1.0, 0.9, 1.0)}, "belt B", -0.1),
+        ({"friction_n": 2.5}, "friction", 2.0),
+    ],
+)
+def test_one_change_is_named_with_its_size(
+    delta: Bench, history: list[Check], hidden: dict[str, Any], part: str, size: float
+) -> None:
+    found = delta.check(delta.joined(delta_printer(**hidden), 3), history)
+    assert found.verdict.finding == "changed", found.verdict.said
+    assert [each.part.name for each in found.verdict.named] == [part], found.verdict.said
+    assert found.verdict.named[0].value == pytest.approx(size, rel=0.1)
+
+
+def test_two_changes_bear_no_single_name(delta: Bench, history: list[Check]) -> None:
+    found = delta.check(delta.joined(delta_printer(mass_kg=0.12, friction_n=3.5), 4), history)
+    assert found.verdict.finding == "unknown" and "No single part" in found.verdict.said, found.verdict.said
+
+
+def test_loud_noise_tells_nothing(delta: Bench, history: list[Check]) -> None:
+    found = delta.check(delta.joined(delta_printer(), 5, noise=25.0), history)
+    assert found.verdict.finding == "cannot_tell", found.verdict.said
+
+
+def test_a_turned_chip_is_no_change_of_the_printer(delta: Bench, history: list[Check]) -> None:
+    found = delta.check(delta.joined(delta_printer(), 6, yaw_deg=5.0), history)
+    assert found.verdict.finding == "sensor" and "turned by 5°" in found.verdict.said, found.verdict.said
+    found = delta.check(delta.joined(delta_printer(), 6, axes="-y,x,z"), history)
+    assert found.verdict.finding == "sensor" and "x,y,z of its own, and are -y,x,z now" in found.verdict.said
+
+
+def test_the_same_captures_are_no_new_check(delta: Bench, history: list[Check]) -> None:
+    found = delta.check(delta.joined(delta_printer(), 1), history)
+    assert found.known and found.verdict.finding == "first" and "in the history already" in found.notes[0]
+
+
+def test_what_creeps_is_compared_with_the_first_check(delta: Bench, history: list[Check]) -> None:
+    slack = delta.check(delta.joined(delta_printer(belts=(1.0, 0.9, 1.0)), 7), history).check
+    found = delta.check(delta.joined(delta_printer(belts=(1.0, 0.9, 1.0)), 8), [*history, slack])
+    assert found.verdict.finding == "same" and found.since_first is not None
+    assert "elt B is 10 % softer" in found.since_first.said, found.since_first.said
+
+
+# ---- straight axes
+
+
+HEAD = straight_plant.Plant(motors=((1.0, 1.0), (1.0, -1.0)), belt_n_per_m=(4e4, 4e4))
+
+
+@pytest.fixture(scope="module")
+def straight() -> Bench:
+    machine, known = load_machine(DOCS / "examples" / "corexy.toml"), {}
+    for i, axis in enumerate("xy"):
+        (hertz,), (damping,), _ = HEAD.axis_modes(i)
+        known |= {f"axes.{axis}.frequency_hz[0]": hertz, f"axes.{axis}.damping_ratio[0]": damping}
+    machine = with_values(machine, known)
+    request = Request([machine.kinematics.centre_mm], seconds=2.0, kinds=("multisine",))
+
+    def felt(hidden: Any, nozzle: Nozzle, t: np.ndarray) -> np.ndarray:
+        found = straight_plant.simulate(hidden, nozzle(t)[:, :2], RATE_HZ)
+        return np.column_stack([found["acceleration_m_per_s2"], np.zeros(len(t))])
+
+    return Bench(machine, make_plan(machine, request), felt)
+
+
+def test_straight_axes_are_checked_by_their_modes(straight: Bench) -> None:
+    before = [straight.check(straight.joined(HEAD, 1), []).check]
+    assert straight.check(straight.joined(HEAD, 2), before).verdict.finding == "same"
+    heavy = replace(HEAD, carriage_kg=(0.4, 0.6))
+    found = straight.check(straight.joined(heavy, 3), before).verdict
+    assert found.finding == "changed" and "mode of y near 63 Hz is 9 % lower" in found.said, found.said
+    rough = replace(HEAD, friction_n=(2.0, 2.0))
+    found = straight.check(straight.joined(rough, 5), before).verdict
+    assert found.finding == "changed" and "riction of the guides is" in found.said, found.said
+
+
+# ---- the file
+
+
+def light(date: str, plan: str = "p", seed: int = 0) -> Check:
+    felt = Felt("a", np.round(np.random.default_rng(seed).normal(size=(20, 3)), 3), np.full(3, 0.1), 1e-4, 2)
+    return Check(date, plan, "s", AXES, "same", "As before.", 0.1, 0.01, 0.01, (felt,))
+
+
+def test_a_history_keeps_what_it_was_given_and_stays_small(tmp_path: Path) -> None:
+    path = tmp_path / "checks.jsonl"
+    write_history(path, [light(str(k), seed=k) for k in range(MOST + 7)])
+    read = read_history(path)
+    assert [each.date for each in read] == [str(k) for k in range(7, MOST + 7)]
+    assert [bool(each.felt) for each in read] == [True, *[False] * (MOST - 1 - WITH_MOTION), *[True] * WITH_MOTION]
+    assert np.array_equal(read[-1].felt[0].acceleration, light("", seed=MOST + 6).felt[0].acceleration)
+
+
+@pytest.mark.parametrize("damage", ["half", "other", "numbers"])
+def test_a_damaged_history_is_refused_and_not_overwritten(damage: str, tmp_path: Path) -> None:
+    path = tmp_path / "checks.jsonl"
+    write_history(path, [light("1"), light("2")])
+    first, second = path.read_text(encoding="utf-8").splitlines()
+    entry = json.loads(second)
+    entry["experiments"][0]["acceleration_mm_per_s2"][0][3] = None
+    texts = {"half": second[: len(second) // 2], "other": '{"schema": "else"}', "numbers": json.dumps(entry)}
+    path.write_text(f"{first}\n{texts[damage]}\n", encoding="utf-8")
+    with pytest.raises(MeasurementError, match="Line 2 of the history is no check of ffcomp"):
+        read_history(path)
+
+
+def test_repeats_give_the_noise_of_their_mean(delta: Bench) -> None:
+    (felt, _) = felt_of(delta.joined(delta_printer(), 1, noise=0.4).joined, delta.plan)
+    share = np.sqrt(2 * (150.0 - 2.0) / RATE_HZ)  # of white noise, in the band
+    assert felt.noise == pytest.approx(np.full(3, 0.4 * share / np.sqrt(2)), rel=0.1)
+
+
+def test_signatures_leave_out_what_does_not_show(straight: Bench) -> None:
+    parts = {part.name for part in Signatures(straight.machine, straight.plan.experiments).of}
+    assert "axes.x.frequency_hz[0]" in parts and not any(name.startswith("axes.z") for name in parts)
