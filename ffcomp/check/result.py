@@ -146,7 +146,9 @@ def _day(date: str) -> str:
 
 
 def _first_words(history: Sequence[Check], moves: str) -> str:
-    if history and all(each.plan != moves for each in history):
+    if any(each.plan == moves for each in history):
+        return "There is nothing to compare with: no earlier check has one of these experiments."
+    if history:
         return "First check of these moves: those in the history were made with another plan."
     return "First check: there is nothing to compare with yet."
 

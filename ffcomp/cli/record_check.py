@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ffcomp.cli.help import OUTPUT
-from ffcomp.cli.options import AsJson, CaptureAxes, MachineName, MovesPlanFile, Quiet
+from ffcomp.cli.options import AsJson, CaptureAxes, Figure, Force, MachineName, MovesPlanFile, Quiet
 from ffcomp.cli.record import Chips, FirmwareName, ShaperBack, account_of, finish_plan, pair
 
 if TYPE_CHECKING:
@@ -52,6 +52,8 @@ def check(
     chip: Chips = None,
     shaper: ShaperBack = "",
     axes_map: CaptureAxes = None,
+    figure: Figure = None,
+    force: Force = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -68,8 +70,10 @@ def check(
         _write(machine, output_file, flavor, chip, shaper, as_json)
     elif plan is None:
         raise typer.BadParameter("Captures need --plan: the .json file that was written beside the check's G-code.")
+    elif figure is not None and figure.exists() and not force:
+        raise typer.BadParameter(f"{figure} exists already; give another --figure, or --force.")
     else:
-        _compare(machine, captures or [], plan, history or _beside(machine), axes_map, as_json, quiet)
+        _compare(machine, captures or [], plan, history or _beside(machine), figure, axes_map, as_json, quiet)
 
 
 def _write(machine: str, target: Path, flavor: str, chip: list[str] | None, shaper: str, as_json: bool) -> None:
@@ -102,7 +106,14 @@ def _beside(machine: str) -> Path:
 
 
 def _compare(
-    machine: str, captures: list[Path], plan: Path, history: Path, axes_map: str | None, as_json: bool, quiet: bool
+    machine: str,
+    captures: list[Path],
+    plan: Path,
+    history: Path,
+    figure: Path | None,
+    axes_map: str | None,
+    as_json: bool,
+    quiet: bool,
 ) -> None:
     from ffcomp.cli.common import exit_codes, print_json, say
 
@@ -124,8 +135,13 @@ def _compare(
             say(f"ffcomp: {sentence}", quiet)
         joined.check()
         found = check_result(joined, made, loaded, before, datetime.now().isoformat(timespec="minutes"))
+        checks = before if found.known else [*before, found.check]
         if not found.known:
-            write_history(history, [*before, found.check])
+            write_history(history, checks)
+        if figure is not None:
+            from ffcomp.report.check import draw_checks
+
+            draw_checks(checks, loaded.name, figure)
         if as_json:
             print_json(found.to_dict(loaded.name, history))
         else:

@@ -20,6 +20,7 @@ from ffcomp.measurement.recording import Recording
 from ffcomp.record.clock import ClockFit
 from ffcomp.record.plan import MovesPlan, Request, make_plan
 from ffcomp.record.result import Joined, JoinResult
+from ffcomp.report.check import checks_figure
 from models.file import load_machine
 from models.machine import Machine
 from models.parameters import with_values
@@ -66,7 +67,7 @@ def _joined(name: str, repeat: int, t: np.ndarray, rows: np.ndarray, axes: str) 
 @pytest.fixture(scope="module")
 def delta() -> Bench:
     machine = load_machine("mp-delta-pro")
-    request = Request([machine.kinematics.centre_mm], seconds=2.0, seed=17, kinds=("multisine", "reversals"))
+    request = Request([machine.kinematics.centre_mm], seconds=1.5, seed=17, kinds=("multisine", "reversals"))
 
     def felt(hidden: Any, nozzle: Nozzle, t: np.ndarray) -> np.ndarray:
         return nozzle_felt(hidden, nozzle, -0.6, float(t[-1]) + 0.2)(t)
@@ -143,10 +144,13 @@ def test_the_same_captures_are_no_new_check(delta: Bench, history: list[Check]) 
 
 
 def test_what_creeps_is_compared_with_the_first_check(delta: Bench, history: list[Check]) -> None:
-    slack = delta.check(delta.joined(delta_printer(belts=(1.0, 0.9, 1.0)), 7), history).check
+    slack = delta.check(delta.joined(delta_printer(belts=(1.0, 0.9, 1.0)), 7), []).check
     found = delta.check(delta.joined(delta_printer(belts=(1.0, 0.9, 1.0)), 8), [*history, slack])
     assert found.verdict.finding == "same" and found.since_first is not None
     assert "elt B is 10 % softer" in found.since_first.said, found.since_first.said
+    axes = checks_figure([*history, slack, found.check], "mine").axes[0]
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["2026-11-15", "2026-11-22", "2026-11-22"]
+    assert axes.get_lines()[0].get_ydata()[-1] == pytest.approx(100 * found.check.gap)
 
 
 # ---- straight axes

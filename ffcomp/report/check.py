@@ -1,0 +1,63 @@
+"""The history of a printer's checks as a figure: how far each was from the machine file, and from the one before."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ffcomp.check.history import Check
+from ffcomp.check.verdict import CHANGED, SAME, SENSOR, UNKNOWN
+from ffcomp.report.shared.drawing import write_figure
+from ffcomp.report.shared.style import BAND, RC, SOFT, grid
+from ffcomp.version import __version__
+
+SHOWN = 30  # checks, the last ones
+GAP, CHANGE = "#0072b2", "#d55e00"  # told apart by colour-blind people too
+MARKED = {CHANGED: "changed", UNKNOWN: "changed", SENSOR: "sensor"}
+WORDS = {SAME: "as last time", **MARKED}
+
+
+def draw_checks(checks: Sequence[Check], name: str, target: Path) -> None:
+    """Write the figure; the suffix of `target` names the format."""
+    write_figure(checks_figure(checks, name), target, dpi=130)
+
+
+def checks_figure(checks: Sequence[Check], name: str) -> Figure:
+    """Draw the last checks in one panel, the last finding above it."""
+    shown = list(checks)[-SHOWN:]
+    with matplotlib.rc_context(RC):
+        figure = Figure(figsize=(8.4, 4.2), layout="constrained")
+        title = f"Last check: {WORDS.get(shown[-1].finding, shown[-1].finding.replace('_', ' '))}"
+        figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold", color=BAND)
+        axes = figure.add_subplot()
+        _panel(axes, shown)
+        axes.set_title(f"{name} · {len(checks)} checks · ffcomp {__version__}", fontsize=8, color=SOFT)
+    return figure
+
+
+def _panel(axes: Axes, shown: Sequence[Check]) -> None:
+    at = list(range(len(shown)))
+    axes.plot(at, [100 * each.gap for each in shown], "o-", color=GAP, label="from the machine file")
+    compared = [k for k in at if shown[k].difference is not None]
+    axes.plot(
+        compared,
+        [100 * (shown[k].difference or 0.0) for k in compared],
+        "s-",
+        color=CHANGE,
+        label="from the last check",
+    )
+    axes.plot(at, [100 * each.noise for each in shown], ":", color=SOFT, label="noise")
+    for k in compared:
+        if shown[k].finding in MARKED:
+            place = (k, 100 * (shown[k].difference or 0.0))
+            axes.annotate(MARKED[shown[k].finding], place, (0, 7), textcoords="offset points", ha="center", fontsize=8)
+    axes.set_xticks(at, [each.date.partition("T")[0] for each in shown], rotation=45, ha="right", fontsize=8)
+    axes.set_ylabel("difference, % of the signal")
+    axes.margins(y=0.15)
+    axes.set_ylim(bottom=0.0)
+    axes.legend(fontsize=8, frameon=False)
+    grid(axes)
