@@ -315,8 +315,6 @@ def test_noise_alone_is_no_machine() -> None:
         (("identify", "decouple", "x.csv"), "Straight axes carry no effector"),
         (("identify", "fit", "x.csv", "--known", "effector.total_mass_kg=1"), "are for deltas"),
         (("identify", "fit", "x.csv", "--axis", "w"), "it is x, y, z, or a direction"),
-        (("gap", "run.csv"), "for deltas only"),
-        (("diagnose", "run.csv"), "for deltas only"),
     ],
 )
 def test_what_straight_axes_have_not_is_one_sentence(
@@ -324,8 +322,6 @@ def test_what_straight_axes_have_not_is_one_sentence(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     write_frf("x.csv", response(ONE, noise=0.01, seed=1))
-    rows = "".join(f"{k / 1000},{k % 7},0,1,{(k % 5) * 0.1}\n" for k in range(999))
-    Path("run.csv").write_text("t_s,cmd_x_mm,cmd_y_mm,cmd_z_mm,acc_x_m_per_s2\n" + rows)
     refused = call(*arguments, "-m", VORON)
     assert refused.exit_code in (2, 5) and rule in re.sub(r"[│\s]+", " ", refused.output)
 

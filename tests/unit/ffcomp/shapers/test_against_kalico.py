@@ -21,6 +21,7 @@ from ffcomp import shapers
 from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.shapers import calibration as calibrate
+from ffcomp.shapers.kinds import USUAL
 from gcode.dialects import shaper_off
 from gcode.reader import read_program
 from models.arrays import constant
@@ -74,14 +75,13 @@ def steps_and_ours(configuration: Path, x: shapers.Shaper, y: shapers.Shaper) ->
     return np.concatenate(host), np.concatenate(ours)
 
 
-@pytest.mark.parametrize("kind", shapers.SHAPERS)
+@pytest.mark.parametrize("kind", USUAL)
 @pytest.mark.parametrize(("x_hz", "y_hz", "damping", "next_kind"), [(35.0, 52.0, 0.1, 0), (61.0, 44.0, 0.05, 1)])
 def test_every_step_is_on_our_shaped_path(
     kind: str, x_hz: float, y_hz: float, damping: float, next_kind: int, tmp_path: Path
 ) -> None:
     """To 10 nm (measured: 2.2), where shaping moves the carriages by 34 to 355 µm."""
-    kinds = list(shapers.SHAPERS)
-    other = kinds[(kinds.index(kind) + next_kind) % len(kinds)]
+    other = USUAL[(USUAL.index(kind) + next_kind) % len(USUAL)]
     configuration = tmp_path / "shaper.cfg"
     configuration.write_text(
         f"[input_shaper]\nshaper_type_x: {kind}\nshaper_type_y: {other}\nshaper_freq_x: {x_hz}\nshaper_freq_y: {y_hz}\n"
