@@ -75,15 +75,22 @@ def parts_of(machine: Machine) -> list[Part]:
         parts.append(Part("mass on the nozzle holder", "kg", 0.02, 0.1, -0.3, 1.0, change, _heavier, 0.1))
     if not modes:
         change = partial(_with_effect, effect="guide_damping", key="added_n_s_per_m")
+        parts += [_friction(machine, per_kg, guide) for guide in range(3)]
         parts.append(Part("damping of the guides", "N s/m", 3.0, 15.0, -100.0, 300.0, change, _damped))
     return parts + [_mode(machine, name) for name in modes]
 
 
-def _friction(machine: Machine, per_kg: str) -> Part:
-    change = partial(_with_effect, effect="coulomb_friction", key="force_n")
-    words = partial(_rubbing, per_kg)
+def _friction(machine: Machine, per_kg: str, guide: int | None = None) -> Part:
+    change: Callable[[Machine, float], Machine] = partial(_with_effect, effect="coulomb_friction", key="force_n")
+    letter = None if guide is None else "ABC"[guide]
+    if guide is not None:
+        change = _each(change, np.eye(3)[guide])
+    words = partial(_rubbing, f"guide {letter}" if letter else "the guides", per_kg)
+    name = f"friction {letter}" if letter else "friction"
     already = float(np.min(machine.effects.get("coulomb_friction", {}).get("force_n", 0.0)))
-    return Part("friction", f"N{per_kg}", 0.5, 3.0, -already, 20.0, change, words, 3.0)
+    return Part(
+        name, f"N{per_kg}", 0.5, 3.0, -already, 20.0, change, words, None if letter else 3.0, special=bool(letter)
+    )
 
 
 def _mode(machine: Machine, name: str) -> Part:
@@ -124,11 +131,11 @@ def _heavier(value: float) -> str:
 
 
 def _damped(value: float) -> str:
-    return f"the guides' damping is {abs(value):.0f} N s/m {'higher' if value > 0 else 'lower'}"
+    return f"damping is {'higher' if value > 0 else 'lower'}, as by {abs(value):.0f} N s/m in all guides"
 
 
-def _rubbing(per_kg: str, value: float) -> str:
-    return f"dry friction of the guides is {abs(value):.1f} N{per_kg} {'higher' if value > 0 else 'lower'}"
+def _rubbing(what: str, per_kg: str, value: float) -> str:
+    return f"dry friction of {what} is {abs(value):.1f} N{per_kg} {'higher' if value > 0 else 'lower'}"
 
 
 def simulated(machines: Sequence[Machine], motion: Commanded) -> FloatArray:

@@ -106,7 +106,7 @@ def _told(found: Comparison, last: str) -> Verdict:
     alike = [each for each in found.explanations[1:] if each.share >= EXPLAINED and 1.0 - each.share < APART * left]
     named = (best, *alike)
     words = ", or ".join(each.part.words(each.value) for each in named)
-    unlike = " These cannot be told apart here." if alike else ""
+    unlike = " These, and some of each, cannot be told apart here." if alike else ""
     return Verdict(
         CHANGED,
         f"{changed} {words[0].upper()}{words[1:]}: that explains {min(best.share, 1.0):.0%} of it.{unlike}",

@@ -54,3 +54,29 @@ def test_captures_need_the_plan_of_their_gcode(tmp_path: Path) -> None:
     target.write_text("".join(line for line in lines if not line.startswith("G1 X1")))
     done = ffcomp(*call, "--plan", plan)
     assert done.exit_code == 2 and "give the file written with it" in done.output
+
+
+def test_a_check_is_the_same_file_every_time_and_names_the_next_command(tmp_path: Path) -> None:
+    texts = []
+    for name in ("a", "b"):
+        done = ffcomp("record", "check", "-m", "ender-3", "-o", tmp_path / f"{name}.gcode")
+        assert done.exit_code == 0, done.output
+        assert f"Then: ffcomp record check CAPTURES --plan {tmp_path / name}.json -m ender-3" in done.output
+        texts.append((tmp_path / f"{name}.gcode").read_bytes())
+    assert texts[0] == texts[1]
+
+
+def test_a_check_wants_captures_with_a_plan_or_a_file_to_write(tmp_path: Path) -> None:
+    assert ffcomp("record", "check", "-m", "ender-3").exit_code == 2
+    assert ffcomp("record", "check", "a.csv", "-m", "ender-3", "-o", tmp_path / "c.gcode").exit_code == 2
+    assert ffcomp("record", "check", "a.csv", "-m", "ender-3").exit_code == 2
+
+
+def test_a_damaged_history_stays_as_it_is(tmp_path: Path) -> None:
+    assert ffcomp("record", "check", "-m", "ender-3", "-o", tmp_path / "check.gcode").exit_code == 0
+    history = tmp_path / "checks.jsonl"
+    history.write_text('{"schema":"ffcomp-check', encoding="utf-8")
+    call = ("record", "check", "a.csv", "--plan", tmp_path / "check.json", "-m", "ender-3", "--history", history)
+    done = ffcomp(*call)
+    assert done.exit_code == 5 and "Line 1 of the history is no check of ffcomp" in done.output, done.output
+    assert history.read_text(encoding="utf-8") == '{"schema":"ffcomp-check'

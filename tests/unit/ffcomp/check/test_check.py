@@ -76,14 +76,14 @@ def delta() -> Bench:
 
 
 def delta_printer(
-    mass_kg: float = 0.0, belts: tuple[float, ...] = (1, 1, 1), friction_n: float = 0.5
+    mass_kg: float = 0.0, belts: tuple[float, ...] = (1, 1, 1), friction_n: tuple[float, ...] = (0.5, 0.5, 0.5)
 ) -> dict[str, Any]:
     """A printer with half a newton of friction that the file does not know, and a change."""
     made = {**delta_plant.load_machine(load_machine("mp-delta-pro").path), "effects": {}}
     stiffness = made["carriage"]["belt_stiffness_n_per_m"]
     made["effector"] = {**made["effector"], "nozzle_mass_kg": made["effector"]["nozzle_mass_kg"] + mass_kg}
     each = [stiffness * share for share in belts]
-    made["towers"] = {"friction_n": [friction_n] * 3, "stiction": 0.3, "belt_stiffness_n_per_m": each}
+    made["towers"] = {"friction_n": list(friction_n), "stiction": 0.3, "belt_stiffness_n_per_m": each}
     return made
 
 
@@ -109,7 +109,8 @@ def test_the_same_printer_is_as_last_time(delta: Bench, history: list[Check]) ->
         ({"mass_kg": 0.12}, "mass on the nozzle holder", 0.12),
         ({"belts": (0.9, 0.9, 0.9)}, "belts", -0.1),
         ({"belts": (1.0, 0.9, 1.0)}, "belt B", -0.1),
-        ({"friction_n": 2.5}, "friction", 2.0),
+        ({"friction_n": (2.5, 2.5, 2.5)}, "friction", 2.0),
+        ({"friction_n": (0.5, 3.5, 0.5)}, "friction B", 3.0),
     ],
 )
 def test_one_change_is_named_with_its_size(
@@ -122,7 +123,7 @@ def test_one_change_is_named_with_its_size(
 
 
 def test_two_changes_bear_no_single_name(delta: Bench, history: list[Check]) -> None:
-    found = delta.check(delta.joined(delta_printer(mass_kg=0.12, friction_n=3.5), 4), history)
+    found = delta.check(delta.joined(delta_printer(mass_kg=0.12, friction_n=(3.5,) * 3), 4), history)
     assert found.verdict.finding == "unknown" and "No single part" in found.verdict.said, found.verdict.said
 
 
@@ -166,7 +167,7 @@ def straight() -> Bench:
         (hertz,), (damping,), _ = HEAD.axis_modes(i)
         known |= {f"axes.{axis}.frequency_hz[0]": hertz, f"axes.{axis}.damping_ratio[0]": damping}
     machine = with_values(machine, known)
-    request = Request([machine.kinematics.centre_mm], seconds=2.0, kinds=("multisine",))
+    request = Request([machine.kinematics.centre_mm], seconds=1.5, kinds=("multisine",))
 
     def felt(hidden: Any, nozzle: Nozzle, t: np.ndarray) -> np.ndarray:
         found = straight_plant.simulate(hidden, nozzle(t)[:, :2], RATE_HZ)
