@@ -39,6 +39,7 @@ class Steps:
     steps_per_mm: float | tuple[float, ...] = 80.0  # microsteps; of all motors, or of each
     full_steps_per_mm: float | tuple[float, ...] = 5.0
     extruder_steps_per_mm: float | None = None  # of filament; None: not said
+    stated: tuple[str, ...] = ()  # keys that the machine file states; the others are what most printers have
 
     @property
     def per_motor(self) -> FloatArray:

@@ -241,7 +241,10 @@ class StepsTable(Table):
     def steps(self) -> Steps:
         """Return the steps."""
         return Steps(
-            _number_or_tuple(self.steps_per_mm), _number_or_tuple(self.full_steps_per_mm), self.extruder_steps_per_mm
+            _number_or_tuple(self.steps_per_mm),
+            _number_or_tuple(self.full_steps_per_mm),
+            self.extruder_steps_per_mm,
+            tuple(sorted(self.model_fields_set)),
         )
 
 

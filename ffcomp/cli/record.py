@@ -340,8 +340,8 @@ def _report_join(found: JoinResult, output: Path, plan: MovesPlan, machine: str,
     for refused in found.refused:
         print(f"refused: {refused.file}: {refused.why}")
     if found.joined:
-        print(
-            f"{len(found.joined)} of {len(plan.runs())} executions joined in {output}; axes {found.joined[0].axes_map}."
-        )
+        axes = f"; axes {found.joined[0].axes_map}" if found.joined[0].axes_map else ""
+        made = len({(each.experiment, each.repeat) for each in found.joined})
+        print(f"{made} of {len(plan.runs())} executions joined in {output}{axes}.")
         if diagnosable:
             print(f"Then: ffcomp diagnose {output}/*.csv -m {machine}")

@@ -16,6 +16,7 @@ from ffcomp.identify.experiment import Plan
 from ffcomp.identify.from_resonances import Resonance
 from ffcomp.identify.predict import AXES
 from ffcomp.identify.resonance_tests import BeltTest, Found, no_test, read_test
+from ffcomp.measurement.closed_loop import is_closed_loop
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import read_frfs
 from ffcomp.measurement.klipper import Resonances
@@ -157,7 +158,7 @@ def kind_of(path: Path) -> Kind:
     """
     if not path.is_file():
         raise MeasurementError(str(path), ["There is no such file."])
-    if is_stdata(path) or is_motion_log(path):
+    if is_stdata(path) or is_motion_log(path) or is_closed_loop(path):
         return "vibration"
     if is_universal(path):
         return "frf"

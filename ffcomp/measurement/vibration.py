@@ -15,6 +15,7 @@ from pathlib import Path
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.capture import Capture
+from ffcomp.measurement.closed_loop import is_closed_loop
 from ffcomp.measurement.klipper import Resonances, is_paxxel, is_raw, paxxel_capture, raw_capture, resonances_of_table
 from ffcomp.measurement.motan import is_motion_log
 from ffcomp.measurement.plain_capture import columns_of, plain_capture
@@ -30,6 +31,11 @@ _RULE = (
 _LOG = (
     "It is a log of motion and sensors of Klipper's data_logger.py; `ffcomp record join`, `gap` and `diagnose` read "
     "it, with the plan of its moves (--plan)."
+)
+
+_MOTOR = (
+    "It is RepRapFirmware's log of one motor (M569.5), and holds no accelerations; `ffcomp record join`, `gap` and "
+    "`diagnose` read it, with the plan of its moves (--plan)."
 )
 
 
@@ -60,6 +66,8 @@ def read_vibrations(path: str | Path) -> list[Capture | Resonances]:
         return list(stdata_captures(path))
     if Path(path).is_file() and is_motion_log(path):
         raise MeasurementError(str(path), [_LOG])
+    if Path(path).is_file() and is_closed_loop(path):
+        raise MeasurementError(str(path), [_MOTOR])
     text = read_text(path)
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     first = next((line for line in lines if not line.startswith("##")), lines[0])

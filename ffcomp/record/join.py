@@ -15,29 +15,36 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import resample_poly
 
 from ffcomp.errors import MeasurementError
+from ffcomp.measurement.closed_loop import is_closed_loop, read_closed_loop
 from ffcomp.measurement.recording import Recording
 from ffcomp.record.axes import best_score, find_turn, tilt, words
 from ffcomp.record.clock import ClockFit, fit_clock, long_gaps, without_gaps
 from ffcomp.record.expected import Expectation
+from ffcomp.record.motor_runs import BLIND, motor_runs
 from ffcomp.record.plan import MovesPlan
 from ffcomp.record.plan_files import run_name
 from ffcomp.record.plausible import left_handed, unlike, wrong_gravity
 from ffcomp.record.repeats import check_repeats
-from ffcomp.record.result import Joined, JoinResult, Refused
+from ffcomp.record.result import (
+    DELAY_SD_S,
+    KEPT_REST_S,
+    Joined,
+    JoinResult,
+    Refused,
+    joined_comments,
+    measured_run,
+)
 from ffcomp.record.shaper import find_shapers
 from ffcomp.record.tasks import Expected, Task, read_tasks, stated
 from models.arrays import FloatArray
 from models.machine import Machine
 
-KEPT_REST_S = (0.5, 0.4)  # before and after the motion, in a recording
 LEAST_REST_S = 0.2  # for gravity
 LEAST_CORRELATION = 0.9
 FARTHEST_S = 2e-3  # a firmware's clock from what the motion says
 WORST_RATIO = 1e-3  # of a firmware's clock: beyond it, speeds were overridden
 BIAS_SD_S = 1.5e-4  # of a clock that is fitted, by what the machine file lacks
 REPEATS_SD_S, SURE = 3e-5, 2.0  # by which the motion tells two repeats apart at best; standard deviations
-DELAY_SD_S = {"log": 5e-5, "firmware": 3e-4, "free": 1e-3}
-DRIFT_SD = 5e-5
 LOWEST_RATE_HZ = 800.0  # of a recording
 SHAPER_REMEDY = (
     "It must be off: the plan's G-code switches it off (Klipper: SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0; "
@@ -61,10 +68,14 @@ def join_captures(
     refused: list[Refused] = []
     expected, taken = Expected(plan, machine), set[str]()
     tasks: list[Task] = []
+    motors: list[Joined] = []
     notes: list[str] = []
     for path in paths:
         progress(f"reading {Path(path).name}")
         try:
+            if is_closed_loop(path):
+                motors += motor_runs(read_closed_loop(path), plan, machine, motors)
+                continue
             found, remarks = read_tasks(path, plan, machine, expected, taken)
             tasks += found
             notes += [f"{Path(path).name}: {sentence}" for sentence in remarks]
@@ -78,7 +89,8 @@ def join_captures(
         joined += good
         refused += bad
     kept, apart, late = check_repeats(sorted(_best(joined), key=lambda each: each.name))
-    return JoinResult(tuple(kept), (*refused, *apart), (*notes, *late, *left_handed(kept)))
+    blind = [BLIND] if motors else []
+    return JoinResult((*kept, *motors), (*refused, *apart), (*notes, *late, *left_handed(kept), *blind))
 
 
 def _join_chip(tasks: Sequence[Task], plan: MovesPlan, turn: FloatArray | None) -> tuple[list[Joined], list[Refused]]:
@@ -213,26 +225,10 @@ def _on_grid(tau: FloatArray, felt: FloatArray, grid: FloatArray, factor: int) -
 
 
 def _recording(task: Task, clock: ClockFit, tau: FloatArray, felt: FloatArray, axes_map: str) -> Recording:
-    comments = {
-        "joined": f"offset_s {clock.offset_s:.6f} ± {clock.offset_sd_s:.6f}, ratio {clock.ratio:.7f} ± "
-        f"{clock.ratio_sd:.7f}, correlation below 20 Hz {clock.correlation:.4f}, overflows {task.capture.overflows}",
-        "experiment": task.experiment.name,
-        "repeat": str(task.repeat),
-        "capture": Path(task.capture.source).name,
-        "axes_map": axes_map,
-        "delay_sd_s": f"{DELAY_SD_S[task.capture.clock]:g}",
-        "drift_sd": f"{DRIFT_SD:g}",
-    }
-    return Recording(
-        source=f"{run_name(task.experiment.name, task.repeat)}.csv",
-        time_s=tau - tau[0],
-        command=task.motion.nozzle(tau),
-        command_space="nozzle",
-        acceleration={f"acc_{axis}": felt[:, i] for i, axis in enumerate("xyz")},
-        position={},
-        gaps=np.asarray(np.isnan(felt).any(axis=1)),
-        comments=comments,
-    )
+    own, name = task.capture, task.experiment.name
+    comments = joined_comments(clock, own.source, name, task.repeat, own.clock, own.overflows)
+    sensors = {f"acc_{axis}": felt[:, i] for i, axis in enumerate("xyz")}
+    return measured_run(run_name(name, task.repeat), task.motion, tau, sensors, {**comments, "axes_map": axes_map})
 
 
 def _best(joined: Sequence[Joined]) -> list[Joined]:

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ffcomp.errors import MeasurementError
+from ffcomp.measurement.capture import ClockKind
 from ffcomp.measurement.recording import Recording
 from ffcomp.record.clock import ClockFit
+from ffcomp.record.motion import Commanded
 from ffcomp.record.plan import MovesPlan
 from ffcomp.record.plan_files import run_name
+from models.arrays import FloatArray
 from models.machine import Machine
+
+KEPT_REST_S = (0.5, 0.4)  # before and after the motion, in a recording
+DELAY_SD_S = {"log": 5e-5, "firmware": 3e-4, "free": 1e-3}
+DRIFT_SD = 5e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +40,7 @@ class Joined:
     @property
     def name(self) -> str:
         """The stem of its file."""
-        return run_name(self.experiment, self.repeat)
+        return Path(self.recording.source).stem
 
 
 @dataclass(frozen=True)
@@ -99,6 +107,41 @@ class JoinResult:
         ]
         refused = [{"file": each.file, "why": each.why} for each in self.refused]
         return {"schema": "ffcomp-join/1", "runs": runs, "refused": refused}
+
+
+def measured_run(
+    name: str,
+    motion: Commanded,
+    tau: FloatArray,
+    sensors: Mapping[str, FloatArray],
+    comments: Mapping[str, str],
+) -> Recording:
+    """Make a measured run of signals (n,) at the times (n,) s of an experiment: the command is the motion's."""
+    return Recording(
+        source=f"{name}.csv",
+        time_s=tau - tau[0],
+        command=motion.nozzle(tau),
+        command_space="nozzle",
+        acceleration={signal: values for signal, values in sensors.items() if signal.startswith("acc_")},
+        position={signal: values for signal, values in sensors.items() if signal.startswith("pos_")},
+        gaps=np.asarray(np.isnan(np.column_stack(list(sensors.values()))).any(axis=1)),
+        comments=dict(comments),
+    )
+
+
+def joined_comments(
+    clock: ClockFit, source: str, experiment: str, repeat: int, kind: ClockKind, overflows: int = 0
+) -> dict[str, str]:
+    """Say where a measured run is from, and how well its clock is known."""
+    return {
+        "joined": f"offset_s {clock.offset_s:.6f} ± {clock.offset_sd_s:.6f}, ratio {clock.ratio:.7f} ± "
+        f"{clock.ratio_sd:.7f}, correlation below 20 Hz {clock.correlation:.4f}, overflows {overflows}",
+        "experiment": experiment,
+        "repeat": str(repeat),
+        "capture": Path(source).name,
+        "delay_sd_s": f"{DELAY_SD_S[kind]:g}",
+        "drift_sd": f"{DRIFT_SD:g}",
+    }
 
 
 def recording_lines(recording: Recording) -> list[bytes]:

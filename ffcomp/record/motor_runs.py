@@ -1,0 +1,304 @@
+"""The executions of a plan in a log of one motor: found by the motor's commanded steps, which also tell the motor.
+
+The log counts steps from anywhere, in either direction, microsteps or full ones; its clock is fitted to the command.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import fftconvolve
+
+from ffcomp.errors import MeasurementError
+from ffcomp.measurement.closed_loop import MotorLog
+from ffcomp.record.clock import ClockFit
+from ffcomp.record.plan import Experiment, MovesPlan
+from ffcomp.record.plan_files import run_name
+from ffcomp.record.result import KEPT_REST_S, Joined, joined_comments, measured_run
+from models.arrays import FloatArray
+from models.machine import Machine
+
+MOST_STEPS = 2.0  # microsteps rms, of the log's target to the plan
+MOST_SPREAD_S = 7e-4  # of the target against the plan: rounding makes 0.2 ms, a shaper of 150 Hz 0.7 to 1.7 ms
+OTHER_SIZE = 5e-3  # share by which steps/mm differ, and are others
+LEAST_LIKENESS = 0.98  # correlation of a place in the log with a motor's motion, squared
+COARSE_HZ, FINE_HZ = 200.0, 2000.0
+PADDED_S = 0.5  # the motor rests before the log begins and after it ends
+LATEST_S = 0.05  # into the motion: A1 begins the log when the motor begins to move
+ITERATIONS = 15
+MOTORS = "ABC"
+SIZES = ("steps_per_mm", "full_steps_per_mm")
+BLIND = (
+    "Logs of motors show what motors do: friction, a torque angle, a delay. They are blind to arms, effector and "
+    "frame, and take the motor's angle for its carriage's place."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A place in the log as a motor's execution of an experiment."""
+
+    experiment: Experiment
+    motor: int
+    clock: ClockFit
+    steps_per_mm: float  # of the log; its sign is the direction
+    zero: float  # steps, at height 0
+    apart: float  # microsteps rms, of the target to the plan
+    spread_s: float  # of the target in time, as a shaper does it
+    own_size: bool  # the steps/mm are the machine file's
+
+    @property
+    def good(self) -> bool:
+        """Whether the motor was told what the plan says."""
+        return self.own_size and self.apart <= MOST_STEPS and self.spread_s <= MOST_SPREAD_S
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """From when to when, s from the log's first row."""
+        begin = -self.clock.offset_s / self.clock.ratio
+        return begin, begin + self.experiment.duration_s / self.clock.ratio
+
+
+def motor_runs(log: MotorLog, plan: MovesPlan, machine: Machine, before: Sequence[Joined]) -> list[Joined]:
+    """Make a measured run of each execution that the log of a motor holds.
+
+    Parameters
+    ----------
+    before : the runs of the logs before, whose numbers are taken
+
+    Raises
+    ------
+    MeasurementError
+        If the log holds none of the plan's experiments, and why.
+    """
+    _check_machine(log, machine)
+    fits = [fit for each in plan.experiments for motor in _motors(log) for fit in _fits(log, each, motor, machine)]
+    chosen = _apart([each for each in fits if each.good])
+    if not chosen:
+        raise MeasurementError(log.source, [_refusal(log, plan, machine, fits)])
+    taken, found = [each.name for each in before], list[Joined]()
+    for fit in sorted(chosen, key=lambda each: each.span[0]):
+        _check_motor(log, fit, fits)
+        stem = f"{fit.experiment.name}-{MOTORS[fit.motor]}"
+        repeat = next((k for k in range(1, plan.repeats + 1) if run_name(stem, k) not in taken), None)
+        if repeat is None:
+            raise MeasurementError(
+                log.source,
+                [f"There are {plan.repeats} logs of motor {stem[-1]} in {fit.experiment.name} already. Leave one out."],
+            )
+        taken.append(run_name(stem, repeat))
+        found.append(_joined(log, fit, repeat, run_name(stem, repeat)))
+    return found
+
+
+def _check_machine(log: MotorLog, machine: Machine) -> None:
+    if not np.array_equal(machine.kinematics.motors, np.eye(3)):
+        raise MeasurementError(
+            log.source,
+            [
+                f"The motors of {machine.name} move its axes together, and one motor's log does not tell where an axis "
+                "is. Record this printer with an accelerometer."
+            ],
+        )
+    if not set(SIZES) & set(machine.steps.stated):
+        raise MeasurementError(
+            log.source,
+            [
+                f"It counts steps, and the file of {machine.name} does not state their size. Write steps_per_mm (and "
+                "full_steps_per_mm) under [steps]: M92 shows them."
+            ],
+        )
+
+
+def _motors(log: MotorLog) -> Sequence[int]:
+    """Return the motor that the file's name says at its end, as in `…-A.csv`; all of them if it says none."""
+    named = re.search(r"(?:^|[-_. ])([ABC])$", Path(log.source).stem)
+    return range(3) if named is None else (MOTORS.index(named[1]),)
+
+
+# The search
+
+
+def _fits(log: MotorLog, experiment: Experiment, motor: int, machine: Machine) -> list[_Fit]:
+    t = np.arange(-PADDED_S, experiment.duration_s + PADDED_S, 1 / FINE_HZ)
+    way = CubicSpline(t, machine.kinematics.inverse(experiment.motion.nozzle(t))[:, motor])
+    return [
+        fit
+        for begin in _places(log, way, experiment.duration_s)
+        if (fit := _fit(log, experiment, motor, machine, way, begin)) is not None
+    ]
+
+
+def _places(log: MotorLog, way: CubicSpline, duration_s: float) -> list[float]:
+    """Return when the motion may begin, s from the log's first row: where the target is its image to a scale."""
+    since = log.time_s - log.time_s[0]
+    at = np.arange(-PADDED_S, since[-1] + PADDED_S, 1 / COARSE_HZ)
+    target = np.interp(at, since, log.target)
+    target = target - target.mean()
+    planned = way(np.arange(0.0, duration_s, 1 / COARSE_HZ))
+    planned = planned - planned.mean()
+    n = len(planned)
+    if n > len(target):
+        return []
+    sums = [np.concatenate([[0.0], np.cumsum(each)]) for each in (target, target**2)]
+    first, second = (each[n:] - each[:-n] for each in sums)
+    power = np.maximum(second - first**2 / n, 1e-6 * max(float(target @ target), 1e-300)) * float(planned @ planned)
+    likeness = fftconvolve(target, planned[::-1], mode="valid") ** 2 / np.maximum(power, 1e-300)
+    found = list[float]()
+    while likeness.max() >= LEAST_LIKENESS:
+        best = int(likeness.argmax())
+        found.append(float(at[best]))
+        likeness[max(0, best - n // 2) : best + n // 2 + 1] = 0.0
+    return found
+
+
+def _fit(
+    log: MotorLog, experiment: Experiment, motor: int, machine: Machine, way: CubicSpline, begin: float
+) -> _Fit | None:
+    """Fit clock, steps/mm and zero; then again with the machine file's steps/mm, if they are those."""
+    since = log.time_s - log.time_s[0]
+    own = (since >= begin) & (since <= begin + experiment.duration_s)
+    since, target = since[own], log.target[own]
+    if len(since) < COARSE_HZ * 0.5 * experiment.duration_s:
+        return None
+    free = _refined(since, target, way, np.array([-begin, 1.0, 0.0, 0.0]), None)
+    sizes = {
+        key: float(size[motor])
+        for key, size in zip(SIZES, (machine.steps.per_motor, machine.steps.full_per_motor), strict=True)
+        if key in machine.steps.stated
+    }
+    near = next((size for size in sizes.values() if abs(abs(free[2]) / size - 1.0) < OTHER_SIZE), None)
+    size = float(free[2] if near is None else np.copysign(near, free[2]))
+    found = _refined(since, target, way, free, size)
+    residual = target - size * way(found[0] + found[1] * since) - found[3]
+    apart = float(np.sqrt(np.mean(residual**2))) / abs(size)
+    sd, spread = _uncertainty(since, way, found, residual)
+    explained = 1.0 - float(residual @ residual) / float(np.sum((target - target.mean()) ** 2))
+    clock = ClockFit(float(found[0]), sd[0], float(found[1]), sd[1], float(np.sqrt(max(explained, 0.0))))
+    microsteps = apart * float(machine.steps.per_motor[motor])
+    return _Fit(experiment, motor, clock, size, float(found[3]), microsteps, spread, near is not None)
+
+
+def _refined(
+    since: FloatArray, target: FloatArray, way: CubicSpline, start: FloatArray, size: float | None
+) -> FloatArray:
+    """Refine (offset, ratio, steps/mm, zero) by Gauss-Newton; size: steps/mm that are known."""
+    offset, ratio, scale, zero = start.tolist()
+    for _ in range(ITERATIONS):
+        tau = offset + ratio * since
+        place, speed, ones = way(tau), way(tau, 1), np.ones(len(since))
+        if size is None:
+            scale, zero = np.linalg.lstsq(np.column_stack([place, ones]), target, rcond=None)[0].tolist()
+        else:
+            scale, zero = size, float(np.mean(target - size * place))
+        columns = [scale * speed, scale * speed * since, ones, *([place] if size is None else [])]
+        residual = target - scale * place - zero
+        step = np.linalg.lstsq(np.column_stack(columns), residual, rcond=None)[0]
+        offset, ratio, zero = offset + step[0], ratio + step[1], zero + step[2]
+        if abs(step[0]) < 1e-9 and abs(step[1]) < 1e-10:
+            break
+    return np.array([offset, ratio, scale, zero])
+
+
+def _uncertainty(
+    since: FloatArray, way: CubicSpline, found: FloatArray, residual: FloatArray
+) -> tuple[tuple[float, float], float]:
+    """Return the standard deviations of offset and ratio, and the spread of the target, s.
+
+    Pulses with a spread of σ, as a shaper has them, add σ²/2 times the acceleration to a motion, beside a delay.
+    """
+    tau = found[0] + found[1] * since
+    speed, acceleration = found[2] * way(tau, 1), found[2] * way(tau, 2)
+    columns = np.column_stack([speed, speed * since, np.ones(len(since)), acceleration])
+    size = np.linalg.norm(columns, axis=0) + 1e-300
+    share = np.linalg.lstsq(columns / size, residual, rcond=None)[0] / size
+    inverse = np.linalg.pinv((columns / size).T @ (columns / size))
+    sd = np.sqrt(np.diag(inverse) * float(residual @ residual) / max(len(since) - 4, 1)) / size
+    return (float(sd[0]), float(sd[1])), float(np.sqrt(2.0 * max(float(share[3]), 0.0)))
+
+
+def _apart(fits: Sequence[_Fit]) -> list[_Fit]:
+    """Keep of fits of one time the best."""
+    kept = list[_Fit]()
+    for fit in sorted(fits, key=lambda each: each.apart):
+        if not any(_overlap(fit, each) for each in kept):
+            kept.append(fit)
+    return kept
+
+
+def _overlap(first: _Fit, second: _Fit) -> bool:
+    return first.span[0] < second.span[1] and second.span[0] < first.span[1]
+
+
+def _check_motor(log: MotorLog, fit: _Fit, fits: Sequence[_Fit]) -> None:
+    others = [each for each in fits if each.good and each.motor != fit.motor and _overlap(fit, each)]
+    if others:
+        raise MeasurementError(
+            log.source,
+            [
+                f"It may be of motor {MOTORS[fit.motor]} or of motor {MOTORS[others[0].motor]}: both move alike in "
+                f"{fit.experiment.name}. End the file's name with the motor, as in duet-{MOTORS[fit.motor]}.csv."
+            ],
+        )
+
+
+def _refusal(log: MotorLog, plan: MovesPlan, machine: Machine, fits: Sequence[_Fit]) -> str:
+    """Say why a log holds none of the plan's experiments, by the one that is nearest."""
+    near = min(fits, key=lambda each: (not each.own_size, each.apart), default=None)
+    lasts, shortest = log.time_s[-1] - log.time_s[0], min(each.duration_s for each in plan.experiments)
+    if near is None and lasts < shortest - LATEST_S:
+        return (
+            f"It lasts {lasts:.2f} s, and the shortest motion of the plan {shortest:.2f} s: it was cut off. Record it "
+            "again, with more samples (S is the rate times the seconds)."
+        )
+    if near is None:
+        return (
+            "None of the plan's motions is in the target of its motor, not even with other steps/mm: it is of another "
+            "plan, began after the motion or ended before it. Give the plan that its G-code was made with, and record "
+            "from before the motion until after it."
+        )
+    motor, what = MOTORS[near.motor], near.experiment.name
+    if not near.own_size and near.spread_s <= MOST_SPREAD_S:
+        stated = ", ".join(f"{key} = {getattr(machine.steps, key)}" for key in SIZES if key in machine.steps.stated)
+        return (
+            f"Its motion is that of motor {motor} in {what}, but with {abs(near.steps_per_mm):.5g} steps/mm, and the "
+            f"machine file says {stated}. Correct it in the machine file (steps_per_mm if the log counts microsteps, "
+            "full_steps_per_mm if it counts full steps) or in the printer's M92."
+        )
+    return (
+        f"Its target is {near.apart:.1f} microsteps rms from motor {motor} of {what} ({MOST_STEPS:g} may be), and "
+        f"spread by {1e3 * near.spread_s:.1f} ms ({1e3 * MOST_SPREAD_S:g} may be): the input shaper was on (M593 "
+        'P"none" switches it off), the speed factor was not 100 %, or it is another motion. Run the plan\'s G-code as '
+        "it is, and record it again."
+    )
+
+
+# The run
+
+
+def _joined(log: MotorLog, fit: _Fit, repeat: int, name: str) -> Joined:
+    experiment, clock = fit.experiment, fit.clock
+    tau = clock.experiment_time(log.time_s)
+    if tau[0] > LATEST_S or tau[-1] < experiment.duration_s:
+        raise MeasurementError(
+            log.source,
+            [
+                f"It runs from {tau[0]:.2f} to {tau[-1]:.2f} s of a motion of {experiment.duration_s:.2f} s: it was "
+                "cut off. Record it again, from before the motion, and with more samples (S)."
+            ],
+        )
+    step = 1.0 / float(np.round(log.sample_rate_hz))
+    first = max(min(float(tau[0]), -LATEST_S), -KEPT_REST_S[0])  # rows that the log lacks are gaps
+    last = min(float(tau[-1]), experiment.duration_s + KEPT_REST_S[1])
+    grid = step * np.arange(np.ceil(first / step), np.floor(last / step) + 1)
+    place = np.asarray(CubicSpline(tau, (log.measured - fit.zero) / fit.steps_per_mm)(grid))
+    place[grid < tau[0]] = np.nan
+    comments = joined_comments(clock, log.source, experiment.name, repeat, "log")
+    motor = {"motor": f"{MOTORS[fit.motor]}, {fit.steps_per_mm:g} steps/mm"}
+    run = measured_run(name, experiment.motion, grid, {f"pos_{MOTORS[fit.motor]}": place}, comments | motor)
+    return Joined(run, experiment.name, repeat, clock, 0, log.source, "", float(grid[0]))
