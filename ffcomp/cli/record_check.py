@@ -129,6 +129,7 @@ def _compare(
 
         made, loaded, before = load_moves(plan), load_machine(machine), read_history(history)
         joined = join_captures(captures, made, loaded, turn_of(axes_map), lambda text: say(f"ffcomp: {text}", quiet))
+        joined = joined.with_accelerations
         for refused in joined.refused if joined.joined else ():
             say(f"ffcomp: left out {refused.file}: {refused.why}", quiet)
         for sentence in joined.notes(made, loaded):

@@ -7,10 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from ffcomp.errors import MeasurementError
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.recording import Recording
 from ffcomp.measurement.recording_frfs import frfs_from_recordings
 from ffcomp.record.plan import Experiment, MovesPlan
+from ffcomp.record.result import NO_ACCELERATIONS
 from models.arrays import FloatArray
 
 BAND_HZ = (5.0, 150.0)  # that such motions excite
@@ -23,7 +25,16 @@ INPUTS = ("cmd_x", "cmd_y")  # z moves too little beside them
 def responses_of(
     recordings: Sequence[Recording], plan: MovesPlan, band_hz: tuple[float, float]
 ) -> list[FrequencyResponse]:
-    """Estimate the responses to x and y at each place of a plan, from all its experiments there together."""
+    """Estimate the responses to x and y at each place of a plan, from all its experiments there together.
+
+    Raises
+    ------
+    MeasurementError
+        For a log of a motor.
+    """
+    for recording in recordings:
+        if not recording.acceleration:
+            raise MeasurementError(recording.comments["capture"], [NO_ACCELERATIONS])
     experiments = {each.name: each for each in plan.experiments}
     places: dict[int, list[Recording]] = {}
     for recording in recordings:

@@ -17,6 +17,7 @@ from ffcomp.record.join import join_captures
 from ffcomp.record.load import load_recordings
 from ffcomp.record.plan import MovesPlan, Request, make_plan
 from ffcomp.record.plan_files import save_plan
+from ffcomp.record.responses import responses_of
 from ffcomp.record.result import recording_lines
 from ffcomp.shapers.kinds import SHAPERS
 from models.arrays import FloatArray
@@ -147,3 +148,13 @@ def test_a_log_is_told_apart_from_other_files(
     path.write_text("Sample,Timestamp,Target Motor Steps\n0,0.0,1.0\n", encoding="utf-8")
     with pytest.raises(MeasurementError, match=r"no column 'measured motor steps'. Record it with D7"):
         read_closed_loop(path)
+
+
+def test_what_needs_accelerations_refuses_a_log(
+    plan: MovesPlan, machine: Machine, played: tuple[FloatArray, FloatArray, FloatArray], tmp_path: Path
+) -> None:
+    found = join_captures([log(tmp_path / "50_2026.csv", played)], plan, machine)
+    assert not found.with_accelerations.joined
+    assert "needs accelerations" in found.with_accelerations.refused[0].why
+    with pytest.raises(MeasurementError, match=r"50_2026.csv.*\n?.*needs accelerations"):
+        responses_of(found.recordings, plan, (2.0, 100.0))
