@@ -51,7 +51,8 @@ def stands_out(split: Split) -> str:
     if not hot or share < A_LOT:
         return _spread(split, excess, mean)
     where = WHERE[split.title].format(_named(split, hot))
-    return f"{most_of(share)} of the excess lies {where} ({percent(float(weight[hot].sum()))} of what was compared)."
+    most, compared = most_of(share), percent(float(weight[hot].sum()))
+    return f"{most[0].upper()}{most[1:]} of the excess lies {where} ({compared} of what was compared)."
 
 
 def _spread(split: Split, excess: np.ndarray, mean: float) -> str:
