@@ -7,6 +7,7 @@ import json
 import re
 from dataclasses import dataclass, replace
 from functools import partial
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -148,7 +149,7 @@ def found_already(plain: Case, monkeypatch: pytest.MonkeyPatch) -> None:
 def plain_text(text: str) -> str:
     """What is read, without figures and tags."""
     body = re.sub(r'src="data:[^"]*"|<style>.*?</style>', "", text, flags=re.DOTALL)
-    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", body)).replace("\N{NO-BREAK SPACE}", " ")
+    return re.sub(r"\s+", " ", unescape(re.sub(r"<[^>]+>", " ", body))).replace("\N{NO-BREAK SPACE}", " ")
 
 
 @pytest.mark.parametrize(("name", "said"), [("heavy", "effects"), ("plain", "none"), ("strange", "unknown")])
