@@ -1,6 +1,6 @@
-"""Input shapers, the baselines of every firmware: a few pulses that let a vibration cancel itself.
+"""Input shapers, the baselines of every firmware: a few pulses, or a kernel, that let a vibration cancel itself.
 
-The planned Cartesian path is convolved with the pulses, x_s(t) = Σ A_i x(t - (T_i - T̄)) with T̄ = Σ A_i T_i,
+The planned Cartesian path is convolved with them, x_s(t) = Σ A_i x(t - (T_i - T̄)) with T̄ = Σ A_i T_i,
 and only then turned into carriage paths, as Klipper does on a delta: taking T̄ off leaves no delay at
 constant speed, so a `Shaper` holds the times with T̄ taken off already.
 """

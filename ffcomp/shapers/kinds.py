@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from ffcomp.shapers import pulses
-from ffcomp.shapers.pulses import Shaper
+from ffcomp.shapers.pulses import Shaper, ei, mzv, three_hump_ei, two_hump_ei, zv, zvd, zvdd, zvddd
 from ffcomp.shapers.smooth import KERNELS, smooth
 
 SHAPERS: dict[str, Callable[[float, float], Shaper]] = {
-    "zv": pulses.zv,
-    "mzv": pulses.mzv,
-    "zvd": pulses.zvd,
-    "zvdd": pulses.zvdd,
-    "zvddd": pulses.zvddd,
-    "ei": pulses.ei,
-    "2hump_ei": pulses.two_hump_ei,
-    "3hump_ei": pulses.three_hump_ei,
+    "zv": zv,
+    "mzv": mzv,
+    "zvd": zvd,
+    "zvdd": zvdd,
+    "zvddd": zvddd,
+    "ei": ei,
+    "2hump_ei": two_hump_ei,
+    "3hump_ei": three_hump_ei,
     **{name: partial(smooth, name) for name in KERNELS},
 }
 
