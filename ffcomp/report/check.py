@@ -50,7 +50,7 @@ def _panel(axes: Axes, shown: Sequence[Check]) -> None:
         color=CHANGE,
         label="from the last check",
     )
-    axes.plot(at, [100 * each.noise for each in shown], ":", color=SOFT, label="noise")
+    axes.plot(at, [100 * each.noise for each in shown], ":", color=SOFT, label="the sensor's noise in one check")
     for k in compared:
         if shown[k].finding in MARKED:
             place = (k, 100 * (shown[k].difference or 0.0))
