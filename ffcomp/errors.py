@@ -20,7 +20,8 @@ The whole tree; each class has its exit code as the attribute `exit_code`:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from gcode.errors import GcodeError
 from models.errors import MachineFileError
@@ -94,3 +95,26 @@ def explain(error: FfcompError | GcodeError | MachineFileError | OSError, path: 
     if isinstance(error, OSError):
         return f"{error.filename or path}: {error.strerror or error}.", 2
     return str(error), error.exit_code
+
+
+@contextmanager
+def interrupts_restored() -> Iterator[None]:
+    """Raise an interrupt as itself when compiled code has wrapped it.
+
+    A signal's handler may run while compiled code calls back into Python. What it raises then comes out as the cause of
+    a SystemError, and nobody would take that for Ctrl-C or the request to end.
+
+    Raises
+    ------
+    KeyboardInterrupt, SystemExit
+        As the handler raised them.
+    """
+    try:
+        yield
+    except SystemError as error:
+        cause = error.__cause__
+        while cause is not None and not isinstance(cause, KeyboardInterrupt | SystemExit):
+            cause = cause.__cause__
+        if cause is None:
+            raise
+        raise cause from None

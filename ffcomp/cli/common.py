@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from ffcomp.cli.log import note
-from ffcomp.errors import INPUT_ERRORS, explain
+from ffcomp.errors import INPUT_ERRORS, explain, interrupts_restored
 from ffcomp.numerics.serialise import json_line
 from gcode.atomic_write import drafts_noted, replaced_since
 
@@ -28,7 +28,8 @@ def exit_codes() -> Iterator[None]:
     """Turn errors of the input into one sentence and the documented exit code. A bug keeps its traceback (1)."""
     noted = drafts_noted()
     try:
-        yield
+        with interrupts_restored():
+            yield
     except KeyboardInterrupt:
         fail(f"Interrupted; {written_already(noted)}.", 130)
     except BrokenPipeError:  # who reads our output has seen enough (`| head`): end as other tools do

@@ -378,6 +378,7 @@ def _compensate_all(request: _Request) -> list[FileResult]:
     from ffcomp.cli.common import Progress, fail
     from ffcomp.cli.compensate_report import report_all
     from ffcomp.compensate.batch import compensate_files, size_of
+    from ffcomp.errors import interrupts_restored
     from gcode.atomic_write import drafts_noted, replaced_since
 
     files, noted = request.files, drafts_noted()
@@ -393,7 +394,7 @@ def _compensate_all(request: _Request) -> list[FileResult]:
             progress=progress,
         )
         try:
-            with closing(work):
+            with interrupts_restored(), closing(work):
                 file_results.extend(work)
         except KeyboardInterrupt:
             done = len(replaced_since(noted))

@@ -13,7 +13,7 @@ from typing import Any
 from ffcomp.compensate.placement import Placement
 from ffcomp.compensate.statistics import Statistics
 from ffcomp.compensate.warning_lines import warning_lines
-from ffcomp.errors import INPUT_ERRORS, explain
+from ffcomp.errors import INPUT_ERRORS, explain, interrupts_restored
 from ffcomp.numerics.serialise import to_json
 from ffcomp.steps.sink import MotorTotal
 from gcode.flavor import FlavorChoice
@@ -162,7 +162,8 @@ def attempt(number: int, file: Path, work: Callable[[Path], dict[str, Any]]) -> 
     """Run `work(file)` and return its result or failure; never raises."""
     started, result, failure = time.perf_counter(), dict[str, Any](), None
     try:
-        result = work(file)
+        with interrupts_restored():
+            result = work(file)
     except Exception as error:
         failure = failure_of(error, str(file))
     return FileResult(number, file, time.perf_counter() - started, result, failure)

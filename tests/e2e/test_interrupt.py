@@ -23,23 +23,28 @@ def printed(tmp_path: Path) -> Path:
     return path
 
 
-def interrupted(monkeypatch: pytest.MonkeyPatch, owner: object, name: str, *, after: bool) -> None:
-    """Let Ctrl-C come just before or just after a function has done its work."""
+def interrupted(
+    monkeypatch: pytest.MonkeyPatch, owner: object, name: str, *, after: bool, wrapped: bool = False
+) -> None:
+    """Let Ctrl-C come just before or just after a function has done its work, or wrapped as compiled code does."""
     function: Any = getattr(owner, name)
 
     def with_interrupt(*args: Any, **options: Any) -> Any:
         mine = name != "replace" or str(args[1]).endswith(".gcode")  # the cache of tables is none of the user's files
         if after or not mine:
             function(*args, **options)
+        if mine and wrapped:
+            raise SystemError("a result with an exception set") from KeyboardInterrupt()
         if mine:
             raise KeyboardInterrupt
 
     monkeypatch.setattr(owner, name, with_interrupt)
 
 
-def test_before_the_file_takes_its_place(printed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("wrapped", [False, True], ids=["in Python", "in compiled code"])
+def test_before_the_file_takes_its_place(printed: Path, monkeypatch: pytest.MonkeyPatch, wrapped: bool) -> None:
     before = printed.read_bytes()
-    interrupted(monkeypatch, os, "replace", after=False)
+    interrupted(monkeypatch, os, "replace", after=False, wrapped=wrapped)
     call = CliRunner().invoke(app, ["compensate", str(printed), "-m", MACHINE, "--no-predict"])
     assert call.exit_code == 130 and "Interrupted; no file was changed." in call.output
     assert printed.read_bytes() == before and [path.name for path in printed.parent.iterdir()] == [printed.name]
@@ -63,10 +68,11 @@ def test_after_the_file_has_taken_its_place(printed: Path, monkeypatch: pytest.M
     assert CliRunner().invoke(app, ["restore", str(printed)]).exit_code == 0 and printed.read_bytes() == before
 
 
-def test_several_files_are_counted_as_they_are(printed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("wrapped", [False, True], ids=["in Python", "in compiled code"])
+def test_several_files_are_counted_as_they_are(printed: Path, monkeypatch: pytest.MonkeyPatch, wrapped: bool) -> None:
     other = printed.with_name("other.gcode")
     other.write_bytes(printed.read_bytes())
-    interrupted(monkeypatch, os, "replace", after=True)
+    interrupted(monkeypatch, os, "replace", after=True, wrapped=wrapped)
     call = CliRunner().invoke(app, ["compensate", str(printed), str(other), "-m", MACHINE, "--no-predict"])
     assert call.exit_code == 130 and "Interrupted; 1 of 2 files are done" in call.output
     assert [b"Processed by" in path.read_bytes() for path in (printed, other)] == [True, False]

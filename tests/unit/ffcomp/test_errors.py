@@ -7,7 +7,7 @@ import re
 import pytest
 
 from ffcomp import errors
-from ffcomp.errors import INPUT_ERRORS, explain
+from ffcomp.errors import INPUT_ERRORS, explain, interrupts_restored
 from ffcomp.importers.values import PrinterConfigError
 from ffcomp.steps.reader import StepsError
 from gcode.errors import GcodeError, UnsupportedGcode
@@ -33,3 +33,17 @@ def test_an_error_of_the_input_is_explained() -> None:
 @pytest.mark.parametrize("error", [ValueError("x"), UnreachableError("x", []), KeyError("x")])  # type: ignore[arg-type]
 def test_other_errors_are_faults_of_our_own(error: Exception) -> None:
     assert not isinstance(error, INPUT_ERRORS)
+
+
+@pytest.mark.parametrize("interrupt", [KeyboardInterrupt(), SystemExit(143)], ids=["Ctrl-C", "SIGTERM"])
+def test_an_interrupt_that_compiled_code_has_wrapped_comes_out_as_itself(interrupt: BaseException) -> None:
+    unpickled, simulated = SystemError("<_numba_unpickle> …"), SystemError("<simulate> returned a result …")
+    unpickled.__cause__, simulated.__cause__ = interrupt, unpickled
+    with pytest.raises(type(interrupt)) as caught, interrupts_restored():
+        raise simulated
+    assert caught.value is interrupt
+
+
+def test_a_fault_stays_a_fault() -> None:
+    with pytest.raises(SystemError, match="ours"), interrupts_restored():
+        raise SystemError("ours") from ValueError("why")
