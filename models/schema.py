@@ -332,6 +332,12 @@ class DeltaDocument(Document):
         kinematics = self.kinematics.geometry()
         return kinematics, DeltaVibration(self.carriage.carriage(), self.effector.effector(), kinematics)
 
+    @field_validator("effects")
+    @classmethod
+    def _of_carriages(cls, effects: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        _refuse_others(effects, "carriages", "a delta: it has no straight axes")
+        return effects
+
 
 class StraightDocument(Document):
     """The file of a cartesian or CoreXY machine."""
@@ -359,13 +365,7 @@ class StraightDocument(Document):
     @field_validator("effects")
     @classmethod
     def _of_axes(cls, effects: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-        able = effects_of("axes")
-        _refuse(
-            f"effects.{name} is none of a machine with straight axes: they have no arms and no effector. "
-            f"Known there: {', '.join(able)}."
-            for name in effects
-            if name in CATALOGUE and name not in able
-        )
+        _refuse_others(effects, "axes", "a machine with straight axes: they have no arms and no effector")
         return effects
 
 
@@ -413,6 +413,16 @@ def _refuse(problems: Iterable[str]) -> None:
     text = "\n".join(problems)
     if text:
         raise ValueError(text)
+
+
+def _refuse_others(effects: Iterable[str], moves: str, kind: str) -> None:
+    """Refuse effects that this kind of machine cannot have."""
+    able = effects_of(moves)
+    _refuse(
+        f"effects.{name} is none of {kind}. Known there: {', '.join(able)}."
+        for name in effects
+        if name in CATALOGUE and name not in able
+    )
 
 
 def _mass_problems(name: str, table: Any, weighed: bool) -> Iterator[str]:

@@ -63,6 +63,7 @@ class Shown:
     panels: tuple[Panel, Panel]
     base: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # effects of both curves
     paper: bool = False  # the base shares the load as Eqs. 22-27 do
+    machine: str = ""  # of the library, if not MACHINE
 
 
 # ---- motions -------------------------------------------------------------------------------------
@@ -142,9 +143,12 @@ def shaking(axis: str) -> FloatArray:
 # ---- panels --------------------------------------------------------------------------------------
 
 
-def signal_of(machine: Machine, path: FloatArray, signal: str, height_mm: float = HEIGHT_MM) -> FloatArray:
-    """(n,) m/s² that the sensor records while the nozzle is sent along (n, 3) mm from the centre."""
-    nozzle = path + np.array([0.0, 0.0, height_mm])
+def signal_of(
+    machine: Machine, path: FloatArray, signal: str, height_mm: float = HEIGHT_MM, aside_mm: float = 0.0
+) -> FloatArray:
+    """(n,) m/s² that the sensor records while the nozzle is sent along (n, 3) mm from the centre, or aside of it."""
+    x, y = machine.kinematics.centre_mm
+    nozzle = path + np.array([x + aside_mm, y, height_mm])
     motion = simulate_printer(machine, machine.kinematics.inverse(nozzle), ROW_S)
     felt = measured(machine, motion.signals)
     axis = signal[-1]
@@ -176,11 +180,18 @@ def spectrum(motion: Motion, signal: str, from_s: float, to_hz: float, title: st
     return Panel(title, ("frequency, Hz", f"{signal}, m/s²"), draw, logarithmic=True, least=1e-3)
 
 
-def response(axis: str, signal: str, title: str = "", height_mm: float = HEIGHT_MM, angle: bool = False) -> Panel:
+def response(
+    axis: str,
+    signal: str,
+    title: str = "",
+    height_mm: float = HEIGHT_MM,
+    angle: bool = False,
+    aside_mm: float = 0.0,
+) -> Panel:
     """Acceleration felt for what is commanded along an axis; its angle in degrees instead of its size."""
 
     def draw(machine: Machine) -> Curve:
-        y = signal_of(machine, shaking(axis), signal, height_mm)
+        y = signal_of(machine, shaking(axis), signal, height_mm, aside_mm)
         half = len(y) // 2
         f = np.fft.rfftfreq(half, ROW_S)
         lines = (f >= 5.0) & (f <= 120.0)
@@ -292,6 +303,25 @@ SHOWN: dict[str, Shown] = {
         "A pair of peak and dip at the frame's frequency, along the direction in which it sways only.",
         (response("x", "acc_x", "along x, where it sways"), response("y", "acc_y", "along y")),
     ),
+    "gantry_racking": Shown(
+        {"radius_mm": 150.0, "frequency_hz": 45.0, "damping_ratio": 0.04, "x_centre_mm": 125.0},
+        "In the middle nothing; aside of it y has a second resonance. Shown on `voron-250`.",
+        (
+            response("y", "acc_y", "in the middle"),
+            response("y", "acc_y", "90 mm to the right", aside_mm=90.0),
+        ),
+        machine="voron-250",
+    ),
+    "growing_bed": Shown(
+        {"growth_per_m": [0.0, 3.0, 0.0]},
+        "The resonance of the bed falls as the print grows; at the first layer it is that of the file. Shown on "
+        "`ender-3`, whose bed moves along y.",
+        (
+            response("y", "acc_y", "first layer", 0.0),
+            response("y", "acc_y", "150 mm high", 150.0),
+        ),
+        machine="ender-3",
+    ),
     "guide_damping": Shown({"added_n_s_per_m": 25.0}, "Lower and broader resonances, at the same frequencies.", BOTH),
     "joint_friction": Shown(
         {"force_n": 3.0},
@@ -331,6 +361,15 @@ SHOWN: dict[str, Shown] = {
         ),
         base={"coulomb_friction": {"force_n": 2.0}},
     ),
+    "toolhead_mode": Shown(
+        {"slope_per_m": [0.0, 0.0, 0.0], "curve_per_m2": [0.0, 20.0, 0.0], "x_centre_mm": 125.0},
+        "The resonance of y stays in the middle and shifts at the sides. Shown on `voron-250`.",
+        (
+            response("y", "acc_y", "in the middle"),
+            response("y", "acc_y", "100 mm to the right", aside_mm=100.0),
+        ),
+        machine="voron-250",
+    ),
     "torque_angle": Shown(
         {"amplitude_mm": 0.12},
         "A gentle motion hardly shows it; a loud sine of 14 Hz answers with a row of harmonics.",
@@ -359,7 +398,7 @@ def _usual(p: Parameter) -> Any:
 
 def machines(effect: Effect, seen: Shown) -> tuple[Machine, Machine]:
     """Without the effect, and with it."""
-    base = load_machine(MACHINE)
+    base = load_machine(seen.machine or MACHINE)
     if seen.paper:
         base = with_parts(base, effector=replace(delta_vibration(base).effector, force_map="paper"))
     for name, table in seen.base.items():
@@ -427,7 +466,8 @@ Cartesian and CoreXY machines have all but those that are marked as of deltas on
 x, y, z; what acts on motors and belts is of belts A, B and of z on a CoreXY. Where no axis states its `mass_kg`,
 forces, dampings and masses are per kilogram of what the axis moves, and their keys say so: `force_n_per_kg`. A stretch
 s is that of the motor ahead of the driven point (`models/vibration/modal.py`); `frame_mode` sways under all axes that
-move.
+move. Three effects depend on the nozzle's place on such a machine, `gantry_racking`, `growing_bed` and `toolhead_mode`;
+`ffcomp diagnose` looks for them where the recordings lie 40 mm apart along x, or 20 mm along z.
 
 This page and its figures are written by `python -m studies.effect_figures --write`.
 """

@@ -68,7 +68,7 @@ class PrinterProblem(Problem):
         self.repeats = repeats_of(recorded)
         self.observations = aligned(recorded, self.repeats)
         self.parameters = (*_parameters(machine), *delay_parameters(recordings, recorded, self.repeats))
-        possible, idle = effects_of(machine.vibration.moves), _idle(machine, self.commands)
+        possible, idle = _possible(machine, self.commands), _idle(machine, self.commands)
         self.candidates = tuple(
             _candidate(machine, CATALOGUE[n], idle) for n in names if n in possible and n not in machine.effects
         )
@@ -283,6 +283,16 @@ def _parameters(machine: Machine) -> list[Parameter]:
     return parameters
 
 
+def _possible(machine: Machine, commands: Sequence[FloatArray]) -> list[str]:
+    """List the effects of this kind of machine that these recordings could tell from its own numbers.
+
+    What depends on a place is no more than another number of the file where all is recorded at one place.
+    """
+    places = np.array([machine.kinematics.forward(command.mean(axis=0)[None])[0] for command in commands])
+    spread = np.ptp(places, axis=0)
+    return [n for n in effects_of(machine.vibration.moves) if np.all(spread >= CATALOGUE[n].spread_mm)]
+
+
 def _idle(machine: Machine, commands: Sequence[FloatArray]) -> frozenset[int]:
     """Return which actuators rest in all recordings, and their motors with them: nothing can be said of them."""
     moves = np.max([np.ptp(command, axis=0) for command in commands], axis=0) > IDLE_MM
@@ -368,6 +378,8 @@ def _starts(effect: Effect, p: EffectParameter, machine: Machine) -> list[float]
     if (effect.name, p.name) == ("cogging", "pitch_mm"):
         return [steps / float(machine.steps.full_per_motor[0]) for steps in FULL_STEPS]
     low, high = p.typical
+    if p.name == "x_centre_mm":
+        return [float(machine.kinematics.centre_mm[0])]
     if p.name == "q_centre_mm":
         return [0.5 * (low + high)]
     if p.name == "damping_ratio":

@@ -127,6 +127,8 @@ class Effect:
     fold: Callable[[Machine, Mapping[str, FloatArray]], Machine] | None = None
     measure: Callable[[Signals, Mapping[str, FloatArray]], Signals] | None = None
     of: tuple[str, ...] = ("carriages", "axes")  # `VibrationModel.moves` of the machines that may have it
+    # how far the nozzle's places must lie apart along x, y, z, over all recordings, to tell it from other numbers
+    spread_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def parameter(self, name: str) -> Parameter:
         """Return the parameter of that name; KeyError if there is none."""

@@ -20,6 +20,7 @@ from models.printer.printer import PrinterMotion, simulate_printers
 
 Observe = Callable[[PrinterMotion], FloatArray]  # (n, 3) mm of a motion of n rows
 
+SWAYING = ("frame_mode", "gantry_racking")
 MEMORY_S = 1.0  # of a printer without a vibrating frame
 DECAY, LONGEST_S = 7.0, 30.0  # a frame's vibration has decayed to e to the −7
 START_S = 0.25
@@ -75,9 +76,9 @@ def simulate_batch(
 
 def memory_s(machine: Machine) -> float:
     """Return the time, s, after which the printer's earlier motion no longer matters."""
-    frame = values_of(machine, "frame_mode")
-    rate = np.inf if frame is None else 2 * np.pi * float(frame["frequency_hz"]) * float(frame["damping_ratio"])
-    return max(MEMORY_S, DECAY / max(rate, DECAY / LONGEST_S))
+    swaying = [values for name in SWAYING if (values := values_of(machine, name)) is not None]
+    rates = [2 * np.pi * float(each["frequency_hz"]) * float(each["damping_ratio"]) for each in swaying]
+    return max(MEMORY_S, DECAY / max(min(rates, default=np.inf), DECAY / LONGEST_S))
 
 
 @dataclass(frozen=True, slots=True)

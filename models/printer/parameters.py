@@ -38,6 +38,8 @@ def printer_parameters(machine: Machine, *, gravity: bool = True) -> PrinterPara
         **_motor_effects(effective),
         **_friction_effects(effective),
         **_frame_effect(effective, float(model["holder_mass"])),
+        **_racking_effect(effective),
+        **_place_effects(effective),
     }
     record = np.zeros(1, dtype=PARAMETERS)
     for name, value in parts.items():
@@ -46,7 +48,7 @@ def printer_parameters(machine: Machine, *, gravity: bool = True) -> PrinterPara
 
 
 def printer_modes(machine: Machine) -> FloatArray:
-    """Return the modes of a machine with straight axes and its effects, (n, 6, 3) SI; none of a delta."""
+    """Return the modes of a machine with straight axes and its effects, (n, 7, 3) SI; none of a delta."""
     return effective_machine(machine).vibration.printer_modes()
 
 
@@ -54,7 +56,7 @@ class ConvertedPrinter(NamedTuple):
     """A machine with its effects as the kernels take it."""
 
     parameters: PrinterParameters
-    modes: FloatArray  # (n, 6, 3)
+    modes: FloatArray  # (n, 7, 3)
 
 
 def converted_printer(machine: Machine, *, gravity: bool = True) -> ConvertedPrinter:
@@ -136,3 +138,29 @@ def _frame_effect(machine: Machine, holder_mass_kg: float) -> PrinterFields:
         "frame_b": 2 * float(values["damping_ratio"]) * omega,
         "frame_inverse_mass": 1 / float(values["mass_kg"]),
     }
+
+
+def _racking_effect(machine: Machine) -> PrinterFields:
+    values = values_of(machine, "gantry_racking")
+    if values is None or not np.isfinite(values["radius_mm"]):
+        return {}
+    omega = 2 * np.pi * float(values["frequency_hz"])
+    return {
+        "yaw_k": omega**2,
+        "yaw_b": 2 * float(values["damping_ratio"]) * omega,
+        "yaw_inertia": (float(values["radius_mm"]) / 1e3) ** 2,
+        "yaw_share": float(values["tool_share"]),
+        "yaw_centre": float(values["x_centre_mm"]) / 1e3,
+        "yaw_arm": float(values["arm_mm"]) / 1e3,
+    }
+
+
+def _place_effects(machine: Machine) -> PrinterFields:
+    """Return what depends on where the nozzle is, beyond the belts' free length."""
+    part: PrinterFields = {}
+    if (values := values_of(machine, "growing_bed")) is not None:
+        part["growth"] = values["growth_per_m"]
+    if (values := values_of(machine, "toolhead_mode")) is not None:
+        part |= {"by_x": values["slope_per_m"], "by_x_squared": values["curve_per_m2"]}
+        part["by_x_centre"] = float(values["x_centre_mm"]) / 1e3
+    return part

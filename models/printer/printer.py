@@ -162,7 +162,7 @@ class _Task:
     """One simulation, ready for a lane."""
 
     parameters: PrinterParameters
-    modes: FloatArray  # (n, 6, 3) of straight axes, n = 0 of a delta; see `VibrationModel.printer_modes`
+    modes: FloatArray  # (n, 7, 3) of straight axes, n = 0 of a delta; see `VibrationModel.printer_modes`
     steps: int  # from row to row
     cubics: FloatArray  # (n, 3, 4), see `kernels.motors.Commands`
     first: int  # row of the command at which it begins

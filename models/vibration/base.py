@@ -218,8 +218,8 @@ class VibrationModel(ABC):
         """Return what the nonlinear printer's kernels need of the model, SI."""
 
     def printer_modes(self) -> FloatArray:
-        """Return the modes of straight axes, (n, 6, 3), see `models/printer/kernels/axes.py`; none of other models."""
-        return np.zeros((0, 6, 3))
+        """Return the modes of straight axes, (n, 7, 3), see `models/printer/kernels/axes.py`; none of other models."""
+        return np.zeros((0, 7, 3))
 
     @property
     def per_kilogram(self) -> bool:

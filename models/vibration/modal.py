@@ -332,12 +332,17 @@ class ModalAxes(VibrationModel):
         }
 
     def printer_modes(self) -> FloatArray:
-        """Return the modes of the axes, (n, 6, 3): ω², b/m, c/m, σ, part of q_d, N s²/m of the frame's reaction."""
-        table = np.zeros((max(map(len, self.axes)), 6, 3))
+        """Return the modes of the axes, (n, 7, 3).
+
+        ω², b/m, c/m, σ, part of q_d, N s²/m of the frame's reaction, and 1 for the axis' highest mode.
+        """
+        table = np.zeros((max(map(len, self.axes)), 7, 3))
         table[:, 0] = table[:, 1] = 1.0  # of a mode that takes no part
         for (axis, i, o), k in ((each, self.drive_stiffness[each[0]]) for each in self._each()):
             omega2, part = o.stiffness / o.mass, self._part(axis, o)
-            table[i, :, axis] = omega2, o.damping / o.mass, o.belt_damping / o.mass, o.share, part, k * part / omega2
+            highest = all(o is mode or o.frequency_hz > mode.frequency_hz for mode in self.axes[axis])
+            table[i, :2, axis] = omega2, o.damping / o.mass
+            table[i, 2:, axis] = o.belt_damping / o.mass, o.share, part, k * part / omega2, highest
         return table
 
     def describe(self) -> Description:

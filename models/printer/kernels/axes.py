@@ -13,8 +13,11 @@ c between motor and driven point instead of b; it is off where a belt is slack.
 What moves, pushes back: with f_i = p̈_i so far, N_i f_i summed is the force on the frame (d, along D) and on the yaw θ
 of a gantry with the toolhead at x from its axis, whose inertia is λ² and whose share of the mass along y is μ:
 
-    d̈ = −ω² d − 2 ζ ω ḋ − Dᵀ Σ N_i f_i/M_f,   (λ² + (1 − μ) x²) θ̈ = −λ² (ω² θ + 2 ζ ω θ̇) − x ÿ
+    d̈ = −ω² d − 2 ζ ω ḋ − Dᵀ Σ N_i f_i/M_f,   (λ² + (1 − μ) x²) θ̈ = −λ² (ω² θ + 2 ζ ω θ̇) − x f_y + a f_x
     p̈_i = f_i − σ_i D d̈ − σ_i μ x θ̈ (along y),   y = Σ p_i + x θ
+
+where a is the arm of the force along x. A mass that grows with the height z divides all f of its axis by 1 + g z; ω² of
+an axis' highest mode may depend on x.
 
 The state, three rows for each entry, is the strain of dry friction, (θ, θ̇, nothing), d, ḋ, then p_i, ṗ_i of every mode.
 """
@@ -41,6 +44,7 @@ from models.printer.kernels.record import (
     PULL,
     QD,
     RATE,
+    RHO,
     RIPPLE,
     RIPPLE_RATE,
     SPRING,
@@ -60,14 +64,16 @@ SLOPE, CENTRE, HALF_BACKLASH, LANDING = parameter_rows("slope", "centre", "half_
 UNEVEN, GROWTH = parameter_rows("uneven", "growth")
 DIRECTIONS, FRAME_K, FRAME_B, FRAME = parameter_rows("frame_directions", "frame_k", "frame_b", "frame_inverse_mass")
 YAW_K, YAW_B, YAW_INERTIA = parameter_rows("yaw_k", "yaw_b", "yaw_inertia")
-YAW_SHARE, YAW_CENTRE = parameter_rows("yaw_share", "yaw_centre")
+YAW_SHARE, YAW_CENTRE, YAW_ARM = parameter_rows("yaw_share", "yaw_centre", "yaw_arm")
+BY_X, BY_X_SQUARED, BY_X_CENTRE = parameter_rows("by_x", "by_x_squared", "by_x_centre")
 
 # Rows of m that a delta uses for itself, here between the loops: w and ẇ − q̇_d of the axes, force over stiffness less
-# stretch of the belts, ẇ's of the belts, the force Σ N f; acceleration of q_d.
-DRIVE, DRIVE_RATE, BEYOND, SLIP = XD, X, PULL, F0
+# stretch of the belts, ẇ's of the belts, the force Σ N f; acceleration of q_d; what x adds to ω², relative to it.
+DRIVE, DRIVE_RATE, BEYOND, SLIP, STIFFER = XD, X, PULL, F0, RHO
+LEAST_STIFFER = -0.9  # of ω², however far x is from the place where the file's holds
 WIDTH = 3 * LANES  # of a row of a state
 STRAIN, YAW, SWAY, SWAY_RATE, FIRST = 0, 1, 2, 3, 4
-FREQUENCY2, DAMPING, BELT_DAMPING, SHARE, PART, REACTION = range(6)
+FREQUENCY2, DAMPING, BELT_DAMPING, SHARE, PART, REACTION, HIGHEST = range(7)
 
 
 class AxesState(NamedTuple):
@@ -77,10 +83,11 @@ class AxesState(NamedTuple):
     now: FloatArray  # where the rate is evaluated
     rate: FloatArray
     sum: FloatArray  # of the step's rates
-    modes: FloatArray  # (n, 6, WIDTH)
+    modes: FloatArray  # (n, 7, WIDTH)
     mixed: bool  # whether a motor moves more than one axis, in any lane
     swaying: bool  # whether there is a frame that sways, or a gantry that yaws
     growing: bool  # whether the mass depends on the nozzle's height
+    by_place: bool  # whether a mode depends on x
 
 
 @compiled
@@ -180,19 +187,31 @@ def _modes(m: FloatArray, s: AxesState) -> None:
     if s.growing:
         for n in range(WIDTH):
             m[PULL * LANES + n] = 1.0 / (1.0 + at(m, GROWTH, n) * at(m, NOW + Q + 2, n % LANES))
+    if s.by_place:
+        _by_place(m)
     for i in range(len(s.modes)):
         p, pd, modes = (FIRST + 2 * i) * WIDTH, (FIRST + 2 * i + 1) * WIDTH, s.modes[i]
         for n in range(WIDTH):
             share, rate = modes[SHARE, n], s.now[pd + n]
-            f = modes[FREQUENCY2, n] * (share * m[DRIVE * LANES + n] - s.now[p + n]) - modes[DAMPING, n] * rate
+            square = modes[FREQUENCY2, n] * (1.0 + modes[HIGHEST, n] * m[STIFFER * LANES + n])
+            f = square * (share * m[DRIVE * LANES + n] - s.now[p + n]) - modes[DAMPING, n] * rate
             follow = share * m[DRIVE_RATE * LANES + n] - rate
-            f = (f + modes[BELT_DAMPING, n] * follow) * m[PULL * LANES + n]
+            f += modes[BELT_DAMPING, n] * follow
+            m[F0 * LANES + n] += modes[REACTION, n] * f
+            f *= m[PULL * LANES + n]
             s.rate[p + n], s.rate[pd + n] = rate, f
             m[ACC * LANES + n] += f
             m[(RATE + QD) * LANES + n] += modes[PART, n] * f
-            m[F0 * LANES + n] += modes[REACTION, n] * f
     for n in range(WIDTH):
         m[PULL * LANES + n] = 0.0
+
+
+@compiled
+def _by_place(m: FloatArray) -> None:
+    """Evaluate what x adds to ω² of each axis' highest mode."""
+    for n in range(WIDTH):
+        x = at(m, NOW + Q, n % LANES) - at(m, BY_X_CENTRE, n % LANES)
+        m[STIFFER * LANES + n] = max((at(m, BY_X, n) + at(m, BY_X_SQUARED, n) * x) * x, LEAST_STIFFER)
 
 
 @compiled
@@ -212,6 +231,7 @@ def _reactions(m: FloatArray, s: AxesState) -> None:
             x, share = at(m, NOW + Q, l) - at(m, YAW_CENTRE, l), at(m, YAW_SHARE, l)
             yaw, rate = s.now[YAW * WIDTH + l], s.now[YAW * WIDTH + LANES + l]
             torque = -inertia * (at(m, YAW_K, l) * yaw + at(m, YAW_B, l) * rate) - x * at(m, RATE + QD + 1, l)
+            torque += at(m, YAW_ARM, l) * at(m, RATE + QD, l)
             turn = torque / (inertia + (1.0 - share) * x * x)
             s.rate[YAW * WIDTH + l], s.rate[YAW * WIDTH + LANES + l] = rate, turn
             m[(PULL + 1) * LANES + l] += share * x * turn

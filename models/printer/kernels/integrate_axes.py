@@ -5,7 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from models.arrays import FloatArray
-from models.printer.kernels.axes import FRAME, GROWTH, TO_AXES, TO_MOTORS, WIDTH, YAW_INERTIA, AxesState, axes_rate
+from models.printer.kernels.axes import (
+    BY_X,
+    BY_X_SQUARED,
+    FRAME,
+    GROWTH,
+    TO_AXES,
+    TO_MOTORS,
+    WIDTH,
+    YAW_INERTIA,
+    AxesState,
+    axes_rate,
+)
 from models.printer.kernels.integrate import PAGE, active_effects, any_nonzero, copy_page, empty_samples, fill_lanes
 from models.printer.kernels.jit import compiled
 from models.printer.kernels.motors import Commands, command_times, read_command
@@ -27,20 +38,22 @@ from models.printer.kernels.vectors import at
 
 @compiled
 def _in_lanes(m: FloatArray, states: FloatArray, modes: FloatArray) -> AxesState:
-    """Return k printers' states (k, rows, 3) and modes (k, n, 6, 3) in the first lanes; idle lanes repeat the first."""
+    """Return k printers' states (k, rows, 3) and modes (k, n, 7, 3) in the first lanes; idle lanes repeat the first."""
     rows = states.shape[1]
-    base, table = np.empty(rows * WIDTH), np.empty((modes.shape[1], 6, WIDTH))
+    base, table = np.empty(rows * WIDTH), np.empty((modes.shape[1], 7, WIDTH))
     for l in range(LANES):
         own = l if l < len(states) else 0
         for a in range(3):
             for row in range(rows):
                 base[row * WIDTH + a * LANES + l] = states[own, row, a]
             for i in range(modes.shape[1]):
-                for field in range(6):
+                for field in range(7):
                     table[i, field, a * LANES + l] = modes[own, i, field, a]
     mixed = any_nonzero(m, TO_MOTORS + 1, 3)
     swaying, growing = any_nonzero(m, FRAME, 1) or any_nonzero(m, YAW_INERTIA, 1), any_nonzero(m, GROWTH, 3)
-    return AxesState(base, base.copy(), np.zeros(len(base)), np.zeros(len(base)), table, mixed, swaying, growing)
+    by_place = any_nonzero(m, BY_X, 3) or any_nonzero(m, BY_X_SQUARED, 3)
+    now, rate, total = base.copy(), np.zeros(len(base)), np.zeros(len(base))
+    return AxesState(base, now, rate, total, table, mixed, swaying, growing, by_place)
 
 
 @compiled
@@ -98,7 +111,7 @@ def integrate_axes(
     substeps: int,
     units: FloatArray,
 ) -> tuple[FloatArray, ...]:
-    """Integrate k printers of straight axes: as `integrate` does, with states (k, rows, 3) and modes (k, n, 6, 3)."""
+    """Integrate k printers of straight axes: as `integrate` does, with states (k, rows, 3) and modes (k, n, 7, 3)."""
     k, rows = len(states), ranges[:, 1] - ranges[:, 0] - first
     idle = np.zeros((LANES, parameters.shape[1]))
     for l in range(LANES):

@@ -84,6 +84,10 @@ PARAMETERS = np.dtype(
         ("yaw_inertia", "f8"),  # m², the gantry's inertia over the toolhead's mass; 0: no yaw
         ("yaw_share", "f8"),  # of the mass that moves along y, the toolhead's
         ("yaw_centre", "f8"),  # m, x of the axis of yaw
+        ("yaw_arm", "f8"),  # m, by which the force along x turns the gantry
+        ("by_x", "f8", 3),  # 1/m, of ω² of each axis' highest mode by x, toolhead_mode
+        ("by_x_squared", "f8", 3),  # 1/m²
+        ("by_x_centre", "f8"),  # m
     ]
 )
 PrinterParameters: TypeAlias = np.record

@@ -42,6 +42,9 @@ NAMED_BY_THE_FORMAT = {
     "joint_friction": {"force_n"},
     "frame_mode": {"mass_kg", "frequency_hz", "damping_ratio", "direction"},
     "arm_geometry": {"arm_length_mm", "delta_radius_mm"},
+    "gantry_racking": {"radius_mm", "frequency_hz", "damping_ratio", "x_centre_mm"},
+    "growing_bed": {"growth_per_m"},
+    "toolhead_mode": {"slope_per_m", "curve_per_m2", "x_centre_mm"},
 }
 ONLY_NAMED = {"force_map", "sensor_gain", "sensor_misalignment", "sensor_time_offset", "sensor_clock_drift"}
 
@@ -148,6 +151,10 @@ def test_a_file_may_list_effects(load) -> None:
         (
             "[effects.frame_mod]\nmass_kg = 1",
             "effects.frame_mod is not an effect ffcomp knows. Did you mean 'frame_mode'?",
+        ),
+        (
+            "[effects.growing_bed]\ngrowth_per_m = 1.0",
+            "effects.growing_bed is none of a delta: it has no straight axes.",
         ),
     ],
 )

@@ -385,7 +385,7 @@ TABLES: dict[str, dict[str, Any]] = {
     "arm_geometry": {"arm_length_mm": [0.5, 0.0, 0.0], "delta_radius_mm": 0.3},
     "force_map": {},
 }
-MOVING = [effect for effect in CATALOGUE.values() if effect.kind != "sensor"]
+MOVING = [effect for effect in CATALOGUE.values() if effect.kind != "sensor" and "carriages" in effect.of]
 
 
 @pytest.fixture

@@ -177,6 +177,63 @@ def test_a_frame_sways_as_its_closed_form_says() -> None:
     np.testing.assert_allclose(felt, expected, atol=1e-3 * np.abs(expected).max())
 
 
+def felt_along_y(own: Machine, at: tuple[float, float, float], f: float) -> FloatArray:
+    """The last periods of what the sensor feels along y, m/s², under 1 mm of f Hz along y and 0.5 mm along x."""
+    t = np.arange(0, 3.0, 1 / RATE_HZ)
+    wave = np.sin(2 * np.pi * f * t)
+    command = np.column_stack([at[0] + 1e-3 * wave, at[1] + wave, at[2] + 0 * t])
+    return simulate_printer(own, command, 1 / RATE_HZ).nozzle_acceleration[t > 2.7, 1]
+
+
+@pytest.mark.parametrize("arm_mm", [0.0, 3e4])
+@pytest.mark.parametrize("x_mm", [-80.0, 90.0])
+def test_a_gantry_racks_as_its_closed_form_says(x_mm: float, arm_mm: float) -> None:
+    """Two unknowns, the gantry's middle and its angle; so long an arm shows by a motion of a thousandth along x."""
+    f, radius, share = 36.0, 150.0, 0.4
+    racking = {"radius_mm": radius, "frequency_hz": 42.0, "damping_ratio": 0.05, "x_centre_mm": 100.0}
+    own = machine(gantry_racking={**racking, "tool_share": share, "arm_mm": arm_mm})
+    found = felt_along_y(own, (100.0 + x_mm, 100.0, 50.0), f)
+    s, x, turn = 2j * np.pi * f, x_mm / 1e3, 2 * np.pi * 42.0
+    mode = s**2 + 2 * 0.07 * OMEGA * s + OMEGA**2
+    stiff = (radius / 1e3) ** 2 * (turn**2 + 2 * 0.05 * turn * s)
+    inertia = ((radius / 1e3) ** 2 + (1 - share) * x**2) * s**2
+    qx, ux = own.vibration.frequency_response(np.zeros(2), np.array([f]), "nozzle", "nozzle")[0, 0, 0], 1e-3
+    drag = arm_mm / 1e3 * _driven_force(own, f) * ux if arm_mm else 0.0
+    # mode · Y + μ x s² θ = ω² u;   stiff θ + inertia θ + x (s² Y + μ x s² θ) = a f_x
+    equations = [[mode, share * x * s**2], [x * s**2, stiff + inertia + share * x**2 * s**2]]
+    y, theta = np.linalg.solve(equations, [OMEGA**2, drag])
+    t = np.arange(0, 3.0, 1 / RATE_HZ)
+    expected = (s**2 * (y + x * theta) * np.exp(s * t[t > 2.7])).imag / 1e3
+    assert abs(x * theta / y) > 0.1 and abs(qx) > 0
+    np.testing.assert_allclose(found, expected, atol=0.01 * np.abs(expected).max())
+
+
+def _driven_force(own: Machine, f: float) -> complex:
+    """Acceleration s² q_d of x's driven point for a motor that moves by one."""
+    s = 2j * np.pi * f
+    _, driven = own.vibration._axis_frf(np.array([s]))
+    return complex(s**2 * driven[0, 0])
+
+
+def test_a_bed_that_grows_is_a_heavier_one_at_each_height() -> None:
+    own = machine(growing_bed={"growth_per_m": [0.0, 2.0, 0.0]})
+    for height in (0.0, 100.0):
+        heavier = replace(own, vibration=own.vibration.with_moved_mass(np.array([0.0, 2e-3 * height, 0.0])), effects={})
+        found, expected = (felt_along_y(each, (100.0, 100.0, height), 36.0) for each in (own, heavier))
+        np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+    low, high = (felt_along_y(own, (100.0, 100.0, height), 36.0) for height in (0.0, 100.0))
+    assert np.abs(low - high).max() > 0.1 * np.abs(low).max()
+
+
+def test_a_toolhead_s_mode_is_another_one_at_each_x() -> None:
+    own = machine(toolhead_mode={"slope_per_m": [0.0, 1.5, 0.0], "curve_per_m2": [0.0, 8.0, 0.0], "x_centre_mm": 60.0})
+    for x in (60.0, 160.0, 20.0):
+        more = 1 + 1.5 * (x - 60.0) / 1e3 + 8.0 * ((x - 60.0) / 1e3) ** 2
+        axes = (AXES[0], Axis([48.0 * more**0.5], [0.07 / more**0.5]), Axis())
+        found, expected = (felt_along_y(each, (x, 100.0, 50.0), 36.0) for each in (own, machine(axes=axes)))
+        np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+
+
 PROBES: dict[str, dict[str, Any]] = {
     "coulomb_friction": {"force_n": [1.0, 2.0, 0.0]},
     "stribeck_friction": {"force_n": 0.5, "extra_force_n": 1.0, "velocity_mm_per_s": 10.0},
@@ -189,6 +246,9 @@ PROBES: dict[str, dict[str, Any]] = {
     "cogging": {"amplitude_mm": [0.01, 0.02, 0.0], "pitch_mm": 0.8},
     "torque_angle": {"amplitude_mm": 1.0},
     "frame_mode": {"mass_kg": 12.0, "frequency_hz": 18.0, "damping_ratio": 0.04, "direction": "both"},
+    "gantry_racking": {"radius_mm": 150.0, "frequency_hz": 42.0, "damping_ratio": 0.05, "x_centre_mm": 60.0},
+    "growing_bed": {"growth_per_m": [0.0, 2.0, 0.0]},
+    "toolhead_mode": {"slope_per_m": 1.0, "curve_per_m2": 0.0, "x_centre_mm": 60.0},
 }
 
 
