@@ -20,19 +20,13 @@ from typing import Any
 
 import tomlkit
 
+from models.axis.machine import AxisMachine
 from models.errors import MachineFileError
 from models.finding import LIBRARY as LIBRARY
 from models.finding import machine_paths as machine_paths
 from models.machine import Machine
-from models.schema import (
-    DeltaDocument,
-    StraightDocument,
-    did_you_mean,
-    unit_of,
-    validated,
-)
-
-DEFAULT_UNCERTAINTY = 0.02
+from models.schema import DEFAULT_UNCERTAINTY as DEFAULT_UNCERTAINTY
+from models.schema import AnyDocument, did_you_mean, unit_of, validated
 
 # Klipper's printer.cfg, RepRapFirmware's config.g, Marlin's answer to M503; a line of a machine file
 _CONFIGURATION = re.compile(
@@ -74,19 +68,37 @@ def find_by_sha256(digits: str, name: str, more: Iterable[Path] = ()) -> Path:
 
 
 def load_machine(name_or_path: str | Path) -> Machine:
-    """Return the machine of that name or in that file.
+    """Return the printer of that name or in that file.
+
+    Raises
+    ------
+    MachineFileError
+        With every mistake in the file, or if it describes one axis by itself.
+    """
+    document, sha256, path = _read(name_or_path)
+    return document.printer(sha256, path)
+
+
+def load_plant(name_or_path: str | Path) -> Machine | AxisMachine:
+    """Return the machine of that name or in that file: a printer, or one axis by itself.
 
     Raises
     ------
     MachineFileError
         With every mistake in the file.
     """
+    document, sha256, path = _read(name_or_path)
+    return document.machine(sha256, path)
+
+
+def _read(name_or_path: str | Path) -> tuple[AnyDocument, str, str]:
+    """Return the checked document, its hash and its path."""
     path = find_machine(name_or_path)
     data = path.read_bytes()
-    return _machine(_parsed(data, str(path)), hashlib.sha256(data).hexdigest(), str(path))
+    return _parsed(data, str(path)), hashlib.sha256(data).hexdigest(), str(path)
 
 
-def _parsed(data: bytes, path: str) -> DeltaDocument | StraightDocument:
+def _parsed(data: bytes, path: str) -> AnyDocument:
     if _CONFIGURATION.search(data) and not _FORMAT.search(data):
         remedy = f"ffcomp machines import {path} -o my-printer.toml makes a machine of it"
         raise MachineFileError(path, [f"This is a printer's configuration; {remedy}."])
@@ -98,30 +110,6 @@ def _parsed(data: bytes, path: str) -> DeltaDocument | StraightDocument:
     except tomllib.TOMLDecodeError as error:
         raise MachineFileError(path, [f"This is not valid TOML: {error}."]) from None
     return validated(document, path)
-
-
-def _machine(document: DeltaDocument | StraightDocument, sha256: str, path: str) -> Machine:
-    kinematics, vibration = document.machine_parts()
-    return Machine(
-        name=document.name,
-        kinematics=kinematics,
-        vibration=vibration,
-        limits=document.limits.limits(),
-        steps=document.steps.steps(),
-        effects=document.effects,
-        uncertainty={"default": DEFAULT_UNCERTAINTY, **document.uncertainty},
-        provenance=document.provenance,
-        sha256=sha256,
-        path=path,
-        returns=tuple(document.macros.returns or ()),
-        still=tuple(document.macros.still or ()),
-        homed_mm=_place(document.homing.position_mm),
-        flavor=document.firmware.flavor or "",
-    )
-
-
-def _place(numbers: list[float] | None) -> tuple[float, float, float] | None:
-    return None if numbers is None else (numbers[0], numbers[1], numbers[2])
 
 
 @dataclass(frozen=True)

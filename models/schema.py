@@ -8,19 +8,20 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from models.arrays import FloatArray, constant
+from models.axis.machine import MOVES, AxisMachine, AxisParameters
 from models.effects.catalogue import CATALOGUE, effects_of
 from models.effects.effect import PER_KILOGRAM
 from models.errors import MachineFileError
 from models.kinematics.base import Kinematics
 from models.kinematics.cartesian import CARTESIAN, COREXY, CartesianKinematics
 from models.kinematics.delta import DeltaKinematics
-from models.machine import MotionLimits, Steps
+from models.machine import Machine, MotionLimits, Steps
 from models.vibration.base import VibrationModel
 from models.vibration.carriage import Carriage, Drive
 from models.vibration.delta import DeltaVibration
@@ -39,6 +40,11 @@ MODES = Field(min_length=1, max_length=8)
 
 DEFAULT_LIMITS = MotionLimits(velocity_mm_per_s=0, acceleration_mm_per_s2=0)  # these two have no default
 DEFAULT_STEPS = Steps()
+DEFAULT_UNCERTAINTY = 0.02
+NO_PRINTER = (
+    'This machine is one axis by itself (kinematics.type = "axis") and has no nozzle, so there is no G-code to plan, '
+    "compensate, simulate or record; ffcomp gap, ffcomp diagnose and ffcomp identify fit work on it."
+)
 
 
 class Table(BaseModel):
@@ -146,6 +152,30 @@ class KinematicsTable(Table):
             print_radius_mm=self.print_radius_mm,
             print_height_mm=self.print_height_mm,
         )
+
+
+class OneAxisTable(Table):
+    """`[kinematics]` of one axis by itself."""
+
+    type: Literal["axis"]
+
+
+class DrivenAxisTable(Table):
+    """`[axis]` of one axis by itself."""
+
+    input: Literal["position", "force"]
+    mass_kg: float = Field(ge=0.0001, le=1e6)
+    stiffness_n_per_m: float = Field(ge=0, le=1e12)
+    damping_n_s_per_m: float = Field(ge=0, le=1e9)
+    load_mass_kg: float | None = Field(None, ge=0.0001, le=1e6)
+    coupling_stiffness_n_per_m: float | None = Field(None, ge=1e-3, le=1e12)
+    coupling_damping_n_s_per_m: float = Field(0.0, ge=0, le=1e9)
+    offset_n: float = Field(0.0, ge=-1e6, le=1e6)
+
+    @model_validator(mode="after")
+    def _possible(self) -> DrivenAxisTable:
+        _refuse(_driven_problems(self))
+        return self
 
 
 class DriveTable(Table):
@@ -281,24 +311,17 @@ def _shown(value: float | list[float]) -> str:
 class Document(Table):
     """What every kind of machine has."""
 
+    moves: ClassVar[str]  # as in `Effect.of`
     format: Literal["ffcomp-machine/1"]
     name: str = Field(min_length=1)
-    limits: LimitsTable
-    steps: StepsTable = StepsTable()
-    firmware: FirmwareTable = FirmwareTable()
-    macros: MacrosTable = MacrosTable()
-    homing: HomingTable = HomingTable()
-    effects: dict[str, dict[str, Any]] = {}
-    uncertainty: dict[str, Annotated[float, Field(ge=0, le=10)]] = {}
-    provenance: dict[str, Any] = {}
 
-    @field_validator("effects")
+    @field_validator("effects", check_fields=False)
     @classmethod
     def _known_effects(cls, effects: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
         _refuse(problem for name, table in effects.items() for problem in _effect_problems(name, table))
         return effects
 
-    @field_validator("uncertainty")
+    @field_validator("uncertainty", check_fields=False)
     @classmethod
     def _known_numbers(cls, uncertainty: dict[str, float]) -> dict[str, float]:
         known = ["default", *number_keys(cls), *_effect_keys()]
@@ -309,15 +332,71 @@ class Document(Table):
         )
         return uncertainty
 
+    @field_validator("effects", check_fields=False)
+    @classmethod
+    def _of_this_kind(cls, effects: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        _refuse_others(effects, cls.moves, NO_EFFECT_OF[cls.moves])
+        return effects
+
     @classmethod
     def missing(cls, document: Mapping[str, Any]) -> list[str]:
         """Return sentences about tables' keys of which one or another must be there."""
         return []
 
 
-class DeltaDocument(Document):
+NO_EFFECT_OF: Mapping[str, str] = {
+    "carriages": "a delta: it has no straight axes",
+    "axes": "a machine with straight axes: they have no arms and no effector",
+    "axis": "one axis by itself: it is no printer",
+}
+
+
+class PrinterDocument(Document):
+    """What every printer has."""
+
+    limits: LimitsTable
+    steps: StepsTable = StepsTable()
+    firmware: FirmwareTable = FirmwareTable()
+    macros: MacrosTable = MacrosTable()
+    homing: HomingTable = HomingTable()
+    effects: dict[str, dict[str, Any]] = {}
+    uncertainty: dict[str, Annotated[float, Field(ge=0, le=10)]] = {}
+    provenance: dict[str, Any] = {}
+
+    def machine_parts(self) -> tuple[Kinematics, VibrationModel]:
+        """Return kinematics and vibration model."""
+        raise NotImplementedError
+
+    def machine(self, sha256: str, path: str) -> Machine:
+        """Return the machine that the file describes."""
+        return self.printer(sha256, path)
+
+    def printer(self, sha256: str, path: str) -> Machine:
+        """Return the printer that the file describes."""
+        kinematics, vibration = self.machine_parts()
+        home = self.homing.position_mm
+        return Machine(
+            name=self.name,
+            kinematics=kinematics,
+            vibration=vibration,
+            limits=self.limits.limits(),
+            steps=self.steps.steps(),
+            effects=self.effects,
+            uncertainty={"default": DEFAULT_UNCERTAINTY, **self.uncertainty},
+            provenance=self.provenance,
+            sha256=sha256,
+            path=path,
+            returns=tuple(self.macros.returns or ()),
+            still=tuple(self.macros.still or ()),
+            homed_mm=None if home is None else (home[0], home[1], home[2]),
+            flavor=self.firmware.flavor or "",
+        )
+
+
+class DeltaDocument(PrinterDocument):
     """The file of a delta."""
 
+    moves: ClassVar[str] = "carriages"
     kinematics: KinematicsTable
     carriage: CarriageTable
     effector: EffectorTable
@@ -332,16 +411,11 @@ class DeltaDocument(Document):
         kinematics = self.kinematics.geometry()
         return kinematics, DeltaVibration(self.carriage.carriage(), self.effector.effector(), kinematics)
 
-    @field_validator("effects")
-    @classmethod
-    def _of_carriages(cls, effects: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-        _refuse_others(effects, "carriages", "a delta: it has no straight axes")
-        return effects
 
-
-class StraightDocument(Document):
+class StraightDocument(PrinterDocument):
     """The file of a cartesian or CoreXY machine."""
 
+    moves: ClassVar[str] = "axes"
     kinematics: StraightTable
     axes: AxesTable = Field(default_factory=lambda: AxesTable())
 
@@ -362,22 +436,46 @@ class StraightDocument(Document):
         )
         return {**document, "effects": {name: _plain_keys(table) for name, table in tables.items()}}
 
-    @field_validator("effects")
-    @classmethod
-    def _of_axes(cls, effects: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-        _refuse_others(effects, "axes", "a machine with straight axes: they have no arms and no effector")
-        return effects
 
+class AxisDocument(Document):
+    """The file of one axis by itself."""
+
+    moves: ClassVar[str] = MOVES
+    kinematics: OneAxisTable
+    axis: DrivenAxisTable
+    effects: dict[str, dict[str, Any]] = {}
+    uncertainty: dict[str, Annotated[float, Field(ge=0, le=10)]] = {}
+    provenance: dict[str, Any] = {}
+
+    def machine(self, sha256: str, path: str) -> AxisMachine:
+        """Return the axis that the file describes."""
+        return AxisMachine(
+            self.name,
+            AxisParameters(**self.axis.model_dump()),
+            self.effects,
+            {"default": DEFAULT_UNCERTAINTY, **self.uncertainty},
+            self.provenance,
+            sha256,
+            path,
+        )
+
+    def printer(self, sha256: str, path: str) -> Machine:
+        """Refuse: there is no printer in it."""
+        raise MachineFileError(path or self.name, [NO_PRINTER])
+
+
+AnyDocument = DeltaDocument | StraightDocument | AxisDocument
 
 # kinematics.type -> what a file of this kind holds; of any other, a delta's mistakes are told
-KINDS: Mapping[str, type[DeltaDocument | StraightDocument]] = {
+KINDS: Mapping[str, type[AnyDocument]] = {
     "delta": DeltaDocument,
     "cartesian": StraightDocument,
     "corexy": StraightDocument,
+    "axis": AxisDocument,
 }
 
 
-def validated(document: Mapping[str, Any], path: str) -> DeltaDocument | StraightDocument:
+def validated(document: Mapping[str, Any], path: str) -> AnyDocument:
     """Return the document, checked; raise MachineFileError with every mistake otherwise."""
     kind = KINDS.get(str(_kind(document)), DeltaDocument)
     problems = kind.missing(document)
@@ -456,6 +554,18 @@ def _axis_problems(name: str, table: AxisTable) -> Iterator[str]:
         yield f"axes.{name}.share is missing; of several modes it says how much each takes of the response at rest."
     elif table.share is not None and abs(sum(table.share) - 1.0) > 1e-3:
         yield f"axes.{name}.share = {table.share} must sum to 1: at rest an axis stands where it is told to."
+
+
+def _driven_problems(table: DrivenAxisTable) -> Iterator[str]:
+    if table.input == "position" and table.stiffness_n_per_m == 0:
+        yield (
+            "axis.stiffness_n_per_m = 0: nothing ties the axis to its commanded position. Give the stiffness of its "
+            'drive (belt, screw, servo), or input = "force".'
+        )
+    if (table.load_mass_kg is None) != (table.coupling_stiffness_n_per_m is None):
+        yield "axis.load_mass_kg and axis.coupling_stiffness_n_per_m belong together: a load hangs at a coupling."
+    if table.load_mass_kg is None and table.coupling_damping_n_s_per_m:
+        yield "axis.coupling_damping_n_s_per_m is of a coupling; give axis.load_mass_kg and its stiffness, or neither."
 
 
 def _missing_lengths(document: Mapping[str, Any]) -> list[str]:

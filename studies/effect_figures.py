@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.delta_machine import delta_vibration, with_parts
-from models.effects.catalogue import CATALOGUE, effective_machine, measured, with_effect
+from models.effects.catalogue import CATALOGUE, effective_machine, effects_of_printers, measured, with_effect
 from models.effects.effect import Effect, Parameter
 from models.file import load_machine
 from models.machine import Machine
@@ -482,9 +482,14 @@ ONLY = {("carriages", "axes"): "", ("carriages",): "; of deltas only", ("axes",)
 SIZES = {"scalar": "one", "per_tower": "one, or one a tower", "vector3": "three, x y z", "direction": "a direction"}
 
 
+def printers(effect: Effect) -> tuple[str, ...]:
+    """Return the kinds of printers that may have it; the page tells nothing of an axis by itself."""
+    return tuple(moves for moves in effect.of if moves != "axis")
+
+
 def page() -> str:
     """The text of docs/EFFECTS.md."""
-    effects = list(CATALOGUE.values())
+    effects = [CATALOGUE[name] for name in effects_of_printers()]
     head = HEAD.format(count=len(effects), machine=MACHINE, height=HEIGHT_MM)
     listed = [f"- [`{e.name}`](#{e.name}): {_small(e.title)}" for e in effects]
     return "\n".join([head, *listed, "", *(_section(e) for e in effects)])
@@ -497,7 +502,7 @@ def _small(title: str) -> str:
 def _section(effect: Effect) -> str:
     seen = shown(effect)
     parts = [
-        f"## {effect.name}\n\n**{effect.title}** ({KINDS[effect.kind]}{ONLY[effect.of]})",
+        f"## {effect.name}\n\n**{effect.title}** ({KINDS[effect.kind]}{ONLY[printers(effect)]})",
         effect.physics,
         f"    {effect.equation}",
         _table(effect),
@@ -552,7 +557,7 @@ def main() -> None:
         print(page())
         return
     (DOCS / "effects").mkdir(exist_ok=True)
-    for name in given.names or CATALOGUE:
+    for name in given.names or effects_of_printers():
         draw(CATALOGUE[name], DOCS / "effects" / f"{name}.png")
     (DOCS / "EFFECTS.md").write_text(page(), encoding="utf-8")
 

@@ -37,7 +37,7 @@ from ffcomp.inverse.model import GEOMETRY, InverseModel
 from ffcomp.inverse.nonlinear import correction as whole
 from ffcomp.inverse.settings import settings_for
 from ffcomp.simulate.playback import simulate_nozzles
-from models.effects.catalogue import CATALOGUE, with_effect
+from models.effects.catalogue import CATALOGUE, effects_of_printers, with_effect
 from models.file import load_machine
 from models.machine import Machine
 from studies.diagnosis_proof import LAYERS, PRINT, Printer, on_the_real
@@ -92,7 +92,7 @@ def main() -> None:
 
 def machines_effects() -> list[str]:
     """Those of a machine, not of sensors; geometry is calibrated, not compensated."""
-    return [name for name, effect in CATALOGUE.items() if effect.kind != "sensor" and name != GEOMETRY]
+    return [name for name in effects_of_printers() if CATALOGUE[name].kind != "sensor" and name != GEOMETRY]
 
 
 def effects(seconds: float, keep: Path | None = None, names: Collection[str] = ()) -> dict[str, Any]:

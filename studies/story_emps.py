@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import butter, filtfilt
 
-from ffcomp.diagnose.axis_problem import FRICTION, MASS, OFFSET, SHOT_S, VISCOUS, AxisProblem, ForceDriven, read_emps
 from ffcomp.diagnose.diagnosis import Diagnosis, diagnose
+from studies.emps_axis import FRICTION, MASS, OFFSET, SHOT_S, VISCOUS, AxisProblem, ForceDriven, read_emps
 from studies.render import save
 
 FloatArray = NDArray[np.float64]

@@ -9,19 +9,18 @@ from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ffcomp.api.machines import load_machine
+from ffcomp.api.machines import load_machine, load_plant
 from ffcomp.diagnose.diagnosis import Diagnosis as Search
 from ffcomp.diagnose.diagnosis import diagnose as search_effects
 from ffcomp.diagnose.gap import Discrepancy, measure_gap
 from ffcomp.diagnose.json import diagnosis_json
-from ffcomp.diagnose.printer_problem import PrinterProblem
+from ffcomp.diagnose.problems import Plant, check_recordings, problem_of, recordings_of
 from ffcomp.diagnose.result import DiagnosisResult, better_file, result_of
-from ffcomp.diagnose.validation import check_alike, check_repeating, check_repeats
+from ffcomp.diagnose.validation import Recorded
 from ffcomp.errors import RequestError
 from ffcomp.identify.identify import Identified
 from ffcomp.identify.machine_fit import MachineFit, Method, fit_measurements, hash_of
-from ffcomp.measurement.recording import Recording
-from ffcomp.record.load import gather_measurements, load_recordings
+from ffcomp.record.load import gather_measurements
 from gcode.atomic_write import replace_atomically
 from models.file import check_text
 from models.machine import Machine
@@ -37,11 +36,11 @@ def _paths(files: Files) -> list[Path]:
     return [Path(files)] if isinstance(files, str | Path) else [Path(file) for file in files]
 
 
-def _recordings(recordings: Files | Sequence[Recording], machine: Machine, plan: str | Path | None) -> list[Recording]:
+def _recordings(recordings: Files | Sequence[Recorded], machine: Plant, plan: str | Path | None) -> list[Recorded]:
     if isinstance(recordings, str | Path):
-        return load_recordings([recordings], machine, plan)
-    made = [each for each in recordings if isinstance(each, Recording)]
-    return made + load_recordings([each for each in recordings if not isinstance(each, Recording)], machine, plan)
+        return recordings_of(machine, [recordings], plan)
+    made = [each for each in recordings if not isinstance(each, str | Path)]
+    return made + recordings_of(machine, [each for each in recordings if isinstance(each, str | Path)], plan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +141,7 @@ def identify(
 
 
 def gap(
-    recordings: Files | Sequence[Recording], machine: str | Path | Machine, *, plan: str | Path | None = None
+    recordings: Files | Sequence[Recorded], machine: str | Path | Plant, *, plan: str | Path | None = None
 ) -> Discrepancy:
     """Measure where and how much recordings and simulation disagree.
 
@@ -156,7 +155,7 @@ def gap(
     ------
     MeasurementError, MachineFileError
     """
-    loaded = load_machine(machine)
+    loaded = load_plant(machine)
     return measure_gap(loaded, _recordings(recordings, loaded, plan))
 
 
@@ -187,7 +186,7 @@ class Diagnosis:
 
 def diagnose(
     recordings: Sequence[str | Path],
-    machine: str | Path | Machine,
+    machine: str | Path | Plant,
     output: str | Path | None = None,
     *,
     plan: str | Path | None = None,
@@ -208,13 +207,10 @@ def diagnose(
     ------
     MeasurementError, MachineFileError
     """
-    began, loaded, files = time.monotonic(), load_machine(machine), _paths(recordings)
-    measured = load_recordings(files, loaded, plan, progress=progress)
-    problem = PrinterProblem(loaded, measured)
-    check_alike(measured)
-    if not without_repeats:
-        check_repeats(measured)
-    check_repeating(problem.repeats)
+    began, loaded, files = time.monotonic(), load_plant(machine), _paths(recordings)
+    measured = recordings_of(loaded, files, plan, progress=progress)
+    problem = problem_of(loaded, measured)
+    check_recordings(problem, measured, without_repeats)
     search = search_effects(problem, progress)
     found = result_of(problem, search)
     target = Path(output) if output is not None and found.mends else None

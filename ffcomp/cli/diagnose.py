@@ -13,7 +13,7 @@ from ffcomp.cli.options import AsJson, CaptureAxes, Force, MachineName, MovesPla
 if TYPE_CHECKING:
     from ffcomp.diagnose.diagnosis import Diagnosis
     from ffcomp.diagnose.print_gain import PrintGain
-    from ffcomp.diagnose.printer_problem import PrinterProblem
+    from ffcomp.diagnose.problem import Problem
     from ffcomp.diagnose.result import DiagnosisResult
 
 Output = Annotated[
@@ -67,31 +67,25 @@ def diagnose(
         from ffcomp.cli.search_progress import SearchProgress
         from ffcomp.diagnose.diagnosis import diagnose as searched
         from ffcomp.diagnose.json import diagnosis_json
-        from ffcomp.diagnose.print_gain import print_gain
-        from ffcomp.diagnose.printer_problem import PrinterProblem
+        from ffcomp.diagnose.problems import check_recordings, gain_of, problem_of, recordings_of
         from ffcomp.diagnose.result import result_of
-        from ffcomp.diagnose.validation import check_alike, check_repeating, check_repeats
         from ffcomp.record.axes import turn_of
-        from ffcomp.record.load import load_recordings
-        from models.file import load_machine
+        from models.file import load_plant
 
         began = time.monotonic()
-        loaded = load_machine(machine)
+        loaded = load_plant(machine)
 
         def progress(sentence: str) -> None:
             say(f"ffcomp: {sentence}", quiet)
 
-        measured = load_recordings(runs, loaded, plan, turn_of(axes_map), progress)
-        problem = PrinterProblem(loaded, measured)
-        check_alike(measured)
-        if not without_repeats:
-            check_repeats(measured)
-        check_repeating(problem.repeats)
+        measured = recordings_of(loaded, runs, plan, turn_of(axes_map), progress)
+        problem = problem_of(loaded, measured)
+        check_recordings(problem, measured, without_repeats)
         with SearchProgress(quiet or as_json) as shown:
             search = searched(problem, shown)
         found = result_of(problem, search)
         better = output if found.mends else None
-        gain = print_gain(loaded, found)
+        gain = gain_of(loaded, found)
         page = _page(problem, search, found, better, report, runs, began, gain)
         files = _better(problem, found, better, runs) | page
         _write(files)
@@ -114,9 +108,7 @@ def _check_targets(output: Path | None, report: Path | None, force: bool) -> Non
         raise typer.BadParameter(f"{report}: --report and --output must be two files.")
 
 
-def _better(
-    problem: PrinterProblem, found: DiagnosisResult, target: Path | None, runs: list[Path]
-) -> dict[Path, bytes]:
+def _better(problem: Problem, found: DiagnosisResult, target: Path | None, runs: list[Path]) -> dict[Path, bytes]:
     """Make the improved machine file, if it is asked for and an effect is named."""
     if target is None:
         return {}
@@ -127,13 +119,13 @@ def _better(
     from models.file import check_text
 
     hashes = [hash_of(path) for path in runs]
-    text = better_file(Path(problem.machine.path), target.stem, found, hashes, date.today().isoformat())
+    text = better_file(Path(problem.path), target.stem, found, hashes, date.today().isoformat())
     check_text(text, str(target))
     return {target: text.encode()}
 
 
 def _page(
-    problem: PrinterProblem,
+    problem: Problem,
     search: Diagnosis,
     found: DiagnosisResult,
     better: Path | None,
@@ -148,17 +140,17 @@ def _page(
     import time
     from datetime import date
 
-    from ffcomp.diagnose.next_experiment import propose
+    from ffcomp.diagnose.problems import proposals_of
     from ffcomp.diagnose.summary import summarise
     from ffcomp.identify.machine_fit import hash_of
     from ffcomp.report.diagnose.html import page
     from ffcomp.report.diagnose.inputs import Origin, ReportInput
     from ffcomp.version import __version__
 
-    drawn, proposals = summarise(problem, search), propose(problem, search)
+    drawn, proposals = summarise(problem, search), proposals_of(problem, search)
     origin = Origin(
-        machine=problem.machine.name,
-        machine_file=hash_of(Path(problem.machine.path)),
+        machine=problem.name,
+        machine_file=hash_of(Path(problem.path)),
         runs=[hash_of(path) for path in runs],
         date=date.today().isoformat(),
         version=__version__,

@@ -30,12 +30,12 @@ def gap(
 
     with exit_codes():
         from ffcomp.diagnose.gap import measure_gap
+        from ffcomp.diagnose.problems import recordings_of
         from ffcomp.record.axes import turn_of
-        from ffcomp.record.load import load_recordings
-        from models.file import load_machine
+        from models.file import load_plant
 
-        loaded = load_machine(machine)
-        measured = load_recordings(runs, loaded, plan, turn_of(axes_map), lambda text: say(f"ffcomp: {text}", False))
+        loaded = load_plant(machine)
+        measured = recordings_of(loaded, runs, plan, turn_of(axes_map), lambda text: say(f"ffcomp: {text}", False))
         found = measure_gap(loaded, measured)
         if as_json:
             print_json(found.to_dict())

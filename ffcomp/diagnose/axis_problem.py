@@ -1,220 +1,143 @@
-"""The diagnosis of a force-driven axis: force in, position out; the EMPS benchmark is one.
+"""The diagnosis of one axis: a position or a force in; positions or an acceleration out.
 
-    M q̈ = F − F_v q̇ − F_0 − (missing effects)
-
-EMPS: A. Janot, M. Gautier and M. Brunot, "Data Set and Reference Models of EMPS", Nonlinear System Identification
-Benchmarks, 2019. Unlike the printer it has no command and no spring: the measured force drives it, and a missing
-effect adds up in its position without bound. So the simulation begins anew every tenth of a second, with the measured
-position and speed (multiple shooting; Bock 1981): its error is the effect of a missing force in that time. An axis has
-one position only; windows of time, of some seconds each, are held out instead. Recordings are taken to follow one
-reference motion, as the benchmark's two do: a window is left out of all of them at once.
+An axis has one place only; windows of time are held out instead, the same of all runs at once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-from numba import njit
 
-from ffcomp.diagnose.problem import Candidate, InfeasibleParameters, Observation, Parameter, Problem
-from ffcomp.errors import MeasurementError
+from ffcomp.diagnose.axis_candidates import axis_candidates
+from ffcomp.diagnose.observe import quick_length
+from ffcomp.diagnose.printer_problem import effect_tables
+from ffcomp.diagnose.problem import InfeasibleParameters, Observation, Parameter, Problem
+from ffcomp.identify.axis_shots import Shots, band_of, noise_sd, scales_of, shots_of, windows
+from ffcomp.measurement.axis_run import AxisRun
 from models.arrays import FloatArray
+from models.axis.machine import AxisMachine
+from models.axis.simulate import with_effects
+from models.effects.catalogue import CATALOGUE
 
-SMOOTH_M_PER_S = 1e-4  # below this speed dry friction turns over smoothly
-SUBSTEPS = 4
-# NOTE: of 0.05 to 1 s the length with the narrowest intervals on EMPS, and with the values nearest to the published:
-# shorter shots suffer from the speed they begin with, longer ones from every newton by which the force is wrong.
-SHOT_S = 0.1
-WINDOW_SHOTS = 40  # in a window of time
-SPEED_SPAN_S = 0.02  # the speed a shot begins with is the slope over so much of the measured position
+REACH = 5.0  # standard deviations by which a parameter may be retuned: beyond, it is an effect
+OFFSET, OFFSET_SHARE = "axis.offset_n", 0.1  # of the force, by which its zero may be off
+EXACT = 0.003  # of what the forces do in a shot: no simulation is nearer than that
+KEPT = 6  # motions that are held
 
-MASS, VISCOUS, OFFSET = "axis.mass_kg", "axis.viscous_n_s_per_m", "axis.offset_n"
-
-
-@dataclass(frozen=True, eq=False)
-class ForceDriven:
-    """One recording of an axis."""
-
-    name: str
-    time_s: FloatArray  # (n,)
-    force_n: FloatArray  # (n,)
-    position_mm: FloatArray  # (n,)
-
-    @property
-    def rate_hz(self) -> float:
-        """Mean sample rate."""
-        return (len(self.time_s) - 1) / float(self.time_s[-1] - self.time_s[0])
+_Key = tuple[tuple[tuple[str, float], ...], int]
 
 
-def read_emps(path: str | Path) -> ForceDriven:
-    """Read one of the benchmark's MATLAB files: motor voltage times gain is force, `qm` the measured position.
+@dataclass(frozen=True)
+class Window:
+    """A part of a run that is compared."""
 
-    NOTE: the file with pulses holds them once more as `pulses_N`. They are in `vir` already, and in volts: `vir` jumps
-    by 5 V where they do, and regressing gain · vir on mass, frictions, offset and `pulses_N` gives the last a factor
-    of -0.03 to -0.07. Added as a force they would be half the time a force that did not act.
-    """
-    from scipy.io import loadmat
-
-    data = loadmat(path)
-    missing = [key for key in ("t", "vir", "qm", "gtau") if key not in data]
-    if missing:
-        raise MeasurementError(str(path), [f"The variable {missing[0]!r} is missing; an EMPS file has it."])
-    t, voltage, q = (np.asarray(data[key], dtype=float).ravel() for key in ("t", "vir", "qm"))
-    return ForceDriven(Path(path).stem, t, float(data["gtau"].ravel()[0]) * voltage, q * 1e3)
+    run: int
+    rows: slice
 
 
 class AxisProblem(Problem):
-    """Recordings of one axis, with rough guesses of mass and viscous friction: their priors are wide."""
+    """The machine file of an axis, and its runs."""
 
-    band_hz = (0.02, 50.0)
+    def __init__(self, machine: AxisMachine, runs: Sequence[AxisRun], names: Sequence[str] = tuple(CATALOGUE)) -> None:
+        self.machine, self.recordings = machine, runs
+        self.name, self.path = machine.name, machine.path
+        self.shots = shots_of(machine, runs)
+        self.band_hz = band_of(self.shots)
+        self.windows = [Window(i, part) for i, one in enumerate(self.shots) for part in _parts(one)]
+        self.observations = [_observation(self.shots[w.run], w.rows) for w in self.windows]
+        scales = scales_of(machine, self.shots)
+        self.parameters = (*_parameters(machine), *_offset(machine, scales.force_n))
+        signals = {name for run in runs for name in run.signals}
+        self.candidates = axis_candidates(machine, scales, self.band_hz, sorted(signals), names)
+        self.least_density = self._least_density(sorted(signals))
+        self._kept: dict[_Key, dict[str, FloatArray]] = {}
+        self._same = [_first_equal(self.shots, i) for i in range(len(runs))]
 
-    def __init__(self, recordings: Sequence[ForceDriven], mass_kg: float, viscous_n_s_per_m: float) -> None:
-        with_speed = [(recording, _speed(recording)) for recording in recordings]
-        self.windows = [
-            (_cut(recording, part), speed[part]) for recording, speed in with_speed for part in _parts(recording)
-        ]
-        self.observations = [_observation(recording, speed) for recording, speed in self.windows]
-        self.parameters = (
-            Parameter(MASS, mass_kg, 0.5 * mass_kg, 0.05 * mass_kg),
-            Parameter(VISCOUS, viscous_n_s_per_m, viscous_n_s_per_m, 0.0),
-            Parameter(OFFSET, 0.0, 10.0),
-        )
-        self.candidates = CANDIDATES
+    def _least_density(self, signals: Sequence[str]) -> dict[str, float]:
+        """Return the least density of each position's noise: of its sensor, and of how exact a simulation can be."""
+        found: dict[str, float] = {}
+        for name in (s for s in signals if s.startswith("pos")):
+            own = [one for one in self.shots if name in one.run.signals]
+            rate = min(one.run.sample_rate_hz for one in own)
+            sensor = max(noise_sd(x[np.isfinite(x)]) for x in (one.run.position[name] for one in own))
+            motion = float(np.sqrt(np.mean([np.nanmean(one.own_motion(name) ** 2) for one in own])))
+            found[name] = 2 * sensor**2 / rate + (EXACT * motion) ** 2 / (self.band_hz[1] - self.band_hz[0])
+        return found
 
     def simulate(
         self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
     ) -> list[FloatArray]:
-        """Simulate windows of time; `coarse` makes no difference, for it is quick anyway."""
+        """Simulate windows of the runs: (n, m) each; `coarse` makes no difference, for it is quick anyway."""
         del coarse
-        given = {**{n.name: n.start for n in self.parameters}, **values}
+        machine = self.machine_with(values)
         chosen = range(len(self.windows)) if only is None else only
-        return [self._one(i, given) for i in chosen]
+        key = tuple(sorted(values.items()))
+        found = []
+        for i in chosen:
+            window = self.windows[i]
+            felt = self._felt(machine, (key, self._same[window.run]))
+            found.append(np.stack([felt[s][window.rows] for s in self.observations[i].signals], axis=1))
+        return found
 
-    def _one(self, i: int, v: Mapping[str, float]) -> FloatArray:
-        recording, speed = self.windows[i]
-        parameters = np.array([v.get(name, neutral) for name, neutral in _PARAMETERS])
-        shot = round(SHOT_S * recording.rate_hz)
-        q = _simulated_shots(
-            recording.force_n,
-            1 / recording.rate_hz,
-            SUBSTEPS,
-            shot,
-            recording.position_mm / 1e3,
-            speed / 1e3,
-            parameters,
-        )
-        if not np.all(np.isfinite(q)):
-            raise InfeasibleParameters("Such forces drive the axis to infinity within one shot.")
-        return (q * 1e3)[:, None]
+    def _felt(self, machine: AxisMachine, key: _Key) -> dict[str, FloatArray]:
+        """Return what the sensors of a run would read; the last few are kept, for windows ask one by one."""
+        if key not in self._kept:
+            try:
+                motion = self.shots[key[1]].simulate(machine)
+            except ValueError as error:
+                raise InfeasibleParameters(str(error)) from None
+            self._kept[key] = motion.sensed(machine)
+            for old in list(self._kept)[: -KEPT * len(self.shots)]:
+                del self._kept[old]
+        return self._kept[key]
 
+    def machine_with(self, values: Mapping[str, float]) -> AxisMachine:
+        """Return the machine file's axis with these parameters and effects."""
+        plain = {name: x for name, x in values.items() if not name.startswith("effects.")}
+        return with_effects(self.machine.with_values(plain), effect_tables(values))
 
-def _speed(recording: ForceDriven) -> FloatArray:
-    """Return the speed, (n,) mm/s."""
-    from scipy.signal import savgol_filter
-
-    span = 2 * round(SPEED_SPAN_S * recording.rate_hz / 2) + 1
-    return np.asarray(savgol_filter(recording.position_mm, span, 2, deriv=1, delta=1 / recording.rate_hz))
-
-
-def _parts(recording: ForceDriven) -> list[slice]:
-    """Split into whole windows; the rest at the end makes the last one longer."""
-    rows = WINDOW_SHOTS * round(SHOT_S * recording.rate_hz)
-    starts = range(0, max(len(recording.time_s) - rows, 0) + 1, rows)
-    return [slice(a, a + rows) for a in starts[:-1]] + [slice(starts[-1], None)]
+    def place_name(self, position: tuple[float, ...]) -> str:
+        """Name a window of time."""
+        return f"from {position[0]:g} s"
 
 
-def _cut(recording: ForceDriven, part: slice) -> ForceDriven:
-    return ForceDriven(recording.name, recording.time_s[part], recording.force_n[part], recording.position_mm[part])
+def _parts(one: Shots) -> list[slice]:
+    """Cut windows to lengths that are transformed quickly."""
+    return [slice(p.start, p.start + quick_length(p.stop - p.start)) for p in windows(one)]
 
 
-def _observation(recording: ForceDriven, speed: FloatArray) -> Observation:
-    name = f"{recording.name} from {recording.time_s[0]:g} s"
-    position = (float(recording.time_s[0]),)
-    return Observation(
-        name, name, position, recording.rate_hz, ("pos_q",), recording.position_mm[:, None], speed[:, None]
-    )
+def _first_equal(shots: Sequence[Shots], i: int) -> int:
+    """Return the first run that the same input drives from the same states: repeats need one simulation."""
+
+    def alike(a: Shots, b: Shots) -> bool:
+        return np.array_equal(a.run.given, b.run.given) and np.array_equal(a.begin, b.begin)
+
+    return next(k for k in range(i + 1) if alike(shots[k], shots[i]))
 
 
-FRICTION = "effects.coulomb_friction.force_n"
-_STRIBECK = tuple(f"effects.stribeck_friction.{p}" for p in ("force_n", "extra_force_n", "velocity_mm_per_s"))
-_SPRING = "effects.spring.stiffness_n_per_m"
-_DRAG = "effects.quadratic_drag.force_n_s2_per_m2"
-_COGGING = tuple(f"effects.cogging_force.{p}" for p in ("sine_n", "cosine_n", "pitch_mm"))
-_ASYMMETRY = "effects.one_sided_damping.added_n_s_per_m"
-_PARAMETERS = (
-    (MASS, 1.0),
-    (VISCOUS, 0.0),
-    (OFFSET, 0.0),
-    (FRICTION, 0.0),
-    *zip(_STRIBECK, (0.0, 0.0, 10.0), strict=True),
-    (_SPRING, 0.0),
-    (_DRAG, 0.0),
-    *zip(_COGGING, (0.0, 0.0, 20.0), strict=True),
-    (_ASYMMETRY, 0.0),
-)
-
-CANDIDATES = (
-    Candidate("coulomb_friction", (Parameter(FRICTION, 0.0, 20.0, 0.0, 500.0),), {FRICTION: 2.0}),
-    Candidate(
-        "stribeck_friction",
-        (Parameter(_STRIBECK[0], 0.0, 20.0, 0.0, 500.0), Parameter(_STRIBECK[1], 0.0, 10.0, 0.0, 500.0)),
-        {_STRIBECK[0]: 2.0, _STRIBECK[1]: 2.0},
-        (Parameter(_STRIBECK[2], 10.0, 10.0, 0.5, 200.0),),
-    ),
-    Candidate("spring", (Parameter(_SPRING, 0.0, 100.0),), {_SPRING: 5.0}),
-    Candidate("quadratic_drag", (Parameter(_DRAG, 0.0, 500.0),), {_DRAG: 20.0}),
-    Candidate(
-        "cogging_force",
-        (Parameter(_COGGING[0], 0.0, 5.0), Parameter(_COGGING[1], 0.0, 5.0)),
-        {_COGGING[0]: 0.5, _COGGING[1]: 0.5},
-        (Parameter(_COGGING[2], 20.0, 5.0, 1.0, 200.0),),
-        tuple({_COGGING[2]: pitch} for pitch in (5.0, 10.0, 20.0, 40.0)),
-    ),
-    # of one direction dry friction is no candidate: with the offset free it is the same as of both
-    Candidate("one_sided_damping", (Parameter(_ASYMMETRY, 0.0, 100.0),), {_ASYMMETRY: 10.0}),
-)
+def _observation(one: Shots, rows: slice) -> Observation:
+    run, signals = one.run, tuple(one.run.signals)
+    began = round(float(run.time_s[rows.start] - run.time_s[0]), 3)
+    measured = np.stack([run.signals[s][rows] for s in signals], axis=1)
+    speed = np.tile(one.speed[rows, None], (1, len(signals)))
+    name, repeat = f"{run.source} from {began:g} s", f"{run.repeat_of} from {began:g} s"
+    return Observation(name, repeat, (began,), run.sample_rate_hz, signals, measured, speed)
 
 
-@njit(cache=True, nogil=True)
-def _acceleration(q: float, v: float, force: float, p: FloatArray) -> float:
-    side = np.tanh(v / SMOOTH_M_PER_S)
-    dry = p[3] + p[4] + p[5] * np.exp(-((1e3 * v / p[6]) ** 2))
-    held = p[1] * v + p[2] + dry * side + p[12] * max(v, 0.0)
-    held += p[7] * q + p[8] * v * abs(v)
-    phase = 2 * np.pi * 1e3 * q / p[11]
-    held += p[9] * np.sin(phase) + p[10] * np.cos(phase)
-    return float((force - held) / p[0])
+def _parameters(machine: AxisMachine) -> list[Parameter]:
+    found = []
+    for name in machine.tunable:
+        value = machine.value(name)
+        relative = machine.uncertainty.get(name, machine.uncertainty.get("default", 0.02))
+        if relative:
+            sd = relative * value
+            found.append(Parameter(name, value, sd, max(value - REACH * sd, 0.05 * value), value + REACH * sd))
+    return found
 
 
-@njit(cache=True, nogil=True)
-def _simulated_shots(
-    force: FloatArray,
-    dt: float,
-    substeps: int,
-    shot: int,
-    position: FloatArray,
-    speed: FloatArray,
-    p: FloatArray,
-) -> FloatArray:
-    """Integrate by midpoint steps, the force linear between samples, begun anew every `shot` samples: (n,) m."""
-    out = np.empty(len(force))
-    h = dt / substeps
-    q, v = position[0], speed[0]
-    for i in range(len(force)):
-        if i % shot == 0:
-            q, v = position[i], speed[i]
-        out[i] = q
-        if i == len(force) - 1:
-            break
-        for k in range(substeps):
-            f = force[i] + (k + 0.5) / substeps * (force[i + 1] - force[i])
-            middle = v + h / 2 * _acceleration(q, v, f, p)
-            v_next = v + h * _acceleration(q + h / 2 * v, middle, f, p)
-            if v * v_next < 0.0 and abs(f - p[2]) < p[3] + p[4] + p[5]:
-                v_next = 0.0  # dry friction holds what it has stopped
-            q += h * (v + v_next) / 2
-            v = v_next
-    return out
+def _offset(machine: AxisMachine, force_n: float) -> list[Parameter]:
+    if not machine.axis.by_force:
+        return []
+    return [Parameter(OFFSET, machine.axis.offset_n, OFFSET_SHARE * force_n)]

@@ -28,6 +28,7 @@ from ffcomp.diagnose.noise import (
     at_least,
     noise_from_repeats,
     noise_from_residual,
+    noise_of_sensors,
     noise_share,
     whitener,
 )
@@ -121,7 +122,7 @@ def _searched(problem: Problem, progress: Progress) -> Diagnosis:
     noise = noise_floor(problem)
     if not noise.from_repeats:
         progress("no repeats: the noise floor is taken from above the model's band")
-    floor = at_least(noise, problem.observations, problem.band_hz)
+    floor = at_least(noise, problem.observations, problem.band_hz, problem.least_density)
     estimation = estimation_problem(problem, whitener(problem.observations, floor, problem.band_hz))
     chance = CERTAIN * _spread(estimation) if noise.from_repeats else 0.0
     estimation = replace(estimation, tolerance=max(estimation.tolerance, chance))
@@ -228,6 +229,8 @@ def noise_floor(problem: Problem, simulated: Sequence[FloatArray] | None = None)
     floor = noise_from_repeats(problem.observations)
     if floor is not None:
         return floor
+    if problem.least_density:  # of positions: what their sensors and the simulation cannot tell apart
+        return noise_of_sensors(problem.observations, problem.least_density)
     found = problem.simulate({}) if simulated is None else simulated
     errors = [o.measured - y for o, y in zip(problem.observations, found, strict=True)]
     return noise_from_residual(problem.observations, errors, problem.band_hz)

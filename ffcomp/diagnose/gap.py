@@ -8,12 +8,10 @@ from typing import Any
 
 from ffcomp.diagnose.diagnosis import noise_floor
 from ffcomp.diagnose.noise import whitener
-from ffcomp.diagnose.printer_problem import PrinterProblem
-from ffcomp.diagnose.repeats import Repeats
+from ffcomp.diagnose.problem import Repeated
+from ffcomp.diagnose.problems import Plant, problem_of
 from ffcomp.diagnose.residuals import ResidualBreakdown, ResidualSize, locate_residual
-from ffcomp.diagnose.validation import check_alike
-from ffcomp.measurement.recording import Recording
-from models.machine import Machine
+from ffcomp.diagnose.validation import Recorded, check_alike
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +41,7 @@ class Discrepancy:
         }
 
 
-def measure_gap(machine: Machine, recordings: Sequence[Recording]) -> Discrepancy:
+def measure_gap(machine: Plant, recordings: Sequence[Recorded]) -> Discrepancy:
     """Simulate the recordings with the machine and its effects, and compare.
 
     Raises
@@ -51,7 +49,7 @@ def measure_gap(machine: Machine, recordings: Sequence[Recording]) -> Discrepanc
     MeasurementError
         If the recordings cannot belong to this machine or to each other.
     """
-    problem = PrinterProblem(machine, recordings, ())
+    problem = problem_of(machine, recordings, ())
     check_alike(recordings)
     simulated = problem.simulate({})
     floor = noise_floor(problem, simulated)
@@ -59,7 +57,7 @@ def measure_gap(machine: Machine, recordings: Sequence[Recording]) -> Discrepanc
     return Discrepancy(found, floor.from_repeats, tuple(_notes(problem.repeats)))
 
 
-def _notes(repeats: Sequence[Repeats]) -> list[str]:
+def _notes(repeats: Sequence[Repeated]) -> list[str]:
     late = [
         f"{each.late()}; they were moved onto each other before they were compared." for each in repeats if each.apart
     ]

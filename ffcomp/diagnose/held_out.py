@@ -42,7 +42,9 @@ class HeldOut:
 
     @property
     def label(self) -> str:
-        """Name what was left out: `(55, 20)`, or an experiment."""
+        """Name what was left out: `(55, 20)`, an experiment, or the time at which a window begins."""
+        if len(self.position) == 1:
+            return f"{self.position[0]:g} s"
         return self.experiment or f"({', '.join(f'{x:.0f}' for x in self.position)})"
 
 

@@ -81,12 +81,31 @@ def noise_from_residual(
     return NoiseFloor(grid, density, False)
 
 
-def at_least(floor: NoiseFloor, observations: Sequence[Observation], band_hz: tuple[float, float]) -> NoiseFloor:
+def noise_of_sensors(observations: Sequence[Observation], density: Mapping[str, float]) -> NoiseFloor:
+    """Take white noise of known densities, unit²/Hz; signals without one have none to speak of."""
+    grid = np.arange(0.0, min(r.rate_hz for r in observations) / 2 + 1e-9, 1 / SEGMENT_S)
+    signals = sorted({name for r in observations for name in r.signals})
+    return NoiseFloor(grid, {name: np.full(len(grid), density.get(name, 0.0)) for name in signals}, False)
+
+
+def at_least(
+    floor: NoiseFloor,
+    observations: Sequence[Observation],
+    band_hz: tuple[float, float],
+    least: Mapping[str, float] | None = None,
+) -> NoiseFloor:
     """Raise the floor of sensors that are quieter than any simulation is exact.
 
     Friction, belts and play never have our formulas: by the noise of a laboratory's sensors every fit would fail, and
     better data would get the weaker answer.
+
+    Parameters
+    ----------
+    least : of some signals, the density below which none is, unit²/Hz
     """
+    if least:
+        held = {name: np.maximum(x, least.get(name, 0.0)) for name, x in floor.density.items()}
+        floor = NoiseFloor(floor.frequency_hz, held, floor.from_repeats)
     powers = _powers(whitener(observations, floor, band_hz), floor)
     factors = {  # positions are nearly the command: no share of them says how exact a simulation is
         name: LEAST**2 * signal / max(noise, 1e-300) for name, (signal, noise) in powers.items() if name[:3] == "acc"

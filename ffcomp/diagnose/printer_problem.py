@@ -48,6 +48,7 @@ MANY = {"frequency_hz": 20}  # shapes whose signature changes quickly
 IDLE_MM = 0.05  # an actuator that moves less rests
 BOTH = 9.0  # in place of an angle: alike in x and y
 LEAST, SPREAD = 1e-3, 1.5  # of a parameter known by its order of magnitude: counts as none; ln's standard deviation
+CYCLE_STEPS = 4.0  # full steps of a motor's electrical cycle
 WHOLE = "whole"  # the one parameter of an effect that is there or not
 
 _Key = tuple[tuple[tuple[str, float], ...], tuple[int, ...], bool]
@@ -63,6 +64,8 @@ class PrinterProblem(Problem):
         self, machine: Machine, recordings: Sequence[Recording], names: Sequence[str] = tuple(CATALOGUE)
     ) -> None:
         self.machine, self.recordings = machine, recordings
+        self.name, self.path, self.per_kilogram = machine.name, machine.path, machine.vibration.per_kilogram
+        self.reach_mm, self.cycle_mm = machine.kinematics.bed_radius_mm, CYCLE_STEPS / machine.steps.full_per_motor[0]
         self.commands = [compared(carriages_of(machine, one), every_row(one)) for one in recordings]
         recorded = [observation_of(machine, one, c) for one, c in zip(recordings, self.commands, strict=True)]
         self.repeats = repeats_of(recorded)

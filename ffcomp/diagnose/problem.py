@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 from models.arrays import FloatArray
 
@@ -61,6 +62,36 @@ class InfeasibleParameters(ValueError):
     """Raised for parameters with which the machine cannot be simulated; a fit must not go there."""
 
 
+class Repeated(Protocol):
+    """What repeats of one experiment say of each other, see `ffcomp/diagnose/repeats.py`."""
+
+    @property
+    def members(self) -> tuple[int, ...]:
+        """Return the indices of its observations."""
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Return their files."""
+
+    @property
+    def lag_s(self) -> tuple[float, ...]:
+        """Return how late each is behind their mean."""
+
+    @property
+    def apart(self) -> bool:
+        """Tell whether they lie so far apart in time that it matters."""
+
+    @property
+    def differ(self) -> bool:
+        """Tell whether they differ by more than any noise of sensors."""
+
+    def late(self) -> str:
+        """Say how far apart they lie, in a sentence."""
+
+    def trouble(self) -> str:
+        """Say by what they differ, in a sentence."""
+
+
 class Problem(ABC):
     """A machine, its observations, and what it would have measured with other parameters."""
 
@@ -68,6 +99,19 @@ class Problem(ABC):
     observations: Sequence[Observation]
     parameters: Sequence[Parameter]  # what may be retuned within its uncertainty: not a missing effect
     candidates: Sequence[Candidate]
+    name: str  # of the machine
+    path: str  # of its file
+    recordings: Sequence[object]  # that the observations are from
+    repeats: Sequence[Repeated] = ()
+    commands: Sequence[FloatArray] = ()  # (n, 3) mm of a printer's carriages, of each observation
+    cycle_mm: float = 0.0  # of a motor
+    reach_mm: float = 0.0  # how far from the middle of its bed a printer goes; 0: there is no bed
+    per_kilogram: bool = False  # forces are, on axes of unknown mass
+    least_density: Mapping[str, float] = {}  # of a signal's noise, unit²/Hz: no simulation is nearer than that
+
+    def place_name(self, position: tuple[float, ...]) -> str:
+        """Name a place at which something was recorded."""
+        return "(" + ", ".join(f"{x:g}" for x in position) + ") mm"
 
     @abstractmethod
     def simulate(

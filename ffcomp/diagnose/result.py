@@ -12,7 +12,8 @@ import numpy as np
 
 from ffcomp.diagnose.diagnosis import Diagnosis
 from ffcomp.diagnose.hypotheses import misfit
-from ffcomp.diagnose.printer_problem import WHOLE, PrinterProblem, effect_tables
+from ffcomp.diagnose.printer_problem import WHOLE, effect_tables
+from ffcomp.diagnose.problem import Problem
 from ffcomp.diagnose.recording_delays import PREFIX, belongs_to_recording
 from ffcomp.diagnose.residuals import ResidualSize, locate_residual
 from ffcomp.identify.uncertainty import Estimate
@@ -23,6 +24,7 @@ DISCREPANCY, CLOSED = 0.1, 0.5  # of the noise, to be one; of the discrepancy, t
 SAID_S = 1e-4  # from which it is said that a file lies late
 OFF = 0.05  # of a number of the file, from which it is said that it may be off by so much
 ONE_PLACE, FILE_OFF = 0.9, 0.5  # the most an effect is sure that was tested at one place, or that wrong numbers mimic
+ELSEWHERE = ("places", "windows")  # of time, where a machine has one place only
 MOVED = 0.1  # standard deviations of its uncertainty from which a parameter counts as retuned
 
 
@@ -45,7 +47,7 @@ class DiagnosisResult:
     finding: str = ""  # the verdict more closely, see diagnosis.FINDINGS
     fault: str = ""  # of the recordings: a sentence
     late_s: Mapping[str, float] = field(default_factory=dict)  # files that lie off their command by more than 0.1 ms
-    left_out: str = "places"  # what was left out of the fit in turn: places, experiments, or nothing ("")
+    left_out: str = "places"  # what was left out of the fit in turn: places, experiments, windows, or nothing ("")
     unproven: Sequence[str] = ()  # places or experiments where it is not explained
     file_off: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # numbers that would explain as much
     per_kilogram: bool = False  # forces are, on axes of unknown mass
@@ -91,7 +93,7 @@ def explained(before: float, after: float, noise: float) -> float:
     return 1 - max(left, 0.0) / gap if gap > 0 else 0.0
 
 
-def result_of(problem: PrinterProblem, found: Diagnosis) -> DiagnosisResult:
+def result_of(problem: Problem, found: Diagnosis) -> DiagnosisResult:
     """Translate a diagnosis; the best hypothesis is reported even if it was rejected."""
     fitted = found.final
     tables = effect_tables(fitted.values) if found.best is not None else {}
@@ -121,17 +123,19 @@ def result_of(problem: PrinterProblem, found: Diagnosis) -> DiagnosisResult:
         _left_out(found),
         [one.label for one in found.unproven],
         _file_off(found),
-        problem.machine.vibration.per_kilogram,
+        problem.per_kilogram,
     )
 
 
 def _left_out(found: Diagnosis) -> str:
     if not found.held_out:
         return "" if found.best is not None or found.verdict == "none" else "places"
+    if len(found.held_out[0].position) == 1:
+        return "windows"
     return "experiments" if found.held_out[0].experiment else "places"
 
 
-def _late(problem: PrinterProblem, found: Diagnosis) -> dict[str, float]:
+def _late(problem: Problem, found: Diagnosis) -> dict[str, float]:
     """Return how late files lie: what repeats say of each other, and what the fit says of them together."""
     values = found.final.values if found.best is not None else found.base.values
     lags = {i: lag for each in problem.repeats if each.apart for i, lag in zip(each.members, each.lag_s, strict=True)}
@@ -166,7 +170,7 @@ def _confidence(found: Diagnosis, effect: str) -> float:
     behind = [found.behind(h) for h in found.tried if effect not in h.names]
     nearest = min([*behind, found.base.evidence - fitted.evidence])
     sure = float(1 / (1 + np.exp(-np.clip(nearest / misfit(fitted) / 2, -50, 50))))
-    return min(sure, ONE_PLACE if _left_out(found) != "places" else 1.0, 1.0 if found.file_off is None else FILE_OFF)
+    return min(sure, 1.0 if _left_out(found) in ELSEWHERE else ONE_PLACE, 1.0 if found.file_off is None else FILE_OFF)
 
 
 def _in_file_terms(name: str, e: Estimate) -> Estimate:

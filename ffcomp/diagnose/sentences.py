@@ -52,6 +52,8 @@ def elsewhere(found: DiagnosisResult) -> str:
     )
     if found.left_out == "places":
         return f"At places it was not fitted to, one after the other, {numbers}."
+    if found.left_out == "windows":
+        return f"In windows of time it was not fitted to, one after the other, {numbers}."
     if found.left_out == "experiments":
         return (
             f"One place only: not tested elsewhere. In experiments it was not fitted to, one after the other, "

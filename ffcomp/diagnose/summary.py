@@ -21,8 +21,7 @@ from ffcomp.diagnose.held_out import HeldOut
 from ffcomp.diagnose.hypotheses import discrepancy_of
 from ffcomp.diagnose.intervals import intervals_of
 from ffcomp.diagnose.noise import lines, taper
-from ffcomp.diagnose.printer_problem import PrinterProblem
-from ffcomp.diagnose.problem import Parameter
+from ffcomp.diagnose.problem import Parameter, Problem
 from ffcomp.diagnose.residuals import EDGES_HZ, SLOW_SHARE
 from ffcomp.diagnose.result import MOVED, of_machine
 from ffcomp.diagnose.score_test import similarity
@@ -31,7 +30,6 @@ from models.arrays import FloatArray
 
 TIME_BINS = 24
 PHASE_BINS = 16
-CYCLE_STEPS = 4.0  # full steps of a motor's electrical cycle
 QUANTILES = (0.0, 0.25, 0.5, 0.75, 0.9, 0.98, 1.0)  # of the size of motion
 OVERLAYS = 4
 WINDOW_S = 0.25  # of an overlay
@@ -136,7 +134,7 @@ class DiagnosisSummary:
     retuned: tuple[Retuned, ...]
 
 
-def summarise(problem: PrinterProblem, found: Diagnosis) -> DiagnosisSummary:
+def summarise(problem: Problem, found: Diagnosis) -> DiagnosisSummary:
     """Collect a report's data: before is the machine file as it is, after is the final fit."""
     estimation = found.estimation
     answers = problem.simulate({}), problem.simulate(found.final.values)
@@ -144,7 +142,7 @@ def summarise(problem: PrinterProblem, found: Diagnosis) -> DiagnosisSummary:
     return DiagnosisSummary(
         estimation.whiten.band_hz,
         found.noise.from_repeats,
-        problem.machine.kinematics.bed_radius_mm,
+        problem.reach_mm,
         tuple(_splits(problem, estimation, before, after)),
         tuple(_overlays(problem, estimation, answers, before)),
         tuple(_spectra(estimation, answers)),
@@ -159,9 +157,7 @@ def summarise(problem: PrinterProblem, found: Diagnosis) -> DiagnosisSummary:
 # ---- where ---------------------------------------------------------------------------------------
 
 
-def _splits(
-    problem: PrinterProblem, estimation: EstimationProblem, before: FloatArray, after: FloatArray
-) -> list[Split]:
+def _splits(problem: Problem, estimation: EstimationProblem, before: FloatArray, after: FloatArray) -> list[Split]:
     bands = np.digitize(estimation.whiten.frequencies(), EDGES_HZ[1:-1])
     edges = tuple(pairwise(EDGES_HZ))
     blank = Split("frequency", tuple(f"{a:g}-{b:g} Hz" for a, b in edges), (), (), (), edges, "Hz")
@@ -221,7 +217,7 @@ def series(estimation: EstimationProblem, residual: FloatArray) -> list[FloatArr
     return found
 
 
-def _by(problem: PrinterProblem) -> list[tuple[Split, list[NDArray[np.int64]]]]:
+def _by(problem: Problem) -> list[tuple[Split, list[NDArray[np.int64]]]]:
     """List every split: its labels, and which of them each sample (n, m) of each observation has."""
     observations = problem.observations
     signals = sorted({s for r in observations for s in r.signals})
@@ -237,13 +233,20 @@ def _by(problem: PrinterProblem) -> list[tuple[Split, list[NDArray[np.int64]]]]:
     sizes = [_size(r.measured) for r in observations]
     return [
         (_named("signal", signals), by_signal),
-        (replace(_named("place", [_position_name(p) for p in positions]), at=tuple(positions)), by_position),
+        (_places(problem, positions), by_position),
         (_named("run", [Path(r.name).name for r in observations]), by_run),
         (_shares("share of the run's time", np.linspace(0, 1, TIME_BINS + 1)), by_time),
         (_named("motion", ["backward", "turning back or at rest", "forward"]), moved),
         (_shares("size of motion", QUANTILES), sizes),
-        (_shares("motor's step cycle", np.linspace(0, 1, PHASE_BINS + 1)), _phases(problem)),
+        *_by_phase(problem),
     ]
+
+
+def _places(problem: Problem, positions: Sequence[tuple[float, ...]]) -> Split:
+    """Return the split by position, drawn on the bed; on an axis by the window of time."""
+    if not problem.reach_mm:
+        return _named("window of time", [problem.place_name(p) for p in positions])
+    return replace(_named("place", [problem.place_name(p) for p in positions]), at=tuple(positions))
 
 
 def _named(title: str, labels: Sequence[str]) -> Split:
@@ -253,10 +256,6 @@ def _named(title: str, labels: Sequence[str]) -> Split:
 def _shares(title: str, edges: Sequence[float] | FloatArray) -> Split:
     spans = tuple((100 * float(a), 100 * float(b)) for a, b in pairwise(edges))
     return Split(title, tuple(f"{a:.0f}-{b:.0f} %" for a, b in spans), (), (), (), spans, "%")
-
-
-def _position_name(position: Sequence[float]) -> str:
-    return "(" + ", ".join(f"{x:g}" for x in position) + ") mm"
 
 
 def _direction(speed: FloatArray) -> NDArray[np.int64]:
@@ -270,14 +269,15 @@ def _size(measured: FloatArray) -> NDArray[np.int64]:
     return np.sum(size[None] > edges[:, None], axis=0).astype(np.int64)
 
 
-def _phases(problem: PrinterProblem) -> list[NDArray[np.int64]]:
-    """Return the phase of the signal's own motor; of motor A for the nozzle's."""
-    cycle = CYCLE_STEPS / float(problem.machine.steps.full_per_motor[0])
-    found = []
+def _by_phase(problem: Problem) -> list[tuple[Split, list[NDArray[np.int64]]]]:
+    """Split by the phase of the signal's own motor; of motor A for the nozzle's."""
+    if not problem.commands:
+        return []
+    found, cycle = [], problem.cycle_mm
     for r, command in zip(problem.observations, problem.commands, strict=True):
         own = command[:, ["ABC".find(s[-1]) if s[-1] in "ABC" else 0 for s in r.signals]]
         found.append((np.mod(own / cycle, 1.0) * PHASE_BINS).astype(np.int64) % PHASE_BINS)
-    return found
+    return [(_shares("motor's step cycle", np.linspace(0, 1, PHASE_BINS + 1)), found)]
 
 
 # ---- curves --------------------------------------------------------------------------------------
@@ -285,9 +285,7 @@ def _phases(problem: PrinterProblem) -> list[NDArray[np.int64]]:
 Answers = tuple[list[FloatArray], list[FloatArray]]  # (n, m) an observation, before and after
 
 
-def _overlays(
-    problem: PrinterProblem, estimation: EstimationProblem, answers: Answers, before: FloatArray
-) -> list[Overlay]:
+def _overlays(problem: Problem, estimation: EstimationProblem, answers: Answers, before: FloatArray) -> list[Overlay]:
     """Select the signals with the largest excess, around the time where it was largest."""
     errors = series(estimation, before)
     ranked = sorted(
@@ -299,7 +297,7 @@ def _overlays(
 
 
 def _overlay(
-    problem: PrinterProblem, estimation: EstimationProblem, answers: Answers, error: FloatArray, i: int, k: int
+    problem: Problem, estimation: EstimationProblem, answers: Answers, error: FloatArray, i: int, k: int
 ) -> Overlay:
     r = problem.observations[i]
     half = round(WINDOW_S * r.rate_hz / 2)
@@ -324,16 +322,16 @@ def _in_band(estimation: EstimationProblem, i: int, x: FloatArray) -> FloatArray
 
 
 def _spectra(estimation: EstimationProblem, answers: Answers) -> list[Spectrum]:
-    kinds = {(s[:3], s[4] in "ABC") for r in estimation.whiten.observations for s in r.signals}
+    kinds = {(s[:3], _whose(s)) for r in estimation.whiten.observations for s in r.signals}
     return [_spectrum(estimation, answers, *kind) for kind in sorted(kinds)]
 
 
-def _spectrum(estimation: EstimationProblem, answers: Answers, quantity: str, carriage: bool) -> Spectrum:
+def _spectrum(estimation: EstimationProblem, answers: Answers, quantity: str, whose: str) -> Spectrum:
     """Average powers in bands that are even on a logarithmic axis; bands that hold no line are left out."""
     edges = np.geomspace(*estimation.whiten.band_hz, SPECTRUM_BANDS + 1)
     sums, counts = np.zeros((4, SPECTRUM_BANDS)), np.zeros(SPECTRUM_BANDS)
     for i, r in enumerate(estimation.whiten.observations):
-        own = [k for k, s in enumerate(r.signals) if s.startswith(quantity) and (s[4] in "ABC") == carriage]
+        own = [k for k, s in enumerate(r.signals) if s.startswith(quantity) and _whose(s) == whose]
         frequency, densities = _densities(estimation, i, [r.measured, *(r.measured - a[i] for a in answers)])
         band = np.digitize(frequency, edges[1:-1])
         counts += len(own) * np.bincount(band, minlength=SPECTRUM_BANDS)
@@ -341,8 +339,13 @@ def _spectrum(estimation: EstimationProblem, answers: Answers, quantity: str, ca
     kept = counts > 0
     amplitudes = np.sqrt(sums[:, kept] / counts[kept])
     kind, unit = KINDS[quantity]
-    whose = "carriages'" if carriage else "nozzle's"
     return Spectrum(f"{whose} {kind}", unit, np.sqrt(edges[1:] * edges[:-1])[kept], *amplitudes)
+
+
+def _whose(signal: str) -> str:
+    """Name what a signal is of: `carriages'`."""
+    of = signal[4:]
+    return {"q": "axis'", "motor": "motor's"}.get(of, "carriages'" if of in "ABC" else "nozzle's")
 
 
 def _densities(

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ffcomp.diagnose.repeats import Repeats
+from ffcomp.diagnose.problem import Repeated
 from ffcomp.errors import MeasurementError
+from ffcomp.measurement.axis_run import AxisRun
 from ffcomp.measurement.orientation import misplaced
 from ffcomp.measurement.recording import Recording
 from ffcomp.measurement.sensors import command_unit, wrong_scale
@@ -18,6 +19,9 @@ from models.machine import Machine
 
 MARGIN_MM = 25.0  # around the print volume, in which a nozzle may still be commanded
 SAME_COMMAND_MM = 0.01  # a microstep or less: what two repeats may differ by
+
+
+Recorded = Recording | AxisRun
 
 
 def carriages_of(machine: Machine, recording: Recording) -> FloatArray:
@@ -86,14 +90,14 @@ def _another(machine: Machine) -> str:
     return f"Was the recording made on another machine than {machine.name}, or does its file hold another geometry?"
 
 
-def check_alike(recordings: Sequence[Recording]) -> None:
+def check_alike(recordings: Sequence[Recorded]) -> None:
     """Refuse recordings that are named as repeats of one experiment, and are none.
 
     Raises
     ------
     MeasurementError
     """
-    firsts: dict[str, Recording] = {}
+    firsts: dict[str, Recorded] = {}
     for recording in recordings:
         first = firsts.setdefault(recording.repeat_of, recording)
         problem = _other_sensors(first, recording) or _another_command(first, recording)
@@ -102,7 +106,7 @@ def check_alike(recordings: Sequence[Recording]) -> None:
             raise MeasurementError(recording.source, [f"{said} {problem}"])
 
 
-def _other_sensors(first: Recording, recording: Recording) -> str:
+def _other_sensors(first: Recorded, recording: Recorded) -> str:
     sensors = [{*one.acceleration, *one.position} for one in (first, recording)]
     if sensors[0] == sensors[1]:
         return ""
@@ -110,7 +114,7 @@ def _other_sensors(first: Recording, recording: Recording) -> str:
     return f"only one of the two has {only}; repeats have the same sensors. Leave the column out of both, or of none."
 
 
-def _another_command(first: Recording, recording: Recording) -> str:
+def _another_command(first: Recorded, recording: Recorded) -> str:
     if first.command_space != recording.command_space:
         return "one command is of the carriages, the other of the nozzle; repeats have the same command."
     rows = min(len(first.time_s), len(recording.time_s))
@@ -124,7 +128,7 @@ def _another_command(first: Recording, recording: Recording) -> str:
     )
 
 
-def check_repeats(recordings: Sequence[Recording]) -> None:
+def check_repeats(recordings: Sequence[Recorded]) -> None:
     """Refuse recordings without repeats, for the noise would be a guess, and repeats that are none.
 
     Raises
@@ -146,7 +150,7 @@ def check_repeats(recordings: Sequence[Recording]) -> None:
     raise MeasurementError(named, [rule + _lengths(recordings)])
 
 
-def check_repeating(repeats: Sequence[Repeats]) -> None:
+def check_repeating(repeats: Sequence[Repeated]) -> None:
     """Refuse repeats that differ by more than noise: what they differ by is no floor for anything.
 
     Raises
@@ -158,7 +162,7 @@ def check_repeating(repeats: Sequence[Repeats]) -> None:
         raise MeasurementError(differing[0].files[0], [each.trouble() for each in differing])
 
 
-def _lengths(recordings: Sequence[Recording]) -> str:
+def _lengths(recordings: Sequence[Recorded]) -> str:
     """Say which lengths the repeats by name have, in a sentence; '' if there are none."""
     for recording in recordings:
         repeats = [other for other in recordings if other.repeat_of == recording.repeat_of]

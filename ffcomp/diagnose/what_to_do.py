@@ -35,6 +35,11 @@ REMEDIES: Mapping[str, str] = {
     "sensor_gain": "Nothing to mend on the printer: calibrate the accelerometer, or its unit.",
     "sensor_misalignment": "Nothing to mend on the printer: mount the accelerometer along the axes.",
     "sensor_time_offset": "Nothing to mend on the printer: join captures by the firmware's clock (ffcomp record join).",
+    "bristle_friction": "Nothing to mend: contacts bend before they slide. Seals and wipers bend most.",
+    "cogging_force": "Look for what repeats along the travel: magnets, a screw's balls, a rack's or a belt's teeth.",
+    "friction_by_direction": "Look for what resists one way only: a cable chain, a wiper's lip, a preload, a slope.",
+    "ground_spring": "Look for what pulls to one place: hoses, cables, a bellows, a counterweight.",
+    "quadratic_drag": "Look for what is pushed aside at speed: air in a closed space, oil, coolant.",
     "sensor_clock_drift": "Nothing to mend on the printer: join captures by the firmware's clock (ffcomp record join).",
 }
 
@@ -51,7 +56,9 @@ def what_to_do(found: DiagnosisResult) -> list[str]:
     return [
         "Do not add the nearest effect to the file by hand: it is wrong where it was not fitted.",
         "Look for something loose, rubbing, worn or bent where the gap is largest.",
-        f"Record other motions, each twice, at more places at least 20 mm apart{_at(found)}.",
+        f"Record other motions, each twice, at more places at least 20 mm apart{_at(found)}."
+        if found.left_out != "windows"
+        else "Record other motions: slower and faster, shorter and longer, near rest and over the whole travel.",
     ]
 
 
@@ -70,6 +77,8 @@ def _towers(table: Mapping[str, Any]) -> str:
 
 
 def _afterwards(found: DiagnosisResult) -> list[str]:
+    if found.left_out == "windows":
+        return ["Compare the better machine file (-o better.toml) with new runs (ffcomp gap)."]
     steps = [
         "Until then, compensate with the better machine file (-o better.toml), and compare it with new recordings."
     ]

@@ -32,4 +32,5 @@ EFFECT = Effect(
         "coulomb_friction": "Friction acts whenever a carriage turns back, play only when the belt's force does.",
         "torque_angle": "Slack softens small forces, a motor's torque softens large ones.",
     },
+    of=("carriages", "axes", "axis"),
 )

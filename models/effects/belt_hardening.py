@@ -26,4 +26,5 @@ EFFECT = Effect(
         "torque_angle": "Its cubic part is the same, k₃ = −k/(6a²); only a larger stretch separates the two.",
         "belt_stiffness": "Two amplitudes: only here the stiffness depends on them.",
     },
+    of=("carriages", "axes", "axis"),
 )

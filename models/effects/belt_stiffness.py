@@ -32,4 +32,5 @@ EFFECT = Effect(
         "torque_angle": "Two amplitudes: a belt's stiffness is the same for both.",
     },
     fold=fold,
+    of=("carriages", "axes", "axis"),
 )

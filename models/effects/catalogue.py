@@ -6,7 +6,7 @@ import importlib
 import pkgutil
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 from models import effects
 from models.arrays import FloatArray
@@ -43,12 +43,25 @@ def effects_of(moves: str) -> tuple[str, ...]:
     return tuple(name for name, effect in CATALOGUE.items() if moves in effect.of)
 
 
+def effects_of_printers() -> tuple[str, ...]:
+    """Return the names of the effects that some printer may have."""
+    return tuple(name for name, effect in CATALOGUE.items() if set(effect.of) & {"carriages", "axes"})
+
+
 def key_in_file(effect: str, key: str, per_kilogram: bool) -> str:
     """Return the key of a parameter in a machine file: `force_n`, or `force_n_per_kg` where no mass is stated."""
     return f"{key}{PER_KILOGRAM}" if per_kilogram and effect_named(effect).parameter(key).of_mass else key
 
 
-def values_of(machine: Machine, name: str) -> dict[str, FloatArray] | None:
+class HasEffects(Protocol):
+    """A printer or an axis, as its effects see it."""
+
+    @property
+    def effects(self) -> Mapping[str, Mapping[str, Any]]:
+        """Return effect name -> its parameters."""
+
+
+def values_of(machine: HasEffects, name: str) -> dict[str, FloatArray] | None:
     """Return the parameters of one effect of a machine as arrays (see `Parameter.as_array`); None if it is absent.
 
     An amplitude that is left out has its neutral value, a shape its default; an effect without any amplitude is

@@ -51,4 +51,5 @@ EFFECT = Effect(
     confounded_with={
         "belt_stiffness": "Moves at several speeds: a resonance stays where it is, ripple moves with the speed."
     },
+    of=("carriages", "axes", "axis"),
 )

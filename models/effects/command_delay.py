@@ -16,4 +16,5 @@ EFFECT = Effect(
         "guide_damping": "Several speeds and frequencies: damping lowers the resonance, a delay does not.",
         "sensor_time_offset": "A delay of one tower only, or position sensors on the same clock as the command.",
     },
+    of=("carriages", "axes", "axis"),
 )

@@ -22,4 +22,5 @@ EFFECT = Effect(
         "belt_backlash": "Play needs the belt's force to change sign, friction the carriage's speed.",
         "joint_friction": "One tower at a time near the centre: the effector moves, two carriages rest.",
     },
+    of=("carriages", "axes", "axis"),
 )

@@ -29,4 +29,5 @@ EFFECT = Effect(
         "carriage.belt_damping_n_s_per_m": "Long moves at constant speed: the belt's damper is not stretched there.",
     },
     fold=fold,
+    of=("carriages", "axes", "axis"),
 )

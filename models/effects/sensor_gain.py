@@ -28,4 +28,5 @@ EFFECT = Effect(
     in_data="One channel too large or too small by one factor at all frequencies and places.",
     confounded_with={"effector_mass": "Frequencies: a gain shifts none."},
     measure=measure,
+    of=("carriages", "axes", "axis"),
 )

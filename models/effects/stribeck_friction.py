@@ -31,4 +31,5 @@ EFFECT = Effect(
     ),
     in_data="As dry friction, with a spike at each start; very slow moves go in jerks.",
     confounded_with={"coulomb_friction": "Moves slower than v_s: only here the friction rises towards rest."},
+    of=("carriages", "axes", "axis"),
 )

@@ -17,8 +17,8 @@ from ffcomp.measurement.header import KNOWN, check_header
 from ffcomp.measurement.labels import KEYS
 from models.effects.catalogue import CATALOGUE
 from models.errors import MachineFileError
-from models.file import load_machine
-from models.schema import DeltaDocument, StraightDocument, unit_of
+from models.file import load_machine, load_plant
+from models.schema import AxisDocument, DeltaDocument, StraightDocument, unit_of
 from studies import cli_reference
 from tests.support.reference import MACHINE, MACHINE_FILE, REFERENCE, ROOT, SMALL, call, examples, rows_of
 
@@ -52,6 +52,8 @@ SECTIONS = {  # of the page -> path into the JSON schema of a document
     "carriage.drive": (DeltaDocument, "carriage.drive"),
     "effector": (DeltaDocument, "effector"),
     "axes": (StraightDocument, "axes.x"),
+    "kinematics: one axis": (AxisDocument, "kinematics"),
+    "axis": (AxisDocument, "axis"),
     "limits": (DeltaDocument, "limits"),
     "steps": (DeltaDocument, "steps"),
     "firmware": (DeltaDocument, "firmware"),
@@ -63,6 +65,7 @@ TABLES = {
     "carriage",
     "effector",
     "axes",
+    "axis",
     "limits",
     "steps",
     "firmware",
@@ -142,6 +145,8 @@ def test_every_effect_is_told_with_its_parameters() -> None:
     text = MACHINE_FILE.read_text(encoding="utf-8")
     only = [f"`{name}`" for name in sorted(CATALOGUE) if CATALOGUE[name].of == ("carriages",)]
     assert f"It has every effect but {', '.join(only[:-1])} and {only[-1]}" in " ".join(text.split())
+    axis = [f"`{name}`" for name in sorted(CATALOGUE) if "axis" in CATALOGUE[name].of]
+    assert f"One axis by itself may have {', '.join(axis[:-1])} and {axis[-1]}." in " ".join(text.split())
 
 
 def test_the_examples_are_machines_and_the_mistakes_are_found(tmp_path: Path) -> None:
@@ -150,8 +155,8 @@ def test_the_examples_are_machines_and_the_mistakes_are_found(tmp_path: Path) ->
     for number, text in enumerate(good):
         path = tmp_path / f"{number}.toml"
         path.write_text(text, encoding="utf-8")
-        kinds.append(load_machine(path).vibration.position_dependent)
-    assert kinds == [True, False]
+        kinds.append(type(load_plant(path)).__name__)
+    assert kinds == ["Machine", "Machine", "AxisMachine"]
     path = tmp_path / "mistakes.toml"
     path.write_text(bad, encoding="utf-8")
     with pytest.raises(MachineFileError) as told:

@@ -12,7 +12,7 @@ from ffcomp.inverse import lq_preview as fast
 from ffcomp.inverse.model import GEOMETRY, InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.simulate.playback import simulate_nozzles
-from models.effects.catalogue import CATALOGUE, with_effect
+from models.effects.catalogue import CATALOGUE, effects_of_printers, with_effect
 from models.file import load_machine
 from models.machine import Machine
 from tests.support.compensated import compensated, job
@@ -71,9 +71,10 @@ def test_the_whole_printer_in_the_loop_takes_the_effect_out(name: str) -> None:
 
 
 def test_every_effect_is_compensated_or_belongs_elsewhere() -> None:
-    sensors = {name for name, effect in CATALOGUE.items() if effect.kind == "sensor"}
-    folded = {name for name, effect in CATALOGUE.items() if effect.kind == "parameter"} - {GEOMETRY}
-    assert set(CATALOGUE) == sensors | folded | set(BEYOND) | {GEOMETRY}
+    printers = {name: CATALOGUE[name] for name in effects_of_printers()}
+    sensors = {name for name, effect in printers.items() if effect.kind == "sensor"}
+    folded = {name for name, effect in printers.items() if effect.kind == "parameter"} - {GEOMETRY}
+    assert set(printers) == sensors | folded | set(BEYOND) | {GEOMETRY}
 
 
 def test_a_wrong_geometry_is_named_not_compensated() -> None:

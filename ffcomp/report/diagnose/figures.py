@@ -17,6 +17,7 @@ TITLES = {
     "frequency": "By frequency",
     "signal": "By signal",
     "place": "By position",
+    "window of time": "By window of time",
     "run": "By run",
     "share of the run's time": "Along the run",
     "motion": "By direction, and at reversals",

@@ -57,7 +57,7 @@ def page(given: ReportInput) -> bytes:
 
 def place_labels(found: DiagnosisSummary) -> list[str]:
     """Label what was left out in turn: places on the bed, or experiments where all are at one place."""
-    return [p.label if p.experiment else f"({', '.join(f'{x:g}' for x in p.position)}) mm" for p in found.held_out]
+    return [p.label if p.experiment or len(p.position) == 1 else f"{p.label} mm" for p in found.held_out]
 
 
 def _image(drawing: Drawing) -> Image:

@@ -1,122 +1,129 @@
-"""A force-driven axis: closed forms, and a real one whose friction is published."""
+"""The diagnosis of one axis: shots, windows and band from the data, and effects that are named."""
 
 from __future__ import annotations
 
-import os
-from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from ffcomp.diagnose.axis_problem import (
-    CANDIDATES,
-    FRICTION,
-    MASS,
-    OFFSET,
-    VISCOUS,
-    AxisProblem,
-    ForceDriven,
-    read_emps,
-)
+from ffcomp.diagnose.axis_problem import AxisProblem
 from ffcomp.diagnose.diagnosis import Diagnosis, diagnose
 from ffcomp.diagnose.problem import InfeasibleParameters
 from ffcomp.errors import MeasurementError
+from ffcomp.measurement.axis_run import AxisRun, read_axis_run
+from models.axis.machine import AxisMachine, AxisParameters
+from models.axis.simulate import simulate_axis, with_effects
 
-EMPS = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[5] / "shared" / "data")) / "emps"
-FITTED, PULSES = EMPS / "DATA_EMPS.mat", EMPS / "DATA_EMPS_PULSES.mat"
-DRAG = "effects.quadratic_drag.force_n_s2_per_m2"
-
-
-# ---- closed forms --------------------------------------------------------------------------------
-
-
-def pushed(force_n: float, position_mm: np.ndarray) -> AxisProblem:
-    t = np.arange(len(position_mm)) / 1000.0
-    return AxisProblem([ForceDriven("pushed", t, np.full(len(t), force_n), position_mm)], 100.0, 500.0)
+RATE = 500.0
+STAGE = AxisMachine("stage", AxisParameters("force", 20.0, 0.0, 60.0), uncertainty={"default": 0.02})
+DRIVE = AxisMachine("drive", AxisParameters("position", 2.0, 2e4, 30.0), uncertainty={"default": 0.02})
 
 
-def test_a_constant_force_against_friction_in_closed_form() -> None:
-    """M v̇ = F − F_c − F_v v from rest: x = v_∞ (t − τ (1 − exp(−t/τ))), τ = M/F_v."""
-    tau, top = 100.0 / 500.0, (120.0 - 20.0) / 500.0
-    t = np.arange(300) / 1000.0
-    wanted = 1e3 * top * (t - tau * (1 - np.exp(-t / tau)))
-    (moved,) = pushed(120.0, wanted).simulate({FRICTION: 20.0})
-    np.testing.assert_allclose(moved[100:200, 0], wanted[100:200], atol=5e-3)  # mm; a shot begins at a measured speed
-    (slower,) = pushed(120.0, wanted).simulate({FRICTION: 21.0})
-    assert (moved - slower)[199, 0] == pytest.approx(1e3 * 0.01 * 0.099**2 / 2, rel=0.2)  # 1 N on 100 kg, damped
+def runs_of(machine: AxisMachine, seed: int, **effects: Any) -> list[AxisRun]:
+    """Two repeats of one motion with noise; of a free axis the position, of a driven one the acceleration."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(3000) / RATE
+    shape = rng.normal(size=40)
+    wave = np.interp(t, np.linspace(0, t[-1], 40), shape * np.r_[0, np.ones(38), 0])
+    given = 30.0 * wave if machine.axis.by_force else 4.0 * np.convolve(wave, np.hanning(41) / 20, "same")
+    motion = simulate_axis(with_effects(machine, effects), given, 1 / RATE)
+    found = []
+    for k in (1, 2):
+        if machine.axis.by_force:
+            position = {"pos_q": motion.position_mm + 1e-4 * rng.normal(size=len(t))}
+            found.append(AxisRun(f"a-{k}.csv", t, given, True, {}, position, {}))
+        else:
+            noise = 0.03 * rng.normal(size=len(t))
+            felt = {"acc_q": motion.acceleration + noise}
+            found.append(AxisRun(f"a-{k}.csv", t, given, False, felt, {}, {}))
+    return found
 
 
-def test_dry_friction_holds_what_pushes_less() -> None:
-    (held,) = pushed(19.0, np.zeros(100)).simulate({FRICTION: 20.0})
-    assert np.abs(held).max() < 2e-2  # mm: it creeps, at less than 0.2 mm/s
-    (slipped,) = pushed(30.0, np.zeros(100)).simulate({FRICTION: 20.0})
-    assert slipped[-1, 0] > 10 * np.abs(held).max()
+def found(machine: AxisMachine, *names: str, **effects: Any) -> Diagnosis:
+    return diagnose(
+        AxisProblem(machine, runs_of(machine, 3, **effects), names or ("coulomb_friction", "belt_hardening"))
+    )
+
+
+def test_shots_band_and_windows_come_from_the_data() -> None:
+    quick = AxisProblem(STAGE, runs_of(STAGE, 1))
+    shot = quick.shots[0].length / RATE
+    assert 0.02 < shot < 1.0
+    assert quick.band_hz[1] == pytest.approx(min(5.0 / shot, 0.4 * RATE), rel=0.05)
+    slow = [AxisRun(r.source, 4 * r.time_s, r.given, True, {}, r.position, {}) for r in quick.recordings]  # type: ignore[attr-defined]
+    assert AxisProblem(STAGE, slow).shots[0].length / (RATE / 4) == pytest.approx(4 * shot, rel=0.1)
+    driven = AxisProblem(DRIVE, runs_of(DRIVE, 1))
+    assert driven.shots[0].length == 0  # a spring holds it
+    assert len(driven.windows) == 12 and driven.observations[0].position == driven.observations[6].position
 
 
 def test_every_shot_begins_where_the_axis_was_measured() -> None:
-    measured = 40 * np.sin(np.arange(1000) / 200)
-    (simulated,) = pushed(0.0, measured).simulate({})
-    np.testing.assert_array_equal(simulated[::100, 0], measured[::100])
+    problem = AxisProblem(STAGE, runs_of(STAGE, 1))
+    length = problem.shots[0].length
+    simulated = problem.simulate({})[0][::length, 0]
+    np.testing.assert_allclose(simulated, problem.observations[0].measured[::length, 0], rtol=1e-12)
 
 
-def test_forces_that_drive_it_to_infinity_are_impossible() -> None:
-    with pytest.raises(InfeasibleParameters), np.errstate(over="ignore", invalid="ignore"):
-        pushed(1e4, np.zeros(1000)).simulate({DRAG: -1e6})
-
-
-def test_what_is_no_emps_file_is_refused(tmp_path: Path) -> None:
-    from scipy.io import savemat
-
-    savemat(tmp_path / "x.mat", {"t": np.zeros(3), "qm": np.zeros(3), "gtau": 1.0})
-    with pytest.raises(MeasurementError, match="'vir' is missing"):
-        read_emps(tmp_path / "x.mat")
-
-
-# ---- the real axis -------------------------------------------------------------------------------
-
-
-@cache
-def found() -> Diagnosis:
-    if not FITTED.is_file():
-        pytest.skip("the EMPS data set is not beside the project")
-    return diagnose(AxisProblem([read_emps(FITTED)], 50.0, 100.0))
-
-
-def test_the_real_axis_has_dry_friction_of_the_published_size() -> None:
-    """Published: M 95.1 kg, F_v 203.5 N s/m, F_c 20.4 N, offset −3.2 N (Janot, Gautier and Brunot, 2019)."""
-    told = found()
-    assert not told.noise.from_repeats
+def test_dry_friction_of_a_free_axis_is_named_with_its_size() -> None:
+    told = found(STAGE, coulomb_friction={"force_n": 6.0})
     assert told.named is not None and told.named.names == ("coulomb_friction",)
-    assert told.final.values[MASS] == pytest.approx(95.1, rel=0.01)
-    assert told.final.values[VISCOUS] == pytest.approx(203.5, rel=0.05)
-    assert told.final.values[FRICTION] == pytest.approx(20.4, rel=0.05)
-    assert told.final.values[OFFSET] == pytest.approx(-3.2, abs=0.35)
-    assert len(told.held_out) == 6
-    for place in told.held_out:  # stretches of time left out of the fit
-        assert place.before > 5 and place.after < 0.1 * place.before
-    assert {c.name for c in CANDIDATES} > {"coulomb_friction"}
+    assert told.final.values["effects.coulomb_friction.force_n"] == pytest.approx(6.0, rel=0.03)
 
 
-def test_what_was_fitted_to_one_recording_holds_for_the_other() -> None:
-    told, axis = found(), AxisProblem([read_emps(PULSES)], 50.0, 100.0)
-
-    def rms(values: dict[str, float]) -> float:
-        errors = [r.measured - y for r, y in zip(axis.observations, axis.simulate(values), strict=True)]
-        return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
-
-    assert rms(told.final.values) < 0.3 * rms(told.base.values)
+def test_a_spring_that_hardens_is_named_on_a_driven_axis() -> None:
+    told = found(DRIVE, belt_hardening={"cubic_n_per_m3": 4e9})
+    assert told.named is not None and told.named.names == ("belt_hardening",)
+    assert told.final.values["effects.belt_hardening.cubic_n_per_m3"] == pytest.approx(4e9, rel=0.05)
 
 
-def test_pulses_are_in_the_motors_force_already() -> None:
-    """Where `pulses_N` jumps by 5, the force jumps by 5 times the gain in the same sample."""
-    from scipy.io import loadmat
+@pytest.mark.parametrize("machine", [STAGE, DRIVE])
+def test_nothing_is_named_where_nothing_is_missing(machine: AxisMachine) -> None:
+    assert found(machine).verdict == "none"
 
-    if not PULSES.is_file():
-        pytest.skip("the EMPS data set is not beside the project")
-    data = loadmat(PULSES)
-    jumps = np.diff(data["pulses_N"].astype(float).ravel())
-    force = np.diff(read_emps(PULSES).force_n)
-    at = np.flatnonzero(jumps)
-    ratio = np.median(force[at] / jumps[at])
-    assert ratio == pytest.approx(float(data["gtau"].item()), rel=0.03)
+
+def test_no_pitch_is_longer_than_half_the_travel() -> None:
+    """A ripple longer than the travel is a spring or a slope; EMPS without its friction was named so once."""
+    problem = AxisProblem(STAGE, runs_of(STAGE, 1))
+    travel = np.ptp(problem.recordings[0].position["pos_q"])  # type: ignore[attr-defined]
+    (ripple,) = (c for c in problem.candidates if c.name == "cogging_force")
+    (pitch,) = ripple.shapes
+    longest = travel / 2 * (1 + 1e-9)
+    assert pitch.high <= longest and all(p[pitch.name] <= longest for p in ripple.grid)
+
+
+def test_forces_that_drive_it_to_infinity_are_infeasible() -> None:
+    problem = AxisProblem(STAGE, runs_of(STAGE, 1))
+    with pytest.raises(InfeasibleParameters):
+        problem.simulate({"effects.quadratic_drag.force_n_s2_per_m2": -1e7})
+
+
+@pytest.mark.parametrize(
+    ("header", "sentence"),
+    [
+        ("t_s,pos_q_mm", "needs what drove it"),
+        ("t_s,force_n,cmd_q_mm", "one of the two"),
+        ("t_s,force_n", "No sensor column"),
+        ("t_s,force_n,pos_x_mm", "'pos_x_mm' is none of a run of one axis; did you mean 'pos_q_mm'"),
+        ("time,force_n,pos_q_mm", "Column t_s"),
+    ],
+)
+def test_headers_of_runs(header: str, sentence: str, tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    width = header.count(",") + 1
+    path.write_text(header + "\n" + "\n".join(",".join(["0.1"] * width) for _ in range(3)))
+    with pytest.raises(MeasurementError, match=sentence):
+        read_axis_run(path)
+
+
+def test_a_run_is_read_and_must_fit_the_file(tmp_path: Path) -> None:
+    run = runs_of(STAGE, 1)[0]
+    path = tmp_path / "run-1.csv"
+    table = np.column_stack([run.time_s, run.given, run.position["pos_q"]])
+    np.savetxt(path, table, delimiter=",", header="t_s,force_n,pos_q_mm", comments="")
+    read = read_axis_run(path)
+    assert read.repeat_of == "run" and read.sample_rate_hz == pytest.approx(RATE)
+    np.testing.assert_allclose(read.position["pos_q"], run.position["pos_q"])
+    with pytest.raises(MeasurementError, match=r"axis\.input of drive is 'position'"):
+        AxisProblem(DRIVE, [read])

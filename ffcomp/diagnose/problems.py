@@ -1,0 +1,121 @@
+"""The problem of whatever a machine file describes: how its recordings are read, checked, and simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import singledispatch
+from pathlib import Path
+
+from ffcomp.diagnose.axis_problem import AxisProblem
+from ffcomp.diagnose.diagnosis import Diagnosis
+from ffcomp.diagnose.next_experiment import Proposal, propose
+from ffcomp.diagnose.print_gain import PrintGain, print_gain
+from ffcomp.diagnose.printer_problem import PrinterProblem
+from ffcomp.diagnose.problem import Problem
+from ffcomp.diagnose.result import DiagnosisResult
+from ffcomp.diagnose.validation import Recorded, check_alike, check_repeating, check_repeats
+from ffcomp.errors import RequestError
+from ffcomp.measurement.axis_run import AxisRun, read_axis_run
+from ffcomp.measurement.recording import Recording
+from ffcomp.record.load import load_recordings
+from models.arrays import FloatArray
+from models.axis.machine import AxisMachine
+from models.effects.catalogue import CATALOGUE
+from models.machine import Machine
+
+Plant = Machine | AxisMachine
+ALL = tuple(CATALOGUE)
+
+
+@singledispatch
+def recordings_of(
+    plant: Plant,
+    paths: Sequence[str | Path],
+    plan: str | Path | None = None,
+    turn: FloatArray | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> list[Recorded]:
+    """Read the recordings of a printer, captures of a plan included, or the runs of an axis.
+
+    Parameters
+    ----------
+    plan, turn, progress : as `ffcomp.record.load.load_recordings` takes them
+    """
+    raise TypeError(plant)
+
+
+@recordings_of.register
+def _(
+    plant: Machine,
+    paths: Sequence[str | Path],
+    plan: str | Path | None = None,
+    turn: FloatArray | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> list[Recorded]:
+    return [*load_recordings(paths, plant, plan, turn, progress)]
+
+
+@recordings_of.register
+def _(
+    plant: AxisMachine,
+    paths: Sequence[str | Path],
+    plan: str | Path | None = None,
+    turn: FloatArray | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> list[Recorded]:
+    if plan is not None:
+        raise RequestError(f"{plant.name} is one axis by itself: there is no plan of moves for it. Leave --plan out.")
+    return [read_axis_run(path) for path in paths]
+
+
+@singledispatch
+def problem_of(plant: Plant, recordings: Sequence[Recorded], names: Sequence[str] = ALL) -> Problem:
+    """Return the problem of a machine and its recordings; `names` : the effects that are looked for."""
+    raise TypeError(plant)
+
+
+@problem_of.register
+def _(plant: Machine, recordings: Sequence[Recorded], names: Sequence[str] = ALL) -> Problem:
+    return PrinterProblem(plant, [each for each in recordings if isinstance(each, Recording)], names)
+
+
+@problem_of.register
+def _(plant: AxisMachine, recordings: Sequence[Recorded], names: Sequence[str] = ALL) -> Problem:
+    return AxisProblem(plant, [each for each in recordings if isinstance(each, AxisRun)], names)
+
+
+def check_recordings(problem: Problem, recordings: Sequence[Recorded], without_repeats: bool) -> None:
+    """Refuse recordings that no diagnosis can rest on.
+
+    Raises
+    ------
+    MeasurementError
+    """
+    check_alike(recordings)
+    if not without_repeats:
+        check_repeats(recordings)
+    check_repeating(problem.repeats)
+
+
+@singledispatch
+def proposals_of(problem: Problem, found: Diagnosis) -> list[Proposal]:
+    """Propose the moves that tell competing hypotheses apart; of an axis none, for it takes no G-code."""
+    del problem, found
+    return []
+
+
+@proposals_of.register
+def _(problem: PrinterProblem, found: Diagnosis) -> list[Proposal]:
+    return propose(problem, found)
+
+
+@singledispatch
+def gain_of(plant: Plant, found: DiagnosisResult) -> PrintGain | None:
+    """Predict what prints gain; an axis prints nothing."""
+    del plant, found
+    return None
+
+
+@gain_of.register
+def _(plant: Machine, found: DiagnosisResult) -> PrintGain | None:
+    return print_gain(plant, found)

@@ -1,0 +1,187 @@
+"""How runs of an axis are compared with its simulation: shots, windows, band and scales, all taken from the data.
+
+Where nothing holds an axis, a missing force adds up in its position without bound. So the simulation begins anew at
+every shot, with the measured position and speed (multiple shooting; Bock, 1981): its error is the effect of a missing
+force in that time. An axis that a spring holds is simulated from the beginning to the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ffcomp.errors import MeasurementError
+from ffcomp.measurement.axis_run import AxisRun
+from models.arrays import FloatArray
+from models.axis.machine import AxisMachine
+from models.axis.simulate import AxisMotion, simulate_axis
+
+SHOT = 0.4  # of the time in which the motion changes its speed by as much as it has of it
+SHORTEST, LINES_A_SHOT = 20, 5.0  # samples of a shot; its inverse times that is where the band ends
+WINDOWS, LEAST_ROWS = 6, 200  # of time, in a run; rows of a window
+MOST_OF_POWER, BEYOND = 0.998, 1.25  # of the signals: the band ends so much beyond the frequency that holds it
+LAST = 0.4  # of the sample rate: there every band ends
+SPANS = (5, 7, 11, 15, 21, 31, 45, 63)  # samples over which a speed may be taken
+
+
+@dataclass(frozen=True, eq=False)
+class Shots:
+    """One run with the states at which its simulation begins anew."""
+
+    run: AxisRun
+    length: int  # samples of a shot; 0: there is one
+    begin: FloatArray  # (shots, 2) mm and mm/s
+    speed: FloatArray  # (n,) mm/s
+
+    def simulate(self, machine: AxisMachine) -> AxisMotion:
+        """Simulate the run; ValueError if the axis moves to infinity."""
+        return simulate_axis(machine, self.run.given, 1 / self.run.sample_rate_hz, shot=self.length, begin=self.begin)
+
+    def own_motion(self, name: str) -> FloatArray:
+        """Return what of a signal, (n,), the forces of a shot make: without its beginning, or without its command."""
+        x = self.run.signals[name]
+        if name.startswith("acc"):
+            return x
+        if not self.length:
+            return x - (np.nanmean(x) if self.run.by_force else self.run.given)
+        k = np.arange(len(x)) % self.length
+        first = np.arange(len(x)) // self.length
+        return np.asarray(x - x[first * self.length] - self.begin[first, 1] * k / self.run.sample_rate_hz)
+
+
+def checked(machine: AxisMachine, runs: Sequence[AxisRun]) -> None:
+    """Refuse runs that do not fit the machine file.
+
+    Raises
+    ------
+    MeasurementError
+    """
+    for run in runs:
+        if run.by_force != machine.axis.by_force:
+            column, other = ("force_n", "position") if run.by_force else ("cmd_q_mm", "force")
+            rule = f"The run gives {column}, but axis.input of {machine.name} is {other!r}: change one of the two."
+            raise MeasurementError(run.source, [rule])
+
+
+def shots_of(machine: AxisMachine, runs: Sequence[AxisRun]) -> list[Shots]:
+    """Choose where the simulation of each run begins anew; one length for all."""
+    checked(machine, runs)
+    speeds = [_speed(run) for run in runs]
+    needed = machine.axis.free and any(run.position for run in runs)
+    seconds = _shot_s(runs, speeds) if needed else 0.0
+    return [_shots(run, speed, seconds) for run, speed in zip(runs, speeds, strict=True)]
+
+
+def _shots(run: AxisRun, speed: FloatArray, seconds: float) -> Shots:
+    length = max(round(seconds * run.sample_rate_hz), SHORTEST) if seconds and run.position else 0
+    place = _bridged(_place(run))
+    at = np.arange(0, len(place), length) if length else np.zeros(1, dtype=int)
+    moving = speed[at] if run.position else np.zeros(len(at))  # who measures no position begins at rest
+    return Shots(run, length, np.column_stack([place[at], moving]), speed)
+
+
+def _place(run: AxisRun) -> FloatArray:
+    """Return where the axis was, (n,) mm: measured; else as it was told, or where it began."""
+    measured = run.position.get("pos_q", run.position.get("pos_motor"))
+    if measured is not None:
+        return measured
+    return np.zeros(len(run.given)) if run.by_force else run.given
+
+
+def _bridged(x: FloatArray) -> FloatArray:
+    known = np.isfinite(x)
+    t = np.arange(len(x))
+    return x if known.all() else np.interp(t, t[known], x[known])
+
+
+def _speed(run: AxisRun) -> FloatArray:
+    """Return the speed, (n,) mm/s: the slope over as many samples as the noise asks for and the motion allows.
+
+    The span grows as long as what it changes is explained by the noise of the positions (Lepski's rule).
+    """
+    from scipy.signal import savgol_filter
+
+    place, rate = _bridged(_place(run)), run.sample_rate_hz
+    sd = noise_sd(place)
+    chosen = np.gradient(place, 1 / rate)
+    for span in SPANS:
+        if span > len(place):
+            break
+        smooth = np.asarray(savgol_filter(place, span, 2, deriv=1, delta=1 / rate))
+        before = np.sqrt(12.0) * sd * rate / (span - 2) ** 1.5
+        if span > SPANS[0] and np.sqrt(np.mean((smooth - chosen) ** 2)) > before:
+            break
+        chosen = smooth
+    return chosen
+
+
+def noise_sd(position: FloatArray) -> float:
+    """Return the standard deviation of a position's noise: of its digits, or of what changes from sample to sample."""
+    steps = np.diff(np.unique(position))
+    digit = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    coarse = digit if digit > 1e-9 * max(float(np.ptp(position)), 1e-12) and len(steps) < len(position) / 2 else 0.0
+    rough = float(np.median(np.abs(np.diff(position, 4)))) / 0.6745 / np.sqrt(70.0)
+    return max(coarse / np.sqrt(12.0), rough, 1e-12)
+
+
+def _shot_s(runs: Sequence[AxisRun], speeds: Sequence[FloatArray]) -> float:
+    """Return how long a shot lasts, s, by how quickly the motion changes its speed."""
+    change = [np.gradient(v, 1 / run.sample_rate_hz) for v, run in zip(speeds, runs, strict=True)]
+    v = float(np.sqrt(np.mean(np.concatenate(speeds) ** 2)))
+    a = float(np.sqrt(np.mean(np.concatenate(change) ** 2)))
+    return SHOT * v / max(a, 1e-12)
+
+
+def band_of(shots: Sequence[Shots]) -> tuple[float, float]:
+    """Return the frequencies that are compared, Hz: from less than a line of a window to where the motion ends."""
+    rate = min(one.run.sample_rate_hz for one in shots)
+    low = 0.5 / max((part.stop - part.start) / one.run.sample_rate_hz for one in shots for part in windows(one))
+    if shots[0].length:
+        return low, min(LINES_A_SHOT * shots[0].run.sample_rate_hz / shots[0].length, LAST * rate)
+    high = max(_where_it_ends(one, name) for one in shots for name in one.run.signals)
+    return low, min(max(BEYOND * high, 20 * low), LAST * rate)
+
+
+def _where_it_ends(one: Shots, name: str) -> float:
+    x = _bridged(one.own_motion(name))
+    power = np.cumsum(np.abs(np.fft.rfft((x - np.mean(x)) * np.hanning(len(x)))) ** 2)
+    return float(np.searchsorted(power, MOST_OF_POWER * power[-1]) * one.run.sample_rate_hz / len(x))
+
+
+def windows(one: Shots) -> list[slice]:
+    """Cut a run into windows of time, of whole shots; the last one takes the rest."""
+    rows = len(one.run.given)
+    unit = one.length or 1
+    size = max(rows // WINDOWS, LEAST_ROWS) // unit * unit or unit
+    starts = list(range(0, max(rows - size, 0) + 1, size))
+    return [slice(a, a + size) for a in starts[:-1]] + [slice(starts[-1], rows)]
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Sizes of the motion, SI: what is much and what is little of each quantity."""
+
+    force_n: float
+    speed_m_per_s: float
+    way_m: float  # rms about the middle
+    travel_m: float  # from end to end
+    stretch_m: float  # of the spring at the end; the way, where there is none
+
+
+def scales_of(machine: AxisMachine, shots: Sequence[Shots]) -> Scales:
+    """Take the sizes of the motion from the runs."""
+    places = np.concatenate([1e-3 * (p - np.mean(p)) for p in (_bridged(_place(one.run)) for one in shots)])
+    speed = float(np.sqrt(np.mean(np.concatenate([one.speed for one in shots]) ** 2))) / 1e3
+    force = _force(machine, shots)
+    way, k = float(np.std(places)), machine.axis.last_stiffness
+    stretch = force / k if k else way
+    return Scales(force, max(speed, 1e-9), max(way, 1e-9), max(float(np.ptp(places)), 1e-9), max(stretch, 1e-12))
+
+
+def _force(machine: AxisMachine, shots: Sequence[Shots]) -> float:
+    if machine.axis.by_force:
+        return float(np.std(np.concatenate([one.run.given for one in shots])))
+    change = [np.gradient(one.speed, 1 / one.run.sample_rate_hz) / 1e3 for one in shots]
+    return machine.axis.moved_kg * float(np.std(np.concatenate(change)))

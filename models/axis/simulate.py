@@ -1,0 +1,153 @@
+"""Simulate an axis with its effects, and what its sensors would record."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.arrays import FloatArray
+from models.axis.kernel import NAMES, integrate_axis
+from models.axis.machine import AxisMachine, AxisParameters
+from models.effects.catalogue import CATALOGUE, effects_of, values_of
+
+LONGEST_STEP_S = 0.002
+TURNS = 0.25  # of a radian may the fastest mode turn in a step
+STEEP = 1.5  # a step times the rate at which friction stops what moves: the method is stable up to 2.8
+MOST_SUBSTEPS = 200
+
+
+@dataclass(frozen=True, eq=False)
+class AxisMotion:
+    """The motion of an axis, n samples."""
+
+    t_s: FloatArray  # (n,)
+    position_mm: FloatArray  # (n,) of the load; without one, of the mass
+    motor_mm: FloatArray  # (n,) of the mass
+    acceleration: FloatArray  # (n,) m/s², of the load; without one, of the mass
+
+    def sensed(self, machine: AxisMachine) -> dict[str, FloatArray]:
+        """Return what the sensors read, by the names of a recording's signals."""
+        values = values_of(machine, "sensor_gain")
+        gain = 1.0 if values is None else 1.0 + float(np.atleast_1d(values["nozzle_relative_change"])[0])
+        return {"pos_q": self.position_mm, "pos_motor": self.motor_mm, "acc_q": gain * self.acceleration}
+
+
+def axis_effects(machine: AxisMachine) -> tuple[str, ...]:
+    """Return the effects that this axis may have: what needs a spring or a command is not of one without."""
+    spring, command = machine.axis.last_stiffness > 0.0, not machine.axis.by_force
+    needs = dict.fromkeys(("belt_stiffness", "belt_backlash", "belt_hardening"), spring)
+    needs |= {"cogging": command, "ground_spring": machine.axis.free}
+    return tuple(name for name in effects_of(machine.moves) if needs.get(name, True))
+
+
+def simulate_axis(
+    machine: AxisMachine,
+    given: FloatArray,
+    dt_s: float,
+    *,
+    shot: int = 0,
+    begin: FloatArray | None = None,
+    substeps: int = 0,
+) -> AxisMotion:
+    """Simulate an axis with its effects.
+
+    Parameters
+    ----------
+    given : (n,) the input: N, or mm of the commanded position.
+    shot : samples after which the motion begins anew; 0: never.
+    begin : (shots, 2) mm and mm/s at each beginning; None: at rest where the input holds it.
+    substeps : integration steps a sample; 0: as many as the axis needs.
+
+    Raises
+    ------
+    ValueError
+        If the motion goes to infinity, or an effect is not complete.
+    """
+    p = kernel_parameters(machine)
+    scaled = given if machine.axis.by_force else 1e-3 * given
+    first = np.array([[0.0 if machine.axis.by_force else scaled[0], 0.0]]) if begin is None else 1e-3 * begin
+    steps = substeps or substeps_of(p, dt_s)
+    out = integrate_axis(
+        np.ascontiguousarray(scaled, float), dt_s, steps, shot or len(given) + 1, np.ascontiguousarray(first), p
+    )
+    if not np.all(np.isfinite(out)):
+        raise ValueError("With these numbers the axis moves to infinity.")
+    t = np.asarray(dt_s * np.arange(len(given)), dtype=np.float64)
+    return AxisMotion(t, 1e3 * out[:, 1], 1e3 * out[:, 0], out[:, 2])
+
+
+def substeps_of(p: FloatArray, dt_s: float) -> int:
+    """Return how many integration steps a sample needs."""
+    v = dict(zip(NAMES, p.tolist(), strict=True))
+    least = min(v["mass"], v["load"] or v["mass"])
+    omega = math.sqrt((v["stiffness"] + v["coupling"]) / least)
+    rate = (v["damping"] + v["coupling_damping"]) / least
+    if v["dry"] + v["sticking"] > 0.0:
+        rate += (v["dry"] + v["sticking"]) / (v["creep"] * v["mass"])
+    if v["bristle"] > 0.0:
+        omega = math.hypot(omega, math.sqrt(v["bristle"] / (v["presliding"] * v["mass"])))
+    longest = min(LONGEST_STEP_S, TURNS / max(omega, 1e-9), STEEP / max(rate, 1e-9))
+    return min(max(1, math.ceil(dt_s / longest * (1 - 1e-9))), MOST_SUBSTEPS)
+
+
+def kernel_parameters(machine: AxisMachine) -> FloatArray:
+    """Return (32,) the kernel's numbers of an axis with its effects, SI."""
+    axis = machine.axis
+    p = dict.fromkeys(NAMES, 0.0) | {"fading_power": 2.0, "creep": 1.0, "presliding": 1.0}
+    p |= {"mass": axis.mass_kg, "stiffness": axis.stiffness_n_per_m, "damping": axis.damping_n_s_per_m}
+    p |= {
+        "offset": axis.offset_n,
+        "by_force": float(axis.by_force),
+        "coupling_damping": axis.coupling_damping_n_s_per_m,
+    }
+    p |= {"load": axis.load_mass_kg or 0.0, "coupling": axis.coupling_stiffness_n_per_m or 0.0}
+    for name in machine.effects:
+        values = values_of(machine, name)
+        if values is not None and name in effects_of(machine.moves):
+            _add(p, name, {key: float(np.ravel(x)[0]) for key, x in values.items()}, axis)
+    return np.array([p[name] for name in NAMES])
+
+
+def _add(p: dict[str, float], name: str, v: Mapping[str, float], axis: AxisParameters) -> None:
+    """Put one effect into the kernel's numbers."""
+    if name in ("coulomb_friction", "stribeck_friction"):
+        p["dry"] += v["force_n"]
+        p["creep"], p["hold"] = 1e-3 * v["creep_mm_per_s"], v["hold_per_s"]
+        if name == "stribeck_friction":
+            p["sticking"], p["fading"] = v["extra_force_n"], 1e3 / v["velocity_mm_per_s"]
+            p["fading_power"] = v["exponent"]
+    elif name == "guide_damping":
+        p["damping"] += v["added_n_s_per_m"]
+    elif name == "belt_stiffness":
+        p["coupling" if axis.load_mass_kg else "stiffness"] *= 1 + v["relative_change"]
+    elif name == "cogging":
+        p |= {"ripple": 1e-3 * v["amplitude_mm"], "wave": 2e3 * math.pi / v["pitch_mm"]}
+        p |= {"phase": math.radians(v["phase_deg"])} | {k: v[k] for k in ("second_sine", "second_cosine")}
+    elif name == "cogging_force":
+        p |= {"sine": v["sine_n"], "cosine": v["cosine_n"], "force_wave": 2e3 * math.pi / v["pitch_mm"]}
+    elif name == "belt_backlash":
+        p |= {"half_backlash": 5e-4 * v["width_mm"], "landing": v["landing_s_per_m"]}
+    else:
+        p |= {own: factor * v[key] for key, (own, factor) in PLAIN.get(name, {}).items()}
+
+
+# effect -> its key -> the kernel's number, and what it is multiplied by
+PLAIN: Mapping[str, Mapping[str, tuple[str, float]]] = {
+    "belt_hardening": {"cubic_n_per_m3": ("cubic", 1.0), "quintic_n_per_m5": ("quintic", 1.0)},
+    "command_delay": {"delay_s": ("delay", 1.0)},
+    "friction_by_direction": {"damping_difference_n_s_per_m": ("by_direction", 1.0)},
+    "ground_spring": {"stiffness_n_per_m": ("ground", 1.0)},
+    "quadratic_drag": {"force_n_s2_per_m2": ("drag", 1.0)},
+    "bristle_friction": {"force_n": ("bristle", 1.0), "presliding_mm": ("presliding", 1e-3)},
+}
+
+
+def with_effects(machine: AxisMachine, effects: Mapping[str, Mapping[str, object]]) -> AxisMachine:
+    """Return the axis with these effects added or replaced."""
+    unknown = [name for name in effects if name not in CATALOGUE]
+    if unknown:
+        raise ValueError(f"effects.{unknown[0]} is not an effect ffcomp knows.")
+    return replace(machine, effects={**machine.effects, **effects})

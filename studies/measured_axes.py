@@ -1,0 +1,170 @@
+"""Make machine files and runs of axes whose effect is known: EMPS, Silverbox, Bouc-Wen.
+
+    python -m studies.measured_axes FOLDER [--data DATA] [NAME ...]
+
+EMPS (A. Janot, M. Gautier and M. Brunot, 2019) and Silverbox (T. Wigren and J. Schoukens, 2013) are measured; fetch
+them from nonlinearbenchmark.org into `emps` and `silverbox` of DATA (default: $FFCOMP_DATA). They are not shipped.
+Bouc-Wen (J.-P. Noël and M. Schoukens, 2016) is simulated here by its published equations and parameters: a stand-in
+for the benchmark's own files. Each becomes FOLDER/NAME.toml and FOLDER/NAME-*.csv, for `ffcomp gap` and `diagnose`:
+
+    ffcomp diagnose FOLDER/emps-plain.csv -m FOLDER/emps.toml --without-repeats
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ffcomp.errors import MeasurementError
+from models.arrays import FloatArray
+
+DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[2] / "shared" / "data"))
+EMPS_FILES = {"plain": "DATA_EMPS.mat", "pulses": "DATA_EMPS_PULSES.mat"}
+
+SILVERBOX_HZ = 610.35
+# NOTE: only ratios of its volts mean something; with these units the numbers look like an axis
+NEWTONS_A_VOLT, MM_A_VOLT = 1000.0, 1.0
+REALISATION, BEFORE = 8192, 40700  # samples of a multisine, of which ten follow the growing sweep
+PARTS = 3  # multisines that are taken
+
+BOUC_WEN = {"m": 2.0, "c": 10.0, "k": 5e4, "alpha": 5e4, "beta": 1e3, "gamma": 0.8, "delta": -1.1}  # ν = 1
+BOUC_WEN_HZ, BOUC_WEN_BAND_HZ, BOUC_WEN_N, NOISE_MM = 750.0, (5.0, 150.0), 50.0, 8e-3
+FINER = 20  # steps of the simulation a sample
+
+FILE = """# {about}
+format = "ffcomp-machine/1"
+name = "{name}"
+
+[kinematics]
+type = "axis"
+
+[axis]
+input = "force"
+mass_kg = {mass}
+stiffness_n_per_m = {stiffness}
+damping_n_s_per_m = {damping}
+
+[uncertainty]
+"axis.mass_kg" = {sure[0]}
+"axis.stiffness_n_per_m" = {sure[1]}
+"axis.damping_n_s_per_m" = {sure[2]}
+"""
+
+
+def main() -> None:
+    """Write what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("names", nargs="*", metavar="NAME")
+    parser.add_argument("--data", type=Path, default=DATA)
+    given = parser.parse_args()
+    for name in given.names or MAKERS:
+        written = MAKERS[name](given.folder, given.data)
+        print(f"{name}: {', '.join(str(path) for path in written)}")
+
+
+def emps(folder: Path, data: Path = DATA) -> list[Path]:
+    """Write EMPS: motor voltage times gain is the force, `qm` the measured position; the file's guesses are rough.
+
+    NOTE: the file with pulses holds them once more as `pulses_N`. They are in `vir` already, and in volts: `vir` jumps
+    by 5 V where they do, and regressing gain · vir on mass, frictions, offset and `pulses_N` gives the last a factor
+    of -0.03 to -0.07. Added as a force they would be half the time a force that did not act.
+    """
+    from scipy.io import loadmat
+
+    about = "EMPS, with rough guesses: Janot, Gautier and Brunot, Nonlinear System Identification Benchmarks, 2019"
+    text = FILE.format(about=about, name="emps", mass=50.0, stiffness=0.0, damping=100.0, sure=(0.5, 0.5, 1.0))
+    written = [_file(folder, "emps", text)]
+    for part, name in EMPS_FILES.items():
+        path = data / "emps" / name
+        variables = loadmat(path)
+        missing = [key for key in ("t", "vir", "qm", "gtau") if key not in variables]
+        if missing:
+            raise MeasurementError(str(path), [f"The variable {missing[0]!r} is missing; an EMPS file has it."])
+        t, voltage, q = (np.asarray(variables[key], dtype=float).ravel() for key in ("t", "vir", "qm"))
+        force = float(variables["gtau"].ravel()[0]) * voltage
+        written.append(_run(folder / f"emps-{part}.csv", t, force, 1e3 * q))
+    return written
+
+
+def silverbox(folder: Path, data: Path = DATA) -> list[Path]:
+    """Write Silverbox, an electronic mass on a spring that hardens: some of its multisines, in units of our own."""
+    volts = np.genfromtxt(data / "silverbox" / "SNLS80mV.csv", delimiter=",", skip_header=1)[:, :2]
+    about = "Silverbox, with rough guesses, 1 V in = 1 kN and 1 V out = 1 mm: Wigren and Schoukens, 2013"
+    text = FILE.format(about=about, name="silverbox", mass=5.0, stiffness=1e6, damping=200.0, sure=(0.2, 0.2, 0.5))
+    written = [_file(folder, "silverbox", text)]
+    for k in range(PARTS):
+        part = volts[BEFORE + k * (REALISATION + 500) :][:REALISATION] - volts.mean(axis=0)
+        t = np.arange(len(part)) / SILVERBOX_HZ
+        path = folder / f"silverbox-multisine{'abc'[k]}.csv"
+        written.append(_run(path, t, NEWTONS_A_VOLT * part[:, 0], MM_A_VOLT * part[:, 1]))
+    return written
+
+
+def bouc_wen(folder: Path, data: Path = DATA) -> list[Path]:
+    """Write a simulated Bouc-Wen oscillator: two multisines, each twice, with the benchmark's noise."""
+    del data
+    about = "Bouc-Wen, simulated by the published equations: Noël and Schoukens, 2016; its stiffness before it slides"
+    stiffness = BOUC_WEN["k"] + BOUC_WEN["alpha"]
+    text = FILE.format(about=about, name="bouc-wen", mass=2.0, stiffness=stiffness, damping=10.0, sure=(0.02, 0.1, 0.2))
+    written, rng = [_file(folder, "bouc-wen", text)], np.random.default_rng(16)
+    for part in "ab":
+        force = multisine(rng)
+        position = 1e3 * simulated_bouc_wen(force)
+        for repeat in (1, 2):
+            measured = position + NOISE_MM * rng.normal(size=len(position))
+            t = np.arange(len(position)) / BOUC_WEN_HZ
+            written.append(_run(folder / f"bouc-wen-{part}-{repeat}.csv", t, force[::FINER], measured))
+    return written
+
+
+def multisine(rng: np.random.Generator, samples: int = 4096) -> FloatArray:
+    """Return a random-phase multisine of the benchmark's band and size, at the finer rate, (n,) N."""
+    lines = np.fft.rfftfreq(samples, 1 / BOUC_WEN_HZ)
+    spectrum = np.zeros(samples * FINER // 2 + 1, dtype=complex)
+    inside = np.flatnonzero((lines >= BOUC_WEN_BAND_HZ[0]) & (lines <= BOUC_WEN_BAND_HZ[1]))
+    spectrum[inside] = np.exp(2j * np.pi * rng.random(len(inside)))
+    force = np.fft.irfft(spectrum, samples * FINER)
+    return np.asarray(BOUC_WEN_N * force / force.std())
+
+
+def simulated_bouc_wen(force: FloatArray) -> FloatArray:
+    """Return the position, (n,) m: m ÿ + c ẏ + k y + z = u, ż = α ẏ − β (γ |ẏ| z + δ ẏ |z|), by Heun's method."""
+    p, h = BOUC_WEN, 1 / (BOUC_WEN_HZ * FINER)
+
+    def rate(y: float, v: float, z: float, u: float) -> tuple[float, float, float]:
+        bent = p["alpha"] * v - p["beta"] * (p["gamma"] * abs(v) * z + p["delta"] * v * abs(z))
+        return v, (u - p["c"] * v - p["k"] * y - z) / p["m"], bent
+
+    y = v = z = 0.0
+    found = []
+    for i, u in enumerate(force.tolist()):
+        if i % FINER == 0:
+            found.append(y)
+        now = rate(y, v, z, u)
+        then = rate(y + h * now[0], v + h * now[1], z + h * now[2], float(force[(i + 1) % len(force)]))
+        y, v, z = (x + h / 2 * (a + b) for x, a, b in zip((y, v, z), now, then, strict=True))
+    return np.array(found)
+
+
+def _file(folder: Path, name: str, text: str) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{name}.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def _run(path: Path, t: FloatArray, force_n: FloatArray, position_mm: FloatArray) -> Path:
+    table = np.column_stack([t, force_n, position_mm])
+    np.savetxt(path, table, delimiter=",", header="t_s,force_n,pos_q_mm", comments="", fmt="%.9g")
+    return path
+
+
+MAKERS: Mapping[str, Callable[[Path, Path], list[Path]]] = {"emps": emps, "silverbox": silverbox, "bouc-wen": bouc_wen}
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,183 @@
+"""One axis by itself: closed forms, and what its machine file may say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from models.axis.kernel import NAMES
+from models.axis.machine import AxisMachine, AxisParameters
+from models.axis.simulate import AxisMotion, axis_effects, kernel_parameters, simulate_axis, substeps_of, with_effects
+from models.effects.catalogue import CATALOGUE, effects_of
+from models.errors import MachineFileError
+from models.file import load_machine, load_plant
+
+DT = 1e-3
+FREE = AxisMachine("free", AxisParameters("force", 100.0, 0.0, 500.0))
+SPRUNG = AxisMachine("sprung", AxisParameters("position", 2.0, 2e5, 40.0))
+TWO = AxisMachine("two", AxisParameters("force", 1.0, 0.0, 0.0, 3.0, 4e4, 0.0))
+FILE = """
+format = "ffcomp-machine/1"
+name = "lift"
+[kinematics]
+type = "axis"
+[axis]
+input = "position"
+mass_kg = 2.0
+stiffness_n_per_m = 2.0e5
+damping_n_s_per_m = 40.0
+"""
+
+
+def moved(machine: AxisMachine, given: np.ndarray, **effects: Any) -> AxisMotion:
+    return simulate_axis(with_effects(machine, effects), given, DT)
+
+
+def test_a_constant_force_against_friction_in_closed_form() -> None:
+    """M v̇ = F − F_c − b v from rest: x = v_∞ (t − τ (1 − exp(−t/τ))), τ = M/b."""
+    tau, top = 100.0 / 500.0, (120.0 - 20.0) / 500.0
+    found = moved(FREE, np.full(400, 120.0), coulomb_friction={"force_n": 20.0})
+    t = found.t_s
+    expected = 1e3 * top * (t - tau * (1 - np.exp(-t / tau)))
+    np.testing.assert_allclose(found.position_mm, expected, atol=0.05)  # mm of 35: it begins to slide within 0.5 mm/s
+    held = moved(FREE, np.full(400, 15.0), coulomb_friction={"force_n": 20.0})
+    assert np.abs(held.position_mm).max() < 0.1
+
+
+def test_a_spring_follows_its_command_as_an_oscillator() -> None:
+    """A step of 1 mm: x = 1 − e^(−ζωt) (cos ω_d t + ζω/ω_d sin ω_d t)."""
+    omega, decay = np.sqrt(2e5 / 2.0), 40.0 / 4.0
+    damped = np.sqrt(omega**2 - decay**2)
+    u = np.concatenate([[0.0], np.ones(300)])
+    x = simulate_axis(SPRUNG, u, 1e-4).position_mm[1:]
+    t = 1e-4 * (np.arange(300) + 0.5)  # the command rises along the first sample
+    expected = 1 - np.exp(-decay * t) * (np.cos(damped * t) + decay / damped * np.sin(damped * t))
+    np.testing.assert_allclose(x, expected, atol=2e-3)
+
+
+def test_two_masses_swing_against_each_other_about_their_middle() -> None:
+    omega = np.sqrt(4e4 * (1 / 1.0 + 1 / 3.0))
+    push = np.where(np.arange(2000) < 5, 100.0, 0.0)
+    found = moved(TWO, push)
+    stretch = found.position_mm - found.motor_mm
+    middle = (found.motor_mm + 3 * found.position_mm)[10:] / 4
+    assert np.ptp(np.diff(middle)) < 1e-6 * np.ptp(middle)  # no force: the middle goes on
+    turns = np.flatnonzero(np.diff(np.sign(stretch[10:])))
+    assert np.pi / (DT * np.mean(np.diff(turns))) == pytest.approx(omega, rel=2e-3)
+
+
+def test_viscous_friction_by_direction_is_half_more_and_half_less() -> None:
+    long = np.full(3000, 60.0)
+    by = {"friction_by_direction": {"damping_difference_n_s_per_m": 100.0}}
+    speeds = [np.gradient(moved(FREE, sign * long, **by).position_mm, 1e3 * DT)[-1] for sign in (1, -1)]
+    assert speeds == pytest.approx([60.0 / 550.0, -60.0 / 450.0], rel=1e-3)
+
+
+def test_bristles_spring_back_before_they_slide() -> None:
+    up_and_down = np.concatenate([np.linspace(0, 1, 500), np.linspace(1, 0, 500), np.zeros(1000)])
+    bristles = {"bristle_friction": {"force_n": 20.0, "presliding_mm": 0.1}}
+    found = moved(FREE, 2.0 * up_and_down, **bristles)
+    assert found.position_mm[499] == pytest.approx(2.0 / 200.0, rel=0.1)  # F/(F_C/s₀), mm
+    assert abs(found.position_mm[-1]) < 0.2 * found.position_mm[499]  # it has slid a little
+
+
+def test_play_is_a_dead_band_and_a_late_command_is_late() -> None:
+    slow = 5.0 * np.sin(2 * np.pi * np.arange(2000) * DT)
+    play = moved(SPRUNG, slow, belt_backlash={"width_mm": 0.1}, coulomb_friction={"force_n": 5.0})
+    plain = moved(SPRUNG, slow, coulomb_friction={"force_n": 5.0})
+    difference = (plain.position_mm - play.position_mm)[1100:1400]
+    assert np.median(np.abs(difference)) == pytest.approx(0.05, rel=0.1)
+    late = moved(SPRUNG, slow, command_delay={"delay_s": 0.01}).position_mm[510:1500]
+    np.testing.assert_allclose(late, moved(SPRUNG, slow).position_mm[500:1490], atol=2e-3)
+
+
+PROBES: dict[str, tuple[AxisMachine, dict[str, float]]] = {
+    "belt_backlash": (SPRUNG, {"width_mm": 0.05}),
+    "belt_hardening": (SPRUNG, {"cubic_n_per_m3": 1e13}),
+    "belt_stiffness": (SPRUNG, {"relative_change": 0.2}),
+    "bristle_friction": (FREE, {"force_n": 5.0, "presliding_mm": 0.5}),
+    "cogging": (SPRUNG, {"amplitude_mm": 0.01, "pitch_mm": 1.0}),
+    "cogging_force": (FREE, {"sine_n": 3.0, "cosine_n": 0.0, "pitch_mm": 2.0}),
+    "command_delay": (SPRUNG, {"delay_s": 2e-3}),
+    "coulomb_friction": (FREE, {"force_n": 5.0}),
+    "friction_by_direction": (FREE, {"damping_difference_n_s_per_m": 50.0}),
+    "ground_spring": (FREE, {"stiffness_n_per_m": 500.0}),
+    "guide_damping": (FREE, {"added_n_s_per_m": 100.0}),
+    "quadratic_drag": (FREE, {"force_n_s2_per_m2": 1000.0}),
+    "sensor_gain": (FREE, {"nozzle_relative_change": 0.1}),
+    "stribeck_friction": (FREE, {"force_n": 2.0, "extra_force_n": 5.0, "velocity_mm_per_s": 5.0}),
+}
+
+
+@pytest.mark.parametrize("name", sorted(PROBES))
+def test_every_effect_of_an_axis_does_something_at_any_step(name: str) -> None:
+    assert set(PROBES) == set(effects_of("axis"))
+    machine, values = PROBES[name]
+    given = (60.0 if machine is FREE else 5.0) * np.sin(2 * np.pi * 2 * np.arange(800) * DT)
+    plain, found = (m.sensed(own) for m, own in ((moved(machine, given), machine), _with(machine, given, name, values)))
+    assert name in axis_effects(machine)
+    kind = "acc_q" if name == "sensor_gain" else "pos_q"
+    assert np.std(found[kind] - plain[kind]) > 1e-3 * np.std(plain[kind])
+    own = with_effects(machine, {name: values})
+    steps = substeps_of(kernel_parameters(own), DT)
+    finer = simulate_axis(own, given, DT, substeps=8 * steps).position_mm
+    change = simulate_axis(own, given, DT).position_mm
+    assert np.abs(change - finer).max() < 0.02 * np.abs(change - moved(machine, given).position_mm).max() + 1e-4
+
+
+def _with(
+    machine: AxisMachine, given: np.ndarray, name: str, values: dict[str, float]
+) -> tuple[AxisMotion, AxisMachine]:
+    own = with_effects(machine, {name: values})
+    return simulate_axis(own, given, DT), own
+
+
+def test_what_needs_a_spring_or_a_command_is_not_of_a_free_axis() -> None:
+    missing = set(effects_of("axis")) - set(axis_effects(FREE))
+    assert missing == {"belt_backlash", "belt_hardening", "belt_stiffness", "cogging"}
+    assert set(effects_of("axis")) - set(axis_effects(SPRUNG)) == {"ground_spring"}
+    assert len(NAMES) == len(kernel_parameters(FREE))
+
+
+def test_an_axis_goes_to_infinity_in_words() -> None:
+    with pytest.raises(ValueError, match="infinity"):
+        moved(FREE, np.full(4000, 1e4), quadratic_drag={"force_n_s2_per_m2": -1e6})
+
+
+def test_the_file_of_an_axis(tmp_path: Path) -> None:
+    path = tmp_path / "lift.toml"
+    path.write_text(FILE)
+    found = load_plant(path)
+    assert isinstance(found, AxisMachine) and found.axis.mass_kg == 2.0
+    assert found.tunable == ("axis.mass_kg", "axis.stiffness_n_per_m", "axis.damping_n_s_per_m")
+    with pytest.raises(MachineFileError, match="no G-code"):
+        load_machine(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (("2.0e5", "0.0"), "nothing ties the axis to its commanded position"),
+        (("damping_n", "load_mass_kg = 1.0\ndamping_n"), "belong together"),
+        (("damping_n", "coupling_damping_n_s_per_m = 1.0\ndamping_n"), "is of a coupling"),
+        (('name = "lift"', 'name = "lift"\n[effects.effector_mass]\nadded_kg = 0.1'), "none of one axis by itself"),
+        (('"position"', '"torque"'), "must be 'position' or 'force'"),
+    ],
+)
+def test_mistakes_in_the_file_of_an_axis(change: tuple[str, str], sentence: str, tmp_path: Path) -> None:
+    path = tmp_path / "lift.toml"
+    path.write_text(FILE.replace(*change))
+    with pytest.raises(MachineFileError, match=sentence):
+        load_plant(path)
+
+
+def test_a_printer_has_no_effect_of_an_axis(tmp_path: Path) -> None:
+    text = Path(str(load_machine("mp-delta-pro").path)).read_text()
+    path = tmp_path / "delta.toml"
+    path.write_text(text + "\n[effects.ground_spring]\nstiffness_n_per_m = 5.0\n")
+    with pytest.raises(MachineFileError, match="none of a delta"):
+        load_machine(path)
+    assert CATALOGUE["ground_spring"].of == ("axis",)
