@@ -264,13 +264,19 @@ class Writer:
         if not self.open:
             self.open = True
             self.frame = int(moves.frame[move])
-            yield from self._limits(self._opening())
             self._tell_frame(moves.start[move].tolist())
-        if self.to_return:  # so that a macro that did not come back is made up for at travel speed, not at a segment's
-            self.to_return = False
-            if stated := self.moves.here(float(moves.speed[move])):
-                yield stated.rstrip(b"\n") + OURS + self.ending
+            yield from self._return(float(moves.speed[move]))
+            yield from self._limits(self._opening())
         self._take_frame(int(moves.frame[move]))
+
+    def _return(self, speed: float) -> Iterator[bytes]:
+        """State the place, still within the file's own limits, where the nozzle may have been left elsewhere.
+
+        A macro that did not come back, or an object that was excluded, is then made up for at travel speed.
+        """
+        if self.to_return and (stated := self.moves.here(speed)):
+            yield stated.rstrip(b"\n") + OURS + self.ending
+        self.to_return = False
 
     def _original(self, line: int) -> bytes:
         """Keep a line of the original as a comment, if the file shall hold its original."""
