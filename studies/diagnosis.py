@@ -1,11 +1,13 @@
-"""The full blind test of `ffcomp diagnose`: makes the bank, asks the command line, opens the labels, writes the page.
+"""The full blind test of `ffcomp diagnose`, with three rivals on the same sealed cases.
 
-    python -m studies.diagnosis --cases 120 --jobs 2 --resume DIR      docs/DIAGNOSIS.md and its figure
+    python -m studies.diagnosis --cases 240 --jobs 2 --resume DIR       docs/DIAGNOSIS.md and its figure
+    python -m studies.diagnosis --cases 240 --scheduler tcp://HOST:8786 --resume DIR      by a Dask cluster
+    python -m studies.diagnosis --cases 240 --resume DIR --render       the page of what is done so far
 
-The bank is `validation/blind`. Everything is kept in DIR (see `validation/blind/seal.py`), so that it can be
-interrupted and
-continued, also with more cases; a verdict that is there is not asked for again. Without `--write` the page goes to
-standard output.
+The bank is `ffcomp/bank`. Everything is kept in DIR (see `ffcomp/bank/seal.py`; of a cluster, on a disk that all
+workers see), so that it can be stopped at any time and continued: a verdict that is there is not asked for again. The
+cases come in an order of which every beginning is balanced. Each is sealed, asked for in a process of its own
+(`bank_case`), and only the labels of answered cases are opened, at the end.
 """
 
 from __future__ import annotations
@@ -16,57 +18,73 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import joblib
 import numpy as np
 
+from ffcomp.bank import score
+from ffcomp.bank.cases import case
+from ffcomp.bank.kinds import KINDS
+from ffcomp.bank.seal import label_path, open_labels, verdict_path, write_case
+from ffcomp.bank.strata import FULL, full_bank
 from studies.render import save
-from validation.blind import score
-from validation.blind.bank import case
-from validation.blind.seal import open_labels, verdict_path, write_case
-from validation.blind.strata import full_bank
 
 ROOT = Path(__file__).parents[1]
-LONGEST_S = 3600.0
+LONGEST_S = 900.0
 FIGURE = ROOT / "docs" / "diagnosis_confusion.png"
 EDGES = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, np.inf)
+METHODS = {"ours": "ffcomp", "sindy": "SINDy", "spike_slab": "spike and slab", "bic": "BIC, one effect"}
 
 
 def main() -> None:
+    """Make, ask, open, and write the page."""
     options = _options()
     bank = Path(options.resume)
-    cases = full_bank(options.cases, options.seed)
+    cases = full_bank(options.cases, options.seed, options.machines)
     same_bank(bank, options.seconds)
-    for name, (seed, stratum) in cases.items():
-        if not (bank / "sealed" / name / "label.json").exists():
-            write_case(bank, name, case(seed, stratum, options.seconds))
-            tell(f"{name}: made")
-    with ThreadPoolExecutor(options.jobs) as pool:
-        list(pool.map(lambda name: ask(bank, name), cases))
-    labels = open_labels(bank, list(cases))
+    if not options.render:
+        over(options, lambda name: one(bank, name, *cases[name], options.seconds), cases)
+    done = [name for name in cases if verdict_path(bank, name).exists()]
     judged = [
         score.Judged(name, label, _read(verdict_path(bank, name)), _read(_proof_path(bank, name)))
-        for name, label in labels.items()
+        for name, label in open_labels(bank, done).items()
     ]
-    save("diagnosis", results(judged, options))
+    save("diagnosis", results(judged, options, bank))
     draw_confusion(judged, FIGURE)
 
 
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cases", type=int, default=120)
-    parser.add_argument("--jobs", type=int, default=2, help="diagnoses at a time")
+    parser.add_argument("--cases", type=int, default=FULL)
+    parser.add_argument("--jobs", type=int, default=1, help="cases at a time")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster, in place of --jobs")
     parser.add_argument("--resume", required=True, metavar="DIR", help="where cases, verdicts and labels are kept")
-    parser.add_argument("--seconds", type=float, default=3.0, help="of each run")
+    parser.add_argument("--seconds", type=float, default=2.0, help="of each run")
     parser.add_argument("--seed", type=int, default=1, help="another number, another bank")
+    parser.add_argument("--machines", nargs="*", default=list(KINDS), help="of these kinds")
+    parser.add_argument("--render", action="store_true", help="ask for nothing more, write the page")
     return parser.parse_args()
 
 
+def over(options: argparse.Namespace, work: Callable[[str], None], names: Iterable[str]) -> None:
+    """Do the work for every case, in this order: here, or spread over a cluster."""
+    if options.scheduler:
+        from distributed import Client
+
+        with Client(options.scheduler) as client:
+            client.gather(client.map(work, list(names), pure=False))
+        return
+    joblib.Parallel(options.jobs, prefer="threads", batch_size=1)(joblib.delayed(work)(name) for name in names)
+
+
 def tell(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
+    """Say what happens, with the time."""
+    print(datetime.now(UTC).strftime("%H:%M:%S"), text, file=sys.stderr, flush=True)
 
 
 def same_bank(bank: Path, seconds: float) -> None:
@@ -82,30 +100,46 @@ def same_bank(bank: Path, seconds: float) -> None:
 # ---- asking --------------------------------------------------------------------------------------
 
 
-def ask(bank: Path, name: str) -> None:
-    """The verdict of one case, then the gap on its fresh runs before and after; both are written once and kept."""
-    verdict, folder = verdict_path(bank, name), bank / "cases" / name
-    better = verdict.with_suffix(".toml")
-    verdict.parent.mkdir(parents=True, exist_ok=True)
-    if not verdict.exists():
-        began = time.monotonic()
-        runs = sorted((folder / "runs").glob("*.csv"))
-        machine = ("--machine", folder / "machine.toml")
-        found = ffcomp("diagnose", *runs, *machine, "--json", "--quiet", "--force", "--output", better)
-        _write(verdict, {**found, "wall_seconds": time.monotonic() - began})
-        tell(f"{name}: {found['verdict']} after {time.monotonic() - began:.0f} s")
-    if not _proof_path(bank, name).exists():
-        _write(_proof_path(bank, name), _proof(bank, name, better) if better.exists() else {})
+def one(bank: Path, name: str, seed: int, stratum: str, seconds: float) -> None:
+    """Make a case and seal its label; then ask for the verdicts. What is there is kept."""
+    if not label_path(bank, name).exists():
+        write_case(bank, name, case(seed, stratum, seconds))
+    if verdict_path(bank, name).exists():
+        return
+    verdict_path(bank, name).parent.mkdir(parents=True, exist_ok=True)
+    began = time.monotonic()
+    asked(bank, name)
+    found = _read(verdict_path(bank, name))
+    _write(verdict_path(bank, name), {**found, "commit": commit(), "when": datetime.now(UTC).isoformat("T", "minutes")})
+    tell(f"{name}: {found['verdict']} after {time.monotonic() - began:.0f} s")
 
 
-def _proof(bank: Path, name: str, better: Path) -> dict[str, float]:
-    """nrms on runs that the diagnosis never saw."""
+def asked(bank: Path, name: str) -> None:
+    """Let a process of its own answer, and write that it did not."""
     fresh = sorted((bank / "sealed" / name / "fresh").glob("*.csv"))
-    before = ffcomp("gap", *fresh, "--machine", bank / "cases" / name / "machine.toml", "--json")
-    after = ffcomp("gap", *fresh, "--machine", better, "--json")
-    if score.FAILED in (before.get("verdict"), after.get("verdict")):
-        return {}
-    return {"before": before["nrms"], "after": after["nrms"], "noise": before["noise_nrms"]}
+    out = bank / "verdicts" / name
+    command = [sys.executable, "-m", "studies.bank_case", str(bank / "cases" / name), str(out), *map(str, fresh)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+    why = f"no answer within {LONGEST_S:.0f} s"
+    try:
+        answer = subprocess.run(
+            command, capture_output=True, text=True, cwd=ROOT, env=environment, timeout=LONGEST_S, check=False
+        )
+        why = f"exit {answer.returncode}: {answer.stderr[-800:]}"
+    except subprocess.TimeoutExpired:
+        pass
+    if not verdict_path(bank, name).exists():
+        _write(verdict_path(bank, name), {"verdict": score.FAILED, "why": why})
+    if not _proof_path(bank, name).exists():
+        _write(_proof_path(bank, name), {})
+
+
+def commit() -> str:
+    """Return the checkout's commit."""
+    answer = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=ROOT, check=True
+    )
+    return answer.stdout.strip()
 
 
 def _proof_path(bank: Path, name: str) -> Path:
@@ -141,15 +175,25 @@ def _write(path: Path, content: dict[str, Any]) -> None:
 # ---- the results ---------------------------------------------------------------------------------
 
 
-def results(judged: Sequence[score.Judged], options: argparse.Namespace) -> dict[str, Any]:
+def results(judged: Sequence[score.Judged], options: argparse.Namespace, bank: Path) -> dict[str, Any]:
     """Return what the page says of all cases."""
+    everyone = {method: [as_said_by(j, method) for j in judged] for method in METHODS}
+    when = sorted(j.verdict["when"] for j in judged)
     return {
         "cases": options.cases,
+        "done": len(judged),
+        "kinds": dict(Counter(j.label.hides for j in judged)),
         "seed": options.seed,
         "seconds": options.seconds,
-        "verdict_s": np.nanmedian([j.verdict.get("seconds", np.nan) for j in judged]),
+        "when": {"first": when[0], "last": when[-1]},
+        "commits": dict(Counter(j.verdict["commit"] for j in judged)),
+        "verdict_s": {
+            m: _median([j.verdict.get("cpu_seconds") for j in judged if j.label.machine == m]) for m in KINDS
+        },
         "rates": [rate_of(rate) for rate in score.rates(judged)],
         "shrink": shrink_of(score.shrink(judged)),
+        "methods": [compared(name, everyone[method]) for method, name in METHODS.items()],
+        "strata": [stratum(everyone, *each) for each in _strata(judged)],
         "power": [
             {"low": low, "high": high, "right": rate.hits, "of": rate.total}
             for low, high, rate in score.power(judged, EDGES)
@@ -158,7 +202,53 @@ def results(judged: Sequence[score.Judged], options: argparse.Namespace) -> dict
             {"hidden": row, "said": [{"answer": answer, "count": n} for answer, n in counts.most_common()]}
             for row, counts in sorted(score.confusion(judged).items())
         ],
-        "misses": [miss(j) for j in judged if not _as_wanted(j)],
+        "misses": [miss(j) for j in judged if not score.as_wanted(j)],
+    }
+
+
+def _median(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.median(known)) if known else None
+
+
+def as_said_by(j: score.Judged, method: str) -> score.Judged:
+    """Return the case with another method's verdict."""
+    if method == "ours":
+        return j
+    said = j.verdict.get("rivals", {}).get(method, {"verdict": score.FAILED, "effects": []})
+    return score.Judged(j.name, j.label, said)
+
+
+def _strata(judged: Sequence[score.Judged]) -> list[tuple[str, Callable[[score.Judged], bool]]]:
+    """Return the machines, and then the conditions, that have cases."""
+    machines = [m for m in KINDS if any(j.label.machine == m for j in judged)]
+    conditions = sorted({j.label.condition for j in judged})
+    return [
+        *((m, lambda j, m=m: j.label.machine == m) for m in machines),  # type: ignore[misc]
+        *((c, lambda j, c=c: j.label.condition == c) for c in conditions),  # type: ignore[misc]
+    ]
+
+
+def stratum(
+    everyone: Mapping[str, Sequence[score.Judged]], name: str, belongs: Callable[[score.Judged], bool]
+) -> dict[str, Any]:
+    """Count, for every method, the cases of a stratum that ended as they should."""
+    own = {method: [score.as_wanted(j) for j in cases if belongs(j)] for method, cases in everyone.items()}
+    total = len(own["ours"])
+    told = [{"hits": sum(each), "interval": score.wilson(sum(each), total)} for each in own.values()]
+    return {"name": name, "total": total, "methods": told}
+
+
+def compared(name: str, judged: Sequence[score.Judged]) -> dict[str, Any]:
+    """Return the counts by which methods are compared."""
+    wanted = ("top-1", "a wrong name", "nothing hidden and", "outside", "pairs, both")
+    told = [next(rate for rate in score.rates(judged) if rate.title.startswith(w)) for w in wanted]
+    hits = sum(score.as_wanted(j) for j in judged)
+    return {
+        "name": name,
+        "rates": [rate_of(rate) for rate in told],
+        "hits": hits,
+        "interval": score.wilson(hits, len(judged)),
     }
 
 
@@ -184,7 +274,7 @@ def shrink_of(left: Sequence[float]) -> dict[str, Any] | None:
         "count": len(left),
         "median": median,
         "quartiles": np.percentile(left, [25, 75]),
-        "verdict": "reached" if median <= 0.1 else "missed",
+        "verdict": "reached" if median <= 0.05 else "missed",
     }
 
 
@@ -199,14 +289,6 @@ def miss(j: score.Judged) -> dict[str, Any]:
         "said": j.answer,
         "because": _because(j),
     }
-
-
-def _as_wanted(j: score.Judged) -> bool:
-    if j.label.outside:
-        return j.says == "unknown"
-    if j.label.stratum == "nothing":
-        return j.says == "none"
-    return j.right or (not j.label.visible and j.says in ("none", "unknown"))
 
 
 def _because(j: score.Judged) -> str:

@@ -18,6 +18,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ffcomp.bank.motions import Path as NozzlePath
+from ffcomp.bank.real import Reading
 from ffcomp.diagnose.printer_problem import PrinterProblem
 from ffcomp.measurement.recording import read_recording
 from models.effects.catalogue import effective_machine
@@ -38,8 +40,6 @@ from studies.diagnosis_proof import (
 )
 from studies.render import save
 from validation import judge
-from validation.blind.motions import Path as NozzlePath
-from validation.blind.real import Reading
 from validation.plants.multibody import Choice, build, modes, play
 
 FloatArray = NDArray[np.float64]

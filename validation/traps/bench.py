@@ -13,11 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from validation.blind.machines import Tables, draw_machine, file_of, toml_of
-from validation.blind.motions import KINDS, Motion, Place
-from validation.blind.numbers import FloatArray, carriages_of
-from validation.blind.real import Order, Reading, Real, played
-from validation.blind.sensors import csv_of
+from ffcomp.bank.delta.machines import draw_machine, file_of
+from ffcomp.bank.delta.numbers import FloatArray, carriages_of
+from ffcomp.bank.delta.real import played
+from ffcomp.bank.motions import KINDS, Motion, Place
+from ffcomp.bank.real import Order, Reading, Real, Tables
+from ffcomp.bank.sensors import csv_of
+from ffcomp.bank.tables import toml_of
 
 PRINTER_SEED, RATE_HZ, SECONDS = 6, 1600.0, 1.6
 CHANNELS = ("acc_x", "acc_y", "acc_z")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from validation.blind import outside
+from ffcomp.bank.delta import outside
 from validation.traps import mishaps as m
 from validation.traps.bench import CAMERA_KG, FRICTION
 from validation.traps.captures import CHIP, CaptureBench, Sensing

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
-from typing import Any, TypeAlias
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
-Tables: TypeAlias = dict[str, Any]
+from ffcomp.bank.real import Tables
 
 _SIZES: Mapping[str, tuple[float, float, float]] = {  # arm mm, effective radius mm, joint radius mm
     "middling": (300.0, 140.0, 39.9),
@@ -33,7 +33,7 @@ DYNAMIC = {
 
 
 def draw_machine(rng: np.random.Generator) -> Tables:
-    """A printer as it really is, in the tables of a machine file; lengths as the firmware has them."""
+    """Return a printer as it really is, in the tables of a machine file; lengths as the firmware has them."""
     arm, radius, joint = _SIZES[str(rng.choice(list(_SIZES)))]
     stretch, first_deg = rng.uniform(0.95, 1.06), float(rng.choice([0.0, 30.0, 90.0, 210.0]))
 
@@ -79,7 +79,7 @@ def draw_machine(rng: np.random.Generator) -> Tables:
 
 
 def file_of(machine: Tables, error: float, rng: np.random.Generator) -> Tables:
-    """What the owner's file says: every dynamic number off by a normal error (standard deviation), within two of it."""
+    """Return what the owner's file says: every dynamic number off by a normal error, within two deviations."""
     written = copy.deepcopy(machine)
 
     def off(value: Any) -> Any:
@@ -98,21 +98,17 @@ def file_of(machine: Tables, error: float, rng: np.random.Generator) -> Tables:
     return written
 
 
-def toml_of(machine: Tables, name: str) -> str:
-    """The file's text."""
-    lines = ['format = "ffcomp-machine/1"', f'name = "{name}"']
-    for title, table in machine.items():
-        lines += ["", f"[{title}]"]
-        inner = {key: value for key, value in table.items() if isinstance(value, dict)}
-        lines += [f"{key} = {_literal(value)}" for key, value in table.items() if key not in inner]
-        for key, values in inner.items():
-            lines += ["", f"[{title}.{key}]", *(f"{k} = {_literal(v)}" for k, v in values.items())]
-    return "\n".join(lines) + "\n"
-
-
-def _literal(value: Any) -> str:
-    if isinstance(value, str):
-        return f'"{value}"'
-    if isinstance(value, list):
-        return f"[{', '.join(_literal(x) for x in value)}]"
-    return f"{value:.6g}"
+def probes(machine: Tables, by: float) -> Iterator[Tables]:
+    """Yield the machine with one dynamic number larger by a share, one after the other."""
+    keys = [(table, key) for table, names in DYNAMIC.items() for key in names]
+    for table, key in keys:
+        for n in range(np.size(machine[table][key]) if table == "effector" else 1):
+            probed = copy.deepcopy(machine)
+            grown = np.array(probed[table][key], dtype=float)
+            grown[n if grown.ndim and table == "effector" else ...] *= 1 + by
+            probed[table][key] = grown.tolist()
+            yield probed
+    for key in machine["carriage"].get("drive", {}):
+        probed = copy.deepcopy(machine)
+        probed["carriage"]["drive"][key] *= 1 + by
+        yield probed

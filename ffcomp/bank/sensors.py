@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from validation.blind.numbers import FloatArray
-from validation.blind.real import Reading
+from ffcomp.bank.real import FloatArray, Reading
 
 SENSORS: Mapping[str, tuple[str, ...]] = {
     "all": ("acc_A", "acc_B", "acc_C", "acc_x", "acc_y", "acc_z"),
     "carriages": ("acc_A", "acc_B", "acc_C"),
     "effector": ("acc_x", "acc_y", "acc_z"),
     "two": ("acc_A", "acc_x", "acc_y"),
+    "head-and-bed": ("acc_x", "acc_y"),
     "encoders": ("pos_A", "pos_B", "pos_C", "acc_x", "acc_y", "acc_z"),
     "laser": ("acc_A", "acc_B", "acc_C", "pos_x", "pos_y", "pos_z"),
 }
@@ -80,7 +80,7 @@ def draw_sensors(rng: np.random.Generator, subset: str, rate_hz: float) -> Senso
 
 
 def csv_of(times: FloatArray, command: FloatArray, axes: str, measured: Mapping[str, FloatArray]) -> str:
-    """The text of a run. command : (n, 3) mm, columns named by `axes`."""
+    """Return the text of a run. command : (n, 3) mm, columns named by `axes`."""
     names = ["t_s", *(f"cmd_{axis}_mm" for axis in axes), *(f"{c}_{UNITS[c[:3]]}" for c in measured)]
     formats = ["%.7f"] + ["%.6f"] * 3 + ["%.4f"] * len(measured)
     rows = np.column_stack([times, command, *measured.values()])

@@ -6,18 +6,15 @@ seed with another `size` is the same effect, larger or smaller; with size zero n
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from validation.blind.numbers import FloatArray
-from validation.blind.real import Reading, Real
-
-Rng: TypeAlias = np.random.Generator
-Hide: TypeAlias = Callable[[Rng, float, Real], tuple[dict[str, Any], Real]]
+from ffcomp.bank.delta.numbers import FloatArray
+from ffcomp.bank.real import Hide, Reading, Real, Rng, read_at, sign, turned
 
 
 def each(rng: Rng, value: float) -> FloatArray:
@@ -31,26 +28,23 @@ def told(values: FloatArray) -> Any:
     return float(values[0]) if np.ptp(values) == 0 else [float(x) for x in values]
 
 
-def sign(rng: Rng) -> float:
-    return float(rng.choice([-1.0, 1.0]))
-
-
 # ---- friction ------------------------------------------------------------------------------------
 
 
 def _dry(rng: Rng) -> dict[str, Any]:
-    """A bristle that slides after some µm, or a tanh."""
+    """Hide it: a bristle that slides after some µm, or a tanh."""
     kind, length, speed = int(rng.integers(1, 3)), rng.uniform(1.2e-5, 4e-5), rng.uniform(1e-3, 2e-3)
     return {"dry_kind": kind, "bristle": length, "dry_v": speed}
 
 
 def coulomb_friction(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide dry friction of the guides."""
     force = size * each(rng, rng.uniform(1.0, 4.0))
     return {"force_n": told(force)}, real.having(dry=force, **_dry(rng))
 
 
 def stribeck_friction(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """The surplus falls as exp(-|v|/v_s), not as a bell."""
+    """Hide it: the surplus falls as exp(-|v|/v_s), not as a bell."""
     force = size * rng.uniform(0.8, 2.2) * np.ones(3)
     extra, speed = rng.uniform(0.5, 1.2) * force, rng.uniform(6.0, 25.0)
     table = {"force_n": told(force), "extra_force_n": told(extra), "velocity_mm_per_s": speed}
@@ -58,11 +52,13 @@ def stribeck_friction(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any]
 
 
 def guide_damping(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide grease that thins with speed."""
     added = size * each(rng, rng.uniform(8.0, 25.0))
     return {"added_n_s_per_m": told(added)}, real.having(grease=added)
 
 
 def joint_friction(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide friction of the joints."""
     force = size * rng.uniform(0.8, 3.0)
     return {"force_n": force}, real.having(joint=force, joint_bristle=rng.uniform(1.5e-5, 5e-5))
 
@@ -71,6 +67,7 @@ def joint_friction(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], R
 
 
 def belt_stiffness(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide belts tighter or slacker than the file says."""
     change = size * each(rng, sign(rng) * rng.uniform(0.12, 0.25))
     stiffness = real.machine["carriage"]["belt_stiffness_n_per_m"] * (1 + change)
     return {"relative_change": told(change)}, real.changed("carriage", belt_stiffness_n_per_m=stiffness)
@@ -84,20 +81,21 @@ def belt_hardening(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], R
 
 
 def belt_position_stiffness(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """The compliance is what grows evenly with the free length: k = k_0/(1 - r (q - q_c))."""
+    """Hide it: the compliance is what grows evenly with the free length: k = k_0/(1 - r (q - q_c))."""
     slope, centre = size * sign(rng) * rng.uniform(0.7, 1.8) * np.ones(3), rng.uniform(330, 430)
     table = {"slope_per_m": told(slope), "q_centre_mm": centre}
     return table, real.having(slope=slope, slope_at=np.full(3, centre / 1e3))
 
 
 def belt_backlash(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide play with soft flanks and a damped landing."""
     width = size * each(rng, rng.uniform(0.04, 0.12))
     fields = {"play": width / 1e3, "flank": rng.uniform(1e-6, 4e-6), "landing": rng.uniform(0.1, 0.5)}
     return {"width_mm": told(width)}, real.having(**fields)
 
 
 def torque_angle(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """The sine is the motor's, a tenth of the compliance the belt's in series. A smaller `size` is a stronger motor."""
+    """Hide a motor's sine, a tenth of the compliance the belt's in series. A smaller `size` is a stronger motor."""
     peak = rng.uniform(0.35, 0.8) / size if size > 0 else 0.0
     fields = {"stepper": np.full(3, peak / 1e3), "stepper_share": 0.9}
     return {"amplitude_mm": peak}, real.having(**fields)
@@ -134,6 +132,7 @@ def cogging(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
 
 
 def effector_mass(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide a mass on the nozzle holder."""
     added = size * rng.uniform(0.05, 0.14)
     return {"added_kg": added}, real.changed(
         "effector", nozzle_mass_kg=real.machine["effector"]["nozzle_mass_kg"] + added
@@ -148,6 +147,7 @@ def center_of_mass(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], R
 
 
 def extruder_mount(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide another mount of the extruder."""
     touched = np.array([1.0, 1.0, 0.0]) if rng.random() < 0.5 else np.eye(3)[rng.integers(2)]
     stiffer = size * touched * sign(rng) * rng.uniform(0.2, 0.4, 3)
     damper = size * touched * rng.uniform(0.3, 0.9, 3)
@@ -184,6 +184,7 @@ def frame_mode(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]
 
 
 def arm_geometry(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide other arms and another radius."""
     arm, radius = size * sign(rng) * rng.uniform(1.0, 3.0), size * sign(rng) * rng.uniform(1.0, 3.0)
     geometry = real.machine["kinematics"]
     longer = real.changed(
@@ -205,6 +206,7 @@ def force_map(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
 
 
 def sensor_gain(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide two channels that read too much or too little."""
     wrong = rng.permutation(6) < 2
     gain = size * wrong * rng.choice([-1.0, 1.0], 6) * rng.uniform(0.05, 0.15, 6)
 
@@ -216,9 +218,9 @@ def sensor_gain(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real
 
 
 def sensor_misalignment(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """A sensor turned by three angles reads the same vector in its own axes."""
+    """Hide it: a sensor turned by three angles reads the same vector in its own axes."""
     angles = size * rng.uniform(1.5, 5.0, 3) * rng.choice([-1.0, 1.0], 3)
-    axes = _turned(np.radians(angles))
+    axes = turned(np.radians(angles))
 
     def read(r: Reading) -> Reading:
         return replace(r, nozzle=r.nozzle @ axes)
@@ -226,31 +228,16 @@ def sensor_misalignment(rng: Rng, size: float, real: Real) -> tuple[dict[str, An
     return {"angles_deg": angles.tolist()}, real.read_by(read)
 
 
-def _turned(angles: FloatArray) -> FloatArray:
-    """(3, 3), columns the axes of a frame turned by a rotation vector: the series of exp, to rounding."""
-    x, y, z = angles
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    term, total = np.eye(3), np.eye(3)
-    for n in range(1, 16):
-        term = term @ cross / n
-        total = total + term
-    return total
-
-
 def sensor_time_offset(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide accelerometers that are late, or early."""
     offset = size * sign(rng) * rng.uniform(4e-4, 3e-3)
-    return {"offset_s": offset}, real.read_by(lambda r: _read_at(r, r.t - offset))
+    return {"offset_s": offset}, real.read_by(lambda r: read_at(r, r.t - offset))
 
 
 def sensor_clock_drift(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide a clock that is fast, or slow."""
     drift = size * sign(rng) * rng.uniform(7e-4, 6e-3)
-    return {"relative_drift": drift}, real.read_by(lambda r: _read_at(r, r.t / (1 + drift)))
-
-
-def _read_at(r: Reading, times: FloatArray) -> Reading:
-    """The accelerometers sample at other times; encoders keep the command's clock."""
-    at = np.clip(times, r.t[0], r.t[-1])
-    return replace(r, carriage=CubicSpline(r.t, r.carriage)(at), nozzle=CubicSpline(r.t, r.nozzle)(at))
+    return {"relative_drift": drift}, real.read_by(lambda r: read_at(r, r.t / (1 + drift)))
 
 
 EFFECTS: Mapping[str, Hide] = {

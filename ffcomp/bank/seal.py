@@ -3,7 +3,7 @@
 DIR/cases/case-001/machine.toml, runs/*.csv   all that a diagnosis is given
 DIR/verdicts/case-001.json, .toml             what it said, and the machine file it wrote
 DIR/sealed/case-001/label.json, fresh/*.csv   the truth, and runs for the proof
-DIR/seals.json                                SHA-256 of every label, from before the first verdict
+DIR/seals/case-001.sha256                     SHA-256 of the label, from before the first verdict
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from validation.blind.bank import Case, Circumstances, Label
-from validation.blind.visible import Visibility
+from ffcomp.bank.cases import Case, Circumstances, Label
+from ffcomp.bank.visible import Visibility
+from ffcomp.errors import FfcompError
 
 
-class SealedError(Exception):
+class SealedError(FfcompError):
     """The labels may not be read yet, or are not those that were sealed."""
 
 
@@ -31,28 +32,34 @@ def write_case(bank: Path, name: str, made: Case) -> None:
             (folder / file).write_text(text, encoding="utf-8")
     (bank / "cases" / name / "machine.toml").write_text(made.machine, encoding="utf-8")
     text = json.dumps(asdict(made.label), indent=1, default=_plain)
-    _label_path(bank, name).write_text(text, encoding="utf-8")
-    seals = bank / "seals.json"
-    known = json.loads(seals.read_text(encoding="utf-8")) if seals.exists() else {}
-    known[name] = hashlib.sha256(text.encode()).hexdigest()
-    seals.write_text(json.dumps(dict(sorted(known.items())), indent=1), encoding="utf-8")
+    label_path(bank, name).write_text(text, encoding="utf-8")
+    seal = bank / "seals" / f"{name}.sha256"
+    seal.parent.mkdir(exist_ok=True)
+    seal.write_text(hashlib.sha256(text.encode()).hexdigest() + "\n", encoding="utf-8")
 
 
 def _plain(value: Any) -> Any:
-    """numpy's numbers as Python's."""
+    """Return numpy's numbers as Python's."""
     return value.tolist()
 
 
-def _label_path(bank: Path, name: str) -> Path:
+def label_path(bank: Path, name: str) -> Path:
+    """Return where a case's label is."""
     return bank / "sealed" / name / "label.json"
 
 
 def verdict_path(bank: Path, name: str) -> Path:
+    """Return where a case's verdict is written."""
     return bank / "verdicts" / f"{name}.json"
 
 
+def cases_of(bank: Path) -> list[str]:
+    """Return the names of a bank's cases."""
+    return sorted(path.stem for path in (bank / "seals").glob("*.sha256"))
+
+
 def open_labels(bank: Path, names: Sequence[str]) -> dict[str, Label]:
-    """The labels of these cases.
+    """Return the labels of these cases.
 
     Raises
     ------
@@ -62,8 +69,18 @@ def open_labels(bank: Path, names: Sequence[str]) -> dict[str, Label]:
     missing = [name for name in names if not verdict_path(bank, name).exists()]
     if missing:
         raise SealedError(f"{len(missing)} verdicts are not written yet, {missing[0]} first; the labels stay sealed.")
-    seals = json.loads((bank / "seals.json").read_text(encoding="utf-8"))
-    return {name: _opened(_label_path(bank, name), seals[name]) for name in names}
+    return opened(bank, names)
+
+
+def opened(bank: Path, names: Sequence[str]) -> dict[str, Label]:
+    """Return labels whose seals are whole, for someone who has all answers.
+
+    Raises
+    ------
+    SealedError
+    """
+    seals = {name: (bank / "seals" / f"{name}.sha256").read_text(encoding="utf-8").strip() for name in names}
+    return {name: _opened(label_path(bank, name), seals[name]) for name in names}
 
 
 def _opened(path: Path, seal: str) -> Label:

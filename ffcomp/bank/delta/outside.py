@@ -6,16 +6,12 @@ Signature as in `hidden`: `OUTSIDE[name](rng, size, real)` → ({}, the printer)
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numba import njit
-from scipy.signal import butter, sosfilt
 
-from validation.blind.hidden import Hide, Rng
-from validation.blind.numbers import FloatArray
-from validation.blind.real import Reading, Real
+from ffcomp.bank.mishaps import behind, clipped_at, hummed, slipped, slowed
+from ffcomp.bank.real import Hide, Real, Rng
 
 
 def off_centre_pulley(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
@@ -31,48 +27,23 @@ def off_centre_pulley(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any]
 
 
 def warming_belt(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """The belts soften while they work; before the next run they cool."""
+    """Hide it: the belts soften while they work; before the next run they cool."""
     return {}, real.having(warm_share=size * rng.uniform(0.15, 0.3), warm_s=rng.uniform(0.8, 2.0))
 
 
 def slow_driver(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """A driver that cannot turn its motor faster than so, and catches up when it can."""
-    fastest = rng.uniform(25.0, 40.0) / size if size > 0 else np.inf
-
-    def limited(t: FloatArray, command: FloatArray) -> FloatArray:
-        return _behind(np.ascontiguousarray(command), fastest * (t[1] - t[0]))
-
-    return {}, real.ordered(limited)
-
-
-@njit(cache=True)
-def _behind(command: FloatArray, most: float) -> FloatArray:
-    """(n, 3): follows, by at most so much a row."""
-    out = command.copy()
-    for n in range(1, len(command)):
-        for i in range(command.shape[1]):
-            out[n, i] = out[n - 1, i] + min(max(command[n, i] - out[n - 1, i], -most), most)
-    return out
+    """Hide it: a driver that cannot turn its motor faster than so, and catches up when it can."""
+    return {}, real.ordered(behind(rng.uniform(25.0, 40.0) / size if size > 0 else np.inf))
 
 
 def missed_steps(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """A motor slips by four full steps, several times in every run, at times that nothing tells."""
+    """Hide it: a motor slips by four full steps, several times in every run, at times that nothing tells."""
     slip = 4.0 / real.machine["steps"]["full_steps_per_mm"] * (1.0 if size > 0 else 0.0)
-    tower, shares = int(rng.integers(3)), np.sort(rng.uniform(0.1, 0.9, 6))
-    steps = slip * rng.choice([-1.0, 1.0], 6)
-
-    def slipping(t: FloatArray, command: FloatArray) -> FloatArray:
-        out = command.copy()
-        for share, step in zip(shares, steps, strict=True):
-            x = np.clip((t - share * t[-1]) / 0.006, 0.0, 1.0)
-            out[:, tower] += step * x**2 * (3 - 2 * x)
-        return out
-
-    return {}, real.ordered(slipping)
+    return {}, real.ordered(slipped(rng, slip, 3))
 
 
 def swinging_cable(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """A bundle of cables and filament that hangs on the holder and swings by itself."""
+    """Hide it: a bundle of cables and filament that hangs on the holder and swings by itself."""
     mass, hertz, ratio = size * rng.uniform(0.1, 0.25), rng.uniform(6.0, 16.0), rng.uniform(0.05, 0.15)
     omega = 2 * np.pi * hertz
     return {}, real.having(
@@ -81,15 +52,8 @@ def swinging_cable(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], R
 
 
 def fans_tone(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """A fan that starts with every run shakes all sensors at its own frequency."""
-    level, hertz = size * rng.uniform(0.4, 1.2, 6), rng.uniform(44.0, 110.0)
-    phase = rng.uniform(0, 2 * np.pi, 6)
-
-    def read(r: Reading) -> Reading:
-        tone = level * np.sin(2 * np.pi * hertz * r.t[:, None] + phase)
-        return replace(r, carriage=r.carriage + tone[:, :3], nozzle=r.nozzle + tone[:, 3:])
-
-    return {}, real.read_by(read)
+    """Hide it: a fan that starts with every run shakes all sensors at its own frequency."""
+    return {}, real.read_by(hummed(rng, size * rng.uniform(0.4, 1.2, 6)))
 
 
 def notched_wheel(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
@@ -110,27 +74,26 @@ def soft_tower(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]
 
 
 def loose_extruder(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """The extruder swings against a stop: beyond a gap its mount is several times stiffer."""
+    """Hide it: the extruder swings against a stop: beyond a gap its mount is several times stiffer."""
     stiffness = min(real.machine["effector"]["extruder_stiffness_n_per_m"])
     return {}, real.having(stop_gap=rng.uniform(0.1e-3, 0.3e-3), stop_k=size * rng.uniform(4.0, 9.0) * stiffness)
 
 
 def creeping_belt(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """A belt that is stiffer the faster it is pulled (a spring and a dashpot in series beside the spring)."""
+    """Hide it: a belt that is stiffer the faster it is pulled (a spring and a dashpot in series beside the spring)."""
     stiffness = real.machine["carriage"]["belt_stiffness_n_per_m"]
     added = size * rng.uniform(0.25, 0.5) * np.broadcast_to(stiffness, 3)
     return {}, real.having(visco_k=added, visco_s=rng.uniform(4e-3, 1.2e-2))
 
 
 def sluggish_sensor(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """The nozzle's accelerometer answers slowly: a low-pass of second order."""
-    cutoff = rng.uniform(70.0, 130.0)
+    """Hide it: the nozzle's accelerometer answers slowly: a low-pass of second order."""
+    return {}, real.read_by(slowed(rng.uniform(70.0, 130.0), size))
 
-    def read(r: Reading) -> Reading:
-        sections = butter(2, cutoff, fs=1 / (r.t[1] - r.t[0]), output="sos")
-        return replace(r, nozzle=sosfilt(sections, r.nozzle, axis=0)) if size > 0 else r
 
-    return {}, real.read_by(read)
+def clipping_sensor(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide it: the nozzle's accelerometer ends at some m/s², well below the loudest that it feels."""
+    return {}, real.read_by(clipped_at(rng.uniform(5.0, 9.0), size))
 
 
 OUTSIDE: Mapping[str, Hide] = {
@@ -147,5 +110,6 @@ OUTSIDE: Mapping[str, Hide] = {
         loose_extruder,
         creeping_belt,
         sluggish_sensor,
+        clipping_sensor,
     )
 }

@@ -25,75 +25,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from validation.blind.numbers import FloatArray, Printer
+from ffcomp.bank.delta.numbers import FloatArray, Printer
+from ffcomp.bank.shapes import belt, guide, slid
 
 GRAVITY = 9.80665
 # where the parts of a state begin
 X, V, ETA, ETAV, U, UV, SWAY, SWAYV, CABLE, CABLEV, MOUNT, MOUNTV, ARM = 0, 3, 6, 9, 12, 15, 18, 20, 22, 24, 26, 27, 28
 STATES = 31
-SLIDING_LIMIT_M_PER_S = 0.8  # speed at which grease begins to shear thinner
-
-
-# ---- one tower -----------------------------------------------------------------------------------
-
-
-@njit(cache=True, error_model="numpy")
-def _soft_play(s: float, width: float, flank: float) -> tuple[float, float]:
-    """Stretch beyond the play, and its slope: two soft ramps in place of two corners."""
-    high, low = (s - width / 2) / flank, (-s - width / 2) / flank
-    right = high if high > 30.0 else np.log1p(np.exp(high))
-    left = low if low > 30.0 else np.log1p(np.exp(low))
-    slope = 1.0 / (1.0 + np.exp(-min(max(high, -60.0), 60.0))) + 1.0 / (1.0 + np.exp(-min(max(low, -60.0), 60.0)))
-    return flank * (right - left), slope
-
-
-@njit(cache=True, error_model="numpy")
-def _stepper_force(s: float, k: float, peak_m: float, share: float) -> float:
-    """k peak sin(θ), where the rotor's share of the stretch, peak share θ, and the belt's, (1 - share) F/k, add up."""
-    theta = s / peak_m
-    for _ in range(4):
-        over = peak_m * (share * theta + (1.0 - share) * np.sin(theta)) - s
-        theta -= over / (peak_m * max(share + (1.0 - share) * np.cos(theta), 0.05))
-    return k * peak_m * np.sin(theta)
-
-
-@njit(cache=True, error_model="numpy")
-def _belt(s: float, ds: float, q: float, ud: float, arm: float, t: float, i: int, p: Printer) -> float:
-    """Force of belt i on its carriage, N."""
-    slope = 1.0
-    rate = ds
-    if p.play[i] > 0.0:
-        s, slope = _soft_play(s, p.play[i], p.flank)
-    k = p.belt_k[i]
-    if p.slope[i] != 0.0:
-        k /= 1.0 - p.slope[i] * (q - p.slope_at[i])
-    if p.warm_share != 0.0:
-        k *= 1.0 - p.warm_share * (1.0 - np.exp(-t / p.warm_s))
-    if p.pulley_share != 0.0:
-        k *= 1.0 + p.pulley_share * np.sin(p.pulley_wave * ud + i)
-    force = k * s if p.stepper[i] == 0.0 else _stepper_force(s, k, p.stepper[i], p.stepper_share)
-    force += p.cubic[i] * s**3 + p.quintic[i] * s**5
-    if p.play[i] > 0.0:
-        force += k * abs(s) * p.landing * rate
-    return force + p.belt_c[i] * rate * slope + p.visco_k[i] * (s - arm)
-
-
-@njit(cache=True, error_model="numpy")
-def _level(v: float, i: int, p: Printer) -> float:
-    return p.dry[i] + p.stick[i] * np.exp(-((abs(v) / p.stick_v) ** p.stick_power))
-
-
-@njit(cache=True, error_model="numpy")
-def _guide(v: float, q: float, z: float, i: int, p: Printer) -> float:
-    """What the guide does against the motion of carriage i, N. z : of the bristle, share of its sliding deflection."""
-    force = p.guide_b[i] * v + p.grease[i] * v / np.sqrt(1.0 + (v / SLIDING_LIMIT_M_PER_S) ** 2)
-    if p.dry_kind == 1:
-        force += _level(v, i, p) * np.tanh(v / p.dry_v)
-    elif p.dry_kind == 2:
-        force += _level(v, i, p) * z
-    if p.notch[i] != 0.0:
-        force += p.notch[i] * np.sin(p.notch_wave * q + 2.0 * i)
-    return force
 
 
 @njit(cache=True, error_model="numpy")
@@ -117,7 +55,7 @@ def _motor(y: FloatArray, ud: FloatArray, dud: FloatArray, i: int, p: Printer) -
 
 @njit(cache=True, error_model="numpy")
 def _arms(y: FloatArray, p: Printer, a: FloatArray, q: FloatArray, dq: FloatArray, bend: FloatArray) -> None:
-    """A : (3, 3), q, q̇, and what q̈ has beside A Ẍ."""
+    """Evaluate A : (3, 3), q, q̇, and what q̈ has beside A Ẍ."""
     for i in range(3):
         dx, dy = y[X] - p.towers[i, 0], y[X + 1] - p.towers[i, 1]
         s = np.sqrt(p.arms[i] ** 2 - dx * dx - dy * dy)
@@ -142,7 +80,7 @@ def _load_shares(a: FloatArray, p: Printer, gamma: FloatArray) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _eliminate(m: FloatArray, r: FloatArray) -> None:
-    """r ← m⁻¹ r by elimination with row pivots; m is spent."""
+    """R ← m⁻¹ r by elimination with row pivots; m is spent."""
     n = len(r)
     for k in range(n):
         best = k
@@ -178,7 +116,7 @@ def _mount(y: FloatArray, j: int, p: Printer) -> float:
 def _rate(
     y: FloatArray, z: FloatArray, t: float, ud: FloatArray, dud: FloatArray, p: Printer, w: FloatArray, dy: FloatArray
 ) -> None:
-    """dy = d(state)/dt. z : (6,) bristles of guides and joints. w : (16, 5) work space; row 0 leaves as Ẍ, d̈."""
+    """Dy = d(state)/dt. z : (6,) bristles of guides and joints. w : (16, 5) work space; row 0 leaves as Ẍ, d̈."""
     r, q, dq, bend, f = w[0], w[1, :3], w[2, :3], w[3, :3], w[4, :3]
     m, a, gamma = w[5:10], w[10:13, :3], w[13:16, :3]
     _arms(y, p, a, q, dq, bend)
@@ -192,13 +130,13 @@ def _rate(
         u, du, bent = _motor(y, ud, dud, i, p)
         if i == p.soft_tower:
             u, du = u + y[MOUNT], du + y[MOUNTV]
-        belt = _belt(u - q[i], du - dq[i], q[i], ud[i], y[ARM + i], t, i, p)
+        pull = belt(u - q[i], du - dq[i], q[i], ud[i], y[ARM + i], t, i, p)
         if i == p.soft_tower:
             dy[MOUNT] = y[MOUNTV]
-            dy[MOUNTV] = -(belt + p.soft_k * y[MOUNT] + p.soft_b * y[MOUNTV]) / p.soft_mass
+            dy[MOUNTV] = -(pull + p.soft_k * y[MOUNT] + p.soft_b * y[MOUNTV]) / p.soft_mass
         dy[U + i], dy[UV + i] = y[UV + i], bent
         dy[ARM + i] = (u - q[i] - y[ARM + i]) / p.visco_s if p.visco_k[i] > 0.0 else 0.0
-        r[i] = belt - _guide(dq[i], q[i], z[i], i, p) - p.carriage[i] * (GRAVITY + bend[i])
+        r[i] = pull - guide(dq[i], q[i], z[i], i, p) - p.carriage[i] * (GRAVITY + bend[i])
         for j in range(3):
             m[i, j] = p.carriage[i] * a[i, j] + p.holder * gamma[i, j]
             r[i] -= gamma[i, j] * f[j]
@@ -238,24 +176,16 @@ def _bristles(y: FloatArray, z: FloatArray, span: float, p: Printer, w: FloatArr
     if p.dry_kind == 2:
         _arms(y, p, a, q, dq, bend)
         for i in range(3):
-            out[i] = _slid(z[i], dq[i], abs(dq[i]), span, p.bristle)
+            out[i] = slid(z[i], dq[i], abs(dq[i]), span, p.bristle)
     if p.joint > 0.0:
         speed = np.sqrt(y[V] ** 2 + y[V + 1] ** 2 + y[V + 2] ** 2)
         for j in range(3):
-            out[3 + j] = _slid(z[3 + j], y[V + j], speed, span, p.joint_bristle)
-
-
-@njit(cache=True, error_model="numpy")
-def _slid(z: float, v: float, speed: float, span: float, length: float) -> float:
-    if speed < 1e-12:
-        return z
-    end = v / speed
-    return end + (z - end) * np.exp(-speed * span / length)
+            out[3 + j] = slid(z[3 + j], y[V + j], speed, span, p.joint_bristle)
 
 
 @njit(cache=True, error_model="numpy")
 def _keep(y: FloatArray, w: FloatArray, p: Printer, out: FloatArray) -> None:
-    """out : (4, 3): carriages and nozzle, positions; then their accelerations, the nozzle's against the ground."""
+    """Out : (4, 3): carriages and nozzle, positions; then their accelerations, the nozzle's against the ground."""
     for i in range(3):
         acc = w[10 + i, 0] * w[0, 0] + w[10 + i, 1] * w[0, 1] + w[0, 2] + w[3, i]
         out[0, i], out[1, i], out[2, i], out[3, i] = w[1, i], y[X + i], acc, w[0, i]
@@ -310,7 +240,7 @@ def run(command: FloatArray, speed: FloatArray, h: float, every: int, y: FloatAr
 
 @njit(cache=True, error_model="numpy")
 def rest(xyz: FloatArray, command: FloatArray, p: Printer) -> FloatArray:
-    """The state : (STATES,) of rest under a command : (3,) m, near the nozzle xyz : (3,) m: belts bear the weight."""
+    """Evaluate the state : (STATES,) of rest under a command : (3,) m, near the nozzle xyz : (3,) m, loaded."""
     y = np.zeros(STATES)
     y[X : X + 3], y[U : U + 3] = xyz, command
     y[ETA + 2] = -p.extruder * GRAVITY / p.mount_k[2]
@@ -326,7 +256,7 @@ def rest(xyz: FloatArray, command: FloatArray, p: Printer) -> FloatArray:
             if np.max(np.abs(step)) < 1e-15:
                 break
         for i in range(3):
-            load = (p.carriage[i] + gamma[i, 2] * (p.holder + p.extruder)) * GRAVITY + _guide(0.0, q[i], 0.0, i, p)
+            load = (p.carriage[i] + gamma[i, 2] * (p.holder + p.extruder)) * GRAVITY + guide(0.0, q[i], 0.0, i, p)
             target[i] = _hung(y, command, q[i], load, i, p)
     return y
 
@@ -341,7 +271,7 @@ def _hung(y: FloatArray, command: FloatArray, q: float, load: float, i: int, p: 
     low, high, s = -2e-3, 2e-3, 0.0
     for _ in range(60):
         s = (low + high) / 2
-        if _belt(s, 0.0, q, command[i], s, 0.0, i, p) < load:
+        if belt(s, 0.0, q, command[i], s, 0.0, i, p) < load:
             low = s
         else:
             high = s

@@ -7,17 +7,13 @@ deviation of each number of the machine file: twice the log-likelihood that the 
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from validation.blind.machines import DYNAMIC, Tables
-from validation.blind.motions import Motion
-from validation.blind.numbers import FloatArray
-from validation.blind.real import COARSE_STEP_S, Reading, Real, played
-from validation.blind.sensors import Sensors
+from ffcomp.bank.real import FloatArray, Reading
+from ffcomp.bank.sensors import Sensors
 
 BAND_HZ = (1.0, 200.0)
 LEAST_RAW, LEAST_LEFT = 0.1, 30.0
@@ -26,6 +22,8 @@ PROBE = 0.01
 
 @dataclass(frozen=True)
 class Visibility:
+    """What can be seen of one hidden thing."""
+
     raw: float
     left: float
     rows: int
@@ -49,33 +47,16 @@ def whitened(sensors: Sensors, readings: Sequence[Reading], repeats: Sequence[in
     return np.concatenate(parts)
 
 
-def retuning(plain: Real, firmware: Tables, motions: Sequence[Motion], sensors: Sensors, repeats: Sequence[int],
-             spread: float) -> FloatArray:  # fmt: skip
+def retuning(
+    plain: Callable[[], list[Reading]],
+    probed: Sequence[Callable[[], list[Reading]]],
+    sensors: Sensors,
+    repeats: Sequence[int],
+    spread: float,
+) -> FloatArray:
     """N : (rows, numbers), the answers of the plain printer to one standard deviation `spread` of each number."""
-
-    def answer(machine: Tables) -> FloatArray:
-        real = Real(machine, readers=plain.readers)
-        return whitened(sensors, [played(real, firmware, m, COARSE_STEP_S) for m in motions], repeats)
-
-    base = answer(plain.machine)
-    return np.column_stack([(answer(other) - base) * spread / PROBE for other in _probes(plain.machine)])
-
-
-def _probes(machine: Tables) -> Iterator[Tables]:
-    """The machine with one dynamic number larger by the probe, one after the other."""
-    keys = [(machine[table], table, key) for table, names in DYNAMIC.items() for key in names]
-    drive = machine["carriage"].get("drive", {})
-    for _, table, key in keys:
-        for n in range(np.size(machine[table][key]) if table == "effector" else 1):
-            probed = copy.deepcopy(machine)
-            grown = np.array(probed[table][key], dtype=float)
-            grown[n if grown.ndim and table == "effector" else ...] *= 1 + PROBE
-            probed[table][key] = grown.tolist()
-            yield probed
-    for key in drive:
-        probed = copy.deepcopy(machine)
-        probed["carriage"]["drive"][key] *= 1 + PROBE
-        yield probed
+    base = whitened(sensors, plain(), repeats)
+    return np.column_stack([(whitened(sensors, each(), repeats) - base) * spread / PROBE for each in probed])
 
 
 def visibility(difference: FloatArray, n: FloatArray) -> Visibility:

@@ -96,7 +96,7 @@ NEUTRAL: Mapping[str, Any] = {
 
 
 def printer_of(machine: Mapping[str, Any], hidden: Mapping[str, Any]) -> Printer:
-    """The tables of a machine file as numbers, with fields of PRINTER set by what is hidden."""
+    """Return the tables of a machine file as numbers, with fields of PRINTER set by what is hidden."""
     geometry, carriage, effector = machine["kinematics"], machine["carriage"], machine["effector"]
     drive = carriage.get("drive")
     angles = np.radians(np.asarray(geometry["tower_angles_deg"], dtype=float))

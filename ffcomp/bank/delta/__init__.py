@@ -1,0 +1,1 @@
+"""Hidden deltas: equations, numbers and effects of their own."""

@@ -1,0 +1,137 @@
+"""The kinds of machines that the bank hides something in: how each is drawn, driven, measured and written down."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ffcomp.bank.delta import machines as delta_machines
+from ffcomp.bank.delta import real as delta
+from ffcomp.bank.delta.hidden import EFFECTS as DELTA_EFFECTS
+from ffcomp.bank.delta.numbers import carriages_of
+from ffcomp.bank.delta.outside import OUTSIDE as DELTA_OUTSIDE
+from ffcomp.bank.motions import KINDS as MOTIONS
+from ffcomp.bank.motions import Motion, Path, Place
+from ffcomp.bank.real import FloatArray, Hide, Reading, Real, Rng, Tables
+from ffcomp.bank.straight import machines as straight
+from ffcomp.bank.straight.hidden import effects_of
+from ffcomp.bank.straight.outside import OUTSIDE as STRAIGHT_OUTSIDE
+
+MEASURED = (  # motion, place, name, loudness
+    ("multisine", 0, "centre", 1.0),
+    ("multisine", 0, "loud", 2.5),
+    ("multisine", 1, "left", 1.4),
+    ("infill", 2, "high", 1.0),
+    ("slow", 3, "back", 1.0),
+    ("steps", 3, "back", 1.0),
+    ("turns", 4, "up", 1.0),
+)
+FRESH = (("multisine", 5, "fresh", 1.2), ("infill", 5, "fresh", 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Kind:
+    """One kind of machine with one set of sensors."""
+
+    draw: Callable[[Rng, Sequence[str]], Tables]  # of the names of what will be hidden
+    file_of: Callable[[Tables, float, Rng], Tables]
+    played: Callable[[Real, Mapping[str, Any], Motion, bool], Reading]
+    probes: Callable[[Tables, float], Iterator[Tables]]
+    places: Callable[[Tables, Rng], list[Place]]
+    effects: Mapping[str, Hide]
+    outside: Mapping[str, Hide]
+    sensors: str
+    axes: str  # of the command in a run
+    flat: bool = False  # no motion along z
+
+    def command(self, firmware: Mapping[str, Any], path: FloatArray, axes: str) -> FloatArray:
+        """Return what a run's file has as the command, (n, 3) mm, of a nozzle's path."""
+        return carriages_of(firmware, path) if axes == "ABC" else path
+
+    def motions(self, machine: Tables, rng: Rng, seconds: float, short: bool) -> tuple[tuple[Motion, ...], ...]:
+        """Draw what is measured, and what will be measured afterwards at other places."""
+        places = self.places(machine, rng)
+
+        def motion(what: str, where: int, name: str, loudness: float) -> Motion:
+            path = MOTIONS[what](rng, places[where], seconds, loudness)
+            return Motion(f"{what}-{name}", _flat(path) if self.flat else path, seconds)
+
+        measured = [motion(*each) for each in MEASURED]
+        fresh = [motion(*each) for each in FRESH]
+        return (tuple(measured), tuple(fresh)) if not short else ((measured[0], measured[2]), tuple(fresh[:1]))
+
+
+def _flat(path: Path) -> Path:
+    def level(t: FloatArray) -> FloatArray:
+        found = path(t).copy()
+        found[:, 2] = found[0, 2]
+        return found
+
+    return level
+
+
+def _delta(rng: Rng, names: Sequence[str]) -> Tables:
+    machine = delta_machines.draw_machine(rng)
+    if "center_of_mass" in names or ("force_map" in names and rng.random() < 0.5):
+        machine["effector"]["force_map"] = "paper"
+    return machine
+
+
+def _delta_played(real: Real, firmware: Mapping[str, Any], motion: Motion, coarse: bool) -> Reading:
+    return delta.played(real, firmware, motion, *([delta.COARSE_STEP_S] if coarse else []))
+
+
+def _round_places(machine: Tables, rng: Rng) -> list[Place]:
+    reach = 0.62 * machine["kinematics"]["print_radius_mm"]
+    turn = rng.uniform(0, 2 * np.pi)
+    places: list[Place] = [(0.0, 0.0, 30.0)]
+    for n in range(5):
+        angle = turn + 2 * np.pi * n / 5 + rng.uniform(-0.3, 0.3)
+        height = rng.uniform(15, 60) if n % 2 == 0 else rng.uniform(90, 160)
+        places.append((reach * np.cos(angle), reach * np.sin(angle), height))
+    return places
+
+
+def _bed_places(machine: Tables, rng: Rng) -> list[Place]:
+    size = [machine["kinematics"][f"{axis}_range_mm"][1] for axis in "xy"]
+    middle: Place = (size[0] / 2, size[1] / 2, 30.0)
+    shares = [(0.25, 0.7), (0.75, 0.3), (0.3, 0.25), (0.7, 0.72), (0.5, 0.25)]
+    moved = [(x + rng.uniform(-0.05, 0.05), y + rng.uniform(-0.05, 0.05)) for x, y in shares]
+    return [middle, *((size[0] * x, size[1] * y, float(rng.uniform(20, 60))) for x, y in moved)]
+
+
+def _straight(kind: str, sensors: str) -> Kind:
+    return Kind(
+        draw=lambda rng, names: straight.draw_machine(rng, kind),
+        file_of=straight.file_of,
+        played=straight.played,
+        probes=straight.probes,
+        places=_bed_places,
+        effects=effects_of(kind),
+        outside=STRAIGHT_OUTSIDE,
+        sensors=sensors,
+        axes="xyz",
+        flat=True,
+    )
+
+
+_DELTA = Kind(
+    draw=_delta,
+    file_of=delta_machines.file_of,
+    played=_delta_played,
+    probes=delta_machines.probes,
+    places=_round_places,
+    effects=DELTA_EFFECTS,
+    outside=DELTA_OUTSIDE,
+    sensors="all",
+    axes="ABC",
+)
+KINDS: Mapping[str, Kind] = {
+    "delta": _DELTA,
+    "nozzle": replace(_DELTA, sensors="effector", axes="xyz"),  # what owners have: one chip on the nozzle holder
+    "cartesian": _straight("cartesian", "head-and-bed"),
+    "corexy": _straight("corexy", "effector"),
+}
