@@ -191,6 +191,7 @@ class CarriageTable(Table):
 
     mass_kg: float = Field(ge=0.001, le=20)
     arm_pair_mass_kg: float = Field(ge=0, le=5)
+    arm_mass_share_at_ends: float = Field(1.0, ge=0, le=1)
     belt_stiffness_n_per_m: float = Field(ge=1e3, le=1e9)
     belt_damping_n_s_per_m: Damping
     guide_damping_n_s_per_m: Damping

@@ -21,7 +21,7 @@ from ffcomp.measurement.frf import FrequencyResponse
 from models.arrays import ComplexArray, FloatArray
 from models.delta_machine import delta_vibration
 from models.machine import Machine
-from models.vibration.carriage import belt, drive_frf, impedance
+from models.vibration.carriage import belt, drive_frf
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ def decouple(machine: Machine, responses: Sequence[FrequencyResponse]) -> Decoup
     xy = np.array((first.position_mm or (0.0, 0.0, 0.0))[:2])
     inverse = np.linalg.inv(g)
     drive = belt(delta_vibration(machine).carriage, s) * drive_frf(delta_vibration(machine).carriage.drive, s)
-    own = impedance(delta_vibration(machine).carriage, s)[:, None, None] * np.eye(3)
+    own = delta_vibration(machine).carriage_impedance(xy, s)
     size = np.abs(inverse) ** 2
     spread = np.abs(drive[:, None, None]) ** 2 * np.einsum("kia,kab,kbj->kij", size, variance, size)
     j, gamma = machine.kinematics.jacobian(xy[None])[0], delta_vibration(machine).load_map(xy[None])[0]

@@ -13,7 +13,7 @@ from ffcomp.measurement.frf import FrequencyResponse
 from models.arrays import ComplexArray, FloatArray
 from models.delta_machine import delta_vibration
 from models.machine import Machine
-from models.vibration.carriage import belt, command_frf, drive_frf, impedance
+from models.vibration.carriage import belt, command_frf, drive_frf
 
 CARRIAGES, AXES = "ABC", "xyz"
 
@@ -121,7 +121,7 @@ class _Assembly:
 def _assembly(machine: Machine, xy: FloatArray, s: ComplexArray) -> _Assembly:
     j, gamma = machine.kinematics.jacobian(xy[None])[0], delta_vibration(machine).load_map(xy[None])[0]
     load = (gamma * delta_vibration(machine).effector_impedance(s)[:, None, :]) @ j
-    stiffness = load + impedance(delta_vibration(machine).carriage, s)[:, None, None] * np.eye(3)
+    stiffness = load + delta_vibration(machine).carriage_impedance(xy, s)
     drive = belt(delta_vibration(machine).carriage, s) * drive_frf(delta_vibration(machine).carriage.drive, s)
     return _Assembly(np.linalg.inv(stiffness), drive, j, gamma)
 

@@ -1,8 +1,8 @@
 """Simulate the motion of the nonlinear printer under commanded carriage heights.
 
-A delta has full kinematics with J̇ q̇, gravity, drives, belts, guides, half the arms' masses at either end, and the
-extruder on its mount; straight axes have their modes. Both have all effects of `models/effects` that the machine lists.
-The equations are in `models/printer/kernels`, of straight axes in `axes.py` there.
+A delta has full kinematics with J̇ q̇, gravity, drives, belts, guides, arms with mass at their ends and along them, and
+the extruder on its mount; straight axes have their modes. Both have all effects of `models/effects` that the machine
+lists. The equations are in `models/printer/kernels`, of straight axes in `axes.py` there.
 
 Lengths mm, velocities mm/s, accelerations m/s² (as accelerometers are read), time s.
 """

@@ -37,6 +37,12 @@ class Carriage:
     belt_damping_n_s_per_m: float  # c, between motor and carriage
     guide_damping_n_s_per_m: float  # b, between carriage and rail
     drive: Drive | None = None  # None: an ideal drive
+    arm_mass_share_at_ends: float = 1.0  # of m_f; the rest lies evenly along the arms
+
+    @property
+    def arm_inertia_kg(self) -> float:
+        """Return ν = (1 − share at the ends) m_f/6: what the kinetic energy lacks, per arm pair, is ½ ν |Ẋ − ẑ q̇|²."""
+        return (1.0 - self.arm_mass_share_at_ends) * self.arm_pair_mass_kg / 6
 
     @property
     def moving_mass_kg(self) -> float:

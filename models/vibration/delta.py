@@ -14,6 +14,12 @@ The centripetal term f = J̇ q̇ of the planned motion is a known input. Only ac
 the effector enter, so the model holds for large motion. k, c and b may be three numbers, A B C. mm for lengths;
 stiffness N/m over mass kg is 1/s² all the same.
 
+The paper's arms are half masses at their ends. Mass that lies evenly along an arm of which one end moves with Ẋ and the
+other with ẑ q̇_i has less kinetic energy, m_f/6 (|Ẋ|² + Ẋ·ẑ q̇_i + q̇_i²): with the share of it that acts at the ends,
+
+    T = … − ½ ν Σ |Ẋ − ẑ q̇_i|²,   ν = (1 − share) m_f/6   so that M and the forces lose
+    ν Σ R_iᵀ R_i and ν Σ R_iᵀ f,   R_i = J − ẑ e_iᵀ        whatever Γ is: it is of the effector
+
 Γ is how the carriages share the effector's load (`force_map` in the machine file):
 
 - `virtual_work`: F_q = Jᵀ F. Six two-force rods carry exactly this, wherever the centre of mass is.
@@ -34,7 +40,7 @@ from models.arrays import ComplexArray, FloatArray, constant, same_or_each
 from models.kinematics.base import Kinematics
 from models.kinematics.delta import DeltaKinematics
 from models.vibration.base import Description, Parameter, ParameterSet, PrinterFields, VibrationModel
-from models.vibration.carriage import Carriage, Drive, belt, damping, drive_frf
+from models.vibration.carriage import Carriage, Drive, belt, damping, drive_frf, impedance
 from models.vibration.effector import Effector, apparent_mass, load_distribution
 from models.vibration.state_space import StateSpace
 
@@ -150,12 +156,34 @@ class DeltaVibration(VibrationModel):
             return j.transpose(0, 2, 1)
         return np.einsum("nai,iab->nib", j, load_distribution(self.kinematics.tower_angles_rad, self.effector))
 
+    def arm_inertia(self, j: FloatArray) -> FloatArray:
+        """Return ν Σ R_iᵀ R_i, by which mass along the arms lightens the carriages; j and result (n, 3, 3), kg."""
+        rise = j[:, 2]  # of the nozzle, by each carriage
+        both = rise[:, :, None] + rise[:, None, :]
+        return np.asarray(self.carriage.arm_inertia_kg * (3 * j.transpose(0, 2, 1) @ j - both + np.eye(3)))
+
+    def carriage_impedance(self, xy: FloatArray, s: ComplexArray) -> ComplexArray:
+        """Return what of Z the effector has no part in, carriages and mass along the arms.
+
+        Parameters
+        ----------
+        xy : (2,) mm, columns X Y.
+        s : (k,) 1/s.
+
+        Returns
+        -------
+        (k, 3, 3) N/m.
+        """
+        arms = self.arm_inertia(self.kinematics.jacobian(xy[None]))
+        return np.asarray(impedance(self.carriage, s)[:, None, None] * np.eye(3) - s[:, None, None] ** 2 * arms)
+
     def equations(self, xy: FloatArray) -> EquationsOfMotion:
         """Return M, C and K at positions (n, 2) mm."""
         carriage, effector = self.carriage, self.effector
         j, gamma = self.kinematics.jacobian(xy), self.load_map(xy)
         extruder = effector.extruder_mass_kg
         carriages = carriage.moving_mass_kg * np.eye(3) + (self.nozzle_side_mass_kg + extruder) * gamma @ j
+        carriages = carriages - self.arm_inertia(j)
         relative = np.broadcast_to(extruder * np.eye(3), j.shape)
         return EquationsOfMotion(
             np.block([[carriages, extruder * gamma], [extruder * j, relative]]),
@@ -231,6 +259,7 @@ class DeltaVibration(VibrationModel):
         forces[:, :3, 15:18] = np.broadcast_to(self.carriage.belt_damping_n_s_per_m, 3) * np.eye(3)
         m2 = self.effector.extruder_mass_kg
         forces[:, :3, 18:], forces[:, 3:, 18:] = -(self.nozzle_side_mass_kg + m2) * self.load_map(xy), -m2 * np.eye(3)
+        forces[:, :3, 18:] += self.carriage.arm_inertia_kg * (3 * self.jacobian(xy).transpose(0, 2, 1) - [0, 0, 1])
         accelerations = np.linalg.solve(eq.mass, forces)
         a, inputs = np.zeros((g, STATES, STATES)), np.zeros((3, g, STATES, 3))
         a[:, Q, QD] = a[:, ETA, ETAD] = np.eye(3)
@@ -311,6 +340,7 @@ class DeltaVibration(VibrationModel):
             if paper
             else np.stack([np.eye(3)] * 3),
             "holder_mass": self.nozzle_side_mass_kg,
+            "arm_inertia": carriage.arm_inertia_kg,
             "extruder_mass": effector.extruder_mass_kg,
             "mount_k": effector.extruder_stiffness_n_per_m,
             "mount_b": effector.extruder_damping_n_s_per_m,
@@ -323,7 +353,8 @@ class DeltaVibration(VibrationModel):
         reach = self.kinematics.model_reach_mm
         angles = np.arange(0, 2 * np.pi, np.pi / 6)
         places = np.vstack([np.zeros((1, 2)), reach * np.column_stack([np.cos(angles), np.sin(angles)])])
-        load = self.nozzle_side_mass_kg * self.load_map(places) @ self.kinematics.jacobian(places)
+        j = self.kinematics.jacobian(places)
+        load = self.nozzle_side_mass_kg * self.load_map(places) @ j - self.arm_inertia(j)
         return float(np.linalg.eigvals(self.carriage.moving_mass_kg * np.eye(3) + load).real.min())
 
     @property

@@ -30,6 +30,11 @@ def machine() -> Machine:
     return load_machine(judge.MACHINE_FILE)
 
 
+def with_share(machine: Machine, share: float) -> Machine:
+    carriage = replace(delta_vibration(machine).carriage, arm_mass_share_at_ends=share)
+    return with_parts(machine, carriage=carriage)
+
+
 def pole_difference(machine: Machine, choice: Choice, model: Machine | None = None) -> float:
     """Largest distance of a pole of ours (of `model`) from MuJoCo's nearest, relative."""
     theirs = multibody.modes(multibody.build(machine, PLACE_MM, choice))
@@ -43,6 +48,11 @@ def pole_difference(machine: Machine, choice: Choice, model: Machine | None = No
 def test_small_motion_is_that_of_bodies_whose_arms_are_two_points(machine: Machine, effector: Effector) -> None:
     """With parallelograms the effector may turn and its centre of mass is off: neither may be seen."""
     assert pole_difference(machine, Choice("lumped", effector)) < 2e-5
+
+
+@pytest.mark.parametrize("arms", ["uniform", "tubes"])
+def test_rods_move_as_a_file_says_that_tells_of_their_ends(machine: Machine, arms: Arms) -> None:
+    assert pole_difference(machine, Choice(arms), with_share(machine, multibody.AT_ENDS[arms])) < 2e-5
 
 
 @pytest.mark.parametrize(("arms", "least"), [("lumped", 1e-3), ("uniform", 1e-2)])
@@ -75,15 +85,16 @@ def rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.sum(values**2, axis=1))))
 
 
-@pytest.mark.parametrize("gravity", [False, True])
-def test_it_answers_a_jerk_as_bodies_do(machine: Machine, gravity: bool) -> None:
+@pytest.mark.parametrize(("gravity", "arms"), [(False, "lumped"), (True, "lumped"), (True, "uniform")])
+def test_it_answers_a_jerk_as_bodies_do(machine: Machine, gravity: bool, arms: Arms) -> None:
     """20 mm in a tenth of a second along x and y, and half as long to ring."""
     t = ROW_S * np.arange(round(0.15 / ROW_S) + 1)
     way = np.minimum(t / 0.1, 1.0)
     path = PLACE_MM - np.outer(10.0 * (1 - np.cos(np.pi * way)), [1.0, 0.5, 0.1])
     command = machine.kinematics.inverse(path)
-    ours = simulate_printer(machine, command, ROW_S, gravity=gravity)
-    theirs = multibody.play(machine, path[0], command, ROW_S, Choice(gravity=gravity))
+    model = with_share(machine, multibody.AT_ENDS[arms])
+    ours = simulate_printer(model, command, ROW_S, gravity=gravity)
+    theirs = multibody.play(machine, path[0], command, ROW_S, Choice(arms, gravity=gravity))
     every = round(ROW_S / multibody.STEP_S)
     vibration = rms(ours.nozzle_mm - ours.nozzle_mm[0] - (path - path[0]))
     assert vibration > 0.1

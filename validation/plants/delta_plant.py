@@ -52,6 +52,7 @@ PLANT = np.dtype(
         ("height", "f8"),  # m, joint plane above the nozzle tip
         ("carriage_mass", "f8", 3),  # kg, m = m_c + m_f/2
         ("holder_mass", "f8"),  # kg, M = m_1 + 3 m_f/2
+        ("arm_inertia", "f8"),  # kg, ν = (1 − share at the ends) m_f/6
         ("extruder_mass", "f8"),  # kg, m_2
         ("belt_k", "f8", 3),  # N/m
         ("belt_c", "f8", 3),  # N s/m
@@ -95,6 +96,7 @@ def plant_of(machine: dict[str, Any], *, gravity: bool = False) -> Plant:
         "height": geometry["effector_height_mm"] / 1e3,
         "carriage_mass": each("carriage_mass_kg", carriage["mass_kg"]) + half_arms,
         "holder_mass": effector["nozzle_mass_kg"] + 3 * half_arms,
+        "arm_inertia": (1.0 - carriage.get("arm_mass_share_at_ends", 1.0)) * half_arms / 3,
         "extruder_mass": 1.0 if loose else float(effector["extruder_mass_kg"]),
         "belt_k": each("belt_stiffness_n_per_m", carriage["belt_stiffness_n_per_m"]),
         "belt_c": each("belt_damping_n_s_per_m", carriage["belt_damping_n_s_per_m"]),
@@ -243,9 +245,13 @@ def _rate(
         pull -= p.carriage_mass[i] * (bend + p.gravity)
         row = (ax, ay, 1.0)
         for j in range(3):
-            force[j] += row[j] * pull
+            up = 1.0 if j == 2 else 0.0
+            force[j] += row[j] * pull + p.arm_inertia * bend * (row[j] - up)
+            mass[j, j] -= p.arm_inertia
+            mass[j, 2] += p.arm_inertia * row[j]
+            mass[2, j] += p.arm_inertia * row[j]
             for k in range(3):
-                mass[j, k] += p.carriage_mass[i] * row[j] * row[k]
+                mass[j, k] += (p.carriage_mass[i] - p.arm_inertia) * row[j] * row[k]
         dy[12 + i], dy[15 + i] = y[15 + i], ddv
     _solve3(mass, force, acc)
     for j in range(3):

@@ -5,8 +5,9 @@ body on a vertical slide whose spring and damper are the belt's and the guide's;
 joint at its carriage and a `connect` constraint at the effector; the extruder is a body on three sprung slides. What
 the motor does is a force k u + c u̇ on the carriage, u and u̇ from the drive's transfer function.
 
-    arms "lumped"   each rod's mass sits in two points, half at each end: what `models` assume
+    arms "lumped"   each rod's mass sits in two points, half at each end
     arms "uniform"  each rod is a thin uniform rod
+    arms "tubes"    each rod is a thin uniform rod with heavy ends, 0.4 of its mass
     effector "sliding"        translates only, one rod a tower
     effector "parallelograms" free in all six, held by two rods a tower; its centre of mass is where the file says
 
@@ -18,7 +19,7 @@ r̈ + 2ṙ/T + r/T² = (1 − d) (what r̈ were without it) for d near 1 (MuJoCo
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -48,7 +49,8 @@ NUDGE_M, NUDGE_M_PER_S = 1e-6, 1e-3
 FASTEST_MODE_PER_S = 4000.0  # between the machine's poles and those of the constraints, 1/T
 SETTLED_M = 1e-12
 
-Arms = Literal["lumped", "uniform"]
+Arms = Literal["lumped", "uniform", "tubes"]
+AT_ENDS: Mapping[Arms, float] = {"lumped": 1.0, "uniform": 0.0, "tubes": 0.4}  # of a rod's mass
 Effector = Literal["sliding", "parallelograms"]
 
 
@@ -170,10 +172,10 @@ def _carriage(machine: Machine, tower: str, rods: list[Rod], height: float, choi
 
 
 def _rod(rod: Rod, carriage: FloatArray, arms: Arms) -> Iterator[str]:
-    """A body whose z axis runs down the rod; its inertia about the middle is m L²/12, or m L²/4 for two points."""
+    """A body whose z axis runs down the rod; its inertia about the middle is m L²/12, m L²/4 of what is at the ends."""
     along = rod.lower_m - rod.upper_m
     length = float(np.linalg.norm(along))
-    across = rod.mass_kg * length**2 / (12 if arms == "uniform" else 4)
+    across = rod.mass_kg * length**2 * (AT_ENDS[arms] / 4 + (1 - AT_ENDS[arms]) / 12)
     inertia = _row(np.array([across, across, rod.mass_kg * ROD_RADIUS_M**2 / 2]))
     yield f"<body name='rod_{rod.name}' pos='{_row(rod.upper_m - carriage)}' zaxis='{_row(along)}'><joint type='ball'/>"
     yield f"<inertial pos='0 0 {length / 2!r}' mass='{rod.mass_kg}' diaginertia='{inertia}'/>"

@@ -15,6 +15,10 @@ the column of J = −S⁻¹ diag(h) (paper, Eq. 12) that is carriage i's,
     η̈ = −a − g ẑ − (K η + B η̇)/m₂
     M_f (d̈ + 2 ζ ω ḋ + ω² d) = −Dᵀ F
 
+Mass along the arms lessens the kinetic energy by ½ ν Σ |Ẋ − ẑ q̇_i|² (models/vibration/delta.py). The carriages'
+equations lose ν Σ R_iᵀ (Ẍ − ẑ q̈_i) = ν Σ R_iᵀ R_i q̈ + ν Σ R_iᵀ J w, with R_i = J − ẑ e_iᵀ. Both ends of an arm ride
+on the frame, so that d does not enter.
+
 With d̈ eliminated by μ = M₁/(M_f + M₁), R = I − μ D Dᵀ and ρ = 2 ζ ω ḋ + ω² d,
 
     F = R (M₁ J (q̈ + w) + f₀) − M₁ (1 − μ) D ρ,   f₀ = M₁ g ẑ − K η − B η̇ + joint friction,

@@ -8,6 +8,7 @@ from models.arrays import FloatArray
 from models.printer.kernels.jit import compiled, inlined
 from models.printer.kernels.record import (
     ACC,
+    ARMS,
     CENTRIPETAL,
     DD,
     ETA,
@@ -35,7 +36,7 @@ TO_PLANE, OFFSET = parameter_rows("to_plane", "offset")
 CARRIAGE_MASS, SHARES, GRAVITY = parameter_rows("carriage_mass", "shares", "gravity")
 HOLDER_MASS, EXTRUDER_MASS, MOUNT_K, MOUNT_B = parameter_rows("holder_mass", "extruder_mass", "mount_k", "mount_b")
 DIRECTIONS, MASS_RATIO = parameter_rows("frame_directions", "frame_mass_ratio")
-FRAME_K, FRAME_B = parameter_rows("frame_k", "frame_b")
+FRAME_K, FRAME_B, ARM_INERTIA = parameter_rows("frame_k", "frame_b", "arm_inertia")
 
 
 @inlined
@@ -131,8 +132,31 @@ def _load(m: FloatArray, l: int) -> Vector:
 
 
 @compiled
+def mass_along_arms(m: FloatArray) -> None:
+    """Evaluate −ν Σ R_iᵀ R_i = −ν (3 JᵀJ − z 1ᵀ − 1 zᵀ + I), z = Jᵀẑ, and add ν Σ R_iᵀ J w to the pull."""
+    for l in range(LANES):
+        j_a, j_b, j_c = vector(m, J, l), vector(m, J + 3, l), vector(m, J + 6, l)
+        nu = at(m, ARM_INERTIA, l)
+        put(m, ARMS, l, (_own_arm(nu, j_a), _own_arm(nu, j_b), _own_arm(nu, j_c)))
+        put(m, ARMS + 3, l, (_both_arms(nu, j_a, j_b), _both_arms(nu, j_a, j_c), _both_arms(nu, j_b, j_c)))
+        turn = scale(nu, combine(vector(m, CENTRIPETAL, l), j_a, j_b, j_c))
+        by_a, by_b, by_c = 3.0 * dot(j_a, turn), 3.0 * dot(j_b, turn), 3.0 * dot(j_c, turn)
+        put(m, PULL, l, add(vector(m, PULL, l), (by_a - turn[2], by_b - turn[2], by_c - turn[2])))
+
+
+@inlined
+def _own_arm(nu: float, j: Vector) -> float:
+    return -nu * (3.0 * dot(j, j) - 2.0 * j[2] + 1.0)
+
+
+@inlined
+def _both_arms(nu: float, j: Vector, other: Vector) -> float:
+    return -nu * (3.0 * dot(j, other) - j[2] - other[2])
+
+
+@compiled
 def solve_carriages(m: FloatArray) -> None:
-    """Solve for q̈: (m I + Γ R M₁ J) q̈ = pull − Γ (R (M₁ J w + f₀) − M₁ (1 − μ) D ρ)."""
+    """Solve for q̈: (m I + Γ R M₁ J + arms) q̈ = pull − Γ (R (M₁ J w + f₀) − M₁ (1 − μ) D ρ)."""
     for l in range(LANES):
         j_a, j_b, j_c = vector(m, J, l), vector(m, J + 3, l), vector(m, J + 6, l)
         mass, own, load = at(m, HOLDER_MASS, l), vector(m, CARRIAGE_MASS, l), _load(m, l)
@@ -141,9 +165,10 @@ def solve_carriages(m: FloatArray) -> None:
         g_a, g_b, g_c = _load_row(m, 0, j_a, l), _load_row(m, 1, j_b, l), _load_row(m, 2, j_c, l)
         pull = add(vector(m, PULL, l), (-dot(g_a, load), -dot(g_b, load), -dot(g_c, load)))
         put(m, PULL, l, pull)
-        row_a = dot(g_a, a) + own[0], dot(g_a, b), dot(g_a, c)
-        row_b = dot(g_b, a), dot(g_b, b) + own[1], dot(g_b, c)
-        row_c = dot(g_c, a), dot(g_c, b), dot(g_c, c) + own[2]
+        own, (ab, ac, bc) = add(own, vector(m, ARMS, l)), vector(m, ARMS + 3, l)
+        row_a = dot(g_a, a) + own[0], dot(g_a, b) + ab, dot(g_a, c) + ac
+        row_b = dot(g_b, a) + ab, dot(g_b, b) + own[1], dot(g_b, c) + bc
+        row_c = dot(g_c, a) + ac, dot(g_c, b) + bc, dot(g_c, c) + own[2]
         put(m, RATE + QD, l, solve(row_a, row_b, row_c, pull))
 
 

@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from models.arrays import FloatArray
-from models.printer.kernels.delta import arm_kinematics, effector_and_frame, holder_forces, solve_carriages
+from models.printer.kernels.delta import (
+    arm_kinematics,
+    effector_and_frame,
+    holder_forces,
+    mass_along_arms,
+    solve_carriages,
+)
 from models.printer.kernels.friction import guide_friction, joint_friction, stribeck
 from models.printer.kernels.jit import compiled
 from models.printer.kernels.motors import Commands, belts, command_times, motors, read_command, torque_angle
@@ -35,7 +41,7 @@ from models.printer.kernels.vectors import at
 
 INVERSE_AMPLITUDE, DELAY, COGGING = parameter_rows("inverse_amplitude", "delay", "ripple")
 DRY, STICKING = parameter_rows("dry", "sticking")
-(JOINT_DRY,) = parameter_rows("joint_dry")
+JOINT_DRY, ARM_INERTIA = parameter_rows("joint_dry", "arm_inertia")
 
 PAGE = 64  # samples are copied by the page: a write at a time would touch too many cache lines
 
@@ -55,7 +61,8 @@ def active_effects(m: FloatArray) -> ActiveEffects:
     sticking = any_nonzero(m, STICKING, 3)
     guides, joints = sticking or any_nonzero(m, DRY, 3), any_nonzero(m, JOINT_DRY, 1)
     torque_angle, ripple = any_nonzero(m, INVERSE_AMPLITUDE, 3), any_nonzero(m, COGGING, 3)
-    return ActiveEffects(sticking, guides, joints, torque_angle, ripple, any_nonzero(m, DELAY, 3))
+    delay, arms = any_nonzero(m, DELAY, 3), any_nonzero(m, ARM_INERTIA, 1)
+    return ActiveEffects(sticking, guides, joints, torque_angle, ripple, delay, arms)
 
 
 @compiled
@@ -73,6 +80,8 @@ def rate(m: FloatArray, has: ActiveEffects) -> None:
     if has.joints:
         joint_friction(m)
     holder_forces(m)
+    if has.arms:
+        mass_along_arms(m)
     solve_carriages(m)
     effector_and_frame(m)
 

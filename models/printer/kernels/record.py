@@ -41,6 +41,7 @@ PARAMETERS = np.dtype(
         ("d2", "f8", 3),  # 1/s
         ("shares", "f8", (3, 3, 3)),  # P_i of Eq. 25: arm, component of its force, component of the total force
         ("holder_mass", "f8"),  # kg, M₁ = m_1 + 3 m_f/2
+        ("arm_inertia", "f8"),  # kg, ν of each arm pair
         ("extruder_mass", "f8"),  # kg, m_2
         ("mount_k", "f8", 3),  # N/m
         ("mount_b", "f8", 3),  # N s/m
@@ -101,8 +102,10 @@ TIME, CUBIC, COMMAND, COMMAND_RATE, RIPPLE, RIPPLE_RATE = np.array([120, 123, 13
 MOTOR, MOTOR_RATE, STRETCH, SPRING, LEVEL, GUIDES, PULL, CENTRIPETAL = np.arange(147, 171, 3)
 # X Y Z: m, m/s; relative to the ground, m/s²; N; f₀, N. ρ of the frame's two directions, m/s². J, column by column.
 X, XD, ACC, JOINTS, F0, RHO, J = np.arange(171, 192, 3)
+# kg, mass along the arms in the carriages' equations: its diagonal, then rows A B, A C, B C.
+ARMS = 198
 # The printer's parameters, in the order of `PARAMETERS`.
-PRINTER = 198
+PRINTER = 204
 ROWS = PRINTER + COUNT
 
 
@@ -131,3 +134,4 @@ class ActiveEffects(NamedTuple):
     torque_angle: bool
     ripple: bool
     delay: bool
+    arms: bool

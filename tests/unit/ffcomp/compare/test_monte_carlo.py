@@ -45,6 +45,7 @@ def test_no_dynamic_number_is_forgotten() -> None:
     left = keys - names - {name[:-3] for name in names}
     assert left == {
         "carriage.drive",
+        "carriage.arm_mass_share_at_ends",
         "carriage.arm_pair_mass_kg",  # weighed, as the geometry is measured
         "effector.joint_radius_mm",
         "effector.center_of_mass_mm",

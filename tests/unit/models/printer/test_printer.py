@@ -40,6 +40,8 @@ def judged(machine: Machine, command: np.ndarray, gravity: bool) -> dict[str, np
     document = delta_plant.load_machine(machine.path)
     if delta_vibration(machine).carriage.drive is None:
         del document["carriage"]["drive"]
+    document["carriage"]["arm_pair_mass_kg"] = delta_vibration(machine).carriage.arm_pair_mass_kg
+    document["carriage"]["arm_mass_share_at_ends"] = delta_vibration(machine).carriage.arm_mass_share_at_ends
     document["kinematics"]["arm_lengths_mm"] = list(machine.kinematics.arm_lengths_mm)
     document["kinematics"]["delta_radii_mm"] = list(machine.kinematics.delta_radii_mm)
     return delta_plant.simulate(document, half_steps, 1 / 12800, gravity=gravity, keep_every=8)
@@ -56,8 +58,17 @@ def ideal(machine: Machine) -> Machine:
     return with_parts(machine, carriage=replace(delta_vibration(machine).carriage, drive=None))
 
 
+def rods(machine: Machine) -> Machine:
+    """Return the uneven machine with arms as heavy as its carriages, a fifth of it at their ends."""
+    carriage = replace(delta_vibration(machine).carriage, arm_pair_mass_kg=0.2, arm_mass_share_at_ends=0.2)
+    return uneven(with_parts(machine, carriage=carriage))
+
+
+CHANGES = {"as it is": lambda m: m, "uneven arms": uneven, "ideal drive": ideal, "rods": rods}
+
+
 @pytest.mark.parametrize("gravity", [True, False])
-@pytest.mark.parametrize("change", [lambda m: m, uneven, ideal], ids=["as it is", "uneven arms", "ideal drive"])
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
 def test_the_judge_agrees(printer: Machine, change, gravity: bool) -> None:
     machine = change(printer)
     command = sweeping(machine.kinematics)
