@@ -230,6 +230,12 @@ SHOWN: dict[str, Shown] = {
         "A bowed first layer and another scale of the print, both right in the middle; accelerations hardly tell.",
         (misplacement("z", "bowed"), misplacement("x", "and of another scale")),
     ),
+    "arm_inertia": Shown(
+        {"share_along": 1.0},
+        "Sideways the slow resonances rise a little; up and down at the centre nothing changes. Shown for uniform "
+        "rods, the most there can be, of arms of 32 g a pair.",
+        (response("x", "acc_x", "along x"), response("z", "acc_z", "up and down")),
+    ),
     "belt_backlash": Shown(
         {"width_mm": 0.06},
         "Where the motion pulls harder than gravity the carriage lets go and falls back with a knock; gentler motions "

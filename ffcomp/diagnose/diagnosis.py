@@ -45,7 +45,7 @@ from models.arrays import FloatArray
 TOO_LOUD = 0.1  # of the signals: with more noise, nothing found is not nothing there
 WRONG_FLOOR = -0.5  # discrepancy, of the noise: with less left than that, the floor is wrong
 MOSTLY = 0.9  # of the discrepancy, from which an explanation that failed a test is worth saying
-OWN_NUMBERS = {"belt_stiffness", "guide_damping", "effector_mass", "extruder_mount", "center_of_mass"}
+OWN_NUMBERS = {"belt_stiffness", "guide_damping", "effector_mass", "extruder_mount", "center_of_mass", "arm_inertia"}
 LOOSER = 5.0  # times the file's uncertainties
 LOOSELY = 1.5  # times the square that the named effects leave: the file's numbers alone explain as much
 EXISTS = 0.05  # the share of the noise by which a discrepancy must stand above it, or

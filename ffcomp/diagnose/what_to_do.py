@@ -23,6 +23,7 @@ REMEDIES: Mapping[str, str] = {
     "cogging": "Calibrate the drivers' microsteps or lower the current{where}; stiffer mounts do not help.",
     "torque_angle": "Raise the motor current within what the motors bear, or lower accelerations.",
     "effector_mass": "Weigh the effector with all that moves with it (fan, cables, camera) and write that in the file.",
+    "arm_inertia": "Weigh an arm's tube and its ends apart, and write the ends' share in the file.",
     "center_of_mass": "Weigh where the effector balances, or move what hangs to one side nearer to the middle.",
     "extruder_mount": "Tighten the extruder's mount, its screws and dampers; print a stiffer bracket.",
     "joint_friction": "Clean and oil the arms' joints; let their springs pull less.",

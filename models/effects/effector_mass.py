@@ -27,6 +27,7 @@ EFFECT = Effect(
     parameters=(Parameter("added_kg", "kg", "Δm", (-1, 10), (-0.1, 0.3), 0.01),),
     in_data="Lower resonances, all towers alike; the belts sag a little more.",
     confounded_with={
+        "arm_inertia": "Up and down at the centre: there only mass on the holder changes the resonance.",
         "belt_stiffness": "Two places on the bed: stiffness shifts all modes in one proportion, mass does not.",
         "effector.extruder_mass_kg": "The mode of the extruder on its mount: mass on the holder lifts it.",
     },

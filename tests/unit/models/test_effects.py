@@ -191,6 +191,7 @@ def test_without_parameter_effects_the_machine_is_itself(printer: Machine) -> No
 FOLDED = [
     ("guide_damping", {"added_n_s_per_m": 3.0}, "carriage.guide_damping_n_s_per_m", 18.76 + 3),
     ("belt_stiffness", {"relative_change": -0.1}, "carriage.belt_stiffness_n_per_m", 0.9 * 1.039e5),
+    ("arm_inertia", {"share_along": 0.7}, "carriage.arm_mass_share_at_ends", 0.3),
     ("effector_mass", {"added_kg": 0.08}, "effector.nozzle_mass_kg", 0.536 + 0.08),
     ("center_of_mass", {"offset_mm": [1.0, 2.0, 3.0]}, "effector.center_of_mass_mm[1]", -16.52 + 2),
     (

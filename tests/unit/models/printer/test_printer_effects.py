@@ -378,6 +378,7 @@ TABLES: dict[str, dict[str, Any]] = {
     "cogging": {"amplitude_mm": [0.01, 0.02, 0.01], "pitch_mm": [0.8, 0.8, 0.2]},
     "torque_angle": {"amplitude_mm": 2.0},
     "effector_mass": {"added_kg": 0.1},
+    "arm_inertia": {"share_along": 0.6},
     "center_of_mass": {"offset_mm": [5.0, 0.0, 0.0]},
     "extruder_mount": {"relative_stiffness_change": [-0.2, 0.1, 0.0], "relative_damping_change": [0.1, 0.2, 0.3]},
     "joint_friction": {"force_n": 1.0},
