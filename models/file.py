@@ -21,6 +21,7 @@ from typing import Any
 import tomlkit
 
 from models.axis.machine import AxisMachine
+from models.effects.catalogue import key_in_file
 from models.errors import MachineFileError
 from models.finding import LIBRARY as LIBRARY
 from models.finding import machine_paths as machine_paths
@@ -128,10 +129,19 @@ def entries(path: Path) -> list[Entry]:
     given = dict(_flat(document.model_dump(exclude_unset=True)))
     values = _flat(document.model_dump(exclude={"format", "name", "uncertainty", "provenance"}))
 
-    def origin(key: str) -> str:
-        return str(document.provenance.get(key, "")) if key in given else "default"
+    def entry(key: str, value: Any) -> Entry:
+        written = _as_written(key, document.per_kilogram)
+        origin = str(document.provenance.get(written, "")) if key in given else "default"
+        return Entry(written, value, unit_of(key), origin)
 
-    return [Entry(key, value, unit_of(key), origin(key)) for key, value in values if value is not None]
+    return [entry(key, value) for key, value in values if value is not None]
+
+
+def _as_written(key: str, per_kilogram: bool) -> str:
+    """Return the key of a value as the file has it: forces of effects may be per kilogram."""
+    table, _, rest = key.partition(".")
+    effect, _, parameter = rest.partition(".")
+    return f"{table}.{effect}.{key_in_file(effect, parameter, per_kilogram)}" if table == "effects" else key
 
 
 def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

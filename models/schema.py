@@ -339,6 +339,11 @@ class Document(Table):
         _refuse_others(effects, cls.moves, NO_EFFECT_OF[cls.moves])
         return effects
 
+    @property
+    def per_kilogram(self) -> bool:
+        """Return whether the file states forces of effects per kilogram."""
+        return False
+
     @classmethod
     def missing(cls, document: Mapping[str, Any]) -> list[str]:
         """Return sentences about tables' keys of which one or another must be there."""
@@ -423,6 +428,11 @@ class StraightDocument(PrinterDocument):
     def machine_parts(self) -> tuple[Kinematics, VibrationModel]:
         """Return kinematics and vibration model."""
         return self.kinematics.geometry(), ModalAxes.of(self.axes.axes())
+
+    @property
+    def per_kilogram(self) -> bool:
+        """Return whether the file states forces of effects per kilogram: no axis states its mass."""
+        return self.machine_parts()[1].per_kilogram
 
     @model_validator(mode="before")
     @classmethod

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
+from ffcomp.errors import MeasurementError
 from ffcomp.record.clock import without_gaps
 from ffcomp.record.plan import MovesPlan
 from ffcomp.record.result import Joined
@@ -87,6 +88,14 @@ def _of_repeats(own: Sequence[Joined], rows: FloatArray) -> Felt:
 def _filtered(each: Joined) -> tuple[FloatArray, FloatArray]:
     """Return times (n,) s of the experiment and the record (n, 3) in the band."""
     recording = each.recording
+    if missing := {f"acc_{axis}" for axis in "xyz"} - set(recording.acceleration):
+        raise MeasurementError(
+            each.source,
+            [
+                f"No chip feels the motion along {min(missing)[-1]}, and a check compares all axes: give the captures "
+                "of both chips, on the toolhead and on the bed."
+            ],
+        )
     rows = np.column_stack([recording.acceleration[f"acc_{axis}"] for axis in "xyz"])
     whole = without_gaps(recording.time_s, rows)
     return each.begin_s + recording.time_s, in_band(whole, recording.sample_rate_hz)

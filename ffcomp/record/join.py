@@ -18,6 +18,7 @@ from ffcomp.errors import MeasurementError
 from ffcomp.measurement.closed_loop import is_closed_loop, read_closed_loop
 from ffcomp.measurement.recording import Recording
 from ffcomp.record.axes import best_score, find_turn, tilt, words
+from ffcomp.record.chips import felt_shares, of_all_chips, without_deaf_axes
 from ffcomp.record.clock import ClockFit, fit_clock, long_gaps, without_gaps
 from ffcomp.record.expected import Expectation
 from ffcomp.record.motor_runs import BLIND, motor_runs
@@ -81,16 +82,17 @@ def join_captures(
             notes += [f"{Path(path).name}: {sentence}" for sentence in remarks]
         except MeasurementError as error:
             refused += [Refused(str(path), problem) for problem in error.problems]
-    joined: list[Joined] = []
+    joined: list[list[Joined]] = []
     for chip in dict.fromkeys(task.chip for task in tasks):
         own = [task for task in tasks if task.chip == chip]
         progress(f"joining {len(own)} captures of {chip or 'the accelerometer'}")
         good, bad = _join_chip(own, plan, turn)
-        joined += good
+        joined.append(good)
         refused += bad
-    kept, apart, late = check_repeats(sorted(_best(joined), key=lambda each: each.name))
+    kept, apart, late = check_repeats(sorted(of_all_chips(joined), key=lambda each: each.name))
     blind = [BLIND] if motors else []
-    return JoinResult((*kept, *motors), (*refused, *apart), (*notes, *late, *left_handed(kept), *blind))
+    heard, deaf = without_deaf_axes(kept, machine)
+    return JoinResult((*heard, *motors), (*refused, *apart), (*notes, *late, *deaf, *left_handed(kept), *blind))
 
 
 def _join_chip(tasks: Sequence[Task], plan: MovesPlan, turn: FloatArray | None) -> tuple[list[Joined], list[Refused]]:
@@ -208,7 +210,8 @@ def _joined(task: Task, clock: ClockFit, axes: FloatArray, rate_hz: float) -> Jo
     grid = step * np.arange(np.ceil(first / step), np.floor(last / step) + 1)
     recording = _recording(task, clock, grid, _on_grid(tau, felt, grid, factor), words(axes))
     name, begin = task.experiment.name, float(grid[0])
-    return Joined(recording, name, task.repeat, clock, capture.overflows, capture.source, words(axes), begin)
+    heard = felt_shares(task.record @ axes.T, task.reference, clock.offset_s + clock.ratio * task.since)
+    return Joined(recording, name, task.repeat, clock, capture.overflows, capture.source, words(axes), begin, heard)
 
 
 def _on_grid(tau: FloatArray, felt: FloatArray, grid: FloatArray, factor: int) -> FloatArray:
@@ -229,13 +232,3 @@ def _recording(task: Task, clock: ClockFit, tau: FloatArray, felt: FloatArray, a
     comments = joined_comments(clock, own.source, name, task.repeat, own.clock, own.overflows)
     sensors = {f"acc_{axis}": felt[:, i] for i, axis in enumerate("xyz")}
     return measured_run(run_name(name, task.repeat), task.motion, tau, sensors, {**comments, "axes_map": axes_map})
-
-
-def _best(joined: Sequence[Joined]) -> list[Joined]:
-    """Keep of several chips' captures of one execution the one that fits its command best."""
-    found: dict[str, Joined] = {}
-    for each in joined:
-        other = found.get(each.name)
-        if other is None or each.clock.correlation > other.clock.correlation:
-            found[each.name] = each
-    return list(found.values())

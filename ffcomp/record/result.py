@@ -39,6 +39,7 @@ class Joined:
     source: str
     axes_map: str
     begin_s: float  # of the recording, on the experiment's clock: its motion begins at 0
+    felt: tuple[float, ...] = (1.0, 1.0, 1.0)  # of the expected motion along x, y, z
 
     @property
     def name(self) -> str:

@@ -127,6 +127,11 @@ class Kinematics(ABC):
         return np.concatenate([outline, outline[:1]])
 
     @property
+    def bed_may_move(self) -> bool:
+        """Return whether one part may move along x and another along y, as toolhead and bed of a bed slinger."""
+        return False
+
+    @property
     @abstractmethod
     def centre_mm(self) -> tuple[float, float]:
         """Return the middle of the bed."""

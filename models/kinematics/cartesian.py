@@ -141,6 +141,11 @@ class CartesianKinematics(Kinematics):
         ]
 
     @property
+    def bed_may_move(self) -> bool:
+        """Return whether a motor moves one axis only."""
+        return bool(np.count_nonzero(self.motor_matrix) == len(self.motor_matrix))
+
+    @property
     def centre_mm(self) -> tuple[float, float]:
         """Return the middle of the bed."""
         x, y = self.range_mm[:2].mean(axis=1).tolist()

@@ -51,17 +51,17 @@ def moved(place: tuple[float, float], seed: int, seconds: float = 0.7) -> FloatA
     return np.array(place) + (tones + slow) * np.minimum(1, t / 0.3) ** 2
 
 
-def recorded(plant: Plant, noise: float = 0.3) -> list[Recording]:
+def recorded(plant: Plant, noise: float = 0.3, heights: tuple[float, ...] = (30.0,) * 3) -> list[Recording]:
     """Two repeats at each of three places, with an accelerometer of the head and one of the bed."""
     rng = np.random.default_rng(0)
     found = []
     for number, place in enumerate(PLACES):
         command = moved(place, number)
-        felt = simulate(plant, command, RATE_HZ)["acceleration_m_per_s2"]
+        felt = simulate(plant, command, RATE_HZ, heights[number])["acceleration_m_per_s2"]
         t = np.arange(len(command)) / RATE_HZ
         for repeat in (1, 2):
             named = dict(zip(("acc_x", "acc_y"), (felt + noise * rng.standard_normal(felt.shape)).T, strict=True))
-            nozzle = np.column_stack([command, 30 + 0 * t])
+            nozzle = np.column_stack([command, heights[number] + 0 * t])
             gaps = np.zeros(len(t), dtype=bool)
             found.append(Recording(f"p{number}-{repeat}.csv", t, nozzle, "nozzle", named, {}, gaps, {}))
     return found
@@ -108,6 +108,35 @@ def test_what_is_hidden_is_named_and_the_better_file_closes_the_gap(
     closed = measure_gap(load_machine(tmp_path / "better.toml"), runs)
     assert closed.found.total.nrms == pytest.approx(told.after.nrms, rel=0.05)
     assert told.after.nrms < 0.5 * told.before.nrms
+
+
+@pytest.mark.parametrize(
+    ("kind", "hidden", "name", "key", "truth"),
+    [
+        ("corexy", {"yaw_kg_m2": 0.009, "yaw_hz": 45.0, "head_kg": 0.3}, "gantry_racking", "radius_mm", 173.2),
+        ("cartesian", {"growth_per_m": 2.5}, "growing_bed", "growth_per_m", (0.0, 2.5, 0.0)),
+    ],
+)
+def test_what_depends_on_the_place_is_named(
+    kind: str, hidden: dict[str, Any], name: str, key: str, truth: Any, tmp_path: Path
+) -> None:
+    plain = replace(BELTS if kind == "corexy" else PLANT, tool_kg=(0.0, 0.0))
+    runs = recorded(replace(plain, **hidden), heights=(5.0, 60.0, 120.0))
+    problem = PrinterProblem(filed(plain, kind, tmp_path), runs, (name, "guide_damping"))
+    found = diagnose(problem)
+    assert found.named is not None and (found.verdict, found.named.names) == ("effects", (name,))
+    np.testing.assert_allclose(result_of(problem, found).parameters(name)[key]["value"], truth, rtol=0.05, atol=0.05)
+
+
+def test_nothing_is_said_of_the_place_where_all_is_recorded_at_one(tmp_path: Path) -> None:
+    names = ("gantry_racking", "growing_bed", "toolhead_mode", "guide_damping")
+    machine, runs = filed(PLANT, "cartesian", tmp_path), recorded(PLANT)
+    assert [c.name for c in PrinterProblem(machine, runs, names).candidates] == [
+        "gantry_racking",
+        "toolhead_mode",
+        "guide_damping",
+    ]
+    assert [c.name for c in PrinterProblem(machine, runs[:2], names).candidates] == ["guide_damping"]
 
 
 def test_a_resting_axis_gets_no_value_of_its_own(tmp_path: Path) -> None:

@@ -1,0 +1,91 @@
+"""Several accelerometers of one printer: each axis from the one that feels it.
+
+The toolhead of a bed slinger does not move along y: its chip feels x, and one on the bed feels y, the other way round.
+Where all that moves carries one chip, there is nothing to choose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ffcomp.measurement.recording import Recording
+from ffcomp.record.clock import Reference
+from ffcomp.record.result import Joined
+from models.arrays import FloatArray
+from models.machine import Machine
+
+AXES = "xyz"
+LOUD = 0.05  # of the loudest axis' power: less, and a motion does not tell whether a chip feels an axis
+DEAF = 0.3  # of the motion that the command makes along an axis
+
+
+def felt_shares(record: FloatArray, reference: Reference, t: FloatArray) -> tuple[float, ...]:
+    """Return how much of the expected motion along x, y, z a record (k, 3) at (k,) s holds; one where there is none."""
+    expected = reference.at(t)[0]
+    power = np.sum(expected**2, axis=0)
+    gains = np.sum(record * expected, axis=0) / np.maximum(power, 1e-300)
+    return tuple(np.where(power >= LOUD * power.max(), gains, 1.0).tolist())
+
+
+def of_all_chips(by_chip: Sequence[Sequence[Joined]]) -> list[Joined]:
+    """Return one recording an execution: on the rows of one chip, with the axes that it is deaf to of the others.
+
+    Repeats are compared row by row, so all are on the rows of the chip that fits its commands best, if it has them.
+    """
+    by_name: dict[str, list[Joined]] = {}
+    for own in sorted(by_chip, key=_fitting, reverse=True):
+        for each in own:
+            by_name.setdefault(each.name, []).append(each)
+    return [_together(own) for own in by_name.values()]
+
+
+def _fitting(joined: Sequence[Joined]) -> float:
+    """Return how many captures of a chip there are, and how well they fit."""
+    return sum(each.clock.correlation for each in joined)
+
+
+def _together(own: Sequence[Joined]) -> Joined:
+    """Join the recordings of one execution, the best chip's first."""
+    best = own[0]
+    for i, axis in enumerate(AXES):
+        source = own[int(np.argmax([each.felt[i] for each in own]))]
+        if source.felt[i] > best.felt[i] and best.felt[i] < DEAF:
+            shares = (*best.felt[:i], source.felt[i], *best.felt[i + 1 :])
+            best = replace(best, recording=_with_axis(best, source, f"acc_{axis}"), felt=shares)
+    return best
+
+
+def _with_axis(best: Joined, source: Joined, column: str) -> Recording:
+    """Put another chip's axis on the rows of the first one's recording; both are on the experiment's clock."""
+    own, other = best.recording, source.recording
+    at = np.clip(own.time_s + best.begin_s - source.begin_s, 0.0, other.time_s[-1])  # both end at rest
+    values = other.acceleration[column]
+    known = np.isfinite(values)
+    found = np.asarray(CubicSpline(other.time_s[known], values[known])(at))
+    near = np.clip(np.searchsorted(other.time_s, at), 1, len(values) - 1)
+    found[~(known[near] & known[near - 1])] = np.nan
+    return replace(own, acceleration={**own.acceleration, column: found})
+
+
+def without_deaf_axes(joined: Sequence[Joined], machine: Machine) -> tuple[list[Joined], list[str]]:
+    """Leave out axes that no chip feels, on a machine whose bed may be what moves; and say so."""
+    with_chips = [each for each in joined if each.recording.acceleration]
+    if not (machine.kinematics.bed_may_move and with_chips):
+        return list(joined), []
+    heard = np.median([each.felt for each in with_chips], axis=0)
+    deaf = [f"acc_{axis}" for axis, share in zip(AXES, heard.tolist(), strict=True) if share < DEAF]
+    notes = [
+        f"No chip feels the motion along {column[-1]}, so nothing is said of it. A bed slinger's bed needs a chip of "
+        "its own: give `ffcomp record plan` both (--chip adxl345 --chip bed), and here the captures of both."
+        for column in deaf
+    ]
+    return [_without(each, deaf) for each in joined], notes
+
+
+def _without(each: Joined, columns: Sequence[str]) -> Joined:
+    kept = {name: values for name, values in each.recording.acceleration.items() if name not in columns}
+    return replace(each, recording=replace(each.recording, acceleration=kept))

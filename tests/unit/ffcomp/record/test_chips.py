@@ -1,0 +1,61 @@
+"""A bed slinger's two chips: one on the toolhead, which rests along y, one on the bed, which runs the other way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from ffcomp.diagnose.gap import measure_gap
+from ffcomp.record.join import join_captures
+from ffcomp.record.plan import MovesPlan, Request, make_plan
+from ffcomp.record.result import JoinResult
+from models.file import load_machine
+from models.machine import Machine
+from studies.straight_proof import KINDS, as_captures, machine_text
+
+SLINGER = KINDS["cartesian"]
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], MovesPlan, Machine]:
+    folder = tmp_path_factory.mktemp("slinger")
+    (folder / "box.toml").write_text(machine_text(SLINGER), encoding="utf-8")
+    machine = load_machine(folder / "box.toml")
+    plan = make_plan(machine, Request(seconds=2.0, places_mm=[(0.0, 0.0)], kinds=("zigzag", "reversals")))
+    return as_captures(folder / "captures", plan, SLINGER.plant, SLINGER, 30.0), plan, machine
+
+
+def joined(bench: tuple[list[Path], MovesPlan, Machine], *, bed: bool, head: bool = True) -> JoinResult:
+    captures, plan, machine = bench
+    return join_captures([p for p in captures if (bed if "-bed-" in p.name else head)], plan, machine)
+
+
+def test_each_axis_comes_from_the_chip_that_feels_it(bench: tuple[list[Path], MovesPlan, Machine]) -> None:
+    found = joined(bench, bed=True)
+    assert len(found.joined) == 4 and not found.refused
+    assert all(min(each.felt[:2]) > 0.9 for each in found.joined)
+    gap = measure_gap(bench[2], found.recordings).found.total
+    assert gap.nrms == pytest.approx(gap.noise_nrms, rel=0.5)
+
+
+def test_an_axis_that_no_chip_feels_is_left_out_and_said(bench: tuple[list[Path], MovesPlan, Machine]) -> None:
+    for chip, missing in (("head", "y"), ("bed", "x")):
+        found = joined(bench, bed=chip == "bed", head=chip == "head")
+        assert all(
+            set(each.acceleration) == {"acc_x", "acc_y", "acc_z"} - {f"acc_{missing}"} for each in found.recordings
+        )
+        assert any(f"No chip feels the motion along {missing}" in sentence for sentence in found.remarks)
+        gap = measure_gap(bench[2], found.recordings).found.total
+        assert gap.nrms == pytest.approx(gap.noise_nrms, rel=0.5)
+
+
+def test_a_corexy_keeps_every_axis(bench: tuple[list[Path], MovesPlan, Machine]) -> None:
+    """There everything is on the toolhead: a chip that is deaf along y is broken, and its column says so."""
+    captures, plan, machine = bench
+    assert machine.kinematics.bed_may_move
+    crossed = replace(machine, kinematics=load_machine("voron-250").kinematics)
+    assert not crossed.kinematics.bed_may_move
+    found = join_captures([p for p in captures if "-bed-" not in p.name], plan, crossed)
+    assert all(set(each.acceleration) == {"acc_x", "acc_y", "acc_z"} for each in found.recordings)
