@@ -9,12 +9,17 @@ from functools import cached_property
 
 import numpy as np
 
-from gcode.arrays import IntArray
+from gcode.arrays import BoolArray, IntArray
 from gcode.program import Program
 
 UNNAMED = "other"
 _LAYER = re.compile(rb";\s*(?:LAYER_CHANGE|CHANGE_LAYER|LAYER:\s*-?\d+|layer \d+)\b", re.IGNORECASE)
 _FEATURE = re.compile(rb";\s*(?:TYPE:|FEATURE:|feature )\s*(.+?)\s*$", re.IGNORECASE)
+# PrusaSlicer and SuperSlicer "External perimeter", Orca and Bambu "Outer wall", Cura "WALL-OUTER", Simplify3D
+# "outer perimeter", ideaMaker "OUTER-PERIMETER"
+_OUTER_WALL = re.compile(
+    r"(external|outer)[ _-]*(perimeter|wall)|wall[ _-]*outer|overhang (perimeter|wall)", re.IGNORECASE
+)
 FEW_MOVES = 3.0  # a height with fewer moves than this on average is a place on a slope, not a layer
 SLOPE_MM = 0.2  # which is then cut into layers of this height
 
@@ -31,6 +36,17 @@ class Labels:
     def layers(self) -> int:
         """Return how many layers there are."""
         return int(self.layer.max(initial=-1)) + 1
+
+
+def is_outer_wall(feature: str) -> bool:
+    """Whether a slicer's name of a feature is that of a wall that is seen from outside."""
+    return _OUTER_WALL.search(feature) is not None
+
+
+def outer_walls(labels: Labels) -> BoolArray:
+    """Return which of the n moves belong to walls that are seen from outside."""
+    named = np.array([is_outer_wall(name) for name in labels.features], dtype=np.bool_)
+    return named[labels.feature]
 
 
 def labels(program: Program, at_first: str = UNNAMED) -> Labels:

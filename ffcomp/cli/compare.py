@@ -57,7 +57,7 @@ Sample = Annotated[
     typer.Option(
         metavar="SHARE",
         rich_help_panel=SPEED,
-        help="Evaluate this share of the time, in slices spread evenly, e.g. 5%. Default: 2 minutes at most.",
+        help="Evaluate this share of the time, in slices that stand for it, e.g. 5%. Default: 2 minutes at most.",
     ),
 ]
 Figures = Annotated[

@@ -23,11 +23,11 @@ import numpy as np
 from ffcomp.compare import methods as every
 from ffcomp.compare.baselines import LinearPrinter
 from ffcomp.compare.equal_quality import equal_quality, within_limits
-from ffcomp.compare.evaluation import SAMPLE_S, SETTLE_S, Execution, MethodEvaluation, by, contour, evaluate, track
+from ffcomp.compare.evaluation import SAMPLE_S, Execution, MethodEvaluation, by, contour, evaluate, track, weights
 from ffcomp.compare.methods import COMPENSATED, TunedMethod
 from ffcomp.compare.monte_carlo import draw_plants
 from ffcomp.compare.result import BedMap, Comparison, Layer, Method, Party, Peaks, Spread
-from ffcomp.compare.sampling import Print, PrintSlice, Sampling
+from ffcomp.compare.sampling import SETTLE_S, Print, PrintSlice, Sampling
 from ffcomp.compensate.statistics import Statistics
 from ffcomp.errors import NothingToDo
 from ffcomp.inverse.settings import Settings, settings_for
@@ -235,8 +235,8 @@ def _method(method: TunedMethod, executed: _Executed, features: Sequence[str]) -
         tuning=method.tuning,
         track=track(evaluation, everywhere, executed.print_time_s, peak),
         extruding=track(evaluation, s.extruding, executed.print_time_s, peak),
-        by_layer=by(s.layer, s.contour),
-        by_feature={features[k]: error for k, error in by(s.feature, s.contour).items()},
+        by_layer=by(s.layer, s),
+        by_feature={features[k]: error for k, error in by(s.feature, s).items()},
         residual_rms_um=evaluation.residual_rms_um,
         peaks=executed.peaks,
         samples=s,
@@ -269,13 +269,13 @@ def _with_spread(
 
 def _rms_on(plants: Sequence[Machine], method: TunedMethod, slices: Sequence[PrintSlice]) -> list[float]:
     """Return the contour rms of one method on every plant, µm."""
-    errors: list[list[FloatArray]] = [[] for _ in plants]
+    executed: list[list[Execution]] = [[] for _ in plants]
     for print_slice in slices:
         motion, _ = method.motion(print_slice)
         t, found = simulate_nozzles(plants, motion, print_slice.machine)
-        for each, nozzle in zip(errors, found, strict=True):
-            each.append(contour([Execution(print_slice, motion, t, nozzle)]))
-    return [rms(np.concatenate(each)) * 1e3 for each in errors]
+        for each, nozzle in zip(executed, found, strict=True):
+            each.append(Execution(print_slice, motion, t, nozzle))
+    return [rms(contour(each), weights(each)) * 1e3 for each in executed]
 
 
 def _retuned(kind: str, plant: Machine, few: Sequence[PrintSlice], slices: Sequence[PrintSlice]) -> float:

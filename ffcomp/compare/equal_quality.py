@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ffcomp.compare.evaluation import Execution, contour
+from ffcomp.compare.evaluation import Execution, contour, weights
 from ffcomp.compare.methods import TunedMethod
 from ffcomp.compare.result import EqualQuality
 from ffcomp.compare.sampling import Print, PrintSlice, accelerated
@@ -63,7 +63,7 @@ def _p99_um(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -
             return float("inf")
         t, (nozzle,) = simulate_nozzles([plant], motion, print_slice.machine)
         found.append(Execution(print_slice, motion, t, nozzle))
-    return contour_statistics(contour(found)).p99_um
+    return contour_statistics(contour(found), weights(found)).p99_um
 
 
 def within_limits(velocity: float, acceleration: float, machine: Machine) -> bool:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffcomp.compare.result import Error, Samples
-from ffcomp.compare.sampling import PrintSlice
+from ffcomp.compare.sampling import SETTLE_S, PrintSlice
 from ffcomp.errors import NothingToDo
 from ffcomp.metrics import (
     Track,
@@ -28,7 +28,6 @@ from ffcomp.simulate.motion import Motion
 from ffcomp.simulate.playback import SAMPLE_S
 from models.arrays import BoolArray, FloatArray, IntArray
 
-SETTLE_S = 0.5
 STEADY_S = 0.03  # a straight cruise or a rest must last this long to show residual ringing
 STEADY_MM_PER_S = 1e-3  # change of the reference speed from sample to sample that counts as none
 
@@ -72,6 +71,19 @@ def _contour(execution: Execution) -> FloatArray:
     return contour_error(*execution.print_slice.corners, due, execution.nozzle[execution.counted])
 
 
+def weights(executions: Sequence[Execution]) -> FloatArray | None:
+    """Return how often each counted sample counts, (m,); None where all count alike."""
+    if all(each.print_slice.weight is None for each in executions):
+        return None
+    return np.concatenate([_weights(each) for each in executions])
+
+
+def _weights(execution: Execution) -> FloatArray:
+    due = execution.motion.clock.plan_time(execution.t[execution.counted])
+    weight = execution.print_slice.weight
+    return np.ones(len(due)) if weight is None else weight[execution.print_slice.trajectory.move_at(due)]
+
+
 def evaluate(executions: Sequence[Execution]) -> MethodEvaluation:
     """Evaluate one method over all slices.
 
@@ -101,6 +113,7 @@ def evaluate(executions: Sequence[Execution]) -> MethodEvaluation:
         layer=np.concatenate([each.print_slice.layer[m] for each, m in zip(executions, moves, strict=True)]),
         feature=np.concatenate([each.print_slice.feature[m] for each, m in zip(executions, moves, strict=True)]),
         extruding=np.concatenate([each.print_slice.extrudes[m] for each, m in zip(executions, moves, strict=True)]),
+        weight=np.concatenate([_weights(each) for each in executions]),
     )
     residual = _residual_um([n - w for n, w in zip(nozzle, reference, strict=True)], reference)
     return MethodEvaluation(samples, np.concatenate(late), delay, residual)
@@ -116,20 +129,20 @@ def track(evaluation: MethodEvaluation, which: BoolArray, print_time_s: float, p
         evaluation.delay_s,
         rms(np.linalg.norm((s.nozzle - evaluation.late)[which], axis=1)),
     )
-    return build_track(at_equal_times, s.contour[which], print_time_s, peak_acceleration)
+    return build_track(at_equal_times, s.contour[which], print_time_s, peak_acceleration, s.weight[which])
 
 
-def contour_numbers(contour_mm: FloatArray, which: BoolArray) -> Error:
+def contour_numbers(samples: Samples, which: BoolArray) -> Error:
     """Return the contour error of some of the samples: which : (m,)."""
-    chosen = contour_mm[which]
-    found = contour_statistics(chosen)
-    share = chosen.size / len(contour_mm) if chosen.size else 0.0
+    weight = samples.weight[which]
+    found = contour_statistics(samples.contour[which], weight)
+    share = float(weight.sum() / samples.weight.sum()) if weight.size else 0.0
     return Error(found.rms_um, found.p99_um, found.max_um, share)
 
 
-def by(labels: IntArray, contour_mm: FloatArray) -> dict[int, Error]:
+def by(labels: IntArray, samples: Samples) -> dict[int, Error]:
     """Return the contour error of the samples that share a label, by label."""
-    return {int(k): contour_numbers(contour_mm, labels == k) for k in np.unique(labels)}
+    return {int(k): contour_numbers(samples, labels == k) for k in np.unique(labels)}
 
 
 def _residual_um(errors: Sequence[FloatArray], reference: Sequence[FloatArray]) -> float:

@@ -1,14 +1,15 @@
-"""Choose the part of a print that is evaluated: all of it, some layers, or short slices spread evenly over its time."""
+"""Choose the part of a print that is evaluated: all of it, some layers, or short slices that stand for the whole."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ffcomp.compare.representative import Strata, choose
 from ffcomp.errors import NothingToDo
 from ffcomp.planner.machine_limits import known_to_the_firmware
 from ffcomp.planner.program import PlannedProgram, plan_program
@@ -16,7 +17,7 @@ from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion
 from ffcomp.simulate.motion import Motion, path_corners, planned_motion
 from gcode.dialects import detect_flavor
-from gcode.layers import Labels, labels
+from gcode.layers import Labels, labels, outer_walls
 from gcode.program import Program
 from gcode.reader import read_program
 from gcode.slicing import part, preamble
@@ -24,7 +25,8 @@ from models.arrays import FloatArray, IntArray
 from models.machine import Machine
 
 LONGEST_S = 120.0  # of print time that is evaluated unless more is requested
-SLICE_S = 10.0  # length of one slice of a sampled print
+SLICE_S = 4.0  # length of one slice of a sampled print
+SETTLE_S = 0.5  # at the beginning of a slice, not evaluated: the printer may have come from anywhere
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +51,7 @@ class PrintSlice:
     begin_t: float = 0.0  # s, on the whole print's clock
     before: bytes = b""  # lines that set what is in effect where it begins
     start: tuple[float, float, float] | None = None  # mm, where the nozzle is then; None: as the file says
+    weight: FloatArray | None = None  # (n,) of each move's samples, where the slices stand for a whole; None: 1
 
     @property
     def trajectory(self) -> PlannedMotion:
@@ -68,12 +71,16 @@ class PrintSlice:
     @property
     def extrudes(self) -> NDArray[np.bool_]:
         """(n,) moves that extrude along a path."""
-        direction = self.trajectory.direction
-        return (direction[:, 3] > 0.0) & np.any(direction[:, :3] != 0.0, axis=1)
+        return _extrudes(self.trajectory)
 
     def with_acceleration(self, acceleration: float) -> PrintSlice:
         """Plan the same moves with another acceleration, mm/s²."""
         return replace(self, planned=accelerated(self.planned, self.machine, acceleration))
+
+
+def _extrudes(trajectory: PlannedMotion) -> NDArray[np.bool_]:
+    direction = trajectory.direction
+    return np.asarray((direction[:, 3] > 0.0) & np.any(direction[:, :3] != 0.0, axis=1))
 
 
 def accelerated(planned: PlannedProgram, machine: Machine, acceleration: float) -> PlannedProgram:
@@ -108,6 +115,11 @@ class Print:
         """Of the whole print."""
         return self.planned.trajectory.end_t
 
+    @cached_property
+    def extrudes(self) -> NDArray[np.bool_]:
+        """(n,) moves that extrude along a path."""
+        return _extrudes(self.planned.trajectory)
+
     def slices(
         self, sampling: Sampling, slice_s: float = SLICE_S, at_most_s: float = np.inf
     ) -> tuple[list[PrintSlice], str]:
@@ -128,12 +140,14 @@ class Print:
         if not cuts:  # all is requested, or it is a single arc, which is not cut
             found = [self._whole()] if whole else [self._part(first, last)]
             return found, f"{what[0].upper()}{what[1:]} was evaluated, {seconds:.0f} s."
-        found = [self._part(a, b) for a, b in cuts]
+        strata = self._strata(first, last)
+        found = _weighted([self._part(a, b) for a, b in cuts], [a - first for a, _ in cuts], strata)
         covered = sum(each.trajectory.end_t for each in found)
-        chosen = f"{len(found)} slices of about {covered / len(found):.0f} s, spread evenly over {what}"
+        chosen = f"{len(found)} slices of about {covered / len(found):.0f} s that stand for {what}"
         if len(found) == 1:
-            chosen = f"One slice in the middle of {what}"
-        return found, f"{chosen}: {covered:.0f} of {seconds:.0f} s ({covered / seconds:.0%}) were evaluated."
+            chosen = f"One slice of {what}"
+        chosen = f"{chosen}: {covered:.0f} of {seconds:.0f} s ({covered / seconds:.0%}) were evaluated."
+        return found, chosen + self._left_out(found, strata)
 
     def _layers(self, sampling: Sampling) -> tuple[int, int]:
         """Return the first move of the chosen layers and the one after their last."""
@@ -157,20 +171,58 @@ class Print:
         return move
 
     def _cuts(self, first: int, last: int, evaluated_s: float, slice_s: float) -> Iterator[tuple[int, int]]:
-        """Yield slices from `first` to `last` that take `evaluated_s` together; each begins at rest if it can."""
+        """Yield slices from `first` to `last` that take `evaluated_s` together and stand for all between them."""
         start_t = np.append(self.planned.trajectory.start_t, self.print_time_s)
-        begin, end = float(start_t[first]), float(start_t[last])
         count = max(1, round(evaluated_s / slice_s))
-        length, period = evaluated_s / count, (end - begin) / count
+        length = evaluated_s / count
+        cuts = np.array(list(self._candidates(first, last, length)), dtype=np.int64).reshape(-1, 2)
+        if not len(cuts):
+            return
+        strata = self._strata(first, last)
+        settled = np.minimum(np.searchsorted(start_t, start_t[cuts[:, 0]] + SETTLE_S), cuts[:, 1])
+        amounts = strata.amounts(settled - first, cuts[:, 1] - first)
+        whole = strata.amounts(np.array([0]), np.array([last - first]))[0]
+        for k in choose(amounts, whole, start_t[cuts[:, 0]], start_t[cuts[:, 1]], count):
+            yield int(cuts[k, 0]), int(cuts[k, 1])
+
+    def _candidates(self, first: int, last: int, length: float) -> Iterator[tuple[int, int]]:
+        """Yield slices of about this length; each begins and ends at rest if it can."""
+        start_t = np.append(self.planned.trajectory.start_t, self.print_time_s)
         rests = np.array([run.first for run in self.planned.sections])
-        for k in range(count):
-            t = begin + k * period + (period - length) / 2
+
+        def move_at(t: float) -> int:
             a = int(np.searchsorted(start_t, t))
-            resting = rests[(rests >= a) & (start_t[rests] < t + (period - length) / 2)]
-            a = self._line_begins(int(resting[0]) if resting.size else a)
-            b = self._line_begins(min(int(np.searchsorted(start_t, start_t[a] + length)), last))
+            resting = rests[(rests >= a) & (start_t[rests] < t + length / 4)]
+            return min(self._line_begins(int(resting[0]) if resting.size else a), last)
+
+        for t in np.arange(float(start_t[first]), float(start_t[last]) - length / 2, length / 2):
+            a, b = move_at(float(t)), move_at(float(t) + length)
             if b > a:
                 yield a, b
+
+    def _strata(self, first: int, last: int) -> Strata:
+        """Partition the moves from `first` to `last`; a wait counts to the move before."""
+        own, labels, moves = slice(first, last), self.labels, self.program.moves
+        start_t = np.append(self.planned.trajectory.start_t, self.print_time_s)
+        return Strata.of(
+            labels.feature[own],
+            labels.layer[own],
+            (moves.start[own, :2] + moves.end[own, :2]) / 2,
+            np.diff(start_t)[own],
+            self.extrudes[own],
+            outer_walls(labels)[own],
+        )
+
+    def _left_out(self, slices: list[PrintSlice], strata: Strata) -> str:
+        """Return a sentence that names the features of which nothing is evaluated, if there are any."""
+        names = self.labels.features
+        seconds = np.bincount(strata.kind // 2, strata.seconds * (strata.kind % 2), len(names))
+        seen = np.unique(np.concatenate([each.feature[each.extrudes] for each in slices]))
+        left = [k for k in np.flatnonzero(seconds) if k not in seen]
+        if not left:
+            return ""
+        told = ", ".join(f"{names[k]} ({seconds[k] / seconds.sum():.1%} of what extrudes)" for k in left)
+        return f" Not among them: {told}."
 
     def _whole(self) -> PrintSlice:
         kinds = self.labels
@@ -190,6 +242,19 @@ class Print:
             preamble(self.program, first),
             (float(x), float(y), float(z)),
         )
+
+
+def _weighted(slices: Sequence[PrintSlice], begins: Sequence[int], strata: Strata) -> list[PrintSlice]:
+    """Weight each kind of line so that it counts as in the whole: begins are the slices' first moves in the strata."""
+    evaluated = np.zeros(len(strata.kind))
+    for each, begin in zip(slices, begins, strict=True):
+        start_t, end_t = each.trajectory.start_t, np.append(each.trajectory.start_t[1:], each.trajectory.end_t)
+        evaluated[begin : begin + len(start_t)] += np.maximum(end_t - np.maximum(start_t, SETTLE_S), 0.0)
+    weight = strata.weights(evaluated)
+    return [
+        replace(each, weight=weight[begin : begin + len(each.trajectory)])
+        for each, begin in zip(slices, begins, strict=True)
+    ]
 
 
 def _layers_named(sampling: Sampling) -> str:

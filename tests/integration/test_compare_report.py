@@ -77,11 +77,12 @@ def samples(amplitude_mm: float) -> Samples:
         layer=side // 4,
         feature=1 + side % 2,
         extruding=side % 4 != 3,
+        weight=np.ones(count),
     )
 
 
 def track(s: Samples, which: Any) -> Track:
-    error = contour_numbers(s.contour, which)
+    error = contour_numbers(s, which)
     return Track(
         tracking_rms_um=1.5 * error.rms_um,
         tracking_max_um=2.0 * error.max_um,
@@ -101,8 +102,8 @@ def method(name: str, label: str, family: Family, amplitude_um: float, **about: 
         "tuning": "x 40.0 Hz, y 41.0 Hz: as a test sets it.",
         "track": track(s, np.ones(len(s.due), dtype=bool)),
         "extruding": track(s, s.extruding),
-        "by_layer": by(s.layer, s.contour),
-        "by_feature": {FEATURES[k]: error for k, error in by(s.feature, s.contour).items()},
+        "by_layer": by(s.layer, s),
+        "by_feature": {FEATURES[k]: error for k, error in by(s.feature, s).items()},
         "residual_rms_um": 0.3 * amplitude_um,
         "peaks": Peaks(120.0, 6000.0, True),
     }

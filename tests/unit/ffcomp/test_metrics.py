@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from itertools import pairwise
 
 import numpy as np
@@ -283,3 +284,13 @@ def test_in_order_a_sample_belongs_to_its_own_section() -> None:
     nozzle = walked([(0.0, 0.1), (10.0, 0.1)], 0.5)
     ones = np.ones(len(nozzle), dtype=np.int64)
     assert metrics.contour_error_in_order(path, nozzle, ones, 2 * ones) == pytest.approx(0.1, abs=1e-9)
+
+
+def test_equal_weights_change_nothing_and_a_weight_is_a_number_of_samples() -> None:
+    error = np.random.default_rng(5).rayleigh(1e-3, 1000)
+    plain, weighted = metrics.contour_statistics(error), metrics.contour_statistics(error, np.full(1000, 0.3))
+    np.testing.assert_allclose(dataclasses.astuple(weighted), dataclasses.astuple(plain))
+    count = np.random.default_rng(6).integers(1, 5, 1000)
+    often = metrics.contour_statistics(np.repeat(error, count))
+    once = metrics.contour_statistics(error, count.astype(float))
+    assert once.rms_um == pytest.approx(often.rms_um) and once.p99_um == pytest.approx(often.p99_um, rel=0.01)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gcode.layers import UNNAMED, labels
+from gcode.layers import UNNAMED, is_outer_wall, labels
 from gcode.reader import read_program
 
 PRUSA = (";LAYER_CHANGE\n;Z:0.2\n", ";TYPE:External perimeter\n", "External perimeter")
@@ -41,3 +41,21 @@ def test_a_slope_without_comments_is_cut_into_layers() -> None:
 def test_nothing_extruded_is_one_layer() -> None:
     found = labels(read_program(b"G90\nG1 X0 Y0 Z1 F6000\nG1 X5\nG1 Z3\n"))
     assert found.layers == 1 and found.features == (UNNAMED,)
+
+
+@pytest.mark.parametrize(
+    ("name", "outer"),
+    [
+        ("External perimeter", True),
+        ("Outer wall", True),
+        ("WALL-OUTER", True),
+        ("outer perimeter", True),
+        ("Overhang perimeter", True),
+        ("Inner wall", False),
+        ("WALL-INNER", False),
+        ("Perimeter", False),
+        ("Solid infill", False),
+    ],
+)
+def test_outer_walls_are_known_by_their_slicers_names(name: str, outer: bool) -> None:
+    assert is_outer_wall(name) is outer

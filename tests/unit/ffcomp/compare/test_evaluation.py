@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.compare.evaluation import SAMPLE_S, SETTLE_S, Execution, by, contour_numbers, evaluate, track
-from ffcomp.compare.sampling import Print, PrintSlice, Sampling
+from ffcomp.compare.evaluation import SAMPLE_S, Execution, by, contour_numbers, evaluate, track
+from ffcomp.compare.result import Samples
+from ffcomp.compare.sampling import SETTLE_S, Print, PrintSlice, Sampling
 from ffcomp.errors import NothingToDo
 from models.file import load_machine
 from tests.support.prints import squares
@@ -34,7 +35,7 @@ def test_a_lifted_nozzle_is_off_by_as_much_everywhere(stretch: PrintSlice) -> No
     numbers = track(found, everywhere, 1.0, 2.0)
     assert numbers.tracking_rms_um == pytest.approx(10.0, rel=1e-9)
     flat = np.ptp(found.samples.reference[:, 2]) < 1e-9
-    assert flat or contour_numbers(found.samples.contour, found.samples.extruding).rms_um == pytest.approx(10.0)
+    assert flat or contour_numbers(found.samples, found.samples.extruding).rms_um == pytest.approx(10.0)
     assert found.residual_rms_um < 1e-6  # it does not swing
     assert (numbers.print_time_s, numbers.peak_command_acceleration_mm_per_s2) == (1.0, 2.0)
 
@@ -71,10 +72,13 @@ def test_slices_are_put_together_and_labelled(stretch: PrintSlice) -> None:
 
 
 def test_numbers_by_label() -> None:
-    labels, contour = np.array([0, 0, 1, 1]), np.array([3e-3, 4e-3, 0.0, 1e-3])
-    found = by(labels, contour)
+    labels, nothing = np.array([0, 0, 1, 1]), np.zeros(4)
+    contour, weight = np.array([3e-3, 4e-3, 0.0, 1e-3]), np.array([1.0, 1.0, 0.5, 1.5])
+    where = np.zeros((4, 3))
+    samples = Samples(nothing, where, where, contour, labels, labels, labels > 0, weight)
+    found = by(labels, samples)
     assert found[0].rms_um == pytest.approx(np.sqrt(12.5)) and found[0].max_um == 4.0
-    assert found[1].share == 0.5
+    assert found[1].share == 0.5 and found[1].rms_um == pytest.approx(np.sqrt(0.75))
 
 
 def test_too_short_a_part_is_an_error(stretch: PrintSlice) -> None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.compare.sampling import Print, Sampling
+from ffcomp.compare.sampling import SETTLE_S, Print, PrintSlice, Sampling
 from ffcomp.errors import NothingToDo
+from gcode.layers import is_outer_wall
+from models.arrays import FloatArray
 from models.file import load_machine
 from tests.support.prints import squares
 from validation import judge
@@ -26,14 +28,44 @@ def test_a_short_print_is_judged_whole() -> None:
     assert sentence == f"The whole print was evaluated, {printed.print_time_s:.0f} s."
 
 
-def test_a_share_is_spread_evenly_and_said() -> None:
-    printed = vase()
-    stretches, sentence = printed.slices(Sampling(share=0.2))
+def shares(printed: Print, stretches: list[PrintSlice], weighted: bool) -> tuple[FloatArray, FloatArray]:
+    """The shares of time of every feature, in the whole print and in what is judged."""
+    count = len(printed.labels.features)
+    whole = np.bincount(printed.labels.feature, printed.planned.trajectory.duration, count)
+    judged = np.zeros(count)
+    for each in stretches:
+        weight = each.weight if weighted and each.weight is not None else 1.0
+        settled = np.minimum(
+            each.trajectory.duration, np.maximum(each.trajectory.start_t + each.trajectory.duration - SETTLE_S, 0)
+        )
+        judged += np.bincount(each.feature, weight * settled, count)
+    return whole / whole.sum(), judged / judged.sum()
+
+
+@pytest.mark.parametrize("name", ["ringing_tower", "lobed_vase", "far_star"])
+def test_a_share_stands_for_the_whole_and_is_said(name: str) -> None:
+    path = judge.ROOT / "sample_prints" / f"{name}.gcode"
+    printed = Print(path.read_bytes(), path.name, MACHINE)
+    stretches, sentence = printed.slices(Sampling(share=0.1))
     judged = sum(each.trajectory.end_t for each in stretches)
-    assert judged == pytest.approx(0.2 * printed.print_time_s, rel=0.15)
-    begins = [each.begin_t / printed.print_time_s for each in stretches]
-    assert np.ptp(np.diff(begins)) < 0.15 and begins[0] < 0.25 and begins[-1] > 0.7
+    assert judged == pytest.approx(0.1 * printed.print_time_s, rel=0.15)
     assert f"{len(stretches)} slices" in sentence and f"{judged:.0f} of {printed.print_time_s:.0f} s" in sentence
+    begins = np.array([each.begin_t for each in stretches])
+    ends = begins + [each.trajectory.end_t for each in stretches]
+    assert np.all(begins[1:] > ends[:-1] - 0.5)  # from rest to rest a slice takes longer than on its way
+    whole, chosen = shares(printed, stretches, weighted=False)
+    assert np.abs(whole - chosen).sum() < 0.2
+    outer = [is_outer_wall(feature) for feature in printed.labels.features]
+    assert chosen[outer].sum() > 0.85 * whole[outer].sum()
+    _, counted = shares(printed, stretches, weighted=True)
+    assert np.abs(whole - counted).sum() < 0.08
+
+
+def test_what_is_left_out_is_said() -> None:
+    path = judge.ROOT / "sample_prints" / "lobed_vase.gcode"
+    stretches, sentence = Print(path.read_bytes(), path.name, MACHINE).slices(Sampling(share=0.1))
+    assert "Not among them: Skirt/Brim (1.1% of what extrudes)." in sentence
+    assert "Skirt/Brim" not in {vase().labels.features[k] for each in stretches for k in each.feature[each.extrudes]}
 
 
 def test_a_long_print_is_sampled_without_being_asked() -> None:
