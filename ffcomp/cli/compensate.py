@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ffcomp.cli.faster_options import KeepSpeed, MaxError, MaxFlow, MaxSpeed, MinLayerTime, Safety, bound_of
+from ffcomp.cli.faster_options import (
+    ChangeSpeed,
+    KeepSpeed,
+    MaxError,
+    MaxFlow,
+    MaxSpeed,
+    MinLayerTime,
+    Safety,
+    bound_of,
+)
 from ffcomp.cli.help import ACCURACY, ADVANCED, MACHINE, OUTPUT, SPEED
 from ffcomp.cli.options import AsJson, Flavor, Quiet, SegmentRate, check_choice, parsed_offset
 from ffcomp.inverse.solver_names import SOLVERS
@@ -200,6 +209,7 @@ def compensate(
     max_speed_mm_per_s: MaxSpeed = None,
     min_layer_time_s: MinLayerTime = None,
     keep_speed: KeepSpeed = None,
+    change_speed: ChangeSpeed = None,
     safety: Safety = 0.05,
     solver: Solver = "osqp",
     extruder_steps_per_mm: ExtruderSteps = None,
@@ -226,7 +236,14 @@ def compensate(
             raise typer.BadParameter("--inverse none leaves the G-code as it is; it is for --output steps.")
         offset = None if offset_mm == "auto" else parsed_offset(offset_mm)
         bound = bound_of(
-            max_error_um, max_flow_mm3_per_s, max_speed_mm_per_s, min_layer_time_s, keep_speed, safety, s_curve
+            max_error_um,
+            max_flow_mm3_per_s,
+            max_speed_mm_per_s,
+            min_layer_time_s,
+            keep_speed,
+            change_speed,
+            safety,
+            s_curve,
         )
         targets = _targets(files, output_file, output_dir, dry_run, ".npz" if output != "gcode" else "")
 

@@ -74,6 +74,7 @@ def report(result: dict[str, Any], machine_path: str, quiet: bool) -> None:
         say(result["offset_reason"], quiet)
     if "faster" in result:
         say(_faster(result["faster"]), quiet)
+        say(_limited_by(result["faster"]), quiet)
     segments = "" if "steps" in result else f" in {result['segments']} segments"
     speed = result["print_time_s"] / max(result["compute_time_s"], 1e-9)
     say(
@@ -142,4 +143,24 @@ def _faster(faster: dict[str, Any]) -> str:
     seen = (
         "" if error is None else f", predicted contour error p99 {error:.1f} µm, max {faster['contour_max_um']:.1f} µm"
     )
-    return f"Faster: {was:.1f} → {now:.1f} s ({100 * (now / was - 1):+.0f} %; actuators alone: {least:.1f} s){seen}."
+    share = 100 * (now / was - 1)
+    return f"Faster: {was:.1f} → {now:.1f} s ({share:+.0f} %; nothing can be quicker than {least:.1f} s){seen}."
+
+
+LIMITS = {
+    "flow": "the nozzle's flow",
+    "error_bound": "the error bound",
+    "carriage_acceleration": "the carriages' acceleration",
+    "speed": "the highest speed",
+    "cooling": "cooling",
+    "as_sliced": "kept as sliced (first layer, bridges and what was asked for)",
+    "filament_alone": "retractions and waits",
+}
+
+
+def _limited_by(faster: dict[str, Any]) -> str:
+    """Say in a line where the time goes."""
+    seconds = sorted(faster["limited_by"].items(), key=lambda each: -each[1])
+    whole = max(sum(s for _, s in seconds), 1e-9)
+    parts = [f"{LIMITS[name]} {100 * s / whole:.0f} %" for name, s in seconds if s >= 0.005 * whole]
+    return f"What limits it, in shares of the time: {', '.join(parts)}."

@@ -51,6 +51,14 @@ KeepSpeed = Annotated[
         help="Keep the slicer's speed of one kind of line, e.g. 'External perimeter'.",
     ),
 ]
+ChangeSpeed = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="FEATURE",
+        rich_help_panel=FASTER,
+        help="Change the speed of one kind of line that keeps the slicer's otherwise: 'Bridge infill', 'first layer'.",
+    ),
+]
 Safety = Annotated[
     float,
     typer.Option(
@@ -69,12 +77,13 @@ def bound_of(
     speed: float | None,
     layer_time_s: float | None,
     keep_speed: list[str] | None,
+    change_speed: list[str] | None,
     safety: float,
     s_curve: bool,
 ) -> Bound | None:
     """Return the bound that the options ask for; None: none."""
     if not errors:
-        if flow is not None or speed is not None or layer_time_s is not None or keep_speed:
+        if flow is not None or speed is not None or layer_time_s is not None or keep_speed or change_speed:
             raise typer.BadParameter("A quicker print needs the error that it may have: --max-error-um UM.")
         return None
     if s_curve:
@@ -88,7 +97,16 @@ def bound_of(
     if "" not in own:
         raise typer.BadParameter("One --max-error-um without a feature says what holds for all others.")
     of_all = own.pop("")
-    return Bound(of_all, tuple(own.items()), tuple(keep_speed or ()), flow, speed, layer_time_s, safety)
+    return Bound(
+        of_all,
+        tuple(own.items()),
+        tuple(keep_speed or ()),
+        flow,
+        speed,
+        layer_time_s,
+        tuple(change_speed or ()),
+        safety,
+    )
 
 
 def _micrometres(number: str, text: str) -> float:

@@ -12,6 +12,7 @@ from ffcomp.compensate.solve import SolvedSection
 from ffcomp.errors import LimitsError
 from ffcomp.faster.bound import Bound
 from ffcomp.faster.program import FasterProgram, faster_program
+from ffcomp.faster.shares import AS_SLICED
 from ffcomp.inverse.extent import WHOLE
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
@@ -21,7 +22,7 @@ from ffcomp.planner.trajectory import PlannedMotion
 from gcode.layers import labels
 from gcode.program import Program
 
-SPOTS = 1.5  # times the bound, that single spots may have
+SPOTS = 2.6  # times the bound, that single spots may have: a little more than in the search
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +31,8 @@ class Faster:
 
     original_s: Mapping[str, float] = field(default_factory=dict)  # by feature, as sliced
     planned_s: Mapping[str, float] = field(default_factory=dict)  # by feature, now
-    actuator_limit_s: float = 0.0  # with the carriages' limits alone
+    actuator_limit_s: float = 0.0  # what no plan of the moves can be quicker than
+    limited_by: Mapping[str, float] = field(default_factory=dict)  # s, by what limits the motion
     warnings: tuple[str, ...] = ()
 
     def __add__(self, later: Faster) -> Faster:
@@ -39,6 +41,7 @@ class Faster:
             _added(self.original_s, later.original_s),
             _added(self.planned_s, later.planned_s),
             self.actuator_limit_s + later.actuator_limit_s,
+            _added(self.limited_by, later.limited_by),
         )
 
 
@@ -87,7 +90,9 @@ def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel, smooth: bool) 
     if chunk.extent != WHOLE:
         plan = firmware_plan(program, machine)
         own = _by_feature(program, plan, chunk.feature)
-        return plan_program(program, machine, smooth), Faster(own, own, plan.end_t, (_not_faster(chunk),))
+        return plan_program(program, machine, smooth), Faster(
+            own, own, plan.end_t, {AS_SLICED: plan.end_t}, (_not_faster(chunk),)
+        )
     slicers = firmware_plan(program, machine)
     found = faster_program(program, model, bound, chunk.layers, chunk.feature)
     said = _given_up(chunk, found)
@@ -100,6 +105,7 @@ def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel, smooth: bool) 
             _by_feature(program, slicers, chunk.feature),
             _by_feature(program, planned.trajectory, chunk.feature),
             found.actuator_limit_s,
+            found.limited_by,
             said,
         ),
     )

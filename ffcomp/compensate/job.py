@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain, islice
 from math import inf
@@ -174,8 +174,11 @@ class Job:
 
     @cached_property
     def settings(self) -> Settings:
-        """The settings asked for, or those of the machine."""
-        return self.options.settings or settings_for(self.machine)
+        """The settings asked for, or those of the machine; what is to be quicker is inverted robustly."""
+        chosen = self.options.settings or settings_for(self.machine)
+        if self.options.bound is None or chosen.robust:
+            return chosen
+        return replace(chosen, robust=True, robust_quickly=True)  # less of what is not known: quicker at the same bound
 
     @cached_property
     def model(self) -> InverseModel:

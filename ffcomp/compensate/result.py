@@ -68,6 +68,7 @@ class Result:
             "print_time_s": numbers.print_time_s,
             "original_print_time_s": numbers.original_print_time_s,
             "actuator_limit_s": faster.actuator_limit_s,
+            "limited_by": dict(faster.limited_by),
             "contour_p99_um": compensated.contour_p99_um if compensated else None,
             "contour_max_um": compensated.contour_max_um if compensated else None,
             "by_feature": {

@@ -14,6 +14,7 @@ _SETTING = re.compile(rb"^; (\w+) = ([\d.]+)", re.MULTILINE)
 _FLOW = (b"filament_max_volumetric_speed", b"max_volumetric_speed")
 _LAYER_TIME = (b"slowdown_below_layer_time", b"slow_down_layer_time")
 _COOLING = (b"cooling", b"slow_down_for_layer_cooling")
+FIRST_LAYER = "first layer"
 KEPT_FEATURES = ("bridge", "overhang", "ironing", "custom")  # of whose names some word is one of these
 SHORTEST_LAYER_S = 5.0  # where neither the user nor the slicer says
 
@@ -28,6 +29,7 @@ class Bound:
     max_flow_mm3_per_s: float | None = None  # None: the largest that the print has as it was sliced
     max_speed_mm_per_s: float | None = None  # None: the machine's
     min_layer_time_s: float | None = None  # None: what the slicer's settings say
+    change_speed: tuple[str, ...] = ()  # of what keeps the slicer's motion otherwise; `FIRST_LAYER` is one of them
     safety: float = 0.05  # share of the printers, as uncertain as the machine file says, that may be beyond the bound
 
     def errors_mm(self, labels: Labels) -> FloatArray:
@@ -38,11 +40,18 @@ class Bound:
 
     def keeps(self, labels: Labels) -> BoolArray:
         """Tell which moves keep the slicer's motion because of their feature, (n,)."""
-        kept = {name.lower() for name in self.keep_speed}
-        by_feature = np.array(
-            [name.lower() in kept or any(word in name.lower() for word in KEPT_FEATURES) for name in labels.features]
-        )
+        kept, changed = ({name.lower() for name in names} for names in (self.keep_speed, self.change_speed))
+        by_feature = np.array([_keeps(name.lower(), kept, changed) for name in labels.features])
         return np.asarray(by_feature[labels.feature])
+
+    @property
+    def keeps_first_layer(self) -> bool:
+        """Whether the first layer keeps the slicer's motion."""
+        return FIRST_LAYER not in {name.lower() for name in self.change_speed}
+
+
+def _keeps(name: str, kept: set[str], changed: set[str]) -> bool:
+    return name in kept or (name not in changed and any(word in name for word in KEPT_FEATURES))
 
 
 def with_slicer_settings(bound: Bound, head: bytes, tail: bytes) -> Bound:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -15,8 +15,8 @@ from models.machine import Machine
 
 PROBE_MM = 0.01
 SHARE = 0.9  # of the carriages' limits, that a path may use: the command needs more than its path
-CORNER_PER_UM = 1.5  # mm/s of square corner velocity for each µm of the bound,
-CORNERS = (5.0, 40.0)  # at least and at most
+CORNER_PER_UM = 2.4  # mm/s of square corner velocity for each µm of the bound,
+CORNERS = (5.0, 60.0)  # at least and at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,24 +26,28 @@ class Opened:
     moves: Moves
     kept: BoolArray  # (n,)
     bound_mm: FloatArray  # (n,)
+    at_flow: BoolArray  # (n,) the nozzle's flow is what their speed is limited by
 
 
 def opened(
-    moves: Moves, labels: Labels, first_layer: BoolArray, bound: Bound, machine: Machine, limits: PlannerLimits
+    moves: Moves, labels: Labels, kept: BoolArray, bound: Bound, machine: Machine, limits: PlannerLimits
 ) -> Opened:
     """Open the limits of all moves that need not keep the slicer's motion.
 
-    first_layer : (n,) the moves of the print's first layer, which keep it
+    kept : (n,) those that keep it whatever they are
     """
     lines, errors_mm = lines_of(moves), bound.errors_mm(labels)
     filament = lines.direction[:, 3]
-    kept = bound.keeps(labels) | first_layer | ~lines.travels | (filament < 0.0)
+    kept = kept | bound.keeps(labels) | ~lines.travels | (filament < 0.0)
     gain = _gain(moves, lines.direction[:, :3], machine)
     fastest = bound.max_speed_mm_per_s or limits.velocity_mm_per_s
     velocity = float(np.min(machine.limits.carriage_velocity_mm_per_s))
     speed = np.minimum(fastest, SHARE * velocity / gain)
     flowing = lines.travels & (filament > 0.0)
-    speed[flowing] = np.minimum(speed[flowing], _flow(moves, filament, flowing, bound, limits) / filament[flowing])
+    by_flow = np.full(len(moves), np.inf)
+    by_flow[flowing] = _flow(moves, filament, flowing, bound, limits) / filament[flowing]
+    at_flow = by_flow < speed
+    speed = np.minimum(speed, by_flow)
     corner = np.clip(CORNER_PER_UM * 1e3 * errors_mm, *CORNERS)
     quickest = replace(
         moves,
@@ -53,17 +57,17 @@ def opened(
         square_corner_velocity=corner,
         minimum_cruise_ratio=np.zeros(len(moves)),
     )
-    return Opened(chosen(quickest, moves, ~kept), kept, errors_mm)
+    return Opened(chosen(quickest, moves, ~kept), kept, errors_mm, at_flow & ~kept)
 
 
-def at_the_carriages_limits(top: Opened) -> Moves:
-    """Return the moves with corners as quick as the carriages' limits allow: nothing can be quicker."""
-    moves = top.moves
-    return replace(
-        moves,
-        acceleration=np.where(top.kept, moves.acceleration, moves.acceleration / SHARE),
-        square_corner_velocity=np.where(top.kept, moves.square_corner_velocity, CORNERS[1]),
-    )
+def part_of(top: Opened, part: slice) -> Opened:
+    """Return some of the moves."""
+    return Opened(some(top.moves, part), top.kept[part], top.bound_mm[part], top.at_flow[part])
+
+
+def some(moves: Moves, part: slice) -> Moves:
+    """Return some of the moves."""
+    return Moves(*(getattr(moves, field.name)[part] for field in fields(moves)))
 
 
 def chosen(ones: Moves, others: Moves, which: BoolArray) -> Moves:
@@ -79,12 +83,23 @@ def _flow(moves: Moves, filament: FloatArray, flowing: BoolArray, bound: Bound, 
     return float((moves.speed * filament)[flowing].max(initial=0.0))
 
 
+def least_gain(moves: Moves, machine: Machine) -> FloatArray:
+    """Return what `_gain` says, at that place of each move where it is least, of three, (n,)."""
+    direction = lines_of(moves).direction[:, :3]
+    middle = 0.5 * (moves.start + moves.end)[:, :3]
+    return np.asarray(np.min(_gains(moves, direction, machine, middle), axis=0))
+
+
 def _gain(moves: Moves, direction: FloatArray, machine: Machine) -> FloatArray:
     """Return how far the carriage that goes farthest goes for a mm of each move, (n,), at the worse of its ends."""
+    return np.asarray(np.max(_gains(moves, direction, machine), axis=0))
+
+
+def _gains(moves: Moves, direction: FloatArray, machine: Machine, *more: FloatArray) -> list[FloatArray]:
     carriages = machine.kinematics.compiled().inverse
-    ends = (moves.start[:, :3], moves.end[:, :3] - PROBE_MM * direction)
-    rates = [
+    places = (moves.start[:, :3], moves.end[:, :3] - PROBE_MM * direction, *more)
+    rates = (
         np.abs(carriages(np.ascontiguousarray(at + PROBE_MM * direction)) - carriages(np.ascontiguousarray(at)))
-        for at in ends
-    ]
-    return np.maximum(np.max(rates, axis=(0, 2)) / PROBE_MM, 0.5)
+        for at in places
+    )
+    return [np.maximum(np.max(rate, axis=1) / PROBE_MM, 0.5) for rate in rates]

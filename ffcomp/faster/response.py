@@ -29,7 +29,7 @@ LEAST = 0.2  # of a parameter's value
 PITCH_MM = 30.0  # of their tables over the bed: coarser than the machine's own, for only their difference counts
 PLACES_MM = ((0.0, 0.0), (40.0, 0.0), (0.0, 40.0))  # where the directions are found
 SLOWEST_HZ, LINES = 2.0, 60  # of the frequencies there
-EVERYWHERE = 0.8  # of the quantile at one place: no printer is that far off at all places at once
+TOGETHER = 1.05  # of the quantile at one place: gives the p99 over a print of the printer at the quantile of all
 STANDING_MM_PER_S = 1.0  # below, a motion has no direction, and all of an error counts
 
 _printers: weakref.WeakKeyDictionary[InverseModel, Printers] = weakref.WeakKeyDictionary()
@@ -90,9 +90,7 @@ class Printers:
         t = reference.t0 + (1 + np.arange(len(solution.response), dtype=np.float64)) * (s.segment_s / s.substeps)
         nominal = contour_error(*path, t, solution.response)
         return (
-            np.hypot(nominal, EVERYWHERE * self.far * np.sqrt(self._variance(written, solution)))
-            if self.off
-            else nominal
+            np.hypot(nominal, TOGETHER * self.far * np.sqrt(self._variance(written, solution))) if self.off else nominal
         )
 
     def _variance(self, written: WrittenReference, solution: Solution) -> FloatArray:

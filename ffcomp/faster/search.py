@@ -1,58 +1,44 @@
 """Come down from above: make those moves slower at which the predicted error or a limit binds, until none does.
 
-The moves of one section begin with the highest limits there are. Each round plans them, solves the inverse and predicts
-the response. Where the error is above the bound, or a carriage is asked for more than its limit, the moves under way
-get less acceleration and slower corners, or speed; where a move was made slower and has room again, it gets some of it
-back. What is above the bound in the end keeps the slicer's motion.
+The moves of all sections begin quick. Each round plans them, solves the inverse and predicts the response. Where the
+error is above a level, or a carriage is asked for more than its limit, the moves under way get less acceleration and
+slower corners, or speed; where there is room, they get some of it back. The level is a multiple of the bound, the same
+one for all sections: such that 99 % of the time the error is below the bound. What is above the level in the end keeps
+the slicer's motion.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ffcomp.faster.opened import Opened, chosen
 from ffcomp.faster.response import Printers
+from ffcomp.faster.trial import Demand, Trial
 from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL, VELOCITY, utilisation_from_rest
-from ffcomp.inverse.extent import WHOLE, WrittenReference
+from ffcomp.inverse.extent import WHOLE
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.solve import solve
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.program import plan_section
 from ffcomp.planner.sections import Section
-from ffcomp.planner.trajectory import Trajectory
 from gcode.program import Moves
 from models.arrays import BoolArray, FloatArray
 
-ROUNDS = 18
-ONLY_DOWN = 9  # rounds at the end that give nothing back
-NEARLY = 1.1  # demand that is let pass after them
-TRIES = 6  # to give some moves the slicer's motion, before all get it
-FELT_S = (0.012, 0.03)  # around a moment, within which moves are held responsible for it: at first, and
-WIDER = 6  # from this round on
-PEAKS = 1.0  # times the bound, that single spots may have; with 1.2, p99 of 3 in 6 printers was above it
+ROUGH, ROUNDS = 4, 8  # rounds with the plain inverse, and all
+ROBUST = 0.6  # of the plain inverse's error by what is not known is left by the robust one
+BEGINS = 0.4  # of the highest accelerations and corners
+BEYOND = 0.01  # share of the time that the error may be above the bound,
+SPOTS = (0.5, 2.5)  # times the bound, that single spots may have: at least and at most
+FIRST_LEVEL = 1.15
 AIM = 0.97  # of the bound and of the limits
-ROOM = 0.8  # of the aim, below which a move that was made slower gets some of it back
-SLOWEST, FASTEST = 0.6, 1.08  # factors of one round
-SLOWEST_SPEED = 0.8
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """A section's moves as they are to be played."""
-
-    moves: Moves
-    given_up: BoolArray  # (n,) moves that keep the slicer's motion because nothing quicker keeps the bound
-    held: bool  # whether the bound holds
-
-
-@dataclass(frozen=True, slots=True)
-class _Demand:
-    """What each move asks for, as a share of what it may, (n,)."""
-
-    acceleration: FloatArray  # the error, acceleration and timing
-    speed: FloatArray
+ROOM = 0.85  # of the aim, below which a move gets something back
+SLOWEST, FASTEST = 0.55, (1.6, 1.15)  # factors of one round: at first, and later
+WIDE = 3  # rounds with the former, at the first level
+NEARLY = 1.04  # demand that is let pass: the time scaling of the solution slows down what is a little beyond a limit
+TRIES = 4  # to give some moves the slicer's motion, before all get it
 
 
 class SectionSearch:
@@ -62,98 +48,152 @@ class SectionSearch:
         self, model: InverseModel, printers: Printers, limits: PlannerLimits, slicers: Moves, opened: Opened
     ) -> None:
         self.model, self.printers, self.limits = model, printers, limits
-        self.slicers, self.opened = slicers, opened
+        self.slicers, self.opened, self.free = slicers, opened, ~opened.kept
+        self.given_up = np.zeros(len(slicers), dtype=np.bool_)
         self.state = model.machine.equilibrium(slicers.start[0, :3])
+        self.moves, self.rough = _begin(opened), model.settings.robust
+        self.trial = self.tried(self.moves)
 
-    def find(self) -> Found:
-        """Return the quickest motion found that keeps the bound."""
-        moves, free = self.opened.moves, ~self.opened.kept
-        best: Moves | None = None
-        shortest_s = np.inf
-        for number in range(ROUNDS):
-            demand, took_s = self._demand(moves, FELT_S[number >= WIDER])
-            if not self._beyond(demand, free).any():
-                if took_s < shortest_s:
-                    best, shortest_s = moves, took_s
-                if number >= ROUNDS - ONLY_DOWN:
-                    break
-            faster = self._next(moves, demand, free, only_down=number >= ROUNDS - ONLY_DOWN)
-            if faster is None:
-                break
-            moves = faster
-        if best is not None:
-            return Found(best, np.zeros(len(free), dtype=np.bool_), True)
-        return self._given_up(moves, free)
+    def refine(self) -> None:
+        """Predict with the model's own inverse from now on, not with the plain one."""
+        self.rough = False
+        self.trial = self.tried(self.moves)
 
-    def _given_up(self, moves: Moves, free: BoolArray) -> Found:
-        """Give the slicer's motion back to what is beyond the bound and around it; to all if that is not enough."""
-        kept = self._beyond(self._demand(moves, FELT_S[1])[0], free, NEARLY)
-        for _ in range(TRIES):
-            mixed = chosen(self.slicers, moves, kept)
-            beyond = self._beyond(self._demand(mixed, FELT_S[1])[0], free & ~kept, NEARLY)
-            if not beyond.any():
-                return Found(mixed, kept, not kept.any())
-            kept = kept | beyond
-        return Found(self.slicers, free.copy(), False)
-
-    @staticmethod
-    def _beyond(demand: _Demand, free: BoolArray, most: float = 1.0) -> BoolArray:
-        return free & ((demand.acceleration > most) | (demand.speed > 1.0))
-
-    def _next(self, moves: Moves, demand: _Demand, free: BoolArray, only_down: bool) -> Moves | None:
-        """Return the moves of the next round; None: nothing would change."""
-        most = 1.0 if only_down else FASTEST
-        by_acceleration = np.clip((AIM / np.maximum(demand.acceleration, 1e-3)) ** 0.8, SLOWEST, most)
-        by_acceleration[(demand.acceleration <= 1.0) & (demand.acceleration >= ROOM)] = 1.0
-        by_speed = np.clip(AIM / np.maximum(demand.speed, 1e-3), SLOWEST_SPEED, most)
-        by_speed[(demand.speed <= 1.0) & (demand.speed >= ROOM)] = 1.0
-        top, was = self.opened.moves, (moves.acceleration, moves.speed)
-        acceleration = np.where(
-            free, np.minimum(moves.acceleration * by_acceleration, top.acceleration), moves.acceleration
-        )
-        corner = np.where(
-            free,
-            np.minimum(moves.square_corner_velocity * by_acceleration, top.square_corner_velocity),
-            moves.square_corner_velocity,
-        )
-        speed = np.where(free, np.minimum(moves.speed * by_speed, top.speed), moves.speed)
-        if np.array_equal(acceleration[free], was[0][free]) and np.array_equal(speed[free], was[1][free]):
-            return None
-        return replace(moves, acceleration=acceleration, square_corner_velocity=corner, speed=speed)
-
-    def _demand(self, moves: Moves, felt_s: float = FELT_S[0]) -> tuple[_Demand, float]:
-        """Plan, solve and predict; return what each move demands, and how long the section takes, s.
+    def tried(self, moves: Moves) -> Trial:
+        """Plan, solve and predict.
 
         NOTE: segments that the firmware cannot execute in their time are left to the time scaling of the solution.
         """
-        model, s = self.model, self.model.settings
+        model, s = self.model.plain if self.rough else self.model, self.model.settings
         plan = plan_section(self.limits, moves, 0.0)
-        section = Section(0, len(moves), True, 0.0, plan.end_t)
-        written = WHOLE.written(plan, section, s)
+        written = WHOLE.written(plan, Section(0, len(moves), True, 0.0, plan.end_t), s)
         solution = solve(model, written.reference, self.state, keep_response=True, enforce_limits=False)
         path = np.append(plan.start_t, plan.end_t), np.vstack([moves.start[:, :3], moves.end[-1:, :3]])
         error = self.printers.error(written, solution, path)
         utilisation = utilisation_from_rest(solution.vertices, model.limits)[1:-1]
-        by_knot = utilisation[:, [ACCELERATION, TRAVEL]].max(axis=(1, 2))
-        step_s = s.segment_s / s.substeps
-        t = written.reference.t0 + (1 + np.arange(len(error), dtype=np.float64)) * step_s
-        missed = error / (PEAKS * self.opened.bound_mm[plan.move_at(t)])
-        of_moves = _Moves(plan, written, felt_s)
-        acceleration = np.maximum(of_moves.largest(missed, step_s), of_moves.largest(by_knot, s.segment_s))
-        speed = of_moves.largest(utilisation[:, VELOCITY].max(axis=1), s.segment_s)
-        return _Demand(acceleration, speed), plan.end_t
+        step_s, t0 = s.segment_s / s.substeps, written.reference.t0
+        t = t0 + (1 + np.arange(len(error), dtype=np.float64)) * step_s
+        return Trial(
+            plan,
+            t0,
+            step_s,
+            s.segment_s,
+            (ROBUST if self.rough else 1.0) * error / self.opened.bound_mm[plan.move_at(t)],
+            utilisation[:, [ACCELERATION, TRAVEL]].max(axis=(1, 2)),
+            utilisation[:, VELOCITY].max(axis=1),
+        )
+
+    def next(self, level: float, most: float) -> bool:
+        """Try the moves of the next round; say whether anything has changed.
+
+        level : times the bound, that the error may have;  most : factor by which something may become quicker
+        """
+        faster = self._next(self.trial.demand(level), most)
+        if faster is not None:
+            self.moves, self.trial = faster, self.tried(faster)
+        return faster is not None
+
+    def settle(self, level: float) -> None:
+        """Give the slicer's motion back to what is beyond the level or a limit; to all if that is not enough."""
+        if not self._beyond(self.trial.demand(level)).any():
+            return
+        moves = self.moves
+        for _ in range(TRIES):
+            self.given_up |= self._beyond(self.trial.demand(level))
+            self.moves = chosen(self.slicers, moves, self.given_up)
+            self.trial = self.tried(self.moves)
+            if not (self._beyond(self.trial.demand(level)) & ~self.given_up).any():
+                return
+        self.given_up, self.moves = self.free.copy(), chosen(self.slicers, moves, self.free)
+        self.trial = self.tried(self.moves)
+
+    def _beyond(self, demand: Demand) -> BoolArray:
+        return self.free & ((demand.acceleration > NEARLY) | (demand.speed > NEARLY))
+
+    def _next(self, demand: Demand, most: float) -> Moves | None:
+        """Return the moves of the next round; None: nothing would change."""
+        moves, top, free = self.moves, self.opened.moves, self.free
+        by_acceleration = _factor(demand.acceleration, 0.8, SLOWEST, most)
+        by_speed = _factor(demand.speed, 1.0, 0.8, most)
+        acceleration = np.minimum(moves.acceleration * by_acceleration, top.acceleration)
+        corner = np.minimum(moves.square_corner_velocity * by_acceleration, top.square_corner_velocity)
+        speed = np.minimum(moves.speed * by_speed, top.speed)
+        if np.array_equal(acceleration[free], moves.acceleration[free]) and np.array_equal(
+            speed[free], moves.speed[free]
+        ):
+            return None
+        return replace(
+            moves,
+            acceleration=np.where(free, acceleration, moves.acceleration),
+            square_corner_velocity=np.where(free, corner, moves.square_corner_velocity),
+            speed=np.where(free, speed, moves.speed),
+        )
 
 
-class _Moves:
-    """Which samples of a section each of its moves is responsible for."""
+def search(sections: Sequence[SectionSearch], still_s: float) -> float:
+    """Make the moves of all sections as quick as the bound allows; return the error's 99th percentile, times the bound.
 
-    def __init__(self, plan: Trajectory, written: WrittenReference, felt_s: float) -> None:
-        self.begin = plan.start_t - felt_s - written.reference.t0
-        self.end = plan.start_t + plan.duration + felt_s - written.reference.t0
+    still_s : of the print, besides
+    """
+    if not sections:
+        return 0.0
+    level, best = FIRST_LEVEL, _Best()
+    for number in range(ROUNDS + 1):
+        if number == ROUGH and sections[0].rough:
+            for each in sections:
+                each.refine()
+        p99 = _percentile(sections, still_s)
+        if number >= ROUGH:
+            best.look(sections, p99)
+        if number == ROUNDS:
+            break
+        if number >= WIDE:
+            level = float(np.clip(level * (AIM / p99), *SPOTS))
+        for each in sections:
+            each.next(level, FASTEST[number >= WIDE])
+    best.restore(sections)
+    for each in sections:
+        each.settle(SPOTS[1])
+    return _percentile(sections, still_s)
 
-    def largest(self, samples: FloatArray, step_s: float) -> FloatArray:
-        """Return the largest of the samples (m,), a step apart, of each move, (n,)."""
-        first = np.clip(np.floor(self.begin / step_s).astype(np.int64), 0, len(samples) - 1)
-        last = np.clip(np.ceil(self.end / step_s).astype(np.int64), first + 1, len(samples))
-        padded = np.append(samples, -np.inf)
-        return np.asarray(np.maximum.reduceat(padded, np.column_stack([first, last]).ravel())[::2])
+
+class _Best:
+    """The quickest motion so far that keeps the bound; if none does, the one that is nearest to it."""
+
+    def __init__(self) -> None:
+        self.rank, self.kept = (np.inf, np.inf), list[tuple[Moves, Trial]]()
+
+    def look(self, sections: Sequence[SectionSearch], p99: float) -> None:
+        """Compare the sections as they are."""
+        rank = max(p99, 1.0), sum(each.trial.plan.end_t for each in sections)
+        if rank < self.rank:
+            self.rank, self.kept = rank, [(each.moves, each.trial) for each in sections]
+
+    def restore(self, sections: Sequence[SectionSearch]) -> None:
+        """Give the sections their best moves again."""
+        for each, (moves, trial) in zip(sections, self.kept, strict=True):
+            each.moves, each.trial = moves, trial
+
+
+def _percentile(sections: Sequence[SectionSearch], still_s: float) -> float:
+    """Return the error that is exceeded for as long as it may be, times the bound."""
+    error = np.concatenate([each.trial.error for each in sections])
+    samples = len(error) + still_s / sections[0].trial.step_s
+    beyond = min(int(BEYOND * samples), len(error) - 1)
+    return float(np.partition(error, len(error) - 1 - beyond)[len(error) - 1 - beyond])
+
+
+def _begin(opened: Opened) -> Moves:
+    moves, free = opened.moves, ~opened.kept
+    return replace(
+        moves,
+        acceleration=np.where(free, BEGINS * moves.acceleration, moves.acceleration),
+        square_corner_velocity=np.where(free, BEGINS * moves.square_corner_velocity, moves.square_corner_velocity),
+    )
+
+
+def _factor(demand: FloatArray, power: float, least: float, most: float) -> FloatArray:
+    """Return by how much moves become slower or quicker, (n,)."""
+    factor = np.clip((AIM / np.maximum(demand, 1e-3)) ** power, least, most)
+    factor[(demand <= 1.0) & (demand >= ROOM)] = 1.0
+    return np.asarray(factor)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +11,7 @@ from ffcomp.inverse.bandwidth import effort_weight
 from ffcomp.inverse.command_limits import CommandLimits
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.riccati import PreviewGains
-from ffcomp.inverse.robust import MARGIN, RobustReference
+from ffcomp.inverse.robust import FULL, QUICK, RobustReference
 from ffcomp.inverse.settings import Settings
 from ffcomp.numerics import disk_cache
 from models.arrays import FloatArray
@@ -148,16 +148,26 @@ class InverseModel:
         return self.machine.vibration.low_frequency(positions)[1]
 
     @cached_property
+    def plain(self) -> InverseModel:
+        """The inverse with the path itself as its reference; what both need is held once."""
+        other = InverseModel(self.given, replace(self.settings, robust=False))
+        shared = {name: getattr(self, name) for name in ("_design", "_cache", "gains", "plant", "_compliance")}
+        other.__dict__.update(shared)
+        return other
+
+    @cached_property
     def _robust(self) -> RobustReference:
         s = self.settings
-        return RobustReference(self.machine, s.segment_s / s.rows_per_segment, s.bandwidth_hz, self.effort)
+        row_s, care = s.segment_s / s.rows_per_segment, QUICK if s.robust_quickly else FULL
+        return RobustReference(self.machine, row_s, s.bandwidth_hz, self.effort, care)
 
     def robust_offset(self, reference: Reference) -> FloatArray:
         """Return the offset of the robust reference from the path, (rows, 3) mm; empty where it is not used."""
         s = self.settings
         if not s.robust or not np.any(self.machine.vibration.parameters().relative_sd(self.machine.uncertainty)):
             return np.empty((0, 3))
-        rows = np.arange(1 - MARGIN, reference.knots * s.rows_per_segment + 1 + MARGIN, dtype=np.float64)
+        margin = self._robust.care.margin
+        rows = np.arange(1 - margin, reference.knots * s.rows_per_segment + 1 + margin, dtype=np.float64)
         t = reference.t0 + rows * s.segment_s / s.rows_per_segment
         return self._robust.offset(reference.nozzle(t), reference.moving(t))
 

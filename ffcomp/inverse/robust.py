@@ -25,6 +25,8 @@ Uhlmann, Proc. IEEE 92 (2004) 401-422.
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
+from dataclasses import dataclass
 from functools import cached_property
 from threading import Lock
 from typing import Any
@@ -44,63 +46,79 @@ ShortComplexArray = NDArray[np.complex64]
 
 DRAWS = 64
 FARTHEST = 2.5  # standard deviations
-DIRECTIONS = 6  # of D over the draws, besides its mean
+MIDDLES_MM = 15.0  # to which the middle of a span is rounded, where that is enough
 PITCH_MM = 60.0  # half of it gives the same errors to 3 %
 
-MARGIN = 256  # rows in sight on either side: half a second, after which the machine has forgotten
-SPANS = (1024, 2048)  # rows worked on at a time, margins included: the first that is long enough
+SPANS = (512, 1024, 2048)  # rows worked on at a time, margins included: the first that is long enough
 BLEND = 64  # rows over which one span's answer goes over into the next one's
 SLOWEST_HZ = 0.1  # stands for zero where a line of frequency would be divided by it
 
 ALONG = 0.002  # ε
 CALM = 1e-3  # λ
-NEAR = 25  # rows around a moment among which the path's nearest point is sought
-ROUNDS = 3  # of Gauss-Newton
-STEPS = 10  # of the conjugate gradients in each
-CLOSE = 1e-4  # share of the gradient's square at which they end earlier
+CLOSE = 1e-4  # share of the gradient's square at which the conjugate gradients end earlier
+
+
+@dataclass(frozen=True, slots=True)
+class Care:
+    """How much work goes into an offset."""
+
+    directions: int = 6  # of D over the draws, besides its mean
+    margin: int = 256  # rows in sight on either side: half a second, after which the machine has forgotten
+    shortest: int = 1024  # rows worked on at a time, at least
+    near: int = 25  # rows around a moment among which the path's nearest point is sought
+    rounds: int = 3  # of Gauss-Newton
+    steps: int = 10  # of the conjugate gradients in each
+    everywhere: bool = True  # D of every place; not: of the middle of each span
+
+
+FULL = Care()
+QUICK = Care(directions=4, margin=128, shortest=512, near=8, rounds=2, steps=6, everywhere=False)  # 95 % of the gain
 
 
 class RobustReference:
     """d over the bed of one machine, for rows `row_s` apart."""
 
-    def __init__(self, machine: Machine, row_s: float, bandwidth_hz: float, effort: float) -> None:
+    def __init__(self, machine: Machine, row_s: float, bandwidth_hz: float, effort: float, care: Care = FULL) -> None:
         """Prepare the sensitivity; effort: ρ against one row, as in the sweeps."""
-        self.sensitivity = Sensitivity(machine, row_s, bandwidth_hz, effort)
+        self.care = care
+        self.sensitivity = Sensitivity(machine, row_s, bandwidth_hz, effort, care)
 
     def offset(self, rows: FloatArray, moving: BoolArray) -> FloatArray:
-        """Return the offset d (n, 3) mm from a path (n + 2 MARGIN, 3) mm, which has MARGIN rows more at either end.
+        """Return the offset d (n, 3) mm from a path (n + 2 margin, 3) mm, which has so many rows more at either end.
 
-        moving : (n + 2 MARGIN,) where d may be something; outside, the command rests on the path
+        moving : (n + 2 margin,) where d may be something; outside, the command rests on the path
         """
-        n = len(rows) - 2 * MARGIN
-        step = SPANS[-1] - 2 * MARGIN
+        margin = self.care.margin
+        n = len(rows) - 2 * margin
+        step = SPANS[-1] - 2 * margin
         out = np.zeros((n + 2 * BLEND, 3))  # with what the first and the last span blend into
         for first in range(0, n, step):
             last = min(first + step, n)
-            seen = slice(first, last + 2 * MARGIN)
-            found = self._span(rows[seen], moving[seen])[MARGIN - BLEND : len(rows[seen]) - MARGIN + BLEND]
+            seen = slice(first, last + 2 * margin)
+            found = self._span(rows[seen], moving[seen])[margin - BLEND : len(rows[seen]) - margin + BLEND]
             out[first : last + 2 * BLEND] += found * _blending(len(found), first > 0, last < n)[:, None]
         return out[BLEND : n + BLEND]
 
     def _span(self, rows: FloatArray, moving: BoolArray) -> FloatArray:
         """Find d (m, 3) mm of one span (m, 3) mm by itself."""
-        length = next(each for each in SPANS if len(rows) <= each)
+        care = self.care
+        length = next(each for each in SPANS if max(len(rows), care.shortest) <= each)
         response = self.sensitivity.along(rows[:, :2], length)
         allowed = moving[:, None].astype(np.float32)
-        rates = np.diff(rows, axis=0, append=rows[-1:]) * _faded(len(rows))[:, None]
+        rates = np.diff(rows, axis=0, append=rows[-1:]) * _faded(len(rows), care.margin)[:, None]
         missed = response.to_path(rates.astype(np.float32))
         d = np.zeros(rows.shape, np.float32)
 
         def gradient(errors: ShortArray) -> ShortArray:
             return allowed * response.adjoint(gathered(errors))
 
-        for _ in range(ROUNDS):
-            left, along = beside(rows, sigma_points(missed + response.to_offset(d)))
+        for _ in range(care.rounds):
+            left, along = beside(rows, sigma_points(missed + response.to_offset(d)), care.near)
 
             def curvature(change: ShortArray, along: ShortArray = along) -> ShortArray:
-                return gradient(across(sigma_points(response.to_offset(change)), along)) + CALM * change
+                return allowed * response.adjoint(weighed(response.to_offset(change), along)) + CALM * change
 
-            d = d + conjugate_gradients(curvature, -gradient(left) - CALM * d, STEPS)
+            d = d + conjugate_gradients(curvature, -gradient(left) - CALM * d, care.steps)
         return d.astype(np.float64)
 
 
@@ -123,51 +141,76 @@ def across(errors: ShortArray, along: ShortArray) -> ShortArray:
 
 
 @njit(cache=True, nogil=True)
-def beside(rows: FloatArray, missed: ShortArray) -> tuple[ShortArray, ShortArray]:
+def beside(rows: FloatArray, missed: ShortArray, near: int = FULL.near) -> tuple[ShortArray, ShortArray]:
     """Return n + ε l, and T, for the path (m, 3) mm whose positions are missed by (p, m, 3) mm.
+
+    near : rows around a moment among which the path's nearest point is sought
 
     Returns
     -------
     (p, m, 3) mm; (p, m, 3), zero where the nearest point is a corner or the nozzle rests
     """
-    left, along, step = np.empty_like(missed), np.zeros_like(missed), np.empty(3)
+    left, along = np.empty_like(missed), np.zeros_like(missed)
     for p in range(len(missed)):
         for i in range(len(rows)):
-            at = rows[i] + missed[p, i]
-            k, share = _nearest(rows, at, max(i - NEAR, 0), min(i + NEAR, len(rows) - 1))
-            kept, late, size = min(max(share, 0.0), 1.0), 0.0, 0.0
-            for c in range(3):
-                step[c] = rows[k + 1, c] - rows[k, c]
-                left[p, i, c] = at[c] - rows[k, c] - kept * step[c]
-                late += step[c] * missed[p, i, c]
-                size += step[c] * step[c]
+            x, y, z = rows[i, 0] + missed[p, i, 0], rows[i, 1] + missed[p, i, 1], rows[i, 2] + missed[p, i, 2]
+            k, share = _nearest(rows, x, y, z, max(i - near, 0), min(i + near, len(rows) - 1))
+            kept = min(max(share, 0.0), 1.0)
+            ux, uy, uz = rows[k + 1, 0] - rows[k, 0], rows[k + 1, 1] - rows[k, 1], rows[k + 1, 2] - rows[k, 2]
+            left[p, i, 0] = x - rows[k, 0] - kept * ux
+            left[p, i, 1] = y - rows[k, 1] - kept * uy
+            left[p, i, 2] = z - rows[k, 2] - kept * uz
             if kept == share:
-                for c in range(3):
-                    along[p, i, c] = step[c] / np.sqrt(size)
-                    left[p, i, c] += ALONG * late / size * step[c]
+                late = ux * missed[p, i, 0] + uy * missed[p, i, 1] + uz * missed[p, i, 2]
+                size = ux * ux + uy * uy + uz * uz
+                length = np.sqrt(size)
+                along[p, i, 0], along[p, i, 1], along[p, i, 2] = ux / length, uy / length, uz / length
+                left[p, i, 0] += ALONG * late / size * ux
+                left[p, i, 1] += ALONG * late / size * uy
+                left[p, i, 2] += ALONG * late / size * uz
     return left, along
 
 
 @njit(cache=True, nogil=True)
-def _nearest(rows: FloatArray, at: FloatArray, low: int, high: int) -> tuple[int, float]:
-    """Find the nearest of the path's steps low ≤ k < high to a position (3,), and the share of it before that position.
+def _nearest(rows: FloatArray, x: float, y: float, z: float, low: int, high: int) -> tuple[int, float]:
+    """Find the nearest of the path's steps low ≤ k < high to a position, and the share of it before that position.
 
     A share below zero or above one: one of its ends is nearest.
     """
     best, best_k, best_share = np.inf, low, -1.0
     for k in range(low, high):
-        size, share, apart = 0.0, 0.0, 0.0
-        for c in range(3):
-            step = rows[k + 1, c] - rows[k, c]
-            size += step * step
-            share += step * (at[c] - rows[k, c])
-        share = share / size if size > 0.0 else -1.0
+        ux, uy, uz = rows[k + 1, 0] - rows[k, 0], rows[k + 1, 1] - rows[k, 1], rows[k + 1, 2] - rows[k, 2]
+        dx, dy, dz = x - rows[k, 0], y - rows[k, 1], z - rows[k, 2]
+        size = ux * ux + uy * uy + uz * uz
+        share = (ux * dx + uy * dy + uz * dz) / size if size > 0.0 else -1.0
         kept = min(max(share, 0.0), 1.0)
-        for c in range(3):
-            apart += (at[c] - rows[k, c] - kept * (rows[k + 1, c] - rows[k, c])) ** 2
+        apart = (dx - kept * ux) ** 2 + (dy - kept * uy) ** 2 + (dz - kept * uz) ** 2
         if apart < best:
             best, best_k, best_share = apart, k, share
     return best_k, best_share
+
+
+@njit(cache=True, nogil=True)
+def weighed(errors: ShortArray, along: ShortArray) -> ShortArray:
+    """Return `gathered(across(sigma_points(errors), along))`, in one pass."""
+    k, m = len(errors) - 1, errors.shape[1]
+    out = np.zeros_like(errors)
+    far, least = np.float32(np.sqrt(k)), np.float32(1.0 - ALONG)
+    share, mean = np.float32(0.5 / np.sqrt(k)), np.float32(0.5 / k)
+    point = np.empty(3, np.float32)
+    for j in range(2 * k):
+        sign = np.float32(1.0) if j < k else np.float32(-1.0)
+        d = 1 + j % k
+        for i in range(m):
+            late = np.float32(0.0)
+            for c in range(3):
+                point[c] = errors[0, i, c] + sign * far * errors[d, i, c]
+                late += along[j, i, c] * point[c]
+            for c in range(3):
+                value = point[c] - least * late * along[j, i, c]
+                out[0, i, c] += mean * value
+                out[d, i, c] += sign * share * value
+    return out
 
 
 def conjugate_gradients(apply: Callable[[ShortArray], ShortArray], wanted: ShortArray, steps: int) -> ShortArray:
@@ -193,10 +236,12 @@ def conjugate_gradients(apply: Callable[[ShortArray], ShortArray], wanted: Short
 class Sensitivity:
     """D = G K₀ over the bed: its mean over the draws, and the directions in which it differs most."""
 
-    def __init__(self, machine: Machine, row_s: float, bandwidth_hz: float, effort: float) -> None:
+    def __init__(self, machine: Machine, row_s: float, bandwidth_hz: float, effort: float, care: Care = FULL) -> None:
         self.machine, self.row_s, self.bandwidth_hz, self.effort = machine, row_s, bandwidth_hz, effort
+        self.care = care
         self._possible = drawn_machines(machine)
         self._nodes: dict[tuple[int, int], ShortComplexArray] = {}
+        self._middles: dict[tuple[int, int, int], Response] = {}
         self._working = Lock()
 
     @cached_property
@@ -208,30 +253,49 @@ class Sensitivity:
 
     @cached_property
     def _mixing(self) -> FloatArray:
-        """(1 + DIRECTIONS, DRAWS): the draws' shares in their mean, and in each direction at the bed's middle."""
+        """(1 + directions, DRAWS): the draws' shares in their mean, and in each direction at the bed's middle."""
         d = self._of_draws(np.zeros(2))
         apart = (d - d.mean(axis=0)).reshape(DRAWS, -1)
         product = (apart @ np.conj(apart.T)).real
-        directions = np.linalg.eigh(product)[1][:, : -DIRECTIONS - 1 : -1].T
+        directions = np.linalg.eigh(product)[1][:, : -self.care.directions - 1 : -1].T
         return np.concatenate([np.full((1, DRAWS), 1.0 / DRAWS), directions / np.sqrt(DRAWS)])
 
     def along(self, place: FloatArray, length: int) -> Response:
         """For a span of places (m, 2) mm, worked out over `length` rows."""
+        if not self.care.everywhere:
+            return self._at(place.mean(axis=0), len(place), length)
         low = np.floor(place / PITCH_MM).astype(np.int64)
         nodes = np.unique((low[:, None] + np.array([[0, 0], [0, 1], [1, 0], [1, 1]])).reshape(-1, 2), axis=0)
         near = np.prod(np.maximum(1.0 - np.abs(place / PITCH_MM - nodes[:, None]), 0.0), axis=2)
         used = near.max(axis=1) > 0.0
         with self._working:
             known = [self._node((i, j)) for i, j in nodes[used].tolist()]
+        return self._response(np.array(known), near[used], length)
+
+    def _at(self, middle: FloatArray, rows: int, length: int) -> Response:
+        """For a span that is taken to be all at one place (2,) mm, between the grid's nodes."""
+        i, j = np.round(middle / MIDDLES_MM).astype(np.int64).tolist()
+        if (i, j, length) not in self._middles:
+            place = np.array([i, j]) * (MIDDLES_MM / PITCH_MM)
+            nodes = np.floor(place).astype(np.int64) + np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
+            shares = np.prod(np.maximum(1.0 - np.abs(place - nodes), 0.0), axis=1)
+            with self._working:
+                known = [
+                    share * self._node((a, b)) for share, (a, b) in zip(shares, nodes.tolist(), strict=True) if share
+                ]
+            self._middles[i, j, length] = self._response(np.sum(known, axis=0)[None], np.ones((1, length)), length)
+        return self._middles[i, j, length].of_rows(rows)
+
+    def _response(self, known: ShortComplexArray, near: FloatArray, length: int) -> Response:
         every = SPANS[-1] // length
         f = self.frequency[::every]
         # beyond the bandwidth nothing is commanded: leave the offset alone
         band = np.clip(2.0 - f / self.bandwidth_hz, 0.0, 1.0)
         rate = np.exp(2j * np.pi * f * self.row_s) - 1.0
-        return Response(np.array(known)[..., ::every], near[used], band, rate, length)
+        return Response(known[..., ::every], near, band, rate, length)
 
     def _node(self, node: tuple[int, int]) -> ShortComplexArray:
-        """Return D at a node, (1 + DIRECTIONS, 3, 3, lines)."""
+        """Return D at a node, (1 + directions, 3, 3, lines)."""
         if node not in self._nodes:
             mixed = np.tensordot(self._mixing, self._of_draws(np.array(node) * PITCH_MM), axes=1)
             self._nodes[node] = np.moveaxis(mixed, 1, -1).astype(np.complex64)
@@ -263,7 +327,7 @@ class Response:
     ) -> None:
         """Hold the nodes' responses.
 
-        known : (nodes, 1 + DIRECTIONS, 3, 3, lines);  near : (nodes, m)
+        known : (nodes, 1 + directions, 3, 3, lines);  near : (nodes, m)
 
         band : (lines,) of an offset;  rate : (lines,) of the step from one row to the next, for a row of one
         """
@@ -274,16 +338,22 @@ class Response:
         self._missed = _flat(missed / rate)
         self._known = _flat(known * band)
 
+    def of_rows(self, count: int) -> Response:
+        """Return it for so many rows, all of them at the one place that it is for."""
+        own = copy(self)
+        own._near = np.ones((1, count), np.float32)
+        return own
+
     def to_path(self, steps: ShortArray) -> ShortArray:
-        """D r − r of a path with these steps (m, 3) mm from row to row: (1 + DIRECTIONS, m, 3) mm."""
+        """D r − r of a path with these steps (m, 3) mm from row to row: (1 + directions, m, 3) mm."""
         return self._through(self._missed, steps)
 
     def to_offset(self, d: ShortArray) -> ShortArray:
-        """D d of (m, 3) mm: (1 + DIRECTIONS, m, 3) mm."""
+        """D d of (m, 3) mm: (1 + directions, m, 3) mm."""
         return self._through(self._known, d)
 
     def adjoint(self, errors: ShortArray) -> ShortArray:
-        """(m, 3) of errors (1 + DIRECTIONS, m, 3): the transpose of `to_offset`."""
+        """(m, 3) of errors (1 + directions, m, 3): the transpose of `to_offset`."""
         weighed = self._near[:, None, None, :] * np.swapaxes(errors, 1, 2)
         return self._rows(_transposed(self._known, self._lines(weighed.reshape(-1, weighed.shape[-1])))).T
 
@@ -301,7 +371,7 @@ class Response:
 
 
 def _flat(known: NDArray[np.complexfloating[Any, Any]]) -> ShortComplexArray:
-    """Flatten to (nodes · (1 + DIRECTIONS) · 3, 3, lines)."""
+    """Flatten to (nodes · (1 + directions) · 3, 3, lines)."""
     return np.ascontiguousarray(known.reshape(-1, 3, known.shape[-1]), dtype=np.complex64)
 
 
@@ -347,10 +417,10 @@ def _blending(n: int, rises: bool, falls: bool) -> FloatArray:
     return share
 
 
-def _faded(n: int) -> FloatArray:
+def _faded(n: int, margin: int) -> FloatArray:
     """(n,) one, but for both ends of a span, over half of its margins: nothing begins or ends with a jump."""
     edge = np.arange(n) + 0.5
-    near = np.clip(np.minimum(edge, n - edge) / (MARGIN / 2), 0.0, 1.0)
+    near = np.clip(np.minimum(edge, n - edge) / (margin / 2), 0.0, 1.0)
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * near))
 
 

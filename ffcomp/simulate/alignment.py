@@ -20,7 +20,8 @@ from gcode.embedded import WAS, noted, section_times
 from gcode.program import Program
 from models.arrays import FloatArray, IntArray
 
-RETIMED_S = 0.02  # a section that ends so much earlier or later by its path than by its clock is on another one
+RETIMED_S = 0.02  # a section that ends so much earlier or later by its path than by its clock is on another one,
+# and one that is half as much off it on average
 FEWEST_HZ, MOST_HZ = 125.0, 500.0  # of segments
 
 
@@ -39,10 +40,14 @@ class SectionStarts:
         """Return the clock if move k of the compensated file begins at start_t[k], whoever planned it."""
         if not len(self.move):
             return SectionClock(start_t[self.move], self.plan_t, self.begin_t, self.end_t)
-        last = np.append(np.searchsorted(self.passing, self.move[1:]), len(self.passing)) - 1
-        kept_t = self.plan_t + start_t[self.passing[last]] - start_t[self.move]
-        retimed = np.abs(np.minimum(kept_t, self.end_t) - self.due_t[last]) > RETIMED_S
+        first = np.searchsorted(self.passing, self.move)
+        last = np.append(first[1:], len(self.passing)) - 1
         passed_t = start_t[self.passing]
+        section = np.searchsorted(self.move, self.passing, side="right") - 1
+        kept_t = (self.plan_t - start_t[self.move])[section] + passed_t
+        off_s = np.abs(np.clip(kept_t, self.begin_t[section], self.end_t[section]) - self.due_t)
+        mean_s = np.add.reduceat(off_s, first) / (last + 1 - first)  # one that ends in time may be late or early inside
+        retimed = np.maximum(off_s[last], 2.0 * mean_s) > RETIMED_S
         return SectionClock(start_t[self.move], self.plan_t, self.begin_t, self.end_t, retimed, passed_t, self.due_t)
 
 

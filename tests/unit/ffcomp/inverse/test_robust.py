@@ -15,7 +15,7 @@ from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.robust import (
     ALONG,
-    MARGIN,
+    FULL,
     SPANS,
     Response,
     RobustReference,
@@ -34,6 +34,8 @@ from models.machine import Machine
 from models.parameters import value_of
 from tests.support.prints import squares
 from tests.support.settings import finely_joined
+
+MARGIN = FULL.margin
 
 FloatArray = NDArray[np.float64]
 PLACE = np.array([40.0, -30.0, 5.0])
@@ -73,7 +75,7 @@ def wish(softening: RobustReference, path: FloatArray) -> FloatArray:
 
 def response(softening: RobustReference) -> Response:
     place = np.linspace([-70.0, 20.0], [50.0, -40.0], 700)  # over several nodes
-    return softening.sensitivity.along(place, SPANS[0])
+    return softening.sensitivity.along(place, SPANS[1])
 
 
 # ---- what counts ---------------------------------------------------------------------------------
