@@ -21,6 +21,7 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError
 from models.arrays import FloatArray
+from models.axis.machine import AxisMachine, AxisParameters
 
 DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[2] / "shared" / "data"))
 EMPS_FILES = {"plain": "DATA_EMPS.mat", "pulses": "DATA_EMPS_PULSES.mat"}
@@ -61,7 +62,9 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("names", nargs="*", metavar="NAME")
     parser.add_argument("--data", type=Path, default=DATA)
-    given = parser.parse_args()
+    given = parser.parse_intermixed_args()
+    if unknown := [name for name in given.names if name not in MAKERS]:
+        parser.error(f"{unknown[0]} is none of {', '.join(MAKERS)}")
     for name in given.names or MAKERS:
         written = MAKERS[name](given.folder, given.data)
         print(f"{name}: {', '.join(str(path) for path in written)}")
@@ -122,7 +125,14 @@ def bouc_wen(folder: Path, data: Path = DATA) -> list[Path]:
     return written
 
 
-def multisine(rng: np.random.Generator, samples: int = 4096) -> FloatArray:
+def bouc_wen_axis() -> AxisMachine:
+    """Return the axis that the file of Bouc-Wen describes."""
+    own = {"axis.stiffness_n_per_m": 0.1, "axis.damping_n_s_per_m": 0.2, "default": 0.02}
+    stiffness = BOUC_WEN["k"] + BOUC_WEN["alpha"]
+    return AxisMachine("bouc-wen", AxisParameters("force", BOUC_WEN["m"], stiffness, BOUC_WEN["c"]), uncertainty=own)
+
+
+def multisine(rng: np.random.Generator, samples: int = 2048) -> FloatArray:
     """Return a random-phase multisine of the benchmark's band and size, at the finer rate, (n,) N."""
     lines = np.fft.rfftfreq(samples, 1 / BOUC_WEN_HZ)
     spectrum = np.zeros(samples * FINER // 2 + 1, dtype=complex)

@@ -9,7 +9,7 @@ from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ffcomp.api.machines import load_machine, load_plant
+from ffcomp.api.machines import load_plant
 from ffcomp.diagnose.diagnosis import Diagnosis as Search
 from ffcomp.diagnose.diagnosis import diagnose as search_effects
 from ffcomp.diagnose.gap import Discrepancy, measure_gap
@@ -19,11 +19,10 @@ from ffcomp.diagnose.result import DiagnosisResult, better_file, result_of
 from ffcomp.diagnose.validation import Recorded
 from ffcomp.errors import RequestError
 from ffcomp.identify.identify import Identified
-from ffcomp.identify.machine_fit import MachineFit, Method, fit_measurements, hash_of
-from ffcomp.record.load import gather_measurements
+from ffcomp.identify.machine_fit import MachineFit, Method, hash_of
+from ffcomp.record.fitting import FitRequest, fit_files
 from gcode.atomic_write import replace_atomically
 from models.file import check_text
-from models.machine import Machine
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -75,7 +74,7 @@ class Identification:
 
 def identify(
     data: Files,
-    machine: str | Path | Machine,
+    machine: str | Path | Plant,
     output: str | Path | None = None,
     *,
     plan: str | Path | None = None,
@@ -111,30 +110,21 @@ def identify(
     ------
     MeasurementError, MachineFileError, RequestError
     """
-    start, files = load_machine(machine), _paths(data)
+    start, files = load_plant(machine), _paths(data)
     target = None if output is None else Path(output)
-    gathered = gather_measurements(
-        files,
-        start,
-        plan,
+    asked = FitRequest(
+        name=name or (target.stem if target else start.name),
+        plan=plan,
+        known=known or {},
+        method=method,
         band_hz=band_hz,
         axes=list(axes_map),
         shaken_axis=[axis] if isinstance(axis, str) else axis,
         column=column,
-        progress=progress,
-    )
-    named = name or (target.stem if target else start.name)
-    fit = fit_measurements(
-        start,
-        gathered,
-        files,
-        known or {},
-        named,
-        method=method,
-        write_start=target is not None,
         rough=rough,
-        progress=progress,
+        write_start=target is not None,
     )
+    fit = fit_files(start, files, asked, progress)
     if target is not None:
         fit.write(target)
     return Identification(fit, target)

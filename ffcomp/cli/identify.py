@@ -139,34 +139,27 @@ def fit(
     if output is not None and output.exists() and not force:
         raise typer.BadParameter(f"{output} exists already; give another --output, or --force.")
     with exit_codes():
-        from ffcomp.identify.machine_fit import fit_measurements
-        from ffcomp.record.load import gather_measurements
-        from models.file import load_machine
+        from ffcomp.record.fitting import FitRequest, fit_files
+        from models.file import load_plant
 
-        start = load_machine(machine)
+        start = load_plant(machine)
 
         def progress(sentence: str) -> None:
             say(f"ffcomp: {sentence}", quiet)
 
-        axes = axes_map.split(",")
-        band = (lowest_hz, highest_hz)
-        gathered = gather_measurements(
-            data,
-            start,
-            plan,
-            band_hz=band,
-            axes=axes,
+        asked = FitRequest(
+            name=name or (output.stem if output else start.name),
+            plan=plan,
+            known=numbers,
+            method=cast("FitMethod", method),
+            band_hz=(lowest_hz, highest_hz),
+            axes=axes_map.split(","),
             shaken_axis=axis or (),
             column=column,
-            progress=progress,
+            rough=rough,
+            write_start=output is not None,
         )
-        for sentence in [] if gathered.nothing else gathered.skipped:
-            say(f"ffcomp: {sentence}", quiet)
-        named = name or (output.stem if output else start.name)
-        started, wanted = output is not None, cast("FitMethod", method)
-        found = fit_measurements(
-            start, gathered, data, numbers, named, method=wanted, write_start=started, rough=rough, progress=progress
-        )
+        found = fit_files(start, data, asked, progress)
         written = _written(found, output)
         if figure is not None:
             _draw(found, figure)
@@ -304,8 +297,12 @@ def _print(result: dict[str, Any]) -> None:
         print(_verdict(result))
     for sentence in result["advice"]:
         print(sentence)
+    if "nrms" in result:
+        before, after = (100 * result["nrms"][each] for each in ("before", "after"))
+        print(f"The error of the simulation is {after:.2g} % of the motion; with the file as it was, {before:.2g} %.")
     if result["output"]:
-        print(f"{result['output']}: written. Look: ffcomp machines show {result['output']}")
+        look = "gap RUNS --machine" if "nrms" in result else "machines show"
+        print(f"{result['output']}: written. Look: ffcomp {look} {result['output']}")
 
 
 def _print_axis(name: str, axis: dict[str, Any]) -> None:

@@ -30,6 +30,7 @@ from ffcomp.diagnose.noise import (
     noise_from_residual,
     noise_of_sensors,
     noise_share,
+    scaled,
     whitener,
 )
 from ffcomp.diagnose.parsimony import parsimonious_fit
@@ -114,15 +115,19 @@ class Diagnosis:
 
 def diagnose(problem: Problem, progress: Progress = lambda _: None) -> Diagnosis:
     """Find the effects that are missing from the problem's machine, if any."""
-    return _concluded(_searched(problem, progress))
+    found = _searched(problem, noise_floor(problem), problem.least_density, progress)
+    guessed = not found.noise.from_repeats and found.fault is None
+    if guessed and found.estimation.whiten.floor is found.noise and _floor_is_wrong(found):
+        progress("less is left than the guessed noise: what is left is taken for it, and the search begins anew")
+        found = _searched(problem, scaled(found.noise, _left(found)), {}, progress)
+    return _concluded(found)
 
 
-def _searched(problem: Problem, progress: Progress) -> Diagnosis:
+def _searched(problem: Problem, noise: NoiseFloor, density: Mapping[str, float], progress: Progress) -> Diagnosis:
     progress(Stage(1, "estimating the noise"))
-    noise = noise_floor(problem)
     if not noise.from_repeats:
         progress("no repeats: the noise floor is taken from above the model's band")
-    floor = at_least(noise, problem.observations, problem.band_hz, problem.least_density)
+    floor = at_least(noise, problem.observations, problem.band_hz, density)
     estimation = estimation_problem(problem, whitener(problem.observations, floor, problem.band_hz))
     chance = CERTAIN * _spread(estimation) if noise.from_repeats else 0.0
     estimation = replace(estimation, tolerance=max(estimation.tolerance, chance))
@@ -176,7 +181,12 @@ def _concluded(found: Diagnosis) -> Diagnosis:
 
 
 def _floor_is_wrong(found: Diagnosis) -> bool:
-    return float(found.final.chi_squared) / len(found.final.residual) - 1 < WRONG_FLOOR
+    return _left(found) - 1 < WRONG_FLOOR
+
+
+def _left(found: Diagnosis) -> float:
+    """Return the mean square of what is left, in units of the noise."""
+    return float(found.final.chi_squared) / len(found.final.residual)
 
 
 def _nothing(found: Diagnosis) -> Diagnosis:

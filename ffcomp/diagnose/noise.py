@@ -88,6 +88,11 @@ def noise_of_sensors(observations: Sequence[Observation], density: Mapping[str, 
     return NoiseFloor(grid, {name: np.full(len(grid), density.get(name, 0.0)) for name in signals}, False)
 
 
+def scaled(floor: NoiseFloor, factor: float) -> NoiseFloor:
+    """Return the floor with so many times the power."""
+    return NoiseFloor(floor.frequency_hz, {k: factor * x for k, x in floor.density.items()}, floor.from_repeats)
+
+
 def at_least(
     floor: NoiseFloor,
     observations: Sequence[Observation],
@@ -103,8 +108,8 @@ def at_least(
     ----------
     least : of some signals, the density below which none is, unit²/Hz
     """
-    if least:
-        held = {name: np.maximum(x, least.get(name, 0.0)) for name, x in floor.density.items()}
+    held = {name: np.maximum(x, (least or {}).get(name, 0.0)) for name, x in floor.density.items()}
+    if any(bool((held[name] > x).any()) for name, x in floor.density.items()):
         floor = NoiseFloor(floor.frequency_hz, held, floor.from_repeats)
     powers = _powers(whitener(observations, floor, band_hz), floor)
     factors = {  # positions are nearly the command: no share of them says how exact a simulation is

@@ -8,7 +8,7 @@ force in that time. An axis that a spring holds is simulated from the beginning 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,7 +32,7 @@ class Shots:
 
     run: AxisRun
     length: int  # samples of a shot; 0: there is one
-    begin: FloatArray  # (shots, 2) mm and mm/s
+    begin: FloatArray  # (shots, 4) mm and mm/s of the last mass and of the first one; NaN where one is not known
     speed: FloatArray  # (n,) mm/s
 
     def simulate(self, machine: AxisMachine) -> AxisMotion:
@@ -48,7 +48,8 @@ class Shots:
             return x - (np.nanmean(x) if self.run.by_force else self.run.given)
         k = np.arange(len(x)) % self.length
         first = np.arange(len(x)) // self.length
-        return np.asarray(x - x[first * self.length] - self.begin[first, 1] * k / self.run.sample_rate_hz)
+        speed = self.begin[first, 3 if name == "pos_motor" else 1]
+        return np.asarray(x - x[first * self.length] - speed * k / self.run.sample_rate_hz)
 
 
 def checked(machine: AxisMachine, runs: Sequence[AxisRun]) -> None:
@@ -68,18 +69,33 @@ def checked(machine: AxisMachine, runs: Sequence[AxisRun]) -> None:
 def shots_of(machine: AxisMachine, runs: Sequence[AxisRun]) -> list[Shots]:
     """Choose where the simulation of each run begins anew; one length for all."""
     checked(machine, runs)
-    speeds = [_speed(run) for run in runs]
+    mean = [_mean(runs, i) for i in range(len(runs))]
+    speeds = [_speed(_bridged(_place(run)), run.sample_rate_hz) for run in mean]
     needed = machine.axis.free and any(run.position for run in runs)
     seconds = _shot_s(runs, speeds) if needed else 0.0
-    return [_shots(run, speed, seconds) for run, speed in zip(runs, speeds, strict=True)]
+    return [_shots(*each, seconds) for each in zip(runs, mean, speeds, strict=True)]
 
 
-def _shots(run: AxisRun, speed: FloatArray, seconds: float) -> Shots:
-    length = max(round(seconds * run.sample_rate_hz), SHORTEST) if seconds and run.position else 0
-    place = _bridged(_place(run))
-    at = np.arange(0, len(place), length) if length else np.zeros(1, dtype=int)
-    moving = speed[at] if run.position else np.zeros(len(at))  # who measures no position begins at rest
-    return Shots(run, length, np.column_stack([place[at], moving]), speed)
+def _mean(runs: Sequence[AxisRun], i: int) -> AxisRun:
+    """Return the mean of the runs that the same input drives: it tells best where each shot begins."""
+    own = runs[i]
+    same = [r for r in runs if r.repeat_of == own.repeat_of and np.array_equal(r.given, own.given)]
+    kept = [r for r in same if r.position.keys() == own.position.keys()]
+    return replace(own, position={k: np.mean([_bridged(r.position[k]) for r in kept], axis=0) for k in own.position})
+
+
+def _shots(run: AxisRun, mean: AxisRun, speed: FloatArray, seconds: float) -> Shots:
+    rate = run.sample_rate_hz
+    length = max(round(seconds * rate), SHORTEST) if seconds and run.position else 0
+    at = np.arange(0, len(run.given), length) if length else np.zeros(1, dtype=int)
+    begin = np.full((len(at), 4), np.nan)
+    for column, name in ((0, "pos_q"), (2, "pos_motor")):
+        if name in mean.position:
+            place = mean.position[name]
+            begin[:, column], begin[:, column + 1] = place[at], _speed(place, rate)[at]
+    if not run.position:  # who measures no position begins at rest
+        begin[:] = np.column_stack([_place(run)[at], np.zeros(len(at))] * 2)
+    return Shots(run, length, begin, speed)
 
 
 def _place(run: AxisRun) -> FloatArray:
@@ -96,14 +112,13 @@ def _bridged(x: FloatArray) -> FloatArray:
     return x if known.all() else np.interp(t, t[known], x[known])
 
 
-def _speed(run: AxisRun) -> FloatArray:
+def _speed(place: FloatArray, rate: float) -> FloatArray:
     """Return the speed, (n,) mm/s: the slope over as many samples as the noise asks for and the motion allows.
 
     The span grows as long as what it changes is explained by the noise of the positions (Lepski's rule).
     """
     from scipy.signal import savgol_filter
 
-    place, rate = _bridged(_place(run)), run.sample_rate_hz
     sd = noise_sd(place)
     chosen = np.gradient(place, 1 / rate)
     for span in SPANS:

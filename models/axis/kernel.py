@@ -145,6 +145,24 @@ def _step(x: FloatArray, given: FloatArray, at: float, dt: float, h: float, p: F
 
 
 @compiled
+def _begin(x: FloatArray, at: FloatArray, given: float, p: FloatArray) -> None:
+    """Set places and speeds; of a mass whose place is not known, as far from the other as the coupling is stretched."""
+    last, first = at[0] == at[0], at[2] == at[2]  # not NaN
+    if p[LOAD] <= 0.0:
+        x[Q], x[V] = (at[0], at[1]) if last else (at[2], at[3])
+        x[Q_LOAD], x[V_LOAD] = x[Q], x[V]
+        return
+    x[Q_LOAD], x[V_LOAD] = (at[0], at[1]) if last else (at[2], at[3])
+    x[Q], x[V] = (at[2], at[3]) if first else (at[0], at[1])
+    if last and first:
+        return
+    force = (given if p[BY_FORCE] != 0.0 else p[STIFFNESS] * (given - x[Q])) - p[DAMPING] * x[V]
+    stretch = p[LOAD] / (p[LOAD] + p[MASS]) * force / p[COUPLING]
+    x[Q] += stretch if last else 0.0
+    x[Q_LOAD] -= 0.0 if last else stretch
+
+
+@compiled
 def integrate_axis(
     given: FloatArray, dt: float, substeps: int, shot: int, begin: FloatArray, p: FloatArray
 ) -> FloatArray:
@@ -154,7 +172,8 @@ def integrate_axis(
     ----------
     given : (n,) N or m, straight between samples.
     shot : samples from one beginning to the next; n or more: there is one.
-    begin : (shots, 2) m and m/s of the last mass at each beginning; what bends by friction goes on.
+    begin : (shots, 4) m and m/s of the last mass and of the first one at each beginning, NaN where nothing is known
+        of one of them; what bends by friction goes on.
     p : (32,) in the order of `NAMES`.
 
     Returns
@@ -165,12 +184,7 @@ def integrate_axis(
     out, h = np.empty((n, 3)), dt / substeps
     for i in range(n):
         if i % shot == 0 and i // shot < len(begin):
-            x[Q] = x[Q_LOAD] = begin[i // shot, 0]
-            x[V] = x[V_LOAD] = begin[i // shot, 1]
-            if p[LOAD] > 0.0:
-                value, _ = _input(given, i - p[DELAY] / dt)
-                force = (value if p[BY_FORCE] != 0.0 else p[STIFFNESS] * (value - x[Q])) - p[DAMPING] * x[V]
-                x[Q] += p[LOAD] / (p[LOAD] + p[MASS]) * force / p[COUPLING]  # the coupling is stretched already
+            _begin(x, begin[i // shot], _input(given, i - p[DELAY] / dt)[0], p)
         value, step = _input(given, i - p[DELAY] / dt)
         _rates(x, value, step / dt, p, k[0])
         out[i, 0] = x[Q]

@@ -14,7 +14,7 @@ from models.axis.machine import AxisMachine, AxisParameters
 from models.effects.catalogue import CATALOGUE, effects_of, values_of
 
 LONGEST_STEP_S = 0.002
-TURNS = 0.25  # of a radian may the fastest mode turn in a step
+TURNS = 0.35  # of a radian may the fastest mode turn in a step
 STEEP = 1.5  # a step times the rate at which friction stops what moves: the method is stable up to 2.8
 MOST_SUBSTEPS = 200
 
@@ -58,7 +58,8 @@ def simulate_axis(
     ----------
     given : (n,) the input: N, or mm of the commanded position.
     shot : samples after which the motion begins anew; 0: never.
-    begin : (shots, 2) mm and mm/s at each beginning; None: at rest where the input holds it.
+    begin : (shots, 4) mm and mm/s of the last mass and of the first one at each beginning, NaN where one is not
+        known; None: at rest where the input holds them.
     substeps : integration steps a sample; 0: as many as the axis needs.
 
     Raises
@@ -68,7 +69,8 @@ def simulate_axis(
     """
     p = kernel_parameters(machine)
     scaled = given if machine.axis.by_force else 1e-3 * given
-    first = np.array([[0.0 if machine.axis.by_force else scaled[0], 0.0]]) if begin is None else 1e-3 * begin
+    rest = 0.0 if machine.axis.by_force else float(scaled[0])
+    first = np.array([[rest, 0.0, rest, 0.0]]) if begin is None else 1e-3 * begin
     steps = substeps or substeps_of(p, dt_s)
     out = integrate_axis(
         np.ascontiguousarray(scaled, float), dt_s, steps, shot or len(given) + 1, np.ascontiguousarray(first), p

@@ -99,7 +99,7 @@ class RetunedRow:
     name: str
     start: str
     now: str
-    allowed: str  # relative standard deviation
+    allowed: str  # relative standard deviation; absolute, where the file says zero
     moved: bool
     sds: str
 
@@ -111,7 +111,7 @@ def retuned_rows(found: DiagnosisSummary) -> list[RetunedRow]:
             r.name,
             digits(r.start, 5),
             interval(r.now),
-            percent(r.sd / abs(r.start)),
+            percent(r.sd / abs(r.start)) if r.start else digits(r.sd),
             r.moved,
             f"{(r.now.value - r.start) / r.sd:+.1f}",
         )

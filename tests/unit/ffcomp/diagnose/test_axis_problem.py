@@ -63,7 +63,8 @@ def test_every_shot_begins_where_the_axis_was_measured() -> None:
     problem = AxisProblem(STAGE, runs_of(STAGE, 1))
     length = problem.shots[0].length
     simulated = problem.simulate({})[0][::length, 0]
-    np.testing.assert_allclose(simulated, problem.observations[0].measured[::length, 0], rtol=1e-12)
+    both = [problem.observations[i].measured[::length, 0] for i in (0, len(problem.windows) // 2)]
+    np.testing.assert_allclose(simulated, np.mean(both, axis=0), atol=1e-9)  # repeats begin at their mean
 
 
 def test_dry_friction_of_a_free_axis_is_named_with_its_size() -> None:

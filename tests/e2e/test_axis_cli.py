@@ -1,0 +1,85 @@
+"""An axis by itself from the command line: gap, diagnose with its report, and what refuses it."""
+
+from __future__ import annotations
+
+import json
+from html import unescape
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from ffcomp.cli.app import app
+from models.axis.simulate import simulate_axis, with_effects
+from models.file import load_plant
+
+RATE = 400.0
+FILE = """
+format = "ffcomp-machine/1"
+name = "slide"
+[kinematics]
+type = "axis"
+[axis]
+input = "force"
+mass_kg = 10.0
+stiffness_n_per_m = 0.0
+damping_n_s_per_m = 30.0
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A slide that differs by direction, two repeats of one motion, and its file that knows nothing of it."""
+    made = tmp_path_factory.mktemp("axis")
+    (made / "slide.toml").write_text(FILE)
+    rng = np.random.default_rng(8)
+    t = np.arange(1200) / RATE
+    force = 15.0 * np.interp(t, np.linspace(0, t[-1], 16), rng.normal(size=16))
+    true = with_effects(load_plant(made / "slide.toml"), {"coulomb_friction": {"force_n": 4.0}})  # type: ignore[arg-type]
+    motion = simulate_axis(true, force, 1 / RATE)
+    for k in (1, 2):
+        noisy = motion.position_mm + 1e-4 * rng.normal(size=len(t))
+        np.savetxt(
+            made / f"push-{k}.csv",
+            np.column_stack([t, force, noisy]),
+            delimiter=",",
+            header="t_s,force_n,pos_q_mm",
+            comments="",
+        )
+    return made
+
+
+def run(*words: str | Path) -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    return result.exit_code, result.stdout, result.stderr
+
+
+def test_an_axis_is_diagnosed_and_its_better_file_closes_the_gap(folder: Path) -> None:
+    runs, better, report = sorted(folder.glob("push-*.csv")), folder / "better.toml", folder / "r.html"
+    said = run("diagnose", *runs, "-m", folder / "slide.toml", "-o", better, "--report", report, "--json", "--force")
+    assert said[0] == 0, said[2]
+    answer = json.loads(said[1])
+    assert [each["name"] for each in answer["effects"]] == ["coulomb_friction"]
+    assert answer["left_out"] == "windows" and answer["print_gain"] is None
+    assert answer["effects"][0]["parameters"]["force_n"]["value"] == pytest.approx(4.0, rel=0.05)
+    page = unescape(report.read_text())
+    assert "By window of time" in page and "Axis' position" in page
+    gaps = [json.loads(run("gap", *runs, "-m", file, "--json")[1]) for file in (folder / "slide.toml", better)]
+    assert gaps[1]["nrms"] < 0.2 * gaps[0]["nrms"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("compensate", "print.gcode", "-o", "out.gcode"),
+        ("record", "plan", "-o", "moves.gcode"),
+        ("estimate", "print.gcode"),
+    ],
+)
+def test_what_needs_gcode_refuses_an_axis_in_one_sentence(folder: Path, words: tuple[str, ...]) -> None:
+    (folder / "print.gcode").write_text("G28\nG1 X10 Y10 F3000\n")
+    given = [folder / word if "." in word else word for word in words]
+    code, _, told = run(*given, "-m", folder / "slide.toml")
+    assert code != 0
+    assert " ".join(told.split()).count("has no nozzle") == 1
