@@ -32,6 +32,7 @@ from ffcomp.bank.cases import case
 from ffcomp.bank.kinds import KINDS
 from ffcomp.bank.seal import label_path, open_labels, verdict_path, write_case
 from ffcomp.bank.strata import FULL, full_bank
+from ffcomp.bank.summary import confusion, miss, rate_of
 from studies.render import save
 
 ROOT = Path(__file__).parents[1]
@@ -198,10 +199,7 @@ def results(judged: Sequence[score.Judged], options: argparse.Namespace, bank: P
             {"low": low, "high": high, "right": rate.hits, "of": rate.total}
             for low, high, rate in score.power(judged, EDGES)
         ],
-        "confusion": [
-            {"hidden": row, "said": [{"answer": answer, "count": n} for answer, n in counts.most_common()]}
-            for row, counts in sorted(score.confusion(judged).items())
-        ],
+        "confusion": confusion(judged),
         "misses": [miss(j) for j in judged if not score.as_wanted(j)],
     }
 
@@ -252,19 +250,6 @@ def compared(name: str, judged: Sequence[score.Judged]) -> dict[str, Any]:
     }
 
 
-def rate_of(rate: score.Rate) -> dict[str, Any]:
-    low, high = rate.interval
-    return {
-        "title": rate.title,
-        "hits": rate.hits,
-        "total": rate.total,
-        "low": low,
-        "high": high,
-        "aim": rate.aim,
-        "verdict": rate.verdict,
-    }
-
-
 def shrink_of(left: Sequence[float]) -> dict[str, Any] | None:
     """Return what is left of the gap on fresh runs, or None if nothing was measured."""
     if not left:
@@ -276,30 +261,6 @@ def shrink_of(left: Sequence[float]) -> dict[str, Any] | None:
         "quartiles": np.percentile(left, [25, 75]),
         "verdict": "reached" if median <= 0.05 else "missed",
     }
-
-
-def miss(j: score.Judged) -> dict[str, Any]:
-    """Describe a visible case that ended otherwise than it should, with what the tool said about it."""
-    return {
-        "case": j.name,
-        "stratum": j.label.stratum,
-        "hidden": j.question,
-        "left": [np.sqrt(max(v.left, 0) / v.rows) for v in j.label.visibility.values()],
-        "visible": j.label.visible,
-        "said": j.answer,
-        "because": _because(j),
-    }
-
-
-def _because(j: score.Judged) -> str:
-    refused = j.verdict.get("refused") or {}
-    rivals = ", ".join(rival["name"] for rival in j.verdict.get("confusable_with", []))
-    parts = [j.verdict.get("why", "").replace("\n", " ").replace("|", "/")]
-    if refused:
-        parts.append(f"nearest {'+'.join(refused['effects'])}; {'; '.join(refused['because'])}")
-    if rivals:
-        parts.append(f"looks alike: {rivals}")
-    return "; ".join(filter(None, parts))
 
 
 def draw_confusion(judged: Sequence[score.Judged], path: Path) -> None:

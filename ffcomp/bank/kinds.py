@@ -17,6 +17,7 @@ from ffcomp.bank.motions import KINDS as MOTIONS
 from ffcomp.bank.motions import Motion, Path, Place
 from ffcomp.bank.real import FloatArray, Hide, Reading, Real, Rng, Tables
 from ffcomp.bank.straight import machines as straight
+from ffcomp.bank.straight import single
 from ffcomp.bank.straight.hidden import effects_of
 from ffcomp.bank.straight.outside import OUTSIDE as STRAIGHT_OUTSIDE
 
@@ -45,11 +46,11 @@ class Kind:
     outside: Mapping[str, Hide]
     sensors: str
     axes: str  # of the command in a run
-    flat: bool = False  # no motion along z
+    moving: tuple[float, float, float] = (1.0, 1.0, 1.0)  # 0 where a motion stays at its place
 
     def command(self, firmware: Mapping[str, Any], path: FloatArray, axes: str) -> FloatArray:
-        """Return what a run's file has as the command, (n, 3) mm, of a nozzle's path."""
-        return carriages_of(firmware, path) if axes == "ABC" else path
+        """Return what a run's file has as the command, (n, axes) mm, of a nozzle's path."""
+        return carriages_of(firmware, path) if axes == "ABC" else path[:, : len(axes)]
 
     def motions(self, machine: Tables, rng: Rng, seconds: float, short: bool) -> tuple[tuple[Motion, ...], ...]:
         """Draw what is measured, and what will be measured afterwards at other places."""
@@ -57,20 +58,19 @@ class Kind:
 
         def motion(what: str, where: int, name: str, loudness: float) -> Motion:
             path = MOTIONS[what](rng, places[where], seconds, loudness)
-            return Motion(f"{what}-{name}", _flat(path) if self.flat else path, seconds)
+            return Motion(f"{what}-{name}", _held(path, self.moving), seconds)
 
         measured = [motion(*each) for each in MEASURED]
         fresh = [motion(*each) for each in FRESH]
         return (tuple(measured), tuple(fresh)) if not short else ((measured[0], measured[2]), tuple(fresh[:1]))
 
 
-def _flat(path: Path) -> Path:
-    def level(t: FloatArray) -> FloatArray:
-        found = path(t).copy()
-        found[:, 2] = found[0, 2]
-        return found
+def _held(path: Path, moving: tuple[float, float, float]) -> Path:
+    def held(t: FloatArray) -> FloatArray:
+        found = path(t)
+        return np.asarray(found[:1] + moving * (found - found[:1]))
 
-    return level
+    return path if all(moving) else held
 
 
 def _delta(rng: Rng, names: Sequence[str]) -> Tables:
@@ -114,7 +114,7 @@ def _straight(kind: str, sensors: str) -> Kind:
         outside=STRAIGHT_OUTSIDE,
         sensors=sensors,
         axes="xyz",
-        flat=True,
+        moving=(1.0, 1.0, 0.0),
     )
 
 
@@ -129,9 +129,22 @@ _DELTA = Kind(
     sensors="all",
     axes="ABC",
 )
+_AXIS = Kind(
+    draw=lambda rng, names: single.draw_machine(rng),
+    file_of=single.file_of,
+    played=straight.played,
+    probes=straight.probes,
+    places=lambda machine, rng: [(0.0, 0.0, 0.0)] * 6,
+    effects=single.EFFECTS,
+    outside=single.OUTSIDE,
+    sensors="axis",
+    axes="q",
+    moving=(1.0, 0.0, 0.0),
+)
 KINDS: Mapping[str, Kind] = {
     "delta": _DELTA,
     "nozzle": replace(_DELTA, sensors="effector", axes="xyz"),  # what owners have: one chip on the nozzle holder
     "cartesian": _straight("cartesian", "head-and-bed"),
     "corexy": _straight("corexy", "effector"),
+    "axis": _AXIS,
 }

@@ -15,6 +15,7 @@ SENSORS: Mapping[str, tuple[str, ...]] = {
     "effector": ("acc_x", "acc_y", "acc_z"),
     "two": ("acc_A", "acc_x", "acc_y"),
     "head-and-bed": ("acc_x", "acc_y"),
+    "axis": ("acc_q", "pos_q"),
     "encoders": ("pos_A", "pos_B", "pos_C", "acc_x", "acc_y", "acc_z"),
     "laser": ("acc_A", "acc_B", "acc_C", "pos_x", "pos_y", "pos_z"),
 }
@@ -53,7 +54,7 @@ class Sensors:
             "acc": dict(zip("ABCxyz", np.hstack([reading.carriage, reading.nozzle]).T, strict=True)),
             "pos": dict(zip("ABCxyz", np.hstack([reading.carriage_mm, reading.nozzle_mm]).T, strict=True)),
         }
-        return {name: columns[name[:3]][name[4:]][::every] for name in self.channels}
+        return {name: columns[name[:3]][name[4:].replace("q", "x")][::every] for name in self.channels}
 
     def _noise(self, channel: str, n: int, rng: np.random.Generator) -> FloatArray:
         f = np.fft.rfftfreq(n, 1 / self.rate_hz)
@@ -80,9 +81,9 @@ def draw_sensors(rng: np.random.Generator, subset: str, rate_hz: float) -> Senso
 
 
 def csv_of(times: FloatArray, command: FloatArray, axes: str, measured: Mapping[str, FloatArray]) -> str:
-    """Return the text of a run. command : (n, 3) mm, columns named by `axes`."""
+    """Return the text of a run. command : (n, axes) mm, columns named by `axes`."""
     names = ["t_s", *(f"cmd_{axis}_mm" for axis in axes), *(f"{c}_{UNITS[c[:3]]}" for c in measured)]
-    formats = ["%.7f"] + ["%.6f"] * 3 + ["%.4f"] * len(measured)
+    formats = ["%.7f"] + ["%.6f"] * len(axes) + ["%.4f"] * len(measured)
     rows = np.column_stack([times, command, *measured.values()])
     row_format = ",".join(formats) + "\n"
     return ",".join(names) + "\n" + "".join(row_format % tuple(row) for row in rows.tolist())
