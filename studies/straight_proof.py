@@ -216,6 +216,8 @@ def recorded(folder: Path, owner: Path, plant: Plant, kind: Kind, height_mm: flo
         )
         if answer.get("refused") or "why" in answer:
             raise SystemExit(str(answer.get("refused") or answer))
+        for run in sorted(runs.glob("*.csv")):  # what is recorded at another height is no repeat
+            run.rename(run.with_name(f"z{height_mm:.0f}-{run.name}"))
     return sorted(runs.glob("*.csv"))
 
 

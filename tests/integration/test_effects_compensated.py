@@ -12,9 +12,12 @@ from ffcomp.inverse import lq_preview as fast
 from ffcomp.inverse.model import GEOMETRY, InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.simulate.playback import simulate_nozzles
+from models.arrays import constant
 from models.effects.catalogue import CATALOGUE, effects_of_printers, with_effect
 from models.file import load_machine
-from models.machine import Machine
+from models.kinematics.cartesian import CARTESIAN, CartesianKinematics
+from models.machine import Machine, MotionLimits
+from models.vibration.modal import Axis, ModalAxes
 from tests.support.compensated import compensated, job
 from tests.support.prints import squares
 from tests.support.settings import finely_joined
@@ -27,8 +30,8 @@ FOLDED = {
 }
 
 
-def contour_rms_um(believed: Machine, plant: Machine) -> float:
-    (stretch,), _ = Print(squares(1), "squares.gcode", believed).slices(Sampling())
+def contour_rms_um(believed: Machine, plant: Machine, text: bytes = squares(1)) -> float:
+    (stretch,), _ = Print(text, "squares.gcode", believed).slices(Sampling())
     motion, _ = inversion(believed, finely_joined(believed), COMPENSATED).motion(stretch)
     t, (nozzle,) = simulate_nozzles([plant], motion, believed)
     return float(1e3 * np.sqrt(np.mean(contour([Execution(stretch, motion, t, nozzle)]) ** 2)))
@@ -70,11 +73,34 @@ def test_the_whole_printer_in_the_loop_takes_the_effect_out(name: str) -> None:
     assert knowing < left * ignorant
 
 
+# of straight axes, beside and above the place where the file's numbers hold
+BY_PLACE = {
+    "gantry_racking": (
+        {"radius_mm": 150.0, "frequency_hz": 45.0, "damping_ratio": 0.05, "x_centre_mm": -60.0, "arm_mm": 10.0},
+        0.3,
+    ),
+    "growing_bed": ({"growth_per_m": [0.0, 3.0, 0.0]}, 0.3),
+    "toolhead_mode": ({"slope_per_m": [0.0, -4.0, 0.0], "curve_per_m2": 0.0, "x_centre_mm": -60.0}, 0.3),
+}
+
+
+@pytest.mark.parametrize("name", BY_PLACE)
+def test_what_depends_on_the_nozzle_s_place_is_taken_out_too(name: str) -> None:
+    numbers, left = BY_PLACE[name]
+    box = CartesianKinematics(constant([[-100, 100], [-100, 100], [-1, 200]]), CARTESIAN)
+    axes = ModalAxes.of([Axis([52.0], [0.06]), Axis([41.0], [0.06]), Axis()])
+    machine = Machine("box", box, axes, MotionLimits(300.0, 5000.0))
+    plant = with_effect(machine, name, **numbers)
+    high = squares(1).replace(b"Z0.2", b"Z100.2")
+    ignorant, knowing = contour_rms_um(machine, plant, high), contour_rms_um(plant, plant, high)
+    assert knowing < left * ignorant
+
+
 def test_every_effect_is_compensated_or_belongs_elsewhere() -> None:
     printers = {name: CATALOGUE[name] for name in effects_of_printers()}
     sensors = {name for name, effect in printers.items() if effect.kind == "sensor"}
     folded = {name for name, effect in printers.items() if effect.kind == "parameter"} - {GEOMETRY}
-    assert set(printers) == sensors | folded | set(BEYOND) | {GEOMETRY}
+    assert set(printers) == sensors | folded | set(BEYOND) | set(BY_PLACE) | {GEOMETRY}
 
 
 def test_a_wrong_geometry_is_named_not_compensated() -> None:
