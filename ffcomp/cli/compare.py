@@ -245,9 +245,11 @@ def _print(found: Comparison, report: Path | None, written: list[Path]) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from ffcomp.report.compare.answer import answer
     from ffcomp.report.compare.verdict import verdict
 
     console = Console()
+    console.print(str(answer(found)), highlight=False, markup=False)
     for sentence in verdict(found):
         console.print(sentence, highlight=False, markup=False)
     table = Table("method", box=None, padding=(0, 1, 0, 0))
@@ -259,7 +261,9 @@ def _print(found: Comparison, report: Path | None, written: list[Path]) -> None:
             table.add_row()
         family = method.family
         style = "bold" if method.name in (found.compensated, found.best_fixed) else ""
-        table.add_row(method.name, *_cells(found, method.name), style=style)
+        table.add_row(
+            "ffcomp" if method.name == found.compensated else method.name, *_cells(found, method.name), style=style
+        )
     console.print(table)
     console.print(_legend(found), highlight=False)
     if report is not None:

@@ -26,7 +26,7 @@ from ffcomp.compare.equal_quality import equal_quality, within_limits
 from ffcomp.compare.evaluation import SAMPLE_S, Execution, MethodEvaluation, by, contour, evaluate, track, weights
 from ffcomp.compare.methods import COMPENSATED, TunedMethod
 from ffcomp.compare.monte_carlo import draw_plants
-from ffcomp.compare.result import BedMap, Comparison, Layer, Method, Party, Peaks, Spread
+from ffcomp.compare.result import BedMap, Comparison, Layer, Method, Outline, Party, Peaks, Spread
 from ffcomp.compare.sampling import SETTLE_S, Print, PrintSlice, Sampling
 from ffcomp.compensate.statistics import Statistics
 from ffcomp.errors import NothingToDo
@@ -142,6 +142,8 @@ def compare(
         },
         quality_bound_um=request.quality_bound_um,
         seconds=time.perf_counter() - started,
+        acceleration_mm_per_s2=printed.acceleration_mm_per_s2,
+        outline=_outline(printed),
     )
 
 
@@ -352,6 +354,12 @@ def _layers(printed: Print, method: Method) -> tuple[Layer, ...]:
         z = float(np.median(s.reference[s.layer == number, 2])) if len(moves) else 0.0
         found.append(Layer(number, z, float(begins[own[0]]), float(ends[own[-1]])))
     return tuple(found)
+
+
+def _outline(printed: Print) -> Outline:
+    moves, kinds = printed.program.moves, printed.labels
+    own = np.flatnonzero(printed.extrudes)
+    return Outline(moves.start[own, :3], moves.end[own, :3], kinds.layer[own], kinds.feature[own])
 
 
 def _bed(plant: Machine) -> BedMap:

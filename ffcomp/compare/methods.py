@@ -78,7 +78,10 @@ def best_fixed(linear: LinearPrinter, kind: str) -> TunedMethod:
 
 
 def scheduled(linear: LinearPrinter, of_position: FrequencyOfPosition, kind: str) -> TunedMethod:
-    """Return a shaper whose frequency follows the mode over the bed; no firmware has it."""
+    """Return a shaper whose frequency follows the mode over the bed; firmware schedules by height or mass at most.
+
+    (Marlin's dynamic frequency mode.)
+    """
     factor = linear.best_factor(kind, of_position)
     tuning = (
         f"{factor:.2f} times the frequency of the plant's dominant mode at each position, the best of twelve factors."
@@ -90,9 +93,7 @@ def scheduled(linear: LinearPrinter, of_position: FrequencyOfPosition, kind: str
 def inversion(machine: Machine, settings: Settings, name: str) -> TunedMethod:
     """Return inversion with the model of the bed's middle, of each position, or of each with its uncertainty."""
     one_model, robust = name == ONE_MODEL, name == ROBUST
-    label = {ONE_MODEL: "inversion, one model", ROBUST: "ffcomp, robust inversion"}.get(
-        name, "ffcomp, scheduled inversion"
-    )
+    label = {ONE_MODEL: "ffcomp, one model", ROBUST: "ffcomp, robust"}.get(name, "ffcomp")
     model = "at 0, 0 for the whole bed" if one_model else "at each position"
     if robust:
         model += ", with the least expected contour error over the file's uncertainties"

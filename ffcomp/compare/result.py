@@ -154,6 +154,16 @@ class BedMap:
 
 
 @dataclass(frozen=True, eq=False)
+class Outline:
+    """The k moves of the whole print that extrude."""
+
+    start: FloatArray  # (k, 3) mm
+    end: FloatArray  # (k, 3) mm
+    layer: IntArray  # (k,)
+    feature: IntArray  # (k,) index into Comparison.features
+
+
+@dataclass(frozen=True, eq=False)
 class Comparison:
     """A comparison: all that the JSON, the report and the figures are made of."""
 
@@ -179,6 +189,8 @@ class Comparison:
     )  # carriage_velocity_mm_per_s, carriage_acceleration_mm_per_s2
     quality_bound_um: float = 25.0
     seconds: float = 0.0  # that the comparison took
+    acceleration_mm_per_s2: float | None = None  # of the print: most of its outer walls, or of all that extrudes
+    outline: Outline | None = None  # all that the print extrudes, evaluated or not
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object of `ffcomp compare`, without samples (ffcomp-compare/1)."""
@@ -194,6 +206,7 @@ class Comparison:
             "settings": self.settings,
             "limits": self.limits,
             "print_time_s": self.print_time_s,
+            "acceleration_mm_per_s2": self.acceleration_mm_per_s2,
             "layers": self.layers,
             "best_fixed": self.best_fixed,
             "ours": self.compensated,

@@ -120,6 +120,16 @@ class Print:
         """(n,) moves that extrude along a path."""
         return _extrudes(self.planned.trajectory)
 
+    @cached_property
+    def acceleration_mm_per_s2(self) -> float | None:
+        """The acceleration of most of the outer walls' time, or of all that extrudes; None if the print names none."""
+        walls = outer_walls(self.labels)
+        seconds = np.where(self.extrudes, self.planned.trajectory.duration, 0.0)
+        seconds = np.where(walls, seconds, 0.0) if seconds[walls].any() else seconds
+        stated = self.program.moves.acceleration
+        values = np.unique(stated[(seconds > 0.0) & np.isfinite(stated)])
+        return float(max(values, key=lambda value: seconds[stated == value].sum())) if values.size else None
+
     def slices(
         self, sampling: Sampling, slice_s: float = SLICE_S, at_most_s: float = np.inf
     ) -> tuple[list[PrintSlice], str]:
@@ -139,7 +149,8 @@ class Print:
         cuts = [] if evaluated >= seconds - slice_s / 2 else list(self._cuts(first, last, evaluated, slice_s))
         if not cuts:  # all is requested, or it is a single arc, which is not cut
             found = [self._whole()] if whole else [self._part(first, last)]
-            return found, f"{what[0].upper()}{what[1:]} was evaluated, {seconds:.0f} s."
+            were = "was" if whole else "were"
+            return found, f"{what[0].upper()}{what[1:]} {were} evaluated, {seconds:.0f} s."
         strata = self._strata(first, last)
         found = _weighted([self._part(a, b) for a, b in cuts], [a - first for a, _ in cuts], strata)
         covered = sum(each.trajectory.end_t for each in found)

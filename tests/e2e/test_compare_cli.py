@@ -51,9 +51,10 @@ def test_people_get_a_verdict_and_a_table(small: Path) -> None:
     answer = call(small, "-m", "mp-delta-pro", "--only", "ei", "--quality-um", "0", "--layers", "0", "--quiet")
     assert answer.exit_code == 0 and answer.output == ""
     answer = call(small, "-m", "mp-delta-pro", "--only", "ei", "--quality-um", "0", "--layers", "0")
-    assert "Layers 0 to 0" in answer.stdout and "times less" in answer.stdout
-    rows = [line.split() for line in answer.stdout.splitlines() if line.startswith(("none ", "ei ", "fbs-lpv "))]
-    assert [row[0] for row in rows] == ["none", "ei", "fbs-lpv"]
+    assert answer.stdout.startswith("Worth it? ")
+    assert "Layers 0 to 0 were evaluated" in answer.stdout and "times less" in answer.stdout
+    rows = [line.split() for line in answer.stdout.splitlines() if line.startswith(("none ", "ei ", "ffcomp  "))]
+    assert [row[0] for row in rows] == ["none", "ei", "ffcomp"]
     assert float(rows[0][1]) > float(rows[1][1]) > float(rows[2][1])
     assert max(map(len, answer.stdout.splitlines())) <= 80
 

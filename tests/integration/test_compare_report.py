@@ -14,28 +14,15 @@ import xml.etree.ElementTree as ElementTree
 import zlib
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from ffcomp.compare.evaluation import by, contour_numbers
-from ffcomp.compare.result import (
-    BedMap,
-    Comparison,
-    EqualQuality,
-    Family,
-    Layer,
-    Method,
-    Party,
-    Peaks,
-    Samples,
-    Spread,
-)
-from ffcomp.metrics import Track
+from ffcomp.compare.result import Comparison, EqualQuality, Party, Peaks, Samples, Spread
 from ffcomp.report.compare import html, packed, table
+from ffcomp.report.compare.answer import answer
 from ffcomp.report.compare.figures import drawings, svg, write_figures
 from ffcomp.report.compare.html import write_report
 from ffcomp.report.compare.off_path import contour_vectors, unbroken
@@ -44,126 +31,20 @@ from ffcomp.report.compare.spectrum import spectrum
 from ffcomp.report.compare.verdict import verdict
 from ffcomp.report.compare.words import duration, times, um
 from tests.support.browser import Visit, chromium, visit
-
-SAMPLE_S = 1e-3
-SIDE, SPEED, LAYERS = 40.0, 80.0, 3  # mm, mm/s
-RING_HZ, DECAY_PER_S = 42.0, 12.0
-SIDE_N = round(SIDE / SPEED / SAMPLE_S)
-FEATURES = ("other", "Perimeter", "External perimeter")
-READY = "#viewer[data-ready]"
-NASTY = '"><script>alert(1)</script><img src=x onerror=alert(2)>'
-
-
-def samples(amplitude_mm: float) -> Samples:
-    """Once round a square in each layer; the last side is travel. Each corner is overshot and rings on."""
-    corners = 0.5 * SIDE * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
-    s = np.arange(SIDE_N) / SIDE_N
-    wave = amplitude_mm * np.exp(-DECAY_PER_S * SAMPLE_S * np.arange(SIDE_N))
-    wave = wave * np.sin(2 * np.pi * RING_HZ * SAMPLE_S * np.arange(SIDE_N) + 0.5 * np.pi)
-    wanted, across = [], []
-    for layer in range(LAYERS):
-        for a, b in pairwise(corners):
-            along = (b - a) / SIDE
-            wanted.append(np.column_stack([a + s[:, None] * (b - a), np.full(SIDE_N, 0.2 * (layer + 1))]))
-            across.append(np.column_stack([along[1] * wave, -along[0] * wave, 0 * wave]))
-    across[0] = 0 * across[0]  # it comes from rest
-    count = 4 * LAYERS * SIDE_N
-    side = np.arange(count) // SIDE_N
-    return Samples(
-        due=SAMPLE_S * np.arange(count),
-        reference=np.concatenate(wanted),
-        nozzle=np.concatenate(wanted) + np.concatenate(across),
-        contour=np.linalg.norm(np.concatenate(across), axis=1),
-        layer=side // 4,
-        feature=1 + side % 2,
-        extruding=side % 4 != 3,
-        weight=np.ones(count),
-    )
-
-
-def track(s: Samples, which: Any) -> Track:
-    error = contour_numbers(s, which)
-    return Track(
-        tracking_rms_um=1.5 * error.rms_um,
-        tracking_max_um=2.0 * error.max_um,
-        contour_rms_um=error.rms_um,
-        contour_p99_um=error.p99_um,
-        contour_max_um=error.max_um,
-        delay_s=0.0,
-        tracking_rms_no_delay_um=error.rms_um,
-        print_time_s=float(s.due[-1]),
-        peak_command_acceleration_mm_per_s2=6e3,
-    )
-
-
-def method(name: str, label: str, family: Family, amplitude_um: float, **about: Any) -> Method:
-    s = about.pop("samples", None) or samples(1e-3 * amplitude_um)
-    given: dict[str, Any] = {
-        "tuning": "x 40.0 Hz, y 41.0 Hz: as a test sets it.",
-        "track": track(s, np.ones(len(s.due), dtype=bool)),
-        "extruding": track(s, s.extruding),
-        "by_layer": by(s.layer, s),
-        "by_feature": {FEATURES[k]: error for k, error in by(s.feature, s).items()},
-        "residual_rms_um": 0.3 * amplitude_um,
-        "peaks": Peaks(120.0, 6000.0, True),
-    }
-    return Method(name, label, family, samples=s, **(given | about))
-
-
-def bed() -> BedMap:
-    axis = np.linspace(-90.0, 90.0, 19)
-    x, y = np.meshgrid(axis, axis)
-    frequency = np.stack([40 + 0.05 * x, 40 + 0.05 * y], axis=-1)
-    frequency[np.hypot(x, y) > 91] = np.nan
-    return BedMap(axis, axis, frequency)
-
-
-def comparison(
-    none_um: float = 200.0, best_um: float = 20.0, ours_um: float = 2.0, name: str = "prints/square.gcode", **about: Any
-) -> Comparison:
-    judged = [
-        method("none", "no compensation", "none", none_um),
-        method("mzv-calibrated", "MZV, calibrated", "calibrated", 1.5 * best_um),
-        method("mzv", "MZV, best fixed", "best fixed", best_um),
-        method("fbs-lpv", "ffcomp, scheduled inversion", "inversion", ours_um),
-    ]
-    given: dict[str, Any] = {
-        "print_sha256": "ab" * 32,
-        "print_time_s": 3725.0,
-        "layers_total": LAYERS,
-        "sampling": "The whole print was evaluated, 6 s.",
-        "machine": Party("a delta", "12" * 32),
-        "plant": Party("a delta", "12" * 32),
-        "mismatch": "",
-        "settings": {"bandwidth of the inversion": "100 Hz"},
-        "version": "9.8.7",
-        "layers": tuple(Layer(k, 0.2 * (k + 1), 2.0 * k, 2.0 * k + 2) for k in range(LAYERS)),
-        "features": FEATURES,
-        "methods": {each.name: each for each in judged},
-        "best_fixed": "mzv",
-        "compensated": "fbs-lpv",
-        "sample_s": SAMPLE_S,
-        "limits": {"carriage_velocity_mm_per_s": 300.0, "carriage_acceleration_mm_per_s2": 2e4},
-        "quality_bound_um": 25.0,
-    }
-    return Comparison(print_name=name, **(given | about))
-
-
-def changed(found: Comparison, name: str, **about: Any) -> Comparison:
-    """The comparison with one method altered."""
-    return replace(found, methods={**found.methods, name: replace(found.methods[name], **about)})
-
-
-def everything(name: str = "prints/square.gcode") -> Comparison:
-    """With all that can be asked for."""
-    found = comparison(name=name, bed=bed(), mismatch="8 plants, each off by 10 %.")
-    for key, factor in (("none", 1.1), ("mzv-calibrated", 1.4), ("mzv", 1.4), ("fbs-lpv", 2.5)):
-        rms = found.methods[key].track.contour_rms_um
-        spread = Spread(tuple(factor * rms * (1 + 0.1 * k) for k in range(8)))
-        quality = EqualQuality(1e3 * (4 - factor), 3000.0 + 100 * factor, 24.0, capped=False, reached=key != "none")
-        found = changed(found, key, spread=spread, equal_quality=quality)
-    return changed(found, "mzv", retuned=found.methods["mzv"].spread)
-
+from tests.support.comparison import (
+    LAYERS,
+    NASTY,
+    READY,
+    RING_HZ,
+    SAMPLE_S,
+    SIDE,
+    SIDE_N,
+    changed,
+    comparison,
+    everything,
+    method,
+    samples,
+)
 
 # ---- words and verdict ---------------------------------------------------------------------------
 
@@ -192,6 +73,23 @@ def test_bad_news_are_told_as_plainly() -> None:
     assert "the same as ffcomp" in verdict(comparison(best_um=2.0))[1]
 
 
+def test_the_answer_on_top() -> None:
+    yes = str(answer(comparison()))
+    assert yes.startswith("Worth it? Yes: at your 5,000 mm/s² (5 m/s²) ffcomp leaves 10 times less error than")
+    assert "100 times less than none, where plastic flows." in yes
+    assert (
+        answer(comparison(best_um=3.0)).word == "Hardly" and "a shaper is enough" in answer(comparison(best_um=3.0)).why
+    )
+    assert answer(comparison(best_um=2.0)).why.endswith("(MZV) is as good on this print.")
+    assert answer(comparison(best_um=1.0)).word == "No"
+    assert answer(changed(comparison(), "fbs-lpv", peaks=Peaks(250.0, 4.5e4, False))).word == "No"
+    assert "your" not in answer(comparison(acceleration_mm_per_s2=None)).why
+    fast = changed(comparison(), "fbs-lpv", equal_quality=EqualQuality(4e4, 300.0, 20.0, capped=True))
+    fast = changed(fast, "mzv", equal_quality=EqualQuality(2e3, 500.0, 24.9, capped=False))
+    said = "within 25 µm up to 40,000 mm/s² (40 m/s²) and more, the fastest shaper (MZV) up to 2,000 mm/s² (2 m/s²)."
+    assert answer(fast).why.endswith(said)
+
+
 def test_a_third_method_that_is_better_than_ours_is_named() -> None:
     found = comparison(ours_um=4.0)
     found = replace(found, methods={**found.methods, "zv-scheduled": method("zv-scheduled", "ZV, s", "scheduled", 2.0)})
@@ -202,7 +100,7 @@ def test_a_third_method_that_is_better_than_ours_is_named() -> None:
 def test_limits_and_warnings_are_in_the_verdict() -> None:
     beyond = Peaks(250.0, 4.5e4, False)
     said = " ".join(verdict(changed(comparison(), "fbs-lpv", peaks=beyond, warnings=("Too fast here.",))))
-    assert "45 m/s², more than the machine file allows (300 mm/s, 20 m/s²)" in said
+    assert "45,000 mm/s² (45 m/s²), more than the machine file allows (300 mm/s, 20,000 mm/s² (20 m/s²))" in said
     assert "Warning: Too fast here." in said
     assert "Beyond the limits of the carriages" in " ".join(verdict(changed(comparison(), "mzv", peaks=beyond)))
     assert "allows" not in " ".join(verdict(comparison()))
@@ -243,9 +141,9 @@ def test_equal_quality_capped_reached_and_missed() -> None:
     found = changed(found, "mzv-calibrated", equal_quality=EqualQuality(5e3, 400.0, 24.9, capped=False))
     found = changed(found, "none", equal_quality=EqualQuality(250.0, 4000.0, 60.0, capped=False, reached=False))
     (said,) = (sentence for sentence in verdict(found) if "must stay below 25 µm" in sentence)
-    assert "ffcomp keeps it even at 40 m/s²" in said
-    assert "the fastest shaper (MZV, calibrated) keeps it up to 5 m/s² (whole print 6 min 40 s)" in said
-    assert "no compensation misses it even at 0.25 m/s²" in said
+    assert "ffcomp keeps it even at 40,000 mm/s² (40 m/s²)" in said
+    assert "the fastest shaper (MZV, calibrated) keeps it up to 5,000 mm/s² (5 m/s²) (whole print 6 min 40 s)" in said
+    assert "no compensation misses it even at 250 mm/s² (0.25 m/s²)" in said
     assert said.endswith("With ffcomp that is 25 % less print time than with the shaper.")
 
 
@@ -292,7 +190,7 @@ def _cut(s: Samples, count: int) -> Samples:
 
 
 def test_close_ups_are_at_corners_that_are_apart() -> None:
-    places = worst_positions(comparison())
+    places = worst_positions(comparison(features=("other", "Perimeter", "Infill")))
     assert len(places) == 3
     for place in places:
         assert np.abs(place.at[:2]) == pytest.approx([SIDE / 2, SIDE / 2], abs=0.1)
@@ -301,6 +199,10 @@ def test_close_ups_are_at_corners_that_are_apart() -> None:
         assert np.all(np.diff(first.along_mm) >= 0) and first.along_mm[0] <= 0 < first.along_mm[-1]
     assert min(place.passes[0].along_mm[0] for place in places) < -0.4  # also from before the corner
     assert min(np.hypot(*(a.at - b.at)[:2]) for a in places for b in places if a is not b) > 10.0
+
+
+def test_close_ups_are_on_outer_walls_first() -> None:
+    assert all(place.feature == "External perimeter" for place in worst_positions(comparison()))
 
 
 # ---- the viewer's data ---------------------------------------------------------------------------
@@ -383,7 +285,9 @@ def test_best_is_marked_but_not_beyond_the_limits() -> None:
     assert cells(comparison(), "fbs-lpv")[key].best and not cells(comparison(), "mzv")[key].best
     found = changed(comparison(), "fbs-lpv", peaks=Peaks(250.0, 4.5e4, False))
     assert cells(found, "mzv")[key].best and not cells(found, "fbs-lpv")[key].best
-    assert cells(found, "fbs-lpv")["fastest carriage", "m/s²"] == table.Cell("45.0", "45", beyond=True)
+    assert cells(found, "fbs-lpv")["fastest carriage", "mm/s²"] == table.Cell(
+        "45,000", "45000", beyond=True, below="45 m/s²"
+    )
 
 
 def test_columns_that_nobody_asked_for_are_missing_and_gaps_are_dashes() -> None:
@@ -391,7 +295,7 @@ def test_columns_that_nobody_asked_for_are_missing_and_gaps_are_dashes() -> None
     found = changed(everything(), "mzv", residual_rms_um=math.nan)
     assert cells(found, "mzv")["residual ringing", "µm rms"] == table.Cell("–", "")
     assert cells(found, "fbs-lpv")["on Monte-Carlo plants, µm rms", "tuned again"].text == "–"
-    fast = {name: cells(found, name)["for 99 % below 25 µm", "m/s²"] for name in found.methods}
+    fast = {name: cells(found, name)["99 % below 25 µm up to", "mm/s²"] for name in found.methods}
     assert fast["none"].text == "–" and fast["mzv"].best and not fast["fbs-lpv"].best
 
 
@@ -455,7 +359,7 @@ def test_the_page_names_what_it_is_of_and_nothing_of_the_folders(page: Path) -> 
 def test_the_page_fetches_nothing(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     images = [base64.b64decode(each).decode() for each in re.findall(r"base64,([A-Za-z0-9+/=]+)", text)]
-    assert len(images) == 3 + 7
+    assert len(images) == 3 + 11  # close-ups and panels
     for content in (text, *images):
         fetched = re.findall(r"""(?:src|href)\s*=\s*["']?([^"'\s>]+)|url\(([^)]+)\)|@import""", content)
         assert all(re.match(r"data:|#|$", one or other) for one, other in fetched), fetched
@@ -477,7 +381,7 @@ def test_a_failed_report_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.
         def stop(drawing: Any, failure: type[BaseException] = failure) -> bytes:
             raise failure
 
-        monkeypatch.setattr(html, "svg", stop)
+        monkeypatch.setattr(html, "panel", stop)
         with pytest.raises(failure):
             write_report(comparison(), target)
         assert [path.name for path in tmp_path.iterdir()] == ["report.html"] and target.read_text() == "old"
@@ -544,8 +448,8 @@ def test_the_viewer_scrubs_switches_turns_and_points(browser: Any, page: Path) -
         shots.append(seen.shot("canvas"))
         seen.page.mouse.wheel(0, -300)
         shots.append(seen.shot("canvas"))
-        seen.page.locator("[data-role=exaggeration]").fill("1")
-        assert seen.page.locator("[data-role=times]").inner_text() == "10 ×"
+        seen.page.locator("[data-role=exaggeration]").fill("0.7")
+        assert seen.page.locator("[data-role=times]").inner_text().startswith("5 ×")
         shots.append(seen.shot("canvas"))
         assert len(set(shots)) == len(shots)
         assert clean(seen), (seen.errors, seen.requests)
@@ -582,7 +486,7 @@ def test_the_table_sorts_and_comes_back(browser: Any, page: Path) -> None:
 
         home = order()
         head.click()
-        assert order() == ["ffcomp, scheduled inversion", "MZV, best fixed", "MZV, calibrated", "no compensation"]
+        assert order() == ["ffcomp", "MZV, best fixed", "MZV, calibrated", "no compensation"]
         head.click()
         assert order()[0] == "no compensation"
         head.click()

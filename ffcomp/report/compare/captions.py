@@ -6,10 +6,11 @@ import numpy as np
 
 from ffcomp.compare.result import Comparison
 from ffcomp.report.compare.positions import Position
-from ffcomp.report.compare.words import duration, fastest_shaper, metres, nick, shown, um
+from ffcomp.report.compare.words import acceleration, duration, fastest_shaper, nick, shown, um
 
 HOW_TO_READ = {
-    "close-up": "The corners with the largest error without compensation, seen from above, true to scale. Dashed: the "
+    "close-up": "The corners with the largest error without compensation, of outer walls if there are any, seen from "
+    "above, true to scale. Dashed: the "
     "reference path; grey: its neighbours in the layer. Below, the same pass on a logarithmic scale: how far off the "
     "path the nozzle is, before and behind the corner. Equal waves behind a corner are ringing.",
     "errors-by-layer": "Root mean square of the contour error, all moves. On a delta the resonance changes over the "
@@ -18,7 +19,7 @@ HOW_TO_READ = {
     "the mean square error). A hill inside the shaded band is ringing at the resonance; what is left at low "
     "frequencies is corners cut, what is left above is not worth compensating.",
     "bed-map": "The lowest resonance that motion along X or Y excites well, over the bed of the evaluation plant; "
-    "white dots: where the evaluated part was printed. An input shaper has one frequency for the whole bed.",
+    "black dots: where the evaluated part was printed. An input shaper has one frequency for the whole bed.",
     "limits": "The largest demand on any carriage, over one segment's time, and what the machine file allows (red "
     "line). What is beyond the limit no motor follows: such a method's accuracy is not to be had.",
     "methods": "Every method on the same print and the same virtual printer, over all moves; left is better, and one "
@@ -26,7 +27,7 @@ HOW_TO_READ = {
     "mismatch": "How the methods do on printers that are not as the machine file says. A wide spread means that the "
     "method relies on exact numbers.",
     "equal-quality": "The other way round: how hard each method may accelerate before 1 % of its contour error is "
-    "above the bound, and how long the whole print takes then. Pale: missed even at the lowest acceleration tried.",
+    "above the bound, and how long the whole print takes then. Empty: missed even at the lowest acceleration tried.",
 }
 
 
@@ -77,7 +78,7 @@ def _equal_quality(found: Comparison) -> str:
     methods = (found.methods["none"], fastest_shaper(found), found.methods[found.compensated])
     evaluated = [(each, each.equal_quality) for each in methods if each is not None and each.equal_quality is not None]
     parts = [
-        f"{metres(quality.acceleration_mm_per_s2)}, {duration(quality.print_time_s)} ({method.label})"
+        f"{acceleration(quality.acceleration_mm_per_s2)}, {duration(quality.print_time_s)} ({method.label})"
         for method, quality in evaluated
         if quality.reached
     ]

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure, SubFigure
 
 from ffcomp.compare.result import Comparison
 from ffcomp.report.compare.positions import Pass, Position
-from ffcomp.report.compare.style import REFERENCE, colour_of
+from ffcomp.report.compare.style import colour_of
 from ffcomp.report.compare.words import clipped, nick, um
-from ffcomp.report.shared.style import grid, plain_decades
+from ffcomp.report.shared.style import NEIGHBOUR, REFERENCE, grid, plain_decades
 
 LEAST_UM = 0.1  # below it the error along the way is not drawn
 
@@ -28,7 +28,7 @@ def draw_places(box: Figure | SubFigure, found: Comparison, positions: list[Posi
 def _seen(axes: Axes, found: Comparison, position: Position) -> None:
     x, y, z = position.at
     for line in position.neighbours:
-        axes.plot(*line.T, color="#d5d9e0", linewidth=1.2, zorder=1)
+        axes.plot(*line.T, color=NEIGHBOUR, linewidth=1.2, zorder=1)
     for each in position.passes:
         colour, above = colour_of(found, each.method), 4 if each.method.name == found.compensated else 3
         axes.plot(*each.nozzle[:, :2].T, color=colour, linewidth=1.8, label=_label(each), zorder=above)

@@ -10,24 +10,25 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from ffcomp.compare.result import Comparison
-from ffcomp.report.compare import charts
+from ffcomp.report.compare import bars, charts
 from ffcomp.report.compare.captions import HOW_TO_READ, said
 from ffcomp.report.compare.closeup import draw_places
 from ffcomp.report.compare.positions import Position, worst_positions
 from ffcomp.report.compare.style import band
-from ffcomp.report.shared.drawing import Drawing, file_of, layout, svg
+from ffcomp.report.shared.drawing import Box, Drawing, file_of, layout, svg
 from ffcomp.report.shared.style import RC
 from gcode.atomic_write import replace_atomically
 
 __all__ = ["close_ups", "drawings", "svg", "write_figures"]
 
 BAND_INCHES, ROW_INCHES = 0.95, 0.24
+PANEL_INCHES = 4.4  # wide: its letters are read on a phone
 
 
 def drawings(found: Comparison) -> list[Drawing]:
     """Return the figures in the order of the page, without those that were not requested."""
     positions = worst_positions(found)
-    rows = ROW_INCHES * len(found.methods) + 1.1
+    rows = ROW_INCHES * len(found.methods) + 1.7
 
     def of(name: str, title: str, width: float, height: float, draw: Callable[..., None]) -> Drawing:
         line = said(name, found, positions)
@@ -41,13 +42,47 @@ def drawings(found: Comparison) -> list[Drawing]:
     ]
     if found.bed is not None and found.bed.is_round:
         every.append(of("bed-map", "Resonance over the bed", 10.0, 4.6, charts.draw_bed))
-    every.append(of("limits", "What the motors are asked for", 11.0, rows, charts.draw_limits))
-    every.append(of("methods", "All methods", 10.0, rows, charts.draw_methods))
+    every.append(
+        of("limits", "What the motors are asked for", 11.0, rows, bars.beside(bars.velocities, bars.accelerations))
+    )
+    every.append(of("methods", "All methods", 10.0, rows, bars.alone(bars.errors)))
     if any(method.spread is not None for method in found.methods.values()):
-        every.append(of("mismatch", "Printers that are not as the file says", 10.0, rows, charts.draw_mismatch))
+        every.append(of("mismatch", "Printers that are not as the file says", 10.0, rows, bars.alone(bars.mismatches)))
     if any(method.equal_quality is not None for method in found.methods.values()):
-        every.append(of("equal-quality", "Speed at equal quality", 11.0, rows, charts.draw_equal_quality))
+        every.append(
+            of("equal-quality", "Speed at equal quality", 11.0, rows, bars.beside(bars.fastest, bars.print_times))
+        )
     return every
+
+
+def panels(found: Comparison) -> dict[str, list[Drawing]]:
+    """Return the figures of the page, each cut into panels that are as narrow as a phone; close-ups apart."""
+    rows = ROW_INCHES * len(found.methods) + 2.4
+    features = 0.26 * len(found.methods["none"].by_feature) + 1.6
+
+    def of(draw: Callable[..., None], height: float) -> Drawing:
+        return Drawing("", "", "", "", PANEL_INCHES, height, partial(draw, found=found))
+
+    def lines(panel: bars.Panel, height: float, named: bool = True) -> Drawing:
+        return of(partial(_with_methods, panel, named), height)
+
+    every = {
+        "errors-by-layer": [lines(charts.by_layer, 3.6), lines(charts.by_feature, max(features, 2.4))],
+        "spectrum": [lines(charts.spectra, 4.2, named=False)],
+        "bed-map": [lines(partial(charts.bed_map, along=k), 4.3, named=False) for k in (0, 1)],
+        "limits": [of(bars.alone(panel), rows) for panel in (bars.velocities, bars.accelerations)],
+        "methods": [of(bars.alone(bars.errors), rows)],
+        "mismatch": [of(bars.alone(bars.mismatches), rows)],
+        "equal-quality": [of(bars.alone(panel), rows) for panel in (bars.fastest, bars.print_times)],
+    }
+    there = {each.name for each in drawings(found)}
+    return {name: each for name, each in every.items() if name in there}
+
+
+def _with_methods(panel: bars.Panel, named: bool, box: Box, found: Comparison) -> None:
+    panel(box.subplots(), found)
+    if named:
+        charts.method_legend(box, found)
 
 
 def close_ups(found: Comparison) -> list[Drawing]:

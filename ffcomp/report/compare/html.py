@@ -17,19 +17,29 @@ from markupsafe import Markup
 
 from ffcomp.compare.result import Comparison, Error
 from ffcomp.report.compare import table
+from ffcomp.report.compare.answer import answer
 from ffcomp.report.compare.captions import HOW_TO_READ
-from ffcomp.report.compare.figures import close_ups, drawings
+from ffcomp.report.compare.figures import close_ups, drawings, panels
 from ffcomp.report.compare.glossary import GLOSSARY
-from ffcomp.report.compare.packed import LOWEST_UM, packed, thinned_out
+from ffcomp.report.compare.packed import FEATURES, LOWEST_UM, packed, thinned_out
 from ffcomp.report.compare.style import colour_of
 from ffcomp.report.compare.verdict import verdict
-from ffcomp.report.compare.words import contour_p99_um, contour_rms_um, duration, extrudes, file_name, shown, um
-from ffcomp.report.shared.drawing import Drawing, Image, image, svg
+from ffcomp.report.compare.words import (
+    contour_p99_um,
+    contour_rms_um,
+    duration,
+    extrudes,
+    file_name,
+    outer_first,
+    shown,
+    um,
+)
+from ffcomp.report.shared.drawing import panel
 from ffcomp.report.shared.page import rendered, resource, tied
+from ffcomp.report.shared.style import ON_DARK, error_colours
 from gcode.atomic_write import replace_atomically
 
-COLOURS = 64
-DARKEST = 0.18  # of the colour map: below, lines would not show on the viewer's dark ground
+COLOURS = 48
 
 
 def write_report(comparison: Comparison, target: Path) -> None:
@@ -38,30 +48,34 @@ def write_report(comparison: Comparison, target: Path) -> None:
 
 
 def _page(found: Comparison) -> Iterator[bytes]:
-    script = resource("compare/viewer.js") + "\n" + resource("compare/page.js")
+    script = "\n".join(resource(f"compare/{name}.js") for name in ("unpack", "viewer", "controls", "page"))
     yield rendered(
         "compare",
-        {"um": um, "duration": duration},
+        {"um": um, "duration": duration, "tied": tied},
         found=found,
         name=file_name(found),
         script=Markup(script),
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii"),
         data=_json(packed(found)),
         thinned_out=thinned_out(found),
-        colours=_json(_colours()),
+        colours=_json({"light": _colours(False), "dark": _colours(True)}),
+        ramps={"light": ", ".join(_colours(False)), "dark": ", ".join(_colours(True))},
         ticks=_ticks(found),
+        answer=answer(found),
         sentences=[tied(sentence) for sentence in verdict(found)],
         tiles=_tiles(found),
         extrudes=extrudes(found),
         shown=shown(found),
-        close_ups=[_image(each) for each in close_ups(found)],
+        close_ups=[panel(each) for each in close_ups(found)],
         how_to_read=HOW_TO_READ,
-        figures={each.name: _image(each) for each in drawings(found) if each.name != "close-up"},
+        figures={each.name: each for each in drawings(found)},
+        panels={name: [panel(each) for each in them] for name, them in panels(found).items()},
         columns=table.columns(found),
         groups=[(name, len(list(them))) for name, them in groupby(c.group for c in table.columns(found))],
         families=_families(found),
         layers=_layers(found),
         features=_features(found),
+        feature_numbers=_feature_numbers(found),
         warnings=[(m.label, each) for m in found.methods.values() for each in dict.fromkeys(m.warnings)],
         glossary=GLOSSARY,
     )
@@ -72,11 +86,10 @@ def _json(value: Any) -> Markup:
     return Markup(json.dumps(value, ensure_ascii=True, separators=(",", ":")).replace("<", "\\u003c"))
 
 
-def _colours() -> list[str]:
-    """Return colours from dark purple (on the path) to bright yellow (far off), even to the eye."""
-    colours = matplotlib.colormaps["inferno"]
-    shares = [DARKEST + (1 - DARKEST) * k / (COLOURS - 1) for k in range(COLOURS)]
-    return [matplotlib.colors.to_hex(colours(share)) for share in shares]
+def _colours(on_dark: bool) -> list[str]:
+    """Return colours from violet (on the path) to what stands out most (far off)."""
+    colours = error_colours(on_dark)
+    return [matplotlib.colors.to_hex(colours(k / (COLOURS - 1))) for k in range(COLOURS)]
 
 
 def _ticks(found: Comparison) -> list[tuple[float, str]]:
@@ -84,10 +97,6 @@ def _ticks(found: Comparison) -> list[tuple[float, str]]:
     highest = max(1e3 * float(method.samples.contour.max()) for method in shown(found))
     decades = math.log10(max(highest, 1.0) / LOWEST_UM)
     return [(100 * k / decades, f"{LOWEST_UM * 10**k:g}") for k in range(math.floor(decades) + 1)]
-
-
-def _image(drawing: Drawing) -> Image:
-    return image(drawing, svg(drawing))
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +107,7 @@ class Tile:
     rms: str
     p99: str
     colour: str
+    on_dark: str
     share: float  # of the largest of them, %
 
 
@@ -105,7 +115,14 @@ def _tiles(found: Comparison) -> list[Tile]:
     values = [contour_rms_um(found, method) for method in shown(found)]
     most = max(max(values), 1e-9)
     return [
-        Tile(m.label, um(v), um(contour_p99_um(found, m)), colour_of(found, m), 100 * v / most)
+        Tile(
+            m.label,
+            um(v),
+            um(contour_p99_um(found, m)),
+            colour_of(found, m),
+            ON_DARK[colour_of(found, m)],
+            100 * v / most,
+        )
         for m, v in zip(shown(found), values, strict=True)
     ]
 
@@ -124,8 +141,14 @@ def _layers(found: Comparison) -> list[tuple[int, str, list[str]]]:
 
 def _features(found: Comparison) -> list[tuple[str, str, list[str]]]:
     share = found.methods["none"].by_feature
-    names = sorted(share, key=lambda name: -share[name].share)
+    names = outer_first(share, {name: error.share for name, error in share.items()})
     return [(name, f"{share[name].share:.1%}", [_rms(m.by_feature.get(name)) for m in shown(found)]) for name in names]
+
+
+def _feature_numbers(found: Comparison) -> list[tuple[int, str]]:
+    """Return what the viewer may show alone, with its number in the data."""
+    number = {name: k for k, name in enumerate(found.features[: FEATURES + 1])}
+    return [(number[name], name) for name, _, _ in _features(found) if name in number]
 
 
 def _rms(error: Error | None) -> str:

@@ -10,18 +10,20 @@ from __future__ import annotations
 
 import base64
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compare.result import Comparison, Method
+from ffcomp.compare.result import Comparison, Method, Outline
 from ffcomp.report.compare.off_path import contour_vectors, unbroken
 from ffcomp.report.compare.words import nick, shown, um
 from models.arrays import BoolArray, FloatArray, IntArray
 
 POINTS = 240_000  # of all methods together: some 2.9 MB of text
+OUTLINE_MOVES = 60_000
 ERROR_WEIGHT = 20.0  # an error counts so much more than the same length along the path
 FINEST_MM = 1e-4  # what bends less is straight
 LOWEST_UM = 0.1  # end of the scale of errors
@@ -59,7 +61,8 @@ class Trace:
 def packed(found: Comparison) -> dict[str, Any]:
     """Return the viewer's data, ready for JSON."""
     traces = [_trace(method, found.sample_s) for method in shown(found)]
-    scale = _scale(traces)
+    outline = _outline(found)
+    scale = _scale(traces, outline)
     numbers = [layer.number for layer in found.layers]
     return {
         "origin": scale.origin_mm.tolist(),
@@ -71,7 +74,8 @@ def packed(found: Comparison) -> dict[str, Any]:
         "features": list(found.features[: FEATURES + 1]),
         "layers": [{"number": layer.number, "z": layer.z_mm} for layer in found.layers],
         "reach": None if found.bed is None or not found.bed.is_round else float(found.bed.x_mm[-1]),
-        "methods": [_method(trace, scale, numbers, POINTS // len(traces)) for trace in traces],
+        "outline": _packed_outline(outline, scale),
+        "methods": [_method(trace, scale, numbers, found.features, POINTS // len(traces)) for trace in traces],
     }
 
 
@@ -91,15 +95,43 @@ def thinned_out(found: Comparison) -> str:
     )
 
 
-def _scale(traces: list[Trace]) -> Scale:
-    low = np.min([trace.foot.min(axis=0) for trace in traces], axis=0)
-    high = np.max([trace.foot.max(axis=0) for trace in traces], axis=0)
+def _outline(found: Comparison) -> Outline:
+    """Return what the print extrudes; of a large print every second, third, … layer, for it is only background."""
+    none: Outline = Outline(*(np.empty((0, 3)),) * 2, *(np.empty(0, dtype=np.int64),) * 2)
+    outline = found.outline or none
+    every = -(-len(outline.layer) // OUTLINE_MOVES)
+    kept = outline.layer % max(every, 1) == 0
+    return Outline(outline.start[kept], outline.end[kept], outline.layer[kept], outline.feature[kept])
+
+
+def _packed_outline(outline: Outline, scale: Scale) -> dict[str, Any]:
+    """Chain the moves: a point where each ends, and one before it, which nothing joins, where it does not go on."""
+    parted = np.append(True, np.any(outline.start[1:] != outline.end[:-1], axis=1))[: len(outline.layer)]
+    at = np.flatnonzero(parted)
+    points = np.insert(outline.end, at, outline.start[at], axis=0)
+    kind = np.insert(np.minimum(outline.feature, FEATURES), at, BREAK)
+    columns = (
+        (np.round((points - scale.origin_mm) / scale.grain_mm), "<u2"),
+        (np.insert(outline.layer, at, outline.layer[at]), "<u2"),
+        (kind, "u1"),
+    )
+    return {"count": len(points), "data": _deflated(b"".join(_steps(column.astype(form)) for column, form in columns))}
+
+
+def _deflated(data: bytes) -> str:
+    return base64.b64encode(zlib.compress(data, 9)).decode("ascii")
+
+
+def _scale(traces: list[Trace], outline: Outline) -> Scale:
+    corners = [trace.foot for trace in traces] + [each for each in (outline.start, outline.end) if len(each)]
+    low = np.min([each.min(axis=0) for each in corners], axis=0)
+    high = np.max([each.max(axis=0) for each in corners], axis=0)
     longest = max(float(np.abs(trace.away).max()) for trace in traces)
     highest = 1e3 * max(float(trace.method.samples.contour.max()) for trace in traces)
     return Scale(low, max(float((high - low).max()), 1.0) / 65535, max(longest, 1e-3) / 32767, max(highest, 1.0))
 
 
-def _method(trace: Trace, scale: Scale, numbers: list[int], limit: int) -> dict[str, Any]:
+def _method(trace: Trace, scale: Scale, numbers: list[int], features: Sequence[str], limit: int) -> dict[str, Any]:
     method, s = trace.method, trace.method.samples
     kept, joined = thin(trace, limit)
     worst = np.maximum.reduceat(s.contour, kept)
@@ -118,7 +150,8 @@ def _method(trace: Trace, scale: Scale, numbers: list[int], limit: int) -> dict[
         "short": nick(method),
         "count": len(kept),
         "byLayer": [um(method.by_layer[n].rms_um) if n in method.by_layer else "–" for n in numbers],
-        "data": base64.b64encode(zlib.compress(data, 9)).decode("ascii"),
+        "byFeature": [um(method.by_feature[f].rms_um) if f in method.by_feature else "–" for f in features],
+        "data": _deflated(data),
     }
 
 

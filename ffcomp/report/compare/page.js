@@ -30,5 +30,4 @@ function sortable(table) {
 document.querySelectorAll("table.sortable").forEach(sortable);
 const data = document.getElementById("samples");
 const colours = JSON.parse(document.getElementById("colours").textContent);
-document.querySelectorAll(".ramp i").forEach((cell, k) => { cell.style.background = colours[k]; });
 showPrint(document.getElementById("viewer"), JSON.parse(data.textContent), colours);

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ffcomp.compare.result import Comparison, Method, Samples
 from ffcomp.report.compare.words import shown
+from gcode.layers import is_outer_wall
 from models.arrays import BoolArray, FloatArray
 
 COUNT = 3  # positions that are shown, if the print is large enough
@@ -44,13 +45,21 @@ class Position:
 
 
 def worst_positions(found: Comparison, count: int = COUNT) -> list[Position]:
-    """Find positions, apart from each other, with the largest errors before; where plastic flows, if any."""
+    """Find positions, apart from each other, with the largest errors before; on outer walls first."""
     samples = found.methods["none"].samples
-    return [_position(found, int(k)) for k in _worst(samples, count)]
+    return [_position(found, int(k)) for k in _worst(samples, _eligible(found, samples), count)]
 
 
-def _worst(samples: Samples, count: int) -> Iterator[int]:
-    eligible = samples.extruding if samples.extruding.any() else np.ones(len(samples.due), dtype=np.bool_)
+def _eligible(found: Comparison, samples: Samples) -> BoolArray:
+    """Return the samples that are seen: of outer walls, or wherever plastic flows, or all."""
+    walls = np.array([is_outer_wall(name) for name in found.features], dtype=np.bool_)
+    seen = samples.extruding & walls[samples.feature]
+    if seen.any():
+        return seen
+    return samples.extruding if samples.extruding.any() else np.ones(len(samples.due), dtype=np.bool_)
+
+
+def _worst(samples: Samples, eligible: BoolArray, count: int) -> Iterator[int]:
     xy = samples.reference[:, :2]
     apart = APART * float(np.ptp(xy[eligible], axis=0).max())
     left = np.where(eligible, samples.contour, -1.0)

@@ -7,14 +7,14 @@ from matplotlib.patches import Rectangle
 
 from ffcomp.compare.result import Comparison, Family, Method
 from ffcomp.report.compare.words import file_name
-from ffcomp.report.shared.style import AFTER, BAND, BEFORE
+from ffcomp.report.shared.style import AFTER, BAND, BEFORE, CALIBRATED, SCHEDULED, SHAPER
 
-REFERENCE, NONE, BEST, COMPENSATED = "#222222", BEFORE, "#009e73", AFTER
+NONE, BEST, COMPENSATED = BEFORE, SHAPER, AFTER
 FAMILIES: dict[Family, str] = {
     "none": NONE,
-    "calibrated": "#cc79a7",
+    "calibrated": CALIBRATED,
     "best fixed": BEST,
-    "scheduled": "#b8860b",
+    "scheduled": SCHEDULED,
     "inversion": COMPENSATED,
 }
 

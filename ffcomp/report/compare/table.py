@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
-from ffcomp.compare.result import Comparison, EqualQuality, Family, Method
-from ffcomp.report.compare.words import duration, extrudes, um
+from ffcomp.compare.result import Comparison, EqualQuality, Family, Method, Spread
+from ffcomp.report.compare.words import duration, extrudes, thousands, um
 
 FAMILY_WORDS: dict[Family, str] = {
     "none": "as the firmware would print it",
     "calibrated": "input shapers as the firmware's own resonance test sets them",
     "best fixed": "input shapers at the best frequencies for this print, the printer known",
-    "scheduled": "input shapers whose frequency follows the position: no firmware has them",
+    "scheduled": "input shapers whose frequency follows the place on the bed: no firmware has them",
     "inversion": "the motion computed backwards through a model of the printer",
 }
 
@@ -31,10 +31,13 @@ class Column:
 
     group: str
     head: str
+    short: str  # head and group in one, for narrow screens
     explanation: str
     value: Value
     text: Callable[[Method, float], str] = _um
+    below: Callable[[float], str] | None = None  # the same in another unit
     best: Callable[[list[float]], float] | None = min  # None: no value is better than another
+    minor: bool = False  # left out on narrow screens until it is asked for
     limited: bool = False  # shown in red if the method breaks the carriages' limits
 
 
@@ -46,6 +49,7 @@ class Cell:
     key: str  # to sort by; empty: nothing there
     best: bool = False
     beyond: bool = False
+    below: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,20 +62,25 @@ class Row:
 
 def columns(found: Comparison) -> list[Column]:
     """Return the columns that the comparison has values for."""
-    every = [*(_extruding() if extrudes(found) else []), *_all_moves(), *_effort()]
+    every = [*_extruding(), *map(_minor, _all_moves())] if extrudes(found) else _all_moves()
     if any(method.spread is not None for method in found.methods.values()):
-        every += _mismatch()
+        every += map(_minor, _mismatch())
+    every += map(_minor, _effort())
     if any(method.equal_quality is not None for method in found.methods.values()):
-        every += _equal_quality(found.quality_bound_um)
+        every = _equal_quality(found.quality_bound_um) + every  # what people look for first
     return every
+
+
+def _minor(column: Column) -> Column:
+    return replace(column, minor=True)
 
 
 def _extruding() -> list[Column]:
     group = "contour error where plastic flows, µm"
     return [
-        Column(group, "rms", "root mean square", lambda m: m.extruding.contour_rms_um),
-        Column(group, "99 %", "99 % of the time it is less", lambda m: m.extruding.contour_p99_um),
-        Column(group, "max", "the largest", lambda m: m.extruding.contour_max_um),
+        Column(group, "rms", "rms, plastic", "root mean square", lambda m: m.extruding.contour_rms_um),
+        Column(group, "99 %", "99 %, plastic", "99 % of the time it is less", lambda m: m.extruding.contour_p99_um),
+        Column(group, "max", "max, plastic", "the largest", lambda m: m.extruding.contour_max_um),
     ]
 
 
@@ -79,16 +88,22 @@ def _all_moves() -> list[Column]:
     contour, tracking = "contour error, all moves, µm", "tracking error, all moves, µm rms"
     no_delay = "with the constant delay taken out that explains most of it"
     return [
-        Column(contour, "rms", "root mean square", lambda m: m.track.contour_rms_um),
-        Column(contour, "99 %", "99 % of the time it is less", lambda m: m.track.contour_p99_um),
-        Column(contour, "max", "the largest", lambda m: m.track.contour_max_um),
-        Column(tracking, "raw", "distance to where the nozzle should be then", lambda m: m.track.tracking_rms_um),
-        Column(tracking, "no delay", no_delay, lambda m: m.track.tracking_rms_no_delay_um),
-        Column(tracking, "delay, ms", "that constant delay", lambda m: 1e3 * m.track.delay_s, _delay, None),
-        Column(
-            "residual ringing", "µm rms", "residual ringing in steady motion and at rest", lambda m: m.residual_rms_um
-        ),
+        Column(contour, "rms", "rms, all", "root mean square", lambda m: m.track.contour_rms_um),
+        Column(contour, "99 %", "99 %, all", "99 % of the time it is less", lambda m: m.track.contour_p99_um),
+        Column(contour, "max", "max, all", "the largest", lambda m: m.track.contour_max_um),
+        Column(tracking, "raw", "tracking, raw", "distance to where the nozzle should be then", _tracking),
+        Column(tracking, "no delay", "tracking, no delay", no_delay, lambda m: m.track.tracking_rms_no_delay_um),
+        Column(tracking, "delay, ms", "delay, ms", "that constant delay", _delay_ms, _delay, best=None),
+        Column("residual ringing", "µm rms", "ringing", "in steady motion and at rest", lambda m: m.residual_rms_um),
     ]
+
+
+def _tracking(method: Method) -> float:
+    return method.track.tracking_rms_um
+
+
+def _delay_ms(method: Method) -> float:
+    return 1e3 * method.track.delay_s
 
 
 def _delay(method: Method, value: float) -> str:
@@ -98,8 +113,8 @@ def _delay(method: Method, value: float) -> str:
 def _effort() -> list[Column]:
     speed = partial(Column, "fastest carriage", best=None, limited=True)
     return [
-        speed("mm/s", "largest commanded speed", _velocity, lambda m, v: f"{v:.0f}"),
-        speed("m/s²", "largest commanded acceleration", _peak, lambda m, v: f"{v:.1f}"),
+        speed("mm/s", "carriage, mm/s", "largest commanded speed", _velocity, lambda m, v: f"{v:.0f}"),
+        speed("mm/s²", "carriage, mm/s²", "largest commanded acceleration", _peak, _thousands, _metres),
     ]
 
 
@@ -108,28 +123,42 @@ def _velocity(method: Method) -> float:
 
 
 def _peak(method: Method) -> float:
-    return method.peaks.acceleration_mm_per_s2 / 1e3
+    return method.peaks.acceleration_mm_per_s2
+
+
+def _thousands(method: Method, value: float) -> str:
+    return thousands(value)
+
+
+def _metres(mm_per_s2: float) -> str:
+    return f"{mm_per_s2 / 1e3:.3g} m/s²"
 
 
 def _mismatch() -> list[Column]:
     group = "on Monte-Carlo plants, µm rms"
     again = "median, the shaper tuned again on every Monte-Carlo plant"
     return [
-        Column(
-            group, "median", "over the Monte-Carlo plants", lambda m: None if m.spread is None else m.spread.median_um
-        ),
-        Column(group, "worst", "of the Monte-Carlo plants", lambda m: None if m.spread is None else m.spread.worst_um),
-        Column(group, "tuned again", again, lambda m: None if m.retuned is None else m.retuned.median_um, best=None),
+        Column(group, "median", "file off, median", "over the Monte-Carlo plants", _spread(lambda s: s.median_um)),
+        Column(group, "worst", "file off, worst", "of the Monte-Carlo plants", _spread(lambda s: s.worst_um)),
+        Column(group, "tuned again", "tuned again", again, _retuned, best=None),
     ]
 
 
+def _spread(of: Callable[[Spread], float]) -> Value:
+    return lambda method: None if method.spread is None else of(method.spread)
+
+
+def _retuned(method: Method) -> float | None:
+    return None if method.retuned is None else method.retuned.median_um
+
+
 def _equal_quality(bound_um: float) -> list[Column]:
-    speed = partial(Column, f"for 99 % below {bound_um:g} µm")
-    highest = _reached(lambda quality: quality.acceleration_mm_per_s2 / 1e3)
+    speed = partial(Column, f"99 % below {bound_um:g} µm up to")
+    highest = _reached(lambda quality: quality.acceleration_mm_per_s2)
     time = _reached(lambda quality: quality.print_time_s)
     return [
-        speed("m/s²", "highest acceleration of the print", highest, _acceleration, max),
-        speed("print time", "of the whole print at that acceleration", time, lambda m, v: duration(v)),
+        speed("mm/s²", f"{bound_um:g} µm up to", "highest acceleration", highest, _acceleration, _metres, max),
+        speed("print time", "print time", "of the whole print then", time, lambda m, v: duration(v)),
     ]
 
 
@@ -145,7 +174,7 @@ def _reached(of: Callable[[EqualQuality], float]) -> Value:
 
 def _acceleration(method: Method, value: float) -> str:
     capped = method.equal_quality is not None and method.equal_quality.capped
-    return f"{'≥ ' if capped else ''}{value:.2f}"
+    return f"{'≥ ' if capped else ''}{thousands(value)}"
 
 
 def rows(found: Comparison) -> list[Row]:
@@ -169,4 +198,6 @@ def _cell(column: Column, method: Method, best: float | None) -> Cell:
     beyond = column.limited and not method.peaks.within_limits
     if value is None or not math.isfinite(value):
         return Cell("–", "", beyond=beyond)
-    return Cell(column.text(method, value), f"{value:.9g}", value == best and method.peaks.within_limits, beyond)
+    below = "" if column.below is None else column.below(value)
+    best_here = value == best and method.peaks.within_limits
+    return Cell(column.text(method, value), f"{value:.9g}", best_here, beyond, below)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from ffcomp.compare.result import Comparison, EqualQuality, Method
 from ffcomp.report.compare.words import (
+    acceleration,
     contour_p99_um,
     contour_rms_um,
     duration,
     extrudes,
     fastest_shaper,
-    metres,
     nick,
     shapers,
     times,
@@ -127,12 +127,12 @@ def _equal_quality(found: Comparison, none: Method, own_method: Method) -> list[
 
 
 def _speed(quality: EqualQuality) -> str:
-    acceleration, whole = metres(quality.acceleration_mm_per_s2), duration(quality.print_time_s)
+    highest, whole = acceleration(quality.acceleration_mm_per_s2), duration(quality.print_time_s)
     if not quality.reached:
-        return f"misses it even at {acceleration}"
+        return f"misses it even at {highest}"
     if quality.capped:
-        return f"keeps it even at {acceleration}, the highest that was tried (whole print {whole})"
-    return f"keeps it up to {acceleration} (whole print {whole})"
+        return f"keeps it even at {highest}, the highest that was tried (whole print {whole})"
+    return f"keeps it up to {highest} (whole print {whole})"
 
 
 def _saved(theirs: EqualQuality, own: EqualQuality) -> str:
@@ -151,7 +151,8 @@ def _limits(found: Comparison, own_method: Method) -> list[str]:
     if own_method in beyond:
         return [
             f"ffcomp asks the carriages for {own_method.peaks.velocity_mm_per_s:.0f} mm/s and "
-            f"{metres(own_method.peaks.acceleration_mm_per_s2)}, more than the machine file allows{_allowed(found)}: "
+            f"{acceleration(own_method.peaks.acceleration_mm_per_s2)}, "
+            f"more than the machine file allows{_allowed(found)}: "
             "its accuracy here is not to be had; lower the print's speed or acceleration."
         ]
     if beyond:
@@ -162,10 +163,10 @@ def _limits(found: Comparison, own_method: Method) -> list[str]:
 
 def _allowed(found: Comparison) -> str:
     velocity = found.limits.get("carriage_velocity_mm_per_s")
-    acceleration = found.limits.get("carriage_acceleration_mm_per_s2")
-    if velocity is None or acceleration is None:
+    most = found.limits.get("carriage_acceleration_mm_per_s2")
+    if velocity is None or most is None:
         return ""
-    return f" ({velocity:.0f} mm/s, {metres(acceleration)})"
+    return f" ({velocity:.0f} mm/s, {acceleration(most)})"
 
 
 def _warnings(own_method: Method) -> list[str]:

@@ -2,63 +2,52 @@
 // Lengths are mm; `view` turns them into pixels. What is in the data is said in packed.py.
 "use strict";
 
-const EXTRUDING = 128, BREAK = 64, FEATURE = 63;
-const BINS = 48; // colours that are drawn
 const QUICK_POINTS = 50000; // while it moves
-const BACKGROUND = "#0e141b", TRAVEL = "#33414f", BED = "#26313d";
+const FIT_POINTS = 4000;
+const LARGEST_DRAWN = 0.05; // of the part's size: an error that is drawn larger than this is no picture of the part
 
-async function unpack(method) {
-  const packed = Uint8Array.from(atob(method.data), (c) => c.charCodeAt(0));
-  const plain = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
-  const bytes = new Uint8Array(await new Response(plain).arrayBuffer());
-  const n = method.count;
-  let at = 0;
-  const take = (Type, width = 1) => {
-    const column = new Type(n * width), size = Type.BYTES_PER_ELEMENT;
-    for (let k = 0; k < width; k++, at += n * size) {
-      for (let i = 0, value = 0; i < n; i++) {
-        for (let j = 0; j < size; j++) value += bytes[at + j * n + i] << (8 * j);
-        column[i * width + k] = value |= 0;
-      }
-    }
-    return column;
-  };
-  return {
-    ...method, n,
-    foot: take(Uint16Array, 3), away: take(Int16Array, 3), due: take(Uint32Array),
-    layer: take(Uint16Array), error: take(Uint8Array), kind: take(Uint8Array),
-    x: new Float32Array(n), y: new Float32Array(n),
-  };
-}
+const dark = window.matchMedia("(prefers-color-scheme: dark)");
 
 async function showPrint(root, data, colours) {
   try {
-    startViewer(root, data, colours, await Promise.all(data.methods.map(unpack)));
+    const [outline, methods] = await Promise.all([unpackOutline(data.outline), Promise.all(data.methods.map(unpack))]);
+    startViewer(root, data, colours, methods, outline);
   } catch (error) {
     if (!(error instanceof ReferenceError) || typeof DecompressionStream === "function") throw error;
     root.querySelector("[data-role=label]").textContent = "This browser is too old for the view in space (2023 or newer).";
   }
 }
 
-function startViewer(root, data, colours, methods) {
+function startViewer(root, data, colours, methods, outline) {
   const find = (role) => root.querySelector(`[data-role=${role}]`);
-  const canvas = find("canvas"), tip = find("tip"), label = find("label"), slider = find("layer");
-  const context = canvas.getContext("2d");
-  const axes = [0, 1, 2].map((k) => extent(methods[0], data, k));
+  const canvas = find("canvas"), tip = find("tip"), context = canvas.getContext("2d");
+  const every = outline.n ? outline : methods[0];
+  const axes = [0, 1, 2].map((k) => extent(every, data, k));
   const centre = axes.map(([low, high]) => (low + high) / 2);
-  const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => axes.map((axis, j) => axis[(k >> j) & 1]));
-  const start = { yaw: -0.6, pitch: 0.75, zoom: 1, panX: 0, panY: 0, fit: 0 };
+  const aside = new Set(data.features.flatMap((name, k) => /skirt|brim|custom|wipe|prime|purge/i.test(name) ? [k] : []));
+  const size = Math.max(axes[0][1] - axes[0][0], axes[1][1] - axes[1][0], 1);
+  const most = Math.max(1, Math.min(100, LARGEST_DRAWN * size / (1e-3 * data.highest)));
+  const start = { yaw: -0.6, pitch: 0.75, zoom: 1, panX: 0, panY: 0, fit: null };
   const view = { ...start };
-  const state = { layer: data.layers.length - 1, range: "all", method: methods.length, exaggeration: 1, travel: false };
+  const state = {
+    layer: data.layers.length - 1, range: "all", method: methods.length, exaggeration: 1, travel: false, outline: true,
+    feature: -1, width: 1.6, until: 1,
+  };
   let pending = false, quick = false, hover = null;
 
   // ---- geometry ----
 
   const panels = () => {
-    const shown = state.method < methods.length ? [state.method] : [...new Set([0, canvas.clientWidth > 900 ? 1 : methods.length - 1, methods.length - 1])];
-    const width = canvas.clientWidth / shown.length;
-    return shown.map((method, k) => ({ method, left: k * width, width, height: canvas.clientHeight }));
+    const [w, h] = [canvas.clientWidth, canvas.clientHeight];
+    const all = [...new Set([0, w > 900 ? 1 : methods.length - 1, methods.length - 1])];
+    const shown = state.method < methods.length ? [state.method] : all;
+    const [across, down] = w >= 620 ? [shown.length, 1] : [1, shown.length];
+    return shown.map((method, k) => ({
+      method, width: w / across, height: h / down, left: (k % across) * w / across, top: Math.floor(k / across) * h / down,
+    }));
   };
+
+  const panelAt = (x, y) => panels().find((p) => x >= p.left && x < p.left + p.width && y >= p.top && y < p.top + p.height);
 
   const turning = () => {
     const [c, s, flat, up] = [Math.cos(view.yaw), Math.sin(view.yaw), Math.sin(view.pitch), Math.cos(view.pitch)];
@@ -68,20 +57,29 @@ function startViewer(root, data, colours, methods) {
     };
   };
 
-  // Pixels per mm at which all corners of the print are in sight, as it is turned when a view is chosen.
+  const place3 = (points, i) => [0, 1, 2].map((k) => data.origin[k] + data.grain * points.foot[3 * i + k]);
+
+  // Pixels per mm at which the part, as it is turned when a view is chosen, fills the panel, and its middle there.
   const fitting = (panel) => {
-    const turned = turning(), places = corners.map((corner) => turned(...corner));
-    const [w, h] = [0, 1].map((k) => 2 * Math.max(...places.map((place) => Math.abs(place[k])), 0.5));
-    return 0.9 * Math.min(panel.width / w, (panel.height - 60) / h);
+    const turned = turning(), stride = Math.max(1, Math.floor(every.n / FIT_POINTS));
+    let [left, right, top, bottom] = [Infinity, -Infinity, Infinity, -Infinity];
+    for (let i = 0; i < every.n; i += stride) {
+      if ((every !== outline && !(every.kind[i] & EXTRUDING)) || aside.has(every.kind[i] & FEATURE)) continue;
+      const [u, v] = turned(...place3(every, i));
+      [left, right, top, bottom] = [Math.min(left, u), Math.max(right, u), Math.min(top, v), Math.max(bottom, v)];
+    }
+    if (left > right) [left, right, top, bottom] = [-1, 1, -1, 1];
+    const [w, h] = [Math.max(right - left, 1), Math.max(bottom - top, 1)];
+    const scale = 0.94 * Math.min(panel.width / w, (panel.height - 40) / h);
+    return { scale, u: (left + right) / 2, v: (top + bottom) / 2 };
   };
 
   const transform = (panel) => {
-    view.fit = view.fit || fitting(panel);
-    const scale = view.fit * view.zoom, turned = turning();
-    const middle = [panel.left + panel.width / 2 + view.panX, panel.height / 2 + view.panY];
+    const fit = view.fit = view.fit || fitting(panel), scale = fit.scale * view.zoom, turned = turning();
+    const [mx, my] = [panel.left + panel.width / 2 + view.panX, panel.top + 15 + panel.height / 2 + view.panY];
     return (x, y, z) => {
       const [u, v] = turned(x, y, z);
-      return [middle[0] + scale * u, middle[1] + scale * v];
+      return [mx + scale * (u - fit.u), my + scale * (v - fit.v)];
     };
   };
 
@@ -91,13 +89,11 @@ function startViewer(root, data, colours, methods) {
     const [first, last] = span(method);
     for (let i = first; i < last; i += stride) {
       const j = 3 * i;
-      const [px, py] = place(
+      [x[i], y[i]] = place(
         origin[0] + grain * foot[j] + k * away[j],
         origin[1] + grain * foot[j + 1] + k * away[j + 1],
         origin[2] + grain * foot[j + 2] + k * away[j + 2],
       );
-      x[i] = px;
-      y[i] = py;
     }
   };
 
@@ -105,14 +101,26 @@ function startViewer(root, data, colours, methods) {
   const span = (method) => {
     if (state.range === "all") return [0, method.n];
     let first = method.n, last = 0;
-    for (let i = 0; i < method.n; i++) if (visible(method, i)) { first = Math.min(first, i); last = i + 1; }
+    for (let i = 0; i < method.n; i++) if (inRange(method.layer[i])) { first = Math.min(first, i); last = i + 1; }
     return [Math.max(first - 1, 0), last];
   };
 
-  const visible = (method, i) =>
-    state.range === "all" || (state.range === "this" ? method.layer[i] === state.layer : method.layer[i] <= state.layer);
+  const inRange = (layer) => state.range === "all" || (state.range === "this" ? layer === state.layer : layer <= state.layer);
+
+  const visible = (method, i) => inRange(method.layer[i])
+    && (state.feature < 0 || (method.kind[i] & FEATURE) === state.feature)
+    && (method.kind[i] & EXTRUDING || state.travel);
+
+  // The point that the move slider stands at, of the first method shown; null at the slider's end: all is drawn.
+  const head = () => {
+    if (state.until >= 1) return null;
+    const method = methods[panels()[0].method], [first, last] = span(method);
+    return { method, i: Math.min(last - 1, first + Math.round(state.until * (last - 1 - first))) };
+  };
 
   // ---- drawing ----
+
+  const ink = (name) => getComputedStyle(root).getPropertyValue(name).trim();
 
   function draw() {
     pending = false;
@@ -120,34 +128,38 @@ function startViewer(root, data, colours, methods) {
     const [w, h] = [Math.round(canvas.clientWidth * ratio), Math.round(canvas.clientHeight * ratio)];
     if (canvas.width !== w || canvas.height !== h) [canvas.width, canvas.height] = [w, h];
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
-    context.fillStyle = BACKGROUND;
-    context.fillRect(0, 0, canvas.clientWidth, canvas.clientHeight);
-    for (const panel of panels()) drawPanel(panel);
-    if (hover) drawHover();
+    context.clearRect(0, 0, canvas.clientWidth, canvas.clientHeight);
+    const at = head(), due = at ? at.method.due[at.i] : Infinity;
+    for (const panel of panels()) drawPanel(panel, due);
+    if (hover) ring(hover.x, hover.y, 6);
   }
 
-  function drawPanel(panel) {
+  function drawPanel(panel, due) {
     const method = methods[panel.method];
     context.save();
     context.beginPath();
-    context.rect(panel.left, 0, panel.width, panel.height);
+    context.rect(panel.left, panel.top, panel.width, panel.height);
     context.clip();
     drawBed(panel);
+    if (state.outline) drawOutline(panel);
     const [first, last] = span(method);
     const stride = quick ? Math.max(1, Math.round((last - first) * panels().length / QUICK_POINTS)) : 1;
     project(method, panel, stride);
-    drawLines(method, stride);
+    drawLines(method, stride, due);
+    if (due < Infinity) { const i = atTime(method, due); project(method, panel); ring(method.x[i], method.y[i], 5); }
     context.restore();
-    context.fillStyle = "#e6edf3";
+    context.fillStyle = ink("--ink");
     context.font = "600 14px system-ui, sans-serif";
-    context.fillText(method.label, panel.left + 12, 24);
-    if (panel.left > 0) context.fillRect(panel.left - 0.5, 0, 1, panel.height);
+    context.fillText(method.label, panel.left + 12, panel.top + 22);
+    context.fillStyle = ink("--line");
+    if (panel.left > 0) context.fillRect(panel.left - 0.5, panel.top, 1, panel.height);
+    if (panel.top > 0) context.fillRect(panel.left, panel.top - 0.5, panel.width, 1);
   }
 
   function drawBed(panel) {
     if (!data.reach) return;
     const place = transform(panel);
-    context.strokeStyle = BED;
+    context.strokeStyle = ink("--line");
     context.lineWidth = 1;
     for (const share of [0.25, 0.5, 0.75, 1]) {
       context.beginPath();
@@ -159,20 +171,34 @@ function startViewer(root, data, colours, methods) {
     }
   }
 
-  function drawLines(method, stride) {
-    const { x, y, kind, error } = method;
-    const [first, last] = span(method);
-    const bins = Array.from({ length: BINS + 1 }, () => []);
-    for (let i = first + stride, before = first; i < last; before = i, i += stride) {
-      if (!visible(method, i) || kind[i] & BREAK || (stride > 1 && method.layer[before] !== method.layer[i])) continue;
-      const plastic = kind[i] & EXTRUDING;
-      if (!plastic && !state.travel) continue;
-      bins[plastic ? 1 + Math.floor(error[i] * BINS / 256) : 0].push(before, i);
+  // What is printed, but was not evaluated; what was is drawn over it.
+  function drawOutline(panel) {
+    const place = transform(panel), number = data.layers[state.layer].number;
+    const stride = quick ? Math.max(1, Math.round(outline.n * panels().length / QUICK_POINTS)) : 1;
+    context.strokeStyle = ink("--ghost");
+    context.lineWidth = 1;
+    context.beginPath();
+    for (let i = 1; i < outline.n; i += stride) {
+      const layer = outline.layer[i];
+      if (outline.kind[i] & BREAK || (state.feature >= 0 && (outline.kind[i] & FEATURE) !== state.feature)) continue;
+      if (state.range === "this" ? layer !== number : state.range === "upto" && layer > number) continue;
+      context.moveTo(...place(...place3(outline, i - 1)));
+      context.lineTo(...place(...place3(outline, i)));
     }
-    const wide = Math.min(2.4, Math.max(1.1, (state.range === "this" ? 1.6 : 1.1) * Math.sqrt(view.zoom)));
+    context.stroke();
+  }
+
+  function drawLines(method, stride, due) {
+    const { x, y, kind, error } = method, ramp = colours[dark.matches ? "dark" : "light"], count = ramp.length;
+    const [first, last] = span(method);
+    const bins = Array.from({ length: count + 1 }, () => []);
+    for (let i = first + stride, before = first; i < last && method.due[i] <= due; before = i, i += stride) {
+      if (!visible(method, i) || kind[i] & BREAK || (stride > 1 && method.layer[before] !== method.layer[i])) continue;
+      bins[kind[i] & EXTRUDING ? 1 + Math.floor(error[i] * count / 256) : 0].push(before, i);
+    }
     bins.forEach((pairs, bin) => {
-      context.strokeStyle = bin ? colours[Math.floor((bin - 0.5) * colours.length / BINS)] : TRAVEL;
-      context.lineWidth = bin ? wide : 0.7;
+      context.strokeStyle = bin ? ramp[bin - 1] : ink("--travel");
+      context.lineWidth = bin ? state.width : 0.7;
       context.lineJoin = "round";
       context.beginPath();
       for (let k = 0; k < pairs.length; k += 2) {
@@ -183,11 +209,11 @@ function startViewer(root, data, colours, methods) {
     });
   }
 
-  function drawHover() {
-    context.strokeStyle = "#ffffff";
+  function ring(x, y, radius) {
+    context.strokeStyle = ink("--ink");
     context.lineWidth = 2;
     context.beginPath();
-    context.arc(hover.x, hover.y, 6, 0, 2 * Math.PI);
+    context.arc(x, y, radius, 0, 2 * Math.PI);
     context.stroke();
   }
 
@@ -207,6 +233,8 @@ function startViewer(root, data, colours, methods) {
 
   const micrometres = (value) => value <= 1.02 * data.lowest ? `< ${data.lowest}` : value < 9.95 ? value.toFixed(1) : value.toFixed(0);
 
+  const featureAt = (method, i) => (data.features[method.kind[i] & FEATURE] || "") + (method.kind[i] & EXTRUDING ? "" : " (travel)");
+
   const atTime = (method, due) => {
     let low = 0, high = method.n - 1;
     while (low < high) {
@@ -216,15 +244,23 @@ function startViewer(root, data, colours, methods) {
     return low > 0 && due - method.due[low - 1] < method.due[low] - due ? low - 1 : low;
   };
 
+  // Along the reference path, mm/s; null at the first point of a piece.
+  const speedAt = (method, i) => {
+    const seconds = i > 0 ? data.tick * (method.due[i] - method.due[i - 1]) : 0;
+    if (!(seconds > 0) || method.kind[i] & BREAK) return null;
+    const [a, b] = [place3(method, i - 1), place3(method, i)];
+    return Math.hypot(b[0] - a[0], b[1] - a[1], b[2] - a[2]) / seconds;
+  };
+
   function nearest(px, py) {
-    const panel = panels().find((each) => px >= each.left && px < each.left + each.width);
+    const panel = panelAt(px, py);
     if (!panel) return null;
     const method = methods[panel.method], [first, last] = span(method);
     project(method, panel);
     let best = 144, found = -1;
     for (let i = first; i < last; i++) {
       const d = (method.x[i] - px) ** 2 + (method.y[i] - py) ** 2;
-      if (d < best && visible(method, i) && (state.travel || method.kind[i] & EXTRUDING)) [best, found] = [d, i];
+      if (d < best && visible(method, i)) [best, found] = [d, i];
     }
     return found < 0 ? null : { method, i: found, x: method.x[found], y: method.y[found] };
   }
@@ -233,13 +269,11 @@ function startViewer(root, data, colours, methods) {
     hover = nearest(px, py);
     tip.hidden = !hover;
     if (hover) {
-      const { method, i } = hover;
-      const at = [0, 1, 2].map((k) => data.origin[k] + data.grain * method.foot[3 * i + k]);
-      const feature = data.features[method.kind[i] & FEATURE] || "";
-      const layer = data.layers[method.layer[i]].number;
+      const { method, i } = hover, at = place3(method, i), speed = speedAt(method, i);
       const lines = methods.map((each) => `${each === method ? "▸ " : "   "}${micrometres(errorAt(each, each === method ? i : atTime(each, method.due[i])))} µm  ${each.short}`);
       const where = `X ${at[0].toFixed(2)}  Y ${at[1].toFixed(2)}  Z ${at[2].toFixed(2)} mm`;
-      tip.textContent = [...lines, where, `layer ${layer}, ${feature}${method.kind[i] & EXTRUDING ? "" : " (travel)"}, ${(data.tick * method.due[i]).toFixed(2)} s`].join("\n");
+      const how = `${(data.tick * method.due[i]).toFixed(2)} s${speed === null ? "" : `, ${speed.toFixed(0)} mm/s`}`;
+      tip.textContent = [...lines, where, `layer ${data.layers[method.layer[i]].number}, ${featureAt(method, i)}`, how].join("\n");
       const room = root.clientWidth - tip.offsetWidth - 8;
       tip.style.left = `${Math.max(4, Math.min(px + 16, room))}px`;
       tip.style.top = `${py > tip.offsetHeight + 20 ? py - tip.offsetHeight - 12 : py + 16}px`;
@@ -247,140 +281,45 @@ function startViewer(root, data, colours, methods) {
     redraw();
   }
 
-  // ---- controls ----
+  // ---- what is shown, in words ----
 
-  function tell() {
-    const layer = data.layers[state.layer];
+  function said() {
+    const layer = data.layers[state.layer], feature = state.feature < 0 ? "" : `, ${data.features[state.feature]}`;
     const what = { all: "Whole print", this: `Layer ${layer.number}`, upto: `Up to layer ${layer.number}` }[state.range];
-    const numbers = methods.map((m) => `${m.short} ${m.byLayer[state.layer]}`).join(" · ");
-    label.textContent = state.range === "all"
-      ? `${what}: ${data.layers.length} layer${data.layers.length > 1 ? "s" : ""} evaluated`
-      : `${what}, Z ${layer.z.toFixed(2)} mm — this layer, µm rms: ${numbers}`;
-    slider.value = state.layer;
-    slider.setAttribute("aria-valuetext", label.textContent);
-    root.querySelectorAll("[data-set]").forEach((button) => {
-      const [name, value] = button.dataset.set.split(":");
-      button.setAttribute("aria-pressed", String(String(state[name]) === value));
-    });
-    find("times").textContent = `${state.exaggeration} ×`;
-    find("travel").setAttribute("aria-pressed", String(state.travel));
+    const where = state.range === "all" ? `: ${data.layers.length} layer${data.layers.length > 1 ? "s" : ""} evaluated` : `, Z ${layer.z.toFixed(2)} mm`;
+    const of = (m) => state.feature < 0 ? (state.range === "this" ? m.byLayer[state.layer] : null) : (state.range === "all" ? m.byFeature[state.feature] : null);
+    const numbers = methods.map((m) => `${m.short} ${of(m)}`).join(" · ");
+    return `${what}${feature}${where}${of(methods[0]) === null ? "" : ` — µm rms: ${numbers}`}`;
   }
 
-  function change(values) {
-    Object.assign(state, values);
-    state.layer = Math.max(0, Math.min(data.layers.length - 1, state.layer));
-    hover = null;
-    tip.hidden = true;
-    tell();
-    redraw();
+  function saidOfMove() {
+    const at = head();
+    if (!at) return "all moves";
+    const { method, i } = at, speed = speedAt(method, i);
+    return `${(data.tick * method.due[i]).toFixed(2)} s · ${speed === null ? "–" : speed.toFixed(0)} mm/s · ${featureAt(method, i)} · ${micrometres(errorAt(method, i))} µm`;
   }
 
-  const scrub = (layer) => change({ layer, range: state.range === "all" ? "this" : state.range });
+  const saidOfSize = () => `${state.exaggeration} × (up to ${(1e-3 * data.highest * state.exaggeration).toFixed(2)} mm)`;
 
-  function look(yaw, pitch) {
-    Object.assign(view, start, { yaw, pitch });
-    hover = null;
-    tip.hidden = true;
-    redraw();
-  }
+  const forget = () => { hover = null; tip.hidden = true; };
 
-  slider.max = data.layers.length - 1;
-  slider.addEventListener("input", () => scrub(Number(slider.value)));
-  root.querySelectorAll("[data-set]").forEach((button) => button.addEventListener("click", () => {
-    const [name, value] = button.dataset.set.split(":");
-    if (name === "method") view.fit = 0; // the room has changed
-    change({ [name]: name === "method" ? Number(value) : value });
-  }));
-  root.querySelectorAll("[data-look]").forEach((button) => button.addEventListener("click", () => look(...button.dataset.look.split(",").map(Number))));
-  find("travel").addEventListener("click", () => change({ travel: !state.travel }));
-  find("exaggeration").addEventListener("input", (event) => change({ exaggeration: Math.round(10 ** Number(event.target.value)) }));
+  const parts = { root, find, canvas, tip, data, methods, view, start, state, most, redraw, point, panelAt, panels, said, saidOfMove, saidOfSize, forget, span, head };
+  const actions = controls(parts);
+  steer(parts, actions);
+  new ResizeObserver(() => { view.fit = null; redraw(); }).observe(canvas);
+  dark.addEventListener("change", () => redraw());
 
-  let playing = null;
-  find("play").addEventListener("click", () => {
-    if (playing) {
-      clearInterval(playing);
-      playing = null;
-    } else {
-      if (state.range !== "upto") change({ range: "upto", layer: 0 });
-      const pause = Math.max(40, Math.min(300, 6000 / data.layers.length));
-      playing = setInterval(() => scrub((state.layer + 1) % data.layers.length), pause);
-    }
-    find("play").textContent = playing ? "❚❚ Pause" : "▶ Play";
-  });
-
-  const STEPS = { ArrowUp: 1, ArrowRight: 1, ArrowDown: -1, ArrowLeft: -1, PageUp: 10, PageDown: -10, Home: -1e9, End: 1e9 };
-  canvas.addEventListener("keydown", (event) => {
-    if (!(event.key in STEPS)) return;
-    event.preventDefault();
-    scrub(state.layer + STEPS[event.key]);
-  });
-
-  const pointers = new Map();
-  const local = (event) => {
-    const box = canvas.getBoundingClientRect();
-    return [event.clientX - box.left, event.clientY - box.top];
-  };
-
-  function zoom(factor, px, py) {
-    const panel = panels().find((each) => px >= each.left && px < each.left + each.width) || panels()[0];
-    const next = Math.max(0.3, Math.min(400, view.zoom * factor)), real = next / view.zoom;
-    const [dx, dy] = [px - panel.left - panel.width / 2, py - panel.height / 2];
-    view.panX = dx + (view.panX - dx) * real;
-    view.panY = dy + (view.panY - dy) * real;
-    view.zoom = next;
-    hover = null;
-    tip.hidden = true;
-    redraw(true);
-  }
-
-  canvas.addEventListener("wheel", (event) => {
-    event.preventDefault();
-    zoom(Math.exp(-event.deltaY * (event.deltaMode ? 0.03 : 0.0015)), ...local(event));
-  }, { passive: false });
-  canvas.addEventListener("pointerdown", (event) => {
-    canvas.setPointerCapture(event.pointerId);
-    pointers.set(event.pointerId, local(event));
-  });
-  canvas.addEventListener("pointermove", (event) => {
-    const [px, py] = local(event), before = pointers.get(event.pointerId);
-    if (!before) return point(px, py);
-    const others = [...pointers].filter(([id]) => id !== event.pointerId).map(([, at]) => at);
-    if (others.length) {
-      const [ox, oy] = others[0];
-      zoom(Math.hypot(px - ox, py - oy) / Math.max(1, Math.hypot(before[0] - ox, before[1] - oy)), (px + ox) / 2, (py + oy) / 2);
-    } else if (event.shiftKey || event.buttons & 6) {
-      view.panX += px - before[0];
-      view.panY += py - before[1];
-    } else {
-      view.yaw += (px - before[0]) * 0.008;
-      view.pitch = Math.max(0, Math.min(Math.PI / 2, view.pitch + (py - before[1]) * 0.008));
-    }
-    hover = null;
-    tip.hidden = true;
-    pointers.set(event.pointerId, [px, py]);
-    redraw(true);
-  });
-  for (const name of ["pointerup", "pointercancel"]) {
-    canvas.addEventListener(name, (event) => {
-      pointers.delete(event.pointerId);
-      if (event.pointerType === "touch") point(...local(event));
-    });
-  }
-  canvas.addEventListener("pointerleave", () => { hover = null; tip.hidden = true; redraw(); });
-  canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-  new ResizeObserver(() => { view.fit = 0; redraw(); }).observe(canvas);
-
-  root.dataset.ready = "yes";
   if (canvas.clientWidth < 620) state.method = methods.length - 1;
-  tell();
+  root.dataset.ready = "yes";
+  actions.tell();
   redraw();
 }
 
-function extent(method, data, k) {
+function extent(points, data, k) {
   let [low, high] = [Infinity, -Infinity];
-  for (let i = 0; i < method.n; i++) {
-    if (!(method.kind[i] & EXTRUDING)) continue;
-    const value = data.origin[k] + data.grain * method.foot[3 * i + k];
+  for (let i = 0; i < points.n; i++) {
+    if (points.away && !(points.kind[i] & EXTRUDING)) continue;
+    const value = data.origin[k] + data.grain * points.foot[3 * i + k];
     low = Math.min(low, value);
     high = Math.max(high, value);
   }

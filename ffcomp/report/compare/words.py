@@ -3,8 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 
-from ffcomp.compare.result import Comparison, Method
+from ffcomp.compare.result import Comparison, Family, Method
+from gcode.layers import is_outer_wall
+
+FAMILY_NAMES: dict[Family, str] = {
+    "none": "no compensation",
+    "calibrated": "shaper, calibrated",
+    "best fixed": "shaper, best fixed",
+    "scheduled": "shaper, scheduled",
+    "inversion": "ffcomp",
+}
 
 
 def um(value: float) -> str:
@@ -20,9 +30,14 @@ def times(ratio: float) -> str:
     return f"{ratio:.0f} times" if ratio >= 9.95 else f"{ratio:.1f} times"
 
 
-def metres(acceleration_mm_per_s2: float) -> str:
-    """Format an acceleration: `12.4 m/s²`."""
-    return f"{acceleration_mm_per_s2 / 1e3:.3g} m/s²"
+def acceleration(mm_per_s2: float) -> str:
+    """Format an acceleration in the firmware's unit and in metres: `12,400 mm/s² (12.4 m/s²)`."""
+    return f"{thousands(mm_per_s2)} mm/s² ({mm_per_s2 / 1e3:.3g} m/s²)"
+
+
+def thousands(value: float) -> str:
+    """Format with three digits that count: `12,400`, `5,000`, `823`."""
+    return f"{float(f'{value:.3g}'):,.0f}"
 
 
 def clipped(text: str, most: int = 34) -> str:
@@ -50,6 +65,11 @@ def shown(found: Comparison) -> list[Method]:
     """Return the methods that figures show: without compensation, the best fixed shaper, the compensated print."""
     names = dict.fromkeys(name for name in ("none", found.best_fixed, found.compensated) if name in found.methods)
     return [found.methods[name] for name in names]
+
+
+def outer_first(names: Iterable[str], share: Mapping[str, float]) -> list[str]:
+    """Sort features: outer walls, which are what is seen, then by their share of the time."""
+    return sorted(names, key=lambda name: (not is_outer_wall(name), -share.get(name, 0.0)))
 
 
 def nick(method: Method) -> str:

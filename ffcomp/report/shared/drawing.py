@@ -13,7 +13,7 @@ import matplotlib
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from ffcomp.report.shared.style import RC
+from ffcomp.report.shared.style import ON_DARK, RC
 from gcode.atomic_write import replace_atomically
 
 DPI = 150
@@ -35,11 +35,22 @@ class Drawing:
 
 
 def svg(drawing: Drawing) -> bytes:
-    """Draw the figure alone: on the page, heading and caption are text."""
+    """Draw the figure alone, for light and dark screens: on the page, heading and caption are text."""
     with matplotlib.rc_context(RC):
         figure = Figure(figsize=(drawing.width, drawing.height), layout=layout())
         drawing.draw(figure)
-        return file_of(figure, "svg")
+        return _for_dark_screens(file_of(figure, "svg"))
+
+
+def _for_dark_screens(content: bytes) -> bytes:
+    """Give an SVG a second set of colours, for readers whose screen is dark."""
+    rules = "".join(
+        f'[style*="{what}: {light}"]{{{what}:{dark}!important}}'
+        for light, dark in ON_DARK.items()
+        for what in ("fill", "stroke")
+    )
+    style = f"<style>@media (prefers-color-scheme: dark){{{rules}}}</style>"
+    return content.replace(b"<defs>", f"<defs>{style}".encode(), 1)
 
 
 def layout() -> ConstrainedLayoutEngine:
@@ -73,6 +84,11 @@ class Image:
     data: str  # base64 of SVG
     width: int
     height: int
+
+
+def panel(drawing: Drawing) -> Image:
+    """Draw and embed one panel of a figure."""
+    return image(drawing, svg(drawing))
 
 
 def image(drawing: Drawing, content: bytes) -> Image:

@@ -8,14 +8,37 @@ import matplotlib
 
 matplotlib.use("Agg")
 from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-BEFORE, AFTER = "#d55e00", "#0072b2"  # without compensation or diagnosis, and with it
+# One colour, one meaning, in every figure and on every page; lines have contrast 3 with their ground, words 4.5.
+BEFORE, AFTER = "#bd4b00", "#0072b2"  # without compensation or diagnosis, and with it
+SHAPER, CALIBRATED, SCHEDULED = "#007a59", "#6b8e23", "#7a6a5a"  # the best of them, and those that are set otherwise
+BEYOND = "#b00020"  # more than the machine allows
 REFERENCE = "#222222"
-BAND, INK, SOFT, LINE = "#1f2a37", "#1f2a37", "#6b7280", "#e6e9ee"
+BAND, INK, SOFT, LINE, EDGE, PAPER = "#1f2a37", "#1f2a37", "#6b7280", "#e6e9ee", "#c5cad3", "#ffffff"
+NEIGHBOUR = "#d5d9e0"  # other lines of the layer, and travel: there, but not in question
+# How far off the path: from violet, hardly, to what stands out most from the ground. No method has such a colour.
+ERROR = ("#9d84c9", "#a55eda", "#a433c7", "#9a05a4", "#860079", "#6e0354", "#501135")
+ERROR_ON_DARK = ("#76609f", "#9458c1", "#bf5be0", "#e669ef", "#fe8cec", "#febbe5", "#fde3ee")
+ON_DARK = {  # what each colour becomes where the reader's screen is dark
+    BEFORE: "#ff9248",
+    AFTER: "#5bb4ea",
+    SHAPER: "#3ecf9f",
+    CALIBRATED: "#a9cc52",
+    SCHEDULED: "#c2b09c",
+    BEYOND: "#ff8092",
+    REFERENCE: "#f2f5f8",
+    INK: "#e3e8ef",
+    SOFT: "#a3adba",
+    LINE: "#2c3744",
+    EDGE: "#4b5868",
+    PAPER: "#1a222c",
+    NEIGHBOUR: "#3b4857",
+}
 RC: dict[Any, Any] = {
     "font.size": 9,
-    "axes.edgecolor": "#c5cad3",
+    "axes.edgecolor": EDGE,
     "axes.labelcolor": INK,
     "axes.titlesize": 10,
     "axes.titleweight": "bold",
@@ -28,6 +51,11 @@ RC: dict[Any, Any] = {
     "text.color": INK,
     "svg.hashsalt": "ffcomp",  # the same numbers give the same file
 }
+
+
+def error_colours(on_dark: bool = False) -> LinearSegmentedColormap:
+    """Return the colours of an error, from hardly to far off the path."""
+    return LinearSegmentedColormap.from_list("error", ERROR_ON_DARK if on_dark else ERROR)
 
 
 def grid(axes: Axes, axis: Any = "both") -> None:

@@ -99,3 +99,11 @@ def test_another_acceleration_changes_the_times_and_not_the_path() -> None:
     travels = np.any(slower.trajectory.direction[:, :3] != 0, axis=1)
     np.testing.assert_allclose(slower.trajectory.acceleration[travels], 500.0)
     assert stretch.trajectory.acceleration[travels].max() == 5000.0
+
+
+def test_the_acceleration_of_a_print_is_that_of_its_outer_walls() -> None:
+    start = b"G90\nM83\nG1 X0 Y0 Z0.2 F6000\n"
+    infill = b";TYPE:Internal infill\nM204 S8000\nG1 X60 E2\nG1 X0 E2\n"
+    wall = b";TYPE:External perimeter\nM204 S3000\nG1 Y20 E1\n"
+    for data, expected in ((start + infill + wall, 3000.0), (start + infill, 8000.0), (start + b"G1 X20 E1\n", None)):
+        assert Print(data, "lines.gcode", MACHINE).acceleration_mm_per_s2 == expected

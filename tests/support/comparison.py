@@ -1,0 +1,154 @@
+"""An invented comparison: squares in three layers, whose corners start decaying waves across the next side."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from ffcomp.compare.evaluation import by, contour_numbers
+from ffcomp.compare.result import (
+    BedMap,
+    Comparison,
+    EqualQuality,
+    Family,
+    Layer,
+    Method,
+    Outline,
+    Party,
+    Peaks,
+    Samples,
+    Spread,
+)
+from ffcomp.metrics import Track
+
+SAMPLE_S = 1e-3
+SIDE, SPEED, LAYERS = 40.0, 80.0, 3  # mm, mm/s
+RING_HZ, DECAY_PER_S = 42.0, 12.0
+SIDE_N = round(SIDE / SPEED / SAMPLE_S)
+FEATURES = ("other", "Perimeter", "External perimeter")
+READY = "#viewer[data-ready]"
+NASTY = '"><script>alert(1)</script><img src=x onerror=alert(2)>'
+
+
+def samples(amplitude_mm: float) -> Samples:
+    """Once round a square in each layer; the last side is travel. Each corner is overshot and rings on."""
+    corners = 0.5 * SIDE * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
+    s = np.arange(SIDE_N) / SIDE_N
+    wave = amplitude_mm * np.exp(-DECAY_PER_S * SAMPLE_S * np.arange(SIDE_N))
+    wave = wave * np.sin(2 * np.pi * RING_HZ * SAMPLE_S * np.arange(SIDE_N) + 0.5 * np.pi)
+    wanted, across = [], []
+    for layer in range(LAYERS):
+        for a, b in pairwise(corners):
+            along = (b - a) / SIDE
+            wanted.append(np.column_stack([a + s[:, None] * (b - a), np.full(SIDE_N, 0.2 * (layer + 1))]))
+            across.append(np.column_stack([along[1] * wave, -along[0] * wave, 0 * wave]))
+    across[0] = 0 * across[0]  # it comes from rest
+    count = 4 * LAYERS * SIDE_N
+    side = np.arange(count) // SIDE_N
+    return Samples(
+        due=SAMPLE_S * np.arange(count),
+        reference=np.concatenate(wanted),
+        nozzle=np.concatenate(wanted) + np.concatenate(across),
+        contour=np.linalg.norm(np.concatenate(across), axis=1),
+        layer=side // 4,
+        feature=1 + side % 2,
+        extruding=side % 4 != 3,
+        weight=np.ones(count),
+    )
+
+
+def track(s: Samples, which: Any) -> Track:
+    error = contour_numbers(s, which)
+    return Track(
+        tracking_rms_um=1.5 * error.rms_um,
+        tracking_max_um=2.0 * error.max_um,
+        contour_rms_um=error.rms_um,
+        contour_p99_um=error.p99_um,
+        contour_max_um=error.max_um,
+        delay_s=0.0,
+        tracking_rms_no_delay_um=error.rms_um,
+        print_time_s=float(s.due[-1]),
+        peak_command_acceleration_mm_per_s2=6e3,
+    )
+
+
+def method(name: str, label: str, family: Family, amplitude_um: float, **about: Any) -> Method:
+    s = about.pop("samples", None) or samples(1e-3 * amplitude_um)
+    given: dict[str, Any] = {
+        "tuning": "x 40.0 Hz, y 41.0 Hz: as a test sets it.",
+        "track": track(s, np.ones(len(s.due), dtype=bool)),
+        "extruding": track(s, s.extruding),
+        "by_layer": by(s.layer, s),
+        "by_feature": {FEATURES[k]: error for k, error in by(s.feature, s).items()},
+        "residual_rms_um": 0.3 * amplitude_um,
+        "peaks": Peaks(120.0, 6000.0, True),
+    }
+    return Method(name, label, family, samples=s, **(given | about))
+
+
+def bed() -> BedMap:
+    axis = np.linspace(-90.0, 90.0, 19)
+    x, y = np.meshgrid(axis, axis)
+    frequency = np.stack([40 + 0.05 * x, 40 + 0.05 * y], axis=-1)
+    frequency[np.hypot(x, y) > 91] = np.nan
+    return BedMap(axis, axis, frequency)
+
+
+def outline() -> Outline:
+    """The squares of the evaluated layers, and of as many above, which nobody evaluated."""
+    corners = 0.5 * SIDE * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    rows = [np.column_stack([corners, np.full(4, 0.2 * (layer + 1))]) for layer in range(2 * LAYERS)]
+    start, end = (np.concatenate([row[part] for row in rows]) for part in (slice(0, 3), slice(1, 4)))
+    return Outline(start, end, np.repeat(np.arange(2 * LAYERS), 3), np.tile([1, 2, 1], 2 * LAYERS))
+
+
+def comparison(
+    none_um: float = 200.0, best_um: float = 20.0, ours_um: float = 2.0, name: str = "prints/square.gcode", **about: Any
+) -> Comparison:
+    judged = [
+        method("none", "no compensation", "none", none_um),
+        method("mzv-calibrated", "MZV, calibrated", "calibrated", 1.5 * best_um),
+        method("mzv", "MZV, best fixed", "best fixed", best_um),
+        method("fbs-lpv", "ffcomp", "inversion", ours_um),
+    ]
+    given: dict[str, Any] = {
+        "print_sha256": "ab" * 32,
+        "print_time_s": 3725.0,
+        "layers_total": LAYERS,
+        "sampling": "The whole print was evaluated, 6 s.",
+        "machine": Party("a delta", "12" * 32),
+        "plant": Party("a delta", "12" * 32),
+        "mismatch": "",
+        "settings": {"bandwidth of the inversion": "100 Hz"},
+        "version": "9.8.7",
+        "layers": tuple(Layer(k, 0.2 * (k + 1), 2.0 * k, 2.0 * k + 2) for k in range(LAYERS)),
+        "features": FEATURES,
+        "methods": {each.name: each for each in judged},
+        "best_fixed": "mzv",
+        "compensated": "fbs-lpv",
+        "sample_s": SAMPLE_S,
+        "limits": {"carriage_velocity_mm_per_s": 300.0, "carriage_acceleration_mm_per_s2": 2e4},
+        "quality_bound_um": 25.0,
+        "acceleration_mm_per_s2": 5000.0,
+        "outline": outline(),
+    }
+    return Comparison(print_name=name, **(given | about))
+
+
+def changed(found: Comparison, name: str, **about: Any) -> Comparison:
+    """The comparison with one method altered."""
+    return replace(found, methods={**found.methods, name: replace(found.methods[name], **about)})
+
+
+def everything(name: str = "prints/square.gcode") -> Comparison:
+    """With all that can be asked for."""
+    found = comparison(name=name, bed=bed(), mismatch="8 plants, each off by 10 %.")
+    for key, factor in (("none", 1.1), ("mzv-calibrated", 1.4), ("mzv", 1.4), ("fbs-lpv", 2.5)):
+        rms = found.methods[key].track.contour_rms_um
+        spread = Spread(tuple(factor * rms * (1 + 0.1 * k) for k in range(8)))
+        quality = EqualQuality(1e3 * (4 - factor), 3000.0 + 100 * factor, 24.0, capped=False, reached=key != "none")
+        found = changed(found, key, spread=spread, equal_quality=quality)
+    return changed(found, "mzv", retuned=found.methods["mzv"].spread)
