@@ -8,19 +8,26 @@ from ffcomp.diagnose.hypotheses import Hypothesis, misfit
 from ffcomp.diagnose.score_test import Screened, similarity
 
 COMPETING = 20.0  # −2 ln Z
+TRACE = 1e-3  # of the discrepancy: a shape is never that exact
 CONFOUNDED = 0.8  # cos² from which one effect can be taken for another
 
 
-def competing_with(best: Hypothesis, tried: Sequence[Hypothesis], share: float = 1.0) -> list[Hypothesis]:
-    """Find hypotheses of other effects, as many, that are nearly as likely.
+def competing_with(
+    best: Hypothesis, tried: Sequence[Hypothesis], share: float = 1.0, gap: float = 0.0
+) -> list[Hypothesis]:
+    """Find hypotheses of other effects, as many, that are nearly as likely, or that explain all but a trace too.
 
     Parameters
     ----------
     share : of the data, on which all were fitted: all of it would set them apart that much further.
+    gap : the discrepancy without any effect, of the noise. Where it is large, even a small error of an effect's shape
+        is significant, and no effect has exactly our shape: what leaves a thousandth of it cannot be ruled out.
     """
     scale = misfit(best.fit) * share
     others = [h for h in tried if h.names != best.names and len(h.effects) == len(best.effects)]
-    return [h for h in others if (h.fit.evidence - best.fit.evidence) / scale < COMPETING]
+    return [
+        h for h in others if (h.fit.evidence - best.fit.evidence) / scale < COMPETING or h.discrepancy < TRACE * gap
+    ]
 
 
 def confounded_with(

@@ -338,7 +338,7 @@ def _tested(none: Diagnosis, found: _Found) -> Diagnosis:
         searched=searched,
         share=found.share,
         tried=ranked,
-        competing=competing_with(searched, ranked, found.share),
+        competing=competing_with(searched, ranked, found.share, discrepancy_of(none.base)),
         held_out=held_out,
         rejections=failed,
         intervals=intervals,
