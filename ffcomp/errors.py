@@ -78,6 +78,19 @@ class SolverError(FfcompError):
     exit_code = 7
 
 
+EXTRAS = {
+    "matplotlib": ("plot", "Figures and pages need Matplotlib"),
+    "control": ("control", "This needs python-control"),
+}
+"""Packages that only an extra installs: its name, and who needs it."""
+
+
+def not_installed(package: str) -> FfcompError:
+    """Return the error that says which extra brings a package of EXTRAS."""
+    extra, need = EXTRAS[package]
+    return FfcompError(f"{need}: pip install 'ffcomp[{extra}]' (with pipx: pipx inject ffcomp {package}).")
+
+
 INPUT_ERRORS = (FfcompError, GcodeError, MachineFileError, OSError)
 """Errors that end in a sentence and an exit code; any other is a fault of ffcomp's own."""
 

@@ -11,11 +11,12 @@ import sys
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from ffcomp.cli.log import note
-from ffcomp.errors import INPUT_ERRORS, explain, interrupts_restored
+from ffcomp.errors import EXTRAS, INPUT_ERRORS, explain, interrupts_restored, not_installed
 from ffcomp.numerics.serialise import json_line
 from gcode.atomic_write import drafts_noted, replaced_since
 
@@ -35,8 +36,19 @@ def exit_codes() -> Iterator[None]:
     except BrokenPipeError:  # who reads our output has seen enough (`| head`): end as other tools do
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(141) from None
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package not in EXTRAS:
+            raise
+        fail(*explain(not_installed(package)))
     except INPUT_ERRORS as error:
         fail(*explain(error))
+
+
+def require(package: str) -> None:
+    """Say at once that a package of an extra is missing, not after minutes of work."""
+    if find_spec(package) is None:
+        fail(*explain(not_installed(package)))
 
 
 def written_already(noted: int) -> str:

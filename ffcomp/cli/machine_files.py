@@ -49,6 +49,6 @@ def _remembered() -> list[Path]:
 
 
 def _list() -> Path:
-    from ffcomp.numerics.disk_cache import cache_folder
+    from ffcomp.numerics.numba_cache import cache_folder
 
     return cache_folder() / "machine_files.txt"

@@ -21,11 +21,10 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.numerics.numba_cache import user_cache
+from ffcomp.numerics.numba_cache import cache_folder
 
 Arrays = Mapping[str, NDArray[Any]]
 
-VARIABLE = "FFCOMP_CACHE"  # another folder; `off`: no cache
 MOST = 24  # files; the least recently used are deleted
 PACKAGES = ("ffcomp/inverse", "models")  # whose code computes the arrays
 
@@ -61,12 +60,6 @@ def save(name: str, arrays: Arrays) -> None:
         by_use = sorted(folder.glob("[!.]*.npz"), key=lambda file: file.stat().st_mtime, reverse=True)
         for file in by_use[MOST:]:
             file.unlink(missing_ok=True)
-
-
-def cache_folder() -> Path:
-    """Return the folder of the cache, which need not exist; without a cache no folder can be made there."""
-    folder = os.environ.get(VARIABLE, "")
-    return Path(os.devnull) if folder == "off" else Path(folder) if folder else user_cache() / "ffcomp"
 
 
 @cache

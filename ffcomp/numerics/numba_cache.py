@@ -1,4 +1,4 @@
-"""Choose the folder of numba's compiled code.
+"""Choose the folders of numba's compiled code and of ffcomp's own cache.
 
 Numba caches beside our files or in the user's cache, and fails if both are read-only, as for a service without a home.
 Then a temporary folder serves. This must happen before numba is imported.
@@ -12,6 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 VARIABLE = "NUMBA_CACHE_DIR"
+OUR_VARIABLE = "FFCOMP_CACHE"  # another folder for what ffcomp itself keeps; `off`: no cache
 
 
 def ensure_cache_folder() -> None:
@@ -26,6 +27,12 @@ def user_cache() -> Path:
     if os.name == "nt":
         return Path(os.environ.get("LOCALAPPDATA") or Path.home())
     return Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+
+
+def cache_folder() -> Path:
+    """Return the folder of ffcomp's own cache, which need not exist; without a cache no folder can be made there."""
+    folder = os.environ.get(OUR_VARIABLE, "")
+    return Path(os.devnull) if folder == "off" else Path(folder) if folder else user_cache() / "ffcomp"
 
 
 def _writable(folder: Path) -> bool:

@@ -11,6 +11,7 @@ import pytest
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.numerics import disk_cache as kept
+from ffcomp.numerics.numba_cache import OUR_VARIABLE
 from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
 from models.machine import Machine
@@ -20,7 +21,7 @@ HERE, THERE = np.array([[0.0, 0.0], [12.0, -30.0]]), np.array([[-50.0, 20.0]])
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv(kept.VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setenv(OUR_VARIABLE, str(tmp_path / "cache"))
     return tmp_path / "cache"
 
 
@@ -91,7 +92,7 @@ def test_a_cache_that_cannot_be_written_stops_nobody(
 ) -> None:
     (tmp_path / "file").write_bytes(b"")
     for said in (str(tmp_path / "file" / "below"), "off"):
-        monkeypatch.setenv(kept.VARIABLE, said)
+        monkeypatch.setenv(OUR_VARIABLE, said)
         been_at(machine, HERE).save_cache()
         assert len(InverseModel(machine, settings_for(machine)).gains) == 0
 

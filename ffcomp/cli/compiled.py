@@ -1,0 +1,43 @@
+"""Whether a verb's numerical code has been compiled on this computer: a first run takes longer, and says why.
+
+A verb that has ended well leaves an empty file in the user's cache, named for the installed code and its compiler.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import suppress
+from hashlib import sha256
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from ffcomp.numerics.numba_cache import cache_folder
+
+VERBS = ("compensate", "simulate")  # those that most people call first, and that compile most
+
+
+def first_run(verb: str) -> bool:
+    """Return whether the verb is about to compile; False where no cache can tell."""
+    marker = _marker(verb)
+    return marker is not None and not marker.exists()
+
+
+def note_compiled(verb: str) -> None:
+    """Remember that the verb has run; where that is not possible, nothing is remembered."""
+    if marker := _marker(verb):
+        with suppress(OSError):
+            marker.parent.mkdir(parents=True, exist_ok=True)
+            marker.touch()
+
+
+def _marker(verb: str) -> Path | None:
+    folder = cache_folder()
+    if folder == Path(os.devnull):  # no cache is wanted
+        return None
+    code = Path(__file__)
+    try:
+        known = (str(code), code.stat().st_mtime_ns, sys.version, version("numba"))
+    except (OSError, PackageNotFoundError):
+        return None
+    return folder / f"compiled-{verb}-{sha256(repr(known).encode()).hexdigest()[:16]}"

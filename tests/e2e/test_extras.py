@@ -1,0 +1,56 @@
+"""What only an extra installs: it is missed at once, in one sentence with the command, and nobody else needs it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from ffcomp.cli.app import app
+from ffcomp.errors import EXTRAS
+from tests.support.docs_runner import ROOT
+
+EXAMPLES = ROOT / "docs" / "examples"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["estimate", str(EXAMPLES / "print.gcode"), "-m", "kossel", "--figure", "a.png"],
+        ["compare", str(EXAMPLES / "print.gcode"), "-m", "kossel", "--report", "a.html"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_missing_package_is_said_at_once(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ffcomp.cli.common.find_spec", lambda package: None)
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 1
+    assert "Figures and pages need Matplotlib: pip install 'ffcomp[plot]'" in result.output
+
+
+def test_a_picture_without_its_package_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where the verb itself finds it missing."""
+    done = tmp_path / "out.gcode"
+    made = ["compensate", str(EXAMPLES / "wiggle.gcode"), "-m", "kossel", "-o", str(done), "--quiet"]
+    assert CliRunner().invoke(app, made).exit_code == 0
+    for module in [name for name in sys.modules if name.startswith("ffcomp.report.show")]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    result = CliRunner().invoke(app, ["show", str(done)])
+    assert result.exit_code == 1 and "pip install 'ffcomp[plot]'" in result.output
+
+
+def test_other_verbs_do_without(tmp_path: Path) -> None:
+    """Compensate, simulate and estimate load no package of an extra."""
+    code = f"""
+import sys
+for name in {sorted(EXTRAS)}: sys.modules[name] = None
+import ffcomp
+ffcomp.compensate({str(EXAMPLES / "wiggle.gcode")!r}, "kossel", {str(tmp_path / "out.gcode")!r})
+ffcomp.estimate({str(tmp_path / "out.gcode")!r}, "kossel")
+import ffcomp.api.measurements, ffcomp.diagnose, ffcomp.identify, ffcomp.cli.compare, ffcomp.report.compare.verdict
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

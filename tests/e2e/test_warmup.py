@@ -1,0 +1,48 @@
+"""`ffcomp warmup`, and what a first run says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from ffcomp.cli.app import app
+from tests.support.docs_runner import ROOT
+
+COMPENSATE = ["compensate", str(ROOT / "docs" / "examples" / "wiggle.gcode"), "-m", "kossel"]
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FFCOMP_CACHE", str(tmp_path / "cache"))
+
+
+def test_the_first_run_says_that_it_compiles(tmp_path: Path) -> None:
+    said = [CliRunner().invoke(app, [*COMPENSATE, "-o", str(tmp_path / f"{k}.gcode")]).output for k in range(2)]
+    assert ["Compiling once" in text for text in said] == [True, False]
+
+
+def test_quiet_is_quiet(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, [*COMPENSATE, "-o", str(tmp_path / "out.gcode"), "--quiet"])
+    assert result.exit_code == 0 and result.output == ""
+
+
+def test_a_run_that_fails_is_not_counted(tmp_path: Path) -> None:
+    for _ in range(2):
+        result = CliRunner().invoke(app, ["compensate", str(tmp_path / "nothing.gcode"), "-m", "kossel"])
+        assert result.exit_code == 2 and "Compiling once" in result.output
+
+
+def test_after_warming_up_no_run_compiles(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["warmup"])
+    assert result.exit_code == 0, result.output
+    assert "[5/5] estimate" in result.output and "Ready after" in result.output
+    after = CliRunner().invoke(app, [*COMPENSATE, "-o", str(tmp_path / "out.gcode")])
+    assert after.exit_code == 0 and "Compiling" not in after.output
+
+
+def test_without_a_cache_nothing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FFCOMP_CACHE", "off")
+    result = CliRunner().invoke(app, [*COMPENSATE, "-o", str(tmp_path / "out.gcode")])
+    assert result.exit_code == 0 and "Compiling" not in result.output
