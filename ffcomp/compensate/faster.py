@@ -9,18 +9,20 @@ import numpy as np
 
 from ffcomp.compensate.chunks import Chunk
 from ffcomp.compensate.solve import SolvedSection
+from ffcomp.compensate.whole_segments import in_whole_segments
 from ffcomp.errors import LimitsError
 from ffcomp.faster.bound import Bound
 from ffcomp.faster.program import FasterProgram, faster_program
 from ffcomp.faster.shares import AS_SLICED
-from ffcomp.inverse.extent import WHOLE
+from ffcomp.inverse.extent import WHOLE, context_s
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
 from ffcomp.metrics import contour_error
 from ffcomp.planner.program import PlannedProgram, firmware_plan, plan_program
-from ffcomp.planner.trajectory import PlannedMotion
+from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from gcode.layers import labels
 from gcode.program import Program
+from models.arrays import BoolArray
 
 SPOTS = 2.6  # times the bound, that single spots may have: a little more than in the search
 
@@ -85,20 +87,26 @@ class BoundCheck:
 
 
 def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel, smooth: bool) -> tuple[PlannedProgram, Faster]:
-    """Plan a chunk as quick as the bound allows; one that is cut in motion keeps the slicer's motion."""
+    """Plan a chunk as quick as the bound allows; around a cut in motion it keeps the slicer's motion.
+
+    So the chunks on both sides of a cut find the same plan there, each by itself.
+    """
     program, machine = chunk.program, model.given
-    if chunk.extent != WHOLE:
-        plan = firmware_plan(program, machine)
-        own = _by_feature(program, plan, chunk.feature)
-        return plan_program(program, machine, smooth), Faster(
-            own, own, plan.end_t, {AS_SLICED: plan.end_t}, (_not_faster(chunk),)
-        )
     slicers = firmware_plan(program, machine)
-    found = faster_program(program, model, bound, chunk.layers, chunk.feature)
+    near = _near_cuts(chunk, slicers)
+    found = faster_program(program, model, bound, chunk.layers, chunk.feature, near)
     said = _given_up(chunk, found)
     if said and model.settings.strict:
         raise LimitsError(said[0])
-    planned = plan_program(found.program, machine, smooth)
+    quick: Program | None = found.program
+    if near.any():
+        quick = in_whole_segments(found.program, found.free, chunk.extent, machine, model.settings)
+    if quick is None:
+        own = _by_feature(program, slicers, chunk.feature)
+        return plan_program(program, machine, smooth), Faster(
+            own, own, slicers.end_t, {AS_SLICED: slicers.end_t}, (_not_faster(chunk),)
+        )
+    planned = plan_program(quick, machine, smooth)
     return (
         replace(planned, firmware_s=slicers.end_t),
         Faster(
@@ -109,6 +117,14 @@ def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel, smooth: bool) 
             said,
         ),
     )
+
+
+def _near_cuts(chunk: Chunk, slicers: Trajectory) -> BoolArray:
+    near = np.zeros(len(chunk.program.moves), dtype=np.bool_)
+    if chunk.extent != WHOLE:
+        for part in chunk.extent.near(slicers, context_s(chunk.program.moves, slicers)):
+            near[part] = True
+    return near
 
 
 def _by_feature(program: Program, plan: PlannedMotion, feature: str) -> dict[str, float]:
@@ -124,8 +140,8 @@ def _added(some: Mapping[str, float], more: Mapping[str, float]) -> dict[str, fl
 def _not_faster(chunk: Chunk) -> str:
     line = chunk.program.first_line + int(chunk.program.moves.line[0]) + 1
     return (
-        f"line {line}: the motion here does not rest for minutes; it keeps the slicer's speed, and its error is not "
-        "bounded."
+        f"line {line}: the motion from here on does not rest, and too little of it lies between cuts; "
+        "it keeps the slicer's speed, and its error is not bounded."
     )
 
 

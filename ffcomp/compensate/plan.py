@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import ceil
 
 from ffcomp.compensate.chunks import Chunk
@@ -88,7 +88,11 @@ def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedCh
     raw_s = raw_durations(raw, planner_limits(machine))
     begun = planned.sections if chunk.extent.begin is None else planned.sections[1:]
     waits = {} if context.plain else settling_waits(planned, machine, raw_s, begun, chunk.since)
-    statistics = own + of_plan(planned, chunk.extent) + of_raw(raw, raw_s) + of_waits(waits)
+    by_plan = of_plan(planned, chunk.extent)
+    if faster is not None and chunk.extent != WHOLE:  # what is written takes another time as it was sliced
+        sliced = of_plan(plan_program(chunk.program, machine), chunk.extent)
+        by_plan = replace(by_plan, original_print_time_s=sliced.original_print_time_s)
+    statistics = own + by_plan + of_raw(raw, raw_s) + of_waits(waits)
     return PlannedChunk(chunk, planned, state, _is_simulated(chunk, context.share), statistics, raw_s, waits)
 
 

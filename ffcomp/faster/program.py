@@ -31,6 +31,7 @@ class FasterProgram:
     given_up: BoolArray  # (n,) moves that keep the slicer's motion because nothing quicker keeps the bound
     actuator_limit_s: float  # what the moves take at least
     limited_by: dict[str, float]  # s of the quicker plan, by what limits it
+    free: BoolArray  # (n,) moves that do not keep the slicer's motion
     p99: float  # of the predicted error at the safety's quantile, times the bound
 
 
@@ -87,7 +88,7 @@ def faster_program(
         quick = plan_moves(found, limits, stop_before=stop_before, wait_before=wait_before)
     shares = limited_by(quick, found, top, own, cooled, quick.end_t)
     least_s = lower_limit_s(top, model.machine, limits, stop_before, wait_before)
-    return FasterProgram(replace(program, moves=found), plan, given_up, least_s, shares, p99)
+    return FasterProgram(replace(program, moves=found), plan, given_up, least_s, shares, ~own, p99)
 
 
 def _layers(program: Program, before: int) -> IntArray:

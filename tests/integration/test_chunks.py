@@ -18,6 +18,7 @@ from ffcomp.compensate.chunks import LONGEST_S, REMEMBERED_S, Chunk, split_chunk
 from ffcomp.compensate.job import StepOutput
 from ffcomp.compensate.plan import _is_simulated
 from ffcomp.errors import LimitsError
+from ffcomp.faster.bound import Bound
 from ffcomp.inverse import lq_preview
 from ffcomp.inverse.extent import Extent
 from ffcomp.inverse.settings import settings_for
@@ -343,3 +344,18 @@ def test_s_curves_in_chunks_keep_the_time(tower: bytes, machine: Machine, small_
     assert smooth.statistics.original_print_time_s == pytest.approx(plain.statistics.original_print_time_s)
     assert plain.statistics.print_time_s < smooth.statistics.print_time_s < 1.01 * plain.statistics.print_time_s
     assert original(text) == tower
+
+
+def test_a_motion_that_is_cut_is_quicker_too(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Around its cuts it keeps the slicer's motion; the whole is known to be right by what holds of every file."""
+    monkeypatch.setattr("ffcomp.compensate.chunks.LONGEST_S", 12.0)
+    certain = replace(machine, uncertainty={"default": 0.0})
+    data = vase(1150, 2400.0)
+    bound = Bound(50.0, max_flow_mm3_per_s=20.0, min_layer_time_s=0.0)
+    text, result = compensated(data, certain, predict=False, bound=bound)
+    done, planned = result.statistics, plan_program(read_program(data), machine)
+    assert original(text) == data and violations(data, text, certain) == []
+    assert done.warnings == ()
+    assert done.original_print_time_s == pytest.approx(planned.firmware_s, abs=2e-3)
+    assert done.print_time_s < 0.9 * done.original_print_time_s
+    assert plan_program(read_program(text), machine).trajectory.end_t == pytest.approx(done.print_time_s, abs=0.05)
