@@ -43,6 +43,8 @@ WHOLE = ("force_map",)
 # two that say the same of a machine, or of a record; and what only a printer with the paper's loads can show
 NEVER_TOGETHER = (
     {"coulomb_friction", "stribeck_friction"},
+    {"coulomb_friction", "bristle_friction"},
+    {"stribeck_friction", "bristle_friction"},
     {"command_delay", "sensor_time_offset"},
     {"sensor_time_offset", "sensor_clock_drift"},
     {"torque_angle", "belt_hardening"},

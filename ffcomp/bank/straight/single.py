@@ -14,7 +14,8 @@ import numpy as np
 from ffcomp.bank.real import FloatArray, Hide, Real, Rng, Tables, sign
 from ffcomp.bank.straight import hidden, outside
 
-SHARED = ("coulomb_friction", "stribeck_friction", "guide_damping", "belt_hardening", "belt_backlash", "cogging")
+SMOOTH = ("coulomb_friction", "stribeck_friction")
+SHARED = ("guide_damping", "belt_hardening", "belt_backlash", "cogging")
 OUTSIDE: Mapping[str, Hide] = {  # a wheel with notches is a force along the axis, which its catalogue has
     name: outside.OUTSIDE[name]
     for name in (
@@ -91,6 +92,23 @@ def belt_stiffness(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], R
     return {"relative_change": change}, real.changed("plant", **{which: [k * (1 + change) for k in machine[which]]})
 
 
+def _smooth(name: str) -> Hide:
+    """Return friction that turns over as a tanh: what gives way before it slides has a name of its own here."""
+
+    def hide(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+        table, changed = _alone(name)(rng, size, real)
+        return table, changed.having(dry_kind=1)
+
+    return hide
+
+
+def bristle_friction(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide dry friction that bends bristles before it slides."""
+    force, length = size * rng.uniform(1.2, 4.0) * hidden.masses(real)[0], rng.uniform(1.5e-5, 6e-5)
+    table = {"force_n": force, "presliding_mm": 1e3 * length}
+    return table, real.having(dry=[force, force], dry_kind=2, bristle=length)
+
+
 def command_delay(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
     """Hide a drive that is late."""
     delay = size * rng.uniform(4e-4, 2e-3)
@@ -102,6 +120,8 @@ def command_delay(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Re
 
 
 EFFECTS: Mapping[str, Hide] = {
+    **{name: _smooth(name) for name in SMOOTH},
+    "bristle_friction": bristle_friction,
     **{name: _alone(name) for name in SHARED},
     "belt_stiffness": belt_stiffness,
     "command_delay": command_delay,
