@@ -68,7 +68,7 @@ def _with_axis(best: Joined, source: Joined, column: str) -> Recording:
     found = np.asarray(CubicSpline(other.time_s[known], values[known])(at))
     near = np.clip(np.searchsorted(other.time_s, at), 1, len(values) - 1)
     found[~(known[near] & known[near - 1])] = np.nan
-    return replace(own, acceleration={**own.acceleration, column: found})
+    return replace(own, acceleration={**own.acceleration, column: found}, gaps=own.gaps | np.isnan(found))
 
 
 def without_deaf_axes(joined: Sequence[Joined], machine: Machine) -> tuple[list[Joined], list[str]]:
