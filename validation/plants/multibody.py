@@ -10,6 +10,7 @@ the motor does is a force k u + c u̇ on the carriage, u and u̇ from the drive'
     arms "tubes"    each rod is a thin uniform rod with heavy ends, 0.4 of its mass
     effector "sliding"        translates only, one rod a tower
     effector "parallelograms" free in all six, held by two rods a tower; its centre of mass is where the file says
+    rod_n_per_m     each rod gives along its length, joints included: then parallelograms let the effector tilt
 
 A model is built at a place: in its reference pose the printer stands there and all springs are at ease. m, s, kg.
 
@@ -48,6 +49,7 @@ LIGHT = "1e-4 1e-4 1e-4"  # kg m², of bodies that never turn
 NUDGE_M, NUDGE_M_PER_S = 1e-6, 1e-3
 FASTEST_MODE_PER_S = 4000.0  # between the machine's poles and those of the constraints, 1/T
 SETTLED_M = 1e-12
+GIVE, TIP_SHARE, ROD_LOSS_S = "give_", 0.25, 2e-5  # of rods that give: joints' name, tip's mass, damping over stiffness
 
 Arms = Literal["lumped", "uniform", "tubes"]
 AT_ENDS: Mapping[Arms, float] = {"lumped": 1.0, "uniform": 0.0, "tubes": 0.4}  # of a rod's mass
@@ -64,6 +66,7 @@ class Choice:
     step_s: float = STEP_S
     impedance: float = IMPEDANCE
     damped: bool = True
+    rod_n_per_m: float = np.inf  # of a tower's one rod where the effector slides, of each of two where it does not
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +126,10 @@ def _document(machine: Machine, home: FloatArray, home_q: FloatArray, choice: Ch
     yield from _effector(machine, home, joints, choice)
     yield "</worldbody><equality>"
     yield from (f"<connect site1='low_{j.name}' site2='seat_{j.name}'/>" for j in joints)
-    yield "</equality><actuator>"
+    yield "</equality>"
+    if np.isfinite(choice.rod_n_per_m):
+        yield from _gives(joints, choice)
+    yield "<actuator>"
     yield from (f"<motor joint='q_{tower}'/>" for tower in "ABC")
     yield "</actuator></mujoco>"
 
@@ -167,19 +173,41 @@ def _carriage(machine: Machine, tower: str, rods: list[Rod], height: float, choi
     yield f"<body name='carriage_{tower}' pos='{_row(middle)}'>{axis}"
     yield f"<inertial pos='0 0 0' mass='{carriage.mass_kg}' diaginertia='{LIGHT}'/>"
     for rod in rods:
-        yield from _rod(rod, middle, choice.arms)
+        yield from _rod(rod, middle, choice)
     yield "</body>"
 
 
-def _rod(rod: Rod, carriage: FloatArray, arms: Arms) -> Iterator[str]:
+def _gives(rods: list[Rod], choice: Choice) -> Iterator[str]:
+    """The springs along the rods."""
+    damping = choice.rod_n_per_m * ROD_LOSS_S
+    yield "<tendon>"
+    for rod in rods:
+        yield f"<fixed name='t_{rod.name}' stiffness='{choice.rod_n_per_m}' damping='{damping}'"
+        yield f"springlength='0'><joint joint='{GIVE}{rod.name}' coef='1'/></fixed>"
+    yield "</tendon>"
+
+
+def _rod(rod: Rod, carriage: FloatArray, choice: Choice) -> Iterator[str]:
     """A body whose z axis runs down the rod; its inertia about the middle is m L²/12, m L²/4 of what is at the ends."""
     along = rod.lower_m - rod.upper_m
     length = float(np.linalg.norm(along))
-    across = rod.mass_kg * length**2 * (AT_ENDS[arms] / 4 + (1 - AT_ENDS[arms]) / 12)
+    at_ends = AT_ENDS[choice.arms]
+    across = rod.mass_kg * length**2 * (at_ends / 4 + (1 - at_ends) / 12)
+    # A rod that gives has part of its mass in a tip of its own: a constraint gives the more, the lighter what it holds.
+    tip = 0.0 if np.isinf(choice.rod_n_per_m) else TIP_SHARE * rod.mass_kg
+    mass = rod.mass_kg - tip
+    middle = length / 2 * (mass - tip) / mass
+    across -= tip * length**2 / 4 + mass * (length / 2 - middle) ** 2
     inertia = _row(np.array([across, across, rod.mass_kg * ROD_RADIUS_M**2 / 2]))
     yield f"<body name='rod_{rod.name}' pos='{_row(rod.upper_m - carriage)}' zaxis='{_row(along)}'><joint type='ball'/>"
-    yield f"<inertial pos='0 0 {length / 2!r}' mass='{rod.mass_kg}' diaginertia='{inertia}'/>"
-    yield f"<site name='low_{rod.name}' pos='0 0 {length!r}'/></body>"
+    yield f"<inertial pos='0 0 {middle!r}' mass='{mass}' diaginertia='{inertia}'/>"
+    site = f"<site name='low_{rod.name}' pos='0 0 {{}}'/></body>"
+    if np.isinf(choice.rod_n_per_m):
+        yield site.format(repr(length))
+    else:
+        yield f"<body name='tip_{rod.name}' pos='0 0 {length!r}'>"
+        yield f"<joint name='{GIVE}{rod.name}' type='slide' axis='0 0 1'/>"
+        yield f"<inertial pos='0 0 0' mass='{tip}' diaginertia='1e-9 1e-9 1e-9'/>{site.format(0)}</body>"
 
 
 def _effector(machine: Machine, home: FloatArray, rods: list[Rod], choice: Choice) -> Iterator[str]:
