@@ -68,6 +68,7 @@ def found(candidates: tuple[str, ...], **hidden: dict[str, Any]) -> tuple[Printe
 CASES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "guide_damping": ({"added_n_s_per_m": 12.0}, ("command_delay", "effector_mass")),
     "effector_mass": ({"added_kg": 0.12}, ("belt_stiffness", "force_map")),
+    "arm_inertia": ({"share_along": 1.0}, ("effector_mass",)),
     "sensor_gain": ({"carriage_relative_change": [0.05, 0.0, 0.0]}, ("effector_mass",)),
     "force_map": ({}, ("effector_mass",)),
 }
