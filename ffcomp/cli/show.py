@@ -27,10 +27,13 @@ def show(
     z_mm: Annotated[
         float | None,
         typer.Option(
-            metavar="MM", rich_help_panel=OUTPUT, help="Height of the layer. Default: the layer that vibrates most."
+            metavar="MM", rich_help_panel=OUTPUT, help="Height of the layer. Default: where outer walls vibrate most."
         ),
     ] = None,
     plate: Plate = None,
+    open_it: Annotated[
+        bool, typer.Option("--open", rich_help_panel=OUTPUT, help="Open the picture when it is made.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Draw a compensated print: reference, uncompensated and compensated path.
@@ -48,6 +51,16 @@ def show(
         else:
             print(result["verdict"])
             print(result["picture"])
+        if open_it:
+            open_picture(result["picture"])
+
+
+def open_picture(picture: str) -> None:
+    """Open the picture with the program that the desktop has for it; without one the picture is there all the same."""
+    from ffcomp.cli.common import say
+
+    if typer.launch(picture) != 0:
+        say(f"ffcomp: no program here opens pictures; look at {picture} yourself.")
 
 
 def _show(file: Path, picture: Path, machine_name: str, z_mm: float | None, plate: int | None) -> dict[str, Any]:

@@ -13,12 +13,13 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from ffcomp.report.shared.drawing import write_figure
-from ffcomp.report.shared.style import AFTER, BEFORE, REFERENCE
+from ffcomp.report.shared.style import AFTER, BEFORE, NEIGHBOUR, REFERENCE, error_colours, plain_decades
 from ffcomp.simulate.preview import Curve, Preview
 from models.arrays import BoolArray, FloatArray
 
 CLOSE_UP_MM = 2.5  # half the width of the close-up
 LAYER_MM = 0.15  # half the height of what counts as one layer
+TRAVEL_WIDTH = 0.6  # of lines, points: nothing is printed there
 SETTLE_S = 0.5  # at the beginning: the nozzle may come from anywhere
 
 
@@ -59,11 +60,11 @@ def show_figure(preview: Preview, title: str, footer: str = "", z_mm: float | No
     preview : Preview
     title, footer : str
     z_mm : float, optional
-        The layer to show; None: the one with the largest error before.
+        The layer to show; None: the one with the largest error before, on an outer wall if there is any.
     """
     worst = _worst_position(preview.before, z_mm)
     figure = Figure(figsize=(16, 8.4), layout="constrained")
-    figure.suptitle(f"{title}\n{verdict(preview)}", fontsize=13, x=0.01, ha="left")
+    figure.suptitle(f"{title}\nWhole print: {verdict(preview)}", fontsize=13, x=0.01, ha="left")
     rooms = figure.subplot_mosaic([["close", "before", "after"], ["time"] * 3], height_ratios=[2.2, 1])
     _close_up(rooms["close"], preview, worst)
     _layer_maps(figure, rooms["before"], rooms["after"], preview, worst)
@@ -73,12 +74,12 @@ def show_figure(preview: Preview, title: str, footer: str = "", z_mm: float | No
 
 
 def _worst_position(curve: Curve, z_mm: float | None) -> FloatArray:
-    """Return the reference position (3,) mm, after the start, where the error without compensation is largest."""
-    candidates = curve.t > curve.t[0] + SETTLE_S
+    """Return the reference position (3,) mm, after the start, where the error without compensation shows most."""
+    settled = curve.t > curve.t[0] + SETTLE_S
     if z_mm is not None:
-        candidates &= np.abs(curve.reference[:, 2] - z_mm) < LAYER_MM
-    if not candidates.any():
-        candidates = np.ones(len(curve.t), dtype=np.bool_)
+        settled &= np.abs(curve.reference[:, 2] - z_mm) < LAYER_MM
+    kinds = (curve.outer_wall, curve.extruding, np.ones(len(curve.t), dtype=np.bool_))  # what is seen, first
+    candidates = next((settled & kind for kind in kinds if (settled & kind).any()), kinds[-1])
     return curve.reference[int(np.argmax(np.where(candidates, curve.contour, -1.0)))]
 
 
@@ -89,8 +90,10 @@ def _close_up(axes: Axes, preview: Preview, position: FloatArray) -> None:
         (preview.after, AFTER, "with compensation", 2.2),
     ):
         inside = _near(curve, position, 2 * CLOSE_UP_MM)
-        _lines(axes, curve.nozzle, inside, colour, width, label)
-    path = np.abs(preview.path[:, 2] - position[2]) < LAYER_MM
+        _lines(axes, curve.nozzle, inside & ~curve.extruding, colour, TRAVEL_WIDTH)
+        _lines(axes, curve.nozzle, inside & curve.extruding, colour, width, label)
+    x, y, z = position
+    path = np.abs(preview.path[:, 2] - z) < LAYER_MM
     _lines(axes, preview.path, path, REFERENCE, 0.8, "reference")
     axes.set(
         xlim=(position[0] - CLOSE_UP_MM, position[0] + CLOSE_UP_MM),
@@ -98,7 +101,7 @@ def _close_up(axes: Axes, preview: Preview, position: FloatArray) -> None:
         xlabel="X, mm",
         ylabel="Y, mm",
         aspect="equal",
-        title=f"Largest error: X {position[0]:.1f}, Y {position[1]:.1f}, Z {position[2]:.2f} mm",
+        title=f"Largest error{_of(preview, position)}: X {x:.1f}, Y {y:.1f}, Z {z:.2f} mm",
     )
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=1, frameon=False)
     _scale_bar(axes, position)
@@ -110,40 +113,52 @@ def _scale_bar(axes: Axes, position: FloatArray) -> None:
     axes.text(x + 0.25, y + 0.05 * CLOSE_UP_MM, "500 µm", ha="center", backgroundcolor="#ffffffcc")
 
 
+def _of(preview: Preview, position: FloatArray) -> str:
+    """Say what the position is on."""
+    at = int(np.argmin(np.abs(preview.before.reference - position).max(axis=1)))
+    return " on an outer wall" if preview.before.outer_wall[at] else ""
+
+
 def _layer_maps(figure: Figure, above: Axes, below: Axes, preview: Preview, position: FloatArray) -> None:
-    """Draw the whole layer, coloured by error, both on one scale."""
-    norm = LogNorm(0.5, max(500.0, 1e3 * float(preview.before.contour.max())))
-    for axes, curve, name in ((above, preview.before, "without"), (below, preview.after, "with compensation")):
+    """Draw the whole layer, coloured by error where plastic flows, both on one scale; travel is thin and grey."""
+    norm, colours = LogNorm(0.5, max(500.0, 1e3 * float(preview.before.contour.max()))), error_colours()
+    for axes, curve, name in ((above, preview.before, "without"), (below, preview.after, "with")):
         inside = np.abs(curve.reference[:, 2] - position[2]) < LAYER_MM
-        points = curve.nozzle[:, :2]
+        _lines(axes, curve.nozzle, inside & ~curve.extruding, NEIGHBOUR, TRAVEL_WIDTH, "travel")
+        inside &= curve.extruding
         joined = inside[1:] & inside[:-1]
-        pieces = np.stack([points[:-1], points[1:]], axis=1)[joined]
-        lines = LineCollection(list(pieces), cmap="viridis_r", norm=norm, linewidths=1.2)
+        pieces = np.stack([curve.nozzle[:-1, :2], curve.nozzle[1:, :2]], axis=1)[joined]
+        lines = LineCollection(list(pieces), cmap=colours, norm=norm, linewidths=1.2)
         lines.set_array(np.maximum(1e3 * curve.contour[1:][joined], 0.5))
         axes.add_collection(lines)
         axes.autoscale_view()
-        axes.set(aspect="equal", title=f"The layer {name}")
-        axes.tick_params(labelsize=7)
-    figure.colorbar(ScalarMappable(norm, "viridis_r"), ax=[above, below], label="contour error, µm")
+        axes.set(
+            aspect="equal",
+            xlabel="X, mm",
+            ylabel="Y, mm",
+            title=f"Layer at Z {position[2]:.2f} mm, {name} compensation",
+        )
+        axes.tick_params(labelsize=8)
+    above.legend(loc="upper left", frameon=False, fontsize=8)
+    bar = figure.colorbar(
+        ScalarMappable(norm, colours), ax=[above, below], label="contour error where plastic flows, µm"
+    )
+    bar.ax.yaxis.set_major_formatter("{x:g}")
 
 
 def _along_time(axes: Axes, preview: Preview, position: FloatArray) -> None:
+    """Draw the error of this layer along its time; the numbers of the whole print stand above the figure."""
     for curve, colour, name in ((preview.before, BEFORE, "without"), (preview.after, AFTER, "with")):
         inside = np.flatnonzero(np.abs(curve.reference[:, 2] - position[2]) < LAYER_MM)
         if inside.size:
             part = slice(int(inside[0]), int(inside[-1]) + 1)
-            n = numbers(curve)
-            label = f"{name} compensation: {n.rms:.2f} µm rms, {n.p99:.1f} µm p99, {n.worst:.0f} µm at worst"
-            axes.semilogy(
-                curve.t[part] - curve.t[part][0],
-                np.maximum(1e3 * curve.contour[part], 0.01),
-                color=colour,
-                linewidth=0.6,
-                label=label,
-            )
+            error = np.maximum(1e3 * curve.contour[part], 0.01)
+            t = curve.t[part] - curve.t[part][0]
+            axes.semilogy(t, error, color=colour, linewidth=0.6, label=f"{name} compensation")
     axes.set(xlabel="time in this layer, s", ylabel="contour error, µm", ylim=(0.05, None))
+    plain_decades(axes.yaxis)
     axes.grid(alpha=0.3)
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False, title="Over the whole print")
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
 
 
 def _near(curve: Curve, position: FloatArray, reach: float) -> BoolArray:
@@ -151,7 +166,9 @@ def _near(curve: Curve, position: FloatArray, reach: float) -> BoolArray:
     return (away[:, 2] < LAYER_MM) & (away[:, :2].max(axis=1) < reach)
 
 
-def _lines(axes: Axes, points: FloatArray, keep: BoolArray, colour: str, width: float, label: str) -> None:
+def _lines(
+    axes: Axes, points: FloatArray, keep: BoolArray, colour: str, width: float, label: str = "_nolegend_"
+) -> None:
     """Join the kept points, with a gap wherever one is missing."""
     shown = np.where(keep[:, None], points[:, :2], np.nan)
     axes.plot(shown[:, 0], shown[:, 1], color=colour, linewidth=width, label=label)

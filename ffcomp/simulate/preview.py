@@ -6,6 +6,7 @@ restored from the comments that keep it, and the two clocks are aligned where th
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,9 +20,10 @@ from ffcomp.simulate.alignment import move_times
 from ffcomp.simulate.linear import simulate_linear
 from ffcomp.simulate.motion import path_corners_with_rests
 from gcode.embedded import original_lines
+from gcode.layers import labels, outer_walls
 from gcode.program import Program
 from gcode.reader import read_program
-from models.arrays import FloatArray
+from models.arrays import BoolArray, FloatArray
 from models.machine import Machine
 
 
@@ -33,6 +35,8 @@ class Curve:
     nozzle: FloatArray  # (m, 3) mm
     reference: FloatArray  # (m, 3) mm, where the path is at that time
     contour: FloatArray  # (m,) mm, distance to the path
+    extruding: BoolArray  # (m,) plastic flows
+    outer_wall: BoolArray  # (m,) and it is a wall that is seen from outside
 
     @property
     def statistics(self) -> ContourStatistics:
@@ -76,14 +80,31 @@ def preview(
     before_t, before = simulate_linear(machine, reference)
     after_t, after = simulate_linear(machine, executed)
     before_reference = reference.position(before_t)[:, :3]
-    after_reference = reference.position(np.interp(after_t, times.compensated_t, times.original_t))[:, :3]
+    after_due = np.interp(after_t, times.compensated_t, times.original_t)
+    after_reference = reference.position(after_due)[:, :3]
+    kinds = _kinds(original, reference)
     path_in_after = np.interp(path_t, times.original_t, times.compensated_t)
     return Preview(
         corners,
         path_t,
-        Curve(before_t, before, before_reference, contour_error(path_t, corners, before_t, before)),
-        Curve(after_t, after, after_reference, contour_error(path_in_after, corners, after_t, after)),
+        Curve(before_t, before, before_reference, contour_error(path_t, corners, before_t, before), *kinds(before_t)),
+        Curve(
+            after_t, after, after_reference, contour_error(path_in_after, corners, after_t, after), *kinds(after_due)
+        ),
     )
+
+
+def _kinds(program: Program, plan: PlannedMotion) -> Callable[[FloatArray], tuple[BoolArray, BoolArray]]:
+    """Return what tells of instants whether plastic flows then, and whether into a wall seen from outside."""
+    direction = plan.direction
+    extrudes = (direction[:, 3] > 0.0) & np.any(direction[:, :3] != 0.0, axis=1)
+    walls = extrudes & outer_walls(labels(program))
+
+    def at(t: FloatArray) -> tuple[BoolArray, BoolArray]:
+        move = np.clip(np.searchsorted(plan.start_t, t, side="right") - 1, 0, len(extrudes) - 1)
+        return extrudes[move], walls[move]
+
+    return at
 
 
 def _plan(program: Program, machine: Machine) -> PlannedMotion:
