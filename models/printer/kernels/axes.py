@@ -19,7 +19,8 @@ of a gantry with the toolhead at x from its axis, whose inertia is λ² and whos
 where a is the arm of the force along x. A mass that grows with the height z divides all f of its axis by 1 + g z; ω² of
 an axis' highest mode may depend on x.
 
-The state, three rows for each entry, is the strain of dry friction, (θ, θ̇, nothing), d, ḋ, then p_i, ṗ_i of every mode.
+`axes_step.py` does the same, more quickly, for what most machines are. The state, three rows for each entry, is the
+strain of dry friction, (θ, θ̇, nothing), d, ḋ, then p_i, ṗ_i of every mode.
 """
 
 from __future__ import annotations
@@ -51,12 +52,13 @@ from models.printer.kernels.record import (
     STRETCH,
     XD,
     ActiveEffects,
+    J,
     Q,
     Row,
     X,
     parameter_rows,
 )
-from models.printer.kernels.vectors import at
+from models.printer.kernels.vectors import at, dot, put, vector
 
 TO_MOTORS, TO_AXES, MOTOR_K, BELT_K = parameter_rows("motor_matrix", "axis_matrix", "motor_k", "belt_k")
 HARDENING, QUINTIC, PEAK_STRETCH = parameter_rows("cubic", "quintic", "peak_stretch")
@@ -70,6 +72,7 @@ BY_X, BY_X_SQUARED, BY_X_CENTRE = parameter_rows("by_x", "by_x_squared", "by_x_c
 # Rows of m that a delta uses for itself, here between the loops: w and ẇ − q̇_d of the axes, force over stiffness less
 # stretch of the belts, ẇ's of the belts, the force Σ N f; acceleration of q_d; what x adds to ω², relative to it.
 DRIVE, DRIVE_RATE, BEYOND, SLIP, STIFFER = XD, X, PULL, F0, RHO
+LIGHTER, COMPLIANCE = J, J + 3  # the mass over that at this height; 1/k of `drive_stiffness`
 LEAST_STIFFER = -0.9  # of ω², however far x is from the place where the file's holds
 WIDTH = 3 * LANES  # of a row of a state
 STRAIN, YAW, SWAY, SWAY_RATE, FIRST = 0, 1, 2, 3, 4
@@ -92,11 +95,10 @@ class AxesState(NamedTuple):
 
 @compiled
 def axes_rate(m: FloatArray, s: AxesState, has: ActiveEffects) -> None:
-    """Evaluate the rate of s.now under the command in m, and with it the motion (Q, QD; X, XD, ACC)."""
+    """Evaluate the rate of s.now under the command in m, and with it the acceleration (ACC); see `axes_motion`."""
     _driven_points(m, s)
-    _motors(m)
-    _mix(m, TO_MOTORS, NOW + Q, BEYOND, s.mixed)
-    _mix(m, TO_MOTORS, NOW + QD, SLIP, s.mixed)
+    if s.mixed:
+        _mix(m, TO_MOTORS, NOW + Q, NOW + QD, BEYOND, SLIP)
     _belts(m)
     if has.torque_angle:
         torque_angle(m)
@@ -105,11 +107,16 @@ def axes_rate(m: FloatArray, s: AxesState, has: ActiveEffects) -> None:
     if has.guides:
         guide_friction(m)
     _forces(m)
-    _mix(m, TO_AXES, BEYOND, DRIVE, s.mixed)
-    _mix(m, TO_AXES, SLIP, DRIVE_RATE, s.mixed)
+    if s.mixed:
+        _mix(m, TO_AXES, BEYOND, SLIP, DRIVE, DRIVE_RATE)
     _modes(m, s)
     if s.swaying:
         _reactions(m, s)
+
+
+@compiled
+def axes_motion(m: FloatArray, s: AxesState) -> None:
+    """Evaluate the motion (Q, QD; X, XD, ACC) at s.now, whose rate has been evaluated."""
     _motion(m, s)
     if s.swaying:
         _yawed(m, s)
@@ -117,53 +124,46 @@ def axes_rate(m: FloatArray, s: AxesState, has: ActiveEffects) -> None:
 
 @compiled
 def _driven_points(m: FloatArray, s: AxesState) -> None:
-    """Evaluate q_d and its rate, and give the friction its strain."""
-    for n in range(WIDTH):
-        m[(NOW + GUIDE) * LANES + n] = s.now[STRAIN * WIDTH + n]
-        m[(NOW + Q) * LANES + n] = m[(NOW + QD) * LANES + n] = 0.0
+    """Evaluate q_d and its rate, unmixed also as what the belts hold, and give the friction its strain."""
     for i in range(len(s.modes)):
         p, pd = (FIRST + 2 * i) * WIDTH, (FIRST + 2 * i + 1) * WIDTH
         for n in range(WIDTH):
-            m[(NOW + Q) * LANES + n] += s.modes[i, PART, n] * s.now[p + n]
-            m[(NOW + QD) * LANES + n] += s.modes[i, PART, n] * s.now[pd + n]
+            part, q, qd = s.modes[i, PART, n], at(m, NOW + Q, n), at(m, NOW + QD, n)
+            q, qd = (0.0 if i == 0 else q) + part * s.now[p + n], (0.0 if i == 0 else qd) + part * s.now[pd + n]
+            m[(NOW + Q) * LANES + n], m[(NOW + QD) * LANES + n] = q, qd
+            m[BEYOND * LANES + n], m[SLIP * LANES + n] = q, qd
+            m[(NOW + GUIDE) * LANES + n] = s.now[STRAIN * WIDTH + n]
 
 
 @compiled
-def _mix(m: FloatArray, matrix: Row, given: Row, to: Row, mixed: bool) -> None:
-    """Evaluate a matrix times three rows."""
-    for a in range(3):
-        for l in range(LANES):
-            m[(to + a) * LANES + l] = m[(given + a) * LANES + l]
-    if mixed:
-        for a in range(3):
-            for l in range(LANES):
-                x, y, z = at(m, given, l), at(m, given + 1, l), at(m, given + 2, l)
-                row = matrix + 3 * a
-                m[(to + a) * LANES + l] = at(m, row, l) * x + at(m, row + 1, l) * y + at(m, row + 2, l) * z
-
-
-@compiled
-def _motors(m: FloatArray) -> None:
-    """Evaluate the motors, which are where they are told to be."""
-    for n in range(WIDTH):
-        m[MOTOR * LANES + n] = m[COMMAND * LANES + n] + m[RIPPLE * LANES + n]
-        m[MOTOR_RATE * LANES + n] = m[COMMAND_RATE * LANES + n] + m[RIPPLE_RATE * LANES + n]
+def _mix(m: FloatArray, matrix: Row, given: Row, given_rate: Row, to: Row, to_rate: Row) -> None:
+    """Evaluate a matrix times three rows, and times the three of their rates."""
+    for l in range(LANES):
+        q, qd = vector(m, given, l), vector(m, given_rate, l)
+        rows = vector(m, matrix, l), vector(m, matrix + 3, l), vector(m, matrix + 6, l)
+        put(m, to, l, (dot(rows[0], q), dot(rows[1], q), dot(rows[2], q)))
+        put(m, to_rate, l, (dot(rows[0], qd), dot(rows[1], qd), dot(rows[2], qd)))
 
 
 @compiled
 def _belts(m: FloatArray) -> None:
-    """Evaluate the stretch of each belt, less its backlash and up to its peak-force stretch, and how fast it grows."""
+    """Evaluate the motors, which are where they are told to be, and how far and how fast they stretch the belts.
+
+    The stretch is less the backlash, and up to that of the peak force.
+    """
     for n in range(WIDTH):
-        stretch, half_backlash = at(m, MOTOR, n) - at(m, BEYOND, n), at(m, HALF_BACKLASH, n)
+        motor, motor_rate = at(m, COMMAND, n) + at(m, RIPPLE, n), at(m, COMMAND_RATE, n) + at(m, RIPPLE_RATE, n)
+        m[MOTOR * LANES + n], m[MOTOR_RATE * LANES + n] = motor, motor_rate
+        stretch, half_backlash = motor - at(m, BEYOND, n), at(m, HALF_BACKLASH, n)
         stretch -= min(max(stretch, -half_backlash), half_backlash)
         stretch = min(max(stretch, -at(m, PEAK_STRETCH, n)), at(m, PEAK_STRETCH, n))
         m[STRETCH * LANES + n] = m[SPRING * LANES + n] = stretch
-        m[SLIP * LANES + n] = m[MOTOR_RATE * LANES + n] - m[SLIP * LANES + n]
+        m[SLIP * LANES + n] = motor_rate - m[SLIP * LANES + n]
 
 
 @compiled
 def _forces(m: FloatArray) -> None:
-    """Evaluate u + g(s) − s of the belts, with s = u − T q_d, and ẇ."""
+    """Evaluate u + g(s) − s of the belts, with s = u − T q_d, and ẇ; unmixed they are the axes' own."""
     for n in range(WIDTH):
         q, stretch, slip = at(m, BEYOND, n), at(m, STRETCH, n), at(m, SLIP, n)
         k = 1.0 + at(m, UNEVEN, n) + at(m, SLOPE, n) * (q - at(m, CENTRE, n))
@@ -171,39 +171,48 @@ def _forces(m: FloatArray) -> None:
         harder = (at(m, HARDENING, n) + at(m, QUINTIC, n) * squared) * squared * stretch / at(m, MOTOR_K, n)
         force = k * (at(m, SPRING, n) + abs(stretch) * at(m, LANDING, n) * slip) + harder
         slack = abs(at(m, MOTOR, n) - q) < at(m, HALF_BACKLASH, n)
-        m[BEYOND * LANES + n] = q + (0.0 if slack else force)
-        m[SLIP * LANES + n] = 0.0 if slack else slip
+        force, slip = q + (0.0 if slack else force), 0.0 if slack else slip
+        m[BEYOND * LANES + n], m[SLIP * LANES + n] = force, slip
+        m[DRIVE * LANES + n], m[DRIVE_RATE * LANES + n] = force, slip
 
 
 @compiled
 def _modes(m: FloatArray, s: AxesState) -> None:
     """Evaluate f of every mode, Σ N f and Σ f of each axis, and the rate of the friction's strain."""
-    for n in range(WIDTH):
-        s.rate[STRAIN * WIDTH + n] = m[(RATE + GUIDE) * LANES + n]
-        m[DRIVE * LANES + n] -= at(m, GUIDES, n) / at(m, BELT_K, n)
-        m[DRIVE_RATE * LANES + n] += at(m, NOW + QD, n)
-        m[F0 * LANES + n] = m[ACC * LANES + n] = m[(RATE + QD) * LANES + n] = 0.0
-        m[PULL * LANES + n] = 1.0
     if s.growing:
-        for n in range(WIDTH):
-            m[PULL * LANES + n] = 1.0 / (1.0 + at(m, GROWTH, n) * at(m, NOW + Q + 2, n % LANES))
+        _lighter(m)
     if s.by_place:
         _by_place(m)
     for i in range(len(s.modes)):
-        p, pd, modes = (FIRST + 2 * i) * WIDTH, (FIRST + 2 * i + 1) * WIDTH, s.modes[i]
+        p, pd = (FIRST + 2 * i) * WIDTH, (FIRST + 2 * i + 1) * WIDTH
         for n in range(WIDTH):
-            share, rate = modes[SHARE, n], s.now[pd + n]
-            square = modes[FREQUENCY2, n] * (1.0 + modes[HIGHEST, n] * m[STIFFER * LANES + n])
-            f = square * (share * m[DRIVE * LANES + n] - s.now[p + n]) - modes[DAMPING, n] * rate
-            follow = share * m[DRIVE_RATE * LANES + n] - rate
-            f += modes[BELT_DAMPING, n] * follow
-            m[F0 * LANES + n] += modes[REACTION, n] * f
-            f *= m[PULL * LANES + n]
-            s.rate[p + n], s.rate[pd + n] = rate, f
-            m[ACC * LANES + n] += f
-            m[(RATE + QD) * LANES + n] += modes[PART, n] * f
+            share, place, rate = s.modes[i, SHARE, n], s.now[p + n], s.now[pd + n]
+            drive = share * (m[DRIVE * LANES + n] - at(m, GUIDES, n) * m[COMPLIANCE * LANES + n])
+            follow = share * (m[DRIVE_RATE * LANES + n] + at(m, NOW + QD, n)) - rate
+            square = s.modes[i, FREQUENCY2, n] * (1.0 + s.modes[i, HIGHEST, n] * m[STIFFER * LANES + n])
+            f = square * (drive - place) - s.modes[i, DAMPING, n] * rate + s.modes[i, BELT_DAMPING, n] * follow
+            light = f * m[LIGHTER * LANES + n]
+            force, sum_f, driven = at(m, F0, n), at(m, ACC, n), at(m, RATE + QD, n)
+            m[F0 * LANES + n] = (0.0 if i == 0 else force) + s.modes[i, REACTION, n] * f
+            m[ACC * LANES + n] = (0.0 if i == 0 else sum_f) + light
+            m[(RATE + QD) * LANES + n] = (0.0 if i == 0 else driven) + s.modes[i, PART, n] * light
+            s.rate[p + n], s.rate[pd + n] = rate, light
+            s.rate[STRAIN * WIDTH + n] = m[(RATE + GUIDE) * LANES + n]
+
+
+@compiled
+def fill_rows(m: FloatArray) -> None:
+    """Fill the rows that do not change, unless the mass grows."""
     for n in range(WIDTH):
-        m[PULL * LANES + n] = 0.0
+        m[LIGHTER * LANES + n] = 1.0
+        m[COMPLIANCE * LANES + n] = 1.0 / at(m, BELT_K, n)
+
+
+@compiled
+def _lighter(m: FloatArray) -> None:
+    """Evaluate how much lighter than at this height the axes are at the bed."""
+    for n in range(WIDTH):
+        m[LIGHTER * LANES + n] = 1.0 / (1.0 + at(m, GROWTH, n) * at(m, NOW + Q + 2, n % LANES))
 
 
 @compiled
@@ -217,6 +226,8 @@ def _by_place(m: FloatArray) -> None:
 @compiled
 def _reactions(m: FloatArray, s: AxesState) -> None:
     """Let frame and gantry move, and take what they do to the modes off: PULL, one acceleration an axis."""
+    for n in range(WIDTH):
+        m[PULL * LANES + n] = 0.0
     for l in range(LANES):
         for j in range(2):
             d, dd = s.now[SWAY * WIDTH + j * LANES + l], s.now[SWAY_RATE * WIDTH + j * LANES + l]
@@ -235,6 +246,9 @@ def _reactions(m: FloatArray, s: AxesState) -> None:
             turn = torque / (inertia + (1.0 - share) * x * x)
             s.rate[YAW * WIDTH + l], s.rate[YAW * WIDTH + LANES + l] = rate, turn
             m[(PULL + 1) * LANES + l] += share * x * turn
+    for i in range(len(s.modes)):
+        for n in range(WIDTH):
+            s.rate[(FIRST + 2 * i + 1) * WIDTH + n] -= s.modes[i, SHARE, n] * m[PULL * LANES + n]
 
 
 @compiled
@@ -242,13 +256,11 @@ def _motion(m: FloatArray, s: AxesState) -> None:
     """Evaluate every axis and the nozzle: Q and X seen from the frame, ACC from the ground."""
     for n in range(WIDTH):
         m[X * LANES + n] = m[XD * LANES + n] = 0.0
-        m[(RATE + QD) * LANES + n] = m[ACC * LANES + n] - m[PULL * LANES + n]
+        m[(RATE + QD) * LANES + n] = m[ACC * LANES + n] - (m[PULL * LANES + n] if s.swaying else 0.0)
     for i in range(len(s.modes)):
-        p, pd, modes = (FIRST + 2 * i) * WIDTH, (FIRST + 2 * i + 1) * WIDTH, s.modes[i]
         for n in range(WIDTH):
-            m[X * LANES + n] += s.now[p + n]
-            m[XD * LANES + n] += s.now[pd + n]
-            s.rate[pd + n] -= modes[SHARE, n] * m[PULL * LANES + n]
+            m[X * LANES + n] += s.now[(FIRST + 2 * i) * WIDTH + n]
+            m[XD * LANES + n] += s.now[(FIRST + 2 * i + 1) * WIDTH + n]
     for n in range(WIDTH):
         m[(NOW + Q) * LANES + n], m[(NOW + QD) * LANES + n] = m[X * LANES + n], m[XD * LANES + n]
 

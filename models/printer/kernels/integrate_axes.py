@@ -8,6 +8,7 @@ from models.arrays import FloatArray
 from models.printer.kernels.axes import (
     BY_X,
     BY_X_SQUARED,
+    FIRST,
     FRAME,
     GROWTH,
     TO_AXES,
@@ -15,8 +16,12 @@ from models.printer.kernels.axes import (
     WIDTH,
     YAW_INERTIA,
     AxesState,
+    axes_motion,
     axes_rate,
+    fill_rows,
 )
+from models.printer.kernels.axes_step import FEW_MODES, give_state, keep_motors, step_lanes, take_state, with_modes
+from models.printer.kernels.friction import FADING_POWER
 from models.printer.kernels.integrate import PAGE, active_effects, any_nonzero, copy_page, empty_samples, fill_lanes
 from models.printer.kernels.jit import compiled
 from models.printer.kernels.motors import Commands, command_times, read_command
@@ -40,7 +45,8 @@ from models.printer.kernels.vectors import at
 def _in_lanes(m: FloatArray, states: FloatArray, modes: FloatArray) -> AxesState:
     """Return k printers' states (k, rows, 3) and modes (k, n, 7, 3) in the first lanes; idle lanes repeat the first."""
     rows = states.shape[1]
-    base, table = np.empty(rows * WIDTH), np.empty((modes.shape[1], 7, WIDTH))
+    base = np.zeros(max(rows, FIRST + 2 * FEW_MODES) * WIDTH)
+    table = np.zeros((max(modes.shape[1], FEW_MODES), 7, WIDTH))  # a mode of zeros stays at rest
     for l in range(LANES):
         own = l if l < len(states) else 0
         for a in range(3):
@@ -100,6 +106,15 @@ def _sample(m: FloatArray, sample: FloatArray) -> None:
 
 
 @compiled
+def _is_quick(m: FloatArray, s: AxesState, has: ActiveEffects) -> bool:
+    """Tell whether `step_lanes` knows all that there is."""
+    plain = not (s.swaying or s.growing or s.by_place or has.torque_angle)
+    for n in range(WIDTH):
+        plain = plain and (not has.sticking or at(m, FADING_POWER, n) == 1.0)
+    return plain and len(s.modes) == FEW_MODES
+
+
+@compiled
 def integrate_axes(
     states: FloatArray,
     modes: FloatArray,
@@ -117,13 +132,18 @@ def integrate_axes(
     for l in range(LANES):
         idle[l] = parameters[min(l, k - 1)]
     m = fill_lanes(np.zeros((LANES, 30)), idle)
+    fill_rows(m)
     s = _in_lanes(m, states, modes)
     elapsed, rows_back = command_times(m, dt, substeps)
     commands, has = Commands(cubics, ranges, elapsed, rows_back), active_effects(m)
+    quick = _is_quick(m, s, has)
+    m = with_modes(m, s.modes)
+    take_state(m, s)
     page, samples = np.empty((PAGE, 7, WIDTH)), empty_samples(k, rows.max())
     for n in range(rows.max()):
         read_command(m, first + n, 0, commands, has)
         axes_rate(m, s, has)
+        axes_motion(m, s)
         _sample(m, page[n % PAGE])
         if n % PAGE == PAGE - 1 or n == rows.max() - 1:
             copy_page(page, n - n % PAGE, n % PAGE + 1, units, samples)
@@ -133,5 +153,15 @@ def integrate_axes(
                     for a in range(3):
                         states[l, row, a] = s.now[row * WIDTH + a * LANES + l]
         for half in range(0, 2 * substeps, 2):
-            _step(m, s, first + n, half, dt / substeps, commands, has)
+            if quick:
+                if half == 0:
+                    keep_motors(m, 0)
+                for ahead in range(1, 3):
+                    read_command(m, first + n, half + ahead, commands, has)
+                    keep_motors(m, ahead)
+                step_lanes(m, dt / substeps, has)
+            else:
+                _step(m, s, first + n, half, dt / substeps, commands, has)
+        if quick:
+            give_state(m, s)
     return samples
