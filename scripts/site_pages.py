@@ -9,7 +9,6 @@ from typing import Any
 
 SOURCES = "https://github.com/ffcomp/ffcomp/blob/main/"
 LINK = re.compile(r"(\]\()((?:\.\./)+[^)\s#]*)([^)\s]*\))")
-NESTED = re.compile(r"^(?P<indent> {2,3})(?P<text>(?:```|\||[-*] |\S).*)$")
 ITEM = re.compile(r"^(\d+\.|[-*]) ")
 FENCE = re.compile(r"^ *```")
 
@@ -31,17 +30,19 @@ def with_sources(markdown: str, page: PurePosixPath) -> str:
 
 
 def indented(markdown: str) -> str:
-    """Indent the lines below an item by four, as this Markdown wants it; GitHub wants two or three."""
-    lines, in_item, in_fence = [], False, False
+    """Indent the lines below an item by four, as this Markdown wants it; GitHub wants as much as its marker takes."""
+    lines: list[str] = []
+    width, in_fence, loose = 0, False, False  # of the marker, 0 outside a list; the item has paragraphs of its own
     for line in markdown.splitlines():
-        if ITEM.match(line) and not in_fence:
-            if lines and lines[-1] and not in_item:
+        if not in_fence and (item := ITEM.match(line)):
+            if lines and lines[-1] and (loose or not width):
                 lines.append("")
-            in_item = True
-        elif in_item and (nested := NESTED.match(line)):
-            line = "    " + line[len(nested["indent"]) :]
-        elif in_item and line and not line.startswith(" ") and not in_fence:
-            in_item = False
+            width, loose = len(item[0]), False
+        elif width and line.startswith(" " * width):
+            loose = loose or not lines[-1]
+            line = "    " + line[width:]
+        elif width and line and not in_fence:
+            width = 0
         if FENCE.match(line):
             in_fence = not in_fence
         lines.append(line)

@@ -25,8 +25,9 @@ def test_links_out_of_the_pages_lead_to_the_sources() -> None:
 
 
 def test_what_belongs_to_an_item_is_indented_by_four() -> None:
-    text = "one:\n- a\n  b\n\n  ```sh\n  c\n  ```\n- d\n\nend\n  e\n"
-    assert indented(text) == "one:\n\n- a\n    b\n\n    ```sh\n    c\n    ```\n- d\n\nend\n  e\n"
+    text = "one:\n- a\n  b\n- c\n\n  ```\n  d\n    e\n  ```\n\n  f\n- g\n\nend\n  h\n\n1. i\n   j\n"
+    told = "one:\n\n- a\n    b\n- c\n\n    ```\n    d\n      e\n    ```\n\n    f\n\n- g\n\nend\n  h\n\n1. i\n    j\n"
+    assert indented(text) == told
 
 
 def test_fences_are_left_alone() -> None:
