@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,6 +21,7 @@ from models.arrays import BoolArray, FloatArray
 CLOSE_UP_MM = 2.5  # half the width of the close-up
 LAYER_MM = 0.15  # half the height of what counts as one layer
 TRAVEL_WIDTH = 0.6  # of lines, points: nothing is printed there
+RETIMED = 0.02  # share of its time, by which a print is shorter or longer, for speeds to be drawn
 SETTLE_S = 0.5  # at the beginning: the nozzle may come from anywhere
 
 
@@ -65,12 +67,40 @@ def show_figure(preview: Preview, title: str, footer: str = "", z_mm: float | No
     worst = _worst_position(preview.before, z_mm)
     figure = Figure(figsize=(16, 8.4), layout="constrained")
     figure.suptitle(f"{title}\nWhole print: {verdict(preview)}", fontsize=13, x=0.01, ha="left")
-    rooms = figure.subplot_mosaic([["close", "before", "after"], ["time"] * 3], height_ratios=[2.2, 1])
+    rows: list[Any] = [["close", "before", "after"], ["time"] * 3, ["speed"] * 3]
+    rooms = (
+        figure.subplot_mosaic(rows, height_ratios=[2.2, 0.8, 0.6])
+        if retimed(preview)
+        else figure.subplot_mosaic(rows[:2], height_ratios=[2.2, 1])
+    )
     _close_up(rooms["close"], preview, worst)
     _layer_maps(figure, rooms["before"], rooms["after"], preview, worst)
     _along_time(rooms["time"], preview, worst)
+    if retimed(preview):
+        _speeds(rooms["speed"], preview, worst)
     figure.supxlabel(footer, fontsize=8, color="#666666")
     return figure
+
+
+def retimed(preview: Preview) -> bool:
+    """Tell whether the print takes another time than its original: then speeds are of interest too."""
+    before_s, after_s = (float(curve.t[-1] - curve.t[0]) for curve in (preview.before, preview.after))
+    return abs(after_s - before_s) > RETIMED * before_s
+
+
+def _speeds(axes: Axes, preview: Preview, position: FloatArray) -> None:
+    """Draw how fast the nozzle is in the layer, on each print's own clock: where the shorter one wins its time."""
+    for curve, colour, name in ((preview.before, BEFORE, "as sliced"), (preview.after, AFTER, "now")):
+        inside = np.flatnonzero(np.abs(curve.reference[:, 2] - position[2]) < LAYER_MM)
+        if inside.size > 1:
+            part = slice(int(inside[0]), int(inside[-1]) + 1)
+            t = curve.t[part]
+            way = np.sqrt((np.diff(curve.nozzle[part], axis=0) ** 2).sum(axis=1))
+            label = f"{name}: {t[-1] - t[0]:.1f} s for this layer"
+            axes.plot(t[1:] - t[0], way / np.diff(t), color=colour, linewidth=0.8, label=label)
+    axes.set(xlabel="time in this layer, s", ylabel="speed, mm/s", ylim=(0.0, None))
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
 
 
 def _worst_position(curve: Curve, z_mm: float | None) -> FloatArray:
