@@ -78,9 +78,9 @@ def best_fixed(linear: LinearPrinter, kind: str) -> TunedMethod:
 
 
 def scheduled(linear: LinearPrinter, of_position: FrequencyOfPosition, kind: str) -> TunedMethod:
-    """Return a shaper whose frequency follows the mode over the bed; firmware schedules by height or mass at most.
+    """Return a shaper whose frequency follows the mode over the bed.
 
-    (Marlin's dynamic frequency mode.)
+    No firmware schedules by the place on the bed; Marlin's dynamic frequency mode does by height or by mass.
     """
     factor = linear.best_factor(kind, of_position)
     tuning = (

@@ -13,11 +13,11 @@ from ffcomp.diagnose.held_out import HeldOut
 from ffcomp.diagnose.summary import Confounding, Overlay, Spectrum, Split
 from ffcomp.report.diagnose.words import digits, times_noise
 from ffcomp.report.shared.drawing import Box
-from ffcomp.report.shared.style import AFTER, BEFORE, INK, SOFT, grid, plain_decades
+from ffcomp.report.shared.style import AFTER, BEFORE, GROUND, NOISE, REFERENCE, SOFT, grid, plain_decades
 from models.arrays import FloatArray
 
-NOISE = "#c9ced8"
-MEASURED = "#222222"
+MEASURED = REFERENCE
+ON_PALE, ON_DENSE = "#1f2a38", "#fefefe"  # words in cells that have the same colours on a dark screen
 FEW = 6  # steps, each with a tick of its own
 LEAST_SHOWN = 0.5  # of the noise
 DECADES_BELOW = 1e-4  # of a spectrum's top: below it is the band's edge, or rounding
@@ -84,7 +84,7 @@ def _times_scale(axes: Axes, which: str, *values: FloatArray) -> None:
 def draw_bed(box: Box, split: Split, radius_mm: float) -> None:
     """Draw a circle a position, its radius growing with the logarithm of the error: before around after."""
     axes = box.subplots()
-    axes.add_patch(Circle((0, 0), radius_mm, facecolor="#f5f7fa", edgecolor=NOISE, linewidth=1.5))
+    axes.add_patch(Circle((0, 0), radius_mm, facecolor=GROUND, edgecolor=NOISE, linewidth=1.5))
     axes.plot(0, 0, "+", color=SOFT, markersize=10)
     both = [[times_noise(x) for x in part] for part in (split.before, split.after)]
     scale = LARGEST_SPOT * radius_mm / max(SMALL_SCALE, *(_magnitude(x) for part in both for x in part))
@@ -178,7 +178,7 @@ def draw_alike(box: Box, alike: Confounding, named: Sequence[str]) -> None:
     for i in range(count):
         for k in range(count):
             if i != k and alike.cos2[i, k] >= 0.1:
-                colour = "#ffffff" if alike.cos2[i, k] > 0.6 else INK
+                colour = ON_DENSE if alike.cos2[i, k] > 0.6 else ON_PALE
                 axes.text(k, i, f"{alike.cos2[i, k]:.1f}".lstrip("0"), ha="center", va="center", size=7, color=colour)
     axes.set_xticks(range(count), names, rotation=60, ha="right", rotation_mode="anchor")
     axes.set_yticks(range(count), names)

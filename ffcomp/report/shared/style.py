@@ -17,6 +17,7 @@ SHAPER, CALIBRATED, SCHEDULED = "#007a59", "#6b8e23", "#7a6a5a"  # the best of t
 BEYOND = "#b00020"  # more than the machine allows
 REFERENCE = "#222222"
 BAND, INK, SOFT, LINE, EDGE, PAPER = "#1f2a37", "#1f2a37", "#6b7280", "#e6e9ee", "#c5cad3", "#ffffff"
+NOISE, GROUND = "#c9ced8", "#f5f7fa"  # of a measurement; beneath something
 NEIGHBOUR = "#d5d9e0"  # other lines of the layer, and travel: there, but not in question
 # How far off the path: from violet, hardly, to what stands out most from the ground. No method has such a colour.
 ERROR = ("#9d84c9", "#a55eda", "#a433c7", "#9a05a4", "#860079", "#6e0354", "#501135")
@@ -35,6 +36,8 @@ ON_DARK = {  # what each colour becomes where the reader's screen is dark
     EDGE: "#4b5868",
     PAPER: "#1a222c",
     NEIGHBOUR: "#3b4857",
+    NOISE: "#5b6878",
+    GROUND: "#11171e",
 }
 RC: dict[Any, Any] = {
     "font.size": 9,
