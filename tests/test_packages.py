@@ -1,0 +1,86 @@
+"""What is installed: the base has what every verb needs, extras have the rest, and each is told of."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from ffcomp.errors import EXTRAS, not_installed
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+OPTIONAL = PROJECT["optional-dependencies"]
+BROUGHT = {"distributed", "llvmlite", "pybgcode", "click", "markupsafe"}  # by others of them, or under another name
+LATER = {"pandas"}  # told of where it is needed, and in no extra: who wants a table has it
+
+WITH_BASH = pytest.mark.skipif(sys.platform == "win32", reason="a script for bash")
+
+
+def names(requirements: list[str]) -> set[str]:
+    return {re.split(r"[^\w.-]", requirement)[0].lower().replace("-", "_") for requirement in requirements}
+
+
+def imported(*packages: str) -> set[str]:
+    """Return the third-party packages that the files of packages import at the top of a file or anywhere in it."""
+    found = set()
+    for path in (
+        path for package in packages for path in (ROOT / package).rglob("*.py") if "integrations" not in path.parts
+    ):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found |= {name.name.partition(".")[0] for name in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                found.add(str(node.module).partition(".")[0])
+    return {name for name in found if name not in sys.stdlib_module_names} - {"gcode", "models", "ffcomp"}
+
+
+def test_what_is_imported_is_installed_by_the_base_or_an_extra() -> None:
+    extras = names(
+        [each for name, each_of in OPTIONAL.items() if name not in ("test", "dev", "docs") for each in each_of]
+    )
+    known = names(PROJECT["dependencies"]) | extras | BROUGHT | LATER
+    assert {name.lower() for name in imported("gcode", "models", "ffcomp")} <= known
+
+
+@pytest.mark.parametrize("package", EXTRAS)
+def test_each_extra_that_is_named_has_its_package(package: str) -> None:
+    extra, _ = EXTRAS[package]
+    assert package in names(OPTIONAL[extra]) and package not in names(PROJECT["dependencies"])
+    assert f"pip install 'ffcomp[{extra}]'" in str(not_installed(package))
+
+
+def test_the_page_lists_the_extras() -> None:
+    page = (ROOT / "docs" / "INSTALL.md").read_text(encoding="utf-8")
+    assert set(OPTIONAL) <= set(re.findall(r"`(\w+)`", page[page.index("## Extras") : page.index("## How much space")]))
+
+
+def test_the_tests_have_every_extra() -> None:
+    told = re.search(r"ffcomp\[([\w,]+)\]", OPTIONAL["test"][0])
+    assert told and set(told[1].split(",")) == set(OPTIONAL) - {"small", "docs", "test", "dev"}
+
+
+@WITH_BASH
+def test_slim_refuses_what_is_no_environment(tmp_path: Path) -> None:
+    """It deletes files: never in a folder that was named by mistake."""
+    keep = tmp_path / "site-packages" / "a" / "tests" / "keep.py"
+    keep.parent.mkdir(parents=True)
+    keep.touch()
+    done = subprocess.run([ROOT / "scripts" / "slim", tmp_path], capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "no virtual environment" in done.stderr and keep.exists()
+
+
+@WITH_BASH
+def test_slim_takes_tests_and_keeps_what_is_loaded(tmp_path: Path) -> None:
+    (tmp_path / "pyvenv.cfg").touch()
+    tests = tmp_path / "lib" / "site-packages" / "numpy" / "tests"
+    tests.mkdir(parents=True)
+    for name in ("test_a.py", "_natype.py", "__init__.py", "data.npz"):
+        (tests / name).touch()
+    subprocess.run([ROOT / "scripts" / "slim", tmp_path], check=True, capture_output=True)
+    assert sorted(path.name for path in tests.iterdir()) == ["__init__.py", "_natype.py"]
