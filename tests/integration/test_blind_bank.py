@@ -173,7 +173,8 @@ def test_nothing_hidden_leaves_only_the_noise(stratum: str, tmp_path: Path) -> N
     floor = noise_floor(plant, simulated)
     found = locate_residual(whitener(plant.observations, floor, plant.band_hz), floor, simulated)
     assert found.total.nrms < 1.1 * found.total.noise_nrms
-    assert all(size.nrms < 1.2 * size.noise_nrms for size in found.signals.values())
+    most = 1.5 if stratum == "axis:none" else 1.2  # an axis' shots begin where the noisy encoder says
+    assert all(size.nrms < most * size.noise_nrms for size in found.signals.values())
 
 
 def exact(plan: Plan) -> str:
@@ -390,18 +391,18 @@ def test_the_score_of_known_verdicts() -> None:
 
 # ---- a handful of cases, through the public verb --------------------------------------------------
 
-SMOKE = {
+SMOKE = {  # a delta's effects take a minute each: they are in the full bank
     "exact-file:none": ("none", ()),
-    "single:belt_stiffness": ("effects", ("belt_stiffness",)),
-    "outside:soft_tower": ("unknown", ()),
-    "pair:cogging+effector_mass": ("effects", ("cogging", "effector_mass")),
+    "axis:bristle_friction": ("effects", ("bristle_friction",)),
+    "axis/outside:creeping_belt": ("unknown", ()),
+    "axis/pair:cogging+guide_damping": ("effects", ("cogging", "guide_damping")),
 }
 
 
 @pytest.mark.parametrize("stratum", SMOKE)
 def test_smoke(stratum: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Short runs: two motions of 1.2 s, at two places."""
-    folder = written(case(31, stratum, 1.2, short=True), tmp_path)
+    """Short runs: two motions of 0.8 s."""
+    folder = written(case(31, stratum, SECONDS, short=True), tmp_path)
     diagnose(sorted((folder / "runs").iterdir()), str(folder / "machine.toml"), as_json=True, quiet=True)
     found = json.loads(capsys.readouterr().out)
     verdict, names = SMOKE[stratum]
