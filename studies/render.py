@@ -37,6 +37,7 @@ PAGES = {
     "robust": "ROBUST.md",
     "story_emps": "STORY_EMPS.md",
     "story_force_map": "STORY_FORCE_MAP.md",
+    "straight_proof": "STRAIGHT_PROOF.md",
     "traps": "TRAPS.md",
 }
 WIDTH = 120  # of a line of a paragraph

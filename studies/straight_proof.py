@@ -140,7 +140,10 @@ def main() -> None:
     chosen = options.only or [f"{kind}/{name}" for kind in KINDS for name in KINDS[kind].hidden]
     found = [proof(Path(options.keep) / each, *each.split("/")) for each in chosen]
     if options.write:
-        save("straight_proof", {"lost_rows": 1 / 2000, "printed_s": PRINTED_S, "printers": found})
+        every = [f"{kind}/{name}" for kind in KINDS for name in KINDS[kind].hidden]
+        left = [each for each in every if each not in chosen]
+        about = {"lost_rows": 1 / 2000, "printed_s": PRINTED_S, "not_measured": left}
+        save("straight_proof", about | {"printers": found})
     else:
         print(json.dumps(found, indent=1))
 
