@@ -19,6 +19,7 @@ LARGE, PROBE = 0.3, 0.1  # of a force, what a usual effect takes; of that, what 
 PITCHES = 12  # that are tried, from a fortieth of the travel to half of it
 SPREAD = 1.5  # of ln, of a number that is known by its order of magnitude
 LEAST = 1e-3
+BEYOND = 10.0  # times the values at which a search begins, to either side
 
 _Sizes = Mapping[str, float]
 
@@ -97,6 +98,8 @@ def _shape(effect: Effect, p: EffectParameter, starts: Sequence[float], s: Scale
     low, high = p.bounds
     if p.name == "pitch_mm":
         high = min(high, 1e3 * s.travel_m / 2)
+    elif not p.starts:  # far below, nothing changes any more, and every step is short
+        low, high = max(low, min(starts) / BEYOND), min(high, max(starts) * BEYOND)
     begin = min(max(starts[len(starts) // 2], low), high)
     return Parameter(_full(effect, p), begin, max(abs(x) for x in starts), low, high)
 

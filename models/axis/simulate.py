@@ -16,7 +16,7 @@ from models.effects.catalogue import CATALOGUE, effects_of, values_of
 LONGEST_STEP_S = 0.002
 TURNS = 0.35  # of a radian may the fastest mode turn in a step
 STEEP = 1.5  # a step times the rate at which friction stops what moves: the method is stable up to 2.8
-MOST_SUBSTEPS = 200
+MOST_SUBSTEPS = 60
 
 
 @dataclass(frozen=True, eq=False)
