@@ -91,6 +91,24 @@ def not_installed(package: str) -> FfcompError:
     return FfcompError(f"{need}: pip install 'ffcomp[{extra}]' (with pipx: pipx inject ffcomp {package}).")
 
 
+@contextmanager
+def extras_told() -> Iterator[None]:
+    """Say which extra brings a package that is missing; also a decorator.
+
+    Raises
+    ------
+    FfcompError
+        In place of the ModuleNotFoundError of a package of EXTRAS.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package not in EXTRAS:
+            raise
+        raise not_installed(package) from None
+
+
 INPUT_ERRORS = (FfcompError, GcodeError, MachineFileError, OSError)
 """Errors that end in a sentence and an exit code; any other is a fault of ffcomp's own."""
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from ffcomp.errors import extras_told
 from ffcomp.identify.frf_json import frf_json
 from ffcomp.identify.frf_study import Study, View, study
 from models.arrays import ComplexArray, FloatArray
@@ -69,6 +70,7 @@ class FrequencyResponses:
         """Return an object ffcomp-frf/1 for each position."""
         return [frf_json(self.study, station) for station in self.study.stations]
 
+    @extras_told()
     def to_control(self) -> list[Any]:
         """Return each position's responses as a `control.FrequencyResponseData`, frequencies in rad/s."""
         import control
@@ -76,6 +78,7 @@ class FrequencyResponses:
         omega = 2 * np.pi * self.frequency_hz
         return [control.frd(np.moveaxis(value, 0, -1), omega) for value in self.values]
 
+    @extras_told()
     def plot(self, *, full: bool = False) -> Figure:
         """Draw a Bode figure; full : all nine responses, not only the diagonal."""
         from ffcomp.report.frf import bode_figure

@@ -17,7 +17,7 @@ from ffcomp.diagnose.json import diagnosis_json
 from ffcomp.diagnose.problems import Plant, check_recordings, problem_of, recordings_of
 from ffcomp.diagnose.result import DiagnosisResult, better_file, result_of
 from ffcomp.diagnose.validation import Recorded
-from ffcomp.errors import RequestError
+from ffcomp.errors import RequestError, extras_told
 from ffcomp.identify.identify import Identified
 from ffcomp.identify.machine_fit import MachineFit, Method, hash_of
 from ffcomp.record.fitting import FitRequest, fit_files
@@ -53,6 +53,7 @@ class Identification:
         """Return the JSON object ffcomp-identify-fit/1."""
         return self.fit.to_dict(None if self.output is None else str(self.output))
 
+    @extras_told()
     def plot(self) -> Figure:
         """Draw the measured responses beside the fitted model.
 

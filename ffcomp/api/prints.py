@@ -15,7 +15,7 @@ from ffcomp.compare.sampling import Sampling
 from ffcomp.compensate.batch import workers
 from ffcomp.compensate.file import compensate_file
 from ffcomp.compensate.job import Options
-from ffcomp.errors import RequestError
+from ffcomp.errors import RequestError, extras_told
 from ffcomp.estimate import engine as estimation
 from ffcomp.estimate.statistics import Statistics
 from ffcomp.inverse.settings import SEGMENTS_PER_SECOND, Backend, settings_for
@@ -87,6 +87,7 @@ class Compensation:
         """Return the JSON object ffcomp-compensate/1."""
         return dict(self.answer)
 
+    @extras_told()
     def plot(self, *, z_mm: float | None = None) -> Figure:
         """Draw the reference, the uncompensated and the compensated path.
 
@@ -181,6 +182,7 @@ def compensate(
 class Simulation(SimulationResult):
     """A simulated command: arrays `time_s`, `reference_mm`, `nozzle_mm` and `error_um`, and their `track`."""
 
+    @extras_told()
     def plot(self) -> Figure:
         """Draw the position of the largest error close up, and the contour error along the time."""
         from ffcomp.report.simulate import simulation_figure
@@ -258,6 +260,7 @@ class PrintTime:
         """Return the JSON object ffcomp-estimate/1."""
         return self.estimate.to_dict()
 
+    @extras_told()
     def plot(self) -> Figure:
         """Draw the time by layer and by feature."""
         from ffcomp.report.estimate import estimate_figure
@@ -306,6 +309,7 @@ class MethodComparison:
         """Return the JSON object ffcomp-compare/1."""
         return self.comparison.to_dict()
 
+    @extras_told()
     def plot(self, name: Literal["close-up", "methods"] | str = "methods") -> Figure:
         """Draw one figure of the report.
 
@@ -321,6 +325,7 @@ class MethodComparison:
             raise RequestError(f"There is no figure {name!r}, but {', '.join(figures)}.")
         return figures[name]()
 
+    @extras_told()
     def write_report(self, path: str | Path) -> None:
         """Write one HTML page that opens offline."""
         from ffcomp.report.compare.html import write_report

@@ -16,7 +16,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from ffcomp.cli.log import note
-from ffcomp.errors import EXTRAS, INPUT_ERRORS, explain, interrupts_restored, not_installed
+from ffcomp.errors import INPUT_ERRORS, explain, extras_told, interrupts_restored, not_installed
 from ffcomp.numerics.serialise import json_line
 from gcode.atomic_write import drafts_noted, replaced_since
 
@@ -29,18 +29,13 @@ def exit_codes() -> Iterator[None]:
     """Turn errors of the input into one sentence and the documented exit code. A bug keeps its traceback (1)."""
     noted = drafts_noted()
     try:
-        with interrupts_restored():
+        with interrupts_restored(), extras_told():
             yield
     except KeyboardInterrupt:
         fail(f"Interrupted; {written_already(noted)}.", 130)
     except BrokenPipeError:  # who reads our output has seen enough (`| head`): end as other tools do
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(141) from None
-    except ModuleNotFoundError as error:
-        package = (error.name or "").partition(".")[0]
-        if package not in EXTRAS:
-            raise
-        fail(*explain(not_installed(package)))
     except INPUT_ERRORS as error:
         fail(*explain(error))
 

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+import ffcomp
 from ffcomp.cli.app import app
-from ffcomp.errors import EXTRAS
+from ffcomp.errors import EXTRAS, FfcompError
 from tests.support.docs_runner import ROOT
 
 EXAMPLES = ROOT / "docs" / "examples"
@@ -41,6 +42,18 @@ def test_a_picture_without_its_package_is_a_sentence(tmp_path: Path, monkeypatch
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     result = CliRunner().invoke(app, ["show", str(done)])
     assert result.exit_code == 1 and "pip install 'ffcomp[plot]'" in result.output
+
+
+def test_python_says_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = ffcomp.frf("kossel", [(0.0, 0.0)])
+    for module in [name for name in sys.modules if name.startswith("ffcomp.report.frf")]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setitem(sys.modules, "control", None)
+    with pytest.raises(FfcompError, match=r"pip install 'ffcomp\[plot\]'"):
+        found.plot()
+    with pytest.raises(FfcompError, match=r"pip install 'ffcomp\[control\]'"):
+        found.to_control()
 
 
 def test_other_verbs_do_without(tmp_path: Path) -> None:
