@@ -21,7 +21,7 @@ import numpy as np
 from ffcomp.diagnose.excerpts import Part, excerpt_parts, led_in
 from ffcomp.diagnose.noise import BAND_HZ
 from ffcomp.diagnose.observe import compared, every_row, observation_of
-from ffcomp.diagnose.problem import Candidate, InfeasibleParameters, Parameter, Problem
+from ffcomp.diagnose.problem import Candidate, InfeasibleParameters, Parameter, Problem, within_travel
 from ffcomp.diagnose.recording_delays import as_recorded, belongs_to_recording, delay_parameters
 from ffcomp.diagnose.repeats import aligned, repeats_of
 from ffcomp.diagnose.validation import carriages_of
@@ -72,9 +72,11 @@ class PrinterProblem(Problem):
         self.observations = aligned(recorded, self.repeats)
         self.parameters = (*_parameters(machine), *delay_parameters(recordings, recorded, self.repeats))
         possible, idle = _possible(machine, self.commands), _idle(machine, self.commands)
-        self.candidates = tuple(
-            _candidate(machine, CATALOGUE[n], idle) for n in names if n in possible and n not in machine.effects
-        )
+        asked = [n for n in names if n in possible and n not in machine.effects]
+        limited = [
+            within_travel(_candidate(machine, CATALOGUE[n], idle), _travel(machine, self.commands)) for n in asked
+        ]
+        self.candidates = tuple(each for each in limited if each is not None)
         self.same_command = [_first_equal(self.commands, i) for i in range(len(recordings))]
         self.kept: dict[_Key, dict[int, PrinterMotion]] = {}
         self.parts = [Part(0, len(command), 0) for command in self.commands]
@@ -301,6 +303,11 @@ def _idle(machine: Machine, commands: Sequence[FloatArray]) -> frozenset[int]:
     moves = np.max([np.ptp(command, axis=0) for command in commands], axis=0) > IDLE_MM
     driven = np.abs(machine.kinematics.motors) @ moves > 0
     return frozenset(np.flatnonzero(~(moves | driven)).tolist()) if moves.any() else frozenset()
+
+
+def _travel(machine: Machine, commands: Sequence[FloatArray]) -> float:
+    """Return the longest way of a motor in any recording, mm."""
+    return float(max(np.ptp(command @ machine.kinematics.motors.T, axis=0).max() for command in commands))
 
 
 def _candidate(machine: Machine, effect: Effect, idle: frozenset[int]) -> Candidate:

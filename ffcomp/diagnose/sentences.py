@@ -46,10 +46,7 @@ def _effects(found: DiagnosisResult) -> list[str]:
 def elsewhere(found: DiagnosisResult) -> str:
     """Say what is explained where it was not fitted, and what it was not tested on."""
     before, after = (percent(x) for x in found.held_out)
-    numbers = (
-        f"the signals were {before} off and are {after} off: it explains {most_of(found.explained_elsewhere)} of the "
-        "gap there"
-    )
+    numbers = f"the signals were {before} off and are {after} off: {_shrunk_elsewhere(found)}"
     if found.left_out == "places":
         return f"At places it was not fitted to, one after the other, {numbers}."
     if found.left_out == "windows":
@@ -60,6 +57,16 @@ def elsewhere(found: DiagnosisResult) -> str:
             f"{numbers}; record at a second place, at least 20 mm away."
         )
     return "One experiment only: not tested elsewhere. Record other motions, at places at least 20 mm apart."
+
+
+def _shrunk_elsewhere(found: DiagnosisResult) -> str:
+    """Say how much of the gap there is explained: no share of what does not stand above the noise."""
+    noise = found.before.noise_nrms
+    if found.held_out[0] <= noise:
+        return f"no gap stands above the noise of {percent(noise)} there, so this proves nothing"
+    if found.held_out[1] <= noise:
+        return f"what is left does not stand above the noise of {percent(noise)}"
+    return f"it explains {most_of(found.explained_elsewhere)} of the gap there"
 
 
 def unproven(found: DiagnosisResult) -> list[str]:

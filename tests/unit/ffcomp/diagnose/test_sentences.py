@@ -145,3 +145,15 @@ def test_sensors_and_nothing_gain_nothing() -> None:
     machine = load_machine("mp-delta-pro")
     assert print_gain(machine, result("nothing")) is None
     assert print_gain(machine, replace(result(), effects={"sensor_time_offset": {"offset_s": 1e-3}})) is None
+
+
+@pytest.mark.parametrize(
+    ("held_out", "words"),
+    [((0.0045, 0.0041), "this proves nothing"), ((0.37, 0.0041), "what is left does not stand above the noise")],
+)
+def test_no_share_is_told_of_a_gap_that_does_not_stand_above_the_noise(
+    held_out: tuple[float, float], words: str
+) -> None:
+    sentence = said(result(held_out=held_out))[1]
+    assert words in sentence
+    assert "of the gap there" not in sentence
