@@ -31,6 +31,7 @@ PAGES = {
     "cross_check": "CROSS_CHECK.md",
     "diagnosis": "DIAGNOSIS.md",
     "diagnosis_proof": "DIAGNOSIS_PROOF.md",
+    "faster": "FASTER.md",
     "identification": "IDENTIFICATION.md",
     "owners_loop": "OWNERS_LOOP.md",
     "real_files": "REAL_FILES.md",
