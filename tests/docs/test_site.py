@@ -14,7 +14,7 @@ PAGE = re.compile(r"([\w/-]+\.md)$", re.MULTILINE)
 def test_every_page_has_one_place() -> None:
     named = PAGE.findall((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
     pages = [path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")]
-    assert sorted(named) == sorted(pages)
+    assert sorted(named) == sorted(pages), "give each page one line under `nav` of mkdocs.yml"
 
 
 def test_links_out_of_the_pages_lead_to_the_sources() -> None:
