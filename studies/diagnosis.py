@@ -50,7 +50,7 @@ def main() -> None:
     same_bank(bank, options.seconds)
     if not options.render:
         over(options, lambda name: one(bank, name, *cases[name], options.seconds), cases)
-    done = [name for name in cases if verdict_path(bank, name).exists()]
+    done = [name for name in cases if answered(bank, name)]
     judged = [
         score.Judged(name, label, _read(verdict_path(bank, name)), _read(_proof_path(bank, name)))
         for name, label in open_labels(bank, done).items()
@@ -105,7 +105,7 @@ def one(bank: Path, name: str, seed: int, stratum: str, seconds: float) -> None:
     """Make a case and seal its label; then ask for the verdicts. What is there is kept."""
     if not label_path(bank, name).exists():
         write_case(bank, name, case(seed, stratum, seconds))
-    if verdict_path(bank, name).exists():
+    if answered(bank, name):
         return
     verdict_path(bank, name).parent.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
@@ -113,6 +113,12 @@ def one(bank: Path, name: str, seed: int, stratum: str, seconds: float) -> None:
     found = _read(verdict_path(bank, name))
     _write(verdict_path(bank, name), {**found, "commit": commit(), "when": datetime.now(UTC).isoformat("T", "minutes")})
     tell(f"{name}: {found['verdict']} after {time.monotonic() - began:.0f} s")
+
+
+def answered(bank: Path, name: str) -> bool:
+    """Tell whether a case has its verdict: one that is not dated was stopped in the middle."""
+    path = verdict_path(bank, name)
+    return path.exists() and "when" in _read(path)
 
 
 def asked(bank: Path, name: str) -> None:
