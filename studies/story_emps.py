@@ -1,6 +1,6 @@
 """Story: a real axis, where rigid mass and viscous friction are not enough.
 
-    python -m studies.story_emps [--keep FOLDER]      docs/STORY_EMPS.md and its figures, some 3 min
+    python -m studies.story_emps [--keep FOLDER] [--only EFFECT ...]      docs/STORY_EMPS.md and its figures, some 1 min
 
 Needs the EMPS data set in `../shared/data/emps`, or in `emps` of $FFCOMP_DATA; `studies/measured_axes.py` makes a
 machine file and two runs of it.
@@ -26,6 +26,7 @@ from ffcomp.identify.axis_shots import Shots, shots_of
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
 from models.axis.machine import AxisMachine
 from models.axis.simulate import simulate_axis
+from models.effects.catalogue import CATALOGUE
 from models.file import load_plant
 from studies.measured_axes import DATA, EMPS_FILES, emps
 from studies.render import save
@@ -72,17 +73,19 @@ def main() -> None:
     """Diagnose the axis, and write the results, the page and its figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--keep", metavar="FOLDER", type=Path, help="keep machine file and runs here")
-    folder = parser.parse_args().keep or Path(mkdtemp())
+    parser.add_argument("--only", metavar="EFFECT", nargs="+", default=tuple(CATALOGUE), help="look for these only")
+    given = parser.parse_args()
+    folder = given.keep or Path(mkdtemp())
     file, *paths = emps(folder)
     machine, runs = load_plant(file), [read_axis_run(path) for path in paths]
     assert isinstance(machine, AxisMachine)
-    problem = AxisProblem(machine, runs[:1])
+    problem = AxisProblem(machine, runs[:1], given.only)
     found = diagnose(problem)
     before, after = (problem.machine_with(fitted.values) for fitted in (found.base, found.final))
     run_free = free_run_fit(problem, found, runs[0])
     answers = [answer(run, before, after) for run in runs]
     told = results(problem, found, answers) | {"free": free_scores(runs, before, after, run_free)}
-    save("story_emps", told | {"pulses": about_pulses(machine, runs[1])})
+    save("story_emps", told | {"pulses": about_pulses(runs[1])})
     draw_error(*answers, FIGURES["error"])
     draw_force(found, runs[0], FIGURES["force"])
 
@@ -174,14 +177,13 @@ def rms(x: FloatArray) -> float:
     return float(np.sqrt(np.mean(x**2)))
 
 
-def about_pulses(machine: AxisMachine, run: AxisRun) -> dict[str, Any]:
-    """Return what the recording with pulses says alone, and what is in its force."""
+def about_pulses(run: AxisRun) -> dict[str, Any]:
+    """Return what is in the force of the recording with pulses."""
     inside_force, left_n = pulses_in_force(run)
     return {
         "gain_n_per_v": GAIN_N_PER_V,
         "force_for_each": inside_force,
         "regression_leaves_n": left_n,
-        "alone": said(diagnose(AxisProblem(machine, [run]))),
     }
 
 
