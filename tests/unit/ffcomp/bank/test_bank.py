@@ -12,8 +12,10 @@ import pytest
 from ffcomp.bank.answers import read_answers
 from ffcomp.cli.bank import make, score
 from ffcomp.errors import MeasurementError
+from tests.support.json_page import Page
 
 Told = dict[str, Any]
+ROOT = Path(__file__).parents[4]
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +74,7 @@ def test_right_and_wrong_answers_are_told_apart(bank: Path, tmp_path: Path, caps
     assert axis["low"] == pytest.approx(0.342, abs=1e-3)
     wrong = {name: {"verdict": "effects", "effects": ["frame_mode"]} for name in right}
     found = scored(bank, answered(bank, tmp_path, wrong), capsys)
+    assert Page(ROOT / "docs/reference/json.md").problems(found, "ffcomp-bank-score/1") == []
     assert [each["said"] for each in found["misses"]] == ["frame_mode"] * 2
 
 
