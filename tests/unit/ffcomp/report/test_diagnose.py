@@ -6,7 +6,6 @@ import base64
 import json
 import re
 from dataclasses import dataclass, replace
-from functools import partial
 from html import unescape
 from pathlib import Path
 from typing import Any
@@ -15,10 +14,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import ffcomp.diagnose.printer_problem as delta
 from ffcomp.cli.app import app
-from ffcomp.diagnose import next_experiment as experiment
+from ffcomp.diagnose import problems
 from ffcomp.diagnose.next_experiment import Proposal
+from ffcomp.diagnose.printer_problem import PrinterProblem
 from ffcomp.diagnose.result import DiagnosisResult, ResidualSize
 from ffcomp.diagnose.summary import DiagnosisSummary, Split
 from ffcomp.identify.uncertainty import Estimate, normal
@@ -101,9 +100,9 @@ def made(folder: Path, hidden: dict[str, dict[str, Any]], names: tuple[str, ...]
     write_machine(folder)
     runs, report, told = write_runs(folder, hidden), folder / "d.html", []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(delta, "PrinterProblem", partial(delta.PrinterProblem, names=names))
+        patch.setattr(problems, "PrinterProblem", lambda plant, runs, _: PrinterProblem(plant, runs, names))
         patch.setattr(html, "page", lambda given: told.append(given) or page(given))
-        patch.setattr(experiment, "propose", lambda *_: [PROPOSAL])
+        patch.setattr(problems, "propose", lambda *_: [PROPOSAL])
         answer = run(runs, "-o", str(folder / "better.toml"), "--report", str(report))
     assert answer.exit_code == 0, answer.output
     result = json.loads(answer.stdout)
@@ -140,7 +139,7 @@ def found_already(plain: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ffcomp.diagnose.diagnosis.diagnose", lambda *_: None)
     monkeypatch.setattr("ffcomp.diagnose.result.result_of", lambda *_: plain.told.outcome)
     monkeypatch.setattr("ffcomp.diagnose.summary.summarise", lambda *_: plain.told.picture)
-    monkeypatch.setattr("ffcomp.diagnose.next_experiment.propose", lambda *_: [PROPOSAL])
+    monkeypatch.setattr(problems, "propose", lambda *_: [PROPOSAL])
 
 
 # ---- the page and the JSON -----------------------------------------------------------------------
