@@ -91,8 +91,9 @@ def main() -> None:
 
 
 def machines_effects() -> list[str]:
-    """Those of a machine, not of sensors; geometry is calibrated, not compensated."""
-    return [name for name in effects_of_printers() if CATALOGUE[name].kind != "sensor" and name != GEOMETRY]
+    """Those that the bank's printer can hide, not of sensors; geometry is calibrated, not compensated."""
+    hidden = [name for name in effects_of_printers() if name in EFFECTS]
+    return [name for name in hidden if CATALOGUE[name].kind != "sensor" and name != GEOMETRY]
 
 
 def effects(seconds: float, keep: Path | None = None, names: Collection[str] = ()) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from gcode.program import Program
 from models.arrays import FloatArray, IntArray
 
 RETIMED_S = 0.02  # a section that ends so much earlier or later by its path than by its clock is on another one,
-# and one that is half as much off it on average
+ADRIFT_S = 0.04  # and one that is so much early or late anywhere, nearly as far as the contour error's window reaches
 FEWEST_HZ, MOST_HZ = 125.0, 500.0  # of segments
 
 
@@ -46,8 +46,7 @@ class SectionStarts:
         section = np.searchsorted(self.move, self.passing, side="right") - 1
         kept_t = (self.plan_t - start_t[self.move])[section] + passed_t
         off_s = np.abs(np.clip(kept_t, self.begin_t[section], self.end_t[section]) - self.due_t)
-        mean_s = np.add.reduceat(off_s, first) / (last + 1 - first)  # one that ends in time may be late or early inside
-        retimed = np.maximum(off_s[last], 2.0 * mean_s) > RETIMED_S
+        retimed = (off_s[last] > RETIMED_S) | (np.maximum.reduceat(off_s, first) > ADRIFT_S)
         return SectionClock(start_t[self.move], self.plan_t, self.begin_t, self.end_t, retimed, passed_t, self.due_t)
 
 

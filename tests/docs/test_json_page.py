@@ -21,6 +21,7 @@ from ffcomp.diagnose.result import DiagnosisResult
 from ffcomp.identify.uncertainty import normal
 from ffcomp.measurement.frf_files import write_frf
 from models.file import LIBRARY, load_machine
+from tests.support.axis import write_axis
 from tests.support.configs import COREXY, SHAPER, Delta, written
 from tests.support.containers import archive_3mf
 from tests.support.identification import blank, measured, paper_bench, towers_bench
@@ -227,6 +228,7 @@ def test_identify_fit_and_decouple(page: Page, folder: Path, corexy: Path) -> No
         *told("identify", "fit", _spectrum(folder), "-m", corexy, "-q"),
         *told("identify", "fit", *_of_belts(folder), "-m", corexy, "-q"),
         *told("identify", "fit", *_of_captures(folder), *MACHINE, "-q"),  # nothing is weighed
+        *told("identify", "fit", *write_axis(folder), "-m", folder / "slide.toml", "-q"),
     ]
     hold(page, "ffcomp-identify-fit/1", answers)
     nine = _measured(folder, towers_bench(-80.0, 0.0, np.arange(4.0, 125.0, 4.0)))

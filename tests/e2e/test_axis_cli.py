@@ -6,47 +6,17 @@ import json
 from html import unescape
 from pathlib import Path
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
-from models.axis.simulate import simulate_axis, with_effects
-from models.file import load_plant
-
-RATE = 400.0
-FILE = """
-format = "ffcomp-machine/1"
-name = "slide"
-[kinematics]
-type = "axis"
-[axis]
-input = "force"
-mass_kg = 10.0
-stiffness_n_per_m = 0.0
-damping_n_s_per_m = 30.0
-"""
+from tests.support.axis import write_axis
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A slide that differs by direction, two repeats of one motion, and its file that knows nothing of it."""
     made = tmp_path_factory.mktemp("axis")
-    (made / "slide.toml").write_text(FILE)
-    rng = np.random.default_rng(8)
-    t = np.arange(1200) / RATE
-    force = 15.0 * np.interp(t, np.linspace(0, t[-1], 16), rng.normal(size=16))
-    true = with_effects(load_plant(made / "slide.toml"), {"coulomb_friction": {"force_n": 4.0}})  # type: ignore[arg-type]
-    motion = simulate_axis(true, force, 1 / RATE)
-    for k in (1, 2):
-        noisy = motion.position_mm + 1e-4 * rng.normal(size=len(t))
-        np.savetxt(
-            made / f"push-{k}.csv",
-            np.column_stack([t, force, noisy]),
-            delimiter=",",
-            header="t_s,force_n,pos_q_mm",
-            comments="",
-        )
+    write_axis(made)
     return made
 
 

@@ -167,9 +167,9 @@ def test_our_spline(n: int) -> None:
 
 def test_rows_of_the_array_do_not_overlap() -> None:
     """Every name's rows begin where those of another end."""
-    sizes = {"CUBIC": 12, "J": 9, "BASE": 30, "NOW": 30, "RATE": 30, "SUM": 30}
+    sizes = {"CUBIC": 12, "J": 9, "BASE": 30, "NOW": 30, "RATE": 30, "SUM": 30, "ARMS": 6}
     names = "BASE NOW RATE SUM TIME CUBIC COMMAND COMMAND_RATE RIPPLE RIPPLE_RATE MOTOR MOTOR_RATE STRETCH SPRING"
-    names += " LEVEL GUIDES PULL CENTRIPETAL X XD ACC JOINTS F0 RHO J"
+    names += " LEVEL GUIDES PULL CENTRIPETAL X XD ACC JOINTS F0 RHO J ARMS"
     ends = [(getattr(record, name), getattr(record, name) + sizes.get(name, 3)) for name in names.split()]
     assert [end for _, end in ends] == [begin for begin, _ in ends[1:]] + [record.PRINTER]
 
