@@ -16,7 +16,7 @@ os.environ["FFCOMP_LOG"] = "off"
 os.environ["FFCOMP_CACHE"] = "off"
 sys.dont_write_bytecode = False  # pytest keeps the tests it has compiled: that halves the time of collection
 
-settings.register_profile("same", derandomize=True)
+settings.register_profile("same", derandomize=True, deadline=None)  # others may use the machine too
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 TESTS = Path(__file__).parent
