@@ -185,7 +185,7 @@ def set_of(name: str, keep: Path, data: Path) -> Path | None:
 def _real(folder: Path, effect: str) -> Any:
     """Return the printer with its hidden effect; its owner's file, a little off, is written."""
     from ffcomp.bank.delta.hidden import EFFECTS as HIDE
-    from ffcomp.bank.real import Real
+    from ffcomp.bank.printer.real import Real
     from models.file import load_machine
     from studies.diagnosis_proof import owners_file
 
@@ -201,7 +201,7 @@ def _real(folder: Path, effect: str) -> Any:
 def _six(folder: Path, effect: str) -> None:
     from ffcomp.bank.delta.numbers import carriages_of
     from ffcomp.bank.delta.real import played
-    from ffcomp.bank.motions import KINDS, Motion
+    from ffcomp.bank.printer.motions import KINDS, Motion
     from ffcomp.bank.sensors import csv_of, draw_sensors
 
     real = _real(folder, effect)
@@ -224,7 +224,7 @@ def _rising(path: Callable[[Any], Any], place: Sequence[float]) -> Callable[[Any
 
 def _joined(folder: Path, effect: str) -> None:
     from ffcomp.bank.delta.real import played
-    from ffcomp.bank.motions import Motion
+    from ffcomp.bank.printer.motions import Motion
     from ffcomp.record.plan import Request, make_plan
     from ffcomp.record.plan_files import save_plan
     from models.file import load_machine

@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from ffcomp.bank.delta.hidden import EFFECTS
 from ffcomp.bank.delta.numbers import carriages_of
 from ffcomp.bank.delta.real import played
-from ffcomp.bank.motions import KINDS, Motion, Place
-from ffcomp.bank.motions import Path as NozzlePath
-from ffcomp.bank.real import Reading, Real
+from ffcomp.bank.printer.motions import KINDS, Motion, Place
+from ffcomp.bank.printer.motions import Path as NozzlePath
+from ffcomp.bank.printer.real import Reading, Real
 from ffcomp.bank.sensors import csv_of, draw_sensors
 from ffcomp.compare.evaluation import Execution, contour
 from ffcomp.compare.methods import COMPENSATED, inversion, none

@@ -30,7 +30,7 @@ from unittest.mock import patch
 import numpy as np
 
 from ffcomp.bank.delta.hidden import EFFECTS
-from ffcomp.bank.real import Real
+from ffcomp.bank.printer.real import Real
 from ffcomp.compare.evaluation import Execution, contour
 from ffcomp.compare.methods import COMPENSATED, inversion, none
 from ffcomp.compare.sampling import Print, PrintSlice

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from ffcomp.bank.delta.real import played
-from ffcomp.bank.motions import Motion
-from ffcomp.bank.real import Real
+from ffcomp.bank.printer.motions import Motion
+from ffcomp.bank.printer.real import Real
 from ffcomp.record.plan import Experiment, MovesPlan
 from ffcomp.record.plan_files import load_moves
 from models.file import load_machine, updated_text

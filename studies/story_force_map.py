@@ -18,8 +18,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.bank.motions import Path as NozzlePath
-from ffcomp.bank.real import Reading
+from ffcomp.bank.printer.motions import Path as NozzlePath
+from ffcomp.bank.printer.real import Reading
 from ffcomp.diagnose.printer_problem import PrinterProblem
 from ffcomp.measurement.recording import read_recording
 from models.effects.catalogue import effective_machine

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-from ffcomp.bank.motions import Motion
-from ffcomp.bank.real import FloatArray, Reading, Rng, turned
+from ffcomp.bank.printer.motions import Motion
+from ffcomp.bank.printer.real import FloatArray, Reading, Rng, turned
 from ffcomp.record.join import join_captures
 from ffcomp.record.plan import Experiment, MovesPlan, Request, make_plan
 from ffcomp.record.result import recording_lines

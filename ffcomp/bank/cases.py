@@ -27,8 +27,8 @@ import numpy as np
 
 from ffcomp.bank.captures import joined_runs, planned_motions
 from ffcomp.bank.kinds import KINDS, Kind
-from ffcomp.bank.motions import Motion
-from ffcomp.bank.real import Reading, Real, Tables
+from ffcomp.bank.printer.motions import Motion
+from ffcomp.bank.printer.real import Reading, Real, Tables
 from ffcomp.bank.sensors import SENSORS, Sensors, csv_of, draw_sensors
 from ffcomp.bank.tables import toml_of
 from ffcomp.bank.visible import PROBE, Visibility, retuning, visibility, whitened

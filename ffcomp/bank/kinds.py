@@ -13,9 +13,9 @@ from ffcomp.bank.delta import real as delta
 from ffcomp.bank.delta.hidden import EFFECTS as DELTA_EFFECTS
 from ffcomp.bank.delta.numbers import carriages_of
 from ffcomp.bank.delta.outside import OUTSIDE as DELTA_OUTSIDE
-from ffcomp.bank.motions import KINDS as MOTIONS
-from ffcomp.bank.motions import Motion, Path, Place
-from ffcomp.bank.real import FloatArray, Hide, Reading, Real, Rng, Tables
+from ffcomp.bank.printer.motions import KINDS as MOTIONS
+from ffcomp.bank.printer.motions import Motion, Path, Place
+from ffcomp.bank.printer.real import FloatArray, Hide, Reading, Real, Rng, Tables
 from ffcomp.bank.straight import machines as straight
 from ffcomp.bank.straight import single
 from ffcomp.bank.straight.hidden import effects_of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ffcomp.bank.real import Tables
+from ffcomp.bank.printer.real import Tables
 
 
 def toml_of(machine: Tables, name: str) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ffcomp.bank.real import FloatArray, Reading
+from ffcomp.bank.printer.real import FloatArray, Reading
 from ffcomp.bank.sensors import Sensors
 
 BAND_HZ = (1.0, 200.0)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.bank import score, shapes
+from ffcomp.bank import score
 from ffcomp.bank.cases import HIDES, Case, Circumstances, Label, Plan, case, draw
 from ffcomp.bank.delta import equations
 from ffcomp.bank.delta.equations import GRAVITY, STATES
@@ -22,8 +22,9 @@ from ffcomp.bank.delta.numbers import FloatArray, Printer, carriages_of, printer
 from ffcomp.bank.delta.outside import OUTSIDE
 from ffcomp.bank.delta.real import played
 from ffcomp.bank.kinds import KINDS as MACHINES
-from ffcomp.bank.motions import KINDS, Motion
-from ffcomp.bank.real import Reading, Real
+from ffcomp.bank.printer import shapes
+from ffcomp.bank.printer.motions import KINDS, Motion
+from ffcomp.bank.printer.real import Reading, Real
 from ffcomp.bank.seal import SealedError, open_labels, verdict_path, write_case
 from ffcomp.bank.straight import machines as straight
 from ffcomp.bank.straight.hidden import effects_of

@@ -16,8 +16,8 @@ import numpy as np
 from ffcomp.bank.delta.machines import draw_machine, file_of
 from ffcomp.bank.delta.numbers import FloatArray, carriages_of
 from ffcomp.bank.delta.real import played
-from ffcomp.bank.motions import KINDS, Motion, Place
-from ffcomp.bank.real import Order, Reading, Real, Tables
+from ffcomp.bank.printer.motions import KINDS, Motion, Place
+from ffcomp.bank.printer.real import Order, Reading, Real, Tables
 from ffcomp.bank.sensors import csv_of
 from ffcomp.bank.tables import toml_of
 

@@ -18,8 +18,8 @@ from scipy.interpolate import CubicSpline
 from ffcomp.bank.delta.machines import draw_machine, file_of
 from ffcomp.bank.delta.numbers import FloatArray
 from ffcomp.bank.delta.real import played
-from ffcomp.bank.motions import Motion
-from ffcomp.bank.real import Order, Real, Tables
+from ffcomp.bank.printer.motions import Motion
+from ffcomp.bank.printer.real import Order, Real, Tables
 from ffcomp.bank.tables import toml_of
 from ffcomp.record.plan import Experiment, MovesPlan, Request, make_plan
 from ffcomp.record.plan_files import save_plan

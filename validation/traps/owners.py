@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from ffcomp.bank.delta import outside
+from ffcomp.bank.delta.outside import OUTSIDE
 from validation.traps import mishaps as m
 from validation.traps.bench import CAMERA_KG, FRICTION
 from validation.traps.captures import CHIP, CaptureBench, Sensing
@@ -164,7 +164,7 @@ CAPTURE_TRAPS: tuple[CaptureTrap, ...] = (
         "a cable of 100 to 250 g swings on the head",
         "a cable",
         MISLED,
-        CaptureBench(outside=outside.swinging_cable),
+        CaptureBench(outside=OUTSIDE["swinging_cable"]),
     ),
     CaptureTrap(
         "belts-warm",
@@ -180,7 +180,9 @@ CAPTURE_TRAPS: tuple[CaptureTrap, ...] = (
         refused("repeat"),
         CaptureBench(in_run=lambda run: FRICTION if run < 3 else {}),
     ),
-    CaptureTrap("play", "a motor's bracket gives way", "a bracket", MISLED, CaptureBench(outside=outside.soft_tower)),
+    CaptureTrap(
+        "play", "a motor's bracket gives way", "a bracket", MISLED, CaptureBench(outside=OUTSIDE["soft_tower"])
+    ),
     # around the chip
     CaptureTrap("fan", "a fan at 83 Hz, 2 m/s²", NOTHING, HARMLESS, sensing=Sensing((m.tone(83.0, 2.0),))),
     CaptureTrap(

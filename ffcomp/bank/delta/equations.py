@@ -26,7 +26,7 @@ import numpy as np
 from numba import njit
 
 from ffcomp.bank.delta.numbers import FloatArray, Printer
-from ffcomp.bank.shapes import belt, guide, slid
+from ffcomp.bank.printer.shapes import belt, guide, slid
 
 GRAVITY = 9.80665
 # where the parts of a state begin

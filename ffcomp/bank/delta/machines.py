@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.bank.real import Tables
+from ffcomp.bank.printer.real import Tables
 
 _SIZES: Mapping[str, tuple[float, float, float]] = {  # arm mm, effective radius mm, joint radius mm
     "middling": (300.0, 140.0, 39.9),

@@ -9,8 +9,8 @@ import numpy as np
 
 from ffcomp.bank.delta.equations import rest, run
 from ffcomp.bank.delta.numbers import FloatArray, carriages_of, printer_of
-from ffcomp.bank.motions import Motion, points
-from ffcomp.bank.real import Reading, Real
+from ffcomp.bank.printer.motions import Motion, points
+from ffcomp.bank.printer.real import Reading, Real
 
 STEP_S = 1 / 12800
 KEPT_EVERY = 2  # 6400 samples a second: what a sensor's clock then picks from

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from ffcomp.bank.real import FloatArray
-from ffcomp.bank.shapes import belt, guide, slid
+from ffcomp.bank.printer.real import FloatArray
+from ffcomp.bank.printer.shapes import belt, guide, slid
 
 # where the parts of a state begin
 Q, V, TOOL, TOOLV, SWAY, SWAYV, CABLE, CABLEV, MOUNT, MOUNTV, ARM, LOOSE = 0, 2, 4, 6, 8, 10, 12, 14, 16, 17, 18, 20

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.bank.motions import Motion, points
-from ffcomp.bank.real import FloatArray, Reading, Real, Tables
+from ffcomp.bank.printer.motions import Motion, points
+from ffcomp.bank.printer.real import FloatArray, Reading, Real, Tables
 from ffcomp.bank.straight.equations import run
 from ffcomp.bank.straight.numbers import modes_of, printer_of, turn_of
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.bank.real import FloatArray
+from ffcomp.bank.printer.real import FloatArray
 
 COREXY = np.array([[1.0, 1.0], [1.0, -1.0]])
 EACH = (

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.bank.real import FloatArray, Hide, Real, Rng, Tables, sign
+from ffcomp.bank.printer.real import FloatArray, Hide, Real, Rng, Tables, sign
 from ffcomp.bank.straight import hidden, outside
+from ffcomp.bank.straight.drawn import masses
 
 SMOOTH = ("coulomb_friction", "stribeck_friction")
 SHARED = ("guide_damping", "belt_hardening", "belt_backlash", "cogging")
@@ -104,7 +105,7 @@ def _smooth(name: str) -> Hide:
 
 def bristle_friction(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
     """Hide dry friction that bends bristles before it slides."""
-    force, length = size * rng.uniform(1.2, 4.0) * hidden.masses(real)[0], rng.uniform(1.5e-5, 6e-5)
+    force, length = size * rng.uniform(1.2, 4.0) * masses(real)[0], rng.uniform(1.5e-5, 6e-5)
     table = {"force_n": force, "presliding_mm": 1e3 * length}
     return table, real.having(dry=[force, force], dry_kind=2, bristle=length)
 

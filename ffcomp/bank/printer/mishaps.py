@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from scipy.signal import butter, sosfilt
 
-from ffcomp.bank.real import FloatArray, Order, Reader, Reading, Rng
+from ffcomp.bank.printer.real import FloatArray, Order, Reader, Reading, Rng
 
 SLIP_S = 0.006
 
