@@ -123,20 +123,29 @@ def _rates(x: FloatArray, given: float, given_rate: float, p: FloatArray, rate: 
 
 
 @compiled
-def _input(given: FloatArray, at: float) -> tuple[float, float]:
-    """Return the input at so many samples after the first, straight between samples, and its step to the next."""
+def _input(given: FloatArray, slope: FloatArray, at: float) -> tuple[float, float]:
+    """Return the input at so many samples after the first, and its rate by sample.
+
+    It is straight between samples, or, where their slopes are known, a cubic.
+    """
     i = min(max(math.floor(at), 0), len(given) - 2)
-    step = given[i + 1] - given[i]
-    return given[i] + min(max(at - i, 0.0), 1.0) * step, step if 0.0 <= at <= len(given) - 1 else 0.0
+    step, s, inside = given[i + 1] - given[i], min(max(at - i, 0.0), 1.0), 0.0 <= at <= len(given) - 1
+    if len(slope) == 0:
+        return given[i] + s * step, step if inside else 0.0
+    bend, twist = 3.0 * step - 2.0 * slope[i] - slope[i + 1], slope[i] + slope[i + 1] - 2.0 * step
+    value = given[i] + s * (slope[i] + s * (bend + s * twist))
+    return value, slope[i] + s * (2.0 * bend + 3.0 * s * twist) if inside else 0.0
 
 
 @compiled
-def _step(x: FloatArray, given: FloatArray, at: float, dt: float, h: float, p: FloatArray, k: FloatArray) -> None:
+def _step(
+    x: FloatArray, given: FloatArray, slope: FloatArray, at: float, dt: float, h: float, p: FloatArray, k: FloatArray
+) -> None:
     """Step by the classical Runge-Kutta method; k : (6, STATES) of working space."""
     late = p[DELAY] / dt
     for stage in range(4):
         share = (0.0, 0.5, 0.5, 1.0)[stage]
-        value, step = _input(given, at - late + share * h / dt)
+        value, step = _input(given, slope, at - late + share * h / dt)
         for n in range(STATES):
             k[5, n] = x[n] + (share * h * k[stage - 1, n] if stage > 0 else 0.0)
         _rates(k[5], value, step / dt, p, k[stage])
@@ -164,13 +173,14 @@ def _begin(x: FloatArray, at: FloatArray, given: float, p: FloatArray) -> None:
 
 @compiled
 def integrate_axis(
-    given: FloatArray, dt: float, substeps: int, shot: int, begin: FloatArray, p: FloatArray
+    given: FloatArray, slope: FloatArray, dt: float, substeps: int, shot: int, begin: FloatArray, p: FloatArray
 ) -> FloatArray:
     """Integrate an axis whose motion begins anew every so many samples.
 
     Parameters
     ----------
-    given : (n,) N or m, straight between samples.
+    given : (n,) N or m.
+    slope : (n,) its rate by sample, where it is a cubic between samples; (0,) where it is straight.
     shot : samples from one beginning to the next; n or more: there is one.
     begin : (shots, 4) m and m/s of the last mass and of the first one at each beginning, NaN where nothing is known
         of one of them; what bends by friction goes on.
@@ -184,12 +194,12 @@ def integrate_axis(
     out, h = np.empty((n, 3)), dt / substeps
     for i in range(n):
         if i % shot == 0 and i // shot < len(begin):
-            _begin(x, begin[i // shot], _input(given, i - p[DELAY] / dt)[0], p)
-        value, step = _input(given, i - p[DELAY] / dt)
+            _begin(x, begin[i // shot], _input(given, slope, i - p[DELAY] / dt)[0], p)
+        value, step = _input(given, slope, i - p[DELAY] / dt)
         _rates(x, value, step / dt, p, k[0])
         out[i, 0] = x[Q]
         out[i, 1] = x[Q_LOAD] if p[LOAD] > 0.0 else x[Q]
         out[i, 2] = k[0, V_LOAD] if p[LOAD] > 0.0 else k[0, V]
         for j in range(substeps if i < n - 1 else 0):
-            _step(x, given, i + j / substeps, dt, h, p, k)
+            _step(x, given, slope, i + j / substeps, dt, h, p, k)
     return out
