@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -197,8 +197,11 @@ class Whitener:
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def _whitened(self, i: int, x: FloatArray) -> FloatArray:
-        white = self.spectrum(self.observations[i], x)[0] / self._scales[self._alike[i]]
-        return np.concatenate([white.real.ravel(), white.imag.ravel()])
+        spectrum = self.spectrum(self.observations[i], x)[0]
+        white = np.empty((2, *spectrum.shape))
+        np.divide(spectrum.real, self._scales[self._alike[i]], out=white[0])
+        np.divide(spectrum.imag, self._scales[self._alike[i]], out=white[1])
+        return white.ravel()
 
     @cached_property
     def _alike(self) -> list[int]:
@@ -227,7 +230,8 @@ class Whitener:
         """Transform the faded signals (n, m): (m, k) inside the band, and (k,) Hz."""
         frequency, keep = lines(observation, self.band_hz)
         faded = x.T * taper(len(x), observation.rate_hz)
-        faded = np.where(np.isfinite(observation.measured.T), faded, 0.0)  # missing samples count on neither side
+        if observation.missing is not None:
+            faded[observation.missing.T] = 0.0  # missing samples count on neither side
         return np.fft.rfft(faded)[:, keep], frequency
 
     def frequencies(self) -> FloatArray:
@@ -247,15 +251,24 @@ def whitener(
 
 def lines(observation: Observation, band_hz: tuple[float, float]) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Return the frequencies inside the band, (k,) Hz, and a mask of them among all of the transform's."""
-    frequency = np.fft.rfftfreq(len(observation.measured), 1 / observation.rate_hz)
+    return _lines(len(observation.measured), observation.rate_hz, band_hz)
+
+
+@lru_cache(maxsize=64)
+def _lines(n: int, rate_hz: float, band_hz: tuple[float, float]) -> tuple[FloatArray, NDArray[np.bool_]]:
+    frequency = np.fft.rfftfreq(n, 1 / rate_hz)
     keep = (frequency >= band_hz[0]) & (frequency <= band_hz[1])
-    return np.asarray(frequency[keep]), keep
+    inside = np.asarray(frequency[keep])
+    inside.flags.writeable = keep.flags.writeable = False  # shared
+    return inside, keep
 
 
+@lru_cache(maxsize=64)
 def taper(n: int, rate_hz: float) -> FloatArray:
     """Return Tukey's window, (n,): from 0 to 1 and back over TAPER_S."""
     ramp = min(round(TAPER_S * rate_hz), n // 2)
     edge = (1 - np.cos(np.pi * (np.arange(ramp) + 0.5) / ramp)) / 2
     window = np.ones(n)
     window[:ramp], window[n - ramp :] = edge, edge[::-1]
+    window.flags.writeable = False  # shared
     return window

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,7 @@ from models.machine import Machine
 from models.parameters import value_of, with_values
 from models.printer.kernels.record import LANES
 from models.printer.parameters import ConvertedPrinter, converted_printer
-from models.printer.printer import SMOOTH_STEP_S, PrinterMotion, longest_step, simulate_printers
+from models.printer.printer import SMOOTH_STEP_S, PrinterMotion, Splines, longest_step, simulate_printers
 
 STEP_S = 1 / 3200  # of a printer without dry friction or backlash: some nanometres off
 COARSE_STEP_S, COARSE_KINKED_STEP_S = 1 / 1600, 1 / 3200  # where effects are only ranked
@@ -80,6 +81,7 @@ class PrinterProblem(Problem):
         self.same_command = [_first_equal(self.commands, i) for i in range(len(recordings))]
         self.kept: dict[_Key, dict[int, PrinterMotion]] = {}
         self.parts = [Part(0, len(command), 0) for command in self.commands]
+        self.splines = Splines()
 
     def excerpt(self) -> PrinterProblem | None:
         """Return the problem on a part of each recording; None where that would hardly be quicker."""
@@ -87,7 +89,7 @@ class PrinterProblem(Problem):
         if parts is None:
             return None
         shorter = copy(self)
-        shorter.kept, shorter.parts = {}, parts
+        shorter.kept, shorter.parts, shorter.splines = {}, parts, Splines()
         led = {i: led_in(self.commands[i], parts[i], self.observations[i].rate_hz) for i in set(self.same_command)}
         shorter.commands = [led[i] for i in self.same_command]
         shorter.observations = [part.of(o) for part, o in zip(parts, self.observations, strict=True)]
@@ -116,11 +118,11 @@ class PrinterProblem(Problem):
     def _answer(
         self, values: Mapping[str, float], motions: Mapping[int, PrinterMotion], chosen: Sequence[int]
     ) -> list[FloatArray]:
-        machine, found = self.machine_with(values), dict[tuple[int, str, tuple[str, ...]], FloatArray]()
+        sensors, found = self._sensors_with(values), dict[tuple[int, str, tuple[str, ...]], FloatArray]()
         kinds = [(self.same_command[i], self.observations[i].repeat_of, self.observations[i].signals) for i in chosen]
         for i, kind in zip(chosen, kinds, strict=True):
             if kind not in found:
-                felt = _signals(machine, motions[kind[0]], kind[2], self.parts[i])
+                felt = _signals(sensors, motions[kind[0]], kind[2], self.parts[i])
                 found[kind] = as_recorded(values, self.observations[i], felt)
         return [found[kind] for kind in kinds]  # the same array for repeats, which the whitener transforms once
 
@@ -164,6 +166,7 @@ class PrinterProblem(Problem):
                 steps.row_s,
                 substeps=steps.substeps,
                 converted=[printers[n] for n, _ in tasks],
+                splines=self.splines,
             )
 
         motions: list[dict[int, PrinterMotion | ValueError]] = [
@@ -174,6 +177,11 @@ class PrinterProblem(Problem):
                 for (n, i), motion in zip(tasks, found, strict=True):
                     motions[n][i] = motion
         return [_whole(by_run) for by_run in motions]
+
+    def _sensors_with(self, values: Mapping[str, float]) -> Machine | None:
+        """Return the machine whose sensors have effects; None if none of them has any."""
+        own = any(CATALOGUE[name].kind == "sensor" for name in self.machine.effects)
+        return self.machine_with(values) if own or any(map(_is_sensor, values)) else None
 
     def machine_with(self, values: Mapping[str, float]) -> Machine:
         """Return the machine file's machine with these parameters and effects."""
@@ -186,6 +194,7 @@ def _without_sensors(values: Mapping[str, float]) -> dict[str, float]:
     return {name: x for name, x in values.items() if not (_is_sensor(name) or belongs_to_recording(name))}
 
 
+@lru_cache(maxsize=4096)
 def _is_sensor(name: str) -> bool:
     match = _NAME.fullmatch(name)
     return match is not None and CATALOGUE[match["effect"]].kind == "sensor"
@@ -411,18 +420,19 @@ def _grid(effect: Effect, machine: Machine) -> list[dict[str, float]]:
 # ---- signals ---------------------------------------------------------------------------------------
 
 
-def _signals(machine: Machine, motion: PrinterMotion, names: Sequence[str], part: Part) -> FloatArray:
+def _signals(machine: Machine | None, motion: PrinterMotion, names: Sequence[str], part: Part) -> FloatArray:
     """Return the sensor signals, (n, m), in the order of `names`, of the rows that are compared."""
-    rows, felt = part.compared(len(motion.t_s)), motion.signals
-    dt_s = float(motion.t_s[1] - motion.t_s[0])
-    sensed = measured(machine, replace(felt, t_s=felt.t_s + dt_s * (part.last - rows.stop)))
-    columns = []
-    for name in names:
+    rows, sensed = part.compared(len(motion.t_s)), motion.signals
+    if machine is not None:
+        dt_s = float(motion.t_s[1] - motion.t_s[0])
+        sensed = measured(machine, replace(sensed, t_s=sensed.t_s + dt_s * (part.last - rows.stop)))
+    columns = np.empty((len(names), rows.stop - rows.start))
+    for column, name in zip(columns, names, strict=True):
         kind, axis = name.split("_")
         carriage = axis in "ABC"
         i = "ABC".index(axis) if carriage else "xyz".index(axis)
         if kind == "acc":
-            columns.append((sensed.carriage if carriage else sensed.nozzle)[rows, i])
+            column[:] = (sensed.carriage if carriage else sensed.nozzle)[rows, i]
         else:
-            columns.append((motion.carriage_mm if carriage else motion.nozzle_mm)[rows, i])
-    return np.stack(columns, axis=1)
+            column[:] = (motion.carriage_mm if carriage else motion.nozzle_mm)[rows, i]
+    return columns.T

@@ -5,7 +5,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from models.arrays import FloatArray
 
@@ -77,6 +81,12 @@ class Observation:
     signals: tuple[str, ...]
     measured: FloatArray  # (n, m), all in one unit a signal
     speed: FloatArray  # (n, m) of the part each signal is measured on, in the reference motion
+
+    @cached_property
+    def missing(self) -> NDArray[np.bool_] | None:
+        """(n, m) where nothing was measured; None if nothing is missing."""
+        missing = ~np.isfinite(self.measured)
+        return missing if missing.any() else None
 
 
 class InfeasibleParameters(ValueError):

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -41,6 +41,7 @@ WELL_FOLLOWED, RESOLVED = 0.6, 2.5  # step x the quickest mode's ω; step x a ri
 GUIDE_STIFFNESS, JOINT_STIFFNESS = 1.9, 0.8
 EQUILIBRIUM_TOLERANCE_M = 1e-9
 BORDER_MM = 1e-6
+KEPT_SPLINES = 64  # commands, and sets of commands, whose cubics are held
 
 UNITS = np.array([1e3, 1e3, 1.0, 1e3, 1e3, 1.0, 1e3])  # of PrinterMotion's arrays, in their order
 
@@ -127,34 +128,80 @@ def simulate_printers(
     hold: Hold = "cubic",
     ahead: FloatArray | None = None,
     converted: Sequence[ConvertedPrinter] | None = None,
+    splines: Splines | None = None,
 ) -> list[PrinterMotion | ValueError]:
     """Simulate the i-th machine under the i-th command, up to LANES of them at once.
 
     `starts` and `ahead` are those of `simulate_printer`; `ahead` follows every command. `converted` are the
-    machines as `converted_printer` returns them, where the caller has them already. Each gives what
-    `simulate_printer` gives, whatever the others do; where that would raise, its ValueError or UnreachableError stands
-    in the list instead. Those with as many steps from row to row go together, best when their commands are of one
-    length.
+    machines as `converted_printer` returns them, where the caller has them already; `splines` of earlier calls under
+    the same arrays of commands. Each gives what `simulate_printer` gives, whatever the others do; where that would
+    raise, its ValueError or UnreachableError stands in the list instead. Those with as many steps from row to row go
+    together, best when their commands are of one length.
     """
     found: dict[int, PrinterMotion | ValueError] = {}
     tasks: dict[int, _Task] = {}
-    cubics: dict[tuple[int, bytes], FloatArray] = {}  # a spline is computed once for all machines under one command
+    splines = Splines() if splines is None else splines
     commands = list(commands)  # indexing an array of them would make a new object each time
     for i, (machine, command) in enumerate(zip(machines, commands, strict=True)):
         try:
             start = None if starts is None else starts[i]
-            key = (id(command), b"" if start is None else start.history.tobytes())
-            if key not in cubics:
-                _check(command, dt_s, start)
-                rows = command if start is None else np.concatenate([start.history[:-1], command])
-                cubics[key] = HOLDS[hold](rows, command[:0] if ahead is None else ahead, dt_s)
+            _check(command, dt_s, start)
             printer = converted_printer(machine, gravity=gravity) if converted is None else converted[i]
-            tasks[i] = _task(machine, command, cubics[key], dt_s, substeps, printer, start)
+            coming, motors = command[:0] if ahead is None else ahead, _motors_of(printer)
+            cubics = splines.of(command, coming, start, motors, dt_s, hold)
+            tasks[i] = _task(machine, command, cubics, dt_s, substeps, printer, start)
         except ValueError as error:
             found[i] = error
     for together in _batches(tasks):
-        found |= zip(together, _simulate([tasks[i] for i in together], dt_s), strict=True)
+        found |= zip(together, _simulate([tasks[i] for i in together], dt_s, splines), strict=True)
     return [found[i] for i in range(len(machines))]
+
+
+class Splines:
+    """Cubics of commands, computed once for all printers under one command; those of the last few are kept."""
+
+    def __init__(self) -> None:
+        self._cubics: dict[tuple[object, ...], tuple[FloatArray, FloatArray]] = {}
+        self._joined: dict[tuple[int, ...], tuple[tuple[FloatArray, ...], FloatArray]] = {}
+
+    def of(
+        self,
+        command: FloatArray,
+        ahead: FloatArray,
+        start: PrinterState | None,
+        motors: FloatArray | None,
+        dt_s: float,
+        hold: Hold,
+    ) -> FloatArray:
+        """Return the cubics (n, 3, 4) of a command, of its motors where they are not those of the axes."""
+        history = b"" if start is None else start.history.tobytes()
+        key = (id(command), history, b"" if motors is None else motors.tobytes(), dt_s, hold)
+        if key not in self._cubics:
+            rows = command if start is None else np.concatenate([start.history[:-1], command])
+            if motors is not None:
+                rows, ahead = rows @ motors.T, ahead @ motors.T
+            _forget(self._cubics)
+            self._cubics[key] = command, HOLDS[hold](rows, ahead, dt_s)  # held, the command keeps its id
+        return self._cubics[key][1]
+
+    def joined(self, parts: Sequence[FloatArray]) -> FloatArray:
+        """Return cubics of several commands one after the other."""
+        key = tuple(map(id, parts))
+        if key not in self._joined:
+            _forget(self._joined)
+            self._joined[key] = tuple(parts), np.concatenate(parts) if len(parts) > 1 else parts[0]
+        return self._joined[key][1]
+
+
+def _forget(kept: dict[Any, Any]) -> None:
+    for old in list(kept)[: 1 - KEPT_SPLINES]:
+        kept.pop(old, None)
+
+
+def _motors_of(printer: ConvertedPrinter) -> FloatArray | None:
+    """Return the matrix (3, 3) from axes to motors; None where each axis has its own, and of a delta."""
+    matrix = printer.parameters.motor_matrix
+    return None if len(printer.modes) == 0 or np.array_equal(matrix, np.eye(3)) else matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +234,9 @@ def _task(
     modes = _limit_rigidity(modes, dt_s / steps)
     kept = math.ceil(float(np.max(p.delay)) / dt_s) + SPLINE_ROWS + 1
     if start is None:
-        return _Task(p, modes, steps, cubics, 0, 0.0, equilibrium_state(machine, command[0], p), command[-kept:].copy())
+        straight = len(modes) > 0
+        values = _axes_at_rest(modes, command[0] / 1e3) if straight else equilibrium_state(machine, command[0], p)
+        return _Task(p, modes, steps, cubics, 0, 0.0, values, command[-kept:].copy())
     history = np.concatenate([start.history[:-1], command])[-kept:]
     return _Task(p, modes, steps, cubics, len(start.history) - 1, start.t_s, start.values, history)
 
@@ -203,18 +252,17 @@ def _batches(tasks: Mapping[int, _Task]) -> Iterator[list[int]]:
         yield from (names[n : n + LANES] for n in range(0, len(names), LANES))
 
 
-def _simulate(tasks: Sequence[_Task], dt_s: float) -> list[PrinterMotion | UnreachableError]:
+def _simulate(tasks: Sequence[_Task], dt_s: float, splines: Splines) -> list[PrinterMotion | UnreachableError]:
     """Simulate at most LANES tasks with the same number of steps and the same first row."""
     values, parameters = np.array([task.values for task in tasks]), parameter_table([t.parameters for t in tasks])
     commands = {id(task.cubics): task.cubics for task in tasks}
     ends = dict(zip(commands, np.cumsum([len(cubics) for cubics in commands.values()]), strict=True))
     ranges = [(ends[id(task.cubics)] - len(task.cubics), ends[id(task.cubics)]) for task in tasks]
     first, steps = tasks[0].first, tasks[0].steps
-    cubics = np.concatenate(list(commands.values())) if len(commands) > 1 else tasks[0].cubics
+    cubics = splines.joined(list(commands.values()))
     where = (np.array(ranges, dtype=np.int64), first, dt_s, steps, UNITS)
     if len(tasks[0].modes):
-        motors = np.einsum("ma,nac->nmc", tasks[0].parameters.motor_matrix, cubics)
-        samples = integrate_axes(values, np.array([task.modes for task in tasks]), parameters, motors, *where)
+        samples = integrate_axes(values, np.array([task.modes for task in tasks]), parameters, cubics, *where)
     else:
         samples = integrate(values, parameters, cubics, *where)
     lanes = zip(tasks, zip(*samples, strict=True), values, strict=True)

@@ -14,8 +14,8 @@ import numpy as np
 from models.arrays import FloatArray
 from models.printer.kernels.axes import (
     BELT_DAMPING,
-    BELT_K,
     CENTRE,
+    COMPLIANCE,
     DAMPING,
     FIRST,
     FREQUENCY2,
@@ -40,6 +40,7 @@ from models.printer.kernels.jit import compiled, inlined
 from models.printer.kernels.record import (
     COMMAND,
     COMMAND_RATE,
+    CUBIC,
     LANES,
     RIPPLE,
     RIPPLE_RATE,
@@ -54,7 +55,8 @@ FEW_MODES, FIELDS = 2, 7
 MODES = ROWS  # three rows a field
 STATE = MODES + 3 * FEW_MODES * FIELDS  # the friction's strain, then p and ṗ of each mode
 MOTORS = STATE + 3 * (1 + 2 * FEW_MODES)  # u and u̇ at the beginning, the middle and the end of a step
-ALL_ROWS = MOTORS + 18
+MOTION = MOTORS + 18  # of the axes at the step's beginning: place, velocity, acceleration
+ALL_ROWS = MOTION + 9
 Axis: TypeAlias = tuple[float, float, float, float, float]  # strain of its friction, p₁, ṗ₁, p₂, ṗ₂
 Axes: TypeAlias = tuple[Axis, Axis, Axis]
 
@@ -81,12 +83,22 @@ def take_state(m: FloatArray, s: AxesState) -> None:
 
 
 @compiled
-def give_state(m: FloatArray, s: AxesState) -> None:
-    """Give the state back to s."""
+def keep_state(m: FloatArray, l: int, states: FloatArray) -> None:
+    """Copy the state of lane l to states : (k, rows, 3); neither gantry nor frame has moved."""
+    for a in range(3):
+        states[l, STRAIN, a] = at(m, STATE + a, l)
+        for row in range(FIRST, states.shape[1]):
+            states[l, row, a] = at(m, STATE + 3 * (1 + row - FIRST) + a, l)
+
+
+@compiled
+def has_springs(m: FloatArray) -> bool:
+    """Tell whether any belt has play, or pulls other than in proportion to its stretch."""
+    found = False
     for n in range(WIDTH):
-        s.base[STRAIN * WIDTH + n] = s.now[STRAIN * WIDTH + n] = m[STATE * LANES + n]
-    for n in range(2 * FEW_MODES * WIDTH):
-        s.base[FIRST * WIDTH + n] = s.now[FIRST * WIDTH + n] = m[(STATE + 3) * LANES + n]
+        found |= at(m, HALF_BACKLASH, n) != 0.0 or at(m, LANDING, n) != 0.0 or at(m, SLOPE, n) != 0.0
+        found |= at(m, HARDENING, n) != 0.0 or at(m, QUINTIC, n) != 0.0
+    return found
 
 
 @compiled
@@ -98,49 +110,78 @@ def keep_motors(m: FloatArray, half: int) -> None:
 
 
 @compiled
-def step_lanes(m: FloatArray, h: float, has: ActiveEffects) -> None:
-    """Step all lanes by h, by the classical Runge-Kutta method of order 4, and go on from the motors at its end."""
+def motors_at(m: FloatArray, half: int, t: float) -> None:
+    """Evaluate the motors t seconds after the row whose cubics are loaded, for one of a step's three times."""
+    for n in range(WIDTH):
+        a, b, c = at(m, CUBIC, n), at(m, CUBIC + 3, n), at(m, CUBIC + 6, n)
+        m[(MOTORS + 6 * half) * LANES + n] = ((a * t + b) * t + c) * t + at(m, CUBIC + 9, n)
+        m[(MOTORS + 6 * half + 3) * LANES + n] = (3.0 * a * t + 2.0 * b) * t + c
+
+
+@compiled
+def step_lanes(m: FloatArray, h: float, has: ActiveEffects, springs: bool) -> None:
+    """Step all lanes by h, by the classical Runge-Kutta method of order 4, and go on from the motors at its end.
+
+    The motion at the step's beginning is left in MOTION. Without friction and `springs`, belts pull in proportion.
+    """
     lanes = len(m) // ALL_ROWS  # LANES, which the compiler is not to know: it would write each lane out
     if has.sticking:
         _sticking(m, h, lanes)
     elif has.guides:
         _rubbing(m, h, lanes)
-    else:
+    elif springs:
         _smooth(m, h, lanes)
+    else:
+        _linear(m, h, lanes)
     for n in range(2 * WIDTH):
         m[MOTORS * LANES + n] = m[(MOTORS + 12) * LANES + n]
 
 
 @compiled
+def _linear(m: FloatArray, h: float, lanes: int) -> None:
+    for l in range(min(lanes, LANES)):
+        _step(m, l, h, False, False, False)
+
+
+@compiled
 def _smooth(m: FloatArray, h: float, lanes: int) -> None:
     for l in range(min(lanes, LANES)):
-        _step(m, l, h, False, False)
+        _step(m, l, h, True, False, False)
 
 
 @compiled
 def _rubbing(m: FloatArray, h: float, lanes: int) -> None:
     for l in range(min(lanes, LANES)):
-        _step(m, l, h, True, False)
+        _step(m, l, h, True, True, False)
 
 
 @compiled
 def _sticking(m: FloatArray, h: float, lanes: int) -> None:
     for l in range(min(lanes, LANES)):
-        _step(m, l, h, True, True)
+        _step(m, l, h, True, True, True)
 
 
 @inlined
-def _step(m: FloatArray, l: int, h: float, rubbing: bool, sticking: bool) -> None:
+def _step(m: FloatArray, l: int, h: float, springs: bool, rubbing: bool, sticking: bool) -> None:
     """Step one lane."""
     y = _axis(m, l), _axis(m, LANES + l), _axis(m, 2 * LANES + l)
-    k1 = _rates(m, y, 0, l, rubbing, sticking)
-    k2 = _rates(m, _moved(y, k1, 0.5 * h), 1, l, rubbing, sticking)
-    k3 = _rates(m, _moved(y, k2, 0.5 * h), 1, l, rubbing, sticking)
-    k4 = _rates(m, _moved(y, k3, h), 2, l, rubbing, sticking)
+    k1 = _rates(m, y, 0, l, springs, rubbing, sticking)
+    _sample(m, l, y[0], k1[0])
+    _sample(m, LANES + l, y[1], k1[1])
+    _sample(m, 2 * LANES + l, y[2], k1[2])
+    k2 = _rates(m, _moved(y, k1, 0.5 * h), 1, l, springs, rubbing, sticking)
+    k3 = _rates(m, _moved(y, k2, 0.5 * h), 1, l, springs, rubbing, sticking)
+    k4 = _rates(m, _moved(y, k3, h), 2, l, springs, rubbing, sticking)
     end = _moved(_moved(_moved(_moved(y, k1, h / 6.0), k2, h / 3.0), k3, h / 3.0), k4, h / 6.0)
     _put(m, l, end[0])
     _put(m, LANES + l, end[1])
     _put(m, 2 * LANES + l, end[2])
+
+
+@inlined
+def _sample(m: FloatArray, n: int, y: Axis, rates: Axis) -> None:
+    m[MOTION * LANES + n], m[(MOTION + 3) * LANES + n] = y[1] + y[3], y[2] + y[4]
+    m[(MOTION + 6) * LANES + n] = rates[2] + rates[4]
 
 
 @inlined
@@ -166,15 +207,15 @@ def _moved_axis(y: Axis, k: Axis, by: float) -> Axis:
 
 
 @inlined
-def _rates(m: FloatArray, y: Axes, half: int, l: int, rubbing: bool, sticking: bool) -> Axes:
+def _rates(m: FloatArray, y: Axes, half: int, l: int, springs: bool, rubbing: bool, sticking: bool) -> Axes:
     """Evaluate the rates of one lane's axes with the motors at one half step."""
     a, b, c = l, LANES + l, 2 * LANES + l
     q = _driven(m, a, y[0][1], y[0][3]), _driven(m, b, y[1][1], y[1][3]), _driven(m, c, y[2][1], y[2][3])
     qd = _driven(m, a, y[0][2], y[0][4]), _driven(m, b, y[1][2], y[1][4]), _driven(m, c, y[2][2], y[2][4])
     u, ud = _mixed(m, TO_MOTORS, l, q), _mixed(m, TO_MOTORS, l, qd)
-    pull_a = _pull(m, a, _motor(m, half, 0, a), _motor(m, half, 1, a), u[0], ud[0])
-    pull_b = _pull(m, b, _motor(m, half, 0, b), _motor(m, half, 1, b), u[1], ud[1])
-    pull_c = _pull(m, c, _motor(m, half, 0, c), _motor(m, half, 1, c), u[2], ud[2])
+    pull_a = _pull(m, a, _motor(m, half, 0, a), _motor(m, half, 1, a), u[0], ud[0], springs)
+    pull_b = _pull(m, b, _motor(m, half, 0, b), _motor(m, half, 1, b), u[1], ud[1], springs)
+    pull_c = _pull(m, c, _motor(m, half, 0, c), _motor(m, half, 1, c), u[2], ud[2], springs)
     drive = _mixed(m, TO_AXES, l, (pull_a[0], pull_b[0], pull_c[0]))
     rate = _mixed(m, TO_AXES, l, (pull_a[1], pull_b[1], pull_c[1]))
     return (
@@ -210,8 +251,12 @@ def _mixed(m: FloatArray, matrix: Row, l: int, x: Vector) -> Vector:
 
 
 @inlined
-def _pull(m: FloatArray, n: int, motor: float, motor_rate: float, q: float, qd: float) -> tuple[float, float]:
+def _pull(
+    m: FloatArray, n: int, motor: float, motor_rate: float, q: float, qd: float, springs: bool
+) -> tuple[float, float]:
     """Return what one belt adds to w, and to ẇ less that of its driven point."""
+    if not springs:
+        return motor + at(m, UNEVEN, n) * (motor - q), motor_rate - qd
     half, peak, slip = at(m, HALF_BACKLASH, n), at(m, PEAK_STRETCH, n), motor_rate - qd
     stretch = motor - q
     stretch = stretch - min(max(stretch, -half), half)
@@ -243,7 +288,7 @@ def _axis_rate(
             faded = tanh(0.5 * (qd * at(m, FADING, n)) ** 2)
             level += at(m, STICKING, n) * (1.0 - faded) / (1.0 + faded)
         ratio = qd / at(m, CREEP, n)
-        drive -= level * tanh(ratio + y[0]) / at(m, BELT_K, n)
+        drive -= level * tanh(ratio + y[0]) * at(m, COMPLIANCE, n)
         strain = strain_rate(at(m, HOLD, n), ratio, abs(ratio), y[0])
     follow = drive_rate + qd
     return strain, y[2], _force(m, 0, n, drive, follow, y[1], y[2]), y[4], _force(m, 1, n, drive, follow, y[3], y[4])

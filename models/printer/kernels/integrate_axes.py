@@ -20,7 +20,18 @@ from models.printer.kernels.axes import (
     axes_rate,
     fill_rows,
 )
-from models.printer.kernels.axes_step import FEW_MODES, give_state, keep_motors, step_lanes, take_state, with_modes
+from models.printer.kernels.axes_step import (
+    FEW_MODES,
+    MOTION,
+    MOTORS,
+    has_springs,
+    keep_motors,
+    keep_state,
+    motors_at,
+    step_lanes,
+    take_state,
+    with_modes,
+)
 from models.printer.kernels.friction import FADING_POWER
 from models.printer.kernels.integrate import PAGE, active_effects, any_nonzero, copy_page, empty_samples, fill_lanes
 from models.printer.kernels.jit import compiled
@@ -38,7 +49,7 @@ from models.printer.kernels.record import (
     Rows,
     X,
 )
-from models.printer.kernels.vectors import at
+from models.printer.kernels.vectors import at, dot, vector
 
 
 @compiled
@@ -136,9 +147,8 @@ def integrate_axes(
     s = _in_lanes(m, states, modes)
     elapsed, rows_back = command_times(m, dt, substeps)
     commands, has = Commands(cubics, ranges, elapsed, rows_back), active_effects(m)
-    quick = _is_quick(m, s, has)
-    m = with_modes(m, s.modes)
-    take_state(m, s)
+    if _is_quick(m, s, has):
+        return _integrate_quickly(with_modes(m, s.modes), s, states, commands, has, first, dt, substeps, units)
     page, samples = np.empty((PAGE, 7, WIDTH)), empty_samples(k, rows.max())
     for n in range(rows.max()):
         read_command(m, first + n, 0, commands, has)
@@ -149,19 +159,80 @@ def integrate_axes(
             copy_page(page, n - n % PAGE, n % PAGE + 1, units, samples)
         for l in range(k):
             if n == rows[l] - 1:
-                for row in range(states.shape[1]):
-                    for a in range(3):
-                        states[l, row, a] = s.now[row * WIDTH + a * LANES + l]
+                _store_state(s.now, l, states)
         for half in range(0, 2 * substeps, 2):
-            if quick:
-                if half == 0:
-                    keep_motors(m, 0)
-                for ahead in range(1, 3):
-                    read_command(m, first + n, half + ahead, commands, has)
-                    keep_motors(m, ahead)
-                step_lanes(m, dt / substeps, has)
-            else:
-                _step(m, s, first + n, half, dt / substeps, commands, has)
-        if quick:
-            give_state(m, s)
+            _step(m, s, first + n, half, dt / substeps, commands, has)
     return samples
+
+
+@compiled
+def _integrate_quickly(
+    m: FloatArray,
+    s: AxesState,
+    states: FloatArray,
+    commands: Commands,
+    has: ActiveEffects,
+    first: int,
+    dt: float,
+    substeps: int,
+    units: FloatArray,
+) -> tuple[FloatArray, ...]:
+    """Integrate by `step_lanes`; carriages move as the nozzle does, and are the same arrays."""
+    rows = commands.ranges[:, 1] - commands.ranges[:, 0] - first
+    take_state(m, s)
+    page, samples = np.empty((PAGE, 7, WIDTH)), few_samples(len(states), rows.max())
+    h, straight = dt / substeps, not (has.delay or has.ripple)
+    springs = has_springs(m)
+    for n in range(rows.max()):
+        for l in range(len(states)):
+            if n == rows[l] - 1:
+                keep_state(m, l, states)
+        read_command(m, first + n, 0, commands, has)
+        keep_motors(m, 0)
+        _sample_motors(m, page[n % PAGE])
+        for step in range(substeps):
+            if straight:
+                motors_at(m, 1, (step + 0.5) * h)
+                motors_at(m, 2, (step + 1) * h)
+            else:
+                for ahead in range(1, 3):
+                    read_command(m, first + n, 2 * step + ahead, commands, has)
+                    keep_motors(m, ahead)
+            step_lanes(m, h, has, springs)
+            if step == 0:
+                _sample_motion(m, page[n % PAGE])
+        if n % PAGE == PAGE - 1 or n == rows.max() - 1:
+            copy_page(page, n - n % PAGE, n % PAGE + 1, units[3:], samples)
+    x, xd, acc, motor = samples
+    return x, xd, acc, x, xd, acc, motor
+
+
+@compiled
+def few_samples(k: int, rows: int) -> tuple[FloatArray, ...]:
+    """Allocate separate arrays for place, velocity, acceleration and motors."""
+    size = (k, rows, 3)
+    return np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+
+
+@compiled
+def _sample_motion(m: FloatArray, sample: FloatArray) -> None:
+    """Copy the motion at a row's beginning."""
+    for quantity in range(3):
+        for n in range(WIDTH):
+            sample[quantity, n] = at(m, MOTION + 3 * quantity, n)
+
+
+@compiled
+def _sample_motors(m: FloatArray, sample: FloatArray) -> None:
+    """Copy where the motors are, as the axes they stand for."""
+    for a in range(3):
+        for l in range(LANES):
+            sample[3, a * LANES + l] = dot(vector(m, TO_AXES + 3 * a, l), vector(m, MOTORS, l))
+
+
+@compiled
+def _store_state(values: FloatArray, l: int, states: FloatArray) -> None:
+    """Copy the state of lane l to states : (k, rows, 3)."""
+    for row in range(states.shape[1]):
+        for a in range(3):
+            states[l, row, a] = values[row * WIDTH + a * LANES + l]
