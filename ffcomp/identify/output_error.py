@@ -21,7 +21,7 @@ from ffcomp.identify.rational import scaled_inverse
 from ffcomp.identify.sensor_rotation import PRIOR_SD_DEG, of_one_capture, rotated
 from ffcomp.identify.uncertainty import Estimate, lognormal, normal
 from ffcomp.measurement.frf import FrequencyResponse
-from ffcomp.numerics.least_squares import central_differences, minimise
+from ffcomp.numerics.least_squares import central_differences, forward_differences, minimise
 from models.arrays import ComplexArray, FloatArray, IntArray
 from models.delta_machine import delta_vibration
 from models.machine import Machine
@@ -56,7 +56,9 @@ OTHER_MOUNTS = (0.02, 50.0)  # factors on a mount's stiffness
 NEAR = 0.1  # of the values may be far off where the search for a start ends
 STARTS = (1.0, 0.75, 1.33, 0.6, 1.7)  # factors on every frequency of the starting machine
 RANDOM_STARTS = 30
-STEP = 1e-5  # of differences: the unknowns are of order one, the error 1e-10
+STEP = 1e-5  # of central differences: the unknowns are of order one, the error 1e-10
+FORWARD_STEP = 1e-7  # of the differences on the way
+ROUGH_EVALUATIONS, ROUGH_TOLERANCE = 30, 1e-3  # of a start, before it is compared with others
 ROUNDS = 10  # of fitting and reweighting
 SMALLEST_MODEL_ERROR = 1e-4
 
@@ -223,7 +225,7 @@ def _best_start(
     tries = [_with(problem, values) for values in starts] or list(_tries(problem))
     best, least = problem.weak_mean, np.inf
     for number, start in enumerate(tries, 1):
-        theta = _least_squares(problem, start, _same(problem, COARSE), evaluations=30)
+        theta = _roughly(problem, start, COARSE)
         excess = _excess(problem, _errors(problem, theta), COARSE)
         progress(f"start {number}: {100 * COARSE * np.sqrt(max(excess, 0.0)):.0f} % of the responses unexplained")
         if excess < least:
@@ -236,7 +238,7 @@ def _best_start(
 def _other_mounts(problem: _Problem, best: FloatArray, progress: Callable[[str], None]) -> FloatArray:
     """Try far softer and harder mounts too: a mount taken for one of them is a local optimum that looks fair."""
     share = _same(problem, FINE)
-    best = _least_squares(problem, best, share, evaluations=30)
+    best = _roughly(problem, best, FINE)
     least = float(np.sum(problem.residual(best, share) ** 2))
     for stiffness, damping in zip(STIFFNESS, DAMPING, strict=True):
         if stiffness not in problem.names:
@@ -246,7 +248,7 @@ def _other_mounts(problem: _Problem, best: FloatArray, progress: Callable[[str],
             trial = best.copy()
             trial[problem.names.index(stiffness)] += np.log(factor)
             trial[problem.names.index(damping)] += np.log(factor) / 2
-            trial = _least_squares(problem, trial, share, evaluations=30)
+            trial = _roughly(problem, trial, FINE)
             cost = float(np.sum(problem.residual(trial, share) ** 2))
             best, least = (trial, cost) if cost < least else (best, least)
     return best
@@ -306,12 +308,25 @@ def _faster(problem: _Problem, factor: float) -> FloatArray:
     return theta
 
 
-def _least_squares(problem: _Problem, theta: FloatArray, epsilon: FloatArray, evaluations: int = 200) -> FloatArray:
+def _roughly(problem: _Problem, theta: FloatArray, epsilon: float) -> FloatArray:
+    """Fit well enough to compare where two starts lead."""
+    return _least_squares(
+        problem, theta, _same(problem, epsilon), evaluations=ROUGH_EVALUATIONS, tolerance=ROUGH_TOLERANCE
+    )
+
+
+def _least_squares(
+    problem: _Problem, theta: FloatArray, epsilon: FloatArray, *, evaluations: int = 200, tolerance: float = 1e-8
+) -> FloatArray:
+    def residual(at: FloatArray) -> FloatArray:
+        return problem.residual(at, epsilon)
+
     found = minimise(
-        lambda at: problem.residual(at, epsilon),
+        residual,
         theta,
-        lambda at: _jacobian(problem, at, epsilon),
+        lambda at: forward_differences(residual, at, FORWARD_STEP),
         evaluations=evaluations,
+        tolerance=tolerance,
     )
     if not np.all(np.isfinite(found.x)):
         raise SolverError("The output-error fit overflowed: check the measurements' units.")

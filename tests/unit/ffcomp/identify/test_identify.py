@@ -72,15 +72,15 @@ def test_direct_fit_from_a_machine_far_off() -> None:
 
 
 def test_direct_intervals_cover_the_truth() -> None:
-    """90 % intervals over 50 noise draws: 85 to 95 % of all of them, no number far from it."""
+    """90 % intervals over 30 noise draws: 85 to 95 % of all of them, no number far from it."""
     bench = paper_bench(np.arange(2.0, 200.1, 4.0))
     inside = []
-    for seed in range(50):
+    for seed in range(30):
         found = fit_machine(TRUTH, measured(TRUTH, bench, 40.0, seed), WEIGHED, starts=[{}])
         inside.append([found.estimates[n].low < value_of(TRUTH, n) < found.estimates[n].high for n in UNKNOWNS])
     coverage = np.mean(inside, axis=0)
     assert 0.85 <= np.mean(inside) <= 0.95
-    assert coverage.min() > 0.72 and coverage.max() <= 1.0  # four standard deviations of 50 draws
+    assert coverage.min() > 0.68  # four standard deviations of 30 draws
 
 
 def test_commands_and_accelerations_alone_leave_the_scale_of_all_masses_open() -> None:
