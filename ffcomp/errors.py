@@ -81,6 +81,8 @@ class SolverError(FfcompError):
 EXTRAS = {
     "matplotlib": ("plot", "Figures and pages need Matplotlib"),
     "control": ("control", "This needs python-control"),
+    "starlette": ("serve", "The page needs Starlette and Uvicorn"),
+    "uvicorn": ("serve", "The page needs Starlette and Uvicorn"),
 }
 """Packages that only an extra installs: its name, and who needs it."""
 

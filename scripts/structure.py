@@ -54,7 +54,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("ffcomp.compensate", "ffcomp.simulate", "ffcomp.identify", "ffcomp.record"),
     ("ffcomp.estimate", "ffcomp.compare", "ffcomp.diagnose", "ffcomp.check", "ffcomp.bank"),
     ("ffcomp.report",),
-    ("ffcomp.api",),
+    ("ffcomp.api", "ffcomp.serve"),
     ("ffcomp.__init__",),
     ("ffcomp.cli", "ffcomp.__main__"),
     ("validation",),

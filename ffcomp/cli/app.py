@@ -29,6 +29,7 @@ from ffcomp.cli.machines import app as machines  # noqa: E402
 from ffcomp.cli.record import app as record  # noqa: E402
 from ffcomp.cli.record_check import check as record_check  # noqa: E402
 from ffcomp.cli.restore import restore  # noqa: E402
+from ffcomp.cli.serve import serve  # noqa: E402
 from ffcomp.cli.show import show  # noqa: E402
 from ffcomp.cli.simulate import simulate  # noqa: E402
 from ffcomp.cli.warmup import warmup  # noqa: E402
@@ -73,6 +74,7 @@ app.add_typer(record, name="record")
 app.add_typer(machines, name="machines")
 app.add_typer(integrations, name="integrations")
 app.add_typer(bank, name="bank")
+app.command(cls=Command)(serve)
 app.command(cls=Command)(warmup)
 
 

@@ -81,7 +81,7 @@ def diagnose(
         measured = recordings_of(loaded, runs, plan, turn_of(axes_map), progress)
         problem = problem_of(loaded, measured)
         check_recordings(problem, measured, without_repeats)
-        with SearchProgress(quiet or as_json) as shown:
+        with SearchProgress(quiet) as shown:
             search = searched(problem, shown)
         found = result_of(problem, search)
         better = output if found.mends else None

@@ -1,0 +1,250 @@
+"""The server's interface: what the page asks, answered. Each handler is a few lines; the work is elsewhere."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import threading
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from dataclasses import asdict, replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.concurrency import iterate_in_threadpool, run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.routing import Route
+
+from ffcomp.serve import machines, messages
+from ffcomp.serve.commands import KINDS, checked
+from ffcomp.serve.guard import Guard
+from ffcomp.serve.jobs import Job
+from ffcomp.serve.printer import Printer
+from ffcomp.serve.runner import Runner
+from ffcomp.serve.settings import MEGABYTE, Settings
+from ffcomp.serve.uploads import Refused, Upload, Uploads, new_id
+from ffcomp.version import __version__
+
+BODY = 1 << 16  # bytes of a request that is not a file
+PAGE = {
+    "/": ("index.html", "text/html; charset=utf-8"),
+    "/page.js": ("page.js", "text/javascript; charset=utf-8"),
+    "/jobs.js": ("jobs.js", "text/javascript; charset=utf-8"),
+    "/page.css": ("serve.css", "text/css; charset=utf-8"),
+}
+INLINE = {".png": "image/png", ".html": "text/html; charset=utf-8"}
+
+
+class Server:
+    """One server: its settings, uploads, jobs and printer."""
+
+    def __init__(self, settings: Settings, warm: bool = True) -> None:
+        settings.folder.mkdir(parents=True, exist_ok=True)
+        self.settings, self.warm = settings, warm
+        self.uploads = Uploads(settings)
+        self.runner = Runner(settings, machines.path_of, machines.kept_if_imported)
+        self.printer = Printer(settings.moonraker.rstrip("/")) if settings.moonraker else None
+        self.creating = threading.Lock()
+
+    def app(self) -> Guard:
+        """Return the application."""
+        routes = [
+            *(Route(path, self._page) for path in PAGE),
+            Route("/api/state", self._answer(self.state)),
+            Route("/api/files", self.take, methods=["POST"]),
+            Route("/api/jobs", self._answer(self.create), methods=["POST"]),
+            Route("/api/jobs/{id}/{action:str}", self._answer(self.act), methods=["POST"]),
+            Route("/api/jobs/{id}/log", self._answer(self.log), methods=["GET"]),
+            Route("/api/jobs/{id}/files/{name}", self._answer(self.file)),
+            Route("/api/printer/files", self._answer(self.printer_files)),
+            Route("/api/printer/fetch", self.fetch, methods=["POST"]),
+        ]
+        return Guard(Starlette(routes=routes, lifespan=self._lifespan), self.settings)
+
+    @asynccontextmanager
+    async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
+        self.uploads.clean()
+        self.runner.start()
+        if not self.warm:
+            self.runner.add(Job(new_id(), "warmup", KINDS["warmup"].title), lambda place: None)
+        yield
+        await run_in_threadpool(self.runner.stop)
+
+    # -- the page --
+
+    def _page(self, request: Request) -> Response:
+        name, kind = PAGE[request.url.path]
+        text = files("ffcomp.serve").joinpath("page", name).read_text(encoding="utf-8")
+        if name.endswith(".css"):
+            text = files("ffcomp.report").joinpath("page.css").read_text(encoding="utf-8") + text
+        return Response(text, media_type=kind)
+
+    def _answer(self, handle: Callable[[Request, Any], Any]) -> Callable[[Request], Awaitable[Response]]:
+        """Make a handler of a function that may take its time: of the request and its JSON, to JSON or a response."""
+
+        async def handler(request: Request) -> Response:
+            try:
+                asked = await _asked(request) if request.method == "POST" else {}
+                found = await run_in_threadpool(handle, request, asked)
+            except Refused as refused:
+                return _refusal(refused)
+            return found if isinstance(found, Response) else JSONResponse(found)
+
+        return handler
+
+    def state(self, request: Request, asked: Any) -> dict[str, Any]:
+        """Return everything that the page shows."""
+        return {
+            "version": __version__,
+            "machines": machines.listed(),
+            "jobs": [asdict(replace(job, pid=0)) for job in self.runner.all()],
+            "printer": self.printer is not None,
+            "largest_mb": self.settings.largest_bytes // MEGABYTE,
+        }
+
+    # -- files and jobs --
+
+    async def take(self, request: Request) -> Response:
+        """Take one file, the body of the request."""
+        length = request.headers.get("content-length", "0")
+        try:
+            if length.isdigit() and int(length) > self.settings.largest_bytes:
+                raise Refused(413, f"More than {self.settings.largest_bytes // MEGABYTE} MB are not taken here.")
+            upload = await self.uploads.take(request.query_params.get("name", ""), request.stream())
+        except Refused as refused:
+            return _refusal(refused)
+        return JSONResponse(asdict(upload), 201)
+
+    def create(self, request: Request, asked: Any) -> dict[str, Any]:
+        """Queue a job: `kind`, `files` (ids), `machine` (a name), `options`, and `plan`, the job that made it."""
+        kind, options = str(asked.get("kind")), checked(str(asked.get("kind")), asked.get("options", {}))
+        given = [self.uploads.find(str(each)) for each in _list(asked.get("files", []))]
+        plan = self._plan(asked.get("plan"))
+        if len(given) not in KINDS[kind].inputs:
+            raise Refused(400, "That needs a file." if not given else "That takes one file at a time.")
+        machine = str(asked.get("machine") or "")
+        if KINDS[kind].machine:
+            machines.path_of(machine)
+        names = [upload.name for upload, _ in given] + [path.name for path in plan]
+        if len(set(names)) < len(names):
+            raise Refused(400, "Two of the files have the same name.")
+        title = KINDS[kind].title.format(name=names[0] if names else "", machine=machine)
+        origin = given[0][0].printer_path if given else ""
+        job = Job(
+            new_id(),
+            kind,
+            title,
+            machine if KINDS[kind].machine else "",
+            tuple(names),
+            options,
+            printer_path=origin,
+        )
+
+        def place(folder: Path) -> None:
+            for path in (*(path for _, path in given), *plan):
+                _link(path, folder / path.name)
+
+        with self.creating:
+            return asdict(self.runner.add(job, place))
+
+    def _plan(self, id_: Any) -> list[Path]:
+        """Return the plan's file that another job has made."""
+        if not id_:
+            return []
+        job = self.runner.find(str(id_))
+        return [self.runner.kept.output(job, "moves.json")]
+
+    def act(self, request: Request, asked: Any) -> dict[str, Any]:
+        """Do one thing with a job: cancel, again, remove, keep its machine file, send its print to the printer."""
+        id_, action = request.path_params["id"], request.path_params["action"]
+        if action == "cancel":
+            return asdict(self.runner.cancel(id_))
+        if action == "again":
+            return asdict(self.runner.again(id_))
+        if action == "remove":
+            self.runner.remove(id_)
+            return {}
+        if action == "keep":
+            return {"machine": machines.keep(self.runner.find(id_), self.runner.kept, str(asked.get("name", "")))}
+        if action == "send":
+            return {"path": self._send(self.runner.find(id_))}
+        raise Refused(404, "There is no such action.")
+
+    def log(self, request: Request, asked: Any) -> Response:
+        """Return what the processes of a job have said."""
+        job = self.runner.find(request.path_params["id"])
+        text = messages.tail(self.runner.kept.place(job.id) / "log.txt")
+        return Response(text, media_type="text/plain; charset=utf-8")
+
+    def file(self, request: Request, asked: Any) -> Response:
+        """Give a file that a job has made; pictures and pages to be looked at with `?view=1`."""
+        job = self.runner.find(request.path_params["id"])
+        path = self.runner.kept.output(job, request.path_params["name"])
+        kind = INLINE.get(path.suffix)
+        if kind and request.query_params.get("view"):
+            return FileResponse(path, media_type=kind)
+        return FileResponse(path, filename=path.name, media_type="application/octet-stream")
+
+    # -- the printer --
+
+    def printer_files(self, request: Request, asked: Any) -> list[dict[str, Any]]:
+        """Return the prints on the printer."""
+        return self._printer().files()
+
+    async def fetch(self, request: Request) -> Response:
+        """Copy a print from the printer to here."""
+        try:
+            path = str((await _asked(request)).get("path", ""))
+            pieces = iterate_in_threadpool(self._printer().read(path))
+            upload: Upload = await self.uploads.take(path, pieces, printer_path=path)
+        except Refused as refused:
+            return _refusal(refused)
+        return JSONResponse(asdict(upload), 201)
+
+    def _send(self, job: Job) -> str:
+        if job.kind != "compensate" or job.state != "done":
+            raise Refused(409, "Only a print that is compensated can be sent.")
+        return self._printer().write(self.runner.kept.output(job, job.inputs[0]), job.printer_path)
+
+    def _printer(self) -> Printer:
+        if self.printer is None:
+            raise Refused(404, "No printer is set: start the server with --moonraker URL.")
+        return self.printer
+
+
+def _refusal(refused: Refused) -> Response:
+    return JSONResponse({"error": refused.sentence}, refused.status)
+
+
+async def _asked(request: Request) -> Any:
+    """Read a request's JSON, which is small."""
+    body = b""
+    async for piece in request.stream():
+        body += piece
+        if len(body) > BODY:
+            raise Refused(413, "The request is too large.")
+    try:
+        asked = json.loads(body or b"{}")
+    except ValueError:
+        asked = None
+    if not isinstance(asked, dict):
+        raise Refused(400, "The request is not a JSON object.")
+    return asked
+
+
+def _list(value: Any) -> list[Any]:
+    if not isinstance(value, list) or len(value) > 500:
+        raise Refused(400, "The files must be a list.")
+    return value
+
+
+def _link(source: Path, target: Path) -> None:
+    """Put a file into a job's folder without taking its room twice, where the file system can."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)

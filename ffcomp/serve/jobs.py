@@ -1,0 +1,129 @@
+"""Jobs as they are kept: one folder each, so that they outlive the page, the browser and the server.
+
+In it, `job.json` is the job, replaced as a whole; `in/` holds the files that it was given, `out/` those that it makes;
+`N.json` is what step N printed on stdout, and `log.txt` what all steps said.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ffcomp.serve.uploads import ID, Refused
+from gcode.atomic_write import replace_atomically
+
+QUEUED, RUNNING, DONE, FAILED, CANCELLED = "queued", "running", "done", "failed", "cancelled"
+ENDED = (DONE, FAILED, CANCELLED)
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One piece of work.
+
+    Parameters
+    ----------
+    id : str
+        Its folder's name.
+    kind : str
+        One of `commands.KINDS`.
+    title : str
+        What a person calls it.
+    machine : str
+        Name of the machine; empty where none is needed.
+    inputs : tuple of str
+        Names of the files in `in/`.
+    options : dict
+        Options, checked.
+    created, started, ended : float
+        Seconds since 1970; 0 for not yet.
+    state : str
+        One of QUEUED, RUNNING, DONE, FAILED, CANCELLED.
+    share : float or None
+        Share that is done, 0 to 1; None where nobody knows.
+    doing : str
+        What it is doing.
+    error : str
+        Why it failed, in a sentence.
+    outputs : tuple of str
+        Names of the files in `out/`.
+    answer : dict
+        What it found, as the page shows it (`answers`).
+    pid : int
+        Its process while it runs.
+    printer_path : str
+        Where the first input lies on the printer, if it comes from there.
+    """
+
+    id: str
+    kind: str
+    title: str
+    machine: str = ""
+    inputs: tuple[str, ...] = ()
+    options: dict[str, Any] = field(default_factory=dict)
+    created: float = 0.0
+    started: float = 0.0
+    ended: float = 0.0
+    state: str = QUEUED
+    share: float | None = None
+    doing: str = ""
+    error: str = ""
+    outputs: tuple[str, ...] = ()
+    answer: dict[str, Any] = field(default_factory=dict)
+    pid: int = 0
+    printer_path: str = ""
+
+
+class JobFolder:
+    """The folder with all jobs."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def place(self, id_: str) -> Path:
+        """Return a job's folder.
+
+        Raises
+        ------
+        Refused
+            If that is no job's name.
+        """
+        if not ID.fullmatch(id_):
+            raise Refused(404, "There is no such job.")
+        return self.folder / id_
+
+    def write(self, job: Job) -> None:
+        """Keep a job as it is now."""
+        replace_atomically(self.place(job.id) / "job.json", [json.dumps(asdict(job)).encode()])
+
+    def read_all(self) -> Iterator[Job]:
+        """Read every job that can be read; one that cannot was cut off while it was made, and is removed."""
+        for place in sorted(self.folder.iterdir()):
+            if not ID.fullmatch(place.name):
+                continue
+            try:
+                kept = json.loads((place / "job.json").read_text(encoding="utf-8"))
+                yield Job(**kept | {name: tuple(kept[name]) for name in ("inputs", "outputs")})
+            except (OSError, ValueError, TypeError, KeyError):
+                shutil.rmtree(place, ignore_errors=True)
+
+    def remove(self, id_: str) -> None:
+        """Remove a job and all its files."""
+        shutil.rmtree(self.place(id_), ignore_errors=True)
+
+    def output(self, job: Job, name: str) -> Path:
+        """Return the path of a file that a job has made, if the job itself names it.
+
+        Raises
+        ------
+        Refused
+            If it does not.
+        """
+        path = self.place(job.id) / "out" / name
+        if name not in job.outputs or not path.is_file():
+            raise Refused(404, "There is no such file.")
+        return path

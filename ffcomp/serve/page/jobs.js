@@ -1,0 +1,121 @@
+// The page's second half: jobs as cards, each drawn anew only where it has changed.
+import { ask, attempt, choose, look, make } from "./page.js";
+
+const WORDS = { queued: "waits", running: "runs", done: "done", failed: "failed", cancelled: "cancelled" };
+const drawn = new Map(); // id -> {text, card}
+
+export function showJobs(jobs, printer) {
+  const place = document.querySelector("#jobs");
+  document.querySelector("#nothing").hidden = jobs.length > 0;
+  const ids = new Set(jobs.map((job) => job.id));
+  for (const [id, { card }] of drawn) if (!ids.has(id)) { card.remove(); drawn.delete(id); }
+  jobs.forEach((job, k) => {
+    const text = JSON.stringify([job, printer]);
+    let old = drawn.get(job.id);
+    if (!old || old.text !== text) {
+      const card = old && job.state === "running" && old.state === "running" ? advance(old.card, job) : cardOf(job, printer);
+      if (old && old.card !== card) old.card.replaceWith(card);
+      drawn.set(job.id, (old = { text, card, state: job.state }));
+    }
+    if (place.children[k] !== old.card) place.insertBefore(old.card, place.children[k] || null);
+  });
+}
+
+/** A card of a job that still runs: only its progress moves, so that nothing under the pointer does. */
+function advance(card, job) {
+  const bar = card.querySelector("progress");
+  if (job.share === null) bar.removeAttribute("value"); else bar.value = job.share;
+  card.querySelector(".doing").textContent = job.doing;
+  return card;
+}
+
+function cardOf(job, printer) {
+  const card = make("article", { className: "job" });
+  card.dataset.state = job.state;
+  card.dataset.kind = job.kind;
+  card.append(make("header", {}, make("h3", { textContent: job.title }), make("span", {},
+    make("span", { className: `state ${job.state}`, textContent: WORDS[job.state] }), " ", make("span", { className: "when", textContent: when(job) }))));
+  if (["queued", "running"].includes(job.state)) card.append(...underway(job));
+  if (job.state === "failed") card.append(make("p", { className: "error", textContent: job.error }));
+  if (job.state === "done" || job.answer.lead) card.append(...found(job));
+  card.append(buttons(job, printer));
+  if (job.state === "done" && job.outputs.includes("picture.png")) card.append(picture(job));
+  if (job.state !== "queued") card.append(log(job));
+  return card;
+}
+
+function when(job) {
+  const machine = job.machine && !job.title.includes(job.machine) ? `on ${job.machine}, ` : "";
+  return machine + new Date(1000 * (job.ended || job.started || job.created)).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" });
+}
+
+function underway(job) {
+  const bar = make("progress", { max: 1 });
+  bar.setAttribute("aria-label", job.title);
+  if (job.share !== null) bar.value = job.share;
+  return [bar, make("p", { className: "read doing", textContent: job.doing || "waits for its turn" })];
+}
+
+function found(job) {
+  const { lead, facts = [], warnings = [], to_do: toDo = [], kept } = job.answer;
+  const parts = [];
+  if (lead) parts.push(make("p", { className: "lead", textContent: lead }));
+  if (kept) parts.push(make("p", { className: "read", textContent: `Kept among your machines as ${kept}.` }));
+  if (facts.length) parts.push(make("table", { className: "facts" }, make("tbody", {}, ...facts.map(([name, value]) => make("tr", {}, make("th", { textContent: name, scope: "row" }), make("td", { textContent: value }))))));
+  if (warnings.length) parts.push(list("Mind", warnings));
+  if (toDo.length) parts.push(list("To do", toDo));
+  return parts;
+}
+
+function picture(job) {
+  const source = file(job, "picture.png", true);
+  return make("a", { href: source, target: "_blank", rel: "noopener" }, make("img", { src: source, loading: "lazy", alt: `Before and after: ${job.answer.lead || job.title}` }));
+}
+
+function list(title, sentences) {
+  return make("div", {}, make("h3", { textContent: title }), make("ul", { className: "warnings" }, ...sentences.map((each) => make("li", { textContent: each }))));
+}
+
+const file = (job, name, view) => `api/jobs/${job.id}/files/${encodeURIComponent(name)}${view ? "?view=1" : ""}`;
+
+function buttons(job, printer) {
+  const row = make("p", { className: "do" });
+  const act = (name, label, asked = {}, className = "") => row.append(make("button", { textContent: label, className, onclick: async (event) => {
+    event.target.disabled = true;
+    const answer = await attempt(() => ask(`api/jobs/${job.id}/${name}`, asked));
+    event.target.disabled = false;
+    if (answer && answer.path) event.target.replaceWith(make("span", { className: "state done", textContent: `On the printer: ${answer.path}` }));
+    await look();
+  } }));
+  if (["queued", "running"].includes(job.state)) { act("cancel", "Cancel"); return row; }
+  if (job.state === "done") {
+    if (job.outputs.includes("report.html")) row.append(make("a", { className: "button main", href: file(job, "report.html", true), target: "_blank", rel: "noopener", textContent: "Open the report" }));
+    if (job.answer.machine) row.append(keeping(job));
+    if (job.answer.kept) row.append(make("button", { textContent: "Use it", className: "main", onclick: () => { choose(job.answer.kept); document.querySelector("#tab-prints").click(); scrollTo(0, 0); } }));
+    for (const name of job.outputs.filter((each) => !["picture.png", "report.html"].includes(each)))
+      row.append(make("a", { className: name.endsWith(".toml") ? "button" : "button main", href: file(job, name, false), download: name, textContent: `Download ${job.kind === "compensate" ? "the print" : name}` }));
+    if (printer && job.kind === "compensate") act("send", "Put it on the printer");
+  } else act("again", "Again");
+  act("remove", "Remove", {}, "plain");
+  return row;
+}
+
+/** A name for the better machine file, and the button that keeps it under that. */
+function keeping(job) {
+  const name = make("input", { value: `${job.machine}-measured`.slice(0, 60), ariaLabel: "Name of the better machine file" });
+  const keep = make("button", { className: "main", textContent: "Keep as my machine", onclick: async () => {
+    const answer = await attempt(() => ask(`api/jobs/${job.id}/keep`, { name: name.value.trim() }));
+    await look();
+    if (answer) { choose(answer.machine); keep.textContent = `Kept and chosen: ${answer.machine}`; keep.disabled = true; }
+  } });
+  return make("span", { className: "keep" }, name, keep);
+}
+
+function log(job) {
+  const text = make("pre");
+  const part = make("details", {}, make("summary", { textContent: "What ffcomp said" }), text);
+  part.addEventListener("toggle", async () => {
+    if (part.open) text.textContent = await (await fetch(`api/jobs/${job.id}/log`)).text();
+  });
+  return part;
+}

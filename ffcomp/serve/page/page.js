@@ -1,0 +1,276 @@
+// The page's first half: tabs, machines, files that are dropped, and what is asked of the server. Jobs: jobs.js.
+import { showJobs } from "./jobs.js";
+
+const one = (selector, within = document) => within.querySelector(selector);
+const all = (selector, within = document) => [...within.querySelectorAll(selector)];
+const MARK = { "X-ffcomp": "1" };
+const QUICK_MS = 700, SLOW_MS = 5000;
+
+/** An element with properties and children; text is only ever text. */
+export function make(name, properties = {}, ...children) {
+  const made = Object.assign(document.createElement(name), properties);
+  made.append(...children);
+  return made;
+}
+
+/** Ask the server; a refusal is an Error with its sentence. */
+export async function ask(path, asked) {
+  const options = asked === undefined ? {} : { method: "POST", headers: { ...MARK, "Content-Type": "application/json" }, body: JSON.stringify(asked) };
+  const answer = await fetch(path, options);
+  if (!answer.ok) throw new Error(await sentence(answer));
+  return answer.json();
+}
+
+async function sentence(answer) {
+  const text = await answer.text();
+  try { return JSON.parse(text).error; } catch { return text || `The server answered ${answer.status}.`; }
+}
+
+/** Do something, and show its trouble. */
+export async function attempt(what) {
+  const trouble = one("#trouble");
+  trouble.hidden = true;
+  try { return await what(); } catch (error) {
+    trouble.textContent = error.message === "Failed to fetch" ? "The server does not answer: is it still running?" : error.message;
+    trouble.hidden = false;
+    return undefined;
+  }
+}
+
+// ---- tabs ----
+
+const tabs = all("[role=tab]");
+function open(tab) {
+  for (const each of tabs) {
+    each.setAttribute("aria-selected", each === tab);
+    each.tabIndex = each === tab ? 0 : -1;
+    one(`#${each.getAttribute("aria-controls")}`).hidden = each !== tab;
+  }
+  one(".machine").hidden = tab.id === "tab-machine";
+  if (tab.id === "tab-printer") attempt(listPrinter);
+}
+tabs.forEach((tab) => {
+  tab.addEventListener("click", () => open(tab));
+  tab.addEventListener("keydown", (event) => {
+    const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+    if (!step) return;
+    const shown = tabs.filter((each) => !each.hidden);
+    const next = shown[(shown.indexOf(tab) + step + shown.length) % shown.length];
+    open(next);
+    next.focus();
+  });
+});
+
+// ---- machines ----
+
+const machines = one(".machines");
+let known = [];
+function showMachines(list) {
+  if (JSON.stringify(list) === JSON.stringify(known)) return;
+  known = list;
+  const chosen = machines.value || localStorage.getItem("machine") || "";
+  const groups = [["Yours", (m) => m.own], ["Delta", (m) => m.kinematics === "delta"], ["CoreXY", (m) => m.kinematics === "corexy"], ["Cartesian", () => true]];
+  const left = new Set(list);
+  machines.replaceChildren(make("option", { value: "", textContent: "Choose your printer" }));
+  for (const [label, belongs] of groups) {
+    const inside = [...left].filter(belongs);
+    inside.forEach((each) => left.delete(each));
+    if (inside.length) machines.append(make("optgroup", { label }, ...inside.map((m) => make("option", { value: m.name, textContent: m.printer && !m.own ? m.printer : m.name }))));
+  }
+  machines.value = list.some((m) => m.name === chosen) ? chosen : "";
+  machineChosen();
+}
+export function choose(name) {
+  machines.value = name;
+  machineChosen();
+}
+function machineChosen() {
+  localStorage.setItem("machine", machines.value);
+  const machine = known.find((each) => each.name === machines.value);
+  one(".assumed").hidden = !(machine && /assumed dynamics/.test(machine.printer || ""));
+  ready();
+}
+machines.addEventListener("change", machineChosen);
+
+// ---- files ----
+
+const dropped = { prints: [], config: [], captures: [] }; // {name, size, id, share, error}
+let largest = Infinity; // bytes
+const MANY = { prints: true, config: false, captures: true };
+
+function upload(file, entry, redraw) {
+  return new Promise((resolve) => {
+    if (file.size > largest) {
+      entry.error = `Larger than ${bytes(largest)}, the most that is taken here.`;
+      redraw();
+      resolve();
+      return;
+    }
+    const request = new XMLHttpRequest(); // fetch() tells nothing of how far an upload is
+    request.open("POST", `api/files?name=${encodeURIComponent(file.name)}`);
+    request.setRequestHeader("X-ffcomp", "1");
+    request.upload.onprogress = (event) => { entry.share = event.loaded / event.total; redraw(); };
+    request.onloadend = () => {
+      let answer = {};
+      try { answer = JSON.parse(request.responseText); } catch { answer = { error: request.responseText }; }
+      if (request.status === 201) entry.id = answer.id;
+      else entry.error = answer.error || "The server does not answer.";
+      redraw();
+      resolve();
+    };
+    request.send(file);
+  });
+}
+
+async function take(kind, files) {
+  if (!MANY[kind]) dropped[kind].length = 0;
+  const entries = [...files].map((file) => [file, { name: file.name, size: file.size, share: 0 }]);
+  if (!MANY[kind]) entries.splice(1);
+  dropped[kind].push(...entries.map(([, entry]) => entry));
+  const redraw = () => { showFiles(kind); ready(); };
+  redraw();
+  if (kind === "config" && entries.length) suggestName(entries[0][0].name);
+  const waiting = [...entries];
+  const worker = async () => { for (let next; (next = waiting.shift());) await upload(next[0], next[1], redraw); };
+  await Promise.all([worker(), worker(), worker()]);
+}
+
+function suggestName(file) {
+  const stem = file.replace(/\.[^.]*$/, "").replace(/[^A-Za-z0-9_-]+/g, "-").replace(/^[-_]+/, "");
+  if (!["printer", "config", ""].includes(stem)) one("#machine [name=name]").value = stem.slice(0, 60);
+}
+
+function showFiles(kind) {
+  one(`.files[data-for=${kind}]`).replaceChildren(...dropped[kind].map((entry) => {
+    const drop = make("button", { className: "plain", textContent: "remove", type: "button", onclick: () => { dropped[kind].splice(dropped[kind].indexOf(entry), 1); showFiles(kind); ready(); } });
+    const state = entry.error ? make("span", { className: "error", textContent: entry.error })
+      : make("span", { className: "size", textContent: entry.id ? bytes(entry.size) : `${Math.round(100 * entry.share)} %` });
+    return make("li", {}, make("span", { className: "name", textContent: entry.name }), state, drop);
+  }));
+}
+
+export const bytes = (n) => (n < 1e6 ? `${Math.max(1, Math.round(n / 1e3))} kB` : `${(n / 1e6).toFixed(1)} MB`);
+
+for (const kind of Object.keys(dropped)) {
+  const place = one(`#drop-${kind}`), input = one("input", place);
+  input.addEventListener("change", () => { take(kind, [...input.files]); input.value = ""; });
+  place.addEventListener("dragover", (event) => { event.preventDefault(); place.classList.add("over"); });
+  place.addEventListener("dragleave", () => place.classList.remove("over"));
+  place.addEventListener("drop", (event) => { event.preventDefault(); place.classList.remove("over"); take(kind, event.dataTransfer.files); });
+}
+for (const name of ["dragover", "drop"]) addEventListener(name, (event) => event.preventDefault()); // a file beside the place replaces no page
+
+// ---- what is started ----
+
+const here = (kind) => dropped[kind].filter((entry) => entry.id);
+const arriving = (kind) => dropped[kind].some((entry) => !entry.id && !entry.error);
+
+function ready() {
+  const machine = machines.value !== "";
+  const prints = here("prints").length > 0 && !arriving("prints") && machine;
+  const captures = here("captures").length > 0 && !arriving("captures") && machine;
+  const can = { compensate: prints, compare: prints, import: here("config").length > 0, plan: machine, diagnose: captures, fit: captures };
+  all("[data-job]").forEach((button) => { button.disabled = !can[button.dataset.job]; });
+}
+
+/** The options that stand beside a button, those that are set. */
+function options(panel) {
+  return Object.fromEntries(all("[name]", panel).map((field) => [field.name, field.type === "checkbox" ? field.checked : field.value.trim()])
+    .filter(([, value]) => value !== "" && value !== false));
+}
+
+const OF = { compensate: ["shaper_off", "force", "max_error_um", "max_flow_mm3_per_s", "flavor"], compare: ["flavor"], import: ["name", "kinematics"], plan: ["height_mm", "at", "seconds", "repeats"], diagnose: ["without_repeats"], fit: [] };
+
+export async function start(kind, files, more = {}) {
+  const panel = one(`[data-job=${kind}]`).closest("[role=tabpanel]");
+  const set = Object.fromEntries(Object.entries(options(panel)).filter(([name]) => OF[kind].includes(name)));
+  await ask("api/jobs", { kind, machine: machines.value, files, options: set, ...more });
+}
+
+const STARTS = {
+  compensate: async () => { for (const entry of here("prints")) await start("compensate", [entry.id]); clear("prints"); },
+  compare: async () => { for (const entry of here("prints")) await start("compare", [entry.id]); },
+  import: async () => { await start("import", here("config").map((each) => each.id)); clear("config"); },
+  plan: () => start("plan", []),
+  diagnose: () => measured("diagnose"),
+  fit: () => measured("fit"),
+};
+const measured = (kind) => start(kind, here("captures").map((each) => each.id), { plan: one("#plans").value });
+
+function clear(kind) {
+  dropped[kind].length = 0;
+  showFiles(kind);
+  ready();
+}
+
+all("[data-job]").forEach((button) => button.addEventListener("click", async () => {
+  button.disabled = true;
+  await attempt(STARTS[button.dataset.job]);
+  ready();
+  await look();
+}));
+
+function showPlans(jobs) {
+  const plans = jobs.filter((job) => job.kind === "plan" && job.state === "done");
+  const select = one("#plans"), chosen = select.value;
+  const shown = [...select.options].map((each) => each.value);
+  if (shown.length && plans.map((job) => job.id).join() === shown.filter(Boolean).join()) return;
+  const none = make("option", { value: "", textContent: plans.length ? "none: resonance tests" : "none yet: write them above" });
+  select.replaceChildren(...plans.map((job) => make("option", { value: job.id, textContent: `${job.title}, ${new Date(1000 * job.ended).toLocaleString()}` })), none);
+  select.value = plans.some((job) => job.id === chosen) ? chosen : plans.length ? plans[0].id : "";
+}
+
+// ---- the printer ----
+
+let printed = [];
+async function listPrinter() {
+  printed = await ask("api/printer/files");
+  showPrinted();
+}
+function showPrinted() {
+  const wanted = one("#search").value.toLowerCase();
+  const shown = printed.filter((file) => file.path.toLowerCase().includes(wanted)).slice(0, 100);
+  one("#printer-files").replaceChildren(...shown.map((file) => make("li", {},
+    make("span", { className: "name", textContent: file.path }),
+    make("span", { className: "size", textContent: `${bytes(file.bytes)}, ${new Date(1000 * file.modified).toLocaleDateString()}` }),
+    make("button", { textContent: "Compensate", onclick: (event) => compensatePrinted(event.target, file) }))));
+}
+async function compensatePrinted(button, file) {
+  button.disabled = true;
+  await attempt(async () => {
+    if (!machines.value) throw new Error("Choose your printer's machine first.");
+    const upload = await ask("api/printer/fetch", { path: file.path });
+    await start("compensate", [upload.id]);
+  });
+  button.disabled = false;
+  await look();
+}
+one("#search").addEventListener("input", showPrinted);
+
+// ---- watching ----
+
+let timer;
+export async function look() {
+  clearTimeout(timer);
+  let active = false;
+  try {
+    const state = await ask("api/state");
+    one("#version").textContent = `Version ${state.version}.`;
+    one("#tab-printer").hidden = !state.printer;
+    largest = state.largest_mb * 1048576;
+    showMachines(state.machines);
+    showPlans(state.jobs);
+    showJobs(state.jobs, state.printer);
+    active = state.jobs.some((job) => ["queued", "running"].includes(job.state));
+    if (one("#trouble").dataset.lost) { one("#trouble").hidden = true; delete one("#trouble").dataset.lost; }
+  } catch (error) {
+    const trouble = one("#trouble");
+    trouble.textContent = /fetch/i.test(error.message) ? "The server does not answer: is it still running?" : error.message;
+    trouble.hidden = false;
+    trouble.dataset.lost = "yes";
+  }
+  timer = setTimeout(look, active ? QUICK_MS : SLOW_MS);
+}
+addEventListener("visibilitychange", () => { if (!document.hidden) look(); });
+open(tabs[0]);
+look();

@@ -1,0 +1,85 @@
+"""What a server was asked to be, in one frozen object."""
+
+from __future__ import annotations
+
+import ipaddress
+import secrets
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+
+MEGABYTE = 1 << 20
+RESERVE = 300 * MEGABYTE  # free on the disk, whatever comes in: the system and the printer's host need it
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Settings of one server.
+
+    Parameters
+    ----------
+    folder : Path
+        Where uploads and jobs are kept.
+    host : str
+        Address to listen on.
+    port : int
+        Port to listen on.
+    jobs : int
+        Jobs that run at the same time.
+    largest_bytes : int
+        Largest file that is taken.
+    room_bytes : int
+        All files of the folder together.
+    keep_days : float
+        Age at which jobs that have ended are removed.
+    names : tuple of str
+        Names, beside those that `guard` knows, by which the server is reached.
+    frames : tuple of str
+        Origins of pages that may show this one in a frame, e.g. `http://mainsailos.local`.
+    token : str
+        Secret that a visitor needs; empty for none.
+    moonraker : str
+        Address of the printer's Moonraker; empty for none.
+    secure : bool
+        Whether the server speaks TLS.
+    """
+
+    folder: Path
+    host: str = "127.0.0.1"
+    port: int = 8017
+    jobs: int = 1
+    largest_bytes: int = 1024 * MEGABYTE
+    room_bytes: int = 20 * 1024 * MEGABYTE
+    keep_days: float = 14.0
+    names: tuple[str, ...] = ()
+    frames: tuple[str, ...] = ()
+    token: str = ""
+    moonraker: str = ""
+    secure: bool = False
+
+    @property
+    def address(self) -> str:
+        """The page's address, as its owner types it."""
+        host = socket.gethostname() if self.host in ("0.0.0.0", "::") else self.host
+        shown = f"[{host}]" if ":" in host else host
+        return f"{'https' if self.secure else 'http'}://{shown}:{self.port}/"
+
+
+def is_local(host: str) -> bool:
+    """Tell whether only this computer reaches an address."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def kept_token(folder: Path) -> str:
+    """Return the folder's token, made once, which nobody else on this computer can read."""
+    path = folder / "token"
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        path.touch(mode=0o600)
+        path.write_text(secrets.token_urlsafe(24), encoding="ascii")
+    return path.read_text(encoding="ascii").strip()

@@ -1,0 +1,298 @@
+"""`ffcomp serve` with real jobs, a printer that answers like Moonraker, and visitors who mean no good."""
+
+from __future__ import annotations
+
+import gzip
+import http.client
+import io
+import json
+import zipfile
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+import pytest
+from typer.testing import CliRunner
+
+from ffcomp.cli.app import app
+from tests.support.server import MARK, client, command, started, uploaded, wait_for
+
+EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
+WIGGLE = (EXAMPLES / "wiggle.gcode").read_bytes()
+MEGABYTE = 1 << 20
+
+
+@pytest.fixture
+def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    with client(tmp_path, monkeypatch) as made:
+        yield made
+
+
+def test_a_print_comes_back_compensated_with_its_picture(page: Any) -> None:
+    job = wait_for(page, started(page, "compensate", [uploaded(page, "a.gcode", WIGGLE)], machine="kossel"))
+    assert job["state"] == "done", job["error"]
+    assert job["outputs"] == ["a.gcode", "picture.png"] and "times less" in job["answer"]["lead"]
+    assert job["answer"]["warnings"][0].startswith("The modes of kossel are assumed")
+    got = page.get(f"/api/jobs/{job['id']}/files/a.gcode")
+    assert b"; Processed by ffcomp" in got.content and "attachment" in got.headers["content-disposition"]
+    seen = page.get(f"/api/jobs/{job['id']}/files/picture.png?view=1")
+    assert seen.content.startswith(b"\x89PNG") and seen.headers["content-type"] == "image/png"
+    assert seen.headers["content-security-policy"].startswith("sandbox")
+    assert page.post(f"/api/jobs/{job['id']}/remove", json={}).status_code == 200
+    assert page.get(f"/api/jobs/{job['id']}/files/a.gcode").status_code == 404
+    assert not any(page.server.runner.kept.folder.iterdir())
+
+
+def test_a_configuration_becomes_a_machine_of_ones_own(page: Any) -> None:
+    config = (EXAMPLES / "printer.cfg").read_bytes()
+    for name in ("my-delta", "my-delta-2"):  # the second time: never overwritten
+        id_ = started(page, "import", [uploaded(page, "printer.cfg", config)], options={"name": "my-delta"})
+        job = wait_for(page, id_)
+        assert job["state"] == "done" and job["answer"]["kept"] == name
+    own = [each["name"] for each in page.get("/api/state").json()["machines"] if each["own"]]
+    assert own == ["my-delta", "my-delta-2"]
+    job = wait_for(page, started(page, "import", [uploaded(page, "printer.cfg", b"[printer]\nkinematics: polar\n")]))
+    assert job["state"] == "failed" and "polar" in job["error"]
+
+
+def test_moves_are_planned_and_their_captures_find_the_plan(page: Any) -> None:
+    options = {"at": "110,110", "seconds": 2, "repeats": 1}
+    plan = wait_for(page, started(page, "plan", machine="ender-3", options=options))
+    assert plan["state"] == "done" and plan["outputs"] == ["moves.gcode", "moves.json"]
+    id_ = started(
+        page, "diagnose", [uploaded(page, "adxl345-x-1.csv", b"no,capture\n1,2\n")], machine="ender-3", plan=plan["id"]
+    )
+    job = wait_for(page, id_)
+    assert job["inputs"] == ["adxl345-x-1.csv", "moves.json"] and job["state"] == "failed"
+    assert "adxl345-x-1.csv" in job["error"]
+    log = page.get(f"/api/jobs/{id_}/log").text
+    assert job["error"].splitlines()[-1] in log
+    assert page.post(f"/api/jobs/{id_}/keep", json={"name": "better"}).status_code == 404  # it has made no machine
+
+
+# -- visitors who mean no good --
+
+
+def bomb(name: str) -> bytes:
+    """Less than a megabyte that unpacks to 400."""
+    packed = io.BytesIO()
+    if name.endswith(".gz"):
+        with gzip.GzipFile(fileobj=packed, mode="wb", compresslevel=1) as file:
+            file.writelines([b";" * MEGABYTE] * 400)
+    else:
+        archive = zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED, compresslevel=1)
+        with archive, archive.open("Metadata/plate_1.gcode", "w") as member:
+            member.writelines([b";" * MEGABYTE] * 400)
+    return packed.getvalue()
+
+
+@pytest.mark.parametrize("name", ["a.gcode.3mf", "a.gcode.gz"])
+def test_an_archive_that_would_fill_the_disk_is_refused_in_a_sentence(name: str, page: Any) -> None:
+    content = bomb(name)
+    assert len(content) < 4 * MEGABYTE
+    job = wait_for(page, started(page, "compensate", [uploaded(page, name, content)], machine="kossel"))
+    assert job["state"] == "failed" and "unpack to more than" in job["error"]
+    held = sum(path.stat().st_size for path in page.server.settings.folder.rglob("*") if path.is_file())
+    assert held < 3 * len(content) + MEGABYTE
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/../../../etc/passwd",
+        "/%2e%2e/%2e%2e/etc/passwd",
+        "/api/jobs/../../etc/files/passwd",
+        "/api/jobs/..%2f..%2f..%2fetc/files/passwd",
+        "/api/jobs/{id}/files/..%2fjob.json",
+        "/api/jobs/{id}/files/%2e%2e%2fin%2fa.gcode",
+        "/api/jobs/{id}/files//etc/passwd",
+        "/api/jobs/{id}/files/job.json",
+        "/page/../app.py",
+        "/token",
+    ],
+)
+def test_no_path_of_a_visitor_leads_to_a_file(path: str, page: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ffcomp.serve.runner.COMMAND", ("false",))
+    id_ = started(page, "compensate", [uploaded(page, "a.gcode", b"secret")], machine="kossel")
+    wait_for(page, id_)
+    address = urlsplit(str(page.base_url))
+    plain = http.client.HTTPConnection(str(address.hostname), address.port)  # sends a path as it is
+    plain.request("GET", path.format(id=id_))
+    answer = plain.getresponse()
+    body = answer.read()
+    plain.close()
+    assert answer.status == 404 and b"root:" not in body and b"secret" not in body
+
+
+def test_what_is_asked_wrongly_is_a_sentence(page: Any) -> None:
+    one = uploaded(page, "a.gcode", WIGGLE)
+    asked: list[tuple[dict[str, Any], str]] = [
+        ({"kind": "compensate", "files": ["../../etc/passwd"], "machine": "kossel"}, "no such file"),
+        ({"kind": "compensate", "files": [one], "machine": "/etc/passwd"}, "no machine"),
+        ({"kind": "compensate", "files": [one, one], "machine": "kossel"}, "one file at a time"),
+        ({"kind": "compensate", "files": [], "machine": "kossel"}, "needs a file"),
+        ({"kind": "compensate", "files": "all", "machine": "kossel"}, "must be a list"),
+        ({"kind": "diagnose", "files": [one, one], "machine": "kossel"}, "same name"),
+        ({"kind": "diagnose", "files": [one], "machine": "kossel", "plan": "../x"}, "no such job"),
+        ({"kind": "sh", "files": []}, "no kind of job"),
+        ({"kind": "compensate", "files": [one], "machine": "kossel", "options": {"jobs": 99}}, "no option"),
+    ]
+    for body, sentence in asked:
+        answer = page.post("/api/jobs", json=body)
+        assert answer.status_code in (400, 404) and sentence in answer.json()["error"], answer.text
+    assert page.post("/api/jobs", content=b"[" * 70_000).status_code == 413
+    assert page.post("/api/jobs", content=b"[]").status_code == 400
+    assert page.post("/api/jobs/0123456789abcdef/cancel", json={}).status_code == 404
+    assert page.get("/api/printer/files").status_code == 404
+
+
+def resident_mb(status: Path) -> float:
+    """Largest memory that a process has had, MB."""
+    line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
+    return int(line.split()[1]) / 1024
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="only Linux tells a process's largest memory")
+def test_fifty_uploads_at_once_and_one_without_end_take_little_memory(tmp_path: Path) -> None:
+    with command(tmp_path, "--largest-mb", "60") as (address, pid):
+        status = Path(f"/proc/{pid}/status")
+        assert post(address, "/api/files?name=first.gcode", [b"G28\n"])[0] == 201
+        before = resident_mb(status)
+        piece = b"G1 X1 Y1\n" * 7000
+        with ThreadPoolExecutor(50) as many:
+            answers = list(many.map(lambda k: post(address, f"/api/files?name={k}.gcode", [piece] * 32), range(50)))
+        assert [code for code, _ in answers] == [201] * 50  # 100 MB in all
+        assert len({json.loads(body)["id"] for _, body in answers}) == 50
+        code, body = post(address, "/api/files?name=endless.gcode", (piece for _ in range(8000)))  # 500 MB
+        assert code in (413, 0) and (code == 0 or b"larger than 60 MB" in body)  # 0: it hung up while more was sent
+        assert post(address, "/api/files?name=last.gcode", [b"G28\n"])[0] == 201
+        assert resident_mb(status) < before + 60.0
+        assert sum(path.stat().st_size for path in (tmp_path / "work").rglob("*") if path.is_file()) < 110e6
+
+
+def post(address: str, path: str, pieces: Any) -> tuple[int, bytes]:
+    """Status and body of an answer; 0 where the connection was closed before."""
+    parts = urlsplit(address)
+    plain = http.client.HTTPConnection(str(parts.hostname), parts.port, timeout=60)
+    try:
+        plain.request("POST", path, body=iter(pieces), headers=MARK, encode_chunked=True)
+        answer = plain.getresponse()
+        return answer.status, answer.read()
+    except OSError:
+        return 0, b""
+    finally:
+        plain.close()
+
+
+# -- the command --
+
+
+def test_a_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ffcomp.cli.common.find_spec", lambda package: None)
+    done = CliRunner().invoke(app, ["serve"])
+    assert done.exit_code == 1 and "pip install 'ffcomp[serve]'" in done.output
+
+
+def test_a_port_that_is_taken_and_halves_of_a_pair_are_sentences(page: Any, tmp_path: Path) -> None:
+    port = str(urlsplit(str(page.base_url)).port)
+    done = CliRunner().invoke(app, ["serve", "--port", port, "--folder", str(tmp_path / "other")])
+    assert done.exit_code == 2 and f"port {port}" in done.output and "--port N" in done.output
+    assert CliRunner().invoke(app, ["serve", "--key", "a.pem"]).exit_code == 2
+    assert CliRunner().invoke(app, ["serve", "--frame", "javascript:alert(1)"]).exit_code == 2
+
+
+def test_reached_from_elsewhere_it_prints_a_token_that_opens_it(tmp_path: Path) -> None:
+    with command(tmp_path, "--host", "0.0.0.0") as (address, _):
+        parts = urlsplit(address)
+        assert parts.query.startswith("token=") and len(parts.query) > 30
+        plain = http.client.HTTPConnection("127.0.0.1", parts.port, timeout=30)
+        found = {}
+        for path in ("/", f"/?{parts.query}"):
+            plain.request("GET", path)
+            answer = plain.getresponse()
+            answer.read()
+            found[path] = answer.status
+        plain.close()
+        assert list(found.values()) == [401, 303]
+
+
+# -- the printer --
+
+
+class Moonraker(BaseHTTPRequestHandler):
+    """As much of Moonraker's interface as is used."""
+
+    files: dict[str, bytes]
+    started: list[str]
+
+    def do_GET(self) -> None:
+        path = unquote(urlsplit(self.path).path)
+        if path == "/server/files/list":
+            rows = [{"path": name, "size": len(text), "modified": 1.0} for name, text in self.files.items()]
+            self.answer(json.dumps({"result": rows}).encode())
+        elif path.removeprefix("/server/files/gcodes/") in self.files:
+            self.answer(self.files[path.removeprefix("/server/files/gcodes/")])
+        else:
+            self.send_error(404)
+
+    def do_POST(self) -> None:
+        body = self.rfile.read(int(self.headers["Content-Length"]))
+        edge = self.headers["Content-Type"].partition("boundary=")[2].encode()
+        parts = [part[2:-2].split(b"\r\n\r\n", 1) for part in body.split(b"--" + edge)[1:-1]]
+        found = {head.split(b'name="')[1].split(b'"')[0].decode(): (head, text) for head, text in parts}
+        name = found["file"][0].split(b'filename="')[1].split(b'"')[0].decode()
+        folder = found["path"][1].decode()
+        self.files[f"{folder}/{name}".lstrip("/")] = found["file"][1]
+        if found["print"][1] != b"false":
+            self.started.append(name)
+        self.answer(b'{"result": {}}')
+
+    def answer(self, body: bytes) -> None:
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Say nothing."""
+
+
+@contextmanager
+def printer(files: dict[str, bytes]) -> Iterator[tuple[str, type[Moonraker]]]:
+    kind = type("Printer", (Moonraker,), {"files": files, "started": []})
+    with ThreadingHTTPServer(("127.0.0.1", 0), kind) as server:
+        thread = Thread(target=server.serve_forever, args=(0.02,))
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}", kind
+        server.shutdown()
+        thread.join()
+
+
+def test_a_print_of_the_printer_is_compensated_and_put_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = {"parts/a b.gcode": WIGGLE, "notes.txt": b"mine"}
+    with printer(dict(files)) as (url, kind), client(tmp_path, monkeypatch, moonraker=url + "/") as page:
+        assert [each["path"] for each in page.get("/api/printer/files").json()] == ["parts/a b.gcode"]
+        for path in ("../moonraker.conf", "notes.txt", "parts/../parts/a b.gcode"):
+            assert page.post("/api/printer/fetch", json={"path": path}).status_code == 404
+        got = page.post("/api/printer/fetch", json={"path": "parts/a b.gcode"}).json()
+        job = wait_for(page, started(page, "compensate", [got["id"]], machine="kossel"))
+        assert job["state"] == "done", job["error"]
+        for name in ("parts/a b_ffcomp.gcode", "parts/a b_ffcomp2.gcode"):
+            answer = page.post(f"/api/jobs/{job['id']}/send", json={})
+            assert answer.json() == {"path": name}
+            assert kind.files[name] == page.get(f"/api/jobs/{job['id']}/files/a b.gcode").content
+        assert kind.files["parts/a b.gcode"] == WIGGLE and kind.started == []
+
+
+def test_a_printer_that_does_not_answer_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with client(tmp_path, monkeypatch, moonraker="http://127.0.0.1:9") as page:
+        answer = page.get("/api/printer/files")
+        assert answer.status_code == 502 and "cannot be reached" in answer.json()["error"]
+        assert page.get("/api/state").json()["printer"] is True

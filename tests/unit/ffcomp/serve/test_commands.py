@@ -1,0 +1,76 @@
+"""Options of the page: only those of a kind, only values that the command line takes, never a word of the client's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from ffcomp.cli.app import app
+from ffcomp.serve.commands import KINDS, OPTIONS, Request, checked
+from ffcomp.serve.uploads import Refused
+
+OUT = Path("out")
+INPUTS = {"compensate": ("a.gcode",), "compare": ("a.gcode",), "import": ("printer.cfg",), "diagnose": ("a.csv",)}
+
+
+def words_of(kind: str, options: dict[str, Any], *inputs: str) -> list[tuple[str, ...]]:
+    request = Request("/machines/kossel.toml", tuple(Path(each) for each in inputs), OUT, checked(kind, options))
+    return [step.words for step in KINDS[kind].steps(request)]
+
+
+def test_a_print_is_compensated_and_drawn() -> None:
+    first, second = words_of("compensate", {"shaper_off": True, "max_error_um": "25"}, "in/a.gcode")
+    assert first[:6] == ("compensate", "in/a.gcode", "-m", "/machines/kossel.toml", "-o", str(OUT / "a.gcode"))
+    assert first[6:] == ("--json", "--shaper-off", "--max-error-um=25") and second[0] == "show"
+
+
+def test_captures_and_their_plan_are_told_apart() -> None:
+    (words,) = words_of("diagnose", {}, "in/a-1.csv", "in/a-2.csv", "in/moves.json")
+    assert words[:5] == ("diagnose", "--report", str(OUT / "report.html"), "in/a-1.csv", "in/a-2.csv")
+    assert words[words.index("--plan") + 1] == "in/moves.json"
+
+
+def test_a_machine_file_is_checked_not_imported() -> None:
+    assert words_of("import", {}, "in/my.toml") == [("machines", "check", "in/my.toml", "--json")]
+    assert words_of("import", {"name": "my"}, "in/printer.cfg")[0][4:5] == (str(OUT / "my.toml"),)
+
+
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        ("destroy", {}),
+        ("compensate", []),
+        ("compensate", {"scheduler": "tcp://evil:1"}),
+        ("compensate", {"output_file": "/etc/passwd"}),
+        ("compensate", {"max_error_um": "--scheduler=x"}),
+        ("compensate", {"max_error_um": "nan"}),
+        ("compensate", {"max_error_um": -1}),
+        ("compensate", {"flavor": "klipper --force"}),
+        ("compensate", {"offset_mm": "1"}),
+        ("plan", {"at": "a,b"}),
+        ("plan", {"at": "nan,0"}),
+        ("import", {"name": "../../etc/cron.d/x"}),
+        ("import", {"name": "-o"}),
+        ("import", {"name": "x" * 61}),
+    ],
+)
+def test_what_the_page_would_not_ask_is_refused(kind: str, options: Any) -> None:
+    with pytest.raises(Refused):
+        checked(kind, options)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_word_is_one_of_the_command_line(kind: str) -> None:
+    values = {"flavor": "klipper", "kinematics": "corexy", "only": "mzv-calibrated", "sample": "10%"}
+    values |= {"at": "0,0", "offset_mm": "1,2", "name": "my"}
+    options = {name: True if OPTIONS[name][1] is None else values.get(name, "3") for name in KINDS[kind].options}
+    for words in words_of(kind, options, *INPUTS.get(kind, ("a.csv",))):
+        command: Any = typer.main.get_command(app)
+        rest = list(words)
+        while hasattr(command, "commands"):
+            command = command.commands[rest.pop(0)]
+        known = {opt for each in command.params for opt in (*each.opts, *each.secondary_opts)}
+        assert {word.split("=")[0] for word in rest if word.startswith("-")} <= known
