@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from ffcomp.cli.compare_quality import EqualQuality, hand_over, limits_of, quickest_request, refuse_beside
+from ffcomp.cli.faster_options import ChangeSpeed, KeepSpeed, MaxFlow, MinLayerTime
 from ffcomp.cli.help import ACCURACY, OUTPUT, SPEED
 from ffcomp.cli.options import (
     AsJson,
@@ -28,6 +32,7 @@ if TYPE_CHECKING:
     from ffcomp.compare.result import Comparison
     from ffcomp.compare.sampling import Sampling
 
+T = TypeVar("T")
 Printed = Annotated[Path, typer.Argument(metavar="FILE", help="Sliced print. It is only read.")]
 Mismatch = Annotated[
     str,
@@ -99,6 +104,11 @@ def compare(
     figures: Figures = None,
     quality_um: Quality = 25.0,
     only: Only = "",
+    equal_quality: EqualQuality = False,
+    max_flow_mm3_per_s: MaxFlow = None,
+    min_layer_time_s: MinLayerTime = None,
+    keep_speed: KeepSpeed = None,
+    change_speed: ChangeSpeed = None,
     offset_mm: Offset = "0,0",
     flavor: Flavor = "",
     max_segments_per_second: SegmentRate = 250.0,
@@ -117,9 +127,19 @@ def compare(
     from ffcomp.cli.common import exit_codes, print_json
 
     request = _request(mismatch, seeds, _sampling(layers, sample), quality_um, only)
+    limits = limits_of(max_flow_mm3_per_s, min_layer_time_s, keep_speed, change_speed)
+    refuse_beside(equal_quality, request, limits, figures)
     with _ExitWithoutThreads(), exit_codes():
         _check_targets(report, figures)
-        found = _compare(file, machine, plant, request, offset_mm, flavor, max_segments_per_second, plate, quiet)
+        given = _Given(file, machine, plant, offset_mm, flavor, max_segments_per_second, plate, quiet)
+        if equal_quality:
+            from ffcomp.compare.quickest import quickest
+
+            hand_over(_evaluated(given, quickest, quickest_request(request, limits)), report, as_json, quiet)
+            return
+        from ffcomp.compare.engine import compare as engine
+
+        found = _evaluated(given, engine, request)
         written = _write(found, report, figures)
         if as_json:
             print_json({**found.to_dict(), "report": _text(report), "figures": [str(path) for path in written]})
@@ -192,35 +212,41 @@ def _check_targets(report: Path | None, figures: Path | None) -> None:
         raise IsADirectoryError(21, "Is a folder, not a file to write", str(report))
 
 
-def _compare(
-    file: Path,
-    machine: str,
-    plant: str,
-    request: Request,
-    offset: str,
-    flavor: str,
-    rate: float,
-    plate: int | None,
-    quiet: bool,
-) -> Comparison:
+@dataclass(frozen=True, slots=True)
+class _Given:
+    """What is compared."""
+
+    file: Path
+    machine: str
+    plant: str
+    offset: str
+    flavor: str
+    rate: float
+    plate: int | None
+    quiet: bool
+
+
+def _evaluated(given: _Given, engine: Callable[..., T], request: Any) -> T:
+    """Call an engine of `ffcomp/compare` with what the command line says."""
     from ffcomp.cli.common import Progress, say
-    from ffcomp.compare.engine import compare as engine
     from ffcomp.inverse.settings import settings_for
     from gcode.container import read_bytes
     from gcode.embedded import original
     from gcode.stamp import STAMP_REACH, already_processed, find_offset
     from models.file import load_machine
 
-    data, believed, shift = read_bytes(file, plate), load_machine(machine), parsed_offset(offset)
-    true = load_machine(plant) if plant else None
+    data, believed = read_bytes(given.file, given.plate), load_machine(given.machine)
+    shift, true = parsed_offset(given.offset), load_machine(given.plant) if given.plant else None
     if already_processed(data) is not None:
-        say(f"ffcomp: {file} is compensated already: what is compared is the original that it holds.", quiet)
+        say(
+            f"ffcomp: {given.file} is compensated already: what is compared is the original that it holds.", given.quiet
+        )
         shift = shift if any(shift) else find_offset(data[:STAMP_REACH])
         data = original(data)
-    options: dict[str, Any] = {"offset": shift, "flavor": flavor}
-    with Progress(1.0, quiet, "comparing") as progress:
-        settings = settings_for(believed, rate)
-        return engine(data, str(file), believed, true, request, settings=settings, progress=progress.phase, **options)
+    options: dict[str, Any] = {"offset": shift, "flavor": given.flavor}
+    with Progress(1.0, given.quiet, "comparing") as progress:
+        options["settings"] = settings_for(believed, given.rate)
+        return engine(data, str(given.file), believed, true, request, progress=progress.phase, **options)
 
 
 def _write(found: Comparison, report: Path | None, figures: Path | None) -> list[Path]:

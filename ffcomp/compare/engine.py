@@ -12,11 +12,9 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Collection, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TypeVar
 
 import numpy as np
 
@@ -26,6 +24,7 @@ from ffcomp.compare.equal_quality import equal_quality, within_limits
 from ffcomp.compare.evaluation import SAMPLE_S, Execution, MethodEvaluation, by, contour, evaluate, track, weights
 from ffcomp.compare.methods import COMPENSATED, TunedMethod
 from ffcomp.compare.monte_carlo import draw_plants
+from ffcomp.compare.parallel import Progress, in_parallel
 from ffcomp.compare.result import BedMap, Comparison, Layer, Method, Outline, Party, Peaks, Spread
 from ffcomp.compare.sampling import SETTLE_S, Print, PrintSlice, Sampling
 from ffcomp.compensate.statistics import Statistics
@@ -33,7 +32,7 @@ from ffcomp.errors import NothingToDo
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import rms
 from ffcomp.simulate.compatibility import check_same_kinematics
-from ffcomp.simulate.playback import JOBS, ROW_S, simulate_nozzles
+from ffcomp.simulate.playback import ROW_S, simulate_nozzles
 from ffcomp.version import __version__
 from models.arrays import FloatArray
 from models.machine import Machine
@@ -43,9 +42,6 @@ SHORTEST_S = 3 * SETTLE_S
 SOME_S = 60.0  # of print time that is executed on every Monte-Carlo plant
 FEW_S, FEW_PIECE_S = 30.0, 5.0  # on which shapers are tuned and accelerations tried
 BED_PITCH_MM = 10.0
-
-T = TypeVar("T")
-Progress = Callable[[str, float], None]  # what is being done, and how much of it (0 to 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +185,9 @@ def _tuned(
             return every.scheduled(linear, of_place, kind)
         return every.best_fixed(linear, kind)
 
-    return _all([partial(method, name) for name in every.NAMES if name in names], "tuning every method", progress)
+    return in_parallel(
+        [partial(method, name) for name in every.NAMES if name in names], "tuning every method", progress
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +202,7 @@ def _executed(
     tuned: Sequence[TunedMethod], slices: Sequence[PrintSlice], plant: Machine, progress: Progress
 ) -> dict[str, _Executed]:
     tasks = [partial(_execute, method, slices, plant) for method in tuned]
-    return dict(zip([method.name for method in tuned], _all(tasks, "printing", progress), strict=True))
+    return dict(zip([method.name for method in tuned], in_parallel(tasks, "printing", progress), strict=True))
 
 
 def _execute(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -> _Executed:
@@ -264,7 +262,7 @@ def _with_spread(
         progress("printing on Monte-Carlo plants", k / len(tuned))
         found[method.name] = replace(methods[method.name], spread=Spread(tuple(_rms_on(plants, method, slices))))
     tasks = [partial(_retuned, best, each, few, slices) for each in plants]
-    retuned = tuple(_all(tasks, "tuning shapers on Monte-Carlo plants", progress))
+    retuned = tuple(in_parallel(tasks, "tuning shapers on Monte-Carlo plants", progress))
     found[best] = replace(found[best], retuned=Spread(retuned))
     return found
 
@@ -294,24 +292,9 @@ def _with_quality(
     progress: Progress,
 ) -> dict[str, Method]:
     tasks = [partial(equal_quality, method, printed, plant, few, bound_um) for method in tuned]
-    found = _all(tasks, "seeking equal quality", progress)
+    found = in_parallel(tasks, "seeking equal quality", progress)
     pairs = zip(tuned, found, strict=True)
     return {each.name: replace(methods[each.name], equal_quality=quality) for each, quality in pairs}
-
-
-def _all(tasks: Sequence[Callable[[], T]], what: str, progress: Progress) -> list[T]:
-    """Do the tasks in parallel; an interruption waits only for those that are running."""
-    progress(what, 0.0)
-    pool = ThreadPoolExecutor(JOBS)
-    try:
-        futures = [pool.submit(task) for task in tasks]
-        found = []
-        for k, future in enumerate(futures):
-            found.append(future.result())
-            progress(what, (k + 1) / len(tasks))
-        return found
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 # ---- what was compared -----------------------------------------------------------------------

@@ -35,26 +35,26 @@ def equal_quality(
         Of the contour error's 99th percentile.
     """
 
-    def p99_um(acceleration: float) -> float:
-        return _p99_um(method, [each.with_acceleration(acceleration) for each in slices], plant)
+    def p99_at(acceleration: float) -> float:
+        return p99_um(method, [each.with_acceleration(acceleration) for each in slices], plant)
 
     def result(acceleration: float, p99: float, **about: bool) -> EqualQuality:
         plan = accelerated(printed.planned, printed.machine, acceleration)
         return EqualQuality(acceleration, plan.trajectory.end_t, p99, **about)
 
-    if (p99 := p99_um(HIGHEST)) <= bound_um:
+    if (p99 := p99_at(HIGHEST)) <= bound_um:
         return result(HIGHEST, p99, capped=True)
-    if (p99 := p99_um(LOWEST)) > bound_um:
+    if (p99 := p99_at(LOWEST)) > bound_um:
         return result(LOWEST, p99, capped=False, reached=False)
     low, high, best = np.log(LOWEST), np.log(HIGHEST), p99
     for _ in range(HALVINGS):
         middle = (low + high) / 2
-        p99 = p99_um(float(np.exp(middle)))
+        p99 = p99_at(float(np.exp(middle)))
         low, high, best = (middle, high, p99) if p99 <= bound_um else (low, middle, best)
     return result(float(np.exp(low)), best, capped=False)
 
 
-def _p99_um(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -> float:
+def p99_um(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -> float:
     """Return the 99th percentile; infinite if the command breaks a carriage's limit."""
     found = []
     for print_slice in slices:

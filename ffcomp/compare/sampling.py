@@ -148,7 +148,7 @@ class Print:
         what = "the whole print" if whole else _layers_named(sampling)
         cuts = [] if evaluated >= seconds - slice_s / 2 else list(self._cuts(first, last, evaluated, slice_s))
         if not cuts:  # all is requested, or it is a single arc, which is not cut
-            found = [self._whole()] if whole else [self._part(first, last)]
+            found = [self.whole()] if whole else [self._part(first, last)]
             were = "was" if whole else "were"
             return found, f"{what[0].upper()}{what[1:]} {were} evaluated, {seconds:.0f} s."
         strata = self._strata(first, last)
@@ -235,7 +235,8 @@ class Print:
         told = ", ".join(f"{names[k]} ({seconds[k] / seconds.sum():.1%} of what extrudes)" for k in left)
         return f" Not among them: {told}."
 
-    def _whole(self) -> PrintSlice:
+    def whole(self) -> PrintSlice:
+        """Return the whole print as one slice."""
         kinds = self.labels
         return PrintSlice(self.machine, self.planned, self.flavor, self.offset, kinds.layer, kinds.feature)
 

@@ -113,6 +113,13 @@ def test_compare(page: Page, folder: Path) -> None:
     hold(page, "ffcomp-compare/1", told("compare", print_, *MACHINE, *options))
 
 
+def test_equal_quality(page: Page, folder: Path) -> None:
+    print_ = folder / "squares.gcode"
+    print_.write_bytes(squares(1))
+    options = ("--only", "mzv", "--equal-quality", "--mismatch", "5%", "--seeds", "1", "--min-layer-time-s", "0", "-q")
+    hold(page, "ffcomp-equal-quality/1", told("compare", print_, *MACHINE, *options, "--change-speed", "first layer"))
+
+
 def test_frf(page: Page, folder: Path, corexy: Path) -> None:
     files = _measured(folder, towers_bench(-80.0, 0.0, np.arange(4.0, 125.0, 4.0)))
     answers = [*told("frf", *MACHINE, "--measured", files[0], "--map", folder / "map.json"), *told("frf", *MACHINE)]

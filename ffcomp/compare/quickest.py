@@ -1,0 +1,344 @@
+"""How long a print takes at equal error: with every shaper, with ffcomp, and what nothing can be quicker than.
+
+slices     compare.sampling         that stand for the print
+rules      compare.quickest_plans   feeds, acceleration, flow, layer times: the same for all
+shapers    compare.quickest_search  the quickest setting of each that keeps the bound
+ffcomp     faster                   the quickest plan whose error stays under the bound
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+
+from ffcomp.compare import methods as every
+from ffcomp.compare.baselines import LinearPrinter
+from ffcomp.compare.compensated import compensated, segments, segments_motion
+from ffcomp.compare.evaluation import Execution, contour, weights
+from ffcomp.compare.methods import COMPENSATED, TunedMethod
+from ffcomp.compare.monte_carlo import draw_plants
+from ffcomp.compare.parallel import Progress, in_parallel
+from ffcomp.compare.quickest_plans import Stretch, WholePrint, seconds_of
+from ffcomp.compare.quickest_result import FASTER, KNOWN, Contender, Piece, Quickest
+from ffcomp.compare.quickest_search import FEEDS, Seeker, Setting
+from ffcomp.compare.result import Family, Party
+from ffcomp.compare.sampling import SETTLE_S, Print, PrintSlice, Sampling
+from ffcomp.errors import NothingToDo
+from ffcomp.faster.bound import FIRST_LAYER, Bound, with_slicer_settings
+from ffcomp.faster.program import faster_program
+from ffcomp.faster.shares import AS_SLICED, COOLING
+from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.settings import Settings, settings_for
+from ffcomp.metrics import contour_statistics
+from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.program import plan_program
+from ffcomp.shapers.kinds import USUAL
+from ffcomp.simulate.compatibility import check_same_kinematics
+from ffcomp.simulate.playback import simulate_nozzles
+from ffcomp.version import __version__
+from models.arrays import FloatArray
+from models.machine import Machine
+from models.provenance import assumed_modes
+
+SLICE_S, SOME_S = 8.0, 48.0  # length of a slice, and of all unless more is asked for
+TUNED_S = 30.0  # on which shapers are tuned
+ENDS = 1 << 16  # bytes at both ends of a file, in which slicers say their settings
+KEPT_FEEDS = (1.0, 0.7, 0.5, 0.35)
+
+
+@dataclass(frozen=True, slots=True)
+class QuickestRequest:
+    """What is asked for."""
+
+    bound: Bound = field(default_factory=lambda: Bound(25.0))
+    sampling: Sampling = field(default_factory=Sampling)
+    shapers: tuple[str, ...] = USUAL
+    mismatch: float = 0.0  # relative standard deviation of the Monte-Carlo plants' parameters
+    seeds: int = 0  # number of Monte-Carlo plants
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """What every method needs."""
+
+    machine: Machine
+    plant: Machine
+    settings: Settings
+    bound: Bound
+    whole: WholePrint
+    stretches: list[Stretch]
+    plants: list[Machine]  # printers that are off, on which what was found is judged too
+
+
+def quickest(
+    data: bytes,
+    path: str,
+    machine: Machine,
+    plant: Machine | None = None,
+    request: QuickestRequest | None = None,
+    *,
+    settings: Settings | None = None,
+    offset: tuple[float, float] = (0.0, 0.0),
+    flavor: str = "",
+    progress: Progress = lambda what, done: None,
+) -> Quickest:
+    """Find how long the print takes with every method at the error that all may have.
+
+    Parameters
+    ----------
+    data, path : bytes, str
+        The G-code file and its name.
+    machine : Machine
+        The machine file that the methods use.
+    plant : Machine, optional
+        The printer that evaluates; None: the machine itself.
+    request : QuickestRequest, optional
+    settings : Settings, optional
+        Of the inverse.
+    offset, flavor :
+        As of `compare`.
+    progress : callable
+        Called with the current step and the share of it that is done.
+
+    Raises
+    ------
+    NothingToDo
+        If the chosen part is too short.
+    """
+    started = time.perf_counter()
+    request, plant, settings = request or QuickestRequest(), plant or machine, settings or settings_for(machine)
+    check_same_kinematics(machine, plant)
+    printed = Print(data, path, machine, offset, flavor)
+    bound = with_slicer_settings(request.bound, data[:ENDS], data[-ENDS:])
+    at_most_s = SOME_S if request.sampling.share is None else np.inf
+    slices, sampled = printed.slices(request.sampling, SLICE_S, at_most_s)
+    if max(each.trajectory.end_t for each in slices) < 3 * SETTLE_S:
+        raise NothingToDo(f"{path}: the part to be evaluated lasts less than {3 * SETTLE_S:g} s: nothing to compare.")
+    stretches = [Stretch.of(each, printed.labels.features, bound) for each in slices]
+    plants = draw_plants(plant, request.mismatch, request.seeds)
+    job = _Job(machine, plant, settings, bound, WholePrint(printed, bound), stretches, plants)
+    few = _some(slices)
+    linear = LinearPrinter(plant, few)
+    tasks = [partial(_kept, job, every.none()), *(partial(_shaper, job, linear, kind) for kind in request.shapers)]
+    tasks += [partial(_kept, job, _with_feeds_kept(machine, settings))]
+    tasks += [partial(_faster, job), partial(_faster, job, known=True)]
+    found = in_parallel(tasks, "seeking the quickest print", progress)
+    return Quickest(
+        print_name=path,
+        print_sha256=hashlib.sha256(data).hexdigest(),
+        machine=_party(machine),
+        plant=_party(plant),
+        version=__version__,
+        bound_um=bound.max_error_um,
+        max_flow_mm3_per_s=_flow(job),
+        min_layer_time_s=job.whole.shortest_s,
+        sampling=sampled,
+        whole=len(slices) == 1 and len(slices[0].layer) == len(printed.program.moves),
+        sliced=_sliced(job),
+        contenders={each.name: each for each in found},
+        actuator_limit_s=job.whole.actuator_limit_s(),
+        seconds=time.perf_counter() - started,
+        mismatch=_mismatch(request),
+    )
+
+
+def _mismatch(request: QuickestRequest) -> str:
+    if not request.seeds:
+        return ""
+    return (
+        f"What was found is also played on {request.seeds} printers whose dynamic parameters are each off by a normal "
+        f"draw with a standard deviation of {request.mismatch:.0%}."
+    )
+
+
+def _some(slices: Sequence[PrintSlice]) -> list[PrintSlice]:
+    """Return the first of the slices in their order from the middle outwards, as long as shapers are tuned on."""
+    found, seconds = list[PrintSlice](), 0.0
+    for each in sorted(slices, key=lambda each: abs(each.begin_t - slices[len(slices) // 2].begin_t)):
+        if not found or seconds + each.trajectory.end_t <= TUNED_S:
+            found.append(each)
+            seconds += each.trajectory.end_t
+    return found
+
+
+def _flow(job: _Job) -> float | None:
+    """Return the nozzle's flow that no method exceeds, mm³/s."""
+    if job.bound.max_flow_mm3_per_s is not None:
+        return job.bound.max_flow_mm3_per_s
+    print_slice = job.whole.stretch.print_slice
+    moves, extrudes = print_slice.planned.program.moves, print_slice.extrudes
+    filament = print_slice.trajectory.direction[:, 3][extrudes]
+    if not filament.size:
+        return None
+    area = 0.25 * np.pi * planner_limits(job.machine).filament_diameter_mm ** 2
+    return float((moves.speed[extrudes] * filament).max() * area)
+
+
+def _party(machine: Machine) -> Party:
+    return Party(machine.name, machine.sha256, tuple(machine.effects), assumed_modes(machine))
+
+
+# ---- the methods ---------------------------------------------------------------------------------
+
+
+def _sliced(job: _Job) -> Contender:
+    """Evaluate the print as it is."""
+    slices, whole = [each.print_slice for each in job.stretches], job.whole
+    execution = _executions(every.none(), slices, job.plant)
+    about = "The slicer's speeds, without compensation."
+    return _contender(job, ("sliced", "as sliced", "none", about), execution, whole.stretch.seconds)
+
+
+def _shaper(job: _Job, linear: LinearPrinter, kind: str) -> Contender:
+    return _set(job, every.best_fixed(linear, kind), FEEDS)
+
+
+def _with_feeds_kept(machine: Machine, settings: Settings) -> TunedMethod:
+    return replace(every.inversion(machine, settings, COMPENSATED), label="ffcomp, feeds kept")
+
+
+def _kept(job: _Job, method: TunedMethod) -> Contender:
+    """Seek the highest acceleration with the slicer's feeds, or with slower ones where none keeps the bound."""
+    return _set(job, method, FEEDS if method.family == "none" else KEPT_FEEDS)
+
+
+def _set(job: _Job, method: TunedMethod, feeds: Sequence[float]) -> Contender:
+    found: Setting = Seeker(method, job.stretches, job.plant, job.bound.max_error_um).setting(feeds)
+    slices = [each.at(found.feed, found.acceleration_mm_per_s2) for each in job.stretches]
+    execution = _executions(method, slices, job.plant)
+    seconds = job.whole.at(found.feed, found.acceleration_mm_per_s2)
+    about = (method.name, method.label, method.family, method.tuning)
+    contender = _contender(job, about, execution, seconds)
+    return replace(contender, feed=found.feed, acceleration_mm_per_s2=found.acceleration_mm_per_s2)
+
+
+def _executions(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -> list[Execution]:
+    found = []
+    for print_slice in slices:
+        motion, _ = method.motion(print_slice)
+        t, (nozzle,) = simulate_nozzles([plant], motion, print_slice.machine)
+        found.append(Execution(print_slice, motion, t, nozzle))
+    return found
+
+
+def _faster(job: _Job, known: bool = False) -> Contender:
+    """Make every slice as quick as the bound allows for printers as uncertain as the machine file says.
+
+    known : as if it were certain of everything
+    """
+    own = job.settings if known else replace(job.settings, robust=True, robust_quickly=True)
+    certain = {"default": 0.0, **dict.fromkeys(job.machine.uncertainty, 0.0)}
+    model = InverseModel(replace(job.machine, uncertainty=certain) if known else job.machine, own)
+    quick = [_Quick.of(each, model, job) for each in job.stretches]
+    estimated = job.whole.from_slices(job.stretches, [each.seconds for each in quick])
+    seconds = job.whole.cooled(estimated)
+    contender = _contender(job, _about_faster(job, known), [each.execution for each in quick], seconds)
+    limited = _limited(job, quick, estimated, float(seconds.sum() - estimated.sum()))
+    warnings = dict.fromkeys(said for each in quick for said in each.warnings)
+    return replace(contender, limited_by=limited, warnings=tuple(warnings))
+
+
+def _about_faster(job: _Job, known: bool) -> tuple[str, str, Family, str]:
+    tuning = "Every move as fast as error, flow and the machine's limits allow; the bound holds for "
+    if known:
+        return KNOWN, "ffcomp, faster, machine known", "inversion", f"{tuning}the machine file's printer alone."
+    share = f"{100 * (1 - job.bound.safety):.0f} %"
+    about = f"{tuning}{share} of printers as uncertain as the machine file says."
+    return FASTER, "ffcomp, faster", "inversion", about
+
+
+@dataclass(frozen=True, eq=False)
+class _Quick:
+    """A slice, as quick as the bound allows."""
+
+    execution: Execution
+    seconds: FloatArray  # (n,) s of each move
+    limited_by: dict[str, float]
+    warnings: tuple[str, ...]
+
+    @classmethod
+    def of(cls, stretch: Stretch, model: InverseModel, job: _Job) -> _Quick:
+        """Plan a slice, compensate it, and play what is written."""
+        own, machine = stretch.print_slice, job.machine
+        bound = replace(job.bound, min_layer_time_s=0.0, change_speed=(*job.bound.change_speed, FIRST_LAYER))
+        feature = stretch.features[own.feature[0]]
+        kept = (own.layer == 0) & job.bound.keeps_first_layer
+        found = faster_program(own.planned.program, model, bound, 1, feature, kept)
+        quick = replace(own, planned=plan_program(found.program, machine))
+        file = compensated(quick.planned, machine, model, own.flavor, own.offset)
+        motion = segments_motion(segments(file, machine, own.before, own.start))
+        t, (nozzle,) = simulate_nozzles([job.plant], motion, machine)
+        longer = file.statistics.print_time_s / max(file.statistics.original_print_time_s, 1e-9)
+        seconds = seconds_of(quick.trajectory) * longer
+        execution = Execution(quick, motion, t, nozzle)
+        return cls(execution, seconds, found.limited_by, file.statistics.warnings)
+
+
+def _limited(job: _Job, quick: Sequence[_Quick], estimated: FloatArray, cooling_s: float) -> dict[str, float]:
+    """Return what limits the quicker print, s of the whole, from the shares in its slices."""
+    names = dict.fromkeys(name for each in quick for name in each.limited_by)
+    sums = {name: sum(each.limited_by.get(name, 0.0) for each in quick) for name in names if name != AS_SLICED}
+    free = job.whole.stretch.free
+    scale = float(estimated[free].sum()) / max(sum(sums.values()), 1e-9)
+    return {
+        **{name: scale * s for name, s in sums.items()},
+        AS_SLICED: float(estimated[~free].sum()),
+        COOLING: cooling_s,
+    }
+
+
+# ---- what is said of each ------------------------------------------------------------------------
+
+
+def _contender(
+    job: _Job, about: tuple[str, str, Family, str], executions: Sequence[Execution], seconds: FloatArray
+) -> Contender:
+    name, label, family, tuning = about
+    counted = [each for each in executions if each.counted.any()]
+    found = contour_statistics(contour(counted), weights(counted))
+    return Contender(
+        name=name,
+        label=label,
+        family=family,
+        tuning=tuning,
+        print_time_s=float(seconds.sum()),
+        by_feature_s=job.whole.by_feature(seconds),
+        contour_rms_um=found.rms_um,
+        contour_p99_um=found.p99_um,
+        contour_max_um=found.max_um,
+        reached=found.p99_um <= job.bound.max_error_um,
+        pieces=tuple(_piece(each) for each in counted),
+        off_p99_um=_off_p99_um(job, counted),
+    )
+
+
+def _off_p99_um(job: _Job, executions: Sequence[Execution]) -> tuple[float, ...]:
+    """Play the same commands on printers that are off; return the 99th percentile on each, µm."""
+    if not job.plants:
+        return ()
+    on_each: list[list[Execution]] = [[] for _ in job.plants]
+    for each in executions:
+        t, nozzles = simulate_nozzles(job.plants, each.motion, each.print_slice.machine)
+        for found, nozzle in zip(on_each, nozzles, strict=True):
+            found.append(Execution(each.print_slice, each.motion, t, nozzle))
+    return tuple(contour_statistics(contour(found), weights(found)).p99_um for found in on_each)
+
+
+def _piece(execution: Execution) -> Piece:
+    t = execution.t[execution.counted]
+    path = execution.reference(t)
+    step = np.linalg.norm(np.diff(path, axis=0, prepend=path[:1]), axis=1)
+    error = contour([execution])
+    return Piece(
+        begin_s=execution.print_slice.begin_t,
+        seconds=float(t[-1] - t[0]),
+        p99_um=contour_statistics(error).p99_um,
+        distance_mm=np.cumsum(step),
+        speed_mm_per_s=step / np.gradient(t) if len(t) > 1 else step,
+        error_um=1e3 * error,
+    )
