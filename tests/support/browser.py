@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,7 +10,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import matplotlib.colors
+import numpy as np
 import pytest
+
+from models.arrays import FloatArray
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 ARGUMENTS = [
@@ -22,6 +27,16 @@ ARGUMENTS = [
     "--disable-component-update",
     "--disable-sync",
 ]
+
+
+TEXT = """() => [...document.querySelectorAll("main *, header *")].filter((e) =>
+  e.checkVisibility() && [...e.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim())).map((e) => {
+  let ground = e;
+  while (ground && /, 0\\)$|transparent/.test(getComputedStyle(ground).backgroundColor)) ground = ground.parentElement;
+  const under = getComputedStyle(ground || document.documentElement).backgroundColor;
+  return [getComputedStyle(e).color, under, e.textContent.trim().slice(0, 40)];
+})"""
+WORDS = 4.5  # least contrast of words with the ground (WCAG 2.1)
 
 
 @contextmanager
@@ -64,15 +79,41 @@ class Visit:
 
 
 @contextmanager
-def visit(browser: Any, path: Path, width: int = 1200, height: int = 900, ready: str = "body") -> Iterator[Visit]:
-    """The page opened, as soon as `ready`, a CSS selector, finds something."""
+def visit(browser: Any, path: Path | str, width: int = 1200, height: int = 900, ready: str = "body") -> Iterator[Visit]:
+    """The page opened, a file or an address, as soon as `ready`, a CSS selector, finds something."""
+    own = path if isinstance(path, str) else path.as_uri()
     page = browser.new_page(viewport={"width": width, "height": height})
     seen = Visit(page)
     page.on("pageerror", lambda error: seen.errors.append(str(error)))
     page.on("console", seen.console)
     page.on("dialog", seen.dialog)
-    page.on("request", lambda sent: seen.request(sent.url, path.as_uri()))
-    page.goto(path.as_uri())
+    page.on("request", lambda sent: seen.request(sent.url, own))
+    page.goto(own)
     page.wait_for_selector(ready)
     yield seen
     page.close()
+
+
+# ---- colours -------------------------------------------------------------------------------------
+
+
+def hard_to_read(seen: Visit) -> dict[str, float]:
+    """Words whose contrast with the ground is too low, by what they say."""
+    found = {(rgb(ink), rgb(ground)): text for ink, ground, text in seen.page.evaluate(TEXT)}
+    assert len(found) > 5
+    return {text: round(contrast(*pair), 2) for pair, text in found.items() if contrast(*pair) < WORDS}
+
+
+def rgb(text: str) -> tuple[float, ...]:
+    """`rgb(1, 2, 3)` of a browser."""
+    return tuple(float(part) / 255 for part in re.findall(r"[\d.]+", text)[:3])
+
+
+def linear(colour: Any) -> FloatArray:
+    c = np.array(matplotlib.colors.to_rgb(colour))
+    return np.asarray(np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4))
+
+
+def contrast(one: Any, other: Any) -> float:
+    low, high = sorted(float(linear(each) @ [0.2126, 0.7152, 0.0722]) for each in (one, other))
+    return (high + 0.05) / (low + 0.05)

@@ -1,0 +1,250 @@
+"""The page of `ffcomp serve` in a browser: every flow, at a desk and on a phone, and nothing from elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+from typing import Any
+
+import pytest
+
+from tests.support import stand_in
+from tests.support.browser import Visit, chromium, hard_to_read, visit
+from tests.support.server import client, started, uploaded, wait_for
+
+READY = ".machines optgroup"
+PRINT = Path(__file__).parents[2] / "docs" / "examples" / "wiggle.gcode"
+CONFIG = PRINT.with_name("printer.cfg")
+WIDTHS = (1200, 390)
+WAIT_MS = 20_000
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as running:
+        yield running
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Jobs that take no time."""
+    monkeypatch.setattr("ffcomp.serve.runner.COMMAND", (sys.executable, "-S", stand_in.__file__))
+
+
+@pytest.fixture
+def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    with client(tmp_path, monkeypatch) as made:
+        yield made
+
+
+def address(server: Any) -> str:
+    return str(server.base_url)
+
+
+def attached(seen: Visit, selector: str) -> None:
+    seen.page.wait_for_selector(selector, state="attached", timeout=WAIT_MS)
+
+
+def card(kind: str, state: str = "done") -> str:
+    return f".job[data-kind={kind}][data-state={state}]"
+
+
+def drop(seen: Visit, place: str, *files: Path | tuple[str, bytes]) -> None:
+    given = [each if isinstance(each, Path) else payload(*each) for each in files]
+    seen.page.locator(f"#drop-{place} input").set_input_files(given)
+
+
+def payload(name: str, content: bytes) -> dict[str, Any]:
+    return {"name": name, "mimeType": "application/octet-stream", "buffer": content}
+
+
+def press(seen: Visit, kind: str) -> None:
+    seen.page.wait_for_selector(f"[data-job={kind}]:enabled", timeout=WAIT_MS)
+    seen.page.click(f"[data-job={kind}]")
+
+
+def check(seen: Visit, server: Any, width: int) -> None:
+    """Nothing went wrong, came from elsewhere, or is cut."""
+    assert seen.errors == [] and seen.requests == []
+    assert seen.page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_from_nothing_to_a_compensated_print_in_five_clicks_and_two_minutes(
+    browser: Any, server: Any, tmp_path: Path
+) -> None:
+    begin, times = time.monotonic(), {}
+    with visit(browser, address(server)) as seen:
+        attached(seen, READY)
+        with seen.page.expect_file_chooser() as chooser:
+            seen.page.click("#drop-prints")  # 1
+        chooser.value.set_files(PRINT)
+        seen.page.click(".machines")  # 2
+        seen.page.select_option(".machines", "kossel")  # 3
+        times["chosen"] = time.monotonic() - begin
+        seen.page.click("[data-job=compensate]")  # 4
+        seen.page.wait_for_selector(".job[data-kind=compensate]")
+        seen.page.reload()  # and what runs goes on
+        seen.page.wait_for_selector(card("compensate"), timeout=120_000)
+        times["compensated"] = time.monotonic() - begin
+        with seen.page.expect_download() as download:
+            seen.page.click("text=Download the print")  # 5
+        download.value.save_as(tmp_path / "out.gcode")
+        times["downloaded"] = time.monotonic() - begin
+        assert b"; Processed by ffcomp" in (tmp_path / "out.gcode").read_bytes()
+        assert download.value.suggested_filename == PRINT.name
+        assert "times less" in seen.page.inner_text(card("compensate"))
+        assert seen.page.evaluate("document.querySelector('.job img').naturalWidth") == 1600
+        check(seen, server, 1200)
+    print({name: round(seconds, 1) for name, seconds in times.items()})
+    assert times["downloaded"] < 120.0, times
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_batch_of_prints_is_compensated_and_compared(width: int, quick: None, browser: Any, server: Any) -> None:
+    with visit(browser, address(server), width) as seen:
+        attached(seen, READY)
+        assert seen.page.is_disabled("[data-job=compensate]")
+        drop(
+            seen, "prints", ("a.gcode", b"G28"), ("b.gcode", b"G28"), ("bad <img src=x onerror=alert(1)>.gcode", b"bad")
+        )
+        seen.page.select_option(".machines", "voron-300")
+        assert "assumed" in seen.page.inner_text(".machine small")
+        press(seen, "compare")
+        press(seen, "compensate")
+        seen.page.wait_for_selector(f":nth-match({card('compensate')}, 2)", timeout=WAIT_MS)
+        seen.page.wait_for_selector(f":nth-match({card('compare')}, 3)", timeout=WAIT_MS)
+        seen.page.wait_for_selector(card("compensate", "failed"), timeout=WAIT_MS)
+        assert "line 3: it cannot be followed" in seen.page.inner_text(card("compensate", "failed"))
+        good = seen.page.inner_text(f"{card('compensate')} >> nth=0")
+        assert "88 → 1.1 µm rms, 80 times less" in good and "<b>A warning</b>" in good
+        check(seen, server, width)
+        with seen.page.context.expect_page() as opened:
+            seen.page.click(f"{card('compare')} >> text=Open the report")
+        opened.value.wait_for_selector("#it")
+        assert opened.value.evaluate("document.body.dataset.ran") == "yes"
+        assert opened.value.evaluate("window.origin") == "null"  # its scripts cannot ask this server for anything
+        opened.value.close()
+        seen.page.click(f"{card('compensate', 'failed')} >> text=Remove")
+        seen.page.wait_for_selector(card("compensate", "failed"), state="detached", timeout=WAIT_MS)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_from_a_configuration_to_a_machine_that_is_measured(width: int, quick: None, browser: Any, server: Any) -> None:
+    with visit(browser, address(server), width) as seen:
+        attached(seen, READY)
+        seen.page.click("#tab-machine")
+        drop(seen, "config", ("my delta.cfg", CONFIG.read_bytes()))
+        assert seen.page.input_value("#machine [name=name]") == "my-delta"
+        press(seen, "import")
+        seen.page.click(f"{card('import')} >> text=Use it", timeout=WAIT_MS)
+        assert seen.page.input_value(".machines") == "my-delta"
+        seen.page.click("#tab-measure")
+        seen.page.fill("[name=at]", "0,0")
+        press(seen, "plan")
+        seen.page.wait_for_selector(card("plan"), timeout=WAIT_MS)
+        assert "Download moves.gcode" in seen.page.inner_text(card("plan"))
+        drop(seen, "captures", ("adxl345-a-1.csv", b"1"), ("adxl345-a-2.csv", b"2"))
+        press(seen, "diagnose")
+        seen.page.wait_for_selector(card("diagnose"), timeout=WAIT_MS)
+        assert "Coulomb friction is missing." in seen.page.inner_text(card("diagnose"))
+        seen.page.click("text=Keep as my machine")
+        seen.page.wait_for_selector("text=Kept and chosen: my-delta-measured", timeout=WAIT_MS)
+        assert seen.page.input_value(".machines") == "my-delta-measured"
+        check(seen, server, width)
+        own = seen.page.locator(".machines optgroup[label=Yours] option").all_inner_texts()
+        assert own == ["my-delta", "my-delta-measured"]
+
+
+def test_a_job_is_cancelled_and_started_again(quick: None, browser: Any, server: Any) -> None:
+    with visit(browser, address(server), 390) as seen:
+        attached(seen, READY)
+        seen.page.select_option(".machines", "kossel")
+        drop(seen, "prints", ("slow.gcode", b"slow"))
+        press(seen, "compensate")
+        seen.page.wait_for_selector(".doing:text-is('compensating, 7 s left')", timeout=WAIT_MS)
+        assert seen.page.evaluate("document.querySelector('progress').value") == 0.4
+        seen.page.click("text=Cancel")
+        seen.page.click(f"{card('compensate', 'cancelled')} >> text=Again", timeout=WAIT_MS)
+        seen.page.wait_for_selector(card("compensate", "running"), timeout=WAIT_MS)
+        assert seen.page.input_value(".machines") == "kossel"
+        seen.page.reload()
+        seen.page.wait_for_selector(card("compensate", "running"), timeout=WAIT_MS)
+        assert seen.page.input_value(".machines") == "kossel"  # remembered
+        check(seen, server, 390)
+
+
+def test_too_large_a_file_is_refused_before_it_is_sent(
+    quick: None, browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with client(tmp_path, monkeypatch, largest_bytes=1 << 20) as server, visit(browser, address(server)) as seen:
+        attached(seen, READY)
+        drop(seen, "prints", ("a.gcode", b"G1 X1\n" * 200_000))
+        assert "Larger than 1.0 MB" in seen.page.inner_text(".files[data-for=prints]")
+        assert seen.page.is_disabled("[data-job=compensate]")
+
+
+def test_a_server_that_is_gone_is_said(
+    quick: None, browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with client(tmp_path, monkeypatch) as server:
+        seen_at = address(server)
+        page = browser.new_page()
+        page.goto(seen_at)
+        page.wait_for_selector(READY, state="attached")
+    page.click("#tab-measure")
+    page.evaluate("document.dispatchEvent(new Event('visibilitychange', {bubbles: true}))")  # back on this tab
+    page.wait_for_selector("text=The server does not answer", timeout=WAIT_MS)
+    page.close()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_words_are_readable_and_every_field_has_a_name(scheme: str, quick: None, browser: Any, server: Any) -> None:
+    wait_for(server, started(server, "compensate", [uploaded(server, "a.gcode", b"G28")], machine="kossel"))
+    wait_for(server, started(server, "compensate", [uploaded(server, "a.gcode", b"bad")], machine="kossel"))
+    with visit(browser, address(server)) as seen:
+        seen.page.emulate_media(color_scheme=scheme)
+        seen.page.wait_for_selector(card("compensate"))
+        low = hard_to_read(seen)
+        low.pop("Compare with input shapers", None)  # what cannot be used yet is paler, as everywhere
+        assert not {text: value for text, value in low.items() if text != "Compensate"}
+        nameless = """[...document.querySelectorAll("input, select, button")].filter(
+            (e) => !e.labels?.length && !e.textContent.trim() && !e.ariaLabel).length"""
+        assert seen.page.evaluate(nameless) == 0
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_only_a_page_that_is_named_shows_it_as_a_panel(
+    named: bool, quick: None, browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    host = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(tmp_path)))
+    Thread(target=host.serve_forever, args=(0.02,), daemon=True).start()
+    origin = f"http://localhost:{host.server_port}"
+    with client(tmp_path, monkeypatch, frames=(origin,) if named else ()) as server:
+        (tmp_path / "panel.html").write_text(f"<iframe src='{address(server)}' width=390 height=800></iframe>")
+        page = browser.new_page()
+        page.goto(f"{origin}/panel.html")
+        inside = page.frame_locator("iframe")
+        if named:
+            inside.locator(READY).first.wait_for(state="attached", timeout=WAIT_MS)
+            inside.locator("#drop-prints input").set_input_files([payload("a.gcode", b"G28")])
+            inside.locator(".machines").select_option("kossel")
+            inside.locator("[data-job=compensate]:enabled").click()
+            inside.locator(card("compensate")).wait_for(timeout=WAIT_MS)
+        else:
+            page.wait_for_timeout(500)
+            assert inside.locator("main").count() == 0
+        page.close()
+    host.shutdown()
+    host.server_close()
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    """A host's own page."""
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Say nothing."""
