@@ -182,7 +182,7 @@ def draw(seed: int, stratum: str, seconds: float = 3.0, short: bool = False) -> 
     repeats = (4, 1) if short else _repeats(wanted.condition, around, motions)
     if wanted.condition == "joined":
         motions, repeats = planned_motions(toml_of(file, "the owner's printer"), seed, seconds)
-    inside = {name: tables[name] for name in names if name in kind.effects}
+    inside = kind.restated({name: tables[name] for name in names if name in kind.effects}, real.machine, file)
     outside = "".join(name for name in names if name in kind.outside)
     alike = _alike(inside, around.sensors)
     return Plan(

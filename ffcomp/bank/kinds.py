@@ -15,7 +15,7 @@ from ffcomp.bank.delta.numbers import carriages_of
 from ffcomp.bank.delta.outside import OUTSIDE as DELTA_OUTSIDE
 from ffcomp.bank.printer.motions import KINDS as MOTIONS
 from ffcomp.bank.printer.motions import Motion, Path, Place
-from ffcomp.bank.printer.real import FloatArray, Hide, Reading, Real, Rng, Tables
+from ffcomp.bank.printer.real import FloatArray, Hide, Labels, Reading, Real, Rng, Tables
 from ffcomp.bank.straight import machines as straight
 from ffcomp.bank.straight import single
 from ffcomp.bank.straight.hidden import effects_of
@@ -44,6 +44,7 @@ class Kind:
     places: Callable[[Tables, Rng], list[Place]]
     effects: Mapping[str, Hide]
     outside: Mapping[str, Hide]
+    restated: Callable[[Labels, Tables, Tables], Labels]  # of tables, of the real printer, and of its file
     sensors: str
     axes: str  # of the command in a run
     moving: tuple[float, float, float] = (1.0, 1.0, 1.0)  # 0 where a motion stays at its place
@@ -112,6 +113,7 @@ def _straight(kind: str, sensors: str) -> Kind:
         places=_bed_places,
         effects=effects_of(kind),
         outside=STRAIGHT_OUTSIDE,
+        restated=straight.restated,
         sensors=sensors,
         axes="xyz",
         moving=(1.0, 1.0, 0.0),
@@ -126,6 +128,7 @@ _DELTA = Kind(
     places=_round_places,
     effects=DELTA_EFFECTS,
     outside=DELTA_OUTSIDE,
+    restated=delta_machines.restated,
     sensors="all",
     axes="ABC",
 )
@@ -137,6 +140,7 @@ _AXIS = Kind(
     places=lambda machine, rng: [(0.0, 0.0, 0.0)] * 6,
     effects=single.EFFECTS,
     outside=single.OUTSIDE,
+    restated=single.restated,
     sensors="axis",
     axes="q",
     moving=(1.0, 0.0, 0.0),

@@ -142,6 +142,28 @@ def test_labels_of_straight_axes_are_in_the_files_terms(kind: str, name: str, tm
     assert 0.6 < both / size**2 < 1.5
 
 
+@pytest.mark.parametrize(
+    ("stratum", "of_file", "of_printer"),
+    [
+        ("delta/single/rough-file:belt_stiffness", ("carriage", "belt_stiffness_n_per_m"), None),
+        ("delta/single/rough-file:extruder_mount", ("effector", "extruder_damping_n_s_per_m"), None),
+        ("axis/single/rough-file:belt_stiffness", ("axis", "coupling_stiffness_n_per_m"), ("plant", "mount_k")),
+    ],
+)
+def test_a_change_counts_from_what_the_file_says(
+    stratum: str, of_file: tuple[str, str], of_printer: tuple[str, str] | None
+) -> None:
+    """The file's number, which is off, with the label's change is the printer's."""
+    plan = draw(8, stratum, 1.0)
+    ((told, *more),) = (list(table.values()) for table in plan.label.effects.values())
+    change = np.array(more[0] if more else told)
+    said, true = np.array(plan.file[of_file[0]][of_file[1]]), plan.real.machine
+    really = np.array(true[of_file[0]][of_file[1]] if of_printer is None else true[of_printer[0]][of_printer[1]][0])
+    changed = np.broadcast_to(change != 0, np.shape(said * (1 + change)))
+    np.testing.assert_allclose((said * (1 + change))[changed], np.broadcast_to(really, changed.shape)[changed])
+    assert np.abs(said / really - 1).max() > 0.001
+
+
 @pytest.mark.parametrize("name", STRAIGHT_OUTSIDE)
 def test_what_straight_axes_hide_outside_has_a_size(name: str) -> None:
     real = Real(straight.draw_machine(np.random.default_rng(12), "corexy"))

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.bank.printer.real import Tables
+from ffcomp.bank.printer.drawn import told
+from ffcomp.bank.printer.real import Labels, Tables
 
 _SIZES: Mapping[str, tuple[float, float, float]] = {  # arm mm, effective radius mm, joint radius mm
     "middling": (300.0, 140.0, 39.9),
@@ -96,6 +97,28 @@ def file_of(machine: Tables, error: float, rng: np.random.Generator) -> Tables:
     if error > 0.02:
         written["uncertainty"] = {"default": error}
     return written
+
+
+def restated(tables: Labels, real: Tables, file: Tables) -> Labels:
+    """Return the effects in the file's terms: a change of one of its numbers counts from what it says, which is off."""
+    found = {name: dict(table) for name, table in tables.items()}
+    stiff, light, damped = (
+        np.asarray(real[table][key]) / np.asarray(file[table][key]) - 1
+        for table, key in (
+            ("carriage", "belt_stiffness_n_per_m"),
+            ("effector", "extruder_stiffness_n_per_m"),
+            ("effector", "extruder_damping_n_s_per_m"),
+        )
+    )
+    if "belt_stiffness" in found:
+        found["belt_stiffness"]["relative_change"] = told(np.broadcast_to(stiff, 3))
+    if "effector_mass" in found:
+        found["effector_mass"]["added_kg"] = real["effector"]["nozzle_mass_kg"] - file["effector"]["nozzle_mass_kg"]
+    for key, changed in (("relative_stiffness_change", light), ("relative_damping_change", damped)):
+        if key in found.get("extruder_mount", {}):
+            touched = np.array(found["extruder_mount"][key]) != 0
+            found["extruder_mount"][key] = np.where(touched, changed, 0.0).tolist()
+    return found
 
 
 def probes(machine: Tables, by: float) -> Iterator[Tables]:

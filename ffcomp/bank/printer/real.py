@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline
 
 FloatArray = NDArray[np.float64]
 Tables: TypeAlias = dict[str, Any]  # of a machine file
+Labels: TypeAlias = dict[str, dict[str, Any]]  # effect -> its table in a machine file
 
 
 @dataclass(frozen=True, eq=False)

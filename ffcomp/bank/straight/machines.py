@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from ffcomp.bank.printer.drawn import told
 from ffcomp.bank.printer.motions import Motion, points
-from ffcomp.bank.printer.real import FloatArray, Reading, Real, Tables
+from ffcomp.bank.printer.real import FloatArray, Labels, Reading, Real, Tables
 from ffcomp.bank.straight.equations import run
 from ffcomp.bank.straight.numbers import modes_of, printer_of, turn_of
 
@@ -69,6 +70,22 @@ def file_of(machine: Tables, error: float, rng: np.random.Generator) -> Tables:
             axes["xy"[axis]]["mass_kg"] = machine["plant"]["carriage"][axis] + machine["plant"]["tool"][axis]
     written = {key: copy.deepcopy(machine[key]) for key in ("kinematics", "limits", "steps")} | {"axes": axes}
     return written | ({"uncertainty": {"default": error}} if error > 0.02 else {})
+
+
+def restated(tables: Labels, real: Tables, file: Tables) -> Labels:
+    """Return the effects in the file's terms: a belt's change counts from what the file says of its axis, which is off.
+
+    Each belt of a CoreXY pulls along both axes, of which the file may be wrong in opposite ways: there it stays.
+    """
+    change = tables.get("belt_stiffness", {}).get("relative_change")
+    if change is None or real["kinematics"]["type"] == "corexy":
+        return tables
+    found = [
+        (modes_of(real, axis)["frequency_hz"][0] / file["axes"]["xy"[axis]]["frequency_hz"][0]) ** 2 - 1
+        for axis in range(2)
+    ]
+    touched = np.broadcast_to(change, 3)[:2] != 0
+    return {**tables, "belt_stiffness": {"relative_change": told(np.where(touched, found, 0.0))}}
 
 
 def probes(machine: Tables, by: float) -> Iterator[Tables]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.bank.printer.real import FloatArray, Hide, Real, Rng, Tables, sign
+from ffcomp.bank.printer.real import FloatArray, Hide, Labels, Real, Rng, Tables, sign
 from ffcomp.bank.straight import hidden, outside
 from ffcomp.bank.straight.drawn import masses
 
@@ -73,6 +73,16 @@ def file_of(machine: Tables, error: float, rng: Rng) -> Tables:
     told = {key: value * (1 + error * float(np.clip(rng.standard_normal(), -2.0, 2.0))) for key, value in axis.items()}
     written: Tables = {"kinematics": {"type": "axis"}, "axis": {"input": "position", **told}}
     return written | ({"uncertainty": {"default": error}} if error > 0.02 else {})
+
+
+def restated(tables: Labels, real: Tables, file: Tables) -> Labels:
+    """Return the effects in the file's terms: a spring's change counts from what the file says of it, which is off."""
+    if "belt_stiffness" not in tables:
+        return tables
+    two = real["plant"]["tool"][0] > 0
+    stiffness = file["axis"]["coupling_stiffness_n_per_m" if two else "stiffness_n_per_m"]
+    change = real["plant"]["mount_k" if two else "belt_k"][0] / stiffness - 1
+    return {**tables, "belt_stiffness": {"relative_change": change}}
 
 
 def _alone(name: str) -> Hide:
