@@ -23,6 +23,7 @@ SHORTEST, LINES_A_SHOT = 20, 5.0  # samples of a shot; its inverse times that is
 WINDOWS, LEAST_ROWS = 6, 200  # of time, in a run; rows of a window
 MOST_OF_POWER, BEYOND = 0.998, 1.25  # of the signals: the band ends so much beyond the frequency that holds it
 LAST = 0.4  # of the sample rate: there every band ends
+LEAST_REST, STILL, CERTAIN = 8, 1e-6, 4.0  # samples at rest; share of the way that is none; standard deviations
 SPANS = (5, 7, 11, 15, 21, 31, 45, 63)  # samples over which a speed may be taken
 
 
@@ -93,9 +94,26 @@ def _shots(run: AxisRun, mean: AxisRun, speed: FloatArray, seconds: float) -> Sh
         if name in mean.position:
             place = mean.position[name]
             begin[:, column], begin[:, column + 1] = place[at], _speed(place, rate)[at]
+            if not (length or run.by_force) and (rested := _rested(run.given)) >= LEAST_REST:
+                begin[0, column : column + 2] = _resting(run.given[0], place[:rested]), 0.0
     if not run.position:  # who measures no position begins at rest
         begin[:] = np.column_stack([_place(run)[at], np.zeros(len(at))] * 2)
     return Shots(run, length, begin, speed)
+
+
+def _rested(given: FloatArray) -> int:
+    """Count the samples from the first on in which a command stays where it is."""
+    moved = np.flatnonzero(np.abs(given - given[0]) > STILL * np.ptp(given))
+    return int(moved[0]) if len(moved) else len(given)
+
+
+def _resting(told: float, place: FloatArray) -> float:
+    """Return where an axis rests, (n,) mm measured: as it was told, unless friction holds it elsewhere.
+
+    A single sample is off by the sensor's noise, with which a sprung axis would begin to ring.
+    """
+    middle = float(place.mean())
+    return told if abs(middle - told) < CERTAIN * float(place.std()) / np.sqrt(len(place)) else middle
 
 
 def _place(run: AxisRun) -> FloatArray:

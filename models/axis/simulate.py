@@ -15,7 +15,8 @@ from models.effects.catalogue import CATALOGUE, effects_of, values_of
 from models.printer.kernels.spline import slopes
 
 LONGEST_STEP_S = 0.002
-TURNS = 0.35  # of a radian may the fastest mode turn in a step
+TURNS = 0.25  # of a radian may the fastest mode turn in a step
+HARDER = 2.0  # times the frequency at rest, of a spring that hardens under a loud motion
 STEEP = 1.5  # a step times the rate at which friction stops what moves: the method is stable up to 2.8
 MOST_SUBSTEPS = 60
 
@@ -89,6 +90,8 @@ def substeps_of(p: FloatArray, dt_s: float) -> int:
     least = min(v["mass"], v["load"] or v["mass"])
     omega = math.sqrt((v["stiffness"] + v["coupling"]) / least)
     rate = (v["damping"] + v["coupling_damping"]) / least
+    if max(v["cubic"], v["quintic"]) > 0.0:
+        omega *= HARDER
     if v["dry"] + v["sticking"] > 0.0:
         rate += (v["dry"] + v["sticking"]) / (v["creep"] * v["mass"])
     if v["bristle"] > 0.0:

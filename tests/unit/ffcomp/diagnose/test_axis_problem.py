@@ -12,6 +12,7 @@ from ffcomp.diagnose.axis_problem import AxisProblem
 from ffcomp.diagnose.diagnosis import Diagnosis, diagnose
 from ffcomp.diagnose.problem import InfeasibleParameters
 from ffcomp.errors import MeasurementError
+from ffcomp.identify.axis_shots import shots_of
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
 from models.axis.machine import AxisMachine, AxisParameters
 from models.axis.simulate import simulate_axis, with_effects
@@ -45,6 +46,17 @@ def found(machine: AxisMachine, *names: str, **effects: Any) -> Diagnosis:
     return diagnose(
         AxisProblem(machine, runs_of(machine, 3, **effects), names or ("coulomb_friction", "belt_hardening"))
     )
+
+
+def test_a_driven_axis_that_rests_does_not_begin_with_a_sensors_noise() -> None:
+    """One sample of a noisy encoder lets a sprung axis ring. Where friction holds it elsewhere, it begins there."""
+    rng, t = np.random.default_rng(4), np.arange(600) / RATE
+    given = 5.0 + np.where(t > 0.2, np.sin(2 * np.pi * 3 * (t - 0.2)), 0.0)
+    for held, expected in ((0.0, 5.0), (0.01, 5.01)):
+        place = given + held + 2e-3 * rng.normal(size=len(t))
+        run = AxisRun("a.csv", t, given, False, {}, {"pos_q": place}, {})
+        place_mm, speed_mm_per_s, *_ = shots_of(DRIVE, [run])[0].begin[0]
+        assert place_mm == pytest.approx(expected, abs=0.0 if held == 0.0 else 1e-3) and speed_mm_per_s == 0.0
 
 
 def test_shots_band_and_windows_come_from_the_data() -> None:
