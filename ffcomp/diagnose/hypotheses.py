@@ -17,6 +17,7 @@ SIGNIFICANT = 10.0  # −2 ln Z
 ADDED_SHARE = 0.4  # of the discrepancy must an added effect remove
 LARGE = 1.0  # discrepancy, of the noise, from which effects may be too strong to be linear
 IMPLAUSIBLE = 3.0  # mean square of z that retuning may cost before another effect is looked for
+CHANCE = 4.0  # standard deviations of a mean square that noise alone may reach in one observation of many
 NEAR = 0.05  # of the noise, added where discrepancies are compared
 
 
@@ -107,13 +108,16 @@ def implausible(fitted: Fit, own: int | None = None) -> bool:
 
 def incomplete(estimation: EstimationProblem, h: Hypothesis) -> bool:
     """Tell whether a discrepancy is left somewhere, or implausible parameters were needed to close it."""
-    return largest_excess(estimation, h.fit) > estimation.tolerance or implausible(h.fit, h.own)
+    return leaves_excess(estimation, h.fit) or implausible(h.fit, h.own)
 
 
-def largest_excess(estimation: EstimationProblem, fitted: Fit) -> float:
-    """Return the largest mean square residual of any observation, above its noise, as a share of it."""
-    parts = [fitted.residual[rows] for rows in estimation.whiten.rows]
-    return max(float(r @ r) / len(r) - 1 for r in parts)
+def leaves_excess(estimation: EstimationProblem, fitted: Fit) -> bool:
+    """Tell whether the residual stands above the noise, altogether or in any observation, by more than chance may do.
+
+    The mean square of n rows of noise is one, give or take √(2/n): a short window stands out by chance alone.
+    """
+    parts = [fitted.residual, *(fitted.residual[rows] for rows in estimation.whiten.rows)]
+    return any(float(r @ r) / len(r) - 1 > max(estimation.tolerance, CHANCE * np.sqrt(2 / len(r))) for r in parts)
 
 
 def without_effect(h: Hypothesis, dropped: Candidate) -> Hypothesis:

@@ -10,41 +10,60 @@ from ffcomp.diagnose.estimation import EstimationProblem
 from ffcomp.diagnose.fit import Fit, fit
 from ffcomp.diagnose.hypotheses import NEAR, SIGNIFICANT, Hypothesis, likeliest, misfit, significant
 from ffcomp.diagnose.initial_fits import FEW
+from ffcomp.diagnose.problem import Candidate
 from ffcomp.diagnose.progress import Progress
 from ffcomp.diagnose.refinement import refine
 from models.arrays import FloatArray
 
 
-def simplest(best: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
+def simplest(best: Hypothesis, tried: Sequence[Hypothesis], candidates: Sequence[Candidate]) -> Hypothesis:
     """Prefer fewer effects, or fewer parameters, where more are not significant."""
-
-    def size(h: Hypothesis) -> tuple[int, int]:
-        return len(h.effects), len(h.fit.parameters)
-
-    fewer = [h for h in tried if size(h) < size(best) and (len(h.effects) == len(best.effects) or _within(h, best))]
+    fewer = [h for h in tried if _smaller(h, best, candidates)]
     return next((h for h in likeliest(fewer) if not significant(best.fit, h.fit)), best)
+
+
+def _smaller(h: Hypothesis, best: Hypothesis, candidates: Sequence[Candidate]) -> bool:
+    if h.names == best.names:
+        return len(h.fit.parameters) < len(best.fit.parameters)
+    if len(h.effects) == len(best.effects):
+        return _needed(h, candidates) < _needed(best, candidates)
+    return set(h.names) < set(best.names)
+
+
+def _needed(h: Hypothesis, candidates: Sequence[Candidate]) -> int:
+    """Count the parameters without which there are no such effects.
+
+    Of two effects that need as many, the likelier one is better: how far the shape of either was set free is no
+    reason to prefer the other.
+    """
+    return sum(len(c.parameters) for c in candidates if c.name in h.names)
 
 
 def most_parsimonious(
     estimation: EstimationProblem, best: Hypothesis, tried: Sequence[Hypothesis], progress: Progress
 ) -> Hypothesis:
     """Prefer another hypothesis with as many effects and fewer parameters, if it is as good once it is refined."""
-    for h in smaller_rivals(best, tried)[:1]:
+    for h in smaller_rivals(best, tried, estimation.problem.candidates)[:1]:
         found = refine(estimation, h, progress)
         if not significant(best.fit, found.fit):
             return found
     return best
 
 
-def smaller_rivals(best: Hypothesis, tried: Sequence[Hypothesis]) -> list[Hypothesis]:
+def smaller_rivals(best: Hypothesis, tried: Sequence[Hypothesis], candidates: Sequence[Candidate]) -> list[Hypothesis]:
     """List hypotheses of other effects, as many, with fewer parameters, that leave as little; the likeliest first."""
     competing = [h for h in tried if h.names != best.names and len(h.effects) == len(best.effects)]
-    fewer = [h for h in competing if len(h.fit.parameters) < len(best.fit.parameters)]
+    fewer = [h for h in competing if _smaller(h, best, candidates)]
     return likeliest([h for h in fewer if h.discrepancy < best.discrepancy + NEAR])
 
 
-def _within(h: Hypothesis, best: Hypothesis) -> bool:
-    return set(h.names) < set(best.names)
+def predicted_without(h: Hypothesis, effect: Candidate) -> Fit:
+    """Predict the fit of a hypothesis without one of its effects, to first order."""
+    keep = [i for i, n in enumerate(h.fit.parameters) if n not in effect.parameters]
+    columns, target = h.fit.jacobian[:, keep], h.fit.residual + h.fit.jacobian @ h.fit.z
+    z = np.asarray(np.linalg.solve(np.eye(len(keep)) + columns.T @ columns, columns.T @ target), dtype=np.float64)
+    parameters = tuple(h.fit.parameters[i] for i in keep)
+    return Fit(parameters, z, target - columns @ z, columns)
 
 
 def parsimonious_fit(estimation: EstimationProblem, h: Hypothesis) -> Fit:

@@ -14,7 +14,7 @@ from ffcomp.diagnose.hypotheses import (
     LARGE,
     Hypothesis,
     implausible,
-    largest_excess,
+    leaves_excess,
     log_fit,
     log_try,
     significant,
@@ -26,6 +26,7 @@ from ffcomp.diagnose.progress import Progress
 from models.arrays import FloatArray
 
 SHAPE_SHARE = 0.1  # of the discrepancy must a freer shape of the same effect remove
+TELLING = 2.0  # −2 ln Z, times the misfit: what a fit may still gain without another effect gaining it in its place
 SPREAD = (0.0, 1.0, 2.0, 3.0, 4.0)  # standard deviations from the usual, at which a shape is tried
 
 
@@ -86,9 +87,8 @@ def continue_or_restart(
 def refit(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:
     """Fit to the end, so that the gain of another effect is not what this fit had not yet reached."""
     begun = continue_fit(estimation, h, progress)
-    found = fit(
-        estimation, begun.fit.parameters, begun.fit.z, begun.fit.jacobian, (), 8, small_gain=QUICK / 10, rough=h.own
-    )
+    worth = min(QUICK / 10, TELLING / len(begun.fit.residual))
+    found = fit(estimation, begun.fit.parameters, begun.fit.z, begun.fit.jacobian, (), 8, small_gain=worth, rough=h.own)
     return log_fit(Hypothesis(h.effects, found), progress, " to the end")
 
 
@@ -164,7 +164,7 @@ def converge(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -
 
 def _changed(estimation: EstimationProblem, h: Hypothesis, change: ShapeChange) -> tuple[Candidate, ...]:
     """Change the effects' form; leave them where a richer one has nothing left to explain."""
-    if not change.simpler and largest_excess(estimation, h.fit) < estimation.tolerance:
+    if not change.simpler and not leaves_excess(estimation, h.fit):
         return h.effects
     by_name = {c.name: c for c in estimation.problem.candidates}
     return tuple(change.change(c, by_name[c.name]) for c in h.effects)

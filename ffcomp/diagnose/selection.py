@@ -37,7 +37,7 @@ from ffcomp.diagnose.initial_fits import (
     select_starts,
 )
 from ffcomp.diagnose.intervals import intervals_of, superfluous
-from ffcomp.diagnose.parsimony import most_parsimonious, simplest, smaller_rivals
+from ffcomp.diagnose.parsimony import most_parsimonious, predicted_without, simplest, smaller_rivals
 from ffcomp.diagnose.problem import Candidate
 from ffcomp.diagnose.progress import Progress, Stage
 from ffcomp.diagnose.refinement import (
@@ -119,7 +119,7 @@ def on_all_data(search: Search, found: Selection) -> Selection | None:
     missed = incomplete(search.estimation, fitted) and found.left_nothing
     if missed and len(fitted.effects) < MOST_EFFECTS:
         return None
-    rivals = smaller_rivals(found.best, found.tried)[:1]
+    rivals = smaller_rivals(found.best, found.tried, search.estimation.problem.candidates)[:1]
     tried = tuple(continue_fit(search.estimation, h, search.progress, ", on all data") for h in rivals)
     return Selection(fitted, tried, complete=True)
 
@@ -133,7 +133,8 @@ def _begin(search: Search) -> Selection:
     best = min(fitted, key=lambda h: h.fit.evidence)
     shaped = [converge(search.estimation, h, search.progress) if comparable(h, best, CLOSE) else h for h in fitted]
     tried = (*shaped, *(h for h in ranked if h not in close))
-    return Selection(simplest(min(tried, key=lambda h: h.fit.evidence), tried), tried)
+    likeliest_one = min(tried, key=lambda h: h.fit.evidence)
+    return Selection(simplest(likeliest_one, tried, search.estimation.problem.candidates), tried)
 
 
 # ---- passes --------------------------------------------------------------------------------------
@@ -169,9 +170,9 @@ def swap_effects(search: Search, so_far: Selection) -> Selection:
     return replace(so_far, tried=(*so_far.tried, *swap(search, so_far)))
 
 
-def keep_simplest(_: Search, so_far: Selection) -> Selection:
+def keep_simplest(search: Search, so_far: Selection) -> Selection:
     """Prefer fewer effects or parameters where more are not significant."""
-    return replace(so_far, best=simplest(so_far.best, so_far.tried))
+    return replace(so_far, best=simplest(so_far.best, so_far.tried, search.estimation.problem.candidates))
 
 
 def refine_best(search: Search, so_far: Selection) -> Selection:
@@ -180,13 +181,18 @@ def refine_best(search: Search, so_far: Selection) -> Selection:
 
 
 def drop_superfluous(search: Search, so_far: Selection) -> Selection:
-    """Drop effects whose intervals include none, as long as that costs nothing significant."""
+    """Drop effects whose intervals include none, or that the others can do without, while nothing significant is lost.
+
+    A number of the file that is off may bring in an effect beside the right one, before that one is found.
+    """
     best = so_far.best
     intervals = intervals_of(search.estimation, best.fit, best.fit.values)
-    idle = [c for c in best.effects if superfluous(c, intervals)]
-    if not idle or len(idle) == len(best.effects):
+    without = {c.name: predicted_without(best, c) for c in best.effects}
+    idle = [c for c in best.effects if superfluous(c, intervals) or not significant(best.fit, without[c.name])]
+    if not idle or len(best.effects) == 1:
         return so_far
-    smaller = drop(search.estimation, best, idle[0], search.progress)
+    least = min(idle, key=lambda c: without[c.name].evidence)
+    smaller = drop(search.estimation, best, least, search.progress)
     if significant(best.fit, smaller.fit):
         return so_far
     return drop_superfluous(search, refine_best(search, replace(so_far, best=smaller)))

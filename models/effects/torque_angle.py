@@ -9,7 +9,7 @@ EFFECT = Effect(
     title="Motors near their holding torque",
     kind="force",
     physics="A stepper's torque is a sine of the angle between rotor and field: soft near its peak.",
-    equation="F = k a sin(s/a), s = u − q",
+    equation="F = k a sin θ, s = u − q = a ((1 − b) θ + b sin θ)",
     parameters=(
         Parameter(
             "amplitude_mm",
@@ -20,6 +20,16 @@ EFFECT = Effect(
             0.5,
             size="per_tower",
             power=-2,
+        ),
+        Parameter(
+            "belt_share",
+            "",
+            "b: of the give between motor and carriage, what is the belt's and not the motor's",
+            (0, 0.45),
+            (0, 0.3),
+            0.05,
+            role="shape",
+            default=0.0,
         ),
     ),
     in_data="Nothing at normal current; near the peak force k a, softer resonances and lost steps (slips of 2 π a).",

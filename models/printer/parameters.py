@@ -75,7 +75,7 @@ def _belt_effects(machine: Machine, stiffness: FloatArray) -> PrinterFields:
     if (values := values_of(machine, "belt_backlash")) is not None:
         part |= {"half_backlash": values["width_mm"] / 2e3, "landing": values["landing_s_per_m"]}
     if (values := values_of(machine, "torque_angle")) is not None:
-        part["inverse_amplitude"] = 1e3 / values["amplitude_mm"]
+        part |= {"inverse_amplitude": 1e3 / values["amplitude_mm"], "belt_share": values["belt_share"]}
     return part
 
 

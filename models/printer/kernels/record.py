@@ -56,6 +56,7 @@ PARAMETERS = np.dtype(
         ("half_backlash", "f8", 3),  # m, belt_backlash
         ("landing", "f8", 3),  # s/m, damping of its flanks
         ("inverse_amplitude", "f8", 3),  # 1/m, 1/a of torque_angle
+        ("belt_share", "f8", 3),  # b of torque_angle
         ("delay", "f8", 3),  # s, command_delay
         ("ripple", "f8", 3),  # m, cogging
         ("wave", "f8", 3),  # rad/m

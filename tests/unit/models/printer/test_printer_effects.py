@@ -236,6 +236,9 @@ def test_a_motors_torque_is_a_sine_of_its_lag(printer: Machine) -> None:
     s = rest_stretch(with_effect(printer, "torque_angle", amplitude_mm=1e3 * a))
     np.testing.assert_allclose(s, a * np.arcsin(weight(printer) / (k * a)), rtol=1e-6)
     assert s[0] > 1.05 * rest_stretch(printer)[0]
+    shared = rest_stretch(with_effect(printer, "torque_angle", amplitude_mm=1e3 * a, belt_share=0.3))
+    lag = weight(printer) / (k * a)  # the belt's part of the stretch is in proportion to the force
+    np.testing.assert_allclose(shared, a * (0.7 * np.arcsin(lag) + 0.3 * lag), rtol=1e-6)
 
 
 def test_a_motor_that_is_too_weak_does_not_hold(printer: Machine) -> None:

@@ -1,0 +1,72 @@
+"""What the search for effects stops at, and what it drops again: on fits that need no simulation."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from ffcomp.diagnose.fit import Fit
+from ffcomp.diagnose.hypotheses import Hypothesis, leaves_excess, significant
+from ffcomp.diagnose.parsimony import predicted_without, simplest
+from ffcomp.diagnose.problem import Candidate, Parameter
+
+SHORT, LONG = 200, 20_000
+
+
+def estimation(*lengths: int) -> SimpleNamespace:
+    """A problem of observations of so many rows."""
+    ends = np.cumsum(lengths)
+    rows = [slice(b - n, b) for b, n in zip(ends, lengths, strict=True)]
+    return SimpleNamespace(tolerance=0.1, whiten=SimpleNamespace(rows=rows))
+
+
+def fitted(residual: np.ndarray) -> Fit:
+    return Fit((), np.zeros(0), residual, np.zeros((len(residual), 0)))
+
+
+def test_a_short_window_stands_out_by_chance() -> None:
+    """Of 200 rows of noise the mean square is off by 0.1; among a hundred windows one is by three times that."""
+    short = np.concatenate([np.ones(LONG), np.full(SHORT, np.sqrt(1.3))])
+    assert not leaves_excess(estimation(LONG, SHORT), fitted(short))
+    assert leaves_excess(estimation(LONG, SHORT), fitted(np.concatenate([np.ones(LONG), np.full(SHORT, 1.3)])))
+    long = np.concatenate([np.full(LONG, np.sqrt(1.15)), np.ones(SHORT)])
+    assert leaves_excess(estimation(LONG, SHORT), fitted(long))
+    everywhere = np.full(100 * SHORT, np.sqrt(1.15))  # too little for any one of them, but it is in all
+    assert leaves_excess(estimation(*[SHORT] * 100), fitted(everywhere))
+
+
+def test_an_effect_that_says_what_a_number_of_the_file_may_say_is_not_needed() -> None:
+    """A stiffness that is one and a half of its uncertainties off is retuning; another shape is not."""
+    rng = np.random.default_rng(0)
+    stiff, other = rng.standard_normal((2, LONG)) * 0.1
+    own = Parameter("stiffness", 1.0, 0.05)
+    belt, shape = (Parameter(f"effects.{name}", 0.0, 0.2) for name in ("belt", "shape"))
+    columns = np.stack([stiff, 4.0 * stiff, other], axis=1)
+    z = np.array([0.1, 0.35, 20.0])
+    best = Hypothesis(
+        (Candidate("belt", (belt,), {}), Candidate("shape", (shape,), {})),
+        Fit((own, belt, shape), z, rng.standard_normal(LONG), columns),
+    )
+    belt_only, shape_only = best.effects
+    assert not significant(best.fit, predicted_without(best, belt_only))
+    assert significant(best.fit, predicted_without(best, shape_only))
+
+
+def test_a_freer_shape_is_no_reason_to_name_another_effect() -> None:
+    """A sine with its belt's share freed fits a little better than a softening belt: both need one number."""
+
+    def needing(name: str, *shapes: str) -> Candidate:
+        own = tuple(Parameter(f"effects.{name}.{each}", 0.0, 1.0) for each in ("size", *shapes))
+        return Candidate(name, own[:1], {}, own[1:])
+
+    def explained(candidate: Candidate, left: float, finer: int = 0) -> Hypothesis:
+        count = len(candidate.parameters) + finer
+        parameters = tuple(Parameter(f"{candidate.name} {i}", 0.0, 1.0) for i in range(count))
+        residual = np.full(LONG, np.sqrt(1 + left))
+        return Hypothesis((candidate,), Fit(parameters, np.zeros(count), residual, np.zeros((LONG, count))))
+
+    candidates = [needing("belt"), needing("sine"), needing("stribeck", "extra", "speed")]
+    belt, sine, stribeck = (explained(c, *a) for c, a in zip(candidates, [(0.121,), (0.118, 1), (0.118,)], strict=True))
+    assert simplest(sine, [belt, sine], candidates) is sine
+    assert simplest(stribeck, [belt, stribeck], candidates) is belt  # it needs more, and explains hardly more
