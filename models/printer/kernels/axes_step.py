@@ -1,4 +1,4 @@
-"""Step straight axes of at most two modes each, with neither frame nor gantry: a whole step of a lane in one loop.
+"""Step straight axes of at most two modes each: a whole step of a lane in one loop.
 
 The equations are those of `axes.py`, and so is the state. What a step reads and writes there in rows of arrays stays
 in registers here, which is several times as quick. All that it needs is in rows of one array, after those of
@@ -9,123 +9,66 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
-import numpy as np
-
 from models.arrays import FloatArray
 from models.printer.kernels.axes import (
     BELT_DAMPING,
     CENTRE,
     COMPLIANCE,
     DAMPING,
-    FIRST,
     FREQUENCY2,
     HALF_BACKLASH,
     HARDENING,
+    HIGHEST,
     LANDING,
     MOTOR_K,
     PART,
     PEAK_STRETCH,
     QUINTIC,
+    REACTION,
     SHARE,
     SLOPE,
-    STRAIN,
+    SWAY,
+    SWAY_RATE,
     TO_AXES,
     TO_MOTORS,
     UNEVEN,
     WIDTH,
-    AxesState,
+    YAW,
+    YAW_CENTRE,
+    YAW_INERTIA,
+    YAW_SHARE,
 )
-from models.printer.kernels.friction import CREEP, DRY, FADING, HOLD, STICKING, strain_rate
+from models.printer.kernels.axes_rows import ALL_ROWS, FIELDS, MODE, MODES, MOTION, MOTORS, STATE
+from models.printer.kernels.axes_sway import Sway, lighter, pull_of, stiffer, sway_rates
+from models.printer.kernels.friction import CREEP, DRY, FADING, FADING_POWER, HOLD, STICKING, strain_rate
 from models.printer.kernels.jit import compiled, inlined
+from models.printer.kernels.motors import torque
 from models.printer.kernels.record import (
-    COMMAND,
-    COMMAND_RATE,
-    CUBIC,
     LANES,
-    RIPPLE,
-    RIPPLE_RATE,
-    ROWS,
     ActiveEffects,
     Row,
     Vector,
 )
-from models.printer.kernels.vectors import at, tanh
+from models.printer.kernels.vectors import at, power, tanh
 
-FEW_MODES, FIELDS = 2, 7
-MODES = ROWS  # three rows a field
-STATE = MODES + 3 * FEW_MODES * FIELDS  # the friction's strain, then p and ṗ of each mode
-MOTORS = STATE + 3 * (1 + 2 * FEW_MODES)  # u and u̇ at the beginning, the middle and the end of a step
-MOTION = MOTORS + 18  # of the axes at the step's beginning: place, velocity, acceleration
-ALL_ROWS = MOTION + 9
 Axis: TypeAlias = tuple[float, float, float, float, float]  # strain of its friction, p₁, ṗ₁, p₂, ṗ₂
-Axes: TypeAlias = tuple[Axis, Axis, Axis]
+Axes: TypeAlias = tuple[Axis, Axis, Axis, Sway]
 
 
 @compiled
-def with_modes(m: FloatArray, modes: FloatArray) -> FloatArray:
-    """Return m with the rows of this file, the modes (n, 7, WIDTH) filled in."""
-    found = np.zeros(ALL_ROWS * LANES)
-    found[: len(m)] = m
-    for i in range(FEW_MODES):
-        for field in range(FIELDS):
-            for n in range(WIDTH):
-                found[(MODES + 3 * (FIELDS * i + field)) * LANES + n] = modes[i, field, n]
-    return found
-
-
-@compiled
-def take_state(m: FloatArray, s: AxesState) -> None:
-    """Take the state over from s."""
-    for n in range(WIDTH):
-        m[STATE * LANES + n] = s.base[STRAIN * WIDTH + n]
-    for n in range(2 * FEW_MODES * WIDTH):
-        m[(STATE + 3) * LANES + n] = s.base[FIRST * WIDTH + n]
-
-
-@compiled
-def keep_state(m: FloatArray, l: int, states: FloatArray) -> None:
-    """Copy the state of lane l to states : (k, rows, 3); neither gantry nor frame has moved."""
-    for a in range(3):
-        states[l, STRAIN, a] = at(m, STATE + a, l)
-        for row in range(FIRST, states.shape[1]):
-            states[l, row, a] = at(m, STATE + 3 * (1 + row - FIRST) + a, l)
-
-
-@compiled
-def has_springs(m: FloatArray) -> bool:
-    """Tell whether any belt has play, or pulls other than in proportion to its stretch."""
-    found = False
-    for n in range(WIDTH):
-        found |= at(m, HALF_BACKLASH, n) != 0.0 or at(m, LANDING, n) != 0.0 or at(m, SLOPE, n) != 0.0
-        found |= at(m, HARDENING, n) != 0.0 or at(m, QUINTIC, n) != 0.0
-    return found
-
-
-@compiled
-def keep_motors(m: FloatArray, half: int) -> None:
-    """Keep where the motors are and how fast, at one of a step's three times."""
-    for n in range(WIDTH):
-        m[(MOTORS + 6 * half) * LANES + n] = at(m, COMMAND, n) + at(m, RIPPLE, n)
-        m[(MOTORS + 6 * half + 3) * LANES + n] = at(m, COMMAND_RATE, n) + at(m, RIPPLE_RATE, n)
-
-
-@compiled
-def motors_at(m: FloatArray, half: int, t: float) -> None:
-    """Evaluate the motors t seconds after the row whose cubics are loaded, for one of a step's three times."""
-    for n in range(WIDTH):
-        a, b, c = at(m, CUBIC, n), at(m, CUBIC + 3, n), at(m, CUBIC + 6, n)
-        m[(MOTORS + 6 * half) * LANES + n] = ((a * t + b) * t + c) * t + at(m, CUBIC + 9, n)
-        m[(MOTORS + 6 * half + 3) * LANES + n] = (3.0 * a * t + 2.0 * b) * t + c
-
-
-@compiled
-def step_lanes(m: FloatArray, h: float, has: ActiveEffects, springs: bool) -> None:
+def step_lanes(m: FloatArray, h: float, has: ActiveEffects, springs: bool, swaying: bool, odd: bool) -> None:
     """Step all lanes by h, by the classical Runge-Kutta method of order 4, and go on from the motors at its end.
 
-    The motion at the step's beginning is left in MOTION. Without friction and `springs`, belts pull in proportion.
+    The motion at the step's beginning is left in MOTION. Without friction and `springs`, belts pull in proportion;
+    without anything `swaying`, neither frame nor gantry moves, and modes depend on no place. What is `odd` needs a
+    sine or a power: motors' torque, friction that fades otherwise than by the square.
     """
     lanes = len(m) // ALL_ROWS  # LANES, which the compiler is not to know: it would write each lane out
-    if has.sticking:
+    if odd or (swaying and (springs or has.guides)):
+        _everything(m, h, lanes)
+    elif swaying:
+        _swaying(m, h, lanes)
+    elif has.sticking:
         _sticking(m, h, lanes)
     elif has.guides:
         _rubbing(m, h, lanes)
@@ -140,65 +83,121 @@ def step_lanes(m: FloatArray, h: float, has: ActiveEffects, springs: bool) -> No
 @compiled
 def _linear(m: FloatArray, h: float, lanes: int) -> None:
     for l in range(min(lanes, LANES)):
-        _step(m, l, h, False, False, False)
+        _step(m, l, h, False, False, False, False, False)
 
 
 @compiled
 def _smooth(m: FloatArray, h: float, lanes: int) -> None:
     for l in range(min(lanes, LANES)):
-        _step(m, l, h, True, False, False)
+        _step(m, l, h, True, False, False, False, False)
 
 
 @compiled
 def _rubbing(m: FloatArray, h: float, lanes: int) -> None:
     for l in range(min(lanes, LANES)):
-        _step(m, l, h, True, True, False)
+        _step(m, l, h, True, True, False, False, False)
 
 
 @compiled
 def _sticking(m: FloatArray, h: float, lanes: int) -> None:
     for l in range(min(lanes, LANES)):
-        _step(m, l, h, True, True, True)
+        _step(m, l, h, True, True, True, False, False)
+
+
+@compiled
+def _swaying(m: FloatArray, h: float, lanes: int) -> None:
+    for l in range(min(lanes, LANES)):
+        _step(m, l, h, False, False, False, True, False)
+
+
+@compiled
+def _everything(m: FloatArray, h: float, lanes: int) -> None:
+    for l in range(min(lanes, LANES)):
+        _step(m, l, h, True, True, True, True, True)
 
 
 @inlined
-def _step(m: FloatArray, l: int, h: float, springs: bool, rubbing: bool, sticking: bool) -> None:
+def _step(
+    m: FloatArray, l: int, h: float, springs: bool, rubbing: bool, sticking: bool, swaying: bool, odd: bool
+) -> None:
     """Step one lane."""
-    y = _axis(m, l), _axis(m, LANES + l), _axis(m, 2 * LANES + l)
-    k1 = _rates(m, y, 0, l, springs, rubbing, sticking)
-    _sample(m, l, y[0], k1[0])
-    _sample(m, LANES + l, y[1], k1[1])
-    _sample(m, 2 * LANES + l, y[2], k1[2])
-    k2 = _rates(m, _moved(y, k1, 0.5 * h), 1, l, springs, rubbing, sticking)
-    k3 = _rates(m, _moved(y, k2, 0.5 * h), 1, l, springs, rubbing, sticking)
-    k4 = _rates(m, _moved(y, k3, h), 2, l, springs, rubbing, sticking)
+    sway = _sway(m, l) if swaying else (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    y = _axis(m, l), _axis(m, LANES + l), _axis(m, 2 * LANES + l), sway
+    k1 = _rates(m, y, 0, l, springs, rubbing, sticking, swaying, odd)
+    _sample(m, l, 0, y[0], k1[0])
+    _sample(m, l, 1, y[1], k1[1])
+    _sample(m, l, 2, y[2], k1[2])
+    if swaying:
+        _sample_sway(m, l, y, k1)
+    k2 = _rates(m, _moved(y, k1, 0.5 * h), 1, l, springs, rubbing, sticking, swaying, odd)
+    k3 = _rates(m, _moved(y, k2, 0.5 * h), 1, l, springs, rubbing, sticking, swaying, odd)
+    k4 = _rates(m, _moved(y, k3, h), 2, l, springs, rubbing, sticking, swaying, odd)
     end = _moved(_moved(_moved(_moved(y, k1, h / 6.0), k2, h / 3.0), k3, h / 3.0), k4, h / 6.0)
     _put(m, l, end[0])
     _put(m, LANES + l, end[1])
     _put(m, 2 * LANES + l, end[2])
+    if swaying:
+        _put_sway(m, l, end[3])
 
 
 @inlined
-def _sample(m: FloatArray, n: int, y: Axis, rates: Axis) -> None:
-    m[MOTION * LANES + n], m[(MOTION + 3) * LANES + n] = y[1] + y[3], y[2] + y[4]
-    m[(MOTION + 6) * LANES + n] = rates[2] + rates[4]
+def _sample(m: FloatArray, l: int, a: int, y: Axis, rates: Axis) -> None:
+    m[(MOTION + a) * LANES + l], m[(MOTION + 3 + a) * LANES + l] = y[1] + y[3], y[2] + y[4]
+    m[(MOTION + 6 + a) * LANES + l] = rates[2] + rates[4]
+
+
+@inlined
+def _sample_sway(m: FloatArray, l: int, y: Axes, rates: Axes) -> None:
+    """Keep the axes' motion, which is seen from the frame, and add to the nozzle's what frame and gantry do."""
+    for n in range(9):
+        m[(MOTION + 9 + n) * LANES + l] = at(m, MOTION + n, l)
+    q = _driven(m, l, y[0][1], y[0][3])
+    pull = pull_of(m, l, rates[3], q)
+    shares = (
+        _mode(m, 0, SHARE, l) + _mode(m, 1, SHARE, l),
+        _mode(m, 0, SHARE, l + LANES) + _mode(m, 1, SHARE, l + LANES),
+    )
+    theta, turning, turn = y[3][0], y[3][1], rates[3][1]
+    x, xd, xdd = at(m, MOTION, l) - at(m, YAW_CENTRE, l), at(m, MOTION + 3, l), at(m, MOTION + 6, l)
+    m[(MOTION + 1) * LANES + l] += x * theta
+    m[(MOTION + 4) * LANES + l] += x * turning + xd * theta
+    m[(MOTION + 6) * LANES + l] += shares[0] * pull[0]
+    # the share of its own reaction is in the axis' acceleration seen from the frame
+    swung = x * turn + 2.0 * xd * turning + xdd * theta - at(m, YAW_SHARE, l) * x * turn
+    m[(MOTION + 7) * LANES + l] += shares[1] * pull[1] + (swung if at(m, YAW_INERTIA, l) > 0.0 else 0.0)
 
 
 @inlined
 def _axis(m: FloatArray, n: int) -> Axis:
-    return at(m, STATE, n), at(m, STATE + 3, n), at(m, STATE + 6, n), at(m, STATE + 9, n), at(m, STATE + 12, n)
+    return at(m, STATE, n), at(m, MODE, n), at(m, MODE + 3, n), at(m, MODE + 6, n), at(m, MODE + 9, n)
 
 
 @inlined
 def _put(m: FloatArray, n: int, axis: Axis) -> None:
     m[STATE * LANES + n] = axis[0]
-    m[(STATE + 3) * LANES + n], m[(STATE + 6) * LANES + n] = axis[1], axis[2]
-    m[(STATE + 9) * LANES + n], m[(STATE + 12) * LANES + n] = axis[3], axis[4]
+    m[MODE * LANES + n], m[(MODE + 3) * LANES + n] = axis[1], axis[2]
+    m[(MODE + 6) * LANES + n], m[(MODE + 9) * LANES + n] = axis[3], axis[4]
+
+
+@inlined
+def _sway(m: FloatArray, l: int) -> Sway:
+    yaw, d, dd = STATE + 3 * YAW, STATE + 3 * SWAY, STATE + 3 * SWAY_RATE
+    return at(m, yaw, l), at(m, yaw + 1, l), at(m, d, l), at(m, d + 1, l), at(m, dd, l), at(m, dd + 1, l)
+
+
+@inlined
+def _put_sway(m: FloatArray, l: int, sway: Sway) -> None:
+    yaw, d, dd = STATE + 3 * YAW, STATE + 3 * SWAY, STATE + 3 * SWAY_RATE
+    m[yaw * LANES + l], m[(yaw + 1) * LANES + l] = sway[0], sway[1]
+    m[d * LANES + l], m[(d + 1) * LANES + l] = sway[2], sway[3]
+    m[dd * LANES + l], m[(dd + 1) * LANES + l] = sway[4], sway[5]
 
 
 @inlined
 def _moved(y: Axes, k: Axes, by: float) -> Axes:
-    return _moved_axis(y[0], k[0], by), _moved_axis(y[1], k[1], by), _moved_axis(y[2], k[2], by)
+    a, b, s, t = _moved_axis(y[0], k[0], by), _moved_axis(y[1], k[1], by), y[3], k[3]
+    first, second = (s[0] + by * t[0], s[1] + by * t[1]), (s[2] + by * t[2], s[3] + by * t[3])
+    return a, b, _moved_axis(y[2], k[2], by), (*first, *second, s[4] + by * t[4], s[5] + by * t[5])
 
 
 @inlined
@@ -207,22 +206,47 @@ def _moved_axis(y: Axis, k: Axis, by: float) -> Axis:
 
 
 @inlined
-def _rates(m: FloatArray, y: Axes, half: int, l: int, springs: bool, rubbing: bool, sticking: bool) -> Axes:
+def _rates(
+    m: FloatArray, y: Axes, half: int, l: int, springs: bool, rubbing: bool, sticking: bool, swaying: bool, odd: bool
+) -> Axes:
     """Evaluate the rates of one lane's axes with the motors at one half step."""
     a, b, c = l, LANES + l, 2 * LANES + l
     q = _driven(m, a, y[0][1], y[0][3]), _driven(m, b, y[1][1], y[1][3]), _driven(m, c, y[2][1], y[2][3])
     qd = _driven(m, a, y[0][2], y[0][4]), _driven(m, b, y[1][2], y[1][4]), _driven(m, c, y[2][2], y[2][4])
     u, ud = _mixed(m, TO_MOTORS, l, q), _mixed(m, TO_MOTORS, l, qd)
-    pull_a = _pull(m, a, _motor(m, half, 0, a), _motor(m, half, 1, a), u[0], ud[0], springs)
-    pull_b = _pull(m, b, _motor(m, half, 0, b), _motor(m, half, 1, b), u[1], ud[1], springs)
-    pull_c = _pull(m, c, _motor(m, half, 0, c), _motor(m, half, 1, c), u[2], ud[2], springs)
+    pull_a = _pull(m, a, _motor(m, half, 0, a), _motor(m, half, 1, a), u[0], ud[0], springs, odd)
+    pull_b = _pull(m, b, _motor(m, half, 0, b), _motor(m, half, 1, b), u[1], ud[1], springs, odd)
+    pull_c = _pull(m, c, _motor(m, half, 0, c), _motor(m, half, 1, c), u[2], ud[2], springs, odd)
     drive = _mixed(m, TO_AXES, l, (pull_a[0], pull_b[0], pull_c[0]))
     rate = _mixed(m, TO_AXES, l, (pull_a[1], pull_b[1], pull_c[1]))
-    return (
-        _axis_rate(m, a, y[0], drive[0], rate[0], qd[0], rubbing, sticking),
-        _axis_rate(m, b, y[1], drive[1], rate[1], qd[1], rubbing, sticking),
-        _axis_rate(m, c, y[2], drive[2], rate[2], qd[2], rubbing, sticking),
-    )
+    x = _axis_rate(m, a, q[0], y[0], drive[0], rate[0], qd[0], rubbing, sticking, swaying, odd)
+    y_rate = _axis_rate(m, b, q[0], y[1], drive[1], rate[1], qd[1], rubbing, sticking, swaying, odd)
+    z = _axis_rate(m, c, q[0], y[2], drive[2], rate[2], qd[2], rubbing, sticking, swaying, odd)
+    if not swaying:
+        return x, y_rate, z, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    forces = _reaction(m, a, x), _reaction(m, b, y_rate)
+    x, y_rate, z = _lightened(m, a, q[2], x), _lightened(m, b, q[2], y_rate), _lightened(m, c, q[2], z)
+    driven = _driven(m, a, x[2], x[4]), _driven(m, b, y_rate[2], y_rate[4])
+    sway = sway_rates(m, l, y[3], forces, driven, q[0])
+    pull = pull_of(m, l, sway, q[0])
+    return _less(m, a, x, pull[0]), _less(m, b, y_rate, pull[1]), z, sway
+
+
+@inlined
+def _reaction(m: FloatArray, n: int, rates: Axis) -> float:
+    return _mode(m, 0, REACTION, n) * rates[2] + _mode(m, 1, REACTION, n) * rates[4]
+
+
+@inlined
+def _lightened(m: FloatArray, n: int, height: float, rates: Axis) -> Axis:
+    by = lighter(m, n, height)
+    return rates[0], rates[1], by * rates[2], rates[3], by * rates[4]
+
+
+@inlined
+def _less(m: FloatArray, n: int, rates: Axis, pull: float) -> Axis:
+    first, second = rates[2] - _mode(m, 0, SHARE, n) * pull, rates[4] - _mode(m, 1, SHARE, n) * pull
+    return rates[0], rates[1], first, rates[3], second
 
 
 @inlined
@@ -252,7 +276,7 @@ def _mixed(m: FloatArray, matrix: Row, l: int, x: Vector) -> Vector:
 
 @inlined
 def _pull(
-    m: FloatArray, n: int, motor: float, motor_rate: float, q: float, qd: float, springs: bool
+    m: FloatArray, n: int, motor: float, motor_rate: float, q: float, qd: float, springs: bool, odd: bool
 ) -> tuple[float, float]:
     """Return what one belt adds to w, and to ẇ less that of its driven point."""
     if not springs:
@@ -264,7 +288,8 @@ def _pull(
     k = 1.0 + at(m, UNEVEN, n) + at(m, SLOPE, n) * (q - at(m, CENTRE, n))
     squared = stretch * stretch
     harder = (at(m, HARDENING, n) + at(m, QUINTIC, n) * squared) * squared * stretch / at(m, MOTOR_K, n)
-    force = k * (stretch + abs(stretch) * at(m, LANDING, n) * slip) + harder
+    spring = torque(m, n, stretch) if odd else stretch
+    force = k * (spring + abs(stretch) * at(m, LANDING, n) * slip) + harder
     slack = abs(motor - q) < half
     return q + (0.0 if slack else force), 0.0 if slack else slip
 
@@ -273,33 +298,40 @@ def _pull(
 def _axis_rate(
     m: FloatArray,
     n: int,
+    x: float,
     y: Axis,
     drive: float,
     drive_rate: float,
     qd: float,
     rubbing: bool,
     sticking: bool,
+    swaying: bool,
+    odd: bool,
 ) -> Axis:
     """Evaluate the rate of one axis: its modes, driven by w and ẇ − q̇_d, and its friction."""
     strain = 0.0
     if rubbing:
         level = at(m, DRY, n)
         if sticking:
-            faded = tanh(0.5 * (qd * at(m, FADING, n)) ** 2)
+            squared = (qd * at(m, FADING, n)) ** 2
+            faded = tanh(0.5 * (power(squared, at(m, FADING_POWER, n)) if odd else squared))
             level += at(m, STICKING, n) * (1.0 - faded) / (1.0 + faded)
         ratio = qd / at(m, CREEP, n)
         drive -= level * tanh(ratio + y[0]) * at(m, COMPLIANCE, n)
         strain = strain_rate(at(m, HOLD, n), ratio, abs(ratio), y[0])
-    follow = drive_rate + qd
-    return strain, y[2], _force(m, 0, n, drive, follow, y[1], y[2]), y[4], _force(m, 1, n, drive, follow, y[3], y[4])
+    follow, more = drive_rate + qd, stiffer(m, n, x) if swaying else 0.0
+    first = _force(m, 0, n, more, drive, follow, y[1], y[2])
+    return strain, y[2], first, y[4], _force(m, 1, n, more, drive, follow, y[3], y[4])
 
 
 @inlined
-def _force(m: FloatArray, i: int, n: int, drive: float, follow: float, place: float, rate: float) -> float:
+def _force(
+    m: FloatArray, i: int, n: int, stiffer: float, drive: float, follow: float, place: float, rate: float
+) -> float:
     """Evaluate the acceleration of one mode."""
     share, belt = _mode(m, i, SHARE, n), _mode(m, i, BELT_DAMPING, n)
     return (
-        _mode(m, i, FREQUENCY2, n) * (share * drive - place)
+        _mode(m, i, FREQUENCY2, n) * (1.0 + _mode(m, i, HIGHEST, n) * stiffer) * (share * drive - place)
         - _mode(m, i, DAMPING, n) * rate
         + belt * (share * follow - rate)
     )

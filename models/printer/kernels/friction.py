@@ -19,7 +19,7 @@ from models.printer.kernels.record import (
     XD,
     parameter_rows,
 )
-from models.printer.kernels.vectors import add, at, dot, put, scale, tanh, vector
+from models.printer.kernels.vectors import add, at, dot, power, put, scale, tanh, vector
 
 DRY, STICKING, FADING, FADING_POWER = parameter_rows("dry", "sticking", "fading", "fading_power")
 CREEP, HOLD = parameter_rows("creep", "hold")
@@ -37,12 +37,24 @@ def strain_rate(hold: float, ratio: float, speed: float, strain: float) -> float
 @compiled
 def stribeck(m: FloatArray) -> None:
     """Evaluate ℓ with its Stribeck part near rest, exp −|q̇/v_s|^δ; e to the −2x is (1 − tanh x)/(1 + tanh x)."""
+    uneven = has_powers(m)
     for n in range(3 * LANES):
-        squared, power = (at(m, NOW + QD, n) * at(m, FADING, n)) ** 2, at(m, FADING_POWER, n)
-        m[LEVEL * LANES + n] = squared if power == 1.0 else squared**power
+        m[LEVEL * LANES + n] = (at(m, NOW + QD, n) * at(m, FADING, n)) ** 2
+    if uneven:
+        for n in range(3 * LANES):
+            m[LEVEL * LANES + n] = power(at(m, LEVEL, n), at(m, FADING_POWER, n))
     for n in range(3 * LANES):
         faded = tanh(0.5 * at(m, LEVEL, n))
         m[LEVEL * LANES + n] = at(m, DRY, n) + at(m, STICKING, n) * (1.0 - faded) / (1.0 + faded)
+
+
+@compiled
+def has_powers(m: FloatArray) -> bool:
+    """Tell whether friction near rest fades otherwise than by the square of the speed, in any lane."""
+    found = False
+    for n in range(3 * LANES):
+        found |= at(m, STICKING, n) != 0.0 and at(m, FADING_POWER, n) != 1.0
+    return found
 
 
 @compiled

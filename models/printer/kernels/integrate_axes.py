@@ -20,7 +20,7 @@ from models.printer.kernels.axes import (
     axes_rate,
     fill_rows,
 )
-from models.printer.kernels.axes_step import (
+from models.printer.kernels.axes_rows import (
     FEW_MODES,
     MOTION,
     MOTORS,
@@ -28,11 +28,11 @@ from models.printer.kernels.axes_step import (
     keep_motors,
     keep_state,
     motors_at,
-    step_lanes,
     take_state,
     with_modes,
 )
-from models.printer.kernels.friction import FADING_POWER
+from models.printer.kernels.axes_step import step_lanes
+from models.printer.kernels.friction import has_powers
 from models.printer.kernels.integrate import PAGE, active_effects, any_nonzero, copy_page, empty_samples, fill_lanes
 from models.printer.kernels.jit import compiled
 from models.printer.kernels.motors import Commands, command_times, read_command
@@ -117,15 +117,6 @@ def _sample(m: FloatArray, sample: FloatArray) -> None:
 
 
 @compiled
-def _is_quick(m: FloatArray, s: AxesState, has: ActiveEffects) -> bool:
-    """Tell whether `step_lanes` knows all that there is."""
-    plain = not (s.swaying or s.growing or s.by_place or has.torque_angle)
-    for n in range(WIDTH):
-        plain = plain and (not has.sticking or at(m, FADING_POWER, n) == 1.0)
-    return plain and len(s.modes) == FEW_MODES
-
-
-@compiled
 def integrate_axes(
     states: FloatArray,
     modes: FloatArray,
@@ -147,7 +138,7 @@ def integrate_axes(
     s = _in_lanes(m, states, modes)
     elapsed, rows_back = command_times(m, dt, substeps)
     commands, has = Commands(cubics, ranges, elapsed, rows_back), active_effects(m)
-    if _is_quick(m, s, has):
+    if len(s.modes) == FEW_MODES:
         return _integrate_quickly(with_modes(m, s.modes), s, states, commands, has, first, dt, substeps, units)
     page, samples = np.empty((PAGE, 7, WIDTH)), empty_samples(k, rows.max())
     for n in range(rows.max()):
@@ -177,12 +168,13 @@ def _integrate_quickly(
     substeps: int,
     units: FloatArray,
 ) -> tuple[FloatArray, ...]:
-    """Integrate by `step_lanes`; carriages move as the nozzle does, and are the same arrays."""
+    """Integrate by `step_lanes`."""
     rows = commands.ranges[:, 1] - commands.ranges[:, 0] - first
     take_state(m, s)
-    page, samples = np.empty((PAGE, 7, WIDTH)), few_samples(len(states), rows.max())
-    h, straight = dt / substeps, not (has.delay or has.ripple)
-    springs = has_springs(m)
+    h, straight = dt / substeps, not has.delay
+    springs, swaying = has_springs(m), s.swaying or s.growing or s.by_place
+    odd = has.torque_angle or (has.sticking and has_powers(m))
+    page, samples = np.empty((PAGE, 7, WIDTH)), _samples(len(states), rows.max(), swaying)
     for n in range(rows.max()):
         for l in range(len(states)):
             if n == rows[l] - 1:
@@ -192,34 +184,39 @@ def _integrate_quickly(
         _sample_motors(m, page[n % PAGE])
         for step in range(substeps):
             if straight:
-                motors_at(m, 1, (step + 0.5) * h)
-                motors_at(m, 2, (step + 1) * h)
+                motors_at(m, 1, (step + 0.5) * h, has.ripple)
+                motors_at(m, 2, (step + 1) * h, has.ripple)
             else:
                 for ahead in range(1, 3):
                     read_command(m, first + n, 2 * step + ahead, commands, has)
                     keep_motors(m, ahead)
-            step_lanes(m, h, has, springs)
+            step_lanes(m, h, has, springs, swaying, odd)
             if step == 0:
                 _sample_motion(m, page[n % PAGE])
         if n % PAGE == PAGE - 1 or n == rows.max() - 1:
-            copy_page(page, n - n % PAGE, n % PAGE + 1, units[3:], samples)
-    x, xd, acc, motor = samples
-    return x, xd, acc, x, xd, acc, motor
+            copy_page(page[:, 3:], n - n % PAGE, n % PAGE + 1, units[3:], samples[3:])
+            if swaying:
+                copy_page(page[:, :3], n - n % PAGE, n % PAGE + 1, units[:3], samples[:3])
+    return samples
 
 
 @compiled
-def few_samples(k: int, rows: int) -> tuple[FloatArray, ...]:
-    """Allocate separate arrays for place, velocity, acceleration and motors."""
+def _samples(k: int, rows: int, swaying: bool) -> tuple[FloatArray, ...]:
+    """Allocate what `integrate_axes` returns; where nothing sways, carriages move as the nozzle does."""
     size = (k, rows, 3)
-    return np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    place, velocity, acceleration, motor = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    if swaying:
+        return np.empty(size), np.empty(size), np.empty(size), place, velocity, acceleration, motor
+    return place, velocity, acceleration, place, velocity, acceleration, motor
 
 
 @compiled
 def _sample_motion(m: FloatArray, sample: FloatArray) -> None:
-    """Copy the motion at a row's beginning."""
+    """Copy the motion at a row's beginning: of the axes and of the nozzle."""
     for quantity in range(3):
         for n in range(WIDTH):
-            sample[quantity, n] = at(m, MOTION + 3 * quantity, n)
+            sample[quantity, n] = at(m, MOTION + 9 + 3 * quantity, n)
+            sample[3 + quantity, n] = at(m, MOTION + 3 * quantity, n)
 
 
 @compiled
@@ -227,7 +224,7 @@ def _sample_motors(m: FloatArray, sample: FloatArray) -> None:
     """Copy where the motors are, as the axes they stand for."""
     for a in range(3):
         for l in range(LANES):
-            sample[3, a * LANES + l] = dot(vector(m, TO_AXES + 3 * a, l), vector(m, MOTORS, l))
+            sample[6, a * LANES + l] = dot(vector(m, TO_AXES + 3 * a, l), vector(m, MOTORS, l))
 
 
 @compiled

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from models.arrays import FloatArray
-from models.printer.kernels.jit import compiled
+from models.printer.kernels.jit import compiled, inlined
 from models.printer.kernels.record import (
     COMMAND,
     COMMAND_RATE,
@@ -33,7 +33,7 @@ from models.printer.kernels.record import (
     V,
     parameter_rows,
 )
-from models.printer.kernels.vectors import at
+from models.printer.kernels.vectors import at, sine
 
 WEIGHT, BELT_K, BELT_C, GUIDE_B = parameter_rows("weight", "belt_k", "belt_c", "guide_b")
 IDEAL, D0, LEAD, D2 = parameter_rows("ideal_drive", "d0", "lead", "d2")
@@ -42,6 +42,7 @@ SLOPE, CENTRE, HALF_BACKLASH, LANDING = parameter_rows("slope", "centre", "half_
 INVERSE_AMPLITUDE, BELT_SHARE, DELAY = parameter_rows("inverse_amplitude", "belt_share", "delay")
 COGGING, WAVE, PHASE = parameter_rows("ripple", "wave", "phase")
 SECOND_SINE, SECOND_COSINE = parameter_rows("second_sine", "second_cosine")
+QUARTER = 0.5 * math.pi
 
 NEWTON_STEPS = 3  # for a motor's angle: with 0.3 of the give in the belt, exact to 1e-10 up to the peak
 
@@ -111,15 +112,20 @@ def evaluate_command(m: FloatArray, elapsed: FloatArray) -> None:
 def cogging(m: FloatArray) -> None:
     """Evaluate the ripple of the motors' positions, and its rate."""
     for n in range(3 * LANES):
-        amplitude, wave = m[COGGING * LANES + n], m[WAVE * LANES + n]
-        if amplitude != 0.0:
-            phase = wave * m[COMMAND * LANES + n] + m[PHASE * LANES + n]
-            sine, cosine = math.sin(phase), math.cos(phase)
-            up, down = m[SECOND_SINE * LANES + n], m[SECOND_COSINE * LANES + n]
-            twice_sine, twice_cosine = 2.0 * sine * cosine, 1.0 - 2.0 * sine * sine
-            m[RIPPLE * LANES + n] = amplitude * (sine + up * twice_sine + down * twice_cosine)
-            slope = cosine + 2.0 * (up * twice_cosine - down * twice_sine)
-            m[RIPPLE_RATE * LANES + n] = amplitude * wave * slope * m[COMMAND_RATE * LANES + n]
+        ripple = rippled(m, n, at(m, COMMAND, n), at(m, COMMAND_RATE, n))
+        m[RIPPLE * LANES + n], m[RIPPLE_RATE * LANES + n] = ripple
+
+
+@inlined
+def rippled(m: FloatArray, n: int, command: float, rate: float) -> tuple[float, float]:
+    """Return the ripple of one motor's position under a command, and its rate."""
+    amplitude, wave = at(m, COGGING, n), at(m, WAVE, n)
+    phase = wave * command + at(m, PHASE, n)
+    up, down = at(m, SECOND_SINE, n), at(m, SECOND_COSINE, n)
+    first, second = sine(phase), sine(phase + QUARTER)
+    twice_sine, twice_cosine = 2.0 * first * second, 1.0 - 2.0 * first * first
+    slope = second + 2.0 * (up * twice_cosine - down * twice_sine)
+    return amplitude * (first + up * twice_sine + down * twice_cosine), amplitude * wave * slope * rate
 
 
 @compiled
@@ -143,15 +149,19 @@ def motors(m: FloatArray) -> None:
 def torque_angle(m: FloatArray) -> None:
     """Replace the effective stretch s by a sin θ, s = a ((1 − b) θ + b sin θ): a stepper's torque, a belt in series."""
     for n in range(3 * LANES):
-        inverse, share = m[INVERSE_AMPLITUDE * LANES + n], m[BELT_SHARE * LANES + n]
-        if inverse != 0.0:
-            told = inverse * m[STRETCH * LANES + n]
-            angle = told
-            if share != 0.0:
-                for _ in range(NEWTON_STEPS):
-                    over = (1.0 - share) * angle + share * math.sin(angle) - told
-                    angle -= over / (1.0 - share + share * math.cos(angle))
-            m[SPRING * LANES + n] = math.sin(angle) / inverse
+        m[SPRING * LANES + n] = torque(m, n, at(m, STRETCH, n))
+
+
+@inlined
+def torque(m: FloatArray, n: int, stretch: float) -> float:
+    """Return a sin θ of one motor; the stretch itself without the effect."""
+    inverse, share = at(m, INVERSE_AMPLITUDE, n), at(m, BELT_SHARE, n)
+    told = inverse * stretch
+    angle = told
+    for _ in range(NEWTON_STEPS):
+        over = (1.0 - share) * angle + share * sine(angle) - told
+        angle -= over / (1.0 - share + share * sine(angle + QUARTER))
+    return sine(angle) / inverse if inverse != 0.0 else stretch
 
 
 @compiled
