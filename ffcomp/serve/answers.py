@@ -74,12 +74,16 @@ def _compare(found: Found) -> Answer:
 
 
 def _plan(found: Found) -> Answer:
-    lead = f"{len(found['experiments'])} experiments, {clock(found['duration_s'])}, each made {found['repeats']} times."
-    facts = [["Firmware", str(found["flavor"])], ["Captures", f"{len(found['captures'])} files will be written"]]
+    repeats = f", each made {found['repeats']} times" if "repeats" in found else ""
+    lead = f"{len(found['experiments'])} experiments, {clock(found['duration_s'])}{repeats}."
+    facts = [["Firmware", str(found["flavor"])]]
+    if "captures" in found:
+        facts.append(["Captures", f"{len(found['captures'])} files will be written"])
     to_do = [
-        "Home the printer, put nothing on the bed, print moves.gcode, and stay beside it.",
+        "Put the accelerometer on the nozzle holder and nothing on the bed, heaters off; print moves.gcode, and stay "
+        "beside it.",
         "Drop the captures that it writes (on Klipper: /tmp/*.csv on the printer's computer) at step 2.",
-        *map(str, found["restores"]),
+        *map(str, found.get("restores", [])),
     ]
     return {"lead": lead, "facts": facts, "warnings": list(found["warnings"]), "to_do": to_do}
 
@@ -142,6 +146,7 @@ _ANSWERS: dict[str, Callable[[Found], Answer]] = {
     "compensate": _compensate,
     "compare": _compare,
     "plan": _plan,
+    "excite": _plan,
     "diagnose": _diagnose,
     "fit": _fit,
     "import": _import,

@@ -58,6 +58,13 @@ def plan(request: Request) -> list[Step]:
     return [Step(words, "planning moves")]
 
 
+def excite(request: Request) -> list[Step]:
+    """Write moves that excite what a fit of the machine file's numbers needs."""
+    target = str(request.out / MOVES)
+    words = ("identify", "plan", "-m", request.machine, "-o", target, "--json", *_words(request.options))
+    return [Step(words, "planning moves")]
+
+
 def diagnose(request: Request) -> list[Step]:
     """Find what the machine file lacks, from captures of a plan."""
     return [Step(_measured(request, "diagnose", "--report", str(request.out / REPORT)), "reading the captures")]
@@ -119,6 +126,10 @@ def _pair(value: Any) -> str:
     return f"{x:g},{y:g}"
 
 
+def _mass(value: Any) -> str:
+    return f"effector.total_mass_kg={_positive(value)}"
+
+
 def _name(value: Any) -> str:
     name = str(value)
     if not 0 < len(name) <= 60 or not all(each.isascii() and (each.isalnum() or each in "-_") for each in name):
@@ -139,6 +150,7 @@ OPTIONS: dict[str, tuple[str, Callable[[Any], str] | None]] = {
     "repeats": ("--repeats", lambda value: str(int(_positive(value)))),
     "seconds": ("--seconds", _positive),
     "height_mm": ("--height-mm", _positive),
+    "known_mass_kg": ("--known", _mass),
     "at": ("--at", _pair),
     "offset_mm": ("--offset-mm", _pair),
     "flavor": ("--flavor", _one_of(*FLAVORS)),
@@ -168,10 +180,11 @@ KINDS: dict[str, Kind] = {
     ),
     "compare": Kind(compare, _ONE, ("flavor", "offset_mm", "plate", "only", "sample"), title="Compare {name}"),
     "plan": Kind(
-        plan, range(1), ("repeats", "seconds", "height_mm", "at", "flavor"), title="Moves to record on {machine}"
+        plan, range(1), ("repeats", "seconds", "height_mm", "at", "flavor"), title="Moves to diagnose {machine}"
     ),
+    "excite": Kind(excite, range(1), ("height_mm", "at", "flavor"), title="Moves to fit {machine}"),
     "diagnose": Kind(diagnose, range(1, MOST_CAPTURES), ("without_repeats",), title="Diagnosis of {machine}"),
-    "fit": Kind(fit, range(1, MOST_CAPTURES), title="Fit of {machine}"),
+    "fit": Kind(fit, range(1, MOST_CAPTURES), ("known_mass_kg",), title="Fit of {machine}"),
     "import": Kind(read_machine, _ONE, ("name", "kinematics"), machine=False, title="Machine from {name}"),
     "warmup": Kind(warmup, range(1), machine=False, title="Getting ready"),
 }

@@ -45,6 +45,16 @@ class Curve:
 
 
 @dataclass(frozen=True, slots=True)
+class Original:
+    """What was compensated, within reach, and when its plan is at the references of both curves."""
+
+    program: Program
+    plan: PlannedMotion
+    before_due: FloatArray  # (m,) s on the original plan's clock, for each sample of `before`
+    after_due: FloatArray  # the same of `after`
+
+
+@dataclass(frozen=True, slots=True)
 class Preview:
     """Both prints on the design model."""
 
@@ -52,6 +62,7 @@ class Preview:
     path_t: FloatArray  # (n,) s on the original plan's clock
     before: Curve
     after: Curve
+    original: Original | None = None
 
 
 def preview(
@@ -91,6 +102,7 @@ def preview(
         Curve(
             after_t, after, after_reference, contour_error(path_in_after, corners, after_t, after), *kinds(after_due)
         ),
+        Original(original, reference, before_t, after_due),
     )
 
 

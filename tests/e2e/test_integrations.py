@@ -5,15 +5,12 @@
 
 from __future__ import annotations
 
-import base64
 import configparser
 import enum
 import importlib.util
-import io
 import json
 import re
 import shlex
-import subprocess
 import sys
 import tomllib
 from collections.abc import Callable
@@ -22,7 +19,6 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
-from PIL import Image
 from typer.testing import CliRunner
 
 from ffcomp import __version__
@@ -31,6 +27,7 @@ from ffcomp.integrations.recipes import RECIPES, cura_folders, executable, instr
 from ffcomp.integrations.slicer import Bed, read_bed
 from gcode.embedded import original
 from gcode.stamp import already_processed
+from tests.support.moonraker import metadata, thumbnail
 
 ROOT = Path(__file__).parents[2]
 
@@ -370,28 +367,6 @@ def test_moonraker_is_given_a_processor(moonraker: Callable[[str], dict[str, Any
     assert made["name"] == "ffcomp" and made["timeout"] == 90.0 and made["ident"]["location"] == "header"
     with pytest.raises(ValueError, match="needs a machine"):
         moonraker("timeout: 90")
-
-
-def metadata(folder: Path, name: str, processors: list[dict[str, Any]]) -> tuple[dict[str, Any], str]:
-    """What Moonraker's own script finds in a file, and what it logs."""
-    spec = importlib.util.find_spec("moonraker")
-    if spec is None or spec.submodule_search_locations is None:
-        pytest.skip("no Moonraker here to read the file (pip install --no-deps moonraker)")
-    script = Path(spec.submodule_search_locations[0], "components", "file_manager", "metadata.py")
-    config = folder / "config.json"
-    config.write_text(json.dumps({"gcode_dir": str(folder), "filename": name, "processors": processors}))
-    answer = subprocess.run([sys.executable, script, "-c", config], capture_output=True, text=True, check=True)
-    found: dict[str, Any] = json.loads(answer.stdout)["metadata"]
-    return found, answer.stderr
-
-
-def thumbnail() -> list[bytes]:
-    """A picture of 32 x 32, as PrusaSlicer writes it: its length in base64 must be kept."""
-    picture = io.BytesIO()
-    Image.new("RGB", (32, 32), "red").save(picture, "PNG")
-    text = base64.b64encode(picture.getvalue())
-    lines = [b"; %s\n" % text[k : k + 78] for k in range(0, len(text), 78)]
-    return [b";\n; thumbnail begin 32x32 %d\n" % len(text), *lines, b"; thumbnail end\n;\n"]
 
 
 def test_moonraker_processes_a_print_once_and_reads_it_as_before(

@@ -149,6 +149,8 @@ def test_from_a_configuration_to_a_machine_that_is_measured(width: int, quick: N
         seen.page.wait_for_selector(card("plan"), timeout=WAIT_MS)
         assert "Download moves.gcode" in seen.page.inner_text(card("plan"))
         drop(seen, "captures", ("adxl345-a-1.csv", b"1"), ("adxl345-a-2.csv", b"2"))
+        seen.page.wait_for_selector("[data-job=diagnose]:enabled", timeout=WAIT_MS)
+        assert seen.page.is_disabled("[data-job=fit]")  # these moves were made for a diagnosis
         press(seen, "diagnose")
         seen.page.wait_for_selector(card("diagnose"), timeout=WAIT_MS)
         assert "Coulomb friction is missing." in seen.page.inner_text(card("diagnose"))

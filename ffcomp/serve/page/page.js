@@ -169,7 +169,8 @@ function ready() {
   const machine = machines.value !== "";
   const prints = here("prints").length > 0 && !arriving("prints") && machine;
   const captures = here("captures").length > 0 && !arriving("captures") && machine;
-  const can = { compensate: prints, compare: prints, import: here("config").length > 0, plan: machine, diagnose: captures, fit: captures };
+  const plan = one("#plans").selectedOptions[0]?.dataset.kind || ""; // captures of moves serve what the moves were made for
+  const can = { compensate: prints, compare: prints, import: here("config").length > 0, plan: machine, excite: machine, diagnose: captures && plan === "plan", fit: captures && plan !== "plan" };
   all("[data-job]").forEach((button) => { button.disabled = !can[button.dataset.job]; });
 }
 
@@ -179,7 +180,7 @@ function options(panel) {
     .filter(([, value]) => value !== "" && value !== false));
 }
 
-const OF = { compensate: ["shaper_off", "force", "max_error_um", "max_flow_mm3_per_s", "flavor"], compare: ["flavor"], import: ["name", "kinematics"], plan: ["height_mm", "at", "seconds", "repeats"], diagnose: ["without_repeats"], fit: [] };
+const OF = { compensate: ["shaper_off", "force", "max_error_um", "max_flow_mm3_per_s", "flavor"], compare: ["flavor"], import: ["name", "kinematics"], plan: ["height_mm", "at", "seconds", "repeats"], excite: ["height_mm", "at"], diagnose: ["without_repeats"], fit: ["known_mass_kg"] };
 
 export async function start(kind, files, more = {}) {
   const panel = one(`[data-job=${kind}]`).closest("[role=tabpanel]");
@@ -192,6 +193,7 @@ const STARTS = {
   compare: async () => { for (const entry of here("prints")) await start("compare", [entry.id]); },
   import: async () => { await start("import", here("config").map((each) => each.id)); clear("config"); },
   plan: () => start("plan", []),
+  excite: () => start("excite", []),
   diagnose: () => measured("diagnose"),
   fit: () => measured("fit"),
 };
@@ -210,14 +212,20 @@ all("[data-job]").forEach((button) => button.addEventListener("click", async () 
   await look();
 }));
 
+one("#plans").addEventListener("change", ready);
 function showPlans(jobs) {
-  const plans = jobs.filter((job) => job.kind === "plan" && job.state === "done");
+  const plans = jobs.filter((job) => ["plan", "excite"].includes(job.kind) && job.state === "done");
   const select = one("#plans"), chosen = select.value;
   const shown = [...select.options].map((each) => each.value);
   if (shown.length && plans.map((job) => job.id).join() === shown.filter(Boolean).join()) return;
   const none = make("option", { value: "", textContent: plans.length ? "none: resonance tests" : "none yet: write them above" });
-  select.replaceChildren(...plans.map((job) => make("option", { value: job.id, textContent: `${job.title}, ${new Date(1000 * job.ended).toLocaleString()}` })), none);
-  select.value = plans.some((job) => job.id === chosen) ? chosen : plans.length ? plans[0].id : "";
+  const option = (job) => make("option", { value: job.id, textContent: `${job.title}, ${new Date(1000 * job.ended).toLocaleString()}` });
+  const options = plans.map(option);
+  options.forEach((each, k) => { each.dataset.kind = plans[k].kind; });
+  const newest = plans.length > 0 && !shown.includes(plans[0].id);
+  select.replaceChildren(...options, none);
+  select.value = !newest && plans.some((job) => job.id === chosen) ? chosen : plans.length ? plans[0].id : "";
+  ready();
 }
 
 // ---- the printer ----

@@ -33,6 +33,11 @@ def test_captures_and_their_plan_are_told_apart() -> None:
     assert words[words.index("--plan") + 1] == "in/moves.json"
 
 
+def test_a_weighed_effector_is_known_to_the_fit() -> None:
+    (words,) = words_of("fit", {"known_mass_kg": 0.6}, "in/a.csv")
+    assert words[:2] == ("identify", "fit") and words[-1] == "--known=effector.total_mass_kg=0.6"
+
+
 def test_a_machine_file_is_checked_not_imported() -> None:
     assert words_of("import", {}, "in/my.toml") == [("machines", "check", "in/my.toml", "--json")]
     assert words_of("import", {"name": "my"}, "in/printer.cfg")[0][4:5] == (str(OUT / "my.toml"),)

@@ -1,0 +1,112 @@
+"""What viewers and hosts read of a compensated print, and of the small G-code that shows the error in it."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from ffcomp.cli.app import app
+from gcode.reader import read_program
+from tests.support.docs_runner import ROOT
+from tests.support.moonraker import metadata, thumbnail
+
+OBJECT = b"EXCLUDE_OBJECT_DEFINE NAME=tower CENTER=0,0\n"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`tower.gcode`, compensated to `done.gcode`, and `error.gcode` and `was.gcode`, its previews."""
+    folder = tmp_path_factory.mktemp("viewers")
+    lines = (ROOT / "sample_prints" / "ringing_tower.gcode").read_bytes().splitlines(keepends=True)
+    sliced = [lines[0], *thumbnail(), OBJECT, *lines[1:160], *lines[-300:]]
+    (folder / "tower.gcode").write_bytes(b"".join(sliced))
+    run("compensate", folder / "tower.gcode", "-m", "mp-delta-pro", "-o", folder / "done.gcode", "-q", "--no-predict")
+    for name, which in (("error", "compensated"), ("was", "original")):
+        preview = ("--gcode-preview", folder / f"{name}.gcode", "--preview-of", which)
+        run("show", folder / "done.gcode", "-o", folder / f"{name}.png", *preview, "--json")
+    return folder
+
+
+def run(*words: str | Path, code: int = 0) -> str:
+    done = CliRunner().invoke(app, [str(word) for word in words])
+    assert done.exit_code == code, done.output
+    return done.stdout
+
+
+def comments(path: Path, *begins: bytes) -> list[bytes]:
+    return [line for line in path.read_bytes().splitlines(keepends=True) if line.startswith(begins)]
+
+
+def test_a_compensated_print_keeps_what_viewers_read(folder: Path) -> None:
+    sliced, done = folder / "tower.gcode", folder / "done.gcode"
+    first = sliced.read_bytes().partition(b"\n")[0]
+    assert done.read_bytes().startswith(first + b"\n")  # by which viewers know the slicer
+    assert b"".join(thumbnail()) in done.read_bytes()
+    for begins in ((b";LAYER_CHANGE",), (b";Z:", b";HEIGHT:", b";WIDTH:"), (b";TYPE:",), (b"EXCLUDE_OBJECT",)):
+        kept = comments(sliced, *begins)
+        assert kept and comments(done, *begins) == kept, begins
+
+
+def test_the_preview_is_the_sliced_path_with_another_feature_where_the_error_changes(folder: Path) -> None:
+    sliced = read_program((folder / "tower.gcode").read_bytes(), "tower.gcode")
+    seen = read_program((folder / "error.gcode").read_bytes(), "error.gcode")
+    corners = {tuple(end) for end in np.round(seen.moves.end[:, :3], 3)}
+    own = {tuple(end) for end in np.round(sliced.moves.end[1:, :3], 3)}
+    assert len(own - corners) <= 2  # nothing is left out but what is beside the print volume
+    ways = [each.moves.end - each.moves.start for each in (sliced, seen)]
+    pushed = [float(way[np.any(way[:, :2] != 0.0, axis=1), 3].clip(0.0).sum()) for way in ways]
+    assert pushed[1] == pytest.approx(pushed[0], rel=2e-3)
+    assert (folder / "error.gcode").stat().st_size < (folder / "done.gcode").stat().st_size / 2
+    assert len(comments(folder / "error.gcode", b";LAYER_CHANGE")) == len(
+        comments(folder / "tower.gcode", b";LAYER_CHANGE")
+    )
+
+
+def test_the_worse_print_has_the_worse_features(folder: Path) -> None:
+    worst = b"Internal infill", b"Top solid infill"  # dark red, red
+    shares = {}
+    for name in ("error", "was"):
+        program = read_program((folder / f"{name}.gcode").read_bytes(), name)
+        way = np.linalg.norm((program.moves.end - program.moves.start)[:, :2], axis=1)
+        length: Counter[bytes] = Counter()
+        feature = b""
+        at = iter(sorted(program.events, key=lambda event: event.move))
+        event = next(at, None)
+        for number in range(len(program.moves)):
+            while event is not None and event.move <= number:
+                line = program.lines[event.line]
+                feature = line.strip().removeprefix(b";TYPE:") if line.startswith(b";TYPE:") else feature
+                event = next(at, None)
+            length[feature] += float(way[number])
+        shares[name] = sum(length[each] for each in worst) / sum(length.values())
+    assert shares["was"] > 0.2 and shares["error"] < 0.02
+
+
+def test_nothing_in_a_preview_heats_homes_or_waits(folder: Path) -> None:
+    commands = {line.split()[0] for line in (folder / "error.gcode").read_bytes().splitlines() if line[:1] not in b";"}
+    assert commands == {b"G1", b"G21", b"G90", b"M83"}
+    assert b"NOT FOR PRINTING" in (folder / "error.gcode").read_bytes()[:300]
+
+
+def test_moonraker_reads_the_preview_as_it_reads_the_print(folder: Path) -> None:
+    before, _ = metadata(folder, "tower.gcode", [])
+    after, _ = metadata(folder, "error.gcode", [])
+    same = {"slicer", "slicer_version", "layer_height", "first_layer_height", "nozzle_diameter"}
+    assert same | {"thumbnails"} <= before.keys()
+    assert {key: after.get(key) for key in same} == {key: before[key] for key in same}
+    assert [each["size"] for each in after["thumbnails"]] == [each["size"] for each in before["thumbnails"]]
+
+
+def test_a_preview_is_written_where_it_was_asked_for_and_nowhere_else(folder: Path) -> None:
+    done = folder / "done.gcode"
+    told = run("show", done, "-o", folder / "a.png", "--gcode-preview", folder / "a.gcode", "--json")
+    assert json.loads(told)["gcode_preview"] == str(folder / "a.gcode")
+    before = done.read_bytes()
+    run("show", done, "-o", folder / "a.png", "--gcode-preview", done, code=2)
+    run("show", done, "-o", folder / "a.png", "--gcode-preview", folder / "b.gcode", "--preview-of", "x", code=2)
+    assert done.read_bytes() == before and not (folder / "b.gcode").exists()
