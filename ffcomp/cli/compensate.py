@@ -69,7 +69,7 @@ Kind = Annotated[
         metavar="KIND",
         rich_help_panel=OUTPUT,
         help="Kind of output: gcode; steps, the time of every step (.npz); klipper-steps, the same compressed into "
-        "rows (.npz).",
+        "rows (.npz); host, the motion that the module for Klipper's and Kalico's host plays (.ffm).",
     ),
 ]
 ExtruderSteps = Annotated[
@@ -178,7 +178,8 @@ Scheduler = Annotated[
 ]
 
 
-OUTPUTS = ("gcode", "steps", "klipper-steps")
+OUTPUTS = ("gcode", "steps", "klipper-steps", "host")
+SUFFIXES = {"gcode": "", "host": ".ffm"}
 INVERSES = ("fast", "exact", "none")
 ROW_ERROR_S = 12.5e-6  # of a step of compressed rows, early or late: half of what Klipper allows itself
 
@@ -233,7 +234,7 @@ def compensate(
         check_choice("--inverse", inverse, INVERSES)
         check_choice("--solver", solver, SOLVERS)
         if inverse == "none" and output == "gcode":
-            raise typer.BadParameter("--inverse none leaves the G-code as it is; it is for --output steps.")
+            raise typer.BadParameter("--inverse none leaves the G-code as it is; it is for --output steps and host.")
         offset = None if offset_mm == "auto" else parsed_offset(offset_mm)
         bound = bound_of(
             max_error_um,
@@ -245,7 +246,7 @@ def compensate(
             safety,
             s_curve,
         )
-        targets = _targets(files, output_file, output_dir, dry_run, ".npz" if output != "gcode" else "")
+        targets = _targets(files, output_file, output_dir, dry_run, SUFFIXES.get(output, ".npz"))
 
         from ffcomp.cli.machine_files import remember
         from ffcomp.compensate.job import Options
@@ -319,6 +320,8 @@ def _steps(machine: Machine, output: str, plain: bool, per_mm: float | None) -> 
     from ffcomp.compensate.job import StepOutput
     from ffcomp.steps.sink import Board
 
+    if output == "host":  # whose own settings make the steps
+        return StepOutput(Board(1.0), None, plain, motion=True)
     per_mm = per_mm or machine.steps.extruder_steps_per_mm
     if per_mm is None:
         raise typer.BadParameter(

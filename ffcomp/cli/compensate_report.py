@@ -91,6 +91,9 @@ def report(result: dict[str, Any], machine_path: str, quiet: bool) -> None:
         say(f"The nozzle {waits}, {result['settling']['seconds']:.2g} s in all, {why}.", quiet)
     if not result.get("original_embedded", True):
         say("The original is not in the file (--no-embed): keep the sliced one, for ffcomp restore cannot.", quiet)
+    if result.get("steps") == {}:
+        say(f"Play it: FFCOMP_PRINT FILE={Path(_place(result) or 'FILE').name} (docs/HOST.md).", quiet)
+        return
     if "steps" in result:
         told = ", ".join(f"{motor.upper()} {total['steps']}" for motor, total in result["steps"].items())
         say(f"Steps: {told}.", quiet)

@@ -41,6 +41,7 @@ from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.program import firmware_plan, plan_section
 from ffcomp.planner.reach import OutOfReach, Reach
 from ffcomp.planner.trajectory import Trajectory
+from ffcomp.steps.motion import MotionSink
 from ffcomp.steps.sink import Board, StepSink
 from ffcomp.version import __version__
 from gcode.atomic_write import replace_atomically
@@ -78,6 +79,7 @@ class StepOutput:
     board: Board
     error_s: float | None  # by which a compressed step may be early or late; None: every step, exactly
     plain: bool = False  # uncompensated
+    motion: bool = False  # the path itself, for a host that makes the steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +143,7 @@ class Job:
         split, context = self._split(reach, steps.plain)
         with ExitStack() as stack:
             target = target or Path(stack.enter_context(TemporaryDirectory()), "steps.npz")
-            sink = stack.enter_context(StepSink(self.machine, steps.board, target, steps.error_s))
+            sink = stack.enter_context(self._sink(target, steps))
             statistics = self._stepped(split, context, StepStream(sink), steps.plain, progress)
             statistics += Statistics(warnings=reach.warnings)
             totals = sink.finish()
@@ -155,6 +157,13 @@ class Job:
             time.perf_counter() - started,
             totals,
         )
+
+    def _sink(self, target: Path, steps: StepOutput) -> StepSink | MotionSink:
+        if not steps.motion:
+            return StepSink(self.machine, steps.board, target, steps.error_s)
+        machine = {"name": self.machine.name, "sha256": self.machine.sha256}
+        about = {"ffcomp": __version__, "machine": machine, "source": Path(self.path).name}
+        return MotionSink(target, {**about, "compensated": not steps.plain})
 
     def _stepped(
         self, split: Iterator[Chunk], context: Context, stream: StepStream, plain: bool, progress: Progress

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import cast
+from typing import Protocol, cast
 
 import numpy as np
 
@@ -18,31 +18,51 @@ from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.sections import Section
 from ffcomp.planner.segment_timing import TimedSegments
 from ffcomp.planner.trajectory import Trajectory
-from ffcomp.steps.pieces import knot_pieces, trajectory_pieces
-from ffcomp.steps.sink import StepSink
-from gcode.program import Event, EventQueue
+from ffcomp.steps.pieces import Pieces, knot_pieces, on_grid, trajectory_pieces
+from ffcomp.steps.sink import MotorTotal
+from gcode.program import Event, EventKind, EventQueue
 
 SAMPLE_S = 1e-3  # of moves of the extruder alone
 BEFORE_S = 0.1  # at rest before the first motion
 
 
+class Sink(Protocol):
+    """Where a path goes: `steps.sink.StepSink` makes steps of it, `steps.motion.MotionSink` keeps it."""
+
+    def pieces(self, pieces: Pieces) -> None:
+        """Take the next part of the path."""
+
+    def event(self, t: float, line: bytes, *, still: bool = False) -> None:
+        """Add a G-code line to run at the time t, s; still: nothing moves by it."""
+
+    def rest(self) -> None:
+        """Note that the nozzle rests where the path has come to."""
+
+    def finish(self) -> dict[str, MotorTotal]:
+        """Write what was gathered, and return what became of each motor's steps."""
+
+
 @dataclass
 class StepStream:
-    """Steps of chunk after chunk on one clock."""
+    """The path of chunk after chunk on one clock."""
 
-    sink: StepSink
+    sink: Sink
     clock_s: float = BEFORE_S
 
     def uncompensated(self, planned: PlannedProgram) -> None:
         """Write the plan as it is; it must be the firmware's own, of trapezoids."""
         program, begun = planned.program, self.clock_s
         trajectory = cast(Trajectory, planned.trajectory)
-        for pieces in trajectory_pieces(trajectory, begun):
-            self.sink.pieces(pieces)
         due = np.append(begun + trajectory.start_t, begun + trajectory.end_t)
         for event in program.events:
-            self.sink.event(float(due[event.move]), program.lines[event.line])
+            self.tell(event, float(due[event.move]), program.lines[event.line])
+        for pieces in trajectory_pieces(trajectory, begun):
+            self.sink.pieces(pieces)
         self.clock_s = begun + trajectory.end_t
+
+    def tell(self, event: Event, t: float, line: bytes) -> None:
+        """Give a line to the sink; what passes moves nothing, even where it looks like a move."""
+        self.sink.event(t, line, still=event.kind is EventKind.PASS)
 
 
 class StepRenderer:
@@ -59,6 +79,7 @@ class StepRenderer:
     def before(self, section: Section) -> Iterable[bytes]:
         """Wait until a section begins, and give the lines before it their tick."""
         if self._extent.begin is None or section is not self._planned.sections[0]:
+            self._stream.sink.rest()
             self._stream.clock_s += section.begin_t - self._rested
             self._events_before(section.first)
             self._stream.clock_s += self._waits_s.get(section.first, 0.0)
@@ -73,6 +94,7 @@ class StepRenderer:
         t = section.begin_t + spacing * np.arange(n + 1, dtype=np.float64)
         position = self._planned.trajectory.position(np.minimum(t, np.nextafter(section.end_t, -np.inf)))
         position[-1] = self._planned.program.moves.end[section.last - 1]
+        position = on_grid(position)
         vertices = np.repeat(position[:1, :3], n + 1, axis=0)
         self._stream.sink.pieces(knot_pieces(self._stream.clock_s, spacing, vertices, position[:, 3]))
         self._stream.clock_s += lasts_s
@@ -99,7 +121,7 @@ class StepRenderer:
                 break
             if at >= first:
                 self._tell(event, stream.clock_s + segment_s * (at - first))
-        stream.sink.pieces(knot_pieces(stream.clock_s, segment_s, vertices, filament))
+        stream.sink.pieces(knot_pieces(stream.clock_s, segment_s, on_grid(vertices), on_grid(filament)))
         stream.clock_s += segment_s * (last - first)
         return ()
 
@@ -118,4 +140,4 @@ class StepRenderer:
             self._tell(event, self._stream.clock_s)
 
     def _tell(self, event: Event, t: float) -> None:
-        self._stream.sink.event(t, self._planned.program.lines[event.line])
+        self._stream.tell(event, t, self._planned.program.lines[event.line])

@@ -15,6 +15,7 @@ from ffcomp.planner.trajectory import Trajectory
 from models.arrays import FloatArray
 
 CHUNK_MOVES = 4096
+GRID_MM = 2.0**-13  # 0.12 µm, a hundredth of a microstep: a command's knots lie on it, whatever is written of them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,6 +76,11 @@ def _phases(trajectory: Trajectory, part: slice, shift_t: float) -> Pieces:
         start_v=speed.ravel()[kept],
         acceleration=gain.ravel()[kept],
     )
+
+
+def on_grid(places: FloatArray) -> FloatArray:
+    """Round coordinates to the grid of commands: a file of motion and step timings then tell of the same path."""
+    return np.rint(places / GRID_MM) * GRID_MM
 
 
 def knot_pieces(start_t: float, spacing_s: float, vertices: FloatArray, filament: FloatArray) -> Pieces:

@@ -257,14 +257,17 @@ class StepSink:
             k = early[0]
             raise StepsError(f"A piece begins at t = {block.start_t[k]:.7f} s, before {ended[k]:.7f} s; time goes on.")
 
-    def event(self, t: float, line: bytes) -> None:
-        """Add a G-code line to run at the time t, s, no earlier than the event before it."""
+    def event(self, t: float, line: bytes, *, still: bool = False) -> None:
+        """Add a G-code line to run at the time t, s, no earlier than the event before it; `still` changes nothing."""
         if t < self._last_event_t:
             last = self._last_event_t
             raise StepsError(f"An event at t = {t:g} s comes after one at {last:g} s; events are given in order.")
         self._last_event_t = t
         self._event_tick.append(np.array([round(t * self._board.clock_hz)]))
         self._event_line.append(line.rstrip(b"\r\n"))
+
+    def rest(self) -> None:
+        """Do nothing: steps tell by themselves where there are none."""
 
     def finish(self) -> dict[str, MotorTotal]:
         """Write the archive, and return what became of each motor's steps, by its letter."""

@@ -1,0 +1,244 @@
+"""A nozzle path in, a file of motion out, as it comes: what the module for Klipper's host plays.
+
+The file holds the command itself, not the steps: the host's own kinematics makes the steps of it, on whatever board.
+docs/reference/files.md has its bytes. Memory does not grow with the print.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+import tempfile
+from collections import deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from ffcomp.steps.motion_chunk import FULL_BYTES, MOST_KNOTS, Chunk
+from ffcomp.steps.pieces import GRID_MM, Pieces
+from ffcomp.steps.sink import MotorTotal
+from gcode.atomic_write import replace_atomically
+from models.arrays import FloatArray
+
+MAGIC = b"FFCMOT1\n"
+SCHEMA = "ffcomp-motion/1"
+SOON_S = 1e-7
+BLOCK_BYTES = 1 << 20
+_WAIT, _MOVE = re.compile(rb"[Gg]0*4(?!\d)"), re.compile(rb"[Gg]0*[01](?![\d.])")
+_FEED = re.compile(rb"[Ff]\s*\d[\d.]*")
+MOST_PIECES = 24  # in a record, which is what the player handles at once
+LONGEST_S = 0.25
+
+
+@dataclass
+class _Extremes:
+    """What the player compares with the printer's limits before it begins."""
+
+    lowest: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
+    highest: FloatArray = field(default_factory=lambda: np.full(3, -np.inf))
+    speed: float = 0.0
+    acceleration: float = 0.0
+
+    def add(self, pieces: Pieces) -> None:
+        for places in (pieces.origin[:, :3], pieces.end[:, :3]):
+            self.lowest = np.minimum(self.lowest, places.min(axis=0))
+            self.highest = np.maximum(self.highest, places.max(axis=0))
+        length = np.linalg.norm(pieces.direction[:, :3], axis=1)
+        ends = pieces.start_v + pieces.acceleration * pieces.duration
+        self.speed = max(self.speed, float((length * np.maximum(pieces.start_v, ends)).max()))
+        inside = float((length * np.abs(pieces.acceleration)).max())
+        velocity = pieces.direction[:, :3] * pieces.start_v[:, None]
+        jumps = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / pieces.duration[1:]
+        knots = float(jumps.max(initial=0.0)) if _are_knots(pieces) else 0.0
+        self.acceleration = max(self.acceleration, inside, knots)
+
+
+class MotionSink:
+    """Writes the file that `FFCOMP_PRINT` plays; takes what `StepSink` takes, in the same order.
+
+    Parameters
+    ----------
+    target : the file
+    about : more of the header's keys
+    """
+
+    def __init__(self, target: str | Path, about: Mapping[str, Any]) -> None:
+        self._target, self._about = Path(target), about
+        self._body = tempfile.TemporaryFile(dir=self._target.resolve().parent)  # noqa: SIM115 - `close` closes it
+        self._chunk, self._extremes = Chunk(), _Extremes()
+        self._events = deque[tuple[float, bytes]]()
+        self._clock: float | None = None  # s; None before the first motion
+        self._feed = b""  # a line, not yet told
+        self._begin_s = 0.0
+        self._rests = True
+        self._records = self._text_bytes = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def event(self, t: float, line: bytes, *, still: bool = False) -> None:
+        """Add a G-code line to run at the time t, s; still: nothing moves by it.
+
+        Comments and waits are left out: the motion has the waits. So are moves that go nowhere, whose place the grid
+        has not exactly; their feed is told before the next line by which the host moves by itself.
+        """
+        line = line.strip()
+        if not line or line.startswith(b";") or _WAIT.match(line):
+            return
+        if still and _MOVE.match(line):
+            feed = _FEED.search(line.partition(b";")[0])
+            self._feed = self._feed if feed is None else b"G1 " + feed[0].replace(b" ", b"") + b"\n"
+            return
+        if not still and self._feed:
+            self._events.append((t, self._feed))
+            self._feed = b""
+        self._events.append((t, line + b"\n"))
+
+    def rest(self) -> None:
+        """Note that the nozzle rests where the motion has come to: a clock may stop here, and go on at full pace."""
+        self._rests = True
+        self._chunk.rest()
+
+    def pieces(self, pieces: Pieces) -> None:
+        """Take the next part of the path."""
+        if not len(pieces):
+            return
+        self._extremes.add(pieces)
+        begin = float(pieces.start_t[0])
+        if self._clock is None:
+            self._clock = self._begin_s = begin
+        self._lines_until(begin + SOON_S)
+        self._wait_until(begin)
+        if _are_knots(pieces):
+            self._knots(pieces)
+        else:
+            self._ramps(pieces)
+        self._clock = float(pieces.start_t[-1] + pieces.duration[-1])
+
+    def _lines_until(self, t: float) -> None:
+        while self._events and self._events[0][0] <= t:
+            at, line = self._events.popleft()
+            self._wait_until(min(at, t))
+            self._line(line)
+
+    def _line(self, line: bytes) -> None:
+        self._chunk.lines(line)
+        self._text_bytes += len(line)
+
+    def _wait_until(self, t: float) -> None:
+        if self._clock is not None and t > self._clock + SOON_S:
+            self.rest()
+            self._chunk.wait(t - self._clock)
+            self._records += 1
+            self._clock = t
+
+    def _knots(self, pieces: Pieces) -> None:
+        places = np.rint(np.vstack([pieces.origin, pieces.end[-1:]]) / GRID_MM).astype(np.int64)
+        spacing, begin, first = float(pieces.duration[0]), float(pieces.start_t[0]), 0
+        while first < len(pieces):
+            due = len(pieces)
+            if self._events:
+                due = min(max(round((self._events[0][0] - begin) / spacing), 0), due)
+            if due <= first and self._events:
+                self._line(self._events.popleft()[1])
+                continue
+            last = min(first + MOST_KNOTS, due)
+            self._make_room()
+            self._chunk.knots(spacing, places[first : last + 1], self._rests)
+            self._moved()
+            first = last
+
+    def _ramps(self, pieces: Pieces) -> None:
+        rows = np.column_stack(pieces.columns[1:])
+        still = np.concatenate([[self._rests], _stands(pieces)])
+        first = 0
+        for last in range(1, len(rows) + 1):
+            more = last < len(rows)
+            due = bool(self._events) and more and self._events[0][0] <= pieces.start_t[last] + SOON_S
+            waits = more and pieces.start_t[last] > pieces.start_t[last - 1] + pieces.duration[last - 1] + SOON_S
+            long = rows[first:last, 0].sum() >= LONGEST_S or last - first >= MOST_PIECES
+            if more and not (due or waits or long or still[last]):
+                continue
+            self._make_room()
+            self._chunk.ramps(rows[first:last], self._rests)
+            self._moved()
+            self._clock = float(pieces.start_t[last - 1] + pieces.duration[last - 1])
+            if still[last]:
+                self.rest()
+            if more:
+                self._lines_until(float(pieces.start_t[last]) + SOON_S)
+                self._wait_until(float(pieces.start_t[last]))
+            first = last
+
+    def _moved(self) -> None:
+        self._rests = False
+        self._records += 1
+
+    def _make_room(self) -> None:
+        """Begin a new chunk, if need be, but only before motion: the last record may yet be told to end at rest."""
+        if self._chunk.size > FULL_BYTES:
+            self._flush()
+
+    def _flush(self) -> None:
+        self._body.write(self._chunk.packed())
+        self._chunk = Chunk()
+
+    def finish(self) -> dict[str, MotorTotal]:
+        """Write the file. It has no steps to count: the host makes them."""
+        self.rest()
+        self._lines_until(np.inf if self._clock is None else self._clock)
+        for _, line in self._events:
+            self._line(line)
+        self._flush()
+        replace_atomically(self._target, self._whole())
+        self.close()
+        return {}
+
+    def _whole(self) -> Iterator[bytes]:
+        head = json.dumps(self._header()).encode()
+        yield MAGIC + struct.pack("<I", len(head)) + head
+        self._body.seek(0)
+        while block := self._body.read(BLOCK_BYTES):
+            yield block
+
+    def _header(self) -> dict[str, Any]:
+        extremes = self._extremes
+        return {
+            "schema": SCHEMA,
+            **self._about,
+            "duration_s": 0.0 if self._clock is None else self._clock - self._begin_s,
+            "grid_mm": GRID_MM,
+            "records": self._records,
+            "text_bytes": self._text_bytes,
+            "lowest_mm": extremes.lowest.tolist(),
+            "highest_mm": extremes.highest.tolist(),
+            "peak_velocity_mm_per_s": extremes.speed,
+            "peak_acceleration_mm_per_s2": extremes.acceleration,
+        }
+
+    def close(self) -> None:
+        """Give up what was gathered; after `finish` there is nothing left of it."""
+        self._body.close()
+
+
+def _are_knots(pieces: Pieces) -> bool:
+    """Whether these are straight segments, equally long in time."""
+    even = np.ptp(pieces.duration) <= SOON_S * pieces.duration[0]
+    return bool(even and (pieces.start_v == 1.0).all() and not pieces.acceleration.any())
+
+
+def _stands(pieces: Pieces) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """Whether the nozzle rests after each piece, (n,): it has come to rest, and the next one begins at rest."""
+    slow = 1e-6  # mm/s
+    length = np.linalg.norm(pieces.direction, axis=1)
+    ends = length * (pieces.start_v + pieces.acceleration * pieces.duration) < slow
+    begins = np.append((length * pieces.start_v < slow)[1:], False)
+    return np.asarray(ends & begins)

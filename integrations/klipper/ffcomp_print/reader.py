@@ -1,0 +1,212 @@
+# Reads files of motion; needs nothing of the host.
+#
+# Copyright (C) 2026  The ffcomp authors
+#
+# This file may be distributed under the terms of the GNU GPLv3 license.
+"""A file of motion (`ffcomp-motion/1`), record by record, in flat memory.
+
+As a program, it tells what is in a file: `python reader.py FILE.ffm`.
+"""
+
+import json
+import struct
+import sys
+import zlib
+
+import numpy as np
+
+MAGIC = b"FFCMOT1\n"
+SCHEMA = "ffcomp-motion/1"
+LINES, KNOTS, PIECES, WAIT = 1, 2, 3, 4
+BEGINS, RESTS_BEFORE, RESTS_AFTER = 1, 2, 4
+RECORD = np.dtype([("kind", "u1"), ("flags", "u1"), ("zero", "<u2"), ("count", "<u4")])
+MOST_HEADER = 1 << 20
+MOST_CHUNK = 1 << 26
+COLUMNS = 11  # of a piece: duration, origin (4), direction (4), speed, acceleration
+
+
+class MotionFileError(Exception):
+    """A file that cannot be played."""
+
+
+class Text:
+    """Lines of G-code, to be run when the motion before them is over."""
+
+    __slots__ = ("lines",)
+
+    def __init__(self, text):
+        self.lines = text.decode("utf-8", "replace").splitlines()
+
+
+class Wait:
+    """The nozzle rests for some seconds."""
+
+    __slots__ = ("seconds",)
+
+    def __init__(self, seconds):
+        self.seconds = seconds
+
+
+class Motion:
+    """Pieces of constant acceleration along straight lines, in order and without gaps.
+
+    durations (n,) s; places (n + 1, 4) mm, where they begin and the last one ends, X Y Z E; directions (n, 4) and, as
+    they go along them by v t + a t^2 / 2, speeds (n,) and accelerations (n,).
+    """
+
+    __slots__ = (
+        "accelerations",
+        "directions",
+        "durations",
+        "flags",
+        "places",
+        "rests_after",
+        "rests_before",
+        "speeds",
+        "straight",
+    )
+
+    def __init__(self, flags, durations, places, directions, speeds, accelerations):
+        self.flags = flags
+        self.rests_before, self.rests_after = bool(flags & RESTS_BEFORE), bool(flags & RESTS_AFTER)
+        self.durations, self.places, self.directions = durations, places, directions
+        self.speeds, self.accelerations = speeds, accelerations
+        self.straight = not accelerations.any()  # each at one speed
+
+    def part(self, first, last):
+        """Pieces `first` to before `last`."""
+        flags = self.flags if not first else self.flags & ~RESTS_BEFORE
+        columns = self.directions, self.speeds, self.accelerations
+        places = self.places[first : None if last is None else last + 1]
+        return Motion(flags, self.durations[first:last], places, *(each[first:last] for each in columns))
+
+
+def open_motion(path):
+    """Open a file and read its header; returns the file, at its first chunk, and the header."""
+    stream = open(path, "rb")  # noqa: SIM115 - it stays open
+    try:
+        return stream, read_header(stream)
+    except Exception:
+        stream.close()
+        raise
+
+
+def read_header(stream):
+    """Read what a file says of itself."""
+    start = stream.read(len(MAGIC) + 4)
+    if start[: len(MAGIC)] != MAGIC or len(start) < len(MAGIC) + 4:
+        raise MotionFileError("This is no file of motion; ffcomp compensate --output host writes one.")
+    (size,) = struct.unpack("<I", start[len(MAGIC) :])
+    if size > MOST_HEADER:
+        raise MotionFileError("The file's header is damaged.")
+    try:
+        header = json.loads(stream.read(size).decode("utf-8"))
+    except ValueError:
+        raise MotionFileError("The file's header is damaged.") from None
+    if header.get("schema") != SCHEMA:
+        found = header.get("schema")
+        raise MotionFileError("The file is of the kind %s; this module plays %s. Update it." % (found, SCHEMA))
+    return header
+
+
+def records(stream, header):
+    """Yield `Text`, `Wait` and `Motion`, in order, from a stream that stands after its header."""
+    while True:
+        start = stream.read(8)
+        if not start:
+            return
+        yield from _chunk(_unpacked(stream, start), header["grid_mm"])
+
+
+def _unpacked(stream, start):
+    damaged = MotionFileError("The file is damaged or cut short; copy it again.")
+    if len(start) < 8:
+        raise damaged
+    packed, raw = struct.unpack("<II", start)
+    if packed > MOST_CHUNK or raw > MOST_CHUNK:
+        raise damaged
+    data = stream.read(packed)
+    if len(data) < packed:
+        raise damaged
+    unpacker = zlib.decompressobj()
+    try:
+        unpacked = unpacker.decompress(data, raw)
+    except zlib.error:
+        raise damaged from None
+    if len(unpacked) != raw:
+        raise damaged
+    return unpacked
+
+
+def _chunk(raw, grid_mm):
+    sizes = struct.unpack_from("<5I", raw)
+    parts, at = [], struct.calcsize("<5I")
+    for size in sizes:
+        parts.append(raw[at : at + size])
+        at += size
+    table = np.frombuffer(parts[0], RECORD)
+    numbers, rows = np.frombuffer(parts[1], "<f8"), np.frombuffer(parts[3], "<f8").reshape(-1, COLUMNS)
+    bends = _bends(parts[4])
+    number = text = row = bend = 0
+    spacing, last, step = 0.0, None, None  # of the run of knots under way
+    for kind, flags, _, count in table.tolist():
+        if kind == LINES:
+            yield Text(parts[2][text : text + count])
+            text += count
+        elif kind == WAIT:
+            yield Wait(float(numbers[number]))
+            number += 1
+        elif kind == PIECES:
+            yield _pieces(flags, rows[row : row + count])
+            row += count
+            last = None
+        elif kind == KNOTS:
+            if flags & BEGINS:
+                spacing, last = float(numbers[number]), np.rint(numbers[number + 1 : number + 5] / grid_mm)
+                step = np.zeros(4)
+                number += 5
+            steps = step + np.cumsum(bends[bend : bend + count], axis=0)
+            places = np.vstack([last, last + np.cumsum(steps, axis=0)])
+            bend, last, step = bend + count, places[-1], steps[-1]
+            yield _knots(flags, spacing, places * grid_mm)
+        else:
+            raise MotionFileError("The file holds what this module does not know. Update it.")
+
+
+def _bends(planes):
+    """Second differences (n, 4), from their bytes sorted by axis and weight."""
+    parts = np.frombuffer(planes, np.uint8).reshape(4, 4, -1).astype(np.int64)
+    folded = parts[:, 0] | (parts[:, 1] << 8) | (parts[:, 2] << 16) | (parts[:, 3] << 24)
+    return np.where(folded & 1, -((folded + 1) >> 1), folded >> 1).T
+
+
+def _knots(flags, spacing, places):
+    count = len(places) - 1
+    still = np.zeros(count)
+    durations, speeds = np.full(count, spacing), np.ones(count)
+    return Motion(flags, durations, places, np.diff(places, axis=0) / spacing, speeds, still)
+
+
+def _pieces(flags, rows):
+    durations, origins, directions = rows[:, 0], rows[:, 1:5], rows[:, 5:9]
+    speeds, accelerations = rows[:, 9], rows[:, 10]
+    path = (speeds[-1] + 0.5 * accelerations[-1] * durations[-1]) * durations[-1]
+    places = np.vstack([origins, origins[-1] + directions[-1] * path])
+    return Motion(flags, durations, places, directions, speeds, accelerations)
+
+
+def main(path):
+    """Print a file's header, and what its records add up to."""
+    stream, header = open_motion(path)
+    counts, seconds, segments = {"Text": 0, "Wait": 0, "Motion": 0}, 0.0, 0
+    with stream:
+        for record in records(stream, header):
+            counts[type(record).__name__] += 1
+            if isinstance(record, Motion):
+                seconds += float(record.durations.sum())
+                segments += len(record.durations)
+    print(json.dumps({**header, "found": counts, "moves_s": seconds, "segments": segments}, indent=1))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

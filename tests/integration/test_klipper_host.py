@@ -1,0 +1,187 @@
+"""The module for Klipper's host, in the real Kalico's batch mode: what it plays, and what comes between.
+
+Runs where KALICO_PYTHON names the python of an environment with Kalico in it; see validation/kalico.py.
+"""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ffcomp.compensate.job import StepOutput
+from ffcomp.steps.reader import MotorSteps, read_steps
+from ffcomp.steps.sink import Board
+from models.file import load_machine
+from tests.support.compensated import job
+from tests.support.klipper_host import E_STEPS_PER_MM, HOSTS_OWN_S, Place, Played, Steps, play, reader
+
+pytestmark = pytest.mark.kalico
+
+BOARD = Board(extruder_steps_per_mm=E_STEPS_PER_MM, clock_hz=50e6)
+SAME_S = 1e-6
+LIMITS = [300.0, 3000.0, 5.0, 0.5]  # of the configuration
+LEAD_IN_STEPS = 4 * 80  # of each tower, at the least
+
+
+def two_objects(layers: int = 5) -> bytes:
+    """Two small squares a layer, each an object, with fans and retraction."""
+    lines = ["G90\nM83\nEXCLUDE_OBJECT_DEFINE NAME=A\nEXCLUDE_OBJECT_DEFINE NAME=B\nG1 X-20 Y-5 Z0.2 F9000\n"]
+    for layer in range(layers):
+        lines.append(f"G1 Z{0.2 * (layer + 1):.1f} F1200\nM106 S{100 + layer}\n")
+        for name, x in (("A", -20), ("B", 10)):
+            lines.append(f"EXCLUDE_OBJECT_START NAME={name}\nG1 X{x} Y-5 F9000\nG1 E0.5 F2400\n")
+            corners = ((10, 0), (10, 10), (0, 10), (0, 0)) * 2
+            lines.extend(f"G1 X{x + u} Y{v - 5} E0.33 F3600\n" for u, v in corners)
+            lines.append(f"G1 E-0.5 F2400\nEXCLUDE_OBJECT_END NAME={name}\n")
+    return "".join(lines).encode()
+
+
+@dataclass(frozen=True)
+class Prints:
+    """Files of motion in one folder, and the steps that they should become."""
+
+    folder: Path
+    begin: dict[str, Place]
+    steps: dict[str, dict[str, MotorSteps]]
+
+    def play(self, name: str = "compensated", **options: object) -> Played:
+        return play(self.folder, f"FFCOMP_PRINT FILE={name}.ffm", self.begin[name], **options)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def prints(tmp_path_factory: pytest.TempPathFactory) -> Prints:
+    folder, machine = tmp_path_factory.mktemp("host"), load_machine("mp-delta-pro")
+    begin, steps = {}, {}
+    for name, plain in (("compensated", False), ("plain", True)):
+        work = job(two_objects(), machine, flavor="klipper", predict=False)
+        work.write_steps(folder / f"{name}.ffm", StepOutput(BOARD, None, plain, motion=True))
+        work.write_steps(folder / f"{name}.npz", StepOutput(BOARD, None, plain))
+        steps[name] = read_steps(folder / f"{name}.npz")
+        begin[name] = begin_of(folder / f"{name}.ffm")
+    return Prints(folder, begin, steps)
+
+
+def begin_of(path: Path) -> Place:
+    """Where a file's motion begins."""
+    stream, header = reader().open_motion(path)
+    with stream:
+        first = next(record for record in reader().records(stream, header) if hasattr(record, "places"))
+    x, y, z = first.places[0, :3].tolist()
+    return x, y, z
+
+
+@pytest.fixture(scope="module")
+def whole(prints: Prints) -> Played:
+    return prints.play()
+
+
+def same_ways(found: Steps, other: Steps) -> bool:
+    return len(found.way) == len(other.way) and bool((found.way == other.way).all())
+
+
+@pytest.mark.parametrize("name", ["compensated", "plain"])
+def test_steps_are_those_of_output_steps(prints: Prints, whole: Played, name: str) -> None:
+    """To 1 µs; 0.04 was measured, two ticks of the board's clock."""
+    played = whole if name == "compensated" else prints.play("plain")
+    assert played.result["state"] == "complete"
+    for motor, wanted in prints.steps[name].items():
+        n = len(wanted.time_s)
+        assert n > 500
+        found = played.steps[motor]
+        np.testing.assert_array_equal(found.way[-n:], wanted.direction)
+        late = found.time_s[-n:] - wanted.time_s
+        assert np.abs(late - np.median(late)).max() < SAME_S
+
+
+def test_twenty_pauses_lose_no_step_and_open_no_limit(prints: Prints, whole: Played) -> None:
+    """The clock runs down on the path and up again: the same steps in the same order, none sooner than it may be."""
+    first, last = 2, whole.result["records"] - 12  # the card reads ahead by some lines
+    chosen = [round(first + (last - first) * (k + random.Random(k).random()) / 20) for k in range(20)]
+    played = prints.play(at=[(n, "PAUSE\nM400\nRESUME") for n in chosen])
+    assert played.result["state"] == "complete" and played.result["limits"] == LIMITS
+    assert not [line for line in played.result["said"] if "paused" in line]
+    assert played.result["position"] == pytest.approx(whole.result["position"], abs=1e-9)
+    assert 1.0 < played.lasts_s - whole.lasts_s < 20 * 0.26
+    for motor, steps in played.steps.items():
+        assert same_ways(steps, whole.steps[motor])
+        assert np.diff(steps.time_s).min() > 0.999 * np.diff(whole.steps[motor].time_s).min()
+
+
+def test_a_pause_may_park_the_nozzle(prints: Prints, whole: Played) -> None:
+    """It comes back to where it left, and after that the steps are those of the whole print."""
+    away = "PAUSE\nG91\nG1 E-2 F1800\nG1 Z5 F600\nG90\nG1 X50 Y50 F6000\nG91\nG1 E2 F1800\nG90\nM400\nRESUME"
+    played = prints.play(at=[(20, away)])
+    assert played.result["position"] == pytest.approx(whole.result["position"], abs=1e-9)
+    assert played.result["steps"] == whole.result["steps"]
+    for motor, steps in played.steps.items():
+        late = steps.time_s[-300:] - whole.steps[motor].time_s[-300:]
+        assert np.ptp(late) < SAME_S
+
+
+def test_cancel_ends_on_the_path(prints: Prints, whole: Played) -> None:
+    played = prints.play(at=[(25, "CANCEL_PRINT")])
+    assert played.result["state"] == "cancelled" and played.result["limits"] == LIMITS
+    for motor, steps in played.steps.items():
+        n = len(steps.way)
+        assert LEAD_IN_STEPS * (motor != "e") < n < len(whole.steps[motor].way)
+        np.testing.assert_array_equal(steps.way, whole.steps[motor].way[:n])
+
+
+def test_an_excluded_object_is_left_out(prints: Prints, whole: Played) -> None:
+    """B from its second layer on (of five): the filament of its squares is missing, and the nozzle ends where A ends."""
+    played = prints.play(at=[(24, "EXCLUDE_OBJECT NAME=B")])
+    assert played.result["state"] == "complete"
+    missing = whole.result["position"][3] - played.result["position"][3]
+    assert missing == pytest.approx(8 * 0.33 * 4, abs=1e-3)
+    assert played.result["position"][0] < -5.0 < 5.0 < whole.result["position"][0]
+
+
+def test_babysteps_and_overrides(prints: Prints, whole: Played) -> None:
+    """A new Z offset is taken up on the way, less speed makes the clock slower, less flow pushes less."""
+    changes = [(10, "SET_GCODE_OFFSET Z_ADJUST=0.05"), (14, "M220 S50"), (20, "M221 S90"), (28, "M220 S300")]
+    played = prints.play(at=changes)
+    assert played.result["position"][2] == pytest.approx(whole.result["position"][2] + 0.05, abs=1e-9)
+    assert played.lasts_s > whole.lasts_s + 1.0
+    assert played.result["position"][3] < whole.result["position"][3] - 0.1
+    for motor in "abc":
+        assert np.diff(played.steps[motor].time_s).min() > 0.8 * np.diff(whole.steps[motor].time_s).min()
+
+
+def test_an_emergency_stop_stops(prints: Prints, whole: Played) -> None:
+    played = prints.play(at=[(20, "M112")])
+    assert played.result["state"] == "stopped" and "Shutdown due to M112" in played.result["error"]
+    assert len(played.steps["a"].way) < len(whole.steps["a"].way)
+
+
+@pytest.mark.parametrize(
+    ("more", "before", "why"),
+    [
+        ("[input_shaper]\nshaper_freq_x: 40\n", (), "input shaper is on"),
+        ("max_accel: 100\n", (), "max_accel is 100"),
+        ("", ("SET_VELOCITY_LIMIT VELOCITY=50",), "max_velocity"),
+    ],
+)
+def test_what_the_printer_does_not_allow_is_refused(
+    prints: Prints, more: str, before: tuple[str, ...], why: str
+) -> None:
+    played = prints.play(more=more, before=before)
+    assert why in played.result["error"]
+
+
+def test_a_file_elsewhere_is_refused(prints: Prints) -> None:
+    played = play(prints.folder, "FFCOMP_PRINT FILE=../host.ffm", prints.begin["plain"])
+    assert "must lie in the folder" in played.result["error"]
+
+
+def test_a_starter_in_the_list_of_prints(prints: Prints, whole: Played) -> None:
+    """A G-code file of one line, printed as any other; with the host's own rounding of steps."""
+    (prints.folder / "starter.gcode").write_text("FFCOMP_PRINT FILE=compensated.ffm\n")
+    played = play(
+        prints.folder, "SDCARD_PRINT_FILE FILENAME=starter.gcode", prints.begin["compensated"], error_s=HOSTS_OWN_S
+    )
+    assert played.result["state"] == "complete"
+    assert played.result["steps"] == whole.result["steps"]

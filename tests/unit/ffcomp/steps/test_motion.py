@@ -1,0 +1,146 @@
+"""The file of motion, as the module for Klipper's host reads it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ffcomp.steps.motion import MotionSink
+from ffcomp.steps.pieces import GRID_MM, Pieces, knot_pieces, on_grid
+from tests.support.klipper_host import reader
+
+FLAT = pytest.approx(0.0, abs=1e-12)
+
+
+def places(n: int, seed: int = 0) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """A winding path of n + 1 knots with filament, (n + 1, 4) mm on the grid."""
+    noise = np.random.default_rng(seed).normal(size=(n + 1, 4)) * [0.02, 0.02, 1e-3, 2e-3]
+    return on_grid(np.cumsum(np.cumsum(noise, axis=0), axis=0))
+
+
+def read(path: Path) -> tuple[dict[str, Any], list[Any]]:
+    stream, header = reader().open_motion(path)
+    with stream:
+        return header, list(reader().records(stream, header))
+
+
+def kinds(records: list[Any]) -> str:
+    """One letter a record: Text, Wait or Motion."""
+    return "".join(type(record).__name__[0] for record in records)
+
+
+def write(path: Path, *parts: tuple[float, Any], events: tuple[tuple[float, bytes], ...] = ()) -> None:
+    with MotionSink(path, {"compensated": True}) as sink:
+        for event in events:
+            sink.event(*event)
+        for start_t, knots in parts:
+            sink.pieces(knot_pieces(start_t, 0.004, knots[:, :3], knots[:, 3]))
+            sink.rest()
+        sink.finish()
+
+
+def test_knots_come_back_exactly(tmp_path: Path) -> None:
+    knots = places(5000)
+    write(tmp_path / "x.ffm", (0.1, knots))
+    header, records = read(tmp_path / "x.ffm")
+    assert kinds(records) == "M" * header["records"]
+    found = np.vstack([record.places[:-1] for record in records] + [records[-1].places[-1:]])
+    np.testing.assert_array_equal(found, knots)
+    assert all(record.durations == pytest.approx(0.004) for record in records)
+    assert header["duration_s"] == pytest.approx(20.0)
+    np.testing.assert_allclose(header["highest_mm"], knots[:, :3].max(axis=0))
+    assert [record.rests_before for record in records] == [True] + [False] * (len(records) - 1)
+    assert [record.rests_after for record in records] == [False] * (len(records) - 1) + [True]
+
+
+def test_the_file_is_small(tmp_path: Path) -> None:
+    """Ten hours in 40 MB are 4.4 bytes a knot; bends as large as these are rarer in a print."""
+    write(tmp_path / "x.ffm", (0.1, places(20_000)))
+    assert (tmp_path / "x.ffm").stat().st_size / 20_000 < 5.0
+
+
+def test_lines_stand_where_their_moment_is(tmp_path: Path) -> None:
+    """To the nearest knot; comments and waits, which the motion itself has, are left out."""
+    events = ((0.0, b"M106 S9\n"), (0.1, b"; said\n"), (0.1 + 0.4 * 0.004, b"M117 a"), (0.1 + 30.4 * 0.004, b"M117 b"))
+    later = ((0.1 + 0.4 + 0.2, b"G4 P200\r\n"), (0.1 + 0.4 + 0.2, b"M107\n"), (9.0, b"M84\n"))
+    knots = places(100)
+    write(tmp_path / "x.ffm", (0.1, knots), (0.7, knots[-1:] + places(10)), events=events + later)
+    _, records = read(tmp_path / "x.ffm")
+    assert kinds(records) == "TTMTMMWTMT"
+    assert [record.lines for record in records if hasattr(record, "lines")] == [
+        ["M106 S9"],
+        ["M117 a"],
+        ["M117 b"],
+        ["M107"],
+        ["M84"],
+    ]
+    assert [len(record.durations) for record in records if hasattr(record, "places")] == [30, 64, 6, 10]
+    assert records[6].seconds == pytest.approx(0.2)
+
+
+def test_moves_that_go_nowhere_only_tell_their_feed(tmp_path: Path) -> None:
+    knots = places(100)
+    with MotionSink(tmp_path / "x.ffm", {}) as sink:
+        sink.event(0.01, b"G1 Z0.600 F 9000 ; F1\n", still=True)
+        sink.event(0.02, b"g01 F3600\n", still=True)
+        sink.event(0.03, b"M106 S1\n", still=True)
+        sink.event(0.5, b"G1 X5\n")
+        sink.pieces(knot_pieces(0.0, 0.004, knots[:, :3], knots[:, 3]))
+        sink.finish()
+    _, records = read(tmp_path / "x.ffm")
+    lines = [line for record in records if hasattr(record, "lines") for line in record.lines]
+    assert lines == ["M106 S1", "G1 F3600", "G1 X5"]
+
+
+def test_ramps_come_back_exactly(tmp_path: Path) -> None:
+    """Up, along and down again, twice; at rest between."""
+    speed = np.tile([0.0, 50.0, 50.0], 2)
+    acceleration = np.tile([5000.0, 0.0, -5000.0], 2)
+    lasts = np.full(6, 0.01)
+    path = (speed + 0.5 * acceleration * lasts) * lasts
+    begin = np.concatenate([[0.0], np.cumsum(path)[:-1]])
+    direction = np.tile([0.6, 0.8, 0.0, 0.05], (6, 1))
+    start_t = np.concatenate([[0.0], np.cumsum(lasts)[:-1]])
+    pieces = Pieces(start_t, lasts, direction * begin[:, None], direction, speed, acceleration)
+    with MotionSink(tmp_path / "x.ffm", {}) as sink:
+        sink.pieces(pieces)
+        sink.finish()
+    header, records = read(tmp_path / "x.ffm")
+    assert [(len(r.durations), r.rests_before, r.rests_after) for r in records] == [(3, True, True)] * 2
+    np.testing.assert_array_equal(np.concatenate([r.accelerations for r in records]), acceleration)
+    np.testing.assert_allclose(records[-1].places[-1], pieces.end[-1], atol=1e-12)
+    assert header["peak_velocity_mm_per_s"] == pytest.approx(50.0)
+    assert header["peak_acceleration_mm_per_s2"] == pytest.approx(5000.0)
+
+
+def test_a_long_print_is_in_parts(tmp_path: Path) -> None:
+    """Flat memory: each part stands on its own, and a rest at its end is not forgotten."""
+    knots = places(40_000)
+    write(tmp_path / "x.ffm", (0.1, knots))
+    data = (tmp_path / "x.ffm").read_bytes()
+    _, records = read(tmp_path / "x.ffm")
+    np.testing.assert_array_equal(records[-1].places[-1], knots[-1])
+    assert records[-1].rests_after and len(data) < 40_000 * 5
+
+
+def test_nothing_is_left_behind_without_finish(tmp_path: Path) -> None:
+    with MotionSink(tmp_path / "x.ffm", {}) as sink:
+        sink.pieces(knot_pieces(0.0, 0.004, places(9)[:, :3], places(9)[:, 3]))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("change", [lambda data: data[:-5], lambda data: b"G1 X1\n" + data, lambda data: data[:20]])
+def test_a_damaged_file_is_refused(tmp_path: Path, change: Any) -> None:
+    path = tmp_path / "x.ffm"
+    write(path, (0.1, places(50)))
+    path.write_bytes(change(path.read_bytes()))
+    with pytest.raises(Exception, match=r"damaged|no file of motion"):
+        read(path)
+
+
+def test_the_grid_is_finer_than_anything_that_moves() -> None:
+    assert GRID_MM < 0.01 / 80
+    assert np.abs(on_grid(places(9) + 1e-5) - places(9) - 1e-5).max() <= 0.5 * GRID_MM
