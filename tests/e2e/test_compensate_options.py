@@ -90,7 +90,7 @@ def test_steps_of_the_plan_itself(printed: Path, tmp_path: Path) -> None:
     ("words", "said"),
     [
         (("--output", "steps"), "extruder_steps_per_mm"),
-        (("--output", "hex"), "gcode, steps or klipper-steps"),
+        (("--output", "hex"), "gcode, steps, klipper-steps or host"),
         (("--inverse", "none"), "for --output steps"),
         (("--inverse", "slow"), "fast, exact or none"),
         (("--solver", "gurobi"), "osqp, piqp, clarabel or cvxpy"),

@@ -27,14 +27,14 @@ LIMITS = [300.0, 3000.0, 5.0, 0.5]  # of the configuration
 LEAD_IN_STEPS = 4 * 80  # of each tower, at the least
 
 
-def two_objects(layers: int = 5) -> bytes:
+def two_objects(layers: int = 4) -> bytes:
     """Two small squares a layer, each an object, with fans and retraction."""
     lines = ["G90\nM83\nEXCLUDE_OBJECT_DEFINE NAME=A\nEXCLUDE_OBJECT_DEFINE NAME=B\nG1 X-20 Y-5 Z0.2 F9000\n"]
     for layer in range(layers):
         lines.append(f"G1 Z{0.2 * (layer + 1):.1f} F1200\nM106 S{100 + layer}\n")
         for name, x in (("A", -20), ("B", 10)):
             lines.append(f"EXCLUDE_OBJECT_START NAME={name}\nG1 X{x} Y-5 F9000\nG1 E0.5 F2400\n")
-            corners = ((10, 0), (10, 10), (0, 10), (0, 0)) * 2
+            corners = ((10, 0), (10, 10), (0, 10), (0, 0)) * 4
             lines.extend(f"G1 X{x + u} Y{v - 5} E0.33 F3600\n" for u, v in corners)
             lines.append(f"G1 E-0.5 F2400\nEXCLUDE_OBJECT_END NAME={name}\n")
     return "".join(lines).encode()
@@ -132,11 +132,11 @@ def test_cancel_ends_on_the_path(prints: Prints, whole: Played) -> None:
 
 
 def test_an_excluded_object_is_left_out(prints: Prints, whole: Played) -> None:
-    """B from its second layer on (of five): the filament of its squares is missing, and the nozzle ends where A ends."""
+    """B from its second layer (of four) on: its squares' filament is missing, and the nozzle ends where A does."""
     played = prints.play(at=[(24, "EXCLUDE_OBJECT NAME=B")])
     assert played.result["state"] == "complete"
     missing = whole.result["position"][3] - played.result["position"][3]
-    assert missing == pytest.approx(8 * 0.33 * 4, abs=1e-3)
+    assert missing == pytest.approx(16 * 0.33 * 3, abs=1e-3)
     assert played.result["position"][0] < -5.0 < 5.0 < whole.result["position"][0]
 
 

@@ -108,7 +108,7 @@ class Block(Item):
         start, cruise, end = self.rates
         half = 2.0 * self.slowing
         marks = [(cruise**2 - start**2) / half, self.duration - (cruise**2 - end**2) / half]
-        own, places, filament = _straight(self.motion, self.places, self.filament, marks)
+        own, places, filament = _straight(self.motion, self.places[:, :3], self.filament, marks)
         # the rate at each of these times: its square changes evenly along them
         squared = np.minimum(start**2 + half * own, end**2 + half * (self.duration - own))
         rates = np.sqrt(np.clip(squared, 0.0, cruise**2))
@@ -142,11 +142,25 @@ def _straight(motion, places, filament, marks):
 
 
 def _as_planned(motion, places, filament):
+    if places is motion.places and motion.straight:
+        return _at_one_speed(motion, filament)
     whole = (motion.speeds + 0.5 * motion.accelerations * motion.durations) * motion.durations
     whole = np.where(whole > 0.0, whole, 1.0)
     ways = np.diff(places, axis=0) / whole[:, None]
     pushed = np.diff(filament) / whole
     return _pieces(motion.durations, places[:-1], ways, filament[:-1], pushed, motion.speeds, motion.accelerations)
+
+
+def _at_one_speed(motion, filament):
+    """What `_pieces` gives for straight segments that are where the file has them: most of a print, so quickly."""
+    ways, places = motion.directions, motion.places
+    length = np.sqrt(np.einsum("ij,ij->i", ways[:, :3], ways[:, :3]))
+    moves = length > STILL_MM
+    units = ways[:, :3].T / np.where(moves, length, 1.0)
+    length[~moves] = 0.0
+    still = [0.0] * len(length)
+    nozzle = [*places[:-1, :3].T.tolist(), *units.tolist(), length.tolist(), still]
+    return motion.durations.tolist(), nozzle, [filament[:-1].tolist(), ways[:, 3].tolist(), still, moves.tolist()]
 
 
 def _pieces(durations, places, ways, filament, pushed, speeds, accelerations):

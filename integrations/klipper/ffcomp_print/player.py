@@ -44,6 +44,7 @@ class Player:
     def _forget(self):
         self.offset = [0.0, 0.0, 0.0]  # mm, of the machine's coordinates from the file's
         self.tail_t = 0.0
+        self.checked = None  # a box, all of which the machine reaches
         self.most_e = self.skipped_retraction = None
         self.last_e = 0.0
 
@@ -164,28 +165,32 @@ class Player:
         drawn = 0.0
         if self.skipped_retraction is not None:
             drawn, self.skipped_retraction = self._retraction() - self.skipped_retraction, None
-        places = motion.places[:, :3] + self._mesh(motion.places)
-        self._join(places[0], drawn)
+        mesh = self._mesh(motion.places)
+        start = motion.places[0, :3] if mesh is None else motion.places[0, :3] + mesh[0]
+        self._join(start, drawn)
         if motion.rests_before:
             self._queue(Gate(self, opens=True), None)
-        places = places + self._offsets(motion, len(places))
+        places = self._placed(motion, mesh)
         self._check_places(places)
         flow = self.gcode_move.extrude_factor
-        filament = self.toolhead.commanded_pos[3] + (motion.places[:, 3] - motion.places[0, 3]) * flow
+        pushed = motion.places[:, 3] - motion.places[0, 3]
+        filament = self.toolhead.commanded_pos[3] + (pushed if flow == 1.0 else pushed * flow)
+        if flow != 1.0 and places is motion.places:
+            places = motion.places[:, :3]  # no longer the file's own
         self._check_filament(filament, error)
         rate = min(self.gcode_move.speed_factor * 60.0, 1.0)
         block = Block(self, motion, places, filament, rate, self.slowing)
-        self._queue(block, [*places[-1].tolist(), float(filament[-1])])
+        self._queue(block, [*places[-1, :3].tolist(), float(filament[-1])])
         self._note_filament(motion)
         if motion.rests_after:
             self._queue(Gate(self, opens=False), None)
 
     def _mesh(self, places):
-        """What the bed mesh adds, (n + 1, 3) mm."""
-        added = np.zeros((len(places), 3))
+        """What the bed mesh adds, (n + 1, 3) mm; None: it adds nothing."""
         mesh = self.printer.lookup_object("bed_mesh", None)
         if mesh is None or mesh.z_mesh is None:
-            return added
+            return None
+        added = np.zeros((len(places), 3))
         at = sorted({*range(0, len(places), MESH_EVERY), len(places) - 1})
         target = mesh.fade_target
         heights = [
@@ -217,24 +222,45 @@ class Player:
         now[3] += length
         self.toolhead.move(now, 30.0)
 
-    def _offsets(self, motion, count):
-        """The offset at each place; a new one is taken up slowly, so that babysteps may come at any time."""
-        old, asked = np.array(self.offset), np.array(self.gcode_move.homing_position[:3])
+    def _placed(self, motion, mesh):
+        """Where the machine is to go; the motion's own places if they are the same.
+
+        A new offset is taken up slowly, so that babysteps may come at any time.
+        """
+        asked = self.gcode_move.homing_position[:3]
+        if mesh is None and not any(asked) and not any(self.offset):
+            return motion.places
+        old = np.array(self.offset)
         most = OFFSET_MM_PER_S * float(motion.durations.sum())
-        new = old + np.clip(asked - old, -most, most)
+        new = old + np.clip(np.array(asked) - old, -most, most)
         self.offset = new.tolist()
-        return np.linspace(old, new, count)
+        places = motion.places[:, :3] + np.linspace(old, new, len(motion.places))
+        return places if mesh is None else places + mesh
 
     def _check_places(self, places):
-        """The kinematics' own check, of the outermost places."""
-        far = int((places[:, 0] ** 2 + places[:, 1] ** 2).argmax())
-        outermost = {far, *places.argmin(axis=0).tolist(), *places.argmax(axis=0).tolist()}
+        """The kinematics' own check, of the outermost places, unless all lie in a box that has been checked."""
+        low, high = places[:, :3].min(axis=0), places[:, :3].max(axis=0)
+        if self.checked is not None:
+            low, high = np.minimum(low, self.checked[0]), np.maximum(high, self.checked[1])
+            if (low == self.checked[0]).all() and (high == self.checked[1]).all():
+                return
+        try:  # what the machine reaches has no dents: with its corners a box is inside
+            for x in (low[0], high[0]):
+                for y in (low[1], high[1]):
+                    for z in (low[2], high[2]):
+                        self._check_place([float(x), float(y), float(z)])
+            self.checked = low, high
+        except self.printer.command_error:
+            far = int((places[:, 0] ** 2 + places[:, 1] ** 2).argmax())
+            for k in {far, *places[:, :3].argmin(axis=0).tolist(), *places[:, :3].argmax(axis=0).tolist()}:
+                self._check_place(places[k, :3].tolist())
+
+    def _check_place(self, place):
+        here = self.toolhead.commanded_pos
         move_of = sys.modules[type(self.toolhead).__module__].Move
-        here, kinematics = self.toolhead.commanded_pos, self.toolhead.get_kinematics()
-        for k in outermost:
-            move = move_of(self.toolhead, here, [*places[k].tolist(), *here[3:]], self.travel_speed)
-            if move.is_kinematic_move and move.move_d:
-                kinematics.check_move(move)
+        move = move_of(self.toolhead, here, [*place, *here[3:]], self.travel_speed)
+        if move.is_kinematic_move and move.move_d:
+            self.toolhead.get_kinematics().check_move(move)
 
     def _check_filament(self, filament, error):
         extruder = self.toolhead.get_extruder()
