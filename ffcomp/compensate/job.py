@@ -143,7 +143,8 @@ class Job:
         split, context = self._split(reach, steps.plain)
         with ExitStack() as stack:
             target = target or Path(stack.enter_context(TemporaryDirectory()), "steps.npz")
-            sink = stack.enter_context(self._sink(target, steps))
+            sink = self._sink(target, steps)
+            stack.callback(sink.close)
             statistics = self._stepped(split, context, StepStream(sink), steps.plain, progress)
             statistics += Statistics(warnings=reach.warnings)
             totals = sink.finish()
