@@ -30,14 +30,14 @@ def rejections(
         failed.append("it was tested nowhere else: there is one experiment only")
     elif not implausible(base) and sum((one.before - one.after) * one.rows for one in held_out) < SIGNIFICANT:
         failed.append("data left out of the fit are simulated no better with it")
-    failed += _out_of_reach(best)
+    failed += out_of_reach(best)
     for candidate in best.effects:
         if superfluous(candidate, intervals):
             failed.append(f"the interval of {candidate.name} includes no effect at all")
     return failed
 
 
-def _out_of_reach(best: Hypothesis) -> list[str]:
+def out_of_reach(best: Hypothesis) -> list[str]:
     """Say which of the file's own numbers had to move furthest, if they had to move beyond what the file says."""
     own = [
         (p.name, abs(float(z)))

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ffcomp.diagnose.hypotheses import Hypothesis, misfit
+from ffcomp.diagnose.hypotheses import TRACE, Hypothesis, misfit
 from ffcomp.diagnose.score_test import Screened, similarity
 
 COMPETING = 20.0  # −2 ln Z
-TRACE = 1e-3  # of the discrepancy: a shape is never that exact
 CONFOUNDED = 0.8  # cos² from which one effect can be taken for another
 
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ffcomp.diagnose.acceptance import rejections, unproven
+from ffcomp.diagnose.acceptance import out_of_reach, rejections, unproven
 from ffcomp.diagnose.confounding import competing_with, confounded_with
 from ffcomp.diagnose.estimation import EstimationProblem, estimation_problem, excerpt_of
 from ffcomp.diagnose.fit import Fit, derivatives, fit
@@ -38,8 +38,9 @@ from ffcomp.diagnose.problem import Parameter, Problem
 from ffcomp.diagnose.progress import Progress, Stage
 from ffcomp.diagnose.recording_delays import belongs_to_recording
 from ffcomp.diagnose.recording_faults import Fault, fault_of_recordings, odd_signal
+from ffcomp.diagnose.refinement import within_reach
 from ffcomp.diagnose.score_test import Screened, screen
-from ffcomp.diagnose.selection import Search, Selection, find_best, finish, on_all_data
+from ffcomp.diagnose.selection import LITTLE, Search, Selection, find_best, finish, on_all_data
 from ffcomp.identify.uncertainty import Estimate
 from models.arrays import FloatArray
 
@@ -158,7 +159,7 @@ def _searched(problem: Problem, noise: NoiseFloor, density: Mapping[str, float],
     retuned = _retuned(estimation, selection.best)
     if discrepancy_of(retuned) < least and not significant(selection.best.fit, retuned, 0.0):
         return replace(none, base=retuned, final=retuned)
-    tested = _tested(none, found)
+    tested = _tested(none, found, progress)
     # where there was hardly a discrepancy, an effect that fails a test leaves nothing unexplained
     return none if small and tested.rejections else tested
 
@@ -319,9 +320,22 @@ def _in_excerpt(estimation: EstimationProblem, base: Fit, progress: Progress) ->
     return _Found(found.best, replace(last, tried=found.tried), screened, part.share)
 
 
-def _tested(none: Diagnosis, found: _Found) -> Diagnosis:
+def _believable(none: Diagnosis, best: Hypothesis, progress: Progress) -> Hypothesis:
+    """Hold the file's numbers to what it says of them, where the best hypothesis leaves hardly more with them so.
+
+    In loud data they move to make up for an effect's shape, which is never exactly ours, without being needed.
+    """
+    if not out_of_reach(best):
+        return best
+    held = within_reach(none.estimation, best, progress)
+    little = max(LITTLE * discrepancy_of(none.base), none.estimation.tolerance)
+    return held if held.discrepancy < little else best
+
+
+def _tested(none: Diagnosis, found: _Found, progress: Progress) -> Diagnosis:
     """Put the best hypothesis to the acceptance tests."""
-    best, searched, estimation = found.selection.best, found.searched, none.estimation
+    searched, estimation = found.searched, none.estimation
+    best = _believable(none, found.selection.best, progress)
     final = parsimonious_fit(estimation, best)
     intervals = intervals_of(estimation, best.fit, final.values)
     held_out = hold_out(estimation, none.base, best.fit)

@@ -11,6 +11,7 @@ import numpy as np
 from ffcomp.diagnose.estimation import EstimationProblem
 from ffcomp.diagnose.fit import Fit, clipped, derivatives, fit, values_at
 from ffcomp.diagnose.hypotheses import (
+    IMPLAUSIBLE,
     LARGE,
     Hypothesis,
     implausible,
@@ -23,6 +24,7 @@ from ffcomp.diagnose.hypotheses import (
 from ffcomp.diagnose.initial_fits import FEW, QUICK
 from ffcomp.diagnose.problem import Candidate, Parameter
 from ffcomp.diagnose.progress import Progress
+from ffcomp.diagnose.recording_delays import belongs_to_recording
 from models.arrays import FloatArray
 
 SHAPE_SHARE = 0.1  # of the discrepancy must a freer shape of the same effect remove
@@ -108,6 +110,21 @@ def refine(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> 
     start = np.concatenate([np.zeros(own), alone.z]) if alone.evidence < h.fit.evidence else h.fit.z
     found = fit(estimation, h.fit.parameters, start, h.fit.jacobian, iterations=5, exact=True)
     return log_fit(Hypothesis(h.effects, found), progress, " at the end")
+
+
+def within_reach(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:
+    """Fit with the file's numbers held to what it says of them: what moved them may be an effect's shape."""
+    log_try(h.effects, progress, " with the file's numbers within reach")
+    held = tuple(n if belongs_to_recording(n.name) else _held(n) for n in h.own_parameters)
+    parameters = (*held, *h.effect_parameters)
+    start = clipped(parameters, h.fit.z)
+    found = fit(estimation, parameters, start, h.fit.jacobian, range(h.own, len(parameters)), iterations=8)
+    return log_fit(Hypothesis(h.effects, found), progress, " with the file's numbers within reach")
+
+
+def _held(n: Parameter) -> Parameter:
+    most = np.sqrt(IMPLAUSIBLE) * n.sd
+    return replace(n, low=max(n.low, n.start - most), high=min(n.high, n.start + most))
 
 
 # ---- another shape of the same effects -----------------------------------------------------------

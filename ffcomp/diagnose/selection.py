@@ -13,6 +13,8 @@ from ffcomp.diagnose.fit import Fit, derivatives, fit, values_at
 from ffcomp.diagnose.hypotheses import (
     ADDED_SHARE,
     LARGE,
+    NEARLY_ALL,
+    TRACE,
     Hypothesis,
     comparable,
     discrepancy_of,
@@ -155,7 +157,9 @@ def add_effect(search: Search, so_far: Selection) -> Selection:
     more = add(search, so_far.best)
     likeliest_one = min(more, key=lambda h: h.fit.evidence, default=so_far.best)
     tried = (*so_far.tried, *more)
-    if not significant(likeliest_one.fit, so_far.best.fit):
+    best = so_far.best
+    trace = best.discrepancy < TRACE * discrepancy_of(search.retuned) and not implausible(best.fit, best.own)
+    if not significant(likeliest_one.fit, best.fit, NEARLY_ALL if trace else ADDED_SHARE):
         return replace(so_far, tried=tried, complete=True)
     return replace(so_far, best=likeliest_one, tried=tried)
 

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import pytest
 
-from ffcomp.diagnose.fit import Fit
+from ffcomp.diagnose.acceptance import out_of_reach
+from ffcomp.diagnose.fit import Fit, values_at
 from ffcomp.diagnose.hypotheses import Hypothesis, leaves_excess, significant
 from ffcomp.diagnose.parsimony import predicted_without, simplest
 from ffcomp.diagnose.problem import Candidate, Parameter
+from ffcomp.diagnose.refinement import within_reach
 
 SHORT, LONG = 200, 20_000
 
@@ -70,3 +75,23 @@ def test_a_freer_shape_is_no_reason_to_name_another_effect() -> None:
     belt, sine, stribeck = (explained(c, *a) for c, a in zip(candidates, [(0.121,), (0.118, 1), (0.118,)], strict=True))
     assert simplest(sine, [belt, sine], candidates) is sine
     assert simplest(stribeck, [belt, stribeck], candidates) is belt  # it needs more, and explains hardly more
+
+
+def test_numbers_of_the_file_are_held_within_reach_where_an_effect_explains_as_much() -> None:
+    rng = np.random.default_rng(1)
+    columns = rng.standard_normal((2, LONG))
+    stiffness, delay = Parameter("belt", 1.0, 0.02), Parameter("effects.command_delay.delay_s", 0.0, 1.0)
+    measured = rng.standard_normal(LONG) + columns[1] * 5.0 - columns[0] * 0.05  # as if it were 2.5 of its sd off
+
+    def residuals(many: Sequence[Mapping[str, float]]) -> Iterator[np.ndarray]:
+        for v in many:
+            yield measured - columns[0] * (v[stiffness.name] - 1.0) - columns[1] * v[delay.name]
+
+    problem: Any = SimpleNamespace(residuals=residuals, coarse=False)
+    z = np.array([-4.0, 5.0])
+    begun = Fit((stiffness, delay), z, next(residuals([values_at((stiffness, delay), z)])), columns.T * [0.02, 1.0])
+    best = Hypothesis((Candidate("command_delay", (delay,), {}),), begun)
+    held = within_reach(problem, best, lambda _: None)
+    assert out_of_reach(best) and not out_of_reach(held)
+    assert held.fit.z[0] == pytest.approx(-np.sqrt(3.0)) and held.fit.z[1] == pytest.approx(5.0, abs=0.05)
+    assert held.discrepancy < 0.05
