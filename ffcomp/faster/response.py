@@ -1,19 +1,20 @@
 """The error that a command will have, at a quantile over the printers that the machine file allows.
 
 The response of a printer that is a little off is that of the machine file's printer and, nearly, a sum of changes, one
-for each independent direction in which its parameters may be off. So the variance of the error across the path is the
-sum of the squares of a few changes: those of the directions in which the printer's answer changes most, by one standard
-deviation each.
+for each independent direction in which its parameters may be off. A few of them are simulated: those of the directions
+in which the printer's answer changes most, by one standard deviation each. `spread.py` adds them up.
 """
 
 from __future__ import annotations
 
 import weakref
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from ffcomp.faster.spread import ShortArray
 from ffcomp.inverse.extent import WrittenReference
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.solve import Solution
@@ -29,7 +30,7 @@ LEAST = 0.2  # of a parameter's value
 PITCH_MM = 30.0  # of their tables over the bed: coarser than the machine's own, for only their difference counts
 PLACES_MM = ((0.0, 0.0), (40.0, 0.0), (0.0, 40.0))  # where the directions are found
 SLOWEST_HZ, LINES = 2.0, 60  # of the frequencies there
-TOGETHER = 1.05  # of the quantile at one place: gives the p99 over a print of the printer at the quantile of all
+EVERY = 2  # substeps: often enough for what rings
 STANDING_MM_PER_S = 1.0  # below, a motion has no direction, and all of an error counts
 
 _printers: weakref.WeakKeyDictionary[InverseModel, Printers] = weakref.WeakKeyDictionary()
@@ -84,17 +85,30 @@ class Printers:
 
         return float(norm.ppf(1.0 - 0.5 * self.safety))
 
-    def error(self, written: WrittenReference, solution: Solution, path: tuple[FloatArray, FloatArray]) -> FloatArray:
-        """Return the contour error (m,) mm after every substep; path: when its corners are due, and where they are."""
-        s, reference = self.model.settings, written.reference
-        t = reference.t0 + (1 + np.arange(len(solution.response), dtype=np.float64)) * (s.segment_s / s.substeps)
-        nominal = contour_error(*path, t, solution.response)
-        return (
-            np.hypot(nominal, TOGETHER * self.far * np.sqrt(self._variance(written, solution))) if self.off else nominal
-        )
+    def errors(
+        self, written: WrittenReference, solution: Solution, path: tuple[FloatArray, FloatArray]
+    ) -> tuple[FloatArray, ShortArray]:
+        """Return contour errors every `EVERY` substeps: the file's printer's (m,) mm, and changes (k, m, 3) mm.
 
-    def _variance(self, written: WrittenReference, solution: Solution) -> FloatArray:
-        """Return the variance of the error across the path, (m,) mm²."""
+        path : when its corners are due, and where they are
+        """
+        at = slice(EVERY - 1, None, EVERY)
+        nominal = contour_error(*path, self.moments(written, solution), solution.response[at])
+        changes = [change[at] for change in self._changes(written, solution)]
+        if not changes:
+            return nominal, np.empty((0, len(nominal), 3), np.float32)
+        return nominal, np.array(changes, dtype=np.float32)
+
+    def moments(self, written: WrittenReference, solution: Solution) -> FloatArray:
+        """Return when the errors of `errors` are, (m,) s on the plan's clock."""
+        s = self.model.settings
+        count = len(solution.response) // EVERY
+        return np.asarray(written.reference.t0 + EVERY * (1.0 + np.arange(count)) * (s.segment_s / s.substeps))
+
+    def _changes(self, written: WrittenReference, solution: Solution) -> Iterator[FloatArray]:
+        """Yield what changes across the path, (m, 3) mm after every substep, in each direction."""
+        if not self.off:
+            return
         model, s, reference = self.model, self.model.settings, written.reference
         nozzle, velocity = reference.substeps(0, reference.knots)
         place = np.ascontiguousarray(nozzle[s.substeps // 2 :: s.substeps, :2])
@@ -108,11 +122,9 @@ class Printers:
             return model.kinematics.forward(q)
 
         usual, along = answer(model.machine, self.nominal), _directions(velocity[1:])
-        variance = np.zeros(len(usual))
         for machine, plant in self.off:
             change = answer(machine, plant) - usual
-            variance += (change**2).sum(axis=1) - (change * along).sum(axis=1) ** 2
-        return np.maximum(variance, 0.0)
+            yield change - (change * along).sum(axis=1, keepdims=True) * along
 
 
 def _directions(velocity: FloatArray) -> FloatArray:

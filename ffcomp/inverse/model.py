@@ -11,7 +11,7 @@ from ffcomp.inverse.bandwidth import effort_weight
 from ffcomp.inverse.command_limits import CommandLimits
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.riccati import PreviewGains
-from ffcomp.inverse.robust import FULL, QUICK, RobustReference
+from ffcomp.inverse.robust import FULL, QUICK, RobustReference, Sensitivity
 from ffcomp.inverse.settings import Settings
 from ffcomp.numerics import disk_cache
 from models.arrays import FloatArray
@@ -160,6 +160,14 @@ class InverseModel:
         s = self.settings
         row_s, care = s.segment_s / s.rows_per_segment, QUICK if s.robust_quickly else FULL
         return RobustReference(self.machine, row_s, s.bandwidth_hz, self.effort, care)
+
+    @cached_property
+    def sensitivity(self) -> Sensitivity:
+        """How printers that the machine file allows differ, each span of a path being at one place."""
+        s = self.settings
+        if s.robust and s.robust_quickly:
+            return self._robust.sensitivity
+        return Sensitivity(self.machine, s.segment_s / s.rows_per_segment, s.bandwidth_hz, self.effort, QUICK)
 
     def robust_offset(self, reference: Reference) -> FloatArray:
         """Return the offset of the robust reference from the path, (rows, 3) mm; empty where it is not used."""

@@ -69,10 +69,13 @@ class Care:
     rounds: int = 3  # of Gauss-Newton
     steps: int = 10  # of the conjugate gradients in each
     everywhere: bool = True  # D of every place; not: of the middle of each span
+    drawn: bool = True  # D over random draws; not: over the parameters, each off by one standard deviation
 
 
 FULL = Care()
-QUICK = Care(directions=4, margin=128, shortest=512, near=8, rounds=2, steps=6, everywhere=False)  # 95 % of the gain
+QUICK = Care(
+    directions=4, margin=128, shortest=512, near=8, rounds=2, steps=6, everywhere=False, drawn=False
+)  # 95 % of the gain
 
 
 class RobustReference:
@@ -239,7 +242,7 @@ class Sensitivity:
     def __init__(self, machine: Machine, row_s: float, bandwidth_hz: float, effort: float, care: Care = FULL) -> None:
         self.machine, self.row_s, self.bandwidth_hz, self.effort = machine, row_s, bandwidth_hz, effort
         self.care = care
-        self._possible = drawn_machines(machine)
+        self._possible = drawn_machines(machine) if care.drawn else machines_off(machine)
         self._nodes: dict[tuple[int, int], ShortComplexArray] = {}
         self._middles: dict[tuple[int, int, int], Response] = {}
         self._working = Lock()
@@ -253,12 +256,16 @@ class Sensitivity:
 
     @cached_property
     def _mixing(self) -> FloatArray:
-        """(1 + directions, DRAWS): the draws' shares in their mean, and in each direction at the bed's middle."""
-        d = self._of_draws(np.zeros(2))
-        apart = (d - d.mean(axis=0)).reshape(DRAWS, -1)
+        """(1 + directions, draws): the draws' shares in their mean, and in each direction at the bed's middle."""
+        d, draws = self._of_draws(np.zeros(2)), len(self._possible)
+        # the first of machines that are off one at a time is the machine itself, and no draw
+        mean = np.full(draws, 1.0 / draws) if self.care.drawn else np.eye(1, draws)[0]
+        apart = (d - np.tensordot(mean, d, axes=1)).reshape(draws, -1)
         product = (apart @ np.conj(apart.T)).real
-        directions = np.linalg.eigh(product)[1][:, : -self.care.directions - 1 : -1].T
-        return np.concatenate([np.full((1, DRAWS), 1.0 / DRAWS), directions / np.sqrt(DRAWS)])
+        directions = np.linalg.eigh(product)[1][:, ::-1].T[: min(self.care.directions, draws - 1)]
+        if self.care.drawn:
+            return np.concatenate([mean[None], directions / np.sqrt(draws)])
+        return np.concatenate([mean[None], directions - directions.sum(axis=1, keepdims=True) * mean])
 
     def along(self, place: FloatArray, length: int) -> Response:
         """For a span of places (m, 2) mm, worked out over `length` rows."""
@@ -302,7 +309,7 @@ class Sensitivity:
         return self._nodes[node]
 
     def _of_draws(self, xy: FloatArray) -> ComplexArray:
-        """(DRAWS, lines, 3, 3) at one place, or where the bed ends on the way there."""
+        """(draws, lines, 3, 3) at one place, or where the bed ends on the way there."""
         reach = self.machine.kinematics.model_reach_mm
         xy = xy * min(1.0, reach / max(float(np.hypot(*xy)), 1e-9))
         f = self.frequency
@@ -397,13 +404,25 @@ def _transposed(known: ShortComplexArray, lines: ShortComplexArray) -> ShortComp
 
 
 def drawn_machines(machine: Machine, count: int = DRAWS) -> list[Machine]:
-    """Return machines as the uncertainties allow them, the same ones every time; an even number of them."""
+    """Return machines as the uncertainties allow them, the same every time; an even number, or this one."""
     parameters = machine.vibration.parameters()
     spread = parameters.relative_sd(machine.uncertainty)
+    if not np.any(spread):
+        return [machine]
     rng = np.random.default_rng(1)
     half = np.clip(rng.standard_normal((count // 2, parameters.columns)), -FARTHEST, FARTHEST)
     draws = np.concatenate([half, -half])  # in pairs: their mean is the machine
     return [with_values(machine, parameters.scaled(row, spread, least=0.2)) for row in draws]
+
+
+def machines_off(machine: Machine) -> list[Machine]:
+    """Return the machine, and those of which one parameter is off by one standard deviation."""
+    parameters = machine.vibration.parameters()
+    spread = parameters.relative_sd(machine.uncertainty)
+    deviates = np.concatenate([np.zeros((1, parameters.columns)), np.eye(parameters.columns)])
+    if not np.any(spread):
+        return [machine]
+    return [with_values(machine, parameters.scaled(row, spread, least=0.2)) for row in deviates]
 
 
 def _blending(n: int, rises: bool, falls: bool) -> FloatArray:
