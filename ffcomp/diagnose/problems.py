@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import singledispatch
 from pathlib import Path
 
@@ -52,7 +53,7 @@ def _(
     turn: FloatArray | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[Recorded]:
-    return [*load_recordings(paths, plant, plan, turn, progress)]
+    return told_apart(load_recordings(paths, plant, plan, turn, progress))
 
 
 @recordings_of.register
@@ -65,7 +66,21 @@ def _(
 ) -> list[Recorded]:
     if plan is not None:
         raise RequestError(f"{plant.name} is one axis by itself: there is no plan of moves for it. Leave --plan out.")
-    return [read_axis_run(path) for path in paths]
+    return told_apart([read_axis_run(path) for path in paths])
+
+
+def told_apart(recordings: Sequence[Recorded]) -> list[Recorded]:
+    """Let files of two folders that share a name be two experiments: only a trailing -1, -2 names a repeat.
+
+    What was recorded before and after something was changed lies in two folders, and does not repeat.
+    """
+    folders: dict[str, set[Path]] = {}
+    for each in recordings:
+        folders.setdefault(each.repeat_of, set()).add(Path(each.source).parent)
+    return [
+        replace(each, folder=str(Path(each.source).parent)) if len(folders[each.repeat_of]) > 1 else each
+        for each in recordings
+    ]
 
 
 @singledispatch

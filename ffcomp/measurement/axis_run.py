@@ -6,7 +6,6 @@ a gap of a sensor; what drives the axis has none.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import numpy as np
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.clock import Clock, clock_of
 from ffcomp.measurement.header import closest, repeated_columns
+from ffcomp.measurement.recording import experiment_of
 from ffcomp.measurement.table import Table, read_table, read_text
 from models.arrays import FloatArray
 
@@ -34,6 +34,7 @@ class AxisRun:
     acceleration: dict[str, FloatArray]  # "acc_q" -> (n,) m/s²
     position: dict[str, FloatArray]  # "pos_q", "pos_motor" -> (n,) mm
     comments: dict[str, str]
+    folder: str = ""  # of the file, where another folder has one of the same name
 
     @property
     def sample_rate_hz(self) -> float:
@@ -43,7 +44,7 @@ class AxisRun:
     @property
     def repeat_of(self) -> str:
         """The file's stem without a trailing -1, -2, …: runs that share it repeat one experiment."""
-        return re.sub(r"-\d+$", "", Path(self.source).stem)
+        return experiment_of(self.source, self.folder)
 
     @property
     def signals(self) -> dict[str, FloatArray]:

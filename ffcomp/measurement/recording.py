@@ -49,6 +49,7 @@ class Recording:
     position: dict[str, FloatArray]  # "pos_A", "pos_x", … → (n,) mm
     gaps: NDArray[np.bool_]  # (n,) True where any sensor or command was missing
     comments: dict[str, str]  # keys in small letters
+    folder: str = ""  # of the file, where another folder has one of the same name
 
     @property
     def sample_rate_hz(self) -> float:
@@ -64,7 +65,12 @@ class Recording:
     @property
     def repeat_of(self) -> str:
         """The file's stem without a trailing -1, -2, …: recordings that share it repeat one experiment."""
-        return re.sub(r"-\d+$", "", Path(self.source).stem)
+        return experiment_of(self.source, self.folder)
+
+
+def experiment_of(source: str, folder: str = "") -> str:
+    """Return the name that the repeats of one experiment share."""
+    return f"{folder}/" * bool(folder) + re.sub(r"-\d+$", "", Path(source).stem)
 
 
 def read_recording(path: str | Path) -> Recording:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ import pytest
 from ffcomp.diagnose.axis_problem import AxisProblem
 from ffcomp.diagnose.diagnosis import Diagnosis, diagnose
 from ffcomp.diagnose.problem import InfeasibleParameters
+from ffcomp.diagnose.problems import told_apart
+from ffcomp.diagnose.validation import check_alike
 from ffcomp.errors import MeasurementError
 from ffcomp.identify.axis_shots import shots_of
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
@@ -57,6 +60,16 @@ def test_a_driven_axis_that_rests_does_not_begin_with_a_sensors_noise() -> None:
         run = AxisRun("a.csv", t, given, False, {}, {"pos_q": place}, {})
         place_mm, speed_mm_per_s, *_ = shots_of(DRIVE, [run])[0].begin[0]
         assert place_mm == pytest.approx(expected, abs=0.0 if held == 0.0 else 1e-3) and speed_mm_per_s == 0.0
+
+
+def test_files_of_one_name_in_two_folders_are_two_experiments() -> None:
+    runs = [replace(r, source=f"{d}/{r.source}") for d in ("empty", "printed") for r in runs_of(DRIVE, 1)]
+    assert [r.repeat_of for r in told_apart(runs)] == ["empty/a", "empty/a", "printed/a", "printed/a"]
+    assert [r.repeat_of for r in told_apart(runs[:2])] == ["a", "a"]
+    moved = [runs[0], replace(runs[2], given=runs[2].given + 1.0)]
+    check_alike(told_apart(moved))  # or it would say that the commands of two repeats differ
+    with pytest.raises(MeasurementError, match="repeats have the same command"):
+        check_alike(moved)
 
 
 def test_shots_band_and_windows_come_from_the_data() -> None:
