@@ -185,3 +185,41 @@ def test_a_starter_in_the_list_of_prints(prints: Prints, whole: Played) -> None:
     )
     assert played.result["state"] == "complete"
     assert played.result["steps"] == whole.result["steps"]
+
+
+MESH = """\
+[probe]
+pin: gpio60
+z_offset: 0
+[bed_mesh]
+mesh_radius: 100
+round_probe_count: 3
+[bed_mesh default]
+version: 1
+points:
+  -0.1, 0.0, 0.1
+  -0.1, 0.0, 0.1
+  -0.1, 0.0, 0.1
+x_count: 3
+y_count: 3
+mesh_x_pps: 0
+mesh_y_pps: 0
+algo: direct
+tension: 0.2
+min_x: -100
+max_x: 100
+min_y: -100
+max_y: 100
+"""
+
+
+def test_a_bed_mesh_is_added(prints: Prints, whole: Played) -> None:
+    """A bed that rises by 1 µm a millimetre along x: the nozzle ends so much higher, and so do the carriages."""
+    played = prints.play(more=MESH, before=["BED_MESH_PROFILE LOAD=default"])
+    assert played.result["state"] == "complete", played.result
+    (x, *_), z = whole.result["position"], whole.result["position"][2]
+    assert played.result["position"][2] == pytest.approx(z + 1e-3 * x, abs=1e-6)
+    for motor in "abc":
+        higher = played.result["steps"][f"stepper_{motor}"] - whole.result["steps"][f"stepper_{motor}"]
+        assert abs(higher - 80 * 1e-3 * x) <= 1.0
+    assert abs(played.lasts_s - whole.lasts_s) < 0.5
