@@ -187,6 +187,18 @@ def test_a_starter_in_the_list_of_prints(prints: Prints, whole: Played) -> None:
     assert played.result["steps"] == whole.result["steps"]
 
 
+def test_homing_and_heating_are_lines_of_the_file(prints: Prints) -> None:
+    """The host homes, waits for the heater, goes to where the motion begins, and plays it."""
+    head = b"G28\nM104 S200\nM109 S200\n"
+    work = job(head + two_objects(1), load_machine("mp-delta-pro"), flavor="klipper", predict=False)
+    work.write_steps(prints.folder / "homes.ffm", StepOutput(BOARD, None, plain=True, motion=True))
+    played = play(prints.folder, "FFCOMP_PRINT FILE=homes.ffm", (0.0, 0.0, 10.0))
+    assert played.result["state"] == "complete", played.result
+    assert played.result["position"][:3] == pytest.approx([10.0, -5.0, 0.2], abs=1e-9)
+    risen = np.sqrt(300.0**2 - 140.0**2)  # from the towers' lower ends to where the endstops are
+    assert max(np.cumsum(played.steps["a"].way)) > 80 * (320.0 - 10.0 - risen) - 80
+
+
 MESH = """\
 [probe]
 pin: gpio60
