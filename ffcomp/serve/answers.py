@@ -113,12 +113,18 @@ def _fit(found: Found) -> Answer:
     numbers = [
         [key, _interval(each)] for key, each in (found.get("numbers") or {}).items() if isinstance(each, Mapping)
     ]
-    axes = [
-        [f"{axis} axis", str(each["verdict"])] for axis, each in (found.get("axes") or {}).items() if "verdict" in each
-    ]
+    axes = [fact for axis, each in (found.get("axes") or {}).items() for fact in _axis_facts(axis, each)]
     lead = "The machine file is fitted to the measurements." if found["output"] else "Nothing could be fitted."
     warnings = [*map(str, found["skipped"]), *map(str, found["advice"])]
     return {"lead": lead, "facts": numbers + axes, "warnings": warnings, "machine": bool(found["output"])}
+
+
+def _axis_facts(axis: str, found: Found) -> list[list[str]]:
+    modes = [
+        [f"{axis} axis", f"{_interval(mode['frequency_hz'])} Hz, damping ratio {_interval(mode['damping_ratio'])}"]
+        for mode in found.get("modes", [])
+    ]
+    return [*modes, [f"{axis} axis", str(found.get("verdict", ""))]]
 
 
 def _interval(estimate: Found) -> str:

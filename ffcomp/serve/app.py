@@ -22,7 +22,7 @@ from starlette.routing import Route
 from ffcomp.serve import machines, messages
 from ffcomp.serve.commands import KINDS, checked
 from ffcomp.serve.guard import Guard
-from ffcomp.serve.jobs import Job
+from ffcomp.serve.jobs import ENDED, Job
 from ffcomp.serve.printer import Printer
 from ffcomp.serve.runner import Runner
 from ffcomp.serve.settings import MEGABYTE, Settings
@@ -101,7 +101,7 @@ class Server:
         return {
             "version": __version__,
             "machines": machines.listed(),
-            "jobs": [asdict(replace(job, pid=0)) for job in self.runner.all()],
+            "jobs": [asdict(replace(job, pid=0)) for job in self.runner.all() if not _is_past_warmup(job)],
             "printer": self.printer is not None,
             "largest_mb": self.settings.largest_bytes // MEGABYTE,
         }
@@ -149,7 +149,15 @@ class Server:
                 _link(path, folder / path.name)
 
         with self.creating:
-            return asdict(self.runner.add(job, place))
+            made = self.runner.add(job, place)
+        self._stop_warmup()
+        return asdict(made)
+
+    def _stop_warmup(self) -> None:
+        """Let people go first: a job compiles what it needs, and what is compiled already is kept."""
+        for job in self.runner.all():
+            if job.kind == "warmup":
+                self.runner.cancel(job.id)
 
     def _plan(self, id_: Any) -> list[Path]:
         """Return the plan's file that another job has made."""
@@ -177,7 +185,7 @@ class Server:
     def log(self, request: Request, asked: Any) -> Response:
         """Return what the processes of a job have said."""
         job = self.runner.find(request.path_params["id"])
-        text = messages.tail(self.runner.kept.place(job.id) / "log.txt")
+        text = messages.said(self.runner.kept.place(job.id))
         return Response(text, media_type="text/plain; charset=utf-8")
 
     def file(self, request: Request, asked: Any) -> Response:
@@ -214,6 +222,10 @@ class Server:
         if self.printer is None:
             raise Refused(404, "No printer is set: start the server with --moonraker URL.")
         return self.printer
+
+
+def _is_past_warmup(job: Job) -> bool:
+    return job.kind == "warmup" and job.state in ENDED
 
 
 def _refusal(refused: Refused) -> Response:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,22 @@ def listed() -> list[dict[str, Any]]:
     """Return every machine that has a name: `name`, `kinematics`, `printer`, and whether it is the user's `own`."""
     rows = []
     for name, path in machine_paths().items():
-        kinematics, printer = glance(path)
+        kinematics, printer = _glanced(path, _changed(path))
         rows.append({"name": name, "kinematics": kinematics, "printer": printer, "own": path.parent != LIBRARY})
     return rows
+
+
+@lru_cache(maxsize=512)
+def _glanced(path: Path, changed: int) -> tuple[str | None, str | None]:
+    """Read a file once for each time that it was changed: the page asks every second."""
+    return glance(path)
+
+
+def _changed(path: Path) -> int:
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:  # removed meanwhile
+        return 0
 
 
 def path_of(name: str) -> Path:

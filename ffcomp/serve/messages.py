@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -24,6 +25,18 @@ def tail(log: Path) -> str:
             return file.read().decode("utf-8", "replace")
     except OSError:
         return ""
+
+
+def said(place: Path) -> str:
+    """Return the end of what a job's processes have said, files named as the user named them."""
+    return without_folder(tail(place / "log.txt"), place)
+
+
+def without_folder(text: str, place: Path) -> str:
+    """Take the server's folders out of a text: nobody else needs to know them."""
+    for folder in (place / "in", place / "out", place):
+        text = text.replace(f"{folder}{os.sep}", "")
+    return text
 
 
 def progress(text: str, doing: str) -> tuple[float | None, str]:

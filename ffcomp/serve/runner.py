@@ -205,7 +205,7 @@ class Runner:
             if self.find(job.id).state != RUNNING:
                 return
             if code != 0:
-                why = STOPPED if self._stopping else messages.why_failed(code, messages.tail(place / "log.txt"))
+                why = STOPPED if self._stopping else messages.why_failed(code, messages.said(place))
                 if step.needed:
                     self._end_job(job.id, FAILED, error=why, answer=_answer(job, place))
                     return
@@ -235,7 +235,7 @@ class Runner:
             _be_nice(process.pid)
             began = log.tell()
             while process.poll() is None:
-                text = messages.tail(place / "log.txt") if os.fstat(log.fileno()).st_size > began else ""
+                text = messages.said(place) if os.fstat(log.fileno()).st_size > began else ""
                 share, now = messages.progress(text, doing)
                 with self._changed:
                     if self._jobs[id_].state == RUNNING:
@@ -276,7 +276,8 @@ def _sentence(error: Exception) -> str:
 def _answer(job: Job, place: Path) -> dict[str, Any]:
     """Read what the first step printed; empty where that is no JSON."""
     with suppress(OSError, ValueError, LookupError, TypeError, AttributeError):
-        return answer_of(job.kind, json.loads((place / "0.json").read_text(encoding="utf-8").splitlines()[-1]))
+        found = json.loads((place / "0.json").read_text(encoding="utf-8").splitlines()[-1])
+        return json.loads(messages.without_folder(json.dumps(answer_of(job.kind, found), ensure_ascii=False), place))
     return {}
 
 

@@ -102,7 +102,7 @@ def test_estimate_show_and_simulate(page: Page, folder: Path) -> None:
     small, out = folder / "small.gcode", folder / "out.gcode"
     hold(page, "ffcomp-estimate/1", [*told("estimate", out), *told("estimate", small, *MACHINE)])
     hold(page, "ffcomp-estimate-batch/1", told("estimate", small, small, *MACHINE))
-    hold(page, "ffcomp-show/1", told("show", out))
+    hold(page, "ffcomp-show/1", told("show", out, "--gcode-preview", folder / "preview.gcode"))
     hold(page, "ffcomp-simulate/1", told("simulate", small, *MACHINE, "-q"))
 
 

@@ -6,6 +6,7 @@ import gzip
 import http.client
 import io
 import json
+import sys
 import zipfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -20,6 +21,7 @@ import pytest
 from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
+from tests.support import stand_in
 from tests.support.server import MARK, client, command, started, uploaded, wait_for
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
@@ -79,15 +81,15 @@ def test_moves_are_planned_and_their_captures_find_the_plan(page: Any) -> None:
 
 
 def bomb(name: str) -> bytes:
-    """Less than a megabyte that unpacks to 400."""
+    """Less than a megabyte that unpacks to 200."""
     packed = io.BytesIO()
     if name.endswith(".gz"):
         with gzip.GzipFile(fileobj=packed, mode="wb", compresslevel=1) as file:
-            file.writelines([b";" * MEGABYTE] * 400)
+            file.writelines([b";" * MEGABYTE] * 200)
     else:
         archive = zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED, compresslevel=1)
         with archive, archive.open("Metadata/plate_1.gcode", "w") as member:
-            member.writelines([b";" * MEGABYTE] * 400)
+            member.writelines([b";" * MEGABYTE] * 200)
     return packed.getvalue()
 
 
@@ -192,6 +194,19 @@ def post(address: str, path: str, pieces: Any) -> tuple[int, bytes]:
 # -- the command --
 
 
+def test_after_installing_it_gets_ready_until_somebody_starts_something(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ffcomp.serve.runner.COMMAND", (sys.executable, "-c", "import time; time.sleep(60)"))
+    with client(tmp_path, monkeypatch, warm=False) as page:
+        (job,) = page.get("/api/state").json()["jobs"]
+        assert job["title"] == "Getting ready"
+        wait_for(page, job["id"], "running")
+        id_ = started(page, "compensate", [uploaded(page, "a.gcode", WIGGLE)], machine="kossel")
+        wait_for(page, id_, "running")
+        assert [each["id"] for each in page.get("/api/state").json()["jobs"]] == [id_]
+
+
 def test_a_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ffcomp.cli.common.find_spec", lambda package: None)
     done = CliRunner().invoke(app, ["serve"])
@@ -276,6 +291,7 @@ def printer(files: dict[str, bytes]) -> Iterator[tuple[str, type[Moonraker]]]:
 def test_a_print_of_the_printer_is_compensated_and_put_beside_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("ffcomp.serve.runner.COMMAND", (sys.executable, "-S", stand_in.__file__))
     files = {"parts/a b.gcode": WIGGLE, "notes.txt": b"mine"}
     with printer(dict(files)) as (url, kind), client(tmp_path, monkeypatch, moonraker=url + "/") as page:
         assert [each["path"] for each in page.get("/api/printer/files").json()] == ["parts/a b.gcode"]

@@ -93,7 +93,7 @@ function buttons(job, printer) {
     if (job.answer.machine) row.append(keeping(job));
     if (job.answer.kept) row.append(make("button", { textContent: "Use it", className: "main", onclick: () => { choose(job.answer.kept); document.querySelector("#tab-prints").click(); scrollTo(0, 0); } }));
     for (const name of job.outputs.filter((each) => !["picture.png", "report.html"].includes(each)))
-      row.append(make("a", { className: name.endsWith(".toml") ? "button" : "button main", href: file(job, name, false), download: name, textContent: `Download ${job.kind === "compensate" ? "the print" : name}` }));
+      row.append(make("a", { className: /\.(toml|json)$/.test(name) ? "button" : "button main", href: file(job, name, false), download: name, textContent: `Download ${job.kind === "compensate" ? "the print" : name}` }));
     if (printer && job.kind === "compensate") act("send", "Put it on the printer");
   } else act("again", "Again");
   act("remove", "Remove", {}, "plain");

@@ -27,7 +27,7 @@ if words[0] == "show":
     sys.exit("ffcomp: Figures and pages need Matplotlib.")
 source, target = words[1], words[words.index("-o") + 1]
 what = open(source).read()
-if "Gcode" in what: print("ffcomp: line 3: it cannot be.", file=sys.stderr); sys.exit(4)
+if "Gcode" in what: print(f"ffcomp: {source}: line 3: it cannot be.", file=sys.stderr); sys.exit(4)
 if "crash" in what: raise RuntimeError("a bug")
 print("ffcomp: 40 %, 7 s left", file=sys.stderr, flush=True)
 if "slow" in what: time.sleep(60)
@@ -96,7 +96,7 @@ def test_a_job_ends_with_its_files_and_answer(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "why"), [("Gcode", "line 3: it cannot be."), ("crash", "This is a fault of ffcomp's own")]
+    ("text", "why"), [("Gcode", "a.gcode: line 3: it cannot be."), ("crash", "This is a fault of ffcomp's own")]
 )
 def test_a_job_that_fails_says_why(text: str, why: str, tmp_path: Path) -> None:
     with runner(tmp_path) as made:
