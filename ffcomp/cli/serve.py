@@ -164,6 +164,7 @@ def _data_folder() -> Path:
 
 
 def _run(settings: Settings, certificate: Path | None, key: Path | None, open_it: bool) -> None:
+    from contextlib import suppress
     from dataclasses import replace
 
     import uvicorn
@@ -177,7 +178,8 @@ def _run(settings: Settings, certificate: Path | None, key: Path | None, open_it
         _say(settings)
         if open_it:
             typer.launch(settings.address)
-        uvicorn.Server(_config(app, certificate, key)).run([door])
+        with suppress(KeyboardInterrupt):  # that is how it ends
+            uvicorn.Server(_config(app, certificate, key)).run([door])
 
 
 def _listening(settings: Settings) -> socket:

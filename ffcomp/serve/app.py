@@ -44,6 +44,7 @@ class Server:
 
     def __init__(self, settings: Settings, warm: bool = True) -> None:
         settings.folder.mkdir(parents=True, exist_ok=True)
+        settings = replace(settings, folder=settings.folder.resolve())  # processes run in folders of their own
         self.settings, self.warm = settings, warm
         self.uploads = Uploads(settings)
         self.runner = Runner(settings, machines.path_of, machines.kept_if_imported)

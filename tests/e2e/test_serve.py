@@ -6,7 +6,10 @@ import gzip
 import http.client
 import io
 import json
+import os
+import signal
 import sys
+import time
 import zipfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -48,6 +51,14 @@ def test_a_print_comes_back_compensated_with_its_picture(page: Any) -> None:
     assert page.post(f"/api/jobs/{job['id']}/remove", json={}).status_code == 200
     assert page.get(f"/api/jobs/{job['id']}/files/a.gcode").status_code == 404
     assert not any(page.server.runner.kept.folder.iterdir())
+
+
+def test_work_may_be_kept_in_a_folder_that_is_named_from_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ffcomp.serve.runner.COMMAND", (sys.executable, "-S", stand_in.__file__))
+    monkeypatch.chdir(tmp_path)
+    with client(Path("here"), monkeypatch) as page:
+        job = wait_for(page, started(page, "compensate", [uploaded(page, "a.gcode", WIGGLE)], machine="kossel"))
+        assert job["state"] == "done", job["error"]
 
 
 def test_a_configuration_becomes_a_machine_of_ones_own(page: Any) -> None:
@@ -234,6 +245,24 @@ def test_reached_from_elsewhere_it_prints_a_token_that_opens_it(tmp_path: Path) 
             found[path] = answer.status
         plain.close()
         assert list(found.values()) == [401, 303]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such signals")
+def test_ctrl_c_ends_it_well_and_takes_its_workers_along(tmp_path: Path) -> None:
+    with command(tmp_path) as (address, pid):
+        id_ = json.loads(post(address, "/api/files?name=a.gcode", [WIGGLE * 400])[1])["id"]
+        body = json.dumps({"kind": "compensate", "files": [id_], "machine": "kossel"}).encode()
+        assert post(address, "/api/jobs", [body])[0] == 200
+        job = tmp_path / "work" / "jobs" / next((tmp_path / "work" / "jobs").iterdir()).name / "job.json"
+        until = time.monotonic() + 20.0
+        while not (worker := json.loads(job.read_text())["pid"]):
+            assert time.monotonic() < until
+            time.sleep(0.05)
+        os.kill(pid, signal.SIGINT)
+        assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+        with pytest.raises(OSError):  # noqa: PT011 (no such process)
+            os.kill(worker, 0)
+    assert json.loads(job.read_text())["state"] == "failed"
 
 
 # -- the printer --
