@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Protocol, cast
 
 import numpy as np
@@ -20,7 +21,7 @@ from ffcomp.planner.segment_timing import TimedSegments
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps.pieces import Pieces, knot_pieces, on_grid, trajectory_pieces
 from ffcomp.steps.sink import MotorTotal
-from gcode.program import Event, EventKind, EventQueue
+from gcode.program import Event, EventKind, EventQueue, Program
 
 SAMPLE_S = 1e-3  # of moves of the extruder alone
 BEFORE_S = 0.1  # at rest before the first motion
@@ -37,6 +38,9 @@ class Sink(Protocol):
 
     def rest(self) -> None:
         """Note that the nozzle rests where the path has come to."""
+
+    def height(self, known: bool) -> None:
+        """Say whether the file has stated the Z of what follows, or it is only taken to be that of before a macro."""
 
     def finish(self) -> dict[str, MotorTotal]:
         """Write what was gathered, and return what became of each motor's steps."""
@@ -56,13 +60,22 @@ class StepStream:
         due = np.append(begun + trajectory.start_t, begun + trajectory.end_t)
         for event in program.events:
             self.tell(event, float(due[event.move]), program.lines[event.line])
-        for pieces in trajectory_pieces(trajectory, begun):
-            self.sink.pieces(pieces)
+        for first, last, known in _by_height(program):
+            self.sink.height(known)
+            for pieces in trajectory_pieces(trajectory, begun, first, last):
+                self.sink.pieces(pieces)
         self.clock_s = begun + trajectory.end_t
 
     def tell(self, event: Event, t: float, line: bytes) -> None:
         """Give a line to the sink; what passes moves nothing, even where it looks like a move."""
         self.sink.event(t, line, still=event.kind is EventKind.PASS)
+
+
+def _by_height(program: Program) -> list[tuple[int, int, bool]]:
+    """Return runs of moves whose Z is known, or is not: first, last, which."""
+    known = np.array([frame.z_known for frame in program.frames], dtype=bool)[program.moves.frame]
+    ends = [*np.flatnonzero(known[1:] != known[:-1]) + 1, len(known)]
+    return [(int(first), int(last), bool(known[first])) for first, last in pairwise([0, *ends])]
 
 
 class StepRenderer:
@@ -88,6 +101,7 @@ class StepRenderer:
 
     def extrude(self, section: Section) -> Iterable[bytes]:
         """Write a section in which only the extruder moves."""
+        self._tell_height(section.first)
         lasts_s = section.end_t - section.begin_t
         n = max(round(lasts_s / SAMPLE_S), 1)
         spacing = lasts_s / n
@@ -108,6 +122,7 @@ class StepRenderer:
             solved.reference,
             solved.knots,
         )
+        self._tell_height(run.first)
         heights = moves.end[run.first : run.last, 2]
         vertices = keep_inside(self._kinematics, solved.solution.vertices[first : last + 1], heights)
         filament = reference.extrusion(first, last)
@@ -134,6 +149,10 @@ class StepRenderer:
         if self._extent.end is None:
             self._events_before(len(self._planned.program.moves))
         return ()
+
+    def _tell_height(self, move: int) -> None:
+        program = self._planned.program
+        self._stream.sink.height(program.frames[program.moves.frame[move]].z_known)
 
     def _events_before(self, move: int) -> None:
         for event in self._events.up_to(move):

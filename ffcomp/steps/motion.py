@@ -19,7 +19,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from ffcomp.steps.motion_chunk import FULL_BYTES, MOST_KNOTS, Chunk
+from ffcomp.steps.motion_chunk import ANY_HEIGHT, FULL_BYTES, MOST_KNOTS, RESTS_BEFORE, Chunk
 from ffcomp.steps.pieces import GRID_MM, Pieces
 from ffcomp.steps.sink import MotorTotal
 from gcode.atomic_write import replace_atomically
@@ -75,7 +75,7 @@ class MotionSink:
         self._clock: float | None = None  # s; None before the first motion
         self._feed = b""  # a line, not yet told
         self._begin_s = 0.0
-        self._rests = True
+        self._rests = self._height_known = True
         self._records = self._text_bytes = 0
 
     def __enter__(self) -> Self:
@@ -106,6 +106,13 @@ class MotionSink:
         """Note that the nozzle rests where the motion has come to: a clock may stop here, and go on at full pace."""
         self._rests = True
         self._chunk.rest()
+
+    def height(self, known: bool) -> None:
+        """Say whether the Z of what follows is meant, or only its changes: after a macro the host knows better."""
+        self._height_known = known
+
+    def _flags(self) -> int:
+        return RESTS_BEFORE * self._rests | ANY_HEIGHT * (not self._height_known)
 
     def pieces(self, pieces: Pieces) -> None:
         """Take the next part of the path."""
@@ -152,7 +159,7 @@ class MotionSink:
                 continue
             last = min(first + MOST_KNOTS, due)
             self._make_room()
-            self._chunk.knots(spacing, places[first : last + 1], self._rests)
+            self._chunk.knots(spacing, places[first : last + 1], self._flags())
             self._moved()
             first = last
 
@@ -168,7 +175,7 @@ class MotionSink:
             if more and not (due or waits or long or still[last]):
                 continue
             self._make_room()
-            self._chunk.ramps(rows[first:last], self._rests)
+            self._chunk.ramps(rows[first:last], self._flags())
             self._moved()
             self._clock = float(pieces.start_t[last - 1] + pieces.duration[last - 1])
             if still[last]:

@@ -17,7 +17,7 @@ from ffcomp.steps.pieces import GRID_MM
 from models.arrays import FloatArray, IntArray
 
 LINES, KNOTS, PIECES, WAIT = 1, 2, 3, 4  # kinds of record
-BEGINS, RESTS_BEFORE, RESTS_AFTER = 1, 2, 4  # flags of a record of knots or pieces
+BEGINS, RESTS_BEFORE, RESTS_AFTER, ANY_HEIGHT = 1, 2, 4, 8  # flags of a record of knots or pieces
 RECORD = np.dtype([("kind", "u1"), ("flags", "u1"), ("zero", "<u2"), ("count", "<u4")])
 MOST_KNOTS = 128  # in a record, which is what the player handles at once
 FULL_BYTES = 1 << 18
@@ -49,9 +49,8 @@ class Chunk:
         self._record(WAIT, 0, 1)
         self.numbers.append(seconds)
 
-    def knots(self, spacing_s: float, places: IntArray, rests_before: bool) -> None:
+    def knots(self, spacing_s: float, places: IntArray, flags: int) -> None:
         """Append the knots (n + 1, 4) of straight segments, the first of them where the last record ended."""
-        flags = RESTS_BEFORE * rests_before
         if self.run is None or self.run[0] != spacing_s or (self.run[1] != places[0]).any():
             flags |= BEGINS
             self.numbers.extend([spacing_s, *(places[0] * GRID_MM).tolist()])
@@ -64,9 +63,9 @@ class Chunk:
         self.run = spacing_s, places[-1], steps[-1]
         self.size += 4 * AXES * len(steps)
 
-    def ramps(self, rows: FloatArray, rests_before: bool) -> None:
+    def ramps(self, rows: FloatArray, flags: int) -> None:
         """Append pieces (n, 11) of constant acceleration: duration, origin, direction, speed, acceleration."""
-        self._record(PIECES, RESTS_BEFORE * rests_before, len(rows))
+        self._record(PIECES, flags, len(rows))
         self.pieces.append(rows)
         self.run = None
         self.size += rows.nbytes

@@ -51,10 +51,16 @@ class Pieces:
         return self.origin + self.direction * self.path[:, None]
 
 
-def trajectory_pieces(trajectory: Trajectory, shift_t: float = 0.0) -> Iterator[Pieces]:
-    """Yield a plan's phases, in chunks; the plan's clock begins at `shift_t` s."""
-    for first in range(0, len(trajectory), CHUNK_MOVES):
-        yield _phases(trajectory, slice(first, first + CHUNK_MOVES), shift_t)
+def trajectory_pieces(
+    trajectory: Trajectory, shift_t: float = 0.0, first: int = 0, last: int | None = None
+) -> Iterator[Pieces]:
+    """Yield a plan's phases, in chunks; the plan's clock begins at `shift_t` s.
+
+    first, last : the moves that are wanted
+    """
+    last = len(trajectory) if last is None else last
+    for begin in range(first, last, CHUNK_MOVES):
+        yield _phases(trajectory, slice(begin, min(begin + CHUNK_MOVES, last)), shift_t)
 
 
 def _phases(trajectory: Trajectory, part: slice, shift_t: float) -> Pieces:

@@ -269,6 +269,9 @@ class StepSink:
     def rest(self) -> None:
         """Do nothing: steps tell by themselves where there are none."""
 
+    def height(self, known: bool) -> None:
+        """Do nothing: whoever plays an archive begins where it begins."""
+
     def finish(self) -> dict[str, MotorTotal]:
         """Write the archive, and return what became of each motor's steps, by its letter."""
         for motor in self._motors:

@@ -199,6 +199,28 @@ def test_homing_and_heating_are_lines_of_the_file(prints: Prints) -> None:
     assert max(np.cumsum(played.steps["a"].way)) > 80 * (320.0 - 10.0 - risen) - 80
 
 
+MACRO = """\
+[gcode_macro LIFT]
+gcode:
+  G91
+  G1 Z7 F600
+  G90
+"""
+
+
+def test_no_height_is_made_up_after_a_macro(prints: Prints) -> None:
+    """The file names X and Y again, but no Z: the nozzle stays where the macro has left it."""
+    square = b"".join(b"G1 X%d Y%d E0.3 F3600\n" % corner for corner in ((5, 0), (5, 5), (0, 5), (0, 0)))
+    data = b"G90\nM83\nG1 X0 Y0 Z1 F6000\n" + square + b"LIFT\nG1 X0 Y0 F6000\n" + square * 3
+    machine = load_machine("mp-delta-pro")
+    for plain in (True, False):
+        work = job(data, machine, flavor="klipper", predict=False)
+        work.write_steps(prints.folder / "lifts.ffm", StepOutput(BOARD, None, plain, motion=True))
+        played = play(prints.folder, "FFCOMP_PRINT FILE=lifts.ffm", (0.0, 0.0, 1.0), more=MACRO)
+        assert played.result["state"] == "complete", played.result
+        assert played.result["position"][:3] == pytest.approx([0.0, 0.0, 8.0], abs=1e-3)
+
+
 MESH = """\
 [probe]
 pin: gpio60

@@ -11,7 +11,7 @@ import sys
 import numpy as np
 
 from .clock import Block, Gate, Rest
-from .reader import MotionFileError, Wait
+from .reader import ANY_HEIGHT, MotionFileError, Wait
 from .text import MotionText
 
 NEAR_MM = 1e-4  # of a place: the same
@@ -44,6 +44,7 @@ class Player:
     def _forget(self):
         self.offset = [0.0, 0.0, 0.0]  # mm, of the machine's coordinates from the file's
         self.tail_t = 0.0
+        self.lift, self.lifted = np.zeros(3), False
         self.checked = None  # a box, all of which the machine reaches
         self.most_e = self.skipped_retraction = None
         self.last_e = 0.0
@@ -167,7 +168,8 @@ class Player:
             drawn, self.skipped_retraction = self._retraction() - self.skipped_retraction, None
         mesh = self._mesh(motion.places)
         start = motion.places[0, :3] if mesh is None else motion.places[0, :3] + mesh[0]
-        self._join(start, drawn)
+        self._find_height(motion, start)
+        self._join(start + self.lift, drawn)
         if motion.rests_before:
             self._queue(Gate(self, opens=True), None)
         places = self._placed(motion, mesh)
@@ -184,6 +186,15 @@ class Player:
         self._note_filament(motion)
         if motion.rests_after:
             self._queue(Gate(self, opens=False), None)
+
+    def _find_height(self, motion, start):
+        """Where the file does not know its Z, after a macro, the nozzle stays at the height at which that left it."""
+        if not motion.flags & ANY_HEIGHT:
+            self.lift = np.zeros(3)
+            self.lifted = False
+        elif motion.rests_before or not self.lifted:
+            self.lift = np.array([0.0, 0.0, self.toolhead.commanded_pos[2] - start[2] - self.offset[2]])
+            self.lifted = True
 
     def _mesh(self, places):
         """What the bed mesh adds, (n + 1, 3) mm; None: it adds nothing."""
@@ -228,13 +239,13 @@ class Player:
         A new offset is taken up slowly, so that babysteps may come at any time.
         """
         asked = self.gcode_move.homing_position[:3]
-        if mesh is None and not any(asked) and not any(self.offset):
+        if mesh is None and not any(asked) and not any(self.offset) and not self.lift.any():
             return motion.places
         old = np.array(self.offset)
         most = OFFSET_MM_PER_S * float(motion.durations.sum())
         new = old + np.clip(np.array(asked) - old, -most, most)
         self.offset = new.tolist()
-        places = motion.places[:, :3] + np.linspace(old, new, len(motion.places))
+        places = motion.places[:, :3] + (np.linspace(old, new, len(motion.places)) + self.lift)
         return places if mesh is None else places + mesh
 
     def _check_places(self, places):

@@ -18,7 +18,7 @@ import numpy as np
 MAGIC = b"FFCMOT1\n"
 SCHEMA = "ffcomp-motion/1"
 LINES, KNOTS, PIECES, WAIT = 1, 2, 3, 4
-BEGINS, RESTS_BEFORE, RESTS_AFTER = 1, 2, 4
+BEGINS, RESTS_BEFORE, RESTS_AFTER, ANY_HEIGHT = 1, 2, 4, 8
 RECORD = np.dtype([("kind", "u1"), ("flags", "u1"), ("zero", "<u2"), ("count", "<u4")])
 MOST_HEADER = 1 << 20
 MOST_CHUNK = 1 << 26
