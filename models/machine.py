@@ -14,6 +14,7 @@ import numpy as np
 
 from models.arrays import FloatArray, constant
 from models.kinematics.base import Kinematics
+from models.pressure import Pressure
 from models.vibration.base import VibrationModel
 
 
@@ -70,6 +71,7 @@ class Machine:
     still: tuple[str, ...] = ()  # macros that move nothing
     homed_mm: tuple[float, float, float] | None = None  # where homing all axes ends; None: not known
     flavor: str = ""  # of its firmware: "klipper", "marlin" or "reprapfirmware"; empty: not said
+    pressure: Pressure | None = None  # what the hot end keeps back; None: not said
 
     def __post_init__(self) -> None:
         """Bind the vibration model to the kinematics."""

@@ -22,6 +22,7 @@ from models.kinematics.base import Kinematics
 from models.kinematics.cartesian import CARTESIAN, COREXY, CartesianKinematics
 from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine, MotionLimits, Steps
+from models.pressure import CORNER_MM_PER_S, REFERENCE_MM_PER_S, Pressure
 from models.vibration.base import VibrationModel
 from models.vibration.carriage import Carriage, Drive
 from models.vibration.delta import DeltaVibration
@@ -279,6 +280,26 @@ class StepsTable(Table):
         )
 
 
+class ExtruderTable(Table):
+    """`[extruder]`: what the hot end keeps back."""
+
+    pressure_time_constant_s: float = Field(gt=0, le=2)
+    pressure_flow_exponent: float = Field(1.0, ge=0.2, le=2)
+    pressure_reference_mm_per_s: float = Field(REFERENCE_MM_PER_S, ge=0.01, le=100)
+    firmware_advance_s: float = Field(0.0, ge=0, le=2)
+    corner_velocity_mm_per_s: float = Field(CORNER_MM_PER_S, ge=0.01, le=1000)
+
+    def pressure(self) -> Pressure:
+        """Return the model of the pressure."""
+        return Pressure(
+            self.pressure_time_constant_s,
+            self.pressure_flow_exponent,
+            self.pressure_reference_mm_per_s,
+            self.firmware_advance_s,
+            self.corner_velocity_mm_per_s,
+        )
+
+
 class FirmwareTable(Table):
     """`[firmware]`: which one the printer runs."""
 
@@ -362,6 +383,7 @@ class PrinterDocument(Document):
 
     limits: LimitsTable
     steps: StepsTable = StepsTable()
+    extruder: ExtruderTable | None = None
     firmware: FirmwareTable = FirmwareTable()
     macros: MacrosTable = MacrosTable()
     homing: HomingTable = HomingTable()
@@ -396,6 +418,7 @@ class PrinterDocument(Document):
             still=tuple(self.macros.still or ()),
             homed_mm=None if home is None else (home[0], home[1], home[2]),
             flavor=self.firmware.flavor or "",
+            pressure=None if self.extruder is None else self.extruder.pressure(),
         )
 
 

@@ -22,6 +22,7 @@ from typing import Protocol
 from ffcomp.compensate.faster import BoundCheck
 from ffcomp.compensate.plan import Context, PlannedChunk
 from ffcomp.compensate.prediction import Prediction
+from ffcomp.compensate.pressure import PressureCheck
 from ffcomp.compensate.solve import SolvedSection, solutions
 from ffcomp.compensate.statistics import Statistics, of_section
 from ffcomp.inverse.model import InverseModel
@@ -85,6 +86,8 @@ def compensate(
     check = None
     if context.bound is not None:
         check = BoundCheck(context.bound, planned.program, chunk.chunk.feature)
+    hot_end = model.settings.pressure
+    pressure = None if hot_end is None else PressureCheck(hot_end, planned.program)
 
     wanted = deque[bool]()  # by the prediction, of the sections that are solved and not yet written
 
@@ -104,12 +107,16 @@ def compensate(
         statistics += of_section(section, solved, planned, extent, model)
         if check is not None:
             check.add(solved, model.settings)
+        if pressure is not None:
+            pressure.add(solved)
         if prediction is not None and wanted.popleft() and len(solved.solution.response):
             prediction.add(solved, renderer.written())
         progress(section.end_t)
     yield from renderer.finish()
     if check is not None:
         statistics += Statistics(warnings=check.warnings(model.settings.strict))
+    if pressure is not None:
+        statistics += Statistics(warnings=pressure.warnings())
     samples = prediction.samples if prediction is not None else None
     print_s = statistics.print_time_s + renderer.late_s
     return replace(statistics, print_time_s=print_s, segments=renderer.segments, predicted=samples)

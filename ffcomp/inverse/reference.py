@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ffcomp.inverse.pressure import Lead, lead_of
 from ffcomp.inverse.settings import Settings
 from ffcomp.planner.sections import Section
 from ffcomp.planner.trajectory import PlannedMotion
@@ -78,7 +79,7 @@ class Reference:
         self.shortest_knots = settings.shortest_knots  # that a segment must have
         self._trajectory, self._section = trajectory, section
         self._segment_s, self._substep_s = settings.segment_s, settings.segment_s / settings.substeps
-        self._substeps = settings.substeps
+        self._substeps, self._pressure = settings.substeps, settings.pressure
 
     def substeps(self, first: int, last: int) -> tuple[FloatArray, FloatArray]:
         """Return nozzle (m, 3) mm and velocity (m, 3) mm/s at every substep between two knots, both included."""
@@ -109,8 +110,23 @@ class Reference:
     @cached_property
     def _filament(self) -> FloatArray:
         """The filament at all knots, (n + 1,) mm: asked for when a section is solved, timed and written."""
-        knots = np.arange(self.knots + 1, dtype=np.float64)
-        return self._position(self.t0 + knots * self._segment_s)[:, 3].copy()
+        return self._position(self._knots_t)[:, 3] + self.lead.mm
+
+    @property
+    def _knots_t(self) -> FloatArray:
+        return self.t0 + np.arange(self.knots + 1, dtype=np.float64) * self._segment_s
+
+    @cached_property
+    def lead(self) -> Lead:
+        """How far the filament is ahead of its path at all knots, so that what flows out follows it."""
+        if self._pressure is None:
+            return Lead(np.zeros(self.knots + 1), 1.0)
+        section = self._section
+        return lead_of(self._trajectory, section.begin_t, section.end_t, self._knots_t, self._pressure)
+
+    def lead_at(self, knots: FloatArray) -> FloatArray:
+        """Return how far the filament is ahead at places (m,) in knots, (m,) mm."""
+        return np.interp(knots, np.arange(self.knots + 1, dtype=np.float64), self.lead.mm)
 
     def _position(self, t: FloatArray) -> FloatArray:
         # at end_t itself the next section may have begun, somewhere else

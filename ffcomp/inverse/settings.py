@@ -14,6 +14,7 @@ from ffcomp.planner.segment_merging import MergeLimits
 from ffcomp.planner.segment_timing import SegmentLimits
 from models.effects.catalogue import design_machine
 from models.machine import Machine
+from models.pressure import Pressure
 
 SEGMENTS_PER_SECOND = 250.0
 LIFT_LAG_MM = 0.02  # of the nozzle in a lift, that is left as it is
@@ -51,6 +52,7 @@ class Settings:
     shortest_um: float = 10.6  # no segment is shorter than this, as rounded numbers may take 1 µm of it,
     shortest_s: float = 1e-3  # or than this
     embed: bool = True  # the file holds its original, as comments
+    pressure: Pressure | None = None  # of the hot end, which the filament allows for; None: it follows the plan
     output: SegmentLimits = field(default_factory=SegmentLimits)
 
     @property
@@ -82,13 +84,18 @@ def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SEC
     output = SegmentLimits(
         z_acceleration_mm_per_s2=limits.z_acceleration_mm_per_s2 or limits.acceleration_mm_per_s2,
         raised_axes=machine.kinematics.raisable_axes,
+        instantaneous_corner_velocity_mm_per_s=limits.instantaneous_corner_velocity_mm_per_s,
         retract_acceleration_mm_per_s2=limits.acceleration_mm_per_s2 * limits.extrusion_ratio,
     )
     segment_s = 1.0 / segments_per_second
     design = design_machine(machine)[0]
     bandwidth = effort_curve(design, segment_s).knee_hz
     return Settings(
-        output=output, segment_s=segment_s, bandwidth_hz=bandwidth, compliance_s2=_nozzle_compliance(design)
+        output=output,
+        segment_s=segment_s,
+        bandwidth_hz=bandwidth,
+        compliance_s2=_nozzle_compliance(design),
+        pressure=machine.pressure,
     )
 
 

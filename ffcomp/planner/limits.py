@@ -15,6 +15,7 @@ from numba import njit
 
 from gcode.program import Moves
 from models.arrays import BoolArray, FloatArray
+from models.pressure import CORNER_MM_PER_S
 
 SHORTEST_TRAVEL_MM = 1e-9  # what moves the nozzle less than this counts as extruder-only
 SLOW_RATIOS = ((3.0, 0.5), (6.0, 0.25))  # beyond this carriage speed / nozzle speed, this share is allowed
@@ -50,7 +51,7 @@ class PlannerLimits:
     z_acceleration_mm_per_s2: float | None = None  # None: as the nozzle
     extruder_velocity_mm_per_s: float | None = None  # None: velocity times `extrusion_ratio`
     extruder_acceleration_mm_per_s2: float | None = None  # None: acceleration times `extrusion_ratio`
-    instantaneous_corner_velocity_mm_per_s: float = 1.0  # step in the speed of the filament at a corner
+    instantaneous_corner_velocity_mm_per_s: float = CORNER_MM_PER_S  # step in the speed of the filament at a corner
     nozzle_diameter_mm: float = 0.4
     filament_diameter_mm: float = 1.75
     delta: DeltaSlowZones | None = None  # None: no slow zones

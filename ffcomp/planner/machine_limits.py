@@ -9,6 +9,7 @@ import numpy as np
 from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits
 from models.kinematics.base import Kinematics
 from models.machine import Machine, Steps
+from models.pressure import CORNER_MM_PER_S
 
 
 def planner_limits(machine: Machine) -> PlannerLimits:
@@ -20,6 +21,9 @@ def planner_limits(machine: Machine) -> PlannerLimits:
         square_corner_velocity_mm_per_s=own.square_corner_velocity_mm_per_s,
         z_velocity_mm_per_s=own.z_velocity_mm_per_s,
         z_acceleration_mm_per_s2=own.z_acceleration_mm_per_s2,
+        instantaneous_corner_velocity_mm_per_s=CORNER_MM_PER_S
+        if machine.pressure is None
+        else machine.pressure.corner_velocity_mm_per_s,
         delta=_slow_zones(machine.kinematics, machine.steps),
     )
 

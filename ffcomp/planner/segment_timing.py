@@ -18,6 +18,7 @@ from numba import njit
 
 from ffcomp.planner.corner import corner_ratios
 from models.arrays import FloatArray
+from models.pressure import CORNER_MM_PER_S
 
 SWEEPS = 12  # at most, of the fixed point between neighbouring speeds; it contracts by about Δv/(a S), 0.1 or less
 SETTLED_MM_PER_S = 1e-9  # a junction that moves less no longer moves the segments beside it
@@ -31,7 +32,7 @@ class SegmentLimits:
     acceleration_mm_per_s2: float = 100_000.0
     square_corner_velocity_mm_per_s: float = 100.0
     z_acceleration_mm_per_s2: float = 10_000.0  # the printer's own: a G-code file cannot raise it
-    instantaneous_corner_velocity_mm_per_s: float = 1.0  # extruder; Klipper's default
+    instantaneous_corner_velocity_mm_per_s: float = CORNER_MM_PER_S  # of the extruder
     retract_acceleration_mm_per_s2: float = 2600.0  # of the filament, on moves that pull it back; the printer's own
     raised_axes: str = "XYZ"  # whose limits the header opens where firmware has one for each: no lead screw's
 

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from ffcomp.report.shared.drawing import write_figure
 from ffcomp.report.shared.style import AFTER, BEFORE, NEIGHBOUR, REFERENCE, error_colours, plain_decades
+from ffcomp.simulate.flow import Flow
 from ffcomp.simulate.preview import Curve, Preview
 from models.arrays import BoolArray, FloatArray
 
@@ -67,19 +68,42 @@ def show_figure(preview: Preview, title: str, footer: str = "", z_mm: float | No
     worst = _worst_position(preview.before, z_mm)
     figure = Figure(figsize=(16, 8.4), layout="constrained")
     figure.suptitle(f"{title}\nWhole print: {verdict(preview)}", fontsize=13, x=0.01, ha="left")
-    rows: list[Any] = [["close", "before", "after"], ["time"] * 3, ["speed"] * 3]
-    rooms = (
-        figure.subplot_mosaic(rows, height_ratios=[2.2, 0.8, 0.6])
-        if retimed(preview)
-        else figure.subplot_mosaic(rows[:2], height_ratios=[2.2, 1])
-    )
+    rows, heights = _rows(preview)
+    rooms = figure.subplot_mosaic(rows, height_ratios=heights)
     _close_up(rooms["close"], preview, worst)
     _layer_maps(figure, rooms["before"], rooms["after"], preview, worst)
     _along_time(rooms["time"], preview, worst)
     if retimed(preview):
         _speeds(rooms["speed"], preview, worst)
+    if preview.flows is not None:
+        _flows(rooms["flow"], preview, preview.flows, worst)
     figure.supxlabel(footer, fontsize=8, color="#666666")
     return figure
+
+
+def _rows(preview: Preview) -> tuple[list[Any], list[float]]:
+    """Return the panels' names, row by row, and the rows' heights."""
+    names = [name for name, there in (("speed", retimed(preview)), ("flow", preview.flows is not None)) if there]
+    heights = [2.2, 0.8 if names else 1.0, *(0.6 for _ in names)]
+    return [["close", "before", "after"], ["time"] * 3, *([name] * 3 for name in names)], heights
+
+
+def _flows(axes: Axes, preview: Preview, flows: tuple[Flow, Flow], position: FloatArray) -> None:
+    """Draw what flows in the layer, on each print's own clock, by the machine file's model of the pressure."""
+    for curve, flow, colour, name in (
+        (preview.before, flows[0], BEFORE, "flow as sliced"),
+        (preview.after, flows[1], AFTER, "flow now"),
+    ):
+        inside = np.flatnonzero(np.abs(curve.reference[:, 2] - position[2]) < LAYER_MM)
+        if inside.size > 1:
+            t = curve.t[inside[0] : inside[-1] + 1]
+            axes.plot(t - t[0], flow.at(t), color=colour, linewidth=0.8, label=name)
+            if colour == BEFORE:
+                wanted = np.interp(t, flow.t, np.maximum(flow.pushed, 0.0))
+                axes.plot(t - t[0], wanted, color=REFERENCE, linewidth=0.6, label="wanted as sliced")
+    axes.set(xlabel="time in this layer, s", ylabel="filament, mm/s", ylim=(0.0, None))
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False)
 
 
 def retimed(preview: Preview) -> bool:

@@ -17,6 +17,7 @@ from ffcomp.planner.machine_limits import known_to_the_firmware, planner_limits
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion
 from ffcomp.simulate.alignment import move_times
+from ffcomp.simulate.flow import Flow, flow_of
 from ffcomp.simulate.linear import simulate_linear
 from ffcomp.simulate.motion import path_corners_with_rests
 from gcode.embedded import original_lines
@@ -25,6 +26,7 @@ from gcode.program import Program
 from gcode.reader import read_program
 from models.arrays import BoolArray, FloatArray
 from models.machine import Machine
+from models.pressure import Pressure
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +65,9 @@ class Preview:
     before: Curve
     after: Curve
     original: Original | None = None
+    flows: tuple[Flow, Flow] | None = (
+        None  # before and after, on their own clocks; None: no pressure in the machine file
+    )
 
 
 def preview(
@@ -103,7 +108,12 @@ def preview(
             after_t, after, after_reference, contour_error(path_in_after, corners, after_t, after), *kinds(after_due)
         ),
         Original(original, reference, before_t, after_due),
+        None if machine.pressure is None else _flows(reference, executed, machine.pressure),
     )
+
+
+def _flows(before: PlannedMotion, after: PlannedMotion, pressure: Pressure) -> tuple[Flow, Flow]:
+    return flow_of(before, pressure), flow_of(after, pressure)
 
 
 def _kinds(program: Program, plan: PlannedMotion) -> Callable[[FloatArray], tuple[BoolArray, BoolArray]]:

@@ -8,6 +8,7 @@ around them in sight, what the whole run says.
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -112,7 +113,7 @@ def timeline(
     lines, among, at = _lines_of(program, trajectory, run, reference, inside, tile)
     laid = _Laid(*_lay_out(at, lines.event >= 0, e, vertices, tile.first, reference.shortest_knots))
     laid.cut[np.searchsorted(laid.at, tile.end)] = True  # where a motion is cut that had to be slowed down
-    _meet_the_events(laid, program, run, e, lines, among)
+    _meet_the_events(laid, program, run, e, lines, among, reference.lead_at)
     lead_s = run.begin_t - reference.t0
     return Timeline(tile, laid.at, laid.e, laid.cut, laid.point, lines.line, lines.event, among, lead_s)
 
@@ -222,11 +223,18 @@ def _places(at: FloatArray, stands: BoolArray, e: FloatArray, first: int, shorte
 
 
 def _meet_the_events(
-    laid: _Laid, program: Program, run: Section, e: FloatArray, lines: _Lines, among: list[Event]
+    laid: _Laid,
+    program: Program,
+    run: Section,
+    e: FloatArray,
+    lines: _Lines,
+    among: list[Event],
+    lead_at: Callable[[FloatArray], FloatArray],
 ) -> None:
     """Give the filament at the points what the original's events say of it, in place.
 
     e : (n + 1,) mm at the knots, from the first point on
+    lead_at : how far it is ahead at places in knots, for the hot end's pressure
     """
     events = (lines.event >= 0) & (lines.move > run.first)
     if not events.any():
@@ -235,9 +243,9 @@ def _meet_the_events(
     move, place, point = lines.move[events], laid.place[events], laid.point[events]
     flows = (end[move - 1] - start[move - 1]) * (end[move] - start[move]) > 0.0
     known, which = _last_of_each(place[flows])
-    _meet(filament, laid.at, e, known, start[move[flows][which]])
-    _, turning = _last_of_each(place[~flows])  # where a flow begins, ends or turns back
-    filament[point[~flows][turning]] = start[move[~flows][turning]]
+    _meet(filament, laid.at, e, known, start[move[flows][which]] + lead_at(known))
+    turns, turning = _last_of_each(place[~flows])  # where a flow begins, ends or turns back
+    filament[point[~flows][turning]] = start[move[~flows][turning]] + lead_at(turns)
     renamed = _renames(program, lines.event[events], move, among)
     filament[point[renamed]] = start[move[renamed]]
 
