@@ -23,11 +23,12 @@ from ffcomp.steps.motion_chunk import ANY_HEIGHT, FULL_BYTES, MOST_KNOTS, RESTS_
 from ffcomp.steps.pieces import GRID_MM, Pieces
 from ffcomp.steps.sink import MotorTotal
 from gcode.atomic_write import replace_atomically
-from models.arrays import FloatArray
+from models.arrays import BoolArray, FloatArray
 
 MAGIC = b"FFCMOT1\n"
 SCHEMA = "ffcomp-motion/1"
 SOON_S = 1e-7
+STILL_MM_PER_S = 1e-6
 BLOCK_BYTES = 1 << 20
 _WAIT, _MOVE = re.compile(rb"[Gg]0*4(?!\d)"), re.compile(rb"[Gg]0*[01](?![\d.])")
 _FEED = re.compile(rb"[Ff]\s*\d[\d.]*")
@@ -75,7 +76,7 @@ class MotionSink:
         self._clock: float | None = None  # s; None before the first motion
         self._feed = b""  # a line, not yet told
         self._begin_s = 0.0
-        self._rests = self._height_known = True
+        self._rests = self._height_known = self._stopped = True
         self._records = self._text_bytes = 0
 
     def __enter__(self) -> Self:
@@ -125,6 +126,7 @@ class MotionSink:
         self._lines_until(begin + SOON_S)
         self._wait_until(begin)
         if _are_knots(pieces):
+            self._stopped = False  # only whoever has solved for them knows
             self._knots(pieces)
         else:
             self._ramps(pieces)
@@ -164,8 +166,12 @@ class MotionSink:
             first = last
 
     def _ramps(self, pieces: Pieces) -> None:
+        begins, ends = _still(pieces)
+        if self._stopped and begins[0]:
+            self.rest()
+        self._stopped = bool(ends[-1])
         rows = np.column_stack(pieces.columns[1:])
-        still = np.concatenate([[self._rests], _stands(pieces)])
+        still = [self._rests, *(ends[:-1] & begins[1:]).tolist(), False]
         first = 0
         for last in range(1, len(rows) + 1):
             more = last < len(rows)
@@ -242,10 +248,8 @@ def _are_knots(pieces: Pieces) -> bool:
     return bool(even and (pieces.start_v == 1.0).all() and not pieces.acceleration.any())
 
 
-def _stands(pieces: Pieces) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Whether the nozzle rests after each piece, (n,): it has come to rest, and the next one begins at rest."""
-    slow = 1e-6  # mm/s
+def _still(pieces: Pieces) -> tuple[BoolArray, BoolArray]:
+    """Whether the nozzle and the filament stand where each piece begins, and where it ends, (n,) each."""
     length = np.linalg.norm(pieces.direction, axis=1)
-    ends = length * (pieces.start_v + pieces.acceleration * pieces.duration) < slow
-    begins = np.append((length * pieces.start_v < slow)[1:], False)
-    return np.asarray(ends & begins)
+    ends = pieces.start_v + pieces.acceleration * pieces.duration
+    return length * pieces.start_v < STILL_MM_PER_S, length * ends < STILL_MM_PER_S

@@ -95,8 +95,9 @@ def test_moves_that_go_nowhere_only_tell_their_feed(tmp_path: Path) -> None:
     assert lines == ["M106 S1", "G1 F3600", "G1 X5"]
 
 
-def test_ramps_come_back_exactly(tmp_path: Path) -> None:
-    """Up, along and down again, twice; at rest between."""
+@pytest.mark.parametrize("at", [0, 3])
+def test_ramps_come_back_exactly(tmp_path: Path, at: int) -> None:
+    """Up, along and down again, twice; at rest between, however they are cut into calls."""
     speed = np.tile([0.0, 50.0, 50.0], 2)
     acceleration = np.tile([5000.0, 0.0, -5000.0], 2)
     lasts = np.full(6, 0.01)
@@ -106,7 +107,8 @@ def test_ramps_come_back_exactly(tmp_path: Path) -> None:
     start_t = np.concatenate([[0.0], np.cumsum(lasts)[:-1]])
     pieces = Pieces(start_t, lasts, direction * begin[:, None], direction, speed, acceleration)
     with MotionSink(tmp_path / "x.ffm", {}) as sink:
-        sink.pieces(pieces)
+        sink.pieces(pieces[:at])
+        sink.pieces(pieces[at:])
         sink.finish()
     header, records = read(tmp_path / "x.ffm")
     assert [(len(r.durations), r.rests_before, r.rests_after) for r in records] == [(3, True, True)] * 2
