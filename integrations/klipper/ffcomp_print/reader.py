@@ -35,7 +35,7 @@ class Text:
     __slots__ = ("lines",)
 
     def __init__(self, text):
-        self.lines = text.decode("utf-8", "replace").splitlines()
+        self.lines = text.decode("utf-8", "replace").split("\n")[:-1]
 
 
 class Wait:

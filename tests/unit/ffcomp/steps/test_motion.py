@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,7 @@ import pytest
 
 from ffcomp.steps.motion import MotionSink
 from ffcomp.steps.pieces import GRID_MM, Pieces, knot_pieces, on_grid
-from tests.support.klipper_host import reader
+from tests.support.klipper_host import FOLDER, reader
 
 FLAT = pytest.approx(0.0, abs=1e-12)
 
@@ -126,6 +128,31 @@ def test_a_long_print_is_in_parts(tmp_path: Path) -> None:
     _, records = read(tmp_path / "x.ffm")
     np.testing.assert_array_equal(records[-1].places[-1], knots[-1])
     assert records[-1].rests_after and len(data) < 40_000 * 5
+
+
+CARD = """
+import sys
+from ffcomp_print.text import MotionText
+text = MotionText(sys.argv[1])
+whole = "".join(iter(text.read, ""))
+assert len(whole.encode()) == text.size == text.tell(), (len(whole.encode()), text.size)
+lines, place = whole.split("\\n")[:-1], text.size
+for line in reversed(lines[-100:]):
+    place -= len(line.encode()) + 1
+    text.seek(place)
+    assert text.read().split("\\n")[0] == line
+text.seek(0)
+assert "".join(iter(text.read, "")) == whole
+"""
+
+
+def test_the_card_reads_it_as_text(tmp_path: Path) -> None:
+    """As long as it says, for the progress; from any of the last lines again, for a pause; and from the beginning."""
+    events = tuple((0.1 + 0.02 * k, f"M117 línea {k}\u2028x".encode()) for k in range(200))
+    write(tmp_path / "x.ffm", (0.1, places(3000)), events=events)
+    command = [sys.executable, "-c", CARD, str(tmp_path / "x.ffm")]
+    done = subprocess.run(command, cwd=FOLDER, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_nothing_is_left_behind_without_finish(tmp_path: Path) -> None:
