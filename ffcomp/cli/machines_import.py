@@ -59,8 +59,23 @@ Kinematics = Annotated[
 ]
 
 
+Alone = Annotated[
+    bool,
+    typer.Option(
+        "--alone",
+        rich_help_panel=MACHINE,
+        help="Read this file only, none that it includes: for a configuration from somebody else.",
+    ),
+]
+
+
 def import_machine(
-    file: File, output: Output = None, like: Like = None, kinematics: Kinematics = None, as_json: AsJson = False
+    file: File,
+    output: Output = None,
+    like: Like = None,
+    kinematics: Kinematics = None,
+    alone: Alone = False,
+    as_json: AsJson = False,
 ) -> None:
     """Import a Klipper, Kalico, RepRapFirmware or Marlin configuration. Never overwrites.
 
@@ -77,7 +92,7 @@ def import_machine(
         from models.file import check_text, find_machine
         from models.finding import user_folder
 
-        found = read_printer_config(file, kinematics)
+        found = read_printer_config(file, kinematics, alone)
         path = output or user_folder() / f"{file.stem}.toml"
         made = build_draft(found, path.stem, None if like is None else find_machine(like))
         text = machine_text(made, file)

@@ -22,12 +22,13 @@ MARLIN_ANSWER = {"M92", "M201", "M203"}  # a slicer writes the latter two as wel
 MOVES = {"G0", "G1", "G28"}  # a print, whatever limits it sets
 
 
-def read_printer_config(path: Path, kinematics: str | None = None) -> ConfigValues:
+def read_printer_config(path: Path, kinematics: str | None = None, alone: bool = False) -> ConfigValues:
     """Read the configuration in a file, whichever of the firmwares it is for.
 
     Parameters
     ----------
     kinematics : for Marlin, which does not tell: "cartesian" or "corexy".
+    alone : read no file that this one includes or runs: it comes from somebody who may not name files here.
 
     Raises
     ------
@@ -37,7 +38,7 @@ def read_printer_config(path: Path, kinematics: str | None = None) -> ConfigValu
     text = decoded(path)
     codes = {command.code for command in commands(text, path.name)}
     if KLIPPER.search(text):
-        return from_klipper(read_klipper(path))
+        return from_klipper(read_klipper(path, alone))
     if MARLIN_SOURCE.search(text):
         raise PrinterConfigError(
             f"{path}: this is source code, perhaps Marlin's Configuration.h; send M503 to the printer and import its "
@@ -46,7 +47,7 @@ def read_printer_config(path: Path, kinematics: str | None = None) -> ConfigValu
     if SMOOTHIEWARE.search(text):
         raise PrinterConfigError(f"{path}: this is Smoothieware's answer to M503, whose M665 ffcomp does not read.")
     if codes & ONLY_REPRAPFIRMWARE and not MARLIN.search(text):
-        return from_reprapfirmware(path)
+        return from_reprapfirmware(path, alone)
     if codes >= MARLIN_ANSWER and not codes & MOVES:
         return from_marlin(path, kinematics)
     raise PrinterConfigError(

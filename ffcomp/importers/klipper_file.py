@@ -53,6 +53,7 @@ class KlipperConfig:
     options: dict[tuple[str, str], Option] = field(default_factory=dict)  # (section, option in small letters)
     remarks: list[str] = field(default_factory=list)  # sentences about parts that were not read
     files: int = 0  # included so far
+    alone: bool = False  # no other file is read
 
     def text(self, section: str, option: str) -> Option | None:
         """Return an option with Kalico's references filled in."""
@@ -79,8 +80,8 @@ class KlipperConfig:
         return option.text[: reference.start()] + self.options[referred].text + option.text[reference.end() :]
 
 
-def read_klipper(path: Path) -> KlipperConfig:
-    """Read a `printer.cfg` with all it includes.
+def read_klipper(path: Path, alone: bool = False) -> KlipperConfig:
+    """Read a `printer.cfg` with all it includes, or without if it is read alone.
 
     Raises
     ------
@@ -88,7 +89,7 @@ def read_klipper(path: Path) -> KlipperConfig:
         For a line that is neither a section nor an option, a file that includes itself, a damaged SAVE_CONFIG block.
     """
     regular, head, block = decoded(path).partition(SAVED_HEAD)
-    config, saved = KlipperConfig(path.name), KlipperConfig(path.name)
+    config, saved = KlipperConfig(path.name, alone=alone), KlipperConfig(path.name, alone=alone)
     first_line = (regular + head).count("\n") + 1
     _refuse_stray_marks(regular, path)
     _read(regular, 1, path, config, (path.resolve(),))
@@ -158,6 +159,9 @@ def _take(line: str, section: str, place: str, config: KlipperConfig) -> str:
 
 
 def _include(pattern: str, place: str, source: Path, config: KlipperConfig, within: tuple[Path, ...]) -> None:
+    if config.alone:
+        config.remarks.append(f"{place}: [include {pattern}]: only this file is read, not what it includes.")
+        return
     files = list(_included(pattern, source))
     if not files and not glob.has_magic(pattern):
         config.remarks.append(f"{place}: [include {pattern}]: there is no such file; what it sets was not read.")

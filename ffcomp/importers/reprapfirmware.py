@@ -64,13 +64,14 @@ class Settings:
     shaper: str = ""
     notes: list[str] = field(default_factory=list)
     files: int = 0  # run so far
+    alone: bool = False  # no other file is read
 
     def first(self, code: str, letter: str) -> Value | None:
         """Return the first number of a letter of a command."""
         return next(iter(self.kept.get((code, letter), [])), None)
 
 
-def from_reprapfirmware(path: Path) -> ConfigValues:
+def from_reprapfirmware(path: Path, alone: bool = False) -> ConfigValues:
     """Collect all values of a `config.g` that a machine file can hold.
 
     Raises
@@ -78,7 +79,7 @@ def from_reprapfirmware(path: Path) -> ConfigValues:
     PrinterConfigError
         Where a number is none, macros run in a circle, or the kinematics are unsupported.
     """
-    settings = Settings()
+    settings = Settings(alone=alone)
     for command in _run(path, settings, (path.resolve(),)):
         _apply(command, settings)
     kind, origin = settings.kinematics
@@ -109,6 +110,9 @@ def _macro(
     command: Command, name: str, source: Path, settings: Settings, within: tuple[Path, ...]
 ) -> Iterator[Command]:
     """Find a macro in /sys, or in another folder of the same card, and yield its commands."""
+    if settings.alone:
+        settings.notes.append(f"{command.place}: {command.code} runs {name}; only this file is read.")
+        return
     relative = name.removeprefix("0:").removeprefix("/sys/").lstrip("/")
     file = next(
         (place / relative for place in (source.parent, source.parent.parent) if (place / relative).is_file()), None

@@ -20,7 +20,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from ffcomp.serve import machines, messages
-from ffcomp.serve.commands import KINDS, checked
+from ffcomp.serve.commands import KINDS, MEASURED, checked
 from ffcomp.serve.guard import Guard
 from ffcomp.serve.jobs import ENDED, Job
 from ffcomp.serve.printer import Printer
@@ -130,6 +130,8 @@ class Server:
         machine = str(asked.get("machine") or "")
         if KINDS[kind].machine:
             machines.path_of(machine)
+        if kind in MEASURED and any(upload.name.lower().endswith(".json") for upload, _ in given):
+            raise Refused(400, "A plan is not dropped: choose the moves that this server has written.")
         names = [upload.name for upload, _ in given] + [path.name for path in plan]
         if len(set(names)) < len(names):
             raise Refused(400, "Two of the files have the same name.")

@@ -13,6 +13,7 @@ PICTURE, REPORT, BETTER = "picture.png", "report.html", "better.toml"
 MOVES, PLAN = "moves.gcode", "moves.json"
 FLAVORS = ("klipper", "marlin", "reprapfirmware")
 MOST_CAPTURES = 200
+MEASURED = ("diagnose", "fit")  # kinds that take captures
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +83,8 @@ def read_machine(request: Request) -> list[Step]:
     if source.suffix.lower() == ".toml":
         return [Step(("machines", "check", str(source), "--json"), "checking the machine file")]
     target = str(request.out / f"{request.options['name']}.toml")
-    words = ("machines", "import", str(source), "-o", target, "--json", *_words(request.options, skip=("name",)))
+    words = ("machines", "import", str(source), "-o", target, "--alone", "--json")
+    words += tuple(_words(request.options, skip=("name",)))
     return [Step(words, "reading the configuration")]
 
 

@@ -142,6 +142,18 @@ def test_no_path_of_a_visitor_leads_to_a_file(path: str, page: Any, monkeypatch:
     assert answer.status == 404 and b"root:" not in body and b"secret" not in body
 
 
+@pytest.mark.parametrize(("name", "line"), [("printer.cfg", "[include {}]"), ("config.g", 'M98 P"{}"')])
+def test_a_configuration_reads_no_other_file_of_the_server(name: str, line: str, page: Any, tmp_path: Path) -> None:
+    secret = tmp_path / "secret"
+    secret.write_text("[printer]\nhush: 42\nM92 hush42\n")
+    config = (EXAMPLES / name).read_bytes()
+    text = b"".join(line.format(each).encode() + b"\n" for each in (secret, "../../../../../secret", "*/../*"))
+    job = wait_for(page, started(page, "import", [uploaded(page, name, config + b"\n" + text)]))
+    told = json.dumps(job) + page.get(f"/api/jobs/{job['id']}/log").text
+    assert job["state"] == "done" and "hush" not in told, told
+    assert "nly this file is read" in told
+
+
 def test_what_is_asked_wrongly_is_a_sentence(page: Any) -> None:
     one = uploaded(page, "a.gcode", WIGGLE)
     asked: list[tuple[dict[str, Any], str]] = [
@@ -152,6 +164,7 @@ def test_what_is_asked_wrongly_is_a_sentence(page: Any) -> None:
         ({"kind": "compensate", "files": "all", "machine": "kossel"}, "must be a list"),
         ({"kind": "diagnose", "files": [one, one], "machine": "kossel"}, "same name"),
         ({"kind": "diagnose", "files": [one], "machine": "kossel", "plan": "../x"}, "no such job"),
+        ({"kind": "fit", "files": [uploaded(page, "p.json", b"{}")], "machine": "kossel"}, "A plan is not dropped"),
         ({"kind": "sh", "files": []}, "no kind of job"),
         ({"kind": "compensate", "files": [one], "machine": "kossel", "options": {"jobs": 99}}, "no option"),
     ]

