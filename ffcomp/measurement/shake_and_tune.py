@@ -17,8 +17,11 @@ import numpy as np
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.capture import Capture, make_capture
 from ffcomp.measurement.table import Table
+from gcode.text import most_unpacked
 from models.arrays import FloatArray
 
+PIECE = 1 << 20  # bytes that are unpacked at a time
+FED = 256  # packed bytes at a time, where what they unpack to cannot be bounded: some megabytes at most
 MAGIC = b"\x28\xb5\x2f\xfd"
 _COLUMNS = ("time", "accel_x", "accel_y", "accel_z")
 _AXIS = re.compile(r"(axis_[XYZ]|belt_[AB])(?=_|$)")
@@ -98,17 +101,39 @@ def _unpacked(path: str | Path) -> bytes:
 
 
 def _standard(library: Any, packed: bytes) -> bytes:
-    """Unpack with Python's own library (3.14 and later)."""
-    return bytes(library.decompress(packed))
+    """Unpack with Python's own library (3.14 and later), frame by frame."""
+    pieces: list[bytes] = []
+    most = most_unpacked(len(packed))
+    while packed:
+        frame, given = library.ZstdDecompressor(), packed
+        while not frame.eof:
+            pieces.append(frame.decompress(given, max_length=PIECE))
+            given = b""
+            if not pieces[-1] and frame.needs_input:
+                raise ValueError("the file ends in the middle")
+            most = _left(most, pieces[-1])
+        packed = frame.unused_data
+    return b"".join(pieces)
 
 
 def _package(library: Any, packed: bytes) -> bytes:
     """Unpack with the package zstandard, frame by frame; a frame need not state its size."""
-    pieces = []
+    pieces: list[bytes] = []
+    most = most_unpacked(len(packed))
     while packed:
-        frame = library.ZstdDecompressor().decompressobj()
-        pieces.append(frame.decompress(packed))
+        frame, at = library.ZstdDecompressor().decompressobj(), 0
+        while not frame.eof and at < len(packed):
+            pieces.append(frame.decompress(packed[at : at + FED]))
+            at += FED
+            most = _left(most, pieces[-1])
         if not frame.eof:
             raise ValueError("the file ends in the middle")
-        packed = frame.unused_data
+        packed = frame.unused_data + packed[at:]
     return b"".join(pieces)
+
+
+def _left(most: int, piece: bytes) -> int:
+    """Return how much may still come: archives can be made that fill any memory."""
+    if len(piece) > most:
+        raise ValueError("it unpacks to more than any recording does")
+    return most - len(piece)

@@ -83,8 +83,8 @@ def read_machine(request: Request) -> list[Step]:
     if source.suffix.lower() == ".toml":
         return [Step(("machines", "check", str(source), "--json"), "checking the machine file")]
     target = str(request.out / f"{request.options['name']}.toml")
-    words = ("machines", "import", str(source), "-o", target, "--alone", "--json")
-    words += tuple(_words(request.options, skip=("name",)))
+    options = _words(request.options, skip=("name",))
+    words = ("machines", "import", str(source), "-o", target, "--alone", "--json", *options)
     return [Step(words, "reading the configuration")]
 
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import bz2
 import json
 import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.sensors import G
+from ffcomp.measurement.shake_and_tune import _standard
 from ffcomp.measurement.vibration import read_capture, read_captures, read_vibration
 
 RATE, COUNT = 3200.0, 3200
@@ -103,6 +106,25 @@ def test_shake_and_tune_holds_several_captures_in_one_file(tmp_path: Path) -> No
     with pytest.raises(MeasurementError, match=r"holds 2 captures \(belt_A_20251203_133943, belt_B"):
         read_vibration(path)
     assert read_capture(stdata(tmp_path / "one.stdata", ["axis_X_2025"])).axis == "x"
+
+
+def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path: Path) -> None:
+    zstandard = pytest.importorskip("zstandard")
+    path = tmp_path / "bomb.stdata"
+    path.write_bytes(zstandard.ZstdCompressor().compress(bytes(100 << 20)))
+    with pytest.raises(MeasurementError, match="unpacks to more than any recording does"):
+        read_capture(path)
+
+
+def test_pythons_own_library_unpacks_frames_and_refuses_the_same() -> None:
+    """Of Python 3.14; that of bzip2 has the same interface."""
+    library = SimpleNamespace(ZstdDecompressor=bz2.BZ2Decompressor)
+    packed = bz2.compress(b"a" * 5_000_000) + bz2.compress(b"b")
+    assert _standard(library, packed) == b"a" * 5_000_000 + b"b"
+    with pytest.raises((ValueError, EOFError)):
+        _standard(library, packed[:-3])
+    with pytest.raises(ValueError, match="unpacks to more"):
+        _standard(library, bz2.compress(bytes(100 << 20)))
 
 
 def test_shake_and_tune_in_pieces_is_refused(tmp_path: Path) -> None:
