@@ -40,15 +40,15 @@ CLOSE = 0.01  # between the forecast and the bound: no more steps
 FIRST = 8000.0  # mm/s²
 RANGE = (50.0, 1e6)  # mm/s²
 FORECAST_POWER, POWER = 0.8, 1.2  # of the acceleration, that the forecast and the error go with: usual,
-POWERS = (0.7, 2.5)  # and at least and at most
+POWERS = (0.5, 2.5)  # and at least and at most
 APART = 0.02  # in the acceleration's logarithm: what is nearer tells nothing of its power
 WRONG = 0.65  # of the forecast is there, as long as nothing is known
 CORNER_S = 1.6e-3  # square corner velocity for an acceleration: so much rings as little of the one as of the other
 SPOTS = 2.5  # times the bound, that single spots may have
 AIM = 0.97  # of the bound and of the limits
-SLOWEST = 0.55  # factor of one round
+SETTLED, SLOWEST = 0.92, 0.55  # of a limit, that a move comes down to which is beyond it; and the factor of one round
 NEARLY = 1.04  # demand that is let pass: the time scaling of the solution slows down what is a little beyond a limit
-MORE = 6  # rounds in which a section alone becomes slower where it is beyond a limit or a spot's bound
+MORE = 8  # rounds in which a section alone becomes slower where it is beyond a limit or a spot's bound
 TRIES = 4  # to give some moves the slicer's motion, before all get it
 
 
@@ -144,8 +144,8 @@ class SectionSearch:
     def _slower(self, demand: Demand) -> Moves:
         """Return the moves of the next round."""
         moves, free = self.moves, self.free
-        by_acceleration = _factor(demand.acceleration, 0.8, SLOWEST)
-        by_speed = _factor(demand.speed, 1.0, 0.8)
+        by_acceleration = _factor(demand.acceleration, SLOWEST)
+        by_speed = _factor(demand.speed, 0.8)
         return replace(
             moves,
             acceleration=np.where(free, moves.acceleration * by_acceleration, moves.acceleration),
@@ -193,21 +193,19 @@ class _Rounds:
 
     def accelerate(self) -> None:
         """Find the acceleration at which the forecast of the percentile is the bound."""
-        for _ in range(STEPS):
+        known: list[tuple[float, float]] = []
+        for step in range(STEPS):
             for each in self.sections:
                 each.accelerate(self.acceleration, self.bound_mm)
-            share = AIM / max(self.wrong * _foretold(self.sections, self.still_s), 1e-3)
-            if abs(share - 1.0) < CLOSE or (share > 1.0 and self.at_the_top):
+            p99 = max(self.wrong * _foretold(self.sections, self.still_s), 1e-3)
+            known.append((self.acceleration, p99))
+            if abs(p99 / AIM - 1.0) < CLOSE or (p99 < AIM and self.at_the_top) or step == STEPS - 1:
                 return
-            self.acceleration = float(np.clip(self.acceleration * share ** (1.0 / FORECAST_POWER), *RANGE))
+            self.acceleration = _nearer(known, FORECAST_POWER)
 
     def nearer(self) -> None:
-        """Take the acceleration at which the percentile would be the bound, going on as between the last two of it."""
-        (before, was), (now, p99) = self.proven[-2:] if len(self.proven) > 1 else [(1.0, 1.0), self.proven[-1]]
-        apart = np.log(now / before)
-        power = np.log(p99 / was) / apart if len(self.proven) > 1 and abs(apart) > APART else POWER
-        share = (AIM / p99) ** (1.0 / np.clip(power, *POWERS))
-        self.acceleration = float(np.clip(self.acceleration * share, *RANGE))
+        """Take the acceleration at which the percentile would be the bound."""
+        self.acceleration = _nearer(self.proven, POWER)
         for each in self.sections:
             each.accelerate(self.acceleration, self.bound_mm)
 
@@ -226,6 +224,18 @@ class _Rounds:
         if len(some) == len(self.sections):
             self.proven.append((self.acceleration, p99))
         return p99
+
+
+def _nearer(known: Sequence[tuple[float, float]], usual: float) -> float:
+    """Return the acceleration at which the percentile would be the bound.
+
+    known : accelerations and percentiles; the last two tell with which power of the one the other goes, if they can
+    """
+    now, p99 = known[-1]
+    power = usual
+    if len(known) > 1 and abs(np.log(now / known[-2][0])) > APART:
+        power = float(np.clip(np.log(p99 / known[-2][1]) / np.log(now / known[-2][0]), *POWERS))
+    return float(np.clip(now * (AIM / p99) ** (1.0 / power), *RANGE))
 
 
 def _lasting(sections: Sequence[SectionSearch]) -> float:
@@ -264,8 +274,6 @@ def _foretold(sections: Sequence[SectionSearch], still_s: float) -> float:
     return float(np.partition(error, len(error) - 1 - beyond)[len(error) - 1 - beyond])
 
 
-def _factor(demand: FloatArray, power: float, least: float) -> FloatArray:
+def _factor(demand: FloatArray, least: float) -> FloatArray:
     """Return by how much moves become slower, (n,)."""
-    factor = np.clip((AIM / np.maximum(demand, 1e-3)) ** power, least, 1.0)
-    factor[demand <= 1.0] = 1.0
-    return np.asarray(factor)
+    return np.where(demand > 1.0, np.clip(SETTLED / np.maximum(demand, 1e-3), least, 1.0), 1.0)
