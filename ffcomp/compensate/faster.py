@@ -24,6 +24,7 @@ from gcode.layers import labels
 from gcode.program import Program
 from models.arrays import BoolArray
 
+HELD = 1.02  # times the bound, that the 99th percentile may have: what becomes slower at the end may change it a little
 SPOTS = 2.6  # times the bound, that single spots may have: a little more than in the search
 
 
@@ -95,7 +96,7 @@ def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel, smooth: bool) 
     slicers = firmware_plan(program, machine)
     near = _near_cuts(chunk, slicers)
     found = faster_program(program, model, bound, chunk.layers, chunk.feature, near)
-    said = _given_up(chunk, found)
+    said = (*_not_held(chunk, found), *_given_up(chunk, found))
     if said and model.settings.strict:
         raise LimitsError(said[0])
     quick: Program | None = found.program
@@ -142,6 +143,16 @@ def _not_faster(chunk: Chunk) -> str:
     return (
         f"line {line}: the motion from here on does not rest, and too little of it lies between cuts; "
         "it keeps the slicer's speed, and its error is not bounded."
+    )
+
+
+def _not_held(chunk: Chunk, found: FasterProgram) -> tuple[str, ...]:
+    if found.p99 <= HELD:
+        return ()
+    line = chunk.program.first_line + int(chunk.program.moves.line[0]) + 1
+    return (
+        f"line {line}: the bound is not held from here on, however slow: for 1 % of the time the predicted error is "
+        f"above {found.p99:.2g} times it. A higher bound would be, or fewer features that keep the slicer's motion.",
     )
 
 

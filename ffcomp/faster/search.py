@@ -42,10 +42,10 @@ RANGE = (50.0, 1e6)  # mm/s²
 FORECAST_POWER, POWER = 0.8, 1.2  # of the acceleration, that the forecast and the error go with: usual,
 POWERS = (0.5, 2.5)  # and at least and at most
 APART = 0.02  # in the acceleration's logarithm: what is nearer tells nothing of its power
-WRONG = 0.65  # of the forecast is there, as long as nothing is known
+WRONG = 0.62  # of the forecast is there
 CORNER_S = 1.6e-3  # square corner velocity for an acceleration: so much rings as little of the one as of the other
 SPOTS = 2.5  # times the bound, that single spots may have
-AIM = 0.97  # of the bound and of the limits
+AIM = 0.98  # of the bound and of the limits
 SETTLED, SLOWEST = 0.92, 0.55  # of a limit, that a move comes down to which is beyond it; and the factor of one round
 NEARLY = 1.04  # demand that is let pass: the time scaling of the solution slows down what is a little beyond a limit
 MORE = 8  # rounds in which a section alone becomes slower where it is beyond a limit or a spot's bound
@@ -164,11 +164,12 @@ def search(sections: Sequence[SectionSearch], still_s: float) -> float:
     if not sections:
         return 0.0
     rounds, best = _Rounds(sections, still_s), _Best()
+    rounds.accelerate()
     if len(sections) >= LEAST_SAMPLE:
-        rounds.accelerate()
         some = sections[SAMPLE // 2 :: SAMPLE]
         rounds.prove(some, still_s * _lasting(some) / _lasting(sections))
-    rounds.accelerate()
+        rounds.nearer()
+        rounds.proven.clear()  # of some sections, not of all
     for number in range(PREDICTED):
         if number:
             rounds.nearer()
@@ -187,7 +188,7 @@ class _Rounds:
 
     def __init__(self, sections: Sequence[SectionSearch], still_s: float) -> None:
         self.sections, self.still_s = sections, still_s
-        self.acceleration, self.wrong = FIRST, WRONG  # by which a forecast of the percentile is to be multiplied
+        self.acceleration = FIRST
         self.proven: list[tuple[float, float]] = []  # accelerations, and their percentiles
         self.bound_mm = max(float(each.opened.bound_mm.max()) for each in sections)
 
@@ -197,7 +198,7 @@ class _Rounds:
         for step in range(STEPS):
             for each in self.sections:
                 each.accelerate(self.acceleration, self.bound_mm)
-            p99 = max(self.wrong * _foretold(self.sections, self.still_s), 1e-3)
+            p99 = max(WRONG * _foretold(self.sections, self.still_s), 1e-3)
             known.append((self.acceleration, p99))
             if abs(p99 / AIM - 1.0) < CLOSE or (p99 < AIM and self.at_the_top) or step == STEPS - 1:
                 return
@@ -220,9 +221,7 @@ class _Rounds:
         for each in some:
             each.prove()
         p99 = _percentile(some, still_s)
-        self.wrong = p99 / max(_foretold(some, still_s), 1e-3)
-        if len(some) == len(self.sections):
-            self.proven.append((self.acceleration, p99))
+        self.proven.append((self.acceleration, p99))
         return p99
 
 

@@ -80,6 +80,32 @@ def test_a_looser_bound_is_quicker(squares: Program, model: InverseModel) -> Non
     assert times[0] > times[1] >= times[2]
 
 
+def test_at_a_wide_bound_the_carriages_limits_are_kept_and_nothing_falls_back(
+    squares: Program, model: InverseModel
+) -> None:
+    """What was beyond a limit once had the slicer's motion, so that a wider bound gave a slower print."""
+    found = of(squares, model, 400.0, change_speed=("bridge infill", "First layer"))
+    quick = planned(found, model)
+    (section,) = quick.sections
+    written = WHOLE.written(quick.trajectory, section, model.settings)
+    state = model.machine.equilibrium(squares.moves.start[0, :3])
+    assert solve(model, written.reference, state, enforce_limits=False).utilisation < 1.05
+    assert not found.given_up.any()
+    tighter = of(squares, model, 50.0, change_speed=("bridge infill", "First layer"))
+    assert quick.trajectory.end_t <= 1.01 * planned(tighter, model).trajectory.end_t
+
+
+def test_what_is_not_known_costs_time_and_the_percentile_is_near_the_bound(squares: Program) -> None:
+    times = []
+    for sd in (0.0, 0.05):
+        machine = replace(load_machine("mp-delta-pro"), uncertainty={"default": sd})
+        own = InverseModel(machine, replace(settings_for(machine), robust=True, robust_quickly=True))
+        found = of(squares, own, 15.0, change_speed=("bridge infill", "First layer"))
+        times.append(planned(found, own).trajectory.end_t)
+    assert times[1] > 1.02 * times[0]
+    assert 0.85 < found.p99 <= 1.0
+
+
 def test_first_layer_and_bridges_keep_the_slicers_motion(squares: Program, model: InverseModel) -> None:
     moves, was = of(squares, model, 25.0).program.moves, squares.moves
     kept = [0, 1, 2, 7]
