@@ -29,6 +29,7 @@ PATIENCE_S = 5.0  # between asking a process to end and killing it
 CLEAN_EVERY_S = 3600.0
 STOPPED = "The server was stopped while this ran. Nothing was changed: start it again."
 NICENESS = 10  # on a printer's computer the printer comes first
+OOM_SCORE = "800"  # of Linux, -1000 (never) to 1000 (first)
 MOST_JOBS = 500
 
 
@@ -288,9 +289,12 @@ def _environment() -> dict[str, str]:
 
 
 def _be_nice(pid: int) -> None:
+    """Let everything else go first, and let a computer that runs out of memory end this process before others."""
     if hasattr(os, "setpriority"):
         with suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, pid, NICENESS)
+    with suppress(OSError):
+        Path(f"/proc/{pid}/oom_score_adj").write_text(OOM_SCORE, encoding="ascii")
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

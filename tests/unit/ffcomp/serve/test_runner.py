@@ -124,6 +124,14 @@ def _removed(of: Runner, id_: str) -> bool:
     return True
 
 
+@pytest.mark.skipif(not Path("/proc/self/oom_score_adj").exists(), reason="of Linux")
+def test_a_printers_host_goes_before_a_job(tmp_path: Path) -> None:
+    with runner(tmp_path) as made:
+        pid = running(made, add(made, "slow")).pid
+        assert os.getpriority(os.PRIO_PROCESS, pid) == 10
+        assert Path(f"/proc/{pid}/oom_score_adj").read_text().strip() == "800"
+
+
 def test_what_does_not_end_when_asked_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ffcomp.serve.runner.PATIENCE_S", 0.2)
     with runner(tmp_path) as made:
