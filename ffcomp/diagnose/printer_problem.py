@@ -149,10 +149,11 @@ class PrinterProblem(Problem):
         machines = [self.machine_with(values) for values in many]
         converted = [_converted(machine) for machine in machines]
         printers = {n: each for n, each in enumerate(converted) if not isinstance(each, ValueError)}
+        longest = {n: _longest(printer, coarse) for n, printer in printers.items()}
         by_steps: dict[_Steps, list[tuple[int, int]]] = {}
         for i in sorted(needed, key=lambda i: len(self.commands[i])):
-            for n, printer in printers.items():
-                by_steps.setdefault(_steps(printer, self.observations[i].rate_hz, coarse), []).append((n, i))
+            for n, step_s in longest.items():
+                by_steps.setdefault(_steps(step_s, self.observations[i].rate_hz), []).append((n, i))
         packs = [
             (steps, tasks[k : k + LANES]) for steps, tasks in by_steps.items() for k in range(0, len(tasks), LANES)
         ]
@@ -208,12 +209,14 @@ class _Steps:
     substeps: int
 
 
-def _steps(printer: ConvertedPrinter, rate_hz: float, coarse: bool) -> _Steps:
+def _longest(printer: ConvertedPrinter, coarse: bool) -> float:
     longest = longest_step(*printer)
     if longest == SMOOTH_STEP_S:
-        longest = COARSE_STEP_S if coarse else STEP_S
-    elif coarse:
-        longest = max(longest, COARSE_KINKED_STEP_S)
+        return COARSE_STEP_S if coarse else STEP_S
+    return max(longest, COARSE_KINKED_STEP_S) if coarse else longest
+
+
+def _steps(longest: float, rate_hz: float) -> _Steps:
     return _Steps(1 / rate_hz, math.ceil(1 / rate_hz / longest / LONGER_STEP))
 
 

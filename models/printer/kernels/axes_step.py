@@ -64,8 +64,10 @@ def step_lanes(m: FloatArray, h: float, has: ActiveEffects, springs: bool, swayi
     sine or a power: motors' torque, friction that fades otherwise than by the square.
     """
     lanes = len(m) // ALL_ROWS  # LANES, which the compiler is not to know: it would write each lane out
-    if odd or (swaying and (springs or has.guides)):
+    if odd:
         _everything(m, h, lanes)
+    elif swaying and (springs or has.guides):
+        _most(m, h, lanes)
     elif swaying:
         _swaying(m, h, lanes)
     elif has.sticking:
@@ -108,6 +110,12 @@ def _sticking(m: FloatArray, h: float, lanes: int) -> None:
 def _swaying(m: FloatArray, h: float, lanes: int) -> None:
     for l in range(min(lanes, LANES)):
         _step(m, l, h, False, False, False, True, False)
+
+
+@compiled
+def _most(m: FloatArray, h: float, lanes: int) -> None:
+    for l in range(min(lanes, LANES)):
+        _step(m, l, h, True, True, True, True, False)
 
 
 @compiled

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +32,7 @@ from models.printer.kernels.record import (
     V,
     parameter_rows,
 )
-from models.printer.kernels.vectors import at, sine
+from models.printer.kernels.vectors import at, sine_cosine
 
 WEIGHT, BELT_K, BELT_C, GUIDE_B = parameter_rows("weight", "belt_k", "belt_c", "guide_b")
 IDEAL, D0, LEAD, D2 = parameter_rows("ideal_drive", "d0", "lead", "d2")
@@ -42,7 +41,6 @@ SLOPE, CENTRE, HALF_BACKLASH, LANDING = parameter_rows("slope", "centre", "half_
 INVERSE_AMPLITUDE, BELT_SHARE, DELAY = parameter_rows("inverse_amplitude", "belt_share", "delay")
 COGGING, WAVE, PHASE = parameter_rows("ripple", "wave", "phase")
 SECOND_SINE, SECOND_COSINE = parameter_rows("second_sine", "second_cosine")
-QUARTER = 0.5 * math.pi
 
 NEWTON_STEPS = 3  # for a motor's angle: with 0.3 of the give in the belt, exact to 1e-10 up to the peak
 
@@ -122,7 +120,7 @@ def rippled(m: FloatArray, n: int, command: float, rate: float) -> tuple[float, 
     amplitude, wave = at(m, COGGING, n), at(m, WAVE, n)
     phase = wave * command + at(m, PHASE, n)
     up, down = at(m, SECOND_SINE, n), at(m, SECOND_COSINE, n)
-    first, second = sine(phase), sine(phase + QUARTER)
+    first, second = sine_cosine(phase)
     twice_sine, twice_cosine = 2.0 * first * second, 1.0 - 2.0 * first * first
     slope = second + 2.0 * (up * twice_cosine - down * twice_sine)
     return amplitude * (first + up * twice_sine + down * twice_cosine), amplitude * wave * slope * rate
@@ -157,11 +155,11 @@ def torque(m: FloatArray, n: int, stretch: float) -> float:
     """Return a sin θ of one motor; the stretch itself without the effect."""
     inverse, share = at(m, INVERSE_AMPLITUDE, n), at(m, BELT_SHARE, n)
     told = inverse * stretch
-    angle = told
+    angle, sine, cosine = told, *sine_cosine(told)
     for _ in range(NEWTON_STEPS):
-        over = (1.0 - share) * angle + share * sine(angle) - told
-        angle -= over / (1.0 - share + share * sine(angle + QUARTER))
-    return sine(angle) / inverse if inverse != 0.0 else stretch
+        angle -= ((1.0 - share) * angle + share * sine - told) / (1.0 - share + share * cosine)
+        sine, cosine = sine_cosine(angle)
+    return sine / inverse if inverse != 0.0 else stretch
 
 
 @compiled

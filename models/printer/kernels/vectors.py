@@ -85,22 +85,24 @@ def tanh(x: float) -> float:
 
 
 TURN = 2.0 * math.pi
+S1, S2, S3, S4, S5, S6, S7, S8 = (float((-1) ** n / math.factorial(2 * n + 1)) for n in range(1, 9))
+C1, C2, C3, C4, C5, C6, C7, C8 = (float((-1) ** n / math.factorial(2 * n)) for n in range(1, 9))
+L1, L2, L3, L4, L5, L6, L7 = (1.0 / (2 * n + 1) for n in range(1, 8))
+E2, E3, E4, E5, E6, E7, E8 = (1.0 / math.factorial(n) for n in range(2, 9))
 
 
 @inlined
-def sine(x: float) -> float:
-    """Compute sin x to 1e-14 and what rounding x costs, without branches.
+def sine_cosine(x: float) -> tuple[float, float]:
+    """Compute sin x and cos x to 1e-14 and what rounding x costs, without branches.
 
-    With x within half a turn of zero, a Taylor polynomial of sin x/3, then sin 3a = 3 sin a − 4 sin³ a.
+    With x within half a turn of zero, Taylor polynomials at a = x/3, then sin 3a = 3 sin a − 4 sin³ a and
+    cos 3a = 4 cos³ a − 3 cos a.
     """
-    a = (x - TURN * np.floor(x / TURN + 0.5)) / 3.0
-    s = a * a
-    p = 1.0 - s / 210.0 * (1.0 - s / 272.0 * (1.0 - s / 342.0))
-    y = a * (
-        1.0
-        - s / 6.0 * (1.0 - s / 20.0 * (1.0 - s / 42.0 * (1.0 - s / 72.0 * (1.0 - s / 110.0 * (1.0 - s / 156.0 * p)))))
-    )
-    return y * (3.0 - 4.0 * y * y)
+    a = (x - TURN * np.floor(x * (1.0 / TURN) + 0.5)) * (1.0 / 3.0)
+    q = a * a
+    s = a + a * q * (S1 + q * (S2 + q * (S3 + q * (S4 + q * (S5 + q * (S6 + q * (S7 + q * S8)))))))
+    c = 1.0 + q * (C1 + q * (C2 + q * (C3 + q * (C4 + q * (C5 + q * (C6 + q * (C7 + q * C8)))))))
+    return s * (3.0 - 4.0 * s * s), c * (4.0 * c * c - 3.0)
 
 
 @inlined
@@ -112,14 +114,10 @@ def power(x: float, p: float) -> float:
     y = math.sqrt(math.sqrt(math.sqrt(min(max(x, 1e-60), 1e12))))
     y = math.sqrt(math.sqrt(math.sqrt(math.sqrt(y))))
     u = (y - 1.0) / (y + 1.0)
-    s = u * u
-    log = (
-        256.0 * u * (1.0 + s * (1 / 3 + s * (1 / 5 + s * (1 / 7 + s * (1 / 9 + s * (1 / 11 + s * (1 / 13 + s / 15)))))))
-    )
-    z = min(max(p * log, -500.0), 500.0) / 1024.0
-    e = 1.0 + z * (
-        1.0 + z / 2 * (1.0 + z / 3 * (1.0 + z / 4 * (1.0 + z / 5 * (1.0 + z / 6 * (1.0 + z / 7 * (1.0 + z / 8))))))
-    )
+    q = u * u
+    log = 256.0 * (u + u * q * (L1 + q * (L2 + q * (L3 + q * (L4 + q * (L5 + q * (L6 + q * L7)))))))
+    z = min(max(p * log, -500.0), 500.0) * (1.0 / 1024.0)
+    e = 1.0 + z + z * z * (E2 + z * (E3 + z * (E4 + z * (E5 + z * (E6 + z * (E7 + z * E8))))))
     e *= e
     e *= e
     e *= e

@@ -21,8 +21,8 @@ from models.machine import Machine
 from models.printer.kernels import integrate, jit, record
 from models.printer.kernels.equilibrium import find_equilibrium
 from models.printer.kernels.spline import cubic_spline
-from models.printer.kernels.vectors import tanh
-from models.printer.printer import PrinterMotion, simulate_printer, simulate_printers
+from models.printer.kernels.vectors import power, sine_cosine, tanh
+from models.printer.printer import PrinterMotion, Splines, simulate_printer, simulate_printers
 
 RATE_HZ = 1600
 FIELDS = (
@@ -153,6 +153,29 @@ def test_a_machine_without_a_command(printer: Machine) -> None:
 @settings(deadline=None)
 def test_our_hyperbolic_tangent(x: float) -> None:
     assert tanh(x) == pytest.approx(math.tanh(x), rel=2e-14, abs=1e-300)
+
+
+@given(st.floats(-1e4, 1e4))
+@settings(deadline=None)
+def test_our_sine_and_cosine(x: float) -> None:
+    assert sine_cosine(x) == pytest.approx((math.sin(x), math.cos(x)), abs=1e-11)
+
+
+@given(st.floats(0.0, 1e4), st.floats(0.25, 2.0))
+@settings(deadline=None)
+def test_our_power_is_exact_to_what_fades_with_it(x: float, p: float) -> None:
+    assert math.exp(-power(x, p)) == pytest.approx(math.exp(-(x**p)), abs=1e-12)
+
+
+def test_splines_of_earlier_calls_change_nothing(printer: Machine) -> None:
+    """Commands in the same arrays need no second spline; other arrays, and other motors, need their own."""
+    kept, first = Splines(), np.column_stack([40 + 3 * np.sin(np.arange(40) / k) for k in (3, 4, 5)])
+    for command in (first, first + 1.0, first):
+        (one,) = simulate_printers([printer], [command], 1 / 1600, splines=kept)
+        (other,) = simulate_printers([printer], [command], 1 / 1600)
+        assert isinstance(one, PrinterMotion)
+        assert isinstance(other, PrinterMotion)
+        np.testing.assert_array_equal(one.nozzle_mm, other.nozzle_mm)
 
 
 @pytest.mark.parametrize("n", [2, 3, 4, 5, 40])
