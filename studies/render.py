@@ -32,6 +32,7 @@ PAGES = {
     "diagnosis": "DIAGNOSIS.md",
     "diagnosis_proof": "DIAGNOSIS_PROOF.md",
     "faster": "FASTER.md",
+    "faster_real": "FASTER_REAL.md",
     "identification": "IDENTIFICATION.md",
     "owners_loop": "OWNERS_LOOP.md",
     "real_files": "REAL_FILES.md",

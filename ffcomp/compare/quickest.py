@@ -41,7 +41,7 @@ from ffcomp.shapers.kinds import USUAL
 from ffcomp.simulate.compatibility import check_same_kinematics
 from ffcomp.simulate.playback import simulate_nozzles
 from ffcomp.version import __version__
-from models.arrays import FloatArray
+from models.arrays import FloatArray, IntArray
 from models.machine import Machine
 from models.provenance import assumed_modes
 
@@ -311,10 +311,22 @@ def _contender(
         contour_rms_um=found.rms_um,
         contour_p99_um=found.p99_um,
         contour_max_um=found.max_um,
+        by_feature_p99_um=_by_feature_p99_um(job, counted),
         reached=found.p99_um <= job.bound.max_error_um,
         pieces=tuple(_piece(each) for each in counted),
         off_p99_um=_off_p99_um(job, counted),
     )
+
+
+def _by_feature_p99_um(job: _Job, executions: Sequence[Execution]) -> dict[str, float]:
+    """Return the 99th percentile of what extrudes, by its feature, µm."""
+    features, error = list[IntArray](), contour(executions)
+    for each in executions:
+        own = each.print_slice
+        move = own.trajectory.move_at(each.motion.clock.plan_time(each.t[each.counted]))
+        features.append(np.where(own.extrudes[move], own.feature[move], -1))
+    of, names = np.concatenate(features), job.whole.stretch.features
+    return {names[k]: contour_statistics(error[of == k]).p99_um for k in np.unique(of) if k >= 0}
 
 
 def _off_p99_um(job: _Job, executions: Sequence[Execution]) -> tuple[float, ...]:

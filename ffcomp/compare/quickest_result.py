@@ -43,6 +43,7 @@ class Contender:
     acceleration_mm_per_s2: float | None = None
     limited_by: dict[str, float] = field(default_factory=dict)  # s
     off_p99_um: tuple[float, ...] = ()  # on each Monte-Carlo plant
+    by_feature_p99_um: dict[str, float] = field(default_factory=dict)  # where plastic flows
     warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
