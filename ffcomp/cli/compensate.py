@@ -13,6 +13,7 @@ import typer
 
 from ffcomp.cli.faster_options import (
     ChangeSpeed,
+    IfKnown,
     KeepSpeed,
     MaxError,
     MaxFlow,
@@ -20,6 +21,7 @@ from ffcomp.cli.faster_options import (
     MinLayerTime,
     Safety,
     bound_of,
+    shares_known,
 )
 from ffcomp.cli.help import ACCURACY, ADVANCED, MACHINE, OUTPUT, SPEED
 from ffcomp.cli.options import AsJson, Flavor, Quiet, SegmentRate, check_choice, parsed_offset
@@ -212,6 +214,7 @@ def compensate(
     keep_speed: KeepSpeed = None,
     change_speed: ChangeSpeed = None,
     safety: Safety = 0.05,
+    if_known: IfKnown = "",
     solver: Solver = "osqp",
     extruder_steps_per_mm: ExtruderSteps = None,
     jobs: Jobs = 1,
@@ -246,6 +249,9 @@ def compensate(
             safety,
             s_curve,
         )
+        known_to = shares_known(if_known, bound)
+        if known_to and len(files) > 1:
+            raise typer.BadParameter("--if-known is for one file.")
         targets = _targets(files, output_file, output_dir, dry_run, SUFFIXES.get(output, ".npz"))
 
         from ffcomp.cli.machine_files import remember
@@ -280,7 +286,7 @@ def compensate(
             bed=call.bed,
             bound=bound,
         )
-        request = _Request(files, targets, known, options, jobs, scheduler, quiet, advice)
+        request = _Request(files, targets, known, options, jobs, scheduler, quiet, advice, known_to)
         file_results = [] if len(files) == 1 else _compensate_all(request)
         result = _batch_json(file_results) if file_results else _compensate_one(request)
         if as_json:
@@ -302,6 +308,7 @@ class _Request:
     scheduler: str
     quiet: bool
     advice: list[str]  # said before the work begins
+    known: list[float]  # uncertainties at which the quicker print's time is measured too
 
 
 def _advised(machine: Machine, files: list[Path], offset: tuple[float, float] | None, call: Call) -> list[str]:
@@ -376,12 +383,15 @@ def _compensate_one(request: _Request) -> dict[str, Any]:
     (file,), (target,), quiet = request.files, request.targets, request.quiet
     name = os.environ.get("SLIC3R_PP_OUTPUT_NAME") or str(file)
     chunks = max(size_of(file) // PART_BYTES, 1)
+    before = _original(file) if request.known else b""  # the file may be replaced
     with workers(min(request.jobs, chunks), request.scheduler) as at_once, Progress(1.0, quiet) as progress:
         result = compensate_file(file, name, request.machine, request.options, target, jobs=at_once, progress=progress)
     result["input"] = str(file)
     if "already" in result:
         say(result["already"], quiet)
         return {**result, "output": str(file)}
+    if request.known:
+        result["faster"]["if_known"] = _worth_knowing(request, before, name, result)
     result["warnings"] = [*request.advice, *result["warnings"]]
     result["warning_lines"] = shortened([*request.advice, *result["warning_lines"]])
     for warning in result["warnings"]:
@@ -391,6 +401,36 @@ def _compensate_one(request: _Request) -> dict[str, Any]:
         tell(f"ffcomp: {line}", quiet)
     report(result, request.machine.path, quiet)
     return result
+
+
+def _original(file: Path) -> bytes:
+    from gcode.container import read_bytes
+    from gcode.embedded import original
+    from gcode.stamp import already_processed
+
+    data = read_bytes(file, None)
+    return data if already_processed(data) is None else original(data)
+
+
+def _worth_knowing(request: _Request, data: bytes, name: str, result: dict[str, Any]) -> Any:
+    """Measure what the quicker print would take with a better known machine."""
+    from ffcomp.compare.knowing import worth_knowing
+    from ffcomp.numerics.serialise import to_json
+
+    options = request.options
+    assert options.bound is not None and options.settings is not None
+    found = worth_knowing(
+        data,
+        name,
+        request.machine,
+        options.settings,
+        options.bound,
+        request.known,
+        result["faster"]["print_time_s"],
+        offset=tuple(result["offset_mm"]),
+        flavor=result["flavor"],
+    )
+    return to_json(found)
 
 
 def _compensate_all(request: _Request) -> list[FileResult]:

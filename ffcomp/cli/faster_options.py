@@ -69,6 +69,29 @@ Safety = Annotated[
         help="Share of the printers, as uncertain as the machine file says, that may exceed the bound.",
     ),
 ]
+IfKnown = Annotated[
+    str,
+    typer.Option(
+        metavar="SHARES",
+        rich_help_panel=FASTER,
+        help="Also measure, on slices, what the print would take if the machine were known better: 2%,1%.",
+    ),
+]
+
+
+def shares_known(text: str, bound: Bound | None) -> list[float]:
+    """Return the relative standard deviations that `--if-known` asks for."""
+    if not text:
+        return []
+    if bound is None:
+        raise typer.BadParameter("--if-known is about a quicker print: --max-error-um UM.")
+    try:
+        found = [float(each.strip().removesuffix("%")) / 100 for each in text.split(",")]
+    except ValueError:
+        found = [-1.0]
+    if not all(0.0 <= each <= 1.0 for each in found):
+        raise typer.BadParameter(f"--if-known {text!r}: shares in %, with commas between them, e.g. 2%,1%.")
+    return found
 
 
 def bound_of(

@@ -81,7 +81,18 @@ def test_compensate(page: Page, folder: Path) -> None:
         *told("compensate", out, *MACHINE, "-q"),
         *told("compensate", small, *MACHINE, "-q", *steps),
         *told("compensate", small, "-m", weak, "-q", "--tolerance-um", "0.1", "-o", folder / "slow.gcode"),
-        *told("compensate", small, *MACHINE, "-q", "--max-error-um", "200", "-o", folder / "quick.gcode"),
+        *told(
+            "compensate",
+            small,
+            *MACHINE,
+            "-q",
+            "--max-error-um",
+            "200",
+            "--if-known",
+            "2%",
+            "-o",
+            folder / "quick.gcode",
+        ),
         *told("compensate", plates, *MACHINE, "-q", "-o", folder / "plates.gcode.3mf"),
     ]
     hold(page, "ffcomp-compensate/1", answers)
