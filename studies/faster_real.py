@@ -38,6 +38,8 @@ class Case:
     print_name: str
     machine: str
     um: float = 25.0
+    printers: int = PRINTERS
+    shapers: tuple[str, ...] = SHAPERS
 
     @property
     def key(self) -> str:
@@ -51,7 +53,7 @@ CASES = (
     Case("helix_calicat", "kossel"),
     Case("chest_benchy", "voron-300"),
     Case("fast_part", "ender-3"),
-    *(Case("v400_cube", "flsun-v400", um) for um in (10.0, 50.0, 100.0)),
+    *(Case("v400_cube", "flsun-v400", um, 0, SHAPERS[:1]) for um in (10.0, 50.0, 100.0)),
 )
 
 
@@ -65,7 +67,9 @@ def measured(case: Case, folder: Path) -> dict[str, Any]:
     whole_s = Print(data, case.print_name, machine).print_time_s
     sampling = Sampling(share=min(EVALUATED_S / whole_s, 1.0))
     began = time.process_time()
-    found = quickest(data, case.print_name, machine, request=QuickestRequest(bound, sampling, SHAPERS, OFF, PRINTERS))
+    found = quickest(
+        data, case.print_name, machine, request=QuickestRequest(bound, sampling, case.shapers, OFF, case.printers)
+    )
     return {"case": case, "cpu_s": time.process_time() - began, **_row(found)}
 
 
@@ -80,7 +84,6 @@ def _row(found: Quickest) -> dict[str, Any]:
         "shapers": {name: _about(each) for name, each in found.contenders.items() if each.family == "best fixed"},
         "kept": _about(found.contenders["fbs-lpv"]),
         "faster": {**_about(own), "limited_by": own.limited_by, "warnings": len(own.warnings)},
-        "known": _about(found.known),
     }
 
 
@@ -104,16 +107,17 @@ def figure(rows: list[dict[str, Any]]) -> None:
     own = sorted((row for row in rows if row["case"]["print_name"] == "v400_cube"), key=lambda row: row["case"]["um"])
     drawn = Figure(figsize=(7, 4.2), layout="constrained")
     axes = drawn.subplots()
-    for name, label in (("faster", "ffcomp, machine known to 5 %"), ("known", "ffcomp, machine known")):
-        axes.plot(
-            [row[name]["p99_um"] for row in own], [row[name]["print_s"] / 60 for row in own], marker="o", label=label
-        )
-        for row in own:
-            place = (row[name]["p99_um"], row[name]["print_s"] / 60)
-            axes.annotate(f"{row['case']['um']:g}", place, (4, 4), textcoords="offset points", fontsize=8)
+    ours = [row["faster"] for row in own]
+    axes.plot([e["p99_um"] for e in ours], [e["print_s"] / 60 for e in ours], marker="o", label="ffcomp, faster")
+    for row, e in zip(own, ours, strict=True):
+        place = (e["p99_um"], e["print_s"] / 60)
+        axes.annotate(f"{row['case']['um']:g} µm", place, (4, 4), textcoords="offset points", fontsize=8)
+    kept = [row["kept"] for row in own]
+    axes.plot([e["p99_um"] for e in kept], [e["print_s"] / 60 for e in kept], "^", label="ffcomp, feeds kept")
     for name in SHAPERS:
-        each = [row["shapers"][name] for row in own if row["shapers"][name]["reached"]]
-        axes.plot([e["p99_um"] for e in each], [e["print_s"] / 60 for e in each], "s", label=name.upper())
+        each = [row["shapers"][name] for row in own if name in row["shapers"] and row["shapers"][name]["reached"]]
+        if each:
+            axes.plot([e["p99_um"] for e in each], [e["print_s"] / 60 for e in each], "s", label=name.upper())
     axes.plot(own[0]["sliced"]["p99_um"], own[0]["sliced"]["print_s"] / 60, "kx", label="as sliced")
     axes.axhline(own[0]["actuator_limit_s"] / 60, color="#b00020", linestyle=":", linewidth=1)
     axes.set(xscale="log", xlabel="contour error, 99 % below, µm", ylabel="minutes")

@@ -231,7 +231,7 @@ def _faster(job: _Job, known: bool = False) -> Contender:
 
     known : as if it were certain of everything
     """
-    own = job.settings if known else replace(job.settings, robust=True, robust_quickly=True)
+    own = replace(job.settings, robust=True, robust_quickly=True)  # as `compensate` does under a bound
     certain = {"default": 0.0, **dict.fromkeys(job.machine.uncertainty, 0.0)}
     model = InverseModel(replace(job.machine, uncertainty=certain) if known else job.machine, own)
     quick = [_Quick.of(each, model, job) for each in job.stretches]
