@@ -13,6 +13,7 @@ import numpy as np
 from benchmarks import steps
 from benchmarks.performance_methods import REACH, SAMPLE_S
 from benchmarks.performance_prints import LARGEST, REPEATED, SMALL_S
+from benchmarks.performance_verdicts import VERDICTS
 from benchmarks.performance_ways import COMPENSATED, DENSE, EXACT, MACHINE, MORE_CORRECTIONS, PLAIN_EXACT, ZERO_PHASE
 from benchmarks.performance_where import ONCE, REST
 from models.vibration.scheduled import SAME_MM
@@ -415,6 +416,7 @@ def first(found: Numbers) -> Iterator[str]:
 
 Aim: {AIM_FIRST_S:g} s, {met} in CPU time; wall time depends on what else the machine does.
 """
+    yield VERDICTS
 
 
 def effects(found: Numbers) -> Iterator[str]:
