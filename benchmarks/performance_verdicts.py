@@ -18,7 +18,7 @@ With a frame mode, a row of eight steps took 4.1 µs a lane, now 0.6. Motions ar
 
 Of whole verdicts only two could be measured, both of the blind test and while the machine did the work of several
 others. A bed slinger with play in its belts: 62 s of CPU until one effect was fitted, now 39. An axis with a hardening
-spring: 57 s, now 24, for less of the search is needed too since then. The aim, 20 s on straight axes, is therefore
+spring: 57 s, now 25, for less of the search is needed too since then. The aim, 20 s on straight axes, is therefore
 missed where an effect's shape has to be searched: each contender is fitted again with exact steps, and one effect more
 is looked for among all candidates.
 """
