@@ -18,7 +18,8 @@ from ffcomp.measurement.labels import KEYS
 from models.effects.catalogue import CATALOGUE
 from models.errors import MachineFileError
 from models.file import load_machine, load_plant
-from models.schema import AxisDocument, DeltaDocument, StraightDocument, unit_of
+from models.schema.documents import AxisDocument, DeltaDocument, StraightDocument
+from models.schema.words import unit_of
 from studies import cli_reference
 from tests.support.reference import MACHINE, MACHINE_FILE, REFERENCE, ROOT, SMALL, call, examples, rows_of
 

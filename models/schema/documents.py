@@ -1,0 +1,229 @@
+"""What each kind of machine file holds, and the check of a whole file.
+
+`KINDS` is the one place that knows all kinds of machines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field, ValidationError, field_validator, model_validator
+
+from models.axis.machine import MOVES, AxisMachine, AxisParameters
+from models.errors import MachineFileError
+from models.kinematics.base import Kinematics
+from models.machine import Machine
+from models.schema.delta import CarriageTable, EffectorTable, KinematicsTable, missing_lengths
+from models.schema.effects import effect_keys, effect_problems, mass_problems, plain_keys, refuse_others
+from models.schema.one_axis import DrivenAxisTable, OneAxisTable
+from models.schema.printer import ExtruderTable, FirmwareTable, HomingTable, LimitsTable, MacrosTable, StepsTable
+from models.schema.sentences import sentences
+from models.schema.straight import AxesTable, StraightTable
+from models.schema.table import Table, number_keys, refuse
+from models.schema.words import did_you_mean
+from models.vibration.base import VibrationModel
+from models.vibration.delta import DeltaVibration
+from models.vibration.modal import ModalAxes
+
+DEFAULT_UNCERTAINTY = 0.02
+NO_PRINTER = (
+    'This machine is one axis by itself (kinematics.type = "axis") and has no nozzle, so there is no G-code to plan, '
+    "compensate, simulate or record; ffcomp gap, ffcomp diagnose and ffcomp identify fit work on it."
+)
+
+
+class Document(Table):
+    """What every kind of machine has."""
+
+    moves: ClassVar[str]  # as in `Effect.of`
+    format: Literal["ffcomp-machine/1"]
+    name: str = Field(min_length=1)
+
+    @field_validator("effects", check_fields=False)
+    @classmethod
+    def _known_effects(cls, effects: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        refuse(problem for name, table in effects.items() for problem in effect_problems(name, table))
+        return effects
+
+    @field_validator("uncertainty", check_fields=False)
+    @classmethod
+    def _known_numbers(cls, uncertainty: dict[str, float]) -> dict[str, float]:
+        known = ["default", *number_keys(cls), *effect_keys()]
+        refuse(
+            f'uncertainty."{key}" names no number of this file.{did_you_mean(key, known)}'
+            for key in uncertainty
+            if key not in known
+        )
+        return uncertainty
+
+    @field_validator("effects", check_fields=False)
+    @classmethod
+    def _of_this_kind(cls, effects: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        refuse_others(effects, cls.moves, NO_EFFECT_OF[cls.moves])
+        return effects
+
+    @property
+    def per_kilogram(self) -> bool:
+        """Return whether the file states forces of effects per kilogram."""
+        return False
+
+    @classmethod
+    def missing(cls, document: Mapping[str, Any]) -> list[str]:
+        """Return sentences about tables' keys of which one or another must be there."""
+        return []
+
+
+NO_EFFECT_OF: Mapping[str, str] = {
+    "carriages": "a delta: it has no straight axes",
+    "axes": "a machine with straight axes: they have no arms and no effector",
+    "axis": "one axis by itself: it is no printer",
+}
+
+
+class PrinterDocument(Document):
+    """What every printer has."""
+
+    limits: LimitsTable
+    steps: StepsTable = StepsTable()
+    extruder: ExtruderTable | None = None
+    firmware: FirmwareTable = FirmwareTable()
+    macros: MacrosTable = MacrosTable()
+    homing: HomingTable = HomingTable()
+    effects: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    uncertainty: dict[str, Annotated[float, Field(ge=0, le=10)]] = Field(default_factory=dict)
+    provenance: dict[str, Any] = Field(default_factory=dict)
+
+    def machine_parts(self) -> tuple[Kinematics, VibrationModel]:
+        """Return kinematics and vibration model."""
+        raise NotImplementedError
+
+    def machine(self, sha256: str, path: str) -> Machine:
+        """Return the machine that the file describes."""
+        return self.printer(sha256, path)
+
+    def printer(self, sha256: str, path: str) -> Machine:
+        """Return the printer that the file describes."""
+        kinematics, vibration = self.machine_parts()
+        home = self.homing.position_mm
+        return Machine(
+            name=self.name,
+            kinematics=kinematics,
+            vibration=vibration,
+            limits=self.limits.limits(),
+            steps=self.steps.steps(),
+            effects=self.effects,
+            uncertainty={"default": DEFAULT_UNCERTAINTY, **self.uncertainty},
+            provenance=self.provenance,
+            sha256=sha256,
+            path=path,
+            returns=tuple(self.macros.returns or ()),
+            still=tuple(self.macros.still or ()),
+            homed_mm=None if home is None else (home[0], home[1], home[2]),
+            flavor=self.firmware.flavor or "",
+            pressure=None if self.extruder is None else self.extruder.pressure(),
+        )
+
+
+class DeltaDocument(PrinterDocument):
+    """The file of a delta."""
+
+    moves: ClassVar[str] = "carriages"
+    kinematics: KinematicsTable
+    carriage: CarriageTable
+    effector: EffectorTable
+
+    @classmethod
+    def missing(cls, document: Mapping[str, Any]) -> list[str]:
+        """Return sentences about lengths that are not there."""
+        return missing_lengths(document)
+
+    def machine_parts(self) -> tuple[Kinematics, VibrationModel]:
+        """Return kinematics and vibration model."""
+        kinematics = self.kinematics.geometry()
+        return kinematics, DeltaVibration(self.carriage.carriage(), self.effector.effector(), kinematics)
+
+
+class StraightDocument(PrinterDocument):
+    """The file of a cartesian or CoreXY machine."""
+
+    moves: ClassVar[str] = "axes"
+    kinematics: StraightTable
+    axes: AxesTable = Field(default_factory=lambda: AxesTable())
+
+    def machine_parts(self) -> tuple[Kinematics, VibrationModel]:
+        """Return kinematics and vibration model."""
+        return self.kinematics.geometry(), ModalAxes.of(self.axes.axes())
+
+    @property
+    def per_kilogram(self) -> bool:
+        """Return whether the file states forces of effects per kilogram: no axis states its mass."""
+        return self.machine_parts()[1].per_kilogram
+
+    @model_validator(mode="before")
+    @classmethod
+    def _forces_per_kilogram(cls, document: Any) -> Any:
+        """Read `force_n_per_kg` as `force_n` of axes whose mass is 1, where no axis states its mass."""
+        tables, axes = document.get("effects"), document.get("axes")
+        if not isinstance(tables, dict):
+            return document
+        weighed = isinstance(axes, dict) and any(isinstance(t, dict) and "mass_kg" in t for t in axes.values())
+        refuse(problem for name, table in tables.items() for problem in mass_problems(name, table, weighed) if problem)
+        return {**document, "effects": {name: plain_keys(table) for name, table in tables.items()}}
+
+
+class AxisDocument(Document):
+    """The file of one axis by itself."""
+
+    moves: ClassVar[str] = MOVES
+    kinematics: OneAxisTable
+    axis: DrivenAxisTable
+    effects: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    uncertainty: dict[str, Annotated[float, Field(ge=0, le=10)]] = Field(default_factory=dict)
+    provenance: dict[str, Any] = Field(default_factory=dict)
+
+    def machine(self, sha256: str, path: str) -> AxisMachine:
+        """Return the axis that the file describes."""
+        return AxisMachine(
+            self.name,
+            AxisParameters(**self.axis.model_dump()),
+            self.effects,
+            {"default": DEFAULT_UNCERTAINTY, **self.uncertainty},
+            self.provenance,
+            sha256,
+            path,
+        )
+
+    def printer(self, sha256: str, path: str) -> Machine:
+        """Refuse: there is no printer in it."""
+        raise MachineFileError(path or self.name, [NO_PRINTER])
+
+
+AnyDocument = DeltaDocument | StraightDocument | AxisDocument
+
+
+# kinematics.type -> what a file of this kind holds; of any other, a delta's mistakes are told
+KINDS: Mapping[str, type[AnyDocument]] = {
+    "delta": DeltaDocument,
+    "cartesian": StraightDocument,
+    "corexy": StraightDocument,
+    "axis": AxisDocument,
+}
+
+
+def validated(document: Mapping[str, Any], path: str) -> AnyDocument:
+    """Return the document, checked; raise MachineFileError with every mistake otherwise."""
+    kind = KINDS.get(str(_kind(document)), DeltaDocument)
+    problems = kind.missing(document)
+    try:
+        checked = kind.model_validate(document)
+    except ValidationError as error:
+        problems += [sentence for mistake in error.errors() for sentence in sentences(mistake, kind)]
+    if problems:
+        raise MachineFileError(path, problems)
+    return checked
+
+
+def _kind(document: Mapping[str, Any]) -> object:
+    table = document.get("kinematics")
+    return table.get("type") if isinstance(table, dict) else None

@@ -1,0 +1,123 @@
+"""Tables that every printer may have, whatever moves its nozzle: limits, steps, extruder, firmware, macros, homing."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from models.machine import MotionLimits, Steps
+from models.pressure import CORNER_MM_PER_S, REFERENCE_MM_PER_S, Pressure
+from models.schema.table import THREE, TWO, Place, Table, refuse
+
+DEFAULT_LIMITS = MotionLimits(velocity_mm_per_s=0, acceleration_mm_per_s2=0)  # these two have no default
+DEFAULT_STEPS = Steps()
+
+
+class LimitsTable(Table):
+    """`[limits]`."""
+
+    velocity_mm_per_s: float = Field(ge=1, le=1e4)
+    acceleration_mm_per_s2: float = Field(ge=10, le=1e6)
+    square_corner_velocity_mm_per_s: float = Field(DEFAULT_LIMITS.square_corner_velocity_mm_per_s, ge=0, le=1000)
+    carriage_velocity_mm_per_s: float = Field(DEFAULT_LIMITS.carriage_velocity_mm_per_s, ge=1, le=1e4)
+    carriage_acceleration_mm_per_s2: float = Field(DEFAULT_LIMITS.carriage_acceleration_mm_per_s2, ge=10, le=1e7)
+    z_velocity_mm_per_s: float | None = Field(None, ge=0.1, le=1e4)
+    z_acceleration_mm_per_s2: float | None = Field(None, ge=1, le=1e6)
+    carriage_travel_mm: Annotated[list[Place], TWO] | None = None
+    step_rate_hz: float | None = Field(None, ge=100, le=1e8)
+
+    @model_validator(mode="after")
+    def _possible(self) -> LimitsTable:
+        travel = self.carriage_travel_mm
+        if travel is not None and not travel[0] < travel[1]:
+            refuse([f"limits.carriage_travel_mm = {travel} must be the lower place first, then the higher one (mm)."])
+        return self
+
+    def limits(self) -> MotionLimits:
+        """Return the limits."""
+        travel = self.carriage_travel_mm
+        return MotionLimits(
+            **self.model_dump(exclude={"carriage_travel_mm"}),
+            carriage_travel_mm=None if travel is None else (travel[0], travel[1]),
+        )
+
+
+Microsteps = Annotated[float, Field(ge=1, le=1e5)]
+FullSteps = Annotated[float, Field(ge=0.1, le=1000)]
+
+
+class StepsTable(Table):
+    """`[steps]`."""
+
+    steps_per_mm: Microsteps | Annotated[list[Microsteps], THREE] = 80.0
+    full_steps_per_mm: FullSteps | Annotated[list[FullSteps], THREE] = 5.0
+    extruder_steps_per_mm: float | None = Field(None, ge=1, le=1e5)
+
+    @model_validator(mode="after")
+    def _microsteps(self) -> StepsTable:
+        whole, micro = self.full_steps_per_mm, self.steps_per_mm
+        if (np.atleast_1d(whole) > np.atleast_1d(micro)).any():
+            rule = f"must not exceed steps_per_mm = {_shown(micro)}: a full step holds at least one microstep."
+            refuse([f"steps.full_steps_per_mm = {_shown(whole)} {rule}"])
+        return self
+
+    def steps(self) -> Steps:
+        """Return the steps."""
+        return Steps(
+            _number_or_tuple(self.steps_per_mm),
+            _number_or_tuple(self.full_steps_per_mm),
+            self.extruder_steps_per_mm,
+            tuple(sorted(self.model_fields_set)),
+        )
+
+
+class ExtruderTable(Table):
+    """`[extruder]`: what the hot end keeps back."""
+
+    pressure_time_constant_s: float = Field(gt=0, le=2)
+    pressure_flow_exponent: float = Field(1.0, ge=0.2, le=2)
+    pressure_reference_mm_per_s: float = Field(REFERENCE_MM_PER_S, ge=0.01, le=100)
+    firmware_advance_s: float = Field(0.0, ge=0, le=2)
+    corner_velocity_mm_per_s: float = Field(CORNER_MM_PER_S, ge=0.01, le=1000)
+
+    def pressure(self) -> Pressure:
+        """Return the model of the pressure."""
+        return Pressure(
+            self.pressure_time_constant_s,
+            self.pressure_flow_exponent,
+            self.pressure_reference_mm_per_s,
+            self.firmware_advance_s,
+            self.corner_velocity_mm_per_s,
+        )
+
+
+class FirmwareTable(Table):
+    """`[firmware]`: which one the printer runs."""
+
+    flavor: Literal["klipper", "marlin", "reprapfirmware"] | None = None
+
+
+MacroName = Annotated[str, Field(pattern=r"^@?[A-Za-z_]\w*$")]
+
+
+class MacrosTable(Table):
+    """`[macros]`: what is known of the printer's own."""
+
+    returns: list[MacroName] | None = None
+    still: list[MacroName] | None = None
+
+
+class HomingTable(Table):
+    """`[homing]`: where homing all axes ends."""
+
+    position_mm: Annotated[list[Place], THREE] | None = None
+
+
+def _number_or_tuple(value: float | list[float]) -> float | tuple[float, ...]:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _shown(value: float | list[float]) -> str:
+    return ", ".join(f"{number:g}" for number in np.atleast_1d(value))

@@ -1,0 +1,83 @@
+"""Tables of cartesian and CoreXY printers: axes and their modes, and the rules between their numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from models.arrays import constant
+from models.kinematics.cartesian import CARTESIAN, COREXY, CartesianKinematics
+from models.schema.table import MODES, TWO, Place, Table, refuse
+from models.vibration.modal import Axis
+
+
+class StraightTable(Table):
+    """Cartesian and CoreXY machines: axes that do not disturb each other."""
+
+    type: Literal["cartesian", "corexy"]
+    x_range_mm: Annotated[list[Place], TWO]
+    y_range_mm: Annotated[list[Place], TWO]
+    z_range_mm: Annotated[list[Place], TWO]
+
+    @model_validator(mode="after")
+    def _possible(self) -> StraightTable:
+        refuse(
+            f"kinematics.{key} = {value} must be the lowest place first, then the highest one (mm)."
+            for key, value in self.model_dump(exclude={"type"}).items()
+            if not value[0] < value[1]
+        )
+        return self
+
+    def geometry(self) -> CartesianKinematics:
+        """Return the kinematics."""
+        ranges = constant([self.x_range_mm, self.y_range_mm, self.z_range_mm])
+        return CartesianKinematics(ranges, CARTESIAN if self.type == "cartesian" else COREXY)
+
+
+class AxisTable(Table):
+    """`[axes.x]` and its like: the modes of one axis."""
+
+    frequency_hz: Annotated[list[Annotated[float, Field(ge=1, le=1000)]], MODES]
+    damping_ratio: Annotated[list[Annotated[float, Field(ge=0, lt=1)]], MODES]
+    share: Annotated[list[Annotated[float, Field(ge=-10, le=10)]], MODES] | None = None
+    mass_kg: float | None = Field(None, ge=0.001, le=1000)
+
+    def axis(self) -> Axis:
+        """Return the axis with its modes."""
+        return Axis(self.frequency_hz, self.damping_ratio, self.share or [1.0], self.mass_kg)
+
+
+class AxesTable(Table):
+    """How each axis answers to its command; one that is left out is rigid."""
+
+    x: AxisTable | None = None
+    y: AxisTable | None = None
+    z: AxisTable | None = None
+
+    @model_validator(mode="after")
+    def _possible(self) -> AxesTable:
+        tables = {name: getattr(self, name) for name in "xyz" if getattr(self, name) is not None}
+        refuse(problem for name, table in tables.items() for problem in _axis_problems(name, table))
+        weighed = [name for name, table in tables.items() if table.mass_kg is not None]
+        if weighed and len(weighed) < len(tables):
+            lacking = next(name for name in tables if name not in weighed)
+            refuse(
+                [f"axes.{lacking}.mass_kg is missing; axes.{weighed[0]} has one. State the mass of all, or of none."]
+            )
+        return self
+
+    def axes(self) -> list[Axis]:
+        """Return three axes X Y Z."""
+        return [Axis() if table is None else table.axis() for table in (self.x, self.y, self.z)]
+
+
+def _axis_problems(name: str, table: AxisTable) -> Iterator[str]:
+    modes = len(table.frequency_hz)
+    if len(table.damping_ratio) != modes or len(table.share or table.frequency_hz) != modes:
+        yield f"axes.{name}: frequency_hz, damping_ratio and share must have as many numbers each, one for each mode."
+    elif table.share is None and modes > 1:
+        yield f"axes.{name}.share is missing; of several modes it says how much each takes of the response at rest."
+    elif table.share is not None and abs(sum(table.share) - 1.0) > 1e-3:
+        yield f"axes.{name}.share = {table.share} must sum to 1: at rest an axis stands where it is told to."
