@@ -310,6 +310,7 @@ def test_the_page_names_every_schema_that_the_code_prints() -> None:
         "ffcomp-machine/1",
         "ffcomp-check-history/1",
         "ffcomp-bank-answers/1",
+        "ffcomp-motion/1",
     }  # files, described on their own pages
 
 
