@@ -49,7 +49,7 @@ AIM = 0.98  # of the bound and of the limits
 SETTLED, SLOWEST = 0.92, 0.55  # of a limit, that a move comes down to which is beyond it; and the factor of one round
 NEARLY = 1.04  # demand that is let pass: the time scaling of the solution slows down what is a little beyond a limit
 MORE = 8  # rounds in which a section alone becomes slower where it is beyond a limit or a spot's bound
-TRIES = 4  # to give some moves the slicer's motion, before all get it
+TRIES = 4  # to give some moves the slicer's motion
 
 
 class SectionSearch:
@@ -112,7 +112,10 @@ class SectionSearch:
         self.top = np.where(demand > AIM, np.minimum(self.top, self.moves.acceleration * (AIM / demand)), self.top)
 
     def settle(self, level: float) -> None:
-        """Slow down what is beyond the level or a limit; give the slicer's motion back where that is not enough."""
+        """Slow down what is beyond the level or a limit; give the slicer's motion back where a spot stays above it.
+
+        What is beyond a limit still, the solution's own time scaling slows down.
+        """
         for _ in range(MORE):
             demand = self._proven.demand(level)
             if not self._beyond(demand).any():
@@ -121,22 +124,18 @@ class SectionSearch:
             self.predicted = self.predict(self.moves)
         moves = self.moves
         for _ in range(TRIES):
-            self.given_up |= self._beyond(self._proven.demand(level))
-            self._give_up(moves)
-            if not (self._beyond(self._proven.demand(level)) & ~self.given_up).any():
+            spots = self.free & ~self.given_up & (self._proven.errors > NEARLY * level)
+            if not spots.any():
                 return
-        self.given_up = self.free.copy()
-        self._give_up(moves)
+            self.given_up |= spots
+            self.moves = chosen(self.slicers, moves, self.given_up)
+            self.predicted = self.predict(self.moves)
 
     @property
     def _proven(self) -> Trial:
         if self.predicted is None:
             self.predicted = self.predict(self.moves)
         return self.predicted
-
-    def _give_up(self, moves: Moves) -> None:
-        self.moves = chosen(self.slicers, moves, self.given_up)
-        self.predicted = self.predict(self.moves)
 
     def _beyond(self, demand: Demand) -> BoolArray:
         return self.free & ((demand.acceleration > NEARLY) | (demand.speed > NEARLY))
