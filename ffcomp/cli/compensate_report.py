@@ -15,6 +15,7 @@ from ffcomp.cli.log import note
 from ffcomp.compensate.result import FileResult
 from ffcomp.compensate.share import ENOUGH
 from ffcomp.compensate.warning_lines import cause_of, shortened
+from ffcomp.faster.words import limits_in_words
 
 
 def report_all(file_results: list[FileResult], quiet: bool) -> None:
@@ -74,7 +75,7 @@ def report(result: dict[str, Any], machine_path: str, quiet: bool) -> None:
         say(result["offset_reason"], quiet)
     if "faster" in result:
         say(_faster(result["faster"]), quiet)
-        say(_limited_by(result["faster"]), quiet)
+        say(limits_in_words(result["faster"]["limited_by"]), quiet)
         for each in result["faster"].get("if_known", ()):
             say(_if_known(each), quiet)
     segments = "" if "steps" in result else f" in {result['segments']} segments"
@@ -155,22 +156,3 @@ def _faster(faster: dict[str, Any]) -> str:
 def _if_known(known: dict[str, float]) -> str:
     sd, seconds = known["relative_sd"], known["print_time_s"]
     return f"With the machine known to {100 * sd:.3g} %: {seconds:.1f} s, by slices that stand for the print."
-
-
-LIMITS = {
-    "flow": "the nozzle's flow",
-    "error_bound": "the error bound",
-    "carriage_acceleration": "the carriages' acceleration",
-    "speed": "the highest speed",
-    "cooling": "cooling",
-    "as_sliced": "kept as sliced (first layer, bridges and what was asked for)",
-    "filament_alone": "retractions and waits",
-}
-
-
-def _limited_by(faster: dict[str, Any]) -> str:
-    """Say in a line where the time goes."""
-    seconds = sorted(faster["limited_by"].items(), key=lambda each: -each[1])
-    whole = max(sum(s for _, s in seconds), 1e-9)
-    parts = [f"{LIMITS[name]} {100 * s / whole:.0f} %" for name, s in seconds if s >= 0.005 * whole]
-    return f"What limits it, in shares of the time: {', '.join(parts)}."

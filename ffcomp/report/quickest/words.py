@@ -3,17 +3,8 @@
 from __future__ import annotations
 
 from ffcomp.compare.quickest_result import Contender, Quickest
+from ffcomp.faster.words import limits_in_words
 from ffcomp.report.compare.words import duration
-
-LIMITS = {
-    "flow": "the nozzle's flow",
-    "error_bound": "the error bound",
-    "carriage_acceleration": "the carriages' acceleration",
-    "speed": "the highest speed",
-    "cooling": "cooling",
-    "as_sliced": "what keeps the slicer's speed",
-    "filament_alone": "retractions and waits",
-}
 
 
 def answer(found: Quickest) -> str:
@@ -37,7 +28,7 @@ def sentences(found: Quickest) -> list[str]:
         f"As sliced and without compensation, 99 % of the print is within {found.sliced.contour_p99_um:.3g} µm.",
         f"Nothing can be quicker than {duration(found.actuator_limit_s)}, whatever the error: corners cost nothing "
         f"there, and {_flow(found)}, speeds and the carriages' acceleration are kept.",
-        limits(found.faster),
+        limits_in_words(found.faster.limited_by),
         "Shapers are judged on the very printer that they were tuned on; ffcomp's quicker print keeps the bound for "
         f"printers that are off, too. {_known(found)}",
         found.mismatch,
@@ -60,14 +51,6 @@ def _known(found: Quickest) -> str:
 def _flow(found: Quickest) -> str:
     flow = found.max_flow_mm3_per_s
     return "flow" if flow is None else f"a flow of {flow:.3g} mm³/s"
-
-
-def limits(contender: Contender) -> str:
-    """Say what limits the quicker print."""
-    seconds = sorted(contender.limited_by.items(), key=lambda each: -each[1])
-    whole = max(sum(s for _, s in seconds), 1e-9)
-    parts = [f"{LIMITS[name]} {100 * s / whole:.0f} %" for name, s in seconds if s >= 0.005 * whole]
-    return f"What limits it, in shares of its time: {', '.join(parts)}." if parts else ""
 
 
 def nick(contender: Contender) -> str:
