@@ -48,7 +48,6 @@ TOO_LOUD = 0.1  # of the signals: with more noise, nothing found is not nothing 
 WRONG_FLOOR = -0.5  # discrepancy, of the noise: with less left than that, the floor is wrong
 MOSTLY = 0.9  # of the discrepancy, from which an explanation that failed a test is worth saying
 OWN_NUMBERS = {"belt_stiffness", "guide_damping", "effector_mass", "extruder_mount", "center_of_mass", "arm_inertia"}
-HARDLY = 1.25  # times the discrepancy: what holding the file's numbers may cost, where they need not have moved
 LOOSER = 5.0  # times the file's uncertainties
 LOOSELY = 1.5  # times the square that the named effects leave: the file's numbers alone explain as much
 EXISTS = 0.05  # the share of the noise by which a discrepancy must stand above it, or
@@ -329,7 +328,7 @@ def _believable(none: Diagnosis, best: Hypothesis, progress: Progress) -> Hypoth
     if not out_of_reach(best):
         return best
     held = within_reach(none.estimation, best, progress)
-    little = max(LITTLE * discrepancy_of(none.base), none.estimation.tolerance, HARDLY * best.discrepancy)
+    little = max(LITTLE * discrepancy_of(none.base), none.estimation.tolerance)
     return held if held.discrepancy < little else best
 
 
