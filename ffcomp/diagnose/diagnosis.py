@@ -174,10 +174,12 @@ def _concluded(found: Diagnosis) -> Diagnosis:
         return replace(found, finding="effects", file_off=_file_off(found))
     if found.verdict == "none":
         return _nothing(found)
-    fault = odd_signal(found.estimation, [found.base] if found.best is None else [found.base, found.best.fit])
+    explained = found.best is not None and _explained(found.base, found.best) > MOSTLY
+    # where an effect explains the gap, though not surely, what one axis does is felt by one signal
+    fits = [] if explained else [found.base] if found.best is None else [found.base, found.best.fit]
+    fault = odd_signal(found.estimation, fits)
     if fault is not None:
         return replace(found, finding="recording", fault=fault)
-    explained = found.best is not None and _explained(found.base, found.best) > MOSTLY
     return replace(found, finding="unproven" if explained else "unexplained", file_off=_file_off(found))
 
 

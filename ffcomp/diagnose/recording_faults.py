@@ -174,7 +174,7 @@ def _clipped(measured: FloatArray, simulated: FloatArray) -> bool:
 
 def odd_signal(estimation: EstimationProblem, fits: Sequence[Fit]) -> BadSensor | None:
     """Return the signal that holds nearly all of the excess of some fit, where three or more are compared."""
-    found = max((_share(estimation, fitted) for fitted in fits), key=lambda each: each[1])
+    found = max((_share(estimation, fitted) for fitted in fits), key=lambda each: each[1], default=("", 0.0))
     return BadSensor(found[0], "holds the gap", found[1]) if found[1] > ONE_SIGNAL else None
 
 

@@ -93,6 +93,7 @@ def test_the_signal_that_holds_the_gap_is_named() -> None:
     found = odd_signal(bad, [left(bad, true)])
     assert found is not None and found.signal == "acc_z" and found.share > 0.95
     assert odd_signal(good, [left(good, true)]) is None
+    assert odd_signal(bad, []) is None  # an effect explains the gap: no fit is looked at
 
 
 def test_sensors_quieter_than_any_simulation_do_not_get_the_weaker_answer() -> None:
