@@ -74,7 +74,7 @@ def report(result: dict[str, Any], machine_path: str, quiet: bool) -> None:
     if result["offset_reason"] not in result["warnings"]:
         say(result["offset_reason"], quiet)
     if "faster" in result:
-        say(_faster(result["faster"]), quiet)
+        say(faster_line(result["faster"]), quiet)
         say(limits_in_words(result["faster"]["limited_by"]), quiet)
         for each in result["faster"].get("if_known", ()):
             say(_if_known(each), quiet)
@@ -142,15 +142,23 @@ def _table(predicted: dict[str, dict[str, float]]) -> None:
     Console(stderr=True).print(table)
 
 
-def _faster(faster: dict[str, Any]) -> str:
+SLOWER = (
+    "That is no gain: as it was sliced, printers as uncertain as the machine file's [uncertainty] says would break the "
+    "bound. Measure yours (ffcomp identify), or allow a larger error; --if-known 2% tells what knowing it better is "
+    "worth."
+)
+
+
+def faster_line(faster: dict[str, Any]) -> str:
     """Say in a line what the bound has given."""
     was, now, least = (faster[key] for key in ("original_print_time_s", "print_time_s", "actuator_limit_s"))
     error = faster["contour_p99_um"]
+    slower = "" if now < was else f" {SLOWER}"
     seen = (
         "" if error is None else f", predicted contour error p99 {error:.1f} µm, max {faster['contour_max_um']:.1f} µm"
     )
     share = 100 * (now / was - 1)
-    return f"Faster: {was:.1f} → {now:.1f} s ({share:+.0f} %; nothing can be quicker than {least:.1f} s){seen}."
+    return f"Faster: {was:.1f} → {now:.1f} s ({share:+.0f} %; nothing can be quicker than {least:.1f} s){seen}.{slower}"
 
 
 def _if_known(known: dict[str, float]) -> str:
