@@ -33,6 +33,7 @@ from ffcomp.bank.kinds import KINDS
 from ffcomp.bank.seal import label_path, open_labels, verdict_path, write_case
 from ffcomp.bank.strata import FULL, full_bank
 from ffcomp.bank.summary import confusion, miss, rate_of
+from ffcomp.errors import FfcompError
 from studies.render import save
 
 ROOT = Path(__file__).parents[1]
@@ -104,7 +105,11 @@ def same_bank(bank: Path, seconds: float) -> None:
 def one(bank: Path, name: str, seed: int, stratum: str, seconds: float) -> None:
     """Make a case and seal its label; then ask for the verdicts. What is there is kept."""
     if not label_path(bank, name).exists():
-        write_case(bank, name, case(seed, stratum, seconds))
+        try:
+            write_case(bank, name, case(seed, stratum, seconds))
+        except FfcompError as error:  # captures that `record join` refuses: no runs to diagnose
+            tell(f"{name}: no case, {str(error)[:200]}")
+            return
     if answered(bank, name):
         return
     verdict_path(bank, name).parent.mkdir(parents=True, exist_ok=True)
