@@ -153,7 +153,8 @@ def faster_line(faster: dict[str, Any]) -> str:
     """Say in a line what the bound has given."""
     was, now, least = (faster[key] for key in ("original_print_time_s", "print_time_s", "actuator_limit_s"))
     error = faster["contour_p99_um"]
-    slower = "" if now < was else f" {SLOWER}"
+    limits = faster["limited_by"]
+    slower = f" {SLOWER}" if now >= was and max(limits, key=lambda name: limits[name]) == "error_bound" else ""
     seen = (
         "" if error is None else f", predicted contour error p99 {error:.1f} µm, max {faster['contour_max_um']:.1f} µm"
     )
