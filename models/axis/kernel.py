@@ -12,7 +12,7 @@ there is a load, may have play and may harden. SI units.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numba import njit
@@ -59,7 +59,7 @@ DRY, STICKING, FADING, FADING_POWER, CREEP, HOLD, HALF_BACKLASH, LANDING, CUBIC,
 RIPPLE, WAVE, PHASE, SECOND_SINE, SECOND_COSINE, DELAY, GROUND, DRAG = range(18, 26)
 SINE, COSINE, FORCE_WAVE, BY_DIRECTION, BRISTLE, PRESLIDING = range(26, 32)
 Q, V, Q_LOAD, V_LOAD, STRAIN, BENT = range(6)
-STATES = 6
+State: TypeAlias = tuple[float, float, float, float, float, float]  # in this order
 MOST_STRAIN = 3.0  # as of the printers' dry friction
 
 
@@ -81,45 +81,44 @@ def _spring(stretch: float, rate: float, k: float, c: float, last: bool, p: Floa
 
 
 @compiled
-def _resistance(x: FloatArray, p: FloatArray, rate: FloatArray) -> float:
+def _resistance(q: float, v: float, strain: float, bent: float, p: FloatArray) -> tuple[float, float, float]:
     """Return what resists, and the rates of strain and bristles."""
-    v = x[V]
-    held = p[DAMPING] * v + 0.5 * p[BY_DIRECTION] * abs(v) + p[DRAG] * v * abs(v) + p[GROUND] * x[Q]
-    rate[STRAIN] = rate[BENT] = 0.0
+    held = p[DAMPING] * v + 0.5 * p[BY_DIRECTION] * abs(v) + p[DRAG] * v * abs(v) + p[GROUND] * q
+    strain_rate = bent_rate = 0.0
     if p[DRY] + p[STICKING] > 0.0:
         ratio = v / p[CREEP]
         speed = abs(ratio)
         level = p[DRY]
         if p[STICKING] > 0.0:
             level += p[STICKING] * math.exp(-((abs(v) * p[FADING]) ** p[FADING_POWER]))
-        held += level * math.tanh(ratio + x[STRAIN])
-        rate[STRAIN] = p[HOLD] * (ratio - (speed / MOST_STRAIN + speed * speed) * x[STRAIN]) / (1.0 + speed * speed)
+        held += level * math.tanh(ratio + strain)
+        strain_rate = p[HOLD] * (ratio - (speed / MOST_STRAIN + speed * speed) * strain) / (1.0 + speed * speed)
     if p[BRISTLE] > 0.0:
-        held += p[BRISTLE] * x[BENT]
-        rate[BENT] = (v - abs(v) * x[BENT]) / p[PRESLIDING]
+        held += p[BRISTLE] * bent
+        bent_rate = (v - abs(v) * bent) / p[PRESLIDING]
     if p[SINE] != 0.0 or p[COSINE] != 0.0:
-        held += p[SINE] * math.sin(p[FORCE_WAVE] * x[Q]) + p[COSINE] * math.cos(p[FORCE_WAVE] * x[Q])
-    return held
+        held += p[SINE] * math.sin(p[FORCE_WAVE] * q) + p[COSINE] * math.cos(p[FORCE_WAVE] * q)
+    return held, strain_rate, bent_rate
 
 
 @compiled
-def _rates(x: FloatArray, given: float, given_rate: float, p: FloatArray, rate: FloatArray) -> None:
-    """Evaluate the state's rate under an input and its rate."""
+def _rates(x: State, given: float, given_rate: float, p: FloatArray) -> State:
+    """Return the state's rate under an input and its rate."""
+    q, v, q_load, v_load, strain, bent = x
     force, u, u_rate = (given, 0.0, 0.0) if p[BY_FORCE] != 0.0 else (0.0, given, given_rate)
     if p[RIPPLE] != 0.0:
         at = p[WAVE] * u + p[PHASE]
         ripple = math.sin(at) + p[SECOND_SINE] * math.sin(2 * at) + p[SECOND_COSINE] * math.cos(2 * at)
         u += p[RIPPLE] * ripple
     loaded = p[LOAD] > 0.0
-    total = force + p[OFFSET] - _resistance(x, p, rate)
+    held, strain_rate, bent_rate = _resistance(q, v, strain, bent, p)
+    total = force + p[OFFSET] - held
     if p[STIFFNESS] > 0.0:
-        total -= _spring(x[Q] - u, x[V] - u_rate, p[STIFFNESS], 0.0, not loaded, p)
-    rate[Q], rate[Q_LOAD], rate[V_LOAD] = x[V], 0.0, 0.0
-    if loaded:
-        pull = _spring(x[Q_LOAD] - x[Q], x[V_LOAD] - x[V], p[COUPLING], p[COUPLING_DAMPING], True, p)
-        total += pull
-        rate[Q_LOAD], rate[V_LOAD] = x[V_LOAD], -pull / p[LOAD]
-    rate[V] = total / p[MASS]
+        total -= _spring(q - u, v - u_rate, p[STIFFNESS], 0.0, not loaded, p)
+    if not loaded:
+        return v, total / p[MASS], 0.0, 0.0, strain_rate, bent_rate
+    pull = _spring(q_load - q, v_load - v, p[COUPLING], p[COUPLING_DAMPING], True, p)
+    return v, (total + pull) / p[MASS], v_load, -pull / p[LOAD], strain_rate, bent_rate
 
 
 @compiled
@@ -138,37 +137,49 @@ def _input(given: FloatArray, slope: FloatArray, at: float) -> tuple[float, floa
 
 
 @compiled
-def _step(
-    x: FloatArray, given: FloatArray, slope: FloatArray, at: float, dt: float, h: float, p: FloatArray, k: FloatArray
-) -> None:
-    """Step by the classical Runge-Kutta method; k : (6, STATES) of working space."""
-    late = p[DELAY] / dt
-    for stage in range(4):
-        share = (0.0, 0.5, 0.5, 1.0)[stage]
-        value, step = _input(given, slope, at - late + share * h / dt)
-        for n in range(STATES):
-            k[5, n] = x[n] + (share * h * k[stage - 1, n] if stage > 0 else 0.0)
-        _rates(k[5], value, step / dt, p, k[stage])
-    for n in range(STATES):
-        x[n] += h / 6.0 * (k[0, n] + 2.0 * k[1, n] + 2.0 * k[2, n] + k[3, n])
+def _moved(x: State, h: float, k: State) -> State:
+    """Return x + h k."""
+    return (
+        x[0] + h * k[0],
+        x[1] + h * k[1],
+        x[2] + h * k[2],
+        x[3] + h * k[3],
+        x[4] + h * k[4],
+        x[5] + h * k[5],
+    )
 
 
 @compiled
-def _begin(x: FloatArray, at: FloatArray, given: float, p: FloatArray) -> None:
+def _step(
+    x: State, first: State, given: FloatArray, slope: FloatArray, at: float, dt: float, h: float, p: FloatArray
+) -> State:
+    """Step by the classical Runge-Kutta method from x, whose rate is `first`, so many samples after the first."""
+    value, step = _input(given, slope, at + 0.5 * h / dt)
+    second = _rates(_moved(x, 0.5 * h, first), value, step / dt, p)
+    third = _rates(_moved(x, 0.5 * h, second), value, step / dt, p)
+    value, step = _input(given, slope, at + h / dt)
+    last = _rates(_moved(x, h, third), value, step / dt, p)
+    mean = _moved(_moved(_moved(first, 2.0, second), 2.0, third), 1.0, last)
+    return _moved(x, h / 6.0, mean)
+
+
+@compiled
+def _begin(x: State, at: FloatArray, given: float, p: FloatArray) -> State:
     """Set places and speeds; of a mass whose place is not known, as far from the other as the coupling is stretched."""
     last, first = at[0] == at[0], at[2] == at[2]  # not NaN
+    strain, bent = x[STRAIN], x[BENT]
     if p[LOAD] <= 0.0:
-        x[Q], x[V] = (at[0], at[1]) if last else (at[2], at[3])
-        x[Q_LOAD], x[V_LOAD] = x[Q], x[V]
-        return
-    x[Q_LOAD], x[V_LOAD] = (at[0], at[1]) if last else (at[2], at[3])
-    x[Q], x[V] = (at[2], at[3]) if first else (at[0], at[1])
+        q, v = (at[0], at[1]) if last else (at[2], at[3])
+        return q, v, q, v, strain, bent
+    q_load, v_load = (at[0], at[1]) if last else (at[2], at[3])
+    q, v = (at[2], at[3]) if first else (at[0], at[1])
     if last and first:
-        return
-    force = (given if p[BY_FORCE] != 0.0 else p[STIFFNESS] * (given - x[Q])) - p[DAMPING] * x[V]
+        return q, v, q_load, v_load, strain, bent
+    force = (given if p[BY_FORCE] != 0.0 else p[STIFFNESS] * (given - q)) - p[DAMPING] * v
     stretch = p[LOAD] / (p[LOAD] + p[MASS]) * force / p[COUPLING]
-    x[Q] += stretch if last else 0.0
-    x[Q_LOAD] -= 0.0 if last else stretch
+    if last:
+        return q + stretch, v, q_load, v_load, strain, bent
+    return q, v, q_load - stretch, v_load, strain, bent
 
 
 @compiled
@@ -190,16 +201,20 @@ def integrate_axis(
     -------
     (n, 3) position of the first mass and of the last one, m, and the last one's acceleration, m/s².
     """
-    n, x, k = len(given), np.zeros(STATES), np.zeros((6, STATES))
-    out, h = np.empty((n, 3)), dt / substeps
+    n, x = len(given), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    out, h, late, loaded = np.empty((n, 3)), dt / substeps, p[DELAY] / dt, p[LOAD] > 0.0
     for i in range(n):
         if i % shot == 0 and i // shot < len(begin):
-            _begin(x, begin[i // shot], _input(given, slope, i - p[DELAY] / dt)[0], p)
-        value, step = _input(given, slope, i - p[DELAY] / dt)
-        _rates(x, value, step / dt, p, k[0])
+            x = _begin(x, begin[i // shot], _input(given, slope, i - late)[0], p)
+        value, step = _input(given, slope, i - late)
+        rate = _rates(x, value, step / dt, p)
         out[i, 0] = x[Q]
-        out[i, 1] = x[Q_LOAD] if p[LOAD] > 0.0 else x[Q]
-        out[i, 2] = k[0, V_LOAD] if p[LOAD] > 0.0 else k[0, V]
+        out[i, 1] = x[Q_LOAD] if loaded else x[Q]
+        out[i, 2] = rate[V_LOAD] if loaded else rate[V]
         for j in range(substeps if i < n - 1 else 0):
-            _step(x, given, slope, i + j / substeps, dt, h, p, k)
+            at = i + j / substeps - late
+            if j > 0:
+                value, step = _input(given, slope, at)
+                rate = _rates(x, value, step / dt, p)
+            x = _step(x, rate, given, slope, at, dt, h, p)
     return out
