@@ -13,22 +13,11 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ffcomp.measurement.recording import Recording
-from ffcomp.record.clock import Reference
+from ffcomp.record.clock import DEAF
 from ffcomp.record.result import Joined
-from models.arrays import FloatArray
 from models.machine import Machine
 
 AXES = "xyz"
-LOUD = 0.05  # of the loudest axis' power: less, and a motion does not tell whether a chip feels an axis
-DEAF = 0.3  # of the motion that the command makes along an axis
-
-
-def felt_shares(record: FloatArray, reference: Reference, t: FloatArray) -> tuple[float, ...]:
-    """Return how much of the expected motion along x, y, z a record (k, 3) at (k,) s holds; one where there is none."""
-    expected = reference.at(t)[0]
-    power = np.sum(expected**2, axis=0)
-    gains = np.sum(record * expected, axis=0) / np.maximum(power, 1e-300)
-    return tuple(np.where(power >= LOUD * power.max(), gains, 1.0).tolist())
 
 
 def of_all_chips(by_chip: Sequence[Sequence[Joined]]) -> list[Joined]:

@@ -26,6 +26,8 @@ CYCLES_OF_CLOCK_STEP = 0.1  # of the band's middle, between two ratios that are 
 BLOCKS = 24  # for an uncertainty that holds with coloured residuals
 ITERATIONS = 12
 STARTS, APART_S = 4, 0.02  # offsets that are tried for each ratio
+LOUD = 0.05  # of the loudest axis' power: less, and a motion does not tell whether a chip feels an axis
+DEAF = 0.3  # of the motion that the command makes along an axis
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,14 @@ def long_gaps(time_s: FloatArray, measured: FloatArray) -> BoolArray:
     return np.asarray(binary_opening(missing, np.ones(bridged + 1, dtype=np.bool_)))
 
 
+def felt_shares(record: FloatArray, reference: Reference, t: FloatArray) -> tuple[float, ...]:
+    """Return how much of the expected motion along x, y, z a record (k, 3) at (k,) s holds; one where there is none."""
+    expected = reference.at(t)[0]
+    power = np.sum(expected**2, axis=0)
+    gains = np.sum(record * expected, axis=0) / np.maximum(power, 1e-300)
+    return tuple(np.where(power >= LOUD * power.max(), gains, 1.0).tolist())
+
+
 def fit_clock(
     since: FloatArray, record: FloatArray, reference: Reference, start: tuple[float, float], free_ratio: bool
 ) -> ClockFit:
@@ -103,10 +113,11 @@ def fit_clock(
     start : offset and ratio to begin with
     """
     estimate, centre = np.array(start), float(since.mean())
+    felt = np.array(felt_shares(record, reference, start[0] + start[1] * since)) >= DEAF
     free = 2 if free_ratio else 1
     for _ in range(ITERATIONS):
         t = estimate[0] + estimate[1] * since
-        linear, slope = _linear(reference.at(t)), reference.at(t, 1)[0]
+        linear, slope = _linear(reference.at(t), felt), reference.at(t, 1)[0]
         gains, *_ = np.linalg.lstsq(linear, record.ravel(), rcond=1e-9)
         residual = record.ravel() - linear @ gains
         early = (gains[:3] * slope).ravel()
@@ -127,11 +138,14 @@ def fit_clock(
     return ClockFit(float(estimate[0]), offset_sd, float(estimate[1]), ratio_sd, float(np.sqrt(max(explained, 0.0))))
 
 
-def _linear(values: list[FloatArray]) -> FloatArray:
-    """Build the columns whose sizes are free, (3 k, 3 + s): each axis by itself, each signature on all together."""
+def _linear(values: list[FloatArray], felt: BoolArray) -> FloatArray:
+    """Build the columns whose sizes are free, (3 k, 3 + s): each axis by itself, each signature on all together.
+
+    A signature has no share of an axis that the chip does not feel: friction beside a chip on the bed is the bed's.
+    """
     expected, *signatures = values
     axes = [np.where(np.arange(3) == axis, expected, 0.0).ravel() for axis in range(3)]
-    return np.column_stack([*axes, *(each.ravel() for each in signatures)])
+    return np.column_stack([*axes, *((each * felt).ravel() for each in signatures)])
 
 
 def _sandwich(jacobian: FloatArray, residual: FloatArray, normal: FloatArray) -> FloatArray:

@@ -18,8 +18,8 @@ from ffcomp.errors import MeasurementError
 from ffcomp.measurement.closed_loop import is_closed_loop, read_closed_loop
 from ffcomp.measurement.recording import Recording
 from ffcomp.record.axes import best_score, find_turn, tilt, words
-from ffcomp.record.chips import felt_shares, of_all_chips, without_deaf_axes
-from ffcomp.record.clock import ClockFit, fit_clock, long_gaps, without_gaps
+from ffcomp.record.chips import of_all_chips, without_deaf_axes
+from ffcomp.record.clock import ClockFit, felt_shares, fit_clock, long_gaps, without_gaps
 from ffcomp.record.expected import Expectation
 from ffcomp.record.motor_runs import BLIND, motor_runs
 from ffcomp.record.plan import MovesPlan

@@ -2,14 +2,16 @@
 
 A shaper takes out of the command what would make the printer ring, so the capture lacks what the machine file expects
 around the shaper's frequency. Every kind of shaper at every frequency is tried, on x and y each by itself, on all
-captures together; sizes of the motion and of unknown effects stay free (`ffcomp.record.expected`).
+captures together; sizes of the motion and of unknown effects stay free (`ffcomp.record.expected`). A machine that
+follows its command late is no shaper: shapers are centred on their command, so a delay is allowed for beforehand, and
+what it explains without a shaper is no sign of one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -28,6 +30,10 @@ EXPLAINED = 0.35  # of the power may be left with the shaper
 BETTER = 2.5  # times less than without it; files with dampings off by 4, belts by 20 % or 120 g gave 1.4 at most
 AS_GOOD = 1.5  # times as much left: kinds that smooth alike are told apart by nothing else
 LEAST_WITHOUT = 0.03  # of the power: less may be anything
+LATE_S = np.arange(-2.5e-3, 2.51e-3, 2.5e-4)  # by which all captures may be late, or their clocks be early
+LATE_SHAPED_S = LATE_S[::5]  # those with which shapers are tried
+
+_Spectra = tuple[FloatArray, ComplexArray, ComplexArray]  # frequencies, measured, expected columns
 
 
 @dataclass(frozen=True)
@@ -38,7 +44,7 @@ class FoundShaper:
     kind: str
     frequency_hz: float
     left: float  # with the shaper
-    left_without: float
+    left_without: float  # with a delay alone
 
     @property
     def words(self) -> str:
@@ -71,23 +77,32 @@ def _likeliest(left: FloatArray) -> int:
 
 def _unexplained(recorded: Sequence[tuple[Joined, Expectation]], axis: int) -> tuple[FloatArray, float]:
     """Return the share of the power along an axis that is left by each candidate (c,), and by none."""
-    count = 1 + len(recorded[0][1].signatures)
-    tried = len(SHAPERS) * len(FREQUENCIES_HZ) + 1
-    total, normal, right = 0.0, np.zeros((tried, count, count)), np.zeros((tried, count))
-    for joined, expected in recorded:
-        frequency, measured, columns = _spectra(joined, expected, axis)
-        response = _responses(frequency)
+    spectra = [_spectra(joined, expected, axis) for joined, expected in recorded]
+    without = _left(spectra, lambda frequency: _delays(frequency, LATE_S)).min()
+    shaped = np.min([_left(spectra, partial(_responses, late_s=float(late))) for late in LATE_SHAPED_S], axis=0)
+    return shaped, float(without)
+
+
+def _left(spectra: Sequence[_Spectra], responses: Callable[[FloatArray], ComplexArray]) -> FloatArray:
+    """Return the share of the power that each of c responses (c, k) at (k,) Hz leaves, (c,): sizes are free."""
+    total, count, tried = 0.0, spectra[0][2].shape[1], len(responses(spectra[0][0]))
+    normal, right = np.zeros((tried, count, count)), np.zeros((tried, count))
+    for frequency, measured, columns in spectra:
+        response = responses(frequency)
         total += float((np.abs(measured) ** 2).sum())
         square = np.einsum("ki,kj->kij", columns.conj(), columns).real
         normal = normal + np.tensordot(np.abs(response) ** 2, square, axes=1)
         right = right + (response.conj() @ (columns.conj() * measured[:, None])).real
     ridge = 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(count)
     gains = np.linalg.solve(normal + ridge, right[..., None])[..., 0]
-    left = 1.0 - np.einsum("ci,ci->c", right, gains) / max(total, 1e-300)
-    return left[:-1], float(left[-1])
+    return np.asarray(1.0 - np.einsum("ci,ci->c", right, gains) / max(total, 1e-300))
 
 
-def _spectra(joined: Joined, expected: Expectation, axis: int) -> tuple[FloatArray, ComplexArray, ComplexArray]:
+def _delays(frequency_hz: FloatArray, late_s: FloatArray) -> ComplexArray:
+    return np.asarray(np.exp(-2j * np.pi * np.outer(late_s, frequency_hz)))
+
+
+def _spectra(joined: Joined, expected: Expectation, axis: int) -> _Spectra:
     """Return frequencies (k,) Hz, the measured spectrum (k,), and those of what is expected, (k, 1 + s)."""
     recording = joined.recording
     felt = without_gaps(recording.time_s, recording.acceleration[f"acc_{'xyz'[axis]}"][:, None])[:, 0]
@@ -101,11 +116,11 @@ def _spectra(joined: Joined, expected: Expectation, axis: int) -> tuple[FloatArr
     return frequency[band], np.fft.rfft(felt)[band], columns
 
 
-def _responses(frequency_hz: FloatArray) -> ComplexArray:
-    """Return the response of each candidate, and of no shaper at last, (c + 1, k)."""
+def _responses(frequency_hz: FloatArray, late_s: float) -> ComplexArray:
+    """Return the response of each candidate with a delay, (c, k)."""
     relative = frequency_hz / FREQUENCIES_HZ[:, None]
     rows = [np.interp(relative, NORMAL, _of_one_hertz(kind)) for kind in SHAPERS]
-    return np.concatenate([*rows, np.ones((1, len(frequency_hz)))])
+    return np.concatenate(rows) * _delays(frequency_hz, np.array([late_s]))
 
 
 @cache

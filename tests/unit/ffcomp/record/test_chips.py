@@ -40,6 +40,16 @@ def test_each_axis_comes_from_the_chip_that_feels_it(bench: tuple[list[Path], Mo
     assert gap.nrms == pytest.approx(gap.noise_nrms, rel=0.5)
 
 
+def test_friction_of_the_bed_is_no_other_motion(bench: tuple[list[Path], MovesPlan, Machine], tmp_path: Path) -> None:
+    """Friction of x, which the bed's chip does not feel, must not be weighed against that of the bed."""
+    _, plan, machine = bench
+    rough = replace(SLINGER.plant, friction_n=(0.7, 3.0), bristle_n_per_m=8e4)
+    once = replace(plan, experiments=tuple(e for e in plan.experiments if e.kind == "reversals"), repeats=1)
+    found = join_captures(as_captures(tmp_path / "rough", once, rough, SLINGER, 30.0), once, machine)
+    assert len(found.joined) == 1 and not found.refused
+    assert min(found.joined[0].felt[:2]) > 0.8
+
+
 def test_an_axis_that_no_chip_feels_is_left_out_and_said(bench: tuple[list[Path], MovesPlan, Machine]) -> None:
     for chip, missing in (("head", "y"), ("bed", "x")):
         found = joined(bench, bed=chip == "bed", head=chip == "head")

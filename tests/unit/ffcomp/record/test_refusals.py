@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,8 @@ from ffcomp.record.result import JoinResult
 from ffcomp.shapers.kinds import SHAPERS
 from models.file import load_machine
 from models.machine import Machine
+from studies.straight_proof import KINDS as PROVEN
+from studies.straight_proof import as_captures, machine_text
 from tests.support.recordings import write_captures
 
 KINDS = ("zigzag", "loop")
@@ -66,6 +69,28 @@ def test_a_machine_file_that_is_wrong_is_no_shaper(plan: MovesPlan, machine: Mac
     plant = replace(machine, vibration=machine.vibration.with_parameters(off))
     once = replace(plan, repeats=1)
     assert len(join_captures(captured(once, plant, tmp_path), once, machine).joined) == 2
+
+
+def test_a_machine_that_is_late_is_no_shaper(tmp_path: Path) -> None:
+    """Nor with a file that is off by some percent: a ZVD of 27 Hz explained two thirds of this."""
+    kind = PROVEN["corexy"]
+    (tmp_path / "owner.toml").write_text(machine_text(kind, off=np.random.default_rng(13)), encoding="utf-8")
+    owner = load_machine(tmp_path / "owner.toml")
+    once = replace(make_plan(owner, Request(seconds=2.0, places_mm=[(0.0, 0.0)], kinds=("multisine",))), repeats=1)
+    late = replace(kind.plant, delay_s=1.7e-3)
+    found = join_captures(as_captures(tmp_path / "captures", once, late, kind, 30.0), once, owner)
+    assert len(found.joined) == 1 and not found.refused
+    # the firmware dates the rows, so the delay stays in what is joined
+    assert found.joined[0].clock.offset_s == pytest.approx(-1.0, abs=4e-4)
+
+
+def test_a_shaper_left_on_is_named_on_a_machine_that_is_late(plan: MovesPlan, machine: Machine, tmp_path: Path) -> None:
+    late = replace(machine, effects={"command_delay": {"delay_s": [1.5e-3, 1.5e-3, 0.0]}})
+    once = replace(plan, repeats=1)
+    found = join_captures(captured(once, late, tmp_path, shapers=(None, SHAPERS["zvd"](40.0, 0.1))), once, machine)
+    assert not found.joined
+    (why,) = set(reasons(found))
+    assert re.search(r"y moved as ZVD at about (3[89]|4[012]) Hz", why) and "x moved" not in why
 
 
 def test_repeats_that_do_not_repeat_are_refused_with_the_number(
