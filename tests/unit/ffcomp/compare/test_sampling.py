@@ -62,10 +62,10 @@ def test_a_share_stands_for_the_whole_and_is_said(name: str) -> None:
 
 
 def test_what_is_left_out_is_said() -> None:
-    path = judge.ROOT / "sample_prints" / "lobed_vase.gcode"
-    stretches, sentence = Print(path.read_bytes(), path.name, MACHINE).slices(Sampling(share=0.1))
+    printed = vase()
+    stretches, sentence = printed.slices(Sampling(share=0.1))
     assert "Not among them: Skirt/Brim (1.1% of what extrudes)." in sentence
-    assert "Skirt/Brim" not in {vase().labels.features[k] for each in stretches for k in each.feature[each.extrudes]}
+    assert "Skirt/Brim" not in {printed.labels.features[k] for each in stretches for k in each.feature[each.extrudes]}
 
 
 def test_a_long_print_is_sampled_without_being_asked() -> None:
