@@ -14,7 +14,7 @@ from ffcomp.diagnose.diagnosis import Diagnosis as Search
 from ffcomp.diagnose.diagnosis import diagnose as search_effects
 from ffcomp.diagnose.gap import Discrepancy, measure_gap
 from ffcomp.diagnose.json import diagnosis_json
-from ffcomp.diagnose.problems import Plant, check_recordings, problem_of, recordings_of
+from ffcomp.diagnose.problems import Plant, check_recordings, problem_of, recordings_of, separated
 from ffcomp.diagnose.result import DiagnosisResult, better_file, result_of
 from ffcomp.diagnose.validation import Recorded
 from ffcomp.errors import RequestError, extras_told
@@ -203,7 +203,7 @@ def diagnose(
     problem = problem_of(loaded, measured)
     check_recordings(problem, measured, without_repeats)
     search = search_effects(problem, progress)
-    found = result_of(problem, search)
+    found = separated(problem, search, result_of(problem, search))
     target = Path(output) if output is not None and found.mends else None
     if target is not None:
         hashes = [hash_of(path) for path in files]

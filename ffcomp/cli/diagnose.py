@@ -67,7 +67,7 @@ def diagnose(
         from ffcomp.cli.search_progress import SearchProgress
         from ffcomp.diagnose.diagnosis import diagnose as searched
         from ffcomp.diagnose.json import diagnosis_json
-        from ffcomp.diagnose.problems import check_recordings, gain_of, problem_of, recordings_of
+        from ffcomp.diagnose.problems import check_recordings, gain_of, problem_of, recordings_of, separated
         from ffcomp.diagnose.result import result_of
         from ffcomp.record.axes import turn_of
         from models.file import load_plant
@@ -83,7 +83,7 @@ def diagnose(
         check_recordings(problem, measured, without_repeats)
         with SearchProgress(quiet) as shown:
             search = searched(problem, shown)
-        found = result_of(problem, search)
+        found = separated(problem, search, result_of(problem, search))
         better = output if found.mends else None
         gain = gain_of(loaded, found)
         page = _page(problem, search, found, better, report, runs, began, gain)

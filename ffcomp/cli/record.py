@@ -111,6 +111,15 @@ Print = Annotated[
         "that -o names.",
     ),
 ]
+Kind = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--kind",
+        metavar="NAME",
+        rich_help_panel=ADVANCED,
+        help="Only such moves: zigzag, reversals, loop or multisine. May be repeated. Default: all of them.",
+    ),
+]
 Seed = Annotated[int, typer.Option(metavar="N", rich_help_panel=ADVANCED, min=0, help="Seed of the moves.")]
 
 
@@ -127,6 +136,7 @@ def plan(
     chip: Chips = None,
     shaper: ShaperBack = "",
     print_file: Print = None,
+    kind: Kind = None,
     seed: Seed = 1,
     as_json: AsJson = False,
 ) -> None:
@@ -143,6 +153,10 @@ def plan(
 
     if flavor:
         check_choice("--flavor", flavor, sorted(FLAVORS))
+    from ffcomp.record.moves import KINDS
+
+    for each in kind or []:
+        check_choice("--kind", each, list(KINDS))
     account = account_of(output_file)
     with exit_codes():
         from ffcomp.record.firmware import DEFAULT_CHIPS, Firmware
@@ -159,6 +173,7 @@ def plan(
             repeats=repeats,
             acceleration_mm_per_s2=amplitude_mm_per_s2,
             seed=seed,
+            kinds=list(dict.fromkeys(kind or KINDS)),
         )
         spoken = flavor or loaded.flavor or KLIPPER
         firmware = Firmware(spoken, chip or DEFAULT_CHIPS[spoken], pair("--shaper", shaper) if shaper else None)

@@ -20,5 +20,6 @@ acceptance     tests before an effect is named (confounding: effects that it cou
 diagnosis      all stages together
 
 Results: result (in the terms of the machine file), summary (for reports), residuals (where the residual is, without a
-diagnosis), next_experiment (which move separates what is still in question).
+diagnosis), next_experiment (which move separates what is still in question), separating_moves and separation (which
+recording of `ffcomp record plan` tells explanations apart that fit equally).
 """

@@ -37,6 +37,7 @@ def diagnosis_json(
         "refused": {"effects": list(found.effects), "because": list(found.rejections)} if found.rejections else None,
         "invisible": list(found.invisible),
         "retuned": {key: {"from": a, "to": b} for key, (a, b) in found.retuned.items()},
+        "separate": [each.to_dict() for each in found.separations],
         "confusable_with": [{"name": name, "separate_by": how} for name, how in found.confounded_with],
         "late_s": dict(found.late_s),
         "left_out": found.left_out,

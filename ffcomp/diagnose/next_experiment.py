@@ -111,7 +111,9 @@ def _questions(problem: PrinterProblem, found: Diagnosis) -> list[_Question]:
     asked = [_separation(found, names, h.fit.values) for names, h in nearest]
     confounded = {name for name, _ in confounded_with(best, found.screened, CONFOUNDED)}
     known = {name for names, _ in nearest for name in names}
-    asked += [_separation(found, (s.candidate.name,), _linear(found, s)) for s in _named(found, confounded - known)]
+    asked += [
+        _separation(found, (s.candidate.name,), linear_estimate(found, s)) for s in _named(found, confounded - known)
+    ]
     return asked[: MOST_QUESTIONS if found.named is not None else NEAREST]
 
 
@@ -147,7 +149,7 @@ def _shown(found: Diagnosis, screened: Screened) -> _Question:
     return _Question((name,), found.base.values, values, f"would show {name} of a usual size", in_data)
 
 
-def _linear(found: Diagnosis, screened: Screened) -> dict[str, float]:
+def linear_estimate(found: Diagnosis, screened: Screened) -> dict[str, float]:
     """Estimate a confounded effect that was not fitted: as large as its signature says."""
     amplitudes = screened.candidate.amplitudes
     sizes = [
@@ -206,14 +208,37 @@ def _blank_recording(
     text = _text(machine, move, position)
     trajectory = plan_program(read_program(text.encode(), move.kind), machine).trajectory
     begin = float(trajectory.start_t[0])
-    t = np.arange(0.0, trajectory.end_t - begin + BEFORE_S + AFTER_S, 1 / rate_hz)
-    nozzle = np.ascontiguousarray(trajectory.position(t + begin - BEFORE_S)[:, :3])
+    return blank_recording(
+        machine,
+        move.kind,
+        lambda t: np.ascontiguousarray(trajectory.position(t + begin)[:, :3]),
+        trajectory.end_t - begin,
+        signals,
+        rate_hz,
+    )
+
+
+def blank_recording(
+    machine: Machine,
+    name: str,
+    nozzle: Callable[[FloatArray], FloatArray],
+    seconds: float,
+    signals: Sequence[str],
+    rate_hz: float,
+) -> Recording:
+    """Return the recording of a motion, nothing measured yet.
+
+    Parameters
+    ----------
+    nozzle : (n,) s since the beginning -> (n, 3) mm, the commanded nozzle
+    """
+    t = np.arange(0.0, seconds + BEFORE_S + AFTER_S, 1 / rate_hz)
     blank: dict[str, dict[str, FloatArray]] = {"acc": {}, "pos": {}}
     for signal in signals:
         blank[signal[:3]][signal] = np.zeros(len(t))
     gaps = np.zeros(len(t), dtype=bool)
-    carriages = machine.kinematics.inverse(nozzle)
-    return Recording(move.kind, t, carriages, "carriage", blank["acc"], blank["pos"], gaps, {})
+    carriages = machine.kinematics.inverse(nozzle(t - BEFORE_S))
+    return Recording(name, t, carriages, "carriage", blank["acc"], blank["pos"], gaps, {})
 
 
 def _proposal(machine: Machine, question: _Question, trial: _Trial) -> Proposal:

@@ -14,6 +14,7 @@ from ffcomp.diagnose.print_gain import PrintGain, print_gain
 from ffcomp.diagnose.printer_problem import PrinterProblem
 from ffcomp.diagnose.problem import Problem
 from ffcomp.diagnose.result import DiagnosisResult
+from ffcomp.diagnose.separating_moves import separations
 from ffcomp.diagnose.validation import Recorded, check_alike, check_repeating, check_repeats
 from ffcomp.errors import RequestError
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
@@ -122,6 +123,18 @@ def proposals_of(problem: Problem, found: Diagnosis) -> list[Proposal]:
 @proposals_of.register
 def _(problem: PrinterProblem, found: Diagnosis) -> list[Proposal]:
     return propose(problem, found)
+
+
+@singledispatch
+def separated(problem: Problem, found: Diagnosis, told: DiagnosisResult) -> DiagnosisResult:
+    """Add what to record where several explanations fit equally; of an axis nothing, for it takes no G-code."""
+    del problem, found
+    return told
+
+
+@separated.register
+def _(problem: PrinterProblem, found: Diagnosis, told: DiagnosisResult) -> DiagnosisResult:
+    return replace(told, separations=separations(problem, found))
 
 
 @singledispatch

@@ -16,6 +16,7 @@ from ffcomp.diagnose.printer_problem import WHOLE, effect_tables
 from ffcomp.diagnose.problem import Problem
 from ffcomp.diagnose.recording_delays import PREFIX, belongs_to_recording
 from ffcomp.diagnose.residuals import ResidualSize, locate_residual
+from ffcomp.diagnose.separation import Separation
 from ffcomp.identify.uncertainty import Estimate
 from models.effects.catalogue import CATALOGUE, key_in_file
 from models.file import updated_text
@@ -51,6 +52,7 @@ class DiagnosisResult:
     unproven: Sequence[str] = ()  # places or experiments where it is not explained
     file_off: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # numbers that would explain as much
     per_kilogram: bool = False  # forces are, on axes of unknown mass
+    separations: Sequence[Separation] = ()  # from what fits as well: see `problems.separated`
 
     @property
     def mends(self) -> bool:

@@ -47,14 +47,15 @@ REMEDIES: Mapping[str, str] = {
 
 def what_to_do(found: DiagnosisResult) -> list[str]:
     """Return steps in order: to the printer first, then to the file, then what to record."""
-    finding = finding_of(found)
+    finding, apart = finding_of(found), [each.sentence() for each in found.separations]
     if finding == "effects":
-        return [*(_remedy(name, table) for name, table in found.effects.items()), *_afterwards(found)]
+        return [*(_remedy(name, table) for name, table in found.effects.items()), *_afterwards(found), *apart]
     if finding == "nothing":
         return ["Nothing to mend, as far as these recordings go. Record again when prints change."]
     if finding in ("cannot_tell", "recording"):
         return ["Record again as said above before anything is changed on the printer or in its file."]
     return [
+        *apart,
         "Do not add the nearest effect to the file by hand: it is wrong where it was not fitted.",
         "Look for something loose, rubbing, worn or bent where the gap is largest.",
         f"Record other motions, each twice, at more places at least 20 mm apart{_at(found)}."

@@ -136,7 +136,7 @@ def schedule(places: int, kinds: Sequence[str] = tuple(KINDS)) -> list[tuple[str
     """List kind and place of each experiment, at most twelve, every kind about equally often."""
     if places == 1:
         return [(kind, 0) for kind in kinds]
-    each = min(KINDS_AT_A_PLACE, MOST_EXPERIMENTS // places)
+    each = min(KINDS_AT_A_PLACE, len(kinds), MOST_EXPERIMENTS // places)
     if each < 1:
         raise LimitsError(f"There are {places} places, and a file has at most {MOST_EXPERIMENTS} experiments.")
     return [(kinds[(place + k) % len(kinds)], place) for place in range(places) for k in range(each)]

@@ -18,6 +18,7 @@ from ffcomp.diagnose.json import diagnosis_json
 from ffcomp.diagnose.print_gain import PrintGain
 from ffcomp.diagnose.residuals import ResidualSize
 from ffcomp.diagnose.result import DiagnosisResult
+from ffcomp.diagnose.separation import Separation
 from ffcomp.identify.uncertainty import normal
 from ffcomp.measurement.frf_files import write_frf
 from models.file import LIBRARY, load_machine
@@ -196,6 +197,9 @@ def _outcome(verdict: str) -> DiagnosisResult:
         late_s={"a-1.csv": 2e-3},
         unproven=["(55, 20)"],
         file_off={"effector.nozzle_mass_kg": (0.5, 0.56)},
+        separations=[
+            Separation((name,), ("joint_friction",), 0.1, 4.0, "loop", (0.0, 0.0, 30.0), "ffcomp record plan")
+        ],
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -80,3 +81,11 @@ def test_a_damaged_history_stays_as_it_is(tmp_path: Path) -> None:
     done = ffcomp(*call)
     assert done.exit_code == 5 and "Line 1 of the history is no check of ffcomp" in done.output, done.output
     assert history.read_text(encoding="utf-8") == '{"schema":"ffcomp-check'
+
+
+def test_only_the_kinds_of_moves_that_are_asked_for(tmp_path: Path) -> None:
+    asked = ("--at", "110,110", "--kind", "loop", "--kind", "loop", "--json")
+    done = ffcomp("record", "plan", "-m", "ender-3", "-o", tmp_path / "a.gcode", "--seconds", "2", *asked)
+    assert [each["kind"] for each in json.loads(done.stdout)["experiments"]] == ["loop"]
+    wrong = ffcomp("record", "plan", "-m", "ender-3", "-o", tmp_path / "b.gcode", "--kind", "circle")
+    assert wrong.exit_code == 2 and "zigzag, reversals, loop or multisine" in " ".join(wrong.output.split())
