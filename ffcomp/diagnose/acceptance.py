@@ -6,9 +6,16 @@ from collections.abc import Mapping, Sequence
 
 from ffcomp.diagnose.fit import Fit
 from ffcomp.diagnose.held_out import LEFT, HeldOut
-from ffcomp.diagnose.hypotheses import IMPLAUSIBLE, SIGNIFICANT, Hypothesis, discrepancy_of, implausible, misfit
+from ffcomp.diagnose.hypotheses import (
+    SIGNIFICANT,
+    Hypothesis,
+    discrepancy_of,
+    implausible,
+    misfit,
+    moved_numbers,
+    within_file,
+)
 from ffcomp.diagnose.intervals import superfluous
-from ffcomp.diagnose.recording_delays import belongs_to_recording
 from ffcomp.identify.uncertainty import Estimate
 
 MINOR = 0.05  # of all that was unexplained where it was left out: a place with less proves nothing against an effect
@@ -39,14 +46,9 @@ def rejections(
 
 def out_of_reach(best: Hypothesis) -> list[str]:
     """Say which of the file's own numbers had to move furthest, if they had to move beyond what the file says."""
-    own = [
-        (p.name, abs(float(z)))
-        for p, z in zip(best.own_parameters, best.fit.z, strict=False)
-        if not belongs_to_recording(p.name)
-    ]
-    if sum(z**2 for _, z in own) <= IMPLAUSIBLE * len(own):
+    if within_file(best):
         return []
-    name, z = max(own, key=lambda each: each[1])
+    name, z = max(moved_numbers(best), key=lambda each: each[1])
     return [
         "with it the machine file's own numbers would have to be off by more than the file says, "
         f"{name} by {z:.1f} times its uncertainty"

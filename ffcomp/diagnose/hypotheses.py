@@ -11,6 +11,7 @@ from ffcomp.diagnose.estimation import EstimationProblem
 from ffcomp.diagnose.fit import Fit
 from ffcomp.diagnose.problem import Candidate, Parameter
 from ffcomp.diagnose.progress import Now, Progress
+from ffcomp.diagnose.recording_delays import belongs_to_recording
 from models.arrays import FloatArray
 
 SIGNIFICANT = 10.0  # −2 ln Z
@@ -106,6 +107,37 @@ def implausible(fitted: Fit, own: int | None = None) -> bool:
     """Tell whether the first `own` parameters moved further than their uncertainties make likely."""
     z = fitted.z[:own]
     return float(z @ z) > IMPLAUSIBLE * len(z)
+
+
+def moved_numbers(h: Hypothesis) -> list[tuple[str, float]]:
+    """Return by how many of its uncertainties each of the file's own numbers moved, a recording's clock aside."""
+    moved = zip(h.own_parameters, h.fit.z, strict=False)
+    return [(n.name, abs(float(z))) for n, z in moved if not belongs_to_recording(n.name)]
+
+
+def within_file(h: Hypothesis) -> bool:
+    """Tell whether the file's own numbers moved no further than their uncertainties make likely."""
+    moved = moved_numbers(h)
+    return sum(z**2 for _, z in moved) <= IMPLAUSIBLE * len(moved)
+
+
+def with_one_within_file(close: Sequence[Hypothesis], ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Add to the contenders the likeliest hypothesis that leaves the file's own numbers in reach, if none does.
+
+    An effect that is a number of the file, as a belt's stiffness is, can be had by bending that number alone. Then
+    something small beside it fits better than the effect does before it is fitted well.
+    """
+    held = next((h for h in ranked if within_file(h)), None)
+    return list(close) if held is None or any(within_file(h) for h in close) else [*close, held]
+
+
+def preferring_file(best: Hypothesis, tried: Sequence[Hypothesis], little: float) -> Hypothesis:
+    """Prefer a hypothesis that leaves the file's own numbers in reach and but little of the discrepancy.
+
+    One that bends them would be rejected for it, and nothing would be named.
+    """
+    held = [h for h in tried if within_file(h) and h.discrepancy < little]
+    return best if within_file(best) else min(held, key=lambda h: h.fit.evidence, default=best)
 
 
 def incomplete(estimation: EstimationProblem, h: Hypothesis) -> bool:

@@ -19,6 +19,7 @@ from ffcomp.diagnose.hypotheses import (
     likeliest,
     log_fit,
     log_try,
+    within_file,
 )
 from ffcomp.diagnose.problem import Parameter
 from ffcomp.diagnose.progress import Progress
@@ -62,8 +63,9 @@ def initial_fits(
         for start in select_starts(quick, base, screened, discrepancy_of(base) > LARGE):
             bar = min((h.discrepancy for h in found), default=np.inf)
             found.append(fit_start(quick, base, start, progress, bar))
-    ranked = likeliest(found)
-    return likeliest([_pursued(quick, h, ranked[0]) for h in distinct(ranked)])
+    ranked = distinct(likeliest(found))
+    held = [h for h in ranked if within_file(h)]  # what bends the file's numbers is no measure for what does not
+    return likeliest([_pursued(quick, h, held[0] if h in held else ranked[0]) for h in ranked])
 
 
 def _pursued(estimation: EstimationProblem, h: Hypothesis, best: Hypothesis) -> Hypothesis:

@@ -186,4 +186,5 @@ def _share(estimation: EstimationProblem, fitted: Fit) -> tuple[str, float]:
             excess[name] = excess.get(name, 0.0) + float(np.sum(parts[:, k] ** 2 - 1))
     total = sum(max(x, 0.0) for x in excess.values())
     name = max(excess, key=lambda each: excess[each])
-    return name, (excess[name] / total if total > 0 and len(excess) > 2 else 0.0)
+    stands_out = total > estimation.tolerance * len(fitted.residual)  # by chance alone, one signal has all of a trace
+    return name, (excess[name] / total if stands_out and len(excess) > 2 else 0.0)

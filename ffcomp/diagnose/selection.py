@@ -23,7 +23,9 @@ from ffcomp.diagnose.hypotheses import (
     incomplete,
     likeliest,
     log_fit,
+    preferring_file,
     significant,
+    with_one_within_file,
     without_effect,
 )
 from ffcomp.diagnose.initial_fits import (
@@ -130,12 +132,13 @@ def _begin(search: Search) -> Selection:
     """Fit the candidates quickly, the contenders well, and those nearly as good as the best in their best shape."""
     search.progress(Stage(4, "fitting the most promising effects"))
     ranked = initial_fits(search.estimation, search.bases, search.progress)
-    close = [h for h in ranked[:CONTENDERS] if comparable(h, ranked[0], CONTENDER)]
+    close = with_one_within_file([h for h in ranked[:CONTENDERS] if comparable(h, ranked[0], CONTENDER)], ranked)
     fitted = [continue_or_restart(search.estimation, h, search.progress, search.little) for h in close]
     best = min(fitted, key=lambda h: h.fit.evidence)
     shaped = [converge(search.estimation, h, search.progress) if comparable(h, best, CLOSE) else h for h in fitted]
     tried = (*shaped, *(h for h in ranked if h not in close))
-    likeliest_one = min(tried, key=lambda h: h.fit.evidence)
+    little = max(search.little, search.estimation.tolerance)
+    likeliest_one = preferring_file(min(tried, key=lambda h: h.fit.evidence), tried, little)
     return Selection(simplest(likeliest_one, tried, search.estimation.problem.candidates), tried)
 
 

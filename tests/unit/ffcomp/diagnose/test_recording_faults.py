@@ -96,6 +96,15 @@ def test_the_signal_that_holds_the_gap_is_named() -> None:
     assert odd_signal(bad, []) is None  # an effect explains the gap: no fit is looked at
 
 
+def test_a_trace_in_one_signal_is_no_fault_of_its_sensor() -> None:
+    """What is left of a good fit is noise: whichever signal lies above one by chance holds all of it."""
+    true = [motion()]
+    trace = true[0].copy()
+    trace[:, 2] += 0.018 * np.sin(2 * np.pi * 62 * np.arange(N) / RATE_HZ)
+    estimation = problem(trace)
+    assert odd_signal(estimation, [left(estimation, true)]) is None
+
+
 def test_sensors_quieter_than_any_simulation_do_not_get_the_weaker_answer() -> None:
     whiten = problem(motion()).whiten
     quiet = NoiseFloor(whiten.floor.frequency_hz, {s: d / 1e4 for s, d in whiten.floor.density.items()}, True)

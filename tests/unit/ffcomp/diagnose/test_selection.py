@@ -11,7 +11,13 @@ import pytest
 
 from ffcomp.diagnose.acceptance import out_of_reach
 from ffcomp.diagnose.fit import Fit, values_at
-from ffcomp.diagnose.hypotheses import Hypothesis, leaves_excess, significant
+from ffcomp.diagnose.hypotheses import (
+    Hypothesis,
+    leaves_excess,
+    preferring_file,
+    significant,
+    with_one_within_file,
+)
 from ffcomp.diagnose.parsimony import predicted_without, simplest
 from ffcomp.diagnose.problem import Candidate, Parameter
 from ffcomp.diagnose.refinement import within_reach
@@ -75,6 +81,28 @@ def test_a_freer_shape_is_no_reason_to_name_another_effect() -> None:
     belt, sine, stribeck = (explained(c, *a) for c, a in zip(candidates, [(0.121,), (0.118, 1), (0.118,)], strict=True))
     assert simplest(sine, [belt, sine], candidates) is sine
     assert simplest(stribeck, [belt, stribeck], candidates) is belt  # it needs more, and explains hardly more
+
+
+def bending(name: str, file_z: float, left: float, clock_z: float = 0.0) -> Hypothesis:
+    """An effect of the size 1, with a number of the file and a recording's clock so many uncertainties off."""
+    own = Parameter("axes.y.frequency_hz[0]", 29.0, 0.6), Parameter("recording.loop.delay_s", 0.0, 1e-4)
+    effect = Parameter(f"effects.{name}.size", 0.0, 1.0)
+    residual = np.full(LONG, np.sqrt(1 + left))
+    z = np.array([file_z, clock_z, 1.0])
+    return Hypothesis((Candidate(name, (effect,), {}),), Fit((*own, effect), z, residual, np.zeros((LONG, 3))))
+
+
+def test_an_effect_that_is_a_number_of_the_file_does_not_lose_to_bending_it() -> None:
+    """A softer belt, fitted roughly, beside guides that damp more and a frequency five uncertainties too low."""
+    guides, frame = bending("guide_damping", 5.0, 0.0), bending("frame_mode", 4.0, 0.01)
+    rough, belt = bending("belt_stiffness", 1.0, 1.7), bending("belt_stiffness", 1.0, 0.01, clock_z=5.0)
+    assert with_one_within_file([guides, frame], [guides, frame, rough, belt]) == [guides, frame, rough]
+    assert with_one_within_file([guides, belt], [guides, belt, rough]) == [guides, belt]
+    assert with_one_within_file([guides], [guides, frame]) == [guides]
+    assert guides.fit.evidence < belt.fit.evidence  # and yet
+    assert preferring_file(guides, [guides, frame, belt], 0.05) is belt
+    assert preferring_file(guides, [guides, frame, rough], 0.05) is guides  # which leaves too much
+    assert preferring_file(belt, [rough, belt], 0.05) is belt
 
 
 def test_numbers_of_the_file_are_held_within_reach_where_an_effect_explains_as_much() -> None:
