@@ -44,7 +44,7 @@ PRINT, LAYERS, PRINTED_S = ROOT / "sample_prints" / "ringing_tower.gcode", Sampl
 ASIDE_MM, HIGH_MM = 50.0, 100.0  # by which the print is moved along x and up
 FILE_ERROR = 0.02  # standard deviation of every number of the owner's file, and what it says of itself
 PLANT_HZ, BEFORE_S, AFTER_S = 6400.0, 1.2, 0.7
-PLACES = ("0,0", "-70,-60", "70,-55", "-35,60", "38,50")
+PLACES = ("0,0", "-70,-60", "60,50")
 LOW_MM, FULL_MM = 5.0, 120.0  # heights of recordings of a growing bed
 TURNED = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # from the printer's axes to the chip's
 
@@ -140,12 +140,19 @@ def main() -> None:
     chosen = options.only or [f"{kind}/{name}" for kind in KINDS for name in KINDS[kind].hidden]
     found = [proof(Path(options.keep) / each, *each.split("/")) for each in chosen]
     if options.write:
+        rows = earlier_rows() | {f"{each['kind']}/{each['hidden']}": each for each in found}
         every = [f"{kind}/{name}" for kind in KINDS for name in KINDS[kind].hidden]
-        left = [each for each in every if each not in chosen]
+        left = [each for each in every if each not in rows]
         about = {"lost_rows": 1 / 2000, "printed_s": PRINTED_S, "not_measured": left}
-        save("straight_proof", about | {"printers": found})
+        save("straight_proof", about | {"printers": [rows[each] for each in every if each in rows]})
     else:
         print(json.dumps(found, indent=1))
+
+
+def earlier_rows() -> dict[str, dict[str, Any]]:
+    """Return the rows of the page as it is: what is measured now takes their places."""
+    before = json.loads((ROOT / "studies" / "results" / "straight_proof.json").read_text(encoding="utf-8"))
+    return {f"{each['kind']}/{each['hidden']}": each for each in before["printers"]}
 
 
 def proof(folder: Path, kind_name: str, name: str) -> dict[str, Any]:
