@@ -23,7 +23,12 @@ from ffcomp.diagnose.excerpts import Part, excerpt_parts, led_in
 from ffcomp.diagnose.noise import BAND_HZ
 from ffcomp.diagnose.observe import compared, every_row, observation_of
 from ffcomp.diagnose.problem import Candidate, InfeasibleParameters, Parameter, Problem, within_travel
-from ffcomp.diagnose.recording_delays import as_recorded, belongs_to_recording, delay_parameters
+from ffcomp.diagnose.recording_delays import (
+    as_recorded,
+    belongs_to_recording,
+    delay_parameters,
+    with_stated_clock,
+)
 from ffcomp.diagnose.repeats import aligned, repeats_of
 from ffcomp.diagnose.validation import carriages_of
 from ffcomp.measurement.recording import Recording
@@ -77,7 +82,7 @@ class PrinterProblem(Problem):
         limited = [
             within_travel(_candidate(machine, CATALOGUE[n], idle), _travel(machine, self.commands)) for n in asked
         ]
-        self.candidates = tuple(each for each in limited if each is not None)
+        self.candidates = tuple(with_stated_clock(each, recordings) for each in limited if each is not None)
         self.same_command = [_first_equal(self.commands, i) for i in range(len(recordings))]
         self.kept: dict[_Key, dict[int, PrinterMotion]] = {}
         self.parts = [Part(0, len(command), 0) for command in self.commands]

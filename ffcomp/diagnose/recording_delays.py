@@ -7,16 +7,18 @@ joined by hand, repeats that lie apart say how far any file may lie off. They be
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from ffcomp.diagnose.problem import Observation, Parameter
+from ffcomp.diagnose.problem import Candidate, Observation, Parameter
 from ffcomp.diagnose.repeats import Repeats
 from ffcomp.measurement.recording import Recording
 from ffcomp.numerics.delay import delayed
 from models.arrays import FloatArray
 
 PREFIX = "recording."
+OFFSET = "sensor_time_offset"  # of all recordings, as the catalogue calls it
 FAR = 5.0  # standard deviations within which they are looked for
 FEW = 1.5  # a spread known from few lags is taken to be wider
 SMALL_DRIFT_S = 2e-5  # at the ends of a recording: less is not worth a parameter
@@ -42,6 +44,19 @@ def delay_parameters(
             name = f"{PREFIX}{o.repeat_of}.drift"
             found.setdefault(name, _parameter(name, drift_sd))
     return list(found.values())
+
+
+def with_stated_clock(candidate: Candidate, recordings: Sequence[Recording]) -> Candidate:
+    """Take an offset of all recordings to be no larger than they say that their clocks may be off.
+
+    A chip that feels everything late cannot tell its own clock from a late machine. But captures that the firmware
+    dates are joined by its clock, so it is the machine.
+    """
+    stated = [_number(recording, "delay_sd_s") for recording in recordings]
+    if candidate.name != OFFSET or min(stated, default=0.0) == 0.0:
+        return candidate
+    amplitudes = tuple(replace(n, sd=min(n.sd, max(stated))) for n in candidate.amplitudes)
+    return replace(candidate, amplitudes=amplitudes)
 
 
 def _parameter(name: str, sd: float) -> Parameter:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnose.noise import noise_from_repeats
-from ffcomp.diagnose.problem import Observation
-from ffcomp.diagnose.recording_delays import as_recorded, delay_parameters
+from ffcomp.diagnose.problem import Candidate, Observation, Parameter
+from ffcomp.diagnose.recording_delays import as_recorded, delay_parameters, with_stated_clock
 from ffcomp.diagnose.repeats import Repeats, aligned, repeats_of
 from ffcomp.diagnose.validation import check_repeating
 from ffcomp.errors import MeasurementError
@@ -110,3 +110,18 @@ def test_a_clock_in_doubt_gets_parameters() -> None:
     assert 1e-3 < by_hand.sd < 3e-3
     late = as_recorded({"recording.x.delay_s": 1e-3}, one, motion())
     np.testing.assert_allclose(late, motion(1e-3), atol=1e-4)
+
+
+def test_what_is_late_on_the_firmwares_clock_is_the_machine() -> None:
+    """No chip can tell its own clock from a machine that is late; a capture that the firmware dates can."""
+
+    def candidate(name: str) -> Candidate:
+        return Candidate(name, (Parameter(f"effects.{name}.size", 0.0, 1e-2),), {f"effects.{name}.size": 1e-4})
+
+    def widths(*recordings: Recording) -> list[float]:
+        named = (candidate(n) for n in ("sensor_time_offset", "command_delay"))
+        return [with_stated_clock(each, recordings).amplitudes[0].sd for each in named]
+
+    dated, logged = recording(delay_sd_s="3e-4"), recording(delay_sd_s="5e-5")
+    assert widths(dated, logged) == [3e-4, 1e-2]
+    assert widths(dated, recording()) == [1e-2, 1e-2]  # one of them was joined by hand
