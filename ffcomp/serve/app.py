@@ -26,7 +26,7 @@ from ffcomp.serve.jobs import ENDED, Job
 from ffcomp.serve.printer import Printer
 from ffcomp.serve.runner import Runner
 from ffcomp.serve.settings import MEGABYTE, Settings
-from ffcomp.serve.uploads import Refused, Upload, Uploads, new_id
+from ffcomp.serve.uploads import Refused, Upload, Uploads, is_full, new_id
 from ffcomp.version import __version__
 
 BODY = 1 << 16  # bytes of a request that is not a file
@@ -93,6 +93,10 @@ class Server:
                 found = await run_in_threadpool(handle, request, asked)
             except Refused as refused:
                 return _refusal(refused)
+            except OSError as error:
+                if not is_full(error):
+                    raise
+                return _refusal(Refused(507, "The disk is full: remove work that is done, and try again."))
             return found if isinstance(found, Response) else JSONResponse(found)
 
         return handler

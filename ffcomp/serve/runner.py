@@ -206,7 +206,7 @@ class Runner:
             if self.find(job.id).state != RUNNING:
                 return
             if code != 0:
-                why = STOPPED if self._stopping else messages.why_failed(code, messages.said(place))
+                why = STOPPED if self._stopping else _why(code, place)
                 if step.needed:
                     self._end_job(job.id, FAILED, error=why, answer=_answer(job, place))
                     return
@@ -272,6 +272,13 @@ def _sentence(error: Exception) -> str:
     if isinstance(error, OSError):
         return f"{error.strerror or error}: {error.filename or 'a file'}."
     return f"This is a fault of ffcomp's own: {error!r}."
+
+
+def _why(code: int, place: Path) -> str:
+    """Say why a process failed; on a full disk it could not even write that down."""
+    if shutil.disk_usage(place).free < messages.TAIL:
+        return "The disk is full: remove work that is done, and try again."
+    return messages.why_failed(code, messages.said(place))
 
 
 def _answer(job: Job, place: Path) -> dict[str, Any]:

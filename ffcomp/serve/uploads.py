@@ -54,6 +54,11 @@ def safe_name(name: str, default: str = "file") -> str:
     return kept or default
 
 
+def is_full(error: BaseException) -> bool:
+    """Tell whether the disk is what had no room."""
+    return isinstance(error, OSError) and error.errno in (ENOSPC, EDQUOT)
+
+
 class Uploads:
     """The files of one server that no job has taken yet."""
 
@@ -92,7 +97,7 @@ class Uploads:
             return upload
         except BaseException as error:
             self.remove(id_)
-            if isinstance(error, OSError) and error.errno in (ENOSPC, EDQUOT):
+            if is_full(error):
                 raise Refused(507, "The disk is full: nothing of the file was kept.") from None
             raise
 
