@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import ast
+import email
+import importlib.util
 import re
+import shutil
 import subprocess
 import sys
+import tarfile
 import tomllib
+import zipfile
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -63,6 +69,63 @@ def test_the_page_lists_the_extras() -> None:
 def test_the_tests_have_every_extra() -> None:
     told = re.search(r"ffcomp\[([\w,]+)\]", OPTIONAL["test"][0])
     assert told and set(told[1].split(",")) == set(OPTIONAL) - {"small", "docs", "test", "dev"}
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
+    """A wheel of a copy of the sources, so that nothing is left beside them."""
+    if importlib.util.find_spec("setuptools") is None or int(version("setuptools").split(".")[0]) < 77:
+        pytest.skip("no setuptools 77 here to build with; pip and build fetch it by themselves")
+    folder = tmp_path_factory.mktemp("sources")
+    for name in (
+        "pyproject.toml",
+        "README.md",
+        "LICENSE",
+        "MANIFEST.in",
+        "CHANGELOG.md",
+        "CITATION.cff",
+        "SECURITY.md",
+    ):
+        shutil.copy(ROOT / name, folder)
+    for name in ("ffcomp", "gcode", "models"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    (folder / "tests").mkdir()
+    (folder / "tests" / "__init__.py").touch()
+    make = "import sys; from setuptools import build_meta; build_meta.build_wheel('out'); build_meta.build_sdist('out')"
+    done = subprocess.run([sys.executable, "-c", make], cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    return zipfile.ZipFile(next((folder / "out").glob("*.whl")))
+
+
+def test_the_wheel_has_all_that_is_loaded_and_nothing_else(wheel: zipfile.ZipFile) -> None:
+    """Templates, styles, scripts and machines are read at run time: a wheel without them imports, and fails later."""
+    inside = {name for name in wheel.namelist() if ".dist-info/" not in name}
+    sources = {
+        path.relative_to(ROOT).as_posix()
+        for package in ("ffcomp", "gcode", "models")
+        for path in (ROOT / package).rglob("*")
+        if path.is_file() and path.suffix not in (".pyc", ".nbi", ".nbc")
+    }
+    assert inside == sources
+
+
+def test_the_wheel_says_of_itself_what_the_project_says(wheel: zipfile.ZipFile) -> None:
+    of = {Path(name).name: name for name in wheel.namelist() if ".dist-info/" in name}
+    metadata = email.message_from_bytes(wheel.read(of["METADATA"]))
+    assert metadata["Name"] == "ffcomp" and metadata["Requires-Python"] == PROJECT["requires-python"]
+    assert set(metadata.get_all("Provides-Extra", [])) == set(OPTIONAL)
+    assert metadata["Description-Content-Type"] == "text/markdown" and metadata["License-Expression"] == "Apache-2.0"
+    assert b"ffcomp = ffcomp.cli.app:main" in wheel.read(of["entry_points.txt"])
+    assert b"Root-Is-Purelib: true" in wheel.read(of["WHEEL"]) and "LICENSE" in of
+
+
+def test_the_archive_of_sources_has_what_a_build_needs(wheel: zipfile.ZipFile) -> None:
+    archive = next(Path(str(wheel.filename)).parent.glob("*.tar.gz"))
+    with tarfile.open(archive) as sources:
+        names = {name.partition("/")[2] for name in sources.getnames()}
+    assert {"pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "SECURITY.md", "CITATION.cff"} <= names
+    assert {name for name in wheel.namelist() if ".dist-info/" not in name} <= names
+    assert not any(name.startswith("tests") for name in names)
 
 
 @WITH_BASH
