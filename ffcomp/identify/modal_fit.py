@@ -51,7 +51,7 @@ SHARP = 2.0  # standard uncertainties that a share must be away from zero
 WEAK_DAMPING = 0.25  # relative standard uncertainty from which the user is warned
 POOR_FIT = 0.35  # model error from which the user is warned
 APART = 0.05  # relative distance of frequencies by which two files disagree
-CROSS_TALK = 0.1  # of the direct response's power, from which coupling is reported
+CROSS_TALK = 0.1  # of the direct response, in amplitude, from which coupling is reported: chips sit a few degrees askew
 
 
 @dataclass(frozen=True)
@@ -436,9 +436,11 @@ def _crossing(answers: Sequence[Response], moved: Sequence[str]) -> list[str]:
     sentences = []
     for (cmd, output), crossed in power.items():
         direct = power.get((cmd, output[:-1] + cmd[-1]), 0.0)
-        if cmd[-1] in moved and output[-1] != cmd[-1] and crossed > CROSS_TALK * direct > 0:
+        if cmd[-1] in moved and output[-1] != cmd[-1] and crossed > CROSS_TALK**2 * direct > 0:
             sentences.append(
                 f"{cmd} shows in {output} too ({100 * np.sqrt(crossed / direct):.0f} % of the direct response): the "
-                "model's axes do not disturb each other. Are the sensor's axes the printer's?"
+                "model's axes do not disturb each other, so this is not compensated. Are the sensor's axes the "
+                "printer's? If so, ffcomp diagnose tells belts of unequal tension (belt_stiffness) from a racking "
+                "gantry (gantry_racking) and a swaying frame (frame_mode); with the effect in the file it is."
             )
     return sentences

@@ -142,6 +142,12 @@ def test_motion_of_another_axis_is_told() -> None:
     crossed = FrequencyResponse("cmd_x", "acc_y", F, 0.5 * other.value, other.variance)
     told = identify_axes([], [own, crossed]).advice
     assert "cmd_x shows in acc_y too (50 % of the direct response)" in told[0]
+    assert "not compensated" in told[0] and "belt_stiffness" in told[0]
+    little, more = (
+        identify_axes([], [own, FrequencyResponse("cmd_x", "acc_y", F, share * other.value, other.variance)]).advice
+        for share in (0.08, 0.13)
+    )
+    assert "(13 % of the direct response)" in more[0] and not any("shows in" in each for each in little)
     assert told[-1] == "Nothing was measured along y: [axes.y] stays the starting file's."
 
 
