@@ -43,6 +43,7 @@ from models.machine import Machine
 LEAST_REST_S = 0.2  # for gravity
 LEAST_CORRELATION = 0.9
 FARTHEST_S = 2e-3  # a firmware's clock from what the motion says
+LATEST_S, ALIKE_S, LEAST_ALIKE = 8e-3, 1e-3, 4  # a machine that follows late does so in all of several captures
 WORST_RATIO = 1e-3  # of a firmware's clock: beyond it, speeds were overridden
 BIAS_SD_S = 1.5e-4  # of a clock that is fitted, by what the machine file lacks
 REPEATS_SD_S, SURE = 3e-5, 2.0  # by which the motion tells two repeats apart at best; standard deviations
@@ -98,13 +99,7 @@ def join_captures(
 def _join_chip(tasks: Sequence[Task], plan: MovesPlan, turn: FloatArray | None) -> tuple[list[Joined], list[Refused]]:
     """Join the captures of one accelerometer."""
     axes = turn if turn is not None else find_turn([task.matches for task in tasks], tasks[0].gravity)
-    refused: list[Refused] = []
-    clocks: list[tuple[Task, _Clock]] = []
-    for task in tasks:
-        try:
-            clocks.append((task, _clock(task, plan, axes)))
-        except MeasurementError as error:
-            refused += [Refused(task.capture.source, problem) for problem in error.problems]
+    clocks, refused = _of_these_motions([(task, _clock(task, plan, axes)) for task in tasks])
     rate = float(np.round(np.median([task.capture.sample_rate_hz for task in tasks])))
     joined: list[tuple[Joined, Expectation]] = []
     for task, clock in _narrowed(clocks):
@@ -129,6 +124,8 @@ class _Clock:
 
     fit: ClockFit
     stated: tuple[float, float] | None  # s
+    late_s: float = 0.0  # by which the motion begins after the plan's
+    ratio: float = 1.0  # of its clock, if that were free and the motion is late
 
 
 def _clock(task: Task, plan: MovesPlan, axes: FloatArray) -> _Clock:
@@ -142,19 +139,37 @@ def _clock(task: Task, plan: MovesPlan, axes: FloatArray) -> _Clock:
     found = fit_clock(task.since, record, reference, (middle, 1.0), free_ratio=False)
     if found.correlation < LEAST_CORRELATION:  # refused later, or a shaper is to blame
         return _Clock(replace(found, offset_s=middle), None)
-    early = middle - found.offset_s
-    if abs(early) > FARTHEST_S:
-        raise MeasurementError(
-            task.capture.source,
-            [
-                f"The motion in it begins {1e3 * early:+.1f} ms from where the plan has it, and may be "
-                f"{1e3 * FARTHEST_S:g} ms off: it is of another motion, or the printer did not run the plan's G-code "
-                "as it is. Run the file again, from its beginning, with a speed factor of 100 %."
-            ],
-        )
+    late, ratio = middle - found.offset_s, 1.0
+    if abs(late) > FARTHEST_S:
+        ratio = fit_clock(task.since, record, reference, (found.offset_s, 1.0), free_ratio=True).ratio
     if logged:
-        return _Clock(replace(found, offset_s=middle, offset_sd_s=DELAY_SD_S["log"]), None)
-    return _Clock(found, interval)
+        return _Clock(replace(found, offset_s=middle, offset_sd_s=DELAY_SD_S["log"]), None, late, ratio)
+    return _Clock(found, interval, late, ratio)
+
+
+def _of_these_motions(clocks: Sequence[tuple[Task, _Clock]]) -> tuple[list[tuple[Task, _Clock]], list[Refused]]:
+    """Refuse captures that begin elsewhere than the plan has them, unless the machine follows all commands as late."""
+    alike = _all_alike_late([clock for _, clock in clocks])
+    apart = [each for each in clocks if abs(each[1].late_s) > FARTHEST_S and not alike]
+    refused = [
+        Refused(
+            task.capture.source,
+            f"The motion in it begins {1e3 * clock.late_s:+.1f} ms from where the plan has it, and may be "
+            f"{1e3 * FARTHEST_S:g} ms off: it is of another motion, or the printer did not run the plan's G-code "
+            "as it is. Run the file again, from its beginning, with a speed factor of 100 %.",
+        )
+        for task, clock in apart
+    ]
+    return [each for each in clocks if each not in apart], refused
+
+
+def _all_alike_late(clocks: Sequence[_Clock]) -> bool:
+    """Tell whether all begin equally late, and keep their pace: another motion does neither."""
+    late = np.array([clock.late_s for clock in clocks])
+    if len(late) < LEAST_ALIKE or not FARTHEST_S < np.median(late) < LATEST_S:
+        return False
+    paces = np.array([clock.ratio for clock in clocks])
+    return bool(np.ptp(late) < ALIKE_S and np.abs(paces - 1.0).max() < WORST_RATIO)
 
 
 def _narrowed(clocks: Sequence[tuple[Task, _Clock]]) -> list[tuple[Task, ClockFit]]:

@@ -30,7 +30,7 @@ EXPLAINED = 0.35  # of the power may be left with the shaper
 BETTER = 2.5  # times less than without it; files with dampings off by 4, belts by 20 % or 120 g gave 1.4 at most
 AS_GOOD = 1.5  # times as much left: kinds that smooth alike are told apart by nothing else
 LEAST_WITHOUT = 0.03  # of the power: less may be anything
-LATE_S = np.arange(-2.5e-3, 2.51e-3, 2.5e-4)  # by which all captures may be late, or their clocks be early
+LATE_S = np.arange(-2.5e-3, 7.51e-3, 2.5e-4)  # by which all captures may be late, or their clocks be early
 LATE_SHAPED_S = LATE_S[::5]  # those with which shapers are tried
 
 _Spectra = tuple[FloatArray, ComplexArray, ComplexArray]  # frequencies, measured, expected columns

@@ -84,6 +84,32 @@ def test_a_machine_that_is_late_is_no_shaper(tmp_path: Path) -> None:
     assert found.joined[0].clock.offset_s == pytest.approx(-1.0, abs=4e-4)
 
 
+def stretched(captures: Sequence[Path], folder: Path, factor: float) -> list[Path]:
+    """The same captures as if all were executed at another pace."""
+    for path in captures:
+        head, *rows = path.read_text().splitlines()
+        start = float(rows[0].split(",")[0])
+        slow = [f"{start + factor * (float(r.split(',', 1)[0]) - start):.6f},{r.split(',', 1)[1]}" for r in rows]
+        (folder / path.name).write_text("\n".join([head, *slow]) + "\n")
+    return sorted(folder.glob("*.csv"))
+
+
+def test_a_machine_that_is_late_by_milliseconds_makes_no_other_motion(
+    plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path
+) -> None:
+    """It is as late in every capture and keeps their pace; one capture alone, or another pace, is another motion."""
+    late = replace(machine, effects={"command_delay": {"delay_s": [4e-3, 4e-3, 0.0]}})
+    paths = captured(plan, late, tmp_path)
+    found = join_captures(paths, plan, machine)
+    assert len(found.joined) == 4 and not found.refused
+    assert all(each.clock.offset_s == pytest.approx(-1.0, abs=4e-4) for each in found.joined)
+    (alone,) = reasons(join_captures(paths[:1], plan, machine))
+    assert "begins +4." in alone
+    (tmp_path / "slow").mkdir()
+    slower = join_captures(stretched(captures, tmp_path / "slow", 1.003), plan, machine)
+    assert len(slower.refused) == 4 and all("begins +" in why for why in reasons(slower))
+
+
 def test_a_shaper_left_on_is_named_on_a_machine_that_is_late(plan: MovesPlan, machine: Machine, tmp_path: Path) -> None:
     late = replace(machine, effects={"command_delay": {"delay_s": [1.5e-3, 1.5e-3, 0.0]}})
     once = replace(plan, repeats=1)
