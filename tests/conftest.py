@@ -35,6 +35,7 @@ SLOW = (  # folders and files; single tests have the marker themselves
     "unit/ffcomp/compare/test_engine.py",
     "unit/ffcomp/compare/test_knowing.py",
     "unit/ffcomp/diagnose/test_separating_moves.py",
+    "unit/ffcomp/compare/test_rivals.py",
     "unit/ffcomp/compare/test_quickest.py",
     "unit/ffcomp/compensate/gcode_output/test_layout.py",
     "unit/ffcomp/diagnose",

@@ -40,10 +40,18 @@ class LinearPrinter:
         errors = np.concatenate([self._contour(s, m) for s, m in zip(self.slices, motions, strict=True)])
         return rms(errors) * 1e3
 
+    def contour_rms_of_um(self, commands: Sequence[FloatArray]) -> float:
+        """Return the contour rms of commands (k, 3) mm, STEP_S apart, one a slice of `self.slices`, µm."""
+        errors = np.concatenate([self._contour_of(s, c) for s, c in zip(self.slices, commands, strict=True)])
+        return rms(errors) * 1e3
+
     def _contour(self, print_slice: PrintSlice, motion: Motion) -> FloatArray:
         steps = whole_steps(motion.end_t - motion.begin_t)
         t = motion.begin_t + STEP_S * np.arange(steps + 1, dtype=np.float64)
-        command = np.ascontiguousarray(motion.position(t))
+        return self._contour_of(print_slice, np.ascontiguousarray(motion.position(t)))
+
+    def _contour_of(self, print_slice: PrintSlice, command: FloatArray) -> FloatArray:
+        t = print_slice.motion.begin_t + STEP_S * np.arange(len(command), dtype=np.float64)
         nozzle, _ = self._playback.respond(command, np.gradient(command, STEP_S, axis=0))
         counted = slice(round(SETTLE_S / STEP_S), None, KEEP_EVERY)
         return contour_error(*print_slice.corners, t[1:][counted], nozzle[counted])

@@ -19,6 +19,7 @@ from functools import partial
 import numpy as np
 
 from ffcomp.compare import methods as every
+from ffcomp.compare import rivals
 from ffcomp.compare.baselines import LinearPrinter
 from ffcomp.compare.equal_quality import equal_quality, within_limits
 from ffcomp.compare.evaluation import SAMPLE_S, Execution, MethodEvaluation, by, contour, evaluate, track, weights
@@ -42,6 +43,7 @@ SHORTEST_S = 3 * SETTLE_S
 SOME_S = 60.0  # of print time that is executed on every Monte-Carlo plant
 FEW_S, FEW_PIECE_S = 30.0, 5.0  # on which shapers are tuned and accelerations tried
 BED_PITCH_MM = 10.0
+ALL = "all"  # alone: every method that there is
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,10 +153,12 @@ def names(request: Request) -> Collection[str]:
     ValueError
         For a name that no method has, or if there is no best fixed shaper to compare with.
     """
-    unknown = [name for name in request.only if name not in every.NAMES]
+    unknown = [name for name in request.only if name not in every.NAMES and request.only != (ALL,)]
     if unknown:
         raise ValueError(f"No method is named {unknown[0]!r}; there are {', '.join(every.NAMES)}.")
-    if request.only and not set(request.only) & set(every.KINDS):
+    if request.only == (ALL,):
+        return every.NAMES
+    if request.only and not set(request.only) & {*every.KINDS, *rivals.NAMES}:
         raise ValueError(f"Name at least one shaper to compare with: {', '.join(every.KINDS)}.")
     return {"none", COMPENSATED, *request.only} if request.only else every.USUAL_NAMES
 
@@ -172,8 +176,11 @@ def _tuned(
 ) -> list[TunedMethod]:
     """Tune the methods; the searches share the processors."""
     linear, of_place = LinearPrinter(plant, few), every.mode_frequencies(plant)
+    tuner = rivals.Tuner(machine, plant, linear) if any(map(every.is_rival, names)) else None
 
     def method(name: str) -> TunedMethod:
+        if tuner is not None and every.is_rival(name):
+            return every.rival(tuner, machine, name)
         kind = name.removesuffix(every.CALIBRATED).removesuffix(every.SCHEDULED)
         if name == "none":
             return every.none()
@@ -261,7 +268,7 @@ def _with_spread(
     for k, method in enumerate(tuned):
         progress("printing on Monte-Carlo plants", k / len(tuned))
         found[method.name] = replace(methods[method.name], spread=Spread(tuple(_rms_on(plants, method, slices))))
-    tasks = [partial(_retuned, best, each, few, slices) for each in plants]
+    tasks = [partial(_retuned, best, few[0].machine, each, few, slices) for each in plants]
     retuned = tuple(in_parallel(tasks, "tuning shapers on Monte-Carlo plants", progress))
     found[best] = replace(found[best], retuned=Spread(retuned))
     return found
@@ -278,8 +285,13 @@ def _rms_on(plants: Sequence[Machine], method: TunedMethod, slices: Sequence[Pri
     return [rms(contour(each), weights(each)) * 1e3 for each in executed]
 
 
-def _retuned(kind: str, plant: Machine, few: Sequence[PrintSlice], slices: Sequence[PrintSlice]) -> float:
-    return _rms_on([plant], every.best_fixed(LinearPrinter(plant, few), kind), slices)[0]
+def _retuned(
+    name: str, machine: Machine, plant: Machine, few: Sequence[PrintSlice], slices: Sequence[PrintSlice]
+) -> float:
+    linear = LinearPrinter(plant, few)
+    if every.is_rival(name):
+        return _rms_on([plant], every.rival(rivals.Tuner(machine, plant, linear), machine, name), slices)[0]
+    return _rms_on([plant], every.best_fixed(linear, name), slices)[0]
 
 
 def _with_quality(

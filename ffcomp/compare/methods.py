@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ffcomp import shapers
+from ffcomp.compare import rivals
 from ffcomp.compare.baselines import LinearPrinter, calibrated_shapers, scaled, shaped, shaped_by_position
 from ffcomp.compare.compensated import compensated, segments, segments_motion
 from ffcomp.compare.result import Family
@@ -18,6 +19,7 @@ from ffcomp.inverse.settings import Settings
 from ffcomp.shapers.apply import FrequencyOfPosition
 from ffcomp.shapers.kinds import USUAL
 from ffcomp.simulate.motion import Motion
+from models.arrays import FloatArray
 from models.effects.catalogue import effective_machine
 from models.machine import Machine
 
@@ -29,12 +31,17 @@ NAMES = (
     *(kind + CALIBRATED for kind in KINDS),
     *KINDS,
     *(kind + SCHEDULED for kind in KINDS),
+    *(name + CALIBRATED for name in rivals.NAMES),
+    *rivals.NAMES,
     ONE_MODEL,
     ROBUST,
     COMPENSATED,
 )  # in the order of the table
 USUAL_NAMES = tuple(  # compared unless others are named
-    name for name in NAMES if name.removesuffix(CALIBRATED).removesuffix(SCHEDULED) not in set(KINDS) - set(USUAL)
+    name
+    for name in NAMES
+    if name.removesuffix(CALIBRATED) not in rivals.NAMES
+    and name.removesuffix(CALIBRATED).removesuffix(SCHEDULED) not in set(KINDS) - set(USUAL)
 )
 
 
@@ -50,6 +57,38 @@ class TunedMethod:
     family: Family
     tuning: str
     motion: Executor
+
+
+def is_rival(name: str) -> bool:
+    """Tell whether a method, calibrated or not, is one of `rivals`."""
+    return name.removesuffix(CALIBRATED) in rivals.NAMES
+
+
+def rival(tuner: rivals.Tuner, machine: Machine, name: str) -> TunedMethod:
+    """Return a rival by its method's name."""
+    own = rivals.rival(*rivals.parsed(name.removesuffix(CALIBRATED)), machine)
+    return tuned_rival(tuner, own, "calibrated" if name.endswith(CALIBRATED) else "best fixed", machine)
+
+
+def tuned_rival(tuner: rivals.Tuner, rival: rivals.Rival, family: Family, machine: Machine) -> TunedMethod:
+    """Return a rival as its firmware would set it (family "calibrated") or at its best on this print."""
+    if family == "calibrated":
+        settings, how = tuner.calibrated(rival), "Klipper's calibration from resonance tests in the middle of the bed."
+    else:
+        settings = tuner.best(rival).settings
+        how = "the least contour rms on this print, sought with the plant known."
+    return set_rival(rival, settings, family, how, machine)
+
+
+def set_rival(rival: rivals.Rival, settings: FloatArray, family: Family, how: str, machine: Machine) -> TunedMethod:
+    """Return a rival with these settings."""
+    name = rival.kind + rival.variant + (CALIBRATED if family == "calibrated" else "")
+    tuning = f"{rival.said(settings)}: {how}"
+
+    def motion(print_slice: PrintSlice) -> tuple[Motion, Statistics | None]:
+        return rivals.shaped(rival, print_slice.motion, settings, machine), None
+
+    return TunedMethod(name, f"{rival.label}, {family}", family, tuning, motion)
 
 
 def none() -> TunedMethod:

@@ -5,7 +5,7 @@ and only then turned into carriage paths, as Klipper does on a delta: taking T̄
 constant speed, so a `Shaper` holds the times with T̄ taken off already.
 """
 
-from ffcomp.shapers.apply import Position, scheduled_shape, shape
+from ffcomp.shapers.apply import Position, scheduled_shape, shape, shape_carriages
 from ffcomp.shapers.bed import dominant_frequencies, over_the_bed
 from ffcomp.shapers.kinds import SHAPERS
 from ffcomp.shapers.pulses import (
@@ -22,6 +22,7 @@ from ffcomp.shapers.pulses import (
     zvdd,
     zvddd,
 )
+from ffcomp.shapers.smooth import mode_inverse
 
 __all__ = [
     "DAMPING_RATIO",
@@ -31,11 +32,13 @@ __all__ = [
     "Shaper",
     "dominant_frequencies",
     "ei",
+    "mode_inverse",
     "mzv",
     "over_the_bed",
     "residual_vibration",
     "scheduled_shape",
     "shape",
+    "shape_carriages",
     "three_hump_ei",
     "two_hump_ei",
     "zv",

@@ -9,6 +9,7 @@ import numpy as np
 from ffcomp.shapers.kinds import SHAPERS
 from ffcomp.shapers.pulses import DAMPING_RATIO, Shaper
 from models.arrays import FloatArray
+from models.kinematics.base import Compiled
 
 Position = Callable[[FloatArray], FloatArray]  # t : (k,) s → (k, 3) mm, at any time, resting before and after
 FrequencyOfPosition = Callable[[FloatArray], FloatArray]  # (k, 2) mm, columns X Y → (k, 2) Hz, of the x and y shapers
@@ -35,6 +36,20 @@ def shape(
     return out
 
 
+def shape_carriages(
+    position: Position, t: FloatArray, kinematics: Compiled, by_carriage: tuple[Shaper, Shaper, Shaper]
+) -> FloatArray:
+    """Return the position : (k, 3) mm of a nozzle each of whose carriages is shaped by itself, at the times t : (k,) s.
+
+    What Klipper's author tried on his delta: one shaper per tower, after the inverse kinematics instead of before.
+    """
+
+    def carriages(at: FloatArray) -> FloatArray:
+        return kinematics.inverse(np.ascontiguousarray(position(at)))
+
+    return kinematics.forward(shape(carriages, t, *by_carriage))
+
+
 def scheduled_shape(
     position: Position,
     t: FloatArray,
@@ -44,9 +59,10 @@ def scheduled_shape(
 ) -> FloatArray:
     """Shape with x and y shapers whose frequency is that of the position where the plan is at each time.
 
-    x_s(t) = Σ A_i x(t - T_i / f(x(t))), T_i in periods. No firmware has it: there a change of the shaper is a full
-    stop. Looked up at t, not when the pulses set out: so the amplitudes still sum to one, rest stays rest, and the
-    position is as continuous as the frequency is over the bed.
+    x_s(t) = Σ A_i x(t - T_i / f(x(t))), T_i in periods. No firmware has it: Marlin's frequency may follow the
+    height or the printed mass, elsewhere a change of the shaper is a full stop. Looked up at t, not when the
+    pulses set out: so the amplitudes still sum to one, rest stays rest, and the position is as continuous as
+    the frequency is over the bed.
 
     NOTE: mzv wants the frequency of the mode itself; the wider shapers want more, so that the mode lies at the low end
     of what they suppress and they smooth less: on three sample prints 1.2-1.3 times for zvd and ei, 1.45-1.6 times for

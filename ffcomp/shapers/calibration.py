@@ -16,7 +16,7 @@ mm, s, Hz.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,10 +24,10 @@ import numpy as np
 from scipy.signal import welch
 
 from ffcomp.shapers import DAMPING_RATIO, SHAPERS, Shaper, residual_vibration
-from models.arrays import FloatArray
+from models.arrays import ComplexArray, FloatArray
 from models.machine import Machine
 
-Axis = Literal["x", "y"]
+Axis = Literal["x", "y", "z"]
 Spectrum = tuple[FloatArray, FloatArray]  # (k,) Hz; (k,) mm²/s⁴/Hz², a density as `normalised` makes it
 
 ACCELERATION_PER_HZ = 60.0  # mm/s² per Hz: Klipper's; Kalico's is 75
@@ -53,6 +53,7 @@ _UP_TO_HZ, _STEP_HZ = 150.0, 0.2
 _TEST_DAMPING_RATIOS = (0.075, 0.1, 0.15)
 _REDUCTION = 20.0  # what is this many times below the peak does not count
 _TEST_ACCELERATION = 5000.0  # mm/s²
+_MANY_PULSES, _TABLE = 10, 8000  # of a kernel; lines, so that the table is exact to 1e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,16 +95,14 @@ def resonance_test(
 ) -> FloatArray:
     """Return the nozzle's acceleration while a firmware's resonance test excites it along one axis, for small motion.
 
-    The command's pulses, ±acceleration_per_hz · f for a quarter period each, pass the nozzle's frequency response,
-    which is the same for accelerations as for positions. The slow sweep that newer firmware adds is left out: it keeps
-    friction from sticking, and a linear machine has none.
+    See `_answer` for the test itself.
 
     Parameters
     ----------
     machine : Machine
     xy : (2,) array
         Position that is tested, mm, columns X Y.
-    axis : {"x", "y"}
+    axis : {"x", "y", "z"}
     acceleration_per_hz : float
         mm/s² per Hz.
 
@@ -112,12 +111,36 @@ def resonance_test(
     (n, 3) array
         mm/s², columns X Y Z, at RATE_HZ.
     """
+
+    def response(lines: FloatArray) -> ComplexArray:
+        return machine.vibration.frequency_response(xy, lines, "nozzle", "nozzle")[:, :, "xyz".index(axis)]
+
+    return _answer(response, acceleration_per_hz)
+
+
+def carriage_test_psd(machine: Machine, xy: FloatArray, carriage: int) -> Spectrum:
+    """Return the spectrum of the same test with one carriage excited, the others held."""
+
+    def response(lines: FloatArray) -> ComplexArray:
+        return machine.vibration.frequency_response(xy, lines, "nozzle", "carriage")[:, :, carriage]
+
+    return normalised(*_density(_answer(response, ACCELERATION_PER_HZ)))
+
+
+def _answer(response: Callable[[FloatArray], ComplexArray], acceleration_per_hz: float) -> FloatArray:
+    """Return the nozzle's acceleration (n, 3) mm/s² at RATE_HZ under the test's pulses.
+
+    The command's pulses, ±acceleration_per_hz · f for a quarter period each, pass the nozzle's frequency response,
+    which is the same for accelerations as for positions. The slow sweep that newer firmware adds is left out: it keeps
+    friction from sticking, and a linear machine has none.
+
+    response : (k,) Hz → (k, 3), of X Y Z to what is excited, acceleration per acceleration.
+    """
     command = _commanded_acceleration(acceleration_per_hz)
     ratio = _FINE_RATE_HZ // RATE_HZ
     kept = len(command) // (2 * ratio) + 1  # lines up to half the slow rate
     lines = np.linspace(0.0, RATE_HZ / 2, kept)
-    response = machine.vibration.frequency_response(xy, lines, "nozzle", "nozzle")[:, :, "xy".index(axis)]  # (lines, 3)
-    answered = response * np.fft.rfft(command)[:kept, None] / ratio
+    answered = response(lines) * np.fft.rfft(command)[:kept, None] / ratio
     return np.fft.irfft(answered, len(command) // ratio, axis=0)
 
 
@@ -209,8 +232,10 @@ def fit(kind: str, spectrum: Spectrum, square_corner_velocity: float = 5.0, slac
     return Fit(kind, float(tried[best]), float(vibration[best]), float(smooth[best]), float(score[best]))
 
 
-def calibrated_frequencies(machine: Machine, xy: FloatArray, kind: str) -> FloatArray:
-    """Return what `fit` chooses at one position, (2,) Hz for x and y, as a firmware's calibration there does.
+def calibrated_frequencies(
+    machine: Machine, xy: FloatArray, kind: str, axes: tuple[Axis, ...] = ("x", "y")
+) -> FloatArray:
+    """Return what `fit` chooses at one position, in Hz for each of the axes, as a firmware's calibration there does.
 
     Parameters
     ----------
@@ -220,7 +245,6 @@ def calibrated_frequencies(machine: Machine, xy: FloatArray, kind: str) -> Float
     kind : str
         A name in `SHAPERS`.
     """
-    axes: tuple[Axis, Axis] = ("x", "y")
     return np.array([fit(kind, resonance_test_psd(machine, xy, axis)).frequency_hz for axis in axes])
 
 
@@ -249,10 +273,17 @@ def _remaining(of_one_hz: Shaper, tried_hz: FloatArray, frequency_hz: FloatArray
     threshold = psd.max() / _REDUCTION
     total = np.maximum(psd - threshold, 0.0).sum()
     remaining = [
-        np.maximum(residual_vibration(of_one_hz, ratio, zeta) * psd - threshold, 0.0).sum(axis=1)
-        for zeta in _TEST_DAMPING_RATIOS
+        np.maximum(_left(of_one_hz, ratio, zeta) * psd - threshold, 0.0).sum(axis=1) for zeta in _TEST_DAMPING_RATIOS
     ]
     return np.asarray(np.max(remaining, axis=0) / total)
+
+
+def _left(of_one_hz: Shaper, ratio: FloatArray, damping_ratio: float) -> FloatArray:
+    """Return the residual vibration at ratios of frequencies: from a fine table where there are many pulses."""
+    if len(of_one_hz.amplitude) < _MANY_PULSES:
+        return residual_vibration(of_one_hz, ratio, damping_ratio)
+    table = np.linspace(0.0, float(ratio.max()), _TABLE)
+    return np.interp(ratio, table, residual_vibration(of_one_hz, table, damping_ratio))
 
 
 def _checked(frequency_hz: FloatArray, psd: FloatArray) -> Spectrum:

@@ -1,0 +1,81 @@
+"""Search settings that are all positive numbers: scans first, then steps of a ratio that shrinks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.arrays import FloatArray
+
+FIRST_STEP = 1.12  # ratio
+LAST_STEP = 1.012
+
+Cost = Callable[[FloatArray], float]  # of settings (k,)
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """Factors that are tried on some of the settings at once."""
+
+    which: Sequence[int]
+    factors: Sequence[float]
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The best settings, and their cost."""
+
+    settings: FloatArray  # (k,)
+    cost: float
+
+
+def search(cost: Cost, start: FloatArray, scans: Sequence[Scan] = (), free: Sequence[int] | None = None) -> Found:
+    """Find settings with less cost than any neighbour some 1 % away, along each of them.
+
+    Parameters
+    ----------
+    cost : callable
+        Infinite where settings are not allowed.
+    start : (k,) array
+        Above zero.
+    scans : sequence of Scan
+        One after the other, each from the best so far.
+    free : sequence of int, optional
+        What steps may change; None: all.
+    """
+    best = Found(np.asarray(start, dtype=float), cost(start))
+    for scan in scans:
+        best = _least(cost, [_times(best.settings, scan.which, factor) for factor in scan.factors], best)
+    step = FIRST_STEP
+    indices = range(len(start)) if free is None else free
+    while step > LAST_STEP:
+        before = best.cost
+        for k in indices:
+            best = _along(cost, best, k, step)
+        if best.cost >= before:
+            step = float(np.sqrt(step))
+    return best
+
+
+def _along(cost: Cost, best: Found, index: int, step: float) -> Found:
+    """Step along one setting for as long as it gets better, up or else down."""
+    for ratio in (step, 1 / step):
+        moved = best
+        while (further := _least(cost, [_times(moved.settings, [index], ratio)], moved)) is not moved:
+            moved = further
+        if moved is not best:
+            return moved
+    return best
+
+
+def _least(cost: Cost, tried: Sequence[FloatArray], so_far: Found) -> Found:
+    """Return the best of all; what was best so far wins a tie."""
+    return min([so_far, *(Found(each, cost(each)) for each in tried)], key=lambda found: found.cost)
+
+
+def _times(settings: FloatArray, which: Sequence[int], factor: float) -> FloatArray:
+    changed = settings.copy()
+    changed[list(which)] *= factor
+    return changed
