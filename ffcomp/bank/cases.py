@@ -38,7 +38,15 @@ CONDITIONS = ("usual", "rough-file", "joined", "exact-file", "weak", "sensors", 
 WEAK = (0.03, 0.3)  # of the size, drawn evenly in its logarithm
 RATE_HZ = 1600.0
 # what must pass a file's uncertainty before it is an effect comes in weak by half; what is there or not, not at all
-HALVED = ("belt_stiffness", "guide_damping", "effector_mass", "extruder_mount", "arm_geometry", "center_of_mass")
+HALVED = (
+    "belt_stiffness",
+    "guide_damping",
+    "effector_mass",
+    "extruder_mount",
+    "arm_geometry",
+    "center_of_mass",
+    "arm_inertia",
+)
 WHOLE = ("force_map",)
 # two that say the same of a machine, or of a record; and what only a printer with the paper's loads can show
 NEVER_TOGETHER = (
@@ -50,6 +58,7 @@ NEVER_TOGETHER = (
     {"torque_angle", "belt_hardening"},
     {"torque_angle", "belt_backlash"},
     {"center_of_mass", "force_map"},
+    {"gantry_racking", "toolhead_mode"},
 )
 
 

@@ -78,6 +78,8 @@ def _delta(rng: Rng, names: Sequence[str]) -> Tables:
     machine = delta_machines.draw_machine(rng)
     if "center_of_mass" in names or ("force_map" in names and rng.random() < 0.5):
         machine["effector"]["force_map"] = "paper"
+    if "arm_inertia" in names:  # of tubes of steel: of the lightest arms' inertia nothing is seen
+        machine["carriage"]["arm_pair_mass_kg"] = float(rng.uniform(0.08, 0.15))
     return machine
 
 
@@ -106,7 +108,7 @@ def _bed_places(machine: Tables, rng: Rng) -> list[Place]:
 
 def _straight(kind: str, sensors: str) -> Kind:
     return Kind(
-        draw=lambda rng, names: straight.draw_machine(rng, kind),
+        draw=lambda rng, names: straight.draw_machine(rng, kind, names),
         file_of=straight.file_of,
         played=straight.played,
         probes=straight.probes,

@@ -10,6 +10,8 @@ do to the effector, Γ_i·F what carriage i feels of it:
     M_f d̈  = -k_f d - c_f ḋ - Dᵀ F
     m_2 η̈  = -(Kη + Bη̇) - m_2 (g ẑ + Ẍ + D d̈)
 
+Mass along the arms takes ν/2 Σ |Ẋ − ẑ q̇_i|² from the kinetic energy: ν Σ (Ẍ − ẑ q̈_i) from F, ν (q̈_i − z̈) from m q̈_i.
+
 Γ = A⁻ᵀ by virtual work, or Γ_i = (column i of A⁻¹)ᵀ P_i after Eqs. 20-25 of the paper. Ẍ and d̈ come from one 5 x 5
 system. The shapes of the effects are on purpose not those of the machine files: friction is a bristle (Canudas de Wit,
 Olsson, Åström & Lischinsky, 1995) or a tanh, play has soft flanks and a damped landing, a hardening belt has a fifth
@@ -113,6 +115,16 @@ def _mount(y: FloatArray, j: int, p: Printer) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+def _rods(nu: float, a: FloatArray, gamma: FloatArray, bend: FloatArray, m: FloatArray, r: FloatArray) -> None:
+    """Take from the carriages' equations what mass along the arms does not weigh at their ends."""
+    for i in range(3):
+        r[i] += nu * (bend[i] - gamma[i, 2] * (bend[0] + bend[1] + bend[2]))
+        for j in range(3):
+            m[i, j] -= nu * (a[i, j] + 3.0 * gamma[i, j] - gamma[i, 2] * (a[0, j] + a[1, j] + a[2, j]))
+        m[i, 2] += nu
+
+
+@njit(cache=True, error_model="numpy")
 def _rate(
     y: FloatArray, z: FloatArray, t: float, ud: FloatArray, dud: FloatArray, p: Printer, w: FloatArray, dy: FloatArray
 ) -> None:
@@ -142,6 +154,8 @@ def _rate(
             r[i] -= gamma[i, j] * f[j]
         for n in range(2):
             m[i, 3 + n] = p.holder * (gamma[i, 0] * p.sway_dir[n, 0] + gamma[i, 1] * p.sway_dir[n, 1])
+    if p.rods != 0.0:
+        _rods(p.rods, a, gamma, bend, m, r)
     for n in range(2):
         dx, dyy = p.sway_dir[n, 0], p.sway_dir[n, 1]
         m[3 + n, 0], m[3 + n, 1], m[3 + n, 2] = p.holder * dx, p.holder * dyy, 0.0

@@ -86,6 +86,12 @@ def arm_geometry(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Rea
     return {"arm_length_mm": arm, "delta_radius_mm": radius}, longer
 
 
+def arm_inertia(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide arms whose mass lies along them: all of it, or the ends weigh something too."""
+    along = size * rng.uniform(0.7, 1.0)
+    return {"share_along": along}, real.having(rods=along * real.machine["carriage"]["arm_pair_mass_kg"] / 6)
+
+
 def force_map(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
     """There or not: the printer's loads go the way its file does not say."""
     other = {"virtual_work": "paper", "paper": "virtual_work"}
@@ -116,6 +122,7 @@ _OWN = (
     extruder_mount,
     joint_friction,
     arm_geometry,
+    arm_inertia,
     force_map,
     sensor_gain,
 )
@@ -139,6 +146,7 @@ EFFECTS: Mapping[str, Hide] = {  # in the order in which the bank draws them
         "joint_friction",
         "frame_mode",
         "arm_geometry",
+        "arm_inertia",
         "force_map",
         "sensor_gain",
         "sensor_misalignment",

@@ -17,6 +17,7 @@ PRINTER = np.dtype(
         ("height", "f8"),  # m
         ("carriage", "f8", 3),  # kg, with half an arm pair
         ("holder", "f8"),  # kg, with three halves
+        ("rods", "f8"),  # kg, by how much mass along the arms is less than at their ends
         ("extruder", "f8"),  # kg
         ("belt_k", "f8", 3),  # N/m
         ("belt_c", "f8", 3),  # N s/m

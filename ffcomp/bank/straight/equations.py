@@ -7,6 +7,12 @@ on the carriage where there is none. The frame swings by d along unit vectors D,
     m₁ (q̈ + D d̈) = Tᵀ F − guide − g₁ q̇ + mount,   m₂ (p̈ + D d̈) = −mount − g₂ ṗ − (what hangs on the tool)
     M_f d̈ = −k_f d − c_f ḋ − Dᵀ (all that the frame does to the masses)
 
+The toolhead's mount along y may be softest in the middle of its beam, a bar on two supports. A gantry of inertia J may
+yaw by θ about its middle under a head of mass m_h at ξ from there, M all that moves along y; then the head is at
+y + ξ θ, and with N = 2 ξ̇ θ̇ + ξ̈ θ and F what acts along the axes
+
+    M ÿ + m_h (ξ θ̈ + N) = F_y,   (J + m_h (1 − m_h/M) ξ²) θ̈ = −k θ − c θ̇ + a F_x − m_h ξ (F_y/M + (1 − m_h/M) N)
+
 A command's row i holds at t = i h/2; classical Runge-Kutta, bristles by an exponential step of their own. SI; the
 fields of a printer are explained in `numbers`.
 """
@@ -23,7 +29,7 @@ from ffcomp.bank.printer.shapes import belt, guide, slid
 
 # where the parts of a state begin
 Q, V, TOOL, TOOLV, SWAY, SWAYV, CABLE, CABLEV, MOUNT, MOUNTV, ARM, LOOSE = 0, 2, 4, 6, 8, 10, 12, 14, 16, 17, 18, 20
-STATES = 22
+YAW, STATES = 22, 24
 SLIDES_M_PER_S = 2e-3
 
 
@@ -45,7 +51,11 @@ def _motor(y: FloatArray, ud: FloatArray, dud: FloatArray, i: int, p: Any) -> tu
 def _held(y: FloatArray, a: int, p: Any) -> float:
     """Force of the mount on the carriage of axis a, N; beyond a gap it meets a stop."""
     bent = y[TOOL + a] - y[Q + a]
-    force = p.mount_k[a] * bent + p.mount_b[a] * (y[TOOLV + a] - y[V + a])
+    stiff = p.mount_k[a]
+    if a == 1 and p.beam > 0.0:
+        aside = (y[Q] - p.beam_at) / p.beam_half
+        stiff *= (1.0 + p.beam) / (1.0 + p.beam * (1.0 - aside * aside) ** 2)
+    force = stiff * bent + p.mount_b[a] * (y[TOOLV + a] - y[V + a])
     if p.stop_k > 0.0:
         force += p.stop_k * (max(bent - p.stop_gap, 0.0) + min(bent + p.stop_gap, 0.0))
     return force
@@ -86,14 +96,32 @@ def _rate(
             dy[TOOLV + a] = (on_tool - mount + hang) / p.tool[a]
         else:
             dy[V + a] = dy[TOOLV + a] = (on_carriage - dragged + hang) / (p.carriage[a] - p.loose[a])
+    turned = _yaw(y, p, frame, dy)
     _swing(y, p, frame, dy)
     for a in range(2):
         shaken = p.sway_dir[0, a] * dy[SWAYV] + p.sway_dir[1, a] * dy[SWAYV + 1]
-        felt[a] = dy[TOOLV + a]
+        felt[a] = dy[TOOLV + a] + a * turned
         dy[V + a] -= shaken
         dy[TOOLV + a] -= shaken
         hang = p.cable_k * y[CABLE + a] + p.cable_b * y[CABLEV + a]
         dy[CABLE + a], dy[CABLEV + a] = y[CABLEV + a], -felt[a] - hang / p.cable_mass
+
+
+@njit(cache=True, error_model="numpy")
+def _yaw(y: FloatArray, p: Any, frame: FloatArray, dy: FloatArray) -> float:
+    """Turn the gantry under its head; returns by how much more than the gantry's middle the head accelerates."""
+    dy[YAW] = dy[YAW + 1] = 0.0
+    if p.yaw == 0.0:
+        return 0.0
+    aside, share = y[Q] - p.yaw_at, p.head / (p.carriage[1] + p.tool[1])
+    moved = 2.0 * y[V] * y[YAW + 1] + dy[V] * y[YAW]
+    torque = p.yaw_arm * frame[0] - p.yaw_k * y[YAW] - p.yaw_b * y[YAW + 1]
+    torque -= p.head * aside * (dy[V + 1] + (1.0 - share) * moved)
+    dy[YAW], dy[YAW + 1] = y[YAW + 1], torque / (p.yaw + p.head * (1.0 - share) * aside * aside)
+    turned = aside * dy[YAW + 1] + moved
+    dy[V + 1] -= share * turned
+    dy[TOOLV + 1] -= share * turned
+    return float(turned)
 
 
 @njit(cache=True, error_model="numpy")
@@ -129,6 +157,7 @@ def run(command: FloatArray, speed: FloatArray, h: float, every: int, p: Any) ->
         _rate(y, z, t, command[b], speed[b], p, w, k1)
         if n % every == 0:
             out[n // every, 0], out[n // every, 1] = y[TOOL : TOOL + 2], w[2]
+            out[n // every, 0, 1] += (y[Q] - p.yaw_at) * y[YAW]
         if n == steps:
             break
         if p.dry_kind == 2:

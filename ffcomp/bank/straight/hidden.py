@@ -6,6 +6,7 @@ The same seed with another `size` is the same effect, larger or smaller; with si
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -58,7 +59,46 @@ def frame_mode(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]
     return {key: table[key] for key in keys}, changed
 
 
-_OWN = (belt_stiffness, belt_hardening, frame_mode, sensor_gain)
+def growing_bed(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide a print that tapers, or widens: its mass is not quite in proportion to its height."""
+    growth, taper = size * rng.uniform(1.5, 4.0), rng.uniform(-0.1, 0.1)
+    machine = copy.deepcopy(real.machine)
+    machine["print"] = {"growth_per_m": growth, "taper": taper, "high_m": 0.04}
+    return {"growth_per_m": told(np.array([0.0, growth]))}, replace(real, machine=machine)
+
+
+def toolhead_mode(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide a mount that gives way more in the middle of its beam; how much ω² bends by x is not told by a number."""
+    middle = _middle_mm(real) + rng.uniform(-15.0, 15.0)
+    half = 0.5e-3 * real.machine["kinematics"]["x_range_mm"][1] + 0.02
+    return {}, real.having(beam=size * rng.uniform(1.0, 2.0), beam_at=middle / 1e3, beam_half=half)
+
+
+def gantry_racking(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide a gantry that yaws; as often as not its belts turn it too when they pull along x."""
+    plant = real.machine["plant"]
+    head, along = plant["carriage"][0] + plant["tool"][0], plant["carriage"][1]
+    radius, hertz, ratio = rng.uniform(0.12, 0.3), rng.uniform(30.0, 80.0), rng.uniform(0.03, 0.08)
+    arm, middle = rng.uniform(-0.03, 0.03) * (rng.random() < 0.5), _middle_mm(real) + rng.uniform(-15.0, 15.0)
+    inertia, omega = head * radius**2 / max(size, 1e-9), 2 * np.pi * hertz
+    table = {
+        "radius_mm": float(1e3 * radius / np.sqrt(max(size, 1e-9))),
+        "frequency_hz": hertz,
+        "damping_ratio": ratio,
+        "x_centre_mm": middle,
+        "tool_share": head / along,
+        "arm_mm": 1e3 * arm,
+    }
+    yaw = {"yaw": inertia, "yaw_k": inertia * omega**2, "yaw_b": 2 * ratio * omega * inertia}
+    where = {"yaw_at": middle / 1e3, "yaw_arm": arm, "head": head}
+    return table, real.having(**(yaw if size > 0 else {}), **where)
+
+
+def _middle_mm(real: Real) -> float:
+    return 0.5 * float(real.machine["kinematics"]["x_range_mm"][1])
+
+
+_OWN = (belt_stiffness, belt_hardening, frame_mode, sensor_gain, growing_bed, toolhead_mode, gantry_racking)
 _KNOWN: Mapping[str, Hide] = {**_SHARED, **{hide.__name__: hide for hide in _OWN}}
 EVERYWHERE = (  # in the order in which the bank draws them
     "coulomb_friction",
@@ -80,5 +120,6 @@ EVERYWHERE = (  # in the order in which the bank draws them
 
 def effects_of(kind: str) -> Mapping[str, Hide]:
     """Return the effects that a printer of this kind can have: one chip feels x and y of a CoreXY only."""
-    more = ("sensor_misalignment",) if kind == "corexy" else ()
+    own = {"corexy": ("sensor_misalignment", "gantry_racking", "toolhead_mode"), "cartesian": ("growing_bed",)}
+    more = own.get(kind, ())
     return {name: _KNOWN[name] for name in (*EVERYWHERE, *more)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,17 +20,21 @@ COARSE_STEP_S = 1 / 6400
 PROBED = ("belt_k", "guide_b", "mount_k", "tool")
 
 
-def draw_machine(rng: np.random.Generator, kind: str) -> Tables:
+def draw_machine(rng: np.random.Generator, kind: str, names: Sequence[str] = ()) -> Tables:
     """Draw a printer: the tables of a machine file, and `plant`, its masses, springs and dampers.
 
-    The dampers are αM + βK, so that its modes stay real: a file with modes can then tell all of it.
+    The dampers are αM + βK, so that its modes stay real: a file with modes can then tell all of it. Where a gantry will
+    rack, its head is on it without a mount along y, and is the lighter part; a toolhead's own mode needs its mount.
     """
     slinger, turn = kind == "cartesian", turn_of(kind)
     mass = np.array([rng.uniform(0.3, 0.6), rng.uniform(0.5, 1.2)])
+    if "gantry_racking" in names:
+        mass[1] = max(mass[1], rng.uniform(1.3, 2.0) * mass[0])
     hertz = np.array([rng.uniform(38, 65), rng.uniform(26, 45)])
     if not slinger:  # both belts pull along both axes
         hertz[1] = hertz[0] * np.sqrt(mass[0] / mass[1])
     two = rng.random(2) < ([0.5, 0.25] if slinger else [0.5, 0.5])
+    two[1] = (two[1] or "toolhead_mode" in names) and "gantry_racking" not in names
     tool = np.where(two, mass * rng.uniform(0.12, 0.3, 2), 0.0)
     stiff = mass * (2 * np.pi * hertz) ** 2
     mount = np.where(two, tool * (2 * np.pi * hertz * rng.uniform(1.8, 2.6, 2)) ** 2, 1.0)
@@ -106,15 +110,33 @@ def order_of(firmware: Mapping[str, Any], path: FloatArray) -> FloatArray:
     return path[:, :2] @ turn_of(firmware["type"]).T
 
 
+def _printed(machine: Tables, height_mm: float) -> Tables:
+    """Return the printer with a print of this height on its bed, whose plate is what the sensor is on."""
+    if "print" not in machine:
+        return machine
+    plant, z = copy.deepcopy(machine["plant"]), height_mm / 1e3
+    rides_on = "tool" if plant["tool"][1] > 0 else "carriage"
+    tapered = 1 + machine["print"]["taper"] * (1 - z / machine["print"]["high_m"])
+    plant[rides_on][1] += machine["print"]["growth_per_m"] * z * tapered * (plant["carriage"][1] + plant["tool"][1])
+    return {**machine, "plant": plant}
+
+
 def played(real: Real, firmware: Mapping[str, Any], motion: Motion, coarse: bool = False) -> Reading:
     """Return what the real printer's sensors say of a motion, before their noise; 6400 samples a second."""
     step = COARSE_STEP_S if coarse else STEP_S
-    command = order_of(firmware, points(motion, 2 / step))
+    path = points(motion, 2 / step)
+    command = order_of(firmware, path)
     for order in real.orders:
         command = order(step / 2 * np.arange(len(command), dtype=np.float64), command)
     command = np.ascontiguousarray(command / 1e3)
     every = 1 if coarse else KEPT_EVERY
-    out = run(command, np.gradient(command, step / 2, axis=0), step, every, printer_of(real.machine, real.fields))
+    out = run(
+        command,
+        np.gradient(command, step / 2, axis=0),
+        step,
+        every,
+        printer_of(_printed(real.machine, path[0, 2]), real.fields),
+    )
     if not np.all(np.isfinite(out)):
         raise ValueError(f"The printer has come apart in the motion {motion.name}.")
     t = step * every * np.arange(len(out), dtype=np.float64)

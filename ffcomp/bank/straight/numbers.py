@@ -17,7 +17,7 @@ EACH = (
 ONE = (
     "stick_v stick_power dry_v bristle flank landing stepper_share ripple_second ripple_phase warm_share warm_s "
     "pulley_share pulley_wave cable_mass cable_k cable_b notch_wave soft_mass soft_k soft_b stop_gap stop_k visco_s "
-    "loose_grip"
+    "loose_grip beam beam_at beam_half yaw yaw_k yaw_b yaw_at yaw_arm head"
 )
 PRINTER = np.dtype(
     [
@@ -42,6 +42,7 @@ NEUTRAL: Mapping[str, Any] = {
     "soft_motor": -1,
     "soft_mass": 1.0,
     "visco_s": 1.0,
+    "beam_half": 1.0,
 }
 
 
