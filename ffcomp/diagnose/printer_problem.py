@@ -57,6 +57,7 @@ LEAST, SPREAD = 1e-3, 1.5  # of a parameter known by its order of magnitude: cou
 CYCLE_STEPS = 4.0  # full steps of a motor's electrical cycle
 WHOLE = "whole"  # the one parameter of an effect that is there or not
 
+STRAIGHT = ("axis X", "axis Y", "axis Z")
 _Key = tuple[tuple[tuple[str, float], ...], tuple[int, ...], bool]
 _NAME = re.compile(r"effects\.(?P<effect>\w+)\.(?P<parameter>\w+)(\[(?P<index>\d)\])?")
 
@@ -71,6 +72,8 @@ class PrinterProblem(Problem):
     ) -> None:
         self.machine, self.recordings = machine, recordings
         self.name, self.path, self.per_kilogram = machine.name, machine.path, machine.vibration.per_kilogram
+        if not machine.kinematics.tower_directions:
+            self.carriages, self.belts = STRAIGHT, machine.kinematics.actuator_names
         self.reach_mm, self.cycle_mm = machine.kinematics.bed_radius_mm, CYCLE_STEPS / machine.steps.full_per_motor[0]
         self.commands = [compared(carriages_of(machine, one), every_row(one)) for one in recordings]
         recorded = [observation_of(machine, one, c) for one, c in zip(recordings, self.commands, strict=True)]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from models.arrays import FloatArray
 
+TOWERS = ("tower A", "tower B", "tower C")
 PERIODS = 2.0  # of a ripple must fit into the travel
 
 
@@ -138,6 +139,8 @@ class Problem(ABC):
     cycle_mm: float = 0.0  # of a motor
     reach_mm: float = 0.0  # how far from the middle of its bed a printer goes; 0: there is no bed
     per_kilogram: bool = False  # forces are, on axes of unknown mass
+    carriages: tuple[str, ...] = TOWERS  # what people call what a value for each is of
+    belts: tuple[str, ...] = TOWERS  # the same, of belts and their motors
     least_density: Mapping[str, float] = {}  # of a signal's noise, unit²/Hz: no simulation is nearer than that
 
     def place_name(self, position: tuple[float, ...]) -> str:

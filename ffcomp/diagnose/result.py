@@ -13,7 +13,7 @@ import numpy as np
 from ffcomp.diagnose.diagnosis import Diagnosis
 from ffcomp.diagnose.hypotheses import misfit
 from ffcomp.diagnose.printer_problem import WHOLE, effect_tables
-from ffcomp.diagnose.problem import Problem
+from ffcomp.diagnose.problem import TOWERS, Problem
 from ffcomp.diagnose.recording_delays import PREFIX, belongs_to_recording
 from ffcomp.diagnose.residuals import ResidualSize, locate_residual
 from ffcomp.diagnose.separation import Separation
@@ -52,6 +52,8 @@ class DiagnosisResult:
     unproven: Sequence[str] = ()  # places or experiments where it is not explained
     file_off: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # numbers that would explain as much
     per_kilogram: bool = False  # forces are, on axes of unknown mass
+    carriages: tuple[str, ...] = TOWERS  # what a value for each is of, and
+    belts: tuple[str, ...] = TOWERS  # of belts and their motors
     separations: Sequence[Separation] = ()  # from what fits as well: see `problems.separated`
 
     @property
@@ -126,6 +128,8 @@ def result_of(problem: Problem, found: Diagnosis) -> DiagnosisResult:
         [one.label for one in found.unproven],
         _file_off(found),
         problem.per_kilogram,
+        problem.carriages,
+        problem.belts,
     )
 
 

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ffcomp.diagnose.result import DiagnosisResult
 from ffcomp.diagnose.sentences import finding_of
 from ffcomp.diagnose.words import joined
 
-TOWERS = "ABC"
+BELTS = ("belt_", "cogging", "torque_angle", "command_delay")  # effects of belts and motors, not of carriages
 UNEVEN = 1.3  # times the mean of three: the one to begin with
 REMEDIES: Mapping[str, str] = {
     "coulomb_friction": "Clean and oil the rails{where}; check that no belt rubs and no carriage is over-tightened.",
     "stribeck_friction": "Clean and oil the rails{where}: they stick at rest; a thinner oil, or fresh bearings, help.",
     "guide_damping": "Check the rails{where} for stiff grease and tight carriages; warm grease damps less.",
-    "belt_stiffness": "Check the belts' tension{where}, and tension all three alike (same note when plucked).",
+    "belt_stiffness": "Check the belts' tension{where}, and tension them alike (same note when plucked).",
     "belt_hardening": "Tension the belts{where}: a belt that stiffens as it is pulled hangs loose, or a clamp gives.",
     "belt_position_stiffness": "Check the belts' tension at both ends of the travel{where}, and pulleys out of line.",
     "belt_backlash": "Look for play{where}: loose pulley screws, worn arms or joints, a belt clamp that gives.",
@@ -49,7 +49,7 @@ def what_to_do(found: DiagnosisResult) -> list[str]:
     """Return steps in order: to the printer first, then to the file, then what to record."""
     finding, apart = finding_of(found), [each.sentence() for each in found.separations]
     if finding == "effects":
-        return [*(_remedy(name, table) for name, table in found.effects.items()), *_afterwards(found), *apart]
+        return [*(_remedy(found, name) for name in found.effects), *_afterwards(found), *apart]
     if finding == "nothing":
         return ["Nothing to mend, as far as these recordings go. Record again when prints change."]
     if finding in ("cannot_tell", "recording"):
@@ -64,18 +64,19 @@ def what_to_do(found: DiagnosisResult) -> list[str]:
     ]
 
 
-def _remedy(name: str, table: Mapping[str, Any]) -> str:
-    return REMEDIES[name].format(where=_towers(table))
+def _remedy(found: DiagnosisResult, name: str) -> str:
+    names = found.belts if name.startswith(BELTS) else found.carriages
+    return REMEDIES[name].format(where=_first_of(names, found.effects[name]))
 
 
-def _towers(table: Mapping[str, Any]) -> str:
-    """Name the towers that stand out, where there is a value for each."""
-    lists = [x for x in table.values() if isinstance(x, list) and len(x) == len(TOWERS)]
+def _first_of(names: Sequence[str], table: Mapping[str, Any]) -> str:
+    """Name the towers or axes that stand out, where there is a value for each."""
+    lists = [x for x in table.values() if isinstance(x, list) and len(x) == len(names)]
     if not lists:
         return ""
     sizes = [abs(float(x)) for x in lists[0]]
-    high = [t for t, size in zip(TOWERS, sizes, strict=True) if size > UNEVEN * sum(sizes) / len(sizes)]
-    return f", first of tower {joined(high)}" if high else ""
+    high = [t for t, size in zip(names, sizes, strict=True) if size > UNEVEN * sum(sizes) / len(sizes)]
+    return f", first of {joined(high)}" if high else ""
 
 
 def _afterwards(found: DiagnosisResult) -> list[str]:

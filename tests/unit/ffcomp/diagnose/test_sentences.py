@@ -130,6 +130,13 @@ def test_every_effect_has_a_remedy_and_uneven_towers_are_named() -> None:
     assert set(REMEDIES) == set(CATALOGUE)
     found = replace(result(), effects={"coulomb_friction": {"force_n": [1.0, 4.0, 1.1]}})
     assert what_to_do(found)[0].startswith("Clean and oil the rails, first of tower B;")
+    slinger = replace(found, effects={"belt_stiffness": {"relative_change": [0.0, -0.2, 0.0]}})
+    slinger = replace(slinger, carriages=("axis X", "axis Y", "axis Z"), belts=("axis X", "axis Y", "axis Z"))
+    assert what_to_do(slinger)[0].startswith("Check the belts' tension, first of axis Y, and tension them alike")
+    assert ", first of axis Y;" in what_to_do(replace(slinger, effects=found.effects))[0]
+    crossed = replace(slinger, belts=("motor A", "motor B", "axis Z"))
+    assert ", first of motor B, " in what_to_do(crossed)[0]
+    assert ", first of axis Y;" in what_to_do(replace(crossed, effects=found.effects))[0]
 
 
 @pytest.mark.slow
