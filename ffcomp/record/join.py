@@ -155,12 +155,17 @@ def _of_these_motions(clocks: Sequence[tuple[Task, _Clock]]) -> tuple[list[tuple
         Refused(
             task.capture.source,
             f"The motion in it begins {1e3 * clock.late_s:+.1f} ms from where the plan has it, and may be "
-            f"{1e3 * FARTHEST_S:g} ms off: it is of another motion, or the printer did not run the plan's G-code "
-            "as it is. Run the file again, from its beginning, with a speed factor of 100 %.",
+            f"{1e3 * FARTHEST_S:g} ms off{_pace(clock.ratio)}: it is of another motion, or the printer did not run the "
+            "plan's G-code as it is. Run the file again, from its beginning, with a speed factor of 100 %.",
         )
         for task, clock in apart
     ]
     return [each for each in clocks if each not in apart], refused
+
+
+def _pace(ratio: float) -> str:
+    """Say at which pace a motion is made, or a clock runs: nothing tells them apart."""
+    return "" if abs(ratio - 1.0) < WORST_RATIO else f"; by its clock it runs at {ratio:.1%} of the plan's pace"
 
 
 def _all_alike_late(clocks: Sequence[_Clock]) -> bool:

@@ -108,6 +108,7 @@ def test_a_machine_that_is_late_by_milliseconds_makes_no_other_motion(
     (tmp_path / "slow").mkdir()
     slower = join_captures(stretched(captures, tmp_path / "slow", 1.003), plan, machine)
     assert len(slower.refused) == 4 and all("begins +" in why for why in reasons(slower))
+    assert all("at 99.7% of the plan's pace" in why for why in reasons(slower))
 
 
 def test_a_shaper_left_on_is_named_on_a_machine_that_is_late(plan: MovesPlan, machine: Machine, tmp_path: Path) -> None:
