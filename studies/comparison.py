@@ -1,28 +1,37 @@
-"""Every method on the sample prints and on a print from outside, with machines that are not as their files say.
+"""Every method on the sample prints and on prints from outside, with machines that are not as their files say.
 
-    OPENBLAS_NUM_THREADS=1 python -m studies.comparison     docs/COMPARISON.md, half an hour on two cores
-    … python -m studies.comparison far_star lobed_vase      measure only these tables
+    OPENBLAS_NUM_THREADS=1 python -m studies.comparison     docs/COMPARISON.md, an hour on two cores
+    … python -m studies.comparison far_star lobed_vase      measure only these tables; the others stay as they are
 
-The print from outside is read from ../shared/data/gcode (or FFCOMP_DATA); without it, its table is left out.
+Each print is saved as soon as it is measured. The prints from outside are read from ../shared/data/gcode (or
+FFCOMP_DATA); without them their tables stay as they are.
 """
 
 from __future__ import annotations
 
 import os
 import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from ffcomp.compare.engine import Request, compare
-from ffcomp.compare.evaluation import SAMPLE_S
-from ffcomp.compare.result import Comparison, Method
-from ffcomp.compare.sampling import Print, Sampling
-from ffcomp.metrics import contour_error
+from ffcomp.compare import methods as every
+from ffcomp.compare.equal_quality import equal_quality, within_limits
+from ffcomp.compare.evaluation import SAMPLE_S, Execution, contour, weights
+from ffcomp.compare.methods import TunedMethod
+from ffcomp.compare.monte_carlo import draw_plants
+from ffcomp.compare.sampling import Print, PrintSlice, Sampling
+from ffcomp.inverse.settings import settings_for
+from ffcomp.metrics import contour_error, contour_statistics, rms
+from ffcomp.simulate.playback import simulate_nozzles
 from models.file import load_machine
 from models.machine import Machine
+from studies.comparison_rivals import Pair, inversions, pairs
 from studies.render import results_of, save
 
 ROOT = Path(__file__).parents[1]
@@ -32,131 +41,189 @@ CASES = (
     (ROOT / "sample_prints" / "lobed_vase.gcode", "mp-delta-pro"),
     (ROOT / "sample_prints" / "far_star.gcode", "mp-delta-pro"),
     (DATA / "gcode" / "kossel_mks-pwc.gcode", "kossel"),
+    (DATA / "gcode" / "makreeltje_cura_slicer.gcode", "voron-300"),
+    (DATA / "gcode" / "ender3_ringing_tower.gcode", "ender-3"),
 )
-MISMATCH, SEEDS = 0.10, 20
-OTHER_MISMATCHES = (0.02, 0.05)
-LONGEST_S = 420.0  # of print time that is judged: the sample prints whole, a quarter of the other one
+MISMATCHES, SEEDS = (0.02, 0.05, 0.10), 20
+JUDGED_S, SOUGHT_S, OFF_S = 40.0, 20.0, 20.0  # of print time: every method, the searches, printers that are off
+PIECE_S = 5.0
+WHOLE = ("ringing_tower",)  # judged whole too, with the best rival: what the slices are worth
+BOUND_UM = 25.0  # of the 99th percentile, where the speed for equal quality is sought
 SMOOTHED_HZ = 100.0
 
 
 def main(names: list[str]) -> None:
-    """Measure all tables, or those of the named prints, and write the results and the page."""
-    found = results_of("comparison")["prints"] if names else {}
-    for path, name in CASES:
-        if path.exists() and (not names or path.stem in names):
-            found[path.stem] = case(path, load_machine(name))
-        elif not path.exists():
+    """Measure all prints, or those named, and write the results and the page."""
+    for path, name in sorted(CASES, key=lambda case: names.index(case[0].stem) if case[0].stem in names else -1):
+        if not path.exists():
             print(f"Not here: {path.name} lies beside the project, not in it.", file=sys.stderr)
-    about = {"mismatch": MISMATCH, "printers": SEEDS, "smoothed_hz": SMOOTHED_HZ}
-    save("comparison", about | {"prints": found})
+        elif not names or path.stem in names:
+            measured = {path.stem: case(path, load_machine(name), path.stem in WHOLE)}
+            found = results_of("comparison")["prints"] | measured
+            ordered = {stem: found[stem] for stem in (p.stem for p, _ in CASES) if stem in found}
+            save("comparison", {"printers": SEEDS, "smoothed_hz": SMOOTHED_HZ, "prints": ordered})
 
 
-def case(path: Path, machine: Machine) -> dict[str, Any]:
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One print on one machine, and the parts of it that are used."""
+
+    printed: Print
+    machine: Machine
+    slices: list[PrintSlice]
+    few: list[PrintSlice]
+    off: list[PrintSlice]
+
+
+def case(path: Path, machine: Machine, whole: bool) -> dict[str, Any]:
     """Compare the methods on one print."""
-    data = path.read_bytes()
-    seconds = Print(data, path.name, machine).print_time_s
-    sampling = Sampling(share=min(1.0, LONGEST_S / seconds))
-    found = compare(data, path.name, machine, None, Request(sampling, MISMATCH, SEEDS), progress=_said)
-    return {
+    began = time.process_time()
+    printed = Print(path.read_bytes(), path.name, machine)
+    slices, sampling = printed.slices(Sampling(), at_most_s=JUDGED_S)
+    few, off = (printed.slices(Sampling(), PIECE_S, seconds)[0] for seconds in (SOUGHT_S, OFF_S))
+    own = Case(printed, machine, slices, few, off)
+    tried, others = pairs(machine, few)
+    _said(f"{path.stem}: {len(tried)} methods are set", began)
+    rows = [_row(pair, slices, machine) for pair in tried]
+    ours = [_own_row(method, slices, machine) for method in inversions(machine)]
+    none = _judged(every.none(), slices, machine)
+    _said("judged", began)
+    rivals = [k for k, pair in enumerate(tried) if pair.by_firmware]
+    best = min(rivals, key=lambda k: rows[k]["best"]["rms_um"])
+    plain = [k for k in rivals if tried[k].plain]
+    simple = min(plain, key=lambda k: rows[k]["best"]["rms_um"])
+    found = {
         "machine": machine.name,
-        "sampling": found.sampling,
-        "computing_s": found.seconds,
-        "methods": [row(found, method) for method in found.methods.values()],
-        "conclusions": conclusions(found, floor_um(data, path.name, machine, sampling)),
-        "other_mismatches": other_mismatches(data, path.name, machine, sampling, found.best_fixed),
+        "sampling": sampling,
+        "seconds": printed.print_time_s,
+        "none": none,
+        "methods": rows,
+        "others": others,
+        "ours": ours,
+        "best": rows[best]["label"],
+        "best_um": rows[best]["best"]["rms_um"],
+        "best_xy": rows[simple]["label"],
+        "best_xy_um": rows[simple]["best"]["rms_um"],
+        "best_calibrated_um": min(r["calibrated"]["rms_um"] for r in rows if r["calibrated"]),
+        "margin": rows[best]["best"]["rms_um"] / ours[-1]["rms_um"],
+        "floor_um": floor_um(slices),
     }
+    chosen = [tried[best].best]
+    found["off"] = [_off(own, chosen, sd) for sd in MISMATCHES]
+    _said("off", began)
+    found["quality"] = _quality(own, chosen)
+    _said("quality", began)
+    found["whole"] = _whole(own, chosen) if whole else []
+    found["computing_s"] = time.process_time() - began
+    _said("all", began)
+    return found
 
 
-def row(found: Comparison, method: Method) -> dict[str, Any]:
-    """Return what the table says of a method."""
-    t, e, quality, spread = method.track, method.extruding, method.equal_quality, method.spread
-    assert quality is not None and spread is not None
+# ---- one method ----------------------------------------------------------------------------------
+
+
+def _row(pair: Pair, slices: Sequence[PrintSlice], plant: Machine) -> dict[str, Any]:
+    """Return what the table says of a rival."""
     return {
-        "label": method.label,
-        "marked": method.name in (found.compensated, found.best_fixed),
-        "contour_rms_um": t.contour_rms_um,
-        "contour_p99_um": t.contour_p99_um,
-        "contour_max_um": t.contour_max_um,
-        "extruding_rms_um": e.contour_rms_um,
-        "extruding_p99_um": e.contour_p99_um,
-        "tracking_rms_um": t.tracking_rms_um,
-        "tracking_rms_no_delay_um": t.tracking_rms_no_delay_um,
-        "residual_rms_um": method.residual_rms_um,
-        "peak_m_per_s2": method.peaks.acceleration_mm_per_s2 / 1e3,
-        "within_limits": method.peaks.within_limits,
-        "off_median_um": spread.median_um,
-        "off_retuned_median_um": method.retuned and method.retuned.median_um,
-        "off_worst_um": spread.worst_um,
-        "off_retuned_worst_um": method.retuned and method.retuned.worst_um,
-        "equal_quality_sign": ">" if quality.capped else "" if quality.reached else "<",
-        "equal_quality_m_per_s2": quality.acceleration_mm_per_s2 / 1e3,
-        "equal_quality_print_time_s": quality.print_time_s,
+        "label": pair.label,
+        "group": pair.group,
+        "by_firmware": pair.by_firmware,
+        "calibrated": pair.calibrated and _judged(pair.calibrated, slices, plant),
+        "best": _judged(pair.best, slices, plant),
+        "tuning": pair.best.tuning.partition(": ")[0]
+        if pair.calibrated
+        else pair.best.tuning.partition(" times")[0] + " times",
     }
 
 
-def conclusions(found: Comparison, floor: float) -> dict[str, Any]:
-    """Return how far the aims are met."""
-    ours, best, none = (found.methods[name] for name in (found.compensated, found.best_fixed, "none"))
-    assert ours.spread and best.spread
-    fastest = max(
-        (m for m in found.methods.values() if m.family in ("calibrated", "best fixed") and m.equal_quality),
-        key=lambda m: m.equal_quality.acceleration_mm_per_s2 if m.equal_quality else 0.0,
-    )
-    pairs = zip(ours.spread.contour_rms_um, best.spread.contour_rms_um, strict=True)
-    quick, shaper, slow = (m.equal_quality for m in (ours, fastest, none))
-    assert quick and shaper and slow
+def _own_row(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -> dict[str, Any]:
+    return {"label": method.label} | _judged(method, slices, plant)
+
+
+def _judged(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -> dict[str, Any]:
+    """Execute a method on the simulated printer."""
+    (executions,), within = _executed(method, slices, [plant])
+    statistics = contour_statistics(contour(executions), weights(executions))
+    return {"rms_um": statistics.rms_um, "p99_um": statistics.p99_um, "max_um": statistics.max_um, "within": within}
+
+
+def _executed(
+    method: TunedMethod, slices: Sequence[PrintSlice], plants: Sequence[Machine]
+) -> tuple[list[list[Execution]], bool]:
+    """Return the executions on each plant, and whether the commands are within the carriages' limits."""
+    found: list[list[Execution]] = [[] for _ in plants]
+    within = True
+    for each in slices:
+        motion, _ = method.motion(each)
+        within = within and within_limits(*motion.peaks(each.machine), each.machine)
+        t, nozzles = simulate_nozzles(plants, motion, each.machine)
+        for own, nozzle in zip(found, nozzles, strict=True):
+            own.append(Execution(each, motion, t, nozzle))
+    return found, within
+
+
+# ---- the few best --------------------------------------------------------------------------------
+
+
+def _whole(own: Case, methods: Sequence[TunedMethod]) -> list[dict[str, Any]]:
+    """Judge the whole print."""
+    all_of_it = [own.printed.whole()]
+    ours = every.inversion(own.machine, settings_for(own.machine), every.COMPENSATED)
+    return [_own_row(method, all_of_it, own.machine) for method in (*methods, ours)]
+
+
+def _off(own: Case, methods: Sequence[TunedMethod], sd: float) -> dict[str, Any]:
+    """Return medians and worst over printers that are off by this much; a robust inverse is told how much."""
+    plants = draw_plants(own.machine, sd, SEEDS)
+    settings = settings_for(own.machine)
+    told = replace(own.machine, uncertainty=dict.fromkeys(own.machine.uncertainty, sd) | {"default": sd})
+    ours = every.inversion(own.machine, settings, every.COMPENSATED)
+    robust = every.inversion(told, settings, every.ROBUST)
+    rows = []
+    for method in (*methods, ours, robust):
+        executions, _ = _executed(method, own.off, plants)
+        each = [rms(contour(on), weights(on)) * 1e3 for on in executions]
+        rows.append({"label": method.label, "median_um": float(np.median(each)), "worst_um": max(each)})
+    best = min(row["median_um"] for row in rows[:-2])
     return {
-        "best_fixed": best.label,
-        "tuning": best.tuning,
-        "below_best_fixed": best.track.contour_rms_um / ours.track.contour_rms_um,
-        "below_none": none.track.contour_rms_um / ours.track.contour_rms_um,
-        "floor_um": floor,
-        "off_below_best_fixed": best.spread.median_um / ours.spread.median_um,
-        "off_above": sum(mine > theirs for mine, theirs in pairs),
-        "equal_quality": {
-            "of_best_shaper": quick.acceleration_mm_per_s2 / shaper.acceleration_mm_per_s2,
-            "best_shaper": fastest.label,
-            "of_none": quick.acceleration_mm_per_s2 / slow.acceleration_mm_per_s2,
-            "none_reached": slow.reached,
-            "print_times_s": [quick.print_time_s, shaper.print_time_s, slow.print_time_s],
-        },
+        "sd": sd,
+        "rows": rows,
+        "margin": best / rows[-2]["median_um"],
+        "margin_robust": best / rows[-1]["median_um"],
     }
 
 
-def floor_um(data: bytes, name: str, machine: Machine, sampling: Sampling) -> float:
+def _quality(own: Case, methods: Sequence[TunedMethod]) -> list[dict[str, Any]]:
+    """Return the highest acceleration of each method for the same quality."""
+    ours = every.inversion(own.machine, settings_for(own.machine), every.COMPENSATED)
+    rows = []
+    for method in (*methods, ours):
+        found = equal_quality(method, own.printed, own.machine, own.few, BOUND_UM)
+        sign = ">" if found.capped else "" if found.reached else "<"
+        rows.append(
+            {
+                "label": method.label,
+                "sign": sign,
+                "m_per_s2": found.acceleration_mm_per_s2 / 1e3,
+                "print_time_s": found.print_time_s,
+            }
+        )
+    return rows
+
+
+def floor_um(slices: Sequence[PrintSlice]) -> float:
     """Contour rms of the plan itself without what is faster than SMOOTHED_HZ (a Gaussian filter, -3 dB there)."""
     width_s = np.sqrt(np.log(2)) / (2 * np.pi * SMOOTHED_HZ)
     errors = []
-    for stretch in Print(data, name, machine).slices(sampling)[0]:
+    for stretch in slices:
         t = np.arange(stretch.motion.begin_t, stretch.motion.end_t, SAMPLE_S)
         smooth = gaussian_filter1d(stretch.motion.position(t), width_s / SAMPLE_S, axis=0, mode="nearest")
         errors.append(contour_error(*stretch.corners, t, smooth))
     return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) * 1e3
 
 
-def other_mismatches(data: bytes, name: str, machine: Machine, sampling: Sampling, best: str) -> list[dict[str, float]]:
-    """Return how the advantage depends on how well the machine is known."""
-    rows = []
-    for off in OTHER_MISMATCHES:
-        request = Request(sampling, off, SEEDS, 0.0, (best,))
-        found = compare(data, name, machine, None, request, progress=_said)
-        ours, theirs = (found.methods[key].spread for key in (found.compensated, best))
-        assert ours and theirs
-        rows.append(
-            {
-                "off": off,
-                "best_fixed_median_um": theirs.median_um,
-                "best_fixed_worst_um": theirs.worst_um,
-                "compensated_median_um": ours.median_um,
-                "compensated_worst_um": ours.worst_um,
-                "ratio": theirs.median_um / ours.median_um,
-            }
-        )
-    return rows
-
-
-def _said(what: str, share: float) -> None:
-    print(f"  {what} {share:.0%}", end="        \r", file=sys.stderr, flush=True)
+def _said(what: str, began: float) -> None:
+    print(f"  {what}: {time.process_time() - began:.0f} s of CPU", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

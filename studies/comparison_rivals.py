@@ -1,0 +1,116 @@
+"""Every method of one print, set as its firmware would and at its best: what the comparison judges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ffcomp.compare import methods as every
+from ffcomp.compare import rivals
+from ffcomp.compare.baselines import LinearPrinter
+from ffcomp.compare.methods import TunedMethod
+from ffcomp.compare.sampling import PrintSlice
+from ffcomp.inverse.settings import settings_for
+from ffcomp.shapers import SHAPERS
+from models.machine import Machine
+
+INVERTED = ("smooth_zv", "smooth_mzv")  # the kernels of the firmware that inverts a mode
+FOLLOWED = 3  # kinds, the best of all on this print, whose variants are tried as well
+JUDGED = 6  # kinds that are executed on the simulated printer; of the others the linear plant's answer is told
+SOUGHT = "the least contour rms on this print, sought with the plant known."
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """One method as its firmware sets it, and at its best."""
+
+    label: str
+    group: str  # what is shaped
+    calibrated: TunedMethod | None
+    best: TunedMethod
+    plain: bool  # a shaper of x and y, as most firmware has it
+    by_firmware: bool = True  # some firmware has it, or somebody tried it in one
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """A rival, its best settings and what they leave on the linear plant, µm."""
+
+    rival: rivals.Rival
+    found: rivals.Found
+
+
+def pairs(machine: Machine, slices: list[PrintSlice]) -> tuple[list[Pair], dict[str, float]]:
+    """Set every rival on some slices of a print.
+
+    Returns
+    -------
+    pairs : list of Pair
+        What is worth executing.
+    others : dict
+        Label → contour rms on the linear plant, µm, of the kinds that are not.
+    """
+    linear = LinearPrinter(machine, slices)
+    tuner = rivals.Tuner(machine, machine, linear)
+    kinds = sorted((_known(tuner, rivals.rival(kind, "", machine)) for kind in SHAPERS), key=lambda k: k.found.cost)
+    first, known = kinds[:FOLLOWED], kinds[:JUDGED]
+    inverted = [_known(tuner, rivals.rival(kind, rivals.INVERSE, machine)) for kind in INVERTED]
+    known += inverted
+    if z_rings(machine):
+        known += [_with_z(tuner, each, machine) for each in first + inverted]
+    if carriages_mix(machine):
+        known += [_known(tuner, rivals.rival(each.rival.kind, rivals.CARRIAGES, machine)) for each in first]
+    found = [_pair(tuner, each, machine) for each in known] + _scheduled(linear, machine, first)
+    return found, {each.rival.label: each.found.cost for each in kinds[JUDGED:]}
+
+
+def inversions(machine: Machine) -> list[TunedMethod]:
+    """Return ffcomp's ways."""
+    settings = settings_for(machine)
+    return [every.inversion(machine, settings, name) for name in (every.ONE_MODEL, every.ROBUST, every.COMPENSATED)]
+
+
+def z_rings(machine: Machine) -> bool:
+    """Tell whether the nozzle answers to z otherwise than by following."""
+    hz = np.linspace(10.0, 150.0, 141)
+    middle = np.array(machine.kinematics.centre_mm)
+    answer = machine.vibration.frequency_response(middle, hz, "nozzle", "nozzle")[:, 2, 2]
+    return bool(np.abs(answer).max() > 1.05)
+
+
+def carriages_mix(machine: Machine) -> bool:
+    """Tell whether a carriage is something else than an axis."""
+    middle = np.array([*machine.kinematics.centre_mm, 0.0])
+    there = middle + np.array([[3.0, 5.0, 10.0], [4.0, 7.0, 13.0]])
+    moved = np.diff(machine.kinematics.inverse(there), axis=0)
+    return not np.allclose(moved, np.diff(there, axis=0))
+
+
+def _known(tuner: rivals.Tuner, rival: rivals.Rival) -> Known:
+    return Known(rival, tuner.best(rival))
+
+
+def _with_z(tuner: rivals.Tuner, known: Known, machine: Machine) -> Known:
+    """Shape z too: from the best of x and y on, first z alone, then all."""
+    rival = rivals.rival(known.rival.kind, known.rival.variant + rivals.SHAPED_Z, machine)
+    at = rival.names.index("z")
+    start = np.insert(known.found.settings, at, tuner.calibrated(rival)[at])
+    first = tuner.best(rival, start, [at])
+    return Known(rival, first)
+
+
+def _pair(tuner: rivals.Tuner, known: Known, machine: Machine) -> Pair:
+    rival = known.rival
+    calibrated = every.tuned_rival(tuner, rival, "calibrated", machine)
+    best = every.set_rival(rival, known.found.settings, "best fixed", SOUGHT, machine)
+    group = {"": "x and y", rivals.CARRIAGES: "each carriage"}.get(
+        rival.variant, "x, y and z" if rival.shapes_z else "x and y"
+    )
+    return Pair(rival.label, group, calibrated, best, plain=not rival.variant)
+
+
+def _scheduled(linear: LinearPrinter, machine: Machine, first: list[Known]) -> list[Pair]:
+    of_place = every.mode_frequencies(machine)
+    found = [every.scheduled(linear, of_place, each.rival.kind) for each in first[:2]]
+    return [Pair(each.label, "x and y", None, each, plain=False, by_firmware=False) for each in found]
