@@ -72,6 +72,7 @@ class MoveWriter:
         speeds: FloatArray,
         lasting: FloatArray | None = None,
         slack: FloatArray | None = None,
+        stated: FloatArray | None = None,
     ) -> tuple[bytes, IntArray]:
         """Many lines in one piece, and where each ends in it, (n,) bytes; a line that says nothing is empty.
 
@@ -81,6 +82,7 @@ class MoveWriter:
         lasting : (n,) s, how long each is to take at that speed; needed with a slack
         slack : (n,) mm, how far from its place a move may end, and be in between, if that takes fewer digits or words;
             0, the default: as near as the last decimal lets it
+        stated : (n, 3) mm, filled in with the places where the moves end as they are written
         """
         if self._holds_z:  # a height that is not known is not written
             xyz = np.column_stack([xyz[:, :2], np.full(len(xyz), self.place[2])])
@@ -98,6 +100,7 @@ class MoveWriter:
             self._relative,
             self._state,
             self._given,
+            np.empty((len(e), 3)) if stated is None else stated,
             out,
         )
         return out[: ends[-1]].tobytes() if len(ends) else b"", ends

@@ -30,6 +30,7 @@ def write_moves(
     relative: tuple[bool, bool],
     state: IntArray,
     given: FloatArray,
+    stated: FloatArray,
     out: ByteArray,
 ) -> IntArray:
     """Write n `G1` lines one after the other; returns where each one ends in `out`, (n,) bytes.
@@ -43,6 +44,7 @@ def write_moves(
     relative : whether X Y Z are differences, and whether E is
     state : (5,) counts of X Y Z E F that the firmware has; taken along
     given : (4,) X Y Z, mm, where the last move should have ended, and s, by which its end is late; taken along
+    stated : (n, 3) X Y Z, mm, where each move ends as it is written; filled in
     out : (at least n LONGEST_LINE,) bytes
     """
     ends = np.empty(len(e), dtype=np.int64)
@@ -60,6 +62,7 @@ def write_moves(
             at = _write_move(now, feed, relative, state, out, at)
         for i in range(3):
             given[i] = xyz[k, i]
+            stated[k, i] = state[i] / per_mm[i] + base[i]
         ends[k] = at
     return ends
 

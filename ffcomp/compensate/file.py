@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from os.path import realpath
 from pathlib import Path
 from typing import Any
 
 from ffcomp.compensate.job import Job, Options, StepOutput
+from ffcomp.compensate.prediction import read_again
 from ffcomp.compensate.result import Result, already_processed, of_prints
 from ffcomp.compensate.stream import Stream
+from ffcomp.numerics.serialise import to_json
 from gcode.atomic_write import replacing, unchanged
-from gcode.container import Container, blocks_of, ends_of, opened
+from gcode.container import Container, blocks_of, ends_of, opened, read_bytes
 from gcode.errors import UnsupportedGcode
 from gcode.stamp import find_stamp
 from models.machine import Machine
@@ -59,6 +62,8 @@ def compensate_file(
         if not todo:
             return already_processed(path, stamps.values())
         if options.steps is None:
+            if target is not None and len(container.prints) == 1 and options.bound is None:
+                todo = {name: replace(job, read_again=True) for name, job in todo.items()}
             result = _write(container, todo, target, progress, still_the_same)
         else:
             result = _write_steps(todo, path, target, options.steps, progress)
@@ -85,7 +90,18 @@ def _write(
         with replacing(target) as file:
             container.write(file, texts)
             check()
-    return of_prints({name: stream.value for name, stream in streams.items()})
+    results = {name: stream.value for name, stream in streams.items()}
+    return {**of_prints(results), **_predicted_again(todo, results, target)}
+
+
+def _predicted_again(todo: Mapping[str, Job], results: Mapping[str, Result], target: Path | None) -> dict[str, Any]:
+    """Predict what was not predicted on the way, from the file that was written."""
+    (job, *_), (result, *_) = todo.values(), results.values()
+    numbers = result.statistics
+    if target is None or not job.predicts_again or not numbers.segments or numbers.predicted is not None:
+        return {}
+    found = read_again(read_bytes(target), str(target), job.machine, job.offset, job.flavor)
+    return dict(to_json(found))
 
 
 def _text(container: Container, streams: Mapping[str, Stream[Result]], name: str) -> Iterator[bytes]:

@@ -23,7 +23,7 @@ from ffcomp.compensate.gcode_output.print_time import with_times_retold
 from ffcomp.compensate.gcode_output.renderer import GcodeRenderer
 from ffcomp.compensate.placement import NOWHERE, Footprint, Offset, Placement, advice, choose_offset, footprint_of
 from ffcomp.compensate.plan import S_CURVE_LONGEST_S, Context, plan_chunk
-from ffcomp.compensate.prediction import LONGEST_S
+from ffcomp.compensate.prediction import LONGEST_S, READ_AGAIN_S
 from ffcomp.compensate.program import compensate
 from ffcomp.compensate.result import Result
 from ffcomp.compensate.statistics import Statistics
@@ -54,6 +54,7 @@ from gcode.metadata import Timed
 from gcode.program import Moves, Program
 from gcode.reader import read_parts
 from gcode.stamp import WITHOUT_ORIGINAL, Stamp, find_offset, offset_line, stamp_line
+from models.effects.catalogue import design_machine
 from models.machine import Machine
 
 Progress = Callable[[float], None]  # called with the share that is done, 0 to 1
@@ -111,6 +112,7 @@ class Job:
     options: Options = Options()
     restore: bool = False  # the file is a compensated one: take the original that it keeps
     jobs: int = 1  # processes that work at it
+    read_again: bool = False  # what is written is predicted from the file itself (`reading`), if that is short
 
     def write(self, target: Path | None, progress: Progress = lambda share: None) -> Result:
         """Compensate into `target` (None: nowhere), which is replaced whole at the end or not at all.
@@ -198,6 +200,11 @@ class Job:
     @cached_property
     def _ends(self) -> tuple[bytes, bytes, int]:
         return ends_of(self.source)
+
+    @property
+    def predicts_again(self) -> bool:
+        """Whether the file, once it is written, is read again for its prediction if there is none yet."""
+        return self.read_again and self.options.predict and self.settings.embed
 
     @property
     def size(self) -> int:
@@ -311,9 +318,17 @@ class Job:
             raise NothingToDo(f"{self.path or 'The file'} holds no line: nothing to compensate.")
         while not len(first[-1].moves) and (more := next(parts, None)) is not None:
             first.append(more)
-        share = _share(first[-1], self.size) if self.options.predict else 0.0
+        share = self._share(first[-1]) if self.options.predict else 0.0
         context = Context(self.machine, self.settings, self.flavor, self.offset, share, plain, self._bound)
         return self._chunks(chain(first, parts), plain), context
+
+    def _share(self, first: Program) -> float:
+        """Return how much of the print is simulated while it is compensated; none of what is read again."""
+        quickest_s = _quickest_s(first, self.size)
+        left_out = design_machine(self.machine)[1]  # effects that are not in the model by which a file is read again
+        if self.predicts_again and quickest_s <= READ_AGAIN_S and not left_out:
+            return 0.0
+        return min(1.0, LONGEST_S / max(quickest_s, 1e-9))
 
     def _parts(self, reach: Reach) -> Iterator[Program]:
         """Read the print; what lies beside the print volume goes out as it is, unless it is the part."""
@@ -393,11 +408,10 @@ def _size(program: Program) -> int:
     return sum(map(len, program.lines))
 
 
-def _share(first: Program, size: int) -> float:
-    """How much of the print may be simulated, by what its first moves take at least."""
+def _quickest_s(first: Program, size: int) -> float:
+    """Return what a print of so many bytes takes at least, by its first moves."""
     moves = first.moves
-    quickest = float((lines_of(moves).length / moves.speed).sum()) * size / max(_size(first), 1)
-    return min(1.0, LONGEST_S / max(quickest, 1e-9))
+    return float((lines_of(moves).length / moves.speed).sum()) * size / max(_size(first), 1)
 
 
 def _with_shaper_off(pieces: Iterator[bytes], flavor: str) -> Iterator[bytes]:

@@ -1,13 +1,16 @@
 """Predict a print's errors without and with compensation by the design model.
 
 This is a prediction by the model that the command was designed with, not a proof: an independent plant evaluates in the
-tests and in `compare`. Long prints are sampled section by section, evenly, and the result states their share.
+tests and in `compare`. A short print is predicted from the file that was written, read again (`read_again`): it is the
+number that `show` finds. Others are predicted while they are compensated (`Prediction`), from the segments as their
+lines state them; long prints are sampled section by section, evenly, and the result states their share.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -18,9 +21,12 @@ from ffcomp.metrics import Track, peak_acceleration, track
 from ffcomp.planner.sections import Section
 from ffcomp.planner.segment_timing import TimedSegments, sample_even_segments
 from ffcomp.planner.trajectory import PlannedMotion
+from ffcomp.simulate.preview import preview
 from models.arrays import FloatArray
+from models.machine import Machine
 
 LONGEST_S = 300.0  # of print time that is simulated for the prediction
+READ_AGAIN_S = 600.0  # of print time, at most, of a file that is read again
 SAMPLE_S = 1e-3  # about
 
 
@@ -79,6 +85,13 @@ class Samples:
             name: track(t, reference, np.concatenate(motion.actual), path_t, path, motion.peak)
             for name, motion in (("uncompensated", self.before), ("compensated", self.after))
         }
+
+
+def read_again(written: bytes, path: str, machine: Machine, offset: tuple[float, float], flavor: str) -> dict[str, Any]:
+    """Return what `Result.to_dict` says of the prediction, from the compensated file itself."""
+    seen = preview(written, path, machine, offset, flavor)
+    tracks = {"uncompensated": seen.before.track, "compensated": seen.after.track}
+    return {"predicted": tracks, "predicted_over_s": tracks["uncompensated"].print_time_s}
 
 
 class Prediction:

@@ -103,21 +103,6 @@ def _noted_clock(compensated: PlannedProgram, original: PlannedProgram) -> Secti
     return SectionClock(executed_t, begin_t, begin_t, end_t)
 
 
-@dataclass(frozen=True, slots=True)
-class MoveTimes:
-    """Times at which the same k moves begin, a knot early at most, and at which both files end."""
-
-    compensated_t: FloatArray  # (k + 1,) s
-    original_t: FloatArray  # (k + 1,) s
-
-
-def move_times(compensated: Program, executed: PlannedMotion, original: Program, reference: PlannedMotion) -> MoveTimes:
-    """Return the times of every noted move on both plans."""
-    notes, moves = _noted_moves(compensated, original)
-    begins = np.append(executed.start_t, executed.end_t)[notes]
-    return MoveTimes(np.append(begins, executed.end_t), np.append(reference.start_t[moves], reference.end_t))
-
-
 def _noted_sections(
     compensated: PlannedProgram, original: PlannedProgram
 ) -> tuple[list[Section], FloatArray, FloatArray]:

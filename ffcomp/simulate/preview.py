@@ -11,15 +11,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ffcomp.metrics import ContourStatistics, contour_error, contour_statistics
+from ffcomp.metrics import (
+    ContourStatistics,
+    Track,
+    build_track,
+    contour_error,
+    contour_statistics,
+    end_to_end,
+    tracking,
+)
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.machine_limits import known_to_the_firmware, planner_limits
+from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.reach import within_reach
+from ffcomp.planner.sections import split_sections
 from ffcomp.planner.trajectory import PlannedMotion
-from ffcomp.simulate.alignment import move_times
+from ffcomp.simulate.alignment import section_clock
+from ffcomp.simulate.command import command_peaks
 from ffcomp.simulate.flow import Flow, flow_of
-from ffcomp.simulate.linear import simulate_linear
-from ffcomp.simulate.motion import path_corners_with_rests
+from ffcomp.simulate.linear import continuous_intervals, simulate_linear
+from ffcomp.simulate.motion import motion_of, own_clock, path_corners_with_rests
 from gcode.embedded import original_lines
 from gcode.layers import labels, outer_walls
 from gcode.program import Program
@@ -39,6 +50,16 @@ class Curve:
     contour: FloatArray  # (m,) mm, distance to the path
     extruding: BoolArray  # (m,) plastic flows
     outer_wall: BoolArray  # (m,) and it is a wall that is seen from outside
+    peak: float = 0.0  # mm/s², largest acceleration of a carriage's command
+
+    @property
+    def track(self) -> Track:
+        """The TRACK over the whole print; where others have moved the nozzle, its motion begins anew."""
+        step = float(np.median(np.diff(self.t)))
+        begins = np.flatnonzero(np.abs(np.diff(self.t) - step) > 0.5 * step) + 1
+        joined = end_to_end(np.split(self.reference, begins), np.split(self.nozzle, begins))
+        seconds = float(self.t[-1] - self.t[0])
+        return build_track(tracking(*joined, step), self.contour, seconds, self.peak)
 
     @property
     def statistics(self) -> ContourStatistics:
@@ -90,26 +111,32 @@ def preview(
     original = read_program(b"".join(original_lines(lines)), path, offset_mm=offset, flavor=flavor, **own)
     compensated = read_program(data, path, flavor=flavor, **own)
     original, compensated = (within_reach(program, machine.kinematics) for program in (original, compensated))
-    reference, executed = _plan(original, machine), _plan(compensated, machine)
+    planned, compensation = _plan(original, machine), _plan(compensated, machine)
+    reference, executed = planned.trajectory, compensation.trajectory
     path_t, corners = path_corners_with_rests(reference)
-    times = move_times(compensated, executed, original, reference)
     before_t, before = simulate_linear(machine, reference)
     after_t, after = simulate_linear(machine, executed)
     before_reference = reference.position(before_t)[:, :3]
-    after_due = np.interp(after_t, times.compensated_t, times.original_t)
+    after_due = section_clock(compensation, planned).plan_time(after_t)
     after_reference = reference.position(after_due)[:, :3]
     kinds = _kinds(original, reference)
-    path_in_after = np.interp(path_t, times.original_t, times.compensated_t)
+    peaks = [_peak(machine, plan) for plan in (reference, executed)]
+    contours = (contour_error(path_t, corners, t, xyz) for t, xyz in ((before_t, before), (after_due, after)))
+    of_before, of_after = contours
     return Preview(
         corners,
         path_t,
-        Curve(before_t, before, before_reference, contour_error(path_t, corners, before_t, before), *kinds(before_t)),
-        Curve(
-            after_t, after, after_reference, contour_error(path_in_after, corners, after_t, after), *kinds(after_due)
-        ),
+        Curve(before_t, before, before_reference, of_before, *kinds(before_t), peaks[0]),
+        Curve(after_t, after, after_reference, of_after, *kinds(after_due), peaks[1]),
         Original(original, reference, before_t, after_due),
         None if machine.pressure is None else _flows(reference, executed, machine.pressure),
     )
+
+
+def _peak(machine: Machine, plan: PlannedMotion) -> float:
+    """Return the largest acceleration of a carriage's command, mm/s²; jumps by others are left out."""
+    actuators = motion_of(plan, own_clock(plan)).actuators(machine)
+    return max(command_peaks(actuators, begin, end)[1] for begin, end in continuous_intervals(plan))
 
 
 def _flows(before: PlannedMotion, after: PlannedMotion, pressure: Pressure) -> tuple[Flow, Flow]:
@@ -129,6 +156,7 @@ def _kinds(program: Program, plan: PlannedMotion) -> Callable[[FloatArray], tupl
     return at
 
 
-def _plan(program: Program, machine: Machine) -> PlannedMotion:
+def _plan(program: Program, machine: Machine) -> PlannedProgram:
     stop_before, wait_before = stops_and_waits(program)
-    return plan_moves(program.moves, planner_limits(machine), stop_before=stop_before, wait_before=wait_before)
+    plan = plan_moves(program.moves, planner_limits(machine), stop_before=stop_before, wait_before=wait_before)
+    return PlannedProgram(program, plan, split_sections(plan, stop_before), plan.end_t)

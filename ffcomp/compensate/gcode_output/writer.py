@@ -65,7 +65,7 @@ class Writer:
         self.segments = 0
         self.late_s = 0.0  # by which they take longer than their knots
         self.now_s = 0.0  # since the program's beginning, as far as it is written
-        self.written: list[TimedSegments] = []  # the section's, by tile; s since its first knot
+        self.written: list[TimedSegments] = []  # the section's tiles, as their lines state them; s since its first knot
         self.begun, self.rest = False, 0.0  # whether the run has moved, and for how long it has not since, s
         self.section_begin = (
             0,
@@ -167,18 +167,25 @@ class Writer:
             self.rest, self.begun = 0.0, False
             self.written = []
             self.section_begin = (self.program.first_line + int(self.program.moves.line[first]), timeline.lead_s)
-        segments = self._segments(first, vertices, timeline)
+        begins = self.moves.place[:3]
+        segments, timed = self._segments(first, vertices, timeline)
         lines = segments.lines(timeline)
         text: list[bytes] = []
+        stated = np.empty_like(segments.points)
         since = 0
         for a, b in pairwise([0, *self._turns(lines), len(lines)]):
             until = lines[b][0] if b < len(lines) else len(segments.e)
-            text += self._segments_and_lines(segments.part(since, until), [(k - since, line) for k, line in lines[a:b]])
+            part = segments.part(since, until)
+            text += self._segments_and_lines(part, [(k - since, line) for k, line in lines[a:b]], stated[since:until])
             since = until
+        self.written.append(replace(timed, vertices=np.vstack([begins, stated])))
         yield from joined(text)
 
-    def _segments(self, first: int, vertices: FloatArray, timeline: Timeline) -> _Segments:
-        """Select the segments of a tile: all where the command bends, few where it runs straight and evenly."""
+    def _segments(self, first: int, vertices: FloatArray, timeline: Timeline) -> tuple[_Segments, TimedSegments]:
+        """Select the segments of a tile: all where the command bends, few where it runs straight and evenly.
+
+        The second of the two is the same for who executes them.
+        """
         s, piece, at = self.settings, timeline.tile, timeline.at
         frame = self.program.frames[int(self.program.moves.frame[first])]
         points = _points(vertices, at, piece.first)
@@ -196,11 +203,12 @@ class Writer:
         slack[fixed[1:]] = 0.0  # another writer may go on from there, and the filament must be exact
         speeds = segment_speeds(points, e[1:] - e[:-1], lasting, s.output)
         begin, end = at.searchsorted([piece.begin, piece.end]).tolist()
-        self.written.append(TimedSegments(at * s.segment_s, points, speeds).part(begin, end))
+        timed = TimedSegments(at * s.segment_s, points, speeds).part(begin, end)
         late_s = np.maximum(speeds.duration - lasting, 0.0)  # lifts may be late
         self.late_s += float(late_s[begin:end].sum())
         lasting += late_s
-        return _Segments(kept[:-1], points[1:], e[1:], speeds.cruise, lasting, slack).part(begin, end)
+        segments = _Segments(kept[:-1], points[1:], e[1:], speeds.cruise, lasting, slack)
+        return segments.part(begin, end), timed
 
     def _turns(self, lines: list[tuple[int, _Line]]) -> Iterator[int]:
         """Which of the lines change how numbers are written."""
@@ -210,12 +218,18 @@ class Writer:
                 frame = line.frame
                 yield k
 
-    def _segments_and_lines(self, segments: _Segments, lines: list[tuple[int, _Line]]) -> list[bytes]:
-        """Segments with the lines between them, of which only the first may change how numbers are written."""
+    def _segments_and_lines(
+        self, segments: _Segments, lines: list[tuple[int, _Line]], stated: FloatArray
+    ) -> list[bytes]:
+        """Segments with the lines between them, of which only the first may change how numbers are written.
+
+        stated : (n, 3) mm, filled in with where the lines say that the segments end
+        """
         passed = [self.now_s, *(self.now_s + np.cumsum(segments.lasting)).tolist()]
         before = bisect_right(lines, 0, key=itemgetter(0))
         text = [piece for _, line in lines[:before] for piece in self._line(line)]
-        block, ends = self.moves.block(segments.points, segments.e, segments.speeds, segments.lasting, segments.slack)
+        each = (segments.points, segments.e, segments.speeds, segments.lasting, segments.slack)
+        block, ends = self.moves.block(*each, stated)
         starts, done = [0, *ends.tolist()], 0
         rests = self._rests(ends, segments.lasting)
         lines = lines[before:]

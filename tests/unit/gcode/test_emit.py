@@ -117,7 +117,9 @@ def test_every_number_is_written_as_python_would(
     frame = replace(frame, absolute_e=not relative_e)
     said, many = Said(frame), writer(frame)
     table = np.array(rows)
-    text, ends = many.block(table[:, :3], table[:, 3], table[:, 4])
+    stated = np.empty((len(rows), 3))
+    text, ends = many.block(table[:, :3], table[:, 3], table[:, 4], stated=stated)
+    assert stated[-1].tolist() == list(many.place[:3])
     expected = [said.line([x, y, z, e], speed) for x, y, z, e, speed in rows]
     assert text == b"".join(expected)
     assert ends.tolist() == np.cumsum([len(line) for line in expected]).tolist()
