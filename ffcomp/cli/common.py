@@ -127,14 +127,13 @@ class Progress:
             print(f"ffcomp: {min(10 * tenth, 100)} %, {max(left, 0):.0f} s left", file=sys.stderr)
 
     def phase(self, what: str, share: float) -> None:
-        """Show the current step of several, and the share of it that is done (0 to 1)."""
+        """Show the current stage in words, and the share of the whole that is done (0 to 1)."""
         if self.quiet:
             return
         if self.live:
-            if what != self.what:  # each phase has its own clock
-                self.what = what
-                self.bar.reset(self.task, total=1.0, description=what)
-            self.bar.update(self.task, completed=share)
-        elif what != self.what:
+            self.bar.update(self.task, completed=share * self.total_s, description=what)
+            return
+        if what != self.what:
             self.what = what
             print(f"ffcomp: {what} …", file=sys.stderr)
+        self(share * self.total_s)

@@ -14,13 +14,21 @@ from pathlib import Path
 
 from ffcomp.numerics.numba_cache import cache_folder
 
-VERBS = ("compensate", "simulate")  # those that most people call first, and that compile most
+WARMED = ("compensate", "simulate")  # those that most people call first, and that `warmup` compiles, in about 30 s
+VERBS = (*WARMED, "compare", "diagnose", "fit")  # all that compile for more than some seconds
 
 
 def first_run(verb: str) -> bool:
     """Return whether the verb is about to compile; False where no cache can tell."""
     marker = _marker(verb)
     return marker is not None and not marker.exists()
+
+
+def sentence(verb: str) -> str:
+    """Say that the verb is about to compile."""
+    if verb in WARMED:
+        return "Compiling once, about 30 s."
+    return "Compiling once: this first run takes longer than the next ones."
 
 
 def note_compiled(verb: str) -> None:

@@ -41,14 +41,14 @@ class Command(TyperCommand):
     def invoke(self, ctx: Any) -> Any:
         """Run the verb; say first what is missing for a figure or a page, or why a first run takes longer."""
         from ffcomp.cli.common import require, say
-        from ffcomp.cli.compiled import VERBS, first_run, note_compiled
+        from ffcomp.cli.compiled import VERBS, first_run, note_compiled, sentence
 
         if any(ctx.params.get(option) for option in ("figure", "report")):
             require("matplotlib")
         verb = ctx.info_name
         compiles = verb in VERBS and first_run(verb)
         if compiles:
-            say("ffcomp: Compiling once, about 30 s.", bool(ctx.params.get("quiet")))
+            say(f"ffcomp: {sentence(verb)}", bool(ctx.params.get("quiet")))
         done = super().invoke(ctx)
         if compiles:
             note_compiled(verb)

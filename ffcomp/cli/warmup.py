@@ -43,7 +43,7 @@ def warmup() -> None:
     import time
 
     from ffcomp.cli.common import exit_codes, say
-    from ffcomp.cli.compiled import VERBS, note_compiled
+    from ffcomp.cli.compiled import WARMED, note_compiled
 
     with exit_codes(), _printers_beside() as printers:
         begin = time.perf_counter()
@@ -53,7 +53,7 @@ def warmup() -> None:
             since = time.perf_counter()
             step()
             say(f"[{number}/{len(steps)}] {name}: {time.perf_counter() - since:.1f} s")
-        for verb in VERBS:
+        for verb in WARMED:
             note_compiled(verb)
         print(f"Ready after {time.perf_counter() - begin:.0f} s.")
 

@@ -21,21 +21,25 @@ import numpy as np
 from ffcomp.compare import methods as every
 from ffcomp.compare import rivals
 from ffcomp.compare.baselines import LinearPrinter
-from ffcomp.compare.equal_quality import equal_quality, within_limits
+from ffcomp.compare.equal_quality import QUALITY, equal_qualities, within_limits
 from ffcomp.compare.evaluation import SAMPLE_S, Execution, MethodEvaluation, by, contour, evaluate, track, weights
+from ffcomp.compare.execution import Piece, execute
 from ffcomp.compare.methods import COMPENSATED, TunedMethod
 from ffcomp.compare.monte_carlo import draw_plants
-from ffcomp.compare.parallel import Progress, in_parallel
+from ffcomp.compare.parallel import Progress, Stages, in_parallel
 from ffcomp.compare.result import BedMap, Comparison, Layer, Method, Outline, Party, Peaks, Spread
 from ffcomp.compare.sampling import SETTLE_S, Print, PrintSlice, Sampling
+from ffcomp.compensate.job import Job, Options
+from ffcomp.compensate.prediction import READ_AGAIN_S, read_again
 from ffcomp.compensate.statistics import Statistics
 from ffcomp.errors import NothingToDo
 from ffcomp.inverse.settings import Settings, settings_for
-from ffcomp.metrics import rms
+from ffcomp.metrics import Track, rms
 from ffcomp.simulate.compatibility import check_same_kinematics
 from ffcomp.simulate.playback import ROW_S, simulate_nozzles
 from ffcomp.version import __version__
 from models.arrays import FloatArray
+from models.effects.catalogue import design_machine
 from models.machine import Machine
 from models.provenance import assumed_modes
 
@@ -44,6 +48,8 @@ SOME_S = 60.0  # of print time that is executed on every Monte-Carlo plant
 FEW_S, FEW_PIECE_S = 30.0, 5.0  # on which shapers are tuned and accelerations tried
 BED_PITCH_MM = 10.0
 ALL = "all"  # alone: every method that there is
+TUNING, PLANNING, PRINTING = "tuning every method", "planning with every method", "printing with every method"
+ON_PLANTS, TUNING_ON_PLANTS = "printing on Monte-Carlo plants", "tuning shapers on Monte-Carlo plants"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +60,7 @@ class Request:
     mismatch: float = 0.0  # relative standard deviation of the Monte-Carlo plants' parameters
     seeds: int = 0  # number of Monte-Carlo plants
     quality_bound_um: float = 25.0  # 0: equal quality is not sought
+    predict: bool = True  # the whole print by the design model, if it is short
     only: tuple[str, ...] = ()  # of `methods.NAMES`; none and the compensated print are always evaluated
 
 
@@ -107,7 +114,10 @@ def compare(
     few, _ = printed.slices(request.sampling, FEW_PIECE_S, FEW_S)
     if max(each.trajectory.end_t for each in few) < SHORTEST_S:
         few = slices  # in small pieces of a short print nothing is left but their beginnings
-    tuned = _tuned(machine, plant, few, settings, names(request), progress)
+    chosen = names(request)
+    progress = Stages(progress, _stages(request, len(chosen)))
+    tuned = _tuned(machine, plant, few, settings, chosen, progress)
+    predicted = _predicted(data, path, machine, settings, printed) if request.predict else {}
     executed = _executed(tuned, slices, plant, progress)
     found = {method.name: _method(method, executed[method.name], printed.labels.features) for method in tuned}
     best = min((m for m in found.values() if m.family == "best fixed"), key=lambda m: m.track.contour_rms_um).name
@@ -115,7 +125,8 @@ def compare(
         plants = draw_plants(plant, request.mismatch, request.seeds)
         found = _with_spread(found, tuned, best, some, few, plants, progress)
     if request.quality_bound_um:
-        found = _with_quality(found, tuned, printed, plant, few, request.quality_bound_um, progress)
+        quality = equal_qualities(tuned, printed, plant, few, request.quality_bound_um, progress)
+        found = {name: replace(method, equal_quality=quality[name]) for name, method in found.items()}
     return Comparison(
         print_name=path,
         print_sha256=hashlib.sha256(data).hexdigest(),
@@ -142,6 +153,7 @@ def compare(
         seconds=time.perf_counter() - started,
         acceleration_mm_per_s2=printed.acceleration_mm_per_s2,
         outline=_outline(printed),
+        predicted=predicted,
     )
 
 
@@ -161,6 +173,16 @@ def names(request: Request) -> Collection[str]:
     if request.only and not set(request.only) & {*every.KINDS, *rivals.NAMES}:
         raise ValueError(f"Name at least one shaper to compare with: {', '.join(every.KINDS)}.")
     return {"none", COMPENSATED, *request.only} if request.only else every.USUAL_NAMES
+
+
+def _stages(request: Request, methods: int) -> dict[str, float]:
+    """Return the stages in their order, with the seconds that each takes, as measured."""
+    found = {TUNING: 1.2 * methods, PLANNING: 0.7 * methods, PRINTING: 0.5 * methods}
+    if request.seeds:
+        found |= {ON_PLANTS: 0.2 * methods * request.seeds, TUNING_ON_PLANTS: 3.5 * request.seeds}
+    if request.quality_bound_um:
+        found[QUALITY] = 2.0 * methods
+    return found
 
 
 # ---- the methods ---------------------------------------------------------------------------------
@@ -192,9 +214,7 @@ def _tuned(
             return every.scheduled(linear, of_place, kind)
         return every.best_fixed(linear, kind)
 
-    return in_parallel(
-        [partial(method, name) for name in every.NAMES if name in names], "tuning every method", progress
-    )
+    return in_parallel([partial(method, name) for name in every.NAMES if name in names], TUNING, progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,23 +228,34 @@ class _Executed:
 def _executed(
     tuned: Sequence[TunedMethod], slices: Sequence[PrintSlice], plant: Machine, progress: Progress
 ) -> dict[str, _Executed]:
-    tasks = [partial(_execute, method, slices, plant) for method in tuned]
-    return dict(zip([method.name for method in tuned], in_parallel(tasks, "printing", progress), strict=True))
+    tasks = [partial(_commanded, method, slices) for method in tuned]
+    commanded = in_parallel(tasks, PLANNING, progress)
+    pieces = [piece for own in commanded for piece in own.pieces]
+    executions, count = execute(plant, pieces, PRINTING, progress), len(slices)
+    return {
+        method.name: _Executed(executions[k * count : (k + 1) * count], *own.about)
+        for k, (method, own) in enumerate(zip(tuned, commanded, strict=True))
+    }
 
 
-def _execute(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -> _Executed:
-    executions, peaks, statistics = [], [], []
+@dataclass(frozen=True, eq=False)
+class _Commanded:
+    pieces: list[Piece]
+    about: tuple[Peaks, float, tuple[str, ...]]  # the print time, s, and warnings
+
+
+def _commanded(method: TunedMethod, slices: Sequence[PrintSlice]) -> _Commanded:
+    pieces, peaks, statistics = [], [], []
     for print_slice in slices:
         motion, own = method.motion(print_slice)
-        t, (nozzle,) = simulate_nozzles([plant], motion, print_slice.machine)
-        executions.append(Execution(print_slice, motion, t, nozzle))
+        pieces.append((print_slice, motion))
         peaks.append(motion.peaks(print_slice.machine))
         statistics.append(own)
     velocity, acceleration = (float(most) for most in np.max(peaks, axis=0))
     within = within_limits(velocity, acceleration, slices[0].machine)
     longer = sum(s.print_time_s - s.original_print_time_s for s in statistics if s is not None)
     seconds = sum(each.trajectory.end_t for each in slices) + longer
-    return _Executed(executions, Peaks(velocity, acceleration, within), seconds, _warnings(statistics))
+    return _Commanded(pieces, (Peaks(velocity, acceleration, within), seconds, _warnings(statistics)))
 
 
 def _warnings(statistics: Sequence[Statistics | None]) -> tuple[str, ...]:
@@ -266,10 +297,10 @@ def _with_spread(
     """Execute every method, as it was tuned, on the Monte-Carlo plants; tune the best fixed shaper anew on each too."""
     found = dict(methods)
     for k, method in enumerate(tuned):
-        progress("printing on Monte-Carlo plants", k / len(tuned))
+        progress(ON_PLANTS, k / len(tuned))
         found[method.name] = replace(methods[method.name], spread=Spread(tuple(_rms_on(plants, method, slices))))
     tasks = [partial(_retuned, best, few[0].machine, each, few, slices) for each in plants]
-    retuned = tuple(in_parallel(tasks, "tuning shapers on Monte-Carlo plants", progress))
+    retuned = tuple(in_parallel(tasks, TUNING_ON_PLANTS, progress))
     found[best] = replace(found[best], retuned=Spread(retuned))
     return found
 
@@ -292,21 +323,6 @@ def _retuned(
     if every.is_rival(name):
         return _rms_on([plant], every.rival(rivals.Tuner(machine, plant, linear), machine, name), slices)[0]
     return _rms_on([plant], every.best_fixed(linear, name), slices)[0]
-
-
-def _with_quality(
-    methods: dict[str, Method],
-    tuned: Sequence[TunedMethod],
-    printed: Print,
-    plant: Machine,
-    few: Sequence[PrintSlice],
-    bound_um: float,
-    progress: Progress,
-) -> dict[str, Method]:
-    tasks = [partial(equal_quality, method, printed, plant, few, bound_um) for method in tuned]
-    found = in_parallel(tasks, "seeking equal quality", progress)
-    pairs = zip(tuned, found, strict=True)
-    return {each.name: replace(methods[each.name], equal_quality=quality) for each, quality in pairs}
 
 
 # ---- what was compared -----------------------------------------------------------------------
@@ -335,6 +351,15 @@ def _settings(settings: Settings) -> dict[str, str]:
         "judged": f"{1 / SAMPLE_S:.0f} times a second, but for the first {SETTLE_S:g} s of each slice",
         "shapers tuned on": f"{FEW_S:.0f} s of the print, contour rms, plant known",
     }
+
+
+def _predicted(data: bytes, path: str, machine: Machine, settings: Settings, printed: Print) -> dict[str, Track]:
+    """Predict the whole print as `compensate` does, and `show`; nothing of what they would predict in another way."""
+    if printed.print_time_s > READ_AGAIN_S or design_machine(machine)[1]:
+        return {}
+    options = Options(offset=printed.offset, flavor=printed.flavor, settings=settings, predict=False)
+    written = b"".join(Job(data, path, machine, options).lines())
+    return read_again(written, path, machine, printed.offset, printed.flavor)
 
 
 def _layers(printed: Print, method: Method) -> tuple[Layer, ...]:

@@ -2,30 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from ffcomp.compare.evaluation import Execution, contour, weights
+from ffcomp.compare.execution import Piece, execute
 from ffcomp.compare.methods import TunedMethod
+from ffcomp.compare.parallel import Progress, in_parallel
 from ffcomp.compare.result import EqualQuality
 from ffcomp.compare.sampling import Print, PrintSlice, accelerated
 from ffcomp.metrics import contour_statistics
-from ffcomp.simulate.playback import simulate_nozzles
 from models.machine import Machine
 
-LOWEST, HIGHEST = 250.0, 40_000.0  # mm/s²
-HALVINGS = 8  # of the ratio between them: 2 % at the end
+LOWEST, HIGHEST, FIRST = 250.0, 40_000.0, 3000.0  # mm/s²
+NEAR = 1.02  # ratio of what is too fast to what is not, at which the search ends,
+FULL = 0.99  # or the share of the bound that is used
+ROUNDS, USUAL_ROUNDS = 10, 6
+QUALITY = "seeking equal quality"  # the stage
+LEAST_STEP, LARGEST_STEP = 1.5, 12.0  # factors, until a bound is found on both sides
+AIM = 0.995  # of the bound, between both sides
 
 
-def equal_quality(
-    method: TunedMethod, printed: Print, plant: Machine, slices: Sequence[PrintSlice], bound_um: float
-) -> EqualQuality:
-    """Find the highest acceleration by bisection in its logarithm. A command beyond the carriages' limits is too fast.
+def equal_qualities(
+    tuned: Sequence[TunedMethod],
+    printed: Print,
+    plant: Machine,
+    slices: Sequence[PrintSlice],
+    bound_um: float,
+    progress: Progress,
+) -> dict[str, EqualQuality]:
+    """Find each method's highest acceleration. A command beyond the carriages' limits is too fast.
+
+    All methods are tried at once, each at an acceleration of its own: their printers go side by side.
 
     Parameters
     ----------
-    method : TunedMethod
+    tuned : sequence of TunedMethod
     printed : Print
         Gives the print time at that acceleration.
     plant : Machine
@@ -33,37 +48,130 @@ def equal_quality(
         Evaluated at every acceleration; half a minute of print is enough.
     bound_um : float
         Of the contour error's 99th percentile.
+    progress : callable
     """
+    first = min(max(printed.acceleration_mm_per_s2 or FIRST, LOWEST), HIGHEST)
+    searches = [Search(bound_um, first) for _ in tuned]
+    for number in range(ROUNDS):
+        todo = [k for k, search in enumerate(searches) if not search.done]
+        if not todo:
+            break
+        accelerations = [searches[k].next() for k in todo]
 
-    def p99_at(acceleration: float) -> float:
-        return p99_um(method, [each.with_acceleration(acceleration) for each in slices], plant)
+        def told(what: str, share: float, begun: int = number) -> None:
+            progress(QUALITY, min((begun + share) / USUAL_ROUNDS, 0.99))
 
-    def result(acceleration: float, p99: float, **about: bool) -> EqualQuality:
+        p99 = _p99_um([tuned[k] for k in todo], accelerations, slices, plant, told)
+        for k, *point in zip(todo, accelerations, p99, strict=True):
+            searches[k].take(*point)
+    progress(QUALITY, 1.0)
+    return {method.name: search.result(printed) for method, search in zip(tuned, searches, strict=True)}
+
+
+@dataclass
+class Search:
+    """One method's search: the highest acceleration that is known to be good, and the lowest that is not."""
+
+    bound_um: float
+    first: float  # mm/s²
+    good: tuple[float, float] | None = None  # mm/s² and µm
+    bad: tuple[float, float] | None = None
+    tried: list[float] = field(default_factory=list)
+
+    def take(self, acceleration: float, p99_um: float) -> None:
+        """Learn the error at an acceleration."""
+        self.tried.append(acceleration)
+        if p99_um <= self.bound_um:
+            self.good = acceleration, p99_um
+        else:
+            self.bad = acceleration, p99_um
+
+    @property
+    def done(self) -> bool:
+        """Whether more trials would tell no more."""
+        if self.bad is None:
+            return self.capped
+        if self.good is None:
+            return self.bad[0] <= LOWEST
+        return self.bad[0] <= NEAR * self.good[0] or self.good[1] >= FULL * self.bound_um
+
+    @property
+    def capped(self) -> bool:
+        """Whether even the highest is good."""
+        return self.good is not None and self.good[0] >= HIGHEST
+
+    def next(self) -> float:
+        """Return the next acceleration to try: errors grow about in proportion to it."""
+        if self.bad is None and self.good is None:
+            return self.first
+        if self.bad is None and self.good is not None:
+            factor = 1.3 * self.bound_um / max(self.good[1], 1e-9)
+            return min(self.good[0] * min(max(factor, LEAST_STEP), LARGEST_STEP), HIGHEST)
+        if self.good is None and self.bad is not None:
+            factor = 0.8 * self.bound_um / self.bad[1] if np.isfinite(self.bad[1]) else 0.5
+            return max(self.bad[0] * max(min(factor, 1 / LEAST_STEP), 1 / LARGEST_STEP), LOWEST)
+        return self._between()
+
+    def _between(self) -> float:
+        """Interpolate in logarithms; where one side's error is infinite, and every third time, halve."""
+        assert self.good is not None and self.bad is not None
+        low, high = np.log(self.good[0]), np.log(self.bad[0])
+        share = 0.5
+        if np.isfinite(self.bad[1]) and len(self.tried) % 3:
+            errors = np.log(np.maximum([self.good[1], self.bad[1]], 1e-9) / (AIM * self.bound_um))
+            share = float(np.clip(-errors[0] / max(errors[1] - errors[0], 1e-9), 0.05, 0.95))
+        return float(np.exp(low + share * (high - low)))
+
+    def result(self, printed: Print) -> EqualQuality:
+        """Return the highest good acceleration, and the whole print's time with it."""
+        reached = self.good is not None
+        acceleration, p99 = self.good or self.bad or (self.first, np.inf)
         plan = accelerated(printed.planned, printed.machine, acceleration)
-        return EqualQuality(acceleration, plan.trajectory.end_t, p99, **about)
+        return EqualQuality(acceleration, plan.trajectory.end_t, p99, capped=self.capped, reached=reached)
 
-    if (p99 := p99_at(HIGHEST)) <= bound_um:
-        return result(HIGHEST, p99, capped=True)
-    if (p99 := p99_at(LOWEST)) > bound_um:
-        return result(LOWEST, p99, capped=False, reached=False)
-    low, high, best = np.log(LOWEST), np.log(HIGHEST), p99
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        p99 = p99_at(float(np.exp(middle)))
-        low, high, best = (middle, high, p99) if p99 <= bound_um else (low, middle, best)
-    return result(float(np.exp(low)), best, capped=False)
+
+def _p99_um(
+    tuned: Sequence[TunedMethod],
+    accelerations: Sequence[float],
+    slices: Sequence[PrintSlice],
+    plant: Machine,
+    progress: Progress,
+) -> list[float]:
+    """Return each method's 99th percentile at its acceleration; infinite if its command breaks a carriage's limit."""
+    tasks = [partial(_accelerated, *each, slices) for each in zip(tuned, accelerations, strict=True)]
+    pieces = in_parallel(tasks, "", lambda what, share: progress(what, share / 2))
+    executions = execute(
+        plant, [piece for own in pieces for piece in own], "", lambda what, share: progress(what, (1 + share) / 2)
+    )
+    found, at = [], 0
+    for own in pieces:
+        executed, at = executions[at : at + len(own)], at + len(own)
+        found.append(_of(executed))
+    return found
 
 
 def p99_um(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -> float:
     """Return the 99th percentile; infinite if the command breaks a carriage's limit."""
-    found = []
-    for print_slice in slices:
-        motion, _ = method.motion(print_slice)
-        if not within_limits(*motion.peaks(print_slice.machine), print_slice.machine):
-            return float("inf")
-        t, (nozzle,) = simulate_nozzles([plant], motion, print_slice.machine)
-        found.append(Execution(print_slice, motion, t, nozzle))
-    return contour_statistics(contour(found), weights(found)).p99_um
+    return _of(execute(plant, _pieces(method, slices), "", lambda what, share: None))
+
+
+def _of(executions: Sequence[Execution]) -> float:
+    return contour_statistics(contour(executions), weights(executions)).p99_um if executions else np.inf
+
+
+def _accelerated(method: TunedMethod, acceleration: float, slices: Sequence[PrintSlice]) -> list[Piece]:
+    return _pieces(method, (each.with_acceleration(acceleration) for each in slices))
+
+
+def _pieces(method: TunedMethod, slices: Iterable[PrintSlice]) -> list[Piece]:
+    """Command every slice; none where the command breaks a limit."""
+    found: list[Piece] = []
+    for each in slices:
+        motion, _ = method.motion(each)
+        if not within_limits(*motion.peaks(each.machine), each.machine):
+            return []
+        found.append((each, motion))
+    return found
 
 
 def within_limits(velocity: float, acceleration: float, machine: Machine) -> bool:

@@ -2,14 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 from ffcomp.simulate.playback import JOBS
 
 T = TypeVar("T")
-Progress = Callable[[str, float], None]  # what is being done, and how much of it (0 to 1)
+Progress = Callable[[str, float], None]  # what is being done, and how much is done (0 to 1)
+
+
+class Stages:
+    """Turn the progress of one stage after the other into that of the whole."""
+
+    def __init__(self, progress: Progress, shares: Mapping[str, float]) -> None:
+        """Keep the stages in their order, each with its share of the time, in any unit."""
+        self._progress, self._shares = progress, shares
+
+    def __call__(self, what: str, share: float) -> None:
+        """Tell the stage, its number, and the share of the whole that is done."""
+        names = list(self._shares)
+        number = names.index(what)
+        before = sum(self._shares[name] for name in names[:number])
+        done = (before + share * self._shares[what]) / sum(self._shares.values())
+        self._progress(f"[{number + 1}/{len(names)}] {what}", done)
 
 
 def in_parallel(tasks: Sequence[Callable[[], T]], what: str, progress: Progress) -> list[T]:

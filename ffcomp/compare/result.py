@@ -191,6 +191,7 @@ class Comparison:
     seconds: float = 0.0  # that the comparison took
     acceleration_mm_per_s2: float | None = None  # of the print: most of its outer walls, or of all that extrudes
     outline: Outline | None = None  # all that the print extrudes, evaluated or not
+    predicted: dict[str, Track] = field(default_factory=dict)  # of the whole print, as `compensate` and `show` say it
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object of `ffcomp compare`, without samples (ffcomp-compare/1)."""
@@ -211,6 +212,7 @@ class Comparison:
             "best_fixed": self.best_fixed,
             "ours": self.compensated,
             "quality_bound_um": self.quality_bound_um,
+            **({"predicted": self.predicted} if self.predicted else {}),
             "methods": {name: method.to_dict() for name, method in self.methods.items()},
             "seconds": self.seconds,
         }

@@ -100,8 +100,9 @@ def _predicted_again(todo: Mapping[str, Job], results: Mapping[str, Result], tar
     numbers = result.statistics
     if target is None or not job.predicts_again or not numbers.segments or numbers.predicted is not None:
         return {}
-    found = read_again(read_bytes(target), str(target), job.machine, job.offset, job.flavor)
-    return dict(to_json(found))
+    tracks = read_again(read_bytes(target), str(target), job.machine, job.offset, job.flavor)
+    seconds = tracks["uncompensated"].print_time_s
+    return dict(to_json({"predicted": tracks, "predicted_over_s": seconds}))
 
 
 def _text(container: Container, streams: Mapping[str, Stream[Result]], name: str) -> Iterator[bytes]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -87,11 +86,12 @@ class Samples:
         }
 
 
-def read_again(written: bytes, path: str, machine: Machine, offset: tuple[float, float], flavor: str) -> dict[str, Any]:
-    """Return what `Result.to_dict` says of the prediction, from the compensated file itself."""
+def read_again(
+    written: bytes, path: str, machine: Machine, offset: tuple[float, float], flavor: str
+) -> dict[str, Track]:
+    """Return the errors "uncompensated" and "compensated" of a compensated file itself."""
     seen = preview(written, path, machine, offset, flavor)
-    tracks = {"uncompensated": seen.before.track, "compensated": seen.after.track}
-    return {"predicted": tracks, "predicted_over_s": tracks["uncompensated"].print_time_s}
+    return {"uncompensated": seen.before.track, "compensated": seen.after.track}
 
 
 class Prediction:

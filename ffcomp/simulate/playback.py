@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -22,6 +22,7 @@ from models.effects.effect import Signals
 from models.errors import MachineFileError, UnreachableError
 from models.machine import Machine
 from models.printer import playback
+from models.printer.kernels.record import LANES
 from models.printer.parameters import printer_parameters
 from models.printer.printer import Hold, equilibrium_state
 from models.printer.static_deflection import static_deflection
@@ -155,17 +156,64 @@ def simulate_nozzles(
     nozzles : list of (m, 3) arrays
         One a plant, in mm.
     """
-    actuators = motion.actuators(believed)
-    rows = int((motion.end_t - motion.begin_t) / ROW_S) // KEEP_EVERY * KEEP_EVERY
-
-    def command(first: int, last: int) -> FloatArray:
-        return actuators(motion.begin_t + ROW_S * np.arange(first, last, dtype=np.float64))
-
+    rows, command = _row_count(motion), _command(motion, believed)
     found: list[list[FloatArray]] = [[] for _ in plants]
-    chunk_rows = max(min(8 * MOST_ROWS // len(plants), MOST_ROWS), FEWEST_ROWS) // KEEP_EVERY * KEEP_EVERY
-    options: dict[str, Any] = {"hold": "linear", "chunk_rows": chunk_rows, "threads": JOBS}
-    for _, motions in playback.play(plants, command, rows + 1, ROW_S, **options):
+    for _, motions in playback.play(plants, command, rows + 1, ROW_S, **_options(len(plants), JOBS)):
         for own, each in zip(found, motions, strict=True):
             own.append(each.nozzle_mm[KEEP_EVERY::KEEP_EVERY])
-    t = motion.begin_t + KEEP_EVERY * ROW_S * np.arange(1, rows // KEEP_EVERY + 1, dtype=np.float64)
-    return t, [levelled(plant, np.concatenate(parts)) for plant, parts in zip(plants, found, strict=True)]
+    return _times(motion), [levelled(plant, np.concatenate(parts)) for plant, parts in zip(plants, found, strict=True)]
+
+
+def simulate_side_by_side(
+    plant: Machine, motions: Sequence[Motion], believed: Machine
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Execute several motions, each from rest on a printer of its own, which take little longer than one.
+
+    Parameters
+    ----------
+    plant : Machine
+    motions : sequence of Motion
+        At best LANES of them, of about the same length.
+    believed : Machine
+        The machine whose inverse kinematics the firmware uses.
+
+    Returns
+    -------
+    list of (t, nozzle)
+        As of `simulate_nozzles`, one a motion.
+    """
+    counts = [_row_count(motion) for motion in motions]
+    found: list[list[FloatArray]] = [[] for _ in motions]
+    commands = [_command(motion, believed) for motion in motions]
+    plants = [plant] * len(motions)
+    for first, played in playback.play(plants, commands, max(counts) + 1, ROW_S, **_options(len(motions), 1)):
+        for own, each, count in zip(found, played, counts, strict=True):
+            own.append(each.nozzle_mm[KEEP_EVERY : max(count - first, 0) + 1 : KEEP_EVERY])
+    nozzles = [levelled(plant, np.concatenate(parts)) for parts in found]
+    return list(zip(map(_times, motions), nozzles, strict=True))
+
+
+def side_by_side(motions: Sequence[Motion]) -> list[list[int]]:
+    """Group motions, by their numbers, for `simulate_side_by_side`: as many as go at once, of about the same length."""
+    order = sorted(range(len(motions)), key=lambda k: motions[k].end_t - motions[k].begin_t)
+    return [order[k : k + LANES] for k in range(0, len(order), LANES)]
+
+
+def _row_count(motion: Motion) -> int:
+    return int((motion.end_t - motion.begin_t) / ROW_S) // KEEP_EVERY * KEEP_EVERY
+
+
+def _times(motion: Motion) -> FloatArray:
+    return motion.begin_t + KEEP_EVERY * ROW_S * np.arange(1, _row_count(motion) // KEEP_EVERY + 1, dtype=np.float64)
+
+
+def _command(motion: Motion, believed: Machine) -> Callable[[int, int], FloatArray]:
+    actuators = motion.actuators(believed)
+    return lambda first, last: actuators(
+        np.minimum(motion.begin_t + ROW_S * np.arange(first, last, dtype=np.float64), motion.end_t)
+    )
+
+
+def _options(printers: int, threads: int) -> dict[str, Any]:
+    chunk_rows = max(min(8 * MOST_ROWS // printers, MOST_ROWS), FEWEST_ROWS) // KEEP_EVERY * KEEP_EVERY
+    return {"hold": "linear", "chunk_rows": chunk_rows, "threads": threads}

@@ -22,7 +22,7 @@ CHUNK_ROWS = 64_000
 
 def play(
     machines: Sequence[Machine],
-    rows: Rows,
+    rows: Rows | Sequence[Rows],
     count: int,
     row_s: float,
     *,
@@ -31,13 +31,13 @@ def play(
     chunk_rows: int = CHUNK_ROWS,
     threads: int = 1,
 ) -> Iterator[tuple[int, list[PrinterMotion]]]:
-    """Play one command on every machine, from rest.
+    """Play one command on every machine, or on each its own, from rest.
 
     Parameters
     ----------
     machines : sequence of Machine
-    rows : callable
-        Carriage positions, columns A B C. A cubic hold asks for some rows behind the last.
+    rows : callable, or a sequence of one for each machine
+        Carriage positions, columns A B C. A cubic hold asks for some rows behind the last, and for one command.
     count : int
         Rows that are played, at least two.
     row_s : float
@@ -62,6 +62,9 @@ def play(
         If the command or the effects of a machine are not complete, or a printer cannot rest.
     """
     ahead = SPLINE_ROWS if hold == "cubic" else 0
+    each = [rows] if callable(rows) else list(rows)
+    if len(each) > 1 and ahead:
+        raise ValueError("Several commands are played with a linear hold only.")
     groups = max(-(-len(machines) // LANES), min(threads, len(machines)))
     parts = [part.tolist() for part in np.array_split(np.arange(len(machines)), groups)]
     states: list[PrinterState] | None = None
@@ -69,7 +72,7 @@ def play(
     def advance(part: Sequence[int]) -> list[PrinterMotion]:
         found = simulate_printers(
             [machines[i] for i in part],
-            [command] * len(part),
+            [commands[i % len(commands)] for i in part],
             row_s,
             starts=None if states is None else [states[i] for i in part],
             gravity=gravity,
@@ -81,8 +84,8 @@ def play(
     with ThreadPoolExecutor(max(threads, 1)) as pool:
         for first in range(0, count - 1, chunk_rows):
             last = min(first + chunk_rows + 1, count)
-            both = rows(first, last + ahead)
-            command, coming = both[: last - first], both[last - first :]
+            both = [own(first, last + ahead) for own in each]
+            commands, coming = [own[: last - first] for own in both], both[0][last - first :]
             run = pool.map if threads > 1 and len(parts) > 1 else map
             motions = [motion for group in run(advance, parts) for motion in group]
             states = [motion.state for motion in motions]

@@ -33,6 +33,7 @@ def verdict(found: Comparison) -> list[str]:
         found.sampling,
         *_assumed(found),
         _plant(found),
+        *_predicted(found),
     ]
 
 
@@ -176,6 +177,18 @@ def _warnings(own_method: Method) -> list[str]:
 def _assumed(found: Comparison) -> list[str]:
     """Say whose modes are assumed, of the machine and the plant; each once."""
     return list(dict.fromkeys(party.assumed for party in (found.machine, found.plant) if party.assumed))
+
+
+def _predicted(found: Comparison) -> list[str]:
+    """State the number of `compensate` and `show`, which is another quantity."""
+    if not found.predicted:
+        return []
+    before, after = (um(found.predicted[name].contour_rms_um) for name in ("uncompensated", "compensated"))
+    return [
+        f"Predicted contour error of the whole print: {before} → {after} µm rms. This is the number of `ffcomp "
+        "compensate` and `ffcomp show`, of the linear model that ffcomp plans with, over all moves, travel too. The "
+        "numbers above are the virtual printer's, which is not linear, of the part that was evaluated."
+    ]
 
 
 def _plant(found: Comparison) -> str:

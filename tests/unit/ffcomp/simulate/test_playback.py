@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
 from ffcomp.compare.compensated import segments_motion
+from ffcomp.compare.sampling import Print
 from ffcomp.metrics import contour_error
 from ffcomp.simulate.motion import planned_motion
-from ffcomp.simulate.playback import simulate_nozzles
+from ffcomp.simulate.playback import side_by_side, simulate_nozzles, simulate_side_by_side
 from models.delta_machine import delta_vibration
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from models.printer.static_deflection import static_deflection
+from tests.support.prints import squares
 from validation import judge
 
 MACHINE = load_machine("mp-delta-pro")
@@ -38,6 +42,17 @@ def test_the_polynomial_of_the_sag_holds_between_its_places() -> None:
     bent = equilibrium_state(MACHINE, command, printer_parameters(MACHINE))[Q : Q + 3]
     nozzle = MACHINE.kinematics.forward(1e3 * bent[None])
     np.testing.assert_allclose(static_deflection(MACHINE, place), nozzle - place, atol=1e-5)
+
+
+def test_motions_side_by_side_are_those_of_one_after_the_other() -> None:
+    """Of different lengths, and in several chunks."""
+    whole = planned_motion(Print(squares(), "squares.gcode", MACHINE).planned.trajectory)
+    motions = [replace(whole, end_t=whole.begin_t + seconds) for seconds in (0.3, 0.77, 0.5)]
+    assert [sorted(group) for group in side_by_side(motions * 4)] == [[0, 2, 3, 5, 6, 8, 9, 11], [1, 4, 7, 10]]
+    for motion, (t, nozzle) in zip(motions, simulate_side_by_side(MACHINE, motions, MACHINE), strict=True):
+        alone_t, (alone,) = simulate_nozzles([MACHINE], motion, MACHINE)
+        np.testing.assert_array_equal(t, alone_t)
+        np.testing.assert_allclose(nozzle, alone, atol=1e-9)
 
 
 @pytest.mark.slow
