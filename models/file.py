@@ -81,6 +81,18 @@ def load_machine(name_or_path: str | Path) -> Machine:
     return document.printer(sha256, path)
 
 
+def machine_of_text(text: str, path: str) -> Machine:
+    """Return the printer that a machine file's text describes; `path` only serves to say which one.
+
+    Raises
+    ------
+    MachineFileError
+        With every mistake in it, or if it describes one axis by itself.
+    """
+    data = text.encode("utf-8")
+    return _parsed(data, path).printer(hashlib.sha256(data).hexdigest(), path)
+
+
 def load_plant(name_or_path: str | Path) -> Machine | AxisMachine:
     """Return the machine of that name or in that file: a printer, or one axis by itself.
 

@@ -62,6 +62,7 @@ class Identification:
         RequestError
             If the data hold no responses.
         """
+        from ffcomp.identify.shaper_advice import in_words
         from ffcomp.report.belts import belts_figure
         from ffcomp.report.identify import axes_figure, fit_figure
 
@@ -70,7 +71,10 @@ class Identification:
             return belts_figure(belts, self.fit.name)
         if found is None:
             raise RequestError("These data hold no frequency responses to draw.")
-        return fit_figure(found) if isinstance(found, Identified) else axes_figure(found, self.fit.name, belts)
+        more = in_words(self.fit.shapers)
+        if isinstance(found, Identified):
+            return fit_figure(found, more)
+        return axes_figure(found, self.fit.name, belts, more)
 
 
 def identify(

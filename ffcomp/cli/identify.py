@@ -139,6 +139,7 @@ def fit(
     if output is not None and output.exists() and not force:
         raise typer.BadParameter(f"{output} exists already; give another --output, or --force.")
     with exit_codes():
+        from ffcomp.identify.shaper_advice import in_words
         from ffcomp.record.fitting import FitRequest, fit_files
         from models.file import load_plant
 
@@ -169,6 +170,8 @@ def fit(
             print_json(result)
         else:
             _print(result)
+            if said := in_words(found.shapers):
+                print(said)
 
 
 @app.command("decouple", cls=Command)
@@ -264,13 +267,15 @@ def _written(found: MachineFit, output: Path | None) -> str | None:
 
 def _draw(fitted: MachineFit, target: Path) -> None:
     from ffcomp.identify.identify import Identified
+    from ffcomp.identify.shaper_advice import in_words
     from ffcomp.report.belts import draw_belts
     from ffcomp.report.identify import draw_axes, draw_fit
 
+    more = in_words(fitted.shapers)
     if isinstance(fitted.found, Identified):
-        draw_fit(fitted.found, target)
+        draw_fit(fitted.found, target, more)
     elif fitted.found is not None:
-        draw_axes(fitted.found, fitted.name, target, fitted.belts)
+        draw_axes(fitted.found, fitted.name, target, fitted.belts, more)
     elif fitted.belts is not None:
         draw_belts(fitted.belts, fitted.name, target)
     else:

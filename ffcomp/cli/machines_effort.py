@@ -35,7 +35,7 @@ def effort(machine: Name, figure: Figure = None, as_json: AsJson = False) -> Non
         if figure is not None:
             from ffcomp.report.effort import draw_effort
 
-            draw_effort(curves, f"{loaded.name}: accuracy against effort", figure)
+            draw_effort(curves, loaded, figure)
             say(f"ffcomp: drawn into {figure}.")
         if as_json:
             rates = [_as_json(rate, curve) for rate, curve in curves.items()]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import date
 from pathlib import Path
 from typing import Any, Literal
@@ -27,9 +27,10 @@ from ffcomp.identify.load import Gathered, resonances_of
 from ffcomp.identify.modal_fit import AxisFit, IdentifiedAxes, identify_axes
 from ffcomp.identify.output_error import TOTAL_MASS, Fitted
 from ffcomp.identify.paper import identify_as_paper
+from ffcomp.identify.shaper_advice import AXES, ShaperAdvice, shaper_advice
 from ffcomp.measurement.modes import Mode, ModeFit
 from gcode.atomic_write import replace_atomically
-from models.file import check_text
+from models.file import check_text, machine_of_text
 from models.machine import Machine
 
 Method = Literal["direct", "stepwise"]
@@ -50,10 +51,12 @@ class MachineFit:
     found: Identified | IdentifiedAxes | None  # to be drawn; None: there are no responses to draw
     belts: BeltComparison | None = None  # to be drawn
     refusal: tuple[str, ...] = ()  # sentences: why there is no machine file
+    shapers: tuple[ShaperAdvice, ...] = ()  # for those who stay with one
 
     def to_dict(self, output: str | None = None) -> dict[str, Any]:
         """Return the JSON object ffcomp-identify-fit/1; output : path of the machine file that was written."""
-        return {**self.answer, "output": output}
+        shapers = {"shapers": [asdict(each) for each in self.shapers]} if self.shapers else {}
+        return {**self.answer, **shapers, "output": output}
 
     def write(self, path: Path) -> None:
         """Write the machine file, whole or not at all.
@@ -110,10 +113,19 @@ def fit_measurements(
     hashes = [hash_of(path) for path in data]
     task = _Task(start, gathered, hashes, dict(known), name or start.name, belts, rough)
     if not start.vibration.position_dependent:
-        return task.axes(method, progress)
+        return _with_shapers(task.axes(method, progress))
     if not gathered.responses:
         return task.resonances(write_start)
-    return task.stepwise() if method == "stepwise" else task.direct(progress)
+    return _with_shapers(task.stepwise() if method == "stepwise" else task.direct(progress))
+
+
+def _with_shapers(fit: MachineFit) -> MachineFit:
+    """Add what suits those who stay with an input shaper, for the axes that were measured."""
+    if not fit.text:
+        return fit
+    measured = {axis.name for axis in fit.found.axes} if isinstance(fit.found, IdentifiedAxes) else set(AXES)
+    advice = shaper_advice(machine_of_text(fit.text, fit.name))
+    return replace(fit, shapers=tuple(each for each in advice if each.axis in measured))
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,25 +12,26 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import Circle
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from ffcomp.identify.accuracy import phases_deg
 from ffcomp.identify.frf_study import RINGS, Compared, NumberedMode, Station, Study, verdict
+from ffcomp.report.shared.band import BAND_HEIGHT, band, machine_line
 from ffcomp.report.shared.drawing import write_figure
-from ffcomp.version import __version__
+from ffcomp.report.shared.style import INK, PAPER, SOFT
 from models.arrays import FloatArray
 from models.machine import Machine
 from models.vibration.mode_map import ModeMap
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#6a4c93", "#222222")
-BAND, PAPER, INK, SOFT, FAINT = "#1f2a37", "#ffffff", "#1f2a37", "#6b7280", "#a3a9b3"
+FAINT = "#a3a9b3"
 NUMBERED_STATIONS = 3  # more, and only the first one's modes are numbered above the panels
 
 UNCOUPLED = 1e-9  # of a station's largest response: less is rounding
 
-MARGIN, BAND_HEIGHT = 0.75, 1.05
+MARGIN = 0.75
 PANEL_WIDTH, WIDE_PANEL, MAGNITUDE_HEIGHT, PHASE_HEIGHT = 4.5, 9.0, 2.7, 1.4
 ABOVE, BETWEEN, BELOW, ASIDE = 0.3, 0.12, 0.6, 0.55  # room round a panel
 LABEL_HEIGHT, ROW_HEIGHT = 0.2, 0.27  # of a row of mode numbers, of a line of the table
@@ -80,17 +81,7 @@ def _axes(figure: Figure, x: float, y: float, width: float, height: float) -> Ax
 
 
 def _band(figure: Figure, title: str, finding: str, machine: Machine) -> None:
-    """Draw title, verdict, machine file and program."""
-    width, height = figure.get_size_inches()
-    share = BAND_HEIGHT / height
-    figure.add_artist(Rectangle((0, 1 - share), 1, share, color=BAND, transform=figure.transFigure, zorder=-1))
-    of = f"{machine.name}  ·  machine file sha256 {machine.sha256[:12]}"
-    told = machine.vibration.describe().heading
-    by = f"{told}  ·  ffcomp {__version__}"
-    lines = ((0.31, title, 14, "bold", "#ffffff"), (0.6, finding, 11, "normal", "#ffd08a"))
-    for down, text, size, weight, colour in (*lines, (0.85, f"{of}  ·  {by}", 8.5, "normal", "#b9c2cf")):
-        y = 1 - down / height
-        figure.text(0.35 / width, y, text, fontsize=size, weight=weight, color=colour, va="center")
+    band(figure, title, finding, machine_line(machine))
 
 
 # --- Bode panels

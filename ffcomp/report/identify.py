@@ -1,120 +1,218 @@
-"""Measured frequency responses beside the fitted model."""
+"""Measured frequency responses beside the fitted model.
+
+Blue is the model, as everywhere; what was measured is dark, its noise grey. Peaks of the model are marked.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from scipy.signal import find_peaks
 
 from ffcomp.identify.axis_spectra import Datum
 from ffcomp.identify.belts import BeltComparison
 from ffcomp.identify.identify import Identified
 from ffcomp.identify.modal_fit import AxisFit, IdentifiedAxes
 from ffcomp.report.belts import belts_panel
+from ffcomp.report.shared.band import BAND_HEIGHT, band, machine_line, room_below
 from ffcomp.report.shared.drawing import write_figure
-from ffcomp.version import __version__
+from ffcomp.report.shared.style import AFTER, NOISE, RC, REFERENCE, SOFT, grid
 from models.arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
     from ffcomp.measurement.frf import FrequencyResponse
 
-MEASURED, FITTED, NOISE = "#8a8f98", "#d55e00", "#0072b2"
-COLUMNS = 4
+COLUMNS = 3
+PANEL, HIGH, AXIS_HIGH = 4.4, 3.7, 3.6  # inches
+CLOSE, FAIR = 0.05, 0.20  # model error of the worst response, up to which a fit is called so
+STANDS_OUT = 0.08  # decades by which a peak stands above its surroundings
+PEAKS = 4  # that are marked in a panel, the largest
+MOST_PEAKS = 12  # of a printer in this band
+HEADROOM, NAME_WIDE = 8.0, 0.14  # above the curves for the names of peaks; of the panel's width
+AXES_KEY = "dots: measured  ·  blue: the fitted modes together  ·  dashed: a mode, with its 90 % interval"
+DOTS: dict[str, Any] = {"color": REFERENCE, "markersize": 3, "alpha": 0.55, "markeredgewidth": 0}
 
 
-def draw_fit(found: Identified, target: Path) -> None:
+def draw_fit(found: Identified, target: Path, more: str = "") -> None:
     """Write the figure of a fit; the suffix of `target` names the format."""
-    write_figure(fit_figure(found), target, dpi=110)
+    write_figure(fit_figure(found, more), target, dpi=110)
 
 
-def fit_figure(found: Identified) -> Figure:
-    """Draw one panel for each response: measured values, the fit, and the standard deviation of the noise."""
-    fitted = found.fitted
-    pairs = list(zip(fitted.responses, fitted.predictions, strict=True))
-    columns = min(COLUMNS, len(pairs))
-    rows = -(-len(pairs) // columns)
-    figure = Figure(figsize=(4.2 * columns + 0.4, 3.6 * rows + 0.9), layout="constrained")
-    figure.suptitle(f"{found.machine.name} · {_verdict(found)}\nffcomp {__version__}", x=0.01, ha="left", fontsize=11)
-    for box, (response, model) in zip(figure.subfigures(rows, columns, squeeze=False).ravel(), pairs, strict=False):
-        upper, lower = box.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-        _magnitude(upper, response, model)
-        _phase(lower, response, model)
+def fit_figure(found: Identified, more: str = "") -> Figure:
+    """Draw one panel for each response: measured values, the fit, and the standard deviation of the noise.
+
+    Where every input has all its outputs, a column is an input and a row an output.
+
+    Parameters
+    ----------
+    found : Identified
+    more : str
+        A sentence below the verdict.
+    """
+    pairs = list(zip(found.fitted.responses, found.fitted.predictions, found.fitted.model_errors, strict=True))
+    order, columns = _in_a_grid([response for response, _, _ in pairs])
+    rows = -(-len(order) // columns)
+    with matplotlib.rc_context(RC):
+        figure = Figure(figsize=(PANEL * columns + 0.4, HIGH * rows + BAND_HEIGHT + 0.6), layout="constrained")
+        of = f"{machine_line(found.machine)}  ·  dots: measured  ·  blue: the model  ·  grey: noise of the measurement"
+        room_below(figure, band(figure, "Measured responses and the fitted model", _verdict(found), of, more))
+        boxes = figure.subfigures(rows, columns, squeeze=False).ravel()
+        for box, which in zip(boxes, order, strict=False):
+            response, model, error = pairs[which]
+            upper, lower = box.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+            _magnitude(upper, response, model, float(error))
+            _phase(lower, response, model)
     return figure
 
 
-def draw_axes(found: IdentifiedAxes, name: str, target: Path, belts: BeltComparison | None = None) -> None:
+def _in_a_grid(responses: Sequence[FrequencyResponse]) -> tuple[list[int], int]:
+    """Return the order of the panels, and their columns."""
+    where = [(r.setup, r.position_mm or (), r.output, r.input) for r in responses]
+    inputs = {(setup, place, source) for setup, place, _, source in where}
+    outputs = {(setup, place, target) for setup, place, target, _ in where}
+    places = {(setup, place) for setup, place, _, _ in where}
+    across = {sum(1 for each in inputs if each[:2] == place) for place in places}
+    complete = len(set(where)) == len(where) and all(
+        sum(1 for each in where if each[:2] == place)
+        == sum(1 for each in inputs if each[:2] == place) * sum(1 for each in outputs if each[:2] == place)
+        for place in places
+    )
+    if complete and len(across) == 1 and 1 < (columns := across.pop()) <= COLUMNS:
+        return sorted(range(len(where)), key=lambda k: where[k]), columns
+    return list(range(len(where))), min(COLUMNS, len(where))
+
+
+def draw_axes(
+    found: IdentifiedAxes, name: str, target: Path, belts: BeltComparison | None = None, more: str = ""
+) -> None:
     """Write the figure of the axes' modes; the suffix of `target` names the format."""
-    write_figure(axes_figure(found, name, belts), target, dpi=110)
+    write_figure(axes_figure(found, name, belts, more), target, dpi=110)
 
 
-def axes_figure(found: IdentifiedAxes, name: str, belts: BeltComparison | None = None) -> Figure:
+def axes_figure(found: IdentifiedAxes, name: str, belts: BeltComparison | None = None, more: str = "") -> Figure:
     """Draw one panel for each file and axis: measured values, the sum of the modes, and the modes' frequencies.
 
     Parameters
     ----------
-    belts : compared in a panel of their own
+    found : IdentifiedAxes
+    name : str
+        Of the machine.
+    belts : BeltComparison, optional
+        Compared in a panel of their own.
+    more : str
+        A sentence below the verdict.
     """
     panels = [(axis, *each) for axis in found.axes for each in zip(axis.data, axis.fitted, axis.errors, strict=True)]
     count = len(panels) + (belts is not None)
     columns = min(COLUMNS, count)
     rows = -(-count // columns)
-    figure = Figure(figsize=(5.2 * columns + 0.4, 3.8 * rows + 0.9), layout="constrained")
-    verdict = " · ".join(_said(axis) for axis in found.axes)
-    figure.suptitle(f"{name} · {verdict}\nffcomp {__version__}", x=0.01, ha="left", fontsize=11)
-    boxes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for box, panel in zip(boxes, panels, strict=False):
-        _axis_panel(box, *panel)
-    if belts is not None:
-        belts_panel(boxes[len(panels)], belts)
-    for box in boxes[count:]:
-        box.set_axis_off()
+    with matplotlib.rc_context(RC):
+        size = (max(PANEL * columns, 8.5) + 0.4, AXIS_HIGH * rows + BAND_HEIGHT + 0.6)
+        figure = Figure(figsize=size, layout="constrained")
+        finding = "  ·  ".join(_said(axis) for axis in found.axes)
+        room_below(
+            figure, band(figure, "Measured resonances and the fitted modes", finding, f"{name}  ·  {AXES_KEY}", more)
+        )
+        boxes = figure.subplots(rows, columns, squeeze=False).ravel()
+        for box, panel in zip(boxes, panels, strict=False):
+            _axis_panel(box, *panel)
+        if belts is not None:
+            belts_panel(boxes[len(panels)], belts)
+        for box in boxes[count:]:
+            box.set_axis_off()
     return figure
 
 
 def _said(axis: AxisFit) -> str:
-    modes = (f"{m.frequency_hz.value:.1f} Hz (ζ {m.damping_ratio.value:.3f})" for m in axis.modes)
+    modes = (f"{m.frequency_hz.value:.1f} Hz (ζ {100 * m.damping_ratio.value:.1f} %)" for m in axis.modes)
     return f"{axis.name}: {' and '.join(modes)}"
 
 
 def _axis_panel(axes: Axes, axis: AxisFit, datum: Datum, model: FloatArray | ComplexArray, error: float) -> None:
     """Position or power per even acceleration, so that a resonance stands over a level line."""
     f = datum.frequency_hz
-    left = f"{100 * error:.1f} %" if error else "the noise"
-    axes.semilogy(f, np.abs(datum.value) * datum.level, ".", color=MEASURED, markersize=4, label="measured")
-    axes.semilogy(f, np.abs(model) * datum.level, color=FITTED, linewidth=1.4, label=f"modes, to {left}")
+    left = f"to {100 * error:.1f} %" if error else "to the noise"
+    axes.semilogy(f, np.abs(datum.value) * datum.level, ".", **DOTS)
+    axes.semilogy(f, np.abs(model) * datum.level, color=AFTER, linewidth=1.6)
+    axes.set_ylim(top=HEADROOM * float(np.max(np.abs(datum.value) * datum.level)))
     for mode in axis.modes:
-        axes.axvline(mode.frequency_hz.value, color=NOISE, linewidth=0.9, linestyle="--")
-        axes.axvspan(mode.frequency_hz.low, mode.frequency_hz.high, color=NOISE, alpha=0.15, linewidth=0)
-    axes.set_title(f"{axis.name}: {Path(datum.source).name}", fontsize=9)
-    axes.set_xlabel("Hz", fontsize=8)
-    axes.set_ylabel(datum.unit, fontsize=8)
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=7, loc="best")
+        at = mode.frequency_hz
+        axes.axvline(at.value, color=AFTER, linewidth=0.9, linestyle="--")
+        axes.axvspan(at.low, at.high, color=AFTER, alpha=0.15, linewidth=0)
+    _named(axes, sorted(mode.frequency_hz.value for mode in axis.modes))
+    axes.set_title(f"{axis.name}: {Path(datum.source).name}, explained {left}", fontsize=9)
+    axes.set_xlabel("frequency, Hz")
+    axes.set_ylabel(datum.unit)
+    grid(axes)
+
+
+def _named(axes: Axes, at_hz: Sequence[float]) -> None:
+    """Write rising frequencies at the top of a panel, beside their lines, those that are close one below the other."""
+    low, high = axes.get_xlim()
+    row, before = 0, -np.inf
+    for at in at_hz:
+        row = row + 1 if (at - before) < NAME_WIDE * (high - low) else 0
+        before = at
+        axes.annotate(
+            f"{at:.1f} Hz", (at, 0.985), xycoords=axes.get_xaxis_transform(), xytext=(2, -9 * row),
+            textcoords="offset points", ha="left", va="top", fontsize=7.5, color=AFTER,
+        )  # fmt: skip
 
 
 def _verdict(found: Identified) -> str:
+    """Judge the fit in words: what is left of the worst response, and how many are explained to their noise."""
     errors = found.fitted.model_errors
-    if not errors.any():
-        return f"the model explains every response to its noise (misfit {found.fitted.misfit:.2f})"
-    exact = int(np.sum(errors == 0))
+    count, exact, worst = len(errors), int(np.sum(errors == 0)), float(errors.max(initial=0.0))
+    if worst == 0.0:
+        return (
+            f"A good fit: the model follows every response to its noise (misfit {found.fitted.misfit:.2f}, 1 is ideal)"
+        )
+    word = "A good fit" if worst <= CLOSE else "A fair fit" if worst <= FAIR else "A poor fit"
     return (
-        f"the model explains {exact} of {len(errors)} responses to their noise, the worst to {100 * errors.max():.1f} %"
+        f"{word}: the model follows {exact} of {count} responses to their noise, and the worst to {100 * worst:.1f} %"
     )
 
 
-def _magnitude(axes: Axes, response: FrequencyResponse, model: ComplexArray) -> None:
-    f = response.frequency_hz
-    axes.semilogy(f, np.abs(response.value), ".", color=MEASURED, markersize=3, label="measured")
-    axes.semilogy(f, np.abs(model), color=FITTED, linewidth=1.4, label="fitted")
-    axes.semilogy(f, np.sqrt(response.variance), color=NOISE, linewidth=0.8, alpha=0.7, label="its noise")
-    axes.set_ylim(bottom=float(np.min(np.sqrt(response.variance))) / 3)  # what is below the noise is not shown
-    axes.set_title(_title(response), fontsize=9)
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=7, loc="best")
+def _magnitude(axes: Axes, response: FrequencyResponse, model: ComplexArray, error: float) -> None:
+    f, noise = response.frequency_hz, np.sqrt(response.variance)
+    bottom = float(np.min(noise)) / 3  # what is below the noise is not shown
+    axes.fill_between(f, np.full(len(f), bottom), noise, color=NOISE, linewidth=0, zorder=0)
+    axes.semilogy(f, np.abs(response.value), ".", **DOTS)
+    axes.semilogy(f, np.abs(model), color=AFTER, linewidth=1.6)
+    top = HEADROOM * float(max(np.abs(response.value).max(), np.abs(model).max()))
+    axes.set_ylim(bottom, top)
+    peaks = _peaks(np.abs(model))
+    for k in peaks:
+        axes.plot([f[k], f[k]], [np.abs(model[k]), top], color=SOFT, linewidth=0.7)
+    axes.set_xlim(0.0, float(f[-1]))
+    _named(axes, f[peaks].tolist())
+    left = f"to {100 * error:.1f} %" if error else "to its noise"
+    axes.set_title(f"{_title(response)}, {left}", fontsize=9)
+    axes.set_ylabel(f"magnitude, {_unit(response)}")
+    grid(axes)
+
+
+def _peaks(magnitude: FloatArray) -> list[int]:
+    """Return where the model has its largest peaks."""
+    at, about = find_peaks(np.log10(np.maximum(magnitude, 1e-300)), prominence=STANDS_OUT)
+    if len(at) > MOST_PEAKS:  # rounding, where nothing answers
+        return []
+    largest = np.argsort(about["prominences"])[-PEAKS:]
+    return sorted(at[largest].tolist())
+
+
+def _unit(response: FrequencyResponse) -> str:
+    """Return the unit of an output to an input."""
+    position, force = response.output.startswith("pos_"), response.input.startswith("force_")
+    if force:
+        return "m/N" if position else "m/s² per N"
+    return "m/m" if position else "m/s² per m"
 
 
 def _phase(axes: Axes, response: FrequencyResponse, model: ComplexArray) -> None:
@@ -122,11 +220,11 @@ def _phase(axes: Axes, response: FrequencyResponse, model: ComplexArray) -> None
     f = response.frequency_hz
     unwrapped = np.unwrap(np.angle(model))
     real = unwrapped + np.angle(response.value * np.exp(-1j * unwrapped))
-    axes.plot(f, np.degrees(real), ".", color=MEASURED, markersize=3)
-    axes.plot(f, np.degrees(unwrapped), color=FITTED, linewidth=1.4)
-    axes.set_xlabel("Hz", fontsize=8)
-    axes.set_ylabel("phase, °", fontsize=8)
-    axes.grid(alpha=0.3)
+    axes.plot(f, np.degrees(real), ".", **DOTS)
+    axes.plot(f, np.degrees(unwrapped), color=AFTER, linewidth=1.6)
+    axes.set_xlabel("frequency, Hz")
+    axes.set_ylabel("phase, °")
+    grid(axes)
 
 
 def _title(response: FrequencyResponse) -> str:
