@@ -25,6 +25,7 @@ from models.effects.catalogue import effective_machine
 from models.machine import Machine
 
 DAMPING_RATIOS = (0.05, 0.1)
+SCANNED = 2  # every so many slices serve for the scans, before the search goes on with all
 FACTORS = np.geomspace(0.9, 2.4, 12)  # of a scheduled shaper's frequency to that of the mode at the position
 
 
@@ -62,7 +63,11 @@ class LinearPrinter:
         def cost(x: shapers.Shaper, y: shapers.Shaper) -> float:
             return self.contour_rms_um([shaped(each.motion, x, y) for each in self.slices])
 
-        return best_fixed(kind, cost, (25.0, 100.0), DAMPING_RATIOS)
+        def scanned(x: shapers.Shaper, y: shapers.Shaper) -> float:
+            some = self.slices[::SCANNED]
+            return rms(np.concatenate([self._contour(each, shaped(each.motion, x, y)) for each in some]))
+
+        return best_fixed(kind, cost, (25.0, 100.0), DAMPING_RATIOS, scanned=scanned)
 
     def best_factor(self, kind: str, of_position: FrequencyOfPosition) -> float:
         """Find the ratio of a scheduled shaper's frequency to the mode's with the least contour rms."""

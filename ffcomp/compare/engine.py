@@ -125,7 +125,8 @@ def compare(
         plants = draw_plants(plant, request.mismatch, request.seeds)
         found = _with_spread(found, tuned, best, some, few, plants, progress)
     if request.quality_bound_um:
-        quality = equal_qualities(tuned, printed, plant, few, request.quality_bound_um, progress)
+        p99 = {name: method.track.contour_p99_um for name, method in found.items()}
+        quality = equal_qualities(tuned, printed, plant, few, request.quality_bound_um, p99, progress)
         found = {name: replace(method, equal_quality=quality[name]) for name, method in found.items()}
     return Comparison(
         print_name=path,

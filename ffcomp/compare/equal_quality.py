@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -19,11 +19,11 @@ from models.machine import Machine
 
 LOWEST, HIGHEST, FIRST = 250.0, 40_000.0, 3000.0  # mm/s²
 NEAR = 1.02  # ratio of what is too fast to what is not, at which the search ends,
-FULL = 0.99  # or the share of the bound that is used
-ROUNDS, USUAL_ROUNDS = 10, 6
+FULL = 0.98  # or the share of the bound that is used
+ROUNDS, USUAL_ROUNDS = 10, 5
 QUALITY = "seeking equal quality"  # the stage
 LEAST_STEP, LARGEST_STEP = 1.5, 12.0  # factors, until a bound is found on both sides
-AIM = 0.995  # of the bound, between both sides
+AIM = 0.99  # of the bound, between both sides
 
 
 def equal_qualities(
@@ -32,6 +32,7 @@ def equal_qualities(
     plant: Machine,
     slices: Sequence[PrintSlice],
     bound_um: float,
+    p99_um: Mapping[str, float],
     progress: Progress,
 ) -> dict[str, EqualQuality]:
     """Find each method's highest acceleration. A command beyond the carriages' limits is too fast.
@@ -48,10 +49,12 @@ def equal_qualities(
         Evaluated at every acceleration; half a minute of print is enough.
     bound_um : float
         Of the contour error's 99th percentile.
+    p99_um : mapping of method names
+        It at the print's own acceleration: where the search begins.
     progress : callable
     """
-    first = min(max(printed.acceleration_mm_per_s2 or FIRST, LOWEST), HIGHEST)
-    searches = [Search(bound_um, first) for _ in tuned]
+    own = printed.acceleration_mm_per_s2 or FIRST
+    searches = [Search(bound_um, begin(own, bound_um / max(p99_um[method.name], 1e-9))) for method in tuned]
     for number in range(ROUNDS):
         todo = [k for k, search in enumerate(searches) if not search.done]
         if not todo:
@@ -66,6 +69,11 @@ def equal_qualities(
             searches[k].take(*point)
     progress(QUALITY, 1.0)
     return {method.name: search.result(printed) for method, search in zip(tuned, searches, strict=True)}
+
+
+def begin(own: float, factor: float) -> float:
+    """Return where a search begins: errors grow about in proportion to the acceleration."""
+    return min(max(own * min(factor, LARGEST_STEP) ** (0.85 if factor > 1.0 else 1.0), LOWEST), HIGHEST)
 
 
 @dataclass

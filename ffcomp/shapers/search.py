@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,6 +32,7 @@ def best_fixed(
     range_hz: tuple[float, float] = (20.0, 120.0),
     damping_ratios: Sequence[float] = (DAMPING_RATIO,),
     tolerance: float = 0.005,
+    scanned: Cost | None = None,
 ) -> Fixed:
     """Find the fixed shapers of one kind with the least cost.
 
@@ -50,12 +51,17 @@ def best_fixed(
         The scans' best one is kept.
     tolerance : float
         Relative step of the frequencies at which the search ends.
+    scanned : callable
+        A cheaper cost for the scans; None: the same.
     """
+    rough = scanned or cost
     count = int(np.ceil(np.log(range_hz[1] / range_hz[0]) / np.log(_COARSE))) + 1
     scan = np.geomspace(*range_hz, count).tolist()
-    best = _best(kind, cost, [(f, f, zeta) for f in scan for zeta in damping_ratios])
-    best = _best(kind, cost, [(f, best.frequency_hz[1], best.damping_ratio) for f in scan], best)
-    best = _best(kind, cost, [(best.frequency_hz[0], f, best.damping_ratio) for f in scan], best)
+    best = _best(kind, rough, [(f, f, zeta) for f in scan for zeta in damping_ratios])
+    best = _best(kind, rough, [(f, best.frequency_hz[1], best.damping_ratio) for f in scan], best)
+    best = _best(kind, rough, [(best.frequency_hz[0], f, best.damping_ratio) for f in scan], best)
+    if scanned is not None:
+        best = replace(best, cost=float(cost(best.x, best.y)))
     return _refined(kind, cost, best, tolerance)
 
 
