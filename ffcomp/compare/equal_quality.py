@@ -18,12 +18,10 @@ from ffcomp.metrics import contour_statistics
 from models.machine import Machine
 
 LOWEST, HIGHEST, FIRST = 250.0, 40_000.0, 3000.0  # mm/s²
-NEAR = 1.02  # ratio of what is too fast to what is not, at which the search ends,
-FULL = 0.98  # or the share of the bound that is used
+NEAR = 1.03  # ratio of what is too fast to what is not, at which the search ends
 ROUNDS, USUAL_ROUNDS = 10, 5
 QUALITY = "seeking equal quality"  # the stage
 LEAST_STEP, LARGEST_STEP = 1.5, 12.0  # factors, until a bound is found on both sides
-AIM = 0.99  # of the bound, between both sides
 
 
 def equal_qualities(
@@ -101,7 +99,7 @@ class Search:
             return self.capped
         if self.good is None:
             return self.bad[0] <= LOWEST
-        return self.bad[0] <= NEAR * self.good[0] or self.good[1] >= FULL * self.bound_um
+        return self.bad[0] <= NEAR * self.good[0]
 
     @property
     def capped(self) -> bool:
@@ -121,14 +119,18 @@ class Search:
         return self._between()
 
     def _between(self) -> float:
-        """Interpolate in logarithms; where one side's error is infinite, and every third time, halve."""
+        """Interpolate in logarithms, but step over what is near, which closes in on it from both sides.
+
+        Where one side's error is infinite, and every third time, halve.
+        """
         assert self.good is not None and self.bad is not None
         low, high = np.log(self.good[0]), np.log(self.bad[0])
-        share = 0.5
-        if np.isfinite(self.bad[1]) and len(self.tried) % 3:
-            errors = np.log(np.maximum([self.good[1], self.bad[1]], 1e-9) / (AIM * self.bound_um))
-            share = float(np.clip(-errors[0] / max(errors[1] - errors[0], 1e-9), 0.05, 0.95))
-        return float(np.exp(low + share * (high - low)))
+        middle, over = (low + high) / 2, 0.97 * np.log(NEAR)
+        if not np.isfinite(self.bad[1]) or len(self.tried) % 3 == 0 or low + over > high - over:
+            return float(np.exp(middle))
+        errors = np.log(np.maximum([self.good[1], self.bad[1]], 1e-9) / self.bound_um)
+        share = -errors[0] / max(errors[1] - errors[0], 1e-9)
+        return float(np.exp(np.clip(low + share * (high - low), low + over, high - over)))
 
     def result(self, printed: Print) -> EqualQuality:
         """Return the highest good acceleration, and the whole print's time with it."""
