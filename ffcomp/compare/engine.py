@@ -60,8 +60,8 @@ class Request:
     mismatch: float = 0.0  # relative standard deviation of the Monte-Carlo plants' parameters
     seeds: int = 0  # number of Monte-Carlo plants
     quality_bound_um: float = 25.0  # 0: equal quality is not sought
-    predict: bool = True  # the whole print by the design model, if it is short
     only: tuple[str, ...] = ()  # of `methods.NAMES`; none and the compensated print are always evaluated
+    predict: bool = True  # the whole print by the design model, if it is short
 
 
 def compare(
