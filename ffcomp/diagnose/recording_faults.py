@@ -115,16 +115,20 @@ def _frequencies() -> FloatArray:
 def _spectra(
     estimation: EstimationProblem, simulated: Sequence[FloatArray]
 ) -> tuple[FloatArray, FloatArray, ComplexArray]:
-    """Return frequencies, Σ|Y|² and Σ conj(M) Y of all observations, whitened, signals summed: (k,) each."""
+    """Return frequencies, Σ|Y|² and Σ conj(M) Y, whitened, of all signals and observations of a grid: (k,) each.
+
+    Observations as long as each other share their frequencies, so that a shaper need be tried once for all of them.
+    """
     whiten = estimation.whiten
-    frequencies, powers, crosses = [], [], []
+    sums: dict[bytes, tuple[FloatArray, FloatArray, ComplexArray]] = {}
     for o, y in zip(whiten.observations, simulated, strict=True):
         (m, frequency), (s, _) = whiten.spectrum(o, o.measured), whiten.spectrum(o, y)
         scale = np.stack([whiten.floor.at(name, frequency) for name in o.signals]) * whiten.power(o)
-        frequencies.append(frequency)
-        powers.append(np.sum(np.abs(s) ** 2 / scale, axis=0))
-        crosses.append(np.sum(np.conj(m) * s / scale, axis=0))
-    return np.concatenate(frequencies), np.concatenate(powers), np.concatenate(crosses)
+        power, cross = np.sum(np.abs(s) ** 2 / scale, axis=0), np.sum(np.conj(m) * s / scale, axis=0)
+        _, powers, crosses = sums.get(frequency.tobytes(), (frequency, np.zeros_like(power), np.zeros_like(cross)))
+        sums[frequency.tobytes()] = frequency, powers + power, crosses + cross
+    grids, all_powers, all_crosses = zip(*sums.values(), strict=True)
+    return np.concatenate(grids), np.concatenate(all_powers), np.concatenate(all_crosses)
 
 
 def _gain(kind: str, frequency_hz: float, f: FloatArray, power: FloatArray, cross: ComplexArray) -> float:
