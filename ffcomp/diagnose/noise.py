@@ -185,23 +185,33 @@ class Whitener:
     band_hz: tuple[float, float]
 
     def __call__(self, signals: Sequence[FloatArray], only: Sequence[int] | None = None) -> FloatArray:
-        """Whiten (n, m) an observation, or of those in `only`: (rows,). One array for several is transformed once."""
-        chosen = range(len(self.observations)) if only is None else only
-        found: dict[tuple[int, int], FloatArray] = {}
-        parts = []
-        for i, x in zip(chosen, signals, strict=True):
-            key = (id(x), self._alike[i])
-            if key not in found:
-                found[key] = self._whitened(i, x)
-            parts.append(found[key])
+        """Whiten (n, m) an observation, or of those in `only`: (rows,).
+
+        One array for several is transformed once, and all that are alike at once.
+        """
+        chosen = [self._alike[i] for i in (range(len(self.observations)) if only is None else only)]
+        alike: dict[int, dict[int, FloatArray]] = {}
+        for kind, x in zip(chosen, signals, strict=True):
+            alike.setdefault(kind, {})[id(x)] = x
+        found = {kind: self._whitened(kind, own) for kind, own in alike.items()}
+        parts = [found[kind][id(x)] for kind, x in zip(chosen, signals, strict=True)]
         return np.concatenate(parts) if parts else np.zeros(0)
 
-    def _whitened(self, i: int, x: FloatArray) -> FloatArray:
-        spectrum = self.spectrum(self.observations[i], x)[0]
-        white = np.empty((2, *spectrum.shape))
-        np.divide(spectrum.real, self._scales[self._alike[i]], out=white[0])
-        np.divide(spectrum.imag, self._scales[self._alike[i]], out=white[1])
-        return white.ravel()
+    def _whitened(self, kind: int, signals: Mapping[int, FloatArray]) -> dict[int, FloatArray]:
+        """Whiten arrays (n, m) that are alike: (rows,) each, by the same keys."""
+        observation, together = self.observations[kind], np.stack([x.T for x in signals.values()])
+        spectra = self._transformed(observation, together)
+        white = np.empty((len(spectra), 2, *spectra.shape[1:]))
+        np.divide(spectra.real, self._scales[kind], out=white[:, 0])
+        np.divide(spectra.imag, self._scales[kind], out=white[:, 1])
+        return dict(zip(signals, white.reshape(len(spectra), -1), strict=True))
+
+    def _transformed(self, observation: Observation, signals: FloatArray) -> ComplexArray:
+        """Transform signals (..., m, n): (..., m, k) inside the band."""
+        faded = signals * taper(signals.shape[-1], observation.rate_hz)
+        if observation.missing is not None:
+            faded[..., observation.missing.T] = 0.0  # missing samples count on neither side
+        return np.asarray(np.fft.rfft(faded)[..., lines(observation, self.band_hz)[1]])
 
     @cached_property
     def _alike(self) -> list[int]:
@@ -228,11 +238,7 @@ class Whitener:
 
     def spectrum(self, observation: Observation, x: FloatArray) -> tuple[ComplexArray, FloatArray]:
         """Transform the faded signals (n, m): (m, k) inside the band, and (k,) Hz."""
-        frequency, keep = lines(observation, self.band_hz)
-        faded = x.T * taper(len(x), observation.rate_hz)
-        if observation.missing is not None:
-            faded[observation.missing.T] = 0.0  # missing samples count on neither side
-        return np.fft.rfft(faded)[:, keep], frequency
+        return self._transformed(observation, x.T), lines(observation, self.band_hz)[0]
 
     def frequencies(self) -> FloatArray:
         """Return the frequency of every entry of the vector, (rows,) Hz."""
