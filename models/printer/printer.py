@@ -21,6 +21,7 @@ from models.arrays import FloatArray
 from models.effects.catalogue import effective_machine
 from models.effects.effect import Signals
 from models.errors import UnreachableError
+from models.kinematics.base import Kinematics
 from models.machine import Machine
 from models.printer.kernels.axes import BELT_DAMPING, FIRST, FREQUENCY2, SHARE
 from models.printer.kernels.equilibrium import find_equilibrium
@@ -142,14 +143,17 @@ def simulate_printers(
     tasks: dict[int, _Task] = {}
     splines = Splines() if splines is None else splines
     commands = list(commands)  # indexing an array of them would make a new object each time
+    ready: dict[int, _Ready] = {}  # of each printer that the caller has converted, which runs under several commands
     for i, (machine, command) in enumerate(zip(machines, commands, strict=True)):
         try:
             start = None if starts is None else starts[i]
             _check(command, dt_s, start)
             printer = converted_printer(machine, gravity=gravity) if converted is None else converted[i]
-            coming, motors = command[:0] if ahead is None else ahead, _motors_of(printer)
-            cubics = splines.of(command, coming, start, motors, dt_s, hold)
-            tasks[i] = _task(machine, command, cubics, dt_s, substeps, printer, start)
+            if converted is None or id(printer) not in ready:
+                ready[id(printer)] = _ready(machine, printer, dt_s, substeps)
+            own, coming = ready[id(printer)], command[:0] if ahead is None else ahead
+            cubics = splines.of(command, coming, start, own.motors, dt_s, hold)
+            tasks[i] = _task(command, cubics, dt_s, own, start)
         except ValueError as error:
             found[i] = error
     for together in _batches(tasks):
@@ -218,24 +222,35 @@ class _Task:
     history: FloatArray  # (k, 3) mm, see `PrinterState`
 
 
-def _task(
-    machine: Machine,
-    command: FloatArray,
-    cubics: FloatArray,
-    dt_s: float,
-    substeps: int | None,
-    printer: ConvertedPrinter,
-    start: PrinterState | None = None,
-) -> _Task:
-    """Prepare the simulation of a machine under a command : (n, 3) mm with its cubics."""
+@dataclass(frozen=True, eq=False)
+class _Ready:
+    """A converted printer, limited to what the integration steps can resolve."""
+
+    parameters: PrinterParameters
+    modes: FloatArray
+    kinematics: Kinematics  # with the effects on it
+    motors: FloatArray | None  # see `_motors_of`
+    steps: int  # from row to row
+    kept: int  # rows of the command that a simulation may be continued with
+
+
+def _ready(machine: Machine, printer: ConvertedPrinter, dt_s: float, substeps: int | None) -> _Ready:
     p, modes = printer.parameters.copy(), printer.modes
     steps = substeps or math.ceil(dt_s / longest_step(p, modes) * (1 - 1e-9))
     _limit_stiffness(p, dt_s / steps)
-    modes = _limit_rigidity(modes, dt_s / steps)
     kept = math.ceil(float(np.max(p.delay)) / dt_s) + SPLINE_ROWS + 1
+    kinematics, limited = effective_machine(machine).kinematics, _limit_rigidity(modes, dt_s / steps)
+    return _Ready(p, limited, kinematics, _motors_of(printer), steps, kept)
+
+
+def _task(
+    command: FloatArray, cubics: FloatArray, dt_s: float, ready: _Ready, start: PrinterState | None = None
+) -> _Task:
+    """Prepare the simulation of a printer under a command : (n, 3) mm with its cubics."""
+    p, modes, steps, kept = ready.parameters, ready.modes, ready.steps, ready.kept
     if start is None:
         straight = len(modes) > 0
-        values = _axes_at_rest(modes, command[0] / 1e3) if straight else equilibrium_state(machine, command[0], p)
+        values = _axes_at_rest(modes, command[0] / 1e3) if straight else _at_rest(ready.kinematics, command[0], p)
         return _Task(p, modes, steps, cubics, 0, 0.0, values, command[-kept:].copy())
     history = np.concatenate([start.history[:-1], command])[-kept:]
     return _Task(p, modes, steps, cubics, len(start.history) - 1, start.t_s, start.values, history)
@@ -243,9 +258,13 @@ def _task(
 
 def _batches(tasks: Mapping[int, _Task]) -> Iterator[list[int]]:
     """Group tasks for the lanes: of as many modes, alike motors, steps and first row, and of about one length."""
+    matrices: dict[int, bytes] = {}  # by the record, which several tasks share: reading a field of it takes long
 
     def kind(i: int) -> tuple[int, bytes, int, int]:
-        return len(tasks[i].modes), tasks[i].parameters.motor_matrix.tobytes(), tasks[i].steps, tasks[i].first
+        p = tasks[i].parameters
+        if id(p) not in matrices:
+            matrices[id(p)] = p.motor_matrix.tobytes()
+        return len(tasks[i].modes), matrices[id(p)], tasks[i].steps, tasks[i].first
 
     for _, group in groupby(sorted(tasks, key=lambda i: (kind(i), len(tasks[i].cubics))), kind):
         names = list(group)
@@ -316,10 +335,14 @@ def equilibrium_state(machine: Machine, command: FloatArray, p: PrinterParameter
     ValueError
         If there is no equilibrium.
     """
-    effective_machine(machine).kinematics.forward(command[None])  # raises where the arms cannot join the carriages
     modes = printer_modes(machine)
-    if len(modes):
-        return _axes_at_rest(modes, command / 1e3)
+    kinematics = effective_machine(machine).kinematics
+    return _at_rest(kinematics, command, p) if len(modes) == 0 else _axes_at_rest(modes, command / 1e3)
+
+
+def _at_rest(kinematics: Kinematics, command: FloatArray, p: PrinterParameters) -> FloatArray:
+    """Return the state of equilibrium of a delta."""
+    kinematics.forward(command[None])  # raises where the arms cannot join the carriages
     states = np.zeros((1, STATES))
     states[0, V : V + 3] = states[0, Q : Q + 3] = command / 1e3
     (moved,) = find_equilibrium(states, parameter_table([p]))
