@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from ffcomp.diagnose.json import diagnosis_json
 from ffcomp.diagnose.problems import Plant, check_recordings, problem_of, recordings_of, separated
 from ffcomp.diagnose.result import DiagnosisResult, better_file, result_of
 from ffcomp.diagnose.validation import Recorded
+from ffcomp.diagnose.work import BUDGET
 from ffcomp.errors import RequestError, extras_told
 from ffcomp.identify.identify import Identified
 from ffcomp.identify.machine_fit import MachineFit, Method, hash_of
@@ -186,6 +188,7 @@ def diagnose(
     *,
     plan: str | Path | None = None,
     without_repeats: bool = False,
+    thorough: bool = False,
     progress: Progress = lambda sentence: None,
 ) -> Diagnosis:
     """Find the physical effect that a machine file lacks, and its size.
@@ -197,6 +200,7 @@ def diagnose(
     output : the improved machine file; written only if an effect is named or retuning closes the discrepancy
     plan : the file that `ffcomp record plan` wrote beside its G-code, for captures
     without_repeats : guess the noise where no experiment was repeated
+    thorough : try everything, for as long as it takes; else a search ends at a budget of work, and says so
 
     Raises
     ------
@@ -206,7 +210,7 @@ def diagnose(
     measured = recordings_of(loaded, files, plan, progress=progress)
     problem = problem_of(loaded, measured)
     check_recordings(problem, measured, without_repeats)
-    search = search_effects(problem, progress)
+    search = search_effects(problem, progress, inf if thorough else BUDGET)
     found = separated(problem, search, result_of(problem, search))
     target = Path(output) if output is not None and found.mends else None
     if target is not None:

@@ -35,6 +35,15 @@ NoRepeats = Annotated[
     ),
 ]
 
+Thorough = Annotated[
+    bool,
+    typer.Option(
+        "--thorough",
+        rich_help_panel=ACCURACY,
+        help="Try everything, for as long as it takes. Else a search ends at a budget of work, and says so.",
+    ),
+]
+
 
 def diagnose(
     runs: Runs,
@@ -45,6 +54,7 @@ def diagnose(
     report: Report = None,
     force: Force = False,
     without_repeats: NoRepeats = False,
+    thorough: Thorough = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -63,12 +73,14 @@ def diagnose(
     _check_targets(output, report, force)
     with exit_codes():
         import time
+        from math import inf
 
         from ffcomp.cli.search_progress import SearchProgress
         from ffcomp.diagnose.diagnosis import diagnose as searched
         from ffcomp.diagnose.json import diagnosis_json
         from ffcomp.diagnose.problems import check_recordings, gain_of, problem_of, recordings_of, separated
         from ffcomp.diagnose.result import result_of
+        from ffcomp.diagnose.work import BUDGET
         from ffcomp.record.axes import turn_of
         from models.file import load_plant
 
@@ -82,7 +94,7 @@ def diagnose(
         problem = problem_of(loaded, measured)
         check_recordings(problem, measured, without_repeats)
         with SearchProgress(quiet) as shown:
-            search = searched(problem, shown)
+            search = searched(problem, shown, inf if thorough else BUDGET)
         found = separated(problem, search, result_of(problem, search))
         better = output if found.mends else None
         gain = gain_of(loaded, found)

@@ -26,7 +26,7 @@ OFFSET, OFFSET_SHARE = "axis.offset_n", 0.1  # of the force, by which its zero m
 EXACT = 0.003  # of what the forces do in a shot: no simulation is nearer than that
 KEPT = 6  # motions that are held
 
-_Key = tuple[tuple[tuple[str, float], ...], int]
+_Key = tuple[tuple[tuple[str, float], ...], bool, int]
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,11 @@ class AxisProblem(Problem):
         self._kept: dict[_Key, dict[str, FloatArray]] = {}
         self._same = [_first_equal(self.shots, i) for i in range(len(runs))]
 
+    @property
+    def motions(self) -> Sequence[int]:
+        """Return the run whose simulation serves each window."""
+        return [self._same[window.run] for window in self.windows]
+
     def _least_density(self, signals: Sequence[str]) -> dict[str, float]:
         """Return the least density of each position's noise: of its sensor, and of how exact a simulation can be."""
         found: dict[str, float] = {}
@@ -69,15 +74,14 @@ class AxisProblem(Problem):
     def simulate(
         self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
     ) -> list[FloatArray]:
-        """Simulate windows of the runs: (n, m) each; `coarse` makes no difference, for it is quick anyway."""
-        del coarse
+        """Simulate windows of the runs: (n, m) each."""
         machine = self.machine_with(values)
         chosen = range(len(self.windows)) if only is None else only
-        key = tuple(sorted(values.items()))
+        key = (tuple(sorted(values.items())), coarse)
         found = []
         for i in chosen:
             window = self.windows[i]
-            felt = self._felt(machine, (key, self._same[window.run]))
+            felt = self._felt(machine, (*key, self._same[window.run]))
             found.append(np.stack([felt[s][window.rows] for s in self.observations[i].signals], axis=1))
         return found
 
@@ -85,9 +89,10 @@ class AxisProblem(Problem):
         """Return what the sensors of a run would read; the last few are kept, for windows ask one by one."""
         if key not in self._kept:
             try:
-                motion = self.shots[key[1]].simulate(machine)
+                motion = self.shots[key[2]].simulate(machine, coarse=key[1])
             except ValueError as error:
                 raise InfeasibleParameters(str(error)) from None
+            self.work.add(motion.steps)
             self._kept[key] = motion.sensed(machine)
             for old in list(self._kept)[: -KEPT * len(self.shots)]:
                 del self._kept[old]

@@ -41,6 +41,7 @@ from ffcomp.diagnose.recording_faults import Fault, fault_of_recordings, odd_sig
 from ffcomp.diagnose.refinement import within_reach
 from ffcomp.diagnose.score_test import Screened, screen
 from ffcomp.diagnose.selection import LITTLE, Search, Selection, find_best, finish, on_all_data
+from ffcomp.diagnose.work import BUDGET
 from ffcomp.identify.uncertainty import Estimate
 from models.arrays import FloatArray
 
@@ -89,6 +90,7 @@ class Diagnosis:
     )
     searched: Hypothesis | None = None  # the best, on the data on which the others were tried
     share: float = 1.0  # of the data on which they were
+    cut_short: bool = False  # the search ended at its budget, so that not everything was tried
 
     @property
     def unproven(self) -> list[HeldOut]:
@@ -114,14 +116,21 @@ class Diagnosis:
         return list(dict.fromkeys([*likely, *(name for name, _ in confounded_with(self.best, self.screened))]))
 
 
-def diagnose(problem: Problem, progress: Progress = lambda _: None) -> Diagnosis:
-    """Find the effects that are missing from the problem's machine, if any."""
+def diagnose(problem: Problem, progress: Progress = lambda _: None, budget: float = BUDGET) -> Diagnosis:
+    """Find the effects that are missing from the problem's machine, if any.
+
+    Parameters
+    ----------
+    budget : integration steps after which nothing more is tried; what was found by then is put to the tests.
+    """
+    problem.work.begin(budget)
     found = _searched(problem, noise_floor(problem), problem.least_density, progress)
     guessed = not found.noise.from_repeats and found.fault is None
     if guessed and found.estimation.whiten.floor is found.noise and _floor_is_wrong(found):
         progress("less is left than the guessed noise: what is left is taken for it, and the search begins anew")
+        problem.work.begin(budget)
         found = _searched(problem, scaled(found.noise, _left(found)), {}, progress)
-    return _concluded(found)
+    return replace(_concluded(found), cut_short=problem.work.cut)
 
 
 def _searched(problem: Problem, noise: NoiseFloor, density: Mapping[str, float], progress: Progress) -> Diagnosis:

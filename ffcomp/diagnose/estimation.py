@@ -27,6 +27,7 @@ class EstimationProblem:
     given: Mapping[str, float] = field(default_factory=dict)  # values of parameters that are not fitted
     tolerance: float = WELL_KNOWN  # of the noise: a smaller discrepancy counts as none
     share: float = 1.0  # of all data
+    only: tuple[int, ...] | None = None  # observations that are simulated; None: all
 
     def residual(self, values: Mapping[str, float]) -> FloatArray:
         """Return measured − simulated, whitened: (rows,)."""
@@ -34,16 +35,23 @@ class EstimationProblem:
 
     def residuals(self, many: Sequence[Mapping[str, float]]) -> Iterator[FloatArray]:
         """Evaluate several sets of values, in order."""
-        for simulated in self.problem.simulate_many([{**self.given, **v} for v in many], coarse=self.coarse):
+        for simulated in self.problem.simulate_many([{**self.given, **v} for v in many], self.only, coarse=self.coarse):
             if isinstance(simulated, InfeasibleParameters):
                 yield np.full(len(self.measured), INFEASIBLE)
             else:
-                residual = self.measured - self.whiten(simulated)
+                residual = self.measured - self.whiten(simulated, self.only)
                 yield residual if np.isfinite(residual @ residual) else np.full(len(self.measured), INFEASIBLE)
+
+    def limited_to(self, observations: Sequence[int]) -> EstimationProblem:
+        """Return the problem with some of its observations only; their rows follow one another."""
+        measured = self.measured[self.rows_of(observations)]
+        share = self.share * len(measured) / len(self.measured)
+        return replace(self, measured=measured, only=tuple(observations), share=share)
 
     def rows_of(self, observations: Sequence[int]) -> FloatArray:
         """Return the indices of the rows of some observations."""
-        return np.concatenate([np.arange(len(self.measured))[self.whiten.rows[i]] for i in observations])
+        parts = [self.whiten.rows[i] for i in observations]
+        return np.concatenate([np.arange(part.start, part.stop) for part in parts])
 
 
 def estimation_problem(problem: Problem, whiten: Whitener) -> EstimationProblem:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ffcomp.diagnose.estimation import EstimationProblem
 from ffcomp.diagnose.fit import Fit, clipped, derivatives, fit, values_at
+from ffcomp.diagnose.glimpse import glimpse_of
 from ffcomp.diagnose.hypotheses import (
     LARGE,
     NEAR,
@@ -31,6 +32,7 @@ USUAL = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01, -0.03, -0.1, -0.25, -0.5, -1.0)  # of 
 BY_PREDICTION, BY_SIMULATION = 6, 3  # candidates that are fitted: by their linear gain, and by what they really do
 QUICK = 1e-2  # share of the cost that must still be gained for another step while hypotheses are ranked
 CONTENDER = 30.0  # times the best discrepancy: a hypothesis that leaves more is not pursued
+PURSUED = 6  # hypotheses that are fitted a little further, before the likeliest of them are fitted well
 FEW = 4  # parameters whose derivatives are renewed at every step
 
 
@@ -61,11 +63,14 @@ def initial_fits(
     found: list[Hypothesis] = []
     for base, screened in bases:
         for start in select_starts(quick, base, screened, discrepancy_of(base) > LARGE):
+            if found and not estimation.problem.work.allows():
+                break
             bar = min((h.discrepancy for h in found), default=np.inf)
             found.append(fit_start(quick, base, start, progress, bar))
     ranked = distinct(likeliest(found))
     held = [h for h in ranked if within_file(h)]  # what bends the file's numbers is no measure for what does not
-    return likeliest([_pursued(quick, h, held[0] if h in held else ranked[0]) for h in ranked])
+    near = [*ranked[:PURSUED], *held[:1]]
+    return likeliest([_pursued(quick, h, held[0] if h in held else ranked[0]) if h in near else h for h in ranked])
 
 
 def _pursued(estimation: EstimationProblem, h: Hypothesis, best: Hypothesis) -> Hypothesis:
@@ -102,9 +107,20 @@ def best_start(
     begun += [np.concatenate([_usual(s, size) for s in chosen]) for size in usual]
     tries = [clipped(parameters, z) for z in begun]
     different = [z for i, z in enumerate(tries) if not any(np.array_equal(z, before) for before in tries[:i])]
-    residuals = with_machine_fixed(estimation, base).residuals([values_at(parameters, z) for z in different])
-    costs = [float(r @ r) for r in residuals]
-    return Start(chosen, different[int(np.argmin(costs))], min(costs))
+    seen = glimpse_of(estimation, base)
+    if seen is None:
+        costs = _costs(estimation, base, parameters, different)
+        return Start(chosen, different[int(np.argmin(costs))], min(costs))
+    best = different[int(np.argmin(_costs(seen.estimation, base, parameters, different)))]
+    return Start(chosen, best, *_costs(estimation, base, parameters, [best]))
+
+
+def _costs(
+    estimation: EstimationProblem, base: Fit, parameters: Sequence[Parameter], tries: Sequence[FloatArray]
+) -> list[float]:
+    """Return |r|² at each of these z, with the machine's parameters fixed as they stand in a fit."""
+    residuals = with_machine_fixed(estimation, base).residuals([values_at(parameters, z) for z in tries])
+    return [float(r @ r) for r in residuals]
 
 
 def with_machine_fixed(estimation: EstimationProblem, base: Fit) -> EstimationProblem:
@@ -130,10 +146,14 @@ def fit_start(
     alone = fit(fixed, start.parameters, start.z, columns, renew, 5, small_gain=QUICK, renew_all=False)
     both = np.hstack([base.jacobian, alone.jacobian])
     found = Fit((*base.parameters, *start.parameters), np.concatenate([base.z, alone.z]), alone.residual, both)
-    predicted = (found.cost - found.predicted_gain) / len(alone.residual) - 1
-    if predicted + NEAR < CONTENDER * (bar + NEAR):
+    if predicted_left(found) + NEAR < CONTENDER * (bar + NEAR):
         found = fit(estimation, found.parameters, found.z, both, iterations=3, small_gain=QUICK, renew_all=False)
     return log_fit(Hypothesis(tuple(s.candidate for s in start.chosen), found), progress)
+
+
+def predicted_left(fitted: Fit) -> float:
+    """Predict the discrepancy that the best step from a fit would leave if the simulation were linear."""
+    return (fitted.cost - fitted.predicted_gain) / len(fitted.residual) - 1
 
 
 def _estimated(s: Screened, scale: float = 1.0) -> FloatArray:

@@ -43,6 +43,7 @@ def diagnosis_json(
         "left_out": found.left_out,
         "unproven_at": list(found.unproven),
         "or_file_off": {key: {"from": a, "to": b} for key, (a, b) in found.file_off.items()},
+        "cut_short": found.cut_short,
         "to_do": what_to_do(found),
         "print_gain": None if gain is None else gain.to_dict(),
         "gap": {

@@ -15,6 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import groupby, product
 from typing import Any
 
 import numpy as np
@@ -91,6 +92,11 @@ class PrinterProblem(Problem):
         self.parts = [Part(0, len(command), 0) for command in self.commands]
         self.splines = Splines()
 
+    @property
+    def motions(self) -> Sequence[int]:
+        """Return the first recording with the same command, of each."""
+        return self.same_command
+
     def excerpt(self) -> PrinterProblem | None:
         """Return the problem on a part of each recording; None where that would hardly be quicker."""
         parts = excerpt_parts(self.observations, self.same_command)
@@ -159,9 +165,13 @@ class PrinterProblem(Problem):
         printers = {n: each for n, each in enumerate(converted) if not isinstance(each, ValueError)}
         longest = {n: _longest(printer, coarse) for n, printer in printers.items()}
         by_steps: dict[_Steps, list[tuple[int, int]]] = {}
-        for i in sorted(needed, key=lambda i: len(self.commands[i])):
-            for n, step_s in longest.items():
+        # together in the lanes: commands of one length, and among those one printer, which is then prepared once
+        for _, alike in groupby(sorted(needed, key=self._rows), self._rows):
+            for (n, step_s), i in product(longest.items(), list(alike)):
                 by_steps.setdefault(_steps(step_s, self.observations[i].rate_hz), []).append((n, i))
+        self.work.add(
+            sum(steps.substeps * len(self.commands[i]) for steps, tasks in by_steps.items() for _, i in tasks)
+        )
         packs = [
             (steps, tasks[k : k + LANES]) for steps, tasks in by_steps.items() for k in range(0, len(tasks), LANES)
         ]
@@ -186,6 +196,9 @@ class PrinterProblem(Problem):
                 for (n, i), motion in zip(tasks, found, strict=True):
                     motions[n][i] = motion
         return [_whole(by_run) for by_run in motions]
+
+    def _rows(self, i: int) -> int:
+        return len(self.commands[i])
 
     def _sensors_with(self, values: Mapping[str, float]) -> Machine | None:
         """Return the machine whose sensors have effects; None if none of them has any."""

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ffcomp.diagnose.work import Work
 from models.arrays import FloatArray
 
 TOWERS = ("tower A", "tower B", "tower C")
@@ -142,6 +143,16 @@ class Problem(ABC):
     carriages: tuple[str, ...] = TOWERS  # what people call what a value for each is of
     belts: tuple[str, ...] = TOWERS  # the same, of belts and their motors
     least_density: Mapping[str, float] = {}  # of a signal's noise, unit²/Hz: no simulation is nearer than that
+
+    @cached_property
+    def work(self) -> Work:
+        """What was simulated so far."""
+        return Work()
+
+    @property
+    def motions(self) -> Sequence[int]:
+        """Return the observation whose simulation serves each observation, by index: repeats share one."""
+        return range(len(self.observations))
 
     def place_name(self, position: tuple[float, ...]) -> str:
         """Name a place at which something was recorded."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from ffcomp.diagnose.estimation import EstimationProblem
 from ffcomp.diagnose.fit import Fit, clipped, derivatives, fit, values_at
+from ffcomp.diagnose.glimpse import glimpse_of
 from ffcomp.diagnose.hypotheses import (
     IMPLAUSIBLE,
     LARGE,
@@ -27,6 +28,7 @@ from ffcomp.diagnose.progress import Progress
 from ffcomp.diagnose.recording_delays import belongs_to_recording
 from models.arrays import FloatArray
 
+COARSE_ERROR = 1e-3  # of the cost, by which coarse simulations may be off
 SHAPE_SHARE = 0.1  # of the discrepancy must a freer shape of the same effect remove
 TELLING = 2.0  # −2 ln Z, times the misfit: what a fit may still gain without another effect gaining it in its place
 SPREAD = (0.0, 1.0, 2.0, 3.0, 4.0)  # standard deviations from the usual, at which a shape is tried
@@ -44,13 +46,33 @@ def continue_fit(
     log_try(h.effects, progress, note)
     everything = range(len(h.fit.parameters))
     asked = everything if known is None else everything[-h.added :]
-    residual = estimation.residual(h.fit.values)
-    columns = derivatives(estimation, h.fit.parameters, h.fit.z, residual, asked, rough=h.own)
+    ranked, residual = _quickest(estimation, h.fit.values)
+    columns = derivatives(ranked, h.fit.parameters, h.fit.z, residual, asked, rough=h.own)
     if known is not None:
         columns = np.hstack([known, columns])
     renew = everything[-h.added :] if h.added <= FEW else ()
-    found = fit(estimation, h.fit.parameters, h.fit.z, columns, renew, iterations=10, small_gain=QUICK, rough=h.own)
+    found = fit(ranked, h.fit.parameters, h.fit.z, columns, renew, iterations=10, small_gain=QUICK, rough=h.own)
+    if ranked is not estimation:
+        exact = estimation.residual(found.values)
+        if _negligible(found.residual - exact, exact):
+            found = replace(found, residual=exact)
+        else:
+            begun = found.jacobian
+            found = fit(estimation, found.parameters, found.z, begun, renew, 10, small_gain=QUICK, rough=h.own)
     return log_fit(Hypothesis(h.effects, found), progress, note)
+
+
+def _quickest(estimation: EstimationProblem, values: Mapping[str, float]) -> tuple[EstimationProblem, FloatArray]:
+    """Return the problem, coarse where that errs by nothing that matters beside what is left, and its residual."""
+    quick, residual = replace(estimation, coarse=True), estimation.residual(values)
+    if estimation.coarse:
+        return estimation, residual
+    roughly = quick.residual(values)
+    return (quick, roughly) if _negligible(roughly - residual, residual) else (estimation, residual)
+
+
+def _negligible(error: FloatArray, residual: FloatArray) -> bool:
+    return float(error @ error) < COARSE_ERROR * float(residual @ residual)
 
 
 def restart_from_file(estimation: EstimationProblem, h: Hypothesis) -> Hypothesis:
@@ -60,13 +82,11 @@ def restart_from_file(estimation: EstimationProblem, h: Hypothesis) -> Hypothesi
     """
     own, added = h.own, h.effect_parameters
     renew = range(len(added))
-    residual = estimation.residual(values_at(added, h.effect_z))
-    columns = derivatives(estimation, added, h.effect_z, residual, renew)
-    alone = fit(
-        estimation, added, h.effect_z, columns, renew if len(added) <= 2 * FEW else (), 6, QUICK, renew_all=False
-    )
+    ranked, residual = _quickest(estimation, values_at(added, h.effect_z))
+    columns = derivatives(ranked, added, h.effect_z, residual, renew)
+    alone = fit(ranked, added, h.effect_z, columns, renew if len(added) <= 2 * FEW else (), 6, QUICK, renew_all=False)
     z = np.concatenate([np.zeros(own), alone.z])
-    rest = derivatives(estimation, h.fit.parameters, z, alone.residual, range(own), rough=own)
+    rest = derivatives(ranked, h.fit.parameters, z, alone.residual, range(own), rough=own)
     return Hypothesis(h.effects, Fit(h.fit.parameters, z, alone.residual, np.hstack([rest, alone.jacobian])))
 
 
@@ -79,11 +99,17 @@ def continue_or_restart(
     ----------
     little : discrepancy that is not large.
     """
-    found = continue_fit(estimation, h, progress)
-    if found.discrepancy < max(little, LARGE) and not implausible(found.fit, found.own):
-        return found
-    again = continue_fit(estimation, restart_from_file(estimation, found), progress, ", begun anew")
-    return min(found, again, key=lambda x: x.fit.evidence)
+    return begun_anew(estimation, continue_fit(estimation, h, progress), progress, little)
+
+
+def begun_anew(estimation: EstimationProblem, h: Hypothesis, progress: Progress, little: float = LARGE) -> Hypothesis:
+    """Restart a fit that leaves a large discrepancy, or implausible parameters, from the file; keep the likelier."""
+    if h.discrepancy < max(little, LARGE) and not implausible(h.fit, h.own):
+        return h
+    if not estimation.problem.work.allows():
+        return h
+    again = continue_fit(estimation, restart_from_file(estimation, h), progress, ", begun anew")
+    return min(h, again, key=lambda x: x.fit.evidence)
 
 
 def refit(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:
@@ -167,7 +193,7 @@ def converge(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -
     """Try every shape change in turn, and keep those that pay."""
     for change in SHAPE_CHANGES:
         effects = _changed(estimation, h, change)
-        if effects == h.effects:
+        if effects == h.effects or not estimation.problem.work.allows():
             continue
         begun = _begun(effects, h)
         if change.searched:
@@ -197,12 +223,13 @@ def _begun(effects: tuple[Candidate, ...], h: Hypothesis) -> Hypothesis:
 
 def _placed(estimation: EstimationProblem, begun: Hypothesis, before: Hypothesis) -> Hypothesis:
     """Begin new parameters, effect by effect, where they help most: far from there, no slope may point the way."""
-    parameters, z = begun.fit.parameters, begun.fit.z
+    parameters, z, seen = begun.fit.parameters, begun.fit.z, glimpse_of(estimation, before.fit)
+    ranked_in = replace(estimation if seen is None else seen.estimation, coarse=True)
     for effect in begun.effects:
         new = [i for i, n in enumerate(parameters) if n in effect.parameters and n not in before.fit.parameters]
         steps = SPREAD if len(new) < 3 else SPREAD[::2]
         tries = [z, *(_moved(parameters, z, new, shift) for shift in product(steps, repeat=len(new)))]
-        residuals = estimation.residuals([values_at(parameters, x) for x in tries])
+        residuals = ranked_in.residuals([values_at(parameters, x) for x in tries])
         costs = [float(r @ r + x @ x) for r, x in zip(residuals, tries, strict=True)]
         z = tries[int(np.argmin(costs))]
     return Hypothesis(begun.effects, replace(begun.fit, z=z))

@@ -55,6 +55,7 @@ class DiagnosisResult:
     carriages: tuple[str, ...] = TOWERS  # what a value for each is of, and
     belts: tuple[str, ...] = TOWERS  # of belts and their motors
     separations: Sequence[Separation] = ()  # from what fits as well: see `problems.separated`
+    cut_short: bool = False  # the search ended at its budget
 
     @property
     def mends(self) -> bool:
@@ -130,6 +131,7 @@ def result_of(problem: Problem, found: Diagnosis) -> DiagnosisResult:
         problem.per_kilogram,
         problem.carriages,
         problem.belts,
+        cut_short=found.cut_short,
     )
 
 

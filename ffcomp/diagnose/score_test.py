@@ -16,10 +16,14 @@ import numpy as np
 
 from ffcomp.diagnose.estimation import EstimationProblem
 from ffcomp.diagnose.fit import Fit, step_within
+from ffcomp.diagnose.glimpse import Glimpse, glimpse_of
 from ffcomp.diagnose.problem import Candidate, Parameter
 from models.arrays import FloatArray
 
 VISIBLE = 3.0  # standard deviations of an effect of a usual size
+LIKELY = 2  # shapes of a candidate that are tried in all motions
+
+Shape = Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +31,7 @@ class Screened:
     """One candidate with one of its shapes, by its first-order signature."""
 
     candidate: Candidate
-    shape: Mapping[str, float]
+    shape: Shape
     signature: FloatArray  # (rows, a) of the simulation by each amplitude in units of its prior
     estimate: FloatArray  # (a,) linear estimate, in the same units
     gain: float  # of −2 ln likelihood, to first order
@@ -43,15 +47,37 @@ class Screened:
 
 def screen(estimation: EstimationProblem, base: Fit, candidates: Sequence[Candidate]) -> list[Screened]:
     """Score every candidate with the best of its shapes and in the better of its forms; the best one first."""
-    shared = _best(base, _signatures(estimation, base, [(c, shape) for c in candidates for shape in c.grid]))
-    others = [(c.other, shape) for c in candidates if c.other is not None for shape in _other_shapes(c, shared[c.name])]
-    other = _best(base, _signatures(estimation, base, others))
+    seen = glimpse_of(estimation, base)
+    shared = _best(base, _signatures(estimation, base, _likely(seen, [(c, c.grid) for c in candidates])))
+    forms = [(c.other, _other_shapes(c, shared[c.name])) for c in candidates if c.other is not None]
+    other = _best(base, _signatures(estimation, base, _likely(seen, forms)))
     found = [min((x[c.name] for x in (shared, other) if c.name in x), key=lambda s: s.evidence) for c in candidates]
     whole = 1 / np.sqrt(estimation.share)  # an excerpt shows less than what these recordings could
     return sorted((replace(s, strength=float(whole * s.strength)) for s in found), key=lambda s: s.evidence)
 
 
-def _other_shapes(c: Candidate, best: Screened) -> list[Mapping[str, float]]:
+def screen_roughly(estimation: EstimationProblem, base: Fit, candidates: Sequence[Candidate]) -> list[Screened]:
+    """Score candidates in the motions of a glimpse only: enough to choose those that are fitted."""
+    seen = glimpse_of(estimation, base)
+    return screen(estimation, base, candidates) if seen is None else screen(seen.estimation, seen.fit, candidates)
+
+
+def _likely(seen: Glimpse | None, shapes: Sequence[tuple[Candidate, Sequence[Shape]]]) -> list[tuple[Candidate, Shape]]:
+    """List candidates with the shapes to try: of many only the best, as the motions of a glimpse show them."""
+    many = [(c, shape) for c, own in shapes for shape in own if len(own) > LIKELY]
+    if seen is None or not many:
+        return [(c, shape) for c, own in shapes for shape in own]
+    tries = _signatures(seen.estimation, seen.fit, many)
+    scores = [_scored(seen.fit, c, shape, signature).evidence for c, shape, signature in tries]
+    ranked = [many[i] for i in np.argsort(scores, kind="stable").tolist()]
+    found = []
+    for c, own in shapes:
+        best = [shape for other, shape in ranked if other is c][:LIKELY]
+        found += [(c, shape) for shape in (own if len(own) <= LIKELY else best)]
+    return found
+
+
+def _other_shapes(c: Candidate, best: Screened) -> list[Shape]:
     """List the shapes to try the other form with: the best one so far; all of them where that form fixes a shape."""
     fixed = {n.name: n.start for n in (c.other or c).shapes if n.low == n.high}
     if not fixed:
@@ -60,7 +86,7 @@ def _other_shapes(c: Candidate, best: Screened) -> list[Mapping[str, float]]:
     return [dict(shape) for shape in sorted(distinct)]
 
 
-Tried = tuple[Candidate, Mapping[str, float], FloatArray]
+Tried = tuple[Candidate, Shape, FloatArray]
 
 
 def _best(base: Fit, tries: Iterator[Tried]) -> dict[str, Screened]:
@@ -77,7 +103,7 @@ class _Scored:
     """What products with the signature tell, without another vector of its length."""
 
     candidate: Candidate
-    shape: Mapping[str, float]
+    shape: Shape
     signature: FloatArray
     step: FloatArray  # of the machine's parameters and the amplitudes together
     gain: float
@@ -85,9 +111,7 @@ class _Scored:
     strength: float
 
 
-def _signatures(
-    estimation: EstimationProblem, base: Fit, tries: Sequence[tuple[Candidate, Mapping[str, float]]]
-) -> Iterator[Tried]:
+def _signatures(estimation: EstimationProblem, base: Fit, tries: Sequence[tuple[Candidate, Shape]]) -> Iterator[Tried]:
     """Simulate one probe an amplitude, the others without effect."""
     probes = [{}, *(_probe(c, a.name, shape) for c, shape in tries for a in c.amplitudes)]
     residuals = estimation.residuals([{**base.values, **probe} for probe in probes])
@@ -99,12 +123,12 @@ def _signatures(
         yield candidate, shape, np.stack(columns, axis=1)
 
 
-def _probe(candidate: Candidate, amplitude: str, shape: Mapping[str, float]) -> dict[str, float]:
+def _probe(candidate: Candidate, amplitude: str, shape: Shape) -> dict[str, float]:
     rest = {a.name: a.start for a in candidate.amplitudes}
     return {**rest, amplitude: candidate.probe[amplitude], **shape}
 
 
-def _scored(base: Fit, candidate: Candidate, shape: Mapping[str, float], signature: FloatArray) -> _Scored:
+def _scored(base: Fit, candidate: Candidate, shape: Shape, signature: FloatArray) -> _Scored:
     cross = base.jacobian.T @ signature
     added = np.eye(signature.shape[1]) + signature.T @ signature
     schur = added - cross.T @ np.linalg.solve(base.information, cross)

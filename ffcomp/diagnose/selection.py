@@ -13,6 +13,7 @@ from ffcomp.diagnose.fit import Fit, derivatives, fit, values_at
 from ffcomp.diagnose.hypotheses import (
     ADDED_SHARE,
     LARGE,
+    NEAR,
     NEARLY_ALL,
     TRACE,
     Hypothesis,
@@ -26,6 +27,7 @@ from ffcomp.diagnose.hypotheses import (
     preferring_file,
     significant,
     with_one_within_file,
+    within_file,
     without_effect,
 )
 from ffcomp.diagnose.initial_fits import (
@@ -38,6 +40,7 @@ from ffcomp.diagnose.initial_fits import (
     best_start,
     fit_start,
     initial_fits,
+    predicted_left,
     select_starts,
 )
 from ffcomp.diagnose.intervals import intervals_of, superfluous
@@ -45,6 +48,7 @@ from ffcomp.diagnose.parsimony import most_parsimonious, predicted_without, simp
 from ffcomp.diagnose.problem import Candidate
 from ffcomp.diagnose.progress import Progress, Stage
 from ffcomp.diagnose.refinement import (
+    begun_anew,
     continue_fit,
     continue_or_restart,
     converge,
@@ -53,7 +57,7 @@ from ffcomp.diagnose.refinement import (
     refit,
     restart_from_file,
 )
-from ffcomp.diagnose.score_test import Screened, screen, similarity
+from ffcomp.diagnose.score_test import Screened, screen_roughly, similarity
 
 MOST_EFFECTS = 3  # at once
 POOR = 0.15  # of the discrepancy left by one effect: then pairs are tried
@@ -61,6 +65,7 @@ LITTLE = 0.02  # of the discrepancy: effects that leave less have begun at the r
 PROMISING = 0.25  # of what an added effect must remove: one that removes less in a coarse fit is not pursued
 CONTENDERS = 3  # fitted well
 CLOSE = 5.0  # times the best discrepancy: a hypothesis that leaves more keeps its shape
+BEHIND = 10.0  # times the best discrepancy: a hypothesis that leaves more in its quick fit is not fitted well
 ADDED = 3  # effects that are tried as one more
 PAIRED = 5  # candidates whose pairs are tried
 ALIKE = 0.5  # cos² of two signatures from which one effect may stand in for the other
@@ -79,6 +84,10 @@ class Search:
     def little(self) -> float:
         """What may be left of the discrepancy by an effect of a somewhat different shape."""
         return LITTLE * discrepancy_of(self.retuned)
+
+    def may_go_on(self) -> bool:
+        """Tell whether the budget allows to try anything more."""
+        return self.estimation.problem.work.allows()
 
     @property
     def quick(self) -> EstimationProblem:
@@ -105,7 +114,8 @@ def find_best(search: Search) -> Selection:
     while not selection.complete:
         for one in ROUND:
             selection = one(search, selection)
-            if selection.complete:
+            if selection.complete or not search.may_go_on():
+                selection = replace(selection, complete=True)
                 break
     return selection
 
@@ -121,7 +131,7 @@ def on_all_data(search: Search, found: Selection) -> Selection | None:
     """Fit to all data what was found in an excerpt; None if that leaves something that the excerpt did not show."""
     fitted = continue_fit(search.estimation, found.best, search.progress, ", on all data")
     missed = incomplete(search.estimation, fitted) and found.left_nothing
-    if missed and len(fitted.effects) < MOST_EFFECTS:
+    if missed and len(fitted.effects) < MOST_EFFECTS and search.may_go_on():
         return None
     rivals = smaller_rivals(found.best, found.tried, search.estimation.problem.candidates)[:1]
     tried = tuple(continue_fit(search.estimation, h, search.progress, ", on all data") for h in rivals)
@@ -133,13 +143,33 @@ def _begin(search: Search) -> Selection:
     search.progress(Stage(4, "fitting the most promising effects"))
     ranked = initial_fits(search.estimation, search.bases, search.progress)
     close = with_one_within_file([h for h in ranked[:CONTENDERS] if comparable(h, ranked[0], CONTENDER)], ranked)
-    fitted = [continue_or_restart(search.estimation, h, search.progress, search.little) for h in close]
+    fitted = _fitted_well(search, close)
     best = min(fitted, key=lambda h: h.fit.evidence)
     shaped = [converge(search.estimation, h, search.progress) if comparable(h, best, CLOSE) else h for h in fitted]
     tried = (*shaped, *(h for h in ranked if h not in close))
     little = max(search.little, search.estimation.tolerance)
     likeliest_one = preferring_file(min(tried, key=lambda h: h.fit.evidence), tried, little)
     return Selection(simplest(likeliest_one, tried, search.estimation.problem.candidates), tried)
+
+
+def _fitted_well(search: Search, close: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Fit contenders well, the likeliest first; those that another leaves far behind stay as they are.
+
+    Of all of them, and of those that leave the file's numbers in reach, only the likeliest is begun anew at these
+    numbers: all have been begun there before they were ranked.
+    """
+    found: list[Hypothesis] = []
+    for h in close:
+        # what bends the file's numbers is no measure for what does not
+        rivals = [x for x in found if within_file(x)] if within_file(h) else found
+        best = min(rivals, key=lambda x: x.fit.evidence, default=None)
+        behind = (found and not search.may_go_on()) or (best is not None and not comparable(h, best, BEHIND))
+        found.append(h if behind else continue_fit(search.estimation, h, search.progress))
+    first = [min(range(len(found)), key=lambda i: found[i].fit.evidence)] if found else []
+    held = [i for i, h in enumerate(close) if within_file(h)][:1]
+    for i in {*first, *held}:
+        found[i] = begun_anew(search.estimation, found[i], search.progress, search.little)
+    return found
 
 
 # ---- passes --------------------------------------------------------------------------------------
@@ -222,20 +252,27 @@ def add(search: Search, best: Hypothesis) -> list[Hypothesis]:
     """Fit the best hypothesis with one effect more; where a single one explains poorly, also pairs of the screened."""
     estimation, quick, (start, screened) = search.estimation, search.quick, search.bases[0]
     others = [c for c in estimation.problem.candidates if c.name not in best.names]
-    added = select_starts(quick, best.fit, screen(quick, best.fit, others)[:ADDED], large=False)
+    added = select_starts(quick, best.fit, screen_roughly(quick, best.fit, others)[:ADDED], large=False)
     begun = [(best, one) for one in added]
     if best.discrepancy > max(LARGE, search.little) or implausible(best.fit, best.own):
         restarted = restart_from_file(quick, best)
-        helpful = select_starts(quick, restarted.fit, screen(quick, restarted.fit, others), large=True)
+        helpful = select_starts(quick, restarted.fit, screen_roughly(quick, restarted.fit, others), large=True)
         begun += [(restarted, one) for one in sorted(helpful, key=lambda one: one.cost)[:ADDED]]
-    grown = distinct(likeliest([_with_one_more(quick, *one, search.progress) for one in begun]))
-    if best.discrepancy > POOR * discrepancy_of(search.retuned) and len(best.effects) == 1:
+    tried: list[Hypothesis] = []
+    for one in begun:
+        if search.may_go_on():
+            bar = min((h.discrepancy for h in tried), default=np.inf)
+            tried.append(_with_one_more(quick, *one, search.progress, bar))
+    grown = distinct(likeliest(tried))
+    poor = best.discrepancy > POOR * discrepancy_of(search.retuned)
+    # where one more explains nearly all, the best was half of the answer, and no pair without it is looked for
+    if poor and len(best.effects) == 1 and not any(h.discrepancy < search.little for h in grown):
         pairs = [p for p in combinations(screened[:PAIRED], 2) if {s.candidate.name for s in p} not in _names(grown)]
         likely = sorted(pairs, key=lambda pair: _pair_evidence(start, pair))[:2]
         grown += [fit_start(quick, start, best_start(quick, start, pair), search.progress) for pair in likely]
     ranked = likeliest(grown)
     pursued = [h for h in ranked[:2] if comparable(h, ranked[0], CLOSE) and _promising(quick, best, h)]
-    fitted = [continue_or_restart(estimation, h, search.progress, search.little) for h in pursued]
+    fitted = _fitted_well(search, pursued)
     return fitted + [h for h in ranked if h not in pursued]
 
 
@@ -252,8 +289,16 @@ def _names(hypotheses: Sequence[Hypothesis]) -> list[set[str]]:
     return [set(h.names) for h in hypotheses]
 
 
-def _with_one_more(estimation: EstimationProblem, h: Hypothesis, start: Start, progress: Progress) -> Hypothesis:
-    """Add one effect: fit first the effects together, then all parameters."""
+def _with_one_more(
+    estimation: EstimationProblem, h: Hypothesis, start: Start, progress: Progress, bar: float = np.inf
+) -> Hypothesis:
+    """Add one effect: fit first the effects together, then all parameters.
+
+    Parameters
+    ----------
+    bar : smallest discrepancy so far; where even the linear prediction of the second fit stays far above it, that
+        fit is left out.
+    """
     own = h.own
     parameters = (*h.effect_parameters, *start.parameters)
     given = dict(list(h.fit.values.items())[:own])
@@ -264,8 +309,9 @@ def _with_one_more(estimation: EstimationProblem, h: Hypothesis, start: Start, p
     effects = fit(fixed, parameters, z, columns, renew, iterations=5, small_gain=QUICK, renew_all=False)
     both = np.hstack([h.fit.jacobian[:, :own], effects.jacobian])
     z = np.concatenate([h.fit.z[:own], effects.z])
-    everyone = (*h.own_parameters, *parameters)
-    found = fit(estimation, everyone, z, both, iterations=4, small_gain=QUICK, renew_all=False)
+    found = Fit((*h.own_parameters, *parameters), z, effects.residual, both)
+    if predicted_left(found) + NEAR < BEHIND * (bar + NEAR):
+        found = fit(estimation, found.parameters, z, both, iterations=4, small_gain=QUICK, renew_all=False)
     return log_fit(Hypothesis((*h.effects, *(s.candidate for s in start.chosen)), found), progress)
 
 
@@ -284,7 +330,7 @@ def swap(search: Search, so_far: Selection) -> list[Hypothesis]:
     screened = search.bases[0][1]
     for effect in best.effects:
         for s in screened:
-            if _may_replace(s, effect, so_far, screened):
+            if _may_replace(s, effect, so_far, screened) and search.may_go_on():
                 others = without_effect(restart_from_file(estimation, best), effect)
                 begun = best_start(estimation, others.fit, (s,), SCALES[:4], USUAL)
                 grown = _with_one_more(estimation, others, begun, progress)

@@ -20,7 +20,7 @@ def said(found: DiagnosisResult) -> list[str]:
         "unproven": _unproven,
         "recording": lambda it: [f"The recordings are at fault: {it.fault}"],
     }
-    return [*by_finding.get(finding_of(found), _unexplained)(found), *late(found)]
+    return [*by_finding.get(finding_of(found), _unexplained)(found), *cut_short(found), *late(found)]
 
 
 def finding_of(found: DiagnosisResult) -> str:
@@ -129,6 +129,16 @@ def _unexplained(found: DiagnosisResult) -> list[str]:
             f"{'; '.join(found.rejections)}."
         )
     return [*sentences, *file_off(found)]
+
+
+def cut_short(found: DiagnosisResult) -> list[str]:
+    """Say that not everything was tried."""
+    if not found.cut_short:
+        return []
+    return [
+        "The search ended at its budget of work, so not everything was tried: ffcomp diagnose --thorough goes on to "
+        "the end, for as long as it takes."
+    ]
 
 
 def late(found: DiagnosisResult) -> list[str]:

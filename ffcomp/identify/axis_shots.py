@@ -36,9 +36,10 @@ class Shots:
     begin: FloatArray  # (shots, 4) mm and mm/s of the last mass and of the first one; NaN where one is not known
     speed: FloatArray  # (n,) mm/s
 
-    def simulate(self, machine: AxisMachine) -> AxisMotion:
+    def simulate(self, machine: AxisMachine, *, coarse: bool = False) -> AxisMotion:
         """Simulate the run; ValueError if the axis moves to infinity."""
-        return simulate_axis(machine, self.run.given, 1 / self.run.sample_rate_hz, shot=self.length, begin=self.begin)
+        dt_s = 1 / self.run.sample_rate_hz
+        return simulate_axis(machine, self.run.given, dt_s, shot=self.length, begin=self.begin, coarse=coarse)
 
     def own_motion(self, name: str) -> FloatArray:
         """Return what of a signal, (n,), the forces of a shot make: without its beginning, or without its command."""

@@ -16,6 +16,7 @@ from models.printer.kernels.spline import slopes
 
 LONGEST_STEP_S = 0.002
 TURNS = 0.25  # of a radian may the fastest mode turn in a step
+COARSE_TURNS = 0.7  # where effects are only ranked: a resonance is a thousandth off
 HARDER = 2.0  # times the frequency at rest, of a spring that hardens under a loud motion
 STEEP = 1.5  # a step times the rate at which friction stops what moves: the method is stable up to 2.8
 MOST_SUBSTEPS = 60
@@ -29,6 +30,7 @@ class AxisMotion:
     position_mm: FloatArray  # (n,) of the load; without one, of the mass
     motor_mm: FloatArray  # (n,) of the mass
     acceleration: FloatArray  # (n,) m/s², of the load; without one, of the mass
+    steps: int = 0  # of the integration
 
     def sensed(self, machine: AxisMachine) -> dict[str, FloatArray]:
         """Return what the sensors read, by the names of a recording's signals."""
@@ -53,6 +55,7 @@ def simulate_axis(
     shot: int = 0,
     begin: FloatArray | None = None,
     substeps: int = 0,
+    coarse: bool = False,
 ) -> AxisMotion:
     """Simulate an axis with its effects.
 
@@ -63,6 +66,7 @@ def simulate_axis(
     begin : (shots, 4) mm and mm/s of the last mass and of the first one at each beginning, NaN where one is not
         known; None: at rest where the input holds them.
     substeps : integration steps a sample; 0: as many as the axis needs.
+    coarse : then only as many as it needs where effects are ranked.
 
     Raises
     ------
@@ -73,7 +77,7 @@ def simulate_axis(
     scaled = given if machine.axis.by_force else 1e-3 * given
     rest = 0.0 if machine.axis.by_force else float(scaled[0])
     first = np.array([[rest, 0.0, rest, 0.0]]) if begin is None else 1e-3 * begin
-    steps = substeps or substeps_of(p, dt_s)
+    steps = substeps or substeps_of(p, dt_s, COARSE_TURNS if coarse else TURNS)
     scaled = np.ascontiguousarray(scaled, float)
     # a drive goes smoothly from order to order: a straight line between them would lose a percent of 100 Hz
     slope = np.empty(0) if machine.axis.by_force else slopes(np.diff(scaled))
@@ -81,10 +85,10 @@ def simulate_axis(
     if not np.all(np.isfinite(out)):
         raise ValueError("With these numbers the axis moves to infinity.")
     t = np.asarray(dt_s * np.arange(len(given)), dtype=np.float64)
-    return AxisMotion(t, 1e3 * out[:, 1], 1e3 * out[:, 0], out[:, 2])
+    return AxisMotion(t, 1e3 * out[:, 1], 1e3 * out[:, 0], out[:, 2], steps * len(given))
 
 
-def substeps_of(p: FloatArray, dt_s: float) -> int:
+def substeps_of(p: FloatArray, dt_s: float, turns: float = TURNS) -> int:
     """Return how many integration steps a sample needs."""
     v = dict(zip(NAMES, p.tolist(), strict=True))
     least = min(v["mass"], v["load"] or v["mass"])
@@ -96,7 +100,7 @@ def substeps_of(p: FloatArray, dt_s: float) -> int:
         rate += (v["dry"] + v["sticking"]) / (v["creep"] * v["mass"])
     if v["bristle"] > 0.0:
         omega = math.hypot(omega, math.sqrt(v["bristle"] / (v["presliding"] * v["mass"])))
-    longest = min(LONGEST_STEP_S, TURNS / max(omega, 1e-9), STEEP / max(rate, 1e-9))
+    longest = min(LONGEST_STEP_S, turns / max(omega, 1e-9), STEEP / max(rate, 1e-9))
     return min(max(1, math.ceil(dt_s / longest * (1 - 1e-9))), MOST_SUBSTEPS)
 
 

@@ -1,0 +1,33 @@
+"""How much a search may simulate: a budget of integration steps, so that no verdict takes for ever.
+
+Steps are counted and not seconds, so that the same recordings get the same verdict on every computer, however busy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+
+BUDGET = 2.5e8  # integration steps; some two minutes of CPU on a computer of 2023
+
+
+@dataclass
+class Work:
+    """What was simulated so far, and how much may be before a search tries nothing more."""
+
+    limit: float = inf
+    steps: float = 0.0
+    cut: bool = False  # something was left untried
+
+    def add(self, steps: float) -> None:
+        """Count what is simulated."""
+        self.steps += steps
+
+    def allows(self) -> bool:
+        """Tell whether another thing may be tried; where it may not, that is remembered."""
+        self.cut = self.cut or self.steps >= self.limit
+        return not self.cut
+
+    def begin(self, limit: float) -> None:
+        """Begin a search that may simulate so much from now on."""
+        self.limit, self.cut = self.steps + limit, False
