@@ -31,6 +31,7 @@ from ffcomp.metrics import contour_error, contour_statistics, rms
 from ffcomp.simulate.playback import simulate_nozzles
 from models.file import load_machine
 from models.machine import Machine
+from studies.comparison_extruder import extruder_rows
 from studies.comparison_rivals import Pair, inversions, pairs
 from studies.render import results_of, save
 
@@ -114,6 +115,7 @@ def case(path: Path, machine: Machine, whole: bool) -> dict[str, Any]:
     found["quality"] = _quality(own, chosen)
     _said("quality", began)
     found["whole"] = _whole(own, chosen) if whole else []
+    found["extruder"] = extruder_rows(machine, slices, few) if whole else None
     found["computing_s"] = time.process_time() - began
     _said("all", began)
     return found
