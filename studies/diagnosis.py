@@ -20,6 +20,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,8 @@ def main() -> None:
         score.Judged(name, label, _read(verdict_path(bank, name)), _read(_proof_path(bank, name)))
         for name, label in open_labels(bank, done).items()
     ]
-    save("diagnosis", results(judged, options, bank))
+    without_runs = sum(refused_path(bank, name).exists() and name not in done for name in cases)
+    save("diagnosis", {**results(judged, options), "without_runs": without_runs})
     draw_confusion(judged, FIGURE)
 
 
@@ -108,6 +110,8 @@ def one(bank: Path, name: str, seed: int, stratum: str, seconds: float) -> None:
         try:
             write_case(bank, name, case(seed, stratum, seconds))
         except FfcompError as error:  # captures that `record join` refuses: no runs to diagnose
+            refused_path(bank, name).parent.mkdir(parents=True, exist_ok=True)
+            _write(refused_path(bank, name), {"why": str(error)})
             tell(f"{name}: no case, {str(error)[:200]}")
             return
     if answered(bank, name):
@@ -118,6 +122,11 @@ def one(bank: Path, name: str, seed: int, stratum: str, seconds: float) -> None:
     found = _read(verdict_path(bank, name))
     _write(verdict_path(bank, name), {**found, "commit": commit(), "when": datetime.now(UTC).isoformat("T", "minutes")})
     tell(f"{name}: {found['verdict']} after {time.monotonic() - began:.0f} s")
+
+
+def refused_path(bank: Path, name: str) -> Path:
+    """Return where it is noted that there are no runs of a case, and why."""
+    return bank / "refused" / f"{name}.json"
 
 
 def answered(bank: Path, name: str) -> bool:
@@ -187,7 +196,7 @@ def _write(path: Path, content: dict[str, Any]) -> None:
 # ---- the results ---------------------------------------------------------------------------------
 
 
-def results(judged: Sequence[score.Judged], options: argparse.Namespace, bank: Path) -> dict[str, Any]:
+def results(judged: Sequence[score.Judged], options: argparse.Namespace) -> dict[str, Any]:
     """Return what the page says of all cases."""
     everyone = {method: [as_said_by(j, method) for j in judged] for method in METHODS}
     when = sorted(j.verdict["when"] for j in judged)
@@ -203,6 +212,7 @@ def results(judged: Sequence[score.Judged], options: argparse.Namespace, bank: P
             m: _median([j.verdict.get("cpu_seconds") for j in judged if j.label.machine == m]) for m in KINDS
         },
         "rates": [rate_of(rate) for rate in score.rates(judged)],
+        "sets": asdict(score.sets(judged)),
         "shrink": shrink_of(score.shrink(judged)),
         "methods": [compared(name, everyone[method]) for method, name in METHODS.items()],
         "strata": [stratum(everyone, *each) for each in _strata(judged)],

@@ -103,7 +103,7 @@ def _bed_places(machine: Tables, rng: Rng) -> list[Place]:
     middle: Place = (size[0] / 2, size[1] / 2, 30.0)
     shares = [(0.25, 0.7), (0.75, 0.3), (0.3, 0.25), (0.7, 0.72), (0.5, 0.25)]
     moved = [(x + rng.uniform(-0.05, 0.05), y + rng.uniform(-0.05, 0.05)) for x, y in shares]
-    return [middle, *((size[0] * x, size[1] * y, float(rng.uniform(20, 60))) for x, y in moved)]
+    return [middle, *((size[0] * x, size[1] * y, float(rng.uniform(15, 140))) for x, y in moved)]
 
 
 def _straight(kind: str, sensors: str) -> Kind:

@@ -156,6 +156,30 @@ def rates(judged: Sequence[Judged]) -> list[Rate]:
     ]
 
 
+@dataclass(frozen=True)
+class Sets:
+    """Verdicts of visible effects that name more than one explanation."""
+
+    total: int
+    in_set: int  # the truth is one of them
+    recording: int  # of these, the recording that tells them apart is named
+    settled: int  # of these, it is said that the given runs tell them apart already
+    twins: int  # of these, it is said that no move does
+
+
+def sets(judged: Sequence[Judged]) -> Sets:
+    """Count the verdicts that name a set, and what they say of telling its members apart."""
+    several = [j for j in judged if j.named and j.label.visible and j.verdict.get("confusable_with")]
+    right = [j for j in several if j.in_set]
+    separations = [j.verdict.get("separate", []) for j in right]
+    recording = [any(each["separates"] and each["record"] for each in own) for own in separations]
+    twins = [any(not each["separates"] for each in own) for own in separations]
+    settled = [
+        bool(own) and not asked and not twin for own, asked, twin in zip(separations, recording, twins, strict=True)
+    ]
+    return Sets(len(several), len(right), sum(recording), sum(settled), sum(twins))
+
+
 def _ninety(share: float) -> bool:
     return 0.85 <= share <= 0.95
 

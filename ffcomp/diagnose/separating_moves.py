@@ -52,6 +52,7 @@ class Rival:
 
     names: tuple[str, ...]
     values: Values
+    beaten: bool = False  # it is alike to first order, but fits these runs less well
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,17 +66,27 @@ class _Trial:
 
 def separations(problem: PrinterProblem, found: Diagnosis) -> list[Separation]:
     """Return, for each rival of the best explanation, the recording that separates it best."""
-    rivals = rivals_of(found)[:MOST]
-    if found.best is None or not rivals:
+    everyone = rivals_of(found)
+    rivals = [rival for rival in everyone if not rival.beaten][:MOST]
+    beaten = [rival for rival in everyone if rival.beaten][:MOST]
+    if found.best is None or not everyone:
         return []
-    now = _differences(replace(found.estimation, coarse=True), found.best.fit, rivals, None)
+    ours = found.best.names
+    now = _differences(replace(found.estimation, coarse=True), found.best.fit, [*rivals, *beaten], None)
+    settled = [
+        Separation(ours, rival.names, here, here, "", (), "", _otherwise(ours, rival.names))
+        for rival, here in zip(beaten, now[len(rivals) :], strict=True)
+    ]
+    if not rivals:
+        return settled
     trials = _tried(problem, found, rivals)
     best = [max(trials, key=lambda trial, i=i: trial.differences[i], default=None) for i in range(len(rivals))]  # type: ignore[misc]
-    return [
-        _separation(problem.machine, found.best.names, rival, here, trial, trial.differences[i])
-        for i, (rival, here, trial) in enumerate(zip(rivals, now, best, strict=True))
+    asked = [
+        _separation(problem.machine, ours, rival, here, trial, trial.differences[i])
+        for i, (rival, here, trial) in enumerate(zip(rivals, now[: len(rivals)], best, strict=True))
         if trial is not None
     ]
+    return [*asked, *settled]
 
 
 # ---- who is in question --------------------------------------------------------------------------
@@ -85,16 +96,20 @@ def rivals_of(found: Diagnosis) -> list[Rival]:
     """Return what fits as well as the best explanation, where that explains most of the discrepancy.
 
     Other effects that were fitted and are as likely; then the same with one more, where that is likelier but removes
-    too little to be named; then effects of a like signature that were never fitted.
+    too little to be named; then effects of a like signature, whether they were never fitted or fit less well.
     """
     best = found.best
     if best is None or best.discrepancy > (1 - MOSTLY) * discrepancy_of(found.base):
         return []
     fitted = [h for h in found.competing if h.names != best.names] + _likelier_with_one_more(found)
     rivals = [Rival(h.names, h.fit.values) for h in fitted]
+    alike = [name for name, _ in confounded_with(best, found.screened, CONFOUNDED)]
+    asked = {name for rival in rivals for name in rival.names}
+    replacing = [h for h in found.tried if len(h.names) == len(best.names) and h.names != best.names]
+    beaten = [next((h for h in replacing if name in h.names), None) for name in alike if name not in asked]
+    rivals += [Rival(h.names, h.fit.values, beaten=True) for h in beaten if h is not None]
     known = {name for h in found.tried for name in h.names}
-    alike = {name for name, _ in confounded_with(best, found.screened, CONFOUNDED)} - known
-    like = [s for s in found.screened if s.candidate.name in alike and len(best.effects) == 1]
+    like = [s for s in found.screened if s.candidate.name in {*alike} - known and len(best.effects) == 1]
     return rivals + [Rival((s.candidate.name,), linear_estimate(found, s)) for s in like]
 
 

@@ -25,18 +25,23 @@ class Separation:
     now: float  # the difference in the given runs
     there: float  # the difference in the recording that is proposed
     kind: str  # of `ffcomp record plan`
-    position_mm: tuple[float, float, float]
-    command: str  # that plans the recording; without the machine file's name where it has no file
+    position_mm: tuple[float, ...]
+    command: str  # that plans the recording; "": the given runs tell them apart already
     otherwise: str = ""  # how to tell them apart by other means
 
     @property
     def tells(self) -> bool:
         """Tell whether the recording separates them."""
-        return self.there > max(ENOUGH, TWICE * self.now)
+        return not self.command or self.there > max(ENOUGH, TWICE * self.now)
 
     def sentence(self) -> str:
         """Say what to record, and what it promises; or that no move does."""
         question = self._question()
+        if not self.command:
+            return (
+                f"These runs {question} already, though the signatures are alike: the predictions, each at its best, "
+                f"differ by {digits(self.now, 2)} times the noise."
+            )
         if not self.tells:
             return (
                 f"No move of ffcomp record plan can {question}: it shows {digits(self.there, 2)} times the noise at "

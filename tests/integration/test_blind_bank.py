@@ -180,9 +180,9 @@ def test_what_straight_axes_hide_outside_has_a_size(name: str) -> None:
 
 
 def test_a_toolhead_rings_faster_off_the_middle_of_its_beam() -> None:
-    """By what its mount is stiffer there; a number of the machine file is not compared with that."""
+    """The beam is in series with the belts of y; no number of the machine file is compared with that."""
     real = Real(straight.draw_machine(np.random.default_rng(12), "corexy", ("toolhead_mode",)))
-    assert real.machine["plant"]["tool"][1] > 0
+    assert real.machine["plant"]["tool"][1] == 0
     table, changed = effects_of("corexy")["toolhead_mode"](np.random.default_rng(5), 1.0, real)
     assert table == {}
     middle = 1e3 * changed.fields["beam_at"]
@@ -344,6 +344,25 @@ def test_what_retuning_leaves_in_closed_form() -> None:
 
 
 # ---- bank, seals, score --------------------------------------------------------------------------
+
+
+def test_sets_are_counted_with_what_separates_them() -> None:
+    seen = {"cogging": Visibility(1.0, 100.0, 9)}
+    around = Circumstances(0.02, "all", 2, "ABC")
+    label = Label("delta", "single", "usual", 1, {"cogging": {}}, "", seen, (), around)
+
+    def judged(name: str, *separate: tuple[bool, str], alike: str = "torque_angle") -> score.Judged:
+        told = {"verdict": "effects", "effects": [{"name": name}], "confusable_with": [{"name": alike}]}
+        return score.Judged("a", label, {**told, "separate": [{"separates": s, "record": r} for s, r in separate]})
+
+    cases = [
+        judged("cogging", (True, "ffcomp record plan")),
+        judged("cogging", (True, "")),
+        judged("torque_angle", (False, "ffcomp record plan"), alike="cogging"),
+        judged("torque_angle", (True, "ffcomp record plan"), alike="frame_mode"),
+        judged("cogging"),
+    ]
+    assert score.sets(cases) == score.Sets(total=5, in_set=4, recording=1, settled=1, twins=1)
 
 
 def test_every_beginning_of_the_bank_is_fair() -> None:

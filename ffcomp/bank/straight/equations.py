@@ -7,9 +7,9 @@ on the carriage where there is none. The frame swings by d along unit vectors D,
     m₁ (q̈ + D d̈) = Tᵀ F − guide − g₁ q̇ + mount,   m₂ (p̈ + D d̈) = −mount − g₂ ṗ − (what hangs on the tool)
     M_f d̈ = −k_f d − c_f ḋ − Dᵀ (all that the frame does to the masses)
 
-The toolhead's mount along y may be softest in the middle of its beam, a bar on two supports. A gantry of inertia J may
-yaw by θ about its middle under a head of mass m_h at ξ from there, M all that moves along y; then the head is at
-y + ξ θ, and with N = 2 ξ̇ θ̇ + ξ̈ θ and F what acts along the axes
+The beam that carries the toolhead may give way in series with the belts of y, as a bar on two supports does. A gantry
+of inertia J may yaw by θ about its middle under a head of mass m_h at ξ from there, M all that moves along y; then the
+head is at y + ξ θ, and with N = 2 ξ̇ θ̇ + ξ̈ θ and F what acts along the axes
 
     M ÿ + m_h (ξ θ̈ + N) = F_y,   (J + m_h (1 − m_h/M) ξ²) θ̈ = −k θ − c θ̇ + a F_x − m_h ξ (F_y/M + (1 − m_h/M) N)
 
@@ -51,11 +51,7 @@ def _motor(y: FloatArray, ud: FloatArray, dud: FloatArray, i: int, p: Any) -> tu
 def _held(y: FloatArray, a: int, p: Any) -> float:
     """Force of the mount on the carriage of axis a, N; beyond a gap it meets a stop."""
     bent = y[TOOL + a] - y[Q + a]
-    stiff = p.mount_k[a]
-    if a == 1 and p.beam > 0.0:
-        aside = (y[Q] - p.beam_at) / p.beam_half
-        stiff *= (1.0 + p.beam) / (1.0 + p.beam * (1.0 - aside * aside) ** 2)
-    force = stiff * bent + p.mount_b[a] * (y[TOOLV + a] - y[V + a])
+    force = p.mount_k[a] * bent + p.mount_b[a] * (y[TOOLV + a] - y[V + a])
     if p.stop_k > 0.0:
         force += p.stop_k * (max(bent - p.stop_gap, 0.0) + min(bent + p.stop_gap, 0.0))
     return force
@@ -79,6 +75,9 @@ def _rate(
             dy[MOUNTV] = -(pull + p.soft_k * y[MOUNT] + p.soft_b * y[MOUNTV]) / p.soft_mass
         driven[0] += p.turn[i, 0] * pull
         driven[1] += p.turn[i, 1] * pull
+    if p.beam > 0.0:
+        aside = (y[Q] - p.beam_at) / p.beam_half
+        driven[1] *= (1.0 + p.beam) / (1.0 + p.beam * (1.0 - aside * aside) ** 2)
     for a in range(2):
         on_carriage = driven[a] - guide(y[V + a], y[Q + a], z[a], a, p) - p.ground[a] * y[V + a]
         dragged = 0.0

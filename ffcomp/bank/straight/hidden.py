@@ -61,17 +61,17 @@ def frame_mode(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]
 
 def growing_bed(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
     """Hide a print that tapers, or widens: its mass is not quite in proportion to its height."""
-    growth, taper = size * rng.uniform(1.5, 4.0), rng.uniform(-0.1, 0.1)
+    growth, taper = size * rng.uniform(0.8, 2.5), rng.uniform(-0.1, 0.1)
     machine = copy.deepcopy(real.machine)
-    machine["print"] = {"growth_per_m": growth, "taper": taper, "high_m": 0.04}
+    machine["print"] = {"growth_per_m": growth, "taper": taper, "high_m": 0.08}
     return {"growth_per_m": told(np.array([0.0, growth]))}, replace(real, machine=machine)
 
 
 def toolhead_mode(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """Hide a mount that gives way more in the middle of its beam; how much ω² bends by x is not told by a number."""
+    """Hide a beam that gives way most in its middle; how ω² goes with x is told by no number of a file."""
     middle = _middle_mm(real) + rng.uniform(-15.0, 15.0)
     half = 0.5e-3 * real.machine["kinematics"]["x_range_mm"][1] + 0.02
-    return {}, real.having(beam=size * rng.uniform(1.0, 2.0), beam_at=middle / 1e3, beam_half=half)
+    return {}, real.having(beam=size * rng.uniform(0.5, 1.2), beam_at=middle / 1e3, beam_half=half)
 
 
 def gantry_racking(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:

@@ -17,6 +17,7 @@ from ffcomp.bank.straight.numbers import modes_of, printer_of, turn_of
 STEP_S = 1 / 12800
 KEPT_EVERY = 2
 COARSE_STEP_S = 1 / 6400
+ONE_BODY = ("gantry_racking", "toolhead_mode", "growing_bed")
 PROBED = ("belt_k", "guide_b", "mount_k", "tool")
 
 
@@ -24,7 +25,8 @@ def draw_machine(rng: np.random.Generator, kind: str, names: Sequence[str] = ())
     """Draw a printer: the tables of a machine file, and `plant`, its masses, springs and dampers.
 
     The dampers are αM + βK, so that its modes stay real: a file with modes can then tell all of it. Where a gantry will
-    rack, its head is on it without a mount along y, and is the lighter part; a toolhead's own mode needs its mount.
+    rack, its beam give way, or a print ride on the bed, what moves along y is one body, for which the catalogue is
+    exact; the head of a racking one is its lighter part.
     """
     slinger, turn = kind == "cartesian", turn_of(kind)
     mass = np.array([rng.uniform(0.3, 0.6), rng.uniform(0.5, 1.2)])
@@ -34,7 +36,7 @@ def draw_machine(rng: np.random.Generator, kind: str, names: Sequence[str] = ())
     if not slinger:  # both belts pull along both axes
         hertz[1] = hertz[0] * np.sqrt(mass[0] / mass[1])
     two = rng.random(2) < ([0.5, 0.25] if slinger else [0.5, 0.5])
-    two[1] = (two[1] or "toolhead_mode" in names) and "gantry_racking" not in names
+    two[1] = two[1] and not set(ONE_BODY) & set(names)
     tool = np.where(two, mass * rng.uniform(0.12, 0.3, 2), 0.0)
     stiff = mass * (2 * np.pi * hertz) ** 2
     mount = np.where(two, tool * (2 * np.pi * hertz * rng.uniform(1.8, 2.6, 2)) ** 2, 1.0)
@@ -111,13 +113,12 @@ def order_of(firmware: Mapping[str, Any], path: FloatArray) -> FloatArray:
 
 
 def _printed(machine: Tables, height_mm: float) -> Tables:
-    """Return the printer with a print of this height on its bed, whose plate is what the sensor is on."""
+    """Return the printer with a print of this height on its bed."""
     if "print" not in machine:
         return machine
     plant, z = copy.deepcopy(machine["plant"]), height_mm / 1e3
-    rides_on = "tool" if plant["tool"][1] > 0 else "carriage"
     tapered = 1 + machine["print"]["taper"] * (1 - z / machine["print"]["high_m"])
-    plant[rides_on][1] += machine["print"]["growth_per_m"] * z * tapered * (plant["carriage"][1] + plant["tool"][1])
+    plant["carriage"][1] *= 1 + machine["print"]["growth_per_m"] * z * tapered
     return {**machine, "plant": plant}
 
 

@@ -138,3 +138,12 @@ def test_twins_are_said_to_be_twins() -> None:
 
 def test_a_second_effect_in_doubt_is_asked_for() -> None:
     assert "to show whether b acts as well: there" in separation(other=("a", "b")).sentence()
+
+
+def test_what_is_alike_but_fits_less_well_needs_no_recording() -> None:
+    told = separation(command="", kind="", position_mm=(), now=2.0, there=2.0)
+    assert told.tells
+    assert told.sentence() == (
+        "These runs tell a from b already, though the signatures are alike: the predictions, each at its best, differ "
+        "by 2.0 times the noise."
+    )
