@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import inf
 
-BUDGET = 2.5e8  # integration steps; some two minutes of CPU on a computer of 2023
+BUDGET = 1.5e8  # integration steps; one to two minutes of CPU in 2026, where everything is tried
 
 
 @dataclass
