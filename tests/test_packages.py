@@ -140,10 +140,15 @@ def test_slim_refuses_what_is_no_environment(tmp_path: Path) -> None:
 
 @WITH_BASH
 def test_slim_takes_tests_and_keeps_what_is_loaded(tmp_path: Path) -> None:
-    (tmp_path / "pyvenv.cfg").touch()
-    tests = tmp_path / "lib" / "site-packages" / "numpy" / "tests"
+    folder = tmp_path / "ffcomp"  # as pipx, uv and docs/INSTALL.md call it
+    installed = folder / "lib" / "site-packages"
+    tests = installed / "numpy" / "tests"
     tests.mkdir(parents=True)
     for name in ("test_a.py", "_natype.py", "__init__.py", "data.npz"):
         (tests / name).touch()
-    subprocess.run([ROOT / "scripts" / "slim", tmp_path], check=True, capture_output=True)
+    (folder / "pyvenv.cfg").touch()
+    for name in ("numpy", "ffcomp"):
+        (installed / name / "__pycache__").mkdir(parents=True)
+    subprocess.run([ROOT / "scripts" / "slim", folder], check=True, capture_output=True)
+    assert not (installed / "numpy" / "__pycache__").exists() and (installed / "ffcomp" / "__pycache__").exists()
     assert sorted(path.name for path in tests.iterdir()) == ["__init__.py", "_natype.py"]
