@@ -223,8 +223,8 @@ def fit_weak() -> Image.Image:
 
 
 def three_panels(image: Image.Image) -> Image.Image:
-    """The title and the first row's first three of four panels: all nine are too small to read on a page."""
-    return image.crop((0, 0, 3 * image.width // 4, round(0.36 * image.height)))
+    """The head and the first row of three: all nine panels are too small to read on a page."""
+    return image.crop((0, 0, image.width, round(0.44 * image.height)))
 
 
 # ---- diagnose ------------------------------------------------------------------------------------
