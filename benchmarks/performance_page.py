@@ -430,8 +430,8 @@ and its size; on the printer without the effect (the same as before if nothing w
 on our own virtual printer, whose effect has the file's shape. *Rounds* of the whole printer: 0 where the linear model
 holds the effect by itself. *Share of a limit*: the most that a carriage is asked for, with the file that does not know
 the effect and with the one that does. Sizes are draws of the blind test. Made also by
-`python -m studies.effects_compensated`. `arm_inertia` is not among them, for the independent printer cannot hide it:
-the linear model holds it as it holds `effector_mass`.
+`python -m studies.effects_compensated`. `arm_inertia` is not among them yet: the independent printer can hide
+it only since its arms turn. The linear model holds it as it holds `effector_mass`.
 """
     yield ""
     yield from as_table(found)
