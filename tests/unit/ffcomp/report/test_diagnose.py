@@ -140,6 +140,7 @@ def found_already(plain: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ffcomp.diagnose.result.result_of", lambda *_: plain.told.outcome)
     monkeypatch.setattr("ffcomp.diagnose.summary.summarise", lambda *_: plain.told.picture)
     monkeypatch.setattr(problems, "propose", lambda *_: [PROPOSAL])
+    monkeypatch.setattr(problems, "separations", lambda *_: [])
 
 
 # ---- the page and the JSON -----------------------------------------------------------------------
