@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from ffcomp.compare import methods as every
-from ffcomp.compare.equal_quality import equal_quality, within_limits
+from ffcomp.compare.equal_quality import equal_qualities, within_limits
 from ffcomp.compare.evaluation import SAMPLE_S, Execution, contour, weights
 from ffcomp.compare.methods import TunedMethod
 from ffcomp.compare.monte_carlo import draw_plants
@@ -112,7 +112,8 @@ def case(path: Path, machine: Machine, whole: bool) -> dict[str, Any]:
     chosen = [tried[best].best]
     found["off"] = [_off(own, chosen, sd) for sd in MISMATCHES]
     _said("off", began)
-    found["quality"] = _quality(own, chosen)
+    p99 = {chosen[0].name: rows[best]["best"]["p99_um"], every.COMPENSATED: ours[-1]["p99_um"]}
+    found["quality"] = _quality(own, chosen, p99)
     _said("quality", began)
     found["whole"] = _whole(own, chosen) if whole else []
     found["extruder"] = extruder_rows(machine, slices, few) if whole else None
@@ -195,22 +196,19 @@ def _off(own: Case, methods: Sequence[TunedMethod], sd: float) -> dict[str, Any]
     }
 
 
-def _quality(own: Case, methods: Sequence[TunedMethod]) -> list[dict[str, Any]]:
+def _quality(own: Case, methods: Sequence[TunedMethod], p99_um: Mapping[str, float]) -> list[dict[str, Any]]:
     """Return the highest acceleration of each method for the same quality."""
-    ours = every.inversion(own.machine, settings_for(own.machine), every.COMPENSATED)
-    rows = []
-    for method in (*methods, ours):
-        found = equal_quality(method, own.printed, own.machine, own.few, BOUND_UM)
-        sign = ">" if found.capped else "" if found.reached else "<"
-        rows.append(
-            {
-                "label": method.label,
-                "sign": sign,
-                "m_per_s2": found.acceleration_mm_per_s2 / 1e3,
-                "print_time_s": found.print_time_s,
-            }
-        )
-    return rows
+    tried = [*methods, every.inversion(own.machine, settings_for(own.machine), every.COMPENSATED)]
+    found = equal_qualities(tried, own.printed, own.machine, own.few, BOUND_UM, p99_um, lambda what, done: None)
+    return [
+        {
+            "label": method.label,
+            "sign": ">" if found[method.name].capped else "" if found[method.name].reached else "<",
+            "m_per_s2": found[method.name].acceleration_mm_per_s2 / 1e3,
+            "print_time_s": found[method.name].print_time_s,
+        }
+        for method in tried
+    ]
 
 
 def floor_um(slices: Sequence[PrintSlice]) -> float:

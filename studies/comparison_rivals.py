@@ -16,8 +16,7 @@ from ffcomp.shapers import SHAPERS
 from models.machine import Machine
 
 INVERTED = ("smooth_zv", "smooth_mzv")  # the kernels of the firmware that inverts a mode
-FOLLOWED = 3  # kinds, the best of all on this print, whose variants are tried as well
-JUDGED = 6  # kinds that are executed on the simulated printer; of the others the linear plant's answer is told
+JUDGED = 6  # kinds, the best of all on this print, that are executed; of the others the linear plant's answer is told
 SOUGHT = "the least contour rms on this print, sought with the plant known."
 
 
@@ -54,7 +53,8 @@ def pairs(machine: Machine, slices: list[PrintSlice]) -> tuple[list[Pair], dict[
     linear = LinearPrinter(machine, slices)
     tuner = rivals.Tuner(machine, machine, linear)
     kinds = sorted((_known(tuner, rivals.rival(kind, "", machine)) for kind in SHAPERS), key=lambda k: k.found.cost)
-    first, known = kinds[:FOLLOWED], kinds[:JUDGED]
+    first = kinds[:JUDGED]
+    known = list(first)
     inverted = [_known(tuner, rivals.rival(kind, rivals.INVERSE, machine)) for kind in INVERTED]
     known += inverted
     if z_rings(machine):
