@@ -19,7 +19,9 @@ from models.arrays import FloatArray, IntArray
 LINES, KNOTS, PIECES, WAIT = 1, 2, 3, 4  # kinds of record
 BEGINS, RESTS_BEFORE, RESTS_AFTER, ANY_HEIGHT = 1, 2, 4, 8  # flags of a record of knots or pieces
 RECORD = np.dtype([("kind", "u1"), ("flags", "u1"), ("zero", "<u2"), ("count", "<u4")])
-MOST_KNOTS = 128  # in a record, which is what the player handles at once
+MOST_KNOTS = (
+    512  # in a record, which is what the player handles at once: longer ones cost it less, and pauses come later
+)
 FULL_BYTES = 1 << 18
 AXES = 4
 

@@ -5,24 +5,29 @@ Runs where KALICO_PYTHON names the python of an environment with Kalico in it; s
 
 from __future__ import annotations
 
+import json
 import random
+import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from ffcomp.compensate.job import StepOutput
 from ffcomp.steps.reader import MotorSteps, read_steps
 from ffcomp.steps.sink import Board
 from models.file import load_machine
 from tests.support.compensated import job
-from tests.support.klipper_host import E_STEPS_PER_MM, HOSTS_OWN_S, Place, Played, Steps, play, reader
+from tests.support.klipper_host import E_STEPS_PER_MM, FOLDER, HOSTS_OWN_S, Place, Played, Steps, play, reader
+from validation import kalico
 
 pytestmark = pytest.mark.kalico
 
 BOARD = Board(extruder_steps_per_mm=E_STEPS_PER_MM, clock_hz=50e6)
 SAME_S = 1e-6
+HOST_PIECES = Path(__file__).parents[1] / "support" / "host_pieces.py"
 LIMITS = [300.0, 3000.0, 5.0, 0.5]  # of the configuration
 LEAD_IN_STEPS = 4 * 80  # of each tower, at the least
 
@@ -58,7 +63,9 @@ def prints(tmp_path_factory: pytest.TempPathFactory) -> Prints:
     begin, steps = {}, {}
     for name, plain in (("compensated", False), ("plain", True)):
         work = job(two_objects(), machine, flavor="klipper", predict=False)
-        work.write_steps(folder / f"{name}.ffm", StepOutput(BOARD, None, plain, motion=True))
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("ffcomp.steps.motion.MOST_KNOTS", 128)  # short: pauses fall within a path, too
+            work.write_steps(folder / f"{name}.ffm", StepOutput(BOARD, None, plain, motion=True))
         work.write_steps(folder / f"{name}.npz", StepOutput(BOARD, None, plain))
         steps[name] = read_steps(folder / f"{name}.npz")
         begin[name] = begin_of(folder / f"{name}.ffm")
@@ -95,6 +102,28 @@ def test_steps_are_those_of_output_steps(prints: Prints, whole: Played, name: st
         np.testing.assert_array_equal(found.way[-n:], wanted.direction)
         late = found.time_s[-n:] - wanted.time_s
         assert np.abs(late - np.median(late)).max() < SAME_S
+
+
+def test_pieces_handed_over_at_once_are_the_same_motion(tmp_path: Path) -> None:
+    """Compiled, pieces that go on as the one before are one; without a compiler all go one by one."""
+    words = [kalico._python(), str(HOST_PIECES), str(FOLDER), str(tmp_path / "pieces.so")]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == 0, done.stderr
+    single, compiled, without = json.loads(done.stdout)
+    assert compiled["compiled"] and not without["compiled"] and without == single
+    assert compiled["end"] == pytest.approx(single["end"], abs=1e-12)
+    assert len(compiled["moves"]) < 0.8 * len(single["moves"])
+    t = np.linspace(1.0, single["end"], 1000)
+    np.testing.assert_allclose(*(along(np.array(each["moves"]), t) for each in (compiled, single)), atol=1e-12)
+
+
+def along(moves: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where moves (n, 6: begin, duration, place, speed, acceleration, direction) are at these times."""
+    k = np.searchsorted(moves[:, 0], t, side="right") - 1
+    begin, lasts, place, speed, change, way = moves[k].T
+    since = np.minimum(t - begin, lasts)
+    found: NDArray[np.float64] = place + way * (speed + 0.5 * change * since) * since
+    return found
 
 
 def test_twenty_pauses_lose_no_step_and_open_no_limit(prints: Prints, whole: Played) -> None:

@@ -156,20 +156,28 @@ def _at_one_speed(motion, filament):
     ways, places = motion.directions, motion.places
     length = np.sqrt(np.einsum("ij,ij->i", ways[:, :3], ways[:, :3]))
     moves = length > STILL_MM
-    units = ways[:, :3].T / np.where(moves, length, 1.0)
-    length[~moves] = 0.0
-    still = [0.0] * len(length)
-    nozzle = [*places[:-1, :3].T.tolist(), *units.tolist(), length.tolist(), still]
-    return motion.durations.tolist(), nozzle, [filament[:-1].tolist(), ways[:, 3].tolist(), still, moves.tolist()]
+    nozzle, thread = np.zeros((len(ways), 9)), _thread(motion.durations, filament[:-1], moves)
+    nozzle[:, 0], nozzle[:, 1:4], nozzle[:, 7] = motion.durations, places[:-1, :3], np.where(moves, length, 0.0)
+    nozzle[:, 4:7] = ways[:, :3] / np.where(moves, length, 1.0)[:, None]
+    thread[:, 7] = ways[:, 3]
+    return nozzle, thread
 
 
 def _pieces(durations, places, ways, filament, pushed, speeds, accelerations):
-    """Columns as the host's queues have them: unit directions, so that speeds are mm/s; of filament signed."""
+    """Rows as `pieces.one_by_one` takes them: unit directions, so that speeds are mm/s; of filament signed."""
+    places, ways = places[:, :3], ways[:, :3]  # of the file's own the fourth is the filament
     length = np.sqrt((ways * ways).sum(axis=1))
     moves = length > STILL_MM
-    units = ways / np.where(moves, length, 1.0)[:, None]
     along = np.where(moves, length, 0.0)
-    nozzle = (places[:, 0], places[:, 1], places[:, 2], units[:, 0], units[:, 1], units[:, 2])
-    nozzle += (along * speeds, along * accelerations)
-    thread = (filament, pushed * speeds, pushed * accelerations, ways[:, :2].any(axis=1))
-    return durations.tolist(), [each.tolist() for each in nozzle], [each.tolist() for each in thread]
+    units = ways / np.where(moves, length, 1.0)[:, None]
+    nozzle = np.column_stack([durations, places, units, along * speeds, along * accelerations])
+    thread = _thread(durations, filament, ways[:, :2].any(axis=1))
+    thread[:, 7], thread[:, 8] = pushed * speeds, pushed * accelerations
+    return nozzle, thread
+
+
+def _thread(durations, filament, travels):
+    """Rows of filament, without speeds; one of its directions asks for pressure advance, where the nozzle `travels`."""
+    rows = np.zeros((len(durations), 9))
+    rows[:, 0], rows[:, 1], rows[:, 4], rows[:, 5] = durations, filament, 1.0, travels
+    return rows

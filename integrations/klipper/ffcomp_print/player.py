@@ -11,6 +11,7 @@ import sys
 import numpy as np
 
 from .clock import Block, Gate, Rest
+from .pieces import appender
 from .reader import ANY_HEIGHT, MotionFileError, Wait
 from .text import MotionText
 
@@ -40,6 +41,8 @@ class Player:
 
     def _connect(self):
         self.toolhead = self.printer.lookup_object("toolhead")
+        host = sys.modules[type(self.toolhead).__module__]
+        self.into_queue = appender(getattr(host, "chelper", None), self.toolhead.trapq_append)
 
     def _forget(self):
         self.offset = [0.0, 0.0, 0.0]  # mm, of the machine's coordinates from the file's
@@ -304,28 +307,21 @@ class Player:
         """When a block begins: exactly when the one before it has ended, or the host knows of a gap between them."""
         return self.tail_t if abs(print_time - self.tail_t) < SOON_S else print_time
 
-    def append(self, begin, durations, nozzle, thread):
+    def append(self, begin, nozzle, thread):
         """Hand pieces to the queues from which the host's kinematics makes steps; returns when the last one ends."""
-        queue, append, t = self.toolhead.get_trapq(), self.toolhead.trapq_append, begin
-        for lasts, x, y, z, ux, uy, uz, v, a in zip(durations, *nozzle):
-            if v or a:
-                append(queue, t, lasts, 0.0, 0.0, x, y, z, ux, uy, uz, v, 0.0, a)
-            t += lasts
+        end = self.into_queue(self.toolhead.trapq_append, self.toolhead.get_trapq(), begin, nozzle)
         extruder = self.toolhead.get_extruder()
         if extruder.get_trapq() is not None:
-            self._append_filament(extruder, begin, durations, thread)
-        return t
+            self._append_filament(extruder, begin, thread)
+        return end
 
-    def _append_filament(self, extruder, t, durations, thread):
-        queue, append, stepper = extruder.get_trapq(), extruder.trapq_append, extruder.extruder_stepper
+    def _append_filament(self, extruder, begin, thread):
+        stepper = extruder.extruder_stepper
         advance = getattr(stepper, "pressure_advance", 0.0)  # the queue asks whether to advance: not zero
-        of_move = 1.0 if getattr(stepper, "per_move_pressure_advance", False) else 0.0
-        e = v = a = lasts = 0.0
-        for lasts, e, v, a, travels in zip(durations, *thread):
-            if v or a:
-                own = advance if travels and (v > 0.0 or a > 0.0) else 0.0
-                append(queue, t, lasts, 0.0, 0.0, e, 0.0, 0.0, 1.0, own, of_move, v, 0.0, a)
-            t += lasts
+        lasts, e, v, a = thread[-1, [0, 1, 7, 8]].tolist()
+        thread[:, 5] *= advance * ((thread[:, 7] > 0.0) | (thread[:, 8] > 0.0))
+        thread[:, 6] = 1.0 if getattr(stepper, "per_move_pressure_advance", False) else 0.0
+        self.into_queue(extruder.trapq_append, extruder.get_trapq(), begin, thread)
         extruder.last_position = e + (v + 0.5 * a * lasts) * lasts
 
 

@@ -165,7 +165,7 @@ def _chunk(raw, grid_mm):
                 spacing, last = float(numbers[number]), np.rint(numbers[number + 1 : number + 5] / grid_mm)
                 step = np.zeros(4)
                 number += 5
-            steps = step + np.cumsum(bends[bend : bend + count], axis=0)
+            steps = step + np.cumsum(bends[bend : bend + count], axis=0, dtype=np.int64)
             places = np.vstack([last, last + np.cumsum(steps, axis=0)])
             bend, last, step = bend + count, places[-1], steps[-1]
             yield _knots(flags, spacing, places * grid_mm)
@@ -175,9 +175,9 @@ def _chunk(raw, grid_mm):
 
 def _bends(planes):
     """Second differences (n, 4), from their bytes sorted by axis and weight."""
-    parts = np.frombuffer(planes, np.uint8).reshape(4, 4, -1).astype(np.int64)
-    folded = parts[:, 0] | (parts[:, 1] << 8) | (parts[:, 2] << 16) | (parts[:, 3] << 24)
-    return np.where(folded & 1, -((folded + 1) >> 1), folded >> 1).T
+    parts = np.frombuffer(planes, np.uint8).reshape(4, 4, -1)
+    folded = np.ascontiguousarray(parts.transpose(0, 2, 1)).view("<u4")[:, :, 0]
+    return ((folded >> 1) ^ (0 - (folded & 1))).astype(np.int32).T
 
 
 def _knots(flags, spacing, places):
