@@ -211,7 +211,7 @@ def fit_weak() -> Image.Image:
     """The same captures with twenty times the noise, as of a sensor that hangs on tape."""
     tutorial("first_identification", until="## 3.")
     rng = np.random.default_rng(2)
-    for path in sorted(Path().glob("adxl345-*.csv")):
+    for path in sorted(Path("captures").glob("adxl345-*.csv")):
         rows = np.loadtxt(path, delimiter=",")
         rows[:, 1:] += 3000.0 * rng.normal(size=(len(rows), 3))
         np.savetxt(f"loose-{path.name}", rows, "%.6f", ",", header="time,accel_x,accel_y,accel_z", comments="#")
@@ -224,7 +224,7 @@ def fit_weak() -> Image.Image:
 
 def three_panels(image: Image.Image) -> Image.Image:
     """The head and the first row of three: all nine panels are too small to read on a page."""
-    return image.crop((0, 0, image.width, round(0.44 * image.height)))
+    return image.crop((0, 0, image.width, round(0.404 * image.height)))
 
 
 # ---- diagnose ------------------------------------------------------------------------------------
