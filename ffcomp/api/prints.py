@@ -18,6 +18,7 @@ from ffcomp.compensate.job import Options
 from ffcomp.errors import RequestError, extras_told
 from ffcomp.estimate import engine as estimation
 from ffcomp.estimate.statistics import Statistics
+from ffcomp.inverse.robust_choice import choose_robust
 from ffcomp.inverse.settings import SEGMENTS_PER_SECOND, Backend, settings_for
 from ffcomp.metrics import Track
 from ffcomp.simulate.simulation import Request, SimulationResult, read_command, simulate_command
@@ -120,7 +121,7 @@ def compensate(
     offset_mm: Offset | None = None,
     flavor: str = "",
     shaper_off: bool = False,
-    robust: bool = False,
+    robust: bool | None = None,
     s_curve: bool = False,
     strict: bool = False,
     tolerance_um: float = 25.0,
@@ -143,7 +144,7 @@ def compensate(
         inside
     flavor : "klipper", "marlin" or "reprapfirmware"; "": what the machine file says, or else the file
     shaper_off : switch the firmware's input shaper off in the file
-    robust : minimise the expected contour error over the machine file's uncertainties
+    robust : minimise the expected contour error over the machine file's uncertainties; None: where they make it pay
     s_curve : limit the jerk of the ramps
     strict : raise LimitsError where a limit would slow the print down
     tolerance_um : largest path error that an active limit may cause before the print is slowed down
@@ -162,14 +163,15 @@ def compensate(
     loaded, source = load_machine(machine), Path(file)
     settings = replace(
         settings_for(loaded, max_segments_per_second),
-        robust=robust,
         s_curve=s_curve,
         strict=strict,
         tolerance_um=tolerance_um,
         solver=solver,
         embed=embed,
     )
-    options = Options(offset_mm, flavor, settings, predict, shaper_off, force)
+    chosen = choose_robust(loaded, settings, robust)
+    settings = replace(settings, robust=chosen.robust)
+    options = Options(offset_mm, flavor, settings, predict, shaper_off, force, robust=chosen)
     target = None if output is None else Path(output)
     with workers(jobs) as at_once:
         answer = compensate_file(source, str(file), loaded, options, target, jobs=at_once, progress=progress)

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from ffcomp.compensate.job import Options, StepOutput
     from ffcomp.compensate.result import FileResult
     from ffcomp.integrations.slicer import Call
+    from ffcomp.inverse.robust_choice import RobustChoice
     from ffcomp.inverse.settings import Settings
     from models.machine import Machine
 
@@ -125,11 +126,12 @@ Inverse = Annotated[
     ),
 ]
 Robust = Annotated[
-    bool,
+    bool | None,
     typer.Option(
-        "--robust",
+        "--robust/--no-robust",
         rich_help_panel=ACCURACY,
-        help="Minimise the expected contour error over the machine file's uncertainties. About 40 times slower.",
+        help="Minimise the expected contour error over the machine file's uncertainties. Without either, or with "
+        "--robust auto: where its [uncertainty] makes it pay.",
     ),
 ]
 Strict = Annotated[
@@ -204,7 +206,7 @@ def compensate(
     predict: Predict = True,
     inverse: Inverse = "fast",
     s_curve: SCurve = False,
-    robust: Robust = False,
+    robust: Robust = None,
     strict: Strict = False,
     tolerance_um: Tolerance = 25.0,
     max_error_um: MaxError = None,
@@ -265,26 +267,28 @@ def compensate(
         advice = _advised(known, files, offset, call)
         for sentence in advice if len(files) > 1 else ():
             say(f"ffcomp: {sentence}", quiet)
+        settings = _settings(
+            known,
+            max_segments_per_second,
+            inverse="fast" if inverse == "none" else inverse,
+            s_curve=s_curve and inverse != "none",
+            strict=strict,
+            tolerance_um=tolerance_um,
+            solver=solver,
+            embed=embed,
+        )
+        settings, chosen = _robustly(known, settings, robust, inverse == "none" or bound is not None)
         options = Options(
             offset=offset,
             flavor=flavor,
-            settings=_settings(
-                known,
-                max_segments_per_second,
-                inverse="fast" if inverse == "none" else inverse,
-                s_curve=s_curve and inverse != "none",
-                robust=robust,
-                strict=strict,
-                tolerance_um=tolerance_um,
-                solver=solver,
-                embed=embed,
-            ),
+            settings=settings,
             predict=predict,
             shaper_off=shaper_off,
             force=force,
             steps=_steps(known, output, inverse == "none", extruder_steps_per_mm),
             bed=call.bed,
             bound=bound,
+            robust=chosen,
         )
         request = _Request(files, targets, known, options, jobs, scheduler, quiet, advice, known_to)
         file_results = [] if len(files) == 1 else _compensate_all(request)
@@ -364,6 +368,17 @@ def _settings(machine: Machine, rate: float, **changes: Any) -> Settings:
     from ffcomp.inverse.settings import settings_for
 
     return replace(settings_for(machine, rate), **changes)
+
+
+def _robustly(machine: Machine, settings: Settings, asked: bool | None, decided: bool) -> tuple[Settings, RobustChoice]:
+    """Return the settings with the choice of the reference, and the choice.
+
+    decided : by another option, unless it is asked for
+    """
+    from ffcomp.inverse.robust_choice import PLAIN, choose_robust
+
+    choice = PLAIN if decided and asked is None else choose_robust(machine, settings, asked)
+    return replace(settings, robust=choice.robust), choice
 
 
 def _compensate_one(request: _Request) -> dict[str, Any]:

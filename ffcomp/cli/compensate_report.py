@@ -73,6 +73,7 @@ def report(result: dict[str, Any], machine_path: str, quiet: bool) -> None:
     say(result["flavor_reason"], quiet)
     if result["offset_reason"] not in result["warnings"]:
         say(result["offset_reason"], quiet)
+    say(result["robust_reason"], quiet)
     if "faster" in result:
         say(faster_line(result["faster"]), quiet)
         say(limits_in_words(result["faster"]["limited_by"]), quiet)

@@ -38,6 +38,13 @@ class Command(TyperCommand):
             rows = [_row(each) for each in parameters if not _is_argument(each) and _group(each) == group]
             _write_rows(formatter, group or "Other", rows)
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the words; `--robust auto` is the same as nothing."""
+        auto = (i for i, word in enumerate(args) if word == "--robust=auto" or args[i : i + 2] == ["--robust", "auto"])
+        if (at := next(auto, None)) is not None:
+            del args[at : at + (1 if "=" in args[at] else 2)]
+        return list(super().parse_args(ctx, args))
+
     def invoke(self, ctx: Any) -> Any:
         """Run the verb; say first what is missing for a figure or a page, or why a first run takes longer."""
         from ffcomp.cli.common import require, say

@@ -33,6 +33,7 @@ from ffcomp.errors import NothingToDo
 from ffcomp.faster.bound import Bound, with_slicer_settings
 from ffcomp.integrations.slicer import Bed, bed_in, pair
 from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.robust_choice import BOUNDED, PLAIN, RobustChoice
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.time_scaling import TimeScaling, scale_around_cut
 from ffcomp.planner.limits import lines_of
@@ -96,6 +97,7 @@ class Options:
     steps: StepOutput | None = None  # None: G-code
     bed: Bed | None = None  # the slicer's, if it has said it otherwise than in the file
     bound: Bound | None = None  # on the error, under which the print is as quick as can be; None: as it was sliced
+    robust: RobustChoice = PLAIN  # which the settings follow, and why
 
     def job(self, source: Source, path: str, machine: Machine, stamp: Stamp | None, jobs: int) -> Job:
         """Return the request for a print. With a stamp, the original that the file keeps is compensated."""
@@ -159,6 +161,7 @@ class Job:
             statistics,
             time.perf_counter() - started,
             totals,
+            robust=self._robust,
         )
 
     def _sink(self, target: Path, steps: StepOutput) -> StepSink | MotionSink:
@@ -191,6 +194,10 @@ class Job:
         if self.options.bound is None or chosen.robust:
             return chosen
         return replace(chosen, robust=True, robust_quickly=True)  # less of what is not known: quicker at the same bound
+
+    @property
+    def _robust(self) -> RobustChoice:
+        return self.options.robust if self.settings.robust == self.options.robust.robust else BOUNDED
 
     @cached_property
     def model(self) -> InverseModel:
@@ -267,6 +274,7 @@ class Job:
             body.value,
             took_s,
             embedded=embedded,
+            robust=self._robust,
         )
 
     def _body(self, progress: Progress) -> Lines:

@@ -14,6 +14,7 @@ from ffcomp.compensate.placement import Placement
 from ffcomp.compensate.statistics import Statistics
 from ffcomp.compensate.warning_lines import warning_lines
 from ffcomp.errors import INPUT_ERRORS, explain, interrupts_restored
+from ffcomp.inverse.robust_choice import PLAIN, RobustChoice
 from ffcomp.numerics.serialise import to_json
 from ffcomp.steps.sink import MotorTotal
 from gcode.flavor import FlavorChoice
@@ -38,6 +39,7 @@ class Result:
     compute_time_s: float
     steps: Mapping[str, MotorTotal] | None = None  # by the motor's letter; None: G-code was written
     embedded: bool = True  # whether the G-code holds its original
+    robust: RobustChoice = PLAIN
 
     @property
     def warnings(self) -> list[str]:
@@ -93,6 +95,8 @@ class Result:
             "flavor_reason": self.flavor.reason,
             "offset_mm": self.placement.offset,
             "offset_reason": self.placement.reason,
+            "robust": self.robust.robust,
+            "robust_reason": self.robust.reason,
             "print_time_s": numbers.print_time_s,
             "original_print_time_s": numbers.original_print_time_s,
             "compute_time_s": self.compute_time_s,

@@ -1,7 +1,7 @@
 """The error that a plan will have, foretold from the plan alone: no command is solved for.
 
 The machine file's printer and those that are off answer a path as the robust inverse sees it: D r − r, with D of the
-middle of a span (`ffcomp/inverse/robust.py`). One transform forwards and one backwards for each direction of the
+middle of a span (`ffcomp/inverse/sensitivity.py`). One transform forwards and one backwards for each direction of the
 parameters, so a forecast costs a twentieth of a solution. What a robust inverse makes better is foretold by a share of
 the plain one's error, which is found again for each move whenever a solution is there (`SectionSearch.prove`).
 """
@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ffcomp.inverse.robust import SPANS, Sensitivity
+from ffcomp.inverse.sensitivity import SPANS, Sensitivity, span_length
 from ffcomp.planner.trajectory import Trajectory
 from models.arrays import FloatArray
 
@@ -48,7 +48,7 @@ def _missed(sensitivity: Sensitivity, nozzle: FloatArray, n: int) -> ShortArray:
     parts = []
     for first in range(0, n, step):
         rows = nozzle[first : min(first + step, n) + 2 * margin]
-        length = next(each for each in SPANS if max(len(rows), sensitivity.care.shortest) <= each)
+        length = span_length(len(rows))
         rates = np.diff(rows, axis=0, append=rows[-1:])
         fade = np.minimum(1.0, np.minimum(np.arange(len(rows)), np.arange(len(rows))[::-1]) * (2.0 / margin))
         answered = sensitivity.along(rows[:, :2], length).to_path((rates * fade[:, None]).astype(np.float32))

@@ -11,7 +11,8 @@ from ffcomp.inverse.bandwidth import effort_weight
 from ffcomp.inverse.command_limits import CommandLimits
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.riccati import PreviewGains
-from ffcomp.inverse.robust import FULL, QUICK, RobustReference, Sensitivity
+from ffcomp.inverse.robust import RobustReference
+from ffcomp.inverse.sensitivity import FULL, QUICK, Sensitivity
 from ffcomp.inverse.settings import Settings
 from ffcomp.numerics import disk_cache
 from models.arrays import FloatArray

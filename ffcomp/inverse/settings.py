@@ -37,7 +37,7 @@ class Settings:
     corrections: int = 1  # of the exact inverse, by the segments as they are executed
     inverse: Literal["fast", "exact"] = "fast"
     robust: bool = False  # the robust reference instead of the path,
-    robust_quickly: bool = False  # with less work: nineteen twentieths of what it gives
+    robust_quickly: bool = False  # with less work, for a search
     memory: int = 60  # segments after which the plant has forgotten (1 % is left after 240 ms)
     time_scaling: bool = True  # where limits do not let the nozzle follow, the plan becomes slower
     tolerance_um: float = 25.0  # by which an active limit may take the nozzle off its path before that

@@ -13,19 +13,8 @@ from ffcomp.compare.methods import COMPENSATED, ROBUST, inversion
 from ffcomp.compare.monte_carlo import draw_plants
 from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.robust import (
-    ALONG,
-    FULL,
-    SPANS,
-    Response,
-    RobustReference,
-    across,
-    beside,
-    conjugate_gradients,
-    drawn_machines,
-    gathered,
-    sigma_points,
-)
+from ffcomp.inverse.robust import AHEAD, ALONG, RobustReference, across, beside, conjugate_gradients, stretched
+from ffcomp.inverse.sensitivity import FULL, SPANS, Response, drawn_machines
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
 from ffcomp.simulate.playback import simulate_nozzles
@@ -74,8 +63,8 @@ def wish(softening: RobustReference, path: FloatArray) -> FloatArray:
 
 
 def response(softening: RobustReference) -> Response:
-    place = np.linspace([-70.0, 20.0], [50.0, -40.0], 700)  # over several nodes
-    return softening.sensitivity.along(place, SPANS[1])
+    place = np.linspace([-70.0, 20.0], [50.0, -40.0], 700)  # its middle is between the nodes
+    return softening.sensitivity.along(place, SPANS[2])
 
 
 # ---- what counts ---------------------------------------------------------------------------------
@@ -86,40 +75,42 @@ ALONG_IT, BESIDE_IT = np.array([0.6, 0.8, 0.0]), np.array([-0.8, 0.6, 0.0])
 
 
 def test_an_error_along_a_line_counts_little() -> None:
-    missed = np.tile(0.8 * ALONG_IT + 0.02 * BESIDE_IT, (1, 40, 1)).astype(np.float32)  # more than a step late
+    missed = np.tile(0.8 * ALONG_IT + 0.02 * BESIDE_IT, (40, 1)).astype(np.float32)  # more than a step late
     left, along = beside(LINE, missed)
     inside = slice(2, -2)
-    np.testing.assert_allclose(along[0, inside], np.tile(ALONG_IT, (36, 1)), atol=1e-6)
-    np.testing.assert_allclose(left[0, inside], np.tile(0.02 * BESIDE_IT + 0.8 * ALONG * ALONG_IT, (36, 1)), atol=1e-6)
-    np.testing.assert_allclose(across(missed, along)[0, inside], left[0, inside], atol=1e-6)
+    np.testing.assert_allclose(along[inside], np.tile(ALONG_IT, (36, 1)), atol=1e-6)
+    np.testing.assert_allclose(left[inside], np.tile(0.02 * BESIDE_IT + 0.8 * ALONG * ALONG_IT, (36, 1)), atol=1e-6)
+    np.testing.assert_allclose(across(missed[None], along)[0, inside], left[inside], atol=1e-6)
 
 
 def test_beyond_a_corner_and_at_rest_all_of_an_error_counts() -> None:
     corner = PLACE + np.array([[-1.0, 0, 0], [0, 0, 0], [0, 1, 0], [0, 2, 0], [0, 2, 0], [0, 2, 0]])
-    missed = np.zeros((1, 6, 3), np.float32)
-    missed[0, 1] = [0.3, -0.2, 0.0]  # outside the corner
-    missed[0, 4] = [0.1, 0.2, 0.3]  # beyond the end
+    missed = np.zeros((6, 3), np.float32)
+    missed[1] = [0.3, -0.2, 0.0]  # outside the corner
+    missed[4] = [0.1, 0.2, 0.3]  # beyond the end
     left, along = beside(corner, missed)
     for i in (1, 4):
-        np.testing.assert_allclose(left[0, i], missed[0, i], atol=1e-6)
-        assert not along[0, i].any()
+        np.testing.assert_allclose(left[i], missed[i], atol=1e-6)
+        assert not along[i].any()
 
 
-def test_sigma_points_have_the_mean_and_the_spread() -> None:
-    errors = np.random.default_rng(6).normal(size=(5, 7, 3)).astype(np.float32)
-    points = sigma_points(errors)
-    np.testing.assert_allclose(points.mean(axis=0), errors[0], atol=1e-6)
-    np.testing.assert_allclose(points.var(axis=0), np.sum(errors[1:] ** 2, axis=0), rtol=1e-5)
-    other = np.random.default_rng(7).normal(size=points.shape).astype(np.float32)
-    assert np.vdot(points, other) / len(points) == pytest.approx(np.vdot(errors, gathered(other)), rel=1e-4)
+def test_what_conjugate_gradients_begin_with_undoes_the_weights() -> None:
+    along = np.tile(ALONG_IT, (5, 1)).astype(np.float32)
+    rows = np.random.default_rng(6).normal(size=(5, 3)).astype(np.float32)
+    weighed = rows - (1.0 - AHEAD) * np.sum(rows * along, axis=1, keepdims=True) * along
+    np.testing.assert_allclose(stretched(weighed, along), rows, atol=1e-5)
+    np.testing.assert_array_equal(stretched(rows, np.zeros_like(along)), rows)
 
 
 def test_conjugate_gradients_solve_in_as_many_steps_as_unknowns() -> None:
     rng = np.random.default_rng(4)
     root = rng.normal(size=(6, 6))
-    a, b = (root @ root.T + np.eye(6)), rng.normal(size=6)
-    found = conjugate_gradients(lambda x: (a @ x).astype(np.float32), b.astype(np.float32), 12)
-    np.testing.assert_allclose(found, np.linalg.solve(a, b), rtol=2e-2, atol=2e-3)
+    a, b = (root @ root.T + np.eye(6)), rng.normal(size=6).astype(np.float32)
+    for eased in (np.ones(6), 1.0 / np.diag(a)):
+        found = conjugate_gradients(
+            lambda x: (a @ x).astype(np.float32), b, 12, lambda x, eased=eased: (eased * x).astype(np.float32)
+        )
+        np.testing.assert_allclose(found, np.linalg.solve(a, b), rtol=2e-2, atol=2e-3)
 
 
 # ---- what the machine may make of it -------------------------------------------------------------
@@ -147,11 +138,11 @@ def test_directions_hold_the_spread_of_the_draws(softening: RobustReference) -> 
     """Σ |M_k|² over the directions, against the variance of printers that were not among the draws."""
     sensitivity, xy = softening.sensitivity, np.zeros(2)
     known = sensitivity._node((0, 0)).astype(np.complex128)
-    f = sensitivity.frequency[60:280:20]  # 15 to 65 Hz
+    f = sensitivity.frequency[30:140:10]  # 15 to 65 Hz
     plain = np.linalg.inv(sensitivity.machine.vibration.frequency_response(xy, f, "nozzle", "nozzle"))
     plants = draw_plants(sensitivity.machine, 0.1, 100)
     plants = np.array([each.vibration.frequency_response(xy, f, "nozzle", "nozzle") for each in plants]) @ plain
-    held = np.sum(np.abs(known[1:, 0, 0, 60:280:20]) ** 2, axis=0)
+    held = np.sum(np.abs(known[1:, 0, 0, 30:140:10]) ** 2, axis=0)
     assert 0.5 < np.sum(held) / np.sum(plants.var(axis=0)[:, 0, 0]) < 1.4
 
 
@@ -233,4 +224,4 @@ def test_printers_that_are_off_print_better_on_average(machine: Machine) -> None
         squared = [np.mean(contour([Execution(stretch, motion, t, nozzle)]) ** 2) for nozzle in nozzles]
         means.append(float(np.mean(squared)))
         np.testing.assert_allclose(motion.position(np.array([motion.end_t]))[0], stretch.corners[1][-1], atol=2e-4)
-    assert means[1] < 0.5 * means[0]
+    assert means[1] < 0.55 * means[0]

@@ -1,0 +1,63 @@
+"""Whether to invert robustly: by what the machine file says of its own numbers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from ffcomp.inverse.robust_choice import PAYS, choose_robust, mode_sd
+from ffcomp.inverse.settings import settings_for
+from models.file import load_machine
+from models.machine import Machine
+
+
+@pytest.fixture(scope="module")
+def delta() -> Machine:
+    return load_machine("mp-delta-pro")
+
+
+@pytest.fixture(scope="module")
+def bed_slinger() -> Machine:
+    return load_machine("ender-3")
+
+
+def unsure(machine: Machine, **uncertainty: float) -> Machine:
+    return replace(machine, uncertainty={name.replace("__", "."): value for name, value in uncertainty.items()})
+
+
+def test_a_frequency_counts_as_it_is_and_a_stiffness_for_half(delta: Machine, bed_slinger: Machine) -> None:
+    for sd in (0.005, 0.05):
+        assert mode_sd(unsure(bed_slinger, default=sd), 76.0) == pytest.approx(sd, rel=0.1)
+        assert 0.4 * sd < mode_sd(unsure(delta, default=sd), 102.0) < 0.8 * sd
+    assert mode_sd(unsure(delta, default=0.0), 102.0) == 0.0
+
+
+def test_numbers_count_by_what_they_change(delta: Machine) -> None:
+    little = mode_sd(unsure(delta, default=0.02), 102.0)
+    belts = mode_sd(unsure(delta, default=0.02, carriage__belt_stiffness_n_per_m=0.1), 102.0)
+    mass = mode_sd(unsure(delta, default=0.02, effector__total_mass_kg=0.1), 102.0)
+    assert belts > 2.0 * little and little <= mass < 1.1 * little
+
+
+def test_a_rough_file_is_inverted_robustly_but_neither_a_good_one_nor_a_guess(
+    delta: Machine, bed_slinger: Machine
+) -> None:
+    for machine, sd, robust in (
+        (delta, 0.02, False),
+        (delta, 0.1, True),
+        (delta, 0.2, True),
+        (bed_slinger, 0.01, False),
+        (bed_slinger, 0.1, True),
+        (bed_slinger, 0.2, False),
+    ):
+        choice = choose_robust(unsure(machine, default=sd), settings_for(machine))
+        assert choice.robust == robust
+        assert "[uncertainty]" in choice.reason
+        assert ("--no-robust" if robust else f"to {100 * PAYS[1]:g} %") in choice.reason
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_who_asks_is_answered(delta: Machine, asked: bool) -> None:
+    choice = choose_robust(delta, settings_for(delta), asked)
+    assert choice.robust == asked and "asked for" in choice.reason
