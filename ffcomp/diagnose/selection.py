@@ -143,7 +143,7 @@ def _begin(search: Search) -> Selection:
     search.progress(Stage(4, "fitting the most promising effects"))
     ranked = initial_fits(search.estimation, search.bases, search.progress)
     close = with_one_within_file([h for h in ranked[:CONTENDERS] if comparable(h, ranked[0], CONTENDER)], ranked)
-    fitted = _fitted_well(search, close)
+    fitted = fitted_well(search, close)
     best = min(fitted, key=lambda h: h.fit.evidence)
     shaped = [converge(search.estimation, h, search.progress) if comparable(h, best, CLOSE) else h for h in fitted]
     tried = (*shaped, *(h for h in ranked if h not in close))
@@ -152,7 +152,7 @@ def _begin(search: Search) -> Selection:
     return Selection(simplest(likeliest_one, tried, search.estimation.problem.candidates), tried)
 
 
-def _fitted_well(search: Search, close: Sequence[Hypothesis]) -> list[Hypothesis]:
+def fitted_well(search: Search, close: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Fit contenders well, the likeliest first; those that another leaves far behind stay as they are.
 
     Of all of them, and of those that leave the file's numbers in reach, only the likeliest is begun anew at these
@@ -161,10 +161,12 @@ def _fitted_well(search: Search, close: Sequence[Hypothesis]) -> list[Hypothesis
     found: list[Hypothesis] = []
     for h in close:
         # what bends the file's numbers is no measure for what does not
-        rivals = [x for x in found if within_file(x)] if within_file(h) else found
-        best = min(rivals, key=lambda x: x.fit.evidence, default=None)
-        behind = (found and not search.may_go_on()) or (best is not None and not comparable(h, best, BEHIND))
-        found.append(h if behind else continue_fit(search.estimation, h, search.progress))
+        rivals = [i for i, x in enumerate(found) if within_file(x) or not within_file(h)]
+        best = min(rivals, key=lambda i: found[i].fit.evidence, default=None)
+        # compared as they were ranked: coarse steps leave of strong friction a tenth, which exact ones do not
+        behind = best is not None and not comparable(h, close[best], BEHIND)
+        spent = bool(found) and not search.may_go_on()
+        found.append(h if behind or spent else continue_fit(search.estimation, h, search.progress))
     first = [min(range(len(found)), key=lambda i: found[i].fit.evidence)] if found else []
     held = [i for i, h in enumerate(close) if within_file(h)][:1]
     for i in {*first, *held}:
@@ -272,7 +274,7 @@ def add(search: Search, best: Hypothesis) -> list[Hypothesis]:
         grown += [fit_start(quick, start, best_start(quick, start, pair), search.progress) for pair in likely]
     ranked = likeliest(grown)
     pursued = [h for h in ranked[:2] if comparable(h, ranked[0], CLOSE) and _promising(quick, best, h)]
-    fitted = _fitted_well(search, pursued)
+    fitted = fitted_well(search, pursued)
     return fitted + [h for h in ranked if h not in pursued]
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ffcomp.diagnose import selection
 from ffcomp.diagnose.acceptance import out_of_reach
 from ffcomp.diagnose.fit import Fit, values_at
 from ffcomp.diagnose.hypotheses import (
@@ -123,3 +124,24 @@ def test_numbers_of_the_file_are_held_within_reach_where_an_effect_explains_as_m
     assert out_of_reach(best) and not out_of_reach(held)
     assert held.fit.z[0] == pytest.approx(-np.sqrt(3.0)) and held.fit.z[1] == pytest.approx(5.0, abs=0.05)
     assert held.discrepancy < 0.05
+
+
+def test_a_contender_is_given_up_by_what_coarse_steps_leave_of_both(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of strong friction coarse steps leave a tenth: nothing by which to give up what exact ones explain as well."""
+
+    def leaving(name: str, discrepancy: float) -> Hypothesis:
+        return Hypothesis((Candidate(name, (), {}),), fitted(np.full(LONG, np.sqrt(1.0 + discrepancy))))
+
+    asked: list[str] = []
+
+    def exactly(_: Any, h: Hypothesis, *__: Any) -> Hypothesis:
+        asked.extend(h.names)
+        return leaving(h.names[0], 0.0)
+
+    monkeypatch.setattr(selection, "continue_fit", exactly)
+    monkeypatch.setattr(selection, "begun_anew", lambda _, h, *__: h)
+    search = SimpleNamespace(estimation=None, progress=None, little=0.0, may_go_on=lambda: True)
+    contenders = [leaving("stribeck", 50.0), leaving("coulomb", 55.0), leaving("cogging", 900.0)]
+    found = selection.fitted_well(search, contenders)  # type: ignore[arg-type]
+    assert asked == ["stribeck", "coulomb"] and found[2] is contenders[2]
+    assert [h.discrepancy for h in found[:2]] == pytest.approx([0.0, 0.0])
