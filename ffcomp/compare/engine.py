@@ -33,6 +33,7 @@ from ffcomp.compensate.job import Job, Options
 from ffcomp.compensate.prediction import READ_AGAIN_S, read_again
 from ffcomp.compensate.statistics import Statistics
 from ffcomp.errors import NothingToDo
+from ffcomp.inverse.robust_choice import choose_robust
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import Track, rms
 from ffcomp.simulate.compatibility import check_same_kinematics
@@ -155,6 +156,7 @@ def compare(
         acceleration_mm_per_s2=printed.acceleration_mm_per_s2,
         outline=_outline(printed),
         predicted=predicted,
+        robust_by_default=choose_robust(machine, settings).robust,
     )
 
 

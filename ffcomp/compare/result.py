@@ -192,6 +192,7 @@ class Comparison:
     acceleration_mm_per_s2: float | None = None  # of the print: most of its outer walls, or of all that extrudes
     outline: Outline | None = None  # all that the print extrudes, evaluated or not
     predicted: dict[str, Track] = field(default_factory=dict)  # of the whole print, as `compensate` and `show` say it
+    robust_by_default: bool = False  # `compensate` inverts robustly with this machine file, unless told otherwise
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object of `ffcomp compare`, without samples (ffcomp-compare/1)."""
@@ -213,6 +214,7 @@ class Comparison:
             "ours": self.compensated,
             "quality_bound_um": self.quality_bound_um,
             **({"predicted": self.predicted} if self.predicted else {}),
+            "robust_by_default": self.robust_by_default,
             "methods": {name: method.to_dict() for name, method in self.methods.items()},
             "seconds": self.seconds,
         }

@@ -97,6 +97,15 @@ def test_a_third_method_that_is_better_than_ours_is_named() -> None:
     assert not any("least error of all" in sentence for sentence in verdict(comparison()))
 
 
+def test_a_file_that_is_inverted_robustly_by_default_says_which_row_that_is() -> None:
+    assert not any("robust" in sentence for sentence in verdict(comparison()))
+    found = comparison(robust_by_default=True)
+    assert any("--only fbs-robust" in sentence and "--no-robust" in sentence for sentence in verdict(found))
+    robust = method("fbs-robust", "ffcomp, robust", "inversion", 20.0)
+    said = " ".join(verdict(replace(found, methods={**found.methods, "fbs-robust": robust})))
+    assert "“ffcomp, robust”, which leaves 3.90 µm" in said and "--only" not in said
+
+
 def test_limits_and_warnings_are_in_the_verdict() -> None:
     beyond = Peaks(250.0, 4.5e4, False)
     said = " ".join(verdict(changed(comparison(), "fbs-lpv", peaks=beyond, warnings=("Too fast here.",))))

@@ -26,6 +26,7 @@ def verdict(found: Comparison) -> list[str]:
         _against_none(found, none, own_method),
         _against_best(found, best, own_method),
         *_against_all(found, own_method),
+        *_by_default(found, own_method),
         *_mismatch(found, best, own_method),
         *_equal_quality(found, none, own_method),
         *_limits(found, own_method),
@@ -90,6 +91,21 @@ def _against_all(found: Comparison, own_method: Method) -> list[str]:
     if first.name in (found.compensated, found.best_fixed, "none") or own <= ALIKE * least:
         return []
     return [f"The least error of all has {first.label}: {um(least)} µm."]
+
+
+def _by_default(found: Comparison, own_method: Method) -> list[str]:
+    """Tell which row a print gets that is compensated without further options."""
+    if not found.robust_by_default:
+        return []
+    robust = found.methods.get("fbs-robust")
+    if robust is None:
+        row = "which is not among these methods (--only fbs-robust)"
+    else:
+        row = f"“{robust.label}”, which leaves {um(contour_rms_um(found, robust))} µm"
+    return [
+        f"The file's [uncertainty] makes `ffcomp compensate` invert robustly, {row}; “{own_method.label}” is what "
+        "`--no-robust` gives."
+    ]
 
 
 def _mismatch(found: Comparison, best: Method, own_method: Method) -> list[str]:
@@ -184,10 +200,11 @@ def _predicted(found: Comparison) -> list[str]:
     if not found.predicted:
         return []
     before, after = (um(found.predicted[name].contour_rms_um) for name in ("uncompensated", "compensated"))
+    plain = " --no-robust" if found.robust_by_default else ""
     return [
         f"Predicted contour error of the whole print: {before} → {after} µm rms. This is the number of `ffcomp "
-        "compensate` and `ffcomp show`, of the linear model that ffcomp plans with, over all moves, travel too. The "
-        "numbers above are the virtual printer's, which is not linear, of the part that was evaluated."
+        f"compensate{plain}` and `ffcomp show`, of the linear model that ffcomp plans with, over all moves, travel "
+        "too. The numbers above are the virtual printer's, which is not linear, of the part that was evaluated."
     ]
 
 
