@@ -19,8 +19,8 @@ for the mean, the expectation is a sum of squares, each of one direction's respo
 
 So it costs one problem of the nominal size with a few more rows, whatever the number of printers. The minimum is sought
 by Gauss-Newton steps, from nearest points to nearest points, in spans of some seconds which overlap. Each is solved by
-conjugate gradients, which weigh errors along the path as dear as `AHEAD`, for a change along it alters little: a third
-of the steps do.
+conjugate gradients, which weigh errors along the path as dear as `Care.ahead`, for a change along it alters little: a
+third of the steps do.
 
 The minimum of an expected error over uncertain parameters: Nagy & Braatz, J. Process Control 14 (2004) 411-422. Errors
 across a path rather than at a time: Koren, J. Dyn. Sys. Meas. Control 102 (1980) 265-272. Preconditioned conjugate
@@ -42,7 +42,6 @@ BLEND = 64  # rows over which one span's answer goes over into the next one's
 
 ALONG = 0.002  # ε
 CALM = 1e-3  # λ
-AHEAD = 0.3  # curvature along the path that conjugate gradients begin with, against one across it
 CLOSE = 1e-4  # share of the gradient's square at which they end earlier
 
 Linear = Callable[[ShortArray], ShortArray]
@@ -91,7 +90,7 @@ class RobustReference:
                 return allowed * response.adjoint(across(response.to_offset(change), along)) + CALM * change
 
             def eased(gradient: ShortArray, along: ShortArray = along) -> ShortArray:
-                return allowed * stretched(gradient, along)
+                return allowed * stretched(gradient, along, care.ahead)
 
             gradient = allowed * response.adjoint(errors) + CALM * d
             d = d + conjugate_gradients(curvature, -gradient, care.steps, eased)
@@ -161,10 +160,10 @@ def across(errors: ShortArray, along: ShortArray) -> ShortArray:
 
 
 @njit(cache=True, nogil=True)
-def stretched(rows: ShortArray, along: ShortArray) -> ShortArray:
-    """Rows (m, 3) with what lies along the directions (m, 3) lengthened by 1 / `AHEAD`."""
+def stretched(rows: ShortArray, along: ShortArray, ahead: float) -> ShortArray:
+    """Rows (m, 3) with what lies along the directions (m, 3) lengthened by 1 / `ahead`."""
     out = np.empty_like(rows)
-    more = np.float32(1.0 / AHEAD - 1.0)
+    more = np.float32(1.0 / ahead - 1.0)
     for i in range(len(rows)):
         late = along[i, 0] * rows[i, 0] + along[i, 1] * rows[i, 1] + along[i, 2] * rows[i, 2]
         for c in range(3):

@@ -13,7 +13,7 @@ from ffcomp.compare.methods import COMPENSATED, ROBUST, inversion
 from ffcomp.compare.monte_carlo import draw_plants
 from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.robust import AHEAD, ALONG, RobustReference, across, beside, conjugate_gradients, stretched
+from ffcomp.inverse.robust import ALONG, RobustReference, across, beside, conjugate_gradients, stretched
 from ffcomp.inverse.sensitivity import FULL, SPANS, Response, drawn_machines
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
@@ -97,9 +97,9 @@ def test_beyond_a_corner_and_at_rest_all_of_an_error_counts() -> None:
 def test_what_conjugate_gradients_begin_with_undoes_the_weights() -> None:
     along = np.tile(ALONG_IT, (5, 1)).astype(np.float32)
     rows = np.random.default_rng(6).normal(size=(5, 3)).astype(np.float32)
-    weighed = rows - (1.0 - AHEAD) * np.sum(rows * along, axis=1, keepdims=True) * along
-    np.testing.assert_allclose(stretched(weighed, along), rows, atol=1e-5)
-    np.testing.assert_array_equal(stretched(rows, np.zeros_like(along)), rows)
+    weighed = rows - (1.0 - 0.3) * np.sum(rows * along, axis=1, keepdims=True) * along
+    np.testing.assert_allclose(stretched(weighed, along, 0.3), rows, atol=1e-5)
+    np.testing.assert_array_equal(stretched(rows, np.zeros_like(along), 0.3), rows)
 
 
 def test_conjugate_gradients_solve_in_as_many_steps_as_unknowns() -> None:
