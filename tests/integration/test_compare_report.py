@@ -19,10 +19,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from ffcomp.compare.result import Comparison, EqualQuality, Party, Peaks, Samples, Spread
 from ffcomp.report.compare import html, packed, table
 from ffcomp.report.compare.answer import answer
+from ffcomp.report.compare.bars import errors, print_times
+from ffcomp.report.compare.charts import by_layer
 from ffcomp.report.compare.figures import drawings, svg, write_figures
 from ffcomp.report.compare.html import write_report
 from ffcomp.report.compare.off_path import contour_vectors, unbroken
@@ -30,6 +33,7 @@ from ffcomp.report.compare.positions import worst_positions
 from ffcomp.report.compare.spectrum import spectrum
 from ffcomp.report.compare.verdict import verdict
 from ffcomp.report.compare.words import duration, times, um
+from ffcomp.report.shared.page import coded
 from tests.support.browser import Visit, chromium, visit
 from tests.support.comparison import (
     LAYERS,
@@ -323,6 +327,32 @@ def test_figures_come_as_png_and_svg_and_say_what_they_are_of(tmp_path: Path) ->
             assert ElementTree.parse(path).getroot().tag.endswith("svg")
 
 
+def test_one_layer_has_one_tick() -> None:
+    found = comparison()
+    for key, each in found.methods.items():
+        found = changed(found, key, by_layer={0: each.by_layer[1]})
+    axes = Figure().subplots()
+    by_layer(axes, found)
+    low, high = axes.get_xlim()
+    assert [tick for tick in axes.get_xticks() if low < tick < high] == [0]
+
+
+def test_the_leftmost_number_has_room() -> None:
+    figure = Figure(figsize=(4.4, 3.4), layout="constrained")
+    axes = figure.subplots()
+    errors(axes, comparison())
+    figure.canvas.draw()
+    assert min(text.get_window_extent().x0 for text in axes.texts) > axes.get_window_extent().x0
+
+
+@pytest.mark.parametrize(("slowest_s", "unit"), [(41.0, "seconds"), (3000.0, "minutes")])
+def test_print_times_have_a_unit_that_suits_them(slowest_s: float, unit: str) -> None:
+    slowest = EqualQuality(250.0, slowest_s, 30.0, capped=False, reached=False)
+    axes = Figure().subplots()
+    print_times(axes, changed(comparison(), "none", equal_quality=slowest))
+    assert axes.get_xlabel() == unit
+
+
 def test_figures_of_what_was_not_asked_for_are_missing() -> None:
     names = [each.name for each in drawings(comparison())]
     assert names == ["close-up", "errors-by-layer", "spectrum", "limits", "methods"]
@@ -363,6 +393,14 @@ def test_the_page_names_what_it_is_of_and_nothing_of_the_folders(page: Path) -> 
     for expected in ("square.gcode", "a delta", "121212121212", "9.8.7", "ab" * 32, "8 plants, each off by 10 %."):
         assert expected in text
     assert "prints/" not in text and str(page.parent) not in text
+
+
+def test_what_is_to_be_typed_is_code_and_stays_on_one_line() -> None:
+    said = coded("Say `ffcomp show <b>` or --mismatch 10% (--only fbs-robust), no-one; well--known.")
+    assert str(said) == (
+        "Say <code>ffcomp show &lt;b&gt;</code> or <code>--mismatch</code> 10% (<code>--only</code> fbs-robust), "
+        "no-one; well--known."
+    )
 
 
 def test_the_page_fetches_nothing(page: Path) -> None:

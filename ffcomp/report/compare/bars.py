@@ -124,7 +124,7 @@ def errors(axes: Axes, found: Comparison) -> None:
         axes.semilogx(numbers[2], k, ".", color=colour, markersize=6)
         axes.text(0.9 * numbers[0], k, f"{um(t.contour_rms_um)}  ", ha="right", va="center", fontsize=8)
     axes.set_xlabel("contour error, all moves, µm")
-    axes.margins(x=0.15)
+    axes.margins(x=0.25)  # room for the number beside the leftmost dot
     _logarithmic(axes, found, methods)
 
 
@@ -176,8 +176,10 @@ def fastest(axes: Axes, found: Comparison) -> None:
 
 def print_times(axes: Axes, found: Comparison) -> None:
     """Draw how long the whole print takes then."""
-    _qualities(axes, found, lambda quality: quality.print_time_s / 60, lambda q: duration(q.print_time_s))
-    axes.set(xlabel="minutes", title="The whole print then takes")
+    times = [m.equal_quality.print_time_s for m in found.methods.values() if m.equal_quality is not None]
+    unit_s, unit = (1, "seconds") if max(times, default=0.0) < 120 else (60, "minutes")
+    _qualities(axes, found, lambda quality: quality.print_time_s / unit_s, lambda q: duration(q.print_time_s))
+    axes.set(xlabel=unit, title="The whole print then takes")
 
 
 def _highest(quality: EqualQuality) -> str:

@@ -48,7 +48,7 @@ def by_layer(axes: Axes, found: Comparison) -> None:
         values = [max(method.by_layer[n].rms_um, FLOOR_UM) for n in numbers]
         axes.semilogy(numbers, values, "o-", color=colour_of(found, method), markersize=3, linewidth=1.2)
     axes.set(xlabel="layer", ylabel="contour error, µm rms", title="By layer")
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     plain_decades(axes.yaxis)
     grid(axes)
 

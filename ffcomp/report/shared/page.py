@@ -9,7 +9,7 @@ from importlib.resources import files
 from typing import Any
 
 from jinja2 import Environment, FunctionLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 FOLDER = "ffcomp.report"
 
@@ -23,7 +23,7 @@ def rendered(report: str, filters: dict[str, Callable[..., str]], **values: Any)
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= filters
+    environment.filters |= {"coded": coded} | filters
     css = Markup(resource("page.css") + resource(f"{report}/report.css"))
     template = environment.get_template(f"{report}/report.html.jinja")
     return template.render(css=css, today=datetime.now(UTC).strftime("%Y-%m-%d"), **values).encode()
@@ -37,3 +37,12 @@ def resource(name: str) -> str:
 def tied(sentence: str) -> str:
     """Keep numbers and their units on one line."""
     return re.sub(r"(?<=\d) (?=(%|µm|mm|kg|N|Hz|mm/s|m/s²|s|min|h)\b|%|m/s²)", "\N{NO-BREAK SPACE}", sentence)
+
+
+def coded(sentence: str) -> Markup:
+    """Set what is to be typed, in backticks or an option alone, as code, which CSS keeps on one line."""
+    parts = re.split(r"`([^`]+)`|(?<![\w-])(--[a-z][a-z-]*)", sentence)
+    said = [escape(parts[0])]
+    for quoted, option, after in zip(parts[1::3], parts[2::3], parts[3::3], strict=True):
+        said += [Markup("<code>{}</code>").format(quoted or option), escape(after)]
+    return Markup("").join(said)
