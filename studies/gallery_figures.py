@@ -19,9 +19,12 @@ import argparse
 import io
 import re
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -38,11 +41,14 @@ from ffcomp.report.shared.drawing import Drawing, file_of, layout
 from models.file import load_machine
 from models.machine import Machine
 from tests.support import docs_runner
+from tests.support.browser import chromium, visit
 
 GALLERY = docs_runner.ROOT / "docs" / "gallery"
 TUTORIALS = docs_runner.ROOT / "docs" / "tutorials"
-WIDTH_PX, LARGEST_BYTES = 1000, 80_000
+WIDTH_PX, LARGEST_BYTES = 1000, 100_000
 COLOURS = (128, 96, 64, 48)  # the most that the size allows
+ROWS = "mzv,ei,2hump_ei,fbs-robust"  # of the page that is photographed
+SETTLED_MS = 400  # the viewer draws finely a while after the last movement
 LIMIT_MM_PER_S2 = 2500.0  # of a carriage, for the picture of limits that bind
 LINES_HZ = np.arange(2.0, 125.1, 0.5)
 # What a tenth wrong is: softer belts and a heavier effector, both of which lower its resonances.
@@ -80,7 +86,7 @@ def small(image: Image.Image) -> bytes:
 
 def _png(image: Image.Image, colours: int) -> bytes:
     file = io.BytesIO()
-    few = image.quantize(colours, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    few = image.quantize(colours, Image.Quantize.MAXCOVERAGE, kmeans=2, dither=Image.Dither.NONE)
     few.save(file, "PNG", optimize=True)
     return file.getvalue()
 
@@ -156,6 +162,68 @@ def compared(name: str, *options: object) -> Image.Image:
     every = ("--only", "mzv,ei,2hump_ei", "--quality-um", 0, *options, "--figures", "compared", "--quiet")
     ffcomp("compare", "print.gcode", "-m", "mp-delta-pro", *every)
     return Image.open(f"compared/{name}.png")
+
+
+# ---- the page of compare -------------------------------------------------------------------------
+
+
+def page_1400_light() -> Image.Image:
+    """The answer and the table."""
+    return sections(compare_page(), "light", "#verdict", "#table")
+
+
+def page_1400_dark() -> Image.Image:
+    """The worst corners and the print in space."""
+    return sections(compare_page(), "dark", "#close-up", "#whole-print")
+
+
+def page_390_light() -> Image.Image:
+    """The answer, the table and a corner, as a telephone shows them."""
+    return screens(compare_page(), "light", "header", "#table", "#close-up")
+
+
+def page_390_dark() -> Image.Image:
+    """The print in space with its sliders, and the speeds."""
+    return screens(compare_page(), "dark", "#whole-print", "#viewer .keys", "#equal-quality")
+
+
+@cache
+def compare_page() -> bytes:
+    ffcomp("compare", "print.gcode", "-m", "mp-delta-pro", "--only", ROWS, "--report", "page.html", "--quiet")
+    return Path("page.html").read_bytes()
+
+
+def sections(page: bytes, scheme: str, first: str, last: str) -> Image.Image:
+    """Show the page at 1400 pixels from the top of one section to the end of another."""
+    with opened(page, scheme, 1400, 900) as shown:
+        top, bottom = (shown.locator(each).bounding_box() for each in (first, last))
+        whole = Image.open(io.BytesIO(shown.screenshot(full_page=True)))
+    return whole.crop((0, int(top["y"]) - 16, whole.width, int(bottom["y"] + bottom["height"]) + 16))
+
+
+def screens(page: bytes, scheme: str, *tops: str) -> Image.Image:
+    """Show beside each other what a telephone shows when it is scrolled to each of these."""
+    with opened(page, scheme, 390, 844) as shown:
+        each = []
+        for top in tops:
+            shown.locator(top).evaluate("e => scrollTo(0, e.getBoundingClientRect().top + scrollY - 8)")
+            shown.wait_for_timeout(SETTLED_MS)
+            each.append(Image.open(io.BytesIO(shown.screenshot())))
+    gap = 16
+    image = Image.new("RGB", (sum(one.width + gap for one in each) - gap, each[0].height), "#808080")
+    for k, one in enumerate(each):
+        image.paste(one, (k * (one.width + gap), 0))
+    return image
+
+
+@contextmanager
+def opened(page: bytes, scheme: str, width: int, height: int) -> Iterator[Any]:
+    path = Path("shown.html").resolve()
+    path.write_bytes(page)
+    with chromium() as browser, visit(browser, path, width, height, "#viewer[data-ready]") as seen:
+        seen.page.emulate_media(color_scheme=scheme)
+        seen.page.wait_for_timeout(SETTLED_MS)
+        yield seen.page
 
 
 # ---- frf -----------------------------------------------------------------------------------------
@@ -268,6 +336,10 @@ MADE: dict[str, Callable[[], Image.Image]] = {
         compare_methods,
         compare_close_up,
         compare_mismatch,
+        page_1400_light,
+        page_1400_dark,
+        page_390_light,
+        page_390_dark,
         frf_good,
         frf_noisy,
         frf_wrong_mode,
