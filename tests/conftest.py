@@ -34,6 +34,7 @@ SLOW = (  # folders and files; single tests have the marker themselves
     "unit/ffcomp/cli/test_help.py",
     "unit/ffcomp/compare/test_engine.py",
     "unit/ffcomp/compare/test_knowing.py",
+    "unit/ffcomp/compare/test_spread.py",
     "unit/ffcomp/diagnose/test_separating_moves.py",
     "unit/ffcomp/compare/test_rivals.py",
     "unit/ffcomp/compare/test_quickest.py",

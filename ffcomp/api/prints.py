@@ -348,6 +348,7 @@ def compare(
     only: Sequence[str] = (),
     offset_mm: Offset = (0.0, 0.0),
     flavor: str = "",
+    jobs: int = 1,
     progress: Callable[[str, float], None] = lambda step, share: None,
 ) -> MethodComparison:
     """Compare ffcomp with every input shaper on a print.
@@ -364,6 +365,7 @@ def compare(
     quality_um : bound of the contour error for which the highest acceleration is sought; 0: skip
     only : methods beside none and ffcomp; none given: all
     offset_mm, flavor : as of `compensate`
+    jobs : number of processes that share the Monte-Carlo plants
     progress : called with the current step and the share of it that is done
 
     Raises
@@ -375,14 +377,8 @@ def compare(
         offset_mm = offset_mm if any(offset_mm) else find_offset(data[:STAMP_REACH])
         data = original(data)
     request = engine.Request(Sampling(*layers, sample), mismatch, seeds if mismatch else 0, quality_um, tuple(only))
-    found = engine.compare(
-        data,
-        str(file),
-        believed,
-        None if plant is None else load_machine(plant),
-        request,
-        offset=offset_mm,
-        flavor=flavor,
-        progress=progress,
-    )
+    true = None if plant is None else load_machine(plant)
+    options: dict[str, Any] = {"offset": offset_mm, "flavor": flavor, "progress": progress}
+    with workers(jobs) as at_once:
+        found = engine.compare(data, str(file), believed, true, request, jobs=at_once, **options)
     return MethodComparison(found)

@@ -6,23 +6,33 @@ import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from ffcomp.cli.compare_quality import EqualQuality, hand_over, limits_of, quickest_request, refuse_beside
+from ffcomp.cli.compare_quality import (
+    EqualQuality,
+    hand_over,
+    limits_of,
+    quickest_request,
+    refuse_beside,
+    refuse_workers,
+)
 from ffcomp.cli.faster_options import ChangeSpeed, KeepSpeed, MaxFlow, MinLayerTime
 from ffcomp.cli.help import ACCURACY, OUTPUT, SPEED
 from ffcomp.cli.options import (
     AsJson,
     Flavor,
+    Jobs,
     MachineName,
     Offset,
     Plant,
     Plate,
     Quiet,
     Report,
+    Scheduler,
     SegmentRate,
     parsed_offset,
 )
@@ -114,6 +124,8 @@ def compare(
     flavor: Flavor = "",
     max_segments_per_second: SegmentRate = 250.0,
     plate: Plate = None,
+    jobs: Jobs = 1,
+    scheduler: Scheduler = "",
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -122,6 +134,7 @@ def compare(
     Every method plans its command with --machine and is evaluated on a simulated printer (--plant), never on the
     model that made the command. Shapers get the frequencies of the firmware's own calibration, and the best ones that
     a search finds with the printer known. The table shows the contour error and how fast each method could go.
+    With --mismatch, --jobs and --scheduler share the perturbed printers; all else uses every processor as it is.
 
     Example: ffcomp compare sample_prints/ringing_tower.gcode -m mp-delta-pro --sample 10% --report report.html
     """
@@ -130,6 +143,7 @@ def compare(
     request = _request(mismatch, seeds, _sampling(layers, sample), quality_um, only)
     limits = limits_of(max_flow_mm3_per_s, min_layer_time_s, keep_speed, change_speed)
     refuse_beside(equal_quality, request, limits, figures)
+    refuse_workers(jobs > 1 or bool(scheduler), equal_quality, request)
     with _ExitWithoutThreads(), exit_codes():
         _check_targets(report, figures)
         given = _Given(file, machine, plant, offset_mm, flavor, max_segments_per_second, plate, quiet)
@@ -139,8 +153,10 @@ def compare(
             hand_over(_evaluated(given, quickest, quickest_request(request, limits)), report, as_json, quiet)
             return
         from ffcomp.compare.engine import compare as engine
+        from ffcomp.compensate.batch import workers
 
-        found = _evaluated(given, engine, request)
+        with workers(jobs, scheduler) as at_once:
+            found = _evaluated(given, partial(engine, jobs=at_once), request)
         written = _write(found, report, figures)
         if as_json:
             print_json({**found.to_dict(), "report": _text(report), "figures": [str(path) for path in written]})

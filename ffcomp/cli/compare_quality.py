@@ -56,6 +56,15 @@ def refuse_beside(equal_quality: bool, request: Request, limits: Bound, figures:
         raise typer.BadParameter("--equal-quality needs an error that all may have: --quality-um above 0.")
 
 
+def refuse_workers(asked: bool, equal_quality: bool, request: Request) -> None:
+    """Refuse --jobs and --scheduler where they would change nothing."""
+    if asked and (equal_quality or not request.seeds):
+        raise typer.BadParameter(
+            "--jobs and --scheduler share the printers of --mismatch (not those of --equal-quality); "
+            "all else uses every processor as it is."
+        )
+
+
 def quickest_request(request: Request, limits: Bound) -> QuickestRequest:
     """Return the request at equal error: the same bound, part of the print and shapers."""
     from dataclasses import replace

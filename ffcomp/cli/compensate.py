@@ -24,7 +24,7 @@ from ffcomp.cli.faster_options import (
     shares_known,
 )
 from ffcomp.cli.help import ACCURACY, ADVANCED, MACHINE, OUTPUT, SPEED
-from ffcomp.cli.options import AsJson, Flavor, Quiet, SegmentRate, check_choice, parsed_offset
+from ffcomp.cli.options import AsJson, Flavor, Jobs, Quiet, Scheduler, SegmentRate, check_choice, parsed_offset
 from ffcomp.inverse.solver_names import SOLVERS
 
 if TYPE_CHECKING:
@@ -164,20 +164,6 @@ SCurve = Annotated[
         "--s-curve",
         rich_help_panel=ACCURACY,
         help="Limit the jerk of the ramps: lower peaks for at most one percent more time.",
-    ),
-]
-Jobs = Annotated[
-    int,
-    typer.Option(
-        "--jobs", "-j", metavar="N", rich_help_panel=SPEED, min=1, help="Number of processes. The output is the same."
-    ),
-]
-Scheduler = Annotated[
-    str,
-    typer.Option(
-        metavar="ADDRESS",
-        rich_help_panel=SPEED,
-        help="Use a Dask cluster, e.g. tcp://host:8786. Its workers need ffcomp but not the files.",
     ),
 ]
 

@@ -72,6 +72,20 @@ SegmentRate = Annotated[
         help="Highest segment rate. A lower rate follows less of the vibration.",
     ),
 ]
+Jobs = Annotated[
+    int,
+    typer.Option(
+        "--jobs", "-j", metavar="N", rich_help_panel=SPEED, min=1, help="Number of processes. The output is the same."
+    ),
+]
+Scheduler = Annotated[
+    str,
+    typer.Option(
+        metavar="ADDRESS",
+        rich_help_panel=SPEED,
+        help="Use a Dask cluster, e.g. tcp://host:8786. Its workers need ffcomp but not the files.",
+    ),
+]
 Report = Annotated[
     Path | None,
     typer.Option(

@@ -4,7 +4,7 @@ slices      compare.sampling      the parts of the print that are evaluated
 methods     compare.methods       every method, tuned as well as it can be
 executed    simulate.playback     each command on the simulated printer
 evaluated   compare.evaluation    against the reference path
-spread      compare.monte_carlo   again, on Monte-Carlo plants
+spread      compare.spread        again, on Monte-Carlo plants
 quality     compare.equal_quality how fast each method may go for the same quality
 """
 
@@ -22,22 +22,23 @@ from ffcomp.compare import methods as every
 from ffcomp.compare import rivals
 from ffcomp.compare.baselines import LinearPrinter
 from ffcomp.compare.equal_quality import QUALITY, equal_qualities, within_limits
-from ffcomp.compare.evaluation import SAMPLE_S, Execution, MethodEvaluation, by, contour, evaluate, track, weights
+from ffcomp.compare.evaluation import SAMPLE_S, Execution, MethodEvaluation, by, evaluate, track
 from ffcomp.compare.execution import Piece, execute
 from ffcomp.compare.methods import COMPENSATED, TunedMethod
 from ffcomp.compare.monte_carlo import draw_plants
 from ffcomp.compare.parallel import Progress, Stages, in_parallel
-from ffcomp.compare.result import BedMap, Comparison, Layer, Method, Outline, Party, Peaks, Spread
+from ffcomp.compare.result import BedMap, Comparison, Layer, Method, Outline, Party, Peaks
 from ffcomp.compare.sampling import SETTLE_S, Print, PrintSlice, Sampling
+from ffcomp.compare.spread import ON_PLANTS, TUNING_ON_PLANTS, with_spread
 from ffcomp.compensate.job import Job, Options
 from ffcomp.compensate.prediction import READ_AGAIN_S, read_again
 from ffcomp.compensate.statistics import Statistics
 from ffcomp.errors import NothingToDo
 from ffcomp.inverse.robust_choice import choose_robust
 from ffcomp.inverse.settings import Settings, settings_for
-from ffcomp.metrics import Track, rms
+from ffcomp.metrics import Track
 from ffcomp.simulate.compatibility import check_same_kinematics
-from ffcomp.simulate.playback import ROW_S, simulate_nozzles
+from ffcomp.simulate.playback import ROW_S
 from ffcomp.version import __version__
 from models.arrays import FloatArray
 from models.effects.catalogue import design_machine
@@ -50,7 +51,6 @@ FEW_S, FEW_PIECE_S = 30.0, 5.0  # on which shapers are tuned and accelerations t
 BED_PITCH_MM = 10.0
 ALL = "all"  # alone: every method that there is
 TUNING, PLANNING, PRINTING = "tuning every method", "planning with every method", "printing with every method"
-ON_PLANTS, TUNING_ON_PLANTS = "printing on Monte-Carlo plants", "tuning shapers on Monte-Carlo plants"
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +75,10 @@ def compare(
     settings: Settings | None = None,
     offset: tuple[float, float] = (0.0, 0.0),
     flavor: str = "",
+    jobs: int = 1,
     progress: Progress = lambda what, done: None,
 ) -> Comparison:
-    """Evaluate every method on one print.
+    """Evaluate every method on one print. With several jobs call it within `compensate.batch.workers`.
 
     Parameters
     ----------
@@ -94,6 +95,8 @@ def compare(
         Added to every position, mm.
     flavor : str
         "" for what the machine file says, or else the file.
+    jobs : int
+        Processes that share the Monte-Carlo plants; the numbers are the same.
     progress : callable
         Called with the current step and the share of it that is done.
 
@@ -124,7 +127,7 @@ def compare(
     best = min((m for m in found.values() if m.family == "best fixed"), key=lambda m: m.track.contour_rms_um).name
     if request.seeds:
         plants = draw_plants(plant, request.mismatch, request.seeds)
-        found = _with_spread(found, tuned, best, some, few, plants, progress)
+        found = with_spread(found, tuned, best, some, few, plants, jobs, progress)
     if request.quality_bound_um:
         p99 = {name: method.track.contour_p99_um for name, method in found.items()}
         quality = equal_qualities(tuned, printed, plant, few, request.quality_bound_um, p99, progress)
@@ -283,49 +286,6 @@ def _method(method: TunedMethod, executed: _Executed, features: Sequence[str]) -
         samples=s,
         warnings=executed.warnings,
     )
-
-
-# ---- other plants, other speeds ------------------------------------------------------------------
-
-
-def _with_spread(
-    methods: dict[str, Method],
-    tuned: Sequence[TunedMethod],
-    best: str,
-    slices: Sequence[PrintSlice],
-    few: Sequence[PrintSlice],
-    plants: Sequence[Machine],
-    progress: Progress,
-) -> dict[str, Method]:
-    """Execute every method, as it was tuned, on the Monte-Carlo plants; tune the best fixed shaper anew on each too."""
-    found = dict(methods)
-    for k, method in enumerate(tuned):
-        progress(ON_PLANTS, k / len(tuned))
-        found[method.name] = replace(methods[method.name], spread=Spread(tuple(_rms_on(plants, method, slices))))
-    tasks = [partial(_retuned, best, few[0].machine, each, few, slices) for each in plants]
-    retuned = tuple(in_parallel(tasks, TUNING_ON_PLANTS, progress))
-    found[best] = replace(found[best], retuned=Spread(retuned))
-    return found
-
-
-def _rms_on(plants: Sequence[Machine], method: TunedMethod, slices: Sequence[PrintSlice]) -> list[float]:
-    """Return the contour rms of one method on every plant, µm."""
-    executed: list[list[Execution]] = [[] for _ in plants]
-    for print_slice in slices:
-        motion, _ = method.motion(print_slice)
-        t, found = simulate_nozzles(plants, motion, print_slice.machine)
-        for each, nozzle in zip(executed, found, strict=True):
-            each.append(Execution(print_slice, motion, t, nozzle))
-    return [rms(contour(each), weights(each)) * 1e3 for each in executed]
-
-
-def _retuned(
-    name: str, machine: Machine, plant: Machine, few: Sequence[PrintSlice], slices: Sequence[PrintSlice]
-) -> float:
-    linear = LinearPrinter(plant, few)
-    if every.is_rival(name):
-        return _rms_on([plant], every.rival(rivals.Tuner(machine, plant, linear), machine, name), slices)[0]
-    return _rms_on([plant], every.best_fixed(linear, name), slices)[0]
 
 
 # ---- what was compared -----------------------------------------------------------------------

@@ -1,9 +1,10 @@
-"""Tasks that share the processors."""
+"""Tasks that share the processors, or the computers of a cluster."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from typing import TypeVar
 
 from ffcomp.simulate.playback import JOBS
@@ -41,3 +42,26 @@ def in_parallel(tasks: Sequence[Callable[[], T]], what: str, progress: Progress)
         return found
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def in_processes(tasks: Sequence[Callable[[], T]], jobs: int, what: str, progress: Progress) -> list[T]:
+    """Do the tasks in so many processes, or in threads of this one if it is one.
+
+    With several jobs call it within `workers`; then tasks and what they return are pickled.
+    """
+    if jobs == 1:
+        return in_parallel(tasks, what, progress)
+    from joblib import Parallel, delayed
+
+    progress(what, 0.0)
+    pool = Parallel(n_jobs=jobs, return_as="generator", batch_size=1, pre_dispatch="2 * n_jobs")
+    found = []
+    with closing(pool(delayed(_done)(task) for task in tasks)) as coming:
+        for result in coming:
+            found.append(result)
+            progress(what, len(found) / len(tasks))
+    return found
+
+
+def _done(task: Callable[[], T]) -> T:
+    return task()

@@ -138,7 +138,7 @@ def levelled(plant: Machine, nozzle: FloatArray) -> FloatArray:
 
 
 def simulate_nozzles(
-    plants: Sequence[Machine], motion: Motion, believed: Machine
+    plants: Sequence[Machine], motion: Motion, believed: Machine, threads: int = JOBS
 ) -> tuple[FloatArray, list[FloatArray]]:
     """Execute one motion on every plant, from rest, and return their levelled nozzles.
 
@@ -148,6 +148,8 @@ def simulate_nozzles(
     motion : Motion
     believed : Machine
         The machine whose inverse kinematics the firmware uses.
+    threads : int
+        That share the plants.
 
     Returns
     -------
@@ -158,7 +160,7 @@ def simulate_nozzles(
     """
     rows, command = _row_count(motion), _command(motion, believed)
     found: list[list[FloatArray]] = [[] for _ in plants]
-    for _, motions in playback.play(plants, command, rows + 1, ROW_S, **_options(len(plants), JOBS)):
+    for _, motions in playback.play(plants, command, rows + 1, ROW_S, **_options(len(plants), threads)):
         for own, each in zip(found, motions, strict=True):
             own.append(each.nozzle_mm[KEEP_EVERY::KEEP_EVERY])
     return _times(motion), [levelled(plant, np.concatenate(parts)) for plant, parts in zip(plants, found, strict=True)]

@@ -25,6 +25,7 @@ from gcode.stamp import Stamp
 from gcode.text import PART_BYTES
 from models.file import load_machine
 from models.machine import Machine
+from tests.support.mismatch import study
 
 ROOT = Path(__file__).parents[2]
 HEAD = b"G28\nG90\nM83\nG1 Z0.3 F6000\nG1 X10 Y10 F9000\n"
@@ -276,6 +277,10 @@ def test_on_a_cluster(prints: list[Path], alone: list[bytes], machine: Machine, 
     assert (folder / "b.gcode").read_bytes() == alone[1]
     check_poisoned(poisoned(prints, machine, scheduler=scheduler))
     assert [path.read_bytes() for path in prints] == alone
+
+
+def test_a_mismatch_study_on_a_cluster(scheduler: str) -> None:
+    assert study(scheduler=scheduler)[0] == study()[0]
 
 
 def test_an_interrupt_leaves_what_is_finished(prints: list[Path], alone: list[bytes], tmp_path: Path) -> None:

@@ -1,0 +1,52 @@
+"""A small mismatch study, by as many processes as a test likes."""
+
+from __future__ import annotations
+
+from functools import cache
+from unittest.mock import patch
+
+from ffcomp.compare import methods as every
+from ffcomp.compare.baselines import shaped_by_position
+from ffcomp.compare.methods import TunedMethod
+from ffcomp.compare.monte_carlo import draw_plants
+from ffcomp.compare.parallel import Stages
+from ffcomp.compare.result import Spread
+from ffcomp.compare.sampling import Print, Sampling
+from ffcomp.compare.spread import ON_PLANTS, TUNING_ON_PLANTS, with_spread
+from ffcomp.compensate.batch import workers
+from ffcomp.inverse.settings import settings_for
+from models.file import load_machine
+from tests.support.comparison import method
+from tests.support.prints import squares
+
+SEEDS = 3
+MACHINE = load_machine("mp-delta-pro")
+
+
+@cache
+def tuned() -> list[TunedMethod]:
+    """One method of each kind that is commanded in another way, without a search."""
+    place = every.mode_frequencies(MACHINE)
+    return [
+        every.none(),
+        every.calibrated(MACHINE, "mzv"),
+        TunedMethod("zv-scheduled", "", "scheduled", "", lambda s: (shaped_by_position(s.motion, place, "zv"), None)),
+        every.inversion(MACHINE, settings_for(MACHINE), every.COMPENSATED),
+    ]
+
+
+@cache
+def study(jobs: int = 1, scheduler: str = "") -> tuple[dict[str, tuple[Spread | None, Spread | None]], list[float]]:
+    """Each method's numbers as it was tuned and tuned anew, and the progress that was told.
+
+    Of three plants two go side by side, so that each method is two tasks.
+    """
+    told: list[float] = []
+    progress = Stages(lambda what, share: told.append(share), {ON_PLANTS: 1.0, TUNING_ON_PLANTS: 1.0})
+    slices, _ = Print(squares(1), "squares.gcode", MACHINE).slices(Sampling())
+    methods = {each.name: method(each.name, each.label, each.family, 1.0) for each in tuned()}
+    methods["mzv"] = method("mzv", "MZV", "best fixed", 1.0)
+    plants = draw_plants(MACHINE, 0.1, SEEDS)
+    with patch("ffcomp.compare.spread.LANES", 2), workers(jobs, scheduler) as at_once:
+        found = with_spread(methods, tuned(), "mzv", slices, slices, plants, at_once, progress)
+    return {name: (each.spread, each.retuned) for name, each in found.items()}, told
