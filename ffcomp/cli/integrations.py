@@ -55,7 +55,7 @@ def show_integration(name: Name, machine: MachineName = "my-delta") -> None:
     """
     from ffcomp.integrations.recipes import executable, instructions
 
-    print(instructions(_recipe(name), machine, executable()))
+    print(instructions(_recipe(name), _anywhere(machine), executable()))
 
 
 @app.command("install", cls=Command)
@@ -65,7 +65,7 @@ def install_integration(name: Name, machine: MachineName = "", to: Folder = None
     from ffcomp.integrations.recipes import executable, instructions, wrapper
     from gcode.atomic_write import replace_atomically
 
-    recipe = _recipe(name)
+    recipe, machine = _recipe(name), _anywhere(machine)
     if not recipe.wrapper:
         raise typer.BadParameter(f"{name} needs no wrapper; see: ffcomp integrations show {name}")
     with exit_codes():
@@ -74,6 +74,11 @@ def install_integration(name: Name, machine: MachineName = "", to: Folder = None
         replace_atomically(target, [wrapper(recipe, machine, executable()).encode()])
     print(target)
     say(f"\n{instructions(recipe, machine or 'my-delta', executable())}")
+
+
+def _anywhere(machine: str) -> str:
+    """Return a machine file's full path, for slicers and hosts start ffcomp in folders of their own; keep a name."""
+    return str(Path(machine).resolve()) if machine.endswith(".toml") or Path(machine).is_file() else machine
 
 
 def _recipe(name: str) -> Recipe:

@@ -18,7 +18,7 @@ HINTS = {  # the beginning of a key -> how to get its value
     "carriage.": IDENTIFY,
     "effector.joint_radius_mm": "measure from the effector's centre to the arms' joints",
     "effector.": IDENTIFY,
-    "axes.": "import with --like voron-300 or ender-3, then give the firmware's resonance tests to ffcomp identify fit",
+    "axes.": "a start: --like voron-300 or ender-3; to measure: resonance tests, or any accelerometer, to identify fit",
     "limits.carriage_": "what the motors do without losing steps",
     "limits.": "from the printer's description, or what it prints with",
     "steps.full_steps_per_mm": "full steps of a motor's turn (200, or 400) over the mm of a turn",

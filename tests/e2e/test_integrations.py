@@ -417,8 +417,19 @@ def test_every_recipe_shows_a_line_that_can_be_pasted(name: str) -> None:
         ["/opt/the tool/ffcomp", "compensate", "--machine", "my delta.toml"]
     ] * (name not in ("cura", "moonraker"))
     answer = CliRunner().invoke(app, ["show", name, "-m", "my delta.toml"])
-    assert answer.exit_code == 0 and answer.stdout == f"{instructions(RECIPES[name], 'my delta.toml', executable())}\n"
+    assert (
+        answer.exit_code == 0
+        and answer.stdout == f"{instructions(RECIPES[name], str(Path('my delta.toml').resolve()), executable())}\n"
+    )
     assert f"`ffcomp integrations show {name}`" in (ROOT / "docs" / "SLICERS.md").read_text(encoding="utf-8")
+
+
+def test_a_machine_file_is_shown_with_its_full_path_and_a_name_as_it_is() -> None:
+    shown = {
+        machine: CliRunner().invoke(app, ["show", "prusaslicer", "-m", machine]).stdout
+        for machine in ("a.toml", "kossel")
+    }
+    assert f"--machine {Path('a.toml').resolve()}\n" in shown["a.toml"] and "--machine kossel\n" in shown["kossel"]
 
 
 def test_the_line_names_the_ffcomp_that_runs(program: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -37,7 +37,11 @@ def test_a_run_that_fails_is_not_counted(tmp_path: Path) -> None:
 def test_after_warming_up_no_run_compiles(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["warmup"])
     assert result.exit_code == 0, result.output
-    assert "[6/6] simulate" in result.output and "Ready after" in result.output
+    assert (
+        "[8/8] simulate" in result.output
+        and "compensate --robust, straight axes" in result.output
+        and "Ready after" in result.output
+    )
     after = CliRunner().invoke(app, [*COMPENSATE, "-o", str(tmp_path / "out.gcode")])
     assert after.exit_code == 0 and "Compiling" not in after.output
 
