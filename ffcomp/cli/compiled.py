@@ -14,7 +14,7 @@ from pathlib import Path
 
 from ffcomp.numerics.numba_cache import cache_folder
 
-WARMED = ("compensate", "simulate")  # those that most people call first, and that `warmup` compiles, in about 30 s
+WARMED = ("compensate", "simulate")  # those that most people call first, and that `warmup` compiles, in about a minute
 VERBS = (*WARMED, "compare", "diagnose", "fit")  # all that compile for more than some seconds
 
 
@@ -27,7 +27,7 @@ def first_run(verb: str) -> bool:
 def sentence(verb: str) -> str:
     """Say that the verb is about to compile."""
     if verb in WARMED:
-        return "Compiling once, about 30 s."
+        return "Compiling once, about a minute."
     return "Compiling once: this first run takes longer than the next ones."
 
 
