@@ -21,7 +21,7 @@ GLOSSARY = {
     "Monte-Carlo plants": "Printers whose masses, stiffnesses, dampings and drives are all off by random shares, "
     "unknown to every method; “tuned again” is the best fixed shaper with its frequencies sought anew on each of them.",
     "equal quality": "Every move of the print is planned with one acceleration, raised until 1 % of the contour error "
-    "exceeds the bound or a carriage exceeds its limits. Found by bisection on half a minute of the print.",
+    "exceeds the bound or a carriage exceeds its limits. Sought on half a minute of the print.",
     "virtual printer": "A nonlinear simulation of the printer named under “evaluated on”, apart from the model "
     "that the inversion uses. It knows nothing of plastic, heat, or loose screws.",
 }
