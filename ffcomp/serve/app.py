@@ -34,6 +34,7 @@ PAGE = {
     "/": ("index.html", "text/html; charset=utf-8"),
     "/page.js": ("page.js", "text/javascript; charset=utf-8"),
     "/jobs.js": ("jobs.js", "text/javascript; charset=utf-8"),
+    "/asking.js": ("asking.js", "text/javascript; charset=utf-8"),
     "/page.css": ("serve.css", "text/css; charset=utf-8"),
 }
 INLINE = {".png": "image/png", ".html": "text/html; charset=utf-8"}

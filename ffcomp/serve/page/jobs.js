@@ -1,19 +1,20 @@
 // The page's second half: jobs as cards, each drawn anew only where it has changed.
-import { ask, attempt, choose, look, make } from "./page.js";
+import { ask, attempt, make } from "./asking.js";
 
 const WORDS = { queued: "waits", running: "runs", done: "done", failed: "failed", cancelled: "cancelled" };
 const drawn = new Map(); // id -> {text, card}
 
-export function showJobs(jobs, printer) {
+/** Draw the jobs; a card asks the page by {printer, choose, look} to choose a machine and to look again. */
+export function showJobs(jobs, page) {
   const place = document.querySelector("#jobs");
   document.querySelector("#nothing").hidden = jobs.length > 0;
   const ids = new Set(jobs.map((job) => job.id));
   for (const [id, { card }] of drawn) if (!ids.has(id)) { card.remove(); drawn.delete(id); }
   jobs.forEach((job, k) => {
-    const text = JSON.stringify([job, printer]);
+    const text = JSON.stringify([job, page.printer]);
     let old = drawn.get(job.id);
     if (!old || old.text !== text) {
-      const card = old && job.state === "running" && old.state === "running" ? advance(old.card, job) : cardOf(job, printer);
+      const card = old && job.state === "running" && old.state === "running" ? advance(old.card, job) : cardOf(job, page);
       if (old && old.card !== card) old.card.replaceWith(card);
       drawn.set(job.id, (old = { text, card, state: job.state }));
     }
@@ -29,7 +30,7 @@ function advance(card, job) {
   return card;
 }
 
-function cardOf(job, printer) {
+function cardOf(job, page) {
   const card = make("article", { className: "job" });
   card.dataset.state = job.state;
   card.dataset.kind = job.kind;
@@ -38,7 +39,7 @@ function cardOf(job, printer) {
   if (["queued", "running"].includes(job.state)) card.append(...underway(job));
   if (job.state === "failed") card.append(make("p", { className: "error", textContent: job.error }));
   if (job.state === "done" || job.answer.lead) card.append(...found(job));
-  card.append(buttons(job, printer));
+  card.append(buttons(job, page));
   if (job.state === "done" && job.outputs.includes("picture.png")) card.append(picture(job));
   if (job.state !== "queued") card.append(log(job));
   return card;
@@ -78,35 +79,35 @@ function list(title, sentences) {
 
 const file = (job, name, view) => `api/jobs/${job.id}/files/${encodeURIComponent(name)}${view ? "?view=1" : ""}`;
 
-function buttons(job, printer) {
+function buttons(job, page) {
   const row = make("p", { className: "do" });
   const act = (name, label, asked = {}, className = "") => row.append(make("button", { textContent: label, className, onclick: async (event) => {
     event.target.disabled = true;
     const answer = await attempt(() => ask(`api/jobs/${job.id}/${name}`, asked));
     event.target.disabled = false;
     if (answer && answer.path) event.target.replaceWith(make("span", { className: "state done", textContent: `On the printer: ${answer.path}` }));
-    await look();
+    await page.look();
   } }));
   if (["queued", "running"].includes(job.state)) { act("cancel", "Cancel"); return row; }
   if (job.state === "done") {
     if (job.outputs.includes("report.html")) row.append(make("a", { className: "button main", href: file(job, "report.html", true), target: "_blank", rel: "noopener", textContent: "Open the report" }));
-    if (job.answer.machine) row.append(keeping(job));
-    if (job.answer.kept) row.append(make("button", { textContent: "Use it", className: "main", onclick: () => { choose(job.answer.kept); document.querySelector("#tab-prints").click(); scrollTo(0, 0); } }));
+    if (job.answer.machine) row.append(keeping(job, page));
+    if (job.answer.kept) row.append(make("button", { textContent: "Use it", className: "main", onclick: () => { page.choose(job.answer.kept); document.querySelector("#tab-prints").click(); scrollTo(0, 0); } }));
     for (const name of job.outputs.filter((each) => !["picture.png", "report.html"].includes(each)))
       row.append(make("a", { className: /\.(toml|json)$/.test(name) ? "button" : "button main", href: file(job, name, false), download: name, textContent: `Download ${job.kind === "compensate" ? "the print" : name}` }));
-    if (printer && job.kind === "compensate") act("send", "Put it on the printer");
+    if (page.printer && job.kind === "compensate") act("send", "Put it on the printer");
   } else act("again", "Again");
   act("remove", "Remove", {}, "plain");
   return row;
 }
 
 /** A name for the better machine file, and the button that keeps it under that. */
-function keeping(job) {
+function keeping(job, page) {
   const name = make("input", { value: `${job.machine}-measured`.slice(0, 60), ariaLabel: "Name of the better machine file" });
   const keep = make("button", { className: "main", textContent: "Keep as my machine", onclick: async () => {
     const answer = await attempt(() => ask(`api/jobs/${job.id}/keep`, { name: name.value.trim() }));
-    await look();
-    if (answer) { choose(answer.machine); keep.textContent = `Kept and chosen: ${answer.machine}`; keep.disabled = true; }
+    await page.look();
+    if (answer) { page.choose(answer.machine); keep.textContent = `Kept and chosen: ${answer.machine}`; keep.disabled = true; }
   } });
   return make("span", { className: "keep" }, name, keep);
 }

@@ -1,41 +1,10 @@
-// The page's first half: tabs, machines, files that are dropped, and what is asked of the server. Jobs: jobs.js.
+// The page's first half: tabs, machines, files that are dropped, and what is started. Jobs: jobs.js. What is asked of the server: asking.js.
+import { ask, attempt, make } from "./asking.js";
 import { showJobs } from "./jobs.js";
 
 const one = (selector, within = document) => within.querySelector(selector);
 const all = (selector, within = document) => [...within.querySelectorAll(selector)];
-const MARK = { "X-ffcomp": "1" };
 const QUICK_MS = 700, SLOW_MS = 5000;
-
-/** An element with properties and children; text is only ever text. */
-export function make(name, properties = {}, ...children) {
-  const made = Object.assign(document.createElement(name), properties);
-  made.append(...children);
-  return made;
-}
-
-/** Ask the server; a refusal is an Error with its sentence. */
-export async function ask(path, asked) {
-  const options = asked === undefined ? {} : { method: "POST", headers: { ...MARK, "Content-Type": "application/json" }, body: JSON.stringify(asked) };
-  const answer = await fetch(path, options);
-  if (!answer.ok) throw new Error(await sentence(answer));
-  return answer.json();
-}
-
-async function sentence(answer) {
-  const text = await answer.text();
-  try { return JSON.parse(text).error; } catch { return text || `The server answered ${answer.status}.`; }
-}
-
-/** Do something, and show its trouble. */
-export async function attempt(what) {
-  const trouble = one("#trouble");
-  trouble.hidden = true;
-  try { return await what(); } catch (error) {
-    trouble.textContent = error.message === "Failed to fetch" ? "The server does not answer: is it still running?" : error.message;
-    trouble.hidden = false;
-    return undefined;
-  }
-}
 
 // ---- tabs ----
 
@@ -80,7 +49,7 @@ function showMachines(list) {
   machines.value = list.some((m) => m.name === chosen) ? chosen : "";
   machineChosen();
 }
-export function choose(name) {
+function choose(name) {
   machines.value = name;
   machineChosen();
 }
@@ -149,7 +118,7 @@ function showFiles(kind) {
   }));
 }
 
-export const bytes = (n) => (n < 1e6 ? `${Math.max(1, Math.round(n / 1e3))} kB` : `${(n / 1e6).toFixed(1)} MB`);
+const bytes = (n) => (n < 1e6 ? `${Math.max(1, Math.round(n / 1e3))} kB` : `${(n / 1e6).toFixed(1)} MB`);
 
 for (const kind of Object.keys(dropped)) {
   const place = one(`#drop-${kind}`), input = one("input", place);
@@ -182,7 +151,7 @@ function options(panel) {
 
 const OF = { compensate: ["shaper_off", "force", "max_error_um", "max_flow_mm3_per_s", "flavor"], compare: ["flavor"], import: ["name", "kinematics"], plan: ["height_mm", "at", "seconds", "repeats"], excite: ["height_mm", "at"], diagnose: ["without_repeats"], fit: ["known_mass_kg"] };
 
-export async function start(kind, files, more = {}) {
+async function start(kind, files, more = {}) {
   const panel = one(`[data-job=${kind}]`).closest("[role=tabpanel]");
   const set = Object.fromEntries(Object.entries(options(panel)).filter(([name]) => OF[kind].includes(name)));
   await ask("api/jobs", { kind, machine: machines.value, files, options: set, ...more });
@@ -258,7 +227,7 @@ one("#search").addEventListener("input", showPrinted);
 // ---- watching ----
 
 let timer;
-export async function look() {
+async function look() {
   clearTimeout(timer);
   let active = false;
   try {
@@ -268,7 +237,7 @@ export async function look() {
     largest = state.largest_mb * 1048576;
     showMachines(state.machines);
     showPlans(state.jobs);
-    showJobs(state.jobs, state.printer);
+    showJobs(state.jobs, { printer: state.printer, choose, look });
     active = state.jobs.some((job) => ["queued", "running"].includes(job.state));
     if (one("#trouble").dataset.lost) { one("#trouble").hidden = true; delete one("#trouble").dataset.lost; }
   } catch (error) {
