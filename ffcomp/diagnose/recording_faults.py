@@ -28,6 +28,9 @@ LOUD = 3.0  # discrepancy, of the noise, from which a shaper is looked for
 ONE_SIGNAL = 0.85  # of the excess in one signal of three or more
 OVER, ROWS = 1.4, 40  # times a sensor's largest value; rows of a simulation beyond that: it is clipped
 FLAT = 0.15  # of that value by which it may vary there
+NEARLY, AT_LEVEL = 0.8, 0.05  # of a level: of the rows above the one, those as near to it as the other stand there
+STANDING = 0.45  # of these rows: of a resonance a third, of what is clipped three fifths and more
+FOLLOWING = 0.75  # of a row's share of its simulation: by so much what is not clipped grows with it
 LEVEL = 99.8  # percentile that stands for the largest value
 
 
@@ -173,7 +176,20 @@ def _clipped(measured: FloatArray, simulated: FloatArray) -> bool:
     if beyond.sum() < ROWS:
         return False
     there = np.abs(measured[beyond])
-    return bool(np.median(there) > (1 - FLAT) * limit and np.std(there) < FLAT * limit)
+    if np.median(there) < (1 - FLAT) * limit or np.std(there) > FLAT * limit:
+        return False
+    return _stands(np.abs(measured[known]), float(np.median(there))) and not _follows(there, np.abs(simulated[beyond]))
+
+
+def _stands(sizes: FloatArray, level: float) -> bool:
+    """Tell whether a signal dwells at a level, as one that a range cuts off does."""
+    return bool(np.sum(np.abs(sizes - level) < AT_LEVEL * level) > STANDING * np.sum(sizes > NEARLY * level))
+
+
+def _follows(sizes: FloatArray, simulated: FloatArray) -> bool:
+    """Tell whether a signal grows with its simulation: then the machine is only gentler than its file says."""
+    slope = float(np.polyfit(simulated, sizes, 1)[0])
+    return slope > FOLLOWING * float(np.median(sizes / simulated))
 
 
 def odd_signal(estimation: EstimationProblem, fits: Sequence[Fit]) -> BadSensor | None:

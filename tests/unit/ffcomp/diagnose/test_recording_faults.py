@@ -85,6 +85,20 @@ def test_a_clipped_sensor_is_named_with_its_files_and_a_smaller_motion_is_none()
     assert clipped_sensor(problem(0.4 * true[0], true[1]), true) is None
 
 
+@pytest.mark.parametrize("resonance", [0.5, 0.55, 0.62])
+def test_a_resonance_that_is_damped_better_than_filed_is_no_clipped_sensor(resonance: float) -> None:
+    """Its crests are where the simulation's are, and nowhere else: a sensor that stands at its range looks like it."""
+    t = np.arange(N) / RATE_HZ
+    swept = np.sin(2 * np.pi * 46 * t) * (1 + 0.4 * np.sin(2 * np.pi * 1.3 * t))
+    true = motion()
+    true[:, 1] = 10 * swept
+    steady = true.copy()
+    steady[:, 1] = 10 * np.sin(2 * np.pi * 46 * t)
+    for simulated in (true, steady):
+        measured = simulated * np.array([1.0, resonance, 1.0])
+        assert clipped_sensor(problem(measured), [simulated]) is None
+
+
 def test_the_signal_that_holds_the_gap_is_named() -> None:
     true = [motion()]
     loose = true[0].copy()
