@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from ffcomp.identify.axis_shots import Scales
 from models.axis.machine import AxisMachine
 from models.axis.simulate import axis_effects
 from models.effects.catalogue import CATALOGUE
-from models.effects.effect import Effect
+from models.effects.effect import AT_DRIVE, Effect
 from models.effects.effect import Parameter as EffectParameter
 
 LARGE, PROBE = 0.3, 0.1  # of a force, what a usual effect takes; of that, what a signature is taken with
@@ -31,13 +32,33 @@ def axis_candidates(
     able = [n for n in axis_effects(machine) if n in names and n not in machine.effects]
     if "acc_q" not in signals:
         able = [n for n in able if n != "sensor_gain"]
-    sizes = _sizes(machine, scales, band_hz)
-    return tuple(_candidate(CATALOGUE[name], sizes, scales) for name in able)
+    axis = machine.axis
+    sizes = _sizes(scales, band_hz, axis.last_stiffness)
+    found = [_candidate(CATALOGUE[name], sizes, scales) for name in able]
+    if not axis.load_mass_kg or axis.free:
+        return tuple(found)
+    drive = _sizes(scales, band_hz, axis.stiffness_n_per_m)
+    return tuple(_of_either_spring(c, CATALOGUE[c.name], drive, scales) for c in found)
 
 
-def _sizes(machine: AxisMachine, s: Scales, band_hz: tuple[float, float]) -> _Sizes:
-    """Return effect.key -> the size that a usual effect has on this axis, in the machine file's units."""
-    force, stretch = LARGE * s.force_n, 1e3 * s.stretch_m
+def _of_either_spring(candidate: Candidate, effect: Effect, drive: _Sizes, scales: Scales) -> Candidate:
+    """Let an effect of belts be of the drive too, as another form: nobody knows which of two springs it is of."""
+    if AT_DRIVE not in effect.of_axis:
+        return candidate
+    there = _candidate(effect, drive, scales)
+    chosen = Parameter(_full(effect, AT_DRIVE), 1.0, 1.0, 1.0, 1.0)
+    return replace(candidate, other=replace(there, shapes=(*there.shapes, chosen)))
+
+
+def _sizes(s: Scales, band_hz: tuple[float, float], stiffness: float) -> _Sizes:
+    """Return effect.key -> the size that a usual effect has on this axis, in the machine file's units.
+
+    Parameters
+    ----------
+    stiffness : of the spring that effects of belts are of; 0: there is none.
+    """
+    force, stretch_m = LARGE * s.force_n, s.force_n / stiffness if stiffness else s.stretch_m
+    stretch = 1e3 * stretch_m
     return {
         "coulomb_friction.force_n": force,
         "stribeck_friction.force_n": force,
@@ -52,7 +73,7 @@ def _sizes(machine: AxisMachine, s: Scales, band_hz: tuple[float, float]) -> _Si
         "cogging.amplitude_mm": LARGE * stretch,
         "belt_stiffness.relative_change": LARGE,
         "belt_backlash.width_mm": LARGE * stretch,
-        "belt_hardening.cubic_n_per_m3": LARGE * max(machine.axis.last_stiffness, 1.0) / s.stretch_m**2,
+        "belt_hardening.cubic_n_per_m3": LARGE * max(stiffness, 1.0) / stretch_m**2,
         "command_delay.delay_s": LARGE / band_hz[1],
         "sensor_gain.nozzle_relative_change": 0.1,
     }

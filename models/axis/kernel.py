@@ -5,8 +5,8 @@
 
 Force in: F is the input and u = 0. Position in: F = 0 and u is the input, its delay late, with a ripple. R holds all
 that resists: dry friction as in `models/printer/kernels/friction.py`, bristles (P. Dahl, 1968), what depends on the
-direction, drag, and a force that repeats along the axis. S is the spring, S_c the coupling; the one at the end, S_c if
-there is a load, may have play and may harden. SI units.
+direction, drag, and a force that repeats along the axis. S is the spring, S_c the coupling; one of them may have play,
+and one may harden: S_c if there is a load and nothing else is said. SI units.
 """
 
 from __future__ import annotations
@@ -52,12 +52,14 @@ NAMES = (
     "by_direction",
     "bristle",
     "presliding",
+    "play_at_drive",
+    "bends_at_drive",
 )
 """The entries of the parameters p, in order."""
 MASS, STIFFNESS, DAMPING, OFFSET, LOAD, COUPLING, COUPLING_DAMPING, BY_FORCE = range(8)
 DRY, STICKING, FADING, FADING_POWER, CREEP, HOLD, HALF_BACKLASH, LANDING, CUBIC, QUINTIC = range(8, 18)
 RIPPLE, WAVE, PHASE, SECOND_SINE, SECOND_COSINE, DELAY, GROUND, DRAG = range(18, 26)
-SINE, COSINE, FORCE_WAVE, BY_DIRECTION, BRISTLE, PRESLIDING = range(26, 32)
+SINE, COSINE, FORCE_WAVE, BY_DIRECTION, BRISTLE, PRESLIDING, PLAY_AT_DRIVE, BENDS_AT_DRIVE = range(26, 34)
 Q, V, Q_LOAD, V_LOAD, STRAIN, BENT = range(6)
 State: TypeAlias = tuple[float, float, float, float, float, float]  # in this order
 MOST_STRAIN = 3.0  # as of the printers' dry friction
@@ -69,15 +71,19 @@ def compiled(function: Any) -> Any:
 
 
 @compiled
-def _spring(stretch: float, rate: float, k: float, c: float, last: bool, p: FloatArray) -> float:
-    """Return the force of a spring and its damper; the last spring of the axis may have play and may harden."""
-    if not last:
-        return k * stretch + c * rate
-    half = p[HALF_BACKLASH]
-    if half > 0.0 and abs(stretch) < half:
-        return 0.0
-    s = stretch - math.copysign(half, stretch)
-    return k * (s + p[LANDING] * abs(s) * rate) + (p[CUBIC] + p[QUINTIC] * s * s) * s * s * s + c * rate
+def _spring(stretch: float, rate: float, k: float, c: float, play: bool, bends: bool, p: FloatArray) -> float:
+    """Return the force of a spring and its damper; it may be the one that has play, or hardens."""
+    force = c * rate
+    s = stretch
+    if play:
+        half = p[HALF_BACKLASH]
+        if half > 0.0 and abs(stretch) < half:
+            return 0.0
+        s = stretch - math.copysign(half, stretch)
+        force += k * p[LANDING] * abs(s) * rate
+    if bends:
+        force += (p[CUBIC] + p[QUINTIC] * s * s) * s * s * s
+    return force + k * s
 
 
 @compiled
@@ -114,10 +120,12 @@ def _rates(x: State, given: float, given_rate: float, p: FloatArray) -> State:
     held, strain_rate, bent_rate = _resistance(q, v, strain, bent, p)
     total = force + p[OFFSET] - held
     if p[STIFFNESS] > 0.0:
-        total -= _spring(q - u, v - u_rate, p[STIFFNESS], 0.0, not loaded, p)
+        play, bends = not loaded or p[PLAY_AT_DRIVE] > 0.5, not loaded or p[BENDS_AT_DRIVE] > 0.5
+        total -= _spring(q - u, v - u_rate, p[STIFFNESS], 0.0, play, bends, p)
     if not loaded:
         return v, total / p[MASS], 0.0, 0.0, strain_rate, bent_rate
-    pull = _spring(q_load - q, v_load - v, p[COUPLING], p[COUPLING_DAMPING], True, p)
+    play, bends = p[PLAY_AT_DRIVE] <= 0.5, p[BENDS_AT_DRIVE] <= 0.5
+    pull = _spring(q_load - q, v_load - v, p[COUPLING], p[COUPLING_DAMPING], play, bends, p)
     return v, (total + pull) / p[MASS], v_load, -pull / p[LOAD], strain_rate, bent_rate
 
 
@@ -195,7 +203,7 @@ def integrate_axis(
     shot : samples from one beginning to the next; n or more: there is one.
     begin : (shots, 4) m and m/s of the last mass and of the first one at each beginning, NaN where nothing is known
         of one of them; what bends by friction goes on.
-    p : (32,) in the order of `NAMES`.
+    p : (34,) in the order of `NAMES`.
 
     Returns
     -------

@@ -105,7 +105,7 @@ def substeps_of(p: FloatArray, dt_s: float, turns: float = TURNS) -> int:
 
 
 def kernel_parameters(machine: AxisMachine) -> FloatArray:
-    """Return (32,) the kernel's numbers of an axis with its effects, SI."""
+    """Return (34,) the kernel's numbers of an axis with its effects, SI."""
     axis = machine.axis
     p = dict.fromkeys(NAMES, 0.0) | {"fading_power": 2.0, "creep": 1.0, "presliding": 1.0}
     p |= {"mass": axis.mass_kg, "stiffness": axis.stiffness_n_per_m, "damping": axis.damping_n_s_per_m}
@@ -133,21 +133,25 @@ def _add(p: dict[str, float], name: str, v: Mapping[str, float], axis: AxisParam
     elif name == "guide_damping":
         p["damping"] += v["added_n_s_per_m"]
     elif name == "belt_stiffness":
-        p["coupling" if axis.load_mass_kg else "stiffness"] *= 1 + v["relative_change"]
+        p["coupling" if axis.load_mass_kg and v["at_drive"] <= 0.5 else "stiffness"] *= 1 + v["relative_change"]
     elif name == "cogging":
         p |= {"ripple": 1e-3 * v["amplitude_mm"], "wave": 2e3 * math.pi / v["pitch_mm"]}
         p |= {"phase": math.radians(v["phase_deg"])} | {k: v[k] for k in ("second_sine", "second_cosine")}
     elif name == "cogging_force":
         p |= {"sine": v["sine_n"], "cosine": v["cosine_n"], "force_wave": 2e3 * math.pi / v["pitch_mm"]}
     elif name == "belt_backlash":
-        p |= {"half_backlash": 5e-4 * v["width_mm"], "landing": v["landing_s_per_m"]}
+        p |= {"half_backlash": 5e-4 * v["width_mm"], "landing": v["landing_s_per_m"], "play_at_drive": v["at_drive"]}
     else:
         p |= {own: factor * v[key] for key, (own, factor) in PLAIN.get(name, {}).items()}
 
 
 # effect -> its key -> the kernel's number, and what it is multiplied by
 PLAIN: Mapping[str, Mapping[str, tuple[str, float]]] = {
-    "belt_hardening": {"cubic_n_per_m3": ("cubic", 1.0), "quintic_n_per_m5": ("quintic", 1.0)},
+    "belt_hardening": {
+        "cubic_n_per_m3": ("cubic", 1.0),
+        "quintic_n_per_m5": ("quintic", 1.0),
+        "at_drive": ("bends_at_drive", 1.0),
+    },
     "command_delay": {"delay_s": ("delay", 1.0)},
     "friction_by_direction": {"damping_difference_n_s_per_m": ("by_direction", 1.0)},
     "ground_spring": {"stiffness_n_per_m": ("ground", 1.0)},

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from models.effects.effect import Effect, Parameter
+from models.effects.effect import AT_DRIVE, Effect, Parameter
 
 EFFECT = Effect(
     name="belt_backlash",
@@ -32,5 +32,6 @@ EFFECT = Effect(
         "coulomb_friction": "Friction acts whenever a carriage turns back, play only when the belt's force does.",
         "torque_angle": "Slack softens small forces, a motor's torque softens large ones.",
     },
+    of_axis=(AT_DRIVE,),
     of=("carriages", "axes", "axis"),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from models.effects.effect import Effect, Parameter
+from models.effects.effect import AT_DRIVE, Effect, Parameter
 
 EFFECT = Effect(
     name="belt_hardening",
@@ -26,5 +26,6 @@ EFFECT = Effect(
         "torque_angle": "Its cubic part is the same, k₃ = −k/(6a²); only a larger stretch separates the two.",
         "belt_stiffness": "Two amplitudes: only here the stiffness depends on them.",
     },
+    of_axis=(AT_DRIVE,),
     of=("carriages", "axes", "axis"),
 )

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from models.arrays import FloatArray
-from models.effects.effect import Effect, Parameter
+from models.effects.effect import AT_DRIVE, Effect, Parameter
 from models.machine import Machine
 
 
@@ -32,5 +32,6 @@ EFFECT = Effect(
         "torque_angle": "Two amplitudes: a belt's stiffness is the same for both.",
     },
     fold=fold,
+    of_axis=(AT_DRIVE,),
     of=("carriages", "axes", "axis"),
 )

@@ -81,7 +81,7 @@ def values_of(machine: HasEffects, name: str) -> dict[str, FloatArray] | None:
         return None
     if missing := effect.missing(table):
         raise ValueError(f"effects.{name}.{missing[0]} is missing; without it this effect has no shape.")
-    return {p.name: p.as_array(table.get(p.name, p.absent)) for p in effect.parameters}
+    return {name: p.as_array(table.get(name, p.absent)) for name, p in effect.by_name.items()}
 
 
 def with_effect(machine: Machine, name: str, **parameters: Any) -> Machine:

@@ -91,6 +91,17 @@ class Parameter:
         return f" ({self.unit})" if self.unit else ""
 
 
+AT_DRIVE = Parameter(
+    "at_drive",
+    "",
+    "1: of the drive of an axis with a load; else of its coupling",
+    (0, 1),
+    (0, 1),
+    1.0,
+    role="shape",
+    default=0.0,
+)
+
 SIZES: Mapping[Size, str] = {
     "scalar": "must be a finite number{unit}",
     "per_tower": "must be a finite number{unit}, or a list of three, one a tower",
@@ -126,6 +137,7 @@ class Effect:
     confounded_with: Mapping[str, str] = field(default_factory=dict)
     fold: Callable[[Machine, Mapping[str, FloatArray]], Machine] | None = None
     measure: Callable[[Signals, Mapping[str, FloatArray]], Signals] | None = None
+    of_axis: tuple[Parameter, ...] = ()  # shapes that only an axis by itself has
     of: tuple[str, ...] = ("carriages", "axes")  # `VibrationModel.moves` of the machines that may have it
     # how far the nozzle's places must lie apart along x, y, z, over all recordings, to tell it from other numbers
     spread_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -136,8 +148,8 @@ class Effect:
 
     @property
     def by_name(self) -> dict[str, Parameter]:
-        """All parameters by name."""
-        return {parameter.name: parameter for parameter in self.parameters}
+        """All parameters by name, those of an axis by itself too."""
+        return {parameter.name: parameter for parameter in (*self.parameters, *self.of_axis)}
 
     @property
     def amplitudes(self) -> tuple[Parameter, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from models.effects.catalogue import CATALOGUE, effects_of
@@ -11,13 +11,20 @@ from models.schema.table import refuse
 from models.schema.words import did_you_mean
 
 
-def refuse_others(effects: Iterable[str], moves: str, kind: str) -> None:
-    """Refuse effects that this kind of machine cannot have."""
+def refuse_others(effects: Mapping[str, Mapping[str, Any]], moves: str, kind: str) -> None:
+    """Refuse effects, and keys of effects, that this kind of machine cannot have."""
     able = effects_of(moves)
     refuse(
         f"effects.{name} is none of {kind}. Known there: {', '.join(able)}."
         for name in effects
         if name in CATALOGUE and name not in able
+    )
+    refuse(
+        f"effects.{name}.{key.name} is of one axis by itself: it tells which of two springs is meant."
+        for name, table in effects.items()
+        if name in able and moves != "axis"
+        for key in CATALOGUE[name].of_axis
+        if key.name in table
     )
 
 

@@ -32,7 +32,7 @@ def rows(found: DiagnosisResult, effect: str) -> list[Row]:
     intervals = _of(found.intervals, effect)
     return [
         _row(parameter, name, estimate, found.effects[effect])
-        for parameter in CATALOGUE[effect].parameters
+        for parameter in CATALOGUE[effect].by_name.values()
         for name, estimate in intervals.items()
         if name.partition("[")[0] == parameter.name
     ]

@@ -104,6 +104,18 @@ def test_a_spring_that_hardens_is_named_on_a_driven_axis() -> None:
     assert told.final.values["effects.belt_hardening.cubic_n_per_m3"] == pytest.approx(4e9, rel=0.05)
 
 
+def test_of_two_springs_the_one_that_hardens_is_found() -> None:
+    """What is named after belts may be of the drive or of the coupling, and the file says of which."""
+    axis = AxisParameters("position", 2.0, 2e4, 30.0, 1.0, 3e4, 5.0)
+    loaded = AxisMachine("loaded", axis, uncertainty={"default": 0.02})
+    told = found(loaded, "belt_hardening", belt_hardening={"cubic_n_per_m3": 4e9, "at_drive": 1})
+    assert told.named is not None and told.named.names == ("belt_hardening",)
+    assert told.final.values["effects.belt_hardening.at_drive"] == 1.0
+    assert told.final.values["effects.belt_hardening.cubic_n_per_m3"] == pytest.approx(4e9, rel=0.05)
+    there = found(loaded, "belt_hardening", belt_hardening={"cubic_n_per_m3": 1.2e11})
+    assert there.named is not None and "effects.belt_hardening.at_drive" not in there.final.values
+
+
 @pytest.mark.parametrize("machine", [STAGE, DRIVE])
 def test_nothing_is_named_where_nothing_is_missing(machine: AxisMachine) -> None:
     assert found(machine).verdict == "none"

@@ -106,6 +106,32 @@ def test_play_is_a_dead_band_and_a_late_command_is_late() -> None:
     np.testing.assert_allclose(late, moved(SPRUNG, slow).position_mm[500:1490], atol=2e-3)
 
 
+LOADED = AxisMachine("loaded", AxisParameters("position", 2.0, 2e5, 40.0, 1.0, 8e4, 10.0))
+
+
+def test_what_is_named_after_belts_is_of_the_spring_that_the_file_says() -> None:
+    """A drive's change of stiffness is the drive's stiffness; its play lets both masses lag by half of it."""
+    slow = 5.0 * np.sin(2 * np.pi * np.arange(2000) * DT)
+    softer = AxisMachine("softer", AxisParameters("position", 2.0, 1.6e5, 40.0, 1.0, 8e4, 10.0))
+    told = moved(LOADED, slow, belt_stiffness={"relative_change": -0.2, "at_drive": 1})
+    np.testing.assert_allclose(told.position_mm, moved(softer, slow).position_mm, atol=1e-12)
+    lag = {}
+    for at in (0, 1):
+        play = {"width_mm": 0.1, "at_drive": at}
+        loose, tight = (
+            moved(LOADED, slow, coulomb_friction={"force_n": 5.0}, **dict.fromkeys(names, play))
+            for names in (["belt_backlash"], [])
+        )
+        lag[at] = float(np.median(np.abs(tight.motor_mm - loose.motor_mm)[1100:1400]))
+    assert lag[1] == pytest.approx(0.05, rel=0.1) and lag[0] < 0.01  # of the coupling the motor's side feels little
+    loud = 5.0 * np.sin(2 * np.pi * 8 * np.arange(600) * DT)
+    bent = [moved(LOADED, loud, belt_hardening={"cubic_n_per_m3": 1e12, "at_drive": at}).position_mm for at in (0, 1)]
+    plain = moved(LOADED, loud).position_mm
+    assert min(np.std(bent[0] - plain), np.std(bent[1] - plain), np.std(bent[0] - bent[1])) > 0.01
+    one = [moved(SPRUNG, slow, belt_hardening={"cubic_n_per_m3": 1e12, "at_drive": at}).position_mm for at in (0, 1)]
+    np.testing.assert_array_equal(*one)  # it has one spring
+
+
 PROBES: dict[str, tuple[AxisMachine, dict[str, float]]] = {
     "belt_backlash": (SPRUNG, {"width_mm": 0.05}),
     "belt_hardening": (SPRUNG, {"cubic_n_per_m3": 1e13}),
@@ -193,3 +219,6 @@ def test_a_printer_has_no_effect_of_an_axis(tmp_path: Path) -> None:
     with pytest.raises(MachineFileError, match="none of a delta"):
         load_machine(path)
     assert CATALOGUE["ground_spring"].of == ("axis",)
+    path.write_text(text + "\n[effects.belt_stiffness]\nrelative_change = 0.1\nat_drive = 1\n")
+    with pytest.raises(MachineFileError, match="at_drive is of one axis by itself"):
+        load_machine(path)
