@@ -20,6 +20,7 @@ LARGE, PROBE = 0.3, 0.1  # of a force, what a usual effect takes; of that, what 
 PITCHES = 12  # that are tried, from a fortieth of the travel to half of it
 SPREAD = 1.5  # of ln, of a number that is known by its order of magnitude
 LEAST = 1e-3
+RESISTING = frozenset({"quadratic_drag"})  # what pushes is none: it would mop up how a damping thins with speed
 BEYOND = 10.0  # times the values at which a search begins, to either side
 
 _Sizes = Mapping[str, float]
@@ -100,7 +101,8 @@ def _full(effect: Effect, p: EffectParameter) -> str:
 
 def _amplitude(effect: Effect, p: EffectParameter, size: float) -> Parameter:
     suffix = "[0]" if p.size == "vector3" else ""
-    return Parameter(_full(effect, p) + suffix, 0.0, size, *p.bounds)
+    low, high = p.bounds
+    return Parameter(_full(effect, p) + suffix, 0.0, size, 0.0 if effect.name in RESISTING else low, high)
 
 
 def _starts(effect: Effect, p: EffectParameter, s: Scales) -> list[float]:
