@@ -16,6 +16,7 @@ import numpy as np
 
 from ffcomp.diagnose.estimation import EstimationProblem
 from ffcomp.diagnose.problem import Parameter
+from ffcomp.identify.uncertainty import NINETY_PERCENT
 from ffcomp.numerics.least_squares import (
     SMALL_GAIN,
     BatchedProblem,
@@ -89,25 +90,47 @@ class Fit:
         certain = (along * np.maximum(known - len(known) * DERIVATIVE_ERROR**2, 0.0)) @ along.T
         return np.asarray(np.eye(len(self.z)) + certain * np.outer(length, length))
 
-    def covariance(self, frequency_hz: FloatArray, rows: Sequence[slice]) -> FloatArray:
-        """Estimate the covariance (p, p) of z: the sandwich over blocks of 5 Hz, never below the inverse information.
+    def covariance(self, frequency_hz: FloatArray, rows: Sequence[slice], same: Sequence[object]) -> FloatArray:
+        """Estimate the covariance (p, p) of z: the widest of three, never below the inverse information.
+
+        Two are sandwiches: over blocks of 5 Hz of each experiment, and over whole experiments, for where the model's
+        shape is wrong, it is wrong all through an experiment. How far few experiments scatter is itself known to
+        Student's t only (Cameron & Miller, J. Human Resources 50, 2015). Repeats are one experiment: they share the
+        model's error.
 
         Parameters
         ----------
         frequency_hz : (rows,) of the residual's entries.
         rows : of each observation.
+        same : of each observation; those that repeat one experiment share it.
         """
         bread = np.linalg.inv(self._certain_information)
-        meat = np.eye(len(self.z))
-        for part in rows:
-            block = (frequency_hz[part] // BLOCK_HZ).astype(np.int64)
-            weighted = self.jacobian[part] * self.residual[part][:, None]
-            sums = np.zeros((block.max() + 1, len(self.z)))
-            np.add.at(sums, block, weighted)
-            meat += sums.T @ sums
-        wide = np.diag(bread @ meat @ bread) / np.diag(bread)
-        wider = np.sqrt(np.maximum(1.0, wide))
+        blocks = self._slopes(frequency_hz, rows, same)
+        apart = np.eye(len(self.z)) + sum(sums.T @ sums for sums in blocks)
+        wide = np.diag(bread @ apart @ bread)
+        if len(blocks) > 1:
+            each = np.stack([sums.sum(axis=0) for sums in blocks])
+            whole = np.eye(len(self.z)) + len(each) / (len(each) - 1) * (each - each.mean(axis=0)).T @ each
+            wide = np.maximum(wide, student_share(len(each) - 1) ** 2 * np.diag(bread @ whole @ bread))
+        wider = np.sqrt(np.maximum(1.0, wide / np.diag(bread)))
         return bread * np.outer(wider, wider)
+
+    def _slopes(self, frequency_hz: FloatArray, rows: Sequence[slice], same: Sequence[object]) -> list[FloatArray]:
+        """Return Jᵀr of each experiment by blocks of 5 Hz, (blocks, p) each."""
+        found: dict[object, FloatArray] = {}
+        blocks = int(frequency_hz.max() // BLOCK_HZ) + 1
+        for part, experiment in zip(rows, same, strict=True):
+            block = (frequency_hz[part] // BLOCK_HZ).astype(np.int64)
+            sums = found.setdefault(experiment, np.zeros((blocks, len(self.z))))
+            np.add.at(sums, block, self.jacobian[part] * self.residual[part][:, None])
+        return list(found.values())
+
+
+def student_share(freedom: int) -> float:
+    """Return by how much Student's 90 % interval of so many degrees of freedom is wider than the normal one."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, 0.95)) / NINETY_PERCENT
 
 
 def values_at(parameters: Sequence[Parameter], z: FloatArray) -> dict[str, float]:

@@ -14,7 +14,9 @@ from ffcomp.identify.uncertainty import NINETY_PERCENT, Estimate
 
 def intervals_of(estimation: EstimationProblem, fitted: Fit, values: Mapping[str, float]) -> dict[str, Estimate]:
     """Put intervals about the values that are reported, as wide as all parameters together leave them."""
-    covariance = fitted.covariance(estimation.whiten.frequencies(), estimation.whiten.rows)
+    whiten = estimation.whiten
+    same = [o.repeat_of for o in whiten.observations]
+    covariance = fitted.covariance(whiten.frequencies(), whiten.rows, same)
     sd = np.sqrt(np.diag(covariance))
     return {
         n.name: _interval(n, values.get(n.name, n.start), n.sd * float(s))
