@@ -19,9 +19,11 @@ import numpy as np
 from ffcomp.diagnose.acceptance import out_of_reach, rejections, unproven
 from ffcomp.diagnose.confounding import competing_with, confounded_with
 from ffcomp.diagnose.estimation import EstimationProblem, estimation_problem, excerpt_of
+from ffcomp.diagnose.exchange import OWN_NUMBERS
 from ffcomp.diagnose.fit import Fit, derivatives, fit
 from ffcomp.diagnose.held_out import HeldOut, hold_out
 from ffcomp.diagnose.hypotheses import LARGE, Hypothesis, discrepancy_of, implausible, likeliest, significant
+from ffcomp.diagnose.initial_fits import predicted_left
 from ffcomp.diagnose.intervals import intervals_of
 from ffcomp.diagnose.noise import (
     NoiseFloor,
@@ -48,7 +50,6 @@ from models.arrays import FloatArray
 TOO_LOUD = 0.1  # of the signals: with more noise, nothing found is not nothing there
 WRONG_FLOOR = -0.5  # discrepancy, of the noise: with less left than that, the floor is wrong
 MOSTLY = 0.9  # of the discrepancy, from which an explanation that failed a test is worth saying
-OWN_NUMBERS = {"belt_stiffness", "guide_damping", "effector_mass", "extruder_mount", "center_of_mass", "arm_inertia"}
 LOOSER = 5.0  # times the file's uncertainties
 LOOSELY = 1.5  # times the square that the named effects leave: the file's numbers alone explain as much
 EXISTS = 0.05  # the share of the noise by which a discrepancy must stand above it, or
@@ -144,7 +145,7 @@ def _searched(problem: Problem, noise: NoiseFloor, density: Mapping[str, float],
     least = max(EXISTS, chance) if noise.from_repeats else estimation.tolerance
     progress(Stage(2, "fitting the machine's own parameters"))
     filed = _as_filed(estimation)
-    base = fit(estimation, filed.parameters, filed.z, filed.jacobian, iterations=12)
+    base = _ended(estimation, fit(estimation, filed.parameters, filed.z, filed.jacobian, iterations=12), least)
     times = float(np.sqrt(max(1.0 + discrepancy_of(base), 0.0)))
     progress(f"the machine's own parameters alone: the error that is left is {times:.4g} times the noise")
     fault = fault_of_recordings(estimation, problem.simulate({}), base)
@@ -165,7 +166,7 @@ def _searched(problem: Problem, noise: NoiseFloor, density: Mapping[str, float],
     none = Diagnosis("none", None, None, base, base, estimation, noise, found.screened)
     selection = found.selection
     progress(Stage(7, "testing it at places that were left out of the fit"))
-    retuned = _retuned(estimation, selection.best)
+    retuned = _retuned(estimation, selection.best, least)
     if discrepancy_of(retuned) < least and not significant(selection.best.fit, retuned, 0.0):
         return replace(none, base=retuned, final=retuned)
     tested = _tested(none, found, progress)
@@ -290,10 +291,23 @@ def _bases(
     return [from_file, (base, screened)]
 
 
-def _retuned(estimation: EstimationProblem, best: Hypothesis) -> Fit:
+def _retuned(estimation: EstimationProblem, best: Hypothesis, least: float) -> Fit:
     """Fit the machine's parameters alone, from where the best hypothesis took them: perhaps they need no effect."""
     own = best.own
-    return fit(estimation, best.own_parameters, best.fit.z[:own], best.fit.jacobian[:, :own], iterations=4)
+    found = fit(estimation, best.own_parameters, best.fit.z[:own], best.fit.jacobian[:, :own], iterations=4)
+    return _ended(estimation, found, least) if significant(best.fit, found, 0.0) else found
+
+
+def _ended(estimation: EstimationProblem, fitted: Fit, least: float) -> Fit:
+    """Fit the machine's parameters alone to the end, where they leave nothing but are far off to do so.
+
+    Numbers that make up for each other in all that was recorded go far astray on the way, and come back for the price
+    of their prior alone; that little is seen with exact derivatives only. An effect is not to be named for it.
+    """
+    if min(discrepancy_of(fitted), predicted_left(fitted)) > least or not implausible(fitted):
+        return fitted
+    ended = fit(estimation, fitted.parameters, fitted.z, fitted.jacobian, iterations=10, exact=True)
+    return min(fitted, ended, key=lambda each: each.evidence)
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 
 from ffcomp.diagnose import selection
 from ffcomp.diagnose.acceptance import out_of_reach
+from ffcomp.diagnose.diagnosis import _ended
 from ffcomp.diagnose.fit import Fit, values_at
 from ffcomp.diagnose.hypotheses import (
     Hypothesis,
@@ -82,6 +84,31 @@ def test_a_freer_shape_is_no_reason_to_name_another_effect() -> None:
     belt, sine, stribeck = (explained(c, *a) for c, a in zip(candidates, [(0.121,), (0.118, 1), (0.118,)], strict=True))
     assert simplest(sine, [belt, sine], candidates) is sine
     assert simplest(stribeck, [belt, stribeck], candidates) is belt  # it needs more, and explains hardly more
+
+
+def linear(measured: np.ndarray, columns: dict[str, np.ndarray], start: dict[str, float]) -> Any:
+    """A problem whose simulation is linear in its parameters."""
+
+    def residuals(many: Sequence[Mapping[str, float]]) -> Iterator[np.ndarray]:
+        for v in many:
+            yield measured - sum(columns[n] * (v.get(n, x) - x) for n, x in start.items())
+
+    return SimpleNamespace(residuals=residuals, coarse=False)
+
+
+def test_numbers_that_make_up_for_each_other_come_back_before_an_effect_is_named_for_it() -> None:
+    """Mass and stiffness four uncertainties off leave nothing, as they do at home: no effect is needed."""
+    rng = np.random.default_rng(2)
+    both = rng.standard_normal(LONG)
+    columns = {"mass": 3.0 * both, "belt": -3.0 * both}
+    own = tuple(Parameter(n, 0.0, 1.0, -5.0, 5.0) for n in columns)
+    problem = linear(rng.standard_normal(LONG), columns, dict.fromkeys(columns, 0.0))
+    z = np.array([4.0, 4.0])
+    jacobian = np.stack(list(columns.values()), axis=1)
+    astray = Fit(own, z, next(problem.residuals([values_at(own, z)])), jacobian)
+    assert np.abs(_ended(problem, astray, 0.1).z).max() < 0.1
+    loud = replace(astray, residual=astray.residual + 3.0 * rng.standard_normal(LONG))
+    assert _ended(problem, loud, 0.1) is loud  # it leaves something that they cannot explain
 
 
 def bending(name: str, file_z: float, left: float, clock_z: float = 0.0) -> Hypothesis:
