@@ -9,11 +9,12 @@ from itertools import combinations
 import numpy as np
 
 from ffcomp.diagnose.estimation import EstimationProblem
-from ffcomp.diagnose.fit import Fit, derivatives, fit, values_at
+from ffcomp.diagnose.exchange import exchanged, likelier, unbent
+from ffcomp.diagnose.fit import Fit
+from ffcomp.diagnose.growth import BEHIND, with_one_more
 from ffcomp.diagnose.hypotheses import (
     ADDED_SHARE,
     LARGE,
-    NEAR,
     NEARLY_ALL,
     TRACE,
     Hypothesis,
@@ -23,7 +24,6 @@ from ffcomp.diagnose.hypotheses import (
     implausible,
     incomplete,
     likeliest,
-    log_fit,
     preferring_file,
     significant,
     with_one_within_file,
@@ -32,15 +32,11 @@ from ffcomp.diagnose.hypotheses import (
 )
 from ffcomp.diagnose.initial_fits import (
     CONTENDER,
-    FEW,
-    QUICK,
     SCALES,
     USUAL,
-    Start,
     best_start,
     fit_start,
     initial_fits,
-    predicted_left,
     select_starts,
 )
 from ffcomp.diagnose.intervals import intervals_of, superfluous
@@ -65,7 +61,6 @@ LITTLE = 0.02  # of the discrepancy: effects that leave less have begun at the r
 PROMISING = 0.25  # of what an added effect must remove: one that removes less in a coarse fit is not pursued
 CONTENDERS = 3  # fitted well
 CLOSE = 5.0  # times the best discrepancy: a hypothesis that leaves more keeps its shape
-BEHIND = 10.0  # times the best discrepancy: a hypothesis that leaves more in its quick fit is not fitted well
 ADDED = 3  # effects that are tried as one more
 PAIRED = 5  # candidates whose pairs are tried
 ALIKE = 0.5  # cos² of two signatures from which one effect may stand in for the other
@@ -117,7 +112,7 @@ def find_best(search: Search) -> Selection:
             if selection.complete or not search.may_go_on():
                 selection = replace(selection, complete=True)
                 break
-    return selection
+    return think_again(search, selection)
 
 
 def finish(search: Search, selection: Selection) -> Selection:
@@ -190,13 +185,26 @@ def add_effect(search: Search, so_far: Selection) -> Selection:
     """Add the effect that helps most; the selection is complete if none is significant."""
     search.progress(Stage(5, f"looking for one effect more than {' + '.join(so_far.best.names)}"))
     more = add(search, so_far.best)
-    likeliest_one = min(more, key=lambda h: h.fit.evidence, default=so_far.best)
     tried = (*so_far.tried, *more)
     best = so_far.best
     trace = best.discrepancy < TRACE * discrepancy_of(search.retuned) and not implausible(best.fit, best.own)
+    if trace:
+        more = [h for h in more if not _is_shape(search, best, h)]
+    likeliest_one = min(more, key=lambda h: h.fit.evidence, default=best)
     if not significant(likeliest_one.fit, best.fit, NEARLY_ALL if trace else ADDED_SHARE):
         return replace(so_far, tried=tried, complete=True)
     return replace(so_far, best=likeliest_one, tried=tried)
+
+
+def _is_shape(search: Search, best: Hypothesis, larger: Hypothesis) -> bool:
+    """Tell whether what a larger hypothesis adds is nearly confounded with an effect of the best one.
+
+    Where no more is left than the error of a shape, it is the shape of that effect: how its friction thins with speed.
+    """
+    signatures = {s.candidate.name: s for s in search.bases[0][1]} if search.bases else {}
+    added = [signatures[n] for n in larger.names if n in signatures and n not in best.names]
+    named = [signatures[n] for n in best.names if n in signatures]
+    return any(similarity(a, b) > ALIKE for a in added for b in named)
 
 
 def converge_best(search: Search, so_far: Selection) -> Selection:
@@ -207,6 +215,18 @@ def converge_best(search: Search, so_far: Selection) -> Selection:
 def swap_effects(search: Search, so_far: Selection) -> Selection:
     """Try smaller effects in place of those of the best hypothesis."""
     return replace(so_far, tried=(*so_far.tried, *swap(search, so_far)))
+
+
+def think_again(search: Search, so_far: Selection) -> Selection:
+    """Exchange effects that were found one after the other, and add one for a number of the file that bends."""
+    estimation, best, others = search.estimation, so_far.best, list[Hypothesis]()
+    if len(best.effects) > 1 and incomplete(estimation, best):
+        others += exchanged(estimation, best, so_far.tried, search.progress)
+        best = likelier(best, others)
+    if not within_file(best) and len(best.effects) < MOST_EFFECTS:
+        others += unbent(estimation, best, search.progress)
+        best = likelier(best, others)
+    return replace(so_far, best=best, tried=(*so_far.tried, *others))
 
 
 def keep_simplest(search: Search, so_far: Selection) -> Selection:
@@ -264,7 +284,7 @@ def add(search: Search, best: Hypothesis) -> list[Hypothesis]:
     for one in begun:
         if search.may_go_on():
             bar = min((h.discrepancy for h in tried), default=np.inf)
-            tried.append(_with_one_more(quick, *one, search.progress, bar))
+            tried.append(with_one_more(quick, *one, search.progress, bar))
     grown = distinct(likeliest(tried))
     poor = best.discrepancy > POOR * discrepancy_of(search.retuned)
     # where one more explains nearly all, the best was half of the answer, and no pair without it is looked for
@@ -291,32 +311,6 @@ def _names(hypotheses: Sequence[Hypothesis]) -> list[set[str]]:
     return [set(h.names) for h in hypotheses]
 
 
-def _with_one_more(
-    estimation: EstimationProblem, h: Hypothesis, start: Start, progress: Progress, bar: float = np.inf
-) -> Hypothesis:
-    """Add one effect: fit first the effects together, then all parameters.
-
-    Parameters
-    ----------
-    bar : smallest discrepancy so far; where even the linear prediction of the second fit stays far above it, that
-        fit is left out.
-    """
-    own = h.own
-    parameters = (*h.effect_parameters, *start.parameters)
-    given = dict(list(h.fit.values.items())[:own])
-    fixed, everything = replace(estimation, given={**estimation.given, **given}), range(len(parameters))
-    z = np.concatenate([h.effect_z, start.z])
-    columns = derivatives(fixed, parameters, z, fixed.residual(values_at(parameters, z)), everything)
-    renew = everything if len(parameters) <= 2 * FEW else ()
-    effects = fit(fixed, parameters, z, columns, renew, iterations=5, small_gain=QUICK, renew_all=False)
-    both = np.hstack([h.fit.jacobian[:, :own], effects.jacobian])
-    z = np.concatenate([h.fit.z[:own], effects.z])
-    found = Fit((*h.own_parameters, *parameters), z, effects.residual, both)
-    if predicted_left(found) + NEAR < BEHIND * (bar + NEAR):
-        found = fit(estimation, found.parameters, z, both, iterations=4, small_gain=QUICK, renew_all=False)
-    return log_fit(Hypothesis((*h.effects, *(s.candidate for s in start.chosen)), found), progress)
-
-
 def _pair_evidence(base: Fit, pair: Sequence[Screened]) -> float:
     """Predict the change of −2 ln Z by two effects together, to first order."""
     signature = np.hstack([s.signature for s in pair])
@@ -335,7 +329,7 @@ def swap(search: Search, so_far: Selection) -> list[Hypothesis]:
             if _may_replace(s, effect, so_far, screened) and search.may_go_on():
                 others = without_effect(restart_from_file(estimation, best), effect)
                 begun = best_start(estimation, others.fit, (s,), SCALES[:4], USUAL)
-                grown = _with_one_more(estimation, others, begun, progress)
+                grown = with_one_more(estimation, others, begun, progress)
                 found.append(converge(estimation, continue_or_restart(estimation, grown, progress), progress))
     return found
 

@@ -116,6 +116,14 @@ def test_of_two_springs_the_one_that_hardens_is_found() -> None:
     assert there.named is not None and "effects.belt_hardening.at_drive" not in there.final.values
 
 
+def test_a_number_of_the_file_is_not_bent_where_an_effect_says_it() -> None:
+    """A spring that hardens and is a third stiffer: with the first alone the file's stiffness goes to its bound."""
+    names = ("belt_hardening", "belt_stiffness", "coulomb_friction", "guide_damping")
+    told = found(DRIVE, *names, belt_hardening={"cubic_n_per_m3": 4e9}, belt_stiffness={"relative_change": 0.15})
+    assert told.named is not None and told.named.names == ("belt_hardening", "belt_stiffness")
+    assert told.final.values["effects.belt_stiffness.relative_change"] == pytest.approx(0.15, abs=0.06)
+
+
 @pytest.mark.parametrize("machine", [STAGE, DRIVE])
 def test_nothing_is_named_where_nothing_is_missing(machine: AxisMachine) -> None:
     assert found(machine).verdict == "none"
