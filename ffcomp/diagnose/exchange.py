@@ -33,6 +33,7 @@ OWN_NUMBERS = frozenset(  # effects that are a number of the file which is wrong
     {"belt_stiffness", "guide_damping", "effector_mass", "extruder_mount", "center_of_mass", "arm_inertia"}
 )
 TRIED = 2  # effects that are tried in the place of each
+AS_GOOD = 2.0  # times the discrepancy of one that bends the file's numbers: more may not be left in a quick fit
 CLOSE = 5.0  # times the best discrepancy: one that leaves more in its quick fit is not pursued
 
 
@@ -64,7 +65,7 @@ def unbent(estimation: EstimationProblem, best: Hypothesis, progress: Progress) 
     rest = restart_from_file(quick, best)
     grown = [with_one_more(quick, rest, start, progress) for start in _most_helpful(quick, rest, own)]
     # the file's numbers go back for the price of their prior alone: that is seen at the end of a fit only
-    fitted = [refit(estimation, h, progress) for h in likeliest(grown)[:1]]
+    fitted = [refit(estimation, h, progress) for h in likeliest(grown)[:1] if comparable(h, best, AS_GOOD)]
     return [h for h in fitted if within_file(h)]
 
 

@@ -179,6 +179,8 @@ def _other(effect: Candidate, _: Candidate) -> Candidate:
 def _first(effect: Candidate, first: Candidate) -> Candidate:
     if effect.other is not None or first.other is None:
         return effect
+    if {n.name for n in effect.shapes} - {n.name for n in first.shaped.shapes}:
+        return effect  # the same at another spring, which is no simpler
     return first if effect.finer or not first.finer else first.shaped
 
 
