@@ -250,7 +250,10 @@ def _level(residual: FloatArray, test: BeltTest) -> float:
 
 def _covariance(problem: _Problem, theta: FloatArray, errors: FloatArray) -> FloatArray:
     """(p, p); neighbouring lines are correlated, and count as fewer."""
-    shares = [independent_share(r, t.spectrum) for r, t in zip(problem.residuals(theta), problem.tests, strict=True)]
+    shares = [
+        independent_share(r, len(t.spectrum.frequency_hz))
+        for r, t in zip(problem.residuals(theta), problem.tests, strict=True)
+    ]
     weights = [share * w for share, w in zip(shares, _weights(problem, errors), strict=True)]
     j = _slopes(problem, theta, weights)
     return np.asarray(np.linalg.pinv(j.T @ j, rcond=1e-13, hermitian=True))

@@ -9,8 +9,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ffcomp.identify.all_axes import IdentifiedAxes
 from ffcomp.identify.from_resonances import ResonanceStart
-from ffcomp.identify.modal_fit import AxisFit, IdentifiedAxes
+from ffcomp.identify.modal_fit import AxisFit
 from ffcomp.identify.output_error import DAMPING, DRIVE, STIFFNESS, TOTAL_MASS, UNKNOWNS, WEAK_SD, Fitted, fit_machine
 from ffcomp.identify.paper import PaperIdentification
 from ffcomp.identify.uncertainty import Estimate
@@ -276,6 +277,10 @@ def axes_file_text(source: Path, found: IdentifiedAxes, name: str, data: Sequenc
         del uncertainty[f"axes.{axis.name}.share"]  # a machine file has none for it
         values[f"axes.{axis.name}.share"] = _shares(axis)
         provenance[f"axes.{axis.name}"] = axis.verdict
+    if found.exchange is not None:
+        delta = found.exchange.delta
+        values["axes.exchange"] = round(delta.value, 4)
+        provenance["axes.exchange"] = f"{origin}; 90 % interval {delta.low:.4g} to {delta.high:.4g}"
     model_errors = {axis.name: float(f"{max(axis.errors):.3g}") for axis in found.axes}
     identified = {"date": when, "started_from": source.stem, "data": list(data), "model_error_share": model_errors}
     return updated_text(

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ffcomp.errors import MeasurementError, RequestError
+from ffcomp.identify.all_axes import IdentifiedAxes, identify_axes
 from ffcomp.identify.belts import BeltComparison, compare_belts
 from ffcomp.identify.from_resonances import Resonance, starting_machine
 from ffcomp.identify.identify import (
@@ -24,7 +25,7 @@ from ffcomp.identify.identify import (
     scale_is_weak,
 )
 from ffcomp.identify.load import Gathered, resonances_of
-from ffcomp.identify.modal_fit import AxisFit, IdentifiedAxes, identify_axes
+from ffcomp.identify.modal_fit import AxisFit
 from ffcomp.identify.output_error import TOTAL_MASS, Fitted
 from ffcomp.identify.paper import identify_as_paper
 from ffcomp.identify.shaper_advice import AXES, ShaperAdvice, shaper_advice
@@ -144,15 +145,18 @@ class _Task:
             raise RequestError("--method stepwise and --known are for deltas; this machine's axes are straight.")
         if not (self.gathered.shaken or self.gathered.responses):
             return self._belts_alone()
-        found = identify_axes(self.gathered.shaken, self.gathered.responses, progress)
+        found = identify_axes(
+            self.gathered.shaken, self.gathered.responses, progress, self.start.kinematics.shares_motors
+        )
         rough = [] if self.rough else [_too_rough(axis) for axis in found.axes if max(axis.errors) > ROUGH]
         kept = tuple(axis for axis in found.axes if self.rough or max(axis.errors) <= ROUGH)
-        written = replace(found, axes=kept)
+        written = replace(found, axes=kept, exchange=found.exchange if len(kept) == len(found.axes) else None)
         text = axes_file_text(Path(self.start.path), written, self.name, self.hashes, _today()) if kept else ""
         answer = {
             **self._head(),
             "method": "axes",
             "axes": {axis.name: _axis_answer(axis) for axis in found.axes},
+            "exchange": None if found.exchange is None else _estimate(found.exchange.delta),
             "advice": [*rough, *found.advice],
         }
         return MachineFit(answer, text, self.name, found, self.belts, tuple(rough))

@@ -16,7 +16,7 @@ where its frequency and its share are sharp.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -26,9 +26,8 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from ffcomp.errors import MeasurementError
-from ffcomp.identify.axis_spectra import AXES, COARSE, SMALLEST_ERROR, Datum, Response, Spectrum, usable
+from ffcomp.identify.axis_spectra import COARSE, SMALLEST_ERROR, Datum, Spectrum
 from ffcomp.identify.uncertainty import Estimate, lognormal, normal
-from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.numerics.least_squares import minimise
 from models.arrays import ComplexArray, FloatArray
 
@@ -51,7 +50,6 @@ SHARP = 2.0  # standard uncertainties that a share must be away from zero
 WEAK_DAMPING = 0.25  # relative standard uncertainty from which the user is warned
 POOR_FIT = 0.35  # model error from which the user is warned
 APART = 0.05  # relative distance of frequencies by which two files disagree
-CROSS_TALK = 0.1  # of the direct response, in amplitude, from which coupling is reported: chips sit a few degrees askew
 
 
 @dataclass(frozen=True)
@@ -103,7 +101,9 @@ class _Fit:
     @cached_property
     def independent(self) -> FloatArray:
         """(d,) the share of each datum's residuals that is independent."""
-        return np.array([independent_share(r, d) for r, d in zip(self.residuals, self.data, strict=True)])
+        return np.array(
+            [independent_share(r, len(d.frequency_hz)) for r, d in zip(self.residuals, self.data, strict=True)]
+        )
 
     @cached_property
     def covariance(self) -> FloatArray:
@@ -278,9 +278,9 @@ def _level(residual: FloatArray, datum: Datum, used: float) -> float:
     return float(low)
 
 
-def independent_share(residual: FloatArray, datum: Datum) -> float:
+def independent_share(residual: FloatArray, lines: int) -> float:
     """Return (1 − ρ)/(1 + ρ): neighbouring lines are correlated by window and by model error."""
-    parts = residual.reshape(-1, len(datum.frequency_hz))  # of a response, real and imaginary
+    parts = residual.reshape(-1, lines)  # of a response, real and imaginary
     rho = float(np.sum(parts[:, 1:] * parts[:, :-1]) / max(float(np.sum(parts**2)), 1e-300))
     rho = min(max(rho, 0.0), 0.95)
     return (1 - rho) / (1 + rho)
@@ -377,70 +377,3 @@ def _weak(name: str, modes: Sequence[AxisMode], errors: Sequence[float]) -> list
             "than a machine file holds, or it rattles. Look at it with --figure."
         )
     return advice
-
-
-# ---- all axes ------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class IdentifiedAxes:
-    """All fitted axes, with advice."""
-
-    axes: tuple[AxisFit, ...]
-    advice: tuple[str, ...]
-
-
-def identify_axes(
-    spectra: Sequence[Spectrum],
-    responses: Sequence[FrequencyResponse],
-    progress: Callable[[str], None] = lambda _: None,
-) -> IdentifiedAxes:
-    """Fit the modes of every measured axis.
-
-    Raises
-    ------
-    MeasurementError
-        If nothing was, or no axis shows a resonance.
-    """
-    answers, sentences = usable(responses)
-    data: list[Datum] = [*spectra, *(answer for answer in answers if answer.direct)]
-    if not data:
-        raise MeasurementError("data", [*sentences, "None of the files holds the response of an axis to its command."])
-    found = []
-    for name in AXES:
-        mine = [datum for datum in data if datum.axis == name]
-        if mine:
-            progress(f"{name}: {len(mine)} {'file' if len(mine) == 1 else 'files'}")
-            try:
-                found.append(fit_axis(name, mine))
-            except MeasurementError as error:
-                sentences += error.problems
-    if not found:
-        raise MeasurementError("data", sentences)
-    advice = [text for axis in found for text in axis.advice]
-    names = [axis.name for axis in found]
-    missing = [
-        f"Nothing was measured along {name}: [axes.{name}] stays the starting file's."
-        for name in "xy"
-        if not any(datum.axis == name for datum in data)
-    ]
-    return IdentifiedAxes(tuple(found), (*sentences, *advice, *_crossing(answers, names), *missing))
-
-
-def _crossing(answers: Sequence[Response], moved: Sequence[str]) -> list[str]:
-    """Report how much of an axis' motion the others show, which the model does not have."""
-    power = {
-        (a.measured.input, a.measured.output): float(np.sum(np.maximum(np.abs(a.value) ** 2 - a.measured.variance, 0)))
-        for a in answers
-    }
-    sentences = []
-    for (cmd, output), crossed in power.items():
-        direct = power.get((cmd, output[:-1] + cmd[-1]), 0.0)
-        if cmd[-1] in moved and output[-1] != cmd[-1] and crossed > CROSS_TALK**2 * direct > 0:
-            sentences.append(
-                f"{cmd} shows in {output} too ({100 * np.sqrt(crossed / direct):.0f} % of the direct response): the "
-                "model's axes do not disturb each other, so this is not compensated. Are the sensor's axes the "
-                "printer's? If so, ffcomp diagnose tells belts of unequal tension (belt_stiffness) from a racking "
-                "gantry (gantry_racking) and a swaying frame (frame_mode); with the effect in the file it is."
-            )
-    return sentences

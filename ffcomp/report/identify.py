@@ -15,10 +15,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.signal import find_peaks
 
+from ffcomp.identify.all_axes import IdentifiedAxes
 from ffcomp.identify.axis_spectra import Datum
 from ffcomp.identify.belts import BeltComparison
 from ffcomp.identify.identify import Identified
-from ffcomp.identify.modal_fit import AxisFit, IdentifiedAxes
+from ffcomp.identify.modal_fit import AxisFit
 from ffcomp.report.belts import belts_panel
 from ffcomp.report.shared.band import BAND_HEIGHT, band, machine_line, room_below
 from ffcomp.report.shared.drawing import write_figure

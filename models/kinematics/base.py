@@ -170,6 +170,11 @@ class Kinematics(ABC):
         return np.eye(3)
 
     @property
+    def shares_motors(self) -> bool:
+        """Return whether the same motors, and their belts, move several axes."""
+        return bool(np.count_nonzero(self.motors) > 3)
+
+    @property
     def slow_zones(self) -> SlowZones | None:
         """Return the lengths by which the firmware slows down near the border; None: it does not."""
         return None

@@ -24,7 +24,6 @@ from models.schema.table import Table, number_keys, refuse
 from models.schema.words import did_you_mean
 from models.vibration.base import VibrationModel
 from models.vibration.delta import DeltaVibration
-from models.vibration.modal import ModalAxes
 
 DEFAULT_UNCERTAINTY = 0.02
 NO_PRINTER = (
@@ -153,7 +152,15 @@ class StraightDocument(PrinterDocument):
 
     def machine_parts(self) -> tuple[Kinematics, VibrationModel]:
         """Return kinematics and vibration model."""
-        return self.kinematics.geometry(), ModalAxes.of(self.axes.axes())
+        return self.kinematics.geometry(), self.axes.model()
+
+    @model_validator(mode="after")
+    def _exchange_needs_common_belts(self) -> StraightDocument:
+        if self.axes.exchange and not self.kinematics.geometry().shares_motors:
+            refuse(
+                ["axes.exchange is of belts that move x and y together, as a CoreXY's: this machine has no such belts."]
+            )
+        return self
 
     @property
     def per_kilogram(self) -> bool:

@@ -10,11 +10,11 @@ from pydantic import Field, model_validator
 from models.arrays import constant
 from models.kinematics.cartesian import CARTESIAN, COREXY, CartesianKinematics
 from models.schema.table import MODES, TWO, Place, Table, refuse
-from models.vibration.modal import Axis
+from models.vibration.modal import Axis, ModalAxes
 
 
 class StraightTable(Table):
-    """Cartesian and CoreXY machines: axes that do not disturb each other."""
+    """Cartesian and CoreXY machines: straight axes, and the box that the nozzle moves in."""
 
     type: Literal["cartesian", "corexy"]
     x_range_mm: Annotated[list[Place], TWO]
@@ -55,11 +55,14 @@ class AxesTable(Table):
     x: AxisTable | None = None
     y: AxisTable | None = None
     z: AxisTable | None = None
+    exchange: float | None = Field(None, ge=-0.5, le=0.5)
 
     @model_validator(mode="after")
     def _possible(self) -> AxesTable:
         tables = {name: getattr(self, name) for name in "xyz" if getattr(self, name) is not None}
         refuse(problem for name, table in tables.items() for problem in _axis_problems(name, table))
+        if self.exchange and not (self.x and self.y):
+            refuse([f"axes.exchange = {self.exchange:g} needs the modes of both, [axes.x] and [axes.y]."])
         weighed = [name for name, table in tables.items() if table.mass_kg is not None]
         if weighed and len(weighed) < len(tables):
             lacking = next(name for name in tables if name not in weighed)
@@ -68,9 +71,10 @@ class AxesTable(Table):
             )
         return self
 
-    def axes(self) -> list[Axis]:
-        """Return three axes X Y Z."""
-        return [Axis() if table is None else table.axis() for table in (self.x, self.y, self.z)]
+    def model(self) -> ModalAxes:
+        """Return the model of the three axes X Y Z, and of what x and y exchange."""
+        axes = [Axis() if table is None else table.axis() for table in (self.x, self.y, self.z)]
+        return ModalAxes.of(axes, self.exchange or 0.0)
 
 
 def _axis_problems(name: str, table: AxisTable) -> Iterator[str]:

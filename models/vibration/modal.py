@@ -7,7 +7,10 @@ An axis q with commanded position u is the sum of oscillators side by side, q = 
 
 A mode of natural frequency ω and damping ratio ζ has k = ω² m, b = 2 ζ ω m and c = 0; only ratios to the modal mass
 matter. A rigid axis is one stiff oscillator, damped by c, which does not make it lag. The states are (p_i, ṗ_i) of
-every oscillator, those of x first; nothing couples them. mm, s.
+every oscillator, those of x first. mm, s.
+
+Where the same belts drive x and y, they may exchange motion by δ (`models/effects/belt_stiffness.py`): in place of u,
+each axis follows u + δ (w − q_d), with the w and the driven point q_d of the other axis. Else nothing couples the axes.
 """
 
 from __future__ import annotations
@@ -99,7 +102,7 @@ class ModalAxes(VibrationModel):
 
     axes: tuple[tuple[Oscillator, ...], tuple[Oscillator, ...], tuple[Oscillator, ...]]
     masses_kg: tuple[float | None, ...] = (None, None, None)  # M of each axis, where it is known
-    exchange: float = 0.0  # δ of belts that move x and y together
+    exchange: float = 0.0  # δ of what moves x and y together, such as the belts of a CoreXY
 
     position_dependent: ClassVar[bool] = False
     channels: ClassVar[tuple[str, str, str]] = AXES
@@ -107,10 +110,10 @@ class ModalAxes(VibrationModel):
     moves: ClassVar[Literal["carriages", "axes"]] = "axes"
 
     @classmethod
-    def of(cls, axes: Sequence[Axis]) -> ModalAxes:
-        """Return the model of three axes X Y Z."""
+    def of(cls, axes: Sequence[Axis], exchange: float = 0.0) -> ModalAxes:
+        """Return the model of three axes X Y Z, of which x and y exchange motion."""
         x, y, z = (axis.oscillators for axis in axes)
-        return cls((x, y, z), tuple(axis.mass_kg for axis in axes))
+        return cls((x, y, z), tuple(axis.mass_kg for axis in axes), exchange)
 
     def _each(self) -> Iterator[tuple[int, int, Oscillator]]:
         """Yield axis, number on the axis and oscillator, in the order of the states."""

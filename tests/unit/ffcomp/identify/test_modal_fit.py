@@ -18,10 +18,11 @@ from typer.testing import CliRunner, Result
 
 from ffcomp.cli.app import app
 from ffcomp.errors import MeasurementError
+from ffcomp.identify.all_axes import identify_axes
 from ffcomp.identify.axis_spectra import Response, Spectrum, closed_form
 from ffcomp.identify.experiment import Experiment
 from ffcomp.identify.experiment_files import load_plan
-from ffcomp.identify.modal_fit import AxisFit, fit_axis, identify_axes
+from ffcomp.identify.modal_fit import AxisFit, fit_axis
 from ffcomp.identify.resonance_tests import spectrum_of
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
