@@ -20,7 +20,7 @@ import numpy as np
 
 from ffcomp.compare import methods as every
 from ffcomp.compare import rivals
-from ffcomp.compare.baselines import LinearPrinter
+from ffcomp.compare.baselines import LinearPrinter, resonance_tests
 from ffcomp.compare.equal_quality import QUALITY, equal_qualities, within_limits
 from ffcomp.compare.evaluation import SAMPLE_S, Execution, MethodEvaluation, by, evaluate, track
 from ffcomp.compare.execution import Piece, execute
@@ -205,6 +205,7 @@ def _tuned(
     """Tune the methods; the searches share the processors."""
     linear, of_place = LinearPrinter(plant, few), every.mode_frequencies(plant)
     tuner = rivals.Tuner(machine, plant, linear) if any(map(every.is_rival, names)) else None
+    tests = resonance_tests(plant) if any(name.endswith(every.CALIBRATED) for name in names) else []
 
     def method(name: str) -> TunedMethod:
         if tuner is not None and every.is_rival(name):
@@ -215,7 +216,7 @@ def _tuned(
         if name in (every.ONE_MODEL, every.ROBUST, COMPENSATED):
             return every.inversion(machine, settings, name)
         if name.endswith(every.CALIBRATED):
-            return every.calibrated(plant, kind)
+            return every.calibrated(tests, kind)
         if name.endswith(every.SCHEDULED):
             return every.scheduled(linear, of_place, kind)
         return every.best_fixed(linear, kind)

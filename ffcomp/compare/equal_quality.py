@@ -21,7 +21,8 @@ LOWEST, HIGHEST, FIRST = 250.0, 40_000.0, 3000.0  # mm/s²
 NEAR = 1.03  # ratio of what is too fast to what is not, at which the search ends
 ROUNDS, USUAL_ROUNDS = 10, 5
 QUALITY = "seeking equal quality"  # the stage
-LEAST_STEP, LARGEST_STEP = 1.5, 12.0  # factors, until a bound is found on both sides
+LEAST_STEP, LARGEST_STEP = 1.02, 12.0  # factors, until the bound is found from both sides
+BEYOND, POWERS = 1.012, (0.3, 3.0)  # by how much a trial aims beyond the bound; of the acceleration, that errors may be
 
 
 def equal_qualities(
@@ -52,7 +53,7 @@ def equal_qualities(
     progress : callable
     """
     own = printed.acceleration_mm_per_s2 or FIRST
-    searches = [Search(bound_um, begin(own, bound_um / max(p99_um[method.name], 1e-9))) for method in tuned]
+    searches = [_search(bound_um, own, p99_um[method.name]) for method in tuned]
     for number in range(ROUNDS):
         todo = [k for k, search in enumerate(searches) if not search.done]
         if not todo:
@@ -69,6 +70,10 @@ def equal_qualities(
     return {method.name: search.result(printed) for method, search in zip(tuned, searches, strict=True)}
 
 
+def _search(bound_um: float, own: float, p99_um: float) -> Search:
+    return Search(bound_um, begin(own, bound_um / max(p99_um, 1e-9)), tried=[(own, p99_um)])
+
+
 def begin(own: float, factor: float) -> float:
     """Return where a search begins: errors grow about in proportion to the acceleration."""
     return min(max(own * min(factor, LARGEST_STEP) ** (0.85 if factor > 1.0 else 1.0), LOWEST), HIGHEST)
@@ -82,11 +87,14 @@ class Search:
     first: float  # mm/s²
     good: tuple[float, float] | None = None  # mm/s² and µm
     bad: tuple[float, float] | None = None
-    tried: list[float] = field(default_factory=list)
+    tried: list[tuple[float, float]] = field(default_factory=list)  # mm/s² and µm: hints of before may be the first
+    alike: int = 0  # trials that ended on the same side of the bound as the one before
 
     def take(self, acceleration: float, p99_um: float) -> None:
         """Learn the error at an acceleration."""
-        self.tried.append(acceleration)
+        self.tried.append((acceleration, p99_um))
+        one_side = self.good is None or self.bad is None
+        self.alike = self.alike + 1 if one_side and (self.good or self.bad) else 0
         if p99_um <= self.bound_um:
             self.good = acceleration, p99_um
         else:
@@ -107,16 +115,28 @@ class Search:
         return self.good is not None and self.good[0] >= HIGHEST
 
     def next(self) -> float:
-        """Return the next acceleration to try: errors grow about in proportion to it."""
+        """Return the next acceleration to try: a little beyond where the bound is expected, then before it."""
         if self.bad is None and self.good is None:
             return self.first
-        if self.bad is None and self.good is not None:
-            factor = 1.3 * self.bound_um / max(self.good[1], 1e-9)
-            return min(self.good[0] * min(max(factor, LEAST_STEP), LARGEST_STEP), HIGHEST)
-        if self.good is None and self.bad is not None:
-            factor = 0.8 * self.bound_um / self.bad[1] if np.isfinite(self.bad[1]) else 0.5
-            return max(self.bad[0] * max(min(factor, 1 / LEAST_STEP), 1 / LARGEST_STEP), LOWEST)
-        return self._between()
+        if self.good is not None and self.bad is not None:
+            return self._between()
+        last = self.good or self.bad or (self.first, np.inf)
+        step = float(np.clip(self._ratio(last) * BEYOND ** (1 if self.good else -1), 1 / LARGEST_STEP, LARGEST_STEP))
+        least = LEAST_STEP ** (4**self.alike)  # what was expected in vain is looked for farther and farther off
+        step = max(step, least) if self.good else min(step, 1 / least)
+        return float(min(max(last[0] * step, LOWEST), HIGHEST))
+
+    def _ratio(self, last: tuple[float, float]) -> float:
+        """Return by which factor the acceleration must change to meet the bound, as the last two errors have it."""
+        if not np.isfinite(last[1]):
+            return 0.5
+        others = [each for each in self.tried if each[0] != last[0] and np.isfinite(each[1])]
+        power = 1.0  # errors grow about in proportion
+        if others:
+            a, error = min(others, key=lambda each: abs(np.log(each[0] / last[0])))
+            slope = np.log(max(last[1], 1e-9) / max(error, 1e-9)) / np.log(last[0] / a)
+            power = float(np.clip(slope, *POWERS))
+        return float((self.bound_um / max(last[1], 1e-9)) ** (1 / power))
 
     def _between(self) -> float:
         """Interpolate in logarithms, but step over what is near, which closes in on it from both sides.
@@ -150,9 +170,8 @@ def _p99_um(
     """Return each method's 99th percentile at its acceleration; infinite if its command breaks a carriage's limit."""
     tasks = [partial(_accelerated, *each, slices) for each in zip(tuned, accelerations, strict=True)]
     pieces = in_parallel(tasks, "", lambda what, share: progress(what, share / 2))
-    executions = execute(
-        plant, [piece for own in pieces for piece in own], "", lambda what, share: progress(what, (1 + share) / 2)
-    )
+    every, told = [piece for own in pieces for piece in own], lambda what, share: progress(what, (1 + share) / 2)
+    executions = execute(plant, every, "", told, coarse=True)
     found, at = [], 0
     for own in pieces:
         executed, at = executions[at : at + len(own)], at + len(own)

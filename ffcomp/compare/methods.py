@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from ffcomp.compensate.statistics import Statistics
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
 from ffcomp.shapers.apply import FrequencyOfPosition
+from ffcomp.shapers.calibration import Spectrum
 from ffcomp.shapers.kinds import USUAL
 from ffcomp.simulate.motion import Motion
 from models.arrays import FloatArray
@@ -97,9 +98,12 @@ def none() -> TunedMethod:
     return TunedMethod("none", "no compensation", "none", tuning, lambda s: (s.motion, None))
 
 
-def calibrated(plant: Machine, kind: str) -> TunedMethod:
-    """Return a shaper as the firmware's own resonance test at the bed's middle would set it."""
-    frequency, x, y = calibrated_shapers(effective_machine(plant), kind)
+def calibrated(tests: Sequence[Spectrum], kind: str) -> TunedMethod:
+    """Return a shaper as the firmware's own resonance test at the bed's middle would set it.
+
+    tests : of x and y, see `resonance_tests`
+    """
+    frequency, x, y = calibrated_shapers(tests, kind)
     tuning = f"x {frequency[0]:.1f} Hz, y {frequency[1]:.1f} Hz: Klipper's calibration from a resonance test at 0, 0."
     label = f"{kind.upper()}, calibrated"
     return TunedMethod(kind + CALIBRATED, label, "calibrated", tuning, _shaping(x, y))

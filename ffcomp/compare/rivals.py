@@ -12,16 +12,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from ffcomp import shapers
-from ffcomp.compare.baselines import LinearPrinter
+from ffcomp.compare.baselines import MARGIN, LinearPrinter
 from ffcomp.shapers.calibration import Spectrum, carriage_test_psd, fit, resonance_test_psd
 from ffcomp.shapers.grid import shape_samples
 from ffcomp.shapers.pattern import Found, Scan, search
 from ffcomp.shapers.smooth import KERNELS
-from ffcomp.simulate.linear import STEP_S, whole_steps
+from ffcomp.simulate.linear import STEP_S
 from ffcomp.simulate.motion import Motion
 from models.arrays import FloatArray
 from models.effects.catalogue import effective_machine
@@ -43,7 +44,6 @@ KERNEL_ALONE = (0.33, 0.42, 0.55, 0.75, 1.3)  # of an inverse, whose kernel may 
 DAMPING = "damping ratio"
 DAMPINGS = (0.4, 0.6, 1.5, 2.2)  # factors
 PEAK_S = 0.004  # over which accelerations of commands are told everywhere
-MARGIN = 400  # steps, 0.2 s: longer than half of any shaper above 7 Hz
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,18 +146,17 @@ class Tuner:
     def __init__(self, machine: Machine, plant: Machine, linear: LinearPrinter) -> None:
         self._machine, self._linear = machine, linear
         self._compiled = machine.kinematics.compiled()
-        own, middle = effective_machine(plant), np.array(plant.kinematics.centre_mm, dtype=float)
-        self._axes = [resonance_test_psd(own, middle, axis) for axis in ("x", "y", "z")]
-        self._carriages = [carriage_test_psd(own, middle, k) for k in range(3)]
+        self._plant, self._middle = effective_machine(plant), np.array(plant.kinematics.centre_mm, dtype=float)
         self._known: dict[tuple[str, int, bool], float] = {}  # frequencies that were fitted
-        self._plans = [self._sampled(each.motion) for each in linear.slices]
+        self._plans = [(nozzle, self._compiled.inverse(nozzle)) for nozzle in linear.plans]
 
-    def _sampled(self, motion: Motion) -> tuple[FloatArray, FloatArray]:
-        """Return the plan's nozzle and carriages, STEP_S apart, with MARGIN before and after."""
-        steps = whole_steps(motion.end_t - motion.begin_t)
-        nozzle = motion.position(motion.begin_t + STEP_S * np.arange(-MARGIN, steps + 1 + MARGIN, dtype=np.float64))
-        nozzle = np.ascontiguousarray(nozzle)
-        return nozzle, self._compiled.inverse(nozzle)
+    @cached_property
+    def _axes(self) -> list[Spectrum]:
+        return [resonance_test_psd(self._plant, self._middle, axis) for axis in ("x", "y", "z")]
+
+    @cached_property
+    def _carriages(self) -> list[Spectrum]:
+        return [carriage_test_psd(self._plant, self._middle, k) for k in range(3)]
 
     def calibrated(self, rival: Rival) -> FloatArray:
         """Return the settings that a firmware's calibration finds in the middle of the bed.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
+from numba import njit
 
 from ffcomp.shapers.apply import FrequencyOfPosition
 from models.arrays import FloatArray
@@ -58,11 +58,9 @@ def over_the_bed(
     x = np.linspace(-reach, reach, 2 * int(np.ceil(reach / pitch_mm)) + 1)
     nodes = _inside(np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2), reach)
     values = np.array([frequencies_at(node) for node in nodes]).reshape(len(x), len(x), 2)
-    # a position on the rim may round to just outside the grid
-    table = RegularGridInterpolator((x, x), values, bounds_error=False, fill_value=None)
 
     def of_position(xy: FloatArray) -> FloatArray:
-        return np.asarray(table(_inside(xy, reach)), dtype=float)
+        return _interpolated(np.ascontiguousarray(_inside(xy, reach)), reach, values)
 
     return of_position
 
@@ -71,3 +69,20 @@ def _inside(xy: FloatArray, reach_mm: float) -> FloatArray:
     """Move positions (n, 2) mm outside the bed to its rim."""
     distance = np.hypot(xy[:, 0], xy[:, 1])
     return xy * (reach_mm / np.maximum(distance, reach_mm))[:, None]
+
+
+@njit(cache=True, nogil=True)
+def _interpolated(xy: FloatArray, reach_mm: float, values: FloatArray) -> FloatArray:
+    """Interpolate values (n, n, 2) at the nodes of a square grid from -reach_mm to reach_mm, linearly in x and in y."""
+    out = np.empty((len(xy), 2))
+    cells = len(values) - 1
+    for k in range(len(xy)):
+        across, along = ((xy[k, 0] + reach_mm) * cells / (2 * reach_mm), (xy[k, 1] + reach_mm) * cells / (2 * reach_mm))
+        # a position on the rim may round to just outside the grid
+        i, j = min(max(int(across), 0), cells - 1), min(max(int(along), 0), cells - 1)
+        u, v = across - i, along - j
+        for c in range(2):
+            low = (1 - v) * values[i, j, c] + v * values[i, j + 1, c]
+            high = (1 - v) * values[i + 1, j, c] + v * values[i + 1, j + 1, c]
+            out[k, c] = (1 - u) * low + u * high
+    return out

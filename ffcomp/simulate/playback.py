@@ -23,8 +23,8 @@ from models.errors import MachineFileError, UnreachableError
 from models.machine import Machine
 from models.printer import playback
 from models.printer.kernels.record import LANES
-from models.printer.parameters import printer_parameters
-from models.printer.printer import Hold, equilibrium_state
+from models.printer.parameters import converted_printer, printer_parameters
+from models.printer.printer import Hold, equilibrium_state, longest_step
 from models.printer.static_deflection import static_deflection
 
 Item = TypeVar("Item")
@@ -36,6 +36,7 @@ ROUNDING = 1e-6  # of a sample
 TAIL_S = 0.25  # shown after a section has ended: the printer still rings
 
 KEEP_EVERY = 4  # rows between two samples of `simulate_nozzles`
+COARSE = 2  # rows and steps are so much longer where a search is content with 0.4 µm
 MOST_ROWS, FEWEST_ROWS = 64_000, 2_000  # of a chunk, for one plant and for very many
 SAMPLE_S = KEEP_EVERY * ROW_S
 JOBS = os.cpu_count() or 1
@@ -167,7 +168,7 @@ def simulate_nozzles(
 
 
 def simulate_side_by_side(
-    plant: Machine, motions: Sequence[Motion], believed: Machine
+    plant: Machine, motions: Sequence[Motion], believed: Machine, *, coarse: bool = False
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Execute several motions, each from rest on a printer of its own, which take little longer than one.
 
@@ -178,21 +179,33 @@ def simulate_side_by_side(
         At best LANES of them, of about the same length.
     believed : Machine
         The machine whose inverse kinematics the firmware uses.
+    coarse : bool
+        With longer rows, for a search; only of printers that are smooth, others stay as they are.
 
     Returns
     -------
     list of (t, nozzle)
         As of `simulate_nozzles`, one a motion.
     """
-    counts = [_row_count(motion) for motion in motions]
+    longer = COARSE if coarse and _is_smooth(plant) else 1
+    row_s, keep_every = longer * ROW_S, KEEP_EVERY // longer
+    counts = [_row_count(motion) // longer for motion in motions]
     found: list[list[FloatArray]] = [[] for _ in motions]
-    commands = [_command(motion, believed) for motion in motions]
-    plants = [plant] * len(motions)
-    for first, played in playback.play(plants, commands, max(counts) + 1, ROW_S, **_options(len(motions), 1)):
+    commands = [_command(motion, believed, row_s) for motion in motions]
+    plants, options = [plant] * len(motions), _options(len(motions), 1)
+    if longer > 1:
+        options["substeps"] = 1
+    for first, played in playback.play(plants, commands, max(counts) + 1, row_s, **options):
         for own, each, count in zip(found, played, counts, strict=True):
-            own.append(each.nozzle_mm[KEEP_EVERY : max(count - first, 0) + 1 : KEEP_EVERY])
+            own.append(each.nozzle_mm[keep_every : max(count - first, 0) + 1 : keep_every])
     nozzles = [levelled(plant, np.concatenate(parts)) for parts in found]
     return list(zip(map(_times, motions), nozzles, strict=True))
+
+
+def _is_smooth(plant: Machine) -> bool:
+    """Tell whether one step from row to row is enough."""
+    printer = converted_printer(plant)
+    return longest_step(printer.parameters, printer.modes) >= (1 - ROUNDING) * ROW_S
 
 
 def side_by_side(motions: Sequence[Motion]) -> list[list[int]]:
@@ -209,10 +222,10 @@ def _times(motion: Motion) -> FloatArray:
     return motion.begin_t + KEEP_EVERY * ROW_S * np.arange(1, _row_count(motion) // KEEP_EVERY + 1, dtype=np.float64)
 
 
-def _command(motion: Motion, believed: Machine) -> Callable[[int, int], FloatArray]:
+def _command(motion: Motion, believed: Machine, row_s: float = ROW_S) -> Callable[[int, int], FloatArray]:
     actuators = motion.actuators(believed)
     return lambda first, last: actuators(
-        np.minimum(motion.begin_t + ROW_S * np.arange(first, last, dtype=np.float64), motion.end_t)
+        np.minimum(motion.begin_t + row_s * np.arange(first, last, dtype=np.float64), motion.end_t)
     )
 
 

@@ -30,6 +30,7 @@ def play(
     gravity: bool = True,
     chunk_rows: int = CHUNK_ROWS,
     threads: int = 1,
+    substeps: int | None = None,
 ) -> Iterator[tuple[int, list[PrinterMotion]]]:
     """Play one command on every machine, or on each its own, from rest.
 
@@ -48,6 +49,8 @@ def play(
     chunk_rows : int
         Intervals of a chunk.
     threads : int
+    substeps : int, optional
+        Integration steps from row to row. None: as many as each printer asks for.
 
     Yields
     ------
@@ -75,6 +78,7 @@ def play(
             [commands[i % len(commands)] for i in part],
             row_s,
             starts=None if states is None else [states[i] for i in part],
+            substeps=substeps,
             gravity=gravity,
             hold=hold,
             ahead=coming,

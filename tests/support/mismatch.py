@@ -6,7 +6,7 @@ from functools import cache
 from unittest.mock import patch
 
 from ffcomp.compare import methods as every
-from ffcomp.compare.baselines import shaped_by_position
+from ffcomp.compare.baselines import resonance_tests, shaped_by_position
 from ffcomp.compare.methods import TunedMethod
 from ffcomp.compare.monte_carlo import draw_plants
 from ffcomp.compare.parallel import Stages
@@ -29,7 +29,7 @@ def tuned() -> list[TunedMethod]:
     place = every.mode_frequencies(MACHINE)
     return [
         every.none(),
-        every.calibrated(MACHINE, "mzv"),
+        every.calibrated(resonance_tests(MACHINE), "mzv"),
         TunedMethod("zv-scheduled", "", "scheduled", "", lambda s: (shaped_by_position(s.motion, place, "zv"), None)),
         every.inversion(MACHINE, settings_for(MACHINE), every.COMPENSATED),
     ]

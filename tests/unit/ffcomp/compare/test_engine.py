@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ffcomp.compare.baselines import LinearPrinter
+from ffcomp.compare.baselines import LinearPrinter, resonance_tests
 from ffcomp.compare.engine import Request, compare, names
 from ffcomp.compare.equal_quality import within_limits
 from ffcomp.compare.methods import COMPENSATED, NAMES, best_fixed, calibrated
@@ -110,10 +110,10 @@ def test_the_search_beats_the_calibration_and_its_neighbours() -> None:
     (stretch,), _ = Print(squares(), "squares.gcode", MACHINE).slices(Sampling())
     linear = LinearPrinter(MACHINE, [stretch])
     best = linear.contour_rms_um([best_fixed(linear, "ei").motion(stretch)[0]])
-    assert best < linear.contour_rms_um([calibrated(MACHINE, "ei").motion(stretch)[0]])
+    assert best < linear.contour_rms_um([calibrated(resonance_tests(MACHINE), "ei").motion(stretch)[0]])
     fixed = linear.best_fixed("ei")
     x, y = fixed.frequency_hz
-    assert best == pytest.approx(fixed.cost)
+    assert best == pytest.approx(fixed.cost, rel=1e-4)  # the search samples the plan, the print asks it anew
     from ffcomp.compare.baselines import shaped
 
     for fx, fy in ((1.05, 1.0), (0.95, 1.0), (1.0, 1.05), (1.0, 0.95)):
