@@ -29,20 +29,20 @@ CALIBRATED, SCHEDULED = "-calibrated", "-scheduled"  # behind a kind
 ONE_MODEL, ROBUST, COMPENSATED = "fbs-lti", "fbs-robust", "fbs-lpv"
 NAMES = (
     "none",
-    *(kind + CALIBRATED for kind in KINDS),
+    *(kind + CALIBRATED for kind in (*KINDS, *rivals.NAMES)),
     *KINDS,
-    *(kind + SCHEDULED for kind in KINDS),
-    *(name + CALIBRATED for name in rivals.NAMES),
     *rivals.NAMES,
+    *(kind + SCHEDULED for kind in KINDS),
     ONE_MODEL,
     ROBUST,
     COMPENSATED,
 )  # in the order of the table
+USUAL_RIVALS = ("mzv-z",)  # the best rival near the centre of a delta
 USUAL_NAMES = tuple(  # compared unless others are named
     name
     for name in NAMES
-    if name.removesuffix(CALIBRATED) not in rivals.NAMES
-    and name.removesuffix(CALIBRATED).removesuffix(SCHEDULED) not in set(KINDS) - set(USUAL)
+    if name.removesuffix(CALIBRATED).removesuffix(SCHEDULED) in (*USUAL, *USUAL_RIVALS)
+    or name in ("none", ONE_MODEL, ROBUST, COMPENSATED)
 )
 
 

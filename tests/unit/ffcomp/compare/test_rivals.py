@@ -55,9 +55,10 @@ def test_an_inverse_beyond_the_carriages_limits_does_not_count() -> None:
     assert tuner()[0].cost(rival, settings) < 100.0
 
 
-def test_every_rival_is_a_method_by_name_and_none_is_compared_unless_named() -> None:
+def test_every_rival_is_a_method_by_name_and_the_best_is_compared_unless_others_are() -> None:
     assert {"mzv-z", "zvddd-carriages", "smooth_si-inverse-z", "mzv-z-calibrated"} <= set(NAMES)
-    assert not any(map(is_rival, USUAL_NAMES)) and "mzv-inverse" not in NAMES
+    assert [name for name in USUAL_NAMES if is_rival(name)] == ["mzv-z-calibrated", "mzv-z"]
+    assert "mzv-inverse" not in NAMES and len(set(NAMES)) == len(NAMES) and "mzv-z-scheduled" not in USUAL_NAMES
     assert names(Request(only=("all",))) == NAMES
     assert rivals.parsed("smooth_mzv-inverse-z") == ("smooth_mzv", "-inverse-z")
 
