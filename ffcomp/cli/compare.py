@@ -326,9 +326,12 @@ def _columns(found: Comparison) -> list[str]:
 
 def _legend(found: Comparison) -> str:
     """Explain the columns."""
+    from ffcomp.report.compare.words import where_seen
+
     parts = [
-        "µm. rms, p99, max: distance to the reference path, over all moves; track: at equal times, constant delay "
-        "removed; ring: what still swings in straight cruise; peak: m/s² asked of a carriage ('!': beyond its limit)."
+        f"µm. rms, p99, max: distance to the reference path, {where_seen(found)}; track: over all moves at equal "
+        "times, constant delay removed; ring: what still swings in straight cruise; peak: m/s² asked of a carriage "
+        "('!': beyond its limit)."
     ]
     if found.mismatch:
         parts.append("off, worst: contour rms on Monte-Carlo plants, median and worst.")
@@ -339,12 +342,14 @@ def _legend(found: Comparison) -> str:
 
 
 def _cells(found: Comparison, name: str) -> list[str]:
+    from ffcomp.report.compare.words import seen
+
     method = found.methods[name]
-    t, over = method.track, "" if method.peaks.within_limits else "!"
+    t, shown, over = method.track, seen(found, method), "" if method.peaks.within_limits else "!"
     cells = [
-        f"{t.contour_rms_um:.2f}",
-        f"{t.contour_p99_um:.1f}",
-        f"{t.contour_max_um:.0f}",
+        f"{shown.contour_rms_um:.2f}",
+        f"{shown.contour_p99_um:.1f}",
+        f"{shown.contour_max_um:.0f}",
         f"{t.tracking_rms_no_delay_um:.1f}",
         f"{method.residual_rms_um:.1f}",
         f"{method.peaks.acceleration_mm_per_s2 / 1e3:.1f}{over}",

@@ -118,10 +118,13 @@ def compare(
     few, _ = printed.slices(request.sampling, FEW_PIECE_S, FEW_S)
     if max(each.trajectory.end_t for each in few) < SHORTEST_S:
         few = slices  # in small pieces of a short print nothing is left but their beginnings
-    chosen = names(request)
+    choice = choose_robust(machine, settings)
+    own = every.ROBUST if choice.robust else COMPENSATED
+    chosen = {*names(request), own}
     progress = Stages(progress, _stages(request, len(chosen)))
-    tuned = _tuned(machine, plant, few, settings, chosen, progress)
-    predicted = _predicted(data, path, machine, settings, printed) if request.predict else {}
+    tuned = [_named(each, own) for each in _tuned(machine, plant, few, settings, chosen, progress)]
+    written = replace(settings, robust=choice.robust)
+    predicted = _predicted(data, path, machine, written, printed) if request.predict else {}
     executed = _executed(tuned, slices, plant, progress)
     found = {method.name: _method(method, executed[method.name], printed.labels.features) for method in tuned}
     best = min((m for m in found.values() if m.family == "best fixed"), key=lambda m: m.track.contour_rms_um).name
@@ -143,11 +146,11 @@ def compare(
         mismatch=_mismatch(plant, request),
         settings=_settings(settings),
         version=__version__,
-        layers=_layers(printed, found[COMPENSATED]),
+        layers=_layers(printed, found[own]),
         features=printed.labels.features,
         methods=found,
         best_fixed=best,
-        compensated=COMPENSATED,
+        compensated=own,
         sample_s=SAMPLE_S,
         bed=_bed(plant),
         limits={
@@ -157,9 +160,10 @@ def compare(
         quality_bound_um=request.quality_bound_um,
         seconds=time.perf_counter() - started,
         acceleration_mm_per_s2=printed.acceleration_mm_per_s2,
+        whole=len(slices) == 1 and slices[0].planned is printed.planned,
         outline=_outline(printed),
         predicted=predicted,
-        robust_by_default=choose_robust(machine, settings).robust,
+        robust=choice,
     )
 
 
@@ -222,6 +226,13 @@ def _tuned(
         return every.best_fixed(linear, kind)
 
     return in_parallel([partial(method, name) for name in every.NAMES if name in names], TUNING, progress)
+
+
+def _named(method: TunedMethod, own: str) -> TunedMethod:
+    """Name what `compensate` writes with this machine file ffcomp itself, and the other inversions by what they are."""
+    if method.name == own:
+        return replace(method, label="ffcomp")
+    return replace(method, label=every.PLAIN_LABEL) if method.name == COMPENSATED else method
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,6 +27,7 @@ from models.machine import Machine
 KINDS = tuple(shapers.SHAPERS)
 CALIBRATED, SCHEDULED = "-calibrated", "-scheduled"  # behind a kind
 ONE_MODEL, ROBUST, COMPENSATED = "fbs-lti", "fbs-robust", "fbs-lpv"
+PLAIN_LABEL = "ffcomp, plain"  # of COMPENSATED, where another row is what the command line writes
 NAMES = (
     "none",
     *(kind + CALIBRATED for kind in (*KINDS, *rivals.NAMES)),

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ffcomp.inverse.robust_choice import PLAIN, RobustChoice
 from ffcomp.metrics import Track
 from ffcomp.numerics.serialise import to_json
 from models.arrays import BoolArray, FloatArray, IntArray
@@ -181,7 +182,7 @@ class Comparison:
     features: tuple[str, ...]
     methods: dict[str, Method]  # in the order of the table
     best_fixed: str  # names in `methods`: the fixed shaper with the least contour error
-    compensated: str  # name of the compensated print's method
+    compensated: str  # name of the method that `compensate` writes with this machine file
     sample_s: float  # time from sample to sample
     bed: BedMap | None = None
     limits: dict[str, float] = field(
@@ -190,9 +191,10 @@ class Comparison:
     quality_bound_um: float = 25.0
     seconds: float = 0.0  # that the comparison took
     acceleration_mm_per_s2: float | None = None  # of the print: most of its outer walls, or of all that extrudes
+    whole: bool = False  # the evaluated part is the whole print, in one piece
     outline: Outline | None = None  # all that the print extrudes, evaluated or not
     predicted: dict[str, Track] = field(default_factory=dict)  # of the whole print, as `compensate` and `show` say it
-    robust_by_default: bool = False  # `compensate` inverts robustly with this machine file, unless told otherwise
+    robust: RobustChoice = PLAIN  # of `compensate` with this machine file, unless told otherwise
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object of `ffcomp compare`, without samples (ffcomp-compare/1)."""
@@ -214,7 +216,8 @@ class Comparison:
             "ours": self.compensated,
             "quality_bound_um": self.quality_bound_um,
             **({"predicted": self.predicted} if self.predicted else {}),
-            "robust_by_default": self.robust_by_default,
+            "robust_by_default": self.robust.robust,
+            "robust_reason": self.robust.reason,
             "methods": {name: method.to_dict() for name, method in self.methods.items()},
             "seconds": self.seconds,
         }

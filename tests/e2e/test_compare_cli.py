@@ -40,7 +40,8 @@ def test_the_whole_way(small: Path, tmp_path: Path) -> None:
     assert answer.exit_code == 0, answer.output
     found = json.loads(answer.stdout)
     assert found["schema"] == "ffcomp-compare/1"
-    assert list(found["methods"]) == ["none", "mzv", "fbs-lpv"]
+    assert list(found["methods"]) == ["none", "mzv", "fbs-robust", "fbs-lpv"]
+    assert found["ours"] == "fbs-robust" and found["methods"]["fbs-robust"]["label"] == "ffcomp"
     assert found["methods"]["fbs-lpv"]["contour_rms_um"] < found["methods"]["mzv"]["contour_rms_um"]
     assert len(found["methods"]["mzv"]["mismatch"]["contour_rms_um"]) == 2
     assert found["report"] == str(page) and small.name.split(".")[0] in page.read_text(encoding="utf-8")
@@ -63,13 +64,14 @@ def test_people_get_a_verdict_and_a_table(small: Path) -> None:
 
 def test_a_compensated_file_is_compared_as_what_it_was(small: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.gcode"
-    done = CliRunner().invoke(app, ["compensate", str(small), "-m", "mp-delta-pro", "-q", "-o", str(out)])
+    done = CliRunner().invoke(app, ["compensate", str(small), "-m", "mp-delta-pro", "--json", "-o", str(out)])
     assert done.exit_code == 0, done.output
     options = ("-m", "mp-delta-pro", "--only", "mzv", "--quality-um", "0", "--layers", "1", "--json")
     before, after = (call(path, *options) for path in (small, out))
     assert "compensated already" in after.stderr and "compensated already" not in before.stderr
-    first, second = (json.loads(each.stdout)["methods"] for each in (before, after))
-    assert first == second
+    first, second = (json.loads(each.stdout) for each in (before, after))
+    assert first["methods"] == second["methods"]
+    assert first["predicted"] == json.loads(done.stdout)["predicted"]  # one number, whoever says it
 
 
 @pytest.mark.parametrize(

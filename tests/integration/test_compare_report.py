@@ -22,7 +22,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from ffcomp.compare.result import Comparison, EqualQuality, Party, Peaks, Samples, Spread
-from ffcomp.report.compare import html, packed, table
+from ffcomp.inverse.robust_choice import RobustChoice
+from ffcomp.report.compare import html, packed, parts, table
 from ffcomp.report.compare.answer import answer
 from ffcomp.report.compare.bars import errors, print_times
 from ffcomp.report.compare.charts import by_layer
@@ -101,13 +102,30 @@ def test_a_third_method_that_is_better_than_ours_is_named() -> None:
     assert not any("least error of all" in sentence for sentence in verdict(comparison()))
 
 
-def test_a_file_that_is_inverted_robustly_by_default_says_which_row_that_is() -> None:
+def test_a_file_that_is_inverted_robustly_by_default_is_judged_by_that_row() -> None:
     assert not any("robust" in sentence for sentence in verdict(comparison()))
-    found = comparison(robust_by_default=True)
-    assert any("--only fbs-robust" in sentence and "--no-robust" in sentence for sentence in verdict(found))
-    robust = method("fbs-robust", "ffcomp, robust", "inversion", 20.0)
-    said = " ".join(verdict(replace(found, methods={**found.methods, "fbs-robust": robust})))
-    assert "“ffcomp, robust”, which leaves 3.90 µm" in said and "--only" not in said
+    plain = comparison()
+    rows = {
+        "fbs-lpv": replace(plain.methods["fbs-lpv"], label="ffcomp, plain"),
+        "fbs-robust": method("fbs-robust", "ffcomp", "inversion", 4.0),
+    }
+    choice = RobustChoice(True, "Robust inversion: why.")
+    found = replace(plain, methods={**plain.methods, **rows}, compensated="fbs-robust", robust=choice)
+    said = " ".join(verdict(found))
+    assert "50 times less" in said and "Robust inversion: why. That leaves 0.39 µm (“ffcomp, plain”) here" in said
+    assert "ffcomp leaves 5.0 times less error" in str(answer(found))
+    assert [tile.rms for tile in html._tiles(found)] == ["39.0", "3.90", "0.78"]
+
+
+def test_errors_by_layer_and_feature_are_those_of_the_tiles() -> None:
+    found = comparison()
+    for of, own in ((parts.by_layer, found.methods["mzv"]), (parts.by_feature, found.methods["none"])):
+        each = list(of(found, own).values())  # type: ignore[operator]
+        whole = sum(error.share * error.rms_um**2 for error in each) ** 0.5
+        assert whole == pytest.approx(own.extruding.contour_rms_um) and sum(e.share for e in each) == pytest.approx(1)
+    travel = replace(found.methods["mzv"].samples, extruding=np.zeros(len(samples(1.0).due), dtype=bool))
+    still = changed(changed(found, "mzv", samples=travel), "fbs-lpv", samples=travel)
+    assert set(parts.by_layer(still, still.methods["mzv"])) == set(range(LAYERS))
 
 
 def test_limits_and_warnings_are_in_the_verdict() -> None:
@@ -330,7 +348,7 @@ def test_figures_come_as_png_and_svg_and_say_what_they_are_of(tmp_path: Path) ->
 def test_one_layer_has_one_tick() -> None:
     found = comparison()
     for key, each in found.methods.items():
-        found = changed(found, key, by_layer={0: each.by_layer[1]})
+        found = changed(found, key, samples=replace(each.samples, layer=0 * each.samples.layer))
     axes = Figure().subplots()
     by_layer(axes, found)
     low, high = axes.get_xlim()

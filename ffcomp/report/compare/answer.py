@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ffcomp.compare.result import Comparison, EqualQuality, Method
-from ffcomp.report.compare.words import acceleration, contour_rms_um, extrudes, fastest_shaper, nick, times
+from ffcomp.report.compare.words import acceleration, contour_rms_um, fastest_shaper, nick, times, where_seen
 
 WORTH, ALIKE = 2.0, 1.05  # times less error than the best shaper: below the first, a shaper is enough
 
@@ -31,7 +31,7 @@ def answer(found: Comparison) -> Answer:
         as_good = "as good" if left <= ALIKE * theirs else "better"
         return Answer("No", f"{_at(found)}the best input shaper ({nick(best)}) is {as_good} on this print.")
     gain = f"{_at(found)}ffcomp leaves {times(theirs / left)} less error than the best input shaper ({nick(best)})"
-    gain += f" and {times(before / left)} less than none, {_where(found)}.{_faster(found, own)}"
+    gain += f" and {times(before / left)} less than none, {where_seen(found)}.{_faster(found, own)}"
     if theirs < WORTH * left:
         return Answer("Hardly", f"{gain} The print is gentle: a shaper is enough.")
     return Answer("Yes", gain)
@@ -41,10 +41,6 @@ def _at(found: Comparison) -> str:
     if found.acceleration_mm_per_s2 is None:
         return ""
     return f"at your {acceleration(found.acceleration_mm_per_s2)} "
-
-
-def _where(found: Comparison) -> str:
-    return "where plastic flows" if extrudes(found) else "over all moves"
 
 
 def _faster(found: Comparison, own: Method) -> str:

@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 
 from ffcomp.compare.result import Comparison, EqualQuality, Method, Spread
 from ffcomp.report.compare.style import FAMILIES
-from ffcomp.report.compare.words import FAMILY_NAMES, clipped, duration, um
+from ffcomp.report.compare.words import FAMILY_NAMES, clipped, duration, seen, um, where_seen
 from ffcomp.report.shared.drawing import Box
 from ffcomp.report.shared.style import BEYOND, INK, SOFT, grid, plain_decades
 
@@ -116,14 +116,14 @@ def errors(axes: Axes, found: Comparison) -> None:
     """Draw rms, 99th percentile and maximum of every method on one logarithmic line."""
     methods = list(found.methods.values())
     for k, method in enumerate(methods):
-        t, colour = method.track, FAMILIES[method.family]
+        t, colour = seen(found, method), FAMILIES[method.family]
         numbers = np.maximum([t.contour_rms_um, t.contour_p99_um, t.contour_max_um], FLOOR_UM)
         axes.semilogx(numbers[[0, 2]], [k, k], color=colour, linewidth=1.5)
         axes.semilogx(numbers[0], k, "o", color=colour, markersize=8)
         axes.semilogx(numbers[1], k, "|", color=colour, markersize=11, markeredgewidth=2)
         axes.semilogx(numbers[2], k, ".", color=colour, markersize=6)
         axes.text(0.9 * numbers[0], k, f"{um(t.contour_rms_um)}  ", ha="right", va="center", fontsize=8)
-    axes.set_xlabel("contour error, all moves, µm")
+    axes.set_xlabel(f"contour error {where_seen(found)}, µm")
     axes.margins(x=0.25)  # room for the number beside the leftmost dot
     _logarithmic(axes, found, methods)
 

@@ -6,15 +6,25 @@ import numpy as np
 
 from ffcomp.compare.result import Comparison
 from ffcomp.report.compare.positions import Position
-from ffcomp.report.compare.words import acceleration, duration, fastest_shaper, nick, shown, um
+from ffcomp.report.compare.words import (
+    acceleration,
+    contour_rms_um,
+    duration,
+    fastest_shaper,
+    nick,
+    shown,
+    um,
+    where_seen,
+)
 
 HOW_TO_READ = {
     "close-up": "The corners with the largest error without compensation, of outer walls if there are any, seen from "
     "above, true to scale. Dashed: the "
     "reference path; grey: its neighbours in the layer. Below, the same pass on a logarithmic scale: how far off the "
     "path the nozzle is, before and behind the corner. Equal waves behind a corner are ringing.",
-    "errors-by-layer": "Root mean square of the contour error, all moves. On a delta the resonance changes over the "
-    "bed, so layers and features that lie elsewhere come out differently; a method that fits everywhere is flat.",
+    "errors-by-layer": "Root mean square of the contour error where plastic flows, if it flows anywhere. On a delta "
+    "the resonance changes over the bed, so layers and features that lie elsewhere come out differently; a method that "
+    "fits everywhere is flat.",
     "spectrum": "Frequencies at which the nozzle is off the path (density, so that the area under the curve squared is "
     "the mean square error). A hill inside the shaded band is ringing at the resonance; what is left at low "
     "frequencies is corners cut, what is left above is not worth compensating.",
@@ -22,7 +32,7 @@ HOW_TO_READ = {
     "black dots: where the evaluated part was printed. An input shaper has one frequency for the whole bed.",
     "limits": "The largest demand on any carriage, over one segment's time, and what the machine file allows (red "
     "line). What is beyond the limit no motor follows: such a method's accuracy is not to be had.",
-    "methods": "Every method on the same print and the same virtual printer, over all moves; left is better, and one "
+    "methods": "Every method on the same print and the same virtual printer; left is better, and one "
     "step of the grid is ten times.",
     "mismatch": "How the methods do on printers that are not as the machine file says. A wide spread means that the "
     "method relies on exact numbers.",
@@ -40,9 +50,9 @@ def said(name: str, found: Comparison, positions: list[Position]) -> str:
 
 
 def headline(found: Comparison) -> str:
-    """Return `Contour error over all moves, rms: 110 µm (no compensation) · 4.94 µm (MZV) · 1.17 µm (ffcomp)`."""
-    parts = [f"{um(m.track.contour_rms_um)} µm ({nick(m)})" for m in shown(found)]
-    return f"Contour error over all moves, rms: {' · '.join(parts)}"
+    """Return `Contour error where plastic flows, rms: 110 µm (no compensation) · 4.94 µm (MZV) · 1.17 µm (ffcomp)`."""
+    parts = [f"{um(contour_rms_um(found, m))} µm ({nick(m)})" for m in shown(found)]
+    return f"Contour error {where_seen(found)}, rms: {' · '.join(parts)}"
 
 
 def _close_up(positions: list[Position]) -> str:

@@ -10,10 +10,11 @@ from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import distance_transform_edt
 
 from ffcomp.compare.result import Comparison
+from ffcomp.report.compare import parts
 from ffcomp.report.compare.bars import FLOOR_UM, legend
 from ffcomp.report.compare.spectrum import HIGHEST_HZ, resonance_band, spectrum
 from ffcomp.report.compare.style import colour_of
-from ffcomp.report.compare.words import clipped, shown, um
+from ffcomp.report.compare.words import clipped, shown
 from ffcomp.report.shared.drawing import Box
 from ffcomp.report.shared.style import INK, LINE, REFERENCE, SOFT, grid, plain_decades
 from models.arrays import FloatArray
@@ -44,8 +45,9 @@ def method_legend(box: Box, found: Comparison) -> None:
 def by_layer(axes: Axes, found: Comparison) -> None:
     """Draw a line a method over the layers."""
     for method in shown(found):
-        numbers = sorted(method.by_layer)
-        values = [max(method.by_layer[n].rms_um, FLOOR_UM) for n in numbers]
+        layers = parts.by_layer(found, method)
+        numbers = sorted(layers)
+        values = [max(layers[n].rms_um, FLOOR_UM) for n in numbers]
         axes.semilogy(numbers, values, "o-", color=colour_of(found, method), markersize=3, linewidth=1.2)
     axes.set(xlabel="layer", ylabel="contour error, µm rms", title="By layer")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
@@ -55,10 +57,11 @@ def by_layer(axes: Axes, found: Comparison) -> None:
 
 def by_feature(axes: Axes, found: Comparison) -> None:
     """Draw a line a feature, the most frequent one on top."""
-    none = found.methods["none"].by_feature
+    none = parts.by_feature(found, found.methods["none"])
     names = sorted(none, key=lambda name: none[name].share)
     for method in shown(found):
-        rows = [(k, method.by_feature[name].rms_um) for k, name in enumerate(names) if name in method.by_feature]
+        own = parts.by_feature(found, method)
+        rows = [(k, own[name].rms_um) for k, name in enumerate(names) if name in own]
         values = [max(value, FLOOR_UM) for _, value in rows]
         axes.semilogx(values, [k for k, _ in rows], "o", color=colour_of(found, method), markersize=6)
     labels = [f"{clipped(name)}  {none[name].share:.0%}" for name in names]
@@ -85,10 +88,8 @@ def spectra(axes: Axes, found: Comparison) -> None:
         if (each := spectrum(method, found.sample_s)) is not None:
             amplitude = np.sqrt(each.density_um2_per_hz)
             low, top = min(low, float(amplitude[1:].min())), max(top, float(amplitude.max()))
-            label = f"{clipped(method.label)}: {um(method.track.contour_rms_um)} µm rms"
-            axes.semilogy(
-                each.frequency_hz, np.maximum(amplitude, FLOOR_UM), color=colour_of(found, method), lw=1.5, label=label
-            )
+            line = np.maximum(amplitude, FLOOR_UM)
+            axes.semilogy(each.frequency_hz, line, color=colour_of(found, method), lw=1.5, label=clipped(method.label))
     if top == 0.0:
         axes.text(0.5, 0.5, "The evaluated part is too short for a spectrum.", ha="center", transform=axes.transAxes)
         return

@@ -15,13 +15,14 @@ from typing import Any
 import matplotlib
 from markupsafe import Markup
 
-from ffcomp.compare.result import Comparison, Error
+from ffcomp.compare.result import Comparison
 from ffcomp.report.compare import table
 from ffcomp.report.compare.answer import answer
 from ffcomp.report.compare.captions import HOW_TO_READ
 from ffcomp.report.compare.figures import close_ups, drawings, panels
 from ffcomp.report.compare.glossary import GLOSSARY
 from ffcomp.report.compare.packed import FEATURES, LOWEST_UM, packed, thinned_out
+from ffcomp.report.compare.parts import by_feature, by_layer
 from ffcomp.report.compare.style import colour_of
 from ffcomp.report.compare.verdict import verdict
 from ffcomp.report.compare.words import (
@@ -31,8 +32,10 @@ from ffcomp.report.compare.words import (
     extrudes,
     file_name,
     outer_first,
+    rms_um,
     shown,
     um,
+    where_seen,
 )
 from ffcomp.report.shared.drawing import panel
 from ffcomp.report.shared.page import rendered, resource, tied
@@ -65,6 +68,7 @@ def _page(found: Comparison) -> Iterator[bytes]:
         sentences=[tied(sentence) for sentence in verdict(found)],
         tiles=_tiles(found),
         extrudes=extrudes(found),
+        where=where_seen(found),
         shown=shown(found),
         close_ups=[panel(each) for each in close_ups(found)],
         how_to_read=HOW_TO_READ,
@@ -133,23 +137,21 @@ def _families(found: Comparison) -> list[tuple[str, list[table.Row]]]:
 
 
 def _layers(found: Comparison) -> list[tuple[int, str, list[str]]]:
+    errors = [by_layer(found, method) for method in shown(found)]
     return [
-        (layer.number, f"{layer.z_mm:.2f}", [_rms(m.by_layer.get(layer.number)) for m in shown(found)])
+        (layer.number, f"{layer.z_mm:.2f}", [rms_um(each.get(layer.number)) for each in errors])
         for layer in found.layers
     ]
 
 
 def _features(found: Comparison) -> list[tuple[str, str, list[str]]]:
-    share = found.methods["none"].by_feature
-    names = outer_first(share, {name: error.share for name, error in share.items()})
-    return [(name, f"{share[name].share:.1%}", [_rms(m.by_feature.get(name)) for m in shown(found)]) for name in names]
+    errors = [by_feature(found, method) for method in shown(found)]
+    share = {name: error.share for name, error in by_feature(found, found.methods["none"]).items()}
+    names = outer_first(share, share)
+    return [(name, f"{share[name]:.1%}", [rms_um(each.get(name)) for each in errors]) for name in names]
 
 
 def _feature_numbers(found: Comparison) -> list[tuple[int, str]]:
     """Return what the viewer may show alone, with its number in the data."""
     number = {name: k for k, name in enumerate(found.features[: FEATURES + 1])}
     return [(number[name], name) for name, _, _ in _features(found) if name in number]
-
-
-def _rms(error: Error | None) -> str:
-    return "–" if error is None else um(error.rms_um)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import base64
 import zlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +18,8 @@ from numpy.typing import NDArray
 
 from ffcomp.compare.result import Comparison, Method, Outline
 from ffcomp.report.compare.off_path import contour_vectors, unbroken
-from ffcomp.report.compare.words import nick, shown, um
+from ffcomp.report.compare.parts import by_feature, by_layer
+from ffcomp.report.compare.words import nick, rms_um, shown
 from models.arrays import BoolArray, FloatArray, IntArray
 
 POINTS = 240_000  # of all methods together: some 2.9 MB of text
@@ -63,7 +63,6 @@ def packed(found: Comparison) -> dict[str, Any]:
     traces = [_trace(method, found.sample_s) for method in shown(found)]
     outline = _outline(found)
     scale = _scale(traces, outline)
-    numbers = [layer.number for layer in found.layers]
     return {
         "origin": scale.origin_mm.tolist(),
         "grain": scale.grain_mm,
@@ -72,10 +71,11 @@ def packed(found: Comparison) -> dict[str, Any]:
         "lowest": LOWEST_UM,
         "highest": scale.highest_um,
         "features": list(found.features[: FEATURES + 1]),
+        "partial": not found.whole,
         "layers": [{"number": layer.number, "z": layer.z_mm} for layer in found.layers],
         "reach": None if found.bed is None or not found.bed.is_round else float(found.bed.x_mm[-1]),
         "outline": _packed_outline(outline, scale),
-        "methods": [_method(trace, scale, numbers, found.features, POINTS // len(traces)) for trace in traces],
+        "methods": [_method(found, trace, scale, POINTS // len(traces)) for trace in traces],
     }
 
 
@@ -131,8 +131,10 @@ def _scale(traces: list[Trace], outline: Outline) -> Scale:
     return Scale(low, max(float((high - low).max()), 1.0) / 65535, max(longest, 1e-3) / 32767, max(highest, 1.0))
 
 
-def _method(trace: Trace, scale: Scale, numbers: list[int], features: Sequence[str], limit: int) -> dict[str, Any]:
+def _method(found: Comparison, trace: Trace, scale: Scale, limit: int) -> dict[str, Any]:
     method, s = trace.method, trace.method.samples
+    numbers = [layer.number for layer in found.layers]
+    layers, features = by_layer(found, method), by_feature(found, method)
     kept, joined = thin(trace, limit)
     worst = np.maximum.reduceat(s.contour, kept)
     layer_of = {number: index for index, number in enumerate(numbers)}
@@ -149,8 +151,8 @@ def _method(trace: Trace, scale: Scale, numbers: list[int], features: Sequence[s
         "label": method.label,
         "short": nick(method),
         "count": len(kept),
-        "byLayer": [um(method.by_layer[n].rms_um) if n in method.by_layer else "–" for n in numbers],
-        "byFeature": [um(method.by_feature[f].rms_um) if f in method.by_feature else "–" for f in features],
+        "byLayer": [rms_um(layers.get(n)) for n in numbers],
+        "byFeature": [rms_um(features.get(name)) for name in found.features],
         "data": _deflated(data),
     }
 

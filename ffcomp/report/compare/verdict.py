@@ -14,6 +14,7 @@ from ffcomp.report.compare.words import (
     shapers,
     times,
     um,
+    where_seen,
 )
 
 ALIKE = 1.05  # two errors closer than this are called the same
@@ -26,7 +27,7 @@ def verdict(found: Comparison) -> list[str]:
         _against_none(found, none, own_method),
         _against_best(found, best, own_method),
         *_against_all(found, own_method),
-        *_by_default(found, own_method),
+        *_written(found),
         *_mismatch(found, best, own_method),
         *_equal_quality(found, none, own_method),
         *_limits(found, own_method),
@@ -93,18 +94,15 @@ def _against_all(found: Comparison, own_method: Method) -> list[str]:
     return [f"The least error of all has {first.label}: {um(least)} µm."]
 
 
-def _by_default(found: Comparison, own_method: Method) -> list[str]:
-    """Tell which row a print gets that is compensated without further options."""
-    if not found.robust_by_default:
+def _written(found: Comparison) -> list[str]:
+    """Tell how `compensate` inverts with this machine file, where that is not plain, and what plain leaves."""
+    plain = found.methods.get("fbs-lpv")
+    if not found.robust.robust or plain is None:
         return []
-    robust = found.methods.get("fbs-robust")
-    if robust is None:
-        row = "which is not among these methods (--only fbs-robust)"
-    else:
-        row = f"“{robust.label}”, which leaves {um(contour_rms_um(found, robust))} µm"
+    exact = ", where the printer is exactly as the file says" if found.plant.sha256 == found.machine.sha256 else ""
     return [
-        f"The file's [uncertainty] makes `ffcomp compensate` invert robustly, {row}; “{own_method.label}” is what "
-        "`--no-robust` gives."
+        f"“ffcomp” is what `ffcomp compensate` writes with this machine file. {found.robust.reason} That leaves "
+        f"{um(contour_rms_um(found, plain))} µm (“{plain.label}”) here{exact}."
     ]
 
 
@@ -200,11 +198,11 @@ def _predicted(found: Comparison) -> list[str]:
     if not found.predicted:
         return []
     before, after = (um(found.predicted[name].contour_rms_um) for name in ("uncompensated", "compensated"))
-    plain = " --no-robust" if found.robust_by_default else ""
+    part = "" if found.whole else ", of the part that was evaluated"
     return [
-        f"Predicted contour error of the whole print: {before} → {after} µm rms. This is the number of `ffcomp "
-        f"compensate{plain}` and `ffcomp show`, of the linear model that ffcomp plans with, over all moves, travel "
-        "too. The numbers above are the virtual printer's, which is not linear, of the part that was evaluated."
+        f"`ffcomp compensate` and `ffcomp show` say {before} → {after} µm rms for this print: that is predicted by the "
+        "linear model that ffcomp plans with, over all moves of the whole print, travel too. The errors above are "
+        f"the virtual printer's, which is not linear, {where_seen(found)}{part}."
     ]
 
 

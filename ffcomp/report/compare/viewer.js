@@ -30,7 +30,7 @@ function startViewer(root, data, colours, methods, outline) {
   const start = { yaw: -0.6, pitch: 0.75, zoom: 1, panX: 0, panY: 0, fit: null };
   const view = { ...start };
   const state = {
-    layer: data.layers.length - 1, range: "all", method: methods.length, exaggeration: 1, travel: false, outline: true,
+    layer: data.layers.length - 1, range: "all", method: methods.length, exaggeration: 1, travel: false, outline: data.partial,
     feature: -1, width: 1.6, until: 1,
   };
   let pending = false, quick = false, hover = null;

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
-from ffcomp.compare.result import Comparison, Family, Method
+from ffcomp.compare.result import Comparison, Error, Family, Method
+from ffcomp.metrics import Track
 from gcode.layers import is_outer_wall
 
 FAMILY_NAMES: dict[Family, str] = {
@@ -94,11 +95,26 @@ def extrudes(found: Comparison) -> bool:
     return bool(found.methods[found.compensated].samples.extruding.any())
 
 
+def rms_um(error: Error | None) -> str:
+    """Format the rms of one part of the print, if there is such a part."""
+    return "–" if error is None else um(error.rms_um)
+
+
+def seen(found: Comparison, method: Method) -> Track:
+    """Return the errors that show on the print: where plastic flows, or everywhere if it flows nowhere."""
+    return method.extruding if extrudes(found) else method.track
+
+
+def where_seen(found: Comparison) -> str:
+    """Say which samples those are."""
+    return "where plastic flows" if extrudes(found) else "over all moves"
+
+
 def contour_rms_um(found: Comparison, method: Method) -> float:
-    """Return the rms that shows on the print: where plastic flows, or everywhere if it flows nowhere."""
-    return (method.extruding if extrudes(found) else method.track).contour_rms_um
+    """Return the rms of what shows."""
+    return seen(found, method).contour_rms_um
 
 
 def contour_p99_um(found: Comparison, method: Method) -> float:
     """Return the 99th percentile of the same."""
-    return (method.extruding if extrudes(found) else method.track).contour_p99_um
+    return seen(found, method).contour_p99_um

@@ -12,7 +12,7 @@ import pytest
 from ffcomp.compare.baselines import LinearPrinter, resonance_tests
 from ffcomp.compare.engine import Request, compare, names
 from ffcomp.compare.equal_quality import within_limits
-from ffcomp.compare.methods import COMPENSATED, NAMES, best_fixed, calibrated
+from ffcomp.compare.methods import COMPENSATED, NAMES, ROBUST, best_fixed, calibrated
 from ffcomp.compare.result import Comparison
 from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.metrics import Track
@@ -39,7 +39,7 @@ def test_the_methods_rank_as_they_should() -> None:
 
 def test_methods_come_in_the_order_of_the_table() -> None:
     methods = list(found().methods)
-    assert methods == [name for name in NAMES if name in {"none", COMPENSATED, *ONLY}]
+    assert methods == [name for name in NAMES if name in {"none", ROBUST, COMPENSATED, *ONLY}]
     assert found().best_fixed == "mzv"
 
 
