@@ -79,6 +79,7 @@ def diagnose(
         from ffcomp.diagnose.diagnosis import diagnose as searched
         from ffcomp.diagnose.json import diagnosis_json
         from ffcomp.diagnose.problems import check_recordings, gain_of, problem_of, recordings_of, separated
+        from ffcomp.diagnose.progress import USUAL_S
         from ffcomp.diagnose.result import result_of
         from ffcomp.diagnose.work import BUDGET
         from ffcomp.record.axes import turn_of
@@ -93,7 +94,7 @@ def diagnose(
         measured = recordings_of(loaded, runs, plan, turn_of(axes_map), progress)
         problem = problem_of(loaded, measured)
         check_recordings(problem, measured, without_repeats)
-        with SearchProgress(quiet) as shown:
+        with SearchProgress(quiet, USUAL_S) as shown:
             search = searched(problem, shown, inf if thorough else BUDGET)
         found = separated(problem, search, result_of(problem, search))
         better = output if found.mends else None

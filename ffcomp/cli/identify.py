@@ -139,14 +139,13 @@ def fit(
     if output is not None and output.exists() and not force:
         raise typer.BadParameter(f"{output} exists already; give another --output, or --force.")
     with exit_codes():
+        from ffcomp.cli.search_progress import SearchProgress
+        from ffcomp.identify.machine_fit import USUAL_S
         from ffcomp.identify.shaper_advice import in_words
         from ffcomp.record.fitting import FitRequest, fit_files
         from models.file import load_plant
 
         start = load_plant(machine)
-
-        def progress(sentence: str) -> None:
-            say(f"ffcomp: {sentence}", quiet)
 
         asked = FitRequest(
             name=name or (output.stem if output else start.name),
@@ -160,7 +159,8 @@ def fit(
             rough=rough,
             write_start=output is not None,
         )
-        found = fit_files(start, data, asked, progress)
+        with SearchProgress(quiet, USUAL_S, "reading the files") as shown:
+            found = fit_files(start, data, asked, shown)
         written = _written(found, output)
         if figure is not None:
             _draw(found, figure)

@@ -171,4 +171,4 @@ def parsed_offset(text: str) -> tuple[float, float]:
 def check_choice(option: str, value: str, allowed: Sequence[str]) -> None:
     """Raise typer.BadParameter unless the value is one of those allowed."""
     if value not in allowed:
-        raise typer.BadParameter(f"{option} {value}: {', '.join(allowed[:-1])} or {allowed[-1]}.")
+        raise typer.BadParameter(f"{option}: there is no {value!r}; choose {', '.join(allowed[:-1])} or {allowed[-1]}.")

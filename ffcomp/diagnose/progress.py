@@ -1,25 +1,10 @@
-"""What a search says while it works: sentences, of which some begin a stage and some hold only for now."""
+"""The stages of a search for effects."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from ffcomp.numerics.stages import Now, Progress, Stage
 
-STAGES = 7
+__all__ = ["STAGES", "USUAL_S", "Now", "Progress", "Stage"]
 
-Progress = Callable[[str], None]
-
-
-class Stage(str):
-    """A sentence that begins a stage, numbered from 1 to STAGES; stages may be left out, or come again."""
-
-    number: int
-
-    def __new__(cls, number: int, sentence: str) -> Stage:
-        """Make the sentence of a stage."""
-        made = super().__new__(cls, sentence)
-        made.number = number
-        return made
-
-
-class Now(str):
-    """A sentence on what is being tried: for a display that replaces it, not for a log."""
+USUAL_S = (1.0, 15.0, 9.0, 11.0, 6.0, 4.0, 6.0)  # of CPU, in each stage of a search that finds one effect
+STAGES = len(USUAL_S)

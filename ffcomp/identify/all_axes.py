@@ -12,6 +12,7 @@ from ffcomp.identify.axis_spectra import AXES, Datum, Response, Spectrum, usable
 from ffcomp.identify.exchange import Exchange, find_exchange
 from ffcomp.identify.modal_fit import AxisFit, fit_axis
 from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.numerics.stages import Stage
 
 CROSS_TALK = 0.1  # of the direct response, in amplitude, from which coupling is reported: chips sit a few degrees askew
 LEAST_EXCHANGE, SHARP = 0.01, 3.0  # of δ, and in standard uncertainties, from which it is written
@@ -48,11 +49,11 @@ def identify_axes(
     data: list[Datum] = [*spectra, *(answer for answer in answers if answer.direct)]
     if not data:
         raise MeasurementError("data", [*sentences, "None of the files holds the response of an axis to its command."])
-    found = []
+    found: list[AxisFit] = []
     for name in AXES:
         mine = [datum for datum in data if datum.axis == name]
         if mine:
-            progress(f"{name}: {len(mine)} {'file' if len(mine) == 1 else 'files'}")
+            progress(Stage(2 + len(found), f"{name}: {len(mine)} {'file' if len(mine) == 1 else 'files'}"))
             try:
                 found.append(fit_axis(name, mine))
             except MeasurementError as error:

@@ -15,6 +15,7 @@ from ffcomp.identify.machine_fit import MachineFit, hash_of
 from ffcomp.identify.uncertainty import Estimate, Joint
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
 from ffcomp.numerics.least_squares import minimise
+from ffcomp.numerics.stages import Stage
 from models.arrays import FloatArray, IntArray
 from models.axis.machine import AxisMachine
 from models.file import updated_text
@@ -50,7 +51,7 @@ def fit_axis(
     MeasurementError, RequestError
     """
     runs = [read_axis_run(path) for path in data]
-    progress(f"fitting {start.name} to {len(runs)} runs")
+    progress(Stage(2, f"fitting {start.name} to {len(runs)} runs"))
     found = fitted_axis(start, runs, known)
     hashes = [hash_of(path) for path in data]
     numbers = {key: asdict(e) for key, e in found.estimates.items()}

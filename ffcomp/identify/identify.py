@@ -16,6 +16,7 @@ from ffcomp.identify.output_error import DAMPING, DRIVE, STIFFNESS, TOTAL_MASS, 
 from ffcomp.identify.paper import PaperIdentification
 from ffcomp.identify.uncertainty import Estimate
 from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.numerics.stages import Stage
 from models.delta_machine import delta_vibration, with_parts
 from models.file import updated_text
 from models.machine import Machine
@@ -110,7 +111,7 @@ def _with_drive(
         return fit_machine(start, responses, known, progress=progress)
     driven = with_parts(start, carriage=replace(delta_vibration(start).carriage, drive=NEUTRAL_DRIVE))
     fitted = fit_machine(driven, responses, known, progress=progress)
-    progress("the same without a drive filter")
+    progress(Stage(5, "the same without a drive filter"))
     values = {name: e.value for name, e in fitted.estimates.items() if name not in (*DRIVE, TOTAL_MASS)}
     ideal = fit_machine(start, responses, known, starts=[values, {}], progress=progress)
     return fitted if fitted.bic < ideal.bic - DRIVE_COSTS else ideal

@@ -29,6 +29,7 @@ from ffcomp.measurement.shake_and_tune import is_stdata
 from ffcomp.measurement.table import read_text
 from ffcomp.measurement.uff import is_universal
 from ffcomp.measurement.vibration import read_vibrations
+from ffcomp.numerics.stages import Stage
 from models.machine import Machine
 
 Kind = Literal["frf", "recording", "vibration"]
@@ -85,7 +86,7 @@ def gather(
     found, recordings = Gathered(), []
     tests: list[Found] = []
     for path in paths:
-        progress(f"reading {path.name}")
+        progress(Stage(1, f"reading {path.name}"))
         kind = kind_of(path)
         if kind == "frf":
             found.responses += [r.between(*band_hz) for r in read_frfs(path)]

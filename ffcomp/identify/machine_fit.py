@@ -36,6 +36,7 @@ from models.machine import Machine
 
 Method = Literal["direct", "stepwise"]
 Progress = Callable[[str], None]
+USUAL_S = (2.0, 1.0, 6.0, 1.0, 2.0)  # of CPU: reading, where to begin, other mounts, the fit, and without a filter
 
 ROUGH = 0.2  # of the measurement: modes that leave more of it unexplained are written if the user says so
 DAMPING_SD = 0.2  # of the towers' damping ratio, which two modes share

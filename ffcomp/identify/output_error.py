@@ -22,6 +22,7 @@ from ffcomp.identify.sensor_rotation import PRIOR_SD_DEG, of_one_capture, rotate
 from ffcomp.identify.uncertainty import Estimate, lognormal, normal
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.numerics.least_squares import central_differences, forward_differences, minimise
+from ffcomp.numerics.stages import Now, Stage
 from models.arrays import ComplexArray, FloatArray, IntArray
 from models.delta_machine import delta_vibration
 from models.machine import Machine
@@ -115,7 +116,9 @@ def fit_machine(
     problem = _problem(start, responses, dict(known or {}), unknowns)
     if 2 * sum(map(len, problem.values)) <= len(problem.names):
         raise SolverError("There are fewer measured values than unknown parameters: measure more frequencies.")
+    progress(Stage(2, "seeking where to begin"))
     theta = _best_start(problem, starts, progress)
+    progress(Stage(4, f"fitting {len(problem.names)} numbers"))
     epsilon = _model_error(problem, theta, together=True)
     for _ in range(ROUNDS):
         theta = _least_squares(problem, theta, epsilon)
@@ -240,10 +243,11 @@ def _other_mounts(problem: _Problem, best: FloatArray, progress: Callable[[str],
     share = _same(problem, FINE)
     best = _roughly(problem, best, FINE)
     least = float(np.sum(problem.residual(best, share) ** 2))
+    progress(Stage(3, "trying softer and harder mounts"))
     for stiffness, damping in zip(STIFFNESS, DAMPING, strict=True):
         if stiffness not in problem.names:
             continue
-        progress(f"another {stiffness}")
+        progress(Now(f"another {stiffness}"))
         for factor in OTHER_MOUNTS:
             trial = best.copy()
             trial[problem.names.index(stiffness)] += np.log(factor)

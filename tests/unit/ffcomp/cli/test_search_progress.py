@@ -7,13 +7,14 @@ import sys
 import pytest
 
 from ffcomp.cli.search_progress import SearchProgress
-from ffcomp.diagnose.progress import STAGES, Now, Stage
+from ffcomp.diagnose.progress import STAGES, USUAL_S, Now, Stage
+from ffcomp.numerics.stages import Pace
 
 SAID = (Stage(3, "screening 21 effects"), Now("fitting effector_mass"), "effector_mass: 1.2 times the noise")
 
 
 def shown(quiet: bool) -> None:
-    with SearchProgress(quiet) as progress:
+    with SearchProgress(quiet, USUAL_S) as progress:
         for sentence in SAID:
             progress(sentence)
 
@@ -42,3 +43,28 @@ def test_on_a_terminal_there_is_a_bar_with_the_stage_and_what_is_tried(
     out, err = capsys.readouterr()
     assert out == ""
     assert f"3/{STAGES}" in err and all(sentence in err for sentence in SAID)
+    assert "about " in err and " s left" in err
+
+
+def test_the_time_left_is_what_is_usual_then_what_the_stages_before_took() -> None:
+    pace = Pace((10.0, 10.0, 20.0))
+    assert pace.whole_s(0.0) == pytest.approx(40.0) and pace.whole_s(4.0) == pytest.approx(40.0)
+    pace.begin(2, 20.0)  # twice as long as usual
+    assert 60.0 < pace.whole_s(20.0) < 80.0
+    pace.begin(3, 40.0)
+    assert 70.0 < pace.whole_s(40.0) < 80.0
+    assert pace.whole_s(90.0) == 90.0  # it takes longer than expected: no time below zero is left
+    pace.begin(1, 95.0)  # a stage that comes again changes nothing
+    assert pace.whole_s(95.0) == 95.0
+    assert Pace((1.0, 3.0)).whole_s(8.0) == pytest.approx(32.0)  # the first quarter is not over yet
+
+
+def test_the_time_left_is_said_in_round_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = 100.0
+    monkeypatch.setattr("ffcomp.cli.search_progress.time.monotonic", lambda: clock)
+    shown = SearchProgress(False, (10.0, 30.0))
+    assert shown.left() == "about 40 s left"
+    clock = 100.0 + 43.0
+    shown(Stage(2, "the rest"))
+    assert shown.left() == "about 75 s left"
+    assert SearchProgress(False, (500.0, 400.0)).left() == "about 15 min left"
