@@ -5,7 +5,8 @@ Stages, each a module that knows only the ones before it:
 problem        interface to a machine: observations, parameters, candidate effects, simulation
                (printer_problem: a printer; axis_problem: one axis by itself; problems: the one that belongs
                to a machine file; validation: checks of recordings;
-               observe: recordings as they are compared; excerpts: the parts of them in which effects are searched)
+               observe: recordings as they are compared; excerpts: the parts of them in which effects are searched;
+               excerpt_fits: fits that move between them and the whole)
 noise          noise floor, and the whitener that puts every signal and frequency on its scale
 estimation     parameter values in, whitened residual out
 fit            fit parameters with priors; evidence and covariance (intervals: 90 % intervals)

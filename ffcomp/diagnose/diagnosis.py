@@ -19,6 +19,7 @@ import numpy as np
 from ffcomp.diagnose.acceptance import out_of_reach, rejections, unproven
 from ffcomp.diagnose.confounding import competing_with, confounded_with
 from ffcomp.diagnose.estimation import EstimationProblem, estimation_problem, excerpt_of
+from ffcomp.diagnose.excerpt_fits import in_excerpt
 from ffcomp.diagnose.exchange import OWN_NUMBERS
 from ffcomp.diagnose.fit import Fit, derivatives, fit
 from ffcomp.diagnose.held_out import HeldOut, hold_out
@@ -330,9 +331,8 @@ def _in_excerpt(estimation: EstimationProblem, base: Fit, progress: Progress) ->
     )
     progress(Stage(3, told))
     filed = _as_filed(part)
-    residual = part.residual(base.values)
-    columns = derivatives(part, base.parameters, base.z, residual, range(len(base.z)))
-    retuned = fit(part, base.parameters, base.z, columns, iterations=6)
+    begun = in_excerpt(part, base)
+    retuned = fit(part, begun.parameters, begun.z, begun.jacobian, iterations=6)
     screened = screen(replace(part, coarse=True), retuned, list(part.problem.candidates))
     found = find_best(Search(part, _bases(part, filed, retuned, screened, small=False), retuned, progress))
     progress(Stage(6, "fitting what was found to all data"))

@@ -2,16 +2,18 @@
 
 What a search compares are shares of the discrepancy, and evidence in proportion to the data. With a discrepancy
 thousands of times its own uncertainty, a second of each motion decides between effects as well as all of it does; the
-winner is then fitted to everything.
+winner is then fitted to everything. Of many motions a few do, too, if they are of all places and of all kinds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 import numpy as np
 
+from ffcomp.diagnose.held_out import clustered
 from ffcomp.diagnose.observe import quick_length
 from ffcomp.diagnose.problem import Observation
 from models.arrays import FloatArray
@@ -20,6 +22,7 @@ from models.printer.batch import START_S, gentle_start
 EXCERPT_S = 1.2
 LEAD_S = 0.4  # simulated before, from a gentle start: a belt's vibration has decayed by then
 WORTHWHILE = 0.6  # of the rows: with more to simulate, an excerpt saves too little
+MANY_MOTIONS, MOTIONS = 8, 6  # from the one on, only so many are searched in, each recorded once
 USUAL = 0.75  # quantile of the loudness: the loudest part may be an accident
 
 
@@ -39,6 +42,27 @@ class Part:
     def compared(self, simulated: int) -> slice:
         """Return the rows of this part among those that were simulated: the last ones."""
         return slice(simulated - (self.last - self.first), simulated)
+
+
+def telling_recordings(observations: Sequence[Observation], same_command: Sequence[int]) -> list[int]:
+    """Choose the recordings to search in, by index: all, or a few of many motions, without their repeats.
+
+    A plan makes the same motions in the same order at each of its places. So places take turns, and each begins with a
+    later motion than the one before: that covers every place and every kind of motion soonest.
+    """
+    distinct = sorted(set(same_command))
+    if len(distinct) < MANY_MOTIONS:
+        return list(range(len(observations)))
+    by_place: dict[tuple[float, ...], list[int]] = {}
+    for i, place in zip(distinct, clustered([observations[i].position for i in distinct]), strict=True):
+        by_place.setdefault(place, []).append(i)
+    rotated = [own[n % len(own) :] + own[: n % len(own)] for n, own in enumerate(by_place.values())]
+    turns = [i for turn in zip_longest(*rotated) for i in turn if i is not None][:MOTIONS]
+    seen: dict[tuple[int, tuple[str, ...]], int] = {}
+    for i, first in enumerate(same_command):
+        if first in turns:
+            seen.setdefault((first, observations[i].signals), i)
+    return sorted(seen.values())
 
 
 def excerpt_parts(observations: Sequence[Observation], same_command: Sequence[int]) -> list[Part] | None:

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.diagnose.excerpts import Part, excerpt_parts, led_in
+from ffcomp.diagnose.excerpts import Part, excerpt_parts, led_in, telling_recordings
 from ffcomp.diagnose.noise import BAND_HZ
 from ffcomp.diagnose.observe import compared, every_row, observation_of
 from ffcomp.diagnose.problem import Candidate, InfeasibleParameters, Parameter, Problem, within_travel
@@ -28,6 +28,7 @@ from ffcomp.diagnose.recording_delays import (
     as_recorded,
     belongs_to_recording,
     delay_parameters,
+    seen_parameters,
     with_stated_clock,
 )
 from ffcomp.diagnose.repeats import aligned, repeats_of
@@ -98,15 +99,20 @@ class PrinterProblem(Problem):
         return self.same_command
 
     def excerpt(self) -> PrinterProblem | None:
-        """Return the problem on a part of each recording; None where that would hardly be quicker."""
-        parts = excerpt_parts(self.observations, self.same_command)
+        """Return the problem on a part of each recording that tells most; None where that would hardly be quicker."""
+        chosen = telling_recordings(self.observations, self.same_command)
+        shorter = copy(self)
+        whole = [self.observations[i] for i in chosen]
+        shorter.same_command = [chosen.index(self.same_command[i]) for i in chosen]
+        parts = excerpt_parts(whole, shorter.same_command)
         if parts is None:
             return None
-        shorter = copy(self)
+        shorter.recordings = [self.recordings[i] for i in chosen]
+        shorter.parameters = seen_parameters(self.parameters, whole)
         shorter.kept, shorter.parts, shorter.splines = {}, parts, Splines()
-        led = {i: led_in(self.commands[i], parts[i], self.observations[i].rate_hz) for i in set(self.same_command)}
-        shorter.commands = [led[i] for i in self.same_command]
-        shorter.observations = [part.of(o) for part, o in zip(parts, self.observations, strict=True)]
+        led = {i: led_in(self.commands[chosen[i]], parts[i], whole[i].rate_hz) for i in set(shorter.same_command)}
+        shorter.commands = [led[i] for i in shorter.same_command]
+        shorter.observations = [part.of(o) for part, o in zip(parts, whole, strict=True)]
         return shorter
 
     def simulate(

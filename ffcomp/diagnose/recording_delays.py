@@ -88,3 +88,9 @@ def as_recorded(values: Mapping[str, float], observation: Observation, simulated
 def own_delays(observations: Sequence[Observation]) -> frozenset[str]:
     """Return the names of the parameters that belong to these observations' recordings."""
     return frozenset(f"{PREFIX}{o.repeat_of}.{what}" for o in observations for what in ("delay_s", "drift"))
+
+
+def seen_parameters(parameters: Sequence[Parameter], observations: Sequence[Observation]) -> tuple[Parameter, ...]:
+    """Leave out the delays of recordings that are none of these observations."""
+    own = own_delays(observations)
+    return tuple(n for n in parameters if not belongs_to_recording(n.name) or n.name in own)

@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from ffcomp.diagnose.estimation import EstimationProblem
+from ffcomp.diagnose.excerpt_fits import in_whole
 from ffcomp.diagnose.exchange import exchanged, likelier, unbent
 from ffcomp.diagnose.fit import Fit
 from ffcomp.diagnose.growth import BEHIND, with_one_more
@@ -124,13 +125,17 @@ def finish(search: Search, selection: Selection) -> Selection:
 
 def on_all_data(search: Search, found: Selection) -> Selection | None:
     """Fit to all data what was found in an excerpt; None if that leaves something that the excerpt did not show."""
-    fitted = continue_fit(search.estimation, found.best, search.progress, ", on all data")
+
+    def on_all(h: Hypothesis) -> Hypothesis:
+        widened = in_whole(search.estimation.problem, h)
+        return continue_fit(search.estimation, widened, search.progress, ", on all data")
+
+    fitted = on_all(found.best)
     missed = incomplete(search.estimation, fitted) and found.left_nothing
     if missed and len(fitted.effects) < MOST_EFFECTS and search.may_go_on():
         return None
     rivals = smaller_rivals(found.best, found.tried, search.estimation.problem.candidates)[:1]
-    tried = tuple(continue_fit(search.estimation, h, search.progress, ", on all data") for h in rivals)
-    return Selection(fitted, tried, complete=True)
+    return Selection(fitted, tuple(on_all(h) for h in rivals), complete=True)
 
 
 def _begin(search: Search) -> Selection:
