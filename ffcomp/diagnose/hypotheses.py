@@ -22,6 +22,7 @@ LARGE = 1.0  # discrepancy, of the noise, from which effects may be too strong t
 IMPLAUSIBLE = 3.0  # mean square of z that retuning may cost before another effect is looked for
 CHANCE = 4.0  # standard deviations of a mean square that noise alone may reach in one observation of many
 NEAR = 0.05  # of the noise, added where discrepancies are compared
+CONTAINED = {"stribeck_friction": "coulomb_friction"}  # an effect that has all numbers of another, and more
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +68,11 @@ class Hypothesis:
         return self.fit.z[self.own :]
 
 
+def contains(name: str, other: str) -> bool:
+    """Tell whether one of two effects is the other with more numbers: both at once are twice the same."""
+    return CONTAINED.get(name) == other or CONTAINED.get(other) == name
+
+
 def discrepancy_of(fitted: Fit) -> float:
     """Return how far the cost stands above noise alone, as a share of it."""
     return fitted.cost / len(fitted.residual) - 1
@@ -104,21 +110,27 @@ def distinct(ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 
 def implausible(fitted: Fit, own: int | None = None) -> bool:
-    """Tell whether the first `own` parameters moved further than their uncertainties make likely."""
-    z = fitted.z[:own]
-    return float(z @ z) > IMPLAUSIBLE * len(z)
+    """Tell whether the file's numbers, among the first `own`, moved further than their uncertainties make likely.
+
+    The clocks of recordings do not count: many of them that stay where they are would hide two numbers that do not.
+    """
+    moved = _moved(fitted, own)
+    return sum(z**2 for _, z in moved) > IMPLAUSIBLE * len(moved)
+
+
+def _moved(fitted: Fit, own: int | None) -> list[tuple[str, float]]:
+    moved = zip(fitted.parameters[:own], fitted.z[:own], strict=True)
+    return [(n.name, abs(float(z))) for n, z in moved if not belongs_to_recording(n.name)]
 
 
 def moved_numbers(h: Hypothesis) -> list[tuple[str, float]]:
     """Return by how many of its uncertainties each of the file's own numbers moved, a recording's clock aside."""
-    moved = zip(h.own_parameters, h.fit.z, strict=False)
-    return [(n.name, abs(float(z))) for n, z in moved if not belongs_to_recording(n.name)]
+    return _moved(h.fit, h.own)
 
 
 def within_file(h: Hypothesis) -> bool:
     """Tell whether the file's own numbers moved no further than their uncertainties make likely."""
-    moved = moved_numbers(h)
-    return sum(z**2 for _, z in moved) <= IMPLAUSIBLE * len(moved)
+    return not implausible(h.fit, h.own)
 
 
 def with_one_within_file(close: Sequence[Hypothesis], ranked: Sequence[Hypothesis]) -> list[Hypothesis]:

@@ -20,6 +20,7 @@ from ffcomp.diagnose.hypotheses import (
     TRACE,
     Hypothesis,
     comparable,
+    contains,
     discrepancy_of,
     distinct,
     implausible,
@@ -278,7 +279,7 @@ FINAL: tuple[Pass, ...] = (refine_best, drop_superfluous, keep_most_parsimonious
 def add(search: Search, best: Hypothesis) -> list[Hypothesis]:
     """Fit the best hypothesis with one effect more; where a single one explains poorly, also pairs of the screened."""
     estimation, quick, (start, screened) = search.estimation, search.quick, search.bases[0]
-    others = [c for c in estimation.problem.candidates if c.name not in best.names]
+    others = [c for c in estimation.problem.candidates if _is_another(c.name, best.names)]
     added = select_starts(quick, best.fit, screen_roughly(quick, best.fit, others)[:ADDED], large=False)
     begun = [(best, one) for one in added]
     if best.discrepancy > max(LARGE, search.little) or implausible(best.fit, best.own):
@@ -294,7 +295,7 @@ def add(search: Search, best: Hypothesis) -> list[Hypothesis]:
     poor = best.discrepancy > POOR * discrepancy_of(search.retuned)
     # where one more explains nearly all, the best was half of the answer, and no pair without it is looked for
     if poor and len(best.effects) == 1 and not any(h.discrepancy < search.little for h in grown):
-        pairs = [p for p in combinations(screened[:PAIRED], 2) if {s.candidate.name for s in p} not in _names(grown)]
+        pairs = [p for p in combinations(screened[:PAIRED], 2) if _may_pair(p, grown)]
         likely = sorted(pairs, key=lambda pair: _pair_evidence(start, pair))[:2]
         grown += [fit_start(quick, start, best_start(quick, start, pair), search.progress) for pair in likely]
     ranked = likeliest(grown)
@@ -310,6 +311,17 @@ def _promising(quick: EstimationProblem, best: Hypothesis, larger: Hypothesis) -
     residual = quick.residual(best.fit.values)
     left = (float(residual @ residual) + float(best.fit.z @ best.fit.z)) / len(residual) - 1
     return larger.discrepancy < (1 - PROMISING * ADDED_SHARE) * left
+
+
+def _is_another(name: str, names: Sequence[str]) -> bool:
+    """Tell whether an effect is none of these, nor one of them with more or fewer numbers."""
+    return name not in names and not any(contains(name, own) for own in names)
+
+
+def _may_pair(pair: Sequence[Screened], grown: Sequence[Hypothesis]) -> bool:
+    """Tell whether two effects may act together, and were not tried so."""
+    one, other = (s.candidate.name for s in pair)
+    return {one, other} not in _names(grown) and not contains(one, other)
 
 
 def _names(hypotheses: Sequence[Hypothesis]) -> list[set[str]]:

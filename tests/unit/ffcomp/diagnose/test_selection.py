@@ -16,10 +16,12 @@ from ffcomp.diagnose.diagnosis import _ended
 from ffcomp.diagnose.fit import Fit, values_at
 from ffcomp.diagnose.hypotheses import (
     Hypothesis,
+    implausible,
     leaves_excess,
     preferring_file,
     significant,
     with_one_within_file,
+    within_file,
 )
 from ffcomp.diagnose.parsimony import predicted_without, simplest
 from ffcomp.diagnose.problem import Candidate, Parameter
@@ -37,6 +39,34 @@ def estimation(*lengths: int) -> SimpleNamespace:
 
 def fitted(residual: np.ndarray) -> Fit:
     return Fit((), np.zeros(0), residual, np.zeros((len(residual), 0)))
+
+
+def test_clocks_that_keep_time_do_not_hide_numbers_that_do_not() -> None:
+    """Four and a half uncertainties in one number and five in another are not made likely by eighteen clocks."""
+    own = [Parameter("axes.y.frequency_hz[0]", 29.0, 0.6), Parameter("axes.y.damping_ratio[0]", 0.05, 0.001)]
+    clocks = [Parameter(f"recording.r{n}.delay_s", 0.0, 3e-4) for n in range(18)]
+    z = np.array([-4.3, 5.0, *np.zeros(18)])
+    bent = Fit((*own, *clocks), z, np.zeros(1), np.zeros((1, 20)))
+    assert implausible(bent)
+    assert not implausible(replace(bent, z=np.array([-1.3, 1.5, *np.full(18, 2.0)])))
+    assert implausible(bent) is not within_file(Hypothesis((), bent))
+
+
+def test_no_effect_is_added_to_itself_with_more_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dry friction beside dry friction that sticks only has more numbers to mimic something else with."""
+    friction, sticking, drag = (Candidate(name, (), {}) for name in ("coulomb_friction", "stribeck_friction", "drag"))
+    asked: list[str] = []
+    monkeypatch.setattr(selection, "screen_roughly", lambda _, __, others: asked.extend(c.name for c in others) or [])
+    monkeypatch.setattr(selection, "select_starts", lambda *_, **__: [])
+    nothing = fitted(np.zeros(LONG))
+    problem = SimpleNamespace(candidates=(friction, sticking, drag))
+    search: Any = SimpleNamespace(
+        estimation=SimpleNamespace(problem=problem), quick=None, bases=[(nothing, [])], little=0.0, retuned=nothing
+    )
+    for own in (friction, sticking):
+        asked.clear()
+        assert selection.add(search, Hypothesis((own,), nothing)) == []
+        assert asked == ["drag"]
 
 
 def test_a_short_window_stands_out_by_chance() -> None:
