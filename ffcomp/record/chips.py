@@ -75,6 +75,26 @@ def without_deaf_axes(joined: Sequence[Joined], machine: Machine) -> tuple[list[
     return [_without(each, deaf) for each in joined], notes
 
 
+def without_lacking_runs(joined: Sequence[Joined], machine: Machine) -> tuple[list[Joined], list[str]]:
+    """Leave out runs that lack the one chip that feels an axis: the others would say that it rests; and say so."""
+    with_chips = [each for each in joined if each.recording.acceleration]
+    if not (machine.kinematics.bed_may_move and with_chips):
+        return list(joined), []
+    heard = np.median([each.felt for each in with_chips], axis=0)
+    felt = [axis for axis, share in zip(AXES, heard.tolist(), strict=True) if share >= DEAF]
+    lacking = {each.name: axis for each in with_chips for axis in _lacking(each) if axis in felt}
+    notes = [
+        f"{name} is left out: the capture of the chip that feels {axis} is missing, or was not joined."
+        for name, axis in lacking.items()
+    ]
+    return [each for each in joined if each.name not in lacking], notes
+
+
+def _lacking(each: Joined) -> list[str]:
+    """List the axes along which a run moves and its chips do not."""
+    return [axis for axis, share in zip(AXES, each.felt, strict=True) if share < DEAF]
+
+
 def _without(each: Joined, columns: Sequence[str]) -> Joined:
     kept = {name: values for name, values in each.recording.acceleration.items() if name not in columns}
     return replace(each, recording=replace(each.recording, acceleration=kept))

@@ -18,7 +18,7 @@ from ffcomp.errors import MeasurementError
 from ffcomp.measurement.closed_loop import is_closed_loop, read_closed_loop
 from ffcomp.measurement.recording import Recording
 from ffcomp.record.axes import best_score, find_turn, tilt, words
-from ffcomp.record.chips import of_all_chips, without_deaf_axes
+from ffcomp.record.chips import of_all_chips, without_deaf_axes, without_lacking_runs
 from ffcomp.record.clock import ClockFit, felt_shares, fit_clock, long_gaps, without_gaps
 from ffcomp.record.expected import Expectation
 from ffcomp.record.motor_runs import BLIND, motor_runs
@@ -90,10 +90,13 @@ def join_captures(
         good, bad = _join_chip(own, plan, turn)
         joined.append(good)
         refused += bad
-    kept, apart, late = check_repeats(sorted(of_all_chips(joined), key=lambda each: each.name))
+    whole, lacking = without_lacking_runs(of_all_chips(joined), machine)
+    kept, apart, late = check_repeats(sorted(whole, key=lambda each: each.name))
     blind = [BLIND] if motors else []
     heard, deaf = without_deaf_axes(kept, machine)
-    return JoinResult((*heard, *motors), (*refused, *apart), (*notes, *late, *deaf, *left_handed(kept), *blind))
+    return JoinResult(
+        (*heard, *motors), (*refused, *apart), (*notes, *lacking, *late, *deaf, *left_handed(kept), *blind)
+    )
 
 
 def _join_chip(tasks: Sequence[Task], plan: MovesPlan, turn: FloatArray | None) -> tuple[list[Joined], list[Refused]]:

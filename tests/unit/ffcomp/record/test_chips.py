@@ -61,6 +61,17 @@ def test_an_axis_that_no_chip_feels_is_left_out_and_said(bench: tuple[list[Path]
         assert gap.nrms == pytest.approx(gap.noise_nrms, rel=0.5)
 
 
+def test_a_run_without_the_beds_capture_does_not_say_that_the_bed_rests(
+    bench: tuple[list[Path], MovesPlan, Machine],
+) -> None:
+    captures, plan, machine = bench
+    missing = next(p for p in captures if "-bed-" in p.name and "zigzag" in p.name and p.stem.endswith("-1"))
+    found = join_captures([p for p in captures if p != missing], plan, machine)
+    assert len(found.joined) == 3
+    assert not any("zigzag" in each.name and each.name.endswith("1") for each in found.joined)
+    assert any("feels y is missing" in sentence for sentence in found.remarks)
+
+
 def test_a_corexy_keeps_every_axis(bench: tuple[list[Path], MovesPlan, Machine]) -> None:
     """There everything is on the toolhead: a chip that is deaf along y is broken, and its column says so."""
     captures, plan, machine = bench
