@@ -16,7 +16,7 @@ from ffcomp.diagnose.hypotheses import (
     LARGE,
     Hypothesis,
     implausible,
-    leaves_excess,
+    incomplete,
     log_fit,
     log_try,
     significant,
@@ -208,8 +208,12 @@ def converge(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -
 
 
 def _changed(estimation: EstimationProblem, h: Hypothesis, change: ShapeChange) -> tuple[Candidate, ...]:
-    """Change the effects' form; leave them where a richer one has nothing left to explain."""
-    if not change.simpler and not leaves_excess(estimation, h.fit):
+    """Change the effects' form; leave them where a richer one has nothing left to explain.
+
+    Numbers of the file that had to be bent are something to explain: one change for all belts bends those of the axes
+    that have none.
+    """
+    if not change.simpler and not incomplete(estimation, h):
         return h.effects
     by_name = {c.name: c for c in estimation.problem.candidates}
     return tuple(change.change(c, by_name[c.name]) for c in h.effects)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.diagnose import selection
+from ffcomp.diagnose import refinement, selection
 from ffcomp.diagnose.acceptance import out_of_reach
 from ffcomp.diagnose.diagnosis import _ended
 from ffcomp.diagnose.fit import Fit, values_at
@@ -67,6 +67,31 @@ def test_no_effect_is_added_to_itself_with_more_numbers(monkeypatch: pytest.Monk
         asked.clear()
         assert selection.add(search, Hypothesis((own,), nothing)) == []
         assert asked == ["drag"]
+
+
+@pytest.mark.parametrize("bent", [0.5, 4.0])
+def test_an_effect_that_bends_the_files_numbers_is_tried_with_a_value_for_each(
+    bent: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One change for both belts leaves nothing of the gap, if the number of the axis without any makes up for it."""
+    alike, each = Parameter("effects.belt.change", 0.0, 0.3), Parameter("effects.belt.change[1]", 0.0, 0.3)
+    other = Candidate("belt", (each,), {})
+    belt = Candidate("belt", (alike,), {}, other=other)
+    noise = np.ones(LONG)
+    own = Parameter("axes.x.frequency_hz[0]", 54.0, 1.0)
+    h = Hypothesis((belt,), Fit((own, alike), np.array([bent, -0.7]), noise, np.zeros((LONG, 2))))
+    tried: list[Hypothesis] = []
+
+    def fitted_as_well(_: Any, begun: Hypothesis, *__: Any) -> Hypothesis:
+        tried.append(begun)
+        return Hypothesis(begun.effects, replace(begun.fit, z=np.array([0.0, -0.7])))
+
+    monkeypatch.setattr(refinement, "continue_fit", fitted_as_well)
+    problem = estimation(LONG)
+    problem.problem = SimpleNamespace(candidates=(belt,), work=SimpleNamespace(allows=lambda: True))
+    found = refinement.converge(problem, h, print)  # type: ignore[arg-type]
+    assert [one.effects for one in tried][:1] == ([(other,)] if bent > 2 else [])
+    assert within_file(found)
 
 
 def test_a_short_window_stands_out_by_chance() -> None:
