@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
 import sys
 from collections.abc import Mapping
@@ -31,7 +32,6 @@ from ffcomp.record.plan import Experiment, MovesPlan
 from ffcomp.record.plan_files import load_moves
 from models.file import load_machine
 from studies.diagnosis import ffcomp
-from studies.diagnosis_proof import kept
 from studies.owners_loop import with_lost_rows
 from studies.render import save
 from validation.plants.accelerometer import Chip, draw_chip, klipper_capture
@@ -166,12 +166,7 @@ def proof(folder: Path, kind_name: str, name: str) -> dict[str, Any]:
     files["perfect"].write_text(machine_text(kind, name, hidden.table), encoding="utf-8")
     given = [recorded(folder, files["owner"], plant, kind, height) for height in hidden.heights_mm]
     runs = [run for each in given for run in each]
-    verdict = kept(
-        folder / "verdict.json",
-        "diagnose",
-        *runs,
-        *("--machine", files["owner"], "-o", files["better"], "--json", "--quiet", "--force"),
-    )
+    verdict = diagnosed(folder, runs, files)
     if not files["better"].exists():
         files.pop("better")
     return {
@@ -179,13 +174,32 @@ def proof(folder: Path, kind_name: str, name: str) -> dict[str, Any]:
         "hidden": name,
         "table": dict(hidden.table),
         "runs": len(runs),
+        "not_joined": sum(len(json.loads(each.read_text())) for each in folder.glob("not-joined-*.json")),
         "verdict": verdict["verdict"],
+        "why": verdict.get("why", ""),
         "effects": [{key: e[key] for key in ("name", "parameters")} for e in verdict.get("effects", [])],
         "refused": verdict.get("refused"),
         "gap": verdict.get("gap"),
-        "seconds": verdict.get("seconds"),
+        "cpu_s": verdict.get("cpu_s"),
         "contour_um": printed(folder, plant, files),
     }
+
+
+def diagnosed(folder: Path, runs: list[Path], files: Mapping[str, Path]) -> dict[str, Any]:
+    """Return the verdict, kept, with the CPU time that it took."""
+    path = folder / "verdict.json"
+    if not path.exists():
+        before = children_cpu_s()
+        told: list[str | Path] = ["--machine", files["owner"], "-o", files["better"], "--json", "--quiet", "--force"]
+        answer = ffcomp("diagnose", *runs, *told)
+        path.write_text(json.dumps(answer | {"cpu_s": children_cpu_s() - before}, indent=1), encoding="utf-8")
+    return dict(json.loads(path.read_text(encoding="utf-8")))
+
+
+def children_cpu_s() -> float:
+    """Return the CPU time of the programs that were run and ended."""
+    times = os.times()
+    return times.children_user + times.children_system
 
 
 def machine_text(
@@ -224,8 +238,10 @@ def recorded(folder: Path, owner: Path, plant: Plant, kind: Kind, height_mm: flo
         answer = ffcomp(
             *("record", "join", *captures, "-o", runs, "--plan", plan.with_suffix(".json"), "-m", owner, "--json")
         )
-        if answer.get("refused") or "why" in answer:
-            raise SystemExit(str(answer.get("refused") or answer))
+        if "why" in answer:
+            raise SystemExit(str(answer))
+        if refused := answer.get("refused"):  # an owner goes on with what was joined
+            (folder / f"not-joined-{height_mm:.0f}.json").write_text(json.dumps(refused, indent=1), encoding="utf-8")
         for run in sorted(runs.glob("*.csv")):  # what is recorded at another height is no repeat
             run.rename(run.with_name(f"z{height_mm:.0f}-{run.name}"))
     return sorted(runs.glob("*.csv"))
