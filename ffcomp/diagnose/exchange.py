@@ -19,6 +19,7 @@ from ffcomp.diagnose.hypotheses import (
     comparable,
     distinct,
     likeliest,
+    may_join,
     misfit,
     within_file,
     without_effect,
@@ -47,9 +48,8 @@ def exchanged(
         if not estimation.problem.work.allows():
             break
         rest = restart_from_file(quick, without_effect(best, effect))
-        others = [
-            c for c in estimation.problem.candidates if c.name not in best.names and {*rest.names, c.name} not in known
-        ]
+        possible = [c for c in estimation.problem.candidates if c.name != effect.name and may_join(c.name, rest.names)]
+        others = [c for c in possible if {*rest.names, c.name} not in known]
         found += [with_one_more(quick, rest, start, progress) for start in _most_helpful(quick, rest, others)]
     ranked = distinct(likeliest(found))
     pursued = [h for h in ranked[:TRIED] if comparable(h, min(best, ranked[0], key=_left), CLOSE)]

@@ -73,6 +73,11 @@ def contains(name: str, other: str) -> bool:
     return CONTAINED.get(name) == other or CONTAINED.get(other) == name
 
 
+def may_join(name: str, names: Sequence[str]) -> bool:
+    """Tell whether an effect is none of these, nor one of them with more or fewer numbers."""
+    return name not in names and not any(contains(name, own) for own in names)
+
+
 def discrepancy_of(fitted: Fit) -> float:
     """Return how far the cost stands above noise alone, as a share of it."""
     return fitted.cost / len(fitted.residual) - 1

@@ -26,6 +26,7 @@ from ffcomp.diagnose.hypotheses import (
     implausible,
     incomplete,
     likeliest,
+    may_join,
     preferring_file,
     significant,
     with_one_within_file,
@@ -279,7 +280,7 @@ FINAL: tuple[Pass, ...] = (refine_best, drop_superfluous, keep_most_parsimonious
 def add(search: Search, best: Hypothesis) -> list[Hypothesis]:
     """Fit the best hypothesis with one effect more; where a single one explains poorly, also pairs of the screened."""
     estimation, quick, (start, screened) = search.estimation, search.quick, search.bases[0]
-    others = [c for c in estimation.problem.candidates if _is_another(c.name, best.names)]
+    others = [c for c in estimation.problem.candidates if may_join(c.name, best.names)]
     added = select_starts(quick, best.fit, screen_roughly(quick, best.fit, others)[:ADDED], large=False)
     begun = [(best, one) for one in added]
     if best.discrepancy > max(LARGE, search.little) or implausible(best.fit, best.own):
@@ -311,11 +312,6 @@ def _promising(quick: EstimationProblem, best: Hypothesis, larger: Hypothesis) -
     residual = quick.residual(best.fit.values)
     left = (float(residual @ residual) + float(best.fit.z @ best.fit.z)) / len(residual) - 1
     return larger.discrepancy < (1 - PROMISING * ADDED_SHARE) * left
-
-
-def _is_another(name: str, names: Sequence[str]) -> bool:
-    """Tell whether an effect is none of these, nor one of them with more or fewer numbers."""
-    return name not in names and not any(contains(name, own) for own in names)
 
 
 def _may_pair(pair: Sequence[Screened], grown: Sequence[Hypothesis]) -> bool:
