@@ -178,6 +178,7 @@ def proof(folder: Path, kind_name: str, name: str) -> dict[str, Any]:
         "verdict": verdict["verdict"],
         "why": verdict.get("why", ""),
         "effects": [{key: e[key] for key in ("name", "parameters")} for e in verdict.get("effects", [])],
+        "said": (verdict.get("said") or [""])[0],
         "refused": verdict.get("refused"),
         "gap": verdict.get("gap"),
         "cpu_s": verdict.get("cpu_s"),

@@ -25,6 +25,7 @@ from ffcomp.diagnose.hypotheses import (
     distinct,
     implausible,
     incomplete,
+    leaves_excess,
     likeliest,
     may_join,
     preferring_file,
@@ -183,9 +184,20 @@ def refit_best(search: Search, so_far: Selection) -> Selection:
     """Refit the best hypothesis; the selection is complete if that leaves no discrepancy."""
     if len(so_far.best.effects) >= MOST_EFFECTS or not incomplete(search.estimation, so_far.best):
         return replace(so_far, complete=True, left_nothing=not incomplete(search.estimation, so_far.best))
-    best = refit(search.estimation, so_far.best, search.progress)
+    best = straightened(search, refit(search.estimation, so_far.best, search.progress))
     nothing = not incomplete(search.estimation, best)
     return replace(so_far, best=best, complete=nothing, left_nothing=nothing)
+
+
+def straightened(search: Search, best: Hypothesis) -> Hypothesis:
+    """Fit with exact derivatives what leaves nothing but bends the file's numbers: perhaps it need not.
+
+    A belt's stiffness and a frequency make up for each other: the way back is worth the prior alone, and another effect
+    would be added for it.
+    """
+    if leaves_excess(search.estimation, best.fit) or not implausible(best.fit, best.own):
+        return best
+    return min(best, refine(search.estimation, best, search.progress), key=lambda h: h.fit.evidence)
 
 
 def add_effect(search: Search, so_far: Selection) -> Selection:

@@ -94,6 +94,19 @@ def test_an_effect_that_bends_the_files_numbers_is_tried_with_a_value_for_each(
     assert within_file(found)
 
 
+@pytest.mark.parametrize("left", [1.0, 2.0])
+def test_what_leaves_nothing_but_bends_the_file_is_fitted_exactly_before_more_is_added(
+    left: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = Parameter("axes.x.frequency_hz[0]", 54.0, 1.0)
+    bent = Hypothesis((), Fit((own,), np.array([4.0]), np.full(LONG, left), np.zeros((LONG, 1))))
+    straight = Hypothesis((), replace(bent.fit, z=np.array([0.1])))
+    monkeypatch.setattr(selection, "refine", lambda *_: straight)
+    search: Any = SimpleNamespace(estimation=estimation(LONG), progress=print)
+    assert selection.straightened(search, bent) is (straight if left == 1.0 else bent)
+    assert selection.straightened(search, straight) is straight
+
+
 def test_a_short_window_stands_out_by_chance() -> None:
     """Of 200 rows of noise the mean square is off by 0.1; among a hundred windows one is by three times that."""
     short = np.concatenate([np.ones(LONG), np.full(SHORT, np.sqrt(1.3))])
