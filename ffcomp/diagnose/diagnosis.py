@@ -380,5 +380,5 @@ def _tested(none: Diagnosis, found: _Found, progress: Progress) -> Diagnosis:
         competing=competing_with(searched, ranked, found.share, discrepancy_of(none.base)),
         held_out=held_out,
         rejections=failed,
-        intervals=intervals,
+        intervals=intervals_of(estimation, best.fit, final.values, scatter=True),
     )

@@ -90,38 +90,48 @@ class Fit:
         certain = (along * np.maximum(known - len(known) * DERIVATIVE_ERROR**2, 0.0)) @ along.T
         return np.asarray(np.eye(len(self.z)) + certain * np.outer(length, length))
 
-    def covariance(self, frequency_hz: FloatArray, rows: Sequence[slice], same: Sequence[object]) -> FloatArray:
-        """Estimate the covariance (p, p) of z: the widest of three, never below the inverse information.
-
-        Two are sandwiches: over blocks of 5 Hz of each experiment, and over whole experiments, for where the model's
-        shape is wrong, it is wrong all through an experiment. How far few experiments scatter is itself known to
-        Student's t only (Cameron & Miller, J. Human Resources 50, 2015). Repeats are one experiment: they share the
-        model's error.
+    def covariance(self, frequency_hz: FloatArray, rows: Sequence[slice], same: Sequence[int]) -> FloatArray:
+        """Estimate the covariance (p, p) of z: the sandwich over blocks of 5 Hz, never below the inverse information.
 
         Parameters
         ----------
         frequency_hz : (rows,) of the residual's entries.
         rows : of each observation.
-        same : of each observation; those that repeat one experiment share it.
+        same : of each observation the one whose motion it repeats: repeats share the model's error.
         """
         bread = np.linalg.inv(self._certain_information)
-        blocks = self._slopes(frequency_hz, rows, same)
-        apart = np.eye(len(self.z)) + sum(sums.T @ sums for sums in blocks)
-        wide = np.diag(bread @ apart @ bread)
-        if len(blocks) > 1:
-            each = np.stack([sums.sum(axis=0) for sums in blocks])
-            whole = np.eye(len(self.z)) + len(each) / (len(each) - 1) * (each - each.mean(axis=0)).T @ each
-            wide = np.maximum(wide, student_share(len(each) - 1) ** 2 * np.diag(bread @ whole @ bread))
-        wider = np.sqrt(np.maximum(1.0, wide / np.diag(bread)))
+        meat = np.eye(len(self.z)) + sum(sums.T @ sums for sums in self._slopes(frequency_hz, rows, same))
+        wide = np.diag(bread @ meat @ bread) / np.diag(bread)
+        wider = np.sqrt(np.maximum(1.0, wide))
         return bread * np.outer(wider, wider)
 
-    def _slopes(self, frequency_hz: FloatArray, rows: Sequence[slice], same: Sequence[object]) -> list[FloatArray]:
-        """Return Jᵀr of each experiment by blocks of 5 Hz, (blocks, p) each."""
-        found: dict[object, FloatArray] = {}
+    def scatter(self, rows: Sequence[slice], same: Sequence[int]) -> FloatArray:
+        """Return how far z, (p,), moves as one motion after the other is left out: the jackknife's standard deviation.
+
+        Where an effect's shape is not ours, it is wrong all through a motion, and what fits all of them best is off for
+        each. To first order; how far few motions scatter is itself known to Student's t only, which is allowed for
+        (Bell & McCaffrey, Survey Methodology 28, 2002). Zero where there is one motion.
+        """
+        motions = [[part for part, own in zip(rows, same, strict=True) if own == one] for one in sorted(set(same))]
+        if len(motions) < 2:
+            return np.zeros(len(self.z))
+        moved = np.stack([self._without(motion) for motion in motions])
+        square = np.sum((moved - moved.mean(axis=0)) ** 2, axis=0) * (len(moved) - 1) / len(moved)
+        return np.asarray(student_share(len(moved) - 1) * np.sqrt(square))
+
+    def _without(self, left_out: Sequence[slice]) -> FloatArray:
+        """Return the step (p,) from the optimum to the one without some rows, to first order."""
+        parts = [self.jacobian[part] for part in left_out]
+        slope = sum(j.T @ self.residual[part] for j, part in zip(parts, left_out, strict=True))
+        return np.asarray(-np.linalg.solve(self.information - sum(j.T @ j for j in parts), slope))
+
+    def _slopes(self, frequency_hz: FloatArray, rows: Sequence[slice], same: Sequence[int]) -> list[FloatArray]:
+        """Return Jᵀr of each motion by blocks of 5 Hz, (blocks, p) each."""
+        found: dict[int, FloatArray] = {}
         blocks = int(frequency_hz.max() // BLOCK_HZ) + 1
-        for part, experiment in zip(rows, same, strict=True):
+        for part, motion in zip(rows, same, strict=True):
             block = (frequency_hz[part] // BLOCK_HZ).astype(np.int64)
-            sums = found.setdefault(experiment, np.zeros((blocks, len(self.z))))
+            sums = found.setdefault(motion, np.zeros((blocks, len(self.z))))
             np.add.at(sums, block, self.jacobian[part] * self.residual[part][:, None])
         return list(found.values())
 

@@ -12,12 +12,20 @@ from ffcomp.diagnose.problem import Candidate, Parameter
 from ffcomp.identify.uncertainty import NINETY_PERCENT, Estimate
 
 
-def intervals_of(estimation: EstimationProblem, fitted: Fit, values: Mapping[str, float]) -> dict[str, Estimate]:
-    """Put intervals about the values that are reported, as wide as all parameters together leave them."""
-    whiten = estimation.whiten
-    same = [o.repeat_of for o in whiten.observations]
-    covariance = fitted.covariance(whiten.frequencies(), whiten.rows, same)
-    sd = np.sqrt(np.diag(covariance))
+def intervals_of(
+    estimation: EstimationProblem, fitted: Fit, values: Mapping[str, float], scatter: bool = False
+) -> dict[str, Estimate]:
+    """Put intervals about the values that are reported, as wide as all parameters together leave them.
+
+    Parameters
+    ----------
+    scatter : at least as wide as the values scatter as one motion after the other is left out. What one motion alone
+        shows is not known from the others, and yet it is there: that is no reason to refuse an effect.
+    """
+    whiten, same = estimation.whiten, estimation.problem.motions
+    sd = np.sqrt(np.diag(fitted.covariance(whiten.frequencies(), whiten.rows, same)))
+    if scatter:
+        sd = np.maximum(sd, fitted.scatter(whiten.rows, same))
     return {
         n.name: _interval(n, values.get(n.name, n.start), n.sd * float(s))
         for n, s in zip(fitted.parameters, sd, strict=True)
