@@ -163,6 +163,13 @@ def _joint_step(base: Fit, signature: FloatArray, cross: FloatArray, added: Floa
     return step, float(2 * gradient @ step - step @ normal @ step) - base.predicted_gain
 
 
+def overlap(a: Screened, b: Screened) -> float:
+    """Return cos² between two signatures as they are: retuning may tell apart what does much the same."""
+    ours, theirs = a.signature @ a.estimate, b.signature @ b.estimate
+    length = float((ours @ ours) * (theirs @ theirs))
+    return float(ours @ theirs) ** 2 / length if length else 0.0
+
+
 def similarity(a: Screened, b: Screened) -> float:
     """Return cos² between two projected signatures: 1 where the effects are fully confounded."""
     return float(a.projected @ b.projected) ** 2

@@ -57,7 +57,7 @@ from ffcomp.diagnose.refinement import (
     refit,
     restart_from_file,
 )
-from ffcomp.diagnose.score_test import Screened, screen_roughly, similarity
+from ffcomp.diagnose.score_test import Screened, overlap, screen_roughly, similarity
 
 MOST_EFFECTS = 3  # at once
 POOR = 0.15  # of the discrepancy left by one effect: then pairs are tried
@@ -216,14 +216,14 @@ def add_effect(search: Search, so_far: Selection) -> Selection:
 
 
 def _is_shape(search: Search, best: Hypothesis, larger: Hypothesis) -> bool:
-    """Tell whether what a larger hypothesis adds is nearly confounded with an effect of the best one.
+    """Tell whether what a larger hypothesis adds does much the same as an effect of the best one.
 
     Where no more is left than the error of a shape, it is the shape of that effect: how its friction thins with speed.
     """
     signatures = {s.candidate.name: s for s in search.bases[0][1]} if search.bases else {}
     added = [signatures[n] for n in larger.names if n in signatures and n not in best.names]
     named = [signatures[n] for n in best.names if n in signatures]
-    return any(similarity(a, b) > ALIKE for a in added for b in named)
+    return any(overlap(a, b) > ALIKE for a in added for b in named)
 
 
 def converge_best(search: Search, so_far: Selection) -> Selection:
@@ -239,6 +239,8 @@ def swap_effects(search: Search, so_far: Selection) -> Selection:
 def think_again(search: Search, so_far: Selection) -> Selection:
     """Exchange effects that were found one after the other, and add one for a number of the file that bends."""
     estimation, best, others = search.estimation, so_far.best, list[Hypothesis]()
+    if len(best.effects) > 1 and incomplete(estimation, best) and search.may_go_on():
+        best = converge(estimation, best, search.progress)  # one that replaced another as simpler has its first shape
     if len(best.effects) > 1 and incomplete(estimation, best):
         others += exchanged(estimation, best, so_far.tried, search.progress)
         best = likelier(best, others)

@@ -154,6 +154,23 @@ def test_a_freer_shape_is_no_reason_to_name_another_effect() -> None:
     assert simplest(stribeck, [belt, stribeck], candidates) is belt  # it needs more, and explains hardly more
 
 
+def test_what_does_much_the_same_as_a_named_effect_is_its_shape_where_only_a_trace_is_left() -> None:
+    rng = np.random.default_rng(6)
+    slow, other, rest = rng.standard_normal((3, LONG))
+    hypotheses = {name: bending(name, 0.0, 0.0) for name in ("guide_damping", "quadratic_drag", "belt_stiffness")}
+    signatures = {"guide_damping": slow, "quadratic_drag": slow + 0.3 * rest, "belt_stiffness": other}
+    screened = [
+        SimpleNamespace(candidate=h.effects[0], signature=signatures[n][:, None], estimate=np.ones(1))
+        for n, h in hypotheses.items()
+    ]
+    search: Any = SimpleNamespace(bases=[(None, screened)])
+    best = hypotheses["guide_damping"]
+    drag, belt = (
+        Hypothesis((*best.effects, *hypotheses[n].effects), best.fit) for n in ("quadratic_drag", "belt_stiffness")
+    )
+    assert selection._is_shape(search, best, drag) and not selection._is_shape(search, best, belt)
+
+
 def linear(measured: np.ndarray, columns: dict[str, np.ndarray], start: dict[str, float]) -> Any:
     """A problem whose simulation is linear in its parameters."""
 
