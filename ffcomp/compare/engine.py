@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -127,7 +127,7 @@ def compare(
     predicted = _predicted(data, path, machine, written, printed) if request.predict else {}
     executed = _executed(tuned, slices, plant, progress)
     found = {method.name: _method(method, executed[method.name], printed.labels.features) for method in tuned}
-    best = min((m for m in found.values() if m.family == "best fixed"), key=lambda m: m.track.contour_rms_um).name
+    best = _best_fixed(found)
     if request.seeds:
         plants = draw_plants(plant, request.mismatch, request.seeds)
         found = with_spread(found, tuned, best, some, few, plants, jobs, progress)
@@ -298,6 +298,13 @@ def _method(method: TunedMethod, executed: _Executed, features: Sequence[str]) -
         samples=s,
         warnings=executed.warnings,
     )
+
+
+def _best_fixed(methods: Mapping[str, Method]) -> str:
+    """Return the fixed shaper with the least contour rms where plastic flows, or everywhere if it flows nowhere."""
+    flows = any(method.samples.extruding.any() for method in methods.values())
+    fixed = [method for method in methods.values() if method.family == "best fixed"]
+    return min(fixed, key=lambda m: (m.extruding if flows else m.track).contour_rms_um).name
 
 
 # ---- what was compared -----------------------------------------------------------------------

@@ -95,6 +95,12 @@ def test_the_answer_on_top() -> None:
     assert answer(fast).why.endswith(said)
 
 
+def test_a_variant_of_a_shaper_is_named_as_such() -> None:
+    found = changed(comparison(), "mzv", label="MZV, z too, best fixed")
+    assert "the best input shaper (MZV, z too)" in str(answer(found))
+    assert "The best fixed input shaper (MZV, z too, x 40.0 Hz, y 41.0 Hz)" in verdict(found)[1]
+
+
 def test_a_third_method_that_is_better_than_ours_is_named() -> None:
     found = comparison(ours_um=4.0)
     found = replace(found, methods={**found.methods, "zv-scheduled": method("zv-scheduled", "ZV, s", "scheduled", 2.0)})
@@ -112,6 +118,7 @@ def test_a_file_that_is_inverted_robustly_by_default_is_judged_by_that_row() -> 
     choice = RobustChoice(True, "Robust inversion: why.")
     found = replace(plain, methods={**plain.methods, **rows}, compensated="fbs-robust", robust=choice)
     said = " ".join(verdict(found))
+    assert "least error of all" not in said
     assert "50 times less" in said and "Robust inversion: why. That leaves 0.39 µm (“ffcomp, plain”) here" in said
     assert "ffcomp leaves 5.0 times less error" in str(answer(found))
     assert [tile.rms for tile in html._tiles(found)] == ["39.0", "3.90", "0.78"]

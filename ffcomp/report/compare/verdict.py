@@ -89,7 +89,8 @@ def _against_all(found: Comparison, own_method: Method) -> list[str]:
     """Name a method beside those above that is better."""
     first = min(found.methods.values(), key=lambda method: contour_rms_um(found, method))
     own, least = contour_rms_um(found, own_method), contour_rms_um(found, first)
-    if first.name in (found.compensated, found.best_fixed, "none") or own <= ALIKE * least:
+    told = (found.compensated, found.best_fixed, "none", *(["fbs-lpv"] if found.robust.robust else []))
+    if first.name in told or own <= ALIKE * least:
         return []
     return [f"The least error of all has {first.label}: {um(least)} µm."]
 

@@ -74,8 +74,8 @@ def outer_first(names: Iterable[str], share: Mapping[str, float]) -> list[str]:
 
 
 def nick(method: Method) -> str:
-    """Return the label's first words, where the family is known: `MZV`, `ffcomp`."""
-    return method.label.split(",")[0]
+    """Return the label without its family, where that is known: `MZV`, `MZV, z too`, `ffcomp`."""
+    return method.label.removesuffix(f", {method.family}")
 
 
 def shapers(found: Comparison) -> list[Method]:
