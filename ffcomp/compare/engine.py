@@ -187,11 +187,11 @@ def names(request: Request) -> Collection[str]:
 
 def _stages(request: Request, methods: int) -> dict[str, float]:
     """Return the stages in their order, with the seconds that each takes, as measured."""
-    found = {TUNING: 1.2 * methods, PLANNING: 0.7 * methods, PRINTING: 0.5 * methods}
+    found = {TUNING: 0.9 * methods, PLANNING: 0.25 * methods, PRINTING: 0.72 * methods}
     if request.seeds:
         found |= {ON_PLANTS: 0.2 * methods * request.seeds, TUNING_ON_PLANTS: 3.5 * request.seeds}
     if request.quality_bound_um:
-        found[QUALITY] = 2.0 * methods
+        found[QUALITY] = 0.76 * methods
     return found
 
 
