@@ -59,6 +59,76 @@ def merge(
 
 
 @njit(cache=True, nogil=True)
+def refit(at: FloatArray, points: FloatArray, kept: IntArray, fixed: BoolArray) -> FloatArray:
+    """Place the ends of the segments so that these miss the command to both sides alike: the least squares over time.
+
+    A chord of a bend lies on its inner side everywhere, an error as slow as the bend, and the machine follows it. What
+    the least squares leave changes sides within every segment, too fast for the machine.
+
+    Parameters
+    ----------
+    at : (n,) times of the points, in knots
+    points : (n, 3) mm
+    kept : (m,) indices of the points that are kept, as `merge` returns them
+    fixed : (m,) which of those must stay where they are
+
+    Returns
+    -------
+    (m, 3) mm
+    """
+    m = len(kept)
+    weight, beside, missed = np.zeros(m), np.zeros(m), np.zeros((m, 3))
+    for j in range(m - 1):
+        first, last = kept[j], kept[j + 1]
+        span = at[last] - at[first]
+        weight[j] += span / 3.0
+        weight[j + 1] += span / 3.0
+        beside[j] = span / 6.0
+        for i in range(3):
+            left, right = _missed(at[first : last + 1], points[first : last + 1, i])
+            missed[j, i] += left
+            missed[j + 1, i] += right
+    for j in range(m):
+        if fixed[j] or weight[j] <= 0.0:
+            weight[j], beside[j], beside[j - 1] = 1.0, 0.0, 0.0  # the last one has none beside it: j - 1 of the first
+            missed[j] = 0.0
+    _solve_tridiagonal(weight, beside, missed)
+    return points[kept] + missed
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _missed(at: FloatArray, x: FloatArray) -> tuple[float, float]:
+    """Return what the chord of points (n,) misses, integrated with a weight that falls to its end, and that rises."""
+    n = len(at) - 1
+    left = right = ahead = f = 0.0
+    span, rise = at[n] - at[0], x[n] - x[0]
+    if span <= 0.0:
+        return 0.0, 0.0
+    for k in range(1, n + 1):
+        g = (at[k] - at[0]) / span
+        here, ahead = ahead, x[k] - x[0] - g * rise
+        step = at[k] - at[k - 1]
+        rising = step / 6.0 * (here * (2.0 * f + g) + ahead * (f + 2.0 * g))
+        right += rising
+        left += 0.5 * step * (here + ahead) - rising
+        f = g
+    return left, right
+
+
+@njit(cache=True, nogil=True)
+def _solve_tridiagonal(diagonal: FloatArray, beside: FloatArray, right: FloatArray) -> None:
+    """Solve a symmetric tridiagonal system (m,) for the columns of `right` (m, 3), in place."""
+    for j in range(1, len(diagonal)):
+        share = beside[j - 1] / diagonal[j - 1]
+        diagonal[j] -= share * beside[j - 1]
+        right[j] -= share * right[j - 1]
+    for j in range(len(diagonal) - 1, -1, -1):
+        if j + 1 < len(diagonal):
+            right[j] -= beside[j] * right[j + 1]
+        right[j] /= diagonal[j]
+
+
+@njit(cache=True, nogil=True)
 def lengthen(
     at: FloatArray, points: FloatArray, e: FloatArray, pinned: BoolArray, shortest: float, shortest_mm: float
 ) -> None:

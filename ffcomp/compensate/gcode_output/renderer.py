@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 from ffcomp.compensate.gcode_output.layout import tiles, timeline
 from ffcomp.compensate.gcode_output.writer import Writer
@@ -14,6 +15,8 @@ from gcode.limits import MotionLimits
 from gcode.program import EventQueue
 from models.machine import Machine
 
+REFIT_MM = 1e-3  # so near the border no end of a segment is moved from the command that is inside
+
 
 class GcodeRenderer:
     """Lines of the compensated file, of one chunk; see `compensate.program.Renderer`."""
@@ -22,7 +25,9 @@ class GcodeRenderer:
         self._planned, self._extent, self._kinematics = chunk.planned, chunk.chunk.extent, context.machine.kinematics
         program, settings = chunk.planned.program, context.settings
         own = _own_limits(context.machine)
-        self._writer = Writer(program, context.flavor, own, settings, context.offset, chunk.chunk.limits, chunk.raw_s)
+        inside = partial(self._kinematics.contains, margin_mm=-REFIT_MM)
+        known = chunk.chunk.limits, chunk.raw_s, inside
+        self._writer = Writer(program, context.flavor, own, settings, context.offset, *known)
         self._events, self._waits_s = EventQueue(program.events), chunk.waits_s
         self._writer.told(chunk.chunk.since)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from operator import itemgetter
@@ -20,7 +20,7 @@ from numba import njit
 from ffcomp.compensate.gcode_output.layout import Timeline
 from ffcomp.inverse.settings import CUT, Settings
 from ffcomp.planner.lifts import join_lifts
-from ffcomp.planner.segment_merging import lengthen, merge
+from ffcomp.planner.segment_merging import lengthen, merge, refit
 from ffcomp.planner.segment_timing import TimedSegments, segment_speeds
 from gcode.dialects import KLIPPER, MARLIN, close_limits, open_limits
 from gcode.embedded import CUT_SHORT, OURS, WAS, joined, like_ours, section_time_line
@@ -30,7 +30,7 @@ from gcode.layers import begins_layer
 from gcode.limits import MotionLimits, limit_set_by
 from gcode.metadata import Timed, tells
 from gcode.program import Event, EventKind, Program
-from models.arrays import FloatArray, IntArray
+from models.arrays import BoolArray, FloatArray, IntArray
 
 _Place = tuple[float, float, float, float]  # X Y Z E, mm
 _Line = int | Event | bytes  # a move of the original (index into its lines), another line of it, a line of ours
@@ -51,9 +51,11 @@ class Writer:
         offset: tuple[float, float] = (0.0, 0.0),
         said: Mapping[bytes, bytes] | None = None,
         raw_s: Mapping[int, float] | None = None,
+        inside: Callable[[FloatArray], BoolArray] = lambda xyz: np.ones(len(xyz), dtype=np.bool_),
     ) -> None:
         self.program, self.flavor, self.own, self.settings = program, flavor, own, settings
         self.offset = offset
+        self.inside = inside  # which points (n, 3) mm the firmware lets a command go to
         self.raw_s = raw_s or {}  # what moves take that go out as they are, by their line
         self.moves = MoveWriter()
         self.frame = 0
@@ -194,8 +196,10 @@ class Writer:
             stay, pinned = join_lifts(_stated(points, frame.base, frame.unit_mm), timeline.e, timeline.cut)
         chosen = merge(at[stay], points[stay], timeline.e[stay], pinned, s.merging, CUT)
         kept, fixed = stay[chosen], pinned[chosen]
-        at, points, e = at[kept], points[kept], timeline.e[kept]
         fixed[0] = fixed[-1] = True
+        placed = refit(at[stay], points[stay], chosen, fixed)
+        points = np.where(self.inside(placed)[:, None], placed, points[kept])
+        at, e = at[kept], timeline.e[kept]
         lengthen(at, points, e, fixed, s.shortest_knots, s.merging.shortest_mm)
         points = _stated(points, frame.base, frame.unit_mm)
         lasting = (at[1:] - at[:-1]) * s.segment_s

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ffcomp.planner.segment_merging import AHEAD, AT_FIRST, BEHIND, WIDEST, MergeLimits, lengthen, merge
+from ffcomp.planner.segment_merging import AHEAD, AT_FIRST, BEHIND, WIDEST, MergeLimits, lengthen, merge, refit
 from tests.unit.ffcomp.planner.test_segment_timing import wave
 
 FloatArray = NDArray[np.float64]
@@ -143,3 +143,45 @@ def test_a_loop_that_ends_where_it_began_is_not_left_out() -> None:
     limits = MergeLimits(1e-3, 3e-3, 2e-4, 62.5, 0.25, 0.0106)
     kept = merge(np.arange(44.0), points, 0.01 * way, unpinned(points), limits)
     assert np.ptp(points[kept], axis=0)[:2] == pytest.approx([1.6, 1.6], abs=0.05)
+
+
+def test_refitted_segments_leave_less_of_what_a_slow_machine_follows() -> None:
+    """Chords of a bend lie on its inner side; refitted ones miss it to both sides, and the mean error is gone."""
+    at = np.arange(401.0)
+    phase = 2 * np.pi * at / 400
+    points = np.column_stack([20 * np.cos(phase), 20 * np.sin(phase), np.full(401, 0.2)])
+    kept = np.arange(0, 401, 8)
+    fixed = unpinned(kept)
+    fixed[[0, 25, -1]] = True
+
+    def mean_error_um(ends: FloatArray) -> float:
+        played = np.column_stack([np.interp(at, at[kept], ends[:, i]) for i in range(3)])
+        return abs(1e3 * float(np.mean(np.hypot(played[:, 0], played[:, 1]) - 20.0)))
+
+    ends = refit(at, points, kept, fixed)
+    assert mean_error_um(points[kept]) > 20.0 > 10 * mean_error_um(ends)
+    np.testing.assert_array_equal(ends[fixed], points[kept][fixed])
+    np.testing.assert_allclose(ends[:, 2], 0.2, atol=1e-15)
+
+
+def test_a_refit_is_the_least_squares_over_time() -> None:
+    """The miss is orthogonal to every hat whose top may move, whatever the steps between the points."""
+    rng = np.random.default_rng(5)
+    at = np.cumsum(rng.uniform(0.2, 1.0, 60))
+    points = np.cumsum(rng.normal(size=(60, 3)), axis=0)
+    kept = np.array([0, 3, 4, 11, 20, 21, 40, 59])
+    fixed = unpinned(kept)
+    fixed[[0, 4, -1]] = True
+    ends = refit(at, points, kept, fixed)
+    fine = np.linspace(at[0], at[-1], 400_001)
+    for i in range(3):
+        miss = np.interp(fine, at, points[:, i]) - np.interp(fine, at[kept], ends[:, i])
+        for j in np.flatnonzero(~fixed).tolist():
+            hat = np.interp(fine, at[kept], np.eye(len(kept))[j])
+            assert np.trapezoid(miss * hat, fine) == pytest.approx(0.0, abs=1e-4)
+
+
+def test_segments_that_leave_nothing_out_stay_where_they_are() -> None:
+    points = np.cumsum(np.random.default_rng(1).normal(size=(30, 3)), axis=0)
+    kept = np.arange(30)
+    np.testing.assert_array_equal(refit(np.arange(30.0), points, kept, unpinned(kept)), points)
