@@ -70,7 +70,11 @@ def compiled(function: Any) -> Any:
     return njit(cache=True, error_model="numpy", nogil=True)(function)
 
 
-@compiled
+# a call would pass the state through memory
+inlined = njit(error_model="numpy", nogil=True, forceinline=True)
+
+
+@inlined
 def _spring(stretch: float, rate: float, k: float, c: float, play: bool, bends: bool, p: FloatArray) -> float:
     """Return the force of a spring and its damper; it may be the one that has play, or hardens."""
     force = c * rate
@@ -86,7 +90,7 @@ def _spring(stretch: float, rate: float, k: float, c: float, play: bool, bends: 
     return force + k * s
 
 
-@compiled
+@inlined
 def _resistance(q: float, v: float, strain: float, bent: float, p: FloatArray) -> tuple[float, float, float]:
     """Return what resists, and the rates of strain and bristles."""
     held = p[DAMPING] * v + 0.5 * p[BY_DIRECTION] * abs(v) + p[DRAG] * v * abs(v) + p[GROUND] * q
@@ -107,7 +111,7 @@ def _resistance(q: float, v: float, strain: float, bent: float, p: FloatArray) -
     return held, strain_rate, bent_rate
 
 
-@compiled
+@inlined
 def _rates(x: State, given: float, given_rate: float, p: FloatArray) -> State:
     """Return the state's rate under an input and its rate."""
     q, v, q_load, v_load, strain, bent = x
@@ -129,7 +133,7 @@ def _rates(x: State, given: float, given_rate: float, p: FloatArray) -> State:
     return v, (total + pull) / p[MASS], v_load, -pull / p[LOAD], strain_rate, bent_rate
 
 
-@compiled
+@inlined
 def _input(given: FloatArray, slope: FloatArray, at: float) -> tuple[float, float]:
     """Return the input at so many samples after the first, and its rate by sample.
 
@@ -144,7 +148,7 @@ def _input(given: FloatArray, slope: FloatArray, at: float) -> tuple[float, floa
     return value, slope[i] + s * (2.0 * bend + 3.0 * s * twist) if inside else 0.0
 
 
-@compiled
+@inlined
 def _moved(x: State, h: float, k: State) -> State:
     """Return x + h k."""
     return (
@@ -157,7 +161,7 @@ def _moved(x: State, h: float, k: State) -> State:
     )
 
 
-@compiled
+@inlined
 def _step(
     x: State, first: State, given: FloatArray, slope: FloatArray, at: float, dt: float, h: float, p: FloatArray
 ) -> State:
@@ -171,7 +175,7 @@ def _step(
     return _moved(x, h / 6.0, mean)
 
 
-@compiled
+@inlined
 def _begin(x: State, at: FloatArray, given: float, p: FloatArray) -> State:
     """Set places and speeds; of a mass whose place is not known, as far from the other as the coupling is stretched."""
     last, first = at[0] == at[0], at[2] == at[2]  # not NaN

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -104,8 +105,9 @@ def substeps_of(p: FloatArray, dt_s: float, turns: float = TURNS) -> int:
     return min(max(1, math.ceil(dt_s / longest * (1 - 1e-9))), MOST_SUBSTEPS)
 
 
+@lru_cache(maxsize=8)
 def kernel_parameters(machine: AxisMachine) -> FloatArray:
-    """Return (34,) the kernel's numbers of an axis with its effects, SI."""
+    """Return (34,) the kernel's numbers of an axis with its effects, SI: shared by its runs, not to be written to."""
     axis = machine.axis
     p = dict.fromkeys(NAMES, 0.0) | {"fading_power": 2.0, "creep": 1.0, "presliding": 1.0}
     p |= {"mass": axis.mass_kg, "stiffness": axis.stiffness_n_per_m, "damping": axis.damping_n_s_per_m}
