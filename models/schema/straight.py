@@ -43,10 +43,11 @@ class AxisTable(Table):
     damping_ratio: Annotated[list[Annotated[float, Field(ge=0, lt=1)]], MODES]
     share: Annotated[list[Annotated[float, Field(ge=-10, le=10)]], MODES] | None = None
     mass_kg: float | None = Field(None, ge=0.001, le=1000)
+    mount_frequency_hz: float | None = Field(None, ge=1, le=1000)
 
     def axis(self) -> Axis:
         """Return the axis with its modes."""
-        return Axis(self.frequency_hz, self.damping_ratio, self.share or [1.0], self.mass_kg)
+        return Axis(self.frequency_hz, self.damping_ratio, self.share or [1.0], self.mass_kg, self.mount_frequency_hz)
 
 
 class AxesTable(Table):
@@ -85,3 +86,13 @@ def _axis_problems(name: str, table: AxisTable) -> Iterator[str]:
         yield f"axes.{name}.share is missing; of several modes it says how much each takes of the response at rest."
     elif table.share is not None and abs(sum(table.share) - 1.0) > 1e-3:
         yield f"axes.{name}.share = {table.share} must sum to 1: at rest an axis stands where it is told to."
+    elif table.mount_frequency_hz is not None and not _is_between(table, table.mount_frequency_hz):
+        yield (
+            f"axes.{name}.mount_frequency_hz = {table.mount_frequency_hz:g} must lie between the frequencies of two "
+            "modes, of which the higher one has a share below zero."
+        )
+
+
+def _is_between(table: AxisTable, mount_hz: float) -> bool:
+    modes = sorted(zip(table.frequency_hz, table.share or [1.0], strict=True))
+    return len(modes) == 2 and modes[0][0] < mount_hz < modes[1][0] and modes[0][1] > 0 > modes[1][1]

@@ -231,6 +231,11 @@ class VibrationModel(ABC):
     def tunable(self) -> tuple[str, ...]:
         """Return the machine file's numbers that a measurement of vibrations may correct."""
 
+    @property
+    def guessed(self) -> Mapping[str, float]:
+        """Return what of `tunable` the file does not state, with the standard deviation of the guess, as a share."""
+        return {}
+
     @abstractmethod
     def with_belts(self, relative_change: FloatArray, motors: FloatArray) -> Self:
         """Return the model with belts stiffer by (3,), of motors that move as (3, 3) of the actuators says."""

@@ -30,6 +30,8 @@ RIGID_HZ, RIGID_DAMPING = 1500.0, 1.1
 AXES = ("x", "y", "z")
 KINDS = ("mass", "stiffness", "belt_damping", "damping")
 FILE_KINDS = ("frequency_hz", "damping_ratio", "share")
+MOUNT = re.compile(r"axes\.(?P<axis>[xyz])\.mount_frequency_hz")
+LEAST_WEIGHT = 1e-6  # of the belt's force, that a mode takes
 NAME = re.compile(r"axes\.(?P<axis>[xyz])\.(?P<kind>\w+)\[(?P<mode>\d+)\]")
 # what a draw of 20 deviates moves, as when an axis had exactly two oscillators: the same seeds give the same machines
 COLUMNS = 20
@@ -44,6 +46,7 @@ class Axis:
     damping_ratio: Sequence[float] = ()
     share: Sequence[float] = (1.0,)
     mass_kg: float | None = None  # all that the belt moves; None: forces are per kilogram of it
+    mount_frequency_hz: float | None = None  # of the nozzle on what the belt drives, that held; None: not known
 
     @property
     def oscillators(self) -> tuple[Oscillator, ...]:
@@ -103,6 +106,7 @@ class ModalAxes(VibrationModel):
     axes: tuple[tuple[Oscillator, ...], tuple[Oscillator, ...], tuple[Oscillator, ...]]
     masses_kg: tuple[float | None, ...] = (None, None, None)  # M of each axis, where it is known
     exchange: float = 0.0  # δ of what moves x and y together, such as the belts of a CoreXY
+    mounts_hz: tuple[float | None, ...] = (None, None, None)  # where the driven point of each axis stands still
 
     position_dependent: ClassVar[bool] = False
     channels: ClassVar[tuple[str, str, str]] = AXES
@@ -113,7 +117,8 @@ class ModalAxes(VibrationModel):
     def of(cls, axes: Sequence[Axis], exchange: float = 0.0) -> ModalAxes:
         """Return the model of three axes X Y Z, of which x and y exchange motion."""
         x, y, z = (axis.oscillators for axis in axes)
-        return cls((x, y, z), tuple(axis.mass_kg for axis in axes), exchange)
+        mounts = tuple(axis.mount_frequency_hz for axis in axes)
+        return cls((x, y, z), tuple(axis.mass_kg for axis in axes), exchange, mounts)
 
     def _each(self) -> Iterator[tuple[int, int, Oscillator]]:
         """Yield axis, number on the axis and oscillator, in the order of the states."""
@@ -142,6 +147,8 @@ class ModalAxes(VibrationModel):
 
     def value(self, name: str) -> float:
         """Return one parameter, also by the file's own keys; KeyError if there is none of this name."""
+        if (mount := MOUNT.fullmatch(name)) is not None:
+            return self._mount_hz(AXES.index(mount["axis"]), name)
         axis, i, kind = _parsed(name)
         if i >= len(self.axes[axis]):
             raise KeyError(name)
@@ -152,11 +159,14 @@ class ModalAxes(VibrationModel):
 
         By the file's keys, a frequency keeps its damping ratio.
         """
-        axes = [list(modes) for modes in self.axes]
+        axes, mounts = [list(modes) for modes in self.axes], list(self.mounts_hz)
         for name, value in values.items():
+            if (mount := MOUNT.fullmatch(name)) is not None:
+                mounts[AXES.index(mount["axis"])] = float(value)
+                continue
             axis, i, kind = _parsed(name)
             axes[axis][i] = axes[axis][i].with_value(kind, float(value))
-        return self._with_axes(axes)
+        return replace(self._with_axes(axes), mounts_hz=tuple(mounts))
 
     def _with_axes(self, axes: Sequence[Sequence[Oscillator]]) -> ModalAxes:
         x, y, z = (tuple(modes) for modes in axes)
@@ -164,13 +174,28 @@ class ModalAxes(VibrationModel):
 
     @property
     def tunable(self) -> tuple[str, ...]:
-        """Return the file's numbers that a measurement may correct: frequency and damping of every mode."""
-        return tuple(
+        """Return the file's numbers that a measurement may correct: frequency and damping of every mode, and mounts."""
+        modes = tuple(
             f"axes.{AXES[axis]}.{key}[{i}]"
             for axis, i, mode in self._each()
             if not mode.belt_damping
             for key in ("frequency_hz", "damping_ratio")
         )
+        return (*modes, *(f"axes.{AXES[axis]}.mount_frequency_hz" for axis in range(3) if _is_chain(self.axes[axis])))
+
+    @property
+    def guessed(self) -> Mapping[str, float]:
+        """Return what of `tunable` no file has stated, with the standard deviation of the guess, as a share of it."""
+        return {
+            f"axes.{AXES[axis]}.mount_frequency_hz": _apart(modes) / (4 * _middle(modes))
+            for axis, modes in enumerate(self.axes)
+            if self.mounts_hz[axis] is None and _is_chain(modes)
+        }
+
+    def _mount_hz(self, axis: int, name: str) -> float:
+        if not _is_chain(self.axes[axis]):
+            raise KeyError(name)
+        return self.mounts_hz[axis] or _middle(self.axes[axis])
 
     # ---- forces
 
@@ -182,8 +207,25 @@ class ModalAxes(VibrationModel):
     @property
     def drive_stiffness(self) -> FloatArray:
         """Return k between motor and driven point of each axis, (3,) N/m, or per kilogram."""
-        slack = [sum(abs(o.share) * o.mass / o.stiffness for o in modes) / _total(modes) for modes in self.axes]
+        slack = [
+            sum(w * o.mass / o.stiffness for w, o in zip(self._weights(axis), modes, strict=True))
+            for axis, modes in enumerate(self.axes)
+        ]
         return self.moved_kg / np.array(slack)
+
+    def _weights(self, axis: int) -> FloatArray:
+        """Return how much of the driven point's motion at rest each mode has, (modes,), together 1.
+
+        The belt drives mode i, of unit mass, by φ_i = √(w_i ω_i²/k). In a chain of two masses, of which the belt drives
+        the first, that one stands still at the mount's frequency ω_m, so that w_i = σ_i (1 − ω_i²/ω_m²).
+        """
+        modes, mount = self.axes[axis], self.mounts_hz[axis]
+        share = np.array([o.share for o in modes])
+        if mount is None or not _is_chain(modes):
+            return np.asarray(np.abs(share) / np.sum(np.abs(share)))
+        square = np.array([o.frequency_hz for o in modes]) ** 2 / mount**2
+        weights = np.maximum(share * (1 - square), LEAST_WEIGHT)
+        return np.asarray(weights / weights.sum())
 
     @property
     def per_kilogram(self) -> bool:
@@ -209,8 +251,11 @@ class ModalAxes(VibrationModel):
         self, stiffer: FloatArray | float = 0.0, damped: FloatArray | float = 0.0, heavier: FloatArray | float = 0.0
     ) -> ModalAxes:
         changes = np.stack([np.broadcast_to(x, 3) for x in (stiffer, damped, heavier)], axis=1)
-        each = zip(self.axes, self.drive_stiffness, changes.tolist(), strict=True)
-        return self._with_axes([_with_forces(modes, k, *change) if any(change) else modes for modes, k, change in each])
+        weights = [self._weights(axis) for axis in range(3)]
+        each = zip(self.axes, weights, self.drive_stiffness, changes.tolist(), strict=True)
+        return self._with_axes(
+            [_with_forces(modes, w, k, *change) if any(change) else modes for modes, w, k, change in each]
+        )
 
     # ---- the equations
 
@@ -225,16 +270,17 @@ class ModalAxes(VibrationModel):
     def _axis_frf(self, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """Return q/w and q_d/w of each axis: (k, 3) for s (k,) 1/s."""
         found, driven = np.zeros((2, len(s), 3), dtype=np.complex128)
-        for axis, _, o in self._each():
+        for axis, i, o in self._each():
             drive = o.belt_damping * s + o.stiffness
             mode = o.share * drive / (o.mass * s**2 + (o.belt_damping + o.damping) * s + o.stiffness)
             found[:, axis] += mode
-            driven[:, axis] += mode * self._part(axis, o)
+            driven[:, axis] += mode * self._part(axis, i)
         return found, driven
 
-    def _part(self, axis: int, mode: Oscillator) -> float:
-        """Return how much of a mode's p is in q_d."""
-        return float(np.sign(mode.share)) / _total(self.axes[axis])
+    def _part(self, axis: int, i: int) -> float:
+        """Return how much of a mode's p is in q_d: w/σ."""
+        share = self.axes[axis][i].share
+        return float(self._weights(axis)[i] / share) if share else 0.0
 
     @property
     def _coupling(self) -> FloatArray:
@@ -274,7 +320,7 @@ class ModalAxes(VibrationModel):
             other, own = 1 - axis, 2 * m + 1
             if axis < 2:
                 command[own, other] = o.share * o.stiffness / o.mass * self.exchange
-                for k, (of, _, mode) in enumerate(each):
+                for k, (of, mode, _) in enumerate(each):
                     if of == other:
                         a[own, 2 * k] -= command[own, other] * self._part(of, mode)
 
@@ -323,7 +369,10 @@ class ModalAxes(VibrationModel):
     def printer_parameters(self, gravity_m_per_s2: float) -> PrinterFields:
         """Return what the nonlinear printer's kernels need of the model, SI."""
         k = self.drive_stiffness
-        mobility = [sum(abs(o.share) * o.stiffness / o.mass for o in modes) / _total(modes) for modes in self.axes]
+        mobility = [
+            sum(w * o.stiffness / o.mass for w, o in zip(self._weights(axis), modes, strict=True))
+            for axis, modes in enumerate(self.axes)
+        ]
         return {
             "carriage_mass": self.moved_kg,
             "belt_k": k,
@@ -342,7 +391,7 @@ class ModalAxes(VibrationModel):
         table = np.zeros((max(map(len, self.axes)), 7, 3))
         table[:, 0] = table[:, 1] = 1.0  # of a mode that takes no part
         for (axis, i, o), k in ((each, self.drive_stiffness[each[0]]) for each in self._each()):
-            omega2, part = o.stiffness / o.mass, self._part(axis, o)
+            omega2, part = o.stiffness / o.mass, self._part(axis, i)
             highest = all(o is mode or o.frequency_hz > mode.frequency_hz for mode in self.axes[axis])
             table[i, :2, axis] = omega2, o.damping / o.mass
             table[i, 2:, axis] = o.belt_damping / o.mass, o.share, part, k * part / omega2, highest
@@ -353,33 +402,54 @@ class ModalAxes(VibrationModel):
         return Description("straight axes", None)
 
 
-def _total(modes: Sequence[Oscillator]) -> float:
-    return sum(abs(o.share) for o in modes)
+def _is_chain(modes: Sequence[Oscillator]) -> bool:
+    """Tell whether an axis may be two masses, one behind the other: in the higher mode they move against each other."""
+    if len(modes) != 2:
+        return False
+    low, high = sorted(modes, key=lambda mode: mode.frequency_hz)
+    return low.share > 0 > high.share and low.frequency_hz < high.frequency_hz
+
+
+def _middle(modes: Sequence[Oscillator]) -> float:
+    """Guess where the first of two masses stands still, Hz: where the belt drives both modes as much."""
+    return float(np.sqrt(np.mean([o.frequency_hz**2 for o in modes])))
+
+
+def _apart(modes: Sequence[Oscillator]) -> float:
+    """Return how far two modes are apart, Hz."""
+    return abs(modes[1].frequency_hz - modes[0].frequency_hz)
 
 
 def _with_forces(
-    modes: Sequence[Oscillator], k: float, stiffer: float, damped: float, heavier: float
+    modes: Sequence[Oscillator], weights: FloatArray, k: float, stiffer: float, damped: float, heavier: float
 ) -> tuple[Oscillator, ...]:
     """Return the modes of an axis with k (1 + stiffer), and with more damping and mass at its driven point.
 
-    In coordinates of unit mass the belt drives mode i by φ_i, φ_i² = |σ_i| ω_i²/(k S), and K + r k φφᵀ and 1 + Δm φφᵀ
-    have new modes. They keep their own damping only: the rest of the damping matrix would couple them. A rigid axis
-    has no numbers that a file could change.
+    In coordinates of unit mass the belt drives mode i by φ_i, φ_i² = w_i ω_i²/k, and K + r k φφᵀ and 1 + Δm φφᵀ have
+    new modes. They keep their own damping only: the rest of the damping matrix would couple them. A rigid axis has no
+    numbers that a file could change.
     """
     if modes[0].belt_damping:
         return tuple(modes)
     omega2 = np.array([o.stiffness / o.mass for o in modes])
-    share, total = np.array([o.share for o in modes]), _total(modes)
-    phi = np.sqrt(np.abs(share) * omega2 / (k * total))
-    shown = np.sign(share) * phi * total  # of the nozzle, so that σ ω² = k φ · shown
+    share = np.array([o.share for o in modes])
+    phi = np.sqrt(weights * omega2 / k)
+    shown = np.divide(share * omega2, k * phi, out=np.zeros_like(phi), where=phi > 0)  # of the nozzle
     more = np.outer(phi, phi)
-    lower = np.linalg.inv(np.linalg.cholesky(np.eye(len(phi)) + heavier * more))
-    found, vectors = np.linalg.eigh(lower @ (np.diag(omega2) + stiffer * k * more) @ lower.T)
-    shapes = lower.T @ vectors
+    found, shapes = (
+        _modes(omega2, stiffer * k * more, heavier * more) if stiffer or heavier else (omega2, np.eye(len(phi)))
+    )
     damping = shapes.T @ (np.diag([o.damping / o.mass for o in modes]) + damped * more) @ shapes
     shares = k * (1 + stiffer) * (shapes.T @ phi) * (shapes.T @ shown) / found
     each = zip(found.tolist(), np.diag(damping).tolist(), shares.tolist(), strict=True)
     return tuple(Oscillator(square, own, share=sigma) for square, own, sigma in each)
+
+
+def _modes(omega2: FloatArray, stiffer: FloatArray, heavier: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return ω² and the shapes of oscillators of ω² (n,) with stiffness and mass (n, n) added, by unit modal mass."""
+    lower = np.linalg.inv(np.linalg.cholesky(np.eye(len(omega2)) + heavier))
+    found, vectors = np.linalg.eigh(lower @ (np.diag(omega2) + stiffer) @ lower.T)
+    return found, lower.T @ vectors
 
 
 def _column(axis: int, mode: int, kind: str) -> int:

@@ -116,6 +116,10 @@ def test_the_virtual_printer_plays_the_same_modes() -> None:
             "damping_ratio = [0.1]",
             "axes.y.mass_kg is missing",
         ),
+        (
+            "frequency_hz = [40.0, 80.0]\ndamping_ratio = [0.1, 0.1]\nshare = [1.3, -0.3]\nmount_frequency_hz = 90.0",
+            "must lie between the frequencies of two modes",
+        ),
         ("[kinematics2]\na = 1", "kinematics2 is not a key"),
     ],
 )
@@ -135,3 +139,50 @@ acceleration_mm_per_s2 = 3000.0
     path.write_text(head + (table if table.startswith("[") else "[axes.x]\n" + table))
     with pytest.raises(MachineFileError, match=re.escape(rule)):
         load_machine(path)
+
+
+def chain(k1: float, k2: float, m1: float, m2: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Frequencies, Hz, and the nozzle's shares of two masses: the belt k1 drives m1, on which k2 holds m2."""
+    inverse = np.diag(1 / np.sqrt([m1, m2]))
+    squares, shapes = np.linalg.eigh(inverse @ np.array([[k1 + k2, -k2], [-k2, k2]]) @ inverse)
+    first, second = inverse @ shapes
+    return np.sqrt(squares) / (2 * np.pi), k1 * first * second / squares
+
+
+def test_the_frequency_of_the_mount_makes_two_modes_a_chain_of_two_masses() -> None:
+    """A stiffer belt, and what else acts at the mass that it drives, does what it does to the chain."""
+    k1, k2, m1, m2 = 2e4, 3e4, 0.35, 0.12
+    frequency, share = chain(k1, k2, m1, m2)
+    mount = float(np.sqrt(k2 / m2) / (2 * np.pi))
+    axis = Axis(tuple(frequency), (0.0, 0.0), tuple(share), mass_kg=m1 + m2, mount_frequency_hz=mount)
+    model = ModalAxes.of([axis, Axis(), Axis()])
+    assert model.drive_stiffness[0] == pytest.approx(k1, rel=1e-9)
+    changes = (
+        (model.with_belts(np.array([0.3, 0.0, 0.0]), np.eye(3)), chain(1.3 * k1, k2, m1, m2)),
+        (model.with_moved_mass(np.array([0.1, 0.0, 0.0])), chain(k1, k2, m1 + 0.1, m2)),
+    )
+    for changed, (expected, shares) in changes:
+        assert [o.frequency_hz for o in changed.axes[0]] == pytest.approx(expected, rel=1e-9)
+        assert [o.share for o in changed.axes[0]] == pytest.approx(shares, rel=1e-9)
+    parts = model.printer_modes()[:2, 4, 0]
+    still = parts @ (share * frequency**2 / (frequency**2 - mount**2))
+    assert still == pytest.approx(
+        0.0, abs=1e-9
+    )  # the belt's end rests while the nozzle swings at the mount's frequency
+
+
+def test_a_mount_that_nobody_stated_is_guessed_and_may_be_fitted() -> None:
+    frequency, share = chain(2e4, 3e4, 0.35, 0.12)
+    name = "axes.x.mount_frequency_hz"
+    model = ModalAxes.of([Axis(tuple(frequency), (0.05, 0.05), tuple(share)), Axis([40.0], [0.05]), Axis()])
+    assert name in model.tunable and name in model.guessed
+    guess = model.value(name)
+    stated = model.with_parameters({name: guess})
+    assert stated.printer_modes() == pytest.approx(model.printer_modes(), rel=1e-9)
+    assert not stated.guessed and stated.value(name) == guess
+    with pytest.raises(KeyError):
+        model.value("axes.y.mount_frequency_hz")
+    s = 2j * np.pi * np.linspace(5.0, 150.0, 30)
+    other = model.with_parameters({name: 0.9 * guess})
+    assert other.axis_frf(s) == pytest.approx(model.axis_frf(s))  # what commands do does not depend on it
+    assert other.drive_stiffness[0] != pytest.approx(model.drive_stiffness[0], rel=0.01)
