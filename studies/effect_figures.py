@@ -524,7 +524,7 @@ def _table(effect: Effect) -> str:
     if not effect.parameters:
         return "It has no parameters: it is there or it is not."
     rows = ["| parameter | unit | meaning | may be | usual | how many |", "|---|---|---|---|---|---|"]
-    rows += [_row(p) for p in effect.parameters]
+    rows += [_row(p) for p in (*effect.parameters, *effect.of_printers)]
     return "\n".join(rows)
 
 

@@ -24,7 +24,8 @@ from models.machine import Machine
 from models.printer import playback
 from models.printer.kernels.record import LANES
 from models.printer.parameters import converted_printer, printer_parameters
-from models.printer.printer import Hold, equilibrium_state, longest_step
+from models.printer.printer import Hold, longest_step
+from models.printer.rest import equilibrium_state
 from models.printer.static_deflection import static_deflection
 
 Item = TypeVar("Item")

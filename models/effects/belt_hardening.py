@@ -12,7 +12,14 @@ EFFECT = Effect(
     equation="F = k s + k₃ s³ + k₅ s⁵, s = u − q; constant beyond its peak, if it has one",
     parameters=(
         Parameter(
-            "cubic_n_per_m3", "N/m³", "k₃; negative softens", (-1e15, 1e15), (-5e11, 2e12), 1e11, size="per_tower"
+            "cubic_n_per_m3",
+            "N/m³",
+            "k₃; negative softens",
+            (-1e15, 1e15),
+            (-5e11, 2e12),
+            1e11,
+            size="per_tower",
+            on_printers=(0.0, 1e15),  # what softens there to the same third order is a motor's sine
         ),
         Parameter(
             "quintic_n_per_m5", "N/m⁵", "k₅", (-1e24, 1e24), (-1e18, 2e18), 1e17, "per_tower", "shape", default=0.0

@@ -73,11 +73,13 @@ def values_of(machine: HasEffects, name: str) -> dict[str, FloatArray] | None:
         If an amplitude is given without the parameters that shape it, or a parameter is unknown.
     """
     effect, table = effect_named(name), machine.effects.get(name)
-    if unknown := set(table or ()) - set(effect.by_name):
+    if table is None:
+        return None
+    if unknown := set(table) - set(effect.by_name):
         raise ValueError(
             f"effects.{name}.{min(unknown)} is not a parameter of this effect: {', '.join(effect.by_name)}."
         )
-    if table is None or (effect.amplitudes and not any(a.name in table for a in effect.amplitudes)):
+    if effect.amplitudes and not any(a.name in table for a in effect.amplitudes):
         return None
     if missing := effect.missing(table):
         raise ValueError(f"effects.{name}.{missing[0]} is missing; without it this effect has no shape.")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from models.effects.dry import reversal_parameters
+from models.effects.dry import PRESLIDING, reversal_parameters
 from models.effects.effect import Effect, Parameter
 
 EFFECT = Effect(
@@ -23,4 +23,5 @@ EFFECT = Effect(
         "joint_friction": "One tower at a time near the centre: the effector moves, two carriages rest.",
     },
     of=("carriages", "axes", "axis"),
+    of_printers=(PRESLIDING,),
 )

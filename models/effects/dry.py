@@ -1,8 +1,22 @@
-"""Declare the parameters that all dry friction shares: its width at reversals and its hold at rest."""
+"""Declare the parameters that dry friction shares: its width at reversals, its hold at rest, how far it bends."""
 
 from __future__ import annotations
 
 from models.effects.effect import Parameter, Size
+
+PRESLIDING = Parameter(
+    "presliding_mm",
+    "mm",
+    "s₀: way in which contacts bend before they slide, in place of creep and hold; 0: those",
+    (0, 10),
+    (0.005, 0.05),
+    0.005,
+    size="per_tower",
+    role="shape",
+    default=0.0,
+    logarithmic=True,
+    instead_of=("creep_mm_per_s", "hold_per_s"),
+)
 
 
 def reversal_parameters(size: Size) -> tuple[Parameter, Parameter]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -44,6 +45,8 @@ class Parameter:
     default: float | None = None  # of a shape that is optional in a machine file
     logarithmic: bool = False  # a shape that is known by its order of magnitude only
     starts: tuple[float, ...] = ()  # of a shape: starts of a search, instead of its typical range
+    instead_of: tuple[str, ...] = ()  # other shapes, which have no say where this one is given
+    on_printers: tuple[float, float] | None = None  # where a diagnosis looks for it, if not in all of `bounds`
 
     @property
     def neutral(self) -> float:
@@ -138,6 +141,7 @@ class Effect:
     fold: Callable[[Machine, Mapping[str, FloatArray]], Machine] | None = None
     measure: Callable[[Signals, Mapping[str, FloatArray]], Signals] | None = None
     of_axis: tuple[Parameter, ...] = ()  # shapes that only an axis by itself has
+    of_printers: tuple[Parameter, ...] = ()  # shapes that an axis by itself has not
     of: tuple[str, ...] = ("carriages", "axes")  # `VibrationModel.moves` of the machines that may have it
     # how far the nozzle's places must lie apart along x, y, z, over all recordings, to tell it from other numbers
     spread_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -146,17 +150,17 @@ class Effect:
         """Return the parameter of that name; KeyError if there is none."""
         return self.by_name[name]
 
-    @property
+    @cached_property
     def by_name(self) -> dict[str, Parameter]:
-        """All parameters by name, those of an axis by itself too."""
-        return {parameter.name: parameter for parameter in (*self.parameters, *self.of_axis)}
+        """All parameters by name, those of an axis by itself or of printers only too."""
+        return {parameter.name: parameter for parameter in (*self.parameters, *self.of_printers, *self.of_axis)}
 
-    @property
+    @cached_property
     def amplitudes(self) -> tuple[Parameter, ...]:
         """The parameters without which there is no effect."""
         return tuple(parameter for parameter in self.parameters if parameter.role == "amplitude")
 
-    @property
+    @cached_property
     def shapes(self) -> tuple[Parameter, ...]:
         """All other parameters."""
         return tuple(parameter for parameter in self.parameters if parameter.role == "shape")

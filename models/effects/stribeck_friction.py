@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from models.effects.dry import reversal_parameters
+from models.effects.dry import PRESLIDING, reversal_parameters
 from models.effects.effect import Effect, Parameter
 
 EFFECT = Effect(
@@ -32,4 +32,5 @@ EFFECT = Effect(
     in_data="As dry friction, with a spike at each start; very slow moves go in jerks.",
     confounded_with={"coulomb_friction": "Moves slower than v_s: only here the friction rises towards rest."},
     of=("carriages", "axes", "axis"),
+    of_printers=(PRESLIDING,),
 )

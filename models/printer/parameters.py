@@ -9,6 +9,7 @@ import numpy as np
 
 from models.arrays import FloatArray
 from models.effects.catalogue import effect_named, effective_machine, values_of
+from models.kinematics.base import Kinematics
 from models.machine import Machine
 from models.printer.kernels.record import PARAMETERS, PrinterParameters
 from models.vibration.base import PrinterFields
@@ -24,9 +25,17 @@ def printer_parameters(machine: Machine, *, gravity: bool = True) -> PrinterPara
     ValueError
         If an effect is unknown or incomplete.
     """
+    return _record_of(_folded(machine), gravity)
+
+
+def _folded(machine: Machine) -> Machine:
+    """Return the machine with the effects on its parameters; a ValueError if one is unknown."""
     for name in machine.effects:
-        effect_named(name)  # raises if it is unknown
-    effective = effective_machine(machine)
+        effect_named(name)
+    return effective_machine(machine)
+
+
+def _record_of(effective: Machine, gravity: bool) -> PrinterParameters:
     model = effective.vibration.printer_parameters(GRAVITY_M_PER_S2 if gravity else 0.0)
     geometry = effective.kinematics.printer_parameters()
     motor_k = np.asarray(geometry.get("axis_matrix", np.eye(3))).T ** 2 @ np.broadcast_to(model["belt_k"], 3)
@@ -57,11 +66,13 @@ class ConvertedPrinter(NamedTuple):
 
     parameters: PrinterParameters
     modes: FloatArray  # (n, 7, 3)
+    kinematics: Kinematics  # with the effects on it
 
 
 def converted_printer(machine: Machine, *, gravity: bool = True) -> ConvertedPrinter:
     """Convert a machine: see `printer_parameters` and `printer_modes`."""
-    return ConvertedPrinter(printer_parameters(machine, gravity=gravity), printer_modes(machine))
+    effective = _folded(machine)
+    return ConvertedPrinter(_record_of(effective, gravity), effective.vibration.printer_modes(), effective.kinematics)
 
 
 def _belt_effects(machine: Machine, stiffness: FloatArray) -> PrinterFields:
@@ -105,6 +116,7 @@ def _friction_effects(machine: Machine) -> PrinterFields:
     guides = [values for values in frictions if values is not None]
     if guides:
         part |= {"dry": sum(values["force_n"] for values in guides), **_reversal(guides)}
+        part["bristles"] = _bristles(guides)
     if (values := frictions[1]) is not None:
         part |= {"sticking": values["extra_force_n"], "fading": 1e3 / values["velocity_mm_per_s"]}
         part["fading_power"] = values["exponent"] / 2
@@ -122,6 +134,12 @@ def _reversal(guides: Sequence[Mapping[str, FloatArray]]) -> PrinterFields:
         for key in ("creep_mm_per_s", "hold_per_s")
     )
     return {"creep": creep / 1e3, "hold": hold}
+
+
+def _bristles(guides: Sequence[Mapping[str, FloatArray]]) -> FloatArray:
+    """Return 1/s₀ (3,) 1/m; of two kinds of friction that bend, that of the longer way."""
+    way = np.max([values["presliding_mm"] for values in guides], axis=0) / 1e3
+    return np.divide(1.0, way, out=np.zeros(3), where=way > 0.0)
 
 
 def _frame_effect(machine: Machine, holder_mass_kg: float) -> PrinterFields:

@@ -11,25 +11,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Any, Literal
 
 import numpy as np
 
 from models.arrays import FloatArray
-from models.effects.catalogue import effective_machine
 from models.effects.effect import Signals
 from models.errors import UnreachableError
 from models.kinematics.base import Kinematics
 from models.machine import Machine
-from models.printer.kernels.axes import BELT_DAMPING, FIRST, FREQUENCY2, SHARE
-from models.printer.kernels.equilibrium import find_equilibrium
+from models.printer.kernels.axes import BELT_DAMPING, FREQUENCY2, SHARE
 from models.printer.kernels.integrate import integrate
 from models.printer.kernels.integrate_axes import integrate_axes
-from models.printer.kernels.record import LANES, STATES, PrinterParameters, Q, V, parameter_table
+from models.printer.kernels.record import LANES, PrinterParameters, parameter_table
 from models.printer.kernels.spline import cubic_spline
-from models.printer.parameters import ConvertedPrinter, converted_printer, printer_modes
+from models.printer.parameters import ConvertedPrinter, converted_printer
+from models.printer.rest import axes_at_rest, deltas_at_rest
 
 SMOOTH_STEP_S = 1 / 6400  # a quarter of a nanometre on a violent motion
 KINKED_STEP_S = 1 / 12800  # with backlash or dry friction; with strong friction down to
@@ -40,7 +39,6 @@ WELL_FOLLOWED, RESOLVED = 0.6, 2.5  # step x the quickest mode's ω; step x a ri
 
 # friction / (speed x inertia) x step; guides and joints together below 2.78, where a Runge-Kutta step of order 4 grows
 GUIDE_STIFFNESS, JOINT_STIFFNESS = 1.9, 0.8
-EQUILIBRIUM_TOLERANCE_M = 1e-9
 BORDER_MM = 1e-6
 KEPT_SPLINES = 64  # commands, and sets of commands, whose cubics are held
 
@@ -147,15 +145,21 @@ def simulate_printers(
     for i, (machine, command) in enumerate(zip(machines, commands, strict=True)):
         try:
             start = None if starts is None else starts[i]
-            _check(command, dt_s, start)
+            splines.check(command, dt_s, start)
             printer = converted_printer(machine, gravity=gravity) if converted is None else converted[i]
             if converted is None or id(printer) not in ready:
-                ready[id(printer)] = _ready(machine, printer, dt_s, substeps)
+                ready[id(printer)] = _ready(printer, dt_s, substeps)
             own, coming = ready[id(printer)], command[:0] if ahead is None else ahead
             cubics = splines.of(command, coming, start, own.motors, dt_s, hold)
             tasks[i] = _task(command, cubics, dt_s, own, start)
         except ValueError as error:
             found[i] = error
+    for i, state in _settled({i: task for i, task in tasks.items() if len(task.values) == 0}).items():
+        if isinstance(state, ValueError):
+            found[i] = state
+            del tasks[i]
+        else:
+            tasks[i] = replace(tasks[i], values=state)
     for together in _batches(tasks):
         found |= zip(together, _simulate([tasks[i] for i in together], dt_s, splines), strict=True)
     return [found[i] for i in range(len(machines))]
@@ -167,6 +171,15 @@ class Splines:
     def __init__(self) -> None:
         self._cubics: dict[tuple[object, ...], tuple[FloatArray, FloatArray]] = {}
         self._joined: dict[tuple[int, ...], tuple[tuple[FloatArray, ...], FloatArray]] = {}
+        self._checked: dict[int, FloatArray] = {}
+
+    def check(self, command: FloatArray, dt_s: float, start: PrinterState | None) -> None:
+        """Check what may be simulated, a command at rest only once; raise a ValueError for what may not."""
+        if start is not None or id(command) not in self._checked:
+            _check(command, dt_s, start)
+        if start is None and id(command) not in self._checked:
+            _forget(self._checked)
+            self._checked[id(command)] = command  # held, it keeps its id
 
     def of(
         self,
@@ -214,6 +227,7 @@ class _Task:
 
     parameters: PrinterParameters
     modes: FloatArray  # (n, 7, 3) of straight axes, n = 0 of a delta; see `VibrationModel.printer_modes`
+    kinematics: Kinematics
     steps: int  # from row to row
     cubics: FloatArray  # (n, 3, 4), see `kernels.motors.Commands`
     first: int  # row of the command at which it begins
@@ -234,13 +248,12 @@ class _Ready:
     kept: int  # rows of the command that a simulation may be continued with
 
 
-def _ready(machine: Machine, printer: ConvertedPrinter, dt_s: float, substeps: int | None) -> _Ready:
-    p, modes = printer.parameters.copy(), printer.modes
-    steps = substeps or math.ceil(dt_s / longest_step(p, modes) * (1 - 1e-9))
-    _limit_stiffness(p, dt_s / steps)
+def _ready(printer: ConvertedPrinter, dt_s: float, substeps: int | None) -> _Ready:
+    modes = printer.modes
+    steps = substeps or math.ceil(dt_s / longest_step(printer.parameters, modes) * (1 - 1e-9))
+    p = _limit_stiffness(printer.parameters, dt_s / steps)
     kept = math.ceil(float(np.max(p.delay)) / dt_s) + SPLINE_ROWS + 1
-    kinematics, limited = effective_machine(machine).kinematics, _limit_rigidity(modes, dt_s / steps)
-    return _Ready(p, limited, kinematics, _motors_of(printer), steps, kept)
+    return _Ready(p, _limit_rigidity(modes, dt_s / steps), printer.kinematics, _motors_of(printer), steps, kept)
 
 
 def _task(
@@ -249,11 +262,18 @@ def _task(
     """Prepare the simulation of a printer under a command : (n, 3) mm with its cubics."""
     p, modes, steps, kept = ready.parameters, ready.modes, ready.steps, ready.kept
     if start is None:
-        straight = len(modes) > 0
-        values = _axes_at_rest(modes, command[0] / 1e3) if straight else _at_rest(ready.kinematics, command[0], p)
-        return _Task(p, modes, steps, cubics, 0, 0.0, values, command[-kept:].copy())
+        values = axes_at_rest(modes, command[0] / 1e3) if len(modes) else np.empty(0)  # of deltas see `_settled`
+        return _Task(p, modes, ready.kinematics, steps, cubics, 0, 0.0, values, command[-kept:].copy())
     history = np.concatenate([start.history[:-1], command])[-kept:]
-    return _Task(p, modes, steps, cubics, len(start.history) - 1, start.t_s, start.values, history)
+    return _Task(p, modes, ready.kinematics, steps, cubics, len(start.history) - 1, start.t_s, start.values, history)
+
+
+def _settled(tasks: Mapping[int, _Task]) -> dict[int, FloatArray | ValueError]:
+    """Return the states in which deltas begin at rest under the first row of their commands, or why there is none."""
+    commands = np.array([1e3 * task.cubics[0, :, 3] for task in tasks.values()]).reshape(-1, 3)
+    printers = [task.parameters for task in tasks.values()]
+    states = deltas_at_rest([task.kinematics for task in tasks.values()], commands, printers)
+    return dict(zip(tasks, states, strict=True))
 
 
 def _batches(tasks: Mapping[int, _Task]) -> Iterator[list[int]]:
@@ -294,7 +314,8 @@ def longest_step(p: PrinterParameters, modes: FloatArray) -> float:
     smooth = min(SMOOTH_STEP_S, longest_of_modes(modes))
     if friction == p.joint_dry == np.max(p.half_backlash) == 0:
         return smooth
-    gentle = float(np.min(p.creep)) * GUIDE_STIFFNESS * p.least_inertia / max(friction, 1e-9)
+    creeping = np.where(p.bristles > 0.0, math.inf, p.creep)  # bristles are no stiffer than a belt
+    gentle = float(np.min(creeping)) * GUIDE_STIFFNESS * p.least_inertia / max(friction, 1e-9)
     return float(np.clip(gentle, FINEST_STEP_S, min(KINKED_STEP_S, smooth)))
 
 
@@ -304,10 +325,18 @@ def longest_of_modes(modes: FloatArray) -> float:
     return float(WELL_FOLLOWED / np.sqrt(np.max(swinging))) if swinging.any() else math.inf
 
 
-def _limit_stiffness(p: PrinterParameters, step_s: float) -> None:
-    """Widen the reversal of dry friction, given by its creep speed, to what the step can resolve."""
-    p.creep = np.maximum(p.creep, (p.dry + p.sticking) * step_s / (GUIDE_STIFFNESS * p.least_inertia))
-    p.joint_creep = max(p.joint_creep, p.joint_dry * step_s / (JOINT_STIFFNESS * p.holder_mass))
+def _limit_stiffness(p: PrinterParameters, step_s: float) -> PrinterParameters:
+    """Widen the reversal of dry friction, given by its creep speed or its bristles, to what the step can resolve."""
+    friction, joints = p.dry + p.sticking, p.joint_dry
+    if not friction.any() and joints == 0.0:
+        return p
+    wider = p.copy()
+    wider.creep = np.maximum(p.creep, friction * step_s / (GUIDE_STIFFNESS * p.least_inertia))
+    stiffest = p.least_inertia * (WELL_FOLLOWED / step_s) ** 2
+    wider.bristles = np.minimum(p.bristles, stiffest / np.maximum(friction, 1e-9))
+    wider.bristle_lag = np.full(3, step_s / RESOLVED)
+    wider.joint_creep = max(p.joint_creep, joints * step_s / (JOINT_STIFFNESS * p.holder_mass))
+    return wider
 
 
 def _limit_rigidity(modes: FloatArray, step_s: float) -> FloatArray:
@@ -323,39 +352,6 @@ def _limit_rigidity(modes: FloatArray, step_s: float) -> FloatArray:
     limited[:, FREQUENCY2] *= slower**2
     limited[:, BELT_DAMPING] *= slower
     return limited
-
-
-def equilibrium_state(machine: Machine, command: FloatArray, p: PrinterParameters) -> FloatArray:
-    """Return the state of equilibrium, SI, under the command : (3,) mm, with belts stretched by weight.
-
-    Raises
-    ------
-    UnreachableError
-        If the arms cannot join the carriages.
-    ValueError
-        If there is no equilibrium.
-    """
-    modes = printer_modes(machine)
-    kinematics = effective_machine(machine).kinematics
-    return _at_rest(kinematics, command, p) if len(modes) == 0 else _axes_at_rest(modes, command / 1e3)
-
-
-def _at_rest(kinematics: Kinematics, command: FloatArray, p: PrinterParameters) -> FloatArray:
-    """Return the state of equilibrium of a delta."""
-    kinematics.forward(command[None])  # raises where the arms cannot join the carriages
-    states = np.zeros((1, STATES))
-    states[0, V : V + 3] = states[0, Q : Q + 3] = command / 1e3
-    (moved,) = find_equilibrium(states, parameter_table([p]))
-    if not moved < EQUILIBRIUM_TOLERANCE_M:
-        raise ValueError(f"The printer cannot rest with its carriages at {command} mm: its motors do not hold it.")
-    return states[0]
-
-
-def _axes_at_rest(modes: FloatArray, command_m: FloatArray) -> FloatArray:
-    """Return the state (rows, 3) of straight axes under a command (3,) m: nothing loads their belts."""
-    state = np.zeros((FIRST + 2 * len(modes), 3))
-    state[FIRST::2] = modes[:, SHARE] * command_m
-    return state
 
 
 def _cubic(rows: FloatArray, ahead: FloatArray, dt_s: float) -> FloatArray:
@@ -394,7 +390,7 @@ def _motion(
     """Build the motion from samples : seven of (n, 3), and values : (30,) the last state, SI, from the kernels."""
     own = [each[: len(task.cubics) - task.first] for each in samples]
     t = task.begin_s + dt_s * np.arange(len(own[0]), dtype=np.float64)
-    if not np.isfinite([each[-1] for each in own]).all():  # NaN persists
+    if not math.isfinite(sum(float(each[-1].sum()) for each in own)):  # NaN persists
         lost = np.flatnonzero(~np.isfinite(np.hstack(own)).all(axis=1))
         rule = f"At t = {t[lost[0]]:.4f} s the simulated nozzle has left the reach of its arms."
         return UnreachableError(rule, lost)

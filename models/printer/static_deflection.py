@@ -12,7 +12,7 @@ from models.effects.catalogue import effective_machine
 from models.machine import Machine
 from models.printer.kernels.record import Q
 from models.printer.parameters import printer_parameters
-from models.printer.printer import equilibrium_state
+from models.printer.rest import equilibrium_state
 
 ORDER = 8
 _RINGS, _ANGLES = 9, 18

@@ -26,6 +26,13 @@ def refuse_others(effects: Mapping[str, Mapping[str, Any]], moves: str, kind: st
         for key in CATALOGUE[name].of_axis
         if key.name in table
     )
+    refuse(
+        f"effects.{name}.{key.name} is of printers: on one axis by itself friction that bends is bristle_friction."
+        for name, table in effects.items()
+        if name in able and moves == "axis"
+        for key in CATALOGUE[name].of_printers
+        if key.name in table
+    )
 
 
 def mass_problems(name: str, table: Any, weighed: bool) -> Iterator[str]:

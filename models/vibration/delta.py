@@ -30,8 +30,9 @@ other with ẑ q̇_i has less kinetic energy, m_f/6 (|Ẋ|² + Ẋ·ẑ q̇_i + 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -129,10 +130,7 @@ class DeltaVibration(VibrationModel):
 
     def with_parameters(self, values: Mapping[str, float]) -> DeltaVibration:
         """Return the model with some parameters replaced; KeyError for an unknown name."""
-        changed = self
-        for name, value in values.items():
-            changed = _with(changed, *_parsed(name), value)
-        return changed
+        return _with(self, [(*_parsed(name), value) for name, value in values.items()])
 
     # ---- the equations
 
@@ -151,7 +149,9 @@ class DeltaVibration(VibrationModel):
         -------
         (n, 3, 3) N/N, rows carriages A B C, columns X Y Z of the force.
         """
-        j = self.kinematics.jacobian(xy)
+        return self._load_map(self.kinematics.jacobian(xy))
+
+    def _load_map(self, j: FloatArray) -> FloatArray:
         if self.effector.force_map == "virtual_work":
             return j.transpose(0, 2, 1)
         return np.einsum("nai,iab->nib", j, load_distribution(self.kinematics.tower_angles_rad, self.effector))
@@ -350,11 +350,8 @@ class DeltaVibration(VibrationModel):
 
     def _least_inertia(self) -> float:
         """Return the least mass, kg, that a combination of forces on the carriages moves, at the centre and the rim."""
-        reach = self.kinematics.model_reach_mm
-        angles = np.arange(0, 2 * np.pi, np.pi / 6)
-        places = np.vstack([np.zeros((1, 2)), reach * np.column_stack([np.cos(angles), np.sin(angles)])])
-        j = self.kinematics.jacobian(places)
-        load = self.nozzle_side_mass_kg * self.load_map(places) @ j - self.arm_inertia(j)
+        j = _middle_and_rim(self.kinematics)
+        load = self.nozzle_side_mass_kg * self._load_map(j) @ j - self.arm_inertia(j)
         return float(np.linalg.eigvals(self.carriage.moving_mass_kg * np.eye(3) + load).real.min())
 
     @property
@@ -383,24 +380,40 @@ class DeltaVibration(VibrationModel):
         return Description(f"load map {self.effector.force_map}", self.effector.force_map)
 
 
+@lru_cache(maxsize=16)
+def _middle_and_rim(kinematics: DeltaKinematics) -> FloatArray:
+    """Return J (13, 3, 3) at the centre and around the rim."""
+    angles = np.arange(0, 2 * np.pi, np.pi / 6)
+    rim = kinematics.model_reach_mm * np.column_stack([np.cos(angles), np.sin(angles)])
+    return kinematics.jacobian(np.vstack([np.zeros((1, 2)), rim]))
+
+
 def _drive_parameters(drive: Drive) -> PrinterFields:
     return {"d0": drive.d0_per_s2, "lead": drive.d1_per_s / drive.d0_per_s2, "d2": drive.d2_per_s}
 
 
-def _with(part: Any, path: list[str], index: int | None, value: float) -> Any:
-    old = getattr(part, path[0])
-    if len(path) > 1:
-        return replace(part, **{path[0]: _with(old, path[1:], index, value)})
-    if index is None:
-        return replace(part, **{path[0]: float(value)})
-    array = np.array(old, dtype=float)
-    array[index] = value
-    return replace(part, **{path[0]: constant(array)})
+def _with(part: Any, changes: Sequence[tuple[Sequence[str], int | None, float]]) -> Any:
+    """Return a part with numbers replaced at these paths, of arrays at an index."""
+    changed: dict[str, Any] = {}
+    inside: dict[str, list[tuple[Sequence[str], int | None, float]]] = {}
+    for (key, *path), index, value in changes:
+        old = changed.get(key, getattr(part, key))
+        if path:
+            inside.setdefault(key, []).append((path, index, value))
+        elif index is None:
+            changed[key] = float(value)
+        else:
+            array = np.array(old, dtype=float)
+            array[index] = value
+            changed[key] = constant(array)
+    parts = {key: _with(getattr(part, key), below) for key, below in inside.items()}
+    return replace(part, **changed, **parts)
 
 
-def _parsed(name: str) -> tuple[list[str], int | None]:
+@cache
+def _parsed(name: str) -> tuple[tuple[str, ...], int | None]:
     match = NAME.fullmatch(name)
     if match is None:
         raise KeyError(name)
     index = match["index"]
-    return match["path"].split("."), None if index is None else int(index)
+    return tuple(match["path"].split(".")), None if index is None else int(index)

@@ -142,7 +142,8 @@ def test_every_effect_is_told_with_its_parameters() -> None:
     told = {
         re.findall(r"`(\w+)`", row[0])[0]: re.findall(r"`(\w+)`", row[1]) for row in rows_of(MACHINE_FILE, "effects")
     }
-    assert told == {name: [each.name for each in CATALOGUE[name].parameters] for name in sorted(CATALOGUE)}
+    keys = {name: [*effect.parameters, *effect.of_printers] for name, effect in sorted(CATALOGUE.items())}
+    assert told == {name: [each.name for each in own] for name, own in keys.items()}
     text = MACHINE_FILE.read_text(encoding="utf-8")
     only = [f"`{name}`" for name in sorted(CATALOGUE) if CATALOGUE[name].of == ("carriages",)]
     assert f"It has every effect but {', '.join(only[:-1])} and {only[-1]}" in " ".join(text.split())

@@ -106,7 +106,19 @@ def guide_friction(n: PrinterParameters, q: FloatArray, row_s: float) -> FloatAr
     rate = np.gradient(q, row_s, axis=0)
     level = n.dry + n.sticking * np.exp(-(np.abs(rate * n.fading) ** (2.0 * n.fading_power)))
     ratio = rate / n.creep
-    return np.asarray(level * np.tanh(ratio + _strain(ratio, np.asarray(n.hold), row_s)))
+    smooth = np.tanh(ratio + _strain(ratio, np.asarray(n.hold), row_s))
+    return np.asarray(level * np.where(n.bristles > 0.0, _bent(rate * n.bristles * row_s), smooth))
+
+
+@njit(cache=True, nogil=True)
+def _bent(way: FloatArray) -> FloatArray:
+    """Z (m, 3): dz = dw − |dw| z, with dw (m, 3) the way in units of s₀ from row to row, from 0."""
+    bent = np.zeros_like(way)
+    for i in range(1, len(way)):
+        for a in range(3):
+            forgotten = np.exp(-abs(way[i, a]))
+            bent[i, a] = bent[i - 1, a] * forgotten + np.sign(way[i, a]) * (1.0 - forgotten)
+    return bent
 
 
 @njit(cache=True, nogil=True)

@@ -33,4 +33,10 @@ In fast motion φ vanishes and F = ℓ tanh(q̇/v₀), odd about the reversal. B
 micrometres as in rolling guides, and holds a carriage at rest under any load up to ℓ tanh φ_m. In steady sliding F is
 at least 0.93 ℓ at any speed. (Dahl's presliding, 1968, released at speed.) F is smooth, and as stiff as ℓ/v₀:
 `printer.py` chooses the step accordingly. With κ = 0 nothing holds: any load creeps.
+
+Where contacts bend over a way s₀ before they slide, at any speed, z is the state in place of φ (Dahl, 1968):
+
+    F = ℓ z,   ż = (q̇ − |q̇| z)/s₀
+
+Fast motion would be stiff: (s₀ + |q̇| τ) stands for s₀, with τ less than half an integration step.
 """

@@ -40,7 +40,7 @@ from models.printer.kernels.axes import (
 )
 from models.printer.kernels.axes_rows import ALL_ROWS, FIELDS, MODE, MODES, MOTION, MOTORS, STATE
 from models.printer.kernels.axes_sway import Sway, lighter, pull_of, stiffer, sway_rates
-from models.printer.kernels.friction import CREEP, DRY, FADING, FADING_POWER, HOLD, STICKING, strain_rate
+from models.printer.kernels.friction import DRY, FADING, FADING_POWER, STICKING, dry_friction
 from models.printer.kernels.jit import compiled, inlined
 from models.printer.kernels.motors import torque
 from models.printer.kernels.record import (
@@ -324,9 +324,8 @@ def _axis_rate(
             squared = (qd * at(m, FADING, n)) ** 2
             faded = tanh(0.5 * (power(squared, at(m, FADING_POWER, n)) if odd else squared))
             level += at(m, STICKING, n) * (1.0 - faded) / (1.0 + faded)
-        ratio = qd / at(m, CREEP, n)
-        drive -= level * tanh(ratio + y[0]) * at(m, COMPLIANCE, n)
-        strain = strain_rate(at(m, HOLD, n), ratio, abs(ratio), y[0])
+        force, strain = dry_friction(m, n, level, qd, y[0])
+        drive -= force * at(m, COMPLIANCE, n)
     follow, more = drive_rate + qd, stiffer(m, n, x) if swaying else 0.0
     first = _force(m, 0, n, more, drive, follow, y[1], y[2])
     return strain, y[2], first, y[4], _force(m, 1, n, more, drive, follow, y[3], y[4])

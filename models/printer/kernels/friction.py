@@ -22,7 +22,7 @@ from models.printer.kernels.record import (
 from models.printer.kernels.vectors import add, at, dot, power, put, scale, tanh, vector
 
 DRY, STICKING, FADING, FADING_POWER = parameter_rows("dry", "sticking", "fading", "fading_power")
-CREEP, HOLD = parameter_rows("creep", "hold")
+CREEP, HOLD, BRISTLES, BRISTLE_LAG = parameter_rows("creep", "hold", "bristles", "bristle_lag")
 JOINT_DRY, JOINT_CREEP, JOINT_HOLD = parameter_rows("joint_dry", "joint_creep", "joint_hold")
 
 MOST_STRAIN = 3.0  # φ_m
@@ -32,6 +32,17 @@ MOST_STRAIN = 3.0  # φ_m
 def strain_rate(hold: float, ratio: float, speed: float, strain: float) -> float:
     """Return φ̇ along one direction, with `hold` = κ, `ratio` = r along it and `speed` = |r|."""
     return hold * (ratio - (speed / MOST_STRAIN + speed * speed) * strain) / (1.0 + speed * speed)
+
+
+@inlined
+def dry_friction(m: FloatArray, n: int, level: float, rate: float, state: float) -> tuple[float, float]:
+    """Return the friction of a guide and the rate of its state: how far bristles are bent, or the strain."""
+    ratio, bristles = rate / at(m, CREEP, n), at(m, BRISTLES, n)
+    way = abs(rate) * bristles
+    bending = (rate * bristles - way * state) / (1.0 + way * at(m, BRISTLE_LAG, n))
+    straining = strain_rate(at(m, HOLD, n), ratio, abs(ratio), state)
+    bent = bristles > 0.0
+    return level * (state if bent else tanh(ratio + state)), bending if bent else straining
 
 
 @compiled
@@ -59,11 +70,11 @@ def has_powers(m: FloatArray) -> bool:
 
 @compiled
 def guide_friction(m: FloatArray) -> None:
-    """Evaluate the friction on the carriages, positive when they move up, and the rate of its strain."""
+    """Evaluate the friction on the carriages, positive when they move up, and the rate of its state."""
     for n in range(3 * LANES):
-        ratio, strain = at(m, NOW + QD, n) / at(m, CREEP, n), at(m, NOW + GUIDE, n)
-        m[GUIDES * LANES + n] = at(m, LEVEL, n) * tanh(ratio + strain)
-        m[(RATE + GUIDE) * LANES + n] = strain_rate(at(m, HOLD, n), ratio, abs(ratio), strain)
+        force, rate = dry_friction(m, n, at(m, LEVEL, n), at(m, NOW + QD, n), at(m, NOW + GUIDE, n))
+        m[GUIDES * LANES + n] = force
+        m[(RATE + GUIDE) * LANES + n] = rate
 
 
 @compiled

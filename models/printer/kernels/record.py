@@ -69,6 +69,8 @@ PARAMETERS = np.dtype(
         ("fading_power", "f8", 3),  # δ/2
         ("creep", "f8", 3),  # m/s, v₀ of the guides; larger where the integration step requires it
         ("hold", "f8", 3),  # 1/s, κ of the guides
+        ("bristles", "f8", 3),  # 1/m, 1/s₀ of guides whose friction bends bristles; 0: it creeps and holds instead
+        ("bristle_lag", "f8", 3),  # s, by which they follow later: what the integration step requires
         ("joint_dry", "f8"),  # N, joint_friction
         ("joint_creep", "f8"),  # m/s
         ("joint_hold", "f8"),  # 1/s

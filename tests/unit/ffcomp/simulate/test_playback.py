@@ -35,7 +35,7 @@ def test_weight_bends_the_belts_by_the_load_they_carry() -> None:
 def test_the_polynomial_of_the_sag_holds_between_its_places() -> None:
     from models.printer.kernels.record import Q
     from models.printer.parameters import printer_parameters
-    from models.printer.printer import equilibrium_state
+    from models.printer.rest import equilibrium_state
 
     place = np.array([[37.0, -61.0, 0.0]])
     command = MACHINE.kinematics.inverse(place)[0]

@@ -202,6 +202,10 @@ def test_the_file_of_an_axis(tmp_path: Path) -> None:
         (("damping_n", "load_mass_kg = 1.0\ndamping_n"), "belong together"),
         (("damping_n", "coupling_damping_n_s_per_m = 1.0\ndamping_n"), "is of a coupling"),
         (('name = "lift"', 'name = "lift"\n[effects.effector_mass]\nadded_kg = 0.1'), "none of one axis by itself"),
+        (
+            ('name = "lift"', 'name = "lift"\n[effects.coulomb_friction]\nforce_n = 1.0\npresliding_mm = 0.02'),
+            "presliding_mm is of printers",
+        ),
         (('"position"', '"torque"'), "must be 'position' or 'force'"),
     ],
 )

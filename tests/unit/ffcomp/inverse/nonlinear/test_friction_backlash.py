@@ -72,6 +72,21 @@ def test_it_is_the_force_that_the_printer_feels() -> None:
     )
 
 
+def test_friction_that_bends_is_a_spring_that_gives_way() -> None:
+    """From rest ℓ (1 − exp(−x/s₀)), whatever the speed; turned round ℓ (2 exp(−x/s₀) − 1); and so the printer feels."""
+    machine = with_effect(MACHINE, "coulomb_friction", force_n=2.0, presliding_mm=0.02)
+    there = along(0.1, 2.0)
+    for faster in (1, 5):
+        assert friction(machine, there[::faster])[200 // faster] == pytest.approx(2.0 * (1 - np.exp(-1.0)), rel=1e-3)
+    assert friction(machine, np.concatenate([there, there[::-1]]))[2200] == pytest.approx(2 * (2 / np.e - 1), abs=0.02)
+    q = MACHINE.kinematics.inverse(np.array([[0.0, 0.0, 50.0]])) + along(0.1, 0.4)
+    motions = [simulate_printer(each, q, ROW_S, hold="linear") for each in (machine, MACHINE)]
+    longer = np.subtract(*((m.motor_mm - m.carriage_mm)[-1] for m in motions))
+    moved = motions[0].carriage_mm - motions[0].carriage_mm[0]
+    expected = friction(machine, moved)[-1] / delta_vibration(MACHINE).carriage.belt_stiffness_n_per_m
+    assert longer == pytest.approx(1e3 * expected, rel=0.02)
+
+
 @cache
 def longest_run() -> Reference:
     """Of a square."""
