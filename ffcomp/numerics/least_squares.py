@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,6 +145,12 @@ class Iterate:
         """|r|² + |z|²."""
         return float(self.residual @ self.residual + self.z @ self.z)
 
+    @cached_property
+    def quadratic(self) -> tuple[FloatArray, FloatArray]:
+        """The normal matrix (p, p) and the gradient (p,) of the Gauss-Newton model."""
+        normal = np.eye(len(self.z)) + self.jacobian.T @ self.jacobian
+        return normal, self.jacobian.T @ self.residual - self.z
+
 
 def minimise_batched(
     problem: BatchedProblem,
@@ -268,15 +275,9 @@ def _shifted(problem: BatchedProblem, z: FloatArray, i: int, step: float) -> Flo
 
 def predicted_gain(problem: BatchedProblem, here: Iterate) -> float:
     """Return what the best step would take off the cost if f were linear."""
-    normal, gradient = _quadratic(here)
+    normal, gradient = here.quadratic
     step = problem.step(here.z, normal, gradient)
     return float(2 * gradient @ step - step @ normal @ step)
-
-
-def _quadratic(here: Iterate) -> tuple[FloatArray, FloatArray]:
-    """Return the normal matrix (p, p) and the gradient (p,) of the Gauss-Newton model."""
-    normal = np.eye(len(here.z)) + here.jacobian.T @ here.jacobian
-    return normal, here.jacobian.T @ here.residual - here.z
 
 
 def bounded_step(normal: FloatArray, gradient: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
@@ -311,7 +312,7 @@ def _damped_step(problem: BatchedProblem, here: Iterate, damping: float) -> tupl
 
     Returns the new point, its Jacobian corrected by the secant, and the damping to begin the next step with.
     """
-    normal, gradient = _quadratic(here)
+    normal, gradient = here.quadratic
     for dampings in ((damping,), tuple(max(damping, SMALLEST_DAMPING) * grown for grown in DAMPINGS)):
         damped = [normal + d * np.diag(np.diag(normal)) for d in dampings]
         trials = [problem.clip(here.z + problem.step(here.z, matrix, gradient)) for matrix in damped]
