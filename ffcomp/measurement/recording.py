@@ -8,6 +8,7 @@ One CSV file is one recording. Comment lines `# key: value` may come first, then
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -25,6 +26,7 @@ from ffcomp.measurement.table import Table, read_table, read_text
 from models.arrays import FloatArray
 
 CommandSpace = Literal["carriage", "nozzle"]
+CLOCKS = "clocks"  # the comment that tells columns of several chips apart
 AXES: dict[CommandSpace, str] = {"carriage": "ABC", "nozzle": "xyz"}
 
 _LONGEST_COMMAND_GAP_S = 0.02  # a cubic through a longer hole would invent motion
@@ -66,6 +68,15 @@ class Recording:
     def repeat_of(self) -> str:
         """The file's stem without a trailing -1, -2, …: recordings that share it repeat one experiment."""
         return experiment_of(self.source, self.folder)
+
+    def clocks_of(self, signals: Sequence[str]) -> tuple[str, ...]:
+        """Name the clock of each signal by the first of the group it is in: "" of the first, and of what is in none.
+
+        A run of several chips says in `clocks` which columns are of one chip: `acc_x acc_z, acc_y`.
+        """
+        groups = [own.split() for own in self.comments.get(CLOCKS, "").split(",")]
+        names = {signal: own[0] for own in groups[1:] for signal in own}
+        return tuple(names.get(signal, "") for signal in signals)
 
 
 def experiment_of(source: str, folder: str = "") -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.fft import next_fast_len
 
@@ -30,3 +32,14 @@ def delayed(x: FloatArray, late_s: float, rate_hz: float, drift: float = 0.0) ->
         middle = (np.arange(n) - (n - 1) / 2) / rate_hz
         moved = moved - drift * middle[:, None] * slope
     return np.where(known, moved, np.nan)
+
+
+def moved_columns(
+    x: FloatArray, columns: Sequence[int], late_s: float, rate_hz: float, drift: float = 0.0
+) -> FloatArray:
+    """Move some of the signals (n, m), as `delayed` does; the others stay."""
+    if len(columns) == x.shape[1]:
+        return delayed(x, late_s, rate_hz, drift)
+    found = x.copy()
+    found[:, columns] = delayed(x[:, columns], late_s, rate_hz, drift)
+    return found

@@ -6,13 +6,13 @@ Where all that moves carries one chip, there is nothing to choose.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ffcomp.measurement.recording import Recording
+from ffcomp.measurement.recording import CLOCKS, Recording
 from ffcomp.record.clock import DEAF
 from ffcomp.record.result import Joined
 from models.machine import Machine
@@ -39,13 +39,23 @@ def _fitting(joined: Sequence[Joined]) -> float:
 
 def _together(own: Sequence[Joined]) -> Joined:
     """Join the recordings of one execution, the best chip's first."""
-    best = own[0]
+    best, chips = own[0], dict.fromkeys(AXES, 0)
     for i, axis in enumerate(AXES):
-        source = own[int(np.argmax([each.felt[i] for each in own]))]
-        if source.felt[i] > best.felt[i] and best.felt[i] < DEAF:
-            shares = (*best.felt[:i], source.felt[i], *best.felt[i + 1 :])
-            best = replace(best, recording=_with_axis(best, source, f"acc_{axis}"), felt=shares)
-    return best
+        chip = int(np.argmax([each.felt[i] for each in own]))
+        if own[chip].felt[i] > best.felt[i] and best.felt[i] < DEAF:
+            shares = (*best.felt[:i], own[chip].felt[i], *best.felt[i + 1 :])
+            best = replace(best, recording=_with_axis(best, own[chip], f"acc_{axis}"), felt=shares)
+            chips[axis] = chip
+    return best if len(set(chips.values())) == 1 else _of_clocks(best, chips)
+
+
+def _of_clocks(best: Joined, chips: Mapping[str, int]) -> Joined:
+    """Say which columns are of one chip, and so on one clock."""
+    groups = [
+        " ".join(f"acc_{axis}" for axis, own in chips.items() if own == chip) for chip in sorted({*chips.values()})
+    ]
+    recording = best.recording
+    return replace(best, recording=replace(recording, comments={**recording.comments, CLOCKS: ", ".join(groups)}))
 
 
 def _with_axis(best: Joined, source: Joined, column: str) -> Recording:

@@ -38,6 +38,14 @@ def test_each_axis_comes_from_the_chip_that_feels_it(bench: tuple[list[Path], Mo
     assert all(min(each.felt[:2]) > 0.9 for each in found.joined)
     gap = measure_gap(bench[2], found.recordings).found.total
     assert gap.nrms == pytest.approx(gap.noise_nrms, rel=0.5)
+    # each chip has a clock of its own: the run says which columns are of one
+    columns = [tuple(recording.acceleration) for recording in found.recordings]
+    assert all(
+        [own != "" for own in recording.clocks_of(names)].count(True) in (1, 2)
+        and recording.clocks_of(("acc_x",)) != recording.clocks_of(("acc_y",))
+        for recording, names in zip(found.recordings, columns, strict=True)
+    )
+    assert all("clocks" not in each.comments for each in joined(bench, bed=False).recordings)
 
 
 def test_friction_of_the_bed_is_no_other_motion(bench: tuple[list[Path], MovesPlan, Machine], tmp_path: Path) -> None:
