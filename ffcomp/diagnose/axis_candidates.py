@@ -17,7 +17,9 @@ from models.effects.effect import AT_DRIVE, Effect
 from models.effects.effect import Parameter as EffectParameter
 
 LARGE, PROBE = 0.3, 0.1  # of a force, what a usual effect takes; of that, what a signature is taken with
+NEAR = 0.05  # of a pitch that the data show, by which it may be off
 PITCHES = 12  # that are tried, from a fortieth of the travel to half of it
+TURN_APART = 0.7  # of a turn over the travel, by which pitches of a force are apart: one between them is half seen
 SPREAD = 1.5  # of ln, of a number that is known by its order of magnitude
 LEAST = 1e-3
 RESISTING = frozenset({"quadratic_drag"})  # what pushes is none: it would mop up how a damping thins with speed
@@ -27,15 +29,25 @@ _Sizes = Mapping[str, float]
 
 
 def axis_candidates(
-    machine: AxisMachine, scales: Scales, band_hz: tuple[float, float], signals: Sequence[str], names: Sequence[str]
+    machine: AxisMachine,
+    scales: Scales,
+    band_hz: tuple[float, float],
+    signals: Sequence[str],
+    names: Sequence[str],
+    pitches: Sequence[float] = (),
 ) -> tuple[Candidate, ...]:
-    """List the effects that the axis may lack and that its signals could show."""
+    """List the effects that the axis may lack and that its signals could show.
+
+    Parameters
+    ----------
+    pitches : mm, at which a search for a ripple begins; none: evenly over the travel.
+    """
     able = [n for n in axis_effects(machine) if n in names and n not in machine.effects]
     if "acc_q" not in signals:
         able = [n for n in able if n != "sensor_gain"]
     axis = machine.axis
     sizes = _sizes(scales, band_hz, axis.last_stiffness)
-    found = [_candidate(CATALOGUE[name], sizes, scales) for name in able]
+    found = [_candidate(CATALOGUE[name], sizes, scales, pitches) for name in able]
     if not axis.load_mass_kg or axis.free:
         return tuple(found)
     drive = _sizes(scales, band_hz, axis.stiffness_n_per_m)
@@ -80,7 +92,7 @@ def _sizes(s: Scales, band_hz: tuple[float, float], stiffness: float) -> _Sizes:
     }
 
 
-def _candidate(effect: Effect, sizes: _Sizes, scales: Scales) -> Candidate:
+def _candidate(effect: Effect, sizes: _Sizes, scales: Scales, pitches: Sequence[float] = ()) -> Candidate:
     """Make the candidate of one effect."""
     sized = [(p, sizes[f"{effect.name}.{p.name}"]) for p in effect.amplitudes if f"{effect.name}.{p.name}" in sizes]
     amplitudes = tuple(_amplitude(effect, p, size) for p, size in sized)
@@ -88,6 +100,9 @@ def _candidate(effect: Effect, sizes: _Sizes, scales: Scales) -> Candidate:
     searched = [p for p in effect.shapes if p.default is None or p.starts]
     starts = {p.name: _starts(effect, p, scales) for p in searched}
     shapes = tuple(_shape(effect, p, starts[p.name], scales) for p in searched)
+    if pitches and "pitch_mm" in starts:
+        starts["pitch_mm"] = list(pitches)
+        shapes = tuple(_near(n, pitches) if n.name.endswith(".pitch_mm") else n for n in shapes)
     grid: list[dict[str, float]] = [{}]
     for p in searched:
         grid = [{**point, _full(effect, p): value} for point in grid for value in starts[p.name]]
@@ -109,6 +124,8 @@ def _starts(effect: Effect, p: EffectParameter, s: Scales) -> list[float]:
     """Return the values of a shape at which a search begins."""
     if p.starts:
         return list(p.starts)
+    if p.name == "pitch_mm" and effect.name == "cogging_force":
+        return [1e3 * s.travel_m / each for each in np.arange(2.0, 40.0, TURN_APART).tolist()]
     if p.name == "pitch_mm":
         return [float(x) for x in np.geomspace(1e3 * s.travel_m / 40, 1e3 * s.travel_m / 2, PITCHES)]
     if p.name == "velocity_mm_per_s":
@@ -125,6 +142,13 @@ def _shape(effect: Effect, p: EffectParameter, starts: Sequence[float], s: Scale
         low, high = max(low, min(starts) / BEYOND), min(high, max(starts) * BEYOND)
     begin = min(max(starts[len(starts) // 2], low), high)
     return Parameter(_full(effect, p), begin, max(abs(x) for x in starts), low, high)
+
+
+def _near(pitch: Parameter, found: Sequence[float]) -> Parameter:
+    """Keep a pitch near those that the data show: it is known to a part of a period in the whole travel."""
+    return replace(
+        pitch, start=found[0], sd=NEAR * max(found), low=min(found) / 2, high=min(pitch.high, 2 * max(found))
+    )
 
 
 def _finer(effect: Effect, p: EffectParameter, usual: float) -> Parameter:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ffcomp.diagnose.axis_candidates import axis_candidates
 from ffcomp.diagnose.observe import quick_length
+from ffcomp.diagnose.pitches import likely_pitches
 from ffcomp.diagnose.printer_problem import effect_tables
 from ffcomp.diagnose.problem import InfeasibleParameters, Observation, Parameter, Problem
 from ffcomp.identify.axis_shots import Shots, band_of, noise_sd, scales_of, shots_of, windows
@@ -25,6 +26,8 @@ REACH = 5.0  # standard deviations by which a parameter may be retuned: beyond, 
 OFFSET, OFFSET_SHARE = "axis.offset_n", 0.1  # of the force, by which its zero may be off
 EXACT = 0.003  # of what the forces do in a shot: no simulation is nearer than that
 KEPT = 6  # motions that are held
+RIPPLES = frozenset({"cogging", "cogging_force"})
+PITCHES = 4  # at which a search for a ripple begins
 
 _Key = tuple[tuple[tuple[str, float], ...], bool, int]
 
@@ -50,15 +53,24 @@ class AxisProblem(Problem):
         scales = scales_of(machine, self.shots)
         self.parameters = (*_parameters(machine), *_offset(machine, scales.force_n))
         signals = {name for run in runs for name in run.signals}
-        self.candidates = axis_candidates(machine, scales, self.band_hz, sorted(signals), names)
+        self._same = [_first_equal(self.shots, i) for i in range(len(runs))]
+        self.candidates = axis_candidates(
+            machine, scales, self.band_hz, sorted(signals), names, self._pitches() if RIPPLES & set(names) else ()
+        )
         self.least_density = self._least_density(sorted(signals))
         self._kept: dict[_Key, dict[str, FloatArray]] = {}
-        self._same = [_first_equal(self.shots, i) for i in range(len(runs))]
 
     @property
     def motions(self) -> Sequence[int]:
         """Return the run whose simulation serves each window."""
         return [self._same[window.run] for window in self.windows]
+
+    def _pitches(self) -> list[float]:
+        """Look for pitches in the data; where a simulation begins anew all the time, it leaves too little of them."""
+        distinct = [self.shots[i] for i in sorted(set(self._same))]
+        if any(one.length for one in distinct):
+            return []
+        return likely_pitches(self.machine, distinct, self.band_hz, PITCHES)
 
     def _least_density(self, signals: Sequence[str]) -> dict[str, float]:
         """Return the least density of each position's noise: of its sensor, and of how exact a simulation can be."""
@@ -66,8 +78,10 @@ class AxisProblem(Problem):
         for name in (s for s in signals if s.startswith("pos")):
             own = [one for one in self.shots if name in one.run.signals]
             rate = min(one.run.sample_rate_hz for one in own)
-            sensor = max(noise_sd(x[np.isfinite(x)]) for x in (one.run.position[name] for one in own))
-            motion = float(np.sqrt(np.mean([np.nanmean(one.own_motion(name) ** 2) for one in own])))
+            each = [noise_sd(x[np.isfinite(x)]) for x in (one.run.position[name] for one in own)]
+            # of a free axis a quick run's bends would pass for noise, and by that hide what its shots show
+            sensor = float(np.median(each) if self.machine.axis.free else np.max(each))
+            motion = float(np.sqrt(np.mean([np.nanmean(_told(one, name) ** 2) for one in own])))
             found[name] = 2 * sensor**2 / rate + (EXACT * motion) ** 2 / (self.band_hz[1] - self.band_hz[0])
         return found
 
@@ -78,12 +92,12 @@ class AxisProblem(Problem):
         machine = self.machine_with(values)
         chosen = range(len(self.windows)) if only is None else only
         key = (tuple(sorted(values.items())), coarse)
-        found = []
-        for i in chosen:
-            window = self.windows[i]
-            felt = self._felt(machine, (*key, self._same[window.run]))
-            found.append(np.stack([felt[s][window.rows] for s in self.observations[i].signals], axis=1))
-        return found
+        told: dict[int, FloatArray] = {}
+        for run in dict.fromkeys(self.windows[i].run for i in chosen):
+            one, felt = self.shots[run], self._felt(machine, (*key, self._same[run]))
+            own = one.told({s: felt[s] for s in one.run.signals})
+            told[run] = np.stack(list(own.values()), axis=1)
+        return [told[self.windows[i].run][self.windows[i].rows] for i in chosen]
 
     def _felt(self, machine: AxisMachine, key: _Key) -> dict[str, FloatArray]:
         """Return what the sensors of a run would read; the last few are kept, for windows ask one by one."""
@@ -108,6 +122,11 @@ class AxisProblem(Problem):
         return f"from {position[0]:g} s"
 
 
+def _told(one: Shots, name: str) -> FloatArray:
+    """Return what of a position its shots tell: beyond where each began; or beyond its command."""
+    return one.told(one.run.signals)[name] if one.length else one.own_motion(name)
+
+
 def _parts(one: Shots) -> list[slice]:
     """Cut windows to lengths that are transformed quickly."""
     return [slice(p.start, p.start + quick_length(p.stop - p.start)) for p in windows(one)]
@@ -125,7 +144,7 @@ def _first_equal(shots: Sequence[Shots], i: int) -> int:
 def _observation(one: Shots, rows: slice) -> Observation:
     run, signals = one.run, tuple(one.run.signals)
     began = round(float(run.time_s[rows.start] - run.time_s[0]), 3)
-    measured = np.stack([run.signals[s][rows] for s in signals], axis=1)
+    measured = np.stack(list(one.told(run.signals).values()), axis=1)[rows]
     speed = np.tile(one.speed[rows, None], (1, len(signals)))
     name, repeat = f"{run.source} from {began:g} s", f"{run.repeat_of} from {began:g} s"
     return Observation(name, repeat, (began,), run.sample_rate_hz, signals, measured, speed)

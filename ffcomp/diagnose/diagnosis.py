@@ -168,11 +168,22 @@ def _searched(problem: Problem, noise: NoiseFloor, density: Mapping[str, float],
     selection = found.selection
     progress(Stage(7, "testing it at places that were left out of the fit"))
     retuned = _retuned(estimation, selection.best, least)
-    if discrepancy_of(retuned) < least and not significant(selection.best.fit, retuned, 0.0):
+    if discrepancy_of(retuned) < least and not _gains(selection.best.fit, retuned, noise):
         return replace(none, base=retuned, final=retuned)
     tested = _tested(none, found, progress)
     # where there was hardly a discrepancy, an effect that fails a test leaves nothing unexplained
     return none if small and tested.rejections else tested
+
+
+def _gains(best: Fit, retuned: Fit, noise: NoiseFloor) -> bool:
+    """Tell whether a hypothesis says more than the machine's own numbers do, where these leave hardly anything.
+
+    By a noise that is only guessed, any number of rows makes the smallest difference significant: there it must take
+    a share of what is left.
+    """
+    if not significant(best, retuned, 0.0):
+        return False
+    return noise.from_repeats or float(best.chi_squared) < (1 - EXISTS) * float(retuned.chi_squared)
 
 
 def _concluded(found: Diagnosis) -> Diagnosis:
@@ -253,11 +264,16 @@ def noise_floor(problem: Problem, simulated: Sequence[FloatArray] | None = None)
     floor = noise_from_repeats(problem.observations)
     if floor is not None:
         return floor
-    if problem.least_density:  # of positions: what their sensors and the simulation cannot tell apart
-        return noise_of_sensors(problem.observations, problem.least_density)
+    known = problem.least_density  # of positions: what their sensors and the simulation cannot tell apart
+    if known and all(name in known for o in problem.observations for name in o.signals):
+        return noise_of_sensors(problem.observations, known)
     found = problem.simulate({}) if simulated is None else simulated
     errors = [o.measured - y for o, y in zip(problem.observations, found, strict=True)]
-    return noise_from_residual(problem.observations, errors, problem.band_hz)
+    above = noise_from_residual(problem.observations, errors, problem.band_hz)
+    if not known:
+        return above
+    sensors = noise_of_sensors(problem.observations, known)
+    return replace(sensors, density={**above.density, **{name: sensors.density[name] for name in known}})
 
 
 def _spread(estimation: EstimationProblem) -> float:

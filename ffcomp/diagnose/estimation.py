@@ -13,7 +13,30 @@ from models.arrays import FloatArray
 
 WELL_KNOWN, GUESSED = 0.1, 3.0  # share of the noise to which its floor is known: from repeats, or without any
 SURE = 3000.0  # χ² of a discrepancy above its expectation in which effects are told apart
+RECENT = 48  # residuals that are held
 INFEASIBLE = 1e6  # standard deviations, each entry of the residual of infeasible parameters
+
+
+_Key = tuple[frozenset[tuple[str, float]], tuple[int, ...] | None, bool]
+
+
+class Recent:
+    """The residuals of the last few sets of values: a fit begins where the one before has ended."""
+
+    def __init__(self) -> None:
+        self._kept: dict[_Key, FloatArray] = {}
+
+    def get(self, key: _Key) -> FloatArray | None:
+        """Return the residual with these values, if it is known."""
+        return self._kept.get(key)
+
+    def add(self, key: _Key, residual: FloatArray) -> FloatArray:
+        """Keep a residual as the newest, and return it."""
+        self._kept.pop(key, None)
+        for old in list(self._kept)[: 1 - RECENT]:
+            del self._kept[old]
+        self._kept[key] = residual
+        return residual
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,14 +51,23 @@ class EstimationProblem:
     tolerance: float = WELL_KNOWN  # of the noise: a smaller discrepancy counts as none
     share: float = 1.0  # of all data
     only: tuple[int, ...] | None = None  # observations that are simulated; None: all
+    recent: Recent = field(default_factory=Recent)  # shared by all that are made from this one on the same data
 
     def residual(self, values: Mapping[str, float]) -> FloatArray:
         """Return measured − simulated, whitened: (rows,)."""
         return next(self.residuals([values]))
 
     def residuals(self, many: Sequence[Mapping[str, float]]) -> Iterator[FloatArray]:
-        """Evaluate several sets of values, in order."""
-        for simulated in self.problem.simulate_many([{**self.given, **v} for v in many], self.only, coarse=self.coarse):
+        """Evaluate several sets of values, in order; they are not to be written to."""
+        asked = [{**self.given, **v} for v in many]
+        keys = [(frozenset(v.items()), self.only, self.coarse) for v in asked]
+        known = [self.recent.get(key) for key in keys]
+        fresh = self._evaluated([v for v, found in zip(asked, known, strict=True) if found is None])
+        for key, found in zip(keys, known, strict=True):
+            yield self.recent.add(key, next(fresh) if found is None else found)
+
+    def _evaluated(self, many: Sequence[Mapping[str, float]]) -> Iterator[FloatArray]:
+        for simulated in self.problem.simulate_many(many, self.only, coarse=self.coarse):
             if isinstance(simulated, InfeasibleParameters):
                 yield np.full(len(self.measured), INFEASIBLE)
             else:
@@ -77,5 +109,5 @@ def excerpt_of(estimation: EstimationProblem, discrepancy: float) -> EstimationP
     return (
         None
         if share * discrepancy * rows < SURE
-        else replace(estimation, problem=problem, whiten=whiten, measured=measured, share=share)
+        else replace(estimation, problem=problem, whiten=whiten, measured=measured, share=share, recent=Recent())
     )

@@ -44,11 +44,23 @@ def glimpse_of(estimation: EstimationProblem, fitted: Fit) -> Glimpse | None:
 
 def telling_motions(estimation: EstimationProblem, residual: FloatArray) -> Sequence[int]:
     """Return as few motions as hold most of a residual, those that hold most of it first."""
-    squares: dict[int, float] = {}
-    for motion, rows in zip(estimation.problem.motions, estimation.whiten.rows, strict=True):
-        squares[motion] = squares.get(motion, 0.0) + float(residual[rows] @ residual[rows])
+    squares = _squares(estimation, residual)
     ranked, enough = sorted(squares, key=lambda motion: -squares[motion]), MOST * sum(squares.values())
     for n in range(LEAST_MOTIONS, len(ranked)):
         if sum(squares[motion] for motion in ranked[:n]) >= enough:
             return ranked[:n]
     return ranked
+
+
+def quietest_motions(estimation: EstimationProblem, residual: FloatArray) -> Sequence[int]:
+    """Return all motions, those first of which a fit leaves least."""
+    squares = _squares(estimation, residual)
+    return sorted(squares, key=lambda motion: squares[motion])
+
+
+def _squares(estimation: EstimationProblem, residual: FloatArray) -> dict[int, float]:
+    """Return each motion's square of a residual."""
+    squares: dict[int, float] = {}
+    for motion, rows in zip(estimation.problem.motions, estimation.whiten.rows, strict=True):
+        squares[motion] = squares.get(motion, 0.0) + float(residual[rows] @ residual[rows])
+    return squares

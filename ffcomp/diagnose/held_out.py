@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.diagnose.estimation import EstimationProblem
-from ffcomp.diagnose.fit import Fit, clipped, step_within, values_at
+from ffcomp.diagnose.fit import Fit, clipped, fit, step_within, values_at
 from ffcomp.diagnose.problem import Problem
 from ffcomp.diagnose.recording_delays import own_delays
 from models.arrays import FloatArray
@@ -96,8 +96,7 @@ def hold_out(estimation: EstimationProblem, base: Fit, best: Fit) -> list[HeldOu
 def _left_out(estimation: EstimationProblem, fitted: Fit, members: Sequence[int]) -> list[FloatArray]:
     """Simulate these observations, (n, m) each, with the parameters that the others alone ask for.
 
-    The parameters go as far along the step to the others' optimum, to first order, as serves the others best. The
-    delays of the recordings left out say nothing of the machine: they stay.
+    The parameters go as far along the step to the others' optimum, to first order, as serves the others best.
     """
     inside = np.ones(len(fitted.residual), dtype=bool)
     inside[estimation.rows_of(members)] = False
@@ -114,7 +113,28 @@ def _left_out(estimation: EstimationProblem, fitted: Fit, members: Sequence[int]
     costs = _costs(estimation, fitted, trials[:1], inside)
     if not before - costs[0] > promised / 2:
         costs += _costs(estimation, fitted, trials[1:], inside)
-    return estimation.problem.simulate(values_at(fitted.parameters, trials[int(np.argmin(costs))]), members)
+    best = _on_their_clocks(estimation, fitted, trials[int(np.argmin(costs))], members)
+    return estimation.problem.simulate(values_at(fitted.parameters, best), members)
+
+
+def _on_their_clocks(estimation: EstimationProblem, fitted: Fit, z: FloatArray, members: Sequence[int]) -> FloatArray:
+    """Put what was left out on clocks of its own: z (p,) with the delays of these recordings fitted to them alone.
+
+    They say nothing of the machine, so nothing else tells them. But a late machine and late recordings are hard to
+    tell apart: with other recordings the share of each is another, and clocks that stayed would be wrong by as much.
+    """
+    own = own_delays([estimation.problem.observations[i] for i in members])
+    clocks = [i for i, n in enumerate(fitted.parameters) if n.name in own]
+    if not clocks:
+        return z
+    others = [i for i in range(len(z)) if i not in clocks]
+    given = values_at([fitted.parameters[i] for i in others], z[others])
+    alone = replace(estimation.limited_to(members), given={**estimation.given, **given})
+    columns = fitted.jacobian[estimation.rows_of(members)][:, clocks]
+    found = fit(alone, tuple(fitted.parameters[i] for i in clocks), z[clocks], columns, iterations=3)
+    moved = z.copy()
+    moved[clocks] = found.z
+    return moved
 
 
 def _costs(

@@ -53,7 +53,8 @@ def observation_of(machine: Machine, recording: Recording, command: FloatArray) 
     rate = recording.sample_rate_hz / every
     moving = {**dict(zip("ABC", command.T, strict=True)), **dict(zip("xyz", nozzle.T, strict=True))}
     speed = np.stack([np.gradient(moving[s[4:]], 1 / rate) for s in signals], axis=1)
-    return Observation(recording.source, recording.repeat_of, position, rate, signals, np.stack(values, axis=1), speed)
+    measured, clocks = np.stack(values, axis=1), recording.clocks_of(signals)
+    return Observation(recording.source, recording.repeat_of, position, rate, signals, measured, speed, clocks)
 
 
 def _thinned(x: FloatArray, every: int) -> FloatArray:

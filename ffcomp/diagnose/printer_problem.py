@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import groupby, product
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -47,6 +47,7 @@ from models.printer.printer import SMOOTH_STEP_S, PrinterMotion, Splines, longes
 STEP_S = 1 / 3200  # of a printer without dry friction or backlash: some nanometres off
 COARSE_STEP_S, COARSE_KINKED_STEP_S = 1 / 1600, 1 / 3200  # where effects are only ranked
 LONGER_STEP = 1.03  # a step may be so much longer where that saves one a row
+SAME_RATE = 5  # decimals of a rate, Hz: the others are 20 ns in three seconds
 KEPT, AT_ONCE = 4, 24  # machines whose motions are held
 WORKERS = min(8, os.cpu_count() or 1)
 REACH = 5.0  # standard deviations by which a parameter may be retuned: beyond, it is an effect
@@ -60,6 +61,8 @@ CYCLE_STEPS = 4.0  # full steps of a motor's electrical cycle
 WHOLE = "whole"  # the one parameter of an effect that is there or not
 
 STRAIGHT = ("axis X", "axis Y", "axis Z")
+_Pack = TypeVar("_Pack")
+_Answer = TypeVar("_Answer")
 _Key = tuple[tuple[tuple[str, float], ...], tuple[int, ...], bool]
 _NAME = re.compile(r"effects\.(?P<effect>\w+)\.(?P<parameter>\w+)(\[(?P<index>\d)\])?")
 
@@ -138,8 +141,12 @@ class PrinterProblem(Problem):
     def _answer(
         self, values: Mapping[str, float], motions: Mapping[int, PrinterMotion], chosen: Sequence[int]
     ) -> list[FloatArray]:
-        sensors, found = self._sensors_with(values), dict[tuple[int, str, tuple[str, ...]], FloatArray]()
-        kinds = [(self.same_command[i], self.observations[i].repeat_of, self.observations[i].signals) for i in chosen]
+        sensors, found = (
+            self._sensors_with(values),
+            dict[tuple[int, str, tuple[str, ...], tuple[str, ...]], FloatArray](),
+        )
+        seen = [self.observations[i] for i in chosen]
+        kinds = [(self.same_command[i], o.repeat_of, o.signals, o.clocks) for i, o in zip(chosen, seen, strict=True)]
         for i, kind in zip(chosen, kinds, strict=True):
             if kind not in found:
                 felt = _signals(sensors, motions[kind[0]], kind[2], self.parts[i])
@@ -197,10 +204,9 @@ class PrinterProblem(Problem):
         motions: list[dict[int, PrinterMotion | ValueError]] = [
             {-1: each} if isinstance(each, ValueError) else {} for each in converted
         ]
-        with ThreadPoolExecutor(WORKERS) as pool:
-            for (_, tasks), found in zip(packs, pool.map(simulate, packs), strict=True):
-                for (n, i), motion in zip(tasks, found, strict=True):
-                    motions[n][i] = motion
+        for (_, tasks), found in zip(packs, _each(simulate, packs), strict=True):
+            for (n, i), motion in zip(tasks, found, strict=True):
+                motions[n][i] = motion
         return [_whole(by_run) for by_run in motions]
 
     def _rows(self, i: int) -> int:
@@ -216,6 +222,14 @@ class PrinterProblem(Problem):
         plain = {n: x for n, x in values.items() if not (n.startswith("effects.") or belongs_to_recording(n))}
         machine = with_values(self.machine, plain)
         return replace(machine, effects={**machine.effects, **effect_tables(values)})
+
+
+def _each(function: Callable[[_Pack], _Answer], packs: Sequence[_Pack]) -> list[_Answer]:
+    """Apply a function to all packs on every core; a single one needs no thread of its own."""
+    if len(packs) < 2:
+        return [function(pack) for pack in packs]
+    with ThreadPoolExecutor(WORKERS) as pool:
+        return list(pool.map(function, packs))
 
 
 def _without_sensors(values: Mapping[str, float]) -> dict[str, float]:
@@ -237,13 +251,15 @@ class _Steps:
 
 
 def _longest(printer: ConvertedPrinter, coarse: bool) -> float:
-    longest = longest_step(*printer)
+    longest = longest_step(printer.parameters, printer.modes)
     if longest == SMOOTH_STEP_S:
         return COARSE_STEP_S if coarse else STEP_S
     return max(longest, COARSE_KINKED_STEP_S) if coarse else longest
 
 
 def _steps(longest: float, rate_hz: float) -> _Steps:
+    """Return the steps of a recording; rates that only the rounding of times tells apart share the lanes."""
+    rate_hz = round(rate_hz, SAME_RATE)
     return _Steps(1 / rate_hz, math.ceil(1 / rate_hz / longest / LONGER_STEP))
 
 
@@ -282,8 +298,9 @@ def effect_tables(values: Mapping[str, float]) -> dict[str, dict[str, Any]]:
         elif index is None:
             table[key] = _machine_value(effect.parameter(key), value)
         else:
-            none = _machine_value(effect.parameter(key), 0.0, True)
-            table.setdefault(key, [none, none, none])[int(index)] = _machine_value(effect.parameter(key), value, True)
+            each = effect.parameter(key)
+            none = _machine_value(each, 0.0, True) if each.default is None else each.default
+            table.setdefault(key, [none, none, none])[int(index)] = _machine_value(each, value, True)
     return {name: _without_whole(table) for name, table in tables.items() if _acts(CATALOGUE[name], table)}
 
 
@@ -317,7 +334,8 @@ def _parameters(machine: Machine) -> list[Parameter]:
     for name in machine.vibration.tunable:
         value = value_of(machine, name)
         table_key = name.partition("[")[0]
-        relative = machine.uncertainty.get(table_key, machine.uncertainty.get("default", 0.02))
+        stated = machine.uncertainty.get(table_key, machine.uncertainty.get("default", 0.02))
+        relative = machine.vibration.guessed.get(name, stated)
         if value and relative:
             sd = relative * abs(value)
             low = value - REACH * sd
@@ -377,7 +395,9 @@ def _of(machine: Machine, effect: Effect, idle: frozenset[int], each: bool) -> C
     probe = {n.name: _linear(p, p.probe) for p in effect.amplitudes for n in _amplitude(effect, p, idle, each)}
     shapes = [_shape(effect, p, machine) for p in effect.shapes if _searched(p)]
     finer = [_finer(effect, p, p.default) for p in effect.shapes if p.default is not None and not p.starts]
-    return Candidate(effect.name, tuple(amplitudes), probe, tuple(shapes), tuple(_grid(effect, machine)), tuple(finer))
+    bent = tuple(n for p in effect.of_printers for n in _bent(effect, p, idle, each))
+    grid = tuple(_grid(effect, machine))
+    return Candidate(effect.name, tuple(amplitudes), probe, tuple(shapes), grid, tuple(finer), bent)
 
 
 def _searched(p: EffectParameter) -> bool:
@@ -391,13 +411,21 @@ def _finer(effect: Effect, p: EffectParameter, usual: float) -> Parameter:
     return Parameter(_full(effect, p), usual, p.typical[1] / 2, *p.bounds)
 
 
+def _bent(effect: Effect, p: EffectParameter, idle: frozenset[int], each: bool) -> list[Parameter]:
+    """Make one parameter, or one an axis, of a shape whose default is to have no say."""
+    usual = _finer(effect, p, math.sqrt(p.typical[0] * p.typical[1]))
+    if not each:
+        return [usual]
+    return [replace(usual, name=f"{usual.name}[{i}]") for i in range(3) if i not in idle]
+
+
 def _full(effect: Effect, p: EffectParameter) -> str:
     return f"effects.{effect.name}.{p.name}"
 
 
 def _amplitude(effect: Effect, p: EffectParameter, idle: frozenset[int], each: bool) -> list[Parameter]:
     """Make one parameter, or one an axis, or one a tower."""
-    low, high = sorted(_linear(p, b) for b in p.bounds)
+    low, high = sorted(_linear(p, b) for b in p.on_printers or p.bounds)
     width = max(abs(_linear(p, t)) for t in p.typical if t)
     spared = idle if p.size == "per_tower" else frozenset()
     three = p.size == "vector3" or (each and p.size == "per_tower")

@@ -29,6 +29,11 @@ class Parameter:
     high: float = float("inf")
 
 
+def stem_of(name: str) -> str:
+    """Return a parameter's name without the tower or axis that it is of."""
+    return name.partition("[")[0]
+
+
 @dataclass(frozen=True)
 class Candidate:
     """An effect that may be missing. Its amplitudes vanish at their `start`; its shapes begin at one of `grid`."""
@@ -39,6 +44,7 @@ class Candidate:
     shapes: tuple[Parameter, ...] = ()
     grid: tuple[Mapping[str, float], ...] = ({},)
     finer: tuple[Parameter, ...] = ()  # shapes that have a usual value: fitted only once the effect is chosen
+    bent: tuple[Parameter, ...] = ()  # shapes in place of the finer ones: of another kind of the same effect
     other: Candidate | None = None  # the same effect with a parameter for each tower, or alike in all directions
     switch: bool = False  # there or not: its one amplitude is 1 or 0
 
@@ -50,7 +56,12 @@ class Candidate:
     @property
     def shaped(self) -> Candidate:
         """The same effect with its finer shapes free."""
-        return replace(self, shapes=(*self.shapes, *self.finer), finer=())
+        return replace(self, shapes=(*self.shapes, *self.finer), finer=(), bent=())
+
+    @property
+    def of_other_kind(self) -> Candidate:
+        """The same effect with the shapes of its other kind."""
+        return replace(self, shapes=(*self.shapes, *self.bent), finer=(), bent=()) if self.bent else self
 
 
 def within_travel(candidate: Candidate, travel_mm: float) -> Candidate | None:
@@ -83,6 +94,15 @@ class Observation:
     signals: tuple[str, ...]
     measured: FloatArray  # (n, m), all in one unit a signal
     speed: FloatArray  # (n, m) of the part each signal is measured on, in the reference motion
+    clocks: tuple[str, ...] = ()  # of which of its clocks each signal is: "" the first; none named: all of one
+
+    @cached_property
+    def by_clock(self) -> Mapping[str, list[int]]:
+        """The signals of each of its clocks, by index."""
+        found: dict[str, list[int]] = {}
+        for i, clock in enumerate(self.clocks or ("",) * len(self.signals)):
+            found.setdefault(clock, []).append(i)
+        return found
 
     @cached_property
     def missing(self) -> NDArray[np.bool_] | None:
@@ -109,6 +129,10 @@ class Repeated(Protocol):
     @property
     def lag_s(self) -> tuple[float, ...]:
         """Return how late each is behind their mean."""
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Return the signals that were compared, of one clock; none named: all."""
 
     @property
     def apart(self) -> bool:

@@ -108,9 +108,14 @@ def check_recordings(problem: Problem, recordings: Sequence[Recorded], without_r
     MeasurementError
     """
     check_alike(recordings)
-    if not without_repeats:
+    if not (without_repeats or all(_tells_its_noise(each) for each in recordings)):
         check_repeats(recordings)
     check_repeating(problem.repeats)
+
+
+def _tells_its_noise(recording: Recorded) -> bool:
+    """Tell whether a run needs no repeat: a measured force is never the same twice, and an encoder tells its noise."""
+    return isinstance(recording, AxisRun) and recording.by_force and bool(recording.position)
 
 
 @singledispatch

@@ -2,6 +2,7 @@
 
 A recording that was joined with its command says how sure its clock is (`delay_sd_s`, `drift_sd`); in one that was
 joined by hand, repeats that lie apart say how far any file may lie off. They belong to the files, not to the machine.
+Signals of several chips are on several clocks: each has a delay and a drift.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from ffcomp.diagnose.problem import Candidate, Observation, Parameter
 from ffcomp.diagnose.repeats import Repeats
 from ffcomp.measurement.recording import Recording
-from ffcomp.numerics.delay import delayed
+from ffcomp.numerics.delay import moved_columns
 from models.arrays import FloatArray
 
 PREFIX = "recording."
@@ -32,17 +33,19 @@ def belongs_to_recording(name: str) -> bool:
 def delay_parameters(
     recordings: Sequence[Recording], observations: Sequence[Observation], repeats: Sequence[Repeats]
 ) -> list[Parameter]:
-    """Make a delay for each experiment whose clock is in doubt, and a drift where the recording says so."""
+    """Make a delay for each clock of an experiment that is in doubt, and a drift where the recording says so."""
     by_hand = _spread_s(repeats)
     found: dict[str, Parameter] = {}
     for recording, o in zip(recordings, observations, strict=True):
         sd = max(_number(recording, "delay_sd_s"), by_hand)
         drift_sd = _number(recording, "drift_sd")
-        if sd > 0:
-            found.setdefault(o.repeat_of, _parameter(f"{PREFIX}{o.repeat_of}.delay_s", sd))
-        if drift_sd * len(o.measured) / o.rate_hz / 2 > SMALL_DRIFT_S:
-            name = f"{PREFIX}{o.repeat_of}.drift"
-            found.setdefault(name, _parameter(name, drift_sd))
+        drifts = drift_sd * len(o.measured) / o.rate_hz / 2 > SMALL_DRIFT_S
+        for clock in o.by_clock:
+            delay, drift = _names(o, clock)
+            if sd > 0:
+                found.setdefault(delay, _parameter(delay, sd))
+            if drifts:
+                found.setdefault(drift, _parameter(drift, drift_sd))
     return list(found.values())
 
 
@@ -81,13 +84,28 @@ def _number(recording: Recording, key: str) -> float:
 
 def as_recorded(values: Mapping[str, float], observation: Observation, simulated: FloatArray) -> FloatArray:
     """Move what was simulated, (n, m), to the times at which it was recorded."""
-    stem = f"{PREFIX}{observation.repeat_of}"
-    return delayed(simulated, values.get(f"{stem}.delay_s", 0.0), observation.rate_hz, values.get(f"{stem}.drift", 0.0))
+    moved = simulated
+    for clock, columns in observation.by_clock.items():
+        late_s, drift = (values.get(name, 0.0) for name in _names(observation, clock))
+        if late_s or drift:
+            moved = moved_columns(moved, columns, late_s, observation.rate_hz, drift)
+    return moved
+
+
+def delay_of(values: Mapping[str, float], observation: Observation, clock: str) -> float:
+    """Return how late the signals of one clock are, s."""
+    return values.get(_names(observation, clock)[0], 0.0)
+
+
+def _names(observation: Observation, clock: str) -> tuple[str, str]:
+    """Name the delay and the drift of one clock of an experiment's recordings."""
+    stem = ".".join(filter(None, (f"{PREFIX}{observation.repeat_of}", clock)))
+    return f"{stem}.delay_s", f"{stem}.drift"
 
 
 def own_delays(observations: Sequence[Observation]) -> frozenset[str]:
     """Return the names of the parameters that belong to these observations' recordings."""
-    return frozenset(f"{PREFIX}{o.repeat_of}.{what}" for o in observations for what in ("delay_s", "drift"))
+    return frozenset(name for o in observations for clock in o.by_clock for name in _names(o, clock))
 
 
 def seen_parameters(parameters: Sequence[Parameter], observations: Sequence[Observation]) -> tuple[Parameter, ...]:

@@ -10,27 +10,31 @@ import numpy as np
 
 from ffcomp.diagnose.estimation import EstimationProblem
 from ffcomp.diagnose.fit import Fit, clipped, derivatives, fit, values_at
-from ffcomp.diagnose.glimpse import glimpse_of
+from ffcomp.diagnose.glimpse import glimpse_of, quietest_motions
 from ffcomp.diagnose.hypotheses import (
     IMPLAUSIBLE,
     LARGE,
+    SIGNIFICANT,
     Hypothesis,
     implausible,
     incomplete,
     log_fit,
     log_try,
+    misfit,
     significant,
     without_effect,
 )
 from ffcomp.diagnose.initial_fits import FEW, QUICK
-from ffcomp.diagnose.problem import Candidate, Parameter
+from ffcomp.diagnose.problem import Candidate, Parameter, stem_of
 from ffcomp.diagnose.progress import Progress
 from ffcomp.diagnose.recording_delays import belongs_to_recording
 from models.arrays import FloatArray
 
 COARSE_ERROR = 1e-3  # of the cost, by which coarse simulations may be off
+SETTLED = 0.02  # of the discrepancy, that a shape leaves: no other kind of shape is asked for
 SHAPE_SHARE = 0.1  # of the discrepancy must a freer shape of the same effect remove
 TELLING = 2.0  # −2 ln Z, times the misfit: what a fit may still gain without another effect gaining it in its place
+FEWEST, FURTHER = 2, 2  # motions to begin with where a fit goes by degrees, and by which it goes on
 SPREAD = (0.0, 1.0, 2.0, 3.0, 4.0)  # standard deviations from the usual, at which a shape is tried
 
 
@@ -108,8 +112,40 @@ def begun_anew(estimation: EstimationProblem, h: Hypothesis, progress: Progress,
         return h
     if not estimation.problem.work.allows():
         return h
-    again = continue_fit(estimation, restart_from_file(estimation, h), progress, ", begun anew")
-    return min(h, again, key=lambda x: x.fit.evidence)
+    restarted = restart_from_file(estimation, h)  # with fresh derivatives by the machine's parameters
+    again = continue_fit(estimation, restarted, progress, ", begun anew", restarted.fit.jacobian[:, : h.own])
+    better = min(h, again, key=lambda x: x.fit.evidence)
+    return better if better.discrepancy < max(little, LARGE) else by_degrees(estimation, better, progress)
+
+
+def by_degrees(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:
+    """Fit in the motions that are understood best, then in more and more of them; keep the likelier.
+
+    What is driven far beyond where it is linear answers a small change of a number by another motion altogether, so
+    that no slope points the way from afar. Quiet motions bring the numbers near enough for the louder ones.
+    """
+    quiet = quietest_motions(estimation, h.fit.residual)
+    begun = h
+    for count in range(FEWEST, len(quiet), FURTHER):
+        if not estimation.problem.work.allows():
+            return h
+        chosen = [i for i, motion in enumerate(estimation.problem.motions) if motion in quiet[:count]]
+        part = estimation.limited_to(chosen)
+        begun = _in(part, begun) if begun is not h else _at_file(part, h)
+        begun = continue_fit(part, begun, progress, f", in {count} quiet motions")
+    found = continue_fit(estimation, _in(estimation, begun), progress, ", by degrees")
+    return min(h, found, key=lambda x: x.fit.evidence)
+
+
+def _at_file(part: EstimationProblem, h: Hypothesis) -> Hypothesis:
+    """Begin at the file's numbers, with the effects as they are."""
+    return _in(part, replace(h, fit=replace(h.fit, z=np.concatenate([np.zeros(h.own), h.effect_z]))))
+
+
+def _in(part: EstimationProblem, h: Hypothesis) -> Hypothesis:
+    """Take over values into a problem of other rows; derivatives are taken anew by whoever fits."""
+    residual = part.residual(h.fit.values)
+    return replace(h, fit=Fit(h.fit.parameters, h.fit.z, residual, np.zeros((len(residual), len(h.fit.z)))))
 
 
 def refit(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:
@@ -166,26 +202,50 @@ class ShapeChange:
     searched: bool = False  # its new parameters begin where they help most
 
 
-def _finer(effect: Candidate, _: Candidate) -> Candidate:
-    return effect.shaped
+def _finer(effect: Candidate, first: Candidate) -> Candidate:
+    return effect if _of_other_kind(effect, first) else effect.shaped
 
 
-def _other(effect: Candidate, _: Candidate) -> Candidate:
+def _bent(effect: Candidate, first: Candidate) -> Candidate:
+    return _whole(effect, first).of_other_kind if first.bent and not _of_other_kind(effect, first) else effect
+
+
+def _unbent(effect: Candidate, first: Candidate) -> Candidate:
+    return _whole(effect, first).shaped if _of_other_kind(effect, first) else effect
+
+
+def _other(effect: Candidate, first: Candidate) -> Candidate:
     if effect.other is None:
         return effect
+    if _of_other_kind(effect, first):
+        return effect.other.of_other_kind
     return effect.other if effect.finer else effect.other.shaped
 
 
 def _first(effect: Candidate, first: Candidate) -> Candidate:
     if effect.other is not None or first.other is None:
         return effect
+    if _of_other_kind(effect, first):
+        return first.of_other_kind
     if {n.name for n in effect.shapes} - {n.name for n in first.shaped.shapes}:
         return effect  # the same at another spring, which is no simpler
     return first if effect.finer or not first.finer else first.shaped
 
 
+def _of_other_kind(effect: Candidate, first: Candidate) -> bool:
+    """Tell whether an effect has the shapes of its other kind."""
+    return not {stem_of(n.name) for n in effect.shapes}.isdisjoint(stem_of(n.name) for n in first.bent)
+
+
+def _whole(effect: Candidate, first: Candidate) -> Candidate:
+    """Return the candidate that an effect is of, with all that may be set free."""
+    return first.other if effect.other is None and first.other is not None else first
+
+
+OWN_SHAPE = ShapeChange(" in its own shape", _finer, searched=True)  # usual shapes set free
+BENT = ShapeChange(", bent before it slides", _bent, searched=True)  # others in their place
+UNBENT = ShapeChange(", in the shape of the first kind", _unbent, searched=True)
 SHAPE_CHANGES = (
-    ShapeChange(" in its own shape", _finer, searched=True),  # usual shapes set free
     ShapeChange(", in its other form", _other),  # a parameter for each tower
     ShapeChange(", in its first", _first, simpler=True),  # one for all towers again
 )
@@ -193,18 +253,64 @@ SHAPE_CHANGES = (
 
 def converge(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:
     """Try every shape change in turn, and keep those that pay."""
-    for change in SHAPE_CHANGES:
+    before = h.discrepancy
+    for change in (*_kinds(estimation, h), *SHAPE_CHANGES):
         effects = _changed(estimation, h, change)
         if effects == h.effects or not estimation.problem.work.allows():
             continue
+        if _settled(h, before, change):
+            continue
         begun = _begun(effects, h)
         if change.searched:
-            begun = _placed(estimation, begun, h)
+            begun, _ = _placed(estimation, begun, h)
         found = continue_fit(estimation, begun, progress, change.note, h.fit.jacobian[:, : h.own])
         smaller, larger = (found, h) if change.simpler else (h, found)
         if significant(larger.fit, smaller.fit, SHAPE_SHARE) == (larger is found):
             h = found
     return h
+
+
+def _settled(h: Hypothesis, before: float, change: ShapeChange) -> bool:
+    """Tell whether one kind of shape explains so much that the other one need not be tried.
+
+    Where friction bends, one that creeps may still bend the file's damping; the other way round nothing is bent.
+    """
+    if change not in (BENT, UNBENT) or h.discrepancy >= SETTLED * before:
+        return False
+    return change is UNBENT or not implausible(h.fit, h.own)
+
+
+def _kinds(estimation: EstimationProblem, h: Hypothesis) -> tuple[ShapeChange, ...]:
+    """Return the changes that set shapes free, first the kind that leaves less where it begins: often no more is asked.
+
+    It saves the fit of the other kind, which leads far astray.
+    """
+    if not any(c.bent for c in h.effects):
+        return (OWN_SHAPE,)
+    freed = [_changed(estimation, h, kind) for kind in (BENT, OWN_SHAPE)]
+    if h.effects in freed or not estimation.problem.work.allows():
+        return OWN_SHAPE, BENT
+    bent, own = (_placed(estimation, _begun(effects, h), h)[1] for effects in freed)
+    return (BENT, OWN_SHAPE, UNBENT) if bent < own else (OWN_SHAPE, BENT)
+
+
+def with_free_shapes(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:
+    """Set the usual shapes of the effects free where that is significant, little as it may explain.
+
+    A shape that is held where it usually is bends the numbers beside it, by more than their intervals say.
+    """
+    effects = tuple(c.shaped for c in h.effects)
+    if effects == h.effects or not estimation.problem.work.allows():
+        return h
+    log_try(effects, progress, " in its own shape")
+    begun = _placed(estimation, _begun(effects, h), h)[0].fit
+    own, everything = h.own, range(len(begun.parameters))
+    residual = estimation.residual(begun.values)
+    columns = derivatives(estimation, begun.parameters, begun.z, residual, everything[own:])
+    start = np.hstack([h.fit.jacobian[:, :own], columns])
+    found = Hypothesis(effects, fit(estimation, begun.parameters, begun.z, start, iterations=6, exact=True))
+    gained = (h.fit.evidence - found.fit.evidence) / misfit(found.fit)
+    return log_fit(found, progress, " in its own shape") if gained > SIGNIFICANT else h
 
 
 def _changed(estimation: EstimationProblem, h: Hypothesis, change: ShapeChange) -> tuple[Candidate, ...]:
@@ -227,9 +333,14 @@ def _begun(effects: tuple[Candidate, ...], h: Hypothesis) -> Hypothesis:
     return Hypothesis(effects, Fit(parameters, z, h.fit.residual, h.fit.jacobian))
 
 
-def _placed(estimation: EstimationProblem, begun: Hypothesis, before: Hypothesis) -> Hypothesis:
-    """Begin new parameters, effect by effect, where they help most: far from there, no slope may point the way."""
-    parameters, z, seen = begun.fit.parameters, begun.fit.z, glimpse_of(estimation, before.fit)
+def _placed(estimation: EstimationProblem, begun: Hypothesis, before: Hypothesis) -> tuple[Hypothesis, float]:
+    """Begin new parameters, effect by effect, where they help most: far from there, no slope may point the way.
+
+    Returns
+    -------
+    The hypothesis, and the cost that it has there.
+    """
+    parameters, z, cost, seen = begun.fit.parameters, begun.fit.z, np.inf, glimpse_of(estimation, before.fit)
     ranked_in = replace(estimation if seen is None else seen.estimation, coarse=True)
     for effect in begun.effects:
         new = [i for i, n in enumerate(parameters) if n in effect.parameters and n not in before.fit.parameters]
@@ -237,8 +348,8 @@ def _placed(estimation: EstimationProblem, begun: Hypothesis, before: Hypothesis
         tries = [z, *(_moved(parameters, z, new, shift) for shift in product(steps, repeat=len(new)))]
         residuals = ranked_in.residuals([values_at(parameters, x) for x in tries])
         costs = [float(r @ r + x @ x) for r, x in zip(residuals, tries, strict=True)]
-        z = tries[int(np.argmin(costs))]
-    return Hypothesis(begun.effects, replace(begun.fit, z=z))
+        z, cost = tries[int(np.argmin(costs))], min(costs)
+    return Hypothesis(begun.effects, replace(begun.fit, z=z)), cost
 
 
 def _moved(parameters: Sequence[Parameter], z: FloatArray, which: Sequence[int], shift: Sequence[float]) -> FloatArray:
@@ -249,8 +360,8 @@ def _moved(parameters: Sequence[Parameter], z: FloatArray, which: Sequence[int],
 
 def _known(n: Parameter, known: Mapping[str, float]) -> float:
     """Return z of the parameter itself, or of all towers, or the mean of the towers'; zero if it is new."""
-    stem = n.name.partition("[")[0]
+    stem = stem_of(n.name)
     if n.name in known or stem in known:
         return known.get(n.name, known.get(stem, 0.0))
-    parts = [z for name, z in known.items() if name.partition("[")[0] == stem]
+    parts = [z for name, z in known.items() if stem_of(name) == stem]
     return float(np.mean(parts)) if parts else 0.0

@@ -15,7 +15,7 @@ import numpy as np
 
 from ffcomp.diagnose.noise import fill_gaps
 from ffcomp.diagnose.problem import Observation
-from ffcomp.numerics.delay import delayed
+from ffcomp.numerics.delay import delayed, moved_columns
 from models.arrays import ComplexArray, FloatArray
 
 LAG_S = 1e-4  # by which repeats may lie apart before it is said, and their delays are fitted
@@ -39,6 +39,7 @@ class Repeats:
     certain: bool  # whether the lags are more than noise
     share: float  # rms by which one differs from their mean, of the signals, lags taken out
     over_rest: float | None  # the same as a multiple of the noise at rest; None: nothing rests long enough
+    signals: tuple[str, ...] = ()  # that were compared, of one clock; none named: all
 
     @property
     def apart(self) -> bool:
@@ -71,11 +72,20 @@ class Repeats:
 
 
 def repeats_of(observations: Sequence[Observation]) -> list[Repeats]:
-    """Compare all experiments that were recorded more than once, in files of equal length."""
+    """Compare all experiments that were recorded more than once, in files of equal length, each clock by itself."""
     members: dict[tuple[str, int], list[int]] = {}
     for i, o in enumerate(observations):
         members.setdefault((o.repeat_of, len(o.measured)), []).append(i)
-    return [_compared(observations, tuple(found)) for found in members.values() if len(found) > 1]
+    several = [tuple(found) for found in members.values() if len(found) > 1]
+    return [_compared(observations, found, own) for found in several for own in _of_clocks(observations, found)]
+
+
+def _of_clocks(observations: Sequence[Observation], members: Sequence[int]) -> list[tuple[str, ...]]:
+    """Return the signals that all have, by the clocks of the first."""
+    first = observations[members[0]]
+    shared = [[first.signals[k] for k in columns] for columns in first.by_clock.values()]
+    common = [tuple(s for s in own if all(s in observations[i].signals for i in members)) for own in shared]
+    return [own for own in common if own]
 
 
 def aligned(observations: Sequence[Observation], found: Sequence[Repeats]) -> list[Observation]:
@@ -84,14 +94,14 @@ def aligned(observations: Sequence[Observation], found: Sequence[Repeats]) -> li
     for repeats in found:
         if repeats.apart:
             for i, lag in zip(repeats.members, repeats.lag_s, strict=True):
-                o = observations[i]
-                moved[i] = replace(o, measured=delayed(o.measured, -lag, o.rate_hz))
+                o = moved[i]
+                own = [k for k, s in enumerate(o.signals) if s in repeats.signals or not repeats.signals]
+                moved[i] = replace(o, measured=moved_columns(o.measured, own, -lag, o.rate_hz))
     return moved
 
 
-def _compared(observations: Sequence[Observation], members: tuple[int, ...]) -> Repeats:
+def _compared(observations: Sequence[Observation], members: tuple[int, ...], common: tuple[str, ...]) -> Repeats:
     first = observations[members[0]]
-    common = [s for s in first.signals if all(s in observations[i].signals for i in members)]
     columns = [_columns(observations[i], common) for i in members]
     scale = np.maximum(np.std(columns[0], axis=0), 1e-12)
     spectra = [np.fft.rfft(x / scale, axis=0) for x in columns]
@@ -104,7 +114,8 @@ def _compared(observations: Sequence[Observation], members: tuple[int, ...]) -> 
     size = np.sqrt(np.mean(_in_band(np.stack(columns), first.rate_hz) ** 2))
     files = tuple(Path(observations[i].name).name for i in members)
     share = float(np.sqrt(np.mean(differences**2)) / max(size, 1e-12))
-    return Repeats(first.repeat_of, members, files, tuple(lags), certain, share, _over_rest(differences / scale, first))
+    over_rest = _over_rest(differences / scale, first)
+    return Repeats(first.repeat_of, members, files, tuple(lags), certain, share, over_rest, common)
 
 
 def _columns(observation: Observation, names: Sequence[str]) -> FloatArray:

@@ -14,7 +14,7 @@ from ffcomp.diagnose.diagnosis import Diagnosis
 from ffcomp.diagnose.hypotheses import misfit
 from ffcomp.diagnose.printer_problem import WHOLE, effect_tables
 from ffcomp.diagnose.problem import TOWERS, Problem
-from ffcomp.diagnose.recording_delays import PREFIX, belongs_to_recording
+from ffcomp.diagnose.recording_delays import belongs_to_recording, delay_of
 from ffcomp.diagnose.residuals import ResidualSize, locate_residual
 from ffcomp.diagnose.separation import Separation
 from ffcomp.identify.uncertainty import Estimate
@@ -146,13 +146,20 @@ def _left_out(found: Diagnosis) -> str:
 def _late(problem: Problem, found: Diagnosis) -> dict[str, float]:
     """Return how late files lie: what repeats say of each other, and what the fit says of them together."""
     values = found.final.values if found.best is not None else found.base.values
-    lags = {i: lag for each in problem.repeats if each.apart for i, lag in zip(each.members, each.lag_s, strict=True)}
     late = {}
     for i, o in enumerate(problem.observations):
-        off = lags.get(i, 0.0) + values.get(f"{PREFIX}{o.repeat_of}.delay_s", 0.0)
+        offs = [_lag(problem, i, o.signals[own[0]]) + delay_of(values, o, clock) for clock, own in o.by_clock.items()]
+        off = max(offs, key=abs)
         if abs(off) > SAID_S:
             late[Path(o.name).name] = off
     return late
+
+
+def _lag(problem: Problem, i: int, signal: str) -> float:
+    """Return how late a signal of an observation is behind its repeats, s."""
+    own = (each for each in problem.repeats if each.apart and i in each.members)
+    lags = (each.lag_s[each.members.index(i)] for each in own if signal in each.signals or not each.signals)
+    return next(lags, 0.0)
 
 
 def _file_off(found: Diagnosis) -> dict[str, tuple[float, float]]:

@@ -68,8 +68,8 @@ def _likely(seen: Glimpse | None, shapes: Sequence[tuple[Candidate, Sequence[Sha
     if seen is None or not many:
         return [(c, shape) for c, own in shapes for shape in own]
     tries = _signatures(seen.estimation, seen.fit, many)
-    scores = [_scored(seen.fit, c, shape, signature).evidence for c, shape, signature in tries]
-    ranked = [many[i] for i in np.argsort(scores, kind="stable").tolist()]
+    scores = [_scored(seen.fit, c, shape, signature).rank for c, shape, signature in tries]
+    ranked = [many[i] for i in sorted(range(len(many)), key=scores.__getitem__)]
     found = []
     for c, own in shapes:
         best = [shape for other, shape in ranked if other is c][:LIKELY]
@@ -93,7 +93,7 @@ def _best(base: Fit, tries: Iterator[Tried]) -> dict[str, Screened]:
     found: dict[str, _Scored] = {}
     for candidate, shape, signature in tries:
         one = _scored(base, candidate, shape, signature)
-        if candidate.name not in found or one.evidence < found[candidate.name].evidence:
+        if candidate.name not in found or one.rank < found[candidate.name].rank:
             found[candidate.name] = one
     return {name: _screened(base, one) for name, one in found.items()}
 
@@ -109,6 +109,13 @@ class _Scored:
     gain: float
     evidence: float
     strength: float
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """Order the shapes of one candidate: a ripple half a turn off explains as much, by an amplitude below zero."""
+        estimate = self.step[-len(self.candidate.amplitudes) :]
+        sizes = zip(self.candidate.amplitudes, estimate, strict=True)
+        return any(not n.low <= n.start + n.sd * z <= n.high for n, z in sizes), self.evidence
 
 
 def _signatures(estimation: EstimationProblem, base: Fit, tries: Sequence[tuple[Candidate, Shape]]) -> Iterator[Tried]:

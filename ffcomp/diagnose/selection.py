@@ -49,6 +49,7 @@ from ffcomp.diagnose.problem import Candidate
 from ffcomp.diagnose.progress import Progress, Stage
 from ffcomp.diagnose.refinement import (
     begun_anew,
+    by_degrees,
     continue_fit,
     continue_or_restart,
     converge,
@@ -56,6 +57,7 @@ from ffcomp.diagnose.refinement import (
     refine,
     refit,
     restart_from_file,
+    with_free_shapes,
 )
 from ffcomp.diagnose.score_test import Screened, overlap, screen_roughly, similarity
 
@@ -134,7 +136,8 @@ def on_all_data(search: Search, found: Selection) -> Selection | None:
         return continue_fit(search.estimation, widened, search.progress, ", on all data")
 
     fitted = on_all(found.best)
-    missed = incomplete(search.estimation, fitted) and found.left_nothing
+    little = max(search.estimation.tolerance, TRACE * discrepancy_of(search.retuned))  # no shape is more exact
+    missed = incomplete(replace(search.estimation, tolerance=little), fitted) and found.left_nothing
     if missed and len(fitted.effects) < MOST_EFFECTS and search.may_go_on():
         return None
     rivals = smaller_rivals(found.best, found.tried, search.estimation.problem.candidates)[:1]
@@ -148,11 +151,26 @@ def _begin(search: Search) -> Selection:
     close = with_one_within_file([h for h in ranked[:CONTENDERS] if comparable(h, ranked[0], CONTENDER)], ranked)
     fitted = fitted_well(search, close)
     best = min(fitted, key=lambda h: h.fit.evidence)
-    shaped = [converge(search.estimation, h, search.progress) if comparable(h, best, CLOSE) else h for h in fitted]
+    shaped = _shaped(search, fitted, best)
     tried = (*shaped, *(h for h in ranked if h not in close))
     little = max(search.little, search.estimation.tolerance)
-    likeliest_one = preferring_file(min(tried, key=lambda h: h.fit.evidence), tried, little)
+    likeliest_one = straightened(search, min(tried, key=lambda h: h.fit.evidence))
+    likeliest_one = preferring_file(likeliest_one, (likeliest_one, *tried), little)
     return Selection(simplest(likeliest_one, tried, search.estimation.problem.candidates), tried)
+
+
+def _shaped(search: Search, fitted: Sequence[Hypothesis], best: Hypothesis) -> list[Hypothesis]:
+    """Converge on the shapes of those nearly as good as the best, the smallest first.
+
+    What is another effect with more numbers stays as it is where that one leaves nothing in its best shape.
+    """
+    shaped: list[Hypothesis] = []
+    for h in sorted(fitted, key=lambda h: h.added):
+        whole = [x for x in shaped if len(x.effects) == len(h.effects) == 1 and contains(*x.names, *h.names)]
+        needless = any(not incomplete(search.estimation, x) for x in whole)
+        nearly = comparable(h, best, CLOSE) and not needless
+        shaped.append(converged(search, h) if nearly else h)
+    return shaped
 
 
 def fitted_well(search: Search, close: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -228,7 +246,14 @@ def _is_shape(search: Search, best: Hypothesis, larger: Hypothesis) -> bool:
 
 def converge_best(search: Search, so_far: Selection) -> Selection:
     """Converge on the shapes of the best hypothesis' effects."""
-    return replace(so_far, best=converge(search.estimation, so_far.best, search.progress))
+    return replace(so_far, best=converged(search, so_far.best))
+
+
+def converged(search: Search, h: Hypothesis) -> Hypothesis:
+    """Converge on the shapes of a hypothesis; where it still leaves much, go on by degrees with the shapes it has."""
+    shaped = converge(search.estimation, h, search.progress)
+    much = shaped.discrepancy > max(search.little, LARGE) and shaped.effects != h.effects and search.may_go_on()
+    return by_degrees(search.estimation, shaped, search.progress) if much else shaped
 
 
 def swap_effects(search: Search, so_far: Selection) -> Selection:
@@ -263,19 +288,33 @@ def refine_best(search: Search, so_far: Selection) -> Selection:
 def drop_superfluous(search: Search, so_far: Selection) -> Selection:
     """Drop effects whose intervals include none, or that the others can do without, while nothing significant is lost.
 
-    A number of the file that is off may bring in an effect beside the right one, before that one is found.
+    A number of the file that is off may bring in an effect beside the right one, before that one is found. And where
+    the others leave nothing, what no two motions agree on is the error of their shapes, however significant it is.
     """
     best = so_far.best
-    intervals = intervals_of(search.estimation, best.fit, best.fit.values)
+    intervals, agreed = (
+        intervals_of(search.estimation, best.fit, best.fit.values, scatter=scatter) for scatter in (False, True)
+    )
     without = {c.name: predicted_without(best, c) for c in best.effects}
-    idle = [c for c in best.effects if superfluous(c, intervals) or not significant(best.fit, without[c.name])]
+    disputed = [c for c in best.effects if superfluous(c, agreed)]
+    idle = [
+        c
+        for c in best.effects
+        if c in disputed or superfluous(c, intervals) or not significant(best.fit, without[c.name])
+    ]
     if not idle or len(best.effects) == 1:
         return so_far
     least = min(idle, key=lambda c: without[c.name].evidence)
     smaller = drop(search.estimation, best, least, search.progress)
-    if significant(best.fit, smaller.fit):
+    nothing_lost = least in disputed and _nothing(search, smaller.fit) and within_file(smaller)
+    if significant(best.fit, smaller.fit) and not nothing_lost:
         return so_far
     return drop_superfluous(search, refine_best(search, replace(so_far, best=smaller)))
+
+
+def _nothing(search: Search, fitted: Fit) -> bool:
+    """Tell whether a fit leaves no more than the noise, or than what the error of a shape may leave."""
+    return discrepancy_of(fitted) < max(search.estimation.tolerance, TRACE * discrepancy_of(search.retuned))
 
 
 def keep_most_parsimonious(search: Search, so_far: Selection) -> Selection:
@@ -284,8 +323,13 @@ def keep_most_parsimonious(search: Search, so_far: Selection) -> Selection:
     return replace(so_far, best=best)
 
 
+def free_shapes(search: Search, so_far: Selection) -> Selection:
+    """Set usual shapes free where the data ask for it."""
+    return replace(so_far, best=with_free_shapes(search.estimation, so_far.best, search.progress))
+
+
 ROUND: tuple[Pass, ...] = (refit_best, add_effect, converge_best, swap_effects, keep_simplest)
-FINAL: tuple[Pass, ...] = (refine_best, drop_superfluous, keep_most_parsimonious)
+FINAL: tuple[Pass, ...] = (refine_best, drop_superfluous, keep_most_parsimonious, free_shapes)
 
 
 # ---- add and swap effects ------------------------------------------------------------------------

@@ -7,15 +7,17 @@ force in that time. An axis that a spring holds is simulated from the beginning 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.axis_run import AxisRun
 from models.arrays import FloatArray
-from models.axis.machine import AxisMachine
+from models.axis.machine import AxisMachine, AxisParameters
 from models.axis.simulate import AxisMotion, simulate_axis
 
 SHOT = 0.4  # of the time in which the motion changes its speed by as much as it has of it
@@ -35,11 +37,32 @@ class Shots:
     length: int  # samples of a shot; 0: there is one
     begin: FloatArray  # (shots, 4) mm and mm/s of the last mass and of the first one; NaN where one is not known
     speed: FloatArray  # (n,) mm/s
+    began: Mapping[str, FloatArray] = field(
+        default_factory=dict
+    )  # position -> (length, k), what beginnings may do to it
 
     def simulate(self, machine: AxisMachine, *, coarse: bool = False) -> AxisMotion:
         """Simulate the run; ValueError if the axis moves to infinity."""
         dt_s = 1 / self.run.sample_rate_hz
         return simulate_axis(machine, self.run.given, dt_s, shot=self.length, begin=self.begin, coarse=coarse)
+
+    def told(self, signals: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """Return signals, (n,) each, of whose positions is gone in each shot what only tells where it began.
+
+        That is measured, and so as noisy as anything: left in what is compared, twenty samples would be wrong by the
+        noise of one. It is fitted where the sensors spoke.
+        """
+        found, names = dict(signals), [name for name in self.began if name in signals]
+        if not names:
+            return found
+        gone = -len(self.run.given) % self.length
+        spoken = [np.pad(np.isfinite(self.run.signals[name]), (0, gone)) for name in names]
+        kept = _by_shots(spoken, self.length)
+        x = _by_shots([np.pad(signals[name], (0, gone)) for name in names], self.length)
+        out = _without(np.concatenate([self.began[name] for name in names]), x, kept)
+        for i, name in enumerate(names):
+            found[name] = out[:, i * self.length : (i + 1) * self.length].ravel()[: len(signals[name])]
+        return found
 
     def own_motion(self, name: str) -> FloatArray:
         """Return what of a signal, (n,), the forces of a shot make: without its beginning, or without its command."""
@@ -75,7 +98,52 @@ def shots_of(machine: AxisMachine, runs: Sequence[AxisRun]) -> list[Shots]:
     speeds = [_speed(_bridged(_place(run)), run.sample_rate_hz) for run in mean]
     needed = machine.axis.free and any(run.position for run in runs)
     seconds = _shot_s(runs, speeds) if needed else 0.0
-    return [_shots(*each, seconds) for each in zip(runs, mean, speeds, strict=True)]
+    found = [_shots(*each, seconds) for each in zip(runs, mean, speeds, strict=True)]
+    return [replace(one, began=_began(machine, one)) for one in found]
+
+
+def _began(machine: AxisMachine, one: Shots) -> dict[str, FloatArray]:
+    """Return what an error of where a shot begins does to each position, (length, k): lines, and a load that rings."""
+    names, axis = list(one.run.position) if one.length else [], machine.axis
+    t = np.arange(one.length) / one.run.sample_rate_hz
+    line = np.column_stack([np.ones(one.length), t - t.mean()]) if names else np.empty((0, 2))
+    found = {}
+    for i, name in enumerate(names):
+        lines = [line if i == k else np.zeros((one.length, 2)) for k in range(len(names))]
+        found[name] = np.hstack([*lines, _ringing(axis, t, name)])
+    return found
+
+
+def _ringing(axis: AxisParameters, t: FloatArray, name: str) -> FloatArray:
+    """Return how a load that began elsewhere than it seemed rings on the first mass: (n, 2); (n, 0) without one."""
+    if not axis.load_mass_kg:
+        return np.empty((len(t), 0))
+    softness = 1 / axis.mass_kg + 1 / axis.load_mass_kg
+    omega, decay = (
+        np.sqrt((axis.coupling_stiffness_n_per_m or 0.0) * softness),
+        axis.coupling_damping_n_s_per_m * softness,
+    )
+    share = axis.mass_kg if name == "pos_q" else -axis.load_mass_kg
+    shape = np.exp(-0.5 * decay * t)[:, None] * np.column_stack([np.cos(omega * t), np.sin(omega * t)])
+    return np.asarray(share / axis.moved_kg * shape)
+
+
+def _by_shots(columns: Sequence[NDArray[Any]], length: int) -> NDArray[Any]:
+    """Return signals as rows of shots: (shots, signals * length)."""
+    return np.hstack([x.reshape(-1, length) for x in columns])
+
+
+def _without(basis: FloatArray, x: FloatArray, spoken: NDArray[np.bool_]) -> FloatArray:
+    """Return rows x (shots, n) without their parts along a basis (n, k), by what is known of each."""
+    out, whole = np.zeros_like(x), spoken.all(axis=1)
+    directions = np.linalg.qr(basis)[0]
+    out[whole] = x[whole] - x[whole] @ directions @ directions.T
+    for row in np.flatnonzero(~whole):
+        known = spoken[row]
+        if known.sum() > basis.shape[1]:
+            part = np.linalg.lstsq(basis[known], x[row][known], rcond=1e-9)[0]
+            out[row] = x[row] - basis @ part
+    return out
 
 
 def _mean(runs: Sequence[AxisRun], i: int) -> AxisRun:

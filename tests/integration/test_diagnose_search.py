@@ -134,3 +134,13 @@ def test_friction_keeps_its_name_and_force_when_it_turns_over_in_another_way() -
     values = {name.rpartition(".")[2]: value for name, value in diagnosis.final.values.items()}
     assert values["force_n"] == pytest.approx(2.0, rel=0.02)
     assert np.exp(values["creep_mm_per_s"]) == pytest.approx(2.0, rel=0.1)
+
+
+def test_friction_that_bends_before_it_slides_is_found_with_its_way() -> None:
+    """A bristle's force turns over by the way and not by the speed: the file's damping must not make up for that."""
+    hidden = {"force_n": 2.0, "presliding_mm": 0.03}
+    _, diagnosis = found(("coulomb_friction", "guide_damping"), coulomb_friction=hidden)
+    assert diagnosis.named is not None and diagnosis.named.names == ("coulomb_friction",)
+    values = {name.rpartition(".")[2]: value for name, value in diagnosis.final.values.items()}
+    assert values["force_n"] == pytest.approx(2.0, rel=0.02)
+    assert np.exp(values["presliding_mm"]) == pytest.approx(0.03, rel=0.05) and "creep_mm_per_s" not in values

@@ -87,9 +87,26 @@ def test_shots_band_and_windows_come_from_the_data() -> None:
 def test_every_shot_begins_where_the_axis_was_measured() -> None:
     problem = AxisProblem(STAGE, runs_of(STAGE, 1))
     length = problem.shots[0].length
-    simulated = problem.simulate({})[0][::length, 0]
-    both = [problem.observations[i].measured[::length, 0] for i in (0, len(problem.windows) // 2)]
+    simulated = problem.shots[0].simulate(STAGE).position_mm[::length]
+    both = [run.position["pos_q"][::length] for run in problem.recordings]  # type: ignore[attr-defined]
     np.testing.assert_allclose(simulated, np.mean(both, axis=0), atol=1e-9)  # repeats begin at their mean
+
+
+def test_an_error_of_where_a_shot_began_is_no_discrepancy() -> None:
+    """A shot's twenty samples would all be wrong by the noise of its first one, and by its speed's times the time."""
+    run = runs_of(STAGE, 1)[0]
+    one = shots_of(STAGE, [run])[0]
+    moved = replace(one, begin=one.begin + np.array([0.01, 0.05, 0.01, 0.05]))
+    places = [each.simulate(STAGE).position_mm for each in (one, moved)]
+    assert np.abs(places[0] - places[1]).min() > 0.009
+    true, off = (one.told({"pos_q": place})["pos_q"] for place in places)
+    np.testing.assert_allclose(off, true, atol=1e-4)  # its damping slows it down
+    assert np.abs(true).max() > 0.05 and one.told({"acc_q": places[0]})["acc_q"] is places[0]
+    lost = run.position["pos_q"].copy()
+    lost[7::5] = np.nan
+    gaps = shots_of(STAGE, [replace(run, position={"pos_q": lost})])[0]
+    assert np.abs(gaps.told({"pos_q": places[0]})["pos_q"] - true).max() < 0.2 * np.abs(true).max()
+    assert np.isnan(gaps.told({"pos_q": lost})["pos_q"]).sum() == np.isnan(lost).sum()
 
 
 def test_dry_friction_of_a_free_axis_is_named_with_its_size() -> None:
@@ -127,6 +144,14 @@ def test_a_number_of_the_file_is_not_bent_where_an_effect_says_it() -> None:
 @pytest.mark.parametrize("machine", [STAGE, DRIVE])
 def test_nothing_is_named_where_nothing_is_missing(machine: AxisMachine) -> None:
     assert found(machine).verdict == "none"
+
+
+def test_a_force_of_any_pitch_begins_within_half_a_turn_of_one_that_is_tried() -> None:
+    """Over the travel a pitch between two that are tried must not fall out of step, or nothing is seen of it."""
+    problem = AxisProblem(STAGE, runs_of(STAGE, 1), ("cogging_force",))
+    (pitches,) = [np.array([next(iter(point.values())) for point in c.grid]) for c in problem.candidates]
+    travel = 2 * pitches.max()
+    assert np.abs(np.diff(travel / pitches)).max() < 1.0 and travel / pitches.min() > 39.0
 
 
 def test_no_pitch_is_longer_than_half_the_travel() -> None:

@@ -112,6 +112,33 @@ def test_a_clock_in_doubt_gets_parameters() -> None:
     np.testing.assert_allclose(late, motion(1e-3), atol=1e-4)
 
 
+def test_signals_of_two_chips_are_on_two_clocks() -> None:
+    """A bed slinger's: each is moved onto its own repeats, and each has a delay and a drift."""
+    two = Recording(
+        "x-1.csv", T, np.zeros((N, 3)), "nozzle", {}, {}, np.zeros(N, dtype=bool), {"clocks": "acc_x, acc_y"}
+    )
+    clocks = two.clocks_of(("acc_x", "acc_y", "pos_x"))
+    assert clocks == ("", "acc_y", "") and recording().clocks_of(("acc_x", "acc_y")) == ("", "")
+
+    late = motion()
+    late[:, 1] = motion(4e-4)[:, 1]
+    both = [replace(observed(x, n), clocks=clocks[:2]) for n, x in enumerate((motion(), late), 1)]
+    head, bed = repeats_of(both)
+    assert not head.apart and bed.apart and (head.signals, bed.signals) == (("acc_x",), ("acc_y",))
+    assert bed.lag_s[1] - bed.lag_s[0] == pytest.approx(4e-4, abs=2e-5)
+    together = aligned(both, [head, bed])
+    np.testing.assert_array_equal(together[1].measured[:, 0], both[1].measured[:, 0])
+    floor = noise_from_repeats(together)
+    assert floor is not None
+    assert np.median(floor.density["acc_y"]) == pytest.approx(2 * NOISE**2 / RATE_HZ, rel=0.3)
+
+    stated = replace(two, comments={**two.comments, "delay_sd_s": "3e-4", "drift_sd": "5e-5"})
+    named = [p.name for p in delay_parameters([stated, stated], both, [])]
+    assert named == [f"recording.x{clock}.{what}" for clock in ("", ".acc_y") for what in ("delay_s", "drift")]
+    moved = as_recorded({"recording.x.acc_y.delay_s": 4e-4}, both[0], motion())
+    np.testing.assert_allclose(moved, late, atol=1e-4)
+
+
 def test_what_is_late_on_the_firmwares_clock_is_the_machine() -> None:
     """No chip can tell its own clock from a machine that is late; a capture that the firmware dates can."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -257,3 +257,102 @@ def test_a_contender_is_given_up_by_what_coarse_steps_leave_of_both(monkeypatch:
     found = selection.fitted_well(search, contenders)  # type: ignore[arg-type]
     assert asked == ["stribeck", "coulomb"] and found[2] is contenders[2]
     assert [h.discrepancy for h in found[:2]] == pytest.approx([0.0, 0.0])
+
+
+def test_a_usual_shape_that_bends_the_numbers_beside_it_is_set_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sine without the belt's share fits nearly as well with a wrong amplitude: its interval would lie."""
+    monkeypatch.setattr(refinement, "_placed", lambda _, begun, __: (begun, 0.0))
+    rng = np.random.default_rng(5)
+    size, share = Parameter("effects.sine.size", 0.0, 10.0), Parameter("effects.sine.share", 0.0, 1.0)
+    along, across = rng.standard_normal((2, LONG))
+    columns = {size.name: along, share.name: 0.2 * along + 0.05 * across}
+    sine = Candidate("sine", (size,), {}, finer=(share,))
+
+    def explained(shared: float) -> Hypothesis:
+        measured = rng.standard_normal(LONG) + 3.0 * along + shared * columns[share.name]
+        problem = linear(measured, columns, {size.name: 0.0, share.name: 0.0})
+        problem.residual = lambda values: next(problem.residuals([values]))
+        problem.problem = SimpleNamespace(work=SimpleNamespace(allows=lambda: True))
+        alone = 10.0 * along[:, None]
+        z = np.linalg.lstsq(alone, measured, rcond=None)[0]
+        held = Hypothesis((sine,), Fit((size,), z, measured - alone @ z, alone))
+        return refinement.with_free_shapes(problem, held, lambda _: None)
+
+    freed = explained(2.0)
+    assert freed.fit.values[size.name] == pytest.approx(3.0, abs=0.1)
+    assert freed.fit.values[share.name] == pytest.approx(2.0, abs=0.4)
+    assert explained(0.0).effects == (sine,)  # nothing asks for it
+
+
+def test_what_no_two_motions_agree_on_is_dropped_where_the_rest_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ripple of a ten-thousandth of a millimetre is the error of another effect's shape, however significant."""
+    rng = np.random.default_rng(6)
+    belt, ripple = (Parameter(f"effects.{name}.size", 0.0, 1.0) for name in ("belt", "ripple"))
+    columns = rng.standard_normal((LONG, 2)) * [30.0, 0.05]
+    candidates = tuple(Candidate(n.name.split(".")[1], (n,), {}) for n in (belt, ripple))
+
+    def hypothesis(ripples: float) -> Hypothesis:
+        return Hypothesis(candidates, Fit((belt, ripple), np.array([5.0, ripples]), rng.standard_normal(LONG), columns))
+
+    def told(_: Any, fit: Fit, __: Any, scatter: bool) -> dict[str, Any]:
+        spread = {belt.name: 0.1, ripple.name: 20.0 if scatter else 0.1}
+        return {
+            n.name: SimpleNamespace(low=z - spread[n.name], high=z + spread[n.name])
+            for n, z in zip(fit.parameters, fit.z, strict=True)
+        }
+
+    def without(_: Any, h: Hypothesis, dropped: Candidate, __: Any) -> Hypothesis:
+        return Hypothesis(tuple(c for c in h.effects if c is not dropped), predicted_without(h, dropped))
+
+    monkeypatch.setattr(selection, "intervals_of", told)
+    monkeypatch.setattr(selection, "drop", without)
+    monkeypatch.setattr(selection, "refine_best", lambda _, so_far: so_far)
+    search = SimpleNamespace(
+        estimation=SimpleNamespace(tolerance=0.05), retuned=fitted(np.full(LONG, 3.0)), progress=lambda _: None
+    )
+    best = hypothesis(4.0)
+    assert significant(best.fit, predicted_without(best, candidates[1]))
+    dropped = selection.drop_superfluous(search, selection.Selection(best, ()))  # type: ignore[arg-type]
+    assert dropped.best.names == ("belt",)
+    strong = hypothesis(12.0)  # without it, something is left
+    kept = selection.drop_superfluous(search, selection.Selection(strong, ()))  # type: ignore[arg-type]
+    assert kept.best.names == ("belt", "ripple")
+
+
+@dataclass(frozen=True)
+class Swinging:
+    """Motions that answer a number by sines of it, each louder one by a faster one."""
+
+    truth: float
+    chosen: tuple[int, ...] = (0, 1, 2, 3, 4)
+    coarse: bool = False
+
+    @property
+    def problem(self) -> Any:
+        return SimpleNamespace(motions=range(5), work=SimpleNamespace(allows=lambda: True))
+
+    @property
+    def whiten(self) -> Any:
+        return SimpleNamespace(rows=[slice(100 * k, 100 * (k + 1)) for k in range(len(self.chosen))])
+
+    def limited_to(self, chosen: Sequence[int]) -> Swinging:
+        return replace(self, chosen=tuple(chosen))
+
+    def residual(self, values: Mapping[str, float]) -> np.ndarray:
+        loud = 2.0 ** np.repeat(self.chosen, 100)
+        turns = loud * np.tile(np.linspace(0.5, 1.0, 100), len(self.chosen))
+        return 100.0 * loud * (np.sin(turns * self.truth) - np.sin(turns * values["effects.cubic.size"]))
+
+    def residuals(self, many: Sequence[Mapping[str, float]]) -> Iterator[np.ndarray]:
+        return map(self.residual, many)
+
+
+def test_a_number_that_loud_motions_hide_is_found_from_the_quiet_ones() -> None:
+    problem: Any = Swinging(1.2)
+    size = Parameter("effects.cubic.size", 0.0, 1.0)
+    residual = problem.residual({size.name: 0.1})
+    begun = Fit((size,), np.array([0.1]), residual, np.zeros((len(residual), 1)))
+    astray = refinement.continue_fit(problem, Hypothesis((Candidate("cubic", (size,), {}),), begun), lambda _: None)
+    assert abs(astray.fit.values[size.name] - 1.2) > 0.1
+    found = refinement.by_degrees(problem, astray, lambda _: None)
+    assert found.fit.values[size.name] == pytest.approx(1.2, abs=1e-3)
