@@ -30,7 +30,7 @@ import numpy as np
 
 from ffcomp.bank import score
 from ffcomp.bank.cases import case
-from ffcomp.bank.kinds import KINDS
+from ffcomp.bank.kinds import KINDS, MACHINES
 from ffcomp.bank.seal import label_path, open_labels, verdict_path, write_case
 from ffcomp.bank.strata import FULL, full_bank
 from ffcomp.bank.summary import confusion, miss, rate_of
@@ -70,7 +70,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--resume", required=True, metavar="DIR", help="where cases, verdicts and labels are kept")
     parser.add_argument("--seconds", type=float, default=2.0, help="of each run")
     parser.add_argument("--seed", type=int, default=1, help="another number, another bank")
-    parser.add_argument("--machines", nargs="*", default=list(KINDS), help="of these kinds")
+    parser.add_argument("--machines", nargs="*", default=list(MACHINES), help="of these kinds")
     parser.add_argument("--render", action="store_true", help="ask for nothing more, write the page")
     return parser.parse_args()
 

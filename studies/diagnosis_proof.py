@@ -29,7 +29,7 @@ from ffcomp.bank.delta.real import played
 from ffcomp.bank.printer.motions import KINDS, Motion, Place
 from ffcomp.bank.printer.motions import Path as NozzlePath
 from ffcomp.bank.printer.real import Reading, Real
-from ffcomp.bank.sensors import csv_of, draw_sensors
+from ffcomp.bank.sensors import commands_of, csv_of, draw_sensors
 from ffcomp.compare.evaluation import Execution, contour
 from ffcomp.compare.methods import COMPENSATED, inversion, none
 from ffcomp.compare.monte_carlo import draw_plants
@@ -131,7 +131,7 @@ def record(
         nozzle = KINDS[experiment.kind](rng, experiment.place_mm, seconds, experiment.loudness)
         t, command, reading = moved(nozzle)
         for path in paths:
-            path.write_text(csv_of(t, command, "ABC", sensors.record(reading, rng)), encoding="utf-8")
+            path.write_text(csv_of(t, commands_of(command, "ABC"), sensors.record(reading, rng)), encoding="utf-8")
     return found
 
 

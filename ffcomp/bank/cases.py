@@ -29,7 +29,7 @@ from ffcomp.bank.captures import joined_runs, planned_motions
 from ffcomp.bank.kinds import KINDS, Kind
 from ffcomp.bank.printer.motions import Motion
 from ffcomp.bank.printer.real import Reading, Real, Tables
-from ffcomp.bank.sensors import SENSORS, Sensors, csv_of, draw_sensors
+from ffcomp.bank.sensors import SENSORS, Sensors, commands_of, csv_of, draw_sensors
 from ffcomp.bank.tables import toml_of
 from ffcomp.bank.visible import PROBE, Visibility, retuning, visibility, whitened
 
@@ -158,6 +158,17 @@ class Plan:
         """The machine file's text."""
         return toml_of(self.file, "the owner's printer")
 
+    @property
+    def fresh_repeats(self) -> tuple[int, ...]:
+        """Return how often each of the fresh motions is made."""
+        return (self.kind.repeats, *[1] * (len(self.fresh) - 1))
+
+    def judged(self, real: Real, readings: Sequence[Reading], coarse: bool = False) -> list[Reading]:
+        """Return what another printer would have read, in the form in which readings are compared."""
+        if self.kind.replayed is None:
+            return self.readings(real, self.motions, coarse)
+        return [self.kind.replayed(real, reading) for reading in readings]
+
     def readings(self, real: Real, motions: Sequence[Motion], coarse: bool = False) -> list[Reading]:
         """Play motions on a printer."""
         return [self.kind.played(real, self.firmware, motion, coarse) for motion in motions]
@@ -168,7 +179,7 @@ def case(seed: int, stratum: str, seconds: float = 3.0, short: bool = False) -> 
     plan = draw(seed, stratum, seconds, short)
     rng = np.random.default_rng([seed, 99])
     readings = plan.readings(plan.real, plan.motions)
-    fresh = _records(plan, plan.fresh, plan.readings(plan.real, plan.fresh), (2, *[1] * (len(plan.fresh) - 1)), rng)
+    fresh = _records(plan, plan.fresh, plan.readings(plan.real, plan.fresh), plan.fresh_repeats, rng)
     if plan.label.condition == "joined":
         runs = joined_runs(plan.text, readings, seed, rng, seconds)
     else:
@@ -182,13 +193,13 @@ def draw(seed: int, stratum: str, seconds: float = 3.0, short: bool = False) -> 
     kind = KINDS[wanted.machine]
     names = _names(seed, wanted) if wanted.names is None else wanted.names
     own = [np.random.default_rng([seed, n]) for n in range(5)]
-    around = _circumstances(kind, wanted, own[0])
     machine = kind.draw(own[1], names)
+    around = _circumstances(kind, wanted, own[0], machine)
     sizes = _sizes(wanted.condition, names, own[0])
     real, tables = _hidden(kind, machine, seed, sizes)
     file = kind.file_of(machine, around.file_error, own[3])
     motions, fresh = kind.motions(machine, own[2], seconds, short)
-    repeats = (4, 1) if short else _repeats(wanted.condition, around, motions)
+    repeats = (4 if kind.repeats > 1 else 1, 1) if short else _repeats(wanted.condition, around, motions)
     if wanted.condition == "joined":
         motions, repeats = planned_motions(toml_of(file, "the owner's printer"), seed, seconds)
     inside = kind.restated({name: tables[name] for name in names if name in kind.effects}, real.machine, file)
@@ -218,7 +229,7 @@ def _sizes(condition: str, names: Sequence[str], rng: np.random.Generator) -> di
 
 def _repeats(condition: str, around: Circumstances, motions: Sequence[Motion]) -> tuple[int, ...]:
     if condition == "few":
-        return (2, *[1] * (len(motions) - 1))
+        return (around.repeats, *[1] * (len(motions) - 1))
     often = [m.name.endswith("centre") or m.name.startswith("infill") for m in motions]
     return tuple(around.repeats if repeated else 1 for repeated in often)
 
@@ -238,8 +249,8 @@ def _names(seed: int, wanted: Wanted) -> tuple[str, ...]:
             return pair
 
 
-def _circumstances(kind: Kind, wanted: Wanted, rng: np.random.Generator) -> Circumstances:
-    usual = Circumstances(0.02, kind.sensors, 2, kind.axes)
+def _circumstances(kind: Kind, wanted: Wanted, rng: np.random.Generator, machine: Tables) -> Circumstances:
+    usual = Circumstances(0.02, machine.get("sensors", kind.sensors), kind.repeats, kind.axes)
     if wanted.condition == "sensors":
         return replace(usual, sensors=str(rng.choice(["carriages", "effector", "two", "encoders", "laser"])))
     errors = {"exact-file": 0.0, "rough-file": 0.05}
@@ -273,10 +284,13 @@ def _records(
     found, axes = {}, plan.label.around.axes
     for motion, reading, count in zip(motions, readings, repeats, strict=True):
         times = reading.t[:: round(1 / (RATE_HZ * (reading.t[1] - reading.t[0])))]
-        command = plan.kind.command(plan.firmware, motion.path(times), axes)
+        if plan.kind.force is None:
+            given = commands_of(plan.kind.command(plan.firmware, motion.path(times), axes), axes)
         for n in range(count):
             name = f"{motion.name}-{n + 1}.csv" if count > 1 else f"{motion.name}.csv"
-            found[name] = csv_of(times, command, axes, plan.sensors.record(reading, rng))
+            if plan.kind.force is not None:
+                given = plan.kind.force(plan.real.machine, times, reading, rng)
+            found[name] = csv_of(times, given, plan.sensors.record(reading, rng))
     return found
 
 
@@ -287,10 +301,11 @@ def _seen(plan: Plan, readings: Sequence[Reading]) -> dict[str, Visibility]:
     spread = max(plan.label.around.file_error, 0.02)
     probed = plan.kind.probes(plan.plain.machine, PROBE)
     players = [
-        partial(plan.readings, Real(machine, readers=plan.plain.readers), plan.motions, True)
+        partial(plan.judged, Real(machine, readers=plan.plain.readers), readings, True)
         for machine in (plan.plain.machine, *probed)
     ]
     n = retuning(players[0], players[1:], plan.sensors, plan.repeats, spread)
-    true = whitened(plan.sensors, readings, plan.repeats)
-    others = {name: plan.readings(real, plan.motions) for name, real in plan.without.items()}
+    own = readings if plan.kind.replayed is None else [plan.kind.replayed(None, reading) for reading in readings]
+    true = whitened(plan.sensors, own, plan.repeats)
+    others = {name: plan.judged(real, readings) for name, real in plan.without.items()}
     return {name: visibility(true - whitened(plan.sensors, o, plan.repeats), n) for name, o in others.items()}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -16,8 +16,10 @@ from ffcomp.bank.delta.outside import OUTSIDE as DELTA_OUTSIDE
 from ffcomp.bank.printer.motions import KINDS as MOTIONS
 from ffcomp.bank.printer.motions import Motion, Path, Place
 from ffcomp.bank.printer.real import FloatArray, Hide, Labels, Reading, Real, Rng, Tables
+from ffcomp.bank.straight import forced, single
 from ffcomp.bank.straight import machines as straight
-from ffcomp.bank.straight import single
+from ffcomp.bank.straight.forced_effects import EFFECTS as FORCED_EFFECTS
+from ffcomp.bank.straight.forced_effects import OUTSIDE as FORCED_OUTSIDE
 from ffcomp.bank.straight.hidden import effects_of
 from ffcomp.bank.straight.outside import OUTSIDE as STRAIGHT_OUTSIDE
 
@@ -31,6 +33,17 @@ MEASURED = (  # motion, place, name, loudness
     ("turns", 4, "up", 1.0),
 )
 FRESH = (("multisine", 5, "fresh", 1.2), ("infill", 5, "fresh", 1.0))
+OF_A_STAGE = (
+    ("multisine", 0, "centre", 1.0),
+    ("strokes", 0, "long", 1.0),
+    ("strokes", 0, "quick", 1.8),
+    ("slow", 0, "back", 1.0),
+    ("steps", 0, "back", 0.6),
+    ("turns", 0, "up", 1.0),
+)
+FRESH_OF_A_STAGE = (("multisine", 5, "fresh", 1.2), ("strokes", 5, "fresh", 1.3))
+Given: TypeAlias = Callable[[Tables, FloatArray, Reading, Rng], dict[str, FloatArray]]
+Replayed: TypeAlias = Callable[[Real | None, Reading], Reading]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +61,11 @@ class Kind:
     sensors: str
     axes: str  # of the command in a run
     moving: tuple[float, float, float] = (1.0, 1.0, 1.0)  # 0 where a motion stays at its place
+    measured: Sequence[tuple[str, int, str, float]] = MEASURED
+    fresh: Sequence[tuple[str, int, str, float]] = FRESH
+    repeats: int = 2  # of the first motions
+    force: Given | None = None  # what is recorded of the force that drives it, by column
+    replayed: Replayed | None = None  # another machine under a reading's forces, or the reading itself, as it is judged
 
     def command(self, firmware: Mapping[str, Any], path: FloatArray, axes: str) -> FloatArray:
         """Return what a run's file has as the command, (n, axes) mm, of a nozzle's path."""
@@ -61,8 +79,8 @@ class Kind:
             path = MOTIONS[what](rng, places[where], seconds, loudness)
             return Motion(f"{what}-{name}", _held(path, self.moving), seconds)
 
-        measured = [motion(*each) for each in MEASURED]
-        fresh = [motion(*each) for each in FRESH]
+        measured = [motion(*each) for each in self.measured]
+        fresh = [motion(*each) for each in self.fresh]
         return (tuple(measured), tuple(fresh)) if not short else ((measured[0], measured[2]), tuple(fresh[:1]))
 
 
@@ -147,10 +165,33 @@ _AXIS = Kind(
     axes="q",
     moving=(1.0, 0.0, 0.0),
 )
+_FORCED = Kind(
+    draw=forced.draw_machine,
+    file_of=forced.file_of,
+    played=forced.played,
+    probes=forced.probes,
+    places=lambda machine, rng: [(0.0, 0.0, 0.0)] * 6,
+    effects=FORCED_EFFECTS,
+    outside=FORCED_OUTSIDE,
+    restated=forced.restated,
+    sensors="encoder",
+    axes="q",
+    moving=(1.0, 0.0, 0.0),
+    measured=OF_A_STAGE,
+    fresh=FRESH_OF_A_STAGE,
+    repeats=1,  # no two runs have the same force
+    force=forced.given,
+    replayed=forced.replayed,
+)
 KINDS: Mapping[str, Kind] = {
     "delta": _DELTA,
     "nozzle": replace(_DELTA, sensors="effector", axes="xyz"),  # what owners have: one chip on the nozzle holder
     "cartesian": _straight("cartesian", "head-and-bed"),
     "corexy": _straight("corexy", "effector"),
     "axis": _AXIS,
+    "axis-by-force": _FORCED,
+}
+MACHINES: Mapping[str, Sequence[str]] = {  # that a bank takes in turn; those of one place in it take turns too
+    **{name: (name,) for name in KINDS if not name.startswith("axis")},
+    "axis": ("axis", "axis-by-force"),
 }

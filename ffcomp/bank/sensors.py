@@ -16,9 +16,13 @@ SENSORS: Mapping[str, tuple[str, ...]] = {
     "two": ("acc_A", "acc_x", "acc_y"),
     "head-and-bed": ("acc_x", "acc_y"),
     "axis": ("acc_q", "pos_q"),
+    "encoder": ("pos_q",),
+    "encoder-and-chip": ("acc_q", "pos_q"),
+    "two-encoders": ("pos_motor", "pos_q"),
     "encoders": ("pos_A", "pos_B", "pos_C", "acc_x", "acc_y", "acc_z"),
     "laser": ("acc_A", "acc_B", "acc_C", "pos_x", "pos_y", "pos_z"),
 }
+BY_COUNTS = ("encoder", "encoder-and-chip", "two-encoders")  # whose noise is little more than their counts
 UNITS = {"acc": "m_per_s2", "pos": "mm"}
 
 
@@ -54,7 +58,8 @@ class Sensors:
             "acc": dict(zip("ABCxyz", np.hstack([reading.carriage, reading.nozzle]).T, strict=True)),
             "pos": dict(zip("ABCxyz", np.hstack([reading.carriage_mm, reading.nozzle_mm]).T, strict=True)),
         }
-        return {name: columns[name[:3]][name[4:].replace("q", "x")][::every] for name in self.channels}
+        where = {"q": "x", "motor": "A"}
+        return {name: columns[name[:3]][where.get(name[4:], name[4:])][::every] for name in self.channels}
 
     def _noise(self, channel: str, n: int, rng: np.random.Generator) -> FloatArray:
         f = np.fft.rfftfreq(n, 1 / self.rate_hz)
@@ -65,25 +70,37 @@ class Sensors:
 
 
 def draw_sensors(rng: np.random.Generator, subset: str, rate_hz: float) -> Sensors:
-    """Accelerometers of 0.1 to 0.25 m/s², each its own, counted in 0.0383 (±2 g, 3.9 mg) or finer; 2 µm positions."""
+    """Accelerometers of 0.1 to 0.25 m/s², each its own, counted in 0.0383 (±2 g, 3.9 mg) or finer; 2 µm positions.
+
+    Encoders have half a count of noise.
+    """
     channels = SENSORS[subset]
     loud, count = float(rng.uniform(0.1, 0.25)), float(rng.choice([0.0383, 0.0096]))
     low = float(rng.uniform(20.0, 60.0))
     uneven = rng.uniform(0.75, 1.3, len(channels)).tolist()
     kinds = [name[:3] for name in channels]
+    place, step = 2e-3, 1e-3
+    if subset in BY_COUNTS:
+        step = float(rng.choice([5e-4, 1e-3, 2e-3]))
+        place = 0.5 * step
     return Sensors(
         channels,
-        {c: (loud if k == "acc" else 2e-3) * u for c, k, u in zip(channels, kinds, uneven, strict=True)},
-        {c: count if k == "acc" else 1e-3 for c, k in zip(channels, kinds, strict=True)},
+        {c: (loud if k == "acc" else place) * u for c, k, u in zip(channels, kinds, uneven, strict=True)},
+        {c: count if k == "acc" else step for c, k in zip(channels, kinds, strict=True)},
         (low, low + float(rng.uniform(25.0, 60.0))),
         rate_hz,
     )
 
 
-def csv_of(times: FloatArray, command: FloatArray, axes: str, measured: Mapping[str, FloatArray]) -> str:
-    """Return the text of a run. command : (n, axes) mm, columns named by `axes`."""
-    names = ["t_s", *(f"cmd_{axis}_mm" for axis in axes), *(f"{c}_{UNITS[c[:3]]}" for c in measured)]
-    formats = ["%.7f"] + ["%.6f"] * len(axes) + ["%.4f"] * len(measured)
-    rows = np.column_stack([times, command, *measured.values()])
+def commands_of(command: FloatArray, axes: str) -> dict[str, FloatArray]:
+    """Return the columns of a command, (n, axes) mm, by their names in a run."""
+    return {f"cmd_{axis}_mm": command[:, i] for i, axis in enumerate(axes)}
+
+
+def csv_of(times: FloatArray, given: Mapping[str, FloatArray], measured: Mapping[str, FloatArray]) -> str:
+    """Return the text of a run: what drove the machine by column, and what each channel said."""
+    names = ["t_s", *given, *(f"{c}_{UNITS[c[:3]]}" for c in measured)]
+    formats = ["%.7f"] + ["%.6f"] * len(given) + ["%.4f"] * len(measured)
+    rows = np.column_stack([times, *given.values(), *measured.values()])
     row_format = ",".join(formats) + "\n"
     return ",".join(names) + "\n" + "".join(row_format % tuple(row) for row in rows.tolist())

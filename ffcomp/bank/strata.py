@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from ffcomp.bank.cases import NEVER_TOGETHER
-from ffcomp.bank.kinds import KINDS
+from ffcomp.bank.kinds import KINDS, MACHINES
 
 # of six cases on a machine three hide one effect, and one each two, nothing, and what is outside the catalogue
 ROUND = ("single", "nothing", "single", "outside", "single", "pair")
@@ -25,24 +25,30 @@ CONDITIONS: Mapping[str, Sequence[str]] = {
 FULL = 240
 
 
-def full_bank(count: int = FULL, seed: int = 1, machines: Sequence[str] = tuple(KINDS)) -> dict[str, tuple[int, str]]:
+def full_bank(
+    count: int = FULL, seed: int = 1, machines: Sequence[str] = tuple(MACHINES)
+) -> dict[str, tuple[int, str]]:
     """Return the name of each case → its seed and stratum; a larger bank begins with the smaller.
 
-    The names tell nothing. Machines come in turn; each goes through ROUND, beginning at another place of it.
+    The names tell nothing. Machines come in turn; each goes through ROUND, beginning at another place of it. Where a
+    machine is of several kinds, these take turns in what they hide.
     """
     cases: dict[str, tuple[int, str]] = {}
-    names = {(machine, what): _in_turn(machine, what, seed) for machine in machines for what in set(ROUND)}
+    kinds = [kind for machine in machines for kind in MACHINES[machine]]
+    names = {(kind, what): _in_turn(kind, what, seed) for kind in kinds for what in set(ROUND)}
     seen: dict[tuple[str, str], int] = {}
     for n in range(count):
         turn, machine = n // len(machines), machines[n % len(machines)]
-        which = list(KINDS).index(machine)
+        which = list(MACHINES).index(machine)
         what = ROUND[(turn + which) % len(ROUND)]
         before = seen.get((machine, what), 0)
         seen[machine, what] = before + 1
-        condition = CONDITIONS[machine][before % len(CONDITIONS[machine])]
+        several, conditions = MACHINES[machine], CONDITIONS[machine]
+        kind = several[before % len(several)]
+        condition = conditions[before // len(several) % len(conditions)]
         name = hashlib.sha256(f"{seed} {machine} {turn}".encode()).hexdigest()[:8]
         own = 10000 * seed + 100 * turn + which
-        cases[f"case-{name}"] = (own, f"{machine}/{what}/{condition}:{next(names[machine, what])}")
+        cases[f"case-{name}"] = (own, f"{kind}/{what}/{condition}:{next(names[kind, what])}")
     return cases
 
 

@@ -24,8 +24,8 @@ Machines = Annotated[
         "--machine",
         metavar="KIND",
         rich_help_panel=MACHINE,
-        help="Of this kind only: delta, nozzle (a delta with one chip on its nozzle), cartesian, corexy or axis. May "
-        "be repeated.",
+        help="Of this kind only: delta, nozzle (a delta with one chip on its nozzle), cartesian, corexy or axis "
+        "(driven by a position, or by a force). May be repeated.",
     ),
 ]
 Cases = Annotated[
@@ -72,12 +72,12 @@ def make(
     from ffcomp.cli.options import check_choice
 
     with exit_codes():
-        from ffcomp.bank.kinds import KINDS
+        from ffcomp.bank.kinds import MACHINES
         from ffcomp.bank.make import make_bank
 
         for each in machine or []:
-            check_choice("--machine", each, tuple(KINDS))
-        names = make_bank(output, cases, seed, seconds, machine or list(KINDS), lambda text: say(text, quiet))
+            check_choice("--machine", each, tuple(MACHINES))
+        names = make_bank(output, cases, seed, seconds, machine or list(MACHINES), lambda text: say(text, quiet))
         if as_json:
             folders = [str(output / "cases" / name) for name in names]
             print_json({"schema": "ffcomp-bank/1", "folder": str(output), "cases": names, "folders": folders})

@@ -26,7 +26,10 @@ from ffcomp.bank.printer import shapes
 from ffcomp.bank.printer.motions import KINDS, Motion
 from ffcomp.bank.printer.real import Reading, Real
 from ffcomp.bank.seal import SealedError, open_labels, verdict_path, write_case
+from ffcomp.bank.straight import forced
 from ffcomp.bank.straight import machines as straight
+from ffcomp.bank.straight.forced_effects import EFFECTS as FORCED_EFFECTS
+from ffcomp.bank.straight.forced_effects import OUTSIDE as FORCED_OUTSIDE
 from ffcomp.bank.straight.hidden import effects_of
 from ffcomp.bank.straight.outside import OUTSIDE as STRAIGHT_OUTSIDE
 from ffcomp.bank.strata import CONDITIONS, full_bank
@@ -151,6 +154,7 @@ def test_labels_of_straight_axes_are_in_the_files_terms(kind: str, name: str, tm
         ("delta/single/rough-file:belt_stiffness", ("carriage", "belt_stiffness_n_per_m"), None),
         ("delta/single/rough-file:extruder_mount", ("effector", "extruder_damping_n_s_per_m"), None),
         ("axis/single/rough-file:belt_stiffness", ("axis", "coupling_stiffness_n_per_m"), ("plant", "mount_k")),
+        ("axis-by-force/single:belt_stiffness", ("axis", "coupling_stiffness_n_per_m"), ("plant", "belt_k")),
     ],
 )
 def test_a_change_counts_from_what_the_file_says(
@@ -216,8 +220,9 @@ def test_nothing_hidden_leaves_only_the_noise(stratum: str, tmp_path: Path) -> N
     simulated = plant.simulate({})
     floor = noise_floor(plant, simulated)
     found = locate_residual(whitener(plant.observations, floor, plant.band_hz), floor, simulated)
-    assert found.total.nrms < 1.1 * found.total.noise_nrms
-    most = 1.5 if stratum == "axis:none" else 1.2  # an axis' shots begin where the noisy encoder says
+    forced = stratum == "axis-by-force:none"  # its noise is guessed from the encoder's counts
+    assert found.total.nrms < (1.5 if forced else 1.1) * found.total.noise_nrms
+    most = 1.5 if forced or stratum == "axis:none" else 1.2  # an axis' shots begin where the noisy encoder says
     assert all(size.nrms < most * size.noise_nrms for size in found.signals.values())
 
 
@@ -298,6 +303,31 @@ def energy(y: FloatArray, command: FloatArray, p: Printer) -> float:
     return float(moving / 2 + held / 2 + GRAVITY * weight)
 
 
+@pytest.mark.parametrize("name", [*FORCED_EFFECTS, *FORCED_OUTSIDE])
+def test_what_an_axis_driven_by_a_force_hides_has_a_size(name: str) -> None:
+    """The servo is there with and without it; of size zero it changes nothing."""
+    real = Real(forced.draw_machine(np.random.default_rng(12), ("belt_backlash",)))
+    strokes = KINDS["strokes"](np.random.default_rng(3), (0.0, 0.0, 0.0), SECONDS, 1.5)
+    hide = {**FORCED_EFFECTS, **FORCED_OUTSIDE}[name]
+    axes = (real, *(hide(np.random.default_rng(5), size, real)[1] for size in (0.0, 1.0)))
+    plain, none, some = (forced.played(axis, {}, Motion("told", strokes, SECONDS)) for axis in axes)
+    np.testing.assert_array_equal(none.nozzle, plain.nozzle)
+    assert np.ptp(plain.nozzle_mm[:, 0]) > 20.0 and np.abs(plain.nozzle_mm).max() < 80.0  # its servo holds it
+    assert plain.force is not None and some.force is not None
+    assert np.std(some.force - plain.force) > 1e-3 * np.std(plain.force)
+
+
+def test_what_is_seen_of_an_axis_driven_by_a_force_is_under_the_same_force() -> None:
+    """Begun anew where it was, the same axis goes where it went; one that lacks the friction goes elsewhere."""
+    plan = draw(8, "axis-by-force:coulomb_friction", SECONDS, short=True)
+    reading = plan.readings(plan.real, plan.motions)[1]
+    own, again, without = (forced.replayed(r, reading).nozzle_mm[:, 0] for r in (None, plan.real, plan.plain))
+    size = np.std(own - without)
+    assert np.std(own - again) < 0.02 * size and size > 0.01 * np.std(own)
+    told = forced.given(plan.real.machine, reading.t[::4], reading, np.random.default_rng(1))["force_n"]
+    assert 0 < np.std(told - reading.force[::4]) < 3e-3 * np.std(told)
+
+
 def test_rest_is_rest() -> None:
     """With weight, play, a stepper's sine and a soft bracket: nothing moves under a constant command."""
     real = printer().having(play=[1e-4] * 3, flank=1e-6, stepper=[2e-4] * 3, stepper_share=0.9)
@@ -373,7 +403,9 @@ def test_every_beginning_of_the_bank_is_fair() -> None:
     for machine in MACHINES:
         own = [what for name, what, _ in told if name == machine]
         assert own.count("single") == len(own) / 2
-        assert {c for name, _, c in told if name == machine} == set(CONDITIONS[machine])
+        place = "axis" if machine == "axis-by-force" else machine
+        assert {c for name, _, c in told if name == machine} == set(CONDITIONS[place])
+    assert [name for name, _, _ in told].count("axis-by-force") == 24
     early = hides[:24]
     assert early.count("single") == 12 and min(early.count(what) for what in HIDES) >= 3
     names = {name for _, stratum in bank.values() for name in stratum.partition(":")[2].split("+")}
@@ -459,6 +491,8 @@ def test_the_score_of_known_verdicts() -> None:
 SMOKE = {  # a delta's effects take a minute each: they are in the full bank
     "exact-file:none": ("none", ()),
     "axis:bristle_friction": ("effects", ("bristle_friction",)),
+    "axis-by-force:friction_by_direction": ("effects", ("friction_by_direction",)),
+    "axis-by-force:none": ("none", ()),
     "axis/outside:creeping_belt": ("unknown", ()),
     "axis/pair:cogging+guide_damping": ("effects", ("cogging", "guide_damping")),
 }

@@ -18,7 +18,7 @@ from ffcomp.bank.delta.numbers import FloatArray, carriages_of
 from ffcomp.bank.delta.real import played
 from ffcomp.bank.printer.motions import KINDS, Motion, Place
 from ffcomp.bank.printer.real import Order, Reading, Real, Tables
-from ffcomp.bank.sensors import csv_of
+from ffcomp.bank.sensors import commands_of, csv_of
 from ffcomp.bank.tables import toml_of
 
 PRINTER_SEED, RATE_HZ, SECONDS = 6, 1600.0, 1.6
@@ -180,6 +180,6 @@ def write(bench: Bench, spoils: Sequence[Spoil], folder: Path, kept: Path) -> li
     for run in runs:
         path = folder / "runs" / run.name
         comments = "".join(f"# {key}: {value}\n" for key, value in run.comments.items())
-        path.write_text(comments + csv_of(run.time_s, run.command, bench.axes, run.signals), encoding="utf-8")
+        path.write_text(comments + csv_of(run.time_s, commands_of(run.command, bench.axes), run.signals), encoding="utf-8")
         paths.append(path)
     return sorted(paths)

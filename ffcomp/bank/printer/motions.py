@@ -86,6 +86,14 @@ def slow(rng: np.random.Generator, place: Place, seconds: float, loudness: float
     return _moves(corners, loudness * rng.uniform(6, 20), 600.0, 0.02, seconds)
 
 
+def strokes(rng: np.random.Generator, place: Place, seconds: float, loudness: float = 1.0) -> Path:
+    """Long single moves along x to and fro, each of its own length, as a stage goes from work to work."""
+    ends = np.cumsum(rng.uniform(25.0, 50.0, 60) * (-1.0) ** np.arange(60))
+    corners = np.asarray(place) + np.column_stack([np.append(0.0, ends), np.zeros((61, 2))])
+    speed, push = loudness * rng.uniform(120, 200), loudness * rng.uniform(1500, 3000)
+    return _moves(corners, speed, push, rng.uniform(0.01, 0.05), seconds)
+
+
 def turns(rng: np.random.Generator, place: Place, seconds: float, loudness: float = 1.0) -> Path:
     """Round and round, rising, and back: long travel without corners."""
     radius, rise = rng.uniform(8, 15), rng.uniform(5, 12)
@@ -105,6 +113,7 @@ KINDS: Mapping[str, Callable[..., Path]] = {
     "infill": infill,
     "steps": steps,
     "slow": slow,
+    "strokes": strokes,
     "turns": turns,
 }
 

@@ -25,6 +25,7 @@ class Reading:
     nozzle: FloatArray  # (n, 3) m/s², x y z
     carriage_mm: FloatArray  # (n, 3)
     nozzle_mm: FloatArray  # (n, 3)
+    force: FloatArray | None = None  # (n,) N, of an axis that a force drives
 
 
 Order: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]  # (n,) s, (n, 3) mm of carriages → the same, spoiled
