@@ -180,6 +180,8 @@ def write(bench: Bench, spoils: Sequence[Spoil], folder: Path, kept: Path) -> li
     for run in runs:
         path = folder / "runs" / run.name
         comments = "".join(f"# {key}: {value}\n" for key, value in run.comments.items())
-        path.write_text(comments + csv_of(run.time_s, commands_of(run.command, bench.axes), run.signals), encoding="utf-8")
+        path.write_text(
+            comments + csv_of(run.time_s, commands_of(run.command, bench.axes), run.signals), encoding="utf-8"
+        )
         paths.append(path)
     return sorted(paths)
