@@ -21,18 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.compensate.prediction import Prediction
+from ffcomp.compensate.solve import SolvedSection
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import settings_for
 from ffcomp.inverse.solve import solve
-from ffcomp.planner.junctions import junction_limits
-from ffcomp.planner.lookahead import stops_and_waits
-from ffcomp.planner.machine_limits import planner_limits
-from ffcomp.planner.program import plan_program
-from ffcomp.planner.s_curve import SCurve, s_curve
-from ffcomp.planner.sections import Section, split_sections
-from ffcomp.planner.trajectory import PlannedMotion, Trajectory
-from gcode.program import Program
+from ffcomp.planner.program import PlannedProgram, plan_program
+from ffcomp.planner.sections import Section
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
@@ -62,13 +57,6 @@ class Row:
     contour_p99_um: float
 
 
-def smooth(program: Program, plan: Trajectory, machine: Machine) -> PlannedMotion:
-    stops, waits = stops_and_waits(program)
-    allowed_v = junction_limits(program.moves, planner_limits(machine), stops | (waits > 0.0))
-    settings = SCurve(limit_mm_per_s2=machine.limits.acceleration_mm_per_s2)
-    return s_curve(plan, machine.kinematics.compiled().inverse, settings, allowed_v=allowed_v)
-
-
 def bends(heights: FloatArray, dt: float) -> FloatArray:
     """Acceleration of the carriage that needs most at each knot, mm/s², rests on both sides included."""
     around = np.vstack([heights[:1], heights, heights[-1:]])
@@ -87,8 +75,8 @@ def drawn(runs: list[Section], seconds: float) -> list[int]:
     return [int(i) for i in mixed[: int(np.searchsorted(lasting, seconds)) + 1]]
 
 
-def measure(motion: PlannedMotion, runs: list[Section], chosen: list[int], machine: Machine) -> Row:
-    inverter = InverseModel(machine, settings_for(machine))
+def measure(planned: PlannedProgram, chosen: list[int], machine: Machine) -> Row:
+    motion, runs, inverter = planned.trajectory, planned.sections, InverseModel(machine, settings_for(machine))
     knot_s, prediction = inverter.settings.segment_s, Prediction(inverter, 1.0)
     delta = machine.kinematics.compiled()
     before, after = [], []
@@ -101,20 +89,16 @@ def measure(motion: PlannedMotion, runs: list[Section], chosen: list[int], machi
         start = motion.origin[runs[i].first, :3]
         result = solve(inverter, wanted, machine.equilibrium(start), keep_response=True)
         after.append(bends(delta.inverse(result.vertices), knot_s))
-        prediction.add(motion, runs[i], wanted, result)
+        prediction.add(SolvedSection(motion, runs[i], wanted, result, slowed=(), knots=(0, wanted.knots)))
     track = prediction.samples.tracks()["compensated"]
     return Row(motion.end_t, peaks(before), peaks(after), track.contour_rms_um, track.contour_p99_um)
 
 
 def compare(path: Path, machine: Machine, seconds: float) -> tuple[Row, Row]:
-    planned = plan_program(read_program(path.read_bytes(), path.name), machine)
-    stops, _ = stops_and_waits(planned.program)
-    motion = smooth(planned.program, planned.trajectory, machine)
-    chosen = drawn(planned.sections, seconds)
-    return (
-        measure(planned.trajectory, planned.sections, chosen, machine),
-        measure(motion, split_sections(motion, stops), chosen, machine),
-    )
+    program = read_program(path.read_bytes(), path.name)
+    given, gentle = (plan_program(program, machine, smooth) for smooth in (False, True))
+    chosen = drawn(given.sections, seconds)
+    return measure(given, chosen, machine), measure(gentle, chosen, machine)
 
 
 def as_line(name: str, was: Row, now: Row | None = None) -> str:
