@@ -111,7 +111,7 @@ def slower(stretch: PrintSlice, share: float) -> PrintSlice:
     allowed = junction_limits(moves, limits, stops | (waits > 0.0))
     most = SCurve(slower=share, limit_mm_per_s2=machine.limits.acceleration_mm_per_s2)
     gentle = s_curve(plan, machine.kinematics.compiled().inverse, most, allowed_v=allowed)
-    return replace(stretch, planned=replace(planned, trajectory=gentle, runs=split_sections(gentle, stops)))
+    return replace(stretch, planned=replace(planned, trajectory=gentle, sections=split_sections(gentle, stops)))
 
 
 def judged(
