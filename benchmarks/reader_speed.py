@@ -26,6 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gcode.arcs import ARC_TOLERANCE_MM
 from gcode.dialects import detect_flavor
 from gcode.fast_scan import Cursor, Modes, follow
 from gcode.reader import read_parts
@@ -93,7 +94,7 @@ def kernel_row(rounds: int) -> str:
     text = np.frombuffer(data + b"\n", dtype=np.uint8)
     ends, moves = np.empty((KERNEL_LINES, 4)), np.empty((KERNEL_LINES, 3), dtype=np.int64)
     here = Cursor(0, 0, 0, 0, 1, 0, 0.0, 0.0, 0.0, 0.0, 10.0, 0.0, -1, False)
-    modes = Modes(0.0, 0.0, 0.0, False, False, 1.0, 1.0, 1.0)
+    modes = Modes(0.0, 0.0, 0.0, False, False, 1.0, 1.0, 1.0, ARC_TOLERANCE_MM)
     work = lambda: follow(text, np.zeros(1, dtype=np.bool_), here, modes, 0, ends, moves, moves, np.empty((1, 2))).line  # noqa: E731
     lines, seconds = best(rounds + 1, work)
     speed = f"{lines / seconds / 1e6:.1f} million lines/s, {len(data) / seconds / 1e6:.0f} MB/s"
