@@ -194,7 +194,7 @@ def test_a_wipe_costs_no_time() -> None:
     wipe = b"G1 X%d Y20 E1 F9000\nG1 X%d Y16 E-.8\nG1 E-1 F2400\nG1 X%d Y18 F9000\nG1 E1.8 F2400\n"
     data = START + b"".join(wipe % (k, k, k + 1) for k in range(10, 20))
     text, result = anywhere(data, machine(), predict=False)
-    program = read_program(text, flavor=result.flavor)
+    program = read_program(text, flavor=result.flavor.flavor)
     stop_before, wait_before = stops_and_waits(program)
     plan = plan_moves(program.moves, planner_limits(machine()), stop_before=stop_before, wait_before=wait_before)
     assert plan.end_t == pytest.approx(result.statistics.print_time_s, rel=0.015)  # 9 % when it follows the clock
