@@ -50,8 +50,8 @@ def draw_lengths(found: Numbers, folder: Path) -> None:
         x = [r["print_s"] for r in mine]
         axes.loglog(x, [r["cpu_s"] for r in mine], "o-", color=colour, label=f"{name}, CPU s")
         axes.loglog(x, [r["peak_mb"] for r in mine], "s--", color=colour, alpha=0.6, label=f"{name}, memory MB")
-    x = np.array([r["print_s"] for r in prints.values()])
-    span = np.array([x.min(), x.max()])
+    lengths = [r["print_s"] for r in prints.values()]
+    span = np.array([min(lengths), max(lengths)])
     line = span / found["print_s_per_s"]
     axes.loglog(span, line, color=GREY, linewidth=1, label=f"{found['print_s_per_s']:.0f} print-seconds a second")
     axes.axhline(AIM_MEMORY_MB, color=GREY, linestyle=":", linewidth=1)

@@ -124,7 +124,8 @@ def zero_phase(machine: Machine) -> TunedMethod:
 def knots(stretch: PrintSlice) -> FloatArray:
     """Times SAMPLE_S apart over a stretch, its end included."""
     plan = stretch.motion
-    return plan.begin_t + SAMPLE_S * np.arange(int(np.ceil((plan.end_t - plan.begin_t) / SAMPLE_S)) + 1)
+    last = int(np.ceil((plan.end_t - plan.begin_t) / SAMPLE_S))
+    return plan.begin_t + SAMPLE_S * np.arange(last + 1, dtype=np.float64)
 
 
 # ---- one dense least squares ---------------------------------------------------------------------
@@ -153,7 +154,7 @@ def dense(window: WindowProblem) -> FloatArray:
         cost = cp.sum_squares(left) + cp.sum_squares(bend @ (now.ravel() + change))
         problem = cp.Problem(cp.Minimize(cost))
         problem.solve(solver=cp.CLARABEL)
-        if problem.status != cp.OPTIMAL:
+        if problem.status != cp.OPTIMAL or change.value is None:
             raise RuntimeError(f"The dense problem of {now.size} unknowns ended as {problem.status}.")
         now += change.value.reshape(-1, 3)
     return stretch.vertices()[: iterate.last + 1]

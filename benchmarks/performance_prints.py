@@ -75,6 +75,7 @@ def report(told: str) -> None:
     machine = load_machine(name)
     load()
     loaded_mb = _peak_mb()
+    done: Statistics
 
     def once() -> tuple[float, float]:
         nonlocal done
@@ -83,7 +84,6 @@ def report(told: str) -> None:
         done = Job(Path(source), source, machine, options, jobs=jobs).write(Path(target)).statistics
         return time.process_time() - cpu, time.perf_counter() - wall
 
-    done: Statistics
     found = [once() for _ in range(rounds)]
     with TemporaryDirectory() as cache:
         os.environ["FFCOMP_CACHE"] = cache

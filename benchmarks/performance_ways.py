@@ -10,6 +10,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,10 @@ class Method:
     way: TunedMethod
     command: Callable[[PrintSlice], int]  # how many knots it had
 
+    def commands(self, stretches: Sequence[PrintSlice]) -> int:
+        """How many knots the commands of all stretches had."""
+        return sum(map(self.command, stretches))
+
 
 @dataclass(frozen=True, slots=True)
 class Row:
@@ -99,7 +104,7 @@ def table(name: str, machine: Machine, rounds: int, exact_rounds: int, seconds: 
     stretches, told = printed.slices(Sampling(), min(PIECE_S, seconds), seconds)
     methods = every_method(machine, stretches)
     times = least(
-        {m.way.name: lambda m=m: sum(map(m.command, stretches)) for m in methods},
+        {m.way.name: partial(m.commands, stretches) for m in methods},
         {m.way.name: exact_rounds if m.way.name.startswith(EXACT) else rounds for m in methods},
     )
     lasting = sum(each.motion.end_t - each.motion.begin_t for each in stretches)
@@ -129,11 +134,16 @@ def inverting(machine: Machine, settings: Settings, name: str) -> Method:
     """Filtered B-splines: every run of a stretch, with all that an inverse keeps already worked out."""
     way = replace(ways.inversion(machine, settings, name), label=LABELS[name])
     inverter = InverseModel(machine, replace(settings, one_model=name == ONE_MODEL))
-    return Method(way, lambda stretch: sum(each.reference.knots for each in solved(stretch.planned, inverter)))
+    return Method(way, lambda stretch: solved_knots(stretch.planned, inverter))
 
 
 def solved(planned: PlannedProgram, inverter: InverseModel, keep: bool = False) -> Iterator[SolvedSection]:
     return solutions(planned, inverter.machine, inverter, None, lambda wanted: keep)
+
+
+def solved_knots(planned: PlannedProgram, inverter: InverseModel) -> int:
+    """How many knots the command of all runs has."""
+    return sum(each.reference.knots for each in solved(planned, inverter))
 
 
 def sampling(way: TunedMethod) -> Method:
@@ -286,7 +296,7 @@ def over_the_bed(radii_mm: Sequence[float], rounds: int, exact_rounds: int, seco
     works: dict[str, Callable[[], int]] = {}
     for radius, plan in plans.items():
         for name, inverter in ((COMPENSATED, ours), (EXACT, exact)):
-            works[f"{name}-{radius:g}"] = lambda p=plan, i=inverter: sum(s.reference.knots for s in solved(p, i))
+            works[f"{name}-{radius:g}"] = partial(solved_knots, plan, inverter)
     found = least(works, {name: rounds if name.startswith(COMPENSATED) else exact_rounds for name in works})
     us = {name: 1e6 * cpu_s / count for name, (count, cpu_s) in found.items()}
     return {

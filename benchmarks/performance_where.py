@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -298,6 +299,10 @@ def _recursion(gain: NDArray[Any], z: NDArray[Any], steps: int) -> None:
         _step(gain, 0, z, given, 0)
 
 
+def _recursed(gain: NDArray[Any], steps: int) -> None:
+    _recursion(gain, np.ones(AUGMENTED, gain.dtype), steps)
+
+
 def peaks(rounds: int) -> dict[str, float]:
     """GFLOP/s of this core: a product of large matrices; a large matrix times a vector, from the second cache and from
     memory; and a recursion of small products like our kernels, always with the same matrix."""
@@ -312,11 +317,8 @@ def peaks(rounds: int) -> dict[str, float]:
     for name, kind in (("double", np.float64), ("single", np.float32)):
         whole, small = large.astype(kind), gain.astype(kind)
         count = 2.0 * (AUGMENTED + 1) * AUGMENTED
-        works[f"gemm {name}"] = (lambda whole=whole: whole @ whole, 2.0 * 768**3)
-        works[f"recursion {name}"] = (
-            lambda small=small, kind=kind: _recursion(small, np.ones(AUGMENTED, kind), steps),
-            steps * count,
-        )
+        works[f"gemm {name}"] = (partial(np.matmul, whole, whole), 2.0 * 768**3)
+        works[f"recursion {name}"] = (partial(_recursed, small, steps), steps * count)
     found = {}
     for name, (work, count) in works.items():
         work()

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.planner.program import plan_program
+from ffcomp.planner.program import firmware_plan
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps.pieces import trajectory_pieces
 from ffcomp.steps.reader import MotorSteps, read_steps
@@ -47,7 +47,7 @@ def written(plan: Trajectory, target: Path, error_s: float | None, board: Board 
 
 def sampled(plan: Trajectory, sample_s: float) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Step times (n,) s and ways (n,) ±1, of each motor."""
-    step_mm = np.array([1 / MACHINE.steps.steps_per_mm] * 3 + [1 / BOARD.extruder_steps_per_mm])
+    step_mm = 1 / np.append(MACHINE.steps.per_motor, BOARD.extruder_steps_per_mm)
     start = _places(plan, np.array([plan.start_t[0]]))
     found: list[list[tuple[FloatArray, FloatArray]]] = [[], [], [], []]
     samples = int((plan.end_t - plan.start_t[0]) / sample_s) + 2
@@ -102,7 +102,7 @@ def sampled_worst_us(found: dict[str, tuple[FloatArray, FloatArray]], exact: dic
 
 def measured(path: Path, error_s: float = 12.5e-6, sample_s: float = 20e-6, rounds: int = 3) -> list[Row]:
     """One print in all ways."""
-    plan = plan_program(read_program(path.read_bytes(), path.name), MACHINE).trajectory
+    plan = firmware_plan(read_program(path.read_bytes(), path.name), MACHINE)
     with tempfile.TemporaryDirectory() as folder:
         exact, rows = Path(folder, "exact"), Path(folder, "rows")
         totals = written(plan, rows, error_s)

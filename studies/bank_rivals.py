@@ -78,8 +78,8 @@ def library_of(found: Diagnosis) -> Library | None:
     part = excerpt_of(estimation, discrepancy_of(base))
     if part is not None:
         residual = part.residual(base.values)
-        columns = derivatives(part, base.parameters, base.z, residual, range(len(base.z)))
-        estimation, base = part, fit(part, base.parameters, base.z, columns, iterations=6)
+        jacobian = derivatives(part, base.parameters, base.z, residual, range(len(base.z)))
+        estimation, base = part, fit(part, base.parameters, base.z, jacobian, iterations=6)
     screened = screen(replace(estimation, coarse=True), base, list(estimation.problem.candidates))
     columns = {s.candidate.name: _projected(base, s.signature) for s in screened}
     return Library(base.residual, columns, max(base.chi_squared - len(base.residual), 0.0))

@@ -182,7 +182,7 @@ def _off(own: Case, methods: Sequence[TunedMethod], sd: float) -> dict[str, Any]
     told = replace(own.machine, uncertainty=dict.fromkeys(own.machine.uncertainty, sd) | {"default": sd})
     ours = every.inversion(own.machine, settings, every.COMPENSATED)
     robust = every.inversion(told, settings, every.ROBUST)
-    rows = []
+    rows: list[dict[str, Any]] = []
     for method in (*methods, ours, robust):
         executions, _ = _executed(method, own.off, plants)
         each = [rms(contour(on), weights(on)) * 1e3 for on in executions]

@@ -63,7 +63,8 @@ def refitted(machine: Machine, places: FloatArray, theirs: ComplexArray) -> Mach
 def scaled(machine: Machine, factors: FloatArray) -> Machine:
     """Return the machine with what identification finds multiplied by the factors."""
     carriage, effector = delta_vibration(machine).carriage, delta_vibration(machine).effector
-    belts, own, nozzle, extruder, *mount = [*factors.tolist(), 1.0]
+    belts, own, nozzle, extruder = factors[:4].tolist()
+    mount = np.append(factors[4:], 1.0)
     carriage = replace(
         carriage, belt_stiffness_n_per_m=belts * carriage.belt_stiffness_n_per_m, mass_kg=own * carriage.mass_kg
     )
@@ -71,7 +72,7 @@ def scaled(machine: Machine, factors: FloatArray) -> Machine:
         effector,
         nozzle_mass_kg=nozzle * effector.nozzle_mass_kg,
         extruder_mass_kg=extruder * effector.extruder_mass_kg,
-        extruder_stiffness_n_per_m=constant(np.array(mount) * effector.extruder_stiffness_n_per_m),
+        extruder_stiffness_n_per_m=constant(mount * effector.extruder_stiffness_n_per_m),
     )
     return with_parts(machine, carriage=carriage, effector=effector)
 

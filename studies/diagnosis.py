@@ -243,8 +243,8 @@ def _strata(judged: Sequence[score.Judged]) -> list[tuple[str, Callable[[score.J
     machines = [m for m in KINDS if any(j.label.machine == m for j in judged)]
     conditions = sorted({j.label.condition for j in judged})
     return [
-        *((m, lambda j, m=m: j.label.machine == m) for m in machines),  # type: ignore[misc]
-        *((c, lambda j, c=c: j.label.condition == c) for c in conditions),  # type: ignore[misc]
+        *((m, lambda j, m=m: j.label.machine == m) for m in machines),
+        *((c, lambda j, c=c: j.label.condition == c) for c in conditions),
     ]
 
 

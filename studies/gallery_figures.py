@@ -22,7 +22,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -136,11 +136,13 @@ def changed(name: str, factors: dict[str, float]) -> None:
     path = Path(f"{name}.toml")
     text = path.read_text(encoding="utf-8")
     for key, factor in factors.items():
-        text, count = re.subn(
-            rf"^({key} = )(\S+)", lambda m, f=factor: f"{m[1]}{f * float(m[2]):.6g}", text, flags=re.MULTILINE
-        )
+        text, count = re.subn(rf"^({key} = )(\S+)", partial(_times, factor=factor), text, flags=re.MULTILINE)
         assert count == 1, key
     path.write_text(text, encoding="utf-8")
+
+
+def _times(match: re.Match[str], factor: float) -> str:
+    return f"{match[1]}{factor * float(match[2]):.6g}"
 
 
 # ---- compare -------------------------------------------------------------------------------------
@@ -319,8 +321,9 @@ def side_by_side(drawings: list[Drawing]) -> Image.Image:
     with matplotlib.rc_context(RC):
         size = (sum(each.width for each in drawings), max(each.height for each in drawings) + 0.6)
         figure = Figure(figsize=size, layout=layout(), facecolor="#ffffff")
-        boxes = figure.subfigures(1, len(drawings), width_ratios=[each.width for each in drawings])
-        for box, each in zip(boxes, drawings, strict=True):
+        widths = [each.width for each in drawings]
+        boxes = figure.subfigures(1, len(drawings), squeeze=False, width_ratios=widths)
+        for box, each in zip(boxes[0], drawings, strict=True):
             said = textwrap.fill(each.said, 70)
             box.suptitle(f"{each.title}\n{said}", x=0.02, ha="left", fontsize=9)
             each.draw(box)

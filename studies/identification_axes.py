@@ -90,7 +90,8 @@ def _row(count: int, noise: float) -> Row:
         table = [[m.frequency_hz.value, m.damping_ratio.value, m.share.value] for m in found.modes]
         error = np.abs(np.array(table) - true) / [[f, z, 1.0] for f, z, _ in true]
         worst = np.maximum(worst, error.max(axis=0))
-    return Row(*worst.tolist(), wrong)
+    frequency, damping, share = worst.tolist()
+    return Row(frequency, damping, share, wrong)
 
 
 def _drawn(rng: np.random.Generator, count: int) -> FloatArray:

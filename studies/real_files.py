@@ -497,7 +497,7 @@ def through_kalico(checkout: Checkout, row: dict[str, Any], work: Path) -> dict[
 def _line(row: dict[str, Any]) -> str:
     if row["exit"]:
         return f"{row['name']}: exit {row['exit']}: {row['said']}"
-    keys = ("longer_percent", "size", "speed", "speed_predicted", "share_path", "clock_off_percent")
+    keys: tuple[str, ...] = ("longer_percent", "size", "speed", "speed_predicted", "share_path", "clock_off_percent")
     keys += ("segments_worst_second", "shortest_um", "shortest_ms", "contour_um", "contour_compensated_um")
     told = " ".join(f"{key}={row[key]:.4g}" for key in keys if row.get(key) is not None)
     return f"{row['name']} [{row['machine']}, {row['flavor']}] {row['time_s']:.0f} s: {told}"

@@ -9,6 +9,7 @@ machine file and two runs of it.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import mkdtemp
@@ -86,7 +87,7 @@ def main() -> None:
     answers = [answer(run, before, after) for run in runs]
     told = results(problem, found, answers) | {"free": free_scores(runs, before, after, run_free)}
     save("story_emps", told | {"pulses": about_pulses(runs[1])})
-    draw_error(*answers, FIGURES["error"])
+    draw_error(answers, FIGURES["error"])
     draw_force(found, runs[0], FIGURES["force"])
 
 
@@ -228,13 +229,13 @@ def derivatives(run: AxisRun) -> tuple[FloatArray, FloatArray]:
 # ---- figures -------------------------------------------------------------------------------------
 
 
-def draw_error(fitted: Answer, fresh: Answer, path: Path) -> None:
+def draw_error(answers: Sequence[Answer], path: Path) -> None:
     """At the end of every shot over time, and all of it by the sign of the speed."""
     from matplotlib import pyplot
 
     figure, rows = pyplot.subplots(2, 2, figsize=(9, 5), width_ratios=(3, 1), sharey=True, layout="constrained")
     for (over_time, by_sign), found, title in zip(
-        rows, (fitted, fresh), ("fitted to this", "with pulses, never seen"), strict=True
+        rows, answers, ("fitted to this", "with pulses, never seen"), strict=True
     ):
         ends = slice(found.shot - 1, None, found.shot)
         for error, colour, label in (

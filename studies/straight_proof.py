@@ -17,6 +17,7 @@ import re
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -250,9 +251,8 @@ def recorded(folder: Path, owner: Path, plant: Plant, kind: Kind, hidden: Hidden
         answer = ffcomp("record", "plan", "-m", owner, "-o", plan, *places, *chips, *told)
         moves = load_moves(plan.with_suffix(".json"))
         captures = as_captures(folder / f"captures-{height_mm:.0f}", moves, plant, kind, height_mm)
-        answer = ffcomp(
-            *("record", "join", *captures, "-o", runs, "--plan", plan.with_suffix(".json"), "-m", owner, "--json")
-        )
+        given = ("--plan", plan.with_suffix(".json"), "-m", owner)
+        answer = ffcomp("record", "join", *captures, "-o", runs, *given, "--json")
         if "why" in answer:
             raise SystemExit(str(answer))
         if refused := answer.get("refused"):  # an owner goes on with what was joined
@@ -333,8 +333,13 @@ def moved_print() -> bytes:
     text = PRINT.read_bytes()
     for axis, by in ((b"X", ASIDE_MM), (b"Z", HIGH_MM)):
         moved = re.compile(rb"^(G[0-3] [^;\n]*?\b" + axis + rb")(-?[\d.]+)", re.MULTILINE)
-        text = moved.sub(lambda match, by=by: match[1] + b"%.4f" % (float(match[2]) + by), text)
+        text = moved.sub(partial(_further, by=by), text)
     return text
+
+
+def _further(match: re.Match[bytes], by: float) -> bytes:
+    """Return a coordinate's word with another number."""
+    return match[1] + b"%.4f" % (float(match[2]) + by)
 
 
 def _executed(plant: Plant, stretch: PrintSlice, motion: Any) -> Execution:

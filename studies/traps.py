@@ -37,7 +37,8 @@ def main() -> None:
     options = parser.parse_args()
     rows: dict[str, list[dict[str, Any]]] = {"runs": [], "captures": []}
     unasked: list[str] = []
-    for trap in (*TRAPS, *CAPTURE_TRAPS):
+    traps: tuple[Trap | CaptureTrap, ...] = (*TRAPS, *CAPTURE_TRAPS)
+    for trap in traps:
         wanted = not options.names or trap.name in options.names
         answer = _answer(trap, options.keep, ask_it=wanted, join_only=options.join)
         if answer is None:

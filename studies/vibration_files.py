@@ -85,9 +85,9 @@ def peak_of(path: Path) -> dict[str, Any]:
         frequency, power = kalico_spectrum(first)
         power = power / (frequency + 0.1)
     else:
-        frequency, power = first.frequency_hz, first.psd.get("xyz")
-        if power is None:
+        if "xyz" not in first.psd:
             return nothing
+        frequency, power = first.frequency_hz, first.psd["xyz"]
         if not first.normalised:
             power = power / (frequency + 0.1)
     keep = (frequency >= BAND_HZ[0]) & (frequency <= BAND_HZ[1])

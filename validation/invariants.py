@@ -11,7 +11,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,9 +78,9 @@ def violations(
     flavor: str | None = None,
 ) -> list[str]:
     """What is wrong with a compensated file, in sentences; `before` is the file it was made of."""
-    own = partial(read_program, flavor=flavor, **known_to_the_firmware(machine))
-    read, lines = own(before, offset_mm=offset_mm), after.splitlines(keepends=True)
-    written, text = own(after), told_apart(lines)
+    known, lines = known_to_the_firmware(machine), after.splitlines(keepends=True)
+    read = read_program(before, offset_mm=offset_mm, flavor=flavor, **known)
+    written, text = read_program(after, flavor=flavor, **known), told_apart(lines)
     found = [] if original(after) == before else ["The original cannot be read out of the file byte for byte."]
     return [
         *found,

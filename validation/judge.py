@@ -34,6 +34,7 @@ from ffcomp.planner.trajectory import Trajectory
 from ffcomp.simulate.motion import Motion, SectionClock, motion_of, path_corners, planned_motion
 from gcode.program import Program
 from gcode.reader import read_program
+from models.delta_machine import delta_vibration
 from models.file import load_machine
 from models.machine import Machine
 from validation.kalico import kalico_plan
@@ -92,7 +93,9 @@ class Original:
 
     @property
     def trajectory(self) -> Trajectory:
-        return self.planned.trajectory
+        trajectory = self.planned.trajectory
+        assert isinstance(trajectory, Trajectory)  # as the firmware plans it, without S-curves
+        return trajectory
 
     @property
     def corner_velocity_mm_per_s(self) -> float:
@@ -182,7 +185,7 @@ def ours_through_kalico(original: Original, found: Compensated, own: Segments) -
 
 def kalico_trajectory(original: Original, text: bytes, own: Trajectory) -> Trajectory:
     """The host's last moves, one for each of `own`: the first ones in a file start where no plan of ours knows."""
-    geometry, limits = original.machine.kinematics, original.machine.limits
+    geometry, limits = delta_vibration(original.machine).kinematics, original.machine.limits
     moves = kalico_plan(
         b"".join(line for line in text.splitlines(keepends=True) if HOST_KNOWS.match(line)),
         max_velocity=limits.velocity_mm_per_s,

@@ -70,7 +70,7 @@ def kalico_moves(config: str, gcode: bytes) -> FloatArray:
         start = b"SET_KINEMATIC_POSITION X=%g Y=%g Z=%g\nG90\nM82\n" % START_MM
         source.write_bytes(start + _LEAD_IN + gcode + b"\nM400\n")
         host, board = _oracle().with_name("kalico_host.py"), _oracle().with_name("mcu.json")
-        command = [_python(), host, moves, cfg, "-i", source, "-o", out, "-d", board, "-l", log]
+        command: list[str | Path] = [_python(), host, moves, cfg, "-i", source, "-o", out, "-d", board, "-l", log]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"The Kalico host refused the file: {log.read_text()[-3000:]}"
         return np.fromfile(moves).reshape(-1, 13)[_LEAD_IN_MOVES:]

@@ -54,7 +54,7 @@ class _Print:
         self.lines += [f"; gcode_flavor = {self.flavor}", "G28", "G90", "M83" if self.relative_e else "M82"]
         self.go(self.at, feed=True)
         for _ in range(rng.integers(2, 9)):
-            rng.choice(_SECTIONS)(self)
+            _SECTIONS[rng.choice(len(_SECTIONS))](self)
         self.print_lines()
         ending = rng.choice(["\n", "\n", "\r\n"])
         return (ending.join(self.lines) + rng.choice([ending, ""])).encode()
@@ -300,7 +300,7 @@ def test_an_ideal_machine_is_told_the_plan_itself() -> None:
     for seed in range(20):
         for answer in solved(random_print(seed), own):
             plan, vertices = answer.trajectory, answer.solution.vertices
-            t = answer.reference.t0 + own.settings.segment_s * np.arange(len(vertices))
+            t = answer.reference.t0 + own.settings.segment_s * np.arange(len(vertices), dtype=np.float64)
             wanted = plan.position(np.clip(t, answer.section.begin_t, np.nextafter(answer.section.end_t, 0.0)))
             away_um = 1e3 * np.linalg.norm(vertices - wanted[:, :3], axis=1)
             assert away_um.max() < 20.0, f"random_print({seed})"
@@ -348,8 +348,9 @@ def path_through(places: FloatArray) -> bytes:
 def test_a_turned_machine_gives_the_turned_answer(degrees: float, relabelled: bool) -> None:
     """By 120° the towers only change their names; by any angle the towers turn along."""
     machine, rng = even(load_machine("mp-delta-pro")), np.random.default_rng(5)
-    angles = machine.kinematics.tower_angles_deg + (0.0 if relabelled else degrees)
-    beside = replace(machine, kinematics=replace(machine.kinematics, tower_angles_deg=angles))
+    delta = delta_vibration(machine).kinematics
+    angles = delta.tower_angles_deg + (0.0 if relabelled else degrees)
+    beside = replace(machine, kinematics=replace(delta, tower_angles_deg=angles))
     places = np.column_stack([rng.normal(scale=25.0, size=(8, 2)), rng.uniform(5.0, 6.0, size=8)])
     (here,), (there,) = (
         [answer.solution.vertices for answer in solved(path_through(path), _inverter(one))]

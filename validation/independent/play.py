@@ -140,7 +140,7 @@ def _delta(
         command = delta_plant.carriages_of(plant, position(moves, clock, t))
         answer = delta_plant.simulate(plant, command, STEP_S, keep_every=KEEP_EVERY, start=state)
         state = answer["state"]
-        kept = begin + (first + KEEP_EVERY * np.arange(1, count // KEEP_EVERY + 1)) * STEP_S
+        kept = begin + (first + KEEP_EVERY * np.arange(1, count // KEEP_EVERY + 1, dtype=np.float64)) * STEP_S
         yield kept, answer["nozzle_mm"][1:]
 
 

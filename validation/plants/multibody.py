@@ -104,7 +104,7 @@ class Answer:
 def build(machine: Machine, place_mm: FloatArray, choice: Choice = Choice()) -> Multibody:
     """The printer with its nozzle at `place_mm` : (3,) mm, at ease."""
     home = np.asarray(place_mm, dtype=float) / 1e3
-    geometry = machine.kinematics
+    geometry = delta_vibration(machine).kinematics
     away = home[:2] - geometry.towers_mm / 1e3
     heights = home[2] + geometry.effector_height_mm / 1e3
     home_q = heights + np.sqrt((geometry.arm_lengths_mm / 1e3) ** 2 - np.sum(away**2, axis=1))
@@ -147,7 +147,8 @@ class Rod:
 
 
 def _joints(machine: Machine, home: FloatArray, home_q: FloatArray, choice: Choice) -> Iterator[Rod]:
-    geometry, ring = machine.kinematics, delta_vibration(machine).effector.joint_radius_mm / 1e3
+    own = delta_vibration(machine)
+    geometry, ring = own.kinematics, own.effector.joint_radius_mm / 1e3
     aside = (-HALF_PAIR_M, HALF_PAIR_M) if choice.effector == "parallelograms" else (0.0,)
     parts = zip("ABC", geometry.tower_angles_rad, geometry.delta_radii_mm / 1e3, home_q, strict=True)
     for tower, angle, radius, height in parts:
@@ -158,7 +159,7 @@ def _joints(machine: Machine, home: FloatArray, home_q: FloatArray, choice: Choi
             yield Rod(
                 tower,
                 f"{tower}{n}",
-                delta_vibration(machine).carriage.arm_pair_mass_kg / len(aside),
+                own.carriage.arm_pair_mass_kg / len(aside),
                 upper,
                 home + seat,
                 seat,
@@ -212,10 +213,8 @@ def _rod(rod: Rod, carriage: FloatArray, choice: Choice) -> Iterator[str]:
 
 def _effector(machine: Machine, home: FloatArray, rods: list[Rod], choice: Choice) -> Iterator[str]:
     """The nozzle holder, its origin at the nozzle tip, and the extruder on its mount at the centre of mass."""
-    effector, plane = (
-        delta_vibration(machine).effector,
-        np.array([0.0, 0.0, machine.kinematics.effector_height_mm / 1e3]),
-    )
+    own = delta_vibration(machine)
+    effector, plane = own.effector, np.array([0.0, 0.0, own.kinematics.effector_height_mm / 1e3])
     centre = _row(plane + effector.center_of_mass_mm / 1e3)
     inertia = _row(np.full(3, effector.nozzle_mass_kg * EFFECTOR_GYRATION_M**2))
     yield f"<body name='effector' pos='{_row(home)}'>"
@@ -342,10 +341,11 @@ def _motor_force(printer: Multibody, told: FloatArray, dt_s: float) -> FloatArra
 
 def motor_motion(machine: Machine, told: FloatArray, dt_s: float, step_s: float) -> tuple[FloatArray, FloatArray]:
     """u and u̇ : (m, 3) each `step_s`, the drive's answer from rest to commands (n, 3) each `dt_s`."""
-    assert delta_vibration(machine).carriage.drive is not None
+    own = delta_vibration(machine).carriage.drive
+    assert own is not None
     rows = dt_s * np.arange(len(told))
     t = step_s * np.arange(round(rows[-1] / step_s) + 1)
-    drive = _drive(delta_vibration(machine).carriage.drive)
+    drive = _drive(own)
     moved = np.stack([lsim(drive, column, t)[1] for column in CubicSpline(rows, told)(t).T], axis=-1)
     return moved[:, 0], moved[:, 1]
 

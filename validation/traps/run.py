@@ -18,6 +18,7 @@ from typing import Any
 
 from validation.traps.bench import write
 from validation.traps.catalogue import TRAPS, Trap
+from validation.traps.owners import CaptureTrap
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ def asked(trap: Trap, keep: Path) -> Answer:
     return Answer(found, text, code, time.process_time() - began)
 
 
-def judged(trap: Trap, answer: Answer) -> list[str]:
+def judged(trap: Trap | CaptureTrap, answer: Answer) -> list[str]:
     """List what was said that must not be, and what was not said that must be."""
     said, found = trap.said, answer.found
     wrong = [f"does not say /{p}/" for p in said.must if not re.search(p, answer.text, re.I)]
