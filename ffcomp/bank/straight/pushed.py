@@ -28,7 +28,8 @@ ONE = (
     "fade_s limit commute commute_wave commute_phase bump bump_at bump_wide spin spin_wave"
 )
 LOOP = "stiff damp slow ahead filter_s lag_s pace_s count_m"
-AXIS = np.dtype([*PRINTER.descr, *((name, "f8") for name in ONE.split())])
+# its own numbers first: a record that began as a printer's would pass for one in what is compiled, with a warning
+AXIS = np.dtype([*((name, "f8") for name in ONE.split()), *PRINTER.descr])
 SERVO = np.dtype([(name, "f8") for name in LOOP.split()])
 AT_REST: Mapping[str, Any] = {**NEUTRAL, "hose_at": 1.0, "fade_s": 1.0, "bump_wide": 1.0}
 
