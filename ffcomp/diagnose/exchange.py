@@ -14,6 +14,7 @@ from dataclasses import replace
 from ffcomp.diagnose.estimation import EstimationProblem
 from ffcomp.diagnose.growth import with_one_more
 from ffcomp.diagnose.hypotheses import (
+    CONTAINED,
     SIGNIFICANT,
     Hypothesis,
     comparable,
@@ -21,6 +22,7 @@ from ffcomp.diagnose.hypotheses import (
     likeliest,
     may_join,
     misfit,
+    significant,
     within_file,
     without_effect,
 )
@@ -70,12 +72,22 @@ def unbent(estimation: EstimationProblem, best: Hypothesis, progress: Progress) 
 
 
 def likelier(best: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
-    """Return another hypothesis of as many effects that is likelier beyond doubt, or of one more that bends nothing."""
+    """Return another hypothesis of as many effects that is likelier beyond doubt, or of one more that bends nothing.
+
+    One that has an effect with more numbers in place of the same with fewer must take a good share of what is left,
+    as anything that is added: there is always something for more numbers to explain.
+    """
     as_many = [h for h in tried if len(h.effects) == len(best.effects)]
+    as_many = [h for h in as_many if not _richer(h, best) or significant(h.fit, best.fit)]
     more = [h for h in tried if len(h.effects) == len(best.effects) + 1 and not within_file(best) and within_file(h)]
     found = min([*as_many, *more], key=lambda h: h.fit.evidence, default=best)
     gained = (best.fit.evidence - found.fit.evidence) / misfit(found.fit)
     return found if gained > SIGNIFICANT else best
+
+
+def _richer(h: Hypothesis, best: Hypothesis) -> bool:
+    """Tell whether a hypothesis has all effects of another, one of them with more numbers."""
+    return [CONTAINED.get(name) for name in set(h.names) - set(best.names)] == [*(set(best.names) - set(h.names))]
 
 
 def _most_helpful(quick: EstimationProblem, rest: Hypothesis, others: Sequence[Candidate]) -> list[Start]:

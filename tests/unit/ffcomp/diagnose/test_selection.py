@@ -13,6 +13,7 @@ import pytest
 from ffcomp.diagnose import refinement, selection
 from ffcomp.diagnose.acceptance import out_of_reach
 from ffcomp.diagnose.diagnosis import _ended
+from ffcomp.diagnose.exchange import likelier
 from ffcomp.diagnose.fit import Fit, values_at
 from ffcomp.diagnose.hypotheses import (
     Hypothesis,
@@ -152,6 +153,22 @@ def test_a_freer_shape_is_no_reason_to_name_another_effect() -> None:
     belt, sine, stribeck = (explained(c, *a) for c, a in zip(candidates, [(0.121,), (0.118, 1), (0.118,)], strict=True))
     assert simplest(sine, [belt, sine], candidates) is sine
     assert simplest(stribeck, [belt, stribeck], candidates) is belt  # it needs more, and explains hardly more
+
+
+def test_more_numbers_of_the_same_effect_are_no_exchange_unless_they_take_a_good_share() -> None:
+    """On a real stage (EMPS) friction that fades with speed took a twentieth more than dry friction, and proved none."""
+
+    def beside_drag(name: str, left: float) -> Hypothesis:
+        effects = tuple(Candidate(n, (Parameter(f"{n} size", 0.0, 1.0),), {}) for n in ("drag", name))
+        parameters = tuple(n for c in effects for n in c.parameters)
+        residual = np.full(LONG, np.sqrt(1 + left))
+        return Hypothesis(effects, Fit(parameters, np.zeros(2), residual, np.zeros((LONG, 2))))
+
+    dry, most = beside_drag("coulomb_friction", 1.0), beside_drag("stribeck_friction", 0.1)
+    fading, ripple = (beside_drag(name, 0.95) for name in ("stribeck_friction", "cogging_force"))
+    assert likelier(dry, [fading]) is dry
+    assert likelier(dry, [ripple]) is ripple  # another effect need only be likelier
+    assert likelier(dry, [most]) is most
 
 
 def test_what_does_much_the_same_as_a_named_effect_is_its_shape_where_only_a_trace_is_left() -> None:
