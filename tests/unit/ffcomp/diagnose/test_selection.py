@@ -156,7 +156,7 @@ def test_a_freer_shape_is_no_reason_to_name_another_effect() -> None:
 
 
 def test_more_numbers_of_the_same_effect_are_no_exchange_unless_they_take_a_good_share() -> None:
-    """On a real stage (EMPS) friction that fades with speed took a twentieth more than dry friction, and proved none."""
+    """On a measured stage (EMPS) friction that fades with speed took a twentieth more than dry friction."""
 
     def beside_drag(name: str, left: float) -> Hypothesis:
         effects = tuple(Candidate(n, (Parameter(f"{n} size", 0.0, 1.0),), {}) for n in ("drag", name))
