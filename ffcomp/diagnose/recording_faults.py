@@ -7,8 +7,9 @@ needed beyond that of the file as it is.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -35,18 +36,33 @@ LEVEL = 99.8  # percentile that stands for the largest value
 
 
 @dataclass(frozen=True)
-class ShaperOn:
-    """An input shaper that explains the discrepancy."""
+class Shaper:
+    """One type of input shaper at one frequency, on one axis or, if that is empty, on all."""
 
     kind: str
     frequency_hz: float
+    axis: str = ""
+
+    def __str__(self) -> str:
+        """Say so in a sentence."""
+        return f"{self.kind.upper()} at {self.frequency_hz:.0f} Hz" + f" on {self.axis}" * bool(self.axis)
+
+
+@dataclass(frozen=True)
+class ShaperOn:
+    """Input shapers that explain the discrepancy."""
+
+    shapers: tuple[Shaper, ...]
     explained: float  # share of the excess
 
     def sentence(self) -> str:
         """Say so, and what to do."""
+        which = " and ".join(str(shaper) for shaper in self.shapers)
+        one = len(self.shapers) == 1
         return (
-            f"An input shaper of type {self.kind.upper()} at {self.frequency_hz:.0f} Hz seems to have been on while "
-            f"this was recorded: on its own it explains {100 * self.explained:.0f} % of the gap. Switch it off "
+            f"{'An input shaper' if one else 'Input shapers'} of type {which} {'seems' if one else 'seem'} to have "
+            f"been on while this was recorded: on {'its' if one else 'their'} own {'it explains' if one else 'they'} "
+            f"{'' if one else 'explain '}{100 * self.explained:.0f} % of the gap. Switch {'it' if one else 'them'} off "
             '(Klipper: SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0; RepRapFirmware: M593 P"none"), record again.'
         )
 
@@ -90,24 +106,69 @@ def fault_of_recordings(estimation: EstimationProblem, simulated: Sequence[Float
 # ---- shapers -------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True, eq=False)
+class _Spectra:
+    """What tells whether a simulation needs a filter: Σ|Y|² and Σ conj(M) Y, whitened, of some signals, (k,) each."""
+
+    frequency_hz: FloatArray
+    power: FloatArray
+    cross: ComplexArray
+    excess: float  # |r|² beyond noise, without a filter
+
+    def gain(self, response: ComplexArray) -> float:
+        """Return by how much |r|² falls if the simulation has another frequency response (k,)."""
+        cost = float(np.sum(np.abs(response) ** 2 * self.power) - 2 * np.sum((response * self.cross).real))
+        return float(np.sum(self.power) - 2 * np.sum(self.cross.real)) - cost
+
+    def delayed(self) -> float:
+        """Return what the best delay alone takes off |r|²."""
+        return max(self.gain(np.exp(-2j * np.pi * self.frequency_hz * late)) for late in DELAYS_S)
+
+
 def shaper_on(estimation: EstimationProblem, simulated: Sequence[FloatArray], retuned: Fit) -> ShaperOn | None:
-    """Return the shaper that explains most of the discrepancy far better than retuning does; None if none does."""
+    """Return the shaper that explains most of the discrepancy far better than retuning does; None if none does.
+
+    It is tried on all axes, then on x and y each its own, as firmware has them, by the sensors that feel one axis.
+    """
     filed = estimation.measured - estimation.whiten(simulated)
     n, before = len(filed), float(filed @ filed)
     if before < (1 + LOUD) * n or retuned.chi_squared < (1 + LOUD) * n:
         return None
-    frequency, power, cross = _spectra(estimation, simulated)
-    kind, best_hz, gain = max(
-        ((kind, float(f), _gain(kind, float(f), frequency, power, cross)) for kind in TRIED for f in _frequencies()),
-        key=lambda each: each[2],
-    )
-    left = before - gain
-    explained = 1 - max(left - n, 0.0) / (before - n)
-    delayed = before - max(_turned(np.exp(-2j * np.pi * frequency * late), power, cross) for late in DELAYS_S)
-    at_the_edge = best_hz in TRIED_HZ[:2]
-    if explained < SHAPED or left > BETTER * min(retuned.chi_squared, delayed) or at_the_edge:
-        return None
-    return ShaperOn(kind, best_hz, explained)
+
+    def judged(shapers: Sequence[Shaper], gain: float, by_delays: float) -> ShaperOn | None:
+        explained = 1 - max(before - gain - n, 0.0) / (before - n)
+        poor = explained < SHAPED or before - gain > BETTER * min(retuned.chi_squared, before - by_delays)
+        at_the_edge = any(shaper.frequency_hz in TRIED_HZ[:2] for shaper in shapers)
+        return None if poor or at_the_edge or not shapers else ShaperOn(tuple(shapers), explained)
+
+    names = frozenset(name for o in estimation.whiten.observations for name in o.signals)
+    groups = {axis: frozenset(name for name in names if name.endswith(f"_{axis}")) for axis in "xy"}
+    if not all(groups.values()):
+        groups = {}
+    spectra = {axis: _spectra(estimation, simulated, own) for axis, own in {"": names, **groups}.items()}
+    found = _best_shapers(spectra)
+    shaper, gain = found.pop("")
+    both = judged([shaper], gain, spectra[""].delayed())
+    loud = [axis for axis in groups if spectra[axis].excess > (1 - SHAPED) * (before - n)]
+    if both is not None or any(found[axis][1] < SHAPED * spectra[axis].excess for axis in loud):
+        return both
+    gained, by_delays = (sum(each) for each in ([found[a][1] for a in loud], [spectra[a].delayed() for a in loud]))
+    return judged([found[axis][0] for axis in loud], gained, by_delays)
+
+
+def _best_shapers(spectra: Mapping[str, _Spectra]) -> dict[str, tuple[Shaper, float]]:
+    """Return, for the signals of each axis, the shaper that takes most off |r|², and how much: all are of one grid."""
+    frequency = spectra[""].frequency_hz
+    found = {axis: (Shaper("", 0.0, axis), -np.inf) for axis in spectra}
+    for kind, hz in product(TRIED, _frequencies().tolist()):
+        shaper = TRIED[kind](hz, DAMPING_RATIO)
+        late = np.exp(-2j * np.pi * np.outer(frequency, shaper.time)) @ shaper.amplitude  # from the command on
+        centred = late * np.exp(2j * np.pi * frequency * shaper.time[0])
+        for axis, own in spectra.items():
+            gain = max(own.gain(each) for each in (late, centred))
+            if gain > found[axis][1]:
+                found[axis] = Shaper(kind, hz, axis), gain
+    return found
 
 
 def _frequencies() -> FloatArray:
@@ -115,37 +176,26 @@ def _frequencies() -> FloatArray:
     return np.arange(low, high + step / 2, step)
 
 
-def _spectra(
-    estimation: EstimationProblem, simulated: Sequence[FloatArray]
-) -> tuple[FloatArray, FloatArray, ComplexArray]:
-    """Return frequencies, Σ|Y|² and Σ conj(M) Y, whitened, of all signals and observations of a grid: (k,) each.
+def _spectra(estimation: EstimationProblem, simulated: Sequence[FloatArray], signals: frozenset[str]) -> _Spectra:
+    """Sum up the spectra of these signals in all observations of a grid.
 
     Observations as long as each other share their frequencies, so that a shaper need be tried once for all of them.
     """
     whiten = estimation.whiten
     sums: dict[bytes, tuple[FloatArray, FloatArray, ComplexArray]] = {}
+    excess = 0.0
     for o, y in zip(whiten.observations, simulated, strict=True):
         (m, frequency), (s, _) = whiten.spectrum(o, o.measured), whiten.spectrum(o, y)
         scale = np.stack([whiten.floor.at(name, frequency) for name in o.signals]) * whiten.power(o)
-        power, cross = np.sum(np.abs(s) ** 2 / scale, axis=0), np.sum(np.conj(m) * s / scale, axis=0)
+        own = [i for i, name in enumerate(o.signals) if name in signals]
+        error = np.abs(m[own] - s[own]) ** 2 / scale[own]
+        excess += float(np.sum(error)) - 2 * error.size
+        power = np.sum(np.abs(s[own]) ** 2 / scale[own], axis=0)
+        cross = np.sum(np.conj(m[own]) * s[own] / scale[own], axis=0)
         _, powers, crosses = sums.get(frequency.tobytes(), (frequency, np.zeros_like(power), np.zeros_like(cross)))
         sums[frequency.tobytes()] = frequency, powers + power, crosses + cross
     grids, all_powers, all_crosses = zip(*sums.values(), strict=True)
-    return np.concatenate(grids), np.concatenate(all_powers), np.concatenate(all_crosses)
-
-
-def _gain(kind: str, frequency_hz: float, f: FloatArray, power: FloatArray, cross: ComplexArray) -> float:
-    """Return by how much |r|² falls if the simulation is shaped: centred, as Klipper does, or from the command on."""
-    shaper = TRIED[kind](frequency_hz, DAMPING_RATIO)
-    response = np.exp(-2j * np.pi * np.outer(f, shaper.time)) @ shaper.amplitude
-    begun = response * np.exp(2j * np.pi * f * shaper.time[0])
-    return max(_turned(s, power, cross) for s in (response, begun))
-
-
-def _turned(response: ComplexArray, power: FloatArray, cross: ComplexArray) -> float:
-    """Return by how much |r|² falls if the simulation has another frequency response (k,)."""
-    cost = float(np.sum(np.abs(response) ** 2 * power) - 2 * np.sum((response * cross).real))
-    return float(np.sum(power) - 2 * np.sum(cross.real)) - cost
+    return _Spectra(np.concatenate(grids), np.concatenate(all_powers), np.concatenate(all_crosses), excess)
 
 
 # ---- sensors -------------------------------------------------------------------------------------

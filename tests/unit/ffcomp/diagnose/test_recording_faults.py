@@ -15,6 +15,7 @@ from ffcomp.diagnose.problem import Observation
 from ffcomp.diagnose.recording_faults import (
     TRIED,
     BadSensor,
+    Shaper,
     clipped_sensor,
     fault_of_recordings,
     odd_signal,
@@ -66,7 +67,36 @@ def test_a_shaper_is_named_with_its_type_and_frequency(kind: str, frequency_hz: 
     found = fault_of_recordings(estimation, true, left(estimation, true))
     assert found is not None and kind.upper() in found.sentence() and "record again" in found.sentence()
     shaper = shaper_on(estimation, true, left(estimation, true))
-    assert shaper is not None and (shaper.kind, shaper.frequency_hz) == (kind, pytest.approx(frequency_hz, abs=1.0))
+    assert shaper is not None
+    assert shaper.shapers == (Shaper(kind, pytest.approx(frequency_hz, abs=1.0)),)
+
+
+@pytest.mark.parametrize(
+    ("on_x", "on_y", "said"),
+    [
+        (("3hump_ei", 75.0), None, "An input shaper of type 3HUMP_EI at 75 Hz on x seems"),
+        (("mzv", 58.0), ("zv", 41.0), "Input shapers of type MZV at 58 Hz on x and ZV at 41 Hz on y seem"),
+    ],
+)
+def test_shapers_of_one_axis_are_named_with_it(
+    on_x: tuple[str, float], on_y: tuple[str, float] | None, said: str
+) -> None:
+    """Firmware has a shaper for each axis, and each of its own frequency."""
+    true = motion()
+    measured = true.copy()
+    for i, own in enumerate((on_x, on_y)):
+        measured[:, i] = true[:, i] if own is None else shaped(true[:, i : i + 1], *own)[:, 0]
+    estimation = problem(measured)
+    found = shaper_on(estimation, [true], left(estimation, [true]))
+    assert found is not None and found.sentence().startswith(said)
+
+
+def test_an_axis_that_something_else_is_wrong_with_has_no_shaper() -> None:
+    true = motion()
+    measured = shaped(true, "mzv", 42.0)
+    measured[:, 1] = 0.7 * sosfilt(butter(1, 60, fs=RATE_HZ, output="sos"), true[:, 1])
+    estimation = problem(measured)
+    assert shaper_on(estimation, [true], left(estimation, [true])) is None
 
 
 def test_a_softer_machine_is_no_shaper() -> None:
