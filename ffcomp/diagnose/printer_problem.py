@@ -217,6 +217,10 @@ class PrinterProblem(Problem):
         own = any(CATALOGUE[name].kind == "sensor" for name in self.machine.effects)
         return self.machine_with(values) if own or any(map(_is_sensor, values)) else None
 
+    def stated(self, values: Mapping[str, float], name: str) -> float:
+        """Return what a file states of one of the machine's numbers: a mount lies between the modes of its axis."""
+        return value_of(self.machine_with(values), name)
+
     def machine_with(self, values: Mapping[str, float]) -> Machine:
         """Return the machine file's machine with these parameters and effects."""
         plain = {n: x for n, x in values.items() if not (n.startswith("effects.") or belongs_to_recording(n))}

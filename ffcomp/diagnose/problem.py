@@ -198,6 +198,10 @@ class Problem(ABC):
         InfeasibleParameters
         """
 
+    def stated(self, values: Mapping[str, float], name: str) -> float:
+        """Return what a file states of one of the machine's numbers with these values, some of which limit others."""
+        return values[name]
+
     def excerpt(self) -> Problem | None:
         """Return the problem on a part of its observations, which is quicker; None if there is none."""
         return None

@@ -103,7 +103,7 @@ def result_of(problem: Problem, found: Diagnosis) -> DiagnosisResult:
     fitted = found.final
     tables = effect_tables(fitted.values) if found.best is not None else {}
     retuned = {
-        n.name: (n.start, fitted.values[n.name])
+        n.name: (n.start, problem.stated(fitted.values, n.name))
         for n, z in zip(fitted.parameters, fitted.z, strict=True)
         if of_machine(n.name) and abs(z) > MOVED
     }

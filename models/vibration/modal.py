@@ -31,6 +31,7 @@ AXES = ("x", "y", "z")
 KINDS = ("mass", "stiffness", "belt_damping", "damping")
 FILE_KINDS = ("frequency_hz", "damping_ratio", "share")
 MOUNT = re.compile(r"axes\.(?P<axis>[xyz])\.mount_frequency_hz")
+EDGE = 1e-3  # of the way from one mode to the other: a mount is no nearer to either
 LEAST_WEIGHT = 1e-6  # of the belt's force, that a mode takes
 NAME = re.compile(r"axes\.(?P<axis>[xyz])\.(?P<kind>\w+)\[(?P<mode>\d+)\]")
 # what a draw of 20 deviates moves, as when an axis had exactly two oscillators: the same seeds give the same machines
@@ -157,7 +158,7 @@ class ModalAxes(VibrationModel):
     def with_parameters(self, values: Mapping[str, float]) -> ModalAxes:
         """Return the model with some parameters replaced; KeyError for an unknown name.
 
-        By the file's keys, a frequency keeps its damping ratio.
+        By the file's keys, a frequency keeps its damping ratio, and a mount stays between the modes.
         """
         axes, mounts = [list(modes) for modes in self.axes], list(self.mounts_hz)
         for name, value in values.items():
@@ -166,7 +167,8 @@ class ModalAxes(VibrationModel):
                 continue
             axis, i, kind = _parsed(name)
             axes[axis][i] = axes[axis][i].with_value(kind, float(value))
-        return replace(self._with_axes(axes), mounts_hz=tuple(mounts))
+        limited = [_within(modes, mount) for modes, mount in zip(axes, mounts, strict=True)]
+        return replace(self._with_axes(axes), mounts_hz=tuple(limited))
 
     def _with_axes(self, axes: Sequence[Sequence[Oscillator]]) -> ModalAxes:
         x, y, z = (tuple(modes) for modes in axes)
@@ -413,6 +415,15 @@ def _is_chain(modes: Sequence[Oscillator]) -> bool:
 def _middle(modes: Sequence[Oscillator]) -> float:
     """Guess where the first of two masses stands still, Hz: where the belt drives both modes as much."""
     return float(np.sqrt(np.mean([o.frequency_hz**2 for o in modes])))
+
+
+def _within(modes: Sequence[Oscillator], mount_hz: float | None) -> float | None:
+    """Return a mount's frequency between those of the modes, where alone two masses can have it."""
+    if mount_hz is None or not _is_chain(modes):
+        return mount_hz
+    low, high = sorted(o.frequency_hz for o in modes)
+    edge = EDGE * (high - low)
+    return float(np.clip(mount_hz, low + edge, high - edge))
 
 
 def _apart(modes: Sequence[Oscillator]) -> float:

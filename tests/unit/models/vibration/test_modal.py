@@ -186,3 +186,15 @@ def test_a_mount_that_nobody_stated_is_guessed_and_may_be_fitted() -> None:
     other = model.with_parameters({name: 0.9 * guess})
     assert other.axis_frf(s) == pytest.approx(model.axis_frf(s))  # what commands do does not depend on it
     assert other.drive_stiffness[0] != pytest.approx(model.drive_stiffness[0], rel=0.01)
+
+
+def test_a_mount_stays_between_the_modes_when_they_move() -> None:
+    """A fit may take the higher mode below a mount: there the belt does not drive that mode, and a file may say so."""
+    frequency, share = chain(2e4, 3e4, 0.35, 0.12)
+    model = ModalAxes.of(
+        [Axis(tuple(frequency), (0.05, 0.05), tuple(share), mount_frequency_hz=0.98 * frequency[1]), Axis(), Axis()]
+    )
+    lower = model.with_parameters({"axes.x.frequency_hz[1]": 0.95 * float(frequency[1])})
+    low, high = (o.frequency_hz for o in lower.axes[0])
+    assert low < lower.value("axes.x.mount_frequency_hz") < high
+    assert lower.value("axes.x.mount_frequency_hz") == pytest.approx(high, rel=0.01)
