@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from ffcomp.diagnose.fit import Fit
 from ffcomp.diagnose.held_out import LEFT, HeldOut
 from ffcomp.diagnose.hypotheses import (
+    OWN_NUMBERS,
     SIGNIFICANT,
     Hypothesis,
     discrepancy_of,
@@ -19,6 +20,7 @@ from ffcomp.diagnose.intervals import superfluous
 from ffcomp.identify.uncertainty import Estimate
 
 MINOR = 0.05  # of all that was unexplained where it was left out: a place with less proves nothing against an effect
+SEVERAL = 3  # changes of the file's own numbers at once: then it is the file that is wrong
 WORSE = 1.5  # times the discrepancy without the effect: so much worse no place may become
 
 
@@ -38,6 +40,11 @@ def rejections(
     elif not implausible(base) and sum((one.before - one.after) * one.rows for one in held_out) < SIGNIFICANT:
         failed.append("data left out of the fit are simulated no better with it")
     failed += out_of_reach(best)
+    if len(best.effects) == SEVERAL and set(best.names) <= OWN_NUMBERS:
+        failed.append(
+            "three of the machine file's own numbers would have to be far off at once, as in the file of another "
+            "machine: measure this one (ffcomp identify)"
+        )
     for candidate in best.effects:
         if superfluous(candidate, intervals):
             failed.append(f"the interval of {candidate.name} includes no effect at all")

@@ -20,10 +20,17 @@ from ffcomp.diagnose.acceptance import out_of_reach, rejections, unproven
 from ffcomp.diagnose.confounding import competing_with, confounded_with
 from ffcomp.diagnose.estimation import EstimationProblem, estimation_problem, excerpt_of
 from ffcomp.diagnose.excerpt_fits import in_excerpt
-from ffcomp.diagnose.exchange import OWN_NUMBERS
 from ffcomp.diagnose.fit import Fit, derivatives, fit
 from ffcomp.diagnose.held_out import HeldOut, hold_out
-from ffcomp.diagnose.hypotheses import LARGE, Hypothesis, discrepancy_of, implausible, likeliest, significant
+from ffcomp.diagnose.hypotheses import (
+    LARGE,
+    OWN_NUMBERS,
+    Hypothesis,
+    discrepancy_of,
+    implausible,
+    likeliest,
+    significant,
+)
 from ffcomp.diagnose.initial_fits import predicted_left
 from ffcomp.diagnose.intervals import intervals_of
 from ffcomp.diagnose.noise import (

@@ -15,6 +15,7 @@ from ffcomp.diagnose.estimation import EstimationProblem
 from ffcomp.diagnose.growth import with_one_more
 from ffcomp.diagnose.hypotheses import (
     CONTAINED,
+    OWN_NUMBERS,
     SIGNIFICANT,
     Hypothesis,
     comparable,
@@ -32,9 +33,6 @@ from ffcomp.diagnose.progress import Progress
 from ffcomp.diagnose.refinement import begun_anew, continue_fit, converge, refit, restart_from_file
 from ffcomp.diagnose.score_test import screen_roughly
 
-OWN_NUMBERS = frozenset(  # effects that are a number of the file which is wrong
-    {"belt_stiffness", "guide_damping", "effector_mass", "extruder_mount", "center_of_mass", "arm_inertia"}
-)
 TRIED = 2  # effects that are tried in the place of each
 AS_GOOD = 2.0  # times the discrepancy of one that bends the file's numbers: more may not be left in a quick fit
 CLOSE = 5.0  # times the best discrepancy: one that leaves more in its quick fit is not pursued

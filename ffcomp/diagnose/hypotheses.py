@@ -22,6 +22,9 @@ LARGE = 1.0  # discrepancy, of the noise, from which effects may be too strong t
 IMPLAUSIBLE = 3.0  # mean square of z that retuning may cost before another effect is looked for
 CHANCE = 4.0  # standard deviations of a mean square that noise alone may reach in one observation of many
 NEAR = 0.05  # of the noise, added where discrepancies are compared
+OWN_NUMBERS = frozenset(  # effects that are a number of the file which is wrong
+    {"belt_stiffness", "guide_damping", "effector_mass", "extruder_mount", "center_of_mass", "arm_inertia"}
+)
 CONTAINED = {"stribeck_friction": "coulomb_friction"}  # an effect that has all numbers of another, and more
 
 
