@@ -28,6 +28,7 @@ FREQUENCIES_HZ = np.geomspace(15.0, 130.0, 60)
 NORMAL = np.arange(0.0, BAND_HZ[1] / FREQUENCIES_HZ[0] + 0.01, 0.01)  # frequencies, in those of the shaper
 EXPLAINED = 0.35  # of the power may be left with the shaper
 BETTER = 2.5  # times less than without it; files with dampings off by 4, belts by 20 % or 120 g gave 1.4 at most
+SURELY_EXPLAINED, SURELY_BETTER = 0.05, 5.0  # the same, of the captures of one experiment
 AS_GOOD = 1.5  # times as much left: kinds that smooth alike are told apart by nothing else
 LEAST_WITHOUT = 0.03  # of the power: less may be anything
 LATE_S = np.arange(-2.5e-3, 7.51e-3, 2.5e-4)  # by which all captures may be late, or their clocks be early
@@ -57,15 +58,31 @@ class FoundShaper:
 
 
 def find_shapers(recorded: Sequence[tuple[Joined, Expectation]]) -> list[FoundShaper]:
-    """Return the shaper of each axis that has one without doubt."""
-    names = [(kind, float(f)) for kind in SHAPERS for f in FREQUENCIES_HZ]
+    """Return the shaper of each axis that has one without doubt: by all captures, or by those of one experiment.
+
+    A shaper on one axis leaves so little of it in some motions that all there is came from the other axis.
+    """
+    experiments: dict[str, list[tuple[Joined, Expectation]]] = {}
+    for each in recorded:
+        experiments.setdefault(each[0].experiment, []).append(each)
     found = []
     for i, axis in enumerate("xy" if recorded else ""):
-        left, without = _unexplained(recorded, i)
-        best = _likeliest(left)
-        if left[best] < EXPLAINED and without > max(BETTER * left[best], LEAST_WITHOUT):
-            found.append(FoundShaper(axis, *names[best], float(left[best]), without))
+        shaper = _found(recorded, i, axis, EXPLAINED, BETTER)
+        ones = (_found(own, i, axis, SURELY_EXPLAINED, SURELY_BETTER) for own in experiments.values())
+        found += [shaper] if shaper else [one for one in ones if one][:1]
     return found
+
+
+def _found(
+    recorded: Sequence[tuple[Joined, Expectation]], i: int, axis: str, explained: float, better: float
+) -> FoundShaper | None:
+    """Return the likeliest shaper of an axis, if it leaves little enough of the power; None otherwise."""
+    left, without = _unexplained(recorded, i)
+    best = _likeliest(left)
+    if left[best] > explained or without < max(better * left[best], LEAST_WITHOUT):
+        return None
+    kind, at = divmod(best, len(FREQUENCIES_HZ))
+    return FoundShaper(axis, [*SHAPERS][kind], float(FREQUENCIES_HZ[at]), float(left[best]), without)
 
 
 def _likeliest(left: FloatArray) -> int:
