@@ -166,7 +166,8 @@ class Plan:
     def judged(self, real: Real, readings: Sequence[Reading], coarse: bool = False) -> list[Reading]:
         """Return what another printer would have read, in the form in which readings are compared."""
         if self.kind.replayed is None:
-            return self.readings(real, self.motions, coarse)
+            found = self.readings(real, self.motions, coarse)  # coarse ones may be a row longer
+            return [one.until(len(reading.t)) for one, reading in zip(found, readings, strict=True)]
         return [self.kind.replayed(real, reading) for reading in readings]
 
     def readings(self, real: Real, motions: Sequence[Motion], coarse: bool = False) -> list[Reading]:
