@@ -9,7 +9,7 @@ EFFECT = Effect(
     title="Belts softer the longer their free length",
     kind="force",
     physics="The free length of the belt between motor and carriage changes as the carriage travels.",
-    equation="k(q) = k (1 + r (q − q_c))",
+    equation="k(q) = k / (1 − r (q − q_c)), 4 k at most",
     parameters=(
         Parameter("slope_per_m", "1/m", "r", (-5, 5), (-1, 1), 0.05, size="per_tower"),
         Parameter(

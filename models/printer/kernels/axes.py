@@ -30,7 +30,7 @@ from typing import NamedTuple
 from models.arrays import FloatArray
 from models.printer.kernels.friction import guide_friction, stribeck
 from models.printer.kernels.jit import compiled
-from models.printer.kernels.motors import torque_angle
+from models.printer.kernels.motors import stiffness_by_length, torque_angle
 from models.printer.kernels.record import (
     ACC,
     COMMAND,
@@ -62,7 +62,7 @@ from models.printer.kernels.vectors import at, dot, put, vector
 
 TO_MOTORS, TO_AXES, MOTOR_K, BELT_K = parameter_rows("motor_matrix", "axis_matrix", "motor_k", "belt_k")
 HARDENING, QUINTIC, PEAK_STRETCH = parameter_rows("cubic", "quintic", "peak_stretch")
-SLOPE, CENTRE, HALF_BACKLASH, LANDING = parameter_rows("slope", "centre", "half_backlash", "landing")
+SLOPE, HALF_BACKLASH, LANDING = parameter_rows("slope", "half_backlash", "landing")
 UNEVEN, GROWTH = parameter_rows("uneven", "growth")
 DIRECTIONS, FRAME_K, FRAME_B, FRAME = parameter_rows("frame_directions", "frame_k", "frame_b", "frame_inverse_mass")
 YAW_K, YAW_B, YAW_INERTIA = parameter_rows("yaw_k", "yaw_b", "yaw_inertia")
@@ -166,7 +166,7 @@ def _forces(m: FloatArray) -> None:
     """Evaluate u + g(s) − s of the belts, with s = u − T q_d, and ẇ; unmixed they are the axes' own."""
     for n in range(WIDTH):
         q, stretch, slip = at(m, BEYOND, n), at(m, STRETCH, n), at(m, SLIP, n)
-        k = 1.0 + at(m, UNEVEN, n) + at(m, SLOPE, n) * (q - at(m, CENTRE, n))
+        k = at(m, UNEVEN, n) + stiffness_by_length(m, n, q)
         squared = stretch * stretch
         harder = (at(m, HARDENING, n) + at(m, QUINTIC, n) * squared) * squared * stretch / at(m, MOTOR_K, n)
         force = k * (at(m, SPRING, n) + abs(stretch) * at(m, LANDING, n) * slip) + harder

@@ -12,7 +12,6 @@ from typing import TypeAlias
 from models.arrays import FloatArray
 from models.printer.kernels.axes import (
     BELT_DAMPING,
-    CENTRE,
     COMPLIANCE,
     DAMPING,
     FREQUENCY2,
@@ -26,7 +25,6 @@ from models.printer.kernels.axes import (
     QUINTIC,
     REACTION,
     SHARE,
-    SLOPE,
     SWAY,
     SWAY_RATE,
     TO_AXES,
@@ -42,7 +40,7 @@ from models.printer.kernels.axes_rows import ALL_ROWS, FIELDS, MODE, MODES, MOTI
 from models.printer.kernels.axes_sway import Sway, lighter, pull_of, stiffer, sway_rates
 from models.printer.kernels.friction import DRY, FADING, FADING_POWER, STICKING, dry_friction
 from models.printer.kernels.jit import compiled, inlined
-from models.printer.kernels.motors import torque
+from models.printer.kernels.motors import stiffness_by_length, torque
 from models.printer.kernels.record import (
     LANES,
     ActiveEffects,
@@ -293,7 +291,7 @@ def _pull(
     stretch = motor - q
     stretch = stretch - min(max(stretch, -half), half)
     stretch = min(max(stretch, -peak), peak)
-    k = 1.0 + at(m, UNEVEN, n) + at(m, SLOPE, n) * (q - at(m, CENTRE, n))
+    k = at(m, UNEVEN, n) + stiffness_by_length(m, n, q)
     squared = stretch * stretch
     harder = (at(m, HARDENING, n) + at(m, QUINTIC, n) * squared) * squared * stretch / at(m, MOTOR_K, n)
     spring = torque(m, n, stretch) if odd else stretch

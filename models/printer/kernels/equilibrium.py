@@ -7,12 +7,11 @@ import numpy as np
 from models.arrays import FloatArray
 from models.printer.kernels.integrate import active_effects, fill_lanes, rate, store_state
 from models.printer.kernels.jit import compiled
-from models.printer.kernels.motors import cogging
+from models.printer.kernels.motors import cogging, stiffness_by_length
 from models.printer.kernels.record import COMMAND, ETA, LANES, NOW, PULL, STRETCH, Q, V, parameter_rows
 from models.printer.kernels.vectors import at
 
 BELT_K, HARDENING, QUINTIC = parameter_rows("belt_k", "cubic", "quintic")
-SLOPE, CENTRE = parameter_rows("slope", "centre")
 EXTRUDER_MASS, MOUNT_K, GRAVITY = parameter_rows("extruder_mass", "mount_k", "gravity")
 
 PASSES = 2000
@@ -24,10 +23,10 @@ def _relax(m: FloatArray, l: int) -> float:
     """Move every carriage by its unbalanced force over its belt's stiffness; return the largest displacement, m."""
     moved = 0.0
     for i in range(3):
-        above = at(m, SLOPE + i, l) * (at(m, NOW + Q + i, l) - at(m, CENTRE + i, l))
+        shorter = stiffness_by_length(m, i * LANES + l, at(m, NOW + Q + i, l))
         squared = at(m, STRETCH + i, l) ** 2
         harder = (3.0 * at(m, HARDENING + i, l) + 5.0 * at(m, QUINTIC + i, l) * squared) * squared
-        move = at(m, PULL + i, l) / (at(m, BELT_K + i, l) * (1.0 + max(above, 0.0)) + max(harder, 0.0))
+        move = at(m, PULL + i, l) / (at(m, BELT_K + i, l) * max(shorter, 1.0) + max(harder, 0.0))
         m[(NOW + Q + i) * LANES + l] += move
         if not abs(move) <= moved:  # NaN too
             moved = abs(move)

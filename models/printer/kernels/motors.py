@@ -37,6 +37,7 @@ from models.printer.kernels.vectors import at, sine_cosine
 WEIGHT, BELT_K, BELT_C, GUIDE_B = parameter_rows("weight", "belt_k", "belt_c", "guide_b")
 IDEAL, D0, LEAD, D2 = parameter_rows("ideal_drive", "d0", "lead", "d2")
 HARDENING, QUINTIC, PEAK_STRETCH = parameter_rows("cubic", "quintic", "peak_stretch")
+SHORTEST = 0.25  # times its length at q_c: no belt is taken to be shorter
 SLOPE, CENTRE, HALF_BACKLASH, LANDING = parameter_rows("slope", "centre", "half_backlash", "landing")
 INVERSE_AMPLITUDE, BELT_SHARE, DELAY = parameter_rows("inverse_amplitude", "belt_share", "delay")
 COGGING, WAVE, PHASE = parameter_rows("ripple", "wave", "phase")
@@ -162,12 +163,18 @@ def torque(m: FloatArray, n: int, stretch: float) -> float:
     return sine / inverse if inverse != 0.0 else stretch
 
 
+@inlined
+def stiffness_by_length(m: FloatArray, n: int, q: float) -> float:
+    """Return k(q)/k of a belt, 1/(1 − r (q − q_c)): a force stretches all of its free length, and that goes with q."""
+    return 1.0 / max(1.0 - at(m, SLOPE, n) * (q - at(m, CENTRE, n)), SHORTEST)
+
+
 @compiled
 def belts(m: FloatArray) -> None:
     """Sum the forces on the carriages except the effector's: belt, viscous and dry friction, weight."""
     for n in range(3 * LANES):
         q, qd, stretch = at(m, NOW + Q, n), at(m, NOW + QD, n), at(m, STRETCH, n)
-        k = at(m, BELT_K, n) * (1.0 + at(m, SLOPE, n) * (q - at(m, CENTRE, n)))
+        k = at(m, BELT_K, n) * stiffness_by_length(m, n, q)
         squared = stretch * stretch
         harder = at(m, HARDENING, n) + at(m, QUINTIC, n) * squared
         spring = k * at(m, SPRING, n) + harder * stretch * squared
