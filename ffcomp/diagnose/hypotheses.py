@@ -17,7 +17,7 @@ from models.arrays import FloatArray
 SIGNIFICANT = 10.0  # −2 ln Z
 ADDED_SHARE = 0.4  # of the discrepancy must an added effect remove
 NEARLY_ALL = 0.8  # as much, where no more is left than an error of the other effects' shapes may leave
-TRACE = 1e-3  # of the discrepancy: a shape is never that exact
+TRACE = 3e-3  # of the discrepancy: a shape is never that exact
 LARGE = 1.0  # discrepancy, of the noise, from which effects may be too strong to be linear
 IMPLAUSIBLE = 3.0  # mean square of z that retuning may cost before another effect is looked for
 CHANCE = 4.0  # standard deviations of a mean square that noise alone may reach in one observation of many

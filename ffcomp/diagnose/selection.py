@@ -185,7 +185,10 @@ def fitted_well(search: Search, close: Sequence[Hypothesis]) -> list[Hypothesis]
         rivals = [i for i, x in enumerate(found) if within_file(x) or not within_file(h)]
         best = min(rivals, key=lambda i: found[i].fit.evidence, default=None)
         # compared as they were ranked: coarse steps leave of strong friction a tenth, which exact ones do not
-        behind = best is not None and not comparable(h, close[best], BEHIND)
+        # and what needs fewer numbers is not given up for what more of them reach sooner
+        behind = best is not None and not comparable(
+            h, close[best], CONTENDER if h.added < close[best].added else BEHIND
+        )
         spent = bool(found) and not search.may_go_on()
         found.append(h if behind or spent else continue_fit(search.estimation, h, search.progress))
     first = [min(range(len(found)), key=lambda i: found[i].fit.evidence)] if found else []
@@ -227,6 +230,8 @@ def add_effect(search: Search, so_far: Selection) -> Selection:
     trace = best.discrepancy < TRACE * discrepancy_of(search.retuned) and not implausible(best.fit, best.own)
     if trace:
         more = [h for h in more if not _is_shape(search, best, h)]
+    if not leaves_excess(search.estimation, best.fit):  # only the file's numbers are bent: then that is to be cured
+        more = [h for h in more if not implausible(h.fit, h.own)]
     likeliest_one = min(more, key=lambda h: h.fit.evidence, default=best)
     if not significant(likeliest_one.fit, best.fit, NEARLY_ALL if trace else ADDED_SHARE):
         return replace(so_far, tried=tried, complete=True)
@@ -250,10 +255,14 @@ def converge_best(search: Search, so_far: Selection) -> Selection:
 
 
 def converged(search: Search, h: Hypothesis) -> Hypothesis:
-    """Converge on the shapes of a hypothesis; where it still leaves much, go on by degrees with the shapes it has."""
+    """Converge on the shapes of a hypothesis.
+
+    Where it still leaves much, or bends the file's numbers, it goes on by degrees with the shapes it has.
+    """
     shaped = converge(search.estimation, h, search.progress)
-    much = shaped.discrepancy > max(search.little, LARGE) and shaped.effects != h.effects and search.may_go_on()
-    return by_degrees(search.estimation, shaped, search.progress) if much else shaped
+    much = shaped.discrepancy > max(LARGE, search.little if within_file(shaped) else 0.0)
+    unsettled = much and shaped.effects != h.effects and search.may_go_on()
+    return by_degrees(search.estimation, shaped, search.progress) if unsettled else shaped
 
 
 def swap_effects(search: Search, so_far: Selection) -> Selection:
