@@ -70,14 +70,17 @@ def unbent(estimation: EstimationProblem, best: Hypothesis, progress: Progress) 
 
 
 def likelier(best: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
-    """Return another hypothesis of as many effects that is likelier beyond doubt, or of one more that bends nothing.
+    """Return another hypothesis of as many effects that is likelier beyond doubt, or of one more.
+
+    One more must take a good share of what is left, or straighten the file's numbers.
 
     One that has an effect with more numbers in place of the same with fewer must take a good share of what is left,
     as anything that is added: there is always something for more numbers to explain.
     """
     as_many = [h for h in tried if len(h.effects) == len(best.effects)]
     as_many = [h for h in as_many if not _richer(h, best) or significant(h.fit, best.fit)]
-    more = [h for h in tried if len(h.effects) == len(best.effects) + 1 and not within_file(best) and within_file(h)]
+    more = [h for h in tried if len(h.effects) == len(best.effects) + 1]
+    more = [h for h in more if significant(h.fit, best.fit) or (within_file(h) and not within_file(best))]
     found = min([*as_many, *more], key=lambda h: h.fit.evidence, default=best)
     gained = (best.fit.evidence - found.fit.evidence) / misfit(found.fit)
     return found if gained > SIGNIFICANT else best

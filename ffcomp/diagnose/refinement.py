@@ -12,6 +12,7 @@ from ffcomp.diagnose.estimation import EstimationProblem
 from ffcomp.diagnose.fit import Fit, clipped, derivatives, fit, values_at
 from ffcomp.diagnose.glimpse import glimpse_of, quietest_motions
 from ffcomp.diagnose.hypotheses import (
+    CONTAINED,
     IMPLAUSIBLE,
     LARGE,
     SIGNIFICANT,
@@ -35,6 +36,7 @@ SETTLED = 0.02  # of the discrepancy, that a shape leaves: no other kind of shap
 SHAPE_SHARE = 0.1  # of the discrepancy must a freer shape of the same effect remove
 TELLING = 2.0  # −2 ln Z, times the misfit: what a fit may still gain without another effect gaining it in its place
 FEWEST, FURTHER = 2, 2  # motions to begin with where a fit goes by degrees, and by which it goes on
+SHARES = (0.3, 1.0)  # of the size that a simpler effect has, at which what a richer one adds is tried
 SPREAD = (0.0, 1.0, 2.0, 3.0, 4.0)  # standard deviations from the usual, at which a shape is tried
 
 
@@ -311,6 +313,65 @@ def with_free_shapes(estimation: EstimationProblem, h: Hypothesis, progress: Pro
     found = Hypothesis(effects, fit(estimation, begun.parameters, begun.z, start, iterations=6, exact=True))
     gained = (h.fit.evidence - found.fit.evidence) / misfit(found.fit)
     return log_fit(found, progress, " in its own shape") if gained > SIGNIFICANT else h
+
+
+def enriched(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> list[Hypothesis]:
+    """Fit a hypothesis with each effect in turn that is contained in a richer one in the place of which that stands.
+
+    It begins at the numbers of the simpler one: from anywhere else the way to them is long.
+    """
+    by_name, found = {c.name: c for c in estimation.problem.candidates}, list[Hypothesis]()
+    for effect in h.effects:
+        richer = next(
+            (by_name[name] for name, own in CONTAINED.items() if own == effect.name and name in by_name), None
+        )
+        if richer is None or not estimation.problem.work.allows():
+            continue
+        form = richer.other if effect.other is None and richer.other is not None else richer
+        form = form.of_other_kind if _of_other_kind(effect, by_name[effect.name]) else form.shaped
+        begun = _richer(estimation, h, effect, form)
+        found.append(converge(estimation, continue_fit(estimation, begun, progress), progress))
+    return found
+
+
+def _richer(estimation: EstimationProblem, h: Hypothesis, effect: Candidate, form: Candidate) -> Hypothesis:
+    """Begin an effect in its richer form at the numbers that it has, and at the most helpful of some new ones."""
+    renamed = {
+        f"effects.{form.name}.{name.split('.', 2)[2]}": x for name, x in h.fit.values.items() if _of(effect, name)
+    }
+    known = {**h.fit.values, **renamed}
+    effects = tuple(form if c is effect else c for c in h.effects)
+    parameters = (*h.own_parameters, *(n for c in effects for n in c.parameters))
+    z = np.array([(known.get(n.name, n.start) - n.start) / n.sd for n in parameters])
+    sizes = {_part(n.name): n.sd * z[i] for i, n in enumerate(parameters) if n in form.amplitudes and n.name in known}
+    added = [
+        (i, sizes.get(_part(n.name), 0.0) / n.sd)
+        for i, n in enumerate(parameters)
+        if _is_new(n, form.amplitudes, known)
+    ]
+    shapes = [i for i, n in enumerate(parameters) if _is_new(n, form.shapes, known)][:1]
+    tries = []
+    for share, shift in product(SHARES, SPREAD):
+        tried = z.copy()
+        for i, size in added:
+            tried[i] = share * size
+        tries.append(_moved(parameters, tried, shapes, [shift] * len(shapes)))
+    residuals = replace(estimation, coarse=True).residuals([values_at(parameters, x) for x in tries])
+    costs = [float(r @ r + x @ x) for r, x in zip(residuals, tries, strict=True)]
+    return Hypothesis(effects, Fit(parameters, tries[int(np.argmin(costs))], h.fit.residual, h.fit.jacobian))
+
+
+def _of(effect: Candidate, name: str) -> bool:
+    return name.startswith(f"effects.{effect.name}.")
+
+
+def _part(name: str) -> str:
+    """Return which tower or axis a parameter is of."""
+    return name.partition("[")[2]
+
+
+def _is_new(n: Parameter, among: Sequence[Parameter], known: Mapping[str, float]) -> bool:
+    return n in among and n.name not in known
 
 
 def _changed(estimation: EstimationProblem, h: Hypothesis, change: ShapeChange) -> tuple[Candidate, ...]:

@@ -54,6 +54,7 @@ from ffcomp.diagnose.refinement import (
     continue_or_restart,
     converge,
     drop,
+    enriched,
     refine,
     refit,
     restart_from_file,
@@ -277,6 +278,10 @@ def think_again(search: Search, so_far: Selection) -> Selection:
         best = converge(estimation, best, search.progress)  # one that replaced another as simpler has its first shape
     if len(best.effects) > 1 and incomplete(estimation, best):
         others += exchanged(estimation, best, so_far.tried, search.progress)
+        best = likelier(best, others)
+    if incomplete(estimation, best):
+        larger = [h for h in likeliest(so_far.tried) if set(best.names) < set(h.names)][:1]
+        others += [richer for h in (best, *larger) for richer in enriched(estimation, h, search.progress)]
         best = likelier(best, others)
     if not within_file(best) and len(best.effects) < MOST_EFFECTS:
         others += unbent(estimation, best, search.progress)
