@@ -56,6 +56,7 @@ class DiagnosisResult:
     belts: tuple[str, ...] = TOWERS  # of belts and their motors
     separations: Sequence[Separation] = ()  # from what fits as well: see `problems.separated`
     cut_short: bool = False  # the search ended at its budget
+    noise_guessed: bool = False  # no motion was repeated
 
     @property
     def mends(self) -> bool:
@@ -132,6 +133,7 @@ def result_of(problem: Problem, found: Diagnosis) -> DiagnosisResult:
         problem.carriages,
         problem.belts,
         cut_short=found.cut_short,
+        noise_guessed=not found.noise.from_repeats,
     )
 
 

@@ -95,7 +95,17 @@ def _nothing(found: DiagnosisResult) -> list[str]:
             + elsewhere(found)[0].lower()
             + elsewhere(found)[1:]
         )
-    return sentences
+    return [*sentences, *guessed(found)]
+
+
+def guessed(found: DiagnosisResult) -> list[str]:
+    """Say what a guessed noise may hide."""
+    if not found.noise_guessed:
+        return []
+    return [
+        f"The noise of {percent(found.before.noise_nrms)} is a guess, for no motion was repeated: an effect that does "
+        "no more than that may be hidden in it."
+    ]
 
 
 def _cannot_tell(found: DiagnosisResult) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from ffcomp.diagnose.result import DiagnosisResult
-from ffcomp.diagnose.sentences import elsewhere, file_off, finding_of, late, said, unproven
+from ffcomp.diagnose.sentences import elsewhere, file_off, finding_of, guessed, late, said, unproven
 from ffcomp.report.diagnose.effects import in_words
 from ffcomp.report.diagnose.inputs import ReportInput
 from ffcomp.report.diagnose.standout import stands_out
@@ -51,6 +51,7 @@ def _nothing(given: ReportInput) -> list[str]:
     return [
         "Nothing is missing that these runs could show.",
         f"{_size(found)} What is left is noise, or retuning within the uncertainties that the file states.{retuned}",
+        *guessed(found),
         *_nearest_promise(given),
         "Other motions, speeds and positions may still show something that these could not.",
     ]

@@ -164,3 +164,9 @@ def test_no_share_is_told_of_a_gap_that_does_not_stand_above_the_noise(
     sentence = said(result(held_out=held_out))[1]
     assert words in sentence
     assert "of the gap there" not in sentence
+
+
+@pytest.mark.parametrize("guess", [True, False])
+def test_none_by_a_guessed_noise_says_what_may_be_hidden(guess: bool) -> None:
+    told = " ".join(said(result("nothing", noise_guessed=guess)))
+    assert ("is a guess, for no motion was repeated" in told) == guess
