@@ -279,9 +279,9 @@ def think_again(search: Search, so_far: Selection) -> Selection:
     if len(best.effects) > 1 and incomplete(estimation, best):
         others += exchanged(estimation, best, so_far.tried, search.progress)
         best = likelier(best, others)
-    if incomplete(estimation, best):
-        larger = [h for h in likeliest(so_far.tried) if set(best.names) < set(h.names)][:1]
-        others += [richer for h in (best, *larger) for richer in enriched(estimation, h, search.progress)]
+    if leaves_excess(estimation, best.fit):
+        pairs = [h for h in likeliest(so_far.tried) if len(h.effects) == 2 and set(best.names) < set(h.names)]
+        others += [richer for h in (best, *pairs[:1]) for richer in enriched(estimation, h, search.progress)]
         best = likelier(best, others)
     if not within_file(best) and len(best.effects) < MOST_EFFECTS:
         others += unbent(estimation, best, search.progress)
