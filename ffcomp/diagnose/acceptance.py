@@ -20,7 +20,7 @@ from ffcomp.diagnose.intervals import superfluous
 from ffcomp.identify.uncertainty import Estimate
 
 MINOR = 0.05  # of all that was unexplained where it was left out: a place with less proves nothing against an effect
-SEVERAL = 3  # changes of the file's own numbers at once: then it is the file that is wrong
+SEVERAL = 3  # changes of the file's own numbers at once, from which the file is taken for another machine's
 WORSE = 1.5  # times the discrepancy without the effect: so much worse no place may become
 
 

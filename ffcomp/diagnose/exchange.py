@@ -78,7 +78,7 @@ def likelier(best: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
     as anything that is added: there is always something for more numbers to explain.
     """
     as_many = [h for h in tried if len(h.effects) == len(best.effects)]
-    as_many = [h for h in as_many if not _richer(h, best) or significant(h.fit, best.fit)]
+    as_many = [h for h in as_many if not _is_richer_form(h, best) or significant(h.fit, best.fit)]
     more = [h for h in tried if len(h.effects) == len(best.effects) + 1]
     more = [h for h in more if significant(h.fit, best.fit) or (within_file(h) and not within_file(best))]
     found = min([*as_many, *more], key=lambda h: h.fit.evidence, default=best)
@@ -86,7 +86,7 @@ def likelier(best: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
     return found if gained > SIGNIFICANT else best
 
 
-def _richer(h: Hypothesis, best: Hypothesis) -> bool:
+def _is_richer_form(h: Hypothesis, best: Hypothesis) -> bool:
     """Tell whether a hypothesis has all effects of another, one of them with more numbers."""
     return [CONTAINED.get(name) for name in set(h.names) - set(best.names)] == [*(set(best.names) - set(h.names))]
 

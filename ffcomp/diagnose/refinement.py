@@ -316,9 +316,9 @@ def with_free_shapes(estimation: EstimationProblem, h: Hypothesis, progress: Pro
 
 
 def enriched(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> list[Hypothesis]:
-    """Fit a hypothesis with each effect in turn that is contained in a richer one in the place of which that stands.
+    """Fit each effect in turn in its richer form, if it has one (`CONTAINED`): one hypothesis for each.
 
-    It begins at the numbers of the simpler one: from anywhere else the way to them is long.
+    A fit begins at the numbers of the simpler form: from usual sizes it may end far from them.
     """
     by_name, found = {c.name: c for c in estimation.problem.candidates}, list[Hypothesis]()
     for effect in h.effects:
@@ -329,13 +329,13 @@ def enriched(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -
             continue
         form = richer.other if effect.other is None and richer.other is not None else richer
         form = form.of_other_kind if _of_other_kind(effect, by_name[effect.name]) else form.shaped
-        begun = _richer(estimation, h, effect, form)
+        begun = _begun_richer(estimation, h, effect, form)
         found.append(converge(estimation, continue_fit(estimation, begun, progress), progress))
     return found
 
 
-def _richer(estimation: EstimationProblem, h: Hypothesis, effect: Candidate, form: Candidate) -> Hypothesis:
-    """Begin an effect in its richer form at the numbers that it has, and at the most helpful of some new ones."""
+def _begun_richer(estimation: EstimationProblem, h: Hypothesis, effect: Candidate, form: Candidate) -> Hypothesis:
+    """Exchange an effect for its richer form, at the numbers that it has; what is new begins where it helps most."""
     renamed = {
         f"effects.{form.name}.{name.split('.', 2)[2]}": x for name, x in h.fit.values.items() if _of(effect, name)
     }
