@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
+import numpy as np
+import pytest
+
+from ffcomp.diagnose import refinement
+from ffcomp.diagnose.fit import Fit
+from ffcomp.diagnose.hypotheses import Hypothesis
 from ffcomp.diagnose.problem import Candidate, Parameter
-from ffcomp.diagnose.refinement import BENT, OWN_SHAPE, SHAPE_CHANGES, UNBENT
+from ffcomp.diagnose.refinement import BENT, OWN_SHAPE, SHAPE_CHANGES, UNBENT, enriched
 
 
 def number(name: str) -> Parameter:
@@ -47,3 +55,42 @@ def test_an_effect_of_one_kind_has_no_other() -> None:
     plain = replace(FRICTION, bent=(), other=replace(EACH, bent=()))
     assert BENT.change(plain, plain) is plain and UNBENT.change(plain, plain) is plain
     assert OTHER(plain, plain).amplitudes == EACH.amplitudes
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """A problem whose error is how far the new numbers of fading friction are from 0.3 of the old ones, and 1."""
+
+    problem: SimpleNamespace
+    coarse: bool = False
+
+    def residuals(self, many: Sequence[Mapping[str, float]]) -> list[np.ndarray]:
+        name = "effects.stribeck_friction"
+        wanted = {f"{name}.extra_force_n[0]": 0.6, f"{name}.extra_force_n[1]": 1.2, f"{name}.velocity_mm_per_s": 1.0}
+        return [np.array([1e3 * (values[key] - x) for key, x in wanted.items()]) for values in many]
+
+
+def test_a_richer_form_begins_at_the_numbers_of_the_simpler_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fading(name: str) -> Parameter:
+        return Parameter(f"effects.stribeck_friction.{name}", 0.0, 0.5 if "force" in name else 1.0)
+
+    speed = tuple(replace(n, name=n.name.replace("coulomb", "stribeck")) for n in SPEED)
+    forces = tuple(fading(f"{name}[{i}]") for name in ("force_n", "extra_force_n") for i in range(2))
+    each = Candidate("stribeck_friction", forces, {}, (fading("velocity_mm_per_s"),), finer=speed)
+    richer = Candidate("stribeck_friction", (fading("force_n"), fading("extra_force_n")), {}, each.shapes, other=each)
+    monkeypatch.setattr(refinement, "continue_fit", lambda _, h, __: h)
+    monkeypatch.setattr(refinement, "converge", lambda _, h, __: h)
+    work = SimpleNamespace(allows=lambda: True)
+    problem = SimpleNamespace(candidates=[FRICTION, richer], work=work)
+    dry = EACH.shaped
+    fitted = Fit(dry.parameters, np.array([2.0, 4.0, 0.7, -0.2]), np.ones(3), np.zeros((3, 4)))
+    (found,) = enriched(Nearest(problem), Hypothesis((dry,), fitted), print)  # type: ignore[arg-type]
+    values = {name.removeprefix("effects.stribeck_friction."): x for name, x in found.fit.values.items()}
+    assert found.names == ("stribeck_friction",)
+    assert [values[key] for key in ("force_n[0]", "force_n[1]")] == [2.0, 4.0]
+    assert [values[key] for key in ("creep_mm_per_s", "hold_per_s")] == [0.7, -0.2]
+    assert [values[key] for key in ("extra_force_n[0]", "extra_force_n[1]")] == pytest.approx([0.6, 1.2])
+    assert values["velocity_mm_per_s"] == 1.0
+    plain = Hypothesis((Candidate("cogging", (), {}),), Fit((), np.zeros(0), np.ones(3), np.zeros((3, 0))))
+    problem.candidates.append(plain.effects[0])
+    assert enriched(Nearest(problem), plain, print) == []  # type: ignore[arg-type]

@@ -167,6 +167,15 @@ def test_a_belt_is_stiffer_above_its_centre(printer: Machine) -> None:
     )
 
 
+def test_a_belt_is_never_taken_to_be_shorter_than_a_quarter(printer: Machine) -> None:
+    """Beyond its pole the law of its length would push."""
+    q = printer.kinematics.inverse(CENTRE)[0]
+    s = rest_stretch(with_effect(printer, "belt_position_stiffness", slope_per_m=5.0, q_centre_mm=list(q - 300)))
+    np.testing.assert_allclose(
+        weight(printer) / s / delta_vibration(printer).carriage.belt_stiffness_n_per_m, 4.0, rtol=2e-4
+    )
+
+
 def test_play_is_a_hysteresis_of_its_width(printer: Machine) -> None:
     loose = with_effect(printer, "belt_backlash", width_mm=0.1)
     t = times(2.0)
