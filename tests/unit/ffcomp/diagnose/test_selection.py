@@ -276,6 +276,25 @@ def test_a_contender_is_given_up_by_what_coarse_steps_leave_of_both(monkeypatch:
     assert [h.discrepancy for h in found[:2]] == pytest.approx([0.0, 0.0])
 
 
+def test_a_contender_of_fewer_numbers_is_not_given_up_for_one_of_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One soft belt leaves twenty times as much as belts by position in a quick fit, and as little in a good one."""
+
+    def leaving(name: str, discrepancy: float, numbers: int) -> Hypothesis:
+        own = tuple(Parameter(f"effects.{name}.n{i}", 0.0, 1.0) for i in range(numbers))
+        residual = np.full(LONG, np.sqrt(1.0 + discrepancy))
+        return Hypothesis((Candidate(name, own, {}),), Fit(own, np.zeros(numbers), residual, np.zeros((LONG, numbers))))
+
+    asked: list[str] = []
+    monkeypatch.setattr(selection, "continue_fit", lambda _, h, __: asked.extend(h.names) or h)
+    monkeypatch.setattr(selection, "begun_anew", lambda _, h, *__: h)
+    search = SimpleNamespace(estimation=None, progress=None, little=0.0, may_go_on=lambda: True)
+    by_position = leaving("belt_position_stiffness", 0.0, 3)
+    for numbers, expected in ((2, ["belt_position_stiffness", "belt"]), (4, ["belt_position_stiffness"])):
+        asked.clear()
+        selection.fitted_well(search, [by_position, leaving("belt", 0.95, numbers)])  # type: ignore[arg-type]
+        assert asked == expected
+
+
 def test_a_usual_shape_that_bends_the_numbers_beside_it_is_set_free(monkeypatch: pytest.MonkeyPatch) -> None:
     """A sine without the belt's share fits nearly as well with a wrong amplitude: its interval would lie."""
     monkeypatch.setattr(refinement, "_placed", lambda _, begun, __: (begun, 0.0))
