@@ -219,6 +219,7 @@ class Runner:
         """Run one process to its end, and return its exit code."""
         doing = step.doing
         with open(place / f"{number}.json", "wb") as out, open(place / "log.txt", "ab") as log:
+            began = log.tell()  # before the process shares this position, and moves it
             with self._changed:
                 if self._jobs[id_].state != RUNNING or self._stopping:
                     return 1
@@ -234,7 +235,6 @@ class Runner:
                 self._processes[id_] = process
                 self._keep(replace(self._jobs[id_], pid=process.pid, doing=doing, share=None))
             _be_nice(process.pid)
-            began = log.tell()
             while process.poll() is None:
                 text = messages.said(place) if os.fstat(log.fileno()).st_size > began else ""
                 share, now = messages.progress(text, doing)

@@ -116,6 +116,16 @@ def test_progress_is_seen_while_it_runs_and_cancel_ends_the_process(tmp_path: Pa
         assert not (tmp_path / "work" / "jobs" / id_).exists()
 
 
+def test_what_a_process_says_at_once_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log: list[Path] = []
+    monkeypatch.setattr("ffcomp.serve.runner._be_nice", lambda pid: until(lambda: log[0].stat().st_size > 0))
+    with runner(tmp_path) as made:
+        job = Job(new_id(), "compensate", "a.gcode", "kossel", ("a.gcode",))
+        log.append(made.kept.place(job.id) / "log.txt")
+        made.add(job, lambda place: (place / "a.gcode").write_text("slow") and None)
+        running(made, job.id)
+
+
 def _removed(of: Runner, id_: str) -> bool:
     try:
         of.remove(id_)
