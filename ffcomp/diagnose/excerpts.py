@@ -23,6 +23,7 @@ EXCERPT_S = 1.2
 LEAD_S = 0.4  # simulated before, from a gentle start: a belt's vibration has decayed by then
 WORTHWHILE = 0.6  # of the rows: with more to simulate, an excerpt saves too little
 MANY_MOTIONS, MOTIONS = 8, 6  # from the one on, only so many are searched in, each recorded once
+RESTS_MM = 1e-3  # within which a command has not begun to move
 USUAL = 0.75  # quantile of the loudness: the loudest part may be an accident
 
 
@@ -76,6 +77,13 @@ def excerpt_parts(observations: Sequence[Observation], same_command: Sequence[in
     if sum(part.last - part.first + part.lead for part in parts.values()) > WORTHWHILE * rows:
         return None
     return [parts[i] for i in same_command]
+
+
+def beginning(observation: Observation, command: FloatArray, seconds: float) -> Part:
+    """Return so much of a recording from where its command (n, 3) begins to move, and all that is before."""
+    moves = np.flatnonzero(np.any(np.abs(command - command[0]) > RESTS_MM, axis=1))
+    last = (int(moves[0]) if len(moves) else 0) + round(seconds * observation.rate_hz)
+    return Part(0, len(command) if last >= len(command) else quick_length(last), 0)
 
 
 def _part(observation: Observation, late: bool) -> Part:

@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ffcomp.diagnose.excerpts import Part, excerpt_parts, led_in, telling_recordings
+from ffcomp.diagnose.excerpts import Part, beginning, excerpt_parts, led_in, telling_recordings
 from ffcomp.diagnose.noise import BAND_HZ
 from ffcomp.diagnose.observe import compared, every_row, observation_of
 from ffcomp.diagnose.problem import Candidate, InfeasibleParameters, Parameter, Problem, within_travel
@@ -93,7 +93,8 @@ class PrinterProblem(Problem):
         self.candidates = tuple(with_stated_clock(each, recordings) for each in limited if each is not None)
         self.same_command = [_first_equal(self.commands, i) for i in range(len(recordings))]
         self.kept: dict[_Key, dict[int, PrinterMotion]] = {}
-        self.parts = [Part(0, len(command), 0) for command in self.commands]
+        self.parts: Sequence[Part] = [Part(0, len(command), 0) for command in self.commands]
+        self.whole, self.chosen = self, tuple(range(len(recordings)))  # what this is a part of, and which recordings
         self.splines = Splines()
 
     @property
@@ -104,12 +105,23 @@ class PrinterProblem(Problem):
     def excerpt(self) -> PrinterProblem | None:
         """Return the problem on a part of each recording that tells most; None where that would hardly be quicker."""
         chosen = telling_recordings(self.observations, self.same_command)
+        same = [chosen.index(self.same_command[i]) for i in chosen]
+        parts = excerpt_parts([self.observations[i] for i in chosen], same)
+        return None if parts is None else self._of(chosen, parts)
+
+    def beginnings(self, seconds: float) -> PrinterProblem | None:
+        """Return the problem on so much of each recording from where it begins to move; None if that is all of it."""
+        begun = [beginning(self.whole.observations[i], self.whole.commands[i], seconds) for i in self.chosen]
+        if all(part.last == len(self.whole.commands[i]) for i, part in zip(self.chosen, begun, strict=True)):
+            return None
+        return self.whole._of(self.chosen, begun)
+
+    def _of(self, chosen: Sequence[int], parts: Sequence[Part]) -> PrinterProblem:
+        """Return the problem on parts of some recordings."""
         shorter = copy(self)
         whole = [self.observations[i] for i in chosen]
+        shorter.whole, shorter.chosen = self, tuple(chosen)
         shorter.same_command = [chosen.index(self.same_command[i]) for i in chosen]
-        parts = excerpt_parts(whole, shorter.same_command)
-        if parts is None:
-            return None
         shorter.recordings = [self.recordings[i] for i in chosen]
         shorter.parameters = seen_parameters(self.parameters, whole)
         shorter.kept, shorter.parts, shorter.splines = {}, parts, Splines()

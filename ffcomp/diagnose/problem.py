@@ -206,6 +206,10 @@ class Problem(ABC):
         """Return the problem on a part of its observations, which is quicker; None if there is none."""
         return None
 
+    def beginnings(self, seconds: float) -> Problem | None:
+        """Return the problem on so much of each observation from where it begins to move; None if there is none."""
+        return None
+
     def simulate_many(
         self, many: Sequence[Mapping[str, float]], only: Sequence[int] | None = None, *, coarse: bool = False
     ) -> Iterator[list[FloatArray] | InfeasibleParameters]:

@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
+from ffcomp.diagnose.beginnings import from_beginnings
 from ffcomp.diagnose.estimation import EstimationProblem
 from ffcomp.diagnose.excerpt_fits import in_whole
 from ffcomp.diagnose.exchange import exchanged, likelier, unbent
@@ -61,6 +62,7 @@ from ffcomp.diagnose.refinement import (
     with_free_shapes,
 )
 from ffcomp.diagnose.score_test import Screened, overlap, screen_roughly, similarity
+from ffcomp.diagnose.work import ANEW
 
 MOST_EFFECTS = 3  # at once
 POOR = 0.15  # of the discrepancy left by one effect: then pairs are tried
@@ -112,14 +114,32 @@ Pass = Callable[[Search, Selection], Selection]
 
 def find_best(search: Search) -> Selection:
     """Run all passes but the last."""
-    selection = _begin(search)
+    selection = in_rounds(search, _begin(search))
+    best = selection.best
+    if best.discrepancy > max(LARGE, search.little) or not within_file(best):
+        selection = followed_from_beginnings(search, selection)
+    return think_again(search, selection)
+
+
+def in_rounds(search: Search, selection: Selection) -> Selection:
+    """Add effects to the best hypothesis, round by round."""
     while not selection.complete:
         for one in ROUND:
             selection = one(search, selection)
             if selection.complete or not search.may_go_on():
                 selection = replace(selection, complete=True)
                 break
-    return think_again(search, selection)
+    return selection
+
+
+def followed_from_beginnings(search: Search, so_far: Selection) -> Selection:
+    """Begin anew with the motions' beginnings, where what was found explains too little or bends the file's numbers."""
+    search.progress(Stage(5, "looking at how the motions begin"))
+    search.estimation.problem.work.extend(ANEW)
+    found = from_beginnings(search.estimation, search.bases[0][1], search.progress)
+    if found is None or found.fit.evidence > so_far.best.fit.evidence:
+        return so_far
+    return in_rounds(search, Selection(found, (*so_far.tried, found)))
 
 
 def finish(search: Search, selection: Selection) -> Selection:

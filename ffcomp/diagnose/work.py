@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from math import inf
 
 BUDGET = 1.5e8  # integration steps; one to two minutes of CPU in 2026, where everything is tried
+ANEW = 0.5e8  # of a search that begins anew, at the motions' beginnings
 
 
 @dataclass
@@ -25,9 +26,14 @@ class Work:
 
     def allows(self) -> bool:
         """Tell whether another thing may be tried; where it may not, that is remembered."""
-        self.cut = self.cut or self.steps >= self.limit
-        return not self.cut
+        spent = self.steps >= self.limit
+        self.cut = self.cut or spent
+        return not spent
 
     def begin(self, limit: float) -> None:
         """Begin a search that may simulate so much from now on."""
         self.limit, self.cut = self.steps + limit, False
+
+    def extend(self, further: float) -> None:
+        """Allow so much from now on, if there is no more left."""
+        self.limit = max(self.limit, self.steps + further)

@@ -10,7 +10,7 @@ import pytest
 from ffcomp.diagnose.diagnosis import noise_floor
 from ffcomp.diagnose.estimation import EstimationProblem, estimation_problem, excerpt_of
 from ffcomp.diagnose.excerpt_fits import in_excerpt, in_whole
-from ffcomp.diagnose.excerpts import EXCERPT_S, MOTIONS, telling_recordings
+from ffcomp.diagnose.excerpts import EXCERPT_S, MOTIONS, beginning, telling_recordings
 from ffcomp.diagnose.fit import Fit
 from ffcomp.diagnose.held_out import clustered
 from ffcomp.diagnose.hypotheses import Hypothesis
@@ -58,6 +58,29 @@ def test_an_excerpt_is_simulated_as_the_whole_is(values: dict[str, float], toler
         there = long[rows.first : rows.last]
         assert len(short) == rows.last - rows.first == pytest.approx(EXCERPT_S * RATE_HZ, rel=0.02)
         np.testing.assert_allclose(short, there, atol=tolerance * np.abs(there).max())
+
+
+@pytest.mark.parametrize("values", [{}, {FRICTION: 2.0}])
+def test_beginnings_are_simulated_as_the_whole_is_also_those_of_an_excerpt(values: dict[str, float]) -> None:
+    part = problem().excerpt()
+    assert part is not None
+    whole = problem().simulate(values)
+    for of in (problem(), part):
+        begun = of.beginnings(0.4)
+        assert begun is not None
+        short = begun.simulate(values)
+        for i, told in zip(of.chosen, short, strict=True):
+            assert len(told) == pytest.approx(0.4 * RATE_HZ, rel=0.02)
+            np.testing.assert_allclose(told, whole[i][: len(told)], atol=1e-6 * np.abs(whole[i]).max())
+        assert of.beginnings(SECONDS) is None
+
+
+def test_a_beginning_is_counted_from_where_a_motion_begins() -> None:
+    observation = seen("a", (0.0, 0.0))
+    rests = np.zeros((1000, 3))
+    rests[600:] = 1.0
+    assert beginning(observation, rests, 200 / observation.rate_hz).last == quick_length(800)
+    assert beginning(observation, rests[:700], 200 / observation.rate_hz).last == 700
 
 
 def test_excerpts_are_of_both_halves_and_alike_for_repeats() -> None:

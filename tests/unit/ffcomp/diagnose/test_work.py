@@ -130,3 +130,14 @@ def test_nothing_more_is_allowed_once_the_budget_is_spent() -> None:
     assert not work.allows() and work.cut
     work.begin(5.0)
     assert work.allows()
+
+
+def test_a_search_that_begins_anew_may_go_on_and_what_was_cut_is_remembered() -> None:
+    work = Work()
+    work.begin(10.0)
+    work.add(12.0)
+    assert not work.allows()
+    work.extend(3.0)
+    assert work.allows() and work.cut
+    work.extend(1.0)
+    assert work.limit == 15.0
