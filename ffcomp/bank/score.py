@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ffcomp.bank.cases import Label
+from ffcomp.bank.kinds import KINDS
 
 FAILED = "failed"  # a verdict that is none: the tool ended with an error
 # numbers whose meaning needs the machine file's own shape of the effect: the printer has another
@@ -217,15 +218,16 @@ def _numbers_of(j: Judged) -> Iterator[NumberError]:
                 continue
             found = told[name].get(key)
             if found is not None:
-                yield from _compared(f"{name}.{key}", true, found)
+                yield from _compared(f"{name}.{key}", true, found, KINDS[j.label.machine].moving)
 
 
-def _compared(key: str, true: Any, found: Mapping[str, Any]) -> Iterator[NumberError]:
-    """One number, or three by key[0], key[1], key[2]; one stands for three equal ones."""
+def _compared(key: str, true: Any, found: Mapping[str, Any], moving: Sequence[float]) -> Iterator[NumberError]:
+    """One number, or three by key[0], key[1], key[2]; one stands for three equal ones, of those that move."""
+    told_once = not isinstance(true, list) and isinstance(found["value"], list)
     several = any(isinstance(x, list) for x in (true, found["value"]))
     parts = [np.broadcast_to(x, 3 if several else 1) for x in (true, found["value"], found["low"], found["high"])]
     for n, (value, said, low, high) in enumerate(zip(*parts, strict=True)):
-        if value != 0.0:  # none has a size to be off by
+        if value != 0.0 and (moving[n] or not told_once):  # none has a size to be off by
             name = f"{key}[{n}]" if several else key
             yield NumberError(name, float(said / value - 1), bool(low <= value <= high))
 

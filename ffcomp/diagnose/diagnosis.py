@@ -29,6 +29,7 @@ from ffcomp.diagnose.hypotheses import (
     discrepancy_of,
     implausible,
     likeliest,
+    misfit,
     significant,
 )
 from ffcomp.diagnose.initial_fits import predicted_left
@@ -403,5 +404,7 @@ def _tested(none: Diagnosis, found: _Found, progress: Progress) -> Diagnosis:
         competing=competing_with(searched, ranked, found.share, discrepancy_of(none.base)),
         held_out=held_out,
         rejections=failed,
-        intervals=intervals_of(estimation, best.fit, final.values, scatter=True),
+        # a shape that is not ours is wrong alike in all blocks of frequencies and all motions: Birge's ratio
+        # (Physical Review 40, 1932) on top of what they show
+        intervals=intervals_of(estimation, best.fit, final.values, True, float(np.sqrt(misfit(best.fit)))),
     )

@@ -13,7 +13,7 @@ from ffcomp.identify.uncertainty import NINETY_PERCENT, Estimate
 
 
 def intervals_of(
-    estimation: EstimationProblem, fitted: Fit, values: Mapping[str, float], scatter: bool = False
+    estimation: EstimationProblem, fitted: Fit, values: Mapping[str, float], scatter: bool = False, wider: float = 1.0
 ) -> dict[str, Estimate]:
     """Put intervals about the values that are reported, as wide as all parameters together leave them.
 
@@ -21,13 +21,14 @@ def intervals_of(
     ----------
     scatter : at least as wide as the values scatter as one motion after the other is left out. What one motion alone
         shows is not known from the others, and yet it is there: that is no reason to refuse an effect.
+    wider : times as wide.
     """
     whiten, same = estimation.whiten, estimation.problem.motions
     sd = np.sqrt(np.diag(fitted.covariance(whiten.frequencies(), whiten.rows, same)))
     if scatter:
         sd = np.maximum(sd, fitted.scatter(whiten.rows, same))
     return {
-        n.name: _interval(n, values.get(n.name, n.start), n.sd * float(s))
+        n.name: _interval(n, values.get(n.name, n.start), wider * n.sd * float(s))
         for n, s in zip(fitted.parameters, sd, strict=True)
     }
 

@@ -456,6 +456,20 @@ def _told(true: float) -> dict[str, float]:
     return {"value": 1.01 * true, "low": 0.99 * true, "high": 1.03 * true}
 
 
+def test_an_axis_that_rests_has_no_number_to_be_right() -> None:
+    said = {"value": [2.1, 1.9, 0.0], "low": [1.8, 1.7, 0.0], "high": [2.4, 2.2, 0.0]}
+    answer = {"verdict": "effects", "effects": [{"name": "coulomb_friction", "parameters": {"force_n": said}}]}
+    for machine, true, covered in (
+        ("corexy", 2.0, [True, True]),
+        ("corexy", [2.0, 2.0, 0.0], [True, True]),
+        ("delta", 2.0, [True, True, False]),
+    ):
+        one = judged("single", {"coulomb_friction": {"force_n": 2.0}}, ["coulomb_friction"])
+        label = replace(one.label, machine=machine, effects={"coulomb_friction": {"force_n": true}})
+        found = score.numbers([replace(one, label=label, verdict=answer)])
+        assert [e.covered for e in found] == covered, machine
+
+
 def test_the_score_of_known_verdicts() -> None:
     mass, late = {"effector_mass": {"added_kg": 0.1}}, {"command_delay": {"delay_s": 1e-3}}
     verdicts = [
