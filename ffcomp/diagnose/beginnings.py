@@ -18,10 +18,9 @@ from ffcomp.diagnose.fit import Fit, clipped, derivatives, fit, values_at
 from ffcomp.diagnose.hypotheses import Hypothesis, comparable, likeliest, log_fit, log_try, may_join
 from ffcomp.diagnose.initial_fits import QUICK
 from ffcomp.diagnose.noise import whitener
-from ffcomp.diagnose.problem import Candidate, Parameter
+from ffcomp.diagnose.problem import Candidate
 from ffcomp.diagnose.progress import Progress
-from ffcomp.diagnose.recording_delays import belongs_to_recording
-from ffcomp.diagnose.refinement import continue_fit
+from ffcomp.diagnose.refinement import continue_fit, held_to, taken_over
 from ffcomp.diagnose.score_test import Screened
 
 FIRST_S, GROWN = 0.25, 1.4  # how much of each motion is fitted first, and by how much more each time
@@ -58,7 +57,7 @@ def from_beginnings(
     if best is None or best.discrepancy > EXPLAINED * nothing.discrepancy:
         return None
     followed = _followed(estimation, best, GROWN * seconds, progress)
-    return continue_fit(estimation, _whole(estimation, followed), progress, ", from the beginnings")
+    return continue_fit(estimation, taken_over(estimation, followed), progress, ", from the beginnings")
 
 
 def _followed(estimation: EstimationProblem, h: Hypothesis, seconds: float, progress: Progress) -> Hypothesis:
@@ -71,7 +70,7 @@ def _followed(estimation: EstimationProblem, h: Hypothesis, seconds: float, prog
 
 def _held(h: Hypothesis) -> Hypothesis:
     """Begin at the file's numbers, and hold them to what it says: by impacts alone much can be made up for."""
-    own = [n if belongs_to_recording(n.name) else _within(n) for n in h.own_parameters]
+    own = held_to(h.own_parameters, HELD)
     z = np.concatenate([np.zeros(h.own), h.effect_z])
     return replace(h, fit=replace(h.fit, parameters=(*own, *h.effect_parameters), z=z))
 
@@ -138,10 +137,6 @@ def _starts(part: EstimationProblem, beside: Hypothesis, s: Screened) -> list[tu
     return found
 
 
-def _within(n: Parameter) -> Parameter:
-    return replace(n, low=max(n.low, n.start - HELD * n.sd), high=min(n.high, n.start + HELD * n.sd))
-
-
 def _freest(candidate: Candidate) -> Candidate:
     return (candidate.other or candidate).shaped
 
@@ -151,9 +146,3 @@ def _fitted(part: EstimationProblem, h: Hypothesis, steps: int) -> Hypothesis:
     parameters, z, everything = h.fit.parameters, h.fit.z, range(len(h.fit.parameters))
     columns = derivatives(part, parameters, z, part.residual(values_at(parameters, z)), everything)
     return replace(h, fit=fit(part, parameters, z, columns, everything, steps, small_gain=QUICK / 10))
-
-
-def _whole(estimation: EstimationProblem, h: Hypothesis) -> Hypothesis:
-    """Take over values into the problem of all rows; derivatives are taken anew by whoever fits."""
-    residual = estimation.residual(h.fit.values)
-    return replace(h, fit=Fit(h.fit.parameters, h.fit.z, residual, np.zeros((len(residual), len(h.fit.z)))))

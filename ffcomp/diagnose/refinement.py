@@ -133,18 +133,18 @@ def by_degrees(estimation: EstimationProblem, h: Hypothesis, progress: Progress)
             return h
         chosen = [i for i, motion in enumerate(estimation.problem.motions) if motion in quiet[:count]]
         part = estimation.limited_to(chosen)
-        begun = _in(part, begun) if begun is not h else _at_file(part, h)
+        begun = taken_over(part, begun) if begun is not h else _at_file(part, h)
         begun = continue_fit(part, begun, progress, f", in {count} quiet motions")
-    found = continue_fit(estimation, _in(estimation, begun), progress, ", by degrees")
+    found = continue_fit(estimation, taken_over(estimation, begun), progress, ", by degrees")
     return min(h, found, key=lambda x: x.fit.evidence)
 
 
 def _at_file(part: EstimationProblem, h: Hypothesis) -> Hypothesis:
     """Begin at the file's numbers, with the effects as they are."""
-    return _in(part, replace(h, fit=replace(h.fit, z=np.concatenate([np.zeros(h.own), h.effect_z]))))
+    return taken_over(part, replace(h, fit=replace(h.fit, z=np.concatenate([np.zeros(h.own), h.effect_z]))))
 
 
-def _in(part: EstimationProblem, h: Hypothesis) -> Hypothesis:
+def taken_over(part: EstimationProblem, h: Hypothesis) -> Hypothesis:
     """Take over values into a problem of other rows; derivatives are taken anew by whoever fits."""
     residual = part.residual(h.fit.values)
     return replace(h, fit=Fit(h.fit.parameters, h.fit.z, residual, np.zeros((len(residual), len(h.fit.z)))))
@@ -179,16 +179,20 @@ def refine(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> 
 def within_reach(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:
     """Fit with the file's numbers held to what it says of them: what moved them may be an effect's shape."""
     log_try(h.effects, progress, " with the file's numbers within reach")
-    held = tuple(n if belongs_to_recording(n.name) else _held(n) for n in h.own_parameters)
-    parameters = (*held, *h.effect_parameters)
+    parameters = (*held_to(h.own_parameters, float(np.sqrt(IMPLAUSIBLE))), *h.effect_parameters)
     start = clipped(parameters, h.fit.z)
     found = fit(estimation, parameters, start, h.fit.jacobian, range(h.own, len(parameters)), iterations=8)
     return log_fit(Hypothesis(h.effects, found), progress, " with the file's numbers within reach")
 
 
-def _held(n: Parameter) -> Parameter:
-    most = np.sqrt(IMPLAUSIBLE) * n.sd
-    return replace(n, low=max(n.low, n.start - most), high=min(n.high, n.start + most))
+def held_to(own: Sequence[Parameter], times: float) -> tuple[Parameter, ...]:
+    """Hold the file's numbers to so many times their uncertainties; delays of recordings stay free."""
+    return tuple(
+        n
+        if belongs_to_recording(n.name)
+        else replace(n, low=max(n.low, n.start - times * n.sd), high=min(n.high, n.start + times * n.sd))
+        for n in own
+    )
 
 
 # ---- another shape of the same effects -----------------------------------------------------------
