@@ -15,6 +15,7 @@ progress       what a search says while it works
 hypotheses     effects with all parameters fitted, and how hypotheses are compared
 initial_fits   from promising candidates to quick fits
 refinement     continue, refit and refine one hypothesis; converge on the shapes of its effects
+               (beginnings: fits that go from the motions' beginnings to their ends)
 parsimony      fewer effects, fewer parameters, where more are not significant
 selection      the passes that lead to the best hypothesis
 acceptance     tests before an effect is named (confounding: effects that it could be as well)
