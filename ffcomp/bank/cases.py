@@ -31,7 +31,7 @@ from ffcomp.bank.printer.motions import Motion
 from ffcomp.bank.printer.real import Reading, Real, Tables
 from ffcomp.bank.sensors import SENSORS, Sensors, commands_of, csv_of, draw_sensors
 from ffcomp.bank.tables import toml_of
-from ffcomp.bank.visible import PROBE, Visibility, retuning, visibility, whitened
+from ffcomp.bank.visible import PROBE, Visibility, retuning, samples, visibility, whitened
 
 HIDES = ("nothing", "single", "pair", "outside")
 CONDITIONS = ("usual", "rough-file", "joined", "exact-file", "weak", "sensors", "few")
@@ -166,8 +166,7 @@ class Plan:
     def judged(self, real: Real, readings: Sequence[Reading], coarse: bool = False) -> list[Reading]:
         """Return what another printer would have read, in the form in which readings are compared."""
         if self.kind.replayed is None:
-            found = self.readings(real, self.motions, coarse)  # coarse ones may be a row longer
-            return [one.until(len(reading.t)) for one, reading in zip(found, readings, strict=True)]
+            return self.readings(real, self.motions, coarse)
         return [self.kind.replayed(real, reading) for reading in readings]
 
     def readings(self, real: Real, motions: Sequence[Motion], coarse: bool = False) -> list[Reading]:
@@ -305,8 +304,10 @@ def _seen(plan: Plan, readings: Sequence[Reading]) -> dict[str, Visibility]:
         partial(plan.judged, Real(machine, readers=plan.plain.readers), readings, True)
         for machine in (plan.plain.machine, *probed)
     ]
-    n = retuning(players[0], players[1:], plan.sensors, plan.repeats, spread)
+    taken = zip(samples(plan.sensors, readings), samples(plan.sensors, players[0]()), strict=True)
+    counts = [min(pair) for pair in taken]
+    n = retuning(players[0], players[1:], plan.sensors, plan.repeats, counts, spread)
     own = readings if plan.kind.replayed is None else [plan.kind.replayed(None, reading) for reading in readings]
-    true = whitened(plan.sensors, own, plan.repeats)
+    true = whitened(plan.sensors, own, plan.repeats, counts)
     others = {name: plan.judged(real, readings) for name, real in plan.without.items()}
-    return {name: visibility(true - whitened(plan.sensors, o, plan.repeats), n) for name, o in others.items()}
+    return {name: visibility(true - whitened(plan.sensors, o, plan.repeats, counts), n) for name, o in others.items()}

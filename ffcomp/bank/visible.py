@@ -34,11 +34,24 @@ class Visibility:
         return self.raw >= LEAST_RAW and self.left >= LEAST_LEFT
 
 
-def whitened(sensors: Sensors, readings: Sequence[Reading], repeats: Sequence[int]) -> FloatArray:
-    """(rows,): real and imaginary parts of every channel and motion, in noises; repeats weigh by their root."""
+def samples(sensors: Sensors, readings: Sequence[Reading]) -> list[int]:
+    """Return how many samples the sensors take of each reading: of coarse steps perhaps one more."""
+    return [min(len(values) for values in sensors.perfect(reading).values()) for reading in readings]
+
+
+def whitened(
+    sensors: Sensors, readings: Sequence[Reading], repeats: Sequence[int], counts: Sequence[int]
+) -> FloatArray:
+    """(rows,): real and imaginary parts of every channel and motion, in noises; repeats weigh by their root.
+
+    Parameters
+    ----------
+    counts : samples of each reading that are taken, from its beginning.
+    """
     parts = []
-    for reading, count in zip(readings, repeats, strict=True):
-        for name, values in sensors.perfect(reading).items():
+    for reading, count, length in zip(readings, repeats, counts, strict=True):
+        for name, whole in sensors.perfect(reading).items():
+            values = whole[:length]
             f = np.asarray(np.fft.rfftfreq(len(values), 1 / sensors.rate_hz), dtype=np.float64)
             inside = (f >= BAND_HZ[0]) & (f <= BAND_HZ[1])
             scale = np.sqrt(2 * count / (len(values) * sensors.spectrum(name, f[inside])))
@@ -52,11 +65,12 @@ def retuning(
     probed: Sequence[Callable[[], list[Reading]]],
     sensors: Sensors,
     repeats: Sequence[int],
+    counts: Sequence[int],
     spread: float,
 ) -> FloatArray:
     """N : (rows, numbers), the answers of the plain printer to one standard deviation `spread` of each number."""
-    base = whitened(sensors, plain(), repeats)
-    return np.column_stack([(whitened(sensors, each(), repeats) - base) * spread / PROBE for each in probed])
+    base = whitened(sensors, plain(), repeats, counts)
+    return np.column_stack([(whitened(sensors, each(), repeats, counts) - base) * spread / PROBE for each in probed])
 
 
 def visibility(difference: FloatArray, n: FloatArray) -> Visibility:

@@ -34,7 +34,7 @@ from ffcomp.bank.straight.hidden import effects_of
 from ffcomp.bank.straight.outside import OUTSIDE as STRAIGHT_OUTSIDE
 from ffcomp.bank.strata import CONDITIONS, full_bank
 from ffcomp.bank.tables import toml_of
-from ffcomp.bank.visible import Visibility, visibility
+from ffcomp.bank.visible import Visibility, samples, visibility, whitened
 from ffcomp.cli.diagnose import diagnose
 from ffcomp.diagnose.diagnosis import noise_floor
 from ffcomp.diagnose.noise import whitener
@@ -315,6 +315,15 @@ def test_what_an_axis_driven_by_a_force_hides_has_a_size(name: str) -> None:
     assert np.ptp(plain.nozzle_mm[:, 0]) > 20.0 and np.abs(plain.nozzle_mm).max() < 80.0  # its servo holds it
     assert plain.force is not None and some.force is not None
     assert np.std(some.force - plain.force) > 1e-3 * np.std(plain.force)
+
+
+def test_a_reading_by_coarse_steps_may_be_a_sample_longer() -> None:
+    plan = draw(101174501, "nozzle/single/joined:arm_geometry", 1.5)
+    fine, coarse = (plan.readings(plan.real, plan.motions[3:4], step) for step in (False, True))
+    counts = samples(plan.sensors, fine)
+    assert samples(plan.sensors, coarse) == [counts[0] + 1]
+    told, roughly = (whitened(plan.sensors, given, (1,), counts) for given in (fine, coarse))
+    assert np.sqrt(np.mean((told - roughly) ** 2)) < 0.1  # of the noise
 
 
 def test_what_is_seen_of_an_axis_driven_by_a_force_is_under_the_same_force() -> None:

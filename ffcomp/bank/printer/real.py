@@ -27,11 +27,6 @@ class Reading:
     nozzle_mm: FloatArray  # (n, 3)
     force: FloatArray | None = None  # (n,) N, of an axis that a force drives
 
-    def until(self, rows: int) -> Reading:
-        """Return the beginning of it."""
-        cut = {name: x[:rows] for name, x in vars(self).items() if x is not None}
-        return replace(self, **cut)
-
 
 Order: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]  # (n,) s, (n, 3) mm of carriages → the same, spoiled
 Reader: TypeAlias = Callable[[Reading], Reading]
