@@ -3,7 +3,7 @@
     python -m studies.diagnosis --cases 240 --jobs 2 --resume DIR       docs/DIAGNOSIS.md and its figure
     python -m studies.diagnosis --cases 240 --scheduler tcp://HOST:8786 --resume DIR      by a Dask cluster
     python -m studies.diagnosis --cases 240 --resume DIR --render       the page of what is done so far
-    python -m studies.diagnosis --cases 48 --seed 9130 --resume DIR2 --beside       a fresh bank, told on the same page
+    python -m studies.diagnosis --cases 48 --seed 9130 --resume DIR2 --earlier      another bank, told on the same page
 
 The bank is `ffcomp/bank`. Everything is kept in DIR (see `ffcomp/bank/seal.py`; of a cluster, on a disk that all
 workers see), so that it can be stopped at any time and continued: a verdict that is there is not asked for again. The
@@ -36,7 +36,7 @@ from ffcomp.bank.seal import label_path, open_labels, verdict_path, write_case
 from ffcomp.bank.strata import FULL, full_bank
 from ffcomp.bank.summary import confusion, miss, rate_of
 from ffcomp.errors import FfcompError
-from studies.render import save
+from studies.render import results_of, save
 
 ROOT = Path(__file__).parents[1]
 LONGEST_S = 900.0
@@ -58,14 +58,19 @@ def main() -> None:
         score.Judged(name, label, _read(verdict_path(bank, name)), _read(_proof_path(bank, name)))
         for name, label in open_labels(bank, done).items()
     ]
-    if options.beside:
-        found = results(judged, options)
-        kept = ("cases", "seed", "done", "commits", "rates", "misses", "verdict_s")
-        save("diagnosis", {"since": {key: found[key] for key in kept}})
+    if options.earlier:
+        save("diagnosis", {"earlier": with_earlier(results(judged, options))})
         return
     without_runs = sum(refused_path(bank, name).exists() and name not in done for name in cases)
     save("diagnosis", {**results(judged, options), "without_runs": without_runs})
     draw_confusion(judged, FIGURE)
+
+
+def with_earlier(found: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the earlier banks of the page, the newest first, with this one among them."""
+    kept = ("cases", "seed", "seconds", "done", "commits", "rates")
+    others = [bank for bank in results_of("diagnosis")["earlier"] if bank["seed"] != found["seed"]]
+    return [{key: found[key] for key in kept}, *others]
 
 
 def _options() -> argparse.Namespace:
@@ -77,7 +82,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--seconds", type=float, default=2.0, help="of each run")
     parser.add_argument("--seed", type=int, default=1, help="another number, another bank")
     parser.add_argument("--machines", nargs="*", default=list(MACHINES), help="of these kinds")
-    parser.add_argument("--beside", action="store_true", help="another bank, asked since: a part of the same page")
+    parser.add_argument("--earlier", action="store_true", help="a bank asked before: a column of the same page")
     parser.add_argument("--render", action="store_true", help="ask for nothing more, write the page")
     return parser.parse_args()
 

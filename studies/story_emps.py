@@ -9,7 +9,7 @@ machine file and two runs of it.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import mkdtemp
@@ -83,9 +83,11 @@ def main() -> None:
     problem = AxisProblem(machine, runs[:1], given.only)
     found = diagnose(problem)
     before, after = (problem.machine_with(fitted.values) for fitted in (found.base, found.final))
-    run_free = free_run_fit(problem, found, runs[0])
+    numbers = [name for name in (MASS, VISCOUS, OFFSET, FRICTION, DIRECTION) if name in found.final.values]
+    run_free = free_run_fit(problem, found.final.values, numbers, runs[0])
     answers = [answer(run, before, after) for run in runs]
-    told = results(problem, found, answers) | {"free": free_scores(runs, before, after, run_free)}
+    told = results(problem, found, answers) | {"limit": friction_that_differs(problem, run_free, runs[1])}
+    told |= {"free": free_scores(runs, before, after, problem.machine_with(run_free))}
     save("story_emps", told | {"pulses": about_pulses(runs[1])})
     draw_error(answers, FIGURES["error"])
     draw_force(found, runs[0], FIGURES["force"])
@@ -119,17 +121,24 @@ def free_run(run: AxisRun, machine: AxisMachine) -> FloatArray:
     return place - simulate_axis(machine, rest, 1 / run.sample_rate_hz, begin=begin).position_mm
 
 
-def free_run_fit(problem: AxisProblem, found: Diagnosis, run: AxisRun) -> AxisMachine:
-    """Return the axis with the same effects, its numbers fitted to the free run of the first recording."""
-    values = found.final.values
-    names = [name for name in (MASS, VISCOUS, OFFSET, FRICTION, DIRECTION) if name in values]
+def free_run_fit(
+    problem: AxisProblem, values: Mapping[str, float], names: Sequence[str], run: AxisRun
+) -> dict[str, float]:
+    """Return the values, those of these names fitted to the free run of a recording."""
     start = np.array([values[name] for name in names])
 
     def error(x: FloatArray) -> FloatArray:
         return free_run(run, problem.machine_with({**values, **dict(zip(names, x.tolist(), strict=True))}))[::5]
 
     fitted = least_squares(error, start, x_scale=np.abs(start) + 1, diff_step=1e-4)
-    return problem.machine_with({**values, **dict(zip(names, fitted.x.tolist(), strict=True))})
+    return {**values, **dict(zip(names, fitted.x.tolist(), strict=True))}
+
+
+def friction_that_differs(problem: AxisProblem, values: Mapping[str, float], run: AxisRun) -> dict[str, float]:
+    """Fit dry friction alone to a recording that was not fitted: how well can a free run be foretold?"""
+    own = free_run_fit(problem, values, [FRICTION], run)
+    left = rms(free_run(run, problem.machine_with(own)))
+    return {"friction_n": values[FRICTION], "own_friction_n": own[FRICTION], "pulses_mm": left}
 
 
 # ---- the results ---------------------------------------------------------------------------------
