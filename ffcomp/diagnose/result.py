@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ffcomp.diagnose.diagnosis import Diagnosis
+from ffcomp.diagnose.fit import Fit
 from ffcomp.diagnose.hypotheses import misfit
 from ffcomp.diagnose.printer_problem import WHOLE, effect_tables
 from ffcomp.diagnose.problem import TOWERS, Problem
@@ -26,6 +27,7 @@ SAID_S = 1e-4  # from which it is said that a file lies late
 OFF = 0.05  # of a number of the file, from which it is said that it may be off by so much
 ONE_PLACE, FILE_OFF = 0.9, 0.5  # the most an effect is sure that was tested at one place, or that wrong numbers mimic
 ELSEWHERE = ("places", "windows")  # of time, where a machine has one place only
+BEYOND = 3.0  # standard deviations: by chance one of fifteen numbers is so far off in one machine of 25
 MOVED = 0.1  # standard deviations of its uncertainty from which a parameter counts as retuned
 
 
@@ -57,6 +59,7 @@ class DiagnosisResult:
     separations: Sequence[Separation] = ()  # from what fits as well: see `problems.separated`
     cut_short: bool = False  # the search ended at its budget
     noise_guessed: bool = False  # no motion was repeated
+    beyond: Mapping[str, float] = field(default_factory=dict)  # numbers retuned by so many of their uncertainties
 
     @property
     def mends(self) -> bool:
@@ -134,6 +137,7 @@ def result_of(problem: Problem, found: Diagnosis) -> DiagnosisResult:
         problem.belts,
         cut_short=found.cut_short,
         noise_guessed=not found.noise.from_repeats,
+        beyond=_beyond(fitted),
     )
 
 
@@ -188,6 +192,12 @@ def _confidence(found: Diagnosis, effect: str) -> float:
     nearest = min([*behind, found.base.evidence - fitted.evidence])
     sure = float(1 / (1 + np.exp(-np.clip(nearest / misfit(fitted) / 2, -50, 50))))
     return min(sure, 1.0 if _left_out(found) in ELSEWHERE else ONE_PLACE, 1.0 if found.file_off is None else FILE_OFF)
+
+
+def _beyond(fitted: Fit) -> dict[str, float]:
+    """Return the file's own numbers that moved beyond what it says of them, the furthest first."""
+    far = {n.name: abs(float(z)) for n, z in zip(fitted.parameters, fitted.z, strict=True) if of_machine(n.name)}
+    return {name: z for name, z in sorted(far.items(), key=lambda each: -each[1]) if z > BEYOND}
 
 
 def _in_file_terms(name: str, e: Estimate) -> Estimate:

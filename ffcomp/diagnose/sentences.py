@@ -88,7 +88,8 @@ def file_off(found: DiagnosisResult) -> list[str]:
 
 
 def _nothing(found: DiagnosisResult) -> list[str]:
-    sentences = [f"Nothing is missing: the gap of {_gap(found)} is noise, or retuning within the stated uncertainties."]
+    retuned = "numbers of the file that are off" if found.beyond else "retuning within the stated uncertainties"
+    sentences = [f"Nothing is missing: the gap of {_gap(found)} is noise, or {retuned}.", *_beyond(found)]
     if found.mends:
         sentences.append(
             f"With {len(found.retuned)} of the file's numbers retuned, {percent(found.after.nrms)} are left; "
@@ -96,6 +97,21 @@ def _nothing(found: DiagnosisResult) -> list[str]:
             + elsewhere(found)[1:]
         )
     return [*sentences, *guessed(found)]
+
+
+def _beyond(found: DiagnosisResult) -> list[str]:
+    """Say which numbers of the file would be off by more than it says: an effect may be behind them."""
+    if not found.beyond:
+        return []
+    each = [
+        f"{name} by {times:.1f} times its uncertainty ({found.retuned[name][0]:.4g} in the file, "
+        f"{found.retuned[name][1]:.4g} fits)"
+        for name, times in list(found.beyond.items())[:FEW]
+    ]
+    return [
+        f"Further off than the file says is {joined(each)}: measure that anew, for what changes it may be an effect, "
+        "or state in the file's [uncertainty] how well it is known."
+    ]
 
 
 def guessed(found: DiagnosisResult) -> list[str]:

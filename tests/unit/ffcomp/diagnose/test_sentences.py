@@ -148,6 +148,16 @@ def test_prints_gain_by_a_heavier_effector_in_the_file() -> None:
     assert told == pytest.approx([found.before_um, found.after_um, found.uncompensated_um], rel=0.06)
 
 
+def test_a_number_beyond_what_the_file_says_is_named_with_nothing() -> None:
+    closed = {"before": 0.37, "after": 0.0051, "held_out": (0.37, 0.0052)}
+    first, *_ = said(result("nothing", **closed))
+    assert first.endswith("is noise, or retuning within the stated uncertainties.")
+    off = result("nothing", **closed, beyond={"carriage.mass_kg": 3.7})
+    first, second, *_ = said(off)
+    assert first.endswith("is noise, or numbers of the file that are off.")
+    assert "carriage.mass_kg by 3.7 times its uncertainty (0.18 in the file, 0.181 fits)" in second
+
+
 def test_sensors_and_nothing_gain_nothing() -> None:
     machine = load_machine("mp-delta-pro")
     assert print_gain(machine, result("nothing")) is None
