@@ -537,5 +537,8 @@ def test_a_motion_of_an_odd_length_is_judged_as_long_as_it_was_read() -> None:
     plan = draw(70010, "corexy/nothing/usual:none", 1.0, short=True)
     odd = replace(plan, motions=tuple(replace(motion, seconds=0.30001 + 0.6 / 6400) for motion in plan.motions))
     read = odd.readings(odd.real, odd.motions)
-    assert [len(one.t) for one in odd.readings(odd.real, odd.motions, coarse=True)] != [len(one.t) for one in read]
-    assert [len(one.t) for one in odd.judged(odd.real, read, coarse=True)] == [len(one.t) for one in read]
+    coarse = odd.readings(odd.real, odd.motions, coarse=True)
+    assert [len(one.t) for one in coarse] != [len(one.t) for one in read]
+    counts = samples(odd.sensors, read)
+    told, roughly = (whitened(odd.sensors, given, odd.repeats, counts) for given in (read, coarse))
+    assert len(told) == len(roughly)
