@@ -530,15 +530,3 @@ def test_smoke(stratum: str, tmp_path: Path, capsys: pytest.CaptureFixture[str])
     verdict, names = SMOKE[stratum]
     assert found["verdict"] == verdict
     assert sorted(effect["name"] for effect in found["effects"]) == sorted(names)
-
-
-def test_a_motion_of_an_odd_length_is_judged_as_long_as_it_was_read() -> None:
-    """Coarse steps end a row later where a motion ends between two of them; a joined plan's motions do."""
-    plan = draw(70010, "corexy/nothing/usual:none", 1.0, short=True)
-    odd = replace(plan, motions=tuple(replace(motion, seconds=0.30001 + 0.6 / 6400) for motion in plan.motions))
-    read = odd.readings(odd.real, odd.motions)
-    coarse = odd.readings(odd.real, odd.motions, coarse=True)
-    assert [len(one.t) for one in coarse] != [len(one.t) for one in read]
-    counts = samples(odd.sensors, read)
-    told, roughly = (whitened(odd.sensors, given, odd.repeats, counts) for given in (read, coarse))
-    assert len(told) == len(roughly)
