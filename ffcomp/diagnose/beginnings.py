@@ -13,11 +13,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ffcomp.diagnose.estimation import EstimationProblem, Recent
+from ffcomp.diagnose.estimation import EstimationProblem, on_part
 from ffcomp.diagnose.fit import Fit, clipped, derivatives, fit, values_at
 from ffcomp.diagnose.hypotheses import Hypothesis, comparable, likeliest, log_fit, log_try, may_join
 from ffcomp.diagnose.initial_fits import QUICK
-from ffcomp.diagnose.noise import whitener
 from ffcomp.diagnose.problem import Candidate
 from ffcomp.diagnose.progress import Progress
 from ffcomp.diagnose.refinement import continue_fit, held_to, taken_over
@@ -90,14 +89,7 @@ def _first_s(estimation: EstimationProblem) -> float:
 def beginning_of(estimation: EstimationProblem, seconds: float) -> EstimationProblem | None:
     """Return the estimation problem of the beginnings, simulated coarsely; None where that is all."""
     problem = estimation.problem.beginnings(seconds)
-    if problem is None:
-        return None
-    whiten = whitener(problem.observations, estimation.whiten.floor, estimation.whiten.band_hz)
-    measured = whiten([o.measured for o in problem.observations])
-    share = estimation.share * len(measured) / len(estimation.measured)
-    return replace(
-        estimation, problem=problem, whiten=whiten, measured=measured, share=share, coarse=True, recent=Recent()
-    )
+    return None if problem is None else replace(on_part(estimation, problem), coarse=True)
 
 
 def _ranked(

@@ -103,11 +103,13 @@ def excerpt_of(estimation: EstimationProblem, discrepancy: float) -> EstimationP
     problem = estimation.problem.excerpt()
     if problem is None:
         return None
+    part = on_part(estimation, problem)
+    return None if part.share * discrepancy * rows < SURE else part
+
+
+def on_part(estimation: EstimationProblem, problem: Problem) -> EstimationProblem:
+    """Return the estimation on a part of its problem's data, by the same noise."""
     whiten = whitener(problem.observations, estimation.whiten.floor, estimation.whiten.band_hz)
     measured = whiten([o.measured for o in problem.observations])
-    share = len(measured) / rows
-    return (
-        None
-        if share * discrepancy * rows < SURE
-        else replace(estimation, problem=problem, whiten=whiten, measured=measured, share=share, recent=Recent())
-    )
+    share = estimation.share * len(measured) / len(estimation.measured)
+    return replace(estimation, problem=problem, whiten=whiten, measured=measured, share=share, recent=Recent())
