@@ -18,7 +18,7 @@ from ffcomp.diagnose.fit import Fit, clipped, derivatives, fit, values_at
 from ffcomp.diagnose.hypotheses import Hypothesis, comparable, likeliest, log_fit, log_try, may_join
 from ffcomp.diagnose.initial_fits import QUICK
 from ffcomp.diagnose.problem import Candidate
-from ffcomp.diagnose.progress import Progress
+from ffcomp.diagnose.progress import Progress, Stage
 from ffcomp.diagnose.refinement import continue_fit, held_to, taken_over
 from ffcomp.diagnose.score_test import Screened
 
@@ -46,6 +46,7 @@ def from_beginnings(
     part = beginning_of(estimation, seconds)
     if part is None:
         return None
+    progress(Stage(5, "looking at how the motions begin"))
     own = tuple(part.problem.parameters)
     nothing = Hypothesis((), Fit(own, np.zeros(len(own)), np.zeros(0), np.zeros((0, 0))))
     nothing = _fitted(part, nothing, STEPS)

@@ -134,7 +134,6 @@ def in_rounds(search: Search, selection: Selection) -> Selection:
 
 def followed_from_beginnings(search: Search, so_far: Selection) -> Selection:
     """Begin anew with the motions' beginnings, where what was found explains too little or bends the file's numbers."""
-    search.progress(Stage(5, "looking at how the motions begin"))
     search.estimation.problem.work.extend(ANEW)
     found = from_beginnings(search.estimation, search.bases[0][1], search.progress)
     if found is None or found.fit.evidence > so_far.best.fit.evidence:
