@@ -1,4 +1,4 @@
-"""The pictures of docs/FRF.md. Run from anywhere: python docs/examples/frf_pictures.py [FOLDER]"""
+"""The pictures of frequency responses. Run from anywhere: python docs/examples/frf_pictures.py [FOLDER]"""
 
 from __future__ import annotations
 
