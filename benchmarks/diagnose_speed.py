@@ -2,7 +2,7 @@
 
     python -m benchmarks.diagnose_speed [--keep DIR] [--data DIR] [--only TEXT] [--candidates NAME ...] [--json]
 
-Three kinds of sets, each with something hidden in a printer that is not ours (`ffcomp/bank`), except the first:
+Three kinds of sets, each with something hidden in a printer that is not ours (`validation/blind`), except the first:
 
     labelled   the labelled sets of the outside data (--data, or FFCOMP_DATA): ten runs of 4 s at 1.6 kHz
     six        ten runs of 6 s at 3.2 kHz, six channels: dry friction, added mass, nothing
@@ -184,10 +184,10 @@ def set_of(name: str, keep: Path, data: Path) -> Path | None:
 
 def _real(folder: Path, effect: str) -> Any:
     """Return the printer with its hidden effect; its owner's file, a little off, is written."""
-    from ffcomp.bank.delta.hidden import EFFECTS as HIDE
-    from ffcomp.bank.printer.real import Real
     from models.file import load_machine
     from studies.diagnosis_proof import owners_file
+    from validation.blind.delta.hidden import EFFECTS as HIDE
+    from validation.blind.printer.real import Real
 
     (folder / "machine.toml").write_text(owners_file(load_machine(MACHINE)), encoding="utf-8")
     plain = Real(tomllib.loads(MACHINE.read_text(encoding="utf-8")))
@@ -199,10 +199,10 @@ def _real(folder: Path, effect: str) -> Any:
 
 
 def _six(folder: Path, effect: str) -> None:
-    from ffcomp.bank.delta.numbers import carriages_of
-    from ffcomp.bank.delta.real import played
-    from ffcomp.bank.printer.motions import KINDS, Motion
-    from ffcomp.bank.sensors import commands_of, csv_of, draw_sensors
+    from validation.blind.delta.numbers import carriages_of
+    from validation.blind.delta.real import played
+    from validation.blind.printer.motions import KINDS, Motion
+    from validation.blind.sensors import commands_of, csv_of, draw_sensors
 
     real = _real(folder, effect)
     sensors = draw_sensors(np.random.default_rng(11), "all", RATE_HZ)
@@ -223,11 +223,11 @@ def _rising(path: Callable[[Any], Any], place: Sequence[float]) -> Callable[[Any
 
 
 def _joined(folder: Path, effect: str) -> None:
-    from ffcomp.bank.delta.real import played
-    from ffcomp.bank.printer.motions import Motion
     from ffcomp.record.plan import Request, make_plan
     from ffcomp.record.plan_files import save_plan
     from models.file import load_machine
+    from validation.blind.delta.real import played
+    from validation.blind.printer.motions import Motion
     from validation.plants.accelerometer import draw_chip, klipper_capture
 
     real = _real(folder, effect)

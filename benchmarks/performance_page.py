@@ -423,7 +423,7 @@ def effects(found: Numbers) -> Iterator[str]:
     yield f"""Effects that no linear model holds are compensated by playing the command on the whole virtual printer and
 correcting it, round by round (`ffcomp/inverse/nonlinear/correction.py`). Here each effect is hidden in the
 *independent* printer of
-`ffcomp/bank` (other equations; the last column says where the effect has another shape than the machine file's),
+`validation/blind` (other equations; the last column says where the effect has another shape than the machine file's),
 and {SECONDS:g} s of `{PRINT.name}` (layers {LAYERS.first_layer} to {LAYERS.last_layer}) are printed there. Contour
 error, rms, µm: with no compensation; with a file that is right in all but the effect; with one that names the effect
 and its size; on the printer without the effect (the same as before if nothing were lost); and with the knowing command

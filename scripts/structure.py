@@ -52,7 +52,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("ffcomp.steps", "ffcomp.inverse"),
     ("ffcomp.faster",),
     ("ffcomp.compensate", "ffcomp.simulate", "ffcomp.identify", "ffcomp.record"),
-    ("ffcomp.estimate", "ffcomp.compare", "ffcomp.diagnose", "ffcomp.check", "ffcomp.bank"),
+    ("ffcomp.estimate", "ffcomp.compare", "ffcomp.diagnose", "ffcomp.check"),
     ("ffcomp.report",),
     ("ffcomp.api", "ffcomp.serve"),
     ("ffcomp.__init__",),

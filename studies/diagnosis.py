@@ -5,9 +5,9 @@
     python -m studies.diagnosis --cases 240 --resume DIR --render       the page of what is done so far
     python -m studies.diagnosis --cases 48 --seed 9130 --resume DIR2 --earlier      another bank, told on the same page
 
-The bank is `ffcomp/bank`. Everything is kept in DIR (see `ffcomp/bank/seal.py`; of a cluster, on a disk that all
-workers see), so that it can be stopped at any time and continued: a verdict that is there is not asked for again. The
-cases come in an order of which every beginning is balanced. Each is sealed, asked for in a process of its own
+The bank is `validation/blind`. Everything is kept in DIR (see `validation/blind/seal.py`; of a cluster, on a disk that
+all workers see), so that it can be stopped at any time and continued: a verdict that is there is not asked for again.
+The cases come in an order of which every beginning is balanced. Each is sealed, asked for in a process of its own
 (`bank_case`), and only the labels of answered cases are opened, at the end.
 """
 
@@ -29,14 +29,14 @@ from typing import Any
 import joblib
 import numpy as np
 
-from ffcomp.bank import score
-from ffcomp.bank.cases import case
-from ffcomp.bank.kinds import KINDS, MACHINES
-from ffcomp.bank.seal import label_path, open_labels, verdict_path, write_case
-from ffcomp.bank.strata import FULL, full_bank
-from ffcomp.bank.summary import confusion, miss, rate_of
 from ffcomp.errors import FfcompError
 from studies.render import results_of, save
+from validation.blind import score
+from validation.blind.cases import case
+from validation.blind.kinds import KINDS, MACHINES
+from validation.blind.seal import label_path, open_labels, verdict_path, write_case
+from validation.blind.strata import FULL, full_bank
+from validation.blind.summary import confusion, miss, rate_of
 
 ROOT = Path(__file__).parents[1]
 LONGEST_S = 900.0

@@ -2,7 +2,7 @@
 
     python -m studies.diagnosis_proof --keep DIR      docs/DIAGNOSIS_PROOF.md and its figure, some 15 minutes
 
-Effects are hidden in the independent printer of `ffcomp/bank`, which is measured, diagnosed through the command
+Effects are hidden in the independent printer of `validation/blind`, which is measured, diagnosed through the command
 line, and then prints: with the owner's file, with the better one, with one that is right in everything, and with one
 into which a wrong effect was forced. Runs, verdicts and machine files stay in DIR; what is there is not made again.
 """
@@ -23,13 +23,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.bank.delta.hidden import EFFECTS
-from ffcomp.bank.delta.numbers import carriages_of
-from ffcomp.bank.delta.real import played
-from ffcomp.bank.printer.motions import KINDS, Motion, Place
-from ffcomp.bank.printer.motions import Path as NozzlePath
-from ffcomp.bank.printer.real import Reading, Real
-from ffcomp.bank.sensors import commands_of, csv_of, draw_sensors
 from ffcomp.compare.evaluation import Execution, contour
 from ffcomp.compare.methods import COMPENSATED, inversion, none
 from ffcomp.compare.monte_carlo import draw_plants
@@ -46,6 +39,13 @@ from models.printer.static_deflection import static_deflection
 from studies.diagnosis import ffcomp
 from studies.render import save
 from validation import judge
+from validation.blind.delta.hidden import EFFECTS
+from validation.blind.delta.numbers import carriages_of
+from validation.blind.delta.real import played
+from validation.blind.printer.motions import KINDS, Motion, Place
+from validation.blind.printer.motions import Path as NozzlePath
+from validation.blind.printer.real import Reading, Real
+from validation.blind.sensors import commands_of, csv_of, draw_sensors
 
 FloatArray = NDArray[np.float64]
 

@@ -3,7 +3,7 @@
     python -m studies.effects_compensated [--keep FILE] [--seconds S] [NAME ...]     some ten minutes for all of them
 
 A part of the ringing tower is compensated with a machine file that does not know the effect, and with one that does;
-both print on the independent printer of `ffcomp/bank`, which has it. Beside them: the printer without it. What
+both print on the independent printer of `validation/blind`, which has it. Beside them: the printer without it. What
 FILE holds already is not made again. The same on our own virtual printer tells how much of what is left comes of the
 effect's other shape. A table goes to standard output; `performance.py` writes the same into its page.
 """
@@ -29,8 +29,6 @@ from unittest.mock import patch
 
 import numpy as np
 
-from ffcomp.bank.delta.hidden import EFFECTS
-from ffcomp.bank.printer.real import Real
 from ffcomp.compare.evaluation import Execution, contour
 from ffcomp.compare.methods import COMPENSATED, inversion, none
 from ffcomp.compare.sampling import Print, PrintSlice
@@ -44,6 +42,8 @@ from models.file import load_machine
 from models.machine import Machine
 from studies.diagnosis_proof import LAYERS, PRINT, Printer, on_the_real
 from validation import judge
+from validation.blind.delta.hidden import EFFECTS
+from validation.blind.printer.real import Real
 
 SECONDS = 15.0
 SEEDS = {"belt_stiffness": 1, "coulomb_friction": 4, "guide_damping": 4, "effector_mass": 5}  # of the last proof

@@ -3,7 +3,7 @@
     python -m studies.owners_loop --keep DIR --write      docs/OWNERS_LOOP.md, some minutes a printer
 
 `ffcomp record plan` writes the file, the real Kalico host plans it (KALICO_PYTHON names its interpreter), the printer
-of `ffcomp/bank` with a hidden effect makes that motion, and an accelerometer like an ADXL345 records it: 3.2 kHz
+of `validation/blind` with a hidden effect makes that motion, and an accelerometer like an ADXL345 records it: 3.2 kHz
 ± 1 %, 3.9 mg a count, noise 0.15 m/s², gravity, a tilt of 2°, turned axes, and rows that are lost. Everything after
 that is the command line: join, diagnose, compensate. What is there in DIR is not made again.
 """
@@ -22,9 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from ffcomp.bank.delta.real import played
-from ffcomp.bank.printer.motions import Motion
-from ffcomp.bank.printer.real import Real
 from ffcomp.record.plan import Experiment, MovesPlan
 from ffcomp.record.plan_files import load_moves
 from models.file import load_machine, updated_text
@@ -32,6 +29,9 @@ from studies.diagnosis import ffcomp
 from studies.diagnosis_proof import Printer, hidden, kept, owners_file, printed
 from studies.render import save
 from validation import judge
+from validation.blind.delta.real import played
+from validation.blind.printer.motions import Motion
+from validation.blind.printer.real import Real
 from validation.kalico import kalico_plan, sample
 from validation.plants.accelerometer import draw_chip, klipper_capture, reprapfirmware_capture
 

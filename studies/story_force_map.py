@@ -18,8 +18,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.bank.printer.motions import Path as NozzlePath
-from ffcomp.bank.printer.real import Reading
 from ffcomp.diagnose.printer_problem import PrinterProblem
 from ffcomp.measurement.recording import read_recording
 from models.effects.catalogue import effective_machine
@@ -40,6 +38,8 @@ from studies.diagnosis_proof import (
 )
 from studies.render import save
 from validation import judge
+from validation.blind.printer.motions import Path as NozzlePath
+from validation.blind.printer.real import Reading
 from validation.plants.multibody import Choice, build, modes, play
 
 FloatArray = NDArray[np.float64]

@@ -28,7 +28,7 @@ SLOW = (  # folders and files; single tests have the marker themselves
     "fuzz",
     "integration",
     "unit/ffcomp/api/test_public.py",
-    "unit/ffcomp/bank",
+    "unit/validation/blind",
     "unit/ffcomp/check",
     "unit/ffcomp/faster",
     "unit/ffcomp/cli/test_help.py",

@@ -14,7 +14,6 @@ for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import typer  # noqa: E402
 
-from ffcomp.cli.bank import app as bank  # noqa: E402
 from ffcomp.cli.compare import compare  # noqa: E402
 from ffcomp.cli.compensate import compensate  # noqa: E402
 from ffcomp.cli.diagnose import diagnose  # noqa: E402
@@ -73,7 +72,6 @@ record.command("check", cls=Command)(record_check)
 app.add_typer(record, name="record")
 app.add_typer(machines, name="machines")
 app.add_typer(integrations, name="integrations")
-app.add_typer(bank, name="bank")
 app.command(cls=Command)(serve)
 app.command(cls=Command)(warmup)
 

@@ -313,7 +313,6 @@ def test_the_page_names_every_schema_that_the_code_prints() -> None:
     assert told_of == made - {
         "ffcomp-machine/1",
         "ffcomp-check-history/1",
-        "ffcomp-bank-answers/1",
         "ffcomp-motion/1",
     }  # files, described on their own pages
 

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.bank.delta.machines import draw_machine, file_of
-from ffcomp.bank.delta.numbers import FloatArray, carriages_of
-from ffcomp.bank.delta.real import played
-from ffcomp.bank.printer.motions import KINDS, Motion, Place
-from ffcomp.bank.printer.real import Order, Reading, Real, Tables
-from ffcomp.bank.sensors import commands_of, csv_of
-from ffcomp.bank.tables import toml_of
+from validation.blind.delta.machines import draw_machine, file_of
+from validation.blind.delta.numbers import FloatArray, carriages_of
+from validation.blind.delta.real import played
+from validation.blind.printer.motions import KINDS, Motion, Place
+from validation.blind.printer.real import Order, Reading, Real, Tables
+from validation.blind.sensors import commands_of, csv_of
+from validation.blind.tables import toml_of
 
 PRINTER_SEED, RATE_HZ, SECONDS = 6, 1600.0, 1.6
 CHANNELS = ("acc_x", "acc_y", "acc_z")

@@ -15,15 +15,15 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ffcomp.bank.delta.machines import draw_machine, file_of
-from ffcomp.bank.delta.numbers import FloatArray
-from ffcomp.bank.delta.real import played
-from ffcomp.bank.printer.motions import Motion
-from ffcomp.bank.printer.real import Order, Real, Tables
-from ffcomp.bank.tables import toml_of
 from ffcomp.record.plan import Experiment, MovesPlan, Request, make_plan
 from ffcomp.record.plan_files import save_plan
 from models.file import load_machine
+from validation.blind.delta.machines import draw_machine, file_of
+from validation.blind.delta.numbers import FloatArray
+from validation.blind.delta.real import played
+from validation.blind.printer.motions import Motion
+from validation.blind.printer.real import Order, Real, Tables
+from validation.blind.tables import toml_of
 from validation.plants.accelerometer import Chip, draw_chip
 from validation.traps.bench import PRINTER_SEED
 
@@ -86,7 +86,7 @@ class CaptureBench:
 
     fields: Mapping[str, Any] = field(default_factory=dict)  # of numbers.PRINTER: what is hidden
     in_run: Callable[[int], Mapping[str, Any]] | None = None  # other fields in each run, by its place in the file
-    outside: Callable[..., tuple[dict[str, Any], Real]] | None = None  # of ffcomp.bank.delta.outside
+    outside: Callable[..., tuple[dict[str, Any], Real]] | None = None  # of validation.blind.delta.outside
     added_kg: float = 0.0
     true_factors: Mapping[str, float] = field(default_factory=dict)  # table.key → the printer's number over the usual
     file_factors: Mapping[str, float] = field(default_factory=dict)  # the file's over the true one

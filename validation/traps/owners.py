@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from ffcomp.bank.delta.outside import OUTSIDE
+from validation.blind.delta.outside import OUTSIDE
 from validation.traps import mishaps as m
 from validation.traps.bench import CAMERA_KG, FRICTION
 from validation.traps.captures import CHIP, CaptureBench, Sensing

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-from ffcomp.bank.delta.numbers import FloatArray
 from ffcomp.shapers.pulses import ei, mzv, two_hump_ei, zv
+from validation.blind.delta.numbers import FloatArray
 from validation.traps.bench import RATE_HZ, Recorded, Spoil
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from ffcomp.api.measurements import recordings_of
-from ffcomp.bank.cases import case
 from ffcomp.diagnose.beginnings import from_beginnings
 from ffcomp.diagnose.diagnosis import noise_floor
 from ffcomp.diagnose.estimation import EstimationProblem, estimation_problem
@@ -19,6 +18,7 @@ from ffcomp.diagnose.noise import whitener
 from ffcomp.diagnose.problems import problem_of
 from ffcomp.diagnose.score_test import screen
 from models.file import load_plant
+from validation.blind.cases import case
 
 NAMES = ("belt_backlash", "coulomb_friction", "belt_stiffness")
 WIDTH = "effects.belt_backlash.width_mm"

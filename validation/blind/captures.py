@@ -1,0 +1,102 @@
+"""What an owner records: the moves of `ffcomp record plan`, felt by one chip, joined with their plan again.
+
+The printer that makes the moves is the bank's own, and so is the chip: counts, noise of which a part is coloured,
+gravity, a tilt, axes turned, a clock that is off, rows that are lost. The plan and the join are ffcomp's, for they are
+what an owner has; what comes out are measured runs like any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
+
+from ffcomp.record.join import join_captures
+from ffcomp.record.plan import Experiment, MovesPlan, Request, make_plan
+from ffcomp.record.result import recording_lines
+from models.file import load_machine
+from models.machine import Machine
+from validation.blind.printer.motions import Motion
+from validation.blind.printer.real import FloatArray, Reading, Rng, turned
+
+BEFORE_S, AFTER_S = 1.2, 0.7  # of the motion that is simulated around an experiment
+COUNT_M_PER_S2 = 3.9e-3 * 9.80665
+GRAVITY = np.array([0.0, 0.0, 9.80665])
+RATE_HZ = 1600.0
+LOST = 1 / 2000  # of the rows
+TURNS = np.array(
+    [np.eye(3), [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1, 0]]]
+)
+
+
+def planned_motions(machine_file: str, seed: int, seconds: float) -> tuple[tuple[Motion, ...], tuple[int, ...]]:
+    """Return the motions of an owner's plan, with what is before and after them, and how often each is made."""
+    _, plan = _planned(machine_file, seed, seconds)
+    motions = [Motion(each.name, _around(each), BEFORE_S + each.duration_s + AFTER_S) for each in plan.experiments]
+    return tuple(motions), tuple(plan.repeats for _ in motions)
+
+
+@lru_cache(maxsize=2)
+def _planned(machine_file: str, seed: int, seconds: float) -> tuple[Machine, MovesPlan]:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "machine.toml"
+        path.write_text(machine_file, encoding="utf-8")
+        machine = load_machine(str(path))
+    middle = np.array(machine.kinematics.centre_mm)
+    places = [tuple((middle + at).tolist()) for at in ((0.0, 0.0), (50.0, 20.0), (-40.0, -45.0))]
+    request = Request(
+        places_mm=places, seconds=seconds, seed=seed, acceleration_mm_per_s2=6000.0, kinds=("reversals", "multisine")
+    )
+    return machine, make_plan(machine, request)
+
+
+def _around(each: Experiment) -> Callable[[FloatArray], FloatArray]:
+    def nozzle(t: FloatArray) -> FloatArray:
+        return np.asarray(each.motion.nozzle(np.clip(t - BEFORE_S, -0.9, each.duration_s + 1.0)))
+
+    return nozzle
+
+
+def joined_runs(machine_file: str, readings: Sequence[Reading], seed: int, rng: Rng, seconds: float) -> dict[str, str]:
+    """Return the texts of the runs by file name."""
+    machine, plan = _planned(machine_file, seed, seconds)
+    by_name = dict(zip([each.name for each in plan.experiments], readings, strict=True))
+    chip = _Chip(rng)
+    with TemporaryDirectory() as folder:
+        captures = []
+        for each, repeat in plan.runs():
+            path = Path(folder) / f"adxl345-{each.name}-{repeat}.csv"
+            path.write_text(chip.capture(by_name[each.name], each.duration_s, plan), encoding="utf-8")
+            captures.append(path)
+        found = join_captures(captures, plan, machine)
+        found.check()
+        return {f"{each.name}.csv": b"".join(recording_lines(each.recording)).decode() for each in found.joined}
+
+
+class _Chip:
+    """An accelerometer with its own clock, tilt, axes and noise."""
+
+    def __init__(self, rng: Rng) -> None:
+        about, angle = rng.uniform(0, 2 * np.pi), np.deg2rad(rng.uniform(0.3, 2.0))
+        tilted = turned(angle * np.array([np.cos(about), np.sin(about), 0.0])).T
+        self.turn = TURNS[rng.integers(len(TURNS))] @ tilted
+        self.rate_hz = RATE_HZ * rng.uniform(0.99, 1.01)
+        self.level = rng.uniform(0.1, 0.2)
+        self.rng = rng
+
+    def capture(self, reading: Reading, duration_s: float, plan: MovesPlan) -> str:
+        """Return the text of a capture as Klipper writes it: s of print time, mm/s²; some rows are lost."""
+        first = BEFORE_S - plan.rest_before_s + self.rng.uniform() / self.rate_hz
+        t = np.arange(first, BEFORE_S + duration_s + plan.rest_after_s, 1 / self.rate_hz)
+        own = (CubicSpline(reading.t, reading.nozzle)(t) + GRAVITY) @ self.turn.T
+        white, other = self.rng.standard_normal((2, *own.shape))
+        own += self.level * (0.8 * white + 0.5 * lfilter([0.8], [1.0, -0.6], other, axis=0))
+        counted = 1e3 * COUNT_M_PER_S2 * np.rint(own / COUNT_M_PER_S2)
+        kept = self.rng.random(len(t)) > LOST
+        rows = zip((t[kept] + 50.0).tolist(), *counted[kept].T.tolist(), strict=True)
+        return "#time,accel_x,accel_y,accel_z\n" + "".join(f"{t:.6f},{x:.4f},{y:.4f},{z:.4f}\n" for t, x, y, z in rows)

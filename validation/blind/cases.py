@@ -1,0 +1,313 @@
+"""One case of the blind bank: a machine file, measured runs, fresh runs for the proof, and a label kept apart.
+
+    case(seed, "corexy/single/rough-file:cogging")      MACHINE/WHAT/CONDITION:NAME+NAME; the beginning and the end of
+                                                        it may be left out: "single", "pair:cogging+belt_backlash"
+
+Machines: those of `kinds`. What: `nothing`, `single`, `pair`, or `outside`, which no entry of the catalogue is meant
+for. Conditions:
+
+    usual        all sensors of the machine, file off by 2 %, two repeats
+    rough-file   the file off by 5 %, which it says
+    joined       captures of one accelerometer, joined with their plan (`captures`): noise, clock, tilt, lost rows
+    exact-file   the file right in all numbers
+    weak         at a thirtieth to a third of the size (half, if it is one of the file's numbers)
+    sensors      only some of the channels of a delta, or encoders, or a laser
+    few          one repeat of one motion
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from validation.blind.captures import joined_runs, planned_motions
+from validation.blind.kinds import KINDS, Kind
+from validation.blind.printer.motions import Motion
+from validation.blind.printer.real import Reading, Real, Tables
+from validation.blind.sensors import SENSORS, Sensors, commands_of, csv_of, draw_sensors
+from validation.blind.tables import toml_of
+from validation.blind.visible import PROBE, Visibility, retuning, samples, visibility, whitened
+
+HIDES = ("nothing", "single", "pair", "outside")
+CONDITIONS = ("usual", "rough-file", "joined", "exact-file", "weak", "sensors", "few")
+WEAK = (0.03, 0.3)  # of the size, drawn evenly in its logarithm
+RATE_HZ = 1600.0
+# what must pass a file's uncertainty before it is an effect comes in weak by half; what is there or not, not at all
+HALVED = (
+    "belt_stiffness",
+    "guide_damping",
+    "effector_mass",
+    "extruder_mount",
+    "arm_geometry",
+    "center_of_mass",
+    "arm_inertia",
+)
+WHOLE = ("force_map",)
+# two that say the same of a machine, or of a record; and what only a printer with the paper's loads can show
+NEVER_TOGETHER = (
+    {"coulomb_friction", "stribeck_friction"},
+    {"coulomb_friction", "bristle_friction"},
+    {"stribeck_friction", "bristle_friction"},
+    {"command_delay", "sensor_time_offset"},
+    {"sensor_time_offset", "sensor_clock_drift"},
+    {"torque_angle", "belt_hardening"},
+    {"torque_angle", "belt_backlash"},
+    {"center_of_mass", "force_map"},
+    {"gantry_racking", "toolhead_mode"},
+)
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """How the printer was measured, and how well its file knows it."""
+
+    file_error: float  # standard deviation of the file's numbers, relative
+    sensors: str
+    repeats: int
+    axes: str
+
+
+@dataclass(frozen=True)
+class Label:
+    """The truth."""
+
+    machine: str  # of kinds.KINDS
+    hides: str  # of HIDES
+    condition: str  # of CONDITIONS
+    seed: int
+    effects: Mapping[str, Mapping[str, Any]]  # of the catalogue, as tables of a machine file
+    outside: str  # "" if nothing outside the catalogue is hidden
+    visibility: Mapping[str, Visibility]  # of each, the others present
+    alike: tuple[str, ...]  # names that no sensor can tell from the truth, by construction
+    around: Circumstances
+
+    @property
+    def stratum(self) -> str:
+        """Machine, what is hidden, and condition."""
+        return f"{self.machine}/{self.hides}/{self.condition}"
+
+    @property
+    def visible(self) -> bool:
+        """Whether all that is hidden can be seen."""
+        return all(v.visible for v in self.visibility.values())
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """`runs` and `fresh` : file name → text. The diagnosis is given `machine` and `runs`, nothing else."""
+
+    machine: str
+    runs: Mapping[str, str]
+    fresh: Mapping[str, str]
+    label: Label
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a case shall be; without names they are drawn."""
+
+    machine: str
+    hides: str
+    condition: str
+    names: tuple[str, ...] | None
+
+    @classmethod
+    def parse(cls, text: str) -> Wanted:
+        """Read MACHINE/WHAT/CONDITION:NAME+NAME.
+
+        Raises
+        ------
+        ValueError
+        """
+        told, _, asked = text.partition(":")
+        found = {"machine": "delta", "hides": "single", "condition": "usual"}
+        for word in filter(None, told.split("/")):
+            known = {"machine": tuple(KINDS), "hides": HIDES, "condition": CONDITIONS}
+            which = next((key for key, words in known.items() if word in words), None)
+            if which is None:
+                raise ValueError(f"There is no stratum {word!r}; there are {', '.join([*KINDS, *HIDES, *CONDITIONS])}.")
+            found[which] = word
+        if asked == "none":
+            found["hides"] = "nothing"
+        return cls(**found, names=None if not asked else () if asked == "none" else tuple(asked.split("+")))
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What is drawn before anything is simulated."""
+
+    kind: Kind
+    file: Tables
+    firmware: Tables  # the kinematics by which nozzle paths become commands
+    real: Real
+    without: Mapping[str, Real]  # the printer with all that is hidden but this
+    plain: Real
+    sensors: Sensors
+    motions: tuple[Motion, ...]
+    repeats: tuple[int, ...]
+    fresh: tuple[Motion, ...]
+    label: Label
+
+    @property
+    def text(self) -> str:
+        """The machine file's text."""
+        return toml_of(self.file, "the owner's printer")
+
+    @property
+    def fresh_repeats(self) -> tuple[int, ...]:
+        """Return how often each of the fresh motions is made."""
+        return (self.kind.repeats, *[1] * (len(self.fresh) - 1))
+
+    def judged(self, real: Real, readings: Sequence[Reading], coarse: bool = False) -> list[Reading]:
+        """Return what another printer would have read, in the form in which readings are compared."""
+        if self.kind.replayed is None:
+            return self.readings(real, self.motions, coarse)
+        return [self.kind.replayed(real, reading) for reading in readings]
+
+    def readings(self, real: Real, motions: Sequence[Motion], coarse: bool = False) -> list[Reading]:
+        """Play motions on a printer."""
+        return [self.kind.played(real, self.firmware, motion, coarse) for motion in motions]
+
+
+def case(seed: int, stratum: str, seconds: float = 3.0, short: bool = False) -> Case:
+    """Draw, play, record. `short` : two motions only, the first four times, for tests."""
+    plan = draw(seed, stratum, seconds, short)
+    rng = np.random.default_rng([seed, 99])
+    readings = plan.readings(plan.real, plan.motions)
+    fresh = _records(plan, plan.fresh, plan.readings(plan.real, plan.fresh), plan.fresh_repeats, rng)
+    if plan.label.condition == "joined":
+        runs = joined_runs(plan.text, readings, seed, rng, seconds)
+    else:
+        runs = _records(plan, plan.motions, readings, plan.repeats, rng)
+    return Case(plan.text, runs, fresh, replace(plan.label, visibility=_seen(plan, readings)))
+
+
+def draw(seed: int, stratum: str, seconds: float = 3.0, short: bool = False) -> Plan:
+    """Every part of a case has its own stream of random numbers: what is hidden does not change the rest."""
+    wanted = Wanted.parse(stratum)
+    kind = KINDS[wanted.machine]
+    names = _names(seed, wanted) if wanted.names is None else wanted.names
+    own = [np.random.default_rng([seed, n]) for n in range(5)]
+    machine = kind.draw(own[1], names)
+    around = _circumstances(kind, wanted, own[0], machine)
+    sizes = _sizes(wanted.condition, names, own[0])
+    real, tables = _hidden(kind, machine, seed, sizes)
+    file = kind.file_of(machine, around.file_error, own[3])
+    motions, fresh = kind.motions(machine, own[2], seconds, short)
+    repeats = (4 if kind.repeats > 1 else 1, 1) if short else _repeats(wanted.condition, around, motions)
+    if wanted.condition == "joined":
+        motions, repeats = planned_motions(toml_of(file, "the owner's printer"), seed, seconds)
+    inside = kind.restated({name: tables[name] for name in names if name in kind.effects}, real.machine, file)
+    outside = "".join(name for name in names if name in kind.outside)
+    alike = _alike(inside, around.sensors)
+    return Plan(
+        kind=kind,
+        file=file,
+        firmware=machine["kinematics"],
+        real=real,
+        without={name: _hidden(kind, machine, seed, {**sizes, name: 0.0})[0] for name in names},
+        plain=_hidden(kind, machine, seed, dict.fromkeys(names, 0.0))[0],
+        sensors=draw_sensors(own[4], around.sensors, RATE_HZ),
+        motions=motions,
+        repeats=repeats,
+        fresh=fresh,
+        label=Label(wanted.machine, wanted.hides, wanted.condition, seed, inside, outside, {}, alike, around),
+    )
+
+
+def _sizes(condition: str, names: Sequence[str], rng: np.random.Generator) -> dict[str, float]:
+    if condition != "weak":
+        return dict.fromkeys(names, 1.0)
+    size = float(np.exp(rng.uniform(*np.log(WEAK))))
+    return {name: 1.0 if name in WHOLE else 0.5 if name in HALVED else size for name in names}
+
+
+def _repeats(condition: str, around: Circumstances, motions: Sequence[Motion]) -> tuple[int, ...]:
+    if condition == "few":
+        return (around.repeats, *[1] * (len(motions) - 1))
+    often = [m.name.endswith("centre") or m.name.startswith("infill") for m in motions]
+    return tuple(around.repeats if repeated else 1 for repeated in often)
+
+
+def _names(seed: int, wanted: Wanted) -> tuple[str, ...]:
+    """Draw what is hidden."""
+    kind, rng = KINDS[wanted.machine], np.random.default_rng([seed, 7])
+    if wanted.hides == "nothing":
+        return ()
+    if wanted.hides == "outside":
+        return (str(rng.choice(list(kind.outside))),)
+    if wanted.hides == "single":
+        return (str(rng.choice(list(kind.effects))),)
+    while True:
+        pair = tuple(str(x) for x in rng.choice(list(kind.effects), 2, replace=False))
+        if not any(set(pair) <= both for both in NEVER_TOGETHER):
+            return pair
+
+
+def _circumstances(kind: Kind, wanted: Wanted, rng: np.random.Generator, machine: Tables) -> Circumstances:
+    usual = Circumstances(0.02, machine.get("sensors", kind.sensors), kind.repeats, kind.axes)
+    if wanted.condition == "sensors":
+        return replace(usual, sensors=str(rng.choice(["carriages", "effector", "two", "encoders", "laser"])))
+    errors = {"exact-file": 0.0, "rough-file": 0.05}
+    return replace(usual, file_error=errors.get(wanted.condition, usual.file_error))
+
+
+def _hidden(
+    kind: Kind, machine: Tables, seed: int, sizes: Mapping[str, float]
+) -> tuple[Real, dict[str, dict[str, Any]]]:
+    """Return the printer with each effect at its size; an effect's own draws do not depend on any size."""
+    real, tables = Real(machine), {}
+    for name, size in sizes.items():
+        rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
+        tables[name], real = {**kind.effects, **kind.outside}[name](rng, size, real)
+    return real, tables
+
+
+def _alike(tables: Mapping[str, Mapping[str, Any]], sensors: str) -> tuple[str, ...]:
+    """All motors late is the same to accelerometers as all accelerometers late; an encoder knows."""
+    if any(channel.startswith("pos") for channel in SENSORS[sensors]):
+        return ()
+    if not isinstance(tables.get("command_delay", {"delay_s": []})["delay_s"], list):
+        return ("sensor_time_offset",)
+    return ("command_delay",) if tables.get("sensor_time_offset", {"offset_s": 0.0})["offset_s"] > 0 else ()
+
+
+def _records(
+    plan: Plan, motions: Sequence[Motion], readings: Sequence[Reading], repeats: Sequence[int], rng: np.random.Generator
+) -> dict[str, str]:
+    """CSV texts by file name; repeats are numbered."""
+    found, axes = {}, plan.label.around.axes
+    for motion, reading, count in zip(motions, readings, repeats, strict=True):
+        times = reading.t[:: round(1 / (RATE_HZ * (reading.t[1] - reading.t[0])))]
+        if plan.kind.force is None:
+            given = commands_of(plan.kind.command(plan.firmware, motion.path(times), axes), axes)
+        for n in range(count):
+            name = f"{motion.name}-{n + 1}.csv" if count > 1 else f"{motion.name}.csv"
+            if plan.kind.force is not None:
+                given = plan.kind.force(plan.real.machine, times, reading, rng)
+            found[name] = csv_of(times, given, plan.sensors.record(reading, rng))
+    return found
+
+
+def _seen(plan: Plan, readings: Sequence[Reading]) -> dict[str, Visibility]:
+    """Return what can be seen of each hidden thing."""
+    if not plan.without:
+        return {}
+    spread = max(plan.label.around.file_error, 0.02)
+    probed = plan.kind.probes(plan.plain.machine, PROBE)
+    players = [
+        partial(plan.judged, Real(machine, readers=plan.plain.readers), readings, True)
+        for machine in (plan.plain.machine, *probed)
+    ]
+    taken = zip(samples(plan.sensors, readings), samples(plan.sensors, players[0]()), strict=True)
+    counts = [min(pair) for pair in taken]
+    n = retuning(players[0], players[1:], plan.sensors, plan.repeats, counts, spread)
+    own = readings if plan.kind.replayed is None else [plan.kind.replayed(None, reading) for reading in readings]
+    true = whitened(plan.sensors, own, plan.repeats, counts)
+    others = {name: plan.judged(real, readings) for name, real in plan.without.items()}
+    return {name: visibility(true - whitened(plan.sensors, o, plan.repeats, counts), n) for name, o in others.items()}

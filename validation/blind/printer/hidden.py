@@ -1,0 +1,177 @@
+"""The effects of the catalogue that printers of every kind can have: drawn sizes, shapes that are not machine files'.
+
+`SHARED[name](kind, rng, size, real)` → (the table a machine file would have to hold, the printer with the effect). The
+same seed with another `size` is the same effect, larger or smaller; with size zero nothing is hidden.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from validation.blind.printer.drawn import Drawn, Table, told
+from validation.blind.printer.real import FloatArray, Hide, Order, Reading, Real, Rng, read_at, sign, turned
+
+# ---- friction ------------------------------------------------------------------------------------
+
+
+def _dry(rng: Rng) -> dict[str, Any]:
+    """Hide it: a bristle that slides after some µm, or a tanh."""
+    kind, length, speed = int(rng.integers(1, 3)), rng.uniform(1.2e-5, 4e-5), rng.uniform(1e-3, 2e-3)
+    return {"dry_kind": kind, "bristle": length, "dry_v": speed}
+
+
+def coulomb_friction(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table, Real]:
+    """Hide dry friction of the guides."""
+    force = size * kind.each(rng, rng.uniform(*kind.friction)) * kind.loads(real)
+    return kind.forces(real, force_n=force), real.having(dry=force, **_dry(rng))
+
+
+def stribeck_friction(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table, Real]:
+    """Hide it: the surplus falls as exp(-|v|/v_s), not as a bell."""
+    force = size * rng.uniform(*kind.stiction) * kind.loads(real)
+    extra, speed = rng.uniform(0.5, 1.2) * force, rng.uniform(6.0, 25.0)
+    table = {**kind.forces(real, force_n=force, extra_force_n=extra), "velocity_mm_per_s": speed}
+    return table, real.having(dry=force, stick=extra, stick_v=speed / 1e3, stick_power=1.0, **_dry(rng))
+
+
+def guide_damping(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table, Real]:
+    """Hide grease that thins with speed."""
+    added = size * kind.each(rng, rng.uniform(*kind.grease)) * kind.loads(real)
+    return kind.forces(real, added_n_s_per_m=added), real.having(grease=added)
+
+
+# ---- belts and motors ----------------------------------------------------------------------------
+
+
+def belt_position_stiffness(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table, Real]:
+    """Hide it: the compliance is what grows evenly with the free length: k = k_0/(1 - r (q - q_c))."""
+    slope = size * sign(rng) * rng.uniform(*kind.slope_per_m) * np.ones(kind.motors)
+    centre = rng.uniform(*kind.centre_mm)
+    table = {"slope_per_m": told(slope), "q_centre_mm": centre}
+    return table, real.having(slope=slope, slope_at=np.full(kind.motors, centre / 1e3))
+
+
+def belt_backlash(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table, Real]:
+    """Hide play with soft flanks and a damped landing."""
+    width = size * kind.each(rng, rng.uniform(*kind.play_mm))
+    fields = {"play": width / 1e3, "flank": rng.uniform(1e-6, 4e-6), "landing": rng.uniform(0.1, 0.5)}
+    return {"width_mm": told(width)}, real.having(**fields)
+
+
+def torque_angle(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table, Real]:
+    """Hide a motor's sine, a tenth of the compliance the belt's in series. A smaller `size` is a stronger motor."""
+    peak = rng.uniform(*kind.stepper_mm) / size if size > 0 else 0.0
+    return {"amplitude_mm": peak}, real.having(stepper=np.full(kind.motors, peak / 1e3), stepper_share=0.9)
+
+
+def command_delay(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table, Real]:
+    """On all motors or on one; it wanders by some hundredths of itself."""
+    motors = kind.some(rng)
+    delay = size * rng.uniform(4e-4, 2e-3) * motors
+    return {"delay_s": told(delay)}, real.ordered(_late(rng, delay))
+
+
+def _late(rng: Rng, delay: FloatArray) -> Order:
+    pace, phase = rng.uniform(2, 7, 4), rng.uniform(0, 2 * np.pi, 4)
+
+    def late(t: FloatArray, command: FloatArray) -> FloatArray:
+        wander = 1 + 0.01 * np.sin(np.outer(t, 2 * np.pi * pace) + phase).sum(axis=1)
+        at = np.clip(t[:, None] - delay * wander[:, None], 0.0, None)
+        return np.column_stack([CubicSpline(t, command[:, i])(at[:, i]) for i in range(len(delay))])
+
+    return late
+
+
+def cogging(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table, Real]:
+    """Once a full step or once in four, with a second harmonic."""
+    amplitude = size * kind.each(rng, rng.uniform(*kind.ripple_mm))
+    pitch = float(rng.choice([1.0, 4.0])) / real.machine["steps"]["full_steps_per_mm"]
+    fields = {
+        "ripple": amplitude / 1e3,
+        "ripple_wave": np.full(kind.motors, 2e3 * np.pi / pitch),
+        "ripple_second": rng.uniform(0.05, 0.2),
+        "ripple_phase": rng.uniform(0, 2 * np.pi),
+    }
+    return {"amplitude_mm": told(amplitude), "pitch_mm": pitch}, real.having(**fields)
+
+
+# ---- frame ---------------------------------------------------------------------------------------
+
+
+def frame_mode(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table, Real]:
+    """One direction; or both, as two modes a few percent apart."""
+    mass, hertz, ratio = rng.uniform(*kind.frame_kg), rng.uniform(*kind.frame_hz), rng.uniform(0.02, 0.07)
+    angle, both = rng.uniform(0, np.pi), rng.random() < 0.4
+    along = np.array([np.cos(angle), np.sin(angle)])
+    omega = 2 * np.pi * hertz * np.array([1.0, rng.uniform(0.97, 1.03) if both else 1.0])
+    swaying = mass / size if size > 0 else 1.0
+    directions = np.eye(2) if both else np.stack([along, np.zeros(2)])
+    table = {
+        "mass_kg": swaying,
+        "frequency_hz": hertz,
+        "damping_ratio": ratio,
+        "direction": "both" if both else along.tolist(),
+    }
+    return table, real.having(
+        sway_dir=directions if size > 0 else np.zeros((2, 2)),
+        sway_mass=np.full(2, swaying),
+        sway_k=swaying * omega**2,
+        sway_b=2 * ratio * omega * swaying,
+    )
+
+
+# ---- the measurement -----------------------------------------------------------------------------
+
+
+def sensor_misalignment(_: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table, Real]:
+    """Hide it: a sensor turned by three angles reads the same vector in its own axes."""
+    angles = size * rng.uniform(1.5, 5.0, 3) * rng.choice([-1.0, 1.0], 3)
+    axes = turned(np.radians(angles))
+
+    def read(r: Reading) -> Reading:
+        return replace(r, nozzle=r.nozzle @ axes)
+
+    return {"angles_deg": angles.tolist()}, real.read_by(read)
+
+
+def sensor_time_offset(_: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table, Real]:
+    """Hide accelerometers that are late, or early."""
+    offset = size * sign(rng) * rng.uniform(4e-4, 3e-3)
+    return {"offset_s": offset}, real.read_by(lambda r: read_at(r, r.t - offset))
+
+
+def sensor_clock_drift(_: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table, Real]:
+    """Hide a clock that is fast, or slow."""
+    drift = size * sign(rng) * rng.uniform(7e-4, 6e-3)
+    return {"relative_drift": drift}, real.read_by(lambda r: read_at(r, r.t / (1 + drift)))
+
+
+Drawing = Callable[[Drawn, Rng, float, Real], tuple[Table, Real]]
+SHARED: Mapping[str, Drawing] = {
+    hide.__name__: hide
+    for hide in (
+        coulomb_friction,
+        stribeck_friction,
+        guide_damping,
+        belt_position_stiffness,
+        belt_backlash,
+        command_delay,
+        cogging,
+        torque_angle,
+        frame_mode,
+        sensor_misalignment,
+        sensor_time_offset,
+        sensor_clock_drift,
+    )
+}
+
+
+def of_kind(drawings: Mapping[str, Drawing], kind: Drawn) -> dict[str, Hide]:
+    """Return how one kind of printer hides each of these."""
+    return {name: partial(hide, kind) for name, hide in drawings.items()}

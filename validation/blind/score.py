@@ -1,0 +1,259 @@
+"""Verdicts against labels: rates with Wilson's intervals, the confusion matrix, the numbers' errors.
+
+A verdict is the JSON of `ffcomp diagnose --json`; a proof is what `ffcomp gap --json` says of runs the diagnosis never
+saw, with the old machine file and with the better one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from validation.blind.cases import Label
+from validation.blind.kinds import KINDS
+
+FAILED = "failed"  # a verdict that is none: the tool ended with an error
+# numbers whose meaning needs the machine file's own shape of the effect: the printer has another
+INEXACT = {
+    "torque_angle": ("amplitude_mm",),
+    "belt_hardening": ("cubic_n_per_m3",),
+    "stribeck_friction": ("extra_force_n", "velocity_mm_per_s"),
+    "belt_position_stiffness": ("q_centre_mm",),
+}
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A case with what was said about it."""
+
+    name: str
+    label: Label
+    verdict: Mapping[str, Any]
+    proof: Mapping[str, float] = field(default_factory=dict)  # "before", "after", "noise": nrms on fresh runs
+
+    @property
+    def named(self) -> frozenset[str]:
+        """Return the names of a verdict that names."""
+        return frozenset(effect["name"] for effect in self.verdict.get("effects", []) if self.says == "effects")
+
+    @property
+    def says(self) -> str:
+        """Return the verdict."""
+        return str(self.verdict["verdict"])
+
+    @property
+    def truth(self) -> frozenset[str]:
+        """Return the names of what is hidden."""
+        return frozenset(self.label.effects)
+
+    @property
+    def right(self) -> bool:
+        """Exactly the truth; or its twin, if the truth is told beside it."""
+        if self.named == self.truth:
+            return True
+        return self.named <= set(self.label.alike) and self.in_set and bool(self.named)
+
+    @property
+    def in_set(self) -> bool:
+        """Tell whether the truth is named or told as looking alike."""
+        told = {rival["name"] for rival in self.verdict.get("confusable_with", [])}
+        return self.says == "effects" and self.truth <= self.named | told
+
+    @property
+    def answer(self) -> str:
+        """In one word."""
+        return "+".join(sorted(self.named)) if self.says == "effects" else self.says
+
+    @property
+    def question(self) -> str:
+        """Say what was hidden."""
+        if self.label.outside:
+            return f"outside: {self.label.outside}"
+        return "+".join(sorted(self.truth)) or "none"
+
+
+def as_wanted(j: Judged) -> bool:
+    """Tell whether a case ended as it should; an effect that cannot be seen need not be named."""
+    if j.label.outside:
+        return j.says == "unknown" or (not j.label.visible and j.says == "none")
+    if j.label.hides == "nothing":
+        return j.says == "none"
+    return j.right or (not j.label.visible and j.says in ("none", "unknown"))
+
+
+@dataclass(frozen=True)
+class Rate:
+    """How many of how many, against an aim."""
+
+    title: str
+    hits: int
+    total: int
+    aim: str
+    good: Callable[[float], bool]
+
+    @property
+    def share(self) -> float:
+        """Return the share."""
+        return self.hits / self.total if self.total else math.nan
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Return Wilson's 95 % interval."""
+        return wilson(self.hits, self.total)
+
+    @property
+    def verdict(self) -> str:
+        """Whether the aim is reached, and whether the cases are enough to say so."""
+        if self.total == 0:
+            return "not tested"
+        reached = self.good(self.share)
+        sure = all(self.good(end) == reached for end in self.interval)
+        return f"{'reached' if reached else 'missed'}{'' if sure else ', not surely'}"
+
+
+def wilson(hits: int, total: int, z: float = 1.96) -> tuple[float, float]:
+    """95 % interval of a share (Wilson, 1927)."""
+    if total == 0:
+        return 0.0, 1.0
+    share, spread = hits / total, z * z / total
+    middle = (share + spread / 2) / (1 + spread)
+    half = z / (1 + spread) * math.sqrt(share * (1 - share) / total + spread / total / 4)
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def rates(judged: Sequence[Judged]) -> list[Rate]:
+    """Every aim of the blind test that is a share."""
+    nothing = [j for j in judged if j.label.hides == "nothing"]
+    single = [j for j in judged if j.label.hides == "single"]
+    visible = [j for j in single if j.label.visible]
+    outside = [j for j in judged if j.label.outside and j.label.visible]
+    pairs = [j for j in judged if j.label.hides == "pair" and j.label.visible]
+    covered = [e.covered for e in numbers(judged)]
+    near = [abs(e.error) <= 0.03 for e in numbers(judged)]
+
+    def rate(title: str, hits: Sequence[bool], aim: float, most: bool = False) -> Rate:
+        sense = "≤" if most else "≥"
+        good: Callable[[float], bool] = (lambda x: x <= aim) if most else (lambda x: x >= aim)
+        return Rate(title, sum(hits), len(hits), f"{sense} {100 * aim:g} %", good)
+
+    coverage = Rate("true values inside the 90 % interval", sum(covered), len(covered), "85-95 %", _ninety)
+    return [
+        rate("top-1, visible single effects", [j.right for j in visible], 0.97),
+        rate("a wrong name alone", [bool(j.named) and not j.named & _acceptable(j) for j in single], 0.01, True),
+        rate("truth in the returned set, visible single effects", [j.in_set for j in visible], 0.98),
+        rate("false alarms (nothing hidden)", [j.says == "effects" for j in nothing], 0.02, True),
+        rate("nothing hidden and `none` said", [j.says == "none" for j in nothing], 0.98),
+        rate("outside the catalogue and `unknown` said", [j.says == "unknown" for j in outside], 0.92),
+        rate("pairs, both found", [j.truth <= j.named for j in pairs], 0.85),
+        rate("pairs, a wrong name among those found", [bool(j.named - _acceptable(j)) for j in pairs], 0.0, True),
+        coverage,
+        rate("numbers within 3 % of the truth (half of them: the median is)", near, 0.5),
+    ]
+
+
+@dataclass(frozen=True)
+class Sets:
+    """Verdicts of visible effects that name more than one explanation."""
+
+    total: int
+    in_set: int  # the truth is one of them
+    recording: int  # of these, the recording that tells them apart is named
+    settled: int  # of these, it is said that the given runs tell them apart already
+    twins: int  # of these, it is said that no move does
+
+
+def sets(judged: Sequence[Judged]) -> Sets:
+    """Count the verdicts that name a set, and what they say of telling its members apart."""
+    several = [j for j in judged if j.named and j.label.visible and j.verdict.get("confusable_with")]
+    right = [j for j in several if j.in_set]
+    separations = [j.verdict.get("separate", []) for j in right]
+    recording = [any(each["separates"] and each["record"] for each in own) for own in separations]
+    twins = [any(not each["separates"] for each in own) for own in separations]
+    settled = [
+        bool(own) and not asked and not twin for own, asked, twin in zip(separations, recording, twins, strict=True)
+    ]
+    return Sets(len(several), len(right), sum(recording), sum(settled), sum(twins))
+
+
+def _ninety(share: float) -> bool:
+    return 0.85 <= share <= 0.95
+
+
+def _acceptable(j: Judged) -> frozenset[str]:
+    return j.truth | frozenset(j.label.alike)
+
+
+def shrink(judged: Sequence[Judged]) -> list[float]:
+    """(after - noise)/(before - noise) of the nrms on fresh runs, for every verdict that named something."""
+    proofs = [j.proof for j in judged if j.says == "effects" and j.proof]
+    gaps = [(p["before"] - p["noise"], p["after"] - p["noise"]) for p in proofs]
+    return [max(after, 0.0) / before for before, after in gaps if before > 0]
+
+
+@dataclass(frozen=True)
+class NumberError:
+    """How far one number is off."""
+
+    key: str
+    error: float  # relative to the truth
+    covered: bool
+
+
+def numbers(judged: Sequence[Judged]) -> list[NumberError]:
+    """Return the numbers of rightly named effects whose truth can be told in the file's terms, and is not zero."""
+    return [e for j in judged if j.named == j.truth for e in _numbers_of(j)]
+
+
+def _numbers_of(j: Judged) -> Iterator[NumberError]:
+    told = {effect["name"]: effect["parameters"] for effect in j.verdict["effects"]}
+    for name, table in j.label.effects.items():
+        for key, true in table.items():
+            if key == "direction" or key in INEXACT.get(name, ()):
+                continue
+            found = told[name].get(key)
+            if found is not None:
+                yield from _compared(f"{name}.{key}", true, found, KINDS[j.label.machine].moving)
+
+
+def _compared(key: str, true: Any, found: Mapping[str, Any], moving: Sequence[float]) -> Iterator[NumberError]:
+    """One number, or three by key[0], key[1], key[2]; one stands for three equal ones, of those that move."""
+    told_once = not isinstance(true, list) and isinstance(found["value"], list)
+    several = any(isinstance(x, list) for x in (true, found["value"]))
+    parts = [np.broadcast_to(x, 3 if several else 1) for x in (true, found["value"], found["low"], found["high"])]
+    for n, (value, said, low, high) in enumerate(zip(*parts, strict=True)):
+        if value != 0.0 and (moving[n] or not told_once):  # none has a size to be off by
+            name = f"{key}[{n}]" if several else key
+            yield NumberError(name, float(said / value - 1), bool(low <= value <= high))
+
+
+def confusion(judged: Sequence[Judged]) -> dict[str, Counter[str]]:
+    """Truth → how often each answer was given; pairs are one row, told apart by how many were found."""
+    table: dict[str, Counter[str]] = {}
+    for j in judged:
+        row, answer = j.question, j.answer
+        if j.label.hides == "pair":
+            row = "a pair"
+            found, extra = len(j.truth & j.named), len(j.named - j.truth)
+            answer = f"{found} right, {extra} wrong" if j.says == "effects" else j.says
+        table.setdefault(row, Counter())[answer] += 1
+    return table
+
+
+def power(judged: Sequence[Judged], edges: Sequence[float]) -> list[tuple[float, float, Rate]]:
+    """Top-1 of single effects against what retuning leaves of them, as an rms in noises."""
+    single = [(j, _left(j)) for j in judged if j.label.hides == "single"]
+    found = []
+    for low, high in pairwise(edges):
+        inside = [j for j, left in single if low <= left < high]
+        found.append((low, high, Rate("top-1", sum(j.right for j in inside), len(inside), "", lambda _: True)))
+    return found
+
+
+def _left(j: Judged) -> float:
+    return float(np.sqrt(min(max(v.left, 0.0) / v.rows for v in j.label.visibility.values())))

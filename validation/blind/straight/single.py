@@ -1,0 +1,139 @@
+"""One axis by itself, driven by a position: the first axis of `equations`, the other one at rest.
+
+Its sensors are an encoder and an accelerometer on the load, or on the only mass.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from validation.blind.printer.real import FloatArray, Hide, Labels, Real, Rng, Tables, sign
+from validation.blind.straight import hidden, outside
+from validation.blind.straight.drawn import masses
+
+SMOOTH = ("coulomb_friction", "stribeck_friction")
+SHARED = ("guide_damping", "belt_hardening", "belt_backlash", "cogging")
+OUTSIDE: Mapping[str, Hide] = {  # a wheel with notches is a force along the axis, which its catalogue has
+    name: outside.OUTSIDE[name]
+    for name in (
+        "off_centre_pulley",
+        "warming_belt",
+        "slow_driver",
+        "swinging_cable",
+        "fans_tone",
+        "creeping_belt",
+        "sluggish_sensor",
+        "clipping_sensor",
+        "loose_load",
+    )
+}
+
+
+def draw_machine(rng: Rng) -> Tables:
+    """Draw an axis: one mass on its drive, or two with a coupling between them."""
+    mass, hertz, two = rng.uniform(0.4, 6.0), rng.uniform(25.0, 60.0), rng.random() < 0.4
+    load = mass * rng.uniform(0.2, 0.5) if two else 0.0
+    omega = 2 * np.pi * hertz
+    coupling = load * (omega * rng.uniform(1.6, 2.4)) ** 2 if two else 1.0
+    plant = {
+        "carriage": mass - load,
+        "tool": load,
+        "belt_k": mass * omega**2,
+        "guide_b": 2 * rng.uniform(0.04, 0.1) * mass * omega,
+        "mount_k": coupling,
+        "mount_b": 2 * rng.uniform(0.02, 0.05) * np.sqrt(coupling * load),
+    }
+    both = {key: [float(value)] * 2 for key, value in plant.items()}
+    return {
+        "kinematics": {"type": "axis"},
+        "plant": {**both, "ground": [0.0, 0.0], "tool_ground": [0.0, 0.0]},
+        "masses": True,
+        "steps": {"full_steps_per_mm": 5.0},
+    }
+
+
+def file_of(machine: Tables, error: float, rng: Rng) -> Tables:
+    """Write what its owner's file says: every number off by a normal error."""
+    plant = machine["plant"]
+    axis = {
+        "mass_kg": plant["carriage"][0],
+        "stiffness_n_per_m": plant["belt_k"][0],
+        "damping_n_s_per_m": plant["guide_b"][0],
+    }
+    if plant["tool"][0] > 0:
+        axis |= {
+            "load_mass_kg": plant["tool"][0],
+            "coupling_stiffness_n_per_m": plant["mount_k"][0],
+            "coupling_damping_n_s_per_m": plant["mount_b"][0],
+        }
+    told = {key: value * (1 + error * float(np.clip(rng.standard_normal(), -2.0, 2.0))) for key, value in axis.items()}
+    written: Tables = {"kinematics": {"type": "axis"}, "axis": {"input": "position", **told}}
+    return written | ({"uncertainty": {"default": error}} if error > 0.02 else {})
+
+
+def restated(tables: Labels, real: Tables, file: Tables) -> Labels:
+    """Return the effects in the file's terms: a spring's change counts from what the file says of it, which is off."""
+    if "belt_stiffness" not in tables:
+        return tables
+    two = real["plant"]["tool"][0] > 0
+    stiffness = file["axis"]["coupling_stiffness_n_per_m" if two else "stiffness_n_per_m"]
+    change = real["plant"]["mount_k" if two else "belt_k"][0] / stiffness - 1
+    return {**tables, "belt_stiffness": {"relative_change": change}}
+
+
+def _alone(name: str) -> Hide:
+    """Return an effect of `hidden` with the table of one axis."""
+
+    def hide(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+        table, changed = hidden.effects_of("cartesian")[name](rng, size, real)
+        return {key: value[0] if isinstance(value, list) else value for key, value in table.items()}, changed
+
+    return hide
+
+
+def belt_stiffness(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide a drive that is stiffer or softer than the file says."""
+    change = size * sign(rng) * rng.uniform(0.12, 0.25)
+    machine = copy.deepcopy(real.machine["plant"])
+    which = "mount_k" if machine["tool"][0] > 0 else "belt_k"
+    return {"relative_change": change}, real.changed("plant", **{which: [k * (1 + change) for k in machine[which]]})
+
+
+def _smooth(name: str) -> Hide:
+    """Return friction that turns over as a tanh: what gives way before it slides has a name of its own here."""
+
+    def hide(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+        table, changed = _alone(name)(rng, size, real)
+        return table, changed.having(dry_kind=1)
+
+    return hide
+
+
+def bristle_friction(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide dry friction that bends bristles before it slides."""
+    force, length = size * rng.uniform(1.2, 4.0) * masses(real)[0], rng.uniform(1.5e-5, 6e-5)
+    table = {"force_n": force, "presliding_mm": 1e3 * length}
+    return table, real.having(dry=[force, force], dry_kind=2, bristle=length)
+
+
+def command_delay(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide a drive that is late."""
+    delay = size * rng.uniform(4e-4, 2e-3)
+
+    def late(t: FloatArray, command: FloatArray) -> FloatArray:
+        return np.column_stack([np.interp(t - delay, t, command[:, i]) for i in range(2)])
+
+    return {"delay_s": delay}, real.ordered(late)
+
+
+EFFECTS: Mapping[str, Hide] = {
+    **{name: _smooth(name) for name in SMOOTH},
+    "bristle_friction": bristle_friction,
+    **{name: _alone(name) for name in SHARED},
+    "belt_stiffness": belt_stiffness,
+    "command_delay": command_delay,
+}
