@@ -1,4 +1,4 @@
-"""How fast commands are found, how that grows, where the time goes: docs/PERFORMANCE.md and its figures.
+"""How fast commands are found, how that grows, where the time goes: benchmarks/PERFORMANCE.md and its figures.
 
     python -m benchmarks.performance --keep DIR --write            some 30 minutes on one core and a half
     python -m benchmarks.performance --keep DIR --only SECTION     makes one section's numbers anew
@@ -34,8 +34,8 @@ from benchmarks.performance_page import page
 from studies import effects_compensated
 from studies.prose import filled
 
-DOCS = Path(__file__).parents[1] / "docs"
-PAGE = DOCS / "PERFORMANCE.md"
+FOLDER = Path(__file__).parent
+PAGE = FOLDER / "PERFORMANCE.md"
 RADII_MM = (0.0, 20.0, 40.0, 60.0, 80.0, 100.0, 120.0)
 
 Section = Callable[[Path], Any]  # where it may keep parts of an answer → its numbers, as JSON has them
@@ -78,7 +78,7 @@ def main() -> None:
     text = filled(page(found))
     if options.write:
         PAGE.write_text(text, encoding="utf-8")
-        draw(found, DOCS)
+        draw(found, FOLDER)
     else:
         print(text)
 
@@ -101,7 +101,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--keep", required=True, metavar="DIR", help="where every section's numbers are kept")
     parser.add_argument("--only", nargs="+", default=[], choices=SECTIONS, metavar="SECTION", help=", ".join(SECTIONS))
     parser.add_argument("--quick", action="store_true", help="small sizes: to see that everything works")
-    parser.add_argument("--write", action="store_true", help="write docs/PERFORMANCE.md and its figures")
+    parser.add_argument("--write", action="store_true", help="write benchmarks/PERFORMANCE.md and its figures")
     return parser.parse_args()
 
 

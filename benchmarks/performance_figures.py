@@ -1,4 +1,4 @@
-"""The figures of docs/PERFORMANCE.md, from the numbers that `performance.py` keeps."""
+"""The figures of benchmarks/PERFORMANCE.md, from the numbers that `performance.py` keeps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What docs/PERFORMANCE.md says of the time that a verdict takes; measured by hand, so it stands here as text."""
+"""What benchmarks/PERFORMANCE.md says of the time that a verdict takes; measured by hand, so it stands here as text."""
 
 VERDICTS = """
 ### How long a verdict takes

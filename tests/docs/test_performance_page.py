@@ -1,4 +1,4 @@
-"""docs/PERFORMANCE.md and the scripts that write it are in step, and the methods that only they have are right."""
+"""benchmarks/PERFORMANCE.md and the scripts that write it are in step; methods that only they have are right."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from models.file import load_machine
 from models.machine import Machine
 from studies.effects_compensated import machines_effects
 
-DOCS = performance.DOCS
+FOLDER = performance.FOLDER
 PAGE = performance.PAGE.read_text(encoding="utf-8")
 PLACE = np.array([60.0, -40.0])
 
@@ -43,7 +43,7 @@ def test_every_section_has_its_numbers_and_its_place_on_the_page() -> None:
 
 def test_every_figure_is_shown_and_none_is_left_over() -> None:
     shown = re.findall(r"\]\((performance_\w+\.png)\)", PAGE)
-    assert sorted(shown) == sorted(path.name for path in DOCS.glob("performance_*.png"))
+    assert sorted(shown) == sorted(path.name for path in FOLDER.glob("performance_*.png"))
     assert len(shown) == len(performance_figures.FIGURES)
 
 
