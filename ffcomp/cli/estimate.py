@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from ffcomp.estimate.engine import Estimate
-    from ffcomp.estimate.statistics import Statistics
-    from ffcomp.estimate.unknown import Unknown
+    from ffcomp.estimate.statistics import Statistics, Unknown
     from gcode.container import Source
     from models.machine import Machine
 
@@ -140,7 +139,7 @@ def _print_layers(console: Console, found: Estimate, every: bool) -> None:
     from rich.table import Table
 
     from ffcomp.estimate.engine import seconds
-    from ffcomp.estimate.layers import BEFORE
+    from ffcomp.estimate.statistics import BEFORE
     from gcode.metadata import short
 
     layers = found.statistics.layers.in_order()

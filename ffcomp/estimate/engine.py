@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ffcomp.errors import NothingToDo
-from ffcomp.estimate.layers import BEFORE, Layer
-from ffcomp.estimate.slices import planned_slices
-from ffcomp.estimate.statistics import FILAMENT, KINDS, Statistics
+from ffcomp.estimate.statistics import BEFORE, FILAMENT, KINDS, Layer, Statistics, planned_slices
 from ffcomp.numerics.serialise import to_json
 from ffcomp.planner.machine_limits import known_to_the_firmware, planner_limits
 from ffcomp.planner.program import plan_program
@@ -54,8 +52,7 @@ class Estimate:
             **_values(self.statistics),
             "original": _values(self.original) if self.original else None,
         }
-        found: dict[str, Any] = to_json(values)
-        return found
+        return dict(to_json(values))
 
 
 def stamp_of(source: Source) -> Stamp | None:
@@ -95,8 +92,8 @@ def estimate(
     """
     head, tail, _ = ends_of(source)
     stamp = find_stamp(head, tail)
-    asked = flavor or (stamp.flavor if stamp else "")
-    flavor = choose_flavor(asked, machine.flavor, sign_by_ends(head, tail), path).flavor
+    requested = flavor or (stamp.flavor if stamp else "")
+    flavor = choose_flavor(requested, machine.flavor, sign_by_ends(head, tail), path).flavor
     if stamp is None:
         return Estimate(path, machine, flavor, _statistics(blocks_of(source), path, machine, flavor, offset), None)
     written = _statistics(blocks_of(source), path, machine, flavor, (0.0, 0.0))

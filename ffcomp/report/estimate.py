@@ -10,8 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ffcomp.estimate.engine import Estimate, seconds
-from ffcomp.estimate.layers import BEFORE
-from ffcomp.estimate.statistics import KINDS, WAITING, Statistics
+from ffcomp.estimate.statistics import BEFORE, KINDS, WAITING, Statistics
 from ffcomp.report.shared.drawing import file_of, layout
 from ffcomp.report.shared.style import RC, grid
 from ffcomp.version import __version__
@@ -22,19 +21,19 @@ COLOURS = ("#0072b2", "#e69f00", "#009e73", "#56b4e9", "#b8bec9")  # as KINDS
 MOST_FEATURES = 14
 
 
-def draw(found: Estimate, path: Path) -> None:
+def draw(estimate: Estimate, path: Path) -> None:
     """Write the figure; `path` ends in .png, .svg or .pdf."""
-    replace_atomically(path, [file_of(estimate_figure(found), path.suffix.removeprefix("."))])
+    replace_atomically(path, [file_of(estimate_figure(estimate), path.suffix.removeprefix("."))])
 
 
-def estimate_figure(found: Estimate) -> Figure:
+def estimate_figure(estimate: Estimate) -> Figure:
     """Draw the time by layer and by feature."""
     with matplotlib.rc_context(RC):
         figure = Figure(figsize=(10.0, 4.6), layout=layout())
         left, right = figure.subplots(1, 2, width_ratios=(1.7, 1.0))
-        _layers(left, found.statistics)
-        _features(right, found.statistics)
-        title = f"{Path(found.path).name} on {found.machine.name}: {short(found.time_s)}"
+        _layers(left, estimate.statistics)
+        _features(right, estimate.statistics)
+        title = f"{Path(estimate.path).name} on {estimate.machine.name}: {short(estimate.time_s)}"
         figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
         note = f"planned as the firmware does; heating, homing and macros left out; ffcomp v{__version__}"
         figure.supxlabel(note, x=0.99, ha="right", fontsize=7)

@@ -18,15 +18,13 @@ from typer.testing import CliRunner
 from ffcomp.cli.app import app
 from ffcomp.compensate import chunks
 from ffcomp.compensate import job as jobs
-from ffcomp.compensate.gcode_output import print_time as times
-from ffcomp.compensate.gcode_output.print_time import with_times_retold
+from ffcomp.compensate import text_stream as times
 from ffcomp.compensate.statistics import Statistics as Compensation
+from ffcomp.compensate.text_stream import with_times_retold
 from ffcomp.errors import NothingToDo
-from ffcomp.estimate import slices as cutting
-from ffcomp.estimate.engine import Estimate, estimate, seconds
-from ffcomp.estimate.layers import BEFORE
-from ffcomp.estimate.slices import planned_slices
-from ffcomp.estimate.statistics import EXTRUDING, FILAMENT, PRIMING, RETRACTING, TRAVELLING, WAITING, Statistics
+from ffcomp.estimate import statistics as cutting
+from ffcomp.estimate.engine import Estimate, estimate, planned_slices, seconds
+from ffcomp.estimate.statistics import BEFORE, EXTRUDING, FILAMENT, PRIMING, RETRACTING, TRAVELLING, WAITING, Statistics
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.lookahead import stops_and_waits
