@@ -61,13 +61,13 @@ STAGES = {
         "ffcomp.inverse.model.InverseModel.state_after_rest",
     ),
     "write": (
-        "ffcomp.compensate.gcode_output.renderer.timeline",
-        "ffcomp.compensate.gcode_output.renderer.tiles",
-        "ffcomp.compensate.gcode_output.renderer.keep_inside",
-        "ffcomp.compensate.gcode_output.writer.Writer.section",
-        "ffcomp.compensate.gcode_output.writer.Writer.event",
-        "ffcomp.compensate.gcode_output.writer.Writer.extrude",
-        "ffcomp.compensate.gcode_output.writer.Writer.close",
+        "ffcomp.compensate.gcode_writer.timeline",
+        "ffcomp.compensate.gcode_writer.tiles",
+        "ffcomp.compensate.gcode_writer.keep_inside",
+        "ffcomp.compensate.gcode_writer.Writer.section",
+        "ffcomp.compensate.gcode_writer.Writer.event",
+        "ffcomp.compensate.gcode_writer.Writer.extrude",
+        "ffcomp.compensate.gcode_writer.Writer.close",
     ),
 }
 REST = "all else"

@@ -98,7 +98,7 @@ def _about(case: Case, found: FasterProgram, took_s: float) -> dict[str, Any]:
         "least_s": found.actuator_limit_s,
         "limited_by": found.limited_by,
         "speed": found.plan.end_t / took_s,
-        "given_up": int(found.given_up.sum()),
+        "given_up": int(found.reverted.sum()),
     }
 
 

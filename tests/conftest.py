@@ -38,7 +38,7 @@ SLOW = (  # folders and files; single tests have the marker themselves
     "unit/ffcomp/diagnose/test_separating_moves.py",
     "unit/ffcomp/compare/test_rivals.py",
     "unit/ffcomp/compare/test_quickest.py",
-    "unit/ffcomp/compensate/gcode_output/test_layout.py",
+    "unit/ffcomp/compensate/test_gcode_layout.py",
     "unit/ffcomp/diagnose",
     "unit/ffcomp/identify/test_experiment.py",
     "unit/ffcomp/identify/test_identify.py",

@@ -377,7 +377,7 @@ def _compensate_one(request: _Request) -> dict[str, Any]:
     from ffcomp.cli.log import note
     from ffcomp.compensate.batch import size_of, workers
     from ffcomp.compensate.file import compensate_file
-    from ffcomp.compensate.warning_lines import MOST_LINES, shortened
+    from ffcomp.compensate.statistics import MOST_LINES, shortened
     from gcode.text import PART_BYTES
     from models.provenance import assumed_modes
 

@@ -13,9 +13,8 @@ from rich.table import Column, Table
 from ffcomp.cli.common import say, tell
 from ffcomp.cli.log import note
 from ffcomp.compensate.result import FileResult
-from ffcomp.compensate.share import ENOUGH
-from ffcomp.compensate.warning_lines import cause_of, shortened
-from ffcomp.faster.words import limits_in_words
+from ffcomp.compensate.statistics import ENOUGH, cause_of, shortened
+from ffcomp.faster.bound import limits_in_words
 
 
 def report_all(file_results: list[FileResult], quiet: bool) -> None:

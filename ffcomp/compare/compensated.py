@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compensate.gcode_output.renderer import GcodeRenderer
+from ffcomp.compensate.gcode_writer import GcodeRenderer
 from ffcomp.compensate.plan import Context, PlannedChunk
 from ffcomp.compensate.program import compensate
 from ffcomp.compensate.statistics import Statistics
-from ffcomp.compensate.stream import Stream
+from ffcomp.compensate.text_stream import Stream
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
 from ffcomp.planner.machine_limits import known_to_the_firmware

@@ -30,8 +30,7 @@ from ffcomp.compare.result import Family, Party
 from ffcomp.compare.sampling import SETTLE_S, Print, PrintSlice, Sampling
 from ffcomp.errors import NothingToDo
 from ffcomp.faster.bound import FIRST_LAYER, Bound, with_slicer_settings
-from ffcomp.faster.program import faster_program
-from ffcomp.faster.shares import AS_SLICED, COOLING
+from ffcomp.faster.program import AS_SLICED, COOLING, faster_program
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import contour_statistics

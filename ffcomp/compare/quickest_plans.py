@@ -14,8 +14,8 @@ import numpy as np
 
 from ffcomp.compare.sampling import Print, PrintSlice
 from ffcomp.faster.bound import SHORTEST_LAYER_S, Bound
-from ffcomp.faster.lower_limit import lower_limit_s
-from ffcomp.faster.opened import Opened, opened
+from ffcomp.faster.program import actuator_limit_s
+from ffcomp.faster.raised_limits import RaisedLimits, raised_limits
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.program import plan_program
@@ -33,7 +33,7 @@ class Stretch:
 
     print_slice: PrintSlice
     features: tuple[str, ...]
-    top: Opened
+    top: RaisedLimits
 
     @classmethod
     def of(cls, print_slice: PrintSlice, features: tuple[str, ...], bound: Bound) -> Stretch:
@@ -41,7 +41,7 @@ class Stretch:
         machine, moves = print_slice.machine, print_slice.planned.program.moves
         named = Labels(print_slice.layer, print_slice.feature, features)
         kept = (print_slice.layer == 0) & bound.keeps_first_layer
-        return cls(print_slice, features, opened(moves, named, kept, bound, machine, planner_limits(machine)))
+        return cls(print_slice, features, raised_limits(moves, named, kept, bound, machine, planner_limits(machine)))
 
     @cached_property
     def seconds(self) -> FloatArray:
@@ -65,7 +65,7 @@ class Stretch:
         return replace(own, planned=plan_program(replace(own.planned.program, moves=changed), own.machine))
 
 
-def _at(moves: Moves, top: Opened, feed: float, acceleration: float) -> Moves:
+def _at(moves: Moves, top: RaisedLimits, feed: float, acceleration: float) -> Moves:
     free, travels = ~top.kept, np.any(moves.end[:, :3] != moves.start[:, :3], axis=1)
     quickest = np.minimum(moves.speed * feed, top.moves.speed)
     kept = np.where(travels, moves.speed * min(feed, 1.0), moves.speed)
@@ -121,7 +121,7 @@ class WholePrint:
     def actuator_limit_s(self) -> float:
         """Return a time that no plan of these moves can be quicker than, s."""
         program, machine = self.stretch.print_slice.planned.program, self.stretch.print_slice.machine
-        return lower_limit_s(self.stretch.top, machine, planner_limits(machine), *stops_and_waits(program))
+        return actuator_limit_s(self.stretch.top, machine, planner_limits(machine), *stops_and_waits(program))
 
     def by_feature(self, seconds: FloatArray) -> dict[str, float]:
         """Return where the time goes, s: what extrudes by its feature, and travel."""

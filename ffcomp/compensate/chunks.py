@@ -129,7 +129,17 @@ class _Ahead:
     def chunk(self, program: Program, last: bool = False, end: PathPosition | None = None) -> Chunk:
         """Return the chunk that it begins with."""
         extent = Extent(self.begin, end)
-        return Chunk(program, self.before, self.since, self.limits, self.layers, last, extent, self.slowed, self.cuts)
+        return Chunk(
+            program,
+            before=self.before,
+            since=self.since,
+            limits=self.limits,
+            layers=self.layers,
+            last=last,
+            extent=extent,
+            slowed=self.slowed,
+            cuts=self.cuts,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +189,7 @@ class _Known:
     def _clear_cut(self, latest_t: float) -> int:
         """Return after how many segments to cut, not later: far from the last cut and any line, in no wipe; 0: nowhere.
 
-        Filament that is pulled back is shared out over its whole way (`ffcomp/compensate/gcode_output/layout.py`).
+        Filament that is pulled back is shared out over its whole way (`ffcomp/compensate/gcode_layout.py`).
         """
         segment_s, wipes = self.settings.segment_s, self.plan.direction[:, 3] < 0.0
         at = (self.plan.start_t - self.begin_t) / segment_s

@@ -4,28 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from math import ceil
 
 import numpy as np
 
 from ffcomp.compensate.chunks import Chunk
-from ffcomp.compensate.solve import SolvedSection
-from ffcomp.compensate.whole_segments import in_whole_segments
 from ffcomp.errors import LimitsError
 from ffcomp.faster.bound import Bound
-from ffcomp.faster.program import FasterProgram, faster_program
-from ffcomp.faster.shares import AS_SLICED
-from ffcomp.inverse.extent import WHOLE, context_s
+from ffcomp.faster.program import AS_SLICED, FasterProgram, faster_program
+from ffcomp.faster.raised_limits import slowed
+from ffcomp.inverse.extent import WHOLE, Extent, context_s
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
-from ffcomp.metrics import contour_error
 from ffcomp.planner.program import PlannedProgram, firmware_plan, plan_program
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from gcode.layers import labels
 from gcode.program import Program
 from models.arrays import BoolArray
+from models.machine import Machine
 
-HELD = 1.02  # times the bound, that the 99th percentile may have: what becomes slower at the end may change it a little
-SPOTS = 2.6  # times the bound, that single spots may have: a little more than in the search
+P99_LEVEL = (
+    1.02  # times the bound, that the 99th percentile may have: what becomes slower at the end may change it a little
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,45 +48,6 @@ class Faster:
         )
 
 
-class BoundCheck:
-    """Compares the response that was solved for, effects included, with the bound, section by section."""
-
-    def __init__(self, bound: Bound, program: Program, feature: str) -> None:
-        """Take the program that is written, and what is printed when it begins."""
-        self.program, self.bound_mm = program, bound.errors_mm(labels(program, feature))
-        self.beyond: list[tuple[float, int, float]] = []  # times the bound, line and µm of each section's worst
-
-    def add(self, solved: SolvedSection, settings: Settings) -> None:
-        """Look at a section."""
-        section, trajectory, response = solved.section, solved.trajectory, solved.solution.response
-        t = (
-            solved.reference.t0
-            + np.arange(1, len(response) + 1, dtype=np.float64) * settings.segment_s / settings.substeps
-        )
-        part = slice(section.first, section.last)
-        corners = np.vstack([trajectory.origin[part, :3], solved.reference.nozzle(np.array([section.end_t]))])
-        error = contour_error(np.append(trajectory.start_t[part], section.end_t), corners, t, response)
-        move = np.clip(trajectory.move_at(t), section.first, section.last - 1)
-        times = error / self.bound_mm[move]
-        worst = int(times.argmax())
-        if times[worst] > SPOTS:
-            line = self.program.first_line + int(self.program.moves.line[move[worst]]) + 1
-            self.beyond.append((float(times[worst]), line, 1e3 * float(error[worst])))
-
-    def warnings(self, strict: bool = False) -> tuple[str, ...]:
-        """Say where the bound is not kept; strict: refuse."""
-        if not self.beyond:
-            return ()
-        _, line, um = max(self.beyond)
-        where = "one section" if len(self.beyond) == 1 else f"{len(self.beyond)} sections"
-        said = (
-            f"line {line}: the predicted error is {um:.3g} µm here; it is above {SPOTS:g} times its bound in {where}."
-        )
-        if strict:
-            raise LimitsError(said)
-        return (said,)
-
-
 def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel, smooth: bool) -> tuple[PlannedProgram, Faster]:
     """Plan a chunk as quick as the bound allows; around a cut in motion it keeps the slicer's motion.
 
@@ -95,17 +56,17 @@ def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel, smooth: bool) 
     program, machine = chunk.program, model.given
     slicers = firmware_plan(program, machine)
     near = _near_cuts(chunk, slicers)
-    found = faster_program(program, model, bound, chunk.layers, chunk.feature, near)
-    said = (*_not_held(chunk, found), *_given_up(chunk, found))
-    if said and model.settings.strict:
-        raise LimitsError(said[0])
-    quick: Program | None = found.program
+    quicker = faster_program(program, model, bound, chunk.layers, chunk.feature, near)
+    warnings = (*_bound_exceeded(chunk, quicker), *_unchanged_moves(chunk, quicker))
+    if warnings and model.settings.strict:
+        raise LimitsError(warnings[0])
+    quick: Program | None = quicker.program
     if near.any():
-        quick = in_whole_segments(found.program, found.free, chunk.extent, machine, model.settings)
+        quick = in_whole_segments(quicker.program, quicker.free, chunk.extent, machine, model.settings)
     if quick is None:
-        own = _by_feature(program, slicers, chunk.feature)
+        seconds = _by_feature(program, slicers, chunk.feature)
         return plan_program(program, machine, smooth), Faster(
-            own, own, slicers.end_t, {AS_SLICED: slicers.end_t}, (_not_faster(chunk),)
+            seconds, seconds, slicers.end_t, {AS_SLICED: slicers.end_t}, (_not_faster(chunk),)
         )
     planned = plan_program(quick, machine, smooth)
     return (
@@ -113,9 +74,9 @@ def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel, smooth: bool) 
         Faster(
             _by_feature(program, slicers, chunk.feature),
             _by_feature(program, planned.trajectory, chunk.feature),
-            found.actuator_limit_s,
-            found.limited_by,
-            said,
+            quicker.actuator_limit_s,
+            quicker.limited_by,
+            warnings,
         ),
     )
 
@@ -146,23 +107,62 @@ def _not_faster(chunk: Chunk) -> str:
     )
 
 
-def _not_held(chunk: Chunk, found: FasterProgram) -> tuple[str, ...]:
-    if found.p99 <= HELD:
+def _bound_exceeded(chunk: Chunk, quicker: FasterProgram) -> tuple[str, ...]:
+    if quicker.p99 <= P99_LEVEL:
         return ()
     line = chunk.program.first_line + int(chunk.program.moves.line[0]) + 1
     return (
         f"line {line}: the bound is not held from here on, however slow: for 1 % of the time the predicted error is "
-        f"above {found.p99:.2g} times it. A higher bound would be, or fewer features that keep the slicer's motion.",
+        f"above {quicker.p99:.2g} times it. A higher bound would be, or fewer features that keep the slicer's motion.",
     )
 
 
-def _given_up(chunk: Chunk, found: FasterProgram) -> tuple[str, ...]:
-    if not found.given_up.any():
+def _unchanged_moves(chunk: Chunk, quicker: FasterProgram) -> tuple[str, ...]:
+    if not quicker.reverted.any():
         return ()
-    moves = np.flatnonzero(found.given_up)
+    moves = np.flatnonzero(quicker.reverted)
     line = chunk.program.first_line + int(chunk.program.moves.line[moves[0]]) + 1
-    seconds = float(found.plan.duration[moves].sum())
+    seconds = float(quicker.plan.duration[moves].sum())
     return (
         f"line {line}: {len(moves)} moves from here on ({seconds:.2g} s) keep the slicer's motion: no quicker one was "
         "found that keeps the error under the bound.",
     )
+
+
+LEAST_SPEED_SHARE = 0.98  # that moves keep
+KNOT_TOLERANCE = 1e-6  # of a segment
+
+
+def in_whole_segments(
+    program: Program, free: BoolArray, extent: Extent, machine: Machine, settings: Settings
+) -> Program | None:
+    """Slow the free moves (n,) down by as little as that takes; None: they are too short for it."""
+    from scipy.optimize import brentq
+
+    if extent.end is None:
+        return program
+    plan = firmware_plan(program, machine)
+    written_s = _written_s(plan, extent, settings)
+    missing_s = settings.segment_s * ceil(written_s / settings.segment_s - KNOT_TOLERANCE)
+
+    def slower(factor: float) -> Program:
+        return replace(
+            program,
+            moves=slowed(program.moves, np.where(free, factor, 1.0), np.minimum(program.moves.speed, plan.cruise_v)),
+        )
+
+    def too_long_s(factor: float) -> float:
+        return _written_s(firmware_plan(slower(factor), machine), extent, settings) - missing_s
+
+    if too_long_s(LEAST_SPEED_SHARE) < 0.0:
+        return None
+    return slower(
+        1.0 if too_long_s(1.0) >= 0.0 else float(brentq(too_long_s, LEAST_SPEED_SHARE, 1.0, xtol=1e-15, rtol=1e-14))
+    )
+
+
+def _written_s(plan: Trajectory, extent: Extent, settings: Settings) -> float:
+    """Return the duration of what is written, s, up to the cut at its end."""
+    begin, end = extent
+    assert end is not None
+    return end.time_in(plan) - (float(plan.start_t[0]) - settings.lead_s if begin is None else begin.time_in(plan))

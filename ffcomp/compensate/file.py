@@ -12,7 +12,7 @@ from typing import Any
 from ffcomp.compensate.job import Job, Options, StepOutput
 from ffcomp.compensate.prediction import read_again
 from ffcomp.compensate.result import Result, already_processed, of_prints
-from ffcomp.compensate.stream import Stream
+from ffcomp.compensate.text_stream import Stream
 from ffcomp.numerics.serialise import to_json
 from gcode.atomic_write import replacing, unchanged
 from gcode.container import Container, blocks_of, ends_of, opened, read_bytes

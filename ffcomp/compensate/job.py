@@ -19,8 +19,7 @@ from typing import Any
 
 from ffcomp.compensate import chunks
 from ffcomp.compensate.chunks import Chunk, split_chunks, with_features
-from ffcomp.compensate.gcode_output.print_time import with_times_retold
-from ffcomp.compensate.gcode_output.renderer import GcodeRenderer
+from ffcomp.compensate.gcode_writer import GcodeRenderer
 from ffcomp.compensate.placement import NOWHERE, Footprint, Offset, Placement, advice, choose_offset, footprint_of
 from ffcomp.compensate.plan import S_CURVE_LONGEST_S, Context, plan_chunk
 from ffcomp.compensate.prediction import LONGEST_S, READ_AGAIN_S
@@ -28,7 +27,7 @@ from ffcomp.compensate.program import compensate
 from ffcomp.compensate.result import Result
 from ffcomp.compensate.statistics import Statistics
 from ffcomp.compensate.step_output import StepRenderer, StepStream
-from ffcomp.compensate.stream import Stream
+from ffcomp.compensate.text_stream import Stream, stamped, with_shaper_off, with_times_retold
 from ffcomp.errors import NothingToDo
 from ffcomp.faster.bound import Bound, with_slicer_settings
 from ffcomp.integrations.slicer import Bed, bed_in, pair
@@ -47,8 +46,8 @@ from ffcomp.steps.sink import Board, StepSink
 from ffcomp.version import __version__
 from gcode.atomic_write import replace_atomically
 from gcode.container import Source, blocks_of, ends_of
-from gcode.dialects import shaper_off, sign_by_ends
-from gcode.embedded import OURS, joined, original_blocks
+from gcode.dialects import sign_by_ends
+from gcode.embedded import joined, original_blocks
 from gcode.flavor import FlavorChoice, choose_flavor
 from gcode.layers import LayerLookup
 from gcode.metadata import Timed
@@ -62,15 +61,15 @@ Progress = Callable[[float], None]  # called with the share that is done, 0 to 1
 Lines = Generator[bytes, None, Statistics]  # a chunk's output, and what was done
 
 
-_own = threading.local()
+_per_thread = threading.local()
 
 
 def model_of(machine: Machine, settings: Settings) -> InverseModel:
     """Return a thread's inverse model, the same one from chunk to chunk and from file to file."""
     key = pickle.dumps((machine, settings))
-    if getattr(_own, "key", None) != key:
-        _own.model, _own.key = InverseModel(machine, settings), key
-    model: InverseModel = _own.model
+    if getattr(_per_thread, "key", None) != key:
+        _per_thread.model, _per_thread.key = InverseModel(machine, settings), key
+    model: InverseModel = _per_thread.model
     return model
 
 
@@ -261,9 +260,9 @@ class Job:
         body = Stream(self._body(progress))
         pieces = with_times_retold(body, lambda: body.value.print_time_s, folder, embed=self.settings.embed)
         if self.options.shaper_off:
-            pieces = _with_shaper_off(pieces, self.flavor)
+            pieces = with_shaper_off(pieces, self.flavor)
         notes = offset_line(self.offset) + (b"" if self.settings.embed else WITHOUT_ORIGINAL + b"\n")
-        yield from _stamped(filter(None, pieces), stamp, notes)
+        yield from stamped(filter(None, pieces), stamp, notes)
         self.model.save_cache()
         took_s, embedded = time.perf_counter() - started, self.settings.embed
         return Result(
@@ -420,36 +419,3 @@ def _quickest_s(first: Program, size: int) -> float:
     """Return what a print of so many bytes takes at least, by its first moves."""
     moves = first.moves
     return float((lines_of(moves).length / moves.speed).sum()) * size / max(_size(first), 1)
-
-
-def _with_shaper_off(pieces: Iterator[bytes], flavor: str) -> Iterator[bytes]:
-    """Switch the firmware's own shaper off where our first block opens."""
-    waiting = True
-    for piece in pieces:
-        at = piece.find(OURS) if waiting else -1
-        if at >= 0:
-            waiting = False
-            begin = piece.rfind(b"\n", 0, at) + 1
-            ending = b"\r\n" if piece[: piece.find(b"\n", at) + 1].endswith(b"\r\n") else b"\n"
-            yield piece[:begin]
-            yield from (off.rstrip(b"\n") + OURS + ending for off in shaper_off(flavor))
-            piece = piece[begin:]
-        yield piece
-
-
-def _stamped(pieces: Iterator[bytes], stamp: bytes, notes: bytes) -> Iterator[bytes]:
-    """Put the stamp after the first line (slicers are known by it) and before a last line without newline."""
-    kept = next(pieces, b"")
-    begin = kept.find(b"\n") + 1
-    if b"\r" in kept[:begin].removesuffix(b"\r\n"):
-        begin = 0  # lines that end in other ways: the stamp comes first of all
-    ending = b"\r\n" if kept[:begin].endswith(b"\r\n") else b"\n"
-    stamp = stamp.rstrip(b"\n") + ending
-    yield kept[:begin] + stamp + notes.replace(b"\n", ending)
-    kept = kept[begin:]
-    for piece in filter(None, pieces):
-        yield kept
-        kept = piece
-    end = kept.rfind(b"\n") + 1
-    yield kept[:end] + stamp
-    yield kept[end:]

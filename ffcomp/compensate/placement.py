@@ -85,13 +85,13 @@ def choose_offset(kinematics: Kinematics, bed: Bed | None, footprint: Callable[[
     by_bed = NOWHERE if bed is None else offset_for(bed, kinematics.centre_mm)
     if bed is not None and by_bed == NOWHERE:
         return Placement(NOWHERE, "Offset 0,0: the slicer's bed lies about where the machine's does.")
-    found = footprint()
-    if found is None or _fits(kinematics, found.part, NOWHERE):
+    printed = footprint()
+    if printed is None or _fits(kinematics, printed.part, NOWHERE):
         elsewhere = "" if bed is None else _other_bed(kinematics, bed, by_bed)
         return Placement(NOWHERE, f"Offset 0,0: the print lies inside as it is{elsewhere}.", notable=bool(elsewhere))
-    offset = _helping(kinematics, bed, found)
+    offset = _helping(kinematics, bed, printed)
     if offset is None:
-        return Placement(NOWHERE, f"Offset 0,0: {no_offset(kinematics, found)}.", notable=True)
+        return Placement(NOWHERE, f"Offset 0,0: {no_offset(kinematics, printed)}.", notable=True)
     if bed is not None and offset == by_bed:
         rule = f"{_beds(kinematics, bed)}, and the print would lie outside"
     else:
@@ -99,24 +99,24 @@ def choose_offset(kinematics: Kinematics, bed: Bed | None, footprint: Callable[[
     return Placement(offset, f"Offset {pair(offset)}: {rule}.", notable=True)
 
 
-def advice(kinematics: Kinematics, bed: Bed | None, found: Footprint | None, refused: Offset) -> str:
+def advice(kinematics: Kinematics, bed: Bed | None, footprint: Footprint | None, refused: Offset) -> str:
     """Say in a sentence which offset would bring a refused print inside; checked with every move of it."""
-    if found is None:
+    if footprint is None:
         return ""
-    if _fits(kinematics, found.part, refused):
+    if _fits(kinematics, footprint.part, refused):
         return "No offset helps: it does not lie beside the bed, but too high or too low."
-    offset = _helping(kinematics, bed, found)
+    offset = _helping(kinematics, bed, footprint)
     if offset is None:
-        sentence = no_offset(kinematics, found)
+        sentence = no_offset(kinematics, footprint)
         return f"{sentence[:1].upper()}{sentence[1:]}."
-    if not _fits(kinematics, found.everything, offset):
+    if not _fits(kinematics, footprint.everything, offset):
         return f"--offset-mm {pair(offset)} brings the part inside; moves beside it would go out as they are."
     return f"A print made for a bed with its origin elsewhere? --offset-mm {pair(offset)} brings it inside."
 
 
-def _helping(kinematics: Kinematics, bed: Bed | None, found: Footprint) -> Offset | None:
+def _helping(kinematics: Kinematics, bed: Bed | None, footprint: Footprint) -> Offset | None:
     """Return an offset that brings all moves inside, or at least the part; None: there is none."""
-    for points in (found.everything, found.part):
+    for points in (footprint.everything, footprint.part):
         by_bed = [] if bed is None else [offset_for(bed, kinematics.centre_mm)]
         for offset in (*by_bed, kinematics.centring(points)):
             if _fits(kinematics, points, offset):
@@ -124,9 +124,9 @@ def _helping(kinematics: Kinematics, bed: Bed | None, found: Footprint) -> Offse
     return None
 
 
-def no_offset(kinematics: Kinematics, found: Footprint) -> str:
+def no_offset(kinematics: Kinematics, footprint: Footprint) -> str:
     """Say that a print is too large."""
-    width, depth = found.size
+    width, depth = footprint.size
     volume = kinematics.volume_text()
     return f"the print needs {width:.0f} × {depth:.0f} mm, and the print volume {volume}: no offset helps"
 

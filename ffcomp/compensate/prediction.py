@@ -63,14 +63,14 @@ class Samples:
         )
         return Samples(
             self.sample_s,
-            self.clock + later.clock,
-            self.covered_s + later.covered_s,
-            self.place + later.place,
-            self.reference + moved(later.reference),
-            self.path_t + [each + self.clock for each in later.path_t],
-            self.path + moved(later.path),
-            before,
-            after,
+            clock=self.clock + later.clock,
+            covered_s=self.covered_s + later.covered_s,
+            place=self.place + later.place,
+            reference=self.reference + moved(later.reference),
+            path_t=self.path_t + [each + self.clock for each in later.path_t],
+            path=self.path + moved(later.path),
+            before=before,
+            after=after,
         )
 
     def tracks(self) -> dict[str, Track]:
@@ -114,25 +114,25 @@ class Prediction:
 
     def add(self, solved: SolvedSection, written: Sequence[TimedSegments] = ()) -> None:
         """Take one compensated section in; `written`: its segments, where they are other than the solved ones."""
-        model, s, found, every = self.model, self.model.settings, self.samples, self.every
+        model, s, samples, every = self.model, self.model.settings, self.samples, self.every
         reference, result = solved.reference, solved.solution
         length = reference.knots * s.segment_s
-        found.covered_s += length
+        samples.covered_s += length
         nozzle, velocity = reference.substeps(0, reference.knots)
         # one after the other in space too: only differences count, and a jump between runs would look like an error
-        shift = found.place - nozzle[0]
-        found.reference.append(nozzle[every::every] + shift)
-        found.place = found.reference[-1][-1]
+        shift = samples.place - nozzle[0]
+        samples.reference.append(nozzle[every::every] + shift)
+        samples.place = samples.reference[-1][-1]
         self._add_path(solved.trajectory, solved.section, reference, shift)
         state = model.machine.equilibrium(nozzle[0])
         plain, _ = model.plant.respond(nozzle, velocity, state, s.substeps)
         response = result.response + self._joining(solved, nozzle, written)
         knots = nozzle[:: s.substeps]
-        for motion, actual, command in ((found.before, plain, knots), (found.after, response, result.vertices)):
+        for motion, actual, command in ((samples.before, plain, knots), (samples.after, response, result.vertices)):
             motion.actual.append(actual[every - 1 :: every] + shift)
             bend = peak_acceleration(model.kinematics.inverse(command), s.segment_s, s.segment_s)
             motion.peak = max(motion.peak, bend)
-        found.clock += length
+        samples.clock += length
 
     def _joining(self, solved: SolvedSection, nozzle: FloatArray, written: Sequence[TimedSegments]) -> FloatArray:
         """Return what the joined segments add to the response, (n, 3) mm: the model is linear in the command."""
@@ -153,8 +153,8 @@ class Prediction:
         return kinematics.forward(kinematics.inverse(response) + q) - response
 
     def _add_path(self, trajectory: PlannedMotion, run: Section, reference: Reference, shift: FloatArray) -> None:
-        part, found = slice(run.first, run.last), self.samples
+        part, samples = slice(run.first, run.last), self.samples
         corners = np.vstack([trajectory.origin[part, :3], reference.nozzle(np.array([run.end_t]))])
         due = np.append(trajectory.start_t[part], run.end_t)
-        found.path.append(corners + shift)
-        found.path_t.append(found.clock + due - reference.t0)
+        samples.path.append(corners + shift)
+        samples.path_t.append(samples.clock + due - reference.t0)

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ffcomp.compensate.placement import Placement
-from ffcomp.compensate.statistics import Statistics
-from ffcomp.compensate.warning_lines import warning_lines
+from ffcomp.compensate.statistics import Statistics, warning_lines
 from ffcomp.errors import INPUT_ERRORS, explain, interrupts_restored
 from ffcomp.inverse.robust_choice import PLAIN, RobustChoice
 from ffcomp.numerics.serialise import to_json

@@ -108,43 +108,43 @@ def _linear(
             state, rest = model.state_after_rest(state, start, rest_s), rest_s
         if later:
             section = replace(section, begin_t=section.begin_t + later, end_t=section.end_t + later)
-        own = extent if section is planned.sections[0] else WHOLE
-        written = own.written(trajectory, section, settings)
+        part = extent if section is planned.sections[0] else WHOLE
+        written = part.written(trajectory, section, settings)
         keep_response = keep(written.reference)
         if settings.time_scaling:
             request = SectionRequest(
-                program, trajectory, section, written, state, limits, replan, own, keep_response, layers.of
+                program, trajectory, section, written, state, limits, replan, part, keep_response, layers.of
             )
-            found = solve_feasible(model, request)
-            trajectory, later = found.trajectory, later + found.lost_s
+            feasible = solve_feasible(model, request)
+            trajectory, later = feasible.trajectory, later + feasible.lost_s
         else:
             result = solve(model, written.reference, state, keep_response=keep_response)
-            found = FeasibleSection(trajectory, section, written, result)
-        reference, *knots = found.written
+            feasible = FeasibleSection(trajectory, section, written, result)
+        reference, *knots = feasible.written
         yield (
             SolvedSection(
                 trajectory,
-                found.section,
+                feasible.section,
                 reference,
-                found.solution,
-                found.records,
+                feasible.solution,
+                feasible.records,
                 (knots[0], knots[1]),
             ),
             rest,
         )
-        state = found.solution.state
+        state = feasible.solution.state
 
 
 def _moved_before(planned: PlannedProgram) -> dict[int, bool]:
     """Tell for the first move of each section that travels whether others have moved the nozzle since the last one."""
     others = {e.move for e in planned.program.events if e.kind in (EventKind.STOP, EventKind.RAW_MOVE)}
-    found, pending, last = {}, False, -1
+    moved, pending, last = {}, False, -1
     for section in planned.sections:
         pending = pending or any(move in others for move in range(last + 1, section.first + 1))
         last = section.first
         if section.travels:
-            found[section.first], pending, last = pending, False, section.last - 1
-    return found
+            moved[section.first], pending, last = pending, False, section.last - 1
+    return moved
 
 
 def keep_inside(kinematics: Kinematics, vertices: FloatArray, heights: FloatArray) -> FloatArray:

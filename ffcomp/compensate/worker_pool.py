@@ -93,8 +93,8 @@ class Pool:
         several = max(2, min(self.jobs, len(numbers)))  # one would be this very process, and a death its own
         # one more than are at work: while a file is read and sent, nobody waits
         pool = Parallel(n_jobs=several, return_as="generator_unordered", batch_size=1, pre_dispatch="n_jobs + 1")
-        found: Generator[_Done, None, None] = pool(map(self._call, numbers))
-        return found
+        outcomes: Generator[_Done, None, None] = pool(map(self._call, numbers))
+        return outcomes
 
     def _call(self, number: int) -> Any:
         """Return what `Parallel` takes; never raises: its errors would be those of all files."""
@@ -179,7 +179,7 @@ def _marking(mark: Path, file: Path) -> Callable[[float], None]:
     """Progress, told to another process by the length of a file: it is never half told."""
 
     def progress(share: float) -> None:
-        with open(mark, "ab") as said:
-            said.truncate(round(share * file.stat().st_size))
+        with open(mark, "ab") as mark_file:
+            mark_file.truncate(round(share * file.stat().st_size))
 
     return progress

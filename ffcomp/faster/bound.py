@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,8 +35,8 @@ class Bound:
 
     def errors_mm(self, labels: Labels) -> FloatArray:
         """Return each move's own bound, (n,) mm."""
-        own = {name.lower(): um for name, um in self.of_features_um}
-        by_feature = np.array([own.get(name.lower(), self.max_error_um) for name in labels.features])
+        special = {name.lower(): um for name, um in self.of_features_um}
+        by_feature = np.array([special.get(name.lower(), self.max_error_um) for name in labels.features])
         return np.asarray(1e-3 * by_feature[labels.feature])
 
     def keeps(self, labels: Labels) -> BoolArray:
@@ -56,12 +57,37 @@ def _keeps(name: str, kept: set[str], changed: set[str]) -> bool:
 
 def with_slicer_settings(bound: Bound, head: bytes, tail: bytes) -> Bound:
     """Fill in what was not asked for from the slicer's settings, which stand in a file's first or last lines."""
-    said = {key: float(value) for key, value in _SETTING.findall(head + b"\n" + tail) if value.count(b".") < 2}
+    settings = {key: float(value) for key, value in _SETTING.findall(head + b"\n" + tail) if value.count(b".") < 2}
     flow, shortest_s = bound.max_flow_mm3_per_s, bound.min_layer_time_s
     if flow is None:
-        flow = next((said[key] for key in _FLOW if said.get(key)), None)
+        flow = next((settings[key] for key in _FLOW if settings.get(key)), None)
     if shortest_s is None:
-        shortest_s = next((said[key] for key in _LAYER_TIME if key in said), SHORTEST_LAYER_S)
-        if any(said.get(key) == 0.0 for key in _COOLING):
+        shortest_s = next((settings[key] for key in _LAYER_TIME if key in settings), SHORTEST_LAYER_S)
+        if any(settings.get(key) == 0.0 for key in _COOLING):
             shortest_s = 0.0
     return replace(bound, max_flow_mm3_per_s=flow, min_layer_time_s=shortest_s)
+
+
+LIMITS = {
+    "flow": "the nozzle's flow",
+    "error_bound": "the error bound",
+    "carriage_acceleration": "the carriages' acceleration",
+    "speed": "the highest speed",
+    "cooling": "cooling",
+    "as_sliced": "what keeps the slicer's speed",
+    "filament_alone": "retractions and waits",
+}
+LEAST_SHARE = 0.005  # that is worth a word
+
+
+def limits_in_words(limited_by: Mapping[str, float]) -> str:
+    """Say where the time goes, the most first; an empty text if no time is known of.
+
+    Parameters
+    ----------
+    limited_by : limit -> s, as `ffcomp.faster.program.limited_by` gives it.
+    """
+    seconds = sorted(limited_by.items(), key=lambda each: -each[1])
+    whole = max(sum(s for _, s in seconds), 1e-9)
+    parts = [f"{LIMITS[name]} {100 * s / whole:.0f} %" for name, s in seconds if s >= LEAST_SHARE * whole]
+    return f"What limits it, in shares of its time: {', '.join(parts)}." if parts else ""

@@ -7,19 +7,21 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from ffcomp.faster.bound import SHORTEST_LAYER_S, Bound
-from ffcomp.faster.lower_limit import lower_limit_s
-from ffcomp.faster.opened import opened, part_of, some
-from ffcomp.faster.response import printers_of
+from ffcomp.faster.predicted_error import ensemble_of
+from ffcomp.faster.raised_limits import PATH_SHARE, RaisedLimits, least_carriage_gain, raised_limits, slowed
 from ffcomp.faster.search import SectionSearch, search
-from ffcomp.faster.shares import limited_by
 from ffcomp.inverse.model import InverseModel
+from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.ramps import sweep, total_time
 from ffcomp.planner.sections import split_sections
-from ffcomp.planner.trajectory import PlannedMotion, Trajectory
+from ffcomp.planner.trajectory import Trajectory
 from gcode.layers import UNNAMED, LayerLookup, labels
 from gcode.program import Moves, Program
+from gcode.slicing import some
 from models.arrays import BoolArray, FloatArray, IntArray
+from models.machine import Machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +30,7 @@ class FasterProgram:
 
     program: Program
     plan: Trajectory  # of the slicer's moves
-    given_up: BoolArray  # (n,) moves that keep the slicer's motion because nothing quicker keeps the bound
+    reverted: BoolArray  # (n,) moves that keep the slicer's motion because nothing quicker keeps the bound
     actuator_limit_s: float  # what the moves take at least
     limited_by: dict[str, float]  # s of the quicker plan, by what limits it
     free: BoolArray  # (n,) moves that do not keep the slicer's motion
@@ -52,7 +54,7 @@ def faster_program(
     model : InverseModel
         The machine's inverse.
     bound : Bound
-        What was asked for.
+        The bound.
     layers_before : int
         Layers of the file that have begun before this program.
     feature : str
@@ -67,28 +69,28 @@ def faster_program(
     kept = np.zeros(len(moves), dtype=np.bool_) if kept is None else kept
     if bound.keeps_first_layer:
         kept = kept | (layer == 0)
-    top = opened(moves, named, kept, bound, model.machine, limits)
-    found, given_up, still_s = top.moves, np.zeros(len(moves), dtype=np.bool_), plan.end_t
-    printers, searched = printers_of(model, bound.safety), list[tuple[slice, SectionSearch]]()
+    ceiling = raised_limits(moves, named, kept, bound, model.machine, limits)
+    quicker, reverted, still_s = ceiling.moves, np.zeros(len(moves), dtype=np.bool_), plan.end_t
+    ensemble, searches = ensemble_of(model, bound.safety), list[tuple[slice, SectionSearch]]()
     for section in split_sections(plan, stop_before):
         part = slice(section.first, section.last)
-        if not section.travels or top.kept[part].all():
+        if not section.travels or ceiling.kept[part].all():
             continue
-        searched.append((part, SectionSearch(model, printers, limits, some(moves, part), part_of(top, part))))
+        searches.append((part, SectionSearch(model, ensemble, limits, some(moves, part), ceiling.part(part))))
         still_s -= section.end_t - section.begin_t
-    p99 = search([each for _, each in searched], still_s)
-    for part, each in searched:
-        found = _with(found, part, each.moves)
-        given_up[part] = each.given_up
-    quick = plan_moves(found, limits, stop_before=stop_before, wait_before=wait_before)
+    p99 = search([each for _, each in searches], still_s)
+    for part, each in searches:
+        quicker = _with(quicker, part, each.moves)
+        reverted[part] = each.reverted
+    quick = plan_moves(quicker, limits, stop_before=stop_before, wait_before=wait_before)
     shortest_s = SHORTEST_LAYER_S if bound.min_layer_time_s is None else bound.min_layer_time_s
-    own = top.kept | given_up
-    found, cooled = _cooled(found, ~own, layer, plan, quick, shortest_s)
+    as_sliced = ceiling.kept | reverted
+    quicker, cooled = _cooled(quicker, ~as_sliced, layer, plan, quick, shortest_s)
     if cooled.any():
-        quick = plan_moves(found, limits, stop_before=stop_before, wait_before=wait_before)
-    shares = limited_by(quick, found, top, own, cooled, quick.end_t)
-    least_s = lower_limit_s(top, model.machine, limits, stop_before, wait_before)
-    return FasterProgram(replace(program, moves=found), plan, given_up, least_s, shares, ~own, p99)
+        quick = plan_moves(quicker, limits, stop_before=stop_before, wait_before=wait_before)
+    shares = time_by_limit(quick, quicker, ceiling, as_sliced, cooled, quick.end_t)
+    least_s = actuator_limit_s(ceiling, model.machine, limits, stop_before, wait_before)
+    return FasterProgram(replace(program, moves=quicker), plan, reverted, least_s, shares, ~as_sliced, p99)
 
 
 def _layers(program: Program, before: int) -> IntArray:
@@ -96,16 +98,16 @@ def _layers(program: Program, before: int) -> IntArray:
     return np.array([lookup.of(move) for move in range(len(program.moves))], dtype=np.int64)
 
 
-def _with(moves: Moves, part: slice, own: Moves) -> Moves:
+def _with(moves: Moves, part: slice, replacement: Moves) -> Moves:
     columns = {}
     for field in fields(moves):
         columns[field.name] = getattr(moves, field.name).copy()
-        columns[field.name][part] = getattr(own, field.name)
+        columns[field.name][part] = getattr(replacement, field.name)
     return replace(moves, **columns)
 
 
 def _cooled(
-    moves: Moves, free: BoolArray, layer: IntArray, slicers: PlannedMotion, quick: PlannedMotion, shortest_s: float
+    moves: Moves, free: BoolArray, layer: IntArray, slicers: Trajectory, quick: Trajectory, shortest_s: float
 ) -> tuple[Moves, BoolArray]:
     """Slow layers down that would be shorter than they may be, and than the slicer's; say which moves."""
     was_s, now_s = (np.bincount(layer, plan.duration, layer.max(initial=0) + 1) for plan in (slicers, quick))
@@ -113,18 +115,75 @@ def _cooled(
     lacking_s = np.maximum(np.minimum(was_s, shortest_s) - now_s, 0.0)
     share = np.where(lacking_s > 0.0, free_s / np.maximum(free_s + lacking_s, 1e-9), 1.0)[layer]
     share = np.where(free & (share < 1.0), share, 1.0)
-    slower = replace(
+    return slowed(moves, share, np.where(quick.cruise_v > 0.0, quick.cruise_v, moves.speed)), share < 1.0
+
+
+def actuator_limit_s(
+    ceiling: RaisedLimits, machine: Machine, limits: PlannerLimits, stop_before: BoolArray, wait_before: FloatArray
+) -> float:
+    """Return a time that no plan of these moves can be quicker than, whatever the error, s.
+
+    Speeds keep the flow, the machine's velocity and the carriages', accelerations what the carriages may have where
+    they move least for the path; at corners the nozzle need not slow down at all, and no layer has a shortest time.
+    """
+    moves = ceiling.moves
+    most = machine.limits.carriage_acceleration_mm_per_s2 / least_carriage_gain(moves, machine)
+    moves = replace(
         moves,
-        speed=np.where(share < 1.0, _top(quick, moves.speed) * share, moves.speed),
-        acceleration=np.where(share < 1.0, moves.acceleration * share**2, moves.acceleration),
-        square_corner_velocity=np.where(
-            share < 1.0, moves.square_corner_velocity * share, moves.square_corner_velocity
-        ),
+        acceleration=np.where(ceiling.kept, moves.acceleration, most),
+        speed=np.where(ceiling.kept | ceiling.at_flow, moves.speed, moves.speed / PATH_SHARE),
     )
-    return slower, share < 1.0
+    lines = lines_of(moves)
+    bounds = bounds_of(moves, lines, limits)
+    goes = np.flatnonzero(lines.length > 0.0)
+    if not len(goes):
+        return float(wait_before.sum())
+    groups = np.concatenate([[0], goes[:-1] + 1])  # where the moves begin whose stops count for each that goes
+    stops = np.logical_or.reduceat(stop_before | (wait_before > 0.0), groups)
+    alone = stops | ~lines.travels[goes]
+    alone[1:] |= ~lines.travels[goes][:-1]
+    speed2 = bounds.speed[goes] ** 2
+    corner = np.zeros(len(goes) + 1)
+    corner[1:-1] = np.where(alone[1:], 0.0, np.minimum(speed2[1:], speed2[:-1]))
+    ramps = bounds.acceleration[goes]
+    start, peak = sweep(lines.length[goes], corner, speed2, ramps, ramps)
+    return float(total_time(lines.length[goes], start, peak, ramps, ramps) + wait_before.sum())
 
 
-def _top(plan: PlannedMotion, otherwise: FloatArray) -> FloatArray:
-    """Return the speed at which each move cruises, (n,) mm/s."""
-    reached = plan.cruise_v if isinstance(plan, Trajectory) else otherwise
-    return np.where(reached > 0.0, reached, otherwise)
+AS_SLICED, ALONE, COOLING = "as_sliced", "filament_alone", "cooling"
+FLOW, SPEED, CARRIAGES, ERROR = "flow", "speed", "carriage_acceleration", "error_bound"
+BINDING = 0.98  # of a limit: it binds
+
+
+def time_by_limit(
+    plan: Trajectory, moves: Moves, ceiling: RaisedLimits, as_sliced: BoolArray, cooled: BoolArray, seconds: float
+) -> dict[str, float]:
+    """Return the time that goes to each limit, s; together all of it.
+
+    Parameters
+    ----------
+    plan, moves : the quicker motion
+    ceiling : what its moves are allowed
+    as_sliced : (n,) moves that keep the slicer's motion
+    cooled : (n,) moves slowed down because their layer would be too short
+    seconds : of the whole plan, waits included
+    """
+    alone = ~np.any(plan.direction[:, :3] != 0.0, axis=1)
+    kept, free = as_sliced & ~alone, ~as_sliced & ~alone & ~cooled
+    ramps = plan.accel_t + plan.decel_t
+    at_top = plan.cruise_v >= BINDING * ceiling.moves.speed
+    hard = moves.acceleration >= BINDING * ceiling.moves.acceleration
+
+    def time(of: FloatArray, which: BoolArray) -> float:
+        return float(of[which].sum())
+
+    cruise = plan.cruise_t
+    seconds_by_limit = {
+        AS_SLICED: time(plan.duration, kept),
+        COOLING: time(plan.duration, cooled & ~alone & ~as_sliced),
+        FLOW: time(cruise, free & at_top & ceiling.at_flow),
+        SPEED: time(cruise, free & at_top & ~ceiling.at_flow),
+        CARRIAGES: time(ramps, free & hard) + time(cruise, free & hard & ~at_top),
+        ERROR: time(ramps, free & ~hard) + time(cruise, free & ~hard & ~at_top),
+    }
+    return {**seconds_by_limit, ALONE: seconds - sum(seconds_by_limit.values())}

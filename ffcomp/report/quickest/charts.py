@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from ffcomp.compare.quickest_plans import TRAVEL
 from ffcomp.compare.quickest_result import Contender, Piece, Quickest
-from ffcomp.faster.words import LIMITS
+from ffcomp.faster.bound import LIMITS
 from ffcomp.report.compare.words import clipped, duration, outer_first
 from ffcomp.report.quickest.words import nick, shown
 from ffcomp.report.shared.drawing import Box, Drawing

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ffcomp.compare.quickest_result import Contender, Quickest
-from ffcomp.faster.words import limits_in_words
+from ffcomp.faster.bound import limits_in_words
 from ffcomp.report.compare.words import duration
 
 

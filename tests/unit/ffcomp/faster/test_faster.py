@@ -90,7 +90,7 @@ def test_at_a_wide_bound_the_carriages_limits_are_kept_and_nothing_falls_back(
     written = WHOLE.written(quick.trajectory, section, model.settings)
     state = model.machine.equilibrium(squares.moves.start[0, :3])
     assert solve(model, written.reference, state, enforce_limits=False).utilisation < 1.05
-    assert not found.given_up.any()
+    assert not found.reverted.any()
     tighter = of(squares, model, 50.0, change_speed=("bridge infill", "First layer"))
     assert quick.trajectory.end_t <= 1.01 * planned(tighter, model).trajectory.end_t
 

@@ -15,7 +15,7 @@ from gcode.reader import read_program
 from models.file import load_machine
 from models.pressure import Pressure
 from tests.support.extruder import flowing
-from tests.unit.ffcomp.compensate.test_pressure import FREE, written
+from tests.unit.ffcomp.compensate.test_program import FREE, written
 
 MACHINE = load_machine("kossel")
 LINE = b"G90\nM83\nM204 S3000\nG1 X-40 Y0 Z5 F9000\nG1 E-3 F1200\nG1 E3\nG1 X40 Y0 E2.64 F6000\n"

@@ -25,11 +25,11 @@ from gcode.program import Event, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 
 ROUNDING = 1e-9  # of a segment
-NEAR = 0.1  # of a segment: so near to a knot, a line goes out at the knot
-STEEPEST = 0.1  # by which share the flow may be changed between two lines to meet both
-SPREAD = 10  # segments' worth of flow over which a difference of filament is spread
-AROUND = 2 * CUT  # knots on either side of a tile, until which one junction of a wipe leans on the next
-TILE = 64 * CUT
+KNOT_TOLERANCE = 0.1  # of a segment: so near to a knot, a line goes out at the knot
+FLOW_CHANGE = 0.1  # by which share the flow may be changed between two lines to meet both
+SPREAD_SEGMENTS = 10  # segments' worth of flow over which a difference of filament is spread
+CONTEXT_KNOTS = 2 * CUT  # knots on either side of a tile, until which one junction of a wipe leans on the next
+TILE_KNOTS = 64 * CUT
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,13 +50,13 @@ class Tile:
         return Tile(0, 0, knots, knots)
 
 
-def tiles(knots: int, length: int = TILE, begin: int = 0, end: int | None = None) -> list[Tile]:
+def tiles(knots: int, length: int = TILE_KNOTS, begin: int = 0, end: int | None = None) -> list[Tile]:
     """Cut a section, or what lies between two of its knots, into tiles of `length` segments, a multiple of CUT."""
     if length % CUT:
         raise ValueError(f"A tile of {length} segments would end between two cuts; its length must divide by {CUT}.")
     end = knots if end is None else end
     edges = [*range(begin, max(end, begin + 1), length), end]
-    return [Tile(max(a - AROUND, 0), a, b, min(b + AROUND, knots)) for a, b in pairwise(edges)]
+    return [Tile(max(a - CONTEXT_KNOTS, 0), a, b, min(b + CONTEXT_KNOTS, knots)) for a, b in pairwise(edges)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,11 +141,11 @@ def _lines_of(
         first += bisect_left(begun, float(tile.first), key=reference.knot_of)
     if tile.last < reference.knots:
         last = run.first + bisect_left(begun, float(tile.last), key=reference.knot_of)
-    own = program.moves.line[max(first - 1, run.first) : last]
-    new = np.flatnonzero(own[1:] != own[:-1]) + 1  # the chords of an arc share a line
+    lines_in_file = program.moves.line[max(first - 1, run.first) : last]
+    new = np.flatnonzero(lines_in_file[1:] != lines_in_file[:-1]) + 1  # the chords of an arc share a line
     if first == run.first:
         new = np.concatenate([[0], new])
-    line, move, event = own[new], max(first - 1, run.first) + new, np.full(len(new), -1)
+    line, move, event = lines_in_file[new], max(first - 1, run.first) + new, np.full(len(new), -1)
     among = inside[_before(inside, first) : _before(inside, last)]
     if among:
         line = np.concatenate([line, np.array([each.line for each in among])])
@@ -213,7 +213,9 @@ def _places(at: FloatArray, stands: BoolArray, e: FloatArray, first: int, shorte
             if 0.0 < place - pinned < shortest:
                 place = pinned if place - pinned < 0.5 * shortest else pinned + shortest
             knot = int(np.rint(place))
-            if abs(place - knot) < (shortest if knot in (0, last) or knot % CUT == 0 else min(NEAR, shortest)):
+            if abs(place - knot) < (
+                shortest if knot in (0, last) or knot % CUT == 0 else min(KNOT_TOLERANCE, shortest)
+            ):
                 place = float(knot)
         latest = max(latest, place)
         if stands[i]:
@@ -292,12 +294,12 @@ def _meet(filament: FloatArray, points: FloatArray, e: FloatArray, at: FloatArra
     missing = known - _interpolated(at, e, first)
     between = (at // CUT).astype(np.int64).tolist()  # which cuts
     usual = {cut: _usual(flow, cut * CUT - first) for cut in set(between)}
-    reaches = [SPREAD * usual[cut] for cut in between]
+    reaches = [SPREAD_SEGMENTS * usual[cut] for cut in between]
     nodes, values, behind = [0.0], [0.0], reaches[0]
     for s, m, reach in zip(place.tolist(), missing.tolist(), reaches, strict=True):
         # lines close together, or close to the run's end: one is met, the flow stays even
         since, left = s - nodes[-1], float(gone[-1]) - s
-        if abs(m - values[-1]) <= STEEPEST * since + FLOWS_MM and abs(m) <= STEEPEST * left + FLOWS_MM:
+        if abs(m - values[-1]) <= FLOW_CHANGE * since + FLOWS_MM and abs(m) <= FLOW_CHANGE * left + FLOWS_MM:
             if since > behind + reach:
                 nodes += [nodes[-1] + behind, s - reach]
                 values += [0.0, 0.0]

@@ -1,4 +1,4 @@
-"""The lines of a print that tell times, retold when its end is known.
+"""Write the text of a compensated file as it streams: stamp, shaper off, and times retold when the end is known.
 
 A file says at its head how long it takes, and with M73 all along how much is left. So from the first such line on,
 what is written waits in a file without a name, and is read out again when the whole print has been planned. The
@@ -7,13 +7,29 @@ longest print costs one more copy of itself on the disk, for that long, and no m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
-from typing import IO
+from typing import IO, Generic, TypeVar
 
-from gcode.embedded import TIME_WAS
+from gcode.dialects import shaper_off
+from gcode.embedded import OURS, TIME_WAS
 from gcode.metadata import Durations, Tells, Timed, retold, tells, time_told
+
+T = TypeVar("T")
+
+
+class Stream(Generic[T]):
+    """The pieces of a text, and once they have all been read, `value`: what was found on the way."""
+
+    value: T
+
+    def __init__(self, pieces: Generator[bytes, None, T]) -> None:
+        self._pieces = pieces
+
+    def __iter__(self) -> Iterator[bytes]:
+        self.value = yield from self._pieces
+
 
 IN_MEMORY, BLOCK = 4 << 20, 1 << 20  # bytes
 
@@ -34,10 +50,10 @@ def with_times_retold(
     waiting: list[tuple[int, Timed]] = []  # each with how much is held before it
     with SpooledTemporaryFile(IN_MEMORY, dir=str(folder) if folder else None) as held:
         for piece in pieces:
-            text, told = piece, tells(piece) if isinstance(piece, Timed) else None
-            if isinstance(piece, Timed) and told is None:
+            text, tells_time = piece, tells(piece) if isinstance(piece, Timed) else None
+            if isinstance(piece, Timed) and tells_time is None:
                 layers.append(piece.at_s)
-            elif isinstance(piece, Timed) and told is Tells.ELAPSED:
+            elif isinstance(piece, Timed) and tells_time is Tells.ELAPSED:
                 text = _retold(piece, Durations(piece.at_s), embed)
             elif isinstance(piece, Timed):
                 waiting.append((held.tell(), piece))
@@ -73,3 +89,36 @@ def _retold(line: Timed, durations: Durations, embed: bool) -> bytes:
     new = retold(line, durations)
     ending = line[len(line.rstrip(b"\r\n")) :] or b"\n"
     return new if new == line or not embed else TIME_WAS + time_told(line) + ending + new
+
+
+def with_shaper_off(pieces: Iterator[bytes], flavor: str) -> Iterator[bytes]:
+    """Switch the firmware's own shaper off where our first block opens."""
+    waiting = True
+    for piece in pieces:
+        at = piece.find(OURS) if waiting else -1
+        if at >= 0:
+            waiting = False
+            begin = piece.rfind(b"\n", 0, at) + 1
+            ending = b"\r\n" if piece[: piece.find(b"\n", at) + 1].endswith(b"\r\n") else b"\n"
+            yield piece[:begin]
+            yield from (off.rstrip(b"\n") + OURS + ending for off in shaper_off(flavor))
+            piece = piece[begin:]
+        yield piece
+
+
+def stamped(pieces: Iterator[bytes], stamp: bytes, notes: bytes) -> Iterator[bytes]:
+    """Put the stamp after the first line (slicers are known by it) and before a last line without newline."""
+    kept = next(pieces, b"")
+    begin = kept.find(b"\n") + 1
+    if b"\r" in kept[:begin].removesuffix(b"\r\n"):
+        begin = 0  # lines that end in other ways: the stamp comes first of all
+    ending = b"\r\n" if kept[:begin].endswith(b"\r\n") else b"\n"
+    stamp = stamp.rstrip(b"\n") + ending
+    yield kept[:begin] + stamp + notes.replace(b"\n", ending)
+    kept = kept[begin:]
+    for piece in filter(None, pieces):
+        yield kept
+        kept = piece
+    end = kept.rfind(b"\n") + 1
+    yield kept[:end] + stamp
+    yield kept[end:]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from ffcomp.compensate.settling import LEFT_MM, ringing_s, settling_waits
+from ffcomp.compensate.plan import LEFT_MM, ringing_s, settling_waits
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.raw_moves import raw_durations

@@ -11,15 +11,19 @@ import re
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from operator import itemgetter
 
 import numpy as np
 from numba import njit
 
-from ffcomp.compensate.gcode_output.layout import Timeline
+from ffcomp.compensate.gcode_layout import Timeline, tiles, timeline
+from ffcomp.compensate.plan import Context, PlannedChunk
+from ffcomp.compensate.solve import SolvedSection, keep_inside
 from ffcomp.inverse.settings import CUT, Settings
 from ffcomp.planner.lifts import join_lifts
+from ffcomp.planner.sections import Section
 from ffcomp.planner.segment_merging import lengthen, merge, refit
 from ffcomp.planner.segment_timing import TimedSegments, segment_speeds
 from gcode.dialects import KLIPPER, MARLIN, close_limits, open_limits
@@ -29,8 +33,9 @@ from gcode.errors import UnsupportedGcode
 from gcode.layers import begins_layer
 from gcode.limits import MotionLimits, limit_set_by
 from gcode.metadata import Timed, tells
-from gcode.program import Event, EventKind, Program
+from gcode.program import Event, EventKind, EventQueue, Program
 from models.arrays import BoolArray, FloatArray, IntArray
+from models.machine import Machine
 
 _Place = tuple[float, float, float, float]  # X Y Z E, mm
 _Line = int | Event | bytes  # a move of the original (index into its lines), another line of it, a line of ours
@@ -46,14 +51,14 @@ class Writer:
         self,
         program: Program,
         flavor: str,
-        own: MotionLimits,
+        limits: MotionLimits,
         settings: Settings,
         offset: tuple[float, float] = (0.0, 0.0),
-        said: Mapping[bytes, bytes] | None = None,
+        limit_lines: Mapping[bytes, bytes] | None = None,
         raw_s: Mapping[int, float] | None = None,
         inside: Callable[[FloatArray], BoolArray] = lambda xyz: np.ones(len(xyz), dtype=np.bool_),
     ) -> None:
-        self.program, self.flavor, self.own, self.settings = program, flavor, own, settings
+        self.program, self.flavor, self.machine_limits, self.settings = program, flavor, limits, settings
         self.offset = offset
         self.inside = inside  # which points (n, 3) mm the firmware lets a command go to
         self.raw_s = raw_s or {}  # what moves take that go out as they are, by their line
@@ -62,7 +67,7 @@ class Writer:
         self.open = False
         self.to_return = False  # a macro that comes back has run since the last move
         self.move = 0  # the last that was begun: its limits are the file's own
-        self.said: dict[bytes, bytes] = dict(said or {})  # the file's last word on each limit
+        self.limit_lines = dict(limit_lines or {})  # the file's last line on each limit
         self.ending = b"\r\n" if program.lines and program.lines[0].endswith(b"\r\n") else b"\n"
         self.segments = 0
         self.late_s = 0.0  # by which they take longer than their knots
@@ -93,14 +98,14 @@ class Writer:
         else:
             yield Timed.at(line, self.now_s) if tells(line) or begins_layer(line) else line
         self.now_s += event.dwell_s + self.raw_s.get(event.line, 0.0)
-        self.told([event])
+        self.note_returns([event])
         self._take_frame(event.frame)
         if event.touches_limits:
-            self.said |= limit_set_by(line)
+            self.limit_lines |= limit_set_by(line)
         if self.open and event.touches_limits:
             yield from self._limits(self._opening())
 
-    def told(self, events: Iterable[Event]) -> None:
+    def note_returns(self, events: Iterable[Event]) -> None:
         """Note whether the last to have moved the nozzle is a macro that comes back."""
         for event in events:
             self.to_return = event.returns or (self.to_return and not event.moves_itself)
@@ -117,8 +122,8 @@ class Writer:
             yield from self._limits(self._closing())
             frame = self.program.frames[self.frame]
             feed = 60 * frame.feed_mm_per_s / frame.feed_factor / frame.unit_mm
-            told = (b"%.3f" % max(feed, 1e-3)).rstrip(b"0").rstrip(b".")  # never an exponent, never zero
-            yield b"G1 F" + told + OURS + self.ending
+            text = (b"%.3f" % max(feed, 1e-3)).rstrip(b"0").rstrip(b".")  # never an exponent, never zero
+            yield b"G1 F" + text + OURS + self.ending
 
     def extrude(self, move: int) -> Iterator[bytes]:
         """Write an extruder-only move as it was, but always with its feed."""
@@ -151,7 +156,7 @@ class Writer:
         self.open, self.begun = True, True
         self.move = move
         self.frame = int(moves.frame[move])
-        self._tell_frame(place)
+        self._set_frame(place)
 
     # -- a run
 
@@ -282,7 +287,7 @@ class Writer:
         if not self.open:
             self.open = True
             self.frame = int(moves.frame[move])
-            self._tell_frame(moves.start[move].tolist())
+            self._set_frame(moves.start[move].tolist())
             yield from self._return(float(moves.speed[move]))
             yield from self._limits(self._opening())
         self._take_frame(int(moves.frame[move]))
@@ -316,23 +321,23 @@ class Writer:
         if frame != self.frame:
             self.frame = frame
             if self.open:
-                self._tell_frame(self.moves.place)
+                self._set_frame(self.moves.place)
 
-    def _tell_frame(self, place: Sequence[float]) -> None:
+    def _set_frame(self, place: Sequence[float]) -> None:
         self.moves.reset(self.program.frames[self.frame], place[:3], place[3])
 
     def _closing(self) -> list[bytes]:
         """Return the lines that restore the limits of the file, or the machine's own."""
         axes = self.settings.output.raised_axes
         if self.flavor == KLIPPER:
-            return close_limits(self.flavor, _first_known(self._limits_at(self.move), self.own), axes)
-        return [*close_limits(self.flavor, self._in_units(self.own), axes), *self.said.values()]
+            return close_limits(self.flavor, _first_known(self._limits_at(self.move), self.machine_limits), axes)
+        return [*close_limits(self.flavor, self._in_units(self.machine_limits), axes), *self.limit_lines.values()]
 
     def _opening(self) -> list[bytes]:
         o = self.settings.output
         wide = MotionLimits(o.velocity_mm_per_s, o.acceleration_mm_per_s2, o.square_corner_velocity_mm_per_s)
-        told = self._in_units(wide)
-        return open_limits(self.flavor, told.velocity, told.acceleration, told.square_corner_velocity, o.raised_axes)
+        wide = self._in_units(wide)
+        return open_limits(self.flavor, wide.velocity, wide.acceleration, wide.square_corner_velocity, o.raised_axes)
 
     def _in_units(self, limits: MotionLimits) -> MotionLimits:
         """As the file must state them: after G20, Marlin takes limits in inches too."""
@@ -369,13 +374,13 @@ class _Segments:
         An event has a segment that begins there; a move, which is a comment, stands before the one that it is part of.
         """
         piece, place = timeline.tile, timeline.at[timeline.point]
-        own = (place >= piece.begin) & ((place < piece.end) | (piece.end == piece.last))
-        points, is_event = timeline.point[own], timeline.event[own] >= 0
+        within = (place >= piece.begin) & ((place < piece.end) | (piece.end == piece.last))
+        points, is_event = timeline.point[within], timeline.event[within] >= 0
         before = np.where(
             is_event, np.searchsorted(self.begins, points), np.searchsorted(self.begins, points, side="right") - 1
         )
         before = np.maximum.accumulate(before)  # a move without length that ends the run stays behind the last event
-        columns = (before, timeline.line[own], timeline.event[own])
+        columns = (before, timeline.line[within], timeline.event[within])
         return [
             (k, timeline.events[n] if n >= 0 else line)
             for k, line, n in zip(*(c.tolist() for c in columns), strict=True)
@@ -440,7 +445,82 @@ def _stated(points: FloatArray, base: _Place, unit: float) -> FloatArray:
     return np.asarray(np.rint((points - origin) / unit * counts) / counts * unit + origin)
 
 
-def _first_known(file: MotionLimits, own: MotionLimits) -> MotionLimits:
+def _first_known(file: MotionLimits, machine: MotionLimits) -> MotionLimits:
     """Return the file's limits, and the machine's own where the file has set none."""
-    pairs = ((getattr(file, name), getattr(own, name)) for name in MotionLimits.__dataclass_fields__)
+    pairs = ((getattr(file, name), getattr(machine, name)) for name in MotionLimits.__dataclass_fields__)
     return MotionLimits(*(mine if theirs != theirs else theirs for theirs, mine in pairs))
+
+
+REFIT_MM = 1e-3  # so near the border no end of a segment is moved from the command that is inside
+
+
+class GcodeRenderer:
+    """Lines of the compensated file, of one chunk; see `compensate.program.Renderer`."""
+
+    def __init__(self, chunk: PlannedChunk, context: Context) -> None:
+        self._planned, self._extent, self._kinematics = chunk.planned, chunk.chunk.extent, context.machine.kinematics
+        program, settings = chunk.planned.program, context.settings
+        inside = partial(self._kinematics.contains, margin_mm=-REFIT_MM)
+        known = chunk.chunk.limits, chunk.raw_s, inside
+        self._writer = Writer(
+            program, context.flavor, _machine_limits(context.machine), settings, context.offset, *known
+        )
+        self._events, self._waits_s = EventQueue(program.events), chunk.waits_s
+        self._writer.note_returns(chunk.chunk.since)
+
+    @property
+    def segments(self) -> int:
+        """How many segments have been written."""
+        return self._writer.segments
+
+    @property
+    def late_s(self) -> float:
+        """By how much the segments written take longer than their knots, s."""
+        return self._writer.late_s
+
+    def before(self, section: Section) -> Iterator[bytes]:
+        """Write the lines before a section."""
+        yield from self._events_before(section.first)
+        if wait_s := self._waits_s.get(section.first):
+            yield from self._writer.wait(wait_s)
+
+    def extrude(self, section: Section) -> Iterator[bytes]:
+        """Write a section in which only the extruder moves."""
+        yield from self._writer.extrude(section.first)
+        self._writer.now_s += section.end_t - section.begin_t
+
+    def section(self, section: Section, solved: SolvedSection) -> Iterator[bytes]:
+        """Write the segments of a section, tile by tile, and the lines in it."""
+        planned, reference, (begin, end) = self._planned, solved.reference, solved.knots
+        heights = planned.program.moves.end[section.first : section.last, 2]
+        vertices = keep_inside(self._kinematics, solved.solution.vertices, heights)
+        inside = self._events.up_to(section.last - 1)
+        if self._extent.begin is not None and section is planned.sections[0]:
+            position = [*vertices[begin].tolist(), float(reference.extrusion(begin, begin)[0])]
+            self._writer.resume(self._extent.begin.move, position)
+        for tile in tiles(reference.knots, begin=begin, end=end):
+            part = vertices[tile.first : tile.last + 1]
+            events = timeline(planned.program, solved.trajectory, solved.section, reference, part, inside, tile)
+            yield from self._writer.section(section.first, part, events)
+
+    def written(self) -> Sequence[TimedSegments]:
+        """Return the last section's segments, piece by piece."""
+        return self._writer.written
+
+    def finish(self) -> Iterator[bytes]:
+        """Write the lines after the last section, and restore the file's limits."""
+        if self._extent.end is None:
+            yield from self._events_before(len(self._planned.program.moves))
+            yield from self._writer.close()
+
+    def _events_before(self, move: int) -> Iterator[bytes]:
+        for event in self._events.up_to(move):
+            yield from self._writer.event(event)
+
+
+def _machine_limits(machine: Machine) -> MotionLimits:
+    """Return what is put back where the file itself has set nothing."""
+    limits = machine.limits
+    return MotionLimits(
+        limits.velocity_mm_per_s, limits.acceleration_mm_per_s2, limits.square_corner_velocity_mm_per_s, 0.5
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.faster.spread import at_quantile, counted, drawn, percentile
+from ffcomp.faster.predicted_error import deviates_in, ensemble_percentile, error_at_quantile, histogram
 
 
 def test_the_percentile_is_that_of_printers_and_not_of_moments() -> None:
@@ -15,22 +15,22 @@ def test_the_percentile_is_that_of_printers_and_not_of_moments() -> None:
     changes[0, :2000, 0] = 0.01 * rng.random(2000)
     changes[1, 2000:, 1] = 0.01 * rng.random(2000)
     nominal, scale = 0.002 * rng.random(4000), np.full(4000, 1.0 / 0.025)
-    moved = np.einsum("jk,kmc->jmc", drawn(2), changes)
+    moved = np.einsum("jk,kmc->jmc", deviates_in(2), changes)
     each = np.percentile(scale * np.sqrt(nominal**2 + (moved**2).sum(axis=2)), 99, axis=1)
-    found = percentile([counted(nominal, changes, scale)], 0.0, 0.05)
+    found = ensemble_percentile([histogram(nominal, changes, scale)], 0.0, 0.05)
     assert found == pytest.approx(np.quantile(each, 0.95), abs=0.02)
-    moments = np.percentile(at_quantile(nominal, changes, scale, 1.96), 99)
+    moments = np.percentile(error_at_quantile(nominal, changes, scale, 1.96), 99)
     assert 0.7 * moments < found < 1.2 * moments
 
 
 def test_printers_lie_evenly() -> None:
-    deviates = drawn(4)
+    deviates = deviates_in(4)
     assert abs(deviates.mean(axis=0)).max() < 0.15
     assert deviates.std(axis=0) == pytest.approx(np.ones(4), abs=0.1)
 
 
 def test_a_certain_machine_is_one_printer() -> None:
     nominal = np.linspace(0.0, 0.02, 1001)
-    counts = counted(nominal, np.empty((0, len(nominal), 3), np.float32), np.full(len(nominal), 100.0))
-    assert percentile([counts], 0.0, 0.05) == pytest.approx(1.98, abs=0.02)
-    assert percentile([counts], 99_000.0, 0.05) < 0.35
+    counts = histogram(nominal, np.empty((0, len(nominal), 3), np.float32), np.full(len(nominal), 100.0))
+    assert ensemble_percentile([counts], 0.0, 0.05) == pytest.approx(1.98, abs=0.02)
+    assert ensemble_percentile([counts], 99_000.0, 0.05) < 0.35

@@ -11,8 +11,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ffcomp.compensate.gcode_output.layout import AROUND, Tile, tiles, timeline
-from ffcomp.compensate.gcode_output.writer import Writer
+from ffcomp.compensate.gcode_layout import CONTEXT_KNOTS, Tile, tiles, timeline
+from ffcomp.compensate.gcode_writer import Writer
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import CUT, settings_for
 from ffcomp.planner.program import PlannedProgram, plan_program
@@ -149,7 +149,7 @@ def test_pieces_cover_a_run_once(knots: int) -> None:
     assert cut[0].first == cut[0].begin == 0 and cut[-1].end == cut[-1].last == knots
     assert all(a.end == b.begin for a, b in pairwise(cut))
     assert all(p.begin < p.end for p in cut)
-    assert all(p.first == max(p.begin - AROUND, 0) and p.last == min(p.end + AROUND, knots) for p in cut)
+    assert all(p.first == max(p.begin - CONTEXT_KNOTS, 0) and p.last == min(p.end + CONTEXT_KNOTS, knots) for p in cut)
 
 
 def test_pieces_that_would_end_between_cuts_are_refused() -> None:

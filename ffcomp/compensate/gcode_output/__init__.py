@@ -1,1 +1,0 @@
-"""Solutions as G-code."""
