@@ -54,9 +54,9 @@ are this processor's; ratios travel better.
 
 def side_by_side(found: Numbers) -> Iterator[str]:
     yield """What it costs to compute a command, and what that command is worth on the nonlinear virtual printer (which
-is as the machine file says; [COMPARISON.md](../docs/COMPARISON.md) has printers that are not). Errors are rms in µm,
-tracking raw and in brackets with the best constant delay removed; peak is the largest acceleration that a carriage is
-asked for over 4 ms.
+is as the machine file says; [comparison.md](../studies/reports/comparison.md) has printers that are not). Errors are
+rms in µm, tracking raw and in brackets with the best constant delay removed; peak is the largest acceleration that a
+carriage is asked for over 4 ms.
 
 """
     yield listed(f"""

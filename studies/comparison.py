@@ -1,6 +1,6 @@
 """Every method on the sample prints and on prints from outside, with machines that are not as their files say.
 
-    OPENBLAS_NUM_THREADS=1 python -m studies.comparison     docs/COMPARISON.md, an hour on two cores
+    OPENBLAS_NUM_THREADS=1 python -m studies.comparison     studies/reports/comparison.md, an hour on two cores
     … python -m studies.comparison far_star lobed_vase      measure only these tables; the others stay as they are
 
 Each print is saved as soon as it is measured. The prints from outside are read from ../shared/data/gcode (or

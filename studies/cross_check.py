@@ -1,6 +1,6 @@
 """Our virtual printer against MuJoCo, an engine nobody here wrote, with the arms as bodies.
 
-    python -m studies.cross_check     docs/CROSS_CHECK.md, some two minutes
+    python -m studies.cross_check     studies/reports/cross_check.md, some two minutes
 
 What is built in MuJoCo stands in `validation/plants/multibody.py`.
 """

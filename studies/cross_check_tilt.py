@@ -1,4 +1,4 @@
-"""Whether the effector's tilt matters: rods that give, in MuJoCo; a part of docs/CROSS_CHECK.md.
+"""Whether the effector's tilt matters: rods that give, in MuJoCo; a part of studies/reports/cross_check.md.
 
 `studies.cross_check` calls `tilt`. The rods of `validation/plants/multibody.py` give along their length. One rod a
 tower and an effector that slides can give but not tilt; two rods a tower let it tilt as well.

@@ -1,6 +1,6 @@
 """The last proof of a diagnosis: does the print get better on the printer that hides the effect?
 
-    python -m studies.diagnosis_proof --keep DIR      docs/DIAGNOSIS_PROOF.md and its figure, some 15 minutes
+    python -m studies.diagnosis_proof --keep DIR      studies/reports/diagnosis_proof.md and its figure, some 15 minutes
 
 Effects are hidden in the independent printer of `validation/blind`, which is measured, diagnosed through the command
 line, and then prints: with the owner's file, with the better one, with one that is right in everything, and with one
@@ -37,7 +37,7 @@ from models.machine import Machine
 from models.parameters import value_of
 from models.printer.static_deflection import static_deflection
 from studies.diagnosis import ffcomp
-from studies.render import save
+from studies.render import REPORTS, save
 from validation import judge
 from validation.blind.delta.hidden import EFFECTS
 from validation.blind.delta.numbers import carriages_of
@@ -50,7 +50,7 @@ from validation.blind.sensors import commands_of, csv_of, draw_sensors
 FloatArray = NDArray[np.float64]
 
 ROOT = Path(__file__).parents[1]
-FIGURE = ROOT / "docs" / "diagnosis_proof.png"
+FIGURE = REPORTS / "diagnosis_proof.png"
 PRINT, LAYERS, PRINTED_S = ROOT / "sample_prints" / "ringing_tower.gcode", Sampling(4, 7), 20.0
 SAMPLE_HZ, SECONDS = 1600.0, 3.0
 FILE_ERROR = 0.02  # standard deviation of every dynamic number of the owner's file, and what it says of itself

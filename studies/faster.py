@@ -27,7 +27,7 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.program import plan_program
 from ffcomp.simulate.motion import Motion
-from studies.render import DOCS, results_of, save
+from studies.render import REPORTS, results_of, save
 from validation import judge
 
 FARTHEST = 2.5  # standard deviations
@@ -172,7 +172,7 @@ def figure(rows: list[dict[str, Any]]) -> None:
     axes.set_xticks(sorted(BOUNDS_UM), [f"{um:g}" for um in sorted(BOUNDS_UM)])
     axes.legend(frameon=False)
     axes.grid(alpha=0.3)
-    drawn.savefig(DOCS / "faster.png", dpi=100)
+    drawn.savefig(REPORTS / "faster.png", dpi=100)
 
 
 def main() -> None:

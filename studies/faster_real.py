@@ -1,4 +1,4 @@
-"""Real prints, a CoreXY and several bounds at equal error, on printers that are off too: docs/FASTER_REAL.md.
+"""Real prints, a CoreXY and several bounds at equal error, on printers that are off too.
 
     python -m studies.faster_real FOLDER [--only KEY ...]
 
@@ -23,7 +23,7 @@ from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.faster.bound import Bound
 from gcode.container import read_bytes
 from models.file import load_machine
-from studies.render import DOCS, results_of, save
+from studies.render import REPORTS, results_of, save
 
 FLOW, KNOWN, OFF, PRINTERS = 15.0, 0.05, 0.10, 4
 SHAPERS = ("mzv", "ei")
@@ -123,7 +123,7 @@ def figure(rows: list[dict[str, Any]]) -> None:
     axes.set(xscale="log", xlabel="contour error, 99 % below, µm", ylabel="minutes")
     axes.legend(frameon=False, fontsize=8)
     axes.grid(alpha=0.3)
-    drawn.savefig(DOCS / "faster_real.png", dpi=100)
+    drawn.savefig(REPORTS / "faster_real.png", dpi=100)
 
 
 def main() -> None:

@@ -1,6 +1,6 @@
 """The paper's Tables II and III as a study: identified at one place, predicted at four.
 
-    python -m studies.identification     docs/IDENTIFICATION.md but for its last section, some two minutes
+    python -m studies.identification     studies/reports/identification.md but for its last section, some two minutes
 
 The laboratory is `validation/plants/lab.py`: a nonlinear printer with equations of its own, uneven towers, dry
 friction in its guides, noise on its sensors. What it hands out are time records; everything else is `ffcomp identify`.

@@ -1,6 +1,6 @@
 """Straight axes from a firmware's resonance tests: simulated ones, whose truth is known, and real printers'.
 
-    python -m studies.identification_axes     the last section of docs/IDENTIFICATION.md, a minute
+    python -m studies.identification_axes     the last section of studies/reports/identification.md, a minute
 
 The simulated tests pass the response of the modes' sum, with white noise in every sample; an ADXL345 read 3200 times a
 second has 0.15 m/s², which is 0.08 m/s² here. The real spectra are read from ../shared/data or FFCOMP_DATA.

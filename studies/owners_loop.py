@@ -1,6 +1,6 @@
 """The owner's loop: plan, record, join, diagnose, print better; with a real firmware's plan and an independent printer.
 
-    python -m studies.owners_loop --keep DIR --write      docs/OWNERS_LOOP.md, some minutes a printer
+    python -m studies.owners_loop --keep DIR --write      studies/reports/owners_loop.md, some minutes a printer
 
 `ffcomp record plan` writes the file, the real Kalico host plans it (KALICO_PYTHON names its interpreter), the printer
 of `validation/blind` with a hidden effect makes that motion, and an accelerometer like an ADXL345 records it: 3.2 kHz

@@ -1,4 +1,4 @@
-"""Every real print of a folder, compensated and held to independent checks: docs/REAL_FILES.md.
+"""Every real print of a folder, compensated and held to independent checks: studies/reports/real_files.md.
 
     python -m studies.real_files FOLDER --keep WORK [--only NAME ...] [--checkout PATH] [--column before] [--write]
 

@@ -1,4 +1,4 @@
-"""Render the pages of docs/ that show measured results: a template and a JSON file make a page.
+"""Render the reports of measured results: a template and a JSON file make a page.
 
     python -m studies.render PAGE ...     write these pages; without a name, list them
     python -m studies.render --all        write all
@@ -24,24 +24,11 @@ from typing import Any
 import jinja2
 
 ROOT = Path(__file__).parents[1]
-TEMPLATES, RESULTS, DOCS = ROOT / "studies" / "templates", ROOT / "studies" / "results", ROOT / "docs"
-PAGES = {
-    "accuracy": "ACCURACY.md",
-    "comparison": "COMPARISON.md",
-    "cross_check": "CROSS_CHECK.md",
-    "diagnosis": "DIAGNOSIS.md",
-    "diagnosis_proof": "DIAGNOSIS_PROOF.md",
-    "faster": "FASTER.md",
-    "faster_real": "FASTER_REAL.md",
-    "identification": "IDENTIFICATION.md",
-    "owners_loop": "OWNERS_LOOP.md",
-    "real_files": "REAL_FILES.md",
-    "robust": "ROBUST.md",
-    "story_emps": "STORY_EMPS.md",
-    "story_force_map": "STORY_FORCE_MAP.md",
-    "straight_proof": "STRAIGHT_PROOF.md",
-    "traps": "TRAPS.md",
-}
+STUDIES = ROOT / "studies"
+TEMPLATES, RESULTS, REPORTS = STUDIES / "templates", STUDIES / "results", STUDIES / "reports"
+SUMMARIES = {"accuracy": "docs/ACCURACY.md", "diagnosis": "docs/DIAGNOSIS.md"}
+"""Pages that every user may want to read; the others are reports beside the studies."""
+PAGES = tuple(sorted(path.name.removesuffix(".md.jinja") for path in TEMPLATES.glob("*.md.jinja")))
 WIDTH = 120  # of a line of a paragraph
 DIGITS = 6  # significant ones in a result
 
@@ -69,7 +56,7 @@ ENVIRONMENT.filters["fill"] = filled
 
 def page_of(name: str) -> Path:
     """Return the path of a page."""
-    return DOCS / PAGES[name]
+    return ROOT / SUMMARIES[name] if name in SUMMARIES else REPORTS / f"{name}.md"
 
 
 def results_of(name: str) -> dict[str, Any]:
@@ -84,7 +71,7 @@ def rendered(name: str) -> str:
 
 
 def write_page(name: str) -> None:
-    """Render a page into docs/."""
+    """Render a page into its file."""
     page_of(name).write_text(rendered(name), encoding="utf-8")
 
 
@@ -139,7 +126,7 @@ def main() -> None:
     for name in PAGES if options.all else options.pages:
         write_page(name)
     if not (options.all or options.pages):
-        print(*(f"{name}: docs/{page}" for name, page in PAGES.items()), sep="\n")
+        print(*(f"{name}: {page_of(name).relative_to(ROOT)}" for name in PAGES), sep="\n")
 
 
 if __name__ == "__main__":

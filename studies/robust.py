@@ -1,6 +1,6 @@
 """Robust against plain inversion, side by side, on printers that are not as their file says.
 
-    python -m studies.robust [--plants N]     docs/ROBUST.md, some ten minutes
+    python -m studies.robust [--plants N]     studies/reports/robust.md, some ten minutes
 
 For each sample print eight stretches, 36 s in all, and a small square far from the bed's middle; N printers (20) whose
 dynamic numbers are all off. The machine file says how unsure it is; robust inversion wants what is best over that.

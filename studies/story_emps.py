@@ -1,6 +1,6 @@
 """Story: a real axis, where rigid mass and viscous friction are not enough.
 
-    python -m studies.story_emps [--keep FOLDER] [--only EFFECT ...]      docs/STORY_EMPS.md and its figures, some 1 min
+    python -m studies.story_emps [--keep FOLDER] [--only EFFECT ...]    reports/story_emps.md, some 1 min
 
 Needs the EMPS data set in `../shared/data/emps`, or in `emps` of $FFCOMP_DATA; `studies/measured_axes.py` makes a
 machine file and two runs of it.
@@ -30,12 +30,12 @@ from models.axis.simulate import simulate_axis
 from models.effects.catalogue import CATALOGUE
 from models.file import load_plant
 from studies.measured_axes import DATA, EMPS_FILES, emps
-from studies.render import save
+from studies.render import REPORTS, save
 
 FloatArray = NDArray[np.float64]
 
 ROOT = Path(__file__).parents[1]
-FIGURES = {name: ROOT / "docs" / f"story_emps_{name}.png" for name in ("error", "force")}
+FIGURES = {name: REPORTS / f"story_emps_{name}.png" for name in ("error", "force")}
 MASS, VISCOUS = "axis.mass_kg", "axis.damping_n_s_per_m"
 FRICTION = "effects.coulomb_friction.force_n"
 DIRECTION = "effects.friction_by_direction.damping_difference_n_s_per_m"

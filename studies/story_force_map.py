@@ -1,6 +1,6 @@
 """Story: a printer whose machine file shares the effector's load as the source paper prints it.
 
-    python -m studies.story_force_map --keep DIR      docs/STORY_FORCE_MAP.md and its figures, some 10 minutes
+    python -m studies.story_force_map --keep DIR    reports/story_force_map.md and its figures, some 10 minutes
 
 The printer is built of bodies and joints in MuJoCo (`validation/plants/multibody.py`, needs the `mujoco` package):
 none of our equations is in it. Runs, verdicts and machine files stay in DIR; what is there is not made again.
@@ -36,7 +36,7 @@ from studies.diagnosis_proof import (
     owners_file,
     record,
 )
-from studies.render import save
+from studies.render import REPORTS, save
 from validation import judge
 from validation.blind.printer.motions import Path as NozzlePath
 from validation.blind.printer.real import Reading
@@ -45,7 +45,7 @@ from validation.plants.multibody import Choice, build, modes, play
 FloatArray = NDArray[np.float64]
 
 ROOT = Path(__file__).parents[1]
-FIGURES = {name: ROOT / "docs" / f"story_force_map_{name}.png" for name in ("gap", "overlay", "modes")}
+FIGURES = {name: REPORTS / f"story_force_map_{name}.png" for name in ("gap", "overlay", "modes")}
 COMMAND_HZ = 3200.0
 HEIGHT_MM = 30.0  # at which modes are compared
 CHOICES = {

@@ -1,6 +1,6 @@
 """A hidden effect on a CoreXY and on a bed slinger: from captures to a better print.
 
-    python -m studies.straight_proof --keep DIR --write      docs/STRAIGHT_PROOF.md, a minute or two a printer
+    python -m studies.straight_proof --keep DIR --write    reports/straight_proof.md, a minute or two a printer
 
 `ffcomp record plan` writes the moves, the independent printer of `validation/plants/straight_plant.py` makes them with
 something hidden, and ADXL345s record it: one on the CoreXY's toolhead; on the bed slinger one on the toolhead, which

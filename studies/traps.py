@@ -1,6 +1,6 @@
 """What owners get wrong, and what is then said: the traps of `validation/traps`, through the public verbs.
 
-    python -m studies.traps --keep DIR [NAME ...] --write       docs/TRAPS.md
+    python -m studies.traps --keep DIR [NAME ...] --write       studies/reports/traps.md
 
 Answers stay in DIR; what is there is not asked again, and is judged anew. NAMEs ask only those. `--join` stops before
 the diagnosis, which takes most of the time. Run it with OPENBLAS_NUM_THREADS=1.

@@ -1,6 +1,6 @@
 """Every vibration file measured by others: what `ffcomp identify fit` says of it, beside the firmware's own spectrum.
 
-    python -m studies.vibration_files     its section of docs/IDENTIFICATION.md, a minute
+    python -m studies.vibration_files     its section of studies/reports/identification.md, a minute
 
 The firmware's own tool is Kalico's: captures are handed to its code in a process of its own (KALICO_PYTHON names the
 Python that has it; it is GPL and never imported), spectra are what such firmware wrote. Its peak is that of the power

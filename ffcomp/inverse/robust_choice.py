@@ -4,7 +4,7 @@ One number decides: the relative standard deviation of the modes' frequencies th
 as the file's `[uncertainty]` does. Every parameter counts by what it changes of G, where a print excites it. Below some
 value robust inversion gains nothing to speak of. Above another, half the printers are so far from the file that no
 command suits them all, the median gains nothing any more, and a printer that is as its file says loses much
-(docs/ROBUST.md).
+(studies/reports/robust.md).
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from tests.support.docs_runner import ROOT
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 DECIDE = (ROOT / "docs" / "SHAPER_OR_FFCOMP.md").read_text(encoding="utf-8")
-COMPARISON = (ROOT / "docs" / "COMPARISON.md").read_text(encoding="utf-8")
+COMPARISON = (ROOT / "studies" / "reports" / "comparison.md").read_text(encoding="utf-8")
 ACCURACY = (ROOT / "docs" / "ACCURACY.md").read_text(encoding="utf-8")
 PRINTS = ("ringing_tower", "lobed_vase", "far_star", "kossel_mks-pwc")
 MOST_WORDS = 900

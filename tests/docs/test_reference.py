@@ -253,8 +253,13 @@ OURS = [ROOT / "docs" / "README.md", *REFERENCE.glob("*.md"), *(ROOT / "docs" / 
 
 def test_every_page_is_on_the_map() -> None:
     docs = ROOT / "docs"
-    linked = set(re.findall(r"\]\(([^)#]+\.md)", (docs / "README.md").read_text(encoding="utf-8")))
-    assert {path.relative_to(docs).as_posix() for path in docs.rglob("*.md")} - {"README.md"} <= linked
+    reached, ahead = set[Path](), {docs / "README.md"}
+    while ahead:
+        page = ahead.pop()
+        reached.add(page)
+        links = re.findall(r"\]\(([^)#:]+\.md)", page.read_text(encoding="utf-8"))
+        ahead |= {path for link in links if (path := (page.parent / link).resolve()).is_relative_to(docs)} - reached
+    assert set(docs.rglob("*.md")) - reached == set()
 
 
 @pytest.mark.parametrize("page_", OURS, ids=lambda path: path.name)

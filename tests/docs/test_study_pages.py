@@ -32,9 +32,9 @@ def test_results_are_rounded_and_plain() -> None:
 
 
 def test_a_part_that_is_not_measured_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for folder in ("TEMPLATES", "RESULTS", "DOCS", "ROOT"):
+    for folder in ("TEMPLATES", "RESULTS", "REPORTS", "ROOT"):
         monkeypatch.setattr(render, folder, tmp_path)
-    monkeypatch.setattr(render, "PAGES", {"one": "ONE.md"})
+    monkeypatch.setattr(render, "PAGES", ("one",))
     monkeypatch.setattr(render, "write_page", lambda name: None)
     render.save("one", {"first": 1, "second": 2})
     render.save("one", {"second": 3})

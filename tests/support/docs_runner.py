@@ -67,8 +67,9 @@ class Command:
 
 
 def pages() -> list[Path]:
-    """Every page that users read."""
-    return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    """Every page that users read, and the reports of studies."""
+    docs, reports = (ROOT / "docs").rglob("*.md"), (ROOT / "studies" / "reports").glob("*.md")
+    return [ROOT / "README.md", *sorted(docs), *sorted(reports)]
 
 
 def blocks_of(page: Path) -> list[Block]:
