@@ -27,9 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.diagnose.diagnosis import Diagnosis
-from ffcomp.diagnose.estimation import excerpt_of
+from ffcomp.diagnose.fidelity import excerpt_of
 from ffcomp.diagnose.fit import Fit, derivatives, fit
-from ffcomp.diagnose.hypotheses import discrepancy_of
 from ffcomp.diagnose.score_test import screen
 
 FloatArray = NDArray[np.float64]
@@ -75,7 +74,7 @@ def library_of(found: Diagnosis) -> Library | None:
     if found.fault is not None:
         return None
     estimation, base = found.estimation, found.base
-    part = excerpt_of(estimation, discrepancy_of(base))
+    part = excerpt_of(estimation, base.discrepancy)
     if part is not None:
         residual = part.residual(base.values)
         jacobian = derivatives(part, base.parameters, base.z, residual, range(len(base.z)))
@@ -159,7 +158,7 @@ def bic(found: Diagnosis, library: Library) -> dict[str, Any]:
     scores = {name: (base - gain, count) for name, (gain, count) in linear.items()}
     for h in found.tried:
         if len(h.effects) == 1 and len(h.fit.residual) == rows:
-            scores[h.names[0]] = (h.fit.chi_squared, h.added)
+            scores[h.names[0]] = (h.fit.chi_squared, h.effect_count)
     scores[""] = (base, 0)
     name = min(scores, key=lambda each: scores[each][0] + scores[each][1] * np.log(rows))
     if not name:

@@ -17,8 +17,8 @@ from ffcomp.diagnose.gap import Discrepancy, measure_gap
 from ffcomp.diagnose.json import diagnosis_json
 from ffcomp.diagnose.problems import Plant, check_recordings, problem_of, recordings_of, separated
 from ffcomp.diagnose.result import DiagnosisResult, better_file, result_of
+from ffcomp.diagnose.settings import SETTINGS
 from ffcomp.diagnose.validation import Recorded
-from ffcomp.diagnose.work import BUDGET
 from ffcomp.errors import RequestError, extras_told
 from ffcomp.identify.identify import Identified
 from ffcomp.identify.machine_fit import MachineFit, Method, hash_of
@@ -210,7 +210,7 @@ def diagnose(
     measured = recordings_of(loaded, files, plan, progress=progress)
     problem = problem_of(loaded, measured)
     check_recordings(problem, measured, without_repeats)
-    search = search_effects(problem, progress, inf if thorough else BUDGET)
+    search = search_effects(problem, progress, inf if thorough else SETTINGS.budget_steps)
     found = separated(problem, search, result_of(problem, search))
     target = Path(output) if output is not None and found.mends else None
     if target is not None:

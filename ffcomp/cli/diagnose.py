@@ -76,12 +76,12 @@ def diagnose(
         from math import inf
 
         from ffcomp.cli.search_progress import SearchProgress
+        from ffcomp.diagnose.diagnosis import USUAL_S
         from ffcomp.diagnose.diagnosis import diagnose as searched
         from ffcomp.diagnose.json import diagnosis_json
         from ffcomp.diagnose.problems import check_recordings, gain_of, problem_of, recordings_of, separated
-        from ffcomp.diagnose.progress import USUAL_S
         from ffcomp.diagnose.result import result_of
-        from ffcomp.diagnose.work import BUDGET
+        from ffcomp.diagnose.settings import SETTINGS
         from ffcomp.record.axes import turn_of
         from models.file import load_plant
 
@@ -95,7 +95,7 @@ def diagnose(
         problem = problem_of(loaded, measured)
         check_recordings(problem, measured, without_repeats)
         with SearchProgress(quiet, USUAL_S) as shown:
-            search = searched(problem, shown, inf if thorough else BUDGET)
+            search = searched(problem, shown, inf if thorough else SETTINGS.budget_steps)
         found = separated(problem, search, result_of(problem, search))
         better = output if found.mends else None
         gain = gain_of(loaded, found)

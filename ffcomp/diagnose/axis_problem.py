@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffcomp.diagnose.axis_candidates import axis_candidates
-from ffcomp.diagnose.observe import quick_length
+from ffcomp.diagnose.observations import quick_length
 from ffcomp.diagnose.pitches import likely_pitches
 from ffcomp.diagnose.printer_problem import effect_tables
 from ffcomp.diagnose.problem import InfeasibleParameters, Observation, Parameter, Problem

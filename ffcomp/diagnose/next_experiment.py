@@ -14,12 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ffcomp.diagnose.confounding import CONFOUNDED, confounded_with
 from ffcomp.diagnose.diagnosis import Diagnosis
 from ffcomp.diagnose.noise import whitener
 from ffcomp.diagnose.printer_problem import PrinterProblem
 from ffcomp.diagnose.problem import InfeasibleParameters
-from ffcomp.diagnose.score_test import Screened
+from ffcomp.diagnose.score_test import Screened, confounded_with
 from ffcomp.measurement.recording import Recording
 from ffcomp.planner.program import plan_program
 from gcode.reader import read_program
@@ -109,7 +108,7 @@ def _questions(problem: PrinterProblem, found: Diagnosis) -> list[_Question]:
     others = [h for h in (*found.competing, *found.tried) if h.names != best.names]
     nearest = list({h.names: h for h in reversed(others)}.items())[::-1]
     asked = [_separation(found, names, h.fit.values) for names, h in nearest]
-    confounded = {name for name, _ in confounded_with(best, found.screened, CONFOUNDED)}
+    confounded = {name for name, _ in confounded_with(best.names, found.screened)}
     known = {name for names, _ in nearest for name in names}
     asked += [
         _separation(found, (s.candidate.name,), linear_estimate(found, s)) for s in _named(found, confounded - known)

@@ -20,9 +20,17 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ffcomp.diagnose.excerpts import Part, beginning, excerpt_parts, led_in, telling_recordings
 from ffcomp.diagnose.noise import BAND_HZ
-from ffcomp.diagnose.observe import compared, every_row, observation_of
+from ffcomp.diagnose.observations import (
+    Part,
+    compared,
+    every_row,
+    excerpt_parts,
+    first_seconds,
+    informative_recordings,
+    led_in,
+    observation_of,
+)
 from ffcomp.diagnose.problem import Candidate, InfeasibleParameters, Parameter, Problem, within_travel
 from ffcomp.diagnose.recording_delays import (
     as_recorded,
@@ -104,14 +112,14 @@ class PrinterProblem(Problem):
 
     def excerpt(self) -> PrinterProblem | None:
         """Return the problem on a part of each recording that tells most; None where that would hardly be quicker."""
-        chosen = telling_recordings(self.observations, self.same_command)
+        chosen = informative_recordings(self.observations, self.same_command)
         same = [chosen.index(self.same_command[i]) for i in chosen]
         parts = excerpt_parts([self.observations[i] for i in chosen], same)
         return None if parts is None else self._of(chosen, parts)
 
-    def beginnings(self, seconds: float) -> PrinterProblem | None:
+    def short_horizon(self, seconds: float) -> PrinterProblem | None:
         """Return the problem on so much of each recording from where it begins to move; None if that is all of it."""
-        begun = [beginning(self.whole.observations[i], self.whole.commands[i], seconds) for i in self.chosen]
+        begun = [first_seconds(self.whole.observations[i], self.whole.commands[i], seconds) for i in self.chosen]
         if all(part.last == len(self.whole.commands[i]) for i, part in zip(self.chosen, begun, strict=True)):
             return None
         return self.whole._of(self.chosen, begun)
@@ -411,9 +419,9 @@ def _of(machine: Machine, effect: Effect, idle: frozenset[int], each: bool) -> C
     probe = {n.name: _linear(p, p.probe) for p in effect.amplitudes for n in _amplitude(effect, p, idle, each)}
     shapes = [_shape(effect, p, machine) for p in effect.shapes if _searched(p)]
     finer = [_finer(effect, p, p.default) for p in effect.shapes if p.default is not None and not p.starts]
-    bent = tuple(n for p in effect.of_printers for n in _bent(effect, p, idle, each))
+    alternative = tuple(n for p in effect.of_printers for n in _alternative(effect, p, idle, each))
     grid = tuple(_grid(effect, machine))
-    return Candidate(effect.name, tuple(amplitudes), probe, tuple(shapes), grid, tuple(finer), bent)
+    return Candidate(effect.name, tuple(amplitudes), probe, tuple(shapes), grid, tuple(finer), alternative)
 
 
 def _searched(p: EffectParameter) -> bool:
@@ -427,7 +435,7 @@ def _finer(effect: Effect, p: EffectParameter, usual: float) -> Parameter:
     return Parameter(_full(effect, p), usual, p.typical[1] / 2, *p.bounds)
 
 
-def _bent(effect: Effect, p: EffectParameter, idle: frozenset[int], each: bool) -> list[Parameter]:
+def _alternative(effect: Effect, p: EffectParameter, idle: frozenset[int], each: bool) -> list[Parameter]:
     """Make one parameter, or one an axis, of a shape whose default is to have no say."""
     usual = _finer(effect, p, math.sqrt(p.typical[0] * p.typical[1]))
     if not each:

@@ -6,12 +6,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import inf
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.diagnose.work import Work
 from models.arrays import FloatArray
 
 TOWERS = ("tower A", "tower B", "tower C")
@@ -44,7 +44,7 @@ class Candidate:
     shapes: tuple[Parameter, ...] = ()
     grid: tuple[Mapping[str, float], ...] = ({},)
     finer: tuple[Parameter, ...] = ()  # shapes that have a usual value: fitted only once the effect is chosen
-    bent: tuple[Parameter, ...] = ()  # shapes in place of the finer ones: of another kind of the same effect
+    alternative: tuple[Parameter, ...] = ()  # shapes in place of the finer ones: of another kind of the same effect
     other: Candidate | None = None  # the same effect with a parameter for each tower, or alike in all directions
     switch: bool = False  # there or not: its one amplitude is 1 or 0
 
@@ -56,12 +56,14 @@ class Candidate:
     @property
     def shaped(self) -> Candidate:
         """The same effect with its finer shapes free."""
-        return replace(self, shapes=(*self.shapes, *self.finer), finer=(), bent=())
+        return replace(self, shapes=(*self.shapes, *self.finer), finer=(), alternative=())
 
     @property
-    def of_other_kind(self) -> Candidate:
-        """The same effect with the shapes of its other kind."""
-        return replace(self, shapes=(*self.shapes, *self.bent), finer=(), bent=()) if self.bent else self
+    def of_alternative_kind(self) -> Candidate:
+        """The same effect with the shapes of its alternative kind."""
+        if not self.alternative:
+            return self
+        return replace(self, shapes=(*self.shapes, *self.alternative), finer=(), alternative=())
 
 
 def within_travel(candidate: Candidate, travel_mm: float) -> Candidate | None:
@@ -99,10 +101,10 @@ class Observation:
     @cached_property
     def by_clock(self) -> Mapping[str, list[int]]:
         """The signals of each of its clocks, by index."""
-        found: dict[str, list[int]] = {}
+        signals: dict[str, list[int]] = {}
         for i, clock in enumerate(self.clocks or ("",) * len(self.signals)):
-            found.setdefault(clock, []).append(i)
-        return found
+            signals.setdefault(clock, []).append(i)
+        return signals
 
     @cached_property
     def missing(self) -> NDArray[np.bool_] | None:
@@ -147,6 +149,37 @@ class Repeated(Protocol):
 
     def trouble(self) -> str:
         """Say by what they differ, in a sentence."""
+
+
+@dataclass
+class Work:
+    """What was simulated so far, and how much may be before a search tries nothing more.
+
+    Integration steps are counted and not seconds, so that the same recordings get the same verdict on every computer,
+    however busy.
+    """
+
+    limit: float = inf
+    steps: float = 0.0
+    cut: bool = False  # something was left untried
+
+    def add(self, steps: float) -> None:
+        """Count what is simulated."""
+        self.steps += steps
+
+    def allows(self) -> bool:
+        """Tell whether another thing may be tried; where it may not, that is remembered."""
+        spent = self.steps >= self.limit
+        self.cut = self.cut or spent
+        return not spent
+
+    def begin(self, limit: float) -> None:
+        """Begin a search that may simulate so much from now on."""
+        self.limit, self.cut = self.steps + limit, False
+
+    def extend(self, further: float) -> None:
+        """Allow so much from now on, if there is no more left."""
+        self.limit = max(self.limit, self.steps + further)
 
 
 class Problem(ABC):
@@ -206,7 +239,7 @@ class Problem(ABC):
         """Return the problem on a part of its observations, which is quicker; None if there is none."""
         return None
 
-    def beginnings(self, seconds: float) -> Problem | None:
+    def short_horizon(self, seconds: float) -> Problem | None:
         """Return the problem on so much of each observation from where it begins to move; None if there is none."""
         return None
 

@@ -14,8 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ffcomp.diagnose.estimation import EstimationProblem
-from ffcomp.diagnose.fit import Fit
+from ffcomp.diagnose.fit import EstimationProblem, Fit
 from ffcomp.shapers.pulses import ei, mzv, three_hump_ei, two_hump_ei, zv, zvd
 from models.arrays import ComplexArray, FloatArray
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from ffcomp.diagnose.diagnosis import Diagnosis
 from ffcomp.diagnose.fit import Fit
-from ffcomp.diagnose.hypotheses import misfit
 from ffcomp.diagnose.printer_problem import WHOLE, effect_tables
 from ffcomp.diagnose.problem import TOWERS, Problem
 from ffcomp.diagnose.recording_delays import belongs_to_recording, delay_of
@@ -190,7 +189,7 @@ def _confidence(found: Diagnosis, effect: str) -> float:
     fitted = found.best.fit
     behind = [found.behind(h) for h in found.tried if effect not in h.names]
     nearest = min([*behind, found.base.evidence - fitted.evidence])
-    sure = float(1 / (1 + np.exp(-np.clip(nearest / misfit(fitted) / 2, -50, 50))))
+    sure = float(1 / (1 + np.exp(-np.clip(nearest / fitted.misfit / 2, -50, 50))))
     return min(sure, 1.0 if _left_out(found) in ELSEWHERE else ONE_PLACE, 1.0 if found.file_off is None else FILE_OFF)
 
 

@@ -1,10 +1,13 @@
-"""Screen candidates: one simulation an amplitude tells its gain beyond retuning, and what it is confounded with.
+"""The score test, the lowest rung of the ladder of fidelity: one simulation an amplitude predicts an effect's gain.
 
 Score test with the parameters that may be retuned projected out (Rao 1948; as the Lagrange multiplier test in
 econometrics). With N the derivative of the simulation by those parameters, S the candidate's signature, both in units
 of their priors, and the base fit at its optimum:
 
     Σ = I + SᵀS − SᵀN (I + NᵀN)⁻¹ NᵀS,   g = Sᵀr,   gain = gᵀΣ⁻¹g,   Δ(−2 ln Z) = −gain + ln det Σ
+
+Where many shapes or sizes are ranked, the motions that hold most of the residual rank them as all motions do; the best
+are then simulated in every motion (multi-fidelity; successive halving: Jamieson & Talwalkar, AISTATS 2016).
 """
 
 from __future__ import annotations
@@ -14,16 +17,58 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ffcomp.diagnose.estimation import EstimationProblem
-from ffcomp.diagnose.fit import Fit, step_within
-from ffcomp.diagnose.glimpse import Glimpse, glimpse_of
+from ffcomp.diagnose.fit import EstimationProblem, Fit, step_within
 from ffcomp.diagnose.problem import Candidate, Parameter
+from ffcomp.diagnose.settings import SETTINGS
 from models.arrays import FloatArray
 
-VISIBLE = 3.0  # standard deviations of an effect of a usual size
-LIKELY = 2  # shapes of a candidate that are tried in all motions
-
 Shape = Mapping[str, float]
+
+
+# ---- a subset of the motions ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Subset:
+    """A problem and a fit of it, in a few motions."""
+
+    estimation: EstimationProblem
+    fit: Fit
+
+
+def subset_of(estimation: EstimationProblem, fitted: Fit) -> Subset | None:
+    """Return the motions in which most of a fit's residual is; None where that would hardly be quicker."""
+    if estimation.only is not None:
+        return None  # it is one already
+    chosen = loudest_motions(estimation, fitted.residual)
+    motions = estimation.problem.motions
+    if len(chosen) > SETTINGS.subset_worth * len(set(motions)):
+        return None
+    members = [i for i, motion in enumerate(motions) if motion in chosen]
+    rows = estimation.rows_of(members)
+    part = Fit(fitted.parameters, fitted.z, fitted.residual[rows], fitted.jacobian[rows])
+    return Subset(estimation.limited_to(members), part)
+
+
+def loudest_motions(estimation: EstimationProblem, residual: FloatArray) -> Sequence[int]:
+    """Return as few motions as hold most of a residual, two or more, those that hold most of it first."""
+    squares = squares_by_motion(estimation, residual)
+    ranked, enough = sorted(squares, key=lambda motion: -squares[motion]), SETTINGS.subset_share * sum(squares.values())
+    for n in range(2, len(ranked)):
+        if sum(squares[motion] for motion in ranked[:n]) >= enough:
+            return ranked[:n]
+    return ranked
+
+
+def squares_by_motion(estimation: EstimationProblem, residual: FloatArray) -> dict[int, float]:
+    """Return each motion's square of a residual."""
+    squares: dict[int, float] = {}
+    for motion, rows in zip(estimation.problem.motions, estimation.whiten.rows, strict=True):
+        squares[motion] = squares.get(motion, 0.0) + float(residual[rows] @ residual[rows])
+    return squares
+
+
+# ---- the test ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,39 +87,42 @@ class Screened:
     @property
     def visible(self) -> bool:
         """Whether these recordings would show a usual size."""
-        return self.strength > VISIBLE
+        return self.strength > SETTINGS.visible_sd
 
 
 def screen(estimation: EstimationProblem, base: Fit, candidates: Sequence[Candidate]) -> list[Screened]:
     """Score every candidate with the best of its shapes and in the better of its forms; the best one first."""
-    seen = glimpse_of(estimation, base)
-    shared = _best(base, _signatures(estimation, base, _likely(seen, [(c, c.grid) for c in candidates])))
+    subset = subset_of(estimation, base)
+    shared = _best(base, _signatures(estimation, base, _likely(subset, [(c, c.grid) for c in candidates])))
     forms = [(c.other, _other_shapes(c, shared[c.name])) for c in candidates if c.other is not None]
-    other = _best(base, _signatures(estimation, base, _likely(seen, forms)))
-    found = [min((x[c.name] for x in (shared, other) if c.name in x), key=lambda s: s.evidence) for c in candidates]
+    other = _best(base, _signatures(estimation, base, _likely(subset, forms)))
+    best = [min((x[c.name] for x in (shared, other) if c.name in x), key=lambda s: s.evidence) for c in candidates]
     whole = 1 / np.sqrt(estimation.share)  # an excerpt shows less than what these recordings could
-    return sorted((replace(s, strength=float(whole * s.strength)) for s in found), key=lambda s: s.evidence)
+    return sorted((replace(s, strength=float(whole * s.strength)) for s in best), key=lambda s: s.evidence)
 
 
-def screen_roughly(estimation: EstimationProblem, base: Fit, candidates: Sequence[Candidate]) -> list[Screened]:
-    """Score candidates in the motions of a glimpse only: enough to choose those that are fitted."""
-    seen = glimpse_of(estimation, base)
-    return screen(estimation, base, candidates) if seen is None else screen(seen.estimation, seen.fit, candidates)
+def screen_in_subset(estimation: EstimationProblem, base: Fit, candidates: Sequence[Candidate]) -> list[Screened]:
+    """Score candidates in a subset of the motions only: enough to choose those that are fitted."""
+    subset = subset_of(estimation, base) or Subset(estimation, base)
+    return screen(subset.estimation, subset.fit, candidates)
 
 
-def _likely(seen: Glimpse | None, shapes: Sequence[tuple[Candidate, Sequence[Shape]]]) -> list[tuple[Candidate, Shape]]:
-    """List candidates with the shapes to try: of many only the best, as the motions of a glimpse show them."""
-    many = [(c, shape) for c, own in shapes for shape in own if len(own) > LIKELY]
-    if seen is None or not many:
-        return [(c, shape) for c, own in shapes for shape in own]
-    tries = _signatures(seen.estimation, seen.fit, many)
-    scores = [_scored(seen.fit, c, shape, signature).rank for c, shape, signature in tries]
+def _likely(
+    subset: Subset | None, shapes: Sequence[tuple[Candidate, Sequence[Shape]]]
+) -> list[tuple[Candidate, Shape]]:
+    """List candidates with the shapes to try: of many only the best, as the motions of a subset show them."""
+    few = SETTINGS.swaps
+    many = [(c, shape) for c, grid in shapes for shape in grid if len(grid) > few]
+    if subset is None or not many:
+        return [(c, shape) for c, grid in shapes for shape in grid]
+    tries = _signatures(subset.estimation, subset.fit, many)
+    scores = [_scored(subset.fit, c, shape, signature).rank for c, shape, signature in tries]
     ranked = [many[i] for i in sorted(range(len(many)), key=scores.__getitem__)]
-    found = []
-    for c, own in shapes:
-        best = [shape for other, shape in ranked if other is c][:LIKELY]
-        found += [(c, shape) for shape in (own if len(own) <= LIKELY else best)]
-    return found
+    likely = []
+    for c, grid in shapes:
+        best = [shape for other, shape in ranked if other is c][:few]
+        likely += [(c, shape) for shape in (grid if len(grid) <= few else best)]
+    return likely
 
 
 def _other_shapes(c: Candidate, best: Screened) -> list[Shape]:
@@ -90,12 +138,12 @@ Tried = tuple[Candidate, Shape, FloatArray]
 
 
 def _best(base: Fit, tries: Iterator[Tried]) -> dict[str, Screened]:
-    found: dict[str, _Scored] = {}
+    best: dict[str, _Scored] = {}
     for candidate, shape, signature in tries:
         one = _scored(base, candidate, shape, signature)
-        if candidate.name not in found or one.rank < found[candidate.name].rank:
-            found[candidate.name] = one
-    return {name: _screened(base, one) for name, one in found.items()}
+        if candidate.name not in best or one.rank < best[candidate.name].rank:
+            best[candidate.name] = one
+    return {name: _screened(base, one) for name, one in best.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,11 +195,11 @@ def _scored(base: Fit, candidate: Candidate, shape: Shape, signature: FloatArray
 
 def _screened(base: Fit, one: _Scored) -> Screened:
     """Complete what is kept of a candidate."""
-    own, estimate = one.step[: len(base.z)], one.step[len(base.z) :]
-    along = one.signature @ estimate
+    step, estimate = one.step[: len(base.z)], one.step[len(base.z) :]
+    explained = one.signature @ estimate
     # (1 − J (I + JᵀJ)⁻¹ Jᵀ)(S e + J s) = S e + J (s − (I + JᵀJ)⁻¹ Jᵀ (S e + J s))
-    seen = base.jacobian.T @ along + (base.information - np.eye(len(own))) @ own
-    left = along + base.jacobian @ (own - np.linalg.solve(base.information, seen))
+    retuned = base.jacobian.T @ explained + (base.information - np.eye(len(step))) @ step
+    left = explained + base.jacobian @ (step - np.linalg.solve(base.information, retuned))
     length = float(np.linalg.norm(left))
     projected = np.asarray(left / length if length else left)
     return Screened(one.candidate, one.shape, one.signature, estimate, one.gain, one.evidence, one.strength, projected)
@@ -180,3 +228,22 @@ def overlap(a: Screened, b: Screened) -> float:
 def similarity(a: Screened, b: Screened) -> float:
     """Return cos² between two projected signatures: 1 where the effects are fully confounded."""
     return float(a.projected @ b.projected) ** 2
+
+
+def confounded_with(
+    names: Sequence[str], screened: Sequence[Screened], limit: float = SETTINGS.confounded
+) -> list[tuple[str, float]]:
+    """List candidates whose signature is like that of a named effect: name and cos², the most similar first."""
+    named = [s for s in screened if s.candidate.name in names]
+    others = [s for s in screened if s.candidate.name not in names and s.visible]
+    similar = {o.candidate.name: max((similarity(o, s) for s in named), default=0.0) for o in others}
+    return sorted(((name, c) for name, c in similar.items() if c > limit), key=lambda pair: -pair[1])
+
+
+def pair_evidence(base: Fit, pair: Sequence[Screened]) -> float:
+    """Predict the change of −2 ln Z by two effects together, to first order."""
+    signature = np.hstack([s.signature for s in pair])
+    cross = base.jacobian.T @ signature
+    schur = np.eye(signature.shape[1]) + signature.T @ signature - cross.T @ np.linalg.solve(base.information, cross)
+    slope = signature.T @ base.residual
+    return float(-slope @ np.linalg.solve(schur, slope) + np.linalg.slogdet(schur)[1])

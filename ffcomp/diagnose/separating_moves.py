@@ -19,15 +19,15 @@ from pathlib import Path
 
 import numpy as np
 
-from ffcomp.diagnose.confounding import CONFOUNDED, confounded_with
-from ffcomp.diagnose.diagnosis import MOSTLY, Diagnosis
-from ffcomp.diagnose.estimation import EstimationProblem, estimation_problem
-from ffcomp.diagnose.fit import Fit, derivatives
-from ffcomp.diagnose.hypotheses import SIGNIFICANT, Hypothesis, discrepancy_of, misfit
+from ffcomp.diagnose.diagnosis import Diagnosis
+from ffcomp.diagnose.fit import EstimationProblem, Fit, derivatives, estimation_problem
+from ffcomp.diagnose.hypotheses import Hypothesis
 from ffcomp.diagnose.next_experiment import blank_recording, linear_estimate
 from ffcomp.diagnose.noise import whitener
 from ffcomp.diagnose.printer_problem import PrinterProblem
+from ffcomp.diagnose.score_test import confounded_with
 from ffcomp.diagnose.separation import Separation
+from ffcomp.diagnose.settings import SETTINGS
 from ffcomp.errors import FfcompError
 from ffcomp.record.moves import KINDS
 from ffcomp.record.plan import Experiment, Request, default_places, make_plan
@@ -99,11 +99,11 @@ def rivals_of(found: Diagnosis) -> list[Rival]:
     too little to be named; then effects of a like signature, whether they were never fitted or fit less well.
     """
     best = found.best
-    if best is None or best.discrepancy > (1 - MOSTLY) * discrepancy_of(found.base):
+    if best is None or best.discrepancy > (1 - SETTINGS.mostly) * found.base.discrepancy:
         return []
     fitted = [h for h in found.competing if h.names != best.names] + _likelier_with_one_more(found)
     rivals = [Rival(h.names, h.fit.values) for h in fitted]
-    alike = [name for name, _ in confounded_with(best, found.screened, CONFOUNDED)]
+    alike = [name for name, _ in confounded_with(best.names, found.screened)]
     asked = {name for rival in rivals for name in rival.names}
     replacing = [h for h in found.tried if len(h.names) == len(best.names) and h.names != best.names]
     beaten = [next((h for h in replacing if name in h.names), None) for name in alike if name not in asked]
@@ -115,9 +115,9 @@ def rivals_of(found: Diagnosis) -> list[Rival]:
 
 def _likelier_with_one_more(found: Diagnosis) -> list[Hypothesis]:
     assert found.best is not None
-    ours, scale = set(found.best.names), misfit(found.best.fit)
+    ours, scale = set(found.best.names), found.best.fit.misfit
     larger = [h for h in found.tried if ours < set(h.names) and len(h.names) == len(ours) + 1]
-    likelier = [h for h in larger if found.behind(h) / scale < -SIGNIFICANT]
+    likelier = [h for h in larger if found.behind(h) / scale < -SETTINGS.significant]
     return sorted(likelier, key=found.behind)[:1]
 
 
@@ -150,7 +150,7 @@ def _asked(
         except FfcompError:
             continue
         virtual = _virtual(problem, found, experiment)
-        apart = _differences(virtual, found.best.fit, rivals, found.best.fit.information / misfit(found.best.fit))
+        apart = _differences(virtual, found.best.fit, rivals, found.best.fit.information / found.best.fit.misfit)
         yield _Trial(request, experiment.position_mm, tuple(apart))
 
 

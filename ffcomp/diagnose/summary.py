@@ -15,11 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ffcomp.diagnose.acceptance import HeldOut
 from ffcomp.diagnose.diagnosis import Diagnosis
-from ffcomp.diagnose.estimation import EstimationProblem
-from ffcomp.diagnose.held_out import HeldOut
-from ffcomp.diagnose.hypotheses import discrepancy_of
-from ffcomp.diagnose.intervals import intervals_of
+from ffcomp.diagnose.fit import EstimationProblem, intervals_of
 from ffcomp.diagnose.noise import lines, taper
 from ffcomp.diagnose.problem import Parameter, Problem
 from ffcomp.diagnose.residuals import EDGES_HZ, SLOW_SHARE
@@ -371,7 +369,7 @@ def _evidence(found: Diagnosis) -> list[Evidence]:
         Evidence(h.names, h.discrepancy, found.behind(h), len(h.fit.parameters), h.names == named) for h in found.tried
     ]
     base = found.base
-    nothing = Evidence((), discrepancy_of(base), base.evidence - best, len(base.parameters), False)
+    nothing = Evidence((), base.discrepancy, base.evidence - best, len(base.parameters), False)
     return [*rows, nothing]
 
 

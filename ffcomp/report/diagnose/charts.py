@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle
 from matplotlib.ticker import NullLocator
 
-from ffcomp.diagnose.held_out import HeldOut
+from ffcomp.diagnose.acceptance import HeldOut
 from ffcomp.diagnose.summary import Confounding, Overlay, Spectrum, Split
 from ffcomp.report.diagnose.words import digits, times_noise
 from ffcomp.report.shared.drawing import Box

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ffcomp.diagnose.held_out import HeldOut
+from ffcomp.diagnose.acceptance import HeldOut
 from ffcomp.diagnose.result import DiagnosisResult
 from ffcomp.diagnose.summary import DiagnosisSummary
 from ffcomp.report.diagnose.words import digits, evidence, interval, percent, times, times_noise, title, together

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.diagnose.acceptance import rejections
+from ffcomp.diagnose.acceptance import HeldOut, rejections
 from ffcomp.diagnose.fit import Fit
-from ffcomp.diagnose.held_out import HeldOut
 from ffcomp.diagnose.hypotheses import Hypothesis
 from ffcomp.diagnose.problem import Candidate, Parameter
 from ffcomp.identify.uncertainty import Estimate
@@ -26,7 +25,7 @@ def named(z: tuple[float, float]) -> Hypothesis:
 def test_numbers_of_the_file_may_not_move_far_beyond_what_it_says(z: tuple[float, float], said: bool) -> None:
     """A recording's delay may: it is no number of the file."""
     base = Fit(OWN, np.zeros(2), np.full(1000, 10.0), np.zeros((1000, 2)))
-    held_out = [HeldOut(place, 99.0, 0.0, 500, (1.0, 0.0, 1.0)) for place in ((0.0, 0.0), (55.0, 20.0))]
+    held_out = [HeldOut(place, "", rows=500, before=99.0, after=0.0) for place in ((0.0, 0.0), (55.0, 20.0))]
     found = rejections(base, named(z), held_out, {EFFECT.name: Estimate(0.12, 0.01, 0.1, 0.14)}, 0.05)
     assert any("carriage.mass_kg by 4.9 times its uncertainty" in text for text in found) == said
 
@@ -46,7 +45,7 @@ def test_where_three_of_the_files_numbers_are_far_off_it_is_of_another_machine(
     sizes = tuple(Parameter(f"effects.{name}.size", 0.0, 0.1) for name in names)
     fitted = Fit((*OWN, *sizes), np.zeros(2 + len(names)), np.ones(1000), np.zeros((1000, 2 + len(names))))
     effects = tuple(Candidate(name, (own,), {own.name: 0.1}) for name, own in zip(names, sizes, strict=True))
-    held_out = [HeldOut(place, 99.0, 0.0, 500, (1.0, 0.0, 1.0)) for place in ((0.0, 0.0), (55.0, 20.0))]
+    held_out = [HeldOut(place, "", rows=500, before=99.0, after=0.0) for place in ((0.0, 0.0), (55.0, 20.0))]
     intervals = {own.name: Estimate(0.12, 0.01, 0.1, 0.14) for own in sizes}
     found = rejections(base, Hypothesis(effects, fitted), held_out, intervals, 0.05)
     assert any("the file of another machine" in text for text in found) == said

@@ -8,14 +8,18 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnose.diagnosis import noise_floor
-from ffcomp.diagnose.estimation import EstimationProblem, estimation_problem, excerpt_of
-from ffcomp.diagnose.excerpt_fits import in_excerpt, in_whole
-from ffcomp.diagnose.excerpts import EXCERPT_S, MOTIONS, beginning, telling_recordings
-from ffcomp.diagnose.fit import Fit
-from ffcomp.diagnose.held_out import clustered
+from ffcomp.diagnose.fidelity import excerpt_of, fit_in_excerpt, hypothesis_in_whole
+from ffcomp.diagnose.fit import EstimationProblem, Fit, estimation_problem
 from ffcomp.diagnose.hypotheses import Hypothesis
 from ffcomp.diagnose.noise import whitener
-from ffcomp.diagnose.observe import quick_length
+from ffcomp.diagnose.observations import (
+    EXCERPT_MOTIONS,
+    EXCERPT_S,
+    clustered,
+    first_seconds,
+    informative_recordings,
+    quick_length,
+)
 from ffcomp.diagnose.printer_problem import PrinterProblem
 from ffcomp.diagnose.problem import Observation
 from ffcomp.measurement.recording import Recording
@@ -66,21 +70,21 @@ def test_beginnings_are_simulated_as_the_whole_is_also_those_of_an_excerpt(value
     assert part is not None
     whole = problem().simulate(values)
     for of in (problem(), part):
-        begun = of.beginnings(0.4)
+        begun = of.short_horizon(0.4)
         assert begun is not None
         short = begun.simulate(values)
         for i, told in zip(of.chosen, short, strict=True):
             assert len(told) == pytest.approx(0.4 * RATE_HZ, rel=0.02)
             np.testing.assert_allclose(told, whole[i][: len(told)], atol=1e-6 * np.abs(whole[i]).max())
-        assert of.beginnings(SECONDS) is None
+        assert of.short_horizon(SECONDS) is None
 
 
 def test_a_beginning_is_counted_from_where_a_motion_begins() -> None:
     observation = seen("a", (0.0, 0.0))
     rests = np.zeros((1000, 3))
     rests[600:] = 1.0
-    assert beginning(observation, rests, 200 / observation.rate_hz).last == quick_length(800)
-    assert beginning(observation, rests[:700], 200 / observation.rate_hz).last == 700
+    assert first_seconds(observation, rests, 200 / observation.rate_hz).last == quick_length(800)
+    assert first_seconds(observation, rests[:700], 200 / observation.rate_hz).last == 700
 
 
 def test_excerpts_are_of_both_halves_and_alike_for_repeats() -> None:
@@ -119,21 +123,21 @@ def of_a_plan(kinds: str, repeats: int = 2) -> tuple[list[Observation], list[int
 
 def test_of_many_motions_a_few_of_every_place_and_kind_are_searched_in() -> None:
     runs, same = of_a_plan("abc")
-    chosen = telling_recordings(runs, same)
-    assert len(chosen) == MOTIONS and all(same[i] == i for i in chosen)  # no repeats
+    chosen = informative_recordings(runs, same)
+    assert len(chosen) == EXCERPT_MOTIONS and all(same[i] == i for i in chosen)  # no repeats
     assert {runs[i].repeat_of[0] for i in chosen} == set("abc")
     assert len(set(clustered([runs[i].position for i in chosen]))) == 3
 
 
 def test_of_few_motions_all_are_searched_in_with_their_repeats() -> None:
     runs, same = of_a_plan("ab")
-    assert telling_recordings(runs, same) == list(range(12))
+    assert informative_recordings(runs, same) == list(range(12))
 
 
 def test_a_repeat_that_measured_something_else_is_searched_in_too() -> None:
     runs, same = of_a_plan("abc")
     runs[1] = seen("a-0", (0.0, 0.0), ("acc_y",))
-    assert telling_recordings(runs, same)[:2] == [0, 1]
+    assert informative_recordings(runs, same)[:2] == [0, 1]
 
 
 def test_lengths_are_transformed_quickly() -> None:
@@ -157,14 +161,14 @@ def test_delays_of_recordings_that_an_excerpt_leaves_out_come_back_as_nothing() 
     part = excerpt_of(whitened(many_motions()), 100.0)
     assert part is not None
     names, left = [[n.name for n in p.parameters] for p in (many_motions(), part.problem)]
-    assert set(left) < set(names) and len(names) - len(left) == MOTIONS_MADE - MOTIONS
+    assert set(left) < set(names) and len(names) - len(left) == MOTIONS_MADE - EXCERPT_MOTIONS
     assert [n for n in names if not n.startswith("recording.")] == [n for n in left if not n.startswith("recording.")]
     z = 0.1 * np.arange(len(names), dtype=np.float64)
     filed = Fit(tuple(many_motions().parameters), z, np.zeros(1), np.zeros((1, len(z))))
-    shown = in_excerpt(part, filed)
+    shown = fit_in_excerpt(part, filed)
     assert shown.values == {name: filed.values[name] for name in left}
     assert shown.jacobian.shape == (len(part.measured), len(left))
-    whole = in_whole(many_motions(), Hypothesis((), shown))
+    whole = hypothesis_in_whole(many_motions(), Hypothesis((), shown))
     assert [n.name for n in whole.fit.parameters] == names
     np.testing.assert_allclose(whole.fit.z, [x if name in left else 0.0 for name, x in zip(names, z, strict=True)])
 

@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pytest
 
-from ffcomp.diagnose.estimation import estimation_problem
-from ffcomp.diagnose.fit import fit
-from ffcomp.diagnose.held_out import hold_out
+from ffcomp.diagnose.acceptance import hold_out
+from ffcomp.diagnose.fit import estimation_problem, fit
 from ffcomp.diagnose.noise import noise_from_repeats, whitener
 from ffcomp.diagnose.problem import Observation, Parameter, Problem
 from ffcomp.diagnose.recording_delays import PREFIX, as_recorded

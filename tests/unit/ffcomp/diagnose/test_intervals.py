@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.diagnose.fit import Fit, student_share
-from ffcomp.diagnose.intervals import intervals_of, superfluous
+from ffcomp.diagnose.fit import Fit, intervals_of, student_share, superfluous
 from ffcomp.diagnose.problem import Candidate, Parameter
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnose.axis_problem import AxisProblem
-from ffcomp.diagnose.diagnosis import WRONG_FLOOR, Diagnosis, diagnose
+from ffcomp.diagnose.diagnosis import Diagnosis, diagnose
+from ffcomp.diagnose.settings import SETTINGS
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
 from models.axis.machine import AxisMachine
 from models.file import load_plant
@@ -63,7 +64,7 @@ def test_silverbox_hardens_and_what_is_left_is_no_less_than_noise(tmp_path: Path
     found = diagnose(AxisProblem(machine, [cut(run, slice(0, 3000))], TRIED))
     assert found.named is not None and found.named.names == ("belt_hardening",)
     assert found.final.values["effects.belt_hardening.cubic_n_per_m3"] == pytest.approx(3.79e12, rel=0.1)
-    assert left(found) > WRONG_FLOOR  # a gap of −0.8 of the noise is no success: the noise was guessed wrong
+    assert left(found) > SETTINGS.wrong_floor  # a gap of −0.8 of the noise is no success: the noise was guessed wrong
 
 
 def test_bouc_wen_is_unknown_or_bends_before_it_slides() -> None:

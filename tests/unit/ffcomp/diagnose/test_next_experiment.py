@@ -10,8 +10,7 @@ import pytest
 
 from ffcomp.diagnose import next_experiment as experiment
 from ffcomp.diagnose.diagnosis import Diagnosis, noise_floor
-from ffcomp.diagnose.estimation import EstimationProblem, estimation_problem
-from ffcomp.diagnose.fit import Fit
+from ffcomp.diagnose.fit import EstimationProblem, Fit, estimation_problem
 from ffcomp.diagnose.hypotheses import Hypothesis
 from ffcomp.diagnose.next_experiment import Proposal, library, positions, propose
 from ffcomp.diagnose.noise import whitener
@@ -76,7 +75,18 @@ def diagnosed(
     best = tried[0] if tried else None
     verdict = "none" if best is None else "effects" if named else "unknown"
     final = best.fit if best else base
-    return Diagnosis(verdict, best if named else None, best, base, final, estimation, noise, screened, tried)
+    return Diagnosis(
+        verdict=verdict,
+        finding="",
+        estimation=estimation,
+        noise=noise,
+        base=base,
+        final=final,
+        screened=screened,
+        named=best if named else None,
+        best=best,
+        tried=tried,
+    )
 
 
 LATE = (("command_delay",), {DELAY: 1e-3})

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from ffcomp.diagnose.estimation import EstimationProblem
-from ffcomp.diagnose.fit import derivatives, fit
+from ffcomp.diagnose.fit import EstimationProblem, derivatives, fit
 from ffcomp.diagnose.noise import NoiseFloor, whitener
 from ffcomp.diagnose.problem import Candidate, Observation, Parameter, Problem
 from ffcomp.diagnose.validation import carriages_of, check_repeats

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
-from ffcomp.diagnose.acceptance import against
-from ffcomp.diagnose.estimation import EstimationProblem
-from ffcomp.diagnose.fit import Fit
-from ffcomp.diagnose.held_out import HeldOut, clustered
+from ffcomp.diagnose.acceptance import HeldOut, contradicting
+from ffcomp.diagnose.fit import EstimationProblem, Fit
 from ffcomp.diagnose.noise import NoiseFloor, at_least, noise_share, whitener
+from ffcomp.diagnose.observations import clustered
 from ffcomp.diagnose.problem import Observation
 from ffcomp.diagnose.recording_faults import (
     TRIED,
@@ -168,12 +167,12 @@ def test_places_count_as_two_from_20_mm_on() -> None:
 
 
 def test_a_quiet_place_does_not_veto_what_explains_the_others() -> None:
-    loud, quiet = (HeldOut(at, before, after, 1000, ()) for at, before, after in PLACES)
-    assert against([loud, quiet], 0.1) == []
-    worse = HeldOut((55.0, 20.0), 37.0, 80.0, 1000, ())
-    assert against([loud, worse], 0.1) == [worse]
-    wrong = HeldOut((0.0, 0.0), 900.0, 500.0, 1000, ())
-    assert against([wrong, quiet], 0.1) == [wrong]
+    loud, quiet = (HeldOut(at, "", 1000, before, after) for at, before, after in PLACES)
+    assert contradicting([loud, quiet], 0.1) == []
+    worse = HeldOut((55.0, 20.0), "", 1000, 37.0, 80.0)
+    assert contradicting([loud, worse], 0.1) == [worse]
+    wrong = HeldOut((0.0, 0.0), "", 1000, 900.0, 500.0)
+    assert contradicting([wrong, quiet], 0.1) == [wrong]
 
 
 PLACES = (((0.0, 0.0), 970.0, 60.0), ((55.0, 20.0), 37.0, 38.0))

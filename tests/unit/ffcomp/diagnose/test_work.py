@@ -10,15 +10,14 @@ import pytest
 
 from ffcomp.diagnose.axis_problem import AxisProblem
 from ffcomp.diagnose.diagnosis import Diagnosis, diagnose
-from ffcomp.diagnose.estimation import EstimationProblem, estimation_problem
-from ffcomp.diagnose.fit import Fit
-from ffcomp.diagnose.glimpse import glimpse_of, telling_motions
-from ffcomp.diagnose.initial_fits import USUAL, best_start
+from ffcomp.diagnose.fidelity import USUAL_SIZES, best_start
+from ffcomp.diagnose.fit import EstimationProblem, Fit, estimation_problem
 from ffcomp.diagnose.json import diagnosis_json
 from ffcomp.diagnose.noise import noise_from_repeats, whitener
+from ffcomp.diagnose.problem import Work
 from ffcomp.diagnose.result import result_of
-from ffcomp.diagnose.score_test import screen
-from ffcomp.diagnose.work import BUDGET, Work
+from ffcomp.diagnose.score_test import loudest_motions, screen, subset_of
+from ffcomp.diagnose.settings import SETTINGS
 from ffcomp.measurement.axis_run import AxisRun
 from models.axis.machine import AxisMachine, AxisParameters
 from models.axis.simulate import simulate_axis, with_effects
@@ -65,14 +64,14 @@ def searched(budget: float) -> tuple[AxisProblem, Diagnosis]:
 def test_a_glimpse_holds_what_all_motions_hold_there() -> None:
     whole = estimation()
     base = unexplained(whole)
-    seen = glimpse_of(whole, base)
+    seen = subset_of(whole, base)
     assert seen is not None and seen.estimation.only is not None
     rows = whole.rows_of(seen.estimation.only)
     assert 0.2 < len(rows) / len(base.residual) < 0.7
     np.testing.assert_array_equal(seen.fit.residual, base.residual[rows])
     values = {FRICTION: 3.0}
     np.testing.assert_array_equal(seen.estimation.residual(values), whole.residual(values)[rows])
-    assert glimpse_of(seen.estimation, seen.fit) is None  # what is short already is not cut again
+    assert subset_of(seen.estimation, seen.fit) is None  # what is short already is not cut again
 
 
 def test_a_glimpse_is_of_the_motions_that_hold_most_of_the_residual() -> None:
@@ -80,8 +79,8 @@ def test_a_glimpse_is_of_the_motions_that_hold_most_of_the_residual() -> None:
     residual = np.ones(len(whole.measured))
     for window, motion in enumerate(whole.problem.motions):
         residual[whole.whiten.rows[window]] *= 10.0 if motion in (3, 4) else 1.0
-    assert set(telling_motions(whole, residual)) == {3, 4}
-    evenly = telling_motions(whole, np.ones(len(residual)))
+    assert set(loudest_motions(whole, residual)) == {3, 4}
+    evenly = loudest_motions(whole, np.ones(len(residual)))
     assert len(evenly) == 2 and evenly[0] == 0  # the one that was recorded twice holds a third
 
 
@@ -92,18 +91,18 @@ def test_shapes_and_starts_are_ranked_in_a_glimpse(monkeypatch: pytest.MonkeyPat
         whole = estimation(("coulomb_friction", "cogging"))
         base, before = unexplained(whole), whole.problem.work.steps
         first, *_ = screen(whole, base, list(whole.problem.candidates))
-        start = best_start(whole, base, (first,), USUAL, USUAL)
+        start = best_start(whole, base, (first,), USUAL_SIZES, USUAL_SIZES)
         return first.candidate.name, float(start.z[0]), whole.problem.work.steps - before
 
     name, size, steps = ranked()
-    for module in ("score_test", "initial_fits"):
-        monkeypatch.setattr(f"ffcomp.diagnose.{module}.glimpse_of", lambda *_: None)
+    for module in ("score_test", "fidelity"):
+        monkeypatch.setattr(f"ffcomp.diagnose.{module}.subset_of", lambda *_: None)
     assert ranked()[:2] == (name, pytest.approx(size, rel=0.2)) and name == "coulomb_friction"
     assert steps < 0.6 * ranked()[2]
 
 
 def test_a_small_case_is_named_within_few_steps() -> None:
-    asked, found = searched(BUDGET)
+    asked, found = searched(SETTINGS.budget_steps)
     assert found.verdict == "effects" and found.named is not None and found.named.names == ("coulomb_friction",)
     assert found.final.values[FRICTION] == pytest.approx(4.0, rel=0.05)
     assert not found.cut_short
@@ -113,10 +112,10 @@ def test_a_small_case_is_named_within_few_steps() -> None:
 def test_a_search_ends_at_its_budget_and_says_so() -> None:
     asked, found = searched(0.1 * MILLION)
     assert found.cut_short
-    assert asked.work.steps < 0.7 * searched(BUDGET)[0].work.steps
+    assert asked.work.steps < 0.7 * searched(SETTINGS.budget_steps)[0].work.steps
     told = diagnosis_json(result_of(asked, found), None, None, 0.0)
     assert told["cut_short"] and any("--thorough" in sentence for sentence in told["said"])
-    whole = diagnosis_json(result_of(*searched(BUDGET)), None, None, 0.0)
+    whole = diagnosis_json(result_of(*searched(SETTINGS.budget_steps)), None, None, 0.0)
     assert not whole["cut_short"] and not any("--thorough" in sentence for sentence in whole["said"])
 
 
