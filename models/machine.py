@@ -53,6 +53,41 @@ class Steps:
         return constant(np.broadcast_to(self.full_steps_per_mm, 3))
 
 
+Four = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class MarlinSettings:
+    """Settings of Marlin's planner; four values are in the order X Y Z E (A B C E of a delta's towers)."""
+
+    speed_mm_per_s: Four  # M203
+    acceleration_mm_per_s2: Four  # M201
+    printing_acceleration_mm_per_s2: float = 3000.0  # M204 P
+    retract_acceleration_mm_per_s2: float = 3000.0  # M204 R
+    travel_acceleration_mm_per_s2: float = 3000.0  # M204 T
+    junction_deviation_mm: float | None = None  # M205 J; None: classic jerk
+    jerk_mm_per_s: Four = (10.0, 10.0, 0.3, 5.0)  # M205 X Y Z E, of classic jerk
+    lowest_speed_mm_per_s: float = 0.0  # M205 S, of moves that extrude
+    lowest_travel_speed_mm_per_s: float = 0.0  # M205 T
+    shortest_segment_s: float = 0.02  # M205 B, which SLOWDOWN heeds
+    minimum_steps_per_segment: int = 6  # MIN_STEPS_PER_SEGMENT
+    slowdown: bool = True  # SLOWDOWN: the first blocks after a rest take longer; no delta has it
+    segments_per_second: float = 200.0  # DELTA_SEGMENTS_PER_SECOND
+    stated: tuple[str, ...] = ()  # keys that the machine file states; the others are Marlin's defaults
+
+    @classmethod
+    def within(cls, limits: MotionLimits) -> MarlinSettings:
+        """Return Marlin's defaults, with the nozzle's limits for the axes and a usual extruder's for the filament."""
+        v, a = limits.velocity_mm_per_s, limits.acceleration_mm_per_s2
+        return cls(
+            (v, v, limits.z_velocity_mm_per_s or v, 120.0),
+            (a, a, limits.z_acceleration_mm_per_s2 or a, 10_000.0),
+            a,
+            a,
+            a,
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Machine:
     """Everything a machine file says."""
@@ -72,6 +107,7 @@ class Machine:
     homed_mm: tuple[float, float, float] | None = None  # where homing all axes ends; None: not known
     flavor: str = ""  # of its firmware: "klipper", "marlin" or "reprapfirmware"; empty: not said
     pressure: Pressure | None = None  # what the hot end keeps back; None: not said
+    marlin: MarlinSettings | None = None  # of its planner; None: not said
 
     def __post_init__(self) -> None:
         """Bind the vibration model to the kinematics."""

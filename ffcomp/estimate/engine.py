@@ -10,12 +10,13 @@ from ffcomp.errors import NothingToDo
 from ffcomp.estimate.statistics import BEFORE, FILAMENT, KINDS, Layer, Statistics, planned_slices
 from ffcomp.numerics.serialise import to_json
 from ffcomp.planner.machine_limits import known_to_the_firmware, planner_limits
+from ffcomp.planner.marlin import MarlinPlan, MarlinPlanner
 from ffcomp.planner.program import plan_program
 from ffcomp.planner.raw_moves import raw_durations
-from ffcomp.planner.reach import Reach
+from ffcomp.planner.reach import Reach, check_moves
 from ffcomp.planner.trajectory import PlannedMotion
 from gcode.container import Source, blocks_of, ends_of
-from gcode.dialects import sign_by_ends
+from gcode.dialects import MARLIN, sign_by_ends
 from gcode.embedded import original_blocks
 from gcode.flavor import choose_flavor
 from gcode.program import Program
@@ -106,8 +107,13 @@ def estimate(
 def _statistics(
     blocks: Iterable[bytes], path: str, machine: Machine, flavor: str, offset: tuple[float, float]
 ) -> Statistics:
-    def plan_of(program: Program) -> PlannedMotion:
-        return plan_program(program, machine).trajectory
+    marlin = MarlinPlanner(machine, machine.marlin) if flavor == MARLIN and machine.marlin is not None else None
+
+    def plan_of(program: Program) -> PlannedMotion | MarlinPlan:
+        if marlin is None:
+            return plan_program(program, machine).trajectory
+        check_moves(program, machine.kinematics)
+        return marlin.plan(program)
 
     parts = read_parts(blocks, path, flavor=flavor, offset_mm=offset, **known_to_the_firmware(machine))
     statistics, limits = Statistics(), planner_limits(machine)

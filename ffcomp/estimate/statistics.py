@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ffcomp.compensate.chunks import LONGEST, rests_of
 from ffcomp.inverse.extent import LEAST_CONTEXT_S
 from ffcomp.planner.limits import lines_of
+from ffcomp.planner.marlin import MarlinPlan
 from ffcomp.planner.trajectory import PlannedMotion
 from gcode.embedded import TIME_WAS, WAS
 from gcode.layers import FEW_MOVES, SLOPE_MM, UNNAMED, begins_feature, begins_layer
@@ -25,7 +26,7 @@ from gcode.slicing import join, split
 from gcode.words import commands
 from models.arrays import BoolArray, FloatArray, IntArray
 
-PlanOf = Callable[[Program], PlannedMotion]
+PlanOf = Callable[[Program], PlannedMotion | MarlinPlan]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +34,7 @@ class PlannedSlice:
     """A planned program, of which the moves first … last - 1 and the lines between them are counted."""
 
     program: Program
-    plan: PlannedMotion | None  # None: nothing in it moves
+    plan: PlannedMotion | MarlinPlan | None  # None: nothing in it moves
     first: int
     last: int
 
@@ -83,7 +84,7 @@ def planned_slices(parts: Iterable[Program], plan_of: PlanOf) -> Iterator[Planne
         yield PlannedSlice(pending, plan_of(pending), counted, len(pending.moves))
 
 
-def _line_begun(program: Program, plan: PlannedMotion, t: float) -> int:
+def _line_begun(program: Program, plan: PlannedMotion | MarlinPlan, t: float) -> int:
     """Return the first move of the line that is executed at a time."""
     line = program.moves.line
     return int(np.searchsorted(line, line[int(plan.move_at(t))]))

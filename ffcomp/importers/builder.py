@@ -23,7 +23,7 @@ from models.file import LIBRARY, load_machine
 from models.machine import MotionLimits, Steps
 from models.provenance import ASSUMED
 
-TABLES = ("kinematics", "carriage", "effector", "axes", "limits", "steps", "homing")
+TABLES = ("kinematics", "carriage", "effector", "axes", "limits", "steps", "homing", "firmware")
 ARMS = ("kinematics.arm_length_mm", "kinematics.arm_lengths_mm")
 REQUIRED = {
     "delta": (

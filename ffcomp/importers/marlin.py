@@ -24,6 +24,7 @@ from ffcomp.importers.values import (
     full_steps,
     known,
     least,
+    listed,
     plain_number,
     shaped_axis,
     together,
@@ -31,10 +32,10 @@ from ffcomp.importers.values import (
 
 LETTERS = {
     "M92": "XYZE",
-    "M201": "XYZ",
-    "M203": "XYZ",
-    "M204": "PS",
-    "M205": "JXY",
+    "M201": "XYZE",
+    "M203": "XYZE",
+    "M204": "PRST",
+    "M205": "BEJSTXYZ",
     "M350": "XYZ",
     "M665": "ABCHLRXYZ",
 }
@@ -65,7 +66,7 @@ def from_marlin(path: Path, kinematics: str | None) -> ConfigValues:
     settings = {key: value for command in _received(text, path.name) for key, value in _words(command)}
     kind, origin = _kinematics(settings, kinematics, path)
     of_kind = _delta(settings) if kind == "delta" else _straight(settings, _places(text, path.name))
-    values = known({**of_kind, **_limits(settings), **_steps(settings)})
+    values = known({**of_kind, **_limits(settings), **_steps(settings), **_planner(settings)})
     shaper_hz = _shaper_hz(settings) if kind == "delta" else ()
     return ConfigValues("Marlin", kind, origin, values, tuple(_notes(kind)), shaper_hz)
 
@@ -187,6 +188,29 @@ def _limits(settings: Settings) -> dict[str, Value | None]:
         "limits.z_velocity_mm_per_s": settings.get(("M203", "Z")),
         "limits.z_acceleration_mm_per_s2": settings.get(("M201", "Z")),
     }
+
+
+def _planner(settings: Settings) -> dict[str, Value | None]:
+    """Return what Marlin's own planner needs, in its own terms."""
+
+    def four(code: str) -> Value | None:
+        values = [settings.get((code, axis)) for axis in "XYZE"]
+        return listed([each for each in values if each is not None]) if all(values) else None
+
+    both, shortest = settings.get(("M204", "S")), settings.get(("M205", "B"))
+    planner = {
+        "speed_mm_per_s": four("M203"),
+        "acceleration_mm_per_s2": four("M201"),
+        "printing_acceleration_mm_per_s2": settings.get(("M204", "P"), both),
+        "retract_acceleration_mm_per_s2": settings.get(("M204", "R")),
+        "travel_acceleration_mm_per_s2": settings.get(("M204", "T"), both),
+        "junction_deviation_mm": settings.get(("M205", "J")),
+        "jerk_mm_per_s": four("M205"),
+        "lowest_speed_mm_per_s": settings.get(("M205", "S")),
+        "lowest_travel_speed_mm_per_s": settings.get(("M205", "T")),
+        "shortest_segment_s": changed(shortest, lambda us: 1e-6 * us, "µs to s"),
+    }
+    return {f"firmware.marlin.{key}": value for key, value in planner.items()}
 
 
 def _print_acceleration(settings: Settings) -> tuple[str, str]:

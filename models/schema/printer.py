@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from dataclasses import replace
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from models.machine import MotionLimits, Steps
+from models.machine import MarlinSettings, MotionLimits, Steps
 from models.pressure import CORNER_MM_PER_S, REFERENCE_MM_PER_S, Pressure
-from models.schema.table import THREE, TWO, Place, Table, refuse
+from models.schema.table import FOUR, THREE, TWO, Place, Table, refuse
 
 DEFAULT_LIMITS = MotionLimits(velocity_mm_per_s=0, acceleration_mm_per_s2=0)  # these two have no default
 DEFAULT_STEPS = Steps()
@@ -93,10 +94,41 @@ class ExtruderTable(Table):
         )
 
 
+Speeds = Annotated[list[Annotated[float, Field(ge=0.01, le=5000)]], FOUR]
+Accelerations = Annotated[list[Annotated[float, Field(ge=1, le=1e6)]], FOUR]
+
+
+class MarlinTable(Table):
+    """`[firmware.marlin]`: what M503 says of the planner, and what the firmware was built with."""
+
+    speed_mm_per_s: Speeds | None = None
+    acceleration_mm_per_s2: Accelerations | None = None
+    printing_acceleration_mm_per_s2: float | None = Field(None, ge=1, le=1e6)
+    retract_acceleration_mm_per_s2: float | None = Field(None, ge=1, le=1e6)
+    travel_acceleration_mm_per_s2: float | None = Field(None, ge=1, le=1e6)
+    junction_deviation_mm: float | None = Field(None, ge=0.001, le=0.3)
+    jerk_mm_per_s: Speeds | None = None
+    lowest_speed_mm_per_s: float | None = Field(None, ge=0, le=1000)
+    lowest_travel_speed_mm_per_s: float | None = Field(None, ge=0, le=1000)
+    shortest_segment_s: float | None = Field(None, ge=0, le=1)
+    minimum_steps_per_segment: int | None = Field(None, ge=1, le=100)
+    slowdown: bool | None = None
+    segments_per_second: float | None = Field(None, ge=1, le=1000)
+
+    def settings(self, limits: MotionLimits) -> MarlinSettings:
+        """Return the settings; speeds and accelerations that the file does not state are those of its `[limits]`."""
+        stated: dict[str, Any] = {
+            key: tuple(value) if isinstance(value, list) else value
+            for key, value in self.model_dump(exclude_none=True).items()
+        }
+        return replace(MarlinSettings.within(limits), **stated, stated=tuple(stated))
+
+
 class FirmwareTable(Table):
     """`[firmware]`: which one the printer runs."""
 
     flavor: Literal["klipper", "marlin", "reprapfirmware"] | None = None
+    marlin: MarlinTable | None = None
 
 
 MacroName = Annotated[str, Field(pattern=r"^@?[A-Za-z_]\w*$")]

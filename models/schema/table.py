@@ -18,7 +18,7 @@ Offset = Annotated[float, Field(ge=-500, le=500)]
 Place = Annotated[float, Field(ge=-1000, le=10000)]
 Stiffness = Annotated[float, Field(ge=1, le=1e9)]
 Damping = Annotated[float, Field(ge=0, le=1e5)]
-TWO, THREE = Field(min_length=2, max_length=2), Field(min_length=3, max_length=3)
+TWO, THREE, FOUR = (Field(min_length=n, max_length=n) for n in (2, 3, 4))
 MODES = Field(min_length=1, max_length=8)
 
 

@@ -58,6 +58,7 @@ SECTIONS = {  # of the page -> path into the JSON schema of a document
     "limits": (DeltaDocument, "limits"),
     "steps": (DeltaDocument, "steps"),
     "firmware": (DeltaDocument, "firmware"),
+    "firmware.marlin": (DeltaDocument, "firmware.marlin"),
     "macros": (DeltaDocument, "macros"),
     "homing": (DeltaDocument, "homing"),
 }
@@ -114,9 +115,10 @@ def _range(field: dict[str, Any]) -> str:
     if kind["type"] == "array" and "minItems" not in kind:
         return "a list of names in quotes"
     if kind["type"] == "array":
-        count = {(3, 3): "three", (2, 2): "two", (1, 8): "one to eight"}[kind["minItems"], kind["maxItems"]]
+        counts = {(4, 4): "four", (3, 3): "three", (2, 2): "two", (1, 8): "one to eight"}
+        count = counts[kind["minItems"], kind["maxItems"]]
         return f"{count}, {_range(kind['items'])} each"
-    return "text" if kind["type"] == "string" else _interval(kind)
+    return {"string": "text", "boolean": "true, false"}.get(kind["type"]) or _interval(kind)
 
 
 def _interval(kind: dict[str, Any]) -> str:
