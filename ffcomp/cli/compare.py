@@ -21,7 +21,6 @@ from ffcomp.cli.compare_quality import (
     refuse_workers,
 )
 from ffcomp.cli.faster_options import ChangeSpeed, KeepSpeed, MaxFlow, MinLayerTime
-from ffcomp.cli.help import ACCURACY, OUTPUT, SPEED
 from ffcomp.cli.options import (
     AsJson,
     Flavor,
@@ -36,6 +35,7 @@ from ffcomp.cli.options import (
     SegmentRate,
     parsed_offset,
 )
+from ffcomp.request import ACCURACY, OUTPUT, SPEED
 
 if TYPE_CHECKING:
     from ffcomp.compare.engine import Request

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ffcomp.cli.help import FASTER
+from ffcomp.request import FASTER
 
 if TYPE_CHECKING:
     from ffcomp.compare.engine import Request

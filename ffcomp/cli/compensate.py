@@ -23,9 +23,9 @@ from ffcomp.cli.faster_options import (
     bound_of,
     shares_known,
 )
-from ffcomp.cli.help import ACCURACY, ADVANCED, MACHINE, OUTPUT, SPEED
 from ffcomp.cli.options import AsJson, Flavor, Jobs, Quiet, Scheduler, SegmentRate, check_choice, parsed_offset
 from ffcomp.inverse.solver_names import SOLVERS
+from ffcomp.request import ACCURACY, ADVANCED, MACHINE, OUTPUT, SPEED
 
 if TYPE_CHECKING:
     from ffcomp.compensate.job import Options, StepOutput

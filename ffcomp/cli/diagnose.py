@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ffcomp.cli.help import ACCURACY, OUTPUT
 from ffcomp.cli.options import AsJson, CaptureAxes, Force, MachineName, MovesPlanFile, Quiet, Report, Runs
+from ffcomp.request import ACCURACY, OUTPUT
 
 if TYPE_CHECKING:
     from ffcomp.diagnose.diagnosis import Diagnosis

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ffcomp.cli.help import OUTPUT
 from ffcomp.cli.options import AsJson, Figure, Flavor, Offset, StampedMachine, parsed_offset
+from ffcomp.request import OUTPUT
 
 if TYPE_CHECKING:
     from rich.console import Console

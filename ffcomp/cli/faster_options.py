@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ffcomp.cli.help import FASTER
+from ffcomp.request import FASTER
 
 if TYPE_CHECKING:
     from ffcomp.faster.bound import Bound

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ffcomp.cli.help import ADVANCED, MACHINE, OUTPUT
 from ffcomp.cli.options import Figure, MachineName
+from ffcomp.request import ADVANCED, MACHINE, OUTPUT
 
 if TYPE_CHECKING:
     from ffcomp.identify.frf_study import Study, View

@@ -8,22 +8,21 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from ffcomp.cli.help import ACCURACY, ADVANCED, MACHINE, OUTPUT, Command, Group
 from ffcomp.cli.identify_plan import plan as write_plan
 from ffcomp.cli.options import AsJson, Figure, Force, HighestFitted, LowestFitted, MachineFile, MachineName, Quiet
+from ffcomp.request import ACCURACY, ADVANCED, MACHINE, OUTPUT
 
 if TYPE_CHECKING:
     from ffcomp.identify.machine_fit import MachineFit
     from ffcomp.identify.machine_fit import Method as FitMethod
 
 app = typer.Typer(
-    cls=Group,
     no_args_is_help=True,
     help="Identify a machine file's parameters from measurements.\n\n"
     "With an accelerometer and no laboratory: ffcomp identify plan, run its G-code, ffcomp identify fit. "
     "With frequency responses of your own: ffcomp identify fit responses.csv … (CSV or UFF 58).",
 )
-app.command("plan", cls=Command)(write_plan)
+app.command("plan")(write_plan)
 
 Data = Annotated[
     list[Path],
@@ -98,7 +97,7 @@ Rough = Annotated[
 ]
 
 
-@app.command("fit", cls=Command)
+@app.command("fit")
 def fit(
     data: Data,
     machine: MachineName,
@@ -174,7 +173,7 @@ def fit(
                 print(said)
 
 
-@app.command("decouple", cls=Command)
+@app.command("decouple")
 def decouple(
     data: Data,
     machine: MachineName,

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ffcomp.cli.help import ACCURACY, ADVANCED, MACHINE
 from ffcomp.cli.options import AsJson, MachineName, PlanOutput, check_choice
+from ffcomp.request import ACCURACY, ADVANCED, MACHINE
 
 if TYPE_CHECKING:
     from ffcomp.identify.experiment import Plan, Request

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ffcomp.cli.help import MACHINE, OUTPUT, Command, Group
+from ffcomp.request import MACHINE, OUTPUT
 
 if TYPE_CHECKING:
     from ffcomp.integrations.recipes import Recipe
 
-app = typer.Typer(cls=Group, help="Use ffcomp from your slicer or your printer's host.", no_args_is_help=True)
+app = typer.Typer(help="Use ffcomp from your slicer or your printer's host.", no_args_is_help=True)
 
 Name = Annotated[str, typer.Argument(metavar="NAME", help="A slicer or a host; see: ffcomp integrations list.")]
 MachineName = Annotated[
@@ -37,7 +37,7 @@ Folder = Annotated[
 ]
 
 
-@app.command("list", cls=Command)
+@app.command("list")
 def list_integrations() -> None:
     """List the slicers and hosts that can use ffcomp."""
     from ffcomp.integrations.recipes import RECIPES
@@ -47,7 +47,7 @@ def list_integrations() -> None:
         print(f"{recipe.name:{width}}  {recipe.about}")
 
 
-@app.command("show", cls=Command)
+@app.command("show")
 def show_integration(name: Name, machine: MachineName = "my-delta") -> None:
     """Show how to set it up, with the line to paste.
 
@@ -58,7 +58,7 @@ def show_integration(name: Name, machine: MachineName = "my-delta") -> None:
     print(instructions(_recipe(name), _anywhere(machine), executable()))
 
 
-@app.command("install", cls=Command)
+@app.command("install")
 def install_integration(name: Name, machine: MachineName = "", to: Folder = None) -> None:
     """Install the wrapper where the program searches for it."""
     from ffcomp.cli.common import exit_codes, say

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ffcomp.cli.help import MACHINE, OUTPUT, Command, Group
 from ffcomp.cli.machines_diff import diff_machines
 from ffcomp.cli.machines_effort import effort
 from ffcomp.cli.machines_import import import_machine
 from ffcomp.cli.options import AsJson
+from ffcomp.request import MACHINE, OUTPUT
 
 if TYPE_CHECKING:
     from models.arrays import FloatArray
@@ -31,7 +31,7 @@ KINDS = ("delta", "corexy", "cartesian")  # in the order of the list
 UNREADABLE = "?"  # `ffcomp machines check` says why
 USAGE, BAD_MACHINE = 2, 5  # exit codes, the same for the whole program
 
-app = typer.Typer(cls=Group, help="List, show, check, create and compare machine files.", no_args_is_help=True)
+app = typer.Typer(help="List, show, check, create and compare machine files.", no_args_is_help=True)
 
 NameOrPath = Annotated[str, typer.Argument(metavar="MACHINE", help="A machine's name or the path of its TOML file.")]
 NewName = Annotated[str, typer.Argument(metavar="NAME", help="Name of the new machine.")]
@@ -51,7 +51,7 @@ Source = Annotated[
 ]
 
 
-@app.command("list", cls=Command)
+@app.command("list")
 def list_machines(as_json: AsJson = False) -> None:
     """List the machines that have a name: deltas, CoreXY machines, cartesian ones."""
     from models.finding import LIBRARY, glance, machine_paths
@@ -69,7 +69,7 @@ def list_machines(as_json: AsJson = False) -> None:
     _print_table(columns, [[row[column] or UNREADABLE for column in columns] for row in rows])
 
 
-@app.command("show", cls=Command)
+@app.command("show")
 def show_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
     """Show every parameter of a machine with its provenance, and its modes."""
     from models.file import entries, load_machine
@@ -94,7 +94,7 @@ def show_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
         print(f"\n{assumed}")
 
 
-@app.command("check", cls=Command)
+@app.command("check")
 def check_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
     """Check a machine file: mistakes, redundant parameters that disagree, stability and passivity."""
     from ffcomp.importers.hints import still_assumed
@@ -141,7 +141,7 @@ def _check_axes(machine: Machine, problems: list[str], as_json: bool) -> None:
         print(*(f"note: {note}" for note in notes), verdict, sep="\n")
 
 
-@app.command("new", cls=Command)
+@app.command("new")
 def new_machine(name: NewName, output: Output = None, source: Source = "mp-delta-pro") -> None:
     """Create a machine file as a copy of another one. Never overwrites."""
     from models.file import load_machine, starting_text
@@ -161,9 +161,9 @@ def new_machine(name: NewName, output: Output = None, source: Source = "mp-delta
     print(path)
 
 
-app.command("import", cls=Command)(import_machine)
-app.command("diff", cls=Command)(diff_machines)
-app.command("effort", cls=Command)(effort)
+app.command("import")(import_machine)
+app.command("diff")(diff_machines)
+app.command("effort")(effort)
 
 
 def _refuse(sentence: str) -> None:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ffcomp.cli.help import MACHINE, OUTPUT
 from ffcomp.cli.options import AsJson
+from ffcomp.request import MACHINE, OUTPUT
 
 if TYPE_CHECKING:
     from ffcomp.importers.builder import MachineDraft

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from ffcomp.cli.help import ADVANCED, MACHINE, OUTPUT, SPEED
+from ffcomp.request import ADVANCED, MACHINE, OUTPUT, SPEED
 
 MachineName = Annotated[
     str,

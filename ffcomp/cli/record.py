@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ffcomp.cli.help import ACCURACY, ADVANCED, MACHINE, OUTPUT, Command, Group
 from ffcomp.cli.options import AsJson, CaptureAxes, Force, MachineName, PlanOutput, Quiet, check_choice
+from ffcomp.request import ACCURACY, ADVANCED, MACHINE, OUTPUT
 
 if TYPE_CHECKING:
     from ffcomp.record.firmware import Firmware
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from ffcomp.record.result import JoinResult
 
 app = typer.Typer(
-    cls=Group,
     no_args_is_help=True,
     help="Record the printer's vibrations with its own accelerometer.\n\n"
     "First ffcomp record plan, then run its G-code, then give the captures to ffcomp diagnose with --plan; or keep "
@@ -123,7 +122,7 @@ Kind = Annotated[
 Seed = Annotated[int, typer.Option(metavar="N", rich_help_panel=ADVANCED, min=0, help="Seed of the moves.")]
 
 
-@app.command("plan", cls=Command)
+@app.command("plan")
 def plan(
     machine: MachineName,
     output_file: PlanOutput,
@@ -299,7 +298,7 @@ def _sentences(result: dict[str, Any]) -> list[str]:
     ]
 
 
-@app.command("join", cls=Command)
+@app.command("join")
 def join(
     captures: Captures,
     plan_file: PlanFile,

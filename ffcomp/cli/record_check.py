@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ffcomp.cli.help import OUTPUT
 from ffcomp.cli.options import AsJson, CaptureAxes, Figure, Force, MachineName, MovesPlanFile, Quiet
 from ffcomp.cli.record import Chips, FirmwareName, ShaperBack, account_of, finish_plan, pair
+from ffcomp.request import OUTPUT
 
 if TYPE_CHECKING:
     from ffcomp.check.result import CheckResult

@@ -3,47 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from ffcomp.cli.help import OUTPUT
+from ffcomp.cli.command import verb
+from ffcomp.cli.common import say
+from ffcomp.request import OUTPUT, Argument, Option, Request
 
 if TYPE_CHECKING:
     from gcode.container import Container
 
 
-def restore(
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Compensated print. Changed in place unless -o is given.")
-    ],
-    output_file: Annotated[
-        Path | None,
-        typer.Option("--output-file", "-o", metavar="FILE", rich_help_panel=OUTPUT, help="Write here instead."),
-    ] = None,
-) -> None:
+@dataclass(frozen=True)
+class RestoreRequest(Request):
+    """What `ffcomp restore` is to restore."""
+
+    file: Annotated[Path, Argument("Compensated print. Changed in place unless -o is given.", metavar="FILE")]
+    output: Annotated[Path | None, Option("Write here instead.", OUTPUT, "--output-file", "-o", metavar="FILE")] = None
+
+
+@verb
+def restore(request: RestoreRequest) -> None:
     """Restore the original of a compensated print, byte for byte.
 
     Example: ffcomp restore out.gcode -o original.gcode
     """
-    from ffcomp.cli.common import exit_codes, say
+    from gcode.atomic_write import replacing, unchanged
+    from gcode.container import opened
 
-    with exit_codes():
-        from gcode.atomic_write import replacing, unchanged
-        from gcode.container import opened
-
-        still_the_same = unchanged(file)
-        with opened(file) as container:
-            texts = _originals(container, file)
-            with replacing(output_file or file) as target:
-                container.write(target, texts)
-                still_the_same()
-        say(f"ffcomp: the original is in {output_file or file}.")
+    file, output = request.file, request.output or request.file
+    still_the_same = unchanged(file)
+    with opened(file) as container:
+        texts = _originals(container, file)
+        with replacing(output) as target:
+            container.write(target, texts)
+            still_the_same()
+    say(f"ffcomp: the original is in {output}.")
 
 
 def _originals(container: Container, file: Path) -> list[Iterator[bytes]]:
-    """Each print as it was."""
     from ffcomp.errors import NothingToDo
     from gcode.container import blocks_of, ends_of
     from gcode.embedded import original_blocks
@@ -53,5 +52,7 @@ def _originals(container: Container, file: Path) -> list[Iterator[bytes]]:
     stamped = [find_stamp(*ends_of(text)[:2]) is not None for text in prints]
     if not any(stamped):
         raise NothingToDo(f"{file}: not compensated by ffcomp; nothing to restore.")
-    found = zip(prints, stamped, strict=True)
-    return [original_blocks(blocks_of(text)) if ours else blocks_of(text) for text, ours in found]
+    return [
+        original_blocks(blocks_of(text)) if ours else blocks_of(text)
+        for text, ours in zip(prints, stamped, strict=True)
+    ]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ffcomp.cli.help import ADVANCED, OUTPUT, REACH, SPEED
+from ffcomp.request import ADVANCED, OUTPUT, REACH, SPEED
 
 if TYPE_CHECKING:
     from socket import socket

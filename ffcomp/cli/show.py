@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from ffcomp.cli.help import OUTPUT
 from ffcomp.cli.options import AsJson, Plate, StampedMachine, check_choice
+from ffcomp.request import OUTPUT
 
 
 def show(

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ffcomp.cli.help import ACCURACY, ADVANCED, OUTPUT, SPEED
 from ffcomp.cli.options import AsJson, Flavor, MachineName, Offset, Plant, Plate, Quiet, parsed_offset
+from ffcomp.request import ACCURACY, ADVANCED, OUTPUT, SPEED
 
 if TYPE_CHECKING:
     from ffcomp.record.virtual_sensor import Sensor

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from ffcomp.diagnose.json import diagnosis_json
@@ -23,6 +22,7 @@ from ffcomp.identify.uncertainty import normal
 from ffcomp.measurement.frf_files import write_frf
 from models.file import LIBRARY, load_machine
 from tests.support.axis import write_axis
+from tests.support.cli import CliRunner
 from tests.support.configs import COREXY, SHAPER, Delta, written
 from tests.support.containers import archive_3mf
 from tests.support.identification import blank, measured, paper_bench, towers_bench

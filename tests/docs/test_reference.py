@@ -38,7 +38,7 @@ def test_every_example_of_a_verb_names_options_that_it_has() -> None:
     shown = [verb for verb in cli_reference.verbs() if verb.example]
     assert len(shown) > 8
     for verb in shown:
-        known = {name for each in verb.parameters for name in each.name.split()}
+        known = {name for each in verb.options for name in (*each.names, each.negative)}
         assert f"{verb.example} ".startswith(f"ffcomp {verb.name} ")
         assert set(re.findall(r" (--?[a-z][\w-]*)", verb.example)) <= known
 

@@ -7,10 +7,10 @@ from html import unescape
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from tests.support.axis import write_axis
+from tests.support.cli import CliRunner
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,10 @@ import time
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from ffcomp.compare.quickest import QuickestRequest
+from tests.support.cli import CliRunner
 from tests.support.prints import squares
 from tests.support.quickest import made_up_quickest
 

@@ -6,14 +6,13 @@ import json
 from pathlib import Path
 
 import pytest
-from click.testing import Result
-from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from ffcomp.steps.reader import read_events, read_steps
 from gcode.embedded import TIME_WAS
 from gcode.stamp import WITHOUT_ORIGINAL
 from models.file import load_machine
+from tests.support.cli import CliRunner, Result
 from tests.support.prints import squares
 
 MACHINE = "mp-delta-pro"

@@ -9,8 +9,6 @@ from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
-from click.testing import Result
-from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from ffcomp.compensate.batch import compensate_files
@@ -18,6 +16,7 @@ from ffcomp.compensate.job import Options
 from gcode.container import read_bytes
 from gcode.metadata import slicer_time_s
 from models.file import load_machine
+from tests.support.cli import CliRunner, Result
 from tests.support.containers import PRINT, archive_3mf, bgcode, contents, gzipped, zipped
 
 MACHINE = "mp-delta-pro"

@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import Result
-from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from ffcomp.compensate import chunks
@@ -35,6 +33,7 @@ from gcode.program import Program
 from gcode.reader import read_parts, read_program
 from models.file import load_machine
 from models.machine import Machine
+from tests.support.cli import CliRunner, Result
 from tests.support.compensated import compensated as anywhere
 from tests.support.data import real
 from validation.judge import HOST_KNOWS

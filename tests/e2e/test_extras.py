@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 import ffcomp
 from ffcomp.cli.app import app
 from ffcomp.errors import EXTRAS, FfcompError
+from tests.support.cli import CliRunner
 from tests.support.docs_runner import ROOT
 
 EXAMPLES = ROOT / "docs" / "examples"

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
-from typer.testing import CliRunner, Result
 
 from ffcomp.cli.app import app
 from ffcomp.identify.accuracy import error_reduction, mean_absolute_percentage_accuracy
@@ -20,6 +19,7 @@ from ffcomp.identify.predict import predicted
 from ffcomp.measurement.frf_files import write_frf
 from models.file import LIBRARY, load_machine
 from models.parameters import value_of, with_values
+from tests.support.cli import CliRunner, Result
 from tests.support.identification import measured, paper_bench, towers_bench
 from validation.plants import delta_plant
 from validation.plants.study import PLACES, measure_bench, measure_places, uneven

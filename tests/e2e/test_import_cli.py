@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
 
 from ffcomp.cli.machines import app
 from models.file import load_machine
+from tests.support.cli import CliRunner, Result
 from tests.support.configs import COREXY, SHAPER, Delta, written
 
 

@@ -19,7 +19,6 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
 from ffcomp import __version__
 from ffcomp.cli.integrations import app
@@ -27,6 +26,7 @@ from ffcomp.integrations.recipes import RECIPES, cura_folders, executable, instr
 from ffcomp.integrations.slicer import Bed, read_bed
 from gcode.embedded import original
 from gcode.stamp import already_processed
+from tests.support.cli import CliRunner
 from tests.support.moonraker import metadata, thumbnail
 
 ROOT = Path(__file__).parents[2]

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from gcode.atomic_write import drafts_noted, replaced_since, replacing
+from tests.support.cli import CliRunner
 from tests.support.prints import squares
 
 MACHINE = "mp-delta-pro"

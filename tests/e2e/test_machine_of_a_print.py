@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from models.file import load_machine
+from tests.support.cli import CliRunner
 from tests.support.configs import COREXY
 from tests.support.prints import squares
 

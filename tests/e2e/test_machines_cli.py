@@ -8,11 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner, Result
 
 from ffcomp.cli.machines import app
 from models.delta_machine import delta_vibration
 from models.file import LIBRARY, load_machine
+from tests.support.cli import CliRunner, Result
 
 
 @pytest.fixture

@@ -6,10 +6,10 @@ import json
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner, Result
 
 from ffcomp.cli.app import app
 from models.file import load_machine
+from tests.support.cli import CliRunner, Result
 
 
 def ffcomp(*words: str | Path) -> Result:

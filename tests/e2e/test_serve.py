@@ -21,10 +21,10 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 import pytest
-from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from tests.support import stand_in
+from tests.support.cli import CliRunner
 from tests.support.server import MARK, client, command, started, uploaded, wait_for
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"

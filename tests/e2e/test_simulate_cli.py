@@ -8,12 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner, Result
 
-from ffcomp.cli.compensate import compensate
-from ffcomp.cli.gap import gap
-from ffcomp.cli.simulate import simulate
+from ffcomp.cli.app import app
 from ffcomp.measurement.recording import Recording, read_recording
 from ffcomp.simulate import playback as playing
 from ffcomp.simulate.gcode_command import gcode_command
@@ -21,6 +17,7 @@ from ffcomp.simulate.simulation import Request, read_command, simulate_command
 from models.effects.catalogue import with_effect
 from models.file import LIBRARY, load_machine
 from models.printer.printer import simulate_printer
+from tests.support.cli import CliRunner, Result
 from validation import judge
 
 ROOT = Path(__file__).parents[2]
@@ -33,10 +30,6 @@ TRACK = set(judge.Score.__dataclass_fields__) - {"peak_m_per_s2"} | {
 }
 SQUARE = b"G28\nG90\nM83\nG1 X0 Y0 Z0.3 F6000\nG1 X40 Y0 E1 F12000\nG1 X40 Y40 E1\nG1 X0 Y40 E1\nG1 X0 Y0 E1\nM107\n"
 AGAIN = SQUARE + SQUARE.replace(b"X0", b"X-40").replace(b"X40", b"X0")
-
-app = typer.Typer(pretty_exceptions_enable=False)
-for verb in (simulate, gap, compensate):
-    app.command()(verb)
 
 
 def call(*arguments: object) -> Result:

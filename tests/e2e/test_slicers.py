@@ -18,7 +18,6 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from typer.testing import CliRunner, Result
 
 from ffcomp.cli import app as command_line
 from ffcomp.cli.log import log_path, logged, note
@@ -27,6 +26,7 @@ from gcode.embedded import original
 from gcode.reader import read_program
 from gcode.stamp import already_processed
 from models.file import load_machine
+from tests.support.cli import CliRunner, Result
 from validation.invariants import violations
 
 ROOT = Path(__file__).parents[2]

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from gcode.reader import read_program
+from tests.support.cli import CliRunner
 from tests.support.docs_runner import ROOT
 from tests.support.moonraker import metadata, thumbnail
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
+from tests.support.cli import CliRunner
 from tests.support.docs_runner import ROOT
 
 COMPENSATE = ["compensate", str(ROOT / "docs" / "examples" / "wiggle.gcode"), "-m", "kossel"]

@@ -12,11 +12,11 @@ from threading import Thread
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from tests.support import stand_in
 from tests.support.browser import Visit, chromium, hard_to_read, visit
+from tests.support.cli import CliRunner
 from tests.support.server import client, started, uploaded, wait_for
 
 READY = ".machines optgroup"

@@ -17,12 +17,11 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-from typer.main import get_command
-from typer.testing import CliRunner
+from cyclopts import CycloptsError
 
 from ffcomp.cli.app import app
+from tests.support.cli import CliRunner
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = ("sh", "console")
@@ -117,17 +116,10 @@ def commands_of(block: Block) -> list[Command]:
 def usage_error(command: str) -> str | None:
     """What ffcomp would say of a wrong verb, option or value of a command line, which is read and not run."""
     words = shlex.split(command, comments=True)[1:]
-    level: Any = get_command(app)
-    while words and words[0] in getattr(level, "commands", {}):
-        level, words = level.commands[words[0]], words[1:]
     try:
-        context = level.make_context("ffcomp", words)
-        if hasattr(level, "resolve_command"):
-            level.resolve_command(context, words)
-    except Exception as error:
-        if told := getattr(error, "format_message", None):  # Typer's own class of it differs between versions
-            return str(told())
-        raise
+        app.parse_args(words, exit_on_error=False, print_error=False)
+    except CycloptsError as error:
+        return str(error)
     return None
 
 

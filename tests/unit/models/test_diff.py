@@ -6,10 +6,10 @@ import json
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner, Result
 
 from ffcomp.cli.machines import app
 from models.file import LIBRARY
+from tests.support.cli import CliRunner, Result
 
 
 def diff(*arguments: str | Path) -> Result:

@@ -5,26 +5,18 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
-from typing import Any
 
 import pytest
-import typer
 
 from ffcomp.cli.app import app
-from ffcomp.cli.help import GROUPS
+from ffcomp.cli.command import commands
+from ffcomp.request import GROUPS
+from tests.support.cli import CliRunner
 
 COLUMNS = 80
 
 
-def verbs(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """All verbs and groups of verbs, each with what is typed for it."""
-    yield path, command
-    for name, inner in getattr(command, "commands", {}).items():
-        yield from verbs(inner, (*path, name))
-
-
-VERBS = dict(verbs(typer.main.get_command(app)))
+VERBS = {path: (command, options) for path, command, options in commands(app)}
 
 
 def help_of(path: tuple[str, ...], flag: str = "--help") -> str:
@@ -44,20 +36,18 @@ def help_of(path: tuple[str, ...], flag: str = "--help") -> str:
 def test_names_stand_whole_in_80_columns(path: tuple[str, ...]) -> None:
     page = help_of(path)
     assert max(map(len, page.split("\n"))) <= COLUMNS
-    for parameter in VERBS[path].params:
-        for name in (*parameter.opts, *parameter.secondary_opts):
-            wanted = parameter.metavar if parameter.param_type_name == "argument" else name
-            assert re.search(rf"(?<![\w-]){re.escape(wanted)}(?![\w-])", page), wanted
+    for each in VERBS[path][1]:
+        for name in (each.option.metavar.rstrip("."),) if each.option.positional else (*each.names, each.negative):
+            assert re.search(rf"(?<![\w-]){re.escape(name)}(?![\w-])", page), name
 
 
 @pytest.mark.parametrize("path", [path for path in VERBS if path], ids=" ".join)
 def test_options_stand_in_groups_and_name_what_they_take(path: tuple[str, ...]) -> None:
-    for parameter in VERBS[path].params:
-        if parameter.param_type_name == "argument":
-            continue
-        assert parameter.rich_help_panel in GROUPS, parameter.name
-        assert bool(parameter.metavar) != parameter.is_flag, f"{parameter.name}: a switch takes no value, others say it"
-        assert parameter.help
+    for each in VERBS[path][1]:
+        assert each.option.help
+        if not each.option.positional:
+            assert each.option.group in GROUPS, each.field
+            assert bool(each.option.metavar) != each.is_switch, f"{each.field}: a switch takes no value, others say it"
 
 
 def test_the_short_flag_says_the_same() -> None:
@@ -66,14 +56,30 @@ def test_the_short_flag_says_the_same() -> None:
 
 
 def test_first_lines_are_imperative_and_plain() -> None:
-    first = {" ".join(path): (command.help or "").split("\n\n")[0] for path, command in VERBS.items()}
+    first = {" ".join(path): command.help.split("\n\n")[0] for path, (command, _) in VERBS.items()}
     assert first["compensate"] == "Compensate a print for your printer's vibration."
     for verb, line in first.items():
         assert re.fullmatch(r"[A-Z][a-z]+[ ,].*\.", " ".join(line.split())), verb
 
 
-def test_a_usage_error_shows_the_usage_of_the_help_page() -> None:
-    from typer.testing import CliRunner
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("compensate", "FILE is missing"),
+        ("compensate a.gcode", "--machine is missing"),
+        ("compensate a.gcode -m kossel --fo", "--fo. Did you mean --force?"),
+        ("compensate a.gcode -m kossel --jobs two", '"two"'),
+        ("compensate a.gcode -m kossel --tolerance-um 0", "--tolerance-um 0: it must be at least 0.1"),
+        ("nothing", '"nothing"'),
+    ],
+)
+def test_a_usage_error_is_a_sentence_with_exit_code_2(words: str, sentence: str) -> None:
+    answer = CliRunner().invoke(app, words.split(), env={"FFCOMP_MACHINE": None})
+    assert answer.exit_code == 2 and sentence in answer.stderr and not answer.stdout
+    assert answer.stderr.startswith("ffcomp: ") and answer.stderr.count("\n") == 1
 
-    first = help_of(("compensate",)).split("\n")[0].split("compensate")[1]
-    assert first in CliRunner().invoke(app, ["compensate"]).output
+
+def test_without_a_verb_the_help_is_shown_and_nothing_is_done() -> None:
+    for words in ([], ["record"]):
+        answer = CliRunner().invoke(app, words)
+        assert answer.exit_code == 2 and "Usage: ffcomp" in answer.stderr

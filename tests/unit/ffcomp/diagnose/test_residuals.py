@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from ffcomp.diagnose.diagnosis import noise_floor
@@ -17,6 +16,7 @@ from ffcomp.diagnose.noise import whitener
 from ffcomp.diagnose.printer_problem import PrinterProblem
 from ffcomp.measurement.recording import Recording
 from models.file import load_machine
+from tests.support.cli import CliRunner
 
 RUNS = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[5] / "shared" / "data")) / "runs"
 

@@ -13,7 +13,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from ffcomp.diagnose.validation import carriages_of, check_alike, check_repeats
@@ -21,6 +20,7 @@ from ffcomp.errors import MeasurementError
 from ffcomp.measurement.orientation import misplaced
 from ffcomp.measurement.recording import read_recording
 from models.file import load_machine
+from tests.support.cli import CliRunner
 
 RUNS = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[5] / "shared" / "data")) / "runs"
 CASE = RUNS / "effector-mass"

@@ -11,10 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner
 
-from ffcomp.cli.identify_plan import plan as plan_command
+from ffcomp.cli.app import app
 from ffcomp.errors import LimitsError, MeasurementError
 from ffcomp.identify.experiment import (
     AXES,
@@ -40,6 +38,7 @@ from models.arrays import FloatArray, constant
 from models.file import load_machine
 from models.machine import Machine
 from models.vibration.state_space import discretise
+from tests.support.cli import CliRunner
 from validation import kalico
 
 SHORT = Request(directions=TOWERS + AXES, period_s=2.0, periods=1, highest_hz=110.0, places_mm=((0.0, 0.0),))
@@ -400,9 +399,9 @@ def test_other_firmwares_get_no_klipper_commands() -> None:
 
 
 def run(*arguments: str) -> tuple[int, str, str]:
-    app = typer.Typer()
-    app.command()(plan_command)
-    done = CliRunner().invoke(app, ["-m", "mp-delta-pro", "--period-s", "2", "--periods", "1", *arguments])
+    done = CliRunner().invoke(
+        app, ["identify", "plan", "-m", "mp-delta-pro", "--period-s", "2", "--periods", "1", *arguments]
+    )
     return done.exit_code, done.stdout, done.stderr
 
 

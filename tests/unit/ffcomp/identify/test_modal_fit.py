@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter
-from typer.testing import CliRunner, Result
 
 from ffcomp.cli.app import app
 from ffcomp.errors import MeasurementError
@@ -34,6 +33,7 @@ from models.file import LIBRARY, load_machine
 from models.kinematics.cartesian import CARTESIAN, CartesianKinematics
 from models.machine import Machine, MotionLimits
 from models.vibration.modal import Axis, ModalAxes
+from tests.support.cli import CliRunner, Result
 
 FloatArray = NDArray[np.float64]
 

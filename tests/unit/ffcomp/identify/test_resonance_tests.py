@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from ffcomp.identify.resonance_tests import direction_of
 from models.file import load_machine
+from tests.support.cli import CliRunner
 
 F = np.arange(1, 110) * 1.5
 RATIO = F / 44.0

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from ffcomp.inverse.bandwidth import HIGHEST, LOWEST_HZ, _square, effort_curve, effort_weight
@@ -16,6 +15,7 @@ from ffcomp.inverse.settings import settings_for
 from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
 from models.machine import Machine
+from tests.support.cli import CliRunner
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from ffcomp.cli.app import app
 from ffcomp.diagnose import problems
@@ -31,6 +30,7 @@ from models.effects.catalogue import CATALOGUE, with_effect
 from models.file import LIBRARY, load_machine
 from models.printer.printer import simulate_printer
 from tests.support.browser import chromium, visit
+from tests.support.cli import CliRunner
 
 RATE_HZ, SECONDS, NOISE = 1600.0, 1.2, 0.3
 PLACES = {"centre": (0.0, 0.0, 30.0), "left": (-70.0, 20.0, 30.0), "front": (40.0, -60.0, 30.0)}

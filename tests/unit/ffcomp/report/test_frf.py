@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
 
 from ffcomp.cli.app import app
 from ffcomp.identify.frf_study import View, study, verdict, view_of
@@ -21,6 +20,7 @@ from models.file import load_machine
 from models.machine import Machine
 from models.vibration.carriage import command_frf, with_added_mass
 from models.vibration.mode_map import mode_map
+from tests.support.cli import CliRunner, Result
 
 FREQUENCIES = np.arange(2.0, 125.1, 0.5)
 PNG = b"\x89PNG"

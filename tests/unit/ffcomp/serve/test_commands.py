@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import typer
 
 from ffcomp.cli.app import app
+from ffcomp.cli.command import commands
 from ffcomp.serve.commands import KINDS, OPTIONS, Request, checked
 from ffcomp.serve.uploads import Refused
 
@@ -73,9 +73,6 @@ def test_every_word_is_one_of_the_command_line(kind: str) -> None:
     values |= {"at": "0,0", "offset_mm": "1,2", "name": "my"}
     options = {name: True if OPTIONS[name][1] is None else values.get(name, "3") for name in KINDS[kind].options}
     for words in words_of(kind, options, *INPUTS.get(kind, ("a.csv",))):
-        command: Any = typer.main.get_command(app)
-        rest = list(words)
-        while hasattr(command, "commands"):
-            command = command.commands[rest.pop(0)]
-        known = {opt for each in command.params for opt in (*each.opts, *each.secondary_opts)}
-        assert {word.split("=")[0] for word in rest if word.startswith("-")} <= known
+        options = next(each for path, _, each in reversed(list(commands(app))) if words[: len(path)] == path)
+        known = {name for each in options for name in (*each.names, each.negative)}
+        assert {word.split("=")[0] for word in words if word.startswith("-")} <= known

@@ -1,0 +1,170 @@
+"""Make commands of requests with cyclopts: options, help pages, checks and exit codes of every verb.
+
+`ffcomp.request` says how a verb is declared.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterator
+from dataclasses import MISSING, dataclass
+from functools import partial
+from math import inf
+from typing import Annotated, Any, get_type_hints
+
+from cyclopts import App, CycloptsError, Group, MissingArgumentError, Parameter
+
+from ffcomp.cli.common import exit_codes, require, say
+from ffcomp.cli.compiled import VERBS, first_run, note_compiled, sentence
+from ffcomp.request import GROUPS, OUTPUT, Declared, Option, Request, declared
+
+HELP_FLAGS = ("--help", "-h")
+ARGUMENTS = Group("Arguments", sort_key=0)
+OPTIONS = {name: Group(name, sort_key=1 + number) for number, name in enumerate(GROUPS)}
+OTHER = Group("Other", sort_key=99)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown(Request):
+    """What a verb prints; only the command line has it."""
+
+    as_json: Annotated[bool, Option("Print one JSON object on stdout.", OUTPUT, "--json")] = False
+    quiet: Annotated[bool, Option("Print no progress, and no message but errors.", OUTPUT, "--quiet", "-q")] = False
+
+
+def verb(work: Callable[..., None]) -> App:
+    """Make the command of a function that takes one or more requests; its text becomes the help page."""
+    hints = get_type_hints(work)
+    requests: list[type[Request]] = [hints[name] for name in inspect.signature(work).parameters]
+
+    def prepare(values: dict[str, Any]) -> Callable[[], None]:
+        return partial(work, *(_made(request, values) for request in requests))
+
+    options = [each for request in requests for each in declared(request)]
+    return command(work.__name__.replace("_", "-"), inspect.cleandoc(work.__doc__ or ""), options, prepare)
+
+
+def command(
+    name: str, text: str, options: list[Declared], prepare: Callable[[dict[str, Any]], Callable[[], None]]
+) -> App:
+    """Make a command of its options.
+
+    prepare : checks the values that are stated, by field, and returns the work to be done
+    """
+    signature = inspect.Signature([_parameter(each) for each in sorted(options, key=_kind)])
+
+    def call(*args: Any, **kwargs: Any) -> None:
+        with exit_codes():
+            values = signature.bind(*args, **kwargs).arguments
+            work = prepare(values)
+            if any(values.get(option) for option in ("figure", "report")):
+                require("matplotlib")
+            compiles = name in VERBS and first_run(name)
+            if compiles:
+                say(f"ffcomp: {sentence(name)}", bool(values.get("quiet")))
+            work()
+            if compiles:
+                note_compiled(name)
+
+    call.__signature__, call.options = signature, options  # type: ignore[attr-defined]
+    app = App(name=name, help=paragraphs(text), **SETTINGS)
+    app.default(call)
+    return app
+
+
+SETTINGS: dict[str, Any] = {
+    "help_flags": HELP_FLAGS,
+    "help_format": "plaintext",
+    "version_flags": (),
+    "result_action": "return_value",
+    "group_arguments": ARGUMENTS,
+    "group_parameters": OTHER,
+    "group_commands": Group("Verbs", sort_key=0),
+    "default_parameter": Parameter(negative_iterable=(), allow_repeating=True),
+}
+
+
+def _made(request: type[Request], values: dict[str, Any]) -> Request:
+    made = {}
+    for each in declared(request):
+        if each.field in values:
+            value = values[each.field]
+            made[each.field] = value if each.option.parse is None else each.option.parse(value)
+    return request(**made)
+
+
+def _kind(each: Declared) -> Any:
+    if not each.option.positional:
+        return inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter.VAR_POSITIONAL if each.many else inspect.Parameter.POSITIONAL_ONLY
+
+
+def _parameter(each: Declared) -> inspect.Parameter:
+    """Return the parameter that cyclopts makes an option of."""
+    option, kind = each.option, _kind(each)
+    notes = [f"[{each.range}]"] if each.range else []
+    how = Parameter(
+        name=(option.metavar.rstrip("."),) if option.positional else each.names,
+        negative=each.negative or (),
+        help=" ".join([option.help, *notes]),
+        group=ARGUMENTS if option.positional else OPTIONS.get(option.group, OTHER),
+        metavar=option.metavar or None,
+        env_var=option.env or None,
+        show_default=shown_default if shown_default(each.default) else False,
+        required=each.required,
+        allow_leading_hyphen=not option.positional,  # -110,-110 is a value
+    )
+    one = each.item_type
+    if kind is inspect.Parameter.VAR_POSITIONAL:
+        return inspect.Parameter(each.field, kind, annotation=Annotated[one, how])
+    default = inspect.Parameter.empty if each.required else each.default if each.option.parse is None else None
+    annotated = tuple[one, ...] if each.many else one  # type: ignore[valid-type]
+    return inspect.Parameter(each.field, kind, default=default, annotation=Annotated[annotated | None, how])
+
+
+def shown_default(value: Any) -> Any:
+    """Return a default as a person writes it; empty where that says nothing."""
+    if value is None or value is MISSING or isinstance(value, bool) or value in ("", ()) or value in (inf, -inf):
+        return ""
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def group(name: str, text: str, *verbs: App, **settings: Any) -> App:
+    """Make a command that holds others, which its help shows in this order."""
+    app = App(name=name, help=paragraphs(text), **SETTINGS | settings)
+    for number, each in enumerate(verbs):
+        each.sort_key = number
+        app.command(each)
+    return app
+
+
+def commands(app: App, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], App, list[Declared]]]:
+    """Return every verb: what is typed for it, its command and its options; those that hold others have none."""
+    yield path, app, getattr(app.default_command, "options", [])
+    for name in app:
+        if name not in (*HELP_FLAGS, "--version", "--log-path"):
+            yield from commands(app[name], (*path, name))
+
+
+def paragraphs(text: str) -> str:
+    """Join the lines of each paragraph: how wide a terminal is, cyclopts knows."""
+    return "\n\n".join(" ".join(each.split()) for each in text.split("\n\n"))
+
+
+def run(app: App, words: list[str]) -> None:
+    """Run the command line; wrong usage ends with a sentence and exit code 2."""
+    try:
+        _, apps, rest = app.parse_commands(words)
+        if not rest and apps[-1].default_command is None:
+            app.help_print(words, console=app.error_console)
+            raise SystemExit(2)
+        app(words, exit_on_error=False, print_error=False)
+    except CycloptsError as error:
+        say(f"ffcomp: {_usage(error)} See: {' '.join(['ffcomp', *(error.command_chain or ())])} --help.")
+        raise SystemExit(2) from None
+
+
+def _usage(error: CycloptsError) -> str:
+    if isinstance(error, MissingArgumentError) and error.argument is not None and not error.argument.tokens:
+        return f"{error.argument.name} is missing."
+    return str(error).strip()

@@ -1,0 +1,284 @@
+"""Declare a verb once, for every way to call it.
+
+The request of a verb is one frozen dataclass. A field gives an option's name, type and default, and the `Option` in
+its annotation the rest: one sentence, group, unit, range. The command line, the Python function, the page of
+`ffcomp serve`, the JSON schema and the reference pages are made from that.
+
+To add an option, add a field to the verb's request and use it where the verb does its work. To add a verb:
+
+    # ffcomp/restoring/request.py                          imports nothing heavy
+    @dataclass(frozen=True)
+    class RestoreRequest(Request):
+        file: Annotated[Path, Argument("Compensated print.", metavar="FILE")]
+        output: Annotated[Path | None, Option("Write here.", OUTPUT, "--output-file", "-o", metavar="FILE")] = None
+        layers: Annotated[int, Option("Layers to restore.", OUTPUT, metavar="N", low=1)] = 1
+
+    # ffcomp/cli/restore.py                                its docstring is the help
+    @verb
+    def restore(request: RestoreRequest, shown: Shown) -> None:
+        \"\"\"Restore the original of a compensated print.\"\"\"
+        from ffcomp.restoring.work import restore            # heavy imports wait until here
+        ...
+
+    # ffcomp/cli/app.py
+    app.command("ffcomp.cli.restore:restore")
+
+    # ffcomp/api/…                                         the Python function, with the request's own signature
+    restore = function(RestoreRequest, restore_file)
+
+Names: `--the-field` unless the Option names others. A `bool` is a switch; `--no-…` exists where its default is True or
+None. A `tuple[X, ...]` may be given again. A type that words of the command line do not make by themselves has a
+`parse`. A field without Option is for Python only. Ranges and choices (`Literal`) are checked when the request is
+made, whoever makes it; what concerns several fields goes into `check`.
+"""
+
+from __future__ import annotations
+
+import inspect
+import types
+from collections.abc import Callable, Iterator
+from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Literal,
+    ParamSpec,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+from ffcomp.errors import RequestError
+
+if TYPE_CHECKING:
+    from models.machine import Machine
+
+    MachineLike = str | Path | Machine
+else:
+    MachineLike = str | Path
+
+P = ParamSpec("P")
+Q = TypeVar("Q")
+R = TypeVar("R")
+
+OUTPUT, MACHINE, ACCURACY, SPEED, ADVANCED = "Output", "Machine and bed", "Accuracy", "Speed", "Advanced"
+FASTER, REACH = "A quicker print", "Who reaches it"
+GROUPS = (REACH, OUTPUT, MACHINE, ACCURACY, FASTER, SPEED, ADVANCED)  # in the order in which they are printed
+
+
+class Option:
+    """What a field's name, type and default do not say of an option.
+
+    Parameters
+    ----------
+    help : str
+        One sentence.
+    group : str
+        One of GROUPS.
+    names : str
+        On the command line; none: `--the-field`.
+    metavar : str
+        What stands for the value in help.
+    unit : str
+        Of a number, where its name does not say it.
+    low, high : float
+        Smallest and largest value.
+    env : str
+        Environment variable that is read where the command line says nothing.
+    parse : callable
+        Makes the value of the text on the command line, or of all its texts where the option may be repeated. It raises
+        RequestError.
+    repeated : bool
+        Whether `parse` takes all the texts of an option that may be given again.
+    label : str
+        What the page of `ffcomp serve` calls it.
+    """
+
+    positional = False
+
+    def __init__(
+        self,
+        help: str,
+        group: str = "",
+        *names: str,
+        metavar: str = "",
+        unit: str = "",
+        low: float | None = None,
+        high: float | None = None,
+        env: str = "",
+        parse: Callable[[Any], Any] | None = None,
+        repeated: bool = False,
+        label: str = "",
+    ) -> None:
+        self.help, self.group, self.names, self.metavar, self.unit = help, group, names, metavar, unit
+        self.low, self.high, self.env, self.parse, self.repeated, self.label = low, high, env, parse, repeated, label
+
+
+class Argument(Option):
+    """A value that stands on the command line without a name; a tuple takes all of them."""
+
+    positional = True
+
+
+@dataclass(frozen=True)
+class Declared:
+    """One option of a request: its field and its `Option` together."""
+
+    field: str
+    type: Any
+    default: Any  # MISSING: required
+    option: Option
+
+    @property
+    def required(self) -> bool:
+        """Whether it must be stated."""
+        return self.default is MISSING
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names on the command line, the long one first."""
+        return self.option.names or (f"--{self.field.replace('_', '-')}",)
+
+    @property
+    def plain_type(self) -> Any:
+        """The first type of a union that is not None, e.g. `str` of `str | Path | None`."""
+        if get_origin(self.type) in (Union, types.UnionType):
+            return next(each for each in get_args(self.type) if each is not type(None))
+        return self.type
+
+    @property
+    def is_switch(self) -> bool:
+        """Whether it takes no value."""
+        return self.plain_type is bool and self.option.parse is None
+
+    @property
+    def many(self) -> bool:
+        """Whether it may be stated more than once."""
+        return self.option.repeated or (
+            get_origin(self.plain_type) is tuple and get_args(self.plain_type)[-1] is Ellipsis
+        )
+
+    @property
+    def item_type(self) -> Any:
+        """The type of one value, as the command line reads it."""
+        if self.option.parse is not None:
+            return str
+        return get_args(self.plain_type)[0] if self.many else self.plain_type
+
+    @property
+    def negative(self) -> str:
+        """The name that switches it off; empty: none."""
+        return f"--no-{self.names[0][2:]}" if self.is_switch and self.default is not False else ""
+
+    @property
+    def choices(self) -> tuple[Any, ...]:
+        """The values that it may have; none: any."""
+        return get_args(self.item_type) if get_origin(self.item_type) is Literal else ()
+
+    @property
+    def range(self) -> str:
+        """The range in words, with the unit; empty: any number."""
+        low, high, unit = self.option.low, self.option.high, self.option.unit and f" {self.option.unit}"
+        if low is not None and high is not None:
+            return f"{low:g} to {high:g}{unit}"
+        return f"at least {low:g}{unit}" if low is not None else f"at most {high:g}{unit}" if high is not None else ""
+
+    def check(self, value: Any) -> None:
+        """Raise RequestError unless the value is in its range or among its choices."""
+        if self.choices and value not in self.choices:
+            *most, last = self.choices
+            raise RequestError(f"{self.names[0]}: there is no {value!r}; choose {', '.join(most)} or {last}.")
+        low, high = self.option.low, self.option.high
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, int | float) and not (
+                (low is None or number >= low) and (high is None or number <= high)
+            ):
+                raise RequestError(f"{self.names[0]} {number:g}: it must be {self.range}.")
+
+
+class Request:
+    """A verb's request; its subclasses are frozen dataclasses."""
+
+    def __post_init__(self) -> None:
+        for each in declared(type(self)):
+            value = getattr(self, each.field)
+            if value is not None and value != each.default:
+                each.check(value)
+        self.check()
+
+    def check(self) -> None:
+        """Raise RequestError where options do not go together."""
+
+
+def declared(request: type[Any]) -> tuple[Declared, ...]:
+    """Return the options of a request, in the order of its fields."""
+    return tuple(_declared(request))
+
+
+def _declared(request: type[Any]) -> Iterator[Declared]:
+    hints = get_type_hints(request, include_extras=True)
+    for field in fields(request):
+        for option in getattr(hints[field.name], "__metadata__", ()):
+            if isinstance(option, Option):
+                yield Declared(field.name, get_args(hints[field.name])[0], field.default, option)
+
+
+def function(request: Callable[P, Q], work: Callable[[Q], R]) -> Callable[P, R]:
+    """Make the Python function of a verb: its parameters are the request's, its text is the worker's.
+
+    Parameters
+    ----------
+    request : class of the request
+    work : takes a request, does the work
+    """
+
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        return work(request(*args, **kwargs))
+
+    call.__name__ = call.__qualname__ = work.__name__.removesuffix("_request")
+    call.__module__ = work.__module__
+    call.__signature__ = inspect.signature(request)  # type: ignore[attr-defined]
+    before, _, after = inspect.cleandoc(work.__doc__ or "").partition("Parameters\n----------\n")
+    rows = [f"{each.field} : {each.option.help}" for each in declared(request)]  # type: ignore[arg-type]
+    call.__doc__ = "\n".join([f"{before}Parameters", "----------", *rows, after])
+    return call
+
+
+def words(request: type[Request], values: dict[str, Any]) -> list[str]:
+    """Return the words of the command line that state these values, by the fields' names."""
+    found: list[str] = []
+    for each in declared(request):
+        value = values.get(each.field)
+        if value is None or value is False:
+            continue
+        texts = value if isinstance(value, tuple | list) else (value,)
+        found += [each.names[0]] if value is True else [f"{each.names[0]}={text}" for text in texts]
+    return found
+
+
+JSON_TYPES = {bool: "boolean", int: "integer", float: "number"}
+
+
+def json_schema(request: type[Any]) -> dict[str, Any]:
+    """Return the JSON schema of a request's options."""
+    options = declared(request)
+    return {
+        "type": "object",
+        "properties": {each.field: _property_schema(each) for each in options},
+        "required": [each.field for each in options if each.required],
+        "additionalProperties": False,
+    }
+
+
+def _property_schema(each: Declared) -> dict[str, Any]:
+    one: dict[str, Any] = (
+        {"enum": list(each.choices)} if each.choices else {"type": JSON_TYPES.get(each.item_type, "string")}
+    )
+    ends = {"minimum": each.option.low, "maximum": each.option.high}
+    one |= {name: end for name, end in ends.items() if end is not None}
+    value = {"type": "array", "items": one} if each.many else one
+    default = {} if each.default is MISSING or each.default in (None, ()) else {"default": each.default}
+    return {**value, "description": each.option.help, **default}

@@ -1,0 +1,83 @@
+"""Call the command line within this process, as a user calls it."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from cyclopts import App
+
+from ffcomp.cli.command import run
+
+
+@dataclass(frozen=True)
+class Result:
+    """How a run of the command line ended, and what it printed."""
+
+    exit_code: int
+    stdout: str
+    stderr: str
+    output: str  # both, as a terminal shows them
+    exception: BaseException | None
+
+
+class CliRunner:
+    def invoke(self, app: Any, words: Sequence[str] = (), env: Mapping[str, str | None] | None = None) -> Result:
+        """Run a command; what it raises becomes the result's `exception`."""
+        if not isinstance(app, App):
+            from typer.testing import CliRunner as TyperRunner
+
+            return TyperRunner().invoke(app, list(words), env=env)  # type: ignore[return-value]
+        both = io.StringIO()
+        streams = _Copied(both), _Copied(both)
+        code, exception = 0, None
+        with _environment(env or {}), _printed_to(*streams):
+            try:
+                run(app, [*words])
+            except SystemExit as end:
+                code = end.code if isinstance(end.code, int) else int(end.code is not None)
+                exception = end if code else None
+            except Exception as error:
+                code, exception = 1, error
+        out, err = (stream.getvalue() for stream in streams)
+        return Result(code, out, err, both.getvalue(), exception)
+
+
+class _Copied(io.StringIO):
+    encoding = "utf-8"
+
+    def __init__(self, other: io.StringIO) -> None:
+        super().__init__()
+        self.other = other
+
+    def write(self, text: str) -> int:
+        self.other.write(text)
+        return super().write(text)
+
+
+@contextmanager
+def _printed_to(out: io.StringIO, err: io.StringIO) -> Iterator[None]:
+    before = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = out, err
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = before
+
+
+@contextmanager
+def _environment(changes: Mapping[str, str | None]) -> Iterator[None]:
+    before = dict(os.environ)
+    os.environ.update({name: value for name, value in changes.items() if value is not None})
+    for name in (name for name, value in changes.items() if value is None):
+        os.environ.pop(name, None)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
