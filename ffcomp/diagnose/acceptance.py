@@ -16,7 +16,7 @@ from ffcomp.diagnose.fit import EstimationProblem, Fit, clipped, fit, step_withi
 from ffcomp.diagnose.hypotheses import FILE_CHANGES, Hypothesis, implausible, moved_numbers
 from ffcomp.diagnose.observations import Position, clustered
 from ffcomp.diagnose.problem import Problem
-from ffcomp.diagnose.recording_delays import own_delays
+from ffcomp.diagnose.recording_clocks import clock_parameters
 from ffcomp.diagnose.settings import SETTINGS
 from ffcomp.identify.uncertainty import Estimate
 from models.arrays import FloatArray
@@ -169,7 +169,7 @@ def _left_out(estimation: EstimationProblem, fitted: Fit, members: Sequence[int]
     """
     inside = np.ones(len(fitted.residual), dtype=bool)
     inside[estimation.rows_of(members)] = False
-    delays = own_delays([estimation.problem.observations[i] for i in members])
+    delays = clock_parameters([estimation.problem.observations[i] for i in members])
     keep = [i for i, n in enumerate(fitted.parameters) if n.name not in delays]
     free = tuple(fitted.parameters[i] for i in keep)
     j, r = fitted.jacobian[inside][:, keep], fitted.residual[inside]
@@ -192,7 +192,7 @@ def _on_their_clocks(estimation: EstimationProblem, fitted: Fit, z: FloatArray, 
     They say nothing of the machine, so nothing else tells them. But a late machine and late recordings are hard to
     tell apart: with other recordings the share of each is another, and clocks that stayed would be wrong by as much.
     """
-    delays = own_delays([estimation.problem.observations[i] for i in members])
+    delays = clock_parameters([estimation.problem.observations[i] for i in members])
     clocks = [i for i, n in enumerate(fitted.parameters) if n.name in delays]
     if not clocks:
         return z

@@ -32,7 +32,7 @@ from ffcomp.diagnose.noise import (
     whitener,
 )
 from ffcomp.diagnose.problem import Parameter, Problem
-from ffcomp.diagnose.recording_delays import belongs_to_recording
+from ffcomp.diagnose.recording_clocks import belongs_to_recording
 from ffcomp.diagnose.recording_faults import Fault, fault_of_recordings, odd_signal
 from ffcomp.diagnose.score_test import Screened, confounded_with, screen
 from ffcomp.diagnose.search import Selection, find_best, finish, on_all_data

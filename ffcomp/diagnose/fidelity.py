@@ -19,7 +19,7 @@ import numpy as np
 from ffcomp.diagnose.fit import EstimationProblem, Fit, clipped, derivatives, fit, values_at
 from ffcomp.diagnose.hypotheses import Hypothesis, comparable, likeliest, log_fit, log_try, may_join
 from ffcomp.diagnose.problem import Candidate, Parameter, Problem
-from ffcomp.diagnose.recording_delays import belongs_to_recording
+from ffcomp.diagnose.recording_clocks import belongs_to_recording
 from ffcomp.diagnose.score_test import Screened, squares_by_motion, subset_of
 from ffcomp.diagnose.settings import SETTINGS
 from ffcomp.numerics.stages import Progress, Stage

@@ -9,7 +9,7 @@ import numpy as np
 
 from ffcomp.diagnose.fit import EstimationProblem, Fit
 from ffcomp.diagnose.problem import Candidate, Parameter
-from ffcomp.diagnose.recording_delays import belongs_to_recording
+from ffcomp.diagnose.recording_clocks import belongs_to_recording
 from ffcomp.diagnose.settings import SETTINGS
 from ffcomp.numerics.stages import Now, Progress
 from models.arrays import FloatArray

@@ -32,14 +32,15 @@ from ffcomp.diagnose.observations import (
     observation_of,
 )
 from ffcomp.diagnose.problem import Candidate, InfeasibleParameters, Parameter, Problem, within_travel
-from ffcomp.diagnose.recording_delays import (
+from ffcomp.diagnose.recording_clocks import (
+    aligned,
     as_recorded,
     belongs_to_recording,
     delay_parameters,
+    repeats_of,
     seen_parameters,
     with_stated_clock,
 )
-from ffcomp.diagnose.repeats import aligned, repeats_of
 from ffcomp.diagnose.validation import carriages_of
 from ffcomp.measurement.recording import Recording
 from models.arrays import FloatArray

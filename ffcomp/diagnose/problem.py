@@ -118,7 +118,7 @@ class InfeasibleParameters(ValueError):
 
 
 class Repeated(Protocol):
-    """What repeats of one experiment say of each other, see `ffcomp/diagnose/repeats.py`."""
+    """What repeats of one experiment say of each other, see `ffcomp/diagnose/recording_clocks.py`."""
 
     @property
     def members(self) -> tuple[int, ...]:

@@ -14,7 +14,7 @@ from ffcomp.diagnose.diagnosis import Diagnosis
 from ffcomp.diagnose.fit import Fit
 from ffcomp.diagnose.printer_problem import WHOLE, effect_tables
 from ffcomp.diagnose.problem import TOWERS, Problem
-from ffcomp.diagnose.recording_delays import belongs_to_recording, delay_of
+from ffcomp.diagnose.recording_clocks import belongs_to_recording, delay_of
 from ffcomp.diagnose.residuals import ResidualSize, locate_residual
 from ffcomp.diagnose.separation import Separation
 from ffcomp.identify.uncertainty import Estimate

@@ -16,16 +16,16 @@ from scipy.signal import resample_poly
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.closed_loop import is_closed_loop, read_closed_loop
+from ffcomp.measurement.faults import SHAPER_REMEDY, wrong_gravity
 from ffcomp.measurement.recording import Recording
 from ffcomp.record.axes import best_score, find_turn, tilt, words
 from ffcomp.record.chips import of_all_chips, without_deaf_axes, without_lacking_runs
 from ffcomp.record.clock import ClockFit, felt_shares, fit_clock, long_gaps, without_gaps
 from ffcomp.record.expected import Expectation
+from ffcomp.record.faults import check_repeats, left_handed, shapers_left_on, unlike
 from ffcomp.record.motor_runs import BLIND, motor_runs
 from ffcomp.record.plan import MovesPlan
 from ffcomp.record.plan_files import run_name
-from ffcomp.record.plausible import left_handed, unlike, wrong_gravity
-from ffcomp.record.repeats import check_repeats
 from ffcomp.record.result import (
     DELAY_SD_S,
     KEPT_REST_S,
@@ -35,7 +35,6 @@ from ffcomp.record.result import (
     joined_comments,
     measured_run,
 )
-from ffcomp.record.shaper import find_shapers
 from ffcomp.record.tasks import Expected, Task, read_tasks, stated
 from models.arrays import FloatArray
 from models.machine import Machine
@@ -48,10 +47,6 @@ WORST_RATIO = 1e-3  # of a firmware's clock: beyond it, speeds were overridden
 BIAS_SD_S = 1.5e-4  # of a clock that is fitted, by what the machine file lacks
 REPEATS_SD_S, SURE = 3e-5, 2.0  # by which the motion tells two repeats apart at best; standard deviations
 LOWEST_RATE_HZ = 800.0  # of a recording
-SHAPER_REMEDY = (
-    "It must be off: the plan's G-code switches it off (Klipper: SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0; "
-    'RepRapFirmware: M593 P"none"; Marlin: M593 F0). Run that file as it is, and record it again.'
-)
 
 
 def join_captures(
@@ -110,8 +105,8 @@ def _join_chip(tasks: Sequence[Task], plan: MovesPlan, turn: FloatArray | None) 
             joined.append((_joined(task, clock, axes, rate), task.ready))
         except MeasurementError as error:
             refused += [Refused(task.capture.source, problem) for problem in error.problems]
-    if shapers := find_shapers(joined):
-        why = " ".join([*(each.words for each in shapers), SHAPER_REMEDY])
+    if shapers := shapers_left_on(joined):
+        why = " ".join([*(each.claim for each in shapers), SHAPER_REMEDY])
         return [], refused + [Refused(each.source, why) for each, _ in joined]
     good = [each for each, _ in joined if each.clock.correlation >= LEAST_CORRELATION]
     refused += [Refused(each.source, unlike(each, LEAST_CORRELATION)) for each, _ in joined if each not in good]
@@ -222,7 +217,7 @@ def _joined(task: Task, clock: ClockFit, axes: FloatArray, rate_hz: float) -> Jo
         )
     rest = tau < -0.5 * LEAST_REST_S
     gravity = np.nanmean(capture.acceleration[rest] @ axes.T, axis=0)
-    if complaint := wrong_gravity(gravity, capture.clock):
+    if complaint := wrong_gravity(gravity, may_be_removed=capture.clock == "free"):
         raise MeasurementError(capture.source, [complaint])
     upright = tilt(gravity)
     felt = (capture.acceleration @ axes.T - gravity) @ upright.T

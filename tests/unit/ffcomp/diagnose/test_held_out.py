@@ -11,7 +11,7 @@ from ffcomp.diagnose.acceptance import hold_out
 from ffcomp.diagnose.fit import estimation_problem, fit
 from ffcomp.diagnose.noise import noise_from_repeats, whitener
 from ffcomp.diagnose.problem import Observation, Parameter, Problem
-from ffcomp.diagnose.recording_delays import PREFIX, as_recorded
+from ffcomp.diagnose.recording_clocks import PREFIX, as_recorded
 from ffcomp.numerics.delay import delayed
 from models.arrays import FloatArray
 

@@ -6,13 +6,11 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.record import shaper
 from ffcomp.record.join import join_captures
 from ffcomp.record.plan import MovesPlan, Request, make_plan
 from ffcomp.record.plan_files import save_plan
@@ -63,23 +61,6 @@ def test_a_shaper_left_on_is_named(
     (why,) = set(reasons(found))
     assert f"x moved as {kind.upper()} at about {frequency_hz:.0f} Hz" in why and "y moved" not in why
     assert "SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0" in why
-
-
-def test_one_motion_may_show_a_shaper_that_all_together_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of x alone, 3HUMP_EI leaves so little in most motions that what is felt came from y."""
-    names = [(kind, float(f)) for kind in SHAPERS for f in shaper.FREQUENCIES_HZ]
-    which = names.index(("3hump_ei", float(shaper.FREQUENCIES_HZ[45])))
-
-    def unexplained(recorded: list[tuple[SimpleNamespace, None]], axis: int) -> tuple[np.ndarray, float]:
-        left = np.full(len(names), 0.3)
-        if axis == 0 and {joined.experiment for joined, _ in recorded} == {"zigzag-0"}:
-            left[which] = 0.02
-        return left, 0.27
-
-    monkeypatch.setattr(shaper, "_unexplained", unexplained)
-    recorded = [(SimpleNamespace(experiment=name), None) for name in ("multisine-2", "zigzag-0", "zigzag-0")]
-    (found,) = shaper.find_shapers(recorded)  # type: ignore[arg-type]
-    assert (found.axis, found.kind, found.frequency_hz) == ("x", *names[which])
 
 
 def test_a_machine_file_that_is_wrong_is_no_shaper(plan: MovesPlan, machine: Machine, tmp_path: Path) -> None:

@@ -9,8 +9,14 @@ import pytest
 
 from ffcomp.diagnose.noise import noise_from_repeats
 from ffcomp.diagnose.problem import Candidate, Observation, Parameter
-from ffcomp.diagnose.recording_delays import as_recorded, delay_parameters, with_stated_clock
-from ffcomp.diagnose.repeats import Repeats, aligned, repeats_of
+from ffcomp.diagnose.recording_clocks import (
+    Repeats,
+    aligned,
+    as_recorded,
+    delay_parameters,
+    repeats_of,
+    with_stated_clock,
+)
 from ffcomp.diagnose.validation import check_repeating
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import Recording
@@ -105,7 +111,7 @@ def test_a_clock_in_doubt_gets_parameters() -> None:
     assert delay_parameters([recording()], [one], []) == []
     found = {p.name: p.sd for p in delay_parameters([recording(delay_sd_s="3e-4", drift_sd="5e-5")], [one], [])}
     assert found == {"recording.x.delay_s": 3e-4, "recording.x.drift": 5e-5}
-    apart = Repeats("y", (1, 2), ("y-1.csv", "y-2.csv"), (-1e-3, 1e-3), True, 0.01, 1.0)
+    apart = Repeats((-1e-3, 1e-3), True, 0.01, 1.0, experiment="y", members=(1, 2), files=("y-1.csv", "y-2.csv"))
     (by_hand,) = delay_parameters([recording()], [one], [apart])
     assert 1e-3 < by_hand.sd < 3e-3
     late = as_recorded({"recording.x.delay_s": 1e-3}, one, motion())
