@@ -10,9 +10,8 @@ import numpy as np
 from ffcomp.diagnose.problem import Repeated
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.axis_run import AxisRun
-from ffcomp.measurement.orientation import misplaced
 from ffcomp.measurement.recording import Recording
-from ffcomp.measurement.sensors import command_unit, wrong_scale
+from ffcomp.measurement.sensors import command_unit, misplaced, wrong_scale
 from models.arrays import FloatArray
 from models.errors import UnreachableError
 from models.machine import Machine

@@ -16,19 +16,16 @@ from ffcomp.identify.experiment import Plan
 from ffcomp.identify.from_resonances import Resonance
 from ffcomp.identify.predict import AXES
 from ffcomp.identify.resonance_tests import BeltTest, Found, no_test, read_test
-from ffcomp.measurement.closed_loop import is_closed_loop
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import read_frfs
-from ffcomp.measurement.klipper import Resonances
+from ffcomp.measurement.klipper import Resonances, is_stdata
 from ffcomp.measurement.modes import ModeFit, modes_in
-from ffcomp.measurement.motan import is_motion_log
-from ffcomp.measurement.plain_capture import columns_of
+from ffcomp.measurement.printer_logs import is_closed_loop, is_motion_log
 from ffcomp.measurement.recording import Recording, read_recording
 from ffcomp.measurement.recording_frfs import frfs_from_recordings
-from ffcomp.measurement.shake_and_tune import is_stdata
 from ffcomp.measurement.table import read_text
 from ffcomp.measurement.uff import is_universal
-from ffcomp.measurement.vibration import read_vibrations
+from ffcomp.measurement.vibration import columns_of, read_vibrations
 from ffcomp.numerics.stages import Stage
 from models.machine import Machine
 

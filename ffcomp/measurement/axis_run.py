@@ -13,8 +13,7 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.clock import Clock, clock_of
-from ffcomp.measurement.header import closest, repeated_columns
-from ffcomp.measurement.recording import experiment_of
+from ffcomp.measurement.recording import closest, experiment_of, repeated_columns
 from ffcomp.measurement.table import Table, read_table, read_text
 from models.arrays import FloatArray
 

@@ -19,14 +19,13 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import savgol_coeffs
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement import uff
-from ffcomp.measurement.frf import FrequencyResponse, variance_from_coherence
-from ffcomp.measurement.header import repeated_columns
-from ffcomp.measurement.labels import describe, read_labels, unknown
-from ffcomp.measurement.roughness import roughness_variance
-from ffcomp.measurement.table import read_table, read_text
+from ffcomp.measurement.frf import FrequencyResponse, describe, read_labels, unknown, variance_from_coherence
+from ffcomp.measurement.table import read_table, read_text, repeated_columns
 from models.arrays import ComplexArray, FloatArray
 
 FEWEST_LINES = 10  # the roughness needs nine lines around one
@@ -72,14 +71,14 @@ def write_frf(path: str | Path, response: FrequencyResponse) -> None:
 
 def build(
     path: str,
-    said: Mapping[str, str],
+    comments: Mapping[str, str],
     frequency_hz: FloatArray,
     value: ComplexArray,
     coherence: FloatArray | None = None,
     variance: FloatArray | None = None,
 ) -> tuple[FrequencyResponse | None, list[str]]:
     """Build a response from its labels and its lines (k,), or return the problems, in full sentences."""
-    labels, problems = read_labels(said)
+    labels, problems = read_labels(comments)
     problems += _bad_lines(frequency_hz, value, coherence, variance)
     if labels is None or problems:
         return None, problems
@@ -107,7 +106,7 @@ def _from_universal(path: str) -> list[FrequencyResponse]:
     responses, problems = [], []
     for number, dataset in uff.read_universal(path).items():
         response, wrong = build(
-            path, dataset.said, dataset.frequency_hz, dataset.value, dataset.coherence, dataset.variance
+            path, dataset.labels, dataset.frequency_hz, dataset.value, dataset.coherence, dataset.variance
         )
         responses += [] if response is None else [response]
         problems += [f"Data set {number}: {text}" for text in wrong]
@@ -153,3 +152,21 @@ def _bad_lines(
     if variance is not None and (variance < 0).any():
         problems.append(f"A variance is not negative, but column variance has {variance.min():.3g}.")
     return problems
+
+
+_WINDOW = 9  # lines
+_DEGREE = 2
+
+
+def roughness_variance(value: ComplexArray, window: int = _WINDOW) -> FloatArray:
+    """Estimate E|δ|² of each line from the residual to a quadratic through the lines around it, (k,) → (k,).
+
+    A quadratic through the w = `window` lines around a line leaves of white noise at that line 1 − h, h the middle
+    coefficient of the fit (Savitzky & Golay, 1964); the squares are averaged over w lines.
+    """
+    coefficients = savgol_coeffs(window, _DEGREE)
+    inner = np.convolve(value, coefficients, mode="valid")
+    half = window // 2
+    residual = np.pad(value[half:-half] - inner, half, mode="edge")
+    square = np.abs(residual) ** 2 / (1 - coefficients[half])
+    return np.asarray(uniform_filter1d(square, window, mode="nearest"), dtype=np.float64)

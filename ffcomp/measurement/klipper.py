@@ -1,4 +1,4 @@
-"""Files of accelerometers on printers: Klipper's and Kalico's captures and spectra, and py3dpaxxel's captures.
+"""Files of accelerometers on Klipper printers: captures and spectra of the firmware, py3dpaxxel and Shake&Tune.
 
 | file | what it holds |
 |---|---|
@@ -6,6 +6,7 @@
 | `resonances_*.csv`, `calibration_data_*.csv` | `freq,psd_x,psd_y,psd_z,psd_xyz[,accel_per_hz][,shapers:][,…]` |
 | the same of several points or chips | `freq,<name 1>,<name 2>,…[,shapers:,…]` |
 | py3dpaxxel `*.tsv` | `seq sample x y z`: mg, the rate in a comment (ODR3200) |
+| Shake&Tune `*.stdata` | Zstandard over JSON, one line a capture: `{"name": …, "samples": [[t, x, y, z], …]}` |
 
 A spectrum is the one-sided power spectral density of a whole test in (mm/s²)²/Hz. Files that list shapers hold it
 divided by (f + 0.1 Hz), and attenuated below 10 Hz. File names carry the axis and, when a test has several points,
@@ -14,9 +15,12 @@ the point. Gravity is in the captures.
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +28,7 @@ from ffcomp.errors import MeasurementError
 from ffcomp.measurement.capture import Capture, make_capture
 from ffcomp.measurement.sensors import G
 from ffcomp.measurement.table import Table, rows_of
+from gcode.text import most_unpacked
 from models.arrays import FloatArray
 
 _RAW_HEADER = ("time", "accel_x", "accel_y", "accel_z")
@@ -36,6 +41,17 @@ _LOST = re.compile(r"(?:drops|overflows|errors)=(\d+)")
 _FEWEST_LINES = 20
 _UNTOUCHED_HZ = 10.0  # normalised spectra are attenuated below
 _NORMALISING_HZ = 0.1
+_PIECE = 1 << 20  # bytes that are unpacked at a time
+_FED = 256  # packed bytes at a time, where what they unpack to cannot be bounded: some megabytes at most
+_ZSTANDARD = b"\x28\xb5\x2f\xfd"
+_STDATA_AXIS = re.compile(r"(axis_[XYZ]|belt_[AB])(?=_|$)")
+_EXCITED = {
+    "axis_X": "x",
+    "axis_Y": "y",
+    "axis_Z": "z",
+    "belt_A": "axis=1.000,-1.000",
+    "belt_B": "axis=1.000,1.000",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,8 +177,8 @@ def _several(names: list[str]) -> str:
     )
 
 
-def _point(found: re.Match[str] | None) -> tuple[float, float, float] | None:
-    return None if found is None else (float(found[1]), float(found[2]), float(found[3]))
+def _point(match: re.Match[str] | None) -> tuple[float, float, float] | None:
+    return None if match is None else (float(match[1]), float(match[2]), float(match[3]))
 
 
 def _bad_spectra(frequency: FloatArray, sets: dict[str, FloatArray]) -> list[str]:
@@ -179,3 +195,111 @@ def _bad_spectra(frequency: FloatArray, sets: dict[str, FloatArray]) -> list[str
         elif not psd.any():
             problems.append(f"The spectrum {name!r} is zero everywhere: nothing was measured.")
     return problems
+
+
+# ---- Shake&Tune ----------------------------------------------------------------------------------
+
+
+def is_stdata(path: str | Path) -> bool:
+    """Tell by the first bytes."""
+    with Path(path).open("rb") as file:
+        return file.read(len(_ZSTANDARD)) == _ZSTANDARD
+
+
+def stdata_captures(path: str | Path) -> list[Capture]:
+    """Read every measurement in the file.
+
+    Raises
+    ------
+    MeasurementError
+        If it cannot be unpacked, or a measurement cannot be used.
+    """
+    captures = []
+    for number, line in enumerate(_unpacked(path).splitlines(), 1):
+        if line.strip():
+            captures.append(_capture(str(path), number, line))
+    if not captures:
+        raise MeasurementError(str(path), ["There is no measurement in it."])
+    return captures
+
+
+def _capture(path: str, number: int, line: bytes) -> Capture:
+    try:
+        entry = json.loads(line)
+        name, samples = str(entry["name"]), np.array(entry["samples"], dtype=np.float64)
+    except (ValueError, KeyError, TypeError) as error:
+        rule = 'a line is one JSON object {"name": …, "samples": [[time, x, y, z], …]}'
+        raise MeasurementError(path, [f"Line {number} cannot be read ({error}); {rule}."]) from error
+    if samples.ndim != 2 or samples.shape[1] != 4:
+        raise MeasurementError(path, [f"{name}: a sample is time, x, y, z, but they have the shape {samples.shape}."])
+    return _from_samples(path, name, samples)
+
+
+def _from_samples(path: str, name: str, samples: FloatArray) -> Capture:
+    table = Table(_RAW_HEADER, samples, np.arange(1, len(samples) + 1), {})
+    axis = _STDATA_AXIS.search(name)
+    return make_capture(
+        path,
+        table,
+        samples[:, 0],
+        samples[:, 1:] * 1e-3,
+        axis=_EXCITED[axis[1]] if axis else None,
+        name=name,
+        clock="firmware",
+    )
+
+
+def _unpacked(path: str | Path) -> bytes:
+    packed = Path(path).read_bytes()
+    for module, unpack in (("compression.zstd", _standard), ("zstandard", _package)):
+        try:
+            library = import_module(module)
+        except ImportError:
+            continue
+        try:
+            return unpack(library, packed)
+        except Exception as error:  # of the library's own kind
+            raise MeasurementError(str(path), [f"It cannot be unpacked: {error}."]) from error
+    raise MeasurementError(
+        str(path),
+        ["Shake&Tune's files are Zstandard archives; to read them, install the extra: pip install 'ffcomp[stdata]'."],
+    )
+
+
+def _standard(library: Any, packed: bytes) -> bytes:
+    """Unpack with Python's own library (3.14 and later), frame by frame."""
+    pieces: list[bytes] = []
+    most = most_unpacked(len(packed))
+    while packed:
+        frame, fed = library.ZstdDecompressor(), packed
+        while not frame.eof:
+            pieces.append(frame.decompress(fed, max_length=_PIECE))
+            fed = b""
+            if not pieces[-1] and frame.needs_input:
+                raise ValueError("the file ends in the middle")
+            most = _left(most, pieces[-1])
+        packed = frame.unused_data
+    return b"".join(pieces)
+
+
+def _package(library: Any, packed: bytes) -> bytes:
+    """Unpack with the package zstandard, frame by frame; a frame need not state its size."""
+    pieces: list[bytes] = []
+    most = most_unpacked(len(packed))
+    while packed:
+        frame, at = library.ZstdDecompressor().decompressobj(), 0
+        while not frame.eof and at < len(packed):
+            pieces.append(frame.decompress(packed[at : at + _FED]))
+            at += _FED
+            most = _left(most, pieces[-1])
+        if not frame.eof:
+            raise ValueError("the file ends in the middle")
+        packed = frame.unused_data + packed[at:]
+    return b"".join(pieces)
+
+
+def _left(most: int, piece: bytes) -> int:
+    """Return how much may still come: archives can be made that fill any memory."""
+    if len(piece) > most:
+        raise ValueError("it unpacks to more than any recording does")
+    return most - len(piece)

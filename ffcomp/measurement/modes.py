@@ -90,7 +90,7 @@ def modes_of(path: str | Path, signal: str | None = None) -> ModeFit:
     return modes_in(read_vibration(path), signal)
 
 
-def modes_in(found: Capture | Resonances, signal: str | None = None, axis: str | None = None) -> ModeFit:
+def modes_in(test: Capture | Resonances, signal: str | None = None, axis: str | None = None) -> ModeFit:
     """Fit the modes in spectra or in a capture; `signal` x, y, z, xyz or a set's name, `axis` the excited one.
 
     Without `signal` it is the excited axis, if the file states it, else the sum of all; of several spectra that no
@@ -102,14 +102,14 @@ def modes_in(found: Capture | Resonances, signal: str | None = None, axis: str |
     MeasurementError
         If there is no such spectrum, or which one is not said.
     """
-    excited = axis or found.axis or ""
-    if isinstance(found, Capture):
-        along = excited if _strongest(found.acceleration) == excited else "xyz"
-        return replace(_capture_modes(found, signal or along), axis=excited)
-    name = found.chosen(signal)
-    frequency, power = found.power(name)
-    swept = swept_band_of_spectrum(*found.total)
-    return replace(fit_modes(frequency, power, swept=swept, source=found.source, signal=name), axis=excited)
+    excited = axis or test.axis or ""
+    if isinstance(test, Capture):
+        along = excited if _strongest(test.acceleration) == excited else "xyz"
+        return replace(_capture_modes(test, signal or along), axis=excited)
+    name = test.chosen(signal)
+    frequency, power = test.power(name)
+    swept = swept_band_of_spectrum(*test.total)
+    return replace(fit_modes(frequency, power, swept=swept, source=test.source, signal=name), axis=excited)
 
 
 def _strongest(acceleration: FloatArray) -> str:
@@ -229,7 +229,7 @@ class _Model:
         low[1:-2:3], high[1:-2:3] = np.log(self.frequency_hz[[0, -1]])
         low[2:-2:3], high[2:-2:3] = np.log(_DAMPING)
         # NOTE: soft_l1, because a spectrum has single lines (fans, steppers) that no mode explains
-        found = minimise(
+        solution = minimise(
             lambda p: weight * (target - self.log(p, signs)),
             np.clip(start, low + 1e-9, high - 1e-9),
             lambda p: -weight[:, None] * self.slopes(p, signs),
@@ -238,8 +238,8 @@ class _Model:
             scaled=False,
             robust=True,
         )
-        residual = target - self.log(found.x, signs)
-        return _Fit(found.x[:-2].reshape(-1, 3), signs, target, weight, residual, self.slopes(found.x, signs))
+        residual = target - self.log(solution.x, signs)
+        return _Fit(solution.x[:-2].reshape(-1, 3), signs, target, weight, residual, self.slopes(solution.x, signs))
 
     def log(self, parameters: FloatArray, signs: FloatArray) -> FloatArray:
         """Predict ln S, (k,)."""
@@ -318,7 +318,7 @@ def _modes(model: _Model, fit: _Fit, line_hz: float) -> tuple[Mode, ...]:
     covariance = scatter * np.linalg.pinv(weighted.T @ weighted, rcond=1e-12, hermitian=True)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))[:-2].reshape(-1, 3)
     heights = np.array([model.height(peak) for peak in fit.peaks])
-    found = []
+    modes = []
     for (_, log_f, log_zeta), (_, sd_f, sd_zeta), height in zip(fit.peaks, sd, heights, strict=True):
         frequency, zeta = float(np.exp(log_f)), float(np.exp(log_zeta))
         inside = model.frequency_hz[0] + line_hz < frequency < model.frequency_hz[-1] - line_hz
@@ -327,8 +327,8 @@ def _modes(model: _Model, fit: _Fit, line_hz: float) -> tuple[Mode, ...]:
             mode = Mode(
                 frequency, float(frequency * sd_f), zeta, float(zeta * sd_zeta), float(height / heights.max()), tone
             )
-            found.append(mode)
-    return tuple(sorted(found, key=lambda mode: -mode.power))
+            modes.append(mode)
+    return tuple(sorted(modes, key=lambda mode: -mode.power))
 
 
 def _verdict(modes: tuple[Mode, ...], misfit: float, swept: SweptBand | None) -> str:
@@ -345,19 +345,19 @@ def _verdict(modes: tuple[Mode, ...], misfit: float, swept: SweptBand | None) ->
     return f"Clear: {listed}; {len(modes) - len(clear)} more are uncertain or tones. The spectrum is fitted {quality}."
 
 
-def _capture_modes(found: Capture, signal: str) -> ModeFit:
+def _capture_modes(capture: Capture, signal: str) -> ModeFit:
     axes = (
         ["xyz".index(letter) for letter in signal if letter in "xyz"] if signal in ("x", "y", "z", "xyz") else [0, 1, 2]
     )
-    frequency, segments = segment_powers(found, axes)
-    swept = swept_band(found)
-    exponent = 0.0 if swept is None and "raw_data" not in Path(found.source).name else 2.0
+    frequency, segments = segment_powers(capture, axes)
+    swept = swept_band(capture)
+    exponent = 0.0 if swept is None and "raw_data" not in Path(capture.source).name else 2.0
     whole = fit_modes(
         frequency,
         segments.mean(axis=0),
         excitation_exponent=exponent,
         swept=swept,
-        source=found.source,
+        source=capture.source,
         signal=signal,
     )
     if len(segments) < 2 * _BLOCKS:
@@ -370,17 +370,17 @@ def _capture_modes(found: Capture, signal: str) -> ModeFit:
     return replace(whole, modes=modes, verdict=_verdict(modes, whole.misfit, swept))
 
 
-def segment_powers(found: Capture, axes: list[int]) -> tuple[FloatArray, FloatArray]:
+def segment_powers(capture: Capture, axes: list[int]) -> tuple[FloatArray, FloatArray]:
     """Return frequencies (k,) Hz and the power spectral density of each segment without gaps, (s, k) (m/s²)²/Hz."""
-    rate = found.sample_rate_hz
+    rate = capture.sample_rate_hz
     length = 2 ** int(np.ceil(np.log2(_WINDOW_S * rate)))
     taper = np.kaiser(length, _KAISER_BETA)
-    starts = range(0, len(found.time_s) - length + 1, length // 2)
-    cuts = [found.acceleration[start : start + length, axes] for start in starts]
+    starts = range(0, len(capture.time_s) - length + 1, length // 2)
+    cuts = [capture.acceleration[start : start + length, axes] for start in starts]
     whole = [cut for cut in cuts if np.isfinite(cut).all()]
     if not whole:
         rule = f"There is no window of {length / rate:.2g} s without gaps; a spectrum needs at least one."
-        raise MeasurementError(found.source, [rule])
+        raise MeasurementError(capture.source, [rule])
     spectra = [np.fft.rfft((cut - cut.mean(axis=0)) * taper[:, None], axis=0) for cut in whole]
     power = [2 * (np.abs(one) ** 2).sum(axis=1) / (rate * float(taper @ taper)) for one in spectra]
     return lines_of_dft(length, rate), np.array(power)

@@ -19,10 +19,9 @@ from scipy.interpolate import CubicSpline
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.clock import Clock, clock_of
-from ffcomp.measurement.header import check_header, signal_of
+from ffcomp.measurement.klipper import is_stdata
 from ffcomp.measurement.sensors import broken_sensor, with_gravity, wrong_scale
-from ffcomp.measurement.shake_and_tune import is_stdata
-from ffcomp.measurement.table import Table, read_table, read_text
+from ffcomp.measurement.table import Table, closest, read_table, read_text, repeated_columns
 from models.arrays import FloatArray
 
 CommandSpace = Literal["carriage", "nozzle"]
@@ -74,8 +73,8 @@ class Recording:
 
         A run of several chips says in `clocks` which columns are of one chip: `acc_x acc_z, acc_y`.
         """
-        groups = [own.split() for own in self.comments.get(CLOCKS, "").split(",")]
-        names = {signal: own[0] for own in groups[1:] for signal in own}
+        groups = [members.split() for members in self.comments.get(CLOCKS, "").split(",")]
+        names = {signal: members[0] for members in groups[1:] for signal in members}
         return tuple(names.get(signal, "") for signal in signals)
 
 
@@ -188,3 +187,80 @@ def _filled(name: str, command: FloatArray, clock: Clock) -> tuple[FloatArray, l
             "the command there cannot be known."
         ]
     return CubicSpline(known, command[known])(np.arange(len(command))), []
+
+
+# ---- the header ----------------------------------------------------------------------------------
+
+_AXES = "ABCxyz"
+_UNITS = {"cmd": "mm", "acc": "m_per_s2", "pos": "mm"}
+COLUMNS = ("t_s", *(f"{kind}_{axis}_{unit}" for kind, unit in _UNITS.items() for axis in _AXES))
+
+# Factors to the unit of the format.
+_FACTORS = {
+    "acc": {"g": "9.80665", "mg": "0.00980665", "mm_per_s2": "0.001", "cm_per_s2": "0.01"},
+    "mm": {"m": "1000", "um": "0.001", "cm": "10", "in": "25.4"},
+    "t": {"ms": "0.001", "us": "1e-6", "ns": "1e-9"},
+}
+_SPELLINGS = {"mm_s2": "mm_per_s2", "m_s2": "m_per_s2", "mms2": "mm_per_s2", "ms2": "m_per_s2", "mps2": "m_per_s2"}
+
+
+def signal_of(column: str) -> str | None:
+    """Return a column's signal: `acc_A` of `acc_A_m_per_s2`; None if the format has no such column."""
+    if column not in COLUMNS:
+        return None
+    return "t" if column == "t_s" else column[:5]
+
+
+def check_header(columns: Sequence[str]) -> list[str]:
+    """List the problems of a recording's header, in full sentences."""
+    if not any(name in COLUMNS for name in columns) and None in [_meant(name) for name in columns]:
+        return [
+            f"The first line, {','.join(columns)[:60]!r}, names no column of a recording; a recording has t_s, its "
+            "command (cmd_A_mm, … or cmd_x_mm, …) and what sensors measured (acc_*_m_per_s2, pos_*_mm)."
+        ]
+    problems = [_unknown(name) for name in dict.fromkeys(columns) if name not in COLUMNS]
+    problems += repeated_columns(columns)
+    if "t_s" not in columns:
+        problems.append("Column t_s (time, seconds) is missing; every recording needs it.")
+    problems += _command(columns)
+    if not any(name.startswith(("acc_", "pos_")) and name in COLUMNS for name in columns):
+        problems.append("No sensor column is there; a recording needs at least one of acc_*_m_per_s2 or pos_*_mm.")
+    return problems
+
+
+def _command(columns: Sequence[str]) -> list[str]:
+    carriages, nozzle = ([f"cmd_{axis}_mm" for axis in axes] for axes in ("ABC", "xyz"))
+    commands = [name for name in columns if name in carriages + nozzle]
+    if any(name in carriages for name in commands) and any(name in nozzle for name in commands):
+        return [f"The command must be of the carriages or of the nozzle, not of both; found are {', '.join(commands)}."]
+    needed = nozzle if any(name in nozzle for name in commands) else carriages
+    missing = [name for name in needed if name not in commands]
+    if not commands:
+        return [
+            "The command is missing; a recording needs cmd_A_mm, cmd_B_mm, cmd_C_mm, or cmd_x_mm, cmd_y_mm, cmd_z_mm."
+        ]
+    return [f"Column {name} is missing; a command needs {', '.join(needed)}." for name in missing]
+
+
+def _meant(name: str) -> re.Match[str] | None:
+    """Match a name with another unit, or none."""
+    return re.fullmatch(rf"(?:(cmd|acc|pos)_([{_AXES}])|t)(?:_(\w+))?", name)
+
+
+def _unknown(name: str) -> str:
+    unit = _meant(name)
+    if not name:
+        return "A column has no name; every column of the header needs one."
+    if unit:
+        return _wrong_unit(name, unit[1] or "t", unit[2] or "", unit[3] or "")
+    near = closest(name, COLUMNS)
+    return f"Column {name!r} is unknown" + (f"; did you mean {near!r}?" if near else "; the format has no such column.")
+
+
+def _wrong_unit(name: str, kind: str, axis: str, unit: str) -> str:
+    needed = "t_s" if kind == "t" else f"{kind}_{axis}_{_UNITS[kind]}"
+    factors = _FACTORS[kind if kind in _FACTORS else "mm"]
+    factor = factors.get(_SPELLINGS.get(unit, unit))
+    how = f" and multiply its numbers by {factor}" if factor else ""
+    named = f"names the unit {unit!r}" if unit else "names no unit"
+    return f"Column {name!r} {named}; the format asks for {needed!r}: rename it{how}."

@@ -13,10 +13,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.estimators import periodic_frf, welch_frf
+from ffcomp.measurement.estimators import periodic_frf, sweep_frf, welch_frf
 from ffcomp.measurement.frf import FrequencyResponse, Setup
 from ffcomp.measurement.recording import Recording
-from ffcomp.measurement.sweep import sweep_frf
 from models.arrays import FloatArray
 
 _SAME_COMMAND_MM = 1e-5
@@ -48,17 +47,17 @@ def frfs_from_recordings(
     u = np.stack([group[0].command[:, moving] * 1e-3 for group in experiments])  # (e, n, i) m
     y = np.stack([np.mean([_sensors(recording, outputs) for recording in group], axis=0) for group in experiments])
     rate = recordings[0].sample_rate_hz
-    period_s = period_s or _said_period(recordings[0])
+    period_s = period_s or _stated_period(recordings[0])
     try:
         if period_s is not None:
-            found = periodic_frf(u, y, rate, _whole(recordings[0], period_s, rate))
+            matrix = periodic_frf(u, y, rate, _whole(recordings[0], period_s, rate))
         elif segment_s is not None:
-            found = welch_frf(u, y, rate, round(segment_s * rate))
+            matrix = welch_frf(u, y, rate, round(segment_s * rate))
         else:
-            found = sweep_frf(u, y, rate, lowest_hz, highest_hz, half_width_hz=half_width_hz)
+            matrix = sweep_frf(u, y, rate, lowest_hz, highest_hz, half_width_hz=half_width_hz)
     except MeasurementError as error:  # the estimators know no files
         raise MeasurementError(error.path or recordings[0].source, error.problems) from error
-    return found.between(lowest_hz, highest_hz).responses(
+    return matrix.between(lowest_hz, highest_hz).responses(
         inputs,
         outputs,
         setup=setup,
@@ -127,15 +126,15 @@ def _belong_together(recordings: Sequence[Recording]) -> None:
         raise MeasurementError(first.source, ["Nothing is commanded to move, so there is no response to it."])
 
 
-def _said_period(recording: Recording) -> float | None:
-    said = recording.comments.get("period_s")
-    if said is None:
+def _stated_period(recording: Recording) -> float | None:
+    text = recording.comments.get("period_s")
+    if text is None:
         return None
     try:
-        return float(said)
+        return float(text)
     except ValueError:
         raise MeasurementError(
-            recording.source, [f"Comment 'period_s' is {said[:40]!r}; it must be a number."]
+            recording.source, [f"Comment 'period_s' is {text[:40]!r}; it must be a number."]
         ) from None
 
 

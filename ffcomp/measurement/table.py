@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from io import StringIO
@@ -132,3 +133,15 @@ def _endless(values: FloatArray, row: IntArray, columns: tuple[str, ...]) -> lis
 def _some(places: Sequence[str]) -> str:
     rest = len(places) - _NAMED_MISTAKES
     return "; ".join(places[:_NAMED_MISTAKES]) + (f"; and {rest} more" if rest > 0 else "")
+
+
+def repeated_columns(columns: Sequence[str]) -> list[str]:
+    """Report columns of the same name, in full sentences."""
+    twice = [name for name in dict.fromkeys(columns) if columns.count(name) > 1]
+    return [f"Column {name!r} is there {columns.count(name)} times; one is needed." for name in twice]
+
+
+def closest(name: str, known: Sequence[str]) -> str | None:
+    """Suggest the known name nearest to a name; a wrong case decides before a wrong letter."""
+    same = [one for one in known if one.lower() == name.lower()]
+    return next(iter(same or difflib.get_close_matches(name, known, 1)), None)

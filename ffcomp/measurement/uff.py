@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.frf import FrequencyResponse
-from ffcomp.measurement.labels import KEYS, describe
+from ffcomp.measurement.frf import KEYS, FrequencyResponse, describe
 from models.arrays import ComplexArray, FloatArray
 
 _GENERAL, _FRF, _COHERENCE = 0, 4, 6  # function types
@@ -41,7 +40,7 @@ _NO_LABEL = ("", "none")
 class Dataset:
     """One response as the file has it, in SI."""
 
-    said: dict[str, str]  # labels
+    labels: dict[str, str]  # labels
     frequency_hz: FloatArray  # (k,)
     value: ComplexArray  # (k,)
     coherence: FloatArray | None = None
@@ -67,15 +66,15 @@ def read_universal(path: str | Path) -> dict[int, Dataset]:
     if not responses:
         raise MeasurementError(str(path), ["There is no frequency response (data set 58, function type 4) in it."])
     problems: list[str] = []
-    found = {number: _dataset(number, one, length, force, problems) for number, one in responses.items()}
+    datasets = {number: _dataset(number, one, length, force, problems) for number, one in responses.items()}
     if problems:
         raise MeasurementError(str(path), problems)
     for number, kind in kinds.items():
         mate = next((n for n, one in responses.items() if _dof(one) == _dof(sets[number])), None)
         if kind in (_COHERENCE, _GENERAL) and mate is not None:
             key = "coherence" if kind == _COHERENCE else "variance"
-            found[mate] = replace(found[mate], **{key: np.real(sets[number]["data"])})
-    return found
+            datasets[mate] = replace(datasets[mate], **{key: np.real(sets[number]["data"])})
+    return datasets
 
 
 def write_universal(path: str | Path, responses: Iterable[FrequencyResponse]) -> None:
@@ -111,7 +110,7 @@ def _sets(path: str) -> dict[int, dict[str, Any]]:
 def _function(one: Mapping[str, Any]) -> int:
     """Return the set's function type; a general one is only ours if its ID lines say so."""
     kind = int(one["func_type"])
-    return kind if kind != _GENERAL or "input" in _said(one) else -1
+    return kind if kind != _GENERAL or "input" in _labels(one) else -1
 
 
 def _dof(one: Mapping[str, Any]) -> tuple[int, ...]:
@@ -120,16 +119,18 @@ def _dof(one: Mapping[str, Any]) -> tuple[int, ...]:
 
 
 def _dataset(number: int, one: Mapping[str, Any], length: float, force: float, problems: list[str]) -> Dataset:
-    said, frequency = _said(one), np.asarray(one["x"], dtype=np.float64)
+    labels, frequency = _labels(one), np.asarray(one["x"], dtype=np.float64)
     value = np.asarray(one["data"], dtype=np.complex128)
     kinds = [int(one[f"{part}_spec_data_type"]) for part in ("ordinate", "orddenom")]
-    if "input" not in said:
-        said["input"] = _signal(one, "ref", {_DISPLACEMENT: "cmd", _REACTION: "force", _EXCITATION: "force"}, kinds[1])
-    if "output" not in said:
+    if "input" not in labels:
+        labels["input"] = _signal(
+            one, "ref", {_DISPLACEMENT: "cmd", _REACTION: "force", _EXCITATION: "force"}, kinds[1]
+        )
+    if "output" not in labels:
         outputs = {_DISPLACEMENT: "pos", _VELOCITY: "acc", _ACCELERATION: "acc"}
-        said["output"] = _signal(one, "rsp", outputs, kinds[0])
+        labels["output"] = _signal(one, "rsp", outputs, kinds[0])
     for end in ("input", "output"):
-        if not said[end]:
+        if not labels[end]:
             problems.append(
                 f"Data set {number}: its {end} cannot be derived from its direction and data type "
                 f"{kinds[end == 'input']}; say 'input: cmd_A; output: pos_A' (or what it is) in the ID lines."
@@ -137,10 +138,10 @@ def _dataset(number: int, one: Mapping[str, Any], length: float, force: float, p
     value = value * _scale(number, one, kinds, length, force, problems)
     if kinds[0] == _VELOCITY:
         value = value * 2j * np.pi * frequency
-    return Dataset(said, frequency, value)
+    return Dataset(labels, frequency, value)
 
 
-def _said(one: Mapping[str, Any]) -> dict[str, str]:
+def _labels(one: Mapping[str, Any]) -> dict[str, str]:
     parts = ";".join(str(one.get(f"id{k}", "")) for k in range(1, 6)).split(";")
     pairs = [part.split(":", 1) for part in parts if ":" in part]
     return {key.strip().lower(): value.strip() for key, value in pairs if key.strip().lower() in KEYS}
@@ -181,8 +182,15 @@ def _unit_factors(sets: Mapping[int, Mapping[str, Any]]) -> tuple[float, float]:
 def _written(
     number: int, function: int, response: FrequencyResponse, data: FloatArray | ComplexArray
 ) -> dict[str, Any]:
-    said = [f"{key}: {value}" for key, value in describe(response).items()]
-    lines = ["; ".join(said[:2]), "; ".join(said[2:3]), "NONE", "; ".join(said[3:5]) or "NONE", *said[5:], "NONE"]
+    labels = [f"{key}: {value}" for key, value in describe(response).items()]
+    lines = [
+        "; ".join(labels[:2]),
+        "; ".join(labels[2:3]),
+        "NONE",
+        "; ".join(labels[3:5]) or "NONE",
+        *labels[5:],
+        "NONE",
+    ]
     one: dict[str, Any] = {"type": 58, "func_type": function, "ver_num": number, "binary": 0}
     if max(map(len, lines)) > _ID_LINE:
         rule = f"An ID line has {_ID_LINE} characters, too few for {max(lines, key=len)!r}; shorten the clock's name."

@@ -15,8 +15,8 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import resample_poly
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.closed_loop import is_closed_loop, read_closed_loop
 from ffcomp.measurement.faults import SHAPER_REMEDY, wrong_gravity
+from ffcomp.measurement.printer_logs import is_closed_loop, read_closed_loop
 from ffcomp.measurement.recording import Recording
 from ffcomp.record.axes import best_score, find_turn, tilt, words
 from ffcomp.record.chips import of_all_chips, without_deaf_axes, without_lacking_runs

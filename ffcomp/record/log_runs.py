@@ -15,7 +15,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.capture import Capture, make_capture
-from ffcomp.measurement.motan import MotionLog, Samples, Steps
+from ffcomp.measurement.printer_logs import MotionLog, Samples, Steps
 from ffcomp.measurement.table import Table
 from ffcomp.record.motion import Commanded
 from ffcomp.record.plan import Experiment, MovesPlan

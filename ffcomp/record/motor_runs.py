@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import fftconvolve
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.closed_loop import MotorLog
+from ffcomp.measurement.printer_logs import MotorLog
 from ffcomp.record.clock import ClockFit
 from ffcomp.record.plan import Experiment, MovesPlan
 from ffcomp.record.plan_files import run_name

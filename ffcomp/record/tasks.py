@@ -10,7 +10,7 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.capture import Capture
-from ffcomp.measurement.motan import is_index, is_motion_log, read_motion_log
+from ffcomp.measurement.printer_logs import is_index, is_motion_log, read_motion_log
 from ffcomp.measurement.vibration import read_captures
 from ffcomp.record.clock import Matches, Reference, every_clock, known_clock, thinned
 from ffcomp.record.expected import Expectation, expectation

@@ -11,10 +11,10 @@ import pytest
 
 from ffcomp.errors import FfcompError
 from ffcomp.inverse.bandwidth import effort_curve
+from ffcomp.measurement.frf import KEYS
 from ffcomp.measurement.frf_files import _COLUMNS as FRF_COLUMNS
 from ffcomp.measurement.frf_files import read_frfs
-from ffcomp.measurement.header import KNOWN, check_header
-from ffcomp.measurement.labels import KEYS
+from ffcomp.measurement.recording import COLUMNS, check_header
 from models.effects.catalogue import CATALOGUE
 from models.errors import MachineFileError
 from models.file import load_machine, load_plant
@@ -182,7 +182,7 @@ def names_of(page: Path, section: str, header: str) -> list[str]:
 
 
 def test_the_columns_of_measurements_are_told() -> None:
-    assert sorted(names_of(FILES, "Measured run", "column")) == sorted(KNOWN)
+    assert sorted(names_of(FILES, "Measured run", "column")) == sorted(COLUMNS)
     assert names_of(FILES, "Frequency response", "label") == list(KEYS)
     assert names_of(FILES, "Frequency response", "column") == list(FRF_COLUMNS)
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from ffcomp.cli.app import app
 from ffcomp.diagnose.validation import carriages_of, check_alike, check_repeats
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.orientation import misplaced
 from ffcomp.measurement.recording import read_recording
+from ffcomp.measurement.sensors import misplaced
 from models.file import load_machine
 from tests.support.cli import CliRunner
 

@@ -7,8 +7,7 @@ import pytest
 from scipy.signal import chirp, freqz, lfilter
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.estimators import as_position, effective_averages, periodic_frf, welch_frf
-from ffcomp.measurement.sweep import sweep_frf
+from ffcomp.measurement.estimators import as_position, effective_averages, periodic_frf, sweep_frf, welch_frf
 
 RATE = 1000.0
 B, A = [0.0, 0.02, 0.01], [1.0, -1.9, 0.93]  # a mode at 27 Hz, ζ = 0.2

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import MeasurementError
+from ffcomp.measurement.klipper import _standard
 from ffcomp.measurement.sensors import G
-from ffcomp.measurement.shake_and_tune import _standard
 from ffcomp.measurement.vibration import read_capture, read_captures, read_vibration
 
 RATE, COUNT = 3200.0, 3200

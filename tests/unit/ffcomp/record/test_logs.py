@@ -12,7 +12,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.motan import read_motion_log
+from ffcomp.measurement.printer_logs import read_motion_log
 from ffcomp.measurement.vibration import read_captures
 from ffcomp.record.join import join_captures
 from ffcomp.record.load import load_recordings

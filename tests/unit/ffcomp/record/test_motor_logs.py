@@ -10,7 +10,7 @@ import pytest
 
 from ffcomp.errors import MeasurementError
 from ffcomp.identify.load import kind_of
-from ffcomp.measurement.closed_loop import read_closed_loop
+from ffcomp.measurement.printer_logs import read_closed_loop
 from ffcomp.measurement.recording import read_recording
 from ffcomp.measurement.vibration import read_captures
 from ffcomp.record.join import join_captures

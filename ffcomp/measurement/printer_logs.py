@@ -1,8 +1,8 @@
-"""Read logs of Klipper's data logger: motion, steps and sensors on one clock.
+"""Read logs that a printer's firmware keeps: motion and sensors (Klipper), one motor and its encoder (RepRapFirmware).
 
-There is a log, `NAME.json.gz`, and beside it an index, `NAME.index.gz`. Both are gzip streams of JSON objects with a
-byte 3 behind each. The first object of the index holds the status of the whole printer, its configuration included. Of
-the log's messages `{"q": ID, "params": {...}}` these are read:
+**Klipper's data logger** writes a log, `NAME.json.gz`, and beside it an index, `NAME.index.gz`. Both are gzip streams
+of JSON objects with a byte 3 behind each. The first object of the index holds the status of the whole printer, its
+configuration included. Of the log's messages `{"q": ID, "params": {...}}` these are read:
 
 | ID | what |
 |---|---|
@@ -11,6 +11,10 @@ the log's messages `{"q": ID, "params": {...}}` these are read:
 | `accelerometer:<name>` | mm/s², gravity in it, the chip's axes turned as the configuration says |
 
 All times are print times. A log that was cut off is read as far as it goes.
+
+**RepRapFirmware's closed loop** (`M569.5 P… S… R… D7 A1`) writes one file of one motor. The header is
+`Sample,Timestamp,Raw Encoder Reading,Measured Motor Steps,Target Motor Steps`, as far as `D` asks for the columns, and
+others behind. The time is in ms. Behind the rows the firmware says in words what went wrong.
 """
 
 from __future__ import annotations
@@ -25,12 +29,11 @@ from typing import Any
 import numpy as np
 
 from ffcomp.errors import MeasurementError
+from ffcomp.measurement.clock import clock_of
+from ffcomp.measurement.table import read_text, rows_of
 from models.arrays import FloatArray
 
-_MAGIC = b"\x1f\x8b"
-_GZIP = 31  # zlib's number for a gzip stream
-_END = b"\x03"
-_HEAD = 4096  # bytes that tell what a file is
+_GZIP = b"\x1f\x8b"
 ENDINGS = (".json.gz", ".index.gz")
 
 
@@ -96,7 +99,7 @@ def is_motion_log(path: str | Path) -> bool:
     if not str(path).endswith(ENDINGS):
         return False
     with Path(path).open("rb") as file:
-        return file.read(len(_MAGIC)) == _MAGIC
+        return file.read(len(_GZIP)) == _GZIP
 
 
 def is_index(path: str | Path) -> bool:
@@ -112,11 +115,11 @@ def read_motion_log(path: str | Path) -> MotionLog:
     MeasurementError
         For a file that is no such log, or lacks motion or accelerations.
     """
-    found = _Messages()
+    messages = _Messages()
     for message in _objects(path):
-        _note(message, found)
-    if not found.moves or not found.sensors:
-        missing = "commanded motion (trapq:toolhead)" if not found.moves else "acceleration (accelerometer:…)"
+        _note(message, messages)
+    if not messages.moves or not messages.sensors:
+        missing = "commanded motion (trapq:toolhead)" if not messages.moves else "acceleration (accelerometer:…)"
         raise MeasurementError(
             str(path),
             [
@@ -126,44 +129,44 @@ def read_motion_log(path: str | Path) -> MotionLog:
         )
     return MotionLog(
         str(path),
-        _nozzle(found.moves),
-        {name: _steps(messages) for name, messages in found.steps.items()},
-        {name: _samples(messages) for name, messages in found.sensors.items()},
+        _nozzle(messages.moves),
+        {name: _steps(parts) for name, parts in messages.steps.items()},
+        {name: _samples(parts) for name, parts in messages.sensors.items()},
         _settings(path),
     )
 
 
 def _objects(path: str | Path) -> Iterator[dict[str, Any]]:
     """Yield the JSON objects of a gzip stream, as far as it goes."""
-    unpack, rest = zlib.decompressobj(_GZIP), b""
+    unpack, rest = zlib.decompressobj(wbits=31), b""
     try:
         text = unpack.decompress(Path(path).read_bytes())
     except OSError as error:
         raise MeasurementError(str(path), [f"The file cannot be read: {error.strerror}."]) from error
     except zlib.error as error:
         raise MeasurementError(str(path), [f"It cannot be unpacked ({error}). Copy the file again."]) from error
-    for rest in text.split(_END):
+    for rest in text.split(b"\x03"):
         if not rest.strip():
             continue
         try:
-            found = json.loads(rest)
+            message = json.loads(rest)
         except ValueError:
             continue  # the last one of a log that was cut off
-        if isinstance(found, dict):
-            yield found
+        if isinstance(message, dict):
+            yield message
 
 
-def _note(message: Mapping[str, Any], found: _Messages) -> None:
+def _note(message: Mapping[str, Any], messages: _Messages) -> None:
     kind, _, name = str(message.get("q", "")).partition(":")
     params = message.get("params")
     if not isinstance(params, dict) or not params.get("data"):
         return
     if kind == "trapq" and name == "toolhead":
-        found.moves += params["data"]
+        messages.moves += params["data"]
     elif kind == "stepq":
-        found.steps.setdefault(name, []).append(params)
+        messages.steps.setdefault(name, []).append(params)
     elif kind == "accelerometer":
-        found.sensors.setdefault(name, []).append(params)
+        messages.sensors.setdefault(name, []).append(params)
 
 
 def _nozzle(rows: list[list[Any]]) -> Nozzle:
@@ -195,13 +198,13 @@ def _steps(messages: list[dict[str, Any]]) -> Steps:
 
 def _clocks(first: float, rows: FloatArray) -> FloatArray:
     """Return the clock of every step: |count| times the interval, which grows by `add` each time."""
-    clock, found = first - rows[0, 0], []
+    clock, clocks = first - rows[0, 0], []
     for interval, count, add in rows.tolist():
         k = np.arange(1, abs(int(count)) + 1)
-        own = clock + interval * k + add * (k * (k - 1) // 2)
-        found.append(own)
-        clock = float(own[-1])
-    return np.concatenate(found)
+        steps = clock + interval * k + add * (k * (k - 1) // 2)
+        clocks.append(steps)
+        clock = float(steps[-1])
+    return np.concatenate(clocks)
 
 
 def _samples(messages: list[dict[str, Any]]) -> Samples:
@@ -219,3 +222,61 @@ def _settings(path: str | Path) -> dict[str, dict[str, Any]]:
     status = next(_objects(index), {}).get("status", {})
     settings = status.get("configfile", {}).get("settings", {})
     return {str(name): dict(section) for name, section in settings.items()}
+
+
+# ---- RepRapFirmware: one motor -------------------------------------------------------------------
+
+_TIME, _MEASURED, _TARGET = "timestamp", "measured motor steps", "target motor steps"
+
+
+@dataclass(frozen=True, eq=False)
+class MotorLog:
+    """What one motor was commanded and what it did, on one clock."""
+
+    source: str
+    time_s: FloatArray  # (n,) rising
+    target: FloatArray  # (n,) steps
+    measured: FloatArray  # (n,) steps
+
+    @property
+    def sample_rate_hz(self) -> float:
+        """Mean sample rate."""
+        return float((len(self.time_s) - 1) / (self.time_s[-1] - self.time_s[0]))
+
+
+def is_closed_loop(path: str | Path) -> bool:
+    """Tell a log of a motor by its first bytes."""
+    if not Path(path).is_file():
+        return False
+    with Path(path).open("rb") as file:
+        return file.read(16).lower() == b"sample,timestamp"
+
+
+def read_closed_loop(path: str | Path) -> MotorLog:
+    """Read a log.
+
+    Raises
+    ------
+    MeasurementError
+        Without target or measured steps, with the firmware's own complaint, or with a clock that is none.
+    """
+    text = read_text(path)
+    lines = text.splitlines()
+    columns = tuple(name.strip().lower() for name in lines[0].split(","))
+    if missing := [name for name in (_TIME, _MEASURED, _TARGET) if name not in columns]:
+        rule = f"It holds no column {', '.join(missing)!r}. Record it with D7, which asks for all that is needed."
+        raise MeasurementError(str(path), [rule])
+    if lines[1:] and not text.endswith(("\n", "\r")) and lines[-1].count(",") + 1 < len(columns):
+        del lines[-1]  # of a copy that was cut off
+    complaint = next((line.strip() for line in lines[1:] if line.strip() and not line.strip()[0].isdigit()), None)
+    if complaint is not None:
+        rule = f"The firmware says in it: {complaint[:60]!r}. Record it again, with fewer samples a second (R)."
+        raise MeasurementError(str(path), [rule])
+    table = rows_of(path, lines, 1, columns, {})
+    time_s = 1e-3 * table.column(_TIME)
+    missing_rows = np.isnan(table.values).any()
+    problems = [*table.problems, *(["Fields of it are empty. Copy the file again."] if missing_rows else [])]
+    problems = problems or clock_of(time_s, table.row)[1]
+    if problems:
+        raise MeasurementError(str(path), problems)
+    return MotorLog(str(path), time_s, table.column(_TARGET), table.column(_MEASURED))
